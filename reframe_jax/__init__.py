@@ -1,0 +1,56 @@
+"""Constraint frames from measured poses, in JAX.
+
+From the poses of a moving body alone, find the frame in which its motion is constrained: the body it
+is attached to, where it lies, and along which axes the velocity is zero (Overbeek et al. 2025).
+
+    import reframe_jax as rf
+
+    recording = rf.load_recording("door.csv")
+    found = rf.identify(recording.poses, times=recording.times)
+    print(found.name, found.linear.frame_type, found.linear.position)
+"""
+
+from reframe_jax.classify import Thresholds
+from reframe_jax.frames import (
+    CONSTRAINTS,
+    AngularType,
+    AxisRelation,
+    Constraint,
+    ConstraintFrame,
+    LinearType,
+    constraint,
+    describe,
+    lookup,
+)
+from reframe_jax.identify import default_solver, identify
+from reframe_jax.kinematics import sliding_windows
+from reframe_jax.optimise import BasinHopping, NewtonSteps, OptaxSteps, ValleySteps
+from reframe_jax.results import AngularFrame, Candidates, Identification, LinearFrame
+from reframe_jax.validate import Status
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "CONSTRAINTS",
+    "AngularFrame",
+    "AngularType",
+    "AxisRelation",
+    "BasinHopping",
+    "Candidates",
+    "Constraint",
+    "ConstraintFrame",
+    "Identification",
+    "LinearFrame",
+    "LinearType",
+    "NewtonSteps",
+    "OptaxSteps",
+    "Status",
+    "Thresholds",
+    "ValleySteps",
+    "constraint",
+    "default_solver",
+    "describe",
+    "identify",
+    "lookup",
+    "sliding_windows",
+]

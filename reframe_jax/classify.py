@@ -1,0 +1,103 @@
+"""From optima to a classification: degrees of freedom, what is free, which types tie."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from reframe_jax import symmetric
+from reframe_jax.moments import MONOMIALS
+from reframe_jax.symmetric import INDEX_PAIRS
+
+__all__ = ["Thresholds", "degrees_of_freedom", "free_positions", "free_rotations", "tied_types"]
+
+_NOISE_MARGIN = 3.0
+_TIE_DEVIATIONS = 3.0
+_NOISE_CORRELATION = 1.5  # variance of a mean square of differenced white noise, against white noise
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Thresholds:
+    """RMS velocities above which an axis counts as free.
+
+    The defaults are the midpoints of the ranges that classify the paper's robot data (section 5.6).
+
+    Attributes:
+        angular: rad/s.
+        linear: m/s.
+    """
+
+    angular: float | jax.Array = 0.160
+    linear: float | jax.Array = 0.037
+
+
+def degrees_of_freedom(rms: jax.Array, threshold: jax.Array | float) -> jax.Array:
+    """1 where an axis is free, (..., 3) int32; a constrained axis has an RMS below the threshold."""
+    return (rms > threshold).astype(jnp.int32)
+
+
+def free_rotations(dof: jax.Array) -> jax.Array:
+    """Axes about which a frame can turn freely, (..., 3) bool: the other two are of one kind."""
+    return jnp.roll(dof, 1, axis=-1) == jnp.roll(dof, -1, axis=-1)
+
+
+def free_positions(moments: jax.Array, axes: jax.Array, dof: jax.Array, noise: jax.Array) -> jax.Array:
+    """Directions in which the origin can move without changing the velocity of constrained axes.
+
+    Moving the origin by d changes the velocity by B d. The direction is free if what changes along
+    the constrained axes, per metre, is no more than the noise in the angular velocity.
+
+    Args:
+        moments: (6, 10, ...).
+        axes: (..., 3, 3), columns are the axes.
+        dof: (..., 3).
+        noise: (...) rad/s, RMS of what counts as no rotation.
+
+    Returns:
+        (..., 3, 3) projectors.
+    """
+    constrained = (dof == 0).astype(axes.dtype)
+    weight = symmetric.from_matrix((axes * constrained[..., None, :]) @ jnp.swapaxes(axes, -1, -2))
+    pull = []
+    for a, b in INDEX_PAIRS:
+        column = moments[:, MONOMIALS.index((a + 1, b + 1))]
+        total = symmetric.trace_product(weight, tuple(column[i] for i in range(6)))  # type: ignore[arg-type]
+        pull.append(total if a == b else total / 2)
+    strengths, directions = symmetric.eigh(tuple(pull))  # type: ignore[arg-type]
+    basis = jnp.stack([jnp.stack(direction, axis=-1) for direction in directions], axis=-1)
+    rounding = 64 * jnp.finfo(axes.dtype).eps * strengths[2]
+    limit = jnp.maximum(jnp.square(_NOISE_MARGIN * noise), rounding)[..., None]
+    free = (jnp.stack(strengths, axis=-1) <= limit).astype(axes.dtype)
+    return (basis * free[..., None, :]) @ jnp.swapaxes(basis, -1, -2)
+
+
+def tied_types(rms: jax.Array, dof: jax.Array, winner: jax.Array, samples: int) -> jax.Array:
+    """Types whose constrained axes are as still as the winner's, to within sampling error.
+
+    Compared is the geometric mean of the RMS along as many axes as the winner has constrained: the
+    velocity of free axes says nothing about a constraint. From K samples of noise its logarithm is
+    known to about sqrt(c / (2 n K)), n being the number of those axes and c = 1.5 because
+    differencing correlates neighbours; three standard deviations of a difference count as a tie. A
+    winner without constrained axes is no constraint, and ties with every type.
+
+    Args:
+        rms: (..., T, 3) ascending, of every type.
+        dof: (..., T, 3).
+        winner: (...) index of the winning type.
+        samples: K.
+
+    Returns:
+        (..., T) bool.
+    """
+
+    def of_winner(array: jax.Array) -> jax.Array:
+        return jnp.take_along_axis(array, winner[..., None, None], axis=-2)
+
+    counted = (of_winner(dof) == 0).astype(rms.dtype)
+    number = jnp.sum(counted, axis=-1)
+    excess = jnp.sum(counted * (jnp.log(rms) - jnp.log(of_winner(rms))), axis=-1)
+    excess = excess / jnp.maximum(number, 1)
+    deviation = jnp.sqrt(_NOISE_CORRELATION / (jnp.maximum(number, 1) * samples))
+    return (number == 0) | (excess < _TIE_DEVIATIONS * deviation)
+

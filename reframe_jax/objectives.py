@@ -1,0 +1,229 @@
+"""The norms that a constraint frame minimises: Eqs. 6-8 of the paper as pure functions.
+
+For axes of orientation E (columns in the body of the frame's first letter) and an origin p,
+
+    lambda_n = rms over k of (E^T u(k; p))_n,        J = power mean over n of lambda_n.
+
+E = exp(rotvec) is the frame's *orientation*; the paper's R^psi, which takes velocities into the frame,
+is its transpose. The power mean of exponent 0, the geometric mean, is the paper's choice.
+
+The two classes at the end are what a solver sees: pytrees that hold many problems at once and map
+their unknowns, an array (dim, ...) over the problems, to log J.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+
+from reframe_jax import rotations, symmetric
+from reframe_jax.moments import covariance_at
+
+__all__ = [
+    "FrameObjective",
+    "PositionObjective",
+    "axis_rms",
+    "axis_rms_from_covariance",
+    "axis_rms_from_moments",
+    "check_exponent",
+    "frame_norm",
+    "log_power_mean",
+    "power_mean",
+]
+
+
+def check_exponent(exponent: float) -> float:
+    """The exponent of a power mean over axes as a float.
+
+    Raises:
+        ValueError: unless -inf <= exponent <= 2. Above 2 the norm favours even axes, not small ones.
+    """
+    if not -math.inf <= exponent <= 2:
+        raise ValueError(f"The exponent of the norm over axes must lie in [-inf, 2], not {exponent}.")
+    return float(exponent)
+
+
+def log_power_mean(log_values: jax.Array, exponent: float) -> jax.Array:
+    """Logarithm of the power mean, from logarithms; stable for every exponent.
+
+    ``log1p(mean(expm1(p x))) / p`` has the geometric mean as its limit p -> 0 without cancellation.
+
+    Args:
+        log_values: (3, ...) logarithms of positive numbers.
+        exponent: p in [-inf, 2]; a Python number.
+
+    Returns:
+        (...).
+    """
+    exponent = check_exponent(exponent)
+    if exponent == -math.inf:
+        return jnp.min(log_values, axis=0)
+    if exponent == 0:
+        return jnp.mean(log_values, axis=0)
+    extreme = jnp.min if exponent < 0 else jnp.max
+    top = jax.lax.stop_gradient(extreme(log_values, axis=0))
+    excess = jnp.mean(jnp.expm1(exponent * (log_values - top[None])), axis=0)
+    return top + jnp.log1p(excess) / exponent
+
+
+def power_mean(values: jax.Array, exponent: float = 0.0) -> jax.Array:
+    """Power mean of non-negative values over the last axis.
+
+    Args:
+        values: (..., 3).
+        exponent: p in [-inf, 2]: -inf is the minimum, 0 the geometric and 1 the arithmetic mean.
+
+    Returns:
+        (...). Where a value is zero and the exponent not positive the mean is zero, and so is its
+        derivative (the true one is infinite).
+    """
+    exponent = check_exponent(exponent)
+    positive = values > 0
+    logs = jnp.log(jnp.where(positive, values, 1))
+    if exponent > 0:
+        logs = jnp.where(positive, logs, -jnp.inf)
+        anything = jnp.any(positive, axis=-1)
+        logs = jnp.where(anything[..., None], logs, 0)
+    else:
+        anything = jnp.all(positive, axis=-1)
+    mean = jnp.exp(log_power_mean(jnp.moveaxis(logs, -1, 0), exponent))
+    return jnp.where(anything, mean, 0)
+
+
+def _safe_sqrt(x: jax.Array) -> jax.Array:
+    positive = x > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1)), 0)
+
+
+def axis_rms(rotvec: jax.Array, position: jax.Array | None, maps: jax.Array) -> jax.Array:
+    """RMS velocity along each axis of a frame, from samples.
+
+    Args:
+        rotvec: (..., 3) rad, orientation of the frame.
+        position: (..., 3) m, its origin; None for angular velocities.
+        maps: (..., K, 3, 4) affine velocity maps, or (..., K, 3) velocities if position is None.
+
+    Returns:
+        (..., 3), in the unit of the velocities.
+    """
+    if position is None:
+        velocity = maps
+    else:
+        velocity = maps[..., 0] + (maps[..., 1:] @ position[..., None, :, None])[..., 0]
+    in_frame = velocity @ rotations.rotation_exp(rotvec)
+    return _safe_sqrt(jnp.mean(in_frame**2, axis=-2))
+
+
+def axis_rms_from_covariance(rotvec: jax.Array, covariance: jax.Array) -> jax.Array:
+    """RMS velocity along each axis of a frame, (..., 3), from the velocity covariance (..., 3, 3)."""
+    axes = rotations.rotation_exp(rotvec)
+    return _safe_sqrt(jnp.sum(axes * (covariance @ axes), axis=-2))
+
+
+def axis_rms_from_moments(rotvec: jax.Array, position: jax.Array, moments: jax.Array) -> jax.Array:
+    """RMS velocity along each axis of a frame, from the window's moments (see :mod:`moments`).
+
+    Args:
+        rotvec: (..., 3) rad.
+        position: (..., 3) m.
+        moments: (6, 10, ...).
+
+    Returns:
+        (..., 3).
+    """
+    x, y, z = position[..., 0], position[..., 1], position[..., 2]
+    covariance = symmetric.to_matrix(covariance_at(moments, (x, y, z)))
+    return axis_rms_from_covariance(rotvec, covariance)
+
+
+def frame_norm(
+    rotvec: jax.Array, position: jax.Array | None, maps: jax.Array, exponent: float = 0.0
+) -> jax.Array:
+    """The objective: Eq. 7 for angular velocities (``position=None``), Eq. 8 for linear ones.
+
+    Arguments as in :func:`axis_rms` and :func:`power_mean`; returns (...).
+    """
+    return power_mean(axis_rms(rotvec, position, maps), exponent)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class FrameObjective:
+    """log J over orientation and origin, for any exponent.
+
+    The unknowns are the rotation vector and, unless the velocities have no position, the origin.
+
+    Attributes:
+        moments: (6, 10, ...), or (6, 1, ...) for angular velocities; the trailing axes are problems.
+        exponent: of the power mean over axes.
+    """
+
+    moments: jax.Array
+    exponent: float = field(default=0.0, metadata={"static": True})
+
+    @property
+    def dim(self) -> int:
+        """Number of unknowns: 6, or 3 without a position."""
+        return 6 if self.moments.shape[1] > 1 else 3
+
+    def covariance(self, x: jax.Array) -> symmetric.Symmetric:
+        """Velocity covariance at the origin in ``x``."""
+        if self.dim == 3:
+            return covariance_at(self.moments, (x[0], x[0], x[0]))
+        return covariance_at(self.moments, (x[3], x[4], x[5]))
+
+    def log_rms(self, x: jax.Array) -> jax.Array:
+        """(3, ...): logarithm of the RMS along each axis."""
+        axes = rotations.rotation_exp(jnp.moveaxis(x[:3], 0, -1))
+        sigma = self.covariance(x)
+        squares = []
+        for n in range(3):
+            ex, ey, ez = axes[..., 0, n], axes[..., 1, n], axes[..., 2, n]
+            outer = (ex * ex, ex * ey, ex * ez, ey * ey, ey * ez, ez * ez)
+            squares.append(symmetric.trace_product(sigma, outer))
+        return jnp.log(jnp.stack(squares)) / 2
+
+    def value(self, x: jax.Array) -> jax.Array:
+        """log J, (...), of the unknowns (dim, ...)."""
+        return log_power_mean(self.log_rms(x), self.exponent)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class PositionObjective:
+    """log J over the origin alone: the best orientation is eliminated in closed form.
+
+    The variances along orthogonal axes are the diagonal of E^T Sigma E, which the eigenvalues of
+    Sigma majorise (Schur-Horn). A power mean of the RMS values with exponent p <= 2 is a symmetric
+    concave function of the variances, hence smallest at the eigenvalues: for every such norm the best
+    axes are the eigenvectors of Sigma. For the geometric mean J is det(Sigma)^(1/6).
+
+    Attributes:
+        moments: (6, 10, ...), or (6, 1, ...) for angular velocities; the trailing axes are problems.
+        exponent: of the power mean over axes.
+    """
+
+    moments: jax.Array
+    exponent: float = field(default=0.0, metadata={"static": True})
+
+    @property
+    def dim(self) -> int:
+        """Number of unknowns."""
+        return 3
+
+    def covariance(self, x: jax.Array) -> symmetric.Symmetric:
+        """Velocity covariance at the origin ``x``."""
+        return covariance_at(self.moments, (x[0], x[1], x[2]))
+
+    def value(self, x: jax.Array) -> jax.Array:
+        """log J, (...), of the origin (3, ...); infinite where rounding leaves Sigma not positive."""
+        covariance = self.covariance(x)
+        if self.exponent == 0:
+            det = symmetric.determinant(covariance)
+            positive = det > 0
+            return jnp.where(positive, jnp.log(jnp.where(positive, det, 1)) / 6, jnp.inf)
+        variances = jnp.stack(symmetric.eigh(covariance)[0])
+        positive = variances[0] > 0
+        log_rms = jnp.log(jnp.where(positive[None], variances, 1)) / 2
+        return jnp.where(positive, log_power_mean(log_rms, self.exponent), jnp.inf)

@@ -1,0 +1,32 @@
+"""Global minimisation of frame objectives, for many problems at once.
+
+``BasinHopping`` is the outer loop. Inside it goes a local minimiser: ``ValleySteps`` (positions, the
+geometric mean), ``NewtonSteps`` (any objective) or ``OptaxSteps`` (any objective, any Optax gradient
+transformation).
+"""
+
+from reframe_jax.optimise.basin_hopping import (
+    BasinHopping,
+    LocalMinimiser,
+    Objective,
+    SearchState,
+    Solution,
+    Solver,
+)
+from reframe_jax.optimise.box import Box
+from reframe_jax.optimise.gradient import OptaxSteps
+from reframe_jax.optimise.newton import NewtonSteps
+from reframe_jax.optimise.valley import ValleySteps
+
+__all__ = [
+    "BasinHopping",
+    "Box",
+    "LocalMinimiser",
+    "NewtonSteps",
+    "Objective",
+    "OptaxSteps",
+    "SearchState",
+    "Solution",
+    "Solver",
+    "ValleySteps",
+]

@@ -1,0 +1,149 @@
+"""The global search: basin hopping from many starts, for many problems at once."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import jax
+import jax.numpy as jnp
+
+from reframe_jax.objectives import FrameObjective, PositionObjective
+from reframe_jax.optimise.box import Box
+from reframe_jax.optimise.seeds import quasi_random
+
+__all__ = ["BasinHopping", "LocalMinimiser", "Objective", "SearchState", "Solution", "Solver"]
+
+Objective = FrameObjective | PositionObjective
+LocalMinimiser = Callable[[Objective, Box, jax.Array], tuple[jax.Array, jax.Array]]
+"""(objective, box, x (dim, ...)) -> (x, value): an improvement of every problem by itself."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Solution:
+    """Result of a global search.
+
+    Attributes:
+        x: (dim, ...) best unknowns of every problem.
+        value: (...) log J there.
+        agreement: (...) share of the restarts that ended within 0.1 % of the best norm.
+    """
+
+    x: jax.Array
+    value: jax.Array
+    agreement: jax.Array
+
+
+class Solver(Protocol):
+    """What ``identify`` needs of a solver. Solvers are static arguments: make them hashable."""
+
+    def minimise(self, objective: Objective, box: Box, key: jax.Array) -> Solution:
+        """Search every problem of the objective."""
+        ...
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class SearchState:
+    """What :meth:`BasinHopping.step` carries from hop to hop.
+
+    Attributes:
+        hop: hops made.
+        key: of the random numbers to come.
+        x, value: (dim, restarts, ...) and (restarts, ...): where each chain is.
+        best_x, best_value: (dim, restarts, ...) and (restarts, ...): the best each chain has met.
+    """
+
+    hop: jax.Array
+    key: jax.Array
+    x: jax.Array
+    value: jax.Array
+    best_x: jax.Array
+    best_value: jax.Array
+
+
+@dataclass(frozen=True)
+class BasinHopping:
+    """Basin hopping (Wales & Doye 1997) from quasi-random restarts.
+
+    Every restart is a chain: minimise locally; then, ``hops`` times, jump, minimise locally, and move
+    there if it is better, or by Metropolis' rule if it is not. The best of all chains is refined at
+    the end. All problems see the same random numbers, so a problem's answer depends on its data and
+    the key alone, not on its place in a batch.
+
+    Attributes:
+        inner: local minimiser, :class:`ValleySteps`, :class:`OptaxSteps` or your own.
+        restarts: number of chains.
+        hops: jumps of each chain.
+        refine: local minimiser of the final best point, or None.
+        hop_size: standard deviation of a jump, as a share of the box.
+        temperature: of Metropolis' rule, in log J: 0.1 accepts a 10 % larger norm once in e times.
+    """
+
+    inner: LocalMinimiser
+    restarts: int = 8
+    hops: int = 2
+    refine: LocalMinimiser | None = None
+    hop_size: float = 0.1
+    temperature: float = field(default=0.1)
+
+    def init(self, objective: Objective, box: Box, key: jax.Array) -> SearchState:
+        """Minimise from every quasi-random start."""
+        batch, dtype = objective.moments.shape[2:], objective.moments.dtype
+        seed_key, key = jax.random.split(key)
+        starts = box.scale(quasi_random(seed_key, self.restarts, objective.dim, dtype))
+        starts = starts.reshape(objective.dim, self.restarts, *([1] * len(batch)))
+        starts = jnp.broadcast_to(starts, (objective.dim, self.restarts, *batch))
+        x, value = self._descend(objective, box, starts)
+        return SearchState(jnp.zeros((), jnp.int32), key, x, value, x, value)
+
+    def step(self, objective: Objective, box: Box, state: SearchState) -> SearchState:
+        """One hop of every chain."""
+        jump_key, accept_key, key = jax.random.split(state.key, 3)
+        shape = (objective.dim, self.restarts, *([1] * (state.x.ndim - 2)))
+        jump = self.hop_size * jax.random.normal(jump_key, shape, dtype=state.x.dtype)
+        low, high = box.bounds(state.x)
+        x, value = self._descend(objective, box, box.clip(state.x + (high - low) * jump))
+        chance = jax.random.uniform(accept_key, shape[1:], dtype=state.x.dtype)
+        accept = value < state.value - self.temperature * jnp.log(chance)
+        better = value < state.best_value
+        return SearchState(
+            hop=state.hop + 1,
+            key=key,
+            x=jnp.where(accept[None], x, state.x),
+            value=jnp.where(accept, value, state.value),
+            best_x=jnp.where(better[None], x, state.best_x),
+            best_value=jnp.where(better, value, state.best_value),
+        )
+
+    def finish(self, objective: Objective, box: Box, state: SearchState) -> Solution:
+        """Refine the best point of all chains."""
+        winner = jnp.argmin(state.best_value, axis=0)
+        x = jnp.take_along_axis(state.best_x, winner[None, None], axis=1)[:, 0]
+        value = jnp.min(state.best_value, axis=0)
+        if self.refine is not None:
+            refined, refined_value = self.refine(objective, box, x)
+            better = refined_value < value
+            x, value = jnp.where(better[None], refined, x), jnp.where(better, refined_value, value)
+        close = state.best_value < value[None] + 1e-3
+        return Solution(x, value, jnp.mean(close.astype(value.dtype), axis=0))
+
+    def minimise(self, objective: Objective, box: Box, key: jax.Array) -> Solution:
+        """The whole search: :meth:`init`, ``hops`` times :meth:`step`, :meth:`finish`."""
+        state = self.init(objective, box, key)
+        if self.hops:
+            state, _ = jax.lax.scan(
+                lambda state, _: (self.step(objective, box, state), None), state, length=self.hops
+            )
+        return self.finish(objective, box, state)
+
+    def _descend(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Local minimisation of every chain, one chain after the other over all problems."""
+        x, value = jax.lax.map(
+            lambda start: self._inner(objective, box, start), jnp.moveaxis(x, 1, 0)
+        )
+        return jnp.moveaxis(x, 0, 1), value
+
+    def _inner(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
+        x, value = self.inner(objective, box, x)
+        return x, jnp.where(jnp.isnan(value), jnp.inf, value)

@@ -1,0 +1,91 @@
+"""What makes a window unusable, as codes inside a batch and as sentences outside of one."""
+
+from enum import IntEnum
+
+import jax
+import jax.numpy as jnp
+
+__all__ = ["MIN_VELOCITIES", "Status", "window_status"]
+
+MIN_VELOCITIES = 4
+"""Fewest velocities in a window: three leave every covariance singular at some origin."""
+
+_ROTATION_TOLERANCE = 1e-3
+
+
+class Status(IntEnum):
+    """Outcome of one window. Codes from 10 on mean that there is no result: all its numbers are NaN."""
+
+    OK = 0
+    ON_BOUNDS = 1
+    NOT_EXCITED = 2
+    NOT_FINITE = 10
+    NOT_A_POSE = 11
+    TIMES_NOT_INCREASING = 12
+    NO_MOTION = 13
+
+    @property
+    def failed(self) -> bool:
+        """Whether the window has no result."""
+        return self >= 10
+
+    @property
+    def message(self) -> str:
+        """What happened, and what was expected."""
+        return _MESSAGES[self]
+
+
+_MESSAGES = {
+    Status.OK: "A frame was identified.",
+    Status.ON_BOUNDS: (
+        "The position lies on the bounds of the search: the true one may lie outside (widen `bounds`), "
+        "or the motion does not determine it."
+    ),
+    Status.NOT_EXCITED: (
+        "No velocity exceeds the thresholds: the motion is too slow to tell constrained axes from free "
+        "ones (lower `thresholds` if it is known to be accurate)."
+    ),
+    Status.NOT_FINITE: "The window contains NaN or infinite numbers; expected finite poses and times.",
+    Status.NOT_A_POSE: (
+        "A pose is not a rigid transform; expected 4x4 matrices [R p; 0 0 0 1] with R a rotation "
+        f"(R^T R = I to {_ROTATION_TOLERANCE:g}, det R = +1)."
+    ),
+    Status.TIMES_NOT_INCREASING: "Sample times do not increase; expected every step dt > 0.",
+    Status.NO_MOTION: "All poses of the window are equal; expected a window in which something moves.",
+}
+
+
+def window_status(poses: jax.Array, steps: jax.Array) -> jax.Array:
+    """Status code of every window, from its input alone.
+
+    Args:
+        poses: (..., K+1, 4, 4).
+        steps: (..., K) sample times, s, with the batch axes of the poses or none.
+
+    Returns:
+        (...) int32.
+    """
+    finite = jnp.all(jnp.isfinite(poses), axis=(-3, -2, -1)) & jnp.all(jnp.isfinite(steps), axis=-1)
+    rotation = poses[..., :3, :3]
+    gram = jnp.swapaxes(rotation, -1, -2) @ rotation
+    skewed = jnp.max(jnp.abs(gram - jnp.eye(3, dtype=poses.dtype)[(None,) * (gram.ndim - 2)]), axis=(-2, -1))
+    # for an orthogonal matrix the third column is the cross product of the first two, or minus it
+    cross = jnp.cross(rotation[..., 0], rotation[..., 1])
+    handed = jnp.sum(cross * rotation[..., 2], axis=-1)
+    bottom = jnp.asarray([0, 0, 0, 1], dtype=poses.dtype)[(None,) * (poses.ndim - 2)]
+    rigid = (
+        (skewed < _ROTATION_TOLERANCE)
+        & (handed > 0)
+        & jnp.all(jnp.abs(poses[..., 3, :] - bottom) < 1e-6, axis=-1)
+    )
+    moving = jnp.any(poses != poses[..., :1, :, :], axis=(-3, -2, -1))
+    codes = (
+        (~finite, Status.NOT_FINITE),
+        (~jnp.all(rigid, axis=-1), Status.NOT_A_POSE),
+        (~jnp.all(steps > 0, axis=-1), Status.TIMES_NOT_INCREASING),
+        (~moving, Status.NO_MOTION),
+    )
+    status = jnp.full(finite.shape, Status.OK, dtype=jnp.int32)
+    for wrong, code in reversed(codes):
+        status = jnp.where(wrong, jnp.int32(code), status)
+    return status
