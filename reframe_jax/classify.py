@@ -100,4 +100,3 @@ def tied_types(rms: jax.Array, dof: jax.Array, winner: jax.Array, samples: int) 
     excess = excess / jnp.maximum(number, 1)
     deviation = jnp.sqrt(_NOISE_CORRELATION / (jnp.maximum(number, 1) * samples))
     return (number == 0) | (excess < _TIE_DEVIATIONS * deviation)
-

@@ -1,6 +1,6 @@
 """Frame types, constraint frames, and the catalogue of named constraints (paper, section 3, Table 2)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from typing import Literal
 
@@ -95,7 +95,13 @@ class Constraint:
 
 
 def _row(
-    label: str, name: str, angular: str, linear: str, kind: str, axes: tuple[int | None, int | None], unique: str
+    label: str,
+    name: str,
+    angular: str,
+    linear: str,
+    kind: str,
+    axes: tuple[int | None, int | None],
+    unique: str,
 ) -> Constraint:
     def dof(text: str) -> Dof:
         x, y, z = (int(d) for d in text)
@@ -156,7 +162,7 @@ def lookup(
     linear_type: LinearType,
     angular_dof: Dof,
     linear_dof: Dof,
-    relation: AxisRelation | None | Literal["aligned"] = "aligned",
+    relation: AxisRelation | Literal["aligned"] | None = "aligned",
 ) -> Constraint | None:
     """Catalogue entry of a class: its linear type and degrees of freedom.
 
@@ -166,7 +172,8 @@ def lookup(
 
     Args:
         linear_type: the linear frame's type.
-        angular_dof, linear_dof: 1 where free.
+        angular_dof: 1 where a rotation axis is free.
+        linear_dof: 1 where a translation axis is free.
         relation: how those axes lie; by default both vectors refer to the same axes, as in Table 2.
 
     Returns:
@@ -188,7 +195,7 @@ def lookup(
 def describe(
     linear_type: LinearType, angular_dof: Dof, linear_dof: Dof, relation: AxisRelation | None = None
 ) -> str:
-    """A class outside the catalogue in words, for example ``"3 rotations, 0 translations in GB"``."""
+    """A class outside the catalogue in words: ``"Unnamed: 3 rotations, 0 translations in GB"``."""
 
     def count(dof: Dof, what: str) -> str:
         return f"{sum(dof)} {what}{'' if sum(dof) == 1 else 's'}"
@@ -218,10 +225,10 @@ class ConstraintFrame:
         position: (..., 3) m, origin of the linear frame in the body of the second letter.
     """
 
-    angular_type: AngularType
-    angular_dof: Dof
-    linear_type: LinearType
-    linear_dof: Dof
+    angular_type: AngularType = field(metadata={"static": True})
+    angular_dof: Dof = field(metadata={"static": True})
+    linear_type: LinearType = field(metadata={"static": True})
+    linear_dof: Dof = field(metadata={"static": True})
     angular_rotvec: jax.Array
     linear_rotvec: jax.Array
     position: jax.Array

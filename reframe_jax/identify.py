@@ -1,6 +1,6 @@
 """The main entry: poses in, constraint frames out.
 
-    poses -> velocity maps -> moments -> optimum of every type -> classification -> Identification
+poses -> velocity maps -> moments -> optimum of every type -> classification -> Identification
 """
 
 import contextlib
@@ -39,8 +39,8 @@ __all__ = ["default_solver", "identify", "window_moments"]
 _CHUNK = 512  # windows searched at once: their moments stay in cache, and memory is bounded
 _FLOOR = 16  # of the covariance, in units of rounding: keeps noise-free windows positive definite
 
-_VALLEY = BasinHopping(ValleySteps(10), restarts=6, hops=0, refine=ValleySteps(20))
-_NEWTON = BasinHopping(NewtonSteps(15), restarts=16, hops=2, refine=NewtonSteps(30))
+_VALLEY = BasinHopping(ValleySteps(6), restarts=4, hops=4, refine=ValleySteps(16))
+_NEWTON = BasinHopping(NewtonSteps(15), restarts=8, hops=3, refine=NewtonSteps(30))
 
 
 def default_solver(norm: float = 0.0) -> BasinHopping:
@@ -181,9 +181,7 @@ def _identify(
     """Flatten the batch and go through it in chunks."""
 
     def of_windows(poses: jax.Array, steps: jax.Array) -> Identification:
-        return _identify_windows(
-            poses, steps, thresholds, box, key, exponent, discretization, solver
-        )
+        return _identify_windows(poses, steps, thresholds, box, key, exponent, discretization, solver)
 
     batch = poses.shape[:-3]
     flat = poses.reshape(-1, *poses.shape[-3:])
@@ -195,11 +193,9 @@ def _identify(
     else:
         chunks = -(-count // _CHUNK)
         fill = np.minimum(np.arange(chunks * _CHUNK), count - 1)  # the last window pads the last chunk
-        split = (flat if shared else (flat, flat_steps))
+        split = flat if shared else (flat, flat_steps)
         split = jax.tree.map(lambda a: a[fill].reshape(chunks, _CHUNK, *a.shape[1:]), split)
-        found = jax.lax.map(
-            lambda chunk: of_windows(chunk, steps) if shared else of_windows(*chunk), split
-        )
+        found = jax.lax.map(lambda chunk: of_windows(chunk, steps) if shared else of_windows(*chunk), split)
         found = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:count], found)
     return jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), found)
 
@@ -259,7 +255,7 @@ def _identify_windows(
     noise = jnp.min(jnp.max(jnp.where(angular.dof == 0, angular.rms, 0), axis=-1), axis=-1)
     linear = _linear_candidates(linear_moments, thresholds, noise, box, key, exponent, solver)
     in_ground = jnp.asarray([t.position_body == AngularType.G for t in LinearType])
-    origin = jnp.where(in_ground[:, None], centre[:, None], 0)
+    origin = jnp.where(in_ground[None, :, None], centre[:, None], 0)
     linear = _replace(linear, position=origin + linear.position)
 
     def winner(norms: jax.Array) -> jax.Array:
@@ -353,7 +349,7 @@ def _linear_candidates(
     # of all origins that give the same constraint, the one nearest to the centre of the motion
     at_minimum = jnp.moveaxis(x, 0, -1)
     position = at_minimum - (free @ at_minimum[..., None])[..., 0]
-    on_bounds = (position <= box.low) | (position >= box.high)
+    on_bounds = (position <= box.low[None, None]) | (position >= box.high[None, None])
     return Candidates(
         rotvec=_orientation(axes, dof),
         dof=dof,

@@ -27,21 +27,14 @@ __all__ = [
 
 Discretization = Literal["chord", "left"]
 
+_STENCIL = 7  # samples in the derivative of the twist
 
 
-_STENCIL = 5  # samples in the derivative of the twist
-
-
-def _step_times(dt: jax.Array | float, steps: int, dtype: np.dtype) -> jax.Array:
-    """Sample time of every step, (..., K): (K,) unless the windows differ."""
-    dt = jnp.asarray(dt, dtype=dtype)
-    if dt.ndim == 0:
-        dt = dt[None]
-    return jnp.broadcast_to(dt, (*dt.shape[:-1], steps))
-
-
-def _twist_of(angular: jax.Array, linear: jax.Array) -> jax.Array:
-    return jnp.concatenate([angular, linear], axis=-1)
+def _step_times(dt: jax.Array | float, poses: jax.Array) -> jax.Array:
+    """Sample time of every step, (..., K): of size 1 along axes in which the windows do not differ."""
+    dt = jnp.asarray(dt, dtype=poses.dtype)
+    dt = dt.reshape((1,) * (poses.ndim - 2 - dt.ndim) + dt.shape)
+    return jnp.broadcast_to(dt, (*dt.shape[:-1], poses.shape[-3] - 1))
 
 
 def body_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
@@ -59,7 +52,7 @@ def body_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
     """
     steps = transforms.pose_inverse(poses[..., :-1, :, :]) @ poses[..., 1:, :, :]
     twists = transforms.pose_log(steps)
-    return twists / _step_times(dt, steps.shape[-3], steps.dtype)[..., None]
+    return twists / _step_times(dt, poses)[..., None]
 
 
 def spatial_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
@@ -74,60 +67,104 @@ def _to_ground(poses: jax.Array, twists: jax.Array) -> jax.Array:
     return (transforms.adjoint(poses[..., :-1, :, :]) @ twists[..., None])[..., 0]
 
 
-def _derivative_weights(dt: jax.Array) -> tuple[np.ndarray, jax.Array]:
-    """Finite-difference weights on irregular nodes: exact for polynomials of degree 4.
+def _derivative_weights(dt: jax.Array) -> jax.Array:
+    """Finite-difference weights on irregular nodes: exact for polynomials of degree 6.
 
-    The nodes are the middles of the steps; each derivative uses the five nearest.
+    The nodes are the middles of the steps; each derivative uses the seven nearest.
 
     Args:
         dt: (..., K) s.
 
     Returns:
-        The nodes used by every sample, (K, n), and their weights, (..., K, n), in 1/s.
+        (..., K, n) in 1/s: the weights of n consecutive nodes, for the derivative at each node.
     """
     steps = dt.shape[-1]
     n = min(_STENCIL, steps)
     first = np.clip(np.arange(steps) - n // 2, 0, steps - n)
-    nodes = first[:, None] + np.arange(n)
-    here = np.arange(steps) - first
-    time = (jnp.cumsum(dt, axis=-1) - dt / 2)[..., nodes]
-    at = jnp.take_along_axis(time, jnp.broadcast_to(here[:, None], (*time.shape[:-1], 1)), axis=-1)
-    weights = []
-    for i in range(n):
-        others = [j for j in range(n) if j != i]
-        # Lagrange's polynomial of node i: product over the other nodes, differentiated at `at`
-        scale = jnp.prod(time[..., [i]] - time[..., others], axis=-1)
-        slopes = [
-            jnp.prod(at - time[..., [m for m in others if m != j]], axis=-1) for j in others
-        ]
-        weights.append(sum(slopes, jnp.zeros_like(scale)) / scale)
-    return nodes, jnp.stack(weights, axis=-1)
+    spans = dt[..., first[:, None] + np.arange(n)]
+    time = jnp.cumsum(spans, axis=-1) - spans / 2
+    # Lagrange's polynomial of node i has the derivative (c_h / c_i) / (t_h - t_i) at node h, c_i being
+    # the product of t_i - t_j over the other nodes j; those of all nodes add up to zero
+    gaps = time[..., :, None] - time[..., None, :]
+    products = jnp.prod(jnp.where(jnp.broadcast_to(np.eye(n, dtype=bool), gaps.shape), 1, gaps), axis=-1)
+    here = np.broadcast_to(np.arange(n) == (np.arange(steps) - first)[:, None], time.shape)
+    gap = jnp.sum(jnp.where(here[..., None], gaps, 0), axis=-2)
+    own = jnp.sum(jnp.where(here, products, 0), axis=-1, keepdims=True)
+    others = jnp.where(here, 0, own / (products * jnp.where(here, 1, gap)))
+    return jnp.where(here, -jnp.sum(others, axis=-1, keepdims=True), others)
 
 
-def _commutator(twists: jax.Array, dt: jax.Array) -> jax.Array:
-    """dt^2/12 [V, dV/dt] per dt: what separates the mean twist of a step from the twist at its middle.
+def _derivative(weights: jax.Array, x: jax.Array) -> jax.Array:
+    """Derivative of samples, (..., K, m), with the weights of :func:`_derivative_weights`."""
+    steps, n = weights.shape[-2:]
+    margin = n // 2
+    ends = [
+        jnp.sum(weights[..., rows, :, None] * x[..., None, nodes, :], axis=-2)
+        for rows, nodes in (
+            (slice(margin), slice(n)),
+            (slice(steps - n + 1 + margin, None), slice(steps - n, None)),
+        )
+    ]
+    inner = weights[..., margin : steps - n + 1 + margin, :, None]
+    shifted = [inner[..., j, :] * x[..., j : steps - n + 1 + j, :] for j in range(n)]
+    middle = sum(shifted[1:], shifted[0])
+    return jnp.concatenate([ends[0], middle, ends[1]], axis=-2)
 
-    By the Magnus expansion log(T(k)^-1 T(k+1)) = dt V + dt^3/24 V'' + dt^3/12 [V, V'] + ... for the
-    body twist V at the middle of the step (and minus the bracket for the spatial twist). The term in V'' keeps a zero component zero; the commutator
-    mixes components, and would leave an error in constrained axes that no amount of data removes.
+
+def _bracket(a: jax.Array, b: jax.Array) -> jax.Array:
+    """Lie bracket of twists (w, v): [a, b] = (wa x wb, wa x vb - wb x va)."""
+    wa, va, wb, vb = a[..., :3], a[..., 3:], b[..., :3], b[..., 3:]
+    return jnp.concatenate([jnp.cross(wa, wb), jnp.cross(wa, vb) - jnp.cross(wb, va)], axis=-1)
+
+
+def _without_brackets(means: jax.Array, dt: jax.Array, spatial: bool) -> jax.Array:
+    """Mean twists of the steps with the brackets of the Magnus expansion removed, to sixth order in dt.
+
+    With a1 = h V, a2 = h^2 V', a3 = h^3 V''/2, a4 = h^4 V'''/6 at the middle of a step of length h, the
+    logarithm of the step is, for the spatial twist V (Blanes, Casas, Oteo & Ros 2009),
+
+        a1 + a3/12 - [a1,a2]/12 - [a1,a4]/80 + [a2,a3]/240 + [a1,[a1,a3]]/360 - [a2,[a1,a2]]/240
+           + [a1,[a1,[a1,a2]]]/720,
+
+    and for the body twist the same with every bracket turned round. The terms without brackets average
+    V over the step: a component that is always zero stays zero. The brackets mix components: left in,
+    they are an error along constrained axes that no amount of data removes (0.1 degrees and 0.3 mm for
+    lively motion at dt = 0.1 s).
+
+    Args:
+        means: (..., K, 6) mean twists.
+        dt: (..., K) s.
+        spatial: whether they are spatial or body twists.
     """
-    nodes, weights = _derivative_weights(dt)
-    rate = jnp.sum(weights[..., None] * twists[..., nodes, :], axis=-2)
-    w, v = twists[..., :3], twists[..., 3:]
-    w_rate, v_rate = rate[..., :3], rate[..., 3:]
-    bracket = _twist_of(jnp.cross(w, w_rate), jnp.cross(w, v_rate) - jnp.cross(w_rate, v))
-    return (dt**2 / 12)[..., None] * bracket
+    weights, h = _derivative_weights(dt), dt[..., None]
+    first = _derivative(weights, means)
+    second = _derivative(weights, first)
+    turn = 1.0 if spatial else -1.0
+    # from the mean to the middle of the step; steps of unequal length jump in this, so no derivative
+    # may be taken of anything that still has a factor h in it
+    middle = means - h**2 / 24 * second + turn * h**2 / 12 * _bracket(means, first)
+    a1, a2 = h * middle, h**2 * _derivative(weights, middle)
+    a3, a4 = h**3 / 2 * second, h**4 / 6 * _derivative(weights, second)
+    a12 = _bracket(a1, a2)
+    # the terms above, grouped by their outer factor
+    in_first = turn * a12 / 720 + a3 / 360
+    first_bracket = _bracket(a1, _bracket(a1, in_first) - turn * (a2 / 12 + a4 / 80))
+    second_bracket = _bracket(a2, (turn * a3 - a12) / 240)
+    return means - (first_bracket + second_bracket) / h
 
 
 def _twists(
     poses: jax.Array, dt: jax.Array | float, discretization: Discretization
 ) -> tuple[jax.Array, jax.Array]:
     """Body and spatial twists that stand for every step, (..., K, 6) each."""
+    if discretization not in ("chord", "left"):
+        raise ValueError(f"discretization must be 'chord' or 'left', not {discretization!r}.")
     body = body_twists(poses, dt)
+    spatial = _to_ground(poses, body)
     if discretization == "left":
-        return body, _to_ground(poses, body)
-    correction = _commutator(body, _step_times(dt, body.shape[-2], body.dtype))
-    return body - correction, _to_ground(poses, body + correction)
+        return body, spatial
+    steps = _step_times(dt, poses)
+    return _without_brackets(body, steps, False), _without_brackets(spatial, steps, True)
 
 
 def angular_velocities(
@@ -142,6 +179,9 @@ def angular_velocities(
 
     Returns:
         (..., 2, K, 3) in rad/s: expressed in {g} and in {b}, the order of ``AngularType``.
+
+    Raises:
+        ValueError: for an unknown discretization.
     """
     body, spatial = _twists(poses, dt, discretization)
     return jnp.stack([spatial[..., :3], body[..., :3]], axis=-3)
@@ -161,9 +201,9 @@ def linear_velocity_maps(
         discretization: how velocity is taken from two poses.
 
             ``"chord"``: for measured motion. GB and BG use the chord of the origin's path, which is
-            (x(k+1) - x(k)) / dt exactly; BB and GG the twist at the middle of the step, from the
-            mean twist with the leading term of the Magnus expansion removed (the error is of fourth
-            order in dt).
+            (x(k+1) - x(k)) / dt exactly; BB and GG the twist averaged over the step, which is the
+            logarithm of the step less the brackets of the Magnus expansion (the error is of sixth
+            order in dt, of third where sample times jitter).
 
             ``"left"``: the paper's Table 3, the mean twist seen from the pose at the start of the
             step. Exact for poses generated by the paper's Eq. 9.
@@ -174,8 +214,6 @@ def linear_velocity_maps(
     Raises:
         ValueError: for an unknown discretization.
     """
-    if discretization not in ("chord", "left"):
-        raise ValueError(f"discretization must be 'chord' or 'left', not {discretization!r}.")
     body, spatial = _twists(poses, dt, discretization)
 
     def rigid(twist: jax.Array) -> jax.Array:
@@ -187,7 +225,7 @@ def linear_velocity_maps(
     if discretization == "left":
         gb, bg = rotation[..., :-1, :, :] @ bb, inverse[..., :-1, :, :] @ gg
     else:
-        step = _step_times(dt, body.shape[-2], body.dtype)[..., None, None]
+        step = _step_times(dt, poses)[..., None, None]
         in_ground = jnp.concatenate([position, rotation], axis=-1)
         # a point p of the ground is R^T (p - x) in the body; the body moves against it
         in_body = jnp.concatenate([inverse @ position, -inverse], axis=-1)

@@ -56,7 +56,8 @@ def velocity_moments(maps: jax.Array, weights: jax.Array | None = None) -> jax.A
         weighted = entries / samples
     else:
         weighted = entries * (weights / jnp.sum(weights, axis=-1, keepdims=True))[..., None]
-    second = jnp.einsum("...km,...kn->...mn", weighted, entries)
+    # tensor cores would round float32 to 10 bits, more than what separates constrained from free axes
+    second = jnp.einsum("...km,...kn->...mn", weighted, entries, precision=jax.lax.Precision.HIGHEST)
     if columns == 1:
         return jnp.stack([second[..., i, j] for i, j in INDEX_PAIRS])[:, None]
     return pack_moments(second)
@@ -86,9 +87,13 @@ def covariance_at(moments: jax.Array, position: Vector) -> Symmetric:
 def covariance_gradient(moments: jax.Array, position: Vector) -> tuple[Symmetric, ...]:
     """Derivatives of Sigma(p) with respect to px, py and pz."""
     x, y, z = position
-    along = (
-        lambda q: q[1] + 2 * x * q[4] + y * q[5] + z * q[6],
-        lambda q: q[2] + x * q[5] + 2 * y * q[7] + z * q[8],
-        lambda q: q[3] + x * q[6] + y * q[8] + 2 * z * q[9],
-    )
-    return tuple(tuple(f(moments[i]) for i in range(6)) for f in along)  # type: ignore[misc]
+
+    def slopes(q: jax.Array) -> Vector:
+        return (
+            q[1] + 2 * x * q[4] + y * q[5] + z * q[6],
+            q[2] + x * q[5] + 2 * y * q[7] + z * q[8],
+            q[3] + x * q[6] + y * q[8] + 2 * z * q[9],
+        )
+
+    xx, xy, xz, yy, yz, zz = (slopes(moments[i]) for i in range(6))
+    return tuple((xx[a], xy[a], xz[a], yy[a], yz[a], zz[a]) for a in range(3))

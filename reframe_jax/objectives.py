@@ -185,7 +185,7 @@ class FrameObjective:
         return jnp.log(jnp.stack(squares)) / 2
 
     def value(self, x: jax.Array) -> jax.Array:
-        """log J, (...), of the unknowns (dim, ...)."""
+        """Logarithm of J, (...), of the unknowns (dim, ...)."""
         return log_power_mean(self.log_rms(x), self.exponent)
 
 
@@ -217,13 +217,11 @@ class PositionObjective:
         return covariance_at(self.moments, (x[0], x[1], x[2]))
 
     def value(self, x: jax.Array) -> jax.Array:
-        """log J, (...), of the origin (3, ...); infinite where rounding leaves Sigma not positive."""
+        """Logarithm of J, (...), of the origin (3, ...); infinite where Sigma is not positive definite."""
         covariance = self.covariance(x)
-        if self.exponent == 0:
-            det = symmetric.determinant(covariance)
-            positive = det > 0
-            return jnp.where(positive, jnp.log(jnp.where(positive, det, 1)) / 6, jnp.inf)
-        variances = jnp.stack(symmetric.eigh(covariance)[0])
-        positive = variances[0] > 0
+        # the geometric mean needs the product of the variances only, which the pivots have too
+        pivots = self.exponent == 0
+        variances = jnp.stack(symmetric.pivots(covariance) if pivots else symmetric.eigh(covariance)[0])
+        positive = jnp.all(variances > 0, axis=0)
         log_rms = jnp.log(jnp.where(positive[None], variances, 1)) / 2
         return jnp.where(positive, log_power_mean(log_rms, self.exponent), jnp.inf)

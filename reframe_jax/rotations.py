@@ -4,7 +4,7 @@ Every function takes any leading batch axes, keeps the dtype of its input, and h
 values *and* derivatives everywhere, the zero rotation and half turns included. The functions of the
 angle that are 0/0 at zero are even, hence analytic in the squared angle: below one radian they are
 summed as series in it, above they are evaluated in closed form. Both branches of a ``where`` are
-differentiated, so the closed form is fed a harmless angle where the series is used.
+differentiated, so each is fed a harmless angle where the other one is used.
 
 Conventions: rotation vectors are axis times angle, in radians; quaternions are (x, y, z, w).
 """
@@ -25,7 +25,7 @@ __all__ = [
     "vee",
 ]
 
-_TERMS = 10  # of each series below one radian; the first one left out is < 1e-19
+_TERMS = 10  # of each series below one radian; the first one left out is < 1e-17
 _SINC = tuple((-1) ** n / factorial(2 * n + 1) for n in range(_TERMS))
 _VERSINE = tuple((-1) ** n / factorial(2 * n + 2) for n in range(_TERMS))
 _SLACK = tuple((-1) ** n / factorial(2 * n + 3) for n in range(_TERMS))
@@ -53,10 +53,10 @@ def _series(x: jax.Array, coefficients: tuple[float, ...]) -> jax.Array:
 
 
 def _angle(rotvec: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Squared angle, whether it is small, and an angle that is safe to divide by."""
+    """Squared angle for the series, whether it is small, and the angle for the closed form."""
     squared = jnp.sum(rotvec * rotvec, axis=-1)
     small = squared < 1.0
-    return squared, small, jnp.sqrt(jnp.where(small, 1.0, squared))
+    return jnp.where(small, squared, 0.0), small, jnp.sqrt(jnp.where(small, 1.0, squared))
 
 
 def _matrix(coefficient: jax.Array) -> jax.Array:

@@ -16,6 +16,7 @@ __all__ = [
     "determinant",
     "eigh",
     "from_matrix",
+    "pivots",
     "quadratic_form",
     "solve",
     "to_matrix",
@@ -28,7 +29,7 @@ Vector = tuple[jax.Array, jax.Array, jax.Array]
 INDEX_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _PACKED = ((0, 1, 2), (1, 3, 4), (2, 4, 5))
 
-_JACOBI_SWEEPS = 6  # quadratic convergence: 4 reach float64 rounding from the worst case, 2 spare
+_JACOBI_SWEEPS = 5  # quadratic convergence: 4 reach float64 rounding from the worst case, 2 spare
 
 
 def from_matrix(matrix: jax.Array) -> Symmetric:
@@ -56,9 +57,34 @@ def adjugate(s: Symmetric) -> Symmetric:
     )
 
 
-def determinant(s: Symmetric) -> jax.Array:
+def _reciprocal(x: jax.Array) -> jax.Array:
+    """1/x, and 0 for 0: a zero pivot of a semidefinite matrix has a zero column below it."""
+    zero = x == 0
+    return jnp.where(zero, 0, 1 / jnp.where(zero, 1, x))
+
+
+def pivots(s: Symmetric) -> Vector:
+    """The diagonal D of S = L D L^T, for a positive semidefinite matrix.
+
+    Eliminating is backward stable. Expanding the determinant by cofactors is not: where one axis moves
+    freely and two are constrained it loses twice the digits, and all of them in float32.
+    """
     xx, xy, xz, yy, yz, zz = s
-    return xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+    inverse = _reciprocal(xx)
+    y = yy - xy * xy * inverse
+    coupling = yz - xy * xz * inverse
+    z = zz - xz * xz * inverse - coupling * coupling * _reciprocal(y)
+    return xx, y, z
+
+
+def determinant(s: Symmetric) -> jax.Array:
+    """Determinant of a positive semidefinite matrix, to the accuracy of its entries.
+
+    It is positive where the matrix is positive definite, and nowhere else.
+    """
+    x, y, z = pivots(s)
+    product = x * y * z
+    return jnp.where((x > 0) & (y > 0) & (z > 0), product, -jnp.abs(product))
 
 
 def trace_product(a: Symmetric, b: Symmetric) -> jax.Array:
@@ -68,9 +94,9 @@ def trace_product(a: Symmetric, b: Symmetric) -> jax.Array:
 
 
 def solve(s: Symmetric, v: Vector) -> Vector:
-    """S^-1 v by cofactors; infinite or NaN where S is singular."""
+    """S^-1 v by cofactors, S definite or not; infinite or NaN where it is singular."""
     xx, xy, xz, yy, yz, zz = adjugate(s)
-    scale = 1 / determinant(s)
+    scale = 1 / (s[0] * xx + s[1] * xy + s[2] * xz)
     x, y, z = v
     return (
         scale * (xx * x + xy * y + xz * z),
@@ -88,8 +114,8 @@ def _rotate(
     ik, jk = (min(i, k), max(i, k)), (min(j, k), max(j, k))
     b = off[ij]
     half = (values[j] - values[i]) / 2
-    # t = tan of the smaller rotation angle; hypot form without overflow or division by zero
-    root = jnp.abs(half) + jnp.sqrt(half * half + b * b)
+    # t = tan of the smaller rotation angle, written so that nothing overflows or is divided by zero
+    root = jnp.abs(half) + jnp.hypot(half, b)
     t = jnp.where(b == 0, 0, jnp.where(half < 0, -b, b) / jnp.where(b == 0, 1, root))
     c = 1 / jnp.sqrt(1 + t * t)
     s = t * c
@@ -99,6 +125,11 @@ def _rotate(
     x, y = axes[i], axes[j]
     axes[i] = (c * x[0] - s * y[0], c * x[1] - s * y[1], c * x[2] - s * y[2])
     axes[j] = (s * x[0] + c * y[0], s * x[1] + c * y[1], s * x[2] + c * y[2])
+
+
+def _choose(condition: jax.Array, a: Vector, b: Vector) -> Vector:
+    x, y, z = (jnp.where(condition, a[i], b[i]) for i in range(3))
+    return x, y, z
 
 
 @jax.custom_jvp
@@ -123,17 +154,19 @@ def eigh(s: Symmetric) -> tuple[Vector, tuple[Vector, Vector, Vector]]:
 
     axes = ((one, zero, zero), (zero, one, zero), (zero, zero, one))
     start = ((s[0], s[3], s[5]), (s[1], s[2], s[4]), axes)
-    (values, _, axes), _ = jax.lax.scan(sweep, start, length=_JACOBI_SWEEPS)
-    values, vectors = list(values), list(axes)
+    (found, _, axes), _ = jax.lax.scan(sweep, start, length=_JACOBI_SWEEPS)
+    values: list[jax.Array] = list(found)
+    vectors: list[Vector] = list(axes)
     for i, j in ((0, 1), (1, 2), (0, 1)):
         swap = values[i] > values[j]
         values[i], values[j] = (
             jnp.where(swap, values[j], values[i]),
             jnp.where(swap, values[i], values[j]),
         )
-        pairs = list(zip(vectors[i], vectors[j], strict=True))
-        vectors[i] = tuple(jnp.where(swap, b, a) for a, b in pairs)
-        vectors[j] = tuple(jnp.where(swap, a, b) for a, b in pairs)
+        vectors[i], vectors[j] = (
+            _choose(swap, vectors[j], vectors[i]),
+            _choose(swap, vectors[i], vectors[j]),
+        )
     return (values[0], values[1], values[2]), (vectors[0], vectors[1], vectors[2])
 
 

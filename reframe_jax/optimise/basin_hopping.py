@@ -1,7 +1,7 @@
 """The global search: basin hopping from many starts, for many problems at once."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 import jax
@@ -48,7 +48,7 @@ class SearchState:
     """What :meth:`BasinHopping.step` carries from hop to hop.
 
     Attributes:
-        hop: hops made.
+        hop: steps made; the first minimises the starts, the others hop.
         key: of the random numbers to come.
         x, value: (dim, restarts, ...) and (restarts, ...): where each chain is.
         best_x, best_value: (dim, restarts, ...) and (restarts, ...): the best each chain has met.
@@ -85,25 +85,26 @@ class BasinHopping:
     hops: int = 2
     refine: LocalMinimiser | None = None
     hop_size: float = 0.1
-    temperature: float = field(default=0.1)
+    temperature: float = 0.1
 
     def init(self, objective: Objective, box: Box, key: jax.Array) -> SearchState:
-        """Minimise from every quasi-random start."""
+        """Quasi-random starts, not minimised yet: their values are infinite."""
         batch, dtype = objective.moments.shape[2:], objective.moments.dtype
         seed_key, key = jax.random.split(key)
         starts = box.scale(quasi_random(seed_key, self.restarts, objective.dim, dtype))
         starts = starts.reshape(objective.dim, self.restarts, *([1] * len(batch)))
-        starts = jnp.broadcast_to(starts, (objective.dim, self.restarts, *batch))
-        x, value = self._descend(objective, box, starts)
+        x = jnp.broadcast_to(starts, (objective.dim, self.restarts, *batch))
+        value = jnp.full(x.shape[1:], jnp.inf, dtype=dtype)
         return SearchState(jnp.zeros((), jnp.int32), key, x, value, x, value)
 
     def step(self, objective: Objective, box: Box, state: SearchState) -> SearchState:
-        """One hop of every chain."""
+        """Jump (but not before the first minimisation), minimise, and accept or stay: every chain."""
         jump_key, accept_key, key = jax.random.split(state.key, 3)
         shape = (objective.dim, self.restarts, *([1] * (state.x.ndim - 2)))
         jump = self.hop_size * jax.random.normal(jump_key, shape, dtype=state.x.dtype)
         low, high = box.bounds(state.x)
-        x, value = self._descend(objective, box, box.clip(state.x + (high - low) * jump))
+        started = (state.hop > 0).astype(state.x.dtype)
+        x, value = self._descend(objective, box, box.clip(state.x + (high - low) * jump * started))
         chance = jax.random.uniform(accept_key, shape[1:], dtype=state.x.dtype)
         accept = value < state.value - self.temperature * jnp.log(chance)
         better = value < state.best_value
@@ -129,19 +130,17 @@ class BasinHopping:
         return Solution(x, value, jnp.mean(close.astype(value.dtype), axis=0))
 
     def minimise(self, objective: Objective, box: Box, key: jax.Array) -> Solution:
-        """The whole search: :meth:`init`, ``hops`` times :meth:`step`, :meth:`finish`."""
-        state = self.init(objective, box, key)
-        if self.hops:
-            state, _ = jax.lax.scan(
-                lambda state, _: (self.step(objective, box, state), None), state, length=self.hops
-            )
+        """The whole search: :meth:`init`, ``hops`` + 1 times :meth:`step`, :meth:`finish`."""
+        state, _ = jax.lax.scan(
+            lambda state, _: (self.step(objective, box, state), None),
+            self.init(objective, box, key),
+            length=self.hops + 1,
+        )
         return self.finish(objective, box, state)
 
     def _descend(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Local minimisation of every chain, one chain after the other over all problems."""
-        x, value = jax.lax.map(
-            lambda start: self._inner(objective, box, start), jnp.moveaxis(x, 1, 0)
-        )
+        x, value = jax.lax.map(lambda start: self._inner(objective, box, start), jnp.moveaxis(x, 1, 0))
         return jnp.moveaxis(x, 0, 1), value
 
     def _inner(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:

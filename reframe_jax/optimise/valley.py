@@ -62,7 +62,10 @@ def _product(a: Symmetric, b: Symmetric) -> list[list[jax.Array]]:
     bxx, bxy, bxz, byy, byz, bzz = b
     left = ((axx, axy, axz), (axy, ayy, ayz), (axz, ayz, azz))
     right = ((bxx, bxy, bxz), (bxy, byy, byz), (bxz, byz, bzz))
-    return [[sum((left[i][k] * right[k][j] for k in range(3)), jnp.zeros_like(axx)) for j in range(3)] for i in range(3)]
+    return [
+        [sum((left[i][k] * right[k][j] for k in range(3)), jnp.zeros_like(axx)) for j in range(3)]
+        for i in range(3)
+    ]
 
 
 def _hold(matrix: Symmetric, held: list[jax.Array], trace: jax.Array) -> Symmetric:
@@ -74,6 +77,16 @@ def _hold(matrix: Symmetric, held: list[jax.Array], trace: jax.Array) -> Symmetr
         else:
             entries.append(jnp.where(held[a] | held[b], 0, entry))
     return cast(Symmetric, tuple(entries))
+
+
+def _room(p: Vector, direction: Vector, low: jax.Array, high: jax.Array) -> jax.Array:
+    """Largest length up to 1 for which p - length * direction stays in the box."""
+    length = jnp.ones_like(p[0])
+    for i in range(3):
+        room = jnp.where(direction[i] > 0, p[i] - low[i], p[i] - high[i])
+        inside = jnp.where(direction[i] == 0, 1, room / jnp.where(direction[i] == 0, 1, direction[i]))
+        length = jnp.minimum(length, inside)
+    return length
 
 
 @dataclass(frozen=True)
@@ -111,9 +124,10 @@ class ValleySteps:
             down = symmetric.solve(_hold(curvature, held, trace), g)
             newton = symmetric.solve(_hold(hessian, held, trace), g)
             slope = sum((newton[i] * g[i] for i in range(3)), jnp.zeros_like(best))
-            candidates = [(down, jnp.ones_like(best)), (newton, jnp.ones_like(best))]
-            candidates += [(newton, 1 / (1 + slope / m)) for m in (1.0, 2.0, 3.0)]
             chosen = p
+            lengths = [1 / (1 + slope / m) for m in (1.0, 2.0, 3.0)]
+            candidates = [(down, _room(p, down, low, high)), (down, jnp.ones_like(best))]
+            candidates += [(newton, length) for length in (jnp.ones_like(best), *lengths)]
             for direction, length in candidates:
                 trial = cast(
                     Vector,
@@ -122,9 +136,7 @@ class ValleySteps:
                 value = determinant(trial)
                 better = value < best  # false for NaN
                 best = jnp.where(better, value, best)
-                chosen = cast(
-                    Vector, tuple(jnp.where(better, trial[i], chosen[i]) for i in range(3))
-                )
+                chosen = cast(Vector, tuple(jnp.where(better, trial[i], chosen[i]) for i in range(3)))
             return (chosen, best), None
 
         start: Vector = (x[0], x[1], x[2])

@@ -1,0 +1,371 @@
+"""The command line, in this process and on one compiled shape: windows of 31 poses, one at a time."""
+
+import builtins
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import reframe_jax
+from reframe_jax import cli, synthetic
+from reframe_jax.frames import CONSTRAINTS, ConstraintFrame
+from reframe_jax.identify import identify
+from reframe_jax.io import load_recording, save_recording
+from reframe_jax.validate import Status
+
+DATA = Path(__file__).parents[2] / "shared" / "data"
+POSES = 31
+
+Captured = pytest.CaptureFixture[str]
+
+
+def simulate(path: Path, label: str = "A", *options: str) -> Path:
+    assert cli.main(["simulate", "--no-cache", "--constraint", label, "--out", str(path), *options]) == 0
+    return path
+
+
+@pytest.fixture(scope="module")
+def door(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of 46 poses of a revolute joint, almost without noise."""
+    path = tmp_path_factory.mktemp("cli") / "door.csv"
+    return simulate(path, "A", "--duration", "4.5", "--noise", "1e-5")
+
+
+@pytest.fixture
+def clip(door: Path, tmp_path: Path) -> Path:
+    """The first 31 poses of it."""
+    recording = load_recording(door)
+    path = tmp_path / "clip.csv"
+    save_recording(path, recording.times[:POSES], recording.poses[:POSES])
+    return path
+
+
+def run(*arguments: str | Path) -> int:
+    return cli.main(["identify", "--no-cache", *map(str, arguments)])
+
+
+def read_json(text: str) -> list[dict[str, Any]]:
+    document = json.loads(text)
+    assert document["schema"] == "reframe-jax/identification/1"
+    recordings: list[dict[str, Any]] = document["recordings"]
+    return recordings
+
+
+# identify
+
+
+def test_a_recording_is_identified(clip: Path, tmp_path: Path, capsys: Captured) -> None:
+    assert run(clip, "--json", tmp_path / "out.json") == 0
+    out, err = capsys.readouterr()
+    assert out.startswith(f"{clip}: Revolute joint\n")
+    assert err == ""
+    (recording,) = read_json((tmp_path / "out.json").read_text())
+    (window,) = recording["windows"]
+    assert (window["label"], window["status"], window["start"], window["stop"]) == ("A", "OK", 0, POSES)
+    read = load_recording(clip)
+    assert (window["start_time"], window["stop_time"]) == (read.times[0], read.times[-1])
+    found = identify(read.poses[None], times=read.times[None])[0]
+    np.testing.assert_allclose(window["linear"]["position"], found.linear.position, atol=1e-9)
+    # the hinge of the simulations: y through (0.1, -, 0.1), which is where the body starts
+    np.testing.assert_allclose(np.array(window["linear"]["position"])[[0, 2]], [0.1, 0.1], atol=2e-3)
+    (direction,) = window["linear"]["free_position"]
+    np.testing.assert_allclose(np.abs(direction), [0, 1, 0], atol=1e-3)
+
+
+def test_json_on_standard_output_stands_alone(clip: Path, capsys: Captured) -> None:
+    assert run(clip, "--json", "-") == 0
+    (recording,) = read_json(capsys.readouterr().out)
+    assert recording["recording"] == str(clip)
+
+
+def test_one_bad_file_does_not_stop_the_others(clip: Path, tmp_path: Path, capsys: Captured) -> None:
+    bad, missing = tmp_path / "bad.csv", tmp_path / "missing.csv"
+    bad.write_text("t,x,y,z\n0,0,0,0\n")
+    assert run(bad, clip, missing, "--json", tmp_path / "out.json") == 1
+    out, err = capsys.readouterr()
+    assert out.count("Revolute joint") == 1
+    first, second = err.splitlines()
+    assert first.startswith(f"reframe-jax: error: {bad}: no column for qx")
+    assert second == f"reframe-jax: error: {missing}: cannot be read: No such file or directory."
+    records = read_json((tmp_path / "out.json").read_text())
+    assert [record["error"] is None for record in records] == [False, True, False]
+    assert [len(record["windows"]) for record in records] == [0, 1, 0]
+
+
+def test_repaired_input_is_noted(clip: Path, capsys: Captured) -> None:
+    lines = clip.read_text().splitlines()
+    lines.insert(4, lines[3])
+    clip.write_text("\n".join(lines))
+    assert run(clip, "--json", "-") == 0
+    out, err = capsys.readouterr()
+    assert err == f"reframe-jax: {clip}: line 5 dropped: it repeats the row before.\n"
+    assert read_json(out)[0]["notes"] == ["line 5 dropped: it repeats the row before."]
+
+
+def test_unit_and_sample_time(clip: Path, tmp_path: Path, capsys: Captured) -> None:
+    recording = load_recording(clip)
+    poses = recording.poses.copy()
+    poses[:, :3, 3] *= 1000
+    np.save(tmp_path / "a.npy", poses)
+    assert run(tmp_path / "a.npy", "--unit", "mm", "--dt", "0.1", "--json", "-") == 0
+    (scaled,) = read_json(capsys.readouterr().out)
+    assert run(clip, "--json", "-") == 0
+    (expected,) = read_json(capsys.readouterr().out)
+    for name in ("position", "rms", "norm"):
+        np.testing.assert_allclose(
+            scaled["windows"][0]["linear"][name], expected["windows"][0]["linear"][name], rtol=1e-6
+        )
+    assert run(tmp_path / "a.npy", "--unit", "mm") == 1
+    assert "give dt (--dt)" in capsys.readouterr().err
+
+
+def test_a_body_at_rest_is_an_error(clip: Path, tmp_path: Path, capsys: Captured) -> None:
+    recording = load_recording(clip)
+    save_recording(clip, recording.times, np.repeat(recording.poses[:1], POSES, axis=0))
+    assert run(clip, "--plot", tmp_path / "out.png") == 1
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.splitlines()[-1] == f"reframe-jax: error: {clip}: {Status.NO_MOTION.message}"
+    assert not (tmp_path / "out.png").exists()
+
+
+def test_what_is_odd_about_a_result_is_said(clip: Path, capsys: Captured) -> None:
+    assert run(clip, "--angular-threshold", "50", "--linear-threshold", "50") == 0
+    assert Status.NOT_EXCITED.message in capsys.readouterr().out
+
+
+def test_options_reach_the_identification(clip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: dict[str, Any] = {}
+
+    def spy(poses: np.ndarray, *, times: np.ndarray, **options: Any) -> Any:
+        seen.update(options)
+        return identify(poses, times=times)
+
+    monkeypatch.setattr(cli, "identify", spy)
+    options = ["--norm=-inf", "--discretization", "left", "--bounds", "0.5", "--linear-threshold", "0.01"]
+    assert run(clip, *options) == 0
+    thresholds = seen.pop("thresholds")
+    assert (thresholds.angular, thresholds.linear) == (0.160, 0.01)
+    assert seen == {"norm": -np.inf, "discretization": "left", "bounds": 0.5}
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_windows(
+    door: Path, tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch, count: int
+) -> None:
+    """Also in chunks of which the last one is not full."""
+    sizes = []
+
+    def one_by_one(poses: np.ndarray, *, times: np.ndarray, **options: Any) -> Any:
+        sizes.append(len(poses))
+        parts = [identify(poses[i, None], times=times[i, None], **options) for i in range(len(poses))]
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+
+    monkeypatch.setattr(cli, "identify", one_by_one)
+    monkeypatch.setattr(cli, "_CHUNK", count)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    options = ["--window", str(POSES), "--stride", "5", "--json", str(tmp_path / "out.json")]
+    assert run(door, *options) == 0
+    assert sizes == [count] * (4 // count + (4 % count > 0))
+    out, err = capsys.readouterr()
+    lines = out.splitlines()
+    assert lines[0] == f"{door}: 4 windows"
+    assert [line.split()[0] for line in lines[2:6]] == ["0", "1", "2", "3"]
+    assert err.endswith("\r4 of 4 windows\n")
+    (recording,) = read_json((tmp_path / "out.json").read_text())
+    read = load_recording(door)
+    for i, window in enumerate(recording["windows"]):
+        part = slice(5 * i, 5 * i + POSES)
+        assert (window["index"], window["start"], window["stop"]) == (i, part.start, part.stop)
+        assert window["stop_time"] == read.times[part][-1]
+        found = identify(read.poses[part][None], times=read.times[part][None])[0]
+        np.testing.assert_allclose(window["linear"]["norm"], found.linear.norm, rtol=1e-12)
+
+
+def test_interruptions_leave_no_traceback(clip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*arguments: Any, **options: Any) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "identify", interrupt)
+    assert run(clip) == 130
+
+
+def test_windows_do_not_overlap_by_default(
+    door: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cli, "_CHUNK", 1)
+    assert run(door, "--window", "31", "--json", "-") == 0
+    (recording,) = read_json(capsys.readouterr().out)
+    assert len(recording["windows"]) == 1  # 46 poses hold one window of 31, and a rest
+
+
+def test_windows_longer_than_the_recording(clip: Path, capsys: Captured) -> None:
+    assert run(clip, "--window", "32") == 1
+    assert capsys.readouterr().err == (
+        f"reframe-jax: error: {clip}: has 31 poses; expected at least the 32 of a window.\n"
+    )
+
+
+def test_plots(clip: Path, tmp_path: Path, capsys: Captured) -> None:
+    other = tmp_path / "other.csv"
+    other.write_text(clip.read_text())
+    assert run(clip, "--plot", tmp_path / "out.png") == 0
+    assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")
+    assert run(clip, other, "--plot", tmp_path / "many.png") == 0
+    assert {path.name for path in tmp_path.glob("many*")} == {"many-clip.png", "many-other.png"}
+    capsys.readouterr()
+    assert run(clip, "--plot", tmp_path / "out.strange") == 1
+    assert capsys.readouterr().err.startswith(f"reframe-jax: error: {tmp_path / 'out.strange'}: cannot be w")
+
+
+def test_plots_without_matplotlib(clip: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = builtins.__import__
+
+    def without(name: str, *args: Any, **kwargs: Any) -> Any:
+        if name.startswith("matplotlib"):
+            raise ImportError(name)
+        return real(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    assert run(clip, "--plot", "out.png") == 1
+    out, err = capsys.readouterr()
+    assert "Revolute joint" in out
+    assert 'pip install "reframe-jax[plot]"' in err
+
+
+def test_results_that_cannot_be_written(clip: Path, tmp_path: Path, capsys: Captured) -> None:
+    target = tmp_path / "none" / "out.json"
+    assert run(clip, "--json", target) == 1
+    assert capsys.readouterr().err.startswith(f"reframe-jax: error: {target}: cannot be written")
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="needs the real recordings, in ../shared/data")
+def test_real_recordings(capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cli, "_CHUNK", 1)
+    files = sorted(DATA.glob("*.csv"))
+    assert run(*files, "--window", str(POSES), "--stride", "60", "--json", "-") == 0
+    for path, recording in zip(files, read_json(capsys.readouterr().out), strict=True):
+        samples = len(load_recording(path).times)
+        assert len(recording["windows"]) == (samples - POSES) // 60 + 1
+        assert all(window["name"] for window in recording["windows"])
+
+
+# simulate, constraints, and the rest
+
+
+def test_simulations_repeat(door: Path, tmp_path: Path, capsys: Captured) -> None:
+    assert len(load_recording(door).times) == 46
+    options = ["--duration", "1", "--noise", "1e-3"]
+    first, again, other, npz = (
+        load_recording(simulate(tmp_path / name, label, *options, "--seed", seed))
+        for name, label, seed in (
+            ("a.csv", "pin-plane contact", "1"),
+            ("b.csv", "k", "1"),
+            ("c.csv", "K", "2"),
+            ("d.npz", "K", "1"),
+        )
+    )
+    assert f"{tmp_path / 'a.csv'}: Pin-plane contact, 11 poses" in capsys.readouterr().out
+    np.testing.assert_array_equal(first.poses, again.poses)
+    np.testing.assert_allclose(first.poses, npz.poses, atol=1e-14)
+    assert np.abs(first.poses - other.poses).max() > 1e-3
+    np.testing.assert_allclose(first.times, 0.1 * np.arange(11), atol=1e-12)
+
+
+def test_options_reach_the_simulation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: dict[str, Any] = {}
+
+    def spy(constraint: str, key: jax.Array, noise: jax.Array, **options: Any) -> synthetic.Simulation:
+        seen.update(options, constraint=constraint)
+        poses = jnp.tile(jnp.eye(4), (6, 1, 1)) * (1 + 0 * noise)
+        truth = ConstraintFrame.named(constraint)
+        return synthetic.Simulation(times=jnp.arange(6.0), poses=poses, exact_poses=poses, truth=truth)
+
+    monkeypatch.setattr(synthetic, "simulate", spy)
+    simulate(tmp_path / "a.csv", "cylinder joint")
+    defaults = {"constraint": "C", "duration": 5.0, "dt": 0.1, "excitation": "exciting", "exact": True}
+    assert seen == defaults
+    options = ["--duration", "2", "--dt", "0.5", "--excitation", "paper", "--generator", "paper"]
+    simulate(tmp_path / "a.csv", "C", *options)
+    assert seen == {"constraint": "C", "duration": 2.0, "dt": 0.5, "excitation": "paper", "exact": False}
+
+
+def test_simulations_that_cannot_be_written(tmp_path: Path, capsys: Captured) -> None:
+    arguments = ["simulate", "--no-cache", "--constraint", "K", "--out", str(tmp_path / "a.txt")]
+    assert cli.main([*arguments, "--duration", "1"]) == 1
+    assert capsys.readouterr().err.startswith("reframe-jax: error: ")
+
+
+def test_the_catalogue_is_listed(capsys: Captured) -> None:
+    assert cli.main(["constraints"]) == 0
+    rows = capsys.readouterr().out.splitlines()[1:13]
+    for row, entry in zip(rows, CONSTRAINTS.values(), strict=True):
+        assert row.split()[0] == entry.label
+        assert entry.name in row
+    assert rows[10].split()[-4:] == ["111", "110", "GB", "xyz"]
+    assert rows[1].split()[-4:] == ["000", "100", "any", "-"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        ([], "required: COMMAND"),
+        (["identify"], "required: FILE"),
+        (["identify", "a.csv", "--norm", "3"], "must lie in"),
+        (["identify", "a.csv", "--norm", "x"], "x"),
+        (["identify", "a.csv", "--dt", "0"], "expected a positive number"),
+        (["identify", "a.csv", "--dt", "fast"], "invalid _positive value|expected a positive number"),
+        (["identify", "a.csv", "--unit", "inch"], "invalid choice"),
+        (["identify", "a.csv", "--stride", "2"], "--stride needs --window"),
+        (["identify", "a.csv", "--window", "4"], "--window must be at least 5"),
+        (["identify", "a.csv", "--window", "9", "--stride", "0"], "--stride must be at least 1"),
+        (["identify", "a.csv", "--window", "9", "--plot", "a.png"], "leave out --window"),
+        (["identify", "a/a.csv", "b/a.csv", "--plot", "a.png"], "different names"),
+        (["simulate", "--out", "a.csv", "--constraint", "Z"], r"A \(Revolute joint\)"),
+        (["simulate", "--constraint", "A"], "required: --out"),
+    ],
+)
+def test_wrong_command_lines(arguments: list[str], problem: str, capsys: Captured) -> None:
+    with pytest.raises(SystemExit) as caught:
+        cli.main(arguments)
+    assert caught.value.code == 2
+    err = capsys.readouterr().err
+    assert err.startswith("usage: reframe-jax")
+    assert re.search(problem, err.splitlines()[-1])
+
+
+def test_compiled_programs_are_kept_where_caches_belong(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    settings: dict[str, Any] = {}
+    monkeypatch.setattr(jax.config, "update", settings.__setitem__)
+    cli._configure_jax(cache=False)
+    assert settings == {"jax_enable_x64": True}
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    cli._configure_jax(cache=True)
+    assert settings["jax_compilation_cache_dir"] == str(tmp_path / "reframe-jax")
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setattr(Path, "home", lambda: tmp_path)
+    cli._configure_jax(cache=True)
+    assert settings["jax_compilation_cache_dir"] == str(tmp_path / ".cache" / "reframe-jax")
+
+
+def test_help_shows_examples(capsys: Captured) -> None:
+    with pytest.raises(SystemExit) as caught:
+        cli.main(["identify", "--help"])
+    assert caught.value.code == 0
+    assert "reframe-jax identify door.csv --plot door.png" in capsys.readouterr().out
+
+
+def test_the_module_runs() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "reframe_jax", "--version"], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == f"reframe-jax {reframe_jax.__version__}\n"

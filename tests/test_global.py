@@ -1,0 +1,67 @@
+"""Evidence that the search is global, and that its two routes agree."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import reframe_jax as rf
+from reframe_jax import synthetic
+from reframe_jax.identify import default_solver, window_moments
+from reframe_jax.objectives import FrameObjective, PositionObjective
+from reframe_jax.optimise import Box
+
+SEEDS = 12
+NOISES = np.logspace(-6, -3, 4)
+
+
+def moments(label):
+    """Linear moments (6, 10, windows, 4) of one constraint over seeds and noise levels."""
+    frame = rf.ConstraintFrame.named(label)
+    keys = jax.random.split(jax.random.key(11), SEEDS * len(NOISES))
+    noises = jnp.tile(jnp.asarray(NOISES), SEEDS)
+    simulate = jax.vmap(lambda key, noise: synthetic.simulate(frame, key, noise=noise).poses)
+    poses = jax.jit(simulate)(keys, noises)
+    centred = poses.at[..., :3, 3].add(-jnp.mean(poses[..., :3, 3], axis=1, keepdims=True))
+    return jax.jit(window_moments)(centred, jnp.full(50, 0.1))[1]
+
+
+@pytest.fixture(scope="module")
+def problems():
+    return jnp.concatenate([moments(label) for label in rf.CONSTRAINTS], axis=2)
+
+
+CUBE = Box(-jnp.ones(3), jnp.ones(3))
+
+
+def search(solver, objective, box=CUBE, seed=0):
+    return jax.jit(lambda o: solver.minimise(o, box, jax.random.key(seed)))(objective)
+
+
+def test_the_default_search_reaches_the_best_of_64_long_searches(problems):
+    long = rf.BasinHopping(rf.ValleySteps(40), restarts=64, hops=0, refine=rf.ValleySteps(40))
+    best = search(long, PositionObjective(problems), seed=1).value
+    found = search(default_solver(), PositionObjective(problems)).value
+    best = jnp.minimum(best, found)
+    assert np.mean(np.asarray(found - best) > 1e-3) <= 1e-3
+
+
+@pytest.mark.parametrize("exponent", [-np.inf, -1.0, 1.0])
+def test_other_norms_reach_the_best_of_a_longer_search(problems, exponent):
+    some = PositionObjective(problems[:, :, ::24], exponent)
+    long = rf.BasinHopping(rf.NewtonSteps(25), restarts=24, hops=2, refine=rf.NewtonSteps(40))
+    best = search(long, some, seed=1).value
+    found = search(default_solver(exponent), some).value
+    best = jnp.minimum(best, found)
+    assert np.mean(np.asarray(found - best) > 1e-3) <= 0.02
+
+
+def test_searching_rotation_and_position_finds_the_optimum_of_the_closed_form(problems):
+    """The two routes agree to 1e-6 relative, problem by problem."""
+    some = problems[:, :, 4::48]
+    eliminated = search(default_solver(), PositionObjective(some)).value
+    turn = jnp.full(3, jnp.pi)
+    box = Box(jnp.concatenate([-turn, CUBE.low]), jnp.concatenate([turn, CUBE.high]))
+    solver = rf.BasinHopping(rf.NewtonSteps(30), restarts=16, hops=1, refine=rf.NewtonSteps(300))
+    full = search(solver, FrameObjective(some), box).value
+    np.testing.assert_allclose(np.exp(np.asarray(full - eliminated)), 1, atol=1e-6)

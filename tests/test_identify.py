@@ -1,0 +1,215 @@
+"""The main job on windows whose truth is known, and what a batch promises."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import reframe_jax as rf
+from reframe_jax import metrics, synthetic
+from reframe_jax.identify import _identify
+
+NOISES = np.logspace(-6, -4, 5)
+SEEDS = 20
+
+
+def windows(label, noises=NOISES, seeds=SEEDS, *, exact=True, excitation="exciting"):
+    """Poses (noises, seeds, 51, 4, 4) of one constraint."""
+    frame = rf.ConstraintFrame.named(label)
+
+    def one(key, noise):
+        return synthetic.simulate(frame, key, noise=noise, exact=exact, excitation=excitation).poses
+
+    over_seeds = jax.vmap(one, in_axes=(0, None))
+    keys = jax.random.split(jax.random.key(7), seeds)
+    return jax.jit(jax.vmap(over_seeds, in_axes=(None, 0)))(keys, jnp.asarray(noises)), frame
+
+
+def slope(errors):
+    return np.polyfit(np.log10(NOISES), np.log10(np.median(errors, axis=1)), 1)[0]
+
+
+@pytest.mark.parametrize("label", rf.CONSTRAINTS)
+def test_the_twelve_constraints_are_identified_with_errors_proportional_to_noise(label):
+    poses, truth = windows(label)
+    found = rf.identify(poses, dt=0.1)
+    assert np.all(metrics.types_correct(found, truth))
+    assert np.all(metrics.dof_correct(found, truth))
+    assert set(found.name.ravel()) == {rf.CONSTRAINTS[label].name}
+    entry = rf.CONSTRAINTS[label]
+    errors = metrics.geometry_errors(found, truth)
+    unique = {
+        "angular": (entry.angular_axis is not None, np.radians(2e-3)),
+        "linear": (entry.linear_axis is not None, np.radians(2e-3)),
+        "position": (any(entry.position), 1e-5),
+    }
+    for name, (determined, limit) in unique.items():
+        error = np.asarray(getattr(errors, name))
+        if not determined:
+            assert np.all(np.isnan(error)), name
+            continue
+        assert np.median(error[0]) <= limit, name
+        assert abs(slope(error) - 1) <= 0.1, name
+    # what the table leaves open is reported as open
+    free = np.round(np.trace(found.linear.free_position, axis1=-2, axis2=-1))
+    assert np.all(free == 3 - sum(entry.position))
+    tied = np.sum(np.asarray(found.linear.tied), axis=-1)
+    assert np.all(tied == (4 if entry.linear_type is None else 1))
+
+
+@pytest.mark.parametrize("label", "ABCDKL")
+def test_the_papers_generator_in_the_left_discretization_has_no_plateau(label):
+    poses, truth = windows(label, exact=False, excitation="paper")
+    found = rf.identify(poses, dt=0.1, discretization="left")
+    errors = metrics.geometry_errors(found, truth)
+    assert np.all(metrics.types_correct(found, truth))
+    assert np.all(metrics.dof_correct(found, truth))
+    for error in (errors.angular, errors.linear, errors.position):
+        if not np.all(np.isnan(error)):
+            assert abs(slope(np.asarray(error)) - 1) <= 0.1
+
+
+@pytest.mark.parametrize("label", "EF")
+def test_motion_that_is_a_pure_rotation_is_reported_as_a_revolute_joint_with_all_types_tied(label):
+    poses, _ = windows(label, exact=False, excitation="paper")
+    found = rf.identify(poses, dt=0.1, discretization="left")
+    assert set(found.name.ravel()) == {"Revolute joint"}
+    assert np.all(found.linear.tied)
+    assert np.all(found.linear.free_rotation)
+
+
+@pytest.mark.parametrize("label", "IJ")
+def test_types_that_the_papers_motion_cannot_tell_apart_are_reported_as_tied(label):
+    poses, truth = windows(label, exact=False, excitation="paper")
+    found = rf.identify(poses, dt=0.1, discretization="left")
+    assert np.mean(metrics.types_correct(found, truth, ties=True)) > 0.9
+    assert np.mean(np.sum(np.asarray(found.linear.tied), axis=-1) > 1) > 0.9
+
+
+@pytest.fixture(scope="module")
+def mixed():
+    """One window of each constraint, (12, 51, 4, 4)."""
+    return jnp.concatenate([windows(label, noises=[1e-5], seeds=1)[0][0] for label in rf.CONSTRAINTS])
+
+
+def same(a, b, rtol=1e-6, atol=1e-9):
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        np.testing.assert_allclose(np.asarray(x), np.asarray(y), rtol=rtol, atol=atol)
+
+
+def test_norm_is_the_geometric_mean_of_rms_and_the_least_of_the_norms(mixed):
+    found = rf.identify(mixed, dt=0.1)
+    for frame in (found.angular, found.linear):
+        np.testing.assert_allclose(frame.norm, np.prod(np.asarray(frame.rms), axis=-1) ** (1 / 3), rtol=1e-9)
+        np.testing.assert_array_equal(frame.norm, np.min(np.asarray(frame.norms), axis=-1))
+        assert np.all(np.diff(np.asarray(frame.rms), axis=-1) >= 0)
+        np.testing.assert_allclose(np.linalg.det(np.asarray(frame.axes)), 1, rtol=1e-9)
+
+
+def test_vmap_equals_loop_and_batch(mixed):
+    batch = rf.identify(mixed, dt=0.1)
+    vmapped = jax.vmap(lambda poses: rf.identify(poses, dt=0.1))(mixed)
+    same(batch, vmapped)
+    for i in (0, 5, 10):
+        single = rf.identify(mixed[i], dt=0.1)
+        assert single.linear.frame_type is rf.LinearType(int(batch.linear.type_code[i]))
+        assert single.name == batch.name[i]
+        same(single, batch[i])
+
+
+def test_any_batch_axes_and_sizes_beyond_one_chunk(mixed):
+    shaped = rf.identify(mixed.reshape(3, 4, 51, 4, 4), dt=0.1)
+    assert shaped.linear.rotvec.shape == (3, 4, 3)
+    assert shaped.name.shape == (3, 4)
+    many = rf.identify(jnp.tile(mixed, (50, 1, 1, 1)), dt=0.1)
+    same(many[:12], many[588:], rtol=1e-9)
+    same(many[:12], rf.identify(mixed, dt=0.1))
+
+
+def test_a_bad_window_has_a_status_and_leaves_the_others_alone(mixed):
+    good = rf.identify(mixed, dt=0.1)
+    bad = mixed.at[0, 3, 0, 3].set(jnp.nan).at[1, 5, 0, 0].add(0.5).at[2].set(mixed[2, :1])
+    found = rf.identify(bad, dt=0.1)
+    assert [rf.Status(int(code)) for code in found.status_code[:4]] == [
+        rf.Status.NOT_FINITE,
+        rf.Status.NOT_A_POSE,
+        rf.Status.NO_MOTION,
+        rf.Status.OK,
+    ]
+    for x, y in zip(jax.tree.leaves(good), jax.tree.leaves(found), strict=True):
+        np.testing.assert_array_equal(np.asarray(x)[3:], np.asarray(y)[3:])
+    assert np.all(np.isnan(np.asarray(found.linear.norm)[:3]))
+    assert found.name[0].startswith("No result")
+    gradient = jax.grad(lambda p: jnp.nansum(rf.identify(p, dt=0.1).linear.norm))(bad)
+    assert np.all(np.isfinite(np.asarray(gradient)))
+
+
+def test_irregular_times_give_the_same_frame(mixed):
+    truth = rf.ConstraintFrame.named("K")
+    key = jax.random.key(0)
+    dense = synthetic.simulate(truth, key, dt=0.02).exact_poses
+    keep = np.sort(np.random.default_rng(0).choice(np.arange(1, 250), 60, replace=False))
+    found = rf.identify(dense[keep], times=0.02 * keep)
+    np.testing.assert_allclose(found.linear.position, truth.position, atol=1e-5)
+    assert found.linear.frame_type is rf.LinearType.GB
+
+
+def test_the_answer_moves_with_the_ground_frame(mixed):
+    shift = jnp.eye(4).at[:3, :3].set(rf.rotations.rotation_exp(jnp.asarray([0.4, -1.0, 0.8])))
+    shift = shift.at[:3, 3].set(jnp.asarray([5.0, -3.0, 2.0]))
+    here, there = rf.identify(mixed, dt=0.1), rf.identify(shift @ mixed, dt=0.1)
+    np.testing.assert_allclose(here.linear.norms, there.linear.norms, rtol=1e-5)
+    l_type = np.asarray(here.linear.type_code)
+    ground = (l_type == 2) | (l_type == 3)
+    moved = here.linear.position @ shift[:3, :3].T + shift[:3, 3]
+    expected = np.where(ground[:, None], moved, here.linear.position)
+    np.testing.assert_allclose(there.linear.position, expected, atol=1e-5)
+
+
+def test_one_trace_per_shape(mixed):
+    rf.identify(mixed, dt=0.1)
+    before = _identify._cache_size()
+    rf.identify(mixed + 0, dt=0.2, thresholds=rf.Thresholds(0.1, 0.02), bounds=0.8)
+    assert _identify._cache_size() == before
+    rf.identify(mixed[:, :40], dt=0.1)
+    assert _identify._cache_size() == before + 1
+
+
+def test_float32_finds_the_same_frames_at_its_own_precision():
+    poses, truth = windows("K", noises=[1e-4], seeds=8)
+    found = rf.identify(poses[0].astype(jnp.float32), dt=0.1)
+    assert found.linear.norm.dtype == jnp.float32
+    assert np.all(metrics.types_correct(found, truth))
+    assert np.median(metrics.geometry_errors(found, truth).position) < 2e-3
+
+
+def test_float64_arrays_are_computed_in_float64_where_jax_is_set_to_float32():
+    poses, truth = windows("K", noises=[1e-6], seeds=4)
+    poses = np.asarray(poses[0])
+    with jax.enable_x64(False):
+        found = rf.identify(poses, dt=0.1)
+        assert found.linear.norm.dtype == jnp.float32
+    errors = metrics.geometry_errors(found, truth)
+    assert np.median(np.asarray(errors.position)) < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"poses": np.zeros((10, 4, 3)), "dt": 0.1}, "poses must have shape"),
+        ({"poses": np.tile(np.eye(4), (4, 1, 1)), "dt": 0.1}, "at least 5 poses"),
+        ({"poses": np.tile(np.eye(4), (9, 1, 1))}, "either times"),
+        ({"poses": np.tile(np.eye(4), (9, 1, 1)), "dt": 0.1}, "All poses of the window are equal"),
+        ({"poses": np.full((9, 4, 4), np.nan), "dt": 0.1}, "NaN"),
+        ({"poses": np.tile(np.eye(4), (9, 1, 1)), "times": np.arange(8.0)}, "times must have shape"),
+        ({"poses": np.tile(2 * np.eye(4), (9, 1, 1)), "dt": 0.1}, "rigid transform"),
+        ({"poses": np.tile(np.eye(4), (9, 1, 1)), "times": np.zeros(9)}, "do not increase"),
+        ({"poses": np.tile(np.eye(4), (9, 1, 1)), "dt": 0.1, "norm": 3}, "exponent"),
+        ({"poses": np.tile(np.eye(4), (9, 1, 1)), "dt": 0.1, "bounds": -1.0}, "bounds"),
+        ({"poses": np.tile(np.eye(4), (9, 1, 1)), "dt": 0.1, "discretization": "right"}, "discretization"),
+    ],
+)
+def test_bad_input_is_refused_in_words(arguments, words):
+    poses = arguments.pop("poses")
+    with pytest.raises(ValueError, match=words):
+        rf.identify(poses, **arguments)

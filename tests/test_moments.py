@@ -1,0 +1,127 @@
+"""The compression of a window: Sigma(p) from 60 numbers is the mean of u u^T over its samples."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from reframe_jax.moments import (
+    MONOMIALS,
+    covariance_at,
+    covariance_gradient,
+    pack_moments,
+    velocity_moments,
+)
+from reframe_jax.objectives import axis_rms, axis_rms_from_moments, frame_norm, power_mean
+from reframe_jax.symmetric import INDEX_PAIRS, to_matrix
+
+
+@jax.jit
+def covariance(maps, position):
+    """(..., 3, 3) at positions (..., 3)."""
+    return to_matrix(covariance_at(velocity_moments(maps), tuple(jnp.moveaxis(position, -1, 0))))
+
+
+def direct(maps, position, weights=None):
+    """The same by its definition."""
+    u = maps[..., 0] + np.einsum("...kij,...j->...ki", maps[..., 1:], position)
+    weights = np.ones(u.shape[:-1]) if weights is None else weights
+    weights = weights / np.sum(weights, axis=-1, keepdims=True)
+    return np.einsum("...k,...ki,...kj->...ij", weights, u, u)
+
+
+def scale_of(maps, position):
+    """Size of the terms that are summed, which is what rounding is relative to."""
+    extended = np.concatenate([np.ones((*position.shape[:-1], 1)), np.abs(position)], axis=-1)
+    return np.max(np.sum(np.max(np.abs(maps), axis=-3) * extended[..., None, :], axis=-1)) ** 2
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_covariance_is_the_mean_over_samples(dtype, rng):
+    maps = rng.normal(size=(4, 2, 30, 3, 4)).astype(dtype)
+    position = rng.uniform(-1, 1, size=(4, 2, 3)).astype(dtype)
+    found = covariance(jnp.asarray(maps), jnp.asarray(position))
+    assert found.dtype == dtype
+    expected = direct(maps.astype(float), position.astype(float))
+    tolerance = 4 * np.finfo(dtype).eps * scale_of(maps, position)
+    np.testing.assert_allclose(found, expected, atol=tolerance)
+
+
+@settings(max_examples=60)
+@given(
+    st.integers(0, 2**31),
+    st.lists(st.floats(-3, 3), min_size=3, max_size=3),
+    st.sampled_from([1e-4, 1.0, 1e3]),
+)
+def test_covariance_of_any_map_at_any_position(seed, position, size):
+    rng = np.random.default_rng(seed)
+    maps = size * rng.normal(size=(6, 3, 4)) * 10.0 ** rng.uniform(-3, 0, size=(3, 4))
+    position = np.array(position)
+    tolerance = 8 * np.finfo(float).eps * scale_of(maps, position)
+    np.testing.assert_allclose(covariance(maps, position), direct(maps, position), atol=tolerance)
+
+
+def test_weights(rng):
+    maps, position = rng.normal(size=(3, 12, 3, 4)), rng.normal(size=(3, 3))
+    weights = rng.uniform(0, 2, size=(3, 12))
+    weights[:, :4] = 0  # as if these samples were not there
+    at = tuple(jnp.asarray(position.T))
+    moments = velocity_moments(jnp.asarray(maps), jnp.asarray(weights))
+    found = to_matrix(covariance_at(moments, at))
+    np.testing.assert_allclose(found, direct(maps, position, weights), rtol=1e-12, atol=1e-12)
+    left_out = velocity_moments(jnp.asarray(maps[:, 4:]), jnp.asarray(weights[:, 4:]))
+    np.testing.assert_allclose(moments, left_out, atol=1e-14)
+    even = velocity_moments(jnp.asarray(maps), jnp.full((3, 12), 0.3))
+    np.testing.assert_allclose(even, velocity_moments(jnp.asarray(maps)), atol=1e-14)
+
+
+def test_shapes(rng):
+    """Coefficients first, problems last; velocities without a position have one coefficient."""
+    maps = jnp.asarray(rng.normal(size=(5, 4, 9, 3, 4)))
+    moments = velocity_moments(maps)
+    assert moments.shape == (6, 10, 5, 4)
+    np.testing.assert_allclose(moments[..., 3, 2], velocity_moments(maps[3, 2]), atol=1e-15)
+    assert velocity_moments(maps[0, 0]).shape == (6, 10)
+    rates = velocity_moments(maps[..., :1])
+    assert rates.shape == (6, 1, 5, 4)
+    np.testing.assert_allclose(rates[:, 0], moments[:, 0], atol=1e-15)
+    anywhere = covariance_at(rates, (jnp.asarray(7.0),) * 3)
+    np.testing.assert_allclose(jnp.stack(anywhere), rates[:, 0])
+
+
+def test_polynomial_layout(rng):
+    """Component by monomial, as INDEX_PAIRS and MONOMIALS say."""
+    maps = rng.normal(size=(7, 3, 4))
+    moments = np.asarray(velocity_moments(jnp.asarray(maps)))
+    for row, (i, j) in zip(moments, INDEX_PAIRS, strict=True):
+        for coefficient, (a, b) in zip(row, MONOMIALS, strict=True):
+            product = maps[:, i, a] * maps[:, j, b]
+            if a != b:
+                product = product + maps[:, i, b] * maps[:, j, a]
+            assert coefficient == pytest.approx(np.mean(product), abs=1e-14)
+    entries = maps.reshape(7, 12)
+    np.testing.assert_allclose(pack_moments(jnp.asarray(entries.T @ entries / 7)), moments, atol=1e-14)
+
+
+def test_gradient(rng):
+    moments = velocity_moments(jnp.asarray(rng.normal(size=(5, 9, 3, 4))))
+    position = jnp.asarray(rng.normal(size=(3, 5)))
+    slopes = covariance_gradient(moments, tuple(position))
+    for axis, slope in enumerate(slopes):
+        tangent = jnp.zeros_like(position).at[axis].set(1.0)
+        _, expected = jax.jvp(lambda p: jnp.stack(covariance_at(moments, tuple(p))), (position,), (tangent,))
+        np.testing.assert_allclose(jnp.stack(slope), expected, atol=1e-13)
+
+
+def test_objective_from_samples_and_from_moments(rng):
+    maps = rng.normal(size=(4, 20, 3, 4))
+    rotvec, position = rng.normal(size=(2, 4, 3))
+    from_samples = jax.jit(axis_rms)(rotvec, position, maps)
+    from_moments = jax.jit(lambda r, p, m: axis_rms_from_moments(r, p, velocity_moments(m)))(
+        rotvec, position, maps
+    )
+    np.testing.assert_allclose(from_moments, from_samples, rtol=1e-13)
+    norm = jax.jit(frame_norm)(rotvec, position, maps)
+    np.testing.assert_allclose(power_mean(from_moments), norm, rtol=1e-13)

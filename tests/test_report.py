@@ -1,0 +1,273 @@
+"""What people and programs read, against results made by hand."""
+
+import json
+import re
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from reframe_jax.frames import AngularType, LinearType
+from reframe_jax.report import Window, frame_velocities, to_document, to_json, to_record, to_table
+from reframe_jax.results import AllCandidates, AngularFrame, Candidates, Identification, LinearFrame
+from reframe_jax.validate import Status
+
+QUARTER = (0.0, 0.0, np.pi / 2)  # axes y, -x, z
+
+
+def candidates(types: int, dof: tuple[int, int, int], position: bool) -> Candidates:
+    def each(value: Any) -> Any:
+        return np.repeat(np.asarray(value)[None], types, axis=0)
+
+    return Candidates(
+        rotvec=each(QUARTER),
+        dof=each(dof),
+        rms=each([0.01, 0.02, 0.3]),
+        norm=np.arange(1.0, types + 1),
+        free_rotation=each([False, False, True]),
+        position=each([1.0, 2.0, 3.0]) if position else None,
+        free_position=each(np.zeros((3, 3))) if position else None,
+        on_bounds=each(False) if position else None,
+        agreement=each(0.5) if position else None,
+    )
+
+
+def identification(
+    linear_type: LinearType = LinearType.GB,
+    angular_dof: tuple[int, int, int] = (0, 0, 1),
+    linear_dof: tuple[int, int, int] = (0, 0, 0),
+    status: Status = Status.OK,
+    free_position: Any = None,
+    tied: tuple[LinearType, ...] = (),
+) -> Identification:
+    """A revolute joint about z, unless told otherwise."""
+    one, three = np.diag([0.0, 0.0, 1.0]), np.array
+    ties = np.isin(np.arange(4), [linear_type, *tied])
+    return Identification(
+        angular=AngularFrame(
+            type_code=np.int32(AngularType.B),
+            rotvec=three(QUARTER),
+            dof=three(angular_dof),
+            rms=three([0.01, 0.02, 0.3]),
+            norm=np.float64(0.0391),
+            norms=three([0.04, 0.0391]),
+            tied=three([True, True]),
+            free_rotation=three([False, False, True]),
+        ),
+        linear=LinearFrame(
+            type_code=np.int32(linear_type),
+            rotvec=three(QUARTER),
+            position=three([0.1, -0.25, 0.0]),
+            dof=three(linear_dof),
+            rms=three([0.001, 0.002, 0.25]),
+            norm=np.float64(0.00794),
+            norms=three([0.5, 0.25, 0.125, 0.0625]),
+            tied=ties,
+            free_rotation=three([True, True, True]),
+            free_position=one if free_position is None else free_position,
+        ),
+        candidates=AllCandidates(candidates(2, angular_dof, False), candidates(4, linear_dof, True)),
+        status_code=np.int32(status),
+    )
+
+
+def batch(*windows: Identification) -> Identification:
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *windows)
+
+
+def blank(found: Identification, status: Status) -> Identification:
+    """What ``identify`` returns for a window it could not use."""
+
+    def empty(leaf: Any) -> Any:
+        return np.full_like(leaf, np.nan) if np.issubdtype(leaf.dtype, np.floating) else np.zeros_like(leaf)
+
+    return Identification(**{**vars(jax.tree.map(empty, found)), "status_code": np.int32(status)})
+
+
+# Tables
+
+
+def test_a_window_in_words() -> None:
+    found = identification(tied=(LinearType.BB, LinearType.BG))
+    lines = to_table(found, label="door.csv").splitlines()
+    assert lines[0] == "door.csv: Revolute joint"
+    assert lines[1] == "A frame was identified."
+    assert "Angular frame B: axes fixed in the body; G would do as well" in lines
+    assert (
+        "Linear frame GB: axes in the ground, origin fixed in the body; BB and BG would do as well" in lines
+    )
+    # the columns of the rotation, not its rows
+    assert "  axis 1  ( 0.000,  1.000,  0.000)      0.01 rad/s  constrained" in lines
+    assert "  axis 2  (-1.000,  0.000,  0.000)      0.02 rad/s  constrained" in lines
+    assert "  axis 3  ( 0.000,  0.000,  1.000)       0.3 rad/s  free" in lines
+    assert "  axis 3  ( 0.000,  0.000,  1.000)      0.25 m/s    constrained" in lines
+    assert "          axes 1 and 2 can be turned about axis 3" in lines
+    assert "  origin  (0.1000, -0.2500, 0.0000) m in the body" in lines
+    assert "          not determined along (0.000, 0.000, 1.000)" in lines
+    assert "          the orientation is not determined" in lines
+    assert "Norms   angular  G 0.04~  B 0.0391*  rad/s" in lines
+    assert "Norms   linear   BB 0.5~  GB 0.25*  GG 0.125   BG 0.0625~  m/s" in lines
+
+
+@pytest.mark.parametrize(
+    ("kind", "where", "body"),
+    [
+        (LinearType.BB, "axes and origin fixed in the body", "body"),
+        (LinearType.GG, "axes and origin fixed in the ground", "ground"),
+        (LinearType.BG, "axes in the body, origin fixed in the ground", "ground"),
+    ],
+)
+def test_bodies_of_the_frame(kind: LinearType, where: str, body: str) -> None:
+    table = to_table(identification(kind))
+    assert f"Linear frame {kind}: {where}\n" in table
+    assert f"m in the {body}\n" in table
+    assert "tied" in table  # of the angular types
+    assert table.splitlines()[0] == "Revolute joint"
+
+
+@pytest.mark.parametrize(
+    ("projector", "words"),
+    [
+        (np.zeros((3, 3)), None),
+        (np.eye(3), "not determined: the origin closest to the motion is given"),
+        (np.diag([1.0, 0, 0]), r"not determined along \(1\.000, 0\.000, 0\.000\)"),
+        (np.diag([1.0, 0, 1]), r"not determined along \(.*\) and \(.*\)"),
+    ],
+)
+def test_directions_of_the_position(projector: np.ndarray, words: str | None) -> None:
+    table = to_table(identification(free_position=projector))
+    found = re.search(r"m in the body\n +(not determined.*)\n", table)
+    assert bool(found) == (words is not None)
+    if found and words:
+        assert re.fullmatch(words, found[1])
+
+
+def test_warnings_are_spelt_out() -> None:
+    assert Status.ON_BOUNDS.message in to_table(identification(status=Status.ON_BOUNDS))
+    failed = to_table(blank(identification(), Status.NO_MOTION), label="a.csv")
+    assert failed == f"a.csv: No result: {Status.NO_MOTION.message}"
+
+
+def test_a_batch_has_a_row_per_window() -> None:
+    found = batch(
+        identification(tied=(LinearType.BB,)),
+        blank(identification(), Status.NOT_FINITE),
+        identification(LinearType.GG, (1, 1, 1), (0, 0, 1), Status.ON_BOUNDS),
+    )
+    windows = [Window(10 * i, 10 * i + 10, float(i), i + 0.9) for i in range(3)]
+    lines = to_table(found, label="door.csv", windows=windows).splitlines()
+    assert lines[0] == "door.csv: 3 windows"
+    rows = [" ".join(line.split()) for line in lines[1:5]]
+    assert rows[0] == "window time [s] name angular linear origin [m] status"
+    assert rows[1] == "0 0.00 - 0.90 Revolute joint B~G GB~BB ( 0.100, -0.250, 0.000) OK"
+    assert rows[2] == "1 1.00 - 1.90 - - - - NOT_FINITE"
+    assert rows[3].startswith("2 2.00 - 2.90 Contour rolling B~G GG (")
+    assert lines[2].index("GB~BB") == lines[4].index("GG") == lines[1].index("linear")
+    assert lines[5:] == [
+        "~ tied: explains the motion as well",
+        f"ON_BOUNDS: {Status.ON_BOUNDS.message}",
+        f"NOT_FINITE: {Status.NOT_FINITE.message}",
+    ]
+    assert to_table(found[:1]).splitlines()[0] == "1 window"
+    with pytest.raises(ValueError, match="zip"):
+        to_table(found, windows=windows[:2])
+
+
+# JSON
+
+
+def strict(text: str) -> Any:
+    def refuse(constant: str) -> None:
+        pytest.fail(f"{constant} is not JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+def test_json_of_a_window() -> None:
+    projector = np.diag([0.0, 1.0, 0.0])
+    document = strict(to_json(identification(free_position=projector), label="door.csv"))
+    assert document["schema"] == "reframe-jax/identification/1"
+    (recording,) = document["recordings"]
+    assert (recording["recording"], recording["error"], recording["notes"]) == ("door.csv", None, [])
+    (window,) = recording["windows"]
+    assert {key: window[key] for key in ("index", "start", "stop_time", "status", "name", "label")} == {
+        "index": 0,
+        "start": None,
+        "stop_time": None,
+        "status": "OK",
+        "name": "Revolute joint",
+        "label": "A",
+    }
+    assert window["angular"]["type"] == "B"
+    assert window["angular"]["tied"] == ["G", "B"]
+    assert "position" not in window["angular"]
+    linear = window["linear"]
+    assert (linear["type"], linear["tied"]) == ("GB", ["GB"])
+    assert linear["position"] == [0.1, -0.25, 0.0]
+    assert linear["free_position"] == [[0.0, 1.0, 0.0]]
+    assert linear["dof"] == [0, 0, 0]
+    assert linear["free_rotation"] == [True, True, True]
+    np.testing.assert_allclose(linear["axes"], Rotation.from_rotvec(QUARTER).as_matrix().T, atol=1e-15)
+    assert list(window["candidates"]["angular"]) == ["G", "B"]
+    assert list(window["candidates"]["linear"]) == ["BB", "GB", "GG", "BG"]
+    candidate = window["candidates"]["linear"]["GG"]
+    assert candidate["norm"] == 3.0
+    assert candidate["free_position"] == []
+    assert (candidate["on_bounds"], candidate["agreement"]) == (False, 0.5)
+
+
+def test_json_of_a_batch_says_where_windows_are_and_has_no_nan() -> None:
+    odd = identification()
+    odd.linear.rms[2] = np.nan
+    odd.candidates.linear.norm[1] = np.inf
+    found = batch(odd, blank(identification(), Status.NOT_FINITE))
+    windows = [Window(0, 20, 0.0, 1.9), Window(10, 30, 1.0, 2.9)]
+    first, second = strict(to_json(found, windows=windows))["recordings"][0]["windows"]
+    assert (first["start"], first["stop"], first["start_time"], first["stop_time"]) == (0, 20, 0.0, 1.9)
+    assert first["linear"]["rms"] == [0.001, 0.002, None]
+    assert first["candidates"]["linear"]["GB"]["norm"] is None
+    assert (second["index"], second["start"], second["status"]) == (1, 10, "NOT_FINITE")
+    assert second["message"] == Status.NOT_FINITE.message
+    assert {second[key] for key in ("name", "label", "angular", "linear", "candidates")} == {None}
+
+
+def test_windows_of_every_axis_are_counted() -> None:
+    found = batch(batch(identification(), identification(LinearType.GG, (1, 1, 1), (0, 0, 1))))
+    names = [window["name"] for window in to_record(found)["windows"]]
+    assert names == ["Revolute joint", "Contour rolling"]
+
+
+def test_unnamed_constraints_have_no_label() -> None:
+    (window,) = to_record(identification(angular_dof=(1, 1, 1)))["windows"]
+    assert window["label"] is None
+    assert window["name"].startswith("Unnamed: 3 rotations, 0 translations")
+
+
+def test_recordings_that_failed_stay_in_the_document() -> None:
+    records = [to_record(None, label="a.csv", error="a.csv: is empty."), to_record(identification())]
+    first, second = strict(to_document(records))["recordings"]
+    assert (first["recording"], first["error"], first["windows"]) == ("a.csv", "a.csv: is empty.", [])
+    assert second["error"] is None
+
+
+# Velocities
+
+
+def test_velocities_of_a_frame_are_those_of_a_particle(rng: np.random.Generator) -> None:
+    """Axes in the ground, origin in the body: differences of the origin's path."""
+    poses = np.tile(np.eye(4), (12, 1, 1))
+    poses[:, :3, :3] = Rotation.from_rotvec(0.1 * rng.normal(size=(12, 3))).as_matrix()
+    poses[:, :3, 3] = rng.normal(size=(12, 3))
+    steps = rng.uniform(0.1, 0.2, 11)
+    found = identification(LinearType.GB)
+    angular, _ = frame_velocities(jnp.asarray(poses), jnp.asarray(steps), found, "left")
+    axes = Rotation.from_rotvec(QUARTER).as_matrix()
+    turns = np.swapaxes(poses[:-1, :3, :3], 1, 2) @ poses[1:, :3, :3]
+    rates = Rotation.from_matrix(turns).as_rotvec() / steps[:, None]
+    np.testing.assert_allclose(angular, rates @ axes, atol=1e-12)
+    _, linear = frame_velocities(jnp.asarray(poses), jnp.asarray(steps), found)
+    path = poses[:, :3, :3] @ found.linear.position + poses[:, :3, 3]
+    np.testing.assert_allclose(linear, np.diff(path, axis=0) / steps[:, None] @ axes, atol=1e-12)

@@ -1,0 +1,185 @@
+"""SE(3) against SciPy's matrix exponential, its series, and its own axioms."""
+
+from math import factorial
+
+import jax
+import jax.numpy as jnp
+import mpmath as mp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import expm
+
+from reframe_jax.transforms import (
+    adjoint,
+    make_pose,
+    pose_exp,
+    pose_inverse,
+    pose_left_jacobian,
+    pose_left_jacobian_inverse,
+    pose_log,
+)
+
+exp, log, inverse = jax.jit(pose_exp), jax.jit(pose_log), jax.jit(pose_inverse)
+jacobian, jacobian_inverse = jax.jit(pose_left_jacobian), jax.jit(pose_left_jacobian_inverse)
+
+
+def hat(w):
+    return np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
+
+
+def bracket(twist):
+    """[V], 4x4."""
+    return np.block([[hat(twist[:3]), twist[3:, None]], [np.zeros((1, 4))]])
+
+
+def unbracket(matrix):
+    return np.array([matrix[2, 1], matrix[0, 2], matrix[1, 0], *matrix[:3, 3]])
+
+
+def ad(twist):
+    """Matrix of the Lie bracket with a twist, 6x6."""
+    return np.block([[hat(twist[:3]), np.zeros((3, 3))], [hat(twist[3:]), hat(twist[:3])]])
+
+
+ANGLES = (0.0, 1e-9, 1e-4, 0.3, 0.999, 1.0, 1.001, 2.5, np.pi - 1e-4)
+
+
+def twists():
+    rng = np.random.default_rng(5)
+    axes = rng.normal(size=(len(ANGLES), 3))
+    axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
+    return np.concatenate([np.array(ANGLES)[:, None] * axes, rng.normal(size=(len(ANGLES), 3))], axis=-1)
+
+
+TWISTS = twists()
+
+
+def test_exp_against_scipy():
+    expected = np.stack([expm(bracket(x)) for x in TWISTS])
+    np.testing.assert_allclose(exp(jnp.asarray(TWISTS)), expected, atol=4e-15)
+
+
+def test_log_inverts_exp():
+    np.testing.assert_allclose(log(exp(jnp.asarray(TWISTS))), TWISTS, atol=4e-15)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-6, 3e-3, 0.03, 0.3, 1.0, 3.0])
+def test_translation_in_single_precision(angle):
+    """No loss of digits at any angle, against 50 digits on the same rounded twist."""
+    mp.mp.dps = 50
+    twist = np.array([0.6 * angle, 0, 0.8 * angle, 1, -1, 0.5], dtype=np.float32)
+    pose = exp(jnp.asarray(twist))
+    back = log(pose)
+    assert pose.dtype == back.dtype == np.float32
+    exact = mp.expm(mp.matrix(bracket(twist.astype(float)).tolist()))
+    np.testing.assert_allclose(pose, np.array(exact.tolist(), dtype=float), atol=2.5e-7)
+    np.testing.assert_allclose(back, twist, atol=6e-7, rtol=0)
+
+
+def test_inverse():
+    poses = exp(jnp.asarray(TWISTS))
+    np.testing.assert_allclose(inverse(poses) @ poses, np.broadcast_to(np.eye(4), poses.shape), atol=2e-15)
+    np.testing.assert_allclose(inverse(poses), exp(jnp.asarray(-TWISTS)), atol=2e-15)
+    np.testing.assert_array_equal(poses[:, 3], np.broadcast_to([0, 0, 0, 1], (len(TWISTS), 4)))
+
+
+def test_make_pose(rng):
+    rotation, position = rng.normal(size=(2, 5, 3, 3)), rng.normal(size=(2, 5, 3))
+    for dtype in (np.float32, np.float64):
+        pose = make_pose(jnp.asarray(rotation, dtype=dtype), jnp.asarray(position, dtype=dtype))
+        assert pose.shape == (2, 5, 4, 4)
+        assert pose.dtype == dtype
+        np.testing.assert_array_equal(pose[..., :3, :3], rotation.astype(dtype))
+        np.testing.assert_array_equal(pose[..., :3, 3], position.astype(dtype))
+
+
+def test_adjoint_carries_twists(rng):
+    """Ad(T) V is the twist of T [V] T^-1, and Ad is a homomorphism."""
+    poses = np.asarray(exp(jnp.asarray(TWISTS)))
+    matrices = np.asarray(jax.jit(adjoint)(jnp.asarray(poses)))
+    for pose, matrix in zip(poses, matrices, strict=True):
+        v = rng.normal(size=6)
+        carried = pose @ bracket(v) @ np.linalg.inv(pose)
+        np.testing.assert_allclose(matrix @ v, unbracket(carried), atol=4e-15)
+    products = np.asarray(adjoint(jnp.asarray(poses[:-1] @ poses[1:])))
+    np.testing.assert_allclose(matrices[:-1] @ matrices[1:], products, atol=1e-14)
+    inverses = np.asarray(adjoint(inverse(jnp.asarray(poses))))
+    np.testing.assert_allclose(inverses, np.linalg.inv(matrices), atol=1e-14)
+
+
+def test_left_jacobian_is_its_series():
+    found = jacobian(jnp.asarray(TWISTS))
+    for x, matrix in zip(TWISTS, found, strict=True):
+        term, total = np.eye(6), np.zeros((6, 6))
+        for n in range(40):
+            total = total + term / factorial(n + 1)
+            term = term @ ad(x)
+        np.testing.assert_allclose(matrix, total, atol=4e-15)
+
+
+def test_left_jacobian_is_the_derivative_of_exp():
+    """exp(x + h) = exp(J_l h) exp(x), by automatic and by central differences."""
+    rates = np.asarray(jax.jit(jax.vmap(jax.jacfwd(pose_exp)))(jnp.asarray(TWISTS)))
+    reverse = jax.jit(jax.vmap(jax.jacrev(pose_exp)))(jnp.asarray(TWISTS))
+    np.testing.assert_allclose(reverse, rates, atol=4e-15)
+    found = np.asarray(jacobian(jnp.asarray(TWISTS)))
+    for x, rate, matrix in zip(TWISTS, rates, found, strict=True):
+        pose, h = expm(bracket(x)), 1e-5
+        exact = np.stack([unbracket(rate[..., i] @ np.linalg.inv(pose)) for i in range(6)], axis=-1)
+        np.testing.assert_allclose(matrix, exact, atol=1e-14)
+        differences = [
+            unbracket((expm(bracket(x + e)) - expm(bracket(x - e))) / (2 * h) @ np.linalg.inv(pose))
+            for e in h * np.eye(6)
+        ]
+        np.testing.assert_allclose(matrix, np.stack(differences, axis=-1), atol=1e-9)
+
+
+def test_left_jacobian_inverse():
+    product = jacobian(jnp.asarray(TWISTS)) @ jacobian_inverse(jnp.asarray(TWISTS))
+    np.testing.assert_allclose(product, np.broadcast_to(np.eye(6), product.shape), atol=1e-14)
+
+
+@pytest.mark.parametrize(("dtype", "mode"), [(np.float64, jax.jacfwd), (np.float32, jax.jacrev)])
+def test_derivatives_of_log(dtype, mode):
+    """Along the group: the inverse left Jacobian, at the identity and near half turns too."""
+    x = np.concatenate([TWISTS, [[np.pi - 1e-6, 0, 0, 1, 2, 3]]]).astype(dtype)
+    poses = exp(jnp.asarray(x))
+
+    def moved(d, pose):
+        return pose_log(pose_exp(d) @ pose)
+
+    expected = jacobian_inverse(log(poses))
+    rates = jax.jit(jax.vmap(mode(moved)))(jnp.zeros_like(jnp.asarray(x)), poses)
+    assert rates.dtype == dtype
+    np.testing.assert_allclose(rates, expected, atol=60 * np.finfo(dtype).eps)
+
+
+def test_leading_axes(rng):
+    def everything(x):
+        pose = pose_exp(x)
+        return pose, pose_log(pose), pose_inverse(pose), adjoint(pose), pose_left_jacobian(x)
+
+    x = jnp.asarray(rng.normal(size=(2, 3, 6)))
+    together = jax.jit(everything)(x)
+    one = jax.jit(everything)
+    alone = [one(x[index]) for index in np.ndindex(2, 3)]
+    for i, batch in enumerate(together):
+        rows = np.stack([row[i] for row in alone]).reshape(batch.shape)
+        np.testing.assert_allclose(batch, rows, atol=2e-15)
+
+
+def random_twists():
+    return st.tuples(*[st.floats(-1.7, 1.7)] * 3, *[st.floats(-3, 3)] * 3).map(np.array)
+
+
+@settings(max_examples=60)
+@given(random_twists(), random_twists())
+def test_group_axioms(a, b):
+    """With rotations below pi each; the product may turn further and is stored as less."""
+    A, B = np.asarray(exp(a)), np.asarray(exp(b))
+    product = exp(log(A @ B))
+    np.testing.assert_allclose(product, A @ B, atol=2e-13)
+    np.testing.assert_allclose(inverse(A @ B), np.asarray(inverse(B)) @ np.asarray(inverse(A)), atol=1e-14)
+    np.testing.assert_allclose(exp(np.asarray(adjoint(jnp.asarray(A))) @ b), A @ B @ inverse(A), atol=2e-13)
