@@ -102,7 +102,9 @@ def anneal(poses: np.ndarray, seed: int, *, gradient: bool) -> tuple[np.ndarray,
     start = time.perf_counter()
     for (objective, dim), g in zip(problems, gradients, strict=True):
         bounds = [(-np.pi, np.pi)] * 3 + [(-1.0, 1.0)] * (dim - 3)
-        options = {} if g is None else {"minimizer_kwargs": {"method": "L-BFGS-B", "jac": g, "bounds": bounds}}
+        options = (
+            {} if g is None else {"minimizer_kwargs": {"method": "L-BFGS-B", "jac": g, "bounds": bounds}}
+        )
         result = dual_annealing(objective, bounds, maxiter=100, rng=seed, **options)
         norms.append(result.fun)
         if dim == 6:
@@ -186,7 +188,9 @@ def run(count: int, annealed: int) -> dict[str, float]:
             f"{name:26}{1e3 * per_window:>9.3f} ms{1 / per_window:>12.1f}{100 * missed:>13.2f} %"
             f"{worst:>12.4f}{error:>9.3f} mm"
         )
-    print(f"identify: first call {compiling:.1f} s longer (compilation); {rows[1][1] / rows[0][1]:.0f} x faster")
+    print(
+        f"identify: first call {compiling:.1f} s longer (compilation); {rows[1][1] / rows[0][1]:.0f} x faster"
+    )
     types, dof = [], []
     for i, label in enumerate(labels):
         truth = rf.ConstraintFrame.named(label)

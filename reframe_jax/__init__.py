@@ -23,8 +23,10 @@ from reframe_jax.frames import (
     lookup,
 )
 from reframe_jax.identify import default_solver, identify
+from reframe_jax.io import Recording, RecordingError, load_recording, save_recording
 from reframe_jax.kinematics import sliding_windows
 from reframe_jax.optimise import BasinHopping, NewtonSteps, OptaxSteps, ValleySteps
+from reframe_jax.report import frame_velocities, to_json, to_table
 from reframe_jax.results import AngularFrame, Candidates, Identification, LinearFrame
 from reframe_jax.validate import Status
 
@@ -44,13 +46,20 @@ __all__ = [
     "LinearType",
     "NewtonSteps",
     "OptaxSteps",
+    "Recording",
+    "RecordingError",
     "Status",
     "Thresholds",
     "ValleySteps",
     "constraint",
     "default_solver",
     "describe",
+    "frame_velocities",
     "identify",
+    "load_recording",
     "lookup",
+    "save_recording",
     "sliding_windows",
+    "to_json",
+    "to_table",
 ]

@@ -12,6 +12,7 @@ from reframe_jax.symmetric import INDEX_PAIRS
 __all__ = ["Thresholds", "degrees_of_freedom", "free_positions", "free_rotations", "tied_types"]
 
 _NOISE_MARGIN = 3.0
+_STILL_MARGIN = 2.0
 _TIE_DEVIATIONS = 3.0
 _NOISE_CORRELATION = 1.5  # variance of a mean square of differenced white noise, against white noise
 
@@ -42,16 +43,26 @@ def free_rotations(dof: jax.Array) -> jax.Array:
     return jnp.roll(dof, 1, axis=-1) == jnp.roll(dof, -1, axis=-1)
 
 
-def free_positions(moments: jax.Array, axes: jax.Array, dof: jax.Array, noise: jax.Array) -> jax.Array:
+def free_positions(
+    moments: jax.Array,
+    axes: jax.Array,
+    dof: jax.Array,
+    position: jax.Array,
+    still: jax.Array,
+    noise: jax.Array,
+) -> jax.Array:
     """Directions in which the origin can move without changing the velocity of constrained axes.
 
     Moving the origin by d changes the velocity by B d. The direction is free if what changes along
-    the constrained axes, per metre, is no more than the noise in the angular velocity.
+    the constrained axes, per metre, is no more than the noise in the angular velocity, and if moving
+    from the optimum to the centre of the motion changes them by no more than what they show already.
 
     Args:
         moments: (6, 10, ...).
         axes: (..., 3, 3), columns are the axes.
         dof: (..., 3).
+        position: (..., 3) m from the centre of the motion, the optimum.
+        still: (...) m/s, largest RMS of the constrained axes.
         noise: (...) rad/s, RMS of what counts as no rotation.
 
     Returns:
@@ -68,7 +79,10 @@ def free_positions(moments: jax.Array, axes: jax.Array, dof: jax.Array, noise: j
     basis = jnp.stack([jnp.stack(direction, axis=-1) for direction in directions], axis=-1)
     rounding = 64 * jnp.finfo(axes.dtype).eps * strengths[2]
     limit = jnp.maximum(jnp.square(_NOISE_MARGIN * noise), rounding)[..., None]
-    free = (jnp.stack(strengths, axis=-1) <= limit).astype(axes.dtype)
+    strength = jnp.stack(strengths, axis=-1)
+    change = strength * jnp.square((position[..., None, :] @ basis)[..., 0, :])
+    small = change <= jnp.square(_STILL_MARGIN * still)[..., None]
+    free = ((strength <= limit) & small).astype(axes.dtype)
     return (basis * free[..., None, :]) @ jnp.swapaxes(basis, -1, -2)
 
 

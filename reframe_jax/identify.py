@@ -39,8 +39,9 @@ __all__ = ["default_solver", "identify", "window_moments"]
 _CHUNK = 512  # windows searched at once: their moments stay in cache, and memory is bounded
 _FLOOR = 16  # of the covariance, in units of rounding: keeps noise-free windows positive definite
 
-_VALLEY = BasinHopping(ValleySteps(6), restarts=4, hops=4, refine=ValleySteps(16))
-_NEWTON = BasinHopping(NewtonSteps(15), restarts=8, hops=3, refine=NewtonSteps(30))
+_VALLEY = BasinHopping(ValleySteps(6), restarts=4, hops=4, polish=2)
+_NEWTON = BasinHopping(NewtonSteps(15), restarts=8, hops=3, polish=2)
+_NEAR = 1e-3  # of the box: closer than this to a face counts as on it
 
 
 def default_solver(norm: float = 0.0) -> BasinHopping:
@@ -111,7 +112,7 @@ def identify(
             discretization=discretization,
             solver=default_solver(exponent) if solver is None else solver,
         )
-    if host and not jax.config.jax_enable_x64:
+    if host and jax.dtypes.canonicalize_dtype(np.float64) != np.float64:
         found = jax.tree.map(_narrow, found)
     if not found.status_code.shape and not isinstance(found.status_code, jax.core.Tracer):
         status = Status(int(found.status_code))
@@ -222,7 +223,7 @@ def window_moments(
 def _with_floor(moments: jax.Array) -> jax.Array:
     """Moments with a multiple of the identity added to Sigma, relative to the speed of the window."""
     squares = [moments[i, j] for i in (0, 3, 5) for j in ((0,) if moments.shape[1] == 1 else (0, 4, 7, 9))]
-    floor = _FLOOR * jnp.finfo(moments.dtype).eps * jax.lax.stop_gradient(sum(squares))
+    floor = _FLOOR * jnp.finfo(moments.dtype).eps * jax.lax.stop_gradient(jnp.sum(jnp.stack(squares), axis=0))
     return moments.at[jnp.asarray([0, 3, 5]), 0].add(floor[None])
 
 
@@ -256,6 +257,9 @@ def _identify_windows(
     linear = _linear_candidates(linear_moments, thresholds, noise, box, key, exponent, solver)
     in_ground = jnp.asarray([t.position_body == AngularType.G for t in LinearType])
     origin = jnp.where(in_ground[None, :, None], centre[:, None], 0)
+    assert linear.position is not None
+    assert linear.free_position is not None
+    assert linear.on_bounds is not None
     linear = _replace(linear, position=origin + linear.position)
 
     def winner(norms: jax.Array) -> jax.Array:
@@ -269,8 +273,6 @@ def _identify_windows(
     angular_tied = tied_types(angular.rms, angular.dof, a, samples)
     # unless exactly two axes are free, both angular types express the same constraint (section 3.3)
     angular_tied = angular_tied | (jnp.sum(pick(angular.dof, a), axis=-1) != 2)[:, None]
-    assert linear.position is not None and linear.free_position is not None
-    assert linear.on_bounds is not None
     found = Identification(
         angular=AngularFrame(
             type_code=a,
@@ -345,11 +347,14 @@ def _linear_candidates(
     x = attach_derivative(solution.x, objective, box)
     rms, axes = _spectrum(objective.covariance(x))
     dof = degrees_of_freedom(rms, thresholds.linear)
-    free = jax.lax.stop_gradient(free_positions(moments, axes, dof, noise[:, None]))
-    # of all origins that give the same constraint, the one nearest to the centre of the motion
     at_minimum = jnp.moveaxis(x, 0, -1)
+    still = jnp.max(jnp.where(dof == 0, rms, 0), axis=-1)
+    free = jax.lax.stop_gradient(free_positions(moments, axes, dof, at_minimum, still, noise[:, None]))
+    # of all origins that give the same constraint, the one nearest to the centre of the motion
     position = at_minimum - (free @ at_minimum[..., None])[..., 0]
-    on_bounds = (position <= box.low[None, None]) | (position >= box.high[None, None])
+    low, high = box.low[None, None], box.high[None, None]
+    near = _NEAR * (high - low)
+    on_bounds = (position <= low + near) | (position >= high - near)
     return Candidates(
         rotvec=_orientation(axes, dof),
         dof=dof,

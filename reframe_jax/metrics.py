@@ -39,7 +39,7 @@ def _axis_error(rotvec: jax.Array, truth: jax.Array, dof: tuple[int, int, int]) 
     if odd is None:
         return jnp.full(rotvec.shape[:-1], jnp.nan, dtype=rotvec.dtype)
     found = rotation_exp(rotvec)[..., :, 2 if sum(dof) == 1 else 0]
-    true = jnp.broadcast_to(truth[..., :, odd], found.shape)
+    true = jnp.broadcast_to(truth[..., :, odd].astype(found.dtype), found.shape)
     # atan2 of sine and cosine: the arc cosine has no precision for small angles
     sine = jnp.linalg.norm(jnp.cross(found, true), axis=-1)
     return jnp.arctan2(sine, jnp.abs(jnp.sum(found * true, axis=-1)))
@@ -68,8 +68,8 @@ def geometry_errors(found: Identification, truth: ConstraintFrame) -> GeometryEr
         # the catalogue's components refer to its own order of the axes
         order = _matching_axes(entry.angular_dof, entry.linear_dof, truth)
         kept = [order[i] for i in kept]
-    miss = position - jnp.broadcast_to(truth.position, position.shape)
-    offset = jnp.einsum("...ji,...j->...i", truth.linear_axes, miss)
+    miss = position - jnp.broadcast_to(truth.position.astype(position.dtype), position.shape)
+    offset = jnp.einsum("...ji,...j->...i", truth.linear_axes.astype(position.dtype), miss)
     distance = jnp.linalg.norm(offset[..., kept], axis=-1) if kept else jnp.nan * position[..., 0]
     return GeometryErrors(
         angular=_axis_error(angular, truth.angular_axes, truth.angular_dof),

@@ -10,7 +10,6 @@ from enum import IntEnum
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax import rotations
@@ -29,6 +28,9 @@ from reframe_jax.validate import Status
 __all__ = ["AngularFrame", "Candidates", "Identification", "LinearFrame"]
 
 _ALIGNED = 15.0  # degrees within which two axes count as parallel or perpendicular
+
+
+_axes = jax.jit(rotations.rotation_exp)
 
 
 def _member(kind: type[IntEnum], code: jax.Array) -> Any:
@@ -239,9 +241,10 @@ class Identification:
         if sum(angular) not in (1, 2) or sum(linear) not in (1, 2):
             return kind, angular, linear, None
         # compare the axes in the body they share, the one the linear frame is oriented in
-        rotvecs = self.candidates.angular.rotvec[int(kind.orientation_body)], self.linear.rotvec
+        shared = np.asarray(self.candidates.angular.rotvec)[int(kind.orientation_body)]
+        rotvecs = shared, np.asarray(self.linear.rotvec)
         first, second = (
-            np.asarray(rotations.rotation_exp(jnp.asarray(rotvec)))[:, 2 if sum(dof) == 1 else 0]
+            np.asarray(_axes(rotvec))[:, 2 if sum(dof) == 1 else 0]
             for rotvec, dof in zip(rotvecs, (angular, linear), strict=True)
         )
         angle = np.degrees(np.arccos(min(1.0, abs(float(first @ second)))))

@@ -157,11 +157,11 @@ def test_irregular_times_give_the_same_frame(mixed):
 def test_the_answer_moves_with_the_ground_frame(mixed):
     shift = jnp.eye(4).at[:3, :3].set(rf.rotations.rotation_exp(jnp.asarray([0.4, -1.0, 0.8])))
     shift = shift.at[:3, 3].set(jnp.asarray([5.0, -3.0, 2.0]))
-    here, there = rf.identify(mixed, dt=0.1), rf.identify(shift @ mixed, dt=0.1)
+    here, there = rf.identify(mixed, dt=0.1), rf.identify(shift[None, None] @ mixed, dt=0.1)
     np.testing.assert_allclose(here.linear.norms, there.linear.norms, rtol=1e-5)
     l_type = np.asarray(here.linear.type_code)
     ground = (l_type == 2) | (l_type == 3)
-    moved = here.linear.position @ shift[:3, :3].T + shift[:3, 3]
+    moved = np.asarray(here.linear.position) @ np.asarray(shift[:3, :3]).T + np.asarray(shift[:3, 3])
     expected = np.where(ground[:, None], moved, here.linear.position)
     np.testing.assert_allclose(there.linear.position, expected, atol=1e-5)
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ from reframe_jax.optimise.seeds import quasi_random
 __all__ = ["BasinHopping", "LocalMinimiser", "Objective", "SearchState", "Solution", "Solver"]
 
 Objective = FrameObjective | PositionObjective
-LocalMinimiser = Callable[[Objective, Box, jax.Array], tuple[jax.Array, jax.Array]]
+LocalMinimiser = Callable[[Any, Box, jax.Array], tuple[jax.Array, jax.Array]]
 """(objective, box, x (dim, ...)) -> (x, value): an improvement of every problem by itself."""
 
 
@@ -48,7 +48,7 @@ class SearchState:
     """What :meth:`BasinHopping.step` carries from hop to hop.
 
     Attributes:
-        hop: steps made; the first minimises the starts, the others hop.
+        hop: steps made; see :meth:`BasinHopping.step`.
         key: of the random numbers to come.
         x, value: (dim, restarts, ...) and (restarts, ...): where each chain is.
         best_x, best_value: (dim, restarts, ...) and (restarts, ...): the best each chain has met.
@@ -67,15 +67,16 @@ class BasinHopping:
     """Basin hopping (Wales & Doye 1997) from quasi-random restarts.
 
     Every restart is a chain: minimise locally; then, ``hops`` times, jump, minimise locally, and move
-    there if it is better, or by Metropolis' rule if it is not. The best of all chains is refined at
-    the end. All problems see the same random numbers, so a problem's answer depends on its data and
-    the key alone, not on its place in a batch.
+    there if it is better, or by Metropolis' rule if it is not; at the end minimise ``polish`` times
+    more from its best point. All problems see the same random numbers, so a problem's answer depends
+    on its data and the key alone, not on its place in a batch.
 
     Attributes:
         inner: local minimiser, :class:`ValleySteps`, :class:`OptaxSteps` or your own.
         restarts: number of chains.
         hops: jumps of each chain.
-        refine: local minimiser of the final best point, or None.
+        polish: final minimisations of each chain, without a jump.
+        refine: another local minimiser for the best point of all chains, or None.
         hop_size: standard deviation of a jump, as a share of the box.
         temperature: of Metropolis' rule, in log J: 0.1 accepts a 10 % larger norm once in e times.
     """
@@ -83,6 +84,7 @@ class BasinHopping:
     inner: LocalMinimiser
     restarts: int = 8
     hops: int = 2
+    polish: int = 1
     refine: LocalMinimiser | None = None
     hop_size: float = 0.1
     temperature: float = 0.1
@@ -98,13 +100,17 @@ class BasinHopping:
         return SearchState(jnp.zeros((), jnp.int32), key, x, value, x, value)
 
     def step(self, objective: Objective, box: Box, state: SearchState) -> SearchState:
-        """Jump (but not before the first minimisation), minimise, and accept or stay: every chain."""
+        """One step of every chain: jump, minimise, and accept or stay.
+
+        The first step minimises the starts as they are, those after the last hop the best points.
+        """
         jump_key, accept_key, key = jax.random.split(state.key, 3)
         shape = (objective.dim, self.restarts, *([1] * (state.x.ndim - 2)))
         jump = self.hop_size * jax.random.normal(jump_key, shape, dtype=state.x.dtype)
         low, high = box.bounds(state.x)
-        started = (state.hop > 0).astype(state.x.dtype)
-        x, value = self._descend(objective, box, box.clip(state.x + (high - low) * jump * started))
+        hopped = box.clip(state.x + (high - low) * jump)
+        start = jnp.where(state.hop == 0, state.x, jnp.where(state.hop > self.hops, state.best_x, hopped))
+        x, value = self._descend(objective, box, start)
         chance = jax.random.uniform(accept_key, shape[1:], dtype=state.x.dtype)
         accept = value < state.value - self.temperature * jnp.log(chance)
         better = value < state.best_value
@@ -130,11 +136,11 @@ class BasinHopping:
         return Solution(x, value, jnp.mean(close.astype(value.dtype), axis=0))
 
     def minimise(self, objective: Objective, box: Box, key: jax.Array) -> Solution:
-        """The whole search: :meth:`init`, ``hops`` + 1 times :meth:`step`, :meth:`finish`."""
+        """The whole search: :meth:`init`, 1 + ``hops`` + ``polish`` times :meth:`step`, :meth:`finish`."""
         state, _ = jax.lax.scan(
             lambda state, _: (self.step(objective, box, state), None),
             self.init(objective, box, key),
-            length=self.hops + 1,
+            length=1 + self.hops + self.polish,
         )
         return self.finish(objective, box, state)
 

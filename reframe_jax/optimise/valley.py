@@ -104,7 +104,15 @@ class ValleySteps:
 
         Returns:
             The new origins and their values, (...).
+
+        Raises:
+            ValueError: for another objective or another exponent.
         """
+        if not isinstance(objective, PositionObjective) or objective.exponent != 0:
+            raise ValueError(
+                "ValleySteps minimise the geometric mean over positions (a PositionObjective of exponent "
+                "0); use NewtonSteps or OptaxSteps for other objectives."
+            )
         moments = objective.moments
         low, high = box.bounds(x)
 

@@ -1,0 +1,98 @@
+"""Derivatives of what ``identify`` returns, against finite differences of the search itself."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import reframe_jax as rf
+from reframe_jax import synthetic, transforms
+from reframe_jax.identify import default_solver
+
+# polished until the finite differences of the search itself are exact enough to compare with
+SOLVER = rf.BasinHopping(rf.ValleySteps(8), restarts=4, hops=3, polish=6)
+
+
+def perturbed(poses, tangent):
+    """Poses moved along body-fixed tangents (K+1, 6)."""
+    return poses @ transforms.pose_exp(tangent)
+
+
+def outputs(poses, free, linear_type, angular_type):
+    """All determined numbers of the frames of fixed types, flat."""
+    found = rf.identify(poses, dt=0.1, solver=SOLVER)
+    linear, angular = found.candidates.linear, found.candidates.angular
+    return {
+        "norms": jnp.concatenate([angular.norm, linear.norm[linear_type][None]]),
+        "rms": jnp.concatenate([angular.rms[angular_type], linear.rms[linear_type]]),
+        "position": linear.position[linear_type] - free @ linear.position[linear_type],
+        "axes": jnp.concatenate(
+            [
+                odd_axis(rf.rotations.rotation_exp(frames.rotvec[i]), frames.dof[i])
+                for frames, i in ((linear, linear_type), (angular, angular_type))
+            ]
+        ),
+    }
+
+
+def odd_axis(axes, dof):
+    """The unique axis, or zero where there is none."""
+    count = jnp.sum(dof)
+    unique = jnp.where(count == 1, axes[:, 2], axes[:, 0])
+    return jnp.where((count == 1) | (count == 2), unique, 0.0)
+
+
+@pytest.mark.parametrize("label", rf.CONSTRAINTS)
+def test_derivatives_match_finite_differences(label):
+    truth = rf.ConstraintFrame.named(label)
+    poses = synthetic.simulate(truth, jax.random.key(3), noise=3e-4).poses
+    found = rf.identify(poses, dt=0.1, solver=SOLVER)
+    linear_type, angular_type = int(truth.linear_type), int(truth.angular_type)
+    free = found.candidates.linear.free_position[linear_type]
+    direction = jnp.asarray(np.random.default_rng(1).normal(size=(51, 6)))
+
+    @jax.jit
+    def along(step):
+        return outputs(perturbed(poses, step * direction), free, linear_type, angular_type)
+
+    _, exact = jax.jvp(along, (jnp.zeros(()),), (jnp.ones(()),))
+    h = 1e-6
+    forward, backward = along(jnp.asarray(h)), along(jnp.asarray(-h))
+    for name, slope in exact.items():
+        finite = np.asarray(forward[name] - backward[name]) / (2 * h)
+        scale = np.max(np.abs(finite)) + 1e-3
+        np.testing.assert_allclose(np.asarray(slope) / scale, finite / scale, atol=2e-3, err_msg=name)
+
+
+def test_reverse_mode_agrees_with_forward_mode_under_jit_and_vmap():
+    truth = rf.ConstraintFrame.named("K")
+    keys = jax.random.split(jax.random.key(0), 3)
+    poses = jax.vmap(lambda key: synthetic.simulate(truth, key, noise=1e-4).poses)(keys)
+
+    def position(poses):
+        return rf.identify(poses, dt=0.1).linear.position[0]
+
+    gradient = jax.jit(jax.vmap(jax.grad(position)))(poses)
+    change = jnp.asarray(np.random.default_rng(2).normal(size=poses.shape)).at[:, :, 3].set(0)
+    _, forward = jax.jvp(jax.vmap(position), (poses,), (change,))
+    np.testing.assert_allclose(np.sum(np.asarray(gradient * change), axis=(1, 2, 3)), forward, rtol=1e-6)
+    assert np.all(np.isfinite(gradient))
+
+
+def test_what_is_free_contributes_nothing():
+    truth = rf.ConstraintFrame.named("B")
+    poses = synthetic.simulate(truth, jax.random.key(0), noise=1e-4).poses
+    jacobian = jax.jacrev(lambda p: rf.identify(p, dt=0.1).linear.position)(poses)
+    np.testing.assert_array_equal(jacobian, 0)
+
+
+def test_noise_free_windows_have_finite_derivatives():
+    for label in "AK":
+        poses = synthetic.simulate(rf.ConstraintFrame.named(label), jax.random.key(0)).poses
+        jacobian = jax.jacrev(lambda p: rf.identify(p, dt=0.1).linear.position)(poses)
+        assert np.all(np.isfinite(jacobian))
+
+
+def test_the_default_solver_is_hashable_and_stable():
+    assert default_solver() is default_solver()
+    assert hash(default_solver()) == hash(default_solver())
