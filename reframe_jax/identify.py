@@ -349,7 +349,7 @@ def _linear_candidates(
     dof = degrees_of_freedom(rms, thresholds.linear)
     at_minimum = jnp.moveaxis(x, 0, -1)
     still = jnp.max(jnp.where(dof == 0, rms, 0), axis=-1)
-    free = jax.lax.stop_gradient(free_positions(moments, axes, dof, at_minimum, still, noise[:, None]))
+    free = free_positions(moments, axes, dof, at_minimum, still, noise[:, None])
     # of all origins that give the same constraint, the one nearest to the centre of the motion
     position = at_minimum - (free @ at_minimum[..., None])[..., 0]
     low, high = box.low[None, None], box.high[None, None]

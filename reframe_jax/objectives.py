@@ -110,8 +110,9 @@ def axis_rms(rotvec: jax.Array, position: jax.Array | None, maps: jax.Array) -> 
     if position is None:
         velocity = maps
     else:
-        velocity = maps[..., 0] + (maps[..., 1:] @ position[..., None, :, None])[..., 0]
-    in_frame = velocity @ rotations.rotation_exp(rotvec)
+        velocity = maps[..., 0] + jnp.sum(maps[..., 1:] * position[..., None, None, :], axis=-1)
+    # see velocity_moments
+    in_frame = jnp.matmul(velocity, rotations.rotation_exp(rotvec), precision=jax.lax.Precision.HIGHEST)
     return _safe_sqrt(jnp.mean(in_frame**2, axis=-2))
 
 
