@@ -9,6 +9,8 @@ import reframe_jax as rf
 from reframe_jax import synthetic, transforms
 from reframe_jax.identify import default_solver
 
+pytestmark = pytest.mark.slow
+
 # polished until the finite differences of the search itself are exact enough to compare with
 SOLVER = rf.BasinHopping(rf.ValleySteps(8), restarts=4, hops=3, polish=6)
 

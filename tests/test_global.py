@@ -11,6 +11,8 @@ from reframe_jax.identify import default_solver, window_moments
 from reframe_jax.objectives import FrameObjective, PositionObjective
 from reframe_jax.optimise import Box
 
+pytestmark = pytest.mark.slow
+
 SEEDS = 12
 NOISES = np.logspace(-6, -3, 4)
 

@@ -118,6 +118,7 @@ def test_vmap_equals_loop_and_batch(mixed):
         same(single, batch[i])
 
 
+@pytest.mark.slow
 def test_any_batch_axes_and_sizes_beyond_one_chunk(mixed):
     shaped = rf.identify(mixed.reshape(3, 4, 51, 4, 4), dt=0.1)
     assert shaped.linear.rotvec.shape == (3, 4, 3)
@@ -155,6 +156,7 @@ def test_irregular_times_give_the_same_frame(mixed):
     assert found.linear.frame_type is rf.LinearType.GB
 
 
+@pytest.mark.slow
 def test_the_answer_moves_with_the_ground_frame(mixed):
     shift = jnp.eye(4).at[:3, :3].set(rf.rotations.rotation_exp(jnp.asarray([0.4, -1.0, 0.8])))
     shift = shift.at[:3, 3].set(jnp.asarray([5.0, -3.0, 2.0]))

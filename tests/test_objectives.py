@@ -54,7 +54,7 @@ class TestPowerMean:
             plain = np.mean(values**exponent, axis=-1) ** (1 / exponent)
             np.testing.assert_allclose(found, plain, rtol=1e-13)
 
-    @pytest.mark.parametrize("exponent", EXPONENTS)
+    @pytest.mark.parametrize("exponent", SOME_EXPONENTS)
     def test_leading_axes_scaling_and_order(self, exponent, rng):
         values = rng.uniform(0.1, 3, size=(2, 5, 3))
         found = np.asarray(power_mean(jnp.asarray(values), exponent))
@@ -73,7 +73,7 @@ class TestPowerMean:
             for sign in (1, -1):
                 np.testing.assert_allclose(power_mean(values, sign * tiny), means[4], rtol=20 * tiny + 1e-14)
 
-    @pytest.mark.parametrize("exponent", EXPONENTS)
+    @pytest.mark.parametrize("exponent", SOME_EXPONENTS)
     def test_zeros(self, exponent):
         values = np.array([[0.0, 1, 2], [0, 0, 3], [0, 0, 0]])
         found = np.asarray(power_mean(jnp.asarray(values), exponent))
@@ -87,7 +87,7 @@ class TestPowerMean:
             np.testing.assert_array_equal(slope, 0)
 
     @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-    @pytest.mark.parametrize("exponent", EXPONENTS)
+    @pytest.mark.parametrize("exponent", SOME_EXPONENTS)
     def test_extreme_values(self, exponent, dtype):
         """Nothing overflows on the way, in either precision."""
         values = np.array([[1e-30, 1e-30, 1e30], [1e-30, 1e30, 1e30], [1e-30, 2e-30, 3e-30]], dtype=dtype)

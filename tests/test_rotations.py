@@ -292,7 +292,7 @@ def rotation_vectors():
     return st.tuples(angles, axes).map(lambda t: t[0] * np.array(t[1]) / np.linalg.norm(t[1]))
 
 
-@settings(max_examples=150)
+@settings(max_examples=100)
 @given(rotation_vectors(), rotation_vectors(), rotation_vectors())
 def test_group_axioms(a, b, c):
     A, B, C = (np.asarray(exp(x)) for x in (a, b, c))
