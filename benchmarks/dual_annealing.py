@@ -25,9 +25,9 @@ from scipy.optimize import dual_annealing
 
 import reframe_jax as rf
 from reframe_jax import kinematics, metrics, synthetic
-from reframe_jax.identify import window_moments
 from reframe_jax.objectives import FrameObjective, PositionObjective
 from reframe_jax.optimise import Box
+from reframe_jax.windows import window_moments
 
 DT = 0.1
 MISS = 1.001

@@ -1,9 +1,13 @@
 """The main entry: poses in, constraint frames out.
 
-poses -> velocity maps -> moments -> optimum of every type -> classification -> Identification
+This module checks the input and sends the windows to the processor; what is computed is in
+:mod:`reframe_jax.windows`.
 """
 
 import contextlib
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
@@ -11,37 +15,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax import kinematics, rotations, symmetric
-from reframe_jax.classify import (
-    Thresholds,
-    degrees_of_freedom,
-    free_positions,
-    free_rotations,
-    tied_types,
-)
-from reframe_jax.frames import AngularType, LinearType
-from reframe_jax.implicit import attach_derivative
+from reframe_jax.classify import Thresholds
+from reframe_jax.compilation import CPU_OPTIONS, chunk_size, traced
 from reframe_jax.kinematics import Discretization
-from reframe_jax.moments import covariance_at, velocity_moments
-from reframe_jax.objectives import PositionObjective, check_exponent, log_power_mean
+from reframe_jax.objectives import check_exponent
 from reframe_jax.optimise import BasinHopping, Box, NewtonSteps, Solver, ValleySteps
-from reframe_jax.results import (
-    AllCandidates,
-    AngularFrame,
-    Candidates,
-    Identification,
-    LinearFrame,
-)
-from reframe_jax.validate import MIN_VELOCITIES, Status, window_status
+from reframe_jax.results import Identification
+from reframe_jax.validate import MIN_VELOCITIES, Status
+from reframe_jax.windows import identify_windows
 
-__all__ = ["default_solver", "identify", "window_moments"]
+__all__ = ["default_solver", "identify"]
 
-_CHUNK = 512  # windows searched at once: their moments stay in cache, and memory is bounded
-_FLOOR = 16  # of the covariance, in units of rounding: keeps noise-free windows positive definite
+_PIECE = 8  # chunks that one thread computes in one call
 
 _VALLEY = BasinHopping(ValleySteps(6), restarts=4, hops=4, polish=2)
 _NEWTON = BasinHopping(NewtonSteps(15), restarts=8, hops=3, polish=2)
-_NEAR = 1e-3  # of the box: closer than this to a face counts as on it
 
 
 def default_solver(norm: float = 0.0) -> BasinHopping:
@@ -94,38 +82,57 @@ def identify(
             if its poses or times are unusable. In a batch such windows get a ``status`` instead.
     """
     exponent = check_exponent(norm)
-    host = not isinstance(poses, jax.Array) and np.asarray(poses).dtype == np.float64
-    wide = jax.enable_x64(True) if host else contextlib.nullcontext()
-    with wide:
-        poses = jnp.asarray(poses)
-        if not jnp.issubdtype(poses.dtype, jnp.floating):
-            poses = poses.astype(float)
+    inside_a_trace = traced((poses, times, dt, thresholds, bounds, key))
+    host = not isinstance(poses, jax.Array)
+    if host:
+        poses = np.asarray(poses)
+        poses = poses if np.issubdtype(poses.dtype, np.floating) else poses.astype(float)
+    wide = host and poses.dtype == np.float64
+    with jax.enable_x64(True) if wide else contextlib.nullcontext():
         steps = _steps(poses, times, dt)
-        box = _box(bounds, poses.dtype)
-        found = _identify(
-            poses,
-            steps,
-            jax.tree.map(lambda t: jnp.asarray(t, dtype=poses.dtype), thresholds),
-            box,
-            jax.random.key(0) if key is None else key,
+        dtype = jax.dtypes.canonicalize_dtype(poses.dtype)
+        options = (
+            jax.tree.map(lambda t: _as_dtype(t, dtype), thresholds),
+            _box(bounds, dtype),
+            key,
+        )
+        run = partial(
+            _compiled_for_cpu if jax.default_backend() == "cpu" and not inside_a_trace else _compiled,
             exponent=exponent,
             discretization=discretization,
             solver=default_solver(exponent) if solver is None else solver,
         )
-    if host and jax.dtypes.canonicalize_dtype(np.float64) != np.float64:
+        batch = poses.shape[:-3]
+        if inside_a_trace or not batch or 0 in batch:
+            found = run(poses, steps, *options)
+        else:
+            windows = poses.reshape(-1, *poses.shape[-3:])
+            steps = steps if steps.ndim == 1 else steps.reshape(-1, steps.shape[-1])
+            found = _in_pieces(lambda *piece: run(*piece, *options), windows, steps)
+            if len(batch) > 1:
+                found = jax.tree.map(lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), found)
+    if wide and not _in_float64():
         found = jax.tree.map(_narrow, found)
-    if not found.status_code.shape and not isinstance(found.status_code, jax.core.Tracer):
+    if not batch and not inside_a_trace:
         status = Status(int(found.status_code))
         if status.failed:
             raise ValueError(status.message)
     return found
 
 
+def _in_float64() -> bool:
+    return bool(jax.dtypes.canonicalize_dtype(np.float64) == np.float64)
+
+
+def _as_dtype(value: Any, dtype: np.dtype) -> Any:
+    return value.astype(dtype) if isinstance(value, jax.Array) else np.asarray(value, dtype)
+
+
 def _narrow(leaf: jax.Array) -> jax.Array:
     return jnp.asarray(np.asarray(leaf, np.float32)) if leaf.dtype == np.float64 else leaf
 
 
-def _steps(poses: jax.Array, times: Any, dt: Any) -> jax.Array:
+def _steps(poses: Any, times: Any, dt: Any) -> Any:
     """Sample time of every step, (K,) or (..., K), after checking the shapes."""
     if poses.ndim < 3 or poses.shape[-2:] != (4, 4):
         raise ValueError(f"poses must have shape (..., K+1, 4, 4), not {poses.shape}.")
@@ -138,262 +145,104 @@ def _steps(poses: jax.Array, times: Any, dt: Any) -> jax.Array:
     if (times is None) == (dt is None):
         raise ValueError("Give either times, (..., K+1), or the sample time dt, in seconds.")
     if times is not None:
-        times = jnp.asarray(times)
+        # differences first: seconds since 1970 do not fit float32
+        times = times if isinstance(times, jax.Array) else np.asarray(times)
         if times.shape not in ((samples + 1,), (*batch, samples + 1)):
             raise ValueError(
                 f"times must have shape ({samples + 1},) or {(*batch, samples + 1)}, one per pose, "
                 f"not {times.shape}."
             )
-        return jnp.diff(times, axis=-1).astype(poses.dtype)
-    dt = jnp.asarray(dt, dtype=poses.dtype)
+        return times[..., 1:] - times[..., :-1]
+    dt = dt if isinstance(dt, jax.Array) else np.asarray(dt)
     if dt.shape not in ((), (samples,), (*batch, samples)):
         raise ValueError(
             f"dt must be a scalar or have shape ({samples},) or {(*batch, samples)}, one per step, "
             f"not {dt.shape}."
         )
-    return jnp.broadcast_to(dt, (samples,)) if dt.ndim == 0 else dt
+    return dt[None].repeat(samples) if dt.ndim == 0 else dt
 
 
 def _box(bounds: Any, dtype: np.dtype) -> Box:
-    if isinstance(bounds, tuple):
-        low, high = (jnp.asarray(bound, dtype=dtype) for bound in bounds)
-    else:
-        high = jnp.asarray(bounds, dtype=dtype)
-        low = -high
+    low, high = bounds if isinstance(bounds, tuple) else (-bounds, bounds)
+    low, high = _as_dtype(low, dtype), _as_dtype(high, dtype)
     if low.shape not in ((), (3,)) or high.shape not in ((), (3,)):
         raise ValueError("bounds must be a length in m, or (low, high) with a number or (3,) each.")
-    if not isinstance(low, jax.core.Tracer) and not np.all(np.asarray(low) < np.asarray(high)):
+    if not traced((low, high)) and not np.all(np.asarray(low) < np.asarray(high)):
         raise ValueError(f"bounds must span a box: low < high, not {low} and {high}.")
-    return Box(jnp.broadcast_to(low, (3,)), jnp.broadcast_to(high, (3,)))
+    ones = np.ones(3, dtype)
+    return Box(low * ones, high * ones)
 
 
-@partial(jax.jit, static_argnames=("exponent", "discretization", "solver"))
+def _in_pieces(run: Callable[..., Identification], windows: Any, steps: Any) -> Identification:
+    """Run N windows in pieces of one of two sizes, so that batches of every size share two compilations.
+
+    The pieces are spread over all processors. The last one is filled with its last window.
+    """
+    count, chunk = len(windows), chunk_size()
+    size = chunk if count <= chunk else _PIECE * chunk
+    precise = _in_float64()
+
+    def piece(start: int) -> Identification:
+        rows = np.minimum(np.arange(start, start + size), count - 1)
+        whole = rows[-1] - rows[0] == size - 1
+        part = slice(start, start + size) if whole else rows
+        with jax.enable_x64(precise):  # JAX's settings belong to a thread
+            found = run(windows[part], steps if steps.ndim == 1 else steps[part])
+            return jax.block_until_ready(found)
+
+    starts = range(0, count, size)
+    pieces = [piece(0)]  # compiles
+    if len(starts) > 1:
+        with ThreadPoolExecutor(_workers()) as pool:
+            pieces += pool.map(piece, starts[1:])
+    if len(pieces) == 1 and size == count:
+        return pieces[0]
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts)[:count], *pieces)
+
+
+def _workers() -> int:
+    """Threads to use: the processors this process may run on, or one to feed an accelerator."""
+    if jax.default_backend() != "cpu":
+        return 1
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def _identify(
     poses: jax.Array,
     steps: jax.Array,
     thresholds: Thresholds,
     box: Box,
-    key: jax.Array,
+    key: jax.Array | None,
     *,
     exponent: float,
     discretization: Discretization,
     solver: Solver,
 ) -> Identification:
-    """Flatten the batch and go through it in chunks."""
+    """Identify (..., K+1, 4, 4) poses, chunk by chunk."""
+    key = jax.random.key(0) if key is None else key
+    batch, shared = poses.shape[:-3], steps.ndim == 1
+    flat = poses.reshape(-1, *poses.shape[-3:])
+    steps = steps.astype(poses.dtype)
+    steps = steps if shared else steps.reshape(-1, steps.shape[-1])
 
     def of_windows(poses: jax.Array, steps: jax.Array) -> Identification:
-        return _identify_windows(poses, steps, thresholds, box, key, exponent, discretization, solver)
+        return identify_windows(poses, steps, thresholds, box, key, exponent, discretization, solver)
 
-    batch = poses.shape[:-3]
-    flat = poses.reshape(-1, *poses.shape[-3:])
-    shared = steps.ndim == 1
-    flat_steps = steps if shared else steps.reshape(-1, steps.shape[-1])
-    count = flat.shape[0]
-    if count <= _CHUNK:
-        found = of_windows(flat, flat_steps)
+    count, chunk = flat.shape[0], chunk_size()
+    if count <= chunk:
+        found = of_windows(flat, steps)
     else:
-        chunks = -(-count // _CHUNK)
-        fill = np.minimum(np.arange(chunks * _CHUNK), count - 1)  # the last window pads the last chunk
-        split = flat if shared else (flat, flat_steps)
-        split = jax.tree.map(lambda a: a[fill].reshape(chunks, _CHUNK, *a.shape[1:]), split)
-        found = jax.lax.map(lambda chunk: of_windows(chunk, steps) if shared else of_windows(*chunk), split)
+        chunks = -(-count // chunk)
+        split = flat if shared else (flat, steps)
+        if chunks * chunk > count:  # the last window fills the last chunk
+            fill = np.minimum(np.arange(chunks * chunk), count - 1)
+            split = jax.tree.map(lambda a: a[fill], split)
+        split = jax.tree.map(lambda a: a.reshape(chunks, chunk, *a.shape[1:]), split)
+        found = jax.lax.map(lambda part: of_windows(part, steps) if shared else of_windows(*part), split)
         found = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:count], found)
     return jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), found)
 
 
-def window_moments(
-    poses: jax.Array, steps: jax.Array, discretization: Discretization = "chord"
-) -> tuple[jax.Array, jax.Array]:
-    """What a window leaves for the search: moments of its angular and linear velocities.
-
-    Args:
-        poses: (..., K+1, 4, 4), m.
-        steps: (K,) or (..., K) sample times, s.
-        discretization: see :func:`reframe_jax.kinematics.linear_velocity_maps`.
-
-    Returns:
-        Angular moments (6, 1, ..., 2) and linear moments (6, 10, ..., 4), the last axis over frame
-        types. A floor of a few roundings is added to the covariance, below which nothing can be told.
-    """
-    linear = velocity_moments(kinematics.linear_velocity_maps(poses, steps, discretization))
-    rates = kinematics.angular_velocities(poses, steps, discretization)
-    return _with_floor(velocity_moments(rates[..., None])), _with_floor(linear)
-
-
-def _with_floor(moments: jax.Array) -> jax.Array:
-    """Moments with a multiple of the identity added to Sigma, relative to the speed of the window."""
-    squares = [moments[i, j] for i in (0, 3, 5) for j in ((0,) if moments.shape[1] == 1 else (0, 4, 7, 9))]
-    floor = _FLOOR * jnp.finfo(moments.dtype).eps * jax.lax.stop_gradient(jnp.sum(jnp.stack(squares), axis=0))
-    return moments.at[jnp.asarray([0, 3, 5]), 0].add(floor[None])
-
-
-def _identify_windows(
-    poses: jax.Array,
-    steps: jax.Array,
-    thresholds: Thresholds,
-    box: Box,
-    key: jax.Array,
-    exponent: float,
-    discretization: Discretization,
-    solver: Solver,
-) -> Identification:
-    """Identify (N, K+1, 4, 4) poses."""
-    samples = poses.shape[-3] - 1
-    status = window_status(poses, steps)
-    failed = status >= 10
-    # a failed window computes with harmless numbers, so that no NaN enters a derivative
-    poses = jnp.where(failed[:, None, None, None], jnp.eye(4, dtype=poses.dtype)[None, None], poses)
-    steps = jnp.where(jnp.isfinite(steps) & (steps > 0), steps, 1)
-    centre = jax.lax.stop_gradient(jnp.mean(poses[:, :, :3, 3], axis=1))
-    centred = poses.at[:, :, :3, 3].add(-centre[:, None])
-    angular_moments, linear_moments = window_moments(centred, steps, discretization)
-    unit = jnp.asarray([1, 0, 0, 1, 0, 1], dtype=poses.dtype)
-    angular_moments = jnp.where(failed[:, None], unit[:, None, None, None], angular_moments)
-    linear_moments = jnp.where(failed[:, None], unit[:, None, None, None], linear_moments)
-
-    angular = _angular_candidates(angular_moments, thresholds, exponent)
-    # rotation about axes that are classified as constrained is taken for noise
-    noise = jnp.min(jnp.max(jnp.where(angular.dof == 0, angular.rms, 0), axis=-1), axis=-1)
-    linear = _linear_candidates(linear_moments, thresholds, noise, box, key, exponent, solver)
-    in_ground = jnp.asarray([t.position_body == AngularType.G for t in LinearType])
-    origin = jnp.where(in_ground[None, :, None], centre[:, None], 0)
-    assert linear.position is not None
-    assert linear.free_position is not None
-    assert linear.on_bounds is not None
-    linear = _replace(linear, position=origin + linear.position)
-
-    def winner(norms: jax.Array) -> jax.Array:
-        return jnp.argmin(norms, axis=-1).astype(jnp.int32)
-
-    def pick(array: jax.Array, index: jax.Array) -> jax.Array:
-        index = index.reshape(*index.shape, *([1] * (array.ndim - index.ndim)))
-        return jnp.take_along_axis(array, index, axis=1)[:, 0]
-
-    a, n = winner(angular.norm), winner(linear.norm)
-    angular_tied = tied_types(angular.rms, angular.dof, a, samples)
-    # unless exactly two axes are free, both angular types express the same constraint (section 3.3)
-    angular_tied = angular_tied | (jnp.sum(pick(angular.dof, a), axis=-1) != 2)[:, None]
-    found = Identification(
-        angular=AngularFrame(
-            type_code=a,
-            rotvec=pick(angular.rotvec, a),
-            dof=pick(angular.dof, a),
-            rms=pick(angular.rms, a),
-            norm=pick(angular.norm, a),
-            norms=angular.norm,
-            tied=angular_tied,
-            free_rotation=pick(angular.free_rotation, a),
-        ),
-        linear=LinearFrame(
-            type_code=n,
-            rotvec=pick(linear.rotvec, n),
-            position=pick(linear.position, n),
-            dof=pick(linear.dof, n),
-            rms=pick(linear.rms, n),
-            norm=pick(linear.norm, n),
-            norms=linear.norm,
-            tied=tied_types(linear.rms, linear.dof, n, samples),
-            free_rotation=pick(linear.free_rotation, n),
-            free_position=pick(linear.free_position, n),
-        ),
-        candidates=AllCandidates(angular=angular, linear=linear),
-        status_code=jnp.zeros_like(status),
-    )
-    still = jnp.sum(found.angular.dof, axis=-1) + jnp.sum(found.linear.dof, axis=-1) == 0
-    outcome = jnp.where(pick(linear.on_bounds, n), Status.ON_BOUNDS, Status.OK)
-    outcome = jnp.where(still, Status.NOT_EXCITED, outcome)
-    found = jax.tree.map(partial(_blank, failed), found)
-    return _replace(found, status_code=jnp.where(failed, status, outcome.astype(jnp.int32)))
-
-
-def _blank(failed: jax.Array, leaf: jax.Array) -> jax.Array:
-    """NaN, zero or false in the failed windows."""
-    empty = jnp.nan if jnp.issubdtype(leaf.dtype, jnp.floating) else 0
-    wrong = failed.reshape(failed.shape + (1,) * (leaf.ndim - 1))
-    return jnp.where(wrong, jnp.asarray(empty, dtype=leaf.dtype), leaf)
-
-
-def _replace(record: Any, **changes: Any) -> Any:
-    return type(record)(**{**vars(record), **changes})
-
-
-def _angular_candidates(moments: jax.Array, thresholds: Thresholds, exponent: float) -> Candidates:
-    zero = jnp.zeros_like(moments[0, 0])
-    rms, axes = _spectrum(covariance_at(moments, (zero, zero, zero)))
-    dof = degrees_of_freedom(rms, thresholds.angular)
-    return Candidates(
-        rotvec=_orientation(axes, dof),
-        dof=dof,
-        rms=rms,
-        norm=_norm(rms, exponent),
-        free_rotation=free_rotations(dof),
-    )
-
-
-def _linear_candidates(
-    moments: jax.Array,
-    thresholds: Thresholds,
-    noise: jax.Array,
-    box: Box,
-    key: jax.Array,
-    exponent: float,
-    solver: Solver,
-) -> Candidates:
-    """Search the position of every type; the axes follow from it."""
-    objective = PositionObjective(moments, exponent)
-    solution = jax.tree.map(
-        jax.lax.stop_gradient, solver.minimise(jax.lax.stop_gradient(objective), box, key)
-    )
-    x = attach_derivative(solution.x, objective, box)
-    rms, axes = _spectrum(objective.covariance(x))
-    dof = degrees_of_freedom(rms, thresholds.linear)
-    at_minimum = jnp.moveaxis(x, 0, -1)
-    still = jnp.max(jnp.where(dof == 0, rms, 0), axis=-1)
-    free = free_positions(moments, axes, dof, at_minimum, still, noise[:, None])
-    # of all origins that give the same constraint, the one nearest to the centre of the motion
-    position = at_minimum - (free @ at_minimum[..., None])[..., 0]
-    low, high = box.low[None, None], box.high[None, None]
-    near = _NEAR * (high - low)
-    on_bounds = (position <= low + near) | (position >= high - near)
-    return Candidates(
-        rotvec=_orientation(axes, dof),
-        dof=dof,
-        rms=rms,
-        norm=_norm(rms, exponent),
-        free_rotation=free_rotations(dof),
-        position=position,
-        free_position=free,
-        on_bounds=jnp.any(on_bounds, axis=-1),
-        agreement=solution.agreement,
-    )
-
-
-def _norm(rms: jax.Array, exponent: float) -> jax.Array:
-    return jnp.exp(log_power_mean(jnp.moveaxis(jnp.log(rms), -1, 0), exponent))
-
-
-def _spectrum(covariance: symmetric.Symmetric) -> tuple[jax.Array, jax.Array]:
-    """RMS along the principal axes, (..., 3) ascending, and the axes as columns, (..., 3, 3).
-
-    Right-handed, the largest component of the first and third axis positive.
-    """
-    variances, (first, _, third) = symmetric.eigh(covariance)
-    tiny = jnp.finfo(covariance[0].dtype).tiny
-    rms = jnp.sqrt(jnp.maximum(jnp.stack(variances, axis=-1), tiny))
-
-    def upright(axis: symmetric.Vector) -> jax.Array:
-        vector = jnp.stack(axis, axis=-1)
-        largest = jnp.take_along_axis(vector, jnp.argmax(jnp.abs(vector), axis=-1)[..., None], axis=-1)
-        return jnp.where(largest < 0, -vector, vector)
-
-    one, three = upright(first), upright(third)
-    return rms, jnp.stack([one, jnp.cross(three, one), three], axis=-1)
-
-
-def _orientation(axes: jax.Array, dof: jax.Array) -> jax.Array:
-    """Rotation vector of the axes; turning axes of one kind into each other contributes no derivative."""
-    fixed = jax.lax.stop_gradient(axes)
-    turn = jnp.swapaxes(fixed, -1, -2) @ axes
-    at_rest = jax.lax.stop_gradient(turn)
-    distinct = (dof[..., :, None] != dof[..., None, :]).astype(axes.dtype)
-    return rotations.rotation_log(fixed @ (at_rest + distinct * (turn - at_rest)))
+_STATIC = ("exponent", "discretization", "solver")
+_compiled = jax.jit(_identify, static_argnames=_STATIC)
+_compiled_for_cpu = jax.jit(_identify, static_argnames=_STATIC, compiler_options=CPU_OPTIONS)

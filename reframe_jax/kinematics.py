@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax import rotations, transforms
+from reframe_jax.compilation import once
 
 __all__ = [
     "Discretization",
@@ -137,15 +138,16 @@ def _without_brackets(means: jax.Array, dt: jax.Array, spatial: bool) -> jax.Arr
         spatial: whether they are spatial or body twists.
     """
     weights, h = _derivative_weights(dt), dt[..., None]
-    first = _derivative(weights, means)
-    second = _derivative(weights, first)
+    first = once(_derivative(weights, means))
+    second = once(_derivative(weights, first))
     turn = 1.0 if spatial else -1.0
     # from the mean to the middle of the step; steps of unequal length jump in this, so no derivative
     # may be taken of anything that still has a factor h in it
     middle = means - h**2 / 24 * second + turn * h**2 / 12 * _bracket(means, first)
     a1, a2 = h * middle, h**2 * _derivative(weights, middle)
     a3, a4 = h**3 / 2 * second, h**4 / 6 * _derivative(weights, second)
-    a12 = _bracket(a1, a2)
+    a1, a2, a3, a4 = once((a1, a2, a3, a4))
+    a12 = once(_bracket(a1, a2))
     # the terms above, grouped by their outer factor
     in_first = turn * a12 / 720 + a3 / 360
     first_bracket = _bracket(a1, _bracket(a1, in_first) - turn * (a2 / 12 + a4 / 80))
@@ -159,8 +161,8 @@ def _twists(
     """Body and spatial twists that stand for every step, (..., K, 6) each."""
     if discretization not in ("chord", "left"):
         raise ValueError(f"discretization must be 'chord' or 'left', not {discretization!r}.")
-    body = body_twists(poses, dt)
-    spatial = _to_ground(poses, body)
+    body = once(body_twists(poses, dt))
+    spatial = once(_to_ground(poses, body))
     if discretization == "left":
         return body, spatial
     steps = _step_times(dt, poses)

@@ -10,6 +10,7 @@ three incommensurate sines along every free axis make the truth the only optimum
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -179,15 +180,19 @@ def _runge_kutta(
 ) -> jax.Array:
     """One step of the fourth-order Runge-Kutta-Munthe-Kaas method for dT/dt = T [V(t, T)]."""
 
-    def rate(x: jax.Array, t: jax.Array) -> jax.Array:
+    def stage(carry: tuple[jax.Array, jax.Array], weights: jax.Array) -> tuple[Any, None]:
+        slope, total = carry
+        share, weight = weights
+        x = share * h * slope
         # T exp(x): the twist V is dx/dt through the right Jacobian, J_r(x) = J_l(-x)
-        return transforms.pose_left_jacobian_inverse(-x) @ twist(t, pose @ transforms.pose_exp(x))
+        here = twist(t + share * h, pose @ transforms.pose_exp(x))
+        slope = transforms.pose_left_jacobian_inverse(-x) @ here
+        return (slope, total + weight * slope), None
 
-    k1 = twist(t, pose)
-    k2 = rate(h / 2 * k1, t + h / 2)
-    k3 = rate(h / 2 * k2, t + h / 2)
-    k4 = rate(h * k3, t + h)
-    return pose @ transforms.pose_exp(h / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
+    zero = jnp.zeros(6, dtype=pose.dtype)
+    tableau = jnp.asarray([[0, 1 / 6], [1 / 2, 1 / 3], [1 / 2, 1 / 3], [1, 1 / 6]], dtype=pose.dtype)
+    (_, slope), _ = jax.lax.scan(stage, (zero, zero), tableau)
+    return pose @ transforms.pose_exp(h * slope)
 
 
 @partial(jax.jit, static_argnames="rotation_ratio")

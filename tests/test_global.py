@@ -7,9 +7,10 @@ import pytest
 
 import reframe_jax as rf
 from reframe_jax import synthetic
-from reframe_jax.identify import default_solver, window_moments
+from reframe_jax.identify import default_solver
 from reframe_jax.objectives import FrameObjective, PositionObjective
 from reframe_jax.optimise import Box
+from reframe_jax.windows import window_moments
 
 pytestmark = pytest.mark.slow
 

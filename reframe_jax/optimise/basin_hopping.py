@@ -7,6 +7,8 @@ from typing import Any, Protocol
 import jax
 import jax.numpy as jnp
 
+from reframe_jax.compilation import chunk_size
+from reframe_jax.frames import LinearType
 from reframe_jax.objectives import FrameObjective, PositionObjective
 from reframe_jax.optimise.box import Box
 from reframe_jax.optimise.seeds import quasi_random
@@ -145,7 +147,12 @@ class BasinHopping:
         return self.finish(objective, box, state)
 
     def _descend(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Local minimisation of every chain, one chain after the other over all problems."""
+        """Local minimisation of every chain: at once if problems are few, else one after the other."""
+        if x[0].size <= chunk_size() * len(LinearType):
+            chains = jax.tree.map(
+                lambda m: jnp.broadcast_to(m[:, :, None], (*m.shape[:2], *x.shape[1:])), objective
+            )
+            return self._inner(chains, box, x)
         x, value = jax.lax.map(lambda start: self._inner(objective, box, start), jnp.moveaxis(x, 1, 0))
         return jnp.moveaxis(x, 0, 1), value
 

@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax import symmetric
+from reframe_jax.compilation import once
 from reframe_jax.moments import MONOMIALS, covariance_at, covariance_gradient
 from reframe_jax.objectives import PositionObjective
 from reframe_jax.optimise.box import Box
@@ -40,10 +41,10 @@ def derivatives(moments: jax.Array, p: Vector) -> tuple[Vector, Symmetric, Symme
 
     With W = Sigma^-1: g_a = tr(W Sigma_a), A_ab = tr(W Sigma_ab), H_ab = A_ab - tr(W Sigma_a W Sigma_b).
     """
-    sigma = covariance_at(moments, p)
+    sigma = once(covariance_at(moments, p))
     scale = 1 / symmetric.determinant(sigma)
     w = cast(Symmetric, tuple(scale * c for c in symmetric.adjugate(sigma)))
-    slopes = covariance_gradient(moments, p)
+    w, slopes = once((w, covariance_gradient(moments, p)))
     gradient = cast(Vector, tuple(symmetric.trace_product(w, slope) for slope in slopes))
     products = [_product(w, slope) for slope in slopes]
     curvature, hessian = [], []
@@ -54,7 +55,7 @@ def derivatives(moments: jax.Array, p: Vector) -> tuple[Vector, Symmetric, Symme
         coupling = sum(products[a][i][j] * products[b][j][i] for i in range(3) for j in range(3))
         curvature.append(majorant)
         hessian.append(majorant - coupling)
-    return gradient, cast(Symmetric, tuple(curvature)), cast(Symmetric, tuple(hessian))
+    return once((gradient, cast(Symmetric, tuple(curvature)), cast(Symmetric, tuple(hessian))))
 
 
 def _product(a: Symmetric, b: Symmetric) -> list[list[jax.Array]]:
@@ -131,20 +132,24 @@ class ValleySteps:
             trace = curvature[0] + curvature[3] + curvature[5]
             down = symmetric.solve(_hold(curvature, held, trace), g)
             newton = symmetric.solve(_hold(hessian, held, trace), g)
+            down, newton = once((down, newton))
             slope = sum((newton[i] * g[i] for i in range(3)), jnp.zeros_like(best))
             chosen = p
             lengths = [1 / (1 + slope / m) for m in (1.0, 2.0, 3.0)]
-            candidates = [(down, _room(p, down, low, high)), (down, jnp.ones_like(best))]
+            room, lengths = once((_room(p, down, low, high), lengths))
+            candidates = [(down, room), (down, jnp.ones_like(best))]
             candidates += [(newton, length) for length in (jnp.ones_like(best), *lengths)]
             for direction, length in candidates:
                 trial = cast(
                     Vector,
                     tuple(jnp.clip(p[i] - length * direction[i], low[i], high[i]) for i in range(3)),
                 )
-                value = determinant(trial)
+                trial = once(trial)
+                value = once(determinant(trial))
                 better = value < best  # false for NaN
                 best = jnp.where(better, value, best)
                 chosen = cast(Vector, tuple(jnp.where(better, trial[i], chosen[i]) for i in range(3)))
+                best, chosen = once((best, chosen))
             return (chosen, best), None
 
         start: Vector = (x[0], x[1], x[2])

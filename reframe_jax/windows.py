@@ -1,0 +1,248 @@
+"""Identification of windows that have been checked: a pure function of arrays.
+
+poses -> velocity maps -> moments -> optimum of every type -> classification -> Identification
+"""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from reframe_jax import kinematics, rotations, symmetric
+from reframe_jax.classify import (
+    Thresholds,
+    degrees_of_freedom,
+    free_positions,
+    free_rotations,
+    tied_types,
+)
+from reframe_jax.compilation import once
+from reframe_jax.frames import AngularType, LinearType
+from reframe_jax.implicit import attach_derivative
+from reframe_jax.kinematics import Discretization
+from reframe_jax.moments import covariance_at, velocity_moments
+from reframe_jax.objectives import PositionObjective, log_power_mean
+from reframe_jax.optimise import Box, Solver
+from reframe_jax.results import (
+    AllCandidates,
+    AngularFrame,
+    Candidates,
+    Identification,
+    LinearFrame,
+)
+from reframe_jax.validate import Status, window_status
+
+__all__ = ["identify_windows", "window_moments"]
+
+_FLOOR = 16  # of the covariance, in units of rounding: keeps noise-free windows positive definite
+_NEAR = 1e-3  # of the box: closer than this to a face counts as on it
+
+
+def window_moments(
+    poses: jax.Array, steps: jax.Array, discretization: Discretization = "chord"
+) -> tuple[jax.Array, jax.Array]:
+    """What a window leaves for the search: moments of its angular and linear velocities.
+
+    Args:
+        poses: (..., K+1, 4, 4), m.
+        steps: (K,) or (..., K) sample times, s.
+        discretization: see :func:`reframe_jax.kinematics.linear_velocity_maps`.
+
+    Returns:
+        Angular moments (6, 1, ..., 2) and linear moments (6, 10, ..., 4), the last axis over frame
+        types. A floor of a few roundings is added to the covariance, below which nothing can be told.
+    """
+    linear = velocity_moments(kinematics.linear_velocity_maps(poses, steps, discretization))
+    rates = kinematics.angular_velocities(poses, steps, discretization)
+    return _with_floor(velocity_moments(rates[..., None])), _with_floor(linear)
+
+
+def _with_floor(moments: jax.Array) -> jax.Array:
+    """Moments with a multiple of the identity added to Sigma, relative to the speed of the window."""
+    squares = [moments[i, j] for i in (0, 3, 5) for j in ((0,) if moments.shape[1] == 1 else (0, 4, 7, 9))]
+    floor = _FLOOR * jnp.finfo(moments.dtype).eps * jax.lax.stop_gradient(jnp.sum(jnp.stack(squares), axis=0))
+    return moments.at[jnp.asarray([0, 3, 5]), 0].add(floor[None])
+
+
+def identify_windows(
+    poses: jax.Array,
+    steps: jax.Array,
+    thresholds: Thresholds,
+    box: Box,
+    key: jax.Array,
+    exponent: float,
+    discretization: Discretization,
+    solver: Solver,
+) -> Identification:
+    """Identify windows whose shapes and options have been checked, all at once.
+
+    Args:
+        poses: (N, K+1, 4, 4), m.
+        steps: (K,) or (N, K) sample times, s.
+        thresholds: see :class:`reframe_jax.Thresholds`.
+        box: where positions are searched, m.
+        key: of the solver's random numbers.
+        exponent: of the power mean over axes.
+        discretization: see :func:`reframe_jax.kinematics.linear_velocity_maps`.
+        solver: search for the position.
+    """
+    samples = poses.shape[-3] - 1
+    status = window_status(poses, steps)
+    failed = status >= 10
+    # a failed window computes with harmless numbers, so that no NaN enters a derivative
+    poses = jnp.where(failed[:, None, None, None], jnp.eye(4, dtype=poses.dtype)[None, None], poses)
+    steps = jnp.where(jnp.isfinite(steps) & (steps > 0), steps, 1)
+    centre = jax.lax.stop_gradient(jnp.mean(poses[:, :, :3, 3], axis=1))
+    centred = poses.at[:, :, :3, 3].add(-centre[:, None])
+    angular_moments, linear_moments = once(window_moments(once(centred), steps, discretization))
+    unit = jnp.asarray([1, 0, 0, 1, 0, 1], dtype=poses.dtype)
+    angular_moments = jnp.where(failed[:, None], unit[:, None, None, None], angular_moments)
+    linear_moments = jnp.where(failed[:, None], unit[:, None, None, None], linear_moments)
+
+    angular = _angular_candidates(angular_moments, thresholds, exponent)
+    # rotation about axes that are classified as constrained is taken for noise
+    noise = jnp.min(jnp.max(jnp.where(angular.dof == 0, angular.rms, 0), axis=-1), axis=-1)
+    linear = _linear_candidates(linear_moments, thresholds, noise, box, key, exponent, solver)
+    in_ground = jnp.asarray([t.position_body == AngularType.G for t in LinearType])
+    origin = jnp.where(in_ground[None, :, None], centre[:, None], 0)
+    assert linear.position is not None
+    assert linear.free_position is not None
+    assert linear.on_bounds is not None
+    linear = _replace(linear, position=origin + linear.position)
+
+    def winner(norms: jax.Array) -> jax.Array:
+        return jnp.argmin(norms, axis=-1).astype(jnp.int32)
+
+    def pick(array: jax.Array, index: jax.Array) -> jax.Array:
+        index = index.reshape(*index.shape, *([1] * (array.ndim - index.ndim)))
+        return jnp.take_along_axis(array, index, axis=1)[:, 0]
+
+    a, n = winner(angular.norm), winner(linear.norm)
+    angular_tied = tied_types(angular.rms, angular.dof, a, samples)
+    # unless exactly two axes are free, both angular types express the same constraint (section 3.3)
+    angular_tied = angular_tied | (jnp.sum(pick(angular.dof, a), axis=-1) != 2)[:, None]
+    found = Identification(
+        angular=AngularFrame(
+            type_code=a,
+            rotvec=pick(angular.rotvec, a),
+            dof=pick(angular.dof, a),
+            rms=pick(angular.rms, a),
+            norm=pick(angular.norm, a),
+            norms=angular.norm,
+            tied=angular_tied,
+            free_rotation=pick(angular.free_rotation, a),
+        ),
+        linear=LinearFrame(
+            type_code=n,
+            rotvec=pick(linear.rotvec, n),
+            position=pick(linear.position, n),
+            dof=pick(linear.dof, n),
+            rms=pick(linear.rms, n),
+            norm=pick(linear.norm, n),
+            norms=linear.norm,
+            tied=tied_types(linear.rms, linear.dof, n, samples),
+            free_rotation=pick(linear.free_rotation, n),
+            free_position=pick(linear.free_position, n),
+        ),
+        candidates=AllCandidates(angular=angular, linear=linear),
+        status_code=jnp.zeros_like(status),
+    )
+    still = jnp.sum(found.angular.dof, axis=-1) + jnp.sum(found.linear.dof, axis=-1) == 0
+    outcome = jnp.where(pick(linear.on_bounds, n), Status.ON_BOUNDS, Status.OK)
+    outcome = jnp.where(still, Status.NOT_EXCITED, outcome)
+    found = jax.tree.map(partial(_blank, failed), found)
+    return _replace(found, status_code=jnp.where(failed, status, outcome.astype(jnp.int32)))
+
+
+def _blank(failed: jax.Array, leaf: jax.Array) -> jax.Array:
+    """NaN, zero or false in the failed windows."""
+    empty = jnp.nan if jnp.issubdtype(leaf.dtype, jnp.floating) else 0
+    wrong = failed.reshape(failed.shape + (1,) * (leaf.ndim - 1))
+    return jnp.where(wrong, jnp.asarray(empty, dtype=leaf.dtype), leaf)
+
+
+def _replace(record: Any, **changes: Any) -> Any:
+    return type(record)(**{**vars(record), **changes})
+
+
+def _angular_candidates(moments: jax.Array, thresholds: Thresholds, exponent: float) -> Candidates:
+    zero = jnp.zeros_like(moments[0, 0])
+    rms, axes = _spectrum(covariance_at(moments, (zero, zero, zero)))
+    dof = degrees_of_freedom(rms, thresholds.angular)
+    return Candidates(
+        rotvec=_orientation(axes, dof),
+        dof=dof,
+        rms=rms,
+        norm=_norm(rms, exponent),
+        free_rotation=free_rotations(dof),
+    )
+
+
+def _linear_candidates(
+    moments: jax.Array,
+    thresholds: Thresholds,
+    noise: jax.Array,
+    box: Box,
+    key: jax.Array,
+    exponent: float,
+    solver: Solver,
+) -> Candidates:
+    """Search the position of every type; the axes follow from it."""
+    objective = PositionObjective(moments, exponent)
+    solution = jax.tree.map(
+        jax.lax.stop_gradient, solver.minimise(jax.lax.stop_gradient(objective), box, key)
+    )
+    x = attach_derivative(solution.x, objective, box)
+    rms, axes = _spectrum(objective.covariance(x))
+    dof = degrees_of_freedom(rms, thresholds.linear)
+    at_minimum = jnp.moveaxis(x, 0, -1)
+    still = jnp.max(jnp.where(dof == 0, rms, 0), axis=-1)
+    free = free_positions(moments, axes, dof, at_minimum, still, noise[:, None])
+    # of all origins that give the same constraint, the one nearest to the centre of the motion
+    position = at_minimum - (free @ at_minimum[..., None])[..., 0]
+    low, high = box.low[None, None], box.high[None, None]
+    near = _NEAR * (high - low)
+    on_bounds = (position <= low + near) | (position >= high - near)
+    return Candidates(
+        rotvec=_orientation(axes, dof),
+        dof=dof,
+        rms=rms,
+        norm=_norm(rms, exponent),
+        free_rotation=free_rotations(dof),
+        position=position,
+        free_position=free,
+        on_bounds=jnp.any(on_bounds, axis=-1),
+        agreement=solution.agreement,
+    )
+
+
+def _norm(rms: jax.Array, exponent: float) -> jax.Array:
+    return jnp.exp(log_power_mean(jnp.moveaxis(jnp.log(rms), -1, 0), exponent))
+
+
+def _spectrum(covariance: symmetric.Symmetric) -> tuple[jax.Array, jax.Array]:
+    """RMS along the principal axes, (..., 3) ascending, and the axes as columns, (..., 3, 3).
+
+    Right-handed, the largest component of the first and third axis positive.
+    """
+    variances, (first, _, third) = symmetric.eigh(covariance)
+    tiny = jnp.finfo(covariance[0].dtype).tiny
+    rms = jnp.sqrt(jnp.maximum(jnp.stack(variances, axis=-1), tiny))
+
+    def upright(axis: symmetric.Vector) -> jax.Array:
+        vector = jnp.stack(axis, axis=-1)
+        largest = jnp.take_along_axis(vector, jnp.argmax(jnp.abs(vector), axis=-1)[..., None], axis=-1)
+        return jnp.where(largest < 0, -vector, vector)
+
+    one, three = upright(first), upright(third)
+    return rms, jnp.stack([one, jnp.cross(three, one), three], axis=-1)
+
+
+def _orientation(axes: jax.Array, dof: jax.Array) -> jax.Array:
+    """Rotation vector of the axes; turning axes of one kind into each other contributes no derivative."""
+    fixed = jax.lax.stop_gradient(axes)
+    turn = jnp.swapaxes(fixed, -1, -2) @ axes
+    at_rest = jax.lax.stop_gradient(turn)
+    distinct = (dof[..., :, None] != dof[..., None, :]).astype(axes.dtype)
+    return rotations.rotation_log(fixed @ (at_rest + distinct * (turn - at_rest)))
