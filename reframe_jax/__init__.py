@@ -10,6 +10,7 @@ is attached to, where it lies, and along which axes the velocity is zero (Overbe
     print(found.name, found.linear.frame_type, found.linear.position)
 """
 
+from reframe_jax.batch import identify_many, load_results
 from reframe_jax.classify import Thresholds
 from reframe_jax.frames import (
     CONSTRAINTS,
@@ -25,6 +26,7 @@ from reframe_jax.frames import (
 from reframe_jax.identify import default_solver, identify
 from reframe_jax.io import Recording, RecordingError, load_recording, save_recording
 from reframe_jax.kinematics import sliding_windows
+from reframe_jax.online import OnlineIdentifier
 from reframe_jax.optimise import BasinHopping, NewtonSteps, OptaxSteps, ValleySteps
 from reframe_jax.report import frame_velocities, to_json, to_table
 from reframe_jax.results import AngularFrame, Candidates, Identification, LinearFrame
@@ -45,6 +47,7 @@ __all__ = [
     "LinearFrame",
     "LinearType",
     "NewtonSteps",
+    "OnlineIdentifier",
     "OptaxSteps",
     "Recording",
     "RecordingError",
@@ -56,7 +59,9 @@ __all__ = [
     "describe",
     "frame_velocities",
     "identify",
+    "identify_many",
     "load_recording",
+    "load_results",
     "lookup",
     "save_recording",
     "sliding_windows",

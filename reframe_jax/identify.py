@@ -112,7 +112,7 @@ def identify(
             if len(batch) > 1:
                 found = jax.tree.map(lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), found)
     if wide and not _in_float64():
-        found = jax.tree.map(_narrow, found)
+        found = jax.device_put(jax.tree.map(_narrow, jax.device_get(found)))
     if not batch and not inside_a_trace:
         status = Status(int(found.status_code))
         if status.failed:
@@ -128,8 +128,8 @@ def _as_dtype(value: Any, dtype: np.dtype) -> Any:
     return value.astype(dtype) if isinstance(value, jax.Array) else np.asarray(value, dtype)
 
 
-def _narrow(leaf: jax.Array) -> jax.Array:
-    return jnp.asarray(np.asarray(leaf, np.float32)) if leaf.dtype == np.float64 else leaf
+def _narrow(leaf: np.ndarray) -> np.ndarray:
+    return leaf.astype(np.float32) if leaf.dtype == np.float64 else leaf
 
 
 def _steps(poses: Any, times: Any, dt: Any) -> Any:

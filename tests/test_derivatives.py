@@ -1,5 +1,7 @@
 """Derivatives of what ``identify`` returns, against finite differences of the search itself."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,12 +9,14 @@ import pytest
 
 import reframe_jax as rf
 from reframe_jax import synthetic, transforms
+from reframe_jax.compilation import CPU_OPTIONS
 from reframe_jax.identify import default_solver
-
-pytestmark = pytest.mark.slow
 
 # polished until the finite differences of the search itself are exact enough to compare with
 SOLVER = rf.BasinHopping(rf.ValleySteps(8), restarts=4, hops=3, polish=6)
+
+
+compiled = functools.partial(jax.jit, compiler_options=CPU_OPTIONS)
 
 
 def perturbed(poses, tangent):
@@ -45,14 +49,16 @@ def odd_axis(axes, dof):
     return jnp.where((count == 1) | (count == 2), unique, 0.0)
 
 
-@jax.jit
-def along(step, poses, direction, linear_type, angular_type):
+def moved(step, poses, direction, linear_type, angular_type):
     return outputs(perturbed(poses, step * direction), linear_type, angular_type)
 
 
-@jax.jit
+along = compiled(moved)
+
+
+@compiled
 def slope_along(step, *arguments):
-    return jax.jvp(lambda step: along(step, *arguments), (step,), (jnp.ones(()),))[1]
+    return jax.jvp(lambda step: moved(step, *arguments), (step,), (jnp.ones(()),))[1]
 
 
 @pytest.mark.parametrize("label", rf.CONSTRAINTS)
@@ -84,25 +90,28 @@ def test_reverse_mode_agrees_with_forward_mode_under_jit_and_vmap():
     def position(poses):
         return rf.identify(poses, dt=0.1).linear.position[0]
 
-    gradient = jax.jit(jax.vmap(jax.grad(position)))(poses)
+    gradient = compiled(jax.vmap(jax.grad(position)))(poses)
     change = jnp.asarray(np.random.default_rng(2).normal(size=poses.shape)).at[:, :, 3].set(0)
-    _, forward = jax.jvp(jax.vmap(position), (poses,), (change,))
+    _, forward = compiled(lambda *a: jax.jvp(jax.vmap(position), a[:1], a[1:]))(poses, change)
     np.testing.assert_allclose(np.sum(np.asarray(gradient * change), axis=(1, 2, 3)), forward, rtol=1e-6)
     assert np.all(np.isfinite(gradient))
+
+
+@compiled
+def position_jacobian(poses):
+    return jax.jacrev(lambda p: rf.identify(p, dt=0.1).linear.position)(poses)
 
 
 def test_what_is_free_contributes_nothing():
     truth = rf.ConstraintFrame.named("B")
     poses = synthetic.simulate(truth, jax.random.key(0), noise=1e-4).poses
-    jacobian = jax.jacrev(lambda p: rf.identify(p, dt=0.1).linear.position)(poses)
-    np.testing.assert_allclose(jacobian, 0, atol=1e-9)
+    np.testing.assert_allclose(position_jacobian(poses), 0, atol=1e-9)
 
 
 def test_noise_free_windows_have_finite_derivatives():
     for label in "AK":
         poses = synthetic.simulate(rf.ConstraintFrame.named(label), jax.random.key(0)).poses
-        jacobian = jax.jacrev(lambda p: rf.identify(p, dt=0.1).linear.position)(poses)
-        assert np.all(np.isfinite(jacobian))
+        assert np.all(np.isfinite(position_jacobian(poses)))
 
 
 def test_the_default_solver_is_hashable_and_stable():

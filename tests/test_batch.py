@@ -1,0 +1,124 @@
+"""Any number of windows: parts, resuming, and what is refused."""
+
+import subprocess
+import sys
+import textwrap
+
+import jax
+import numpy as np
+import pytest
+
+import reframe_jax as rf
+from reframe_jax import synthetic
+
+pytest.importorskip("pyarrow")
+
+
+@pytest.fixture(scope="module")
+def windows():
+    """(40, 21, 4, 4): enough for three parts, the last one smaller."""
+    keys = jax.random.split(jax.random.key(0), 40)
+    simulate = jax.vmap(lambda key: synthetic.simulate("K", key, noise=1e-4, duration=2.0).poses)
+    return np.asarray(jax.jit(simulate)(keys))
+
+
+@pytest.fixture(scope="module")
+def expected(windows):
+    return jax.device_get(rf.identify(windows, dt=0.1))
+
+
+def equal(a, b):
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        assert x.dtype == y.dtype
+        np.testing.assert_array_equal(x, y)
+
+
+def test_parts_hold_what_identify_returns(windows, expected, tmp_path):
+    seen = []
+    folder = rf.identify_many(
+        windows, tmp_path / "out", dt=0.1, part_size=16, progress=lambda *counts: seen.append(counts)
+    )
+    assert seen == [(16, 40), (32, 40), (40, 40)]
+    found = rf.load_results(folder)
+    assert jax.tree.structure(found) == jax.tree.structure(expected)
+    np.testing.assert_array_equal(found.name, expected.name)
+    for x, y in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(x, y, rtol=1e-5, atol=1e-6)
+
+
+def test_an_interrupted_run_resumes_and_ends_with_the_same_bytes(windows, tmp_path):
+    whole = rf.identify_many(windows, tmp_path / "whole", dt=0.1, part_size=16)
+
+    def killed(done, total):
+        if done == 16:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        rf.identify_many(windows, tmp_path / "resumed", dt=0.1, part_size=16, progress=killed)
+    first = tmp_path / "resumed" / "part-00000000.parquet"
+    before = first.stat().st_mtime_ns
+    # from another kind of source, and with a file that a killed writer left behind
+    (tmp_path / "resumed" / ".part-00000001.parquet.1").write_bytes(b"half")
+    resumed = rf.identify_many(iter(windows), tmp_path / "resumed", dt=0.1, part_size=16)
+    assert first.stat().st_mtime_ns == before
+    equal(rf.load_results(whole), rf.load_results(resumed))
+
+
+def test_machines_can_share_the_parts(windows, tmp_path):
+    whole = rf.identify_many(windows, tmp_path / "whole", dt=0.1, part_size=16)
+    rf.identify_many(windows, tmp_path / "shared", dt=0.1, part_size=16, parts=[0, 2])
+    with pytest.raises(ValueError, match=r"parts \[1\] are missing"):
+        rf.load_results(tmp_path / "shared")
+    rf.identify_many(windows, tmp_path / "shared", dt=0.1, part_size=16, parts=[1])
+    equal(rf.load_results(whole), rf.load_results(tmp_path / "shared"))
+
+
+def test_memory_mapped_windows_and_times_of_every_window(windows, expected, tmp_path):
+    np.save(tmp_path / "windows.npy", windows)
+    mapped = np.load(tmp_path / "windows.npy", mmap_mode="r")
+    times = np.tile(0.1 * np.arange(21), (40, 1))
+    found = rf.load_results(rf.identify_many(mapped, tmp_path / "out", times=times, part_size=16))
+    np.testing.assert_allclose(found.linear.norm, expected.linear.norm, rtol=1e-6)
+
+
+def test_a_bad_window_is_stored_with_its_status(windows, tmp_path):
+    bad = windows[:16].copy()
+    bad[3, 4] = np.nan
+    found = rf.load_results(rf.identify_many(bad, tmp_path / "out", dt=0.1))
+    assert np.flatnonzero(found.status_code).tolist() == [3]
+    assert found.status_code[3] == rf.Status.NOT_FINITE
+
+
+def test_other_windows_or_options_are_not_mixed_in(windows, tmp_path):
+    out = tmp_path / "out"
+    rf.identify_many(windows[:16], out, dt=0.1)
+    with pytest.raises(ValueError, match=r"other options \(bounds\)"):
+        rf.identify_many(windows[:16], out, dt=0.1, bounds=0.5)
+    with pytest.raises(ValueError, match="results of other windows"):
+        rf.identify_many(windows[1:17], out, dt=0.1)
+    with pytest.raises(ValueError, match="results of other windows"):
+        rf.identify_many(windows[:16], out, dt=0.2)
+
+
+def test_bad_input_is_refused_in_words(windows, tmp_path):
+    with pytest.raises(ValueError, match="window 1 has"):
+        rf.identify_many([windows[0], windows[1, :9]], tmp_path / "a", dt=0.1)
+    with pytest.raises(ValueError, match="as many rows"):
+        rf.identify_many(windows, tmp_path / "b", times=np.zeros((39, 21)))
+    with pytest.raises(ValueError, match="part_size"):
+        rf.identify_many(windows, tmp_path / "c", dt=0.1, part_size=0)
+    with pytest.raises(ValueError, match="no results"):
+        rf.load_results(tmp_path)
+
+
+def test_float64_is_kept_where_jax_is_set_to_float32(windows, expected, tmp_path):
+    script = """
+        import sys, numpy as np, reframe_jax as rf
+        rf.identify_many(np.load(sys.argv[1]), sys.argv[2], dt=0.1, part_size=16)
+    """
+    np.save(tmp_path / "windows.npy", windows[:16])
+    arguments = [str(tmp_path / "windows.npy"), str(tmp_path / "out")]
+    subprocess.run([sys.executable, "-c", textwrap.dedent(script), *arguments], check=True)
+    found = rf.load_results(tmp_path / "out")
+    assert found.linear.norm.dtype == np.float64
+    np.testing.assert_allclose(found.linear.norm, expected.linear.norm[:16], rtol=1e-9)

@@ -1,0 +1,48 @@
+"""A stream of poses gives the same frames as its windows."""
+
+import jax
+import numpy as np
+import pytest
+
+import reframe_jax as rf
+from reframe_jax import synthetic
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return synthetic.simulate("A", jax.random.key(1), noise=1e-4, duration=3.0)
+
+
+def test_every_push_identifies_the_last_window(recording):
+    online = rf.OnlineIdentifier(21, dt=0.1)
+    poses = np.asarray(recording.poses)
+    found = [online.push(pose) for pose in poses]
+    assert found[:20] == [None] * 20
+    assert len(online) == 21
+    for last in (20, 21, 30):
+        window = rf.identify(poses[last - 20 : last + 1], dt=0.1)
+        np.testing.assert_array_equal(found[last].linear.position, window.linear.position)
+        assert found[last].name == window.name
+
+
+def test_a_refused_pose_is_not_added(recording):
+    online = rf.OnlineIdentifier(21)
+    poses, times = np.asarray(recording.poses), np.asarray(recording.times)
+    for pose, time in zip(poses[:20], times[:20], strict=True):
+        assert online.push(pose, time) is None
+    for bad, time, words in (
+        (poses[20], times[19], "Times must increase"),
+        (poses[20], None, "Give a time"),
+        (np.full((4, 4), np.nan), times[20], "finite"),
+        (np.eye(3), times[20], "finite"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            online.push(bad, time)
+    found = online.push(poses[20], times[20])
+    window = rf.identify(poses[:21], times=times[:21])
+    np.testing.assert_array_equal(found.linear.position, window.linear.position)
+
+
+def test_a_window_too_short_is_refused():
+    with pytest.raises(ValueError, match="at least 5 poses"):
+        rf.OnlineIdentifier(4)
