@@ -1,9 +1,9 @@
 """A Franka arm under constraints, in MJX: demonstrations in bulk.
 
-    from reframe_jax import panda
+from reframe_jax import panda
 
-    made = panda.demonstrate("K", jax.random.key(0), batch=64)
-    found = rf.identify(made.poses, times=made.times)
+made = panda.demonstrate("K", jax.random.key(0), batch=64)
+found = rf.identify(made.poses, times=made.times)
 """
 
 from reframe_jax.panda.demonstration import (

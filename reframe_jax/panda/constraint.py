@@ -152,9 +152,7 @@ def slip(before: Located, now: Located) -> jax.Array:
     return jnp.concatenate([_times(now.angular_axes.T, turn), _times(axes.T, step)])
 
 
-def moved(
-    frame: Frame, turn: jax.Array, shift: jax.Array, rotation: jax.Array, position: jax.Array
-) -> Frame:
+def moved(frame: Frame, turn: jax.Array, shift: jax.Array, rotation: jax.Array, position: jax.Array) -> Frame:
     """A frame turned and shifted in the world while the body is at a pose; both its parts turn alike.
 
     Args:

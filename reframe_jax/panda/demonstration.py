@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -14,10 +14,12 @@ import numpy as np
 from reframe_jax import rotations, transforms
 from reframe_jax.frames import ConstraintFrame
 from reframe_jax.panda.constraint import Frame, frame_arrays, moved, placed
-from reframe_jax.panda.guide import Excitation, Guide, excitation_named, guide_drive, make_hand
+from reframe_jax.panda.guide import Guide, excitation_named, guide_drive, make_hand
 from reframe_jax.panda.imperfections import Imperfections, measure
+from reframe_jax.panda.mechanism import Joints, integrate_welded, mechanism_joints
 from reframe_jax.panda.model import PANDA, Arm, arm_named, forward_kinematics
 from reframe_jax.panda.rollout import Track, hold, integrate
+from reframe_jax.synthetic import Excitation
 
 __all__ = [
     "SPREAD",
@@ -26,6 +28,7 @@ __all__ = [
     "demonstrate",
     "demonstrations",
     "frame_on_arm",
+    "sampling",
 ]
 
 SPREAD = (0.4, 0.02)
@@ -151,6 +154,7 @@ def demonstrate(
     dt: float = 0.05,
     step: float = 0.01,
     excitation: str | Excitation = "exciting",
+    form: Literal["exact", "mechanism"] = "exact",
     spread: tuple[float, float] = (0.0, 0.0),
     guide: Guide = Guide(),  # noqa: B008
     imperfections: Imperfections = Imperfections(),  # noqa: B008
@@ -175,6 +179,8 @@ def demonstrate(
         step: s, of the simulation; it divides ``dt``. At 0.01 s a rigid constraint is kept to a few um.
         excitation: how the hand moves along the free axes: ``"exciting"``, ``"paper"``, or a function of
             time that returns angular and linear velocities (3,), in rad/s and m/s.
+        form: how the constraint is made: exactly, or as a mechanism welded to the tool where there is
+            one, which takes a program of its own, more time, and steps of 0.005 s.
         spread: rad and m, standard deviations of a random turn and shift of the geometry of every
             demonstration; :data:`SPREAD` is a reasonable one.
         guide: how the hand holds the tool.
@@ -194,7 +200,7 @@ def demonstrate(
         excitation_named(excitation, jax.random.key(0))
     if batch < 1:
         raise ValueError(f"batch must be at least 1, not {batch}.")
-    samples, substeps = _sampling(duration, dt, step)
+    samples, substeps = sampling(duration, dt, step)
     frame = frame_on_arm(constraint, arm, start=None if np.ndim(start) == 2 else start)
     dtype = frame.position.dtype
     joints = jnp.asarray(arm.home if start is None else start, dtype=dtype)
@@ -209,10 +215,10 @@ def demonstrate(
     frame = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (batch, 3)), frame)
     arrays = frame_arrays(frame)
     if any(np.ravel(spread)):
-        arrays, angular, linear = _place(
-            arrays, key, numbers, joints, jnp.asarray(spread, dtype=dtype), arm
-        )
+        arrays, angular, linear = _place(arrays, key, numbers, joints, jnp.asarray(spread, dtype=dtype), arm)
         frame = replace(frame, angular_rotvec=angular, linear_rotvec=linear, position=arrays.position)
+    if form not in ("exact", "mechanism"):
+        raise ValueError(f"form must be 'exact' or 'mechanism', not {form!r}.")
     made = _demonstrate(
         arrays,
         key,
@@ -225,11 +231,12 @@ def demonstrate(
         dt=dt,
         excitation=excitation,
         arm=arm,
+        joints=mechanism_joints(frame) if form == "mechanism" else None,
     )
     return Demonstration(truth=frame, **made)
 
 
-def _sampling(duration: float, dt: float, step: float) -> tuple[int, int]:
+def sampling(duration: float, dt: float, step: float) -> tuple[int, int]:
     """Number of samples, and of steps to each."""
     if not (0 < step <= dt <= duration < math.inf):
         raise ValueError(f"Expected 0 < step <= dt <= duration; found {step:g}, {dt:g}, {duration:g} s.")
@@ -259,7 +266,7 @@ def _place(
     return there, rotvecs[0], rotvecs[1]
 
 
-@partial(jax.jit, static_argnames=("samples", "substeps", "dt", "excitation", "arm"))
+@partial(jax.jit, static_argnames=("samples", "substeps", "dt", "excitation", "arm", "joints"))
 def _demonstrate(
     frame: Frame,
     key: jax.Array,
@@ -273,11 +280,20 @@ def _demonstrate(
     dt: float,
     excitation: str | Excitation,
     arm: Arm,
+    joints: Joints | None,
 ) -> dict[str, jax.Array]:
     """What a demonstration holds besides the truth; one program for every class of constraint."""
     keys = _keys(key, numbers)
     roll = partial(
-        _roll, guide, imperfections, samples=samples, substeps=substeps, dt=dt, excitation=excitation, arm=arm
+        _roll,
+        guide,
+        imperfections,
+        samples=samples,
+        substeps=substeps,
+        dt=dt,
+        excitation=excitation,
+        arm=arm,
+        joints=joints,
     )
     track = jax.vmap(roll)(frame, keys[:, 1:3], start)
     record = partial(measure, dt=dt, what=imperfections, arm=arm)
@@ -308,21 +324,26 @@ def _roll(
     dt: float,
     excitation: str | Excitation,
     arm: Arm,
+    joints: Joints | None,
 ) -> Track:
     """One demonstration."""
     dtype, step = start.dtype, dt / substeps
     hand = make_hand(guide, keys[0], dtype)
     drive = guide_drive(guide, hand, frame, excitation_named(excitation, keys[1]), step)
+    pose = transforms.make_pose(*forward_kinematics(start, arm))
+    if joints is not None:
+        return integrate_welded(
+            arm, joints, frame, start, drive, pose, samples=samples, substeps=substeps, step=step
+        )
     gives = [imperfections.angular_compliance] * 3 + [imperfections.compliance] * 3
     compliance = jnp.stack([jnp.asarray(give, dtype=dtype) for give in gives])
-    pose = transforms.make_pose(*forward_kinematics(start, arm))
     return integrate(
         arm,
         frame,
         start,
         drive,
         pose,
-        lambda slipped: hold(frame, slipped, step, compliance),
+        lambda slipped: hold(frame.free, slipped, step, compliance),
         samples=samples,
         substeps=substeps,
         step=step,
@@ -395,5 +416,3 @@ def demonstrations(
             progress(done, count)
         if len(good):
             yield made[good]
-
-

@@ -96,23 +96,26 @@ def mujoco_model(arm: Arm, gravity: bool = False) -> mujoco.MjModel:
 
 @cache
 def _mjx_parts(arm: Arm, gravity: bool) -> tuple[Any, Any]:
+    return mjx_parts(mujoco_model(arm, gravity))
+
+
+def mjx_parts(model: mujoco.MjModel) -> tuple[Any, Any]:
     """MJX model and data in double precision, as NumPy arrays: constants of any trace."""
-    model = mujoco_model(arm, gravity)
     with jax.ensure_compile_time_eval(), jax.enable_x64(True), lenient():
         parts = mjx.put_model(model, impl="jax"), mjx.make_data(model, impl="jax")
         return jax.tree.map(np.asarray, parts)
 
 
-def _in_dtype(tree: Any, dtype: Any) -> Any:
+def in_dtype(tree: Any, dtype: Any) -> Any:
+    """The floating-point leaves of a tree in a dtype."""
+
     def cast(leaf: Any) -> Any:
         return jnp.asarray(leaf, dtype=dtype if np.issubdtype(leaf.dtype, np.floating) else None)
 
     return jax.tree.map(cast, tree)
 
 
-def arm_motion(
-    joints: jax.Array, velocity: jax.Array, arm: Arm = PANDA, *, gravity: bool = False
-) -> Motion:
+def arm_motion(joints: jax.Array, velocity: jax.Array, arm: Arm = PANDA, *, gravity: bool = False) -> Motion:
     """Kinematics and dynamics of the arm.
 
     Args:
@@ -121,24 +124,45 @@ def arm_motion(
         arm: the robot.
         gravity: leave gravity in ``bias``, uncompensated.
     """
-    model, data = _in_dtype(_mjx_parts(arm, gravity), joints.dtype)
+    model, data = in_dtype(_mjx_parts(arm, gravity), joints.dtype)
+    data = smooth_terms(model, data.replace(qpos=joints, qvel=velocity))
+    return motion_of(model, data, mujoco_model(arm, gravity).site("tcp").id)
+
+
+def smooth_terms(model: Any, data: Any) -> Any:
+    """Kinematics, mass matrix and bias of MJX data, from its ``qpos`` and ``qvel``."""
     with fenced(), lenient():
-        data = data.replace(qpos=joints, qvel=velocity)
         for stage in (mjx.kinematics, mjx.com_pos, mjx.crb, mjx.com_vel, mjx.rne):
             data = stage(model, data)
-        mass = mjx.full_m(model, data)
-    tcp = mujoco_model(arm, gravity).site("tcp").id
-    position = data.site_xpos[tcp]
-    arms = position[None, :] - data.xanchor
-    linear = jnp.cross(data.xaxis, arms)
+    return data
+
+
+def full_step(model: Any, data: Any) -> Any:
+    """MJX's own step, constraint solver included."""
+    with fenced(), lenient():
+        return mjx.step(model, data)
+
+
+def motion_of(model: Any, data: Any, tcp: int) -> Motion:
+    """The arm's part of MJX data after :func:`smooth_terms`; its seven joints come first.
+
+    Args:
+        model: MJX model.
+        data: MJX data.
+        tcp: number of the site that is the TCP.
+    """
+    with lenient():
+        mass = mjx.full_m(model, data)[:7, :7]
+    axes, anchors, position = data.xaxis[:7], data.xanchor[:7], data.site_xpos[tcp]
+    linear = jnp.cross(axes, position[None, :] - anchors)
     return Motion(
-        joints=joints,
-        velocity=velocity,
+        joints=data.qpos[:7],
+        velocity=data.qvel[:7],
         rotation=data.site_xmat[tcp],
         position=position,
-        jacobian=jnp.concatenate([data.xaxis.T, linear.T]),
+        jacobian=jnp.concatenate([axes.T, linear.T]),
         mass=mass,
-        bias=data.qfrc_bias,
+        bias=data.qfrc_bias[:7],
     )
 
 

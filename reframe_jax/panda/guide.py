@@ -19,13 +19,12 @@ from reframe_jax.synthetic import Excitation
 
 __all__ = ["EXCITATIONS", "Guide", "Hand", "excitation_named", "guide_drive", "make_hand"]
 
-_RATES = ((1.3, 2.3, 3.4), (1.5, 2.6, 3.8), (1.7, 2.9, 2.1))  # rad/s, by axis
+_RATES = ((1.4, 4.4), (2.4, 5.4), (3.4, 6.4))  # rad/s, by axis: apart, so that 5 s tell the axes apart
 _LINEAR_RATE = 1.13  # ratio of the rates of linear to those of angular motion
-_TURN = 0.12  # rad, amplitude of each sine
-_REACH = 0.03  # m, amplitude of each sine
+_TURNING = 0.4  # rad/s, amplitude of each sine
+_MOVING = 0.1  # m/s, amplitude of each sine
 _EASE = 0.6  # s, in which a motion starts
-_TREMOR_RATES = (7.0, 13.0, 27.0, 53.0)  # rad/s
-_TREMOR_TIME = 0.15  # s, above whose inverse the tremor falls off
+_TREMOR_RATES = (7.0, 17.0, 31.0, 47.0)  # rad/s: the hand's corrections, and its shaking
 
 
 @jax.tree_util.register_dataclass
@@ -51,8 +50,8 @@ class Guide:
     angular_damping: float | jax.Array = 2.0
     misalignment: float | jax.Array = 0.003
     angular_misalignment: float | jax.Array = 0.02
-    tremor: float | jax.Array = 1.0
-    angular_tremor: float | jax.Array = 0.1
+    tremor: float | jax.Array = 1.5
+    angular_tremor: float | jax.Array = 0.4
 
 
 def _ease(t: jax.Array) -> jax.Array:
@@ -62,17 +61,17 @@ def _ease(t: jax.Array) -> jax.Array:
 
 
 def exciting(key: jax.Array) -> Excitation:
-    """Three incommensurate sines along every axis, with random phases, that stay in reach of the arm.
+    """Two sines along every axis, six rates in all, with random phases, that stay in reach of the arm.
 
-    About 0.5 rad/s and 0.14 m/s rms; 0.39 rad and 0.105 m at most.
+    0.4 rad/s and 0.1 m/s rms; at most 0.38 rad and 0.1 m from the start.
     """
-    phases = jax.random.uniform(key, (2, 3, 3), maxval=2 * jnp.pi, dtype=float)
+    phases = jax.random.uniform(key, (2, 3, 2), maxval=2 * jnp.pi, dtype=float)
 
     def displacement(t: jax.Array) -> tuple[jax.Array, jax.Array]:
         rates = jnp.asarray(_RATES, dtype=phases.dtype)
-        angular = jnp.sum(jnp.sin(rates * t + phases[0]), axis=-1)
-        linear = jnp.sum(jnp.sin(_LINEAR_RATE * rates * t + phases[1]), axis=-1)
-        return _TURN * _ease(t) * angular, _REACH * _ease(t) * linear
+        angular = jnp.sum(jnp.sin(rates * t + phases[0]) / rates, axis=-1)
+        linear = jnp.sum(jnp.sin(_LINEAR_RATE * rates * t + phases[1]) / rates, axis=-1)
+        return _TURNING * _ease(t) * angular, _MOVING / _LINEAR_RATE * _ease(t) * linear
 
     def velocity(t: jax.Array) -> tuple[jax.Array, jax.Array]:
         return jax.jvp(displacement, (t,), (jnp.ones_like(t),))[1]
@@ -144,14 +143,11 @@ def guide_drive(
         return jnp.asarray(value, dtype=dtype)
 
     rates = jnp.asarray(_TREMOR_RATES, dtype=dtype)
-    weights = 1 / jnp.sqrt(1 + (rates * _TREMOR_TIME) ** 2)
-    weights = weights * jnp.sqrt(2 / jnp.sum(weights**2))  # so that the sum of sines has unit variance
     size = jnp.stack([number(guide.angular_tremor)] * 3 + [number(guide.tremor)] * 3)
+    size = size * (2 / len(_TREMOR_RATES)) ** 0.5  # the sum of the sines has the given rms
     aside = transforms.pose_exp(hand.offset)
 
-    def drive(
-        pose: jax.Array, t: jax.Array, motion: Motion, located: Any
-    ) -> tuple[jax.Array, jax.Array]:
+    def drive(pose: jax.Array, t: jax.Array, motion: Motion, located: Any) -> tuple[jax.Array, jax.Array]:
         rotation, position = pose[:3, :3], pose[:3, 3]
         wanted = frame.free * jnp.concatenate(excitation(t))
         twist = body_twist(locate(frame, rotation, position), wanted)
@@ -159,18 +155,13 @@ def guide_drive(
         apart = goal[:3, :3] @ motion.rotation.T
         lag = twist - motion.twist
         moment = (
-            number(guide.angular_stiffness) * rotations.vee(apart)
-            + number(guide.angular_damping) * lag[:3]
+            number(guide.angular_stiffness) * rotations.vee(apart) + number(guide.angular_damping) * lag[:3]
         )
-        force = (
-            number(guide.stiffness) * (goal[:3, 3] - motion.position) + number(guide.damping) * lag[3:]
-        )
-        tremor = size * jnp.sum(weights[None] * jnp.sin((rates * t)[None] + hand.phases), axis=-1)
+        force = number(guide.stiffness) * (goal[:3, 3] - motion.position) + number(guide.damping) * lag[3:]
+        tremor = size * jnp.sum(jnp.sin((rates * t)[None] + hand.phases), axis=-1)
         wrench = jnp.concatenate([moment, force]) + _ease(t) * tremor
         # body axes: the exponential is that of the body twist
         turned = jnp.concatenate([rotation.T @ twist[:3], rotation.T @ twist[3:]])
-        return pose @ transforms.pose_exp(step * turned), jnp.sum(
-            motion.jacobian * wrench[:, None], axis=0
-        )
+        return pose @ transforms.pose_exp(step * turned), jnp.sum(motion.jacobian * wrench[:, None], axis=0)
 
     return drive

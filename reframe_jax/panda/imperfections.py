@@ -49,9 +49,7 @@ class Imperfections:
 ENCODER_GRADE = Imperfections(encoder_noise=1e-5, encoder_step=1.2e-5)
 """A rigid set-up read by 19-bit encoders with one step of noise: 10 to 20 um at the tool."""
 
-REALISTIC = Imperfections(
-    encoder_noise=1e-5, encoder_step=1.2e-5, compliance=1.5e-4, angular_compliance=8e-3
-)
+REALISTIC = Imperfections(encoder_noise=1e-5, encoder_step=1.2e-5, compliance=1e-4, angular_compliance=2.5e-3)
 """Encoders as above, and the give of a robot bolted to a mechanism: the paper's Table 4 shows rms of
 1-6 mm/s and 25-60 mrad/s along constrained axes."""
 
@@ -109,9 +107,7 @@ def _rounded(angles: jax.Array, step: jax.Array) -> jax.Array:
     return jnp.where(step > 0, jnp.round(angles / unit) * unit, angles)
 
 
-def _as_built(
-    arm: Arm, spread: jax.Array, angular: jax.Array, key: jax.Array
-) -> tuple[jax.Array, jax.Array]:
+def _as_built(arm: Arm, spread: jax.Array, angular: jax.Array, key: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Links of a robot that is not exactly what its model says."""
     rotations_key, positions_key = jax.random.split(key)
     fixed, offset = (jnp.asarray(part, dtype=spread.dtype) for part in link_transforms(arm))

@@ -48,17 +48,17 @@ class AxisLaw:
     softness: jax.Array
 
 
-def hold(frame: Frame, slipped: jax.Array, step: float, compliance: jax.Array) -> AxisLaw:
+def hold(free: jax.Array, slipped: jax.Array, step: float, compliance: jax.Array) -> AxisLaw:
     """The constrained axes held by springs or rigidly, the free ones free.
 
     Args:
-        frame: the constraint.
+        free: (6,), 1 where an axis is free.
         slipped: (6,) rad and m, how far each axis has slipped.
         step: s.
         compliance: (6,) rad/(N m) and m/N; zero is rigid.
     """
     rate = 1 / (RELAXATION + step)
-    return AxisLaw(acts=1 - frame.free, offset=rate * slipped, softness=rate * compliance)
+    return AxisLaw(acts=1 - free, offset=rate * slipped, softness=rate * compliance)
 
 
 @jax.tree_util.register_dataclass
@@ -126,9 +126,7 @@ def integrate(
         response, unheld = solved[:, :6], velocity + step * solved[:, 6]
         softness = jnp.where(rule.acts > 0, rule.softness, 1)
         wanted = rule.acts * rule.offset + _times(rows, unheld)
-        force = -solve_positive(
-            step * _product(rows, response) + jnp.diag(softness), wanted[:, None]
-        )[:, 0]
+        force = -solve_positive(step * _product(rows, response) + jnp.diag(softness), wanted[:, None])[:, 0]
         velocity = unheld + step * _times(response, force)
         return (joints + step * velocity, velocity, slipped, now, state, force), None
 
