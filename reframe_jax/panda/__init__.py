@@ -9,7 +9,6 @@ found = rf.identify(made.poses, times=made.times)
 from reframe_jax.panda.demonstration import (
     SPREAD,
     Demonstration,
-    RolloutStatus,
     demonstrate,
     demonstrations,
     frame_on_arm,
@@ -18,6 +17,7 @@ from reframe_jax.panda.dynamics import Motion, arm_motion, inverse_dynamics, jac
 from reframe_jax.panda.guide import EXCITATIONS, Guide
 from reframe_jax.panda.imperfections import ENCODER_GRADE, REALISTIC, Imperfections
 from reframe_jax.panda.model import FR3, PANDA, ROBOTS, Arm, Link, arm_xml, forward_kinematics
+from reframe_jax.panda.status import RolloutStatus
 
 __all__ = [
     "ENCODER_GRADE",

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from functools import partial
 from typing import Any, Literal
 
@@ -19,12 +18,12 @@ from reframe_jax.panda.imperfections import Imperfections, measure
 from reframe_jax.panda.mechanism import Joints, integrate_welded, mechanism_joints
 from reframe_jax.panda.model import PANDA, Arm, arm_named, forward_kinematics
 from reframe_jax.panda.rollout import Track, hold, integrate
+from reframe_jax.panda.status import RolloutStatus, judge
 from reframe_jax.synthetic import Excitation
 
 __all__ = [
     "SPREAD",
     "Demonstration",
-    "RolloutStatus",
     "demonstrate",
     "demonstrations",
     "frame_on_arm",
@@ -35,34 +34,6 @@ SPREAD = (0.4, 0.02)
 """rad and m, standard deviations of a geometry drawn at random, per component."""
 
 _ORIGIN = (0.05, 0.02, -0.12)  # m, from the TCP at home to the origin of a named constraint's frame
-_SLIPPED = (1e-3, 1e-2)  # rad and m by which a rigid axis must not slip; a sound rollout stays 20 times below
-
-
-class RolloutStatus(IntEnum):
-    """Whether a rollout can be trusted."""
-
-    OK = 0
-    SPEED_LIMIT = 1
-    JOINT_LIMIT = 2
-    SLIPPED = 3
-    DIVERGED = 10
-
-    @property
-    def message(self) -> str:
-        """What happened."""
-        return _MESSAGES[self]
-
-
-_MESSAGES = {
-    RolloutStatus.OK: "The motion is one the robot can make.",
-    RolloutStatus.SPEED_LIMIT: "A joint moved faster than the robot's can.",
-    RolloutStatus.JOINT_LIMIT: "A joint left its range: move the constraint, or move less.",
-    RolloutStatus.SLIPPED: (
-        "The rigid constraint was not kept: the arm came near a singular configuration, or moved too fast "
-        "for the step."
-    ),
-    RolloutStatus.DIVERGED: "The simulation diverged: take a shorter step, or a softer hand.",
-}
 
 
 @jax.tree_util.register_dataclass
@@ -201,11 +172,11 @@ def demonstrate(
     if batch < 1:
         raise ValueError(f"batch must be at least 1, not {batch}.")
     samples, substeps = sampling(duration, dt, step)
+    if start is not None and np.shape(start) not in ((7,), (batch, 7)):
+        raise ValueError(f"start must have shape (7,) or ({batch}, 7), not {np.shape(start)}.")
     frame = frame_on_arm(constraint, arm, start=None if np.ndim(start) == 2 else start)
     dtype = frame.position.dtype
     joints = jnp.asarray(arm.home if start is None else start, dtype=dtype)
-    if joints.shape not in ((7,), (batch, 7)):
-        raise ValueError(f"start must have shape (7,) or ({batch}, 7), not {joints.shape}.")
     for name in ("angular_rotvec", "linear_rotvec", "position"):
         if getattr(frame, name).shape not in ((3,), (batch, 3)):
             shape = getattr(frame, name).shape
@@ -298,7 +269,7 @@ def _demonstrate(
     track = jax.vmap(roll)(frame, keys[:, 1:3], start)
     record = partial(measure, dt=dt, what=imperfections, arm=arm)
     poses = jax.vmap(lambda q, v, k: record(q, v, key=k))(track.joints, track.velocity, keys[:, 3])
-    margin, status = _judge(track, frame.free, imperfections, arm)
+    margin, status = judge(track, frame.free, imperfections, arm)
     return {
         "times": dt * jnp.arange(samples + 1, dtype=start.dtype),
         "poses": poses,
@@ -348,31 +319,6 @@ def _roll(
         substeps=substeps,
         step=step,
     )
-
-
-def _judge(
-    track: Track, free: jax.Array, imperfections: Imperfections, arm: Arm
-) -> tuple[jax.Array, jax.Array]:
-    """Least margin to a joint limit (N,), and status (N,)."""
-    dtype = track.joints.dtype
-    lower, upper = jnp.asarray(arm.limits, dtype=dtype)[:, None, None]
-    margin = jnp.min(jnp.minimum(track.joints - lower, upper - track.joints), axis=(1, 2))
-    fast = jnp.any(jnp.abs(track.velocity) > jnp.asarray(arm.speed, dtype=dtype)[None, None], axis=(1, 2))
-    held = jnp.max(jnp.abs(track.slip), axis=1) * (1 - free)
-    soft = jnp.asarray(imperfections.compliance, dtype=dtype) > 0
-    soft = soft | (jnp.asarray(imperfections.angular_compliance, dtype=dtype) > 0)
-    bound = jnp.asarray([_SLIPPED[0]] * 3 + [_SLIPPED[1]] * 3, dtype=dtype)
-    slipped = jnp.any(held > bound[None], axis=1) & ~soft
-    finite = jnp.all(jnp.isfinite(track.joints), axis=(1, 2))
-    status = jnp.full(margin.shape, RolloutStatus.OK, dtype=jnp.int32)
-    for wrong, code in (
-        (fast, RolloutStatus.SPEED_LIMIT),
-        (margin < 0, RolloutStatus.JOINT_LIMIT),
-        (slipped, RolloutStatus.SLIPPED),
-        (~finite, RolloutStatus.DIVERGED),
-    ):
-        status = jnp.where(wrong, jnp.int32(code), status)
-    return margin, status
 
 
 def demonstrations(

@@ -338,7 +338,7 @@ def arm_xml(
 
 @cache
 def link_transforms(arm: Arm) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations (8, 3, 3) and positions (8, 3), m, of the links and of {b} in their parents, at zero angles."""
+    """Rotations (8, 3, 3) and positions (8, 3), m, of the links and of {b} in their parents."""
     parts = (*arm.links, arm.hand)
     rotations = np.stack([_matrix(part.quaternion) for part in parts])
     positions = np.array([part.position for part in parts], dtype=float)
