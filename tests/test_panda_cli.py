@@ -46,7 +46,9 @@ def test_reproduction(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(command) == 0
     out = capsys.readouterr().out
     assert "Revolute joint, 8 trials" in out
-    assert "angular axis" in out and "position" in out and "linear axis" not in out
+    assert "angular axis" in out
+    assert "position" in out
+    assert "linear axis" not in out
     for row in ("exact", "literature", "identified"):
         line = next(line for line in out.splitlines() if line.startswith(row))
         assert "100 %" in line

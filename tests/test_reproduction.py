@@ -41,7 +41,7 @@ def test_exact_frames_reach_the_stops(label: str) -> None:
     travel = np.array([0.4] * 3 + [0.1] * 3)
     # the second stop is a spring under a constant wrench: 3.5 N m and 7 N
     soft = np.array([5e-3 * 3.5] * 3 + [5e-4 * 7.0] * 3)
-    np.testing.assert_allclose(trials.travelled[:, -1, free], (travel + soft)[None, free], atol=2e-3)
+    assert np.abs(trials.travelled[:, -1, free] - (travel + soft)[free]).max() < 2e-3
     assert np.abs(trials.travelled[..., ~free]).max() < 1e-4
     assert np.all(trials.reaction[..., free] == 0)
     np.testing.assert_allclose(
