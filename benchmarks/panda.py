@@ -66,6 +66,8 @@ def time_c_mujoco(batch: int, threads: int) -> tuple[float, float]:
     model.body_ipos[body] = place["site_pos"]
     model.site_pos[grip], model.site_quat[grip] = place["site_pos"], place["site_quat"]
     data = mujoco.MjData(model)
+    mujoco.mj_setConst(model, data)
+    mujoco.mj_resetData(model, data)
     data.qpos[:7] = panda.PANDA.home
     mujoco.mj_forward(model, data)
     state = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
@@ -75,7 +77,7 @@ def time_c_mujoco(batch: int, threads: int) -> tuple[float, float]:
     t = C_STEP * np.arange(steps)
     waves = np.sin(rng.uniform(2, 6, (batch, 7, 1)) * t + rng.uniform(0, 6, (batch, 7, 1)))
     control = np.zeros((batch, steps, model.nv))
-    control[..., :7] = np.swapaxes(waves, 1, 2)
+    control[..., :7] = 0.5 * np.swapaxes(waves, 1, 2)
     workers = [mujoco.MjData(model) for _ in range(threads)]
     times = []
     for _ in range(3):

@@ -13,7 +13,7 @@ import numpy as np
 from reframe_jax import rotations, transforms
 from reframe_jax.frames import ConstraintFrame
 from reframe_jax.panda.constraint import Frame, frame_arrays, moved, placed
-from reframe_jax.panda.guide import Guide, excitation_named, guide_drive, make_hand
+from reframe_jax.panda.guide import EXCITATIONS, Guide, excitation_named, guide_drive, make_hand
 from reframe_jax.panda.imperfections import Imperfections, measure
 from reframe_jax.panda.mechanism import Joints, integrate_welded, mechanism_joints
 from reframe_jax.panda.model import PANDA, Arm, arm_named, forward_kinematics
@@ -167,8 +167,8 @@ def demonstrate(
         ValueError: for an unknown name, or numbers and shapes other than the above.
     """
     arm = arm_named(arm)
-    if isinstance(excitation, str):
-        excitation_named(excitation, jax.random.key(0))
+    if isinstance(excitation, str) and excitation not in EXCITATIONS:
+        raise ValueError(f"No excitation {excitation!r}. There are: {', '.join(EXCITATIONS)}.")
     if batch < 1:
         raise ValueError(f"batch must be at least 1, not {batch}.")
     samples, substeps = sampling(duration, dt, step)
@@ -300,7 +300,7 @@ def _roll(
     """One demonstration."""
     dtype, step = start.dtype, dt / substeps
     hand = make_hand(guide, keys[0], dtype)
-    drive = guide_drive(guide, hand, frame, excitation_named(excitation, keys[1]), step)
+    drive = guide_drive(guide, hand, frame, excitation_named(excitation, keys[1], frame.free), step)
     pose = transforms.make_pose(*forward_kinematics(start, arm))
     if joints is not None:
         return integrate_welded(

@@ -74,9 +74,11 @@ def mechanism_model(arm: Arm, joints: Joints, timestep: float) -> mujoco.MjModel
     for number, (kind, axis) in enumerate(joints):
         direction = "" if kind == "ball" else f'axis="{" ".join(str(float(i == axis)) for i in range(3))}"'
         parts += f'<joint name="mechanism{number}" type="{kind}" {direction}/>'
+    # positions that placement overwrites; at zero, C MuJoCo would take them for the body's own
     body = (
-        f'<body name="mechanism"><inertial pos="0 0 0" mass="{_MASS}" '
-        f'diaginertia="{_INERTIA} {_INERTIA} {_INERTIA}"/>{parts}<site name="grip"/></body>'
+        f'<body name="mechanism"><inertial pos=".1 .1 .1" mass="{_MASS}" '
+        f'diaginertia="{_INERTIA} {_INERTIA} {_INERTIA}"/>{parts}'
+        '<site name="grip" pos=".1 .1 .1" quat="1 .1 .1 .1"/></body>'
     )
     text = arm_xml(
         arm,
