@@ -153,9 +153,9 @@ def motion_of(model: Any, data: Any, tcp: int) -> Motion:
     """
     with lenient():
         mass = mjx.full_m(model, data)[:7, :7]
-    axes, anchors, position = data.xaxis[:7], data.xanchor[:7], data.site_xpos[tcp]
-    linear = jnp.cross(axes, position[None, :] - anchors)
-    return Motion(
+        axes, anchors, position = data.xaxis[:7], data.xanchor[:7], data.site_xpos[tcp]
+        linear = jnp.cross(axes, position - anchors)
+    motion = Motion(
         joints=data.qpos[:7],
         velocity=data.qvel[:7],
         rotation=data.site_xmat[tcp],
@@ -164,6 +164,8 @@ def motion_of(model: Any, data: Any, tcp: int) -> Motion:
         mass=mass,
         bias=data.qfrc_bias[:7],
     )
+    # constants within MJX are of the default precision, whatever the input's
+    return jax.tree.map(lambda leaf: leaf.astype(data.qvel.dtype), motion)
 
 
 def jacobian(joints: jax.Array, arm: Arm = PANDA) -> jax.Array:
