@@ -63,7 +63,7 @@ def _ease(t: jax.Array) -> jax.Array:
 def exciting(key: jax.Array, free: jax.Array) -> Excitation:
     """Two sines along every free axis, all of different rates, with random phases, in reach of the arm.
 
-    0.4 rad/s rms with three free rotations and 0.6 with one, 0.1 m/s; at most 0.57 rad and 0.1 m from
+    0.4 rad/s rms with three free rotations and 0.5 with one, 0.1 m/s; at most 0.45 rad and 0.1 m from
     the start. What the fewest axes leave of the data is made up by larger angles: a pin's position is
     seen in the curvature of its path only.
 
@@ -77,7 +77,7 @@ def exciting(key: jax.Array, free: jax.Array) -> Excitation:
     order = jnp.cumsum(free, axis=1).astype(jnp.int32) - 1
     rates = jnp.asarray(_RATES, dtype=phases.dtype)[jnp.maximum(order, 0)]
     rates = rates * jnp.asarray([1, _LINEAR_RATE], dtype=phases.dtype)[:, None, None]
-    turning = _TURNING * jnp.where(jnp.sum(free[0]) == 1, 1.5, 1.0).astype(phases.dtype)
+    turning = _TURNING * jnp.where(jnp.sum(free[0]) == 1, 1.2, 1.0).astype(phases.dtype)
     speeds = jnp.stack([turning, jnp.full_like(turning, _MOVING)])[:, None]
 
     def displacement(t: jax.Array) -> jax.Array:
