@@ -16,7 +16,7 @@ import jax
 import numpy as np
 
 import reframe_jax
-from reframe_jax import report
+from reframe_jax import cli_panda, report
 from reframe_jax.classify import Thresholds
 from reframe_jax.frames import CONSTRAINTS, constraint
 from reframe_jax.identify import identify
@@ -79,6 +79,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     _add_identify(commands)
     _add_simulate(commands)
+    cli_panda.add_commands(commands)
     listing = commands.add_parser("constraints", help="list the named constraints")
     listing.set_defaults(run=_constraints)
     return parser
