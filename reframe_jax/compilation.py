@@ -7,11 +7,14 @@ values that are to be computed once and stored. XLA drops such marks before it f
 by :data:`CPU_OPTIONS`. On a GPU they are dropped, which is right there: recomputing beats memory.
 """
 
+import contextlib
+from collections.abc import Iterator
+from contextvars import ContextVar
 from typing import Any, TypeVar
 
 import jax
 
-__all__ = ["CPU_OPTIONS", "chunk_size", "once", "traced"]
+__all__ = ["CPU_OPTIONS", "chunk_size", "inside_a_kernel", "once", "traced"]
 
 CPU_OPTIONS: dict[str, Any] = {
     "xla_disable_hlo_passes": "cse_barrier_expander",  # the pass that drops the marks of once()
@@ -24,6 +27,7 @@ JAX takes them from the outermost ``jit`` only: give them to yours if you call `
 """
 
 _T = TypeVar("_T")
+_inside_a_kernel: ContextVar[bool] = ContextVar("_inside_a_kernel", default=False)
 
 _CHUNK = {"cpu": 32, "gpu": 16384}
 
@@ -35,7 +39,17 @@ def chunk_size() -> int:
 
 def once(values: _T) -> _T:
     """Compute the arrays of a pytree once, however many operations read them."""
-    return jax.lax.optimization_barrier(values)
+    return values if _inside_a_kernel.get() else jax.lax.optimization_barrier(values)
+
+
+@contextlib.contextmanager
+def inside_a_kernel() -> Iterator[None]:
+    """While a GPU kernel is traced: all its values live in registers, and :func:`once` has no place."""
+    token = _inside_a_kernel.set(True)
+    try:
+        yield
+    finally:
+        _inside_a_kernel.reset(token)
 
 
 def traced(tree: Any) -> bool:

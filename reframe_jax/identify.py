@@ -5,6 +5,7 @@ This module checks the input and sends the windows to the processor; what is com
 """
 
 import contextlib
+import functools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -14,6 +15,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from reframe_jax.classify import Thresholds
 from reframe_jax.compilation import CPU_OPTIONS, chunk_size, traced
@@ -54,9 +56,11 @@ def identify(
     Minimises the norm of Eqs. 7 and 8 of the paper for both angular and all four linear frame types,
     takes the type with the lowest norm in each group, and classifies its degrees of freedom.
 
-    Works under ``jit``, ``vmap`` and every kind of differentiation with respect to the poses.
-    Precision is that of the input; NumPy float64 arrays are computed in float64 even where JAX's
-    ``jax_enable_x64`` is off (the result is then rounded to float32).
+    Batches run on every processor; windows that lie on several devices (by a ``NamedSharding`` along
+    their first axis) are identified where they are. Works under ``jit``, ``vmap`` and every kind of
+    differentiation with respect to the poses. Precision is that of the input; NumPy float64 arrays are
+    computed in float64 even where JAX's ``jax_enable_x64`` is off (the result is then rounded to
+    float32).
 
     Args:
         poses: (..., K+1, 4, 4) poses of the moving body {b} in the ground {g}, in metres; K >= 4.
@@ -105,6 +109,9 @@ def identify(
         batch = poses.shape[:-3]
         if inside_a_trace or not batch or 0 in batch:
             found = run(poses, steps, *options)
+        elif (sharding := _sharding(poses)) is not None:
+            mesh, axis = sharding.mesh, sharding.spec[0]
+            found = _compiled_for_mesh(mesh, axis, steps.ndim > 1, **run.keywords)(poses, steps, *options)
         else:
             windows = poses.reshape(-1, *poses.shape[-3:])
             steps = steps if steps.ndim == 1 else steps.reshape(-1, steps.shape[-1])
@@ -198,6 +205,34 @@ def _in_pieces(run: Callable[..., Identification], windows: Any, steps: Any) -> 
     if len(pieces) == 1 and size == count:
         return pieces[0]
     return jax.tree.map(lambda *parts: jnp.concatenate(parts)[:count], *pieces)
+
+
+def _sharding(poses: Any) -> NamedSharding | None:
+    """How the windows lie on several devices; None if they are on one."""
+    if not isinstance(poses, jax.Array) or len(poses.sharding.device_set) == 1:
+        return None
+    sharding = poses.sharding
+    if not isinstance(sharding, NamedSharding) or any(axis is not None for axis in sharding.spec[1:]):
+        raise ValueError(
+            "Windows on several devices must be spread along their first axis alone, by a NamedSharding; "
+            f"these have {sharding}."
+        )
+    return sharding
+
+
+@functools.cache
+def _compiled_for_mesh(mesh: Mesh, axis: Any, own_steps: bool, **static: Any) -> Callable[..., Any]:
+    """Every device of the mesh identifies the windows it holds; nothing travels between them."""
+    windows, same = PartitionSpec(axis), PartitionSpec()
+    run = jax.shard_map(
+        partial(_identify, **static),
+        mesh=mesh,
+        in_specs=(windows, windows if own_steps else same, same, same, same),
+        out_specs=windows,
+        check_vma=False,
+    )
+    on_cpu = mesh.devices.flat[0].platform == "cpu"
+    return jax.jit(run, compiler_options=CPU_OPTIONS if on_cpu else None)
 
 
 def _workers() -> int:

@@ -9,12 +9,24 @@ whatever the number of samples. They are stored coefficients first, problems las
 many problems is elementwise arithmetic on contiguous arrays.
 """
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 
 from reframe_jax.symmetric import INDEX_PAIRS, Symmetric, Vector
 
-__all__ = ["MONOMIALS", "covariance_at", "covariance_gradient", "pack_moments", "velocity_moments"]
+__all__ = [
+    "MONOMIALS",
+    "Coefficients",
+    "covariance_at",
+    "covariance_gradient",
+    "pack_moments",
+    "velocity_moments",
+]
+
+Coefficients = Sequence[Sequence[jax.Array]] | jax.Array
+"""Moments by component and monomial: an array (6, 10, ...), or its entries."""
 
 MONOMIALS = tuple((a, b) for a in range(4) for b in range(a, 4))
 """Pairs (a, b) whose product of (1, px, py, pz) is the monomial of each of the ten coefficients."""
@@ -63,19 +75,19 @@ def velocity_moments(maps: jax.Array, weights: jax.Array | None = None) -> jax.A
     return pack_moments(second)
 
 
-def covariance_at(moments: jax.Array, position: Vector) -> Symmetric:
+def covariance_at(moments: Coefficients, position: Vector) -> Symmetric:
     """Sigma(p), by Horner's rule.
 
     Args:
         moments: (6, 10, ...), or (6, 1, ...) for velocities that have no position.
         position: (px, py, pz), arrays over the problems.
     """
-    if moments.shape[1] == 1:
-        xx, xy, xz, yy, yz, zz = (moments[i, 0] for i in range(6))
+    if len(moments[0]) == 1:
+        xx, xy, xz, yy, yz, zz = (moments[i][0] for i in range(6))
         return xx, xy, xz, yy, yz, zz
     x, y, z = position
 
-    def component(q: jax.Array) -> jax.Array:
+    def component(q: Sequence[jax.Array] | jax.Array) -> jax.Array:
         in_x = q[1] + x * q[4] + y * q[5] + z * q[6]
         in_y = q[2] + y * q[7] + z * q[8]
         return q[0] + x * in_x + y * in_y + z * (q[3] + z * q[9])
@@ -84,11 +96,11 @@ def covariance_at(moments: jax.Array, position: Vector) -> Symmetric:
     return xx, xy, xz, yy, yz, zz
 
 
-def covariance_gradient(moments: jax.Array, position: Vector) -> tuple[Symmetric, ...]:
+def covariance_gradient(moments: Coefficients, position: Vector) -> tuple[Symmetric, ...]:
     """Derivatives of Sigma(p) with respect to px, py and pz."""
     x, y, z = position
 
-    def slopes(q: jax.Array) -> Vector:
+    def slopes(q: Sequence[jax.Array] | jax.Array) -> Vector:
         return (
             q[1] + 2 * x * q[4] + y * q[5] + z * q[6],
             q[2] + x * q[5] + 2 * y * q[7] + z * q[8],

@@ -6,12 +6,15 @@ from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from reframe_jax.compilation import chunk_size
 from reframe_jax.frames import LinearType
 from reframe_jax.objectives import FrameObjective, PositionObjective
 from reframe_jax.optimise.box import Box
+from reframe_jax.optimise.kernel import search_chains
 from reframe_jax.optimise.seeds import quasi_random
+from reframe_jax.optimise.valley import ValleySteps
 
 __all__ = ["BasinHopping", "LocalMinimiser", "Objective", "SearchState", "Solution", "Solver"]
 
@@ -106,15 +109,13 @@ class BasinHopping:
 
         The first step minimises the starts as they are, those after the last hop the best points.
         """
-        jump_key, accept_key, key = jax.random.split(state.key, 3)
-        shape = (objective.dim, self.restarts, *([1] * (state.x.ndim - 2)))
-        jump = self.hop_size * jax.random.normal(jump_key, shape, dtype=state.x.dtype)
+        jump, rise, key = self._draw(state.key, objective.dim, state.x.dtype)
+        more = (1,) * (state.x.ndim - 2)
         low, high = box.bounds(state.x)
-        hopped = box.clip(state.x + (high - low) * jump)
+        hopped = box.clip(state.x + (high - low) * jump.reshape(*jump.shape, *more))
         start = jnp.where(state.hop == 0, state.x, jnp.where(state.hop > self.hops, state.best_x, hopped))
         x, value = self._descend(objective, box, start)
-        chance = jax.random.uniform(accept_key, shape[1:], dtype=state.x.dtype)
-        accept = value < state.value - self.temperature * jnp.log(chance)
+        accept = value < state.value + rise.reshape(*rise.shape, *more)
         better = value < state.best_value
         return SearchState(
             hop=state.hop + 1,
@@ -124,6 +125,13 @@ class BasinHopping:
             best_x=jnp.where(better[None], x, state.best_x),
             best_value=jnp.where(better, value, state.best_value),
         )
+
+    def _draw(self, key: jax.Array, dim: int, dtype: np.dtype) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Jump of every chain as a share of the box, (dim, restarts), the rise it accepts, the next key."""
+        jump_key, accept_key, key = jax.random.split(key, 3)
+        jump = self.hop_size * jax.random.normal(jump_key, (dim, self.restarts), dtype=dtype)
+        chance = jax.random.uniform(accept_key, (self.restarts,), dtype=dtype)
+        return jump, -self.temperature * jnp.log(chance), key
 
     def finish(self, objective: Objective, box: Box, state: SearchState) -> Solution:
         """Refine the best point of all chains."""
@@ -138,13 +146,43 @@ class BasinHopping:
         return Solution(x, value, jnp.mean(close.astype(value.dtype), axis=0))
 
     def minimise(self, objective: Objective, box: Box, key: jax.Array) -> Solution:
-        """The whole search: :meth:`init`, 1 + ``hops`` + ``polish`` times :meth:`step`, :meth:`finish`."""
+        """The whole search: :meth:`init`, 1 + ``hops`` + ``polish`` times :meth:`step`, :meth:`finish`.
+
+        On a GPU, with :class:`ValleySteps`, all the steps are one kernel.
+        """
+        if isinstance(self.inner, ValleySteps) and jax.default_backend() == "gpu":
+            return self.finish(objective, box, self._in_a_kernel(self.inner, objective, box, key))
         state, _ = jax.lax.scan(
             lambda state, _: (self.step(objective, box, state), None),
             self.init(objective, box, key),
             length=1 + self.hops + self.polish,
         )
         return self.finish(objective, box, state)
+
+    def _in_a_kernel(
+        self, inner: ValleySteps, objective: Objective, box: Box, key: jax.Array, interpret: bool = False
+    ) -> SearchState:
+        """The state after all steps, as :meth:`minimise` reaches it step by step."""
+        inner.check(objective)
+        state, dim = self.init(objective, box, key), objective.dim
+        key, draws = state.key, []
+        for _ in range(1 + self.hops):  # the first step jumps nowhere
+            jump, rise, key = self._draw(key, dim, state.x.dtype)
+            draws.append(((box.high - box.low)[:, None] * jump, rise))
+        x, value = search_chains(
+            objective.moments.reshape(6, 10, -1),
+            box.low,
+            box.high,
+            state.x.reshape(dim, self.restarts, -1)[:, :, 0],
+            jnp.stack([jump for jump, _ in draws[1:]]) if self.hops else jnp.zeros((1, dim, self.restarts)),
+            jnp.stack([rise for _, rise in draws[1:]]) if self.hops else jnp.zeros((1, self.restarts)),
+            steps=inner.steps,
+            hops=self.hops,
+            polish=self.polish,
+            interpret=interpret,
+        )
+        x, value = x.reshape(state.x.shape), value.reshape(state.value.shape)
+        return SearchState(state.hop + 1 + self.hops + self.polish, key, x, value, x, value)
 
     def _descend(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Local minimisation of every chain: at once if problems are few, else one after the other."""

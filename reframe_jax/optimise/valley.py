@@ -25,12 +25,12 @@ import jax.numpy as jnp
 
 from reframe_jax import symmetric
 from reframe_jax.compilation import once
-from reframe_jax.moments import MONOMIALS, covariance_at, covariance_gradient
-from reframe_jax.objectives import PositionObjective
+from reframe_jax.moments import MONOMIALS, Coefficients, covariance_at, covariance_gradient
+from reframe_jax.objectives import FrameObjective, PositionObjective
 from reframe_jax.optimise.box import Box
 from reframe_jax.symmetric import INDEX_PAIRS, Symmetric, Vector
 
-__all__ = ["ValleySteps"]
+__all__ = ["ValleySteps", "descend"]
 
 _QUADRATIC = {pair: MONOMIALS.index((pair[0] + 1, pair[1] + 1)) for pair in INDEX_PAIRS}
 _RIDGE = 1e-10  # of the Hessians, relative to the trace: keeps a free direction solvable
@@ -50,7 +50,7 @@ class _Expansion(NamedTuple):
     hessian: Symmetric
 
 
-def _expand(moments: jax.Array, p: Vector) -> _Expansion:
+def _expand(moments: Coefficients, p: Vector) -> _Expansion:
     sigma = once(covariance_at(moments, p))
     scale = 1 / symmetric.determinant(sigma)
     w = cast(Symmetric, tuple(scale * c for c in symmetric.adjugate(sigma)))
@@ -59,8 +59,7 @@ def _expand(moments: jax.Array, p: Vector) -> _Expansion:
     products = [_product(w, slope) for slope in slopes]
     majorant, hessian = [], []
     for a, b in INDEX_PAIRS:
-        column = moments[:, _QUADRATIC[a, b]]
-        second = cast(Symmetric, tuple(column[i] for i in range(6)))
+        second = cast(Symmetric, tuple(moments[i][_QUADRATIC[a, b]] for i in range(6)))
         curvature = (2.0 if a == b else 1.0) * symmetric.trace_product(w, second)
         coupling = sum(products[a][i][j] * products[b][j][i] for i in range(3) for j in range(3))
         majorant.append(curvature)
@@ -70,7 +69,7 @@ def _expand(moments: jax.Array, p: Vector) -> _Expansion:
     )
 
 
-def _along(moments: jax.Array, slopes: tuple[Symmetric, ...], d: Vector) -> tuple[Symmetric, Symmetric]:
+def _along(moments: Coefficients, slopes: tuple[Symmetric, ...], d: Vector) -> tuple[Symmetric, Symmetric]:
     """S1 and S2 of Sigma(p - l d) = Sigma(p) - l S1 + l^2 S2."""
     first, second = [], []
     for i in range(6):
@@ -103,7 +102,7 @@ def _hold(matrix: Symmetric, held: list[jax.Array], trace: jax.Array) -> Symmetr
     return cast(Symmetric, tuple(entries))
 
 
-def _room(p: Vector, direction: Vector, low: jax.Array, high: jax.Array) -> jax.Array:
+def _room(p: Vector, direction: Vector, low: Vector, high: Vector) -> jax.Array:
     """Largest length up to 1 for which p - length * direction stays in the box."""
     length = jnp.ones_like(p[0])
     for i in range(3):
@@ -111,6 +110,71 @@ def _room(p: Vector, direction: Vector, low: jax.Array, high: jax.Array) -> jax.
         inside = jnp.where(direction[i] == 0, 1, room / jnp.where(direction[i] == 0, 1, direction[i]))
         length = jnp.minimum(length, inside)
     return length
+
+
+def _determinant(sigma: Symmetric) -> jax.Array:
+    det = symmetric.determinant(sigma)
+    return jnp.where(det > 0, det, jnp.inf)  # rounding, not a better point
+
+
+def descend(
+    moments: Coefficients, low: Vector, high: Vector, p: Vector, steps: int
+) -> tuple[Vector, jax.Array]:
+    """Improve origins by a number of steps; elementwise operations only, so that it runs in a kernel.
+
+    Args:
+        moments: coefficients of Sigma, by component and monomial.
+        low: faces of the box.
+        high: faces of the box.
+        p: where to start.
+        steps: number of steps.
+
+    Returns:
+        The origins and det Sigma there.
+    """
+
+    def step(_: int, carry: tuple[Vector, jax.Array]) -> tuple[Vector, jax.Array]:
+        p, best = carry
+        here = _expand(moments, p)
+        held = [
+            ((p[i] <= low[i]) & (here.gradient[i] > 0)) | ((p[i] >= high[i]) & (here.gradient[i] < 0))
+            for i in range(3)
+        ]
+        g = cast(Vector, tuple(jnp.where(held[i], 0, here.gradient[i]) for i in range(3)))
+        trace = here.majorant[0] + here.majorant[3] + here.majorant[5]
+        down = symmetric.solve(_hold(here.majorant, held, trace), g)
+        newton = symmetric.solve(_hold(here.hessian, held, trace), g)
+        down, newton = once((down, newton))
+
+        # Newton's lengths, as far as the box allows, on the line along which Sigma is a quadratic
+        slope = newton[0] * g[0] + newton[1] * g[1] + newton[2] * g[2]
+        ahead = _room(p, newton, low, high)
+        behind = _room(p, cast(Vector, tuple(-c for c in newton)), low, high)
+        lengths = [jnp.clip(1 / (1 + slope / m), -behind, ahead) for m in (jnp.inf, 1.0, 2.0, 3.0)]
+        lengths = once(lengths)
+        first, second = _along(moments, here.slopes, newton)
+        chosen_length = jnp.zeros_like(best)
+        for length in lengths:
+            on_line = zip(here.sigma, first, second, strict=True)
+            sigma = tuple(s0 - length * (s1 - length * s2) for s0, s1, s2 in on_line)
+            value = once(_determinant(cast(Symmetric, sigma)))
+            better = value < best  # false for NaN
+            chosen_length = jnp.where(better, length, chosen_length)
+            best = once(jnp.where(better, value, best))
+        moved = (p[i] - chosen_length * newton[i] for i in range(3))
+        chosen = once(cast(Vector, tuple(jnp.clip(c, low[i], high[i]) for i, c in enumerate(moved))))
+
+        # the majorising step, cut short at the box and projected onto it
+        for length in (once(_room(p, down, low, high)), jnp.ones_like(best)):
+            moved = (p[i] - length * down[i] for i in range(3))
+            trial = once(cast(Vector, tuple(jnp.clip(c, low[i], high[i]) for i, c in enumerate(moved))))
+            value = once(_determinant(covariance_at(moments, trial)))
+            better = value < best
+            picked = tuple(jnp.where(better, trial[i], chosen[i]) for i in range(3))
+            chosen, best = once((cast(Vector, picked), jnp.where(better, value, best)))
+        return chosen, best
+
+    return jax.lax.fori_loop(0, steps, step, (p, _determinant(covariance_at(moments, p))))
 
 
 @dataclass(frozen=True)
@@ -132,62 +196,20 @@ class ValleySteps:
         Raises:
             ValueError: for another objective or another exponent.
         """
+        self.check(objective)
+        batch = x.shape[1:]
+        moments, x = objective.moments.reshape(6, 10, -1), x.reshape(3, -1)
+        low, high = box.bounds(x)
+        bounds = cast(Vector, tuple(low)), cast(Vector, tuple(high))
+        p, _ = descend(moments, *bounds, (x[0], x[1], x[2]), self.steps)
+        found = jnp.stack(p).reshape(3, *batch)
+        return found, objective.value(found)
+
+    @staticmethod
+    def check(objective: FrameObjective | PositionObjective) -> None:
+        """Raise ``ValueError`` unless these steps can minimise the objective."""
         if not isinstance(objective, PositionObjective) or objective.exponent != 0:
             raise ValueError(
                 "ValleySteps minimise the geometric mean over positions (a PositionObjective of exponent "
                 "0); use NewtonSteps or OptaxSteps for other objectives."
             )
-        shape = x.shape
-        moments, x = objective.moments.reshape(6, 10, -1), x.reshape(3, -1)
-        low, high = box.bounds(x)
-
-        def determinant(sigma: Symmetric) -> jax.Array:
-            det = symmetric.determinant(sigma)
-            return jnp.where(det > 0, det, jnp.inf)  # rounding, not a better point
-
-        def step(carry: tuple[Vector, jax.Array], _: None) -> tuple[tuple[Vector, jax.Array], None]:
-            p, best = carry
-            here = _expand(moments, p)
-            held = [
-                ((p[i] <= low[i]) & (here.gradient[i] > 0)) | ((p[i] >= high[i]) & (here.gradient[i] < 0))
-                for i in range(3)
-            ]
-            g = cast(Vector, tuple(jnp.where(held[i], 0, here.gradient[i]) for i in range(3)))
-            trace = here.majorant[0] + here.majorant[3] + here.majorant[5]
-            down = symmetric.solve(_hold(here.majorant, held, trace), g)
-            newton = symmetric.solve(_hold(here.hessian, held, trace), g)
-            down, newton = once((down, newton))
-
-            # Newton's lengths, as far as the box allows, on the line along which Sigma is a quadratic
-            slope = newton[0] * g[0] + newton[1] * g[1] + newton[2] * g[2]
-            ahead = _room(p, newton, low, high)
-            behind = _room(p, cast(Vector, tuple(-c for c in newton)), low, high)
-            lengths = [jnp.clip(1 / (1 + slope / m), -behind, ahead) for m in (jnp.inf, 1.0, 2.0, 3.0)]
-            lengths = once(lengths)
-            first, second = _along(moments, here.slopes, newton)
-            chosen_length = jnp.zeros_like(best)
-            for length in lengths:
-                on_line = zip(here.sigma, first, second, strict=True)
-                sigma = tuple(s0 - length * (s1 - length * s2) for s0, s1, s2 in on_line)
-                value = once(determinant(cast(Symmetric, sigma)))
-                better = value < best  # false for NaN
-                chosen_length = jnp.where(better, length, chosen_length)
-                best = once(jnp.where(better, value, best))
-            moved = (p[i] - chosen_length * newton[i] for i in range(3))
-            chosen = once(cast(Vector, tuple(jnp.clip(c, low[i], high[i]) for i, c in enumerate(moved))))
-
-            # the majorising step, cut short at the box and projected onto it
-            for length in (once(_room(p, down, low, high)), jnp.ones_like(best)):
-                moved = (p[i] - length * down[i] for i in range(3))
-                trial = once(cast(Vector, tuple(jnp.clip(c, low[i], high[i]) for i, c in enumerate(moved))))
-                value = once(determinant(covariance_at(moments, trial)))
-                better = value < best
-                picked = tuple(jnp.where(better, trial[i], chosen[i]) for i in range(3))
-                chosen, best = once((cast(Vector, picked), jnp.where(better, value, best)))
-            return (chosen, best), None
-
-        start: Vector = (x[0], x[1], x[2])
-        value = determinant(covariance_at(moments, start))
-        (p, _), _ = jax.lax.scan(step, (start, value), length=self.steps)
-        found = jnp.stack(p).reshape(shape)
-        return found, objective.value(found)

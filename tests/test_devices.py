@@ -1,0 +1,36 @@
+"""Windows spread over devices. In a process of its own: devices are fixed when JAX starts."""
+
+import subprocess
+import sys
+import textwrap
+
+SCRIPT = """
+    import jax, numpy as np
+    jax.config.update("jax_num_cpu_devices", 3)
+    jax.config.update("jax_enable_x64", True)
+    import reframe_jax as rf
+    from reframe_jax import synthetic
+
+    keys = jax.random.split(jax.random.key(0), 12)
+    poses = np.asarray(jax.vmap(lambda k: synthetic.simulate("K", k, noise=1e-4, duration=1.0).poses)(keys))
+    expected = rf.identify(poses, dt=0.1)
+    for count in (2, 3):
+        mesh = jax.make_mesh((count,), ("windows",), devices=jax.devices()[:count])
+        sharding = jax.NamedSharding(mesh, jax.P("windows"))
+        found = rf.identify(jax.device_put(poses, sharding), dt=0.1)
+        assert len(found.linear.norm.sharding.device_set) == count
+        np.testing.assert_allclose(found.linear.norm, expected.linear.norm, rtol=1e-9)
+        np.testing.assert_allclose(found.linear.position, expected.linear.position, atol=1e-6)
+    try:
+        rf.identify(jax.device_put(poses, jax.NamedSharding(mesh, jax.P(None, None, None, None))), dt=0.1)
+        other = jax.device_put(poses[:, :9], jax.NamedSharding(mesh, jax.P(None, "windows")))
+        rf.identify(other, dt=0.1)
+    except ValueError as error:
+        assert "first axis" in str(error), error
+    else:
+        raise AssertionError("samples spread over devices were accepted")
+"""
+
+
+def test_results_do_not_depend_on_the_number_of_devices():
+    subprocess.run([sys.executable, "-c", textwrap.dedent(SCRIPT)], check=True)
