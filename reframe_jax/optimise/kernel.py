@@ -41,7 +41,7 @@ def search_chains(
         low: (3,) faces of the box, m.
         high: (3,) faces of the box, m.
         starts: (3, R) where the chains start, m.
-        jumps: (H, 3, R) jump of every hop, m; H >= hops.
+        jumps: (H, 3, R) jump of every hop, m; H >= 1.
         accepted: (H, R) largest rise of log J that a hop accepts.
         steps: local steps after every jump.
         hops: jumps of a chain.
@@ -70,19 +70,18 @@ def search_chains(
         box = cast(Vector, tuple(low[a] for a in range(3))), cast(Vector, tuple(high[a] for a in range(3)))
         zero = jnp.zeros_like(values[0])
 
-        def minimise(p: Vector) -> tuple[Vector, jax.Array]:
-            p, determinant = descend(coefficients, *box, p, steps)
-            value = jnp.log(determinant) / 6
-            return p, jnp.where(value == value, value, jnp.inf)  # NaN counts as infinite
-
-        def shifted(p: Vector, shift: Any) -> Vector:
-            moved = (jnp.clip(p[a] + shift(a), box[0][a], box[1][a]) for a in range(3))
-            return cast(Vector, tuple(moved))
-
-        def hop(h: Any, carry: tuple[Vector, jax.Array, Vector, jax.Array]) -> tuple[Any, ...]:
+        def step(h: Any, carry: tuple[Vector, jax.Array, Vector, jax.Array]) -> tuple[Any, ...]:
+            """One body for the first minimisation, the hops and the polishing: it is compiled once."""
             p, value, best_p, best = carry
-            q, new = minimise(shifted(p, lambda a: jumps[(h * 3 + a) * restarts + r]))
-            accept, better = new < value + accepted[h * restarts + r], new < best
+            row = jnp.clip(h - 1, 0, hops - 1)
+            begin = []
+            for a in range(3):
+                hopped = jnp.clip(p[a] + jumps[(row * 3 + a) * restarts + r], box[0][a], box[1][a])
+                begin.append(jnp.where(h == 0, p[a], jnp.where(h > hops, best_p[a], hopped)))
+            q, determinant = descend(coefficients, *box, cast(Vector, tuple(begin)), steps)
+            new = jnp.log(determinant) / 6
+            new = jnp.where(new == new, new, jnp.inf)  # NaN counts as infinite
+            accept, better = new < value + accepted[row * restarts + r], new < best
             return (
                 tuple(jnp.where(accept, q[a], p[a]) for a in range(3)),
                 jnp.where(accept, new, value),
@@ -91,16 +90,9 @@ def search_chains(
             )
 
         start = cast(Vector, tuple(zero + starts[a * restarts + r] for a in range(3)))
-        p, value = minimise(start)
-        *_, best_p, best = jax.lax.fori_loop(0, hops, hop, (p, value, p, value))
-
-        def finish(_: Any, carry: tuple[Vector, jax.Array]) -> tuple[Any, ...]:
-            p, best = carry
-            q, new = minimise(p)
-            better = new < best
-            return tuple(jnp.where(better, q[a], p[a]) for a in range(3)), jnp.where(better, new, best)
-
-        best_p, best = jax.lax.fori_loop(0, polish, finish, (best_p, best))
+        worst = zero + jnp.inf
+        total = 1 + hops + polish
+        *_, best_p, best = jax.lax.fori_loop(0, total, step, (start, worst, start, worst))
         for a in range(3):
             x_ref[a][...] = best_p[a]
         value_ref[...] = best
