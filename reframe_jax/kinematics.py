@@ -6,6 +6,10 @@ The velocity of a constraint frame's origin is affine in the unknown position p 
 
 for each of the four linear frame types (section 4 and Table 3 of the paper, with p the *location* of
 the origin, so v + w x p). This module computes (a, B); nothing after it looks at poses again.
+
+Inside, arrays are laid out components first, then samples, then windows: a rotation is (3, 3, K, ...).
+Every operation is then elementwise on long rows of windows, and no kernel for small matrices, of which
+XLA has no fast ones, is needed. The public functions take and return samples and components last.
 """
 
 from typing import Literal
@@ -14,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax import rotations, transforms
+from reframe_jax import rotations
 from reframe_jax.compilation import once
 
 __all__ = [
@@ -24,6 +28,7 @@ __all__ = [
     "linear_velocity_maps",
     "sliding_windows",
     "spatial_twists",
+    "velocity_components",
 ]
 
 Discretization = Literal["chord", "left"]
@@ -36,6 +41,69 @@ def _step_times(dt: jax.Array | float, poses: jax.Array) -> jax.Array:
     dt = jnp.asarray(dt, dtype=poses.dtype)
     dt = dt.reshape((1,) * (poses.ndim - 2 - dt.ndim) + dt.shape)
     return jnp.broadcast_to(dt, (*dt.shape[:-1], poses.shape[-3] - 1))
+
+
+def _inside_out(array: jax.Array, components: int) -> jax.Array:
+    """(..., K, components) to (components, K, ...), for a number of component axes."""
+    axes = range(-components, 0)
+    return jnp.moveaxis(array, (*axes, -components - 1), tuple(range(components + 1)))
+
+
+def _outside_in(array: jax.Array, components: int) -> jax.Array:
+    """Inverse of :func:`_inside_out`."""
+    axes = range(-components, 0)
+    return jnp.moveaxis(array, tuple(range(components + 1)), (*axes, -components - 1))
+
+
+def _product(a: jax.Array, b: jax.Array) -> jax.Array:
+    """Matrix product (3, 3, ...) (3, n, ...) or matrix times vector (3, 3, ...) (3, ...)."""
+    if b.ndim == a.ndim:
+        return a[:, 0, None] * b[0, None] + a[:, 1, None] * b[1, None] + a[:, 2, None] * b[2, None]
+    return a[:, 0] * b[0, None] + a[:, 1] * b[1, None] + a[:, 2] * b[2, None]
+
+
+def _cross(a: jax.Array, b: jax.Array) -> jax.Array:
+    return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def _hat(w: jax.Array) -> jax.Array:
+    """(3, ...) to (3, 3, ...): see :func:`reframe_jax.rotations.hat`."""
+    zero = jnp.zeros_like(w[0])
+    rows = ([zero, -w[2], w[1]], [w[2], zero, -w[0]], [-w[1], w[0], zero])
+    return jnp.stack([jnp.stack(row) for row in rows])
+
+
+def _transpose(matrix: jax.Array) -> jax.Array:
+    return jnp.swapaxes(matrix, 0, 1)
+
+
+def _rotations_and_positions(poses: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """(3, 3, K+1, ...) and (3, K+1, ...) of poses (..., K+1, 4, 4)."""
+    top = once(_inside_out(poses[..., :3, :], 2))
+    return top[:, :3], top[:, 3]
+
+
+def _log_of_step(rotation: jax.Array, shift: jax.Array) -> jax.Array:
+    """Twist (6,) whose exponential is the step (3, 3), (3,)."""
+    w = rotations.rotation_log(rotation)
+    return jnp.concatenate([w, _product(rotations.left_jacobian_inverse(w), shift)])
+
+
+def _body_twists(rotation: jax.Array, position: jax.Array, step: jax.Array) -> jax.Array:
+    """(6, K, ...)."""
+    back = _transpose(rotation[:, :, :-1])
+    turn, shift = _product(back, rotation[:, :, 1:]), _product(back, jnp.diff(position, axis=1))
+    log = _log_of_step
+    for _ in range(shift.ndim - 1):
+        log = jax.vmap(log, in_axes=-1, out_axes=-1)
+    return log(turn, shift) / step[None]
+
+
+def _spatial_twists(rotation: jax.Array, position: jax.Array, body: jax.Array) -> jax.Array:
+    """Body twists taken to {g}, (6, K, ...)."""
+    rotation, position = rotation[:, :, :-1], position[:, :-1]
+    w = _product(rotation, body[:3])
+    return jnp.concatenate([w, _product(rotation, body[3:]) + _cross(position, w)])
 
 
 def body_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
@@ -51,9 +119,7 @@ def body_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
     Returns:
         (..., K, 6) as (w, v) in {b}; rad/s, m/s.
     """
-    steps = transforms.pose_inverse(poses[..., :-1, :, :]) @ poses[..., 1:, :, :]
-    twists = transforms.pose_log(steps)
-    return twists / _step_times(dt, poses)[..., None]
+    return _outside_in(_mean_twists(poses, dt)[0], 1)
 
 
 def spatial_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
@@ -61,11 +127,14 @@ def spatial_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
 
     Arguments and shapes as in :func:`body_twists`; the result is in {g}.
     """
-    return _to_ground(poses, body_twists(poses, dt))
+    return _outside_in(_mean_twists(poses, dt)[1], 1)
 
 
-def _to_ground(poses: jax.Array, twists: jax.Array) -> jax.Array:
-    return (transforms.adjoint(poses[..., :-1, :, :]) @ twists[..., None])[..., 0]
+def _mean_twists(poses: jax.Array, dt: jax.Array | float) -> tuple[jax.Array, jax.Array]:
+    """Body and spatial twists, (6, K, ...)."""
+    rotation, position = _rotations_and_positions(poses)
+    body = once(_body_twists(rotation, position, _inside_out(_step_times(dt, poses), 0)))
+    return body, once(_spatial_twists(rotation, position, body))
 
 
 def _derivative_weights(dt: jax.Array) -> jax.Array:
@@ -96,26 +165,25 @@ def _derivative_weights(dt: jax.Array) -> jax.Array:
 
 
 def _derivative(weights: jax.Array, x: jax.Array) -> jax.Array:
-    """Derivative of samples, (..., K, m), with the weights of :func:`_derivative_weights`."""
-    steps, n = weights.shape[-2:]
+    """Derivative of samples (m, K, ...) with weights (n, K, ...), see :func:`_derivative_weights`."""
+    n, steps = weights.shape[:2]
     margin = n // 2
     ends = [
-        jnp.sum(weights[..., rows, :, None] * x[..., None, nodes, :], axis=-2)
+        jnp.sum(weights[None, :, rows] * x[:, nodes, None], axis=1)
         for rows, nodes in (
             (slice(margin), slice(n)),
             (slice(steps - n + 1 + margin, None), slice(steps - n, None)),
         )
     ]
-    inner = weights[..., margin : steps - n + 1 + margin, :, None]
-    shifted = [inner[..., j, :] * x[..., j : steps - n + 1 + j, :] for j in range(n)]
-    middle = sum(shifted[1:], shifted[0])
-    return jnp.concatenate([ends[0], middle, ends[1]], axis=-2)
+    inner = weights[:, margin : steps - n + 1 + margin]
+    shifted = [inner[j, None] * x[:, j : steps - n + 1 + j] for j in range(n)]
+    return jnp.concatenate([ends[0], sum(shifted[1:], shifted[0]), ends[1]], axis=1)
 
 
 def _bracket(a: jax.Array, b: jax.Array) -> jax.Array:
     """Lie bracket of twists (w, v): [a, b] = (wa x wb, wa x vb - wb x va)."""
-    wa, va, wb, vb = a[..., :3], a[..., 3:], b[..., :3], b[..., 3:]
-    return jnp.concatenate([jnp.cross(wa, wb), jnp.cross(wa, vb) - jnp.cross(wb, va)], axis=-1)
+    wa, va, wb, vb = a[:3], a[3:], b[:3], b[3:]
+    return jnp.concatenate([_cross(wa, wb), _cross(wa, vb) - _cross(wb, va)])
 
 
 def _without_brackets(means: jax.Array, dt: jax.Array, spatial: bool) -> jax.Array:
@@ -133,11 +201,11 @@ def _without_brackets(means: jax.Array, dt: jax.Array, spatial: bool) -> jax.Arr
     lively motion at dt = 0.1 s).
 
     Args:
-        means: (..., K, 6) mean twists.
+        means: (6, K, ...) mean twists.
         dt: (..., K) s.
         spatial: whether they are spatial or body twists.
     """
-    weights, h = _derivative_weights(dt), dt[..., None]
+    weights, h = once(_inside_out(_derivative_weights(dt), 1)), _inside_out(dt, 0)[None]
     first = once(_derivative(weights, means))
     second = once(_derivative(weights, first))
     turn = 1.0 if spatial else -1.0
@@ -155,18 +223,39 @@ def _without_brackets(means: jax.Array, dt: jax.Array, spatial: bool) -> jax.Arr
     return means - (first_bracket + second_bracket) / h
 
 
-def _twists(
-    poses: jax.Array, dt: jax.Array | float, discretization: Discretization
+def velocity_components(
+    poses: jax.Array, dt: jax.Array | float, discretization: Discretization = "chord"
 ) -> tuple[jax.Array, jax.Array]:
-    """Body and spatial twists that stand for every step, (..., K, 6) each."""
+    """Angular velocities and linear velocity maps, components first: what moments are made of.
+
+    Arguments as in :func:`linear_velocity_maps`.
+
+    Returns:
+        (3, 1, K, 2, ...) rad/s and (3, 4, K, 4, ...) m/s and 1/s; the axis after the samples is over
+        frame types, the order within as in :func:`angular_velocities` and :func:`linear_velocity_maps`.
+
+    Raises:
+        ValueError: for an unknown discretization.
+    """
     if discretization not in ("chord", "left"):
         raise ValueError(f"discretization must be 'chord' or 'left', not {discretization!r}.")
-    body = once(body_twists(poses, dt))
-    spatial = once(_to_ground(poses, body))
-    if discretization == "left":
-        return body, spatial
+    rotation, position = _rotations_and_positions(poses)
     steps = _step_times(dt, poses)
-    return _without_brackets(body, steps, False), _without_brackets(spatial, steps, True)
+    step = _inside_out(steps, 0)[None, None]
+    body, spatial = _mean_twists(poses, dt)
+    if discretization == "chord":
+        body, spatial = _without_brackets(body, steps, False), _without_brackets(spatial, steps, True)
+    bb, gg = (jnp.concatenate([twist[3:, None], _hat(twist[:3])], axis=1) for twist in (body, spatial))
+    inverse = _transpose(rotation)
+    if discretization == "left":
+        gb, bg = _product(rotation[:, :, :-1], bb), _product(inverse[:, :, :-1], gg)
+    else:
+        in_ground = jnp.concatenate([position[:, None], rotation], axis=1)
+        # a point p of the ground is R^T (p - x) in the body; the body moves against it
+        in_body = jnp.concatenate([_product(inverse, position)[:, None], -inverse], axis=1)
+        gb, bg = jnp.diff(in_ground, axis=2) / step, jnp.diff(in_body, axis=2) / step
+    rates = jnp.stack([spatial[:3], body[:3]], axis=2)
+    return rates[:, None], jnp.stack([bb, gb, gg, bg], axis=3)
 
 
 def angular_velocities(
@@ -185,8 +274,8 @@ def angular_velocities(
     Raises:
         ValueError: for an unknown discretization.
     """
-    body, spatial = _twists(poses, dt, discretization)
-    return jnp.stack([spatial[..., :3], body[..., :3]], axis=-3)
+    rates, _ = velocity_components(poses, dt, discretization)
+    return jnp.moveaxis(rates[:, 0], (2, 1, 0), (-3, -2, -1))
 
 
 def linear_velocity_maps(
@@ -216,24 +305,8 @@ def linear_velocity_maps(
     Raises:
         ValueError: for an unknown discretization.
     """
-    body, spatial = _twists(poses, dt, discretization)
-
-    def rigid(twist: jax.Array) -> jax.Array:
-        return jnp.concatenate([twist[..., 3:, None], rotations.hat(twist[..., :3])], axis=-1)
-
-    bb, gg = rigid(body), rigid(spatial)
-    rotation, position = poses[..., :3, :3], poses[..., :3, 3:]
-    inverse = jnp.swapaxes(rotation, -1, -2)
-    if discretization == "left":
-        gb, bg = rotation[..., :-1, :, :] @ bb, inverse[..., :-1, :, :] @ gg
-    else:
-        step = _step_times(dt, poses)[..., None, None]
-        in_ground = jnp.concatenate([position, rotation], axis=-1)
-        # a point p of the ground is R^T (p - x) in the body; the body moves against it
-        in_body = jnp.concatenate([inverse @ position, -inverse], axis=-1)
-        gb = jnp.diff(in_ground, axis=-3) / step
-        bg = jnp.diff(in_body, axis=-3) / step
-    return jnp.stack([bb, gb, gg, bg], axis=-4)
+    _, maps = velocity_components(poses, dt, discretization)
+    return jnp.moveaxis(maps, (3, 2, 0, 1), (-4, -3, -2, -1))
 
 
 def sliding_windows(samples: np.ndarray, length: int, stride: int = 1) -> np.ndarray:

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 
+from reframe_jax.compilation import once
 from reframe_jax.symmetric import INDEX_PAIRS, Symmetric, Vector
 
 __all__ = [
@@ -21,7 +22,6 @@ __all__ = [
     "Coefficients",
     "covariance_at",
     "covariance_gradient",
-    "pack_moments",
     "velocity_moments",
 ]
 
@@ -30,25 +30,6 @@ Coefficients = Sequence[Sequence[jax.Array]] | jax.Array
 
 MONOMIALS = tuple((a, b) for a in range(4) for b in range(a, 4))
 """Pairs (a, b) whose product of (1, px, py, pz) is the monomial of each of the ten coefficients."""
-
-
-def pack_moments(second: jax.Array) -> jax.Array:
-    """Polynomial coefficients of Sigma(p) from the second moments of a map's entries.
-
-    Args:
-        second: (..., 12, 12) mean of ``m m^T``, m being the row-major 3x4 map (a | B).
-
-    Returns:
-        (6, 10, ...): component of Sigma (see :data:`symmetric.INDEX_PAIRS`) by monomial.
-    """
-    rows = []
-    for i, j in INDEX_PAIRS:
-        row = []
-        for a, b in MONOMIALS:
-            entry = second[..., 4 * i + a, 4 * j + b]
-            row.append(entry if a == b else entry + second[..., 4 * i + b, 4 * j + a])
-        rows.append(jnp.stack(row))
-    return jnp.stack(rows)
 
 
 def velocity_moments(maps: jax.Array, weights: jax.Array | None = None) -> jax.Array:
@@ -62,17 +43,55 @@ def velocity_moments(maps: jax.Array, weights: jax.Array | None = None) -> jax.A
         (6, 10, ...), coefficients of Sigma(p). For maps of shape (..., K, 3, 1), which have no
         position, (6, 1, ...).
     """
-    samples, columns = maps.shape[-3], maps.shape[-1]
-    entries = maps.reshape(*maps.shape[:-2], 3 * columns)
+    components = jnp.moveaxis(maps, (-2, -1, -3), (0, 1, 2))
+    return component_moments(components, None if weights is None else jnp.moveaxis(weights, -1, 0))
+
+
+def component_moments(maps: jax.Array, weights: jax.Array | None = None) -> jax.Array:
+    """Moments of maps laid out components first, as :func:`kinematics.velocity_components` has them.
+
+    Args:
+        maps: (3, 4, K, ...) or (3, 1, K, ...).
+        weights: optional (K, ...), >= 0.
+
+    Returns:
+        (6, 10, ...) or (6, 1, ...).
+    """
+    columns, samples = maps.shape[1:3]
+    entries = once(maps.reshape(3 * columns, samples, *maps.shape[3:]))
     if weights is None:
         weighted = entries / samples
     else:
-        weighted = entries * (weights / jnp.sum(weights, axis=-1, keepdims=True))[..., None]
-    # tensor cores would round float32 to 10 bits, more than what separates constrained from free axes
-    second = jnp.einsum("...km,...kn->...mn", weighted, entries, precision=jax.lax.Precision.HIGHEST)
+        weighted = entries * (weights / jnp.sum(weights, axis=0, keepdims=True))[None]
+    weighted = once(weighted)
+    # row n: products of entry n with itself and those after it
+    rows = [_add_up(weighted[n, None] * entries[n:]) for n in range(3 * columns)]
+
+    def mean(i: int, a: int, j: int, b: int) -> jax.Array:
+        first, second = sorted((columns * i + a, columns * j + b))
+        return rows[first][second - first]
+
     if columns == 1:
-        return jnp.stack([second[..., i, j] for i, j in INDEX_PAIRS])[:, None]
-    return pack_moments(second)
+        return jnp.stack([mean(i, 0, j, 0) for i, j in INDEX_PAIRS])[:, None]
+    packed = []
+    for i, j in INDEX_PAIRS:
+        row = [mean(i, a, j, b) if a == b else mean(i, a, j, b) + mean(i, b, j, a) for a, b in MONOMIALS]
+        packed.append(jnp.stack(row))
+    return jnp.stack(packed)
+
+
+def _add_up(x: jax.Array) -> jax.Array:
+    """Sum over the samples, (m, K, ...) to (m, ...), as a few long additions.
+
+    XLA's reduction adds one number after the other on a CPU; whole slices are added a vector at a time.
+    """
+    while x.shape[1] > 1:
+        parts = min(8, x.shape[1])
+        size = x.shape[1] // parts
+        slices = [x[:, i * size : (i + 1) * size] for i in range(parts)]
+        total, rest = once(sum(slices[1:], slices[0])), x[:, parts * size :]
+        x = jnp.concatenate([total, rest], axis=1) if rest.shape[1] else total
+    return x[:, 0]
 
 
 def covariance_at(moments: Coefficients, position: Vector) -> Symmetric:

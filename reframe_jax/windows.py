@@ -22,7 +22,7 @@ from reframe_jax.compilation import once
 from reframe_jax.frames import AngularType, LinearType
 from reframe_jax.implicit import attach_derivative
 from reframe_jax.kinematics import Discretization
-from reframe_jax.moments import covariance_at, velocity_moments
+from reframe_jax.moments import component_moments, covariance_at
 from reframe_jax.objectives import PositionObjective, log_power_mean
 from reframe_jax.optimise import Box, NewtonSteps, Solver, ValleySteps
 from reframe_jax.results import (
@@ -55,21 +55,13 @@ def window_moments(
         Angular moments (6, 1, ..., 2) and linear moments (6, 10, ..., 4), the last axis over frame
         types. A floor of a few roundings is added to the covariance, below which nothing can be told.
     """
-    rates, maps = _window_maps(poses, steps, discretization)
+    rates, maps = kinematics.velocity_components(poses, steps, discretization)
     return _moments(rates), _moments(maps)
 
 
-def _window_maps(
-    poses: jax.Array, steps: jax.Array, discretization: Discretization
-) -> tuple[jax.Array, jax.Array]:
-    """Angular velocities (..., 2, K, 3, 1) and linear velocity maps (..., 4, K, 3, 4)."""
-    rates = kinematics.angular_velocities(poses, steps, discretization)
-    return rates[..., None], kinematics.linear_velocity_maps(poses, steps, discretization)
-
-
 def _moments(maps: jax.Array, exponent: int = 1) -> jax.Array:
-    """Moments with a multiple of the identity added to Sigma: rounding ** exponent of the speed."""
-    moments = velocity_moments(maps)
+    """Moments, the types last, of maps (3, columns, K, types, ...), with a floor: rounding ** exponent."""
+    moments = jnp.moveaxis(component_moments(maps), 2, -1)
     squares = [moments[i, j] for i in (0, 3, 5) for j in ((0,) if moments.shape[1] == 1 else (0, 4, 7, 9))]
     rounding = (_FLOOR * float(jnp.finfo(moments.dtype).eps)) ** exponent
     floor = rounding * jax.lax.stop_gradient(jnp.sum(jnp.stack(squares), axis=0))
@@ -77,20 +69,19 @@ def _moments(maps: jax.Array, exponent: int = 1) -> jax.Array:
 
 
 def _seen_from(maps: jax.Array, axes: jax.Array, origin: jax.Array | None = None) -> jax.Array:
-    """The maps along given axes (..., 3, 3), their position counted from an origin (3, ...).
+    """The maps (3, columns, K, types, N) along axes (N, types, 3, 3), from an origin (3, N, types).
 
     Squares do not fit float32: one axis moves 1e5 times faster than another, and rounding of the one
     hides the square of the other. Seen along its axes from the optimum, each velocity is squared by
     itself, and float32 is as good as its digits. (The same as a square root of the moments, cheaper.)
     """
-    # row by row: XLA is slow at many small matrix products
-    rows = [axes[..., None, i, :, None] * maps[..., i, None, :] for i in range(3)]
-    turned = rows[0] + rows[1] + rows[2]
+    e = jnp.transpose(axes, (2, 3, 1, 0))[:, :, None, None]
+    turned = e[0][:, :] * maps[0, None] + e[1][:, :] * maps[1, None] + e[2][:, :] * maps[2, None]
     if origin is None:
         return turned
-    p = jnp.moveaxis(origin, 0, -1)[..., None, None, :]
-    moved = turned[..., 0] + jnp.sum(turned[..., 1:] * p, axis=-1)
-    return jnp.concatenate([moved[..., None], turned[..., 1:]], axis=-1)
+    p = jnp.swapaxes(origin, 1, 2)[:, None, None]
+    moved = turned[:, 0] + turned[:, 1] * p[0] + turned[:, 2] * p[1] + turned[:, 3] * p[2]
+    return jnp.concatenate([moved[:, None], turned[:, 1:]], axis=1)
 
 
 def identify_windows(
@@ -123,7 +114,7 @@ def identify_windows(
     steps = jnp.where(jnp.isfinite(steps) & (steps > 0), steps, 1)
     centre = jax.lax.stop_gradient(jnp.mean(poses[:, :, :3, 3], axis=1))
     centred = poses.at[:, :, :3, 3].add(-centre[:, None])
-    rates, maps = once(_window_maps(once(centred), steps, discretization))
+    rates, maps = once(kinematics.velocity_components(once(centred), steps, discretization))
     unit = jnp.asarray([1, 0, 0, 1, 0, 1], dtype=poses.dtype)[:, None, None, None]
 
     def moments_of(maps: jax.Array, exponent: int = 1) -> jax.Array:

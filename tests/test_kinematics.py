@@ -331,8 +331,10 @@ class TestDiscretization:
         middle = np.cumsum(dt, axis=-1) - dt / 2
         shape = rng.normal(size=count)
         values, expected = np.polyval(shape, middle), np.polyval(np.polyder(shape), middle)
-        found = jax.jit(kinematics._derivative)(weights, values[..., None])[..., 0]
-        np.testing.assert_allclose(found, expected, atol=2e-10)
+        found = jax.jit(kinematics._derivative)(jnp.moveaxis(weights, 0, -1).swapaxes(0, 1), values.T[None])[
+            0
+        ]
+        np.testing.assert_allclose(found, expected.T, atol=2e-10)
 
 
 class TestSlidingWindows:
