@@ -20,13 +20,13 @@ CPU_OPTIONS: dict[str, Any] = {
     "xla_disable_hlo_passes": "cse_barrier_expander",  # the pass that drops the marks of once()
     "xla_cpu_prefer_vector_width": 512,  # where there is AVX-512; otherwise it changes nothing
 }
-if jax.__version_info__ < (0, 11):
-    # the older of two code generators compiles twice as fast; jax 0.11 has one only
-    CPU_OPTIONS["xla_cpu_use_fusion_emitters"] = False
 """``compiler_options`` of ``jax.jit`` for identification on a CPU.
 
 JAX takes them from the outermost ``jit`` only: give them to yours if you call ``identify`` inside one.
 """
+if jax.__version_info__ < (0, 11):
+    # the older of two code generators compiles twice as fast; jax 0.11 has one only
+    CPU_OPTIONS["xla_cpu_use_fusion_emitters"] = False
 
 _T = TypeVar("_T")
 _inside_a_kernel: ContextVar[bool] = ContextVar("_inside_a_kernel", default=False)
