@@ -16,7 +16,7 @@ import jax
 import numpy as np
 
 import reframe_jax
-from reframe_jax import report
+from reframe_jax import cli_panda, report
 from reframe_jax.classify import Thresholds
 from reframe_jax.frames import CONSTRAINTS, constraint
 from reframe_jax.identify import identify
@@ -28,7 +28,7 @@ from reframe_jax.validate import MIN_VELOCITIES, Status
 
 __all__ = ["main"]
 
-_CHUNK = 64  # windows identified at once: one compilation for every recording, and steps for the progress
+_CHUNK = 2048  # windows between two reports of progress
 
 _DESCRIPTION = """\
 Find the frame in which a measured motion is constrained: the body it is
@@ -79,6 +79,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     _add_identify(commands)
     _add_simulate(commands)
+    cli_panda.add_commands(commands)
     listing = commands.add_parser("constraints", help="list the named constraints")
     listing.set_defaults(run=_constraints)
     return parser
@@ -335,16 +336,14 @@ def _windows(recording: Recording, options: argparse.Namespace) -> tuple[Identif
         )
     poses = sliding_windows(recording.poses, length, options.stride)
     times = sliding_windows(recording.times, length, options.stride)
-    size = 1 if whole else _CHUNK
     parts = []
-    for first in range(0, len(poses), size):
-        # the last window fills up the last chunk
-        chunk = np.minimum(np.arange(first, first + size), len(poses) - 1)
-        parts.append(jax.device_get(_identify_chunk(poses[chunk], times[chunk], options)))
-        if len(poses) > size and sys.stderr.isatty():
-            done = min(first + size, len(poses))
+    for first in range(0, len(poses), _CHUNK):
+        rows = slice(first, first + _CHUNK)
+        parts.append(jax.device_get(_identify_windows(poses[rows], times[rows], options)))
+        if len(poses) > _CHUNK and sys.stderr.isatty():
+            done = min(first + _CHUNK, len(poses))
             _say(f"\r{done} of {len(poses)} windows", end="\n" if done == len(poses) else "")
-    found = jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(poses)], *parts)
+    found = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
     spans = [
         report.Window(start, start + length, float(window[0]), float(window[-1]))
         for start, window in zip(range(0, len(recording.times), options.stride), times, strict=False)
@@ -352,7 +351,7 @@ def _windows(recording: Recording, options: argparse.Namespace) -> tuple[Identif
     return (found[0] if whole else found), spans
 
 
-def _identify_chunk(poses: np.ndarray, times: np.ndarray, options: argparse.Namespace) -> Identification:
+def _identify_windows(poses: np.ndarray, times: np.ndarray, options: argparse.Namespace) -> Identification:
     return identify(
         poses,
         times=times,

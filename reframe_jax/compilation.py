@@ -13,8 +13,15 @@ import jax
 
 __all__ = ["CPU_OPTIONS", "chunk_size", "once", "traced"]
 
-CPU_OPTIONS: dict[str, Any] = {"xla_disable_hlo_passes": "cse_barrier_expander"}
-"""``compiler_options`` of ``jax.jit`` on a CPU: keep the marks of :func:`once`."""
+CPU_OPTIONS: dict[str, Any] = {
+    "xla_disable_hlo_passes": "cse_barrier_expander",  # the pass that drops the marks of once()
+    "xla_cpu_prefer_vector_width": 512,  # where there is AVX-512; otherwise it changes nothing
+    "xla_cpu_use_fusion_emitters": False,  # the older code generator compiles twice as fast
+}
+"""``compiler_options`` of ``jax.jit`` for identification on a CPU.
+
+JAX takes them from the outermost ``jit`` only: give them to yours if you call ``identify`` inside one.
+"""
 
 _T = TypeVar("_T")
 

@@ -32,20 +32,24 @@ def _attach_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[ja
     def lanes(array: jax.Array) -> jax.Array:
         return array.reshape(*array.shape[: array.ndim - len(batch)], -1)
 
-    def one(x: jax.Array, objective: Objective, change: Objective) -> jax.Array:
+    low, high = box.bounds(x)
+
+    def one(x: jax.Array, inside: jax.Array, objective: Objective, change: Objective) -> jax.Array:
         def gradient(objective: Objective) -> jax.Array:
             return jax.grad(objective.value)(x)
 
         _, rate = jax.jvp(gradient, (objective,), (change,))
         hessian = jax.hessian(objective.value)(x)
-        inside = (x > box.low) & (x < box.high)
         hessian = jnp.where(inside[:, None] & inside[None, :], hessian, 0)
         curvature, axes = jnp.linalg.eigh(hessian)
         stiff = curvature > _FLAT * jnp.max(curvature)
         along = axes.T @ jnp.where(inside, rate, 0)
         return -axes @ jnp.where(stiff, along / jnp.where(stiff, curvature, 1), 0)
 
-    change = jax.vmap(one, in_axes=(-1, -1, -1), out_axes=-1)(
-        lanes(x), jax.tree.map(lanes, objective), jax.tree.map(lanes, tangents[1])
+    change = jax.vmap(one, in_axes=(-1, -1, -1, -1), out_axes=-1)(
+        lanes(x),
+        lanes((x > low) & (x < high)),
+        jax.tree.map(lanes, objective),
+        jax.tree.map(lanes, tangents[1]),
     )
     return x, change.reshape(x.shape)

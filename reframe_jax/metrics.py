@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.frames import ConstraintFrame, lookup
+from reframe_jax.frames import ConstraintFrame, LinearType, lookup
 from reframe_jax.results import Identification
 from reframe_jax.rotations import rotation_exp
 
@@ -45,7 +45,9 @@ def _axis_error(rotvec: jax.Array, truth: jax.Array, dof: tuple[int, int, int]) 
     return jnp.arctan2(sine, jnp.abs(jnp.sum(found * true, axis=-1)))
 
 
-def geometry_errors(found: Identification, truth: ConstraintFrame) -> GeometryErrors:
+def geometry_errors(
+    found: Identification, truth: ConstraintFrame, *, start: jax.Array | None = None
+) -> GeometryErrors:
     """Geometric errors of the frames of the true types, whichever types won.
 
     As in the paper's simulations the types are taken as known (see :func:`types_correct` for those).
@@ -56,6 +58,8 @@ def geometry_errors(found: Identification, truth: ConstraintFrame) -> GeometryEr
     Args:
         found: of any batch shape.
         truth: geometry that broadcasts against it.
+        start: (..., 4, 4), the first pose, where the axes of the body and of the ground differ there:
+            it tells how the axes of a GB or BG frame lie to the body that its position is given in.
     """
     angular = found.candidates.angular.rotvec[..., int(truth.angular_type), :]
     linear = found.candidates.linear.rotvec[..., int(truth.linear_type), :]
@@ -69,7 +73,14 @@ def geometry_errors(found: Identification, truth: ConstraintFrame) -> GeometryEr
         order = _matching_axes(entry.angular_dof, entry.linear_dof, truth)
         kept = [order[i] for i in kept]
     miss = position - jnp.broadcast_to(truth.position.astype(position.dtype), position.shape)
-    offset = jnp.einsum("...ji,...j->...i", truth.linear_axes.astype(position.dtype), miss)
+    axes = truth.linear_axes.astype(position.dtype)
+    if start is not None:
+        turn = start[..., :3, :3].astype(position.dtype)
+        if truth.linear_type == LinearType.GB:
+            axes = jnp.swapaxes(turn, -1, -2) @ axes
+        elif truth.linear_type == LinearType.BG:
+            axes = turn @ axes
+    offset = jnp.einsum("...ji,...j->...i", axes, miss)
     distance = jnp.linalg.norm(offset[..., kept], axis=-1) if kept else jnp.nan * position[..., 0]
     return GeometryErrors(
         angular=_axis_error(angular, truth.angular_axes, truth.angular_dof),

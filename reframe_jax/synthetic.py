@@ -101,18 +101,47 @@ def body_twist(frame: ConstraintFrame, pose: jax.Array, angular: jax.Array, line
     Returns:
         (6,) as (w, v) in {b}.
     """
-    rotation, position = pose[:3, :3], pose[:3, 3]
-    inverse = rotation.T
-    w = frame.angular_axes @ (angular * jnp.asarray(frame.angular_dof, dtype=angular.dtype))
-    if frame.angular_type == AngularType.G:
-        w = inverse @ w
-    u = frame.linear_axes @ (linear * jnp.asarray(frame.linear_dof, dtype=linear.dtype))
-    if frame.linear_type.orientation_body == AngularType.G:
-        u = inverse @ u
-    origin = frame.position
-    if frame.linear_type.position_body == AngularType.G:
-        origin = inverse @ (origin - position)
-    return jnp.concatenate([w, u - jnp.cross(w, origin)])
+    return _Attachment.of(frame).body_twist(pose, angular, linear)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class _Attachment:
+    """A constraint frame as numbers alone, so that all constraints share one compilation.
+
+    Attributes:
+        in_ground: (3,) bool, whether the angular axes, the linear axes and the position are in {g}.
+        dof: (2, 3), angular and linear.
+        angular_axes, linear_axes: (3, 3), columns are the axes.
+        position: (3,) m.
+    """
+
+    in_ground: jax.Array
+    dof: jax.Array
+    angular_axes: jax.Array
+    linear_axes: jax.Array
+    position: jax.Array
+
+    @staticmethod
+    def of(frame: ConstraintFrame) -> "_Attachment":
+        bodies = (frame.angular_type, frame.linear_type.orientation_body, frame.linear_type.position_body)
+        return _Attachment(
+            in_ground=jnp.asarray([body == AngularType.G for body in bodies]),
+            dof=jnp.asarray([frame.angular_dof, frame.linear_dof], dtype=frame.position.dtype),
+            angular_axes=frame.angular_axes,
+            linear_axes=frame.linear_axes,
+            position=frame.position,
+        )
+
+    def body_twist(self, pose: jax.Array, angular: jax.Array, linear: jax.Array) -> jax.Array:
+        """See :func:`body_twist`."""
+        inverse, position = pose[:3, :3].T, pose[:3, 3]
+        w = self.angular_axes @ (angular * self.dof[0])
+        w = jnp.where(self.in_ground[0], inverse @ w, w)
+        u = self.linear_axes @ (linear * self.dof[1])
+        u = jnp.where(self.in_ground[1], inverse @ u, u)
+        origin = jnp.where(self.in_ground[2], inverse @ (self.position - position), self.position)
+        return jnp.concatenate([w, u - jnp.cross(w, origin)])
 
 
 def simulate(
@@ -151,11 +180,30 @@ def simulate(
     frame = ConstraintFrame.named(constraint) if isinstance(constraint, str) else constraint
     if isinstance(excitation, str) and excitation not in EXCITATIONS:
         raise ValueError(f"No excitation {excitation!r}. There are: {', '.join(EXCITATIONS)}.")
+    first = jnp.eye(4, dtype=frame.position.dtype) if start is None else start
     phase_key, noise_key = jax.random.split(key)
-    velocity = EXCITATIONS[excitation](phase_key) if isinstance(excitation, str) else excitation
+    attachment, steps = _Attachment.of(frame), round(duration / dt)
+    poses = _integrate(attachment, phase_key, first, dt, excitation=excitation, exact=exact, steps=steps)
+    times = dt * jnp.arange(steps + 1, dtype=first.dtype)
+    return Simulation(times, add_pose_noise(poses, noise_key, noise), poses, frame)
+
+
+@partial(jax.jit, static_argnames=("excitation", "exact", "steps"))
+def _integrate(
+    attachment: _Attachment,
+    key: jax.Array,
+    first: jax.Array,
+    dt: float,
+    *,
+    excitation: str | Excitation,
+    exact: bool,
+    steps: int,
+) -> jax.Array:
+    """Poses (steps + 1, 4, 4) from the first one on."""
+    velocity = EXCITATIONS[excitation](key) if isinstance(excitation, str) else excitation
 
     def twist(t: jax.Array, pose: jax.Array) -> jax.Array:
-        return body_twist(frame, pose, *velocity(t))
+        return attachment.body_twist(pose, *velocity(t))
 
     def advance(pose: jax.Array, t: jax.Array) -> tuple[jax.Array, jax.Array]:
         if not exact:
@@ -168,11 +216,7 @@ def simulate(
         moved, _ = jax.lax.scan(substep, pose, jnp.arange(_SUBSTEPS, dtype=pose.dtype))
         return moved, pose
 
-    steps = round(duration / dt)
-    first = jnp.eye(4, dtype=frame.position.dtype) if start is None else start
-    times = dt * jnp.arange(steps + 1, dtype=first.dtype)
-    _, poses = jax.lax.scan(advance, first, times)
-    return Simulation(times, add_pose_noise(poses, noise_key, noise), poses, frame)
+    return jax.lax.scan(advance, first, dt * jnp.arange(steps + 1, dtype=first.dtype))[1]
 
 
 def _runge_kutta(

@@ -3,6 +3,7 @@
 poses -> velocity maps -> moments -> optimum of every type -> classification -> Identification
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -23,7 +24,7 @@ from reframe_jax.implicit import attach_derivative
 from reframe_jax.kinematics import Discretization
 from reframe_jax.moments import covariance_at, velocity_moments
 from reframe_jax.objectives import PositionObjective, log_power_mean
-from reframe_jax.optimise import Box, Solver
+from reframe_jax.optimise import Box, NewtonSteps, Solver, ValleySteps
 from reframe_jax.results import (
     AllCandidates,
     AngularFrame,
@@ -36,6 +37,7 @@ from reframe_jax.validate import Status, window_status
 __all__ = ["identify_windows", "window_moments"]
 
 _FLOOR = 16  # of the covariance, in units of rounding: keeps noise-free windows positive definite
+_TOUCH_UP = 16  # steps that follow when velocities are seen from the optimum
 _NEAR = 1e-3  # of the box: closer than this to a face counts as on it
 
 
@@ -53,16 +55,42 @@ def window_moments(
         Angular moments (6, 1, ..., 2) and linear moments (6, 10, ..., 4), the last axis over frame
         types. A floor of a few roundings is added to the covariance, below which nothing can be told.
     """
-    linear = velocity_moments(kinematics.linear_velocity_maps(poses, steps, discretization))
+    rates, maps = _window_maps(poses, steps, discretization)
+    return _moments(rates), _moments(maps)
+
+
+def _window_maps(
+    poses: jax.Array, steps: jax.Array, discretization: Discretization
+) -> tuple[jax.Array, jax.Array]:
+    """Angular velocities (..., 2, K, 3, 1) and linear velocity maps (..., 4, K, 3, 4)."""
     rates = kinematics.angular_velocities(poses, steps, discretization)
-    return _with_floor(velocity_moments(rates[..., None])), _with_floor(linear)
+    return rates[..., None], kinematics.linear_velocity_maps(poses, steps, discretization)
 
 
-def _with_floor(moments: jax.Array) -> jax.Array:
-    """Moments with a multiple of the identity added to Sigma, relative to the speed of the window."""
+def _moments(maps: jax.Array, exponent: int = 1) -> jax.Array:
+    """Moments with a multiple of the identity added to Sigma: rounding ** exponent of the speed."""
+    moments = velocity_moments(maps)
     squares = [moments[i, j] for i in (0, 3, 5) for j in ((0,) if moments.shape[1] == 1 else (0, 4, 7, 9))]
-    floor = _FLOOR * jnp.finfo(moments.dtype).eps * jax.lax.stop_gradient(jnp.sum(jnp.stack(squares), axis=0))
+    rounding = (_FLOOR * float(jnp.finfo(moments.dtype).eps)) ** exponent
+    floor = rounding * jax.lax.stop_gradient(jnp.sum(jnp.stack(squares), axis=0))
     return moments.at[jnp.asarray([0, 3, 5]), 0].add(floor[None])
+
+
+def _seen_from(maps: jax.Array, axes: jax.Array, origin: jax.Array | None = None) -> jax.Array:
+    """The maps along given axes (..., 3, 3), their position counted from an origin (3, ...).
+
+    Squares do not fit float32: one axis moves 1e5 times faster than another, and rounding of the one
+    hides the square of the other. Seen along its axes from the optimum, each velocity is squared by
+    itself, and float32 is as good as its digits. (The same as a square root of the moments, cheaper.)
+    """
+    # row by row: XLA is slow at many small matrix products
+    rows = [axes[..., None, i, :, None] * maps[..., i, None, :] for i in range(3)]
+    turned = rows[0] + rows[1] + rows[2]
+    if origin is None:
+        return turned
+    p = jnp.moveaxis(origin, 0, -1)[..., None, None, :]
+    moved = turned[..., 0] + jnp.sum(turned[..., 1:] * p, axis=-1)
+    return jnp.concatenate([moved[..., None], turned[..., 1:]], axis=-1)
 
 
 def identify_windows(
@@ -95,15 +123,16 @@ def identify_windows(
     steps = jnp.where(jnp.isfinite(steps) & (steps > 0), steps, 1)
     centre = jax.lax.stop_gradient(jnp.mean(poses[:, :, :3, 3], axis=1))
     centred = poses.at[:, :, :3, 3].add(-centre[:, None])
-    angular_moments, linear_moments = once(window_moments(once(centred), steps, discretization))
-    unit = jnp.asarray([1, 0, 0, 1, 0, 1], dtype=poses.dtype)
-    angular_moments = jnp.where(failed[:, None], unit[:, None, None, None], angular_moments)
-    linear_moments = jnp.where(failed[:, None], unit[:, None, None, None], linear_moments)
+    rates, maps = once(_window_maps(once(centred), steps, discretization))
+    unit = jnp.asarray([1, 0, 0, 1, 0, 1], dtype=poses.dtype)[:, None, None, None]
 
-    angular = _angular_candidates(angular_moments, thresholds, exponent)
+    def moments_of(maps: jax.Array, exponent: int = 1) -> jax.Array:
+        return once(jnp.where(failed[:, None], unit, _moments(maps, exponent)))
+
+    angular = _angular_candidates(rates, moments_of, thresholds, exponent)
     # rotation about axes that are classified as constrained is taken for noise
     noise = jnp.min(jnp.max(jnp.where(angular.dof == 0, angular.rms, 0), axis=-1), axis=-1)
-    linear = _linear_candidates(linear_moments, thresholds, noise, box, key, exponent, solver)
+    linear = _linear_candidates(maps, moments_of, thresholds, noise, box, key, exponent, solver)
     in_ground = jnp.asarray([t.position_body == AngularType.G for t in LinearType])
     origin = jnp.where(in_ground[None, :, None], centre[:, None], 0)
     assert linear.position is not None
@@ -166,9 +195,18 @@ def _replace(record: Any, **changes: Any) -> Any:
     return type(record)(**{**vars(record), **changes})
 
 
-def _angular_candidates(moments: jax.Array, thresholds: Thresholds, exponent: float) -> Candidates:
-    zero = jnp.zeros_like(moments[0, 0])
-    rms, axes = _spectrum(covariance_at(moments, (zero, zero, zero)))
+Moments = Callable[[jax.Array, int], jax.Array]
+"""Maps and the power of their floor to moments; windows that failed get harmless ones."""
+
+
+def _angular_candidates(
+    rates: jax.Array, moments_of: Moments, thresholds: Thresholds, exponent: float
+) -> Candidates:
+    rms, axes = _spectrum(_constant(moments_of(rates, 1)))
+    if rates.dtype == jnp.float32:
+        first = jax.lax.stop_gradient(axes)
+        rms, axes = _spectrum(_constant(moments_of(_seen_from(rates, first), 2)))
+        axes = first @ axes
     dof = degrees_of_freedom(rms, thresholds.angular)
     return Candidates(
         rotvec=_orientation(axes, dof),
@@ -179,8 +217,15 @@ def _angular_candidates(moments: jax.Array, thresholds: Thresholds, exponent: fl
     )
 
 
+def _constant(moments: jax.Array) -> symmetric.Symmetric:
+    """Covariance of velocities that have no position."""
+    zero = jnp.zeros_like(moments[0, 0])
+    return covariance_at(moments, (zero, zero, zero))
+
+
 def _linear_candidates(
-    moments: jax.Array,
+    maps: jax.Array,
+    moments_of: Moments,
     thresholds: Thresholds,
     noise: jax.Array,
     box: Box,
@@ -189,16 +234,29 @@ def _linear_candidates(
     solver: Solver,
 ) -> Candidates:
     """Search the position of every type; the axes follow from it."""
-    objective = PositionObjective(moments, exponent)
+    objective = PositionObjective(moments_of(maps, 1), exponent)
     solution = jax.tree.map(
         jax.lax.stop_gradient, solver.minimise(jax.lax.stop_gradient(objective), box, key)
     )
-    x = attach_derivative(solution.x, objective, box)
-    rms, axes = _spectrum(objective.covariance(x))
+    if maps.dtype == jnp.float32:
+        origin = solution.x
+        first = jax.lax.stop_gradient(_spectrum(objective.covariance(origin))[1])
+        objective = PositionObjective(moments_of(_seen_from(maps, first, origin), 2), exponent)
+        low, high = box.bounds(origin)
+        here = Box(low - origin, high - origin)
+        steps = ValleySteps(_TOUCH_UP) if exponent == 0 else NewtonSteps(_TOUCH_UP)
+        moved, _ = steps(jax.lax.stop_gradient(objective), here, jnp.zeros_like(origin))
+        moved = attach_derivative(moved, objective, here)
+        rms, local = _spectrum(objective.covariance(moved))
+        axes, x = first @ local, origin + moved
+    else:
+        x = attach_derivative(solution.x, objective, box)
+        rms, local = _spectrum(objective.covariance(x))
+        axes = local
     dof = degrees_of_freedom(rms, thresholds.linear)
     at_minimum = jnp.moveaxis(x, 0, -1)
     still = jnp.max(jnp.where(dof == 0, rms, 0), axis=-1)
-    free = free_positions(moments, axes, dof, at_minimum, still, noise[:, None])
+    free = free_positions(objective.moments, local, dof, at_minimum, still, noise[:, None])
     # of all origins that give the same constraint, the one nearest to the centre of the motion
     position = at_minimum - (free @ at_minimum[..., None])[..., 0]
     low, high = box.low[None, None], box.high[None, None]

@@ -25,7 +25,7 @@ def moments(label):
     keys = jax.random.split(jax.random.key(11), SEEDS * len(NOISES))
     noises = jnp.tile(jnp.asarray(NOISES), SEEDS)
     simulate = jax.vmap(lambda key, noise: synthetic.simulate(frame, key, noise=noise).poses)
-    poses = jax.jit(simulate)(keys, noises)
+    poses = simulate(keys, noises)
     centred = poses.at[..., :3, 3].add(-jnp.mean(poses[..., :3, 3], axis=1, keepdims=True))
     return jax.jit(window_moments)(centred, jnp.full(50, 0.1))[1]
 

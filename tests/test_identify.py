@@ -25,7 +25,7 @@ def windows(label, *, exact=True, excitation="exciting"):
 
     over_seeds = jax.vmap(one, in_axes=(0, None))
     keys = jax.random.split(jax.random.key(7), SEEDS)
-    return jax.jit(jax.vmap(over_seeds, in_axes=(None, 0)))(keys, jnp.asarray(NOISES)), frame
+    return jax.vmap(over_seeds, in_axes=(None, 0))(keys, jnp.asarray(NOISES)), frame
 
 
 def slope(errors):

@@ -14,7 +14,8 @@ class Box:
     """Bounds of every unknown.
 
     Attributes:
-        low, high: (dim,), in the unit of the unknown (rad for rotation vectors, m for positions).
+        low, high: (dim,), or (dim, ...) for a box of every problem, in the unit of the unknown (rad for
+            rotation vectors, m for positions).
     """
 
     low: jax.Array
@@ -22,6 +23,8 @@ class Box:
 
     def bounds(self, x: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Bounds shaped to broadcast against unknowns (dim, ...)."""
+        if self.low.ndim > 1:
+            return self.low.reshape(x.shape), self.high.reshape(x.shape)
         shape = (-1, *([1] * (x.ndim - 1)))
         return self.low.reshape(shape), self.high.reshape(shape)
 

@@ -3,7 +3,7 @@
 With the rotation eliminated, f(p) = log det Sigma(p) near an optimum of a window with little noise is
 the logarithm of a small number: a narrow, curved, concave-sided funnel, in which Newton's method on f
 diverges and gradient descent crawls. Each step here evaluates a few candidates and keeps the best, so
-f never rises:
+f never rises but for rounding:
 
 - *majorise-minimise*: log det is concave, so tr(Sigma(p0)^-1 Sigma(p)) bounds it from above; the
   bound is quadratic and its minimum one 3x3 solve. Best far from the optimum and where all three axes
@@ -18,7 +18,7 @@ in the others.
 """
 
 from dataclasses import dataclass
-from typing import cast
+from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -30,32 +30,55 @@ from reframe_jax.objectives import PositionObjective
 from reframe_jax.optimise.box import Box
 from reframe_jax.symmetric import INDEX_PAIRS, Symmetric, Vector
 
-__all__ = ["ValleySteps", "derivatives"]
+__all__ = ["ValleySteps"]
 
 _QUADRATIC = {pair: MONOMIALS.index((pair[0] + 1, pair[1] + 1)) for pair in INDEX_PAIRS}
 _RIDGE = 1e-10  # of the Hessians, relative to the trace: keeps a free direction solvable
 
 
-def derivatives(moments: jax.Array, p: Vector) -> tuple[Vector, Symmetric, Symmetric]:
-    """Gradient, majorising curvature and Hessian of log det Sigma(p).
+class _Expansion(NamedTuple):
+    """Derivatives of log det Sigma at a point.
 
-    With W = Sigma^-1: g_a = tr(W Sigma_a), A_ab = tr(W Sigma_ab), H_ab = A_ab - tr(W Sigma_a W Sigma_b).
+    With W = Sigma^-1 and Sigma_a, Sigma_ab the derivatives of Sigma,
+    g_a = tr(W Sigma_a), A_ab = tr(W Sigma_ab), H_ab = A_ab - tr(W Sigma_a W Sigma_b).
     """
+
+    sigma: Symmetric
+    slopes: tuple[Symmetric, ...]  # Sigma_a
+    gradient: Vector
+    majorant: Symmetric  # A, the curvature of the majorising quadratic
+    hessian: Symmetric
+
+
+def _expand(moments: jax.Array, p: Vector) -> _Expansion:
     sigma = once(covariance_at(moments, p))
     scale = 1 / symmetric.determinant(sigma)
     w = cast(Symmetric, tuple(scale * c for c in symmetric.adjugate(sigma)))
     w, slopes = once((w, covariance_gradient(moments, p)))
     gradient = cast(Vector, tuple(symmetric.trace_product(w, slope) for slope in slopes))
     products = [_product(w, slope) for slope in slopes]
-    curvature, hessian = [], []
+    majorant, hessian = [], []
     for a, b in INDEX_PAIRS:
         column = moments[:, _QUADRATIC[a, b]]
         second = cast(Symmetric, tuple(column[i] for i in range(6)))
-        majorant = (2.0 if a == b else 1.0) * symmetric.trace_product(w, second)
+        curvature = (2.0 if a == b else 1.0) * symmetric.trace_product(w, second)
         coupling = sum(products[a][i][j] * products[b][j][i] for i in range(3) for j in range(3))
-        curvature.append(majorant)
-        hessian.append(majorant - coupling)
-    return once((gradient, cast(Symmetric, tuple(curvature)), cast(Symmetric, tuple(hessian))))
+        majorant.append(curvature)
+        hessian.append(curvature - coupling)
+    return once(
+        _Expansion(sigma, slopes, gradient, cast(Symmetric, tuple(majorant)), cast(Symmetric, tuple(hessian)))
+    )
+
+
+def _along(moments: jax.Array, slopes: tuple[Symmetric, ...], d: Vector) -> tuple[Symmetric, Symmetric]:
+    """S1 and S2 of Sigma(p - l d) = Sigma(p) - l S1 + l^2 S2."""
+    first, second = [], []
+    for i in range(6):
+        q = moments[i]
+        first.append(d[0] * slopes[0][i] + d[1] * slopes[1][i] + d[2] * slopes[2][i])
+        in_x = d[0] * q[4] + d[1] * q[5] + d[2] * q[6]
+        second.append(d[0] * in_x + d[1] * (d[1] * q[7] + d[2] * q[8]) + d[2] * d[2] * q[9])
+    return once((cast(Symmetric, tuple(first)), cast(Symmetric, tuple(second))))
 
 
 def _product(a: Symmetric, b: Symmetric) -> list[list[jax.Array]]:
@@ -114,45 +137,57 @@ class ValleySteps:
                 "ValleySteps minimise the geometric mean over positions (a PositionObjective of exponent "
                 "0); use NewtonSteps or OptaxSteps for other objectives."
             )
-        moments = objective.moments
+        shape = x.shape
+        moments, x = objective.moments.reshape(6, 10, -1), x.reshape(3, -1)
         low, high = box.bounds(x)
 
-        def determinant(p: Vector) -> jax.Array:
-            det = symmetric.determinant(covariance_at(moments, p))
+        def determinant(sigma: Symmetric) -> jax.Array:
+            det = symmetric.determinant(sigma)
             return jnp.where(det > 0, det, jnp.inf)  # rounding, not a better point
 
         def step(carry: tuple[Vector, jax.Array], _: None) -> tuple[tuple[Vector, jax.Array], None]:
             p, best = carry
-            gradient, curvature, hessian = derivatives(moments, p)
+            here = _expand(moments, p)
             held = [
-                ((p[i] <= low[i]) & (gradient[i] > 0)) | ((p[i] >= high[i]) & (gradient[i] < 0))
+                ((p[i] <= low[i]) & (here.gradient[i] > 0)) | ((p[i] >= high[i]) & (here.gradient[i] < 0))
                 for i in range(3)
             ]
-            g = cast(Vector, tuple(jnp.where(held[i], 0, gradient[i]) for i in range(3)))
-            trace = curvature[0] + curvature[3] + curvature[5]
-            down = symmetric.solve(_hold(curvature, held, trace), g)
-            newton = symmetric.solve(_hold(hessian, held, trace), g)
+            g = cast(Vector, tuple(jnp.where(held[i], 0, here.gradient[i]) for i in range(3)))
+            trace = here.majorant[0] + here.majorant[3] + here.majorant[5]
+            down = symmetric.solve(_hold(here.majorant, held, trace), g)
+            newton = symmetric.solve(_hold(here.hessian, held, trace), g)
             down, newton = once((down, newton))
-            slope = sum((newton[i] * g[i] for i in range(3)), jnp.zeros_like(best))
-            chosen = p
-            lengths = [1 / (1 + slope / m) for m in (1.0, 2.0, 3.0)]
-            room, lengths = once((_room(p, down, low, high), lengths))
-            candidates = [(down, room), (down, jnp.ones_like(best))]
-            candidates += [(newton, length) for length in (jnp.ones_like(best), *lengths)]
-            for direction, length in candidates:
-                trial = cast(
-                    Vector,
-                    tuple(jnp.clip(p[i] - length * direction[i], low[i], high[i]) for i in range(3)),
-                )
-                trial = once(trial)
-                value = once(determinant(trial))
+
+            # Newton's lengths, as far as the box allows, on the line along which Sigma is a quadratic
+            slope = newton[0] * g[0] + newton[1] * g[1] + newton[2] * g[2]
+            ahead = _room(p, newton, low, high)
+            behind = _room(p, cast(Vector, tuple(-c for c in newton)), low, high)
+            lengths = [jnp.clip(1 / (1 + slope / m), -behind, ahead) for m in (jnp.inf, 1.0, 2.0, 3.0)]
+            lengths = once(lengths)
+            first, second = _along(moments, here.slopes, newton)
+            chosen_length = jnp.zeros_like(best)
+            for length in lengths:
+                on_line = zip(here.sigma, first, second, strict=True)
+                sigma = tuple(s0 - length * (s1 - length * s2) for s0, s1, s2 in on_line)
+                value = once(determinant(cast(Symmetric, sigma)))
                 better = value < best  # false for NaN
-                best = jnp.where(better, value, best)
-                chosen = cast(Vector, tuple(jnp.where(better, trial[i], chosen[i]) for i in range(3)))
-                best, chosen = once((best, chosen))
+                chosen_length = jnp.where(better, length, chosen_length)
+                best = once(jnp.where(better, value, best))
+            moved = (p[i] - chosen_length * newton[i] for i in range(3))
+            chosen = once(cast(Vector, tuple(jnp.clip(c, low[i], high[i]) for i, c in enumerate(moved))))
+
+            # the majorising step, cut short at the box and projected onto it
+            for length in (once(_room(p, down, low, high)), jnp.ones_like(best)):
+                moved = (p[i] - length * down[i] for i in range(3))
+                trial = once(cast(Vector, tuple(jnp.clip(c, low[i], high[i]) for i, c in enumerate(moved))))
+                value = once(determinant(covariance_at(moments, trial)))
+                better = value < best
+                picked = tuple(jnp.where(better, trial[i], chosen[i]) for i in range(3))
+                chosen, best = once((cast(Vector, picked), jnp.where(better, value, best)))
             return (chosen, best), None
 
         start: Vector = (x[0], x[1], x[2])
-        (p, _), _ = jax.lax.scan(step, (start, determinant(start)), length=self.steps)
-        found = jnp.stack(p)
+        value = determinant(covariance_at(moments, start))
+        (p, _), _ = jax.lax.scan(step, (start, value), length=self.steps)
+        found = jnp.stack(p).reshape(shape)
         return found, objective.value(found)

@@ -1,0 +1,240 @@
+"""Demonstrations per second of the simulated arm, by batch size, against C MuJoCo; and what they are worth.
+
+Speed: ``panda.demonstrate`` (exact constraint, guide and recording included, steps of 10 ms) with the
+compilation apart, and C MuJoCo's threaded ``rollout`` of the same arm welded to the same mechanism
+under constant torques (steps of 5 ms, the longest at which its weld keeps the constraint as closely).
+
+Worth: all twelve constraints demonstrated and identified, in the layout of the paper's Table 4, whose
+figures for A, B, D, I and K stand beside ours; at encoder grade on a rigid set-up, and with compliance.
+"""
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import mujoco.rollout
+import numpy as np
+
+import reframe_jax as rf
+from reframe_jax import metrics, panda
+from reframe_jax.panda.constraint import frame_arrays
+from reframe_jax.panda.mechanism import mechanism_joints, mechanism_model, placement
+
+DURATION = 5.0
+C_STEP = 0.005
+
+# Table 4: lambda of the angular frame (mrad/s) and of the linear one (mm/s), then the errors in degrees
+# and mm, NaN where the constraint has none
+PAPER = {
+    "A": ((20.5, 47.2, 863.7), (1.6, 1.8, 4.5), (0.19, np.nan, 6.46)),
+    "B": ((39.0, 50.0, 55.3), (0.9, 1.8, 256.5), (np.nan, 0.94, np.nan)),
+    "D": ((50.5, 60.8, 958.2), (1.4, 156.4, 185.7), (2.59, 0.52, np.nan)),
+    "I": ((25.5, 30.3, 786.5), (2.4, 5.2, 93.9), (0.56, 1.64, 3.53)),
+    "K": ((260.2, 430.8, 716.1), (4.2, 68.3, 99.4), (np.nan, 2.45, 7.69)),
+}
+
+
+def time_demonstrations(batch: int, repeats: int) -> tuple[float, float, panda.Demonstration]:
+    """Seconds of a warm call, seconds the first call took longer, and its demonstrations."""
+    frame = panda.frame_on_arm("K")
+    first, times = 0.0, []
+    for i in range(repeats + 1):
+        start = time.perf_counter()
+        made = jax.block_until_ready(
+            panda.demonstrate(frame, jax.random.key(i), batch=batch, duration=DURATION, spread=panda.SPREAD)
+        )
+        times.append(time.perf_counter() - start)
+    first = times.pop(0)
+    return min(times), first - min(times), made
+
+
+def time_c_mujoco(batch: int, threads: int) -> tuple[float, float]:
+    """Demonstrations per second of C MuJoCo on a mechanism (K), and its largest gap at the weld in um."""
+    frame = panda.frame_on_arm("K")
+    model = mechanism_model(panda.PANDA, mechanism_joints(frame), C_STEP)
+    pose = panda.forward_kinematics(jnp.asarray(panda.PANDA.home))
+    place = jax.tree.map(np.asarray, placement(frame_arrays(frame), *pose))
+    body, grip, tcp = model.body("mechanism").id, model.site("grip").id, model.site("tcp").id
+    model.body_pos[body], model.body_quat[body] = place["body_pos"], place["body_quat"]
+    model.body_ipos[body] = place["site_pos"]
+    model.site_pos[grip], model.site_quat[grip] = place["site_pos"], place["site_quat"]
+    data = mujoco.MjData(model)
+    mujoco.mj_setConst(model, data)
+    mujoco.mj_resetData(model, data)
+    data.qpos[:7] = panda.PANDA.home
+    mujoco.mj_forward(model, data)
+    state = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
+    mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    steps = round(DURATION / C_STEP)
+    rng = np.random.default_rng(0)
+    t = C_STEP * np.arange(steps)
+    waves = np.sin(rng.uniform(2, 6, (batch, 7, 1)) * t + rng.uniform(0, 6, (batch, 7, 1)))
+    control = np.zeros((batch, steps, model.nv))
+    control[..., :7] = 0.5 * np.swapaxes(waves, 1, 2)
+    workers = [mujoco.MjData(model) for _ in range(threads)]
+    times = []
+    for _ in range(3):
+        start = time.perf_counter()
+        states, _ = mujoco.rollout.rollout(
+            model,
+            workers,
+            np.tile(state, (batch, 1)),
+            control,
+            control_spec=mujoco.mjtState.mjSTATE_QFRC_APPLIED,
+        )
+        times.append(time.perf_counter() - start)
+    gap = 0.0
+    for row in states[0, ::10]:
+        mujoco.mj_setState(model, data, row, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        mujoco.mj_kinematics(model, data)
+        gap = max(gap, float(np.linalg.norm(data.site_xpos[tcp] - data.site_xpos[grip])))
+    return batch / min(times), 1e6 * gap
+
+
+def identify_all(count: int, imperfections: panda.Imperfections, title: str) -> dict[str, float]:
+    """Demonstrate and identify all constraints, and print them in the layout of Table 4."""
+    print(f"\n{title}: {count} demonstrations each; medians, the paper's Table 4 in brackets")
+    print(
+        f"{'':3}{'rms of angular axes, mrad/s':>40}{'of linear axes, mm/s':>38}"
+        f"{'types':>7}{'dof':>6}{'angular, deg':>15}{'linear, deg':>14}{'position, mm':>15}"
+    )
+    types, dof, worst = [], [], np.zeros(3)
+    violation = np.zeros(2)
+    for label in rf.CONSTRAINTS:
+        parts = list(
+            panda.demonstrations(
+                label,
+                jax.random.key(4),
+                count,
+                chunk=count,
+                imperfections=imperfections,
+                spread=panda.SPREAD,
+            )
+        )
+        made: Any = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+        times = parts[0].times
+        found = jax.device_get(rf.identify(made.poses, times=times))
+        errors = metrics.geometry_errors(found, made.truth, start=jnp.asarray(made.exact_poses[:, 0]))
+        right = np.asarray(metrics.types_correct(found, made.truth, ties=True))
+        counted = np.asarray(metrics.dof_correct(found, made.truth))
+        median = np.array(
+            [
+                np.degrees(np.median(errors.angular)),
+                np.degrees(np.median(errors.linear)),
+                1e3 * np.median(errors.position),
+            ]
+        )
+        types.append(right.mean())
+        dof.append(counted.mean())
+        worst = np.fmax(worst, median)
+        violation = np.maximum(violation, made.violation.max(axis=0))
+        print(
+            table_row(
+                label,
+                1e3 * np.median(found.angular.rms, axis=0),
+                1e3 * np.median(found.linear.rms, axis=0),
+                (right.mean(), counted.mean()),
+                median,
+            )
+        )
+    return {
+        "types_correct": float(np.mean(types)),
+        "dof_correct": float(np.mean(dof)),
+        "angular_error_deg": float(worst[0]),
+        "linear_error_deg": float(worst[1]),
+        "position_error_mm": float(worst[2]),
+        "max_violation_mrad": float(1e3 * violation[0]),
+        "max_violation_um": float(1e6 * violation[1]),
+    }
+
+
+def table_row(
+    label: str,
+    angular: np.ndarray,
+    linear: np.ndarray,
+    shares: tuple[float, float],
+    errors: np.ndarray,
+) -> str:
+    """A row of the table, the paper's figures in brackets."""
+    paper = PAPER.get(label)
+
+    def triple(values: np.ndarray, index: int) -> str:
+        ours = "/".join(f"{value:.1f}" for value in values)
+        return ours + (f" ({'/'.join(f'{v:.1f}' for v in paper[index])})" if paper else "")
+
+    def error(i: int) -> str:
+        if np.isnan(errors[i]):
+            return "-"
+        return f"{errors[i]:.3f}" + (f" ({paper[2][i]:.2f})" if paper else "")
+
+    return (
+        f"{label:3}{triple(angular, 0):>40}{triple(linear, 1):>38}"
+        f"{100 * shares[0]:>5.0f} %{100 * shares[1]:>4.0f} %{error(0):>15}{error(1):>14}{error(2):>15}"
+    )
+
+
+def run(batches: Sequence[int], count: int, repeats: int) -> dict[str, float]:
+    """Run everything and print the tables."""
+    threads = len(os.sched_getaffinity(0))
+    print(f"{threads} cores, {jax.devices()[0].platform}, demonstrations of {DURATION:g} s")
+    rates, compiling = {}, 0.0
+    for batch in batches:
+        seconds, extra, _ = time_demonstrations(batch, repeats)
+        rates[batch] = batch / seconds
+        compiling = max(compiling, extra)
+        print(
+            f"demonstrate, batch {batch:>6}: {rates[batch]:>9.1f} demonstrations/s, "
+            f"first call {extra:.1f} s longer"
+        )
+    c_rate, gap = time_c_mujoco(64, threads)
+    print(f"C MuJoCo, {threads} threads      : {c_rate:>9.1f} demonstrations/s, gap at the weld {gap:.1f} um")
+    rigid = identify_all(count, panda.ENCODER_GRADE, "Rigid, encoder grade")
+    soft = identify_all(count, panda.REALISTIC, "Compliant, encoder grade")
+    print(
+        f"\nlargest violation of a rigid constraint: {rigid['max_violation_um']:.1f} um, "
+        f"{rigid['max_violation_mrad']:.3f} mrad"
+    )
+    return {
+        "demonstrations_per_second": max(rates.values()),
+        **{f"demonstrations_per_second_batch_{batch}": rate for batch, rate in rates.items()},
+        "mujoco_c_demonstrations_per_second": c_rate,
+        "mujoco_c_gap_um": gap,
+        "compile_s": compiling,
+        **rigid,
+        **{f"compliant_{name}": value for name, value in soft.items() if "violation" not in name},
+    }
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Command line of the benchmark."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.panda", description=__doc__)
+    parser.add_argument(
+        "--batch", type=int, nargs="+", help="batch sizes (1, 16, 64, 256; 4096, 16384 on a GPU)"
+    )
+    parser.add_argument(
+        "--count", type=int, default=64, help="demonstrations identified of each constraint (64)"
+    )
+    parser.add_argument("--single", action="store_true", help="in 32 bits")
+    parser.add_argument(
+        "--quick", action="store_true", help="batch 64 only, twice, and 64 of each constraint"
+    )
+    parser.add_argument("--json", type=Path, help="file to write the metrics to")
+    options = parser.parse_args(argv)
+    jax.config.update("jax_enable_x64", not options.single)
+    on_gpu = jax.devices()[0].platform == "gpu"
+    batches = options.batch or ([4096, 16384] if on_gpu else [1, 16, 64, 256])
+    result = run([64], 64, 2) if options.quick else run(batches, options.count, 3)
+    if options.json:
+        options.json.write_text(json.dumps({"metrics": result}, indent=2) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

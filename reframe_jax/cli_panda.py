@@ -1,0 +1,221 @@
+"""Commands that simulate the arm: demonstrate and reproduce. MuJoCo is imported when they run."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from reframe_jax.io import RecordingError, save_recording
+
+__all__ = ["add_commands"]
+
+_DEMONSTRATE = """\
+Simulate demonstrations: a hand guides a Franka arm under a constraint.
+
+The file is an .npz of all demonstrations (times, poses, exact_poses,
+joint_positions, ..., and the true frame of each), or a .csv: one recording
+for each, demos-000.csv and so on, for reframe-jax identify.
+"""
+
+_REPRODUCE = """\
+Demonstrate, identify, and reproduce a task from end-stop to end-stop.
+
+The robot is moved by wrenches in the true frames of the constraint, in frames
+with the errors that methods with prior knowledge report, and in the frames it
+identified: the three rows of the paper's Figure 5.
+"""
+
+
+def add_commands(commands: Any) -> None:
+    """Add the commands of this module to those of the command line."""
+    from reframe_jax import cli
+
+    command = cli._add_command(
+        commands, "demonstrate", _demonstrate, _DEMONSTRATE, "simulate demonstrations on a robot arm"
+    )
+    _add_common(command)
+    add = command.add_argument
+    add("--count", type=_count, default=1, metavar="N", help="demonstrations (1)")
+    add("--out", type=Path, required=True, metavar="FILE", help="file to write, .npz or .csv")
+    add("--duration", type=cli._positive, default=5.0, metavar="S", help="s (5)")
+    add("--dt", type=cli._positive, default=0.05, metavar="S", help="sample time, s (0.05)")
+    add(
+        "--excitation",
+        choices=["exciting", "paper"],
+        default="exciting",
+        help="how the hand moves along the free axes: of many frequencies, or as in the paper (exciting)",
+    )
+    add("--keep", action="store_true", help="keep demonstrations that hit a limit, instead of redrawing")
+    command = cli._add_command(
+        commands, "reproduce", _reproduce, _REPRODUCE, "demonstrate, identify and reproduce a task"
+    )
+    _add_common(command)
+    add = command.add_argument
+    add("--trials", type=_count, default=30, metavar="N", help="demonstrations and reproductions (30)")
+    add(
+        "--controller",
+        choices=["wrench", "hybrid", "impedance"],
+        default="wrench",
+        help="constant wrenches as in the paper, hybrid force/velocity, or impedance by axis (wrench)",
+    )
+
+
+def _add_common(command: argparse.ArgumentParser) -> None:
+    from reframe_jax import cli
+
+    add = command.add_argument
+    add("--constraint", type=cli._label, required=True, metavar="K", help="letter or name: see constraints")
+    add("--robot", choices=["panda", "fr3"], default="panda", help="the arm (panda)")
+    add(
+        "--imperfections",
+        choices=["none", "encoder", "realistic"],
+        default="realistic" if command.prog.endswith("reproduce") else "encoder",
+        help="of the robot: none, the noise of its encoders, or that and compliance (%(default)s)",
+    )
+    add("--fixed", action="store_true", help="the same geometry every time, not one drawn at random")
+    add("--seed", type=int, default=0, help="of the random numbers (0)")
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"expected a positive number, not {text}")
+    return value
+
+
+def _prepared(options: argparse.Namespace) -> dict[str, Any]:
+    """Options that both commands pass on, after JAX has been configured."""
+    from reframe_jax import cli
+
+    cli._configure_jax(options.cache)
+    from reframe_jax import panda
+
+    kinds = {"none": panda.Imperfections(), "encoder": panda.ENCODER_GRADE, "realistic": panda.REALISTIC}
+    return {
+        "imperfections": kinds[options.imperfections],
+        "spread": (0.0, 0.0) if options.fixed else panda.SPREAD,
+        "arm": options.robot,
+        "progress": _progress if sys.stderr.isatty() else None,
+    }
+
+
+def _progress(done: int, count: int) -> None:
+    from reframe_jax import cli
+
+    cli._say(f"\r{done} of {count} demonstrations", end="\n" if done == count else "")
+
+
+def _demonstrate(options: argparse.Namespace) -> int:
+    from reframe_jax import cli
+
+    if options.out.suffix not in (".npz", ".csv"):
+        options.usage_error(f"--out must end in .npz or .csv, not {options.out.name!r}.")
+    common = _prepared(options)
+    from reframe_jax import panda
+
+    try:
+        parts = list(
+            panda.demonstrations(
+                options.constraint,
+                jax.random.key(options.seed),
+                options.count,
+                chunk=min(options.count, 64),
+                redraw=not options.keep,
+                duration=options.duration,
+                dt=options.dt,
+                excitation=options.excitation,
+                **common,
+            )
+        )
+        written = _write(options.out, parts)
+    except (ValueError, OSError) as error:
+        cli._say(f"reframe-jax: error: {error}")
+        return 1
+    codes = np.concatenate([part.status_code for part in parts])
+    print(f"{written}: {len(codes)} demonstrations of {parts[0].times[-1]:g} s")
+    for code in np.unique(codes[codes != panda.RolloutStatus.OK]):
+        print(f"{np.sum(codes == code)} of them: {panda.RolloutStatus(code).message}")
+    return 0
+
+
+def _write(path: Path, parts: list[Any]) -> Path:
+    """Write demonstrations; returns the file, or the last of them."""
+    from reframe_jax.panda import Demonstration
+
+    times = parts[0].times
+    if path.suffix == ".csv":
+        poses = np.concatenate([part.poses for part in parts])
+        width = max(3, len(str(len(poses) - 1)))
+        for number, recording in enumerate(poses):
+            numbered = path.with_stem(f"{path.stem}-{number:0{width}}") if len(poses) > 1 else path
+            save_recording(numbered, times, recording)
+        return numbered
+    truth = parts[0].truth
+    names = [name for name in Demonstration.__dataclass_fields__ if name not in ("times", "truth")]
+    arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    for name in ("angular_rotvec", "linear_rotvec", "position"):
+        arrays[f"true_{name}"] = np.concatenate([getattr(part.truth, name) for part in parts])
+    arrays["true_angular_type"] = str(truth.angular_type)
+    arrays["true_linear_type"] = str(truth.linear_type)
+    arrays["true_angular_dof"] = np.array(truth.angular_dof)
+    arrays["true_linear_dof"] = np.array(truth.linear_dof)
+    if not path.parent.is_dir():
+        raise RecordingError(f"{path}: there is no directory {path.parent}.")
+    np.savez_compressed(path, times=times, **arrays)
+    return path
+
+
+def _reproduce(options: argparse.Namespace) -> int:
+    from reframe_jax import cli
+
+    common = _prepared(options)
+    from reframe_jax import reproduction
+    from reframe_jax.frames import CONSTRAINTS
+
+    controllers = {
+        "wrench": reproduction.constant_wrench(),
+        "hybrid": reproduction.hybrid(),
+        "impedance": reproduction.axis_impedance(),
+    }
+    try:
+        comparison = jax.device_get(
+            reproduction.compare(
+                options.constraint,
+                jax.random.key(options.seed),
+                options.trials,
+                controller=controllers[options.controller],
+                **common,
+            )
+        )
+    except ValueError as error:
+        cli._say(f"reframe-jax: error: {error}")
+        return 1
+    print(f"{CONSTRAINTS[options.constraint].name}, {options.trials} trials, {options.controller}")
+    print(_errors(comparison.errors))
+    print(f"{'frames':12}{'completed':>10}{'time, s':>9}{'peak moment, N m':>22}{'peak force, N':>20}")
+    for name, trials in comparison.rows.items():
+        cells = [
+            f"{np.mean(peak):.2f} ± {np.std(peak):.2f}" for peak in (trials.peak_moment, trials.peak_force)
+        ]
+        time = np.median(trials.completion_time)
+        print(f"{name:12}{100 * np.mean(trials.completed):>8.0f} %{time:>9.2f}{cells[0]:>22}{cells[1]:>20}")
+    for name in ("literature", "identified"):
+        excess = [f"{np.mean(e):+.2f} ± {np.std(e):.2f}" for e in comparison.excess(name)]
+        print(f"{name + ' over exact':31}{excess[0]:>22}{excess[1]:>20}")
+    if not np.all(comparison.identified.completed):
+        cli._say("reframe-jax: some trials in identified frames did not arrive at the end-stop.")
+    return 0
+
+
+def _errors(errors: np.ndarray) -> str:
+    """Medians of the geometric errors, of those that the constraint has."""
+    names = (("angular axis", "deg"), ("linear axis", "deg"), ("position", "mm"))
+    parts = [
+        f"{name} {np.median(column):.2f} {unit}"
+        for (name, unit), column in zip(names, errors.T, strict=True)
+        if not np.isnan(column).any()
+    ]
+    return f"median errors of the identified frames: {', '.join(parts) or 'none to tell'}"

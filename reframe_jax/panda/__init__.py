@@ -1,0 +1,45 @@
+"""A Franka arm under constraints, in MJX: demonstrations in bulk.
+
+from reframe_jax import panda
+
+made = panda.demonstrate("K", jax.random.key(0), batch=64)
+found = rf.identify(made.poses, times=made.times)
+"""
+
+from reframe_jax.panda.demonstration import (
+    SPREAD,
+    Demonstration,
+    demonstrate,
+    demonstrations,
+    frame_on_arm,
+)
+from reframe_jax.panda.dynamics import Motion, arm_motion, inverse_dynamics, jacobian
+from reframe_jax.panda.guide import EXCITATIONS, Guide
+from reframe_jax.panda.imperfections import ENCODER_GRADE, REALISTIC, Imperfections
+from reframe_jax.panda.model import FR3, PANDA, ROBOTS, Arm, Link, arm_xml, forward_kinematics
+from reframe_jax.panda.status import RolloutStatus
+
+__all__ = [
+    "ENCODER_GRADE",
+    "EXCITATIONS",
+    "FR3",
+    "PANDA",
+    "REALISTIC",
+    "ROBOTS",
+    "SPREAD",
+    "Arm",
+    "Demonstration",
+    "Guide",
+    "Imperfections",
+    "Link",
+    "Motion",
+    "RolloutStatus",
+    "arm_motion",
+    "arm_xml",
+    "demonstrate",
+    "demonstrations",
+    "forward_kinematics",
+    "frame_on_arm",
+    "inverse_dynamics",
+    "jacobian",
+]

@@ -1,0 +1,145 @@
+"""From demonstration to reproduction: the paper's Figure 5."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reframe_jax import metrics
+from reframe_jax.frames import ConstraintFrame
+from reframe_jax.identify import identify
+from reframe_jax.panda.constraint import Frame, frame_arrays, locate
+from reframe_jax.panda.demonstration import SPREAD, Demonstration, demonstrations
+from reframe_jax.panda.imperfections import REALISTIC, Imperfections
+from reframe_jax.panda.model import PANDA, Arm, arm_named, forward_kinematics
+from reframe_jax.reproduction.controllers import Controller, constant_wrench
+from reframe_jax.reproduction.frames import control_frames, erroneous_frames
+from reframe_jax.reproduction.trials import Task, Trials, reproduce
+from reframe_jax.results import Identification
+
+__all__ = ["Comparison", "compare"]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Comparison:
+    """A task reproduced in three kinds of frames: the rows of the paper's Figure 5.
+
+    Attributes:
+        demonstrations: that the frames were identified from.
+        found: the identifications.
+        exact: trials in the true frames, the baseline.
+        literature: trials in frames with the errors of methods that have prior knowledge.
+        identified: trials in the identified frames.
+        errors: (N, 3) of the identified frames: deg of the angular and of the linear axis, and mm; NaN
+            where the constraint leaves them free.
+    """
+
+    demonstrations: Demonstration
+    found: Identification
+    exact: Trials
+    literature: Trials
+    identified: Trials
+    errors: jax.Array
+
+    def excess(self, name: str) -> tuple[jax.Array, jax.Array]:
+        """Peak reaction moments (N m) and forces (N) over those in the exact frame, (N,) each."""
+        trials = self.rows[name]
+        return (
+            trials.peak_moment - self.exact.peak_moment,
+            trials.peak_force - self.exact.peak_force,
+        )
+
+    @property
+    def rows(self) -> dict[str, Trials]:
+        """The trials by name."""
+        return {"exact": self.exact, "literature": self.literature, "identified": self.identified}
+
+
+def compare(
+    constraint: str | ConstraintFrame,
+    key: jax.Array,
+    trials: int = 30,
+    *,
+    controller: Controller = constant_wrench(),  # noqa: B008
+    task: Task = Task(),  # noqa: B008
+    imperfections: Imperfections = REALISTIC,
+    spread: tuple[float, float] = SPREAD,
+    arm: str | Arm = PANDA,
+    progress: Callable[[int, int], None] | None = None,
+) -> Comparison:
+    """From demonstration to reproduction: demonstrate, identify, and reproduce in three kinds of frames.
+
+    Where a constraint leaves the origin of its frame free, the identified one is put where the true one
+    is, as forces along the axes act there; where all rotations are free, moments are along the true axes.
+    Any choice is right, but another than the baseline's cannot be compared with it.
+
+    Args:
+        constraint: label or name of one of the twelve, or a frame.
+        key: of everything random.
+        trials: number of demonstrations, each with a geometry of its own, and of reproductions.
+        controller: the wrenches.
+        task: the end-stops.
+        imperfections: of the demonstrations; their compliance is that of the reproductions too.
+        spread: rad and m, of the geometry; see :func:`reframe_jax.panda.demonstrate`.
+        arm: the robot.
+        progress: see :func:`reframe_jax.panda.demonstrations`.
+    """
+    demonstrate_key, error_key = jax.random.split(key)
+    parts = list(
+        demonstrations(
+            constraint,
+            demonstrate_key,
+            trials,
+            chunk=min(trials, 64),
+            imperfections=imperfections,
+            spread=spread,
+            arm=arm,
+            progress=progress,
+        )
+    )
+    made = jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)), *parts)
+    made = replace(made, times=jnp.asarray(parts[0].times))
+    found = identify(made.poses, times=made.times)
+    errors = metrics.geometry_errors(found, made.truth, start=made.exact_poses[:, 0])
+    run = partial(
+        reproduce,
+        made.truth,
+        controller=controller,
+        task=task,
+        arm=arm,
+        compliance=(float(imperfections.angular_compliance), float(imperfections.compliance)),
+    )
+    return Comparison(
+        demonstrations=made,
+        found=found,
+        exact=run(made.truth),
+        literature=run(erroneous_frames(made.truth, error_key, arm=arm)),
+        identified=run(_same_choices(found, made.truth, arm_named(arm))),
+        errors=jnp.stack(
+            [jnp.degrees(errors.angular), jnp.degrees(errors.linear), 1e3 * errors.position], axis=-1
+        ),
+    )
+
+
+def _same_choices(found: Identification, truth: ConstraintFrame, arm: Arm) -> Frame:
+    """The identified frames, with the true ones' choices where the constraint leaves one."""
+    frames = control_frames(found)
+    dtype = truth.position.dtype
+    pose = forward_kinematics(jnp.asarray(arm.home, dtype=dtype), arm)
+
+    def move(frame: Frame, true: Frame, free: jax.Array) -> Frame:
+        away = locate(true, *pose).lever - locate(frame, *pose).lever
+        away = jnp.where(frame.on_body[2], pose[0].T @ away, away)
+        turns = jnp.all(frame.free[:3] > 0)
+        return replace(
+            frame,
+            position=frame.position + free @ away,
+            angular_axes=jnp.where(turns, true.angular_axes, frame.angular_axes),
+            on_body=frame.on_body.at[0].set(jnp.where(turns, true.on_body[0], frame.on_body[0])),
+        )
+
+    return jax.vmap(move)(frames, frame_arrays(truth), found.linear.free_position)

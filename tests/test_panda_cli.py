@@ -1,0 +1,79 @@
+"""The commands that simulate the arm, in this process and on one compiled shape."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from reframe_jax import cli
+from reframe_jax.io import load_recording
+
+COUNT = "8"
+
+
+def test_demonstrations_of_all_in_one_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "demos.npz"
+    command = ["demonstrate", "--no-cache", "--constraint", "K", "--count", COUNT, "--out", str(path)]
+    assert cli.main(command) == 0
+    assert "8 demonstrations of 5 s" in capsys.readouterr().out
+    with np.load(path) as made:
+        assert made["poses"].shape == (8, 101, 4, 4)
+        assert made["joint_positions"].shape == (8, 101, 7)
+        assert made["true_position"].shape == (8, 3)
+        assert str(made["true_linear_type"]) == "GB"
+        assert not np.any(made["status_code"])
+        assert len(np.unique(made["true_position"][:, 0])) == 8
+    # one key, one demonstration
+    assert cli.main([*command[:-1], str(tmp_path / "again.npz")]) == 0
+    with np.load(path) as first, np.load(tmp_path / "again.npz") as again:
+        np.testing.assert_array_equal(first["poses"], again["poses"])
+
+
+def test_demonstrations_as_recordings(tmp_path: Path) -> None:
+    path = tmp_path / "demo.csv"
+    command = ["demonstrate", "--no-cache", "--constraint", "pin-plane contact", "--count", COUNT]
+    assert cli.main([*command, "--out", str(path), "--fixed", "--keep"]) == 0
+    files = sorted(tmp_path.glob("demo-*.csv"))
+    assert [file.name for file in files][:2] == ["demo-000.csv", "demo-001.csv"]
+    assert len(files) == 8
+    recording = load_recording(files[0])
+    assert recording.poses.shape == (101, 4, 4)
+    np.testing.assert_allclose(recording.poses[0, :3, 3], [0.379, 0, 0.506], atol=1e-3)
+
+
+def test_reproduction(capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["reproduce", "--no-cache", "--constraint", "A", "--trials", COUNT]
+    assert cli.main(command) == 0
+    out = capsys.readouterr().out
+    assert "Revolute joint, 8 trials" in out
+    assert "angular axis" in out
+    assert "position" in out
+    assert "linear axis" not in out
+    for row in ("exact", "literature", "identified"):
+        line = next(line for line in out.splitlines() if line.startswith(row))
+        assert "100 %" in line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--constraint", "Z", "--out", "x.npz"], "No constraint 'Z'"),
+        (["--constraint", "A", "--out", "x.gif"], "must end in .npz or .csv"),
+        (["--constraint", "A", "--out", "x.npz", "--count", "0"], "positive number"),
+    ],
+)
+def test_wrong_command(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["demonstrate", *arguments])
+    assert ended.value.code == 2
+    assert message in capsys.readouterr().err
+
+
+def test_sample_time_that_the_step_does_not_divide(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "demo.npz"
+    command = ["demonstrate", "--no-cache", "--constraint", "A", "--dt", "0.033", "--out", str(path)]
+    assert cli.main(command) == 1
+    assert "must divide" in capsys.readouterr().err
+    assert not path.exists()
