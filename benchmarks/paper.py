@@ -15,9 +15,11 @@ import jax
 
 from benchmarks.paper_common import Section, Store, machine
 from benchmarks.paper_figure4 import figure4
+from benchmarks.paper_robot import RobotSize
+from benchmarks.paper_robot_report import figure5, sweeps, table4
 from benchmarks.paper_simulation import Size
 
-SECTIONS = ("figure4",)
+SECTIONS = ("figure4", "table4", "figure5", "sweeps")
 
 _HEAD = """\
 # The experiments of the paper
@@ -35,9 +37,14 @@ def run(folder: Path, *, quick: bool, seeds: int, seed: int, only: Sequence[str]
     start = time.perf_counter()
     folder.mkdir(parents=True, exist_ok=True)
     simulated = Size(seeds=10, annealed=6, seed=seed) if quick else Size(seeds=seeds, seed=seed)
+    robot = RobotSize.quick(seed) if quick else RobotSize(seed=seed)
     parts = {}
     if "figure4" in only:
         parts["figure4"] = figure4(Store(folder, simulated, fresh=fresh), simulated)
+    store = Store(folder, robot, fresh=fresh)
+    for name, section in (("table4", table4), ("figure5", figure5), ("sweeps", sweeps)):
+        if name in only:
+            parts[name] = section(store, robot)
     seconds = time.perf_counter() - start
     metrics = {name: value for part in parts.values() for name, value in part.metrics.items()}
     metrics["seconds"] = seconds

@@ -7,8 +7,7 @@ simpler constraint (the paper's velocities turn E and F into pure rotations abou
 """
 
 import time
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -51,44 +50,20 @@ class Size:
         return len(LABELS) * self.levels * self.seeds
 
 
-def masked_excitation(
-    dof: jax.Array, paper: jax.Array, key: jax.Array, t: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """Velocities of either excitation along the free axes, (3,) each; one program for all."""
-    pair = zip(synthetic.paper_excitation(key)(t), synthetic.exciting(key)(t), dof, strict=True)
-    angular, linear = (mask * jnp.where(paper, a, b) for a, b, mask in pair)
-    return angular, linear
-
-
-@partial(jax.jit, static_argnames=("kind", "exact"))
-def _motions(
-    kind: rf.LinearType, exact: bool, dof: jax.Array, paper: jax.Array, keys: jax.Array
-) -> jax.Array:
-    """Exact poses (labels, seeds, K+1, 4, 4) of the constraints of one linear type."""
-    free = replace(rf.ConstraintFrame.named("K"), angular_dof=(1, 1, 1), linear_dof=(1, 1, 1))
-    frame = replace(free, angular_type=kind.orientation_body, linear_type=kind)
-
-    def one(dof: jax.Array, key: jax.Array) -> jax.Array:
-        excitation = partial(masked_excitation, dof, paper, key)
-        made = synthetic.simulate(frame, key, duration=DURATION, dt=DT, excitation=excitation, exact=exact)
-        return made.exact_poses
-
-    return jax.vmap(jax.vmap(one, (None, 0)), (0, None))(dof, keys)
-
-
 def motions(generator: str, excitation: str, size: Size) -> np.ndarray:
     """Poses without noise, (labels, seeds, K+1, 4, 4)."""
     keys = jax.random.split(jax.random.key(size.seed), size.seeds)
-    frames = [rf.ConstraintFrame.named(label) for label in LABELS]
-    poses: list[np.ndarray | None] = [None] * len(LABELS)
-    for kind in rf.LinearType:
-        rows = [i for i, frame in enumerate(frames) if frame.linear_type == kind]
-        dof = jnp.asarray([(frames[i].angular_dof, frames[i].linear_dof) for i in rows], dtype=float)
-        paper = jnp.asarray(excitation == "paper")
-        made = np.asarray(_motions(kind, generator == "exact", dof, paper, keys))
-        for i, of_label in zip(rows, made, strict=True):
-            poses[i] = of_label
-    return np.stack([of_label for of_label in poses if of_label is not None])
+
+    def poses(label: str) -> jax.Array:
+        def one(key: jax.Array) -> jax.Array:
+            made = synthetic.simulate(
+                label, key, duration=DURATION, dt=DT, excitation=excitation, exact=generator == "exact"
+            )
+            return made.exact_poses
+
+        return jax.vmap(one)(keys)
+
+    return np.stack([np.asarray(poses(label)) for label in LABELS])
 
 
 @jax.jit
