@@ -16,7 +16,7 @@ import numpy as np
 
 import reframe_jax
 
-__all__ = ["Section", "Store", "machine", "number", "table"]
+__all__ = ["Section", "Store", "machine", "number", "plain", "table"]
 
 
 @dataclass
@@ -92,6 +92,14 @@ def machine() -> str:
         f"{model}, {cores} core{'s' if cores != 1 else ''}{where}; Python {platform.python_version()}, "
         f"jax {jax.__version__}, numpy {np.__version__}, reframe_jax {reframe_jax.__version__}"
     )
+
+
+def plain(array: Any) -> Any:
+    """Nested lists of numbers of six digits for JSON, which has no NaN: null instead."""
+    values = np.asarray(array, dtype=float)
+    if values.ndim:
+        return [plain(row) for row in values]
+    return float(f"{float(values):.6g}") if np.isfinite(values) else None
 
 
 def number(value: float, digits: int = 2) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 
 import reframe_jax as rf
 from benchmarks import paper_simulation as simulation
-from benchmarks.paper_common import Section, Store, number, table
+from benchmarks.paper_common import Section, Store, number, plain, table
 from reframe_jax.plotting import Curve, plot_curves
 
 __all__ = ["figure4"]
@@ -224,7 +224,7 @@ def _data(curves: dict[Any, list[simulation.Entry]], size: simulation.Size) -> d
                 "discretization": name[2],
                 "label": e.label,
                 "quantity": e.quantity,
-                "median": [float(f"{x:.4g}") for x in e.median],
+                "median": plain(e.median),
                 "slope": round(e.slope, 4),
                 "determined": e.determined,
             }

@@ -80,7 +80,8 @@ def table4(size: RobotSize) -> dict[str, np.ndarray]:
     """Demonstrate and identify all constraints.
 
     Returns:
-        ``norms`` and ``rms`` (labels, trials, 6), ``errors`` (labels, trials, 3) in degrees and mm, ``types`` and ``dof`` (labels, trials), right or not.
+        ``norms`` and ``rms`` (labels, trials, 6), ``errors`` (labels, trials, 3) in degrees and mm,
+        ``types`` and ``dof`` (labels, trials), right or not.
     """
     rows: dict[str, list[np.ndarray]] = {name: [] for name in ("norms", "rms", "errors", "types", "dof")}
     for label in LABELS:

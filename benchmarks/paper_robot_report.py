@@ -7,7 +7,7 @@ import numpy as np
 
 import reframe_jax as rf
 from benchmarks import paper_robot as robot
-from benchmarks.paper_common import Section, Store, number, table
+from benchmarks.paper_common import Section, Store, number, plain, table
 from benchmarks.paper_robot import LABELS, PAPERS, ROWS, TASKS, RobotSize
 from reframe_jax.plotting import plot_bars, plot_maps
 
@@ -47,10 +47,10 @@ _FIGURE5 = """\
 Tasks A, B and I from end-stop to end-stop on the simulated arm, moved by constant wrenches (3.5 N m, 7 N)
 along the free axes of a control frame: the exact one, one with the errors that methods with prior
 knowledge report (0.5-5 degrees, 1-7.5 mm), and the one identified from a demonstration. Peak reaction
-along the true constrained axes, mean ± standard deviation of {trials} trials in every cell. The exact frame has
-reactions too, from the inertia and friction of the arm itself: what an inexact frame costs is the
-difference to them. (The paper shows its own in its Figure 5 without numbers, and found, as here, that larger
-errors of the frame do not mean larger reactions. For I it kept the error of the position only.)
+along the true constrained axes, mean ± standard deviation of {trials} trials in every cell. The exact
+frame has reactions too, from the inertia and friction of the arm itself: what an inexact frame costs is
+the difference to them. (The paper shows its own in its Figure 5 without numbers, and reports that larger
+errors of the frame need not mean larger reactions. For I it kept the error of the position only.)
 
 """
 
@@ -59,10 +59,10 @@ _SWEEPS = """\
 
 What real demonstrations cannot do: {windows:,} windows of the simulated arm, all twelve constraints,
 {demonstrations} demonstrations each at every compliance of the mount (the angular one is 25 times as many
-rad/(N m)), with pose noise (3 times as many rad), at several sampling times and window lengths. Thresholds and
-options are the defaults, for every cell: where differencing amplifies the noise beyond the thresholds,
-every axis counts as free. Each cell is over all constraints: shares of windows whose type and whose
-degrees of freedom are right (a tie counts as wrong here), medians of the errors of the frame.
+rad/(N m)), with pose noise (3 times as many rad), at several sampling times and window lengths.
+Thresholds and options are the defaults, for every cell: where differencing amplifies the noise beyond
+the thresholds, every axis counts as free. Each cell is over all constraints: shares of windows whose
+type and whose degrees of freedom are right (a tie counts as wrong here), medians of the errors.
 
 """
 
@@ -106,7 +106,7 @@ def table4(store: Store, size: RobotSize) -> Section:
     text = _TABLE4.format(trials=size.trials) + table(head, rows)
     text += "\n\n(dof: share of trials with the right types, and with the right degrees of freedom.)\n\n"
     text += "Thresholds that classify every axis of every demonstration:\n\n" + ranges + "\n"
-    return Section(text, metrics, {name: np.round(array, 6).tolist() for name, array in found.items()})
+    return Section(text, metrics, {name: plain(array) for name, array in found.items()})
 
 
 def _with_paper(values: np.ndarray, paper: float) -> str:
@@ -193,7 +193,7 @@ def sweeps(store: Store, size: RobotSize) -> Section:
     data = {
         "noise_m": size.noise,
         "compliance_m_per_n": size.compliance,
-        **{name: {k: np.round(v, 4).tolist() for k, v in by.items()} for name, by in maps.items()},
+        **{name: {k: plain(v) for k, v in by.items()} for name, by in maps.items()},
     }
     return Section("\n".join(blocks), metrics, data)
 
