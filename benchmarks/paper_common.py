@@ -18,6 +18,8 @@ import reframe_jax
 
 __all__ = ["Section", "Store", "machine", "number", "plain", "table"]
 
+_SECONDS = "seconds_in_all"
+
 
 @dataclass
 class Section:
@@ -37,6 +39,8 @@ class Section:
 class Store:
     """A folder of finished pieces: what is there is not computed again.
 
+    ``seconds`` is the time all pieces took to compute, now or before.
+
     Args:
         folder: of the report; pieces go to ``cells`` in it.
         options: everything the pieces depend on; other options have pieces of their own.
@@ -50,6 +54,7 @@ class Store:
         text = json.dumps([reframe_jax.__version__, repr(options)])
         self._suffix = hashlib.sha256(text.encode()).hexdigest()[:12]
         self._fresh = fresh
+        self.seconds = 0.0
         self._start = time.perf_counter()
 
     def say(self, text: str) -> None:
@@ -61,15 +66,21 @@ class Store:
         file = self._cells / f"{name}-{self._suffix}.npz"
         if file.exists() and not self._fresh:
             with np.load(file) as stored:
-                self.say(f"{name}: as computed before")
-                return dict(stored)
-        start = time.perf_counter()
-        arrays: dict[str, Any] = {key: np.asarray(value) for key, value in make().items()}
+                arrays: dict[str, Any] = dict(stored)
+            self.seconds += float(arrays.pop(_SECONDS))
+            self.say(f"{name}: as computed before")
+            return arrays
+        start, before = time.perf_counter(), self.seconds
+        arrays = {key: np.asarray(value) for key, value in make().items()}
+        # without the pieces that this one asked for
+        seconds = time.perf_counter() - start - (self.seconds - before)
         temporary = file.with_name(f".{file.name}.{os.getpid()}")
         with temporary.open("wb") as stream:
-            np.savez_compressed(stream, **arrays)
+            kept: dict[str, Any] = {**arrays, _SECONDS: seconds}
+            np.savez_compressed(stream, **kept)
         os.replace(temporary, file)
-        self.say(f"{name}: {time.perf_counter() - start:.1f} s")
+        self.seconds += seconds
+        self.say(f"{name}: {seconds:.1f} s")
         return arrays
 
     def picture(self, name: str, figure: Any) -> str:

@@ -123,7 +123,7 @@ def _several(values: np.ndarray, paper: tuple[float, ...]) -> str:
 def figure5(store: Store, size: RobotSize) -> Section:
     """Compute, or resume, and describe the reproductions of Figure 5."""
     found = store.piece("figure5", lambda: robot.figure5(size))
-    groups = [f"{label}  {rf.CONSTRAINTS[label].name}" for label in TASKS]
+    groups = [f"{label}\n{rf.CONSTRAINTS[label].name}".replace("pin-plane", "\npin-plane") for label in TASKS]
     names = {"moment": "peak reaction moment", "force": "peak reaction force"}
     units = {"moment": "N m", "force": "N"}
     bars = {
@@ -180,7 +180,7 @@ def sweeps(store: Store, size: RobotSize) -> Section:
             xlabel="noise of the position [mm]",
             ylabel="compliance [mm/N]",
             unit=unit,
-            title=f"{title}; windows by length and sample time",
+            title=title,
             limits=(0, 1) if share else None,
             log=not share,
             form="{:.2f}" if share else "{:.2g}",

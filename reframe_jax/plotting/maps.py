@@ -49,9 +49,8 @@ def plot_maps(
     across = min(across, len(values))
     down = -(-len(values) // across)
     cell = 0.46
-    figure = new_figure(
-        across * (cell * len(columns) + 0.5) + 1.4, down * (0.75 * cell * len(rows) + 0.55) + 0.7
-    )
+    width = across * (cell * len(columns) + 0.5) + 1.4
+    figure = new_figure(max(width, 5.6), down * (0.75 * cell * len(rows) + 0.55) + 0.7)
     from matplotlib.colors import LogNorm, Normalize
 
     finite = np.concatenate([array[np.isfinite(array)] for array in values.values()])
