@@ -62,7 +62,8 @@ What real demonstrations cannot do: {windows:,} windows of the simulated arm, al
 rad/(N m)), with pose noise (3 times as many rad), at several sampling times and window lengths.
 Thresholds and options are the defaults, for every cell: where differencing amplifies the noise beyond
 the thresholds, every axis counts as free. Each cell is over all constraints: shares of windows whose
-type and whose degrees of freedom are right (a tie counts as wrong here), medians of the errors.
+type and whose degrees of freedom are right (a tie counts as wrong here), medians of the errors. Windows
+start with the demonstration, from rest: in the first second or two not every free axis has moved enough.
 
 """
 

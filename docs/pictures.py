@@ -26,7 +26,7 @@ def pin_on_plane() -> None:
 
 def conventions() -> None:
     """The four linear frame types of one motion, at two instants."""
-    figure = new_figure(9.6, 3.1)
+    figure = new_figure(9.6, 2.5)
     poses = np.tile(np.eye(4), (2, 1, 1))
     turns = jax.jit(rotations.rotation_exp)(jnp.asarray([[0.0, 0.0, 0.2], [0.0, 0.0, 1.1]]))
     poses[:, :3, :3] = np.asarray(turns)
@@ -53,8 +53,8 @@ def conventions() -> None:
             fontsize=8,
         )
         axes.set_aspect("equal")
-        axes.set_xlim(-0.1, 0.95)
-        axes.set_ylim(-0.12, 0.75)
+        axes.set_xlim(-0.1, 1.08)
+        axes.set_ylim(-0.08, 0.72)
         axes.axis("off")
     figure.savefig(IMAGES / "conventions.png", metadata={"Software": None})
 

@@ -78,9 +78,9 @@ def plot_landscape(
     discretization: Discretization = "chord",
     title: str | None = None,
 ) -> "Figure":
-    """Draw the norm over planes through the optimum, a row for every frame type.
+    """Draw the norm over planes through the position found, a row for every frame type.
 
-    The planes are those of the axes x-y, x-z and y-z of the body that the type's second letter names.
+    Where a type leaves the position free (:class:`LinearFrame`), it is not the lowest point. The planes are those of the axes x-y, x-z and y-z of the body that the type's second letter names.
 
     Args:
         poses: (K+1, 4, 4), m.
