@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import paper, paper_figure4, paper_robot, paper_simulation
+from benchmarks import paper, paper_arm, paper_figure4, paper_simulation
 from benchmarks.paper_common import Store, number, plain, table
 from benchmarks.paper_figure4 import figure4
 from benchmarks.paper_simulation import CELLS, LABELS, Size
@@ -89,7 +89,7 @@ def test_thresholds_that_classify_everything() -> None:
         entry = paper_simulation.rf.CONSTRAINTS[label]
         for group, dof in enumerate((entry.angular_dof, entry.linear_dof)):
             rms[i, :, 3 * group : 3 * group + 3] = np.sort(dof) + 0.1 * np.arange(3) + 0.01 * i
-    low, high = paper_robot.threshold_range(rms, LABELS, "linear")
+    low, high = paper_arm.threshold_range(rms, LABELS, "linear")
     assert low == pytest.approx(max(rms[i, 0, 5 - s] for i, s in _free_counts() if s < 3))
     assert high == pytest.approx(min(rms[i, 0, 6 - s] for i, s in _free_counts() if s))
 

@@ -1,4 +1,4 @@
-"""The sections of the report on the robot: tables and pictures of what paper_robot computes."""
+"""The sections of the report on the robot: tables and pictures of what paper_arm computes."""
 
 from functools import partial
 from typing import Any
@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 import reframe_jax as rf
-from benchmarks import paper_robot as robot
+from benchmarks import paper_arm as robot
 from benchmarks.paper_common import Section, Store, number, plain, table
-from benchmarks.paper_robot import LABELS, PAPERS, ROWS, TASKS, RobotSize
+from benchmarks.paper_arm import LABELS, PAPERS, ROWS, TASKS, RobotSize
 from reframe_jax.plotting import plot_bars, plot_maps
 
 __all__ = ["figure5", "sweeps", "table4"]
