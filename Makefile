@@ -1,9 +1,10 @@
-# make demo: set up and identify the recording in examples/. make test: set up and run all checks' tests.
+# make demo: set up and identify the recording in examples/. make test: set up and run the tests.
+# make lint, make docs, make paper (the paper's experiments, to out/paper), make benchmark.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint benchmark clean
+.PHONY: demo test lint benchmark paper docs clean
 
 # the stamp names the Python version, so that another interpreter makes a new environment
 STAMP := $(VENV)/.installed-$(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])')
@@ -23,6 +24,15 @@ lint: $(STAMP)
 benchmark: $(STAMP)
 	$(BIN)/python -m benchmarks.dual_annealing
 
+paper: $(STAMP)
+	$(BIN)/python -m pip install --quiet --editable '.[benchmark]' --constraint constraints.txt
+	$(BIN)/python -m benchmarks.paper
+
+docs: $(STAMP)
+	$(BIN)/python -m pip install --quiet --editable '.[docs]' --constraint constraints.txt
+	$(BIN)/python -m sphinx -E -W --keep-going -q -b html docs docs/_build/html
+	@echo docs/_build/html/index.html
+
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "Python 3.11 or newer is needed; set PYTHON="'
 	$(PYTHON) -m venv --clear $(VENV)
@@ -31,4 +41,4 @@ $(STAMP): pyproject.toml constraints.txt
 	touch $@
 
 clean:
-	rm -rf $(VENV) out
+	rm -rf $(VENV) out docs/_build

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from reframe_jax import plotting
 from reframe_jax.classify import Thresholds
 from reframe_jax.frames import LinearType
+from reframe_jax.plotting.style import FREE
 from reframe_jax.results import AllCandidates, AngularFrame, Candidates, Identification, LinearFrame
 from reframe_jax.validate import Status
 
@@ -128,7 +129,7 @@ def test_axes_have_different_colours(poses: np.ndarray) -> None:
         _, _, (linear, _) = draw(poses, identification(LinearType.GB, linear_dof=dof))
         colours = [to_hex(line.get_color()).upper() for line in linear.lines[:3]]
         assert len(set(colours)) == 3
-        assert [colour in plotting._FREE for colour in colours] == [bool(free) for free in dof]
+        assert [colour in FREE for colour in colours] == [bool(free) for free in dof]
 
 
 def test_titles_and_saving(poses: np.ndarray) -> None:

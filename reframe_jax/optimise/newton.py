@@ -20,7 +20,7 @@ class NewtonSteps:
     The idea of :class:`ValleySteps` without its closed forms: with H and g of f = log J, the Newton
     step on J^s is H^-1 g / (1 + s g.H^-1 g), one direction for every s; s = 6, 3 and 2 are exact where
     one, two or three axes of the geometric mean are constrained, s = 1 where a single axis dominates.
-    Far from the optimum H is indefinite and the step on |H| descends. The best of all is kept.
+    Far from the optimum H is indefinite and the step on ``|H|`` descends. The best of all is kept.
 
     Attributes:
         steps: number of steps; fixed, so that no problem waits for another.

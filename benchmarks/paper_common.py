@@ -1,0 +1,130 @@
+"""What the sections of the report share: resumable results, tables, the machine."""
+
+import hashlib
+import json
+import os
+import platform
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+import reframe_jax
+
+__all__ = ["Section", "Store", "machine", "number", "plain", "table"]
+
+_SECONDS = "seconds_in_all"
+
+
+@dataclass
+class Section:
+    """A part of the report.
+
+    Attributes:
+        text: Markdown.
+        metrics: numbers for the JSON document, flat.
+        data: further numbers for it.
+    """
+
+    text: str
+    metrics: dict[str, float] = field(default_factory=dict)
+    data: dict[str, Any] = field(default_factory=dict)
+
+
+class Store:
+    """A folder of finished pieces: what is there is not computed again.
+
+    ``seconds`` is the time all pieces took to compute, now or before.
+
+    Args:
+        folder: of the report; pieces go to ``cells`` in it.
+        options: everything the pieces depend on; other options have pieces of their own.
+        fresh: ignore the pieces that are there.
+    """
+
+    def __init__(self, folder: Path, options: Any, *, fresh: bool = False) -> None:
+        self.folder = folder
+        self._cells = folder / "cells"
+        self._cells.mkdir(parents=True, exist_ok=True)
+        text = json.dumps([reframe_jax.__version__, repr(options)])
+        self._suffix = hashlib.sha256(text.encode()).hexdigest()[:12]
+        self._fresh = fresh
+        self.seconds = 0.0
+        self._start = time.perf_counter()
+
+    def say(self, text: str) -> None:
+        """A line of progress, with the time since the start."""
+        print(f"{time.perf_counter() - self._start:7.1f} s  {text}", file=sys.stderr, flush=True)
+
+    def piece(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        """The arrays of a piece, computed or read; a file is there whole or not at all."""
+        file = self._cells / f"{name}-{self._suffix}.npz"
+        if file.exists() and not self._fresh:
+            with np.load(file) as stored:
+                arrays: dict[str, Any] = dict(stored)
+            self.seconds += float(arrays.pop(_SECONDS))
+            self.say(f"{name}: as computed before")
+            return arrays
+        start, before = time.perf_counter(), self.seconds
+        arrays = {key: np.asarray(value) for key, value in make().items()}
+        # without the pieces that this one asked for
+        seconds = time.perf_counter() - start - (self.seconds - before)
+        temporary = file.with_name(f".{file.name}.{os.getpid()}")
+        with temporary.open("wb") as stream:
+            kept: dict[str, Any] = {**arrays, _SECONDS: seconds}
+            np.savez_compressed(stream, **kept)
+        os.replace(temporary, file)
+        self.seconds += seconds
+        self.say(f"{name}: {seconds:.1f} s")
+        return arrays
+
+    def picture(self, name: str, figure: Any) -> str:
+        """Save a figure as PNG; returns the Markdown that shows it."""
+        figure.savefig(self.folder / f"{name}.png", metadata={"Software": None})
+        return f"![{name}]({name}.png)"
+
+
+def machine() -> str:
+    """Processor, accelerator and versions, in one line."""
+    model = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        names = [line for line in info.read_text().splitlines() if line.startswith("model name")]
+        model = names[0].split(":", 1)[1].strip() if names else model
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    device = jax.devices()[0]
+    where = "" if device.platform == "cpu" else f", {device.device_kind}"
+    return (
+        f"{model}, {cores} core{'s' if cores != 1 else ''}{where}; Python {platform.python_version()}, "
+        f"jax {jax.__version__}, numpy {np.__version__}, reframe_jax {reframe_jax.__version__}"
+    )
+
+
+def plain(array: Any) -> Any:
+    """Nested lists of numbers of six digits for JSON, which has no NaN: null instead."""
+    values = np.asarray(array, dtype=float)
+    if values.ndim:
+        return [plain(row) for row in values]
+    return float(f"{float(values):.6g}") if np.isfinite(values) else None
+
+
+def number(value: float, digits: int = 2) -> str:
+    """A number to a few significant digits, in plain notation where that is short; a dash for NaN."""
+    if not np.isfinite(value):
+        return "–"
+    if value == 0 or 1e-3 <= abs(value) < 1e4:
+        exponent = 0 if value == 0 else int(np.floor(np.log10(abs(value))))
+        return f"{value:.{max(digits - 1 - exponent, 0)}f}"
+    return f"{value:.{digits - 1}e}"
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table; the first column is aligned to the left, the others to the right."""
+    marks = [":--"] + ["--:"] * (len(head) - 1)
+    lines = ["| " + " | ".join(row) + " |" for row in (head, marks, *rows)]
+    return "\n".join(lines)

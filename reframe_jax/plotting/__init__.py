@@ -1,0 +1,23 @@
+"""Pictures: identifications, scenes, error curves, objectives, maps.
+
+Needs Matplotlib: ``pip install "reframe-jax[plot]"``. Every function returns a figure of its own, unknown
+to ``pyplot``: show it in a notebook, or ``figure.savefig(...)``.
+"""
+
+from reframe_jax.plotting.animation import animate_scene
+from reframe_jax.plotting.curves import Curve, plot_curves
+from reframe_jax.plotting.identification import plot_identification
+from reframe_jax.plotting.landscape import plot_landscape
+from reframe_jax.plotting.maps import plot_bars, plot_maps
+from reframe_jax.plotting.scene import plot_scene
+
+__all__ = [
+    "Curve",
+    "animate_scene",
+    "plot_bars",
+    "plot_curves",
+    "plot_identification",
+    "plot_landscape",
+    "plot_maps",
+    "plot_scene",
+]

@@ -1,0 +1,68 @@
+"""A demonstration in motion: the body runs along its path, and the frame with it."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from reframe_jax.plotting.scene import (
+    check_window,
+    draw_frame,
+    frame_length,
+    frames_in_ground,
+    segment,
+    set_limits,
+)
+from reframe_jax.plotting.style import BODY, new_figure
+from reframe_jax.results import Identification
+
+if TYPE_CHECKING:
+    from matplotlib.animation import FuncAnimation
+
+__all__ = ["animate_scene"]
+
+
+def animate_scene(
+    poses: Any, found: Identification, *, times: Any, frames: int = 40, title: str | None = None
+) -> "FuncAnimation":
+    """Animate one window: ``.save("out.gif", writer="pillow")``, or ``.to_jshtml()`` in a notebook.
+
+    Args:
+        poses: (K+1, 4, 4), m.
+        found: identification of these poses.
+        times: (K+1,) s; the animation runs at this pace.
+        frames: pictures in it.
+        title: of the figure, by default the name of the constraint.
+
+    Raises:
+        ImportError: if Matplotlib is not installed.
+        ValueError: for a batch, or a window without a result.
+    """
+    figure = new_figure(4.4, 4.4)
+    host = check_window(found)
+    poses, times = np.asarray(poses), np.asarray(times)
+    from matplotlib.animation import FuncAnimation
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    FigureCanvasAgg(figure)
+    shown = np.linspace(0, len(poses) - 1, frames).round().astype(int)
+    every = frames_in_ground(poses, host, shown)
+    axes: Any = figure.add_subplot(projection="3d")
+    path = poses[:, :3, 3]
+    points = np.concatenate([path, every[0]])
+    length = frame_length(points)
+
+    def show(number: int) -> list[Any]:
+        axes.clear()
+        here = shown[number]
+        axes.plot(*path.T, color=BODY, linewidth=0.8, alpha=0.5)
+        axes.plot(*path[: here + 1].T, color=BODY, linewidth=1.6)
+        for axis in poses[here, :3, :3].T:
+            segment(axes, path[here], path[here] + 0.6 * length * axis, color=BODY, linewidth=1.4)
+        origin, triad, turning = (part[number] for part in every)
+        draw_frame(axes, origin, length * triad, length * turning, host.linear.dof, 1.0)
+        set_limits(axes, points)
+        axes.set_title(f"{host.name if title is None else title}, t = {times[here]:.2f} s", fontsize=9)
+        return []
+
+    pace = 1e3 * (times[-1] - times[0]) / max(frames - 1, 1)
+    return FuncAnimation(figure, show, frames=frames, interval=pace, blit=False)

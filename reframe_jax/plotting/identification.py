@@ -1,0 +1,88 @@
+"""One window at a glance: where its frame is, and how fast it moves along the axes."""
+
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reframe_jax.classify import Thresholds
+from reframe_jax.kinematics import Discretization
+from reframe_jax.plotting.scene import check_window, draw_space
+from reframe_jax.plotting.style import LEGEND_ABOVE, axis_colours, new_figure
+from reframe_jax.report import frame_velocities
+from reframe_jax.results import Identification
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["plot_identification"]
+
+
+def plot_identification(
+    poses: Any,
+    found: Identification,
+    *,
+    times: Any,
+    thresholds: Thresholds = Thresholds(),  # noqa: B008
+    discretization: Discretization = "chord",
+    title: str | None = None,
+) -> "Figure":
+    """Draw one window: where its linear frame is, and how fast it moves along the axes.
+
+    On the left the path of the body in the ground, with the linear frame and the free axes of rotation
+    through its origin; what is fixed in the body is drawn at the first, the middle and the last pose,
+    the first one palest. Free axes are arrows, constrained axes dashed lines without a head. On the
+    right the velocities along the axes of both frames over time, with the thresholds.
+
+    Args:
+        poses: (K+1, 4, 4), m.
+        found: identification of these poses.
+        times: (K+1,) s.
+        thresholds: those it was made with.
+        discretization: the one it was made with.
+        title: of the figure, by default the name of the constraint.
+
+    Returns:
+        A figure of its own, unknown to ``pyplot``: show it in a notebook, or ``figure.savefig(...)``.
+
+    Raises:
+        ImportError: if Matplotlib is not installed.
+        ValueError: for a batch, or a window without a result.
+    """
+    figure = new_figure(9, 5.6)
+    host = check_window(found)
+    poses, times = np.asarray(poses), np.asarray(times)
+    steps = jnp.asarray(np.diff(times))
+    angular, linear = jax.device_get(frame_velocities(jnp.asarray(poses), steps, found, discretization))
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1), wspace=0.08)
+    figure.suptitle(host.name if title is None else title, fontsize=12)
+    draw_space(figure.add_subplot(grid[:, 0], projection="3d"), poses, host)
+    middle = (times[1:] + times[:-1]) / 2
+    top, bottom = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
+    _draw_velocities(top, middle, linear, host.linear.dof, float(thresholds.linear), "m/s")
+    _draw_velocities(bottom, middle, angular, host.angular.dof, float(thresholds.angular), "rad/s")
+    top.set_ylabel(f"velocity of the origin, {host.linear.frame_type} [m/s]", fontsize=8)
+    bottom.set_ylabel(f"angular velocity, {host.angular.frame_type} [rad/s]", fontsize=8)
+    bottom.set_xlabel("time [s]", fontsize=8)
+    return figure
+
+
+def _draw_velocities(
+    axes: "Axes", times: np.ndarray, velocities: np.ndarray, dof: Any, threshold: float, unit: str
+) -> None:
+    rms = np.sqrt(np.mean(velocities**2, axis=0))
+    lines = []
+    for i, colour in enumerate(axis_colours(dof)):
+        label = f"axis {i + 1}, {'free' if dof[i] else 'constrained'}: rms {rms[i]:.3g} {unit}"
+        # slower axes on top
+        lines += axes.plot(
+            times, velocities[:, i], color=colour, linewidth=1.1, label=label, zorder=2 - rms[i]
+        )
+    for level in (-threshold, threshold):
+        limit = axes.axhline(level, color="black", linestyle="--", linewidth=0.8)
+    limit.set_label(f"threshold {threshold:g} {unit}")
+    axes.margins(x=0)
+    axes.tick_params(labelsize=8)
+    axes.legend(handles=[*lines, limit], **LEGEND_ABOVE)

@@ -1,0 +1,144 @@
+"""The objective over a plane of positions: what the search for a frame's origin sees."""
+
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reframe_jax.frames import AngularType, LinearType
+from reframe_jax.kinematics import Discretization
+from reframe_jax.objectives import PositionObjective
+from reframe_jax.plotting.style import CONSTRAINED, new_figure
+from reframe_jax.results import Identification
+from reframe_jax.windows import window_moments
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["landscape", "plot_landscape"]
+
+
+def landscape(
+    poses: Any,
+    positions: Any,
+    *,
+    times: Any,
+    linear_type: LinearType,
+    norm: float = 0.0,
+    discretization: Discretization = "chord",
+) -> jax.Array:
+    """The norm, in m/s, of the best-turned frame of a type at given origins.
+
+    Args:
+        poses: (K+1, 4, 4), m.
+        positions: (..., 3) m, origins in the body of the type's second letter.
+        times: (K+1,) s.
+        linear_type: of the frame.
+        norm: exponent of the power mean over axes.
+        discretization: see :func:`reframe_jax.kinematics.linear_velocity_maps`.
+
+    Returns:
+        (...).
+    """
+    poses, times = jnp.asarray(poses), jnp.asarray(times)
+    return _landscape(poses, jnp.diff(times), jnp.asarray(positions), linear_type, norm, discretization)
+
+
+def _norms(
+    poses: jax.Array,
+    steps: jax.Array,
+    positions: jax.Array,
+    kind: LinearType,
+    norm: float,
+    discretization: Discretization,
+) -> jax.Array:
+    # about the middle of the motion: rounding grows with the distance from it
+    centre = jnp.mean(poses[:, :3, 3], axis=0)
+    poses = poses.at[:, :3, 3].add(-centre[None])
+    if kind.position_body == AngularType.G:
+        positions = positions - centre.reshape((1,) * (positions.ndim - 1) + (3,))
+    _, moments = window_moments(poses, steps, discretization)
+    one = moments[..., int(kind)].reshape(*moments.shape[:2], *([1] * (positions.ndim - 1)))
+    return jnp.exp(PositionObjective(one, norm).value(jnp.moveaxis(positions, -1, 0)))
+
+
+_landscape = jax.jit(_norms, static_argnames=("kind", "norm", "discretization"))
+
+
+def plot_landscape(
+    poses: Any,
+    found: Identification,
+    *,
+    times: Any,
+    linear_types: Any = None,
+    span: float = 0.5,
+    points: int = 161,
+    norm: float = 0.0,
+    discretization: Discretization = "chord",
+    title: str | None = None,
+) -> "Figure":
+    """Draw the norm over planes through the position found, a row for every frame type.
+
+    Where a type leaves the position free (:class:`LinearFrame`), it is not the lowest point. The
+    planes are those of the axes x-y, x-z and y-z of the body that the type's second letter names.
+
+    Args:
+        poses: (K+1, 4, 4), m.
+        found: identification of these poses.
+        times: (K+1,) s.
+        linear_types: types to draw; the one identified by default.
+        span: m, from the optimum to the edge.
+        points: along each side.
+        norm: exponent of the power mean over axes.
+        discretization: the one of the identification.
+        title: of the figure.
+
+    Raises:
+        ImportError: if Matplotlib is not installed.
+    """
+    kinds = [LinearType(int(found.linear.type_code))] if linear_types is None else list(linear_types)
+    figure = new_figure(8.4, 2.5 * len(kinds) + 0.5)
+    grid = figure.subplots(len(kinds), 3, squeeze=False)
+    line = np.linspace(-span, span, points)
+    optima = np.asarray(found.candidates.linear.position)
+    fields = []
+    for kind in kinds:
+        for i, j in ((0, 1), (0, 2), (1, 2)):
+            positions = np.tile(optima[int(kind)], (points, points, 1))
+            positions[..., i] += line[None, :]
+            positions[..., j] += line[:, None]
+            fields.append(
+                np.asarray(
+                    landscape(
+                        poses,
+                        positions,
+                        times=times,
+                        linear_type=kind,
+                        norm=norm,
+                        discretization=discretization,
+                    )
+                )
+            )
+    from matplotlib.colors import LogNorm
+
+    low, high = (float(f(field)) for f, field in ((np.min, fields), (np.max, fields)))
+    scale = LogNorm(low, high)
+    image = None
+    for number, field in enumerate(fields):
+        row, (i, j) = number // 3, ((0, 1), (0, 2), (1, 2))[number % 3]
+        axes, at = grid[row, number % 3], optima[int(kinds[row])]
+        extent = (at[i] - span, at[i] + span, at[j] - span, at[j] + span)
+        image = axes.imshow(field, origin="lower", extent=extent, cmap="cividis", norm=scale)
+        levels = np.geomspace(low, high, 12)[1:-1]
+        axes.contour(field, levels, extent=extent, colors="white", linewidths=0.4, alpha=0.6)
+        axes.plot(at[i], at[j], "x", color=CONSTRAINED[0], markersize=6)
+        axes.set_xlabel(f"{'xyz'[i]} [m]", fontsize=8)
+        axes.set_ylabel(f"{'xyz'[j]} [m]", fontsize=8)
+        axes.set_title(f"{kinds[row]}", fontsize=9)
+        axes.tick_params(labelsize=7)
+    if image is not None:
+        figure.colorbar(image, ax=grid, label="norm [m/s]", shrink=0.9)
+    if title is not None:
+        figure.suptitle(title, fontsize=11)
+    return figure

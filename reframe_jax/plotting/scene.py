@@ -1,0 +1,172 @@
+"""The body, its path and the constraint frame in space."""
+
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+
+from reframe_jax import rotations
+from reframe_jax.frames import AngularType
+from reframe_jax.plotting.style import (
+    BODY,
+    CONSTRAINED,
+    FREE,
+    LEGEND_ABOVE,
+    TURNING,
+    axis_colours,
+    new_figure,
+)
+from reframe_jax.results import Identification
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from mpl_toolkits.mplot3d.axes3d import Axes3D
+
+__all__ = [
+    "check_window",
+    "draw_frame",
+    "draw_space",
+    "frame_length",
+    "frames_in_ground",
+    "plot_scene",
+    "segment",
+    "set_limits",
+]
+
+
+def plot_scene(poses: Any, found: Identification, *, title: str | None = None) -> "Figure":
+    """Draw one window in space: the path of the body, the linear frame, and the free axes of rotation.
+
+    What is fixed in the body is drawn at the first, the middle and the last pose, the first one palest.
+    Free axes are arrows, constrained axes dashed lines without a head.
+
+    Args:
+        poses: (K+1, 4, 4), m.
+        found: identification of these poses.
+        title: of the figure, by default the name of the constraint.
+
+    Raises:
+        ImportError: if Matplotlib is not installed.
+        ValueError: for a batch, or a window without a result.
+    """
+    host = check_window(found)
+    figure = new_figure(5.2, 5.4)
+    figure.suptitle(host.name if title is None else title, fontsize=12)
+    draw_space(figure.add_subplot(projection="3d"), np.asarray(poses), host)
+    return figure
+
+
+def check_window(found: Identification) -> Identification:
+    """A single window with a result, on the host.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    if np.shape(found.status_code):
+        raise ValueError("A batch has many frames: index one window first, found[i].")
+    if found.status.failed:
+        raise ValueError(f"There is nothing to draw: {found.status.message}")
+    return jax.device_get(found)
+
+
+def draw_space(axes: "Axes3D", poses: np.ndarray, found: Identification) -> None:
+    """Path and axes of the body, the frame, and a legend."""
+    path = poses[:, :3, 3]
+    origins, triads, rotation_axes = frames_in_ground(poses, found)
+    points = np.concatenate([path, origins])
+    length = frame_length(points)
+    axes.plot(*path.T, color=BODY, linewidth=1.2, label="path and axes of the body")
+    for pose in poses[np.linspace(0, len(poses) - 1, 5).astype(int)]:
+        for axis in pose[:3, :3].T:
+            segment(axes, pose[:3, 3], pose[:3, 3] + 0.4 * length * axis, color=BODY, linewidth=0.8)
+    palest_first = (0.35, 0.6, 1.0)[-len(origins) :]
+    for origin, triad, turning, alpha in zip(origins, triads, rotation_axes, palest_first, strict=True):
+        draw_frame(axes, origin, length * triad, length * turning, found.linear.dof, alpha)
+    _draw_legend(axes, found, bool(len(rotation_axes[0])))
+    set_limits(axes, points)
+
+
+def _size(points: np.ndarray) -> float:
+    return 1.1 * max(float(np.max(np.ptp(points, axis=0))), 0.05)
+
+
+def frame_length(points: np.ndarray) -> float:
+    """Length in m of the axes of a frame, in a scene of these points (N, 3)."""
+    return 0.22 * _size(points)
+
+
+def set_limits(axes: "Axes3D", points: np.ndarray) -> None:
+    """Equal scales along all axes, and all of the points (N, 3) in sight."""
+    centre, size = (points.min(axis=0) + points.max(axis=0)) / 2, _size(points)
+    for i, name in enumerate("xyz"):
+        getattr(axes, f"set_{name}lim")(centre[i] - size / 2, centre[i] + size / 2)
+        getattr(axes, f"set_{name}label")(f"{name} [m]", fontsize=8)
+        axes.locator_params(axis=name, nbins=5)
+    axes.set_box_aspect((1, 1, 1), zoom=1.02)
+    axes.tick_params(labelsize=7)
+
+
+def draw_frame(
+    axes: "Axes3D", origin: np.ndarray, triad: np.ndarray, turning: np.ndarray, dof: Any, alpha: float
+) -> None:
+    """The linear frame at one pose, and the free axes of rotation through its origin."""
+    axes.plot(*origin[:, None], "o", color="black", markersize=3, alpha=alpha)
+    for axis in turning:
+        segment(axes, origin - 1.5 * axis, origin + 1.5 * axis, color=TURNING, linestyle="-.", alpha=alpha)
+    for i, (axis, colour) in enumerate(zip(triad.T, axis_colours(dof), strict=True)):
+        if dof[i]:
+            axes.quiver(*origin, *axis, arrow_length_ratio=0.25, color=colour, linewidth=1.8, alpha=alpha)
+        else:
+            segment(axes, origin, origin + axis, linestyle="--", color=colour, linewidth=1.8, alpha=alpha)
+        if alpha == 1:
+            axes.text(*(origin + 1.15 * axis), str(i + 1), color=colour, ha="center", va="center")
+
+
+def _draw_legend(axes: "Axes3D", found: Identification, turns: bool) -> None:
+    kind, dof = found.linear.frame_type, np.asarray(found.linear.dof)
+    for shown, colour, style, label in (
+        (turns, TURNING, "-.", "free axis of rotation"),
+        ((dof == 1).any(), FREE[0], "-", f"free axis of linear frame {kind}"),
+        ((dof == 0).any(), CONSTRAINED[0], "--", f"constrained axis of {kind}"),
+    ):
+        if shown:
+            axes.plot([], [], color=colour, linestyle=style, label=label)
+    axes.legend(**LEGEND_ABOVE)
+
+
+def segment(axes: "Axes3D", start: np.ndarray, end: np.ndarray, **style: Any) -> None:
+    """A straight line between two points (3,)."""
+    axes.plot(*np.stack([start, end], axis=1), **style)
+
+
+def frames_in_ground(
+    poses: np.ndarray, found: Identification, samples: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The frames in the ground, by default at one pose if the linear one is fixed there, else at three.
+
+    Args:
+        poses: (K+1, 4, 4), m.
+        found: of one window.
+        samples: (n,) poses to take.
+
+    Returns:
+        Origins (n, 3); axes of the linear frame (n, 3, 3), as columns; directions (n, m, 3) of the m free
+        axes of rotation, none of them if all three are free.
+    """
+    kind = found.linear.frame_type
+    in_ground = kind.orientation_body == kind.position_body == AngularType.G
+    few = [len(poses) // 2] if in_ground else [0, len(poses) // 2, -1]
+    shown = poses[few if samples is None else samples]
+    turn, shift = shown[:, :3, :3], shown[:, :3, 3]
+
+    def seen(axes: np.ndarray, body: AngularType) -> np.ndarray:
+        return turn @ axes if body == AngularType.B else np.broadcast_to(axes, turn.shape)
+
+    position = np.asarray(found.linear.position)
+    fixed = kind.position_body == AngularType.G
+    origins = np.broadcast_to(position, shift.shape) if fixed else turn @ position + shift
+    axes_of = jax.jit(rotations.rotation_exp)
+    linear = seen(np.asarray(axes_of(found.linear.rotvec)), kind.orientation_body)
+    angular = seen(np.asarray(axes_of(found.angular.rotvec)), found.angular.frame_type)
+    free = np.asarray(found.angular.dof, dtype=bool) & (np.sum(found.angular.dof) < 3)
+    return origins, linear, angular.swapaxes(1, 2)[:, free]

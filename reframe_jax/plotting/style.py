@@ -1,0 +1,42 @@
+"""Colours and small helpers that all pictures share. Matplotlib is imported when a figure is made."""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["BODY", "CONSTRAINED", "FREE", "LEGEND_ABOVE", "LINES", "TURNING", "axis_colours", "new_figure"]
+
+# colours of Okabe & Ito, distinct for every kind of colour vision; the first axis of a kind is darkest
+FREE = ("#0072B2", "#56B4E9", "#00415F")
+CONSTRAINED = ("#D55E00", "#E69F00", "#7F3800")
+TURNING = "#009E73"
+BODY = "#999999"
+LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+LEGEND_ABOVE: dict[str, Any] = {
+    "loc": "lower center",
+    "bbox_to_anchor": (0.46, 1),
+    "ncols": 2,
+    "fontsize": 7,
+    "frameon": False,
+    "columnspacing": 1,
+}
+
+
+def new_figure(width: float, height: float) -> "Figure":
+    """A figure of its own, unknown to ``pyplot``; sizes in inches, at 150 dots per inch.
+
+    Raises:
+        ImportError: if Matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise ImportError('Plots need Matplotlib: pip install "reframe-jax[plot]".') from error
+    return Figure(figsize=(width, height), dpi=150, layout="constrained")
+
+
+def axis_colours(dof: Any) -> list[str]:
+    """A colour for each axis of a frame, of one family for free and one for constrained axes."""
+    families = {0: iter(CONSTRAINED), 1: iter(FREE)}
+    return [next(families[int(free)]) for free in dof]

@@ -1,0 +1,69 @@
+"""The documentation runs, covers every public name, and promises nothing that is not there."""
+
+import importlib.util
+import inspect
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+import pytest
+
+import reframe_jax
+
+ROOT = Path(__file__).parent.parent
+DOCS = ROOT / "docs"
+
+
+@pytest.fixture
+def plain_jax() -> Iterator[None]:
+    """JAX's own settings, as a reader has them."""
+    names = ("jax_enable_x64", "jax_numpy_dtype_promotion", "jax_numpy_rank_promotion")
+    before = {name: getattr(jax.config, name) for name in names}
+    for name, value in zip(names, (False, "standard", "allow"), strict=True):
+        jax.config.update(name, value)
+    yield
+    for name, value in before.items():
+        jax.config.update(name, value)
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/tutorial.md"])
+@pytest.mark.filterwarnings("default")
+def test_code_runs(page: str, plain_jax: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    blocks = re.findall(r"^```python\n(.*?)^```", (ROOT / page).read_text(), re.MULTILINE | re.DOTALL)
+    assert blocks
+    exec("\n".join(blocks), {"__name__": page})
+
+
+def test_every_public_name_is_in_the_reference() -> None:
+    text = (DOCS / "api.md").read_text()
+    named = set(re.findall(r"^\.\. (?:auto\w+|data):: (\w+)$", text, re.MULTILINE))
+    assert named == set(reframe_jax.__all__)
+
+
+def test_every_public_name_of_the_modules_is_explained() -> None:
+    modules = re.findall(r"^\.\. automodule:: (\S+)$", (DOCS / "api-modules.md").read_text(), re.MULTILINE)
+    assert {f"reframe_jax.{name}" for name in ("synthetic", "metrics", "plotting", "panda")} <= set(modules)
+    for name in ["reframe_jax", *modules]:
+        module = importlib.import_module(name)
+        for public in module.__all__:
+            thing = getattr(module, public)
+            if inspect.isclass(thing) or inspect.isfunction(thing):
+                assert inspect.getdoc(thing), f"{name}.{public} has no docstring"
+
+
+def test_links_between_pages_lead_somewhere() -> None:
+    for page in (*DOCS.glob("*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md"):
+        for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text()):
+            assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_commands_and_targets_exist() -> None:
+    makefile = (ROOT / "Makefile").read_text()
+    for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS.glob("*.md")):
+        text = page.read_text()
+        for target in re.findall(r"(?:^ {4}|`)make (\w+)", text, re.MULTILINE):
+            assert f"\n{target}:" in makefile, f"{page.name}: make {target}"
+        for module in re.findall(r"python -m (benchmarks\.\w+)", text):
+            assert importlib.util.find_spec(module), f"{page.name}: {module}"

@@ -1,0 +1,113 @@
+"""Curves, maps, bars, landscapes and animations: what is in them. How they look was judged by eye."""
+
+import io
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import reframe_jax as rf
+from reframe_jax import plotting, synthetic
+from reframe_jax.plotting.landscape import landscape
+
+
+@pytest.fixture(scope="module")
+def window() -> tuple[Any, Any, rf.Identification]:
+    made = synthetic.simulate("K", jax.random.key(0), noise=1e-4)
+    return made.poses, made.times, rf.identify(made.poses, times=made.times)
+
+
+def test_the_landscape_is_the_objective(window: tuple[Any, Any, rf.Identification]) -> None:
+    poses, times, found = window
+    best = found.candidates.linear
+    unique = [kind for kind in rf.LinearType if not np.any(best.free_position[int(kind)])]
+    assert rf.LinearType.GB in unique
+    for kind in unique:  # elsewhere the position reported is another of the same constraint
+        value = landscape(poses, best.position[int(kind)], times=times, linear_type=kind)
+        np.testing.assert_allclose(value, best.norm[int(kind)], rtol=1e-6)
+    # nothing near the optimum is lower
+    near = found.linear.position + 0.01 * jax.random.normal(jax.random.key(1), (50, 3))
+    values = landscape(poses, near, times=times, linear_type=rf.LinearType.GB)
+    assert values.shape == (50,)
+    assert jnp.all(values > found.linear.norm)
+
+
+def test_the_landscape_is_drawn_about_the_optimum(window: tuple[Any, Any, rf.Identification]) -> None:
+    poses, times, found = window
+    figure = plotting.plot_landscape(poses, found, times=times, span=0.2, points=11, title="K")
+    *planes, bar = figure.axes
+    assert [(a.get_xlabel(), a.get_ylabel()) for a in planes] == [
+        ("x [m]", "y [m]"),
+        ("x [m]", "z [m]"),
+        ("y [m]", "z [m]"),
+    ]
+    assert bar.get_ylabel() == "norm [m/s]"
+    position = np.asarray(found.linear.position)
+    np.testing.assert_allclose(planes[0].get_xlim(), position[0] + [-0.2, 0.2])
+    np.testing.assert_allclose(planes[1].get_ylim(), position[2] + [-0.2, 0.2])
+    assert figure.get_suptitle() == "K"
+
+
+def test_scene_and_animation(window: tuple[Any, Any, rf.Identification], tmp_path: Any) -> None:
+    poses, times, found = window
+    figure = plotting.plot_scene(poses, found)
+    assert figure.get_suptitle() == "Pin-plane contact"
+    (space,) = figure.axes
+    limits = np.array([space.get_xlim(), space.get_ylim(), space.get_zlim()])
+    np.testing.assert_allclose(np.ptp(limits, axis=1), np.ptp(limits[0]))
+    animation = plotting.animate_scene(poses, found, times=times, frames=3)
+    animation.save(tmp_path / "a.gif", writer="pillow", dpi=40)
+    assert (tmp_path / "a.gif").read_bytes().startswith(b"GIF")
+    with pytest.raises(ValueError, match="index one window first"):
+        plotting.plot_scene(poses, jax.tree.map(lambda leaf: leaf[None], found))
+
+
+def test_curves() -> None:
+    x = np.array([1.0, 10.0, 100.0])
+    panels = {
+        "one": [plotting.Curve("a", x, 0.5 * x, 2 * x), plotting.Curve("b", x**2, colour=1, dashed=True)],
+        "two": [plotting.Curve("a", 3 * x)],
+        "three": [],
+    }
+    figure = plotting.plot_curves(
+        x, panels, xlabel="s", ylabel="m", title="t", columns=2, notes={"three": "nothing"}
+    )
+    shown = [axes for axes in figure.axes if axes.get_visible()]
+    assert [axes.get_title() for axes in shown] == ["one", "two", "three"]
+    assert [line.get_linestyle() for line in shown[0].lines] == ["-", "--"]
+    assert len(shown[0].collections) == 1
+    assert shown[0].get_xscale() == "log"
+    assert [text.get_text() for text in shown[2].texts] == ["nothing"]
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["a", "b"]
+    assert legend.get_title().get_text() == "t"
+    single = plotting.plot_curves(x, {"one": panels["two"]}, xlabel="", ylabel="", title="t", log=False)
+    assert single.get_suptitle() == "t"
+    assert single.axes[0].get_yscale() == "linear"
+
+
+def test_maps_show_every_number() -> None:
+    maps = {"left": [[1.0, 2.0], [np.nan, 4.0]], "right": [[5.0, 6.0], [7.0, 8.0]]}
+    figure = plotting.plot_maps(
+        maps, columns=["a", "b"], rows=["c", "d"], xlabel="x", ylabel="y", unit="mm", log=True
+    )
+    left, right, bar = figure.axes
+    assert [text.get_text() for text in left.texts] == ["1", "2", "4"]
+    assert [text.get_text() for text in right.texts] == ["5", "6", "7", "8"]
+    assert bar.get_ylabel() == "mm"
+    assert left.images[0].norm is right.images[0].norm
+
+
+def test_bars_show_means_and_samples() -> None:
+    bars = {"force": {"exact": [np.array([1.0, 3.0])], "found": [np.array([2.0, 2.0])]}}
+    figure = plotting.plot_bars(["A"], bars, ylabels={"force": "N"})
+    (axes,) = figure.axes
+    assert [patch.get_height() for patch in axes.patches] == [2.0, 2.0]
+    assert axes.get_ylabel() == "N"
+    samples = [line for line in axes.lines if line.get_marker() == "."]
+    np.testing.assert_array_equal([line.get_ydata() for line in samples], [[1, 3], [2, 2]])
+    file = io.BytesIO()
+    figure.savefig(file, format="png", dpi=50)
+    assert file.getvalue().startswith(b"\x89PNG")
