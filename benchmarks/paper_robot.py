@@ -86,14 +86,14 @@ def figure5_markdown(comparisons: Mapping[str, reproduction.Comparison], title: 
         "|---|---|---|---|---|---|---|---|---|",
     ]
 
-    def spread(values: np.ndarray, form: str) -> str:
+    def spread(values: Any, form: str) -> str:
         return f"{np.mean(values):{form}} ± {np.std(values):.3f}"
 
     for label, comparison in comparisons.items():
         for name, trials in comparison.rows.items():
             moment, force = comparison.excess(name)
             medians = [np.median(column) for column in comparison.errors.T]
-            errors = ", ".join("–" if np.isnan(m) else f"{m:.2f}" for m in medians)
+            errors = ", ".join("-" if np.isnan(m) else f"{m:.2f}" for m in medians)
             exact = name == "exact"
             cells = (
                 label,
@@ -116,8 +116,8 @@ def figure5_markdown(comparisons: Mapping[str, reproduction.Comparison], title: 
 
 def sweep_figures(sweep: Sweep, found: Mapping[str, np.ndarray]) -> dict[str, Any]:
     """Heat maps by file name: accuracies are means, errors medians over constraints and windows."""
-    give = [f"{g:g} × compliance" for g in sweep.give]
-    noise = [f"σ = {sigma:g} m" for sigma in sweep.noise]
+    give = [f"{g:g} x compliance" for g in sweep.give]
+    noise = [f"noise {sigma:g} m" for sigma in sweep.noise]
     drawn: dict[str, tuple[np.ndarray, str, str, tuple[float, float] | None, bool]] = {
         "sweep_types": (100 * _mean(found["types"]), "%", "Frame types right (ties count)", (0, 100), False),
         "sweep_dof": (100 * _mean(found["dof"]), "%", "Degrees of freedom right", (0, 100), False),
@@ -163,8 +163,8 @@ def sweep_markdown(sweep: Sweep, found: Mapping[str, np.ndarray]) -> str:
     lines = [
         f"### Noise, give, sampling rate and length: {sweep.windows} windows",
         "",
-        f"{sweep.demonstrations} demonstrations of each of {', '.join(sweep.labels)} at every compliance, cut "
-        "at random moments. The default thresholds decide degrees of freedom; a window in which an axis "
+        f"{sweep.demonstrations} demonstrations of each of {', '.join(sweep.labels)} at every compliance, "
+        "cut at random moments. The default thresholds decide degrees of freedom; a window in which an axis "
         "happens to stay slower than its threshold counts as wrong. Give is in multiples of "
         "`panda.REALISTIC`'s compliance. Means of what is right, medians of errors, over everything else.",
         "",
@@ -199,7 +199,7 @@ def sweep_names() -> tuple[str, ...]:
 
 
 def _median(values: np.ndarray) -> str:
-    return "–" if np.isnan(values).all() else f"{np.nanmedian(values):.3g}"
+    return "-" if np.isnan(values).all() else f"{np.nanmedian(values):.3g}"
 
 
 def _table_metrics(rows: Mapping[str, Row], prefix: str) -> dict[str, float]:
@@ -301,16 +301,17 @@ def _position_line(
     force = trials.peak_force - comparison.exact.peak_force
     return (
         "Task I with true axes and the identified position, as in the paper: excess "
-        f"{np.mean(moment):+.3f} ± {np.std(moment):.3f} N m and {np.mean(force):+.3f} ± {np.std(force):.3f} N, "
-        f"{int(np.sum(trials.completed))} of {len(trials.completed)} end-stops reached.\n"
+        f"{np.mean(moment):+.3f} ± {np.std(moment):.3f} N m and {np.mean(force):+.3f} ± "
+        f"{np.std(force):.3f} N, {int(np.sum(trials.completed))} of {len(trials.completed)} "
+        "end-stops reached.\n"
     )
 
 
 def _machine() -> str:
     device = jax.devices()[0]
     return (
-        f"{device.platform} ({device.device_kind}), Python {platform.python_version()}, jax {jax.__version__}, "
-        f"mujoco {mujoco.__version__}, reframe_jax {rf.__version__}."
+        f"{device.platform} ({device.device_kind}), Python {platform.python_version()}, "
+        f"jax {jax.__version__}, mujoco {mujoco.__version__}, reframe_jax {rf.__version__}."
     )
 
 

@@ -130,11 +130,11 @@ def _joint_points(joints: np.ndarray, arm: Arm) -> np.ndarray:
 
 def _draw_scene(axes: "Axes3D", made: Demonstration, arm: Arm) -> None:
     shown = [0, len(made.times) // 2, len(made.times) - 1]
-    path = made.exact_poses[:, :3, 3]
+    path = np.asarray(made.exact_poses)[:, :3, 3]
     arrays = frame_arrays(jax.tree.map(jnp.asarray, made.truth))
     extent = [path]
     for index, alpha in zip(shown, (0.25, 0.5, 1.0), strict=True):
-        points = _joint_points(made.joint_positions[index], arm)
+        points = _joint_points(np.asarray(made.joint_positions[index]), arm)
         extent.append(points)
         axes.plot(
             *points.T, "o-", color=_ARM, linewidth=3.5, markersize=4, alpha=alpha, solid_capstyle="round"
@@ -149,7 +149,7 @@ def _draw_scene(axes: "Axes3D", made: Demonstration, arm: Arm) -> None:
             colour, style = (_FREE[0], "-") if free else (_CONSTRAINED[0], "--")
             axes.plot(*ends.T, style, color=colour, linewidth=1.8, alpha=alpha)
         if sum(made.truth.angular_dof) < 3:
-            for i in np.flatnonzero(made.truth.angular_dof):
+            for i in (i for i, free in enumerate(made.truth.angular_dof) if free):
                 ends = origin + 0.17 * np.outer((-1, 1), there.angular_axes[:, i])
                 axes.plot(*ends.T, "-.", color=_TURNING, linewidth=1.8, alpha=alpha)
     axes.plot(*path.T, color="black", linewidth=1.5)

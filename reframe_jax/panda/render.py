@@ -29,7 +29,8 @@ _SURROUNDINGS = (
     'height="192"/>'
     '<texture name="grid" type="2d" builtin="checker" rgb1=".92 .92 .92" rgb2=".86 .86 .86" '
     'width="256" height="256"/><material name="grid" texture="grid" texrepeat="8 8"/></asset>'
-    '<visual><headlight ambient=".35 .35 .35" diffuse=".25 .25 .25" specular="0 0 0"/><global offwidth="1920" offheight="1080"/>'
+    '<visual><headlight ambient=".35 .35 .35" diffuse=".25 .25 .25" specular="0 0 0"/>'
+    '<global offwidth="1920" offheight="1080"/>'
     "</visual>"
 )
 _FLOOR = '<geom type="plane" size="2 2 .1" material="grid" contype="0" conaffinity="0"/>'
