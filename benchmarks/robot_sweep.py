@@ -66,7 +66,7 @@ QUICK = Sweep(
     demonstrations=8,
 )
 
-MEASURES = ("types", "dof", "angular", "linear", "position")
+MEASURES = ("types", "types_or_ties", "dof", "angular", "linear", "position")
 
 
 def noise_sweep(
@@ -80,9 +80,9 @@ def noise_sweep(
         progress: called with a line for every simulation.
 
     Returns:
-        By measure, (labels, noise, give, rates, lengths, demonstrations): ``types`` (ties count) and
-        ``dof``, 1 where right; ``angular`` and ``linear`` errors in deg, ``position`` in mm, all of the
-        true frame type, NaN where there is none.
+        By measure, (labels, noise, give, rates, lengths, demonstrations): ``types``,
+        ``types_or_ties`` and ``dof``, 1 where right; ``angular`` and ``linear`` errors in deg,
+        ``position`` in mm, all of the true frame type, NaN where there is none.
     """
     found = {name: np.empty((len(sweep.labels), *sweep.shape, sweep.demonstrations)) for name in MEASURES}
     for i, label in enumerate(sweep.labels):
@@ -177,7 +177,8 @@ def _measures(found: rf.Identification, made: Any, noises: int) -> dict[str, np.
     start = jnp.asarray(np.tile(made.exact_poses[:, 0], (noises, 1, 1)))
     errors = metrics.geometry_errors(found, truth, start=start)
     values = {
-        "types": metrics.types_correct(found, truth, ties=True),
+        "types": metrics.types_correct(found, truth),
+        "types_or_ties": metrics.types_correct(found, truth, ties=True),
         "dof": metrics.dof_correct(found, truth),
         "angular": np.degrees(errors.angular),
         "linear": np.degrees(errors.linear),

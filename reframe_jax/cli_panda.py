@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -176,7 +177,7 @@ def _draw(first: Any, options: argparse.Namespace) -> int:
 
 def _write(path: Path, parts: list[Any]) -> Path:
     """Write demonstrations; returns the file, or the last of them."""
-    from reframe_jax.panda import Demonstration
+    from reframe_jax.panda.store import to_arrays
 
     times = parts[0].times
     if path.suffix == ".csv":
@@ -186,18 +187,10 @@ def _write(path: Path, parts: list[Any]) -> Path:
             numbered = path.with_stem(f"{path.stem}-{number:0{width}}") if len(poses) > 1 else path
             save_recording(numbered, times, recording)
         return numbered
-    truth = parts[0].truth
-    names = [name for name in Demonstration.__dataclass_fields__ if name not in ("times", "truth")]
-    arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    for name in ("angular_rotvec", "linear_rotvec", "position"):
-        arrays[f"true_{name}"] = np.concatenate([getattr(part.truth, name) for part in parts])
-    arrays["true_angular_type"] = str(truth.angular_type)
-    arrays["true_linear_type"] = str(truth.linear_type)
-    arrays["true_angular_dof"] = np.array(truth.angular_dof)
-    arrays["true_linear_dof"] = np.array(truth.linear_dof)
+    made = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
     if not path.parent.is_dir():
         raise RecordingError(f"{path}: there is no directory {path.parent}.")
-    np.savez_compressed(path, times=times, **arrays)
+    np.savez_compressed(path, **to_arrays(replace(made, times=times)))
     return path
 
 

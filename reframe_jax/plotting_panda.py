@@ -205,7 +205,7 @@ def plot_comparison(comparisons: Mapping[str, Comparison], *, title: str | None 
         axes.tick_params(labelsize=8)
     handles = [panels[0].bar(0, 0, 0, color=colour, alpha=0.75) for colour in _ROWS.values()]
     figure.legend(
-        handles, list(_NAMES.values()), loc="outside upper center", ncols=3, fontsize=8, frameon=False
+        handles, list(_NAMES.values()), loc="outside lower center", ncols=3, fontsize=8, frameon=False
     )
     if title is not None:
         figure.suptitle(title, fontsize=11)
