@@ -45,7 +45,7 @@ def film_frames(
     truth: ConstraintFrame | None = None,
     *,
     arm: str | Arm = PANDA,
-    size: tuple[int, int] = (480, 360),
+    size: tuple[int, int] = (480, 368),
 ) -> np.ndarray:
     """Pictures of the arm at joint positions, with the constraint's frame and the path of the TCP.
 
@@ -56,7 +56,7 @@ def film_frames(
         joints: (K, 7) rad, such as the ``joint_positions`` of one demonstration.
         truth: the constraint, geometry (3,) each; none to draw the arm alone.
         arm: the robot.
-        size: width and height in pixels, up to 1920 x 1080.
+        size: width and height in pixels, up to 1920 x 1080; multiples of 16 for MP4.
 
     Returns:
         (K, height, width, 3) uint8.
