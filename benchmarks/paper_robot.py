@@ -79,13 +79,14 @@ def figure5_markdown(comparisons: Mapping[str, reproduction.Comparison], title: 
         "",
         "Mean ± standard deviation over trials. *Excess* is the difference from the exact frame in the same "
         "trial: what the errors of the frame cost. Where all four types are valid (A to D) the identified "
-        "one may be another than the exact one's, and moves otherwise along free axes (D). (The paper's bars "
-        "are in a picture that our copy of the text lacks; it reports that all end-stops were reached and "
-        "that larger errors did not necessarily cost more.)",
+        "one may be another than the exact one's, and moves otherwise along free axes (D). *At rest* is the "
+        "reaction after 5 s, pressed against the end-stop, where the arm's inertia plays no part. "
+        "(The paper's bars are in a picture that our copy of the text lacks; it reports "
+        "that all end-stops were reached and that larger errors did not necessarily cost more.)",
         "",
         "| task | frame | end-stop reached | time, s | peak moment, N m | excess, N m | peak force, N "
-        "| excess, N | errors (median): deg, deg, mm |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| excess, N | at rest, N m and N | errors (median): deg, deg, mm |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
 
     def spread(values: Any, form: str) -> str:
@@ -96,6 +97,8 @@ def figure5_markdown(comparisons: Mapping[str, reproduction.Comparison], title: 
             moment, force = comparison.excess(name)
             medians = [np.median(column) for column in comparison.errors.T]
             errors = ", ".join("-" if np.isnan(m) else f"{m:.2f}" for m in medians)
+            last = np.asarray(trials.reaction)[:, -1]
+            rest = np.linalg.norm(last[:, :3], axis=-1), np.linalg.norm(last[:, 3:], axis=-1)
             exact = name == "exact"
             cells = (
                 label,
@@ -106,6 +109,7 @@ def figure5_markdown(comparisons: Mapping[str, reproduction.Comparison], title: 
                 "" if exact else spread(moment, "+.3f"),
                 spread(trials.peak_force, ".3f"),
                 "" if exact else spread(force, "+.3f"),
+                f"{spread(rest[0], '.3f')}, {spread(rest[1], '.3f')}",
                 errors if name == "identified" else "",
             )
             lines.append("| " + " | ".join(cells) + " |")
