@@ -2,12 +2,14 @@
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
+from reframe_jax.frames import CONSTRAINTS
 from reframe_jax.io import RecordingError, save_recording
 
 __all__ = ["add_commands"]
@@ -48,6 +50,8 @@ def add_commands(commands: Any) -> None:
         default="exciting",
         help="how the hand moves along the free axes: of many frequencies, or as in the paper (exciting)",
     )
+    add("--plot", type=Path, metavar="FILE", help="draw the first demonstration, .png or .pdf")
+    add("--render", type=Path, metavar="FILM", help="film the first demonstration, .gif or .mp4")
     add("--keep", action="store_true", help="keep demonstrations that hit a limit, instead of redrawing")
     command = cli._add_command(
         commands, "reproduce", _reproduce, _REPRODUCE, "demonstrate, identify and reproduce a task"
@@ -113,6 +117,8 @@ def _demonstrate(options: argparse.Namespace) -> int:
 
     if options.out.suffix not in (".npz", ".csv"):
         options.usage_error(f"--out must end in .npz or .csv, not {options.out.name!r}.")
+    if options.render is not None and options.render.suffix not in (".gif", ".mp4"):
+        options.usage_error(f"--render must end in .gif or .mp4, not {options.render.name!r}.")
     common = _prepared(options)
     from reframe_jax import panda
 
@@ -138,12 +144,40 @@ def _demonstrate(options: argparse.Namespace) -> int:
     print(f"{written}: {len(codes)} demonstrations of {parts[0].times[-1]:g} s")
     for code in np.unique(codes[codes != panda.RolloutStatus.OK]):
         print(f"{np.sum(codes == code)} of them: {panda.RolloutStatus(code).message}")
-    return 0
+    return _draw(parts[0][0], options)
+
+
+def _draw(first: Any, options: argparse.Namespace) -> int:
+    """The picture and the film that were asked for, of one demonstration."""
+    from reframe_jax import cli
+
+    failed = False
+    try:
+        if options.plot is not None:
+            from reframe_jax.plotting_panda import plot_demonstration
+
+            title = CONSTRAINTS[options.constraint].name
+            plot_demonstration(first, arm=options.robot, title=title).savefig(options.plot)
+            print(options.plot)
+    except (ImportError, ValueError, OSError) as error:
+        failed = True
+        cli._say(f"reframe-jax: error: no picture: {error}")
+    try:
+        if options.render is not None:
+            from reframe_jax.panda.render import film_frames, save_film
+
+            pictures = film_frames(first.joint_positions, first.truth, arm=options.robot)
+            save_film(options.render, pictures, rate=1 / options.dt)
+            print(options.render)
+    except (ValueError, OSError, RuntimeError) as error:
+        failed = True
+        cli._say(f"reframe-jax: error: no film: {error}")
+    return int(failed)
 
 
 def _write(path: Path, parts: list[Any]) -> Path:
     """Write demonstrations; returns the file, or the last of them."""
-    from reframe_jax.panda import Demonstration
+    from reframe_jax.panda.store import to_arrays
 
     times = parts[0].times
     if path.suffix == ".csv":
@@ -153,18 +187,10 @@ def _write(path: Path, parts: list[Any]) -> Path:
             numbered = path.with_stem(f"{path.stem}-{number:0{width}}") if len(poses) > 1 else path
             save_recording(numbered, times, recording)
         return numbered
-    truth = parts[0].truth
-    names = [name for name in Demonstration.__dataclass_fields__ if name not in ("times", "truth")]
-    arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    for name in ("angular_rotvec", "linear_rotvec", "position"):
-        arrays[f"true_{name}"] = np.concatenate([getattr(part.truth, name) for part in parts])
-    arrays["true_angular_type"] = str(truth.angular_type)
-    arrays["true_linear_type"] = str(truth.linear_type)
-    arrays["true_angular_dof"] = np.array(truth.angular_dof)
-    arrays["true_linear_dof"] = np.array(truth.linear_dof)
+    made = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
     if not path.parent.is_dir():
         raise RecordingError(f"{path}: there is no directory {path.parent}.")
-    np.savez_compressed(path, times=times, **arrays)
+    np.savez_compressed(path, **to_arrays(replace(made, times=times)))
     return path
 
 
@@ -173,7 +199,7 @@ def _reproduce(options: argparse.Namespace) -> int:
 
     common = _prepared(options)
     from reframe_jax import reproduction
-    from reframe_jax.frames import CONSTRAINTS
+    from reframe_jax.panda import RolloutStatus
 
     controllers = {
         "wrench": reproduction.constant_wrench(),
@@ -195,6 +221,8 @@ def _reproduce(options: argparse.Namespace) -> int:
         return 1
     print(f"{CONSTRAINTS[options.constraint].name}, {options.trials} trials, {options.controller}")
     print(_errors(comparison.errors))
+    if comparison.redrawn:
+        print(f"left out, as out of the arm's reach in the true frame too: {int(comparison.redrawn)}")
     print(f"{'frames':12}{'completed':>10}{'time, s':>9}{'peak moment, N m':>22}{'peak force, N':>20}")
     for name, trials in comparison.rows.items():
         cells = [
@@ -206,7 +234,9 @@ def _reproduce(options: argparse.Namespace) -> int:
         excess = [f"{np.mean(e):+.2f} ± {np.std(e):.2f}" for e in comparison.excess(name)]
         print(f"{name + ' over exact':31}{excess[0]:>22}{excess[1]:>20}")
     if not np.all(comparison.identified.completed):
-        cli._say("reframe-jax: some trials in identified frames did not arrive at the end-stop.")
+        codes = np.unique(comparison.identified.status_code[~comparison.identified.completed])
+        why = " ".join(RolloutStatus(code).message for code in codes if code)
+        cli._say(f"reframe-jax: some trials in identified frames did not arrive at the end-stop. {why}")
     return 0
 
 

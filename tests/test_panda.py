@@ -1,5 +1,6 @@
 """Demonstrations: constraints kept, recordings as imperfect as asked, identifications right."""
 
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -182,6 +183,26 @@ def test_demonstrations_come_in_chunks_and_only_good_ones() -> None:
     assert sum(len(part.poses) for part in parts) == 12
     assert all(np.all(part.status_code == panda.RolloutStatus.OK) for part in parts)
     assert seen[-1] == (12, 12)
+
+
+def test_stored_demonstrations_go_on_where_they_stopped(tmp_path: Path) -> None:
+    options = {"chunk": BATCH, "spread": panda.SPREAD}
+    folder = panda.store_demonstrations("K", KEY, 4, tmp_path / "demos", **options)
+    first = folder / "part-00000000.npz"
+    written = first.stat().st_mtime_ns
+    panda.store_demonstrations("K", KEY, 12, folder, **options)
+    assert first.stat().st_mtime_ns == written
+    made = panda.load_demonstrations(folder, 12)
+    drawn = list(panda.demonstrations("K", KEY, 12, **options))
+    np.testing.assert_array_equal(made.poses, np.concatenate([part.poses for part in drawn]))
+    assert made.truth.linear_type == rf.LinearType.GB
+    assert made[3].truth.position.shape == (3,)
+    with pytest.raises(ValueError, match="other options"):
+        panda.store_demonstrations("I", KEY, 12, folder, **options)
+    with pytest.raises(ValueError, match="no demonstrations"):
+        panda.load_demonstrations(tmp_path)
+    with pytest.raises(ValueError, match="fewer than 99"):
+        panda.load_demonstrations(folder, 99)
 
 
 def test_demonstrations_that_cannot_be_made() -> None:

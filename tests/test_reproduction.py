@@ -148,6 +148,21 @@ def test_identified_frames_of_different_types() -> None:
             np.testing.assert_allclose(got, want, atol=1e-12)
 
 
+def test_tasks_out_of_reach_are_told_apart_and_left_out() -> None:
+    """Number 0 of this key stretches the arm out before the stop, whatever the frame."""
+    key = jax.random.key(77)
+    made = panda.demonstrate(
+        "H", jax.random.split(key)[0], batch=TRIALS, spread=panda.SPREAD, imperfections=panda.REALISTIC
+    )
+    trials = run(made.truth, made.truth, compliance=(2.5e-3, 1e-4))
+    assert not trials[0].completed
+    np.testing.assert_array_equal(trials.status_code == panda.RolloutStatus.SINGULAR, ~trials.completed)
+    compared = jax.device_get(reproduction.compare("H", key, TRIALS))
+    assert compared.redrawn >= 1
+    assert all(np.all(rows.completed) for rows in compared.rows.values())
+    np.testing.assert_array_equal(compared.exact.poses[0], trials.poses[1])
+
+
 def test_bad_input() -> None:
     truth = batch("A")
     with pytest.raises(ValueError, match="as many control frames as constraints"):

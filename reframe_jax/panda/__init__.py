@@ -18,6 +18,7 @@ from reframe_jax.panda.guide import EXCITATIONS, Guide
 from reframe_jax.panda.imperfections import ENCODER_GRADE, REALISTIC, Imperfections
 from reframe_jax.panda.model import FR3, PANDA, ROBOTS, Arm, Link, arm_xml, forward_kinematics
 from reframe_jax.panda.status import RolloutStatus
+from reframe_jax.panda.store import load_demonstrations, store_demonstrations
 
 __all__ = [
     "ENCODER_GRADE",
@@ -42,4 +43,6 @@ __all__ = [
     "frame_on_arm",
     "inverse_dynamics",
     "jacobian",
+    "load_demonstrations",
+    "store_demonstrations",
 ]

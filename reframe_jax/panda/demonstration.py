@@ -12,6 +12,7 @@ import numpy as np
 
 from reframe_jax import rotations, transforms
 from reframe_jax.frames import ConstraintFrame
+from reframe_jax.panda.compiled import compiled
 from reframe_jax.panda.constraint import Frame, frame_arrays, moved, placed
 from reframe_jax.panda.guide import EXCITATIONS, Guide, excitation_named, guide_drive, make_hand
 from reframe_jax.panda.imperfections import Imperfections, measure
@@ -237,7 +238,7 @@ def _place(
     return there, rotvecs[0], rotvecs[1]
 
 
-@partial(jax.jit, static_argnames=("samples", "substeps", "dt", "excitation", "arm", "joints"))
+@compiled(("samples", "substeps", "dt", "excitation", "arm", "joints"))
 def _demonstrate(
     frame: Frame,
     key: jax.Array,

@@ -21,6 +21,7 @@ class RolloutStatus(IntEnum):
     SPEED_LIMIT = 1
     JOINT_LIMIT = 2
     SLIPPED = 3
+    SINGULAR = 4
     DIVERGED = 10
 
     @property
@@ -37,6 +38,7 @@ _MESSAGES = {
         "The rigid constraint was not kept: the arm came near a singular configuration, or moved too fast "
         "for the step."
     ),
+    RolloutStatus.SINGULAR: "The arm stopped in a singular configuration: the goal is out of its reach.",
     RolloutStatus.DIVERGED: "The simulation diverged: take a shorter step, or a softer hand.",
 }
 

@@ -6,7 +6,7 @@ frame costs is the reaction along the true constrained axes; an exact one has so
 own inertia and friction, and is the baseline beside every figure.
 """
 
-from reframe_jax.reproduction.comparison import Comparison, compare
+from reframe_jax.reproduction.comparison import Comparison, compare, matched_choices
 from reframe_jax.reproduction.controllers import Controller, axis_impedance, constant_wrench, hybrid
 from reframe_jax.reproduction.frames import LITERATURE_ERRORS, control_frames, erroneous_frames
 from reframe_jax.reproduction.trials import Task, Trials, reproduce
@@ -23,5 +23,6 @@ __all__ = [
     "control_frames",
     "erroneous_frames",
     "hybrid",
+    "matched_choices",
     "reproduce",
 ]

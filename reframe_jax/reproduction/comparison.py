@@ -12,15 +12,16 @@ from reframe_jax import metrics
 from reframe_jax.frames import ConstraintFrame
 from reframe_jax.identify import identify
 from reframe_jax.panda.constraint import Frame, frame_arrays, locate
-from reframe_jax.panda.demonstration import SPREAD, Demonstration, demonstrations
+from reframe_jax.panda.demonstration import SPREAD, Demonstration, demonstrate
 from reframe_jax.panda.imperfections import REALISTIC, Imperfections
 from reframe_jax.panda.model import PANDA, Arm, arm_named, forward_kinematics
+from reframe_jax.panda.status import RolloutStatus
 from reframe_jax.reproduction.controllers import Controller, constant_wrench
 from reframe_jax.reproduction.frames import control_frames, erroneous_frames
 from reframe_jax.reproduction.trials import Task, Trials, reproduce
 from reframe_jax.results import Identification
 
-__all__ = ["Comparison", "compare"]
+__all__ = ["Comparison", "compare", "matched_choices"]
 
 
 @jax.tree_util.register_dataclass
@@ -34,6 +35,8 @@ class Comparison:
         exact: trials in the true frames, the baseline.
         literature: trials in frames with the errors of methods that have prior knowledge.
         identified: trials in the identified frames.
+        redrawn: number of geometries left out, because the arm could not be guided there, or not reach
+            the end-stop in the true frame either (see ``RolloutStatus``).
         errors: (N, 3) of the identified frames: deg of the angular and of the linear axis, and mm; NaN
             where the constraint leaves them free.
     """
@@ -44,6 +47,7 @@ class Comparison:
     literature: Trials
     identified: Trials
     errors: jax.Array
+    redrawn: jax.Array
 
     def excess(self, name: str) -> tuple[jax.Array, jax.Array]:
         """Peak reaction moments (N m) and forces (N) over those in the exact frame, (N,) each."""
@@ -73,6 +77,9 @@ def compare(
 ) -> Comparison:
     """From demonstration to reproduction: demonstrate, identify, and reproduce in three kinds of frames.
 
+    Geometries under which the arm reaches a limit, or under which the end-stop is out of its reach even
+    with the true frame, are left out and counted.
+
     Where a constraint leaves the origin of its frame free, the identified one is put where the true one
     is, as forces along the axes act there; where all rotations are free, moments are along the true axes.
     Any choice is right, but another than the baseline's cannot be compared with it.
@@ -86,47 +93,71 @@ def compare(
         imperfections: of the demonstrations; their compliance is that of the reproductions too.
         spread: rad and m, of the geometry; see :func:`reframe_jax.panda.demonstrate`.
         arm: the robot.
-        progress: see :func:`reframe_jax.panda.demonstrations`.
+        progress: called with the number of trials prepared so far and ``trials``.
+
+    Raises:
+        ValueError: when more than 9 in 10 geometries have to be left out.
     """
     demonstrate_key, error_key = jax.random.split(key)
-    parts = list(
-        demonstrations(
-            constraint,
-            demonstrate_key,
-            trials,
-            chunk=min(trials, 64),
-            imperfections=imperfections,
-            spread=spread,
-            arm=arm,
-            progress=progress,
-        )
-    )
-    made = jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)), *parts)
-    made = replace(made, times=jnp.asarray(parts[0].times))
-    found = identify(made.poses, times=made.times)
-    errors = metrics.geometry_errors(found, made.truth, start=made.exact_poses[:, 0])
     run = partial(
         reproduce,
-        made.truth,
         controller=controller,
         task=task,
         arm=arm,
         compliance=(float(imperfections.angular_compliance), float(imperfections.compliance)),
     )
+    chunk, drawn, kept = min(trials, 64), 0, 0
+    parts: list[tuple[Demonstration, Trials]] = []
+    while kept < trials:
+        made = demonstrate(
+            constraint,
+            demonstrate_key,
+            batch=chunk,
+            first=drawn,
+            imperfections=imperfections,
+            spread=spread,
+            arm=arm,
+        )
+        exact = run(made.truth, made.truth)
+        made, exact = jax.device_get((made, exact))
+        drawn += chunk
+        possible = (made.status_code == RolloutStatus.OK) & (exact.status_code == RolloutStatus.OK)
+        good = np.flatnonzero(possible)[: trials - kept]
+        last = int(good[-1]) + 1 if len(good) else chunk
+        kept += len(good)
+        parts.append((made[good], exact[good]))
+        if drawn >= 10 * chunk and kept < drawn / 10:
+            worst = RolloutStatus(int(np.median(np.maximum(made.status_code, exact.status_code))))
+            raise ValueError(f"Only {kept} of {drawn} tasks are within the arm's reach. {worst.message}")
+        if progress is not None:
+            progress(kept, trials)
+    times = made.times
+    made, exact = jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)), *parts)
+    made, exact = (replace(part, times=jnp.asarray(times)) for part in (made, exact))
+    found = identify(made.poses, times=made.times)
+    errors = metrics.geometry_errors(found, made.truth, start=made.exact_poses[:, 0])
     return Comparison(
         demonstrations=made,
         found=found,
-        exact=run(made.truth),
-        literature=run(erroneous_frames(made.truth, error_key, arm=arm)),
-        identified=run(_same_choices(found, made.truth, arm_named(arm))),
+        exact=exact,
+        literature=run(made.truth, erroneous_frames(made.truth, error_key, arm=arm)),
+        identified=run(made.truth, matched_choices(found, made.truth, arm=arm)),
+        redrawn=jnp.asarray(drawn - chunk + last - trials),
         errors=jnp.stack(
             [jnp.degrees(errors.angular), jnp.degrees(errors.linear), 1e3 * errors.position], axis=-1
         ),
     )
 
 
-def _same_choices(found: Identification, truth: ConstraintFrame, arm: Arm) -> Frame:
-    """The identified frames, with the true ones' choices where the constraint leaves one."""
+def matched_choices(found: Identification, truth: ConstraintFrame, *, arm: str | Arm = PANDA) -> Frame:
+    """The identified frames to control in, with the true ones' choices where the constraint leaves one.
+
+    Args:
+        found: N identifications.
+        truth: geometry (N, 3) each.
+        arm: the robot, at home.
+    """
+    arm = arm_named(arm)
     frames = control_frames(found)
     dtype = truth.position.dtype
     pose = forward_kinematics(jnp.asarray(arm.home, dtype=dtype), arm)

@@ -7,8 +7,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from reframe_jax import transforms
+from reframe_jax import rotations, transforms
 from reframe_jax.frames import ConstraintFrame
+from reframe_jax.panda.compiled import compiled
 from reframe_jax.panda.constraint import Frame, frame_arrays, locate
 from reframe_jax.panda.demonstration import sampling
 from reframe_jax.panda.model import PANDA, Arm, arm_named, forward_kinematics
@@ -21,6 +22,7 @@ from reframe_jax.results import Identification
 __all__ = ["Task", "Trials", "reproduce"]
 
 _ARRIVED = 2e-3  # rad or m from the stop, or beyond
+_SINGULAR = 0.01  # least singular value of the Jacobian, in rad and m, of an arm that cannot go on
 _REBOUND = 1e-4  # rad or m behind the start at which the first stop holds
 
 
@@ -60,7 +62,7 @@ class Trials:
         completion_time: (N,) s, when the last one did; infinite where it did not.
         peak_moment: (N,) N m, largest norm of the reaction moment over a trial (paper, section 6.2).
         peak_force: (N,) N, largest norm of the reaction force.
-        status_code: (N,) int, a ``RolloutStatus``.
+        status_code: (N,) int, a ``RolloutStatus``; SINGULAR where the stop was out of the arm's reach.
     """
 
     times: jax.Array
@@ -73,6 +75,11 @@ class Trials:
     peak_moment: jax.Array
     peak_force: jax.Array
     status_code: jax.Array
+
+    def __getitem__(self, index: Any) -> "Trials":
+        """Some of the trials; a single index leaves no batch axis."""
+        parts = {name: value for name, value in vars(self).items() if name != "times"}
+        return Trials(self.times, **{name: value[index] for name, value in parts.items()})
 
 
 def reproduce(
@@ -126,7 +133,7 @@ def reproduce(
     )
 
 
-@partial(jax.jit, static_argnames=("samples", "substeps", "dt", "arm"))
+@compiled(("samples", "substeps", "dt", "arm"))
 def _reproduce(
     truth: Frame,
     control: Frame,
@@ -179,7 +186,9 @@ def _reproduce(
     lower, upper = jnp.asarray(arm.limits, dtype=dtype)[:, None, None]
     beyond = jnp.any((track.joints < lower) | (track.joints > upper), axis=(1, 2))
     finite = jnp.all(jnp.isfinite(track.joints), axis=(1, 2))
-    status = jnp.where(beyond, jnp.int32(RolloutStatus.JOINT_LIMIT), jnp.int32(RolloutStatus.OK))
+    stuck = ~completed & (jax.vmap(partial(_least_gain, arm=arm))(track.joints[:, -1]) < _SINGULAR)
+    status = jnp.where(stuck, jnp.int32(RolloutStatus.SINGULAR), jnp.int32(RolloutStatus.OK))
+    status = jnp.where(beyond, jnp.int32(RolloutStatus.JOINT_LIMIT), status)
     return Trials(
         times=times,
         poses=transforms.make_pose(*forward_kinematics(track.joints, arm)),
@@ -192,3 +201,11 @@ def _reproduce(
         peak_force=jnp.max(jnp.linalg.norm(reaction[..., 3:], axis=-1), axis=-1),
         status_code=jnp.where(finite, status, jnp.int32(RolloutStatus.DIVERGED)),
     )
+
+
+def _least_gain(joints: jax.Array, arm: Arm) -> jax.Array:
+    """Smallest singular value of the Jacobian from joint velocities to the twist of {b}."""
+    rotation, _ = forward_kinematics(joints, arm)
+    turning, moving = jax.jacfwd(partial(forward_kinematics, arm=arm))(joints)
+    spin = jax.vmap(lambda column: rotations.vee(column @ rotation.T), in_axes=-1, out_axes=-1)(turning)
+    return jnp.linalg.svd(jnp.concatenate([spin, moving]), compute_uv=False)[-1]

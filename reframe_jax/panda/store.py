@@ -1,0 +1,154 @@
+"""Demonstrations on disk: numbered parts, written whole or not at all, that a later run continues."""
+
+import hashlib
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+import reframe_jax
+from reframe_jax.frames import AngularType, ConstraintFrame, Dof, LinearType
+from reframe_jax.panda.demonstration import Demonstration, demonstrate
+from reframe_jax.panda.status import RolloutStatus
+
+__all__ = ["load_demonstrations", "store_demonstrations", "to_arrays"]
+
+_GEOMETRY = ("angular_rotvec", "linear_rotvec", "position")
+_FIELDS = tuple(name for name in Demonstration.__dataclass_fields__ if name not in ("times", "truth"))
+
+
+def to_arrays(made: Demonstration) -> dict[str, Any]:
+    """A batch of demonstrations as named arrays, as in the files; the truth's names begin with true_."""
+    truth = made.truth
+    return {
+        "times": made.times,
+        **{name: getattr(made, name) for name in _FIELDS},
+        **{f"true_{name}": getattr(truth, name) for name in _GEOMETRY},
+        "true_angular_type": str(truth.angular_type),
+        "true_linear_type": str(truth.linear_type),
+        "true_angular_dof": np.array(truth.angular_dof),
+        "true_linear_dof": np.array(truth.linear_dof),
+    }
+
+
+def store_demonstrations(
+    constraint: str | ConstraintFrame,
+    key: jax.Array,
+    count: int,
+    folder: str | Path,
+    *,
+    chunk: int = 64,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> Path:
+    """Simulate usable demonstrations into a folder, going on from the parts that are there.
+
+    The same ``count``, or a larger one, adds what is missing. Memory is bounded by the chunk.
+
+    Args:
+        constraint: as for :func:`reframe_jax.panda.demonstrate`.
+        key: of everything random.
+        count: number of usable demonstrations.
+        folder: made if missing; read it with :func:`load_demonstrations`.
+        chunk: number simulated at once, and in a part before those with a status are left out.
+        progress: called with the number of demonstrations so far and ``count``, after every part.
+        **options: of :func:`reframe_jax.panda.demonstrate`.
+
+    Returns:
+        The folder.
+
+    Raises:
+        ValueError: if the folder holds demonstrations made otherwise, or when more than 9 in 10
+            demonstrations have to be left out.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    record = _record(constraint, key, chunk, options)
+    run = folder / "run.json"
+    if run.exists() and json.loads(run.read_text()) != record:
+        raise ValueError(f"{folder} holds demonstrations of other options. Give those, or another folder.")
+    _replace(run, lambda temporary: temporary.write_text(json.dumps(record) + "\n"))
+    done, part = 0, 0
+    while done < count:
+        file = folder / f"part-{part:08d}.npz"
+        if file.exists():
+            with np.load(file) as stored:
+                done += len(stored["status_code"])
+        else:
+            made = jax.device_get(demonstrate(constraint, key, batch=chunk, first=part * chunk, **options))
+            kept = made[np.flatnonzero(made.status_code == RolloutStatus.OK)]
+            done += len(kept.status_code)
+            _replace(file, lambda temporary, kept=kept: _save(temporary, kept))  # type: ignore[misc]
+        part += 1
+        if part >= 10 and done < part * chunk / 10:
+            raise ValueError(f"Only {done} of {part * chunk} demonstrations are usable.")
+        if progress is not None:
+            progress(min(done, count), count)
+    return folder
+
+
+def load_demonstrations(folder: str | Path, count: int | None = None) -> Demonstration:
+    """Demonstrations of a folder as one batch of NumPy arrays.
+
+    Args:
+        folder: written by :func:`store_demonstrations`.
+        count: the first so many; all by default, which may be more than were asked for.
+
+    Raises:
+        ValueError: if there are none, or fewer than ``count``.
+    """
+    files = sorted(Path(folder).glob("part-*.npz"))
+    if not files:
+        raise ValueError(f"{folder} holds no demonstrations (part-*.npz).")
+    parts = [dict(np.load(file)) for file in files]
+    arrays: dict[str, Any] = {name: np.concatenate([part[name] for part in parts]) for name in _FIELDS}
+    geometry: dict[str, Any] = {
+        name: np.concatenate([part[f"true_{name}"] for part in parts]) for name in _GEOMETRY
+    }
+    first = parts[0]
+    truth = ConstraintFrame(
+        angular_type=AngularType[str(first["true_angular_type"])],
+        angular_dof=_dof(first["true_angular_dof"]),
+        linear_type=LinearType[str(first["true_linear_type"])],
+        linear_dof=_dof(first["true_linear_dof"]),
+        **geometry,
+    )
+    made = Demonstration(times=first["times"], truth=truth, **arrays)
+    if count is None:
+        return made
+    if len(arrays["status_code"]) < count:
+        raise ValueError(f"{folder} holds {len(arrays['status_code'])} demonstrations, fewer than {count}.")
+    return made[:count]
+
+
+def _dof(values: np.ndarray) -> Dof:
+    x, y, z = (int(value) for value in values)
+    return x, y, z
+
+
+def _record(constraint: str | ConstraintFrame, key: jax.Array, chunk: int, options: dict[str, Any]) -> Any:
+    """What the demonstrations depend on."""
+    described = repr(
+        (constraint, np.asarray(jax.random.key_data(key)).tolist(), chunk, sorted(options.items()))
+    )
+    return {
+        "version": reframe_jax.__version__,
+        "digest": hashlib.sha256(described.encode()).hexdigest(),
+        "constraint": str(constraint) if isinstance(constraint, str) else "a frame",
+    }
+
+
+def _save(file: Path, made: Demonstration) -> None:
+    with file.open("wb") as stream:
+        np.savez_compressed(stream, **to_arrays(made))
+
+
+def _replace(file: Path, write: Callable[[Path], Any]) -> None:
+    """Write beside the file and rename."""
+    temporary = file.with_name(f".{file.name}.{os.getpid()}")
+    write(temporary)
+    os.replace(temporary, file)

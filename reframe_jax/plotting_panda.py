@@ -1,0 +1,304 @@
+"""Pictures of the simulated arm. Needs Matplotlib: ``pip install "reframe-jax[plot]"``.
+
+Every function returns a figure of its own, unknown to ``pyplot``: show it in a notebook, or save it.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reframe_jax.panda.constraint import frame_arrays, locate
+from reframe_jax.panda.demonstration import Demonstration
+from reframe_jax.panda.model import PANDA, Arm, arm_named, link_transforms
+from reframe_jax.reproduction.comparison import Comparison
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from mpl_toolkits.mplot3d.axes3d import Axes3D
+
+__all__ = ["plot_comparison", "plot_demonstration", "plot_reactions", "plot_sweep"]
+
+# colours of Okabe & Ito, distinct for every kind of colour vision
+_FREE = ("#0072B2", "#56B4E9", "#00415F")
+_CONSTRAINED = ("#D55E00", "#E69F00", "#7F3800")
+_TURNING = "#009E73"
+_ARM = "#777777"
+_ROWS = {"exact": "#0072B2", "literature": "#E69F00", "identified": "#009E73"}
+_NAMES = {"exact": "exact frame", "literature": "literature's errors", "identified": "identified"}
+
+
+def _figure(width: float, height: float) -> "Figure":
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise ImportError('Plots need Matplotlib: pip install "reframe-jax[plot]".') from error
+    return Figure(figsize=(width, height), dpi=150, layout="constrained")
+
+
+def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: str | None = None) -> "Figure":
+    """Draw one demonstration: the arm and its constraint, how the tool moves, and what reacts.
+
+    On the left the arm at the first, the middle and the last sample, the first one palest, the path of
+    the TCP, and the true constraint frame: free axes are solid, constrained ones dashed, an axis of free
+    rotation green. On the right the motion along the frame's free axes, and the moments and forces of
+    the constraint on the tool along the constrained ones.
+
+    Args:
+        made: one demonstration, ``made[i]`` of a batch.
+        arm: the robot it was made with.
+        title: of the figure.
+
+    Raises:
+        ImportError: if Matplotlib is not installed.
+        ValueError: for a batch.
+    """
+    if np.ndim(made.status_code):
+        raise ValueError("A batch has many demonstrations: index one first, made[i].")
+    made = jax.device_get(made)
+    figure = _figure(9.5, 5.4)
+    grid = figure.add_gridspec(3, 2, width_ratios=(1.15, 1))
+    if title is not None:
+        figure.suptitle(title, fontsize=12)
+    _draw_scene(figure.add_subplot(grid[:, 0], projection="3d"), made, arm_named(arm))
+    free = np.array((*made.truth.angular_dof, *made.truth.linear_dof), dtype=bool)
+    motion, moments, forces = (figure.add_subplot(grid[i, 1]) for i in range(3))
+    for i in np.flatnonzero(free):
+        # one scale for both: 1 rad moves a point at 0.1 m by 100 mm
+        factor, kind, unit, style = (1, "turn", "rad", "-") if i < 3 else (10, "shift", "0.1 m", "--")
+        motion.plot(
+            made.times,
+            factor * made.slip[:, i],
+            style,
+            color=_FREE[i % 3],
+            linewidth=1.2,
+            label=f"{kind} {'xyz'[i % 3]} [{unit}]",
+        )
+    motion.set_ylabel("free axes", fontsize=8)
+    for axes, part, unit, name in (
+        (moments, slice(0, 3), "N m", "moment"),
+        (forces, slice(3, 6), "N", "force"),
+    ):
+        for i in np.flatnonzero(~free[part]):
+            series = made.reaction[1:, part][:, i]
+            axes.plot(
+                made.times[1:],
+                series,
+                color=_CONSTRAINED[i],
+                linewidth=1.0,
+                label=f"{name} {'xyz'[i]} [{unit}]",
+            )
+        axes.set_ylabel(f"reaction {name} [{unit}]", fontsize=8)
+        if free[part].all():
+            axes.set_axis_off()
+            axes.text(
+                0.5, 0.5, f"no reaction {name}s: all axes are free", transform=axes.transAxes, ha="center"
+            )
+    forces.set_xlabel("time [s]", fontsize=8)
+    for axes in (motion, moments, forces):
+        _finish(axes)
+    return figure
+
+
+def _finish(axes: "Axes") -> None:
+    axes.margins(x=0)
+    axes.tick_params(labelsize=7)
+    if axes.get_legend_handles_labels()[0]:
+        axes.axhline(0, color="black", linewidth=0.5)
+        axes.legend(
+            loc="lower left", bbox_to_anchor=(0, 1), ncols=3, fontsize=7, frameon=False, borderpad=0.1
+        )
+
+
+def _joint_points(joints: np.ndarray, arm: Arm) -> np.ndarray:
+    """Base, origins of the links, and TCP, (10, 3) m, for joint positions (7,)."""
+    fixed, offset = link_transforms(arm)
+    rotation, position = np.eye(3), np.zeros(3)
+    points = [position]
+    for i in range(8):
+        position = position + rotation @ offset[i]
+        rotation = rotation @ fixed[i]
+        points.append(position)
+        if i < 7:
+            c, s = np.cos(joints[i]), np.sin(joints[i])
+            rotation = rotation @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    return np.stack(points)
+
+
+def _draw_scene(axes: "Axes3D", made: Demonstration, arm: Arm) -> None:
+    shown = [0, len(made.times) // 2, len(made.times) - 1]
+    path = np.asarray(made.exact_poses)[:, :3, 3]
+    arrays = frame_arrays(jax.tree.map(jnp.asarray, made.truth))
+    extent = [path]
+    for index, alpha in zip(shown, (0.25, 0.5, 1.0), strict=True):
+        points = _joint_points(np.asarray(made.joint_positions[index]), arm)
+        extent.append(points)
+        axes.plot(
+            *points.T, "o-", color=_ARM, linewidth=3.5, markersize=4, alpha=alpha, solid_capstyle="round"
+        )
+        pose = jnp.asarray(made.exact_poses[index], dtype=arrays.position.dtype)
+        there = jax.device_get(locate(arrays, pose[:3, :3], pose[:3, 3]))
+        origin = path[index] + there.lever
+        extent.append(origin[None])
+        axes.plot(*np.stack([path[index], origin], axis=1), ":", color="black", linewidth=1, alpha=alpha)
+        for i, free in enumerate(made.truth.linear_dof):
+            ends = origin + 0.13 * np.outer((-1, 1), there.linear_axes[:, i])
+            colour, style = (_FREE[0], "-") if free else (_CONSTRAINED[0], "--")
+            axes.plot(*ends.T, style, color=colour, linewidth=1.8, alpha=alpha)
+        if sum(made.truth.angular_dof) < 3:
+            for i in (i for i, free in enumerate(made.truth.angular_dof) if free):
+                ends = origin + 0.17 * np.outer((-1, 1), there.angular_axes[:, i])
+                axes.plot(*ends.T, "-.", color=_TURNING, linewidth=1.8, alpha=alpha)
+    axes.plot(*path.T, color="black", linewidth=1.5)
+    turns, shifts = sum(made.truth.angular_dof), sum(made.truth.linear_dof)
+    for shown_here, label, colour, style in (
+        (True, "arm", _ARM, "o-"),
+        (True, "path of the TCP", "black", "-"),
+        (shifts > 0, "free translation", _FREE[0], "-"),
+        (shifts < 3, "constrained translation", _CONSTRAINED[0], "--"),
+        (0 < turns < 3, "free rotation about", _TURNING, "-."),
+    ):
+        if not shown_here:
+            continue
+        axes.plot([], [], [], style, color=colour, label=label)
+    axes.legend(loc="upper left", bbox_to_anchor=(0, 1.08), fontsize=7, frameon=False)
+    points = np.concatenate(extent)
+    low, high = points.min(axis=0), points.max(axis=0)
+    centre, size = (low + high) / 2, 1.05 * float(np.max(high - low))
+    for i, name in enumerate("xyz"):
+        getattr(axes, f"set_{name}lim")(centre[i] - size / 2, centre[i] + size / 2)
+        getattr(axes, f"set_{name}label")(f"{name} [m]", fontsize=8)
+        axes.locator_params(axis=name, nbins=5)
+    axes.set_box_aspect((1, 1, 1))
+    axes.view_init(elev=18, azim=-60)
+    axes.tick_params(labelsize=7)
+
+
+def plot_comparison(comparisons: Mapping[str, Comparison], *, title: str | None = None) -> "Figure":
+    """Draw peak reaction moments and forces of reproductions, the paper's Figure 5.
+
+    Bars are means, with one standard deviation; dots are the trials.
+
+    Args:
+        comparisons: by the label of the task.
+        title: of the figure.
+
+    Raises:
+        ImportError: if Matplotlib is not installed.
+    """
+    figure = _figure(1.6 + 2.2 * len(comparisons), 3.6)
+    panels = figure.subplots(1, 2)
+    for axes, (part, unit) in zip(panels, (("peak_moment", "N m"), ("peak_force", "N")), strict=True):
+        for i, (row, colour) in enumerate(_ROWS.items()):
+            for place, comparison in enumerate(comparisons.values()):
+                peaks = np.asarray(getattr(comparison.rows[row], part))
+                x = place + 0.27 * (i - 1)
+                axes.bar(x, peaks.mean(), 0.24, yerr=peaks.std(), color=colour, alpha=0.75, capsize=2)
+                spread = 0.08 * np.linspace(-1, 1, len(peaks)) if len(peaks) > 1 else np.zeros(1)
+                axes.plot(x + spread, peaks, ".", color="black", markersize=1.5, alpha=0.6)
+        axes.set_xticks(range(len(comparisons)), list(comparisons))
+        axes.set_ylabel(f"{part.replace('_', ' reaction ')} [{unit}]", fontsize=9)
+        axes.set_ylim(bottom=0)
+        axes.tick_params(labelsize=8)
+    handles = [panels[0].bar(0, 0, 0, color=colour, alpha=0.75) for colour in _ROWS.values()]
+    figure.legend(
+        handles, list(_NAMES.values()), loc="outside lower center", ncols=3, fontsize=8, frameon=False
+    )
+    if title is not None:
+        figure.suptitle(title, fontsize=11)
+    return figure
+
+
+def plot_reactions(comparison: Comparison, index: int = 0, *, title: str | None = None) -> "Figure":
+    """Draw the reactions of one task over time, in exact, inexact and identified frames.
+
+    Args:
+        comparison: of any number of trials.
+        index: of the trial.
+        title: of the figure.
+
+    Raises:
+        ImportError: if Matplotlib is not installed.
+    """
+    figure = _figure(8, 3.2)
+    panels = figure.subplots(1, 2)
+    for axes, part, name in (
+        (panels[0], slice(0, 3), "reaction moment [N m]"),
+        (panels[1], slice(3, 6), "reaction force [N]"),
+    ):
+        for (row, colour), style in zip(_ROWS.items(), ("-", "--", ":"), strict=True):
+            trials = comparison.rows[row]
+            size = np.linalg.norm(np.asarray(trials.reaction)[index, 1:, part], axis=-1)
+            axes.plot(
+                np.asarray(trials.times)[1:], size, style, color=colour, linewidth=1.6, label=_NAMES[row]
+            )
+        axes.set_ylabel(f"norm of the {name}", fontsize=8)
+        axes.set_xlabel("time [s]", fontsize=8)
+        axes.set_ylim(bottom=0)
+        axes.margins(x=0)
+        axes.tick_params(labelsize=8)
+    panels[0].legend(fontsize=8, frameon=False)
+    if title is not None:
+        figure.suptitle(title, fontsize=11)
+    return figure
+
+
+def plot_sweep(
+    values: Any,
+    *,
+    panel_rows: Sequence[str],
+    panel_columns: Sequence[str],
+    rows: Sequence[str],
+    columns: Sequence[str],
+    labels: tuple[str, str],
+    unit: str,
+    title: str,
+    limits: tuple[float, float] | None = None,
+    log: bool = False,
+) -> "Figure":
+    """Draw a quantity over four others: a grid of heat maps on one colour scale, a number in every cell.
+
+    Args:
+        values: (len(panel_rows), len(panel_columns), len(rows), len(columns)); NaN stays empty.
+        panel_rows: titles of the rows of heat maps.
+        panel_columns: titles of the columns of heat maps.
+        rows: labels of the rows of a heat map, the first one at the bottom.
+        columns: labels of the columns of a heat map.
+        labels: what columns and rows of a heat map are.
+        unit: of the colour scale.
+        title: of the figure.
+        limits: of the colour scale; those of the values by default.
+        log: logarithmic colour scale.
+
+    Raises:
+        ImportError: if Matplotlib is not installed.
+    """
+    values = np.asarray(values, dtype=float)
+    figure = _figure(1.8 + 1.9 * len(panel_columns), 1.2 + 1.45 * len(panel_rows))
+    from matplotlib.colors import LogNorm, Normalize
+
+    low, high = limits or (float(np.nanmin(values)), float(np.nanmax(values)))
+    scale = LogNorm(low, high, clip=True) if log else Normalize(low, high, clip=True)
+    panels = figure.subplots(len(panel_rows), len(panel_columns), sharex=True, sharey=True, squeeze=False)
+    for (i, j), axes in np.ndenumerate(panels):
+        image = axes.imshow(values[i, j], origin="lower", aspect="auto", cmap="cividis", norm=scale)
+        for (row, column), value in np.ndenumerate(values[i, j]):
+            if np.isfinite(value):
+                colour = "white" if scale(value) < 0.55 else "black"
+                axes.text(column, row, f"{value:.3g}", ha="center", va="center", fontsize=6, color=colour)
+        axes.set_xticks(range(len(columns)), columns, fontsize=7)
+        axes.set_yticks(range(len(rows)), rows, fontsize=7)
+        if i == 0:
+            axes.set_title(panel_columns[j], fontsize=8)
+        if j == len(panel_columns) - 1:
+            axes.annotate(
+                panel_rows[i], (1.03, 0.5), xycoords="axes fraction", rotation=-90, va="center", fontsize=8
+            )
+    figure.supxlabel(labels[0], fontsize=9)
+    figure.supylabel(labels[1], fontsize=9)
+    figure.suptitle(title, fontsize=11)
+    figure.colorbar(image, ax=panels, label=unit, shrink=0.9, pad=0.04)
+    return figure

@@ -1,0 +1,105 @@
+"""Pictures and films of the arm: they show what they say, and fail with a reason."""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import mujoco
+import numpy as np
+import pytest
+
+from reframe_jax import cli, panda, plotting_panda, reproduction
+from reframe_jax.panda import render
+
+KEY = jax.random.key(11)
+BATCH = 8  # the shape that other tests compile
+
+
+@pytest.fixture(scope="module")
+def made() -> panda.Demonstration:
+    return jax.device_get(panda.demonstrate("I", KEY, batch=BATCH, spread=panda.SPREAD))
+
+
+def test_demonstration(made: panda.Demonstration) -> None:
+    figure = plotting_panda.plot_demonstration(made[0], title="pin")
+    space, motion, moments, forces = figure.axes
+    limits = np.array([space.get_xlim(), space.get_ylim(), space.get_zlim()])
+    np.testing.assert_allclose(np.ptp(limits, axis=1), np.ptp(limits[0]))
+    labels = [axes.get_legend_handles_labels()[1] for axes in (motion, moments, forces)]
+    assert labels[0] == ["turn y [rad]", "shift x [0.1 m]"]
+    assert labels[1] == ["moment x [N m]", "moment z [N m]"]
+    assert labels[2] == ["force y [N]", "force z [N]"]
+    with pytest.raises(ValueError, match="index one first"):
+        plotting_panda.plot_demonstration(made)
+
+
+def test_the_drawn_arm_ends_at_the_tcp(made: panda.Demonstration) -> None:
+    for row, pose in zip(made.joint_positions[0, ::30], made.exact_poses[0, ::30], strict=True):
+        points = plotting_panda._joint_points(row, panda.PANDA)
+        np.testing.assert_allclose(points[-1], pose[:3, 3], atol=1e-12)
+
+
+def test_reactions() -> None:
+    compared = jax.device_get(reproduction.compare("A", KEY, BATCH))
+    figure = plotting_panda.plot_comparison({"A": compared}, title="Figure 5")
+    assert [axes.get_ylabel() for axes in figure.axes] == [
+        "peak reaction moment [N m]",
+        "peak reaction force [N]",
+    ]
+    figure = plotting_panda.plot_reactions(compared, 2)
+    drawn = figure.axes[0].get_lines()[0].get_ydata()
+    np.testing.assert_allclose(np.max(drawn), compared.exact.peak_moment[2])
+
+
+def test_sweep() -> None:
+    values = np.arange(16.0).reshape(2, 2, 2, 2)
+    values[0, 0, 0, 0] = np.nan
+    options: dict[str, Any] = {"rows": "ab", "columns": "cd", "labels": ("x", "y"), "unit": "%", "title": "t"}
+    figure = plotting_panda.plot_sweep(values, panel_rows="ef", panel_columns="gh", **options)
+    written = [text.get_text() for axes in figure.axes for text in axes.texts]
+    assert {str(number) for number in range(1, 16)} <= set(written)
+
+
+def test_film(made: panda.Demonstration, tmp_path: Path) -> None:
+    try:
+        pictures = render.film_frames(made.joint_positions[0, ::25], made[0].truth, size=(160, 120))
+    except render.RenderError as error:
+        pytest.skip(str(error))
+    assert pictures.shape == (5, 120, 160, 3)
+    blue, red = pictures[..., 2].astype(int), pictures[..., 0].astype(int)
+    assert np.any(blue - red > 80)
+    assert np.any(red - blue > 80)
+    assert np.abs(np.diff(pictures.astype(int), axis=0)).max() > 50
+    from PIL import Image
+
+    render.save_film(tmp_path / "film.gif", pictures)
+    with Image.open(tmp_path / "film.gif") as film:
+        assert film.n_frames == 5
+    with pytest.raises(ValueError, match="must end in"):
+        render.save_film(tmp_path / "film.avi", pictures)
+
+
+def test_no_opengl(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: Any) -> None:
+        raise mujoco.FatalError("no context")
+
+    monkeypatch.setattr(mujoco, "Renderer", fail)
+    with pytest.raises(render.RenderError, match="MUJOCO_GL"):
+        render.film_frames(np.zeros((1, 7)))
+
+
+def test_command_writes_a_picture_and_says_why_there_is_no_film(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_: Any) -> None:
+        raise mujoco.FatalError("no context")
+
+    monkeypatch.setattr(mujoco, "Renderer", fail)
+    files = {name: str(tmp_path / name) for name in ("demos.npz", "demo.png", "demo.gif")}
+    command = ["demonstrate", "--no-cache", "--constraint", "K", "--count", str(BATCH)]
+    drawn = ["--plot", files["demo.png"], "--render", files["demo.gif"]]
+    assert cli.main([*command, "--out", files["demos.npz"], *drawn]) == 1
+    assert "no film: Films need OpenGL" in capsys.readouterr().err
+    assert Path(files["demo.png"]).stat().st_size > 10_000
+    assert Path(files["demos.npz"]).exists()
+    assert not Path(files["demo.gif"]).exists()
