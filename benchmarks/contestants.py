@@ -1,0 +1,160 @@
+"""The other ways to solve the six problems of a window, each on the same moments."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.optimize import minimize
+
+import reframe_jax as rf
+from benchmarks.dual_annealing import DT
+from reframe_jax.compilation import CPU_OPTIONS, chunk_size
+from reframe_jax.identify import default_solver
+from reframe_jax.objectives import FrameObjective
+from reframe_jax.optimise import Box
+from reframe_jax.windows import window_moments
+
+TURN = np.pi
+
+
+def timed(call: Callable[[], Any], repeats: int) -> tuple[Any, float, float]:
+    """Result, seconds of the fastest of some warm calls, and how much longer the first one took."""
+    start = time.perf_counter()
+    result = jax.block_until_ready(call())
+    first = time.perf_counter() - start
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        jax.block_until_ready(call())
+        times.append(time.perf_counter() - start)
+    return result, min(times), first - min(times)
+
+
+def six_moments(poses: np.ndarray) -> tuple[jax.Array, jax.Array, np.ndarray]:
+    """Angular and linear moments, and the centre that positions in the ground are counted from."""
+    centre = poses[:, :, :3, 3].mean(axis=1)
+    centred = np.array(poses)
+    centred[:, :, :3, 3] -= centre[:, None]
+    angular, linear = jax.jit(window_moments)(jnp.asarray(centred), jnp.full(poses.shape[1] - 1, DT))
+    return angular, linear, centre
+
+
+def placed(positions: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """Positions (N, 4, 3) as ``identify`` reports them: those in the ground from its origin."""
+    in_ground = np.array([kind.position_body == rf.AngularType.G for kind in rf.LinearType])
+    return np.asarray(positions + np.where(in_ground[None, :, None], centre[:, None], 0))
+
+
+def general_search(poses: np.ndarray, repeats: int) -> tuple[np.ndarray, np.ndarray, float, float]:
+    """Basin hopping over (rotation, position): norms, positions, seconds, compile seconds."""
+    angular, linear, centre = six_moments(poses)
+    turn = jnp.full(3, TURN)
+    box = Box(jnp.concatenate([-turn, -jnp.ones(3)]), jnp.concatenate([turn, jnp.ones(3)]))
+    solver, key = default_solver(1.0), jax.random.key(0)
+    size, count = chunk_size(), len(poses)
+    fill = np.minimum(np.arange(-(-count // size) * size), count - 1)
+
+    @jax.jit
+    def chunked(moments: jax.Array) -> jax.Array:
+        return jnp.moveaxis(
+            moments[:, :, fill].reshape(*moments.shape[:2], -1, size, moments.shape[-1]), 2, 0
+        )
+
+    def search(angular: jax.Array, linear: jax.Array) -> tuple[jax.Array, jax.Array]:
+        def of_chunk(chunk: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+            turned = solver.minimise(FrameObjective(chunk[0]), Box(-turn, turn), key)
+            placed = solver.minimise(FrameObjective(chunk[1]), box, key)
+            return jnp.concatenate([turned.value, placed.value], axis=-1), placed.x[3:]
+
+        return jax.lax.map(of_chunk, (angular, linear))
+
+    run = jax.jit(search, compiler_options=CPU_OPTIONS if jax.default_backend() == "cpu" else None)
+    inputs = chunked(angular), chunked(linear)
+    (values, x), seconds, compiling = timed(lambda: run(*inputs), repeats)
+    positions = np.moveaxis(np.asarray(x), 1, -1).reshape(-1, 4, 3)[:count]
+    return np.exp(np.asarray(values).reshape(-1, 6)[:count]), placed(positions, centre), seconds, compiling
+
+
+@jax.jit
+def _value_and_gradient(moments: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:
+    return jax.value_and_grad(lambda x: FrameObjective(moments).value(x))(x)
+
+
+def lbfgs(poses: np.ndarray, starts: int) -> tuple[np.ndarray, np.ndarray, float, float]:
+    """SciPy's L-BFGS-B from random starts: norms, positions, seconds, compile seconds."""
+    angular, linear, centre = six_moments(poses)
+    rng = np.random.default_rng(0)
+    norms, positions = np.full((len(poses), 6), np.inf), np.zeros((len(poses), 4, 3))
+    begin = time.perf_counter()
+    for moments, dim in ((angular[:, :, 0, 0], 3), (linear[:, :, 0, 0], 6)):
+        _value_and_gradient(moments, np.full(dim, 0.1))
+    compiling = time.perf_counter() - begin
+    begin = time.perf_counter()
+    for i in range(len(poses)):
+        for t in range(6):
+            moments, dim = (angular[:, :, i, t], 3) if t < 2 else (linear[:, :, i, t - 2], 6)
+            bounds = [(-TURN, TURN)] * 3 + [(-1.0, 1.0)] * (dim - 3)
+
+            def objective(x: np.ndarray, moments: jax.Array = moments) -> tuple[float, np.ndarray]:
+                value, gradient = _value_and_gradient(moments, x)
+                return float(value), np.asarray(gradient)
+
+            low, high = np.array(bounds).T
+            for start in rng.uniform(low, high, size=(starts, dim)):
+                result = minimize(objective, start, jac=True, method="L-BFGS-B", bounds=bounds)
+                if np.exp(result.fun) < norms[i, t]:
+                    norms[i, t] = np.exp(result.fun)
+                    if dim == 6:
+                        positions[i, t - 2] = result.x[3:]
+    return norms, placed(positions, centre), time.perf_counter() - begin, compiling
+
+
+def cma_es(poses: np.ndarray, runs: int, generations: int) -> tuple[np.ndarray, np.ndarray, float, float]:
+    """CMA-ES of evosax on unit coordinates of the box: norms, positions, seconds, compile seconds."""
+    from evosax.algorithms import CMA_ES
+
+    angular, linear, centre = six_moments(poses)
+
+    def solve(moments: jax.Array, key: jax.Array, scale: jax.Array) -> tuple[jax.Array, jax.Array]:
+        strategy = CMA_ES(population_size=4 + 3 * len(scale), solution=jnp.zeros(len(scale)))
+        params = strategy.default_params.replace(std_init=jnp.asarray(0.4))
+        start_key, key = jax.random.split(key)
+        start = jax.random.uniform(start_key, scale.shape, minval=-1.0, maxval=1.0)
+        state = strategy.init(key, start, params)
+        fitness = jax.vmap(lambda x: FrameObjective(moments).value(jnp.clip(x, -1, 1) * scale))
+
+        def generation(state: Any, key: jax.Array) -> tuple[Any, None]:
+            ask, tell = jax.random.split(key)
+            population, state = strategy.ask(ask, state, params)
+            # what is outside the box costs as much as it is outside
+            outside = jnp.sum(jnp.abs(population - jnp.clip(population, -1, 1)), axis=-1)
+            state, _ = strategy.tell(tell, population, fitness(population) + outside, state, params)
+            return state, None
+
+        state, _ = jax.lax.scan(generation, state, jax.random.split(key, generations))
+        best = jnp.clip(state.best_solution, -1, 1)
+        return FrameObjective(moments).value(best * scale), best * scale
+
+    def all_problems(angular: jax.Array, linear: jax.Array) -> tuple[jax.Array, jax.Array]:
+        keys = jax.random.split(jax.random.key(0), runs)
+        scales = jnp.full(3, TURN), jnp.concatenate([jnp.full(3, TURN), jnp.ones(3)])
+
+        def best(moments: jax.Array, scale: jax.Array) -> tuple[jax.Array, jax.Array]:
+            values, x = jax.vmap(lambda key: solve(moments, key, scale))(keys)
+            winner = jnp.argmin(values)
+            return values[winner], x[winner]
+
+        def over(moments: jax.Array, scale: jax.Array) -> tuple[jax.Array, jax.Array]:
+            problems = jnp.moveaxis(moments, (2, 3), (0, 1))
+            return jax.vmap(jax.vmap(lambda m: best(m, scale)))(problems)
+
+        turned, _ = over(angular, scales[0])
+        values, x = over(linear, scales[1])
+        return jnp.concatenate([turned, values], axis=-1), x[..., 3:]
+
+    run = jax.jit(all_problems)
+    (values, x), seconds, compiling = timed(lambda: run(angular, linear), 1)
+    return np.exp(np.asarray(values)), placed(np.asarray(x), centre), seconds, compiling
