@@ -60,7 +60,7 @@ def test_the_twelve_constraints_are_identified_with_errors_proportional_to_noise
     assert np.all(tied == (4 if entry.linear_type is None else 1))
 
 
-@pytest.mark.parametrize("label", "ABCDKL")
+@pytest.mark.parametrize("label", "ABCDHKL")
 def test_the_papers_generator_in_the_left_discretization_has_no_plateau(label):
     poses, truth = windows(label, exact=False, excitation="paper")
     found = rf.identify(poses, dt=0.1, discretization="left")
@@ -79,6 +79,13 @@ def test_motion_that_is_a_pure_rotation_is_reported_as_a_revolute_joint_with_all
     assert set(found.name.ravel()) == {"Revolute joint"}
     assert np.all(found.linear.tied)
     assert np.all(found.linear.free_rotation)
+
+
+def test_a_point_with_one_axis_less_is_found_and_described():
+    """The paper's motion of G turns about a second point that moves along one axis only."""
+    poses, _ = windows("G", exact=False, excitation="paper")
+    found = rf.identify(poses, dt=0.1, discretization="left")
+    assert set(found.name.ravel()) == {"Unnamed: 3 rotations, 1 translation in BB"}
 
 
 @pytest.mark.parametrize("label", "IJ")
