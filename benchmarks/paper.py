@@ -12,10 +12,10 @@ from pathlib import Path
 
 import jax
 
-from benchmarks.paper_common import Section, Store, machine
-from benchmarks.paper_figure4 import figure4
 from benchmarks.paper_arm import RobotSize
 from benchmarks.paper_arm_report import figure5, sweeps, table4
+from benchmarks.paper_common import Section, Store, machine
+from benchmarks.paper_figure4 import figure4
 from benchmarks.paper_simulation import Size
 
 SECTIONS = ("figure4", "table4", "figure5", "sweeps")

@@ -7,8 +7,8 @@ import numpy as np
 
 import reframe_jax as rf
 from benchmarks import paper_arm as robot
-from benchmarks.paper_common import Section, Store, number, plain, table
 from benchmarks.paper_arm import LABELS, PAPERS, ROWS, TASKS, RobotSize
+from benchmarks.paper_common import Section, Store, number, plain, table
 from reframe_jax.plotting import plot_bars, plot_maps
 
 __all__ = ["figure5", "sweeps", "table4"]
