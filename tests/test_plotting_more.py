@@ -28,7 +28,7 @@ def test_the_landscape_is_the_objective(window: tuple[Any, Any, rf.Identificatio
         value = landscape(poses, best.position[int(kind)], times=times, linear_type=kind)
         np.testing.assert_allclose(value, best.norm[int(kind)], rtol=1e-6)
     # nothing near the optimum is lower
-    near = found.linear.position + 0.01 * jax.random.normal(jax.random.key(1), (50, 3))
+    near = found.linear.position[None] + 0.01 * jax.random.normal(jax.random.key(1), (50, 3))
     values = landscape(poses, near, times=times, linear_type=rf.LinearType.GB)
     assert values.shape == (50,)
     assert jnp.all(values > found.linear.norm)
