@@ -152,15 +152,21 @@ def time_identify(poses: np.ndarray, repeats: int) -> tuple[Any, float, float]:
     return found, min(times), first - min(times)
 
 
-def position_error(positions: np.ndarray, labels: Sequence[str]) -> float:
-    """Median error in mm of the unique position components, over the windows whose type is unique."""
+def errors_mm(positions: np.ndarray, labels: Sequence[str]) -> np.ndarray:
+    """Errors of the unique position components, over the windows whose type is unique."""
     errors = []
     for position, label in zip(positions, labels, strict=True):
         entry = rf.CONSTRAINTS[label]
         if entry.linear_type is not None:
             truth = np.asarray(rf.ConstraintFrame.named(label).position)
             errors.append(np.linalg.norm((position[int(entry.linear_type)] - truth)[list(entry.position)]))
-    return float(np.median(errors) * 1e3) if errors else float("nan")
+    return 1e3 * np.array(errors)
+
+
+def position_error(positions: np.ndarray, labels: Sequence[str]) -> float:
+    """Median of :func:`errors_mm`; NaN if no window has a unique type."""
+    errors = errors_mm(positions, labels)
+    return float(np.median(errors)) if len(errors) else float("nan")
 
 
 def run(count: int, annealed: int) -> dict[str, float]:

@@ -38,7 +38,7 @@ import numpy as np
 
 import reframe_jax as rf
 from benchmarks.contestants import cma_es, general_search, lbfgs, timed
-from benchmarks.dual_annealing import DT, MISS, anneal, best_known, make_windows
+from benchmarks.dual_annealing import DT, MISS, anneal, best_known, errors_mm, make_windows
 
 FLOPS_PER_WINDOW = 0.9e6
 BASELINE = Path(__file__).with_name("results") / "identification_baseline.json"
@@ -83,17 +83,6 @@ def peak_above(call: Callable[[], Any]) -> tuple[Any, float]:
 def norms_of(found: rf.Identification) -> np.ndarray:
     """(N, 6): two angular and four linear norms."""
     return np.concatenate([found.angular.norms, found.linear.norms], axis=1)
-
-
-def errors_mm(positions: np.ndarray, labels: Sequence[str]) -> np.ndarray:
-    """Errors of the unique position components, over the windows whose type is unique."""
-    errors = []
-    for position, label in zip(positions, labels, strict=True):
-        entry = rf.CONSTRAINTS[label]
-        if entry.linear_type is not None:
-            truth = np.asarray(rf.ConstraintFrame.named(label).position)
-            errors.append(np.linalg.norm((position[int(entry.linear_type)] - truth)[list(entry.position)]))
-    return 1e3 * np.array(errors)
 
 
 def compare(count: int, general: int, slow: int) -> dict[str, Any]:

@@ -119,7 +119,7 @@ def body_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
     Returns:
         (..., K, 6) as (w, v) in {b}; rad/s, m/s.
     """
-    return _outside_in(_mean_twists(poses, dt)[0], 1)
+    return _outside_in(_mean_twists(*_rotations_and_positions(poses), _step_times(dt, poses))[0], 1)
 
 
 def spatial_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
@@ -127,13 +127,12 @@ def spatial_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
 
     Arguments and shapes as in :func:`body_twists`; the result is in {g}.
     """
-    return _outside_in(_mean_twists(poses, dt)[1], 1)
+    return _outside_in(_mean_twists(*_rotations_and_positions(poses), _step_times(dt, poses))[1], 1)
 
 
-def _mean_twists(poses: jax.Array, dt: jax.Array | float) -> tuple[jax.Array, jax.Array]:
-    """Body and spatial twists, (6, K, ...)."""
-    rotation, position = _rotations_and_positions(poses)
-    body = once(_body_twists(rotation, position, _inside_out(_step_times(dt, poses), 0)))
+def _mean_twists(rotation: jax.Array, position: jax.Array, steps: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Body and spatial twists, (6, K, ...); the sample times are (..., K)."""
+    body = once(_body_twists(rotation, position, _inside_out(steps, 0)))
     return body, once(_spatial_twists(rotation, position, body))
 
 
@@ -242,7 +241,7 @@ def velocity_components(
     rotation, position = _rotations_and_positions(poses)
     steps = _step_times(dt, poses)
     step = _inside_out(steps, 0)[None, None]
-    body, spatial = _mean_twists(poses, dt)
+    body, spatial = _mean_twists(rotation, position, steps)
     if discretization == "chord":
         body, spatial = _without_brackets(body, steps, False), _without_brackets(spatial, steps, True)
     bb, gg = (jnp.concatenate([twist[3:, None], _hat(twist[:3])], axis=1) for twist in (body, spatial))
