@@ -30,7 +30,7 @@ __all__ = ["default_solver", "identify"]
 
 _PIECE = 8  # chunks that one thread computes in one call
 
-_VALLEY = BasinHopping(ValleySteps(6), restarts=6, hops=3, polish=1)
+_VALLEY = BasinHopping(ValleySteps(6), restarts=7, hops=3, polish=2)
 _NEWTON = BasinHopping(NewtonSteps(15), restarts=8, hops=3, polish=2)
 
 

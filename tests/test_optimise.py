@@ -269,6 +269,36 @@ class TestBasinHopping:
         np.testing.assert_allclose(at_once.value, by_hand.value, atol=1e-10)
         np.testing.assert_array_equal(at_once.agreement, by_hand.agreement)
 
+    def test_settled_problems_stop(self):
+        """Where the chains met they stop after one step, and nowhere else; whatever block they are in."""
+        rng = np.random.default_rng(5)
+        maps = np.stack([planted(rng, FREE[i % 4])[0] for i in range(37)])
+        objective = PositionObjective(velocity_moments(jnp.asarray(maps)))
+        solver = BasinHopping(ValleySteps(3), restarts=3, hops=2, polish=1, settled=0)
+        step = jax.jit(lambda state: solver.step(objective, POSITIONS, state))
+        first = step(solver.init(objective, POSITIONS, KEY))
+        last = first
+        for _ in range(3):
+            last = step(last)
+        spread = np.ptp(np.asarray(first.value), axis=0)
+        limit = float(np.median(spread))
+        settled = spread < limit
+        assert 10 < np.sum(settled) < 27
+        found = search(dataclasses.replace(solver, settled=limit), objective.moments, KEY, POSITIONS)
+        expected = np.where(settled, np.min(first.best_value, axis=0), np.min(last.best_value, axis=0))
+        np.testing.assert_allclose(found.value, expected, atol=1e-9)
+        assert np.any(np.min(last.best_value, axis=0) < np.min(first.best_value, axis=0) - 1e-3)
+        # nothing is settled: the same as by hand for all
+        found = search(solver, objective.moments, KEY, POSITIONS)
+        np.testing.assert_allclose(found.value, np.min(last.best_value, axis=0), atol=1e-9)
+
+    def test_one_chain_meets_nobody(self, moments):
+        """A single chain takes all its hops."""
+        one = BasinHopping(ValleySteps(2), restarts=1, hops=0, polish=0)
+        more = dataclasses.replace(one, polish=8, settled=1e9)
+        gain = search_positions(one, moments).value - search_positions(more, moments).value
+        assert np.max(gain) > 1e-3
+
     def test_chains_move_uphill_only_when_warm(self, moments):
         """At temperature 0 a chain's value never rises; at a high one every jump is taken."""
         objective = PositionObjective(moments)

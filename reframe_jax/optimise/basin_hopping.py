@@ -1,22 +1,24 @@
 """The global search: basin hopping from many starts, for many problems at once."""
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.compilation import chunk_size
-from reframe_jax.frames import LinearType
 from reframe_jax.objectives import FrameObjective, PositionObjective
 from reframe_jax.optimise.box import Box
-from reframe_jax.optimise.kernel import search_chains
+from reframe_jax.optimise.kernel import step_chains
 from reframe_jax.optimise.seeds import quasi_random
 from reframe_jax.optimise.valley import ValleySteps
 
 __all__ = ["BasinHopping", "LocalMinimiser", "Objective", "SearchState", "Solution", "Solver"]
+
+_BLOCK, _SHARE = 8, 16  # problems go on together by the eight, or by a sixteenth of all
+_AT_ONCE = 1024  # minimisations at a time; if there are more, restarts take turns
 
 Objective = FrameObjective | PositionObjective
 LocalMinimiser = Callable[[Any, Box, jax.Array], tuple[jax.Array, jax.Array]]
@@ -67,14 +69,18 @@ class SearchState:
     best_value: jax.Array
 
 
+_OF_CHAINS = ("x", "value", "best_x", "best_value")
+
+
 @dataclass(frozen=True)
 class BasinHopping:
     """Basin hopping (Wales & Doye 1997) from quasi-random restarts.
 
     Every restart is a chain: minimise locally; then, ``hops`` times, jump, minimise locally, and move
     there if it is better, or by Metropolis' rule if it is not; at the end minimise ``polish`` times
-    more from its best point. All problems see the same random numbers, so a problem's answer depends
-    on its data and the key alone, not on its place in a batch.
+    more from its best point. A problem whose chains all meet after their first minimisation is settled
+    and hops no more: most are, which is what makes the search fast. All problems see the same random
+    numbers, so a problem's answer depends on its data and the key alone, not on its place in a batch.
 
     Attributes:
         inner: local minimiser, :class:`ValleySteps`, :class:`OptaxSteps` or your own.
@@ -84,6 +90,8 @@ class BasinHopping:
         refine: another local minimiser for the best point of all chains, or None.
         hop_size: standard deviation of a jump, as a share of the box.
         temperature: of Metropolis' rule, in log J: 0.1 accepts a 10 % larger norm once in e times.
+        settled: a problem is settled if no chain ends its first minimisation this much above another,
+            in log J; 0 lets every problem hop.
     """
 
     inner: LocalMinimiser
@@ -93,6 +101,7 @@ class BasinHopping:
     refine: LocalMinimiser | None = None
     hop_size: float = 0.1
     temperature: float = 0.1
+    settled: float = 1e-4
 
     def init(self, objective: Objective, box: Box, key: jax.Array) -> SearchState:
         """Quasi-random starts, not minimised yet: their values are infinite."""
@@ -146,47 +155,101 @@ class BasinHopping:
         return Solution(x, value, jnp.mean(close.astype(value.dtype), axis=0))
 
     def minimise(self, objective: Objective, box: Box, key: jax.Array) -> Solution:
-        """The whole search: :meth:`init`, 1 + ``hops`` + ``polish`` times :meth:`step`, :meth:`finish`.
+        """The whole search: :meth:`init`, :meth:`step` until every problem is done, :meth:`finish`.
 
-        On a GPU, with :class:`ValleySteps`, all the steps are one kernel.
+        A settled problem is done after one step, the others after 1 + ``hops`` + ``polish``. On a GPU,
+        with :class:`ValleySteps`, the steps run in one kernel.
         """
-        if isinstance(self.inner, ValleySteps) and jax.default_backend() == "gpu":
-            return self.finish(objective, box, self._in_a_kernel(self.inner, objective, box, key))
-        state, _ = jax.lax.scan(
-            lambda state, _: (self.step(objective, box, state), None),
-            self.init(objective, box, key),
-            length=1 + self.hops + self.polish,
-        )
+        state = self._advance(objective, box, self.init(objective, box, key), 1)
+        if self.hops + self.polish > 0:
+            state = self._go_on(objective, box, state)
         return self.finish(objective, box, state)
 
+    def _advance(self, objective: Objective, box: Box, state: SearchState, count: int) -> SearchState:
+        """Make ``count`` steps."""
+        if isinstance(self.inner, ValleySteps) and jax.default_backend() == "gpu":
+            return self._in_a_kernel(self.inner, objective, box, state, count)
+        state, _ = jax.lax.scan(
+            lambda state, _: (self.step(objective, box, state), None), state, length=count
+        )
+        return state
+
+    def _go_on(self, objective: Objective, box: Box, state: SearchState) -> SearchState:
+        """Take the problems that are not settled through the other steps, gathered into full blocks."""
+        batch = state.value.shape[1:]
+        problems = math.prod(batch)
+        size = max(min(problems, _BLOCK), problems // _SHARE)
+
+        def flat(tree: Any) -> Any:
+            return jax.tree.map(lambda a: a.reshape(*a.shape[: a.ndim - len(batch)], problems), tree)
+
+        objective = flat(objective)
+        chains = flat({name: getattr(state, name) for name in _OF_CHAINS})
+        is_open = ~self._is_settled(state).reshape(-1)
+        order, count = jnp.argsort(~is_open), jnp.sum(is_open)  # the open problems first, as they come
+
+        def block(i: jax.Array, chains: dict[str, jax.Array]) -> dict[str, jax.Array]:
+            place = i * size + jnp.arange(size)
+            rows = order[jnp.minimum(place, problems - 1)]
+            here, of_block = jax.tree.map(lambda a: jnp.take(a, rows, axis=-1), (objective, chains))
+            after = self._advance(here, box, replace(state, **of_block), self.hops + self.polish)
+            target = jnp.where(place < count, rows, problems)  # those of settled problems are dropped
+            return {
+                name: old.at[..., target].set(getattr(after, name), mode="drop")
+                for name, old in chains.items()
+            }
+
+        chains = jax.lax.fori_loop(0, (count + size - 1) // size, block, chains)
+        return replace(state, **{name: a.reshape(*a.shape[:-1], *batch) for name, a in chains.items()})
+
+    def _is_settled(self, state: SearchState) -> jax.Array:
+        """Whether all chains met, (...). One chain meets nobody."""
+        if self.restarts == 1:
+            return jnp.zeros(state.value.shape[1:], dtype=bool)
+        return jnp.max(state.value, axis=0) - jnp.min(state.value, axis=0) < self.settled
+
     def _in_a_kernel(
-        self, inner: ValleySteps, objective: Objective, box: Box, key: jax.Array, interpret: bool = False
+        self,
+        inner: ValleySteps,
+        objective: Objective,
+        box: Box,
+        state: SearchState,
+        count: int,
+        interpret: bool = False,
     ) -> SearchState:
-        """The state after all steps, as :meth:`minimise` reaches it step by step."""
+        """The state after ``count`` steps, as :meth:`step` reaches it."""
         inner.check(objective)
-        state, dim = self.init(objective, box, key), objective.dim
-        key, draws = state.key, []
-        for _ in range(1 + self.hops):  # the first step jumps nowhere
-            jump, rise, key = self._draw(key, dim, state.x.dtype)
-            draws.append(((box.high - box.low)[:, None] * jump, rise))
-        x, value = search_chains(
-            objective.moments.reshape(6, 10, -1),
+        key, jumps, rises = state.key, [], []
+        for _ in range(count):
+            jump, rise, key = self._draw(key, objective.dim, state.x.dtype)
+            jumps.append((box.high - box.low)[:, None] * jump)
+            rises.append(rise)
+        batch = state.value.shape[1:]
+
+        def flat(a: jax.Array) -> jax.Array:
+            return a.reshape(*a.shape[: a.ndim - len(batch)], -1)
+
+        after = step_chains(
+            flat(objective.moments),
             box.low,
             box.high,
-            state.x.reshape(dim, self.restarts, -1)[:, :, 0],
-            jnp.stack([jump for jump, _ in draws[1:]]) if self.hops else jnp.zeros((1, dim, self.restarts)),
-            jnp.stack([rise for _, rise in draws[1:]]) if self.hops else jnp.zeros((1, self.restarts)),
+            state.hop,
+            flat(state.x),
+            flat(state.value),
+            flat(state.best_x),
+            flat(state.best_value),
+            jnp.stack(jumps),
+            jnp.stack(rises),
             steps=inner.steps,
             hops=self.hops,
-            polish=self.polish,
             interpret=interpret,
         )
-        x, value = x.reshape(state.x.shape), value.reshape(state.value.shape)
-        return SearchState(state.hop + 1 + self.hops + self.polish, key, x, value, x, value)
+        x, value, best_x, best_value = (a.reshape(*a.shape[:-1], *batch) for a in after)
+        return SearchState(state.hop + count, key, x, value, best_x, best_value)
 
     def _descend(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Local minimisation of every chain: at once if problems are few, else one after the other."""
-        if x[0].size <= chunk_size() * len(LinearType):
+        if x[0].size <= _AT_ONCE:
             chains = jax.tree.map(
                 lambda m: jnp.broadcast_to(m[:, :, None], (*m.shape[:2], *x.shape[1:])), objective
             )
