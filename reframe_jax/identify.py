@@ -21,7 +21,7 @@ from reframe_jax.classify import Thresholds
 from reframe_jax.compilation import CPU_OPTIONS, chunk_size, traced
 from reframe_jax.kinematics import Discretization
 from reframe_jax.objectives import check_exponent
-from reframe_jax.optimise import BasinHopping, Box, NewtonSteps, Solver, ValleySteps
+from reframe_jax.optimise import BasinHopping, Box, Solver, ValleySteps
 from reframe_jax.results import Identification
 from reframe_jax.validate import MIN_VELOCITIES, Status
 from reframe_jax.windows import identify_windows
@@ -31,12 +31,12 @@ __all__ = ["default_solver", "identify"]
 _PIECE = 8  # chunks that one thread computes in one call
 
 _VALLEY = BasinHopping(ValleySteps(6), restarts=7, hops=3, polish=2)
-_NEWTON = BasinHopping(NewtonSteps(15), restarts=8, hops=3, polish=2)
+_OTHER_MEANS = BasinHopping(ValleySteps(8), restarts=8, hops=4, polish=2)
 
 
 def default_solver(norm: float = 0.0) -> BasinHopping:
     """The solver ``identify`` uses for an exponent of the norm."""
-    return _VALLEY if check_exponent(norm) == 0 else _NEWTON
+    return _VALLEY if check_exponent(norm) == 0 else _OTHER_MEANS
 
 
 def identify(

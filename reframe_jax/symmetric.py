@@ -8,6 +8,8 @@ vectorise over the batch; batched 3x3 kernels (einsum, solve, eigh) are 5-10 tim
 import jax
 import jax.numpy as jnp
 
+from reframe_jax.compilation import once
+
 __all__ = [
     "INDEX_PAIRS",
     "Symmetric",
@@ -150,6 +152,7 @@ def eigh(s: Symmetric) -> tuple[Vector, tuple[Vector, Vector, Vector]]:
         off = {(0, 1): xy, (0, 2): xz, (1, 2): yz}
         for i, j in ((0, 1), (0, 2), (1, 2)):
             _rotate(values, off, axes, i, j)
+            values, off, axes = once((values, off, axes))
         return (tuple(values), (off[0, 1], off[0, 2], off[1, 2]), tuple(axes)), None
 
     axes = ((one, zero, zero), (zero, one, zero), (zero, zero, one))

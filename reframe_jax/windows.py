@@ -24,7 +24,7 @@ from reframe_jax.implicit import attach_derivative
 from reframe_jax.kinematics import Discretization
 from reframe_jax.moments import component_moments, covariance_at
 from reframe_jax.objectives import PositionObjective, log_power_mean
-from reframe_jax.optimise import Box, NewtonSteps, Solver, ValleySteps
+from reframe_jax.optimise import Box, Solver, ValleySteps
 from reframe_jax.results import (
     AllCandidates,
     AngularFrame,
@@ -235,8 +235,7 @@ def _linear_candidates(
         objective = PositionObjective(moments_of(_seen_from(maps, first, origin), 2), exponent)
         low, high = box.bounds(origin)
         here = Box(low - origin, high - origin)
-        steps = ValleySteps(_TOUCH_UP) if exponent == 0 else NewtonSteps(_TOUCH_UP)
-        moved, _ = steps(jax.lax.stop_gradient(objective), here, jnp.zeros_like(origin))
+        moved, _ = ValleySteps(_TOUCH_UP)(jax.lax.stop_gradient(objective), here, jnp.zeros_like(origin))
         moved = attach_derivative(moved, objective, here)
         rms, local = _spectrum(objective.covariance(moved))
         axes, x = first @ local, origin + moved
