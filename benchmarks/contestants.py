@@ -1,7 +1,6 @@
 """The other ways to solve the six problems of a window, each on the same moments."""
 
 import time
-from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -10,6 +9,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 import reframe_jax as rf
+from benchmarks.common import timed
 from benchmarks.dual_annealing import DT
 from reframe_jax.compilation import CPU_OPTIONS, chunk_size
 from reframe_jax.identify import default_solver
@@ -17,20 +17,9 @@ from reframe_jax.objectives import FrameObjective
 from reframe_jax.optimise import Box
 from reframe_jax.windows import window_moments
 
+__all__ = ["cma_es", "general_search", "lbfgs", "timed"]
+
 TURN = np.pi
-
-
-def timed(call: Callable[[], Any], repeats: int) -> tuple[Any, float, float]:
-    """Result, seconds of the fastest of some warm calls, and how much longer the first one took."""
-    start = time.perf_counter()
-    result = jax.block_until_ready(call())
-    first = time.perf_counter() - start
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        jax.block_until_ready(call())
-        times.append(time.perf_counter() - start)
-    return result, min(times), first - min(times)
 
 
 def six_moments(poses: np.ndarray) -> tuple[jax.Array, jax.Array, np.ndarray]:

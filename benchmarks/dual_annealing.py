@@ -12,7 +12,6 @@ long restarts), as the share of problems more than 0.1 % above it, and the error
 """
 
 import argparse
-import json
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -24,6 +23,7 @@ import numpy as np
 from scipy.optimize import dual_annealing
 
 import reframe_jax as rf
+from benchmarks.common import timed, write_metrics
 from reframe_jax import kinematics, metrics, synthetic
 from reframe_jax.compilation import CPU_OPTIONS, chunk_size
 from reframe_jax.objectives import FrameObjective, PositionObjective
@@ -91,26 +91,28 @@ def _gradient(moments: jax.Array, x: jax.Array) -> jax.Array:
     return jax.grad(lambda x: jnp.exp(FrameObjective(moments).value(x)))(x)
 
 
-def anneal(poses: np.ndarray, seed: int, *, gradient: bool) -> tuple[np.ndarray, np.ndarray, float]:
-    """Dual annealing on the six problems: norms (6,), linear positions (4, 3), seconds."""
+def solve(poses: np.ndarray, seed: int, *, gradient: bool = False) -> tuple[list[Any], float]:
+    """Dual annealing on the six problems of one window: SciPy's results, and seconds."""
     problems = numpy_objectives(poses)
     gradients = jax_gradients(poses) if gradient else [None] * 6
-    if gradient:
-        for g, (_, dim) in zip(gradients, problems, strict=True):
-            assert g is not None
+    for g, (_, dim) in zip(gradients, problems, strict=True):
+        if g is not None:
             g(np.full(dim, 0.1))  # compile outside of the clock
-    norms, positions = [], []
+    results = []
     start = time.perf_counter()
     for (objective, dim), g in zip(problems, gradients, strict=True):
         bounds = [(-np.pi, np.pi)] * 3 + [(-1.0, 1.0)] * (dim - 3)
         options = (
             {} if g is None else {"minimizer_kwargs": {"method": "L-BFGS-B", "jac": g, "bounds": bounds}}
         )
-        result = dual_annealing(objective, bounds, maxiter=100, rng=seed, **options)
-        norms.append(result.fun)
-        if dim == 6:
-            positions.append(result.x[3:])
-    return np.array(norms), np.array(positions), time.perf_counter() - start
+        results.append(dual_annealing(objective, bounds, maxiter=100, rng=seed, **options))
+    return results, time.perf_counter() - start
+
+
+def anneal(poses: np.ndarray, seed: int, *, gradient: bool) -> tuple[np.ndarray, np.ndarray, float]:
+    """Dual annealing on the six problems: norms (6,), linear positions (4, 3), seconds."""
+    results, seconds = solve(poses, seed, gradient=gradient)
+    return np.array([r.fun for r in results]), np.array([r.x[3:] for r in results[2:]]), seconds
 
 
 def best_known(poses: np.ndarray) -> np.ndarray:
@@ -138,20 +140,6 @@ def best_known(poses: np.ndarray) -> np.ndarray:
     return np.asarray(found).reshape(-1, 6)[:count]
 
 
-def time_identify(poses: np.ndarray, repeats: int) -> tuple[Any, float, float]:
-    """Result, seconds of a warm call, and seconds the first call took longer."""
-    array = jnp.asarray(poses)
-    start = time.perf_counter()
-    found = jax.block_until_ready(rf.identify(array, dt=DT))
-    first = time.perf_counter() - start
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        jax.block_until_ready(rf.identify(array, dt=DT))
-        times.append(time.perf_counter() - start)
-    return found, min(times), first - min(times)
-
-
 def errors_mm(positions: np.ndarray, labels: Sequence[str]) -> np.ndarray:
     """Errors of the unique position components, over the windows whose type is unique."""
     errors = []
@@ -172,7 +160,8 @@ def position_error(positions: np.ndarray, labels: Sequence[str]) -> float:
 def run(count: int, annealed: int) -> dict[str, float]:
     """Run all contestants and print the table."""
     poses, labels = make_windows(count)
-    found, seconds, compiling = time_identify(poses, 3)
+    array = jnp.asarray(poses)
+    found, seconds, compiling = timed(lambda: rf.identify(array, dt=DT), 3)
     sample = np.linspace(0, count - 1, annealed).astype(int)
     plain = [anneal(poses[i], seed=int(i), gradient=False) for i in sample]
     steered = [anneal(poses[i], seed=int(i), gradient=True) for i in sample]
@@ -236,8 +225,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     jax.config.update("jax_enable_x64", True)
     count, annealed = (96, 12) if options.quick else (options.windows, options.annealed)
     result = run(count, min(annealed, count))
-    if options.json:
-        options.json.write_text(json.dumps({"metrics": result}, indent=2) + "\n")
+    write_metrics(options.json, result)
     return 0
 
 

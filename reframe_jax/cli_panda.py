@@ -154,7 +154,7 @@ def _draw(first: Any, options: argparse.Namespace) -> int:
     failed = False
     try:
         if options.plot is not None:
-            from reframe_jax.plotting_panda import plot_demonstration
+            from reframe_jax.plotting.panda import plot_demonstration
 
             title = CONSTRAINTS[options.constraint].name
             plot_demonstration(first, arm=options.robot, title=title).savefig(options.plot)
