@@ -100,10 +100,10 @@ _SETUPS = """\
 
 ### Set-ups and thresholds
 
-The same on a rigid set-up, and on one whose mount gives way to rotation four times as much (*matched*:
-its rms velocities along constrained rotations are those of the paper's robot). Errors are the largest of
-the means over trials; any threshold in the last two columns classifies every axis of every demonstration
-(the paper's: of the means).
+*realistic* is the set-up above, *rigid* one that does not give way, and *matched* one that gives way to
+rotation four times as much, so that the rms velocities along constrained rotations are those of the
+paper's robot. Errors are the largest of the means over trials; any threshold in the last two columns
+classifies every axis of every demonstration (the paper's: of the means).
 
 """
 
