@@ -57,7 +57,7 @@ class Size:
     @staticmethod
     def quick(seed: int) -> "Size":
         """A small part of it."""
-        return Size(trials=16, setups=("realistic",), seed=seed + 1)
+        return Size(trials=8, setups=("realistic",), seed=seed + 1)
 
 
 def reproduce_all(size: Size, imperfections: panda.Imperfections) -> dict[str, np.ndarray]:

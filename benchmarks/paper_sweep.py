@@ -59,7 +59,7 @@ class Size:
         seed: of all random numbers.
     """
 
-    demonstrations: int = 32
+    demonstrations: int = 16
     compliance: tuple[float, ...] = (0.0, 3e-5, 1e-4, 3e-4, 1e-3)
     noise: tuple[float, ...] = (0.0, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3)
     periods: tuple[float, ...] = (0.02, 0.05, 0.1)
@@ -71,7 +71,7 @@ class Size:
     def quick(seed: int) -> "Size":
         """A small part of it, with programs that the other experiments compile."""
         return Size(
-            demonstrations=16,
+            demonstrations=8,
             compliance=(0.0, 1e-4, 1e-3),
             noise=(1e-5, 1e-4, 1e-3),
             periods=(0.05,),

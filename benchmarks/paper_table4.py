@@ -114,20 +114,20 @@ class Size:
 
     Attributes:
         trials: demonstrations of each constraint.
-        chunk: demonstrations simulated at once; Figure 5 shares the compiled program.
+        chunk: demonstrations simulated at once.
         setups: of :data:`SETUPS`.
         seed: of all random numbers.
     """
 
     trials: int = 10
-    chunk: int = 32
+    chunk: int = 16
     setups: tuple[str, ...] = tuple(SETUPS)
     seed: int = 2025
 
     @staticmethod
     def quick(seed: int) -> "Size":
         """A small part of it."""
-        return Size(trials=4, chunk=16, setups=(SHOWN,), seed=seed)
+        return Size(trials=4, chunk=8, setups=(SHOWN,), seed=seed)
 
 
 def identify_all(

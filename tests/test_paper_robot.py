@@ -120,7 +120,7 @@ def test_sweep_goes_on_from_its_parts(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(paper_sweep, "identify_all", identify_all)
     section = paper_sweep.section(Store(tmp_path, size), size)
     assert calls == list(size.compliance)
-    assert section.metrics["sweep_windows"] == 12 * 16 * 3 * 3 * 2
+    assert section.metrics["sweep_windows"] == 12 * 8 * 3 * 3 * 2
     assert section.metrics["sweep_types_correct"] == pytest.approx(1 / 3)
     expected = np.tile(1e3 * np.array(size.compliance)[:, None] + 0.1, (1, 3))
     np.testing.assert_allclose(section.data["position"]["2.5 s at 0.05 s"], expected)
