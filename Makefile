@@ -15,7 +15,7 @@ demo: $(STAMP)
 	$(BIN)/reframe-jax identify examples/pin_on_plane.csv --plot out/pin_on_plane.png --json out/pin_on_plane.json
 
 test: $(STAMP)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 lint: $(STAMP)
 	$(BIN)/ruff format --check .

@@ -12,7 +12,7 @@ from reframe_jax.panda.demonstration import Demonstration
 from reframe_jax.panda.model import PANDA, Arm, arm_named, link_transforms
 from reframe_jax.plotting.maps import plot_bars
 from reframe_jax.plotting.scene import segment, set_limits
-from reframe_jax.plotting.style import CONSTRAINED, FREE, LINES, TURNING, new_figure
+from reframe_jax.plotting.style import BODY, CONSTRAINED, FREE, LINES, TURNING, new_figure
 from reframe_jax.reproduction.comparison import Comparison
 
 if TYPE_CHECKING:
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 __all__ = ["plot_comparison", "plot_demonstration", "plot_reactions"]
 
-_ARM = "#777777"
 _ROWS = {"exact": "exact frame", "literature": "literature's errors", "identified": "identified"}
 
 
@@ -124,7 +123,7 @@ def _draw_scene(axes: "Axes3D", made: Demonstration, arm: Arm) -> None:
         points = _joint_points(np.asarray(made.joint_positions[index]), arm)
         extent.append(points)
         axes.plot(
-            *points.T, "o-", color=_ARM, linewidth=3.5, markersize=4, alpha=alpha, solid_capstyle="round"
+            *points.T, "o-", color=BODY, linewidth=3.5, markersize=4, alpha=alpha, solid_capstyle="round"
         )
         pose = jnp.asarray(made.exact_poses[index], dtype=arrays.position.dtype)
         there = jax.device_get(locate(arrays, pose[:3, :3], pose[:3, 3]))
@@ -142,7 +141,7 @@ def _draw_scene(axes: "Axes3D", made: Demonstration, arm: Arm) -> None:
     axes.plot(*path.T, color="black", linewidth=1.5)
     turns, shifts = sum(made.truth.angular_dof), sum(made.truth.linear_dof)
     for shown_here, label, colour, style in (
-        (True, "arm", _ARM, "o-"),
+        (True, "arm", BODY, "o-"),
         (True, "path of the TCP", "black", "-"),
         (shifts > 0, "free translation", FREE[0], "-"),
         (shifts < 3, "constrained translation", CONSTRAINED[0], "--"),
