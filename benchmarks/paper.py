@@ -62,7 +62,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.paper", description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("out/paper"), help="folder (out/paper)")
     parser.add_argument(
-        "--only", nargs="+", choices=EXPERIMENTS, default=list(EXPERIMENTS), help="experiments (all)"
+        "--only",
+        nargs="+",
+        choices=EXPERIMENTS,
+        default=list(EXPERIMENTS),
+        help="experiments to report on (all)",
     )
     parser.add_argument("--seed", type=int, default=2025, help="of all random numbers (2025)")
     parser.add_argument("--quick", action="store_true", help="a small part of everything")

@@ -21,6 +21,7 @@ __all__ = ["LABELS", "Section", "Store", "demonstrations", "number", "plain", "s
 LABELS = tuple(reframe_jax.CONSTRAINTS)
 
 _SECONDS = "seconds_in_all"
+_START = time.perf_counter()
 
 
 @dataclass
@@ -57,11 +58,10 @@ class Store:
         self._suffix = hashlib.sha256(text.encode()).hexdigest()[:12]
         self._fresh = fresh
         self.seconds = 0.0
-        self._start = time.perf_counter()
 
     def say(self, text: str) -> None:
         """A line of progress, with the time since the start."""
-        print(f"{time.perf_counter() - self._start:7.1f} s  {text}", file=sys.stderr, flush=True)
+        print(f"{time.perf_counter() - _START:7.1f} s  {text}", file=sys.stderr, flush=True)
 
     def piece(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """The arrays of a piece, computed or read; a file is there whole or not at all."""
@@ -72,6 +72,7 @@ class Store:
             self.seconds += float(arrays.pop(_SECONDS))
             self.say(f"{name}: as computed before")
             return arrays
+        self.say(f"{name} ...")
         start, before = time.perf_counter(), self.seconds
         arrays = {key: np.asarray(value) for key, value in make().items()}
         # without the pieces that this one asked for

@@ -52,12 +52,12 @@ class Size:
 
     trials: int = 32
     setups: tuple[str, ...] = tuple(_TITLES)
-    seed: int = 2026
+    seed: int = 2025
 
     @staticmethod
     def quick(seed: int) -> "Size":
         """A small part of it."""
-        return Size(trials=8, setups=("realistic",), seed=seed + 1)
+        return Size(trials=8, setups=("realistic",), seed=seed)
 
 
 def reproduce_all(size: Size, imperfections: panda.Imperfections) -> dict[str, np.ndarray]:
@@ -70,7 +70,7 @@ def reproduce_all(size: Size, imperfections: panda.Imperfections) -> dict[str, n
     """
     results: dict[str, list[object]] = {}
     for label in ("A", "B", "I"):
-        key = jax.random.fold_in(jax.random.key(size.seed), ord(label))
+        key = jax.random.fold_in(jax.random.key(size.seed + 1), ord(label))
         outcome = reproduction.compare(label, key, size.trials, imperfections=imperfections)
         _add(results, outcome.rows, np.asarray(outcome.errors), int(outcome.redrawn))
     errors = np.asarray(outcome.errors) * [0, 0, 1]
