@@ -15,15 +15,16 @@ from reframe_jax.panda.demonstration import (
 )
 from reframe_jax.panda.dynamics import Motion, arm_motion, inverse_dynamics, jacobian
 from reframe_jax.panda.guide import EXCITATIONS, Guide
-from reframe_jax.panda.imperfections import ENCODER_GRADE, REALISTIC, Imperfections
+from reframe_jax.panda.imperfections import ENCODER_GRADE, MATCHED, REALISTIC, Imperfections
 from reframe_jax.panda.model import FR3, PANDA, ROBOTS, Arm, Link, arm_xml, forward_kinematics
 from reframe_jax.panda.status import RolloutStatus
-from reframe_jax.panda.store import load_demonstrations, store_demonstrations
+from reframe_jax.panda.store import load_demonstrations, store_demonstrations, stored_demonstrations
 
 __all__ = [
     "ENCODER_GRADE",
     "EXCITATIONS",
     "FR3",
+    "MATCHED",
     "PANDA",
     "REALISTIC",
     "ROBOTS",
@@ -45,4 +46,5 @@ __all__ = [
     "jacobian",
     "load_demonstrations",
     "store_demonstrations",
+    "stored_demonstrations",
 ]
