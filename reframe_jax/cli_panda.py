@@ -57,6 +57,13 @@ def add_commands(commands: Any) -> None:
     )
     add("--plot", type=Path, metavar="FILE", help="draw the first demonstration, .png or .pdf")
     add("--render", type=Path, metavar="FILM", help="film the first demonstration, .gif or .mp4")
+    add(
+        "--skin",
+        type=Path,
+        metavar="PATH",
+        help="what the film shows: an MJCF of the robot that you have, such as MuJoCo Menagerie's panda.xml, "
+        "or a folder of meshes, link0.stl to link7.stl and hand.stl (plain shapes)",
+    )
     add("--keep", action="store_true", help="keep demonstrations that hit a limit, instead of redrawing")
     command = cli._add_command(
         commands, "reproduce", _reproduce, _REPRODUCE, "demonstrate, identify and reproduce a task"
@@ -130,7 +137,11 @@ def _demonstrate(options: argparse.Namespace) -> int:
         options.usage_error(f"--out must be a folder, or end in .npz or .csv, not {options.out.name!r}.")
     if options.render is not None and options.render.suffix not in (".gif", ".mp4"):
         options.usage_error(f"--render must end in .gif or .mp4, not {options.render.name!r}.")
-    common = _prepared(options)
+    try:
+        common = _prepared(options)
+    except ImportError as error:
+        cli._say(f"reframe-jax: error: {error}")
+        return 1
     from reframe_jax import panda
 
     parts: Iterable[Any]
@@ -181,7 +192,7 @@ def _draw(first: Any, options: argparse.Namespace) -> int:
         if options.render is not None:
             from reframe_jax.panda.render import film_frames, save_film
 
-            pictures = film_frames(first.joint_positions, first.truth, arm=options.robot)
+            pictures = film_frames(first.joint_positions, first.truth, arm=options.robot, skin=options.skin)
             save_film(options.render, pictures, rate=1 / options.dt)
             print(options.render)
     except (ValueError, OSError, RuntimeError) as error:
@@ -212,7 +223,11 @@ def _write(path: Path, parts: list[Any]) -> Path:
 def _reproduce(options: argparse.Namespace) -> int:
     from reframe_jax import cli
 
-    common = _prepared(options)
+    try:
+        common = _prepared(options)
+    except ImportError as error:
+        cli._say(f"reframe-jax: error: {error}")
+        return 1
     from reframe_jax import reproduction
     from reframe_jax.panda import RolloutStatus
 

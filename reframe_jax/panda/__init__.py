@@ -6,6 +6,18 @@ made = panda.demonstrate("K", jax.random.key(0), batch=64)
 found = rf.identify(made.poses, times=made.times)
 """
 
+try:
+    import mujoco  # noqa: F401
+except (ImportError, AttributeError, RuntimeError, OSError) as error:
+    import os
+
+    if "MUJOCO_GL" not in os.environ:
+        raise
+    raise ImportError(
+        f"MuJoCo cannot be loaded with MUJOCO_GL={os.environ['MUJOCO_GL']} ({error}). "
+        "Install what that needs, set MUJOCO_GL to another of egl, osmesa and glfw, or unset it."
+    ) from error
+
 from reframe_jax.panda.demonstration import (
     SPREAD,
     Demonstration,
