@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax import rotations, synthetic, transforms
+from reframe_jax.panda.compiled import as_numbers
 from reframe_jax.panda.constraint import Frame, body_twist, locate
 from reframe_jax.panda.dynamics import Motion
 from reframe_jax.synthetic import Excitation
@@ -162,8 +163,8 @@ class Hand:
 def make_hand(guide: Guide, key: jax.Array, dtype: Any) -> Hand:
     """Draw a hand."""
     offset_key, phase_key = jax.random.split(key)
-    spread = [guide.angular_misalignment] * 3 + [guide.misalignment] * 3
-    offset = jnp.stack([jnp.asarray(s, dtype=dtype) for s in spread])
+    guide = as_numbers(guide, dtype)
+    offset = jnp.stack([guide.angular_misalignment] * 3 + [guide.misalignment] * 3)
     phases = jax.random.uniform(phase_key, (6, len(_TREMOR_RATES)), dtype, maxval=2 * jnp.pi)
     return Hand(offset * jax.random.normal(offset_key, (6,), dtype), phases)
 
@@ -173,12 +174,9 @@ def guide_drive(
 ) -> Callable[[jax.Array, jax.Array, Motion, Any], tuple[jax.Array, jax.Array]]:
     """The drive of a guided demonstration; its state is the pose (4, 4) the tool should have."""
     dtype = hand.offset.dtype
-
-    def number(value: float | jax.Array) -> jax.Array:
-        return jnp.asarray(value, dtype=dtype)
-
+    guide = as_numbers(guide, dtype)
     rates = jnp.asarray(_TREMOR_RATES, dtype=dtype)
-    size = jnp.stack([number(guide.angular_tremor)] * 3 + [number(guide.tremor)] * 3)
+    size = jnp.stack([guide.angular_tremor] * 3 + [guide.tremor] * 3)
     size = size * (2 / len(_TREMOR_RATES)) ** 0.5  # the sum of the sines has the given rms
     aside = transforms.pose_exp(hand.offset)
 
@@ -189,10 +187,8 @@ def guide_drive(
         goal = pose @ aside
         apart = goal[:3, :3] @ motion.rotation.T
         lag = twist - motion.twist
-        moment = (
-            number(guide.angular_stiffness) * rotations.vee(apart) + number(guide.angular_damping) * lag[:3]
-        )
-        force = number(guide.stiffness) * (goal[:3, 3] - motion.position) + number(guide.damping) * lag[3:]
+        moment = guide.angular_stiffness * rotations.vee(apart) + guide.angular_damping * lag[:3]
+        force = guide.stiffness * (goal[:3, 3] - motion.position) + guide.damping * lag[3:]
         tremor = size * jnp.sum(jnp.sin((rates * t)[None] + hand.phases), axis=-1)
         wrench = jnp.concatenate([moment, force]) + _ease(t) * tremor
         # body axes: the exponential is that of the body twist

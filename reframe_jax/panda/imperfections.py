@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax import rotations, transforms
+from reframe_jax.panda.compiled import as_numbers
 from reframe_jax.panda.model import Arm, forward_kinematics, link_transforms
 from reframe_jax.synthetic import add_pose_noise
 
@@ -76,24 +77,21 @@ def measure(
     """
     dtype = joints.dtype
     keys = jax.random.split(key, 6)
-
-    def number(value: float | jax.Array) -> jax.Array:
-        return jnp.asarray(value, dtype=dtype)
-
-    noise = number(what.encoder_noise) * jax.random.normal(keys[0], joints.shape, dtype)
+    given = as_numbers(what, dtype)
+    noise = given.encoder_noise * jax.random.normal(keys[0], joints.shape, dtype)
 
     def read(angles: jax.Array) -> jax.Array:
-        return _rounded(_played(angles, number(what.backlash)) + noise, number(what.encoder_step))
+        return _rounded(_played(angles, given.backlash) + noise, given.encoder_step)
 
-    links = _as_built(arm, number(what.calibration), number(what.angular_calibration), keys[1])
-    late = _at_earlier(joints, velocity, number(what.latency), dt)
+    links = _as_built(arm, given.calibration, given.angular_calibration, keys[1])
+    late = _at_earlier(joints, velocity, given.latency, dt)
     _, position = forward_kinematics(read(joints), arm, links=links)
     rotation, _ = forward_kinematics(read(late), arm, links=links)
     poses = transforms.make_pose(rotation, position)
-    noisy = add_pose_noise(poses, keys[2], number(what.pose_noise))
+    noisy = add_pose_noise(poses, keys[2], given.pose_noise)
     # the logarithm and exponential of the noise would round poses that have none
-    poses = jnp.where(number(what.pose_noise) > 0, noisy, poses)
-    return _repeated(poses, jax.random.uniform(keys[3], joints.shape[:1], dtype) < number(what.dropouts))
+    poses = jnp.where(given.pose_noise > 0, noisy, poses)
+    return _repeated(poses, jax.random.uniform(keys[3], joints.shape[:1], dtype) < given.dropouts)
 
 
 def _played(angles: jax.Array, width: jax.Array) -> jax.Array:
