@@ -1,14 +1,15 @@
-"""How simulations are compiled."""
+"""How simulations are compiled, and what they are given."""
 
 from collections.abc import Callable, Sequence
 from functools import wraps
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 
 from reframe_jax.compilation import traced
 
-__all__ = ["compiled"]
+__all__ = ["as_numbers", "compiled"]
 
 # the older code generator takes two thirds of the time to compile, and its code is as fast
 _CPU_OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
@@ -32,3 +33,8 @@ def compiled(static: Sequence[str]) -> Callable[[Callable[..., Any]], Callable[.
         return call
 
     return decorate
+
+
+def as_numbers(tree: Any, dtype: Any) -> Any:
+    """Every number of a pytree as an array of a dtype."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=dtype), tree)
