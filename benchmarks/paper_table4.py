@@ -109,8 +109,8 @@ _SETUPS = """\
 
 *realistic* is the set-up above, *rigid* one that does not give way, and *matched* one that gives way to
 rotation by 8 mrad/(N m) and is moved faster where one rotation is free, so that the rms velocities are
-those of the paper's robot. Errors are the largest of the means over trials; any threshold in the last two columns
-classifies every axis of every demonstration (the paper's: of the means).
+those of the paper's robot. Errors are the largest of the means over trials; any threshold in the last two
+columns classifies every axis of every demonstration (the paper's: of the means).
 
 """
 
