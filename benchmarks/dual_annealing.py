@@ -16,7 +16,6 @@ import json
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -24,6 +23,7 @@ import numpy as np
 from scipy.optimize import dual_annealing
 
 import reframe_jax as rf
+from benchmarks.timing import timed
 from reframe_jax import kinematics, metrics, synthetic
 from reframe_jax.compilation import CPU_OPTIONS, chunk_size
 from reframe_jax.objectives import FrameObjective, PositionObjective
@@ -57,10 +57,14 @@ def rotation_matrix(rotvec: np.ndarray) -> np.ndarray:
     return np.asarray(np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k)
 
 
+@jax.jit
+def _velocities(poses: jax.Array) -> tuple[jax.Array, jax.Array]:
+    return kinematics.angular_velocities(poses, DT), kinematics.linear_velocity_maps(poses, DT)
+
+
 def numpy_objectives(poses: np.ndarray) -> list[tuple[Callable[[np.ndarray], float], int]]:
     """The six objectives of one window as NumPy functions of the samples, and their dimensions."""
-    rates = np.asarray(kinematics.angular_velocities(jnp.asarray(poses), DT))
-    maps = np.asarray(kinematics.linear_velocity_maps(jnp.asarray(poses), DT))
+    rates, maps = (np.asarray(samples) for samples in _velocities(jnp.asarray(poses)))
 
     def norm(velocity: np.ndarray, rotvec: np.ndarray) -> float:
         rms = np.sqrt(np.mean((velocity @ rotation_matrix(rotvec)) ** 2, axis=0))
@@ -138,20 +142,6 @@ def best_known(poses: np.ndarray) -> np.ndarray:
     return np.asarray(found).reshape(-1, 6)[:count]
 
 
-def time_identify(poses: np.ndarray, repeats: int) -> tuple[Any, float, float]:
-    """Result, seconds of a warm call, and seconds the first call took longer."""
-    array = jnp.asarray(poses)
-    start = time.perf_counter()
-    found = jax.block_until_ready(rf.identify(array, dt=DT))
-    first = time.perf_counter() - start
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        jax.block_until_ready(rf.identify(array, dt=DT))
-        times.append(time.perf_counter() - start)
-    return found, min(times), first - min(times)
-
-
 def errors_mm(positions: np.ndarray, labels: Sequence[str]) -> np.ndarray:
     """Errors of the unique position components, over the windows whose type is unique."""
     errors = []
@@ -172,7 +162,8 @@ def position_error(positions: np.ndarray, labels: Sequence[str]) -> float:
 def run(count: int, annealed: int) -> dict[str, float]:
     """Run all contestants and print the table."""
     poses, labels = make_windows(count)
-    found, seconds, compiling = time_identify(poses, 3)
+    array = jnp.asarray(poses)
+    found, seconds, compiling = timed(lambda: rf.identify(array, dt=DT), 3)
     sample = np.linspace(0, count - 1, annealed).astype(int)
     plain = [anneal(poses[i], seed=int(i), gradient=False) for i in sample]
     steered = [anneal(poses[i], seed=int(i), gradient=True) for i in sample]
