@@ -23,9 +23,9 @@ import numpy as np
 from scipy.optimize import dual_annealing
 
 import reframe_jax as rf
-from benchmarks.timing import timed
+from benchmarks.timing import jit, timed
 from reframe_jax import kinematics, metrics, synthetic
-from reframe_jax.compilation import CPU_OPTIONS, chunk_size
+from reframe_jax.compilation import chunk_size
 from reframe_jax.objectives import FrameObjective, PositionObjective
 from reframe_jax.optimise import Box
 from reframe_jax.windows import window_moments
@@ -130,10 +130,7 @@ def best_known(poses: np.ndarray) -> np.ndarray:
         zero = jnp.zeros((3, *angular.shape[2:]))
         return jnp.exp(jnp.concatenate([PositionObjective(angular).value(zero), values], axis=-1))
 
-    search = jax.jit(
-        lambda chunks: jax.lax.map(of_chunk, chunks),
-        compiler_options=CPU_OPTIONS if jax.default_backend() == "cpu" else None,
-    )
+    search = jit(lambda chunks: jax.lax.map(of_chunk, chunks))
     centred = np.array(poses)
     centred[:, :, :3, 3] -= poses[:, :, :3, 3].mean(axis=1)[:, None]
     size, count = chunk_size(), len(poses)

@@ -13,8 +13,8 @@ import numpy as np
 import reframe_jax as rf
 from benchmarks.contestants import norms_at
 from benchmarks.dual_annealing import DT, MISS
-from benchmarks.timing import timed
-from reframe_jax.compilation import CPU_OPTIONS, chunk_size
+from benchmarks.timing import jit, timed
+from reframe_jax.compilation import chunk_size
 from reframe_jax.identify import default_solver
 from reframe_jax.windows import window_moments
 
@@ -99,10 +99,7 @@ def spread_of_time(poses: np.ndarray) -> dict[str, float]:
     windows = jnp.asarray(poses[np.arange(8 * chunk) % len(poses)])
     steps = jnp.full(windows.shape[1] - 1, DT, windows.dtype)
     chunks = windows.reshape(8, chunk, *windows.shape[1:])
-    moments = jax.jit(
-        lambda chunks: jax.lax.map(lambda poses: window_moments(poses, steps), chunks),
-        compiler_options=CPU_OPTIONS if jax.default_backend() == "cpu" else None,
-    )
+    moments = jit(lambda chunks: jax.lax.map(lambda poses: window_moments(poses, steps), chunks))
     idle = rf.BasinHopping(rf.ValleySteps(1), restarts=1, hops=0, polish=0)
     whole = timed(lambda: rf.identify(windows, dt=DT), 10)[1]
     least = timed(lambda: rf.identify(windows, dt=DT, solver=idle), 10)[1]

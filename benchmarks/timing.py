@@ -11,7 +11,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-__all__ = ["machine_floors", "peak_above", "timed", "timed_once"]
+from reframe_jax.compilation import CPU_OPTIONS
+
+__all__ = ["jit", "machine_floors", "peak_above", "timed", "timed_once"]
+
+
+def jit(function: Callable[..., Any]) -> Any:
+    """``jax.jit`` with the compiler options that ``identify`` uses."""
+    return jax.jit(function, compiler_options=CPU_OPTIONS if jax.default_backend() == "cpu" else None)
 
 
 def timed(call: Callable[[], Any], repeats: int) -> tuple[Any, float, float]:

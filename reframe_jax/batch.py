@@ -81,18 +81,9 @@ def identify_many(
     wanted = None if parts is None else set(parts)
     _check_run(folder, total, part_size, options)
     report, rows, done, seen = _progress(progress), _row_count(total, part_size, wanted), 0, 0
-
-    def finish(task: tuple[Future[None] | None, int]) -> None:
-        nonlocal done
-        pending, size = task
-        if pending is not None:
-            pending.result()
-        done += size
-        report(done, rows)
-
     # one thread computes and writes a part while this one reads the next: no more than one is ever lost
     with ThreadPoolExecutor(1) as worker:
-        task: tuple[Future[None] | None, int] | None = None
+        pending: Future[int] | None = None
         for number, poses in _parts(windows, part_size, wanted):
             where = slice(number * part_size, number * part_size + len(poses))
             seen = where.stop
@@ -100,15 +91,11 @@ def identify_many(
                 continue
             timing = {"times": _rows(times, where, total), "dt": _rows(dt, where, total)}
             file, checksum = folder / f"part-{number:08d}.parquet", _checksum(poses, timing)
-            if task is not None:
-                finish(task)
-            if file.exists():
-                _check_part(file, checksum)
-                task = None, len(poses)
-            else:
-                task = worker.submit(_do_part, file, poses, timing, options, checksum), len(poses)
-        if task is not None:
-            finish(task)
+            if pending is not None:
+                report(done := done + pending.result(), rows)
+            pending = worker.submit(_do_part, file, poses, timing, options, checksum)
+        if pending is not None:
+            report(done + pending.result(), rows)
     if total is None:
         _check_run(folder, seen, part_size, options)
     return folder
@@ -178,8 +165,13 @@ def _row_count(total: int | None, size: int, wanted: set[int] | None) -> int | N
 
 def _do_part(
     file: Path, poses: np.ndarray, timing: dict[str, Any], options: dict[str, Any], checksum: int
-) -> None:
-    _write(file, _identify(poses, timing, options), checksum)
+) -> int:
+    """Identify and write a part, unless it is there; returns its number of windows."""
+    if file.exists():
+        _check_part(file, checksum)
+    else:
+        _write(file, _identify(poses, timing, options), checksum)
+    return len(poses)
 
 
 def _identify(poses: Any, timing: dict[str, Any], options: dict[str, Any]) -> Identification:
