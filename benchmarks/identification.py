@@ -3,12 +3,15 @@
 Contestants, all in float64 unless said otherwise:
 
 - ``identify``: the library's fast path, all windows in one call;
-- ``identify, float32``: the same in single precision; its origins are judged in float64;
 - ``general search``: basin hopping over rotation vector and position together, as for norms whose
   rotation has no closed form;
 - ``dual annealing``: SciPy's, as the paper configured it (100 iterations, no gradient);
+
+and, without --quick,
+
+- ``identify, float32``: in single precision; its origins are judged in float64;
 - ``L-BFGS-B x 16``: SciPy's, from 16 random starts, with the exact gradient of the log norm;
-- ``CMA-ES x 4``: evosax's, four runs of 250 generations (if evosax is installed; not with --quick).
+- ``CMA-ES x 4``: evosax's, four runs of 250 generations (if evosax is installed).
 
 A problem is missed if its norm is more than 0.1 % above the best that any contestant or a search with
 64 long restarts has found. Errors are those of the origin, over windows whose type is unique.
@@ -22,6 +25,7 @@ measures what this machine copies and multiplies, and prints the gap to the floo
 
 import argparse
 import json
+import re
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -89,18 +93,20 @@ class Row:
     seconds: float
     compile_s: float
 
-    def __post_init__(self) -> None:
-        """Print the speed as soon as it is known."""
-        print(
-            f"{self.name:18}{len(self.index):>9}{1e3 * self.per_window:>10.4f} ms"
-            f"{1 / self.per_window:>11.1f}{self.compile_s:>9.1f} s",
-            flush=True,
-        )
-
     @property
     def per_window(self) -> float:
         """Seconds."""
         return self.seconds / len(self.index)
+
+
+def ready(row: Row) -> Row:
+    """The row, whose speed is printed as soon as it is known."""
+    print(
+        f"{row.name:18}{len(row.index):>9}{1e3 * row.per_window:>10.4f} ms{1 / row.per_window:>11.1f}"
+        f"{row.compile_s:>9.1f} s",
+        flush=True,
+    )
+    return row
 
 
 def run_identify(name: str, poses: jax.Array, repeats: int = 3) -> Row:
@@ -110,7 +116,7 @@ def run_identify(name: str, poses: jax.Array, repeats: int = 3) -> Row:
     norms = np.concatenate([found.angular.norms, found.linear.norms], axis=1, dtype=float)
     if poses.dtype == jnp.float32:
         norms[:, 2:] = contestants.norms_at(np.asarray(poses, dtype=float), positions)
-    return Row(name, np.arange(len(poses)), norms, positions, seconds, compiling)
+    return ready(Row(name, np.arange(len(poses)), norms, positions, seconds, compiling))
 
 
 def latencies(poses: np.ndarray) -> np.ndarray:
@@ -123,8 +129,10 @@ def latencies(poses: np.ndarray) -> np.ndarray:
     return np.array(seconds[poses.shape[1] :])
 
 
-def floors(row: Row, bytes_per_window: int) -> dict[str, float]:
+def floors(row: Row, window: np.ndarray) -> dict[str, float]:
     """How far ``identify`` is from what this machine can copy and calculate."""
+    found = rf.identify(window, dt=DT)
+    bytes_per_window = window.nbytes + sum(leaf.nbytes for leaf in jax.tree.leaves(found))
     copied, calculated = machine_floors()
     solver: Any = default_solver()
     descents = solver.restarts * (1 + solver.hops + solver.polish)
@@ -140,67 +148,96 @@ def floors(row: Row, bytes_per_window: int) -> dict[str, float]:
     return {"bytes_floor_us": 1e6 * memory, "flops_floor_us": 1e6 * arithmetic}
 
 
-def compare(size: Size) -> tuple[dict[str, Any], np.ndarray]:
-    """Run the contestants and print the tables; returns the metrics, and the best norms known."""
-    poses, labels = windows(size.windows)
+def solve(size: Size, poses: np.ndarray) -> tuple[list[Row], float]:
+    """What every contestant did, ``identify`` first, and the memory in MB that ``identify`` needed."""
     on_device = jnp.asarray(poses)
-    print(f"{size.windows} windows of {poses.shape[1] - 1} velocities, six problems each; {machine()}")
+    middle, few = spaced(poses, size.general), spaced(poses, size.slow)
     print(f"{'':18}{'windows':>9}{'per window':>13}{'windows/s':>11}{'compile':>11}")
-    fast = run_identify("identify", on_device)
-    found, peak = peak_above(lambda: rf.identify(on_device, dt=DT))
-    single = run_identify("identify, float32", on_device.astype(jnp.float32))
-    distinct = min(size.windows, _DISTINCT)
-    middle = np.linspace(0, distinct - 1, min(size.general, distinct)).astype(int)
-    few = np.linspace(0, distinct - 1, min(size.slow, distinct)).astype(int)
-    general = Row("general search", middle, *contestants.general_search(poses[middle]))
-    annealed = Row("dual annealing", few, *contestants.annealing(poses[few], few))
-    rows = [fast, single, general, annealed]
-    rows.append(Row("L-BFGS-B x 16", few, *contestants.lbfgs(poses[few], 16)))
+    rows = [run_identify("identify", on_device)]
+    _, peak = peak_above(lambda: rf.identify(on_device, dt=DT))
+    rows.append(ready(Row("general search", middle, *contestants.general_search(poses[middle]))))
+    rows.append(ready(Row("dual annealing", few, *contestants.annealing(poses[few], few))))
     if size.full:
+        rows.append(run_identify("identify, float32", on_device.astype(jnp.float32)))
+        rows.append(ready(Row("L-BFGS-B x 16", few, *contestants.lbfgs(poses[few], 16))))
         try:
-            rows.append(Row("CMA-ES x 4", few, *contestants.cma_es(poses[few], 4, 250)))
+            rows.append(ready(Row("CMA-ES x 4", few, *contestants.cma_es(poses[few], 4, 250))))
         except ImportError:
             print("CMA-ES left out: pip install 'reframe-jax[benchmark]'")
+    return rows, peak
 
-    judged = np.unique(np.linspace(0, distinct - 1, min(size.judged, distinct)).astype(int))
-    best = np.full((size.windows, 6), np.inf)
+
+def spaced(poses: np.ndarray, count: int) -> np.ndarray:
+    """Numbers of at most ``count`` windows, evenly spaced over the distinct ones."""
+    distinct = min(len(poses), _DISTINCT)
+    return np.unique(np.linspace(0, distinct - 1, min(count, distinct)).astype(int))
+
+
+def best_norms(size: Size, poses: np.ndarray, rows: Sequence[Row]) -> np.ndarray:
+    """Best norms known, (N, 6); infinite for windows that are not judged."""
+    judged = np.unique(np.concatenate([spaced(poses, size.judged), *(row.index for row in rows[1:3])]))
+    best = np.full((len(poses), 6), np.inf)
     best[judged] = best_known(poses[judged])
     for row in rows:
-        np.minimum.at(best, row.index, row.norms)
-    misses = {}
+        mine = np.isin(row.index, judged)
+        np.minimum.at(best, row.index[mine], row.norms[mine])
+    return best
+
+
+def judge(rows: Sequence[Row], best: np.ndarray, labels: Sequence[str]) -> dict[str, float]:
+    """Print how good the contestants are; returns the metrics of all, those of the first without a name."""
+    slowest = next(row for row in rows if row.name == "dual annealing").per_window
+    metrics = {}
     print(f"{'':18}{'x annealing':>13}{'missed':>10}{'median error':>16}{'98 %':>12}")
     for row in rows:
-        judge = np.isin(row.index, judged) if len(row.index) > len(few) else np.full(len(few), True)
-        misses[row.name] = float(np.mean(row.norms[judge] > MISS * best[row.index[judge]]))
+        known = np.isfinite(best[row.index, 0])
+        missed = float(np.mean(row.norms[known] > MISS * best[row.index[known]]))
         error = errors_mm(row.positions, [labels[i] for i in row.index])
+        median, tail = float(np.median(error)), float(np.quantile(error, 0.98))
         print(
-            f"{row.name:18}{annealed.per_window / row.per_window:>13.1f}{misses[row.name]:>10.2%}"
-            f"{np.median(error):>13.4f} mm{np.quantile(error, 0.98):>9.3f} mm",
+            f"{row.name:18}{slowest / row.per_window:>13.1f}{missed:>10.2%}{median:>13.4f} mm{tail:>9.3f} mm",
             flush=True,
         )
+        suffix = "" if row is rows[0] else "_" + re.sub(r"\W+", "_", row.name.lower())
+        metrics |= {
+            f"windows_per_second{suffix}": 1 / row.per_window,
+            f"miss_rate{suffix}": missed,
+            f"median_error_mm{suffix}": median,
+            f"error_98_mm{suffix}": tail,
+        }
+    return metrics
+
+
+def run(size: Size) -> tuple[dict[str, float], scaling.Curves]:
+    """The whole benchmark: metrics and curves."""
+    poses, labels = windows(size.windows)
+    print(f"{size.windows} windows of {poses.shape[1] - 1} velocities, six problems each; {machine()}")
+    rows, peak = solve(size, poses)
+    best = best_norms(size, poses, rows)
+    quality = judge(rows, best, labels)
     push = 1e3 * latencies(poses)
     print(
         f"a stream, a pose at a time: {np.median(push):.3f} ms, 98 % below {np.quantile(push, 0.98):.3f} ms; "
         f"memory above the input at {size.windows} windows: {peak:.0f} MB",
         flush=True,
     )
-    written = sum(leaf.nbytes for leaf in jax.tree.leaves(found)) // size.windows
-    return {
+    fast, general, annealed = rows[:3]
+    metrics = {
         "windows": size.windows,
-        "windows_per_second": 1 / fast.per_window,
-        "windows_per_second_float32": 1 / single.per_window,
         "speedup": annealed.per_window / fast.per_window,
         "speedup_over_general": general.per_window / fast.per_window,
-        "miss_rate": misses["identify"],
-        "miss_rate_float32": misses["identify, float32"],
-        "miss_rate_general": misses["general search"],
-        "dual_annealing_miss_rate": misses["dual annealing"],
+        **quality,
         "latency_ms": float(np.median(push)),
         "latency_98_ms": float(np.quantile(push, 0.98)),
         "compile_s": fast.compile_s,
         "peak_memory_mb": peak,
-        **floors(fast, poses[0].nbytes + written),
-    }, best[judged]
+        **floors(fast, poses[0]),
+    }
+    distinct = slice(min(size.windows, _DISTINCT))
+    if size.full:
+        shares = scaling.spread_of_time(poses[distinct])
+        metrics |= {f"share_{name}": share for name, share in shares.items()}
+    return metrics, scaling.curves(poses[distinct], best[distinct, 2:], full=size.full)
 
 
 def gate(metrics: dict[str, float], baseline: Path) -> list[str]:
@@ -216,15 +253,6 @@ def gate(metrics: dict[str, float], baseline: Path) -> list[str]:
     return problems
 
 
-def run(size: Size) -> tuple[dict[str, Any], scaling.Curves]:
-    """The whole benchmark: metrics and curves."""
-    metrics, best = compare(size)
-    poses = windows(min(size.windows, _DISTINCT))[0]
-    if size.full:
-        metrics |= {f"share_{name}": share for name, share in scaling.spread_of_time(poses).items()}
-    return metrics, scaling.curves(poses, best[:, 2:], full=size.full)
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Command line of the benchmark."""
     parser = argparse.ArgumentParser(
@@ -234,7 +262,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     add = parser.add_argument
     add("--windows", type=int, default=Size.windows, help="windows to identify (12288)")
-    add("--quick", action="store_true", help="under a minute: 1536 windows, and no curve that compiles")
+    add("--quick", action="store_true", help="under a minute: 1536 windows, and less of the rest")
     add("--cpu-devices", type=int, help="processors that JAX shows as so many devices, to spread over")
     add("--json", type=Path, help="file to write the metrics to")
     add("--plot", type=Path, help="file to draw the scaling curves to")

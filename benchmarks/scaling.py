@@ -41,7 +41,7 @@ def curves(poses: np.ndarray, best: np.ndarray, *, full: bool) -> Curves:
 
     Args:
         poses: (N, K+1, 4, 4) windows, repeated where a curve needs more.
-        best: (M, 4) best known linear norms of the first windows, to count misses along ``starts``.
+        best: (N, 4) best known linear norms, to count misses along ``starts``.
         full: to a million windows, and the curves that compile for every point.
     """
     found: Curves = {name: {} for name in _LABELS}
@@ -62,7 +62,7 @@ def curves(poses: np.ndarray, best: np.ndarray, *, full: bool) -> Curves:
         long = np.tile(some, (1, -(-(samples + 1) // some.shape[1]), 1, 1))[:, : samples + 1]
         measure("samples", samples, partial(rf.identify, long, dt=DT), len(some))
         print(flush=True)
-    judged = min(len(best), len(some), len(poses))
+    judged = min(len(some), len(poses))
     for starts in (1, 2, 4, 6, 8, 16) if full else ():
         solver = replace(default_solver(), restarts=starts)
         result = measure("starts", starts, partial(rf.identify, some, dt=DT, solver=solver), len(some))

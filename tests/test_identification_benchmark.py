@@ -127,7 +127,7 @@ def test_the_quick_benchmark_prints_and_writes_its_metrics(tmp_path):
     metrics = record["metrics"]
     named = {"windows_per_second", "speedup", "miss_rate", "latency_ms", "compile_s", "peak_memory_mb"}
     assert named <= set(metrics)
-    assert metrics["miss_rate"] <= 0.02 < metrics["dual_annealing_miss_rate"]
+    assert metrics["miss_rate"] <= 0.02 < metrics["miss_rate_dual_annealing"]
     assert set(record["scaling_us"]["devices"]) == {"1", "2"}
-    for contestant in ("identify, float32", "general search", "dual annealing", "L-BFGS-B x 16"):
+    for contestant in ("identify", "general search", "dual annealing"):
         assert contestant in done.stdout
