@@ -1,32 +1,17 @@
-"""What the benchmarks share: timing, the machine they ran on, and their metrics in a file."""
+"""What the benchmarks share: the machine they ran on, and their metrics in a file."""
 
 import json
 import os
 import platform
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
 
 import reframe_jax
 
-__all__ = ["machine", "timed", "write_metrics"]
-
-
-def timed(call: Callable[[], Any], repeats: int) -> tuple[Any, float, float]:
-    """Result, seconds of the fastest of some warm calls, and how much longer the first one took."""
-    start = time.perf_counter()
-    result = jax.block_until_ready(call())
-    first = time.perf_counter() - start
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        jax.block_until_ready(call())
-        times.append(time.perf_counter() - start)
-    return result, min(times), first - min(times)
+__all__ = ["machine", "write_metrics"]
 
 
 def machine() -> str:

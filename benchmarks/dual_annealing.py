@@ -23,9 +23,10 @@ import numpy as np
 from scipy.optimize import dual_annealing
 
 import reframe_jax as rf
-from benchmarks.common import timed, write_metrics
+from benchmarks.common import write_metrics
+from benchmarks.timing import jit, timed
 from reframe_jax import kinematics, metrics, synthetic
-from reframe_jax.compilation import CPU_OPTIONS, chunk_size
+from reframe_jax.compilation import chunk_size
 from reframe_jax.objectives import FrameObjective, PositionObjective
 from reframe_jax.optimise import Box
 from reframe_jax.windows import window_moments
@@ -57,10 +58,14 @@ def rotation_matrix(rotvec: np.ndarray) -> np.ndarray:
     return np.asarray(np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k)
 
 
+@jax.jit
+def _velocities(poses: jax.Array) -> tuple[jax.Array, jax.Array]:
+    return kinematics.angular_velocities(poses, DT), kinematics.linear_velocity_maps(poses, DT)
+
+
 def numpy_objectives(poses: np.ndarray) -> list[tuple[Callable[[np.ndarray], float], int]]:
     """The six objectives of one window as NumPy functions of the samples, and their dimensions."""
-    rates = np.asarray(kinematics.angular_velocities(jnp.asarray(poses), DT))
-    maps = np.asarray(kinematics.linear_velocity_maps(jnp.asarray(poses), DT))
+    rates, maps = (np.asarray(samples) for samples in _velocities(jnp.asarray(poses)))
 
     def norm(velocity: np.ndarray, rotvec: np.ndarray) -> float:
         rms = np.sqrt(np.mean((velocity @ rotation_matrix(rotvec)) ** 2, axis=0))
@@ -128,10 +133,7 @@ def best_known(poses: np.ndarray) -> np.ndarray:
         zero = jnp.zeros((3, *angular.shape[2:]))
         return jnp.exp(jnp.concatenate([PositionObjective(angular).value(zero), values], axis=-1))
 
-    search = jax.jit(
-        lambda chunks: jax.lax.map(of_chunk, chunks),
-        compiler_options=CPU_OPTIONS if jax.default_backend() == "cpu" else None,
-    )
+    search = jit(lambda chunks: jax.lax.map(of_chunk, chunks))
     centred = np.array(poses)
     centred[:, :, :3, 3] -= poses[:, :, :3, 3].mean(axis=1)[:, None]
     size, count = chunk_size(), len(poses)
