@@ -48,13 +48,6 @@ def add_commands(commands: Any) -> None:
     add("--out", type=Path, required=True, metavar="PATH", help="folder, .npz or .csv")
     add("--duration", type=cli._positive, default=5.0, metavar="S", help="s (5)")
     add("--dt", type=cli._positive, default=0.05, metavar="S", help="sample time, s (0.05)")
-    add(
-        "--excitation",
-        choices=["exciting", "brisk", "paper"],
-        default="exciting",
-        help="how the hand moves along the free axes: of many frequencies, the same with hinges as fast as "
-        "in the paper's Table 4, or as in the paper's simulations (exciting)",
-    )
     add("--plot", type=Path, metavar="FILE", help="draw the first demonstration, .png or .pdf")
     add("--render", type=Path, metavar="FILM", help="film the first demonstration, .gif or .mp4")
     add(
@@ -92,6 +85,13 @@ def _add_common(command: argparse.ArgumentParser) -> None:
         help="of the robot: none, the noise of its encoders, that and compliance, or as much compliance as "
         "the paper's set-up shows (%(default)s)",
     )
+    add(
+        "--excitation",
+        choices=["exciting", "brisk", "paper"],
+        default="exciting",
+        help="how the hand moves along the free axes: of many frequencies, the same with hinges as fast as "
+        "in the paper's Table 4, or as in the paper's simulations (exciting)",
+    )
     add("--fixed", action="store_true", help="the same geometry every time, not one drawn at random")
     add("--seed", type=int, default=0, help="of the random numbers (0)")
 
@@ -118,6 +118,7 @@ def _prepared(options: argparse.Namespace) -> dict[str, Any]:
     }
     return {
         "imperfections": kinds[options.imperfections],
+        "excitation": options.excitation,
         "spread": (0.0, 0.0) if options.fixed else panda.SPREAD,
         "arm": options.robot,
         "progress": _progress if sys.stderr.isatty() else None,
@@ -151,7 +152,6 @@ def _demonstrate(options: argparse.Namespace) -> int:
             "redraw": not options.keep,
             "duration": options.duration,
             "dt": options.dt,
-            "excitation": options.excitation,
         }
         if options.out.suffix:
             drawn = list(panda.demonstrations(*arguments, chunk=min(options.count, 64), **common))

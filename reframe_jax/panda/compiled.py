@@ -11,8 +11,11 @@ from reframe_jax.compilation import traced
 
 __all__ = ["as_numbers", "compiled"]
 
-# the older code generator takes two thirds of the time to compile, and its code is as fast
-_CPU_OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
+# the older code generator takes two thirds of the time to compile, and its code is as fast; jax 0.11 has
+# one only
+_CPU_OPTIONS: dict[str, Any] | None = (
+    {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else None
+)
 
 
 def compiled(static: Sequence[str]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
