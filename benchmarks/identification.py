@@ -175,6 +175,7 @@ def spaced(poses: np.ndarray, count: int) -> np.ndarray:
 
 def best_norms(size: Size, poses: np.ndarray, rows: Sequence[Row]) -> np.ndarray:
     """Best norms known, (N, 6); infinite for windows that are not judged."""
+    # those of the slower contestants among them
     judged = np.unique(np.concatenate([spaced(poses, size.judged), *(row.index for row in rows[1:3])]))
     best = np.full((len(poses), 6), np.inf)
     best[judged] = best_known(poses[judged])
@@ -187,7 +188,7 @@ def best_norms(size: Size, poses: np.ndarray, rows: Sequence[Row]) -> np.ndarray
 def judge(rows: Sequence[Row], best: np.ndarray, labels: Sequence[str]) -> dict[str, float]:
     """Print how good the contestants are; returns the metrics of all, those of the first without a name."""
     slowest = next(row for row in rows if row.name == "dual annealing").per_window
-    metrics = {}
+    metrics: dict[str, float] = {}
     print(f"{'':18}{'x annealing':>13}{'missed':>10}{'median error':>16}{'98 %':>12}")
     for row in rows:
         known = np.isfinite(best[row.index, 0])
