@@ -21,6 +21,7 @@ import jax
 import numpy as np
 
 import reframe_jax as rf
+from benchmarks.paper_common import machine
 from benchmarks.timing import peak_above
 from reframe_jax import synthetic
 
@@ -89,6 +90,7 @@ def run(count: int, part_size: int, folder: Path, again: int = 256) -> dict[str,
     computed = max(0, count - existing * part_size)
     checked = check(results, windows, part_size, again)
     stored = sum(file.stat().st_size for file in results.glob("part-*.parquet"))
+    print(machine())
     print(
         f"{count} windows of {LENGTH - 1} velocities, {computed} of them computed by this call in "
         f"{seconds:.1f} s: {computed / seconds:.0f} windows/s, compilation, checksums and writing included\n"
@@ -126,7 +128,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         folder.mkdir(parents=True, exist_ok=True)
         metrics = run(options.windows, options.part_size, folder)
     if options.json:
-        options.json.write_text(json.dumps({"metrics": metrics}, indent=2) + "\n")
+        options.json.write_text(json.dumps({"machine": machine(), "metrics": metrics}, indent=2) + "\n")
     return 0
 
 

@@ -128,12 +128,11 @@ def plot(found: Curves, file: Path) -> None:
         at = [int(point) for point in curve]
         axis.plot(at, list(curve.values()), "o-", color="#0072B2")
         axis.set_xscale("log")
-        if name != "windows":
-            axis.set_xticks(at, [str(point) for point in at])
-            axis.minorticks_off()
+        axis.set_xticks(at, [f"{point:,}" for point in at])
+        axis.minorticks_off()
         axis.set_xlabel(_LABELS[name])
         axis.grid(alpha=0.3)
-    axes[0, 0].set_ylim(0, None)
+    axes[0, 0].set_ylim(0, 1.05 * max(max(curve.values()) for curve in drawn.values()))
     axes[0, 0].set_ylabel("time per window (µs)")
     figure.savefig(file, dpi=150)
     plt.close(figure)

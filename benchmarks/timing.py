@@ -69,10 +69,10 @@ def peak_above(call: Callable[[], Any]) -> tuple[Any, float]:
 def machine_floors() -> tuple[float, float]:
     """What this machine reaches by itself: copied bytes/s (read and written), and float64 flop/s.
 
-    The first from adding 1 to 256 MB, the second from the product of two large matrices.
+    The first from adding 1 to 128 MB, the second from the product of two large matrices.
     """
-    size = 2048 if jax.default_backend() == "cpu" else 8192
-    long, square = jnp.zeros(2**25), jnp.ones((size, size))
+    size = 1024 if jax.default_backend() == "cpu" else 8192
+    long, square = jnp.zeros(2**24), jnp.ones((size, size))
     copy, product = jax.jit(lambda x: x + 1), jax.jit(lambda x: x @ x)
     return (
         2 * long.nbytes / timed(lambda: copy(long), 5)[1],
