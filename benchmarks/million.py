@@ -21,7 +21,7 @@ import jax
 import numpy as np
 
 import reframe_jax as rf
-from benchmarks.paper_common import machine
+from benchmarks.common import machine
 from benchmarks.timing import peak_above
 from reframe_jax import synthetic
 
