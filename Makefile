@@ -1,10 +1,11 @@
 # make demo: set up and identify the recording in examples/. make test: set up and run the tests.
-# make lint, make docs, make paper (the paper's experiments, to out/paper), make benchmark.
+# make lint, make docs, make benchmark. make paper: the paper's experiments, to out/paper; make paper-quick: a
+# small part of them, in a minute or two.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint benchmark paper docs clean
+.PHONY: demo test lint benchmark paper paper-quick docs clean
 
 # the stamp names the Python version, so that another interpreter makes a new environment
 STAMP := $(VENV)/.installed-$(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])')
@@ -14,7 +15,7 @@ demo: $(STAMP)
 	$(BIN)/reframe-jax identify examples/pin_on_plane.csv --plot out/pin_on_plane.png --json out/pin_on_plane.json
 
 test: $(STAMP)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 lint: $(STAMP)
 	$(BIN)/ruff format --check .
@@ -25,8 +26,10 @@ benchmark: $(STAMP)
 	$(BIN)/python -m benchmarks.dual_annealing
 
 paper: $(STAMP)
-	$(BIN)/python -m pip install --quiet --editable '.[benchmark]' --constraint constraints.txt
 	$(BIN)/python -m benchmarks.paper
+
+paper-quick: $(STAMP)
+	$(BIN)/python -m benchmarks.paper --quick --fresh --out out/paper-quick
 
 docs: $(STAMP)
 	$(BIN)/python -m pip install --quiet --editable '.[docs]' --constraint constraints.txt

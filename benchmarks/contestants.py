@@ -1,7 +1,7 @@
 """The other ways to solve the six problems of a window, each on the same moments."""
 
 import time
-from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import jax
@@ -10,27 +10,23 @@ import numpy as np
 from scipy.optimize import minimize
 
 import reframe_jax as rf
-from benchmarks.dual_annealing import DT
-from reframe_jax.compilation import CPU_OPTIONS, chunk_size
+from benchmarks.dual_annealing import DT, anneal
+from benchmarks.timing import jit, timed_once
+from reframe_jax.compilation import chunk_size
 from reframe_jax.identify import default_solver
-from reframe_jax.objectives import FrameObjective
+from reframe_jax.objectives import FrameObjective, PositionObjective
 from reframe_jax.optimise import Box
 from reframe_jax.windows import window_moments
 
 TURN = np.pi
 
+Solved = tuple[np.ndarray, np.ndarray, float, float]
+"""Norms (N, 6), linear positions (N, 4, 3) in m, seconds, and seconds of compilation before."""
 
-def timed(call: Callable[[], Any], repeats: int) -> tuple[Any, float, float]:
-    """Result, seconds of the fastest of some warm calls, and how much longer the first one took."""
-    start = time.perf_counter()
-    result = jax.block_until_ready(call())
-    first = time.perf_counter() - start
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        jax.block_until_ready(call())
-        times.append(time.perf_counter() - start)
-    return result, min(times), first - min(times)
+
+@cache
+def _moments_of_chunk() -> Any:
+    return jit(lambda poses: window_moments(poses, jnp.full(poses.shape[1] - 1, DT, poses.dtype)))
 
 
 def six_moments(poses: np.ndarray) -> tuple[jax.Array, jax.Array, np.ndarray]:
@@ -38,7 +34,11 @@ def six_moments(poses: np.ndarray) -> tuple[jax.Array, jax.Array, np.ndarray]:
     centre = poses[:, :, :3, 3].mean(axis=1)
     centred = np.array(poses)
     centred[:, :, :3, 3] -= centre[:, None]
-    angular, linear = jax.jit(window_moments)(jnp.asarray(centred), jnp.full(poses.shape[1] - 1, DT))
+    size, count = chunk_size(), len(poses)
+    fill = np.minimum(np.arange(-(-count // size) * size), count - 1)
+    # chunks of one size, so that all contestants share a compilation
+    chunks = [_moments_of_chunk()(jnp.asarray(centred[rows])) for rows in fill.reshape(-1, size)]
+    angular, linear = (jnp.concatenate(part, axis=2)[:, :, :count] for part in zip(*chunks, strict=True))
     return angular, linear, centre
 
 
@@ -48,8 +48,15 @@ def placed(positions: np.ndarray, centre: np.ndarray) -> np.ndarray:
     return np.asarray(positions + np.where(in_ground[None, :, None], centre[:, None], 0))
 
 
-def general_search(poses: np.ndarray, repeats: int) -> tuple[np.ndarray, np.ndarray, float, float]:
-    """Basin hopping over (rotation, position): norms, positions, seconds, compile seconds."""
+def norms_at(poses: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Linear norms (N, 4), in float64, at positions (N, 4, 3) as ``identify`` reports them."""
+    _, linear, centre = six_moments(poses)
+    x = np.moveaxis(placed(np.asarray(positions, dtype=float), -centre), -1, 0)
+    return np.exp(np.asarray(PositionObjective(linear).value(jnp.asarray(x))))
+
+
+def general_search(poses: np.ndarray) -> Solved:
+    """Basin hopping over (rotation, position)."""
     angular, linear, centre = six_moments(poses)
     turn = jnp.full(3, TURN)
     box = Box(jnp.concatenate([-turn, -jnp.ones(3)]), jnp.concatenate([turn, jnp.ones(3)]))
@@ -71,9 +78,9 @@ def general_search(poses: np.ndarray, repeats: int) -> tuple[np.ndarray, np.ndar
 
         return jax.lax.map(of_chunk, (angular, linear))
 
-    run = jax.jit(search, compiler_options=CPU_OPTIONS if jax.default_backend() == "cpu" else None)
+    run = jit(search)
     inputs = chunked(angular), chunked(linear)
-    (values, x), seconds, compiling = timed(lambda: run(*inputs), repeats)
+    (values, x), seconds, compiling = timed_once(run, *inputs)
     positions = np.moveaxis(np.asarray(x), 1, -1).reshape(-1, 4, 3)[:count]
     return np.exp(np.asarray(values).reshape(-1, 6)[:count]), placed(positions, centre), seconds, compiling
 
@@ -83,8 +90,15 @@ def _value_and_gradient(moments: jax.Array, x: jax.Array) -> tuple[jax.Array, ja
     return jax.value_and_grad(lambda x: FrameObjective(moments).value(x))(x)
 
 
-def lbfgs(poses: np.ndarray, starts: int) -> tuple[np.ndarray, np.ndarray, float, float]:
-    """SciPy's L-BFGS-B from random starts: norms, positions, seconds, compile seconds."""
+def annealing(poses: np.ndarray, seeds: np.ndarray) -> Solved:
+    """SciPy's dual annealing as the paper configured it."""
+    runs = [anneal(window, seed=int(seed), gradient=False) for window, seed in zip(poses, seeds, strict=True)]
+    norms, positions, seconds = zip(*runs, strict=True)
+    return np.stack(norms), np.stack(positions), sum(seconds), 0.0
+
+
+def lbfgs(poses: np.ndarray, starts: int) -> Solved:
+    """SciPy's L-BFGS-B from random starts."""
     angular, linear, centre = six_moments(poses)
     rng = np.random.default_rng(0)
     norms, positions = np.full((len(poses), 6), np.inf), np.zeros((len(poses), 4, 3))
@@ -112,8 +126,8 @@ def lbfgs(poses: np.ndarray, starts: int) -> tuple[np.ndarray, np.ndarray, float
     return norms, placed(positions, centre), time.perf_counter() - begin, compiling
 
 
-def cma_es(poses: np.ndarray, runs: int, generations: int) -> tuple[np.ndarray, np.ndarray, float, float]:
-    """CMA-ES of evosax on unit coordinates of the box: norms, positions, seconds, compile seconds."""
+def cma_es(poses: np.ndarray, runs: int, generations: int) -> Solved:
+    """CMA-ES of evosax on unit coordinates of the box."""
     from evosax.algorithms import CMA_ES
 
     angular, linear, centre = six_moments(poses)
@@ -156,5 +170,5 @@ def cma_es(poses: np.ndarray, runs: int, generations: int) -> tuple[np.ndarray, 
         return jnp.concatenate([turned, values], axis=-1), x[..., 3:]
 
     run = jax.jit(all_problems)
-    (values, x), seconds, compiling = timed(lambda: run(angular, linear), 1)
+    (values, x), seconds, compiling = timed_once(run, angular, linear)
     return np.exp(np.asarray(values)), placed(np.asarray(x), centre), seconds, compiling

@@ -12,7 +12,6 @@ long restarts), as the share of problems more than 0.1 % above it, and the error
 """
 
 import argparse
-import json
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -24,8 +23,10 @@ import numpy as np
 from scipy.optimize import dual_annealing
 
 import reframe_jax as rf
+from benchmarks.common import write_metrics
+from benchmarks.timing import jit, timed
 from reframe_jax import kinematics, metrics, synthetic
-from reframe_jax.compilation import CPU_OPTIONS, chunk_size
+from reframe_jax.compilation import chunk_size
 from reframe_jax.objectives import FrameObjective, PositionObjective
 from reframe_jax.optimise import Box
 from reframe_jax.windows import window_moments
@@ -57,10 +58,14 @@ def rotation_matrix(rotvec: np.ndarray) -> np.ndarray:
     return np.asarray(np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k)
 
 
+@jax.jit
+def _velocities(poses: jax.Array) -> tuple[jax.Array, jax.Array]:
+    return kinematics.angular_velocities(poses, DT), kinematics.linear_velocity_maps(poses, DT)
+
+
 def numpy_objectives(poses: np.ndarray) -> list[tuple[Callable[[np.ndarray], float], int]]:
     """The six objectives of one window as NumPy functions of the samples, and their dimensions."""
-    rates = np.asarray(kinematics.angular_velocities(jnp.asarray(poses), DT))
-    maps = np.asarray(kinematics.linear_velocity_maps(jnp.asarray(poses), DT))
+    rates, maps = (np.asarray(samples) for samples in _velocities(jnp.asarray(poses)))
 
     def norm(velocity: np.ndarray, rotvec: np.ndarray) -> float:
         rms = np.sqrt(np.mean((velocity @ rotation_matrix(rotvec)) ** 2, axis=0))
@@ -91,26 +96,28 @@ def _gradient(moments: jax.Array, x: jax.Array) -> jax.Array:
     return jax.grad(lambda x: jnp.exp(FrameObjective(moments).value(x)))(x)
 
 
-def anneal(poses: np.ndarray, seed: int, *, gradient: bool) -> tuple[np.ndarray, np.ndarray, float]:
-    """Dual annealing on the six problems: norms (6,), linear positions (4, 3), seconds."""
+def solve(poses: np.ndarray, seed: int, *, gradient: bool = False) -> tuple[list[Any], float]:
+    """Dual annealing on the six problems of one window: SciPy's results, and seconds."""
     problems = numpy_objectives(poses)
     gradients = jax_gradients(poses) if gradient else [None] * 6
-    if gradient:
-        for g, (_, dim) in zip(gradients, problems, strict=True):
-            assert g is not None
+    for g, (_, dim) in zip(gradients, problems, strict=True):
+        if g is not None:
             g(np.full(dim, 0.1))  # compile outside of the clock
-    norms, positions = [], []
+    results = []
     start = time.perf_counter()
     for (objective, dim), g in zip(problems, gradients, strict=True):
         bounds = [(-np.pi, np.pi)] * 3 + [(-1.0, 1.0)] * (dim - 3)
         options = (
             {} if g is None else {"minimizer_kwargs": {"method": "L-BFGS-B", "jac": g, "bounds": bounds}}
         )
-        result = dual_annealing(objective, bounds, maxiter=100, rng=seed, **options)
-        norms.append(result.fun)
-        if dim == 6:
-            positions.append(result.x[3:])
-    return np.array(norms), np.array(positions), time.perf_counter() - start
+        results.append(dual_annealing(objective, bounds, maxiter=100, rng=seed, **options))
+    return results, time.perf_counter() - start
+
+
+def anneal(poses: np.ndarray, seed: int, *, gradient: bool) -> tuple[np.ndarray, np.ndarray, float]:
+    """Dual annealing on the six problems: norms (6,), linear positions (4, 3), seconds."""
+    results, seconds = solve(poses, seed, gradient=gradient)
+    return np.array([r.fun for r in results]), np.array([r.x[3:] for r in results[2:]]), seconds
 
 
 def best_known(poses: np.ndarray) -> np.ndarray:
@@ -126,30 +133,13 @@ def best_known(poses: np.ndarray) -> np.ndarray:
         zero = jnp.zeros((3, *angular.shape[2:]))
         return jnp.exp(jnp.concatenate([PositionObjective(angular).value(zero), values], axis=-1))
 
-    search = jax.jit(
-        lambda chunks: jax.lax.map(of_chunk, chunks),
-        compiler_options=CPU_OPTIONS if jax.default_backend() == "cpu" else None,
-    )
+    search = jit(lambda chunks: jax.lax.map(of_chunk, chunks))
     centred = np.array(poses)
     centred[:, :, :3, 3] -= poses[:, :, :3, 3].mean(axis=1)[:, None]
     size, count = chunk_size(), len(poses)
     fill = np.minimum(np.arange(-(-count // size) * size), count - 1)
     found = search(jnp.asarray(centred[fill].reshape(-1, size, *poses.shape[1:])))
     return np.asarray(found).reshape(-1, 6)[:count]
-
-
-def time_identify(poses: np.ndarray, repeats: int) -> tuple[Any, float, float]:
-    """Result, seconds of a warm call, and seconds the first call took longer."""
-    array = jnp.asarray(poses)
-    start = time.perf_counter()
-    found = jax.block_until_ready(rf.identify(array, dt=DT))
-    first = time.perf_counter() - start
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        jax.block_until_ready(rf.identify(array, dt=DT))
-        times.append(time.perf_counter() - start)
-    return found, min(times), first - min(times)
 
 
 def errors_mm(positions: np.ndarray, labels: Sequence[str]) -> np.ndarray:
@@ -172,7 +162,8 @@ def position_error(positions: np.ndarray, labels: Sequence[str]) -> float:
 def run(count: int, annealed: int) -> dict[str, float]:
     """Run all contestants and print the table."""
     poses, labels = make_windows(count)
-    found, seconds, compiling = time_identify(poses, 3)
+    array = jnp.asarray(poses)
+    found, seconds, compiling = timed(lambda: rf.identify(array, dt=DT), 3)
     sample = np.linspace(0, count - 1, annealed).astype(int)
     plain = [anneal(poses[i], seed=int(i), gradient=False) for i in sample]
     steered = [anneal(poses[i], seed=int(i), gradient=True) for i in sample]
@@ -236,8 +227,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     jax.config.update("jax_enable_x64", True)
     count, annealed = (96, 12) if options.quick else (options.windows, options.annealed)
     result = run(count, min(annealed, count))
-    if options.json:
-        options.json.write_text(json.dumps({"metrics": result}, indent=2) + "\n")
+    write_metrics(options.json, result)
     return 0
 
 

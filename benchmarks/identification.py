@@ -1,34 +1,35 @@
 """Every way to solve the six problems of a window, in one run, on the same windows.
 
-Contestants, all in float64:
+Contestants, all in float64 unless said otherwise:
 
 - ``identify``: the library's fast path, all windows in one call;
-- ``identify, float32``: the same in single precision (its optimum is compared in float32's own norms);
 - ``general search``: basin hopping over rotation vector and position together, as for norms whose
   rotation has no closed form;
 - ``dual annealing``: SciPy's, as the paper configured it (100 iterations, no gradient);
+
+and, without --quick,
+
+- ``identify, float32``: in single precision; its origins are judged in float64;
 - ``L-BFGS-B x 16``: SciPy's, from 16 random starts, with the exact gradient of the log norm;
 - ``CMA-ES x 4``: evosax's, four runs of 250 generations (if evosax is installed).
 
 A problem is missed if its norm is more than 0.1 % above the best that any contestant or a search with
 64 long restarts has found. Errors are those of the origin, over windows whose type is unique.
 
-Floors, per window of K = 50 velocities. Bytes: reading the poses, 6.5 kB; at 20 GB/s of a laptop's
-memory 3M windows/s, at 4.8 TB/s of an H200 700M/s. Flops: kinematics and moments 0.1 Mflop, the search
-6 starts x 5 descents x 6 steps x 4 types x 1,100 = 0.8 Mflop; at 50 Gflop/s of two cores with AVX-512
-55,000 windows/s, at 30 Tflop/s of an H200 in float64 33M/s. The last line before the curves is the rate
-of arithmetic that was reached.
+Floors, per window of K = 50 velocities. Bytes: the poses are read and the results written, 6.5 kB and
+1.2 kB; at 20 GB/s of a laptop's memory 2.6M windows/s, at 4.8 TB/s of an H200 600M/s. Flops: kinematics
+and moments 0.1 Mflop, the search 6 starts x 5 descents x 6 steps x 4 types x 1,100 = 0.8 Mflop; at
+50 Gflop/s of two cores with AVX-512 55,000 windows/s, at 30 Tflop/s of an H200 in float64 33M/s. The run
+measures what this machine copies and multiplies, and prints the gap to the floors that follow.
 """
 
 import argparse
-import gc
 import json
-import platform
-import resource
-import threading
+import re
 import time
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -37,196 +38,207 @@ import jax.numpy as jnp
 import numpy as np
 
 import reframe_jax as rf
-from benchmarks.contestants import cma_es, general_search, lbfgs, timed
-from benchmarks.dual_annealing import DT, MISS, anneal, best_known, errors_mm, make_windows
+from benchmarks import contestants, scaling
+from benchmarks.common import machine
+from benchmarks.dual_annealing import DT, MISS, best_known, errors_mm, make_windows
+from benchmarks.timing import machine_floors, peak_above, timed
+from reframe_jax.identify import default_solver
 
-FLOPS_PER_WINDOW = 0.9e6
 BASELINE = Path(__file__).with_name("results") / "identification_baseline.json"
 GATED = {"speedup": 0.5, "speedup_over_general": 0.5}  # smallest share of the baseline that passes
+_DISTINCT = 6144  # windows beyond are repetitions
+_MOMENT_FLOPS, _STEP_FLOPS = 0.1e6, 1100  # kinematics and moments; one step of one problem
 
 
+@dataclass
+class Size:
+    """How much of everything a run does: windows for ``identify``, and for slower contestants."""
+
+    windows: int = 12288
+    judged: int = _DISTINCT
+    general: int = 1536
+    slow: int = 24
+    full: bool = True
+
+
+QUICK = Size(windows=1536, judged=96, general=32, slow=4, full=False)
+
+
+@cache
 def windows(count: int) -> tuple[np.ndarray, list[str]]:
     """Windows of all twelve constraints, sigma from 1e-6 to 1e-3 m; repeated beyond 6144 of them."""
-    distinct = min(count, 6144)
+    distinct = min(count, _DISTINCT)
     poses, labels = make_windows(distinct)
     copies = -(-count // distinct)
     return np.tile(poses, (copies, 1, 1, 1))[:count], (labels * copies)[:count]
 
 
-def memory_mb() -> float:
-    """Resident memory of this process now."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * resource.getpagesize() / 2**20
+@dataclass
+class Row:
+    """What a contestant did.
+
+    Attributes:
+        name: of the contestant.
+        index: (n,) windows it solved.
+        norms: (n, 6), two angular and four linear.
+        positions: (n, 4, 3), m.
+        seconds: for all of them, warm.
+        compile_s: before that.
+    """
+
+    name: str
+    index: np.ndarray
+    norms: np.ndarray
+    positions: np.ndarray
+    seconds: float
+    compile_s: float
+
+    @property
+    def per_window(self) -> float:
+        """Seconds."""
+        return self.seconds / len(self.index)
 
 
-def peak_above(call: Callable[[], Any]) -> tuple[Any, float]:
-    """Result, and the memory in MB that the call needed at most above what was there before."""
-    gc.collect()
-    before, peak, running = memory_mb(), 0.0, True
-
-    def watch() -> None:
-        nonlocal peak
-        while running:
-            peak = max(peak, memory_mb())
-            time.sleep(0.01)
-
-    watcher = threading.Thread(target=watch)
-    watcher.start()
-    try:
-        result = jax.block_until_ready(call())
-    finally:
-        running = False
-        watcher.join()
-    return result, max(0.0, peak - before)
+def ready(row: Row) -> Row:
+    """The row, whose speed is printed as soon as it is known."""
+    print(
+        f"{row.name:18}{len(row.index):>9}{1e3 * row.per_window:>10.4f} ms{1 / row.per_window:>11.1f}"
+        f"{row.compile_s:>9.1f} s",
+        flush=True,
+    )
+    return row
 
 
-def norms_of(found: rf.Identification) -> np.ndarray:
-    """(N, 6): two angular and four linear norms."""
-    return np.concatenate([found.angular.norms, found.linear.norms], axis=1)
+def run_identify(name: str, poses: jax.Array, repeats: int = 3) -> Row:
+    """All windows in one call."""
+    found, seconds, compiling = timed(lambda: rf.identify(poses, dt=DT), repeats)
+    positions = np.asarray(found.candidates.linear.position, dtype=float)
+    norms = np.concatenate([found.angular.norms, found.linear.norms], axis=1, dtype=float)
+    if poses.dtype == jnp.float32:
+        norms[:, 2:] = contestants.norms_at(np.asarray(poses, dtype=float), positions)
+    return ready(Row(name, np.arange(len(poses)), norms, positions, seconds, compiling))
 
 
-def compare(count: int, general: int, slow: int) -> dict[str, Any]:
-    """Run the contestants and print the table; returns the metrics."""
-    poses, labels = windows(count)
+def latencies(poses: np.ndarray) -> np.ndarray:
+    """Seconds of every push of a stream, once the window is full and everything compiled."""
+    online, seconds = rf.OnlineIdentifier(poses.shape[1], dt=DT), []
+    for pose in poses[:6].reshape(-1, 4, 4):
+        start = time.perf_counter()
+        online.push(pose)
+        seconds.append(time.perf_counter() - start)
+    return np.array(seconds[poses.shape[1] :])
+
+
+def floors(row: Row, window: np.ndarray) -> dict[str, float]:
+    """How far ``identify`` is from what this machine can copy and calculate."""
+    found = rf.identify(window, dt=DT)
+    bytes_per_window = window.nbytes + sum(leaf.nbytes for leaf in jax.tree.leaves(found))
+    copied, calculated = machine_floors()
+    solver: Any = default_solver()
+    descents = solver.restarts * (1 + solver.hops + solver.polish)
+    flops = _MOMENT_FLOPS + descents * solver.inner.steps * 4 * _STEP_FLOPS
+    memory, arithmetic = bytes_per_window / copied, flops / calculated
+    print(
+        f"floors of this machine: {1e6 * memory:.2f} us per window to copy {bytes_per_window} B at "
+        f"{copied / 1e9:.0f} GB/s, {1e6 * arithmetic:.2f} us for {flops / 1e6:.1f} Mflop at "
+        f"{calculated / 1e9:.0f} Gflop/s; identify takes {row.per_window / max(memory, arithmetic):.1f} "
+        "times the larger",
+        flush=True,
+    )
+    return {"bytes_floor_us": 1e6 * memory, "flops_floor_us": 1e6 * arithmetic}
+
+
+def solve(size: Size, poses: np.ndarray) -> tuple[list[Row], float]:
+    """What every contestant did, ``identify`` first, and the memory in MB that ``identify`` needed."""
     on_device = jnp.asarray(poses)
-    found, seconds, compiling = timed(lambda: rf.identify(on_device, dt=DT), 3)
+    middle, few = spaced(poses, size.general), spaced(poses, size.slow)
+    print(f"{'':18}{'windows':>9}{'per window':>13}{'windows/s':>11}{'compile':>11}")
+    rows = [run_identify("identify", on_device)]
     _, peak = peak_above(lambda: rf.identify(on_device, dt=DT))
-    single = jnp.asarray(poses[0])
-    _, latency, _ = timed(lambda: rf.identify(single, dt=DT), 200)
-    narrow = on_device.astype(jnp.float32)
-    found32, seconds32, compiling32 = timed(lambda: rf.identify(narrow, dt=DT), 3)
-    middle = np.linspace(0, min(count, 6144) - 1, min(general, count)).astype(int)
-    few = np.linspace(0, min(count, 6144) - 1, min(slow, count)).astype(int)
+    rows.append(ready(Row("general search", middle, *contestants.general_search(poses[middle]))))
+    rows.append(ready(Row("dual annealing", few, *contestants.annealing(poses[few], few))))
+    if size.full:
+        rows.append(run_identify("identify, float32", on_device.astype(jnp.float32)))
+        rows.append(ready(Row("L-BFGS-B x 16", few, *contestants.lbfgs(poses[few], 16))))
+        try:
+            rows.append(ready(Row("CMA-ES x 4", few, *contestants.cma_es(poses[few], 4, 250))))
+        except ImportError:
+            print("CMA-ES left out: pip install 'reframe-jax[benchmark]'")
+    return rows, peak
 
-    everything = np.arange(count)
-    rows: list[tuple[str, np.ndarray, np.ndarray, np.ndarray, float, float]] = [
-        (
-            "identify",
-            everything,
-            norms_of(found),
-            np.asarray(found.candidates.linear.position),
-            seconds,
-            compiling,
-        ),
-        (
-            "identify, float32",
-            everything,
-            norms_of(found32),
-            np.asarray(found32.candidates.linear.position),
-            seconds32,
-            compiling32,
-        ),
-        ("general search", middle, *general_search(poses[middle], 1)),
-        ("L-BFGS-B x 16", few, *lbfgs(poses[few], 16)),
-    ]
-    annealed = [anneal(poses[i], seed=int(i), gradient=False) for i in few]
-    rows.append(
-        (
-            "dual annealing",
-            few,
-            np.stack([a[0] for a in annealed]),
-            np.stack([a[1] for a in annealed]),
-            sum(a[2] for a in annealed),
-            0.0,
-        )
-    )
-    try:
-        rows.append(("CMA-ES x 4", few, *cma_es(poses[few], 4, 250)))
-    except ImportError:
-        print("CMA-ES left out: pip install 'reframe-jax[benchmark]'")
 
-    judged = everything[: min(count, 6144)]
-    best = np.full((count, 6), np.inf)
+def spaced(poses: np.ndarray, count: int) -> np.ndarray:
+    """Numbers of at most ``count`` windows, evenly spaced over the distinct ones."""
+    distinct = min(len(poses), _DISTINCT)
+    return np.unique(np.linspace(0, distinct - 1, min(count, distinct)).astype(int))
+
+
+def best_norms(size: Size, poses: np.ndarray, rows: Sequence[Row]) -> np.ndarray:
+    """Best norms known, (N, 6); infinite for windows that are not judged."""
+    # those of the slower contestants among them
+    judged = np.unique(np.concatenate([spaced(poses, size.judged), *(row.index for row in rows[1:3])]))
+    best = np.full((len(poses), 6), np.inf)
     best[judged] = best_known(poses[judged])
-    for name, index, norms, *_ in rows:
-        if name != "identify, float32":  # rounding can put it below any optimum
-            np.minimum.at(best, index, norms)
-    per_window = {name: seconds / len(index) for name, index, _, _, seconds, _ in rows}
-    slowest = per_window["dual annealing"]
-    print(f"{count} windows of {poses.shape[1] - 1} velocities, six problems each; {describe_machine()}")
-    print(
-        f"{'':18}{'windows':>9}{'per window':>13}{'windows/s':>11}{'x annealing':>13}{'missed':>9}"
-        f"{'median error':>14}{'98 %':>11}{'compile':>9}"
-    )
-    misses = {}
-    for name, index, norms, positions, _, compiling in rows:
-        judge = index < len(judged)
-        ratio = norms[judge] / best[index[judge]]
-        misses[name] = float(np.mean(ratio > MISS))
-        error = errors_mm(positions, [labels[i] for i in index])
+    for row in rows:
+        mine = np.isin(row.index, judged)
+        np.minimum.at(best, row.index[mine], row.norms[mine])
+    return best
+
+
+def judge(rows: Sequence[Row], best: np.ndarray, labels: Sequence[str]) -> dict[str, float]:
+    """Print how good the contestants are; returns the metrics of all, those of the first without a name."""
+    slowest = next(row for row in rows if row.name == "dual annealing").per_window
+    metrics: dict[str, float] = {}
+    print(f"{'':18}{'x annealing':>13}{'missed':>10}{'median error':>16}{'98 %':>12}")
+    for row in rows:
+        known = np.isfinite(best[row.index, 0])
+        missed = float(np.mean(row.norms[known] > MISS * best[row.index[known]]))
+        error = errors_mm(row.positions, [labels[i] for i in row.index])
+        median, tail = float(np.median(error)), float(np.quantile(error, 0.98))
         print(
-            f"{name:18}{len(index):>9}{1e3 * per_window[name]:>10.4f} ms{1 / per_window[name]:>11.1f}"
-            f"{slowest / per_window[name]:>13.1f}{100 * misses[name]:>7.2f} %{np.median(error):>11.4f} mm"
-            f"{np.quantile(error, 0.98):>8.3f} mm{compiling:>7.1f} s"
+            f"{row.name:18}{slowest / row.per_window:>13.1f}{missed:>10.2%}{median:>13.4f} mm{tail:>9.3f} mm",
+            flush=True,
         )
+        suffix = "" if row is rows[0] else "_" + re.sub(r"\W+", "_", row.name.lower())
+        metrics |= {
+            f"windows_per_second{suffix}": 1 / row.per_window,
+            f"miss_rate{suffix}": missed,
+            f"median_error_mm{suffix}": median,
+            f"error_98_mm{suffix}": tail,
+        }
+    return metrics
+
+
+def run(size: Size) -> tuple[dict[str, float], scaling.Curves]:
+    """The whole benchmark: metrics and curves."""
+    poses, labels = windows(size.windows)
+    print(f"{size.windows} windows of {poses.shape[1] - 1} velocities, six problems each; {machine()}")
+    rows, peak = solve(size, poses)
+    best = best_norms(size, poses, rows)
+    quality = judge(rows, best, labels)
+    push = 1e3 * latencies(poses)
     print(
-        f"one window, warm: {1e3 * latency:.3f} ms; memory above the input at {count} windows: {peak:.0f} MB"
+        f"a stream, a pose at a time: {np.median(push):.3f} ms, 98 % below {np.quantile(push, 0.98):.3f} ms; "
+        f"memory above the input at {size.windows} windows: {peak:.0f} MB",
+        flush=True,
     )
-    print(
-        f"{FLOPS_PER_WINDOW * count / seconds / 1e9:.1f} Gflop/s; the floors are in the help of this command"
-    )
-    return {
-        "windows": count,
-        "windows_per_second": count / seconds,
-        "windows_per_second_float32": count / seconds32,
-        "speedup": slowest / per_window["identify"],
-        "speedup_over_general": per_window["general search"] / per_window["identify"],
-        "miss_rate": misses["identify"],
-        "miss_rate_float32": misses["identify, float32"],
-        "miss_rate_general": misses["general search"],
-        "dual_annealing_miss_rate": misses["dual annealing"],
-        "latency_ms": 1e3 * latency,
-        "compile_s": rows[0][5],
+    fast, general, annealed = rows[:3]
+    metrics = {
+        "windows": size.windows,
+        "speedup": annealed.per_window / fast.per_window,
+        "speedup_over_general": general.per_window / fast.per_window,
+        **quality,
+        "latency_ms": float(np.median(push)),
+        "latency_98_ms": float(np.quantile(push, 0.98)),
+        "compile_s": fast.compile_s,
         "peak_memory_mb": peak,
+        **floors(fast, poses[0]),
     }
-
-
-def scaling(full: bool) -> dict[str, dict[str, float]]:
-    """Time per window in us against the number of windows, of samples, and of starts."""
-    curves: dict[str, dict[str, float]] = {"windows": {}, "samples": {}, "starts": {}}
-
-    def measure(curve: str, at: int, call: Callable[[], Any], count: int, repeats: int = 2) -> None:
-        _, seconds, _ = timed(call, repeats)
-        curves[curve][str(at)] = 1e6 * seconds / count
-        print(f"  {curve:>8} {at:>8}: {1e6 * seconds / count:8.1f} us per window", flush=True)
-
-    print("scaling:")
-    for count in (1024, 8192, 65536) if full else (1024, 4096):
-        poses = windows(count)[0]
-        measure("windows", count, partial(rf.identify, poses, dt=DT), count)
-    poses = windows(2048)[0]
-    for samples in (25, 50, 100, 200, 400) if full else (50,):
-        # repeated motion: what counts here is the number of samples
-        long = np.tile(poses, (1, -(-(samples + 1) // 51), 1, 1))[:, : samples + 1]
-        measure("samples", samples, partial(rf.identify, long, dt=DT), 2048)
-    for starts in (1, 2, 4, 6, 8, 16) if full else (6,):
-        solver = rf.BasinHopping(rf.ValleySteps(6), restarts=starts, hops=4, polish=2)
-        measure("starts", starts, partial(rf.identify, poses, dt=DT, solver=solver), 2048)
-    return curves
-
-
-def describe_machine() -> str:
-    """Device, cores and versions."""
-    device = jax.devices()[0]
-    kind = device.device_kind if device.platform != "cpu" else f"{platform.machine()} CPU"
-    return f"{kind}, jax {jax.__version__}, Python {platform.python_version()}"
-
-
-def plot(curves: dict[str, dict[str, float]], file: Path) -> None:
-    """Draw the scaling curves."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, axes = plt.subplots(1, 3, figsize=(11, 3.2), layout="constrained")
-    for axis, (name, curve) in zip(axes, curves.items(), strict=True):
-        axis.loglog([int(at) for at in curve], list(curve.values()), "o-", color="#0072B2")
-        axis.set(xlabel=f"{name} ({'per window' if name == 'samples' else 'number'})", ylim=(1, None))
-        axis.grid(alpha=0.3, which="both")
-    axes[0].set_ylabel("time per window (µs)")
-    figure.savefig(file, dpi=150)
-    plt.close(figure)
+    distinct = slice(min(size.windows, _DISTINCT))
+    if size.full:
+        shares = scaling.spread_of_time(poses[distinct])
+        metrics |= {f"share_{name}": share for name, share in shares.items()}
+    return metrics, scaling.curves(poses[distinct], best[distinct, 2:], full=size.full)
 
 
 def gate(metrics: dict[str, float], baseline: Path) -> list[str]:
@@ -250,22 +262,24 @@ def main(argv: Sequence[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("--windows", type=int, default=12288, help="windows to identify (12288)")
-    add("--quick", action="store_true", help="under a minute: 1536 windows, short curves")
+    add("--windows", type=int, default=Size.windows, help="windows to identify (12288)")
+    add("--quick", action="store_true", help="under a minute: 1536 windows, and less of the rest")
+    add("--cpu-devices", type=int, help="processors that JAX shows as so many devices, to spread over")
     add("--json", type=Path, help="file to write the metrics to")
     add("--plot", type=Path, help="file to draw the scaling curves to")
     add("--gate", action="store_true", help="exit with 1 if a ratio is worse than the committed baseline")
-    add("--baseline", type=Path, default=BASELINE, help="the baseline (benchmarks/results)")
+    add("--baseline", type=Path, default=BASELINE, help="the baseline, the --json of a --quick run")
     options = parser.parse_args(argv)
     jax.config.update("jax_enable_x64", True)
-    quick = options.quick
-    metrics = compare(1536 if quick else options.windows, 96 if quick else 1536, 4 if quick else 24)
-    curves = scaling(full=not quick)
+    if options.cpu_devices:
+        jax.config.update("jax_num_cpu_devices", options.cpu_devices)
+    size = QUICK if options.quick else Size(windows=options.windows)
+    metrics, curves = run(size)
     if options.json:
-        record = {"machine": describe_machine(), "metrics": metrics, "scaling_us": curves}
+        record = {"machine": machine(), "metrics": metrics, "scaling_us": curves}
         options.json.write_text(json.dumps(record, indent=2) + "\n")
     if options.plot:
-        plot(curves, options.plot)
+        scaling.plot(curves, options.plot)
     problems = gate(metrics, options.baseline) if options.gate else []
     for problem in problems:
         print(f"REGRESSION: {problem}")

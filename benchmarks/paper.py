@@ -9,16 +9,20 @@ import argparse
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import jax
 
-from benchmarks.paper_arm import RobotSize
-from benchmarks.paper_arm_report import figure5, sweeps, table4
-from benchmarks.paper_common import Section, Store, machine
-from benchmarks.paper_figure4 import figure4
-from benchmarks.paper_simulation import Size
+from benchmarks import paper_figure4, paper_figure5, paper_sweep, paper_table4
+from benchmarks.common import machine, write_metrics
+from benchmarks.paper_common import Section, Store
 
-SECTIONS = ("figure4", "table4", "figure5", "sweeps")
+EXPERIMENTS: dict[str, Any] = {
+    "figure4": paper_figure4,
+    "table4": paper_table4,
+    "figure5": paper_figure5,
+    "sweep": paper_sweep,
+}
 
 _HEAD = """\
 # The experiments of the paper
@@ -31,20 +35,16 @@ in {seconds:.0f} s, compilation included, on {machine}.
 """
 
 
-def run(folder: Path, *, quick: bool, seeds: int, seed: int, only: Sequence[str], fresh: bool) -> Section:
+def run(folder: Path, *, quick: bool, seed: int, only: Sequence[str], fresh: bool) -> Section:
     """Compute what is missing and write the report."""
     folder.mkdir(parents=True, exist_ok=True)
-    simulated = Size(seeds=10, annealed=6, seed=seed) if quick else Size(seeds=seeds, seed=seed)
-    robot = RobotSize.quick(seed) if quick else RobotSize(seed=seed)
-    parts = {}
-    figures = Store(folder, simulated, fresh=fresh)
-    if "figure4" in only:
-        parts["figure4"] = figure4(figures, simulated)
-    store = Store(folder, robot, fresh=fresh)
-    for name, section in (("table4", table4), ("figure5", figure5), ("sweeps", sweeps)):
-        if name in only:
-            parts[name] = section(store, robot)
-    seconds = figures.seconds + store.seconds
+    parts, seconds = {}, 0.0
+    for name in only:
+        experiment = EXPERIMENTS[name]
+        size = experiment.Size.quick(seed) if quick else experiment.Size(seed=seed)
+        store = Store(folder, size, fresh=fresh)
+        parts[name] = experiment.section(store, size)
+        seconds += store.seconds
     metrics = {name: value for part in parts.values() for name, value in part.metrics.items()}
     metrics["seconds"] = seconds
     command = "python -m benchmarks.paper" + (" --quick" if quick else "")
@@ -61,10 +61,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Command line of the benchmark."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.paper", description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("out/paper"), help="folder (out/paper)")
-    parser.add_argument("--only", nargs="+", choices=SECTIONS, default=SECTIONS, help="sections (all)")
-    parser.add_argument("--seeds", type=int, default=100, help="motions for each curve of Figure 4 (100)")
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        choices=EXPERIMENTS,
+        default=list(EXPERIMENTS),
+        help="experiments to report on (all)",
+    )
     parser.add_argument("--seed", type=int, default=2025, help="of all random numbers (2025)")
-    parser.add_argument("--quick", action="store_true", help="a tenth of everything")
+    parser.add_argument("--quick", action="store_true", help="a small part of everything")
     parser.add_argument("--fresh", action="store_true", help="compute everything anew")
     parser.add_argument("--json", type=Path, help="file to write the metrics to")
     options = parser.parse_args(argv)
@@ -72,7 +77,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     whole = run(
         options.out,
         quick=options.quick,
-        seeds=options.seeds,
         seed=options.seed,
         only=options.only,
         fresh=options.fresh,
@@ -80,8 +84,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for name, value in whole.metrics.items():
         print(f"{name:32}{value:>14.6g}")
     print(f"\n{options.out / 'report.md'}")
-    if options.json:
-        options.json.write_text(json.dumps({"metrics": whole.metrics}, indent=2) + "\n")
+    write_metrics(options.json, whole.metrics)
     return 0
 
 

@@ -1,13 +1,12 @@
-"""What the sections of the report share: resumable results, tables, the machine."""
+"""What the sections of the report share: resumable results, demonstrations, numbers and tables."""
 
 import hashlib
 import json
 import os
-import platform
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +14,14 @@ import jax
 import numpy as np
 
 import reframe_jax
+from reframe_jax import panda
 
-__all__ = ["Section", "Store", "machine", "number", "plain", "table"]
+__all__ = ["LABELS", "Section", "Store", "demonstrations", "number", "plain", "spread", "table"]
+
+LABELS = tuple(reframe_jax.CONSTRAINTS)
 
 _SECONDS = "seconds_in_all"
+_START = time.perf_counter()
 
 
 @dataclass
@@ -55,11 +58,10 @@ class Store:
         self._suffix = hashlib.sha256(text.encode()).hexdigest()[:12]
         self._fresh = fresh
         self.seconds = 0.0
-        self._start = time.perf_counter()
 
     def say(self, text: str) -> None:
         """A line of progress, with the time since the start."""
-        print(f"{time.perf_counter() - self._start:7.1f} s  {text}", file=sys.stderr, flush=True)
+        print(f"{time.perf_counter() - _START:7.1f} s  {text}", file=sys.stderr, flush=True)
 
     def piece(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """The arrays of a piece, computed or read; a file is there whole or not at all."""
@@ -70,10 +72,10 @@ class Store:
             self.seconds += float(arrays.pop(_SECONDS))
             self.say(f"{name}: as computed before")
             return arrays
-        start, before = time.perf_counter(), self.seconds
+        self.say(f"{name} ...")
+        start = time.perf_counter()
         arrays = {key: np.asarray(value) for key, value in make().items()}
-        # without the pieces that this one asked for
-        seconds = time.perf_counter() - start - (self.seconds - before)
+        seconds = time.perf_counter() - start
         temporary = file.with_name(f".{file.name}.{os.getpid()}")
         with temporary.open("wb") as stream:
             kept: dict[str, Any] = {**arrays, _SECONDS: seconds}
@@ -89,20 +91,11 @@ class Store:
         return f"![{name}]({name}.png)"
 
 
-def machine() -> str:
-    """Processor, accelerator and versions, in one line."""
-    model = platform.processor() or platform.machine()
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        names = [line for line in info.read_text().splitlines() if line.startswith("model name")]
-        model = names[0].split(":", 1)[1].strip() if names else model
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    device = jax.devices()[0]
-    where = "" if device.platform == "cpu" else f", {device.device_kind}"
-    return (
-        f"{model}, {cores} core{'s' if cores != 1 else ''}{where}; Python {platform.python_version()}, "
-        f"jax {jax.__version__}, numpy {np.__version__}, reframe_jax {reframe_jax.__version__}"
-    )
+def demonstrations(label: str, key: jax.Array, count: int, **options: Any) -> panda.Demonstration:
+    """Usable demonstrations of one constraint on the host, each with a geometry of its own."""
+    parts = list(panda.demonstrations(label, key, count, spread=panda.SPREAD, **options))
+    whole: Any = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+    return replace(whole, times=parts[0].times)
 
 
 def plain(array: Any) -> Any:
@@ -121,6 +114,13 @@ def number(value: float, digits: int = 2) -> str:
         exponent = 0 if value == 0 else int(np.floor(np.log10(abs(value))))
         return f"{value:.{max(digits - 1 - exponent, 0)}f}"
     return f"{value:.{digits - 1}e}"
+
+
+def spread(values: np.ndarray, form: str = ".2f") -> str:
+    """Mean and standard deviation over trials; a dash where there is nothing to measure."""
+    if np.all(np.isnan(values)):
+        return "–"
+    return f"{np.mean(values):{form}} ± {np.std(values):{form.lstrip('+')}}"
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

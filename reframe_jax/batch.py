@@ -7,12 +7,13 @@ and machines that share a disk can share the parts.
 
 import json
 import os
+import secrets
 import sys
 import time
 import zlib
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from itertools import islice
+from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,8 @@ __all__ = ["identify_many", "load_results"]
 Progress = Callable[[int, int | None], None]
 
 _RUN = "run.json"
-_FORMAT = 1
+_FORMAT = 2
+_BAR = 20  # characters
 
 
 def identify_many(
@@ -45,8 +47,9 @@ def identify_many(
 ) -> Path:
     """Identify any number of windows and write the results to a folder, resuming what is there.
 
-    Memory is bounded by the part: some 100 MB above the input at 8192 windows of 51 poses. Results are
-    those of :func:`identify`, whatever the part size.
+    Memory is bounded by the part: some 200 MB above the input at 8192 windows of 51 poses. Results are
+    those of :func:`identify`, whatever the part size. A run that was killed at any moment loses the part
+    it was working on, nothing else; call it again with the same arguments to go on.
 
     Args:
         windows: (N, K+1, 4, 4) poses: an array, a memory-mapped one (``np.load(file, mmap_mode="r")``),
@@ -57,8 +60,8 @@ def identify_many(
         dt: sample time in s, a scalar, (K,), or (N, K) where the windows are an array.
         part_size: windows in a part.
         parts: numbers of the parts to do, all by default: gives every machine its share.
-        progress: called with the windows done and their number (None if unknown); True for a line on
-            standard error, the default where that is a terminal.
+        progress: called with the windows done by this call and their number (None if unknown), after
+            every part; True for a bar on standard error, the default where that is a terminal.
         **options: of :func:`identify`.
 
     Returns:
@@ -74,49 +77,53 @@ def identify_many(
         raise ValueError(f"part_size must be at least 1, not {part_size}.")
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
-    _check_run(folder, part_size, options)
-    wanted = None if parts is None else set(parts)
-    report = _progress(progress)
     total = len(windows) if _is_array(windows) else None
-    done = 0
-    with ThreadPoolExecutor(1) as writer:  # writes a part while the next one is computed
-        pending: Future[None] | None = None
-        for number, poses in enumerate(_parts(windows, part_size)):
-            rows = slice(done, done + len(poses))
-            done += len(poses)
+    wanted = None if parts is None else set(parts)
+    _check_run(folder, total, part_size, options)
+    report, rows, done, seen = _progress(progress), _row_count(total, part_size, wanted), 0, 0
+    # one thread computes and writes a part while this one reads the next: no more than one is ever lost
+    with ThreadPoolExecutor(1) as worker:
+        pending: Future[int] | None = None
+        for number, poses in _parts(windows, part_size, wanted):
+            where = slice(number * part_size, number * part_size + len(poses))
+            seen = where.stop
             if wanted is not None and number not in wanted:
                 continue
-            timing = {"times": _rows(times, rows, total), "dt": _rows(dt, rows, total)}
+            timing = {"times": _rows(times, where, total), "dt": _rows(dt, where, total)}
             file, checksum = folder / f"part-{number:08d}.parquet", _checksum(poses, timing)
-            if file.exists():
-                _check_part(file, checksum)
-            else:
-                found = _identify(poses, timing, options)
-                if pending is not None:
-                    pending.result()
-                pending = writer.submit(_write, file, found, checksum)
-            report(done, total)
+            if pending is not None:
+                report(done := done + pending.result(), rows)
+            pending = worker.submit(_do_part, file, poses, timing, options, checksum)
         if pending is not None:
-            pending.result()
+            report(done + pending.result(), rows)
+    if total is None:
+        _check_run(folder, seen, part_size, options)
     return folder
 
 
-def load_results(folder: str | Path) -> Identification:
+def load_results(folder: str | Path, parts: Iterable[int] | None = None) -> Identification:
     """The results in a folder written by :func:`identify_many`, as one batch of NumPy arrays.
 
+    Args:
+        folder: as given to :func:`identify_many`.
+        parts: numbers of the parts to load, all by default: for results that do not fit in memory.
+
     Raises:
-        ValueError: if the folder holds no results, or parts between the first and the last are missing.
+        ValueError: if the folder holds no results, or lacks some of what was asked for.
         ImportError: if pyarrow is missing.
     """
     parquet = _arrow().parquet
-    files = sorted(Path(folder).glob("part-*.parquet"))
-    if not files:
+    stored = {int(file.stem.removeprefix("part-")): file for file in Path(folder).glob("part-*.parquet")}
+    if not stored:
         raise ValueError(f"{folder} holds no results of identify_many (part-*.parquet).")
-    numbers = [int(file.stem.removeprefix("part-")) for file in files]
-    missing = sorted(set(range(numbers[-1] + 1)) - set(numbers))
+    wanted = list(_all_parts(Path(folder), max(stored)) if parts is None else parts)
+    missing = [number for number in wanted if number not in stored]
     if missing:
-        raise ValueError(f"{folder} is incomplete: parts {missing[:8]} are missing. Run identify_many again.")
-    tables = [parquet.read_table(file) for file in files]
+        raise ValueError(
+            f"{folder} is incomplete: {len(missing)} parts are missing, {missing[:8]} among them. "
+            "Run identify_many again."
+        )
+    tables = [parquet.read_table(stored[number]) for number in wanted]
     columns: dict[str, Any] = {
         name: np.concatenate([_from_arrow(table.column(name)) for table in tables])
         for name in tables[0].column_names
@@ -142,6 +149,31 @@ def load_results(folder: str | Path) -> Identification:
     )
 
 
+def _all_parts(folder: Path, last: int) -> range:
+    """Numbers of the parts of a whole run; of an iterator that did not end, up to the last there is."""
+    record = json.loads((folder / _RUN).read_text())
+    windows = record["windows"]
+    return range(last + 1 if windows is None else -(-windows // record["part_size"]))
+
+
+def _row_count(total: int | None, size: int, wanted: set[int] | None) -> int | None:
+    """Windows in the wanted parts; None if unknown."""
+    if total is None or wanted is None:
+        return total
+    return sum(max(0, min(size, total - number * size)) for number in wanted if number >= 0)
+
+
+def _do_part(
+    file: Path, poses: np.ndarray, timing: dict[str, Any], options: dict[str, Any], checksum: int
+) -> int:
+    """Identify and write a part, unless it is there; returns its number of windows."""
+    if file.exists():
+        _check_part(file, checksum)
+    else:
+        _write(file, _identify(poses, timing, options), checksum)
+    return len(poses)
+
+
 def _identify(poses: Any, timing: dict[str, Any], options: dict[str, Any]) -> Identification:
     """Results on the host, in the precision of the poses whatever JAX is set to."""
     precise = np.asarray(poses[:0]).dtype != np.float32
@@ -164,22 +196,30 @@ def _is_array(windows: Any) -> bool:
     return hasattr(windows, "shape")
 
 
-def _parts(windows: Any, size: int) -> Iterator[np.ndarray]:
-    """The windows in batches of (size, K+1, 4, 4); the last one may be smaller."""
+def _parts(windows: Any, size: int, wanted: set[int] | None) -> Iterator[tuple[int, np.ndarray]]:
+    """Number and windows, (size, K+1, 4, 4), of every part; the last one may be smaller.
+
+    Of an array only the wanted parts.
+    """
     if _is_array(windows):
-        for start in range(0, len(windows), size):
-            yield windows[start : start + size]
+        for number in range(-(-len(windows) // size)):
+            if wanted is None or number in wanted:
+                yield number, windows[number * size : (number + 1) * size]
         return
-    source, seen = iter(windows), 0
-    while batch := [np.asarray(window) for window in islice(source, size)]:
+    source = iter(windows)
+    shape: tuple[int, ...] | None = None
+    for number in count():
+        batch = [np.asarray(window) for window in islice(source, size)]
+        if not batch:
+            return
+        shape = batch[0].shape if shape is None else shape
         for i, window in enumerate(batch):
-            if window.shape != batch[0].shape:
+            if window.shape != shape:
                 raise ValueError(
-                    f"All windows must have one shape: window {seen + i} has {window.shape}, "
-                    f"window {seen} has {batch[0].shape}."
+                    f"All windows must have one shape: window {number * size + i} has {window.shape}, "
+                    f"window 0 has {shape}."
                 )
-        seen += len(batch)
-        yield np.stack(batch)
+        yield number, np.stack(batch)
 
 
 def _rows(values: Any, rows: slice, total: int | None) -> Any:
@@ -211,19 +251,28 @@ def _options_record(part_size: int, options: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _check_run(folder: Path, part_size: int, options: dict[str, Any]) -> None:
-    """Write the options of a new run, or compare with those of the run that is resumed."""
-    file, record = folder / _RUN, _options_record(part_size, options)
-    if file.exists():
-        stored = json.loads(file.read_text())
+def _check_run(folder: Path, total: int | None, part_size: int, options: dict[str, Any]) -> None:
+    """Write the options of a new run, or compare with those of the run that is resumed.
+
+    The number of windows is known at once of an array, and at the end of an iterator.
+    """
+    file, record = folder / _RUN, {"windows": total, **_options_record(part_size, options)}
+    before = file.read_text() if file.exists() else None
+    if before is not None:
+        stored = json.loads(before)
+        if total is None:
+            record["windows"] = stored.get("windows")
+        elif stored.get("windows") is None:
+            stored["windows"] = total
         other = [name for name in record if stored.get(name) != record[name]]
         if other:
             raise ValueError(
                 f"{folder} holds results of a run with other options ({', '.join(other)}). "
                 "Give the options of that run to resume it, or another folder."
             )
-    else:
-        _replace(file, lambda temporary: temporary.write_text(json.dumps(record, indent=1) + "\n"))
+    text = json.dumps(record, indent=1) + "\n"
+    if text != before:
+        _replace(file, lambda temporary: temporary.write_text(text))
 
 
 def _checksum(poses: np.ndarray, timing: dict[str, Any]) -> int:
@@ -256,8 +305,11 @@ def _write(file: Path, found: Identification, checksum: int) -> None:
 
 def _replace(file: Path, write: Callable[[Path], Any]) -> None:
     """Write beside the file and rename: the file is there whole or not at all."""
-    temporary = file.with_name(f".{file.name}.{os.getpid()}")
+    # process numbers repeat on machines that share a disk
+    temporary = file.with_name(f".{file.name}.{secrets.token_hex(8)}")
     write(temporary)
+    with temporary.open("rb+") as written:  # on the disk before its name is, should the power fail
+        os.fsync(written.fileno())
     os.replace(temporary, file)
 
 
@@ -288,9 +340,11 @@ def _progress(progress: Progress | bool | None) -> Progress:
 
     def show(done: int, total: int | None) -> None:
         rate = done / (time.perf_counter() - begin)
-        of = "" if total is None else f" of {total}"
-        left = "" if total is None else f", {(total - done) / rate:.0f} s left"
-        end = "\n" if done == total else ""
-        print(f"\r{done}{of} windows, {rate:.0f}/s{left}  ", end=end, file=sys.stderr, flush=True)
+        line = f"{done} windows, {rate:.0f}/s"
+        if total is not None:
+            filled = _BAR * done // total
+            bar = "#" * filled + "-" * (_BAR - filled)
+            line = f"[{bar}] {done} of {total} windows, {rate:.0f}/s, {(total - done) / rate:.0f} s left"
+        print(f"\r{line}  ", end="\n" if done == total else "", file=sys.stderr, flush=True)
 
     return show

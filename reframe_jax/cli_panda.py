@@ -2,6 +2,8 @@
 
 import argparse
 import sys
+from collections import Counter
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,9 +19,11 @@ __all__ = ["add_commands"]
 _DEMONSTRATE = """\
 Simulate demonstrations: a hand guides a Franka arm under a constraint.
 
-The file is an .npz of all demonstrations (times, poses, exact_poses,
-joint_positions, ..., and the true frame of each), or a .csv: one recording
-for each, demos-000.csv and so on, for reframe-jax identify.
+Into a folder they go in parts of bounded size, any number of them; the same
+command, or one with a larger count, goes on where an earlier one stopped. An
+.npz holds all (times, poses, exact_poses, joint_positions, ..., and the true
+frame of each). A .csv is one recording for each, demos-000.csv and so on, for
+reframe-jax identify.
 """
 
 _REPRODUCE = """\
@@ -41,17 +45,18 @@ def add_commands(commands: Any) -> None:
     _add_common(command)
     add = command.add_argument
     add("--count", type=_count, default=1, metavar="N", help="demonstrations (1)")
-    add("--out", type=Path, required=True, metavar="FILE", help="file to write, .npz or .csv")
+    add("--out", type=Path, required=True, metavar="PATH", help="folder, .npz or .csv")
     add("--duration", type=cli._positive, default=5.0, metavar="S", help="s (5)")
     add("--dt", type=cli._positive, default=0.05, metavar="S", help="sample time, s (0.05)")
-    add(
-        "--excitation",
-        choices=["exciting", "paper"],
-        default="exciting",
-        help="how the hand moves along the free axes: of many frequencies, or as in the paper (exciting)",
-    )
     add("--plot", type=Path, metavar="FILE", help="draw the first demonstration, .png or .pdf")
     add("--render", type=Path, metavar="FILM", help="film the first demonstration, .gif or .mp4")
+    add(
+        "--skin",
+        type=Path,
+        metavar="PATH",
+        help="what the film shows: an MJCF of the robot that you have, such as MuJoCo Menagerie's panda.xml, "
+        "or a folder of meshes, link0.stl to link7.stl and hand.stl (plain shapes)",
+    )
     add("--keep", action="store_true", help="keep demonstrations that hit a limit, instead of redrawing")
     command = cli._add_command(
         commands, "reproduce", _reproduce, _REPRODUCE, "demonstrate, identify and reproduce a task"
@@ -75,9 +80,17 @@ def _add_common(command: argparse.ArgumentParser) -> None:
     add("--robot", choices=["panda", "fr3"], default="panda", help="the arm (panda)")
     add(
         "--imperfections",
-        choices=["none", "encoder", "realistic"],
+        choices=["none", "encoder", "realistic", "matched"],
         default="realistic" if command.prog.endswith("reproduce") else "encoder",
-        help="of the robot: none, the noise of its encoders, or that and compliance (%(default)s)",
+        help="of the robot: none, the noise of its encoders, that and compliance, or as much compliance as "
+        "the paper's set-up shows (%(default)s)",
+    )
+    add(
+        "--excitation",
+        choices=["exciting", "brisk", "paper"],
+        default="exciting",
+        help="how the hand moves along the free axes: of many frequencies, the same with hinges as fast as "
+        "in the paper's Table 4, or as in the paper's simulations (exciting)",
     )
     add("--fixed", action="store_true", help="the same geometry every time, not one drawn at random")
     add("--seed", type=int, default=0, help="of the random numbers (0)")
@@ -97,9 +110,15 @@ def _prepared(options: argparse.Namespace) -> dict[str, Any]:
     cli._configure_jax(options.cache)
     from reframe_jax import panda
 
-    kinds = {"none": panda.Imperfections(), "encoder": panda.ENCODER_GRADE, "realistic": panda.REALISTIC}
+    kinds = {
+        "none": panda.Imperfections(),
+        "encoder": panda.ENCODER_GRADE,
+        "realistic": panda.REALISTIC,
+        "matched": panda.MATCHED,
+    }
     return {
         "imperfections": kinds[options.imperfections],
+        "excitation": options.excitation,
         "spread": (0.0, 0.0) if options.fixed else panda.SPREAD,
         "arm": options.robot,
         "progress": _progress if sys.stderr.isatty() else None,
@@ -115,36 +134,43 @@ def _progress(done: int, count: int) -> None:
 def _demonstrate(options: argparse.Namespace) -> int:
     from reframe_jax import cli
 
-    if options.out.suffix not in (".npz", ".csv"):
-        options.usage_error(f"--out must end in .npz or .csv, not {options.out.name!r}.")
+    if options.out.suffix not in ("", ".npz", ".csv"):
+        options.usage_error(f"--out must be a folder, or end in .npz or .csv, not {options.out.name!r}.")
     if options.render is not None and options.render.suffix not in (".gif", ".mp4"):
         options.usage_error(f"--render must end in .gif or .mp4, not {options.render.name!r}.")
-    common = _prepared(options)
+    try:
+        common = _prepared(options)
+    except ImportError as error:
+        cli._say(f"reframe-jax: error: {error}")
+        return 1
     from reframe_jax import panda
 
+    parts: Iterable[Any]
     try:
-        parts = list(
-            panda.demonstrations(
-                options.constraint,
-                jax.random.key(options.seed),
-                options.count,
-                chunk=min(options.count, 64),
-                redraw=not options.keep,
-                duration=options.duration,
-                dt=options.dt,
-                excitation=options.excitation,
-                **common,
-            )
-        )
-        written = _write(options.out, parts)
+        arguments = options.constraint, jax.random.key(options.seed), options.count
+        common |= {
+            "redraw": not options.keep,
+            "duration": options.duration,
+            "dt": options.dt,
+        }
+        if options.out.suffix:
+            drawn = list(panda.demonstrations(*arguments, chunk=min(options.count, 64), **common))
+            written, parts = _write(options.out, drawn), drawn
+        else:
+            written = panda.store_demonstrations(*arguments, options.out, **common)
+            parts = panda.stored_demonstrations(written)
     except (ValueError, OSError) as error:
         cli._say(f"reframe-jax: error: {error}")
         return 1
-    codes = np.concatenate([part.status_code for part in parts])
-    print(f"{written}: {len(codes)} demonstrations of {parts[0].times[-1]:g} s")
-    for code in np.unique(codes[codes != panda.RolloutStatus.OK]):
-        print(f"{np.sum(codes == code)} of them: {panda.RolloutStatus(code).message}")
-    return _draw(parts[0][0], options)
+    first, codes = None, Counter[int]()
+    for part in parts:
+        first = part[0] if first is None and len(part.status_code) else first
+        codes.update(part.status_code.tolist())
+    assert first is not None  # there is at least one
+    print(f"{written}: {codes.total()} demonstrations of {first.times[-1]:g} s")
+    for code in sorted(codes.keys() - {panda.RolloutStatus.OK}):
+        print(f"{codes[code]} of them: {panda.RolloutStatus(code).message}")
+    return _draw(first, options)
 
 
 def _draw(first: Any, options: argparse.Namespace) -> int:
@@ -154,7 +180,7 @@ def _draw(first: Any, options: argparse.Namespace) -> int:
     failed = False
     try:
         if options.plot is not None:
-            from reframe_jax.plotting_panda import plot_demonstration
+            from reframe_jax.plotting.panda import plot_demonstration
 
             title = CONSTRAINTS[options.constraint].name
             plot_demonstration(first, arm=options.robot, title=title).savefig(options.plot)
@@ -166,7 +192,7 @@ def _draw(first: Any, options: argparse.Namespace) -> int:
         if options.render is not None:
             from reframe_jax.panda.render import film_frames, save_film
 
-            pictures = film_frames(first.joint_positions, first.truth, arm=options.robot)
+            pictures = film_frames(first.joint_positions, first.truth, arm=options.robot, skin=options.skin)
             save_film(options.render, pictures, rate=1 / options.dt)
             print(options.render)
     except (ValueError, OSError, RuntimeError) as error:
@@ -197,7 +223,11 @@ def _write(path: Path, parts: list[Any]) -> Path:
 def _reproduce(options: argparse.Namespace) -> int:
     from reframe_jax import cli
 
-    common = _prepared(options)
+    try:
+        common = _prepared(options)
+    except ImportError as error:
+        cli._say(f"reframe-jax: error: {error}")
+        return 1
     from reframe_jax import reproduction
     from reframe_jax.panda import RolloutStatus
 

@@ -1,8 +1,11 @@
 """Any number of windows: parts, resuming, and what is refused."""
 
+import json
+import signal
 import subprocess
 import sys
 import textwrap
+import threading
 
 import jax
 import numpy as np
@@ -64,10 +67,130 @@ def test_an_interrupted_run_resumes_and_ends_with_the_same_bytes(windows, tmp_pa
     equal(rf.load_results(whole), rf.load_results(resumed))
 
 
+CHILD = """
+    import os, signal, sys
+    import numpy as np
+    import reframe_jax as rf
+    from reframe_jax import batch
+
+    def die(*_):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    def half_a_file(file, write):
+        write(file)
+        with open(file, "r+b") as stream:
+            stream.truncate(os.path.getsize(file) // 2)
+        die()
+
+    def second(file):
+        return "00000001" in str(file)
+
+    identify, replace, rename = batch._identify, batch._replace, os.replace
+    moment = sys.argv[3]
+    if moment == "computing":
+        calls = []
+        batch._identify = lambda *a: (calls.append(a), die if len(calls) == 2 else identify)[1](*a)
+    elif moment == "writing":
+        batch._replace = lambda file, write: replace(
+            file, (lambda half: half_a_file(half, write)) if second(file) else write
+        )
+    elif moment == "renaming":
+        os.replace = lambda old, new: (die if second(new) else rename)(old, new)
+    rf.identify_many(np.load(sys.argv[1], mmap_mode="r"), sys.argv[2], dt=0.1, part_size=16,
+        solver=rf.BasinHopping(rf.ValleySteps(2), restarts=1, hops=0, polish=0))
+"""
+
+
+def run_child(stored, out, moment):
+    arguments = [str(stored), str(out), moment]
+    return subprocess.run([sys.executable, "-c", textwrap.dedent(CHILD), *arguments], check=False).returncode
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(windows, tmp_path_factory):
+    """The windows in a file, and the results of a run that nobody killed."""
+    home = tmp_path_factory.mktemp("uninterrupted")
+    np.save(home / "windows.npy", windows)
+    assert run_child(home / "windows.npy", home / "out", "never") == 0
+    return home / "windows.npy", home / "out"
+
+
+@pytest.mark.parametrize("moment", ["computing", "writing", "renaming"])
+def test_a_run_killed_at_any_moment_redoes_one_part_at_most(moment, uninterrupted, tmp_path):
+    stored, whole = uninterrupted
+    killed = tmp_path / "out"
+    assert run_child(stored, killed, moment) == -signal.SIGKILL
+    # the second of three parts was in flight: the first is there, and nothing that looks like the others
+    (first,) = killed.glob("part-*.parquet")
+    assert first.name == "part-00000000.parquet"
+    before = first.stat().st_mtime_ns, first.stat().st_ino
+    with pytest.raises(ValueError, match="2 parts are missing"):
+        rf.load_results(killed)
+    assert run_child(stored, killed, "never") == 0
+    assert (first.stat().st_mtime_ns, first.stat().st_ino) == before
+    for file in sorted(whole.iterdir()):
+        assert (killed / file.name).read_bytes() == file.read_bytes(), file.name
+    equal(rf.load_results(whole), rf.load_results(killed))
+
+
+def test_an_iterator_is_known_to_be_complete_once_it_ended(windows, tmp_path):
+    def broken():
+        yield from windows[:20]
+        raise OSError("the disk is gone")
+
+    with pytest.raises(OSError, match="gone"):
+        rf.identify_many(broken(), tmp_path / "out", dt=0.1, part_size=16)
+    assert json.loads((tmp_path / "out" / "run.json").read_text())["windows"] is None
+    assert len(rf.load_results(tmp_path / "out").status_code) == 16
+    rf.identify_many(iter(windows[:20]), tmp_path / "out", dt=0.1, part_size=16)
+    assert json.loads((tmp_path / "out" / "run.json").read_text())["windows"] == 20
+    with pytest.raises(ValueError, match=r"other options \(windows\)"):
+        rf.identify_many(windows, tmp_path / "out", dt=0.1, part_size=16)
+    (tmp_path / "out" / "part-00000001.parquet").unlink()
+    with pytest.raises(ValueError, match="incomplete"):
+        rf.load_results(tmp_path / "out")
+
+
+def test_parts_can_be_loaded_one_by_one(windows, tmp_path):
+    folder = rf.identify_many(windows, tmp_path / "out", dt=0.1, part_size=16)
+    whole, last = rf.load_results(folder), rf.load_results(folder, parts=[2])
+    equal(jax.tree.map(lambda leaf: leaf[32:], whole), last)
+    with pytest.raises(ValueError, match=r"\[3\] among them"):
+        rf.load_results(folder, parts=[0, 3])
+
+
+def test_the_next_part_is_read_while_one_is_computed(windows, tmp_path, monkeypatch):
+    from reframe_jax import batch
+
+    read = threading.Event()
+    identify = batch._identify
+
+    def patient(poses, timing, options):
+        assert read.wait(60), "the second part was not read before the first was done"
+        return identify(poses, timing, options)
+
+    def source():
+        for i, window in enumerate(windows[:32]):
+            if i == 31:
+                read.set()
+            yield window
+
+    monkeypatch.setattr(batch, "_identify", patient)
+    rf.identify_many(source(), tmp_path / "out", dt=0.1, part_size=16)
+
+
+def test_the_bar_shows_the_share_done(windows, tmp_path, capsys):
+    rf.identify_many(windows, tmp_path / "out", dt=0.1, part_size=20, progress=True)
+    first, second = capsys.readouterr().err.strip("\r\n").split("\r")
+    assert first.startswith("[##########----------] 20 of 40 windows, ")
+    assert second.startswith("[####################] 40 of 40 windows, ")
+    assert second.rstrip().endswith(", 0 s left")
+
+
 def test_machines_can_share_the_parts(windows, tmp_path):
     whole = rf.identify_many(windows, tmp_path / "whole", dt=0.1, part_size=16)
     rf.identify_many(windows, tmp_path / "shared", dt=0.1, part_size=16, parts=[0, 2])
-    with pytest.raises(ValueError, match=r"parts \[1\] are missing"):
+    with pytest.raises(ValueError, match=r"1 parts are missing, \[1\]"):
         rf.load_results(tmp_path / "shared")
     rf.identify_many(windows, tmp_path / "shared", dt=0.1, part_size=16, parts=[1])
     equal(rf.load_results(whole), rf.load_results(tmp_path / "shared"))

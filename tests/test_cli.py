@@ -1,6 +1,5 @@
-"""The command line, in this process and on one compiled shape: windows of 31 poses, one at a time."""
+"""The command line, in this process and on one compiled shape: windows of 21 poses, one at a time."""
 
-import builtins
 import json
 import re
 import subprocess
@@ -21,7 +20,7 @@ from reframe_jax.io import load_recording, save_recording
 from reframe_jax.validate import Status
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
-POSES = 31
+POSES = 21
 
 Captured = pytest.CaptureFixture[str]
 
@@ -33,14 +32,14 @@ def simulate(path: Path, label: str = "A", *options: str) -> Path:
 
 @pytest.fixture(scope="module")
 def door(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recording of 46 poses of a revolute joint, almost without noise."""
+    """A recording of 36 poses of a revolute joint, almost without noise."""
     path = tmp_path_factory.mktemp("cli") / "door.csv"
-    return simulate(path, "A", "--duration", "4.5", "--noise", "1e-5")
+    return simulate(path, "A", "--duration", "3.5", "--noise", "1e-5")
 
 
 @pytest.fixture
 def clip(door: Path, tmp_path: Path) -> Path:
-    """The first 31 poses of it."""
+    """The first 21 poses of it."""
     recording = load_recording(door)
     path = tmp_path / "clip.csv"
     save_recording(path, recording.times[:POSES], recording.poses[:POSES])
@@ -201,15 +200,15 @@ def test_windows_do_not_overlap_by_default(
     door: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cli, "_CHUNK", 1)
-    assert run(door, "--window", "31", "--json", "-") == 0
+    assert run(door, "--window", "21", "--json", "-") == 0
     (recording,) = read_json(capsys.readouterr().out)
-    assert len(recording["windows"]) == 1  # 46 poses hold one window of 31, and a rest
+    assert len(recording["windows"]) == 1  # 36 poses hold one window of 21, and a rest
 
 
 def test_windows_longer_than_the_recording(clip: Path, capsys: Captured) -> None:
-    assert run(clip, "--window", "32") == 1
+    assert run(clip, "--window", "22") == 1
     assert capsys.readouterr().err == (
-        f"reframe-jax: error: {clip}: has 31 poses; expected at least the 32 of a window.\n"
+        f"reframe-jax: error: {clip}: has 21 poses; expected at least the 22 of a window.\n"
     )
 
 
@@ -225,15 +224,8 @@ def test_plots(clip: Path, tmp_path: Path, capsys: Captured) -> None:
     assert capsys.readouterr().err.startswith(f"reframe-jax: error: {tmp_path / 'out.strange'}: cannot be w")
 
 
-def test_plots_without_matplotlib(clip: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = builtins.__import__
-
-    def without(name: str, *args: Any, **kwargs: Any) -> Any:
-        if name.startswith("matplotlib"):
-            raise ImportError(name)
-        return real(name, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", without)
+@pytest.mark.usefixtures("no_matplotlib")
+def test_plots_without_matplotlib(clip: Path, capsys: Captured) -> None:
     assert run(clip, "--plot", "out.png") == 1
     out, err = capsys.readouterr()
     assert "Revolute joint" in out
@@ -261,7 +253,7 @@ def test_real_recordings(capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_simulations_repeat(door: Path, tmp_path: Path, capsys: Captured) -> None:
-    assert len(load_recording(door).times) == 46
+    assert len(load_recording(door).times) == 36
     options = ["--duration", "1", "--noise", "1e-3"]
     first, again, other, npz = (
         load_recording(simulate(tmp_path / name, label, *options, "--seed", seed))

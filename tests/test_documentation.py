@@ -63,7 +63,7 @@ def test_commands_and_targets_exist() -> None:
     makefile = (ROOT / "Makefile").read_text()
     for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS.glob("*.md")):
         text = page.read_text()
-        for target in re.findall(r"(?:^ {4}|`)make (\w+)", text, re.MULTILINE):
+        for target in re.findall(r"(?:^ {4}|`)make ([\w-]+)", text, re.MULTILINE):
             assert f"\n{target}:" in makefile, f"{page.name}: make {target}"
         for module in re.findall(r"python -m (benchmarks\.\w+)", text):
             assert importlib.util.find_spec(module), f"{page.name}: {module}"

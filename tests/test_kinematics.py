@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from algebra import bracket, hat, unbracket
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, logm
 
@@ -35,18 +36,6 @@ def rates_of(poses, dt, discretization="chord"):
 
 
 twists_of = jax.jit(lambda poses, dt: (body_twists(poses, dt), spatial_twists(poses, dt)))
-
-
-def hat(w):
-    return np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
-
-
-def bracket(twist):
-    return np.block([[hat(twist[:3]), twist[3:, None]], [np.zeros((1, 4))]])
-
-
-def unbracket(matrix):
-    return np.array([matrix[2, 1], matrix[0, 2], matrix[1, 0], *matrix[:3, 3]])
 
 
 def random_poses(rng, *shape, dtype=np.float64):

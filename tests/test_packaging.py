@@ -65,7 +65,7 @@ def test_the_wheel_holds_the_package_and_nothing_else(built: Path) -> None:
     modules = {str(path.relative_to(ROOT)) for path in (ROOT / "reframe_jax").rglob("*.py")}
     assert modules <= set(names)
     extras = set(re.findall(r"^Provides-Extra: (\S+)$", text, re.MULTILINE))
-    assert {"plot", "parquet", "benchmark", "notebooks", "docs", "cuda", "test"} <= extras
+    assert {"plot", "parquet", "distributed", "benchmark", "notebooks", "docs", "cuda", "test"} <= extras
 
 
 def test_the_sdist_holds_what_is_needed_to_work_on_it(built: Path) -> None:

@@ -12,7 +12,7 @@ import reframe_jax as rf
 from reframe_jax import metrics, panda, transforms
 from reframe_jax.panda.constraint import body_twist, frame_arrays, locate, slip, twist_map
 from reframe_jax.panda.mechanism import mechanism_joints
-from reframe_jax.panda.rollout import hold, integrate
+from reframe_jax.panda.rollout import Steps, hold, integrate
 
 BATCH = 8  # one compiled program for this module
 KEY = jax.random.key(11)
@@ -292,9 +292,7 @@ def test_wrench_returns_and_energy_is_kept() -> None:
             drive,
             wrench,
             lambda slipped: hold(frame.free, slipped, 0.005, jnp.zeros(6)),
-            samples=100,
-            substeps=1,
-            step=0.005,
+            Steps(samples=100, substeps=1, length=0.005),
         )
         # the force acts over a step, from the middle of the one before to the middle of this one
         motion = panda.arm_motion(track.joints[-1], track.velocity[-1])

@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import paper, paper_arm, paper_figure4, paper_simulation
-from benchmarks.paper_common import Store, number, plain, table
-from benchmarks.paper_figure4 import figure4
-from benchmarks.paper_simulation import CELLS, LABELS, Size
+from benchmarks import paper, paper_figure4
+from benchmarks.paper_common import LABELS, Store, number, plain, spread, table
+from benchmarks.paper_figure4 import CELLS, Size
 
 SIZE = Size(seeds=5, levels=4, annealed=3)
 
@@ -30,7 +29,7 @@ def fake_cell(slope: float, other: str = "") -> dict[str, np.ndarray]:
 
 
 def test_slopes_and_marks() -> None:
-    curves = paper_simulation.entries(fake_cell(0.8, "EG"), SIZE.noise)
+    curves = paper_figure4.entries(fake_cell(0.8, "EG"), SIZE.noise)
     np.testing.assert_allclose([curve.slope for curve in curves], 0.8)
     marked = {(curve.label, curve.quantity) for curve in curves if not curve.determined}
     assert marked == {(label, name) for label in "EG" for name in ("linear", "position")}
@@ -49,10 +48,10 @@ def test_undetermined_entries_are_shown_and_not_scored(
 
     monkeypatch.setattr(paper_figure4, "_picture", lambda *_: None)
     monkeypatch.setattr(Store, "picture", lambda *_: "")
-    monkeypatch.setattr(paper_simulation, "windows", lambda *_: None)
-    monkeypatch.setattr(paper_simulation, "identify_cell", identify_cell)
+    monkeypatch.setattr(paper_figure4, "windows", lambda *_: None)
+    monkeypatch.setattr(paper_figure4, "identify_cell", identify_cell)
     monkeypatch.setattr(
-        paper_simulation,
+        paper_figure4,
         "anneal_sample",
         lambda *_: {
             "indices": np.zeros((3, 3), int),
@@ -61,7 +60,7 @@ def test_undetermined_entries_are_shown_and_not_scored(
             **dict.fromkeys(("angular", "linear", "position"), np.ones(3)),
         },
     )
-    first = figure4(Store(tmp_path, SIZE), SIZE)
+    first = paper_figure4.section(Store(tmp_path, SIZE), SIZE)
     assert first.metrics["slope_min"] == pytest.approx(1)
     assert first.metrics["slope_max"] == pytest.approx(1)
     assert first.metrics["plateau_slope_max"] == pytest.approx(0, abs=1e-9)
@@ -69,10 +68,10 @@ def test_undetermined_entries_are_shown_and_not_scored(
     assert first.metrics["dual_annealing_hours"] == pytest.approx(2 * 8 * 240 / 3600)
     assert "| G | ΔR^ψ, deg | (50)" in first.text
     assert len(calls) == len(CELLS)
-    again = figure4(Store(tmp_path, SIZE), SIZE)
+    again = paper_figure4.section(Store(tmp_path, SIZE), SIZE)
     assert len(calls) == len(CELLS), "finished pieces are not computed again"
     assert again.text == first.text
-    figure4(Store(tmp_path, SIZE, fresh=True), SIZE)
+    paper_figure4.section(Store(tmp_path, SIZE, fresh=True), SIZE)
     assert len(calls) == 2 * len(CELLS)
 
 
@@ -83,26 +82,13 @@ def test_other_options_have_other_pieces(tmp_path: Path) -> None:
     assert len(list((tmp_path / "cells").iterdir())) == 2
 
 
-def test_thresholds_that_classify_everything() -> None:
-    rms = np.zeros((12, 2, 6))
-    for i, label in enumerate(LABELS):
-        entry = paper_simulation.rf.CONSTRAINTS[label]
-        for group, dof in enumerate((entry.angular_dof, entry.linear_dof)):
-            rms[i, :, 3 * group : 3 * group + 3] = np.sort(dof) + 0.1 * np.arange(3) + 0.01 * i
-    low, high = paper_arm.threshold_range(rms, LABELS, "linear")
-    assert low == pytest.approx(max(rms[i, 0, 5 - s] for i, s in _free_counts() if s < 3))
-    assert high == pytest.approx(min(rms[i, 0, 6 - s] for i, s in _free_counts() if s))
-
-
-def _free_counts() -> list[tuple[int, int]]:
-    return [(i, sum(paper_simulation.rf.CONSTRAINTS[label].linear_dof)) for i, label in enumerate(LABELS)]
-
-
 def test_numbers_and_tables() -> None:
     texts = [number(x) for x in (0.0, 0.012345, 12.345, 1234.5, 1.2345e-5, float("nan"))]
     assert texts == ["0.0", "0.012", "12", "1234", "1.2e-05", "–"]
     assert table(["a", "b"], [["1", "2"]]) == "| a | b |\n| :-- | --: |\n| 1 | 2 |"
     assert plain([[1.23456789, np.nan]]) == [[1.23457, None]]
+    assert spread(np.array([1.0, 3.0]), "+.1f") == "+2.0 ± 1.0"
+    assert spread(np.full(2, np.nan)) == "–"
 
 
 @pytest.mark.slow

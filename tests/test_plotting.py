@@ -1,6 +1,5 @@
 """Pictures: what is drawn and where. How they look was judged by eye."""
 
-import builtins
 import io
 from typing import Any
 
@@ -151,14 +150,7 @@ def test_only_single_windows_with_a_result_are_drawn(poses: np.ndarray) -> None:
         draw(poses, failed)
 
 
-def test_missing_matplotlib_is_explained(poses: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = builtins.__import__
-
-    def without(name: str, *args: Any, **kwargs: Any) -> Any:
-        if name.startswith("matplotlib"):
-            raise ImportError(name)
-        return real(name, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", without)
+@pytest.mark.usefixtures("no_matplotlib")
+def test_missing_matplotlib_is_explained(poses: np.ndarray) -> None:
     with pytest.raises(ImportError, match=r'pip install "reframe-jax\[plot\]"'):
         draw(poses, identification(LinearType.GB))

@@ -1,5 +1,8 @@
 """Pictures and films of the arm: they show what they say, and fail with a reason."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -8,8 +11,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from reframe_jax import cli, panda, plotting_panda, reproduction
-from reframe_jax.panda import render
+from reframe_jax import cli, panda, reproduction
+from reframe_jax.panda import render, skin
+from reframe_jax.plotting import panda as pictures_of
 
 KEY = jax.random.key(11)
 BATCH = 8  # the shape that other tests compile
@@ -21,7 +25,7 @@ def made() -> panda.Demonstration:
 
 
 def test_demonstration(made: panda.Demonstration) -> None:
-    figure = plotting_panda.plot_demonstration(made[0], title="pin")
+    figure = pictures_of.plot_demonstration(made[0], title="pin")
     space, motion, moments, forces = figure.axes
     limits = np.array([space.get_xlim(), space.get_ylim(), space.get_zlim()])
     np.testing.assert_allclose(np.ptp(limits, axis=1), np.ptp(limits[0]))
@@ -30,34 +34,25 @@ def test_demonstration(made: panda.Demonstration) -> None:
     assert labels[1] == ["moment x [N m]", "moment z [N m]"]
     assert labels[2] == ["force y [N]", "force z [N]"]
     with pytest.raises(ValueError, match="index one first"):
-        plotting_panda.plot_demonstration(made)
+        pictures_of.plot_demonstration(made)
 
 
 def test_the_drawn_arm_ends_at_the_tcp(made: panda.Demonstration) -> None:
     for row, pose in zip(made.joint_positions[0, ::30], made.exact_poses[0, ::30], strict=True):
-        points = plotting_panda._joint_points(row, panda.PANDA)
+        points = pictures_of._joint_points(row, panda.PANDA)
         np.testing.assert_allclose(points[-1], pose[:3, 3], atol=1e-12)
 
 
 def test_reactions() -> None:
     compared = jax.device_get(reproduction.compare("A", KEY, BATCH))
-    figure = plotting_panda.plot_comparison({"A": compared}, title="Figure 5")
-    assert [axes.get_ylabel() for axes in figure.axes] == [
-        "peak reaction moment [N m]",
-        "peak reaction force [N]",
-    ]
-    figure = plotting_panda.plot_reactions(compared, 2)
+    figure = pictures_of.plot_comparison({"A": compared}, title="Figure 5")
+    assert [axes.get_title() for axes in figure.axes] == ["peak reaction moment", "peak reaction force"]
+    heights = [bars[0].get_height() for bars in figure.axes[0].containers if hasattr(bars, "patches")]
+    trials = compared.rows.values()
+    np.testing.assert_allclose(heights, [np.mean(row.peak_moment) for row in trials])
+    figure = pictures_of.plot_reactions(compared, 2)
     drawn = figure.axes[0].get_lines()[0].get_ydata()
     np.testing.assert_allclose(np.max(drawn), compared.exact.peak_moment[2])
-
-
-def test_sweep() -> None:
-    values = np.arange(16.0).reshape(2, 2, 2, 2)
-    values[0, 0, 0, 0] = np.nan
-    options: dict[str, Any] = {"rows": "ab", "columns": "cd", "labels": ("x", "y"), "unit": "%", "title": "t"}
-    figure = plotting_panda.plot_sweep(values, panel_rows="ef", panel_columns="gh", **options)
-    written = [text.get_text() for axes in figure.axes for text in axes.texts]
-    assert {str(number) for number in range(1, 16)} <= set(written)
 
 
 def test_film(made: panda.Demonstration, tmp_path: Path) -> None:
@@ -103,3 +98,78 @@ def test_command_writes_a_picture_and_says_why_there_is_no_film(
     assert Path(files["demo.png"]).stat().st_size > 10_000
     assert Path(files["demos.npz"]).exists()
     assert not Path(files["demo.gif"]).exists()
+
+
+def write_mesh(file: Path, half: float) -> None:
+    """A cube as .obj, in metres."""
+    corners = [(x, y, z) for x in (-half, half) for y in (-half, half) for z in (-half, half)]
+    faces = [(1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4)]
+    lines = [f"v {x} {y} {z}" for x, y, z in corners]
+    lines += [f"f {a} {b} {c}\nf {a} {c} {d}" for a, b, c, d in faces]
+    file.write_text("\n".join(lines) + "\n")
+
+
+def test_folder_of_meshes_as_a_skin(tmp_path: Path) -> None:
+    for name in ("link0", "link5_0", "link5_1", "hand", "finger"):
+        write_mesh(tmp_path / f"{name}.obj", half=0.05)
+    model = skin.dressed(panda.PANDA, tmp_path).compile()
+    kinds = {
+        name: list(model.geom_type[model.geom_bodyid == model.body(name).id])
+        for name in ("world", "link4", "link5", "hand")
+    }
+    mesh, capsule = mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_CAPSULE
+    assert kinds["world"] == [mesh]
+    assert kinds["link5"] == [mesh, mesh]
+    assert kinds["hand"] == [mesh]
+    assert kinds["link4"] == [capsule]
+    np.testing.assert_allclose(model.body_mass[model.body("link5").id], panda.PANDA.links[4].mass)
+
+
+def test_model_as_a_skin(tmp_path: Path) -> None:
+    """A file laid out as MuJoCo Menagerie's: meshes in a folder of their own, and fingers that slide."""
+    (tmp_path / "assets").mkdir()
+    write_mesh(tmp_path / "assets" / "finger.obj", half=0.01)
+    finger = '<body name="finger"><joint type="slide"/><geom type="mesh" mesh="finger"/></body></body>'
+    text = panda.arm_xml().replace('<site name="flange"/>', "", 1)
+    text = text.replace("</body>", finger, 1).replace("<compiler ", '<compiler meshdir="assets" ', 1)
+    text = text.replace("<worldbody>", '<asset><mesh file="finger.obj"/></asset><worldbody>', 1)
+    file = tmp_path / "panda.xml"
+    file.write_text(text)
+    model = skin.dressed(panda.PANDA, file).compile()
+    assert model.njnt == 8
+    try:
+        pictures = render.film_frames(np.zeros((1, 7)), skin=file, size=(96, 64))
+    except render.RenderError as error:
+        pytest.skip(str(error))
+    assert pictures.shape == (1, 64, 96, 3)
+
+
+def test_skins_that_do_not_fit(tmp_path: Path) -> None:
+    file = tmp_path / "robot.xml"
+    with pytest.raises(ValueError, match="No skin at"):
+        skin.dressed(panda.PANDA, file)
+    with pytest.raises(ValueError, match="No meshes in"):
+        skin.dressed(panda.PANDA, tmp_path)
+    (tmp_path / "link0.obj").write_text("not a mesh")
+    with pytest.raises(ValueError, match="cannot be loaded"):
+        skin.dressed(panda.PANDA, tmp_path)
+    text = panda.arm_xml()
+    for wrong, message in (
+        ("<mujoco><worldbody/></mujoco>", "does not begin with seven hinges"),
+        ("<mujoco><nonsense/></mujoco>", "cannot be loaded"),
+        (text.replace('type="capsule"', 'type="mesh" mesh="gone"', 1), "cannot be loaded"),
+        (text.replace("0.316", "0.4"), "is of another robot"),
+    ):
+        file.write_text(wrong)
+        with pytest.raises(ValueError, match=message):
+            skin.dressed(panda.PANDA, file)
+
+
+def test_opengl_that_is_not_installed_is_named() -> None:
+    """MuJoCo itself fails to load then, with a traceback from within PyOpenGL."""
+    command = [sys.executable, "-c", "import reframe_jax.panda"]
+    run = subprocess.run(
+        command, env={**os.environ, "MUJOCO_GL": "nonsense"}, capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 1
+    assert "cannot be loaded with MUJOCO_GL=nonsense" in run.stderr

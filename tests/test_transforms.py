@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import mpmath as mp
 import numpy as np
 import pytest
+from algebra import bracket, hat, unbracket
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
@@ -23,19 +24,6 @@ from reframe_jax.transforms import (
 
 exp, log, inverse = jax.jit(pose_exp), jax.jit(pose_log), jax.jit(pose_inverse)
 jacobian, jacobian_inverse = jax.jit(pose_left_jacobian), jax.jit(pose_left_jacobian_inverse)
-
-
-def hat(w):
-    return np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
-
-
-def bracket(twist):
-    """[V], 4x4."""
-    return np.block([[hat(twist[:3]), twist[3:, None]], [np.zeros((1, 4))]])
-
-
-def unbracket(matrix):
-    return np.array([matrix[2, 1], matrix[0, 2], matrix[1, 0], *matrix[:3, 3]])
 
 
 def ad(twist):

@@ -6,6 +6,18 @@ made = panda.demonstrate("K", jax.random.key(0), batch=64)
 found = rf.identify(made.poses, times=made.times)
 """
 
+try:
+    import mujoco  # noqa: F401
+except (ImportError, AttributeError, RuntimeError, OSError) as error:
+    import os
+
+    if "MUJOCO_GL" not in os.environ:
+        raise
+    raise ImportError(
+        f"MuJoCo cannot be loaded with MUJOCO_GL={os.environ['MUJOCO_GL']} ({error}). "
+        "Install what that needs, set MUJOCO_GL to another of egl, osmesa and glfw, or unset it."
+    ) from error
+
 from reframe_jax.panda.demonstration import (
     SPREAD,
     Demonstration,
@@ -15,15 +27,16 @@ from reframe_jax.panda.demonstration import (
 )
 from reframe_jax.panda.dynamics import Motion, arm_motion, inverse_dynamics, jacobian
 from reframe_jax.panda.guide import EXCITATIONS, Guide
-from reframe_jax.panda.imperfections import ENCODER_GRADE, REALISTIC, Imperfections
+from reframe_jax.panda.imperfections import ENCODER_GRADE, MATCHED, REALISTIC, Imperfections
 from reframe_jax.panda.model import FR3, PANDA, ROBOTS, Arm, Link, arm_xml, forward_kinematics
 from reframe_jax.panda.status import RolloutStatus
-from reframe_jax.panda.store import load_demonstrations, store_demonstrations
+from reframe_jax.panda.store import load_demonstrations, store_demonstrations, stored_demonstrations
 
 __all__ = [
     "ENCODER_GRADE",
     "EXCITATIONS",
     "FR3",
+    "MATCHED",
     "PANDA",
     "REALISTIC",
     "ROBOTS",
@@ -45,4 +58,5 @@ __all__ = [
     "jacobian",
     "load_demonstrations",
     "store_demonstrations",
+    "stored_demonstrations",
 ]

@@ -1,17 +1,21 @@
-"""How simulations are compiled."""
+"""How simulations are compiled, and what they are given."""
 
 from collections.abc import Callable, Sequence
 from functools import wraps
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 
 from reframe_jax.compilation import traced
 
-__all__ = ["compiled"]
+__all__ = ["as_numbers", "compiled"]
 
-# the older code generator takes two thirds of the time to compile, and its code is as fast
-_CPU_OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
+# the older code generator takes two thirds of the time to compile, and its code is as fast; jax 0.11 has
+# one only
+_CPU_OPTIONS: dict[str, Any] | None = (
+    {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else None
+)
 
 
 def compiled(static: Sequence[str]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -32,3 +36,8 @@ def compiled(static: Sequence[str]) -> Callable[[Callable[..., Any]], Callable[.
         return call
 
     return decorate
+
+
+def as_numbers(tree: Any, dtype: Any) -> Any:
+    """Every number of a pytree as an array of a dtype."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=dtype), tree)

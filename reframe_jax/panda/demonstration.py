@@ -12,13 +12,13 @@ import numpy as np
 
 from reframe_jax import rotations, transforms
 from reframe_jax.frames import ConstraintFrame
-from reframe_jax.panda.compiled import compiled
+from reframe_jax.panda.compiled import as_numbers, compiled
 from reframe_jax.panda.constraint import Frame, frame_arrays, moved, placed
 from reframe_jax.panda.guide import EXCITATIONS, Guide, excitation_named, guide_drive, make_hand
 from reframe_jax.panda.imperfections import Imperfections, measure
 from reframe_jax.panda.mechanism import Joints, integrate_welded, mechanism_joints
 from reframe_jax.panda.model import PANDA, Arm, arm_named, forward_kinematics
-from reframe_jax.panda.rollout import Track, hold, integrate
+from reframe_jax.panda.rollout import Steps, Track, hold, integrate
 from reframe_jax.panda.status import RolloutStatus, judge
 from reframe_jax.synthetic import Excitation
 
@@ -172,7 +172,7 @@ def demonstrate(
         raise ValueError(f"No excitation {excitation!r}. There are: {', '.join(EXCITATIONS)}.")
     if batch < 1:
         raise ValueError(f"batch must be at least 1, not {batch}.")
-    samples, substeps = sampling(duration, dt, step)
+    steps = sampling(duration, dt, step)
     if start is not None and np.shape(start) not in ((7,), (batch, 7)):
         raise ValueError(f"start must have shape (7,) or ({batch}, 7), not {np.shape(start)}.")
     frame = frame_on_arm(constraint, arm, start=None if np.ndim(start) == 2 else start)
@@ -198,24 +198,19 @@ def demonstrate(
         joints,
         guide,
         imperfections,
-        samples=samples,
-        substeps=substeps,
-        dt=dt,
-        excitation=excitation,
-        arm=arm,
-        joints=mechanism_joints(frame) if form == "mechanism" else None,
+        plan=_Plan(steps, dt, excitation, arm, mechanism_joints(frame) if form == "mechanism" else None),
     )
     return Demonstration(truth=frame, **made)
 
 
-def sampling(duration: float, dt: float, step: float) -> tuple[int, int]:
-    """Number of samples, and of steps to each."""
+def sampling(duration: float, dt: float, step: float) -> Steps:
+    """The steps of a duration, all in s."""
     if not (0 < step <= dt <= duration < math.inf):
         raise ValueError(f"Expected 0 < step <= dt <= duration; found {step:g}, {dt:g}, {duration:g} s.")
     substeps = round(dt / step)
     if abs(substeps * step - dt) > 1e-6 * dt:
         raise ValueError(f"The step of {step:g} s must divide the sample time of {dt:g} s.")
-    return round(duration / dt), substeps
+    return Steps(round(duration / dt), substeps, dt / substeps)
 
 
 def _keys(key: jax.Array, numbers: jax.Array) -> jax.Array:
@@ -238,7 +233,18 @@ def _place(
     return there, rotvecs[0], rotvecs[1]
 
 
-@compiled(("samples", "substeps", "dt", "excitation", "arm", "joints"))
+@dataclass(frozen=True)
+class _Plan:
+    """What one compiled program is for: when, who, and how."""
+
+    steps: Steps
+    dt: float
+    excitation: str | Excitation
+    arm: Arm
+    joints: Joints | None
+
+
+@compiled(("plan",))
 def _demonstrate(
     frame: Frame,
     key: jax.Array,
@@ -247,34 +253,18 @@ def _demonstrate(
     guide: Guide,
     imperfections: Imperfections,
     *,
-    samples: int,
-    substeps: int,
-    dt: float,
-    excitation: str | Excitation,
-    arm: Arm,
-    joints: Joints | None,
+    plan: _Plan,
 ) -> dict[str, jax.Array]:
     """What a demonstration holds besides the truth; one program for every class of constraint."""
     keys = _keys(key, numbers)
-    roll = partial(
-        _roll,
-        guide,
-        imperfections,
-        samples=samples,
-        substeps=substeps,
-        dt=dt,
-        excitation=excitation,
-        arm=arm,
-        joints=joints,
-    )
-    track = jax.vmap(roll)(frame, keys[:, 1:3], start)
-    record = partial(measure, dt=dt, what=imperfections, arm=arm)
+    track = jax.vmap(partial(_roll, guide, imperfections, plan))(frame, keys[:, 1:3], start)
+    record = partial(measure, dt=plan.dt, what=imperfections, arm=plan.arm)
     poses = jax.vmap(lambda q, v, k: record(q, v, key=k))(track.joints, track.velocity, keys[:, 3])
-    margin, status = judge(track, frame.free, imperfections, arm)
+    margin, status = judge(track, frame.free, imperfections, plan.arm)
     return {
-        "times": dt * jnp.arange(samples + 1, dtype=start.dtype),
+        "times": plan.dt * jnp.arange(plan.steps.samples + 1, dtype=start.dtype),
         "poses": poses,
-        "exact_poses": transforms.make_pose(*forward_kinematics(track.joints, arm)),
+        "exact_poses": transforms.make_pose(*forward_kinematics(track.joints, plan.arm)),
         "joint_positions": track.joints,
         "joint_velocities": track.velocity,
         "reaction": track.force,
@@ -287,38 +277,28 @@ def _demonstrate(
 def _roll(
     guide: Guide,
     imperfections: Imperfections,
+    plan: _Plan,
     frame: Frame,
     keys: jax.Array,
     start: jax.Array,
-    *,
-    samples: int,
-    substeps: int,
-    dt: float,
-    excitation: str | Excitation,
-    arm: Arm,
-    joints: Joints | None,
 ) -> Track:
     """One demonstration."""
-    dtype, step = start.dtype, dt / substeps
+    dtype, step = start.dtype, plan.steps.length
     hand = make_hand(guide, keys[0], dtype)
-    drive = guide_drive(guide, hand, frame, excitation_named(excitation, keys[1], frame.free), step)
-    pose = transforms.make_pose(*forward_kinematics(start, arm))
-    if joints is not None:
-        return integrate_welded(
-            arm, joints, frame, start, drive, pose, samples=samples, substeps=substeps, step=step
-        )
-    gives = [imperfections.angular_compliance] * 3 + [imperfections.compliance] * 3
-    compliance = jnp.stack([jnp.asarray(give, dtype=dtype) for give in gives])
+    drive = guide_drive(guide, hand, frame, excitation_named(plan.excitation, keys[1], frame.free), step)
+    pose = transforms.make_pose(*forward_kinematics(start, plan.arm))
+    if plan.joints is not None:
+        return integrate_welded(plan.arm, plan.joints, frame, start, drive, pose, plan.steps)
+    given = as_numbers(imperfections, dtype)
+    compliance = jnp.stack([given.angular_compliance] * 3 + [given.compliance] * 3)
     return integrate(
-        arm,
+        plan.arm,
         frame,
         start,
         drive,
         pose,
         lambda slipped: hold(frame.free, slipped, step, compliance),
-        samples=samples,
-        substeps=substeps,
-        step=step,
+        plan.steps,
     )
 
 

@@ -25,7 +25,7 @@ from reframe_jax.panda.dynamics import (
     solve_positive,
 )
 from reframe_jax.panda.model import Arm, arm_xml, forward_kinematics
-from reframe_jax.panda.rollout import Drive, Track
+from reframe_jax.panda.rollout import Drive, Steps, Track, sampled
 
 __all__ = ["Joints", "integrate_welded", "mechanism_joints", "mechanism_model"]
 
@@ -126,10 +126,7 @@ def integrate_welded(
     start: jax.Array,
     drive: Drive,
     state: Any,
-    *,
-    samples: int,
-    substeps: int,
-    step: float,
+    steps: Steps,
 ) -> Track:
     """The motion of the arm welded to a mechanism; as :func:`reframe_jax.panda.rollout.integrate`.
 
@@ -140,11 +137,9 @@ def integrate_welded(
         start: (7,) rad.
         drive: who moves the arm.
         state: of the drive at the start.
-        samples: number K of samples after the first.
-        substeps: steps between samples.
-        step: s; at most 0.005 s for the weld to hold.
+        steps: when; of at most 0.005 s, for the weld to hold.
     """
-    dtype = start.dtype
+    dtype, step = start.dtype, steps.length
     host = mechanism_model(arm, joints, step)
     model, data = in_dtype(mjx_parts(host), dtype)
     pose = forward_kinematics(start, arm)
@@ -172,13 +167,9 @@ def integrate_welded(
         back = jax.vmap(lambda axis: body_twist(now, axis))(jnp.eye(6, dtype=dtype))
         return (data, slipped, now, state, back @ wrench), None
 
-    def sample(carry: Any, index: jax.Array) -> tuple[Any, Track]:
-        carry, _ = jax.lax.scan(advance, carry, index * substeps + jnp.arange(substeps))
+    def seen(carry: Any) -> Track:
         data, slipped, _, _, force = carry
-        return carry, Track(data.qpos[:7], data.qvel[:7], slipped, force)
+        return Track(data.qpos[:7], data.qvel[:7], slipped, force)
 
     zero = jnp.zeros(6, dtype=dtype)
-    carry = (data, zero, locate(frame, *pose), state, zero)
-    _, track = jax.lax.scan(sample, carry, jnp.arange(samples))
-    begin = Track(start, jnp.zeros_like(start), zero, zero)
-    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), begin, track)
+    return sampled(advance, (data, zero, locate(frame, *pose), state, zero), seen, steps)

@@ -14,7 +14,8 @@ import numpy as np
 
 from reframe_jax.frames import ConstraintFrame
 from reframe_jax.panda.constraint import frame_arrays, locate
-from reframe_jax.panda.model import PANDA, Arm, arm_named, arm_xml
+from reframe_jax.panda.model import PANDA, Arm, arm_named, forward_kinematics
+from reframe_jax.panda.skin import dressed
 
 __all__ = ["RenderError", "film_frames", "save_film"]
 
@@ -23,17 +24,6 @@ _CONSTRAINED = (0.84, 0.37, 0.0, 1.0)
 _TOOL = (0.35, 0.35, 0.35, 1.0)
 _PATH = (0.0, 0.62, 0.45, 0.8)
 _LENGTH = 0.14  # m, of the drawn axes
-
-_SURROUNDINGS = (
-    '<asset><texture type="skybox" builtin="gradient" rgb1="1 1 1" rgb2=".8 .86 .92" width="32" '
-    'height="192"/>'
-    '<texture name="grid" type="2d" builtin="checker" rgb1=".92 .92 .92" rgb2=".86 .86 .86" '
-    'width="256" height="256"/><material name="grid" texture="grid" texrepeat="8 8"/></asset>'
-    '<visual><headlight ambient=".35 .35 .35" diffuse=".25 .25 .25" specular="0 0 0"/>'
-    '<global offwidth="1920" offheight="1080"/>'
-    "</visual>"
-)
-_FLOOR = '<geom type="plane" size="2 2 .1" material="grid" contype="0" conaffinity="0"/>'
 
 
 class RenderError(RuntimeError):
@@ -45,6 +35,7 @@ def film_frames(
     truth: ConstraintFrame | None = None,
     *,
     arm: str | Arm = PANDA,
+    skin: str | Path | None = None,
     size: tuple[int, int] = (480, 368),
 ) -> np.ndarray:
     """Pictures of the arm at joint positions, with the constraint's frame and the path of the TCP.
@@ -56,33 +47,31 @@ def film_frames(
         joints: (K, 7) rad, such as the ``joint_positions`` of one demonstration.
         truth: the constraint, geometry (3,) each; none to draw the arm alone.
         arm: the robot.
+        skin: a MuJoCo model of the robot to look at in place of primitive shapes, such as MuJoCo
+            Menagerie's ``panda.xml``, or a folder of meshes: ``link0.stl`` to ``link7.stl``, ``hand.stl``.
         size: width and height in pixels, up to 1920 x 1080; multiples of 16 for MP4.
 
     Returns:
         (K, height, width, 3) uint8.
 
     Raises:
+        ValueError: for a skin that cannot be loaded, or is of another robot.
         RenderError: where there is no OpenGL.
     """
     arm = arm_named(arm)
     joints = np.asarray(joints, dtype=float)
-    text = arm_xml(arm, bodies=_FLOOR).replace("<worldbody>", f"{_SURROUNDINGS}<worldbody>", 1)
-    model = mujoco.MjModel.from_xml_string(text)
+    model = _scene(arm, skin)
     data = mujoco.MjData(model)
     camera = mujoco.MjvCamera()
     camera.lookat[:], camera.distance, camera.azimuth, camera.elevation = (0.25, 0, 0.36), 1.35, 135, -18
-    tcp = model.site("tcp").id
-    poses = []
-    for row in joints:
-        data.qpos[:] = row
-        mujoco.mj_kinematics(model, data)
-        poses.append((data.site_xmat[tcp].reshape(3, 3).copy(), data.site_xpos[tcp].copy()))
+    rotations, positions = forward_kinematics(jnp.asarray(joints), arm)
+    poses = list(zip(np.asarray(rotations), np.asarray(positions), strict=True))
     located = None if truth is None else _located(truth, poses)
     renderer = _renderer(model, size)
     pictures = []
     try:
         for number, row in enumerate(joints):
-            data.qpos[:] = row
+            data.qpos[:7] = row
             mujoco.mj_forward(model, data)
             renderer.update_scene(data, camera)
             for before, after in pairwise(poses[: number + 1]):
@@ -129,6 +118,44 @@ def save_film(path: str | Path, pictures: np.ndarray, *, rate: float = 20.0) -> 
         raise RenderError(
             f"{path.suffix} films need: pip install 'reframe-jax[render]' ({error})."
         ) from error
+
+
+def _scene(arm: Arm, skin: str | Path | None) -> mujoco.MjModel:
+    """The arm on a chequered floor."""
+    spec = dressed(arm, skin)
+    sky, chequers = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtTexture.mjTEXTURE_2D
+    if not any(texture.type == sky for texture in spec.textures):
+        spec.add_texture(
+            type=sky,
+            builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+            rgb1=[1, 1, 1],
+            rgb2=[0.8, 0.86, 0.92],
+            width=32,
+            height=192,
+        )
+    spec.add_texture(
+        name="film floor",
+        type=chequers,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        rgb1=[0.92] * 3,
+        rgb2=[0.86] * 3,
+        width=256,
+        height=256,
+    )
+    floor = spec.add_material(name="film floor", texrepeat=[8, 8])
+    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "film floor"
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[2, 2, 0.1],
+        material="film floor",
+        contype=0,
+        conaffinity=0,
+    )
+    visual = spec.visual
+    visual.headlight.ambient, visual.headlight.diffuse = [0.35] * 3, [0.25] * 3
+    visual.headlight.specular = [0] * 3
+    visual.global_.offwidth, visual.global_.offheight = 1920, 1080
+    return spec.compile()
 
 
 def _renderer(model: mujoco.MjModel, size: tuple[int, int]) -> Any:

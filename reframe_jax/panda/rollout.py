@@ -17,7 +17,7 @@ constraint whose axes turn to second order in h; the friction of the joints is i
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +26,7 @@ from reframe_jax.panda.constraint import Frame, Located, locate, slip, twist_map
 from reframe_jax.panda.dynamics import Motion, arm_motion, solve_positive
 from reframe_jax.panda.model import Arm, forward_kinematics
 
-__all__ = ["AxisLaw", "Track", "hold", "integrate"]
+__all__ = ["AxisLaw", "Steps", "Track", "hold", "integrate", "sampled"]
 
 RELAXATION = 0.03
 """s, time constant with which a held axis returns; also the ratio of damping to stiffness of a spring."""
@@ -80,6 +80,20 @@ class Track:
     force: jax.Array
 
 
+class Steps(NamedTuple):
+    """When a rollout is seen, and how it gets there.
+
+    Attributes:
+        samples: number K of samples after the first.
+        substeps: steps from one sample to the next.
+        length: s, of a step.
+    """
+
+    samples: int
+    substeps: int
+    length: float
+
+
 Drive = Callable[[Any, jax.Array, Motion, Located], tuple[Any, jax.Array]]
 """(state, time in s, arm, frame) to (next state, joint torques (7,) in N m)."""
 
@@ -91,10 +105,7 @@ def integrate(
     drive: Drive,
     state: Any,
     law: Callable[[jax.Array], AxisLaw],
-    *,
-    samples: int,
-    substeps: int,
-    step: float,
+    steps: Steps,
 ) -> Track:
     """Integrate the motion of the arm under a constraint, from rest.
 
@@ -105,11 +116,9 @@ def integrate(
         drive: who moves the arm: called once a step, at its middle.
         state: of the drive at the start.
         law: what acts along the axes, given how far they have slipped.
-        samples: number K of samples after the first.
-        substeps: steps between samples.
-        step: s.
+        steps: when.
     """
-    dtype = start.dtype
+    dtype, step = start.dtype, steps.length
     damping = jnp.asarray(arm.damping, dtype=dtype)
 
     def advance(carry: Any, count: jax.Array) -> tuple[Any, None]:
@@ -130,17 +139,36 @@ def integrate(
         velocity = unheld + step * _times(response, force)
         return (joints + step * velocity, velocity, slipped, now, state, force), None
 
-    def sample(carry: Any, index: jax.Array) -> tuple[Any, Track]:
-        carry, _ = jax.lax.scan(advance, carry, index * substeps + jnp.arange(substeps))
+    def seen(carry: Any) -> Track:
         joints, velocity, slipped, _, _, force = carry
-        return carry, Track(joints, velocity, slipped, force)
+        return Track(joints, velocity, slipped, force)
 
-    still = jnp.zeros_like(start)
     zero = jnp.zeros(6, dtype=dtype)
-    carry = (start, still, zero, locate(frame, *forward_kinematics(start, arm)), state, zero)
-    _, track = jax.lax.scan(sample, carry, jnp.arange(samples))
-    begin = Track(start, still, zero, zero)
-    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), begin, track)
+    carry = (start, jnp.zeros_like(start), zero, locate(frame, *forward_kinematics(start, arm)), state, zero)
+    return sampled(advance, carry, seen, steps)
+
+
+def sampled(
+    advance: Callable[[Any, jax.Array], tuple[Any, None]],
+    carry: Any,
+    seen: Callable[[Any], Track],
+    steps: Steps,
+) -> Track:
+    """What is seen at the start and at every sample after it.
+
+    Args:
+        advance: one step, given the carry and its number.
+        carry: at the start.
+        seen: what a sample holds, of the carry.
+        steps: when.
+    """
+
+    def sample(carry: Any, index: jax.Array) -> tuple[Any, Track]:
+        carry, _ = jax.lax.scan(advance, carry, index * steps.substeps + jnp.arange(steps.substeps))
+        return carry, seen(carry)
+
+    _, track = jax.lax.scan(sample, carry, jnp.arange(steps.samples))
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), seen(carry), track)
 
 
 def _times(matrix: jax.Array, vector: jax.Array) -> jax.Array:

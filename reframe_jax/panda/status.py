@@ -5,6 +5,7 @@ from enum import IntEnum
 import jax
 import jax.numpy as jnp
 
+from reframe_jax.panda.compiled import as_numbers
 from reframe_jax.panda.imperfections import Imperfections
 from reframe_jax.panda.model import Arm
 from reframe_jax.panda.rollout import Track
@@ -52,8 +53,8 @@ def judge(
     margin = jnp.min(jnp.minimum(track.joints - lower, upper - track.joints), axis=(1, 2))
     fast = jnp.any(jnp.abs(track.velocity) > jnp.asarray(arm.speed, dtype=dtype)[None, None], axis=(1, 2))
     held = jnp.max(jnp.abs(track.slip), axis=1) * (1 - free)
-    soft = jnp.asarray(imperfections.compliance, dtype=dtype) > 0
-    soft = soft | (jnp.asarray(imperfections.angular_compliance, dtype=dtype) > 0)
+    given = as_numbers(imperfections, dtype)
+    soft = (given.compliance > 0) | (given.angular_compliance > 0)
     bound = jnp.asarray([_SLIPPED[0]] * 3 + [_SLIPPED[1]] * 3, dtype=dtype)
     slipped = jnp.any(held > bound[None], axis=1) & ~soft
     finite = jnp.all(jnp.isfinite(track.joints), axis=(1, 2))

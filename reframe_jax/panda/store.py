@@ -3,7 +3,8 @@
 import hashlib
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from reframe_jax.frames import AngularType, ConstraintFrame, Dof, LinearType
 from reframe_jax.panda.demonstration import Demonstration, demonstrate
 from reframe_jax.panda.status import RolloutStatus
 
-__all__ = ["load_demonstrations", "store_demonstrations", "to_arrays"]
+__all__ = ["load_demonstrations", "store_demonstrations", "stored_demonstrations", "to_arrays"]
 
 _GEOMETRY = ("angular_rotvec", "linear_rotvec", "position")
 _FIELDS = tuple(name for name in Demonstration.__dataclass_fields__ if name not in ("times", "truth"))
@@ -42,6 +43,7 @@ def store_demonstrations(
     folder: str | Path,
     *,
     chunk: int = 64,
+    redraw: bool = True,
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> Path:
@@ -52,9 +54,11 @@ def store_demonstrations(
     Args:
         constraint: as for :func:`reframe_jax.panda.demonstrate`.
         key: of everything random.
-        count: number of usable demonstrations.
-        folder: made if missing; read it with :func:`load_demonstrations`.
+        count: number of demonstrations.
+        folder: made if missing; read it with :func:`load_demonstrations`, or part by part with
+            :func:`stored_demonstrations`.
         chunk: number simulated at once, and in a part before those with a status are left out.
+        redraw: leave out those with a status other than OK, and draw others.
         progress: called with the number of demonstrations so far and ``count``, after every part.
         **options: of :func:`reframe_jax.panda.demonstrate`.
 
@@ -67,7 +71,7 @@ def store_demonstrations(
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    record = _record(constraint, key, chunk, options)
+    record = _record(constraint, key, chunk, {**options, "redraw": redraw})
     run = folder / "run.json"
     if run.exists() and json.loads(run.read_text()) != record:
         raise ValueError(f"{folder} holds demonstrations of other options. Give those, or another folder.")
@@ -80,7 +84,7 @@ def store_demonstrations(
                 done += len(stored["status_code"])
         else:
             made = jax.device_get(demonstrate(constraint, key, batch=chunk, first=part * chunk, **options))
-            kept = made[np.flatnonzero(made.status_code == RolloutStatus.OK)]
+            kept = made[np.flatnonzero(made.status_code == RolloutStatus.OK)] if redraw else made
             done += len(kept.status_code)
             _replace(file, lambda temporary, kept=kept: _save(temporary, kept))  # type: ignore[misc]
         part += 1
@@ -89,6 +93,34 @@ def store_demonstrations(
         if progress is not None:
             progress(min(done, count), count)
     return folder
+
+
+def stored_demonstrations(folder: str | Path) -> Iterator[Demonstration]:
+    """The parts of a folder one after the other, as batches of NumPy arrays: memory is bounded by a part.
+
+    ``rf.identify_many((poses for part in stored_demonstrations(folder) for poses in part.poses), ...)``
+    identifies all of them.
+
+    Args:
+        folder: written by :func:`store_demonstrations`.
+
+    Raises:
+        ValueError: if there are none.
+    """
+    files = sorted(Path(folder).glob("part-*.npz"))
+    if not files:
+        raise ValueError(f"{folder} holds no demonstrations (part-*.npz).")
+    for file in files:
+        with np.load(file) as stored:
+            part = dict(stored)
+        truth = ConstraintFrame(
+            angular_type=AngularType[str(part["true_angular_type"])],
+            angular_dof=_dof(part["true_angular_dof"]),
+            linear_type=LinearType[str(part["true_linear_type"])],
+            linear_dof=_dof(part["true_linear_dof"]),
+            **{name: part[f"true_{name}"] for name in _GEOMETRY},
+        )
+        yield Demonstration(times=part["times"], truth=truth, **{name: part[name] for name in _FIELDS})
 
 
 def load_demonstrations(folder: str | Path, count: int | None = None) -> Demonstration:
@@ -101,28 +133,17 @@ def load_demonstrations(folder: str | Path, count: int | None = None) -> Demonst
     Raises:
         ValueError: if there are none, or fewer than ``count``.
     """
-    files = sorted(Path(folder).glob("part-*.npz"))
-    if not files:
-        raise ValueError(f"{folder} holds no demonstrations (part-*.npz).")
-    parts = [dict(np.load(file)) for file in files]
-    arrays: dict[str, Any] = {name: np.concatenate([part[name] for part in parts]) for name in _FIELDS}
-    geometry: dict[str, Any] = {
-        name: np.concatenate([part[f"true_{name}"] for part in parts]) for name in _GEOMETRY
-    }
-    first = parts[0]
-    truth = ConstraintFrame(
-        angular_type=AngularType[str(first["true_angular_type"])],
-        angular_dof=_dof(first["true_angular_dof"]),
-        linear_type=LinearType[str(first["true_linear_type"])],
-        linear_dof=_dof(first["true_linear_dof"]),
-        **geometry,
-    )
-    made = Demonstration(times=first["times"], truth=truth, **arrays)
-    if count is None:
-        return made
-    if len(arrays["status_code"]) < count:
-        raise ValueError(f"{folder} holds {len(arrays['status_code'])} demonstrations, fewer than {count}.")
-    return made[:count]
+    parts: list[Demonstration] = []
+    total = 0
+    for part in stored_demonstrations(folder):
+        parts.append(part)
+        total += len(part.status_code)
+        if count is not None and total >= count:
+            break
+    if count is not None and total < count:
+        raise ValueError(f"{folder} holds {total} demonstrations, fewer than {count}.")
+    made: Demonstration = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+    return replace(made, times=parts[0].times)[:count]
 
 
 def _dof(values: np.ndarray) -> Dof:

@@ -20,6 +20,7 @@ from reframe_jax.reproduction.controllers import Controller, constant_wrench
 from reframe_jax.reproduction.frames import control_frames, erroneous_frames
 from reframe_jax.reproduction.trials import Task, Trials, reproduce
 from reframe_jax.results import Identification
+from reframe_jax.synthetic import Excitation
 
 __all__ = ["Comparison", "compare", "matched_choices"]
 
@@ -71,6 +72,7 @@ def compare(
     controller: Controller = constant_wrench(),  # noqa: B008
     task: Task = Task(),  # noqa: B008
     imperfections: Imperfections = REALISTIC,
+    excitation: str | Excitation = "exciting",
     spread: tuple[float, float] = SPREAD,
     arm: str | Arm = PANDA,
     progress: Callable[[int, int], None] | None = None,
@@ -91,6 +93,7 @@ def compare(
         controller: the wrenches.
         task: the end-stops.
         imperfections: of the demonstrations; their compliance is that of the reproductions too.
+        excitation: of the demonstrations; see :func:`reframe_jax.panda.demonstrate`.
         spread: rad and m, of the geometry; see :func:`reframe_jax.panda.demonstrate`.
         arm: the robot.
         progress: called with the number of trials prepared so far and ``trials``.
@@ -115,6 +118,7 @@ def compare(
             batch=chunk,
             first=drawn,
             imperfections=imperfections,
+            excitation=excitation,
             spread=spread,
             arm=arm,
         )

@@ -9,11 +9,11 @@ import jax.numpy as jnp
 
 from reframe_jax import rotations, transforms
 from reframe_jax.frames import ConstraintFrame
-from reframe_jax.panda.compiled import compiled
+from reframe_jax.panda.compiled import as_numbers, compiled
 from reframe_jax.panda.constraint import Frame, frame_arrays, locate
 from reframe_jax.panda.demonstration import sampling
 from reframe_jax.panda.model import PANDA, Arm, arm_named, forward_kinematics
-from reframe_jax.panda.rollout import AxisLaw, hold, integrate
+from reframe_jax.panda.rollout import AxisLaw, Steps, hold, integrate
 from reframe_jax.panda.status import RolloutStatus
 from reframe_jax.reproduction.controllers import Controller, by_axis, constant_wrench, control_drive
 from reframe_jax.reproduction.frames import control_frames
@@ -116,24 +116,21 @@ def reproduce(
             f"Expected as many control frames as constraints, geometry (N, 3) each; found "
             f"{control.position.shape} and {truth.position.shape}."
         )
-    samples, substeps = sampling(task.duration, task.dt, task.step)
+    steps = sampling(task.duration, task.dt, task.step)
     dtype = truth.position.dtype
-    numbers = jax.tree.map(
-        lambda x: jnp.asarray(x, dtype=dtype), (task.travel, task.friction, task.stop_compliance, compliance)
-    )
+    pairs = as_numbers((task.travel, task.friction, task.stop_compliance, compliance), dtype)
     return _reproduce(
         frame_arrays(truth),
         jax.tree.map(lambda leaf: leaf.astype(dtype) if leaf.dtype != bool else leaf, control),
-        jax.tree.map(lambda x: jnp.asarray(x, dtype=dtype), controller),
-        *(by_axis(pair) for pair in numbers),
-        samples=samples,
-        substeps=substeps,
+        as_numbers(controller, dtype),
+        *(by_axis(pair) for pair in pairs),
+        steps=steps,
         dt=task.dt,
         arm=arm,
     )
 
 
-@compiled(("samples", "substeps", "dt", "arm"))
+@compiled(("steps", "dt", "arm"))
 def _reproduce(
     truth: Frame,
     control: Frame,
@@ -143,12 +140,11 @@ def _reproduce(
     stop_compliance: jax.Array,
     compliance: jax.Array,
     *,
-    samples: int,
-    substeps: int,
+    steps: Steps,
     dt: float,
     arm: Arm,
 ) -> Trials:
-    dtype, step = travel.dtype, dt / substeps
+    dtype, step = travel.dtype, steps.length
     start = jnp.asarray(arm.home, dtype=dtype)
     pose = forward_kinematics(start, arm)
 
@@ -174,13 +170,13 @@ def _reproduce(
             )
 
         state = there, jnp.zeros_like(travel)
-        return integrate(arm, truth, start, drive, state, law, samples=samples, substeps=substeps, step=step)
+        return integrate(arm, truth, start, drive, state, law, steps)
 
     track = jax.vmap(trial)(truth, control)
     free = truth.free[:, None]
     reaction = track.force * (1 - free)
     arrived = jnp.all((track.slip > (travel - _ARRIVED)[None, None]) | (free == 0), axis=-1)
-    times = dt * jnp.arange(samples + 1, dtype=dtype)
+    times = dt * jnp.arange(steps.samples + 1, dtype=dtype)
     completed = jnp.any(arrived, axis=-1)
     first = times[jnp.argmax(arrived, axis=-1)]
     lower, upper = jnp.asarray(arm.limits, dtype=dtype)[:, None, None]

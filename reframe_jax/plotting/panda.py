@@ -1,10 +1,7 @@
-"""Pictures of the simulated arm. Needs Matplotlib: ``pip install "reframe-jax[plot]"``.
+"""Pictures of the simulated arm: demonstrations, and reactions of reproductions."""
 
-Every function returns a figure of its own, unknown to ``pyplot``: show it in a notebook, or save it.
-"""
-
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +10,9 @@ import numpy as np
 from reframe_jax.panda.constraint import frame_arrays, locate
 from reframe_jax.panda.demonstration import Demonstration
 from reframe_jax.panda.model import PANDA, Arm, arm_named, link_transforms
+from reframe_jax.plotting.maps import plot_bars
+from reframe_jax.plotting.scene import segment, set_limits
+from reframe_jax.plotting.style import BODY, CONSTRAINED, FREE, LINES, TURNING, new_figure
 from reframe_jax.reproduction.comparison import Comparison
 
 if TYPE_CHECKING:
@@ -20,23 +20,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-__all__ = ["plot_comparison", "plot_demonstration", "plot_reactions", "plot_sweep"]
+__all__ = ["plot_comparison", "plot_demonstration", "plot_reactions"]
 
-# colours of Okabe & Ito, distinct for every kind of colour vision
-_FREE = ("#0072B2", "#56B4E9", "#00415F")
-_CONSTRAINED = ("#D55E00", "#E69F00", "#7F3800")
-_TURNING = "#009E73"
-_ARM = "#777777"
-_ROWS = {"exact": "#0072B2", "literature": "#E69F00", "identified": "#009E73"}
-_NAMES = {"exact": "exact frame", "literature": "literature's errors", "identified": "identified"}
-
-
-def _figure(width: float, height: float) -> "Figure":
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise ImportError('Plots need Matplotlib: pip install "reframe-jax[plot]".') from error
-    return Figure(figsize=(width, height), dpi=150, layout="constrained")
+_ROWS = {"exact": "exact frame", "literature": "literature's errors", "identified": "identified"}
 
 
 def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: str | None = None) -> "Figure":
@@ -59,7 +45,7 @@ def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: st
     if np.ndim(made.status_code):
         raise ValueError("A batch has many demonstrations: index one first, made[i].")
     made = jax.device_get(made)
-    figure = _figure(9.5, 5.4)
+    figure = new_figure(9.5, 5.4)
     grid = figure.add_gridspec(3, 2, width_ratios=(1.15, 1))
     if title is not None:
         figure.suptitle(title, fontsize=12)
@@ -73,7 +59,7 @@ def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: st
             made.times,
             factor * made.slip[:, i],
             style,
-            color=_FREE[i % 3],
+            color=FREE[i % 3],
             linewidth=1.2,
             label=f"{kind} {'xyz'[i % 3]} [{unit}]",
         )
@@ -87,7 +73,7 @@ def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: st
             axes.plot(
                 made.times[1:],
                 series,
-                color=_CONSTRAINED[i],
+                color=CONSTRAINED[i],
                 linewidth=1.0,
                 label=f"{name} {'xyz'[i]} [{unit}]",
             )
@@ -137,44 +123,36 @@ def _draw_scene(axes: "Axes3D", made: Demonstration, arm: Arm) -> None:
         points = _joint_points(np.asarray(made.joint_positions[index]), arm)
         extent.append(points)
         axes.plot(
-            *points.T, "o-", color=_ARM, linewidth=3.5, markersize=4, alpha=alpha, solid_capstyle="round"
+            *points.T, "o-", color=BODY, linewidth=3.5, markersize=4, alpha=alpha, solid_capstyle="round"
         )
         pose = jnp.asarray(made.exact_poses[index], dtype=arrays.position.dtype)
         there = jax.device_get(locate(arrays, pose[:3, :3], pose[:3, 3]))
         origin = path[index] + there.lever
         extent.append(origin[None])
-        axes.plot(*np.stack([path[index], origin], axis=1), ":", color="black", linewidth=1, alpha=alpha)
+        segment(axes, path[index], origin, linestyle=":", color="black", linewidth=1, alpha=alpha)
         for i, free in enumerate(made.truth.linear_dof):
             ends = origin + 0.13 * np.outer((-1, 1), there.linear_axes[:, i])
-            colour, style = (_FREE[0], "-") if free else (_CONSTRAINED[0], "--")
+            colour, style = (FREE[0], "-") if free else (CONSTRAINED[0], "--")
             axes.plot(*ends.T, style, color=colour, linewidth=1.8, alpha=alpha)
         if sum(made.truth.angular_dof) < 3:
             for i in (i for i, free in enumerate(made.truth.angular_dof) if free):
                 ends = origin + 0.17 * np.outer((-1, 1), there.angular_axes[:, i])
-                axes.plot(*ends.T, "-.", color=_TURNING, linewidth=1.8, alpha=alpha)
+                axes.plot(*ends.T, "-.", color=TURNING, linewidth=1.8, alpha=alpha)
     axes.plot(*path.T, color="black", linewidth=1.5)
     turns, shifts = sum(made.truth.angular_dof), sum(made.truth.linear_dof)
     for shown_here, label, colour, style in (
-        (True, "arm", _ARM, "o-"),
+        (True, "arm", BODY, "o-"),
         (True, "path of the TCP", "black", "-"),
-        (shifts > 0, "free translation", _FREE[0], "-"),
-        (shifts < 3, "constrained translation", _CONSTRAINED[0], "--"),
-        (0 < turns < 3, "free rotation about", _TURNING, "-."),
+        (shifts > 0, "free translation", FREE[0], "-"),
+        (shifts < 3, "constrained translation", CONSTRAINED[0], "--"),
+        (0 < turns < 3, "free rotation about", TURNING, "-."),
     ):
         if not shown_here:
             continue
         axes.plot([], [], [], style, color=colour, label=label)
     axes.legend(loc="upper left", bbox_to_anchor=(0, 1.08), fontsize=7, frameon=False)
-    points = np.concatenate(extent)
-    low, high = points.min(axis=0), points.max(axis=0)
-    centre, size = (low + high) / 2, 1.05 * float(np.max(high - low))
-    for i, name in enumerate("xyz"):
-        getattr(axes, f"set_{name}lim")(centre[i] - size / 2, centre[i] + size / 2)
-        getattr(axes, f"set_{name}label")(f"{name} [m]", fontsize=8)
-        axes.locator_params(axis=name, nbins=5)
-    axes.set_box_aspect((1, 1, 1))
+    set_limits(axes, np.concatenate(extent))
     axes.view_init(elev=18, azim=-60)
-    axes.tick_params(labelsize=7)
 
 
 def plot_comparison(comparisons: Mapping[str, Comparison], *, title: str | None = None) -> "Figure":
@@ -189,27 +167,17 @@ def plot_comparison(comparisons: Mapping[str, Comparison], *, title: str | None 
     Raises:
         ImportError: if Matplotlib is not installed.
     """
-    figure = _figure(1.6 + 2.2 * len(comparisons), 3.6)
-    panels = figure.subplots(1, 2)
-    for axes, (part, unit) in zip(panels, (("peak_moment", "N m"), ("peak_force", "N")), strict=True):
-        for i, (row, colour) in enumerate(_ROWS.items()):
-            for place, comparison in enumerate(comparisons.values()):
-                peaks = np.asarray(getattr(comparison.rows[row], part))
-                x = place + 0.27 * (i - 1)
-                axes.bar(x, peaks.mean(), 0.24, yerr=peaks.std(), color=colour, alpha=0.75, capsize=2)
-                spread = 0.08 * np.linspace(-1, 1, len(peaks)) if len(peaks) > 1 else np.zeros(1)
-                axes.plot(x + spread, peaks, ".", color="black", markersize=1.5, alpha=0.6)
-        axes.set_xticks(range(len(comparisons)), list(comparisons))
-        axes.set_ylabel(f"{part.replace('_', ' reaction ')} [{unit}]", fontsize=9)
-        axes.set_ylim(bottom=0)
-        axes.tick_params(labelsize=8)
-    handles = [panels[0].bar(0, 0, 0, color=colour, alpha=0.75) for colour in _ROWS.values()]
-    figure.legend(
-        handles, list(_NAMES.values()), loc="outside lower center", ncols=3, fontsize=8, frameon=False
+    peaks = {"peak reaction moment": ("peak_moment", "N m"), "peak reaction force": ("peak_force", "N")}
+    bars = {
+        panel: {
+            name: [np.asarray(getattr(task.rows[row], part)) for task in comparisons.values()]
+            for row, name in _ROWS.items()
+        }
+        for panel, (part, _) in peaks.items()
+    }
+    return plot_bars(
+        list(comparisons), bars, ylabels={panel: unit for panel, (_, unit) in peaks.items()}, title=title
     )
-    if title is not None:
-        figure.suptitle(title, fontsize=11)
-    return figure
 
 
 def plot_reactions(comparison: Comparison, index: int = 0, *, title: str | None = None) -> "Figure":
@@ -223,17 +191,17 @@ def plot_reactions(comparison: Comparison, index: int = 0, *, title: str | None 
     Raises:
         ImportError: if Matplotlib is not installed.
     """
-    figure = _figure(8, 3.2)
+    figure = new_figure(8, 3.2)
     panels = figure.subplots(1, 2)
     for axes, part, name in (
         (panels[0], slice(0, 3), "reaction moment [N m]"),
         (panels[1], slice(3, 6), "reaction force [N]"),
     ):
-        for (row, colour), style in zip(_ROWS.items(), ("-", "--", ":"), strict=True):
+        for (row, name_of_row), colour, style in zip(_ROWS.items(), LINES, ("-", "--", ":"), strict=False):
             trials = comparison.rows[row]
             size = np.linalg.norm(np.asarray(trials.reaction)[index, 1:, part], axis=-1)
             axes.plot(
-                np.asarray(trials.times)[1:], size, style, color=colour, linewidth=1.6, label=_NAMES[row]
+                np.asarray(trials.times)[1:], size, style, color=colour, linewidth=1.6, label=name_of_row
             )
         axes.set_ylabel(f"norm of the {name}", fontsize=8)
         axes.set_xlabel("time [s]", fontsize=8)
@@ -243,62 +211,4 @@ def plot_reactions(comparison: Comparison, index: int = 0, *, title: str | None 
     panels[0].legend(fontsize=8, frameon=False)
     if title is not None:
         figure.suptitle(title, fontsize=11)
-    return figure
-
-
-def plot_sweep(
-    values: Any,
-    *,
-    panel_rows: Sequence[str],
-    panel_columns: Sequence[str],
-    rows: Sequence[str],
-    columns: Sequence[str],
-    labels: tuple[str, str],
-    unit: str,
-    title: str,
-    limits: tuple[float, float] | None = None,
-    log: bool = False,
-) -> "Figure":
-    """Draw a quantity over four others: a grid of heat maps on one colour scale, a number in every cell.
-
-    Args:
-        values: (len(panel_rows), len(panel_columns), len(rows), len(columns)); NaN stays empty.
-        panel_rows: titles of the rows of heat maps.
-        panel_columns: titles of the columns of heat maps.
-        rows: labels of the rows of a heat map, the first one at the bottom.
-        columns: labels of the columns of a heat map.
-        labels: what columns and rows of a heat map are.
-        unit: of the colour scale.
-        title: of the figure.
-        limits: of the colour scale; those of the values by default.
-        log: logarithmic colour scale.
-
-    Raises:
-        ImportError: if Matplotlib is not installed.
-    """
-    values = np.asarray(values, dtype=float)
-    figure = _figure(1.8 + 1.9 * len(panel_columns), 1.2 + 1.45 * len(panel_rows))
-    from matplotlib.colors import LogNorm, Normalize
-
-    low, high = limits or (float(np.nanmin(values)), float(np.nanmax(values)))
-    scale = LogNorm(low, high, clip=True) if log else Normalize(low, high, clip=True)
-    panels = figure.subplots(len(panel_rows), len(panel_columns), sharex=True, sharey=True, squeeze=False)
-    for (i, j), axes in np.ndenumerate(panels):
-        image = axes.imshow(values[i, j], origin="lower", aspect="auto", cmap="cividis", norm=scale)
-        for (row, column), value in np.ndenumerate(values[i, j]):
-            if np.isfinite(value):
-                colour = "white" if scale(value) < 0.55 else "black"
-                axes.text(column, row, f"{value:.3g}", ha="center", va="center", fontsize=6, color=colour)
-        axes.set_xticks(range(len(columns)), columns, fontsize=7)
-        axes.set_yticks(range(len(rows)), rows, fontsize=7)
-        if i == 0:
-            axes.set_title(panel_columns[j], fontsize=8)
-        if j == len(panel_columns) - 1:
-            axes.annotate(
-                panel_rows[i], (1.03, 0.5), xycoords="axes fraction", rotation=-90, va="center", fontsize=8
-            )
-    figure.supxlabel(labels[0], fontsize=9)
-    figure.supylabel(labels[1], fontsize=9)
-    figure.suptitle(title, fontsize=11)
-    figure.colorbar(image, ax=panels, label=unit, shrink=0.9, pad=0.04)
     return figure

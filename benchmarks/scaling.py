@@ -1,0 +1,138 @@
+"""How the time per window grows with the windows, their samples, the search's starts, and the devices."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import reframe_jax as rf
+from benchmarks.contestants import norms_at
+from benchmarks.dual_annealing import DT, MISS
+from benchmarks.timing import jit, timed
+from reframe_jax.compilation import chunk_size
+from reframe_jax.identify import default_solver
+from reframe_jax.windows import window_moments
+
+Curves = dict[str, dict[str, float]]
+
+_BLOCK = 65536  # windows in memory at once
+_LABELS = {
+    "windows": "windows",
+    "samples": "velocities per window",
+    "starts": "starts of the search",
+    "devices": "devices",
+}
+
+
+def identify_repeated(poses: np.ndarray, count: int) -> None:
+    """Identify ``count`` windows, those given again and again; memory is that of one block."""
+    for start in range(0, count, _BLOCK):
+        rows = np.arange(start, min(start + _BLOCK, count)) % len(poses)
+        jax.block_until_ready(rf.identify(poses[rows], dt=DT))
+
+
+def curves(poses: np.ndarray, best: np.ndarray, *, full: bool) -> Curves:
+    """Time per window in us along every curve; a line is printed for each point.
+
+    Args:
+        poses: (N, K+1, 4, 4) windows, repeated where a curve needs more.
+        best: (N, 4) best known linear norms, to count misses along ``starts``.
+        full: to a million windows, and the curves that compile for every point.
+    """
+    found: Curves = {name: {} for name in _LABELS}
+
+    def measure(curve: str, at: int, call: Callable[[], Any], count: int, repeats: int = 2) -> Any:
+        result, seconds, _ = timed(call, repeats)
+        found[curve][str(at)] = 1e6 * seconds / count
+        print(f"  {curve:>8} {at:>8}: {1e6 * seconds / count:8.1f} us per window", end="", flush=True)
+        return result
+
+    print("scaling:")
+    for count in (1024, 8192, 65536, 2**20) if full else (1024, 4096):
+        measure("windows", count, partial(identify_repeated, poses, count), count, 1 if count > 1e5 else 2)
+        print(flush=True)
+    some = poses[np.arange(2048) % len(poses)]
+    for samples in (25, 50, 100, 200, 400) if full else ():
+        # repeated motion: what counts here is the number of samples
+        long = np.tile(some, (1, -(-(samples + 1) // some.shape[1]), 1, 1))[:, : samples + 1]
+        measure("samples", samples, partial(rf.identify, long, dt=DT), len(some))
+        print(flush=True)
+    judged = min(len(some), len(poses))
+    for starts in (1, 2, 4, 6, 8, 16) if full else ():
+        solver = replace(default_solver(), restarts=starts)
+        result = measure("starts", starts, partial(rf.identify, some, dt=DT, solver=solver), len(some))
+        norms = norms_at(some[:judged], np.asarray(result.candidates.linear.position)[:judged])
+        print(f", {100 * np.mean(norms > MISS * best[:judged]):.2f} % of linear problems missed", flush=True)
+    for count, spread in _over_devices(poses):
+        measure("devices", count, partial(rf.identify, spread, dt=DT), len(spread))
+        print(flush=True)
+    if not found["devices"]:
+        print(f"   devices        1: {jax.devices()[0].device_kind}, no others to spread over")
+    return found
+
+
+def _over_devices(poses: np.ndarray) -> Iterator[tuple[int, jax.Array]]:
+    """The same windows on 1, 2, 4, ... and all devices, where there are several."""
+    devices = jax.devices()
+    if len(devices) == 1:
+        return
+    counts = sorted({2**i for i in range(len(devices).bit_length()) if 2**i <= len(devices)} | {len(devices)})
+    size = chunk_size() * int(np.lcm.reduce(counts)) * 4
+    windows = poses[np.arange(size) % len(poses)]
+    for count in counts:
+        mesh = jax.make_mesh((count,), ("windows",), devices=devices[:count])
+        yield count, jax.device_put(windows, jax.NamedSharding(mesh, jax.P("windows")))
+
+
+def spread_of_time(poses: np.ndarray) -> dict[str, float]:
+    """Shares of ``identify``'s time: velocities with their moments, the search, and the rest.
+
+    On as many windows as one processor works on in one piece, compiled in the same way. The search is
+    what is saved by one that takes a single step.
+    """
+    chunk = chunk_size()
+    windows = jnp.asarray(poses[np.arange(8 * chunk) % len(poses)])
+    steps = jnp.full(windows.shape[1] - 1, DT, windows.dtype)
+    chunks = windows.reshape(8, chunk, *windows.shape[1:])
+    moments = jit(lambda chunks: jax.lax.map(lambda poses: window_moments(poses, steps), chunks))
+    idle = rf.BasinHopping(rf.ValleySteps(1), restarts=1, hops=0, polish=0)
+    whole = timed(lambda: rf.identify(windows, dt=DT), 10)[1]
+    least = timed(lambda: rf.identify(windows, dt=DT, solver=idle), 10)[1]
+    first = timed(lambda: moments(chunks), 10)[1]
+    shares = {"moments": first / whole, "search": 1 - least / whole, "rest": (least - first) / whole}
+    print(
+        f"of the time, velocities and moments take {shares['moments']:.0%}, the search "
+        f"{shares['search']:.0%}, the rest {shares['rest']:.0%}",
+        flush=True,
+    )
+    return shares
+
+
+def plot(found: Curves, file: Path) -> None:
+    """Draw the curves that have at least two points."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    drawn = {name: curve for name, curve in found.items() if len(curve) > 1}
+    figure, axes = plt.subplots(
+        1, len(drawn), figsize=(3.4 * len(drawn), 3.2), layout="constrained", squeeze=False, sharey=True
+    )
+    for axis, (name, curve) in zip(axes[0], drawn.items(), strict=True):
+        at = [int(point) for point in curve]
+        axis.plot(at, list(curve.values()), "o-", color="#0072B2")
+        axis.set_xscale("log")
+        axis.set_xticks(at, [f"{point:,}" for point in at])
+        axis.minorticks_off()
+        axis.set_xlabel(_LABELS[name])
+        axis.grid(alpha=0.3)
+    axes[0, 0].set_ylim(0, 1.05 * max(max(curve.values()) for curve in drawn.values()))
+    axes[0, 0].set_ylabel("time per window (µs)")
+    figure.savefig(file, dpi=150)
+    plt.close(figure)
