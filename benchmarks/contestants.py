@@ -13,12 +13,12 @@ import reframe_jax as rf
 from benchmarks.dual_annealing import DT, anneal
 from benchmarks.timing import jit, timed_once
 from reframe_jax.compilation import chunk_size
-from reframe_jax.identify import default_solver
 from reframe_jax.objectives import FrameObjective, PositionObjective
 from reframe_jax.optimise import Box
 from reframe_jax.windows import window_moments
 
 TURN = np.pi
+GENERAL = rf.BasinHopping(rf.NewtonSteps(15), restarts=8, hops=3, polish=2)
 
 Solved = tuple[np.ndarray, np.ndarray, float, float]
 """Norms (N, 6), linear positions (N, 4, 3) in m, seconds, and seconds of compilation before."""
@@ -60,7 +60,7 @@ def general_search(poses: np.ndarray) -> Solved:
     angular, linear, centre = six_moments(poses)
     turn = jnp.full(3, TURN)
     box = Box(jnp.concatenate([-turn, -jnp.ones(3)]), jnp.concatenate([turn, jnp.ones(3)]))
-    solver, key = default_solver(1.0), jax.random.key(0)
+    solver, key = GENERAL, jax.random.key(0)
     size, count = chunk_size(), len(poses)
     fill = np.minimum(np.arange(-(-count // size) * size), count - 1)
 

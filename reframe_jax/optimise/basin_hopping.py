@@ -158,7 +158,7 @@ class BasinHopping:
         """The whole search: :meth:`init`, :meth:`step` until every problem is done, :meth:`finish`.
 
         A settled problem is done after one step, the others after 1 + ``hops`` + ``polish``. On a GPU,
-        with :class:`ValleySteps`, the steps run in one kernel.
+        with :class:`ValleySteps` on the geometric mean, the steps run in one kernel.
         """
         state = self._advance(objective, box, self.init(objective, box, key), 1)
         if self.hops + self.polish > 0:
@@ -167,8 +167,8 @@ class BasinHopping:
 
     def _advance(self, objective: Objective, box: Box, state: SearchState, count: int) -> SearchState:
         """Make ``count`` steps."""
-        fits = isinstance(self.inner, ValleySteps) and objective.exponent == 0
-        if fits and jax.default_backend() == "gpu":
+        in_a_kernel = jax.default_backend() == "gpu" and objective.exponent == 0
+        if in_a_kernel and isinstance(self.inner, ValleySteps):
             return self._in_a_kernel(self.inner, objective, box, state, count)
         state, _ = jax.lax.scan(
             lambda state, _: (self.step(objective, box, state), None), state, length=count
