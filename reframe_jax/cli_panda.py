@@ -16,6 +16,8 @@ from reframe_jax.io import RecordingError, save_recording
 
 __all__ = ["add_commands"]
 
+_CHUNK = 64  # demonstrations simulated at once, and drawn for a part of a folder
+
 _DEMONSTRATE = """\
 Simulate demonstrations: a hand guides a Franka arm under a constraint.
 
@@ -154,10 +156,10 @@ def _demonstrate(options: argparse.Namespace) -> int:
             "dt": options.dt,
         }
         if options.out.suffix:
-            drawn = list(panda.demonstrations(*arguments, chunk=min(options.count, 64), **common))
+            drawn = list(panda.demonstrations(*arguments, chunk=min(options.count, _CHUNK), **common))
             written, parts = _write(options.out, drawn), drawn
         else:
-            written = panda.store_demonstrations(*arguments, options.out, **common)
+            written = panda.store_demonstrations(*arguments, options.out, chunk=_CHUNK, **common)
             parts = panda.stored_demonstrations(written)
     except (ValueError, OSError) as error:
         cli._say(f"reframe-jax: error: {error}")

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from reframe_jax import cli
+from reframe_jax import cli, cli_panda, panda
 from reframe_jax.io import load_recording
 
 COUNT = "8"
@@ -27,6 +27,26 @@ def test_demonstrations_of_all_in_one_file(tmp_path: Path, capsys: pytest.Captur
     assert cli.main([*command[:-1], str(tmp_path / "again.npz")]) == 0
     with np.load(path) as first, np.load(tmp_path / "again.npz") as again:
         np.testing.assert_array_equal(first["poses"], again["poses"])
+
+
+def test_demonstrations_in_a_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(cli_panda, "_CHUNK", int(COUNT))
+    folder = tmp_path / "demos"
+    command = ["demonstrate", "--no-cache", "--constraint", "K", "--out", str(folder)]
+    assert cli.main([*command, "--count", "1"]) == 0
+    first = (folder / "part-00000000.npz").stat().st_mtime_ns
+    assert cli.main([*command, "--count", "10"]) == 0
+    assert (folder / "part-00000000.npz").stat().st_mtime_ns == first
+    made = panda.load_demonstrations(folder)
+    assert f"{folder}: {len(made.poses)} demonstrations of 5 s" in capsys.readouterr().out
+    assert len(made.poses) >= 10
+    parts = list(panda.stored_demonstrations(folder))
+    assert len(parts) == 2
+    np.testing.assert_array_equal(np.concatenate([part.poses for part in parts]), made.poses)
+    assert cli.main([*command, "--count", "10", "--seed", "1"]) == 1
+    assert "other options" in capsys.readouterr().err
 
 
 def test_demonstrations_as_recordings(tmp_path: Path) -> None:
@@ -58,7 +78,7 @@ def test_reproduction(capsys: pytest.CaptureFixture[str]) -> None:
     ("arguments", "message"),
     [
         (["--constraint", "Z", "--out", "x.npz"], "No constraint 'Z'"),
-        (["--constraint", "A", "--out", "x.gif"], "must end in .npz or .csv"),
+        (["--constraint", "A", "--out", "x.gif"], "or end in .npz or .csv"),
         (["--constraint", "A", "--out", "x.npz", "--count", "0"], "positive number"),
     ],
 )

@@ -22,7 +22,7 @@ CONTROLLERS = {
 
 
 def batch(label: str) -> rf.ConstraintFrame:
-    frame = panda.frame_on_arm(label)
+    frame = panda.frame_on_arm(label, start=reproduction.ROOMY)
     return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (TRIALS, 3)), frame)
 
 
@@ -101,7 +101,7 @@ def test_errors_have_the_size_asked_for() -> None:
     truth = jax.tree.map(lambda leaf: leaf + 0.3 * jax.random.normal(KEY, leaf.shape, leaf.dtype), batch("K"))
     wrong = reproduction.erroneous_frames(truth, KEY, angles=(2.0, 2.0), distances=(4.0, 4.0))
     right = frame_arrays(truth)
-    pose = panda.forward_kinematics(jnp.asarray(panda.PANDA.home))
+    pose = panda.forward_kinematics(jnp.asarray(reproduction.ROOMY))
 
     def located(frame: Any) -> tuple[jax.Array, jax.Array]:
         there = locate(frame, *pose)
@@ -149,18 +149,20 @@ def test_identified_frames_of_different_types() -> None:
 
 
 def test_tasks_out_of_reach_are_told_apart_and_left_out() -> None:
-    """Number 0 of this key stretches the arm out before the stop, whatever the frame."""
-    key = jax.random.key(77)
+    """From the arm's home, number 0 of this key stretches the arm out before the stop, whatever the frame."""
+    key, task = jax.random.key(77), reproduction.Task(start=panda.PANDA.home)
     made = panda.demonstrate(
         "H", jax.random.split(key)[0], batch=TRIALS, spread=panda.SPREAD, imperfections=panda.REALISTIC
     )
-    trials = run(made.truth, made.truth, compliance=(2.5e-3, 1e-4))
+    trials = run(made.truth, made.truth, compliance=(2.5e-3, 1e-4), task=task)
     assert not trials[0].completed
     np.testing.assert_array_equal(trials.status_code == panda.RolloutStatus.SINGULAR, ~trials.completed)
-    compared = jax.device_get(reproduction.compare("H", key, TRIALS))
+    compared = jax.device_get(reproduction.compare("H", key, TRIALS, task=task))
     assert compared.redrawn >= 1
     assert all(np.all(rows.completed) for rows in compared.rows.values())
     np.testing.assert_array_equal(compared.exact.poses[0], trials.poses[1])
+    roomy = jax.device_get(reproduction.compare("H", key, TRIALS))
+    assert roomy.redrawn == 0
 
 
 def test_bad_input() -> None:

@@ -109,7 +109,7 @@ def frame_on_arm(
     if not isinstance(constraint, str):
         return constraint
     arm = arm_named(arm)
-    joints = jnp.asarray(arm.home if start is None else start, dtype=float)
+    joints = arm.start(start, float)
     rotation, position = forward_kinematics(joints, arm)
     frame = ConstraintFrame.named(constraint)
     axes = jnp.eye(3, dtype=joints.dtype)
@@ -177,7 +177,7 @@ def demonstrate(
         raise ValueError(f"start must have shape (7,) or ({batch}, 7), not {np.shape(start)}.")
     frame = frame_on_arm(constraint, arm, start=None if np.ndim(start) == 2 else start)
     dtype = frame.position.dtype
-    joints = jnp.asarray(arm.home if start is None else start, dtype=dtype)
+    joints = arm.start(start, dtype)
     for name in ("angular_rotvec", "linear_rotvec", "position"):
         if getattr(frame, name).shape not in ((3,), (batch, 3)):
             shape = getattr(frame, name).shape

@@ -61,7 +61,7 @@ class Motion:
 def fenced() -> Iterator[None]:
     """Keep XLA from recomputing the kinematic chain at every link while MJX is traced.
 
-    On the CPU, XLA's fusion emitters (jax >= 0.7) inline each level of MJX's scan over the tree into
+    On the CPU, XLA's fusion emitters (jax 0.7 to 0.10) inline each level of MJX's scan over the tree into
     the next, so that the work grows with the square of the depth or worse: 10 ms a step in place of
     0.05 (google-deepmind/mujoco#2957). A barrier around the value handed from link to link prevents
     it, and costs nothing on other devices. There is no public hook for it.

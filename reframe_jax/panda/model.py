@@ -12,6 +12,7 @@ fingertips, z out of the hand. Metres, kilograms, radians.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -88,6 +89,10 @@ class Arm:
     def speed(self) -> np.ndarray:
         """(7,) rad/s, highest joint velocities."""
         return np.array([link.speed for link in self.links])
+
+    def start(self, joints: Any, dtype: Any) -> jax.Array:
+        """Joint positions (..., 7), rad, as an array; home where there are none."""
+        return jnp.asarray(self.home if joints is None else joints, dtype=dtype)
 
 
 _FRAMES: tuple[tuple[Vector, tuple[float, float, float, float]], ...] = (

@@ -8,11 +8,12 @@ own inertia and friction, and is the baseline beside every figure.
 
 from reframe_jax.reproduction.comparison import Comparison, compare, matched_choices
 from reframe_jax.reproduction.controllers import Controller, axis_impedance, constant_wrench, hybrid
-from reframe_jax.reproduction.frames import LITERATURE_ERRORS, control_frames, erroneous_frames
+from reframe_jax.reproduction.frames import LITERATURE_ERRORS, ROOMY, control_frames, erroneous_frames
 from reframe_jax.reproduction.trials import Task, Trials, reproduce
 
 __all__ = [
     "LITERATURE_ERRORS",
+    "ROOMY",
     "Comparison",
     "Controller",
     "Task",

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +18,7 @@ from reframe_jax.panda.imperfections import REALISTIC, Imperfections
 from reframe_jax.panda.model import PANDA, Arm, arm_named, forward_kinematics
 from reframe_jax.panda.status import RolloutStatus
 from reframe_jax.reproduction.controllers import Controller, constant_wrench
-from reframe_jax.reproduction.frames import control_frames, erroneous_frames
+from reframe_jax.reproduction.frames import ROOMY, control_frames, erroneous_frames
 from reframe_jax.reproduction.trials import Task, Trials, reproduce
 from reframe_jax.results import Identification
 from reframe_jax.synthetic import Excitation
@@ -91,7 +92,7 @@ def compare(
         key: of everything random.
         trials: number of demonstrations, each with a geometry of its own, and of reproductions.
         controller: the wrenches.
-        task: the end-stops.
+        task: the end-stops, and where the arm starts, to be guided too.
         imperfections: of the demonstrations; their compliance is that of the reproductions too.
         excitation: of the demonstrations; see :func:`reframe_jax.panda.demonstrate`.
         spread: rad and m, of the geometry; see :func:`reframe_jax.panda.demonstrate`.
@@ -121,6 +122,7 @@ def compare(
             excitation=excitation,
             spread=spread,
             arm=arm,
+            start=task.start,
         )
         exact = run(made.truth, made.truth)
         made, exact = jax.device_get((made, exact))
@@ -144,8 +146,8 @@ def compare(
         demonstrations=made,
         found=found,
         exact=exact,
-        literature=run(made.truth, erroneous_frames(made.truth, error_key, arm=arm)),
-        identified=run(made.truth, matched_choices(found, made.truth, arm=arm)),
+        literature=run(made.truth, erroneous_frames(made.truth, error_key, arm=arm, start=task.start)),
+        identified=run(made.truth, matched_choices(found, made.truth, arm=arm, start=task.start)),
         redrawn=jnp.asarray(drawn - chunk + last - trials),
         errors=jnp.stack(
             [jnp.degrees(errors.angular), jnp.degrees(errors.linear), 1e3 * errors.position], axis=-1
@@ -153,18 +155,21 @@ def compare(
     )
 
 
-def matched_choices(found: Identification, truth: ConstraintFrame, *, arm: str | Arm = PANDA) -> Frame:
+def matched_choices(
+    found: Identification, truth: ConstraintFrame, *, arm: str | Arm = PANDA, start: Any = ROOMY
+) -> Frame:
     """The identified frames to control in, with the true ones' choices where the constraint leaves one.
 
     Args:
         found: N identifications.
         truth: geometry (N, 3) each.
-        arm: the robot, at home.
+        arm: the robot.
+        start: (7,) rad, where the choices are the same.
     """
     arm = arm_named(arm)
     frames = control_frames(found)
     dtype = truth.position.dtype
-    pose = forward_kinematics(jnp.asarray(arm.home, dtype=dtype), arm)
+    pose = forward_kinematics(arm.start(start, dtype), arm)
 
     def move(frame: Frame, true: Frame, free: jax.Array) -> Frame:
         away = locate(true, *pose).lever - locate(frame, *pose).lever

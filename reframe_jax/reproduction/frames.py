@@ -1,6 +1,7 @@
 """Frames to control in: true, wrong on purpose, or identified."""
 
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +13,10 @@ from reframe_jax.panda.constraint import Frame, frame_arrays, moved
 from reframe_jax.panda.model import PANDA, Arm, arm_named, forward_kinematics
 from reframe_jax.results import Identification
 
-__all__ = ["LITERATURE_ERRORS", "control_frames", "erroneous_frames"]
+__all__ = ["LITERATURE_ERRORS", "ROOMY", "control_frames", "erroneous_frames"]
+
+ROOMY = (0.0, -0.7, 0.0, -2.35, 0.0, 1.65, 0.785)
+"""rad, where tasks start: nearer to the base than the arm's home, so that none stretches the arm out."""
 
 LITERATURE_ERRORS = ((0.5, 5.0), (1.0, 7.5))
 """Ranges of the errors that methods with prior knowledge report, in degrees and mm (paper, section 7.2)."""
@@ -50,6 +54,7 @@ def erroneous_frames(
     angles: tuple[float, float] = LITERATURE_ERRORS[0],
     distances: tuple[float, float] = LITERATURE_ERRORS[1],
     arm: str | Arm = PANDA,
+    start: Any = ROOMY,
 ) -> Frame:
     """Frames turned and shifted by errors of random direction and uniform size.
 
@@ -58,10 +63,11 @@ def erroneous_frames(
         key: of the errors.
         angles: degrees, smallest and largest turn.
         distances: mm, smallest and largest shift.
-        arm: the robot, at home.
+        arm: the robot.
+        start: (7,) rad, where the errors are as said.
     """
-    dtype, count = truth.position.dtype, truth.position.shape[0]
-    pose = forward_kinematics(jnp.asarray(arm_named(arm).home, dtype=dtype), arm_named(arm))
+    dtype, count, arm = truth.position.dtype, truth.position.shape[0], arm_named(arm)
+    pose = forward_kinematics(arm.start(start, dtype), arm)
 
     def draw(key: jax.Array, low: float, high: float) -> jax.Array:
         way, size = jax.random.split(key)

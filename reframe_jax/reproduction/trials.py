@@ -16,7 +16,7 @@ from reframe_jax.panda.model import PANDA, Arm, arm_named, forward_kinematics
 from reframe_jax.panda.rollout import AxisLaw, Steps, hold, integrate
 from reframe_jax.panda.status import RolloutStatus
 from reframe_jax.reproduction.controllers import Controller, by_axis, constant_wrench, control_drive
-from reframe_jax.reproduction.frames import control_frames
+from reframe_jax.reproduction.frames import ROOMY, control_frames
 from reframe_jax.results import Identification
 
 __all__ = ["Task", "Trials", "reproduce"]
@@ -31,6 +31,7 @@ class Task:
     """From one end-stop of every free axis to the other.
 
     Attributes:
+        start: (7,) rad, where the arm is at the first stops.
         travel: rad and m between the stops.
         friction: N m s/rad and N s/m, of the mechanism along its free axes.
         stop_compliance: rad/(N m) and m/N, of the second stop, a damped spring.
@@ -39,6 +40,7 @@ class Task:
         step: s, of the simulation.
     """
 
+    start: tuple[float, ...] = ROOMY
     travel: tuple[float, float] = (0.4, 0.1)
     friction: tuple[float, float] = (5.0, 40.0)
     stop_compliance: tuple[float, float] = (5e-3, 5e-4)
@@ -103,7 +105,7 @@ def reproduce(
         frames: the frames to control in, N of them.
         controller: the wrenches.
         task: the end-stops, and for how long.
-        arm: the robot, which starts at home.
+        arm: the robot.
         compliance: rad/(N m) and m/N, of tool and mount.
 
     Raises:
@@ -124,6 +126,7 @@ def reproduce(
         jax.tree.map(lambda leaf: leaf.astype(dtype) if leaf.dtype != bool else leaf, control),
         as_numbers(controller, dtype),
         *(by_axis(pair) for pair in pairs),
+        arm.start(task.start, dtype),
         steps=steps,
         dt=task.dt,
         arm=arm,
@@ -139,13 +142,13 @@ def _reproduce(
     friction: jax.Array,
     stop_compliance: jax.Array,
     compliance: jax.Array,
+    start: jax.Array,
     *,
     steps: Steps,
     dt: float,
     arm: Arm,
 ) -> Trials:
     dtype, step = travel.dtype, steps.length
-    start = jnp.asarray(arm.home, dtype=dtype)
     pose = forward_kinematics(start, arm)
 
     def trial(truth: Frame, control: Frame) -> Any:
