@@ -31,12 +31,14 @@ __all__ = ["default_solver", "identify"]
 _PIECE = 8  # chunks that one thread computes in one call
 
 _VALLEY = BasinHopping(ValleySteps(6), restarts=7, hops=3, polish=2)
-_OTHER_MEANS = BasinHopping(ValleySteps(8), restarts=8, hops=4, polish=2)
+_POSITIVE = BasinHopping(ValleySteps(8), restarts=8, hops=4, polish=2)
+_NEGATIVE = BasinHopping(ValleySteps(8), restarts=12, hops=6, polish=2)  # many narrow minima: any still axis
 
 
 def default_solver(norm: float = 0.0) -> BasinHopping:
     """The solver ``identify`` uses for an exponent of the norm."""
-    return _VALLEY if check_exponent(norm) == 0 else _OTHER_MEANS
+    exponent = check_exponent(norm)
+    return _VALLEY if exponent == 0 else _POSITIVE if exponent > 0 else _NEGATIVE
 
 
 def identify(
