@@ -12,6 +12,7 @@ is attached to, where it lies, and along which axes the velocity is zero (Overbe
 
 from reframe_jax.batch import identify_many, load_results
 from reframe_jax.classify import Thresholds
+from reframe_jax.cleaning import clean_recording, pose_noise, pose_outliers, recording_warnings
 from reframe_jax.frames import (
     CONSTRAINTS,
     AngularType,
@@ -54,6 +55,7 @@ __all__ = [
     "Status",
     "Thresholds",
     "ValleySteps",
+    "clean_recording",
     "constraint",
     "default_solver",
     "describe",
@@ -63,6 +65,9 @@ __all__ = [
     "load_recording",
     "load_results",
     "lookup",
+    "pose_noise",
+    "pose_outliers",
+    "recording_warnings",
     "save_recording",
     "sliding_windows",
     "to_json",

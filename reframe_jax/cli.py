@@ -9,6 +9,7 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ import numpy as np
 import reframe_jax
 from reframe_jax import cli_panda, report
 from reframe_jax.classify import Thresholds
+from reframe_jax.cleaning import clean_recording, recording_warnings
 from reframe_jax.frames import CONSTRAINTS, constraint
 from reframe_jax.identify import identify
 from reframe_jax.io import Recording, RecordingError, load_recording, save_recording
@@ -111,6 +113,8 @@ def _add_identify(commands: Any) -> None:
     add = command.add_argument
     add("files", nargs="+", type=Path, metavar="FILE", help="recordings")
     add("--dt", type=_positive, metavar="S", help="sample time in s, for files without times")
+    add("--clean", action="store_true", help="leave out outliers, noise and rest; says what it left out")
+    add("--step", type=_positive, metavar="S", help="with --clean: s between poses (chosen from the noise)")
     add("--unit", choices=["m", "cm", "mm"], default="m", help="unit of positions in the files (m)")
     add("--window", type=int, metavar="N", help="poses per window; the whole recording by default")
     add("--stride", type=int, metavar="M", help="poses between the starts of two windows (N)")
@@ -278,6 +282,8 @@ def _identify(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace) -> None:
     """Refuse options that do not go together."""
+    if options.step is not None and not options.clean:
+        options.usage_error("--step needs --clean.")
     if options.window is None:
         if options.stride is not None:
             options.usage_error("--stride needs --window.")
@@ -299,7 +305,7 @@ def _identify_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
     """Identify, print and draw one recording; returns its entry in the JSON document."""
     recording, found, windows, problem = None, None, None, None
     try:
-        recording = load_recording(path, unit=options.unit, dt=options.dt)
+        recording = _load(path, options)
         for note in recording.notes:
             _say(f"reframe-jax: {path}: {note}")
         found, windows = _windows(recording, options)
@@ -312,6 +318,21 @@ def _identify_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
         _say(f"reframe-jax: error: {problem}")
     notes = recording.notes if recording else ()
     return report.to_record(found, label=str(path), windows=windows, notes=notes, error=problem)
+
+
+def _load(path: Path, options: argparse.Namespace) -> Recording:
+    """Load a recording and clean it, or note what is wrong with it."""
+    recording = load_recording(path, unit=options.unit, dt=options.dt)
+    thresholds = _thresholds(options)
+    if options.clean:
+        return clean_recording(recording, step=options.step, thresholds=thresholds)
+    warnings = recording_warnings(recording, thresholds)
+    hint = ["--clean may help: it leaves such poses out."] if warnings else []
+    return replace(recording, notes=(*recording.notes, *warnings, *hint))
+
+
+def _thresholds(options: argparse.Namespace) -> Thresholds:
+    return Thresholds(options.angular_threshold, options.linear_threshold)
 
 
 def _print_result(
@@ -357,7 +378,7 @@ def _identify_windows(poses: np.ndarray, times: np.ndarray, options: argparse.Na
         times=times,
         norm=options.norm,
         discretization=options.discretization,
-        thresholds=Thresholds(options.angular_threshold, options.linear_threshold),
+        thresholds=_thresholds(options),
         bounds=options.bounds,
     )
 
@@ -374,7 +395,7 @@ def _plot(recording: Recording, found: Identification, options: argparse.Namespa
             recording.poses,
             found,
             times=recording.times,
-            thresholds=Thresholds(options.angular_threshold, options.linear_threshold),
+            thresholds=_thresholds(options),
             discretization=options.discretization,
             title=f"{recording.path.name}: {found.name}",
         )

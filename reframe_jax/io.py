@@ -373,6 +373,14 @@ def _matrices(quaternions: np.ndarray) -> np.ndarray:
     return turned
 
 
+def rotation_vectors(matrices: np.ndarray) -> np.ndarray:
+    """Rotation vectors (..., 3), rad, of rotation matrices (..., 3, 3), half turns included."""
+    quaternions = _quaternions(matrices.reshape(-1, 3, 3))
+    sine = np.linalg.norm(quaternions[:, :3], axis=1)
+    factor = 2 * np.arctan2(sine, quaternions[:, 3]) / np.where(sine == 0, 1, sine)
+    return (factor[:, None] * quaternions[:, :3]).reshape(*matrices.shape[:-2], 3)
+
+
 def _quaternions(matrices: np.ndarray) -> np.ndarray:
     """Unit quaternions with w >= 0: the eigenvectors of 4 q q^T, which is linear in the matrix."""
     outer, trace = np.empty((len(matrices), 4, 4)), np.trace(matrices, axis1=1, axis2=2)

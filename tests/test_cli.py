@@ -108,6 +108,20 @@ def test_repaired_input_is_noted(clip: Path, capsys: Captured) -> None:
     assert read_json(out)[0]["notes"] == ["line 5 dropped: it repeats the row before."]
 
 
+def test_cleaning_is_asked_for_and_told(door: Path, tmp_path: Path, capsys: Captured) -> None:
+    recording = load_recording(door)
+    recording.poses[15, :3, :3] = recording.poses[15, :3, :3] @ np.diag([-1.0, -1.0, 1.0])
+    bad = tmp_path / "bad.csv"
+    save_recording(bad, recording.times[:-1], recording.poses[:-1])
+    options = ["--window", str(POSES), "--json", "-"]
+    assert run(bad, *options) == 0
+    assert "poses jump away and back: sample 15.\nreframe-jax: " in capsys.readouterr().err
+    assert run(bad, "--clean", *options) == 0
+    out, err = capsys.readouterr()
+    assert err == f"reframe-jax: {bad}: left out, for jumping away and back: sample 15.\n"
+    assert read_json(out)[0]["windows"][0]["label"] == "A"
+
+
 def test_unit_and_sample_time(clip: Path, tmp_path: Path, capsys: Captured) -> None:
     recording = load_recording(clip)
     poses = recording.poses.copy()
@@ -315,6 +329,7 @@ def test_the_catalogue_is_listed(capsys: Captured) -> None:
         (["identify", "a.csv", "--dt", "0"], "expected a positive number"),
         (["identify", "a.csv", "--dt", "fast"], "invalid _positive value|expected a positive number"),
         (["identify", "a.csv", "--unit", "inch"], "invalid choice"),
+        (["identify", "a.csv", "--step", "2"], "--step needs --clean"),
         (["identify", "a.csv", "--stride", "2"], "--stride needs --window"),
         (["identify", "a.csv", "--window", "4"], "--window must be at least 5"),
         (["identify", "a.csv", "--window", "9", "--stride", "0"], "--stride must be at least 1"),
