@@ -5,8 +5,8 @@ invents motion, whereas the chord between two measured poses is exact however fa
 
 Three things spoil a recording from a camera. Single poses jump away and back. Noise, divided by a short
 sample time, looks like velocity: white noise of standard deviation s as ``sqrt(2) s / dt``. And rest before
-and after the motion lowers the means over time. Accordingly :func:`clean_recording` leaves out outliers, thins
-the others to steps long enough for the noise, and cuts off the rest at both ends.
+and after the motion lowers the means over time. So :func:`clean_recording` leaves out outliers, thins the
+others to steps long enough for the noise, and cuts off the rest at both ends.
 """
 
 from dataclasses import replace

@@ -22,7 +22,7 @@ AXIS = np.array([0.1, 0.97, 0.22]) / np.linalg.norm([0.1, 0.97, 0.22])
 def door(
     seed: int, dt: float, angle: float = 0.0, distance: float = 0.0, rest: float = 1.0, radius: float = 0.5
 ) -> tuple[Recording, np.ndarray]:
-    """A body on a hinge through a point, opened and closed between two rests, and measured with white noise."""
+    """A body on a hinge through a point, opened and closed between two rests, measured with white noise."""
     rng = np.random.default_rng(seed)
     times = np.arange(0, 12 + 2 * rest, dt)
     swing = 0.6 * (1 - np.cos(np.clip(times - rest, 0, 12) * np.pi / 3))
