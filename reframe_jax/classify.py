@@ -69,7 +69,9 @@ def free_positions(
         (..., 3, 3) projectors.
     """
     constrained = (dof == 0).astype(axes.dtype)
-    weight = symmetric.from_matrix((axes * constrained[..., None, :]) @ jnp.swapaxes(axes, -1, -2))
+    weight = symmetric.from_matrix(
+        symmetric.matmul(axes * constrained[..., None, :], jnp.swapaxes(axes, -1, -2))
+    )
     pull = []
     for a, b in INDEX_PAIRS:
         column = moments[:, MONOMIALS.index((a + 1, b + 1))]
@@ -80,10 +82,10 @@ def free_positions(
     rounding = 64 * jnp.finfo(axes.dtype).eps * strengths[2]
     limit = jnp.maximum(jnp.square(_NOISE_MARGIN * noise), rounding)[..., None]
     strength = jnp.stack(strengths, axis=-1)
-    change = strength * jnp.square((position[..., None, :] @ basis)[..., 0, :])
+    change = strength * jnp.square(symmetric.matmul(position[..., None, :], basis)[..., 0, :])
     small = change <= jnp.square(_STILL_MARGIN * still)[..., None]
     free = ((strength <= limit) & small).astype(axes.dtype)
-    return (basis * free[..., None, :]) @ jnp.swapaxes(basis, -1, -2)
+    return symmetric.matmul(basis * free[..., None, :], jnp.swapaxes(basis, -1, -2))
 
 
 def tied_types(rms: jax.Array, dof: jax.Array, winner: jax.Array, samples: int) -> jax.Array:

@@ -3,8 +3,9 @@
 The search is a few hundred elementwise operations on arrays over problems. Left alone, XLA on a CPU
 fuses them into loops of which each computes what it needs from scratch, a Hessian once for every
 component of every step that reads it: most of the time goes into repetition. :func:`once` marks the
-values that are to be computed once and stored. XLA drops such marks before it fuses, unless told not to
-by :data:`CPU_OPTIONS`. On a GPU they are dropped, which is right there: recomputing beats memory.
+values that are to be computed once and stored. On a CPU XLA drops such marks before it fuses, unless told
+not to by :data:`CPU_OPTIONS`; on a GPU it fuses first. Where a GPU's memory is the limit, the arithmetic
+is in kernels of our own, in which values stay in registers.
 """
 
 import contextlib
@@ -14,7 +15,7 @@ from typing import Any, TypeVar
 
 import jax
 
-__all__ = ["CPU_OPTIONS", "chunk_size", "inside_a_kernel", "once", "traced"]
+__all__ = ["CPU_OPTIONS", "chunk_size", "inside_a_kernel", "once", "once_on_cpu", "traced"]
 
 CPU_OPTIONS: dict[str, Any] = {
     "xla_disable_hlo_passes": "cse_barrier_expander",  # the pass that drops the marks of once()
@@ -31,7 +32,7 @@ if jax.__version_info__ < (0, 11):
 _T = TypeVar("_T")
 _inside_a_kernel: ContextVar[bool] = ContextVar("_inside_a_kernel", default=False)
 
-_CHUNK = {"cpu": 32, "gpu": 16384}
+_CHUNK = {"cpu": 32, "gpu": 65536}
 
 
 def chunk_size() -> int:
@@ -42,6 +43,11 @@ def chunk_size() -> int:
 def once(values: _T) -> _T:
     """Compute the arrays of a pytree once, however many operations read them."""
     return values if _inside_a_kernel.get() else jax.lax.optimization_barrier(values)
+
+
+def once_on_cpu(values: _T) -> _T:
+    """:func:`once` on a CPU; on a GPU XLA may fuse what computes the values with what reads them."""
+    return once(values) if jax.default_backend() == "cpu" else values
 
 
 @contextlib.contextmanager

@@ -10,11 +10,13 @@ many problems is elementwise arithmetic on contiguous arrays.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from reframe_jax.compilation import once
+from reframe_jax.moments_kernel import mean_products
 from reframe_jax.symmetric import INDEX_PAIRS, Symmetric, Vector
 
 __all__ = [
@@ -59,13 +61,12 @@ def component_moments(maps: jax.Array, weights: jax.Array | None = None) -> jax.
     """
     columns, samples = maps.shape[1:3]
     entries = once(maps.reshape(3 * columns, samples, *maps.shape[3:]))
-    if weights is None:
-        weighted = entries / samples
+    if weights is not None:
+        rows = _products(entries, weights / jnp.sum(weights, axis=0, keepdims=True))
+    elif jax.default_backend() == "gpu":
+        rows = _products_in_a_kernel(entries)
     else:
-        weighted = entries * (weights / jnp.sum(weights, axis=0, keepdims=True))[None]
-    weighted = once(weighted)
-    # row n: products of entry n with itself and those after it
-    rows = [_add_up(weighted[n, None] * entries[n:]) for n in range(3 * columns)]
+        rows = _products(entries)
 
     def mean(i: int, a: int, j: int, b: int) -> jax.Array:
         first, second = sorted((columns * i + a, columns * j + b))
@@ -78,6 +79,30 @@ def component_moments(maps: jax.Array, weights: jax.Array | None = None) -> jax.
         row = [mean(i, a, j, b) if a == b else mean(i, a, j, b) + mean(i, b, j, a) for a, b in MONOMIALS]
         packed.append(jnp.stack(row))
     return jnp.stack(packed)
+
+
+def _products(entries: jax.Array, weights: jax.Array | None = None) -> list[jax.Array]:
+    """Row i, (n - i, ...): products of entry i with itself and those after it, averaged over the samples.
+
+    Args:
+        entries: (n, K, ...).
+        weights: (K, ...), of sum 1, or None for the mean.
+    """
+    weighted = once(entries / entries.shape[1] if weights is None else entries * weights[None])
+    return [_add_up(weighted[i, None] * entries[i:]) for i in range(len(entries))]
+
+
+@jax.custom_jvp
+def _products_in_a_kernel(entries: jax.Array) -> list[jax.Array]:
+    """:func:`_products` on a GPU."""
+    rows = mean_products(entries.reshape(*entries.shape[:2], -1))
+    return [row.reshape(-1, *entries.shape[2:]) for row in rows]
+
+
+@_products_in_a_kernel.defjvp
+def _products_jvp(primals: tuple[jax.Array], tangents: tuple[jax.Array]) -> tuple[Any, Any]:
+    _, change = jax.jvp(_products, primals, tangents)
+    return _products_in_a_kernel(*primals), change
 
 
 def _add_up(x: jax.Array) -> jax.Array:

@@ -14,6 +14,8 @@ from math import factorial
 import jax
 import jax.numpy as jnp
 
+from reframe_jax.compilation import once_on_cpu
+
 __all__ = [
     "hat",
     "left_jacobian",
@@ -52,9 +54,15 @@ def _series(x: jax.Array, coefficients: tuple[float, ...]) -> jax.Array:
     return total
 
 
+def _squared_length(vector: jax.Array) -> jax.Array:
+    """(..., n) to (...), term by term: GPUs have no fast reduction over three numbers."""
+    terms = [vector[..., i] * vector[..., i] for i in range(vector.shape[-1])]
+    return sum(terms[1:], terms[0])
+
+
 def _angle(rotvec: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Squared angle for the series, whether it is small, and the angle for the closed form."""
-    squared = jnp.sum(rotvec * rotvec, axis=-1)
+    squared = _squared_length(rotvec)
     small = squared < 1.0
     return jnp.where(small, squared, 0.0), small, jnp.sqrt(jnp.where(small, 1.0, squared))
 
@@ -79,6 +87,14 @@ def hat(vector: jax.Array) -> jax.Array:
     x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
     zero = jnp.zeros_like(x)
     rows = ((zero, -z, y), (z, zero, -x), (-y, x, zero))
+    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _hat_squared(vector: jax.Array) -> jax.Array:
+    """``hat(w) @ hat(w)``; products of many small matrices are slow, on GPUs above all."""
+    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
+    xx, yy, zz = x * x, y * y, z * z
+    rows = ((-yy - zz, x * y, x * z), (x * y, -xx - zz, y * z), (x * z, y * z, -xx - yy))
     return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
@@ -108,7 +124,7 @@ def rotation_exp(rotvec: jax.Array) -> jax.Array:
     sinc = jnp.where(small, _series(squared, _SINC), jnp.sin(angle) / angle)
     versine = jnp.where(small, _series(squared, _VERSINE), (1 - jnp.cos(angle)) / angle**2)
     w = hat(rotvec)
-    return _identity_like(w) + _matrix(sinc) * w + _matrix(versine) * (w @ w)
+    return _identity_like(w) + _matrix(sinc) * w + _matrix(versine) * _hat_squared(rotvec)
 
 
 def rotation_log(rotation: jax.Array) -> jax.Array:
@@ -122,16 +138,16 @@ def rotation_log(rotation: jax.Array) -> jax.Array:
     Returns:
         (..., 3), rad.
     """
-    q = rotation_to_quaternion(rotation)
+    q = once_on_cpu(rotation_to_quaternion(rotation))
     vector, w = q[..., :3], q[..., 3]
-    squared = jnp.sum(vector * vector, axis=-1)
+    squared = _squared_length(vector)
     small = squared < 1e-2
     length = jnp.sqrt(jnp.where(small, 1.0, squared))
     w_small = jnp.where(small, w, 1.0)
     # angle / sin(angle / 2) = 2 atan2(|vector|, w) / |vector|
     series = 2 / w_small * _series(squared / w_small**2, _ARCTANGENT)
     factor = jnp.where(small, series, 2 * jnp.arctan2(length, w) / length)
-    return factor[..., None] * vector
+    return once_on_cpu(factor[..., None] * vector)
 
 
 def left_jacobian(rotvec: jax.Array) -> jax.Array:
@@ -147,7 +163,7 @@ def left_jacobian(rotvec: jax.Array) -> jax.Array:
     versine = jnp.where(small, _series(squared, _VERSINE), (1 - jnp.cos(angle)) / angle**2)
     slack = jnp.where(small, _series(squared, _SLACK), (angle - jnp.sin(angle)) / angle**3)
     w = hat(rotvec)
-    return _identity_like(w) + _matrix(versine) * w + _matrix(slack) * (w @ w)
+    return _identity_like(w) + _matrix(versine) * w + _matrix(slack) * _hat_squared(rotvec)
 
 
 def left_jacobian_inverse(rotvec: jax.Array) -> jax.Array:
@@ -164,7 +180,7 @@ def left_jacobian_inverse(rotvec: jax.Array) -> jax.Array:
     closed = (1 - half * jnp.cos(half) / jnp.sin(half)) / angle**2
     cotangent = jnp.where(small, _series(squared, _COTANGENT), closed)
     w = hat(rotvec)
-    return _identity_like(w) - w / 2 + _matrix(cotangent) * (w @ w)
+    return _identity_like(w) - w / 2 + _matrix(cotangent) * _hat_squared(rotvec)
 
 
 def quaternion_to_rotation(quaternion: jax.Array) -> jax.Array:
@@ -217,5 +233,5 @@ def rotation_to_quaternion(rotation: jax.Array) -> jax.Array:
         better = entry > best
         best = jnp.where(better, entry, best)
         row = jnp.where(better[..., None], jnp.stack(candidate, axis=-1), row)
-    quaternion = row / jnp.sqrt(jnp.sum(row * row, axis=-1, keepdims=True))
+    quaternion = row / jnp.sqrt(_squared_length(row))[..., None]
     return jnp.where(quaternion[..., 3:] < 0, -quaternion, quaternion)

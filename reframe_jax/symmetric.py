@@ -18,6 +18,7 @@ __all__ = [
     "determinant",
     "eigh",
     "from_matrix",
+    "matmul",
     "pivots",
     "quadratic_form",
     "solve",
@@ -57,6 +58,11 @@ def adjugate(s: Symmetric) -> Symmetric:
         xy * xz - xx * yz,
         xx * yy - xy * xy,
     )
+
+
+def matmul(a: jax.Array, b: jax.Array) -> jax.Array:
+    """``a @ b`` for any matrices (..., m, 3) and (..., 3, n), written out."""
+    return sum((a[..., k, None] * b[..., None, k, :] for k in (1, 2)), a[..., 0, None] * b[..., None, 0, :])
 
 
 def _reciprocal(x: jax.Array) -> jax.Array:

@@ -66,12 +66,17 @@ def window_status(poses: jax.Array, steps: jax.Array) -> jax.Array:
         (...) int32.
     """
     finite = jnp.all(jnp.isfinite(poses), axis=(-3, -2, -1)) & jnp.all(jnp.isfinite(steps), axis=-1)
-    rotation = poses[..., :3, :3]
-    gram = jnp.swapaxes(rotation, -1, -2) @ rotation
-    skewed = jnp.max(jnp.abs(gram - jnp.eye(3, dtype=poses.dtype)[(None,) * (gram.ndim - 2)]), axis=(-2, -1))
+    # entry by entry: products of many small matrices are slow
+    columns = [[poses[..., i, j] for i in range(3)] for j in range(3)]
+    skewed = jnp.zeros_like(poses[..., 0, 0])
+    for a in range(3):
+        for b in range(a, 3):
+            dot = sum(x * y for x, y in zip(columns[a], columns[b], strict=True))
+            skewed = jnp.maximum(skewed, jnp.abs(dot - (1 if a == b else 0)))
     # for an orthogonal matrix the third column is the cross product of the first two, or minus it
-    cross = jnp.cross(rotation[..., 0], rotation[..., 1])
-    handed = jnp.sum(cross * rotation[..., 2], axis=-1)
+    (x, y, z), (u, v, w), third = columns
+    cross = (y * w - z * v, z * u - x * w, x * v - y * u)
+    handed = sum(c * t for c, t in zip(cross, third, strict=True))
     bottom = jnp.asarray([0, 0, 0, 1], dtype=poses.dtype)[(None,) * (poses.ndim - 2)]
     rigid = (
         (skewed < _ROTATION_TOLERANCE)

@@ -197,7 +197,7 @@ def _angular_candidates(
     if rates.dtype == jnp.float32:
         first = jax.lax.stop_gradient(axes)
         rms, axes = _spectrum(_constant(moments_of(_seen_from(rates, first), 2)))
-        axes = first @ axes
+        axes = symmetric.matmul(first, axes)
     dof = degrees_of_freedom(rms, thresholds.angular)
     return Candidates(
         rotvec=_orientation(axes, dof),
@@ -238,7 +238,7 @@ def _linear_candidates(
         moved, _ = ValleySteps(_TOUCH_UP)(jax.lax.stop_gradient(objective), here, jnp.zeros_like(origin))
         moved = attach_derivative(moved, objective, here)
         rms, local = _spectrum(objective.covariance(moved))
-        axes, x = first @ local, origin + moved
+        axes, x = symmetric.matmul(first, local), origin + moved
     else:
         x = attach_derivative(solution.x, objective, box)
         rms, local = _spectrum(objective.covariance(x))
@@ -248,7 +248,7 @@ def _linear_candidates(
     still = jnp.max(jnp.where(dof == 0, rms, 0), axis=-1)
     free = free_positions(objective.moments, local, dof, at_minimum, still, noise[:, None])
     # of all origins that give the same constraint, the one nearest to the centre of the motion
-    position = at_minimum - (free @ at_minimum[..., None])[..., 0]
+    position = at_minimum - symmetric.matmul(free, at_minimum[..., None])[..., 0]
     low, high = box.low[None, None], box.high[None, None]
     near = _NEAR * (high - low)
     on_bounds = (position <= low + near) | (position >= high - near)
@@ -290,7 +290,7 @@ def _spectrum(covariance: symmetric.Symmetric) -> tuple[jax.Array, jax.Array]:
 def _orientation(axes: jax.Array, dof: jax.Array) -> jax.Array:
     """Rotation vector of the axes; turning axes of one kind into each other contributes no derivative."""
     fixed = jax.lax.stop_gradient(axes)
-    turn = jnp.swapaxes(fixed, -1, -2) @ axes
+    turn = symmetric.matmul(jnp.swapaxes(fixed, -1, -2), axes)
     at_rest = jax.lax.stop_gradient(turn)
     distinct = (dof[..., :, None] != dof[..., None, :]).astype(axes.dtype)
-    return rotations.rotation_log(fixed @ (at_rest + distinct * (turn - at_rest)))
+    return rotations.rotation_log(symmetric.matmul(fixed, at_rest + distinct * (turn - at_rest)))

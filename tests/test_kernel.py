@@ -1,11 +1,14 @@
-"""The search as one kernel, interpreted: it is the search step by step."""
+"""The GPU kernels, interpreted: the search is the search step by step, the sums are means."""
+
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import reframe_jax as rf
-from reframe_jax import synthetic
+from reframe_jax import moments, synthetic
+from reframe_jax.moments_kernel import mean_products
 from reframe_jax.objectives import PositionObjective
 from reframe_jax.optimise import Box
 from reframe_jax.windows import window_moments
@@ -29,3 +32,28 @@ def test_the_kernel_finds_what_the_steps_find():
         agree = np.abs(np.asarray(getattr(kernel, name) - getattr(steps, name))) < 1e-9
         assert np.mean(agree) > 0.7
     np.testing.assert_allclose(objective.value(kernel.best_x[:, 1]), kernel.best_value[1], rtol=1e-9)
+
+
+def test_mean_products(rng):
+    entries = rng.normal(size=(3, 7, 130))  # one block of problems, and two more
+    rows = mean_products(jnp.asarray(entries), interpret=True)
+    for i, row in enumerate(rows):
+        expected = np.mean(entries[i, None] * entries[i:], axis=1)
+        np.testing.assert_allclose(row, expected, atol=1e-15)
+
+
+def test_mean_products_inside_transformations(monkeypatch, rng):
+    """The kernel has the derivatives, forward and reverse, of what it stands for, and batches."""
+    monkeypatch.setattr(moments, "mean_products", partial(mean_products, interpret=True))
+    entries, change = jnp.asarray(rng.normal(size=(2, 3, 5, 4, 2)))
+
+    def results(products):
+        def total(entries):
+            return sum(jnp.sum(jnp.sin(row)) for row in products(entries))
+
+        along = jax.jvp(jax.grad(total), (entries,), (change,))
+        rows = jax.vmap(products, in_axes=2, out_axes=1)(entries)
+        return jax.tree.map(np.asarray, (along, rows))
+
+    expected, found = results(moments._products), results(moments._products_in_a_kernel)
+    jax.tree.map(lambda e, f: np.testing.assert_allclose(f, e, atol=1e-14), expected, found)

@@ -14,6 +14,7 @@ from reframe_jax.symmetric import (
     determinant,
     eigh,
     from_matrix,
+    matmul,
     pivots,
     quadratic_form,
     solve,
@@ -167,6 +168,11 @@ def test_products(rng):
     np.testing.assert_allclose(trace_product(s, t), np.trace(m @ n, axis1=1, axis2=2), atol=1e-14)
     found = quadratic_form(tuple(jnp.asarray(a.T)), s, tuple(jnp.asarray(b.T)))
     np.testing.assert_allclose(found, np.einsum("ni,nij,nj->n", a, m, b), atol=1e-13)
+
+
+def test_matmul(rng):
+    a, b = rng.normal(size=(5, 2, 3)), rng.normal(size=(5, 3, 4))
+    np.testing.assert_allclose(matmul(jnp.asarray(a), jnp.asarray(b)), a @ b, atol=1e-15)
 
 
 def test_adjugate_and_solve(rng):
