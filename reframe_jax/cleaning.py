@@ -5,8 +5,8 @@ invents motion, whereas the chord between two measured poses is exact however fa
 
 Three things spoil a recording from a camera. Single poses jump away and back. Noise, divided by a short
 sample time, looks like velocity: white noise of standard deviation s as ``sqrt(2) s / dt``. And rest before
-and after the motion lowers the means over time. So :func:`clean_recording` leaves out outliers, thins the
-others to steps long enough for the noise, and cuts off the rest at both ends.
+and after the motion lowers the means over time. Accordingly :func:`clean_recording` leaves out outliers,
+thins the others to steps long enough for the noise, and cuts off the rest at both ends.
 """
 
 from dataclasses import replace
@@ -109,7 +109,7 @@ def pose_outliers(times: np.ndarray, poses: np.ndarray) -> np.ndarray:
     near = near[near != np.arange(count)[:, None]].reshape(count, width)
     after = near > np.arange(count)[:, None]
     later = times[near] - times[:, None]
-    turns = rotation_vectors(poses[:, None, :3, :3].swapaxes(-1, -2) @ poses[near, :3, :3])
+    turns = _unwrapped(rotation_vectors(poses[:, None, :3, :3].swapaxes(-1, -2) @ poses[near, :3, :3]))
     outliers = np.zeros(count, bool)
     for offsets in (turns, poses[near, :3, 3] - poses[:, None, :3, 3]):
         a, b = np.triu_indices(width, 1)
@@ -191,6 +191,18 @@ def recording_warnings(
             f"{own:.2g} s between poses; the thresholds are {limits[0]:g} and {limits[1]:g}."
         )
     return said
+
+
+def _unwrapped(turns: np.ndarray) -> np.ndarray:
+    """Rotation vectors (N, M, 3), of the two for each rotation those on the side of the largest in its row.
+
+    Neighbours of a pose that is off by about a half turn are close to each other, their logarithms are not.
+    """
+    angles = np.linalg.norm(turns, axis=-1, keepdims=True)
+    largest = np.take_along_axis(turns, np.argmax(angles, axis=1)[..., None], axis=1)
+    others = turns * (1 - 2 * np.pi / np.where(angles == 0, 1, angles))
+    nearer = np.linalg.norm(others - largest, axis=-1) < np.linalg.norm(turns - largest, axis=-1)
+    return np.where(nearer[..., None], others, turns)
 
 
 def _moving(poses: np.ndarray, reach: np.ndarray) -> np.ndarray:
