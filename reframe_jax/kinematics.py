@@ -34,6 +34,7 @@ __all__ = [
 Discretization = Literal["chord", "left"]
 
 _STENCIL = 7  # samples in the derivative of the twist
+_EVEN = 5  # longest over shortest step, above which derivatives across them amplify noise
 
 
 def _step_times(dt: jax.Array | float, poses: jax.Array) -> jax.Array:
@@ -197,7 +198,8 @@ def _without_brackets(means: jax.Array, dt: jax.Array, spatial: bool) -> jax.Arr
     and for the body twist the same with every bracket turned round. The terms without brackets average
     V over the step: a component that is always zero stays zero. The brackets mix components: left in,
     they are an error along constrained axes that no amount of data removes (0.1 degrees and 0.3 mm for
-    lively motion at dt = 0.1 s).
+    lively motion at dt = 0.1 s). In a window whose steps differ widely, as across a gap in the recording,
+    they are left in: the derivatives would make far more of the noise.
 
     Args:
         means: (6, K, ...) mean twists.
@@ -219,7 +221,8 @@ def _without_brackets(means: jax.Array, dt: jax.Array, spatial: bool) -> jax.Arr
     in_first = turn * a12 / 720 + a3 / 360
     first_bracket = _bracket(a1, _bracket(a1, in_first) - turn * (a2 / 12 + a4 / 80))
     second_bracket = _bracket(a2, (turn * a3 - a12) / 240)
-    return means - (first_bracket + second_bracket) / h
+    even = _inside_out(jnp.max(dt, axis=-1, keepdims=True) <= _EVEN * jnp.min(dt, axis=-1, keepdims=True), 0)
+    return means - jnp.where(even[None], (first_bracket + second_bracket) / h, 0)
 
 
 def velocity_components(

@@ -9,6 +9,7 @@ import pytest
 from algebra import bracket, hat, unbracket
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, logm
+from scipy.spatial.transform import Rotation
 
 from reframe_jax import kinematics, transforms
 from reframe_jax.frames import AngularType, LinearType
@@ -353,3 +354,18 @@ class TestSlidingWindows:
     def test_errors(self, length, stride, message):
         with pytest.raises(ValueError, match=message):
             sliding_windows(np.arange(5.0), length, stride)
+
+
+@pytest.mark.parametrize("gap", [4, 20, 60])
+def test_a_gap_in_the_recording_does_not_amplify_noise(gap, rng):
+    """Noisy rotation about one axis, with one step much longer than the others: rates stay what they are."""
+    steps = np.full(60, 0.1)
+    steps[30] *= gap
+    angle = 0.8 * np.sin(0.7 * np.concatenate([[0], np.cumsum(steps)]))
+    noise = Rotation.from_rotvec(1e-3 * rng.normal(size=(61, 3)))
+    poses = np.tile(np.eye(4), (61, 1, 1))
+    poses[:, :3, :3] = (Rotation.from_rotvec(np.outer(angle, [0, 0, 1])) * noise).as_matrix()
+    rates = jax.jit(kinematics.angular_velocities)(jnp.asarray(poses), jnp.asarray(steps))[0]
+    expected = np.diff(angle) / steps
+    np.testing.assert_allclose(rates[:, 2], expected, atol=0.08)
+    np.testing.assert_allclose(rates[:, :2], 0, atol=0.08)
