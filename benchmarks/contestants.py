@@ -18,7 +18,7 @@ from reframe_jax.optimise import Box
 from reframe_jax.windows import window_moments
 
 TURN = np.pi
-GENERAL = rf.BasinHopping(rf.NewtonSteps(15), restarts=8, hops=3, polish=2)
+GENERAL = rf.BasinHopping(rf.FrameSteps(10), restarts=8, hops=3, polish=2)
 
 Solved = tuple[np.ndarray, np.ndarray, float, float]
 """Norms (N, 6), linear positions (N, 4, 3) in m, seconds, and seconds of compilation before."""

@@ -2,10 +2,14 @@
 
 Contestants, all in float64 unless said otherwise:
 
-- ``identify``: the library's fast path, all windows in one call;
-- ``general search``: basin hopping over rotation vector and position together, as for norms whose
-  rotation has no closed form;
+- ``identify``: the library's fast path, all windows in one call, with the poses on the device;
+- ``general search``: basin hopping over orientation and origin together, without eliminating
+  the rotation, on one processor;
 - ``dual annealing``: SciPy's, as the paper configured it (100 iterations, no gradient);
+
+on an accelerator also
+
+- ``identify, host data`` and ``float32, host data``: the poses come from the host's memory;
 
 and, without --quick,
 
@@ -48,7 +52,7 @@ from reframe_jax.objectives import PositionObjective
 from reframe_jax.optimise import Box
 
 BASELINE = Path(__file__).with_name("results") / "identification_baseline.json"
-GATED = {"speedup": 0.5, "speedup_over_general": 0.5}  # smallest share of the baseline that passes
+GATED = {"speedup": 0.5, "speedup_general_search": 0.5}  # smallest share of the baseline that passes
 _DISTINCT = 6144  # windows beyond are repetitions
 _MOMENT_FLOPS, _STEP_FLOPS = 0.1e6, 1100  # kinematics and moments; one step of one problem
 
@@ -64,7 +68,7 @@ class Size:
     full: bool = True
 
 
-QUICK = Size(windows=1536, judged=96, general=32, slow=4, full=False)
+QUICK = Size(windows=1536, judged=96, general=96, slow=4, full=False)
 
 
 @cache
@@ -112,7 +116,7 @@ def ready(row: Row) -> Row:
     return row
 
 
-def run_identify(name: str, poses: jax.Array, repeats: int = 3) -> Row:
+def run_identify(name: str, poses: jax.Array | np.ndarray, repeats: int = 3) -> Row:
     """All windows in one call."""
     found, seconds, compiling = timed(lambda: rf.identify(poses, dt=DT), repeats)
     positions = np.asarray(found.candidates.linear.position, dtype=float)
@@ -171,6 +175,9 @@ def solve(size: Size, poses: np.ndarray) -> tuple[list[Row], float]:
     _, peak = peak_above(lambda: rf.identify(on_device, dt=DT))
     rows.append(ready(Row("general search", middle, *contestants.general_search(poses[middle]))))
     rows.append(ready(Row("dual annealing", few, *contestants.annealing(poses[few], few))))
+    if jax.default_backend() != "cpu":
+        rows.append(run_identify("identify, host data", poses))
+        rows.append(run_identify("float32, host data", poses.astype(np.float32)))
     if size.full:
         rows.append(run_identify("identify, float32", on_device.astype(jnp.float32)))
         rows.append(ready(Row("L-BFGS-B x 16", few, *contestants.lbfgs(poses[few], 16))))
@@ -240,7 +247,7 @@ def run(size: Size) -> tuple[dict[str, float], scaling.Curves]:
     metrics = {
         "windows": size.windows,
         "speedup": annealed.per_window / fast.per_window,
-        "speedup_over_general": general.per_window / fast.per_window,
+        "speedup_general_search": annealed.per_window / general.per_window,
         **quality,
         "latency_ms": float(np.median(push)),
         "latency_98_ms": float(np.quantile(push, 0.98)),

@@ -1,6 +1,6 @@
 """How the time per window grows with the windows, their samples, the search's starts, and the devices."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -21,6 +21,7 @@ from reframe_jax.windows import window_moments
 Curves = dict[str, dict[str, float]]
 
 _BLOCK = 65536  # windows in memory at once
+_ON_DEVICES = 2**23  # windows spread over accelerators
 _LABELS = {
     "windows": "windows",
     "samples": "velocities per window",
@@ -42,7 +43,7 @@ def curves(poses: np.ndarray, best: np.ndarray, *, full: bool) -> Curves:
     Args:
         poses: (N, K+1, 4, 4) windows, repeated where a curve needs more.
         best: (N, 4) best known linear norms, to count misses along ``starts``.
-        full: to a million windows, and the curves that compile for every point.
+        full: to a million windows, and on a processor the curves that compile for every point.
     """
     found: Curves = {name: {} for name in _LABELS}
 
@@ -53,40 +54,50 @@ def curves(poses: np.ndarray, best: np.ndarray, *, full: bool) -> Curves:
         return result
 
     print("scaling:")
+    many = full and jax.default_backend() == "cpu"
     for count in (1024, 8192, 65536, 2**20) if full else (1024, 4096):
         measure("windows", count, partial(identify_repeated, poses, count), count, 1 if count > 1e5 else 2)
         print(flush=True)
     some = poses[np.arange(2048) % len(poses)]
-    for samples in (25, 50, 100, 200, 400) if full else ():
+    for samples in (25, 50, 100, 200, 400) if many else ():
         # repeated motion: what counts here is the number of samples
         long = np.tile(some, (1, -(-(samples + 1) // some.shape[1]), 1, 1))[:, : samples + 1]
         measure("samples", samples, partial(rf.identify, long, dt=DT), len(some))
         print(flush=True)
     judged = min(len(some), len(poses))
-    for starts in (1, 2, 4, 6, 8, 16) if full else ():
+    for starts in (1, 2, 4, 6, 8, 16) if many else ():
         solver = replace(default_solver(), restarts=starts)
         result = measure("starts", starts, partial(rf.identify, some, dt=DT, solver=solver), len(some))
         norms = norms_at(some[:judged], np.asarray(result.candidates.linear.position)[:judged])
         print(f", {100 * np.mean(norms > MISS * best[:judged]):.2f} % of linear problems missed", flush=True)
-    for count, spread in _over_devices(poses):
+    counts = _device_counts()
+    for count in counts if len(counts) > 1 else ():
+        spread = _spread(poses, count, counts)
         measure("devices", count, partial(rf.identify, spread, dt=DT), len(spread))
-        print(flush=True)
-    if not found["devices"]:
+        gain = found["devices"]["1"] / found["devices"][str(count)]
+        print(f", {len(spread)} windows, {gain:.2f} times one device")
+        del spread  # so that the next fits
+    if len(counts) == 1:
         print(f"   devices        1: {jax.devices()[0].device_kind}, no others to spread over")
     return found
 
 
-def _over_devices(poses: np.ndarray) -> Iterator[tuple[int, jax.Array]]:
-    """The same windows on 1, 2, 4, ... and all devices, where there are several."""
-    devices = jax.devices()
-    if len(devices) == 1:
-        return
-    counts = sorted({2**i for i in range(len(devices).bit_length()) if 2**i <= len(devices)} | {len(devices)})
-    size = chunk_size() * int(np.lcm.reduce(counts)) * 4
-    windows = poses[np.arange(size) % len(poses)]
-    for count in counts:
-        mesh = jax.make_mesh((count,), ("windows",), devices=devices[:count])
-        yield count, jax.device_put(windows, jax.NamedSharding(mesh, jax.P("windows")))
+def _device_counts() -> list[int]:
+    """1, 2, 4, ... and all devices."""
+    count = len(jax.devices())
+    return sorted({2**i for i in range(count.bit_length())} | {count})
+
+
+def _spread(poses: np.ndarray, count: int, counts: list[int]) -> jax.Array:
+    """As many windows on the first devices together, whatever their number."""
+    mesh = jax.make_mesh((count,), ("windows",), devices=jax.devices()[:count])
+    unit = int(np.lcm.reduce(counts)) * chunk_size()
+    size = -(-(4 * unit if jax.default_backend() == "cpu" else _ON_DEVICES) // unit) * unit
+    repeated = jax.jit(
+        lambda poses: poses[jnp.arange(size) % len(poses)],
+        out_shardings=jax.NamedSharding(mesh, jax.P("windows")),
+    )
+    return repeated(jax.device_put(poses, jax.NamedSharding(mesh, jax.P())))
 
 
 def spread_of_time(poses: np.ndarray) -> dict[str, float]:

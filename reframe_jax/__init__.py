@@ -28,7 +28,7 @@ from reframe_jax.identify import default_solver, identify
 from reframe_jax.io import Recording, RecordingError, load_recording, save_recording
 from reframe_jax.kinematics import sliding_windows
 from reframe_jax.online import OnlineIdentifier
-from reframe_jax.optimise import BasinHopping, NewtonSteps, OptaxSteps, ValleySteps
+from reframe_jax.optimise import BasinHopping, FrameSteps, NewtonSteps, OptaxSteps, ValleySteps
 from reframe_jax.report import frame_velocities, to_json, to_table
 from reframe_jax.results import AngularFrame, Candidates, Identification, LinearFrame
 from reframe_jax.validate import Status
@@ -44,6 +44,7 @@ __all__ = [
     "Candidates",
     "Constraint",
     "ConstraintFrame",
+    "FrameSteps",
     "Identification",
     "LinearFrame",
     "LinearType",

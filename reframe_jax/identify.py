@@ -29,6 +29,7 @@ from reframe_jax.windows import identify_windows
 __all__ = ["default_solver", "identify"]
 
 _PIECE = 8  # chunks that one thread computes in one call
+_FEWEST = 1024  # windows in a piece on an accelerator
 
 _VALLEY = BasinHopping(ValleySteps(6), restarts=7, hops=3, polish=2)
 _POSITIVE = BasinHopping(ValleySteps(8), restarts=8, hops=4, polish=2)
@@ -112,7 +113,7 @@ def identify(
         if inside_a_trace or not batch or 0 in batch:
             found = run(poses, steps, *options)
         elif (sharding := _sharding(poses)) is not None:
-            mesh, axis = sharding.mesh, sharding.spec[0]
+            mesh, axis = sharding.mesh, (*sharding.spec, None)[0]
             found = _compiled_for_mesh(mesh, axis, steps.ndim > 1, **run.keywords)(poses, steps, *options)
         else:
             windows = poses.reshape(-1, *poses.shape[-3:])
@@ -183,13 +184,12 @@ def _box(bounds: Any, dtype: np.dtype) -> Box:
 
 
 def _in_pieces(run: Callable[..., Identification], windows: Any, steps: Any) -> Identification:
-    """Run N windows in pieces of one of two sizes, so that batches of every size share two compilations.
+    """Run N windows in pieces of one of few sizes, so that batches of every size share compilations.
 
     The pieces are spread over all processors. The last one is filled with its last window.
     """
-    count, chunk = len(windows), chunk_size()
-    size = chunk if count <= chunk else _PIECE * chunk
-    precise = _in_float64()
+    count = len(windows)
+    size, precise = _piece_size(count), _in_float64()
 
     def piece(start: int) -> Identification:
         rows = np.minimum(np.arange(start, start + size), count - 1)
@@ -209,11 +209,24 @@ def _in_pieces(run: Callable[..., Identification], windows: Any, steps: Any) -> 
     return jax.tree.map(lambda *parts: jnp.concatenate(parts)[:count], *pieces)
 
 
+def _piece_size(count: int) -> int:
+    """Windows in a piece: on a processor one of two sizes, on an accelerator a power of two for the few."""
+    chunk = chunk_size()
+    if count > chunk:
+        return _PIECE * chunk
+    if jax.default_backend() == "cpu":
+        return chunk
+    return min(chunk, max(_FEWEST, 1 << (count - 1).bit_length()))
+
+
 def _sharding(poses: Any) -> NamedSharding | None:
-    """How the windows lie on several devices; None if they are on one."""
-    if not isinstance(poses, jax.Array) or len(poses.sharding.device_set) == 1:
+    """How the windows are spread over a mesh of devices; None if they are not."""
+    if not isinstance(poses, jax.Array):
         return None
     sharding = poses.sharding
+    spread = isinstance(sharding, NamedSharding) and any(axis is not None for axis in sharding.spec)
+    if len(sharding.device_set) == 1 and not spread:
+        return None
     if not isinstance(sharding, NamedSharding) or any(axis is not None for axis in sharding.spec[1:]):
         raise ValueError(
             "Windows on several devices must be spread along their first axis alone, by a NamedSharding; "

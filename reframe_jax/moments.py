@@ -24,6 +24,7 @@ __all__ = [
     "Coefficients",
     "covariance_at",
     "covariance_gradient",
+    "covariance_hessian",
     "velocity_moments",
 ]
 
@@ -153,3 +154,13 @@ def covariance_gradient(moments: Coefficients, position: Vector) -> tuple[Symmet
 
     xx, xy, xz, yy, yz, zz = (slopes(moments[i]) for i in range(6))
     return tuple((xx[a], xy[a], xz[a], yy[a], yz[a], zz[a]) for a in range(3))
+
+
+def covariance_hessian(moments: Coefficients) -> tuple[Symmetric, ...]:
+    """Second derivatives of Sigma(p), the same everywhere, by :data:`symmetric.INDEX_PAIRS` of p."""
+    seconds = []
+    for a, b in INDEX_PAIRS:
+        monomial, factor = MONOMIALS.index((a + 1, b + 1)), 2.0 if a == b else 1.0
+        xx, xy, xz, yy, yz, zz = (factor * moments[i][monomial] for i in range(6))
+        seconds.append((xx, xy, xz, yy, yz, zz))
+    return tuple(seconds)

@@ -15,6 +15,7 @@ __all__ = [
     "Symmetric",
     "Vector",
     "adjugate",
+    "along",
     "determinant",
     "eigh",
     "from_matrix",
@@ -63,6 +64,20 @@ def adjugate(s: Symmetric) -> Symmetric:
 def matmul(a: jax.Array, b: jax.Array) -> jax.Array:
     """``a @ b`` for any matrices (..., m, 3) and (..., 3, n), written out."""
     return sum((a[..., k, None] * b[..., None, k, :] for k in (1, 2)), a[..., 0, None] * b[..., None, 0, :])
+
+
+def along(s: Symmetric, axes: tuple[Vector, Vector, Vector]) -> Symmetric:
+    """E^T S E, the matrix along axes that are the columns of E."""
+    xx, xy, xz, yy, yz, zz = s
+    turned = [
+        (xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z) for x, y, z in axes
+    ]
+    entries = (
+        axes[i][0] * turned[j][0] + axes[i][1] * turned[j][1] + axes[i][2] * turned[j][2]
+        for i, j in INDEX_PAIRS
+    )
+    xx, xy, xz, yy, yz, zz = entries
+    return xx, xy, xz, yy, yz, zz
 
 
 def _reciprocal(x: jax.Array) -> jax.Array:

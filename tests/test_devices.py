@@ -14,13 +14,15 @@ SCRIPT = """
     keys = jax.random.split(jax.random.key(0), 12)
     poses = np.asarray(jax.vmap(lambda k: synthetic.simulate("K", k, noise=1e-4, duration=1.0).poses)(keys))
     expected = rf.identify(poses, dt=0.1)
-    for count in (2, 3):
+    for count in (1, 2, 3):
         mesh = jax.make_mesh((count,), ("windows",), devices=jax.devices()[:count])
         sharding = jax.NamedSharding(mesh, jax.P("windows"))
         found = rf.identify(jax.device_put(poses, sharding), dt=0.1)
         assert len(found.linear.norm.sharding.device_set) == count
         np.testing.assert_allclose(found.linear.norm, expected.linear.norm, rtol=1e-9)
         np.testing.assert_allclose(found.linear.position, expected.linear.position, atol=1e-6)
+    everywhere = rf.identify(jax.device_put(poses, jax.NamedSharding(mesh, jax.P())), dt=0.1)
+    np.testing.assert_allclose(everywhere.linear.norm, expected.linear.norm, rtol=1e-9)
     try:
         rf.identify(jax.device_put(poses, jax.NamedSharding(mesh, jax.P(None, None, None, None))), dt=0.1)
         other = jax.device_put(poses[:, :9], jax.NamedSharding(mesh, jax.P(None, "windows")))

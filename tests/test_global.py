@@ -75,6 +75,6 @@ def test_searching_rotation_and_position_finds_the_optimum_of_the_closed_form(pr
     eliminated = search(default_solver(), PositionObjective(some))
     turn = jnp.full(3, jnp.pi)
     box = Box(jnp.concatenate([-turn, CUBE.low]), jnp.concatenate([turn, CUBE.high]))
-    solver = rf.BasinHopping(rf.NewtonSteps(30), restarts=16, hops=1, refine=rf.NewtonSteps(300))
+    solver = rf.BasinHopping(rf.FrameSteps(15), restarts=16, hops=2, refine=rf.FrameSteps(60))
     full = search(solver, FrameObjective(some), box)
     np.testing.assert_allclose(np.exp(np.asarray(full - eliminated)), 1, atol=1e-6)

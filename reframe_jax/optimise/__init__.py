@@ -1,8 +1,8 @@
 """Global minimisation of frame objectives, for many problems at once.
 
-``BasinHopping`` is the outer loop. Inside it goes a local minimiser: ``ValleySteps`` (positions, the
-geometric mean), ``NewtonSteps`` (any objective) or ``OptaxSteps`` (any objective, any Optax gradient
-transformation).
+``BasinHopping`` is the outer loop. Inside it goes a local minimiser: ``ValleySteps`` (origins, with the
+rotation eliminated), ``FrameSteps`` (orientation and origin together), ``NewtonSteps`` (any objective) or
+``OptaxSteps`` (any objective, any Optax gradient transformation).
 """
 
 from reframe_jax.optimise.basin_hopping import (
@@ -14,6 +14,7 @@ from reframe_jax.optimise.basin_hopping import (
     Solver,
 )
 from reframe_jax.optimise.box import Box
+from reframe_jax.optimise.frame import FrameSteps
 from reframe_jax.optimise.gradient import OptaxSteps
 from reframe_jax.optimise.newton import NewtonSteps
 from reframe_jax.optimise.valley import ValleySteps
@@ -21,6 +22,7 @@ from reframe_jax.optimise.valley import ValleySteps
 __all__ = [
     "BasinHopping",
     "Box",
+    "FrameSteps",
     "LocalMinimiser",
     "NewtonSteps",
     "Objective",

@@ -83,7 +83,8 @@ class BasinHopping:
     numbers, so a problem's answer depends on its data and the key alone, not on its place in a batch.
 
     Attributes:
-        inner: local minimiser, :class:`ValleySteps`, :class:`OptaxSteps` or your own.
+        inner: local minimiser: :class:`ValleySteps`, :class:`FrameSteps` or another of this package, or your
+            own.
         restarts: number of chains.
         hops: jumps of each chain.
         polish: final minimisations of each chain, without a jump.

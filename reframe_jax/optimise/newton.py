@@ -1,4 +1,4 @@
-"""Second-order local steps on any objective, for the norms whose rotation has no closed form."""
+"""Second-order local steps on any objective, whose derivatives are taken by automatic differentiation."""
 
 from dataclasses import dataclass
 
@@ -17,10 +17,11 @@ _FLAT = 1e-9  # curvature below this share of the largest counts as this share: 
 class NewtonSteps:
     """Local minimiser by Newton steps on powers of the norm, orientation and origin together.
 
-    The idea of :class:`ValleySteps` without its closed forms: with H and g of f = log J, the Newton
-    step on J^s is H^-1 g / (1 + s g.H^-1 g), one direction for every s; s = 6, 3 and 2 are exact where
-    one, two or three axes of the geometric mean are constrained, s = 1 where a single axis dominates.
-    Far from the optimum H is indefinite and the step on ``|H|`` descends. The best of all is kept.
+    The idea of :class:`ValleySteps` and :class:`FrameSteps` without their closed forms: with H and g of
+    f = log J, the Newton step on J^s is H^-1 g / (1 + s g.H^-1 g), one direction for every s; s = 6, 3
+    and 2 are exact where one, two or three axes of the geometric mean are constrained, s = 1 where a
+    single axis dominates. Far from the optimum H is indefinite and the step on ``|H|`` descends. The best
+    of all is kept.
 
     Attributes:
         steps: number of steps; fixed, so that no problem waits for another.

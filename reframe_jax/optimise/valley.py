@@ -27,14 +27,13 @@ import jax.numpy as jnp
 
 from reframe_jax import symmetric
 from reframe_jax.compilation import once
-from reframe_jax.moments import MONOMIALS, Coefficients, covariance_at, covariance_gradient
+from reframe_jax.moments import Coefficients, covariance_at, covariance_gradient, covariance_hessian
 from reframe_jax.objectives import FrameObjective, PositionObjective, log_power_mean
 from reframe_jax.optimise.box import Box
 from reframe_jax.symmetric import INDEX_PAIRS, Symmetric, Vector
 
 __all__ = ["ValleySteps", "descend"]
 
-_QUADRATIC = {pair: MONOMIALS.index((pair[0] + 1, pair[1] + 1)) for pair in INDEX_PAIRS}
 _RIDGE = 1e-10  # of the Hessians, relative to the trace: keeps a free direction solvable
 
 
@@ -54,10 +53,7 @@ class _Expansion(NamedTuple):
 
 def _expand(moments: Coefficients, p: Vector, exponent: float) -> _Expansion:
     sigma, slopes = once((covariance_at(moments, p), covariance_gradient(moments, p)))
-    seconds = tuple(
-        cast(Symmetric, tuple((2.0 if a == b else 1.0) * moments[i][_QUADRATIC[a, b]] for i in range(6)))
-        for a, b in INDEX_PAIRS
-    )
+    seconds = covariance_hessian(moments)
     if exponent == 0:
         gradient, majorant, curvature = _derivatives_of_det(sigma, slopes, seconds)
     else:
@@ -126,9 +122,7 @@ def _derivatives_of_mean(
     else:
         share, own = jax.nn.softmax(exponent / 2 * jnp.log(s), axis=0), exponent / 2
     s, share, first = once((s, share, 3 * share / s))
-    turned = once(
-        [{(i, j): symmetric.quadratic_form(axes[i], m, axes[j]) for i, j in INDEX_PAIRS} for m in slopes]
-    )
+    turned = once([dict(zip(INDEX_PAIRS, symmetric.along(slope, axes), strict=True)) for slope in slopes])
 
     def second(i: int, j: int) -> jax.Array:
         change = -own * share[j] if i != j else own * (1 - share[i]) - 1
@@ -301,6 +295,6 @@ class ValleySteps:
         """Raise ``ValueError`` unless these steps can minimise the objective."""
         if not isinstance(objective, PositionObjective):
             raise ValueError(
-                "ValleySteps minimise over positions alone (a PositionObjective); use NewtonSteps or "
-                "OptaxSteps for other objectives."
+                "ValleySteps minimise over positions alone (a PositionObjective); use FrameSteps, "
+                "NewtonSteps or OptaxSteps for other objectives."
             )
