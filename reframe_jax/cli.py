@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import jax
 import numpy as np
@@ -31,6 +31,7 @@ from reframe_jax.validate import MIN_VELOCITIES, Status
 __all__ = ["main"]
 
 _CHUNK = 2048  # windows between two reports of progress
+_UNKNOWNS = 5  # of one constrained axis: its direction, and where the origin is
 
 _DESCRIPTION = """\
 Find the frame in which a measured motion is constrained: the body it is
@@ -47,8 +48,8 @@ examples:
 _IDENTIFY = """\
 Identify the constraint of recordings.
 
-A recording is a .csv with a header (t,x,y,z,qx,qy,qz,qw in any order), a TUM
-trajectory (.txt, .tum), an .npy or an .npz; metres and seconds unless told
+A recording is a .csv or .tsv with a header (t,x,y,z,qx,qy,qz,qw in any order), a
+TUM trajectory (.txt, .tum), an .npy or an .npz; metres and seconds unless told
 otherwise. It is taken as one window, or as sliding windows with --window.
 """
 
@@ -70,8 +71,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     return code
 
 
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line, as everything else here does, and where to read more."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: error: {message.rstrip('.')}; see {self.prog} --help\n")
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="reframe-jax",
         description=_DESCRIPTION,
         epilog=_EXAMPLES,
@@ -116,8 +124,8 @@ def _add_identify(commands: Any) -> None:
     add("--clean", action="store_true", help="leave out outliers, noise and rest; says what it left out")
     add("--step", type=_positive, metavar="S", help="with --clean: s between poses (chosen from the noise)")
     add("--unit", choices=["m", "cm", "mm"], default="m", help="unit of positions in the files (m)")
-    add("--window", type=int, metavar="N", help="poses per window; the whole recording by default")
-    add("--stride", type=int, metavar="M", help="poses between the starts of two windows (N)")
+    add("--window", type=_whole, metavar="N", help="poses per window; the whole recording by default")
+    add("--stride", type=_whole, metavar="M", help="poses between the starts of two windows (N)")
     add(
         "--norm",
         type=_exponent,
@@ -168,8 +176,8 @@ def _add_simulate(commands: Any) -> None:
     add = command.add_argument
     add("--constraint", type=_label, required=True, metavar="K", help="letter or name: see constraints")
     add("--out", type=Path, required=True, metavar="FILE", help="recording to write, .csv or .npz")
-    add("--noise", type=float, default=0.0, metavar="M", help="standard deviation of positions, m (0)")
-    add("--seed", type=int, default=0, help="of the random numbers (0)")
+    add("--noise", type=_not_negative, default=0.0, metavar="M", help="standard deviation of positions, m (0)")
+    add("--seed", type=_seed, default=0, help="of the random numbers (0)")
     add("--duration", type=_positive, default=5.0, metavar="S", help="s (5)")
     add("--dt", type=_positive, default=0.1, metavar="S", help="sample time, s (0.1)")
     add(
@@ -186,16 +194,44 @@ def _add_simulate(commands: Any) -> None:
     )
 
 
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"expected a number, not {text!r}") from error
+
+
+def _whole(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"expected a whole number, not {text!r}") from error
+
+
 def _positive(text: str) -> float:
-    value = float(text)
+    value = _number(text)
     if not 0 < value < np.inf:
         raise argparse.ArgumentTypeError(f"expected a positive number, not {text}")
     return value
 
 
+def _not_negative(text: str) -> float:
+    value = _number(text)
+    if not 0 <= value < np.inf:
+        raise argparse.ArgumentTypeError(f"expected a number that is 0 or more, not {text}")
+    return value
+
+
+def _seed(text: str) -> int:
+    value = _whole(text)
+    if not 0 <= value < 2**63:
+        raise argparse.ArgumentTypeError(f"expected a whole number from 0 to 2^63 - 1, not {text}")
+    return value
+
+
 def _exponent(text: str) -> float:
     try:
-        return check_exponent(float(text))
+        return check_exponent(_number(text))
     except ValueError as error:
         raise argparse.ArgumentTypeError(str(error)) from error
 
@@ -239,6 +275,12 @@ def _constraints(options: argparse.Namespace) -> int:
 def _simulate(options: argparse.Namespace) -> int:
     from reframe_jax.synthetic import simulate
 
+    poses = round(options.duration / options.dt) + 1
+    if poses <= MIN_VELOCITIES:
+        options.usage_error(
+            f"--duration {options.duration:g} s in steps of --dt {options.dt:g} s makes {poses} poses; "
+            f"expected {MIN_VELOCITIES + 1} or more."
+        )
     _configure_jax(options.cache)
     run = jax.jit(simulate, static_argnames=("constraint", "duration", "dt", "excitation", "exact"))
     simulation = jax.device_get(
@@ -306,6 +348,8 @@ def _identify_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
     recording, found, windows, problem = None, None, None, None
     try:
         recording = _load(path, options)
+        short = _short_windows(recording, options)
+        recording = replace(recording, notes=(*recording.notes, *short))
         for note in recording.notes:
             _say(f"reframe-jax: {path}: {note}")
         found, windows = _windows(recording, options)
@@ -329,6 +373,17 @@ def _load(path: Path, options: argparse.Namespace) -> Recording:
     warnings = recording_warnings(recording, thresholds)
     hint = ["--clean may help: it leaves such poses out."] if warnings else []
     return replace(recording, notes=(*recording.notes, *warnings, *hint))
+
+
+def _short_windows(recording: Recording, options: argparse.Namespace) -> list[str]:
+    """A warning of windows in which nearly every motion obeys some constraint."""
+    velocities = (options.window or len(recording.times)) - 1
+    if velocities > _UNKNOWNS:
+        return []
+    return [
+        f"{velocities} velocities say nothing: with {_UNKNOWNS} or fewer, nearly every motion has a frame in "
+        "which an axis stands still. Take longer windows."
+    ]
 
 
 def _thresholds(options: argparse.Namespace) -> Thresholds:
@@ -404,5 +459,5 @@ def _plot(recording: Recording, found: Identification, options: argparse.Namespa
     try:
         figure.savefig(out)
     except (OSError, ValueError) as error:
-        return f"{out}: cannot be written: {error}"
+        return f"{out}: cannot be written: {getattr(error, 'strerror', None) or error}."
     return None

@@ -95,13 +95,15 @@ def _add_common(command: argparse.ArgumentParser) -> None:
         "in the paper's Table 4, or as in the paper's simulations (exciting)",
     )
     add("--fixed", action="store_true", help="the same geometry every time, not one drawn at random")
-    add("--seed", type=int, default=0, help="of the random numbers (0)")
+    add("--seed", type=cli._seed, default=0, help="of the random numbers (0)")
 
 
 def _count(text: str) -> int:
-    value = int(text)
+    from reframe_jax import cli
+
+    value = cli._whole(text)
     if value < 1:
-        raise argparse.ArgumentTypeError(f"expected a positive number, not {text}")
+        raise argparse.ArgumentTypeError(f"expected a whole number, 1 or more, not {text}")
     return value
 
 
