@@ -356,9 +356,7 @@ def test_wrong_command_lines(arguments: list[str], problem: str, capsys: Capture
 
 
 @pytest.mark.parametrize(("poses", "warned"), [(6, True), (7, False)])
-def test_windows_that_any_motion_fits_are_noted(
-    door: Path, tmp_path: Path, poses: int, warned: bool
-) -> None:
+def test_windows_that_any_motion_fits_are_noted(door: Path, tmp_path: Path, poses: int, warned: bool) -> None:
     recording = load_recording(door)
     short = tmp_path / "short.csv"
     save_recording(short, recording.times[:poses], recording.poses[:poses])
@@ -367,6 +365,17 @@ def test_windows_that_any_motion_fits_are_noted(
     assert bool(cli._short_windows(load_recording(short), options)) is warned
     options = cli._parser().parse_args(["identify", str(door), "--window", str(poses)])
     assert bool(cli._short_windows(recording, options)) is warned
+
+
+def test_axes_close_to_a_threshold_are_noted(clip: Path, capsys: Captured) -> None:
+    assert run(clip) == 0
+    assert "close to the threshold" not in capsys.readouterr().err
+    rms = identify(load_recording(clip).poses, times=load_recording(clip).times).angular.rms
+    fast = float(rms[2])
+    assert run(clip, "--angular-threshold", f"{1.2 * fast}", "--json", "-") == 0
+    captured = capsys.readouterr()
+    assert f"uncertain: angular axis 3 ({fast:.3g} rad/s" in captured.err
+    assert any("close to the threshold" in note for note in read_json(captured.out)[0]["notes"])
 
 
 def test_compiled_programs_are_kept_where_caches_belong(
