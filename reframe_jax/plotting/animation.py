@@ -70,6 +70,7 @@ def animate_scene(
         origin, triad, turning = (part[number] for part in every)
         draw_frame(axes, origin, length * triad, length * turning, host.linear.dof, 1.0)
         set_limits(axes, points)
+        axes.set_box_aspect((1, 1, 1), zoom=0.9)  # the label of z is cut off otherwise
         axes.set_title(f"{host.name if title is None else title}, t = {times[here]:.2f} s", fontsize=9)
         return []
 
