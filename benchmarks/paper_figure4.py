@@ -43,6 +43,12 @@ All twelve constraints at {levels} noise levels from 1e-6 to 1e-4 m, {seeds} see
 the discretisation of the paper's Table 3 (`left`) and ours (`chord`). As in the paper the frame type is
 taken as known for the errors; how often the identified types and degrees of freedom are right is below.
 
+ΔR^φ and ΔR^ψ are the angles between identified and true axes of the angular and the linear frame, Δp^ψ is
+the distance of their origins, each along what Table 2 of the paper calls unique. The paper shows Figure 4 as
+a picture without numbers, and reports slopes of about 1, but constant ΔR^ψ and Δp^ψ for I, J, K and L. With
+its velocities, its discretisation and exact motion (the first columns of the next table) both are constant
+for K and L here as well; for I and J the axis is, the position is not.
+
 Slopes are of log median error against log noise: 1 means that the error is proportional to the noise, 0
 a plateau. Entries in brackets are **not determined by the motion** and are not scored: in most of
 their windows the best frame of the true type has other degrees of freedom than the truth, because the

@@ -97,9 +97,12 @@ _INTRODUCTION = """\
 {trials} demonstrations of every constraint (5 s at 0.05 s) on a simulated Panda arm that a simulated hand
 guides, each with a geometry of its own; geometries that take the arm to a joint limit are drawn again.
 The mount gives way by 0.1 mm/N and 2.5 mrad/(N m), the encoders have noise. Mean ± standard deviation
-over trials, and **the paper's, measured on a real robot, in round brackets**. *Italics*: a free axis of
-the true constraint; **bold**: the lowest norm, that of the identified type. Degrees of freedom by the
-paper's thresholds of 160 mrad/s and 37 mm/s.
+over trials, and **the paper's, measured on a real robot, in round brackets** for the five constraints it
+measured. The two rows that its table has for a constraint are in two tables here: the angular frame, then
+the linear one, each with its norms, the rms velocities λ along its axes and the errors of its geometry.
+*Italics*: a free axis of the true constraint; **bold**: the lowest norm, that of the identified type. One
+number is illegible in our copy of the paper; the 2.59 deg of D contradict its text, which says that all are
+below 1 deg. Degrees of freedom by the paper's thresholds of 160 mrad/s and 37 mm/s.
 
 """
 

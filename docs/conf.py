@@ -1,15 +1,20 @@
 """Sphinx configuration. Build with ``make docs``: no network, warnings are errors."""
 
+import sys
+from pathlib import Path
+
 import reframe_jax
+
+sys.path.insert(0, str(Path(__file__).parent))  # mathml.py, beside this file
 
 project = "reframe_jax"
 copyright = "the authors of reframe_jax, Apache-2.0"
 version = release = reframe_jax.__version__
 
 extensions = [
+    "mathml",
     "myst_parser",
     "sphinx.ext.autodoc",
-    "sphinx.ext.mathjax",
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
 ]
@@ -24,6 +29,7 @@ napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
 
+html_math_renderer = "mathml"
 html_theme = "furo"
 html_title = f"reframe_jax {version}"
 html_static_path: list[str] = []

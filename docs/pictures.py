@@ -20,7 +20,8 @@ def pin_on_plane() -> None:
     """The recording of the README."""
     recording = rf.load_recording(ROOT / "examples" / "pin_on_plane.csv")
     found = rf.identify(recording.poses, times=recording.times)
-    figure = plotting.plot_identification(recording.poses, found, times=recording.times)
+    title = f"{recording.path.name}: {found.name}"  # as the command line draws it
+    figure = plotting.plot_identification(recording.poses, found, times=recording.times, title=title)
     figure.savefig(IMAGES / "pin_on_plane.png", metadata={"Software": None})
 
 

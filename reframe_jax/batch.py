@@ -76,6 +76,8 @@ def identify_many(
     if part_size < 1:
         raise ValueError(f"part_size must be at least 1, not {part_size}.")
     folder = Path(out)
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"{folder} is a file; expected a folder for the results.")
     folder.mkdir(parents=True, exist_ok=True)
     total = len(windows) if _is_array(windows) else None
     wanted = None if parts is None else set(parts)

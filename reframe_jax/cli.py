@@ -17,20 +17,22 @@ import jax
 import numpy as np
 
 import reframe_jax
+from reframe_jax import cli_arguments as arguments
 from reframe_jax import cli_panda, report
 from reframe_jax.classify import Thresholds
 from reframe_jax.cleaning import clean_recording, recording_warnings
-from reframe_jax.frames import CONSTRAINTS, constraint
+from reframe_jax.frames import CONSTRAINTS
 from reframe_jax.identify import identify
 from reframe_jax.io import Recording, RecordingError, load_recording, save_recording
 from reframe_jax.kinematics import sliding_windows
-from reframe_jax.objectives import check_exponent
 from reframe_jax.results import Identification
 from reframe_jax.validate import MIN_VELOCITIES, Status
 
 __all__ = ["main"]
 
 _CHUNK = 2048  # windows between two reports of progress
+_CLOSE = 1.5  # factor from a threshold within which an axis is neither clearly free nor constrained
+_UNKNOWNS = 5  # of one constrained axis: its direction, and where the origin is
 
 _DESCRIPTION = """\
 Find the frame in which a measured motion is constrained: the body it is
@@ -47,8 +49,8 @@ examples:
 _IDENTIFY = """\
 Identify the constraint of recordings.
 
-A recording is a .csv with a header (t,x,y,z,qx,qy,qz,qw in any order), a TUM
-trajectory (.txt, .tum), an .npy or an .npz; metres and seconds unless told
+A recording is a .csv or .tsv with a header (t,x,y,z,qx,qy,qz,qw in any order), a
+TUM trajectory (.txt, .tum), an .npy or an .npz; metres and seconds unless told
 otherwise. It is taken as one window, or as sliding windows with --window.
 """
 
@@ -71,7 +73,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = arguments.Parser(
         prog="reframe-jax",
         description=_DESCRIPTION,
         epilog=_EXAMPLES,
@@ -106,105 +108,17 @@ def _add_command(commands: Any, name: str, run: Any, text: str, help: str) -> ar
 
 
 def _add_identify(commands: Any) -> None:
-    defaults = Thresholds()
     command = _add_command(
         commands, "identify", _identify, _IDENTIFY, "identify the constraint of recordings"
     )
-    add = command.add_argument
-    add("files", nargs="+", type=Path, metavar="FILE", help="recordings")
-    add("--dt", type=_positive, metavar="S", help="sample time in s, for files without times")
-    add("--clean", action="store_true", help="leave out outliers, noise and rest; says what it left out")
-    add("--step", type=_positive, metavar="S", help="with --clean: s between poses (chosen from the noise)")
-    add("--unit", choices=["m", "cm", "mm"], default="m", help="unit of positions in the files (m)")
-    add("--window", type=int, metavar="N", help="poses per window; the whole recording by default")
-    add("--stride", type=int, metavar="M", help="poses between the starts of two windows (N)")
-    add(
-        "--norm",
-        type=_exponent,
-        default=0.0,
-        metavar="P",
-        help="exponent of the power mean over the axes, up to 2; --norm=-inf for the minimum (0)",
-    )
-    add(
-        "--discretization",
-        choices=["chord", "left"],
-        default="chord",
-        help="velocity from two poses: chord for measured motion, left as in the paper (chord)",
-    )
-    add(
-        "--angular-threshold",
-        type=_positive,
-        default=defaults.angular,
-        metavar="W",
-        help="rad/s rms above which a rotation is free (%(default)s)",
-    )
-    add(
-        "--linear-threshold",
-        type=_positive,
-        default=defaults.linear,
-        metavar="V",
-        help="m/s rms above which a translation is free (%(default)s)",
-    )
-    add(
-        "--bounds",
-        type=_positive,
-        default=1.0,
-        metavar="M",
-        help="how far positions are searched, in m (%(default)s)",
-    )
-    add("--json", metavar="OUT", help="write the results as JSON; - prints them instead of tables")
-    add(
-        "--plot",
-        type=Path,
-        metavar="OUT.png",
-        help="draw the result; of several recordings, to OUT-NAME.png each",
-    )
+    arguments.add_identify(command)
 
 
 def _add_simulate(commands: Any) -> None:
     command = _add_command(
         commands, "simulate", _simulate, "Simulate a constrained motion.", "simulate a recording"
     )
-    add = command.add_argument
-    add("--constraint", type=_label, required=True, metavar="K", help="letter or name: see constraints")
-    add("--out", type=Path, required=True, metavar="FILE", help="recording to write, .csv or .npz")
-    add("--noise", type=float, default=0.0, metavar="M", help="standard deviation of positions, m (0)")
-    add("--seed", type=int, default=0, help="of the random numbers (0)")
-    add("--duration", type=_positive, default=5.0, metavar="S", help="s (5)")
-    add("--dt", type=_positive, default=0.1, metavar="S", help="sample time, s (0.1)")
-    add(
-        "--excitation",
-        choices=["exciting", "paper"],
-        default="exciting",
-        help="velocities along the free axes: of many frequencies, or those of the paper (exciting)",
-    )
-    add(
-        "--generator",
-        choices=["exact", "paper"],
-        default="exact",
-        help="motion between the samples: exact, or one step per sample as in the paper (exact)",
-    )
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0 < value < np.inf:
-        raise argparse.ArgumentTypeError(f"expected a positive number, not {text}")
-    return value
-
-
-def _exponent(text: str) -> float:
-    try:
-        return check_exponent(float(text))
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from error
-
-
-def _label(text: str) -> str:
-    try:
-        return constraint(text).label
-    except KeyError as error:
-        raise argparse.ArgumentTypeError(error.args[0]) from error
+    arguments.add_simulate(command)
 
 
 def _configure_jax(cache: bool) -> None:
@@ -239,6 +153,12 @@ def _constraints(options: argparse.Namespace) -> int:
 def _simulate(options: argparse.Namespace) -> int:
     from reframe_jax.synthetic import simulate
 
+    poses = round(options.duration / options.dt) + 1
+    if poses <= MIN_VELOCITIES:
+        options.usage_error(
+            f"--duration {options.duration:g} s in steps of --dt {options.dt:g} s makes {poses} poses; "
+            f"expected {MIN_VELOCITIES + 1} or more."
+        )
     _configure_jax(options.cache)
     run = jax.jit(simulate, static_argnames=("constraint", "duration", "dt", "excitation", "exact"))
     simulation = jax.device_get(
@@ -306,9 +226,14 @@ def _identify_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
     recording, found, windows, problem = None, None, None, None
     try:
         recording = _load(path, options)
+        recording = _noted(recording, _short_windows(recording, options))
         for note in recording.notes:
             _say(f"reframe-jax: {path}: {note}")
         found, windows = _windows(recording, options)
+        close = _close_calls(found, _thresholds(options)) if options.window is None else []
+        for note in close:
+            _say(f"reframe-jax: {path}: {note}")
+        recording = _noted(recording, close)
         problem = _print_result(path, found, windows, options)
         if options.plot is not None and problem is None:
             problem = _plot(recording, found, options)
@@ -329,6 +254,40 @@ def _load(path: Path, options: argparse.Namespace) -> Recording:
     warnings = recording_warnings(recording, thresholds)
     hint = ["--clean may help: it leaves such poses out."] if warnings else []
     return replace(recording, notes=(*recording.notes, *warnings, *hint))
+
+
+def _short_windows(recording: Recording, options: argparse.Namespace) -> list[str]:
+    """A warning of windows in which nearly every motion obeys some constraint."""
+    velocities = (options.window or len(recording.times)) - 1
+    if velocities > _UNKNOWNS:
+        return []
+    return [
+        f"{velocities} velocities say nothing: with {_UNKNOWNS} or fewer, nearly every motion has a frame in "
+        "which an axis stands still. Take longer windows."
+    ]
+
+
+def _noted(recording: Recording, notes: list[str]) -> Recording:
+    return replace(recording, notes=(*recording.notes, *notes))
+
+
+def _close_calls(found: Identification, thresholds: Thresholds) -> list[str]:
+    """A warning of axes so near their threshold that they are neither clearly free nor constrained."""
+    close = [
+        f"{group} axis {number} ({rms:.3g} {unit}, threshold {level:g})"
+        for group, level, unit in (
+            ("angular", thresholds.angular, "rad/s"),
+            ("linear", thresholds.linear, "m/s"),
+        )
+        for number, rms in enumerate(np.asarray(getattr(found, group).rms), start=1)
+        if level / _CLOSE < rms < level * _CLOSE
+    ]
+    if not close:
+        return []
+    return [
+        f"close to the threshold, so that free or constrained is uncertain: {', '.join(close)}. Look at the "
+        "gaps between the velocities, and set the thresholds into them."
+    ]
 
 
 def _thresholds(options: argparse.Namespace) -> Thresholds:
@@ -404,5 +363,5 @@ def _plot(recording: Recording, found: Identification, options: argparse.Namespa
     try:
         figure.savefig(out)
     except (OSError, ValueError) as error:
-        return f"{out}: cannot be written: {error}"
+        return f"{out}: cannot be written: {getattr(error, 'strerror', None) or error}."
     return None

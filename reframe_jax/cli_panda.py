@@ -11,6 +11,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from reframe_jax import cli_arguments
 from reframe_jax.frames import CONSTRAINTS
 from reframe_jax.io import RecordingError, save_recording
 
@@ -48,8 +49,8 @@ def add_commands(commands: Any) -> None:
     add = command.add_argument
     add("--count", type=_count, default=1, metavar="N", help="demonstrations (1)")
     add("--out", type=Path, required=True, metavar="PATH", help="folder, .npz or .csv")
-    add("--duration", type=cli._positive, default=5.0, metavar="S", help="s (5)")
-    add("--dt", type=cli._positive, default=0.05, metavar="S", help="sample time, s (0.05)")
+    add("--duration", type=cli_arguments.positive, default=5.0, metavar="S", help="s (5)")
+    add("--dt", type=cli_arguments.positive, default=0.05, metavar="S", help="sample time, s (0.05)")
     add("--plot", type=Path, metavar="FILE", help="draw the first demonstration, .png or .pdf")
     add("--render", type=Path, metavar="FILM", help="film the first demonstration, .gif or .mp4")
     add(
@@ -75,10 +76,14 @@ def add_commands(commands: Any) -> None:
 
 
 def _add_common(command: argparse.ArgumentParser) -> None:
-    from reframe_jax import cli
-
     add = command.add_argument
-    add("--constraint", type=cli._label, required=True, metavar="K", help="letter or name: see constraints")
+    add(
+        "--constraint",
+        type=cli_arguments.label,
+        required=True,
+        metavar="K",
+        help="letter or name: see constraints",
+    )
     add("--robot", choices=["panda", "fr3"], default="panda", help="the arm (panda)")
     add(
         "--imperfections",
@@ -95,13 +100,13 @@ def _add_common(command: argparse.ArgumentParser) -> None:
         "in the paper's Table 4, or as in the paper's simulations (exciting)",
     )
     add("--fixed", action="store_true", help="the same geometry every time, not one drawn at random")
-    add("--seed", type=int, default=0, help="of the random numbers (0)")
+    add("--seed", type=cli_arguments.seed, default=0, help="of the random numbers (0)")
 
 
 def _count(text: str) -> int:
-    value = int(text)
+    value = cli_arguments.whole(text)
     if value < 1:
-        raise argparse.ArgumentTypeError(f"expected a positive number, not {text}")
+        raise argparse.ArgumentTypeError(f"expected a whole number, 1 or more, not {text}")
     return value
 
 

@@ -94,6 +94,7 @@ def identify(
     if host:
         poses = np.asarray(poses)
         poses = poses if np.issubdtype(poses.dtype, np.floating) else poses.astype(float)
+    _check_options(thresholds, solver)
     wide = host and poses.dtype == np.float64
     with jax.enable_x64(True) if wide else contextlib.nullcontext():
         steps = _steps(poses, times, dt)
@@ -128,6 +129,16 @@ def identify(
         if status.failed:
             raise ValueError(status.message)
     return found
+
+
+def _check_options(thresholds: Any, solver: Any) -> None:
+    if not isinstance(thresholds, Thresholds):
+        raise ValueError(f"thresholds must be Thresholds(angular=..., linear=...), not {thresholds!r}.")
+    levels = (thresholds.angular, thresholds.linear)
+    if not traced(levels) and not all(np.all(np.asarray(level) >= 0) for level in levels):
+        raise ValueError(f"thresholds must be 0 or more, in rad/s and m/s, not {thresholds}.")
+    if solver is not None and not hasattr(solver, "minimise"):
+        raise ValueError(f"solver must be a search such as BasinHopping(ValleySteps(6)), not {solver!r}.")
 
 
 def _in_float64() -> bool:

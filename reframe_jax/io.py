@@ -7,6 +7,8 @@ what is dropped, repaired or odd is noted in ``Recording.notes``; everything els
 
 import csv
 import re
+import zipfile
+import zlib
 from dataclasses import dataclass, field
 from decimal import Decimal
 from pathlib import Path
@@ -177,7 +179,8 @@ def _read_table(path: Path, unit: str) -> _Rows:
     lines = _lines(path)
     start = next((i for i, (_, line) in enumerate(lines) if line[0] not in "#%"), len(lines))
     if start >= len(lines) - 1:
-        raise RecordingError(f"{path}: is empty; expected a header such as {_HEADER}, and rows of numbers.")
+        what = "has no more than one line of text" if lines else "is empty"
+        raise RecordingError(f"{path}: {what}; expected a header such as {_HEADER}, and rows of numbers.")
     delimiter = next((d for d in "\t;" if d in lines[start][1]), ",")
     cells = [(number, next(csv.reader([line.lstrip("#% ")], delimiter=delimiter))) for number, line in lines]
     if start and _is_number(cells[start][1][0]):
@@ -264,10 +267,13 @@ def _parse(
 
 def _read_arrays(path: Path, unit: str) -> _Rows:
     try:
-        loaded = np.load(path, allow_pickle=False)
-        arrays = {"poses": loaded} if isinstance(loaded, np.ndarray) else dict(loaded)
-    except (ValueError, EOFError) as error:
-        raise RecordingError(f"{path}: does not hold plain arrays: {error}") from error
+        with path.open("rb") as file:  # NumPy leaves it open when it is no archive
+            loaded = np.load(file, allow_pickle=False)
+            arrays = {"poses": loaded} if isinstance(loaded, np.ndarray) else dict(loaded)
+    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise RecordingError(
+            f"{path}: does not hold plain arrays; expected numbers as np.save or np.savez writes them, whole."
+        ) from error
     shapes = {name: array.shape for name, array in arrays.items() if array.dtype.kind in "fiu"}
     count = next(iter(shapes.get("poses") or shapes.get("positions") or (0,)))
     if (shapes.get("positions"), shapes.get("quaternions")) == ((count, 3), (count, 4)):

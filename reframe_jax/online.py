@@ -6,7 +6,7 @@ import numpy as np
 
 from reframe_jax.identify import identify
 from reframe_jax.results import Identification
-from reframe_jax.validate import MIN_VELOCITIES
+from reframe_jax.validate import MIN_VELOCITIES, ROTATION_TOLERANCE, Status
 
 __all__ = ["OnlineIdentifier"]
 
@@ -26,12 +26,14 @@ class OnlineIdentifier:
         **options: of :func:`reframe_jax.identify`.
 
     Raises:
-        ValueError: if the window is too short.
+        ValueError: if the window is too short, or the sample time not positive.
     """
 
     def __init__(self, length: int, *, dt: float | None = None, **options: Any) -> None:
         if length < MIN_VELOCITIES + 1:
             raise ValueError(f"A window needs at least {MIN_VELOCITIES + 1} poses, not {length}.")
+        if dt is not None and not 0 < dt < np.inf:
+            raise ValueError(f"dt must be a positive number of seconds, not {dt}.")
         self._dt, self._options = dt, options
         # poses are written twice, so that the window is always one slice
         self._poses = np.zeros((2 * length, 4, 4))
@@ -57,6 +59,9 @@ class OnlineIdentifier:
             raise ValueError(f"A pose must be a finite (4, 4) matrix, not {pose.shape}: {pose.tolist()}.")
         if (time is None) == (self._dt is None):
             raise ValueError("Give a time with every pose, or the sample time dt once, in seconds.")
+        _check_rigid(pose)
+        if time is not None and not np.isfinite(time):
+            raise ValueError(f"A time must be a finite number of seconds, not {time}.")
         last = self._times[(self._count - 1) % self._length]
         if time is not None and self._count and not time > last:
             raise ValueError(f"Times must increase: {time} s came after {last} s.")
@@ -73,3 +78,11 @@ class OnlineIdentifier:
     def __len__(self) -> int:
         """Poses in the window so far."""
         return min(self._count, self._length)
+
+
+def _check_rigid(pose: np.ndarray) -> None:
+    """Refuse what would spoil every window that it is in."""
+    rotation = pose[:3, :3]
+    skewed = np.abs(rotation.T @ rotation - np.eye(3)).max() >= ROTATION_TOLERANCE
+    if skewed or np.linalg.det(rotation) < 0 or np.abs(pose[3] - [0, 0, 0, 1]).max() >= 1e-6:
+        raise ValueError(Status.NOT_A_POSE.message)

@@ -5,12 +5,13 @@ from enum import IntEnum
 import jax
 import jax.numpy as jnp
 
-__all__ = ["MIN_VELOCITIES", "Status", "window_status"]
+__all__ = ["MIN_VELOCITIES", "ROTATION_TOLERANCE", "Status", "window_status"]
 
 MIN_VELOCITIES = 4
 """Fewest velocities in a window: three leave every covariance singular at some origin."""
 
-_ROTATION_TOLERANCE = 1e-3
+ROTATION_TOLERANCE = 1e-3
+"""Largest entry of R^T R - I in a pose."""
 
 
 class Status(IntEnum):
@@ -48,7 +49,7 @@ _MESSAGES = {
     Status.NOT_FINITE: "The window contains NaN or infinite numbers; expected finite poses and times.",
     Status.NOT_A_POSE: (
         "A pose is not a rigid transform; expected 4x4 matrices [R p; 0 0 0 1] with R a rotation "
-        f"(R^T R = I to {_ROTATION_TOLERANCE:g}, det R = +1)."
+        f"(R^T R = I to {ROTATION_TOLERANCE:g}, det R = +1)."
     ),
     Status.TIMES_NOT_INCREASING: "Sample times do not increase; expected every step dt > 0.",
     Status.NO_MOTION: "All poses of the window are equal; expected a window in which something moves.",
@@ -79,7 +80,7 @@ def window_status(poses: jax.Array, steps: jax.Array) -> jax.Array:
     handed = sum(c * t for c, t in zip(cross, third, strict=True))
     bottom = jnp.asarray([0, 0, 0, 1], dtype=poses.dtype)[(None,) * (poses.ndim - 2)]
     rigid = (
-        (skewed < _ROTATION_TOLERANCE)
+        (skewed < ROTATION_TOLERANCE)
         & (handed > 0)
         & jnp.all(jnp.abs(poses[..., 3, :] - bottom) < 1e-6, axis=-1)
     )

@@ -228,6 +228,9 @@ def test_bad_input_is_refused_in_words(windows, tmp_path):
         rf.identify_many([windows[0], windows[1, :9]], tmp_path / "a", dt=0.1)
     with pytest.raises(ValueError, match="as many rows"):
         rf.identify_many(windows, tmp_path / "b", times=np.zeros((39, 21)))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ValueError, match="is a file; expected a folder"):
+        rf.identify_many(windows, tmp_path / "file", dt=0.1)
     with pytest.raises(ValueError, match="part_size"):
         rf.identify_many(windows, tmp_path / "c", dt=0.1, part_size=0)
     with pytest.raises(ValueError, match="no results"):

@@ -325,9 +325,10 @@ def test_the_catalogue_is_listed(capsys: Captured) -> None:
         ([], "required: COMMAND"),
         (["identify"], "required: FILE"),
         (["identify", "a.csv", "--norm", "3"], "must lie in"),
-        (["identify", "a.csv", "--norm", "x"], "x"),
+        (["identify", "a.csv", "--norm", "x"], "expected a number, not 'x'"),
+        (["identify", "a.csv", "--window", "long"], "expected a whole number, not 'long'"),
         (["identify", "a.csv", "--dt", "0"], "expected a positive number"),
-        (["identify", "a.csv", "--dt", "fast"], "invalid _positive value|expected a positive number"),
+        (["identify", "a.csv", "--dt", "fast"], "expected a number, not 'fast'"),
         (["identify", "a.csv", "--unit", "inch"], "invalid choice"),
         (["identify", "a.csv", "--step", "2"], "--step needs --clean"),
         (["identify", "a.csv", "--stride", "2"], "--stride needs --window"),
@@ -337,6 +338,11 @@ def test_the_catalogue_is_listed(capsys: Captured) -> None:
         (["identify", "a/a.csv", "b/a.csv", "--plot", "a.png"], "different names"),
         (["simulate", "--out", "a.csv", "--constraint", "Z"], r"A \(Revolute joint\)"),
         (["simulate", "--constraint", "A"], "required: --out"),
+        (["simulate", "--constraint", "A", "--out", "a.csv", "--noise", "-1"], "0 or more, not -1"),
+        (["simulate", "--constraint", "A", "--out", "a.csv", "--noise", "nan"], "0 or more, not nan"),
+        (["simulate", "--constraint", "A", "--out", "a.csv", "--seed", str(2**70)], "whole number from 0 to"),
+        (["simulate", "--constraint", "A", "--out", "a.csv", "--dt", "10"], "makes 1 poses; expected 5"),
+        (["demonstrate", "--constraint", "A", "--out", "a", "--count", "many"], "expected a whole number"),
     ],
 )
 def test_wrong_command_lines(arguments: list[str], problem: str, capsys: Captured) -> None:
@@ -344,8 +350,32 @@ def test_wrong_command_lines(arguments: list[str], problem: str, capsys: Capture
         cli.main(arguments)
     assert caught.value.code == 2
     err = capsys.readouterr().err
-    assert err.startswith("usage: reframe-jax")
-    assert re.search(problem, err.splitlines()[-1])
+    (line,) = err.splitlines()
+    assert re.fullmatch(r"reframe-jax.*: error: .*; see reframe-jax.* --help", line)
+    assert re.search(problem, line)
+
+
+@pytest.mark.parametrize(("poses", "warned"), [(6, True), (7, False)])
+def test_windows_that_any_motion_fits_are_noted(door: Path, tmp_path: Path, poses: int, warned: bool) -> None:
+    recording = load_recording(door)
+    short = tmp_path / "short.csv"
+    save_recording(short, recording.times[:poses], recording.poses[:poses])
+    options = cli._parser().parse_args(["identify", str(short)])
+    assert bool(cli._short_windows(recording, options)) is False
+    assert bool(cli._short_windows(load_recording(short), options)) is warned
+    options = cli._parser().parse_args(["identify", str(door), "--window", str(poses)])
+    assert bool(cli._short_windows(recording, options)) is warned
+
+
+def test_axes_close_to_a_threshold_are_noted(clip: Path, capsys: Captured) -> None:
+    assert run(clip) == 0
+    assert "close to the threshold" not in capsys.readouterr().err
+    rms = identify(load_recording(clip).poses, times=load_recording(clip).times).angular.rms
+    fast = float(rms[2])
+    assert run(clip, "--angular-threshold", f"{1.2 * fast}", "--json", "-") == 0
+    captured = capsys.readouterr()
+    assert f"uncertain: angular axis 3 ({fast:.3g} rad/s" in captured.err
+    assert any("close to the threshold" in note for note in read_json(captured.out)[0]["notes"])
 
 
 def test_compiled_programs_are_kept_where_caches_belong(

@@ -53,6 +53,23 @@ def test_every_public_name_of_the_modules_is_explained() -> None:
                 assert inspect.getdoc(thing), f"{name}.{public} has no docstring"
 
 
+def test_formulas_are_drawn_without_a_network() -> None:
+    pytest.importorskip("sphinx")
+    spec = importlib.util.spec_from_file_location("mathml", DOCS / "mathml.py")
+    assert spec is not None
+    assert spec.loader is not None
+    mathml = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(mathml)
+    text = (DOCS / "method.md").read_text()
+    formulas = re.findall(r"\$\$(.+?)\$\$|\$(.+?)\$", text, re.DOTALL)
+    assert len(formulas) > 40
+    for block, inline in formulas:
+        assert mathml.formula(block or inline, bool(block)).startswith("<math")
+    with pytest.raises(mathml.MathError):  # docutils reads twelve, TeX one half
+        mathml.formula(r"\tfrac12 x", False)
+    assert "mathjax" not in (DOCS / "conf.py").read_text()
+
+
 def test_links_between_pages_lead_somewhere() -> None:
     for page in (*DOCS.glob("*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md"):
         for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text()):

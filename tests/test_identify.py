@@ -218,6 +218,12 @@ def test_float64_arrays_are_computed_in_float64_where_jax_is_set_to_float32():
         ({"poses": np.tile(np.eye(4), (51, 1, 1)), "dt": 0.1, "norm": 3}, "exponent"),
         ({"poses": np.tile(np.eye(4), (51, 1, 1)), "dt": 0.1, "bounds": -1.0}, "bounds"),
         ({"poses": np.tile(np.eye(4), (51, 1, 1)), "dt": 0.1, "discretization": "right"}, "discretization"),
+        ({"poses": np.tile(np.eye(4), (51, 1, 1)), "dt": 0.1, "thresholds": (1, 2)}, "must be Thresholds"),
+        (
+            {"poses": np.tile(np.eye(4), (51, 1, 1)), "dt": 0.1, "thresholds": rf.Thresholds(linear=-1)},
+            "0 or more",
+        ),
+        ({"poses": np.tile(np.eye(4), (51, 1, 1)), "dt": 0.1, "solver": rf.ValleySteps(3)}, "BasinHopping"),
     ],
 )
 def test_bad_input_is_refused_in_words(arguments, words):

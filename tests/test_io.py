@@ -305,7 +305,7 @@ def test_matrices_are_made_orthonormal_or_refused(tmp_path: Path, table: np.ndar
         (lambda rows: rows[8].pop(), "line 10: expected 8 columns, found 7; delete the line"),
         (lambda rows: rows[2].__setitem__(3, 500.0), "line 4: lies 5.* m from the median"),
         (lambda rows: rows.__delitem__(slice(4, None)), "has 4 usable poses; expected 5"),
-        (lambda rows: rows.clear(), "is empty; expected a header such as t,x,y,z"),
+        (lambda rows: rows.clear(), "has no more than one line of text; expected a header such as t,x,y,z"),
     ],
 )
 def test_rows_that_are_refused(
@@ -336,6 +336,7 @@ def test_rows_that_are_refused(
         ("a.txt", "", "expected a TUM trajectory"),
         ("a.txt", "t x y z\n0 0 0 0\n", "expected a TUM trajectory"),
         ("a.npy", "no array", "does not hold plain arrays"),
+        ("a.npz", "PK\x03\x04cut off", "does not hold plain arrays"),
         ("a.xyz", "", "expected one of .csv, .tsv, .txt, .tum, .npy, .npz"),
     ],
 )

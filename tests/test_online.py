@@ -35,12 +35,26 @@ def test_a_refused_pose_is_not_added(recording):
         (poses[20], None, "Give a time"),
         (np.full((4, 4), np.nan), times[20], "finite"),
         (np.eye(3), times[20], "finite"),
+        (poses[20], np.inf, "finite number of seconds"),
+        (np.diag([2.0, 2.0, 2.0, 1.0]), times[20], "not a rigid transform"),
+        (np.diag([1.0, 1.0, -1.0, 1.0]), times[20], "not a rigid transform"),
     ):
         with pytest.raises(ValueError, match=words):
             online.push(bad, time)
     found = online.push(poses[20], times[20])
     window = rf.identify(poses[:21], times=times[:21])
     np.testing.assert_array_equal(found.linear.position, window.linear.position)
+
+
+def test_the_first_time_must_be_a_number(recording):
+    with pytest.raises(ValueError, match="finite number of seconds, not nan"):
+        rf.OnlineIdentifier(5).push(np.asarray(recording.poses)[0], np.nan)
+
+
+def test_a_sample_time_that_is_not_positive_is_refused():
+    for dt in (0.0, -0.1, np.nan):
+        with pytest.raises(ValueError, match="dt must be a positive number"):
+            rf.OnlineIdentifier(5, dt=dt)
 
 
 def test_a_window_too_short_is_refused():

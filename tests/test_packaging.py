@@ -53,6 +53,24 @@ def test_the_version_comes_from_one_place(built: Path) -> None:
     assert f"## {reframe_jax.__version__}" in (ROOT / "CHANGELOG.md").read_text()
 
 
+def test_the_readme_names_every_extra() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    (line,) = re.findall(r"^Extras: .*?\n\n", (ROOT / "README.md").read_text(), re.MULTILINE | re.DOTALL)
+    missing = [name for name in project["optional-dependencies"] if f"`{name}`" not in line]
+    assert not missing
+
+
+def test_the_tour_of_the_code_names_every_module() -> None:
+    tour = (ROOT / "CONTRIBUTING.md").read_text()
+    modules = [
+        path
+        for path in (ROOT / "reframe_jax").iterdir()
+        if path.name[0] not in "_." and path.name != "py.typed"
+    ]
+    names = {"cli*" if path.name.startswith("cli") else path.stem + "/" * path.is_dir() for path in modules}
+    assert not [name for name in names if f"`{name}`" not in tour]
+
+
 def test_the_wheel_holds_the_package_and_nothing_else(built: Path) -> None:
     (wheel,) = built.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
@@ -65,7 +83,17 @@ def test_the_wheel_holds_the_package_and_nothing_else(built: Path) -> None:
     modules = {str(path.relative_to(ROOT)) for path in (ROOT / "reframe_jax").rglob("*.py")}
     assert modules <= set(names)
     extras = set(re.findall(r"^Provides-Extra: (\S+)$", text, re.MULTILINE))
-    assert {"plot", "parquet", "distributed", "benchmark", "notebooks", "docs", "cuda", "test"} <= extras
+    assert {
+        "plot",
+        "parquet",
+        "distributed",
+        "benchmark",
+        "notebooks",
+        "docs",
+        "cuda",
+        "render",
+        "test",
+    } <= extras
 
 
 def test_the_sdist_holds_what_is_needed_to_work_on_it(built: Path) -> None:

@@ -79,7 +79,7 @@ def test_reproduction(capsys: pytest.CaptureFixture[str]) -> None:
     [
         (["--constraint", "Z", "--out", "x.npz"], "No constraint 'Z'"),
         (["--constraint", "A", "--out", "x.gif"], "or end in .npz or .csv"),
-        (["--constraint", "A", "--out", "x.npz", "--count", "0"], "positive number"),
+        (["--constraint", "A", "--out", "x.npz", "--count", "0"], "1 or more, not 0"),
     ],
 )
 def test_wrong_command(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:

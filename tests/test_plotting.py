@@ -79,11 +79,26 @@ def test_the_frame_is_drawn_where_it_is(poses: np.ndarray, kind: LinearType) -> 
     assert sorted(text.get_text() for text in space.texts) == ["1", "2", "3"]
 
 
+@pytest.mark.parametrize("kind", LinearType)
+def test_an_origin_on_the_body_is_joined_to_it(poses: np.ndarray, kind: LinearType) -> None:
+    _, space, _ = draw(poses, identification(kind))
+    names = [text.get_text() for text in space.get_legend().get_texts()]
+    on_body = kind.name[1] == "B"
+    assert ("path of the frame's origin" in names) is on_body
+    if on_body:
+        (path,) = (line for line in space.lines if line.get_linestyle() == ":")
+        there = poses[:, :3, :3] @ POSITION + poses[:, :3, 3]
+        np.testing.assert_allclose(np.transpose(path.get_data_3d()), there)
+        ends = [np.transpose(line.get_data_3d()) for line in space.lines if line.get_linewidth() == 2.2]
+        np.testing.assert_allclose(ends, np.stack([poses[:, :3, 3], there], axis=1)[[0, 4, 8]])
+
+
 def test_lengths_are_equal_and_everything_fits(poses: np.ndarray) -> None:
     _, space, _ = draw(poses, identification(LinearType.BB))
     limits = np.array([space.get_xlim(), space.get_ylim(), space.get_zlim()])
     np.testing.assert_allclose(np.ptp(limits, axis=1), np.ptp(limits[0]))
-    for points in (poses[:, :3, 3], origins(space)):
+    track = poses[:, :3, :3] @ POSITION + poses[:, :3, 3]
+    for points in (poses[:, :3, 3], origins(space), track):
         assert (limits[:, 0] < points).all()
         assert (points < limits[:, 1]).all()
     assert [space.get_xlabel(), space.get_ylabel(), space.get_zlabel()] == ["x [m]", "y [m]", "z [m]"]
@@ -102,7 +117,7 @@ def test_the_legend_names_what_is_there(
 ) -> None:
     _, space, _ = draw(poses, identification(LinearType.BB, angular_dof, linear_dof))
     texts = {text.get_text() for text in space.get_legend().get_texts()}
-    assert texts == {"path and axes of the body", *labels}
+    assert texts == {"path and axes of the body", "path of the frame's origin", *labels}
 
 
 def test_velocities_and_thresholds(poses: np.ndarray) -> None:

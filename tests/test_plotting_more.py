@@ -60,6 +60,7 @@ def test_scene_and_animation(window: tuple[Any, Any, rf.Identification], tmp_pat
     animation = plotting.animate_scene(poses, found, times=times, frames=3)
     animation.save(tmp_path / "a.gif", writer="pillow", dpi=40)
     assert (tmp_path / "a.gif").read_bytes().startswith(b"GIF")
+    assert plotting.gif(animation).startswith(b"GIF")
     with pytest.raises(ValueError, match="index one window first"):
         plotting.plot_scene(poses, jax.tree.map(lambda leaf: leaf[None], found))
 

@@ -4,7 +4,7 @@ Needs Matplotlib: ``pip install "reframe-jax[plot]"``. Every function returns a 
 to ``pyplot``: show it in a notebook, or ``figure.savefig(...)``.
 """
 
-from reframe_jax.plotting.animation import animate_scene
+from reframe_jax.plotting.animation import animate_scene, gif
 from reframe_jax.plotting.curves import Curve, plot_curves
 from reframe_jax.plotting.identification import plot_identification
 from reframe_jax.plotting.landscape import plot_landscape
@@ -14,6 +14,7 @@ from reframe_jax.plotting.scene import plot_scene
 __all__ = [
     "Curve",
     "animate_scene",
+    "gif",
     "plot_bars",
     "plot_curves",
     "plot_identification",

@@ -1,16 +1,21 @@
 """A demonstration in motion: the body runs along its path, and the frame with it."""
 
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from reframe_jax.frames import AngularType
 from reframe_jax.plotting.scene import (
     check_window,
+    draw_arm,
     draw_frame,
     frame_length,
     frames_in_ground,
     segment,
     set_limits,
+    track,
 )
 from reframe_jax.plotting.style import BODY, new_figure
 from reframe_jax.results import Identification
@@ -18,13 +23,13 @@ from reframe_jax.results import Identification
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
 
-__all__ = ["animate_scene"]
+__all__ = ["animate_scene", "gif"]
 
 
 def animate_scene(
     poses: Any, found: Identification, *, times: Any, frames: int = 40, title: str | None = None
 ) -> "FuncAnimation":
-    """Animate one window: ``.save("out.gif", writer="pillow")``, or ``.to_jshtml()`` in a notebook.
+    """Animate one window: ``.save("out.gif", writer="pillow")``, or :func:`gif` for a notebook.
 
     Args:
         poses: (K+1, 4, 4), m.
@@ -48,7 +53,9 @@ def animate_scene(
     every = frames_in_ground(poses, host, shown)
     axes: Any = figure.add_subplot(projection="3d")
     path = poses[:, :3, 3]
-    points = np.concatenate([path, every[0]])
+    origins = track(poses, host)
+    points = np.concatenate([path, origins])
+    on_body = host.linear.frame_type.position_body == AngularType.B
     length = frame_length(points)
 
     def show(number: int) -> list[Any]:
@@ -58,11 +65,22 @@ def animate_scene(
         axes.plot(*path[: here + 1].T, color=BODY, linewidth=1.6)
         for axis in poses[here, :3, :3].T:
             segment(axes, path[here], path[here] + 0.6 * length * axis, color=BODY, linewidth=1.4)
+        if on_body:
+            draw_arm(axes, path, origins, np.array([here]))
         origin, triad, turning = (part[number] for part in every)
         draw_frame(axes, origin, length * triad, length * turning, host.linear.dof, 1.0)
         set_limits(axes, points)
+        axes.set_box_aspect((1, 1, 1), zoom=0.9)  # the label of z is cut off otherwise
         axes.set_title(f"{host.name if title is None else title}, t = {times[here]:.2f} s", fontsize=9)
         return []
 
     pace = 1e3 * (times[-1] - times[0]) / max(frames - 1, 1)
     return FuncAnimation(figure, show, frames=frames, interval=pace, blit=False)
+
+
+def gif(animation: "FuncAnimation") -> bytes:
+    """An animation as a GIF, for ``IPython.display.Image`` or a file; it needs no network to be seen."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "animation.gif"
+        animation.save(path, writer="pillow", dpi=100)
+        return path.read_bytes()

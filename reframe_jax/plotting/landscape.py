@@ -42,28 +42,34 @@ def landscape(
         (...).
     """
     poses, times = jnp.asarray(poses), jnp.asarray(times)
-    return _landscape(poses, jnp.diff(times), jnp.asarray(positions), linear_type, norm, discretization)
+    kind = LinearType(linear_type)
+    on_ground = kind.position_body == AngularType.G
+    return _landscape(
+        poses, jnp.diff(times), jnp.asarray(positions), int(kind), on_ground, norm, discretization
+    )
 
 
 def _norms(
     poses: jax.Array,
     steps: jax.Array,
     positions: jax.Array,
-    kind: LinearType,
+    kind: jax.Array,
+    on_ground: jax.Array,
     norm: float,
     discretization: Discretization,
 ) -> jax.Array:
     # about the middle of the motion: rounding grows with the distance from it
     centre = jnp.mean(poses[:, :3, 3], axis=0)
     poses = poses.at[:, :3, 3].add(-centre[None])
-    if kind.position_body == AngularType.G:
-        positions = positions - centre.reshape((1,) * (positions.ndim - 1) + (3,))
+    shift = jnp.where(on_ground, centre, 0.0)
+    positions = positions - shift.reshape((1,) * (positions.ndim - 1) + (3,))
     _, moments = window_moments(poses, steps, discretization)
-    one = moments[..., int(kind)].reshape(*moments.shape[:2], *([1] * (positions.ndim - 1)))
+    one = moments[..., kind].reshape(*moments.shape[:2], *([1] * (positions.ndim - 1)))
     return jnp.exp(PositionObjective(one, norm).value(jnp.moveaxis(positions, -1, 0)))
 
 
-_landscape = jax.jit(_norms, static_argnames=("kind", "norm", "discretization"))
+# the type is not static: one program serves all four
+_landscape = jax.jit(_norms, static_argnames=("norm", "discretization"))
 
 
 def plot_landscape(
@@ -98,7 +104,7 @@ def plot_landscape(
         ImportError: if Matplotlib is not installed.
     """
     kinds = [LinearType(int(found.linear.type_code))] if linear_types is None else list(linear_types)
-    figure = new_figure(8.4, 2.5 * len(kinds) + 0.5)
+    figure = new_figure(8.4, 2.3 * len(kinds) + 0.3)
     grid = figure.subplots(len(kinds), 3, squeeze=False)
     line = np.linspace(-span, span, points)
     optima = np.asarray(found.candidates.linear.position)

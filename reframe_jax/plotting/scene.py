@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "check_window",
+    "draw_arm",
     "draw_frame",
     "draw_space",
     "frame_length",
@@ -31,14 +32,16 @@ __all__ = [
     "plot_scene",
     "segment",
     "set_limits",
+    "track",
 ]
 
 
 def plot_scene(poses: Any, found: Identification, *, title: str | None = None) -> "Figure":
     """Draw one window in space: the path of the body, the linear frame, and the free axes of rotation.
 
-    What is fixed in the body is drawn at the first, the middle and the last pose, the first one palest.
-    Free axes are arrows, constrained axes dashed lines without a head.
+    What is fixed in the body is drawn at the first, the middle and the last pose, the first one palest;
+    an origin that is fixed there is joined to the body, and its path is dotted. Free axes are arrows,
+    constrained axes dashed lines without a head.
 
     Args:
         poses: (K+1, 4, 4), m.
@@ -73,9 +76,11 @@ def draw_space(axes: "Axes3D", poses: np.ndarray, found: Identification) -> None
     """Path and axes of the body, the frame, and a legend."""
     path = poses[:, :3, 3]
     origins, triads, rotation_axes = frames_in_ground(poses, found)
-    points = np.concatenate([path, origins])
+    points = np.concatenate([path, origins, track(poses, found)])
     length = frame_length(points)
     axes.plot(*path.T, color=BODY, linewidth=1.2, label="path and axes of the body")
+    if found.linear.frame_type.position_body == AngularType.B:
+        draw_arm(axes, path, track(poses, found), frame_samples(poses, found))
     for pose in poses[np.linspace(0, len(poses) - 1, 5).astype(int)]:
         for axis in pose[:3, :3].T:
             segment(axes, pose[:3, 3], pose[:3, 3] + 0.4 * length * axis, color=BODY, linewidth=0.8)
@@ -84,6 +89,30 @@ def draw_space(axes: "Axes3D", poses: np.ndarray, found: Identification) -> None
         draw_frame(axes, origin, length * triad, length * turning, found.linear.dof, alpha)
     _draw_legend(axes, found, bool(len(rotation_axes[0])))
     set_limits(axes, points)
+
+
+def draw_arm(axes: "Axes3D", path: np.ndarray, origins: np.ndarray, samples: np.ndarray) -> None:
+    """The path (K+1, 3) of an origin that is fixed in the body, and a line to it from the body."""
+    axes.plot(*origins.T, ":", color="black", linewidth=1.0, label="path of the frame's origin")
+    for sample in samples:
+        segment(axes, path[sample], origins[sample], color=BODY, linewidth=2.2, alpha=0.45)
+
+
+def track(poses: np.ndarray, found: Identification) -> np.ndarray:
+    """The origin of the linear frame in the ground, (K+1, 3) m."""
+    position = np.asarray(found.linear.position)
+    if found.linear.frame_type.position_body == AngularType.G:
+        return np.broadcast_to(position, (len(poses), 3))
+    moved: np.ndarray = poses[:, :3, :3] @ position + poses[:, :3, 3]
+    return moved
+
+
+def frame_samples(poses: np.ndarray, found: Identification) -> np.ndarray:
+    """Poses at which the frame is drawn: one where all of it is fixed in the ground, else three."""
+    kind = found.linear.frame_type
+    in_ground = kind.orientation_body == kind.position_body == AngularType.G
+    middle = len(poses) // 2
+    return np.array([middle] if in_ground else [0, middle, len(poses) - 1])
 
 
 def _size(points: np.ndarray) -> float:
@@ -154,9 +183,7 @@ def frames_in_ground(
         axes of rotation, none of them if all three are free.
     """
     kind = found.linear.frame_type
-    in_ground = kind.orientation_body == kind.position_body == AngularType.G
-    few = [len(poses) // 2] if in_ground else [0, len(poses) // 2, -1]
-    shown = poses[few if samples is None else samples]
+    shown = poses[frame_samples(poses, found) if samples is None else samples]
     turn, shift = shown[:, :3, :3], shown[:, :3, 3]
 
     def seen(axes: np.ndarray, body: AngularType) -> np.ndarray:
