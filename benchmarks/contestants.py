@@ -86,8 +86,8 @@ def general_search(poses: np.ndarray) -> Solved:
 
 
 @jax.jit
-def _value_and_gradient(moments: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-    return jax.value_and_grad(lambda x: FrameObjective(moments).value(x))(x)
+def _value_and_gradient(moments: jax.Array | np.ndarray, x: jax.Array) -> tuple[jax.Array, jax.Array]:
+    return jax.value_and_grad(lambda x: FrameObjective(jnp.asarray(moments)).value(x))(x)
 
 
 def annealing(poses: np.ndarray, seeds: np.ndarray) -> Solved:
@@ -98,21 +98,26 @@ def annealing(poses: np.ndarray, seeds: np.ndarray) -> Solved:
 
 
 def lbfgs(poses: np.ndarray, starts: int) -> Solved:
-    """SciPy's L-BFGS-B from random starts."""
-    angular, linear, centre = six_moments(poses)
+    """SciPy's L-BFGS-B from random starts; on a processor, to spare it the way to an accelerator and back."""
+    angular, linear, centre = (np.asarray(a) for a in six_moments(poses))
+    with jax.default_device(jax.devices("cpu")[0]):
+        return _lbfgs(angular, linear, centre, starts)
+
+
+def _lbfgs(angular: np.ndarray, linear: np.ndarray, centre: np.ndarray, starts: int) -> Solved:
     rng = np.random.default_rng(0)
-    norms, positions = np.full((len(poses), 6), np.inf), np.zeros((len(poses), 4, 3))
+    norms, positions = np.full((len(centre), 6), np.inf), np.zeros((len(centre), 4, 3))
     begin = time.perf_counter()
     for moments, dim in ((angular[:, :, 0, 0], 3), (linear[:, :, 0, 0], 6)):
         _value_and_gradient(moments, np.full(dim, 0.1))
     compiling = time.perf_counter() - begin
     begin = time.perf_counter()
-    for i in range(len(poses)):
+    for i in range(len(centre)):
         for t in range(6):
             moments, dim = (angular[:, :, i, t], 3) if t < 2 else (linear[:, :, i, t - 2], 6)
             bounds = [(-TURN, TURN)] * 3 + [(-1.0, 1.0)] * (dim - 3)
 
-            def objective(x: np.ndarray, moments: jax.Array = moments) -> tuple[float, np.ndarray]:
+            def objective(x: np.ndarray, moments: np.ndarray = moments) -> tuple[float, np.ndarray]:
                 value, gradient = _value_and_gradient(moments, x)
                 return float(value), np.asarray(gradient)
 

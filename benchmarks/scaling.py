@@ -89,7 +89,10 @@ def _device_counts() -> list[int]:
 
 
 def _spread(poses: np.ndarray, count: int, counts: list[int]) -> jax.Array:
-    """As many windows on the first devices together, whatever their number."""
+    """As many windows on the first devices together, whatever their number; float32 on accelerators.
+
+    Windows on a mesh need twice their memory: eight million in float64 would not fit one of 141 GB.
+    """
     mesh = jax.make_mesh((count,), ("windows",), devices=jax.devices()[:count])
     unit = int(np.lcm.reduce(counts)) * chunk_size()
     size = -(-(4 * unit if jax.default_backend() == "cpu" else _ON_DEVICES) // unit) * unit
@@ -97,6 +100,7 @@ def _spread(poses: np.ndarray, count: int, counts: list[int]) -> jax.Array:
         lambda poses: poses[jnp.arange(size) % len(poses)],
         out_shardings=jax.NamedSharding(mesh, jax.P("windows")),
     )
+    poses = poses if jax.default_backend() == "cpu" else poses.astype(np.float32)
     return repeated(jax.device_put(poses, jax.NamedSharding(mesh, jax.P())))
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from reframe_jax import rotations, synthetic, transforms
+from reframe_jax import rotations, symmetric, synthetic, transforms
 from reframe_jax.panda.compiled import as_numbers
 from reframe_jax.panda.constraint import Frame, body_twist, locate
 from reframe_jax.panda.dynamics import Motion
@@ -26,6 +26,7 @@ _TURNING = 0.4  # rad/s, amplitude of each sine
 _MOVING = 0.1  # m/s, amplitude of each sine
 _ONE_TURN = ((1.4, 4.4), (0.48, 0.48))  # rad/s, rates and amplitudes where one rotation is free
 _BRISK_TURN = ((1.6, 2.5), (0.9, 0.4))
+_DRAWS, _EVEN_OVER = 4, 5.0  # draws of the phases, and the s over which the most even is chosen
 _EASE = 0.6  # s, in which a motion starts
 _TREMOR_RATES = (7.0, 17.0, 31.0, 47.0)  # rad/s: the hand's corrections, and its shaking
 
@@ -68,7 +69,7 @@ def exciting(key: jax.Array, free: jax.Array) -> Excitation:
 
     0.4 rad/s rms with three free rotations and 0.5 with one, 0.1 m/s; at most 0.45 rad and 0.1 m from
     the start. What the fewest axes leave of the data is made up by larger angles: a pin's position is
-    seen in the curvature of its path only.
+    seen in the curvature of its path only. Of four draws of the phases the most even is taken.
 
     Args:
         key: of the phases.
@@ -95,16 +96,17 @@ def _sines(
     key: jax.Array, free: jax.Array, one_rates: tuple[float, float], one_turning: tuple[float, float]
 ) -> Excitation:
     """Two sines along every free axis; rates and amplitudes (rad/s) of a single free rotation are given."""
-    phases = jax.random.uniform(key, (2, 3, 2), free.dtype, maxval=2 * jnp.pi)
+    draws = jax.random.uniform(key, (_DRAWS, 2, 3, 2), free.dtype, maxval=2 * jnp.pi)
     free = free.reshape(2, 3)
     # the first free axis of a kind moves slowest and furthest
     order = jnp.cumsum(free, axis=1).astype(jnp.int32) - 1
-    rates = jnp.asarray(_RATES, dtype=phases.dtype)[jnp.maximum(order, 0)]
+    rates = jnp.asarray(_RATES, dtype=draws.dtype)[jnp.maximum(order, 0)]
     one = jnp.sum(free[0]) == 1
-    turning_rates = jnp.where(one, jnp.asarray(one_rates, dtype=phases.dtype)[None], rates[0])
+    turning_rates = jnp.where(one, jnp.asarray(one_rates, dtype=draws.dtype)[None], rates[0])
     rates = jnp.stack([turning_rates, _LINEAR_RATE * rates[1]])
-    turning = jnp.where(one, jnp.asarray(one_turning, dtype=phases.dtype), _TURNING)
+    turning = jnp.where(one, jnp.asarray(one_turning, dtype=draws.dtype), _TURNING)
     speeds = jnp.stack([turning, jnp.full_like(turning, _MOVING)])[:, None]
+    phases = _most_even(draws, rates, free)
 
     def displacement(t: jax.Array) -> jax.Array:
         return _ease(t) * jnp.sum(speeds * jnp.sin(rates * t + phases) / rates, axis=-1)
@@ -114,6 +116,24 @@ def _sines(
         return angular, linear
 
     return velocity
+
+
+def _most_even(draws: jax.Array, rates: jax.Array, free: jax.Array) -> jax.Array:
+    """Of several draws of the phases, (n, 2, 3, 2), the one whose slowest direction moves most, by kind.
+
+    Sines that happen to run together along two free axes leave a direction between them at rest: the
+    window would not show that it is free.
+    """
+    t = jnp.linspace(0, _EVEN_OVER, 64, dtype=draws.dtype)
+    velocity = jnp.sum(
+        jnp.cos(rates[None, ..., None] * t[None, None, None, None] + draws[..., None]), axis=-2
+    )
+    velocity = velocity * free[None, :, :, None]
+    covariance = jnp.mean(velocity[:, :, :, None] * velocity[:, :, None], axis=-1)
+    still = (1 - free)[:, :, None] * jnp.eye(3, dtype=free.dtype)  # axes that are not free do not count
+    slowest = symmetric.eigh(symmetric.from_matrix(covariance + still[None]))[0][0]
+    best = jnp.argmax(slowest, axis=0)
+    return jnp.take_along_axis(draws, best[None, :, None, None], axis=0)[0]
 
 
 def paper(key: jax.Array, free: jax.Array) -> Excitation:
