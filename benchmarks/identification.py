@@ -214,7 +214,8 @@ def judge(rows: Sequence[Row], best: np.ndarray, labels: Sequence[str]) -> dict[
     for row in rows:
         known = np.isfinite(best[row.index, 0])
         missed = float(np.mean(row.norms[known] > MISS * best[row.index[known]]))
-        error = errors_mm(row.positions, [labels[i] for i in row.index])
+        distinct = row.index < _DISTINCT
+        error = errors_mm(row.positions[distinct], [labels[i] for i in row.index[distinct]])
         median, tail = float(np.median(error)), float(np.quantile(error, 0.98))
         print(
             f"{row.name:18}{slowest / row.per_window:>13.1f}{missed:>10.2%}{median:>13.4f} mm{tail:>9.3f} mm",

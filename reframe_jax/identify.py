@@ -29,6 +29,7 @@ from reframe_jax.windows import identify_windows
 __all__ = ["default_solver", "identify"]
 
 _PIECE = 8  # chunks that one thread computes in one call
+_compiled_programs: set[Any] = set()
 _FEWEST = 1024  # windows in a piece on an accelerator
 
 _VALLEY = BasinHopping(ValleySteps(6), restarts=7, hops=3, polish=2)
@@ -119,7 +120,7 @@ def identify(
         else:
             windows = poses.reshape(-1, *poses.shape[-3:])
             steps = steps if steps.ndim == 1 else steps.reshape(-1, steps.shape[-1])
-            found = _in_pieces(lambda *piece: run(*piece, *options), windows, steps)
+            found = _in_pieces(run, windows, steps, options)
             if len(batch) > 1:
                 found = jax.tree.map(lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), found)
     if wide and not _in_float64():
@@ -194,7 +195,9 @@ def _box(bounds: Any, dtype: np.dtype) -> Box:
     return Box(low * ones, high * ones)
 
 
-def _in_pieces(run: Callable[..., Identification], windows: Any, steps: Any) -> Identification:
+def _in_pieces(
+    run: partial[Identification], windows: Any, steps: Any, options: tuple[Any, ...]
+) -> Identification:
     """Run N windows in pieces of one of few sizes, so that batches of every size share compilations.
 
     The pieces are spread over all processors. The last one is filled with its last window.
@@ -207,14 +210,17 @@ def _in_pieces(run: Callable[..., Identification], windows: Any, steps: Any) -> 
         whole = rows[-1] - rows[0] == size - 1
         part = slice(start, start + size) if whole else rows
         with jax.enable_x64(precise):  # JAX's settings belong to a thread
-            found = run(windows[part], steps if steps.ndim == 1 else steps[part])
+            found = run(windows[part], steps if steps.ndim == 1 else steps[part], *options)
             return jax.block_until_ready(found)
 
     starts = range(0, count, size)
-    pieces = [piece(0)]  # compiles
-    if len(starts) > 1:
+    program = (size, windows.shape[1:], windows.dtype, steps.ndim, precise, *run.keywords.values())
+    alone = 1 if len(starts) == 1 or program not in _compiled_programs else 0
+    pieces = [piece(start) for start in starts[:alone]]  # two threads would both compile
+    _compiled_programs.add(program)
+    if len(starts) > alone:
         with ThreadPoolExecutor(_workers()) as pool:
-            pieces += pool.map(piece, starts[1:])
+            pieces += pool.map(piece, starts[alone:])
     if len(pieces) == 1 and size == count:
         return pieces[0]
     return jax.tree.map(lambda *parts: jnp.concatenate(parts)[:count], *pieces)
