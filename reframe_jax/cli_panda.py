@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from reframe_jax.frames import CONSTRAINTS
-from reframe_jax.io import RecordingError, save_recording
+from reframe_jax.io import save_recording
 
 __all__ = ["add_commands"]
 
@@ -95,14 +95,19 @@ def _add_common(command: argparse.ArgumentParser) -> None:
         "in the paper's Table 4, or as in the paper's simulations (exciting)",
     )
     add("--fixed", action="store_true", help="the same geometry every time, not one drawn at random")
-    add("--seed", type=int, default=0, help="of the random numbers (0)")
+    add("--seed", type=_seed, default=0, metavar="N", help="of the random numbers (0)")
 
 
 def _count(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"expected a positive number, not {text}")
-    return value
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a positive whole number, not {text}")
+    return int(text)
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal() or int(text) >= 2**63:
+        raise argparse.ArgumentTypeError(f"expected a whole number from 0 to 2^63 - 1, not {text}")
+    return int(text)
 
 
 def _prepared(options: argparse.Namespace) -> dict[str, Any]:
@@ -136,10 +141,7 @@ def _progress(done: int, count: int) -> None:
 def _demonstrate(options: argparse.Namespace) -> int:
     from reframe_jax import cli
 
-    if options.out.suffix not in ("", ".npz", ".csv"):
-        options.usage_error(f"--out must be a folder, or end in .npz or .csv, not {options.out.name!r}.")
-    if options.render is not None and options.render.suffix not in (".gif", ".mp4"):
-        options.usage_error(f"--render must end in .gif or .mp4, not {options.render.name!r}.")
+    _check(options)
     try:
         common = _prepared(options)
     except ImportError as error:
@@ -161,7 +163,10 @@ def _demonstrate(options: argparse.Namespace) -> int:
         else:
             written = panda.store_demonstrations(*arguments, options.out, chunk=_CHUNK, **common)
             parts = panda.stored_demonstrations(written)
-    except (ValueError, OSError) as error:
+    except OSError as error:
+        cli._say(f"reframe-jax: error: {options.out}: cannot be written: {error.strerror}.")
+        return 1
+    except ValueError as error:
         cli._say(f"reframe-jax: error: {error}")
         return 1
     first, codes = None, Counter[int]()
@@ -173,6 +178,25 @@ def _demonstrate(options: argparse.Namespace) -> int:
     for code in sorted(codes.keys() - {panda.RolloutStatus.OK}):
         print(f"{codes[code]} of them: {panda.RolloutStatus(code).message}")
     return _draw(first, options)
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Refuse, before anything is simulated, what could not be written after it."""
+    endings = {"out": ("", ".npz", ".csv"), "plot": (".png", ".pdf", ".svg"), "render": (".gif", ".mp4")}
+    for name, suffixes in endings.items():
+        path = getattr(options, name)
+        if path is None:
+            continue
+        if path.suffix not in suffixes:
+            folder = "be a folder, or " if "" in suffixes else ""
+            ends = " or ".join(filter(None, suffixes))
+            options.usage_error(f"--{name} must {folder}end in {ends}, not {path.name!r}.")
+        if path.suffix and not path.parent.is_dir():
+            options.usage_error(f"--{name}: there is no directory {path.parent}.")
+    if options.skin is not None and options.render is None:
+        options.usage_error("--skin needs --render.")
+    if options.dt > options.duration:
+        options.usage_error("--dt must not be longer than --duration.")
 
 
 def _draw(first: Any, options: argparse.Namespace) -> int:
@@ -216,8 +240,6 @@ def _write(path: Path, parts: list[Any]) -> Path:
             save_recording(numbered, times, recording)
         return numbered
     made = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
-    if not path.parent.is_dir():
-        raise RecordingError(f"{path}: there is no directory {path.parent}.")
     np.savez_compressed(path, **to_arrays(replace(made, times=times)))
     return path
 
