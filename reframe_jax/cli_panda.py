@@ -79,7 +79,7 @@ def _add_common(command: argparse.ArgumentParser) -> None:
 
     add = command.add_argument
     add("--constraint", type=cli._label, required=True, metavar="K", help="letter or name: see constraints")
-    add("--robot", choices=["panda", "fr3"], default="panda", help="the arm (panda)")
+    add("--robot", choices=["panda", "fr3"], default="panda", help="the arm: fr3 is the paper's (panda)")
     add(
         "--imperfections",
         choices=["none", "encoder", "realistic", "matched"],
