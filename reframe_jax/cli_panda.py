@@ -161,8 +161,8 @@ def _demonstrate(options: argparse.Namespace) -> int:
             drawn = list(panda.demonstrations(*arguments, chunk=min(options.count, _CHUNK), **common))
             written, parts = _write(options.out, drawn), drawn
         else:
-            written = panda.store_demonstrations(*arguments, options.out, chunk=_CHUNK, **common)
-            parts = panda.stored_demonstrations(written)
+            panda.store_demonstrations(*arguments, options.out, chunk=_CHUNK, **common)
+            written, parts = str(options.out), panda.stored_demonstrations(options.out)
     except OSError as error:
         cli._say(f"reframe-jax: error: {options.out}: cannot be written: {error.strerror}.")
         return 1
@@ -227,21 +227,22 @@ def _draw(first: Any, options: argparse.Namespace) -> int:
     return int(failed)
 
 
-def _write(path: Path, parts: list[Any]) -> Path:
-    """Write demonstrations; returns the file, or the last of them."""
+def _write(path: Path, parts: list[Any]) -> str:
+    """Write demonstrations; returns the names of the files."""
     from reframe_jax.panda.store import to_arrays
 
     times = parts[0].times
     if path.suffix == ".csv":
         poses = np.concatenate([part.poses for part in parts])
         width = max(3, len(str(len(poses) - 1)))
-        for number, recording in enumerate(poses):
-            numbered = path.with_stem(f"{path.stem}-{number:0{width}}") if len(poses) > 1 else path
-            save_recording(numbered, times, recording)
-        return numbered
+        files = [path.with_stem(f"{path.stem}-{number:0{width}}") for number in range(len(poses))]
+        files = files if len(files) > 1 else [path]
+        for file, recording in zip(files, poses, strict=True):
+            save_recording(file, times, recording)
+        return " to ".join(map(str, files[:: max(1, len(files) - 1)]))
     made = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
     np.savez_compressed(path, **to_arrays(replace(made, times=times)))
-    return path
+    return str(path)
 
 
 def _reproduce(options: argparse.Namespace) -> int:

@@ -49,11 +49,12 @@ def test_demonstrations_in_a_folder(
     assert "other options" in capsys.readouterr().err
 
 
-def test_demonstrations_as_recordings(tmp_path: Path) -> None:
+def test_demonstrations_as_recordings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "demo.csv"
     command = ["demonstrate", "--no-cache", "--constraint", "pin-plane contact", "--count", COUNT]
     assert cli.main([*command, "--out", str(path), "--fixed", "--keep"]) == 0
     files = sorted(tmp_path.glob("demo-*.csv"))
+    assert f"{files[0]} to {files[-1]}: 8 demonstrations of 5 s" in capsys.readouterr().out
     assert [file.name for file in files][:2] == ["demo-000.csv", "demo-001.csv"]
     assert len(files) == 8
     recording = load_recording(files[0])

@@ -157,7 +157,9 @@ def demonstrate(
         excitation: how the hand moves along the free axes: ``"exciting"``, ``"brisk"``, ``"paper"``, or a
             function of time that returns angular and linear velocities (3,), in rad/s and m/s.
         form: how the constraint is made: exactly, or as a rigid mechanism welded to the tool where there
-            is one, which takes a program of its own, more time, and steps of 0.005 s by default.
+            is one, which takes a program of its own, more time, and steps of 0.005 s by default. Its weld
+            is a stiff spring that may give way by more than the 50 um and 0.5 mrad at which the status
+            says so.
         spread: rad and m, standard deviations of a random turn and shift of the geometry of every
             demonstration; :data:`SPREAD` is a reasonable one.
         guide: how the hand holds the tool.
