@@ -141,8 +141,11 @@ def test_mechanism_and_exact_form_agree(label: str) -> None:
     np.testing.assert_allclose(welded.exact_poses, exact.exact_poses, atol=5e-3)
     # a weld is a stiff spring: it may give way by a little more than what counts as kept
     assert np.all(np.asarray(welded.violation) < [0.5e-3, 100e-6])
-    away = np.sqrt(np.mean((welded.reaction - exact.reaction) ** 2))
-    assert away < 0.05 * np.sqrt(np.mean(np.square(exact.reaction))) + 0.05
+    # along free axes the weld carries the mechanism's own 0.2 kg, which the exact form does not have
+    free = np.array((*exact.truth.angular_dof, *exact.truth.linear_dof), dtype=bool)
+    apart, expected = (np.asarray(part)[..., ~free] for part in (welded.reaction, exact.reaction))
+    assert np.sqrt(np.mean((apart - expected) ** 2)) < 0.05 * np.sqrt(np.mean(expected**2)) + 0.02
+    assert np.all(np.sqrt(np.mean(np.asarray(welded.reaction)[..., free] ** 2, axis=(0, 1))) < 0.2)
 
 
 @pytest.mark.slow

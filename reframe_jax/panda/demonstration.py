@@ -36,7 +36,7 @@ SPREAD = (0.4, 0.02)
 """rad and m, standard deviations of a geometry drawn at random, per component."""
 
 _ORIGIN = (0.05, 0.02, -0.12)  # m, from the TCP at home to the origin of a named constraint's frame
-_LONGEST = {"exact": 0.01, "mechanism": 0.005}  # s, longest step at which a constraint is kept
+_LONGEST = {"exact": 0.01, "mechanism": 0.0025}  # s, longest step at which a constraint is kept
 
 
 @jax.tree_util.register_dataclass
@@ -157,9 +157,9 @@ def demonstrate(
         excitation: how the hand moves along the free axes: ``"exciting"``, ``"brisk"``, ``"paper"``, or a
             function of time that returns angular and linear velocities (3,), in rad/s and m/s.
         form: how the constraint is made: exactly, or as a rigid mechanism welded to the tool where there
-            is one, which takes a program of its own, more time, and steps of 0.005 s by default. Its weld
-            is a stiff spring that may give way by more than the 50 um and 0.5 mrad at which the status
-            says so.
+            is one, which takes a program of its own, more time, and steps of 0.0025 s by default. Its weld
+            is a stiff spring, softer at longer steps: it may give way by more than the 50 um and 0.5 mrad
+            above which the status says so.
         spread: rad and m, standard deviations of a random turn and shift of the geometry of every
             demonstration; :data:`SPREAD` is a reasonable one.
         guide: how the hand holds the tool.
