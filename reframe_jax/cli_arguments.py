@@ -10,7 +10,7 @@ from reframe_jax.classify import Thresholds
 from reframe_jax.frames import constraint
 from reframe_jax.objectives import check_exponent
 
-__all__ = ["Parser", "add_identify", "add_simulate", "label", "positive", "seed", "whole"]
+__all__ = ["Parser", "add_identify", "add_simulate", "count", "label", "positive", "seed", "whole"]
 
 
 class Parser(argparse.ArgumentParser):
@@ -51,6 +51,13 @@ def not_negative(text: str) -> float:
     if not 0 <= value < np.inf:
         raise argparse.ArgumentTypeError(f"expected a number that is 0 or more, not {text}")
     return value
+
+
+def count(text: str) -> int:
+    """A positive whole number."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a positive whole number, not {text}")
+    return int(text)
 
 
 def seed(text: str) -> int:

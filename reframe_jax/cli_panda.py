@@ -13,7 +13,7 @@ import numpy as np
 
 from reframe_jax import cli_arguments
 from reframe_jax.frames import CONSTRAINTS
-from reframe_jax.io import RecordingError, save_recording
+from reframe_jax.io import save_recording
 
 __all__ = ["add_commands"]
 
@@ -47,7 +47,7 @@ def add_commands(commands: Any) -> None:
     )
     _add_common(command)
     add = command.add_argument
-    add("--count", type=_count, default=1, metavar="N", help="demonstrations (1)")
+    add("--count", type=cli_arguments.count, default=1, metavar="N", help="demonstrations (1)")
     add("--out", type=Path, required=True, metavar="PATH", help="folder, .npz or .csv")
     add("--duration", type=cli_arguments.positive, default=5.0, metavar="S", help="s (5)")
     add("--dt", type=cli_arguments.positive, default=0.05, metavar="S", help="sample time, s (0.05)")
@@ -66,7 +66,13 @@ def add_commands(commands: Any) -> None:
     )
     _add_common(command)
     add = command.add_argument
-    add("--trials", type=_count, default=30, metavar="N", help="demonstrations and reproductions (30)")
+    add(
+        "--trials",
+        type=cli_arguments.count,
+        default=30,
+        metavar="N",
+        help="demonstrations and reproductions (30)",
+    )
     add(
         "--controller",
         choices=["wrench", "hybrid", "impedance"],
@@ -84,7 +90,7 @@ def _add_common(command: argparse.ArgumentParser) -> None:
         metavar="K",
         help="letter or name: see constraints",
     )
-    add("--robot", choices=["panda", "fr3"], default="panda", help="the arm (panda)")
+    add("--robot", choices=["panda", "fr3"], default="panda", help="the arm: fr3 is the paper's (panda)")
     add(
         "--imperfections",
         choices=["none", "encoder", "realistic", "matched"],
@@ -100,14 +106,7 @@ def _add_common(command: argparse.ArgumentParser) -> None:
         "in the paper's Table 4, or as in the paper's simulations (exciting)",
     )
     add("--fixed", action="store_true", help="the same geometry every time, not one drawn at random")
-    add("--seed", type=cli_arguments.seed, default=0, help="of the random numbers (0)")
-
-
-def _count(text: str) -> int:
-    value = cli_arguments.whole(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"expected a whole number, 1 or more, not {text}")
-    return value
+    add("--seed", type=cli_arguments.seed, default=0, metavar="N", help="of the random numbers (0)")
 
 
 def _prepared(options: argparse.Namespace) -> dict[str, Any]:
@@ -141,10 +140,7 @@ def _progress(done: int, count: int) -> None:
 def _demonstrate(options: argparse.Namespace) -> int:
     from reframe_jax import cli
 
-    if options.out.suffix not in ("", ".npz", ".csv"):
-        options.usage_error(f"--out must be a folder, or end in .npz or .csv, not {options.out.name!r}.")
-    if options.render is not None and options.render.suffix not in (".gif", ".mp4"):
-        options.usage_error(f"--render must end in .gif or .mp4, not {options.render.name!r}.")
+    _check(options)
     try:
         common = _prepared(options)
     except ImportError as error:
@@ -164,9 +160,12 @@ def _demonstrate(options: argparse.Namespace) -> int:
             drawn = list(panda.demonstrations(*arguments, chunk=min(options.count, _CHUNK), **common))
             written, parts = _write(options.out, drawn), drawn
         else:
-            written = panda.store_demonstrations(*arguments, options.out, chunk=_CHUNK, **common)
-            parts = panda.stored_demonstrations(written)
-    except (ValueError, OSError) as error:
+            panda.store_demonstrations(*arguments, options.out, chunk=_CHUNK, **common)
+            written, parts = str(options.out), panda.stored_demonstrations(options.out)
+    except OSError as error:
+        cli._say(f"reframe-jax: error: {options.out}: cannot be written: {error.strerror}.")
+        return 1
+    except ValueError as error:
         cli._say(f"reframe-jax: error: {error}")
         return 1
     first, codes = None, Counter[int]()
@@ -178,6 +177,25 @@ def _demonstrate(options: argparse.Namespace) -> int:
     for code in sorted(codes.keys() - {panda.RolloutStatus.OK}):
         print(f"{codes[code]} of them: {panda.RolloutStatus(code).message}")
     return _draw(first, options)
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Refuse, before anything is simulated, what could not be written after it."""
+    endings = {"out": ("", ".npz", ".csv"), "plot": (".png", ".pdf", ".svg"), "render": (".gif", ".mp4")}
+    for name, suffixes in endings.items():
+        path = getattr(options, name)
+        if path is None:
+            continue
+        if path.suffix not in suffixes:
+            folder = "be a folder, or " if "" in suffixes else ""
+            ends = " or ".join(filter(None, suffixes))
+            options.usage_error(f"--{name} must {folder}end in {ends}, not {path.name!r}.")
+        if path.suffix and not path.parent.is_dir():
+            options.usage_error(f"--{name}: there is no directory {path.parent}.")
+    if options.skin is not None and options.render is None:
+        options.usage_error("--skin needs --render.")
+    if options.dt > options.duration:
+        options.usage_error("--dt must not be longer than --duration.")
 
 
 def _draw(first: Any, options: argparse.Namespace) -> int:
@@ -208,23 +226,22 @@ def _draw(first: Any, options: argparse.Namespace) -> int:
     return int(failed)
 
 
-def _write(path: Path, parts: list[Any]) -> Path:
-    """Write demonstrations; returns the file, or the last of them."""
+def _write(path: Path, parts: list[Any]) -> str:
+    """Write demonstrations; returns the names of the files."""
     from reframe_jax.panda.store import to_arrays
 
     times = parts[0].times
     if path.suffix == ".csv":
         poses = np.concatenate([part.poses for part in parts])
         width = max(3, len(str(len(poses) - 1)))
-        for number, recording in enumerate(poses):
-            numbered = path.with_stem(f"{path.stem}-{number:0{width}}") if len(poses) > 1 else path
-            save_recording(numbered, times, recording)
-        return numbered
+        files = [path.with_stem(f"{path.stem}-{number:0{width}}") for number in range(len(poses))]
+        files = files if len(files) > 1 else [path]
+        for file, recording in zip(files, poses, strict=True):
+            save_recording(file, times, recording)
+        return " to ".join(map(str, files[:: max(1, len(files) - 1)]))
     made = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
-    if not path.parent.is_dir():
-        raise RecordingError(f"{path}: there is no directory {path.parent}.")
     np.savez_compressed(path, **to_arrays(replace(made, times=times)))
-    return path
+    return str(path)
 
 
 def _reproduce(options: argparse.Namespace) -> int:

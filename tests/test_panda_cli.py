@@ -49,11 +49,12 @@ def test_demonstrations_in_a_folder(
     assert "other options" in capsys.readouterr().err
 
 
-def test_demonstrations_as_recordings(tmp_path: Path) -> None:
+def test_demonstrations_as_recordings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "demo.csv"
     command = ["demonstrate", "--no-cache", "--constraint", "pin-plane contact", "--count", COUNT]
     assert cli.main([*command, "--out", str(path), "--fixed", "--keep"]) == 0
     files = sorted(tmp_path.glob("demo-*.csv"))
+    assert f"{files[0]} to {files[-1]}: 8 demonstrations of 5 s" in capsys.readouterr().out
     assert [file.name for file in files][:2] == ["demo-000.csv", "demo-001.csv"]
     assert len(files) == 8
     recording = load_recording(files[0])
@@ -79,7 +80,14 @@ def test_reproduction(capsys: pytest.CaptureFixture[str]) -> None:
     [
         (["--constraint", "Z", "--out", "x.npz"], "No constraint 'Z'"),
         (["--constraint", "A", "--out", "x.gif"], "or end in .npz or .csv"),
-        (["--constraint", "A", "--out", "x.npz", "--count", "0"], "1 or more, not 0"),
+        (["--constraint", "A", "--out", "x.npz", "--count", "0"], "positive whole number, not 0"),
+        (["--constraint", "A", "--out", "x.npz", "--count", "2.5"], "positive whole number, not 2.5"),
+        (["--constraint", "A", "--out", "x.npz", "--seed", "9" * 20], "whole number from 0 to 2^63 - 1"),
+        (["--constraint", "A", "--out", "nowhere/x.npz"], "there is no directory nowhere"),
+        (["--constraint", "A", "--out", "x.npz", "--plot", "nowhere/x.png"], "there is no directory nowhere"),
+        (["--constraint", "A", "--out", "x.npz", "--plot", "x.txt"], "--plot must end in .png or"),
+        (["--constraint", "A", "--out", "x.npz", "--skin", "x.xml"], "--skin needs --render"),
+        (["--constraint", "A", "--out", "x.npz", "--duration", "0.01"], "--dt must not be longer"),
     ],
 )
 def test_wrong_command(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -89,11 +97,10 @@ def test_wrong_command(arguments: list[str], message: str, capsys: pytest.Captur
     assert message in capsys.readouterr().err
 
 
-def test_sample_time_that_the_step_does_not_divide(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "demo.npz"
-    command = ["demonstrate", "--no-cache", "--constraint", "A", "--dt", "0.033", "--out", str(path)]
-    assert cli.main(command) == 1
-    assert "must divide" in capsys.readouterr().err
-    assert not path.exists()
+def test_output_that_cannot_be_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "file"
+    file.write_text("")
+    command = ["demonstrate", "--no-cache", "--constraint", "A", "--out"]
+    for path in (file, file / "folder"):
+        assert cli.main([*command, str(path)]) == 1
+        assert f"{path}: cannot be written: " in capsys.readouterr().err

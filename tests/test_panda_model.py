@@ -13,7 +13,6 @@ import pytest
 from reframe_jax import panda
 from reframe_jax.panda import dynamics
 from reframe_jax.panda.compiled import compiled
-from reframe_jax.panda.model import arm_named
 
 ARMS = list(panda.ROBOTS.values())
 
@@ -156,11 +155,6 @@ def test_solve_positive(rng: np.random.Generator) -> None:
     matrix, right = root @ root.T + np.eye(7), rng.normal(size=(7, 3))
     found = jax.jit(dynamics.solve_positive)(jnp.asarray(matrix), jnp.asarray(right))
     np.testing.assert_allclose(found, np.linalg.solve(matrix, right), rtol=1e-10)
-
-
-def test_unknown_robot() -> None:
-    with pytest.raises(ValueError, match="There are: panda, fr3"):
-        arm_named("kuka")
 
 
 def test_library_does_not_import_mujoco() -> None:

@@ -29,6 +29,7 @@ def test_demonstration(made: panda.Demonstration) -> None:
     space, motion, moments, forces = figure.axes
     limits = np.array([space.get_xlim(), space.get_ylim(), space.get_zlim()])
     np.testing.assert_allclose(np.ptp(limits, axis=1), np.ptp(limits[0]))
+    assert {axes.get_xlim() for axes in (motion, moments, forces)} == {(0, 5)}
     labels = [axes.get_legend_handles_labels()[1] for axes in (motion, moments, forces)]
     assert labels[0] == ["turn y [rad]", "shift x [0.1 m]"]
     assert labels[1] == ["moment x [N m]", "moment z [N m]"]
@@ -72,6 +73,21 @@ def test_film(made: panda.Demonstration, tmp_path: Path) -> None:
         assert film.n_frames == 5
     with pytest.raises(ValueError, match="must end in"):
         render.save_film(tmp_path / "film.avi", pictures)
+
+
+def test_film_keeps_its_shades_and_its_few_coloured_pixels(tmp_path: Path) -> None:
+    from PIL import Image
+
+    shades = np.linspace(60, 240, 160 * 120).reshape(120, 160, 1).repeat(3, axis=2).astype(np.uint8)
+    pictures = np.stack([shades] * 5)
+    pictures[-1, 50:54, 60:70] = (0, 158, 115)
+    pictures[:, 80:100, 100:140] = (0, 114, 178)
+    render.save_film(tmp_path / "film.gif", pictures)
+    with Image.open(tmp_path / "film.gif") as film:
+        film.seek(film.n_frames - 1)
+        off = np.abs(np.asarray(film.convert("RGB")).astype(int) - pictures[-1])
+    assert off.mean() < 2
+    assert off.max() < 10
 
 
 def test_no_opengl(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -167,6 +167,10 @@ def test_tasks_out_of_reach_are_told_apart_and_left_out() -> None:
 
 def test_bad_input() -> None:
     truth = batch("A")
+    with pytest.raises(ValueError, match="trials must be at least 1"):
+        reproduction.compare("A", KEY, 0)
+    with pytest.raises(ValueError, match=r"Expected Imperfections\(...\)"):
+        reproduction.compare("A", KEY, imperfections="realistic")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="as many control frames as constraints"):
         reproduction.reproduce(truth, jax.tree.map(lambda leaf: leaf[:2], truth))
     with pytest.raises(ValueError, match="There are: panda, fr3"):

@@ -6,10 +6,11 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from reframe_jax.compilation import traced
 
-__all__ = ["as_numbers", "compiled"]
+__all__ = ["as_numbers", "check_numbers", "compiled"]
 
 # the older code generator takes two thirds of the time to compile, and its code is as fast; jax 0.11 has
 # one only
@@ -41,3 +42,20 @@ def compiled(static: Sequence[str]) -> Callable[[Callable[..., Any]], Callable[.
 def as_numbers(tree: Any, dtype: Any) -> Any:
     """Every number of a pytree as an array of a dtype."""
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=dtype), tree)
+
+
+def check_numbers(given: Any, kind: type) -> None:
+    """Refuse something else than a dataclass of non-negative numbers; within a trace, what is known of it.
+
+    Args:
+        given: what was given.
+        kind: the dataclass that was expected.
+
+    Raises:
+        ValueError: saying which number is wrong.
+    """
+    if not isinstance(given, kind):
+        raise ValueError(f"Expected {kind.__name__}(...), not {given!r}.")
+    for name, value in vars(given).items():
+        if not traced(value) and not np.all(np.asarray(value) >= 0):
+            raise ValueError(f"{name} of {kind.__name__} must not be negative or nan; found {value}.")

@@ -11,8 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax import rotations, transforms
+from reframe_jax.compilation import traced
 from reframe_jax.frames import ConstraintFrame
-from reframe_jax.panda.compiled import as_numbers, compiled
+from reframe_jax.panda.compiled import as_numbers, check_numbers, compiled
 from reframe_jax.panda.constraint import Frame, frame_arrays, moved, placed
 from reframe_jax.panda.guide import EXCITATIONS, Guide, excitation_named, guide_drive, make_hand
 from reframe_jax.panda.imperfections import Imperfections, measure
@@ -35,6 +36,7 @@ SPREAD = (0.4, 0.02)
 """rad and m, standard deviations of a geometry drawn at random, per component."""
 
 _ORIGIN = (0.05, 0.02, -0.12)  # m, from the TCP at home to the origin of a named constraint's frame
+_LONGEST = {"exact": 0.01, "mechanism": 0.0025}  # s, longest step at which a constraint is kept
 
 
 @jax.tree_util.register_dataclass
@@ -104,10 +106,12 @@ def frame_on_arm(
 
     Raises:
         KeyError: for an unknown constraint.
-        ValueError: for an unknown robot.
+        ValueError: for an unknown robot, or something else than a constraint.
     """
-    if not isinstance(constraint, str):
+    if isinstance(constraint, ConstraintFrame):
         return constraint
+    if not isinstance(constraint, str):
+        raise ValueError(f"constraint must be a label, a name or a ConstraintFrame, not {constraint!r}.")
     arm = arm_named(arm)
     joints = arm.start(start, float)
     rotation, position = forward_kinematics(joints, arm)
@@ -124,7 +128,7 @@ def demonstrate(
     first: int = 0,
     duration: float = 5.0,
     dt: float = 0.05,
-    step: float = 0.01,
+    step: float | None = None,
     excitation: str | Excitation = "exciting",
     form: Literal["exact", "mechanism"] = "exact",
     spread: tuple[float, float] = (0.0, 0.0),
@@ -148,11 +152,14 @@ def demonstrate(
         first: number of the first one, to continue an earlier batch.
         duration: s.
         dt: s, between recorded samples.
-        step: s, of the simulation; it divides ``dt``. At 0.01 s a rigid constraint is kept to a few um.
-        excitation: how the hand moves along the free axes: ``"exciting"``, ``"paper"``, or a function of
-            time that returns angular and linear velocities (3,), in rad/s and m/s.
-        form: how the constraint is made: exactly, or as a mechanism welded to the tool where there is
-            one, which takes a program of its own, more time, and steps of 0.005 s.
+        step: s, of the simulation; it divides ``dt``. By default the longest up to 0.01 s that does, at
+            which a rigid constraint is kept to a few um.
+        excitation: how the hand moves along the free axes: ``"exciting"``, ``"brisk"``, ``"paper"``, or a
+            function of time that returns angular and linear velocities (3,), in rad/s and m/s.
+        form: how the constraint is made: exactly, or as a rigid mechanism welded to the tool where there
+            is one, which takes a program of its own, more time, and steps of 0.0025 s by default. Its weld
+            is a stiff spring, softer at longer steps: it may give way by more than the 50 um and 0.5 mrad
+            above which the status says so.
         spread: rad and m, standard deviations of a random turn and shift of the geometry of every
             demonstration; :data:`SPREAD` is a reasonable one.
         guide: how the hand holds the tool.
@@ -168,11 +175,21 @@ def demonstrate(
         ValueError: for an unknown name, or numbers and shapes other than the above.
     """
     arm = arm_named(arm)
-    if isinstance(excitation, str) and excitation not in EXCITATIONS:
+    if not callable(excitation) and excitation not in EXCITATIONS:
         raise ValueError(f"No excitation {excitation!r}. There are: {', '.join(EXCITATIONS)}.")
     if batch < 1:
         raise ValueError(f"batch must be at least 1, not {batch}.")
-    steps = sampling(duration, dt, step)
+    if first < 0:
+        raise ValueError(f"first must be at least 0, not {first}.")
+    if form not in _LONGEST:
+        raise ValueError(f"form must be 'exact' or 'mechanism', not {form!r}.")
+    if np.shape(spread) != (2,):
+        raise ValueError(f"spread must be two numbers, rad and m, not {spread!r}.")
+    check_numbers(guide, Guide)
+    check_numbers(imperfections, Imperfections)
+    if form == "mechanism" and not _rigid(imperfections):
+        raise ValueError("A mechanism is rigid: compliance needs form='exact'.")
+    steps = sampling(duration, dt, step, _LONGEST[form])
     if start is not None and np.shape(start) not in ((7,), (batch, 7)):
         raise ValueError(f"start must have shape (7,) or ({batch}, 7), not {np.shape(start)}.")
     frame = frame_on_arm(constraint, arm, start=None if np.ndim(start) == 2 else start)
@@ -189,8 +206,6 @@ def demonstrate(
     if any(np.ravel(spread)):
         arrays, angular, linear = _place(arrays, key, numbers, joints, jnp.asarray(spread, dtype=dtype), arm)
         frame = replace(frame, angular_rotvec=angular, linear_rotvec=linear, position=arrays.position)
-    if form not in ("exact", "mechanism"):
-        raise ValueError(f"form must be 'exact' or 'mechanism', not {form!r}.")
     made = _demonstrate(
         arrays,
         key,
@@ -203,10 +218,19 @@ def demonstrate(
     return Demonstration(truth=frame, **made)
 
 
-def sampling(duration: float, dt: float, step: float) -> Steps:
-    """The steps of a duration, all in s."""
-    if not (0 < step <= dt <= duration < math.inf):
-        raise ValueError(f"Expected 0 < step <= dt <= duration; found {step:g}, {dt:g}, {duration:g} s.")
+def _rigid(imperfections: Imperfections) -> bool:
+    given = imperfections.compliance, imperfections.angular_compliance
+    return not traced(given) and not any(np.any(np.asarray(value)) for value in given)
+
+
+def sampling(duration: float, dt: float, step: float | None, longest: float = 0.01) -> Steps:
+    """The steps of a duration, all in s; without a ``step`` the longest that divides ``dt``."""
+    if not (0 < dt <= duration < math.inf):
+        raise ValueError(f"Expected 0 < dt <= duration; found a dt of {dt:g} s in {duration:g} s.")
+    if step is None:
+        step = dt / math.ceil(dt / longest - 1e-6)
+    if not (0 < step <= dt):
+        raise ValueError(f"Expected 0 < step <= dt; found a step of {step:g} s and a dt of {dt:g} s.")
     substeps = round(dt / step)
     if abs(substeps * step - dt) > 1e-6 * dt:
         raise ValueError(f"The step of {step:g} s must divide the sample time of {dt:g} s.")
@@ -260,7 +284,7 @@ def _demonstrate(
     track = jax.vmap(partial(_roll, guide, imperfections, plan))(frame, keys[:, 1:3], start)
     record = partial(measure, dt=plan.dt, what=imperfections, arm=plan.arm)
     poses = jax.vmap(lambda q, v, k: record(q, v, key=k))(track.joints, track.velocity, keys[:, 3])
-    margin, status = judge(track, frame.free, imperfections, plan.arm)
+    margin, status = judge(track, frame.free, _compliance(imperfections, start.dtype), plan.arm)
     return {
         "times": plan.dt * jnp.arange(plan.steps.samples + 1, dtype=start.dtype),
         "poses": poses,
@@ -272,6 +296,12 @@ def _demonstrate(
         "limit_margin": margin,
         "status_code": status,
     }
+
+
+def _compliance(imperfections: Imperfections, dtype: Any) -> jax.Array:
+    """(6,) rad/(N m) and m/N."""
+    given = as_numbers(imperfections, dtype)
+    return jnp.stack([given.angular_compliance] * 3 + [given.compliance] * 3)
 
 
 def _roll(
@@ -289,8 +319,7 @@ def _roll(
     pose = transforms.make_pose(*forward_kinematics(start, plan.arm))
     if plan.joints is not None:
         return integrate_welded(plan.arm, plan.joints, frame, start, drive, pose, plan.steps)
-    given = as_numbers(imperfections, dtype)
-    compliance = jnp.stack([given.angular_compliance] * 3 + [given.compliance] * 3)
+    compliance = _compliance(imperfections, dtype)
     return integrate(
         plan.arm,
         frame,

@@ -130,7 +130,7 @@ def _most_even(draws: jax.Array, rates: jax.Array, free: jax.Array) -> jax.Array
     )
     velocity = velocity * free[None, :, :, None]
     covariance = jnp.mean(velocity[:, :, :, None] * velocity[:, :, None], axis=-1)
-    still = (1 - free)[:, :, None] * jnp.eye(3, dtype=free.dtype)  # axes that are not free do not count
+    still = (1 - free)[:, :, None] * jnp.eye(3, dtype=free.dtype)[None]  # axes that are not free do not count
     slowest = symmetric.eigh(symmetric.from_matrix(covariance + still[None]))[0][0]
     best = jnp.argmax(slowest, axis=0)
     return jnp.take_along_axis(draws, best[None, :, None, None], axis=0)[0]

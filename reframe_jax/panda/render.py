@@ -105,8 +105,10 @@ def save_film(path: str | Path, pictures: np.ndarray, *, rate: float = 20.0) -> 
         if path.suffix == ".gif":
             from PIL import Image
 
+            # one palette for all and no dithering, so that what stands still does not flicker
+            palette = _palette(pictures[:: max(1, len(pictures) // 4)])
             first, *rest = [
-                Image.fromarray(picture).quantize(128, method=Image.Quantize.FASTOCTREE)
+                Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
                 for picture in pictures
             ]
             first.save(path, save_all=True, append_images=rest, duration=round(1000 / rate), loop=0)
@@ -118,6 +120,22 @@ def save_film(path: str | Path, pictures: np.ndarray, *, rate: float = 20.0) -> 
         raise RenderError(
             f"{path.suffix} films need: pip install 'reframe-jax[render]' ({error})."
         ) from error
+
+
+def _palette(pictures: np.ndarray) -> Any:
+    """An image with 256 colours for pictures (..., 3): some for the few pixels that are not grey."""
+    from PIL import Image
+
+    pixels = pictures.reshape(-1, 3)
+    coloured = np.ptp(pixels, axis=-1) > 40
+    colours: list[int] = []
+    for some, count in ((pixels[coloured], 96), (pixels[~coloured], 160)):
+        if len(some):
+            image = Image.fromarray(some[None]).quantize(count, method=Image.Quantize.MEDIANCUT)
+            colours += (image.getpalette() or [])[: 3 * count]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(colours)
+    return palette
 
 
 def _scene(arm: Arm, skin: str | Path | None) -> mujoco.MjModel:

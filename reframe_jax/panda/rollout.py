@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.panda.constraint import Frame, Located, locate, slip, twist_map
+from reframe_jax.panda.constraint import Frame, Located, _product, _times, locate, slip, twist_map
 from reframe_jax.panda.dynamics import Motion, arm_motion, solve_positive
 from reframe_jax.panda.model import Arm, forward_kinematics
 
@@ -169,11 +169,3 @@ def sampled(
 
     _, track = jax.lax.scan(sample, carry, jnp.arange(steps.samples))
     return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), seen(carry), track)
-
-
-def _times(matrix: jax.Array, vector: jax.Array) -> jax.Array:
-    return jnp.sum(matrix * vector[None, :], axis=-1)
-
-
-def _product(left: jax.Array, right: jax.Array) -> jax.Array:
-    return jnp.sum(left[:, :, None] * right[None, :, :], axis=1)

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-import os
+import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +12,7 @@ import jax
 import numpy as np
 
 import reframe_jax
+from reframe_jax.batch import _replace
 from reframe_jax.frames import AngularType, ConstraintFrame, Dof, LinearType
 from reframe_jax.panda.demonstration import Demonstration, demonstrate
 from reframe_jax.panda.status import RolloutStatus
@@ -66,22 +67,17 @@ def store_demonstrations(
         The folder.
 
     Raises:
-        ValueError: if the folder holds demonstrations made otherwise, or when more than 9 in 10
-            demonstrations have to be left out.
+        ValueError: if the folder holds something else, or when more than 9 in 10 demonstrations have to
+            be left out.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    record = _record(constraint, key, chunk, {**options, "redraw": redraw})
-    run = folder / "run.json"
-    if run.exists() and json.loads(run.read_text()) != record:
-        raise ValueError(f"{folder} holds demonstrations of other options. Give those, or another folder.")
-    _replace(run, lambda temporary: temporary.write_text(json.dumps(record) + "\n"))
+    _check_run(folder, _record(constraint, key, chunk, {**options, "redraw": redraw}))
     done, part = 0, 0
     while done < count:
         file = folder / f"part-{part:08d}.npz"
         if file.exists():
-            with np.load(file) as stored:
-                done += len(stored["status_code"])
+            done += len(_load(file)["status_code"])
         else:
             made = jax.device_get(demonstrate(constraint, key, batch=chunk, first=part * chunk, **options))
             kept = made[np.flatnonzero(made.status_code == RolloutStatus.OK)] if redraw else made
@@ -105,14 +101,13 @@ def stored_demonstrations(folder: str | Path) -> Iterator[Demonstration]:
         folder: written by :func:`store_demonstrations`.
 
     Raises:
-        ValueError: if there are none.
+        ValueError: if there are none, or a file is damaged.
     """
     files = sorted(Path(folder).glob("part-*.npz"))
     if not files:
         raise ValueError(f"{folder} holds no demonstrations (part-*.npz).")
     for file in files:
-        with np.load(file) as stored:
-            part = dict(stored)
+        part = _load(file)
         truth = ConstraintFrame(
             angular_type=AngularType[str(part["true_angular_type"])],
             angular_dof=_dof(part["true_angular_dof"]),
@@ -151,11 +146,46 @@ def _dof(values: np.ndarray) -> Dof:
     return x, y, z
 
 
-def _record(constraint: str | ConstraintFrame, key: jax.Array, chunk: int, options: dict[str, Any]) -> Any:
+def _load(file: Path) -> dict[str, Any]:
+    try:
+        # np.load does not close a file that it cannot read
+        with file.open("rb") as stream, np.load(stream) as stored:
+            return dict(stored)
+    except (OSError, EOFError, ValueError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{file} is damaged: delete it, and it will be made again. ({error})") from error
+
+
+def _check_run(folder: Path, record: dict[str, str]) -> None:
+    """Write what a folder's demonstrations depend on, or compare it with what is there."""
+    run = folder / "run.json"
+    text = json.dumps(record) + "\n"
+    found = run.read_text() if run.exists() else ""
+    if found == text:
+        return
+    # a run that failed before its first part left nothing to go on from
+    if any(folder.glob("part-*")) or (found and "digest" not in found):
+        raise ValueError(
+            f"{folder} holds demonstrations of other options, or something else. Give those options, or "
+            "another folder."
+        )
+    _replace(run, lambda temporary: temporary.write_text(text))
+
+
+def _described(leaf: Any) -> str:
+    """A part of the options, in full, and the same in every process."""
+    if isinstance(leaf, (int, float, np.ndarray, jax.Array)):
+        return repr(np.asarray(leaf).tolist())
+    if callable(leaf):
+        return f"{leaf.__module__}.{getattr(leaf, '__qualname__', type(leaf).__name__)}"
+    return repr(leaf)
+
+
+def _record(
+    constraint: str | ConstraintFrame, key: jax.Array, chunk: int, options: dict[str, Any]
+) -> dict[str, str]:
     """What the demonstrations depend on."""
-    described = repr(
-        (constraint, np.asarray(jax.random.key_data(key)).tolist(), chunk, sorted(options.items()))
-    )
+    leaves, structure = jax.tree.flatten((constraint, jax.random.key_data(key), chunk, options))
+    described = " ".join((str(structure), *map(_described, leaves)))
     return {
         "version": reframe_jax.__version__,
         "digest": hashlib.sha256(described.encode()).hexdigest(),
@@ -166,10 +196,3 @@ def _record(constraint: str | ConstraintFrame, key: jax.Array, chunk: int, optio
 def _save(file: Path, made: Demonstration) -> None:
     with file.open("wb") as stream:
         np.savez_compressed(stream, **to_arrays(made))
-
-
-def _replace(file: Path, write: Callable[[Path], Any]) -> None:
-    """Write beside the file and rename."""
-    temporary = file.with_name(f".{file.name}.{os.getpid()}")
-    write(temporary)
-    os.replace(temporary, file)

@@ -86,11 +86,11 @@ def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: st
     forces.set_xlabel("time [s]", fontsize=8)
     for axes in (motion, moments, forces):
         _finish(axes)
+        axes.set_xlim(0, float(made.times[-1]))
     return figure
 
 
 def _finish(axes: "Axes") -> None:
-    axes.margins(x=0)
     axes.tick_params(labelsize=7)
     if axes.get_legend_handles_labels()[0]:
         axes.axhline(0, color="black", linewidth=0.5)

@@ -12,6 +12,7 @@ import numpy as np
 from reframe_jax import metrics
 from reframe_jax.frames import ConstraintFrame
 from reframe_jax.identify import identify
+from reframe_jax.panda.compiled import check_numbers
 from reframe_jax.panda.constraint import Frame, frame_arrays, locate
 from reframe_jax.panda.demonstration import SPREAD, Demonstration, demonstrate
 from reframe_jax.panda.imperfections import REALISTIC, Imperfections
@@ -100,8 +101,12 @@ def compare(
         progress: called with the number of trials prepared so far and ``trials``.
 
     Raises:
-        ValueError: when more than 9 in 10 geometries have to be left out.
+        ValueError: for numbers and names other than the above, and when more than 9 in 10 geometries have
+            to be left out.
     """
+    if trials < 1:
+        raise ValueError(f"trials must be at least 1, not {trials}.")
+    check_numbers(imperfections, Imperfections)
     demonstrate_key, error_key = jax.random.split(key)
     run = partial(
         reproduce,

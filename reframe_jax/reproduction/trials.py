@@ -14,7 +14,7 @@ from reframe_jax.panda.constraint import Frame, frame_arrays, locate
 from reframe_jax.panda.demonstration import sampling
 from reframe_jax.panda.model import PANDA, Arm, arm_named, forward_kinematics
 from reframe_jax.panda.rollout import AxisLaw, Steps, hold, integrate
-from reframe_jax.panda.status import RolloutStatus
+from reframe_jax.panda.status import RolloutStatus, judge
 from reframe_jax.reproduction.controllers import Controller, by_axis, constant_wrench, control_drive
 from reframe_jax.reproduction.frames import ROOMY, control_frames
 from reframe_jax.results import Identification
@@ -182,12 +182,8 @@ def _reproduce(
     times = dt * jnp.arange(steps.samples + 1, dtype=dtype)
     completed = jnp.any(arrived, axis=-1)
     first = times[jnp.argmax(arrived, axis=-1)]
-    lower, upper = jnp.asarray(arm.limits, dtype=dtype)[:, None, None]
-    beyond = jnp.any((track.joints < lower) | (track.joints > upper), axis=(1, 2))
-    finite = jnp.all(jnp.isfinite(track.joints), axis=(1, 2))
+    _, status = judge(track, truth.free, compliance, arm)
     stuck = ~completed & (jax.vmap(partial(_least_gain, arm=arm))(track.joints[:, -1]) < _SINGULAR)
-    status = jnp.where(stuck, jnp.int32(RolloutStatus.SINGULAR), jnp.int32(RolloutStatus.OK))
-    status = jnp.where(beyond, jnp.int32(RolloutStatus.JOINT_LIMIT), status)
     return Trials(
         times=times,
         poses=transforms.make_pose(*forward_kinematics(track.joints, arm)),
@@ -198,7 +194,7 @@ def _reproduce(
         completion_time=jnp.where(completed, first, jnp.inf),
         peak_moment=jnp.max(jnp.linalg.norm(reaction[..., :3], axis=-1), axis=-1),
         peak_force=jnp.max(jnp.linalg.norm(reaction[..., 3:], axis=-1), axis=-1),
-        status_code=jnp.where(finite, status, jnp.int32(RolloutStatus.DIVERGED)),
+        status_code=jnp.where(stuck, jnp.maximum(status, jnp.int32(RolloutStatus.SINGULAR)), status),
     )
 
 

@@ -1,0 +1,200 @@
+"""The arm's motion under a constraint: against mechanisms, wrenches, energy, steps and derivatives."""
+
+from itertools import pairwise
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import reframe_jax as rf
+from reframe_jax import panda, transforms
+from reframe_jax.panda.compiled import compiled
+from reframe_jax.panda.constraint import body_twist, frame_arrays, locate, slip, twist_map
+from reframe_jax.panda.guide import guide_drive, make_hand
+from reframe_jax.panda.mechanism import mechanism_joints
+from reframe_jax.panda.rollout import Steps, hold, integrate
+
+KEY = jax.random.key(11)
+LABELS = list(rf.CONSTRAINTS)
+
+
+def test_maps_of_a_frame_agree(rng: np.random.Generator) -> None:
+    """The slip between two near poses is the twist map's velocity times the time."""
+    for label in LABELS:
+        frame = frame_arrays(rf.ConstraintFrame.named(label, rotvec=rng.normal(size=3)))
+        pose = transforms.pose_exp(jnp.asarray(rng.normal(size=6)))
+        body = jnp.asarray(rng.normal(size=6))
+        h = 1e-5
+        ends = [locate(frame, *split(pose @ transforms.pose_exp(s * h * body))) for s in (-0.5, 0.5)]
+        here = locate(frame, *split(pose))
+        spatial = jnp.concatenate([pose[:3, :3] @ body[:3], pose[:3, :3] @ body[3:]])
+        velocity = twist_map(here) @ spatial
+        np.testing.assert_allclose(slip(*ends) / h, velocity, atol=1e-8)
+        np.testing.assert_allclose(body_twist(here, velocity), spatial, atol=1e-12)
+
+
+def test_frames_move_as_their_type_says(rng: np.random.Generator) -> None:
+    """Axes turn with the body of the first letter, the origin moves with that of the second."""
+    pose = transforms.pose_exp(jnp.asarray(rng.normal(size=6)))
+    rotation, position = split(pose)
+    seen = set()
+    for label in LABELS:
+        frame = rf.ConstraintFrame.named(label, position=rng.normal(size=3), rotvec=rng.normal(size=3))
+        there = locate(frame_arrays(frame), rotation, position)
+        turning, axes, origin = frame.angular_type.name, *frame.linear_type.name
+        seen.add(axes + origin)
+        moved = {"G": np.eye(3), "B": np.asarray(rotation)}
+        np.testing.assert_allclose(there.angular_axes, moved[turning] @ frame.angular_axes, atol=1e-12)
+        np.testing.assert_allclose(there.linear_axes, moved[axes] @ frame.linear_axes, atol=1e-12)
+        place = position + rotation @ frame.position if origin == "B" else frame.position
+        np.testing.assert_allclose(position + there.lever, place, atol=1e-12)
+    assert seen == {"GB", "BG", "GG", "BB"}
+
+
+def test_hand_pulls_beside_the_place_and_shakes() -> None:
+    """A tool at rest where it should be feels a constant pull aside, and a tremor, of the sizes given."""
+    frame = frame_arrays(panda.frame_on_arm("B"))
+    rotation, position = panda.forward_kinematics(jnp.asarray(panda.PANDA.home))
+    still = panda.Motion(jnp.zeros(6), jnp.zeros(6), rotation, position, jnp.eye(6), jnp.eye(6), jnp.zeros(6))
+    pose = transforms.make_pose(rotation, position)
+    times = jnp.arange(1.0, 21.0, 0.1)
+
+    def wrenches(guide: panda.Guide) -> np.ndarray:
+        def felt(key: jax.Array) -> jax.Array:
+            hand = make_hand(guide, key, float)
+            drive = guide_drive(guide, hand, frame, lambda t: (0 * t * jnp.ones(3),) * 2, 0.01)
+            return jax.vmap(lambda t: drive(pose, t, still, None)[1])(times)
+
+        return np.asarray(jax.jit(jax.vmap(felt))(jax.random.split(KEY, 400)))
+
+    shaken = wrenches(panda.Guide(misalignment=0.0, angular_misalignment=0.0))
+    np.testing.assert_allclose(shaken.std(axis=(0, 1)), [0.4] * 3 + [1.5] * 3, rtol=0.05)
+    pulled = wrenches(panda.Guide(tremor=0.0, angular_tremor=0.0))
+    assert np.abs(np.ptp(pulled, axis=1)).max() < 1e-9
+    np.testing.assert_allclose(pulled[:, 0].std(axis=0), [20 * 0.02] * 3 + [400 * 0.003] * 3, rtol=0.15)
+
+
+def split(pose: jax.Array) -> tuple[jax.Array, jax.Array]:
+    return pose[:3, :3], pose[:3, 3]
+
+
+@pytest.mark.parametrize(
+    ("label", "kinds"),
+    [("A", "h"), ("B", "s"), ("C", "sh"), ("D", "ssh"), ("I", "sh"), ("J", "hs"), ("K", "ssb"), ("L", "bss")],
+)
+def test_mechanisms(label: str, kinds: str) -> None:
+    joints = mechanism_joints(rf.ConstraintFrame.named(label))
+    assert "".join(kind[0] for kind, _ in joints) == kinds
+
+
+@pytest.mark.parametrize("label", list("EFGH"))
+def test_contours_have_no_mechanism(label: str) -> None:
+    with pytest.raises(ValueError, match="No mechanism makes"):
+        panda.demonstrate(label, KEY, form="mechanism")
+
+
+def test_wrench_returns_and_energy_is_kept() -> None:
+    """A wrench along constrained axes comes back as its negative; one along free axes does work."""
+    frame = frame_arrays(panda.frame_on_arm("C"))
+    start = jnp.asarray(panda.PANDA.home)
+    step, count = 0.001, 500
+
+    def drive(wrench: jax.Array, t: jax.Array, motion: Any, located: Any) -> tuple[jax.Array, jax.Array]:
+        rise = jnp.minimum(t / 0.3, 1)
+        return wrench, motion.jacobian.T @ (twist_map(located).T @ (rise * wrench))
+
+    @compiled(())
+    @jax.vmap
+    def run(wrench: jax.Array) -> tuple[Any, jax.Array]:
+        track = integrate(
+            panda.PANDA,
+            frame,
+            start,
+            drive,
+            wrench,
+            lambda slipped: hold(frame.free, slipped, step, jnp.zeros(6)),
+            Steps(samples=count, substeps=1, length=step),
+        )
+        # the force acts over a step, from the middle of the one before to the middle of this one
+        motion = panda.arm_motion(track.joints[-1], track.velocity[-1])
+        return track, motion.velocity @ motion.mass @ motion.velocity / 2
+
+    held = jnp.array([0, 0.5, -0.3, 0, 6.0, 4.0])
+    pushed = jnp.array([0.4, 0, 0, 3.0, 0, 0])
+    track, kinetic = run(jnp.stack([held, pushed]))
+    np.testing.assert_allclose(track.force[0, -1], -held, rtol=0.01)
+    assert np.abs(track.slip[0]).max() < 1e-4
+    rise = np.minimum((np.arange(count) + 0.5) * step / 0.3, 1)
+    work = np.sum(rise[:, None] * np.diff(track.slip[1], axis=0) * np.asarray(pushed))
+    lost = step * np.sum(np.asarray(track.velocity[1, 1:]) ** 2 @ panda.PANDA.damping)
+    np.testing.assert_allclose(work, kinetic[1] + lost, rtol=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("label", list("ABCDIJKL"))
+def test_mechanism_and_exact_form_agree(label: str) -> None:
+    options = {"batch": 4, "step": 0.005, "spread": panda.SPREAD, "duration": 2.0}
+    exact = panda.demonstrate(label, KEY, **options)
+    welded = panda.demonstrate(label, KEY, form="mechanism", **options)
+    np.testing.assert_allclose(welded.exact_poses, exact.exact_poses, atol=5e-3)
+    # a weld is a stiff spring: it may give way by a little more than what counts as kept
+    assert np.all(np.asarray(welded.violation) < [0.5e-3, 100e-6])
+    # along free axes the weld carries the mechanism's own 0.2 kg, which the exact form does not have
+    free = np.array((*exact.truth.angular_dof, *exact.truth.linear_dof), dtype=bool)
+    apart, expected = (np.asarray(part)[..., ~free] for part in (welded.reaction, exact.reaction))
+    assert np.sqrt(np.mean((apart - expected) ** 2)) < 0.05 * np.sqrt(np.mean(expected**2)) + 0.02
+    assert np.all(np.sqrt(np.mean(np.asarray(welded.reaction)[..., free] ** 2, axis=(0, 1))) < 0.2)
+
+
+@pytest.mark.slow
+def test_batch_size_and_step_do_not_matter() -> None:
+    many = panda.demonstrate("K", KEY, batch=5, duration=2.0)
+    one = panda.demonstrate("K", KEY, batch=1, first=4, duration=2.0)
+    np.testing.assert_allclose(one.poses[0], many.poses[4], atol=1e-9)
+    positions = [
+        panda.demonstrate("K", KEY, batch=5, duration=2.0, step=step).exact_poses[..., :3, 3]
+        for step in (0.01, 0.005, 0.0025)
+    ]
+    coarse, fine = (np.abs(a - b).max() for a, b in pairwise(positions))
+    assert coarse < 1.5e-3
+    assert fine < 0.7 * coarse
+
+
+@pytest.mark.slow
+def test_single_precision() -> None:
+    made = jax.device_get(
+        panda.demonstrate(
+            jax.tree.map(lambda leaf: leaf.astype(jnp.float32), panda.frame_on_arm("K")), KEY, batch=4
+        )
+    )
+    assert made.poses.dtype == np.float32
+    assert made.violation[:, 1].max() < 50e-6
+
+
+@pytest.mark.slow
+def test_gradient_is_the_finite_difference() -> None:
+    """Reverse mode, of a geometry and of the guide's stiffness."""
+    frame = panda.frame_on_arm("K")
+
+    @jax.jit
+    def height(offset: jax.Array, stiffness: jax.Array) -> jax.Array:
+        from dataclasses import replace
+
+        made = panda.demonstrate(
+            replace(frame, position=frame.position + offset),
+            KEY,
+            duration=0.5,
+            guide=panda.Guide(stiffness=stiffness),
+        )
+        return jnp.sum(made.exact_poses[0, -1, :3, 3])
+
+    point = jnp.zeros(3), jnp.asarray(400.0)
+    slope = jax.grad(height, argnums=(0, 1))(*point)
+    for axis in range(3):
+        h = 1e-5 * jnp.eye(3)[axis]
+        difference = (height(h, point[1]) - height(-h, point[1])) / 2e-5
+        np.testing.assert_allclose(slope[0][axis], difference, rtol=1e-3, atol=1e-7)
+    difference = (height(point[0], point[1] + 0.1) - height(point[0], point[1] - 0.1)) / 0.2
+    np.testing.assert_allclose(slope[1], difference, rtol=1e-3, atol=1e-9)

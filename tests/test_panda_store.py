@@ -1,0 +1,95 @@
+"""Demonstrations on disk: they go on where they stopped, and only there."""
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import reframe_jax as rf
+from reframe_jax import panda
+from reframe_jax.panda import store
+
+BATCH = 8  # the shape that other tests compile
+KEY = jax.random.key(11)
+
+
+def pushed(size: float) -> Any:
+    """An excitation; two of these differ in their address."""
+
+    def push(t: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return jnp.full(3, size) * jnp.sin(t), 0.1 * jnp.cos(t) * jnp.ones(3)
+
+    return push
+
+
+def test_stored_demonstrations_go_on_where_they_stopped(tmp_path: Path) -> None:
+    options = {"chunk": BATCH, "spread": panda.SPREAD}
+    folder = panda.store_demonstrations("K", KEY, 4, tmp_path / "demos", **options)
+    first = folder / "part-00000000.npz"
+    written = first.stat().st_mtime_ns
+    panda.store_demonstrations("K", KEY, 12, folder, **options)
+    assert first.stat().st_mtime_ns == written
+    made = panda.load_demonstrations(folder, 12)
+    drawn = list(panda.demonstrations("K", KEY, 12, **options))
+    np.testing.assert_array_equal(made.poses, np.concatenate([part.poses for part in drawn]))
+    assert made.truth.linear_type == rf.LinearType.GB
+    windows = (poses for part in panda.stored_demonstrations(folder) for poses in part.poses)
+    rf.identify_many(windows, tmp_path / "found", times=made.times, part_size=BATCH)
+    found = rf.load_results(tmp_path / "found")
+    assert set(found.name[:12]) == {"Pin-plane contact"}
+    assert made[3].truth.position.shape == (3,)
+    with pytest.raises(ValueError, match="other options"):
+        panda.store_demonstrations("I", KEY, 12, folder, **options)
+    with pytest.raises(ValueError, match="no demonstrations"):
+        panda.load_demonstrations(tmp_path)
+    with pytest.raises(ValueError, match="fewer than 99"):
+        panda.load_demonstrations(folder, 99)
+
+
+def test_what_a_folder_depends_on() -> None:
+    """The same in every process, which the address of a function is not, and all of it."""
+    start = np.zeros((500, 7))
+    moved = start.copy()
+    moved[250, 3] = 1e-3
+    guides = panda.Guide(stiffness=jnp.asarray(300.0)), panda.Guide(stiffness=300.0), panda.Guide()
+    records = [
+        store._record("K", KEY, 64, options)
+        for options in (
+            *({"excitation": pushed(0.1)} for _ in range(2)),
+            *({"start": values} for values in (start, start.copy(), moved)),
+            *({"guide": guide} for guide in guides),
+        )
+    ]
+    same = [a == b for a, b in pairwise(records)]
+    assert same == [True, False, True, False, False, True, False]
+
+
+def test_folders_of_something_else(tmp_path: Path) -> None:
+    """They are left as they are; a run that failed before its first part is in nobody's way."""
+    options = {"chunk": BATCH, "spread": panda.SPREAD}
+    folder = tmp_path / "demos"
+    for wrong, error in ((("K", {"dt": -1.0}), ValueError), (("nothing", {}), KeyError)):
+        with pytest.raises(error):
+            panda.store_demonstrations(wrong[0], KEY, 4, folder, **options, **wrong[1])
+    panda.store_demonstrations("K", KEY, 4, folder, **options)
+    part = folder / "part-00000000.npz"
+    part.write_bytes(part.read_bytes()[:1000])
+    for use in (
+        lambda: panda.store_demonstrations("K", KEY, 4, folder, **options),
+        lambda: panda.load_demonstrations(folder),
+    ):
+        with pytest.raises(ValueError, match="is damaged"):
+            use()
+    (folder / "run.json").unlink()
+    with pytest.raises(ValueError, match="something else"):
+        panda.store_demonstrations("K", KEY, 4, folder, **options)
+    results = tmp_path / "results"
+    results.mkdir()
+    (results / "run.json").write_text("{}")
+    with pytest.raises(ValueError, match="something else"):
+        panda.store_demonstrations("K", KEY, 4, results, **options)
+    assert (results / "run.json").read_text() == "{}"
