@@ -34,11 +34,15 @@ class Solution:
         x: (dim, ...) best unknowns of every problem.
         value: (...) log J there.
         agreement: (...) share of the restarts that ended within 0.1 % of the best norm.
+        ends, end_values: (dim, restarts, ...) and (restarts, ...) the best of every restart, among
+            which twins are looked for; None if the solver does not say.
     """
 
     x: jax.Array
     value: jax.Array
     agreement: jax.Array
+    ends: jax.Array | None = None
+    end_values: jax.Array | None = None
 
 
 class Solver(Protocol):
@@ -152,7 +156,8 @@ class BasinHopping:
             better = refined_value < value
             x, value = jnp.where(better[None], refined, x), jnp.where(better, refined_value, value)
         close = state.best_value < value[None] + 1e-3
-        return Solution(x, value, jnp.mean(close.astype(value.dtype), axis=0))
+        agreement = jnp.mean(close.astype(value.dtype), axis=0)
+        return Solution(x, value, agreement, state.best_x, state.best_value)
 
     def minimise(self, objective: Objective, box: Box, key: jax.Array) -> Solution:
         """The whole search: :meth:`init`, :meth:`step` until every problem is done, :meth:`finish`.
