@@ -30,7 +30,7 @@ __all__ = ["identify_many", "load_results"]
 Progress = Callable[[int, int | None], None]
 
 _RUN = "run.json"
-_FORMAT = 2
+_FORMAT = 3
 _BAR = 20  # characters
 
 

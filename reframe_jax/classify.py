@@ -9,7 +9,16 @@ from reframe_jax import symmetric
 from reframe_jax.moments import MONOMIALS
 from reframe_jax.symmetric import INDEX_PAIRS
 
-__all__ = ["Thresholds", "degrees_of_freedom", "free_positions", "free_rotations", "tied_types"]
+__all__ = [
+    "Thresholds",
+    "degrees_of_freedom",
+    "excess_over",
+    "free_positions",
+    "free_rotations",
+    "nearest_origin",
+    "tie_margin",
+    "tied_types",
+]
 
 _NOISE_MARGIN = 3.0
 _STILL_MARGIN = 2.0
@@ -88,14 +97,58 @@ def free_positions(
     return symmetric.matmul(basis * free[..., None, :], jnp.swapaxes(basis, -1, -2))
 
 
+def nearest_origin(
+    moments: jax.Array, axes: jax.Array, dof: jax.Array, rms: jax.Array, position: jax.Array, noise: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Of all origins that give the same constraint, the one nearest to the centre of the motion.
+
+    Args:
+        moments: (6, 10, ...).
+        axes: (..., 3, 3), columns are the axes.
+        dof: (..., 3).
+        rms: (..., 3) m/s, along the axes.
+        position: (..., 3) m from the centre of the motion, the optimum.
+        noise: (...) rad/s, RMS of what counts as no rotation.
+
+    Returns:
+        Projectors onto the free directions, (..., 3, 3), and that origin, (..., 3) m.
+    """
+    still = jnp.max(jnp.where(dof == 0, rms, 0), axis=-1)
+    free = free_positions(moments, axes, dof, position, still, noise)
+    return free, position - symmetric.matmul(free, position[..., None])[..., 0]
+
+
+def excess_over(reference: jax.Array, rms: jax.Array, counted: jax.Array) -> jax.Array:
+    """How much faster axes are than those of a reference, in the logarithm of their geometric mean.
+
+    Args:
+        reference: (..., 3) RMS velocities, ascending.
+        rms: (..., 3) those compared with it.
+        counted: (..., 3) 1 for axes that are compared, 0 for others, in the type of ``rms``.
+
+    Returns:
+        (...).
+    """
+    total = jnp.sum(counted * (jnp.log(rms) - jnp.log(reference)), axis=-1)
+    return total / jnp.maximum(jnp.sum(counted, axis=-1), 1)
+
+
+def tie_margin(counted: jax.Array, samples: int) -> jax.Array:
+    """What :func:`excess_over` may be, (...), for a tie: three standard deviations of a difference.
+
+    From K samples of noise the logarithm of the geometric mean over n axes is known to about
+    sqrt(c / (2 n K)), c = 1.5 because differencing correlates neighbours.
+    """
+    number = jnp.maximum(jnp.sum(counted, axis=-1), 1)
+    return _TIE_DEVIATIONS * jnp.sqrt(_NOISE_CORRELATION / (number * samples))
+
+
 def tied_types(rms: jax.Array, dof: jax.Array, winner: jax.Array, samples: int) -> jax.Array:
     """Types whose constrained axes are as still as the winner's, to within sampling error.
 
     Compared is the geometric mean of the RMS along as many axes as the winner has constrained: the
-    velocity of free axes says nothing about a constraint. From K samples of noise its logarithm is
-    known to about sqrt(c / (2 n K)), n being the number of those axes and c = 1.5 because
-    differencing correlates neighbours; three standard deviations of a difference count as a tie. A
-    winner without constrained axes is no constraint, and ties with every type.
+    velocity of free axes says nothing about a constraint. See :func:`tie_margin`. A winner without
+    constrained axes is no constraint, and ties with every type.
 
     Args:
         rms: (..., T, 3) ascending, of every type.
@@ -111,8 +164,5 @@ def tied_types(rms: jax.Array, dof: jax.Array, winner: jax.Array, samples: int) 
         return jnp.take_along_axis(array, winner[..., None, None], axis=-2)
 
     counted = (of_winner(dof) == 0).astype(rms.dtype)
-    number = jnp.sum(counted, axis=-1)
-    excess = jnp.sum(counted * (jnp.log(rms) - jnp.log(of_winner(rms))), axis=-1)
-    excess = excess / jnp.maximum(number, 1)
-    deviation = jnp.sqrt(_NOISE_CORRELATION / (jnp.maximum(number, 1) * samples))
-    return (number == 0) | (excess < _TIE_DEVIATIONS * deviation)
+    excess = excess_over(of_winner(rms), rms, counted)
+    return (jnp.sum(counted, axis=-1) == 0) | (excess < tie_margin(counted, samples))

@@ -25,10 +25,11 @@ Numbers are in SI units (m, rad, s, m/s, rad/s); NaN and infinities are written 
               "linear": {
                 the same with "type" and "tied" of "BB", "GB", "GG", "BG", and
                 "position": [3], "free_position": [unit vectors along which the position is undetermined],
+                "twin": [3] another position that explains the window as well, or null,
               },
               "candidates": {
                 "angular": {type: as "angular", without "type" and "tied"},
-                "linear": {type: as "linear", without them, and "on_bounds", "agreement"},
+                "linear": {type: as "linear", without them and "twin", and "on_bounds", "agreement"},
               }
             }
           ]
@@ -195,6 +196,7 @@ def _window_record(index: int, found: Identification, span: Window | None) -> di
         frame = getattr(found, group)
         named = {"type": str(types(int(frame.type_code))), "tied": _tied(group, frame)}
         record[group] = named | _frame_record(frame)
+    record["linear"]["twin"] = _plain(found.linear.twin.tolist()) if found.linear.has_twin else None
     record["candidates"] = {
         group: {str(kind): _frame_record(_of_type(found, group, kind)) for kind in types}
         for group, types in _TYPES.items()
@@ -263,11 +265,16 @@ def _frame_block(group: str, frame: Any) -> list[str]:
     for i, axis in enumerate(np.asarray(_axes(frame.rotvec)).T):
         freedom = "free" if frame.dof[i] else "constrained"
         lines.append(
-            f"  axis {i + 1}  {_vector(axis, 3, 6)}  {frame.rms[i]:8.3g} {_UNITS[group]:5}  {freedom}"
+            f"  axis {i + 1}  {_vector(axis, 3, 6)}  {_speed(frame.rms[i]):>8} {_UNITS[group]:5}  {freedom}"
         )
     if isinstance(kind, LinearType):
         lines.append(f"  origin  {_vector(frame.position, 4)} m in the {origin_in}")
         lines += _choice_of_position(_directions(frame.free_position))
+        if frame.has_twin:
+            away = np.linalg.norm(frame.twin - frame.position)
+            lines.append(
+                f"      or  {_vector(frame.twin, 4)} m, {away:.2g} m away, explains the window as well"
+            )
     turns = [i for i in range(3) if frame.free_rotation[i]]
     if len(turns) == 3:
         lines.append("          the orientation is not determined")
@@ -275,6 +282,11 @@ def _frame_block(group: str, frame: Any) -> list[str]:
         first, second = (i + 1 for i in range(3) if i not in turns)
         lines.append(f"          axes {first} and {second} can be turned about axis {turns[0] + 1}")
     return [*lines, ""]
+
+
+def _speed(value: float) -> str:
+    """A velocity; what is not even rounding of one is zero."""
+    return f"{value if value > 1e-18 else 0:.3g}"
 
 
 def _choice_of_position(directions: list[np.ndarray]) -> list[str]:
@@ -295,7 +307,7 @@ def _norms_block(found: Identification) -> list[str]:
         for kind in types:
             mark = "*" if kind == int(frame.type_code) else "~" if frame.tied[kind] else " "
             tied |= mark == "~"
-            entries.append(f"{kind} {frame.norms[kind]:.3g}{mark}")
+            entries.append(f"{kind} {_speed(frame.norms[kind])}{mark}")
         lines.append(f"Norms   {group:7}  {'  '.join(entries).rstrip()}  {_UNITS[group]}")
     lines.append("        * lowest" + (", ~ tied: explains the motion as well" if tied else ""))
     return lines
@@ -323,10 +335,12 @@ def _batch_table(
     statuses = sorted({Status(int(found.status_code)) for found in each} - {Status.OK})
     legend = [f"{status.name}: {status.message}" for status in statuses]
     ties = any("~" in cell for row in rows for cell in row)
+    twins = any(found.linear.has_twin for found in each)
     return [
         f"{label}: {count}" if label else count,
         *lines,
         *(["~ tied: explains the motion as well"] if ties else []),
+        *(["+ another origin explains the motion as well"] if twins else []),
         *legend,
     ]
 
@@ -340,4 +354,5 @@ def _batch_row(index: int, found: Identification) -> list[str]:
         frame = getattr(found, group)
         kind = str(types(int(frame.type_code)))
         kinds.append("~".join([kind, *(name for name in _tied(group, frame) if name != kind)]))
-    return [str(index), found.name, *kinds, _vector(found.linear.position, 3, 6), status.name]
+    origin = _vector(found.linear.position, 3, 6) + ("+" if found.linear.has_twin else "")
+    return [str(index), found.name, *kinds, origin, status.name]

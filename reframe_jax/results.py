@@ -91,6 +91,10 @@ class LinearFrame:
         position: (..., 3) m, origin of the frame in the body of the type's second letter. Where
             ``free_position`` leaves a choice it is the point closest to the recorded motion: to the
             mean position of {b} for GG and BG, to the origin of {b} for BB and GB.
+        twin: (..., 3) m, another origin of this type that explains the window as well, to within
+            sampling error, though those between the two do not; in the body of ``position``, and
+            chosen like it where there is a choice. Equal to ``position`` where none was found.
+        has_twin: (...) bool, whether one was.
         dof: (..., 3) int, 1 where the axis is free.
         rms: (..., 3) m/s, RMS velocity along each axis at the minimum of the norm (lambda in the
             paper). Moving the origin along free directions changes those of free axes only.
@@ -105,6 +109,8 @@ class LinearFrame:
     type_code: jax.Array
     rotvec: jax.Array
     position: jax.Array
+    twin: jax.Array
+    has_twin: jax.Array
     dof: jax.Array
     rms: jax.Array
     norm: jax.Array

@@ -14,8 +14,8 @@ from reframe_jax import kinematics, rotations, symmetric
 from reframe_jax.classify import (
     Thresholds,
     degrees_of_freedom,
-    free_positions,
     free_rotations,
+    nearest_origin,
     tied_types,
 )
 from reframe_jax.compilation import once
@@ -24,7 +24,7 @@ from reframe_jax.implicit import attach_derivative
 from reframe_jax.kinematics import Discretization
 from reframe_jax.moments import component_moments, covariance_at
 from reframe_jax.objectives import PositionObjective, log_power_mean
-from reframe_jax.optimise import Box, Solver, ValleySteps
+from reframe_jax.optimise import Box, Solution, Solver, ValleySteps
 from reframe_jax.results import (
     AllCandidates,
     AngularFrame,
@@ -32,6 +32,7 @@ from reframe_jax.results import (
     Identification,
     LinearFrame,
 )
+from reframe_jax.twins import find_twins
 from reframe_jax.validate import Status, window_status
 
 __all__ = ["identify_windows", "window_moments"]
@@ -123,7 +124,9 @@ def identify_windows(
     angular = _angular_candidates(rates, moments_of, thresholds, exponent)
     # rotation about axes that are classified as constrained is taken for noise
     noise = jnp.min(jnp.max(jnp.where(angular.dof == 0, angular.rms, 0), axis=-1), axis=-1)
-    linear = _linear_candidates(maps, moments_of, thresholds, noise, box, key, exponent, solver)
+    linear, searched, solution = _linear_candidates(
+        maps, moments_of, thresholds, noise, box, key, exponent, solver
+    )
     in_ground = jnp.asarray([t.position_body == AngularType.G for t in LinearType])
     origin = jnp.where(in_ground[None, :, None], centre[:, None], 0)
     assert linear.position is not None
@@ -139,6 +142,11 @@ def identify_windows(
         return jnp.take_along_axis(array, index, axis=1)[:, 0]
 
     a, n = winner(angular.norm), winner(linear.norm)
+    position = pick(linear.position, n)
+    searched, solution = jax.tree.map(partial(_of_type, n), (searched, solution))
+    limit, quiet = jax.lax.stop_gradient((thresholds.linear, noise))
+    twin, has_twin = find_twins(searched, box, solution, pick(linear.dof, n), limit, quiet, samples)
+    twin = jnp.where(has_twin[:, None], pick(origin, n) + twin, jax.lax.stop_gradient(position))
     angular_tied = tied_types(angular.rms, angular.dof, a, samples)
     # unless exactly two axes are free, both angular types express the same constraint (section 3.3)
     angular_tied = angular_tied | (jnp.sum(pick(angular.dof, a), axis=-1) != 2)[:, None]
@@ -156,7 +164,9 @@ def identify_windows(
         linear=LinearFrame(
             type_code=n,
             rotvec=pick(linear.rotvec, n),
-            position=pick(linear.position, n),
+            position=position,
+            twin=twin,
+            has_twin=has_twin,
             dof=pick(linear.dof, n),
             rms=pick(linear.rms, n),
             norm=pick(linear.norm, n),
@@ -173,6 +183,12 @@ def identify_windows(
     outcome = jnp.where(still, Status.NOT_EXCITED, outcome)
     found = jax.tree.map(partial(_blank, failed), found)
     return _replace(found, status_code=jnp.where(failed, status, outcome.astype(jnp.int32)))
+
+
+def _of_type(types: jax.Array, leaf: jax.Array) -> jax.Array:
+    """From (..., N, T) what belongs to one type each, (..., N)."""
+    index = types.reshape(*([1] * (leaf.ndim - 2)), -1, 1)
+    return jnp.take_along_axis(leaf, index, axis=-1)[..., 0]
 
 
 def _blank(failed: jax.Array, leaf: jax.Array) -> jax.Array:
@@ -223,12 +239,14 @@ def _linear_candidates(
     key: jax.Array,
     exponent: float,
     solver: Solver,
-) -> Candidates:
-    """Search the position of every type; the axes follow from it."""
+) -> tuple[Candidates, PositionObjective, Solution]:
+    """Search the position of every type; the axes follow from it.
+
+    Also returns what was searched, and what the solver said.
+    """
     objective = PositionObjective(moments_of(maps, 1), exponent)
-    solution = jax.tree.map(
-        jax.lax.stop_gradient, solver.minimise(jax.lax.stop_gradient(objective), box, key)
-    )
+    searched = jax.lax.stop_gradient(objective)
+    solution = jax.tree.map(jax.lax.stop_gradient, solver.minimise(searched, box, key))
     if maps.dtype == jnp.float32:
         origin = solution.x
         first = jax.lax.stop_gradient(_spectrum(objective.covariance(origin))[1])
@@ -245,14 +263,11 @@ def _linear_candidates(
         axes = local
     dof = degrees_of_freedom(rms, thresholds.linear)
     at_minimum = jnp.moveaxis(x, 0, -1)
-    still = jnp.max(jnp.where(dof == 0, rms, 0), axis=-1)
-    free = free_positions(objective.moments, local, dof, at_minimum, still, noise[:, None])
-    # of all origins that give the same constraint, the one nearest to the centre of the motion
-    position = at_minimum - symmetric.matmul(free, at_minimum[..., None])[..., 0]
+    free, position = nearest_origin(objective.moments, local, dof, rms, at_minimum, noise[:, None])
     low, high = box.low[None, None], box.high[None, None]
     near = _NEAR * (high - low)
     on_bounds = (position <= low + near) | (position >= high - near)
-    return Candidates(
+    found = Candidates(
         rotvec=_orientation(axes, dof),
         dof=dof,
         rms=rms,
@@ -263,6 +278,7 @@ def _linear_candidates(
         on_bounds=jnp.any(on_bounds, axis=-1),
         agreement=solution.agreement,
     )
+    return found, searched, solution
 
 
 def _norm(rms: jax.Array, exponent: float) -> jax.Array:

@@ -42,6 +42,8 @@ def identification(
             type_code=np.int32(kind),
             dof=np.array(linear_dof),
             position=POSITION,
+            twin=POSITION,
+            has_twin=np.False_,
             free_position=np.zeros((3, 3)),
             **common,
         ),

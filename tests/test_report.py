@@ -42,6 +42,7 @@ def identification(
     status: Status = Status.OK,
     free_position: Any = None,
     tied: tuple[LinearType, ...] = (),
+    twin: Any = None,
 ) -> Identification:
     """A revolute joint about z, unless told otherwise."""
     one, three = np.diag([0.0, 0.0, 1.0]), np.array
@@ -61,6 +62,8 @@ def identification(
             type_code=np.int32(linear_type),
             rotvec=three(QUARTER),
             position=three([0.1, -0.25, 0.0]),
+            twin=three([0.1, -0.25, 0.0] if twin is None else twin),
+            has_twin=np.bool_(twin is not None),
             dof=three(linear_dof),
             rms=three([0.001, 0.002, 0.25]),
             norm=np.float64(0.00794),
@@ -145,6 +148,20 @@ def test_directions_of_the_position(projector: np.ndarray, words: str | None) ->
         assert re.fullmatch(words, found[1])
 
 
+def test_a_twin_is_named_with_its_distance() -> None:
+    words = "explains the window as well"
+    assert words not in to_table(identification())
+    found = identification(LinearType.GG, twin=[0.1, -0.25, 0.21])
+    lines = to_table(found).splitlines()
+    assert f"      or  (0.1000, -0.2500, 0.2100) m, 0.21 m away, {words}" in lines
+    (window,) = strict(to_json(found))["recordings"][0]["windows"]
+    assert window["linear"]["twin"] == [0.1, -0.25, 0.21]
+    rows = to_table(batch(found, identification())).splitlines()
+    assert "( 0.100, -0.250,  0.000)+" in rows[2]
+    assert "( 0.100, -0.250,  0.000) " in rows[3]
+    assert rows[-1] == "+ another origin explains the motion as well"
+
+
 def test_warnings_are_spelt_out() -> None:
     assert Status.ON_BOUNDS.message in to_table(identification(status=Status.ON_BOUNDS))
     failed = to_table(blank(identification(), Status.NO_MOTION), label="a.csv")
@@ -208,6 +225,7 @@ def test_json_of_a_window() -> None:
     assert (linear["type"], linear["tied"]) == ("GB", ["GB"])
     assert linear["position"] == [0.1, -0.25, 0.0]
     assert linear["free_position"] == [[0.0, 1.0, 0.0]]
+    assert linear["twin"] is None
     assert linear["dof"] == [0, 0, 0]
     assert linear["free_rotation"] == [True, True, True]
     np.testing.assert_allclose(linear["axes"], Rotation.from_rotvec(QUARTER).as_matrix().T, atol=1e-15)

@@ -1,6 +1,5 @@
 """The global search: basin hopping from many starts, for many problems at once."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
@@ -10,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.objectives import FrameObjective, PositionObjective
+from reframe_jax.optimise.blocks import update_marked
 from reframe_jax.optimise.box import Box
 from reframe_jax.optimise.kernel import step_chains
 from reframe_jax.optimise.seeds import quasi_random
@@ -17,7 +17,6 @@ from reframe_jax.optimise.valley import ValleySteps
 
 __all__ = ["BasinHopping", "LocalMinimiser", "Objective", "SearchState", "Solution", "Solver"]
 
-_BLOCK, _SHARE = 8, 16  # problems go on together by the eight, or by a sixteenth of all
 _AT_ONCE = 1024  # minimisations at a time; if there are more, restarts take turns
 
 Objective = FrameObjective | PositionObjective
@@ -34,11 +33,15 @@ class Solution:
         x: (dim, ...) best unknowns of every problem.
         value: (...) log J there.
         agreement: (...) share of the restarts that ended within 0.1 % of the best norm.
+        ends, end_values: (dim, restarts, ...) and (restarts, ...) the best of every restart, among
+            which twins are looked for; None if the solver does not say.
     """
 
     x: jax.Array
     value: jax.Array
     agreement: jax.Array
+    ends: jax.Array | None = None
+    end_values: jax.Array | None = None
 
 
 class Solver(Protocol):
@@ -104,12 +107,22 @@ class BasinHopping:
     temperature: float = 0.1
     settled: float = 1e-4
 
-    def init(self, objective: Objective, box: Box, key: jax.Array) -> SearchState:
-        """Quasi-random starts, not minimised yet: their values are infinite."""
+    def init(
+        self, objective: Objective, box: Box, key: jax.Array, starts: jax.Array | None = None
+    ) -> SearchState:
+        """Starts, not minimised yet: their values are infinite.
+
+        Args:
+            objective: the problems.
+            box: where to search.
+            key: of the random numbers.
+            starts: (dim, restarts, ...); quasi-random points, the same for all problems, by default.
+        """
         batch, dtype = objective.moments.shape[2:], objective.moments.dtype
         seed_key, key = jax.random.split(key)
-        starts = box.scale(quasi_random(seed_key, self.restarts, objective.dim, dtype))
-        starts = starts.reshape(objective.dim, self.restarts, *([1] * len(batch)))
+        if starts is None:
+            starts = box.scale(quasi_random(seed_key, self.restarts, objective.dim, dtype))
+            starts = starts.reshape(objective.dim, self.restarts, *([1] * len(batch)))
         x = jnp.broadcast_to(starts, (objective.dim, self.restarts, *batch))
         value = jnp.full(x.shape[1:], jnp.inf, dtype=dtype)
         return SearchState(jnp.zeros((), jnp.int32), key, x, value, x, value)
@@ -153,15 +166,19 @@ class BasinHopping:
             better = refined_value < value
             x, value = jnp.where(better[None], refined, x), jnp.where(better, refined_value, value)
         close = state.best_value < value[None] + 1e-3
-        return Solution(x, value, jnp.mean(close.astype(value.dtype), axis=0))
+        agreement = jnp.mean(close.astype(value.dtype), axis=0)
+        return Solution(x, value, agreement, state.best_x, state.best_value)
 
-    def minimise(self, objective: Objective, box: Box, key: jax.Array) -> Solution:
+    def minimise(
+        self, objective: Objective, box: Box, key: jax.Array, starts: jax.Array | None = None
+    ) -> Solution:
         """The whole search: :meth:`init`, :meth:`step` until every problem is done, :meth:`finish`.
 
-        A settled problem is done after one step, the others after 1 + ``hops`` + ``polish``. On a GPU,
-        with :class:`ValleySteps` on the geometric mean, the steps run in one kernel.
+        Arguments as in :meth:`init`. A settled problem is done after one step, the others after
+        1 + ``hops`` + ``polish``. On a GPU, with :class:`ValleySteps` on the geometric mean, the steps
+        run in one kernel.
         """
-        state = self._advance(objective, box, self.init(objective, box, key), 1)
+        state = self._advance(objective, box, self.init(objective, box, key, starts), 1)
         if self.hops + self.polish > 0:
             state = self._go_on(objective, box, state)
         return self.finish(objective, box, state)
@@ -179,29 +196,18 @@ class BasinHopping:
     def _go_on(self, objective: Objective, box: Box, state: SearchState) -> SearchState:
         """Take the problems that are not settled through the other steps, gathered into full blocks."""
         batch = state.value.shape[1:]
-        problems = math.prod(batch)
-        size = max(min(problems, _BLOCK), problems // _SHARE)
 
         def flat(tree: Any) -> Any:
-            return jax.tree.map(lambda a: a.reshape(*a.shape[: a.ndim - len(batch)], problems), tree)
+            return jax.tree.map(lambda a: a.reshape(*a.shape[: a.ndim - len(batch)], -1), tree)
 
-        objective = flat(objective)
+        def further(block: tuple[Objective, dict[str, jax.Array]]) -> dict[str, jax.Array]:
+            objective, chains = block
+            after = self._advance(objective, box, replace(state, **chains), self.hops + self.polish)
+            return {name: getattr(after, name) for name in _OF_CHAINS}
+
         chains = flat({name: getattr(state, name) for name in _OF_CHAINS})
         is_open = ~self._is_settled(state).reshape(-1)
-        order, count = jnp.argsort(~is_open), jnp.sum(is_open)  # the open problems first, as they come
-
-        def block(i: jax.Array, chains: dict[str, jax.Array]) -> dict[str, jax.Array]:
-            place = i * size + jnp.arange(size)
-            rows = order[jnp.minimum(place, problems - 1)]
-            here, of_block = jax.tree.map(lambda a: jnp.take(a, rows, axis=-1), (objective, chains))
-            after = self._advance(here, box, replace(state, **of_block), self.hops + self.polish)
-            target = jnp.where(place < count, rows, problems)  # those of settled problems are dropped
-            return {
-                name: old.at[..., target].set(getattr(after, name), mode="drop")
-                for name, old in chains.items()
-            }
-
-        chains = jax.lax.fori_loop(0, (count + size - 1) // size, block, chains)
+        chains = update_marked(further, is_open, (flat(objective), chains), chains)
         return replace(state, **{name: a.reshape(*a.shape[:-1], *batch) for name, a in chains.items()})
 
     def _is_settled(self, state: SearchState) -> jax.Array:
