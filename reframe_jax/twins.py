@@ -54,8 +54,9 @@ def find_twins(
         moments, rival, optimum, constrained, margin, noise = block
         objective_here, constrained = PositionObjective(moments, objective.exponent), constrained.T
         x = _LOCAL.minimise(objective_here, box, jax.random.key(0), starts=rival[:, None]).x
-        first, rms = _frame(objective_here, optimum, threshold, noise)
-        twin, twin_rms = _frame(objective_here, x, threshold, noise)
+        twice, both = jnp.concatenate([moments, moments], axis=-1), jnp.concatenate([optimum, x], axis=-1)
+        frames = _frame(PositionObjective(twice, objective.exponent), both, threshold, jnp.tile(noise, 2))
+        (first, twin), (rms, twin_rms) = (jnp.split(a, 2) for a in frames)
         middle_rms, _ = _spectrum(objective_here, (first + twin).T / 2)
         excess = excess_over(rms, twin_rms, constrained)
         barrier = excess_over(rms, middle_rms, constrained) - jnp.maximum(excess, 0)

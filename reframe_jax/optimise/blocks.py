@@ -28,9 +28,11 @@ def update_marked(function: Callable[[Any], Any], marked: jax.Array, inputs: Any
     order, count = jnp.argsort(~marked), jnp.sum(marked)  # the marked first, as they come
 
     def block(i: jax.Array, outputs: Any) -> Any:
+        # tied to i: of a single problem XLA would see that every block is the same, and compute it anyway
+        i, of_all = jax.lax.optimization_barrier((i, inputs))
         place = i * size + jnp.arange(size)
         rows = order[jnp.minimum(place, problems - 1)]
-        found = function(jax.tree.map(lambda a: jnp.take(a, rows, axis=-1), inputs))
+        found = function(jax.tree.map(lambda a: jnp.take(a, rows, axis=-1), of_all))
         target = jnp.where(place < count, rows, problems)  # those of problems not marked are dropped
         return jax.tree.map(lambda old, new: old.at[..., target].set(new, mode="drop"), outputs, found)
 
