@@ -13,7 +13,7 @@ import reframe_jax as rf
 from benchmarks.dual_annealing import DT, anneal
 from benchmarks.timing import jit, timed_once
 from reframe_jax.compilation import chunk_size
-from reframe_jax.objectives import FrameObjective, PositionObjective
+from reframe_jax.objectives import FrameObjective
 from reframe_jax.optimise import Box
 from reframe_jax.windows import window_moments
 
@@ -46,13 +46,6 @@ def placed(positions: np.ndarray, centre: np.ndarray) -> np.ndarray:
     """Positions (N, 4, 3) as ``identify`` reports them: those in the ground from its origin."""
     in_ground = np.array([kind.position_body == rf.AngularType.G for kind in rf.LinearType])
     return np.asarray(positions + np.where(in_ground[None, :, None], centre[:, None], 0))
-
-
-def norms_at(poses: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Linear norms (N, 4), in float64, at positions (N, 4, 3) as ``identify`` reports them."""
-    _, linear, centre = six_moments(poses)
-    x = np.moveaxis(placed(np.asarray(positions, dtype=float), -centre), -1, 0)
-    return np.exp(np.asarray(PositionObjective(linear).value(jnp.asarray(x))))
 
 
 def general_search(poses: np.ndarray) -> Solved:

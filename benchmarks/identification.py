@@ -13,7 +13,7 @@ on an accelerator also
 
 and, without --quick,
 
-- ``identify, float32``: in single precision; its origins are judged in float64;
+- ``identify, float32``: in single precision; a norm 0.1 % too low is missed as well;
 - ``L-BFGS-B x 16``: SciPy's, from 16 random starts, with the exact gradient of the log norm;
 - ``CMA-ES x 4``: evosax's, four runs of 250 generations (if evosax is installed).
 
@@ -121,8 +121,6 @@ def run_identify(name: str, poses: jax.Array | np.ndarray, repeats: int = 3) -> 
     found, seconds, compiling = timed(lambda: rf.identify(poses, dt=DT), repeats)
     positions = np.asarray(found.candidates.linear.position, dtype=float)
     norms = np.concatenate([found.angular.norms, found.linear.norms], axis=1, dtype=float)
-    if poses.dtype == jnp.float32:
-        norms[:, 2:] = contestants.norms_at(np.asarray(poses, dtype=float), positions)
     return ready(Row(name, np.arange(len(poses)), norms, positions, seconds, compiling))
 
 
@@ -201,6 +199,8 @@ def best_norms(size: Size, poses: np.ndarray, rows: Sequence[Row]) -> np.ndarray
     best = np.full((len(poses), 6), np.inf)
     best[judged] = best_known(poses[judged])
     for row in rows:
+        if "float32" in row.name:
+            continue  # rounding may have made it lower than it is
         mine = np.isin(row.index, judged)
         np.minimum.at(best, row.index[mine], row.norms[mine])
     return best
@@ -213,7 +213,8 @@ def judge(rows: Sequence[Row], best: np.ndarray, labels: Sequence[str]) -> dict[
     print(f"{'':18}{'x annealing':>13}{'missed':>10}{'median error':>16}{'98 %':>12}")
     for row in rows:
         known = np.isfinite(best[row.index, 0])
-        missed = float(np.mean(row.norms[known] > MISS * best[row.index[known]]))
+        above = np.log(row.norms[known] / best[row.index[known]])
+        missed = float(np.mean(np.abs(above) > np.log(MISS)))
         distinct = row.index < _DISTINCT
         error = errors_mm(row.positions[distinct], [labels[i] for i in row.index[distinct]])
         median, tail = float(np.median(error)), float(np.quantile(error, 0.98))

@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 
 import reframe_jax as rf
-from benchmarks.contestants import norms_at
 from benchmarks.dual_annealing import DT, MISS
 from benchmarks.timing import jit, timed
 from reframe_jax.compilation import chunk_size
@@ -68,7 +67,7 @@ def curves(poses: np.ndarray, best: np.ndarray, *, full: bool) -> Curves:
     for starts in (1, 2, 4, 6, 8, 16) if many else ():
         solver = replace(default_solver(), restarts=starts)
         result = measure("starts", starts, partial(rf.identify, some, dt=DT, solver=solver), len(some))
-        norms = norms_at(some[:judged], np.asarray(result.candidates.linear.position)[:judged])
+        norms = np.asarray(result.linear.norms)[:judged]
         print(f", {100 * np.mean(norms > MISS * best[:judged]):.2f} % of linear problems missed", flush=True)
     counts = _device_counts()
     for count in counts if len(counts) > 1 else ():
