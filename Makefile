@@ -23,7 +23,7 @@ lint: $(STAMP)
 	$(BIN)/mypy
 
 benchmark: $(STAMP)
-	$(BIN)/python -m benchmarks.dual_annealing
+	$(BIN)/python -m benchmarks.identification --quick --gate
 
 paper: $(STAMP)
 	$(BIN)/python -m benchmarks.paper
