@@ -65,7 +65,8 @@ def curves(poses: np.ndarray, best: np.ndarray, *, full: bool) -> Curves:
         print(flush=True)
     judged = min(len(some), len(poses))
     for starts in (1, 2, 4, 6, 8, 16) if many else ():
-        solver = replace(default_solver(), restarts=starts)
+        default: Any = default_solver()
+        solver = replace(default, restarts=starts)
         result = measure("starts", starts, partial(rf.identify, some, dt=DT, solver=solver), len(some))
         norms = np.asarray(result.linear.norms)[:judged]
         print(f", {100 * np.mean(norms > MISS * best[:judged]):.2f} % of linear problems missed", flush=True)

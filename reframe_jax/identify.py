@@ -21,7 +21,7 @@ from reframe_jax.classify import Thresholds
 from reframe_jax.compilation import CPU_OPTIONS, chunk_size, traced
 from reframe_jax.kinematics import Discretization
 from reframe_jax.objectives import check_exponent
-from reframe_jax.optimise import BasinHopping, Box, Solver, ValleySteps
+from reframe_jax.optimise import BasinHopping, Box, FrameSteps, JointSearch, Solver, ValleySteps
 from reframe_jax.results import Identification
 from reframe_jax.validate import MIN_VELOCITIES, Status
 from reframe_jax.windows import identify_windows
@@ -34,10 +34,10 @@ _FEWEST = 1024  # windows in a piece on an accelerator
 
 _VALLEY = BasinHopping(ValleySteps(6), restarts=7, hops=3, polish=2)
 _POSITIVE = BasinHopping(ValleySteps(8), restarts=8, hops=4, polish=2)
-_NEGATIVE = BasinHopping(ValleySteps(8), restarts=12, hops=6, polish=2)  # many narrow minima: any still axis
+_NEGATIVE = JointSearch(BasinHopping(FrameSteps(10), restarts=16, hops=3, polish=2), refine=ValleySteps(4))
 
 
-def default_solver(norm: float = 0.0) -> BasinHopping:
+def default_solver(norm: float = 0.0) -> BasinHopping | JointSearch:
     """The solver ``identify`` uses for an exponent of the norm."""
     exponent = check_exponent(norm)
     return _VALLEY if exponent == 0 else _POSITIVE if exponent > 0 else _NEGATIVE

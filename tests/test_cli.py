@@ -342,7 +342,10 @@ def test_the_catalogue_is_listed(capsys: Captured) -> None:
         (["simulate", "--constraint", "A", "--out", "a.csv", "--noise", "nan"], "0 or more, not nan"),
         (["simulate", "--constraint", "A", "--out", "a.csv", "--seed", str(2**70)], "whole number from 0 to"),
         (["simulate", "--constraint", "A", "--out", "a.csv", "--dt", "10"], "makes 1 poses; expected 5"),
-        (["demonstrate", "--constraint", "A", "--out", "a", "--count", "many"], "expected a whole number"),
+        (
+            ["demonstrate", "--constraint", "A", "--out", "a", "--count", "many"],
+            "expected a positive whole number",
+        ),
     ],
 )
 def test_wrong_command_lines(arguments: list[str], problem: str, capsys: Captured) -> None:

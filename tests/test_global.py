@@ -12,7 +12,7 @@ from reframe_jax import synthetic
 from reframe_jax.compilation import CPU_OPTIONS, chunk_size
 from reframe_jax.identify import default_solver
 from reframe_jax.objectives import FrameObjective, PositionObjective
-from reframe_jax.optimise import Box
+from reframe_jax.optimise import Box, JointSearch
 from reframe_jax.windows import window_moments
 
 SEEDS = 24
@@ -59,14 +59,15 @@ def test_the_default_search_reaches_the_best_of_64_long_searches(problems):
     assert np.mean(np.asarray(found - best) > 1e-3) <= 1e-3
 
 
-@pytest.mark.parametrize("exponent", [-np.inf, -1.0, 1.0])
-def test_other_norms_reach_the_best_of_a_longer_search(problems, exponent):
+@pytest.mark.parametrize(("exponent", "missed"), [(-np.inf, 0.03), (-1.0, 1e-3), (1.0, 1e-3)])
+def test_other_norms_reach_the_best_of_longer_searches(problems, exponent, missed):
     some = PositionObjective(problems[:, :, ::48], exponent)
-    long = rf.BasinHopping(rf.NewtonSteps(25), restarts=24, hops=2, refine=rf.NewtonSteps(40))
-    best = search(long, some, seed=1)
+    long = rf.BasinHopping(rf.ValleySteps(20), restarts=48, hops=2)
+    joint = JointSearch(rf.BasinHopping(rf.FrameSteps(15), restarts=48, hops=4), refine=rf.ValleySteps(10))
+    best = jnp.minimum(search(long, some, seed=1), search(joint, some, seed=1))
     found = search(default_solver(exponent), some)
     best = jnp.minimum(best, found)
-    assert np.mean(np.asarray(found - best) > 1e-3) <= 0.02
+    assert np.mean(np.asarray(found - best) > 1e-3) <= missed
 
 
 def test_searching_rotation_and_position_finds_the_optimum_of_the_closed_form(problems):

@@ -12,7 +12,15 @@ from scipy.spatial.transform import Rotation
 
 from reframe_jax.moments import covariance_at, velocity_moments
 from reframe_jax.objectives import FrameObjective, PositionObjective, log_power_mean
-from reframe_jax.optimise import BasinHopping, Box, FrameSteps, NewtonSteps, OptaxSteps, ValleySteps
+from reframe_jax.optimise import (
+    BasinHopping,
+    Box,
+    FrameSteps,
+    JointSearch,
+    NewtonSteps,
+    OptaxSteps,
+    ValleySteps,
+)
 from reframe_jax.optimise import frame as frame_steps
 from reframe_jax.optimise.seeds import quasi_random
 from reframe_jax.optimise.valley import _expand
@@ -330,6 +338,22 @@ class TestFrameSteps:
     def test_wants_a_frame_objective(self, moments):
         with pytest.raises(ValueError, match="FrameObjective"):
             FrameSteps(1)(PositionObjective(moments), POSITIONS, jnp.zeros((3, 4)))
+
+
+class TestJointSearch:
+    def test_finds_origins(self, moments):
+        """Their norms are those with the best axes there; every chain says where it ended."""
+        solver = JointSearch(BasinHopping(FrameSteps(10), restarts=5, hops=2), refine=ValleySteps(4))
+        objective = PositionObjective(moments, -1.0)
+        found = jax.jit(lambda m: solver.minimise(PositionObjective(m, -1.0), POSITIONS, KEY))(moments)
+        assert found.x.shape == (3, 4)
+        assert found.ends.shape == (3, 5, 4)
+        assert np.all(np.abs(found.x) <= 1)
+        np.testing.assert_allclose(found.value, jax.jit(objective.value)(found.x), rtol=1e-12)
+        assert np.all(found.value <= np.min(found.end_values, axis=0) + 1e-9)
+        slope = jax.jit(jax.grad(lambda x: jnp.sum(objective.value(x))))(found.x)
+        inside = np.abs(found.x) < 1
+        np.testing.assert_allclose(np.asarray(slope)[inside], 0, atol=1e-5)
 
 
 class TestNewton:

@@ -47,7 +47,7 @@ class Solution:
 class Solver(Protocol):
     """What ``identify`` needs of a solver. Solvers are static arguments: make them hashable."""
 
-    def minimise(self, objective: Objective, box: Box, key: jax.Array) -> Solution:
+    def minimise(self, objective: Any, box: Box, key: jax.Array) -> Solution:
         """Search every problem of the objective."""
         ...
 
