@@ -16,9 +16,10 @@ class OnlineIdentifier:
 
     Every push identifies the whole window anew: for 51 poses about a millisecond on one processor core
     (``python -m benchmarks.identification`` prints it), of which the moments are the smaller part.
-    Updating moments instead would save that part and drift: the covariance along constrained axes is 1e-6 to 1e-10 of its largest entries, and every update leaves a rounding of
-    these behind. It would be inexact besides, because the default discretization takes derivatives over
-    seven samples, so that the newest pose changes the velocities of the three steps before it.
+    Updating moments instead would save that part and drift: the covariance along constrained axes is
+    1e-6 to 1e-10 of its largest entries, and every update leaves a rounding of these behind. It would be
+    inexact besides, because the default discretization takes derivatives over seven samples, so that the
+    newest pose changes the velocities of the three steps before it.
 
     Args:
         length: poses in the window, K + 1; at least 5.
