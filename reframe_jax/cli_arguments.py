@@ -10,7 +10,16 @@ from reframe_jax.classify import Thresholds
 from reframe_jax.frames import constraint
 from reframe_jax.objectives import check_exponent
 
-__all__ = ["Parser", "add_identify", "add_simulate", "count", "label", "positive", "seed", "whole"]
+__all__ = [
+    "Parser",
+    "add_constraint",
+    "add_identify",
+    "add_seed",
+    "add_simulate",
+    "count",
+    "positive",
+    "whole",
+]
 
 
 class Parser(argparse.ArgumentParser):
@@ -84,6 +93,18 @@ def label(text: str) -> str:
         raise argparse.ArgumentTypeError(error.args[0]) from error
 
 
+def add_constraint(command: argparse.ArgumentParser) -> None:
+    """The option ``--constraint``."""
+    command.add_argument(
+        "--constraint", type=label, required=True, metavar="K", help="letter or name: see constraints"
+    )
+
+
+def add_seed(command: argparse.ArgumentParser) -> None:
+    """The option ``--seed``."""
+    command.add_argument("--seed", type=seed, default=0, metavar="N", help="of the random numbers (0)")
+
+
 def add_identify(command: argparse.ArgumentParser) -> None:
     """The options of ``identify``."""
     defaults = Thresholds()
@@ -146,13 +167,7 @@ def add_identify(command: argparse.ArgumentParser) -> None:
 def add_simulate(command: argparse.ArgumentParser) -> None:
     """The options of ``simulate``."""
     add = command.add_argument
-    add(
-        "--constraint",
-        type=label,
-        required=True,
-        metavar="K",
-        help="letter or name: see constraints",
-    )
+    add_constraint(command)
     add("--out", type=Path, required=True, metavar="FILE", help="recording to write, .csv or .npz")
     add(
         "--noise",
@@ -161,7 +176,7 @@ def add_simulate(command: argparse.ArgumentParser) -> None:
         metavar="M",
         help="standard deviation of positions, m (0)",
     )
-    add("--seed", type=seed, default=0, help="of the random numbers (0)")
+    add_seed(command)
     add("--duration", type=positive, default=5.0, metavar="S", help="s (5)")
     add("--dt", type=positive, default=0.1, metavar="S", help="sample time, s (0.1)")
     add(

@@ -83,13 +83,7 @@ def add_commands(commands: Any) -> None:
 
 def _add_common(command: argparse.ArgumentParser) -> None:
     add = command.add_argument
-    add(
-        "--constraint",
-        type=cli_arguments.label,
-        required=True,
-        metavar="K",
-        help="letter or name: see constraints",
-    )
+    cli_arguments.add_constraint(command)
     add("--robot", choices=["panda", "fr3"], default="panda", help="the arm: fr3 is the paper's (panda)")
     add(
         "--imperfections",
@@ -106,7 +100,7 @@ def _add_common(command: argparse.ArgumentParser) -> None:
         "in the paper's Table 4, or as in the paper's simulations (exciting)",
     )
     add("--fixed", action="store_true", help="the same geometry every time, not one drawn at random")
-    add("--seed", type=cli_arguments.seed, default=0, metavar="N", help="of the random numbers (0)")
+    cli_arguments.add_seed(command)
 
 
 def _prepared(options: argparse.Namespace) -> dict[str, Any]:

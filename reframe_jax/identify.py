@@ -29,8 +29,9 @@ from reframe_jax.windows import identify_windows
 __all__ = ["default_solver", "identify"]
 
 _PIECE = 8  # chunks that one thread computes in one call
-_compiled_programs: set[Any] = set()
 _FEWEST = 1024  # windows in a piece on an accelerator
+
+_compiled_programs: set[Any] = set()  # that threads may run without compiling them at the same time
 
 _VALLEY = BasinHopping(ValleySteps(6), restarts=7, hops=3, polish=2)
 _POSITIVE = BasinHopping(ValleySteps(8), restarts=8, hops=4, polish=2)

@@ -30,6 +30,7 @@ __all__ = [
     "frame_norm",
     "log_power_mean",
     "power_mean",
+    "principal_axes",
 ]
 
 
@@ -136,6 +137,24 @@ def axis_rms_from_moments(rotvec: jax.Array, position: jax.Array, moments: jax.A
     x, y, z = position[..., 0], position[..., 1], position[..., 2]
     covariance = symmetric.to_matrix(covariance_at(moments, (x, y, z)))
     return axis_rms_from_covariance(rotvec, covariance)
+
+
+def principal_axes(covariance: symmetric.Symmetric) -> tuple[jax.Array, jax.Array]:
+    """RMS along the principal axes, (..., 3) ascending, and the axes as columns, (..., 3, 3).
+
+    Right-handed, the largest component of the first and third axis positive.
+    """
+    variances, (first, _, third) = symmetric.eigh(covariance)
+    tiny = jnp.finfo(covariance[0].dtype).tiny
+    rms = jnp.sqrt(jnp.maximum(jnp.stack(variances, axis=-1), tiny))
+
+    def upright(axis: symmetric.Vector) -> jax.Array:
+        vector = jnp.stack(axis, axis=-1)
+        largest = jnp.take_along_axis(vector, jnp.argmax(jnp.abs(vector), axis=-1)[..., None], axis=-1)
+        return jnp.where(largest < 0, -vector, vector)
+
+    one, three = upright(first), upright(third)
+    return rms, jnp.stack([one, jnp.cross(three, one), three], axis=-1)
 
 
 def frame_norm(

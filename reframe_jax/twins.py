@@ -8,9 +8,8 @@ sampling error, those of the point halfway are clearly not, and no bound of the 
 import jax
 import jax.numpy as jnp
 
-from reframe_jax import symmetric
 from reframe_jax.classify import degrees_of_freedom, excess_over, nearest_origin, tie_margin
-from reframe_jax.objectives import PositionObjective
+from reframe_jax.objectives import PositionObjective, principal_axes
 from reframe_jax.optimise import BasinHopping, Box, Solution, ValleySteps
 from reframe_jax.optimise.blocks import update_marked
 
@@ -18,7 +17,6 @@ __all__ = ["find_twins"]
 
 _BARRIER = 0.02  # in log J: what an end must have between itself and the optimum to be looked at
 _LOCAL = BasinHopping(ValleySteps(12), restarts=1, hops=0, polish=0)  # brings it to its own optimum
-_NEAR = 1e-3  # of the box: closer than this to a face counts as on it
 
 
 def find_twins(
@@ -57,13 +55,12 @@ def find_twins(
         twice, both = jnp.concatenate([moments, moments], axis=-1), jnp.concatenate([optimum, x], axis=-1)
         frames = _frame(PositionObjective(twice, objective.exponent), both, threshold, jnp.tile(noise, 2))
         (first, twin), (rms, twin_rms) = (jnp.split(a, 2) for a in frames)
-        middle_rms, _ = _spectrum(objective_here, (first + twin).T / 2)
+        middle_rms, _ = principal_axes(objective_here.covariance((first + twin).T / 2))
         excess = excess_over(rms, twin_rms, constrained)
         barrier = excess_over(rms, middle_rms, constrained) - jnp.maximum(excess, 0)
-        near = _NEAR * (box.high - box.low)
-        inside = (twin > (box.low + near)[None]) & (twin < (box.high - near)[None])
+        on_bounds = jnp.any(box.at_face(twin), axis=-1)
         as_good = (excess < margin) & jnp.any(constrained > 0, axis=-1)
-        return twin.T, as_good & (barrier > margin) & jnp.all(inside, axis=-1)
+        return twin.T, as_good & (barrier > margin) & ~on_bounds
 
     inputs = objective.moments, rival, solution.x, constrained, margin, noise
     # on exciting motion hardly a chain ends beyond a barrier
@@ -82,19 +79,11 @@ def _rival(
     return jnp.take_along_axis(ends, lowest[None, None], axis=1)[:, 0], jnp.any(beyond, axis=0)
 
 
-def _spectrum(objective: PositionObjective, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """RMS along the principal axes at an origin, (N, 3) ascending, and the axes as columns, (N, 3, 3)."""
-    variances, axes = symmetric.eigh(objective.covariance(x))
-    tiny = jnp.finfo(x.dtype).tiny
-    rms = jnp.sqrt(jnp.maximum(jnp.stack(variances, axis=-1), tiny))
-    return rms, jnp.stack([jnp.stack(axis, axis=-1) for axis in axes], axis=-1)
-
-
 def _frame(
     objective: PositionObjective, x: jax.Array, threshold: jax.Array | float, noise: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """The origin as it is reported, (N, 3) m, and the RMS along its axes, (N, 3) m/s."""
-    rms, axes = _spectrum(objective, x)
+    rms, axes = principal_axes(objective.covariance(x))
     dof = degrees_of_freedom(rms, threshold)
     _, position = nearest_origin(objective.moments, axes, dof, rms, x.T, noise)
     return position, rms

@@ -23,7 +23,7 @@ from reframe_jax.frames import AngularType, LinearType
 from reframe_jax.implicit import attach_derivative
 from reframe_jax.kinematics import Discretization
 from reframe_jax.moments import component_moments, covariance_at
-from reframe_jax.objectives import PositionObjective, log_power_mean
+from reframe_jax.objectives import PositionObjective, log_power_mean, principal_axes
 from reframe_jax.optimise import Box, Solution, Solver, ValleySteps
 from reframe_jax.results import (
     AllCandidates,
@@ -39,7 +39,6 @@ __all__ = ["identify_windows", "window_moments"]
 
 _FLOOR = 16  # of the covariance, in units of rounding: keeps noise-free windows positive definite
 _TOUCH_UP = 16  # steps that follow when velocities are seen from the optimum
-_NEAR = 1e-3  # of the box: closer than this to a face counts as on it
 
 
 def window_moments(
@@ -209,10 +208,10 @@ Moments = Callable[[jax.Array, int], jax.Array]
 def _angular_candidates(
     rates: jax.Array, moments_of: Moments, thresholds: Thresholds, exponent: float
 ) -> Candidates:
-    rms, axes = _spectrum(_constant(moments_of(rates, 1)))
+    rms, axes = principal_axes(_constant(moments_of(rates, 1)))
     if rates.dtype == jnp.float32:
         first = jax.lax.stop_gradient(axes)
-        rms, axes = _spectrum(_constant(moments_of(_seen_from(rates, first), 2)))
+        rms, axes = principal_axes(_constant(moments_of(_seen_from(rates, first), 2)))
         axes = symmetric.matmul(first, axes)
     dof = degrees_of_freedom(rms, thresholds.angular)
     return Candidates(
@@ -249,24 +248,21 @@ def _linear_candidates(
     solution = jax.tree.map(jax.lax.stop_gradient, solver.minimise(searched, box, key))
     if maps.dtype == jnp.float32:
         origin = solution.x
-        first = jax.lax.stop_gradient(_spectrum(objective.covariance(origin))[1])
+        first = jax.lax.stop_gradient(principal_axes(objective.covariance(origin))[1])
         objective = PositionObjective(moments_of(_seen_from(maps, first, origin), 2), exponent)
         low, high = box.bounds(origin)
         here = Box(low - origin, high - origin)
         moved, _ = ValleySteps(_TOUCH_UP)(jax.lax.stop_gradient(objective), here, jnp.zeros_like(origin))
         moved = attach_derivative(moved, objective, here)
-        rms, local = _spectrum(objective.covariance(moved))
+        rms, local = principal_axes(objective.covariance(moved))
         axes, x = symmetric.matmul(first, local), origin + moved
     else:
         x = attach_derivative(solution.x, objective, box)
-        rms, local = _spectrum(objective.covariance(x))
+        rms, local = principal_axes(objective.covariance(x))
         axes = local
     dof = degrees_of_freedom(rms, thresholds.linear)
     at_minimum = jnp.moveaxis(x, 0, -1)
     free, position = nearest_origin(objective.moments, local, dof, rms, at_minimum, noise[:, None])
-    low, high = box.low[None, None], box.high[None, None]
-    near = _NEAR * (high - low)
-    on_bounds = (position <= low + near) | (position >= high - near)
     found = Candidates(
         rotvec=_orientation(axes, dof),
         dof=dof,
@@ -275,7 +271,7 @@ def _linear_candidates(
         free_rotation=free_rotations(dof),
         position=position,
         free_position=free,
-        on_bounds=jnp.any(on_bounds, axis=-1),
+        on_bounds=jnp.any(box.at_face(position), axis=-1),
         agreement=solution.agreement,
     )
     return found, searched, solution
@@ -283,24 +279,6 @@ def _linear_candidates(
 
 def _norm(rms: jax.Array, exponent: float) -> jax.Array:
     return jnp.exp(log_power_mean(jnp.moveaxis(jnp.log(rms), -1, 0), exponent))
-
-
-def _spectrum(covariance: symmetric.Symmetric) -> tuple[jax.Array, jax.Array]:
-    """RMS along the principal axes, (..., 3) ascending, and the axes as columns, (..., 3, 3).
-
-    Right-handed, the largest component of the first and third axis positive.
-    """
-    variances, (first, _, third) = symmetric.eigh(covariance)
-    tiny = jnp.finfo(covariance[0].dtype).tiny
-    rms = jnp.sqrt(jnp.maximum(jnp.stack(variances, axis=-1), tiny))
-
-    def upright(axis: symmetric.Vector) -> jax.Array:
-        vector = jnp.stack(axis, axis=-1)
-        largest = jnp.take_along_axis(vector, jnp.argmax(jnp.abs(vector), axis=-1)[..., None], axis=-1)
-        return jnp.where(largest < 0, -vector, vector)
-
-    one, three = upright(first), upright(third)
-    return rms, jnp.stack([one, jnp.cross(three, one), three], axis=-1)
 
 
 def _orientation(axes: jax.Array, dof: jax.Array) -> jax.Array:

@@ -7,6 +7,8 @@ import jax.numpy as jnp
 
 __all__ = ["Box"]
 
+_NEAR = 1e-3  # of the box: closer than this to a face counts as on it
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -36,6 +38,12 @@ class Box:
         """Point of the box from one of the unit cube."""
         low, high = self.bounds(unit)
         return low + (high - low) * unit
+
+    def at_face(self, points: jax.Array) -> jax.Array:
+        """Which coordinates of points (..., dim) lie on a face, or as good as on it."""
+        low, high = (bound.reshape(*[1] * (points.ndim - 1), -1) for bound in (self.low, self.high))
+        near = _NEAR * (high - low)
+        return (points <= low + near) | (points >= high - near)
 
     def fold(self, z: jax.Array) -> jax.Array:
         """Point of the box, (dim,), from an unbounded one: smooth, onto, and flat at the faces.
