@@ -264,6 +264,14 @@ def run(size: Size) -> tuple[dict[str, float], scaling.Curves]:
     return metrics, scaling.curves(poses[distinct], best[distinct, 2:], full=size.full)
 
 
+def run_curves(names: Sequence[str], size: Size) -> scaling.Curves:
+    """Some scaling curves and nothing else."""
+    poses, _ = windows(min(size.windows, _DISTINCT))
+    print(f"windows of {poses.shape[1] - 1} velocities, six problems each; {machine()}")
+    best = best_known(poses)[:, 2:] if "starts" in names else np.full((len(poses), 4), np.inf)
+    return scaling.curves(poses, best, full=size.full, names=names)
+
+
 def gate(metrics: dict[str, float], baseline: Path) -> list[str]:
     """What has become worse than the baseline allows: ratios within one run, never times."""
     stored = json.loads(baseline.read_text())["metrics"]
@@ -290,6 +298,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--cpu-devices", type=int, help="processors that JAX shows as so many devices, to spread over")
     add("--json", type=Path, help="file to write the metrics to")
     add("--plot", type=Path, help="file to draw the scaling curves to")
+    add("--curves", nargs="+", choices=scaling.LABELS, help="measure these scaling curves, and nothing else")
     add("--gate", action="store_true", help="exit with 1 if a ratio is worse than the committed baseline")
     add("--baseline", type=Path, default=BASELINE, help="the baseline, the --json of a --quick run")
     options = parser.parse_args(argv)
@@ -297,7 +306,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     if options.cpu_devices:
         jax.config.update("jax_num_cpu_devices", options.cpu_devices)
     size = QUICK if options.quick else Size(windows=options.windows)
-    metrics, curves = run(size)
+    if options.curves and options.gate:
+        parser.error("--gate compares contestants, which --curves leaves out")
+    metrics, curves = ({}, run_curves(options.curves, size)) if options.curves else run(size)
     if options.json:
         record = {"machine": machine(), "metrics": metrics, "scaling_us": curves}
         options.json.write_text(json.dumps(record, indent=2) + "\n")

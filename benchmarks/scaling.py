@@ -1,6 +1,6 @@
 """How the time per window grows with the windows, their samples, the search's starts, and the devices."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -21,7 +21,8 @@ Curves = dict[str, dict[str, float]]
 
 _BLOCK = 65536  # windows in memory at once
 _ON_DEVICES = 2**23  # windows spread over accelerators
-_LABELS = {
+_RESULT = 1200  # bytes of what is found in a window
+LABELS = {
     "windows": "windows",
     "samples": "velocities per window",
     "starts": "starts of the search",
@@ -36,49 +37,60 @@ def identify_repeated(poses: np.ndarray, count: int) -> None:
         jax.block_until_ready(rf.identify(poses[rows], dt=DT))
 
 
-def curves(poses: np.ndarray, best: np.ndarray, *, full: bool) -> Curves:
+def curves(poses: np.ndarray, best: np.ndarray, *, full: bool, names: Sequence[str] | None = None) -> Curves:
     """Time per window in us along every curve; a line is printed for each point.
 
     Args:
         poses: (N, K+1, 4, 4) windows, repeated where a curve needs more.
         best: (N, 4) best known linear norms, to count misses along ``starts``.
-        full: to a million windows, and on a processor the curves that compile for every point.
+        full: to a million windows.
+        names: of the curves; by default all, but on an accelerator or in short none that compile for
+            every point.
     """
-    found: Curves = {name: {} for name in _LABELS}
+    if names is None:
+        every = full and jax.default_backend() == "cpu"
+        names = tuple(LABELS) if every else ("windows", "devices")
+    found: Curves = {name: {} for name in LABELS}
 
     def measure(curve: str, at: int, call: Callable[[], Any], count: int, repeats: int = 2) -> Any:
         result, seconds, _ = timed(call, repeats)
         found[curve][str(at)] = 1e6 * seconds / count
-        print(f"  {curve:>8} {at:>8}: {1e6 * seconds / count:8.1f} us per window", end="", flush=True)
+        print(f"  {curve:>8} {at:>8}: {1e6 * seconds / count:8.2f} us per window", end="", flush=True)
         return result
 
     print("scaling:")
-    many = full and jax.default_backend() == "cpu"
-    for count in (1024, 8192, 65536, 2**20) if full else (1024, 4096):
-        measure("windows", count, partial(identify_repeated, poses, count), count, 1 if count > 1e5 else 2)
-        print(flush=True)
+    if "windows" in names:
+        for count in (1024, 8192, 65536, 2**20) if full else (1024, 4096):
+            call = partial(identify_repeated, poses, count)
+            measure("windows", count, call, count, 1 if count > 1e5 else 2)
+            print(flush=True)
     some = poses[np.arange(2048) % len(poses)]
-    for samples in (25, 50, 100, 200, 400) if many else ():
-        # repeated motion: what counts here is the number of samples
-        long = np.tile(some, (1, -(-(samples + 1) // some.shape[1]), 1, 1))[:, : samples + 1]
-        measure("samples", samples, partial(rf.identify, long, dt=DT), len(some))
-        print(flush=True)
-    judged = min(len(some), len(poses))
-    for starts in (1, 2, 4, 6, 8, 16) if many else ():
-        default: Any = default_solver()
-        solver = replace(default, restarts=starts)
-        result = measure("starts", starts, partial(rf.identify, some, dt=DT, solver=solver), len(some))
-        norms = np.asarray(result.linear.norms)[:judged]
-        print(f", {100 * np.mean(norms > MISS * best[:judged]):.2f} % of linear problems missed", flush=True)
-    counts = _device_counts()
-    for count in counts if len(counts) > 1 else ():
-        spread = _spread(poses, count, counts)
-        measure("devices", count, partial(rf.identify, spread, dt=DT), len(spread))
-        gain = found["devices"]["1"] / found["devices"][str(count)]
-        print(f", {len(spread)} windows, {gain:.2f} times one device")
-        del spread  # so that the next fits
-    if len(counts) == 1:
-        print(f"   devices        1: {jax.devices()[0].device_kind}, no others to spread over")
+    if "samples" in names:
+        for samples in (25, 50, 100, 200, 400):
+            # repeated motion: what counts here is the number of samples
+            long = np.tile(some, (1, -(-(samples + 1) // some.shape[1]), 1, 1))[:, : samples + 1]
+            measure("samples", samples, partial(rf.identify, long, dt=DT), len(some))
+            print(flush=True)
+    if "starts" in names:
+        judged = min(len(some), len(poses))
+        for starts in (1, 2, 4, 6, 8, 16):
+            default: Any = default_solver()
+            solver = replace(default, restarts=starts)
+            result = measure("starts", starts, partial(rf.identify, some, dt=DT, solver=solver), len(some))
+            norms = np.asarray(result.linear.norms)[:judged]
+            print(
+                f", {100 * np.mean(norms > MISS * best[:judged]):.2f} % of linear problems missed", flush=True
+            )
+    if "devices" in names:
+        counts = _device_counts()
+        if len(counts) == 1:
+            print(f"   devices        1: {jax.devices()[0].device_kind}, no others to spread over")
+        for count in counts if len(counts) > 1 else ():
+            spread = _spread(poses, count, counts)
+            measure("devices", count, partial(rf.identify, spread, dt=DT), len(spread))
+            gain = found["devices"]["1"] / found["devices"][str(count)]
+            print(f", {len(spread)} windows, {gain:.2f} times one device", flush=True)
+            del spread  # so that the next fits
     return found
 
 
@@ -89,19 +101,26 @@ def _device_counts() -> list[int]:
 
 
 def _spread(poses: np.ndarray, count: int, counts: list[int]) -> jax.Array:
-    """As many windows on the first devices together, whatever their number; float32 on accelerators.
-
-    Windows on a mesh need twice their memory: eight million in float64 would not fit one of 141 GB.
-    """
+    """Windows on the first devices together, as many whatever their number: what one device can hold."""
     mesh = jax.make_mesh((count,), ("windows",), devices=jax.devices()[:count])
     unit = int(np.lcm.reduce(counts)) * chunk_size()
-    size = -(-(4 * unit if jax.default_backend() == "cpu" else _ON_DEVICES) // unit) * unit
+    size = -(-_that_fit(poses[0].nbytes) // unit) * unit
     repeated = jax.jit(
         lambda poses: poses[jnp.arange(size) % len(poses)],
         out_shardings=jax.NamedSharding(mesh, jax.P("windows")),
     )
-    poses = poses if jax.default_backend() == "cpu" else poses.astype(np.float32)
     return repeated(jax.device_put(poses, jax.NamedSharding(mesh, jax.P())))
+
+
+def _that_fit(window: int) -> int:
+    """Windows of so many bytes to spread: on accelerators 2**23, or what one has the memory for."""
+    if jax.default_backend() == "cpu":
+        return 4096
+    count, limit = _ON_DEVICES, (jax.devices()[0].memory_stats() or {}).get("bytes_limit", 0)
+    # XLA transposes all windows of a device; two results are alive while calls are repeated
+    while count > chunk_size() and count * (2.1 * window + 2 * _RESULT) > limit:
+        count //= 2
+    return count
 
 
 def spread_of_time(poses: np.ndarray) -> dict[str, float]:
@@ -145,7 +164,7 @@ def plot(found: Curves, file: Path) -> None:
         axis.set_xscale("log")
         axis.set_xticks(at, [f"{point:,}" for point in at])
         axis.minorticks_off()
-        axis.set_xlabel(_LABELS[name])
+        axis.set_xlabel(LABELS[name])
         axis.grid(alpha=0.3)
     axes[0, 0].set_ylim(0, 1.05 * max(max(curve.values()) for curve in drawn.values()))
     axes[0, 0].set_ylabel("time per window (µs)")

@@ -62,6 +62,39 @@ def test_the_command_exits_with_1_on_a_doctored_baseline(baseline, monkeypatch, 
     assert files[1].read_bytes().startswith(b"\x89PNG")
 
 
+def test_curves_alone(monkeypatch, tmp_path, capsys):
+    seen = []
+
+    def curves(poses, best, *, full, names):
+        seen.append((len(poses), full, names))
+        return {"devices": {"1": 1.0}}
+
+    monkeypatch.setattr(scaling, "curves", curves)
+    monkeypatch.setattr(identification, "windows", lambda count: (np.zeros((count, 51, 4, 4)), []))
+    file = tmp_path / "out.json"
+    assert identification.main(["--windows", "7", "--curves", "devices", "--json", str(file)]) == 0
+    assert seen == [(7, True, ["devices"])]
+    assert json.loads(file.read_text())["scaling_us"] == {"devices": {"1": 1.0}}
+    with pytest.raises(SystemExit):
+        identification.main(["--curves", "devices", "--gate"])
+    assert "--curves leaves out" in capsys.readouterr().err
+
+
+def test_windows_to_spread_fit_the_memory_of_a_device(monkeypatch):
+    class Device:
+        memory = 1e12
+
+        def memory_stats(self):
+            return {"bytes_limit": self.memory}
+
+    device = Device()
+    monkeypatch.setattr(scaling.jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(scaling.jax, "devices", lambda: [device])
+    assert scaling._that_fit(6528) == 2**23
+    device.memory = 8e9
+    assert scaling._that_fit(6528) == 2**18
+
+
 def test_the_committed_baseline_has_what_the_gate_reads():
     stored = json.loads(identification.BASELINE.read_text())["metrics"]
     assert {*identification.GATED, "miss_rate"} <= set(stored)
