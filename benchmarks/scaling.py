@@ -117,8 +117,8 @@ def _that_fit(window: int) -> int:
     if jax.default_backend() == "cpu":
         return 4096
     count, limit = _ON_DEVICES, (jax.devices()[0].memory_stats() or {}).get("bytes_limit", 0)
-    # XLA transposes all windows of a device; two results are alive while calls are repeated
-    while count > chunk_size() and count * (2.1 * window + 2 * _RESULT) > limit:
+    # beside the windows there are a piece of them, and results: the last, and this one before it is joined
+    while count > chunk_size() and count * (1.3 * window + 3 * _RESULT) > limit:
         count //= 2
     return count
 

@@ -6,6 +6,7 @@ This module checks the input and sends the windows to the processor; what is com
 
 import contextlib
 import functools
+import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -116,8 +117,7 @@ def identify(
         if inside_a_trace or not batch or 0 in batch:
             found = run(poses, steps, *options)
         elif (sharding := _sharding(poses)) is not None:
-            mesh, axis = sharding.mesh, (*sharding.spec, None)[0]
-            found = _compiled_for_mesh(mesh, axis, steps.ndim > 1, **run.keywords)(poses, steps, *options)
+            found = _on_mesh(run, poses, sharding, steps, options)
         else:
             windows = poses.reshape(-1, *poses.shape[-3:])
             steps = steps if steps.ndim == 1 else steps.reshape(-1, steps.shape[-1])
@@ -224,7 +224,7 @@ def _in_pieces(
             pieces += pool.map(piece, starts[alone:])
     if len(pieces) == 1 and size == count:
         return pieces[0]
-    return jax.tree.map(lambda *parts: jnp.concatenate(parts)[:count], *pieces)
+    return _join(pieces, count=count)
 
 
 def _piece_size(count: int) -> int:
@@ -253,19 +253,56 @@ def _sharding(poses: Any) -> NamedSharding | None:
     return sharding
 
 
+def _on_mesh(
+    run: partial[Identification],
+    poses: jax.Array,
+    sharding: NamedSharding,
+    steps: Any,
+    options: tuple[Any, ...],
+) -> Identification:
+    """Every device of the mesh identifies the windows it holds, in pieces; nothing travels between them."""
+    axis = (*sharding.spec, None)[0]
+    program = partial(_program_for_mesh, sharding.mesh, axis)
+    own_steps = steps.ndim > 1
+    if own_steps:
+        steps = jax.device_put(steps, NamedSharding(sharding.mesh, PartitionSpec(axis)))
+    count = sharding.shard_shape(poses.shape)[0]
+    windows_in_row = math.prod(poses.shape[1:-3])
+    size = max(1, _piece_size(count * windows_in_row) // windows_in_row)
+    # by a program of its own: within one that identifies, XLA would transpose all poses instead of a piece
+    rows = program(_rows, (True, False), size=size)
+    identify_rows = program(_identify, (True, own_steps, False, False, False), **run.keywords)
+    parts = []
+    for start in range(0, count, size):
+        part = rows(poses, start), rows(steps, start) if own_steps else steps
+        parts.append(jax.block_until_ready(identify_rows(*part, *options)))
+    return program(_join, (True,), count=count)(parts)
+
+
 @functools.cache
-def _compiled_for_mesh(mesh: Mesh, axis: Any, own_steps: bool, **static: Any) -> Callable[..., Any]:
-    """Every device of the mesh identifies the windows it holds; nothing travels between them."""
-    windows, same = PartitionSpec(axis), PartitionSpec()
+def _program_for_mesh(
+    mesh: Mesh, axis: Any, function: Callable[..., Any], spread: tuple[bool, ...], **static: Any
+) -> Callable[..., Any]:
+    """A function that each device runs on its part of those arguments that are spread."""
+    specs = tuple(PartitionSpec(axis) if argument else PartitionSpec() for argument in spread)
     run = jax.shard_map(
-        partial(_identify, **static),
+        partial(function, **static),
         mesh=mesh,
-        in_specs=(windows, windows if own_steps else same, same, same, same),
-        out_specs=windows,
+        in_specs=specs,
+        out_specs=PartitionSpec(axis),
         check_vma=False,
     )
     on_cpu = mesh.devices.flat[0].platform == "cpu"
     return jax.jit(run, compiler_options=CPU_OPTIONS if on_cpu else None)
+
+
+def _rows(array: jax.Array, start: jax.Array, *, size: int) -> jax.Array:
+    """So many rows; the last one again where there are no more."""
+    return jnp.take(array, start + jnp.arange(size), axis=0, mode="clip")
+
+
+def _join(parts: list[Identification], *, count: int) -> Identification:
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:count], *parts)
 
 
 def _workers() -> int:

@@ -14,13 +14,23 @@ SCRIPT = """
     keys = jax.random.split(jax.random.key(0), 12)
     poses = np.asarray(jax.vmap(lambda k: synthetic.simulate("K", k, noise=1e-4, duration=1.0).poses)(keys))
     expected = rf.identify(poses, dt=0.1)
-    for count in (1, 2, 3):
+    for count in (1, 3):
         mesh = jax.make_mesh((count,), ("windows",), devices=jax.devices()[:count])
         sharding = jax.NamedSharding(mesh, jax.P("windows"))
         found = rf.identify(jax.device_put(poses, sharding), dt=0.1)
         assert len(found.linear.norm.sharding.device_set) == count
         np.testing.assert_allclose(found.linear.norm, expected.linear.norm, rtol=1e-9)
         np.testing.assert_allclose(found.linear.position, expected.linear.position, atol=1e-6)
+    sharding = jax.NamedSharding(mesh, jax.P("windows"))
+    steps = np.linspace(0.1, 0.2, 12)[:, None] * np.ones((1, poses.shape[1] - 1))
+    expected_own = rf.identify(poses, dt=steps)
+    found = rf.identify(jax.device_put(poses, sharding), dt=steps)
+    np.testing.assert_allclose(found.linear.norm, expected_own.linear.norm, rtol=1e-9)
+    # more than one piece on a device, the last of them not full, with rows of several windows
+    many = np.tile(poses, (77, 1, 1, 1))
+    found = rf.identify(jax.device_put(many.reshape(84, 11, *poses.shape[1:]), sharding), dt=0.1)
+    assert found.linear.norm.shape == (84, 11)
+    np.testing.assert_allclose(found.linear.norm.ravel(), np.tile(expected.linear.norm, 77), rtol=1e-9)
     everywhere = rf.identify(jax.device_put(poses, jax.NamedSharding(mesh, jax.P())), dt=0.1)
     np.testing.assert_allclose(everywhere.linear.norm, expected.linear.norm, rtol=1e-9)
     try:

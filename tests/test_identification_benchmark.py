@@ -92,7 +92,7 @@ def test_windows_to_spread_fit_the_memory_of_a_device(monkeypatch):
     monkeypatch.setattr(scaling.jax, "devices", lambda: [device])
     assert scaling._that_fit(6528) == 2**23
     device.memory = 8e9
-    assert scaling._that_fit(6528) == 2**18
+    assert scaling._that_fit(6528) == 2**19
 
 
 def test_the_committed_baseline_has_what_the_gate_reads():
