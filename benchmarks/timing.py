@@ -11,14 +11,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.compilation import CPU_OPTIONS
+from reframe_jax.compilation import compiler_options
 
 __all__ = ["jit", "machine_floors", "peak_above", "timed", "timed_once"]
 
 
 def jit(function: Callable[..., Any]) -> Any:
     """``jax.jit`` with the compiler options that ``identify`` uses."""
-    return jax.jit(function, compiler_options=CPU_OPTIONS if jax.default_backend() == "cpu" else None)
+    return jax.jit(function, compiler_options=compiler_options())
 
 
 def timed(call: Callable[[], Any], repeats: int) -> tuple[Any, float, float]:

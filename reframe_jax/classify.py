@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from reframe_jax import symmetric
 from reframe_jax.moments import MONOMIALS
+from reframe_jax.products import matmul3
 from reframe_jax.symmetric import INDEX_PAIRS
 
 __all__ = [
@@ -78,9 +79,7 @@ def free_positions(
         (..., 3, 3) projectors.
     """
     constrained = (dof == 0).astype(axes.dtype)
-    weight = symmetric.from_matrix(
-        symmetric.matmul(axes * constrained[..., None, :], jnp.swapaxes(axes, -1, -2))
-    )
+    weight = symmetric.from_matrix(matmul3(axes * constrained[..., None, :], jnp.swapaxes(axes, -1, -2)))
     pull = []
     for a, b in INDEX_PAIRS:
         column = moments[:, MONOMIALS.index((a + 1, b + 1))]
@@ -91,10 +90,10 @@ def free_positions(
     rounding = 64 * jnp.finfo(axes.dtype).eps * strengths[2]
     limit = jnp.maximum(jnp.square(_NOISE_MARGIN * noise), rounding)[..., None]
     strength = jnp.stack(strengths, axis=-1)
-    change = strength * jnp.square(symmetric.matmul(position[..., None, :], basis)[..., 0, :])
+    change = strength * jnp.square(matmul3(position[..., None, :], basis)[..., 0, :])
     small = change <= jnp.square(_STILL_MARGIN * still)[..., None]
     free = ((strength <= limit) & small).astype(axes.dtype)
-    return symmetric.matmul(basis * free[..., None, :], jnp.swapaxes(basis, -1, -2))
+    return matmul3(basis * free[..., None, :], jnp.swapaxes(basis, -1, -2))
 
 
 def nearest_origin(
@@ -115,7 +114,7 @@ def nearest_origin(
     """
     still = jnp.max(jnp.where(dof == 0, rms, 0), axis=-1)
     free = free_positions(moments, axes, dof, position, still, noise)
-    return free, position - symmetric.matmul(free, position[..., None])[..., 0]
+    return free, position - matmul3(free, position[..., None])[..., 0]
 
 
 def excess_over(reference: jax.Array, rms: jax.Array, counted: jax.Array) -> jax.Array:

@@ -4,7 +4,7 @@ The search is a few hundred elementwise operations on arrays over problems. Left
 fuses them into loops of which each computes what it needs from scratch, a Hessian once for every
 component of every step that reads it: most of the time goes into repetition. :func:`once` marks the
 values that are to be computed once and stored. On a CPU XLA drops such marks before it fuses, unless told
-not to by :data:`CPU_OPTIONS`; on a GPU it fuses first. Where a GPU's memory is the limit, the arithmetic
+not to by :func:`compiler_options`; on a GPU it fuses first. Where a GPU's memory is the limit, the arithmetic
 is in kernels of our own, in which values stay in registers.
 """
 
@@ -15,24 +15,31 @@ from typing import Any, TypeVar
 
 import jax
 
-__all__ = ["CPU_OPTIONS", "chunk_size", "inside_a_kernel", "once", "once_on_cpu", "traced"]
+__all__ = ["chunk_size", "compiler_options", "inside_a_kernel", "once", "once_on_cpu", "traced"]
 
-CPU_OPTIONS: dict[str, Any] = {
+_CPU_OPTIONS: dict[str, Any] = {
     "xla_disable_hlo_passes": "cse_barrier_expander",  # the pass that drops the marks of once()
     "xla_cpu_prefer_vector_width": 512,  # where there is AVX-512; otherwise it changes nothing
 }
-"""``compiler_options`` of ``jax.jit`` for identification on a CPU.
-
-JAX takes them from the outermost ``jit`` only: give them to yours if you call ``identify`` inside one.
-"""
 if jax.__version_info__ < (0, 11):
     # the older of two code generators compiles twice as fast; jax 0.11 has one only
-    CPU_OPTIONS["xla_cpu_use_fusion_emitters"] = False
+    _CPU_OPTIONS["xla_cpu_use_fusion_emitters"] = False
 
 _T = TypeVar("_T")
 _inside_a_kernel: ContextVar[bool] = ContextVar("_inside_a_kernel", default=False)
 
 _CHUNK = {"cpu": 32, "gpu": 65536}
+
+
+def compiler_options(platform: str | None = None) -> dict[str, Any]:
+    """``compiler_options`` of ``jax.jit`` for identification.
+
+    JAX takes them from the outermost ``jit`` only: give them to yours if you call ``identify`` inside one.
+
+    Args:
+        platform: ``"cpu"``, ``"gpu"``; by default that of JAX's default device.
+    """
+    return dict(_CPU_OPTIONS) if (platform or jax.default_backend()) == "cpu" else {}
 
 
 def chunk_size() -> int:

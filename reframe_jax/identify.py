@@ -19,7 +19,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from reframe_jax.classify import Thresholds
-from reframe_jax.compilation import CPU_OPTIONS, chunk_size, traced
+from reframe_jax.compilation import chunk_size, compiler_options, traced
 from reframe_jax.kinematics import Discretization
 from reframe_jax.objectives import check_exponent
 from reframe_jax.optimise import BasinHopping, Box, FrameSteps, JointSearch, Solver, ValleySteps
@@ -292,8 +292,7 @@ def _program_for_mesh(
         out_specs=PartitionSpec(axis),
         check_vma=False,
     )
-    on_cpu = mesh.devices.flat[0].platform == "cpu"
-    return jax.jit(run, compiler_options=CPU_OPTIONS if on_cpu else None)
+    return jax.jit(run, compiler_options=compiler_options(mesh.devices.flat[0].platform))
 
 
 def _rows(array: jax.Array, start: jax.Array, *, size: int) -> jax.Array:
@@ -350,4 +349,4 @@ def _identify(
 
 _STATIC = ("exponent", "discretization", "solver")
 _compiled = jax.jit(_identify, static_argnames=_STATIC)
-_compiled_for_cpu = jax.jit(_identify, static_argnames=_STATIC, compiler_options=CPU_OPTIONS)
+_compiled_for_cpu = jax.jit(_identify, static_argnames=_STATIC, compiler_options=compiler_options("cpu"))

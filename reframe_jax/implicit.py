@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax.optimise import Box, Objective
+from reframe_jax.products import apply
 
 __all__ = ["attach_derivative"]
 
@@ -43,8 +44,8 @@ def _attach_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[ja
         hessian = jnp.where(inside[:, None] & inside[None, :], hessian, 0)
         curvature, axes = jnp.linalg.eigh(hessian)
         stiff = curvature > _FLAT * jnp.max(curvature)
-        along = axes.T @ jnp.where(inside, rate, 0)
-        return -axes @ jnp.where(stiff, along / jnp.where(stiff, curvature, 1), 0)
+        along = apply(axes.T, jnp.where(inside, rate, 0))
+        return -apply(axes, jnp.where(stiff, along / jnp.where(stiff, curvature, 1), 0))
 
     change = jax.vmap(one, in_axes=(-1, -1, -1, -1), out_axes=-1)(
         lanes(x),

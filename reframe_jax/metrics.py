@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax.frames import ConstraintFrame, LinearType, lookup
+from reframe_jax.products import apply, matmul
 from reframe_jax.results import Identification
 from reframe_jax.rotations import rotation_exp
 
@@ -77,10 +78,10 @@ def geometry_errors(
     if start is not None:
         turn = start[..., :3, :3].astype(position.dtype)
         if truth.linear_type == LinearType.GB:
-            axes = jnp.swapaxes(turn, -1, -2) @ axes
+            axes = matmul(jnp.swapaxes(turn, -1, -2), axes)
         elif truth.linear_type == LinearType.BG:
-            axes = turn @ axes
-    offset = jnp.einsum("...ji,...j->...i", axes, miss)
+            axes = matmul(turn, axes)
+    offset = apply(jnp.swapaxes(axes, -1, -2), miss)
     distance = jnp.linalg.norm(offset[..., kept], axis=-1) if kept else jnp.nan * position[..., 0]
     return GeometryErrors(
         angular=_axis_error(angular, truth.angular_axes, truth.angular_dof),

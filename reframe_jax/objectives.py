@@ -19,6 +19,7 @@ import jax.numpy as jnp
 
 from reframe_jax import rotations, symmetric
 from reframe_jax.moments import covariance_at
+from reframe_jax.products import matmul
 
 __all__ = [
     "FrameObjective",
@@ -112,15 +113,14 @@ def axis_rms(rotvec: jax.Array, position: jax.Array | None, maps: jax.Array) -> 
         velocity = maps
     else:
         velocity = maps[..., 0] + jnp.sum(maps[..., 1:] * position[..., None, None, :], axis=-1)
-    # see velocity_moments
-    in_frame = jnp.matmul(velocity, rotations.rotation_exp(rotvec), precision=jax.lax.Precision.HIGHEST)
+    in_frame = matmul(velocity, rotations.rotation_exp(rotvec))
     return _safe_sqrt(jnp.mean(in_frame**2, axis=-2))
 
 
 def axis_rms_from_covariance(rotvec: jax.Array, covariance: jax.Array) -> jax.Array:
     """RMS velocity along each axis of a frame, (..., 3), from the velocity covariance (..., 3, 3)."""
     axes = rotations.rotation_exp(rotvec)
-    return _safe_sqrt(jnp.sum(axes * (covariance @ axes), axis=-2))
+    return _safe_sqrt(jnp.sum(axes * matmul(covariance, axes), axis=-2))
 
 
 def axis_rms_from_moments(rotvec: jax.Array, position: jax.Array, moments: jax.Array) -> jax.Array:

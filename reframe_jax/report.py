@@ -54,6 +54,7 @@ import numpy as np
 from reframe_jax import kinematics, rotations
 from reframe_jax.frames import AngularType, LinearType
 from reframe_jax.kinematics import Discretization
+from reframe_jax.products import apply, matmul
 from reframe_jax.results import Identification
 from reframe_jax.validate import Status
 
@@ -106,8 +107,8 @@ def frame_velocities(
     """
     rates = kinematics.angular_velocities(poses, steps, discretization)[found.angular.type_code]
     maps = kinematics.linear_velocity_maps(poses, steps, discretization)[found.linear.type_code]
-    velocities = maps[..., 0] + maps[..., 1:] @ found.linear.position
-    return rates @ found.angular.axes, velocities @ found.linear.axes
+    velocities = maps[..., 0] + apply(maps[..., 1:], found.linear.position)
+    return matmul(rates, found.angular.axes), matmul(velocities, found.linear.axes)
 
 
 def to_table(

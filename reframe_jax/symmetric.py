@@ -19,7 +19,6 @@ __all__ = [
     "determinant",
     "eigh",
     "from_matrix",
-    "matmul",
     "pivots",
     "quadratic_form",
     "solve",
@@ -59,11 +58,6 @@ def adjugate(s: Symmetric) -> Symmetric:
         xy * xz - xx * yz,
         xx * yy - xy * xy,
     )
-
-
-def matmul(a: jax.Array, b: jax.Array) -> jax.Array:
-    """``a @ b`` for any matrices (..., m, 3) and (..., 3, n), written out."""
-    return sum((a[..., k, None] * b[..., None, k, :] for k in (1, 2)), a[..., 0, None] * b[..., None, 0, :])
 
 
 def along(s: Symmetric, axes: tuple[Vector, Vector, Vector]) -> Symmetric:

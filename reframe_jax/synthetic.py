@@ -17,6 +17,7 @@ import jax.numpy as jnp
 
 from reframe_jax import rotations, transforms
 from reframe_jax.frames import AngularType, ConstraintFrame
+from reframe_jax.products import apply, matmul
 
 __all__ = [
     "EXCITATIONS",
@@ -136,11 +137,11 @@ class _Attachment:
     def body_twist(self, pose: jax.Array, angular: jax.Array, linear: jax.Array) -> jax.Array:
         """See :func:`body_twist`."""
         inverse, position = pose[:3, :3].T, pose[:3, 3]
-        w = self.angular_axes @ (angular * self.dof[0])
-        w = jnp.where(self.in_ground[0], inverse @ w, w)
-        u = self.linear_axes @ (linear * self.dof[1])
-        u = jnp.where(self.in_ground[1], inverse @ u, u)
-        origin = jnp.where(self.in_ground[2], inverse @ (self.position - position), self.position)
+        w = apply(self.angular_axes, angular * self.dof[0])
+        w = jnp.where(self.in_ground[0], apply(inverse, w), w)
+        u = apply(self.linear_axes, linear * self.dof[1])
+        u = jnp.where(self.in_ground[1], apply(inverse, u), u)
+        origin = jnp.where(self.in_ground[2], apply(inverse, self.position - position), self.position)
         return jnp.concatenate([w, u - jnp.cross(w, origin)])
 
 
@@ -207,7 +208,7 @@ def _integrate(
 
     def advance(pose: jax.Array, t: jax.Array) -> tuple[jax.Array, jax.Array]:
         if not exact:
-            return pose @ transforms.pose_exp(dt * twist(t, pose)), pose
+            return matmul(pose, transforms.pose_exp(dt * twist(t, pose))), pose
         h = dt / _SUBSTEPS
 
         def substep(pose: jax.Array, i: jax.Array) -> tuple[jax.Array, None]:
@@ -229,14 +230,14 @@ def _runge_kutta(
         share, weight = weights
         x = share * h * slope
         # T exp(x): the twist V is dx/dt through the right Jacobian, J_r(x) = J_l(-x)
-        here = twist(t + share * h, pose @ transforms.pose_exp(x))
-        slope = transforms.pose_left_jacobian_inverse(-x) @ here
+        here = twist(t + share * h, matmul(pose, transforms.pose_exp(x)))
+        slope = apply(transforms.pose_left_jacobian_inverse(-x), here)
         return (slope, total + weight * slope), None
 
     zero = jnp.zeros(6, dtype=pose.dtype)
     tableau = jnp.asarray([[0, 1 / 6], [1 / 2, 1 / 3], [1 / 2, 1 / 3], [1, 1 / 6]], dtype=pose.dtype)
     (_, slope), _ = jax.lax.scan(stage, (zero, zero), tableau)
-    return pose @ transforms.pose_exp(h * slope)
+    return matmul(pose, transforms.pose_exp(h * slope))
 
 
 @partial(jax.jit, static_argnames="rotation_ratio")

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax import rotations
+from reframe_jax.products import apply, matmul
 
 __all__ = [
     "adjoint",
@@ -39,14 +40,10 @@ def make_pose(rotation: jax.Array, position: jax.Array) -> jax.Array:
     return jnp.concatenate([top, bottom], axis=-2)
 
 
-def _apply(matrix: jax.Array, vector: jax.Array) -> jax.Array:
-    return (matrix @ vector[..., None])[..., 0]
-
-
 def pose_inverse(pose: jax.Array) -> jax.Array:
     """Inverse of a pose, (..., 4, 4) to (..., 4, 4)."""
     rotation = jnp.swapaxes(pose[..., :3, :3], -1, -2)
-    return make_pose(rotation, -_apply(rotation, pose[..., :3, 3]))
+    return make_pose(rotation, -apply(rotation, pose[..., :3, 3]))
 
 
 def pose_exp(twist: jax.Array) -> jax.Array:
@@ -59,7 +56,7 @@ def pose_exp(twist: jax.Array) -> jax.Array:
         (..., 4, 4).
     """
     w, v = twist[..., :3], twist[..., 3:]
-    return make_pose(rotations.rotation_exp(w), _apply(rotations.left_jacobian(w), v))
+    return make_pose(rotations.rotation_exp(w), apply(rotations.left_jacobian(w), v))
 
 
 def pose_log(pose: jax.Array) -> jax.Array:
@@ -72,7 +69,7 @@ def pose_log(pose: jax.Array) -> jax.Array:
         (..., 6) as (w, v); rad, m.
     """
     w = rotations.rotation_log(pose[..., :3, :3])
-    return jnp.concatenate([w, _apply(rotations.left_jacobian_inverse(w), pose[..., :3, 3])], axis=-1)
+    return jnp.concatenate([w, apply(rotations.left_jacobian_inverse(w), pose[..., :3, 3])], axis=-1)
 
 
 def _blocks(diagonal: jax.Array, lower_left: jax.Array) -> jax.Array:
@@ -90,7 +87,7 @@ def adjoint(pose: jax.Array) -> jax.Array:
         (..., 6, 6).
     """
     rotation = pose[..., :3, :3]
-    return _blocks(rotation, rotations.hat(pose[..., :3, 3]) @ rotation)
+    return _blocks(rotation, matmul(rotations.hat(pose[..., :3, 3]), rotation))
 
 
 def pose_left_jacobian(twist: jax.Array) -> jax.Array:

@@ -25,6 +25,7 @@ from reframe_jax.kinematics import Discretization
 from reframe_jax.moments import component_moments, covariance_at
 from reframe_jax.objectives import PositionObjective, log_power_mean, principal_axes
 from reframe_jax.optimise import Box, Solution, Solver, ValleySteps
+from reframe_jax.products import matmul3
 from reframe_jax.results import (
     AllCandidates,
     AngularFrame,
@@ -212,7 +213,7 @@ def _angular_candidates(
     if rates.dtype == jnp.float32:
         first = jax.lax.stop_gradient(axes)
         rms, axes = principal_axes(_constant(moments_of(_seen_from(rates, first), 2)))
-        axes = symmetric.matmul(first, axes)
+        axes = matmul3(first, axes)
     dof = degrees_of_freedom(rms, thresholds.angular)
     return Candidates(
         rotvec=_orientation(axes, dof),
@@ -255,7 +256,7 @@ def _linear_candidates(
         moved, _ = ValleySteps(_TOUCH_UP)(jax.lax.stop_gradient(objective), here, jnp.zeros_like(origin))
         moved = attach_derivative(moved, objective, here)
         rms, local = principal_axes(objective.covariance(moved))
-        axes, x = symmetric.matmul(first, local), origin + moved
+        axes, x = matmul3(first, local), origin + moved
     else:
         x = attach_derivative(solution.x, objective, box)
         rms, local = principal_axes(objective.covariance(x))
@@ -284,7 +285,7 @@ def _norm(rms: jax.Array, exponent: float) -> jax.Array:
 def _orientation(axes: jax.Array, dof: jax.Array) -> jax.Array:
     """Rotation vector of the axes; turning axes of one kind into each other contributes no derivative."""
     fixed = jax.lax.stop_gradient(axes)
-    turn = symmetric.matmul(jnp.swapaxes(fixed, -1, -2), axes)
+    turn = matmul3(jnp.swapaxes(fixed, -1, -2), axes)
     at_rest = jax.lax.stop_gradient(turn)
     distinct = (dof[..., :, None] != dof[..., None, :]).astype(axes.dtype)
-    return rotations.rotation_log(symmetric.matmul(fixed, at_rest + distinct * (turn - at_rest)))
+    return rotations.rotation_log(matmul3(fixed, at_rest + distinct * (turn - at_rest)))

@@ -9,14 +9,14 @@ import pytest
 
 import reframe_jax as rf
 from reframe_jax import synthetic, transforms
-from reframe_jax.compilation import CPU_OPTIONS
+from reframe_jax.compilation import compiler_options
 from reframe_jax.identify import default_solver
 
 # polished until the finite differences of the search itself are exact enough to compare with
 SOLVER = rf.BasinHopping(rf.ValleySteps(8), restarts=4, hops=3, polish=6)
 
 
-compiled = functools.partial(jax.jit, compiler_options=CPU_OPTIONS)
+compiled = functools.partial(jax.jit, compiler_options=compiler_options())
 
 
 def perturbed(poses, tangent):

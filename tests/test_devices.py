@@ -5,6 +5,8 @@ import sys
 import textwrap
 
 SCRIPT = """
+    import os
+    os.environ["JAX_PLATFORMS"] = "cpu"
     import jax, numpy as np
     jax.config.update("jax_num_cpu_devices", 3)
     jax.config.update("jax_enable_x64", True)

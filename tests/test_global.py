@@ -9,7 +9,7 @@ import pytest
 
 import reframe_jax as rf
 from reframe_jax import synthetic
-from reframe_jax.compilation import CPU_OPTIONS, chunk_size
+from reframe_jax.compilation import chunk_size, compiler_options
 from reframe_jax.identify import default_solver
 from reframe_jax.objectives import FrameObjective, PositionObjective
 from reframe_jax.optimise import Box, JointSearch
@@ -47,7 +47,7 @@ def search(solver, objective, box=CUBE, seed=0):
         return solver.minimise(dataclasses.replace(objective, moments=moments), box, jax.random.key(seed))
 
     chunks = jnp.moveaxis(objective.moments[:, :, fill].reshape(6, 10, -1, size, 4), 2, 0)
-    found = jax.jit(lambda chunks: jax.lax.map(of_chunk, chunks), compiler_options=CPU_OPTIONS)(chunks)
+    found = jax.jit(lambda chunks: jax.lax.map(of_chunk, chunks), compiler_options=compiler_options())(chunks)
     return found.value.reshape(-1, 4)[:count]
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import reframe_jax as rf
 from reframe_jax import metrics, synthetic
-from reframe_jax.identify import _compiled_for_cpu
+from reframe_jax.identify import _compiled, _compiled_for_cpu
 
 NOISES = np.logspace(-6, -4, 5)
 SEEDS = 20
@@ -178,12 +178,13 @@ def test_the_answer_moves_with_the_ground_frame(mixed):
 
 
 def test_one_trace_per_shape(mixed):
+    program = _compiled_for_cpu if jax.default_backend() == "cpu" else _compiled
     rf.identify(mixed, dt=0.1)
-    before = _compiled_for_cpu._cache_size()
+    before = program._cache_size()
     rf.identify(mixed + 0, dt=0.2, thresholds=rf.Thresholds(0.1, 0.02), bounds=0.8)
-    assert _compiled_for_cpu._cache_size() == before
+    assert program._cache_size() == before
     rf.identify(mixed[:, :40], dt=0.1)
-    assert _compiled_for_cpu._cache_size() == before + 1
+    assert program._cache_size() == before + 1
 
 
 def test_float32_finds_the_same_frames_at_its_own_precision():

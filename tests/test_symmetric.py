@@ -14,7 +14,6 @@ from reframe_jax.symmetric import (
     determinant,
     eigh,
     from_matrix,
-    matmul,
     pivots,
     quadratic_form,
     solve,
@@ -51,6 +50,8 @@ def check(matrices, dtype=np.float64, tolerance=8):
     values, vectors = (np.asarray(x, dtype=np.float64) for x in decompose(jnp.asarray(matrices)))
     exact = matrices.astype(np.float64)
     scale = np.max(np.abs(exact), axis=(-2, -1), initial=1e-300)[..., None]
+    if jax.default_backend() != "cpu" and dtype == np.float32:
+        tolerance *= 3  # square roots of GPUs are not rounded correctly
     error = tolerance * np.finfo(dtype).eps
     np.testing.assert_allclose(values / scale, np.linalg.eigvalsh(exact) / scale, atol=error)
     transposed = np.swapaxes(vectors, -1, -2)
@@ -168,11 +169,6 @@ def test_products(rng):
     np.testing.assert_allclose(trace_product(s, t), np.trace(m @ n, axis1=1, axis2=2), atol=1e-14)
     found = quadratic_form(tuple(jnp.asarray(a.T)), s, tuple(jnp.asarray(b.T)))
     np.testing.assert_allclose(found, np.einsum("ni,nij,nj->n", a, m, b), atol=1e-13)
-
-
-def test_matmul(rng):
-    a, b = rng.normal(size=(5, 2, 3)), rng.normal(size=(5, 3, 4))
-    np.testing.assert_allclose(matmul(jnp.asarray(a), jnp.asarray(b)), a @ b, atol=1e-15)
 
 
 def test_adjugate_and_solve(rng):

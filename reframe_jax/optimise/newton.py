@@ -1,12 +1,14 @@
 """Second-order local steps on any objective, whose derivatives are taken by automatic differentiation."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from reframe_jax.objectives import FrameObjective, PositionObjective
 from reframe_jax.optimise.box import Box
+from reframe_jax.products import apply
 
 __all__ = ["NewtonSteps"]
 
@@ -62,10 +64,12 @@ class NewtonSteps:
             largest = jnp.max(jnp.abs(curvature))
             floor = jnp.maximum(_FLAT * largest, jnp.finfo(x.dtype).tiny)
             strength = jnp.maximum(jnp.abs(curvature), floor)
-            along = axes.T @ gradient
-            newton = axes @ (jnp.where(curvature < 0, -along, along) / strength)
-            slope = newton @ gradient
-            directions = [(axes @ (along / strength), s) for s in (1.0, 0.25, 0.05)]
+            along = apply(axes.T, gradient)
+            newton = apply(axes, jnp.where(curvature < 0, -along, along) / strength)
+            slope = jnp.sum(newton * gradient)
+            directions: list[tuple[jax.Array, Any]] = [
+                (apply(axes, along / strength), s) for s in (1.0, 0.25, 0.05)
+            ]
             directions += [(newton, 1 / (1 + s * slope)) for s in (0.0, 1.0, 2.0, 3.0, 6.0)]
             trials = jnp.stack([x - length * direction for direction, length in directions])
             trials = jnp.clip(trials, box.low[None], box.high[None])

@@ -22,7 +22,8 @@ _CPU_OPTIONS: dict[str, Any] | None = (
 def compiled(static: Sequence[str]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """``jax.jit`` with static arguments by name, and the options that suit the processor.
 
-    Options are for the outermost ``jit`` only; within a trace there are none.
+    Options are for the outermost ``jit`` only; within a trace there are none. The products of MJX are in
+    full precision too: see :mod:`reframe_jax.products`.
     """
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -32,7 +33,8 @@ def compiled(static: Sequence[str]) -> Callable[[Callable[..., Any]], Callable[.
         @wraps(function)
         def call(*args: Any, **options: Any) -> Any:
             on_cpu = jax.default_backend() == "cpu" and not traced((args, options))
-            return (for_cpu if on_cpu else plain)(*args, **options)
+            with jax.default_matmul_precision("highest"):
+                return (for_cpu if on_cpu else plain)(*args, **options)
 
         return call
 

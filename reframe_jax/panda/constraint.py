@@ -13,6 +13,7 @@ import numpy as np
 
 from reframe_jax import rotations
 from reframe_jax.frames import AngularType, ConstraintFrame
+from reframe_jax.products import apply, matmul
 
 __all__ = ["Frame", "Located", "body_twist", "frame_arrays", "locate", "moved", "placed", "slip", "twist_map"]
 
@@ -191,12 +192,12 @@ def placed(
     """
 
     def rotvec(body: AngularType) -> jax.Array:
-        return rotations.rotation_log(axes if body == AngularType.G else rotation.T @ axes)
+        return rotations.rotation_log(axes if body == AngularType.G else matmul(rotation.T, axes))
 
     on_body = frame.linear_type.position_body == AngularType.B
     return replace(
         frame,
         angular_rotvec=rotvec(frame.angular_type),
         linear_rotvec=rotvec(frame.linear_type.orientation_body),
-        position=rotation.T @ (origin - position) if on_body else origin,
+        position=apply(rotation.T, origin - position) if on_body else origin,
     )

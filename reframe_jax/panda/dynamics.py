@@ -23,6 +23,7 @@ with contextlib.redirect_stdout(io.StringIO()):  # it prints which optional pack
     from mujoco.mjx._src import scan as mjx_scan
 
 from reframe_jax.panda.model import PANDA, Arm, arm_xml
+from reframe_jax.products import apply
 
 __all__ = ["Motion", "arm_motion", "fenced", "inverse_dynamics", "jacobian", "solve_positive"]
 
@@ -196,7 +197,7 @@ def inverse_dynamics(
         (7,) N m.
     """
     motion = arm_motion(joints, velocity, arm, gravity=True)
-    return motion.mass @ acceleration + motion.bias
+    return apply(motion.mass, acceleration) + motion.bias
 
 
 def solve_positive(matrix: jax.Array, right: jax.Array) -> jax.Array:

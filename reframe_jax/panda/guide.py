@@ -16,6 +16,7 @@ from reframe_jax import rotations, symmetric, synthetic, transforms
 from reframe_jax.panda.compiled import as_numbers
 from reframe_jax.panda.constraint import Frame, body_twist, locate
 from reframe_jax.panda.dynamics import Motion
+from reframe_jax.products import apply, matmul
 from reframe_jax.synthetic import Excitation
 
 __all__ = ["EXCITATIONS", "Guide", "Hand", "excitation_named", "guide_drive", "make_hand"]
@@ -204,15 +205,16 @@ def guide_drive(
         rotation, position = pose[:3, :3], pose[:3, 3]
         wanted = frame.free * jnp.concatenate(excitation(t))
         twist = body_twist(locate(frame, rotation, position), wanted)
-        goal = pose @ aside
-        apart = goal[:3, :3] @ motion.rotation.T
+        goal = matmul(pose, aside)
+        apart = matmul(goal[:3, :3], motion.rotation.T)
         lag = twist - motion.twist
         moment = guide.angular_stiffness * rotations.vee(apart) + guide.angular_damping * lag[:3]
         force = guide.stiffness * (goal[:3, 3] - motion.position) + guide.damping * lag[3:]
         tremor = size * jnp.sum(jnp.sin((rates * t)[None] + hand.phases), axis=-1)
         wrench = jnp.concatenate([moment, force]) + _ease(t) * tremor
         # body axes: the exponential is that of the body twist
-        turned = jnp.concatenate([rotation.T @ twist[:3], rotation.T @ twist[3:]])
-        return pose @ transforms.pose_exp(step * turned), jnp.sum(motion.jacobian * wrench[:, None], axis=0)
+        turned = jnp.concatenate([apply(rotation.T, twist[:3]), apply(rotation.T, twist[3:])])
+        moved = matmul(pose, transforms.pose_exp(step * turned))
+        return moved, jnp.sum(motion.jacobian * wrench[:, None], axis=0)
 
     return drive

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from reframe_jax import rotations, transforms
 from reframe_jax.panda.compiled import as_numbers
 from reframe_jax.panda.model import Arm, forward_kinematics, link_transforms
+from reframe_jax.products import matmul
 from reframe_jax.synthetic import add_pose_noise
 
 __all__ = ["ENCODER_GRADE", "MATCHED", "REALISTIC", "Imperfections", "measure"]
@@ -115,7 +116,7 @@ def _as_built(arm: Arm, spread: jax.Array, angular: jax.Array, key: jax.Array) -
     fixed, offset = (jnp.asarray(part, dtype=spread.dtype) for part in link_transforms(arm))
     turn = angular * jax.random.normal(rotations_key, offset.shape, spread.dtype)
     shift = spread * jax.random.normal(positions_key, offset.shape, spread.dtype)
-    return fixed @ rotations.rotation_exp(turn), offset + shift
+    return matmul(fixed, rotations.rotation_exp(turn)), offset + shift
 
 
 def _at_earlier(joints: jax.Array, velocity: jax.Array, age: jax.Array, dt: float) -> jax.Array:

@@ -26,6 +26,7 @@ from reframe_jax.panda.dynamics import (
 )
 from reframe_jax.panda.model import Arm, arm_xml, forward_kinematics
 from reframe_jax.panda.rollout import Drive, Steps, Track, sampled
+from reframe_jax.products import apply, matmul
 
 __all__ = ["Joints", "integrate_welded", "mechanism_joints", "mechanism_model"]
 
@@ -114,8 +115,8 @@ def placement(frame: Frame, rotation: jax.Array, position: jax.Array) -> dict[st
     return {
         "body_pos": position + located.lever,
         "body_quat": _quaternion(axes),
-        "site_pos": -axes.T @ located.lever,
-        "site_quat": _quaternion(axes.T @ rotation),
+        "site_pos": -apply(axes.T, located.lever),
+        "site_quat": _quaternion(matmul(axes.T, rotation)),
     }
 
 
@@ -163,9 +164,9 @@ def integrate_welded(
         data = full_step(model, data.replace(qfrc_applied=data.qfrc_applied.at[:7].set(torque)))
         # the wrench whose joint torques the solver found: J J^T W = J J^T_weld f
         jacobian, found = motion.jacobian, data.qfrc_constraint[:7]
-        wrench = solve_positive(jacobian @ jacobian.T, (jacobian @ found)[:, None])[:, 0]
+        wrench = solve_positive(matmul(jacobian, jacobian.T), apply(jacobian, found)[:, None])[:, 0]
         back = jax.vmap(lambda axis: body_twist(now, axis))(jnp.eye(6, dtype=dtype))
-        return (data, slipped, now, state, back @ wrench), None
+        return (data, slipped, now, state, apply(back, wrench)), None
 
     def seen(carry: Any) -> Track:
         data, slipped, _, _, force = carry

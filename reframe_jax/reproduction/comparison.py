@@ -18,6 +18,7 @@ from reframe_jax.panda.demonstration import SPREAD, Demonstration, demonstrate
 from reframe_jax.panda.imperfections import REALISTIC, Imperfections
 from reframe_jax.panda.model import PANDA, Arm, arm_named, forward_kinematics
 from reframe_jax.panda.status import RolloutStatus
+from reframe_jax.products import apply
 from reframe_jax.reproduction.controllers import Controller, constant_wrench
 from reframe_jax.reproduction.frames import ROOMY, control_frames, erroneous_frames
 from reframe_jax.reproduction.trials import Task, Trials, reproduce
@@ -178,11 +179,11 @@ def matched_choices(
 
     def move(frame: Frame, true: Frame, free: jax.Array) -> Frame:
         away = locate(true, *pose).lever - locate(frame, *pose).lever
-        away = jnp.where(frame.on_body[2], pose[0].T @ away, away)
+        away = jnp.where(frame.on_body[2], apply(pose[0].T, away), away)
         turns = jnp.all(frame.free[:3] > 0)
         return replace(
             frame,
-            position=frame.position + free @ away,
+            position=frame.position + apply(free, away),
             angular_axes=jnp.where(turns, true.angular_axes, frame.angular_axes),
             on_body=frame.on_body.at[0].set(jnp.where(turns, true.on_body[0], frame.on_body[0])),
         )

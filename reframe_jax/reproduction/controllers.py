@@ -10,6 +10,7 @@ import jax.numpy as jnp
 
 from reframe_jax.panda.constraint import Frame, Located, locate, slip, twist_map
 from reframe_jax.panda.dynamics import Motion
+from reframe_jax.products import apply
 
 __all__ = ["Controller", "Pair", "axis_impedance", "by_axis", "constant_wrench", "control_drive", "hybrid"]
 
@@ -93,7 +94,7 @@ def control_drive(
         now = locate(frame, motion.rotation, motion.position)
         made = made + slip(before, now)
         rows = twist_map(now)
-        velocity = rows @ motion.twist
+        velocity = apply(rows, motion.twist)
         point = jnp.minimum(wanted["speed"] * t, wanted["reach"]) * goal
         pace = jnp.where(wanted["speed"] * t < wanted["reach"], wanted["speed"], 0) * goal
         free = (
@@ -103,6 +104,6 @@ def control_drive(
         )
         held = -wanted["held_stiffness"] * made - wanted["held_damping"] * velocity
         along = jnp.where(frame.free > 0, free, held)
-        return (now, made), motion.jacobian.T @ (rows.T @ along)
+        return (now, made), apply(motion.jacobian.T, apply(rows.T, along))
 
     return drive

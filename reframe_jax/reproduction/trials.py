@@ -15,6 +15,7 @@ from reframe_jax.panda.demonstration import sampling
 from reframe_jax.panda.model import PANDA, Arm, arm_named, forward_kinematics
 from reframe_jax.panda.rollout import AxisLaw, Steps, hold, integrate
 from reframe_jax.panda.status import RolloutStatus, judge
+from reframe_jax.products import apply, matmul
 from reframe_jax.reproduction.controllers import Controller, by_axis, constant_wrench, control_drive
 from reframe_jax.reproduction.frames import ROOMY, control_frames
 from reframe_jax.results import Identification
@@ -154,8 +155,8 @@ def _reproduce(
     def trial(truth: Frame, control: Frame) -> Any:
         here, there = locate(truth, *pose), locate(control, *pose)
         # the goal in the world, and what the control frame makes of it
-        turn = there.angular_axes.T @ here.angular_axes @ truth.free[:3]
-        shift = there.linear_axes.T @ here.linear_axes @ truth.free[3:]
+        turn = apply(there.angular_axes.T, apply(here.angular_axes, truth.free[:3]))
+        shift = apply(there.linear_axes.T, apply(here.linear_axes, truth.free[3:]))
         goal = control.free * jnp.concatenate([turn, shift])
         drive = control_drive(controller, control, goal)
 
@@ -202,5 +203,6 @@ def _least_gain(joints: jax.Array, arm: Arm) -> jax.Array:
     """Smallest singular value of the Jacobian from joint velocities to the twist of {b}."""
     rotation, _ = forward_kinematics(joints, arm)
     turning, moving = jax.jacfwd(partial(forward_kinematics, arm=arm))(joints)
-    spin = jax.vmap(lambda column: rotations.vee(column @ rotation.T), in_axes=-1, out_axes=-1)(turning)
+    turning = matmul(jnp.moveaxis(turning, -1, 0), rotation.T)
+    spin = rotations.vee(turning).T
     return jnp.linalg.svd(jnp.concatenate([spin, moving]), compute_uv=False)[-1]

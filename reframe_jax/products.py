@@ -1,0 +1,25 @@
+"""Products of matrices in full precision.
+
+GPUs multiply float32 matrices with 10 bits of mantissa unless told otherwise: JAX's default there. An
+orientation is then good to a milliradian.
+"""
+
+import jax
+import jax.numpy as jnp
+
+__all__ = ["apply", "matmul", "matmul3"]
+
+
+def matmul(a: jax.Array, b: jax.Array) -> jax.Array:
+    """``a @ b``."""
+    return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
+
+
+def apply(matrix: jax.Array, vector: jax.Array) -> jax.Array:
+    """Matrices (..., m, n) times vectors (..., n)."""
+    return matmul(matrix, vector[..., None])[..., 0]
+
+
+def matmul3(a: jax.Array, b: jax.Array) -> jax.Array:
+    """``a @ b`` for matrices (..., m, 3) and (..., 3, n), written out: faster for many small ones."""
+    return sum((a[..., k, None] * b[..., None, k, :] for k in (1, 2)), a[..., 0, None] * b[..., None, 0, :])
