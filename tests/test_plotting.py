@@ -1,6 +1,7 @@
 """Pictures: what is drawn and where. How they look was judged by eye."""
 
 import io
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -93,6 +94,23 @@ def test_an_origin_on_the_body_is_joined_to_it(poses: np.ndarray, kind: LinearTy
         np.testing.assert_allclose(np.transpose(path.get_data_3d()), there)
         ends = [np.transpose(line.get_data_3d()) for line in space.lines if line.get_linewidth() == 2.2]
         np.testing.assert_allclose(ends, np.stack([poses[:, :3, 3], there], axis=1)[[0, 4, 8]])
+
+
+@pytest.mark.parametrize("kind", [LinearType.BG, LinearType.GB])
+def test_a_twin_is_a_hollow_circle_where_it_is(poses: np.ndarray, kind: LinearType) -> None:
+    twin = np.array([1.2, -0.1, 0.3])
+    found = identification(kind)
+    found = replace(found, linear=replace(found.linear, twin=twin, has_twin=np.True_))
+    _, space, _ = draw(poses, found)
+    (circles,) = (line for line in space.lines if line.get_markerfacecolor() == "none")
+    assert circles.get_label() in {text.get_text() for text in space.get_legend().get_texts()}
+    there = np.broadcast_to(twin, (9, 3))
+    if kind.name[1] == "B":
+        there = poses[:, :3, :3] @ twin + poses[:, :3, 3]
+    np.testing.assert_allclose(np.transpose(circles.get_data_3d()), there[[0, 4, 8]])
+    limits = np.array([space.get_xlim(), space.get_ylim(), space.get_zlim()])
+    assert (limits[:, 0] < there[[0, 4, 8]]).all()
+    assert (there[[0, 4, 8]] < limits[:, 1]).all()
 
 
 def test_lengths_are_equal_and_everything_fits(poses: np.ndarray) -> None:

@@ -34,8 +34,8 @@ def plot_identification(
     On the left the path of the body in the ground, with the linear frame and the free axes of rotation
     through its origin. What is fixed in the body is drawn at the first, the middle and the last pose, the
     first one palest; an origin that is fixed there is joined to the body, and its path is dotted. Free axes
-    are arrows, constrained axes dashed lines without a head. On the right the velocities along the axes of
-    both frames over time, with the thresholds.
+    are arrows, constrained axes dashed lines without a head; a twin is a hollow circle. On the right the
+    velocities along the axes of both frames over time, with the thresholds.
 
     Args:
         poses: (K+1, 4, 4), m.

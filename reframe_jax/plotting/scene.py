@@ -41,7 +41,7 @@ def plot_scene(poses: Any, found: Identification, *, title: str | None = None) -
 
     What is fixed in the body is drawn at the first, the middle and the last pose, the first one palest;
     an origin that is fixed there is joined to the body, and its path is dotted. Free axes are arrows,
-    constrained axes dashed lines without a head.
+    constrained axes dashed lines without a head. A twin is a hollow circle.
 
     Args:
         poses: (K+1, 4, 4), m.
@@ -76,17 +76,22 @@ def draw_space(axes: "Axes3D", poses: np.ndarray, found: Identification) -> None
     """Path and axes of the body, the frame, and a legend."""
     path = poses[:, :3, 3]
     origins, triads, rotation_axes = frames_in_ground(poses, found)
-    points = np.concatenate([path, origins, track(poses, found)])
+    samples = frame_samples(poses, found)
+    twins = _in_ground(poses[samples], found, found.linear.twin) if found.linear.has_twin else origins[:0]
+    points = np.concatenate([path, origins, twins, track(poses, found)])
     length = frame_length(points)
     axes.plot(*path.T, color=BODY, linewidth=1.2, label="path and axes of the body")
     if found.linear.frame_type.position_body == AngularType.B:
-        draw_arm(axes, path, track(poses, found), frame_samples(poses, found))
+        draw_arm(axes, path, track(poses, found), samples)
     for pose in poses[np.linspace(0, len(poses) - 1, 5).astype(int)]:
         for axis in pose[:3, :3].T:
             segment(axes, pose[:3, 3], pose[:3, 3] + 0.4 * length * axis, color=BODY, linewidth=0.8)
     palest_first = (0.35, 0.6, 1.0)[-len(origins) :]
     for origin, triad, turning, alpha in zip(origins, triads, rotation_axes, palest_first, strict=True):
         draw_frame(axes, origin, length * triad, length * turning, found.linear.dof, alpha)
+    if len(twins):
+        hollow = {"markersize": 6, "markerfacecolor": "none", "markeredgecolor": "black"}
+        axes.plot(*twins.T, "o", label="twin: an origin as good", **hollow)
     _draw_legend(axes, found, bool(len(rotation_axes[0])))
     set_limits(axes, points)
 
@@ -100,10 +105,14 @@ def draw_arm(axes: "Axes3D", path: np.ndarray, origins: np.ndarray, samples: np.
 
 def track(poses: np.ndarray, found: Identification) -> np.ndarray:
     """The origin of the linear frame in the ground, (K+1, 3) m."""
-    position = np.asarray(found.linear.position)
+    return _in_ground(poses, found, found.linear.position)
+
+
+def _in_ground(poses: np.ndarray, found: Identification, position: Any) -> np.ndarray:
+    """A point (3,) of the linear frame's body in the ground, (K+1, 3) m."""
     if found.linear.frame_type.position_body == AngularType.G:
-        return np.broadcast_to(position, (len(poses), 3))
-    moved: np.ndarray = poses[:, :3, :3] @ position + poses[:, :3, 3]
+        return np.broadcast_to(np.asarray(position), (len(poses), 3))
+    moved: np.ndarray = poses[:, :3, :3] @ np.asarray(position) + poses[:, :3, 3]
     return moved
 
 
@@ -184,14 +193,12 @@ def frames_in_ground(
     """
     kind = found.linear.frame_type
     shown = poses[frame_samples(poses, found) if samples is None else samples]
-    turn, shift = shown[:, :3, :3], shown[:, :3, 3]
+    turn = shown[:, :3, :3]
 
     def seen(axes: np.ndarray, body: AngularType) -> np.ndarray:
         return turn @ axes if body == AngularType.B else np.broadcast_to(axes, turn.shape)
 
-    position = np.asarray(found.linear.position)
-    fixed = kind.position_body == AngularType.G
-    origins = np.broadcast_to(position, shift.shape) if fixed else turn @ position + shift
+    origins = _in_ground(shown, found, found.linear.position)
     axes_of = jax.jit(rotations.rotation_exp)
     linear = seen(np.asarray(axes_of(found.linear.rotvec)), kind.orientation_body)
     angular = seen(np.asarray(axes_of(found.angular.rotvec)), found.angular.frame_type)
