@@ -10,35 +10,39 @@ SCRIPT = """
     import jax, numpy as np
     jax.config.update("jax_num_cpu_devices", 3)
     jax.config.update("jax_enable_x64", True)
+    import functools
     import reframe_jax as rf
     from reframe_jax import synthetic
 
     keys = jax.random.split(jax.random.key(0), 12)
     poses = np.asarray(jax.vmap(lambda k: synthetic.simulate("K", k, noise=1e-4, duration=1.0).poses)(keys))
-    expected = rf.identify(poses, dt=0.1)
+    # a short search, which is compiled sooner
+    solver = rf.BasinHopping(rf.ValleySteps(4), restarts=3, hops=0, polish=0)
+    identify = functools.partial(rf.identify, solver=solver)
+    expected = identify(poses, dt=0.1)
     for count in (1, 3):
         mesh = jax.make_mesh((count,), ("windows",), devices=jax.devices()[:count])
         sharding = jax.NamedSharding(mesh, jax.P("windows"))
-        found = rf.identify(jax.device_put(poses, sharding), dt=0.1)
+        found = identify(jax.device_put(poses, sharding), dt=0.1)
         assert len(found.linear.norm.sharding.device_set) == count
         np.testing.assert_allclose(found.linear.norm, expected.linear.norm, rtol=1e-9)
         np.testing.assert_allclose(found.linear.position, expected.linear.position, atol=1e-6)
     sharding = jax.NamedSharding(mesh, jax.P("windows"))
     steps = np.linspace(0.1, 0.2, 12)[:, None] * np.ones((1, poses.shape[1] - 1))
-    expected_own = rf.identify(poses, dt=steps)
-    found = rf.identify(jax.device_put(poses, sharding), dt=steps)
+    expected_own = identify(poses, dt=steps)
+    found = identify(jax.device_put(poses, sharding), dt=steps)
     np.testing.assert_allclose(found.linear.norm, expected_own.linear.norm, rtol=1e-9)
     # more than one piece on a device, the last of them not full, with rows of several windows
     many = np.tile(poses, (77, 1, 1, 1))
-    found = rf.identify(jax.device_put(many.reshape(84, 11, *poses.shape[1:]), sharding), dt=0.1)
+    found = identify(jax.device_put(many.reshape(84, 11, *poses.shape[1:]), sharding), dt=0.1)
     assert found.linear.norm.shape == (84, 11)
     np.testing.assert_allclose(found.linear.norm.ravel(), np.tile(expected.linear.norm, 77), rtol=1e-9)
-    everywhere = rf.identify(jax.device_put(poses, jax.NamedSharding(mesh, jax.P())), dt=0.1)
+    everywhere = identify(jax.device_put(poses, jax.NamedSharding(mesh, jax.P())), dt=0.1)
     np.testing.assert_allclose(everywhere.linear.norm, expected.linear.norm, rtol=1e-9)
     try:
-        rf.identify(jax.device_put(poses, jax.NamedSharding(mesh, jax.P(None, None, None, None))), dt=0.1)
+        identify(jax.device_put(poses, jax.NamedSharding(mesh, jax.P(None, None, None, None))), dt=0.1)
         other = jax.device_put(poses[:, :9], jax.NamedSharding(mesh, jax.P(None, "windows")))
-        rf.identify(other, dt=0.1)
+        identify(other, dt=0.1)
     except ValueError as error:
         assert "first axis" in str(error), error
     else:
