@@ -20,7 +20,7 @@ SCRIPT = """
     solver = rf.BasinHopping(rf.ValleySteps(4), restarts=3, hops=0, polish=0)
     identify = functools.partial(rf.identify, solver=solver)
     expected = identify(poses, dt=0.1)
-    for count in (1, 3):
+    for count in (1, 2, 3):
         mesh = jax.make_mesh((count,), ("windows",), devices=jax.devices()[:count])
         sharding = jax.NamedSharding(mesh, jax.P("windows"))
         found = identify(jax.device_put(poses, sharding), dt=0.1)

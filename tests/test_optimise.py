@@ -304,7 +304,8 @@ class TestFrameSteps:
         found, valley = norms(moments)
         assert found.x.shape == (6, 4)
         np.testing.assert_allclose(found.value, valley.value, atol=1e-8)
-        np.testing.assert_allclose(found.x[3:], valley.x, atol=1e-5)
+        on_cpu = jax.default_backend() == "cpu"  # the valley of -1 is flat, and a GPU rounds otherwise
+        np.testing.assert_allclose(found.x[3:], valley.x, atol=1e-6 if on_cpu else 1e-5)
         turns = Box(FRAMES.low[:3], FRAMES.high[:3])
         angular = jax.jit(lambda m: solver.minimise(FrameObjective(m, exponent), turns, KEY))(moments[:, :1])
         variances = np.linalg.eigvalsh(np.asarray(to_matrix(tuple(moments[:, 0]))))

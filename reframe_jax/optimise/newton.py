@@ -66,10 +66,9 @@ class NewtonSteps:
             strength = jnp.maximum(jnp.abs(curvature), floor)
             along = apply(axes.T, gradient)
             newton = apply(axes, jnp.where(curvature < 0, -along, along) / strength)
+            descent = apply(axes, along / strength)
             slope = jnp.sum(newton * gradient)
-            directions: list[tuple[jax.Array, Any]] = [
-                (apply(axes, along / strength), s) for s in (1.0, 0.25, 0.05)
-            ]
+            directions: list[tuple[jax.Array, Any]] = [(descent, s) for s in (1.0, 0.25, 0.05)]
             directions += [(newton, 1 / (1 + s * slope)) for s in (0.0, 1.0, 2.0, 3.0, 6.0)]
             trials = jnp.stack([x - length * direction for direction, length in directions])
             trials = jnp.clip(trials, box.low[None], box.high[None])

@@ -75,8 +75,8 @@ def check_window(found: Identification) -> Identification:
 def draw_space(axes: "Axes3D", poses: np.ndarray, found: Identification) -> None:
     """Path and axes of the body, the frame, and a legend."""
     path = poses[:, :3, 3]
-    origins, triads, rotation_axes = frames_in_ground(poses, found)
     samples = frame_samples(poses, found)
+    origins, triads, rotation_axes = frames_in_ground(poses, found, samples)
     twins = _in_ground(poses[samples], found, found.linear.twin) if found.linear.has_twin else origins[:0]
     points = np.concatenate([path, origins, twins, track(poses, found)])
     length = frame_length(points)
