@@ -13,9 +13,9 @@ import reframe_jax as rf
 from benchmarks.dual_annealing import DT, anneal
 from benchmarks.timing import jit, timed_once
 from reframe_jax.compilation import chunk_size
-from reframe_jax.objectives import FrameObjective
-from reframe_jax.optimise import Box
-from reframe_jax.windows import window_moments
+from reframe_jax.identification.pipeline import window_moments
+from reframe_jax.objectives.velocity import FrameObjective
+from reframe_jax.solvers import Box
 
 TURN = np.pi
 GENERAL = rf.BasinHopping(rf.FrameSteps(10), restarts=8, hops=3, polish=2)

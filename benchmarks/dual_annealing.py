@@ -25,11 +25,12 @@ from scipy.optimize import dual_annealing
 import reframe_jax as rf
 from benchmarks.common import write_metrics
 from benchmarks.timing import jit, timed
-from reframe_jax import kinematics, metrics, synthetic
 from reframe_jax.compilation import chunk_size
-from reframe_jax.objectives import FrameObjective, PositionObjective
-from reframe_jax.optimise import Box
-from reframe_jax.windows import window_moments
+from reframe_jax.identification.pipeline import window_moments
+from reframe_jax.motion import kinematics
+from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
+from reframe_jax.simulation import metrics, synthetic
+from reframe_jax.solvers import Box
 
 DT = 0.1
 MISS = 1.001

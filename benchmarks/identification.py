@@ -47,9 +47,9 @@ from benchmarks import contestants, scaling
 from benchmarks.common import machine
 from benchmarks.dual_annealing import DT, MISS, best_known, errors_mm, make_windows
 from benchmarks.timing import jit, machine_floors, peak_above, timed
-from reframe_jax.identify import default_solver
-from reframe_jax.objectives import PositionObjective
-from reframe_jax.optimise import Box
+from reframe_jax.identification.entry import default_solver
+from reframe_jax.objectives.velocity import PositionObjective
+from reframe_jax.solvers import Box
 
 BASELINE = Path(__file__).with_name("results") / "identification_baseline.json"
 GATED = {"speedup": 0.5, "speedup_general_search": 0.5}  # smallest share of the baseline that passes

@@ -23,7 +23,7 @@ import numpy as np
 import reframe_jax as rf
 from benchmarks.common import machine
 from benchmarks.timing import peak_above
-from reframe_jax import synthetic
+from reframe_jax.simulation import synthetic
 
 DT = 0.1
 LENGTH = 51

@@ -27,9 +27,9 @@ import numpy as np
 from benchmarks.common import write_metrics
 from benchmarks.paper_common import LABELS
 from benchmarks.paper_table4 import PAPER, SETUPS, Setup, identify_all
-from reframe_jax import panda
-from reframe_jax.panda.constraint import frame_arrays
-from reframe_jax.panda.mechanism import mechanism_joints, mechanism_model, placement
+from reframe_jax.simulation import arm as panda
+from reframe_jax.simulation.arm.constraint import frame_arrays
+from reframe_jax.simulation.arm.mechanism import mechanism_joints, mechanism_model, placement
 
 DURATION = 5.0
 C_STEP = 0.005

@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 import reframe_jax
-from reframe_jax import panda
+from reframe_jax.simulation import arm as panda
 
 __all__ = ["LABELS", "Section", "Store", "demonstrations", "number", "plain", "spread", "table"]
 

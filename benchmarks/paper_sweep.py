@@ -15,9 +15,10 @@ import numpy as np
 
 import reframe_jax as rf
 from benchmarks.paper_common import LABELS, Section, Store, demonstrations, number, plain, table
-from reframe_jax import metrics, panda
 from reframe_jax.plotting import plot_maps
-from reframe_jax.synthetic import add_pose_noise
+from reframe_jax.simulation import arm as panda
+from reframe_jax.simulation import metrics
+from reframe_jax.simulation.synthetic import add_pose_noise
 
 __all__ = ["SCORES", "Size", "factor_table", "identify_all", "section"]
 

@@ -16,7 +16,8 @@ import numpy as np
 
 import reframe_jax as rf
 from benchmarks.paper_common import LABELS, Section, Store, demonstrations, plain, spread, table
-from reframe_jax import metrics, panda
+from reframe_jax.simulation import arm as panda
+from reframe_jax.simulation import metrics
 
 __all__ = ["PAPER", "PAPER_RANGES", "SETUPS", "Setup", "Size", "following", "identify_all", "section"]
 

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import reframe_jax as rf
-from reframe_jax import plotting, rotations
+from reframe_jax import plotting
+from reframe_jax.geometry import rotations
 from reframe_jax.plotting.style import BODY, new_figure
 
 ROOT = Path(__file__).parent.parent

@@ -10,28 +10,22 @@ is attached to, where it lies, and along which axes the velocity is zero (Overbe
     print(found.name, found.linear.frame_type, found.linear.position)
 """
 
-from reframe_jax.batch import identify_many, load_results
-from reframe_jax.classify import Thresholds
-from reframe_jax.cleaning import clean_recording, pose_noise, pose_outliers, recording_warnings
-from reframe_jax.frames import (
-    CONSTRAINTS,
-    AngularType,
-    AxisRelation,
-    Constraint,
-    ConstraintFrame,
-    LinearType,
-    constraint,
-    describe,
-    lookup,
-)
-from reframe_jax.identify import default_solver, identify
-from reframe_jax.io import Recording, RecordingError, load_recording, save_recording
-from reframe_jax.kinematics import sliding_windows
-from reframe_jax.online import OnlineIdentifier
-from reframe_jax.optimise import BasinHopping, FrameSteps, NewtonSteps, OptaxSteps, ValleySteps
-from reframe_jax.report import frame_velocities, to_json, to_table
-from reframe_jax.results import AngularFrame, Candidates, Identification, LinearFrame
-from reframe_jax.validate import Status
+from reframe_jax.constraints.catalogue import CONSTRAINTS, Constraint, constraint, describe, lookup
+from reframe_jax.constraints.frame import ConstraintFrame
+from reframe_jax.constraints.types import AngularType, AxisRelation, LinearType
+from reframe_jax.export.json import to_json
+from reframe_jax.export.table import to_table
+from reframe_jax.identification.classify import Thresholds
+from reframe_jax.identification.entry import default_solver, identify
+from reframe_jax.identification.online import OnlineIdentifier
+from reframe_jax.identification.results import AngularFrame, Candidates, Identification, LinearFrame
+from reframe_jax.identification.velocities import frame_velocities
+from reframe_jax.motion.checks import Status
+from reframe_jax.motion.windows import sliding_windows
+from reframe_jax.recordings.cleaning import clean_recording, pose_noise, pose_outliers, recording_warnings
+from reframe_jax.recordings.files import Recording, RecordingError, load_recording, save_recording
+from reframe_jax.solvers import BasinHopping, FrameSteps, NewtonSteps, OptaxSteps, ValleySteps
+from reframe_jax.storage.results import identify_many, load_results
 
 __version__ = "0.1.0"
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
-from reframe_jax import synthetic
+from reframe_jax.simulation import synthetic
 
 pytest.importorskip("pyarrow")
 
@@ -160,7 +160,7 @@ def test_parts_can_be_loaded_one_by_one(windows, tmp_path):
 
 
 def test_the_next_part_is_read_while_one_is_computed(windows, tmp_path, monkeypatch):
-    from reframe_jax import batch
+    from reframe_jax.storage import results as batch
 
     read = threading.Event()
     identify = batch._identify

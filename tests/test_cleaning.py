@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from reframe_jax import synthetic
-from reframe_jax.cleaning import clean_recording, pose_noise, pose_outliers, recording_warnings
-from reframe_jax.identify import identify
-from reframe_jax.io import Recording, load_recording, rotation_vectors
+from reframe_jax.identification.entry import identify
+from reframe_jax.recordings.cleaning import clean_recording, pose_noise, pose_outliers, recording_warnings
+from reframe_jax.recordings.files import Recording, load_recording, rotation_vectors
+from reframe_jax.simulation import synthetic
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="needs the real recordings, in ../shared/data")

@@ -13,11 +13,14 @@ import numpy as np
 import pytest
 
 import reframe_jax
-from reframe_jax import cli, synthetic
-from reframe_jax.frames import CONSTRAINTS, ConstraintFrame
-from reframe_jax.identify import identify
-from reframe_jax.io import load_recording, save_recording
-from reframe_jax.validate import Status
+from reframe_jax.cli import configuring, program
+from reframe_jax.cli import identify as command
+from reframe_jax.constraints.catalogue import CONSTRAINTS
+from reframe_jax.constraints.frame import ConstraintFrame
+from reframe_jax.identification.entry import identify
+from reframe_jax.motion.checks import Status
+from reframe_jax.recordings.files import load_recording, save_recording
+from reframe_jax.simulation import synthetic
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 POSES = 21
@@ -26,7 +29,7 @@ Captured = pytest.CaptureFixture[str]
 
 
 def simulate(path: Path, label: str = "A", *options: str) -> Path:
-    assert cli.main(["simulate", "--no-cache", "--constraint", label, "--out", str(path), *options]) == 0
+    assert program.main(["simulate", "--no-cache", "--constraint", label, "--out", str(path), *options]) == 0
     return path
 
 
@@ -47,7 +50,7 @@ def clip(door: Path, tmp_path: Path) -> Path:
 
 
 def run(*arguments: str | Path) -> int:
-    return cli.main(["identify", "--no-cache", *map(str, arguments)])
+    return program.main(["identify", "--no-cache", *map(str, arguments)])
 
 
 def read_json(text: str) -> list[dict[str, Any]]:
@@ -161,7 +164,7 @@ def test_options_reach_the_identification(clip: Path, monkeypatch: pytest.Monkey
         seen.update(options)
         return identify(poses, times=times)
 
-    monkeypatch.setattr(cli, "identify", spy)
+    monkeypatch.setattr(command, "identify", spy)
     options = ["--norm=-inf", "--discretization", "left", "--bounds", "0.5", "--linear-threshold", "0.01"]
     assert run(clip, *options) == 0
     thresholds = seen.pop("thresholds")
@@ -181,8 +184,8 @@ def test_windows(
         parts = [identify(poses[i, None], times=times[i, None], **options) for i in range(len(poses))]
         return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
-    monkeypatch.setattr(cli, "identify", one_by_one)
-    monkeypatch.setattr(cli, "_CHUNK", count)
+    monkeypatch.setattr(command, "identify", one_by_one)
+    monkeypatch.setattr(command, "_CHUNK", count)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
     options = ["--window", str(POSES), "--stride", "5", "--json", str(tmp_path / "out.json")]
     assert run(door, *options) == 0
@@ -206,14 +209,14 @@ def test_interruptions_leave_no_traceback(clip: Path, monkeypatch: pytest.Monkey
     def interrupt(*arguments: Any, **options: Any) -> Any:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cli, "identify", interrupt)
+    monkeypatch.setattr(command, "identify", interrupt)
     assert run(clip) == 130
 
 
 def test_windows_do_not_overlap_by_default(
     door: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cli, "_CHUNK", 1)
+    monkeypatch.setattr(command, "_CHUNK", 1)
     assert run(door, "--window", "21", "--json", "-") == 0
     (recording,) = read_json(capsys.readouterr().out)
     assert len(recording["windows"]) == 1  # 36 poses hold one window of 21, and a rest
@@ -254,7 +257,7 @@ def test_results_that_cannot_be_written(clip: Path, tmp_path: Path, capsys: Capt
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="needs the real recordings, in ../shared/data")
 def test_real_recordings(capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cli, "_CHUNK", 1)
+    monkeypatch.setattr(command, "_CHUNK", 1)
     files = sorted(DATA.glob("*.csv"))
     assert run(*files, "--window", str(POSES), "--stride", "60", "--json", "-") == 0
     for path, recording in zip(files, read_json(capsys.readouterr().out), strict=True):
@@ -305,12 +308,12 @@ def test_options_reach_the_simulation(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_simulations_that_cannot_be_written(tmp_path: Path, capsys: Captured) -> None:
     arguments = ["simulate", "--no-cache", "--constraint", "K", "--out", str(tmp_path / "a.txt")]
-    assert cli.main([*arguments, "--duration", "1"]) == 1
+    assert program.main([*arguments, "--duration", "1"]) == 1
     assert capsys.readouterr().err.startswith("reframe-jax: error: ")
 
 
 def test_the_catalogue_is_listed(capsys: Captured) -> None:
-    assert cli.main(["constraints"]) == 0
+    assert program.main(["constraints"]) == 0
     rows = capsys.readouterr().out.splitlines()[1:13]
     for row, entry in zip(rows, CONSTRAINTS.values(), strict=True):
         assert row.split()[0] == entry.label
@@ -350,7 +353,7 @@ def test_the_catalogue_is_listed(capsys: Captured) -> None:
 )
 def test_wrong_command_lines(arguments: list[str], problem: str, capsys: Captured) -> None:
     with pytest.raises(SystemExit) as caught:
-        cli.main(arguments)
+        program.main(arguments)
     assert caught.value.code == 2
     err = capsys.readouterr().err
     (line,) = err.splitlines()
@@ -363,11 +366,11 @@ def test_windows_that_any_motion_fits_are_noted(door: Path, tmp_path: Path, pose
     recording = load_recording(door)
     short = tmp_path / "short.csv"
     save_recording(short, recording.times[:poses], recording.poses[:poses])
-    options = cli._parser().parse_args(["identify", str(short)])
-    assert bool(cli._short_windows(recording, options)) is False
-    assert bool(cli._short_windows(load_recording(short), options)) is warned
-    options = cli._parser().parse_args(["identify", str(door), "--window", str(poses)])
-    assert bool(cli._short_windows(recording, options)) is warned
+    options = program._parser().parse_args(["identify", str(short)])
+    assert bool(command._short_windows(recording, options)) is False
+    assert bool(command._short_windows(load_recording(short), options)) is warned
+    options = program._parser().parse_args(["identify", str(door), "--window", str(poses)])
+    assert bool(command._short_windows(recording, options)) is warned
 
 
 def test_axes_close_to_a_threshold_are_noted(clip: Path, capsys: Captured) -> None:
@@ -386,20 +389,20 @@ def test_compiled_programs_are_kept_where_caches_belong(
 ) -> None:
     settings: dict[str, Any] = {}
     monkeypatch.setattr(jax.config, "update", settings.__setitem__)
-    cli._configure_jax(cache=False)
+    configuring.configure_jax(cache=False)
     assert settings == {"jax_enable_x64": True}
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    cli._configure_jax(cache=True)
+    configuring.configure_jax(cache=True)
     assert settings["jax_compilation_cache_dir"] == str(tmp_path / "reframe-jax")
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setattr(Path, "home", lambda: tmp_path)
-    cli._configure_jax(cache=True)
+    configuring.configure_jax(cache=True)
     assert settings["jax_compilation_cache_dir"] == str(tmp_path / ".cache" / "reframe-jax")
 
 
 def test_help_shows_examples(capsys: Captured) -> None:
     with pytest.raises(SystemExit) as caught:
-        cli.main(["identify", "--help"])
+        program.main(["identify", "--help"])
     assert caught.value.code == 0
     assert "reframe-jax identify door.csv --plot door.png" in capsys.readouterr().out
 

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
-from reframe_jax import synthetic, transforms
 from reframe_jax.compilation import compiler_options
-from reframe_jax.identify import default_solver
+from reframe_jax.geometry import transforms
+from reframe_jax.identification.entry import default_solver
+from reframe_jax.simulation import synthetic
 
 # polished until the finite differences of the search itself are exact enough to compare with
 SOLVER = rf.BasinHopping(rf.ValleySteps(8), restarts=4, hops=3, polish=6)

@@ -44,7 +44,10 @@ def test_every_public_name_is_in_the_reference() -> None:
 
 def test_every_public_name_of_the_modules_is_explained() -> None:
     modules = re.findall(r"^\.\. automodule:: (\S+)$", (DOCS / "api-modules.md").read_text(), re.MULTILINE)
-    assert {f"reframe_jax.{name}" for name in ("synthetic", "metrics", "plotting", "panda")} <= set(modules)
+    assert {
+        f"reframe_jax.{name}"
+        for name in ("simulation.synthetic", "simulation.metrics", "plotting", "simulation.arm")
+    } <= set(modules)
     for name in ["reframe_jax", *modules]:
         module = importlib.import_module(name)
         for public in module.__all__:

@@ -5,17 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reframe_jax.frames import (
-    CONSTRAINTS,
-    AngularType,
-    AxisRelation,
-    ConstraintFrame,
-    LinearType,
-    constraint,
-    describe,
-    lookup,
-)
-from reframe_jax.rotations import rotation_exp
+from reframe_jax.constraints.catalogue import CONSTRAINTS, constraint, describe, lookup
+from reframe_jax.constraints.frame import ConstraintFrame
+from reframe_jax.constraints.types import AngularType, AxisRelation, LinearType
+from reframe_jax.geometry.rotations import rotation_exp
 
 # label: angular and linear degrees of freedom, type, unique axes, unique components of the position
 TABLE_2 = {

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
-from reframe_jax import synthetic
 from reframe_jax.compilation import chunk_size, compiler_options
-from reframe_jax.identify import default_solver
-from reframe_jax.objectives import FrameObjective, PositionObjective
-from reframe_jax.optimise import Box, JointSearch
-from reframe_jax.windows import window_moments
+from reframe_jax.identification.entry import default_solver
+from reframe_jax.identification.pipeline import window_moments
+from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
+from reframe_jax.simulation import synthetic
+from reframe_jax.solvers import Box, JointSearch
 
 SEEDS = 24
 NOISES = np.logspace(-6, -3, 4)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
-from reframe_jax import metrics, synthetic
-from reframe_jax.identify import _compiled, _compiled_for_cpu
+from reframe_jax.identification.entry import _compiled, _compiled_for_cpu
+from reframe_jax.simulation import metrics, synthetic
 
 NOISES = np.logspace(-6, -4, 5)
 SEEDS = 20

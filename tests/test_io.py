@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from reframe_jax import io
-from reframe_jax.io import RecordingError, load_recording, save_recording
-from reframe_jax.validate import MIN_VELOCITIES
+from reframe_jax.motion.checks import MIN_VELOCITIES
+from reframe_jax.recordings import files as io
+from reframe_jax.recordings.files import RecordingError, load_recording, save_recording
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 HEADER = ["t", "x", "y", "z", "qx", "qy", "qz", "qw"]

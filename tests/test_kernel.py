@@ -7,11 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 
 import reframe_jax as rf
-from reframe_jax import moments, synthetic
-from reframe_jax.moments_kernel import mean_products
-from reframe_jax.objectives import PositionObjective
-from reframe_jax.optimise import Box
-from reframe_jax.windows import window_moments
+from reframe_jax.identification.pipeline import window_moments
+from reframe_jax.objectives import moments
+from reframe_jax.objectives.moments_kernel import mean_products
+from reframe_jax.objectives.velocity import PositionObjective
+from reframe_jax.simulation import synthetic
+from reframe_jax.solvers import Box
 
 
 def test_the_kernel_finds_what_the_steps_find():

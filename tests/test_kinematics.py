@@ -11,15 +11,16 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
 
-from reframe_jax import kinematics, transforms
-from reframe_jax.frames import AngularType, LinearType
-from reframe_jax.kinematics import (
+from reframe_jax.constraints.types import AngularType, LinearType
+from reframe_jax.geometry import transforms
+from reframe_jax.motion import kinematics
+from reframe_jax.motion.kinematics import (
     angular_velocities,
     body_twists,
     linear_velocity_maps,
-    sliding_windows,
     spatial_twists,
 )
+from reframe_jax.motion.windows import sliding_windows
 
 
 @partial(jax.jit, static_argnums=2)

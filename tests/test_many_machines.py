@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
-from reframe_jax import synthetic
+from reframe_jax.simulation import synthetic
 
 pytest.importorskip("pyarrow")
 pytest.importorskip("distributed", reason="needs Dask: the extra distributed")

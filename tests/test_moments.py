@@ -7,14 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from reframe_jax.moments import (
-    MONOMIALS,
-    covariance_at,
-    covariance_gradient,
-    velocity_moments,
-)
-from reframe_jax.objectives import axis_rms, axis_rms_from_moments, frame_norm, power_mean
-from reframe_jax.symmetric import INDEX_PAIRS, to_matrix
+from reframe_jax.geometry.symmetric import INDEX_PAIRS, to_matrix
+from reframe_jax.objectives.moments import MONOMIALS, covariance_at, covariance_gradient, velocity_moments
+from reframe_jax.objectives.norms import axis_rms, axis_rms_from_moments, frame_norm, power_mean
 
 
 @jax.jit

@@ -9,18 +9,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from reframe_jax.moments import velocity_moments
-from reframe_jax.objectives import (
-    FrameObjective,
-    PositionObjective,
+from reframe_jax.geometry.rotations import rotation_exp
+from reframe_jax.geometry.symmetric import from_matrix, to_matrix
+from reframe_jax.objectives.moments import velocity_moments
+from reframe_jax.objectives.norms import (
     axis_rms,
     axis_rms_from_covariance,
     check_exponent,
     frame_norm,
     power_mean,
 )
-from reframe_jax.rotations import rotation_exp
-from reframe_jax.symmetric import from_matrix, to_matrix
+from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
 
 EXPONENTS = (-math.inf, -3.0, -1.0, -1e-6, 0.0, 1e-6, 0.5, 1.0, 2.0)
 SOME_EXPONENTS = (-math.inf, -3.0, 0.0, 1e-6, 2.0)  # where each takes long to compile

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
-from reframe_jax import synthetic
+from reframe_jax.simulation import synthetic
 
 
 @pytest.fixture(scope="module")

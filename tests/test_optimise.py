@@ -10,9 +10,12 @@ import optax
 import pytest
 from scipy.spatial.transform import Rotation
 
-from reframe_jax.moments import covariance_at, velocity_moments
-from reframe_jax.objectives import FrameObjective, PositionObjective, log_power_mean
-from reframe_jax.optimise import (
+from reframe_jax.geometry.rotations import rotation_exp
+from reframe_jax.geometry.symmetric import to_matrix
+from reframe_jax.objectives.moments import covariance_at, velocity_moments
+from reframe_jax.objectives.norms import log_power_mean
+from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
+from reframe_jax.solvers import (
     BasinHopping,
     Box,
     FrameSteps,
@@ -21,11 +24,9 @@ from reframe_jax.optimise import (
     OptaxSteps,
     ValleySteps,
 )
-from reframe_jax.optimise import frame as frame_steps
-from reframe_jax.optimise.seeds import quasi_random
-from reframe_jax.optimise.valley import _expand
-from reframe_jax.rotations import rotation_exp
-from reframe_jax.symmetric import to_matrix
+from reframe_jax.solvers import frame_steps as frame_steps
+from reframe_jax.solvers.seeds import quasi_random
+from reframe_jax.solvers.valley_steps import _expand
 
 KEY = jax.random.key(3)
 POSITIONS = Box(jnp.asarray(np.full(3, -1.0)), jnp.asarray(np.full(3, 1.0)))

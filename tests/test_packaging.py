@@ -60,17 +60,6 @@ def test_the_readme_names_every_extra() -> None:
     assert not missing
 
 
-def test_the_tour_of_the_code_names_every_module() -> None:
-    tour = (ROOT / "CONTRIBUTING.md").read_text()
-    modules = [
-        path
-        for path in (ROOT / "reframe_jax").iterdir()
-        if path.name[0] not in "_." and path.name != "py.typed"
-    ]
-    names = {"cli*" if path.name.startswith("cli") else path.stem + "/" * path.is_dir() for path in modules}
-    assert not [name for name in names if f"`{name}`" not in tour]
-
-
 def test_the_wheel_holds_the_package_and_nothing_else(built: Path) -> None:
     (wheel,) = built.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:

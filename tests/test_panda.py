@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
-from reframe_jax import metrics, panda, transforms
-from reframe_jax.panda.constraint import frame_arrays
-from reframe_jax.panda.demonstration import sampling
-from reframe_jax.panda.guide import excitation_named
-from reframe_jax.panda.rollout import Track
-from reframe_jax.panda.status import judge
+from reframe_jax.geometry import transforms
+from reframe_jax.simulation import arm as panda
+from reframe_jax.simulation import metrics
+from reframe_jax.simulation.arm.constraint import frame_arrays
+from reframe_jax.simulation.arm.demonstration import sampling
+from reframe_jax.simulation.arm.guide import excitation_named
+from reframe_jax.simulation.arm.rollout import Track
+from reframe_jax.simulation.arm.status import judge
 
 BATCH = 8  # one compiled program for this module
 KEY = jax.random.key(11)

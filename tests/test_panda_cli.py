@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from reframe_jax import cli, cli_panda, panda
-from reframe_jax.io import load_recording
+from reframe_jax.cli import demonstrate, program
+from reframe_jax.recordings.files import load_recording
+from reframe_jax.simulation import arm as panda
 
 COUNT = "8"
 
@@ -14,7 +15,7 @@ COUNT = "8"
 def test_demonstrations_of_all_in_one_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "demos.npz"
     command = ["demonstrate", "--no-cache", "--constraint", "K", "--count", COUNT, "--out", str(path)]
-    assert cli.main(command) == 0
+    assert program.main(command) == 0
     assert "8 demonstrations of 5 s" in capsys.readouterr().out
     with np.load(path) as made:
         assert made["poses"].shape == (8, 101, 4, 4)
@@ -24,7 +25,7 @@ def test_demonstrations_of_all_in_one_file(tmp_path: Path, capsys: pytest.Captur
         assert not np.any(made["status_code"])
         assert len(np.unique(made["true_position"][:, 0])) == 8
     # one key, one demonstration
-    assert cli.main([*command[:-1], str(tmp_path / "again.npz")]) == 0
+    assert program.main([*command[:-1], str(tmp_path / "again.npz")]) == 0
     with np.load(path) as first, np.load(tmp_path / "again.npz") as again:
         np.testing.assert_array_equal(first["poses"], again["poses"])
 
@@ -32,12 +33,12 @@ def test_demonstrations_of_all_in_one_file(tmp_path: Path, capsys: pytest.Captur
 def test_demonstrations_in_a_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(cli_panda, "_CHUNK", int(COUNT))
+    monkeypatch.setattr(demonstrate, "_CHUNK", int(COUNT))
     folder = tmp_path / "demos"
     command = ["demonstrate", "--no-cache", "--constraint", "K", "--out", str(folder)]
-    assert cli.main([*command, "--count", "1"]) == 0
+    assert program.main([*command, "--count", "1"]) == 0
     first = (folder / "part-00000000.npz").stat().st_mtime_ns
-    assert cli.main([*command, "--count", "10"]) == 0
+    assert program.main([*command, "--count", "10"]) == 0
     assert (folder / "part-00000000.npz").stat().st_mtime_ns == first
     made = panda.load_demonstrations(folder)
     assert f"{folder}: {len(made.poses)} demonstrations of 5 s" in capsys.readouterr().out
@@ -45,14 +46,14 @@ def test_demonstrations_in_a_folder(
     parts = list(panda.stored_demonstrations(folder))
     assert len(parts) == 2
     np.testing.assert_array_equal(np.concatenate([part.poses for part in parts]), made.poses)
-    assert cli.main([*command, "--count", "10", "--seed", "1"]) == 1
+    assert program.main([*command, "--count", "10", "--seed", "1"]) == 1
     assert "other options" in capsys.readouterr().err
 
 
 def test_demonstrations_as_recordings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "demo.csv"
     command = ["demonstrate", "--no-cache", "--constraint", "pin-plane contact", "--count", COUNT]
-    assert cli.main([*command, "--out", str(path), "--fixed", "--keep"]) == 0
+    assert program.main([*command, "--out", str(path), "--fixed", "--keep"]) == 0
     files = sorted(tmp_path.glob("demo-*.csv"))
     assert f"{files[0]} to {files[-1]}: 8 demonstrations of 5 s" in capsys.readouterr().out
     assert [file.name for file in files][:2] == ["demo-000.csv", "demo-001.csv"]
@@ -64,7 +65,7 @@ def test_demonstrations_as_recordings(tmp_path: Path, capsys: pytest.CaptureFixt
 
 def test_reproduction(capsys: pytest.CaptureFixture[str]) -> None:
     command = ["reproduce", "--no-cache", "--constraint", "A", "--trials", COUNT]
-    assert cli.main(command) == 0
+    assert program.main(command) == 0
     out = capsys.readouterr().out
     assert "Revolute joint, 8 trials" in out
     assert "angular axis" in out
@@ -92,7 +93,7 @@ def test_reproduction(capsys: pytest.CaptureFixture[str]) -> None:
 )
 def test_wrong_command(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
-        cli.main(["demonstrate", *arguments])
+        program.main(["demonstrate", *arguments])
     assert ended.value.code == 2
     assert message in capsys.readouterr().err
 
@@ -102,5 +103,5 @@ def test_output_that_cannot_be_written(tmp_path: Path, capsys: pytest.CaptureFix
     file.write_text("")
     command = ["demonstrate", "--no-cache", "--constraint", "A", "--out"]
     for path in (file, file / "folder"):
-        assert cli.main([*command, str(path)]) == 1
+        assert program.main([*command, str(path)]) == 1
         assert f"{path}: cannot be written: " in capsys.readouterr().err

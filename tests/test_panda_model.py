@@ -10,9 +10,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from reframe_jax import panda
-from reframe_jax.panda import dynamics
-from reframe_jax.panda.compiled import compiled
+from reframe_jax.simulation import arm as panda
+from reframe_jax.simulation.arm import dynamics
+from reframe_jax.simulation.arm.compiled import compiled
 
 ARMS = list(panda.ROBOTS.values())
 

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
-from reframe_jax import panda, transforms
-from reframe_jax.panda.compiled import compiled
-from reframe_jax.panda.constraint import body_twist, frame_arrays, locate, slip, twist_map
-from reframe_jax.panda.guide import guide_drive, make_hand
-from reframe_jax.panda.mechanism import mechanism_joints
-from reframe_jax.panda.rollout import Steps, hold, integrate
+from reframe_jax.geometry import transforms
+from reframe_jax.simulation import arm as panda
+from reframe_jax.simulation.arm.compiled import compiled
+from reframe_jax.simulation.arm.constraint import body_twist, frame_arrays, locate, slip, twist_map
+from reframe_jax.simulation.arm.guide import guide_drive, make_hand
+from reframe_jax.simulation.arm.mechanism import mechanism_joints
+from reframe_jax.simulation.arm.rollout import Steps, hold, integrate
 
 KEY = jax.random.key(11)
 LABELS = list(rf.CONSTRAINTS)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
-from reframe_jax import panda
-from reframe_jax.panda import store
+from reframe_jax.simulation import arm as panda
+from reframe_jax.simulation.arm import store
 
 BATCH = 8  # the shape that other tests compile
 KEY = jax.random.key(11)

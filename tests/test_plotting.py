@@ -13,11 +13,17 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from scipy.spatial.transform import Rotation
 
 from reframe_jax import plotting
-from reframe_jax.classify import Thresholds
-from reframe_jax.frames import LinearType
+from reframe_jax.constraints.types import LinearType
+from reframe_jax.identification.classify import Thresholds
+from reframe_jax.identification.results import (
+    AllCandidates,
+    AngularFrame,
+    Candidates,
+    Identification,
+    LinearFrame,
+)
+from reframe_jax.motion.checks import Status
 from reframe_jax.plotting.style import FREE
-from reframe_jax.results import AllCandidates, AngularFrame, Candidates, Identification, LinearFrame
-from reframe_jax.validate import Status
 
 TIMES = 0.1 * np.arange(9)
 POSITION = np.array([0.2, 0.1, 0.0])

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
-from reframe_jax import plotting, synthetic
+from reframe_jax import plotting
 from reframe_jax.plotting.landscape import landscape
+from reframe_jax.simulation import synthetic
 
 
 @pytest.fixture(scope="module")

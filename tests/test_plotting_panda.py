@@ -11,9 +11,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from reframe_jax import cli, panda, reproduction
-from reframe_jax.panda import render, skin
-from reframe_jax.plotting import panda as pictures_of
+from reframe_jax.cli import program
+from reframe_jax.plotting import arm as pictures_of
+from reframe_jax.simulation import arm as panda
+from reframe_jax.simulation import reproduction
+from reframe_jax.simulation.arm import render, skin
 
 KEY = jax.random.key(11)
 BATCH = 8  # the shape that other tests compile
@@ -109,7 +111,7 @@ def test_command_writes_a_picture_and_says_why_there_is_no_film(
     files = {name: str(tmp_path / name) for name in ("demos.npz", "demo.png", "demo.gif")}
     command = ["demonstrate", "--no-cache", "--constraint", "K", "--count", str(BATCH)]
     drawn = ["--plot", files["demo.png"], "--render", files["demo.gif"]]
-    assert cli.main([*command, "--out", files["demos.npz"], *drawn]) == 1
+    assert program.main([*command, "--out", files["demos.npz"], *drawn]) == 1
     assert "no film: Films need OpenGL" in capsys.readouterr().err
     assert Path(files["demo.png"]).stat().st_size > 10_000
     assert Path(files["demos.npz"]).exists()

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
-from reframe_jax import metrics, report, synthetic, transforms
-from reframe_jax.objectives import FrameObjective, axis_rms, axis_rms_from_covariance
-from reframe_jax.optimise import Box, NewtonSteps
-from reframe_jax.products import apply, matmul, matmul3
+from reframe_jax.geometry import transforms
+from reframe_jax.geometry.products import apply, matmul, matmul3
+from reframe_jax.identification.velocities import frame_velocities
+from reframe_jax.objectives.norms import axis_rms, axis_rms_from_covariance
+from reframe_jax.objectives.velocity import FrameObjective
+from reframe_jax.simulation import metrics, synthetic
+from reframe_jax.solvers import Box, NewtonSteps
 
 
 def test_products(rng):
@@ -84,7 +87,7 @@ def test_of_errors_and_velocities(simulation):
     poses, truth = simulation.poses, simulation.truth
     found = rf.identify(poses, dt=0.1)
     assert check(lambda found: metrics.geometry_errors(found, truth, start=poses[0]), found) > 0
-    assert check(lambda poses: report.frame_velocities(poses, jnp.full(50, 0.1), found), poses) > 0
+    assert check(lambda poses: frame_velocities(poses, jnp.full(50, 0.1), found), poses) > 0
 
 
 def test_of_objectives(rng):
@@ -98,7 +101,8 @@ def test_of_objectives(rng):
 
 def test_of_the_robot():
     pytest.importorskip("mujoco")
-    from reframe_jax import panda, reproduction
+    from reframe_jax.simulation import arm as panda
+    from reframe_jax.simulation import reproduction
 
     def demonstrate(key):
         return panda.demonstrate("A", key, duration=0.2, dt=0.1, imperfections=panda.REALISTIC).poses

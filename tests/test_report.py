@@ -10,10 +10,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from reframe_jax.frames import AngularType, LinearType
-from reframe_jax.report import Window, frame_velocities, to_document, to_json, to_record, to_table
-from reframe_jax.results import AllCandidates, AngularFrame, Candidates, Identification, LinearFrame
-from reframe_jax.validate import Status
+from reframe_jax.constraints.types import AngularType, LinearType
+from reframe_jax.export.common import Window
+from reframe_jax.export.json import to_document, to_json, to_record
+from reframe_jax.export.table import to_table
+from reframe_jax.identification.results import (
+    AllCandidates,
+    AngularFrame,
+    Candidates,
+    Identification,
+    LinearFrame,
+)
+from reframe_jax.identification.velocities import frame_velocities
+from reframe_jax.motion.checks import Status
 
 QUARTER = (0.0, 0.0, np.pi / 2)  # axes y, -x, z
 

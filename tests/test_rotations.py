@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from reframe_jax.rotations import (
+from reframe_jax.geometry.rotations import (
     hat,
     left_jacobian,
     left_jacobian_inverse,

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from reframe_jax.symmetric import (
+from reframe_jax.geometry.symmetric import (
     INDEX_PAIRS,
     adjugate,
     determinant,

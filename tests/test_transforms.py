@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from reframe_jax.products import matmul
-from reframe_jax.transforms import (
+from reframe_jax.geometry.products import matmul
+from reframe_jax.geometry.transforms import (
     adjoint,
     make_pose,
     pose_exp,

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
-from reframe_jax import synthetic
-from reframe_jax.identify import default_solver
-from reframe_jax.objectives import PositionObjective
-from reframe_jax.optimise import Box, Solution, ValleySteps
-from reframe_jax.twins import find_twins
-from reframe_jax.windows import window_moments
+from reframe_jax.identification.entry import default_solver
+from reframe_jax.identification.pipeline import window_moments
+from reframe_jax.identification.twins import find_twins
+from reframe_jax.objectives.velocity import PositionObjective
+from reframe_jax.simulation import synthetic
+from reframe_jax.solvers import Box, Solution, ValleySteps
 
 TIPS = np.array([[0.3, 0.1, -0.1], [-0.2, 0.15, 0.2]])  # of a stick, one on either wall of a corner
 CUBE = Box(-jnp.ones(3), jnp.ones(3))

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reframe_jax import transforms
-from reframe_jax.validate import MIN_VELOCITIES, Status, window_status
+from reframe_jax.geometry import transforms
+from reframe_jax.motion.checks import MIN_VELOCITIES, Status, window_status
 
 STEPS = 6
 DT = np.full(STEPS, 0.05)

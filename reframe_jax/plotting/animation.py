@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from reframe_jax.frames import AngularType
+from reframe_jax.constraints.types import AngularType
+from reframe_jax.identification.results import Identification
 from reframe_jax.plotting.scene import (
     check_window,
     draw_arm,
@@ -18,7 +19,6 @@ from reframe_jax.plotting.scene import (
     track,
 )
 from reframe_jax.plotting.style import BODY, new_figure
-from reframe_jax.results import Identification
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation

@@ -6,12 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.classify import Thresholds
-from reframe_jax.kinematics import Discretization
+from reframe_jax.identification.classify import Thresholds
+from reframe_jax.identification.results import Identification
+from reframe_jax.identification.velocities import frame_velocities
+from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.plotting.scene import check_window, draw_space
 from reframe_jax.plotting.style import LEGEND_ABOVE, axis_colours, new_figure
-from reframe_jax.report import frame_velocities
-from reframe_jax.results import Identification
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,12 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.frames import AngularType, LinearType
-from reframe_jax.kinematics import Discretization
-from reframe_jax.objectives import PositionObjective
+from reframe_jax.constraints.types import AngularType, LinearType
+from reframe_jax.identification.pipeline import window_moments
+from reframe_jax.identification.results import Identification
+from reframe_jax.motion.kinematics import Discretization
+from reframe_jax.objectives.velocity import PositionObjective
 from reframe_jax.plotting.style import CONSTRAINED, new_figure
-from reframe_jax.results import Identification
-from reframe_jax.windows import window_moments
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,7 +36,7 @@ def landscape(
         times: (K+1,) s.
         linear_type: of the frame.
         norm: exponent of the power mean over axes.
-        discretization: see :func:`reframe_jax.kinematics.linear_velocity_maps`.
+        discretization: see :func:`reframe_jax.motion.kinematics.linear_velocity_maps`.
 
     Returns:
         (...).

@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from reframe_jax import rotations
-from reframe_jax.frames import AngularType
+from reframe_jax.constraints.types import AngularType
+from reframe_jax.geometry import rotations
+from reframe_jax.identification.results import Identification
 from reframe_jax.plotting.style import (
     BODY,
     CONSTRAINED,
@@ -16,7 +17,6 @@ from reframe_jax.plotting.style import (
     axis_colours,
     new_figure,
 )
-from reframe_jax.results import Identification
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -1,0 +1,5 @@
+"""The command line ``reframe-jax``."""
+
+from reframe_jax.cli.program import main
+
+__all__ = ["main"]

@@ -1,0 +1,101 @@
+"""Arguments of the command line: what is wrong with one is said in one line."""
+
+import argparse
+from typing import NoReturn
+
+import numpy as np
+
+from reframe_jax.constraints.catalogue import constraint
+from reframe_jax.objectives.norms import check_exponent
+
+__all__ = [
+    "Parser",
+    "add_constraint",
+    "add_seed",
+    "count",
+    "positive",
+    "whole",
+]
+
+
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line, as everything else here does, and where to read more."""
+
+    def error(self, message: str) -> NoReturn:
+        """Leave with code 2."""
+        self.exit(2, f"{self.prog}: error: {message.rstrip('.')}; see {self.prog} --help\n")
+
+
+def number(text: str) -> float:
+    """A number."""
+    try:
+        return float(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"expected a number, not {text!r}") from error
+
+
+def whole(text: str) -> int:
+    """A whole number."""
+    try:
+        return int(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"expected a whole number, not {text!r}") from error
+
+
+def positive(text: str) -> float:
+    """A finite number above 0."""
+    value = number(text)
+    if not 0 < value < np.inf:
+        raise argparse.ArgumentTypeError(f"expected a positive number, not {text}")
+    return value
+
+
+def not_negative(text: str) -> float:
+    """A finite number, 0 or more."""
+    value = number(text)
+    if not 0 <= value < np.inf:
+        raise argparse.ArgumentTypeError(f"expected a number that is 0 or more, not {text}")
+    return value
+
+
+def count(text: str) -> int:
+    """A positive whole number."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a positive whole number, not {text}")
+    return int(text)
+
+
+def seed(text: str) -> int:
+    """A seed that JAX takes."""
+    value = whole(text)
+    if not 0 <= value < 2**63:
+        raise argparse.ArgumentTypeError(f"expected a whole number from 0 to 2^63 - 1, not {text}")
+    return value
+
+
+def exponent(text: str) -> float:
+    """An exponent of the norm over axes."""
+    try:
+        return check_exponent(number(text))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+
+
+def label(text: str) -> str:
+    """The letter of a constraint, from that or its name."""
+    try:
+        return constraint(text).label
+    except KeyError as error:
+        raise argparse.ArgumentTypeError(error.args[0]) from error
+
+
+def add_constraint(command: argparse.ArgumentParser) -> None:
+    """The option ``--constraint``."""
+    command.add_argument(
+        "--constraint", type=label, required=True, metavar="K", help="letter or name: see constraints"
+    )
+
+
+def add_seed(command: argparse.ArgumentParser) -> None:
+    """The option ``--seed``."""
+    command.add_argument("--seed", type=seed, default=0, metavar="N", help="of the random numbers (0)")

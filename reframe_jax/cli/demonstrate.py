@@ -1,0 +1,159 @@
+"""``reframe-jax demonstrate``: demonstrations on the simulated arm."""
+
+import argparse
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from reframe_jax.cli import arguments
+from reframe_jax.cli.arm import add_common, prepare
+from reframe_jax.cli.commands import add_command
+from reframe_jax.cli.speaking import say
+from reframe_jax.constraints.catalogue import CONSTRAINTS
+from reframe_jax.recordings.files import save_recording
+
+__all__ = ["add_demonstrate"]
+
+_CHUNK = 64  # demonstrations simulated at once, and drawn for a part of a folder
+
+
+_DEMONSTRATE = """\
+Simulate demonstrations: a hand guides a Franka arm under a constraint.
+
+Into a folder they go in parts of bounded size, any number of them; the same
+command, or one with a larger count, goes on where an earlier one stopped. An
+.npz holds all (times, poses, exact_poses, joint_positions, ..., and the true
+frame of each). A .csv is one recording for each, demos-000.csv and so on, for
+reframe-jax identify.
+"""
+
+
+def add_demonstrate(commands: Any) -> None:
+    """Add the command to those of the command line."""
+    command = add_command(
+        commands, "demonstrate", _demonstrate, _DEMONSTRATE, "simulate demonstrations on a robot arm"
+    )
+    add_common(command)
+    add = command.add_argument
+    add("--count", type=arguments.count, default=1, metavar="N", help="demonstrations (1)")
+    add("--out", type=Path, required=True, metavar="PATH", help="folder, .npz or .csv")
+    add("--duration", type=arguments.positive, default=5.0, metavar="S", help="s (5)")
+    add("--dt", type=arguments.positive, default=0.05, metavar="S", help="sample time, s (0.05)")
+    add("--plot", type=Path, metavar="FILE", help="draw the first demonstration, .png or .pdf")
+    add("--render", type=Path, metavar="FILM", help="film the first demonstration, .gif or .mp4")
+    add(
+        "--skin",
+        type=Path,
+        metavar="PATH",
+        help="what the film shows: an MJCF of the robot that you have, such as MuJoCo Menagerie's panda.xml, "
+        "or a folder of meshes, link0.stl to link7.stl and hand.stl (plain shapes)",
+    )
+    add("--keep", action="store_true", help="keep demonstrations that hit a limit, instead of redrawing")
+
+
+def _demonstrate(options: argparse.Namespace) -> int:
+    _check(options)
+    try:
+        common = prepare(options)
+    except ImportError as error:
+        say(f"reframe-jax: error: {error}")
+        return 1
+    from reframe_jax.simulation import arm as panda
+
+    parts: Iterable[Any]
+    try:
+        arguments = options.constraint, jax.random.key(options.seed), options.count
+        common |= {
+            "redraw": not options.keep,
+            "duration": options.duration,
+            "dt": options.dt,
+        }
+        if options.out.suffix:
+            drawn = list(panda.demonstrations(*arguments, chunk=min(options.count, _CHUNK), **common))
+            written, parts = _write(options.out, drawn), drawn
+        else:
+            panda.store_demonstrations(*arguments, options.out, chunk=_CHUNK, **common)
+            written, parts = str(options.out), panda.stored_demonstrations(options.out)
+    except OSError as error:
+        say(f"reframe-jax: error: {options.out}: cannot be written: {error.strerror}.")
+        return 1
+    except ValueError as error:
+        say(f"reframe-jax: error: {error}")
+        return 1
+    first, codes = None, Counter[int]()
+    for part in parts:
+        first = part[0] if first is None and len(part.status_code) else first
+        codes.update(part.status_code.tolist())
+    assert first is not None  # there is at least one
+    print(f"{written}: {codes.total()} demonstrations of {first.times[-1]:g} s")
+    for code in sorted(codes.keys() - {panda.RolloutStatus.OK}):
+        print(f"{codes[code]} of them: {panda.RolloutStatus(code).message}")
+    return _draw(first, options)
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Refuse, before anything is simulated, what could not be written after it."""
+    endings = {"out": ("", ".npz", ".csv"), "plot": (".png", ".pdf", ".svg"), "render": (".gif", ".mp4")}
+    for name, suffixes in endings.items():
+        path = getattr(options, name)
+        if path is None:
+            continue
+        if path.suffix not in suffixes:
+            folder = "be a folder, or " if "" in suffixes else ""
+            ends = " or ".join(filter(None, suffixes))
+            options.usage_error(f"--{name} must {folder}end in {ends}, not {path.name!r}.")
+        if path.suffix and not path.parent.is_dir():
+            options.usage_error(f"--{name}: there is no directory {path.parent}.")
+    if options.skin is not None and options.render is None:
+        options.usage_error("--skin needs --render.")
+    if options.dt > options.duration:
+        options.usage_error("--dt must not be longer than --duration.")
+
+
+def _draw(first: Any, options: argparse.Namespace) -> int:
+    """The picture and the film that were asked for, of one demonstration."""
+    failed = False
+    try:
+        if options.plot is not None:
+            from reframe_jax.plotting.arm import plot_demonstration
+
+            title = CONSTRAINTS[options.constraint].name
+            plot_demonstration(first, arm=options.robot, title=title).savefig(options.plot)
+            print(options.plot)
+    except (ImportError, ValueError, OSError) as error:
+        failed = True
+        say(f"reframe-jax: error: no picture: {error}")
+    try:
+        if options.render is not None:
+            from reframe_jax.simulation.arm.render import film_frames, save_film
+
+            pictures = film_frames(first.joint_positions, first.truth, arm=options.robot, skin=options.skin)
+            save_film(options.render, pictures, rate=1 / options.dt)
+            print(options.render)
+    except (ValueError, OSError, RuntimeError) as error:
+        failed = True
+        say(f"reframe-jax: error: no film: {error}")
+    return int(failed)
+
+
+def _write(path: Path, parts: list[Any]) -> str:
+    """Write demonstrations; returns the names of the files."""
+    from reframe_jax.simulation.arm.store import to_arrays
+
+    times = parts[0].times
+    if path.suffix == ".csv":
+        poses = np.concatenate([part.poses for part in parts])
+        width = max(3, len(str(len(poses) - 1)))
+        files = [path.with_stem(f"{path.stem}-{number:0{width}}") for number in range(len(poses))]
+        files = files if len(files) > 1 else [path]
+        for file, recording in zip(files, poses, strict=True):
+            save_recording(file, times, recording)
+        return " to ".join(map(str, files[:: max(1, len(files) - 1)]))
+    made = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+    np.savez_compressed(path, **to_arrays(replace(made, times=times)))
+    return str(path)

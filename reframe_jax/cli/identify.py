@@ -1,0 +1,290 @@
+"""``reframe-jax identify``: the constraints of recordings."""
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from reframe_jax.cli import arguments
+from reframe_jax.cli.commands import add_command
+from reframe_jax.cli.configuring import configure_jax
+from reframe_jax.cli.speaking import say
+from reframe_jax.export.common import Window
+from reframe_jax.export.json import to_document, to_record
+from reframe_jax.export.table import to_table
+from reframe_jax.identification.classify import Thresholds
+from reframe_jax.identification.entry import identify
+from reframe_jax.identification.results import Identification
+from reframe_jax.motion.checks import MIN_VELOCITIES, Status
+from reframe_jax.motion.windows import sliding_windows
+from reframe_jax.recordings.cleaning import clean_recording, recording_warnings
+from reframe_jax.recordings.files import Recording, RecordingError, load_recording
+
+__all__ = ["add_identify"]
+
+_CHUNK = 2048  # windows between two reports of progress
+
+
+_CLOSE = 1.5  # factor from a threshold within which an axis is neither clearly free nor constrained
+
+
+_UNKNOWNS = 5  # of one constrained axis: its direction, and where the origin is
+
+
+_IDENTIFY = """\
+Identify the constraint of recordings.
+
+A recording is a .csv or .tsv with a header (t,x,y,z,qx,qy,qz,qw in any order), a
+TUM trajectory (.txt, .tum), an .npy or an .npz; metres and seconds unless told
+otherwise. It is taken as one window, or as sliding windows with --window.
+"""
+
+
+def add_identify(commands: Any) -> None:
+    """Add the command to those of the command line."""
+    command = add_command(commands, "identify", _identify, _IDENTIFY, "identify the constraint of recordings")
+    defaults = Thresholds()
+    add = command.add_argument
+    add("files", nargs="+", type=Path, metavar="FILE", help="recordings")
+    add("--dt", type=arguments.positive, metavar="S", help="sample time in s, for files without times")
+    add("--clean", action="store_true", help="leave out outliers, noise and rest; says what it left out")
+    add(
+        "--step",
+        type=arguments.positive,
+        metavar="S",
+        help="with --clean: s between poses (chosen from the noise)",
+    )
+    add("--unit", choices=["m", "cm", "mm"], default="m", help="unit of positions in the files (m)")
+    add("--window", type=arguments.whole, metavar="N", help="poses per window (all)")
+    add("--stride", type=arguments.whole, metavar="M", help="poses between the starts of two windows (N)")
+    add(
+        "--norm",
+        type=arguments.exponent,
+        default=0.0,
+        metavar="P",
+        help="exponent of the power mean over the axes, up to 2; --norm=-inf for the minimum (0)",
+    )
+    add(
+        "--discretization",
+        choices=["chord", "left"],
+        default="chord",
+        help="velocity from two poses: chord for measured motion, left as in the paper (chord)",
+    )
+    add(
+        "--angular-threshold",
+        type=arguments.positive,
+        default=defaults.angular,
+        metavar="W",
+        help="rad/s rms above which a rotation is free (%(default)s)",
+    )
+    add(
+        "--linear-threshold",
+        type=arguments.positive,
+        default=defaults.linear,
+        metavar="V",
+        help="m/s rms above which a translation is free (%(default)s)",
+    )
+    add(
+        "--bounds",
+        type=arguments.positive,
+        default=1.0,
+        metavar="M",
+        help="how far positions are searched, in m (%(default)s)",
+    )
+    add("--json", metavar="OUT", help="write the results as JSON; - prints them instead of tables")
+    add(
+        "--plot",
+        type=Path,
+        metavar="OUT.png",
+        help="draw the result; of several recordings, to OUT-NAME.png each",
+    )
+
+
+def _identify(options: argparse.Namespace) -> int:
+    _check(options)
+    configure_jax(options.cache)
+    records, failed = [], False
+    for path in options.files:
+        record = _identify_file(path, options)
+        records.append(record)
+        failed |= record["error"] is not None
+    try:
+        if options.json == "-":
+            print(to_document(records))
+        elif options.json is not None:
+            Path(options.json).write_text(to_document(records) + "\n", encoding="utf-8")
+    except OSError as error:
+        say(f"reframe-jax: error: {options.json}: cannot be written: {error.strerror}.")
+        failed = True
+    return int(failed)
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Refuse options that do not go together."""
+    if options.step is not None and not options.clean:
+        options.usage_error("--step needs --clean.")
+    if options.window is None:
+        if options.stride is not None:
+            options.usage_error("--stride needs --window.")
+        options.stride = 1
+    else:
+        if options.window < MIN_VELOCITIES + 1:
+            options.usage_error(f"--window must be at least {MIN_VELOCITIES + 1} poses.")
+        if options.plot is not None:
+            options.usage_error("--plot draws whole recordings: leave out --window.")
+        options.stride = options.window if options.stride is None else options.stride
+    if options.stride < 1:
+        options.usage_error("--stride must be at least 1.")
+    stems = {path.stem for path in options.files}
+    if options.plot is not None and len(stems) < len(options.files):
+        options.usage_error("--plot needs recordings with different names.")
+
+
+def _identify_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
+    """Identify, print and draw one recording; returns its entry in the JSON document."""
+    recording, found, windows, problem = None, None, None, None
+    try:
+        recording = _load(path, options)
+        recording = _noted(recording, _short_windows(recording, options))
+        for note in recording.notes:
+            say(f"reframe-jax: {path}: {note}")
+        found, windows = _windows(recording, options)
+        close = _close_calls(found, _thresholds(options)) if options.window is None else []
+        for note in close:
+            say(f"reframe-jax: {path}: {note}")
+        recording = _noted(recording, close)
+        problem = _print_result(path, found, windows, options)
+        if options.plot is not None and problem is None:
+            problem = _plot(recording, found, options)
+    except RecordingError as error:
+        problem = str(error)
+    if problem is not None:
+        say(f"reframe-jax: error: {problem}")
+    notes = recording.notes if recording else ()
+    return to_record(found, label=str(path), windows=windows, notes=notes, error=problem)
+
+
+def _load(path: Path, options: argparse.Namespace) -> Recording:
+    """Load a recording and clean it, or note what is wrong with it."""
+    recording = load_recording(path, unit=options.unit, dt=options.dt)
+    thresholds = _thresholds(options)
+    if options.clean:
+        return clean_recording(recording, step=options.step, thresholds=thresholds)
+    warnings = recording_warnings(recording, thresholds)
+    hint = ["--clean may help: it leaves such poses out."] if warnings else []
+    return replace(recording, notes=(*recording.notes, *warnings, *hint))
+
+
+def _short_windows(recording: Recording, options: argparse.Namespace) -> list[str]:
+    """A warning of windows in which nearly every motion obeys some constraint."""
+    velocities = (options.window or len(recording.times)) - 1
+    if velocities > _UNKNOWNS:
+        return []
+    return [
+        f"{velocities} velocities say nothing: with {_UNKNOWNS} or fewer, nearly every motion has a frame in "
+        "which an axis stands still. Take longer windows."
+    ]
+
+
+def _noted(recording: Recording, notes: list[str]) -> Recording:
+    return replace(recording, notes=(*recording.notes, *notes))
+
+
+def _close_calls(found: Identification, thresholds: Thresholds) -> list[str]:
+    """A warning of axes so near their threshold that they are neither clearly free nor constrained."""
+    close = [
+        f"{group} axis {number} ({rms:.3g} {unit}, threshold {level:g})"
+        for group, level, unit in (
+            ("angular", thresholds.angular, "rad/s"),
+            ("linear", thresholds.linear, "m/s"),
+        )
+        for number, rms in enumerate(np.asarray(getattr(found, group).rms), start=1)
+        if level / _CLOSE < rms < level * _CLOSE
+    ]
+    if not close:
+        return []
+    return [
+        f"close to the threshold, so that free or constrained is uncertain: {', '.join(close)}. Look at the "
+        "gaps between the velocities, and set the thresholds into them."
+    ]
+
+
+def _thresholds(options: argparse.Namespace) -> Thresholds:
+    return Thresholds(options.angular_threshold, options.linear_threshold)
+
+
+def _print_result(
+    path: Path, found: Identification, windows: list[Window], options: argparse.Namespace
+) -> str | None:
+    """Print the table; returns what is wrong if no window has a result."""
+    whole = options.window is None
+    statuses = [Status(int(code)) for code in np.ravel(found.status_code)]
+    failed = all(status.failed for status in statuses)
+    if options.json != "-" and not (failed and whole):
+        print(to_table(found, label=str(path), windows=None if whole else windows), end="\n\n")
+    return f"{path}: {statuses[0].message}" if failed else None
+
+
+def _windows(recording: Recording, options: argparse.Namespace) -> tuple[Identification, list[Window]]:
+    """Identify all windows; without --window, the whole recording as a single one."""
+    whole = options.window is None
+    length = len(recording.times) if whole else options.window
+    if length > len(recording.times):
+        raise RecordingError(
+            f"{recording.path}: has {len(recording.times)} poses; expected at least the {length} of a window."
+        )
+    poses = sliding_windows(recording.poses, length, options.stride)
+    times = sliding_windows(recording.times, length, options.stride)
+    parts = []
+    for first in range(0, len(poses), _CHUNK):
+        rows = slice(first, first + _CHUNK)
+        parts.append(jax.device_get(_identify_windows(poses[rows], times[rows], options)))
+        if len(poses) > _CHUNK and sys.stderr.isatty():
+            done = min(first + _CHUNK, len(poses))
+            say(f"\r{done} of {len(poses)} windows", end="\n" if done == len(poses) else "")
+    found = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+    spans = [
+        Window(start, start + length, float(window[0]), float(window[-1]))
+        for start, window in zip(range(0, len(recording.times), options.stride), times, strict=False)
+    ]
+    return (found[0] if whole else found), spans
+
+
+def _identify_windows(poses: np.ndarray, times: np.ndarray, options: argparse.Namespace) -> Identification:
+    return identify(
+        poses,
+        times=times,
+        norm=options.norm,
+        discretization=options.discretization,
+        thresholds=_thresholds(options),
+        bounds=options.bounds,
+    )
+
+
+def _plot(recording: Recording, found: Identification, options: argparse.Namespace) -> str | None:
+    """Draw a recording; returns what is wrong if it cannot be drawn."""
+    from reframe_jax.plotting import plot_identification
+
+    out: Path = options.plot
+    if len(options.files) > 1:
+        out = out.with_stem(f"{out.stem}-{recording.path.stem}")
+    try:
+        figure = plot_identification(
+            recording.poses,
+            found,
+            times=recording.times,
+            thresholds=_thresholds(options),
+            discretization=options.discretization,
+            title=f"{recording.path.name}: {found.name}",
+        )
+    except ImportError as error:
+        return str(error)
+    try:
+        figure.savefig(out)
+    except (OSError, ValueError) as error:
+        return f"{out}: cannot be written: {getattr(error, 'strerror', None) or error}."
+    return None

@@ -1,0 +1,103 @@
+"""``reframe-jax reproduce``: tasks in true, wrong and identified frames."""
+
+import argparse
+from typing import Any
+
+import jax
+import numpy as np
+
+from reframe_jax.cli import arguments
+from reframe_jax.cli.arm import add_common, prepare
+from reframe_jax.cli.commands import add_command
+from reframe_jax.cli.speaking import say
+from reframe_jax.constraints.catalogue import CONSTRAINTS
+
+__all__ = ["add_reproduce"]
+
+_REPRODUCE = """\
+Demonstrate, identify, and reproduce a task from end-stop to end-stop.
+
+The robot is moved by wrenches in the true frames of the constraint, in frames
+with the errors that methods with prior knowledge report, and in the frames it
+identified: the three rows of the paper's Figure 5.
+"""
+
+
+def add_reproduce(commands: Any) -> None:
+    """Add the command to those of the command line."""
+    command = add_command(
+        commands, "reproduce", _reproduce, _REPRODUCE, "demonstrate, identify and reproduce a task"
+    )
+    add_common(command)
+    command.add_argument(
+        "--trials",
+        type=arguments.count,
+        default=30,
+        metavar="N",
+        help="demonstrations and reproductions (30)",
+    )
+    command.add_argument(
+        "--controller",
+        choices=["wrench", "hybrid", "impedance"],
+        default="wrench",
+        help="constant wrenches as in the paper, hybrid force/velocity, or impedance by axis (wrench)",
+    )
+
+
+def _reproduce(options: argparse.Namespace) -> int:
+    try:
+        common = prepare(options)
+    except ImportError as error:
+        say(f"reframe-jax: error: {error}")
+        return 1
+    from reframe_jax.simulation import reproduction
+    from reframe_jax.simulation.arm import RolloutStatus
+
+    controllers = {
+        "wrench": reproduction.constant_wrench(),
+        "hybrid": reproduction.hybrid(),
+        "impedance": reproduction.axis_impedance(),
+    }
+    try:
+        comparison = jax.device_get(
+            reproduction.compare(
+                options.constraint,
+                jax.random.key(options.seed),
+                options.trials,
+                controller=controllers[options.controller],
+                **common,
+            )
+        )
+    except ValueError as error:
+        say(f"reframe-jax: error: {error}")
+        return 1
+    print(f"{CONSTRAINTS[options.constraint].name}, {options.trials} trials, {options.controller}")
+    print(_errors(comparison.errors))
+    if comparison.redrawn:
+        print(f"left out, as out of the arm's reach in the true frame too: {int(comparison.redrawn)}")
+    print(f"{'frames':12}{'completed':>10}{'time, s':>9}{'peak moment, N m':>22}{'peak force, N':>20}")
+    for name, trials in comparison.rows.items():
+        cells = [
+            f"{np.mean(peak):.2f} ± {np.std(peak):.2f}" for peak in (trials.peak_moment, trials.peak_force)
+        ]
+        time = np.median(trials.completion_time)
+        print(f"{name:12}{100 * np.mean(trials.completed):>8.0f} %{time:>9.2f}{cells[0]:>22}{cells[1]:>20}")
+    for name in ("literature", "identified"):
+        excess = [f"{np.mean(e):+.2f} ± {np.std(e):.2f}" for e in comparison.excess(name)]
+        print(f"{name + ' over exact':31}{excess[0]:>22}{excess[1]:>20}")
+    if not np.all(comparison.identified.completed):
+        codes = np.unique(comparison.identified.status_code[~comparison.identified.completed])
+        why = " ".join(RolloutStatus(code).message for code in codes if code)
+        say(f"reframe-jax: some trials in identified frames did not arrive at the end-stop. {why}")
+    return 0
+
+
+def _errors(errors: np.ndarray) -> str:
+    """Medians of the geometric errors, of those that the constraint has."""
+    names = (("angular axis", "deg"), ("linear axis", "deg"), ("position", "mm"))
+    parts = [
+        f"{name} {np.median(column):.2f} {unit}"
+        for (name, unit), column in zip(names, errors.T, strict=True)
+        if not np.isnan(column).any()
+    ]
+    return f"median errors of the identified frames: {', '.join(parts) or 'none to tell'}"

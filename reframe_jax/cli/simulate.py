@@ -1,0 +1,80 @@
+"""``reframe-jax simulate``: a recording of a simulated motion."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from reframe_jax.cli import arguments
+from reframe_jax.cli.commands import add_command
+from reframe_jax.cli.configuring import configure_jax
+from reframe_jax.cli.speaking import say
+from reframe_jax.constraints.catalogue import CONSTRAINTS
+from reframe_jax.motion.checks import MIN_VELOCITIES
+from reframe_jax.recordings.files import RecordingError, save_recording
+
+__all__ = ["add_simulate"]
+
+
+def add_simulate(commands: Any) -> None:
+    """Add the command to those of the command line."""
+    command = add_command(
+        commands, "simulate", _simulate, "Simulate a constrained motion.", "simulate a recording"
+    )
+    add = command.add_argument
+    arguments.add_constraint(command)
+    add("--out", type=Path, required=True, metavar="FILE", help="recording to write, .csv or .npz")
+    add(
+        "--noise",
+        type=arguments.not_negative,
+        default=0.0,
+        metavar="M",
+        help="standard deviation of positions, m (0)",
+    )
+    arguments.add_seed(command)
+    add("--duration", type=arguments.positive, default=5.0, metavar="S", help="s (5)")
+    add("--dt", type=arguments.positive, default=0.1, metavar="S", help="sample time, s (0.1)")
+    add(
+        "--excitation",
+        choices=["exciting", "paper"],
+        default="exciting",
+        help="velocities along the free axes: of many frequencies, or those of the paper (exciting)",
+    )
+    add(
+        "--generator",
+        choices=["exact", "paper"],
+        default="exact",
+        help="motion between the samples: exact, or one step per sample as in the paper (exact)",
+    )
+
+
+def _simulate(options: argparse.Namespace) -> int:
+    from reframe_jax.simulation.synthetic import simulate
+
+    poses = round(options.duration / options.dt) + 1
+    if poses <= MIN_VELOCITIES:
+        options.usage_error(
+            f"--duration {options.duration:g} s in steps of --dt {options.dt:g} s makes {poses} poses; "
+            f"expected {MIN_VELOCITIES + 1} or more."
+        )
+    configure_jax(options.cache)
+    run = jax.jit(simulate, static_argnames=("constraint", "duration", "dt", "excitation", "exact"))
+    simulation = jax.device_get(
+        run(
+            constraint=options.constraint,
+            key=jax.random.key(options.seed),
+            noise=options.noise,
+            duration=options.duration,
+            dt=options.dt,
+            excitation=options.excitation,
+            exact=options.generator == "exact",
+        )
+    )
+    try:
+        save_recording(options.out, simulation.times, simulation.poses)
+    except RecordingError as error:
+        say(f"reframe-jax: error: {error}")
+        return 1
+    print(f"{options.out}: {CONSTRAINTS[options.constraint].name}, {len(simulation.times)} poses")
+    return 0

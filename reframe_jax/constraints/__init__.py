@@ -1,0 +1,18 @@
+"""What a constraint is: frame types, the catalogue of named classes, and frames with a geometry."""
+
+from reframe_jax.constraints.catalogue import CONSTRAINTS, Constraint, constraint, describe, lookup
+from reframe_jax.constraints.frame import ConstraintFrame
+from reframe_jax.constraints.types import AngularType, AxisRelation, Dof, LinearType
+
+__all__ = [
+    "CONSTRAINTS",
+    "AngularType",
+    "AxisRelation",
+    "Constraint",
+    "ConstraintFrame",
+    "Dof",
+    "LinearType",
+    "constraint",
+    "describe",
+    "lookup",
+]

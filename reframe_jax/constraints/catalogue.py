@@ -1,0 +1,149 @@
+"""The catalogue of named constraints (paper, Table 2)."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from reframe_jax.constraints.types import AxisRelation, Dof, LinearType
+
+__all__ = ["CONSTRAINTS", "Constraint", "constraint", "describe", "lookup"]
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """One row of the catalogue: a class of constraints and which numbers define its geometry.
+
+    Attributes:
+        label: letter of the paper's Figure 2.
+        name: name of the paper's Table 2.
+        angular_dof, linear_dof: 1 where the axis is free, in axes common to both frames.
+        linear_type: the only type that expresses the constraint, or None if all four do. (The angular
+            type is free for all twelve.)
+        angular_axis, linear_axis: index of the frame axis that is unique, or None if none is.
+        position: which components of the position are unique. For G the paper lists all three;
+            moving along the constrained axis z of a BB frame changes nothing, so z is not.
+    """
+
+    label: str
+    name: str
+    angular_dof: Dof
+    linear_dof: Dof
+    linear_type: LinearType | None
+    angular_axis: int | None
+    linear_axis: int | None
+    position: tuple[bool, bool, bool]
+
+
+def _row(
+    label: str,
+    name: str,
+    angular: str,
+    linear: str,
+    kind: str,
+    axes: tuple[int | None, int | None],
+    unique: str,
+) -> Constraint:
+    def dof(text: str) -> Dof:
+        x, y, z = (int(d) for d in text)
+        return x, y, z
+
+    linear_type = LinearType[kind] if kind else None
+    position = ("x" in unique, "y" in unique, "z" in unique)
+    return Constraint(label, name, dof(angular), dof(linear), linear_type, *axes, position)
+
+
+CONSTRAINTS: dict[str, Constraint] = {
+    row.label: row
+    for row in (
+        _row("A", "Revolute joint", "010", "000", "", (1, None), "xz"),
+        _row("B", "Prismatic joint", "000", "100", "", (None, 0), ""),
+        _row("C", "Cylinder joint", "100", "100", "", (0, 0), "yz"),
+        _row("D", "Plane-plane contact", "001", "110", "", (2, 2), ""),
+        _row("E", "Planar contour following", "010", "100", "BB", (1, 0), "x"),
+        _row("F", "Planar contour rolling", "010", "100", "GG", (1, 0), "x"),
+        _row("G", "Cart on a curved surface", "111", "110", "BB", (None, 2), "xy"),
+        _row("H", "Contour rolling", "111", "100", "GG", (None, 0), "xyz"),
+        _row("I", "Planar pin-plane contact", "010", "100", "GB", (1, 0), "xz"),
+        _row("J", "Planar plane-pin contact", "010", "100", "BG", (1, 0), "xz"),
+        _row("K", "Pin-plane contact", "111", "110", "GB", (None, 2), "xyz"),
+        _row("L", "Plane-pin contact", "111", "110", "BG", (None, 2), "xyz"),
+    )
+}
+"""The twelve constraints of the paper's Table 2, by label."""
+
+
+def constraint(label: str) -> Constraint:
+    """Catalogue entry of a label or a name, in either case.
+
+    Raises:
+        KeyError: listing the labels and names there are.
+    """
+    for entry in CONSTRAINTS.values():
+        if label.casefold() in (entry.label.casefold(), entry.name.casefold()):
+            return entry
+    known = ", ".join(f"{entry.label} ({entry.name})" for entry in CONSTRAINTS.values())
+    raise KeyError(f"No constraint {label!r}. There are: {known}.")
+
+
+def _odd_axis(dof: Dof) -> int | None:
+    """Index of the axis that differs from the other two, if one does."""
+    return dof.index(sum(dof) % 2) if sum(dof) in (1, 2) else None
+
+
+def _relation(angular: Dof, linear: Dof) -> AxisRelation | None:
+    """Relation of the odd axes of two aligned frames; None where a frame has no odd axis."""
+    a, b = _odd_axis(angular), _odd_axis(linear)
+    if a is None or b is None:
+        return None
+    return AxisRelation.PARALLEL if a == b else AxisRelation.PERPENDICULAR
+
+
+def lookup(
+    linear_type: LinearType,
+    angular_dof: Dof,
+    linear_dof: Dof,
+    relation: AxisRelation | Literal["aligned"] | None = "aligned",
+) -> Constraint | None:
+    """Catalogue entry of a class: its linear type and degrees of freedom.
+
+    Which axes are free does not matter, only how many, and how the single free rotation axis lies to
+    the odd axis (the single free, or single constrained one) of the linear frame: it tells a cylinder
+    joint from a planar contour. The angular type does not matter for any of the twelve.
+
+    Args:
+        linear_type: the linear frame's type.
+        angular_dof: 1 where a rotation axis is free.
+        linear_dof: 1 where a translation axis is free.
+        relation: how those axes lie; by default both vectors refer to the same axes, as in Table 2.
+
+    Returns:
+        The entry, or None for a class outside the twelve.
+    """
+    if relation == "aligned":
+        relation = _relation(angular_dof, linear_dof)
+    for entry in CONSTRAINTS.values():
+        if (
+            sum(entry.angular_dof) == sum(angular_dof)
+            and sum(entry.linear_dof) == sum(linear_dof)
+            and entry.linear_type in (None, linear_type)
+            and _relation(entry.angular_dof, entry.linear_dof) == relation
+        ):
+            return entry
+    return None
+
+
+def describe(
+    linear_type: LinearType, angular_dof: Dof, linear_dof: Dof, relation: AxisRelation | None = None
+) -> str:
+    """A class outside the catalogue in words: ``"Unnamed: 3 rotations, 0 translations in GB"``."""
+
+    def count(dof: Dof, what: str) -> str:
+        return f"{sum(dof)} {what}{'' if sum(dof) == 1 else 's'}"
+
+    text = f"{count(angular_dof, 'rotation')}, {count(linear_dof, 'translation')}"
+    if sum(angular_dof) == sum(linear_dof) == 0:
+        return f"No motion above the thresholds ({text})"
+    if sum(angular_dof) == sum(linear_dof) == 3:
+        return f"Unconstrained ({text})"
+    where = f" in {linear_type}" if sum(linear_dof) < 3 else ""
+    how = f", axes {relation.value}" if relation is not None else ""
+    return f"Unnamed: {text}{where}{how}"

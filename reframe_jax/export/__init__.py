@@ -1,0 +1,1 @@
+"""Identifications for people and for other programs."""

@@ -1,0 +1,50 @@
+"""What tables and JSON both need of an identification."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+
+from reframe_jax.constraints.types import AngularType, LinearType
+from reframe_jax.geometry import rotations
+from reframe_jax.identification.results import Identification
+
+__all__ = ["TYPES", "Window", "axes_of", "directions", "split_windows", "tied_names"]
+
+TYPES = {"angular": AngularType, "linear": LinearType}
+
+
+@dataclass(frozen=True)
+class Window:
+    """Which part of a recording a window is.
+
+    Attributes:
+        start, stop: samples, from start up to but not including stop.
+        start_time, stop_time: s, times of the first and the last sample.
+    """
+
+    start: int
+    stop: int
+    start_time: float
+    stop_time: float
+
+
+def split_windows(host: Identification) -> list[Identification]:
+    """All windows of a batch, or the one that is none."""
+    return [host[index] for index in np.ndindex(np.shape(host.status_code))]
+
+
+axes_of = jax.jit(rotations.rotation_exp)  # one compilation, where calling it op by op takes forty
+
+
+def directions(projector: np.ndarray) -> list[np.ndarray]:
+    """Unit vectors that span the range of a projector, their largest component positive."""
+    values, vectors = np.linalg.eigh(projector)
+    spanning = [vector for value, vector in zip(values, vectors.T, strict=True) if value > 0.5]
+    return [vector * np.sign(vector[np.argmax(np.abs(vector))]) for vector in spanning]
+
+
+def tied_names(group: str, frame: Any) -> list[str]:
+    """Names of the types that explain the motion as well, the winner included."""
+    return [str(kind) for kind in TYPES[group] if frame.tied[kind]]

@@ -1,0 +1,153 @@
+"""An identification as a table, for people."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from reframe_jax.constraints.types import AngularType, LinearType
+from reframe_jax.export.common import TYPES, Window, axes_of, directions, split_windows, tied_names
+from reframe_jax.identification.results import Identification
+from reframe_jax.motion.checks import Status
+
+__all__ = ["to_table"]
+
+_BODIES: dict[int, str] = {AngularType.G: "ground", AngularType.B: "body"}
+
+
+_UNITS = {"angular": "rad/s", "linear": "m/s"}
+
+
+def to_table(
+    found: Identification, *, label: str | None = None, windows: Sequence[Window] | None = None
+) -> str:
+    """What a person reads: a paragraph for one window, a row per window for a batch.
+
+    Args:
+        found: of one window, or a batch.
+        label: heading, such as the name of the recording.
+        windows: which part of the recording each window of the batch is.
+    """
+    host = jax.device_get(found)
+    if np.ndim(host.status_code):
+        return "\n".join(_batch_table(split_windows(host), label, windows))
+    status = Status(int(host.status_code))
+    heading = f"{label}: {host.name}" if label else host.name
+    if status.failed:
+        return heading
+    blocks = [heading, status.message, ""]
+    for group in TYPES:
+        blocks += _frame_block(group, getattr(host, group))
+    return "\n".join([*blocks, *_norms_block(host)])
+
+
+def _vector(vector: Any, digits: int, width: int = 0) -> str:
+    # adding zero after rounding takes the sign from a zero
+    return "(" + ", ".join(f"{np.round(x, digits) + 0.0:{width}.{digits}f}" for x in vector) + ")"
+
+
+def _frame_block(group: str, frame: Any) -> list[str]:
+    kind = TYPES[group](int(frame.type_code))
+    others = [name for name in tied_names(group, frame) if name != str(kind)]
+    ties = f"; {_enumeration(others)} would do as well" if others else ""
+    if isinstance(kind, LinearType):
+        axes_in, origin_in = _BODIES[kind.orientation_body], _BODIES[kind.position_body]
+        where = "axes and origin" if axes_in == origin_in else f"axes in the {axes_in}, origin"
+        lines = [f"Linear frame {kind}: {where} fixed in the {origin_in}{ties}"]
+    else:
+        lines = [f"Angular frame {kind}: axes fixed in the {_BODIES[kind]}{ties}"]
+    for i, axis in enumerate(np.asarray(axes_of(frame.rotvec)).T):
+        freedom = "free" if frame.dof[i] else "constrained"
+        lines.append(
+            f"  axis {i + 1}  {_vector(axis, 3, 6)}  {_speed(frame.rms[i]):>8} {_UNITS[group]:5}  {freedom}"
+        )
+    if isinstance(kind, LinearType):
+        lines.append(f"  origin  {_vector(frame.position, 4)} m in the {origin_in}")
+        lines += _choice_of_position(directions(frame.free_position))
+        if frame.has_twin:
+            away = np.linalg.norm(frame.twin - frame.position)
+            lines.append(
+                f"      or  {_vector(frame.twin, 4)} m, {away:.2g} m away, explains the window as well"
+            )
+    turns = [i for i in range(3) if frame.free_rotation[i]]
+    if len(turns) == 3:
+        lines.append("          the orientation is not determined")
+    elif turns:
+        first, second = (i + 1 for i in range(3) if i not in turns)
+        lines.append(f"          axes {first} and {second} can be turned about axis {turns[0] + 1}")
+    return [*lines, ""]
+
+
+def _speed(value: float) -> str:
+    """A velocity; what is not even rounding of one is zero."""
+    return f"{value if value > 1e-18 else 0:.3g}"
+
+
+def _choice_of_position(directions: list[np.ndarray]) -> list[str]:
+    """In words, which directions of the position the motion leaves open."""
+    if not directions:
+        return []
+    if len(directions) == 3:
+        return ["          not determined: the origin closest to the motion is given"]
+    along = " and ".join(_vector(direction, 3) for direction in directions)
+    return [f"          not determined along {along}"]
+
+
+def _norms_block(found: Identification) -> list[str]:
+    lines, tied = [], False
+    for group, types in TYPES.items():
+        frame = getattr(found, group)
+        entries = []
+        for kind in types:
+            mark = "*" if kind == int(frame.type_code) else "~" if frame.tied[kind] else " "
+            tied |= mark == "~"
+            entries.append(f"{kind} {_speed(frame.norms[kind])}{mark}")
+        lines.append(f"Norms   {group:7}  {'  '.join(entries).rstrip()}  {_UNITS[group]}")
+    lines.append("        * lowest" + (", ~ tied: explains the motion as well" if tied else ""))
+    return lines
+
+
+def _enumeration(words: list[str]) -> str:
+    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else words[0]
+
+
+def _batch_table(
+    each: list[Identification], label: str | None, windows: Sequence[Window] | None
+) -> list[str]:
+    columns = ["window", "name", "angular", "linear", "origin [m]", "status"]
+    rows = [_batch_row(index, found) for index, found in enumerate(each)]
+    if windows is not None:
+        columns.insert(1, "time [s]")
+        for row, window in zip(rows, windows, strict=True):
+            row.insert(1, f"{window.start_time:.2f} - {window.stop_time:.2f}")
+    widths = [max(map(len, cells)) for cells in zip(columns, *rows, strict=True)]
+    lines = [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in [columns, *rows]
+    ]
+    count = f"{len(each)} window{'' if len(each) == 1 else 's'}"
+    statuses = sorted({Status(int(found.status_code)) for found in each} - {Status.OK})
+    legend = [f"{status.name}: {status.message}" for status in statuses]
+    ties = any("~" in cell for row in rows for cell in row)
+    twins = any(found.linear.has_twin for found in each)
+    return [
+        f"{label}: {count}" if label else count,
+        *lines,
+        *(["~ tied: explains the motion as well"] if ties else []),
+        *(["+ another origin explains the motion as well"] if twins else []),
+        *legend,
+    ]
+
+
+def _batch_row(index: int, found: Identification) -> list[str]:
+    status = Status(int(found.status_code))
+    if status.failed:
+        return [str(index), "-", "-", "-", "-", status.name]
+    kinds = []
+    for group, types in TYPES.items():
+        frame = getattr(found, group)
+        kind = str(types(int(frame.type_code)))
+        kinds.append("~".join([kind, *(name for name in tied_names(group, frame) if name != kind)]))
+    origin = _vector(found.linear.position, 3, 6) + ("+" if found.linear.has_twin else "")
+    return [str(index), found.name, *kinds, origin, status.name]

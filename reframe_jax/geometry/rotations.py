@@ -1,0 +1,237 @@
+"""Rotations: the group SO(3) as rotation vectors, matrices and quaternions.
+
+Every function takes any leading batch axes, keeps the dtype of its input, and has finite, accurate
+values *and* derivatives everywhere, the zero rotation and half turns included. The functions of the
+angle that are 0/0 at zero are even, hence analytic in the squared angle: below one radian they are
+summed as series in it, above they are evaluated in closed form. Both branches of a ``where`` are
+differentiated, so each is fed a harmless angle where the other one is used.
+
+Conventions: rotation vectors are axis times angle, in radians; quaternions are (x, y, z, w).
+"""
+
+from math import factorial
+
+import jax
+import jax.numpy as jnp
+
+from reframe_jax.compilation import once_on_cpu
+
+__all__ = [
+    "hat",
+    "left_jacobian",
+    "left_jacobian_inverse",
+    "quaternion_to_rotation",
+    "rotation_exp",
+    "rotation_log",
+    "rotation_to_quaternion",
+    "vee",
+]
+
+_TERMS = 10  # of each series below one radian; the first one left out is < 1e-17
+_SINC = tuple((-1) ** n / factorial(2 * n + 1) for n in range(_TERMS))
+_VERSINE = tuple((-1) ** n / factorial(2 * n + 2) for n in range(_TERMS))
+_SLACK = tuple((-1) ** n / factorial(2 * n + 3) for n in range(_TERMS))
+# |B_2n| / (2n)!: (1 - (x/2) cot(x/2)) / x^2, whose radius of convergence is 2 pi
+_COTANGENT = (
+    1 / 12,
+    1 / 720,
+    1 / 30240,
+    1 / 1209600,
+    1 / 47900160,
+    691 / 1307674368000,
+    1 / 74724249600,
+    3617 / 10670622842880000,
+    43867 / 5109094217170944000,
+    174611 / 802857662698291200000,
+)
+_ARCTANGENT = tuple((-1) ** n / (2 * n + 1) for n in range(_TERMS))
+
+
+def _series(x: jax.Array, coefficients: tuple[float, ...]) -> jax.Array:
+    total = jnp.full_like(x, coefficients[-1])
+    for coefficient in coefficients[-2::-1]:
+        total = total * x + coefficient
+    return total
+
+
+def _squared_length(vector: jax.Array) -> jax.Array:
+    """(..., n) to (...), term by term: GPUs have no fast reduction over three numbers."""
+    terms = [vector[..., i] * vector[..., i] for i in range(vector.shape[-1])]
+    return sum(terms[1:], terms[0])
+
+
+def _angle(rotvec: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Squared angle for the series, whether it is small, and the angle for the closed form."""
+    squared = _squared_length(rotvec)
+    small = squared < 1.0
+    return jnp.where(small, squared, 0.0), small, jnp.sqrt(jnp.where(small, 1.0, squared))
+
+
+def _matrix(coefficient: jax.Array) -> jax.Array:
+    return coefficient[..., None, None]
+
+
+def _identity_like(matrix: jax.Array) -> jax.Array:
+    return jnp.broadcast_to(jnp.eye(3, dtype=matrix.dtype), matrix.shape)
+
+
+def hat(vector: jax.Array) -> jax.Array:
+    """Skew-symmetric matrix [w]x of a vector, so that ``hat(w) @ x == cross(w, x)``.
+
+    Args:
+        vector: (..., 3).
+
+    Returns:
+        (..., 3, 3).
+    """
+    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
+    zero = jnp.zeros_like(x)
+    rows = ((zero, -z, y), (z, zero, -x), (-y, x, zero))
+    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _hat_squared(vector: jax.Array) -> jax.Array:
+    """``hat(w) @ hat(w)``; products of many small matrices are slow, on GPUs above all."""
+    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
+    xx, yy, zz = x * x, y * y, z * z
+    rows = ((-yy - zz, x * y, x * z), (x * y, -xx - zz, y * z), (x * z, y * z, -xx - yy))
+    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def vee(matrix: jax.Array) -> jax.Array:
+    """Vector of a skew-symmetric matrix; the inverse of :func:`hat`.
+
+    Args:
+        matrix: (..., 3, 3); only its skew-symmetric part counts.
+
+    Returns:
+        (..., 3).
+    """
+    skew = (matrix - jnp.swapaxes(matrix, -1, -2)) / 2
+    return jnp.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1)
+
+
+def rotation_exp(rotvec: jax.Array) -> jax.Array:
+    """Rotation matrix of a rotation vector: the exponential map of SO(3) (Rodrigues' formula).
+
+    Args:
+        rotvec: (..., 3), rad.
+
+    Returns:
+        (..., 3, 3).
+    """
+    squared, small, angle = _angle(rotvec)
+    sinc = jnp.where(small, _series(squared, _SINC), jnp.sin(angle) / angle)
+    versine = jnp.where(small, _series(squared, _VERSINE), (1 - jnp.cos(angle)) / angle**2)
+    w = hat(rotvec)
+    return _identity_like(w) + _matrix(sinc) * w + _matrix(versine) * _hat_squared(rotvec)
+
+
+def rotation_log(rotation: jax.Array) -> jax.Array:
+    """Rotation vector of a rotation matrix, of length at most pi: the logarithm of SO(3).
+
+    At a half turn the axis has two signs; one of them is returned, with finite derivatives.
+
+    Args:
+        rotation: (..., 3, 3).
+
+    Returns:
+        (..., 3), rad.
+    """
+    q = once_on_cpu(rotation_to_quaternion(rotation))
+    vector, w = q[..., :3], q[..., 3]
+    squared = _squared_length(vector)
+    small = squared < 1e-2
+    length = jnp.sqrt(jnp.where(small, 1.0, squared))
+    w_small = jnp.where(small, w, 1.0)
+    # angle / sin(angle / 2) = 2 atan2(|vector|, w) / |vector|
+    series = 2 / w_small * _series(squared / w_small**2, _ARCTANGENT)
+    factor = jnp.where(small, series, 2 * jnp.arctan2(length, w) / length)
+    return once_on_cpu(factor[..., None] * vector)
+
+
+def left_jacobian(rotvec: jax.Array) -> jax.Array:
+    """Left Jacobian of SO(3): ``exp(w + dw) ~ exp(J_l(w) dw) exp(w)``.
+
+    Args:
+        rotvec: (..., 3), rad.
+
+    Returns:
+        (..., 3, 3).
+    """
+    squared, small, angle = _angle(rotvec)
+    versine = jnp.where(small, _series(squared, _VERSINE), (1 - jnp.cos(angle)) / angle**2)
+    slack = jnp.where(small, _series(squared, _SLACK), (angle - jnp.sin(angle)) / angle**3)
+    w = hat(rotvec)
+    return _identity_like(w) + _matrix(versine) * w + _matrix(slack) * _hat_squared(rotvec)
+
+
+def left_jacobian_inverse(rotvec: jax.Array) -> jax.Array:
+    """Inverse of :func:`left_jacobian`, for angles below 2 pi.
+
+    Args:
+        rotvec: (..., 3), rad.
+
+    Returns:
+        (..., 3, 3).
+    """
+    squared, small, angle = _angle(rotvec)
+    half = angle / 2
+    closed = (1 - half * jnp.cos(half) / jnp.sin(half)) / angle**2
+    cotangent = jnp.where(small, _series(squared, _COTANGENT), closed)
+    w = hat(rotvec)
+    return _identity_like(w) - w / 2 + _matrix(cotangent) * _hat_squared(rotvec)
+
+
+def quaternion_to_rotation(quaternion: jax.Array) -> jax.Array:
+    """Rotation matrix of a unit quaternion.
+
+    Args:
+        quaternion: (..., 4) as (x, y, z, w), of unit length.
+
+    Returns:
+        (..., 3, 3).
+    """
+    x, y, z, w = (quaternion[..., i] for i in range(4))
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+    )
+    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def rotation_to_quaternion(rotation: jax.Array) -> jax.Array:
+    """Unit quaternion of a rotation matrix, with w >= 0.
+
+    ``4 q q^T`` is linear in the rotation matrix; its row with the largest diagonal entry, which is
+    at least 1, is normalised (Shepperd's choice), so nothing is divided by a small number.
+
+    Args:
+        rotation: (..., 3, 3).
+
+    Returns:
+        (..., 4) as (x, y, z, w).
+    """
+    r = [[rotation[..., i, j] for j in range(3)] for i in range(3)]
+    diagonal = (
+        1 + r[0][0] - r[1][1] - r[2][2],
+        1 - r[0][0] + r[1][1] - r[2][2],
+        1 - r[0][0] - r[1][1] + r[2][2],
+        1 + r[0][0] + r[1][1] + r[2][2],
+    )
+    xy, xz, yz = r[0][1] + r[1][0], r[0][2] + r[2][0], r[1][2] + r[2][1]
+    xw, yw, zw = r[2][1] - r[1][2], r[0][2] - r[2][0], r[1][0] - r[0][1]
+    rows = (
+        (diagonal[0], xy, xz, xw),
+        (xy, diagonal[1], yz, yw),
+        (xz, yz, diagonal[2], zw),
+        (xw, yw, zw, diagonal[3]),
+    )
+    best, row = diagonal[3], jnp.stack(rows[3], axis=-1)
+    for entry, candidate in zip(diagonal[:3], rows[:3], strict=True):
+        better = entry > best
+        best = jnp.where(better, entry, best)
+        row = jnp.where(better[..., None], jnp.stack(candidate, axis=-1), row)
+    quaternion = row / jnp.sqrt(_squared_length(row))[..., None]
+    return jnp.where(quaternion[..., 3:] < 0, -quaternion, quaternion)

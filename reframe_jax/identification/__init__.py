@@ -1,0 +1,1 @@
+"""Constraint frames of windows of poses: from checked input to classified results."""

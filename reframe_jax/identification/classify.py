@@ -1,0 +1,167 @@
+"""From optima to a classification: degrees of freedom, what is free, which types tie."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from reframe_jax.geometry import symmetric
+from reframe_jax.geometry.products import matmul3
+from reframe_jax.geometry.symmetric import INDEX_PAIRS
+from reframe_jax.objectives.moments import MONOMIALS
+
+__all__ = [
+    "Thresholds",
+    "degrees_of_freedom",
+    "excess_over",
+    "free_positions",
+    "free_rotations",
+    "nearest_origin",
+    "tie_margin",
+    "tied_types",
+]
+
+_NOISE_MARGIN = 3.0
+_STILL_MARGIN = 2.0
+_TIE_DEVIATIONS = 3.0
+_NOISE_CORRELATION = 1.5  # variance of a mean square of differenced white noise, against white noise
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Thresholds:
+    """RMS velocities above which an axis counts as free.
+
+    The defaults are the midpoints of the ranges that classify the paper's robot data (section 5.6).
+
+    Attributes:
+        angular: rad/s.
+        linear: m/s.
+    """
+
+    angular: float | jax.Array = 0.160
+    linear: float | jax.Array = 0.037
+
+
+def degrees_of_freedom(rms: jax.Array, threshold: jax.Array | float) -> jax.Array:
+    """1 where an axis is free, (..., 3) int32; a constrained axis has an RMS below the threshold."""
+    return (rms > threshold).astype(jnp.int32)
+
+
+def free_rotations(dof: jax.Array) -> jax.Array:
+    """Axes about which a frame can turn freely, (..., 3) bool: the other two are of one kind."""
+    return jnp.roll(dof, 1, axis=-1) == jnp.roll(dof, -1, axis=-1)
+
+
+def free_positions(
+    moments: jax.Array,
+    axes: jax.Array,
+    dof: jax.Array,
+    position: jax.Array,
+    still: jax.Array,
+    noise: jax.Array,
+) -> jax.Array:
+    """Directions in which the origin can move without changing the velocity of constrained axes.
+
+    Moving the origin by d changes the velocity by B d. The direction is free if what changes along
+    the constrained axes, per metre, is no more than the noise in the angular velocity, and if moving
+    from the optimum to the centre of the motion changes them by no more than what they show already.
+
+    Args:
+        moments: (6, 10, ...).
+        axes: (..., 3, 3), columns are the axes.
+        dof: (..., 3).
+        position: (..., 3) m from the centre of the motion, the optimum.
+        still: (...) m/s, largest RMS of the constrained axes.
+        noise: (...) rad/s, RMS of what counts as no rotation.
+
+    Returns:
+        (..., 3, 3) projectors.
+    """
+    constrained = (dof == 0).astype(axes.dtype)
+    weight = symmetric.from_matrix(matmul3(axes * constrained[..., None, :], jnp.swapaxes(axes, -1, -2)))
+    pull = []
+    for a, b in INDEX_PAIRS:
+        column = moments[:, MONOMIALS.index((a + 1, b + 1))]
+        total = symmetric.trace_product(weight, tuple(column[i] for i in range(6)))  # type: ignore[arg-type]
+        pull.append(total if a == b else total / 2)
+    strengths, directions = symmetric.eigh(tuple(pull))  # type: ignore[arg-type]
+    basis = jnp.stack([jnp.stack(direction, axis=-1) for direction in directions], axis=-1)
+    rounding = 64 * jnp.finfo(axes.dtype).eps * strengths[2]
+    limit = jnp.maximum(jnp.square(_NOISE_MARGIN * noise), rounding)[..., None]
+    strength = jnp.stack(strengths, axis=-1)
+    change = strength * jnp.square(matmul3(position[..., None, :], basis)[..., 0, :])
+    small = change <= jnp.square(_STILL_MARGIN * still)[..., None]
+    free = ((strength <= limit) & small).astype(axes.dtype)
+    return matmul3(basis * free[..., None, :], jnp.swapaxes(basis, -1, -2))
+
+
+def nearest_origin(
+    moments: jax.Array, axes: jax.Array, dof: jax.Array, rms: jax.Array, position: jax.Array, noise: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Of all origins that give the same constraint, the one nearest to the centre of the motion.
+
+    Args:
+        moments: (6, 10, ...).
+        axes: (..., 3, 3), columns are the axes.
+        dof: (..., 3).
+        rms: (..., 3) m/s, along the axes.
+        position: (..., 3) m from the centre of the motion, the optimum.
+        noise: (...) rad/s, RMS of what counts as no rotation.
+
+    Returns:
+        Projectors onto the free directions, (..., 3, 3), and that origin, (..., 3) m.
+    """
+    still = jnp.max(jnp.where(dof == 0, rms, 0), axis=-1)
+    free = free_positions(moments, axes, dof, position, still, noise)
+    return free, position - matmul3(free, position[..., None])[..., 0]
+
+
+def excess_over(reference: jax.Array, rms: jax.Array, counted: jax.Array) -> jax.Array:
+    """How much faster axes are than those of a reference, in the logarithm of their geometric mean.
+
+    Args:
+        reference: (..., 3) RMS velocities, ascending.
+        rms: (..., 3) those compared with it.
+        counted: (..., 3) 1 for axes that are compared, 0 for others, in the type of ``rms``.
+
+    Returns:
+        (...).
+    """
+    total = jnp.sum(counted * (jnp.log(rms) - jnp.log(reference)), axis=-1)
+    return total / jnp.maximum(jnp.sum(counted, axis=-1), 1)
+
+
+def tie_margin(counted: jax.Array, samples: int) -> jax.Array:
+    """What :func:`excess_over` may be, (...), for a tie: three standard deviations of a difference.
+
+    From K samples of noise the logarithm of the geometric mean over n axes is known to about
+    sqrt(c / (2 n K)), c = 1.5 because differencing correlates neighbours.
+    """
+    number = jnp.maximum(jnp.sum(counted, axis=-1), 1)
+    return _TIE_DEVIATIONS * jnp.sqrt(_NOISE_CORRELATION / (number * samples))
+
+
+def tied_types(rms: jax.Array, dof: jax.Array, winner: jax.Array, samples: int) -> jax.Array:
+    """Types whose constrained axes are as still as the winner's, to within sampling error.
+
+    Compared is the geometric mean of the RMS along as many axes as the winner has constrained: the
+    velocity of free axes says nothing about a constraint. See :func:`tie_margin`. A winner without
+    constrained axes is no constraint, and ties with every type.
+
+    Args:
+        rms: (..., T, 3) ascending, of every type.
+        dof: (..., T, 3).
+        winner: (...) index of the winning type.
+        samples: K.
+
+    Returns:
+        (..., T) bool.
+    """
+
+    def of_winner(array: jax.Array) -> jax.Array:
+        return jnp.take_along_axis(array, winner[..., None, None], axis=-2)
+
+    counted = (of_winner(dof) == 0).astype(rms.dtype)
+    excess = excess_over(of_winner(rms), rms, counted)
+    return (jnp.sum(counted, axis=-1) == 0) | (excess < tie_margin(counted, samples))

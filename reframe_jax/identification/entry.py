@@ -1,0 +1,352 @@
+"""The main entry: poses in, constraint frames out.
+
+This module checks the input and sends the windows to the processor; what is computed is in
+:mod:`reframe_jax.identification.pipeline`.
+"""
+
+import contextlib
+import functools
+import math
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from reframe_jax.compilation import chunk_size, compiler_options, traced
+from reframe_jax.identification.classify import Thresholds
+from reframe_jax.identification.pipeline import identify_windows
+from reframe_jax.identification.results import Identification
+from reframe_jax.motion.checks import MIN_VELOCITIES, Status
+from reframe_jax.motion.kinematics import Discretization
+from reframe_jax.objectives.norms import check_exponent
+from reframe_jax.solvers import BasinHopping, Box, FrameSteps, JointSearch, Solver, ValleySteps
+
+__all__ = ["default_solver", "identify"]
+
+_PIECE = 8  # chunks that one thread computes in one call
+_FEWEST = 1024  # windows in a piece on an accelerator
+
+_compiled_programs: set[Any] = set()  # that threads may run without compiling them at the same time
+
+_VALLEY = BasinHopping(ValleySteps(6), restarts=7, hops=3, polish=2)
+_POSITIVE = BasinHopping(ValleySteps(8), restarts=8, hops=4, polish=2)
+_NEGATIVE = JointSearch(BasinHopping(FrameSteps(10), restarts=16, hops=3, polish=2), refine=ValleySteps(4))
+
+
+def default_solver(norm: float = 0.0) -> BasinHopping | JointSearch:
+    """The solver ``identify`` uses for an exponent of the norm."""
+    exponent = check_exponent(norm)
+    return _VALLEY if exponent == 0 else _POSITIVE if exponent > 0 else _NEGATIVE
+
+
+def identify(
+    poses: Any,
+    *,
+    times: Any = None,
+    dt: Any = None,
+    norm: float = 0.0,
+    discretization: Discretization = "chord",
+    thresholds: Thresholds = Thresholds(),  # noqa: B008
+    bounds: Any = 1.0,
+    solver: Solver | None = None,
+    key: jax.Array | None = None,
+) -> Identification:
+    """Identify the constraint frame of one window of poses, or of every window of a batch.
+
+    Minimises the norm of Eqs. 7 and 8 of the paper for both angular and all four linear frame types,
+    takes the type with the lowest norm in each group, and classifies its degrees of freedom.
+
+    Batches run on every processor; windows that lie on several devices (by a ``NamedSharding`` along
+    their first axis) are identified where they are. Works under ``jit``, ``vmap`` and every kind of
+    differentiation with respect to the poses. Precision is that of the input; NumPy float64 arrays are
+    computed in float64 even where JAX's ``jax_enable_x64`` is off (the result is then rounded to
+    float32).
+
+    Args:
+        poses: (..., K+1, 4, 4) poses of the moving body {b} in the ground {g}, in metres; K >= 4.
+        times: (K+1,) or (..., K+1) sample times in s, increasing. Give either ``times`` or ``dt``.
+        dt: sample time in s, a scalar or (K,) or (..., K).
+        norm: exponent of the power mean over the three axes, in [-inf, 2]; 0, the geometric mean, is
+            the paper's. It must be a Python number.
+        discretization: ``"chord"`` for measured motion, ``"left"`` for the paper's Table 3; see
+            :func:`reframe_jax.motion.kinematics.linear_velocity_maps`.
+        thresholds: RMS velocities above which an axis is free.
+        bounds: where positions are searched, in m: half the width of a cube, or (low, high), each (3,).
+            The box is centred on the mean position of {b} for frames fixed in the ground, and on the
+            origin of {b} for frames fixed in the body, so the answer does not depend on where the
+            ground frame happens to be.
+        solver: search for the position, by default :func:`default_solver`.
+        key: of the solver's random numbers; by default ``jax.random.key(0)``.
+
+    Returns:
+        The identification, with the leading axes of ``poses``.
+
+    Raises:
+        ValueError: if shapes or options are not as above; for a single window outside a trace also
+            if its poses or times are unusable. In a batch such windows get a ``status`` instead.
+    """
+    exponent = check_exponent(norm)
+    inside_a_trace = traced((poses, times, dt, thresholds, bounds, key))
+    host = not isinstance(poses, jax.Array)
+    if host:
+        poses = np.asarray(poses)
+        poses = poses if np.issubdtype(poses.dtype, np.floating) else poses.astype(float)
+    _check_options(thresholds, solver)
+    wide = host and poses.dtype == np.float64
+    with jax.enable_x64(True) if wide else contextlib.nullcontext():
+        steps = _steps(poses, times, dt)
+        dtype = jax.dtypes.canonicalize_dtype(poses.dtype)
+        options = (
+            jax.tree.map(lambda t: _as_dtype(t, dtype), thresholds),
+            _box(bounds, dtype),
+            key,
+        )
+        run = partial(
+            _compiled_for_cpu if jax.default_backend() == "cpu" and not inside_a_trace else _compiled,
+            exponent=exponent,
+            discretization=discretization,
+            solver=default_solver(exponent) if solver is None else solver,
+        )
+        batch = poses.shape[:-3]
+        if inside_a_trace or not batch or 0 in batch:
+            found = run(poses, steps, *options)
+        elif (sharding := _sharding(poses)) is not None:
+            found = _on_mesh(run, poses, sharding, steps, options)
+        else:
+            windows = poses.reshape(-1, *poses.shape[-3:])
+            steps = steps if steps.ndim == 1 else steps.reshape(-1, steps.shape[-1])
+            found = _in_pieces(run, windows, steps, options)
+            if len(batch) > 1:
+                found = jax.tree.map(lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), found)
+    if wide and not _in_float64():
+        found = jax.device_put(jax.tree.map(_narrow, jax.device_get(found)))
+    if not batch and not inside_a_trace:
+        status = Status(int(found.status_code))
+        if status.failed:
+            raise ValueError(status.message)
+    return found
+
+
+def _check_options(thresholds: Any, solver: Any) -> None:
+    if not isinstance(thresholds, Thresholds):
+        raise ValueError(f"thresholds must be Thresholds(angular=..., linear=...), not {thresholds!r}.")
+    levels = (thresholds.angular, thresholds.linear)
+    if not traced(levels) and not all(np.all(np.asarray(level) >= 0) for level in levels):
+        raise ValueError(f"thresholds must be 0 or more, in rad/s and m/s, not {thresholds}.")
+    if solver is not None and not hasattr(solver, "minimise"):
+        raise ValueError(f"solver must be a search such as BasinHopping(ValleySteps(6)), not {solver!r}.")
+
+
+def _in_float64() -> bool:
+    return bool(jax.dtypes.canonicalize_dtype(np.float64) == np.float64)
+
+
+def _as_dtype(value: Any, dtype: np.dtype) -> Any:
+    return value.astype(dtype) if isinstance(value, jax.Array) else np.asarray(value, dtype)
+
+
+def _narrow(leaf: np.ndarray) -> np.ndarray:
+    return leaf.astype(np.float32) if leaf.dtype == np.float64 else leaf
+
+
+def _steps(poses: Any, times: Any, dt: Any) -> Any:
+    """Sample time of every step, (K,) or (..., K), after checking the shapes."""
+    if poses.ndim < 3 or poses.shape[-2:] != (4, 4):
+        raise ValueError(f"poses must have shape (..., K+1, 4, 4), not {poses.shape}.")
+    samples, batch = poses.shape[-3] - 1, poses.shape[:-3]
+    if samples < MIN_VELOCITIES:
+        raise ValueError(
+            f"A window needs at least {MIN_VELOCITIES + 1} poses, that is {MIN_VELOCITIES} velocities; "
+            f"this one has {samples + 1}."
+        )
+    if (times is None) == (dt is None):
+        raise ValueError("Give either times, (..., K+1), or the sample time dt, in seconds.")
+    if times is not None:
+        # differences first: seconds since 1970 do not fit float32
+        times = times if isinstance(times, jax.Array) else np.asarray(times)
+        if times.shape not in ((samples + 1,), (*batch, samples + 1)):
+            raise ValueError(
+                f"times must have shape ({samples + 1},) or {(*batch, samples + 1)}, one per pose, "
+                f"not {times.shape}."
+            )
+        return times[..., 1:] - times[..., :-1]
+    dt = dt if isinstance(dt, jax.Array) else np.asarray(dt)
+    if dt.shape not in ((), (samples,), (*batch, samples)):
+        raise ValueError(
+            f"dt must be a scalar or have shape ({samples},) or {(*batch, samples)}, one per step, "
+            f"not {dt.shape}."
+        )
+    return dt[None].repeat(samples) if dt.ndim == 0 else dt
+
+
+def _box(bounds: Any, dtype: np.dtype) -> Box:
+    low, high = bounds if isinstance(bounds, tuple) else (-bounds, bounds)
+    low, high = _as_dtype(low, dtype), _as_dtype(high, dtype)
+    if low.shape not in ((), (3,)) or high.shape not in ((), (3,)):
+        raise ValueError("bounds must be a length in m, or (low, high) with a number or (3,) each.")
+    if not traced((low, high)) and not np.all(np.asarray(low) < np.asarray(high)):
+        raise ValueError(f"bounds must span a box: low < high, not {low} and {high}.")
+    ones = np.ones(3, dtype)
+    return Box(low * ones, high * ones)
+
+
+def _in_pieces(
+    run: partial[Identification], windows: Any, steps: Any, options: tuple[Any, ...]
+) -> Identification:
+    """Run N windows in pieces of one of few sizes, so that batches of every size share compilations.
+
+    The pieces are spread over all processors. The last one is filled with its last window.
+    """
+    count = len(windows)
+    size, precise = _piece_size(count), _in_float64()
+
+    def piece(start: int) -> Identification:
+        rows = np.minimum(np.arange(start, start + size), count - 1)
+        whole = rows[-1] - rows[0] == size - 1
+        part = slice(start, start + size) if whole else rows
+        with jax.enable_x64(precise):  # JAX's settings belong to a thread
+            found = run(windows[part], steps if steps.ndim == 1 else steps[part], *options)
+            return jax.block_until_ready(found)
+
+    starts = range(0, count, size)
+    program = (size, windows.shape[1:], windows.dtype, steps.ndim, precise, *run.keywords.values())
+    alone = 1 if len(starts) == 1 or program not in _compiled_programs else 0
+    pieces = [piece(start) for start in starts[:alone]]  # two threads would both compile
+    _compiled_programs.add(program)
+    if len(starts) > alone:
+        with ThreadPoolExecutor(_workers()) as pool:
+            pieces += pool.map(piece, starts[alone:])
+    if len(pieces) == 1 and size == count:
+        return pieces[0]
+    return _join(pieces, count=count)
+
+
+def _piece_size(count: int) -> int:
+    """Windows in a piece: on a processor one of two sizes, on an accelerator a power of two for the few."""
+    chunk = chunk_size()
+    if count > chunk:
+        return _PIECE * chunk
+    if jax.default_backend() == "cpu":
+        return chunk
+    return min(chunk, max(_FEWEST, 1 << (count - 1).bit_length()))
+
+
+def _sharding(poses: Any) -> NamedSharding | None:
+    """How the windows are spread over a mesh of devices; None if they are not."""
+    if not isinstance(poses, jax.Array):
+        return None
+    sharding = poses.sharding
+    spread = isinstance(sharding, NamedSharding) and any(axis is not None for axis in sharding.spec)
+    if len(sharding.device_set) == 1 and not spread:
+        return None
+    if not isinstance(sharding, NamedSharding) or any(axis is not None for axis in sharding.spec[1:]):
+        raise ValueError(
+            "Windows on several devices must be spread along their first axis alone, by a NamedSharding; "
+            f"these have {sharding}."
+        )
+    return sharding
+
+
+def _on_mesh(
+    run: partial[Identification],
+    poses: jax.Array,
+    sharding: NamedSharding,
+    steps: Any,
+    options: tuple[Any, ...],
+) -> Identification:
+    """Every device of the mesh identifies the windows it holds, in pieces; nothing travels between them."""
+    axis = (*sharding.spec, None)[0]
+    program = partial(_program_for_mesh, sharding.mesh, axis)
+    own_steps = steps.ndim > 1
+    if own_steps:
+        steps = jax.device_put(steps, NamedSharding(sharding.mesh, PartitionSpec(axis)))
+    count = sharding.shard_shape(poses.shape)[0]
+    windows_in_row = math.prod(poses.shape[1:-3])
+    size = max(1, _piece_size(count * windows_in_row) // windows_in_row)
+    # by a program of its own: within one that identifies, XLA would transpose all poses instead of a piece
+    rows = program(_rows, (True, False), size=size)
+    identify_rows = program(_identify, (True, own_steps, False, False, False), **run.keywords)
+    parts = []
+    for start in range(0, count, size):
+        part = rows(poses, start), rows(steps, start) if own_steps else steps
+        parts.append(jax.block_until_ready(identify_rows(*part, *options)))
+    return program(_join, (True,), count=count)(parts)
+
+
+@functools.cache
+def _program_for_mesh(
+    mesh: Mesh, axis: Any, function: Callable[..., Any], spread: tuple[bool, ...], **static: Any
+) -> Callable[..., Any]:
+    """A function that each device runs on its part of those arguments that are spread."""
+    specs = tuple(PartitionSpec(axis) if argument else PartitionSpec() for argument in spread)
+    run = jax.shard_map(
+        partial(function, **static),
+        mesh=mesh,
+        in_specs=specs,
+        out_specs=PartitionSpec(axis),
+        check_vma=False,
+    )
+    return jax.jit(run, compiler_options=compiler_options(mesh.devices.flat[0].platform))
+
+
+def _rows(array: jax.Array, start: jax.Array, *, size: int) -> jax.Array:
+    """So many rows; the last one again where there are no more."""
+    return jnp.take(array, start + jnp.arange(size), axis=0, mode="clip")
+
+
+def _join(parts: list[Identification], *, count: int) -> Identification:
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:count], *parts)
+
+
+def _workers() -> int:
+    """Threads to use: the processors this process may run on, or one to feed an accelerator."""
+    if jax.default_backend() != "cpu":
+        return 1
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _identify(
+    poses: jax.Array,
+    steps: jax.Array,
+    thresholds: Thresholds,
+    box: Box,
+    key: jax.Array | None,
+    *,
+    exponent: float,
+    discretization: Discretization,
+    solver: Solver,
+) -> Identification:
+    """Identify (..., K+1, 4, 4) poses, chunk by chunk."""
+    key = jax.random.key(0) if key is None else key
+    batch, shared = poses.shape[:-3], steps.ndim == 1
+    flat = poses.reshape(-1, *poses.shape[-3:])
+    steps = steps.astype(poses.dtype)
+    steps = steps if shared else steps.reshape(-1, steps.shape[-1])
+
+    def of_windows(poses: jax.Array, steps: jax.Array) -> Identification:
+        return identify_windows(poses, steps, thresholds, box, key, exponent, discretization, solver)
+
+    count, chunk = flat.shape[0], chunk_size()
+    if count <= chunk:
+        found = of_windows(flat, steps)
+    else:
+        chunks = -(-count // chunk)
+        split = flat if shared else (flat, steps)
+        if chunks * chunk > count:  # the last window fills the last chunk
+            fill = np.minimum(np.arange(chunks * chunk), count - 1)
+            split = jax.tree.map(lambda a: a[fill], split)
+        split = jax.tree.map(lambda a: a.reshape(chunks, chunk, *a.shape[1:]), split)
+        found = jax.lax.map(lambda part: of_windows(part, steps) if shared else of_windows(*part), split)
+        found = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:count], found)
+    return jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), found)
+
+
+_STATIC = ("exponent", "discretization", "solver")
+_compiled = jax.jit(_identify, static_argnames=_STATIC)
+_compiled_for_cpu = jax.jit(_identify, static_argnames=_STATIC, compiler_options=compiler_options("cpu"))

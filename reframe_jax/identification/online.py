@@ -1,0 +1,89 @@
+"""Identification while the robot moves: push a pose, get the current frame."""
+
+from typing import Any
+
+import numpy as np
+
+from reframe_jax.identification.entry import identify
+from reframe_jax.identification.results import Identification
+from reframe_jax.motion.checks import MIN_VELOCITIES, ROTATION_TOLERANCE, Status
+
+__all__ = ["OnlineIdentifier"]
+
+
+class OnlineIdentifier:
+    """The constraint frame of the last poses of a stream.
+
+    Every push identifies the whole window anew: for 51 poses about a millisecond on one processor core
+    (``python -m benchmarks.identification`` prints it), of which the moments are the smaller part.
+    Updating moments instead would save that part and drift: the covariance along constrained axes is
+    1e-6 to 1e-10 of its largest entries, and every update leaves a rounding of these behind. It would be
+    inexact besides, because the default discretization takes derivatives over seven samples, so that the
+    newest pose changes the velocities of the three steps before it.
+
+    Args:
+        length: poses in the window, K + 1; at least 5.
+        dt: sample time in s, for streams without times.
+        **options: of :func:`reframe_jax.identification.entry`.
+
+    Raises:
+        ValueError: if the window is too short, or the sample time not positive.
+    """
+
+    def __init__(self, length: int, *, dt: float | None = None, **options: Any) -> None:
+        if length < MIN_VELOCITIES + 1:
+            raise ValueError(f"A window needs at least {MIN_VELOCITIES + 1} poses, not {length}.")
+        if dt is not None and not 0 < dt < np.inf:
+            raise ValueError(f"dt must be a positive number of seconds, not {dt}.")
+        self._dt, self._options = dt, options
+        # poses are written twice, so that the window is always one slice
+        self._poses = np.zeros((2 * length, 4, 4))
+        self._times = np.zeros(2 * length)
+        self._length, self._count = length, 0
+
+    def push(self, pose: Any, time: float | None = None) -> Identification | None:
+        """Add a pose.
+
+        Args:
+            pose: (4, 4), of {b} in {g}; m.
+            time: s; needed unless ``dt`` was given.
+
+        Returns:
+            The identification of the last ``length`` poses; None until there are as many.
+
+        Raises:
+            ValueError: if the pose or time is missing, of a wrong shape, or unusable: it is not added.
+                Also if the window as a whole has no motion; the pose is then kept.
+        """
+        pose = np.asarray(pose, dtype=float)
+        if pose.shape != (4, 4) or not np.all(np.isfinite(pose)):
+            raise ValueError(f"A pose must be a finite (4, 4) matrix, not {pose.shape}: {pose.tolist()}.")
+        if (time is None) == (self._dt is None):
+            raise ValueError("Give a time with every pose, or the sample time dt once, in seconds.")
+        _check_rigid(pose)
+        if time is not None and not np.isfinite(time):
+            raise ValueError(f"A time must be a finite number of seconds, not {time}.")
+        last = self._times[(self._count - 1) % self._length]
+        if time is not None and self._count and not time > last:
+            raise ValueError(f"Times must increase: {time} s came after {last} s.")
+        slot = self._count % self._length
+        for row in (slot, slot + self._length):
+            self._poses[row], self._times[row] = pose, 0.0 if time is None else time
+        self._count += 1
+        if self._count < self._length:
+            return None
+        window = slice(slot + 1, slot + 1 + self._length)
+        times = None if time is None else self._times[window]
+        return identify(self._poses[window], times=times, dt=self._dt, **self._options)
+
+    def __len__(self) -> int:
+        """Poses in the window so far."""
+        return min(self._count, self._length)
+
+
+def _check_rigid(pose: np.ndarray) -> None:
+    """Refuse what would spoil every window that it is in."""
+    rotation = pose[:3, :3]
+    skewed = np.abs(rotation.T @ rotation - np.eye(3)).max() >= ROTATION_TOLERANCE
+    if skewed or np.linalg.det(rotation) < 0 or np.abs(pose[3] - [0, 0, 0, 1]).max() >= 1e-6:
+        raise ValueError(Status.NOT_A_POSE.message)

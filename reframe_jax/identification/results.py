@@ -1,0 +1,259 @@
+"""What an identification says: frames, what did not win, what the data leave open, and how it went.
+
+Everything is a pytree that survives jit, vmap and slicing. Codes (types, status) are integer arrays
+inside; read as ``frame_type`` and ``status`` they are enum members for a single window and integer
+arrays, which compare equal to the members, for a batch.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import jax
+import numpy as np
+
+from reframe_jax.constraints.catalogue import Constraint, describe, lookup
+from reframe_jax.constraints.frame import ConstraintFrame
+from reframe_jax.constraints.types import AngularType, AxisRelation, Dof, LinearType
+from reframe_jax.geometry import rotations
+from reframe_jax.motion.checks import Status
+
+__all__ = ["AngularFrame", "Candidates", "Identification", "LinearFrame"]
+
+_ALIGNED = 15.0  # degrees within which two axes count as parallel or perpendicular
+
+
+_axes = jax.jit(rotations.rotation_exp)
+
+
+def _member(kind: type[IntEnum], code: jax.Array) -> Any:
+    """The enum member of a concrete scalar; anything else as it is."""
+    if isinstance(code, jax.core.Tracer) or np.ndim(code):
+        return code
+    return kind(int(code))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class AngularFrame:
+    """The identified frame of the angular velocity.
+
+    Attributes:
+        type_code: (...) int, ``AngularType`` of the lowest norm; read it as ``frame_type``.
+        rotvec: (..., 3) rad, orientation of the frame in the body of its type. Its axes are sorted by
+            ``rms``, ascending, and right-handed; the first and third have a positive largest component.
+        dof: (..., 3) int, 1 where the axis is free: ``rms`` above the threshold.
+        rms: (..., 3) rad/s, RMS angular velocity along each axis (lambda in the paper).
+        norm: (...) rad/s, the minimised norm: the power mean of ``rms``.
+        norms: (..., 2) rad/s, the norms of types G and B.
+        tied: (..., 2) bool, types that explain the constraint as well as this one, to within sampling
+            error; this one included.
+        free_rotation: (..., 3) bool, axes about which the frame can be turned without changing the
+            constraint: those whose two other axes are both free or both constrained.
+    """
+
+    type_code: jax.Array
+    rotvec: jax.Array
+    dof: jax.Array
+    rms: jax.Array
+    norm: jax.Array
+    norms: jax.Array
+    tied: jax.Array
+    free_rotation: jax.Array
+
+    @property
+    def frame_type(self) -> Any:
+        """``AngularType`` of a single window; integer codes of a batch."""
+        return _member(AngularType, self.type_code)
+
+    @property
+    def axes(self) -> jax.Array:
+        """(..., 3, 3): columns are the frame's axes."""
+        return rotations.rotation_exp(self.rotvec)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class LinearFrame:
+    """The identified frame of the linear velocity.
+
+    Attributes:
+        type_code: (...) int, ``LinearType`` of the lowest norm; read it as ``frame_type``.
+        rotvec: (..., 3) rad, orientation of the frame in the body of the type's first letter; axes in
+            the order and handedness of :class:`AngularFrame`.
+        position: (..., 3) m, origin of the frame in the body of the type's second letter. Where
+            ``free_position`` leaves a choice it is the point closest to the recorded motion: to the
+            mean position of {b} for GG and BG, to the origin of {b} for BB and GB.
+        twin: (..., 3) m, another origin of this type that explains the window as well, to within
+            sampling error, though those between the two do not; in the body of ``position``, and
+            chosen like it where there is a choice. Equal to ``position`` where none was found.
+        has_twin: (...) bool, whether one was.
+        dof: (..., 3) int, 1 where the axis is free.
+        rms: (..., 3) m/s, RMS velocity along each axis at the minimum of the norm (lambda in the
+            paper). Moving the origin along free directions changes those of free axes only.
+        norm: (...) m/s, the minimised norm: the power mean of ``rms``.
+        norms: (..., 4) m/s, the norms of types BB, GB, GG and BG.
+        tied: (..., 4) bool, as in :class:`AngularFrame`.
+        free_rotation: (..., 3) bool, as in :class:`AngularFrame`.
+        free_position: (..., 3, 3) projector onto the directions in which the origin can be moved
+            without changing the constraint (the "-" of the paper's Table 2); its trace is their number.
+    """
+
+    type_code: jax.Array
+    rotvec: jax.Array
+    position: jax.Array
+    twin: jax.Array
+    has_twin: jax.Array
+    dof: jax.Array
+    rms: jax.Array
+    norm: jax.Array
+    norms: jax.Array
+    tied: jax.Array
+    free_rotation: jax.Array
+    free_position: jax.Array
+
+    @property
+    def frame_type(self) -> Any:
+        """``LinearType`` of a single window; integer codes of a batch."""
+        return _member(LinearType, self.type_code)
+
+    @property
+    def axes(self) -> jax.Array:
+        """(..., 3, 3): columns are the frame's axes."""
+        return rotations.rotation_exp(self.rotvec)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Candidates:
+    """The optimum of every frame type, the winner included; one more axis T, over the types.
+
+    Attributes:
+        rotvec: (..., T, 3) rad.
+        position: (..., T, 3) m; None for angular frames.
+        dof: (..., T, 3) int.
+        rms: (..., T, 3) rad/s or m/s.
+        norm: (..., T) rad/s or m/s.
+        free_rotation: (..., T, 3) bool.
+        free_position: (..., T, 3, 3); None for angular frames.
+        on_bounds: (..., T) bool, whether the position lies on the bounds; None for angular frames.
+        agreement: (..., T) share of the solver's restarts that found this optimum; None for angular
+            frames, which need no search.
+    """
+
+    rotvec: jax.Array
+    dof: jax.Array
+    rms: jax.Array
+    norm: jax.Array
+    free_rotation: jax.Array
+    position: jax.Array | None = None
+    free_position: jax.Array | None = None
+    on_bounds: jax.Array | None = None
+    agreement: jax.Array | None = None
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class AllCandidates:
+    """Candidates of both groups.
+
+    Attributes:
+        angular: types G and B.
+        linear: types BB, GB, GG and BG.
+    """
+
+    angular: Candidates
+    linear: Candidates
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Identification:
+    """The constraint frame of a window, or of every window of a batch.
+
+    Attributes:
+        angular: frame of the angular velocity.
+        linear: frame of the linear velocity.
+        candidates: the optimum of every frame type.
+        status_code: (...) int; read it as ``status``. Windows that failed hold NaN and zeros.
+    """
+
+    angular: AngularFrame
+    linear: LinearFrame
+    candidates: AllCandidates
+    status_code: jax.Array
+
+    def __getitem__(self, index: Any) -> "Identification":
+        """Windows of a batch, indexed like an array."""
+        return jax.tree.map(lambda leaf: leaf[index], self)
+
+    @property
+    def status(self) -> Any:
+        """``Status`` of a single window; integer codes of a batch."""
+        return _member(Status, self.status_code)
+
+    @property
+    def entry(self) -> Constraint | None:
+        """Catalogue entry of a single window; None outside the twelve."""
+        kind, angular, linear, relation = self._class()
+        return lookup(kind, angular, linear, relation)
+
+    @property
+    def name(self) -> Any:
+        """Name of the constraint; an array of names for a batch.
+
+        Classes outside the catalogue are described ("Unnamed: 3 rotations, 0 translations in GB"), and
+        a window that failed is named after its status.
+        """
+        shape = np.shape(self.status_code)
+        if shape:
+            names = np.empty(shape, dtype=object)
+            host = jax.tree.map(np.asarray, self)
+            for index in np.ndindex(shape):
+                names[index] = host[index].name
+            return names
+        status = Status(int(self.status_code))
+        if status.failed:
+            return f"No result: {status.message}"
+        entry = self.entry
+        return describe(*self._class()) if entry is None else entry.name
+
+    @property
+    def constraint_frame(self) -> ConstraintFrame:
+        """Types, degrees of freedom and geometry of a single window, for simulation or control."""
+        if np.shape(self.status_code):
+            raise ValueError("A batch has many constraint frames: index one window first, found[i].")
+        return ConstraintFrame(
+            angular_type=AngularType(int(self.angular.type_code)),
+            angular_dof=_dof(self.angular.dof),
+            linear_type=LinearType(int(self.linear.type_code)),
+            linear_dof=_dof(self.linear.dof),
+            angular_rotvec=self.angular.rotvec,
+            linear_rotvec=self.linear.rotvec,
+            position=self.linear.position,
+        )
+
+    def _class(self) -> tuple[LinearType, Dof, Dof, AxisRelation | None]:
+        """Linear type, degrees of freedom, and how the odd axes of the two frames lie."""
+        kind = LinearType(int(self.linear.type_code))
+        angular, linear = _dof(self.angular.dof), _dof(self.linear.dof)
+        if sum(angular) not in (1, 2) or sum(linear) not in (1, 2):
+            return kind, angular, linear, None
+        # compare the axes in the body they share, the one the linear frame is oriented in
+        shared = np.asarray(self.candidates.angular.rotvec)[int(kind.orientation_body)]
+        rotvecs = shared, np.asarray(self.linear.rotvec)
+        first, second = (
+            np.asarray(_axes(rotvec))[:, 2 if sum(dof) == 1 else 0]
+            for rotvec, dof in zip(rotvecs, (angular, linear), strict=True)
+        )
+        angle = np.degrees(np.arccos(min(1.0, abs(float(first @ second)))))
+        if angle < _ALIGNED:
+            return kind, angular, linear, AxisRelation.PARALLEL
+        if angle > 90 - _ALIGNED:
+            return kind, angular, linear, AxisRelation.PERPENDICULAR
+        return kind, angular, linear, AxisRelation.OBLIQUE
+
+
+def _dof(dof: jax.Array) -> Dof:
+    x, y, z = (int(d) for d in np.asarray(dof))
+    return x, y, z

@@ -1,0 +1,28 @@
+"""Windows of a recording."""
+
+import numpy as np
+
+__all__ = ["sliding_windows"]
+
+
+def sliding_windows(samples: np.ndarray, length: int, stride: int = 1) -> np.ndarray:
+    """Windows over the first axis of a recording, as a read-only view: nothing is copied.
+
+    Args:
+        samples: (N, ...), poses or times.
+        length: samples in a window; a window of K velocities has K + 1 poses.
+        stride: samples between the starts of two windows.
+
+    Returns:
+        (windows, length, ...); the samples after the last full window are left out.
+
+    Raises:
+        ValueError: if the recording is shorter than one window, or a size is not positive.
+    """
+    samples = np.asarray(samples)
+    if length < 1 or stride < 1:
+        raise ValueError(f"length and stride must be at least 1, not {length} and {stride}.")
+    if len(samples) < length:
+        raise ValueError(f"A window of {length} samples does not fit a recording of {len(samples)}.")
+    view = np.lib.stride_tricks.sliding_window_view(samples, length, axis=0)
+    return np.moveaxis(view, -1, 1)[::stride]

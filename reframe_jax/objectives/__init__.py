@@ -1,0 +1,26 @@
+"""The norms that a constraint frame minimises, from samples and from moments."""
+
+from reframe_jax.objectives.norms import (
+    axis_rms,
+    axis_rms_from_covariance,
+    axis_rms_from_moments,
+    check_exponent,
+    frame_norm,
+    log_power_mean,
+    power_mean,
+    principal_axes,
+)
+from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
+
+__all__ = [
+    "FrameObjective",
+    "PositionObjective",
+    "axis_rms",
+    "axis_rms_from_covariance",
+    "axis_rms_from_moments",
+    "check_exponent",
+    "frame_norm",
+    "log_power_mean",
+    "power_mean",
+    "principal_axes",
+]

@@ -1,0 +1,166 @@
+"""Exact compression of a window: the second moments of its affine velocity maps.
+
+Every objective depends on the samples only through the velocity covariance
+
+    Sigma(p) = mean_k u(k; p) u(k; p)^T,      u(k; p) = a(k) + B(k) p,
+
+whose six components are quadratic polynomials in p: 6 x 10 coefficients per window and frame type,
+whatever the number of samples. They are stored coefficients first, problems last, so that searching
+many problems is elementwise arithmetic on contiguous arrays.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from reframe_jax.compilation import once
+from reframe_jax.geometry.symmetric import INDEX_PAIRS, Symmetric, Vector
+from reframe_jax.objectives.moments_kernel import mean_products
+
+__all__ = [
+    "MONOMIALS",
+    "Coefficients",
+    "covariance_at",
+    "covariance_gradient",
+    "covariance_hessian",
+    "velocity_moments",
+]
+
+Coefficients = Sequence[Sequence[jax.Array]] | jax.Array
+"""Moments by component and monomial: an array (6, 10, ...), or its entries."""
+
+MONOMIALS = tuple((a, b) for a in range(4) for b in range(a, 4))
+"""Pairs (a, b) whose product of (1, px, py, pz) is the monomial of each of the ten coefficients."""
+
+
+def velocity_moments(maps: jax.Array, weights: jax.Array | None = None) -> jax.Array:
+    """Moments of affine velocity maps.
+
+    Args:
+        maps: (..., K, 3, 4), the matrix (a | B) of every sample: u = a + B p.
+        weights: optional (..., K), >= 0: the mean over samples becomes a weighted mean.
+
+    Returns:
+        (6, 10, ...), coefficients of Sigma(p). For maps of shape (..., K, 3, 1), which have no
+        position, (6, 1, ...).
+    """
+    components = jnp.moveaxis(maps, (-2, -1, -3), (0, 1, 2))
+    return component_moments(components, None if weights is None else jnp.moveaxis(weights, -1, 0))
+
+
+def component_moments(maps: jax.Array, weights: jax.Array | None = None) -> jax.Array:
+    """Moments of maps laid out components first, as :func:`kinematics.velocity_components` has them.
+
+    Args:
+        maps: (3, 4, K, ...) or (3, 1, K, ...).
+        weights: optional (K, ...), >= 0.
+
+    Returns:
+        (6, 10, ...) or (6, 1, ...).
+    """
+    columns, samples = maps.shape[1:3]
+    entries = once(maps.reshape(3 * columns, samples, *maps.shape[3:]))
+    if weights is not None:
+        rows = _products(entries, weights / jnp.sum(weights, axis=0, keepdims=True))
+    elif jax.default_backend() == "gpu":
+        rows = _products_in_a_kernel(entries)
+    else:
+        rows = _products(entries)
+
+    def mean(i: int, a: int, j: int, b: int) -> jax.Array:
+        first, second = sorted((columns * i + a, columns * j + b))
+        return rows[first][second - first]
+
+    if columns == 1:
+        return jnp.stack([mean(i, 0, j, 0) for i, j in INDEX_PAIRS])[:, None]
+    packed = []
+    for i, j in INDEX_PAIRS:
+        row = [mean(i, a, j, b) if a == b else mean(i, a, j, b) + mean(i, b, j, a) for a, b in MONOMIALS]
+        packed.append(jnp.stack(row))
+    return jnp.stack(packed)
+
+
+def _products(entries: jax.Array, weights: jax.Array | None = None) -> list[jax.Array]:
+    """Row i, (n - i, ...): products of entry i with itself and those after it, averaged over the samples.
+
+    Args:
+        entries: (n, K, ...).
+        weights: (K, ...), of sum 1, or None for the mean.
+    """
+    weighted = once(entries / entries.shape[1] if weights is None else entries * weights[None])
+    return [_add_up(weighted[i, None] * entries[i:]) for i in range(len(entries))]
+
+
+@jax.custom_jvp
+def _products_in_a_kernel(entries: jax.Array) -> list[jax.Array]:
+    """:func:`_products` on a GPU."""
+    rows = mean_products(entries.reshape(*entries.shape[:2], -1))
+    return [row.reshape(-1, *entries.shape[2:]) for row in rows]
+
+
+@_products_in_a_kernel.defjvp
+def _products_jvp(primals: tuple[jax.Array], tangents: tuple[jax.Array]) -> tuple[Any, Any]:
+    _, change = jax.jvp(_products, primals, tangents)
+    return _products_in_a_kernel(*primals), change
+
+
+def _add_up(x: jax.Array) -> jax.Array:
+    """Sum over the samples, (m, K, ...) to (m, ...), as a few long additions.
+
+    XLA's reduction adds one number after the other on a CPU; whole slices are added a vector at a time.
+    """
+    while x.shape[1] > 1:
+        parts = min(8, x.shape[1])
+        size = x.shape[1] // parts
+        slices = [x[:, i * size : (i + 1) * size] for i in range(parts)]
+        total, rest = once(sum(slices[1:], slices[0])), x[:, parts * size :]
+        x = jnp.concatenate([total, rest], axis=1) if rest.shape[1] else total
+    return x[:, 0]
+
+
+def covariance_at(moments: Coefficients, position: Vector) -> Symmetric:
+    """Sigma(p), by Horner's rule.
+
+    Args:
+        moments: (6, 10, ...), or (6, 1, ...) for velocities that have no position.
+        position: (px, py, pz), arrays over the problems.
+    """
+    if len(moments[0]) == 1:
+        xx, xy, xz, yy, yz, zz = (moments[i][0] for i in range(6))
+        return xx, xy, xz, yy, yz, zz
+    x, y, z = position
+
+    def component(q: Sequence[jax.Array] | jax.Array) -> jax.Array:
+        in_x = q[1] + x * q[4] + y * q[5] + z * q[6]
+        in_y = q[2] + y * q[7] + z * q[8]
+        return q[0] + x * in_x + y * in_y + z * (q[3] + z * q[9])
+
+    xx, xy, xz, yy, yz, zz = (component(moments[i]) for i in range(6))
+    return xx, xy, xz, yy, yz, zz
+
+
+def covariance_gradient(moments: Coefficients, position: Vector) -> tuple[Symmetric, ...]:
+    """Derivatives of Sigma(p) with respect to px, py and pz."""
+    x, y, z = position
+
+    def slopes(q: Sequence[jax.Array] | jax.Array) -> Vector:
+        return (
+            q[1] + 2 * x * q[4] + y * q[5] + z * q[6],
+            q[2] + x * q[5] + 2 * y * q[7] + z * q[8],
+            q[3] + x * q[6] + y * q[8] + 2 * z * q[9],
+        )
+
+    xx, xy, xz, yy, yz, zz = (slopes(moments[i]) for i in range(6))
+    return tuple((xx[a], xy[a], xz[a], yy[a], yz[a], zz[a]) for a in range(3))
+
+
+def covariance_hessian(moments: Coefficients) -> tuple[Symmetric, ...]:
+    """Second derivatives of Sigma(p), the same everywhere, by :data:`symmetric.INDEX_PAIRS` of p."""
+    seconds = []
+    for a, b in INDEX_PAIRS:
+        monomial, factor = MONOMIALS.index((a + 1, b + 1)), 2.0 if a == b else 1.0
+        xx, xy, xz, yy, yz, zz = (factor * moments[i][monomial] for i in range(6))
+        seconds.append((xx, xy, xz, yy, yz, zz))
+    return tuple(seconds)

@@ -1,0 +1,161 @@
+"""The norms that a constraint frame minimises: Eqs. 6-8 of the paper as pure functions.
+
+For axes of orientation E (columns in the body of the frame's first letter) and an origin p,
+
+    lambda_n = rms over k of (E^T u(k; p))_n,        J = power mean over n of lambda_n.
+
+E = exp(rotvec) is the frame's *orientation*; the paper's R^psi, which takes velocities into the frame,
+is its transpose. The power mean of exponent 0, the geometric mean, is the paper's choice.
+"""
+
+import math
+
+import jax
+import jax.numpy as jnp
+
+from reframe_jax.geometry import rotations, symmetric
+from reframe_jax.geometry.products import matmul
+from reframe_jax.objectives.moments import covariance_at
+
+__all__ = [
+    "axis_rms",
+    "axis_rms_from_covariance",
+    "axis_rms_from_moments",
+    "check_exponent",
+    "frame_norm",
+    "log_power_mean",
+    "power_mean",
+    "principal_axes",
+]
+
+
+def check_exponent(exponent: float) -> float:
+    """The exponent of a power mean over axes as a float.
+
+    Raises:
+        ValueError: unless -inf <= exponent <= 2. Above 2 the norm favours even axes, not small ones.
+    """
+    if not -math.inf <= exponent <= 2:
+        raise ValueError(f"The exponent of the norm over axes must lie in [-inf, 2], not {exponent}.")
+    return float(exponent)
+
+
+def log_power_mean(log_values: jax.Array, exponent: float) -> jax.Array:
+    """Logarithm of the power mean, from logarithms; stable for every exponent.
+
+    ``log1p(mean(expm1(p x))) / p`` has the geometric mean as its limit p -> 0 without cancellation.
+
+    Args:
+        log_values: (3, ...) logarithms of positive numbers.
+        exponent: p in [-inf, 2]; a Python number.
+
+    Returns:
+        (...).
+    """
+    exponent = check_exponent(exponent)
+    if exponent == -math.inf:
+        return jnp.min(log_values, axis=0)
+    if exponent == 0:
+        return jnp.mean(log_values, axis=0)
+    extreme = jnp.min if exponent < 0 else jnp.max
+    top = jax.lax.stop_gradient(extreme(log_values, axis=0))
+    excess = jnp.mean(jnp.expm1(exponent * (log_values - top[None])), axis=0)
+    return top + jnp.log1p(excess) / exponent
+
+
+def power_mean(values: jax.Array, exponent: float = 0.0) -> jax.Array:
+    """Power mean of non-negative values over the last axis.
+
+    Args:
+        values: (..., 3).
+        exponent: p in [-inf, 2]: -inf is the minimum, 0 the geometric and 1 the arithmetic mean.
+
+    Returns:
+        (...). Where a value is zero and the exponent not positive the mean is zero, and so is its
+        derivative (the true one is infinite).
+    """
+    exponent = check_exponent(exponent)
+    positive = values > 0
+    logs = jnp.log(jnp.where(positive, values, 1))
+    if exponent > 0:
+        logs = jnp.where(positive, logs, -jnp.inf)
+        anything = jnp.any(positive, axis=-1)
+        logs = jnp.where(anything[..., None], logs, 0)
+    else:
+        anything = jnp.all(positive, axis=-1)
+    mean = jnp.exp(log_power_mean(jnp.moveaxis(logs, -1, 0), exponent))
+    return jnp.where(anything, mean, 0)
+
+
+def _safe_sqrt(x: jax.Array) -> jax.Array:
+    positive = x > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1)), 0)
+
+
+def axis_rms(rotvec: jax.Array, position: jax.Array | None, maps: jax.Array) -> jax.Array:
+    """RMS velocity along each axis of a frame, from samples.
+
+    Args:
+        rotvec: (..., 3) rad, orientation of the frame.
+        position: (..., 3) m, its origin; None for angular velocities.
+        maps: (..., K, 3, 4) affine velocity maps, or (..., K, 3) velocities if position is None.
+
+    Returns:
+        (..., 3), in the unit of the velocities.
+    """
+    if position is None:
+        velocity = maps
+    else:
+        velocity = maps[..., 0] + jnp.sum(maps[..., 1:] * position[..., None, None, :], axis=-1)
+    in_frame = matmul(velocity, rotations.rotation_exp(rotvec))
+    return _safe_sqrt(jnp.mean(in_frame**2, axis=-2))
+
+
+def axis_rms_from_covariance(rotvec: jax.Array, covariance: jax.Array) -> jax.Array:
+    """RMS velocity along each axis of a frame, (..., 3), from the velocity covariance (..., 3, 3)."""
+    axes = rotations.rotation_exp(rotvec)
+    return _safe_sqrt(jnp.sum(axes * matmul(covariance, axes), axis=-2))
+
+
+def axis_rms_from_moments(rotvec: jax.Array, position: jax.Array, moments: jax.Array) -> jax.Array:
+    """RMS velocity along each axis of a frame, from the window's moments (see :mod:`moments`).
+
+    Args:
+        rotvec: (..., 3) rad.
+        position: (..., 3) m.
+        moments: (6, 10, ...).
+
+    Returns:
+        (..., 3).
+    """
+    x, y, z = position[..., 0], position[..., 1], position[..., 2]
+    covariance = symmetric.to_matrix(covariance_at(moments, (x, y, z)))
+    return axis_rms_from_covariance(rotvec, covariance)
+
+
+def principal_axes(covariance: symmetric.Symmetric) -> tuple[jax.Array, jax.Array]:
+    """RMS along the principal axes, (..., 3) ascending, and the axes as columns, (..., 3, 3).
+
+    Right-handed, the largest component of the first and third axis positive.
+    """
+    variances, (first, _, third) = symmetric.eigh(covariance)
+    tiny = jnp.finfo(covariance[0].dtype).tiny
+    rms = jnp.sqrt(jnp.maximum(jnp.stack(variances, axis=-1), tiny))
+
+    def upright(axis: symmetric.Vector) -> jax.Array:
+        vector = jnp.stack(axis, axis=-1)
+        largest = jnp.take_along_axis(vector, jnp.argmax(jnp.abs(vector), axis=-1)[..., None], axis=-1)
+        return jnp.where(largest < 0, -vector, vector)
+
+    one, three = upright(first), upright(third)
+    return rms, jnp.stack([one, jnp.cross(three, one), three], axis=-1)
+
+
+def frame_norm(
+    rotvec: jax.Array, position: jax.Array | None, maps: jax.Array, exponent: float = 0.0
+) -> jax.Array:
+    """The objective: Eq. 7 for angular velocities (``position=None``), Eq. 8 for linear ones.
+
+    Arguments as in :func:`axis_rms` and :func:`power_mean`; returns (...).
+    """
+    return power_mean(axis_rms(rotvec, position, maps), exponent)

@@ -1,0 +1,214 @@
+"""Pictures of the simulated arm: demonstrations, and reactions of reproductions."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reframe_jax.plotting.maps import plot_bars
+from reframe_jax.plotting.scene import segment, set_limits
+from reframe_jax.plotting.style import BODY, CONSTRAINED, FREE, LINES, TURNING, new_figure
+from reframe_jax.simulation.arm.constraint import frame_arrays, locate
+from reframe_jax.simulation.arm.demonstration import Demonstration
+from reframe_jax.simulation.arm.model import PANDA, Arm, arm_named, link_transforms
+from reframe_jax.simulation.reproduction.comparison import Comparison
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from mpl_toolkits.mplot3d.axes3d import Axes3D
+
+__all__ = ["plot_comparison", "plot_demonstration", "plot_reactions"]
+
+_ROWS = {"exact": "exact frame", "literature": "literature's errors", "identified": "identified"}
+
+
+def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: str | None = None) -> "Figure":
+    """Draw one demonstration: the arm and its constraint, how the tool moves, and what reacts.
+
+    On the left the arm at the first, the middle and the last sample, the first one palest, the path of
+    the TCP, and the true constraint frame: free axes are solid, constrained ones dashed, an axis of free
+    rotation green. On the right the motion along the frame's free axes, and the moments and forces of
+    the constraint on the tool along the constrained ones.
+
+    Args:
+        made: one demonstration, ``made[i]`` of a batch.
+        arm: the robot it was made with.
+        title: of the figure.
+
+    Raises:
+        ImportError: if Matplotlib is not installed.
+        ValueError: for a batch.
+    """
+    if np.ndim(made.status_code):
+        raise ValueError("A batch has many demonstrations: index one first, made[i].")
+    made = jax.device_get(made)
+    figure = new_figure(9.5, 5.4)
+    grid = figure.add_gridspec(3, 2, width_ratios=(1.15, 1))
+    if title is not None:
+        figure.suptitle(title, fontsize=12)
+    _draw_scene(figure.add_subplot(grid[:, 0], projection="3d"), made, arm_named(arm))
+    free = np.array((*made.truth.angular_dof, *made.truth.linear_dof), dtype=bool)
+    motion, moments, forces = (figure.add_subplot(grid[i, 1]) for i in range(3))
+    for i in np.flatnonzero(free):
+        # one scale for both: 1 rad moves a point at 0.1 m by 100 mm
+        factor, kind, unit, style = (1, "turn", "rad", "-") if i < 3 else (10, "shift", "0.1 m", "--")
+        motion.plot(
+            made.times,
+            factor * made.slip[:, i],
+            style,
+            color=FREE[i % 3],
+            linewidth=1.2,
+            label=f"{kind} {'xyz'[i % 3]} [{unit}]",
+        )
+    motion.set_ylabel("free axes", fontsize=8)
+    for axes, part, unit, name in (
+        (moments, slice(0, 3), "N m", "moment"),
+        (forces, slice(3, 6), "N", "force"),
+    ):
+        for i in np.flatnonzero(~free[part]):
+            series = made.reaction[1:, part][:, i]
+            axes.plot(
+                made.times[1:],
+                series,
+                color=CONSTRAINED[i],
+                linewidth=1.0,
+                label=f"{name} {'xyz'[i]} [{unit}]",
+            )
+        axes.set_ylabel(f"reaction {name} [{unit}]", fontsize=8)
+        if free[part].all():
+            axes.set_axis_off()
+            axes.text(
+                0.5, 0.5, f"no reaction {name}s: all axes are free", transform=axes.transAxes, ha="center"
+            )
+    forces.set_xlabel("time [s]", fontsize=8)
+    for axes in (motion, moments, forces):
+        _finish(axes)
+        axes.set_xlim(0, float(made.times[-1]))
+    return figure
+
+
+def _finish(axes: "Axes") -> None:
+    axes.tick_params(labelsize=7)
+    if axes.get_legend_handles_labels()[0]:
+        axes.axhline(0, color="black", linewidth=0.5)
+        axes.legend(
+            loc="lower left", bbox_to_anchor=(0, 1), ncols=3, fontsize=7, frameon=False, borderpad=0.1
+        )
+
+
+def _joint_points(joints: np.ndarray, arm: Arm) -> np.ndarray:
+    """Base, origins of the links, and TCP, (10, 3) m, for joint positions (7,)."""
+    fixed, offset = link_transforms(arm)
+    rotation, position = np.eye(3), np.zeros(3)
+    points = [position]
+    for i in range(8):
+        position = position + rotation @ offset[i]
+        rotation = rotation @ fixed[i]
+        points.append(position)
+        if i < 7:
+            c, s = np.cos(joints[i]), np.sin(joints[i])
+            rotation = rotation @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    return np.stack(points)
+
+
+def _draw_scene(axes: "Axes3D", made: Demonstration, arm: Arm) -> None:
+    shown = [0, len(made.times) // 2, len(made.times) - 1]
+    path = np.asarray(made.exact_poses)[:, :3, 3]
+    arrays = frame_arrays(jax.tree.map(jnp.asarray, made.truth))
+    extent = [path]
+    for index, alpha in zip(shown, (0.25, 0.5, 1.0), strict=True):
+        points = _joint_points(np.asarray(made.joint_positions[index]), arm)
+        extent.append(points)
+        axes.plot(
+            *points.T, "o-", color=BODY, linewidth=3.5, markersize=4, alpha=alpha, solid_capstyle="round"
+        )
+        pose = jnp.asarray(made.exact_poses[index], dtype=arrays.position.dtype)
+        there = jax.device_get(locate(arrays, pose[:3, :3], pose[:3, 3]))
+        origin = path[index] + there.lever
+        extent.append(origin[None])
+        segment(axes, path[index], origin, linestyle=":", color="black", linewidth=1, alpha=alpha)
+        for i, free in enumerate(made.truth.linear_dof):
+            ends = origin + 0.13 * np.outer((-1, 1), there.linear_axes[:, i])
+            colour, style = (FREE[0], "-") if free else (CONSTRAINED[0], "--")
+            axes.plot(*ends.T, style, color=colour, linewidth=1.8, alpha=alpha)
+        if sum(made.truth.angular_dof) < 3:
+            for i in (i for i, free in enumerate(made.truth.angular_dof) if free):
+                ends = origin + 0.17 * np.outer((-1, 1), there.angular_axes[:, i])
+                axes.plot(*ends.T, "-.", color=TURNING, linewidth=1.8, alpha=alpha)
+    axes.plot(*path.T, color="black", linewidth=1.5)
+    turns, shifts = sum(made.truth.angular_dof), sum(made.truth.linear_dof)
+    for shown_here, label, colour, style in (
+        (True, "arm", BODY, "o-"),
+        (True, "path of the TCP", "black", "-"),
+        (shifts > 0, "free translation", FREE[0], "-"),
+        (shifts < 3, "constrained translation", CONSTRAINED[0], "--"),
+        (0 < turns < 3, "free rotation about", TURNING, "-."),
+    ):
+        if not shown_here:
+            continue
+        axes.plot([], [], [], style, color=colour, label=label)
+    axes.legend(loc="upper left", bbox_to_anchor=(0, 1.08), fontsize=7, frameon=False)
+    set_limits(axes, np.concatenate(extent))
+    axes.view_init(elev=18, azim=-60)
+
+
+def plot_comparison(comparisons: Mapping[str, Comparison], *, title: str | None = None) -> "Figure":
+    """Draw peak reaction moments and forces of reproductions, the paper's Figure 5.
+
+    Bars are means, with one standard deviation; dots are the trials.
+
+    Args:
+        comparisons: by the label of the task.
+        title: of the figure.
+
+    Raises:
+        ImportError: if Matplotlib is not installed.
+    """
+    peaks = {"peak reaction moment": ("peak_moment", "N m"), "peak reaction force": ("peak_force", "N")}
+    bars = {
+        panel: {
+            name: [np.asarray(getattr(task.rows[row], part)) for task in comparisons.values()]
+            for row, name in _ROWS.items()
+        }
+        for panel, (part, _) in peaks.items()
+    }
+    return plot_bars(
+        list(comparisons), bars, ylabels={panel: unit for panel, (_, unit) in peaks.items()}, title=title
+    )
+
+
+def plot_reactions(comparison: Comparison, index: int = 0, *, title: str | None = None) -> "Figure":
+    """Draw the reactions of one task over time, in exact, inexact and identified frames.
+
+    Args:
+        comparison: of any number of trials.
+        index: of the trial.
+        title: of the figure.
+
+    Raises:
+        ImportError: if Matplotlib is not installed.
+    """
+    figure = new_figure(8, 3.2)
+    panels = figure.subplots(1, 2)
+    for axes, part, name in (
+        (panels[0], slice(0, 3), "reaction moment [N m]"),
+        (panels[1], slice(3, 6), "reaction force [N]"),
+    ):
+        for (row, name_of_row), colour, style in zip(_ROWS.items(), LINES, ("-", "--", ":"), strict=False):
+            trials = comparison.rows[row]
+            size = np.linalg.norm(np.asarray(trials.reaction)[index, 1:, part], axis=-1)
+            axes.plot(
+                np.asarray(trials.times)[1:], size, style, color=colour, linewidth=1.6, label=name_of_row
+            )
+        axes.set_ylabel(f"norm of the {name}", fontsize=8)
+        axes.set_xlabel("time [s]", fontsize=8)
+        axes.set_ylim(bottom=0)
+        axes.margins(x=0)
+        axes.tick_params(labelsize=8)
+    panels[0].legend(fontsize=8, frameon=False)
+    if title is not None:
+        figure.suptitle(title, fontsize=11)
+    return figure

@@ -1,0 +1,1 @@
+"""Recordings of poses: read, written, and cleaned."""

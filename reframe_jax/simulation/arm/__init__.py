@@ -1,0 +1,62 @@
+"""A Franka arm under constraints, in MJX: demonstrations in bulk.
+
+from reframe_jax import panda
+
+made = panda.demonstrate("K", jax.random.key(0), batch=64)
+found = rf.identify(made.poses, times=made.times)
+"""
+
+try:
+    import mujoco  # noqa: F401
+except (ImportError, AttributeError, RuntimeError, OSError) as error:
+    import os
+
+    if "MUJOCO_GL" not in os.environ:
+        raise
+    raise ImportError(
+        f"MuJoCo cannot be loaded with MUJOCO_GL={os.environ['MUJOCO_GL']} ({error}). "
+        "Install what that needs, set MUJOCO_GL to another of egl, osmesa and glfw, or unset it."
+    ) from error
+
+from reframe_jax.simulation.arm.demonstration import (
+    SPREAD,
+    Demonstration,
+    demonstrate,
+    demonstrations,
+    frame_on_arm,
+)
+from reframe_jax.simulation.arm.dynamics import Motion, arm_motion, inverse_dynamics, jacobian
+from reframe_jax.simulation.arm.guide import EXCITATIONS, Guide
+from reframe_jax.simulation.arm.imperfections import ENCODER_GRADE, MATCHED, REALISTIC, Imperfections
+from reframe_jax.simulation.arm.model import FR3, PANDA, ROBOTS, Arm, Link, arm_xml, forward_kinematics
+from reframe_jax.simulation.arm.status import RolloutStatus
+from reframe_jax.simulation.arm.store import load_demonstrations, store_demonstrations, stored_demonstrations
+
+__all__ = [
+    "ENCODER_GRADE",
+    "EXCITATIONS",
+    "FR3",
+    "MATCHED",
+    "PANDA",
+    "REALISTIC",
+    "ROBOTS",
+    "SPREAD",
+    "Arm",
+    "Demonstration",
+    "Guide",
+    "Imperfections",
+    "Link",
+    "Motion",
+    "RolloutStatus",
+    "arm_motion",
+    "arm_xml",
+    "demonstrate",
+    "demonstrations",
+    "forward_kinematics",
+    "frame_on_arm",
+    "inverse_dynamics",
+    "jacobian",
+    "load_demonstrations",
+    "store_demonstrations",
+    "stored_demonstrations",
+]

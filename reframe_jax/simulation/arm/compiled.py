@@ -1,0 +1,63 @@
+"""How simulations are compiled, and what they are given."""
+
+from collections.abc import Callable, Sequence
+from functools import wraps
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reframe_jax.compilation import traced
+
+__all__ = ["as_numbers", "check_numbers", "compiled"]
+
+# the older code generator takes two thirds of the time to compile, and its code is as fast; jax 0.11 has
+# one only
+_CPU_OPTIONS: dict[str, Any] | None = (
+    {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else None
+)
+
+
+def compiled(static: Sequence[str]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """``jax.jit`` with static arguments by name, and the options that suit the processor.
+
+    Options are for the outermost ``jit`` only; within a trace there are none. The products of MJX are in
+    full precision too: see :mod:`reframe_jax.geometry.products`.
+    """
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        plain = jax.jit(function, static_argnames=static)
+        for_cpu = jax.jit(function, static_argnames=static, compiler_options=_CPU_OPTIONS)
+
+        @wraps(function)
+        def call(*args: Any, **options: Any) -> Any:
+            on_cpu = jax.default_backend() == "cpu" and not traced((args, options))
+            with jax.default_matmul_precision("highest"):
+                return (for_cpu if on_cpu else plain)(*args, **options)
+
+        return call
+
+    return decorate
+
+
+def as_numbers(tree: Any, dtype: Any) -> Any:
+    """Every number of a pytree as an array of a dtype."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=dtype), tree)
+
+
+def check_numbers(given: Any, kind: type) -> None:
+    """Refuse something else than a dataclass of non-negative numbers; within a trace, what is known of it.
+
+    Args:
+        given: what was given.
+        kind: the dataclass that was expected.
+
+    Raises:
+        ValueError: saying which number is wrong.
+    """
+    if not isinstance(given, kind):
+        raise ValueError(f"Expected {kind.__name__}(...), not {given!r}.")
+    for name, value in vars(given).items():
+        if not traced(value) and not np.all(np.asarray(value) >= 0):
+            raise ValueError(f"{name} of {kind.__name__} must not be negative or nan; found {value}.")

@@ -1,0 +1,374 @@
+"""Demonstrations: the arm guided by a hand under a constraint, any number at once."""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reframe_jax.compilation import traced
+from reframe_jax.constraints.frame import ConstraintFrame
+from reframe_jax.geometry import rotations, transforms
+from reframe_jax.simulation.arm.compiled import as_numbers, check_numbers, compiled
+from reframe_jax.simulation.arm.constraint import Frame, frame_arrays, moved, placed
+from reframe_jax.simulation.arm.guide import EXCITATIONS, Guide, excitation_named, guide_drive, make_hand
+from reframe_jax.simulation.arm.imperfections import Imperfections, measure
+from reframe_jax.simulation.arm.mechanism import Joints, integrate_welded, mechanism_joints
+from reframe_jax.simulation.arm.model import PANDA, Arm, arm_named, forward_kinematics
+from reframe_jax.simulation.arm.rollout import Steps, Track, hold, integrate
+from reframe_jax.simulation.arm.status import RolloutStatus, judge
+from reframe_jax.simulation.synthetic import Excitation
+
+__all__ = [
+    "SPREAD",
+    "Demonstration",
+    "demonstrate",
+    "demonstrations",
+    "frame_on_arm",
+    "sampling",
+]
+
+SPREAD = (0.4, 0.02)
+"""rad and m, standard deviations of a geometry drawn at random, per component."""
+
+_ORIGIN = (0.05, 0.02, -0.12)  # m, from the TCP at home to the origin of a named constraint's frame
+_LONGEST = {"exact": 0.01, "mechanism": 0.0025}  # s, longest step at which a constraint is kept
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Demonstration:
+    """A batch of demonstrations; slice it like an array.
+
+    Attributes:
+        times: (K+1,) s.
+        poses: (N, K+1, 4, 4) m, of {b} in {g} as the robot records them.
+        exact_poses: (N, K+1, 4, 4) m, as they were.
+        joint_positions: (N, K+1, 7) rad.
+        joint_velocities: (N, K+1, 7) rad/s.
+        truth: the constraint, geometry (N, 3) each.
+        reaction: (N, K+1, 6) N m and N, moments and forces of the constraint on the tool along the axes
+            of the angular and linear frame, the forces acting at its origin; zero along free axes.
+        slip: (N, K+1, 6) rad and m, motion made along the frames' axes, the integral of the velocity.
+            Along constrained axes it is how far the constraint gave way; see ``violation``.
+        limit_margin: (N,) rad, least distance of a joint from the end of its range.
+        status_code: (N,) int; read it as ``status``.
+    """
+
+    times: jax.Array
+    poses: jax.Array
+    exact_poses: jax.Array
+    joint_positions: jax.Array
+    joint_velocities: jax.Array
+    truth: ConstraintFrame
+    reaction: jax.Array
+    slip: jax.Array
+    limit_margin: jax.Array
+    status_code: jax.Array
+
+    def __getitem__(self, index: Any) -> "Demonstration":
+        """Some of the demonstrations; a single index leaves no batch axis."""
+        parts = {name: value for name, value in vars(self).items() if name != "times"}
+        return Demonstration(self.times, **jax.tree.map(lambda leaf: leaf[index], parts))
+
+    @property
+    def violation(self) -> jax.Array:
+        """(..., 2) rad and m, largest slip along constrained rotations and translations."""
+        free = jnp.asarray((*self.truth.angular_dof, *self.truth.linear_dof), dtype=bool)
+        held = jnp.max(jnp.abs(self.slip), axis=-2)
+        held = jnp.where(jnp.broadcast_to(free, held.shape), 0, held)
+        return jnp.stack([jnp.max(held[..., :3], axis=-1), jnp.max(held[..., 3:], axis=-1)], axis=-1)
+
+    @property
+    def status(self) -> Any:
+        """:class:`RolloutStatus` of a single demonstration; integer codes of a batch."""
+        if np.ndim(self.status_code) or isinstance(self.status_code, jax.core.Tracer):
+            return self.status_code
+        return RolloutStatus(int(self.status_code))
+
+
+def frame_on_arm(
+    constraint: str | ConstraintFrame, arm: str | Arm = PANDA, *, start: Any = None
+) -> ConstraintFrame:
+    """A named constraint where the arm can move under it; a frame as it is.
+
+    Its axes are those of the robot's base at the start, and its origin is 0.13 m below and before the
+    TCP: the tip of a tool, or the axis of a joint with that lever.
+
+    Args:
+        constraint: label or name of one of the twelve, or a frame.
+        arm: the robot.
+        start: (7,) rad; the arm's home by default.
+
+    Raises:
+        KeyError: for an unknown constraint.
+        ValueError: for an unknown robot, or something else than a constraint.
+    """
+    if isinstance(constraint, ConstraintFrame):
+        return constraint
+    if not isinstance(constraint, str):
+        raise ValueError(f"constraint must be a label, a name or a ConstraintFrame, not {constraint!r}.")
+    arm = arm_named(arm)
+    joints = arm.start(start, float)
+    rotation, position = forward_kinematics(joints, arm)
+    frame = ConstraintFrame.named(constraint)
+    axes = jnp.eye(3, dtype=joints.dtype)
+    return placed(frame, axes, position + jnp.asarray(_ORIGIN, dtype=joints.dtype), rotation, position)
+
+
+def demonstrate(
+    constraint: str | ConstraintFrame,
+    key: jax.Array,
+    *,
+    batch: int = 1,
+    first: int = 0,
+    duration: float = 5.0,
+    dt: float = 0.05,
+    step: float | None = None,
+    excitation: str | Excitation = "exciting",
+    form: Literal["exact", "mechanism"] = "exact",
+    spread: tuple[float, float] = (0.0, 0.0),
+    guide: Guide = Guide(),  # noqa: B008
+    imperfections: Imperfections = Imperfections(),  # noqa: B008
+    arm: str | Arm = PANDA,
+    start: Any = None,
+) -> Demonstration:
+    """Simulate a hand that guides the arm under a constraint.
+
+    Works under ``jit`` (with the shapes and names static) and ``grad``, with respect to the constraint's
+    geometry and the guide. One compiled program serves all constraints. Number i of a key is the same
+    whatever the batch, to rounding.
+
+    Args:
+        constraint: label or name of one of the twelve, placed by :func:`frame_on_arm`, or any frame,
+            its geometry in the robot's base and on the TCP. Geometry (N, 3) gives every demonstration
+            its own.
+        key: of everything random.
+        batch: number N of demonstrations.
+        first: number of the first one, to continue an earlier batch.
+        duration: s.
+        dt: s, between recorded samples.
+        step: s, of the simulation; it divides ``dt``. By default the longest up to 0.01 s that does, at
+            which a rigid constraint is kept to a few um.
+        excitation: how the hand moves along the free axes: ``"exciting"``, ``"brisk"``, ``"paper"``, or a
+            function of time that returns angular and linear velocities (3,), in rad/s and m/s.
+        form: how the constraint is made: exactly, or as a rigid mechanism welded to the tool where there
+            is one, which takes a program of its own, more time, and steps of 0.0025 s by default. Its weld
+            is a stiff spring, softer at longer steps: it may give way by more than the 50 um and 0.5 mrad
+            above which the status says so.
+        spread: rad and m, standard deviations of a random turn and shift of the geometry of every
+            demonstration; :data:`SPREAD` is a reasonable one.
+        guide: how the hand holds the tool.
+        imperfections: what separates the recording from the motion.
+        arm: ``"panda"``, ``"fr3"``, or an arm.
+        start: (7,) or (N, 7) rad, configurations to start from, at rest; the arm's home by default.
+
+    Returns:
+        The demonstrations. Look at ``status_code``: nothing stops the arm at the limits of its joints.
+
+    Raises:
+        KeyError: for an unknown constraint.
+        ValueError: for an unknown name, or numbers and shapes other than the above.
+    """
+    arm = arm_named(arm)
+    if not callable(excitation) and excitation not in EXCITATIONS:
+        raise ValueError(f"No excitation {excitation!r}. There are: {', '.join(EXCITATIONS)}.")
+    if batch < 1:
+        raise ValueError(f"batch must be at least 1, not {batch}.")
+    if first < 0:
+        raise ValueError(f"first must be at least 0, not {first}.")
+    if form not in _LONGEST:
+        raise ValueError(f"form must be 'exact' or 'mechanism', not {form!r}.")
+    if np.shape(spread) != (2,):
+        raise ValueError(f"spread must be two numbers, rad and m, not {spread!r}.")
+    check_numbers(guide, Guide)
+    check_numbers(imperfections, Imperfections)
+    if form == "mechanism" and not _rigid(imperfections):
+        raise ValueError("A mechanism is rigid: compliance needs form='exact'.")
+    steps = sampling(duration, dt, step, _LONGEST[form])
+    if start is not None and np.shape(start) not in ((7,), (batch, 7)):
+        raise ValueError(f"start must have shape (7,) or ({batch}, 7), not {np.shape(start)}.")
+    frame = frame_on_arm(constraint, arm, start=None if np.ndim(start) == 2 else start)
+    dtype = frame.position.dtype
+    joints = arm.start(start, dtype)
+    for name in ("angular_rotvec", "linear_rotvec", "position"):
+        if getattr(frame, name).shape not in ((3,), (batch, 3)):
+            shape = getattr(frame, name).shape
+            raise ValueError(f"{name} of the constraint must have shape (3,) or ({batch}, 3), not {shape}.")
+    numbers = jnp.asarray(first + np.arange(batch), dtype=jnp.uint32)
+    joints = jnp.broadcast_to(joints, (batch, 7))
+    frame = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (batch, 3)), frame)
+    arrays = frame_arrays(frame)
+    if any(np.ravel(spread)):
+        arrays, angular, linear = _place(arrays, key, numbers, joints, jnp.asarray(spread, dtype=dtype), arm)
+        frame = replace(frame, angular_rotvec=angular, linear_rotvec=linear, position=arrays.position)
+    made = _demonstrate(
+        arrays,
+        key,
+        numbers,
+        joints,
+        guide,
+        imperfections,
+        plan=_Plan(steps, dt, excitation, arm, mechanism_joints(frame) if form == "mechanism" else None),
+    )
+    return Demonstration(truth=frame, **made)
+
+
+def _rigid(imperfections: Imperfections) -> bool:
+    given = imperfections.compliance, imperfections.angular_compliance
+    return not traced(given) and not any(np.any(np.asarray(value)) for value in given)
+
+
+def sampling(duration: float, dt: float, step: float | None, longest: float = 0.01) -> Steps:
+    """The steps of a duration, all in s; without a ``step`` the longest that divides ``dt``."""
+    if not (0 < dt <= duration < math.inf):
+        raise ValueError(f"Expected 0 < dt <= duration; found a dt of {dt:g} s in {duration:g} s.")
+    if step is None:
+        step = dt / math.ceil(dt / longest - 1e-6)
+    if not (0 < step <= dt):
+        raise ValueError(f"Expected 0 < step <= dt; found a step of {step:g} s and a dt of {dt:g} s.")
+    substeps = round(dt / step)
+    if abs(substeps * step - dt) > 1e-6 * dt:
+        raise ValueError(f"The step of {step:g} s must divide the sample time of {dt:g} s.")
+    return Steps(round(duration / dt), substeps, dt / substeps)
+
+
+def _keys(key: jax.Array, numbers: jax.Array) -> jax.Array:
+    """Keys (N, 4) of the demonstrations of these numbers: geometry, hand, excitation, sensors."""
+    return jax.vmap(lambda number: jax.random.split(jax.random.fold_in(key, number), 4))(numbers)
+
+
+@partial(jax.jit, static_argnames="arm")
+def _place(
+    frame: Frame, key: jax.Array, numbers: jax.Array, start: jax.Array, spread: jax.Array, arm: Arm
+) -> tuple[Frame, jax.Array, jax.Array]:
+    """Frames at random about the given ones, and the rotation vectors (N, 3) of their two parts."""
+
+    def place(frame: Frame, key: jax.Array, start: jax.Array) -> Frame:
+        turn, shift = spread[:, None] * jax.random.normal(key, (2, 3), start.dtype)
+        return moved(frame, rotations.rotation_exp(turn), shift, *forward_kinematics(start, arm))
+
+    there = jax.vmap(place)(frame, _keys(key, numbers)[:, 0], start)
+    rotvecs = rotations.rotation_log(jnp.stack([there.angular_axes, there.linear_axes]))
+    return there, rotvecs[0], rotvecs[1]
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """What one compiled program is for: when, who, and how."""
+
+    steps: Steps
+    dt: float
+    excitation: str | Excitation
+    arm: Arm
+    joints: Joints | None
+
+
+@compiled(("plan",))
+def _demonstrate(
+    frame: Frame,
+    key: jax.Array,
+    numbers: jax.Array,
+    start: jax.Array,
+    guide: Guide,
+    imperfections: Imperfections,
+    *,
+    plan: _Plan,
+) -> dict[str, jax.Array]:
+    """What a demonstration holds besides the truth; one program for every class of constraint."""
+    keys = _keys(key, numbers)
+    track = jax.vmap(partial(_roll, guide, imperfections, plan))(frame, keys[:, 1:3], start)
+    record = partial(measure, dt=plan.dt, what=imperfections, arm=plan.arm)
+    poses = jax.vmap(lambda q, v, k: record(q, v, key=k))(track.joints, track.velocity, keys[:, 3])
+    margin, status = judge(track, frame.free, _compliance(imperfections, start.dtype), plan.arm)
+    return {
+        "times": plan.dt * jnp.arange(plan.steps.samples + 1, dtype=start.dtype),
+        "poses": poses,
+        "exact_poses": transforms.make_pose(*forward_kinematics(track.joints, plan.arm)),
+        "joint_positions": track.joints,
+        "joint_velocities": track.velocity,
+        "reaction": track.force,
+        "slip": track.slip,
+        "limit_margin": margin,
+        "status_code": status,
+    }
+
+
+def _compliance(imperfections: Imperfections, dtype: Any) -> jax.Array:
+    """(6,) rad/(N m) and m/N."""
+    given = as_numbers(imperfections, dtype)
+    return jnp.stack([given.angular_compliance] * 3 + [given.compliance] * 3)
+
+
+def _roll(
+    guide: Guide,
+    imperfections: Imperfections,
+    plan: _Plan,
+    frame: Frame,
+    keys: jax.Array,
+    start: jax.Array,
+) -> Track:
+    """One demonstration."""
+    dtype, step = start.dtype, plan.steps.length
+    hand = make_hand(guide, keys[0], dtype)
+    drive = guide_drive(guide, hand, frame, excitation_named(plan.excitation, keys[1], frame.free), step)
+    pose = transforms.make_pose(*forward_kinematics(start, plan.arm))
+    if plan.joints is not None:
+        return integrate_welded(plan.arm, plan.joints, frame, start, drive, pose, plan.steps)
+    compliance = _compliance(imperfections, dtype)
+    return integrate(
+        plan.arm,
+        frame,
+        start,
+        drive,
+        pose,
+        lambda slipped: hold(frame.free, slipped, step, compliance),
+        plan.steps,
+    )
+
+
+def demonstrations(
+    constraint: str | ConstraintFrame,
+    key: jax.Array,
+    count: int,
+    *,
+    chunk: int = 64,
+    redraw: bool = True,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> Iterator[Demonstration]:
+    """Any number of demonstrations, in chunks that are compiled once.
+
+    Args:
+        constraint: as for :func:`demonstrate`; one geometry (3,) for all, before ``spread``.
+        key: of everything random.
+        count: number of demonstrations.
+        chunk: number of demonstrations simulated at once.
+        redraw: leave out those with a status other than OK, and draw others.
+        progress: called with the number of demonstrations so far and ``count``, after every chunk.
+        options: for :func:`demonstrate`.
+
+    Yields:
+        Demonstrations on the host, ``count`` in all.
+
+    Raises:
+        ValueError: when more than 9 in 10 of the demonstrations have to be left out.
+    """
+    done, first = 0, 0
+    while done < count:
+        made = jax.device_get(demonstrate(constraint, key, batch=chunk, first=first, **options))
+        first += chunk
+        good = np.flatnonzero(made.status_code == RolloutStatus.OK) if redraw else np.arange(chunk)
+        good = good[: count - done]
+        done += len(good)
+        if first >= 10 * chunk and done < first / 10 and done < count:
+            worst = RolloutStatus(int(np.median(made.status_code)))
+            raise ValueError(f"Only {done} of {first} demonstrations are usable. {worst.message}")
+        if progress is not None:
+            progress(done, count)
+        if len(good):
+            yield made[good]

@@ -1,0 +1,238 @@
+"""The arm's equations of motion, from MJX's smooth terms.
+
+MJX supplies the mass matrix and the Coriolis and centrifugal torques; everything a constraint, a hand
+or a controller adds is ours. Gravity and the robot's compensation of it cancel, so neither is computed
+unless asked for. The terms are what a step of :func:`mujoco.mjx.step` computes before its solver, of
+which nothing is needed here: the constraint of a demonstration is solved exactly (see ``rollout``).
+"""
+
+import contextlib
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+with contextlib.redirect_stdout(io.StringIO()):  # it prints which optional packages it lacks
+    from mujoco import mjx
+    from mujoco.mjx._src import scan as mjx_scan
+
+from reframe_jax.geometry.products import apply
+from reframe_jax.simulation.arm.model import PANDA, Arm, arm_xml
+
+__all__ = ["Motion", "arm_motion", "fenced", "inverse_dynamics", "jacobian", "solve_positive"]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Motion:
+    """The arm at an instant, in base axes.
+
+    Attributes:
+        joints: (7,) rad.
+        velocity: (7,) rad/s.
+        rotation: (3, 3), of {b} in {g}.
+        position: (3,) m, of {b} in {g}.
+        jacobian: (6, 7) from joint velocities to the twist of {b}: angular velocity (rad/s), then
+            velocity of its origin (m/s), both in the axes of {g}.
+        mass: (7, 7) kg m^2, the mass matrix, armature included.
+        bias: (7,) N m, Coriolis and centrifugal torques (and gravity, if it was asked for).
+    """
+
+    joints: jax.Array
+    velocity: jax.Array
+    rotation: jax.Array
+    position: jax.Array
+    jacobian: jax.Array
+    mass: jax.Array
+    bias: jax.Array
+
+    @property
+    def twist(self) -> jax.Array:
+        """(6,) rad/s and m/s: angular velocity of {b}, velocity of its origin, in the axes of {g}."""
+        return jnp.sum(self.jacobian * self.velocity[None, :], axis=-1)
+
+
+@contextlib.contextmanager
+def fenced() -> Iterator[None]:
+    """Keep XLA from recomputing the kinematic chain at every link while MJX is traced.
+
+    On the CPU, XLA's fusion emitters (jax 0.7 to 0.10) inline each level of MJX's scan over the tree into
+    the next, so that the work grows with the square of the depth or worse: 10 ms a step in place of
+    0.05 (google-deepmind/mujoco#2957). A barrier around the value handed from link to link prevents
+    it, and costs nothing on other devices. There is no public hook for it.
+    """
+    body_tree = mjx_scan.body_tree
+
+    def with_barriers(model: Any, function: Any, *args: Any, **options: Any) -> Any:
+        def barred(carry: Any, *rest: Any) -> Any:
+            return function(carry if carry is None else jax.lax.optimization_barrier(carry), *rest)
+
+        return body_tree(model, barred, *args, **options)
+
+    mjx_scan.body_tree = with_barriers
+    try:
+        yield
+    finally:
+        mjx_scan.body_tree = body_tree
+
+
+@contextlib.contextmanager
+def lenient() -> Iterator[None]:
+    """MJX mixes dtypes and ranks, whatever the user's settings say."""
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        yield
+
+
+@cache
+def mujoco_model(arm: Arm, gravity: bool = False) -> mujoco.MjModel:
+    """The arm compiled by MuJoCo."""
+    return mujoco.MjModel.from_xml_string(arm_xml(arm, gravity=gravity))
+
+
+@cache
+def _mjx_parts(arm: Arm, gravity: bool) -> tuple[Any, Any]:
+    return mjx_parts(mujoco_model(arm, gravity))
+
+
+def mjx_parts(model: mujoco.MjModel) -> tuple[Any, Any]:
+    """MJX model and data in double precision, as NumPy arrays: constants of any trace."""
+    with jax.ensure_compile_time_eval(), jax.enable_x64(True), lenient():
+        parts = mjx.put_model(model, impl="jax"), mjx.make_data(model, impl="jax")
+        return jax.tree.map(np.asarray, parts)
+
+
+def in_dtype(tree: Any, dtype: Any) -> Any:
+    """The floating-point leaves of a tree in a dtype."""
+
+    def cast(leaf: Any) -> Any:
+        return jnp.asarray(leaf, dtype=dtype if np.issubdtype(leaf.dtype, np.floating) else None)
+
+    return jax.tree.map(cast, tree)
+
+
+def arm_motion(joints: jax.Array, velocity: jax.Array, arm: Arm = PANDA, *, gravity: bool = False) -> Motion:
+    """Kinematics and dynamics of the arm.
+
+    Args:
+        joints: (7,) rad.
+        velocity: (7,) rad/s.
+        arm: the robot.
+        gravity: leave gravity in ``bias``, uncompensated.
+    """
+    model, data = in_dtype(_mjx_parts(arm, gravity), joints.dtype)
+    data = smooth_terms(model, data.replace(qpos=joints, qvel=velocity))
+    return motion_of(model, data, mujoco_model(arm, gravity).site("tcp").id)
+
+
+def smooth_terms(model: Any, data: Any) -> Any:
+    """Kinematics, mass matrix and bias of MJX data, from its ``qpos`` and ``qvel``."""
+    with fenced(), lenient():
+        for stage in (mjx.kinematics, mjx.com_pos, mjx.crb, mjx.com_vel, mjx.rne):
+            data = stage(model, data)
+    return data
+
+
+def full_step(model: Any, data: Any) -> Any:
+    """MJX's own step, constraint solver included."""
+    with fenced(), lenient():
+        return mjx.step(model, data)
+
+
+def motion_of(model: Any, data: Any, tcp: int) -> Motion:
+    """The arm's part of MJX data after :func:`smooth_terms`; its seven joints come first.
+
+    Args:
+        model: MJX model.
+        data: MJX data.
+        tcp: number of the site that is the TCP.
+    """
+    with lenient():
+        mass = mjx.full_m(model, data)[:7, :7]
+        axes, anchors, position = data.xaxis[:7], data.xanchor[:7], data.site_xpos[tcp]
+        linear = jnp.cross(axes, position - anchors)
+    motion = Motion(
+        joints=data.qpos[:7],
+        velocity=data.qvel[:7],
+        rotation=data.site_xmat[tcp],
+        position=position,
+        jacobian=jnp.concatenate([axes.T, linear.T]),
+        mass=mass,
+        bias=data.qfrc_bias[:7],
+    )
+    # constants within MJX are of the default precision, whatever the input's
+    return jax.tree.map(lambda leaf: leaf.astype(data.qvel.dtype), motion)
+
+
+def jacobian(joints: jax.Array, arm: Arm = PANDA) -> jax.Array:
+    """Jacobian of the TCP.
+
+    Args:
+        joints: (7,) rad.
+        arm: the robot.
+
+    Returns:
+        (6, 7): angular velocity and velocity of the origin of {b}, in base axes, per joint velocity.
+    """
+    return arm_motion(joints, jnp.zeros_like(joints), arm).jacobian
+
+
+def inverse_dynamics(
+    joints: jax.Array, velocity: jax.Array, acceleration: jax.Array, arm: Arm = PANDA
+) -> jax.Array:
+    """Joint torques of a motion of the free arm, without friction: M(q) a + c(q, v) + g(q).
+
+    Args:
+        joints: (7,) rad.
+        velocity: (7,) rad/s.
+        acceleration: (7,) rad/s^2.
+        arm: the robot.
+
+    Returns:
+        (7,) N m.
+    """
+    motion = arm_motion(joints, velocity, arm, gravity=True)
+    return apply(motion.mass, acceleration) + motion.bias
+
+
+def solve_positive(matrix: jax.Array, right: jax.Array) -> jax.Array:
+    """Solve A X = B for a small symmetric positive definite A, by Cholesky's factorisation, unrolled.
+
+    A library call for every lane of a batch costs more than the arithmetic; written out, the lanes run
+    side by side.
+
+    Args:
+        matrix: (n, n), n up to 7 or so.
+        right: (n, m).
+
+    Returns:
+        (n, m).
+    """
+    n = matrix.shape[0]
+    lower: list[list[jax.Array]] = []
+    for i in range(n):
+        row: list[jax.Array] = []
+        for j in range(i + 1):
+            value = matrix[i, j]
+            for k in range(j):
+                value = value - row[k] * (row[k] if j == i else lower[j][k])
+            row.append(jnp.sqrt(value) if j == i else value / lower[j][j])
+        lower.append(row)
+    forward: list[jax.Array] = []
+    for i in range(n):
+        value = right[i]
+        for k in range(i):
+            value = value - lower[i][k] * forward[k]
+        forward.append(value / lower[i][i])
+    solution: list[jax.Array] = [right[0]] * n
+    for i in reversed(range(n)):
+        value = forward[i]
+        for k in range(i + 1, n):
+            value = value - lower[k][i] * solution[k]
+        solution[i] = value / lower[i][i]
+    return jnp.stack(solution)

@@ -1,0 +1,234 @@
+"""Films of the arm, drawn offscreen by MuJoCo. Needs the extra ``render`` and OpenGL (EGL or OSMesa)."""
+
+import importlib
+import os
+import sys
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from reframe_jax.constraints.frame import ConstraintFrame
+from reframe_jax.simulation.arm.constraint import frame_arrays, locate
+from reframe_jax.simulation.arm.model import PANDA, Arm, arm_named, forward_kinematics
+from reframe_jax.simulation.arm.skin import dressed
+
+__all__ = ["RenderError", "film_frames", "save_film"]
+
+_FREE = (0.0, 0.45, 0.70, 1.0)
+_CONSTRAINED = (0.84, 0.37, 0.0, 1.0)
+_TOOL = (0.35, 0.35, 0.35, 1.0)
+_PATH = (0.0, 0.62, 0.45, 0.8)
+_LENGTH = 0.14  # m, of the drawn axes
+
+
+class RenderError(RuntimeError):
+    """Nothing could be drawn here; the message says what is missing."""
+
+
+def film_frames(
+    joints: Any,
+    truth: ConstraintFrame | None = None,
+    *,
+    arm: str | Arm = PANDA,
+    skin: str | Path | None = None,
+    size: tuple[int, int] = (480, 368),
+) -> np.ndarray:
+    """Pictures of the arm at joint positions, with the constraint's frame and the path of the TCP.
+
+    Free axes of the frame are blue, constrained axes orange: short bars for the linear frame, a disc for
+    a free rotation. A grey rod leads from the hand to the origin of the frame.
+
+    Args:
+        joints: (K, 7) rad, such as the ``joint_positions`` of one demonstration.
+        truth: the constraint, geometry (3,) each; none to draw the arm alone.
+        arm: the robot.
+        skin: a MuJoCo model of the robot to look at in place of primitive shapes, such as MuJoCo
+            Menagerie's ``panda.xml``, or a folder of meshes: ``link0.stl`` to ``link7.stl``, ``hand.stl``.
+        size: width and height in pixels, up to 1920 x 1080; multiples of 16 for MP4.
+
+    Returns:
+        (K, height, width, 3) uint8.
+
+    Raises:
+        ValueError: for a skin that cannot be loaded, or is of another robot.
+        RenderError: where there is no OpenGL.
+    """
+    arm = arm_named(arm)
+    joints = np.asarray(joints, dtype=float)
+    model = _scene(arm, skin)
+    data = mujoco.MjData(model)
+    camera = mujoco.MjvCamera()
+    camera.lookat[:], camera.distance, camera.azimuth, camera.elevation = (0.25, 0, 0.36), 1.35, 135, -18
+    rotations, positions = forward_kinematics(jnp.asarray(joints), arm)
+    poses = list(zip(np.asarray(rotations), np.asarray(positions), strict=True))
+    located = None if truth is None else _located(truth, poses)
+    renderer = _renderer(model, size)
+    pictures = []
+    try:
+        for number, row in enumerate(joints):
+            data.qpos[:7] = row
+            mujoco.mj_forward(model, data)
+            renderer.update_scene(data, camera)
+            for before, after in pairwise(poses[: number + 1]):
+                _bar(renderer.scene, before[1], after[1], 0.003, _PATH)
+            if truth is not None and located is not None:
+                _draw_frame(
+                    renderer.scene, truth, jax.tree.map(lambda a, i=number: a[i], located), poses[number]
+                )
+            pictures.append(renderer.render())
+    finally:
+        renderer.close()
+    return np.stack(pictures)
+
+
+def save_film(path: str | Path, pictures: np.ndarray, *, rate: float = 20.0) -> None:
+    """Write pictures as an animated GIF, or as MP4.
+
+    Args:
+        path: of the film; its suffix is ``.gif`` or ``.mp4``.
+        pictures: (K, height, width, 3) uint8.
+        rate: pictures per second.
+
+    Raises:
+        ValueError: for another suffix.
+        RenderError: if the extra ``render`` is not installed.
+    """
+    path = Path(path)
+    if path.suffix not in (".gif", ".mp4"):
+        raise ValueError(f"A film must end in .gif or .mp4, not {path.name!r}.")
+    try:
+        if path.suffix == ".gif":
+            from PIL import Image
+
+            # one palette for all and no dithering, so that what stands still does not flicker
+            palette = _palette(pictures[:: max(1, len(pictures) // 4)])
+            first, *rest = [
+                Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
+                for picture in pictures
+            ]
+            first.save(path, save_all=True, append_images=rest, duration=round(1000 / rate), loop=0)
+        else:
+            import imageio
+
+            imageio.mimwrite(path, list(pictures), fps=rate)
+    except ImportError as error:
+        raise RenderError(
+            f"{path.suffix} films need: pip install 'reframe-jax[render]' ({error})."
+        ) from error
+
+
+def _palette(pictures: np.ndarray) -> Any:
+    """An image with 256 colours for pictures (..., 3): some for the few pixels that are not grey."""
+    from PIL import Image
+
+    pixels = pictures.reshape(-1, 3)
+    coloured = np.ptp(pixels, axis=-1) > 40
+    colours: list[int] = []
+    for some, count in ((pixels[coloured], 96), (pixels[~coloured], 160)):
+        if len(some):
+            image = Image.fromarray(some[None]).quantize(count, method=Image.Quantize.MEDIANCUT)
+            colours += (image.getpalette() or [])[: 3 * count]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(colours)
+    return palette
+
+
+def _scene(arm: Arm, skin: str | Path | None) -> mujoco.MjModel:
+    """The arm on a chequered floor."""
+    spec = dressed(arm, skin)
+    sky, chequers = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtTexture.mjTEXTURE_2D
+    if not any(texture.type == sky for texture in spec.textures):
+        spec.add_texture(
+            type=sky,
+            builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+            rgb1=[1, 1, 1],
+            rgb2=[0.8, 0.86, 0.92],
+            width=32,
+            height=192,
+        )
+    spec.add_texture(
+        name="film floor",
+        type=chequers,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        rgb1=[0.92] * 3,
+        rgb2=[0.86] * 3,
+        width=256,
+        height=256,
+    )
+    floor = spec.add_material(name="film floor", texrepeat=[8, 8])
+    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "film floor"
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[2, 2, 0.1],
+        material="film floor",
+        contype=0,
+        conaffinity=0,
+    )
+    visual = spec.visual
+    visual.headlight.ambient, visual.headlight.diffuse = [0.35] * 3, [0.25] * 3
+    visual.headlight.specular = [0] * 3
+    visual.global_.offwidth, visual.global_.offheight = 1920, 1080
+    return spec.compile()
+
+
+def _renderer(model: mujoco.MjModel, size: tuple[int, int]) -> Any:
+    """An offscreen renderer; through EGL where nothing else was asked for and there is no display."""
+    from mujoco.rendering.classic import gl_context
+
+    if sys.platform == "linux" and not {"MUJOCO_GL", "DISPLAY"} & os.environ.keys():
+        os.environ["MUJOCO_GL"] = "egl"
+        try:
+            importlib.reload(gl_context)  # it chose at its first import
+        except (ImportError, AttributeError, RuntimeError, OSError) as error:
+            raise RenderError(_NO_OPENGL.format(error)) from error
+        finally:
+            del os.environ["MUJOCO_GL"]
+    try:
+        return mujoco.Renderer(model, size[1], size[0])
+    except (mujoco.FatalError, ImportError, AttributeError, RuntimeError, OSError) as error:
+        raise RenderError(_NO_OPENGL.format(error)) from error
+
+
+_NO_OPENGL = (
+    "Films need OpenGL without a screen: install EGL or OSMesa and set MUJOCO_GL to egl or osmesa ({})."
+)
+
+
+def _located(truth: ConstraintFrame, poses: list[Any]) -> Any:
+    """The frame at every pose, in the ground, on the host."""
+    arrays = frame_arrays(jax.tree.map(jnp.asarray, truth))
+    dtype = arrays.position.dtype
+    turns, places = (jnp.asarray(np.stack(part), dtype=dtype) for part in zip(*poses, strict=True))
+    return jax.device_get(jax.vmap(locate, in_axes=(None, 0, 0))(arrays, turns, places))
+
+
+def _draw_frame(scene: Any, truth: ConstraintFrame, located: Any, pose: Any) -> None:
+    origin = pose[1] + located.lever
+    _bar(scene, pose[1], origin, 0.006, _TOOL)
+    for i, free in enumerate(truth.linear_dof):
+        axis = _LENGTH * located.linear_axes[:, i]
+        _bar(scene, origin - axis, origin + axis, 0.004, _FREE if free else _CONSTRAINED)
+    for i, free in enumerate(truth.angular_dof):
+        if free:
+            axis = 0.002 * located.angular_axes[:, i]
+            _bar(
+                scene, origin - axis, origin + axis, 0.045, (*_FREE[:3], 0.35), mujoco.mjtGeom.mjGEOM_CYLINDER
+            )
+
+
+def _bar(
+    scene: Any, start: Any, end: Any, radius: float, colour: Any, kind: Any = mujoco.mjtGeom.mjGEOM_CAPSULE
+) -> None:
+    if scene.ngeom >= scene.maxgeom:
+        return
+    geom = scene.geoms[scene.ngeom]
+    mujoco.mjv_initGeom(
+        geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), np.asarray(colour, dtype=np.float32)
+    )
+    mujoco.mjv_connector(geom, kind, radius, np.asarray(start, float), np.asarray(end, float))
+    scene.ngeom += 1

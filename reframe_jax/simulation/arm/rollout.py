@@ -1,0 +1,171 @@
+"""Constrained motion of the arm: one integrator for demonstrations and reproductions.
+
+The constraint is solved exactly at every step. With the equations of motion M dv/dt + c = tau + J_c^T f,
+J_c = A(T) J, the axial velocities u = J_c v at the end of a step h obey, axis by axis,
+
+    u = -(x + C f) / (T + h)      an axis held by a spring of compliance C, or rigidly (C = 0),
+    u = -f / d                    a free axis with viscous friction d,
+    f = 0                         a free axis,
+
+where x is how far the axis has slipped: the integral of its velocity along the motion made. A rigid
+axis so returns to x = 0 with the time constant T, and no constraint drifts, integrable or not. All three
+are linear, so a step is one solve with a 6x6 matrix for the reaction f.
+
+The dynamics are evaluated at the middle of the step, q + h v / 2, which makes the motion obey a
+constraint whose axes turn to second order in h; the friction of the joints is implicit.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from reframe_jax.simulation.arm.constraint import Frame, Located, _product, _times, locate, slip, twist_map
+from reframe_jax.simulation.arm.dynamics import Motion, arm_motion, solve_positive
+from reframe_jax.simulation.arm.model import Arm, forward_kinematics
+
+__all__ = ["AxisLaw", "Steps", "Track", "hold", "integrate", "sampled"]
+
+RELAXATION = 0.03
+"""s, time constant with which a held axis returns; also the ratio of damping to stiffness of a spring."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class AxisLaw:
+    """What acts along each of the six axes: u = -(offset + softness f) where ``acts`` is 1, f = 0 elsewhere.
+
+    Attributes:
+        acts: (6,) 0 or 1.
+        offset: (6,) rad/s or m/s.
+        softness: (6,) rad/s per N m, or m/s per N; zero or positive.
+    """
+
+    acts: jax.Array
+    offset: jax.Array
+    softness: jax.Array
+
+
+def hold(free: jax.Array, slipped: jax.Array, step: float, compliance: jax.Array) -> AxisLaw:
+    """The constrained axes held by springs or rigidly, the free ones free.
+
+    Args:
+        free: (6,), 1 where an axis is free.
+        slipped: (6,) rad and m, how far each axis has slipped.
+        step: s.
+        compliance: (6,) rad/(N m) and m/N; zero is rigid.
+    """
+    rate = 1 / (RELAXATION + step)
+    return AxisLaw(acts=1 - free, offset=rate * slipped, softness=rate * compliance)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Track:
+    """What a rollout leaves at its samples.
+
+    Attributes:
+        joints: (K+1, 7) rad.
+        velocity: (K+1, 7) rad/s.
+        slip: (K+1, 6) rad and m, displacement along the frame's axes since the start.
+        force: (K+1, 6) N m and N, of the environment on the tool along the frame's axes, forces at the
+            frame's origin; over the step before the sample.
+    """
+
+    joints: jax.Array
+    velocity: jax.Array
+    slip: jax.Array
+    force: jax.Array
+
+
+class Steps(NamedTuple):
+    """When a rollout is seen, and how it gets there.
+
+    Attributes:
+        samples: number K of samples after the first.
+        substeps: steps from one sample to the next.
+        length: s, of a step.
+    """
+
+    samples: int
+    substeps: int
+    length: float
+
+
+Drive = Callable[[Any, jax.Array, Motion, Located], tuple[Any, jax.Array]]
+"""(state, time in s, arm, frame) to (next state, joint torques (7,) in N m)."""
+
+
+def integrate(
+    arm: Arm,
+    frame: Frame,
+    start: jax.Array,
+    drive: Drive,
+    state: Any,
+    law: Callable[[jax.Array], AxisLaw],
+    steps: Steps,
+) -> Track:
+    """Integrate the motion of the arm under a constraint, from rest.
+
+    Args:
+        arm: the robot.
+        frame: the constraint, of one rollout.
+        start: (7,) rad.
+        drive: who moves the arm: called once a step, at its middle.
+        state: of the drive at the start.
+        law: what acts along the axes, given how far they have slipped.
+        steps: when.
+    """
+    dtype, step = start.dtype, steps.length
+    damping = jnp.asarray(arm.damping, dtype=dtype)
+
+    def advance(carry: Any, count: jax.Array) -> tuple[Any, None]:
+        joints, velocity, slipped, before, state, _ = carry
+        motion = arm_motion(joints + step / 2 * velocity, velocity, arm)
+        now = locate(frame, motion.rotation, motion.position)
+        slipped = slipped + slip(before, now)
+        state, torque = drive(state, (count.astype(dtype) + 0.5) * step, motion, now)
+        rule = law(slipped)
+        rows = rule.acts[:, None] * _product(twist_map(now), motion.jacobian)
+        mass = motion.mass + step * jnp.diag(damping)
+        push = torque - motion.bias - damping * velocity
+        solved = solve_positive(mass, jnp.concatenate([rows.T, push[:, None]], axis=1))
+        response, unheld = solved[:, :6], velocity + step * solved[:, 6]
+        softness = jnp.where(rule.acts > 0, rule.softness, 1)
+        wanted = rule.acts * rule.offset + _times(rows, unheld)
+        force = -solve_positive(step * _product(rows, response) + jnp.diag(softness), wanted[:, None])[:, 0]
+        velocity = unheld + step * _times(response, force)
+        return (joints + step * velocity, velocity, slipped, now, state, force), None
+
+    def seen(carry: Any) -> Track:
+        joints, velocity, slipped, _, _, force = carry
+        return Track(joints, velocity, slipped, force)
+
+    zero = jnp.zeros(6, dtype=dtype)
+    carry = (start, jnp.zeros_like(start), zero, locate(frame, *forward_kinematics(start, arm)), state, zero)
+    return sampled(advance, carry, seen, steps)
+
+
+def sampled(
+    advance: Callable[[Any, jax.Array], tuple[Any, None]],
+    carry: Any,
+    seen: Callable[[Any], Track],
+    steps: Steps,
+) -> Track:
+    """What is seen at the start and at every sample after it.
+
+    Args:
+        advance: one step, given the carry and its number.
+        carry: at the start.
+        seen: what a sample holds, of the carry.
+        steps: when.
+    """
+
+    def sample(carry: Any, index: jax.Array) -> tuple[Any, Track]:
+        carry, _ = jax.lax.scan(advance, carry, index * steps.substeps + jnp.arange(steps.substeps))
+        return carry, seen(carry)
+
+    _, track = jax.lax.scan(sample, carry, jnp.arange(steps.samples))
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), seen(carry), track)

@@ -1,0 +1,132 @@
+"""Errors of an identification against the truth, with the redundancies of the paper's section 5.3."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from reframe_jax.constraints.catalogue import lookup
+from reframe_jax.constraints.frame import ConstraintFrame
+from reframe_jax.constraints.types import LinearType
+from reframe_jax.geometry.products import apply, matmul
+from reframe_jax.geometry.rotations import rotation_exp
+from reframe_jax.identification.results import Identification
+
+__all__ = ["GeometryErrors", "dof_correct", "geometry_errors", "types_correct"]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class GeometryErrors:
+    """Geometric errors; NaN where the constraint leaves the quantity free.
+
+    Attributes:
+        angular: (...) rad, between the unique axis of the angular frame and the truth.
+        linear: (...) rad, between the unique axis of the linear frame and the truth.
+        position: (...) m, over the unique components of the position.
+    """
+
+    angular: jax.Array
+    linear: jax.Array
+    position: jax.Array
+
+
+def _odd(dof: tuple[int, int, int]) -> int | None:
+    """Index of the axis unlike the other two."""
+    return dof.index(sum(dof) % 2) if sum(dof) in (1, 2) else None
+
+
+def _axis_error(rotvec: jax.Array, truth: jax.Array, dof: tuple[int, int, int]) -> jax.Array:
+    """Angle between lines: of the true odd axis and the frame's, which is its first or last by rms."""
+    odd = _odd(dof)
+    if odd is None:
+        return jnp.full(rotvec.shape[:-1], jnp.nan, dtype=rotvec.dtype)
+    found = rotation_exp(rotvec)[..., :, 2 if sum(dof) == 1 else 0]
+    true = jnp.broadcast_to(truth[..., :, odd].astype(found.dtype), found.shape)
+    # atan2 of sine and cosine: the arc cosine has no precision for small angles
+    sine = jnp.linalg.norm(jnp.cross(found, true), axis=-1)
+    return jnp.arctan2(sine, jnp.abs(jnp.sum(found * true, axis=-1)))
+
+
+def geometry_errors(
+    found: Identification, truth: ConstraintFrame, *, start: jax.Array | None = None
+) -> GeometryErrors:
+    """Geometric errors of the frames of the true types, whichever types won.
+
+    As in the paper's simulations the types are taken as known (see :func:`types_correct` for those).
+    Positions are compared along the unique components of the catalogue (Table 2) for the twelve
+    constraints, whose angular and linear axes agree at the start of the motion; for other classes,
+    along all components.
+
+    Args:
+        found: of any batch shape.
+        truth: geometry that broadcasts against it.
+        start: (..., 4, 4), the first pose, where the axes of the body and of the ground differ there:
+            it tells how the axes of a GB or BG frame lie to the body that its position is given in.
+    """
+    angular = found.candidates.angular.rotvec[..., int(truth.angular_type), :]
+    linear = found.candidates.linear.rotvec[..., int(truth.linear_type), :]
+    assert found.candidates.linear.position is not None
+    position = found.candidates.linear.position[..., int(truth.linear_type), :]
+    entry = lookup(truth.linear_type, truth.angular_dof, truth.linear_dof)
+    unique = (True, True, True) if entry is None else entry.position
+    kept = [i for i in range(3) if unique[i]]
+    if entry is not None:
+        # the catalogue's components refer to its own order of the axes
+        order = _matching_axes(entry.angular_dof, entry.linear_dof, truth)
+        kept = [order[i] for i in kept]
+    miss = position - jnp.broadcast_to(truth.position.astype(position.dtype), position.shape)
+    axes = truth.linear_axes.astype(position.dtype)
+    if start is not None:
+        turn = start[..., :3, :3].astype(position.dtype)
+        if truth.linear_type == LinearType.GB:
+            axes = matmul(jnp.swapaxes(turn, -1, -2), axes)
+        elif truth.linear_type == LinearType.BG:
+            axes = matmul(turn, axes)
+    offset = apply(jnp.swapaxes(axes, -1, -2), miss)
+    distance = jnp.linalg.norm(offset[..., kept], axis=-1) if kept else jnp.nan * position[..., 0]
+    return GeometryErrors(
+        angular=_axis_error(angular, truth.angular_axes, truth.angular_dof),
+        linear=_axis_error(linear, truth.linear_axes, truth.linear_dof),
+        position=distance,
+    )
+
+
+def _matching_axes(
+    angular: tuple[int, int, int], linear: tuple[int, int, int], truth: ConstraintFrame
+) -> tuple[int, ...]:
+    """For every axis of a catalogue entry, one of the truth with the same degrees of freedom."""
+    pairs = list(zip(truth.angular_dof, truth.linear_dof, strict=True))
+    order: list[int] = []
+    for wanted in zip(angular, linear, strict=True):
+        same = [i for i, pair in enumerate(pairs) if pair == wanted and i not in order]
+        order.append(same[0])
+    return tuple(order)
+
+
+def types_correct(found: Identification, truth: ConstraintFrame, *, ties: bool = False) -> jax.Array:
+    """Whether the identified types express the true constraint, (...) bool.
+
+    Both angular types do unless two rotations are free; all linear types do for the constraints that
+    the catalogue gives no type.
+
+    Args:
+        found: of any batch shape.
+        truth: the true constraint.
+        ties: also accept a winner that is reported as tied with the true type.
+    """
+    entry = lookup(truth.linear_type, truth.angular_dof, truth.linear_dof)
+    any_angular = sum(truth.angular_dof) != 2
+    any_linear = entry is not None and entry.linear_type is None
+    angular = found.angular.type_code == int(truth.angular_type)
+    linear = found.linear.type_code == int(truth.linear_type)
+    if ties:
+        angular = angular | found.angular.tied[..., int(truth.angular_type)]
+        linear = linear | found.linear.tied[..., int(truth.linear_type)]
+    return (angular | any_angular) & (linear | any_linear)
+
+
+def dof_correct(found: Identification, truth: ConstraintFrame) -> jax.Array:
+    """Whether both frames have the true number of degrees of freedom, (...) bool."""
+    angular = jnp.sum(found.angular.dof, axis=-1) == sum(truth.angular_dof)
+    return angular & (jnp.sum(found.linear.dof, axis=-1) == sum(truth.linear_dof))

@@ -1,0 +1,191 @@
+"""From demonstration to reproduction: the paper's Figure 5."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reframe_jax.constraints.frame import ConstraintFrame
+from reframe_jax.geometry.products import apply
+from reframe_jax.identification.entry import identify
+from reframe_jax.identification.results import Identification
+from reframe_jax.simulation import metrics
+from reframe_jax.simulation.arm.compiled import check_numbers
+from reframe_jax.simulation.arm.constraint import Frame, frame_arrays, locate
+from reframe_jax.simulation.arm.demonstration import SPREAD, Demonstration, demonstrate
+from reframe_jax.simulation.arm.imperfections import REALISTIC, Imperfections
+from reframe_jax.simulation.arm.model import PANDA, Arm, arm_named, forward_kinematics
+from reframe_jax.simulation.arm.status import RolloutStatus
+from reframe_jax.simulation.reproduction.controllers import Controller, constant_wrench
+from reframe_jax.simulation.reproduction.frames import ROOMY, control_frames, erroneous_frames
+from reframe_jax.simulation.reproduction.trials import Task, Trials, reproduce
+from reframe_jax.simulation.synthetic import Excitation
+
+__all__ = ["Comparison", "compare", "matched_choices"]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Comparison:
+    """A task reproduced in three kinds of frames: the rows of the paper's Figure 5.
+
+    Attributes:
+        demonstrations: that the frames were identified from.
+        found: the identifications.
+        exact: trials in the true frames, the baseline.
+        literature: trials in frames with the errors of methods that have prior knowledge.
+        identified: trials in the identified frames.
+        redrawn: number of geometries left out, because the arm could not be guided there, or not reach
+            the end-stop in the true frame either (see ``RolloutStatus``).
+        errors: (N, 3) of the identified frames: deg of the angular and of the linear axis, and mm; NaN
+            where the constraint leaves them free.
+    """
+
+    demonstrations: Demonstration
+    found: Identification
+    exact: Trials
+    literature: Trials
+    identified: Trials
+    errors: jax.Array
+    redrawn: jax.Array
+
+    def excess(self, name: str) -> tuple[jax.Array, jax.Array]:
+        """Peak reaction moments (N m) and forces (N) over those in the exact frame, (N,) each."""
+        trials = self.rows[name]
+        return (
+            trials.peak_moment - self.exact.peak_moment,
+            trials.peak_force - self.exact.peak_force,
+        )
+
+    @property
+    def rows(self) -> dict[str, Trials]:
+        """The trials by name."""
+        return {"exact": self.exact, "literature": self.literature, "identified": self.identified}
+
+
+def compare(
+    constraint: str | ConstraintFrame,
+    key: jax.Array,
+    trials: int = 30,
+    *,
+    controller: Controller = constant_wrench(),  # noqa: B008
+    task: Task = Task(),  # noqa: B008
+    imperfections: Imperfections = REALISTIC,
+    excitation: str | Excitation = "exciting",
+    spread: tuple[float, float] = SPREAD,
+    arm: str | Arm = PANDA,
+    progress: Callable[[int, int], None] | None = None,
+) -> Comparison:
+    """From demonstration to reproduction: demonstrate, identify, and reproduce in three kinds of frames.
+
+    Geometries under which the arm reaches a limit, or under which the end-stop is out of its reach even
+    with the true frame, are left out and counted.
+
+    Where a constraint leaves the origin of its frame free, the identified one is put where the true one
+    is, as forces along the axes act there; where all rotations are free, moments are along the true axes.
+    Any choice is right, but another than the baseline's cannot be compared with it.
+
+    Args:
+        constraint: label or name of one of the twelve, or a frame.
+        key: of everything random.
+        trials: number of demonstrations, each with a geometry of its own, and of reproductions.
+        controller: the wrenches.
+        task: the end-stops, and where the arm starts, to be guided too.
+        imperfections: of the demonstrations; their compliance is that of the reproductions too.
+        excitation: of the demonstrations; see :func:`reframe_jax.simulation.arm.demonstrate`.
+        spread: rad and m, of the geometry; see :func:`reframe_jax.simulation.arm.demonstrate`.
+        arm: the robot.
+        progress: called with the number of trials prepared so far and ``trials``.
+
+    Raises:
+        ValueError: for numbers and names other than the above, and when more than 9 in 10 geometries have
+            to be left out.
+    """
+    if trials < 1:
+        raise ValueError(f"trials must be at least 1, not {trials}.")
+    check_numbers(imperfections, Imperfections)
+    demonstrate_key, error_key = jax.random.split(key)
+    run = partial(
+        reproduce,
+        controller=controller,
+        task=task,
+        arm=arm,
+        compliance=(float(imperfections.angular_compliance), float(imperfections.compliance)),
+    )
+    chunk, drawn, kept = min(trials, 64), 0, 0
+    parts: list[tuple[Demonstration, Trials]] = []
+    while kept < trials:
+        made = demonstrate(
+            constraint,
+            demonstrate_key,
+            batch=chunk,
+            first=drawn,
+            imperfections=imperfections,
+            excitation=excitation,
+            spread=spread,
+            arm=arm,
+            start=task.start,
+        )
+        exact = run(made.truth, made.truth)
+        made, exact = jax.device_get((made, exact))
+        drawn += chunk
+        possible = (made.status_code == RolloutStatus.OK) & (exact.status_code == RolloutStatus.OK)
+        good = np.flatnonzero(possible)[: trials - kept]
+        last = int(good[-1]) + 1 if len(good) else chunk
+        kept += len(good)
+        parts.append((made[good], exact[good]))
+        if drawn >= 10 * chunk and kept < drawn / 10:
+            worst = RolloutStatus(int(np.median(np.maximum(made.status_code, exact.status_code))))
+            raise ValueError(f"Only {kept} of {drawn} tasks are within the arm's reach. {worst.message}")
+        if progress is not None:
+            progress(kept, trials)
+    times = made.times
+    made, exact = jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)), *parts)
+    made, exact = (replace(part, times=jnp.asarray(times)) for part in (made, exact))
+    found = identify(made.poses, times=made.times)
+    errors = metrics.geometry_errors(found, made.truth, start=made.exact_poses[:, 0])
+    return Comparison(
+        demonstrations=made,
+        found=found,
+        exact=exact,
+        literature=run(made.truth, erroneous_frames(made.truth, error_key, arm=arm, start=task.start)),
+        identified=run(made.truth, matched_choices(found, made.truth, arm=arm, start=task.start)),
+        redrawn=jnp.asarray(drawn - chunk + last - trials),
+        errors=jnp.stack(
+            [jnp.degrees(errors.angular), jnp.degrees(errors.linear), 1e3 * errors.position], axis=-1
+        ),
+    )
+
+
+def matched_choices(
+    found: Identification, truth: ConstraintFrame, *, arm: str | Arm = PANDA, start: Any = ROOMY
+) -> Frame:
+    """The identified frames to control in, with the true ones' choices where the constraint leaves one.
+
+    Args:
+        found: N identifications.
+        truth: geometry (N, 3) each.
+        arm: the robot.
+        start: (7,) rad, where the choices are the same.
+    """
+    arm = arm_named(arm)
+    frames = control_frames(found)
+    dtype = truth.position.dtype
+    pose = forward_kinematics(arm.start(start, dtype), arm)
+
+    def move(frame: Frame, true: Frame, free: jax.Array) -> Frame:
+        away = locate(true, *pose).lever - locate(frame, *pose).lever
+        away = jnp.where(frame.on_body[2], apply(pose[0].T, away), away)
+        turns = jnp.all(frame.free[:3] > 0)
+        return replace(
+            frame,
+            position=frame.position + apply(free, away),
+            angular_axes=jnp.where(turns, true.angular_axes, frame.angular_axes),
+            on_body=frame.on_body.at[0].set(jnp.where(turns, true.on_body[0], frame.on_body[0])),
+        )
+
+    return jax.vmap(move)(frames, frame_arrays(truth), found.linear.free_position)

@@ -1,0 +1,109 @@
+"""Wrenches along the axes of a control frame, as a function of where they have got to."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from reframe_jax.geometry.products import apply
+from reframe_jax.simulation.arm.constraint import Frame, Located, locate, slip, twist_map
+from reframe_jax.simulation.arm.dynamics import Motion
+
+__all__ = ["Controller", "Pair", "axis_impedance", "by_axis", "constant_wrench", "control_drive", "hybrid"]
+
+Pair = tuple[float | jax.Array, float | jax.Array]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Controller:
+    """Wrenches along the axes of a control frame; every field is (rotations, translations).
+
+    Along free axes a constant push, and a spring and a damper to a point that travels at ``speed`` as
+    far as ``reach``; along constrained axes a spring and a damper to the start. Special cases:
+    :func:`constant_wrench`, :func:`hybrid`, :func:`axis_impedance`.
+
+    Attributes:
+        push: N m, N, along free axes, towards the goal.
+        speed: rad/s, m/s, of the travelling point.
+        reach: rad, m, how far it travels.
+        stiffness: N m/rad, N/m, along free axes.
+        damping: N m s/rad, N s/m, along free axes.
+        held_stiffness: N m/rad, N/m, along constrained axes.
+        held_damping: N m s/rad, N s/m, along constrained axes.
+    """
+
+    push: Pair = (0.0, 0.0)
+    speed: Pair = (0.0, 0.0)
+    reach: Pair = (math.inf, math.inf)
+    stiffness: Pair = (0.0, 0.0)
+    damping: Pair = (0.0, 0.0)
+    held_stiffness: Pair = (0.0, 0.0)
+    held_damping: Pair = (0.0, 0.0)
+
+
+def constant_wrench(moment: float = 3.5, force: float = 7.0) -> Controller:
+    """The paper's control: constant moments (N m) and forces (N) along free axes, nothing else."""
+    return Controller(push=(moment, force))
+
+
+def hybrid(speed: Pair = (0.3, 0.08)) -> Controller:
+    """Hybrid force/velocity control: velocities along free axes, zero force along constrained ones.
+
+    Args:
+        speed: rad/s and m/s.
+    """
+    return Controller(speed=speed, damping=(5.0, 120.0))
+
+
+def axis_impedance(speed: Pair = (0.3, 0.08), reach: Pair = (0.5, 0.15)) -> Controller:
+    """Impedance by axis: stiff along free axes towards a travelling point, soft along constrained ones.
+
+    Args:
+        speed: rad/s and m/s.
+        reach: rad and m; beyond the end-stop, so that it is pressed.
+    """
+    return Controller(
+        speed=speed,
+        reach=reach,
+        stiffness=(40.0, 600.0),
+        damping=(4.0, 60.0),
+        held_stiffness=(2.0, 40.0),
+        held_damping=(0.4, 8.0),
+    )
+
+
+def by_axis(pair: tuple[jax.Array, jax.Array]) -> jax.Array:
+    """(6,) from a value for rotations and one for translations."""
+    return jnp.stack([pair[0]] * 3 + [pair[1]] * 3)
+
+
+def control_drive(
+    controller: Controller, frame: Frame, goal: jax.Array
+) -> Callable[[Any, jax.Array, Motion, Located], tuple[Any, jax.Array]]:
+    """The drive of a controller; its state is the control frame's place and how far its axes have moved."""
+    wanted = {name: by_axis(pair) for name, pair in vars(controller).items()}
+
+    def drive(
+        state: tuple[Located, jax.Array], t: jax.Array, motion: Motion, _: Located
+    ) -> tuple[tuple[Located, jax.Array], jax.Array]:
+        before, made = state
+        now = locate(frame, motion.rotation, motion.position)
+        made = made + slip(before, now)
+        rows = twist_map(now)
+        velocity = apply(rows, motion.twist)
+        point = jnp.minimum(wanted["speed"] * t, wanted["reach"]) * goal
+        pace = jnp.where(wanted["speed"] * t < wanted["reach"], wanted["speed"], 0) * goal
+        free = (
+            wanted["push"] * goal
+            + wanted["stiffness"] * (point - made)
+            + wanted["damping"] * (pace - velocity)
+        )
+        held = -wanted["held_stiffness"] * made - wanted["held_damping"] * velocity
+        along = jnp.where(frame.free > 0, free, held)
+        return (now, made), apply(motion.jacobian.T, apply(rows.T, along))
+
+    return drive

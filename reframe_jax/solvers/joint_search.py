@@ -1,0 +1,39 @@
+"""Origins found by searching whole frames."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
+from reframe_jax.solvers.basin_hopping import BasinHopping, Solution
+from reframe_jax.solvers.box import Box
+from reframe_jax.solvers.valley_steps import ValleySteps
+
+__all__ = ["JointSearch"]
+
+
+@dataclass(frozen=True)
+class JointSearch:
+    """Search of a :class:`PositionObjective` by way of the :class:`FrameObjective` behind it.
+
+    With a negative exponent J is nearly that of its stillest axis, and with the rotation eliminated each
+    chain falls into the nearest of many narrow minima, where any axis is still. Chains that start with
+    axes of their own follow different ones, and miss fewer optima in less time.
+
+    Attributes:
+        search: over orientation and origin together, with :class:`FrameSteps` inside.
+        refine: for the origin it finds, with the best axes at every point.
+    """
+
+    search: BasinHopping
+    refine: ValleySteps
+
+    def minimise(self, objective: PositionObjective, box: Box, key: jax.Array) -> Solution:
+        """Search every problem of the objective."""
+        turn = jnp.full_like(box.low, jnp.pi)
+        frames = Box(jnp.concatenate([-turn, box.low]), jnp.concatenate([turn, box.high]))
+        found = self.search.minimise(FrameObjective(objective.moments, objective.exponent), frames, key)
+        x, value = self.refine(objective, box, found.x[3:])
+        ends = None if found.ends is None else found.ends[3:]
+        return Solution(x, value, found.agreement, ends, found.end_values)

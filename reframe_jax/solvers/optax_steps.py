@@ -1,0 +1,72 @@
+"""Local minimisation with any Optax gradient transformation."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
+from reframe_jax.solvers.box import Box
+
+__all__ = ["OptaxSteps"]
+
+
+@dataclass(frozen=True)
+class OptaxSteps:
+    """Local minimiser that follows an Optax gradient transformation inside the box.
+
+    Attributes:
+        transformation: any ``optax.GradientTransformation``; those that need the value and a value
+            function (L-BFGS, line searches) get them. Keep one instance: a new one compiles anew.
+        steps: number of updates; fixed, so that no problem waits for another.
+    """
+
+    transformation: optax.GradientTransformation
+    steps: int = 60
+
+    def __call__(
+        self, objective: FrameObjective | PositionObjective, box: Box, x: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        """Improve the unknowns x, (dim, ...), every problem by itself.
+
+        Returns:
+            The best unknowns met, and their values, (...).
+        """
+        batch = x.shape[1:]
+
+        def lanes(array: jax.Array) -> jax.Array:
+            return array.reshape(*array.shape[: array.ndim - len(batch)], -1)
+
+        minimise = jax.vmap(self._minimise_one, in_axes=(-1, None, -1), out_axes=-1)
+        found, values = minimise(jax.tree.map(lanes, objective), box, lanes(x))
+        return found.reshape(x.shape), values.reshape(batch)
+
+    def _minimise_one(
+        self, objective: FrameObjective | PositionObjective, box: Box, x: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        transformation = optax.with_extra_args_support(self.transformation)
+
+        def value_of(z: jax.Array) -> jax.Array:
+            value = objective.value(box.fold(z))
+            return jnp.where(jnp.isnan(value), jnp.inf, value)
+
+        def step(carry: tuple[Any, ...], _: None) -> tuple[tuple[Any, ...], None]:
+            z, state, best_z, best = carry
+            value, gradient = jax.value_and_grad(value_of)(z)
+            gradient = jnp.where(jnp.isfinite(gradient), gradient, 0)
+            better = value < best
+            best_z, best = jnp.where(better, z, best_z), jnp.where(better, value, best)
+            updates, state = transformation.update(
+                gradient, state, z, value=value, grad=gradient, value_fn=value_of
+            )
+            moved = z + updates
+            return (jnp.where(jnp.isfinite(moved), moved, best_z), state, best_z, best), None
+
+        z = box.unfold(x)
+        start = (z, transformation.init(z), z, value_of(z))
+        (z, _, best_z, best), _ = jax.lax.scan(step, start, length=self.steps)
+        value = value_of(z)
+        better = value < best
+        return box.fold(jnp.where(better, z, best_z)), jnp.where(better, value, best)

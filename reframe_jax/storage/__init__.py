@@ -1,0 +1,1 @@
+"""Results on disk, in parts that an interrupted run resumes."""

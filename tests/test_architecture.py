@@ -1,0 +1,148 @@
+"""The structure of the package: imports point down the table in CONTRIBUTING, and names mean one thing."""
+
+import ast
+import importlib
+import inspect
+import pkgutil
+import re
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import reframe_jax
+
+ROOT = Path(__file__).parent.parent
+PACKAGE = ROOT / "reframe_jax"
+FORMER = "Former name of"
+SNAPSHOT = ROOT / "tests" / "public_names.txt"
+
+
+def layers() -> list[str]:
+    """Packages in the order of the table in CONTRIBUTING, the lowest first."""
+    table = (ROOT / "CONTRIBUTING.md").read_text().split("| package |")[1].split("\n\n")[0]
+    return re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)
+
+
+def former_names() -> set[str]:
+    files = [*PACKAGE.glob("*.py"), *PACKAGE.glob("*/*.py")]
+    return {module_name(file) for file in files if (ast.get_docstring(parse(file)) or "").startswith(FORMER)}
+
+
+def module_name(file: Path) -> str:
+    parts = file.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def parse(file: Path) -> ast.Module:
+    return ast.parse(file.read_text())
+
+
+def imports(file: Path) -> set[str]:
+    """Modules of this package that a file imports anywhere, inside functions too."""
+    found = set()
+    for node in ast.walk(parse(file)):
+        if isinstance(node, ast.Import):
+            found |= {name.name for name in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{file}: a relative import"
+            assert node.module is not None
+            found |= {f"{node.module}.{name.name}" for name in node.names}
+    return {name for name in found if name.split(".")[0] == "reframe_jax"}
+
+
+def test_the_table_names_every_package() -> None:
+    parts = {path.stem for path in PACKAGE.iterdir() if path.name[0] not in "_." and path.suffix != ".typed"}
+    parts -= {name.partition(".")[2] for name in former_names()}
+    assert sorted(layers()) == sorted(parts)
+
+
+def test_imports_point_down_the_table() -> None:
+    order, former, wrong = layers(), former_names(), []
+    for file in PACKAGE.rglob("*.py"):
+        importer = module_name(file)
+        if importer in former or importer in ("reframe_jax", "reframe_jax.__main__"):
+            continue
+        for imported in imports(file):
+            if any(imported == name or imported.startswith(name + ".") for name in former):
+                wrong.append(f"{importer} uses a former name: {imported}")
+                continue
+            layer = imported.split(".")[1] if "." in imported else ""
+            if layer not in order:  # __version__ and the like
+                continue
+            if order.index(layer) > order.index(importer.split(".")[1]):
+                wrong.append(f"{importer} imports {imported}, which is above it")
+    assert not wrong, "\n".join(wrong)
+
+
+def test_modules_do_not_import_each_other_in_a_circle() -> None:
+    names = {module_name(file): file for file in PACKAGE.rglob("*.py")}
+    graph = {
+        name: {
+            target
+            for imported in imports(file)
+            for target in (imported, imported.rpartition(".")[0])
+            if target in names and target != name and not name.startswith(target + ".")
+        }
+        for name, file in names.items()
+    }
+    packages = {name for name, file in names.items() if file.name == "__init__.py"}
+    done: set[str] = set()
+
+    def visit(name: str, path: tuple[str, ...]) -> None:
+        assert name not in path, " -> ".join([*path, name])
+        if name in done:
+            return
+        for target in sorted(graph[name] - packages):
+            visit(target, (*path, name))
+        done.add(name)
+
+    for name in sorted(graph.keys() - packages):
+        visit(name, ())
+
+
+def walk() -> list[ModuleType]:
+    found = [reframe_jax]
+    for info in pkgutil.walk_packages(reframe_jax.__path__, "reframe_jax."):
+        if info.name != "reframe_jax.__main__":
+            found.append(importlib.import_module(info.name))
+    return found
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_no_function_hides_a_module() -> None:
+    hidden = []
+    for module in walk():
+        for info in pkgutil.iter_modules(getattr(module, "__path__", [])):
+            thing = getattr(module, info.name, None)
+            if thing is not None and not inspect.ismodule(thing):
+                hidden.append(f"{module.__name__}.{info.name} is a {type(thing).__name__}")
+    assert not hidden, hidden
+
+
+def signature(name: str) -> str:
+    thing = getattr(reframe_jax, name)
+    if callable(thing) and not inspect.isclass(thing):
+        parameters = inspect.signature(thing).parameters.values()
+        return f"{name}({', '.join(('*' if p.kind == p.KEYWORD_ONLY else '') + p.name for p in parameters)})"
+    if inspect.isclass(thing):
+        members = [m for m in vars(thing) if not m.startswith("_")]
+        members += [f for f in getattr(thing, "__annotations__", {}) if f not in members]
+        return f"class {name}: {', '.join(sorted(members))}"
+    return f"{name}: {type(thing).__name__}"
+
+
+def test_public_names_are_frozen() -> None:
+    """A change here is a change of the public interface: say so in CHANGELOG.md, then edit the file."""
+    now = "\n".join(signature(name) for name in sorted(reframe_jax.__all__)) + "\n"
+    assert now == SNAPSHOT.read_text(), "the public names differ from tests/public_names.txt"
+
+
+@pytest.mark.parametrize("name", sorted(former_names()))
+def test_former_names_still_work(name: str) -> None:
+    former = importlib.import_module(name)
+    target = re.search(r":mod:`([\w.]+)`", former.__doc__ or "")
+    assert target is not None
+    current = importlib.import_module(target[1])
+    assert former.__all__ == current.__all__
+    assert all(getattr(former, public) is getattr(current, public) for public in current.__all__)
