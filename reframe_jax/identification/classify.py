@@ -132,17 +132,17 @@ def excess_over(reference: jax.Array, rms: jax.Array, counted: jax.Array) -> jax
     return total / jnp.maximum(jnp.sum(counted, axis=-1), 1)
 
 
-def tie_margin(counted: jax.Array, samples: int) -> jax.Array:
+def tie_margin(counted: jax.Array, samples: jax.Array | int) -> jax.Array:
     """What :func:`excess_over` may be, (...), for a tie: three standard deviations of a difference.
 
-    From K samples of noise the logarithm of the geometric mean over n axes is known to about
+    From K samples of noise, (...), the logarithm of the geometric mean over n axes is known to about
     sqrt(c / (2 n K)), c = 1.5 because differencing correlates neighbours.
     """
     number = jnp.maximum(jnp.sum(counted, axis=-1), 1)
     return _TIE_DEVIATIONS * jnp.sqrt(_NOISE_CORRELATION / (number * samples))
 
 
-def tied_types(rms: jax.Array, dof: jax.Array, winner: jax.Array, samples: int) -> jax.Array:
+def tied_types(rms: jax.Array, dof: jax.Array, winner: jax.Array, samples: jax.Array | int) -> jax.Array:
     """Types whose constrained axes are as still as the winner's, to within sampling error.
 
     Compared is the geometric mean of the RMS along as many axes as the winner has constrained: the
@@ -153,7 +153,7 @@ def tied_types(rms: jax.Array, dof: jax.Array, winner: jax.Array, samples: int) 
         rms: (..., T, 3) ascending, of every type.
         dof: (..., T, 3).
         winner: (...) index of the winning type.
-        samples: K.
+        samples: (...) independent velocities.
 
     Returns:
         (..., T) bool.
@@ -164,4 +164,4 @@ def tied_types(rms: jax.Array, dof: jax.Array, winner: jax.Array, samples: int) 
 
     counted = (of_winner(dof) == 0).astype(rms.dtype)
     excess = excess_over(of_winner(rms), rms, counted)
-    return (jnp.sum(counted, axis=-1) == 0) | (excess < tie_margin(counted, samples))
+    return (jnp.sum(counted, axis=-1) == 0) | (excess < tie_margin(counted, jnp.asarray(samples)[..., None]))

@@ -10,8 +10,9 @@ import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +21,13 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from reframe_jax.compilation import chunk_size, compiler_options, traced
 from reframe_jax.identification.classify import Thresholds
-from reframe_jax.identification.pipeline import identify_windows
+from reframe_jax.identification.pipeline import (
+    Evidence,
+    LagRule,
+    identify_windows,
+    reduce_windows,
+    solve_evidence,
+)
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import MIN_VELOCITIES, Status
 from reframe_jax.motion.kinematics import Discretization
@@ -29,6 +36,10 @@ from reframe_jax.solvers import BasinHopping, Box, FrameSteps, JointSearch, Solv
 
 __all__ = ["default_solver", "identify"]
 
+Lag = Literal["auto"] | int | float | np.ndarray | jax.Array
+"""Samples, seconds or "auto"."""
+
+_SHORT = 64  # poses up to which a recording is not padded
 _PIECE = 8  # chunks that one thread computes in one call
 _FEWEST = 1024  # windows in a piece on an accelerator
 
@@ -50,9 +61,10 @@ def identify(
     *,
     times: Any = None,
     dt: Any = None,
+    lag: Lag = "auto",
     norm: float = 0.0,
     discretization: Discretization = "chord",
-    thresholds: Thresholds = Thresholds(),  # noqa: B008
+    thresholds: Thresholds | None = None,
     bounds: Any = 1.0,
     solver: Solver | None = None,
     key: jax.Array | None = None,
@@ -72,6 +84,11 @@ def identify(
         poses: (..., K+1, 4, 4) poses of the moving body {b} in the ground {g}, in metres; K >= 4.
         times: (K+1,) or (..., K+1) sample times in s, increasing. Give either ``times`` or ``dt``.
         dt: sample time in s, a scalar or (K,) or (..., K).
+        lag: between the two poses that a velocity is taken from: a number of samples (int), a time in s
+            (float), or ``"auto"``, the shortest at which the motion stands out of the recording's own noise
+            (see :func:`reframe_jax.motion.noise.choose_lag`); one sample where the noise is as small as an
+            encoder's. Chords overlap, so every pose is used; outliers and rest are left out. ``lag=1`` is the
+            paper's choice: consecutive poses, each of which counts.
         norm: exponent of the power mean over the three axes, in [-inf, 2]; 0, the geometric mean, is
             the paper's. It must be a Python number.
         discretization: ``"chord"`` for measured motion, ``"left"`` for the paper's Table 3; see
@@ -92,7 +109,7 @@ def identify(
             if its poses or times are unusable. In a batch such windows get a ``status`` instead.
     """
     exponent = check_exponent(norm)
-    inside_a_trace = traced((poses, times, dt, thresholds, bounds, key))
+    inside_a_trace = traced((poses, times, dt, lag, thresholds, bounds, key))
     host = not isinstance(poses, jax.Array)
     if host:
         poses = np.asarray(poses)
@@ -101,20 +118,26 @@ def identify(
     wide = host and poses.dtype == np.float64
     with jax.enable_x64(True) if wide else contextlib.nullcontext():
         steps = _steps(poses, times, dt)
+        rule, samples = _lag(lag, steps, discretization)
         dtype = jax.dtypes.canonicalize_dtype(poses.dtype)
         options = (
-            jax.tree.map(lambda t: _as_dtype(t, dtype), thresholds),
+            samples,
+            None if thresholds is None else jax.tree.map(lambda t: _as_dtype(t, dtype), thresholds),
             _box(bounds, dtype),
             key,
         )
-        run = partial(
-            _compiled_for_cpu if jax.default_backend() == "cpu" and not inside_a_trace else _compiled,
-            exponent=exponent,
-            discretization=discretization,
-            solver=default_solver(exponent) if solver is None else solver,
-        )
+        static = {
+            "rule": rule,
+            "exponent": exponent,
+            "discretization": discretization,
+            "solver": default_solver(exponent) if solver is None else solver,
+        }
+        on_cpu = jax.default_backend() == "cpu" and not inside_a_trace
+        run = partial(_compiled_for_cpu if on_cpu else _compiled, **static)
         batch = poses.shape[:-3]
-        if inside_a_trace or not batch or 0 in batch:
+        if not (inside_a_trace or batch):
+            found = _single(poses, steps, options, static)
+        elif inside_a_trace or 0 in batch:
             found = run(poses, steps, *options)
         elif (sharding := _sharding(poses)) is not None:
             found = _on_mesh(run, poses, sharding, steps, options)
@@ -133,12 +156,69 @@ def identify(
     return found
 
 
+def _lag(lag: Lag, steps: Any, discretization: Discretization) -> tuple[LagRule, Any]:
+    """What velocities are taken from, and the lag in samples where it is given."""
+    if isinstance(lag, str):
+        if lag != "auto":
+            raise ValueError(
+                f"lag must be 'auto', a number of samples (int) or seconds (float), not {lag!r}."
+            )
+        return ("auto" if discretization == "chord" else "single"), None
+    concrete = not isinstance(lag, jax.core.Tracer)
+    value = lag if isinstance(lag, jax.Array) else np.asarray(lag)
+    if value.ndim or value.dtype.kind not in "iuf" or (concrete and not 0 < float(value) < np.inf):
+        raise ValueError(f"lag must be 'auto', a number of samples (int) or seconds (float), not {lag!r}.")
+    if value.dtype.kind == "f":
+        xp = jnp if traced((value, steps)) else np
+        value = xp.maximum(xp.round(value / xp.median(steps, axis=-1)), 1)
+    elif concrete and int(value) == 1:
+        return "single", None
+    if discretization != "chord":
+        raise ValueError(
+            "discretization 'left' takes velocities from consecutive poses: leave out lag, or give 1."
+        )
+    return "given", value.astype(np.int32)
+
+
+def _single(poses: Any, steps: Any, options: tuple[Any, ...], static: dict[str, Any]) -> Identification:
+    """Identify one recording: reduced by a program for recordings up to its length, solved by one for all.
+
+    The evidence of every recording has the same shape, so that one of a new length compiles little or nothing.
+    """
+    count, size = poses.shape[0], _padded_size(poses.shape[0])
+    xp = jnp if isinstance(poses, jax.Array) else np
+    fill = size - count
+    if fill:
+        poses = xp.concatenate([poses, xp.repeat(poses[-1:], fill, axis=0)])
+        steps = np.concatenate([steps, np.repeat(steps[-1:], fill)])
+    number = np.full(1, count, np.int32) if fill else None
+    lag, *others = options
+    reduced = {name: static[name] for name in ("rule", "discretization")}
+    evidence = _reduce(poses[None], np.asarray(steps, poses.dtype), number, lag, **reduced)
+    counted = evidence.counted[0, :count]
+    if evidence.maps is None:
+        # of one length for all
+        evidence = replace(evidence, counted=np.ones((1, 1), bool))
+    searched = {name: static[name] for name in ("exponent", "solver")}
+    found = jax.tree.map(lambda leaf: leaf[0], _solve(evidence, *others, **searched))
+    return replace(found, counted=counted)
+
+
+def _padded_size(count: int) -> int:
+    """Poses that a recording is padded to: 2^n or 3 * 2^n; short ones stay as they are."""
+    if count <= _SHORT:
+        return count
+    size = 1 << (count - 1).bit_length()
+    return 3 * size // 4 if count <= 3 * size // 4 else size
+
+
 def _check_options(thresholds: Any, solver: Any) -> None:
-    if not isinstance(thresholds, Thresholds):
-        raise ValueError(f"thresholds must be Thresholds(angular=..., linear=...), not {thresholds!r}.")
-    levels = (thresholds.angular, thresholds.linear)
-    if not traced(levels) and not all(np.all(np.asarray(level) >= 0) for level in levels):
-        raise ValueError(f"thresholds must be 0 or more, in rad/s and m/s, not {thresholds}.")
+    if thresholds is not None:
+        if not isinstance(thresholds, Thresholds):
+            raise ValueError(f"thresholds must be Thresholds(angular=..., linear=...), not {thresholds!r}.")
+        levels = (thresholds.angular, thresholds.linear)
+        if not traced(levels) and not all(np.all(np.asarray(level) >= 0) for level in levels):
+            raise ValueError(f"thresholds must be 0 or more, in rad/s and m/s, not {thresholds}.")
     if solver is not None and not hasattr(solver, "minimise"):
         raise ValueError(f"solver must be a search such as BasinHopping(ValleySteps(6)), not {solver!r}.")
 
@@ -271,7 +351,7 @@ def _on_mesh(
     size = max(1, _piece_size(count * windows_in_row) // windows_in_row)
     # by a program of its own: within one that identifies, XLA would transpose all poses instead of a piece
     rows = program(_rows, (True, False), size=size)
-    identify_rows = program(_identify, (True, own_steps, False, False, False), **run.keywords)
+    identify_rows = program(_identify, (True, own_steps, False, False, False, False), **run.keywords)
     parts = []
     for start in range(0, count, size):
         part = rows(poses, start), rows(steps, start) if own_steps else steps
@@ -314,10 +394,12 @@ def _workers() -> int:
 def _identify(
     poses: jax.Array,
     steps: jax.Array,
-    thresholds: Thresholds,
+    lag: jax.Array | None,
+    thresholds: Thresholds | None,
     box: Box,
     key: jax.Array | None,
     *,
+    rule: LagRule,
     exponent: float,
     discretization: Discretization,
     solver: Solver,
@@ -328,25 +410,44 @@ def _identify(
     flat = poses.reshape(-1, *poses.shape[-3:])
     steps = steps.astype(poses.dtype)
     steps = steps if shared else steps.reshape(-1, steps.shape[-1])
+    lag = None if lag is None else jnp.broadcast_to(lag, batch).reshape(-1)
 
-    def of_windows(poses: jax.Array, steps: jax.Array) -> Identification:
-        return identify_windows(poses, steps, thresholds, box, key, exponent, discretization, solver)
+    def of_windows(poses: jax.Array, steps: jax.Array, lag: jax.Array | None) -> Identification:
+        options = thresholds, box, key, rule, exponent, discretization, solver
+        return identify_windows(poses, steps, None, lag, *options)
 
     count, chunk = flat.shape[0], chunk_size()
     if count <= chunk:
-        found = of_windows(flat, steps)
+        found = of_windows(flat, steps, lag)
     else:
         chunks = -(-count // chunk)
-        split = flat if shared else (flat, steps)
+        split = (flat, None if shared else steps, lag)
         if chunks * chunk > count:  # the last window fills the last chunk
             fill = np.minimum(np.arange(chunks * chunk), count - 1)
             split = jax.tree.map(lambda a: a[fill], split)
         split = jax.tree.map(lambda a: a.reshape(chunks, chunk, *a.shape[1:]), split)
-        found = jax.lax.map(lambda part: of_windows(part, steps) if shared else of_windows(*part), split)
+        found = jax.lax.map(lambda part: of_windows(part[0], steps if shared else part[1], part[2]), split)
         found = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:count], found)
     return jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), found)
 
 
-_STATIC = ("exponent", "discretization", "solver")
+def _solve_evidence(
+    evidence: Evidence, thresholds: Thresholds | None, box: Box, key: jax.Array | None, **static: Any
+) -> Identification:
+    return solve_evidence(
+        evidence,
+        thresholds,
+        box,
+        jax.random.key(0) if key is None else key,
+        static["exponent"],
+        static["solver"],
+    )
+
+
+_STATIC = ("rule", "exponent", "discretization", "solver")
 _compiled = jax.jit(_identify, static_argnames=_STATIC)
 _compiled_for_cpu = jax.jit(_identify, static_argnames=_STATIC, compiler_options=compiler_options("cpu"))
+_reduce = jax.jit(
+    reduce_windows, static_argnames=("rule", "discretization"), compiler_options=compiler_options()
+)
+_solve = jax.jit(_solve_evidence, static_argnames=("exponent", "solver"), compiler_options=compiler_options())

@@ -1,14 +1,17 @@
-"""Identification of windows that have been checked: a pure function of arrays.
+"""Identification of windows that have been checked: pure functions of arrays.
 
-poses -> velocity maps -> moments -> optimum of every type -> classification -> Identification
+poses -> paths, noise, chords -> moments: :func:`reduce_windows`; its result, the evidence, has one shape
+whatever the length of the windows. Moments -> optimum of every type -> degrees of freedom ->
+Identification: :func:`solve_evidence`.
 """
 
-from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from reframe_jax.compilation import once
 from reframe_jax.constraints.types import AngularType, LinearType
@@ -17,31 +20,42 @@ from reframe_jax.geometry.products import matmul3
 from reframe_jax.identification.classify import (
     Thresholds,
     degrees_of_freedom,
+    excess_over,
     free_rotations,
     nearest_origin,
+    tie_margin,
     tied_types,
 )
+from reframe_jax.identification.freedom import freedom_patterns, type_weights
 from reframe_jax.identification.results import (
     AllCandidates,
     AngularFrame,
     Candidates,
     Identification,
     LinearFrame,
+    PoseNoise,
 )
 from reframe_jax.identification.twins import find_twins
 from reframe_jax.motion import kinematics
 from reframe_jax.motion.checks import Status, window_status
+from reframe_jax.motion.chords import chord_velocities, moving_chords, spread_of
 from reframe_jax.motion.kinematics import Discretization
+from reframe_jax.motion.noise import choose_lag, estimate_noise
+from reframe_jax.motion.outliers import repair_poses
 from reframe_jax.objectives.moments import component_moments, covariance_at
 from reframe_jax.objectives.norms import log_power_mean, principal_axes
 from reframe_jax.objectives.velocity import PositionObjective
 from reframe_jax.solvers import Box, Solution, Solver, ValleySteps
 from reframe_jax.solvers.implicit import attach_derivative
 
-__all__ = ["identify_windows", "window_moments"]
+__all__ = ["Evidence", "LagRule", "identify_windows", "reduce_windows", "solve_evidence", "window_moments"]
+
+LagRule = Literal["auto", "given", "single"]
+"""Chords chosen from the noise; of a given number of samples; or consecutive poses, each of which counts."""
 
 _FLOOR = 16  # of the covariance, in units of rounding: keeps noise-free windows positive definite
 _TOUCH_UP = 16  # steps that follow when velocities are seen from the optimum
+_IN_BODY, _IN_GROUND = int(LinearType.GB), int(LinearType.BG)  # types whose origin's path is followed
 
 
 def window_moments(
@@ -62,11 +76,11 @@ def window_moments(
     return _moments(rates), _moments(maps)
 
 
-def _moments(maps: jax.Array, exponent: int = 1) -> jax.Array:
-    """Moments, the types last, of maps (3, columns, K, types, ...), with a floor: rounding ** exponent."""
+def _moments(maps: jax.Array, power: int = 1) -> jax.Array:
+    """Moments, the types last, of maps (3, columns, K, types, ...), with a floor: rounding ** power."""
     moments = jnp.moveaxis(component_moments(maps), 2, -1)
     squares = [moments[i, j] for i in (0, 3, 5) for j in ((0,) if moments.shape[1] == 1 else (0, 4, 7, 9))]
-    rounding = (_FLOOR * float(jnp.finfo(moments.dtype).eps)) ** exponent
+    rounding = (_FLOOR * float(jnp.finfo(moments.dtype).eps)) ** power
     floor = rounding * jax.lax.stop_gradient(jnp.sum(jnp.stack(squares), axis=0))
     return moments.at[jnp.asarray([0, 3, 5]), 0].add(floor[None])
 
@@ -87,104 +101,305 @@ def _seen_from(maps: jax.Array, axes: jax.Array, origin: jax.Array | None = None
     return jnp.concatenate([moved[:, None], turned[:, 1:]], axis=1)
 
 
-def identify_windows(
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Evidence:
+    """What N windows leave for the search, whatever their length.
+
+    Attributes:
+        status: (N,) codes of ``Status``.
+        centre: (N, 3) m, mean position of {b}; everything else is relative to it.
+        counted: (N, K+1) bool, poses that are neither outliers nor padding.
+        noise: of the poses.
+        lag: (N,) samples between the poses of a chord.
+        samples: (N,) independent chords.
+        poses: (N,) number of poses that count.
+        angular, linear: moments of the chord velocities, (6, 1, N, 2) and (6, 10, N, 4); see
+            :mod:`reframe_jax.objectives.moments`.
+        angular_spread, linear_spread: moments of the paths about their mean, of the same shapes.
+        mean_paths: (3, 4, N, 2) mean paths of the types GB and BG.
+        positions: (6, N) m^2, covariance of the positions.
+        travel: (2, N) rad^2 and m^2, sum of the squares of all steps.
+        rates, maps: the chord velocities themselves, for float32, which cannot hold their squares; else None.
+    """
+
+    status: jax.Array
+    centre: jax.Array
+    counted: jax.Array
+    noise: PoseNoise
+    lag: jax.Array
+    samples: jax.Array
+    poses: jax.Array
+    angular: jax.Array
+    linear: jax.Array
+    angular_spread: jax.Array
+    linear_spread: jax.Array
+    mean_paths: jax.Array
+    positions: jax.Array
+    travel: jax.Array
+    rates: jax.Array | None
+    maps: jax.Array | None
+
+
+def reduce_windows(
     poses: jax.Array,
     steps: jax.Array,
-    thresholds: Thresholds,
-    box: Box,
-    key: jax.Array,
-    exponent: float,
+    count: jax.Array | None,
+    lag: jax.Array | None,
+    rule: LagRule,
     discretization: Discretization,
-    solver: Solver,
-) -> Identification:
-    """Identify windows whose shapes and options have been checked, all at once.
+) -> Evidence:
+    """Reduce windows to what the search needs of them.
 
     Args:
         poses: (N, K+1, 4, 4), m.
         steps: (K,) or (N, K) sample times, s.
-        thresholds: see :class:`reframe_jax.Thresholds`.
-        box: where positions are searched, m.
-        key: of the solver's random numbers.
-        exponent: of the power mean over axes.
-        discretization: see :func:`reframe_jax.motion.kinematics.linear_velocity_maps`.
-        solver: search for the position.
+        count: (N,) number of poses in each window where the rest is padding, else None.
+        lag: (N,) or () samples, for the rule "given".
+        rule: what velocities are taken from.
+        discretization: see :func:`reframe_jax.motion.kinematics.linear_velocity_maps`; another than
+            "chord" only for the rule "single".
     """
-    samples = poses.shape[-3] - 1
+    windows, samples = poses.shape[0], poses.shape[1] - 1
     status = window_status(poses, steps)
     failed = status >= 10
     # a failed window computes with harmless numbers, so that no NaN enters a derivative
     poses = jnp.where(failed[:, None, None, None], jnp.eye(4, dtype=poses.dtype)[None, None], poses)
     steps = jnp.where(jnp.isfinite(steps) & (steps > 0), steps, 1)
     centre = jax.lax.stop_gradient(jnp.mean(poses[:, :, :3, 3], axis=1))
-    centred = poses.at[:, :, :3, 3].add(-centre[:, None])
-    rates, maps = once(kinematics.velocity_components(once(centred), steps, discretization))
+    poses = poses.at[:, :, :3, 3].add(-centre[:, None])
+    shared = jnp.broadcast_to(steps, (1, samples)) if steps.ndim == 1 else steps
+    times = jnp.concatenate([jnp.zeros_like(shared[:, :1]), jnp.cumsum(shared, axis=1)], axis=1)
+    number = jnp.full((windows,), samples + 1) if count is None else count
+    if rule == "single":
+        counted = np.arange(samples + 1) < number[:, None]
+    else:
+        times_of_all = jnp.broadcast_to(times, (windows, samples + 1))
+        poses, counted = repair_poses(poses, times_of_all, number)
+    poses = once(poses)
+    maps, paths = once(kinematics.velocity_paths(poses, steps, count))
+    if rule == "single" and discretization != "chord":
+        _, maps = once(kinematics.velocity_components(poses, steps, discretization))
+    rotation, position = paths[:, 1:, :, _IN_BODY], paths[:, 0, :, _IN_BODY]
+    counts = counted.T
+    turns = jnp.stack([maps[2, 2], maps[0, 3], maps[1, 1]])[:, :, 0] * shared.T[None]
+    at_rest = jax.lax.stop_gradient((rotation, position, turns))
+    noise = estimate_noise(at_rest[1], at_rest[2], counts)
+    one = jnp.ones(windows, jnp.int32)
+    if rule == "auto":
+        lag = choose_lag(at_rest[0], at_rest[1], counts, noise, number)
+    lag = one if rule == "single" or lag is None else jnp.minimum(one * lag, number - 1)
+    if rule == "single":
+        weights = (counts[1:] & counts[:-1]).astype(poses.dtype)
+    else:
+        weights = moving_chords(at_rest[0], at_rest[1], counts, lag, noise)
+    plain = jnp.all(lag == 1) & jnp.all(weights == 1)
+
+    def chords(_: None) -> jax.Array:
+        if rule == "single":
+            share = weights / jnp.maximum(jnp.mean(weights, axis=0), 1 / samples)
+            return maps * jnp.sqrt(share)[None, None, :, None]
+        every = jnp.broadcast_to(times.T, (samples + 1, windows))
+        return chord_velocities(paths, every, lag, weights)
+
+    if count is None and rule == "single":
+        velocities = maps
+    else:
+        velocities = once(jax.lax.cond(plain, lambda _: maps, chords, None))
+    rates = kinematics.rates_of(velocities)
+    spread, mean = spread_of(paths, counts)
+    spread = once(spread)
+    about = spread[:, 0, :, _IN_BODY]
     unit = jnp.asarray([1, 0, 0, 1, 0, 1], dtype=poses.dtype)[:, None, None, None]
 
-    def moments_of(maps: jax.Array, exponent: int = 1) -> jax.Array:
-        return once(jnp.where(failed[:, None], unit, _moments(maps, exponent)))
+    def moments(maps: jax.Array) -> jax.Array:
+        return once(jnp.where(failed[:, None], unit, _moments(maps)))
 
-    angular = _angular_candidates(rates, moments_of, thresholds, exponent)
+    pairs = (counts[1:] & counts[:-1])[None]
+    travel = [
+        jnp.sum(jnp.where(pairs, jnp.square(s), 0), axis=(0, 1)) for s in (turns, jnp.diff(position, axis=1))
+    ]
+    precise = poses.dtype != jnp.float32
+    return Evidence(
+        status=status,
+        centre=centre,
+        counted=counted,
+        noise=PoseNoise(position=noise[0], rotation=noise[1]),
+        lag=lag,
+        samples=jnp.maximum(jnp.sum(weights > 0, axis=0), 1) / lag.astype(poses.dtype),
+        poses=jnp.sum(counts, axis=0),
+        angular=moments(rates),
+        linear=moments(velocities),
+        angular_spread=moments(kinematics.rates_of(spread)),
+        linear_spread=moments(spread),
+        mean_paths=jnp.stack([mean[:, :, t] for t in (_IN_BODY, _IN_GROUND)], axis=-1),
+        positions=jnp.stack([jnp.mean(about[i] * about[j], axis=0) for i, j in symmetric.INDEX_PAIRS]),
+        travel=jnp.stack(travel),
+        rates=None if precise else rates,
+        maps=None if precise else velocities,
+    )
+
+
+def identify_windows(
+    poses: jax.Array,
+    steps: jax.Array,
+    count: jax.Array | None,
+    lag: jax.Array | None,
+    thresholds: Thresholds | None,
+    box: Box,
+    key: jax.Array,
+    rule: LagRule,
+    exponent: float,
+    discretization: Discretization,
+    solver: Solver,
+) -> Identification:
+    """Identify windows whose shapes and options have been checked, all at once.
+
+    Arguments of :func:`reduce_windows` and :func:`solve_evidence`.
+    """
+    evidence = reduce_windows(poses, steps, count, lag, rule, discretization)
+    return solve_evidence(evidence, thresholds, box, key, exponent, solver)
+
+
+def solve_evidence(
+    evidence: Evidence,
+    thresholds: Thresholds | None,
+    box: Box,
+    key: jax.Array,
+    exponent: float,
+    solver: Solver,
+) -> Identification:
+    """Find the optimum of every type, the best of each group, and what is free.
+
+    Args:
+        evidence: of N windows.
+        thresholds: above which an axis is free; None to let the noise of the recording decide.
+        box: where positions are searched, m.
+        key: of the solver's random numbers.
+        exponent: of the power mean over axes.
+        solver: search for the position.
+    """
+    failed = evidence.status >= 10
+    angular_rms, angular_axes = _angular_optima(evidence)
+    angular_norm = _norm(angular_rms, exponent)
+    a = jnp.argmin(angular_norm, axis=-1).astype(jnp.int32)
+    optimum = _linear_optima(evidence, box, key, exponent, solver)
+    norm = _norm(optimum.rms, exponent)
+    n = jnp.argmin(norm, axis=-1).astype(jnp.int32)
+    patterns = jax.lax.stop_gradient(_patterns(evidence, a, angular_axes, optimum.position, optimum.axes))
+    if thresholds is None:
+        angular_dof, linear_dof = _likeliest(patterns, n)
+    else:
+        angular_dof = degrees_of_freedom(angular_rms, thresholds.angular)
+        linear_dof = degrees_of_freedom(optimum.rms, thresholds.linear)
+    angular = Candidates(
+        rotvec=_orientation(angular_axes, angular_dof),
+        dof=angular_dof,
+        rms=angular_rms,
+        norm=angular_norm,
+        free_rotation=free_rotations(angular_dof),
+    )
     # rotation about axes that are classified as constrained is taken for noise
-    noise = jnp.min(jnp.max(jnp.where(angular.dof == 0, angular.rms, 0), axis=-1), axis=-1)
-    linear, searched, solution = _linear_candidates(
-        maps, moments_of, thresholds, noise, box, key, exponent, solver
+    idle = jnp.min(jnp.max(jnp.where(angular_dof == 0, angular_rms, 0), axis=-1), axis=-1)
+    free, position = nearest_origin(
+        optimum.objective.moments,
+        optimum.local_axes,
+        linear_dof,
+        optimum.rms,
+        optimum.position,
+        idle[:, None],
     )
     in_ground = jnp.asarray([t.position_body == AngularType.G for t in LinearType])
-    origin = jnp.where(in_ground[None, :, None], centre[:, None], 0)
-    assert linear.position is not None
-    assert linear.free_position is not None
-    assert linear.on_bounds is not None
-    linear = _replace(linear, position=origin + linear.position)
-
-    def winner(norms: jax.Array) -> jax.Array:
-        return jnp.argmin(norms, axis=-1).astype(jnp.int32)
-
-    def pick(array: jax.Array, index: jax.Array) -> jax.Array:
-        index = index.reshape(*index.shape, *([1] * (array.ndim - index.ndim)))
-        return jnp.take_along_axis(array, index, axis=1)[:, 0]
-
-    a, n = winner(angular.norm), winner(linear.norm)
-    position = pick(linear.position, n)
-    searched, solution = jax.tree.map(partial(_of_type, n), (searched, solution))
-    limit, quiet = jax.lax.stop_gradient((thresholds.linear, noise))
-    twin, has_twin = find_twins(searched, box, solution, pick(linear.dof, n), limit, quiet, samples)
-    twin = jnp.where(has_twin[:, None], pick(origin, n) + twin, jax.lax.stop_gradient(position))
-    angular_tied = tied_types(angular.rms, angular.dof, a, samples)
+    origin = jnp.where(in_ground[None, :, None], evidence.centre[:, None], 0)
+    linear = Candidates(
+        rotvec=_orientation(optimum.axes, linear_dof),
+        dof=linear_dof,
+        rms=optimum.rms,
+        norm=norm,
+        free_rotation=free_rotations(linear_dof),
+        position=origin + position,
+        free_position=free,
+        on_bounds=jnp.any(box.at_face(position), axis=-1),
+        agreement=optimum.solution.agreement,
+    )
+    searched, solution = jax.tree.map(partial(_of_type, n), (optimum.searched, optimum.solution))
+    twin, has_twin = find_twins(
+        searched, box, solution, _pick(linear_dof, n), jax.lax.stop_gradient(idle), evidence.samples
+    )
+    here = _pick(origin + position, n)
+    twin = jnp.where(has_twin[:, None], _pick(origin, n) + twin, jax.lax.stop_gradient(here))
+    angular_tied = tied_types(angular_rms, angular_dof, a, evidence.samples)
     # unless exactly two axes are free, both angular types express the same constraint (section 3.3)
-    angular_tied = angular_tied | (jnp.sum(pick(angular.dof, a), axis=-1) != 2)[:, None]
+    angular_tied = angular_tied | (jnp.sum(_pick(angular_dof, a), axis=-1) != 2)[:, None]
+    of_types = _type_probability(optimum.rms, linear_dof, n, evidence.samples)
+    winner = _pick(jnp.moveaxis(patterns, (2, 3), (0, 1)), n)
     found = Identification(
         angular=AngularFrame(
             type_code=a,
-            rotvec=pick(angular.rotvec, a),
-            dof=pick(angular.dof, a),
-            rms=pick(angular.rms, a),
-            norm=pick(angular.norm, a),
+            rotvec=_pick(angular.rotvec, a),
+            dof=_pick(angular.dof, a),
+            free_probability=_at_least(jnp.sum(winner, axis=2)),
+            rms=_pick(angular.rms, a),
+            norm=_pick(angular.norm, a),
             norms=angular.norm,
             tied=angular_tied,
-            free_rotation=pick(angular.free_rotation, a),
+            free_rotation=_pick(angular.free_rotation, a),
         ),
         linear=LinearFrame(
             type_code=n,
-            rotvec=pick(linear.rotvec, n),
-            position=position,
+            rotvec=_pick(linear.rotvec, n),
+            position=here,
             twin=twin,
             has_twin=has_twin,
-            dof=pick(linear.dof, n),
-            rms=pick(linear.rms, n),
-            norm=pick(linear.norm, n),
+            dof=_pick(linear.dof, n),
+            free_probability=_at_least(jnp.sum(winner, axis=1)),
+            rms=_pick(linear.rms, n),
+            norm=_pick(linear.norm, n),
             norms=linear.norm,
-            tied=tied_types(linear.rms, linear.dof, n, samples),
-            free_rotation=pick(linear.free_rotation, n),
-            free_position=pick(linear.free_position, n),
+            tied=tied_types(optimum.rms, linear_dof, n, evidence.samples),
+            free_rotation=_pick(linear.free_rotation, n),
+            free_position=_pick(free, n),
         ),
         candidates=AllCandidates(angular=angular, linear=linear),
-        status_code=jnp.zeros_like(status),
+        class_probability=of_types[:, :, None, None] * jnp.moveaxis(patterns, (2, 3), (0, 1)),
+        noise=evidence.noise,
+        lag=evidence.lag,
+        counted=evidence.counted,
+        status_code=jnp.zeros_like(evidence.status),
     )
     still = jnp.sum(found.angular.dof, axis=-1) + jnp.sum(found.linear.dof, axis=-1) == 0
-    outcome = jnp.where(pick(linear.on_bounds, n), Status.ON_BOUNDS, Status.OK)
+    on_bounds = jnp.any(box.at_face(_pick(position, n)), axis=-1)
+    outcome = jnp.where(on_bounds, Status.ON_BOUNDS, Status.OK)
     outcome = jnp.where(still, Status.NOT_EXCITED, outcome)
     found = jax.tree.map(partial(_blank, failed), found)
-    return _replace(found, status_code=jnp.where(failed, status, outcome.astype(jnp.int32)))
+    return replace(found, status_code=jnp.where(failed, evidence.status, outcome.astype(jnp.int32)))
+
+
+@dataclass(frozen=True)
+class _LinearOptima:
+    """The optimum of every linear type; (N, 4, ...).
+
+    Attributes:
+        searched: the problems, and ``solution``: what the solver said of them.
+        objective: the problems as seen along ``local_axes``.
+        position: (N, 4, 3) m, from the centre for types in the ground.
+        axes, local_axes: (N, 4, 3, 3), the axes in the body of the type, and in those of the objective.
+        rms: (N, 4, 3) m/s.
+    """
+
+    searched: PositionObjective
+    solution: Solution
+    objective: PositionObjective
+    position: jax.Array
+    axes: jax.Array
+    local_axes: jax.Array
+    rms: jax.Array
+
+
+def _pick(array: jax.Array, index: jax.Array) -> jax.Array:
+    """From (N, T, ...) what belongs to one type each, (N, ...)."""
+    index = index.reshape(*index.shape, *([1] * (array.ndim - index.ndim)))
+    return jnp.take_along_axis(array, index, axis=1)[:, 0]
 
 
 def _of_type(types: jax.Array, leaf: jax.Array) -> jax.Array:
@@ -200,30 +415,20 @@ def _blank(failed: jax.Array, leaf: jax.Array) -> jax.Array:
     return jnp.where(wrong, jnp.asarray(empty, dtype=leaf.dtype), leaf)
 
 
-def _replace(record: Any, **changes: Any) -> Any:
-    return type(record)(**{**vars(record), **changes})
+def _again(evidence: Evidence, maps: jax.Array) -> jax.Array:
+    """Moments of velocities seen along their own axes, with a floor that leaves float32 its digits."""
+    unit = jnp.asarray([1, 0, 0, 1, 0, 1], dtype=maps.dtype)[:, None, None, None]
+    return once(jnp.where((evidence.status >= 10)[:, None], unit, _moments(maps, 2)))
 
 
-Moments = Callable[[jax.Array, int], jax.Array]
-"""Maps and the power of their floor to moments; windows that failed get harmless ones."""
-
-
-def _angular_candidates(
-    rates: jax.Array, moments_of: Moments, thresholds: Thresholds, exponent: float
-) -> Candidates:
-    rms, axes = principal_axes(_constant(moments_of(rates, 1)))
-    if rates.dtype == jnp.float32:
+def _angular_optima(evidence: Evidence) -> tuple[jax.Array, jax.Array]:
+    """RMS velocity along the axes of both types, (N, 2, 3) rad/s, and the axes, (N, 2, 3, 3)."""
+    rms, axes = principal_axes(_constant(evidence.angular))
+    if evidence.rates is not None:
         first = jax.lax.stop_gradient(axes)
-        rms, axes = principal_axes(_constant(moments_of(_seen_from(rates, first), 2)))
+        rms, axes = principal_axes(_constant(_again(evidence, _seen_from(evidence.rates, first))))
         axes = matmul3(first, axes)
-    dof = degrees_of_freedom(rms, thresholds.angular)
-    return Candidates(
-        rotvec=_orientation(axes, dof),
-        dof=dof,
-        rms=rms,
-        norm=_norm(rms, exponent),
-        free_rotation=free_rotations(dof),
-    )
+    return rms, axes
 
 
 def _constant(moments: jax.Array) -> symmetric.Symmetric:
@@ -232,52 +437,113 @@ def _constant(moments: jax.Array) -> symmetric.Symmetric:
     return covariance_at(moments, (zero, zero, zero))
 
 
-def _linear_candidates(
-    maps: jax.Array,
-    moments_of: Moments,
-    thresholds: Thresholds,
-    noise: jax.Array,
-    box: Box,
-    key: jax.Array,
-    exponent: float,
-    solver: Solver,
-) -> tuple[Candidates, PositionObjective, Solution]:
-    """Search the position of every type; the axes follow from it.
-
-    Also returns what was searched, and what the solver said.
-    """
-    objective = PositionObjective(moments_of(maps, 1), exponent)
+def _linear_optima(
+    evidence: Evidence, box: Box, key: jax.Array, exponent: float, solver: Solver
+) -> _LinearOptima:
+    """Search the position of every type; the axes follow from it."""
+    objective = PositionObjective(evidence.linear, exponent)
     searched = jax.lax.stop_gradient(objective)
     solution = jax.tree.map(jax.lax.stop_gradient, solver.minimise(searched, box, key))
-    if maps.dtype == jnp.float32:
-        origin = solution.x
-        first = jax.lax.stop_gradient(principal_axes(objective.covariance(origin))[1])
-        objective = PositionObjective(moments_of(_seen_from(maps, first, origin), 2), exponent)
-        low, high = box.bounds(origin)
-        here = Box(low - origin, high - origin)
-        moved, _ = ValleySteps(_TOUCH_UP)(jax.lax.stop_gradient(objective), here, jnp.zeros_like(origin))
-        moved = attach_derivative(moved, objective, here)
-        rms, local = principal_axes(objective.covariance(moved))
-        axes, x = matmul3(first, local), origin + moved
-    else:
+    if evidence.maps is None:
         x = attach_derivative(solution.x, objective, box)
-        rms, local = principal_axes(objective.covariance(x))
-        axes = local
-    dof = degrees_of_freedom(rms, thresholds.linear)
-    at_minimum = jnp.moveaxis(x, 0, -1)
-    free, position = nearest_origin(objective.moments, local, dof, rms, at_minimum, noise[:, None])
-    found = Candidates(
-        rotvec=_orientation(axes, dof),
-        dof=dof,
-        rms=rms,
-        norm=_norm(rms, exponent),
-        free_rotation=free_rotations(dof),
-        position=position,
-        free_position=free,
-        on_bounds=jnp.any(box.at_face(position), axis=-1),
-        agreement=solution.agreement,
+        rms, axes = principal_axes(objective.covariance(x))
+        return _LinearOptima(searched, solution, objective, jnp.moveaxis(x, 0, -1), axes, axes, rms)
+    origin = solution.x
+    first = jax.lax.stop_gradient(principal_axes(objective.covariance(origin))[1])
+    objective = PositionObjective(_again(evidence, _seen_from(evidence.maps, first, origin)), exponent)
+    low, high = box.bounds(origin)
+    here = Box(low - origin, high - origin)
+    shift, _ = ValleySteps(_TOUCH_UP)(jax.lax.stop_gradient(objective), here, jnp.zeros_like(origin))
+    shift = attach_derivative(shift, objective, here)
+    rms, local = principal_axes(objective.covariance(shift))
+    position = jnp.moveaxis(origin + shift, 0, -1)
+    return _LinearOptima(searched, solution, objective, position, matmul3(first, local), local, rms)
+
+
+def _patterns(evidence: Evidence, angular_axes: jax.Array, position: jax.Array, axes: jax.Array) -> jax.Array:
+    """Probability of every pattern of degrees of freedom, (4, 4, N, 4), for each linear type.
+
+    Args:
+        evidence: of the windows.
+        angular_axes: (N, 3, 3) of the best angular type.
+        position: (N, 4, 3) m, from the centre for types in the ground.
+        axes: (N, 4, 3, 3).
+    """
+    rounding = _FLOOR * float(jnp.finfo(axes.dtype).eps)
+    turned = _pick(symmetric.to_matrix(_constant(evidence.angular_spread)), kind)
+    angular_axes = _pick(angular_axes, kind)
+    squares = jnp.sum(angular_axes * matmul3(turned, angular_axes), axis=-2)
+    whole = jnp.trace(turned, axis1=-2, axis2=-1)
+    noise = jnp.square(evidence.noise.rotation)[:, None] + rounding * whole[:, None]
+    angular = jnp.sqrt(jnp.maximum(squares, 0) / noise)
+    x = jnp.moveaxis(position, -1, 0)
+    spread = symmetric.to_matrix(covariance_at(evidence.linear_spread, (x[0], x[1], x[2])))
+    squares = jnp.sum(axes * matmul3(spread, axes), axis=-2)
+    variance, lever = _noise_along(evidence, position, axes)
+    variance = variance + rounding * jnp.trace(spread, axis1=-2, axis2=-1)[..., None]
+    linear = jnp.sqrt(jnp.maximum(squares, 0) / variance)
+    gain = jnp.sqrt(lever * whole[:, None, None] / variance)
+    angular = jnp.broadcast_to(angular[:, None], linear.shape)
+    distance = jnp.moveaxis(jnp.concatenate([angular, linear], axis=-1), -1, 0)
+    samples = evidence.poses.astype(axes.dtype)[:, None]
+    return freedom_patterns(distance, jnp.moveaxis(gain, -1, 0), samples)
+
+
+def _noise_along(evidence: Evidence, position: jax.Array, axes: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Noise of a frame's origin along its axes, (N, 4, 3) m^2, and the square of the lever it acts through.
+
+    Noise in orientation acts through the lever from the origin of {b} to that of the frame, as far as the
+    lever is perpendicular to the axis; in the types whose path is summed up along the motion (BB and GG) the
+    noise of the steps adds up as well.
+    """
+    p = position
+    square = jnp.sum(jnp.square(p), axis=-1)
+    positions = symmetric.to_matrix(tuple(evidence.positions))  # type: ignore[arg-type]
+    mean = jnp.moveaxis(evidence.mean_paths, (2, 3), (0, 1))  # (N, 2, 3, 4)
+    x = jnp.moveaxis(p, -1, 0)
+    on_body = evidence.linear_spread[:, :, :, _IN_BODY]
+    without = on_body.at[:, :4].set(0)  # what the lever does, and the position of {b} does not
+    turning = symmetric.to_matrix(covariance_at(without, tuple(x[:, :, _IN_BODY])))  # type: ignore[arg-type]
+    passing = symmetric.to_matrix(
+        covariance_at(evidence.linear_spread[:, :, :, _IN_GROUND], tuple(x[:, :, _IN_GROUND]))  # type: ignore[arg-type]
     )
-    return found, searched, solution
+    spread = jnp.stack([jnp.zeros_like(turning), turning, positions, passing], axis=1)
+    turned = matmul3(mean[:, 0, :, 1:], p[:, _IN_BODY, :, None])[..., 0]
+    passed = mean[:, 1, :, 0] + matmul3(mean[:, 1, :, 1:], p[:, _IN_GROUND, :, None])[..., 0]
+    centre = jnp.stack([p[:, 0], turned, p[:, 2], passed], axis=1)
+    total = jnp.trace(spread, axis1=-2, axis2=-1) + jnp.sum(jnp.square(centre), axis=-1)
+    total = total.at[:, _IN_BODY].set(square[:, _IN_BODY])
+    along = jnp.sum(axes * matmul3(spread, axes), axis=-2)
+    along = along + jnp.square(matmul3(centre[..., None, :], axes)[..., 0, :])
+    lever = jnp.maximum(total[..., None] - along, 0)
+    of_position = jnp.square(evidence.noise.position)[:, None, None]
+    of_rotation = jnp.square(evidence.noise.rotation)[:, None, None]
+    variance = of_position + of_rotation * lever
+    summed = np.asarray([t.orientation_body == t.position_body for t in LinearType])[None, :, None]
+    turns, shifts = (square[:, None, None] / 2 for square in evidence.travel)
+    return variance + jnp.where(summed, turns * variance + shifts * of_rotation, 0), lever
+
+
+def _likeliest(patterns: jax.Array, winner: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Degrees of freedom of both angular types, (N, 2, 3), and of all linear ones, (N, 4, 3)."""
+    best = jnp.argmax(patterns.reshape(16, *patterns.shape[2:]), axis=0)  # (N, 4)
+    rotations_free = jnp.take_along_axis(best, winner[:, None], axis=1) // 4
+    ranks = np.arange(3)
+    angular = (ranks >= 3 - rotations_free[..., None]).astype(jnp.int32)
+    linear = (ranks >= 3 - (best % 4)[..., None]).astype(jnp.int32)
+    return jnp.broadcast_to(angular, (len(winner), 2, 3)), linear
+
+
+def _at_least(number: jax.Array) -> jax.Array:
+    """Probability that each axis is free, (N, 3), from that of every number of free axes, (N, 4)."""
+    return jnp.cumsum(number[:, :0:-1], axis=1)
+
+
+def _type_probability(rms: jax.Array, dof: jax.Array, winner: jax.Array, samples: jax.Array) -> jax.Array:
+    """Probability of every linear type, (N, 4)."""
+    held = (jnp.take_along_axis(dof, winner[:, None, None], axis=1) == 0).astype(rms.dtype)
+    best = jnp.take_along_axis(rms, winner[:, None, None], axis=1)
+    return type_weights(excess_over(best, rms, held), tie_margin(held[:, 0], samples))
 
 
 def _norm(rms: jax.Array, exponent: float) -> jax.Array:

@@ -18,7 +18,7 @@ from reframe_jax.constraints.types import AngularType, AxisRelation, Dof, Linear
 from reframe_jax.geometry import rotations
 from reframe_jax.motion.checks import Status
 
-__all__ = ["AngularFrame", "Candidates", "Identification", "LinearFrame"]
+__all__ = ["AllCandidates", "AngularFrame", "Candidates", "Identification", "LinearFrame", "PoseNoise"]
 
 _ALIGNED = 15.0  # degrees within which two axes count as parallel or perpendicular
 
@@ -35,6 +35,20 @@ def _member(kind: type[IntEnum], code: jax.Array) -> Any:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
+class PoseNoise:
+    """Standard deviation of the white noise in the poses, as the poses themselves show it.
+
+    Attributes:
+        position: (...) m, of every component of the position.
+        rotation: (...) rad, of every component of the orientation.
+    """
+
+    position: jax.Array
+    rotation: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class AngularFrame:
     """The identified frame of the angular velocity.
 
@@ -42,7 +56,9 @@ class AngularFrame:
         type_code: (...) int, ``AngularType`` of the lowest norm; read it as ``frame_type``.
         rotvec: (..., 3) rad, orientation of the frame in the body of its type. Its axes are sorted by
             ``rms``, ascending, and right-handed; the first and third have a positive largest component.
-        dof: (..., 3) int, 1 where the axis is free: ``rms`` above the threshold.
+        dof: (..., 3) int, 1 where the axis is free: those of the likeliest class, or with thresholds those
+            whose ``rms`` is above.
+        free_probability: (..., 3) probability that the axis is free, ascending.
         rms: (..., 3) rad/s, RMS angular velocity along each axis (lambda in the paper).
         norm: (...) rad/s, the minimised norm: the power mean of ``rms``.
         norms: (..., 2) rad/s, the norms of types G and B.
@@ -55,6 +71,7 @@ class AngularFrame:
     type_code: jax.Array
     rotvec: jax.Array
     dof: jax.Array
+    free_probability: jax.Array
     rms: jax.Array
     norm: jax.Array
     norms: jax.Array
@@ -89,6 +106,7 @@ class LinearFrame:
             chosen like it where there is a choice. Equal to ``position`` where none was found.
         has_twin: (...) bool, whether one was.
         dof: (..., 3) int, 1 where the axis is free.
+        free_probability: (..., 3) as in :class:`AngularFrame`.
         rms: (..., 3) m/s, RMS velocity along each axis at the minimum of the norm (lambda in the
             paper). Moving the origin along free directions changes those of free axes only.
         norm: (...) m/s, the minimised norm: the power mean of ``rms``.
@@ -105,6 +123,7 @@ class LinearFrame:
     twin: jax.Array
     has_twin: jax.Array
     dof: jax.Array
+    free_probability: jax.Array
     rms: jax.Array
     norm: jax.Array
     norms: jax.Array
@@ -175,12 +194,21 @@ class Identification:
         angular: frame of the angular velocity.
         linear: frame of the linear velocity.
         candidates: the optimum of every frame type.
+        class_probability: (..., 4, 4, 4) probability of every class: linear type, number of free rotations,
+            number of free translations.
+        noise: of the poses.
+        lag: (...) int, samples between the two poses of a velocity.
+        counted: (..., K+1) bool, poses that took part: outliers did not.
         status_code: (...) int; read it as ``status``. Windows that failed hold NaN and zeros.
     """
 
     angular: AngularFrame
     linear: LinearFrame
     candidates: AllCandidates
+    class_probability: jax.Array
+    noise: PoseNoise
+    lag: jax.Array
+    counted: jax.Array
     status_code: jax.Array
 
     def __getitem__(self, index: Any) -> "Identification":

@@ -8,7 +8,7 @@ sampling error, those of the point halfway are clearly not, and no bound of the 
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.identification.classify import degrees_of_freedom, excess_over, nearest_origin, tie_margin
+from reframe_jax.identification.classify import excess_over, nearest_origin, tie_margin
 from reframe_jax.objectives.norms import principal_axes
 from reframe_jax.objectives.velocity import PositionObjective
 from reframe_jax.solvers import BasinHopping, Box, Solution, ValleySteps
@@ -25,9 +25,8 @@ def find_twins(
     box: Box,
     solution: Solution,
     dof: jax.Array,
-    threshold: jax.Array | float,
     noise: jax.Array,
-    samples: int,
+    samples: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
     """The twin of every optimum, as far as a chain of the search has met it.
 
@@ -36,9 +35,8 @@ def find_twins(
         box: where positions were searched, m.
         solution: of N searches, with C ends each.
         dof: (N, 3) degrees of freedom at the optimum.
-        threshold: m/s, RMS above which an axis is free.
         noise: (N,) rad/s, RMS of what counts as no rotation.
-        samples: K.
+        samples: (N,) independent velocities.
 
     Returns:
         (N, 3) m, and (N,) bool, whether it is one.
@@ -54,7 +52,8 @@ def find_twins(
         objective_here, constrained = PositionObjective(moments, objective.exponent), constrained.T
         x = _LOCAL.minimise(objective_here, box, jax.random.key(0), starts=rival[:, None]).x
         twice, both = jnp.concatenate([moments, moments], axis=-1), jnp.concatenate([optimum, x], axis=-1)
-        frames = _frame(PositionObjective(twice, objective.exponent), both, threshold, jnp.tile(noise, 2))
+        free = jnp.tile(1 - constrained, (2, 1))
+        frames = _frame(PositionObjective(twice, objective.exponent), both, free, jnp.tile(noise, 2))
         (first, twin), (rms, twin_rms) = (jnp.split(a, 2) for a in frames)
         middle_rms, _ = principal_axes(objective_here.covariance((first + twin).T / 2))
         excess = excess_over(rms, twin_rms, constrained)
@@ -81,10 +80,9 @@ def _rival(
 
 
 def _frame(
-    objective: PositionObjective, x: jax.Array, threshold: jax.Array | float, noise: jax.Array
+    objective: PositionObjective, x: jax.Array, dof: jax.Array, noise: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """The origin as it is reported, (N, 3) m, and the RMS along its axes, (N, 3) m/s."""
     rms, axes = principal_axes(objective.covariance(x))
-    dof = degrees_of_freedom(rms, threshold)
     _, position = nearest_origin(objective.moments, axes, dof, rms, x.T, noise)
     return position, rms

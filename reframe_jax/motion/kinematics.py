@@ -26,8 +26,10 @@ __all__ = [
     "angular_velocities",
     "body_twists",
     "linear_velocity_maps",
+    "rates_of",
     "spatial_twists",
     "velocity_components",
+    "velocity_paths",
 ]
 
 Discretization = Literal["chord", "left"]
@@ -136,36 +138,57 @@ def _mean_twists(rotation: jax.Array, position: jax.Array, steps: jax.Array) -> 
     return body, once(_spatial_twists(rotation, position, body))
 
 
-def _derivative_weights(dt: jax.Array) -> jax.Array:
+def _derivative_weights(dt: jax.Array, count: jax.Array | None = None) -> jax.Array:
     """Finite-difference weights on irregular nodes: exact for polynomials of degree 6.
 
     The nodes are the middles of the steps; each derivative uses the seven nearest.
 
     Args:
         dt: (..., K) s.
+        count: (...) how many of the steps count, 7 or more; the others are padding. All by default.
 
     Returns:
-        (..., K, n) in 1/s: the weights of n consecutive nodes, for the derivative at each node.
+        (..., K, n) in 1/s, for the derivative at each node: the weights of n consecutive nodes, or with a
+        ``count`` those of the nodes from 6 before it to 6 after it.
     """
     steps = dt.shape[-1]
     n = min(_STENCIL, steps)
-    first = np.clip(np.arange(steps) - n // 2, 0, steps - n)
-    spans = dt[..., first[:, None] + np.arange(n)]
+    middle = np.arange(steps) - n // 2
+    if count is None:
+        first = jnp.asarray(np.clip(middle, 0, steps - n))
+        spans = dt[..., first[:, None] + np.arange(n)]
+    else:
+        first = jnp.clip(middle, 0, count[..., None] - n)
+        dt = jnp.broadcast_to(dt, first.shape)
+        nodes = first[..., None] + np.arange(n)
+        spans = jnp.take_along_axis(dt, nodes.reshape(*first.shape[:-1], -1), axis=-1).reshape(nodes.shape)
     time = jnp.cumsum(spans, axis=-1) - spans / 2
     # Lagrange's polynomial of node i has the derivative (c_h / c_i) / (t_h - t_i) at node h, c_i being
     # the product of t_i - t_j over the other nodes j; those of all nodes add up to zero
     gaps = time[..., :, None] - time[..., None, :]
     products = jnp.prod(jnp.where(jnp.broadcast_to(np.eye(n, dtype=bool), gaps.shape), 1, gaps), axis=-1)
-    here = np.broadcast_to(np.arange(n) == (np.arange(steps) - first)[:, None], time.shape)
-    gap = jnp.sum(jnp.where(here[..., None], gaps, 0), axis=-2)
+    here = jnp.broadcast_to(np.arange(n) == (np.arange(steps) - first)[..., None], time.shape)
+    inside = jnp.any(here, axis=-1, keepdims=True)  # everywhere but in padding
+    gap = jnp.where(inside, jnp.sum(jnp.where(here[..., None], gaps, 0), axis=-2), 1)
     own = jnp.sum(jnp.where(here, products, 0), axis=-1, keepdims=True)
     others = jnp.where(here, 0, own / (products * jnp.where(here, 1, gap)))
-    return jnp.where(here, -jnp.sum(others, axis=-1, keepdims=True), others)
+    weights = jnp.where(here, -jnp.sum(others, axis=-1, keepdims=True), others)
+    if count is None:
+        return weights
+    place = first - np.arange(steps) + n - 1  # of the first node, counted from 6 before
+    offsets = np.arange(2 * n - 1)
+    rows = [jnp.where(place[..., None] + i == offsets, weights[..., i, None], 0) for i in range(n)]
+    return sum(rows[1:], rows[0])
 
 
 def _derivative(weights: jax.Array, x: jax.Array) -> jax.Array:
     """Derivative of samples (m, K, ...) with weights (n, K, ...), see :func:`_derivative_weights`."""
     n, steps = weights.shape[:2]
+    if n > _STENCIL:  # centred
+        margin = n // 2
+        padded = jnp.pad(x, ((0, 0), (margin, margin), *[(0, 0)] * (x.ndim - 2)))
+        shifted = [weights[j, None] * padded[:, j : steps + j] for j in range(n)]
+        return sum(shifted[1:], shifted[0])
     margin = n // 2
     ends = [
         jnp.sum(weights[None, :, rows] * x[:, nodes, None], axis=1)
@@ -185,7 +208,9 @@ def _bracket(a: jax.Array, b: jax.Array) -> jax.Array:
     return jnp.concatenate([_cross(wa, wb), _cross(wa, vb) - _cross(wb, va)])
 
 
-def _without_brackets(means: jax.Array, dt: jax.Array, spatial: bool) -> jax.Array:
+def _without_brackets(
+    means: jax.Array, dt: jax.Array, spatial: bool, count: jax.Array | None = None
+) -> jax.Array:
     """Mean twists of the steps with the brackets of the Magnus expansion removed, to sixth order in dt.
 
     With a1 = h V, a2 = h^2 V', a3 = h^3 V''/2, a4 = h^4 V'''/6 at the middle of a step of length h, the
@@ -204,9 +229,10 @@ def _without_brackets(means: jax.Array, dt: jax.Array, spatial: bool) -> jax.Arr
         means: (6, K, ...) mean twists.
         dt: (..., K) s.
         spatial: whether they are spatial or body twists.
+        count: see :func:`_derivative_weights`.
     """
     # constants are multiplied with, as in h * (1 / 24): in float64 a division takes a GPU far longer
-    weights, h = once(_inside_out(_derivative_weights(dt), 1)), _inside_out(dt, 0)[None]
+    weights, h = once(_inside_out(_derivative_weights(dt, count), 1)), _inside_out(dt, 0)[None]
     first = once(_derivative(weights, means))
     second = once(_derivative(weights, first))
     turn = 1.0 if spatial else -1.0
@@ -247,18 +273,69 @@ def velocity_components(
     body, spatial = _mean_twists(rotation, position, steps)
     if discretization == "chord":
         body, spatial = _without_brackets(body, steps, False), _without_brackets(spatial, steps, True)
-    bb, gg = (jnp.concatenate([twist[3:, None], _hat(twist[:3])], axis=1) for twist in (body, spatial))
-    inverse = _transpose(rotation)
+    bb, gg = (_twist_map(twist) for twist in (body, spatial))
     if discretization == "left":
-        gb, bg = _product(rotation[:, :, :-1], bb), _product(inverse[:, :, :-1], gg)
+        gb, bg = _product(rotation[:, :, :-1], bb), _product(_transpose(rotation)[:, :, :-1], gg)
     else:
-        in_ground = jnp.concatenate([position[:, None], rotation], axis=1)
-        # a point p of the ground is R^T (p - x) in the body; the body moves against it
-        in_body = jnp.concatenate([_product(inverse, position)[:, None], -inverse], axis=1)
+        in_ground, in_body = _point_maps(rotation, position)
         rate = once(1 / step)
         gb, bg = jnp.diff(in_ground, axis=2) * rate, jnp.diff(in_body, axis=2) * rate
     rates = jnp.stack([spatial[:3], body[:3]], axis=2)
     return rates[:, None], jnp.stack([bb, gb, gg, bg], axis=3)
+
+
+def velocity_paths(
+    poses: jax.Array, dt: jax.Array | float, count: jax.Array | None = None
+) -> tuple[jax.Array, jax.Array]:
+    """Velocity maps of single steps, and the paths that they are derivatives of, components first.
+
+    A path is the integral of the velocity of a frame's origin in the axes of its type, affine in the
+    origin like the velocity: s(k; p) = a(k) + B(k) p. For GB and BG it is the origin's position in the
+    body it moves in; for BB and GG it is summed along the measured motion, step by step.
+
+    Args:
+        poses: (..., K+1, 4, 4), of {b} in {g}; m.
+        dt: sample time in s: a scalar, or (..., K) for irregular sampling.
+        count: (...) number of poses that count, 8 or more, where others are padding; all by default.
+
+    Returns:
+        (3, 4, K, 4, ...) m/s and 1/s, and (3, 4, K+1, 4, ...) m and 1.
+    """
+    rotation, position = _rotations_and_positions(poses)
+    steps = _step_times(dt, poses)
+    step = _inside_out(steps, 0)[None, None]
+    body, spatial = _mean_twists(rotation, position, steps)
+    used = None if count is None else count - 1
+    bb = _twist_map(_without_brackets(body, steps, False, used))
+    gg = _twist_map(_without_brackets(spatial, steps, True, used))
+    in_ground, in_body = _point_maps(rotation, position)
+    rate = once(1 / step)
+    maps = jnp.stack([bb, jnp.diff(in_ground, axis=2) * rate, gg, jnp.diff(in_body, axis=2) * rate], axis=3)
+    paths = jnp.stack([_sum_up(bb * step), in_ground, _sum_up(gg * step), in_body], axis=3)
+    return maps, paths
+
+
+def rates_of(maps: jax.Array) -> jax.Array:
+    """Angular velocities (3, 1, K, 2, ...) in {g} and {b}, from the maps (3, 4, K, 4, ...): B p = w x p."""
+    return jnp.stack([maps[2, 2], maps[0, 3], maps[1, 1]])[:, None, :, 2::-2]
+
+
+def _twist_map(twist: jax.Array) -> jax.Array:
+    """(3, 4, ...): velocity v + w x p of a point p, for twists (6, ...)."""
+    return jnp.concatenate([twist[3:, None], _hat(twist[:3])], axis=1)
+
+
+def _point_maps(rotation: jax.Array, position: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Where points of the body are in the ground, and points of the ground in the body: (3, 4, K+1, ...)."""
+    inverse = _transpose(rotation)
+    in_ground = jnp.concatenate([position[:, None], rotation], axis=1)
+    # a point p of the ground is R^T (p - x) in the body; the body moves against it
+    return in_ground, jnp.concatenate([_product(inverse, position)[:, None], -inverse], axis=1)
+
+
+def _sum_up(steps: jax.Array) -> jax.Array:
+    """Path (3, 4, K+1, ...) from its steps (3, 4, K, ...)."""
+    return jnp.concatenate([jnp.zeros_like(steps[:, :, :1]), jnp.cumsum(steps, axis=2)], axis=2)
 
 
 def angular_velocities(

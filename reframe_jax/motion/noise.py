@@ -1,0 +1,152 @@
+"""How noisy measured poses are, and the chord that their noise calls for.
+
+The velocity between two poses is their difference over the time between them, and so is its noise: from
+consecutive poses of a camera it is mostly noise. From poses a longer chord apart the noise is divided by a
+longer time, and overlapping chords use every pose. The price is that a chord cuts corners, which is why it
+is no longer than the noise requires; for noise as small as an encoder's it is a single step, and the
+velocities are those of the paper.
+
+All arrays have components first, then samples, then windows.
+"""
+
+from math import comb
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+__all__ = ["choose_lag", "estimate_noise", "masked_median"]
+
+_ORDERS = (2, 4, 6)  # of the differences from which noise is told
+_GAUSSIAN = 0.6745  # median of the absolute value of a standard normal variable
+_CHORD = 70.0  # noises that the median chord should be long
+_TURN = np.radians(20.0)  # that it should turn at most
+_SHARE = 6  # chords that fit a window, at least
+_GROWS = 2.0  # motion of a chord over that of one a quarter as long, below which it is drift
+_SATURATED = 0.8  # share of the longest chord from which on longer lags bring nothing
+_BISECTIONS, _OCTAVES = 14, 40  # of a median: to 0.2 % over twelve decades
+
+
+def masked_median(values: jax.Array, counted: jax.Array) -> jax.Array:
+    """Median of non-negative values (M, ...) over the first axis, of those that count; zero if none does.
+
+    By bisection of its logarithm: elementwise passes, where sorting many short rows is slow.
+    """
+    top = jnp.log2(jnp.maximum(jnp.max(jnp.where(counted, values, 0), axis=0), jnp.finfo(values.dtype).tiny))
+    half = jnp.sum(counted, axis=0) / 2
+
+    def halve(_: int, ends: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        low, high = ends
+        middle = (low + high) / 2
+        enough = jnp.sum(counted & (values <= jnp.exp2(middle)[None]), axis=0) >= half
+        return jnp.where(enough, low, middle), jnp.where(enough, middle, high)
+
+    low, high = jax.lax.fori_loop(0, _BISECTIONS, halve, (top - _OCTAVES, top))
+    median = jnp.exp2(high)
+    return jnp.where((half > 0) & (low > top - _OCTAVES), median, 0)
+
+
+def estimate_noise(position: jax.Array, turns: jax.Array, counted: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Standard deviation of the white noise in every component of position and orientation.
+
+    From the medians of differences of several orders, of which the smallest counts: motion is smooth, and
+    the more so the higher the order; a few jumps do not matter. Errors that change slowly do not count.
+    Rounded data have at least the noise of their rounding.
+
+    Args:
+        position: (3, K+1, N) m.
+        turns: (3, K, N) rad, rotation vector of every step.
+        counted: (K+1, N) bool, poses that count.
+
+    Returns:
+        (N,) m and (N,) rad.
+    """
+    spreads = []
+    for values, first in ((position, 0), (turns, 1)):
+        scale = jnp.max(jnp.abs(values), axis=(0, 1))
+        best = jnp.full_like(scale, jnp.inf)
+        for order in (m for m in _ORDERS if m < counted.shape[0] - 1):
+            difference = jnp.abs(jnp.diff(values, order - first, axis=1))
+            samples = counted.shape[0] - order
+            whole = counted[:samples]
+            for shift in range(1, order + 1):
+                whole = whole & counted[shift : shift + samples]
+            rows = difference.reshape(-1, *difference.shape[2:])
+            median = masked_median(rows, jnp.tile(whole, (3, 1)))
+            enough = jnp.sum(whole, axis=0) >= 4
+            best = jnp.minimum(
+                best, jnp.where(enough, median / (_GAUSSIAN * comb(2 * order, order) ** 0.5), jnp.inf)
+            )
+        rounding = 4 * jnp.finfo(values.dtype).eps * scale
+        spreads.append(jnp.maximum(jnp.where(jnp.isfinite(best), best, 0), rounding))
+    neighbours = jnp.abs(jnp.diff(position, axis=1))
+    steps = counted[1:] & counted[:-1]
+    moved = jnp.where(steps[None] & (neighbours > 0), neighbours, jnp.inf)
+    # of data that are rounded the smallest step is the unit they are rounded to
+    unit = jnp.min(moved, axis=(0, 1))
+    rounded = jnp.where(jnp.isfinite(unit), unit, 0) / 12**0.5
+    return jnp.maximum(spreads[0], rounded), spreads[1]
+
+
+def _candidates(poses: int) -> list[int]:
+    """Lags to choose from, 1, 2, 3, 4, 6, 8, 12, ..., for windows of so many poses."""
+    longest = max(1, (poses - 1) // _SHARE)
+    lags = sorted({lag for n in range(32) for lag in (2**n, 3 * 2 ** (n - 1) if n else 1)})
+    return [lag for lag in lags if lag <= longest]
+
+
+def choose_lag(
+    rotation: jax.Array,
+    position: jax.Array,
+    counted: jax.Array,
+    noise: tuple[jax.Array, jax.Array],
+    count: jax.Array,
+) -> jax.Array:
+    """Samples between the poses of a chord: the fewest at which the median chord is long against the noise.
+
+    The median chord should be 70 times the noise in position and in orientation, or as long as the motion
+    makes it; it should turn by no more than 20 degrees, and six chords should fit the window. A group that
+    hardly moves does not count: one whose chords stay as short however far apart the poses are.
+
+    Args:
+        rotation: (3, 3, K+1, N).
+        position: (3, K+1, N) m.
+        counted: (K+1, N) bool.
+        noise: as :func:`estimate_noise` returns it.
+        count: (N,) number of poses in each window, padding left out.
+
+    Returns:
+        (N,) int32.
+    """
+    lags = _candidates(counted.shape[0])
+    sizes = []
+    for lag in lags:
+        both = counted[lag:] & counted[:-lag]
+        shift = jnp.sum(jnp.square(position[:, lag:] - position[:, :-lag]), axis=0)
+        turn = jnp.sum(jnp.square(rotation[:, :, lag:] - rotation[:, :, :-lag]), axis=(0, 1)) / 2
+        sizes.append([masked_median(jnp.sqrt(square), both) for square in (shift, turn)])
+    allowed = jnp.stack([(lag == 1) | (lag * _SHARE <= count - 1) for lag in lags])
+    wanted = jnp.zeros(count.shape, jnp.int32)
+    for group in range(2):
+        size = jnp.stack([pair[group] for pair in sizes])
+        wanted = jnp.maximum(wanted, _needed(size / noise[group], allowed, lags))
+    turns = jnp.stack([pair[1] for pair in sizes])
+    within = jnp.cumsum((allowed & (turns <= _TURN)).astype(jnp.int32), axis=0)
+    # all shorter lags turn less too
+    longest = jnp.maximum(
+        jnp.max(jnp.where(within == 1 + np.arange(len(lags))[:, None], within, 0), axis=0) - 1, 0
+    )
+    return jnp.asarray(lags, jnp.int32)[jnp.minimum(wanted, longest)]
+
+
+def _needed(size: jax.Array, allowed: jax.Array, lags: list[int]) -> jax.Array:
+    """Index of the lag that a group needs, (N,), from the chords (lags, N) in units of their noise."""
+    size = jnp.where(allowed, size, 0)
+    largest = jnp.max(size, axis=0)
+    goal = jnp.minimum(_CHORD, _SATURATED * largest)
+    found = jnp.argmax(size >= goal[None], axis=0)
+    quarter = np.asarray([max(i for i, other in enumerate(lags) if other * 4 <= max(lag, 4)) for lag in lags])
+    before = jnp.take_along_axis(size, jnp.asarray(quarter)[found][None], axis=0)[0]
+    here = jnp.take_along_axis(size, found[None], axis=0)[0]
+    drifts = (jnp.asarray(lags)[found] >= 4) & (here < _GROWS * before)
+    return jnp.where(drifts, 0, found).astype(jnp.int32)
