@@ -44,7 +44,7 @@ class SearchState:
 
     @property
     def chains(self) -> Chains:
-        """The state without the count of steps and the key."""
+        """All but the count of steps and the key."""
         return Chains(self.x, self.value, self.best_x, self.best_value)
 
 
@@ -208,7 +208,7 @@ class BasinHopping:
         interpret: bool = False,
     ) -> SearchState:
         """The state after ``count`` steps, as :meth:`step` reaches it."""
-        problems = len(state.value.shape) - 1
+        problems = state.value.ndim - 1
         key, jumps, rises = state.key, [], []
         for _ in range(count):
             jump, rise, key = self._draw(key, objective.dim, state.x.dtype)
