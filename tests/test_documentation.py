@@ -5,8 +5,10 @@ import inspect
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import jax
+import numpy as np
 import pytest
 
 import reframe_jax
@@ -27,13 +29,31 @@ def plain_jax() -> Iterator[None]:
         jax.config.update(name, value)
 
 
+def run_code(page: str) -> dict[str, Any]:
+    """The names that the code of a page defines."""
+    blocks = re.findall(r"^```python\n(.*?)^```", (ROOT / page).read_text(), re.MULTILINE | re.DOTALL)
+    assert blocks
+    names: dict[str, Any] = {"__name__": page}
+    exec("\n".join(blocks), names)
+    return names
+
+
 @pytest.mark.parametrize("page", ["README.md", "docs/tutorial.md"])
 @pytest.mark.filterwarnings("default")
 def test_code_runs(page: str, plain_jax: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
-    blocks = re.findall(r"^```python\n(.*?)^```", (ROOT / page).read_text(), re.MULTILINE | re.DOTALL)
-    assert blocks
-    exec("\n".join(blocks), {"__name__": page})
+    run_code(page)
+
+
+@pytest.mark.filterwarnings("default")
+def test_an_objective_of_ones_own_finds_its_minimum(plain_jax: None) -> None:
+    names = run_code("docs/objectives.md")
+    found, by_hand = names["found"], names["by_hand"]
+    np.testing.assert_allclose(found.x, names["centres"], atol=1e-3)
+    np.testing.assert_allclose(np.exp(found.value), 1e-3, rtol=0.2)
+    np.testing.assert_array_equal(found.agreement, 1)
+    np.testing.assert_allclose(by_hand.x, names["centres"], atol=1e-3)
+    np.testing.assert_allclose(by_hand.value, found.value, atol=1e-3)
 
 
 def test_every_public_name_is_in_the_reference() -> None:

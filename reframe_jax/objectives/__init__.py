@@ -1,4 +1,4 @@
-"""The norms that a constraint frame minimises, from samples and from moments."""
+"""The norms that a constraint frame minimises, from samples and from moments; what solvers see of them."""
 
 from reframe_jax.objectives.norms import (
     axis_rms,
@@ -10,10 +10,13 @@ from reframe_jax.objectives.norms import (
     power_mean,
     principal_axes,
 )
+from reframe_jax.objectives.protocol import MomentsObjective, Objective
 from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
 
 __all__ = [
     "FrameObjective",
+    "MomentsObjective",
+    "Objective",
     "PositionObjective",
     "axis_rms",
     "axis_rms_from_covariance",

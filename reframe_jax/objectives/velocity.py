@@ -1,9 +1,11 @@
 """What a solver minimises: log J of many problems at once, as a function of an array of unknowns."""
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from reframe_jax.geometry import rotations, symmetric
 from reframe_jax.objectives.moments import covariance_at
@@ -31,6 +33,21 @@ class FrameObjective:
     def dim(self) -> int:
         """Number of unknowns: 6, or 3 without a position."""
         return 6 if self.moments.shape[1] > 1 else 3
+
+    @property
+    def batch(self) -> tuple[int, ...]:
+        """Shape of the problems."""
+        return self.moments.shape[2:]
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Of the unknowns and the values."""
+        return self.moments.dtype
+
+    @property
+    def unknowns(self) -> Literal["frame"]:
+        """Orientation and origin."""
+        return "frame"
 
     def covariance(self, x: jax.Array) -> symmetric.Symmetric:
         """Velocity covariance at the origin in ``x``."""
@@ -76,6 +93,21 @@ class PositionObjective:
     def dim(self) -> int:
         """Number of unknowns."""
         return 3
+
+    @property
+    def batch(self) -> tuple[int, ...]:
+        """Shape of the problems."""
+        return self.moments.shape[2:]
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Of the unknowns and the values."""
+        return self.moments.dtype
+
+    @property
+    def unknowns(self) -> Literal["position"]:
+        """The origin alone."""
+        return "position"
 
     def covariance(self, x: jax.Array) -> symmetric.Symmetric:
         """Velocity covariance at the origin ``x``."""

@@ -1,55 +1,26 @@
 """The global search: basin hopping from many starts, for many problems at once."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from dataclasses import dataclass
+from functools import partial
+from typing import cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
+from reframe_jax.objectives.protocol import Objective, check_objective
 from reframe_jax.solvers.blocks import update_marked
 from reframe_jax.solvers.box import Box
 from reframe_jax.solvers.kernel import step_chains
+from reframe_jax.solvers.problems import flatten_problems, repeat_problems
+from reframe_jax.solvers.protocol import LocalMinimiser, Solution
 from reframe_jax.solvers.seeds import quasi_random
+from reframe_jax.solvers.transition import Chains, Coordinates, transition
 from reframe_jax.solvers.valley_steps import ValleySteps
 
-__all__ = ["BasinHopping", "LocalMinimiser", "Objective", "SearchState", "Solution", "Solver"]
+__all__ = ["BasinHopping", "SearchState"]
 
 _AT_ONCE = 1024  # minimisations at a time; if there are more, restarts take turns
-
-Objective = FrameObjective | PositionObjective
-LocalMinimiser = Callable[[Any, Box, jax.Array], tuple[jax.Array, jax.Array]]
-"""(objective, box, x (dim, ...)) -> (x, value): an improvement of every problem by itself."""
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Solution:
-    """Result of a global search.
-
-    Attributes:
-        x: (dim, ...) best unknowns of every problem.
-        value: (...) log J there.
-        agreement: (...) share of the restarts that ended within 0.1 % of the best norm.
-        ends, end_values: (dim, restarts, ...) and (restarts, ...) the best of every restart, among
-            which twins are looked for; None if the solver does not say.
-    """
-
-    x: jax.Array
-    value: jax.Array
-    agreement: jax.Array
-    ends: jax.Array | None = None
-    end_values: jax.Array | None = None
-
-
-class Solver(Protocol):
-    """What ``identify`` needs of a solver. Solvers are static arguments: make them hashable."""
-
-    def minimise(self, objective: Any, box: Box, key: jax.Array) -> Solution:
-        """Search every problem of the objective."""
-        ...
 
 
 @jax.tree_util.register_dataclass
@@ -71,8 +42,15 @@ class SearchState:
     best_x: jax.Array
     best_value: jax.Array
 
+    @property
+    def chains(self) -> Chains:
+        """All but the count of steps and the key."""
+        return Chains(self.x, self.value, self.best_x, self.best_value)
 
-_OF_CHAINS = ("x", "value", "best_x", "best_value")
+
+def _state(hop: jax.Array, key: jax.Array, chains: Chains) -> SearchState:
+    x, best_x = cast(jax.Array, chains.x), cast(jax.Array, chains.best_x)
+    return SearchState(hop, key, x, chains.value, best_x, chains.best_value)
 
 
 @dataclass(frozen=True)
@@ -84,6 +62,10 @@ class BasinHopping:
     more from its best point. A problem whose chains all meet after their first minimisation is settled
     and hops no more: most are, which is what makes the search fast. All problems see the same random
     numbers, so a problem's answer depends on its data and the key alone, not on its place in a batch.
+
+    :meth:`minimise` is the whole search. The same search by hand, to watch it or to stop it early, is
+    ``init``, ``step`` for 1 + ``hops`` + ``polish`` times, and ``finish``; all three are pure functions of
+    arrays, to be compiled or not, and every problem takes all steps, settled or not.
 
     Attributes:
         inner: local minimiser: :class:`ValleySteps`, :class:`FrameSteps` or another of this package, or your
@@ -117,8 +99,12 @@ class BasinHopping:
             box: where to search.
             key: of the random numbers.
             starts: (dim, restarts, ...); quasi-random points, the same for all problems, by default.
+
+        Raises:
+            ValueError: if the objective is no :class:`Objective`.
         """
-        batch, dtype = objective.moments.shape[2:], objective.moments.dtype
+        check_objective(objective)
+        batch, dtype = objective.batch, objective.dtype
         seed_key, key = jax.random.split(key)
         if starts is None:
             starts = box.scale(quasi_random(seed_key, self.restarts, objective.dim, dtype))
@@ -135,19 +121,17 @@ class BasinHopping:
         jump, rise, key = self._draw(state.key, objective.dim, state.x.dtype)
         more = (1,) * (state.x.ndim - 2)
         low, high = box.bounds(state.x)
-        hopped = box.clip(state.x + (high - low) * jump.reshape(*jump.shape, *more))
-        start = jnp.where(state.hop == 0, state.x, jnp.where(state.hop > self.hops, state.best_x, hopped))
-        x, value = self._descend(objective, box, start)
-        accept = value < state.value + rise.reshape(*rise.shape, *more)
-        better = value < state.best_value
-        return SearchState(
-            hop=state.hop + 1,
-            key=key,
-            x=jnp.where(accept[None], x, state.x),
-            value=jnp.where(accept, value, state.value),
-            best_x=jnp.where(better[None], x, state.best_x),
-            best_value=jnp.where(better, value, state.best_value),
+        chains = transition(
+            state.chains,
+            state.hop,
+            self.hops,
+            jump=(high - low) * jump.reshape(*jump.shape, *more),
+            rise=rise.reshape(*rise.shape, *more),
+            low=low,
+            high=high,
+            descend=partial(self._descend, objective, box),
         )
+        return _state(state.hop + 1, key, chains)
 
     def _draw(self, key: jax.Array, dim: int, dtype: np.dtype) -> tuple[jax.Array, jax.Array, jax.Array]:
         """Jump of every chain as a share of the box, (dim, restarts), the rise it accepts, the next key."""
@@ -185,9 +169,9 @@ class BasinHopping:
 
     def _advance(self, objective: Objective, box: Box, state: SearchState, count: int) -> SearchState:
         """Make ``count`` steps."""
-        in_a_kernel = jax.default_backend() == "gpu" and objective.exponent == 0
-        if in_a_kernel and isinstance(self.inner, ValleySteps):
-            return self._in_a_kernel(self.inner, objective, box, state, count)
+        on_gpu, inner = jax.default_backend() == "gpu", self.inner
+        if on_gpu and isinstance(inner, ValleySteps) and inner.check(objective).exponent == 0:
+            return self._in_a_kernel(inner, objective, box, state, count)
         state, _ = jax.lax.scan(
             lambda state, _: (self.step(objective, box, state), None), state, length=count
         )
@@ -197,18 +181,16 @@ class BasinHopping:
         """Take the problems that are not settled through the other steps, gathered into full blocks."""
         batch = state.value.shape[1:]
 
-        def flat(tree: Any) -> Any:
-            return jax.tree.map(lambda a: a.reshape(*a.shape[: a.ndim - len(batch)], -1), tree)
-
-        def further(block: tuple[Objective, dict[str, jax.Array]]) -> dict[str, jax.Array]:
+        def further(block: tuple[Objective, Chains]) -> Chains:
             objective, chains = block
-            after = self._advance(objective, box, replace(state, **chains), self.hops + self.polish)
-            return {name: getattr(after, name) for name in _OF_CHAINS}
+            state_there = _state(state.hop, state.key, chains)
+            return self._advance(objective, box, state_there, self.hops + self.polish).chains
 
-        chains = flat({name: getattr(state, name) for name in _OF_CHAINS})
+        flat_objective, chains = flatten_problems((objective, state.chains), len(batch))
         is_open = ~self._is_settled(state).reshape(-1)
-        chains = update_marked(further, is_open, (flat(objective), chains), chains)
-        return replace(state, **{name: a.reshape(*a.shape[:-1], *batch) for name, a in chains.items()})
+        chains = update_marked(further, is_open, (flat_objective, chains), chains)
+        chains = jax.tree.map(lambda a: a.reshape(*a.shape[:-1], *batch), chains)
+        return _state(state.hop, state.key, chains)
 
     def _is_settled(self, state: SearchState) -> jax.Array:
         """Whether all chains met, (...). One chain meets nobody."""
@@ -226,45 +208,34 @@ class BasinHopping:
         interpret: bool = False,
     ) -> SearchState:
         """The state after ``count`` steps, as :meth:`step` reaches it."""
-        inner.check(objective)
+        problems = state.value.ndim - 1
         key, jumps, rises = state.key, [], []
         for _ in range(count):
             jump, rise, key = self._draw(key, objective.dim, state.x.dtype)
             jumps.append((box.high - box.low)[:, None] * jump)
             rises.append(rise)
-        batch = state.value.shape[1:]
-
-        def flat(a: jax.Array) -> jax.Array:
-            return a.reshape(*a.shape[: a.ndim - len(batch)], -1)
-
         after = step_chains(
-            flat(objective.moments),
+            flatten_problems(inner.check(objective).moments, problems),
             box.low,
             box.high,
             state.hop,
-            flat(state.x),
-            flat(state.value),
-            flat(state.best_x),
-            flat(state.best_value),
+            flatten_problems(state.chains, problems),
             jnp.stack(jumps),
             jnp.stack(rises),
             steps=inner.steps,
             hops=self.hops,
             interpret=interpret,
         )
-        x, value, best_x, best_value = (a.reshape(*a.shape[:-1], *batch) for a in after)
-        return SearchState(state.hop + count, key, x, value, best_x, best_value)
+        after = jax.tree.map(lambda new, old: new.reshape(old.shape), after, state.chains)
+        return _state(state.hop + count, key, after)
 
-    def _descend(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def _descend(self, objective: Objective, box: Box, x: Coordinates) -> tuple[jax.Array, jax.Array]:
         """Local minimisation of every chain: at once if problems are few, else one after the other."""
-        if x[0].size <= _AT_ONCE:
-            chains = jax.tree.map(
-                lambda m: jnp.broadcast_to(m[:, :, None], (*m.shape[:2], *x.shape[1:])), objective
-            )
-            return self._inner(chains, box, x)
-        x, value = jax.lax.map(lambda start: self._inner(objective, box, start), jnp.moveaxis(x, 1, 0))
-        return jnp.moveaxis(x, 0, 1), value
-
-    def _inner(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        x, value = self.inner(objective, box, x)
-        return x, jnp.where(jnp.isnan(value), jnp.inf, value)
+        starts = cast(jax.Array, x)
+        if starts[0].size <= _AT_ONCE:
+            chains = repeat_problems(objective, starts.ndim - 2, self.restarts)
+            return self.inner(chains, box, starts)
+        found, value = jax.lax.map(
+            lambda start: self.inner(objective, box, start), jnp.moveaxis(starts, 1, 0)
+        )
+        return jnp.moveaxis(found, 0, 1), value

@@ -39,7 +39,7 @@ from reframe_jax.objectives.moments import (
     covariance_hessian,
 )
 from reframe_jax.objectives.norms import log_power_mean
-from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
+from reframe_jax.objectives.protocol import MomentsObjective, Objective
 from reframe_jax.solvers.box import Box
 
 __all__ = ["FrameSteps"]
@@ -289,7 +289,7 @@ class FrameSteps:
 
     steps: int = 10
 
-    def __call__(self, objective: FrameObjective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def __call__(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Improve the unknowns x, (dim, ...): rotation vectors, and origins unless there are none.
 
         Returns:
@@ -298,25 +298,30 @@ class FrameSteps:
         Raises:
             ValueError: for another objective.
         """
-        self.check(objective)
+        known = self.check(objective)
         batch = x.shape[1:]
-        moments, x = objective.moments.reshape(6, -1, *x[0].reshape(-1).shape), x.reshape(len(x), -1)
+        moments, x = known.moments.reshape(6, -1, *x[0].reshape(-1).shape), x.reshape(len(x), -1)
         low, high = box.bounds(x)
         axes = rotations.rotation_exp(x[:3].T)
         columns = tuple(tuple(axes[:, i, n] for i in range(3)) for n in range(3))
         position = tuple(x[3:]) if len(x) == 6 else tuple(jnp.zeros_like(x))
         start = _Frame(cast(Axes, columns), cast(Vector, position))
         faces = cast(Vector, tuple(low[3:])), cast(Vector, tuple(high[3:]))
-        found, _ = _descend(moments, *faces, start, self.steps, objective.exponent)
+        found, _ = _descend(moments, *faces, start, self.steps, known.exponent)
         turned = rotations.rotation_log(jnp.stack([jnp.stack(e, axis=-1) for e in found.axes], axis=-1)).T
         moved = jnp.concatenate([turned, jnp.stack(found.position)[: len(x) - 3]])
         return moved.reshape(-1, *batch), objective.value(moved.reshape(-1, *batch))
 
     @staticmethod
-    def check(objective: FrameObjective | PositionObjective) -> None:
-        """Raise ``ValueError`` unless these steps can minimise the objective."""
-        if not isinstance(objective, FrameObjective):
-            raise ValueError(
-                "FrameSteps minimise over orientation and origin (a FrameObjective); use ValleySteps, "
-                "NewtonSteps or OptaxSteps for other objectives."
-            )
+    def check(objective: Objective) -> MomentsObjective:
+        """The objective, if these steps can minimise it.
+
+        Raises:
+            ValueError: unless it is a :class:`MomentsObjective` whose unknowns are the frame.
+        """
+        if isinstance(objective, MomentsObjective) and objective.unknowns == "frame":
+            return objective
+        raise ValueError(
+            "FrameSteps minimise norms given by moments over orientation and origin (a FrameObjective), "
+            f"not a {type(objective).__name__}; use ValleySteps, NewtonSteps or OptaxSteps for others."
+        )

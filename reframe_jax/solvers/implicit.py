@@ -6,7 +6,9 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax.geometry.products import apply
-from reframe_jax.solvers import Box, Objective
+from reframe_jax.objectives.protocol import Objective
+from reframe_jax.solvers.box import Box
+from reframe_jax.solvers.problems import flatten_problems
 
 __all__ = ["attach_derivative"]
 
@@ -28,11 +30,6 @@ def attach_derivative(x: jax.Array, objective: Objective, box: Box) -> jax.Array
 def _attach_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[jax.Array, jax.Array]:
     x, objective, box = primals
     x = attach_derivative(x, objective, box)
-    batch = x.shape[1:]
-
-    def lanes(array: jax.Array) -> jax.Array:
-        return array.reshape(*array.shape[: array.ndim - len(batch)], -1)
-
     low, high = box.bounds(x)
 
     def one(x: jax.Array, inside: jax.Array, objective: Objective, change: Objective) -> jax.Array:
@@ -47,10 +44,7 @@ def _attach_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[ja
         along = apply(axes.T, jnp.where(inside, rate, 0))
         return -apply(axes, jnp.where(stiff, along / jnp.where(stiff, curvature, 1), 0))
 
-    change = jax.vmap(one, in_axes=(-1, -1, -1, -1), out_axes=-1)(
-        lanes(x),
-        lanes((x > low) & (x < high)),
-        jax.tree.map(lanes, objective),
-        jax.tree.map(lanes, tangents[1]),
-    )
+    of_problems = x, (x > low) & (x < high), objective, tangents[1]
+    flat = flatten_problems(of_problems, x.ndim - 1)
+    change = jax.vmap(one, in_axes=(-1, -1, -1, -1), out_axes=-1)(*flat)
     return x, change.reshape(x.shape)

@@ -5,9 +5,11 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
-from reframe_jax.solvers.basin_hopping import BasinHopping, Solution
+from reframe_jax.objectives.protocol import Objective
+from reframe_jax.objectives.velocity import FrameObjective
+from reframe_jax.solvers.basin_hopping import BasinHopping
 from reframe_jax.solvers.box import Box
+from reframe_jax.solvers.protocol import Solution
 from reframe_jax.solvers.valley_steps import ValleySteps
 
 __all__ = ["JointSearch"]
@@ -29,11 +31,16 @@ class JointSearch:
     search: BasinHopping
     refine: ValleySteps
 
-    def minimise(self, objective: PositionObjective, box: Box, key: jax.Array) -> Solution:
-        """Search every problem of the objective."""
+    def minimise(self, objective: Objective, box: Box, key: jax.Array) -> Solution:
+        """Search every problem of the objective.
+
+        Raises:
+            ValueError: unless it is a norm of positions that :class:`ValleySteps` can minimise.
+        """
+        known = self.refine.check(objective)
         turn = jnp.full_like(box.low, jnp.pi)
         frames = Box(jnp.concatenate([-turn, box.low]), jnp.concatenate([turn, box.high]))
-        found = self.search.minimise(FrameObjective(objective.moments, objective.exponent), frames, key)
+        found = self.search.minimise(FrameObjective(known.moments, known.exponent), frames, key)
         x, value = self.refine(objective, box, found.x[3:])
         ends = None if found.ends is None else found.ends[3:]
         return Solution(x, value, found.agreement, ends, found.end_values)

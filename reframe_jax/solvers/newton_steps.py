@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax.geometry.products import apply
-from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
+from reframe_jax.objectives.protocol import Objective
 from reframe_jax.solvers.box import Box
+from reframe_jax.solvers.problems import minimise_each
 
 __all__ = ["NewtonSteps"]
 
@@ -31,26 +32,15 @@ class NewtonSteps:
 
     steps: int = 30
 
-    def __call__(
-        self, objective: FrameObjective | PositionObjective, box: Box, x: jax.Array
-    ) -> tuple[jax.Array, jax.Array]:
+    def __call__(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Improve the unknowns x, (dim, ...), every problem by itself.
 
         Returns:
             The new unknowns and their values, (...).
         """
-        batch = x.shape[1:]
+        return minimise_each(self._minimise_one, objective, box, x)
 
-        def lanes(array: jax.Array) -> jax.Array:
-            return array.reshape(*array.shape[: array.ndim - len(batch)], -1)
-
-        minimise = jax.vmap(self._minimise_one, in_axes=(-1, None, -1), out_axes=-1)
-        found, values = minimise(jax.tree.map(lanes, objective), box, lanes(x))
-        return found.reshape(x.shape), values.reshape(batch)
-
-    def _minimise_one(
-        self, objective: FrameObjective | PositionObjective, box: Box, x: jax.Array
-    ) -> tuple[jax.Array, jax.Array]:
+    def _minimise_one(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
         def step(carry: tuple[jax.Array, jax.Array], _: None) -> tuple[tuple[jax.Array, jax.Array], None]:
             x, best = carry
             gradient = jax.grad(objective.value)(x)

@@ -35,7 +35,7 @@ from reframe_jax.objectives.moments import (
     covariance_hessian,
 )
 from reframe_jax.objectives.norms import log_power_mean
-from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
+from reframe_jax.objectives.protocol import MomentsObjective, Objective
 from reframe_jax.solvers.box import Box
 
 __all__ = ["ValleySteps", "descend"]
@@ -278,7 +278,7 @@ class ValleySteps:
 
     steps: int = 12
 
-    def __call__(self, objective: PositionObjective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def __call__(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Improve the origins x, (3, ...).
 
         Returns:
@@ -287,20 +287,25 @@ class ValleySteps:
         Raises:
             ValueError: for another objective.
         """
-        self.check(objective)
+        known = self.check(objective)
         batch = x.shape[1:]
-        moments, x = objective.moments.reshape(6, 10, -1), x.reshape(3, -1)
+        moments, x = known.moments.reshape(6, 10, -1), x.reshape(3, -1)
         low, high = box.bounds(x)
         bounds = cast(Vector, tuple(low)), cast(Vector, tuple(high))
-        p, _ = descend(moments, *bounds, (x[0], x[1], x[2]), self.steps, objective.exponent)
+        p, _ = descend(moments, *bounds, (x[0], x[1], x[2]), self.steps, known.exponent)
         found = jnp.stack(p).reshape(3, *batch)
         return found, objective.value(found)
 
     @staticmethod
-    def check(objective: FrameObjective | PositionObjective) -> None:
-        """Raise ``ValueError`` unless these steps can minimise the objective."""
-        if not isinstance(objective, PositionObjective):
-            raise ValueError(
-                "ValleySteps minimise over positions alone (a PositionObjective); use FrameSteps, "
-                "NewtonSteps or OptaxSteps for other objectives."
-            )
+    def check(objective: Objective) -> MomentsObjective:
+        """The objective, if these steps can minimise it.
+
+        Raises:
+            ValueError: unless it is a :class:`MomentsObjective` whose unknowns are the position.
+        """
+        if isinstance(objective, MomentsObjective) and objective.unknowns == "position":
+            return objective
+        raise ValueError(
+            f"ValleySteps minimise norms given by moments over positions alone (a PositionObjective), not a "
+            f"{type(objective).__name__}; use FrameSteps, NewtonSteps or OptaxSteps for others."
+        )

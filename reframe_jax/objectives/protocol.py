@@ -1,0 +1,92 @@
+"""What a solver needs to know of an objective."""
+
+from typing import Any, Literal, Protocol, runtime_checkable
+
+import jax
+import numpy as np
+
+__all__ = ["MomentsObjective", "Objective", "check_objective"]
+
+
+@runtime_checkable
+class Objective(Protocol):
+    """A function to minimise, for many problems at once.
+
+    An objective is a pytree, for example a class registered with ``jax.tree_util.register_dataclass``. Its
+    arrays hold the data of the problems, and the trailing axes of each are the problems. What all problems
+    share is a static field. Solvers select, repeat and flatten problems with ``jax.tree.map`` and put the
+    objective together again. Therefore ``batch`` and ``dtype`` must be read off the arrays, not stored, and
+    ``value`` must treat every problem by itself, whatever the number of problem axes, none included.
+    """
+
+    @property
+    def dim(self) -> int:
+        """Number of unknowns of a problem."""
+        ...
+
+    @property
+    def batch(self) -> tuple[int, ...]:
+        """Shape of the problems; () for a single one."""
+        ...
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Of the unknowns and the values."""
+        ...
+
+    def value(self, x: jax.Array) -> jax.Array:
+        """What to minimise, (...), at unknowns (dim, ...); infinite or NaN where it is not defined.
+
+        Solvers expect the logarithm of a quantity whose relative changes matter: the temperature of
+        :class:`BasinHopping` and its bounds for chains that agree are differences of values.
+        """
+        ...
+
+
+@runtime_checkable
+class MomentsObjective(Objective, Protocol):
+    """A norm of velocities that are known by their moments, and nothing beside it.
+
+    ``ValleySteps`` and ``FrameSteps`` minimise it in closed form: they read the moments and the exponent,
+    and call ``value`` for the result only.
+    """
+
+    @property
+    def moments(self) -> jax.Array:
+        """(6, 10, ...), or (6, 1, ...) for angular velocities; the trailing axes are problems."""
+        ...
+
+    @property
+    def exponent(self) -> float:
+        """Of the power mean over axes."""
+        ...
+
+    @property
+    def unknowns(self) -> Literal["frame", "position"]:
+        """A frame's orientation and origin, or its origin alone, with the best axes there."""
+        ...
+
+
+def check_objective(objective: Any) -> None:
+    """Check what can be seen of an objective without a value: its members and the shapes of its arrays.
+
+    Raises:
+        ValueError: if it is no :class:`Objective`.
+    """
+    name = type(objective).__name__
+    missing = [member for member in ("dim", "batch", "dtype", "value") if not hasattr(objective, member)]
+    if missing:
+        raise ValueError(f"An objective has dim, batch, dtype and value; {name} lacks {', '.join(missing)}.")
+    batch = tuple(objective.batch)
+    for path, leaf in jax.tree_util.tree_leaves_with_path(objective):
+        if leaf is objective:
+            raise ValueError(
+                f"An objective is a pytree; register {name} with jax.tree_util.register_dataclass."
+            )
+        shape = np.shape(leaf)
+        if len(shape) < len(batch) or shape[len(shape) - len(batch) :] != batch:
+            raise ValueError(
+                f"Every array of an objective ends with the axes of its problems, {batch} here; "
+                f"{name}{jax.tree_util.keystr(path)} has the shape {shape}. Make what all problems share "
+                "a static field."
+            )

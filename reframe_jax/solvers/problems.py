@@ -1,0 +1,53 @@
+"""Arrays whose trailing axes are problems: flattened, repeated for several chains, taken one by one."""
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import jax
+import jax.numpy as jnp
+
+from reframe_jax.objectives.protocol import Objective
+from reframe_jax.solvers.box import Box
+
+__all__ = ["flatten_problems", "minimise_each", "repeat_problems"]
+
+_T = TypeVar("_T")
+
+
+def flatten_problems(tree: _T, axes: int) -> _T:
+    """The tree with one axis of problems in place of the last ``axes``, which may be none."""
+    return jax.tree.map(lambda a: a.reshape(*a.shape[: a.ndim - axes], -1), tree)
+
+
+def repeat_problems(tree: _T, axes: int, count: int) -> _T:
+    """The tree with every problem ``count`` times, along a new axis before the last ``axes``."""
+
+    def repeat(a: jax.Array) -> jax.Array:
+        place = a.ndim - axes
+        shape = (*a.shape[:place], count, *a.shape[place:])
+        return jnp.broadcast_to(jnp.expand_dims(a, place), shape)
+
+    return jax.tree.map(repeat, tree)
+
+
+def minimise_each(
+    minimise_one: Callable[[Objective, Box, jax.Array], tuple[jax.Array, jax.Array]],
+    objective: Objective,
+    box: Box,
+    x: jax.Array,
+) -> tuple[jax.Array, jax.Array]:
+    """Apply a minimiser of one problem to all problems.
+
+    Args:
+        minimise_one: from an objective of one problem, the box and x, (dim,), to the new x and its value.
+        objective: the problems.
+        box: where to search, the same for all problems.
+        x: (dim, ...) where to start.
+
+    Returns:
+        The new unknowns, (dim, ...), and their values, (...).
+    """
+    batch = x.shape[1:]
+    flat_objective, flat_x = flatten_problems((objective, x), len(batch))
+    found, values = jax.vmap(minimise_one, in_axes=(-1, None, -1), out_axes=-1)(flat_objective, box, flat_x)
+    return found.reshape(x.shape), values.reshape(batch)

@@ -1,0 +1,53 @@
+"""What a search is made of and what it returns."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import jax
+
+from reframe_jax.objectives.protocol import Objective
+from reframe_jax.solvers.box import Box
+
+__all__ = ["LocalMinimiser", "Solution", "Solver"]
+
+LocalMinimiser = Callable[[Objective, Box, jax.Array], tuple[jax.Array, jax.Array]]
+"""(objective, box, x (dim, ...)) -> (x, value): an improvement of every problem by itself."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Solution:
+    """Result of a global search.
+
+    Attributes:
+        x: (dim, ...) best unknowns of every problem.
+        value: (...) what the objective is there: log J of a norm.
+        agreement: (...) share of the restarts that ended within 0.1 % of the best norm, 0.001 of its value.
+        ends, end_values: (dim, restarts, ...) and (restarts, ...) the best of every restart, among
+            which twins are looked for; None if the solver does not say.
+    """
+
+    x: jax.Array
+    value: jax.Array
+    agreement: jax.Array
+    ends: jax.Array | None = None
+    end_values: jax.Array | None = None
+
+
+class Solver(Protocol):
+    """What ``identify`` needs of a solver. Solvers are static arguments: make them hashable.
+
+    :class:`BasinHopping` also lets its search be stepped by hand: ``init`` makes a state, ``step`` takes it
+    one step further, and ``finish`` turns it into a :class:`Solution`.
+    """
+
+    def minimise(self, objective: Objective, box: Box, key: jax.Array) -> Solution:
+        """Search every problem of the objective.
+
+        Args:
+            objective: the problems.
+            box: where to search.
+            key: of the random numbers.
+        """
+        ...

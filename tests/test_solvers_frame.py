@@ -1,0 +1,169 @@
+"""Local steps of whole frames, and the search of origins that goes through them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from planted_problems import FRAMES, KEY, POSITIONS, VALLEY, four_moments, frame_value
+from scipy.spatial.transform import Rotation
+
+from reframe_jax.geometry.rotations import rotation_exp
+from reframe_jax.geometry.symmetric import to_matrix
+from reframe_jax.objectives.norms import log_power_mean
+from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
+from reframe_jax.solvers import BasinHopping, Box, FrameSteps, JointSearch, ValleySteps
+from reframe_jax.solvers import frame_steps as frame_steps
+
+
+@pytest.fixture(scope="module")
+def moments():
+    """Of four problems, (6, 10, 4)."""
+    return four_moments()
+
+
+def frame_of(x):
+    """The frame at unknowns (6,) or (3,)."""
+    axes = rotation_exp(x[:3])
+    position = tuple(x[3:]) if len(x) == 6 else tuple(jnp.zeros(3))
+    return frame_steps._Frame(tuple(tuple(axes[:, n]) for n in range(3)), position)
+
+
+class TestFrameSteps:
+    @pytest.mark.parametrize("dim", [3, 6])
+    @pytest.mark.parametrize("exponent", [0.0, 0.5, 1.0, 2.0, -1.0, -np.inf])
+    def test_derivatives(self, moments, exponent, dim):
+        """With respect to a turn about the frame's own axes and a shift, as autodiff has them."""
+        m = moments[:, : 10 if dim == 6 else 1, 0]
+        x = jnp.asarray([0.4, -1.1, 0.7, 0.2, -0.1, 0.4])[:dim]
+
+        def stepped(step):
+            turned = rotation_exp(x[:3]) @ rotation_exp(step[:3])
+            columns = tuple(tuple(turned[:, n]) for n in range(3))
+            position = tuple((x + step)[3:]) if dim == 6 else tuple(jnp.zeros(3))
+            return frame_steps._level(m, frame_steps._Frame(columns, position), exponent)
+
+        zero = jnp.zeros(dim)
+        np.testing.assert_allclose(stepped(zero), FrameObjective(m, exponent).value(x), rtol=1e-12)
+        expand = jax.jit(lambda m: frame_steps._expand(m, frame_of(x), exponent))
+        gradient, rows, covariance, _ = expand(m)
+        axes = np.asarray(rotation_exp(x[:3]))
+        sigma = to_matrix(FrameObjective(m, exponent).covariance(x))
+        np.testing.assert_allclose(to_matrix(covariance), axes.T @ np.asarray(sigma) @ axes, atol=1e-12)
+        hessian = jax.jit(jax.hessian(stepped))(zero)
+        scale = np.max(np.abs(hessian))
+        np.testing.assert_allclose(jnp.stack(gradient), jax.jit(jax.grad(stepped))(zero), atol=1e-11)
+        for i, row in enumerate(rows):
+            np.testing.assert_allclose(jnp.stack(row), hessian[i, : i + 1], rtol=0, atol=1e-9 * scale + 1e-12)
+
+    def test_directions(self, rng):
+        """Newton's step solves with H; the other descends whatever the signs of H's eigenvalues."""
+        h = rng.normal(size=(6, 6, 50))
+        h, g = h + np.swapaxes(h, 0, 1), rng.normal(size=(6, 50))
+        rows = [[jnp.asarray(h[i, j]) for j in range(i + 1)] for i in range(6)]
+        newton, descent = frame_steps._directions([jnp.asarray(row) for row in g], rows)
+        np.testing.assert_allclose(np.einsum("ijn,jn->in", h, newton), g, atol=1e-5)
+        assert np.all(np.sum(descent * g, axis=0) > 0)
+        definite = np.einsum("ikn,jkn->ijn", h, h) + 0.1 * np.eye(6)[:, :, None]
+        rows = [[jnp.asarray(definite[i, j]) for j in range(i + 1)] for i in range(6)]
+        newton, descent = frame_steps._directions([jnp.asarray(row) for row in g], rows)
+        np.testing.assert_allclose(newton, descent, rtol=1e-9)
+
+    @pytest.mark.parametrize(("i", "j"), [(0, 1), (0, 2), (1, 2)])
+    def test_aligning_turns(self, i, j):
+        """In one plane the turn makes the matrix diagonal, by the smaller angle."""
+        matrix = np.diag([1.0, 2.0, 4.0])
+        matrix[i, j] = matrix[j, i] = 0.3
+        turn = np.asarray(frame_steps._aligning(tuple(jnp.asarray(matrix[np.triu_indices(3)]))))
+        assert np.count_nonzero(turn) == 1
+        assert np.max(np.abs(turn)) < np.pi / 4
+        axes = Rotation.from_rotvec(-turn).as_matrix()
+        aligned = axes.T @ matrix @ axes
+        np.testing.assert_allclose(aligned, np.diag(np.diag(aligned)), atol=1e-14)
+
+    @pytest.mark.parametrize("exponent", [0.0, 1.0, -1.0, -np.inf])
+    def test_majorant(self, moments, exponent):
+        """With the axes kept, the quadratic touches log J and is nowhere below it."""
+        m, x = moments[..., 0], jnp.asarray([0.4, -1.1, 0.7, 0.2, -0.1, 0.4])
+        here = jax.jit(lambda m: frame_steps._expand(m, frame_of(x), exponent))(m)
+        value_of = jax.jit(FrameObjective(m, exponent).value)
+        slope, curvature = np.stack(here.gradient[3:]), np.asarray(to_matrix(here.majorant))
+        for shift in np.random.default_rng(2).uniform(-1, 1, size=(20, 3)):
+            bound = value_of(x) + slope @ shift + shift @ curvature @ shift / 2
+            assert bound >= value_of(x.at[3:].add(shift)) - 1e-9
+
+    def test_turning_is_the_exponential_to_second_order(self, rng):
+        axes = rotation_exp(jnp.asarray(rng.normal(size=3)))
+        columns = tuple(tuple(axes[:, n]) for n in range(3))
+        for size in (1e-3, 2.0):
+            d = size * rng.normal(size=3)
+            turned = np.stack([np.stack(e) for e in frame_steps._turned(columns, tuple(d))], axis=-1)
+            np.testing.assert_allclose(turned.T @ turned, np.eye(3), atol=1e-14)
+            exact = np.asarray(axes @ rotation_exp(jnp.asarray(d)))
+            assert np.max(np.abs(turned - exact)) < np.linalg.norm(d) ** 3
+
+    @pytest.mark.parametrize("exponent", [0.0, 1.0, -1.0])
+    def test_agrees_with_the_elimination_of_the_rotation(self, moments, exponent):
+        """Six unknowns and three: the same optimum; and angular velocities, whose optimum is closed form."""
+        solver = BasinHopping(FrameSteps(10), restarts=8, hops=2)
+
+        @jax.jit
+        def norms(moments):
+            return (
+                solver.minimise(FrameObjective(moments, exponent), FRAMES, KEY),
+                VALLEY.minimise(PositionObjective(moments, exponent), POSITIONS, KEY),
+            )
+
+        found, valley = norms(moments)
+        assert found.x.shape == (6, 4)
+        np.testing.assert_allclose(found.value, valley.value, atol=1e-8)
+        on_cpu = jax.default_backend() == "cpu"  # the valley of -1 is flat, and a GPU rounds otherwise
+        np.testing.assert_allclose(found.x[3:], valley.x, atol=1e-6 if on_cpu else 1e-5)
+        turns = Box(FRAMES.low[:3], FRAMES.high[:3])
+        angular = jax.jit(lambda m: solver.minimise(FrameObjective(m, exponent), turns, KEY))(moments[:, :1])
+        variances = np.linalg.eigvalsh(np.asarray(to_matrix(tuple(moments[:, 0]))))
+        exact = jax.jit(lambda s: log_power_mean(jnp.log(s.T) / 2, exponent))(jnp.asarray(variances))
+        np.testing.assert_allclose(angular.value, exact, atol=1e-9)
+
+    def test_never_rises_and_stays_in_the_box(self, moments, rng):
+        """Also where the optimum lies beyond a face."""
+        objective = FrameObjective(moments)
+        box = Box(FRAMES.low.at[3:].set(-0.1), FRAMES.high.at[3:].set(0.1))
+        x = jnp.asarray(rng.uniform(-0.1, 0.1, size=(6, 4)))
+        step = jax.jit(lambda x: FrameSteps(1)(objective, box, x))
+        best = start = np.asarray(frame_value(moments, x))
+        for _ in range(15):
+            x, value = step(x)
+            assert np.all(value <= best + 1e-10)
+            assert np.all(np.abs(x[3:]) <= 0.1)
+            np.testing.assert_allclose(value, frame_value(moments, x), rtol=1e-11)
+            best = np.asarray(value)
+        assert np.all(best < start - 0.1)
+        assert np.any(np.abs(x[3:]) == 0.1)
+
+    def test_a_problem_without_a_value_is_no_trap_for_the_others(self, moments):
+        minimise = jax.jit(lambda m, x: FrameSteps(5)(FrameObjective(m), FRAMES, x))
+        x = jnp.asarray(np.random.default_rng(1).uniform(-0.5, 0.5, size=(6, 4)))
+        good, bad = minimise(moments, x)[1], minimise(moments.at[..., 2].set(jnp.nan), x)[1]
+        kept = np.array([0, 1, 3])
+        np.testing.assert_array_equal(bad[kept], good[kept])
+        assert not np.isfinite(bad[2])
+
+    def test_wants_a_frame_objective(self, moments):
+        with pytest.raises(ValueError, match="FrameObjective"):
+            FrameSteps(1)(PositionObjective(moments), POSITIONS, jnp.zeros((3, 4)))
+
+
+class TestJointSearch:
+    def test_finds_origins(self, moments):
+        """Their norms are those with the best axes there; every chain says where it ended."""
+        solver = JointSearch(BasinHopping(FrameSteps(10), restarts=5, hops=2), refine=ValleySteps(4))
+        objective = PositionObjective(moments, -1.0)
+        found = jax.jit(lambda m: solver.minimise(PositionObjective(m, -1.0), POSITIONS, KEY))(moments)
+        assert found.x.shape == (3, 4)
+        assert found.ends.shape == (3, 5, 4)
+        assert np.all(np.abs(found.x) <= 1)
+        np.testing.assert_allclose(found.value, jax.jit(objective.value)(found.x), rtol=1e-12)
+        assert np.all(found.value <= np.min(found.end_values, axis=0) + 1e-9)
+        slope = jax.jit(jax.grad(lambda x: jnp.sum(objective.value(x))))(found.x)
+        inside = np.abs(found.x) < 1
+        np.testing.assert_allclose(np.asarray(slope)[inside], 0, atol=1e-5)
