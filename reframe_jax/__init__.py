@@ -23,7 +23,9 @@ from reframe_jax.identification.velocities import frame_velocities
 from reframe_jax.motion.checks import Status
 from reframe_jax.motion.windows import sliding_windows
 from reframe_jax.recordings.cleaning import clean_recording, pose_noise, pose_outliers, recording_warnings
-from reframe_jax.recordings.files import Recording, RecordingError, load_recording, save_recording
+from reframe_jax.recordings.reading import load_recording
+from reframe_jax.recordings.recording import Recording, RecordingError
+from reframe_jax.recordings.writing import save_recording
 from reframe_jax.solvers import BasinHopping, FrameSteps, NewtonSteps, OptaxSteps, ValleySteps
 from reframe_jax.storage.results import identify_many, load_results
 

@@ -19,7 +19,8 @@ from reframe_jax.constraints.catalogue import CONSTRAINTS
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.identification.entry import identify
 from reframe_jax.motion.checks import Status
-from reframe_jax.recordings.files import load_recording, save_recording
+from reframe_jax.recordings.reading import load_recording
+from reframe_jax.recordings.writing import save_recording
 from reframe_jax.simulation import synthetic
 
 DATA = Path(__file__).parents[2] / "shared" / "data"

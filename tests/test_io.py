@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from reframe_jax.motion.checks import MIN_VELOCITIES
-from reframe_jax.recordings import files as io
-from reframe_jax.recordings.files import RecordingError, load_recording, save_recording
+from reframe_jax.recordings.checks import MIN_POSES
+from reframe_jax.recordings.reading import load_recording
+from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.recordings.writing import save_recording
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 HEADER = ["t", "x", "y", "z", "qx", "qy", "qz", "qw"]
@@ -420,7 +422,7 @@ def test_what_cannot_be_written_is_refused(tmp_path: Path, table: np.ndarray) ->
 
 
 def test_the_smallest_recording_is_the_smallest_window() -> None:
-    assert io._MIN_POSES == MIN_VELOCITIES + 1
+    assert MIN_POSES == MIN_VELOCITIES + 1
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="needs the real recordings, in ../shared/data")

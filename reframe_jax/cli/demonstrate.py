@@ -15,7 +15,7 @@ from reframe_jax.cli.arm import add_common, prepare
 from reframe_jax.cli.commands import add_command
 from reframe_jax.cli.speaking import say
 from reframe_jax.constraints.catalogue import CONSTRAINTS
-from reframe_jax.recordings.files import save_recording
+from reframe_jax.recordings.writing import save_recording
 
 __all__ = ["add_demonstrate"]
 

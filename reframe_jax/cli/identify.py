@@ -22,7 +22,8 @@ from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import MIN_VELOCITIES, Status
 from reframe_jax.motion.windows import sliding_windows
 from reframe_jax.recordings.cleaning import clean_recording, recording_warnings
-from reframe_jax.recordings.files import Recording, RecordingError, load_recording
+from reframe_jax.recordings.reading import load_recording
+from reframe_jax.recordings.recording import Recording, RecordingError
 
 __all__ = ["add_identify"]
 

@@ -12,7 +12,8 @@ from reframe_jax.cli.configuring import configure_jax
 from reframe_jax.cli.speaking import say
 from reframe_jax.constraints.catalogue import CONSTRAINTS
 from reframe_jax.motion.checks import MIN_VELOCITIES
-from reframe_jax.recordings.files import RecordingError, save_recording
+from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.recordings.writing import save_recording
 
 __all__ = ["add_simulate"]
 
