@@ -99,10 +99,10 @@ class Collector:
         if not self._started:
             self._started = True
             if abs(seconds) >= EPOCH:
-                self._origin = _EXACT.create_decimal(cell)
+                self._origin = _exactly(cell)
         if not self._origin:
             return seconds
-        return float(_EXACT.subtract(_EXACT.create_decimal(cell), self._origin))
+        return float(_EXACT.subtract(_exactly(cell), self._origin))
 
     def _number(self, number: int, cell: str) -> float:
         """A number, NaN for an empty cell."""
@@ -113,3 +113,8 @@ class Collector:
 
     def _error(self, number: int, problem: str) -> RecordingError:
         return RecordingError(f"{self._path}: line {number}: {problem}")
+
+
+def _exactly(cell: str) -> decimal.Decimal:
+    """What ``float`` rounds, underscores between digits included."""
+    return _EXACT.create_decimal(cell.replace("_", ""))
