@@ -10,61 +10,23 @@ is attached to, where it lies, and along which axes the velocity is zero (Overbe
     print(found.name, found.linear.frame_type, found.linear.position)
 """
 
-from reframe_jax.constraints.catalogue import CONSTRAINTS, Constraint, constraint, describe, lookup
-from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.types import AngularType, AxisRelation, LinearType
-from reframe_jax.export.json import to_json
-from reframe_jax.export.table import to_table
-from reframe_jax.identification.classify import Thresholds
-from reframe_jax.identification.entry import default_solver, identify
-from reframe_jax.identification.online import OnlineIdentifier
-from reframe_jax.identification.results import AngularFrame, Candidates, Identification, LinearFrame
-from reframe_jax.identification.velocities import frame_velocities
-from reframe_jax.motion.checks import Status
-from reframe_jax.motion.windows import sliding_windows
-from reframe_jax.recordings.cleaning import clean_recording, pose_noise, pose_outliers, recording_warnings
-from reframe_jax.recordings.files import Recording, RecordingError, load_recording, save_recording
-from reframe_jax.solvers import BasinHopping, FrameSteps, NewtonSteps, OptaxSteps, ValleySteps
-from reframe_jax.storage.results import identify_many, load_results
+import importlib
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
-__all__ = [
-    "CONSTRAINTS",
-    "AngularFrame",
-    "AngularType",
-    "AxisRelation",
-    "BasinHopping",
-    "Candidates",
-    "Constraint",
-    "ConstraintFrame",
-    "FrameSteps",
-    "Identification",
-    "LinearFrame",
-    "LinearType",
-    "NewtonSteps",
-    "OnlineIdentifier",
-    "OptaxSteps",
-    "Recording",
-    "RecordingError",
-    "Status",
-    "Thresholds",
-    "ValleySteps",
-    "clean_recording",
-    "constraint",
-    "default_solver",
-    "describe",
-    "frame_velocities",
-    "identify",
-    "identify_many",
-    "load_recording",
-    "load_results",
-    "lookup",
-    "pose_noise",
-    "pose_outliers",
-    "recording_warnings",
-    "save_recording",
-    "sliding_windows",
-    "to_json",
-    "to_table",
-]
+if TYPE_CHECKING:
+    from reframe_jax._public import *  # noqa: F403
+else:
+
+    def __getattr__(name: str) -> Any:
+        """Import the public names with the first of them: the command line answers before JAX is there."""
+        if not (name.startswith("__") and name != "__all__"):
+            public = importlib.import_module("reframe_jax._public")
+            globals().update({each: getattr(public, each) for each in public.__all__}, __all__=public.__all__)
+            if name in globals():
+                return globals()[name]
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *__getattr__("__all__")})

@@ -1,5 +1,5 @@
 """``python -m reframe_jax``: the command line."""
 
-from reframe_jax.cli.program import main
+from reframe_jax.cli.process import main
 
 raise SystemExit(main())

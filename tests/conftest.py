@@ -18,6 +18,7 @@ import hypothesis
 import jax
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
@@ -44,3 +45,10 @@ def no_matplotlib(monkeypatch: pytest.MonkeyPatch) -> None:
         return real(name, *args, **kwargs)
 
     monkeypatch.setattr(builtins, "__import__", without)
+
+
+@pytest.fixture
+def table(rng: np.random.Generator) -> np.ndarray:
+    """(9, 8): t, x, y, z, qx, qy, qz, qw of a wandering body."""
+    times = np.cumsum(rng.uniform(0.02, 0.1, 9))
+    return np.column_stack([times, rng.normal(size=(9, 3)), Rotation.random(9, rng).as_quat()])

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from reframe_jax.identification.entry import identify
 from reframe_jax.recordings.cleaning import clean_recording, pose_noise, pose_outliers, recording_warnings
-from reframe_jax.recordings.files import Recording, load_recording, rotation_vectors
+from reframe_jax.recordings.reading import load_recording
+from reframe_jax.recordings.recording import Recording
 from reframe_jax.simulation import synthetic
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
@@ -39,13 +40,6 @@ def door(
 def distance_to_hinge(found: object, pivot: np.ndarray) -> float:
     offset = np.asarray(found.candidates.linear.position[3]) - pivot  # type: ignore[attr-defined]
     return float(np.linalg.norm(offset - AXIS * (AXIS @ offset)))
-
-
-@given(st.lists(st.floats(-1, 1), min_size=3, max_size=3), st.floats(0, np.pi))
-def test_rotation_vectors(axis: list[float], angle: float) -> None:
-    vector = np.array(axis) / max(float(np.linalg.norm(axis)), 1e-3) * min(angle, np.pi - 1e-6)
-    matrices = Rotation.from_rotvec(vector).as_matrix()[None, None]
-    np.testing.assert_allclose(rotation_vectors(matrices)[0, 0], vector, atol=1e-7)
 
 
 @settings(max_examples=12)

@@ -1,5 +1,6 @@
 """The command line, in this process and on one compiled shape: windows of 21 poses, one at a time."""
 
+import argparse
 import json
 import re
 import subprocess
@@ -19,7 +20,9 @@ from reframe_jax.constraints.catalogue import CONSTRAINTS
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.identification.entry import identify
 from reframe_jax.motion.checks import Status
-from reframe_jax.recordings.files import load_recording, save_recording
+from reframe_jax.recordings.reading import load_recording
+from reframe_jax.recordings.recording import Recording
+from reframe_jax.recordings.writing import save_recording
 from reframe_jax.simulation import synthetic
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
@@ -47,6 +50,11 @@ def clip(door: Path, tmp_path: Path) -> Path:
     path = tmp_path / "clip.csv"
     save_recording(path, recording.times[:POSES], recording.poses[:POSES])
     return path
+
+
+def parse(*arguments: str | Path | int) -> argparse.Namespace:
+    words = list(map(str, arguments))
+    return program._parser(words).parse_args(words)
 
 
 def run(*arguments: str | Path) -> int:
@@ -99,6 +107,28 @@ def test_one_bad_file_does_not_stop_the_others(clip: Path, tmp_path: Path, capsy
     records = read_json((tmp_path / "out.json").read_text())
     assert [record["error"] is None for record in records] == [False, True, False]
     assert [len(record["windows"]) for record in records] == [0, 1, 0]
+
+
+@pytest.mark.parametrize("error", [MemoryError("too large"), ValueError("no"), ZeroDivisionError("by zero")])
+def test_no_error_of_a_file_loses_the_others(
+    clip: Path, tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    bad = tmp_path / "bad.csv"
+    bad.write_text(clip.read_text())
+
+    def warn(recording: Recording, *arguments: Any) -> list[str]:
+        if recording.path == bad:
+            raise error
+        return []
+
+    monkeypatch.setattr(command, "recording_warnings", warn)
+    assert run(clip, bad, "--json", "-") == 1
+    out, err = capsys.readouterr()
+    problem = f"{bad}: {type(error).__name__}: {error}"
+    assert err == f"reframe-jax: error: {problem}\n"
+    first, second = read_json(out)
+    assert (len(first["windows"]), first["error"]) == (1, None)
+    assert second["error"] == problem
 
 
 def test_repaired_input_is_noted(clip: Path, capsys: Captured) -> None:
@@ -229,7 +259,7 @@ def test_windows_longer_than_the_recording(clip: Path, capsys: Captured) -> None
     )
 
 
-def test_plots(clip: Path, tmp_path: Path, capsys: Captured) -> None:
+def test_plots(clip: Path, tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> None:
     other = tmp_path / "other.csv"
     other.write_text(clip.read_text())
     assert run(clip, "--plot", tmp_path / "out.png") == 0
@@ -237,8 +267,36 @@ def test_plots(clip: Path, tmp_path: Path, capsys: Captured) -> None:
     assert run(clip, other, "--plot", tmp_path / "many.png") == 0
     assert {path.name for path in tmp_path.glob("many*")} == {"many-clip.png", "many-other.png"}
     capsys.readouterr()
-    assert run(clip, "--plot", tmp_path / "out.strange") == 1
-    assert capsys.readouterr().err.startswith(f"reframe-jax: error: {tmp_path / 'out.strange'}: cannot be w")
+    (tmp_path / "taken.png").mkdir()
+    monkeypatch.setattr(Path, "is_dir", lambda path: path == tmp_path)  # as if it came into being meanwhile
+    assert run(clip, "--plot", tmp_path / "taken.png") == 1
+    assert capsys.readouterr().err.startswith(f"reframe-jax: error: {tmp_path / 'taken.png'}: cannot be writ")
+
+
+@pytest.mark.parametrize(
+    ("name", "problem"),
+    [
+        ("", "--plot must name a file; .* is a directory"),
+        ("folder.png", "--plot must name a file; .* is a directory"),
+        ("out.strange", r"--plot must end in .png, .pdf, .svg, .jpg, .webp, not 'out.strange'"),
+        ("out", "--plot must end in .*, not 'out'"),
+        ("none/out.png", "--plot: there is no directory"),
+    ],
+)
+def test_pictures_that_could_not_be_written(
+    clip: Path, tmp_path: Path, capsys: Captured, name: str, problem: str
+) -> None:
+    """Are refused before anything is computed, and nothing is written elsewhere."""
+    (tmp_path / "folder.png").mkdir()
+    before = set(tmp_path.rglob("*"))
+    with pytest.raises(SystemExit) as caught:
+        run(clip, "--plot", tmp_path / name)
+    assert caught.value.code == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert re.search(problem, err)
+    assert set(tmp_path.rglob("*")) == before
+    assert not tmp_path.with_suffix(".png").exists()
 
 
 @pytest.mark.usefixtures("no_matplotlib")
@@ -332,6 +390,16 @@ def test_the_catalogue_is_listed(capsys: Captured) -> None:
         (["identify", "a.csv", "--window", "long"], "expected a whole number, not 'long'"),
         (["identify", "a.csv", "--dt", "0"], "expected a positive number"),
         (["identify", "a.csv", "--dt", "fast"], "expected a number, not 'fast'"),
+        (["identify", "a.csv", "--dt", "1e-200"], "from 1e-09 to 1e\\+06, not 1e-200"),
+        (["identify", "a.csv", "--bounds", "1e200"], "from 1e-06 to 1e\\+06, not 1e200"),
+        (["identify", "a.csv", "--bounds", "nan"], "from 1e-06 to 1e\\+06, not nan"),
+        (["simulate", "--constraint", "A", "--out", "a.csv", "--duration", "1e300"], "not 1e300"),
+        (["simulate", "--constraint", "A", "--out", "a.csv", "--noise", "1e200"], "up to 1e\\+06, not 1e200"),
+        (
+            ["simulate", "--constraint", "A", "--out", "a.csv", "--dt", "1e-9"],
+            "makes 5000000001 poses; expected 5 to 8388608",
+        ),
+        (["demonstrate", "--constraint", "A", "--out", "a", "--dt", "1e-9"], "at most 100000 times --dt"),
         (["identify", "a.csv", "--unit", "inch"], "invalid choice"),
         (["identify", "a.csv", "--step", "2"], "--step needs --clean"),
         (["identify", "a.csv", "--stride", "2"], "--stride needs --window"),
@@ -366,10 +434,10 @@ def test_windows_that_any_motion_fits_are_noted(door: Path, tmp_path: Path, pose
     recording = load_recording(door)
     short = tmp_path / "short.csv"
     save_recording(short, recording.times[:poses], recording.poses[:poses])
-    options = program._parser().parse_args(["identify", str(short)])
+    options = parse("identify", short)
     assert bool(command._short_windows(recording, options)) is False
     assert bool(command._short_windows(load_recording(short), options)) is warned
-    options = program._parser().parse_args(["identify", str(door), "--window", str(poses)])
+    options = parse("identify", door, "--window", poses)
     assert bool(command._short_windows(recording, options)) is warned
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from reframe_jax.cli import demonstrate, program
-from reframe_jax.recordings.files import load_recording
+from reframe_jax.recordings.reading import load_recording
 from reframe_jax.simulation import arm as panda
 
 COUNT = "8"

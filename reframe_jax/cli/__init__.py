@@ -1,5 +1,5 @@
 """The command line ``reframe-jax``."""
 
-from reframe_jax.cli.program import main
+from reframe_jax.cli.process import main
 
 __all__ = ["main"]

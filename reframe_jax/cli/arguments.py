@@ -1,7 +1,7 @@
 """Arguments of the command line: what is wrong with one is said in one line."""
 
 import argparse
-from typing import NoReturn
+from collections.abc import Callable
 
 import numpy as np
 
@@ -9,21 +9,17 @@ from reframe_jax.constraints.catalogue import constraint
 from reframe_jax.objectives.norms import check_exponent
 
 __all__ = [
-    "Parser",
     "add_constraint",
     "add_seed",
     "count",
+    "metres",
     "positive",
+    "seconds",
     "whole",
 ]
 
 
-class Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line, as everything else here does, and where to read more."""
-
-    def error(self, message: str) -> NoReturn:
-        """Leave with code 2."""
-        self.exit(2, f"{self.prog}: error: {message.rstrip('.')}; see {self.prog} --help\n")
+_LARGEST = 1e6  # m or s: far more than any motion, and squares of it are no trouble
 
 
 def number(text: str) -> float:
@@ -55,7 +51,27 @@ def not_negative(text: str) -> float:
     value = number(text)
     if not 0 <= value < np.inf:
         raise argparse.ArgumentTypeError(f"expected a number that is 0 or more, not {text}")
+    if value > _LARGEST:
+        raise argparse.ArgumentTypeError(f"expected a number up to {_LARGEST:g}, not {text}")
     return value
+
+
+def between(low: float, high: float) -> Callable[[str], float]:
+    """A positive number in a range within which everything can be computed."""
+
+    def read(text: str) -> float:
+        value = number(text)
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(
+                f"expected a positive number from {low:g} to {high:g}, not {text}"
+            )
+        return value
+
+    return read
+
+
+seconds = between(1e-9, _LARGEST)
+metres = between(1e-6, _LARGEST)
 
 
 def count(text: str) -> int:

@@ -1,10 +1,20 @@
-"""What all commands have in common."""
+"""What all commands have in common. Nothing here needs JAX."""
 
 import argparse
-from typing import Any
+import sys
+from typing import Any, NoReturn
 
-__all__ = ["EXAMPLES", "add_command"]
+from reframe_jax.cli.speaking import show
 
+__all__ = ["COMMANDS", "EXAMPLES", "Parser", "add_command"]
+
+COMMANDS = {
+    "identify": "identify the constraint of recordings",
+    "simulate": "simulate a recording",
+    "demonstrate": "simulate demonstrations on a robot arm",
+    "reproduce": "demonstrate, identify and reproduce a task",
+    "constraints": "list the named constraints",
+}
 EXAMPLES = """\
 examples:
   reframe-jax simulate --constraint A --noise 1e-4 --out door.csv
@@ -13,12 +23,27 @@ examples:
 """
 
 
-def add_command(commands: Any, name: str, run: Any, text: str, help: str) -> argparse.ArgumentParser:
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line, as everything else here does, and where to read more."""
+
+    def error(self, message: str) -> NoReturn:
+        """Leave with code 2."""
+        self.exit(2, f"{self.prog}: error: {message.rstrip('.')}; see {self.prog} --help\n")
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        """Help and version fail as results do where they cannot be written; argparse would not tell."""
+        if file is sys.stdout:
+            show(message, end="")
+        else:
+            super()._print_message(message, file)
+
+
+def add_command(commands: Any, name: str, run: Any, text: str) -> argparse.ArgumentParser:
     """Add a command, and the option that all commands have; ``run`` gets the options."""
     command: argparse.ArgumentParser = commands.add_parser(
         name,
         description=text,
-        help=help,
+        help=COMMANDS[name],
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

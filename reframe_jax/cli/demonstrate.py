@@ -13,12 +13,13 @@ import numpy as np
 from reframe_jax.cli import arguments
 from reframe_jax.cli.arm import add_common, prepare
 from reframe_jax.cli.commands import add_command
-from reframe_jax.cli.speaking import say
+from reframe_jax.cli.speaking import say, show
 from reframe_jax.constraints.catalogue import CONSTRAINTS
-from reframe_jax.recordings.files import save_recording
+from reframe_jax.recordings.writing import save_recording
 
 __all__ = ["add_demonstrate"]
 
+_LONGEST = 100_000  # samples of a demonstration
 _CHUNK = 64  # demonstrations simulated at once, and drawn for a part of a folder
 
 
@@ -35,15 +36,13 @@ reframe-jax identify.
 
 def add_demonstrate(commands: Any) -> None:
     """Add the command to those of the command line."""
-    command = add_command(
-        commands, "demonstrate", _demonstrate, _DEMONSTRATE, "simulate demonstrations on a robot arm"
-    )
+    command = add_command(commands, "demonstrate", _demonstrate, _DEMONSTRATE)
     add_common(command)
     add = command.add_argument
     add("--count", type=arguments.count, default=1, metavar="N", help="demonstrations (1)")
     add("--out", type=Path, required=True, metavar="PATH", help="folder, .npz or .csv")
-    add("--duration", type=arguments.positive, default=5.0, metavar="S", help="s (5)")
-    add("--dt", type=arguments.positive, default=0.05, metavar="S", help="sample time, s (0.05)")
+    add("--duration", type=arguments.seconds, default=5.0, metavar="S", help="s (5)")
+    add("--dt", type=arguments.seconds, default=0.05, metavar="S", help="sample time, s (0.05)")
     add("--plot", type=Path, metavar="FILE", help="draw the first demonstration, .png or .pdf")
     add("--render", type=Path, metavar="FILM", help="film the first demonstration, .gif or .mp4")
     add(
@@ -90,9 +89,9 @@ def _demonstrate(options: argparse.Namespace) -> int:
         first = part[0] if first is None and len(part.status_code) else first
         codes.update(part.status_code.tolist())
     assert first is not None  # there is at least one
-    print(f"{written}: {codes.total()} demonstrations of {first.times[-1]:g} s")
+    show(f"{written}: {codes.total()} demonstrations of {first.times[-1]:g} s")
     for code in sorted(codes.keys() - {panda.RolloutStatus.OK}):
-        print(f"{codes[code]} of them: {panda.RolloutStatus(code).message}")
+        show(f"{codes[code]} of them: {panda.RolloutStatus(code).message}")
     return _draw(first, options)
 
 
@@ -113,6 +112,8 @@ def _check(options: argparse.Namespace) -> None:
         options.usage_error("--skin needs --render.")
     if options.dt > options.duration:
         options.usage_error("--dt must not be longer than --duration.")
+    if options.duration > _LONGEST * options.dt:
+        options.usage_error(f"--duration must be at most {_LONGEST} times --dt.")
 
 
 def _draw(first: Any, options: argparse.Namespace) -> int:
@@ -124,7 +125,7 @@ def _draw(first: Any, options: argparse.Namespace) -> int:
 
             title = CONSTRAINTS[options.constraint].name
             plot_demonstration(first, arm=options.robot, title=title).savefig(options.plot)
-            print(options.plot)
+            show(str(options.plot))
     except (ImportError, ValueError, OSError) as error:
         failed = True
         say(f"reframe-jax: error: no picture: {error}")
@@ -134,7 +135,7 @@ def _draw(first: Any, options: argparse.Namespace) -> int:
 
             pictures = film_frames(first.joint_positions, first.truth, arm=options.robot, skin=options.skin)
             save_film(options.render, pictures, rate=1 / options.dt)
-            print(options.render)
+            show(str(options.render))
     except (ValueError, OSError, RuntimeError) as error:
         failed = True
         say(f"reframe-jax: error: no film: {error}")

@@ -12,7 +12,7 @@ import numpy as np
 from reframe_jax.cli import arguments
 from reframe_jax.cli.commands import add_command
 from reframe_jax.cli.configuring import configure_jax
-from reframe_jax.cli.speaking import say
+from reframe_jax.cli.speaking import say, show
 from reframe_jax.export.common import Window
 from reframe_jax.export.json import to_document, to_record
 from reframe_jax.export.table import to_table
@@ -22,7 +22,8 @@ from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import MIN_VELOCITIES, Status
 from reframe_jax.motion.windows import sliding_windows
 from reframe_jax.recordings.cleaning import clean_recording, recording_warnings
-from reframe_jax.recordings.files import Recording, RecordingError, load_recording
+from reframe_jax.recordings.reading import load_recording
+from reframe_jax.recordings.recording import Recording, RecordingError
 
 __all__ = ["add_identify"]
 
@@ -33,6 +34,9 @@ _CLOSE = 1.5  # factor from a threshold within which an axis is neither clearly 
 
 
 _UNKNOWNS = 5  # of one constrained axis: its direction, and where the origin is
+
+
+_PICTURES = (".png", ".pdf", ".svg", ".jpg", ".webp")
 
 
 _IDENTIFY = """\
@@ -46,11 +50,11 @@ otherwise. It is taken as one window, or as sliding windows with --window.
 
 def add_identify(commands: Any) -> None:
     """Add the command to those of the command line."""
-    command = add_command(commands, "identify", _identify, _IDENTIFY, "identify the constraint of recordings")
+    command = add_command(commands, "identify", _identify, _IDENTIFY)
     defaults = Thresholds()
     add = command.add_argument
     add("files", nargs="+", type=Path, metavar="FILE", help="recordings")
-    add("--dt", type=arguments.positive, metavar="S", help="sample time in s, for files without times")
+    add("--dt", type=arguments.seconds, metavar="S", help="sample time in s, for files without times")
     add("--clean", action="store_true", help="leave out outliers, noise and rest; says what it left out")
     add(
         "--step",
@@ -90,7 +94,7 @@ def add_identify(commands: Any) -> None:
     )
     add(
         "--bounds",
-        type=arguments.positive,
+        type=arguments.metres,
         default=1.0,
         metavar="M",
         help="how far positions are searched, in m (%(default)s)",
@@ -114,7 +118,7 @@ def _identify(options: argparse.Namespace) -> int:
         failed |= record["error"] is not None
     try:
         if options.json == "-":
-            print(to_document(records))
+            show(to_document(records))
         elif options.json is not None:
             Path(options.json).write_text(to_document(records) + "\n", encoding="utf-8")
     except OSError as error:
@@ -139,9 +143,22 @@ def _check(options: argparse.Namespace) -> None:
         options.stride = options.window if options.stride is None else options.stride
     if options.stride < 1:
         options.usage_error("--stride must be at least 1.")
+    if options.plot is not None:
+        _check_plot(options)
     stems = {path.stem for path in options.files}
     if options.plot is not None and len(stems) < len(options.files):
         options.usage_error("--plot needs recordings with different names.")
+
+
+def _check_plot(options: argparse.Namespace) -> None:
+    """Refuse, before anything is computed, what could not be drawn after it."""
+    out: Path = options.plot
+    if out.is_dir():
+        options.usage_error(f"--plot must name a file; {out} is a directory.")
+    if out.suffix.lower() not in _PICTURES:
+        options.usage_error(f"--plot must end in {', '.join(_PICTURES)}, not {out.name!r}.")
+    if not out.parent.is_dir():
+        options.usage_error(f"--plot: there is no directory {out.parent}.")
 
 
 def _identify_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
@@ -162,6 +179,8 @@ def _identify_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
             problem = _plot(recording, found, options)
     except RecordingError as error:
         problem = str(error)
+    except Exception as error:  # whatever is wrong with a file, the others keep their results
+        problem = f"{path}: {type(error).__name__}: {error}"
     if problem is not None:
         say(f"reframe-jax: error: {problem}")
     notes = recording.notes if recording else ()
@@ -225,7 +244,7 @@ def _print_result(
     statuses = [Status(int(code)) for code in np.ravel(found.status_code)]
     failed = all(status.failed for status in statuses)
     if options.json != "-" and not (failed and whole):
-        print(to_table(found, label=str(path), windows=None if whole else windows), end="\n\n")
+        show(to_table(found, label=str(path), windows=None if whole else windows), end="\n\n")
     return f"{path}: {statuses[0].message}" if failed else None
 
 

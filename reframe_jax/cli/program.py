@@ -6,16 +6,12 @@ computed in 64 bits.
 """
 
 import argparse
+import importlib
+import sys
 from collections.abc import Sequence
 
 import reframe_jax
-from reframe_jax.cli import arguments
-from reframe_jax.cli.commands import EXAMPLES
-from reframe_jax.cli.constraints import add_constraints
-from reframe_jax.cli.demonstrate import add_demonstrate
-from reframe_jax.cli.identify import add_identify
-from reframe_jax.cli.reproduce import add_reproduce
-from reframe_jax.cli.simulate import add_simulate
+from reframe_jax.cli.commands import COMMANDS, EXAMPLES, Parser
 
 __all__ = ["main"]
 
@@ -32,9 +28,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: arguments, by default those of the process.
 
     Raises:
-        SystemExit: with code 2 for a wrong command line, 0 after ``--help`` and ``--version``.
+        SystemExit: with code 2 for a wrong command line, 1 if standard output cannot be written, 0 after
+            ``--help`` and ``--version``.
     """
-    options = _parser().parse_args(argv)
+    argv = sys.argv[1:] if argv is None else argv
+    options = _parser(argv).parse_args(argv)
     try:
         code: int = options.run(options)
     except KeyboardInterrupt:
@@ -42,8 +40,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     return code
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = arguments.Parser(
+def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
+    """The parser for these arguments: only the command they name is imported, which takes a second."""
+    parser = Parser(
         prog="reframe-jax",
         description=_DESCRIPTION,
         epilog=EXAMPLES,
@@ -51,6 +50,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"%(prog)s {reframe_jax.__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    for add in (add_identify, add_simulate, add_demonstrate, add_reproduce, add_constraints):
-        add(commands)
+    named = next((word for word in argv if not word.startswith("-")), None)
+    for name, help in COMMANDS.items():
+        if name == named:
+            module = importlib.import_module(f"reframe_jax.cli.{name}")
+            getattr(module, f"add_{name}")(commands)
+        else:
+            commands.add_parser(name, help=help)
     return parser

@@ -9,7 +9,7 @@ import numpy as np
 from reframe_jax.cli import arguments
 from reframe_jax.cli.arm import add_common, prepare
 from reframe_jax.cli.commands import add_command
-from reframe_jax.cli.speaking import say
+from reframe_jax.cli.speaking import say, show
 from reframe_jax.constraints.catalogue import CONSTRAINTS
 
 __all__ = ["add_reproduce"]
@@ -25,9 +25,7 @@ identified: the three rows of the paper's Figure 5.
 
 def add_reproduce(commands: Any) -> None:
     """Add the command to those of the command line."""
-    command = add_command(
-        commands, "reproduce", _reproduce, _REPRODUCE, "demonstrate, identify and reproduce a task"
-    )
+    command = add_command(commands, "reproduce", _reproduce, _REPRODUCE)
     add_common(command)
     command.add_argument(
         "--trials",
@@ -71,20 +69,20 @@ def _reproduce(options: argparse.Namespace) -> int:
     except ValueError as error:
         say(f"reframe-jax: error: {error}")
         return 1
-    print(f"{CONSTRAINTS[options.constraint].name}, {options.trials} trials, {options.controller}")
-    print(_errors(comparison.errors))
+    show(f"{CONSTRAINTS[options.constraint].name}, {options.trials} trials, {options.controller}")
+    show(_errors(comparison.errors))
     if comparison.redrawn:
-        print(f"left out, as out of the arm's reach in the true frame too: {int(comparison.redrawn)}")
-    print(f"{'frames':12}{'completed':>10}{'time, s':>9}{'peak moment, N m':>22}{'peak force, N':>20}")
+        show(f"left out, as out of the arm's reach in the true frame too: {int(comparison.redrawn)}")
+    show(f"{'frames':12}{'completed':>10}{'time, s':>9}{'peak moment, N m':>22}{'peak force, N':>20}")
     for name, trials in comparison.rows.items():
         cells = [
             f"{np.mean(peak):.2f} ± {np.std(peak):.2f}" for peak in (trials.peak_moment, trials.peak_force)
         ]
         time = np.median(trials.completion_time)
-        print(f"{name:12}{100 * np.mean(trials.completed):>8.0f} %{time:>9.2f}{cells[0]:>22}{cells[1]:>20}")
+        show(f"{name:12}{100 * np.mean(trials.completed):>8.0f} %{time:>9.2f}{cells[0]:>22}{cells[1]:>20}")
     for name in ("literature", "identified"):
         excess = [f"{np.mean(e):+.2f} ± {np.std(e):.2f}" for e in comparison.excess(name)]
-        print(f"{name + ' over exact':31}{excess[0]:>22}{excess[1]:>20}")
+        show(f"{name + ' over exact':31}{excess[0]:>22}{excess[1]:>20}")
     if not np.all(comparison.identified.completed):
         codes = np.unique(comparison.identified.status_code[~comparison.identified.completed])
         why = " ".join(RolloutStatus(code).message for code in codes if code)

@@ -9,19 +9,19 @@ import jax
 from reframe_jax.cli import arguments
 from reframe_jax.cli.commands import add_command
 from reframe_jax.cli.configuring import configure_jax
-from reframe_jax.cli.speaking import say
+from reframe_jax.cli.speaking import say, show
 from reframe_jax.constraints.catalogue import CONSTRAINTS
 from reframe_jax.motion.checks import MIN_VELOCITIES
-from reframe_jax.recordings.files import RecordingError, save_recording
+from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.recordings.rows import MOST_ROWS
+from reframe_jax.recordings.writing import save_recording
 
 __all__ = ["add_simulate"]
 
 
 def add_simulate(commands: Any) -> None:
     """Add the command to those of the command line."""
-    command = add_command(
-        commands, "simulate", _simulate, "Simulate a constrained motion.", "simulate a recording"
-    )
+    command = add_command(commands, "simulate", _simulate, "Simulate a constrained motion.")
     add = command.add_argument
     arguments.add_constraint(command)
     add("--out", type=Path, required=True, metavar="FILE", help="recording to write, .csv or .npz")
@@ -33,8 +33,8 @@ def add_simulate(commands: Any) -> None:
         help="standard deviation of positions, m (0)",
     )
     arguments.add_seed(command)
-    add("--duration", type=arguments.positive, default=5.0, metavar="S", help="s (5)")
-    add("--dt", type=arguments.positive, default=0.1, metavar="S", help="sample time, s (0.1)")
+    add("--duration", type=arguments.seconds, default=5.0, metavar="S", help="s (5)")
+    add("--dt", type=arguments.seconds, default=0.1, metavar="S", help="sample time, s (0.1)")
     add(
         "--excitation",
         choices=["exciting", "paper"],
@@ -53,10 +53,10 @@ def _simulate(options: argparse.Namespace) -> int:
     from reframe_jax.simulation.synthetic import simulate
 
     poses = round(options.duration / options.dt) + 1
-    if poses <= MIN_VELOCITIES:
+    if not MIN_VELOCITIES < poses <= MOST_ROWS:
         options.usage_error(
             f"--duration {options.duration:g} s in steps of --dt {options.dt:g} s makes {poses} poses; "
-            f"expected {MIN_VELOCITIES + 1} or more."
+            f"expected {MIN_VELOCITIES + 1} to {MOST_ROWS}."
         )
     configure_jax(options.cache)
     run = jax.jit(simulate, static_argnames=("constraint", "duration", "dt", "excitation", "exact"))
@@ -76,5 +76,5 @@ def _simulate(options: argparse.Namespace) -> int:
     except RecordingError as error:
         say(f"reframe-jax: error: {error}")
         return 1
-    print(f"{options.out}: {CONSTRAINTS[options.constraint].name}, {len(simulation.times)} poses")
+    show(f"{options.out}: {CONSTRAINTS[options.constraint].name}, {len(simulation.times)} poses")
     return 0

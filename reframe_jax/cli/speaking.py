@@ -1,10 +1,29 @@
-"""What the command line says beside its results: notes, progress and errors, on standard error."""
+"""What the command line says: results on standard output; notes, progress and errors on standard error."""
 
+import contextlib
+import os
 import sys
 
-__all__ = ["say"]
+__all__ = ["say", "show"]
 
 
 def say(text: str, end: str = "\n") -> None:
-    """Print a line to standard error at once."""
-    print(text, end=end, file=sys.stderr, flush=True)
+    """Print a line to standard error at once; where nobody can read it, it is lost."""
+    with contextlib.suppress(OSError):
+        print(text, end=end, file=sys.stderr, flush=True)
+
+
+def show(text: str, end: str = "\n") -> None:
+    """Print results to standard output at once.
+
+    Raises:
+        SystemExit: with code 1 if they cannot be written: silently if nobody reads on, otherwise in a line.
+    """
+    try:
+        print(text, end=end, flush=True)
+    except OSError as error:
+        with contextlib.suppress(OSError, ValueError):  # what is left in the buffer would be tried again
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if not isinstance(error, BrokenPipeError):
+            say(f"reframe-jax: error: standard output cannot be written: {error.strerror}.")
+        raise SystemExit(1) from error

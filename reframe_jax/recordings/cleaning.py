@@ -13,9 +13,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from reframe_jax.geometry.numpy_rotations import rotation_vectors
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.motion.checks import MIN_VELOCITIES
-from reframe_jax.recordings.files import Recording, rotation_vectors
+from reframe_jax.recordings.recording import Recording
 
 __all__ = ["clean_recording", "pose_noise", "pose_outliers", "recording_warnings"]
 

@@ -18,6 +18,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.geometry.numpy_rotations import quaternions_to_matrices
+
 __all__ = ["FR3", "PANDA", "ROBOTS", "Arm", "Link", "arm_named", "arm_xml", "forward_kinematics"]
 
 Vector = tuple[float, float, float]
@@ -217,10 +219,8 @@ _FR3_LIMITS = (
 
 def _matrix(quaternion: Sequence[float]) -> np.ndarray:
     """(3, 3) from a quaternion (w, x, y, z) of any length, as MJCF writes them."""
-    w, x, y, z = np.asarray(quaternion, dtype=float) / np.linalg.norm(quaternion)
-    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    turned: np.ndarray = np.eye(3) + 2 * w * k + 2 * k @ k
-    return turned
+    unit = np.asarray(quaternion, dtype=float) / np.linalg.norm(quaternion)
+    return quaternions_to_matrices(np.roll(unit, -1))
 
 
 def _full_inertia(principal: Sequence[float], quaternion: Sequence[float]) -> tuple[float, ...]:

@@ -1,0 +1,60 @@
+"""The public names, which :mod:`reframe_jax` imports when the first of them is used."""
+
+from reframe_jax.constraints.catalogue import CONSTRAINTS, Constraint, constraint, describe, lookup
+from reframe_jax.constraints.frame import ConstraintFrame
+from reframe_jax.constraints.types import AngularType, AxisRelation, LinearType
+from reframe_jax.export.json import to_json
+from reframe_jax.export.table import to_table
+from reframe_jax.identification.classify import Thresholds
+from reframe_jax.identification.entry import default_solver, identify
+from reframe_jax.identification.online import OnlineIdentifier
+from reframe_jax.identification.results import AngularFrame, Candidates, Identification, LinearFrame
+from reframe_jax.identification.velocities import frame_velocities
+from reframe_jax.motion.checks import Status
+from reframe_jax.motion.windows import sliding_windows
+from reframe_jax.recordings.cleaning import clean_recording, pose_noise, pose_outliers, recording_warnings
+from reframe_jax.recordings.reading import load_recording
+from reframe_jax.recordings.recording import Recording, RecordingError
+from reframe_jax.recordings.writing import save_recording
+from reframe_jax.solvers import BasinHopping, FrameSteps, NewtonSteps, OptaxSteps, ValleySteps
+from reframe_jax.storage.results import identify_many, load_results
+
+__all__ = [
+    "CONSTRAINTS",
+    "AngularFrame",
+    "AngularType",
+    "AxisRelation",
+    "BasinHopping",
+    "Candidates",
+    "Constraint",
+    "ConstraintFrame",
+    "FrameSteps",
+    "Identification",
+    "LinearFrame",
+    "LinearType",
+    "NewtonSteps",
+    "OnlineIdentifier",
+    "OptaxSteps",
+    "Recording",
+    "RecordingError",
+    "Status",
+    "Thresholds",
+    "ValleySteps",
+    "clean_recording",
+    "constraint",
+    "default_solver",
+    "describe",
+    "frame_velocities",
+    "identify",
+    "identify_many",
+    "load_recording",
+    "load_results",
+    "lookup",
+    "pose_noise",
+    "pose_outliers",
+    "recording_warnings",
+    "save_recording",
+    "sliding_windows",
+    "to_json",
+    "to_table",
+]

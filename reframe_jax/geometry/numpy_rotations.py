@@ -1,0 +1,41 @@
+"""Rotations in plain NumPy, for what never meets JAX: files, cleaning, descriptions of an arm.
+
+Always in double precision, whatever JAX's 64-bit switch says; nothing here is traced or differentiated. Use
+:mod:`reframe_jax.geometry.rotations` for everything else. Quaternions are (x, y, z, w).
+"""
+
+import numpy as np
+
+__all__ = ["matrices_to_quaternions", "quaternions_to_matrices", "rotation_vectors"]
+
+
+def quaternions_to_matrices(quaternions: np.ndarray) -> np.ndarray:
+    """Rotation matrices (..., 3, 3) of unit quaternions (..., 4)."""
+    cross = np.cross(quaternions[..., None, :3], np.eye(3)).swapaxes(-1, -2)
+    turned: np.ndarray = np.eye(3) + 2 * quaternions[..., 3, None, None] * cross + 2 * cross @ cross
+    return turned
+
+
+def matrices_to_quaternions(matrices: np.ndarray) -> np.ndarray:
+    """Unit quaternions (..., 4) with w >= 0 of rotation matrices (..., 3, 3).
+
+    They are the eigenvectors of 4 q q^T, which is linear in the matrix; half turns need no special case.
+    """
+    transposed = matrices.swapaxes(-1, -2)
+    outer, trace = np.empty((*matrices.shape[:-2], 4, 4)), np.trace(matrices, axis1=-2, axis2=-1)
+    skew = matrices - transposed
+    outer[..., :3, :3] = matrices + transposed + (1 - trace)[..., None, None] * np.eye(3)
+    vector = np.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1)
+    outer[..., 3, :3] = outer[..., :3, 3] = vector
+    outer[..., 3, 3] = 1 + trace
+    found = np.linalg.eigh(outer)[1][..., -1]
+    return np.where(found[..., 3:] < 0, -found, found)
+
+
+def rotation_vectors(matrices: np.ndarray) -> np.ndarray:
+    """Rotation vectors (..., 3), rad, of rotation matrices (..., 3, 3), half turns included."""
+    quaternions = matrices_to_quaternions(matrices)
+    sine = np.linalg.norm(quaternions[..., :3], axis=-1)
+    factor = 2 * np.arctan2(sine, quaternions[..., 3]) / np.where(sine == 0, 1, sine)
+    vectors: np.ndarray = factor[..., None] * quaternions[..., :3]
+    return vectors

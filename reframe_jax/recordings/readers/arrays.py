@@ -1,0 +1,167 @@
+"""Arrays as NumPy writes them. Sizes are checked before anything is allocated; nothing is unpickled."""
+
+import math
+import warnings
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from io import BytesIO
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.recordings.rows import EPOCH, MOST_ROWS, Rows, shown
+
+__all__ = ["read_arrays"]
+
+_NAMES = ("poses", "positions", "quaternions", "times")
+_LONGEST_HEADER = 10_000  # bytes; NumPy writes 128 for an array of numbers
+_PIECE = 2**18  # bytes read at a time
+_LISTED = 8  # arrays listed in a message
+
+
+@dataclass(frozen=True)
+class _Array:
+    """An array in a file of which the header, but no number, has been read."""
+
+    open: Callable[[], IO[bytes]]
+    start: int  # of the numbers, in bytes
+    shape: tuple[int, ...]
+    by_column: bool
+    dtype: np.dtype
+
+    def read(self) -> np.ndarray:
+        """The numbers."""
+        numbers = np.empty(math.prod(self.shape), self.dtype)
+        left = numbers.view(np.uint8)
+        with self.open() as stream:
+            stream.seek(self.start)
+            while len(left):
+                piece = stream.read(min(len(left), _PIECE))
+                if not piece:
+                    raise EOFError
+                left[: len(piece)] = np.frombuffer(piece, np.uint8)
+                left = left[len(piece) :]
+        return numbers.reshape(self.shape, order="F" if self.by_column else "C")
+
+
+def read_arrays(path: Path, unit: str) -> Rows:
+    """Read ``poses``, or ``positions`` and ``quaternions``, and ``times``, from an .npy or .npz.
+
+    Args:
+        path: the file. An .npy holds ``poses``. Other arrays of an .npz are not read.
+        unit: of its positions, which stay in it.
+
+    Raises:
+        RecordingError: if these are not plain arrays of numbers of shapes that fit, whole, and not too large.
+    """
+    with path.open("rb") as file, _stumbling(path):
+        if file.read(2) != b"PK":
+            single = _find(path, "poses", lambda: path.open("rb"), path.stat().st_size)
+            return _rows(path, {"poses": single}, [])
+        with zipfile.ZipFile(file) as archive:
+            members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+            for name in members.keys() & set(_NAMES):
+                # other methods unpack a few bytes to any number at once
+                if members[name].compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                    raise _no_arrays(path, f"; {name} is compressed by another method than theirs")
+            arrays = {
+                name: _find(path, name, partial(archive.open, members[name]), members[name].file_size)
+                for name in _NAMES
+                if name in members
+            }
+            return _rows(path, arrays, sorted(members.keys() - set(_NAMES)))
+
+
+@contextmanager
+def _stumbling(path: Path) -> Iterator[None]:
+    """Say what a file is not, whatever NumPy, zipfile or a decompressor raises about its bytes."""
+    try:
+        yield
+    except RecordingError:
+        raise
+    except OSError as error:
+        if error.errno is not None:
+            raise  # the disk's fault, not that of the bytes
+        raise _no_arrays(path) from error
+    except Exception as error:
+        raise _no_arrays(path) from error
+
+
+def _no_arrays(path: Path, why: str = "") -> RecordingError:
+    return RecordingError(
+        f"{path}: does not hold plain arrays; expected numbers as np.save or np.savez writes them, "
+        f"whole{why}."
+    )
+
+
+def _find(path: Path, name: str, open: Callable[[], IO[bytes]], size: int) -> _Array:
+    """Read the header of an array in a stream of ``size`` bytes, and compare it with the size."""
+    with open() as stream:
+        head = BytesIO(stream.read(_LONGEST_HEADER))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of headers that Python 2 wrote, and of bytes that are none
+        read = {
+            (1, 0): np.lib.format.read_array_header_1_0,
+            (2, 0): np.lib.format.read_array_header_2_0,
+        }[np.lib.format.read_magic(head)]
+        shape, by_column, dtype = read(head)
+    if dtype.hasobject or dtype.itemsize == 0:
+        raise _no_arrays(path, f"; {name} holds objects")
+    if min(shape, default=0) < 0:
+        raise _no_arrays(path, f"; {name} has the shape {shape}")
+    claimed, held = math.prod(shape) * dtype.itemsize, size - head.tell()
+    if claimed > held:
+        raise _no_arrays(path, f"; {name} should take {claimed} bytes, but {held} are there")
+    return _Array(open, head.tell(), shape, by_column, dtype)
+
+
+def _rows(path: Path, arrays: dict[str, _Array], others: list[str]) -> Rows:
+    """The rows of arrays whose shapes fit each other."""
+    shapes = {name: array.shape for name, array in arrays.items()}
+    first = shapes.get("poses") or shapes.get("positions") or (0,)
+    count = first[0]
+    pair = (shapes.get("positions"), shapes.get("quaternions")) == ((count, 3), (count, 4))
+    timed = shapes.get("poses") == (count, 8) and "times" not in shapes
+    fits = pair or timed or shapes.get("poses") in ((count, 7), (count, 4, 4))
+    if not (fits and count and shapes.get("times", (count,)) == (count,)) or any(
+        array.dtype.kind not in "fiu" for array in arrays.values()
+    ):
+        found = [f"{name} {array.shape} of {array.dtype}" for name, array in arrays.items()] + others
+        more = ", ..." if len(found) > _LISTED else ""
+        raise RecordingError(
+            f"{path}: expected numbers: poses (N, 4, 4), or positions (N, 3) and quaternions (N, 4), and "
+            f"times (N,); found {shown(', '.join(found[:_LISTED]), 400) or 'nothing'}{more}."
+        )
+    if count > MOST_ROWS:
+        raise RecordingError(
+            f"{path}: has {count} samples; expected at most {MOST_ROWS}; cut the recording into files."
+        )
+    names = ("positions", "quaternions") if pair else ("poses",)
+    with np.errstate(all="ignore"):  # numbers that no double holds become infinite, and are dropped
+        parts = [arrays[name].read().reshape(count, -1) for name in names]
+        times = parts[0][:, 0] if timed else arrays["times"].read() if "times" in arrays else None
+        parts[0] = parts[0][:, timed:]
+        values = (np.hstack(parts) if pair else parts[0]).astype(float, copy=False)
+        seconds, origin = (None, None) if times is None else _since_first(times)
+    return Rows(path, "sample", np.arange(count), values, seconds, origin)
+
+
+def _since_first(times: np.ndarray) -> tuple[np.ndarray, str | None]:
+    """Times (N,) in double precision, and the first of them if they count from it, as it is late.
+
+    Subtracted before they are rounded, and integers without overflow.
+    """
+    seconds = times.astype(float)
+    finite = np.flatnonzero(np.isfinite(seconds))
+    if not len(finite) or abs(seconds[finite[0]]) < EPOCH:
+        return seconds, None
+    first = times[finite[0]]
+    if times.dtype.kind == "f":
+        return (times - first).astype(float), str(first)
+    whole, zero = times.astype(np.uint64), first.astype(np.uint64)  # the difference is exact modulo 2^64
+    return np.where(times < first, -(zero - whole).astype(float), (whole - zero).astype(float)), str(first)

@@ -1,0 +1,120 @@
+"""What the readers of text have in common: lines as they come, numbers collected in compact arrays.
+
+A row takes 72 bytes, however long its text is; no more than a line of text is held at a time.
+"""
+
+import decimal
+import math
+from array import array
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.recordings.rows import EPOCH, MOST_ROWS, Rows, shown
+
+__all__ = ["Collector", "read_lines"]
+
+_LONGEST = 2**16  # characters of a line
+# digits enough for nanoseconds since 1970; what is no number becomes NaN instead of an exception
+_EXACT = decimal.Context(prec=50, traps=[])
+
+
+def read_lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Numbered lines of a UTF-8 text that are not blank, stripped, one at a time.
+
+    Raises:
+        RecordingError: if a line is longer than 65,536 characters.
+        OSError, UnicodeDecodeError: from the file.
+    """
+    with path.open(encoding="utf-8-sig") as file:
+        number = 0
+        while line := file.readline(_LONGEST + 1):
+            number += 1
+            if len(line) > _LONGEST:
+                raise RecordingError(
+                    f"{path}: line {number}: is longer than {_LONGEST} characters; expected a row of numbers."
+                )
+            if stripped := line.strip():
+                yield number, stripped
+
+
+class Collector:
+    """Turns rows of text into :class:`Rows`.
+
+    Times whose first is later than 1e6 s, such as those since 1970, count from it. They are subtracted as
+    they are written, before rounding: floats resolve the time since 1970 to no better than 0.2 us.
+
+    Args:
+        path: the file.
+        width: cells of every row.
+        time: index of the cell with the time, or None.
+        columns: indices of the cells with the numbers of a pose.
+    """
+
+    def __init__(self, path: Path, width: int, time: int | None, columns: Sequence[int]) -> None:
+        self._path, self._width, self._time, self._columns = path, width, time, columns
+        self._where, self._values, self._times = array("q"), array("d"), array("d")
+        self._started, self._origin = False, decimal.Decimal(0)
+
+    def add(self, number: int, cells: list[str]) -> None:
+        """Add the row in a line.
+
+        Raises:
+            RecordingError: if a cell is missing or no number, or there are too many rows.
+        """
+        if len(cells) != self._width:
+            raise self._error(
+                number,
+                f"expected {self._width} columns, found {len(cells)}; delete the line if the recording was "
+                "cut off there.",
+            )
+        if len(self._where) == MOST_ROWS:
+            raise self._error(number, f"expected at most {MOST_ROWS} rows; cut the recording into files.")
+        self._where.append(number)
+        try:
+            self._values.extend([float(cells[column]) for column in self._columns])
+        except ValueError:
+            self._values.extend([self._number(number, cells[column]) for column in self._columns])
+        if self._time is not None:
+            self._times.append(self._seconds(number, cells[self._time].strip()))
+
+    def rows(self) -> Rows:
+        """All rows that were added."""
+        return Rows(
+            self._path,
+            "line",
+            np.asarray(self._where),
+            np.asarray(self._values).reshape(-1, len(self._columns)),
+            None if self._time is None else np.asarray(self._times),
+            str(self._origin) if self._origin else None,
+        )
+
+    def _seconds(self, number: int, cell: str) -> float:
+        """A time, since the first one if that is late."""
+        seconds = self._number(number, cell)
+        if not math.isfinite(seconds):
+            return seconds
+        if not self._started:
+            self._started = True
+            if abs(seconds) >= EPOCH:
+                self._origin = _exactly(cell)
+        if not self._origin:
+            return seconds
+        return float(_EXACT.subtract(_exactly(cell), self._origin))
+
+    def _number(self, number: int, cell: str) -> float:
+        """A number, NaN for an empty cell."""
+        try:
+            return float(cell.strip() or "nan")
+        except ValueError:
+            raise self._error(number, f"expected numbers: found '{shown(cell.strip(), 40)}'.") from None
+
+    def _error(self, number: int, problem: str) -> RecordingError:
+        return RecordingError(f"{self._path}: line {number}: {problem}")
+
+
+def _exactly(cell: str) -> decimal.Decimal:
+    """What ``float`` rounds, underscores between digits included."""
+    return _EXACT.create_decimal(cell.replace("_", ""))

@@ -1,0 +1,36 @@
+"""Rotations in plain NumPy, against SciPy."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from reframe_jax.geometry.numpy_rotations import (
+    matrices_to_quaternions,
+    quaternions_to_matrices,
+    rotation_vectors,
+)
+
+
+@given(st.lists(st.floats(-1, 1), min_size=3, max_size=3), st.floats(0, np.pi))
+def test_rotation_vectors(axis: list[float], angle: float) -> None:
+    vector = np.array(axis) / max(float(np.linalg.norm(axis)), 1e-3) * min(angle, np.pi - 1e-6)
+    matrices = Rotation.from_rotvec(vector).as_matrix()[None, None]
+    np.testing.assert_allclose(rotation_vectors(matrices)[0, 0], vector, atol=1e-7)
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (3, 5)])
+def test_quaternions_and_matrices(shape: tuple[int, ...], rng: np.random.Generator) -> None:
+    reference = Rotation.random(int(np.prod(shape)), rng)
+    matrices = reference.as_matrix().reshape(*shape, 3, 3)
+    quaternions = reference.as_quat(canonical=True).reshape(*shape, 4)
+    np.testing.assert_allclose(quaternions_to_matrices(quaternions), matrices, atol=1e-15)
+    np.testing.assert_allclose(matrices_to_quaternions(matrices), quaternions, atol=1e-14)
+
+
+@pytest.mark.parametrize("rotvec", [(0, 0, 0), (np.pi, 0, 0), (0, np.pi, 0), (0, 0, np.pi), (2.2, 2.2, 0)])
+def test_half_turns(rotvec: tuple[float, float, float]) -> None:
+    matrix = Rotation.from_rotvec(rotvec).as_matrix()
+    np.testing.assert_allclose(quaternions_to_matrices(matrices_to_quaternions(matrix)), matrix, atol=1e-14)
+    assert np.linalg.norm(rotation_vectors(matrix)) == pytest.approx(np.linalg.norm(rotvec), abs=1e-7)
