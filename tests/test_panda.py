@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
+from reframe_jax.constraints.located import frame_arrays
 from reframe_jax.geometry import transforms
 from reframe_jax.simulation import arm as panda
 from reframe_jax.simulation import metrics
-from reframe_jax.simulation.arm.constraint import frame_arrays
 from reframe_jax.simulation.arm.demonstration import sampling
 from reframe_jax.simulation.arm.guide import excitation_named
 from reframe_jax.simulation.arm.rollout import Track

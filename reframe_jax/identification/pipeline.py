@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax.compilation import once
-from reframe_jax.constraints.types import AngularType, LinearType
+from reframe_jax.constraints.located import ground_offset
 from reframe_jax.geometry import rotations, symmetric
 from reframe_jax.geometry.products import matmul3
 from reframe_jax.identification.classify import (
@@ -129,8 +129,7 @@ def identify_windows(
     linear, searched, solution = _linear_candidates(
         maps, moments_of, thresholds, noise, box, key, exponent, solver
     )
-    in_ground = jnp.asarray([t.position_body == AngularType.G for t in LinearType])
-    origin = jnp.where(in_ground[None, :, None], centre[:, None], 0)
+    origin = ground_offset(centre)
     assert linear.position is not None
     assert linear.free_position is not None
     assert linear.on_bounds is not None

@@ -12,9 +12,9 @@ import numpy as np
 
 from reframe_jax.compilation import traced
 from reframe_jax.constraints.frame import ConstraintFrame
+from reframe_jax.constraints.located import Frame, frame_arrays, move_frame, place_frame
 from reframe_jax.geometry import rotations, transforms
 from reframe_jax.simulation.arm.compiled import as_numbers, check_numbers, compiled
-from reframe_jax.simulation.arm.constraint import Frame, frame_arrays, moved, placed
 from reframe_jax.simulation.arm.guide import EXCITATIONS, Guide, excitation_named, guide_drive, make_hand
 from reframe_jax.simulation.arm.imperfections import Imperfections, measure
 from reframe_jax.simulation.arm.mechanism import Joints, integrate_welded, mechanism_joints
@@ -117,7 +117,7 @@ def frame_on_arm(
     rotation, position = forward_kinematics(joints, arm)
     frame = ConstraintFrame.named(constraint)
     axes = jnp.eye(3, dtype=joints.dtype)
-    return placed(frame, axes, position + jnp.asarray(_ORIGIN, dtype=joints.dtype), rotation, position)
+    return place_frame(frame, axes, position + jnp.asarray(_ORIGIN, dtype=joints.dtype), rotation, position)
 
 
 def demonstrate(
@@ -250,7 +250,7 @@ def _place(
 
     def place(frame: Frame, key: jax.Array, start: jax.Array) -> Frame:
         turn, shift = spread[:, None] * jax.random.normal(key, (2, 3), start.dtype)
-        return moved(frame, rotations.rotation_exp(turn), shift, *forward_kinematics(start, arm))
+        return move_frame(frame, rotations.rotation_exp(turn), shift, *forward_kinematics(start, arm))
 
     there = jax.vmap(place)(frame, _keys(key, numbers)[:, 0], start)
     rotvecs = rotations.rotation_log(jnp.stack([there.angular_axes, there.linear_axes]))

@@ -12,11 +12,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from reframe_jax.constraints.located import Frame, ground_twist, locate
 from reframe_jax.geometry import rotations, symmetric, transforms
 from reframe_jax.geometry.products import apply, matmul
 from reframe_jax.simulation import synthetic
 from reframe_jax.simulation.arm.compiled import as_numbers
-from reframe_jax.simulation.arm.constraint import Frame, body_twist, locate
 from reframe_jax.simulation.arm.dynamics import Motion
 from reframe_jax.simulation.synthetic import Excitation
 
@@ -205,7 +205,7 @@ def guide_drive(
     def drive(pose: jax.Array, t: jax.Array, motion: Motion, located: Any) -> tuple[jax.Array, jax.Array]:
         rotation, position = pose[:3, :3], pose[:3, 3]
         wanted = frame.free * jnp.concatenate(excitation(t))
-        twist = body_twist(locate(frame, rotation, position), wanted)
+        twist = ground_twist(locate(frame, rotation, position), wanted)
         goal = matmul(pose, aside)
         apart = matmul(goal[:3, :3], motion.rotation.T)
         lag = twist - motion.twist

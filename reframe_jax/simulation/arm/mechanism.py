@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import mujoco
 
 from reframe_jax.constraints.frame import ConstraintFrame
+from reframe_jax.constraints.located import Frame, ground_twist, locate, slip
 from reframe_jax.constraints.types import Dof, LinearType
 from reframe_jax.geometry import rotations
 from reframe_jax.geometry.products import apply, matmul
-from reframe_jax.simulation.arm.constraint import Frame, body_twist, locate, slip
 from reframe_jax.simulation.arm.dynamics import (
     full_step,
     in_dtype,
@@ -166,7 +166,7 @@ def integrate_welded(
         # the wrench whose joint torques the solver found: J J^T W = J J^T_weld f
         jacobian, found = motion.jacobian, data.qfrc_constraint[:7]
         wrench = solve_positive(matmul(jacobian, jacobian.T), apply(jacobian, found)[:, None])[:, 0]
-        back = jax.vmap(lambda axis: body_twist(now, axis))(jnp.eye(6, dtype=dtype))
+        back = jax.vmap(lambda axis: ground_twist(now, axis))(jnp.eye(6, dtype=dtype))
         return (data, slipped, now, state, apply(back, wrench)), None
 
     def seen(carry: Any) -> Track:

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.simulation.arm.constraint import Frame, Located, _product, _times, locate, slip, twist_map
+from reframe_jax.constraints.located import Frame, Located, locate, multiply, slip, twist_map
 from reframe_jax.simulation.arm.dynamics import Motion, arm_motion, solve_positive
 from reframe_jax.simulation.arm.model import Arm, forward_kinematics
 
@@ -128,15 +128,15 @@ def integrate(
         slipped = slipped + slip(before, now)
         state, torque = drive(state, (count.astype(dtype) + 0.5) * step, motion, now)
         rule = law(slipped)
-        rows = rule.acts[:, None] * _product(twist_map(now), motion.jacobian)
+        rows = rule.acts[:, None] * multiply(twist_map(now), motion.jacobian)
         mass = motion.mass + step * jnp.diag(damping)
         push = torque - motion.bias - damping * velocity
         solved = solve_positive(mass, jnp.concatenate([rows.T, push[:, None]], axis=1))
         response, unheld = solved[:, :6], velocity + step * solved[:, 6]
         softness = jnp.where(rule.acts > 0, rule.softness, 1)
-        wanted = rule.acts * rule.offset + _times(rows, unheld)
-        force = -solve_positive(step * _product(rows, response) + jnp.diag(softness), wanted[:, None])[:, 0]
-        velocity = unheld + step * _times(response, force)
+        wanted = rule.acts * rule.offset + multiply(rows, unheld)
+        force = -solve_positive(step * multiply(rows, response) + jnp.diag(softness), wanted[:, None])[:, 0]
+        velocity = unheld + step * multiply(response, force)
         return (joints + step * velocity, velocity, slipped, now, state, force), None
 
     def seen(carry: Any) -> Track:

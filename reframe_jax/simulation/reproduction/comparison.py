@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.frame import ConstraintFrame
+from reframe_jax.constraints.located import Frame, frame_arrays, locate, to_fixed_body
 from reframe_jax.geometry.products import apply
 from reframe_jax.identification.entry import identify
 from reframe_jax.identification.results import Identification
 from reframe_jax.simulation import metrics
 from reframe_jax.simulation.arm.compiled import check_numbers
-from reframe_jax.simulation.arm.constraint import Frame, frame_arrays, locate
 from reframe_jax.simulation.arm.demonstration import SPREAD, Demonstration, demonstrate
 from reframe_jax.simulation.arm.imperfections import REALISTIC, Imperfections
 from reframe_jax.simulation.arm.model import PANDA, Arm, arm_named, forward_kinematics
@@ -179,7 +179,7 @@ def matched_choices(
 
     def move(frame: Frame, true: Frame, free: jax.Array) -> Frame:
         away = locate(true, *pose).lever - locate(frame, *pose).lever
-        away = jnp.where(frame.on_body[2], apply(pose[0].T, away), away)
+        away = to_fixed_body(away, frame.on_body[2], pose[0])
         turns = jnp.all(frame.free[:3] > 0)
         return replace(
             frame,

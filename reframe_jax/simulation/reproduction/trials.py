@@ -8,11 +8,11 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax.constraints.frame import ConstraintFrame
+from reframe_jax.constraints.located import Frame, frame_arrays, locate
 from reframe_jax.geometry import rotations, transforms
 from reframe_jax.geometry.products import apply, matmul
 from reframe_jax.identification.results import Identification
 from reframe_jax.simulation.arm.compiled import as_numbers, compiled
-from reframe_jax.simulation.arm.constraint import Frame, frame_arrays, locate
 from reframe_jax.simulation.arm.demonstration import sampling
 from reframe_jax.simulation.arm.model import PANDA, Arm, arm_named, forward_kinematics
 from reframe_jax.simulation.arm.rollout import AxisLaw, Steps, hold, integrate
