@@ -12,7 +12,7 @@ import reframe_jax as rf
 from reframe_jax.constraints.located import frame_arrays, ground_twist, locate, slip, twist_map
 from reframe_jax.geometry import transforms
 from reframe_jax.simulation import arm as panda
-from reframe_jax.simulation.arm.compiled import compiled
+from reframe_jax.simulation.arm.compiled import jit_simulation
 from reframe_jax.simulation.arm.guide import guide_drive, make_hand
 from reframe_jax.simulation.arm.mechanism import mechanism_joints
 from reframe_jax.simulation.arm.rollout import Steps, hold, integrate
@@ -106,7 +106,7 @@ def test_wrench_returns_and_energy_is_kept() -> None:
         rise = jnp.minimum(t / 0.3, 1)
         return wrench, motion.jacobian.T @ (twist_map(located).T @ (rise * wrench))
 
-    @compiled(())
+    @jit_simulation(())
     @jax.vmap
     def run(wrench: jax.Array) -> tuple[Any, jax.Array]:
         track = integrate(

@@ -12,7 +12,7 @@ from reframe_jax.plotting.maps import plot_bars
 from reframe_jax.plotting.scene import segment, set_limits
 from reframe_jax.plotting.style import BODY, CONSTRAINED, FREE, LINES, TURNING, new_figure
 from reframe_jax.simulation.arm.demonstration import Demonstration
-from reframe_jax.simulation.arm.model import PANDA, Arm, arm_named, link_transforms
+from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, link_transforms
 from reframe_jax.simulation.reproduction.comparison import Comparison
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: st
     grid = figure.add_gridspec(3, 2, width_ratios=(1.15, 1))
     if title is not None:
         figure.suptitle(title, fontsize=12)
-    _draw_scene(figure.add_subplot(grid[:, 0], projection="3d"), made, arm_named(arm))
+    _draw_scene(figure.add_subplot(grid[:, 0], projection="3d"), made, find_arm(arm))
     free = np.array((*made.truth.angular_dof, *made.truth.linear_dof), dtype=bool)
     motion, moments, forces = (figure.add_subplot(grid[i, 1]) for i in range(3))
     for i in np.flatnonzero(free):

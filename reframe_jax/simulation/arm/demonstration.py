@@ -14,11 +14,11 @@ from reframe_jax.compilation import traced
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import Frame, frame_arrays, move_frame, place_frame
 from reframe_jax.geometry import rotations, transforms
-from reframe_jax.simulation.arm.compiled import as_numbers, check_numbers, compiled
-from reframe_jax.simulation.arm.guide import EXCITATIONS, Guide, excitation_named, guide_drive, make_hand
+from reframe_jax.simulation.arm.compiled import as_numbers, check_numbers, jit_simulation
+from reframe_jax.simulation.arm.guide import EXCITATIONS, Guide, find_excitation, guide_drive, make_hand
 from reframe_jax.simulation.arm.imperfections import Imperfections, measure
 from reframe_jax.simulation.arm.mechanism import Joints, integrate_welded, mechanism_joints
-from reframe_jax.simulation.arm.model import PANDA, Arm, arm_named, forward_kinematics
+from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
 from reframe_jax.simulation.arm.rollout import Steps, Track, hold, integrate
 from reframe_jax.simulation.arm.status import RolloutStatus, judge
 from reframe_jax.simulation.synthetic import Excitation
@@ -112,7 +112,7 @@ def frame_on_arm(
         return constraint
     if not isinstance(constraint, str):
         raise ValueError(f"constraint must be a label, a name or a ConstraintFrame, not {constraint!r}.")
-    arm = arm_named(arm)
+    arm = find_arm(arm)
     joints = arm.start(start, float)
     rotation, position = forward_kinematics(joints, arm)
     frame = ConstraintFrame.named(constraint)
@@ -174,7 +174,7 @@ def demonstrate(
         KeyError: for an unknown constraint.
         ValueError: for an unknown name, or numbers and shapes other than the above.
     """
-    arm = arm_named(arm)
+    arm = find_arm(arm)
     if not callable(excitation) and excitation not in EXCITATIONS:
         raise ValueError(f"No excitation {excitation!r}. There are: {', '.join(EXCITATIONS)}.")
     if batch < 1:
@@ -268,7 +268,7 @@ class _Plan:
     joints: Joints | None
 
 
-@compiled(("plan",))
+@jit_simulation(("plan",))
 def _demonstrate(
     frame: Frame,
     key: jax.Array,
@@ -315,7 +315,7 @@ def _roll(
     """One demonstration."""
     dtype, step = start.dtype, plan.steps.length
     hand = make_hand(guide, keys[0], dtype)
-    drive = guide_drive(guide, hand, frame, excitation_named(plan.excitation, keys[1], frame.free), step)
+    drive = guide_drive(guide, hand, frame, find_excitation(plan.excitation, keys[1], frame.free), step)
     pose = transforms.make_pose(*forward_kinematics(start, plan.arm))
     if plan.joints is not None:
         return integrate_welded(plan.arm, plan.joints, frame, start, drive, pose, plan.steps)

@@ -15,8 +15,8 @@ import numpy as np
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import Located, frame_arrays, locate_on_host
 from reframe_jax.geometry.transforms import make_pose
-from reframe_jax.simulation.arm.model import PANDA, Arm, arm_named, forward_kinematics
-from reframe_jax.simulation.arm.skin import dressed
+from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
+from reframe_jax.simulation.arm.skin import dress_arm
 
 __all__ = ["RenderError", "film_frames", "save_film"]
 
@@ -59,7 +59,7 @@ def film_frames(
         ValueError: for a skin that cannot be loaded, or is of another robot.
         RenderError: where there is no OpenGL.
     """
-    arm = arm_named(arm)
+    arm = find_arm(arm)
     joints = np.asarray(joints, dtype=float)
     model = _scene(arm, skin)
     data = mujoco.MjData(model)
@@ -141,7 +141,7 @@ def _palette(pictures: np.ndarray) -> Any:
 
 def _scene(arm: Arm, skin: str | Path | None) -> mujoco.MjModel:
     """The arm on a chequered floor."""
-    spec = dressed(arm, skin)
+    spec = dress_arm(arm, skin)
     sky, chequers = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtTexture.mjTEXTURE_2D
     if not any(texture.type == sky for texture in spec.textures):
         spec.add_texture(

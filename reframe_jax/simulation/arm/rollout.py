@@ -26,7 +26,7 @@ from reframe_jax.constraints.located import Frame, Located, locate, multiply, sl
 from reframe_jax.simulation.arm.dynamics import Motion, arm_motion, solve_positive
 from reframe_jax.simulation.arm.model import Arm, forward_kinematics
 
-__all__ = ["AxisLaw", "Steps", "Track", "hold", "integrate", "sampled"]
+__all__ = ["AxisLaw", "Steps", "Track", "hold", "integrate", "run_samples"]
 
 RELAXATION = 0.03
 """s, time constant with which a held axis returns; also the ratio of damping to stiffness of a spring."""
@@ -139,19 +139,19 @@ def integrate(
         velocity = unheld + step * multiply(response, force)
         return (joints + step * velocity, velocity, slipped, now, state, force), None
 
-    def seen(carry: Any) -> Track:
+    def observe(carry: Any) -> Track:
         joints, velocity, slipped, _, _, force = carry
         return Track(joints, velocity, slipped, force)
 
     zero = jnp.zeros(6, dtype=dtype)
     carry = (start, jnp.zeros_like(start), zero, locate(frame, *forward_kinematics(start, arm)), state, zero)
-    return sampled(advance, carry, seen, steps)
+    return run_samples(advance, carry, observe, steps)
 
 
-def sampled(
+def run_samples(
     advance: Callable[[Any, jax.Array], tuple[Any, None]],
     carry: Any,
-    seen: Callable[[Any], Track],
+    observe: Callable[[Any], Track],
     steps: Steps,
 ) -> Track:
     """What is seen at the start and at every sample after it.
@@ -159,13 +159,13 @@ def sampled(
     Args:
         advance: one step, given the carry and its number.
         carry: at the start.
-        seen: what a sample holds, of the carry.
+        observe: what a sample holds, of the carry.
         steps: when.
     """
 
     def sample(carry: Any, index: jax.Array) -> tuple[Any, Track]:
         carry, _ = jax.lax.scan(advance, carry, index * steps.substeps + jnp.arange(steps.substeps))
-        return carry, seen(carry)
+        return carry, observe(carry)
 
     _, track = jax.lax.scan(sample, carry, jnp.arange(steps.samples))
-    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), seen(carry), track)
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), observe(carry), track)

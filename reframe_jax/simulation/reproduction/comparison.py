@@ -18,7 +18,7 @@ from reframe_jax.simulation import metrics
 from reframe_jax.simulation.arm.compiled import check_numbers
 from reframe_jax.simulation.arm.demonstration import SPREAD, Demonstration, demonstrate
 from reframe_jax.simulation.arm.imperfections import REALISTIC, Imperfections
-from reframe_jax.simulation.arm.model import PANDA, Arm, arm_named, forward_kinematics
+from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
 from reframe_jax.simulation.arm.status import RolloutStatus
 from reframe_jax.simulation.reproduction.controllers import Controller, constant_wrench
 from reframe_jax.simulation.reproduction.frames import ROOMY, control_frames, erroneous_frames
@@ -172,7 +172,7 @@ def matched_choices(
         arm: the robot.
         start: (7,) rad, where the choices are the same.
     """
-    arm = arm_named(arm)
+    arm = find_arm(arm)
     frames = control_frames(found)
     dtype = truth.position.dtype
     pose = forward_kinematics(arm.start(start, dtype), arm)

@@ -10,7 +10,7 @@ from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import Frame, assemble_frame, frame_arrays, move_frame
 from reframe_jax.geometry import rotations
 from reframe_jax.identification.results import Identification
-from reframe_jax.simulation.arm.model import PANDA, Arm, arm_named, forward_kinematics
+from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
 
 __all__ = ["LITERATURE_ERRORS", "ROOMY", "control_frames", "erroneous_frames"]
 
@@ -61,7 +61,7 @@ def erroneous_frames(
         arm: the robot.
         start: (7,) rad, where the errors are as said.
     """
-    dtype, count, arm = truth.position.dtype, truth.position.shape[0], arm_named(arm)
+    dtype, count, arm = truth.position.dtype, truth.position.shape[0], find_arm(arm)
     pose = forward_kinematics(arm.start(start, dtype), arm)
 
     def draw(key: jax.Array, low: float, high: float) -> jax.Array:
