@@ -19,6 +19,7 @@ from reframe_jax.simulation.arm.guide import EXCITATIONS, Guide, find_excitation
 from reframe_jax.simulation.arm.imperfections import Imperfections, measure
 from reframe_jax.simulation.arm.mechanism import Joints, integrate_welded, mechanism_joints
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
+from reframe_jax.simulation.arm.redraw import draw_good
 from reframe_jax.simulation.arm.rollout import Steps, Track, hold, integrate
 from reframe_jax.simulation.arm.status import RolloutStatus, judge
 from reframe_jax.simulation.synthetic import Excitation
@@ -358,17 +359,11 @@ def demonstrations(
     Raises:
         ValueError: when more than 9 in 10 of the demonstrations have to be left out.
     """
-    done, first = 0, 0
-    while done < count:
-        made = jax.device_get(demonstrate(constraint, key, batch=chunk, first=first, **options))
-        first += chunk
-        good = np.flatnonzero(made.status_code == RolloutStatus.OK) if redraw else np.arange(chunk)
-        good = good[: count - done]
-        done += len(good)
-        if first >= 10 * chunk and done < first / 10 and done < count:
-            worst = RolloutStatus(int(np.median(made.status_code)))
-            raise ValueError(f"Only {done} of {first} demonstrations are usable. {worst.message}")
-        if progress is not None:
-            progress(done, count)
-        if len(good):
-            yield made[good]
+
+    def draw(number: int) -> tuple[Demonstration, np.ndarray]:
+        made = jax.device_get(demonstrate(constraint, key, batch=chunk, first=number * chunk, **options))
+        return made, made.status_code if redraw else np.zeros_like(made.status_code)
+
+    for drawn in draw_good(draw, count, chunk, progress=progress):
+        if len(drawn.good):
+            yield drawn.batch[drawn.good]
