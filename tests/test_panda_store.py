@@ -1,5 +1,6 @@
 """Demonstrations on disk: they go on where they stopped, and only there."""
 
+import shutil
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -92,6 +93,16 @@ def test_folders_of_something_else(tmp_path: Path) -> None:
         panda.store_demonstrations("I", KEY, 4, folder, **options)
     assert not (folder / "run.json").exists()
     panda.store_demonstrations("K", KEY, 4, folder, **options)
+    shutil.copy(part, folder / "part-00000001.npz")
+    for use in (
+        lambda: panda.store_demonstrations("K", KEY, 99, folder, **options),
+        lambda: panda.load_demonstrations(folder),
+    ):
+        with pytest.raises(ValueError, match=r"part-00000001\.npz is a copy of part-00000000"):
+            use()
+    part.unlink()
+    with pytest.raises(ValueError, match=r"incomplete: parts \[0\] are missing"):
+        panda.load_demonstrations(folder)
     results = tmp_path / "results"
     results.mkdir()
     (results / "run.json").write_text("{}")

@@ -82,7 +82,7 @@ def identify_many(
     if part_size < 1:
         raise ValueError(f"part_size must be at least 1, not {part_size}.")
     total = len(windows) if _is_array(windows) else None
-    wanted = None if parts is None else _part_numbers(parts)
+    wanted = None if parts is None else set(_part_numbers(parts))
     _check_numbers(wanted, total, part_size)
     depends_on = describe_options(identify, options, without=("times", "dt"))
     run = Run(Path(out), PARQUET, _KIND, _UNIT, {"part_size": part_size, **depends_on})
@@ -118,13 +118,14 @@ def load_results(folder: str | Path, parts: Iterable[int] | None = None) -> Iden
         parts: numbers of the parts to load, all by default: for results that do not fit in memory.
 
     Raises:
-        ValueError: if the folder holds no results, or lacks some of what was asked for.
+        ValueError: if the folder holds no results, or lacks some of what was asked for; and, naming it, if
+            a file is damaged, a copy of another, or was made with other options than the rest.
         ImportError: if pyarrow is missing.
     """
     PARQUET.library()
     run = Run.open(Path(folder), PARQUET, _KIND, _UNIT)
     stored = run.parts
-    wanted = list(_all_parts(run)) if parts is None else [index(number) for number in parts]
+    wanted = list(_all_parts(run)) if parts is None else _part_numbers(parts)
     if not wanted:
         raise ValueError("parts must name at least one part to load.")
     missing = [number for number in wanted if number not in stored]
@@ -161,11 +162,11 @@ def _all_parts(run: Run) -> range:
     return range(-(-run.total // size))
 
 
-def _part_numbers(parts: Iterable[int]) -> set[int]:
+def _part_numbers(parts: Iterable[int]) -> list[int]:
     try:
-        return {index(number) for number in parts}
+        return [index(number) for number in parts]
     except TypeError as error:
-        raise ValueError(f"parts must be whole numbers, the parts to do: {error}.") from error
+        raise ValueError(f"parts must be whole numbers: {error}.") from error
 
 
 def _check_numbers(wanted: set[int] | None, total: int | None, size: int) -> None:
