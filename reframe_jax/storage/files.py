@@ -1,5 +1,6 @@
 """Files that are there whole or not at all."""
 
+import errno
 import os
 import re
 import secrets
@@ -8,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-__all__ = ["remove_leftovers", "write_whole"]
+__all__ = ["check_place", "remove_leftovers", "write_whole"]
 
 _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{16}")
 _ABANDONED = 3600.0  # s after which a temporary file has no writer any more; machines' clocks differ by less
@@ -30,6 +31,22 @@ def write_whole(file: Path, write: Callable[[Path], Any]) -> None:
         os.replace(temporary, file)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def check_place(folder: Path) -> None:
+    """Find out before a long computation whether a folder that is not there can be made.
+
+    Raises:
+        OSError: if not.
+    """
+    if folder.exists():
+        return
+    place = folder.absolute().parent
+    while not place.exists():
+        place = place.parent
+    reason = errno.EACCES if place.is_dir() else errno.ENOTDIR
+    if reason == errno.ENOTDIR or not os.access(place, os.W_OK | os.X_OK):
+        raise OSError(reason, os.strerror(reason), str(folder))
 
 
 def remove_leftovers(folder: Path) -> None:

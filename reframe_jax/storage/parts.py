@@ -16,7 +16,7 @@ import numpy as np
 
 import reframe_jax
 from reframe_jax.storage.codecs import Codec
-from reframe_jax.storage.files import remove_leftovers, write_whole
+from reframe_jax.storage.files import check_place, remove_leftovers, write_whole
 from reframe_jax.storage.records import checksum
 
 __all__ = ["Run", "read_part", "write_part"]
@@ -174,7 +174,9 @@ class Run:
 
         Raises:
             ValueError: if the folder holds something else, results of other options, or a damaged record.
+            OSError: if the folder is not there and cannot be made.
         """
+        check_place(self.folder)
         remove_leftovers(self.folder)
         self._total = total
         if self._read_record() is not None:
