@@ -93,6 +93,7 @@ def test_folders_of_something_else(tmp_path: Path) -> None:
         panda.store_demonstrations("I", KEY, 4, folder, **options)
     assert not (folder / "run.json").exists()
     panda.store_demonstrations("K", KEY, 4, folder, **options)
+    assert (folder / "run.json").exists()
     shutil.copy(part, folder / "part-00000001.npz")
     for use in (
         lambda: panda.store_demonstrations("K", KEY, 99, folder, **options),

@@ -185,13 +185,16 @@ class Run:
         for file in self.parts.values():  # without a record every part has to speak for itself
             read_part(file, self._codec, self._options)
 
-    def finish(self, total: int) -> None:
-        """Note how many there were in all, where that is known at the end only.
+    def finish(self, total: int | None = None) -> None:
+        """See that the record is there; it may have been lost while no part had to be made.
+
+        Args:
+            total: how many there were in all, where that is known at the end only.
 
         Raises:
             ValueError: if an earlier run met another number.
         """
-        self._total = total
+        self._total = self._total if total is None else total
         self._compare()
         self._record()
 

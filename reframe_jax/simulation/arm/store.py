@@ -89,6 +89,8 @@ def store_demonstrations(
 
     for _ in draw_good(draw, count, chunk, progress=make_meter(progress, _UNIT)):
         pass
+    if run.parts:
+        run.finish()
     return run.folder
 
 
