@@ -13,6 +13,7 @@ import reframe_jax as rf
 from benchmarks.dual_annealing import DT, anneal
 from benchmarks.timing import jit, timed_once
 from reframe_jax.compilation import chunk_size
+from reframe_jax.constraints.located import ground_offset
 from reframe_jax.identification.pipeline import window_moments
 from reframe_jax.objectives.velocity import FrameObjective
 from reframe_jax.solvers import Box
@@ -42,10 +43,9 @@ def six_moments(poses: np.ndarray) -> tuple[jax.Array, jax.Array, np.ndarray]:
     return angular, linear, centre
 
 
-def placed(positions: np.ndarray, centre: np.ndarray) -> np.ndarray:
+def shift_positions(positions: np.ndarray, centre: np.ndarray) -> np.ndarray:
     """Positions (N, 4, 3) as ``identify`` reports them: those in the ground from its origin."""
-    in_ground = np.array([kind.position_body == rf.AngularType.G for kind in rf.LinearType])
-    return np.asarray(positions + np.where(in_ground[None, :, None], centre[:, None], 0))
+    return np.asarray(positions + np.asarray(ground_offset(jnp.asarray(centre))))
 
 
 def general_search(poses: np.ndarray) -> Solved:
@@ -75,7 +75,12 @@ def general_search(poses: np.ndarray) -> Solved:
     inputs = chunked(angular), chunked(linear)
     (values, x), seconds, compiling = timed_once(run, *inputs)
     positions = np.moveaxis(np.asarray(x), 1, -1).reshape(-1, 4, 3)[:count]
-    return np.exp(np.asarray(values).reshape(-1, 6)[:count]), placed(positions, centre), seconds, compiling
+    return (
+        np.exp(np.asarray(values).reshape(-1, 6)[:count]),
+        shift_positions(positions, centre),
+        seconds,
+        compiling,
+    )
 
 
 @jax.jit
@@ -121,7 +126,7 @@ def _lbfgs(angular: np.ndarray, linear: np.ndarray, centre: np.ndarray, starts: 
                     norms[i, t] = np.exp(result.fun)
                     if dim == 6:
                         positions[i, t - 2] = result.x[3:]
-    return norms, placed(positions, centre), time.perf_counter() - begin, compiling
+    return norms, shift_positions(positions, centre), time.perf_counter() - begin, compiling
 
 
 def cma_es(poses: np.ndarray, runs: int, generations: int) -> Solved:
@@ -169,4 +174,4 @@ def cma_es(poses: np.ndarray, runs: int, generations: int) -> Solved:
 
     run = jax.jit(all_problems)
     (values, x), seconds, compiling = timed_once(run, angular, linear)
-    return np.exp(np.asarray(values)), placed(np.asarray(x), centre), seconds, compiling
+    return np.exp(np.asarray(values)), shift_positions(np.asarray(x), centre), seconds, compiling

@@ -27,8 +27,8 @@ import numpy as np
 from benchmarks.common import write_metrics
 from benchmarks.paper_common import LABELS
 from benchmarks.paper_table4 import PAPER, SETUPS, Setup, identify_all
+from reframe_jax.constraints.located import frame_arrays
 from reframe_jax.simulation import arm as panda
-from reframe_jax.simulation.arm.constraint import frame_arrays
 from reframe_jax.simulation.arm.mechanism import mechanism_joints, mechanism_model, placement
 
 DURATION = 5.0

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -15,6 +14,10 @@ import numpy as np
 
 import reframe_jax
 from reframe_jax.simulation import arm as panda
+from reframe_jax.storage.codecs import NPZ
+from reframe_jax.storage.files import remove_leftovers
+from reframe_jax.storage.parts import read_part, write_part
+from reframe_jax.storage.records import describe
 
 __all__ = ["LABELS", "Section", "Store", "demonstrations", "number", "plain", "spread", "table"]
 
@@ -54,8 +57,9 @@ class Store:
         self.folder = folder
         self._cells = folder / "cells"
         self._cells.mkdir(parents=True, exist_ok=True)
-        text = json.dumps([reframe_jax.__version__, repr(options)])
-        self._suffix = hashlib.sha256(text.encode()).hexdigest()[:12]
+        self._options = {"version": reframe_jax.__version__, "size": describe(options)}
+        self._suffix = hashlib.sha256(json.dumps(self._options).encode()).hexdigest()[:12]
+        remove_leftovers(self._cells)
         self._fresh = fresh
         self.seconds = 0.0
 
@@ -64,11 +68,14 @@ class Store:
         print(f"{time.perf_counter() - _START:7.1f} s  {text}", file=sys.stderr, flush=True)
 
     def piece(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-        """The arrays of a piece, computed or read; a file is there whole or not at all."""
+        """The arrays of a piece, computed or read.
+
+        Raises:
+            ValueError: naming the file, if it is damaged or not what its name says.
+        """
         file = self._cells / f"{name}-{self._suffix}.npz"
         if file.exists() and not self._fresh:
-            with np.load(file) as stored:
-                arrays: dict[str, Any] = dict(stored)
+            arrays, _ = read_part(file, NPZ, self._options)
             self.seconds += float(arrays.pop(_SECONDS))
             self.say(f"{name}: as computed before")
             return arrays
@@ -76,11 +83,7 @@ class Store:
         start = time.perf_counter()
         arrays = {key: np.asarray(value) for key, value in make().items()}
         seconds = time.perf_counter() - start
-        temporary = file.with_name(f".{file.name}.{os.getpid()}")
-        with temporary.open("wb") as stream:
-            kept: dict[str, Any] = {**arrays, _SECONDS: seconds}
-            np.savez_compressed(stream, **kept)
-        os.replace(temporary, file)
+        write_part(file, NPZ, {**arrays, _SECONDS: seconds}, self._options)
         self.seconds += seconds
         self.say(f"{name}: {seconds:.1f} s")
         return arrays

@@ -102,6 +102,9 @@ def test_output_that_cannot_be_written(tmp_path: Path, capsys: pytest.CaptureFix
     file = tmp_path / "file"
     file.write_text("")
     command = ["demonstrate", "--no-cache", "--constraint", "A", "--out"]
-    for path in (file, file / "folder"):
+    for path, message in (
+        (file, f"{file} is a file; expected a folder for the demonstrations."),
+        (file / "folder", f"{file / 'folder'}: cannot be written: Not a directory."),
+    ):
         assert program.main([*command, str(path)]) == 1
-        assert f"{path}: cannot be written: " in capsys.readouterr().err
+        assert message in capsys.readouterr().err

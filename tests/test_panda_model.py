@@ -12,7 +12,7 @@ import pytest
 
 from reframe_jax.simulation import arm as panda
 from reframe_jax.simulation.arm import dynamics
-from reframe_jax.simulation.arm.compiled import compiled
+from reframe_jax.simulation.arm.compiled import jit_simulation
 
 ARMS = list(panda.ROBOTS.values())
 
@@ -101,7 +101,7 @@ def motions(request: pytest.FixtureRequest) -> tuple[panda.Arm, np.ndarray, np.n
     rng = np.random.default_rng(7)
     arm = request.param
     q, v = configurations(rng, arm, 6), rng.normal(size=(6, 7))
-    compute = compiled(())(jax.vmap(lambda q, v: panda.arm_motion(q, v, arm, gravity=True)))
+    compute = jit_simulation(())(jax.vmap(lambda q, v: panda.arm_motion(q, v, arm, gravity=True)))
     return arm, q, v, compute(jnp.asarray(q), jnp.asarray(v))
 
 
@@ -165,7 +165,7 @@ def test_library_does_not_import_mujoco() -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(jax.__version_info__ >= (0, 11), reason="its XLA does not repeat the chain (1.3 times)")
 def test_the_fence_is_still_needed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Drop ``fenced``, and the pin on mujoco-mjx, with the support of jax 0.10."""
+    """Drop ``fence_levels``, and the pin on mujoco-mjx, with the support of jax 0.10."""
 
     def seconds() -> float:
         step = jax.jit(lambda q: panda.arm_motion(q, 0.1 * q).bias)

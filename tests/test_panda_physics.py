@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
+from reframe_jax.constraints.located import frame_arrays, ground_twist, locate, slip, twist_map
 from reframe_jax.geometry import transforms
 from reframe_jax.simulation import arm as panda
-from reframe_jax.simulation.arm.compiled import compiled
-from reframe_jax.simulation.arm.constraint import body_twist, frame_arrays, locate, slip, twist_map
+from reframe_jax.simulation.arm.compiled import jit_simulation
 from reframe_jax.simulation.arm.guide import guide_drive, make_hand
 from reframe_jax.simulation.arm.mechanism import mechanism_joints
 from reframe_jax.simulation.arm.rollout import Steps, hold, integrate
@@ -33,7 +33,7 @@ def test_maps_of_a_frame_agree(rng: np.random.Generator) -> None:
         spatial = jnp.concatenate([pose[:3, :3] @ body[:3], pose[:3, :3] @ body[3:]])
         velocity = twist_map(here) @ spatial
         np.testing.assert_allclose(slip(*ends) / h, velocity, atol=1e-8)
-        np.testing.assert_allclose(body_twist(here, velocity), spatial, atol=1e-12)
+        np.testing.assert_allclose(ground_twist(here, velocity), spatial, atol=1e-12)
 
 
 def test_frames_move_as_their_type_says(rng: np.random.Generator) -> None:
@@ -106,7 +106,7 @@ def test_wrench_returns_and_energy_is_kept() -> None:
         rise = jnp.minimum(t / 0.3, 1)
         return wrench, motion.jacobian.T @ (twist_map(located).T @ (rise * wrench))
 
-    @compiled(())
+    @jit_simulation(())
     @jax.vmap
     def run(wrench: jax.Array) -> tuple[Any, jax.Array]:
         track = integrate(

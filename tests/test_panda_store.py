@@ -1,5 +1,6 @@
 """Demonstrations on disk: they go on where they stopped, and only there."""
 
+import shutil
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -57,7 +58,7 @@ def test_what_a_folder_depends_on() -> None:
     moved[250, 3] = 1e-3
     guides = panda.Guide(stiffness=jnp.asarray(300.0)), panda.Guide(stiffness=300.0), panda.Guide()
     records = [
-        store._record("K", KEY, 64, options)
+        store._describe_run("K", KEY, 64, True, options)
         for options in (
             *({"excitation": pushed(0.1)} for _ in range(2)),
             *({"start": values} for values in (start, start.copy(), moved)),
@@ -75,6 +76,7 @@ def test_folders_of_something_else(tmp_path: Path) -> None:
     for wrong, error in ((("K", {"dt": -1.0}), ValueError), (("nothing", {}), KeyError)):
         with pytest.raises(error):
             panda.store_demonstrations(wrong[0], KEY, 4, folder, **options, **wrong[1])
+        assert not folder.exists()
     panda.store_demonstrations("K", KEY, 4, folder, **options)
     part = folder / "part-00000000.npz"
     part.write_bytes(part.read_bytes()[:1000])
@@ -84,9 +86,24 @@ def test_folders_of_something_else(tmp_path: Path) -> None:
     ):
         with pytest.raises(ValueError, match="is damaged"):
             use()
+    part.unlink()
+    panda.store_demonstrations("K", KEY, 4, folder, **options)
     (folder / "run.json").unlink()
-    with pytest.raises(ValueError, match="something else"):
-        panda.store_demonstrations("K", KEY, 4, folder, **options)
+    with pytest.raises(ValueError, match=r"other options .*\(constraint\)"):
+        panda.store_demonstrations("I", KEY, 4, folder, **options)
+    assert not (folder / "run.json").exists()
+    panda.store_demonstrations("K", KEY, 4, folder, **options)
+    assert (folder / "run.json").exists()
+    shutil.copy(part, folder / "part-00000001.npz")
+    for use in (
+        lambda: panda.store_demonstrations("K", KEY, 99, folder, **options),
+        lambda: panda.load_demonstrations(folder),
+    ):
+        with pytest.raises(ValueError, match=r"part-00000001\.npz is a copy of part-00000000"):
+            use()
+    part.unlink()
+    with pytest.raises(ValueError, match=r"incomplete: parts \[0\] are missing"):
+        panda.load_demonstrations(folder)
     results = tmp_path / "results"
     results.mkdir()
     (results / "run.json").write_text("{}")

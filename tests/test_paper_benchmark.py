@@ -82,6 +82,15 @@ def test_other_options_have_other_pieces(tmp_path: Path) -> None:
     assert len(list((tmp_path / "cells").iterdir())) == 2
 
 
+def test_a_damaged_piece_is_named(tmp_path: Path) -> None:
+    Store(tmp_path, SIZE).piece("x", lambda: {"values": np.arange(100.0)})
+    (file,) = (tmp_path / "cells").iterdir()
+    file.write_bytes(file.read_bytes()[:-40])
+    with pytest.raises(ValueError, match=rf"{file.name} is damaged"):
+        Store(tmp_path, SIZE).piece("x", dict)
+    assert Store(tmp_path, SIZE, fresh=True).piece("x", lambda: {"values": 1})["values"] == 1
+
+
 def test_numbers_and_tables() -> None:
     texts = [number(x) for x in (0.0, 0.012345, 12.345, 1234.5, 1.2345e-5, float("nan"))]
     assert texts == ["0.0", "0.012", "12", "1234", "1.2e-05", "–"]

@@ -130,7 +130,7 @@ def write_mesh(file: Path, half: float) -> None:
 def test_folder_of_meshes_as_a_skin(tmp_path: Path) -> None:
     for name in ("link0", "link5_0", "link5_1", "hand", "finger"):
         write_mesh(tmp_path / f"{name}.obj", half=0.05)
-    model = skin.dressed(panda.PANDA, tmp_path).compile()
+    model = skin.dress_arm(panda.PANDA, tmp_path).compile()
     kinds = {
         name: list(model.geom_type[model.geom_bodyid == model.body(name).id])
         for name in ("world", "link4", "link5", "hand")
@@ -153,7 +153,7 @@ def test_model_as_a_skin(tmp_path: Path) -> None:
     text = text.replace("<worldbody>", '<asset><mesh file="finger.obj"/></asset><worldbody>', 1)
     file = tmp_path / "panda.xml"
     file.write_text(text)
-    model = skin.dressed(panda.PANDA, file).compile()
+    model = skin.dress_arm(panda.PANDA, file).compile()
     assert model.njnt == 8
     try:
         pictures = render.film_frames(np.zeros((1, 7)), skin=file, size=(96, 64))
@@ -165,12 +165,12 @@ def test_model_as_a_skin(tmp_path: Path) -> None:
 def test_skins_that_do_not_fit(tmp_path: Path) -> None:
     file = tmp_path / "robot.xml"
     with pytest.raises(ValueError, match="No skin at"):
-        skin.dressed(panda.PANDA, file)
+        skin.dress_arm(panda.PANDA, file)
     with pytest.raises(ValueError, match="No meshes in"):
-        skin.dressed(panda.PANDA, tmp_path)
+        skin.dress_arm(panda.PANDA, tmp_path)
     (tmp_path / "link0.obj").write_text("not a mesh")
     with pytest.raises(ValueError, match="cannot be loaded"):
-        skin.dressed(panda.PANDA, tmp_path)
+        skin.dress_arm(panda.PANDA, tmp_path)
     text = panda.arm_xml()
     for wrong, message in (
         ("<mujoco><worldbody/></mujoco>", "does not begin with seven hinges"),
@@ -180,7 +180,7 @@ def test_skins_that_do_not_fit(tmp_path: Path) -> None:
     ):
         file.write_text(wrong)
         with pytest.raises(ValueError, match=message):
-            skin.dressed(panda.PANDA, file)
+            skin.dress_arm(panda.PANDA, file)
 
 
 def test_opengl_that_is_not_installed_is_named() -> None:

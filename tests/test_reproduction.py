@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
+from reframe_jax.constraints.located import frame_arrays, locate
 from reframe_jax.simulation import arm as panda
 from reframe_jax.simulation import reproduction
-from reframe_jax.simulation.arm.constraint import frame_arrays, locate
 
 TRIALS = 8  # one compiled program for this module, and one for demonstrations
 KEY = jax.random.key(5)

@@ -2,7 +2,7 @@
 
 from enum import Enum, IntEnum
 
-__all__ = ["AngularType", "AxisRelation", "Dof", "LinearType"]
+__all__ = ["BODY_NAMES", "AngularType", "AxisRelation", "Dof", "LinearType"]
 
 
 class AngularType(IntEnum):
@@ -13,6 +13,10 @@ class AngularType(IntEnum):
 
     def __str__(self) -> str:
         return self.name
+
+
+BODY_NAMES: dict[IntEnum, str] = {AngularType.G: "ground", AngularType.B: "body"}
+"""What the bodies are called in sentences."""
 
 
 class LinearType(IntEnum):

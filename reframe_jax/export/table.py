@@ -6,15 +6,12 @@ from typing import Any
 import jax
 import numpy as np
 
-from reframe_jax.constraints.types import AngularType, LinearType
+from reframe_jax.constraints.types import BODY_NAMES, LinearType
 from reframe_jax.export.common import TYPES, Window, axes_of, directions, split_windows, tied_names
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
 
 __all__ = ["to_table"]
-
-_BODIES: dict[int, str] = {AngularType.G: "ground", AngularType.B: "body"}
-
 
 _UNITS = {"angular": "rad/s", "linear": "m/s"}
 
@@ -52,11 +49,11 @@ def _frame_block(group: str, frame: Any) -> list[str]:
     others = [name for name in tied_names(group, frame) if name != str(kind)]
     ties = f"; {_enumeration(others)} would do as well" if others else ""
     if isinstance(kind, LinearType):
-        axes_in, origin_in = _BODIES[kind.orientation_body], _BODIES[kind.position_body]
+        axes_in, origin_in = BODY_NAMES[kind.orientation_body], BODY_NAMES[kind.position_body]
         where = "axes and origin" if axes_in == origin_in else f"axes in the {axes_in}, origin"
         lines = [f"Linear frame {kind}: {where} fixed in the {origin_in}{ties}"]
     else:
-        lines = [f"Angular frame {kind}: axes fixed in the {_BODIES[kind]}{ties}"]
+        lines = [f"Angular frame {kind}: axes fixed in the {BODY_NAMES[kind]}{ties}"]
     for i, axis in enumerate(np.asarray(axes_of(frame.rotvec)).T):
         freedom = "free" if frame.dof[i] else "constrained"
         lines.append(

@@ -14,7 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.compilation import once
-from reframe_jax.constraints.types import AngularType, LinearType
+from reframe_jax.constraints.located import ground_offset
+from reframe_jax.constraints.types import LinearType
 from reframe_jax.geometry import rotations, symmetric
 from reframe_jax.geometry.products import matmul3
 from reframe_jax.identification.classify import (
@@ -309,8 +310,7 @@ def solve_evidence(
         optimum.position,
         idle[:, None],
     )
-    in_ground = jnp.asarray([t.position_body == AngularType.G for t in LinearType])
-    origin = jnp.where(in_ground[None, :, None], evidence.centre[:, None], 0)
+    origin = ground_offset(evidence.centre)
     linear = Candidates(
         rotvec=_orientation(optimum.axes, linear_dof),
         dof=linear_dof,
@@ -460,12 +460,15 @@ def _linear_optima(
     return _LinearOptima(searched, solution, objective, position, matmul3(first, local), local, rms)
 
 
-def _patterns(evidence: Evidence, angular_axes: jax.Array, position: jax.Array, axes: jax.Array) -> jax.Array:
+def _patterns(
+    evidence: Evidence, kind: jax.Array, angular_axes: jax.Array, position: jax.Array, axes: jax.Array
+) -> jax.Array:
     """Probability of every pattern of degrees of freedom, (4, 4, N, 4), for each linear type.
 
     Args:
         evidence: of the windows.
-        angular_axes: (N, 3, 3) of the best angular type.
+        kind: (N,) the best angular type.
+        angular_axes: (N, 2, 3, 3) of both.
         position: (N, 4, 3) m, from the centre for types in the ground.
         axes: (N, 4, 3, 3).
     """

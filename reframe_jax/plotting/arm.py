@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.constraints.located import frame_arrays, locate_on_host
 from reframe_jax.plotting.maps import plot_bars
 from reframe_jax.plotting.scene import segment, set_limits
 from reframe_jax.plotting.style import BODY, CONSTRAINED, FREE, LINES, TURNING, new_figure
-from reframe_jax.simulation.arm.constraint import frame_arrays, locate
 from reframe_jax.simulation.arm.demonstration import Demonstration
-from reframe_jax.simulation.arm.model import PANDA, Arm, arm_named, link_transforms
+from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, link_transforms
 from reframe_jax.simulation.reproduction.comparison import Comparison
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: st
     grid = figure.add_gridspec(3, 2, width_ratios=(1.15, 1))
     if title is not None:
         figure.suptitle(title, fontsize=12)
-    _draw_scene(figure.add_subplot(grid[:, 0], projection="3d"), made, arm_named(arm))
+    _draw_scene(figure.add_subplot(grid[:, 0], projection="3d"), made, find_arm(arm))
     free = np.array((*made.truth.angular_dof, *made.truth.linear_dof), dtype=bool)
     motion, moments, forces = (figure.add_subplot(grid[i, 1]) for i in range(3))
     for i in np.flatnonzero(free):
@@ -117,26 +117,26 @@ def _joint_points(joints: np.ndarray, arm: Arm) -> np.ndarray:
 def _draw_scene(axes: "Axes3D", made: Demonstration, arm: Arm) -> None:
     shown = [0, len(made.times) // 2, len(made.times) - 1]
     path = np.asarray(made.exact_poses)[:, :3, 3]
-    arrays = frame_arrays(jax.tree.map(jnp.asarray, made.truth))
+    frame = frame_arrays(jax.tree.map(jnp.asarray, made.truth))
+    there = locate_on_host(frame, np.asarray(made.exact_poses)[shown])
     extent = [path]
-    for index, alpha in zip(shown, (0.25, 0.5, 1.0), strict=True):
+    for row, (index, alpha) in enumerate(zip(shown, (0.25, 0.5, 1.0), strict=True)):
         points = _joint_points(np.asarray(made.joint_positions[index]), arm)
         extent.append(points)
         axes.plot(
             *points.T, "o-", color=BODY, linewidth=3.5, markersize=4, alpha=alpha, solid_capstyle="round"
         )
-        pose = jnp.asarray(made.exact_poses[index], dtype=arrays.position.dtype)
-        there = jax.device_get(locate(arrays, pose[:3, :3], pose[:3, 3]))
-        origin = path[index] + there.lever
+        here = jax.tree.map(lambda leaf, row=row: leaf[row], there)
+        origin = path[index] + here.lever
         extent.append(origin[None])
         segment(axes, path[index], origin, linestyle=":", color="black", linewidth=1, alpha=alpha)
         for i, free in enumerate(made.truth.linear_dof):
-            ends = origin + 0.13 * np.outer((-1, 1), there.linear_axes[:, i])
+            ends = origin + 0.13 * np.outer((-1, 1), here.linear_axes[:, i])
             colour, style = (FREE[0], "-") if free else (CONSTRAINED[0], "--")
             axes.plot(*ends.T, style, color=colour, linewidth=1.8, alpha=alpha)
         if sum(made.truth.angular_dof) < 3:
             for i in (i for i, free in enumerate(made.truth.angular_dof) if free):
-                ends = origin + 0.17 * np.outer((-1, 1), there.angular_axes[:, i])
+                ends = origin + 0.17 * np.outer((-1, 1), here.angular_axes[:, i])
                 axes.plot(*ends.T, "-.", color=TURNING, linewidth=1.8, alpha=alpha)
     axes.plot(*path.T, color="black", linewidth=1.5)
     turns, shifts = sum(made.truth.angular_dof), sum(made.truth.linear_dof)

@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.constraints.types import AngularType, LinearType
+from reframe_jax.constraints.located import ground_offset
+from reframe_jax.constraints.types import LinearType
 from reframe_jax.identification.pipeline import window_moments
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.kinematics import Discretization
@@ -43,10 +44,7 @@ def landscape(
     """
     poses, times = jnp.asarray(poses), jnp.asarray(times)
     kind = LinearType(linear_type)
-    on_ground = kind.position_body == AngularType.G
-    return _landscape(
-        poses, jnp.diff(times), jnp.asarray(positions), int(kind), on_ground, norm, discretization
-    )
+    return _landscape(poses, jnp.diff(times), jnp.asarray(positions), int(kind), norm, discretization)
 
 
 def _norms(
@@ -54,15 +52,13 @@ def _norms(
     steps: jax.Array,
     positions: jax.Array,
     kind: jax.Array,
-    on_ground: jax.Array,
     norm: float,
     discretization: Discretization,
 ) -> jax.Array:
     # about the middle of the motion: rounding grows with the distance from it
     centre = jnp.mean(poses[:, :3, 3], axis=0)
     poses = poses.at[:, :3, 3].add(-centre[None])
-    shift = jnp.where(on_ground, centre, 0.0)
-    positions = positions - shift.reshape((1,) * (positions.ndim - 1) + (3,))
+    positions = positions - ground_offset(centre)[kind].reshape((1,) * (positions.ndim - 1) + (3,))
     _, moments = window_moments(poses, steps, discretization)
     one = moments[..., kind].reshape(*moments.shape[:2], *([1] * (positions.ndim - 1)))
     return jnp.exp(PositionObjective(one, norm).value(jnp.moveaxis(positions, -1, 0)))

@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
+from reframe_jax.constraints.located import Located, assemble_frame, locate_on_host
 from reframe_jax.constraints.types import AngularType
-from reframe_jax.geometry import rotations
+from reframe_jax.export.common import axes_of
 from reframe_jax.identification.results import Identification
 from reframe_jax.plotting.style import (
     BODY,
@@ -77,7 +78,7 @@ def draw_space(axes: "Axes3D", poses: np.ndarray, found: Identification) -> None
     path = poses[:, :3, 3]
     samples = frame_samples(poses, found)
     origins, triads, rotation_axes = frames_in_ground(poses, found, samples)
-    twins = _in_ground(poses[samples], found, found.linear.twin) if found.linear.has_twin else origins[:0]
+    twins = _origins(poses, found, found.linear.twin)[samples] if found.linear.has_twin else origins[:0]
     points = np.concatenate([path, origins, twins, track(poses, found)])
     length = frame_length(points)
     axes.plot(*path.T, color=BODY, linewidth=1.2, label="path and axes of the body")
@@ -105,15 +106,27 @@ def draw_arm(axes: "Axes3D", path: np.ndarray, origins: np.ndarray, samples: np.
 
 def track(poses: np.ndarray, found: Identification) -> np.ndarray:
     """The origin of the linear frame in the ground, (K+1, 3) m."""
-    return _in_ground(poses, found, found.linear.position)
+    return _origins(poses, found, found.linear.position)
 
 
-def _in_ground(poses: np.ndarray, found: Identification, position: Any) -> np.ndarray:
+def _locate(poses: np.ndarray, found: Identification, position: Any) -> Located:
+    """The frames of a window, with their origin at a position (3,), at every pose (K+1, 4, 4)."""
+    with jax.enable_x64(True):
+        frame = assemble_frame(
+            found.angular.type_code,
+            found.linear.type_code,
+            angular_axes=axes_of(found.angular.rotvec),
+            linear_axes=axes_of(found.linear.rotvec),
+            position=position,
+            angular_dof=found.angular.dof,
+            linear_dof=found.linear.dof,
+        )
+    return locate_on_host(frame, poses)
+
+
+def _origins(poses: np.ndarray, found: Identification, position: Any) -> np.ndarray:
     """A point (3,) of the linear frame's body in the ground, (K+1, 3) m."""
-    if found.linear.frame_type.position_body == AngularType.G:
-        return np.broadcast_to(np.asarray(position), (len(poses), 3))
-    moved: np.ndarray = poses[:, :3, :3] @ np.asarray(position) + poses[:, :3, 3]
-    return moved
+    return poses[:, :3, 3] + _locate(poses, found, position).lever
 
 
 def frame_samples(poses: np.ndarray, found: Identification) -> np.ndarray:
@@ -191,16 +204,8 @@ def frames_in_ground(
         Origins (n, 3); axes of the linear frame (n, 3, 3), as columns; directions (n, m, 3) of the m free
         axes of rotation, none of them if all three are free.
     """
-    kind = found.linear.frame_type
-    shown = poses[frame_samples(poses, found) if samples is None else samples]
-    turn = shown[:, :3, :3]
-
-    def seen(axes: np.ndarray, body: AngularType) -> np.ndarray:
-        return turn @ axes if body == AngularType.B else np.broadcast_to(axes, turn.shape)
-
-    origins = _in_ground(shown, found, found.linear.position)
-    axes_of = jax.jit(rotations.rotation_exp)
-    linear = seen(np.asarray(axes_of(found.linear.rotvec)), kind.orientation_body)
-    angular = seen(np.asarray(axes_of(found.angular.rotvec)), found.angular.frame_type)
+    samples = frame_samples(poses, found) if samples is None else samples
+    there = jax.tree.map(lambda leaf: leaf[samples], _locate(poses, found, found.linear.position))
     free = np.asarray(found.angular.dof, dtype=bool) & (np.sum(found.angular.dof) < 3)
-    return origins, linear, angular.swapaxes(1, 2)[:, free]
+    turning = there.angular_axes.swapaxes(1, 2)[:, free]
+    return poses[samples, :3, 3] + there.lever, there.linear_axes, turning

@@ -15,8 +15,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from reframe_jax.constraints import located
 from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.types import AngularType
+from reframe_jax.constraints.located import Frame
 from reframe_jax.geometry import rotations, transforms
 from reframe_jax.geometry.products import apply, matmul
 
@@ -103,47 +104,12 @@ def body_twist(frame: ConstraintFrame, pose: jax.Array, angular: jax.Array, line
     Returns:
         (6,) as (w, v) in {b}.
     """
-    return _Attachment.of(frame).body_twist(pose, angular, linear)
+    return _frame_twist(located.frame_arrays(frame), pose, angular, linear)
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class _Attachment:
-    """A constraint frame as numbers alone, so that all constraints share one compilation.
-
-    Attributes:
-        in_ground: (3,) bool, whether the angular axes, the linear axes and the position are in {g}.
-        dof: (2, 3), angular and linear.
-        angular_axes, linear_axes: (3, 3), columns are the axes.
-        position: (3,) m.
-    """
-
-    in_ground: jax.Array
-    dof: jax.Array
-    angular_axes: jax.Array
-    linear_axes: jax.Array
-    position: jax.Array
-
-    @staticmethod
-    def of(frame: ConstraintFrame) -> "_Attachment":
-        bodies = (frame.angular_type, frame.linear_type.orientation_body, frame.linear_type.position_body)
-        return _Attachment(
-            in_ground=jnp.asarray([body == AngularType.G for body in bodies]),
-            dof=jnp.asarray([frame.angular_dof, frame.linear_dof], dtype=frame.position.dtype),
-            angular_axes=frame.angular_axes,
-            linear_axes=frame.linear_axes,
-            position=frame.position,
-        )
-
-    def body_twist(self, pose: jax.Array, angular: jax.Array, linear: jax.Array) -> jax.Array:
-        """See :func:`body_twist`."""
-        inverse, position = pose[:3, :3].T, pose[:3, 3]
-        w = apply(self.angular_axes, angular * self.dof[0])
-        w = jnp.where(self.in_ground[0], apply(inverse, w), w)
-        u = apply(self.linear_axes, linear * self.dof[1])
-        u = jnp.where(self.in_ground[1], apply(inverse, u), u)
-        origin = jnp.where(self.in_ground[2], apply(inverse, self.position - position), self.position)
-        return jnp.concatenate([w, u - jnp.cross(w, origin)])
+def _frame_twist(frame: Frame, pose: jax.Array, angular: jax.Array, linear: jax.Array) -> jax.Array:
+    wanted = frame.free * jnp.concatenate([angular, linear])
+    return located.body_twist(frame, pose[:3, :3], pose[:3, 3], wanted)
 
 
 def simulate(
@@ -184,15 +150,15 @@ def simulate(
         raise ValueError(f"No excitation {excitation!r}. There are: {', '.join(EXCITATIONS)}.")
     first = jnp.eye(4, dtype=frame.position.dtype) if start is None else start
     phase_key, noise_key = jax.random.split(key)
-    attachment, steps = _Attachment.of(frame), round(duration / dt)
-    poses = _integrate(attachment, phase_key, first, dt, excitation=excitation, exact=exact, steps=steps)
+    arrays, steps = located.frame_arrays(frame), round(duration / dt)
+    poses = _integrate(arrays, phase_key, first, dt, excitation=excitation, exact=exact, steps=steps)
     times = dt * jnp.arange(steps + 1, dtype=first.dtype)
     return Simulation(times, add_pose_noise(poses, noise_key, noise), poses, frame)
 
 
 @partial(jax.jit, static_argnames=("excitation", "exact", "steps"))
 def _integrate(
-    attachment: _Attachment,
+    frame: Frame,
     key: jax.Array,
     first: jax.Array,
     dt: float,
@@ -205,7 +171,7 @@ def _integrate(
     velocity = EXCITATIONS[excitation](key) if isinstance(excitation, str) else excitation
 
     def twist(t: jax.Array, pose: jax.Array) -> jax.Array:
-        return attachment.body_twist(pose, *velocity(t))
+        return _frame_twist(frame, pose, *velocity(t))
 
     def advance(pose: jax.Array, t: jax.Array) -> tuple[jax.Array, jax.Array]:
         if not exact:

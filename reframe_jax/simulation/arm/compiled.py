@@ -10,7 +10,7 @@ import numpy as np
 
 from reframe_jax.compilation import traced
 
-__all__ = ["as_numbers", "check_numbers", "compiled"]
+__all__ = ["as_numbers", "check_numbers", "jit_simulation"]
 
 # the older code generator takes two thirds of the time to compile, and its code is as fast; jax 0.11 has
 # one only
@@ -19,7 +19,7 @@ _CPU_OPTIONS: dict[str, Any] | None = (
 )
 
 
-def compiled(static: Sequence[str]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def jit_simulation(static: Sequence[str]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """``jax.jit`` with static arguments by name, and the options that suit the processor.
 
     Options are for the outermost ``jit`` only; within a trace there are none. The products of MJX are in

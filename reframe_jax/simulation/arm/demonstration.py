@@ -12,13 +12,14 @@ import numpy as np
 
 from reframe_jax.compilation import traced
 from reframe_jax.constraints.frame import ConstraintFrame
+from reframe_jax.constraints.located import Frame, frame_arrays, move_frame, place_frame
 from reframe_jax.geometry import rotations, transforms
-from reframe_jax.simulation.arm.compiled import as_numbers, check_numbers, compiled
-from reframe_jax.simulation.arm.constraint import Frame, frame_arrays, moved, placed
-from reframe_jax.simulation.arm.guide import EXCITATIONS, Guide, excitation_named, guide_drive, make_hand
+from reframe_jax.simulation.arm.compiled import as_numbers, check_numbers, jit_simulation
+from reframe_jax.simulation.arm.guide import EXCITATIONS, Guide, find_excitation, guide_drive, make_hand
 from reframe_jax.simulation.arm.imperfections import Imperfections, measure
 from reframe_jax.simulation.arm.mechanism import Joints, integrate_welded, mechanism_joints
-from reframe_jax.simulation.arm.model import PANDA, Arm, arm_named, forward_kinematics
+from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
+from reframe_jax.simulation.arm.redraw import draw_good
 from reframe_jax.simulation.arm.rollout import Steps, Track, hold, integrate
 from reframe_jax.simulation.arm.status import RolloutStatus, judge
 from reframe_jax.simulation.synthetic import Excitation
@@ -112,12 +113,12 @@ def frame_on_arm(
         return constraint
     if not isinstance(constraint, str):
         raise ValueError(f"constraint must be a label, a name or a ConstraintFrame, not {constraint!r}.")
-    arm = arm_named(arm)
+    arm = find_arm(arm)
     joints = arm.start(start, float)
     rotation, position = forward_kinematics(joints, arm)
     frame = ConstraintFrame.named(constraint)
     axes = jnp.eye(3, dtype=joints.dtype)
-    return placed(frame, axes, position + jnp.asarray(_ORIGIN, dtype=joints.dtype), rotation, position)
+    return place_frame(frame, axes, position + jnp.asarray(_ORIGIN, dtype=joints.dtype), rotation, position)
 
 
 def demonstrate(
@@ -174,7 +175,7 @@ def demonstrate(
         KeyError: for an unknown constraint.
         ValueError: for an unknown name, or numbers and shapes other than the above.
     """
-    arm = arm_named(arm)
+    arm = find_arm(arm)
     if not callable(excitation) and excitation not in EXCITATIONS:
         raise ValueError(f"No excitation {excitation!r}. There are: {', '.join(EXCITATIONS)}.")
     if batch < 1:
@@ -250,7 +251,7 @@ def _place(
 
     def place(frame: Frame, key: jax.Array, start: jax.Array) -> Frame:
         turn, shift = spread[:, None] * jax.random.normal(key, (2, 3), start.dtype)
-        return moved(frame, rotations.rotation_exp(turn), shift, *forward_kinematics(start, arm))
+        return move_frame(frame, rotations.rotation_exp(turn), shift, *forward_kinematics(start, arm))
 
     there = jax.vmap(place)(frame, _keys(key, numbers)[:, 0], start)
     rotvecs = rotations.rotation_log(jnp.stack([there.angular_axes, there.linear_axes]))
@@ -268,7 +269,7 @@ class _Plan:
     joints: Joints | None
 
 
-@compiled(("plan",))
+@jit_simulation(("plan",))
 def _demonstrate(
     frame: Frame,
     key: jax.Array,
@@ -315,7 +316,7 @@ def _roll(
     """One demonstration."""
     dtype, step = start.dtype, plan.steps.length
     hand = make_hand(guide, keys[0], dtype)
-    drive = guide_drive(guide, hand, frame, excitation_named(plan.excitation, keys[1], frame.free), step)
+    drive = guide_drive(guide, hand, frame, find_excitation(plan.excitation, keys[1], frame.free), step)
     pose = transforms.make_pose(*forward_kinematics(start, plan.arm))
     if plan.joints is not None:
         return integrate_welded(plan.arm, plan.joints, frame, start, drive, pose, plan.steps)
@@ -358,17 +359,11 @@ def demonstrations(
     Raises:
         ValueError: when more than 9 in 10 of the demonstrations have to be left out.
     """
-    done, first = 0, 0
-    while done < count:
-        made = jax.device_get(demonstrate(constraint, key, batch=chunk, first=first, **options))
-        first += chunk
-        good = np.flatnonzero(made.status_code == RolloutStatus.OK) if redraw else np.arange(chunk)
-        good = good[: count - done]
-        done += len(good)
-        if first >= 10 * chunk and done < first / 10 and done < count:
-            worst = RolloutStatus(int(np.median(made.status_code)))
-            raise ValueError(f"Only {done} of {first} demonstrations are usable. {worst.message}")
-        if progress is not None:
-            progress(done, count)
-        if len(good):
-            yield made[good]
+
+    def draw(number: int) -> tuple[Demonstration, np.ndarray]:
+        made = jax.device_get(demonstrate(constraint, key, batch=chunk, first=number * chunk, **options))
+        return made, made.status_code if redraw else np.zeros_like(made.status_code)
+
+    for drawn in draw_good(draw, count, chunk, progress=progress):
+        if len(drawn.good):
+            yield drawn.batch[drawn.good]

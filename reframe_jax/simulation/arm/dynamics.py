@@ -25,7 +25,7 @@ with contextlib.redirect_stdout(io.StringIO()):  # it prints which optional pack
 from reframe_jax.geometry.products import apply
 from reframe_jax.simulation.arm.model import PANDA, Arm, arm_xml
 
-__all__ = ["Motion", "arm_motion", "fenced", "inverse_dynamics", "jacobian", "solve_positive"]
+__all__ = ["Motion", "arm_motion", "fence_levels", "inverse_dynamics", "jacobian", "solve_positive"]
 
 
 @jax.tree_util.register_dataclass
@@ -59,7 +59,7 @@ class Motion:
 
 
 @contextlib.contextmanager
-def fenced() -> Iterator[None]:
+def fence_levels() -> Iterator[None]:
     """Keep XLA from recomputing the kinematic chain at every link while MJX is traced.
 
     On the CPU, XLA's fusion emitters (jax 0.7 to 0.10) inline each level of MJX's scan over the tree into
@@ -70,10 +70,10 @@ def fenced() -> Iterator[None]:
     body_tree = mjx_scan.body_tree
 
     def with_barriers(model: Any, function: Any, *args: Any, **options: Any) -> Any:
-        def barred(carry: Any, *rest: Any) -> Any:
+        def run_barred(carry: Any, *rest: Any) -> Any:
             return function(carry if carry is None else jax.lax.optimization_barrier(carry), *rest)
 
-        return body_tree(model, barred, *args, **options)
+        return body_tree(model, run_barred, *args, **options)
 
     mjx_scan.body_tree = with_barriers
     try:
@@ -83,7 +83,7 @@ def fenced() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def lenient() -> Iterator[None]:
+def allow_mixing() -> Iterator[None]:
     """MJX mixes dtypes and ranks, whatever the user's settings say."""
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         yield
@@ -102,7 +102,7 @@ def _mjx_parts(arm: Arm, gravity: bool) -> tuple[Any, Any]:
 
 def mjx_parts(model: mujoco.MjModel) -> tuple[Any, Any]:
     """MJX model and data in double precision, as NumPy arrays: constants of any trace."""
-    with jax.ensure_compile_time_eval(), jax.enable_x64(True), lenient():
+    with jax.ensure_compile_time_eval(), jax.enable_x64(True), allow_mixing():
         parts = mjx.put_model(model, impl="jax"), mjx.make_data(model, impl="jax")
         return jax.tree.map(np.asarray, parts)
 
@@ -132,7 +132,7 @@ def arm_motion(joints: jax.Array, velocity: jax.Array, arm: Arm = PANDA, *, grav
 
 def smooth_terms(model: Any, data: Any) -> Any:
     """Kinematics, mass matrix and bias of MJX data, from its ``qpos`` and ``qvel``."""
-    with fenced(), lenient():
+    with fence_levels(), allow_mixing():
         for stage in (mjx.kinematics, mjx.com_pos, mjx.crb, mjx.com_vel, mjx.rne):
             data = stage(model, data)
     return data
@@ -140,7 +140,7 @@ def smooth_terms(model: Any, data: Any) -> Any:
 
 def full_step(model: Any, data: Any) -> Any:
     """MJX's own step, constraint solver included."""
-    with fenced(), lenient():
+    with fence_levels(), allow_mixing():
         return mjx.step(model, data)
 
 
@@ -152,7 +152,7 @@ def motion_of(model: Any, data: Any, tcp: int) -> Motion:
         data: MJX data.
         tcp: number of the site that is the TCP.
     """
-    with lenient():
+    with allow_mixing():
         mass = mjx.full_m(model, data)[:7, :7]
         axes, anchors, position = data.xaxis[:7], data.xanchor[:7], data.site_xpos[tcp]
         linear = jnp.cross(axes, position - anchors)

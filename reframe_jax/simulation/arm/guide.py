@@ -12,15 +12,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from reframe_jax.constraints.located import Frame, ground_twist, locate
 from reframe_jax.geometry import rotations, symmetric, transforms
 from reframe_jax.geometry.products import apply, matmul
 from reframe_jax.simulation import synthetic
 from reframe_jax.simulation.arm.compiled import as_numbers
-from reframe_jax.simulation.arm.constraint import Frame, body_twist, locate
 from reframe_jax.simulation.arm.dynamics import Motion
 from reframe_jax.simulation.synthetic import Excitation
 
-__all__ = ["EXCITATIONS", "Guide", "Hand", "excitation_named", "guide_drive", "make_hand"]
+__all__ = ["EXCITATIONS", "Guide", "Hand", "find_excitation", "guide_drive", "make_hand"]
 
 _RATES = ((1.4, 4.4), (2.4, 5.4), (3.4, 6.4))  # rad/s, by axis: apart, so that 5 s tell the axes apart
 _LINEAR_RATE = 1.13  # ratio of the rates of linear to those of angular motion
@@ -147,11 +147,11 @@ def paper(key: jax.Array, free: jax.Array) -> Excitation:
     del free
     velocity = synthetic.paper_excitation(key)
 
-    def eased(t: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def ease_in(t: jax.Array) -> tuple[jax.Array, jax.Array]:
         angular, linear = velocity(t)
         return _ease(t) * angular, _ease(t) * linear
 
-    return eased
+    return ease_in
 
 
 EXCITATIONS: dict[str, Callable[[jax.Array, jax.Array], Excitation]] = {
@@ -161,7 +161,7 @@ EXCITATIONS: dict[str, Callable[[jax.Array, jax.Array], Excitation]] = {
 }
 
 
-def excitation_named(excitation: str | Excitation, key: jax.Array, free: jax.Array) -> Excitation:
+def find_excitation(excitation: str | Excitation, key: jax.Array, free: jax.Array) -> Excitation:
     """The excitation of a name, for a key and the free axes (6,); a function as it is."""
     if not isinstance(excitation, str):
         return excitation
@@ -205,7 +205,7 @@ def guide_drive(
     def drive(pose: jax.Array, t: jax.Array, motion: Motion, located: Any) -> tuple[jax.Array, jax.Array]:
         rotation, position = pose[:3, :3], pose[:3, 3]
         wanted = frame.free * jnp.concatenate(excitation(t))
-        twist = body_twist(locate(frame, rotation, position), wanted)
+        twist = ground_twist(locate(frame, rotation, position), wanted)
         goal = matmul(pose, aside)
         apart = matmul(goal[:3, :3], motion.rotation.T)
         lag = twist - motion.twist

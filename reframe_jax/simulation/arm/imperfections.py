@@ -82,7 +82,7 @@ def measure(
     noise = given.encoder_noise * jax.random.normal(keys[0], joints.shape, dtype)
 
     def read(angles: jax.Array) -> jax.Array:
-        return _rounded(_played(angles, given.backlash) + noise, given.encoder_step)
+        return _round(_play(angles, given.backlash) + noise, given.encoder_step)
 
     links = _as_built(arm, given.calibration, given.angular_calibration, keys[1])
     late = _at_earlier(joints, velocity, given.latency, dt)
@@ -92,10 +92,10 @@ def measure(
     noisy = add_pose_noise(poses, keys[2], given.pose_noise)
     # the logarithm and exponential of the noise would round poses that have none
     poses = jnp.where(given.pose_noise > 0, noisy, poses)
-    return _repeated(poses, jax.random.uniform(keys[3], joints.shape[:1], dtype) < given.dropouts)
+    return _repeat_last(poses, jax.random.uniform(keys[3], joints.shape[:1], dtype) < given.dropouts)
 
 
-def _played(angles: jax.Array, width: jax.Array) -> jax.Array:
+def _play(angles: jax.Array, width: jax.Array) -> jax.Array:
     """The play operator: an output that follows only when the input pushes it."""
 
     def follow(output: jax.Array, angle: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -105,7 +105,7 @@ def _played(angles: jax.Array, width: jax.Array) -> jax.Array:
     return jax.lax.scan(follow, angles[0], angles)[1]
 
 
-def _rounded(angles: jax.Array, step: jax.Array) -> jax.Array:
+def _round(angles: jax.Array, step: jax.Array) -> jax.Array:
     unit = jnp.where(step > 0, step, 1)
     return jnp.where(step > 0, jnp.round(angles / unit) * unit, angles)
 
@@ -131,7 +131,7 @@ def _at_earlier(joints: jax.Array, velocity: jax.Array, age: jax.Array, dt: floa
     return jnp.where(age > 0, cubic, joints)
 
 
-def _repeated(poses: jax.Array, lost: jax.Array) -> jax.Array:
+def _repeat_last(poses: jax.Array, lost: jax.Array) -> jax.Array:
     """Poses with the lost ones replaced by the last that was not; the first is never lost."""
     index = jnp.arange(poses.shape[0])
     kept = jnp.where(lost & (index > 0), 0, index)

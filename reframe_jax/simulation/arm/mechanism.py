@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import mujoco
 
 from reframe_jax.constraints.frame import ConstraintFrame
+from reframe_jax.constraints.located import Frame, ground_twist, locate, slip
 from reframe_jax.constraints.types import Dof, LinearType
 from reframe_jax.geometry import rotations
 from reframe_jax.geometry.products import apply, matmul
-from reframe_jax.simulation.arm.constraint import Frame, body_twist, locate, slip
 from reframe_jax.simulation.arm.dynamics import (
     full_step,
     in_dtype,
@@ -27,7 +27,7 @@ from reframe_jax.simulation.arm.dynamics import (
     solve_positive,
 )
 from reframe_jax.simulation.arm.model import Arm, arm_xml, forward_kinematics
-from reframe_jax.simulation.arm.rollout import Drive, Steps, Track, sampled
+from reframe_jax.simulation.arm.rollout import Drive, Steps, Track, run_samples
 
 __all__ = ["Joints", "integrate_welded", "mechanism_joints", "mechanism_model"]
 
@@ -49,7 +49,7 @@ def mechanism_joints(frame: ConstraintFrame) -> Joints:
     slides: Joints = tuple(("slide", i) for i, free in enumerate(frame.linear_dof) if free)
     hinges: Joints = (("ball", 0),) if len(turns) == 3 else tuple(("hinge", i) for i in turns)
     if len(turns) != 2:
-        if frame.linear_type == LinearType.GB or _carried(frame.angular_dof, frame.linear_dof):
+        if frame.linear_type == LinearType.GB or _ignores_turning(frame.angular_dof, frame.linear_dof):
             return slides + hinges
         if frame.linear_type == LinearType.BG:
             return hinges + slides
@@ -59,7 +59,7 @@ def mechanism_joints(frame: ConstraintFrame) -> Joints:
     )
 
 
-def _carried(angular: Dof, linear: Dof) -> bool:
+def _ignores_turning(angular: Dof, linear: Dof) -> bool:
     """Whether the slides do not care that the body turns: all four types are then one."""
     along = [i for i in range(3) if linear[i]]
     about = [i for i in range(3) if angular[i]]
@@ -166,12 +166,12 @@ def integrate_welded(
         # the wrench whose joint torques the solver found: J J^T W = J J^T_weld f
         jacobian, found = motion.jacobian, data.qfrc_constraint[:7]
         wrench = solve_positive(matmul(jacobian, jacobian.T), apply(jacobian, found)[:, None])[:, 0]
-        back = jax.vmap(lambda axis: body_twist(now, axis))(jnp.eye(6, dtype=dtype))
+        back = jax.vmap(lambda axis: ground_twist(now, axis))(jnp.eye(6, dtype=dtype))
         return (data, slipped, now, state, apply(back, wrench)), None
 
-    def seen(carry: Any) -> Track:
+    def observe(carry: Any) -> Track:
         data, slipped, _, _, force = carry
         return Track(data.qpos[:7], data.qvel[:7], slipped, force)
 
     zero = jnp.zeros(6, dtype=dtype)
-    return sampled(advance, (data, zero, locate(frame, *pose), state, zero), seen, steps)
+    return run_samples(advance, (data, zero, locate(frame, *pose), state, zero), observe, steps)

@@ -20,7 +20,7 @@ import numpy as np
 
 from reframe_jax.geometry.numpy_rotations import quaternions_to_matrices
 
-__all__ = ["FR3", "PANDA", "ROBOTS", "Arm", "Link", "arm_named", "arm_xml", "forward_kinematics"]
+__all__ = ["FR3", "PANDA", "ROBOTS", "Arm", "Link", "arm_xml", "find_arm", "forward_kinematics"]
 
 Vector = tuple[float, float, float]
 
@@ -270,7 +270,7 @@ FR3 = Arm(
 ROBOTS: dict[str, Arm] = {arm.name: arm for arm in (PANDA, FR3)}
 
 
-def arm_named(arm: str | Arm) -> Arm:
+def find_arm(arm: str | Arm) -> Arm:
     """The arm of a name; an :class:`Arm` as it is.
 
     Raises:

@@ -13,9 +13,10 @@ import mujoco
 import numpy as np
 
 from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.simulation.arm.constraint import frame_arrays, locate
-from reframe_jax.simulation.arm.model import PANDA, Arm, arm_named, forward_kinematics
-from reframe_jax.simulation.arm.skin import dressed
+from reframe_jax.constraints.located import Located, frame_arrays, locate_on_host
+from reframe_jax.geometry.transforms import make_pose
+from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
+from reframe_jax.simulation.arm.skin import dress_arm
 
 __all__ = ["RenderError", "film_frames", "save_film"]
 
@@ -58,7 +59,7 @@ def film_frames(
         ValueError: for a skin that cannot be loaded, or is of another robot.
         RenderError: where there is no OpenGL.
     """
-    arm = arm_named(arm)
+    arm = find_arm(arm)
     joints = np.asarray(joints, dtype=float)
     model = _scene(arm, skin)
     data = mujoco.MjData(model)
@@ -66,7 +67,7 @@ def film_frames(
     camera.lookat[:], camera.distance, camera.azimuth, camera.elevation = (0.25, 0, 0.36), 1.35, 135, -18
     rotations, positions = forward_kinematics(jnp.asarray(joints), arm)
     poses = list(zip(np.asarray(rotations), np.asarray(positions), strict=True))
-    located = None if truth is None else _located(truth, poses)
+    located = None if truth is None else _locate(truth, np.asarray(make_pose(rotations, positions)))
     renderer = _renderer(model, size)
     pictures = []
     try:
@@ -140,7 +141,7 @@ def _palette(pictures: np.ndarray) -> Any:
 
 def _scene(arm: Arm, skin: str | Path | None) -> mujoco.MjModel:
     """The arm on a chequered floor."""
-    spec = dressed(arm, skin)
+    spec = dress_arm(arm, skin)
     sky, chequers = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtTexture.mjTEXTURE_2D
     if not any(texture.type == sky for texture in spec.textures):
         spec.add_texture(
@@ -199,12 +200,9 @@ _NO_OPENGL = (
 )
 
 
-def _located(truth: ConstraintFrame, poses: list[Any]) -> Any:
-    """The frame at every pose, in the ground, on the host."""
-    arrays = frame_arrays(jax.tree.map(jnp.asarray, truth))
-    dtype = arrays.position.dtype
-    turns, places = (jnp.asarray(np.stack(part), dtype=dtype) for part in zip(*poses, strict=True))
-    return jax.device_get(jax.vmap(locate, in_axes=(None, 0, 0))(arrays, turns, places))
+def _locate(truth: ConstraintFrame, poses: np.ndarray) -> Located:
+    """The frame at every pose (K, 4, 4), in the ground, on the host."""
+    return locate_on_host(frame_arrays(jax.tree.map(jnp.asarray, truth)), poses)
 
 
 def _draw_frame(scene: Any, truth: ConstraintFrame, located: Any, pose: Any) -> None:

@@ -22,11 +22,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.simulation.arm.constraint import Frame, Located, _product, _times, locate, slip, twist_map
+from reframe_jax.constraints.located import Frame, Located, locate, multiply, slip, twist_map
 from reframe_jax.simulation.arm.dynamics import Motion, arm_motion, solve_positive
 from reframe_jax.simulation.arm.model import Arm, forward_kinematics
 
-__all__ = ["AxisLaw", "Steps", "Track", "hold", "integrate", "sampled"]
+__all__ = ["AxisLaw", "Steps", "Track", "hold", "integrate", "run_samples"]
 
 RELAXATION = 0.03
 """s, time constant with which a held axis returns; also the ratio of damping to stiffness of a spring."""
@@ -128,30 +128,30 @@ def integrate(
         slipped = slipped + slip(before, now)
         state, torque = drive(state, (count.astype(dtype) + 0.5) * step, motion, now)
         rule = law(slipped)
-        rows = rule.acts[:, None] * _product(twist_map(now), motion.jacobian)
+        rows = rule.acts[:, None] * multiply(twist_map(now), motion.jacobian)
         mass = motion.mass + step * jnp.diag(damping)
         push = torque - motion.bias - damping * velocity
         solved = solve_positive(mass, jnp.concatenate([rows.T, push[:, None]], axis=1))
         response, unheld = solved[:, :6], velocity + step * solved[:, 6]
         softness = jnp.where(rule.acts > 0, rule.softness, 1)
-        wanted = rule.acts * rule.offset + _times(rows, unheld)
-        force = -solve_positive(step * _product(rows, response) + jnp.diag(softness), wanted[:, None])[:, 0]
-        velocity = unheld + step * _times(response, force)
+        wanted = rule.acts * rule.offset + multiply(rows, unheld)
+        force = -solve_positive(step * multiply(rows, response) + jnp.diag(softness), wanted[:, None])[:, 0]
+        velocity = unheld + step * multiply(response, force)
         return (joints + step * velocity, velocity, slipped, now, state, force), None
 
-    def seen(carry: Any) -> Track:
+    def observe(carry: Any) -> Track:
         joints, velocity, slipped, _, _, force = carry
         return Track(joints, velocity, slipped, force)
 
     zero = jnp.zeros(6, dtype=dtype)
     carry = (start, jnp.zeros_like(start), zero, locate(frame, *forward_kinematics(start, arm)), state, zero)
-    return sampled(advance, carry, seen, steps)
+    return run_samples(advance, carry, observe, steps)
 
 
-def sampled(
+def run_samples(
     advance: Callable[[Any, jax.Array], tuple[Any, None]],
     carry: Any,
-    seen: Callable[[Any], Track],
+    observe: Callable[[Any], Track],
     steps: Steps,
 ) -> Track:
     """What is seen at the start and at every sample after it.
@@ -159,13 +159,13 @@ def sampled(
     Args:
         advance: one step, given the carry and its number.
         carry: at the start.
-        seen: what a sample holds, of the carry.
+        observe: what a sample holds, of the carry.
         steps: when.
     """
 
     def sample(carry: Any, index: jax.Array) -> tuple[Any, Track]:
         carry, _ = jax.lax.scan(advance, carry, index * steps.substeps + jnp.arange(steps.substeps))
-        return carry, seen(carry)
+        return carry, observe(carry)
 
     _, track = jax.lax.scan(sample, carry, jnp.arange(steps.samples))
-    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), seen(carry), track)
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), observe(carry), track)

@@ -12,14 +12,14 @@ import numpy as np
 
 from reframe_jax.simulation.arm.model import Arm, arm_xml
 
-__all__ = ["dressed"]
+__all__ = ["dress_arm"]
 
 _MESHES = (".stl", ".obj", ".msh")
 _PARTS = (*(f"link{number}" for number in range(8)), "hand")
 _TOLERANCE = 1e-3  # m, to which the joints of a skin must be where the arm's are
 
 
-def dressed(arm: Arm, skin: str | Path | None = None) -> mujoco.MjSpec:
+def dress_arm(arm: Arm, skin: str | Path | None = None) -> mujoco.MjSpec:
     """The arm to be drawn; its first seven joints are the arm's.
 
     Args:

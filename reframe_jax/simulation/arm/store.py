@@ -1,9 +1,6 @@
 """Demonstrations on disk: numbered parts, written whole or not at all, that a later run continues."""
 
-import hashlib
-import json
-import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,15 +8,20 @@ from typing import Any
 import jax
 import numpy as np
 
-import reframe_jax
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.types import AngularType, Dof, LinearType
 from reframe_jax.simulation.arm.demonstration import Demonstration, demonstrate
+from reframe_jax.simulation.arm.redraw import draw_good
 from reframe_jax.simulation.arm.status import RolloutStatus
-from reframe_jax.storage.results import _replace
+from reframe_jax.storage.codecs import NPZ
+from reframe_jax.storage.parts import Run
+from reframe_jax.storage.progress import Progress, make_meter
+from reframe_jax.storage.records import describe, describe_options
 
 __all__ = ["load_demonstrations", "store_demonstrations", "stored_demonstrations", "to_arrays"]
 
+_KIND = "demonstrations"
+_UNIT = "demonstrations"
 _GEOMETRY = ("angular_rotvec", "linear_rotvec", "position")
 _FIELDS = tuple(name for name in Demonstration.__dataclass_fields__ if name not in ("times", "truth"))
 
@@ -46,7 +48,7 @@ def store_demonstrations(
     *,
     chunk: int = 64,
     redraw: bool = True,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | bool | None = None,
     **options: Any,
 ) -> Path:
     """Simulate usable demonstrations into a folder, going on from the parts that are there.
@@ -61,35 +63,35 @@ def store_demonstrations(
             :func:`stored_demonstrations`.
         chunk: number simulated at once, and in a part before those with a status are left out.
         redraw: leave out those with a status other than OK, and draw others.
-        progress: called with the number of demonstrations so far and ``count``, after every part.
+        progress: called with the number of demonstrations so far and ``count``, after every part; True for a
+            bar on standard error, the default where that is a terminal.
         **options: of :func:`reframe_jax.simulation.arm.demonstrate`.
 
     Returns:
         The folder.
 
     Raises:
-        ValueError: if the folder holds something else, or when more than 9 in 10 demonstrations have to
-            be left out.
+        ValueError: if the folder holds something else, demonstrations of other options, or a part that is
+            damaged; or when more than 9 in 10 demonstrations have to be left out.
+        TypeError: for an option that :func:`reframe_jax.simulation.arm.demonstrate` does not have.
     """
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    _check_run(folder, _record(constraint, key, chunk, {**options, "redraw": redraw}))
-    done, part = 0, 0
-    while done < count:
-        file = folder / f"part-{part:08d}.npz"
-        if file.exists():
-            done += len(_load(file)["status_code"])
-        else:
-            made = jax.device_get(demonstrate(constraint, key, batch=chunk, first=part * chunk, **options))
-            kept = made[np.flatnonzero(made.status_code == RolloutStatus.OK)] if redraw else made
-            done += len(kept.status_code)
-            _replace(file, lambda temporary, kept=kept: _save(temporary, kept))  # type: ignore[misc]
-        part += 1
-        if part >= 10 and done < part * chunk / 10:
-            raise ValueError(f"Only {done} of {part * chunk} demonstrations are usable.")
-        if progress is not None:
-            progress(min(done, count), count)
-    return folder
+    run = Run(Path(folder), NPZ, _KIND, _UNIT, _describe_run(constraint, key, chunk, redraw, options))
+    run.resume()
+
+    def draw(number: int) -> tuple[int, np.ndarray]:
+        if run.has(number):
+            stored = run.read(number)["status_code"]
+            return number, stored if redraw else np.zeros_like(stored)
+        made = jax.device_get(demonstrate(constraint, key, batch=chunk, first=number * chunk, **options))
+        kept = made[np.flatnonzero(made.status_code == RolloutStatus.OK)] if redraw else made
+        run.write(number, to_arrays(kept))
+        return number, made.status_code if redraw else np.zeros_like(made.status_code)
+
+    for _ in draw_good(draw, count, chunk, progress=make_meter(progress, _UNIT)):
+        pass
+    if run.parts:
+        run.finish()
+    return run.folder
 
 
 def stored_demonstrations(folder: str | Path) -> Iterator[Demonstration]:
@@ -102,21 +104,28 @@ def stored_demonstrations(folder: str | Path) -> Iterator[Demonstration]:
         folder: written by :func:`store_demonstrations`.
 
     Raises:
-        ValueError: if there are none, or a file is damaged.
+        ValueError: if there are none, one is missing between others, or a file is damaged.
     """
-    files = sorted(Path(folder).glob("part-*.npz"))
-    if not files:
-        raise ValueError(f"{folder} holds no demonstrations (part-*.npz).")
-    for file in files:
-        part = _load(file)
-        truth = ConstraintFrame(
-            angular_type=AngularType[str(part["true_angular_type"])],
-            angular_dof=_dof(part["true_angular_dof"]),
-            linear_type=LinearType[str(part["true_linear_type"])],
-            linear_dof=_dof(part["true_linear_dof"]),
-            **{name: part[f"true_{name}"] for name in _GEOMETRY},
+    run = Run.open(Path(folder), NPZ, _KIND, _UNIT)
+    numbers = list(run.parts)
+    missing = sorted(set(range(numbers[-1])) - set(numbers))
+    if missing:
+        raise ValueError(
+            f"{folder} is incomplete: parts {missing[:8]} are missing. Run store_demonstrations again."
         )
-        yield Demonstration(times=part["times"], truth=truth, **{name: part[name] for name in _FIELDS})
+    for number in numbers:
+        yield _from_arrays(run.read(number))
+
+
+def _from_arrays(part: dict[str, Any]) -> Demonstration:
+    truth = ConstraintFrame(
+        angular_type=AngularType[str(part["true_angular_type"])],
+        angular_dof=_dof(part["true_angular_dof"]),
+        linear_type=LinearType[str(part["true_linear_type"])],
+        linear_dof=_dof(part["true_linear_dof"]),
+        **{name: part[f"true_{name}"] for name in _GEOMETRY},
+    )
+    return Demonstration(times=part["times"], truth=truth, **{name: part[name] for name in _FIELDS})
 
 
 def load_demonstrations(folder: str | Path, count: int | None = None) -> Demonstration:
@@ -147,53 +156,14 @@ def _dof(values: np.ndarray) -> Dof:
     return x, y, z
 
 
-def _load(file: Path) -> dict[str, Any]:
-    try:
-        # np.load does not close a file that it cannot read
-        with file.open("rb") as stream, np.load(stream) as stored:
-            return dict(stored)
-    except (OSError, EOFError, ValueError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{file} is damaged: delete it, and it will be made again. ({error})") from error
-
-
-def _check_run(folder: Path, record: dict[str, str]) -> None:
-    """Write what a folder's demonstrations depend on, or compare it with what is there."""
-    run = folder / "run.json"
-    text = json.dumps(record) + "\n"
-    found = run.read_text() if run.exists() else ""
-    if found == text:
-        return
-    # a run that failed before its first part left nothing to go on from
-    if any(folder.glob("part-*")) or (found and "digest" not in found):
-        raise ValueError(
-            f"{folder} holds demonstrations of other options, or something else. Give those options, or "
-            "another folder."
-        )
-    _replace(run, lambda temporary: temporary.write_text(text))
-
-
-def _described(leaf: Any) -> str:
-    """A part of the options, in full, and the same in every process."""
-    if isinstance(leaf, (int, float, np.ndarray, jax.Array)):
-        return repr(np.asarray(leaf).tolist())
-    if callable(leaf):
-        return f"{leaf.__module__}.{getattr(leaf, '__qualname__', type(leaf).__name__)}"
-    return repr(leaf)
-
-
-def _record(
-    constraint: str | ConstraintFrame, key: jax.Array, chunk: int, options: dict[str, Any]
-) -> dict[str, str]:
+def _describe_run(
+    constraint: str | ConstraintFrame, key: jax.Array, chunk: int, redraw: bool, options: dict[str, Any]
+) -> dict[str, Any]:
     """What the demonstrations depend on."""
-    leaves, structure = jax.tree.flatten((constraint, jax.random.key_data(key), chunk, options))
-    described = " ".join((str(structure), *map(_described, leaves)))
     return {
-        "version": reframe_jax.__version__,
-        "digest": hashlib.sha256(described.encode()).hexdigest(),
-        "constraint": str(constraint) if isinstance(constraint, str) else "a frame",
+        "constraint": describe(constraint),
+        "key": describe(key),
+        "chunk": chunk,
+        "redraw": redraw,
+        **describe_options(demonstrate, options, without=("batch", "first")),
     }
-
-
-def _save(file: Path, made: Demonstration) -> None:
-    with file.open("wb") as stream:
-        np.savez_compressed(stream, **to_arrays(made))

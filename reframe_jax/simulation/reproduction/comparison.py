@@ -10,16 +10,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.frame import ConstraintFrame
+from reframe_jax.constraints.located import Frame, frame_arrays, locate, to_fixed_body
 from reframe_jax.geometry.products import apply
 from reframe_jax.identification.entry import identify
 from reframe_jax.identification.results import Identification
 from reframe_jax.simulation import metrics
 from reframe_jax.simulation.arm.compiled import check_numbers
-from reframe_jax.simulation.arm.constraint import Frame, frame_arrays, locate
 from reframe_jax.simulation.arm.demonstration import SPREAD, Demonstration, demonstrate
 from reframe_jax.simulation.arm.imperfections import REALISTIC, Imperfections
-from reframe_jax.simulation.arm.model import PANDA, Arm, arm_named, forward_kinematics
-from reframe_jax.simulation.arm.status import RolloutStatus
+from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
+from reframe_jax.simulation.arm.redraw import draw_good
 from reframe_jax.simulation.reproduction.controllers import Controller, constant_wrench
 from reframe_jax.simulation.reproduction.frames import ROOMY, control_frames, erroneous_frames
 from reframe_jax.simulation.reproduction.trials import Task, Trials, reproduce
@@ -116,33 +116,28 @@ def compare(
         arm=arm,
         compliance=(float(imperfections.angular_compliance), float(imperfections.compliance)),
     )
-    chunk, drawn, kept = min(trials, 64), 0, 0
-    parts: list[tuple[Demonstration, Trials]] = []
-    while kept < trials:
+    chunk = min(trials, 64)
+
+    def draw(number: int) -> tuple[tuple[Demonstration, Trials], np.ndarray]:
         made = demonstrate(
             constraint,
             demonstrate_key,
             batch=chunk,
-            first=drawn,
+            first=number * chunk,
             imperfections=imperfections,
             excitation=excitation,
             spread=spread,
             arm=arm,
             start=task.start,
         )
-        exact = run(made.truth, made.truth)
-        made, exact = jax.device_get((made, exact))
-        drawn += chunk
-        possible = (made.status_code == RolloutStatus.OK) & (exact.status_code == RolloutStatus.OK)
-        good = np.flatnonzero(possible)[: trials - kept]
-        last = int(good[-1]) + 1 if len(good) else chunk
-        kept += len(good)
-        parts.append((made[good], exact[good]))
-        if drawn >= 10 * chunk and kept < drawn / 10:
-            worst = RolloutStatus(int(np.median(np.maximum(made.status_code, exact.status_code))))
-            raise ValueError(f"Only {kept} of {drawn} tasks are within the arm's reach. {worst.message}")
-        if progress is not None:
-            progress(kept, trials)
+        made, exact = jax.device_get((made, run(made.truth, made.truth)))
+        return (made, exact), np.maximum(made.status_code, exact.status_code)
+
+    parts: list[tuple[Demonstration, Trials]] = []
+    complaint = "tasks are within the arm's reach"
+    for drawn in draw_good(draw, trials, chunk, complaint=complaint, progress=progress):
+        made, exact = drawn.batch
+        parts.append((made[drawn.good], exact[drawn.good]))
     times = made.times
     made, exact = jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)), *parts)
     made, exact = (replace(part, times=jnp.asarray(times)) for part in (made, exact))
@@ -154,7 +149,7 @@ def compare(
         exact=exact,
         literature=run(made.truth, erroneous_frames(made.truth, error_key, arm=arm, start=task.start)),
         identified=run(made.truth, matched_choices(found, made.truth, arm=arm, start=task.start)),
-        redrawn=jnp.asarray(drawn - chunk + last - trials),
+        redrawn=jnp.asarray(drawn.first + int(drawn.good[-1]) + 1 - trials),
         errors=jnp.stack(
             [jnp.degrees(errors.angular), jnp.degrees(errors.linear), 1e3 * errors.position], axis=-1
         ),
@@ -172,14 +167,14 @@ def matched_choices(
         arm: the robot.
         start: (7,) rad, where the choices are the same.
     """
-    arm = arm_named(arm)
+    arm = find_arm(arm)
     frames = control_frames(found)
     dtype = truth.position.dtype
     pose = forward_kinematics(arm.start(start, dtype), arm)
 
     def move(frame: Frame, true: Frame, free: jax.Array) -> Frame:
         away = locate(true, *pose).lever - locate(frame, *pose).lever
-        away = jnp.where(frame.on_body[2], apply(pose[0].T, away), away)
+        away = to_fixed_body(away, frame.on_body[2], pose[0])
         turns = jnp.all(frame.free[:3] > 0)
         return replace(
             frame,

@@ -8,8 +8,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from reframe_jax.constraints.located import Frame, Located, locate, slip, twist_map
 from reframe_jax.geometry.products import apply
-from reframe_jax.simulation.arm.constraint import Frame, Located, locate, slip, twist_map
 from reframe_jax.simulation.arm.dynamics import Motion
 
 __all__ = ["Controller", "Pair", "axis_impedance", "by_axis", "constant_wrench", "control_drive", "hybrid"]

@@ -5,14 +5,12 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.types import AngularType, LinearType
+from reframe_jax.constraints.located import Frame, assemble_frame, frame_arrays, move_frame
 from reframe_jax.geometry import rotations
 from reframe_jax.identification.results import Identification
-from reframe_jax.simulation.arm.constraint import Frame, frame_arrays, moved
-from reframe_jax.simulation.arm.model import PANDA, Arm, arm_named, forward_kinematics
+from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
 
 __all__ = ["LITERATURE_ERRORS", "ROOMY", "control_frames", "erroneous_frames"]
 
@@ -33,18 +31,14 @@ def control_frames(found: Identification | ConstraintFrame | Frame) -> Frame:
         return found
     if isinstance(found, ConstraintFrame):
         return frame_arrays(found)
-    dtype = found.linear.position.dtype
-    in_body = np.array(
-        [(t.orientation_body == AngularType.B, t.position_body == AngularType.B) for t in LinearType]
-    )
-    angular = found.angular.type_code == int(AngularType.B)
-    linear = jnp.asarray(in_body)[found.linear.type_code]
-    return Frame(
+    return assemble_frame(
+        found.angular.type_code,
+        found.linear.type_code,
         angular_axes=found.angular.axes,
         linear_axes=found.linear.axes,
         position=found.linear.position,
-        free=jnp.concatenate([found.angular.dof, found.linear.dof], axis=-1).astype(dtype),
-        on_body=jnp.concatenate([jnp.asarray(angular)[..., None], linear], axis=-1),
+        angular_dof=found.angular.dof,
+        linear_dof=found.linear.dof,
     )
 
 
@@ -67,7 +61,7 @@ def erroneous_frames(
         arm: the robot.
         start: (7,) rad, where the errors are as said.
     """
-    dtype, count, arm = truth.position.dtype, truth.position.shape[0], arm_named(arm)
+    dtype, count, arm = truth.position.dtype, truth.position.shape[0], find_arm(arm)
     pose = forward_kinematics(arm.start(start, dtype), arm)
 
     def draw(key: jax.Array, low: float, high: float) -> jax.Array:
@@ -79,6 +73,6 @@ def erroneous_frames(
     turn_key, shift_key = jax.random.split(key)
     turns = rotations.rotation_exp(draw(turn_key, *(math.radians(angle) for angle in angles)))
     shifts = draw(shift_key, *(distance / 1e3 for distance in distances))
-    return jax.vmap(lambda frame, turn, shift: moved(frame, turn, shift, *pose))(
+    return jax.vmap(lambda frame, turn, shift: move_frame(frame, turn, shift, *pose))(
         frame_arrays(truth), turns, shifts
     )

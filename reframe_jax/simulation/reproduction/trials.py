@@ -8,13 +8,13 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax.constraints.frame import ConstraintFrame
+from reframe_jax.constraints.located import Frame, frame_arrays, locate
 from reframe_jax.geometry import rotations, transforms
 from reframe_jax.geometry.products import apply, matmul
 from reframe_jax.identification.results import Identification
-from reframe_jax.simulation.arm.compiled import as_numbers, compiled
-from reframe_jax.simulation.arm.constraint import Frame, frame_arrays, locate
+from reframe_jax.simulation.arm.compiled import as_numbers, jit_simulation
 from reframe_jax.simulation.arm.demonstration import sampling
-from reframe_jax.simulation.arm.model import PANDA, Arm, arm_named, forward_kinematics
+from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
 from reframe_jax.simulation.arm.rollout import AxisLaw, Steps, hold, integrate
 from reframe_jax.simulation.arm.status import RolloutStatus, judge
 from reframe_jax.simulation.reproduction.controllers import (
@@ -117,7 +117,7 @@ def reproduce(
     Raises:
         ValueError: for an unknown robot, or batches that differ.
     """
-    arm = arm_named(arm)
+    arm = find_arm(arm)
     control = control_frames(frames)
     if truth.position.ndim != 2 or control.position.shape != truth.position.shape:
         raise ValueError(
@@ -139,7 +139,7 @@ def reproduce(
     )
 
 
-@compiled(("steps", "dt", "arm"))
+@jit_simulation(("steps", "dt", "arm"))
 def _reproduce(
     truth: Frame,
     control: Frame,

@@ -1,0 +1,340 @@
+"""A constraint frame between two bodies: where it is at a pose, and the velocities along its axes.
+
+The orientation of a frame hangs on one body and its origin on another, {b} or {g}. Which one is static in
+a :class:`ConstraintFrame`, as are its degrees of freedom; here all of it is arrays, so that one compiled
+program serves every class of constraint, and this module alone says what depends on it. The velocities are
+the Pfaffian form of the paper's Eq. 3, A(T) V = 0, with one row for every constrained axis.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+
+from reframe_jax.constraints.frame import ConstraintFrame
+from reframe_jax.constraints.types import AngularType, LinearType
+from reframe_jax.geometry import rotations
+from reframe_jax.geometry.products import apply, matmul
+
+__all__ = [
+    "Frame",
+    "Located",
+    "assemble_frame",
+    "body_twist",
+    "frame_arrays",
+    "ground_offset",
+    "ground_twist",
+    "locate",
+    "locate_on_host",
+    "move_frame",
+    "multiply",
+    "parts_on_body",
+    "place_frame",
+    "slip",
+    "to_fixed_body",
+    "twist_map",
+]
+
+_LINEAR_ON_BODY = np.array(
+    [[body == AngularType.B for body in (t.orientation_body, t.position_body)] for t in LinearType]
+)  # (types, 2): axes, origin
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Frame:
+    """A constraint frame as arrays.
+
+    Attributes:
+        angular_axes: (..., 3, 3), columns are the angular frame's axes in the body of its type.
+        linear_axes: (..., 3, 3), columns are the linear frame's axes in the body of the first letter.
+        position: (..., 3) m, in the body of the second letter.
+        free: (..., 6), 1 where an axis is free, 0 where it is constrained: angular, then linear.
+        on_body: (..., 3) bool, whether the angular axes, the linear axes and the origin are fixed in {b}.
+    """
+
+    angular_axes: jax.Array
+    linear_axes: jax.Array
+    position: jax.Array
+    free: jax.Array
+    on_body: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Located:
+    """A constraint frame at an instant, in the axes of {g}.
+
+    Attributes:
+        rotation: (3, 3), of {b} in {g}.
+        angular_axes: (3, 3), columns are the angular frame's axes.
+        linear_axes: (3, 3), columns are the linear frame's axes.
+        lever: (3,) m, from the origin of {b} to the linear frame's origin.
+        path: (3,) m, the linear frame's origin in the body it is *not* fixed in, where it moves.
+        path_axes: (3, 3), the linear axes in that body: the velocities along them are their product
+            with the derivative of ``path``.
+    """
+
+    rotation: jax.Array
+    angular_axes: jax.Array
+    linear_axes: jax.Array
+    lever: jax.Array
+    path: jax.Array
+    path_axes: jax.Array
+
+
+def parts_on_body(angular_type: ArrayLike, linear_type: ArrayLike) -> jax.Array:
+    """Whether the angular axes, the linear axes and the origin of frames are fixed in {b}.
+
+    Args:
+        angular_type: (...) :class:`AngularType` or its values.
+        linear_type: (...) :class:`LinearType` or its values.
+
+    Returns:
+        (..., 3) bool; what is not fixed in {b} is fixed in {g}.
+    """
+    turns = jnp.asarray(angular_type) == int(AngularType.B)
+    linear = jnp.asarray(_LINEAR_ON_BODY)[jnp.asarray(linear_type)]
+    return jnp.concatenate([turns[..., None], linear], axis=-1)
+
+
+def assemble_frame(
+    angular_type: ArrayLike,
+    linear_type: ArrayLike,
+    *,
+    angular_axes: jax.Array,
+    linear_axes: jax.Array,
+    position: jax.Array,
+    angular_dof: ArrayLike | tuple[int, ...],
+    linear_dof: ArrayLike | tuple[int, ...],
+) -> Frame:
+    """A frame from its parts; in a batch every frame has its own types.
+
+    Args:
+        angular_type: (...) :class:`AngularType` or its values.
+        linear_type: (...) :class:`LinearType` or its values.
+        angular_axes: (..., 3, 3), columns are axes in the body of the angular type.
+        linear_axes: (..., 3, 3), columns are axes in the body of the first letter.
+        position: (..., 3) m, in the body of the second letter.
+        angular_dof: (..., 3), 1 where a rotation is free.
+        linear_dof: (..., 3), 1 where a translation is free.
+    """
+    batch = position.shape[:-1]
+    free = jnp.concatenate([jnp.asarray(angular_dof), jnp.asarray(linear_dof)], axis=-1)
+    return Frame(
+        angular_axes=angular_axes,
+        linear_axes=linear_axes,
+        position=position,
+        free=jnp.broadcast_to(free.astype(position.dtype), (*batch, 6)),
+        on_body=jnp.broadcast_to(parts_on_body(angular_type, linear_type), (*batch, 3)),
+    )
+
+
+def frame_arrays(frame: ConstraintFrame) -> Frame:
+    """The arrays of a constraint frame, with the batch axes of its geometry."""
+    return assemble_frame(
+        frame.angular_type,
+        frame.linear_type,
+        angular_axes=frame.angular_axes,
+        linear_axes=frame.linear_axes,
+        position=frame.position,
+        angular_dof=frame.angular_dof,
+        linear_dof=frame.linear_dof,
+    )
+
+
+def ground_offset(centre: jax.Array) -> jax.Array:
+    """What to add to origins that were found with the origin of {g} moved to a point.
+
+    Args:
+        centre: (..., 3) m, the point.
+
+    Returns:
+        (..., 4, 3) m, in the order of :class:`LinearType`: the point for the types whose origin is fixed in
+        {g}, zero for the others.
+    """
+    in_ground = jnp.asarray(~_LINEAR_ON_BODY[:, 1]).reshape(*([1] * (centre.ndim - 1)), -1, 1)
+    return jnp.where(in_ground, centre[..., None, :], 0)
+
+
+def multiply(matrix: jax.Array, right: jax.Array) -> jax.Array:
+    """A matrix (m, n) times a vector (n,) or a matrix (n, k), elementwise, so that a batch of them fuses."""
+    if right.ndim == 1:
+        return jnp.sum(matrix * right[None, :], axis=-1)
+    return jnp.sum(matrix[:, :, None] * right[None, :, :], axis=1)
+
+
+def to_fixed_body(part: jax.Array, on_body: jax.Array, rotation: jax.Array) -> jax.Array:
+    """A direction, or axes, in the body that they are fixed in.
+
+    Args:
+        part: (3,) or (3, 3) columns, in the axes of {g}.
+        on_body: () bool, whether that body is {b}; it is {g} otherwise.
+        rotation: (3, 3), of {b} in {g}.
+    """
+    return jnp.where(on_body, multiply(rotation.T, part), part)
+
+
+def locate(frame: Frame, rotation: jax.Array, position: jax.Array) -> Located:
+    """Where a frame is when the body is at a pose.
+
+    Args:
+        frame: a single one.
+        rotation: (3, 3), of {b} in {g}.
+        position: (3,) m.
+    """
+    angular = jnp.where(frame.on_body[0], multiply(rotation, frame.angular_axes), frame.angular_axes)
+    linear = jnp.where(frame.on_body[1], multiply(rotation, frame.linear_axes), frame.linear_axes)
+    with_body = multiply(rotation, frame.position)
+    lever = jnp.where(frame.on_body[2], with_body, frame.position - position)
+    # the body moves past a point of the ground: seen from the body, that point moves the other way
+    path = jnp.where(frame.on_body[2], position + with_body, -multiply(rotation.T, lever))
+    path_axes = jnp.where(frame.on_body[2], linear, multiply(rotation.T, linear))
+    return Located(rotation, angular, linear, lever, path, path_axes)
+
+
+_locate_all = jax.jit(jax.vmap(locate, in_axes=(None, 0, 0)))
+
+
+def locate_on_host(frame: Frame, poses: np.ndarray) -> Located:
+    """Where a frame is at every pose, in NumPy arrays and in double precision whatever JAX is set to.
+
+    Args:
+        frame: a single one.
+        poses: (K, 4, 4), m.
+
+    Returns:
+        The frame with a leading axis of K.
+    """
+
+    def widen(leaf: Any) -> np.ndarray:
+        leaf = np.asarray(leaf)
+        return leaf if leaf.dtype == bool else leaf.astype(float)
+
+    poses = np.asarray(poses, dtype=float)
+    with jax.enable_x64(True):
+        there = _locate_all(jax.tree.map(widen, frame), poses[:, :3, :3], poses[:, :3, 3])
+        return jax.device_get(there)
+
+
+def twist_map(located: Located) -> jax.Array:
+    """Matrix from the twist of {b} to the velocities along the frame's axes.
+
+    Args:
+        located: the frame.
+
+    Returns:
+        (6, 6): from (angular velocity, velocity of the origin of {b}) in the axes of {g} to angular
+        velocity along the angular and velocity of the frame's origin along the linear axes. Its rows
+        at the constrained axes are A(T); its transpose takes moments (N m) and forces (N) along the
+        axes, acting at the frame's origin, to a wrench at the origin of {b}.
+    """
+    angular, linear = located.angular_axes.T, located.linear_axes.T
+    # a . (w x r) = (r x a) . w
+    levers = jnp.cross(jnp.broadcast_to(located.lever, (3, 3)), linear)
+    top = jnp.concatenate([angular, jnp.zeros_like(angular)], axis=1)
+    return jnp.concatenate([top, jnp.concatenate([levers, linear], axis=1)])
+
+
+def ground_twist(located: Located, velocities: jax.Array) -> jax.Array:
+    """The inverse of :func:`twist_map`: the twist of {b} with given velocities along the frame's axes.
+
+    Args:
+        located: the frame.
+        velocities: (6,) rad/s along the angular, m/s along the linear axes.
+
+    Returns:
+        (6,) angular velocity and velocity of the origin of {b}, in the axes of {g}.
+    """
+    w = multiply(located.angular_axes, velocities[:3])
+    u = multiply(located.linear_axes, velocities[3:])
+    return jnp.concatenate([w, u - jnp.cross(w, located.lever)])
+
+
+def body_twist(frame: Frame, rotation: jax.Array, position: jax.Array, velocities: jax.Array) -> jax.Array:
+    """The twist of {b} in its own axes, with given velocities along the axes of a frame.
+
+    Args:
+        frame: a single one.
+        rotation: (3, 3), of {b} in {g}.
+        position: (3,) m, of {b} in {g}.
+        velocities: (6,) rad/s along the angular, m/s along the linear axes.
+
+    Returns:
+        (6,) angular velocity and velocity of the origin of {b}, in the axes of {b}.
+    """
+
+    def to_body(vector: jax.Array, on_body: jax.Array) -> jax.Array:
+        return jnp.where(on_body, vector, multiply(rotation.T, vector))
+
+    w = to_body(multiply(frame.angular_axes, velocities[:3]), frame.on_body[0])
+    u = to_body(multiply(frame.linear_axes, velocities[3:]), frame.on_body[1])
+    from_body = jnp.where(frame.on_body[2], frame.position, frame.position - position)
+    return jnp.concatenate([w, u - jnp.cross(w, to_body(from_body, frame.on_body[2]))])
+
+
+def slip(before: Located, now: Located) -> jax.Array:
+    """Displacement along the frame's axes between two near instants.
+
+    The integral of the velocity along every axis over the motion, by the trapezoidal rule: exact where
+    the axes do not turn with respect to the body that the origin moves in (GB and BG).
+
+    Returns:
+        (6,) rad along the angular, m along the linear axes.
+    """
+    turn = rotations.vee(multiply(now.rotation, before.rotation.T))
+    step = now.path - before.path
+    axes = (before.path_axes + now.path_axes) / 2
+    return jnp.concatenate([multiply(now.angular_axes.T, turn), multiply(axes.T, step)])
+
+
+def move_frame(
+    frame: Frame, turn: jax.Array, shift: jax.Array, rotation: jax.Array, position: jax.Array
+) -> Frame:
+    """A frame turned and shifted in the world while the body is at a pose; both its parts turn alike.
+
+    Args:
+        frame: a single one.
+        turn: (3, 3), rotation matrix in {g}.
+        shift: (3,) m, of the linear frame's origin in {g}.
+        rotation: (3, 3), of {b} in {g}.
+        position: (3,) m, of {b} in {g}.
+    """
+    located = locate(frame, rotation, position)
+    lever = located.lever + shift
+    to_body = multiply(rotation.T, turn)
+
+    def axes(world: jax.Array, on_body: jax.Array) -> jax.Array:
+        return jnp.where(on_body, multiply(to_body, world), multiply(turn, world))
+
+    return replace(
+        frame,
+        angular_axes=axes(located.angular_axes, frame.on_body[0]),
+        linear_axes=axes(located.linear_axes, frame.on_body[1]),
+        position=jnp.where(frame.on_body[2], multiply(rotation.T, lever), position + lever),
+    )
+
+
+def place_frame(
+    frame: ConstraintFrame, axes: jax.Array, origin: jax.Array, rotation: jax.Array, position: jax.Array
+) -> ConstraintFrame:
+    """A frame of the same class, placed in the world while the body is at a pose.
+
+    Args:
+        frame: its types and degrees of freedom are kept.
+        axes: (3, 3), columns are the axes of both its parts in {g}.
+        origin: (3,) m, the linear frame's origin in {g}.
+        rotation: (3, 3), of {b} in {g}.
+        position: (3,) m, of {b} in {g}.
+    """
+    angular, linear, point = np.asarray(parts_on_body(frame.angular_type, frame.linear_type))
+    in_body = matmul(rotation.T, axes)
+    return replace(
+        frame,
+        angular_rotvec=rotations.rotation_log(in_body if angular else axes),
+        linear_rotvec=rotations.rotation_log(in_body if linear else axes),
+        position=apply(rotation.T, origin - position) if point else origin,
+    )

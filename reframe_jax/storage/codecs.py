@@ -1,0 +1,93 @@
+"""Named arrays and a line of text in one file: NumPy's archive, and Parquet."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, BinaryIO, Protocol
+
+import numpy as np
+
+__all__ = ["NPZ", "PARQUET", "Codec"]
+
+_HEADER = "reframe_jax"
+
+
+class Codec(Protocol):
+    """How a part is written; ``suffix`` is that of its file."""
+
+    suffix: str
+
+    def write(self, file: Path, arrays: Mapping[str, np.ndarray], header: str) -> None:
+        """Write a file."""
+
+    def read(self, stream: BinaryIO) -> tuple[dict[str, Any], str]:
+        """Arrays and header. Whatever a damaged file makes of it is raised."""
+
+
+class _Npz:
+    suffix = ".npz"
+
+    def write(self, file: Path, arrays: Mapping[str, np.ndarray], header: str) -> None:
+        entries: dict[str, Any] = {**arrays, _HEADER: header}
+        with file.open("wb") as stream:
+            np.savez_compressed(stream, **entries)
+
+    def read(self, stream: BinaryIO) -> tuple[dict[str, Any], str]:
+        with np.load(stream) as stored:
+            arrays = dict(stored)
+        return arrays, str(arrays.pop(_HEADER))
+
+
+class _Parquet:
+    """A column for each array, whose first axis are the rows; lists of lists for the other axes."""
+
+    suffix = ".parquet"
+
+    def write(self, file: Path, arrays: Mapping[str, np.ndarray], header: str) -> None:
+        arrow = self.library()
+        table = arrow.table({name: _to_arrow(arrow, np.asarray(array)) for name, array in arrays.items()})
+        # dictionaries would make one of numbers that compare equal and differ in their bits
+        arrow.parquet.write_table(
+            table.replace_schema_metadata({_HEADER: header}), file, use_dictionary=False
+        )
+
+    def read(self, stream: BinaryIO) -> tuple[dict[str, Any], str]:
+        table = self.library().parquet.read_table(stream)
+        header = table.schema.metadata[_HEADER.encode()].decode()
+        return {name: _from_arrow(table.column(name)) for name in table.column_names}, header
+
+    @staticmethod
+    def library() -> Any:
+        """PyArrow.
+
+        Raises:
+            ImportError: saying which extra has it.
+        """
+        try:
+            import pyarrow
+            import pyarrow.parquet
+        except ImportError as error:
+            raise ImportError(
+                "Results are stored as Parquet, which needs pyarrow: pip install 'reframe-jax[parquet]'"
+            ) from error
+        return pyarrow
+
+
+NPZ = _Npz()
+PARQUET = _Parquet()
+
+
+def _to_arrow(arrow: Any, values: np.ndarray) -> Any:
+    """(N, a, b, ...) as a column of N fixed-size lists of lists."""
+    column = arrow.array(np.ascontiguousarray(values).reshape(-1))
+    for size in reversed(values.shape[1:]):
+        column = arrow.FixedSizeListArray.from_arrays(column, size)
+    return column
+
+
+def _from_arrow(column: Any) -> np.ndarray:
+    """The array that :func:`_to_arrow` made a column of."""
+    values, shape = column.combine_chunks(), [len(column)]
+    while hasattr(values.type, "list_size"):
+        shape.append(values.type.list_size)
+        values = values.flatten()
+    return np.asarray(values.to_numpy(zero_copy_only=False)).reshape(shape)

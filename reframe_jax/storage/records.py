@@ -1,0 +1,141 @@
+"""Options as JSON: equal for equal options, in every process and on every machine."""
+
+import dataclasses
+import hashlib
+import inspect
+import math
+import re
+from collections.abc import Callable, Collection, Mapping
+from enum import Enum
+from functools import partial
+from types import FunctionType
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+__all__ = ["checksum", "describe", "describe_options"]
+
+_WRITTEN_OUT = 64  # numbers of an array; of longer ones there is a checksum
+_ROWS = 1024  # hashed at once: windows overlap in memory, and a copy of all of them may not fit
+
+
+def describe_options(
+    function: Callable[..., Any], given: Mapping[str, Any], *, without: Collection[str] = ()
+) -> dict[str, Any]:
+    """Every keyword-only option of a function, as given or by default.
+
+    Args:
+        function: whose signature says which options there are.
+        given: options of a call.
+        without: names that are left out and must not be given.
+
+    Raises:
+        TypeError: for an option that the function does not have, listing those it has.
+    """
+    parameters = inspect.signature(function).parameters.values()
+    defaults = {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY and p.name not in without}
+    unknown = sorted(given.keys() - defaults.keys())
+    if unknown:
+        raise TypeError(
+            f"{function.__name__} has no option {', '.join(unknown)}. There are: {', '.join(defaults)}."
+        )
+    return {name: describe(given.get(name, default)) for name, default in defaults.items()}
+
+
+def describe(value: Any) -> Any:
+    """A value as JSON can write it.
+
+    Numbers and arrays of any kind are told apart by value, dataclasses by their fields, functions by their
+    name and what they were made with. Long arrays are represented by a checksum.
+    """
+    return _describe(value, ())
+
+
+def _describe(value: Any, within: tuple[int, ...]) -> Any:
+    """See :func:`describe`; ``within`` are the objects that this value is a part of."""
+    if value is None or isinstance(value, (bool, str)):
+        return value
+    if id(value) in within:
+        return "itself"
+    inner = partial(_describe, within=(*within, id(value)))
+    if isinstance(value, Enum):
+        return f"{type(value).__name__}.{value.name}"
+    if isinstance(value, (int, float, np.generic, np.ndarray, jax.Array)):
+        return _describe_numbers(value)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = {field.name: inner(getattr(value, field.name)) for field in dataclasses.fields(value)}
+        return {"type": type(value).__name__, **fields}
+    if isinstance(value, Mapping):
+        return {str(name): inner(item) for name, item in sorted(value.items(), key=str)}
+    if isinstance(value, (tuple, list)):
+        return [inner(item) for item in value]
+    if isinstance(value, partial):
+        return {"function": inner(value.func), "arguments": inner([value.args, value.keywords])}
+    if inspect.ismethod(value):
+        return {"function": inner(value.__func__), "of": inner(value.__self__)}
+    if callable(value) and isinstance(inspect.unwrap(value), FunctionType):
+        return _describe_function(inspect.unwrap(value), inner)
+    if hasattr(value, "__qualname__"):
+        return f"{value.__module__}.{value.__qualname__}"
+    text = repr(value)
+    if not re.search(r"\bat 0x[0-9a-f]+", text):
+        return text
+    return {"type": type(value).__qualname__, **inner(getattr(value, "__dict__", {}))}
+
+
+def _describe_numbers(value: Any) -> Any:
+    if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
+        return {
+            "key": str(jax.random.key_impl(value)),
+            "data": np.asarray(jax.random.key_data(value)).tolist(),
+        }
+    array = np.asarray(value)
+    if array.size > _WRITTEN_OUT:
+        return {"shape": list(array.shape), "checksum": checksum({"": array})}
+    return _write_out(array.tolist())
+
+
+def _write_out(value: Any) -> Any:
+    """Numbers, or nested lists of them, without what JSON has no number for."""
+    if isinstance(value, list):
+        return [_write_out(item) for item in value]
+    return value if isinstance(value, (int, float)) and math.isfinite(value) else str(value)
+
+
+def _describe_function(function: FunctionType, inner: Callable[[Any], Any]) -> dict[str, Any]:
+    record: dict[str, Any] = {"function": f"{function.__module__}.{function.__qualname__}"}
+    if function.__name__ == "<lambda>":  # many have this name
+        code = function.__code__
+        parts = (
+            code.co_code,
+            repr(code.co_names),
+            repr([c for c in code.co_consts if not inspect.iscode(c)]),
+        )
+        record["code"] = hashlib.sha256(repr(parts).encode()).hexdigest()
+    cells = []
+    for cell in function.__closure__ or ():
+        try:
+            cells.append(inner(cell.cell_contents))
+        except ValueError:  # not filled
+            cells.append(None)
+    defaults = inner([function.__defaults__ or (), function.__kwdefaults__ or {}])
+    return {**record, "closure": cells, "defaults": defaults}
+
+
+def checksum(arrays: Mapping[str, Any], *, start: str = "") -> str:
+    """SHA-256 of named arrays: their names, types, shapes and bytes.
+
+    Args:
+        arrays: anything NumPy makes an array of.
+        start: text that is part of it too.
+    """
+    total = hashlib.sha256(start.encode())
+    for name in sorted(arrays):
+        array = np.asarray(arrays[name])
+        total.update(f"{name} {array.dtype.str} {array.shape}".encode())
+        rows = np.atleast_1d(array)
+        for first in range(0, len(rows), _ROWS):
+            total.update(np.ascontiguousarray(rows[first : first + _ROWS]).reshape(-1).view(np.uint8).data)
+    return total.hexdigest()
