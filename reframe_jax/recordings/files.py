@@ -12,9 +12,10 @@ import zlib
 from dataclasses import dataclass, field
 from decimal import Decimal
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 __all__ = ["Recording", "RecordingError", "load_recording", "save_recording"]
 
@@ -141,7 +142,7 @@ def load_recording(
     return Recording(rows.times, poses, path, tuple(rows.notes))
 
 
-def save_recording(path: str | Path, times: Any, poses: Any) -> None:
+def save_recording(path: str | Path, times: ArrayLike, poses: ArrayLike) -> None:
     """Write a recording: a ``.csv`` of ``t,x,y,z,qx,qy,qz,qw``, or an ``.npz`` of ``times`` and ``poses``.
 
     Args:

@@ -20,7 +20,10 @@ __all__ = ["BasinHopping", "LocalMinimiser", "Objective", "SearchState", "Soluti
 _AT_ONCE = 1024  # minimisations at a time; if there are more, restarts take turns
 
 Objective = FrameObjective | PositionObjective
-LocalMinimiser = Callable[[Any, Box, jax.Array], tuple[jax.Array, jax.Array]]
+LocalMinimiser = (
+    Callable[[PositionObjective, Box, jax.Array], tuple[jax.Array, jax.Array]]
+    | Callable[[FrameObjective, Box, jax.Array], tuple[jax.Array, jax.Array]]
+)
 """(objective, box, x (dim, ...)) -> (x, value): an improvement of every problem by itself."""
 
 
@@ -47,7 +50,7 @@ class Solution:
 class Solver(Protocol):
     """What ``identify`` needs of a solver. Solvers are static arguments: make them hashable."""
 
-    def minimise(self, objective: Any, box: Box, key: jax.Array) -> Solution:
+    def minimise(self, objective: PositionObjective, box: Box, key: jax.Array) -> Solution:
         """Search every problem of the objective."""
         ...
 
@@ -162,7 +165,7 @@ class BasinHopping:
         x = jnp.take_along_axis(state.best_x, winner[None, None], axis=1)[:, 0]
         value = jnp.min(state.best_value, axis=0)
         if self.refine is not None:
-            refined, refined_value = self.refine(objective, box, x)
+            refined, refined_value = self.refine(objective, box, x)  # type: ignore[arg-type]
             better = refined_value < value
             x, value = jnp.where(better[None], refined, x), jnp.where(better, refined_value, value)
         close = state.best_value < value[None] + 1e-3
@@ -266,5 +269,5 @@ class BasinHopping:
         return jnp.moveaxis(x, 0, 1), value
 
     def _inner(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        x, value = self.inner(objective, box, x)
+        x, value = self.inner(objective, box, x)  # type: ignore[arg-type]
         return x, jnp.where(jnp.isnan(value), jnp.inf, value)

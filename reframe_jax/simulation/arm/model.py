@@ -12,11 +12,12 @@ fingertips, z out of the hand. Metres, kilograms, radians.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
+from numpy.typing import ArrayLike
 
 __all__ = ["FR3", "PANDA", "ROBOTS", "Arm", "Link", "arm_named", "arm_xml", "forward_kinematics"]
 
@@ -90,7 +91,7 @@ class Arm:
         """(7,) rad/s, highest joint velocities."""
         return np.array([link.speed for link in self.links])
 
-    def start(self, joints: Any, dtype: Any) -> jax.Array:
+    def start(self, joints: ArrayLike | None, dtype: DTypeLike) -> jax.Array:
         """Joint positions (..., 7), rad, as an array; home where there are none."""
         return jnp.asarray(self.home if joints is None else joints, dtype=dtype)
 

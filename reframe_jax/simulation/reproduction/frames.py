@@ -1,11 +1,11 @@
 """Frames to control in: true, wrong on purpose, or identified."""
 
 import math
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.types import AngularType, LinearType
@@ -55,7 +55,7 @@ def erroneous_frames(
     angles: tuple[float, float] = LITERATURE_ERRORS[0],
     distances: tuple[float, float] = LITERATURE_ERRORS[1],
     arm: str | Arm = PANDA,
-    start: Any = ROOMY,
+    start: ArrayLike = ROOMY,
 ) -> Frame:
     """Frames turned and shifted by errors of random direction and uniform size.
 
