@@ -71,7 +71,7 @@ CHILD = """
     import os, signal, sys
     import numpy as np
     import reframe_jax as rf
-    from reframe_jax import batch
+    from reframe_jax.storage import results as batch
 
     def die(*_):
         os.kill(os.getpid(), signal.SIGKILL)

@@ -1,5 +1,6 @@
 """Derivatives of what ``identify`` returns, against finite differences of the search itself."""
 
+import copy
 import functools
 
 import jax
@@ -115,6 +116,12 @@ def test_noise_free_windows_have_finite_derivatives():
         assert np.all(np.isfinite(position_jacobian(poses)))
 
 
-def test_the_default_solver_is_hashable_and_stable():
-    assert default_solver() is default_solver()
-    assert hash(default_solver()) == hash(default_solver())
+@pytest.mark.parametrize("norm", [0.0, 1.0, -1.0])
+def test_the_default_solver_is_static(norm):
+    """The same object at every call, and an equal one has the same hash: programs are not compiled again."""
+    solver = default_solver(norm)
+    assert solver is default_solver(norm)
+    twin = copy.deepcopy(solver)
+    assert twin is not solver
+    assert twin == solver
+    assert hash(twin) == hash(solver)

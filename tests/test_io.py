@@ -365,9 +365,9 @@ class _Trap:
 
 
 def test_pickles_are_never_opened(tmp_path: Path) -> None:
-    for name in ("a.pkl", "a.npy"):
+    for name, words in (("a.pkl", "pickles can run code"), ("a.npy", "does not hold plain arrays")):
         (tmp_path / name).write_bytes(pickle.dumps(_Trap()))
-        with pytest.raises(RecordingError):
+        with pytest.raises(RecordingError, match=words):
             load_recording(tmp_path / name)
     np.save(tmp_path / "b.npy", np.array([_Trap()], dtype=object))
     np.savez(tmp_path / "b.npz", poses=np.array([_Trap()], dtype=object))
