@@ -11,6 +11,7 @@ import pytest
 import reframe_jax as rf
 from reframe_jax.compilation import compiler_options
 from reframe_jax.geometry import transforms
+from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification.entry import default_solver
 from reframe_jax.simulation import synthetic
 
@@ -37,7 +38,7 @@ def outputs(poses, linear_type, angular_type):
         "free": linear.free_position[linear_type],
         "axes": jnp.concatenate(
             [
-                odd_axis(rf.rotations.rotation_exp(frames.rotvec[i]), frames.dof[i])
+                odd_axis(rotation_exp(frames.rotvec[i]), frames.dof[i])
                 for frames, i in ((linear, linear_type), (angular, angular_type))
             ]
         ),
