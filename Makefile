@@ -44,4 +44,4 @@ $(STAMP): pyproject.toml constraints.txt
 	touch $@
 
 clean:
-	rm -rf $(VENV) out docs/_build
+	rm -rf $(VENV) .jax_cache out docs/_build

@@ -5,10 +5,16 @@ import importlib
 import inspect
 import pkgutil
 import re
+import typing
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
+import numpy as np
 import pytest
+from jax.typing import DTypeLike
+from numpy.typing import ArrayLike
 
 import reframe_jax
 
@@ -130,6 +136,79 @@ def signature(name: str) -> str:
         members += [f for f in getattr(thing, "__annotations__", {}) if f not in members]
         return f"class {name}: {', '.join(sorted(members))}"
     return f"{name}: {type(thing).__name__}"
+
+
+NUMPY_TYPES = (ArrayLike, DTypeLike, *typing.get_args(ArrayLike), *typing.get_args(DTypeLike))
+
+# arguments that are still typed as Any: take a name off when its annotation says more
+UNTYPED = {
+    "Identification.__getitem__(index)",
+    "OnlineIdentifier.__init__(options)",
+    "OnlineIdentifier.push(pose)",
+    "demonstrations(options)",  # those of demonstrate
+    "identify(bounds)",
+    "identify(dt)",
+    "identify(poses)",
+    "identify(times)",
+    "identify_many(dt)",
+    "identify_many(options)",
+    "identify_many(times)",
+    "identify_many(windows)",
+    "store_demonstrations(options)",  # those of demonstrate
+}
+
+
+def public_callables() -> dict[str, Callable[..., Any]]:
+    """Functions, and methods of classes, of the flat name space and of the modules of the documentation."""
+    page = (ROOT / "docs" / "api-modules.md").read_text()
+    found: dict[str, Callable[..., Any]] = {}
+    for name in ["reframe_jax", *re.findall(r"^\.\. automodule:: (\S+)$", page, re.MULTILINE)]:
+        module = importlib.import_module(name)
+        for public in module.__all__:
+            thing = getattr(module, public)
+            if inspect.isclass(thing):
+                for method in vars(thing):
+                    member = inspect.unwrap(getattr(thing, method))
+                    shown = method in ("__init__", "__call__", "__getitem__") or method[0] != "_"
+                    if shown and inspect.isroutine(member) and member.__module__ != "typing":
+                        found[f"{public}.{method}"] = member
+            elif inspect.isroutine(inspect.unwrap(thing)):
+                found[public] = inspect.unwrap(thing)
+    return found
+
+
+def mentions_any(annotation: Any) -> bool:
+    """Whether Any is the annotation or a part of it, or there is none; NumPy's own types do not count."""
+    if isinstance(annotation, str):
+        return re.search(r"\bAny\b", annotation) is not None
+    if annotation in (Any, inspect.Parameter.empty):
+        return True
+    if annotation in NUMPY_TYPES or typing.get_origin(annotation) in (np.ndarray, np.dtype):
+        return False
+    parts = typing.get_args(annotation)
+    parts = (*parts[0], *parts[1:]) if parts and isinstance(parts[0], list) else parts
+    return any(mentions_any(part) for part in parts)
+
+
+def test_public_arguments_have_types() -> None:
+    callables = public_callables()
+    methods = {"Demonstration.__getitem__", "BasinHopping.minimise", "ValleySteps.__call__", "Curve.__init__"}
+    assert {"simulate", *methods} <= set(callables)
+    untyped = {
+        f"{name}({parameter.name})"
+        for name, function in callables.items()
+        for parameter in inspect.signature(function).parameters.values()
+        if parameter.name not in ("self", "cls") and mentions_any(parameter.annotation)
+    }
+    assert not untyped - UNTYPED, "arguments typed as Any"
+    assert not UNTYPED - untyped, "take these off the list UNTYPED"
+
+
+def test_the_check_of_types_sees_any() -> None:
+    for wrong in (Any, list[Any], Any | None, Callable[[Any], int], dict[str, tuple[int, Any]]):
+        assert mentions_any(wrong)
+    for right in (int, ArrayLike, ArrayLike | None, np.ndarray, Callable[[int], str], str | None):
+        assert not mentions_any(right)
 
 
 def test_public_names_are_frozen() -> None:

@@ -11,8 +11,13 @@ ROOT = Path(__file__).parent.parent
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 
-def test_there_are_notebooks() -> None:
-    assert {path.name[0] for path in NOTEBOOKS} >= {"1", "2", "4", "5"}
+def test_notebooks_are_numbered_without_a_gap_and_have_titles() -> None:
+    """A glob that finds nothing would leave the tests below without work."""
+    assert [path.name.split("_")[0] for path in NOTEBOOKS] == ["1", "2", "3", "4", "5"]
+    for path in NOTEBOOKS:
+        first = nbformat.read(path, as_version=4).cells[0]
+        assert first.cell_type == "markdown"
+        assert first.source.startswith("# "), path.name
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

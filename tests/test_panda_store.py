@@ -73,8 +73,11 @@ def test_folders_of_something_else(tmp_path: Path) -> None:
     """They are left as they are; a run that failed before its first part is in nobody's way."""
     options = {"chunk": BATCH, "spread": panda.SPREAD}
     folder = tmp_path / "demos"
-    for wrong, error in ((("K", {"dt": -1.0}), ValueError), (("nothing", {}), KeyError)):
-        with pytest.raises(error):
+    for wrong, error, words in (
+        (("K", {"dt": -1.0}), ValueError, "0 < dt <= duration"),
+        (("nothing", {}), KeyError, "No constraint 'nothing'"),
+    ):
+        with pytest.raises(error, match=words):
             panda.store_demonstrations(wrong[0], KEY, 4, folder, **options, **wrong[1])
         assert not folder.exists()
     panda.store_demonstrations("K", KEY, 4, folder, **options)

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
+from reframe_jax.geometry.rotations import rotation_exp
+from reframe_jax.geometry.transforms import make_pose
 from reframe_jax.identification.entry import default_solver
 from reframe_jax.identification.pipeline import window_moments
 from reframe_jax.identification.twins import find_twins
@@ -30,11 +32,11 @@ def corner(noise=1e-4, count=32, wobble=0.0):
         phase_key, noise_key = jax.random.split(key)
         velocity = synthetic.exciting(phase_key)
         angles, lengths = jax.vmap(velocity)(0.1 * jnp.arange(51.0))
-        turns = rf.rotations.rotation_exp(0.4 * angles)
+        turns = rotation_exp(0.4 * angles)
         first, second = (jnp.einsum("kij,j->ki", turns, jnp.asarray(tip)) for tip in TIPS)
         shaking = wobble * jax.random.normal(phase_key, (51,), dtype=float)
         position = jnp.stack([-first[:, 0], shaking - second[:, 1], lengths[:, 2]], axis=-1)
-        poses = rf.transforms.make_pose(turns, position)
+        poses = make_pose(turns, position)
         return synthetic.add_pose_noise(poses, noise_key, noise)
 
     return jax.vmap(one)(jax.random.split(jax.random.key(5), count))

@@ -5,6 +5,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.types import AngularType
 from reframe_jax.identification.results import Identification
@@ -27,7 +28,7 @@ __all__ = ["animate_scene", "gif"]
 
 
 def animate_scene(
-    poses: Any, found: Identification, *, times: Any, frames: int = 40, title: str | None = None
+    poses: ArrayLike, found: Identification, *, times: ArrayLike, frames: int = 40, title: str | None = None
 ) -> "FuncAnimation":
     """Animate one window: ``.save("out.gif", writer="pillow")``, or :func:`gif` for a notebook.
 

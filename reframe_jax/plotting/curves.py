@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from reframe_jax.plotting.style import LINES, new_figure
 
@@ -27,15 +28,15 @@ class Curve:
     """
 
     name: str
-    values: Any
-    low: Any = None
-    high: Any = None
+    values: ArrayLike
+    low: ArrayLike | None = None
+    high: ArrayLike | None = None
     colour: int = 0
     dashed: bool = False
 
 
 def plot_curves(
-    x: Any,
+    x: ArrayLike,
     panels: Mapping[str, Sequence[Curve]],
     *,
     xlabel: str,

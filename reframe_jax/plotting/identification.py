@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.results import Identification
@@ -21,10 +22,10 @@ __all__ = ["plot_identification"]
 
 
 def plot_identification(
-    poses: Any,
+    poses: ArrayLike,
     found: Identification,
     *,
-    times: Any,
+    times: ArrayLike,
     thresholds: Thresholds = Thresholds(),  # noqa: B008
     discretization: Discretization = "chord",
     title: str | None = None,

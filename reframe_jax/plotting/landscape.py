@@ -1,10 +1,12 @@
 """The objective over a plane of positions: what the search for a frame's origin sees."""
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.located import ground_offset
 from reframe_jax.constraints.types import LinearType
@@ -21,10 +23,10 @@ __all__ = ["landscape", "plot_landscape"]
 
 
 def landscape(
-    poses: Any,
-    positions: Any,
+    poses: ArrayLike,
+    positions: ArrayLike,
     *,
-    times: Any,
+    times: ArrayLike,
     linear_type: LinearType,
     norm: float = 0.0,
     discretization: Discretization = "chord",
@@ -69,11 +71,11 @@ _landscape = jax.jit(_norms, static_argnames=("norm", "discretization"))
 
 
 def plot_landscape(
-    poses: Any,
+    poses: ArrayLike,
     found: Identification,
     *,
-    times: Any,
-    linear_types: Any = None,
+    times: ArrayLike,
+    linear_types: Sequence[LinearType] | None = None,
     span: float = 0.5,
     points: int = 161,
     norm: float = 0.0,

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from reframe_jax.plotting.style import LINES, new_figure
 
@@ -14,7 +15,7 @@ __all__ = ["plot_bars", "plot_maps"]
 
 
 def plot_maps(
-    maps: Mapping[str, Any],
+    maps: Mapping[str, ArrayLike],
     *,
     columns: Sequence[str],
     rows: Sequence[str],
@@ -88,7 +89,7 @@ def plot_maps(
 
 def plot_bars(
     groups: Sequence[str],
-    bars: Mapping[str, Mapping[str, Any]],
+    bars: Mapping[str, Mapping[str, Sequence[np.ndarray]]],
     *,
     ylabels: Mapping[str, str],
     title: str | None = None,
@@ -97,7 +98,7 @@ def plot_bars(
 
     Args:
         groups: names of the groups along the axis of every panel.
-        bars: by the panel's title, then by the bar's name: one array of samples for every group.
+        bars: by the panel's title, then by the bar's name: one array (N,) of samples for every group.
         ylabels: of every panel, with the unit.
         title: of the figure.
 

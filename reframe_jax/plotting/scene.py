@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
+from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.located import Located, assemble_frame, locate_on_host
 from reframe_jax.constraints.types import AngularType
@@ -37,7 +38,7 @@ __all__ = [
 ]
 
 
-def plot_scene(poses: Any, found: Identification, *, title: str | None = None) -> "Figure":
+def plot_scene(poses: ArrayLike, found: Identification, *, title: str | None = None) -> "Figure":
     """Draw one window in space: the path of the body, the linear frame, and the free axes of rotation.
 
     What is fixed in the body is drawn at the first, the middle and the last pose, the first one palest;

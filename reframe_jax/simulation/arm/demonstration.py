@@ -9,6 +9,7 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from reframe_jax.compilation import traced
 from reframe_jax.constraints.frame import ConstraintFrame
@@ -71,7 +72,7 @@ class Demonstration:
     limit_margin: jax.Array
     status_code: jax.Array
 
-    def __getitem__(self, index: Any) -> "Demonstration":
+    def __getitem__(self, index: int | slice | np.ndarray | jax.Array) -> "Demonstration":
         """Some of the demonstrations; a single index leaves no batch axis."""
         parts = {name: value for name, value in vars(self).items() if name != "times"}
         return Demonstration(self.times, **jax.tree.map(lambda leaf: leaf[index], parts))
@@ -93,7 +94,7 @@ class Demonstration:
 
 
 def frame_on_arm(
-    constraint: str | ConstraintFrame, arm: str | Arm = PANDA, *, start: Any = None
+    constraint: str | ConstraintFrame, arm: str | Arm = PANDA, *, start: ArrayLike | None = None
 ) -> ConstraintFrame:
     """A named constraint where the arm can move under it; a frame as it is.
 
@@ -136,7 +137,7 @@ def demonstrate(
     guide: Guide = Guide(),  # noqa: B008
     imperfections: Imperfections = Imperfections(),  # noqa: B008
     arm: str | Arm = PANDA,
-    start: Any = None,
+    start: ArrayLike | None = None,
 ) -> Demonstration:
     """Simulate a hand that guides the arm under a constraint.
 
@@ -193,7 +194,7 @@ def demonstrate(
     steps = sampling(duration, dt, step, _LONGEST[form])
     if start is not None and np.shape(start) not in ((7,), (batch, 7)):
         raise ValueError(f"start must have shape (7,) or ({batch}, 7), not {np.shape(start)}.")
-    frame = frame_on_arm(constraint, arm, start=None if np.ndim(start) == 2 else start)
+    frame = frame_on_arm(constraint, arm, start=None if start is None or np.ndim(start) == 2 else start)
     dtype = frame.position.dtype
     joints = arm.start(start, dtype)
     for name in ("angular_rotvec", "linear_rotvec", "position"):

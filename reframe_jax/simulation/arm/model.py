@@ -12,11 +12,12 @@ fingertips, z out of the hand. Metres, kilograms, radians.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
+from numpy.typing import ArrayLike
 
 from reframe_jax.geometry.numpy_rotations import quaternions_to_matrices
 
@@ -92,7 +93,7 @@ class Arm:
         """(7,) rad/s, highest joint velocities."""
         return np.array([link.speed for link in self.links])
 
-    def start(self, joints: Any, dtype: Any) -> jax.Array:
+    def start(self, joints: ArrayLike | None, dtype: DTypeLike) -> jax.Array:
         """Joint positions (..., 7), rad, as an array; home where there are none."""
         return jnp.asarray(self.home if joints is None else joints, dtype=dtype)
 

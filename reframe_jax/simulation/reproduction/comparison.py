@@ -3,11 +3,11 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import Frame, frame_arrays, locate, to_fixed_body
@@ -157,7 +157,7 @@ def compare(
 
 
 def matched_choices(
-    found: Identification, truth: ConstraintFrame, *, arm: str | Arm = PANDA, start: Any = ROOMY
+    found: Identification, truth: ConstraintFrame, *, arm: str | Arm = PANDA, start: ArrayLike = ROOMY
 ) -> Frame:
     """The identified frames to control in, with the true ones' choices where the constraint leaves one.
 

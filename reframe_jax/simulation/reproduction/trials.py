@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import Frame, frame_arrays, locate
@@ -84,7 +85,7 @@ class Trials:
     peak_force: jax.Array
     status_code: jax.Array
 
-    def __getitem__(self, index: Any) -> "Trials":
+    def __getitem__(self, index: int | slice | np.ndarray | jax.Array) -> "Trials":
         """Some of the trials; a single index leaves no batch axis."""
         parts = {name: value for name, value in vars(self).items() if name != "times"}
         return Trials(self.times, **{name: value[index] for name, value in parts.items()})
