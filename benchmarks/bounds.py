@@ -31,7 +31,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints import AngularType, ConstraintFrame, LinearType, lookup
-from reframe_jax.geometry.rotations import rotation_exp
+from reframe_jax.geometry.rotations import hat, rotation_exp
 
 __all__ = ["Bound", "cramer_rao"]
 
@@ -188,13 +188,9 @@ def _bounds(
     for start, own, at, middle in ((0, in_x, x_at, centre), (6, in_y, y_at, jnp.zeros(3))):
         tilt, move = eye[start : start + 3], eye[start + 3 : start + 6]
         away = (1 - kept) * (own.T @ (middle - at))  # to the point nearest to the centre
-        results.append([rms(tilt, angular_odd), rms(tilt, linear_odd), rms(move - _hat(away) @ tilt, kept)])
+        results.append([rms(tilt, angular_odd), rms(tilt, linear_odd), rms(move - hat(away) @ tilt, kept)])
     by_quantity = [jnp.stack(pair) for pair in zip(*results, strict=True)]
     return by_quantity[0], by_quantity[1], by_quantity[2]
-
-
-def _hat(v: jax.Array) -> jax.Array:
-    return jnp.cross(jnp.eye(3), -v[None])
 
 
 _Frames = tuple[jax.Array, jax.Array, jax.Array, jax.Array]

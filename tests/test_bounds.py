@@ -55,8 +55,10 @@ def test_the_bound_does_not_depend_on_the_type_that_a_hinge_is_written_in():
         np.testing.assert_allclose(bound.angular, bounds[0].angular, rtol=1e-6)
 
 
-def test_the_poses_of_a_hinge_can_be_unknowns_instead():
-    poses = hinge(60)[0, ::5]
+@pytest.mark.parametrize("height", [0.0, 0.3])
+def test_the_poses_of_a_hinge_can_be_unknowns_instead(height):
+    poses = hinge(60)[0, ::5].at[:, 1, 3].add(height)
+    on_body = jnp.asarray(ON_BODY) - jnp.array([0, height, 0])  # the point (0, 0, 0) of the ground
     angles = jnp.arctan2(poses[:, 0, 2], poses[:, 0, 0])
 
     def measured(unknown: jax.Array) -> jax.Array:
@@ -64,7 +66,7 @@ def test_the_poses_of_a_hinge_can_be_unknowns_instead():
         tilt, tilt_body, at, at_body = (unknown[i : i + 3] for i in (0, 3, 6, 9))
         swing = jax.vmap(lambda a: rotation_exp(jnp.array([0.0, 1.0, 0.0]) * a))(angles + unknown[12:])
         turn = rotation_exp(tilt)[None] @ swing @ rotation_exp(tilt_body).T[None]
-        shift = at[None] - turn @ (jnp.asarray(ON_BODY) + at_body)
+        shift = at[None] - turn @ (on_body + at_body)
         error = turn @ poses[:, :3, :3].mT
         rotvec = jnp.stack([error[:, 2, 1], error[:, 0, 2], error[:, 1, 0]], axis=-1) / RATIO
         return jnp.concatenate([rotvec, shift - poses[:, :3, 3]], axis=-1)
@@ -74,9 +76,12 @@ def test_the_poses_of_a_hinge_can_be_unknowns_instead():
     frame = ConstraintFrame.named("A", linear_type=LinearType.GG, position=IN_GROUND)
     bound = cramer_rao(frame, poses[None], 1.0, RATIO)
     np.testing.assert_allclose(bound.angular[0, 0], np.sqrt(covariance[0, 0] + covariance[2, 2]), rtol=1e-6)
-    np.testing.assert_allclose(
-        bound.position[0, int(LinearType.GG)], np.sqrt(covariance[6, 6] + covariance[8, 8]), rtol=1e-6
-    )
+    # the point of the axis nearest to the body moves with the tilt
+    shift = np.zeros((2, 12 + len(poses)))
+    shift[[0, 1], [6, 8]] = 1
+    shift[:, :3] = np.cross(np.eye(3), [0, height, 0]).T[[0, 2]]
+    variance = np.trace(shift @ covariance @ shift.T)
+    np.testing.assert_allclose(bound.position[0, int(LinearType.GG)], np.sqrt(variance), rtol=1e-6)
 
 
 def test_pairs_of_poses_have_the_whole_banded_covariance():
@@ -111,7 +116,7 @@ def test_pairs_of_poses_have_the_whole_banded_covariance():
         -(np.asarray(frame.linear_axes).T @ np.asarray(frame.position)),
     )
     shift = np.zeros((2, 6))
-    shift[:, :3] = -np.cross(np.eye(3), -np.array([0, 0, away[2]]))[:2]
+    shift[:, :3] = np.cross(np.eye(3), [0, 0, away[2]]).T[:2]
     shift[:, 3:] = axes.T[:2]
     np.testing.assert_allclose(
         bound.position[0, 0], np.sqrt(np.trace(shift @ covariance @ shift.T)), rtol=1e-4
