@@ -29,6 +29,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from reframe_jax.constraints import AngularType, ConstraintFrame, LinearType, lookup
 from reframe_jax.geometry.rotations import hat, rotation_exp
@@ -78,7 +79,7 @@ class _Class:
 
 
 def cramer_rao(
-    frame: ConstraintFrame, poses: jax.Array, sigma: jax.Array | float, rotation_ratio: jax.Array | float
+    frame: ConstraintFrame, poses: jax.Array, sigma: ArrayLike, rotation_ratio: ArrayLike
 ) -> Bound:
     """Bounds for windows of one constraint; in float64 only.
 

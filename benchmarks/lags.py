@@ -25,7 +25,7 @@ def identify_at(lag: int, poses: Any, **options: Any) -> rf.Identification:
         ValueError: for another lag than 1, if ``identify`` does not take one.
     """
     if takes_lag():
-        return rf.identify(poses, lag=lag, **options)
-    if lag != 1:
+        options["lag"] = lag
+    elif lag != 1:
         raise ValueError(f"this version of identify takes no lag: it knows 1 only, not {lag}.")
     return rf.identify(poses, **options)

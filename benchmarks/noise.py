@@ -235,9 +235,9 @@ def slopes(rows: list[dict[str, Any]], by: str) -> dict[str, float]:
     found = {}
     for name in QUANTITIES:
         column = f"{name}_median_{'mm' if name == 'position' else 'deg'}"
-        points = [(row[by], row[column]) for row in mine if row[column]]
+        points = np.log([(row[by], row[column]) for row in mine if row[column]])
         if len(points) > 1:
-            found[f"{name}_slope_by_{by}"] = float(np.polyfit(*np.log(np.array(points)).T, 1)[0])
+            found[f"{name}_slope_by_{by}"] = float(np.polyfit(points[:, 0], points[:, 1], 1)[0])
     return found
 
 
@@ -293,8 +293,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--json", type=Path, help="file to write all figures to")
     options = vars(parser.parse_args(argv))
     file, quick, labels = options.pop("json"), options.pop("quick"), options.pop("constraints")
-    chosen = {name: tuple(x) if isinstance(x, list) else x for name, x in options.items() if x is not None}
-    plan = replace(QUICK if quick else Plan(), **chosen, **({"labels": tuple(labels)} if labels else {}))
+    chosen: dict[str, Any] = {
+        name: tuple(x) if isinstance(x, list) else x for name, x in options.items() if x is not None
+    }
+    if labels:
+        chosen["labels"] = tuple(labels)
+    plan = replace(QUICK if quick else Plan(), **chosen)
     jax.config.update("jax_enable_x64", True)
     print(f"windows of {DURATION:g} s, {plan.errors} noise; {machine()}")
     record = report(plan, *run(plan))
