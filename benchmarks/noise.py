@@ -183,10 +183,13 @@ def _anneal_some(table: Table, plan: Plan, found: rf.Identification, groups: lis
 
 
 def summarise(table: dict[str, np.ndarray], by: Sequence[str]) -> list[dict[str, Any]]:
-    """Figures of every contestant for every combination of some columns, in the order they came in."""
+    """Figures of every contestant for every combination of some columns, in their order."""
     keys = list(zip(*(table[name] for name in (*by, "contestant")), strict=True))
+    ranks = [
+        {value: i for i, value in enumerate(dict.fromkeys(column))} for column in zip(*keys, strict=True)
+    ]
     rows = []
-    for key in dict.fromkeys(keys):
+    for key in sorted(set(keys), key=lambda key: [rank[x] for rank, x in zip(ranks, key, strict=True)]):
         here = np.array([k == key for k in keys])
         row: dict[str, Any] = dict(zip((*by, "contestant"), key, strict=True)) | {"windows": int(here.sum())}
         for name in QUANTITIES:

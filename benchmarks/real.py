@@ -204,7 +204,7 @@ def show(row: dict[str, Any]) -> None:
     for at in row.get("lags", []):
         point = " ".join(f"{1e3 * x:8.1f}" for x in at["tool_point_m"])
         print(f"  lag {at['lag']:<4} {at['type']}  tool point {point} mm")
-    if "spread_mm" in row:
+    if len(row.get("lags", [])) > 1:
         print(f"  spread of the tool point: {row['spread_mm']:.1f} mm")
     sys.stdout.flush()
 
