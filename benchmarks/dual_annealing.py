@@ -60,13 +60,14 @@ def rotation_matrix(rotvec: np.ndarray) -> np.ndarray:
 
 
 @jax.jit
-def _velocities(poses: jax.Array) -> tuple[jax.Array, jax.Array]:
-    return kinematics.angular_velocities(poses, DT), kinematics.linear_velocity_maps(poses, DT)
+def sampled_velocities(poses: jax.Array, dt: float | jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Angular velocities (2, K, 3) and linear velocity maps (4, K, 3, 4) of one window."""
+    return kinematics.angular_velocities(poses, dt), kinematics.linear_velocity_maps(poses, dt)
 
 
-def numpy_objectives(poses: np.ndarray) -> list[tuple[Callable[[np.ndarray], float], int]]:
+def numpy_objectives(poses: np.ndarray, dt: float = DT) -> list[tuple[Callable[[np.ndarray], float], int]]:
     """The six objectives of one window as NumPy functions of the samples, and their dimensions."""
-    rates, maps = (np.asarray(samples) for samples in _velocities(jnp.asarray(poses)))
+    rates, maps = (np.asarray(samples) for samples in sampled_velocities(jnp.asarray(poses), dt))
 
     def norm(velocity: np.ndarray, rotvec: np.ndarray) -> float:
         rms = np.sqrt(np.mean((velocity @ rotation_matrix(rotvec)) ** 2, axis=0))
@@ -81,9 +82,9 @@ def numpy_objectives(poses: np.ndarray) -> list[tuple[Callable[[np.ndarray], flo
     return [(angular(i), 3) for i in range(2)] + [(linear(i), 6) for i in range(4)]
 
 
-def jax_gradients(poses: np.ndarray) -> list[Callable[[np.ndarray], np.ndarray]]:
+def jax_gradients(poses: np.ndarray, dt: float = DT) -> list[Callable[[np.ndarray], np.ndarray]]:
     """Gradients of the same six objectives, compiled once for all windows."""
-    steps = jnp.full(poses.shape[-3] - 1, DT)
+    steps = jnp.full(poses.shape[-3] - 1, dt)
     angular, linear = window_moments(jnp.asarray(poses), steps)
 
     def of(moments: jax.Array) -> Callable[[np.ndarray], np.ndarray]:
@@ -97,10 +98,10 @@ def _gradient(moments: jax.Array, x: jax.Array) -> jax.Array:
     return jax.grad(lambda x: jnp.exp(FrameObjective(moments).value(x)))(x)
 
 
-def solve(poses: np.ndarray, seed: int, *, gradient: bool = False) -> tuple[list[Any], float]:
+def solve(poses: np.ndarray, seed: int, *, gradient: bool = False, dt: float = DT) -> tuple[list[Any], float]:
     """Dual annealing on the six problems of one window: SciPy's results, and seconds."""
-    problems = numpy_objectives(poses)
-    gradients = jax_gradients(poses) if gradient else [None] * 6
+    problems = numpy_objectives(poses, dt)
+    gradients = jax_gradients(poses, dt) if gradient else [None] * 6
     for g, (_, dim) in zip(gradients, problems, strict=True):
         if g is not None:
             g(np.full(dim, 0.1))  # compile outside of the clock

@@ -4,7 +4,8 @@ Two choices matter. The *generator*: the paper takes one Euler step of Eq. 9 per
 constraint in the ``"left"`` discretization only; the exact one integrates the motion between samples,
 as a real mechanism does. The *excitation*: the paper's velocities leave some constraints ambiguous
 (for E and F the motion is a pure rotation about a point 0.2 m away; I and J tie with other types);
-three incommensurate sines along every free axis make the truth the only optimum.
+three incommensurate sines along every free axis make the truth the only optimum. Motions of hands, with
+random geometry and the errors of trackers, are in :mod:`reframe_jax.simulation.motions`.
 """
 
 from collections.abc import Callable
@@ -20,6 +21,7 @@ from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import Frame
 from reframe_jax.geometry import rotations, transforms
 from reframe_jax.geometry.products import apply, matmul
+from reframe_jax.simulation.excitations import EXCITATIONS, Excitation, exciting, paper_excitation
 
 __all__ = [
     "EXCITATIONS",
@@ -32,13 +34,6 @@ __all__ = [
     "simulate",
 ]
 
-Excitation = Callable[[jax.Array], tuple[jax.Array, jax.Array]]
-"""Time (s) to angular and linear velocity, (3,) each, in rad/s and m/s, along the frames' axes."""
-
-_RATES = ((0.9, 2.9, 4.9), (1.4, 3.4, 5.4), (1.9, 3.9, 4.4))  # rad/s, by axis
-_LINEAR_RATE = 1.13  # ratio of the rates of linear to those of angular velocity
-_ANGULAR_AMPLITUDE = 0.6  # rad/s, of each sine
-_LINEAR_AMPLITUDE = 0.15  # m/s, of each sine
 _SUBSTEPS = 4  # Runge-Kutta steps per sample; the error is below 1e-9 m at dt = 0.1 s
 
 
@@ -58,38 +53,6 @@ class Simulation:
     poses: jax.Array
     exact_poses: jax.Array
     truth: ConstraintFrame
-
-
-def paper_excitation(key: jax.Array) -> Excitation:
-    """The velocities of the paper's section 5.1; the key plays no part."""
-    del key
-
-    def velocity(t: jax.Array) -> tuple[jax.Array, jax.Array]:
-        one = jnp.ones_like(t)
-        angular = jnp.stack([1 + jnp.sin(2 * t), -one, jnp.cos(3 * t)])
-        linear = jnp.stack([-one, jnp.cos(2 * t), jnp.sin(3 * t)])
-        return 0.5 * angular, 0.1 * linear
-
-    return velocity
-
-
-def exciting(key: jax.Array) -> Excitation:
-    """Three incommensurate sines along every axis, with random phases: 0.7 rad/s and 0.18 m/s rms."""
-    phases = jax.random.uniform(key, (2, 3, 3), maxval=2 * jnp.pi, dtype=float)
-
-    def velocity(t: jax.Array) -> tuple[jax.Array, jax.Array]:
-        rates = jnp.asarray(_RATES, dtype=phases.dtype)
-        angular = jnp.sum(jnp.sin(rates * t + phases[0]), axis=-1)
-        linear = jnp.sum(jnp.sin(_LINEAR_RATE * rates * t + phases[1]), axis=-1)
-        return _ANGULAR_AMPLITUDE * angular, _LINEAR_AMPLITUDE * linear
-
-    return velocity
-
-
-EXCITATIONS: dict[str, Callable[[jax.Array], Excitation]] = {
-    "exciting": exciting,
-    "paper": paper_excitation,
-}
 
 
 def body_twist(frame: ConstraintFrame, pose: jax.Array, angular: jax.Array, linear: jax.Array) -> jax.Array:
@@ -129,11 +92,11 @@ def simulate(
 
     Args:
         constraint: label or name of one of the twelve, with the geometry of the paper, or any frame.
-        key: of the phases (for "exciting") and of the noise.
+        key: of the excitation and of the noise.
         noise: standard deviation sigma of the position noise in m; see :func:`add_pose_noise`.
         duration: s.
         dt: sample time, s.
-        excitation: ``"exciting"``, ``"paper"`` or a function of time.
+        excitation: a name of :data:`EXCITATIONS` or a function of time.
         exact: integrate the motion between samples; False takes the paper's one step per sample.
         start: (4, 4) first pose; the identity by default. A frame whose angular and linear parts are
             fixed in different bodies keeps its class only if its axes agree at the start.
@@ -168,7 +131,7 @@ def _integrate(
     steps: int,
 ) -> jax.Array:
     """Poses (steps + 1, 4, 4) from the first one on."""
-    velocity = EXCITATIONS[excitation](key) if isinstance(excitation, str) else excitation
+    velocity = EXCITATIONS[excitation](key, steps * dt) if isinstance(excitation, str) else excitation
 
     def twist(t: jax.Array, pose: jax.Array) -> jax.Array:
         return _frame_twist(frame, pose, *velocity(t))

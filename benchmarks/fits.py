@@ -1,0 +1,281 @@
+"""What else finds hinges, slides and frames in noisy poses, and how all of it is scored.
+
+Fits of a line in the ground, each for the constraints it is made for: a circle or a line through the
+positions, the algebraic pivot (least squares of R p + t = c over all poses, as in SARA and SCoRE), the mean
+screw axis over pairs of poses half a window apart. Frames, for all twelve: ``identify``, the same with lag 1,
+and SciPy's dual annealing on the paper's objective.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import reframe_jax as rf
+from benchmarks.bounds import Bound
+from benchmarks.dual_annealing import rotation_matrix, sampled_velocities, solve
+from reframe_jax.geometry.rotations import rotation_log
+from reframe_jax.geometry.transforms import pose_inverse
+from reframe_jax.identification.classify import degrees_of_freedom, tied_types
+from reframe_jax.simulation import metrics
+
+__all__ = ["LINE_FITS", "QUANTITIES", "Line", "Scores", "Windows", "anneal", "line_scores", "scores"]
+
+QUANTITIES = ("angular", "linear", "position")
+_THRESHOLDS = rf.Thresholds()
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Windows of one constraint.
+
+    Attributes:
+        label: of the constraint.
+        frame: its geometry, leaves (N, ...).
+        poses, exact: (N, K+1, 4, 4), m.
+        dt: s.
+        bound: of every window.
+    """
+
+    label: str
+    frame: rf.ConstraintFrame
+    poses: np.ndarray
+    exact: np.ndarray
+    dt: float
+    bound: Bound
+
+    def __getitem__(self, rows: Any) -> "Windows":
+        """Some of the windows."""
+        frame, bound = jax.tree.map(lambda leaf: leaf[rows], (self.frame, self.bound))
+        return Windows(self.label, frame, self.poses[rows], self.exact[rows], self.dt, bound)
+
+
+@dataclass(frozen=True)
+class Scores:
+    """How near a contestant came in every window.
+
+    Attributes:
+        errors: of each of ``QUANTITIES``, (N,) in rad, rad and m; NaN where nothing is said or asked.
+        bounds: what the bound allows, likewise.
+        right: by "types", "dof" and "name", (N,) bool; empty for contestants that do not say.
+    """
+
+    errors: dict[str, np.ndarray]
+    bounds: dict[str, np.ndarray]
+    right: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Line:
+    """Lines in the ground: direction (N, 3), and a point on each, (N, 3) m; NaN where a fit has none."""
+
+    direction: np.ndarray
+    point: np.ndarray
+
+
+def scores(found: rf.Identification, windows: Windows) -> Scores:
+    """Scores of frames: those that won where every type is right (A to D), else those of the true types."""
+    frame, start = windows.frame, jnp.asarray(windows.exact[:, 0])
+    entry = rf.CONSTRAINTS[windows.label]
+    kinds = list(rf.LinearType) if entry.linear_type is None else [entry.linear_type]
+    by_type = [metrics.geometry_errors(found, _written_as(windows, kind), start=start) for kind in kinds]
+    bodies = [int(kind.orientation_body) for kind in kinds]
+    linear = _choose(np.asarray(found.linear.type_code), [int(kind) for kind in kinds])
+    angular = _choose(np.asarray(found.angular.type_code), bodies)
+    rows = np.arange(len(start))
+
+    def pick(name: str, index: np.ndarray) -> np.ndarray:
+        chosen: np.ndarray = np.stack([np.asarray(getattr(e, name)) for e in by_type])[index, rows]
+        return chosen
+
+    types, body = np.array([int(kind) for kind in kinds])[linear], np.array(bodies)[angular]
+    bound = jax.tree.map(np.asarray, windows.bound)
+    return Scores(
+        {
+            "angular": pick("angular", angular),
+            "linear": pick("linear", linear),
+            "position": pick("position", linear),
+        },
+        {
+            "angular": bound.angular[rows, body],
+            "linear": bound.linear[rows, types],
+            "position": bound.position[rows, types],
+        },
+        {
+            "types": np.asarray(metrics.types_correct(found, frame, ties=True)),
+            "dof": np.asarray(metrics.dof_correct(found, frame)),
+            "name": np.asarray(found.name == entry.name),
+        },
+    )
+
+
+def _choose(codes: np.ndarray, known: list[int]) -> np.ndarray:
+    """Index of every code among those known; 0 for others."""
+    return np.argmax(codes[:, None] == np.array(known)[None], axis=1)
+
+
+def _written_as(windows: Windows, kind: rf.LinearType) -> rf.ConstraintFrame:
+    """The true constraint, written as a type by what agrees at the start."""
+    start = jnp.asarray(windows.exact[:, 0])
+    turn, back = start[:, :3, :3], pose_inverse(start)
+    axes, position = windows.frame.linear_axes, windows.frame.position
+    old = windows.frame.linear_type
+    if old.orientation_body != kind.orientation_body:
+        axes = (turn if kind.orientation_body == rf.AngularType.G else turn.mT) @ axes
+    if old.position_body != kind.position_body:
+        move = start if kind.position_body == rf.AngularType.G else back
+        position = (move[:, :3, :3] @ position[:, :, None])[..., 0] + move[:, :3, 3]
+    return rf.ConstraintFrame.named(
+        windows.label, linear_type=kind, rotvec=rotation_log(axes), position=position
+    )
+
+
+def anneal(found: rf.Identification, windows: Windows) -> tuple[rf.Identification, float]:
+    """Dual annealing as the paper configured it, in the clothes of an identification; and its seconds.
+
+    Args:
+        found: what ``identify`` says of the same windows; of it nothing stays but what is not scored.
+        windows: a few of them, as each takes a second or so.
+    """
+    centre = windows.poses[:, :, :3, 3].mean(axis=1)
+    rows, total = [], 0.0
+    for i, poses in enumerate(windows.poses):
+        poses = np.array(poses)
+        poses[:, :3, 3] -= centre[i]  # the bounds of the search are about the ground's origin
+        results, seconds = solve(poses, seed=i, dt=windows.dt)
+        total += seconds
+        rates, maps = (np.asarray(v) for v in sampled_velocities(jnp.asarray(poses), windows.dt))
+        samples = [
+            *rates,
+            *(m[..., 0] + m[..., 1:] @ r.x[3:] for m, r in zip(maps, results[2:], strict=True)),
+        ]
+        axes, rms = zip(
+            *(_sorted_axes(s, r.x[:3]) for s, r in zip(samples, results, strict=True)), strict=True
+        )
+        in_ground = np.array([kind.position_body == rf.AngularType.G for kind in rf.LinearType])
+        origin = np.stack([r.x[3:] for r in results[2:]]) + np.where(in_ground[:, None], centre[i], 0)
+        rows.append((np.stack(axes), np.stack(rms), np.array([r.fun for r in results]), origin))
+    axes, rms, norms, origins = (jnp.asarray(np.stack(part)) for part in zip(*rows, strict=True))
+    optima, samples = (rotation_log(axes), rms, norms), windows.poses.shape[1] - 1
+    turning, moving = ([leaf[:, types] for leaf in optima] for types in (slice(0, 2), slice(2, 6)))
+    limit = _THRESHOLDS
+    angular, of_angular = _replaced(found.angular, found.candidates.angular, turning, limit.angular, samples)
+    linear, of_linear = _replaced(found.linear, found.candidates.linear, moving, limit.linear, samples)
+    # both angular types express one constraint unless two axes are free
+    angular = replace(angular, tied=angular.tied | (jnp.sum(angular.dof, axis=-1) != 2)[:, None])
+    of_linear = replace(of_linear, position=origins)
+    every = replace(found.candidates, angular=of_angular, linear=of_linear)
+    return replace(found, angular=angular, linear=linear, candidates=every), total
+
+
+def _sorted_axes(samples: np.ndarray, rotvec: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Axes as columns and RMS velocities along them, ascending, of velocities (K, 3) and a frame."""
+    axes = rotation_matrix(rotvec)
+    rms = np.sqrt(np.mean((samples @ axes) ** 2, axis=0))
+    order = np.argsort(rms)
+    axes = axes[:, order]
+    return axes * np.array([1, 1, np.sign(np.linalg.det(axes))]), rms[order]
+
+
+def _replaced(
+    part: Any, candidates: Any, optima: list[jax.Array], threshold: float | jax.Array, samples: int
+) -> tuple[Any, Any]:
+    """A frame and its candidates with other optima: rotation vectors, RMS and norms of every type."""
+    rotvec, rms, norms = optima
+    winner, rows = jnp.argmin(norms, axis=1), jnp.arange(len(norms))
+    dof = degrees_of_freedom(rms, threshold)
+    tied = tied_types(rms, dof, winner, samples)
+    part = replace(part, type_code=winner, rotvec=rotvec[rows, winner], dof=dof[rows, winner], tied=tied)
+    return part, replace(candidates, rotvec=rotvec, rms=rms, dof=dof, norm=norms)
+
+
+def line_scores(line: Line, windows: Windows) -> Scores:
+    """Scores of lines against the axis of A or C, or the direction of B."""
+    entry = rf.CONSTRAINTS[windows.label]
+    truth = _written_as(windows, rf.LinearType.GG)
+    axes, origin = np.asarray(truth.linear_axes), np.asarray(truth.position)
+    axis = entry.angular_axis if entry.angular_axis is not None else entry.linear_axis
+    true = axes[:, :, axis]
+    sine = np.linalg.norm(np.cross(line.direction, true), axis=-1)
+    angle = np.arctan2(sine, np.abs(np.sum(line.direction * true, axis=-1)))
+    offset = ((line.point - origin)[:, None] @ axes)[:, 0] * np.array(entry.position)
+    nothing = np.full(len(angle), np.nan)
+    bound = jax.tree.map(np.asarray, windows.bound)
+    kind = int(rf.LinearType.GG)
+    return Scores(
+        {
+            "angular": angle if entry.angular_axis is not None else nothing,
+            "linear": angle if entry.linear_axis is not None else nothing,
+            "position": np.linalg.norm(offset, axis=-1) if any(entry.position) else nothing,
+        },
+        {
+            "angular": bound.angular[:, int(rf.AngularType.G)],
+            "linear": bound.linear[:, kind],
+            "position": bound.position[:, kind],
+        },
+        {},
+    )
+
+
+def circle_fit(poses: np.ndarray) -> Line:
+    """Axis of the circle through the positions: the plane of least squares, and in it Kåsa's circle."""
+    mean = poses[:, :, :3, 3].mean(axis=1)
+    points = poses[:, :, :3, 3] - mean[:, None]
+    _, basis = np.linalg.eigh(points.mT @ points)
+    flat = points @ basis[:, :, 1:]
+    design = np.concatenate([2 * flat, np.ones((*flat.shape[:2], 1))], axis=-1)
+    squares = np.sum(flat**2, axis=-1)[..., None]
+    centre = (np.linalg.pinv(design) @ squares)[:, :2]
+    return Line(basis[:, :, 0], mean + (basis[:, :, 1:] @ centre)[..., 0])
+
+
+def line_fit(poses: np.ndarray) -> Line:
+    """The line of least squares through the positions."""
+    mean = poses[:, :, :3, 3].mean(axis=1)
+    points = poses[:, :, :3, 3] - mean[:, None]
+    return Line(np.linalg.eigh(points.mT @ points)[1][:, :, 2], mean)
+
+
+def pivot_fit(poses: np.ndarray) -> Line:
+    """Least squares of R p + t = c over all poses; the axis is the direction in which p is free."""
+    turn, shift = poses[..., :3, :3].mean(axis=1), poses[..., :3, 3].mean(axis=1)
+    turns, shifts = poses[..., :3, :3] - turn[:, None], poses[..., :3, 3] - shift[:, None]
+    normal = np.einsum("nkij,nkil->njl", turns, turns)
+    strengths, basis = np.linalg.eigh(normal)
+    right = -np.einsum("nkij,nki->nj", turns, shifts)
+    # of the points on the axis, the one nearest to the body's origin
+    inverse = np.where(np.arange(3) == 0, 0, 1 / strengths)
+    point = np.einsum("nij,nj,nkj,nk->ni", basis, inverse, basis, right)
+    axis = np.einsum("nij,nj->ni", turn, basis[:, :, 0])
+    pivot = np.einsum("nij,nj->ni", turn, point) + shift
+    return Line(axis / np.linalg.norm(axis, axis=-1, keepdims=True), pivot)
+
+
+def screw_fit(poses: np.ndarray) -> Line:
+    """Mean screw axis of the displacements over half a window; large turns count for more."""
+    half = poses.shape[1] // 2
+    turn = poses[:, half:, :3, :3] @ poses[:, :-half, :3, :3].mT
+    middle = poses[:, :, :3, 3].mean(axis=1)
+    first, last = poses[:, :-half, :3, 3] - middle[:, None], poses[:, half:, :3, 3] - middle[:, None]
+    shift = last - np.einsum("nkij,nkj->nki", turn, first)
+    skew = np.stack(
+        [turn[..., i, j] - turn[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=-1
+    )  # 2 sin(angle) times the axis
+    direction = np.linalg.eigh(skew.mT @ skew)[1][:, :, 2]
+    across = np.eye(3) - direction[:, :, None] * direction[:, None]
+    design = np.eye(3) - turn
+    normal = across @ np.einsum("nkij,nkil->njl", design, design) @ across
+    right = across @ np.einsum("nkij,nki->nj", design, shift @ across)[..., None]
+    return Line(direction, middle + (np.linalg.pinv(normal, rcond=1e-9) @ right)[..., 0])
+
+
+LINE_FITS: dict[str, tuple[str, Callable[[np.ndarray], Line]]] = {
+    "circle fit": ("A", circle_fit),
+    "line fit": ("B", line_fit),
+    "pivot": ("A", pivot_fit),
+    "mean screw": ("AC", screw_fit),
+}
+"""By name: the constraints it is for, and the fit, from poses (N, K+1, 4, 4)."""

@@ -1,0 +1,314 @@
+"""Errors against noise and sampling rate: every constraint and motion, beside the Cramér-Rao bound.
+
+Windows of 5 s of all twelve constraints, with random geometry, moved in several ways and measured with white
+noise (or, by --errors, with worse), at several rates. The motion is the same at every rate and noise level,
+so that what changes is what is measured. Contestants:
+
+- ``identify``, and ``lag 1``: the same with the paper's chords of one sample (if ``identify`` takes a lag);
+- ``dual annealing``: SciPy's on the paper's objective, on a few windows of the first rate, as it takes half
+  a second or more for each;
+- ``circle fit``, ``line fit``, ``pivot``, ``mean screw``: fits of a line, for A, B and C.
+
+Errors are those of the unique axes and components of the position. Each is printed as the median, the root of
+the mean square, and, with an x, the median of its ratio to the bound of the window, for which an efficient
+estimate has 0.7 (one unknown) to 0.9 (three). The bounds of E to H are those for consecutive poses; see
+:mod:`benchmarks.bounds`. What nobody can tell from a window, because its bound is above 0.2 rad or 0.1 m, is
+left out. Right are the types (ties accepted), the numbers of degrees of freedom, and the name.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import reframe_jax as rf
+from benchmarks.bounds import cramer_rao
+from benchmarks.common import machine
+from benchmarks.fits import LINE_FITS, QUANTITIES, Scores, Windows, anneal, line_scores, scores
+from benchmarks.lags import identify_at, takes_lag
+from benchmarks.timing import timed
+from reframe_jax.simulation.motions import PoseErrors, random_motion
+from reframe_jax.simulation.synthetic import EXCITATIONS
+
+DURATION = 5.0  # s
+RATIOS = 1.0, 20.0  # rad/m, between which the ratio of rotation to position noise is drawn
+MEANINGLESS = {"angular": 0.2, "linear": 0.2, "position": 0.1}  # bounds, in rad and m
+UNITS = {"angular": np.degrees(1.0), "linear": np.degrees(1.0), "position": 1e3}
+ERRORS = {
+    "white": PoseErrors(),
+    "outliers": PoseErrors(outliers=0.01),
+    "slow": PoseErrors(slow=1e-3),
+    "rounded": PoseErrors(rounding=1e-3),
+}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a run covers: ``windows`` of every constraint, motion, noise level and rate."""
+
+    labels: tuple[str, ...] = tuple(rf.CONSTRAINTS)
+    motions: tuple[str, ...] = tuple(EXCITATIONS)
+    sigmas: tuple[float, ...] = (1e-6, 1e-5, 1e-4, 1e-3, 3e-3)
+    rates: tuple[float, ...] = (10, 30, 100, 300)
+    windows: int = 4
+    annealed: int = 5
+    errors: str = "white"
+
+
+QUICK = Plan(motions=("hand",), sigmas=(1e-4, 1e-3), rates=(10, 40), windows=2, annealed=1)
+
+
+@dataclass
+class Table:
+    """Scores of all windows, a column of each kind; a row is what one contestant made of one window."""
+
+    columns: dict[str, list[np.ndarray]] = field(default_factory=dict)
+
+    def add(self, contestant: str, where: dict[str, np.ndarray], scored: Scores) -> None:
+        """Append rows: of one contestant, with the settings of every window."""
+        count = len(where["rate"])
+        blank = np.full(count, np.nan)
+        row = {"contestant": np.full(count, contestant, dtype=object), **where}
+        for name in QUANTITIES:
+            known = scored.bounds[name] < MEANINGLESS[name]
+            row[name] = np.where(known, scored.errors[name], np.nan)
+            row[f"{name}_bound"] = np.where(
+                known & np.isfinite(scored.errors[name]), scored.bounds[name], np.nan
+            )
+        for name in ("types", "dof", "name"):
+            row[f"{name}_right"] = np.asarray(scored.right.get(name, blank), dtype=float)
+        for name, values in row.items():
+            self.columns.setdefault(name, []).append(values)
+
+    def joined(self) -> dict[str, np.ndarray]:
+        """All rows, (n,) each column."""
+        return {name: np.concatenate(parts) for name, parts in self.columns.items()}
+
+
+def say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def make(plan: Plan, rate: float) -> Iterator[tuple[Windows, dict[str, np.ndarray]]]:
+    """Windows of every constraint at one rate, and the motion, noise level and so on of each."""
+    samples, dt = round(DURATION * rate), 1 / rate
+    keys = jax.random.split(jax.random.key(2025), plan.windows)
+    ratio_keys = jax.vmap(partial(jax.random.fold_in, data=1))(keys)
+    low, high = RATIOS
+    ratios = low * (high / low) ** jax.vmap(partial(jax.random.uniform, dtype=float))(ratio_keys)
+    sigmas = jnp.asarray(plan.sigmas)
+    each = [
+        jnp.tile(jnp.arange(plan.windows), len(sigmas)),
+        jnp.repeat(jnp.arange(len(sigmas)), plan.windows),
+    ]
+    sigma, ratio = sigmas[each[1]], ratios[each[0]]
+
+    def of_key(label: str, motion: str, key: jax.Array, sigma: jax.Array, ratio: jax.Array) -> Any:
+        errors = replace(ERRORS[plan.errors], sigma=sigma, rotation_ratio=ratio)
+        return random_motion(label, key, samples=samples, dt=dt, excitation=motion, errors=errors)
+
+    for label in plan.labels:
+        parts = []
+        for i, motion in enumerate(plan.motions):
+            own = jax.vmap(partial(jax.random.fold_in, data=i))(keys)[each[0]]
+            parts.append(jax.vmap(partial(of_key, label, motion))(own, sigma, ratio))
+        made = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+        where = {
+            "constraint": np.full(len(made.poses), label, dtype=object),
+            "motion": np.repeat(np.array(plan.motions, dtype=object), len(sigma)),
+            "sigma": np.tile(sigma, len(plan.motions)),
+            "ratio": np.tile(ratio, len(plan.motions)),
+            "rate": np.full(len(made.poses), float(rate)),
+        }
+        bound = cramer_rao(made.truth, made.exact_poses, where["sigma"], where["ratio"])
+        exact = np.asarray(made.exact_poses)
+        yield Windows(label, made.truth, np.asarray(made.poses), exact, dt, bound), where
+
+
+def run(plan: Plan) -> tuple[dict[str, np.ndarray], list[dict[str, Any]]]:
+    """All rates: the table, and the times of the contestants at every rate."""
+    table, times = Table(), []
+    for rate in plan.rates:
+        groups = list(make(plan, rate))
+        poses = np.concatenate([windows.poses for windows, _ in groups])
+        say(f"{rate:g} Hz: {len(poses)} windows of {poses.shape[1] - 1} steps")
+        found, seconds, compiling = timed(partial(rf.identify, poses, dt=1 / rate), 1)
+        times.append(_time(rate, "identify", len(poses), seconds, compiling))
+        _score(table, "identify", found, groups)
+        if takes_lag():
+            by_one, seconds, compiling = timed(partial(identify_at, 1, poses, dt=1 / rate), 1)
+            times.append(_time(rate, "lag 1", len(poses), seconds, compiling))
+            _score(table, "lag 1", by_one, groups)
+        for name, (labels, fit) in LINE_FITS.items():
+            for windows, where in groups:
+                if windows.label in labels:
+                    table.add(name, where, line_scores(fit(windows.poses), windows))
+        if rate == plan.rates[0]:
+            times.append(_anneal_some(table, plan, found, groups))
+    return table.joined(), times
+
+
+def _time(rate: float, name: str, windows: int, seconds: float, compiling: float) -> dict[str, Any]:
+    say(f"{rate:g} Hz: {name}: {windows} windows in {seconds:.2f} s, compiled in {compiling:.1f} s")
+    return {"rate": rate, "contestant": name, "windows": windows, "seconds": seconds, "compile_s": compiling}
+
+
+def _score(table: Table, name: str, found: rf.Identification, groups: list[Any]) -> None:
+    start = 0
+    for windows, where in groups:
+        end = start + len(windows.poses)
+        table.add(name, where, scores(found[start:end], windows))
+        start = end
+
+
+def _anneal_some(table: Table, plan: Plan, found: rf.Identification, groups: list[Any]) -> dict[str, Any]:
+    """Dual annealing on a few windows of every constraint, spread over motions and noise levels."""
+    start, total, count = 0, 0.0, 0
+    for windows, where in groups:
+        size = len(windows.poses)
+        rows = np.unique(np.linspace(0, size - 1, min(plan.annealed, size)).astype(int))
+        annealed, seconds = anneal(found[start + rows], windows[rows])
+        some = {name: values[rows] for name, values in where.items()}
+        table.add("dual annealing", some, scores(annealed, windows[rows]))
+        start, total, count = start + size, total + seconds, count + len(rows)
+    return _time(float(groups[0][1]["rate"][0]), "dual annealing", count, total, 0.0)
+
+
+def summarise(table: dict[str, np.ndarray], by: Sequence[str]) -> list[dict[str, Any]]:
+    """Figures of every contestant for every combination of some columns, in their order."""
+    keys = list(zip(*(table[name] for name in (*by, "contestant")), strict=True))
+    ranks = [
+        {value: i for i, value in enumerate(dict.fromkeys(column))} for column in zip(*keys, strict=True)
+    ]
+    rows = []
+    for key in sorted(set(keys), key=lambda key: [rank[x] for rank, x in zip(ranks, key, strict=True)]):
+        here = np.array([k == key for k in keys])
+        row: dict[str, Any] = dict(zip((*by, "contestant"), key, strict=True)) | {"windows": int(here.sum())}
+        for name in QUANTITIES:
+            errors, bounds = table[name][here], table[f"{name}_bound"][here]
+            known, scale = np.isfinite(errors), UNITS[name]
+            unit = "mm" if name == "position" else "deg"
+            errors, bounds = errors[known], bounds[known]
+            row |= {
+                f"{name}_median_{unit}": scale * float(np.median(errors)) if known.any() else None,
+                f"{name}_rms_{unit}": scale * float(np.sqrt(np.mean(errors**2))) if known.any() else None,
+                f"{name}_bound_{unit}": scale * float(np.sqrt(np.mean(bounds**2))) if known.any() else None,
+                f"{name}_ratio": float(np.median(errors / bounds)) if known.any() else None,
+            }
+        for name in ("types", "dof", "name"):
+            right = table[f"{name}_right"][here]
+            row[f"{name}_right"] = None if np.isnan(right).all() else float(np.mean(right))
+        rows.append(row)
+    return rows
+
+
+def show(rows: list[dict[str, Any]], by: str, title: str) -> None:
+    """Print a table of figures."""
+    print(f"\n{title}")
+    heads = [f"{name + ', ' + unit:>25}" for name, unit in zip(QUANTITIES, ("deg", "deg", "mm"), strict=True)]
+    print(f"{'':8}{'':15}{''.join(heads)}{'types':>9}{'dof':>6}{'name':>6}")
+    last: Any = None
+    for row in rows:
+        value = row[by] if isinstance(row[by], str) else f"{row[by]:g}"
+        print(f"{value if value != last else '':8}{row['contestant']:15}", end="")
+        last = value
+        for name, unit in zip(QUANTITIES, ("deg", "deg", "mm"), strict=True):
+            figures = [row[f"{name}_{kind}"] for kind in (f"median_{unit}", f"rms_{unit}", "ratio")]
+            median, rms, ratio = ("-" if x is None else f"{x:.2g}" for x in figures)
+            print(f"{median:>8}{rms:>8}{'x' + ratio:>9}" if median != "-" else f"{'-':>25}", end="")
+        shares = [row[f"{name}_right"] for name in ("types", "dof", "name")]
+        print(
+            "".join(
+                f"{'-' if s is None else f'{s:.0%}':>{w}}" for s, w in zip(shares, (9, 6, 6), strict=True)
+            )
+        )
+
+
+def slopes(rows: list[dict[str, Any]], by: str) -> dict[str, float]:
+    """Slope of the logarithm of every median error of ``identify`` against that of a setting."""
+    mine = [row for row in rows if row["contestant"] == "identify"]
+    found = {}
+    for name in QUANTITIES:
+        column = f"{name}_median_{'mm' if name == 'position' else 'deg'}"
+        points = np.log([(row[by], row[column]) for row in mine if row[column]])
+        if len(points) > 1:
+            found[f"{name}_slope_by_{by}"] = float(np.polyfit(points[:, 0], points[:, 1], 1)[0])
+    return found
+
+
+def report(plan: Plan, table: dict[str, np.ndarray], times: list[dict[str, Any]]) -> dict[str, Any]:
+    """Print the tables; returns the record for --json."""
+    show(
+        summarise(table, ["constraint"]),
+        "constraint",
+        "By constraint, over all motions, noise levels and rates",
+    )
+    if len(plan.motions) > 1:
+        show(summarise(table, ["motion"]), "motion", "By motion")
+    by_sigma, by_rate = summarise(table, ["sigma"]), summarise(table, ["rate"])
+    show(by_sigma, "sigma", "By standard deviation of the position noise, m")
+    show(by_rate, "rate", "By sampling rate, Hz: the motion is the same")
+    metrics = slopes(by_sigma, "sigma") | slopes(by_rate, "rate")
+    print("\nSlope of log median error of identify, where the bound has 1 by noise and -0.5 by rate")
+    for name, slope in metrics.items():
+        print(f"{name.replace('_', ' '):28}{slope:>8.2f}")
+    print(f"\n{'':8}{'':15}{'windows':>9}{'seconds':>10}{'compile':>10}")
+    for row in times:
+        print(
+            f"{row['rate']:<8g}{row['contestant']:15}{row['windows']:>9}{row['seconds']:>10.2f}{row['compile_s']:>10.1f}"
+        )
+    mine = table["contestant"] == "identify"
+    metrics |= {
+        f"{name}_right": float(np.mean(table[f"{name}_right"][mine])) for name in ("types", "dof", "name")
+    }
+    rows = summarise(table, ["constraint", "motion", "sigma", "rate"])
+    return {"machine": machine(), "metrics": metrics, "times": times, "rows": rows}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Command line of the benchmark."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.noise",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("--quick", action="store_true", help="about a minute: one motion, two noise levels, two rates")
+    add("--constraints", nargs="+", choices=list(rf.CONSTRAINTS), metavar="LABEL", help="these only, A to L")
+    add("--motions", nargs="+", choices=list(EXCITATIONS), help="these only")
+    add("--sigmas", nargs="+", type=float, help="standard deviations of the position noise, m")
+    add("--rates", nargs="+", type=float, help="sampling rates, Hz")
+    add("--windows", type=int, help="of every constraint, motion, noise level and rate")
+    add("--annealed", type=int, help="of every constraint, by dual annealing")
+    add(
+        "--errors",
+        choices=list(ERRORS),
+        help="what is added to the white noise; the bound knows nothing of it",
+    )
+    add("--json", type=Path, help="file to write all figures to")
+    options = vars(parser.parse_args(argv))
+    file, quick, labels = options.pop("json"), options.pop("quick"), options.pop("constraints")
+    chosen: dict[str, Any] = {
+        name: tuple(x) if isinstance(x, list) else x for name, x in options.items() if x is not None
+    }
+    if labels:
+        chosen["labels"] = tuple(labels)
+    plan = replace(QUICK if quick else Plan(), **chosen)
+    jax.config.update("jax_enable_x64", True)
+    print(f"windows of {DURATION:g} s, {plan.errors} noise; {machine()}")
+    record = report(plan, *run(plan))
+    if file is not None:
+        file.write_text(json.dumps(record, indent=2) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,127 @@
+"""The benchmark of noise: fits that find exact lines, scores against made errors, and a run in miniature."""
+
+import json
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import reframe_jax as rf
+from benchmarks import fits, lags, noise
+from benchmarks.bounds import cramer_rao
+from reframe_jax.simulation.motions import PoseErrors, random_motion
+
+STEPS, DT = 50, 0.1
+
+
+def windows(label: str, sigma: float, count: int = 3) -> fits.Windows:
+    def of_key(key: jax.Array):
+        return random_motion(label, key, samples=STEPS, dt=DT, excitation="sine", errors=PoseErrors(sigma))
+
+    made = jax.vmap(of_key)(jax.random.split(jax.random.key(7), count))
+    bound = cramer_rao(made.truth, made.exact_poses, sigma, 3.0)
+    return fits.Windows(label, made.truth, np.asarray(made.poses), np.asarray(made.exact_poses), DT, bound)
+
+
+@pytest.mark.parametrize(
+    ("name", "label"), [(name, label) for name, (labels, _) in fits.LINE_FITS.items() for label in labels]
+)
+def test_line_fits_find_the_axis_of_exact_poses_and_stay_near_the_bound_with_noise(name, label):
+    fit = fits.LINE_FITS[name][1]
+    exact, noisy = windows(label, 1e-9, 5), windows(label, 1e-4, 5)
+    for quantity, error in fits.line_scores(fit(exact.poses), exact).errors.items():
+        unique = getattr(noisy.bound, quantity)[0, 0]
+        if np.isnan(unique):
+            assert np.isnan(error).all()
+            continue
+        assert error.max() < 1e-6
+        scored = fits.line_scores(fit(noisy.poses), noisy)
+        ratio = scored.errors[quantity] / scored.bounds[quantity]
+        assert (
+            0.3 < np.median(ratio) < 8
+        )  # of the mean: a sine may repeat after half a window, or hardly turn
+
+
+def test_a_slope_is_that_of_the_medians():
+    rows = [
+        {"contestant": "identify", "rate": rate, "angular_median_deg": None, "linear_median_deg": 3 / rate}
+        | {"position_median_mm": 5 * np.sqrt(rate)}
+        for rate in (10.0, 30.0, 90.0)
+    ] + [{"contestant": "lag 1", "rate": 500.0, "position_median_mm": 1.0}]
+    found = noise.slopes(rows, "rate")
+    np.testing.assert_allclose(found["linear_slope_by_rate"], -1)
+    np.testing.assert_allclose(found["position_slope_by_rate"], 0.5)
+    assert set(found) == {"linear_slope_by_rate", "position_slope_by_rate"}
+
+
+def test_what_nobody_can_tell_is_left_out():
+    table, count = noise.Table(), 3
+    bounds = {name: np.array([1e-3, 0.5, np.nan]) for name in fits.QUANTITIES}
+    errors = {name: np.array([2e-3, 0.7, np.nan]) for name in fits.QUANTITIES}
+    right = {name: np.array([True, False, True]) for name in ("types", "dof", "name")}
+    where = {"rate": np.full(count, 10.0)}
+    table.add("identify", where, fits.Scores(errors, bounds, right))
+    (row,) = noise.summarise(table.joined(), ["rate"])
+    np.testing.assert_allclose(row["position_median_mm"], 2.0)
+    np.testing.assert_allclose(row["position_rms_mm"], 2.0)
+    np.testing.assert_allclose(row["position_ratio"], 2.0)
+    np.testing.assert_allclose(row["types_right"], 2 / 3)
+    assert row["windows"] == count
+
+
+def test_lag_1_is_the_paper_s_objective_whether_or_not_identify_takes_a_lag(monkeypatch):
+    given = {}
+
+    def with_lag(poses, *, dt, lag="auto"):
+        given.update(dt=dt, lag=lag)
+
+    def without_lag(poses, *, dt):
+        given.update(dt=dt, lag=None)
+
+    monkeypatch.setattr(rf, "identify", with_lag)
+    assert lags.takes_lag()
+    lags.identify_at(7, None, dt=0.1)
+    assert given == {"dt": 0.1, "lag": 7}
+    monkeypatch.setattr(rf, "identify", without_lag)
+    assert not lags.takes_lag()
+    lags.identify_at(1, None, dt=0.2)
+    assert given == {"dt": 0.2, "lag": None}
+    with pytest.raises(ValueError, match="not 7"):
+        lags.identify_at(7, None, dt=0.1)
+
+
+def test_a_run_in_miniature(tmp_path, capsys):
+    file = tmp_path / "out.json"
+    options = ["--constraints", "A", "K", "--motions", "exciting", "--sigmas", "1e-6", "--rates", "10"]
+    assert noise.main([*options, "--windows", "2", "--annealed", "1", "--json", str(file)]) == 0
+    record = json.loads(file.read_text())
+    rows = {(row["constraint"], row["contestant"]): row for row in record["rows"]}
+    assert {("A", "identify"), ("K", "identify"), ("A", "circle fit"), ("K", "dual annealing")} <= set(rows)
+    for label in "AK":
+        row = rows[label, "identify"]
+        assert row["windows"] == 2
+        assert (row["types_right"], row["dof_right"], row["name_right"]) == (1, 1, 1)
+        assert 0 < row["position_bound_mm"] < row["position_rms_mm"] < 1
+    assert rows["K", "dual annealing"]["linear_median_deg"] < 1
+    printed = capsys.readouterr()
+    for table in ("By constraint", "By standard deviation", "By sampling rate", "compile"):
+        assert table in printed.out
+    assert "10 Hz" in printed.err
+
+
+@pytest.mark.parametrize("kind", list(rf.LinearType))
+def test_a_hinge_is_scored_in_the_body_its_winner_is_in(kind):
+    ours = windows("A", 1e-6)
+    here = rf.LinearType.BB if kind.position_body == rf.AngularType.B else rf.LinearType.GG
+    truth, found = fits._written_as(ours, here), rf.identify(ours.poses, dt=DT)
+    shift = 0.01 * truth.linear_axes[:, :, 0]
+    shifted = found.candidates.linear.position.at[:, int(kind)].set(truth.position + shift)
+    linear = replace(found.candidates.linear, position=shifted)
+    moved = replace(
+        found,
+        candidates=replace(found.candidates, linear=linear),
+        linear=replace(found.linear, type_code=jnp.full(3, int(kind))),
+    )
+    np.testing.assert_allclose(fits.scores(moved, ours).errors["position"], 0.01, rtol=1e-6)
