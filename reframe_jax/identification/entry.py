@@ -183,7 +183,7 @@ def _lag(lag: Lag, steps: Any, discretization: Discretization) -> tuple[LagRule,
 def _single(poses: Any, steps: Any, options: tuple[Any, ...], static: dict[str, Any]) -> Identification:
     """Identify one recording: reduced by a program for recordings up to its length, solved by one for all.
 
-    The evidence of every recording has the same shape, so that one of a new length compiles little or nothing.
+    The evidence of all recordings has one shape, so that a new length compiles little or nothing.
     """
     count, size = poses.shape[0], _padded_size(poses.shape[0])
     xp = jnp if isinstance(poses, jax.Array) else np

@@ -42,11 +42,12 @@ for _pattern, _weight in (
 
 _MULTIPLES = tuple(log(2.0) * n for n in range(7))  # slow errors, in logarithms of noises; the first is none
 _LIKELY = log(8.0)  # multiples up to this one are equally likely
-_RARER = 1.5  # standard deviation, in logarithms, of their decline beyond
-_SPREAD = 0.9  # of constrained axes about their multiple
+_RARER = 0.8  # standard deviation, in logarithms, of their decline beyond
+_WEIGHTS = (0.5, *(np.exp(-np.square(np.maximum(np.asarray(_MULTIPLES[1:]) - _LIKELY, 0) / _RARER) / 2) / 12))
+_SPREAD = 0.8  # of constrained axes about their multiple
 _MISFIT = 0.15  # of the logarithm of an axis that shows noise alone, for what the noise model misses
 _GAIN, _GAIN_SPREAD, _GAIN_SHARE = 0.1, 0.6, 0.15  # of measured rotation; how often an axis shows it
-_FREE_SPREAD = 1.0  # of free axes about their common size
+_FREE_SPREAD = 1.2  # of free axes about their common size
 _LEAST, _LEAST_WIDTH = log(8.0), 0.25  # noises that a free axis went, at least
 _APART, _APART_WIDTH = 2.3, 0.4  # between free axes and slow errors
 _SIZES = log(1e6 / 4)  # range of the sizes of free motion
@@ -70,49 +71,55 @@ def freedom_patterns(distance: jax.Array, gain: jax.Array, samples: jax.Array) -
         (4, 4, ...): n free rotations and m free translations at [n, m].
     """
     y = jnp.log(jnp.maximum(distance, 1e-3))
-    levers = jnp.log(jnp.maximum(_GAIN * gain, 1e-9))
-    white = jnp.sqrt(1 / (2 * samples) + _MISFIT**2)
-    is_far = jax.nn.log_sigmoid((y - _LEAST) / _LEAST_WIDTH)
-    weights = np.asarray([0.5] + [0.5 / (len(_MULTIPLES) - 1)] * (len(_MULTIPLES) - 1))
-    weights *= np.exp(-np.square(np.maximum(np.asarray(_MULTIPLES) - _LIKELY, 0) / _RARER) / 2)
-    by_gain = _normal(y[3:], levers, _GAIN_SPREAD) + log(_GAIN_SHARE)
-    constrained = []
-    for multiple in _MULTIPLES:
-        if multiple == 0:
-            constrained.append(_normal(jnp.maximum(y, 0), 0.0, white))
-            continue
-        own = _normal(y, multiple, _SPREAD)
-        linear = jnp.logaddexp(own[3:] + log(1 - _GAIN_SHARE), by_gain)
-        constrained.append(jnp.concatenate([own[:3], linear]))
-    rows = []
-    for angular in range(4):
-        row = []
-        for linear in range(4):
-            free = [*range(3 - angular, 3), *range(6 - linear, 6)]
-            held = [axis for axis in range(6) if axis not in free]
-            terms = []
-            for multiple, weight, each in zip(_MULTIPLES, weights, constrained, strict=True):
-                term = sum((each[axis] for axis in held), jnp.zeros_like(y[0])) + log(weight)
-                if free:
-                    size = sum(y[axis] for axis in free[1:]) if len(free) > 1 else jnp.zeros_like(y[0])
-                    size = (size + y[free[0]]) / len(free)
-                    term = term + _free(y, is_far, free, size)
-                    if multiple > 0:
-                        term = term + jax.nn.log_sigmoid((size - multiple - _APART) / _APART_WIDTH)
-                terms.append(term)
-            row.append(jax.nn.logsumexp(jnp.stack(terms), axis=0) + log(PATTERN_PRIOR[angular, linear]))
-        rows.append(jnp.stack(row))
-    evidence = jnp.stack(rows)
+    # one more axis in front: the multiples
+    more = (-1, *([1] * y.ndim))
+    multiples = jnp.asarray(_MULTIPLES, y.dtype).reshape(more)
+    weights = jnp.log(jnp.asarray(_WEIGHTS, y.dtype)).reshape(more)[:, 0]  # (M, 1, ...)
+    white = jnp.broadcast_to(jnp.sqrt(1 / (2 * samples) + _MISFIT**2)[None], y.shape)
+    own = _normal(y[None], multiples, _SPREAD)
+    by_gain = _normal(y[3:], jnp.log(jnp.maximum(_GAIN * gain, 1e-9)), _GAIN_SPREAD) + log(_GAIN_SHARE)
+    linear = jnp.logaddexp(own[:, 3:] + log(1 - _GAIN_SHARE), by_gain[None])
+    tracked = jnp.concatenate([own[:, :3], linear], axis=1)
+    constrained = jnp.where(multiples == 0, _normal(jnp.maximum(y, 0), 0.0, white)[None], tracked)
+    held = _over_patterns(constrained, 1, free=False)  # (M, 4, 4, ...)
+    number = jnp.asarray([[a + b for b in range(4)] for a in range(4)], y.dtype)
+    number = number.reshape(4, 4, *([1] * (y.ndim - 1)))
+    count = jnp.maximum(number, 1)
+    total, squares, far = (
+        _over_patterns(x, 0, free=True)
+        for x in (y, jnp.square(y), jax.nn.log_sigmoid((y - _LEAST) / _LEAST_WIDTH))
+    )
+    size = total / count
+    scatter = jnp.maximum(squares - count * jnp.square(size), 0)
+    # free axes of a common size, over which is summed: a Gaussian integral
+    width = (2 * pi) ** 0.5 * _FREE_SPREAD
+    alike = -scatter / (2 * _FREE_SPREAD**2) - (number - 1) * log(width) - jnp.log(count) / 2 - log(_SIZES)
+    multiples = multiples[:, None]
+    apart = jax.nn.log_sigmoid((size[None] - multiples - _APART) / _APART_WIDTH)
+    free = (far + alike)[None] + jnp.where(multiples == 0, 0, apart)
+    terms = held + weights[:, None, None] + jnp.where(number[None] == 0, 0, free)
+    prior = jnp.log(jnp.asarray(PATTERN_PRIOR, y.dtype)).reshape(number.shape)
+    evidence = jax.nn.logsumexp(terms, axis=0) + prior
     return jnp.exp(evidence - jax.nn.logsumexp(evidence, axis=(0, 1), keepdims=True))
 
 
-def _free(y: jax.Array, is_far: jax.Array, free: list[int], size: jax.Array) -> jax.Array:
-    """Free axes of a common size, over which is summed: a Gaussian integral."""
-    n = len(free)
-    scatter = sum(jnp.square(y[axis] - size) for axis in free)
-    far = sum(is_far[axis] for axis in free)
-    width = log((2 * pi) ** 0.5 * _FREE_SPREAD / n**0.5) - log(_SIZES)
-    return far - scatter / (2 * _FREE_SPREAD**2) - n * log(_FREE_SPREAD * (2 * pi) ** 0.5) + width
+def _over_patterns(values: jax.Array, axis: int, free: bool) -> jax.Array:
+    """Sums over the axes that are free in every pattern, or over those that are not.
+
+    Args:
+        values: six of them along an axis: three of the angular frame, three of the linear one.
+        axis: that axis; two of size 4 take its place.
+        free: which to add up; the last axes of each frame become free first.
+    """
+    x = jnp.moveaxis(values, axis, 0)
+    sums = []
+    for group in (x[:3], x[3:]):
+        zero = jnp.zeros_like(group[:1])
+        if free:
+            sums.append(jnp.concatenate([zero, jnp.cumsum(group[::-1], axis=0)]))
+        else:
+            sums.append(jnp.concatenate([zero, jnp.cumsum(group, axis=0)])[::-1])
+    return jnp.moveaxis(sums[0][:, None] + sums[1][None], (0, 1), (axis, axis + 1))
 
 
 def type_weights(excess: jax.Array, margin: jax.Array) -> jax.Array:

@@ -171,9 +171,9 @@ def reduce_windows(
     poses = poses.at[:, :, :3, 3].add(-centre[:, None])
     shared = jnp.broadcast_to(steps, (1, samples)) if steps.ndim == 1 else steps
     times = jnp.concatenate([jnp.zeros_like(shared[:, :1]), jnp.cumsum(shared, axis=1)], axis=1)
-    number = jnp.full((windows,), samples + 1) if count is None else count
+    number = jnp.full(windows, samples + 1, jnp.int32) if count is None else count
     if rule == "single":
-        counted = np.arange(samples + 1) < number[:, None]
+        counted = jnp.arange(samples + 1, dtype=jnp.int32)[None] < number[:, None]
     else:
         times_of_all = jnp.broadcast_to(times, (windows, samples + 1))
         poses, counted = repair_poses(poses, times_of_all, number)
@@ -198,7 +198,7 @@ def reduce_windows(
 
     def chords(_: None) -> jax.Array:
         if rule == "single":
-            share = weights / jnp.maximum(jnp.mean(weights, axis=0), 1 / samples)
+            share = weights / jnp.maximum(jnp.mean(weights, axis=0, keepdims=True), 1 / samples)
             return maps * jnp.sqrt(share)[None, None, :, None]
         every = jnp.broadcast_to(times.T, (samples + 1, windows))
         return chord_velocities(paths, every, lag, weights)
@@ -227,8 +227,8 @@ def reduce_windows(
         counted=counted,
         noise=PoseNoise(position=noise[0], rotation=noise[1]),
         lag=lag,
-        samples=jnp.maximum(jnp.sum(weights > 0, axis=0), 1) / lag.astype(poses.dtype),
-        poses=jnp.sum(counts, axis=0),
+        samples=jnp.maximum(jnp.sum(weights > 0, axis=0, dtype=poses.dtype), 1) / lag.astype(poses.dtype),
+        poses=jnp.sum(counts, axis=0, dtype=jnp.int32),
         angular=moments(rates),
         linear=moments(velocities),
         angular_spread=moments(kinematics.rates_of(spread)),
@@ -529,9 +529,9 @@ def _noise_along(evidence: Evidence, position: jax.Array, axes: jax.Array) -> tu
 
 def _likeliest(patterns: jax.Array, winner: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Degrees of freedom of both angular types, (N, 2, 3), and of all linear ones, (N, 4, 3)."""
-    best = jnp.argmax(patterns.reshape(16, *patterns.shape[2:]), axis=0)  # (N, 4)
+    best = jnp.argmax(patterns.reshape(16, *patterns.shape[2:]), axis=0).astype(jnp.int32)  # (N, 4)
     rotations_free = jnp.take_along_axis(best, winner[:, None], axis=1) // 4
-    ranks = np.arange(3)
+    ranks = jnp.arange(3, dtype=jnp.int32)[None, None]
     angular = (ranks >= 3 - rotations_free[..., None]).astype(jnp.int32)
     linear = (ranks >= 3 - (best % 4)[..., None]).astype(jnp.int32)
     return jnp.broadcast_to(angular, (len(winner), 2, 3)), linear

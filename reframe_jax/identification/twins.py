@@ -11,13 +11,13 @@ import jax.numpy as jnp
 from reframe_jax.identification.classify import excess_over, nearest_origin, tie_margin
 from reframe_jax.objectives.norms import principal_axes
 from reframe_jax.objectives.velocity import PositionObjective
-from reframe_jax.solvers import BasinHopping, Box, Solution, ValleySteps
+from reframe_jax.solvers import Box, Solution, ValleySteps
 from reframe_jax.solvers.blocks import update_marked
 
 __all__ = ["find_twins"]
 
 _BARRIER = 0.02  # in log J: what an end must have between itself and the optimum to be looked at
-_LOCAL = BasinHopping(ValleySteps(12), restarts=1, hops=0, polish=0)  # brings it to its own optimum
+_LOCAL = ValleySteps(12)  # brings it to its own optimum
 
 
 def find_twins(
@@ -50,7 +50,7 @@ def find_twins(
     def look(block: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
         moments, rival, optimum, constrained, margin, noise = block
         objective_here, constrained = PositionObjective(moments, objective.exponent), constrained.T
-        x = _LOCAL.minimise(objective_here, box, jax.random.key(0), starts=rival[:, None]).x
+        x, _ = _LOCAL(objective_here, box, rival)
         twice, both = jnp.concatenate([moments, moments], axis=-1), jnp.concatenate([optimum, x], axis=-1)
         free = jnp.tile(1 - constrained, (2, 1))
         frames = _frame(PositionObjective(twice, objective.exponent), both, free, jnp.tile(noise, 2))

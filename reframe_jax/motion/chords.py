@@ -28,10 +28,10 @@ def chord_velocities(paths: jax.Array, times: jax.Array, lag: jax.Array, weights
         (3, 4, K, 4, N) m/s and 1/s.
     """
     samples = paths.shape[2] - 1
-    end = jnp.minimum(np.arange(samples, dtype=np.int32)[:, None] + lag, samples)
+    end = jnp.minimum(np.arange(samples, dtype=np.int32)[:, None] + lag[None], samples)
     ends = jnp.take_along_axis(paths, end[None, None, :, None], axis=2)
     span = jnp.take_along_axis(times, end, axis=0) - times[:-1]
-    share = weights / jnp.maximum(jnp.mean(weights, axis=0), jnp.finfo(weights.dtype).tiny)
+    share = weights / jnp.maximum(jnp.mean(weights, axis=0, keepdims=True), jnp.finfo(weights.dtype).tiny)
     scale = jnp.sqrt(share) / jnp.where(weights > 0, span, 1)
     return (ends - paths[:, :, :-1]) * scale[None, None, :, None]
 
@@ -55,16 +55,17 @@ def moving_chords(
         noise: (N,) m and (N,) rad.
     """
     samples = counted.shape[0] - 1
-    reach = np.arange(samples, dtype=np.int32)[:, None] + lag
+    reach = np.arange(samples, dtype=np.int32)[:, None] + lag[None]
     end = jnp.minimum(reach, samples)
     both = counted[:-1] & jnp.take_along_axis(counted, end, axis=0) & (reach <= samples)
     shift = jnp.take_along_axis(position, end[None], axis=1) - position[:, :-1]
     turn = jnp.take_along_axis(rotation, end[None, None], axis=2) - rotation[:, :, :-1]
-    far = jnp.sum(jnp.square(shift), axis=0) > jnp.square(_REST * noise[0])
-    far = far | (jnp.sum(jnp.square(turn), axis=(0, 1)) / 2 > jnp.square(_REST * noise[1]))
+    far = jnp.sum(jnp.square(shift), axis=0) > jnp.square(_REST * noise[0])[None]
+    far = far | (jnp.sum(jnp.square(turn), axis=(0, 1)) / 2 > jnp.square(_REST * noise[1])[None])
     moving = both & far
-    few = jnp.sum(moving, axis=0) < jnp.maximum(_MOVING * jnp.sum(both, axis=0), 4)
-    return jnp.where(few, both, moving).astype(position.dtype)
+    number, all_of_them = (jnp.sum(chords, axis=0, dtype=position.dtype) for chords in (moving, both))
+    few = number < jnp.maximum(_MOVING * all_of_them, 4)
+    return jnp.where(few[None], both, moving).astype(position.dtype)
 
 
 def spread_of(paths: jax.Array, counted: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -153,21 +153,25 @@ def _derivative_weights(dt: jax.Array, count: jax.Array | None = None) -> jax.Ar
     """
     steps = dt.shape[-1]
     n = min(_STENCIL, steps)
-    middle = np.arange(steps) - n // 2
+    each = np.arange(steps, dtype=np.int32)
+    nth = np.arange(n, dtype=np.int32)
     if count is None:
-        first = jnp.asarray(np.clip(middle, 0, steps - n))
-        spans = dt[..., first[:, None] + np.arange(n)]
+        first = jnp.asarray(np.clip(each - n // 2, 0, steps - n))
+        spans = dt[..., first[:, None] + nth[None]]
     else:
-        first = jnp.clip(middle, 0, count[..., None] - n)
+        each = each.reshape(*[1] * count.ndim, -1)
+        first = jnp.clip(each - n // 2, 0, count[..., None] - n)
         dt = jnp.broadcast_to(dt, first.shape)
-        nodes = first[..., None] + np.arange(n)
+        nth = nth.reshape(*[1] * first.ndim, -1)
+        nodes = first[..., None] + nth
         spans = jnp.take_along_axis(dt, nodes.reshape(*first.shape[:-1], -1), axis=-1).reshape(nodes.shape)
     time = jnp.cumsum(spans, axis=-1) - spans / 2
     # Lagrange's polynomial of node i has the derivative (c_h / c_i) / (t_h - t_i) at node h, c_i being
     # the product of t_i - t_j over the other nodes j; those of all nodes add up to zero
     gaps = time[..., :, None] - time[..., None, :]
     products = jnp.prod(jnp.where(jnp.broadcast_to(np.eye(n, dtype=bool), gaps.shape), 1, gaps), axis=-1)
-    here = jnp.broadcast_to(np.arange(n) == (np.arange(steps) - first)[..., None], time.shape)
+    own_place = (each - first)[..., None]
+    here = jnp.broadcast_to(nth.reshape(*[1] * (own_place.ndim - 1), -1) == own_place, time.shape)
     inside = jnp.any(here, axis=-1, keepdims=True)  # everywhere but in padding
     gap = jnp.where(inside, jnp.sum(jnp.where(here[..., None], gaps, 0), axis=-2), 1)
     own = jnp.sum(jnp.where(here, products, 0), axis=-1, keepdims=True)
@@ -175,8 +179,8 @@ def _derivative_weights(dt: jax.Array, count: jax.Array | None = None) -> jax.Ar
     weights = jnp.where(here, -jnp.sum(others, axis=-1, keepdims=True), others)
     if count is None:
         return weights
-    place = first - np.arange(steps) + n - 1  # of the first node, counted from 6 before
-    offsets = np.arange(2 * n - 1)
+    place = first - each + (n - 1)  # of the first node, counted from 6 before
+    offsets = np.arange(2 * n - 1, dtype=np.int32).reshape((*nth.shape[:-1], -1))
     rows = [jnp.where(place[..., None] + i == offsets, weights[..., i, None], 0) for i in range(n)]
     return sum(rows[1:], rows[0])
 

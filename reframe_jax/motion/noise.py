@@ -9,7 +9,7 @@ velocities are those of the paper.
 All arrays have components first, then samples, then windows.
 """
 
-from math import comb
+from math import comb, radians
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +20,7 @@ __all__ = ["choose_lag", "estimate_noise", "masked_median"]
 _ORDERS = (2, 4, 6)  # of the differences from which noise is told
 _GAUSSIAN = 0.6745  # median of the absolute value of a standard normal variable
 _CHORD = 70.0  # noises that the median chord should be long
-_TURN = np.radians(20.0)  # that it should turn at most
+_TURN = radians(20.0)  # that it should turn at most
 _SHARE = 6  # chords that fit a window, at least
 _GROWS = 2.0  # motion of a chord over that of one a quarter as long, below which it is drift
 _SATURATED = 0.8  # share of the longest chord from which on longer lags bring nothing
@@ -33,12 +33,12 @@ def masked_median(values: jax.Array, counted: jax.Array) -> jax.Array:
     By bisection of its logarithm: elementwise passes, where sorting many short rows is slow.
     """
     top = jnp.log2(jnp.maximum(jnp.max(jnp.where(counted, values, 0), axis=0), jnp.finfo(values.dtype).tiny))
-    half = jnp.sum(counted, axis=0) / 2
+    half = jnp.sum(counted, axis=0, dtype=values.dtype) / 2
 
     def halve(_: int, ends: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         low, high = ends
         middle = (low + high) / 2
-        enough = jnp.sum(counted & (values <= jnp.exp2(middle)[None]), axis=0) >= half
+        enough = jnp.sum(counted & (values <= jnp.exp2(middle)[None]), axis=0, dtype=values.dtype) >= half
         return jnp.where(enough, low, middle), jnp.where(enough, middle, high)
 
     low, high = jax.lax.fori_loop(0, _BISECTIONS, halve, (top - _OCTAVES, top))
@@ -61,24 +61,27 @@ def estimate_noise(position: jax.Array, turns: jax.Array, counted: jax.Array) ->
     Returns:
         (N,) m and (N,) rad.
     """
-    spreads = []
-    for values, first in ((position, 0), (turns, 1)):
-        scale = jnp.max(jnp.abs(values), axis=(0, 1))
-        best = jnp.full_like(scale, jnp.inf)
-        for order in (m for m in _ORDERS if m < counted.shape[0] - 1):
+    poses = counted.shape[0]
+    rows, masks, scales = [], [], []
+    orders = [m for m in _ORDERS if m < poses - 1] or [2]
+    for order in orders:
+        whole = counted[: poses - order]
+        for shift in range(1, order + 1):
+            whole = whole & counted[shift : shift + poses - order]
+        for values, first in ((position, 0), (turns, 1)):
             difference = jnp.abs(jnp.diff(values, order - first, axis=1))
-            samples = counted.shape[0] - order
-            whole = counted[:samples]
-            for shift in range(1, order + 1):
-                whole = whole & counted[shift : shift + samples]
-            rows = difference.reshape(-1, *difference.shape[2:])
-            median = masked_median(rows, jnp.tile(whole, (3, 1)))
-            enough = jnp.sum(whole, axis=0) >= 4
-            best = jnp.minimum(
-                best, jnp.where(enough, median / (_GAUSSIAN * comb(2 * order, order) ** 0.5), jnp.inf)
-            )
-        rounding = 4 * jnp.finfo(values.dtype).eps * scale
-        spreads.append(jnp.maximum(jnp.where(jnp.isfinite(best), best, 0), rounding))
+            rows.append(jnp.pad(difference, ((0, 0), (0, order), (0, 0))))
+            masks.append(jnp.pad(whole, ((0, order), (0, 0))))
+            scales.append(_GAUSSIAN * comb(2 * order, order) ** 0.5)
+    shape = (-1, len(rows), counted.shape[1])
+    stacked, mask = jnp.stack(rows, axis=2).reshape(shape), jnp.stack(masks, axis=1)
+    deviation = masked_median(stacked, jnp.tile(mask, (3, 1, 1)))
+    deviation = deviation / jnp.asarray(scales, position.dtype)[:, None]
+    deviation = jnp.where(jnp.sum(mask, axis=0) >= 4, deviation, jnp.inf)
+    best = jnp.min(deviation.reshape(len(orders), 2, -1), axis=0)
+    rounding = jnp.stack([jnp.max(jnp.abs(values), axis=(0, 1)) for values in (position, turns)])
+    rounding = 4 * float(jnp.finfo(position.dtype).eps) * rounding
+    spreads = jnp.maximum(jnp.where(jnp.isfinite(best), best, 0), rounding)
     neighbours = jnp.abs(jnp.diff(position, axis=1))
     steps = counted[1:] & counted[:-1]
     moved = jnp.where(steps[None] & (neighbours > 0), neighbours, jnp.inf)
@@ -119,23 +122,23 @@ def choose_lag(
         (N,) int32.
     """
     lags = _candidates(counted.shape[0])
-    sizes = []
+    chords, masks = [], []
     for lag in lags:
-        both = counted[lag:] & counted[:-lag]
         shift = jnp.sum(jnp.square(position[:, lag:] - position[:, :-lag]), axis=0)
         turn = jnp.sum(jnp.square(rotation[:, :, lag:] - rotation[:, :, :-lag]), axis=(0, 1)) / 2
-        sizes.append([masked_median(jnp.sqrt(square), both) for square in (shift, turn)])
+        chords.append(jnp.pad(jnp.sqrt(jnp.stack([shift, turn], axis=1)), ((0, lag - 1), (0, 0), (0, 0))))
+        masks.append(jnp.pad(counted[lag:] & counted[:-lag], ((0, lag - 1), (0, 0))))
+    mask = jnp.stack(masks, axis=1)[:, :, None]
+    sizes = jnp.stack(chords, axis=1)
+    sizes = masked_median(sizes, jnp.broadcast_to(mask, sizes.shape))  # (lags, 2, N)
     allowed = jnp.stack([(lag == 1) | (lag * _SHARE <= count - 1) for lag in lags])
     wanted = jnp.zeros(count.shape, jnp.int32)
     for group in range(2):
-        size = jnp.stack([pair[group] for pair in sizes])
-        wanted = jnp.maximum(wanted, _needed(size / noise[group], allowed, lags))
-    turns = jnp.stack([pair[1] for pair in sizes])
-    within = jnp.cumsum((allowed & (turns <= _TURN)).astype(jnp.int32), axis=0)
-    # all shorter lags turn less too
-    longest = jnp.maximum(
-        jnp.max(jnp.where(within == 1 + np.arange(len(lags))[:, None], within, 0), axis=0) - 1, 0
-    )
+        wanted = jnp.maximum(wanted, _needed(sizes[:, group] / noise[group][None], allowed, lags))
+    within = jnp.cumsum((allowed & (sizes[:, 1] <= _TURN)).astype(jnp.int32), axis=0, dtype=jnp.int32)
+    # the last of those before which all turn less
+    so_far = within == 1 + np.arange(len(lags), dtype=np.int32)[:, None]
+    longest = jnp.maximum(jnp.sum(so_far, axis=0, dtype=jnp.int32) - 1, 0)
     return jnp.asarray(lags, jnp.int32)[jnp.minimum(wanted, longest)]
 
 
@@ -144,9 +147,9 @@ def _needed(size: jax.Array, allowed: jax.Array, lags: list[int]) -> jax.Array:
     size = jnp.where(allowed, size, 0)
     largest = jnp.max(size, axis=0)
     goal = jnp.minimum(_CHORD, _SATURATED * largest)
-    found = jnp.argmax(size >= goal[None], axis=0)
-    quarter = np.asarray([max(i for i, other in enumerate(lags) if other * 4 <= max(lag, 4)) for lag in lags])
-    before = jnp.take_along_axis(size, jnp.asarray(quarter)[found][None], axis=0)[0]
+    found = jnp.argmax(size >= goal[None], axis=0).astype(jnp.int32)
+    quarter = [max(i for i, other in enumerate(lags) if other * 4 <= max(lag, 4)) for lag in lags]
+    before = jnp.take_along_axis(size, jnp.asarray(quarter, jnp.int32)[found][None], axis=0)[0]
     here = jnp.take_along_axis(size, found[None], axis=0)[0]
-    drifts = (jnp.asarray(lags)[found] >= 4) & (here < _GROWS * before)
-    return jnp.where(drifts, 0, found).astype(jnp.int32)
+    drifts = (jnp.asarray(lags, jnp.int32)[found] >= 4) & (here < _GROWS * before)
+    return jnp.where(drifts, 0, found)

@@ -31,14 +31,15 @@ def repair_poses(poses: jax.Array, times: jax.Array, count: jax.Array) -> tuple[
     Returns:
         The poses, (N, K+1, 4, 4), and which of them count, (N, K+1) bool: neither outliers nor padding.
     """
-    own = np.arange(poses.shape[1]) < count[:, None]
+    own = jnp.arange(poses.shape[1], dtype=jnp.int32)[None] < count[:, None]
     if poses.shape[1] <= 2 * _HALF:
         return poses, own
 
     def look(_: None) -> tuple[jax.Array, jax.Array]:
         outliers = jax.lax.stop_gradient(jax.vmap(_find)(poses, times, count))
         outliers = outliers & own
-        many = jnp.sum(outliers, axis=1) > _MOST * count
+        share = jnp.sum(outliers, axis=1, dtype=poses.dtype) / count.astype(poses.dtype)
+        many = share > _MOST
         outliers = outliers & ~many[:, None]
         return jax.vmap(_fill)(poses, times, own & ~outliers), own & ~outliers
 
@@ -68,10 +69,10 @@ def _find(poses: jax.Array, times: jax.Array, count: jax.Array) -> jax.Array:
     scatter in the window if that is larger; and the poses before and after it lie on the same side of it.
     Fast motion, and a body that is elsewhere after lost frames, are no outliers.
     """
-    here, width = np.arange(poses.shape[0]), 2 * _HALF
+    here, width = np.arange(poses.shape[0], dtype=np.int32), 2 * _HALF
     first = jnp.clip(here - _HALF, 0, count - width - 1)
-    near = first[:, None] + np.arange(width)
-    near = near + (near >= here[:, None])  # not the pose itself
+    near = first[:, None] + np.arange(width, dtype=np.int32)[None]
+    near = near + (near >= here[:, None]).astype(np.int32)  # not the pose itself
     after = near > here[:, None]
     later = times[near] - times[:, None]
     inverse = jnp.swapaxes(poses[:, None, :3, :3], -1, -2)
@@ -109,7 +110,7 @@ def _unwrap(turns: jax.Array) -> jax.Array:
 
 def _fill(poses: jax.Array, times: jax.Array, counted: jax.Array) -> jax.Array:
     """Poses that count as they are, others on the way between the nearest that do."""
-    here = np.arange(poses.shape[0])
+    here = np.arange(poses.shape[0], dtype=np.int32)
     before = jax.lax.cummax(jnp.where(counted, here, -1))
     after = jax.lax.cummin(jnp.where(counted, here, len(here)), reverse=True)
     before, after = jnp.where(before < 0, after, before), jnp.where(after == len(here), before, after)

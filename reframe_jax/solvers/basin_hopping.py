@@ -20,6 +20,7 @@ from reframe_jax.solvers.valley_steps import ValleySteps
 
 __all__ = ["BasinHopping", "SearchState"]
 
+_FEW = 4  # problems, those of one window, that are searched in a single loop
 _AT_ONCE = 1024  # minimisations at a time; if there are more, restarts take turns
 
 
@@ -162,10 +163,35 @@ class BasinHopping:
         1 + ``hops`` + ``polish``. On a GPU, with :class:`ValleySteps` on the geometric mean, the steps
         run in one kernel.
         """
-        state = self._advance(objective, box, self.init(objective, box, key, starts), 1)
+        state = self.init(objective, box, key, starts)
+        if state.value[0].size <= _FEW:
+            return self.finish(objective, box, self._walk(objective, box, state))
+        state = self._advance(objective, box, state, 1)
         if self.hops + self.polish > 0:
             state = self._go_on(objective, box, state)
         return self.finish(objective, box, state)
+
+    def _walk(self, objective: Objective, box: Box, state: SearchState) -> SearchState:
+        """All steps of a few problems, in one loop that compiles the step once."""
+        steps = 1 + self.hops + self.polish
+
+        def goes_on(carry: tuple[SearchState, jax.Array]) -> jax.Array:
+            state, is_open = carry
+            return (state.hop < steps) & jnp.any(is_open)
+
+        def advance(carry: tuple[SearchState, jax.Array]) -> tuple[SearchState, jax.Array]:
+            before, is_open = carry
+            after = self.step(objective, box, before)
+            chains = jax.tree.map(
+                lambda new, old: jnp.where(jnp.broadcast_to(is_open, new.shape), new, old),
+                after.chains,
+                before.chains,
+            )
+            state = _state(after.hop, after.key, chains)
+            return state, is_open & ~((before.hop == 0) & self._is_settled(state))
+
+        every = jnp.ones(state.value.shape[1:], dtype=bool)
+        return jax.lax.while_loop(goes_on, advance, (state, every))[0]
 
     def _advance(self, objective: Objective, box: Box, state: SearchState, count: int) -> SearchState:
         """Make ``count`` steps."""

@@ -7,22 +7,18 @@ where it stopped, and machines that share a disk can share the parts.
 
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from itertools import count, islice
 from operator import index
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import jax
 import numpy as np
 
 from reframe_jax.identification.entry import identify
 from reframe_jax.identification.results import (
-    AllCandidates,
-    AngularFrame,
-    Candidates,
     Identification,
-    LinearFrame,
 )
 from reframe_jax.storage.codecs import PARQUET
 from reframe_jax.storage.parts import Run
@@ -140,18 +136,20 @@ def load_results(folder: str | Path, parts: Iterable[int] | None = None) -> Iden
     if parts is None and run.total not in (None, count):
         raise ValueError(f"{folder} has results of {count} windows; run.json says {run.total}.")
 
-    def build(kind: Any, prefix: str) -> Any:
-        return kind(**{f.name: columns[prefix + f.name] for f in fields(kind) if prefix + f.name in columns})
+    found: Identification = _build(Identification, "", columns)
+    return found
 
-    return Identification(
-        angular=build(AngularFrame, "angular."),
-        linear=build(LinearFrame, "linear."),
-        candidates=AllCandidates(
-            angular=build(Candidates, "candidates.angular."),
-            linear=build(Candidates, "candidates.linear."),
-        ),
-        status_code=columns["status_code"],
-    )
+
+def _build(kind: Any, prefix: str, columns: dict[str, Any]) -> Any:
+    """A result of the columns that are named after its fields; fields that are results are built alike."""
+    types, values = get_type_hints(kind), {}
+    for field in fields(kind):
+        name = prefix + field.name
+        if is_dataclass(types[field.name]):
+            values[field.name] = _build(types[field.name], name + ".", columns)
+        elif name in columns:
+            values[field.name] = columns[name]
+    return kind(**values)
 
 
 def _all_parts(run: Run) -> range:
