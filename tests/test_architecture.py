@@ -143,7 +143,6 @@ NUMPY_TYPES = (ArrayLike, DTypeLike, *typing.get_args(ArrayLike), *typing.get_ar
 # arguments that are still typed as Any: take a name off when its annotation says more
 UNTYPED = {
     "Identification.__getitem__(index)",
-    "OnlineIdentifier.__init__(options)",
     "OnlineIdentifier.push(pose)",
     "demonstrations(options)",  # those of demonstrate
     "identify(bounds)",

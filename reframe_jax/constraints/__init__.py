@@ -1,11 +1,19 @@
 """What a constraint is: frame types, the catalogue of named classes, and frames with a geometry."""
 
-from reframe_jax.constraints.catalogue import CONSTRAINTS, Constraint, constraint, describe, lookup
+from reframe_jax.constraints.catalogue import (
+    CONSTRAINTS,
+    OTHER_CONSTRAINTS,
+    Constraint,
+    constraint,
+    describe,
+    lookup,
+)
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.types import AngularType, AxisRelation, Dof, LinearType
 
 __all__ = [
     "CONSTRAINTS",
+    "OTHER_CONSTRAINTS",
     "AngularType",
     "AxisRelation",
     "Constraint",

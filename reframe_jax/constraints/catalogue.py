@@ -1,11 +1,11 @@
-"""The catalogue of named constraints (paper, Table 2)."""
+"""The catalogue of named constraints: the twelve of the paper's Table 2, and a few with common names."""
 
 from dataclasses import dataclass
 from typing import Literal
 
 from reframe_jax.constraints.types import AxisRelation, Dof, LinearType
 
-__all__ = ["CONSTRAINTS", "Constraint", "constraint", "describe", "lookup"]
+__all__ = ["CONSTRAINTS", "OTHER_CONSTRAINTS", "Constraint", "constraint", "describe", "lookup"]
 
 
 @dataclass(frozen=True)
@@ -13,11 +13,11 @@ class Constraint:
     """One row of the catalogue: a class of constraints and which numbers define its geometry.
 
     Attributes:
-        label: letter of the paper's Figure 2.
-        name: name of the paper's Table 2.
+        label: letter of the paper's Figure 2; of others a word, such as "spherical".
+        name: name of the paper's Table 2, or the usual one.
         angular_dof, linear_dof: 1 where the axis is free, in axes common to both frames.
         linear_type: the only type that expresses the constraint, or None if all four do. (The angular
-            type is free for all twelve.)
+            type is free for all.)
         angular_axis, linear_axis: index of the frame axis that is unique, or None if none is.
         position: which components of the position are unique. For G the paper lists all three;
             moving along the constrained axis z of a BB frame changes nothing, so z is not.
@@ -70,6 +70,19 @@ CONSTRAINTS: dict[str, Constraint] = {
 }
 """The twelve constraints of the paper's Table 2, by label."""
 
+OTHER_CONSTRAINTS: dict[str, Constraint] = {
+    row.label: row
+    for row in (
+        _row("spherical", "Spherical joint", "111", "000", "", (None, None), "xyz"),
+        _row("universal", "Universal joint", "110", "000", "", (2, None), "xyz"),
+        _row("fixed", "Fixed", "000", "000", "", (None, None), ""),
+        _row("unconstrained", "Unconstrained", "111", "111", "", (None, None), ""),
+    )
+}
+"""Constraints with a name beyond the twelve, by label."""
+
+_ALL = CONSTRAINTS | OTHER_CONSTRAINTS
+
 
 def constraint(label: str) -> Constraint:
     """Catalogue entry of a label or a name, in either case.
@@ -77,10 +90,10 @@ def constraint(label: str) -> Constraint:
     Raises:
         KeyError: listing the labels and names there are.
     """
-    for entry in CONSTRAINTS.values():
+    for entry in _ALL.values():
         if label.casefold() in (entry.label.casefold(), entry.name.casefold()):
             return entry
-    known = ", ".join(f"{entry.label} ({entry.name})" for entry in CONSTRAINTS.values())
+    known = ", ".join(f"{entry.label} ({entry.name})" for entry in _ALL.values())
     raise KeyError(f"No constraint {label!r}. There are: {known}.")
 
 
@@ -107,7 +120,7 @@ def lookup(
 
     Which axes are free does not matter, only how many, and how the single free rotation axis lies to
     the odd axis (the single free, or single constrained one) of the linear frame: it tells a cylinder
-    joint from a planar contour. The angular type does not matter for any of the twelve.
+    joint from a planar contour. The angular type does not matter for any of them.
 
     Args:
         linear_type: the linear frame's type.
@@ -116,11 +129,11 @@ def lookup(
         relation: how those axes lie; by default both vectors refer to the same axes, as in Table 2.
 
     Returns:
-        The entry, or None for a class outside the twelve.
+        The entry, or None for a class without a name.
     """
     if relation == "aligned":
         relation = _relation(angular_dof, linear_dof)
-    for entry in CONSTRAINTS.values():
+    for entry in _ALL.values():
         if (
             sum(entry.angular_dof) == sum(angular_dof)
             and sum(entry.linear_dof) == sum(linear_dof)
@@ -134,16 +147,12 @@ def lookup(
 def describe(
     linear_type: LinearType, angular_dof: Dof, linear_dof: Dof, relation: AxisRelation | None = None
 ) -> str:
-    """A class outside the catalogue in words: ``"Unnamed: 3 rotations, 0 translations in GB"``."""
+    """A class outside the catalogue in words: ``"Unnamed: 3 rotations, 1 translation in GB"``."""
 
     def count(dof: Dof, what: str) -> str:
         return f"{sum(dof)} {what}{'' if sum(dof) == 1 else 's'}"
 
     text = f"{count(angular_dof, 'rotation')}, {count(linear_dof, 'translation')}"
-    if sum(angular_dof) == sum(linear_dof) == 0:
-        return f"No motion above the thresholds ({text})"
-    if sum(angular_dof) == sum(linear_dof) == 3:
-        return f"Unconstrained ({text})"
     where = f" in {linear_type}" if sum(linear_dof) < 3 else ""
     how = f", axes {relation.value}" if relation is not None else ""
     return f"Unnamed: {text}{where}{how}"

@@ -44,12 +44,13 @@ class ConstraintFrame:
         rotvec: jax.Array | np.ndarray | tuple[float, ...] = (0.0, 0.0, 0.0),
         position: jax.Array | np.ndarray | tuple[float, ...] = (0.1, 0.3, 0.1),
     ) -> "ConstraintFrame":
-        """One of the twelve, by default with the geometry of the paper's simulations (section 5.3).
+        """A constraint with a name, by default with the geometry of the paper's simulations (section 5.3).
 
         Args:
-            label: letter or name; see :data:`CONSTRAINTS`.
-            linear_type: for the constraints that every type expresses (A-D), the one to use; BB by
-                default.
+            label: letter or name; see :data:`CONSTRAINTS`. Also "spherical", "universal", "fixed" or
+                "unconstrained".
+            linear_type: for the constraints that every type expresses (A-D, and those four), the one to
+                use; BB by default.
             rotvec: (..., 3) rad, orientation of both frames.
             position: (..., 3) m.
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +21,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from reframe_jax.compilation import chunk_size, compiler_options, traced
 from reframe_jax.identification.classify import Thresholds
+from reframe_jax.identification.options import Lag, as_dtype, check_options, lag_in_samples, make_box
 from reframe_jax.identification.pipeline import (
     Evidence,
     LagRule,
@@ -35,9 +36,6 @@ from reframe_jax.objectives.norms import check_exponent
 from reframe_jax.solvers import BasinHopping, Box, FrameSteps, JointSearch, Solver, ValleySteps
 
 __all__ = ["default_solver", "identify"]
-
-Lag = Literal["auto"] | int | float | np.ndarray | jax.Array
-"""Samples, seconds or "auto"."""
 
 _SHORT = 64  # poses up to which a recording is not padded
 _PIECE = 8  # chunks that one thread computes in one call
@@ -114,16 +112,16 @@ def identify(
     if host:
         poses = np.asarray(poses)
         poses = poses if np.issubdtype(poses.dtype, np.floating) else poses.astype(float)
-    _check_options(thresholds, solver)
+    check_options(thresholds, solver, discretization)
     wide = host and poses.dtype == np.float64
     with jax.enable_x64(True) if wide else contextlib.nullcontext():
         steps = _steps(poses, times, dt)
-        rule, samples = _lag(lag, steps, discretization)
+        rule, samples = lag_in_samples(lag, steps, discretization)
         dtype = jax.dtypes.canonicalize_dtype(poses.dtype)
         options = (
             samples,
-            None if thresholds is None else jax.tree.map(lambda t: _as_dtype(t, dtype), thresholds),
-            _box(bounds, dtype),
+            None if thresholds is None else jax.tree.map(lambda t: as_dtype(t, dtype), thresholds),
+            make_box(bounds, dtype),
             key,
         )
         static = {
@@ -154,30 +152,6 @@ def identify(
         if status.failed:
             raise ValueError(status.message)
     return found
-
-
-def _lag(lag: Lag, steps: Any, discretization: Discretization) -> tuple[LagRule, Any]:
-    """What velocities are taken from, and the lag in samples where it is given."""
-    if isinstance(lag, str):
-        if lag != "auto":
-            raise ValueError(
-                f"lag must be 'auto', a number of samples (int) or seconds (float), not {lag!r}."
-            )
-        return ("auto" if discretization == "chord" else "single"), None
-    concrete = not isinstance(lag, jax.core.Tracer)
-    value = lag if isinstance(lag, jax.Array) else np.asarray(lag)
-    if value.ndim or value.dtype.kind not in "iuf" or (concrete and not 0 < float(value) < np.inf):
-        raise ValueError(f"lag must be 'auto', a number of samples (int) or seconds (float), not {lag!r}.")
-    if value.dtype.kind == "f":
-        xp = jnp if traced((value, steps)) else np
-        value = xp.maximum(xp.round(value / xp.median(steps, axis=-1)), 1)
-    elif concrete and int(value) == 1:
-        return "single", None
-    if discretization != "chord":
-        raise ValueError(
-            "discretization 'left' takes velocities from consecutive poses: leave out lag, or give 1."
-        )
-    return "given", value.astype(np.int32)
 
 
 def _single(poses: Any, steps: Any, options: tuple[Any, ...], static: dict[str, Any]) -> Identification:
@@ -212,23 +186,8 @@ def _padded_size(count: int) -> int:
     return 3 * size // 4 if count <= 3 * size // 4 else size
 
 
-def _check_options(thresholds: Any, solver: Any) -> None:
-    if thresholds is not None:
-        if not isinstance(thresholds, Thresholds):
-            raise ValueError(f"thresholds must be Thresholds(angular=..., linear=...), not {thresholds!r}.")
-        levels = (thresholds.angular, thresholds.linear)
-        if not traced(levels) and not all(np.all(np.asarray(level) >= 0) for level in levels):
-            raise ValueError(f"thresholds must be 0 or more, in rad/s and m/s, not {thresholds}.")
-    if solver is not None and not hasattr(solver, "minimise"):
-        raise ValueError(f"solver must be a search such as BasinHopping(ValleySteps(6)), not {solver!r}.")
-
-
 def _in_float64() -> bool:
     return bool(jax.dtypes.canonicalize_dtype(np.float64) == np.float64)
-
-
-def _as_dtype(value: Any, dtype: np.dtype) -> Any:
-    return value.astype(dtype) if isinstance(value, jax.Array) else np.asarray(value, dtype)
 
 
 def _narrow(leaf: np.ndarray) -> np.ndarray:
@@ -263,17 +222,6 @@ def _steps(poses: Any, times: Any, dt: Any) -> Any:
             f"not {dt.shape}."
         )
     return dt[None].repeat(samples) if dt.ndim == 0 else dt
-
-
-def _box(bounds: Any, dtype: np.dtype) -> Box:
-    low, high = bounds if isinstance(bounds, tuple) else (-bounds, bounds)
-    low, high = _as_dtype(low, dtype), _as_dtype(high, dtype)
-    if low.shape not in ((), (3,)) or high.shape not in ((), (3,)):
-        raise ValueError("bounds must be a length in m, or (low, high) with a number or (3,) each.")
-    if not traced((low, high)) and not np.all(np.asarray(low) < np.asarray(high)):
-        raise ValueError(f"bounds must span a box: low < high, not {low} and {high}.")
-    ones = np.ones(3, dtype)
-    return Box(low * ones, high * ones)
 
 
 def _in_pieces(

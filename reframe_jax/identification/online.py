@@ -2,11 +2,18 @@
 
 from typing import Any
 
+import jax
 import numpy as np
+from jax.typing import ArrayLike
 
+from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.entry import identify
+from reframe_jax.identification.options import Lag, check_options, lag_in_samples, make_box
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import MIN_VELOCITIES, ROTATION_TOLERANCE, Status
+from reframe_jax.motion.kinematics import Discretization
+from reframe_jax.objectives.norms import check_exponent
+from reframe_jax.solvers import Solver
 
 __all__ = ["OnlineIdentifier"]
 
@@ -24,18 +31,48 @@ class OnlineIdentifier:
     Args:
         length: poses in the window, K + 1; at least 5.
         dt: sample time in s, for streams without times.
-        **options: of :func:`reframe_jax.identification.entry`.
+        lag: this and the others as in :func:`reframe_jax.identification.entry.identify`.
+        norm: exponent of the power mean.
+        discretization: how velocity is taken from two poses.
+        thresholds: RMS velocities above which an axis is free.
+        bounds: where positions are searched, m.
+        solver: search for the position.
+        key: of the solver's random numbers.
 
     Raises:
-        ValueError: if the window is too short, or the sample time not positive.
+        ValueError: if the window is too short, the sample time not positive, or another option of no use.
     """
 
-    def __init__(self, length: int, *, dt: float | None = None, **options: Any) -> None:
+    def __init__(
+        self,
+        length: int,
+        *,
+        dt: float | None = None,
+        lag: Lag = "auto",
+        norm: float = 0.0,
+        discretization: Discretization = "chord",
+        thresholds: Thresholds | None = None,
+        bounds: ArrayLike | tuple[ArrayLike, ArrayLike] = 1.0,
+        solver: Solver | None = None,
+        key: jax.Array | None = None,
+    ) -> None:
         if length < MIN_VELOCITIES + 1:
             raise ValueError(f"A window needs at least {MIN_VELOCITIES + 1} poses, not {length}.")
         if dt is not None and not 0 < dt < np.inf:
             raise ValueError(f"dt must be a positive number of seconds, not {dt}.")
-        self._dt, self._options = dt, options
+        check_options(thresholds, solver, discretization)
+        lag_in_samples(lag, np.ones(length - 1), discretization)
+        make_box(bounds, np.dtype(float))
+        self._dt = dt
+        self._options: dict[str, Any] = {
+            "lag": lag,
+            "norm": check_exponent(norm),
+            "discretization": discretization,
+            "thresholds": thresholds,
+            "bounds": bounds,
+            "solver": solver,
+            "key": key,
+        }
         # poses are written twice, so that the window is always one slice
         self._poses = np.zeros((2 * length, 4, 4))
         self._times = np.zeros(2 * length)

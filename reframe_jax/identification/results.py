@@ -195,7 +195,7 @@ class Identification:
         linear: frame of the linear velocity.
         candidates: the optimum of every frame type.
         class_probability: (..., 4, 4, 4) probability of every class: linear type, number of free rotations,
-            number of free translations.
+            number of free translations. All probabilities are conditional: see ``probability``.
         noise: of the poses.
         lag: (...) int, samples between the two poses of a velocity.
         counted: (..., K+1) bool, poses that took part: outliers did not.
@@ -222,29 +222,47 @@ class Identification:
 
     @property
     def entry(self) -> Constraint | None:
-        """Catalogue entry of a single window; None outside the twelve."""
-        kind, angular, linear, relation = self._class()
-        return lookup(kind, angular, linear, relation)
+        """Catalogue entry of a single window; None for a class without a name."""
+        return lookup(*self._class())
 
     @property
     def name(self) -> Any:
         """Name of the constraint; an array of names for a batch.
 
-        Classes outside the catalogue are described ("Unnamed: 3 rotations, 0 translations in GB"), and
+        Classes outside the catalogue are described ("Unnamed: 3 rotations, 1 translation in GB"), and
         a window that failed is named after its status.
         """
-        shape = np.shape(self.status_code)
-        if shape:
-            names = np.empty(shape, dtype=object)
-            host = jax.tree.map(np.asarray, self)
-            for index in np.ndindex(shape):
-                names[index] = host[index].name
-            return names
+        if np.shape(self.status_code):
+            return self._of_each("name", object)
         status = Status(int(self.status_code))
-        if status.failed:
-            return f"No result: {status.message}"
-        entry = self.entry
-        return describe(*self._class()) if entry is None else entry.name
+        return f"No result: {status.message}" if status.failed else _name(*self._class())
+
+    @property
+    def probability(self) -> Any:
+        """Probability of ``name``, a float; an array for a batch, NaN where a window failed.
+
+        The sum of ``class_probability`` over all classes that carry the name with axes that lie as those
+        found do: of any linear type for A to D and joints such as the spherical, of their own type for E to
+        L. It is conditional on the model of :mod:`reframe_jax.identification.freedom`: that one constraint
+        held throughout the window, and that noise and motion are of the kinds described there. Motion that
+        did not use a free axis leaves it constrained, with a probability that may be high.
+        """
+        if np.shape(self.status_code):
+            return self._of_each("probability", float)
+        if Status(int(self.status_code)).failed:
+            return float("nan")
+        own, (_, angular, linear, relation) = _name(*self._class()), self._class()
+        classes = np.asarray(self.class_probability)[:, sum(angular), sum(linear)]
+        same = [_name(kind, angular, linear, relation) == own for kind in LinearType]
+        return float(np.sum(classes[same]))
+
+    def _of_each(self, attribute: str, dtype: Any) -> np.ndarray:
+        """An attribute of every window of a batch."""
+        values = np.empty(np.shape(self.status_code), dtype)
+        host = jax.tree.map(np.asarray, self)
+        for index in np.ndindex(values.shape):
+            values[index] = getattr(host[index], attribute)
+        return values
 
     @property
     def constraint_frame(self) -> ConstraintFrame:
@@ -280,6 +298,11 @@ class Identification:
         if angle > 90 - _ALIGNED:
             return kind, angular, linear, AxisRelation.PERPENDICULAR
         return kind, angular, linear, AxisRelation.OBLIQUE
+
+
+def _name(kind: LinearType, angular: Dof, linear: Dof, relation: AxisRelation | None) -> str:
+    entry = lookup(kind, angular, linear, relation)
+    return describe(kind, angular, linear, relation) if entry is None else entry.name
 
 
 def _dof(dof: jax.Array) -> Dof:

@@ -43,8 +43,8 @@ _MESSAGES = {
         "or the motion does not determine it."
     ),
     Status.NOT_EXCITED: (
-        "No velocity exceeds the thresholds: the motion is too slow to tell constrained axes from free "
-        "ones (lower `thresholds` if it is known to be accurate)."
+        "No axis is free: the body was held, or its motion is too small against the noise (with "
+        "`thresholds`: too slow) to tell constrained axes from free ones."
     ),
     Status.NOT_FINITE: "The window contains NaN or infinite numbers; expected finite poses and times.",
     Status.NOT_A_POSE: (
