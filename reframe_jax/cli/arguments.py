@@ -5,13 +5,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from reframe_jax.constraints.catalogue import constraint
+from reframe_jax.constraints.catalogue import CONSTRAINTS, constraint
 from reframe_jax.objectives.norms import check_exponent
 
 __all__ = [
     "add_constraint",
     "add_seed",
     "count",
+    "lag",
     "metres",
     "positive",
     "seconds",
@@ -97,12 +98,29 @@ def exponent(text: str) -> float:
         raise argparse.ArgumentTypeError(str(error)) from error
 
 
-def label(text: str) -> str:
-    """The letter of a constraint, from that or its name."""
+def lag(text: str) -> str | int | float:
+    """The lag of velocities: "auto", a number of samples, or a time such as "0.5s"."""
+    if text == "auto":
+        return text
     try:
-        return constraint(text).label
+        if text.endswith("s"):
+            return seconds(text[:-1])
+        return count(text)
+    except argparse.ArgumentTypeError as error:
+        raise argparse.ArgumentTypeError(
+            f"expected auto, a number of samples such as 10, or a time such as 0.5s, not {text!r}"
+        ) from error
+
+
+def label(text: str) -> str:
+    """The letter of one of the twelve constraints that can be simulated, from that or its name."""
+    try:
+        entry = constraint(text)
     except KeyError as error:
         raise argparse.ArgumentTypeError(error.args[0]) from error
+    if entry.label not in CONSTRAINTS:
+        raise argparse.ArgumentTypeError(f"expected one of the twelve from A to L, not {text!r}")
+    return entry.label
 
 
 def add_constraint(command: argparse.ArgumentParser) -> None:

@@ -21,21 +21,13 @@ from reframe_jax.identification.entry import identify
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import MIN_VELOCITIES, Status
 from reframe_jax.motion.windows import sliding_windows
-from reframe_jax.recordings.cleaning import clean_recording, recording_warnings
 from reframe_jax.recordings.reading import load_recording
 from reframe_jax.recordings.recording import Recording, RecordingError
 
 __all__ = ["add_identify"]
 
 _CHUNK = 2048  # windows between two reports of progress
-
-
 _CLOSE = 1.5  # factor from a threshold within which an axis is neither clearly free nor constrained
-
-
-_UNKNOWNS = 5  # of one constrained axis: its direction, and where the origin is
-
-
 _PICTURES = (".png", ".pdf", ".svg", ".jpg", ".webp")
 
 
@@ -55,12 +47,13 @@ def add_identify(commands: Any) -> None:
     add = command.add_argument
     add("files", nargs="+", type=Path, metavar="FILE", help="recordings")
     add("--dt", type=arguments.seconds, metavar="S", help="sample time in s, for files without times")
-    add("--clean", action="store_true", help="leave out outliers, noise and rest; says what it left out")
     add(
-        "--step",
-        type=arguments.positive,
-        metavar="S",
-        help="with --clean: s between poses (chosen from the noise)",
+        "--lag",
+        type=arguments.lag,
+        default="auto",
+        metavar="L",
+        help="between the two poses of a velocity: a number of samples (10), a time (0.5s), or auto, as "
+        "short as the noise allows (auto); 1 is the paper's",
     )
     add("--unit", choices=["m", "cm", "mm"], default="m", help="unit of positions in the files (m)")
     add("--window", type=arguments.whole, metavar="N", help="poses per window (all)")
@@ -81,16 +74,15 @@ def add_identify(commands: Any) -> None:
     add(
         "--angular-threshold",
         type=arguments.positive,
-        default=defaults.angular,
         metavar="W",
-        help="rad/s rms above which a rotation is free (%(default)s)",
+        help="rad/s rms above which a rotation is free, instead of by its probability; uses both thresholds, "
+        f"the other one the paper's ({defaults.angular:g})",
     )
     add(
         "--linear-threshold",
         type=arguments.positive,
-        default=defaults.linear,
         metavar="V",
-        help="m/s rms above which a translation is free (%(default)s)",
+        help=f"m/s rms above which a translation is free, likewise ({defaults.linear:g})",
     )
     add(
         "--bounds",
@@ -129,8 +121,8 @@ def _identify(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace) -> None:
     """Refuse options that do not go together."""
-    if options.step is not None and not options.clean:
-        options.usage_error("--step needs --clean.")
+    if options.discretization != "chord" and options.lag not in ("auto", 1):
+        options.usage_error("--discretization left takes velocities from consecutive poses: leave out --lag.")
     if options.window is None:
         if options.stride is not None:
             options.usage_error("--stride needs --window.")
@@ -165,15 +157,14 @@ def _identify_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
     """Identify, print and draw one recording; returns its entry in the JSON document."""
     recording, found, windows, problem = None, None, None, None
     try:
-        recording = _load(path, options)
-        recording = _noted(recording, _short_windows(recording, options))
+        recording = load_recording(path, unit=options.unit, dt=options.dt)
         for note in recording.notes:
             say(f"reframe-jax: {path}: {note}")
         found, windows = _windows(recording, options)
         close = _close_calls(found, _thresholds(options)) if options.window is None else []
         for note in close:
             say(f"reframe-jax: {path}: {note}")
-        recording = _noted(recording, close)
+        recording = replace(recording, notes=(*recording.notes, *close))
         problem = _print_result(path, found, windows, options)
         if options.plot is not None and problem is None:
             problem = _plot(recording, found, options)
@@ -187,34 +178,10 @@ def _identify_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
     return to_record(found, label=str(path), windows=windows, notes=notes, error=problem)
 
 
-def _load(path: Path, options: argparse.Namespace) -> Recording:
-    """Load a recording and clean it, or note what is wrong with it."""
-    recording = load_recording(path, unit=options.unit, dt=options.dt)
-    thresholds = _thresholds(options)
-    if options.clean:
-        return clean_recording(recording, step=options.step, thresholds=thresholds)
-    warnings = recording_warnings(recording, thresholds)
-    hint = ["--clean may help: it leaves such poses out."] if warnings else []
-    return replace(recording, notes=(*recording.notes, *warnings, *hint))
-
-
-def _short_windows(recording: Recording, options: argparse.Namespace) -> list[str]:
-    """A warning of windows in which nearly every motion obeys some constraint."""
-    velocities = (options.window or len(recording.times)) - 1
-    if velocities > _UNKNOWNS:
+def _close_calls(found: Identification, thresholds: Thresholds | None) -> list[str]:
+    """A warning of axes so near a threshold given that they are neither clearly free nor constrained."""
+    if thresholds is None:
         return []
-    return [
-        f"{velocities} velocities say nothing: with {_UNKNOWNS} or fewer, nearly every motion has a frame in "
-        "which an axis stands still. Take longer windows."
-    ]
-
-
-def _noted(recording: Recording, notes: list[str]) -> Recording:
-    return replace(recording, notes=(*recording.notes, *notes))
-
-
-def _close_calls(found: Identification, thresholds: Thresholds) -> list[str]:
-    """A warning of axes so near their threshold that they are neither clearly free nor constrained."""
     close = [
         f"{group} axis {number} ({rms:.3g} {unit}, threshold {level:g})"
         for group, level, unit in (
@@ -232,20 +199,21 @@ def _close_calls(found: Identification, thresholds: Thresholds) -> list[str]:
     ]
 
 
-def _thresholds(options: argparse.Namespace) -> Thresholds:
-    return Thresholds(options.angular_threshold, options.linear_threshold)
+def _thresholds(options: argparse.Namespace) -> Thresholds | None:
+    """Those given, where one is missing the paper's; None if both are."""
+    given = {"angular": options.angular_threshold, "linear": options.linear_threshold}
+    given = {name: value for name, value in given.items() if value is not None}
+    return Thresholds(**given) if given else None
 
 
 def _print_result(
     path: Path, found: Identification, windows: list[Window], options: argparse.Namespace
 ) -> str | None:
     """Print the table; returns what is wrong if no window has a result."""
-    whole = options.window is None
     statuses = [Status(int(code)) for code in np.ravel(found.status_code)]
-    failed = all(status.failed for status in statuses)
-    if options.json != "-" and not (failed and whole):
-        show(to_table(found, label=str(path), windows=None if whole else windows), end="\n\n")
-    return f"{path}: {statuses[0].message}" if failed else None
+    if options.json != "-":
+        show(to_table(found, label=str(path), windows=windows), end="\n\n")
+    return f"{path}: {statuses[0].message}" if all(status.failed for status in statuses) else None
 
 
 def _windows(recording: Recording, options: argparse.Namespace) -> tuple[Identification, list[Window]]:
@@ -256,8 +224,17 @@ def _windows(recording: Recording, options: argparse.Namespace) -> tuple[Identif
         raise RecordingError(
             f"{recording.path}: has {len(recording.times)} poses; expected at least the {length} of a window."
         )
-    poses = sliding_windows(recording.poses, length, options.stride)
     times = sliding_windows(recording.times, length, options.stride)
+    spans = [
+        Window(start, start + length, float(window[0]), float(window[-1]))
+        for start, window in zip(range(0, len(recording.times), options.stride), times, strict=False)
+    ]
+    if whole:
+        try:
+            return jax.device_get(_identify_windows(recording.poses, recording.times, options)), spans
+        except ValueError as error:
+            raise RecordingError(f"{recording.path}: {error}") from error
+    poses = sliding_windows(recording.poses, length, options.stride)
     parts = []
     for first in range(0, len(poses), _CHUNK):
         rows = slice(first, first + _CHUNK)
@@ -265,18 +242,14 @@ def _windows(recording: Recording, options: argparse.Namespace) -> tuple[Identif
         if len(poses) > _CHUNK and sys.stderr.isatty():
             done = min(first + _CHUNK, len(poses))
             say(f"\r{done} of {len(poses)} windows", end="\n" if done == len(poses) else "")
-    found = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
-    spans = [
-        Window(start, start + length, float(window[0]), float(window[-1]))
-        for start, window in zip(range(0, len(recording.times), options.stride), times, strict=False)
-    ]
-    return (found[0] if whole else found), spans
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts), spans
 
 
 def _identify_windows(poses: np.ndarray, times: np.ndarray, options: argparse.Namespace) -> Identification:
     return identify(
         poses,
         times=times,
+        lag=options.lag,
         norm=options.norm,
         discretization=options.discretization,
         thresholds=_thresholds(options),
@@ -298,6 +271,7 @@ def _plot(recording: Recording, found: Identification, options: argparse.Namespa
             times=recording.times,
             thresholds=_thresholds(options),
             discretization=options.discretization,
+            lag=options.lag,
             title=f"{recording.path.name}: {found.name}",
         )
     except ImportError as error:

@@ -4,7 +4,7 @@ The document that ``to_json`` and ``reframe-jax identify --json`` write has the 
 :data:`SCHEMA`. Numbers are in SI units (m, rad, s, m/s, rad/s); NaN and infinities are written as null::
 
     {
-      "schema": "reframe-jax/identification/1",
+      "schema": "reframe-jax/identification/2",
       "recordings": [
         {
           "recording": the label, or null,
@@ -16,10 +16,21 @@ The document that ``to_json`` and ``reframe-jax identify --json`` write has the 
               "start", "stop": samples of the recording, from start up to but not including stop, or null,
               "start_time", "stop_time": s, of the first and the last sample, or null,
               "status": name of a ``Status``, "message": its sentence,
-              "name": of the constraint, "label": letter in the catalogue, or null outside of it,
+              "notes": sentences about the result, such as that so few velocities say nothing,
+              "name": of the constraint, "label": letter or word in the catalogue, or null outside of it,
+              "probability": of the name; see ``Identification.probability`` for what it is conditional on,
+              "class_probability": [
+                {"type": of the linear frame, "rotations", "translations": how many are free, "probability"},
+                those above 0.01, the likeliest first
+              ],
+              "noise": {"position": m, "rotation": rad; standard deviations of every component},
+              "lag": samples between the two poses of a velocity,
+              "outliers": samples of the recording that took no part; counted from the first pose of the
+                window where "start" is null,
               "angular": {
                 "type": "G" or "B", "tied": types that explain the motion as well, this one included,
-                "rotvec": [3], "axes": [3 unit vectors], "dof": [3, 1 is free], "rms": [3], "norm": number,
+                "rotvec": [3], "axes": [3 unit vectors], "dof": [3, 1 is free],
+                "free_probability": [3], "rms": [3], "norm": number,
                 "free_rotation": [3 booleans, axes about which the frame can be turned],
               },
               "linear": {
@@ -28,7 +39,7 @@ The document that ``to_json`` and ``reframe-jax identify --json`` write has the 
                 "twin": [3] another position that explains the window as well, or null,
               },
               "candidates": {
-                "angular": {type: as "angular", without "type" and "tied"},
+                "angular": {type: as "angular", without "type", "tied" and "free_probability"},
                 "linear": {type: as "linear", without them and "twin", and "on_bounds", "agreement"},
               }
             }
@@ -37,7 +48,7 @@ The document that ``to_json`` and ``reframe-jax identify --json`` write has the 
       ]
     }
 
-Windows without a result have null for "name", "label", "angular", "linear" and "candidates".
+Windows without a result have null for all that comes after "message", and no "notes".
 Orientations are given in the body of the type's first letter (G ground, B body), positions in that of
 the last.
 """
@@ -49,13 +60,38 @@ from typing import Any
 import jax
 import numpy as np
 
-from reframe_jax.export.common import TYPES, Window, axes_of, directions, split_windows, tied_names
+from reframe_jax.constraints.types import LinearType
+from reframe_jax.export.common import (
+    TYPES,
+    Window,
+    axes_of,
+    directions,
+    outlier_samples,
+    split_windows,
+    tied_names,
+    window_notes,
+)
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
 
 __all__ = ["SCHEMA", "to_document", "to_json", "to_record"]
 
-SCHEMA = "reframe-jax/identification/1"
+_RESULT = (
+    "name",
+    "label",
+    "probability",
+    "class_probability",
+    "noise",
+    "lag",
+    "outliers",
+    "angular",
+    "linear",
+    "candidates",
+)
+
+_LEAST = 0.01  # probability of a class that is written
+
+SCHEMA = "reframe-jax/identification/2"
 
 
 def to_json(
@@ -106,19 +142,45 @@ def _window_record(index: int, found: Identification, span: Window | None) -> di
     record |= {name: getattr(span, name, None) for name in Window.__dataclass_fields__}
     record |= {"status": status.name, "message": status.message}
     if status.failed:
-        return record | dict.fromkeys(["name", "label", "angular", "linear", "candidates"])
+        return record | {"notes": []} | dict.fromkeys(_RESULT)
     entry = found.entry
-    record |= {"name": entry.name if entry else found.name, "label": entry.label if entry else None}
+    record |= {
+        "notes": window_notes(found),
+        "name": found.name,
+        "label": entry.label if entry else None,
+        "probability": _plain(found.probability),
+        "class_probability": _classes(found),
+        "noise": {"position": float(found.noise.position), "rotation": float(found.noise.rotation)},
+        "lag": int(found.lag),
+        "outliers": outlier_samples(found, span),
+    }
     for group, types in TYPES.items():
         frame = getattr(found, group)
         named = {"type": str(types(int(frame.type_code))), "tied": tied_names(group, frame)}
         record[group] = named | _frame_record(frame)
+        record[group]["free_probability"] = _plain(np.asarray(frame.free_probability).tolist())
     record["linear"]["twin"] = _plain(found.linear.twin.tolist()) if found.linear.has_twin else None
     record["candidates"] = {
         group: {str(kind): _frame_record(_of_type(found, group, kind)) for kind in types}
         for group, types in TYPES.items()
     }
     return record
+
+
+def _classes(found: Identification) -> list[dict[str, Any]]:
+    """The likely classes, the likeliest first."""
+    probability = np.asarray(found.class_probability)
+    likely = [index for index in np.ndindex(probability.shape) if probability[index] > _LEAST]
+    likely.sort(key=lambda index: -probability[index])
+    return [
+        {
+            "type": str(LinearType(kind)),
+            "rotations": rotations,
+            "translations": translations,
+            "probability": float(probability[kind, rotations, translations]),
+        }
+        for kind, rotations, translations in likely
+    ]
 
 
 def _of_type(found: Identification, group: str, kind: int) -> Any:

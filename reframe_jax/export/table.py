@@ -7,13 +7,24 @@ import jax
 import numpy as np
 
 from reframe_jax.constraints.types import BODY_NAMES, LinearType
-from reframe_jax.export.common import TYPES, Window, axes_of, directions, split_windows, tied_names
+from reframe_jax.export.common import (
+    TYPES,
+    Window,
+    axes_of,
+    directions,
+    outlier_samples,
+    split_windows,
+    tied_names,
+    window_notes,
+)
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
 
 __all__ = ["to_table"]
 
 _UNITS = {"angular": "rad/s", "linear": "m/s"}
+_CLEAR = 0.99  # probability from which on it goes without saying
+_LISTED = 6  # outliers listed in a line
 
 
 def to_table(
@@ -21,10 +32,16 @@ def to_table(
 ) -> str:
     """What a person reads: a paragraph for one window, a row per window for a batch.
 
+    In parentheses after a name is its probability (see :attr:`Identification.probability`); after "free" or
+    "constrained" that of the word, where it is below 0.99.
+
     Args:
         found: of one window, or a batch.
         label: heading, such as the name of the recording.
-        windows: which part of the recording each window of the batch is.
+        windows: which part of the recording each window is; one for a single window.
+
+    Raises:
+        ValueError: if there are not as many ``windows`` as in ``found``.
     """
     host = jax.device_get(found)
     if np.ndim(host.status_code):
@@ -33,10 +50,11 @@ def to_table(
     heading = f"{label}: {host.name}" if label else host.name
     if status.failed:
         return heading
-    blocks = [heading, status.message, ""]
+    (window,) = windows or [None]
+    blocks = [f"{heading} ({_probability(host.probability)})", status.message, *window_notes(host), ""]
     for group in TYPES:
         blocks += _frame_block(group, getattr(host, group))
-    return "\n".join([*blocks, *_norms_block(host)])
+    return "\n".join([*blocks, *_norms_block(host), _noise_line(host, window)])
 
 
 def _vector(vector: Any, digits: int, width: int = 0) -> str:
@@ -56,6 +74,9 @@ def _frame_block(group: str, frame: Any) -> list[str]:
         lines = [f"Angular frame {kind}: axes fixed in the {BODY_NAMES[kind]}{ties}"]
     for i, axis in enumerate(np.asarray(axes_of(frame.rotvec)).T):
         freedom = "free" if frame.dof[i] else "constrained"
+        likely = frame.free_probability[i] if frame.dof[i] else 1 - frame.free_probability[i]
+        if likely < _CLEAR:
+            freedom += f" ({_probability(likely)})"
         lines.append(
             f"  axis {i + 1}  {_vector(axis, 3, 6)}  {_speed(frame.rms[i]):>8} {_UNITS[group]:5}  {freedom}"
         )
@@ -74,6 +95,28 @@ def _frame_block(group: str, frame: Any) -> list[str]:
         first, second = (i + 1 for i in range(3) if i not in turns)
         lines.append(f"          axes {first} and {second} can be turned about axis {turns[0] + 1}")
     return [*lines, ""]
+
+
+def _probability(value: float) -> str:
+    """Two digits; nothing is certain."""
+    return "<0.01" if value < 0.01 else ">0.99" if value > 0.99 else f"{value:.2f}"
+
+
+def _noise_line(found: Identification, window: Window | None) -> str:
+    """How noisy the poses are, what velocities are taken from, and which poses took no part."""
+    lag, out = int(found.lag), outlier_samples(found, window)
+    position, rotation = 1e3 * found.noise.position, np.degrees(found.noise.rotation)
+    over = f"velocities over {lag} sample{'' if lag == 1 else 's'}"
+    if window is not None:
+        period = (window.stop_time - window.start_time) / (window.stop - window.start - 1)
+        over += f" ({lag * period:.2g} s)"
+    parts = [f"{position:.2g} mm, {rotation:.2g} deg", over]
+    if out:
+        listed = ", ".join(map(str, out[:_LISTED]))
+        more = f" and {len(out) - _LISTED} more" if len(out) > _LISTED else ""
+        plural = "" if len(out) == 1 else "s"
+        parts.append(f"{len(out)} pose{plural} left out: sample{plural} {listed}{more}")
+    return "Noise   " + "; ".join(parts)
 
 
 def _speed(value: float) -> str:
@@ -112,7 +155,7 @@ def _enumeration(words: list[str]) -> str:
 def _batch_table(
     each: list[Identification], label: str | None, windows: Sequence[Window] | None
 ) -> list[str]:
-    columns = ["window", "name", "angular", "linear", "origin [m]", "status"]
+    columns = ["window", "name", "prob.", "angular", "linear", "origin [m]", "status"]
     rows = [_batch_row(index, found) for index, found in enumerate(each)]
     if windows is not None:
         columns.insert(1, "time [s]")
@@ -128,23 +171,29 @@ def _batch_table(
     legend = [f"{status.name}: {status.message}" for status in statuses]
     ties = any("~" in cell for row in rows for cell in row)
     twins = any(found.linear.has_twin for found in each)
+    notes = {note: None for found in each if not _failed(found) for note in window_notes(found)}
     return [
         f"{label}: {count}" if label else count,
         *lines,
         *(["~ tied: explains the motion as well"] if ties else []),
         *(["+ another origin explains the motion as well"] if twins else []),
         *legend,
+        *notes,
     ]
 
 
 def _batch_row(index: int, found: Identification) -> list[str]:
     status = Status(int(found.status_code))
     if status.failed:
-        return [str(index), "-", "-", "-", "-", status.name]
+        return [str(index), "-", "-", "-", "-", "-", status.name]
     kinds = []
     for group, types in TYPES.items():
         frame = getattr(found, group)
         kind = str(types(int(frame.type_code)))
         kinds.append("~".join([kind, *(name for name in tied_names(group, frame) if name != kind)]))
     origin = _vector(found.linear.position, 3, 6) + ("+" if found.linear.has_twin else "")
-    return [str(index), found.name, *kinds, origin, status.name]
+    return [str(index), found.name, _probability(found.probability), *kinds, origin, status.name]
+
+
+def _failed(found: Identification) -> bool:
+    return Status(int(found.status_code)).failed

@@ -32,6 +32,8 @@ def animate_scene(
 ) -> "FuncAnimation":
     """Animate one window: ``.save("out.gif", writer="pillow")``, or :func:`gif` for a notebook.
 
+    The body does not visit poses that the identification left out as outliers.
+
     Args:
         poses: (K+1, 4, 4), m.
         found: identification of these poses.
@@ -45,7 +47,8 @@ def animate_scene(
     """
     figure = new_figure(4.4, 4.4)
     host = check_window(found)
-    poses, times = np.asarray(poses), np.asarray(times)
+    counted = np.asarray(host.counted)
+    poses, times = np.asarray(poses)[counted], np.asarray(times)[counted]
     from matplotlib.animation import FuncAnimation
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 

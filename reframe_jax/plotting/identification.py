@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reframe_jax.identification.classify import Thresholds
+from reframe_jax.identification.options import Lag
 from reframe_jax.identification.results import Identification
 from reframe_jax.identification.velocities import frame_velocities
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.plotting.scene import check_window, draw_space
-from reframe_jax.plotting.style import LEGEND_ABOVE, axis_colours, new_figure
+from reframe_jax.plotting.style import LEGEND_ABOVE, OUTLIERS, axis_colours, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,8 +27,9 @@ def plot_identification(
     found: Identification,
     *,
     times: ArrayLike,
-    thresholds: Thresholds = Thresholds(),  # noqa: B008
+    thresholds: Thresholds | None = None,
     discretization: Discretization = "chord",
+    lag: Lag = "auto",
     title: str | None = None,
 ) -> "Figure":
     """Draw one window: where its linear frame is, and how fast it moves along the axes.
@@ -36,14 +38,17 @@ def plot_identification(
     through its origin. What is fixed in the body is drawn at the first, the middle and the last pose, the
     first one palest; an origin that is fixed there is joined to the body, and its path is dotted. Free axes
     are arrows, constrained axes dashed lines without a head; a twin is a hollow circle. On the right the
-    velocities along the axes of both frames over time, with the thresholds.
+    velocities along the axes of both frames over time, as the identification took them: at its lag, without
+    rest. Outliers, which took no part, are crosses in space and along the time axis; the path leaves them
+    out.
 
     Args:
         poses: (K+1, 4, 4), m.
         found: identification of these poses.
         times: (K+1,) s.
-        thresholds: those it was made with.
+        thresholds: those it was made with, drawn as lines; none by default.
         discretization: the one it was made with.
+        lag: the one it was made with.
         title: of the figure, by default the name of the constraint.
 
     Returns:
@@ -57,14 +62,21 @@ def plot_identification(
     host = check_window(found)
     poses, times = np.asarray(poses), np.asarray(times)
     steps = jnp.asarray(np.diff(times))
-    angular, linear = jax.device_get(frame_velocities(jnp.asarray(poses), steps, found, discretization))
+    velocities = frame_velocities(jnp.asarray(poses), steps, found, discretization, lag)
+    angular, linear = jax.device_get(velocities)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1), wspace=0.08)
     figure.suptitle(host.name if title is None else title, fontsize=12)
     draw_space(figure.add_subplot(grid[:, 0], projection="3d"), poses, host)
-    middle = (times[1:] + times[:-1]) / 2
+    apart = int(host.lag)
+    middle = (times[apart:] + times[:-apart]) / 2
     top, bottom = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
-    _draw_velocities(top, middle, linear, host.linear.dof, float(thresholds.linear), "m/s")
-    _draw_velocities(bottom, middle, angular, host.angular.dof, float(thresholds.angular), "rad/s")
+    limits = (None, None) if thresholds is None else (float(thresholds.linear), float(thresholds.angular))
+    _draw_velocities(top, middle, linear[: len(middle)], host.linear.dof, limits[0], "m/s")
+    _draw_velocities(bottom, middle, angular[: len(middle)], host.angular.dof, limits[1], "rad/s")
+    out = times[~np.asarray(host.counted)]
+    if len(out):
+        for graph in (top, bottom):
+            graph.plot(out, np.zeros(len(out)), **OUTLIERS)
     top.set_ylabel(f"velocity of the origin, {host.linear.frame_type} [m/s]", fontsize=8)
     bottom.set_ylabel(f"angular velocity, {host.angular.frame_type} [rad/s]", fontsize=8)
     bottom.set_xlabel("time [s]", fontsize=8)
@@ -72,9 +84,9 @@ def plot_identification(
 
 
 def _draw_velocities(
-    axes: "Axes", times: np.ndarray, velocities: np.ndarray, dof: Any, threshold: float, unit: str
+    axes: "Axes", times: np.ndarray, velocities: np.ndarray, dof: Any, threshold: float | None, unit: str
 ) -> None:
-    rms = np.sqrt(np.mean(velocities**2, axis=0))
+    rms = np.sqrt(np.nanmean(velocities**2, axis=0))
     lines = []
     for i, colour in enumerate(axis_colours(dof)):
         label = f"axis {i + 1}, {'free' if dof[i] else 'constrained'}: rms {rms[i]:.3g} {unit}"
@@ -82,9 +94,11 @@ def _draw_velocities(
         lines += axes.plot(
             times, velocities[:, i], color=colour, linewidth=1.1, label=label, zorder=2 - rms[i]
         )
-    for level in (-threshold, threshold):
-        limit = axes.axhline(level, color="black", linestyle="--", linewidth=0.8)
-    limit.set_label(f"threshold {threshold:g} {unit}")
+    if threshold is not None:
+        for level in (-threshold, threshold):
+            limit = axes.axhline(level, color="black", linestyle="--", linewidth=0.8)
+        limit.set_label(f"threshold {threshold:g} {unit}")
+        lines.append(limit)
     axes.margins(x=0)
     axes.tick_params(labelsize=8)
-    axes.legend(handles=[*lines, limit], **LEGEND_ABOVE)
+    axes.legend(handles=lines, **LEGEND_ABOVE)

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.located import ground_offset
 from reframe_jax.constraints.types import LinearType
-from reframe_jax.identification.pipeline import window_moments
+from reframe_jax.identification.options import Lag, lag_in_samples
+from reframe_jax.identification.pipeline import LagRule, reduce_windows
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.objectives.velocity import PositionObjective
@@ -30,6 +31,7 @@ def landscape(
     linear_type: LinearType,
     norm: float = 0.0,
     discretization: Discretization = "chord",
+    lag: Lag = "auto",
 ) -> jax.Array:
     """The norm, in m/s, of the best-turned frame of a type at given origins.
 
@@ -40,13 +42,18 @@ def landscape(
         linear_type: of the frame.
         norm: exponent of the power mean over axes.
         discretization: see :func:`reframe_jax.motion.kinematics.linear_velocity_maps`.
+        lag: between the two poses of a velocity, as in :func:`reframe_jax.identify`.
 
     Returns:
         (...).
+
+    Raises:
+        ValueError: if the lag is none, or does not go with the discretization.
     """
     poses, times = jnp.asarray(poses), jnp.asarray(times)
-    kind = LinearType(linear_type)
-    return _landscape(poses, jnp.diff(times), jnp.asarray(positions), int(kind), norm, discretization)
+    steps, kind = jnp.diff(times), LinearType(linear_type)
+    rule, samples = lag_in_samples(lag, np.asarray(steps), discretization)
+    return _landscape(poses, steps, jnp.asarray(positions), int(kind), samples, rule, norm, discretization)
 
 
 def _norms(
@@ -54,20 +61,21 @@ def _norms(
     steps: jax.Array,
     positions: jax.Array,
     kind: jax.Array,
+    lag: jax.Array | None,
+    rule: LagRule,
     norm: float,
     discretization: Discretization,
 ) -> jax.Array:
-    # about the middle of the motion: rounding grows with the distance from it
-    centre = jnp.mean(poses[:, :3, 3], axis=0)
-    poses = poses.at[:, :3, 3].add(-centre[None])
-    positions = positions - ground_offset(centre)[kind].reshape((1,) * (positions.ndim - 1) + (3,))
-    _, moments = window_moments(poses, steps, discretization)
+    seen = reduce_windows(poses[None], steps, None, lag, rule, discretization)
+    offset = ground_offset(seen.centre[0])[kind]
+    positions = positions - offset.reshape((1,) * (positions.ndim - 1) + (3,))
+    moments = seen.linear[:, :, 0]
     one = moments[..., kind].reshape(*moments.shape[:2], *([1] * (positions.ndim - 1)))
     return jnp.exp(PositionObjective(one, norm).value(jnp.moveaxis(positions, -1, 0)))
 
 
 # the type is not static: one program serves all four
-_landscape = jax.jit(_norms, static_argnames=("norm", "discretization"))
+_landscape = jax.jit(_norms, static_argnames=("rule", "norm", "discretization"))
 
 
 def plot_landscape(
@@ -80,6 +88,7 @@ def plot_landscape(
     points: int = 161,
     norm: float = 0.0,
     discretization: Discretization = "chord",
+    lag: Lag = "auto",
     title: str | None = None,
 ) -> "Figure":
     """Draw the norm over planes through the position found, a row for every frame type.
@@ -96,6 +105,7 @@ def plot_landscape(
         points: along each side.
         norm: exponent of the power mean over axes.
         discretization: the one of the identification.
+        lag: the one of the identification.
         title: of the figure.
 
     Raises:
@@ -121,6 +131,7 @@ def plot_landscape(
                         linear_type=kind,
                         norm=norm,
                         discretization=discretization,
+                        lag=lag,
                     )
                 )
             )

@@ -15,6 +15,7 @@ from reframe_jax.plotting.style import (
     CONSTRAINED,
     FREE,
     LEGEND_ABOVE,
+    OUTLIERS,
     TURNING,
     axis_colours,
     new_figure,
@@ -43,7 +44,8 @@ def plot_scene(poses: ArrayLike, found: Identification, *, title: str | None = N
 
     What is fixed in the body is drawn at the first, the middle and the last pose, the first one palest;
     an origin that is fixed there is joined to the body, and its path is dotted. Free axes are arrows,
-    constrained axes dashed lines without a head. A twin is a hollow circle.
+    constrained axes dashed lines without a head. A twin is a hollow circle. The path leaves out outliers,
+    which are crosses.
 
     Args:
         poses: (K+1, 4, 4), m.
@@ -75,7 +77,9 @@ def check_window(found: Identification) -> Identification:
 
 
 def draw_space(axes: "Axes3D", poses: np.ndarray, found: Identification) -> None:
-    """Path and axes of the body, the frame, and a legend."""
+    """Path and axes of the body, the frame, and a legend; of outliers those within the picture."""
+    counted = np.asarray(found.counted)
+    out, poses = poses[~counted, :3, 3], poses[counted]
     path = poses[:, :3, 3]
     samples = frame_samples(poses, found)
     origins, triads, rotation_axes = frames_in_ground(poses, found, samples)
@@ -94,6 +98,10 @@ def draw_space(axes: "Axes3D", poses: np.ndarray, found: Identification) -> None
     if len(twins):
         hollow = {"markersize": 6, "markerfacecolor": "none", "markeredgecolor": "black"}
         axes.plot(*twins.T, "o", label="twin: an origin as good", **hollow)
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    near = out[(np.abs(out - centre) < _size(points) / 2).all(axis=1)]
+    if len(near):
+        axes.plot(*near.T, **OUTLIERS)
     _draw_legend(axes, found, bool(len(rotation_axes[0])))
     set_limits(axes, points)
 

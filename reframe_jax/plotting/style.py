@@ -5,7 +5,17 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["BODY", "CONSTRAINED", "FREE", "LEGEND_ABOVE", "LINES", "TURNING", "axis_colours", "new_figure"]
+__all__ = [
+    "BODY",
+    "CONSTRAINED",
+    "FREE",
+    "LEGEND_ABOVE",
+    "LINES",
+    "OUTLIERS",
+    "TURNING",
+    "axis_colours",
+    "new_figure",
+]
 
 # colours of Okabe & Ito, distinct for every kind of colour vision; the first axis of a kind is darkest
 FREE = ("#0072B2", "#56B4E9", "#00415F")
@@ -13,6 +23,13 @@ CONSTRAINED = ("#D55E00", "#E69F00", "#7F3800")
 TURNING = "#009E73"
 BODY = "#999999"
 LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+OUTLIERS: dict[str, Any] = {
+    "linestyle": "none",
+    "marker": "x",
+    "color": "#CC79A7",
+    "markersize": 5,
+    "label": "poses left out",
+}
 LEGEND_ABOVE: dict[str, Any] = {
     "loc": "lower center",
     "bbox_to_anchor": (0.46, 1),
