@@ -1,6 +1,7 @@
 """Every way to solve the six problems of a window, in one run, on the same windows.
 
-Contestants, all in float64 unless said otherwise:
+All minimise the norm of velocities between consecutive poses, which is ``lag=1`` of ``identify``; the stream
+is of its defaults. Contestants, all in float64 unless said otherwise:
 
 - ``identify``: the library's fast path, all windows in one call, with the poses on the device;
 - ``general search``: basin hopping over orientation and origin together, without eliminating
@@ -54,6 +55,7 @@ from reframe_jax.solvers import Box
 BASELINE = Path(__file__).with_name("results") / "identification_baseline.json"
 GATED = {"speedup": 0.5, "speedup_general_search": 0.5}  # smallest share of the baseline that passes
 _DISTINCT = 6144  # windows beyond are repetitions
+_THRESHOLDS = rf.Thresholds()
 _MOMENT_FLOPS, _STEP_FLOPS = 0.1e6, 1100  # kinematics and moments; one step of one problem
 
 
@@ -118,7 +120,9 @@ def ready(row: Row) -> Row:
 
 def run_identify(name: str, poses: jax.Array | np.ndarray, repeats: int = 3) -> Row:
     """All windows in one call."""
-    found, seconds, compiling = timed(lambda: rf.identify(poses, dt=DT), repeats)
+    found, seconds, compiling = timed(
+        lambda: rf.identify(poses, dt=DT, lag=1, thresholds=_THRESHOLDS), repeats
+    )
     positions = np.asarray(found.candidates.linear.position, dtype=float)
     norms = np.concatenate([found.angular.norms, found.linear.norms], axis=1, dtype=float)
     return ready(Row(name, np.arange(len(poses)), norms, positions, seconds, compiling))
@@ -146,7 +150,7 @@ def unsettled_share(poses: np.ndarray) -> float:
 def floors(row: Row, poses: np.ndarray) -> dict[str, float]:
     """How far ``identify`` is from what this machine can copy and calculate."""
     window, unsettled = poses[0], unsettled_share(poses[:96])
-    found = rf.identify(window, dt=DT)
+    found = rf.identify(window, dt=DT, lag=1, thresholds=_THRESHOLDS)
     bytes_per_window = window.nbytes + sum(leaf.nbytes for leaf in jax.tree.leaves(found))
     copied, calculated = machine_floors()
     solver: Any = default_solver()
@@ -170,7 +174,7 @@ def solve(size: Size, poses: np.ndarray) -> tuple[list[Row], float]:
     middle, few = spaced(poses, size.general), spaced(poses, size.slow)
     print(f"{'':18}{'windows':>9}{'per window':>13}{'windows/s':>11}{'compile':>11}")
     rows = [run_identify("identify", on_device)]
-    _, peak = peak_above(lambda: rf.identify(on_device, dt=DT))
+    _, peak = peak_above(lambda: rf.identify(on_device, dt=DT, lag=1, thresholds=_THRESHOLDS))
     rows.append(ready(Row("general search", middle, *contestants.general_search(poses[middle]))))
     rows.append(ready(Row("dual annealing", few, *contestants.annealing(poses[few], few))))
     if jax.default_backend() != "cpu":

@@ -132,7 +132,9 @@ def identify_cell(poses: np.ndarray, discretization: Any) -> dict[str, np.ndarra
         true type has other degrees of freedom; the norms (..., 6); and the seconds.
     """
     start = time.perf_counter()
-    found = jax.device_get(rf.identify(poses, dt=DT, discretization=discretization))
+    thresholds = rf.Thresholds()
+    found = rf.identify(poses, dt=DT, lag=1, thresholds=thresholds, discretization=discretization)
+    found = jax.device_get(found)
     seconds = time.perf_counter() - start
     scores: dict[str, list[Any]] = {
         name: [] for name in (*QUANTITIES, "types_correct", "dof_correct", "other")

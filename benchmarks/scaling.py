@@ -76,7 +76,8 @@ def curves(poses: np.ndarray, best: np.ndarray, *, full: bool, names: Sequence[s
         for starts in (1, 2, 4, 6, 8, 16):
             default: Any = default_solver()
             solver = replace(default, restarts=starts)
-            result = measure("starts", starts, partial(rf.identify, some, dt=DT, solver=solver), len(some))
+            search = partial(rf.identify, some, dt=DT, lag=1, solver=solver)
+            result = measure("starts", starts, search, len(some))
             norms = np.asarray(result.linear.norms)[:judged]
             print(
                 f", {100 * np.mean(norms > MISS * best[:judged]):.2f} % of linear problems missed", flush=True
@@ -135,8 +136,8 @@ def spread_of_time(poses: np.ndarray) -> dict[str, float]:
     chunks = windows.reshape(8, chunk, *windows.shape[1:])
     moments = jit(lambda chunks: jax.lax.map(lambda poses: window_moments(poses, steps), chunks))
     idle = rf.BasinHopping(rf.ValleySteps(1), restarts=1, hops=0, polish=0)
-    whole = timed(lambda: rf.identify(windows, dt=DT), 10)[1]
-    least = timed(lambda: rf.identify(windows, dt=DT, solver=idle), 10)[1]
+    whole = timed(lambda: rf.identify(windows, dt=DT, lag=1), 10)[1]
+    least = timed(lambda: rf.identify(windows, dt=DT, lag=1, solver=idle), 10)[1]
     first = timed(lambda: moments(chunks), 10)[1]
     shares = {"moments": first / whole, "search": 1 - least / whole, "rest": (least - first) / whole}
     print(

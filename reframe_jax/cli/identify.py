@@ -37,6 +37,8 @@ Identify the constraint of recordings.
 A recording is a .csv or .tsv with a header (t,x,y,z,qx,qy,qz,qw in any order), a
 TUM trajectory (.txt, .tum), an .npy or an .npz; metres and seconds unless told
 otherwise. It is taken as one window, or as sliding windows with --window.
+In parentheses after the name is its probability, and after an axis that it is
+free or constrained, where it is not clear.
 """
 
 

@@ -48,7 +48,7 @@ def animate_scene(
     figure = new_figure(4.4, 4.4)
     host = check_window(found)
     counted = np.asarray(host.counted)
-    poses, times = np.asarray(poses)[counted], np.asarray(times)[counted]
+    poses, times = (np.asarray(samples)[counted] for samples in (poses, times))
     from matplotlib.animation import FuncAnimation
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 

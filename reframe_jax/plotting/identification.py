@@ -76,7 +76,8 @@ def plot_identification(
     out = times[~np.asarray(host.counted)]
     if len(out):
         for graph in (top, bottom):
-            graph.plot(out, np.zeros(len(out)), **OUTLIERS)
+            along = graph.get_xaxis_transform()
+            graph.plot(out, np.full(len(out), 0.03), transform=along, **OUTLIERS)
     top.set_ylabel(f"velocity of the origin, {host.linear.frame_type} [m/s]", fontsize=8)
     bottom.set_ylabel(f"angular velocity, {host.angular.frame_type} [rad/s]", fontsize=8)
     bottom.set_xlabel("time [s]", fontsize=8)

@@ -100,7 +100,7 @@ def draw_space(axes: "Axes3D", poses: np.ndarray, found: Identification) -> None
         axes.plot(*twins.T, "o", label="twin: an origin as good", **hollow)
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
     near = out[(np.abs(out - centre) < _size(points) / 2).all(axis=1)]
-    if len(near):
+    if len(out):
         axes.plot(*near.T, **OUTLIERS)
     _draw_legend(axes, found, bool(len(rotation_axes[0])))
     set_limits(axes, points)

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import Frame, frame_arrays, locate, to_fixed_body
 from reframe_jax.geometry.products import apply
+from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.entry import identify
 from reframe_jax.identification.results import Identification
 from reframe_jax.simulation import metrics
@@ -141,7 +142,7 @@ def compare(
     times = made.times
     made, exact = jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)), *parts)
     made, exact = (replace(part, times=jnp.asarray(times)) for part in (made, exact))
-    found = identify(made.poses, times=made.times)
+    found = identify(made.poses, times=made.times, lag=1, thresholds=Thresholds())  # the paper's
     errors = metrics.geometry_errors(found, made.truth, start=made.exact_poses[:, 0])
     return Comparison(
         demonstrations=made,
