@@ -1,11 +1,13 @@
 """The catalogue of Table 2, finding a class in it, and constraint frames as pytrees."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reframe_jax.constraints.catalogue import CONSTRAINTS, constraint, describe, lookup
+from reframe_jax.constraints.catalogue import CONSTRAINTS, OTHER_CONSTRAINTS, constraint, describe, lookup
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.types import AngularType, AxisRelation, LinearType
 from reframe_jax.geometry.rotations import rotation_exp
@@ -100,13 +102,45 @@ def test_the_type_tells_g_from_k_from_l():
     assert found[LinearType.GG] is None
 
 
-def test_classes_outside_the_twelve():
+@pytest.mark.parametrize(
+    ("label", "name", "rotations", "translations", "unique"),
+    [
+        ("spherical", "Spherical joint", 3, 0, "xyz"),
+        ("universal", "Universal joint", 2, 0, "xyz"),
+        ("fixed", "Fixed", 0, 0, ""),
+        ("unconstrained", "Unconstrained", 3, 3, ""),
+    ],
+)
+def test_names_beyond_the_twelve(label, name, rotations, translations, unique):
+    entry = OTHER_CONSTRAINTS[label]
+    assert constraint(label.upper()) is constraint(name) is entry
+    assert (sum(entry.angular_dof), sum(entry.linear_dof)) == (rotations, translations)
+    assert entry.position == tuple(c in unique for c in "xyz")
+    assert label not in CONSTRAINTS
+    for kind in LinearType:
+        for angular in itertools.product((0, 1), repeat=3):
+            if sum(angular) == rotations:
+                assert lookup(kind, angular, entry.linear_dof) is entry
+        frame = ConstraintFrame.named(label, linear_type=kind)
+        assert (frame.linear_type, frame.angular_dof, frame.linear_dof) == (
+            kind,
+            entry.angular_dof,
+            entry.linear_dof,
+        )
+
+
+def test_there_are_four_of_them():
+    assert list(OTHER_CONSTRAINTS) == ["spherical", "universal", "fixed", "unconstrained"]
+    axes = {label: entry.angular_axis for label, entry in OTHER_CONSTRAINTS.items()}
+    assert axes == {"spherical": None, "universal": 2, "fixed": None, "unconstrained": None}
+    assert OTHER_CONSTRAINTS["universal"].angular_dof == (1, 1, 0)  # z is the odd one
+
+
+def test_classes_without_a_name():
     cases = {
-        (LinearType.GB, (1, 1, 1), (0, 0, 0)): "Unnamed: 3 rotations, 0 translations in GB",
+        (LinearType.GB, (1, 1, 1), (0, 0, 1)): "Unnamed: 3 rotations, 1 translation in GB",
         (LinearType.BB, (1, 1, 0), (1, 0, 0)): "Unnamed: 2 rotations, 1 translation in BB",
         (LinearType.BB, (0, 0, 0), (1, 1, 1)): "Unnamed: 0 rotations, 3 translations",
-        (LinearType.GG, (0, 0, 0), (0, 0, 0)): "No motion above the thresholds (0 rotations, 0 translations)",
-        (LinearType.GG, (1, 1, 1), (1, 1, 1)): "Unconstrained (3 rotations, 3 translations)",
     }
     for (kind, angular, linear), text in cases.items():
         assert lookup(kind, angular, linear) is None
@@ -120,7 +154,7 @@ def test_constraint_by_label_or_name():
     assert constraint("Pin-plane CONTACT") is CONSTRAINTS["K"]
     with pytest.raises(KeyError, match="No constraint 'Z'") as error:
         constraint("Z")
-    for entry in CONSTRAINTS.values():
+    for entry in (CONSTRAINTS | OTHER_CONSTRAINTS).values():
         assert f"{entry.label} ({entry.name})" in str(error.value)
 
 

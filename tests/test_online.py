@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
+from reframe_jax.identification import online
 from reframe_jax.simulation import synthetic
 
 
@@ -14,11 +15,11 @@ def recording():
 
 
 def test_every_push_identifies_the_last_window(recording):
-    online = rf.OnlineIdentifier(21, dt=0.1)
+    stream = rf.OnlineIdentifier(21, dt=0.1)
     poses = np.asarray(recording.poses)
-    found = [online.push(pose) for pose in poses]
+    found = [stream.push(pose) for pose in poses]
     assert found[:20] == [None] * 20
-    assert len(online) == 21
+    assert len(stream) == 21
     for last in (20, 21, 30):
         window = rf.identify(poses[last - 20 : last + 1], dt=0.1)
         np.testing.assert_array_equal(found[last].linear.position, window.linear.position)
@@ -26,10 +27,10 @@ def test_every_push_identifies_the_last_window(recording):
 
 
 def test_a_refused_pose_is_not_added(recording):
-    online = rf.OnlineIdentifier(21)
+    stream = rf.OnlineIdentifier(21)
     poses, times = np.asarray(recording.poses), np.asarray(recording.times)
     for pose, time in zip(poses[:20], times[:20], strict=True):
-        assert online.push(pose, time) is None
+        assert stream.push(pose, time) is None
     for bad, time, words in (
         (poses[20], times[19], "Times must increase"),
         (poses[20], None, "Give a time"),
@@ -40,8 +41,8 @@ def test_a_refused_pose_is_not_added(recording):
         (np.diag([1.0, 1.0, -1.0, 1.0]), times[20], "not a rigid transform"),
     ):
         with pytest.raises(ValueError, match=words):
-            online.push(bad, time)
-    found = online.push(poses[20], times[20])
+            stream.push(bad, time)
+    found = stream.push(poses[20], times[20])
     window = rf.identify(poses[:21], times=times[:21])
     np.testing.assert_array_equal(found.linear.position, window.linear.position)
 
@@ -60,3 +61,42 @@ def test_a_sample_time_that_is_not_positive_is_refused():
 def test_a_window_too_short_is_refused():
     with pytest.raises(ValueError, match="at least 5 poses"):
         rf.OnlineIdentifier(4)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"lag": "long"}, "lag must be 'auto'"),
+        ({"lag": 0}, "lag must be 'auto'"),
+        (
+            {"lag": 2, "discretization": "left"},
+            "discretization 'left' takes velocities from consecutive poses",
+        ),
+        ({"discretization": "right"}, "discretization must be 'chord' or 'left', not 'right'"),
+        ({"norm": 3.0}, "must lie in"),
+        ({"thresholds": 0.1}, "thresholds must be Thresholds"),
+        ({"thresholds": rf.Thresholds(-1.0, 0.1)}, "thresholds must be 0 or more"),
+        ({"bounds": -1.0}, "bounds must span a box"),
+        ({"bounds": np.ones(2)}, "bounds must be a length"),
+        ({"solver": "best"}, "solver must be a search"),
+    ],
+)
+def test_options_are_checked_when_the_stream_is_made(options, words):
+    with pytest.raises(ValueError, match=words):
+        rf.OnlineIdentifier(21, dt=0.1, **options)
+
+
+def test_options_that_there_are_not_are_refused():
+    with pytest.raises(TypeError, match="lags"):
+        rf.OnlineIdentifier(21, lags=1)
+
+
+def test_options_reach_the_identification(recording, monkeypatch):
+    seen = {}
+    monkeypatch.setattr(online, "identify", lambda poses, **options: seen.update(options))
+    thresholds, solver, key = rf.Thresholds(0.1, 0.2), rf.BasinHopping(rf.ValleySteps(1)), jax.random.key(5)
+    options = {"lag": 2, "norm": 1, "thresholds": thresholds, "bounds": 0.5, "solver": solver, "key": key}
+    stream = rf.OnlineIdentifier(5, dt=0.1, **options)
+    for pose in np.asarray(recording.poses)[:5]:
+        stream.push(pose)
+    assert seen == {"times": None, "dt": 0.1, "discretization": "chord", **options}

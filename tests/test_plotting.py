@@ -21,6 +21,7 @@ from reframe_jax.identification.results import (
     Candidates,
     Identification,
     LinearFrame,
+    PoseNoise,
 )
 from reframe_jax.motion.checks import Status
 from reframe_jax.plotting.style import FREE
@@ -38,11 +39,16 @@ def poses() -> np.ndarray:
 
 
 def identification(
-    kind: LinearType, angular_dof: tuple[int, ...] = (0, 0, 1), linear_dof: tuple[int, ...] = (0, 1, 1)
+    kind: LinearType,
+    angular_dof: tuple[int, ...] = (0, 0, 1),
+    linear_dof: tuple[int, ...] = (0, 1, 1),
+    lag: int = 1,
+    outliers: tuple[int, ...] = (),
 ) -> Identification:
     candidates = Candidates(*(np.zeros((4, 3)) for _ in range(5)))
     common: dict[str, Any] = {"norm": np.float64(1), "norms": np.ones(4), "rms": np.ones(3)}
     common |= {"tied": np.zeros(4, bool), "free_rotation": np.zeros(3, bool), "rotvec": np.array([0, 0, 0.3])}
+    common |= {"free_probability": np.zeros(3)}
     return Identification(
         angular=AngularFrame(type_code=np.int32(1), dof=np.array(angular_dof), **common),
         linear=LinearFrame(
@@ -55,6 +61,10 @@ def identification(
             **common,
         ),
         candidates=AllCandidates(candidates, candidates),
+        class_probability=np.zeros((4, 4, 4)),
+        noise=PoseNoise(position=np.float64(1e-9), rotation=np.float64(1e-9)),
+        lag=np.int32(lag),
+        counted=~np.isin(np.arange(9), outliers),
         status_code=np.int32(Status.OK),
     )
 
@@ -162,6 +172,44 @@ def test_velocities_and_thresholds(poses: np.ndarray) -> None:
         assert {line.get_linestyle() for line in graph.lines[3:]} == {"--"}
         assert unit in graph.get_ylabel()
         assert f"threshold {level:g} {unit}" in [text.get_text() for text in graph.get_legend().get_texts()]
+
+
+def test_without_thresholds_none_are_drawn(poses: np.ndarray) -> None:
+    _, _, graphs = draw(poses, identification(LinearType.GB))
+    for graph in graphs:
+        assert len(graph.lines) == 3
+        assert len(graph.get_legend().get_texts()) == 3
+
+
+def test_velocities_are_drawn_over_the_lag(poses: np.ndarray) -> None:
+    _, _, (linear, _) = draw(poses, identification(LinearType.GB, lag=3))
+    path = poses[:, :3, :3] @ POSITION + poses[:, :3, 3]
+    velocities = (path[3:] - path[:-3]) / 0.3 @ Rotation.from_rotvec([0, 0, 0.3]).as_matrix()
+    for i, line in enumerate(linear.lines):
+        np.testing.assert_allclose(line.get_xdata(), (TIMES[3:] + TIMES[:-3]) / 2)
+        np.testing.assert_allclose(line.get_ydata(), velocities[:, i], atol=1e-9)
+
+
+@pytest.mark.parametrize(("distance", "shown"), [(0.05, 1), (50.0, 0)])
+def test_outliers_are_crosses_and_do_not_spoil_the_picture(
+    poses: np.ndarray, distance: float, shown: int
+) -> None:
+    """Those far away are in the graphs only."""
+    found = identification(LinearType.GG, outliers=(5,))
+    _, before, _ = draw(poses, found)
+    jumps = poses.copy()
+    jumps[5, :3, 3] += distance
+    _, space, graphs = draw(jumps, found)
+    assert space.get_xlim() == before.get_xlim()
+    (crosses,) = (line for line in space.lines if line.get_marker() == "x")
+    np.testing.assert_allclose(np.transpose(crosses.get_data_3d()), jumps[[5][:shown], :3, 3].reshape(-1, 3))
+    assert "poses left out" in {text.get_text() for text in space.get_legend().get_texts()}
+    for graph in graphs:
+        *lines, marks = graph.lines
+        np.testing.assert_allclose(marks.get_xdata(), TIMES[[5]])
+        # the steps to it and from it
+        for line in lines:
+            assert np.flatnonzero(np.isnan(line.get_ydata())).tolist() == [4, 5]
 
 
 def test_axes_have_different_colours(poses: np.ndarray) -> None:

@@ -74,7 +74,7 @@ def window_notes(found: Identification) -> list[str]:
     if velocities > _UNKNOWNS:
         return []
     apart, remedy = ("", "") if lag == 1 else (" that do not overlap", ", or a shorter lag")
-    subject = f"1 velocity{apart} says" if velocities == 1 else f"{velocities} velocities{apart} say"
+    subject = "1 velocity says" if velocities == 1 else f"{velocities} velocities{apart} say"
     return [
         f"{subject} nothing: with {_UNKNOWNS} or fewer, nearly every motion has a frame in which an axis "
         f"stands still. Take longer windows{remedy}."

@@ -50,7 +50,8 @@ def to_table(
     heading = f"{label}: {host.name}" if label else host.name
     if status.failed:
         return heading
-    (window,) = windows or [None]
+    spans: Sequence[Window | None] = windows or [None]
+    (window,) = spans
     blocks = [f"{heading} ({_probability(host.probability)})", status.message, *window_notes(host), ""]
     for group in TYPES:
         blocks += _frame_block(group, getattr(host, group))

@@ -47,8 +47,8 @@ def animate_scene(
     """
     figure = new_figure(4.4, 4.4)
     host = check_window(found)
-    counted = np.asarray(host.counted)
-    poses, times = (np.asarray(samples)[counted] for samples in (poses, times))
+    kept = np.flatnonzero(host.counted)
+    poses, times = np.take(poses, kept, axis=0), np.take(times, kept)
     from matplotlib.animation import FuncAnimation
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
