@@ -16,7 +16,7 @@ import pytest
 import reframe_jax
 from reframe_jax.cli import configuring, program
 from reframe_jax.cli import identify as command
-from reframe_jax.constraints.catalogue import CONSTRAINTS
+from reframe_jax.constraints.catalogue import CONSTRAINTS, OTHER_CONSTRAINTS
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.identification.entry import identify
 from reframe_jax.motion.checks import Status
@@ -63,7 +63,7 @@ def run(*arguments: str | Path) -> int:
 
 def read_json(text: str) -> list[dict[str, Any]]:
     document = json.loads(text)
-    assert document["schema"] == "reframe-jax/identification/1"
+    assert document["schema"] == "reframe-jax/identification/2"
     recordings: list[dict[str, Any]] = document["recordings"]
     return recordings
 
@@ -74,15 +74,19 @@ def read_json(text: str) -> list[dict[str, Any]]:
 def test_a_recording_is_identified(clip: Path, tmp_path: Path, capsys: Captured) -> None:
     assert run(clip, "--json", tmp_path / "out.json") == 0
     out, err = capsys.readouterr()
-    assert out.startswith(f"{clip}: Revolute joint\n")
+    (heading, noise) = (out.splitlines()[i] for i in (0, -2))
+    assert re.fullmatch(re.escape(f"{clip}: Revolute joint (") + r"(0\.\d\d|>0\.99)\)", heading)
+    assert re.fullmatch(r"Noise   .* mm, .* deg; velocities over \d+ samples? \(0\.\d+ s\)", noise)
     assert err == ""
     (recording,) = read_json((tmp_path / "out.json").read_text())
     (window,) = recording["windows"]
     assert (window["label"], window["status"], window["start"], window["stop"]) == ("A", "OK", 0, POSES)
     read = load_recording(clip)
     assert (window["start_time"], window["stop_time"]) == (read.times[0], read.times[-1])
-    found = identify(read.poses[None], times=read.times[None])[0]
+    found = identify(read.poses, times=read.times)
     np.testing.assert_allclose(window["linear"]["position"], found.linear.position, atol=1e-9)
+    assert window["probability"] == pytest.approx(found.probability)
+    assert (window["lag"], window["outliers"], window["notes"]) == (int(found.lag), [], [])
     # the hinge of the simulations: y through (0.1, -, 0.1), which is where the body starts
     np.testing.assert_allclose(np.array(window["linear"]["position"])[[0, 2]], [0.1, 0.1], atol=2e-3)
     (direction,) = window["linear"]["free_position"]
@@ -116,12 +120,12 @@ def test_no_error_of_a_file_loses_the_others(
     bad = tmp_path / "bad.csv"
     bad.write_text(clip.read_text())
 
-    def warn(recording: Recording, *arguments: Any) -> list[str]:
-        if recording.path == bad:
+    def load(path: Path, **options: Any) -> Recording:
+        if path == bad:
             raise error
-        return []
+        return load_recording(path, **options)
 
-    monkeypatch.setattr(command, "recording_warnings", warn)
+    monkeypatch.setattr(command, "load_recording", load)
     assert run(clip, bad, "--json", "-") == 1
     out, err = capsys.readouterr()
     problem = f"{bad}: {type(error).__name__}: {error}"
@@ -141,18 +145,21 @@ def test_repaired_input_is_noted(clip: Path, capsys: Captured) -> None:
     assert read_json(out)[0]["notes"] == ["line 5 dropped: it repeats the row before."]
 
 
-def test_cleaning_is_asked_for_and_told(door: Path, tmp_path: Path, capsys: Captured) -> None:
+def test_outliers_are_left_out_and_told(door: Path, tmp_path: Path, capsys: Captured) -> None:
     recording = load_recording(door)
     recording.poses[15, :3, :3] = recording.poses[15, :3, :3] @ np.diag([-1.0, -1.0, 1.0])
     bad = tmp_path / "bad.csv"
     save_recording(bad, recording.times[:-1], recording.poses[:-1])
-    options = ["--window", str(POSES), "--json", "-"]
-    assert run(bad, *options) == 0
-    assert "poses jump away and back: sample 15.\nreframe-jax: " in capsys.readouterr().err
-    assert run(bad, "--clean", *options) == 0
+    assert run(bad, "--json", tmp_path / "out.json") == 0
     out, err = capsys.readouterr()
-    assert err == f"reframe-jax: {bad}: left out, for jumping away and back: sample 15.\n"
-    assert read_json(out)[0]["windows"][0]["label"] == "A"
+    assert err == ""
+    assert out.rstrip().endswith("; 1 pose left out: sample 15")
+    (recording,) = read_json((tmp_path / "out.json").read_text())
+    (window,) = recording["windows"]
+    assert (window["label"], window["outliers"]) == ("A", [15])
+    assert run(bad, "--lag", "1", "--json", "-") == 0
+    (window,) = read_json(capsys.readouterr().out)[0]["windows"]
+    assert (window["lag"], window["outliers"]) == (1, [])
 
 
 def test_unit_and_sample_time(clip: Path, tmp_path: Path, capsys: Captured) -> None:
@@ -191,6 +198,7 @@ def test_options_reach_the_identification(clip: Path, monkeypatch: pytest.Monkey
     seen: dict[str, Any] = {}
 
     def spy(poses: np.ndarray, *, times: np.ndarray, **options: Any) -> Any:
+        seen.clear()
         seen.update(options)
         return identify(poses, times=times)
 
@@ -199,7 +207,12 @@ def test_options_reach_the_identification(clip: Path, monkeypatch: pytest.Monkey
     assert run(clip, *options) == 0
     thresholds = seen.pop("thresholds")
     assert (thresholds.angular, thresholds.linear) == (0.160, 0.01)
-    assert seen == {"norm": -np.inf, "discretization": "left", "bounds": 0.5}
+    assert seen == {"lag": "auto", "norm": -np.inf, "discretization": "left", "bounds": 0.5}
+    assert run(clip, "--angular-threshold", "0.3") == 0
+    assert (seen["thresholds"].angular, seen["thresholds"].linear) == (0.3, 0.037)
+    for text, lag in (("auto", "auto"), ("10", 10), ("0.5s", 0.5)):
+        assert run(clip, "--lag", text) == 0
+        assert (seen["lag"], type(seen["lag"]), seen["thresholds"]) == (lag, type(lag), None)
 
 
 @pytest.mark.parametrize("count", [1, 3])
@@ -372,8 +385,8 @@ def test_simulations_that_cannot_be_written(tmp_path: Path, capsys: Captured) ->
 
 def test_the_catalogue_is_listed(capsys: Captured) -> None:
     assert program.main(["constraints"]) == 0
-    rows = capsys.readouterr().out.splitlines()[1:13]
-    for row, entry in zip(rows, CONSTRAINTS.values(), strict=True):
+    rows = capsys.readouterr().out.splitlines()[1:17]
+    for row, entry in zip(rows, (CONSTRAINTS | OTHER_CONSTRAINTS).values(), strict=True):
         assert row.split()[0] == entry.label
         assert entry.name in row
     assert rows[10].split()[-4:] == ["111", "110", "GB", "xyz"]
@@ -401,13 +414,19 @@ def test_the_catalogue_is_listed(capsys: Captured) -> None:
         ),
         (["demonstrate", "--constraint", "A", "--out", "a", "--dt", "1e-9"], "at most 100000 times --dt"),
         (["identify", "a.csv", "--unit", "inch"], "invalid choice"),
-        (["identify", "a.csv", "--step", "2"], "--step needs --clean"),
+        (["identify", "a.csv", "--lag", "long"], "expected auto, .* such as 0.5s, not 'long'"),
+        (["identify", "a.csv", "--lag", "0"], "expected auto, .*, not '0'"),
+        (["identify", "a.csv", "--lag", "0.5"], "expected auto, .*, not '0.5'"),
+        (["identify", "a.csv", "--lag", "-1s"], "expected"),
+        (["identify", "a.csv", "--lag", "2", "--discretization", "left"], "leave out --lag"),
+        (["identify", "a.csv", "--clean"], "unrecognized arguments: --clean"),
         (["identify", "a.csv", "--stride", "2"], "--stride needs --window"),
         (["identify", "a.csv", "--window", "4"], "--window must be at least 5"),
         (["identify", "a.csv", "--window", "9", "--stride", "0"], "--stride must be at least 1"),
         (["identify", "a.csv", "--window", "9", "--plot", "a.png"], "leave out --window"),
         (["identify", "a/a.csv", "b/a.csv", "--plot", "a.png"], "different names"),
         (["simulate", "--out", "a.csv", "--constraint", "Z"], r"A \(Revolute joint\)"),
+        (["simulate", "--out", "a.csv", "--constraint", "spherical"], "one of the twelve from A to L"),
         (["simulate", "--constraint", "A"], "required: --out"),
         (["simulate", "--constraint", "A", "--out", "a.csv", "--noise", "-1"], "0 or more, not -1"),
         (["simulate", "--constraint", "A", "--out", "a.csv", "--noise", "nan"], "0 or more, not nan"),
@@ -429,20 +448,17 @@ def test_wrong_command_lines(arguments: list[str], problem: str, capsys: Capture
     assert re.search(problem, line)
 
 
-@pytest.mark.parametrize(("poses", "warned"), [(6, True), (7, False)])
-def test_windows_that_any_motion_fits_are_noted(door: Path, tmp_path: Path, poses: int, warned: bool) -> None:
-    recording = load_recording(door)
-    short = tmp_path / "short.csv"
-    save_recording(short, recording.times[:poses], recording.poses[:poses])
-    options = parse("identify", short)
-    assert bool(command._short_windows(recording, options)) is False
-    assert bool(command._short_windows(load_recording(short), options)) is warned
-    options = parse("identify", door, "--window", poses)
-    assert bool(command._short_windows(recording, options)) is warned
+def test_a_window_that_any_motion_fits_is_noted(clip: Path, tmp_path: Path, capsys: Captured) -> None:
+    recording = load_recording(clip)
+    save_recording(clip, recording.times[:6], recording.poses[:6])
+    assert run(clip, "--json", tmp_path / "out.json") == 0
+    (note,) = read_json((tmp_path / "out.json").read_text())[0]["windows"][0]["notes"]
+    assert note.startswith("5 velocities say nothing")
+    assert note in capsys.readouterr().out.splitlines()
 
 
 def test_axes_close_to_a_threshold_are_noted(clip: Path, capsys: Captured) -> None:
-    assert run(clip) == 0
+    assert run(clip, "--angular-threshold", "1e-9", "--linear-threshold", "1e-9") == 0
     assert "close to the threshold" not in capsys.readouterr().err
     rms = identify(load_recording(clip).poses, times=load_recording(clip).times).angular.rms
     fast = float(rms[2])

@@ -48,7 +48,8 @@ def animate_scene(
     figure = new_figure(4.4, 4.4)
     host = check_window(found)
     kept = np.flatnonzero(host.counted)
-    poses, times = np.take(poses, kept, axis=0), np.take(times, kept)
+    poses, times = np.asarray(poses), np.asarray(times)
+    poses, times = poses.take(kept, axis=0), times.take(kept)
     from matplotlib.animation import FuncAnimation
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
