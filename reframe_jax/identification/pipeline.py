@@ -487,9 +487,13 @@ def _patterns(
     linear = jnp.sqrt(jnp.maximum(squares, 0) / variance)
     gain = jnp.sqrt(lever * whole[:, None, None] / variance)
     angular = jnp.broadcast_to(angular[:, None], linear.shape)
-    distance = jnp.moveaxis(jnp.concatenate([angular, linear], axis=-1), -1, 0)
+    turning = jnp.broadcast_to(jnp.sqrt(noise)[:, None], linear.shape)
+    distance, sizes = (
+        jnp.moveaxis(jnp.concatenate(pair, axis=-1), -1, 0)
+        for pair in ((angular, linear), (turning, jnp.sqrt(variance)))
+    )
     samples = evidence.poses.astype(axes.dtype)[:, None]
-    return freedom_patterns(distance, jnp.moveaxis(gain, -1, 0), samples)
+    return freedom_patterns(distance, sizes, jnp.moveaxis(gain, -1, 0), samples)
 
 
 def _noise_along(evidence: Evidence, position: jax.Array, axes: jax.Array) -> tuple[jax.Array, jax.Array]:
