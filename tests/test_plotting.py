@@ -64,6 +64,7 @@ def identification(
         class_probability=np.zeros((4, 4, 4)),
         noise=PoseNoise(position=np.float64(1e-9), rotation=np.float64(1e-9)),
         lag=np.int32(lag),
+        refined=np.False_,
         counted=~np.isin(np.arange(9), outliers),
         status_code=np.int32(Status.OK),
     )

@@ -25,6 +25,7 @@ The document that ``to_json`` and ``reframe-jax identify --json`` write has the 
               ],
               "noise": {"position": m, "rotation": rad; standard deviations of every component},
               "lag": samples between the two poses of a velocity,
+              "refined": whether the frames are those of the displacements between all pairs of poses,
               "outliers": samples of the recording that took no part; counted from the first pose of the
                 window where "start" is null,
               "angular": {
@@ -83,6 +84,7 @@ _RESULT = (
     "class_probability",
     "noise",
     "lag",
+    "refined",
     "outliers",
     "angular",
     "linear",
@@ -152,6 +154,7 @@ def _window_record(index: int, found: Identification, span: Window | None) -> di
         "class_probability": _classes(found),
         "noise": {"position": float(found.noise.position), "rotation": float(found.noise.rotation)},
         "lag": int(found.lag),
+        "refined": bool(found.refined),
         "outliers": outlier_samples(found, span),
     }
     for group, types in TYPES.items():

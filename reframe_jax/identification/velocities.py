@@ -43,7 +43,7 @@ def frame_velocities(
         Angular velocities (K, 3), rad/s, and linear velocities of the origin (K, 3), m/s: in row k those
         between the poses k and k + ``found.lag``. Rows that the identification left out are NaN: the last
         ones, which reach beyond the window, those at outliers, and rest. The RMS of the others are ``rms``
-        of the two frames; those of the linear frame roughly where the position was left a choice.
+        of the two frames; roughly where the frames are ``refined`` or the position was left a choice.
 
     Raises:
         ValueError: if the lag is none, or does not go with the discretization.

@@ -93,8 +93,9 @@ def plot_landscape(
 ) -> "Figure":
     """Draw the norm over planes through the position found, a row for every frame type.
 
-    Where a type leaves the position free (:class:`LinearFrame`), it is not the lowest point. The
-    planes are those of the axes x-y, x-z and y-z of the body that the type's second letter names.
+    Where a type leaves the position free (:class:`LinearFrame`), or the frames are ``refined``, it is not
+    the lowest point. The planes are those of the axes x-y, x-z and y-z of the body that the type's second
+    letter names.
 
     Args:
         poses: (K+1, 4, 4), m.
