@@ -281,7 +281,7 @@ def _descend(
 class FrameSteps:
     """Local minimiser of a :class:`FrameObjective`: orientation and origin together, any power mean.
 
-    The origin stays in the box. Orientations have no edge: the box bounds where they start only.
+    The origin stays in the box. Orientations are unbounded: the box bounds only their starts.
 
     Attributes:
         steps: number of steps; fixed, so that no problem waits for another.

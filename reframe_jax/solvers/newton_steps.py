@@ -1,4 +1,4 @@
-"""Second-order local steps on any objective, whose derivatives are taken by automatic differentiation."""
+"""Second-order local steps on any objective, with derivatives by automatic differentiation."""
 
 from dataclasses import dataclass
 from typing import Any

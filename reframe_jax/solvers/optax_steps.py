@@ -19,8 +19,8 @@ class OptaxSteps:
     """Local minimiser that follows an Optax gradient transformation inside the box.
 
     Attributes:
-        transformation: any ``optax.GradientTransformation``; those that need the value and a value
-            function (L-BFGS, line searches) get them. Keep one instance: a new one compiles anew.
+        transformation: any ``optax.GradientTransformation``; those that need the value and a value function
+            (L-BFGS, line searches) receive them. Reuse one instance: a new one compiles again.
         steps: number of updates; fixed, so that no problem waits for another.
     """
 

@@ -14,10 +14,10 @@ def quasi_random(key: jax.Array, count: int, dim: int, dtype: jnp.dtype) -> jax.
     are powers of the real root of x^(d+1) = x + 1, the generalised golden ratio.
 
     Args:
-        key: of the random shift.
+        key: JAX random key of the shift.
         count: number of points.
-        dim: of the cube.
-        dtype: of the result.
+        dim: dimension of the cube.
+        dtype: type of the result.
 
     Returns:
         (dim, count) in [0, 1).
