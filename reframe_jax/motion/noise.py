@@ -27,8 +27,7 @@ _BISECTIONS, _OCTAVES = 14, 40  # of a median: to 0.2 % over twelve decades
 
 
 def masked_median(values: jax.Array, counted: jax.Array) -> jax.Array:
-    """Return the median over the first axis of the non-negative values (M, ...) that count; zero if none
-    does.
+    """Return the median of the non-negative values (M, ...) that count, over the first axis; 0 if none.
 
     Bisects the logarithm in elementwise passes, because sorting many short rows is slow.
     """

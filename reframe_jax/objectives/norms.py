@@ -1,4 +1,4 @@
-"""The norms that a constraint frame minimises: Eqs. 6-8 of the paper as pure functions.
+"""The norms that a constraint frame minimizes: Eqs. 6-8 of the paper as pure functions.
 
 For axes of orientation E (columns in the body of the frame's first letter) and an origin p,
 

@@ -32,7 +32,8 @@ class Objective(Protocol):
 
     @property
     def dtype(self) -> np.dtype:
-        """Type of the unknowns and the values.""" ...
+        """Type of the unknowns and the values."""
+        ...
 
     def value(self, x: jax.Array) -> jax.Array:
         """The objective, (...), at unknowns (dim, ...); infinite or NaN where it is undefined.
@@ -47,7 +48,7 @@ class Objective(Protocol):
 class MomentsObjective(Objective, Protocol):
     """A norm of velocities that is a function of their moments alone.
 
-    ``ValleySteps`` and ``FrameSteps`` minimise it in closed form: they read the moments and the exponent,
+    ``ValleySteps`` and ``FrameSteps`` minimize it in closed form: they read the moments and the exponent,
     and call ``value`` for the result only.
     """
 
@@ -58,7 +59,8 @@ class MomentsObjective(Objective, Protocol):
 
     @property
     def exponent(self) -> float:
-        """Exponent of the power mean over the axes.""" ...
+        """Exponent of the power mean over the axes."""
+        ...
 
     @property
     def unknowns(self) -> Literal["frame", "position"]:

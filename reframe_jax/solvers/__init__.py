@@ -1,4 +1,4 @@
-"""Global minimisation of objectives, for many problems at once.
+"""Global minimization of objectives, for many problems at once.
 
 ``BasinHopping`` is the outer loop: ``minimise``, or ``init``, ``step`` and ``finish`` by hand.
 ``JointSearch`` applies it to norms of negative exponent. Inside is a local minimizer: ``ValleySteps``

@@ -21,7 +21,7 @@ from reframe_jax.solvers.valley_steps import ValleySteps
 __all__ = ["BasinHopping", "SearchState"]
 
 _FEW = 4  # problems, those of one window, that are searched in a single loop
-_AT_ONCE = 1024  # minimisations at a time; if there are more, restarts take turns
+_AT_ONCE = 1024  # minimizations at a time; if there are more, restarts take turns
 
 
 @jax.tree_util.register_dataclass
@@ -72,8 +72,8 @@ class BasinHopping:
         inner: local minimizer, such as :class:`ValleySteps` or :class:`FrameSteps`, or your own.
         restarts: number of chains.
         hops: jumps of each chain.
-        polish: final minimisations of each chain, without a jump.
-        refine: another local minimiser for the best point of all chains, or None.
+        polish: final minimizations of each chain, without a jump.
+        refine: another local minimizer for the best point of all chains, or None.
         hop_size: standard deviation of a jump, as a share of the box.
         temperature: of Metropolis' rule, in log J: 0.1 accepts a 10 % larger norm once in e times.
         settled: largest difference in log J between the chains of a settled problem after their first
@@ -114,7 +114,7 @@ class BasinHopping:
         return SearchState(jnp.zeros((), jnp.int32), key, x, value, x, value)
 
     def step(self, objective: Objective, box: Box, state: SearchState) -> SearchState:
-        """One step of every chain: jump, minimise, and accept or stay.
+        """One step of every chain: jump, minimize, and accept or stay.
 
         The first step minimizes the starts without a jump; steps after the last hop minimize the best points.
         """
@@ -255,7 +255,7 @@ class BasinHopping:
         return _state(state.hop + count, key, after)
 
     def _descend(self, objective: Objective, box: Box, x: Coordinates) -> tuple[jax.Array, jax.Array]:
-        """Local minimisation of every chain: at once if problems are few, else one after the other."""
+        """Local minimization of every chain: at once if problems are few, else one after the other."""
         starts = cast(jax.Array, x)
         if starts[0].size <= _AT_ONCE:
             chains = repeat_problems(objective, starts.ndim - 2, self.restarts)

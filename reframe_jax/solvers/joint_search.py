@@ -35,7 +35,7 @@ class JointSearch:
         """Search every problem of the objective.
 
         Raises:
-            ValueError: unless it is a norm of positions that :class:`ValleySteps` can minimise.
+            ValueError: unless it is a norm of positions that :class:`ValleySteps` can minimize.
         """
         known = self.refine.check(objective)
         turn = jnp.full_like(box.low, jnp.pi)

@@ -1,4 +1,4 @@
-"""Local minimisation with any Optax gradient transformation."""
+"""Local minimization with any Optax gradient transformation."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -16,7 +16,7 @@ __all__ = ["OptaxSteps"]
 
 @dataclass(frozen=True)
 class OptaxSteps:
-    """Local minimiser that follows an Optax gradient transformation inside the box.
+    """Local minimizer that follows an Optax gradient transformation inside the box.
 
     Attributes:
         transformation: any ``optax.GradientTransformation``; those that need the value and a value function

@@ -36,7 +36,7 @@ def minimise_each(
     box: Box,
     x: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
-    """Apply a minimiser of one problem to all problems.
+    """Apply a minimizer of one problem to all problems.
 
     Args:
         minimise_one: from an objective of one problem, the box and x, (dim,), to the new x and its value.

@@ -11,7 +11,7 @@ def quasi_random(key: jax.Array, count: int, dim: int, dtype: jnp.dtype) -> jax.
     """Points of the unit cube: Roberts' additive recurrence R_d, shifted at random.
 
     Any prefix of the sequence covers the cube evenly, so ``count`` can change freely. Its increments
-    are powers of the real root of x^(d+1) = x + 1, the generalised golden ratio.
+    are powers of the real root of x^(d+1) = x + 1, the generalized golden ratio.
 
     Args:
         key: JAX random key of the shift.

@@ -38,7 +38,7 @@ def transition(
     high: Coordinates,
     descend: Callable[[Coordinates], tuple[Coordinates, jax.Array]],
 ) -> Chains:
-    """Jump, minimise locally, and accept or stay.
+    """Jump, minimize locally, and accept or stay.
 
     The first step minimizes the starts without a jump; steps after the last hop minimize the best points. A
     chain moves if its value rises by less than ``rise``; NaN counts as infinite.
@@ -51,7 +51,7 @@ def transition(
         rise: largest rise that each chain accepts; broadcasts against the values.
         low: lower faces of the box.
         high: upper faces of the box.
-        descend: local minimiser, from unknowns to unknowns and their values.
+        descend: local minimizer, from unknowns to unknowns and their values.
 
     Returns:
         The chains after the step.

@@ -149,7 +149,7 @@ def demonstrate(
         constraint: label or name of one of the twelve, placed by :func:`frame_on_arm`, or any frame,
             its geometry in the robot's base and on the TCP. Geometry (N, 3) gives every demonstration
             its own.
-        key: of everything random.
+        key: JAX random key.
         batch: number N of demonstrations.
         first: number of the first one, to continue an earlier batch.
         duration: s.
@@ -347,7 +347,7 @@ def demonstrations(
 
     Args:
         constraint: as for :func:`demonstrate`; one geometry (3,) for all, before ``spread``.
-        key: of everything random.
+        key: JAX random key.
         count: number of demonstrations.
         chunk: number of demonstrations simulated at once.
         redraw: replace demonstrations whose status is not OK by new ones.

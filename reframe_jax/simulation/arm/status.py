@@ -43,7 +43,7 @@ _MESSAGES = {
 
 
 def judge(track: Track, free: jax.Array, compliance: jax.Array, arm: Arm) -> tuple[jax.Array, jax.Array]:
-    """Whether rollouts can be trusted.
+    """Judge whether rollouts can be trusted.
 
     Args:
         track: tracks of N rollouts.

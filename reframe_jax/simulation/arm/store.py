@@ -58,7 +58,7 @@ def store_demonstrations(
 
     Args:
         constraint: as for :func:`reframe_jax.simulation.arm.demonstrate`.
-        key: of everything random.
+        key: JAX random key.
         count: number of demonstrations.
         folder: made if missing; read it with :func:`load_demonstrations`, or part by part with
             :func:`stored_demonstrations`.
