@@ -199,7 +199,7 @@ def _single(poses: Any, steps: Any, options: tuple[Any, ...], static: dict[str, 
     if evidence.maps is None:
         # of one length for all
         evidence = replace(evidence, counted=np.ones((1, 1), bool))
-    searched = {name: static[name] for name in ("exponent", "solver")}
+    searched = {name: static[name] for name in ("rule", "exponent", "solver")}
     found = jax.tree.map(lambda leaf: leaf[0], _solve(evidence, *others, **searched))
     return replace(found, counted=counted)
 
@@ -432,16 +432,17 @@ def _identify(
 
 
 def _solve_evidence(
-    evidence: Evidence, thresholds: Thresholds | None, box: Box, key: jax.Array | None, **static: Any
+    evidence: Evidence,
+    thresholds: Thresholds | None,
+    box: Box,
+    key: jax.Array | None,
+    *,
+    rule: LagRule,
+    exponent: float,
+    solver: Solver,
 ) -> Identification:
-    return solve_evidence(
-        evidence,
-        thresholds,
-        box,
-        jax.random.key(0) if key is None else key,
-        static["exponent"],
-        static["solver"],
-    )
+    key = jax.random.key(0) if key is None else key
+    return solve_evidence(evidence, thresholds, box, key, rule, exponent, solver)
 
 
 _STATIC = ("rule", "exponent", "discretization", "solver")
@@ -450,4 +451,8 @@ _compiled_for_cpu = jax.jit(_identify, static_argnames=_STATIC, compiler_options
 _reduce = jax.jit(
     reduce_windows, static_argnames=("rule", "discretization"), compiler_options=compiler_options()
 )
-_solve = jax.jit(_solve_evidence, static_argnames=("exponent", "solver"), compiler_options=compiler_options())
+_solve = jax.jit(
+    _solve_evidence,
+    static_argnames=("rule", "exponent", "solver"),
+    compiler_options=compiler_options(),
+)

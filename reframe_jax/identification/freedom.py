@@ -7,7 +7,7 @@ has two groups of axes.
   multiple of the noise that is unknown but common to the recording; or, along an axis of a linear frame,
   what an error in the scale of measured rotation does at the end of the lever.
 - *Free* axes went far: t is unknown but of one order of magnitude for all of them, and clearly larger than
-  what constrained axes show.
+  what constrained axes show; unless the noise is as large as the motion and hides it.
 
 The unknowns are summed over with the priors below, and so are the patterns: the first axes of each frame,
 sorted by velocity, are the constrained ones, so there are 4 x 4. How fast somebody moved plays no part.
@@ -46,9 +46,14 @@ _RARER = 0.8  # standard deviation, in logarithms, of their decline beyond
 _WEIGHTS = (0.5, *(np.exp(-np.square(np.maximum(np.asarray(_MULTIPLES[1:]) - _LIKELY, 0) / _RARER) / 2) / 12))
 _SPREAD = 0.8  # of constrained axes about their multiple
 _MISFIT = 0.15  # of the logarithm of an axis that shows noise alone, for what the noise model misses
-_GAIN, _GAIN_SPREAD, _GAIN_SHARE = 0.1, 0.6, 0.15  # of measured rotation; how often an axis shows it
+_GAIN, _GAIN_SPREAD, _GAIN_SHARE = 0.1, 0.7, 0.3  # of measured rotation; how often an axis shows it
 _FREE_SPREAD = 1.2  # of free axes about their common size
-_LEAST, _LEAST_WIDTH = log(8.0), 0.25  # noises that a free axis went, at least
+_SILENT_SHARE = 0.3  # of constrained axes that show noise alone although there are slow errors
+_LEAST, _LEAST_WIDTH = (
+    (log(3.5), log(8.0)),
+    0.25,
+)  # noises that a free axis went, without slow errors and with
+_USUAL, _USUAL_SPREAD = (0.3, 0.05), 1.3  # rad and m that people move things, and its logarithm's spread
 _APART, _APART_WIDTH = 2.3, 0.4  # between free axes and slow errors
 _SIZES = log(1e6 / 4)  # range of the sizes of free motion
 
@@ -58,12 +63,13 @@ def _normal(x: jax.Array, mean: jax.Array | float, deviation: jax.Array | float)
     return -jnp.square((x - mean) / deviation) / 2 - jnp.log(deviation * (2 * pi) ** 0.5)
 
 
-def freedom_patterns(distance: jax.Array, gain: jax.Array, samples: jax.Array) -> jax.Array:
+def freedom_patterns(distance: jax.Array, noise: jax.Array, gain: jax.Array, samples: jax.Array) -> jax.Array:
     """Probability of every pattern of degrees of freedom.
 
     Args:
         distance: (6, ...) how far the motion went along the axes of the angular frame, then of the linear
             frame, over the noise propagated to them; axes in the order in which they become free.
+        noise: (6, ...) rad and m, that noise.
         gain: (3, ...) what all of the measured rotation makes at the end of the lever, along linear axes.
         samples: (...) independent samples.
 
@@ -76,19 +82,21 @@ def freedom_patterns(distance: jax.Array, gain: jax.Array, samples: jax.Array) -
     multiples = jnp.asarray(_MULTIPLES, y.dtype).reshape(more)
     weights = jnp.log(jnp.asarray(_WEIGHTS, y.dtype)).reshape(more)[:, 0]  # (M, 1, ...)
     white = jnp.broadcast_to(jnp.sqrt(1 / (2 * samples) + _MISFIT**2)[None], y.shape)
-    own = _normal(y[None], multiples, _SPREAD)
+    silent = _normal(jnp.maximum(y, 0), 0.0, white)[None]
+    own = jnp.logaddexp(
+        _normal(y[None], multiples, _SPREAD) + log(1 - _SILENT_SHARE), silent + log(_SILENT_SHARE)
+    )
     by_gain = _normal(y[3:], jnp.log(jnp.maximum(_GAIN * gain, 1e-9)), _GAIN_SPREAD) + log(_GAIN_SHARE)
     linear = jnp.logaddexp(own[:, 3:] + log(1 - _GAIN_SHARE), by_gain[None])
     tracked = jnp.concatenate([own[:, :3], linear], axis=1)
-    constrained = jnp.where(multiples == 0, _normal(jnp.maximum(y, 0), 0.0, white)[None], tracked)
+    constrained = jnp.where(multiples == 0, silent, tracked)
     held = _over_patterns(constrained, 1, free=False)  # (M, 4, 4, ...)
     number = jnp.asarray([[a + b for b in range(4)] for a in range(4)], y.dtype)
     number = number.reshape(4, 4, *([1] * (y.ndim - 1)))
     count = jnp.maximum(number, 1)
-    total, squares, far = (
-        _over_patterns(x, 0, free=True)
-        for x in (y, jnp.square(y), jax.nn.log_sigmoid((y - _LEAST) / _LEAST_WIDTH))
-    )
+    total, squares = (_over_patterns(x, 0, free=True) for x in (y, jnp.square(y)))
+    least = jnp.where(multiples == 0, _LEAST[0], _LEAST[1])
+    far = _over_patterns(jax.nn.log_sigmoid((y[None] - least) / _LEAST_WIDTH), 1, free=True)
     size = total / count
     scatter = jnp.maximum(squares - count * jnp.square(size), 0)
     # free axes of a common size, over which is summed: a Gaussian integral
@@ -96,11 +104,37 @@ def freedom_patterns(distance: jax.Array, gain: jax.Array, samples: jax.Array) -
     alike = -scatter / (2 * _FREE_SPREAD**2) - (number - 1) * log(width) - jnp.log(count) / 2 - log(_SIZES)
     multiples = multiples[:, None]
     apart = jax.nn.log_sigmoid((size[None] - multiples - _APART) / _APART_WIDTH)
-    free = (far + alike)[None] + jnp.where(multiples == 0, 0, apart)
+    free = far + alike[None] + jnp.where(multiples == 0, 0, apart)
     terms = held + weights[:, None, None] + jnp.where(number[None] == 0, 0, free)
-    prior = jnp.log(jnp.asarray(PATTERN_PRIOR, y.dtype)).reshape(number.shape)
-    evidence = jax.nn.logsumexp(terms, axis=0) + prior
-    return jnp.exp(evidence - jax.nn.logsumexp(evidence, axis=(0, 1), keepdims=True))
+    evidence = jax.nn.logsumexp(terms, axis=0)
+    seen = jnp.exp(evidence - jnp.max(evidence, axis=(0, 1), keepdims=True))
+    prior = jnp.asarray(PATTERN_PRIOR, y.dtype).reshape(number.shape)
+    weighted = prior * _with_hidden(seen, _hidden(y, noise))
+    return weighted / jnp.sum(weighted, axis=(0, 1), keepdims=True)
+
+
+def _hidden(y: jax.Array, noise: jax.Array) -> jax.Array:
+    """Probability that a free axis shows nothing but noise, (6, ...): noise as large as motion usually is."""
+    sizes = jnp.asarray([_USUAL[0]] * 3 + [_USUAL[1]] * 3, y.dtype).reshape(-1, *[1] * (y.ndim - 1))
+    below = (_LEAST[0] - jnp.log(sizes / noise)) / _USUAL_SPREAD
+    return jax.scipy.stats.norm.cdf(below) * jax.nn.sigmoid((_LEAST[0] - y) / _LEAST_WIDTH)
+
+
+def _with_hidden(seen: jax.Array, hidden: jax.Array) -> jax.Array:
+    """Likelihood of every pattern, (4, 4, ...), from that of the axes that are seen to be free.
+
+    Args:
+        seen: (4, 4, ...).
+        hidden: (6, ...) see :func:`_hidden`.
+    """
+    for group in range(2):
+        x, h = jnp.moveaxis(seen, group, 0), hidden[3 * group : 3 * group + 3]
+        rows = [x[0]]
+        for free in range(1, 4):
+            # the last axis that became free is seen, or hidden behind as many as are seen without it
+            rows.append(x[free] + h[3 - free][None] * rows[-1])
+        seen = jnp.moveaxis(jnp.stack(rows), 0, group)
+    return seen
 
 
 def _over_patterns(values: jax.Array, axis: int, free: bool) -> jax.Array:

@@ -198,6 +198,9 @@ class Identification:
             number of free translations.
         noise: of the poses.
         lag: (...) int, samples between the two poses of a velocity.
+        refined: (...) bool, whether the noise was found to be white, so that the frames are those of the
+            displacements between all pairs of poses, which are then more accurate; else those of the
+            velocities, which slow errors of a tracker spoil less.
         counted: (..., K+1) bool, poses that took part: outliers did not.
         status_code: (...) int; read it as ``status``. Windows that failed hold NaN and zeros.
     """
@@ -208,6 +211,7 @@ class Identification:
     class_probability: jax.Array
     noise: PoseNoise
     lag: jax.Array
+    refined: jax.Array
     counted: jax.Array
     status_code: jax.Array
 

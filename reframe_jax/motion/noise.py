@@ -23,6 +23,7 @@ _TURN = radians(20.0)  # that it should turn at most
 _SHARE = 6  # chords that fit a window, at least
 _GROWS = 2.0  # motion of a chord over that of one a quarter as long, below which it is drift
 _SATURATED = 0.8  # share of the longest chord from which on longer lags bring nothing
+_WHOLE = 1e-3  # how far from whole the multiples of a unit of rounding are, at most
 _BISECTIONS, _OCTAVES = 14, 40  # of a median: to 0.2 % over twelve decades
 
 
@@ -81,13 +82,21 @@ def estimate_noise(position: jax.Array, turns: jax.Array, counted: jax.Array) ->
     rounding = jnp.stack([jnp.max(jnp.abs(values), axis=(0, 1)) for values in (position, turns)])
     rounding = 4 * float(jnp.finfo(position.dtype).eps) * rounding
     spreads = jnp.maximum(jnp.where(jnp.isfinite(best), best, 0), rounding)
-    neighbours = jnp.abs(jnp.diff(position, axis=1))
-    steps = counted[1:] & counted[:-1]
-    moved = jnp.where(steps[None] & (neighbours > 0), neighbours, jnp.inf)
-    # of data that are rounded the smallest step is the unit they are rounded to
-    unit = jnp.min(moved, axis=(0, 1))
-    rounded = jnp.where(jnp.isfinite(unit), unit, 0) / 12**0.5
-    return jnp.maximum(spreads[0], rounded), spreads[1]
+    return jnp.maximum(spreads[0], _rounding(position, counted)), spreads[1]
+
+
+def _rounding(position: jax.Array, counted: jax.Array) -> jax.Array:
+    """Standard deviation of what rounding did to positions, (N,) m; zero unless they were rounded.
+
+    Of positions that are rounded the smallest step is the unit, and all steps are multiples of it.
+    """
+    steps = jnp.abs(jnp.diff(position, axis=1))
+    both = (counted[1:] & counted[:-1])[None]
+    unit = jnp.min(jnp.where(both & (steps > 0), steps, jnp.inf), axis=(0, 1))
+    unit = jnp.where(jnp.isfinite(unit), unit, 1)
+    multiples = steps / unit[None, None]
+    whole = jnp.abs(multiples - jnp.round(multiples)) < _WHOLE
+    return jnp.where(jnp.all(whole | ~both, axis=(0, 1)), unit / 12**0.5, 0)
 
 
 def _candidates(poses: int) -> list[int]:
