@@ -98,7 +98,7 @@ def exponent(text: str) -> float:
 
 
 def label(text: str) -> str:
-    """The letter of a constraint, from its letter or name."""
+    """The letter of a constraint, from that or its name."""
     try:
         return constraint(text).label
     except KeyError as error:

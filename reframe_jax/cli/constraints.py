@@ -16,7 +16,7 @@ def add_constraints(commands: Any) -> None:
 
 
 def _constraints(options: argparse.Namespace) -> int:
-    """Print the catalogue: degrees of freedom along x, y, z, and unique components of the position."""
+    """The catalogue: degrees of freedom along x, y, z of the frame, and what is unique."""
     layout = "{:2} {:26} {:9} {:12} {:6} {}"
     show(layout.format("", "name", "rotation", "translation", "frame", "position"))
     for entry in CONSTRAINTS.values():

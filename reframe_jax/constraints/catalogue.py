@@ -13,8 +13,8 @@ class Constraint:
     """One row of the catalogue: a class of constraints and which numbers define its geometry.
 
     Attributes:
-        label: letter in the paper's Figure 2.
-        name: name in the paper's Table 2.
+        label: letter of the paper's Figure 2.
+        name: name of the paper's Table 2.
         angular_dof, linear_dof: 1 where the axis is free, in axes common to both frames.
         linear_type: the only type that expresses the constraint, or None if all four do. (The angular
             type is free for all twelve.)
@@ -72,10 +72,10 @@ CONSTRAINTS: dict[str, Constraint] = {
 
 
 def constraint(label: str) -> Constraint:
-    """Return the catalogue entry of a label or a name; case does not matter.
+    """Catalogue entry of a label or a name, in either case.
 
     Raises:
-        KeyError: for an unknown label or name; the message lists the known ones.
+        KeyError: listing the labels and names there are.
     """
     for entry in CONSTRAINTS.values():
         if label.casefold() in (entry.label.casefold(), entry.name.casefold()):
@@ -103,17 +103,17 @@ def lookup(
     linear_dof: Dof,
     relation: AxisRelation | Literal["aligned"] | None = "aligned",
 ) -> Constraint | None:
-    """Return the catalogue entry of a class, given its linear type and degrees of freedom.
+    """Catalogue entry of a class: its linear type and degrees of freedom.
 
-    Only the number of free axes matters, and the angle between the single free rotation axis and the odd axis
-    of the linear frame (the single free or single constrained one), which distinguishes a cylinder joint from
-    a planar contour. The angular type does not matter for any of the twelve.
+    Which axes are free does not matter, only how many, and how the single free rotation axis lies to
+    the odd axis (the single free, or single constrained one) of the linear frame: it tells a cylinder
+    joint from a planar contour. The angular type does not matter for any of the twelve.
 
     Args:
         linear_type: the linear frame's type.
         angular_dof: 1 where a rotation axis is free.
         linear_dof: 1 where a translation axis is free.
-        relation: angle between those axes; by default both vectors refer to the same axes, as in Table 2.
+        relation: how those axes lie; by default both vectors refer to the same axes, as in Table 2.
 
     Returns:
         The entry, or None for a class outside the twelve.

@@ -1,4 +1,4 @@
-"""Picture of one window: its frame in space, and the velocities along the axes."""
+"""One window at a glance: where its frame is, and how fast it moves along the axes."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -30,24 +30,24 @@ def plot_identification(
     discretization: Discretization = "chord",
     title: str | None = None,
 ) -> "Figure":
-    """Draw one window: its linear frame in space, and the velocities along the axes.
+    """Draw one window: where its linear frame is, and how fast it moves along the axes.
 
-    The left panel shows the path of the body in the ground, with the linear frame and the free axes of
-    rotation through its origin. A frame fixed in the body appears at the first, middle and last pose, palest
-    at the first. An origin fixed in the body is joined to it, and its path is dotted. Free axes are arrows,
-    constrained axes dashed lines without a head; a twin is a hollow circle. The right panels show the
+    On the left the path of the body in the ground, with the linear frame and the free axes of rotation
+    through its origin. What is fixed in the body is drawn at the first, the middle and the last pose, the
+    first one palest; an origin that is fixed there is joined to the body, and its path is dotted. Free axes
+    are arrows, constrained axes dashed lines without a head; a twin is a hollow circle. On the right the
     velocities along the axes of both frames over time, with the thresholds.
 
     Args:
         poses: (K+1, 4, 4), m.
         found: identification of these poses.
         times: (K+1,) s.
-        thresholds: RMS velocities drawn as dashed lines, rad/s and m/s.
-        discretization: discretization of the identification.
-        title: title of the figure, by default the name of the constraint.
+        thresholds: those it was made with.
+        discretization: the one it was made with.
+        title: of the figure, by default the name of the constraint.
 
     Returns:
-        A new figure that ``pyplot`` does not know: display it in a notebook, or call ``figure.savefig(...)``.
+        A figure of its own, unknown to ``pyplot``: show it in a notebook, or ``figure.savefig(...)``.
 
     Raises:
         ImportError: if Matplotlib is not installed.

@@ -1,4 +1,4 @@
-"""The objective over a plane of positions, as the search for a frame's origin sees it."""
+"""The objective over a plane of positions: what the search for a frame's origin sees."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -31,7 +31,7 @@ def landscape(
     norm: float = 0.0,
     discretization: Discretization = "chord",
 ) -> jax.Array:
-    """Evaluate the norm, in m/s, of the best-oriented frame of a type at given origins.
+    """The norm, in m/s, of the best-turned frame of a type at given origins.
 
     Args:
         poses: (K+1, 4, 4), m.
@@ -82,21 +82,21 @@ def plot_landscape(
     discretization: Discretization = "chord",
     title: str | None = None,
 ) -> "Figure":
-    """Draw the norm over planes through the identified position, one row per frame type.
+    """Draw the norm over planes through the position found, a row for every frame type.
 
-    If a type leaves the position free (see :class:`LinearFrame`), the position is not the lowest point. The
+    Where a type leaves the position free (:class:`LinearFrame`), it is not the lowest point. The
     planes are those of the axes x-y, x-z and y-z of the body that the type's second letter names.
 
     Args:
         poses: (K+1, 4, 4), m.
         found: identification of these poses.
         times: (K+1,) s.
-        linear_types: types to draw; by default the identified one.
+        linear_types: types to draw; the one identified by default.
         span: m, from the optimum to the edge.
-        points: number of points along each side.
+        points: along each side.
         norm: exponent of the power mean over axes.
-        discretization: discretization of the identification.
-        title: title of the figure.
+        discretization: the one of the identification.
+        title: of the figure.
 
     Raises:
         ImportError: if Matplotlib is not installed.

@@ -41,14 +41,14 @@ __all__ = [
 def plot_scene(poses: ArrayLike, found: Identification, *, title: str | None = None) -> "Figure":
     """Draw one window in space: the path of the body, the linear frame, and the free axes of rotation.
 
-    A frame fixed in the body appears at the first, middle and last pose, palest at the first. An origin fixed
-    in the body is joined to it, and its path is dotted. Free axes are arrows, constrained axes dashed lines
-    without a head. A twin is a hollow circle.
+    What is fixed in the body is drawn at the first, the middle and the last pose, the first one palest;
+    an origin that is fixed there is joined to the body, and its path is dotted. Free axes are arrows,
+    constrained axes dashed lines without a head. A twin is a hollow circle.
 
     Args:
         poses: (K+1, 4, 4), m.
         found: identification of these poses.
-        title: title of the figure, by default the name of the constraint.
+        title: of the figure, by default the name of the constraint.
 
     Raises:
         ImportError: if Matplotlib is not installed.
