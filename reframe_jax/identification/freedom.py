@@ -46,9 +46,9 @@ _RARER = 0.8  # standard deviation, in logarithms, of their decline beyond
 _WEIGHTS = (0.5, *(np.exp(-np.square(np.maximum(np.asarray(_MULTIPLES[1:]) - _LIKELY, 0) / _RARER) / 2) / 12))
 _SPREAD = 0.8  # of constrained axes about their multiple
 _MISFIT = 0.15  # of the logarithm of an axis that shows noise alone, for what the noise model misses
-_GAIN, _GAIN_SPREAD, _GAIN_SHARE = 0.1, 0.7, 0.3  # of measured rotation; how often an axis shows it
+_GAIN, _GAIN_SPREAD, _GAIN_SHARE = 0.1, 0.7, 0.2  # of measured rotation; how often an axis shows it
 _FREE_SPREAD = 1.2  # of free axes about their common size
-_SILENT_SHARE = 0.3  # of constrained axes that show noise alone although there are slow errors
+_SILENT_SHARE = 0.2  # of constrained axes that show noise alone although there are slow errors
 _LEAST, _LEAST_WIDTH = (
     (log(3.5), log(8.0)),
     0.25,
@@ -76,7 +76,7 @@ def freedom_patterns(distance: jax.Array, noise: jax.Array, gain: jax.Array, sam
     Returns:
         (4, 4, ...): n free rotations and m free translations at [n, m].
     """
-    y = jnp.log(jnp.maximum(distance, 1e-3))
+    y = jnp.log(jnp.maximum(distance, 1e-6))
     # one more axis in front: the multiples
     more = (-1, *([1] * y.ndim))
     multiples = jnp.asarray(_MULTIPLES, y.dtype).reshape(more)
