@@ -322,6 +322,6 @@ class FrameSteps:
         if isinstance(objective, MomentsObjective) and objective.unknowns == "frame":
             return objective
         raise ValueError(
-            "FrameSteps minimise norms given by moments over orientation and origin (a FrameObjective), "
+            "FrameSteps minimize norms given by moments over orientation and origin (a FrameObjective), "
             f"not a {type(objective).__name__}; use ValleySteps, NewtonSteps or OptaxSteps for others."
         )

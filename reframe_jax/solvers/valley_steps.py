@@ -306,6 +306,6 @@ class ValleySteps:
         if isinstance(objective, MomentsObjective) and objective.unknowns == "position":
             return objective
         raise ValueError(
-            f"ValleySteps minimise norms given by moments over positions alone (a PositionObjective), not a "
+            f"ValleySteps minimize norms given by moments over positions alone (a PositionObjective), not a "
             f"{type(objective).__name__}; use FrameSteps, NewtonSteps or OptaxSteps for others."
         )

@@ -73,7 +73,7 @@ def read_part(
         except Exception as error:  # what a format makes of damage is not in its documentation
             raise _damaged(file, f"{type(error).__name__}: {error}") from error
     if not sound:
-        raise _damaged(file, "its checksum is not that of what it holds")
+        raise _damaged(file, "its checksum does not match its contents")
     if name != file.stem:
         raise ValueError(f"{file} is a copy of {name}: delete it, and it will be made again.")
     if options is not None and made_with != options:
