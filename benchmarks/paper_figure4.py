@@ -1,4 +1,4 @@
-"""The paper's Figure 4: error against noise, for both generators, excitations and discretisations.
+"""The paper's Figure 4: error against noise, for both generators, excitations and discretizations.
 
 The motions of one seed are the same at every noise level, so that curves can be compared. An entry is
 marked instead of scored where the motion does not determine it: where the best frame of the true type
@@ -40,13 +40,13 @@ _INTRODUCTION = """\
 All twelve constraints at {levels} noise levels from 1e-6 to 1e-4 m, {seeds} seeds each, identified in
 {windows:,} windows of 50 velocities: motion that is exact between the samples and the paper's generator
 (one Euler step a sample), the paper's velocities and exciting ones (three sines along every free axis),
-the discretisation of the paper's Table 3 (`left`) and ours (`chord`). As in the paper the frame type is
+the discretization of the paper's Table 3 (`left`) and ours (`chord`). As in the paper the frame type is
 taken as known for the errors; how often the identified types and degrees of freedom are right is below.
 
 ΔR^φ and ΔR^ψ are the angles between identified and true axes of the angular and the linear frame, Δp^ψ is
 the distance of their origins, each along what Table 2 of the paper calls unique. The paper shows Figure 4 as
 a picture without numbers, and reports slopes of about 1, but constant ΔR^ψ and Δp^ψ for I, J, K and L. With
-its velocities, its discretisation and exact motion (the first columns of the next table) both are constant
+its velocities, its discretization and exact motion (the first columns of the next table) both are constant
 for K and L here as well; for I and J the axis is, the position is not.
 
 Slopes are of log median error against log noise: 1 means that the error is proportional to the noise, 0
@@ -197,7 +197,7 @@ def _cell(made: Any, generator: str, excitation: str, discretization: str) -> di
 
 def section(store: Store, size: Size) -> Section:
     """Compute, or resume, and describe Figure 4."""
-    # made once for both discretisations, and only if needed
+    # made once for both discretizations, and only if needed
     made = cache(lambda generator, excitation: windows(generator, excitation, size))
     cells = {}
     for name in CELLS:
@@ -221,7 +221,7 @@ def section(store: Store, size: Size) -> Section:
 
 
 def _picture(noise: np.ndarray, curves: dict[Any, list[Entry]], excitation: str, title: str) -> Any:
-    """Both discretisations of the exact motion; entries that are not determined are left out."""
+    """Both discretizations of the exact motion; entries that are not determined are left out."""
     panels: dict[str, list[Curve]] = {}
     notes: dict[str, str] = {}
     for label, row in rf.CONSTRAINTS.items():
@@ -272,7 +272,7 @@ def _slopes(curves: dict[Any, list[Entry]], excitation: str) -> str:
 
 
 def _rates(cells: dict[Any, dict[str, np.ndarray]]) -> str:
-    head = ["generator", "velocities", "discretisation", "types right or tied", "degrees of freedom right"]
+    head = ["generator", "velocities", "discretization", "types right or tied", "degrees of freedom right"]
     rows = [
         [
             *name,

@@ -7,6 +7,8 @@ RECORDING is an array of (poses, 4, 4) poses, and OUT a folder; both on a disk t
 Start one Dask worker with one thread on every machine (or one for every GPU): identify spreads a part
 over the processors by itself. What travels is the number of a part, never the windows. A part whose
 worker is lost is given to another one, and a run that was stopped goes on where it was.
+
+Dask's scheduler has no authentication: use a trusted network, or configure TLS.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""Arguments of the command line: what is wrong with one is said in one line."""
+"""Types of command-line arguments; each error is one line."""
 
 import argparse
 from collections.abc import Callable
@@ -58,7 +58,7 @@ def not_negative(text: str) -> float:
 
 
 def between(low: float, high: float) -> Callable[[str], float]:
-    """A positive number in a range within which everything can be computed."""
+    """A positive number from a range in which all computations are finite."""
 
     def read(text: str) -> float:
         value = number(text)
@@ -83,7 +83,7 @@ def count(text: str) -> int:
 
 
 def seed(text: str) -> int:
-    """A seed that JAX takes."""
+    """A seed that JAX accepts."""
     value = whole(text)
     if not 0 <= value < 2**63:
         raise argparse.ArgumentTypeError(f"expected a whole number from 0 to 2^63 - 1, not {text}")
@@ -91,7 +91,7 @@ def seed(text: str) -> int:
 
 
 def exponent(text: str) -> float:
-    """An exponent of the norm over axes."""
+    """An exponent of the power mean over the axes."""
     try:
         return check_exponent(number(text))
     except ValueError as error:
@@ -126,10 +126,14 @@ def label(text: str) -> str:
 def add_constraint(command: argparse.ArgumentParser) -> None:
     """The option ``--constraint``."""
     command.add_argument(
-        "--constraint", type=label, required=True, metavar="K", help="letter or name: see constraints"
+        "--constraint",
+        type=label,
+        required=True,
+        metavar="K",
+        help="letter or name; reframe-jax constraints lists them",
     )
 
 
 def add_seed(command: argparse.ArgumentParser) -> None:
     """The option ``--seed``."""
-    command.add_argument("--seed", type=seed, default=0, metavar="N", help="of the random numbers (0)")
+    command.add_argument("--seed", type=seed, default=0, metavar="N", help="random seed (0)")

@@ -1,4 +1,4 @@
-"""What the commands that simulate the arm have in common. MuJoCo is imported when they run."""
+"""Options shared by the commands that simulate the arm. MuJoCo is imported when they run."""
 
 import argparse
 import sys
@@ -15,27 +15,27 @@ def add_common(command: argparse.ArgumentParser) -> None:
     """Add the options of both commands."""
     add = command.add_argument
     arguments.add_constraint(command)
-    add("--robot", choices=["panda", "fr3"], default="panda", help="the arm: fr3 is the paper's (panda)")
+    add("--robot", choices=["panda", "fr3"], default="panda", help="the arm; fr3 is the paper's (panda)")
     add(
         "--imperfections",
         choices=["none", "encoder", "realistic", "matched"],
         default="realistic" if command.prog.endswith("reproduce") else "encoder",
-        help="of the robot: none, the noise of its encoders, that and compliance, or as much compliance as "
-        "the paper's set-up shows (%(default)s)",
+        help="none; noise of the encoders; that and compliance; or the compliance of the paper's "
+        "set-up (%(default)s)",
     )
     add(
         "--excitation",
         choices=["exciting", "brisk", "paper"],
         default="exciting",
-        help="how the hand moves along the free axes: of many frequencies, the same with hinges as fast as "
-        "in the paper's Table 4, or as in the paper's simulations (exciting)",
+        help="how the hand moves along the free axes: with many frequencies; likewise, hinges as fast as "
+        "in the paper's Table 4; or as in the paper's simulations (exciting)",
     )
-    add("--fixed", action="store_true", help="the same geometry every time, not one drawn at random")
+    add("--fixed", action="store_true", help="use the same geometry every time instead of a random one")
     arguments.add_seed(command)
 
 
 def prepare(options: argparse.Namespace) -> dict[str, Any]:
-    """Options that both commands pass on, after JAX has been configured."""
+    """Configure JAX, and return the options that both commands pass on."""
     configure_jax(options.cache)
     from reframe_jax.simulation import arm as panda
 

@@ -1,4 +1,4 @@
-"""What all commands have in common. Nothing here needs JAX."""
+"""Code shared by all commands. Nothing here needs JAX."""
 
 import argparse
 import sys
@@ -24,14 +24,14 @@ examples:
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line, as everything else here does, and where to read more."""
+    """Reports an error in one line, with a pointer to the help."""
 
     def error(self, message: str) -> NoReturn:
-        """Leave with code 2."""
+        """Exit with code 2."""
         self.exit(2, f"{self.prog}: error: {message.rstrip('.')}; see {self.prog} --help\n")
 
     def _print_message(self, message: str, file: Any = None) -> None:
-        """Help and version fail as results do where they cannot be written; argparse would not tell."""
+        """Report help and version that cannot be written, as for results; argparse would be silent."""
         if file is sys.stdout:
             show(message, end="")
         else:
@@ -39,7 +39,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def add_command(commands: Any, name: str, run: Any, text: str) -> argparse.ArgumentParser:
-    """Add a command, and the option that all commands have; ``run`` gets the options."""
+    """Add a command with the options shared by all; ``run`` receives the parsed options."""
     command: argparse.ArgumentParser = commands.add_parser(
         name,
         description=text,

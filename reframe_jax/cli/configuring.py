@@ -1,4 +1,4 @@
-"""JAX as the command line runs it."""
+"""JAX settings of the command line."""
 
 import os
 from pathlib import Path
@@ -10,7 +10,7 @@ __all__ = ["configure_jax"]
 
 
 def configure_jax(cache: bool) -> None:
-    """64 bits, and compiled programs kept between runs."""
+    """Enable 64-bit mode and, with ``cache``, keep compiled programs between runs."""
     settings: dict[str, Any] = {"jax_enable_x64": True}
     if cache:
         home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"

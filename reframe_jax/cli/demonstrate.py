@@ -26,11 +26,10 @@ _CHUNK = 64  # demonstrations simulated at once, and drawn for a part of a folde
 _DEMONSTRATE = """\
 Simulate demonstrations: a hand guides a Franka arm under a constraint.
 
-Into a folder they go in parts of bounded size, any number of them; the same
-command, or one with a larger count, goes on where an earlier one stopped. An
-.npz holds all (times, poses, exact_poses, joint_positions, ..., and the true
-frame of each). A .csv is one recording for each, demos-000.csv and so on, for
-reframe-jax identify.
+A folder stores any number of them, in parts of bounded size; repeat the
+command, or raise --count, to resume. An .npz stores all of them (times, poses,
+exact_poses, joint_positions, ..., and the true frames). A .csv stores one
+recording per demonstration (demos-000.csv and so on) for reframe-jax identify.
 """
 
 
@@ -39,9 +38,9 @@ def add_demonstrate(commands: Any) -> None:
     command = add_command(commands, "demonstrate", _demonstrate, _DEMONSTRATE)
     add_common(command)
     add = command.add_argument
-    add("--count", type=arguments.count, default=1, metavar="N", help="demonstrations (1)")
+    add("--count", type=arguments.count, default=1, metavar="N", help="number of demonstrations (1)")
     add("--out", type=Path, required=True, metavar="PATH", help="folder, .npz or .csv")
-    add("--duration", type=arguments.seconds, default=5.0, metavar="S", help="s (5)")
+    add("--duration", type=arguments.seconds, default=5.0, metavar="S", help="duration, s (5)")
     add("--dt", type=arguments.seconds, default=0.05, metavar="S", help="sample time, s (0.05)")
     add("--plot", type=Path, metavar="FILE", help="draw the first demonstration, .png or .pdf")
     add("--render", type=Path, metavar="FILM", help="film the first demonstration, .gif or .mp4")
@@ -49,10 +48,14 @@ def add_demonstrate(commands: Any) -> None:
         "--skin",
         type=Path,
         metavar="PATH",
-        help="what the film shows: an MJCF of the robot that you have, such as MuJoCo Menagerie's panda.xml, "
+        help="appearance in the film: an MJCF file of the robot, such as panda.xml of MuJoCo Menagerie, "
         "or a folder of meshes, link0.stl to link7.stl and hand.stl (plain shapes)",
     )
-    add("--keep", action="store_true", help="keep demonstrations that hit a limit, instead of redrawing")
+    add(
+        "--keep",
+        action="store_true",
+        help="keep demonstrations that hit a limit instead of drawing them again",
+    )
 
 
 def _demonstrate(options: argparse.Namespace) -> int:
@@ -96,7 +99,7 @@ def _demonstrate(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> None:
-    """Refuse, before anything is simulated, what could not be written after it."""
+    """Refuse outputs that cannot be written, before the simulation starts."""
     endings = {"out": ("", ".npz", ".csv"), "plot": (".png", ".pdf", ".svg"), "render": (".gif", ".mp4")}
     for name, suffixes in endings.items():
         path = getattr(options, name)
@@ -117,7 +120,7 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _draw(first: Any, options: argparse.Namespace) -> int:
-    """The picture and the film that were asked for, of one demonstration."""
+    """Draw the picture and the film of one demonstration, if requested."""
     failed = False
     try:
         if options.plot is not None:

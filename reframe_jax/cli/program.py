@@ -1,8 +1,7 @@
-"""The command line: identify recordings, simulate some, list the catalogue.
+"""The command line: identify and simulate recordings, list the catalogue.
 
 Results go to standard output; notes about the input, progress and errors to standard error. The exit
-code is 0 if everything went well, 1 if a file failed, and 2 for a wrong command line. Everything is
-computed in 64 bits.
+code is 0 on success, 1 if a file failed, and 2 for a wrong command line. All computations use 64 bits.
 """
 
 import argparse
@@ -17,7 +16,7 @@ __all__ = ["main"]
 
 _DESCRIPTION = """\
 Find the frame in which a measured motion is constrained: the body it is
-attached to, where it lies, and along which axes it cannot move.
+attached to, its location, and the axes along which it cannot move.
 """
 
 

@@ -1,4 +1,4 @@
-"""``reframe-jax reproduce``: tasks in true, wrong and identified frames."""
+"""``reframe-jax reproduce``: a task in true, erroneous and identified frames."""
 
 import argparse
 from typing import Any
@@ -17,9 +17,9 @@ __all__ = ["add_reproduce"]
 _REPRODUCE = """\
 Demonstrate, identify, and reproduce a task from end-stop to end-stop.
 
-The robot is moved by wrenches in the true frames of the constraint, in frames
-with the errors that methods with prior knowledge report, and in the frames it
-identified: the three rows of the paper's Figure 5.
+Wrenches move the robot in the true frames of the constraint, in frames with
+the errors reported for methods with prior knowledge, and in the identified
+frames: the three rows of the paper's Figure 5.
 """
 
 
@@ -32,7 +32,7 @@ def add_reproduce(commands: Any) -> None:
         type=arguments.count,
         default=30,
         metavar="N",
-        help="demonstrations and reproductions (30)",
+        help="number of demonstrations and reproductions (30)",
     )
     command.add_argument(
         "--controller",
@@ -72,7 +72,9 @@ def _reproduce(options: argparse.Namespace) -> int:
     show(f"{CONSTRAINTS[options.constraint].name}, {options.trials} trials, {options.controller}")
     show(_errors(comparison.errors))
     if comparison.redrawn:
-        show(f"left out, as out of the arm's reach in the true frame too: {int(comparison.redrawn)}")
+        show(
+            f"left out, because the arm cannot reach them in the true frame either: {int(comparison.redrawn)}"
+        )
     show(f"{'frames':12}{'completed':>10}{'time, s':>9}{'peak moment, N m':>22}{'peak force, N':>20}")
     for name, trials in comparison.rows.items():
         cells = [
@@ -86,16 +88,16 @@ def _reproduce(options: argparse.Namespace) -> int:
     if not np.all(comparison.identified.completed):
         codes = np.unique(comparison.identified.status_code[~comparison.identified.completed])
         why = " ".join(RolloutStatus(code).message for code in codes if code)
-        say(f"reframe-jax: some trials in identified frames did not arrive at the end-stop. {why}")
+        say(f"reframe-jax: some trials in identified frames did not reach the end-stop. {why}")
     return 0
 
 
 def _errors(errors: np.ndarray) -> str:
-    """Medians of the geometric errors, of those that the constraint has."""
+    """Medians of the geometric errors that the constraint defines."""
     names = (("angular axis", "deg"), ("linear axis", "deg"), ("position", "mm"))
     parts = [
         f"{name} {np.median(column):.2f} {unit}"
         for (name, unit), column in zip(names, errors.T, strict=True)
         if not np.isnan(column).any()
     ]
-    return f"median errors of the identified frames: {', '.join(parts) or 'none to tell'}"
+    return f"median errors of the identified frames: {', '.join(parts) or 'none defined'}"

@@ -1,4 +1,4 @@
-"""``reframe-jax simulate``: a recording of a simulated motion."""
+"""``reframe-jax simulate``: record a simulated motion."""
 
 import argparse
 from pathlib import Path
@@ -30,16 +30,16 @@ def add_simulate(commands: Any) -> None:
         type=arguments.not_negative,
         default=0.0,
         metavar="M",
-        help="standard deviation of positions, m (0)",
+        help="standard deviation of the position noise, m (0)",
     )
     arguments.add_seed(command)
-    add("--duration", type=arguments.seconds, default=5.0, metavar="S", help="s (5)")
+    add("--duration", type=arguments.seconds, default=5.0, metavar="S", help="duration, s (5)")
     add("--dt", type=arguments.seconds, default=0.1, metavar="S", help="sample time, s (0.1)")
     add(
         "--excitation",
         choices=["exciting", "paper"],
         default="exciting",
-        help="velocities along the free axes: of many frequencies, or those of the paper (exciting)",
+        help="velocities along the free axes: with many frequencies, or the paper's (exciting)",
     )
     add(
         "--generator",

@@ -1,4 +1,4 @@
-"""What the command line says: results on standard output; notes, progress and errors on standard error."""
+"""Output of the command line: results to standard output, everything else to standard error."""
 
 import contextlib
 import os
@@ -8,7 +8,7 @@ __all__ = ["say", "show"]
 
 
 def say(text: str, end: str = "\n") -> None:
-    """Print a line to standard error at once; where nobody can read it, it is lost."""
+    """Print a line to standard error at once; drop it if standard error is closed."""
     with contextlib.suppress(OSError):
         print(text, end=end, file=sys.stderr, flush=True)
 
@@ -17,7 +17,7 @@ def show(text: str, end: str = "\n") -> None:
     """Print results to standard output at once.
 
     Raises:
-        SystemExit: with code 1 if they cannot be written: silently if nobody reads on, otherwise in a line.
+        SystemExit: with code 1 if they cannot be written, silently if nobody reads the pipe any more.
     """
     try:
         print(text, end=end, flush=True)

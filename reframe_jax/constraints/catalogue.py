@@ -85,10 +85,10 @@ _ALL = CONSTRAINTS | OTHER_CONSTRAINTS
 
 
 def constraint(label: str) -> Constraint:
-    """Catalogue entry of a label or a name, in either case.
+    """Return the catalogue entry of a label or a name; case does not matter.
 
     Raises:
-        KeyError: listing the labels and names there are.
+        KeyError: for an unknown label or name; the message lists the known ones.
     """
     for entry in _ALL.values():
         if label.casefold() in (entry.label.casefold(), entry.name.casefold()):
@@ -116,7 +116,7 @@ def lookup(
     linear_dof: Dof,
     relation: AxisRelation | Literal["aligned"] | None = "aligned",
 ) -> Constraint | None:
-    """Catalogue entry of a class: its linear type and degrees of freedom.
+    """Return the catalogue entry of a class, given its linear type and degrees of freedom.
 
     Which axes are free does not matter, only how many, and how the single free rotation axis lies to
     the odd axis (the single free, or single constrained one) of the linear frame: it tells a cylinder
@@ -126,7 +126,7 @@ def lookup(
         linear_type: the linear frame's type.
         angular_dof: 1 where a rotation axis is free.
         linear_dof: 1 where a translation axis is free.
-        relation: how those axes lie; by default both vectors refer to the same axes, as in Table 2.
+        relation: angle between those axes; by default both vectors refer to the same axes, as in Table 2.
 
     Returns:
         The entry, or None for a class without a name.

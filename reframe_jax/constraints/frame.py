@@ -21,8 +21,8 @@ class ConstraintFrame:
     A pytree whose leaves are the geometry; types and degrees of freedom are static.
 
     Attributes:
-        angular_type, linear_type: what the frames are attached to.
-        angular_dof, linear_dof: three 0 or 1 each, in the axes of the frame; 0 is constrained.
+        angular_type, linear_type: the bodies that the frames are attached to.
+        angular_dof, linear_dof: three integers each, along the axes of the frame; 1 is free, 0 constrained.
         angular_rotvec: (..., 3) rad, orientation of the angular frame in the body of its type.
         linear_rotvec: (..., 3) rad, orientation of the linear frame in the body of the first letter.
         position: (..., 3) m, origin of the linear frame in the body of the second letter.

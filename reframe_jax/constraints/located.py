@@ -1,9 +1,9 @@
-"""A constraint frame between two bodies: where it is at a pose, and the velocities along its axes.
+"""A constraint frame between two bodies: its location at a pose, and the velocities along its axes.
 
-The orientation of a frame hangs on one body and its origin on another, {b} or {g}. Which one is static in
-a :class:`ConstraintFrame`, as are its degrees of freedom; here all of it is arrays, so that one compiled
-program serves every class of constraint, and this module alone says what depends on it. The velocities are
-the Pfaffian form of the paper's Eq. 3, A(T) V = 0, with one row for every constrained axis.
+The orientation of a frame is fixed in one body and its origin in another, {b} or {g}. These bodies and the
+degrees of freedom are static in a :class:`ConstraintFrame`. Here they are arrays, so one compiled program
+serves every class of constraint. Only this module depends on them. The velocities are the Pfaffian form of
+the paper's Eq. 3, A(T) V = 0, with one row for every constrained axis.
 """
 
 from dataclasses import dataclass, replace
@@ -111,7 +111,7 @@ def assemble_frame(
     angular_dof: ArrayLike | tuple[int, ...],
     linear_dof: ArrayLike | tuple[int, ...],
 ) -> Frame:
-    """A frame from its parts; in a batch every frame has its own types.
+    """Assemble frames from their parts; in a batch, every frame has its own types.
 
     Args:
         angular_type: (...) :class:`AngularType` or its values.
@@ -147,7 +147,7 @@ def frame_arrays(frame: ConstraintFrame) -> Frame:
 
 
 def ground_offset(centre: jax.Array) -> jax.Array:
-    """What to add to origins that were found with the origin of {g} moved to a point.
+    """Return the offset of origins that were found with the origin of {g} moved to a point.
 
     Args:
         centre: (..., 3) m, the point.
@@ -161,14 +161,14 @@ def ground_offset(centre: jax.Array) -> jax.Array:
 
 
 def multiply(matrix: jax.Array, right: jax.Array) -> jax.Array:
-    """A matrix (m, n) times a vector (n,) or a matrix (n, k), elementwise, so that a batch of them fuses."""
+    """Multiply (m, n) by (n,) or (n, k), elementwise, so that XLA fuses a batch of products."""
     if right.ndim == 1:
         return jnp.sum(matrix * right[None, :], axis=-1)
     return jnp.sum(matrix[:, :, None] * right[None, :, :], axis=1)
 
 
 def to_fixed_body(part: jax.Array, on_body: jax.Array, rotation: jax.Array) -> jax.Array:
-    """A direction, or axes, in the body that they are fixed in.
+    """Express a direction, or axes, in the body that they are fixed in.
 
     Args:
         part: (3,) or (3, 3) columns, in the axes of {g}.
@@ -179,7 +179,7 @@ def to_fixed_body(part: jax.Array, on_body: jax.Array, rotation: jax.Array) -> j
 
 
 def locate(frame: Frame, rotation: jax.Array, position: jax.Array) -> Located:
-    """Where a frame is when the body is at a pose.
+    """Locate a frame while the body is at a pose.
 
     Args:
         frame: a single one.
@@ -200,7 +200,7 @@ _locate_all = jax.jit(jax.vmap(locate, in_axes=(None, 0, 0)))
 
 
 def locate_on_host(frame: Frame, poses: np.ndarray) -> Located:
-    """Where a frame is at every pose, in NumPy arrays and in double precision whatever JAX is set to.
+    """Locate a frame at every pose, in NumPy arrays and in float64 whatever the settings of JAX.
 
     Args:
         frame: a single one.
@@ -221,7 +221,7 @@ def locate_on_host(frame: Frame, poses: np.ndarray) -> Located:
 
 
 def twist_map(located: Located) -> jax.Array:
-    """Matrix from the twist of {b} to the velocities along the frame's axes.
+    """Return the matrix from the twist of {b} to the velocities along the frame's axes.
 
     Args:
         located: the frame.
@@ -240,7 +240,7 @@ def twist_map(located: Located) -> jax.Array:
 
 
 def ground_twist(located: Located, velocities: jax.Array) -> jax.Array:
-    """The inverse of :func:`twist_map`: the twist of {b} with given velocities along the frame's axes.
+    """Invert :func:`twist_map`: the twist of {b} with given velocities along the frame's axes.
 
     Args:
         located: the frame.
@@ -255,7 +255,7 @@ def ground_twist(located: Located, velocities: jax.Array) -> jax.Array:
 
 
 def body_twist(frame: Frame, rotation: jax.Array, position: jax.Array, velocities: jax.Array) -> jax.Array:
-    """The twist of {b} in its own axes, with given velocities along the axes of a frame.
+    """Return the twist of {b} in its own axes for given velocities along the axes of a frame.
 
     Args:
         frame: a single one.
@@ -277,7 +277,7 @@ def body_twist(frame: Frame, rotation: jax.Array, position: jax.Array, velocitie
 
 
 def slip(before: Located, now: Located) -> jax.Array:
-    """Displacement along the frame's axes between two near instants.
+    """Return the displacement along the frame's axes between two nearby instants.
 
     The integral of the velocity along every axis over the motion, by the trapezoidal rule: exact where
     the axes do not turn with respect to the body that the origin moves in (GB and BG).
@@ -294,7 +294,7 @@ def slip(before: Located, now: Located) -> jax.Array:
 def move_frame(
     frame: Frame, turn: jax.Array, shift: jax.Array, rotation: jax.Array, position: jax.Array
 ) -> Frame:
-    """A frame turned and shifted in the world while the body is at a pose; both its parts turn alike.
+    """Turn and shift a frame in the world while the body is at a pose; both its parts turn alike.
 
     Args:
         frame: a single one.
@@ -321,7 +321,7 @@ def move_frame(
 def place_frame(
     frame: ConstraintFrame, axes: jax.Array, origin: jax.Array, rotation: jax.Array, position: jax.Array
 ) -> ConstraintFrame:
-    """A frame of the same class, placed in the world while the body is at a pose.
+    """Place a frame of the same class in the world while the body is at a pose.
 
     Args:
         frame: its types and degrees of freedom are kept.

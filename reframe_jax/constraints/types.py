@@ -1,4 +1,4 @@
-"""What a constraint frame is attached to: frame types (paper, section 3)."""
+"""Frame types: the bodies that a constraint frame is attached to (paper, section 3)."""
 
 from enum import Enum, IntEnum
 
@@ -45,7 +45,7 @@ class LinearType(IntEnum):
 
 
 class AxisRelation(Enum):
-    """How the one free rotation axis lies to the odd axis of the linear frame."""
+    """Angle between the single free rotation axis and the odd axis of the linear frame."""
 
     PARALLEL = "parallel"
     PERPENDICULAR = "perpendicular"

@@ -205,7 +205,7 @@ def rotation_to_quaternion(rotation: jax.Array) -> jax.Array:
     """Unit quaternion of a rotation matrix, with w >= 0.
 
     ``4 q q^T`` is linear in the rotation matrix; its row with the largest diagonal entry, which is
-    at least 1, is normalised (Shepperd's choice), so nothing is divided by a small number.
+    at least 1, is normalized (Shepperd's choice), so nothing is divided by a small number.
 
     Args:
         rotation: (..., 3, 3).

@@ -2,7 +2,7 @@
 
 A matrix is a tuple (xx, xy, xz, yy, yz, zz) of arrays over any batch of problems. Written out by
 component every operation is a handful of elementwise array operations, which compilers fuse and
-vectorise over the batch; batched 3x3 kernels (einsum, solve, eigh) are 5-10 times slower.
+vectorize over the batch; batched 3x3 kernels (einsum, solve, eigh) are 5-10 times slower.
 """
 
 import jax

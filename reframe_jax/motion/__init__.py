@@ -1,1 +1,1 @@
-"""From poses to velocities, the windows of a recording, and the checks a window must pass."""
+"""From poses to velocities: noise, outliers, chords, twists; windows and their checks."""

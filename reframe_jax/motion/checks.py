@@ -1,4 +1,4 @@
-"""What makes a window unusable, as codes inside a batch and as sentences outside of one."""
+"""Checks of windows: status codes inside a batch, sentences outside."""
 
 from enum import IntEnum
 
@@ -15,7 +15,7 @@ ROTATION_TOLERANCE = 1e-3
 
 
 class Status(IntEnum):
-    """Outcome of one window. Codes from 10 on mean that there is no result: all its numbers are NaN."""
+    """Outcome of one window. Codes of 10 and above mean that it has no result: all its numbers are NaN."""
 
     OK = 0
     ON_BOUNDS = 1
@@ -32,7 +32,7 @@ class Status(IntEnum):
 
     @property
     def message(self) -> str:
-        """What happened, and what was expected."""
+        """Explanation: what happened, and what was expected."""
         return _MESSAGES[self]
 
 
@@ -61,7 +61,7 @@ def window_status(poses: jax.Array, steps: jax.Array) -> jax.Array:
 
     Args:
         poses: (..., K+1, 4, 4).
-        steps: (..., K) sample times, s, with the batch axes of the poses or none.
+        steps: (K,) or (..., K) sample times, s.
 
     Returns:
         (...) int32.

@@ -1,8 +1,8 @@
 """Velocities from overlapping chords of any length.
 
-A chord joins the poses k and k + L; all of them are used, none is thinned out. Its velocity is the
-difference of the path (see :func:`reframe_jax.motion.kinematics.velocity_paths`) over the time between
-them, so that a long lag costs no more than a short one.
+A chord joins the poses k and k + L, for every k; no pose is thinned out. Its velocity is the difference of
+the path (see :func:`reframe_jax.motion.kinematics.velocity_paths`) over the time between them, so a long lag
+costs no more than a short one.
 """
 
 import jax
@@ -16,13 +16,13 @@ _MOVING = 0.1  # share of chords that must move for the others to be left out
 
 
 def chord_velocities(paths: jax.Array, times: jax.Array, lag: jax.Array, weights: jax.Array) -> jax.Array:
-    """Velocity maps of all chords, scaled so that the mean of their squares is the weighted one.
+    """Compute the velocity maps of all chords, scaled so that their mean square is the weighted mean square.
 
     Args:
-        paths: (3, 4, K+1, 4, N).
+        paths: (3, 4, K+1, 4, N) m and 1, components first; the last but one axis is over frame types.
         times: (K+1, N) s.
         lag: (N,) samples.
-        weights: (K, N) of the chords, by their first pose; those that reach beyond the window have none.
+        weights: (K, N) weights of the chords, by their first pose; 0 for chords that end beyond the window.
 
     Returns:
         (3, 4, K, 4, N) m/s and 1/s.
@@ -43,16 +43,17 @@ def moving_chords(
     lag: jax.Array,
     noise: tuple[jax.Array, jax.Array],
 ) -> jax.Array:
-    """Weight of every chord, (K, N): 1, or 0 where a pose at its ends does not count, or the body rests.
+    """Weigh every chord, (K, N): 1, or 0 if one of its poses does not count or the body rests.
 
-    Rest says nothing about a constraint, and its noise would dilute what motion says.
+    A chord rests if it is shorter than four times the noise. Rest says nothing about a constraint, and its
+    noise would dilute the motion. If nearly all chords rest, all count.
 
     Args:
-        rotation: (3, 3, K+1, N).
+        rotation: (3, 3, K+1, N) rotation matrices.
         position: (3, K+1, N) m.
-        counted: (K+1, N) bool.
+        counted: (K+1, N) bool, poses that count.
         lag: (N,) samples.
-        noise: (N,) m and (N,) rad.
+        noise: (N,) m and (N,) rad, standard deviations of position and orientation.
     """
     samples = counted.shape[0] - 1
     reach = np.arange(samples, dtype=np.int32)[:, None] + lag[None]
@@ -69,9 +70,9 @@ def moving_chords(
 
 
 def spread_of(paths: jax.Array, counted: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Paths about their mean, (3, 4, K+1, 4, N), scaled like :func:`chord_velocities`, and that mean.
+    """Return paths about their mean, (3, 4, K+1, 4, N), scaled as in :func:`chord_velocities`, and the mean.
 
-    Their mean square is half that of the displacements between all pairs of poses.
+    Their mean square is half the mean square of the displacements between all pairs of poses.
     """
     weights = counted.astype(paths.dtype)[None, None, :, None]
     total = jnp.maximum(jnp.sum(weights, axis=2), 1)

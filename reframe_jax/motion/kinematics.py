@@ -5,11 +5,11 @@ The velocity of a constraint frame's origin is affine in the unknown position p 
     u(k; p) = a(k) + B(k) p,
 
 for each of the four linear frame types (section 4 and Table 3 of the paper, with p the *location* of
-the origin, so v + w x p). This module computes (a, B); nothing after it looks at poses again.
+the origin, so v + w x p). This module computes (a, B).
 
 Inside, arrays are laid out components first, then samples, then windows: a rotation is (3, 3, K, ...).
-Every operation is then elementwise on long rows of windows, and no kernel for small matrices, of which
-XLA has no fast ones, is needed. The public functions take and return samples and components last.
+Every operation is then elementwise on long rows of windows and needs no kernels for small matrices, which are
+slow in XLA. The public functions take and return samples and components last.
 """
 
 from typing import Literal
@@ -291,7 +291,7 @@ def velocity_components(
 def velocity_paths(
     poses: jax.Array, dt: jax.Array | float, count: jax.Array | None = None
 ) -> tuple[jax.Array, jax.Array]:
-    """Velocity maps of single steps, and the paths that they are derivatives of, components first.
+    """Compute the velocity maps of single steps and the paths whose derivatives they are, components first.
 
     A path is the integral of the velocity of a frame's origin in the axes of its type, affine in the
     origin like the velocity: s(k; p) = a(k) + B(k) p. For GB and BG it is the origin's position in the
@@ -300,7 +300,7 @@ def velocity_paths(
     Args:
         poses: (..., K+1, 4, 4), of {b} in {g}; m.
         dt: sample time in s: a scalar, or (..., K) for irregular sampling.
-        count: (...) number of poses that count, 8 or more, where others are padding; all by default.
+        count: (...) number of poses, 8 or more, if the rest of the window is padding; all by default.
 
     Returns:
         (3, 4, K, 4, ...) m/s and 1/s, and (3, 4, K+1, 4, ...) m and 1.

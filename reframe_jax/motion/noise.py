@@ -1,10 +1,9 @@
-"""How noisy measured poses are, and the chord that their noise calls for.
+"""Noise of measured poses, and the chord length that it requires.
 
-The velocity between two poses is their difference over the time between them, and so is its noise: from
-consecutive poses of a camera it is mostly noise. From poses a longer chord apart the noise is divided by a
-longer time, and overlapping chords use every pose. The price is that a chord cuts corners, which is why it
-is no longer than the noise requires; for noise as small as an encoder's it is a single step, and the
-velocities are those of the paper.
+The velocity between two poses is their difference over the time between them. For consecutive poses of a
+camera, it is mostly noise. A longer chord divides the same noise by a longer time, and overlapping chords use
+every pose. However, a chord cuts corners, so it should be no longer than the noise requires. For the noise of
+an encoder it is a single step, and the velocities are those of the paper.
 
 All arrays have components first, then samples, then windows.
 """
@@ -29,9 +28,9 @@ _BISECTIONS, _OCTAVES = 14, 40  # of a median: to 0.2 % over twelve decades
 
 
 def masked_median(values: jax.Array, counted: jax.Array) -> jax.Array:
-    """Median of non-negative values (M, ...) over the first axis, of those that count; zero if none does.
+    """Return the median of the non-negative values (M, ...) that count, over the first axis; 0 if none.
 
-    By bisection of its logarithm: elementwise passes, where sorting many short rows is slow.
+    Bisects the logarithm in elementwise passes, because sorting many short rows is slow.
     """
     top = jnp.log2(jnp.maximum(jnp.max(jnp.where(counted, values, 0), axis=0), jnp.finfo(values.dtype).tiny))
     half = jnp.sum(counted, axis=0, dtype=values.dtype) / 2
@@ -48,11 +47,11 @@ def masked_median(values: jax.Array, counted: jax.Array) -> jax.Array:
 
 
 def estimate_noise(position: jax.Array, turns: jax.Array, counted: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Standard deviation of the white noise in every component of position and orientation.
+    """Estimate the standard deviation of the white noise in each component of position and orientation.
 
-    From the medians of differences of several orders, of which the smallest counts: motion is smooth, and
-    the more so the higher the order; a few jumps do not matter. Errors that change slowly do not count.
-    Rounded data have at least the noise of their rounding.
+    Uses the median absolute differences of order 2, 4 and 6, and returns the smallest estimate, because
+    smooth motion vanishes from high differences. A few jumps do not matter. Errors that change slowly are not
+    included. Rounded positions have at least the noise of their rounding.
 
     Args:
         position: (3, K+1, N) m.
@@ -114,21 +113,21 @@ def choose_lag(
     noise: tuple[jax.Array, jax.Array],
     count: jax.Array,
 ) -> jax.Array:
-    """Samples between the poses of a chord: the fewest at which the median chord is long against the noise.
+    """Choose the lag: the fewest samples at which the median chord is long compared with the noise.
 
-    The median chord should be 70 times the noise in position and in orientation, or as long as the motion
-    makes it; it should turn by no more than 20 degrees, and six chords should fit the window. A group that
-    hardly moves does not count: one whose chords stay as short however far apart the poses are.
+    The median chord should be 70 times the noise in position and in orientation, or 80 % of the longest that
+    the motion makes. It should turn by no more than 20 degrees, and at least six chords must fit in the
+    window. A group (position or orientation) whose chords hardly grow with the lag does not count.
 
     Args:
-        rotation: (3, 3, K+1, N).
+        rotation: (3, 3, K+1, N) rotation matrices.
         position: (3, K+1, N) m.
-        counted: (K+1, N) bool.
+        counted: (K+1, N) bool, which poses count.
         noise: as :func:`estimate_noise` returns it.
         count: (N,) number of poses in each window, padding left out.
 
     Returns:
-        (N,) int32.
+        (N,) int32, samples between the two poses of a chord.
     """
     lags = _candidates(counted.shape[0])
     chords, masks = [], []

@@ -1,7 +1,7 @@
 """Single poses that jump away and back: flips, swapped markers, lost frames.
 
-They are found by robust lines through their neighbours and take no part in anything; where a path has to
-be followed across them, the motion between the poses beside them is filled in.
+Robust lines through the neighbours find them. They do not count; paths that run across them use the motion
+interpolated between the poses beside them.
 """
 
 import jax
@@ -21,7 +21,7 @@ _MOST = 0.3  # share of poses that can be outliers; beyond it nothing is left ou
 
 
 def repair_poses(poses: jax.Array, times: jax.Array, count: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Find outliers, and fill in the motion between the poses beside them.
+    """Find outliers, and replace them by motion interpolated between the poses beside them.
 
     Args:
         poses: (N, K+1, 4, 4) m.

@@ -6,11 +6,11 @@ __all__ = ["sliding_windows"]
 
 
 def sliding_windows(samples: np.ndarray, length: int, stride: int = 1) -> np.ndarray:
-    """Windows over the first axis of a recording, as a read-only view: nothing is copied.
+    """Return windows over the first axis of a recording as a read-only view; nothing is copied.
 
     Args:
         samples: (N, ...), poses or times.
-        length: samples in a window; a window of K velocities has K + 1 poses.
+        length: samples in a window; a window of K steps has K + 1 poses.
         stride: samples between the starts of two windows.
 
     Returns:

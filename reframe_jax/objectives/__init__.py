@@ -1,4 +1,4 @@
-"""The norms that a constraint frame minimises, from samples and from moments; what solvers see of them."""
+"""The norms that a constraint frame minimizes, from samples and from moments, and their solver protocol."""
 
 from reframe_jax.objectives.norms import (
     axis_rms,

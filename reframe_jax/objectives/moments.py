@@ -40,7 +40,7 @@ def velocity_moments(maps: jax.Array, weights: jax.Array | None = None) -> jax.A
 
     Args:
         maps: (..., K, 3, 4), the matrix (a | B) of every sample: u = a + B p.
-        weights: optional (..., K), >= 0: the mean over samples becomes a weighted mean.
+        weights: (..., K), >= 0, for a weighted mean over the samples; equal by default.
 
     Returns:
         (6, 10, ...), coefficients of Sigma(p). For maps of shape (..., K, 3, 1), which have no
@@ -51,11 +51,11 @@ def velocity_moments(maps: jax.Array, weights: jax.Array | None = None) -> jax.A
 
 
 def component_moments(maps: jax.Array, weights: jax.Array | None = None) -> jax.Array:
-    """Moments of maps laid out components first, as :func:`kinematics.velocity_components` has them.
+    """Moments of maps with components first, as :func:`kinematics.velocity_components` returns them.
 
     Args:
         maps: (3, 4, K, ...) or (3, 1, K, ...).
-        weights: optional (K, ...), >= 0.
+        weights: (K, ...), >= 0; equal by default.
 
     Returns:
         (6, 10, ...) or (6, 1, ...).

@@ -1,4 +1,4 @@
-"""The norms that a constraint frame minimises: Eqs. 6-8 of the paper as pure functions.
+"""The norms that a constraint frame minimizes: Eqs. 6-8 of the paper as pure functions.
 
 For axes of orientation E (columns in the body of the frame's first letter) and an origin p,
 
@@ -30,7 +30,7 @@ __all__ = [
 
 
 def check_exponent(exponent: float) -> float:
-    """The exponent of a power mean over axes as a float.
+    """Return the exponent of a power mean over the axes as a float.
 
     Raises:
         ValueError: unless -inf <= exponent <= 2. Above 2 the norm favours even axes, not small ones.
@@ -71,8 +71,8 @@ def power_mean(values: jax.Array, exponent: float = 0.0) -> jax.Array:
         exponent: p in [-inf, 2]: -inf is the minimum, 0 the geometric and 1 the arithmetic mean.
 
     Returns:
-        (...). Where a value is zero and the exponent not positive the mean is zero, and so is its
-        derivative (the true one is infinite).
+        (...). If a value is zero and the exponent is not positive, the mean is zero, and its derivative is
+        set to zero (the true one is infinite).
     """
     exponent = check_exponent(exponent)
     positive = values > 0

@@ -1,4 +1,4 @@
-"""What a solver needs to know of an objective."""
+"""The protocol of objectives: what a solver needs to know."""
 
 from typing import Any, Literal, Protocol, runtime_checkable
 
@@ -10,13 +10,14 @@ __all__ = ["MomentsObjective", "Objective", "check_objective"]
 
 @runtime_checkable
 class Objective(Protocol):
-    """A function to minimise, for many problems at once.
+    """A function to minimize, for many problems at once.
 
     An objective is a pytree, for example a class registered with ``jax.tree_util.register_dataclass``. Its
-    arrays hold the data of the problems, and the trailing axes of each are the problems. What all problems
-    share is a static field. Solvers select, repeat and flatten problems with ``jax.tree.map`` and put the
-    objective together again. Therefore ``batch`` and ``dtype`` must be read off the arrays, not stored, and
-    ``value`` must treat every problem by itself, whatever the number of problem axes, none included.
+    arrays hold the data of the problems, which are the trailing axes of each array. Data that all problems
+    share go into a static field. Solvers select, repeat and flatten problems with ``jax.tree.map`` and
+    rebuild the objective. Therefore ``batch`` and ``dtype`` must follow from the arrays, not from stored
+    values, and ``value`` must treat the problems independently, for any number of problem axes, including
+    none.
     """
 
     @property
@@ -31,11 +32,11 @@ class Objective(Protocol):
 
     @property
     def dtype(self) -> np.dtype:
-        """Of the unknowns and the values."""
+        """Type of the unknowns and the values."""
         ...
 
     def value(self, x: jax.Array) -> jax.Array:
-        """What to minimise, (...), at unknowns (dim, ...); infinite or NaN where it is not defined.
+        """The objective, (...), at unknowns (dim, ...); infinite or NaN where it is undefined.
 
         Solvers expect the logarithm of a quantity whose relative changes matter: the temperature of
         :class:`BasinHopping` and its bounds for chains that agree are differences of values.
@@ -45,9 +46,9 @@ class Objective(Protocol):
 
 @runtime_checkable
 class MomentsObjective(Objective, Protocol):
-    """A norm of velocities that are known by their moments, and nothing beside it.
+    """A norm of velocities that is a function of their moments alone.
 
-    ``ValleySteps`` and ``FrameSteps`` minimise it in closed form: they read the moments and the exponent,
+    ``ValleySteps`` and ``FrameSteps`` minimize it in closed form: they read the moments and the exponent,
     and call ``value`` for the result only.
     """
 
@@ -58,7 +59,7 @@ class MomentsObjective(Objective, Protocol):
 
     @property
     def exponent(self) -> float:
-        """Of the power mean over axes."""
+        """Exponent of the power mean over the axes."""
         ...
 
     @property
@@ -68,10 +69,10 @@ class MomentsObjective(Objective, Protocol):
 
 
 def check_objective(objective: Any) -> None:
-    """Check what can be seen of an objective without a value: its members and the shapes of its arrays.
+    """Check the members of an objective and the shapes of its arrays, without evaluating it.
 
     Raises:
-        ValueError: if it is no :class:`Objective`.
+        ValueError: if it is not an :class:`Objective`.
     """
     name = type(objective).__name__
     missing = [member for member in ("dim", "batch", "dtype", "value") if not hasattr(objective, member)]

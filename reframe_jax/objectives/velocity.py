@@ -1,4 +1,4 @@
-"""What a solver minimises: log J of many problems at once, as a function of an array of unknowns."""
+"""What a solver minimizes: log J of many problems at once, as a function of an array of unknowns."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -77,7 +77,7 @@ class PositionObjective:
     """log J over the origin alone: the best orientation is eliminated in closed form.
 
     The variances along orthogonal axes are the diagonal of E^T Sigma E, which the eigenvalues of
-    Sigma majorise (Schur-Horn). A power mean of the RMS values with exponent p <= 2 is a symmetric
+    Sigma majorize (Schur-Horn). A power mean of the RMS values with exponent p <= 2 is a symmetric
     concave function of the variances, hence smallest at the eigenvalues: for every such norm the best
     axes are the eigenvectors of Sigma. For the geometric mean J is det(Sigma)^(1/6).
 

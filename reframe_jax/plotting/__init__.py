@@ -1,7 +1,7 @@
 """Pictures: identifications, scenes, error curves, objectives, maps.
 
-Needs Matplotlib: ``pip install "reframe-jax[plot]"``. Every function returns a figure of its own, unknown
-to ``pyplot``: show it in a notebook, or ``figure.savefig(...)``.
+Needs Matplotlib: ``pip install "reframe-jax[plot]"``. Every function returns a new figure that ``pyplot``
+does not know: display it in a notebook, or call ``figure.savefig(...)``.
 """
 
 from reframe_jax.plotting.animation import animate_scene, gif

@@ -37,9 +37,9 @@ def animate_scene(
     Args:
         poses: (K+1, 4, 4), m.
         found: identification of these poses.
-        times: (K+1,) s; the animation runs at this pace.
-        frames: pictures in it.
-        title: of the figure, by default the name of the constraint.
+        times: (K+1,) s; the animation runs in real time.
+        frames: number of pictures.
+        title: title of the figure, by default the name of the constraint.
 
     Raises:
         ImportError: if Matplotlib is not installed.
@@ -84,7 +84,7 @@ def animate_scene(
 
 
 def gif(animation: "FuncAnimation") -> bytes:
-    """An animation as a GIF, for ``IPython.display.Image`` or a file; it needs no network to be seen."""
+    """Encode an animation as a GIF, for ``IPython.display.Image`` or a file; viewing it needs no network."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "animation.gif"
         animation.save(path, writer="pillow", dpi=100)

@@ -26,17 +26,17 @@ _ROWS = {"exact": "exact frame", "literature": "literature's errors", "identifie
 
 
 def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: str | None = None) -> "Figure":
-    """Draw one demonstration: the arm and its constraint, how the tool moves, and what reacts.
+    """Draw one demonstration: the arm, its constraint, the motion of the tool, and the reactions.
 
-    On the left the arm at the first, the middle and the last sample, the first one palest, the path of
-    the TCP, and the true constraint frame: free axes are solid, constrained ones dashed, an axis of free
-    rotation green. On the right the motion along the frame's free axes, and the moments and forces of
-    the constraint on the tool along the constrained ones.
+    The left panel shows the arm at the first, middle and last sample (palest at the first), the path of the
+    TCP, and the true constraint frame: free axes are solid, constrained ones dashed, axes of free rotation
+    green. The right panels show the motion along the frame's free axes, and the moments and forces of the
+    constraint on the tool along the constrained ones.
 
     Args:
         made: one demonstration, ``made[i]`` of a batch.
-        arm: the robot it was made with.
-        title: of the figure.
+        arm: the robot of the demonstration.
+        title: title of the figure.
 
     Raises:
         ImportError: if Matplotlib is not installed.
@@ -161,8 +161,8 @@ def plot_comparison(comparisons: Mapping[str, Comparison], *, title: str | None 
     Bars are means, with one standard deviation; dots are the trials.
 
     Args:
-        comparisons: by the label of the task.
-        title: of the figure.
+        comparisons: comparisons by the label of the task.
+        title: title of the figure.
 
     Raises:
         ImportError: if Matplotlib is not installed.
@@ -184,9 +184,9 @@ def plot_reactions(comparison: Comparison, index: int = 0, *, title: str | None 
     """Draw the reactions of one task over time, in exact, inexact and identified frames.
 
     Args:
-        comparison: of any number of trials.
-        index: of the trial.
-        title: of the figure.
+        comparison: comparison with any number of trials.
+        index: number of the trial.
+        title: title of the figure.
 
     Raises:
         ImportError: if Matplotlib is not installed.

@@ -20,10 +20,10 @@ class Curve:
     """One line of a panel.
 
     Attributes:
-        name: in the legend, which lists every name once.
-        values: (N,).
-        low, high: (N,) each, edges of a band about it; None for none.
-        colour: index into the colours.
+        name: entry in the legend, which lists every name once.
+        values: (N,), in the unit of the panels' y axis.
+        low, high: (N,) each, edges of a band about the values; None draws no band.
+        colour: index into the colour cycle.
         dashed: whether the line is dashed.
     """
 
@@ -46,16 +46,16 @@ def plot_curves(
     log: bool = True,
     notes: Mapping[str, str] | None = None,
 ) -> "Figure":
-    """Draw small multiples: a panel for every entry, with one legend above all.
+    """Draw small multiples: one panel per entry, with a shared legend above.
 
     Args:
-        x: (N,), common to all curves.
+        x: (N,), shared by all curves.
         panels: curves by the panel's title.
-        xlabel: of the whole figure, with the unit.
-        ylabel: of the whole figure, with the unit.
-        title: of the figure.
-        columns: panels in a row.
-        log: logarithmic axes.
+        xlabel: label of the shared x axis, with the unit.
+        ylabel: label of the shared y axis, with the unit.
+        title: title of the figure.
+        columns: number of panels per row.
+        log: whether the axes are logarithmic.
         notes: a line of text inside some panels, by their title.
 
     Raises:

@@ -1,4 +1,4 @@
-"""One window at a glance: where its frame is, and how fast it moves along the axes."""
+"""Picture of one window: its frame in space, and the velocities along the axes."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +32,7 @@ def plot_identification(
     lag: Lag = "auto",
     title: str | None = None,
 ) -> "Figure":
-    """Draw one window: where its linear frame is, and how fast it moves along the axes.
+    """Draw one window: its linear frame in space, and the velocities along the axes.
 
     On the left the path of the body in the ground, with the linear frame and the free axes of rotation
     through its origin. What is fixed in the body is drawn at the first, the middle and the last pose, the
@@ -52,7 +52,7 @@ def plot_identification(
         title: of the figure, by default the name of the constraint.
 
     Returns:
-        A figure of its own, unknown to ``pyplot``: show it in a notebook, or ``figure.savefig(...)``.
+        A new figure that ``pyplot`` does not know: display it in a notebook, or call ``figure.savefig(...)``.
 
     Raises:
         ImportError: if Matplotlib is not installed.

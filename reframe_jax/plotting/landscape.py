@@ -1,4 +1,4 @@
-"""The objective over a plane of positions: what the search for a frame's origin sees."""
+"""The objective over a plane of positions, as the search for a frame's origin sees it."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -33,7 +33,7 @@ def landscape(
     discretization: Discretization = "chord",
     lag: Lag = "auto",
 ) -> jax.Array:
-    """The norm, in m/s, of the best-turned frame of a type at given origins.
+    """Evaluate the norm, in m/s, of the best-oriented frame of a type at given origins.
 
     Args:
         poses: (K+1, 4, 4), m.
@@ -91,7 +91,7 @@ def plot_landscape(
     lag: Lag = "auto",
     title: str | None = None,
 ) -> "Figure":
-    """Draw the norm over planes through the position found, a row for every frame type.
+    """Draw the norm over planes through the identified position, one row per frame type.
 
     Where a type leaves the position free (:class:`LinearFrame`), or the frames are ``refined``, it is not
     the lowest point. The planes are those of the axes x-y, x-z and y-z of the body that the type's second
@@ -101,9 +101,9 @@ def plot_landscape(
         poses: (K+1, 4, 4), m.
         found: identification of these poses.
         times: (K+1,) s.
-        linear_types: types to draw; the one identified by default.
+        linear_types: types to draw; by default the identified one.
         span: m, from the optimum to the edge.
-        points: along each side.
+        points: number of points along each side.
         norm: exponent of the power mean over axes.
         discretization: the one of the identification.
         lag: the one of the identification.

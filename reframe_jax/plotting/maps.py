@@ -28,20 +28,20 @@ def plot_maps(
     form: str = "{:.2g}",
     across: int = 3,
 ) -> "Figure":
-    """Draw maps side by side on one colour scale, every cell with its number.
+    """Draw maps side by side on one colour scale, with the number in every cell.
 
     Args:
         maps: (len(rows), len(columns)) values by the map's title; NaN stays empty.
-        columns: labels of the columns.
+        columns: labels of the columns, from the left.
         rows: labels of the rows, the first one at the bottom.
-        xlabel: of the whole figure.
-        ylabel: of the whole figure.
+        xlabel: label of the shared x axis.
+        ylabel: label of the shared y axis.
         unit: label of the colour scale.
-        title: of the figure.
-        limits: of the colour scale; those of the values by default.
-        log: logarithmic colour scale.
-        form: format of the numbers.
-        across: maps in a row.
+        title: title of the figure.
+        limits: range of the colour scale; by default that of the values.
+        log: whether the colour scale is logarithmic.
+        form: format specification of the numbers.
+        across: number of maps per row.
 
     Raises:
         ImportError: if Matplotlib is not installed.
@@ -99,8 +99,8 @@ def plot_bars(
     Args:
         groups: names of the groups along the axis of every panel.
         bars: by the panel's title, then by the bar's name: one array (N,) of samples for every group.
-        ylabels: of every panel, with the unit.
-        title: of the figure.
+        ylabels: label of the y axis of every panel, with the unit.
+        title: title of the figure.
 
     Raises:
         ImportError: if Matplotlib is not installed.

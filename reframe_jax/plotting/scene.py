@@ -50,7 +50,7 @@ def plot_scene(poses: ArrayLike, found: Identification, *, title: str | None = N
     Args:
         poses: (K+1, 4, 4), m.
         found: identification of these poses.
-        title: of the figure, by default the name of the constraint.
+        title: title of the figure, by default the name of the constraint.
 
     Raises:
         ImportError: if Matplotlib is not installed.

@@ -1,1 +1,1 @@
-"""Recordings of poses: read, written, and cleaned."""
+"""Recordings of poses: reading, writing, cleaning."""

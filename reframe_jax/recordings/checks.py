@@ -1,4 +1,4 @@
-"""From rows of numbers to poses: what is repaired, what is dropped, what is refused."""
+"""From rows of numbers to poses: repairs, drops and refusals."""
 
 from collections.abc import Iterator
 
@@ -22,7 +22,7 @@ def make_times(rows: Rows, dt: float | None) -> np.ndarray:
     """Times of the rows (N,), s: those of the file, or multiples of the sample time.
 
     Raises:
-        RecordingError: if there are neither.
+        RecordingError: if there is neither.
     """
     if dt is not None:
         if rows.times is not None:
@@ -36,17 +36,17 @@ def make_times(rows: Rows, dt: float | None) -> np.ndarray:
 
 
 def drop_unfinished(rows: Rows, times: np.ndarray) -> np.ndarray:
-    """Drop rows in which a number is missing; returns the times that are left."""
+    """Drop rows in which a number is missing, and return the remaining times."""
     rows.times = times
     rows.keep(np.isfinite(rows.values).all(axis=1) & np.isfinite(times), "a number is missing or not finite")
     return rows.times
 
 
 def check_times(rows: Rows, times: np.ndarray) -> np.ndarray:
-    """Refuse times that do not increase; drop exact duplicates, and return the times that are left.
+    """Refuse times that do not increase, drop exact duplicates, and return the remaining times.
 
     Raises:
-        RecordingError: if time goes back, stands still while the body moves, or is not in seconds.
+        RecordingError: if time decreases, stands still while the body moves, or is not in seconds.
     """
     rows.times = times
     steps, still = np.diff(times), _repeats(rows.values)
@@ -93,7 +93,7 @@ def make_poses(rows: Rows) -> np.ndarray:
     """Poses (N, 4, 4) with proper rotations; positions in the unit of the file.
 
     Raises:
-        RecordingError: if a rotation is none.
+        RecordingError: if a rotation is invalid.
     """
     values = rows.values
     poses = np.zeros((len(values), 4, 4))

@@ -1,12 +1,12 @@
-"""Recordings of a tracker, made fit for identification by leaving poses out.
+"""Cleaning of tracker recordings by leaving poses out.
 
-NumPy only. A pose is kept as it was measured or left out; none is moved, since smoothing across a lost frame
-invents motion, whereas the chord between two measured poses is exact however far they are apart.
+NumPy only. A pose is kept as measured or left out, never moved: smoothing across a lost frame invents motion,
+whereas the chord between two measured poses is exact, however far apart they are.
 
-Three things spoil a recording from a camera. Single poses jump away and back. Noise, divided by a short
-sample time, looks like velocity: white noise of standard deviation s as ``sqrt(2) s / dt``. And rest before
-and after the motion lowers the means over time. Accordingly :func:`clean_recording` leaves out outliers,
-thins the others to steps long enough for the noise, and cuts off the rest at both ends.
+Three things spoil a recording from a camera. Single poses jump away and back. Noise of standard deviation s,
+divided by a short sample time, looks like a velocity of ``sqrt(2) s / dt``. Rest before and after the motion
+lowers the means over time. Therefore :func:`clean_recording` leaves out outliers, thins the others to steps
+long enough for the noise, and cuts off rest at both ends.
 """
 
 from dataclasses import replace
@@ -39,21 +39,21 @@ def clean_recording(
 ) -> Recording:
     """Leave out outliers, and the poses between which noise outweighs motion.
 
-    Of the poses that are no outliers the first is kept, and then always the next one that is at least
-    ``step`` later. At both ends those are left out that are no further from the first or last pose, in
-    position and orientation, than the threshold velocities lead in one step.
+    Keeps the first pose that is not an outlier, then always the next one at least ``step`` later. At both
+    ends, leaves out poses that are no further from the first or last pose, in position and orientation, than
+    the threshold velocities lead in one step.
 
-    The step chosen by default is the shortest at which noise, as :func:`pose_noise` estimates it, is no
-    more than a fifth of either threshold, as long as 50 such steps fit into the recording. Where the
-    recording's own sample time is long enough, nothing is left out but outliers.
+    The default step is the shortest at which the velocity of the noise (see :func:`pose_noise`) is at most a
+    fifth of either threshold, limited so that 50 steps fit in the recording. If the sample time is long
+    enough, only outliers are left out.
 
     Args:
         recording: of N poses.
-        step: s; chosen from the noise by default, 0 to leave out nothing but outliers.
+        step: s; chosen from the noise by default; 0 leaves out only outliers.
         thresholds: those of the identification, plain numbers.
 
     Returns:
-        The poses that are left, with notes on those that are not.
+        The remaining poses, with notes on those left out.
 
     Raises:
         ValueError: if the step is negative or not finite.
@@ -87,13 +87,13 @@ def clean_recording(
 
 
 def pose_outliers(times: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """Poses that jump away from their neighbours, and back.
+    """Find poses that jump away from their neighbours and back.
 
     A robust line (medians of slopes and of intercepts) is drawn through the six neighbours of every pose, in
     the tangent space there, for orientation and position each. An outlier lies further from the line than
     six times their scatter about it, or the median scatter in the recording if that is larger; and the poses
-    before and after it lie on the same side of it. Fast motion and lost frames, after which the body is
-    elsewhere, are no outliers. The first and the last pose never are.
+    before and after it lie on the same side of it. Fast motion is not an outlier, nor is a body that is
+    elsewhere after lost frames. The first and last pose never are.
 
     Args:
         times: (N,) s, increasing.
@@ -127,12 +127,12 @@ def pose_outliers(times: np.ndarray, poses: np.ndarray) -> np.ndarray:
 
 
 def pose_noise(poses: np.ndarray) -> np.ndarray:
-    """Standard deviation of white noise in orientation and position.
+    """Estimate the standard deviation of white noise in orientation and position.
 
-    From the medians of third differences, to which a few jumps do not matter. Differences over twice the
-    distance show what share of them is motion, which is taken out: their variance grows with motion, by
-    up to 64 if it is smooth, and by 8 is assumed; that of noise does not. Errors that change slowly, such
-    as those that depend on the view, do not count.
+    Uses the medians of third differences, so a few jumps do not matter. Differences over twice the lag reveal
+    the share of motion, which is subtracted: their variance grows with motion, by up to 64 if it is smooth (8
+    is assumed), whereas that of noise does not. Errors that change slowly, such as those that depend on the
+    view, are not included.
 
     Args:
         poses: (N, 4, 4), m, evenly sampled.
@@ -159,13 +159,13 @@ def recording_warnings(
     recording: Recording,
     thresholds: Thresholds = Thresholds(),  # noqa: B008
 ) -> list[str]:
-    """Sentences on what would mislead the identification of a recording.
+    """Describe what could mislead the identification of a recording, in sentences.
 
-    Noise whose velocity exceeds a third of a threshold, outliers, and a few steps that make up most of a
-    mean square.
+    Reports noise whose velocity exceeds a third of a threshold, outliers, and few steps that make up most of
+    a mean square.
 
     Args:
-        recording: as it was loaded.
+        recording: the recording as loaded.
         thresholds: those of the identification, plain numbers.
     """
     times, poses = recording.times, recording.poses

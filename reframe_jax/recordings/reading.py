@@ -1,7 +1,7 @@
-"""Recordings read from disk.
+"""Reading of recordings.
 
-NumPy only. No row is lost silently: what is dropped, repaired or odd is noted in ``Recording.notes``; all
-else that is wrong raises a :class:`RecordingError` that says where, what was expected, and what to do.
+NumPy only. ``Recording.notes`` lists rows that were dropped, repaired or look odd. Everything else that is
+wrong raises a :class:`RecordingError` that says where, what was expected, and what to do.
 """
 
 from pathlib import Path
@@ -50,7 +50,7 @@ def load_recording(
 
     Args:
         path: the file.
-        unit: of its positions.
+        unit: unit of the positions in the file.
         dt: sample time in s, for files without times; times in the file are then ignored.
 
     Returns:

@@ -1,4 +1,4 @@
-"""What a recording is, and the error of a file that is none."""
+"""The recording, and the error of an unusable file."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +19,7 @@ class Recording:
     Attributes:
         times: (K+1,) s, increasing, not necessarily evenly.
         poses: (K+1, 4, 4), m.
-        path: file it came from.
+        path: file that it was read from.
         notes: sentences about what was dropped, repaired or looks odd.
     """
 

@@ -1,4 +1,4 @@
-"""Recordings written to disk."""
+"""Writing of recordings."""
 
 import csv
 from pathlib import Path
@@ -18,7 +18,7 @@ def save_recording(path: str | Path, times: ArrayLike, poses: ArrayLike) -> None
     """Write a recording: a ``.csv`` of ``t,x,y,z,qx,qy,qz,qw``, or an ``.npz`` of ``times`` and ``poses``.
 
     Args:
-        path: the file; its suffix decides.
+        path: the file; its suffix selects the format.
         times: (K+1,) s.
         poses: (K+1, 4, 4), m.
 

@@ -1,1 +1,1 @@
-"""Motions with known truth, errors against it, the simulated arm, and tasks in identified frames."""
+"""Motions with known truth, error metrics, the simulated arm, and tasks in identified frames."""

@@ -1,7 +1,7 @@
-"""How the free axes of a simulated constraint move: velocities over time, by name.
+"""Excitations: velocities over time along the free axes of a simulated constraint, by name.
 
-``"paper"`` and ``"exciting"`` are for comparisons: the first is the paper's, the second makes the truth the
-only optimum. The others are what hands do: slower, seldom all axes at once, and often with a rest.
+``"paper"`` and ``"exciting"`` are for comparisons: the first is the paper's; the second makes the truth the
+only optimum. The others imitate hands: slower, seldom along all axes at once, often with a rest.
 """
 
 from collections.abc import Callable
@@ -28,7 +28,7 @@ _LEAVES, _TURNS, _RETURNS = (0.05, 0.25), (0.4, 0.6), (0.75, 0.95)  # when, as s
 
 
 def paper_excitation(key: jax.Array, duration: float | jax.Array | None = None) -> Excitation:
-    """The velocities of the paper's section 5.1; neither the key nor the duration plays a part."""
+    """The velocities of the paper's section 5.1; ignores the key and the duration."""
     del key, duration
 
     def velocity(t: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -88,12 +88,12 @@ def slow(key: jax.Array, duration: float | jax.Array | None = None) -> Excitatio
 
 
 def reach(key: jax.Array, duration: float | jax.Array = 5.0) -> Excitation:
-    """Go and return along minimum-jerk profiles, with a rest at both ends.
+    """Move out and back along minimum-jerk profiles, with rest at both ends.
 
-    Every axis leaves, turns and comes back at times of its own: by 0.3 to 1.2 rad and 0.08 to 0.35 m.
+    Every axis leaves, reverses and returns at its own times, over 0.3 to 1.2 rad and 0.08 to 0.35 m.
 
     Args:
-        key: of the times and distances.
+        key: JAX random key of the times and distances.
         duration: s, of the whole, rests included.
     """
     keys = jax.random.split(key, 6)

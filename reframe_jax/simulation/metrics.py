@@ -51,7 +51,7 @@ def _axis_error(rotvec: jax.Array, truth: jax.Array, dof: tuple[int, int, int]) 
 def geometry_errors(
     found: Identification, truth: ConstraintFrame, *, start: jax.Array | None = None
 ) -> GeometryErrors:
-    """Geometric errors of the frames of the true types, whichever types won.
+    """Compute geometric errors of the frames of the true types, whichever types won.
 
     As in the paper's simulations the types are taken as known (see :func:`types_correct` for those).
     Positions are compared along the unique components of the catalogue (Table 2) for the twelve
@@ -61,8 +61,8 @@ def geometry_errors(
     Args:
         found: of any batch shape.
         truth: geometry that broadcasts against it.
-        start: (..., 4, 4), the first pose, where the axes of the body and of the ground differ there:
-            it tells how the axes of a GB or BG frame lie to the body that its position is given in.
+        start: (..., 4, 4), the first pose; needed if the axes of body and ground differ there, to relate the
+            axes of a GB or BG frame to the body of its position.
     """
     angular = found.candidates.angular.rotvec[..., int(truth.angular_type), :]
     linear = found.candidates.linear.rotvec[..., int(truth.linear_type), :]
@@ -113,7 +113,7 @@ def types_correct(found: Identification, truth: ConstraintFrame, *, ties: bool =
     Args:
         found: of any batch shape.
         truth: the true constraint.
-        ties: also accept a winner that is reported as tied with the true type.
+        ties: also accept a winner that is tied with the true type.
     """
     entry = lookup(truth.linear_type, truth.angular_dof, truth.linear_dof)
     any_angular = sum(truth.angular_dof) != 2

@@ -1,7 +1,7 @@
 """Hand-like motions with random geometry, and the errors that trackers make.
 
-Everything works under ``vmap`` and ``jit`` with explicit keys. What integrates the motion is compiled once
-per number of samples and excitation, whatever the constraint, its geometry, the sample time and the errors.
+Everything works under ``vmap`` and ``jit`` with explicit keys. The integrator compiles once per number of
+samples and excitation, whatever the constraint, its geometry, the sample time and the errors.
 """
 
 from dataclasses import dataclass
@@ -24,12 +24,12 @@ _REACH = 0.5  # m, half the width of the cubes in which positions are drawn
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class PoseErrors:
-    """What a tracker does to poses. All are numbers or scalar arrays, so that they can be batched.
+    """Errors of a tracker. All are numbers or scalar arrays, so you can batch them.
 
     Attributes:
         sigma: m, standard deviation of white noise in each component of the position.
-        rotation_ratio: rad/m; the same in each component of the rotation vector is this times ``sigma``.
-            Applies to the sizes below too.
+        rotation_ratio: rad/m, from each size in m, here and below, to that of the same error in each
+            component of the rotation vector.
         outliers: share of the poses that jump away, for one sample.
         jump: m, standard deviation of each component of such a jump.
         slow: m, standard deviation of an error that changes slowly, a first-order autoregression.
@@ -49,10 +49,10 @@ class PoseErrors:
 
 @jax.jit
 def disturb(poses: jax.Array, key: jax.Array, errors: PoseErrors, dt: float | jax.Array) -> jax.Array:
-    """Poses as a tracker would measure them.
+    """Return poses as a tracker would measure them.
 
-    Errors of rotation turn about the axes of the ground: R becomes exp(e) R. The noise is a function of the
-    key alone, so that motions with other errors, but the same key, have the same noise in other sizes.
+    Errors of rotation turn about the axes of the ground: R becomes exp(e) R. The noise depends on the key
+    alone: other error sizes scale the same noise.
 
     Args:
         poses: (K+1, 4, 4), m.
@@ -83,7 +83,7 @@ def disturb(poses: jax.Array, key: jax.Array, errors: PoseErrors, dt: float | ja
 def random_constraint(
     label: str, key: jax.Array, *, linear_type: LinearType | None = None
 ) -> tuple[ConstraintFrame, jax.Array]:
-    """A constraint of random geometry, and a first pose of the body.
+    """Draw a constraint of random geometry, and the first pose of the body.
 
     The frame is turned at random; its origin lies anywhere within 0.5 m of that of the body, along each
     axis, at the start. So does the body's from the ground's, turned at random too. Both parts of the frame
@@ -91,7 +91,8 @@ def random_constraint(
 
     Args:
         label: label or name of one of the twelve.
-        key: of the geometry, which is the same for all labels but for the body that it is given in.
+        key: JAX random key of the geometry, which is the same for all labels, up to the body that it is given
+            in.
         linear_type: as in :meth:`ConstraintFrame.named`.
 
     Returns:
@@ -120,14 +121,14 @@ def random_motion(
     errors: PoseErrors = PoseErrors(),
     linear_type: LinearType | None = None,
 ) -> Simulation:
-    """A motion under a constraint of random geometry, with the errors of a tracker.
+    """Draw a motion under a constraint of random geometry, with the errors of a tracker.
 
     One key gives the same geometry and motion at every sample time, as long as ``samples * dt`` is the same,
     and whatever the errors are.
 
     Args:
         label: label or name of one of the twelve.
-        key: of the geometry, the excitation and the errors.
+        key: JAX random key of the geometry, the excitation and the errors.
         samples: K, number of steps.
         dt: sample time, s; a plain number.
         excitation: a name of :data:`reframe_jax.simulation.synthetic.EXCITATIONS`, or a function of time.

@@ -1,4 +1,4 @@
-"""Constrained motions with known truth: the simulations of the paper's section 5.1, and better ones.
+"""Constrained motions with known truth: the simulations of the paper's section 5.1, and exact ones.
 
 Two choices matter. The *generator*: the paper takes one Euler step of Eq. 9 per sample, which obeys the
 constraint in the ``"left"`` discretization only; the exact one integrates the motion between samples,

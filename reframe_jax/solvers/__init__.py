@@ -1,9 +1,9 @@
-"""Global minimisation of objectives, for many problems at once.
+"""Global minimization of objectives, for many problems at once.
 
 ``BasinHopping`` is the outer loop: ``minimise``, or ``init``, ``step`` and ``finish`` by hand.
-``JointSearch`` puts it to work for norms of negative exponent. Inside it goes a local minimiser:
-``ValleySteps`` (origins, with the rotation eliminated), ``FrameSteps`` (orientation and origin together),
-``NewtonSteps`` (any ``Objective``) or ``OptaxSteps`` (any ``Objective``, any Optax gradient transformation).
+``JointSearch`` applies it to norms of negative exponent. Inside is a local minimizer: ``ValleySteps``
+(origins, with the rotation eliminated), ``FrameSteps`` (orientation and origin together), ``NewtonSteps``
+(any ``Objective``) or ``OptaxSteps`` (any ``Objective``, any Optax gradient transformation).
 """
 
 from reframe_jax.objectives.protocol import Objective

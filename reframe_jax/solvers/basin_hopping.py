@@ -21,7 +21,7 @@ from reframe_jax.solvers.valley_steps import ValleySteps
 __all__ = ["BasinHopping", "SearchState"]
 
 _FEW = 4  # problems, those of one window, that are searched in a single loop
-_AT_ONCE = 1024  # minimisations at a time; if there are more, restarts take turns
+_AT_ONCE = 1024  # minimizations at a time; if there are more, restarts take turns
 
 
 @jax.tree_util.register_dataclass
@@ -58,27 +58,26 @@ def _state(hop: jax.Array, key: jax.Array, chains: Chains) -> SearchState:
 class BasinHopping:
     """Basin hopping (Wales & Doye 1997) from quasi-random restarts.
 
-    Every restart is a chain: minimise locally; then, ``hops`` times, jump, minimise locally, and move
-    there if it is better, or by Metropolis' rule if it is not; at the end minimise ``polish`` times
-    more from its best point. A problem whose chains all meet after their first minimisation is settled
-    and hops no more: most are, which is what makes the search fast. All problems see the same random
-    numbers, so a problem's answer depends on its data and the key alone, not on its place in a batch.
+    Every restart is a chain. It minimizes locally; then, ``hops`` times, it jumps, minimizes locally, and
+    moves there if the value is lower or Metropolis' rule accepts it; finally it minimizes ``polish`` more
+    times from its best point. A problem whose chains all agree after the first minimization is settled and
+    stops hopping. Most problems settle, which makes the search fast. All problems use the same random
+    numbers, so the answer depends on the data of the problem and the key, not on its place in a batch.
 
-    :meth:`minimise` is the whole search. The same search by hand, to watch it or to stop it early, is
-    ``init``, ``step`` for 1 + ``hops`` + ``polish`` times, and ``finish``; all three are pure functions of
-    arrays, to be compiled or not, and every problem takes all steps, settled or not.
+    :meth:`minimise` is the whole search. To watch a search or stop it early, call ``init``, then ``step`` 1 +
+    ``hops`` + ``polish`` times, then ``finish``. All three are pure functions of arrays that may be compiled;
+    every problem takes all steps, settled or not.
 
     Attributes:
-        inner: local minimiser: :class:`ValleySteps`, :class:`FrameSteps` or another of this package, or your
-            own.
+        inner: local minimizer, such as :class:`ValleySteps` or :class:`FrameSteps`, or your own.
         restarts: number of chains.
         hops: jumps of each chain.
-        polish: final minimisations of each chain, without a jump.
-        refine: another local minimiser for the best point of all chains, or None.
+        polish: final minimizations of each chain, without a jump.
+        refine: another local minimizer for the best point of all chains, or None.
         hop_size: standard deviation of a jump, as a share of the box.
         temperature: of Metropolis' rule, in log J: 0.1 accepts a 10 % larger norm once in e times.
-        settled: a problem is settled if no chain ends its first minimisation this much above another,
-            in log J; 0 lets every problem hop.
+        settled: largest difference in log J between the chains of a settled problem after their first
+            minimization; 0 makes every problem hop.
     """
 
     inner: LocalMinimiser
@@ -93,7 +92,7 @@ class BasinHopping:
     def init(
         self, objective: Objective, box: Box, key: jax.Array, starts: jax.Array | None = None
     ) -> SearchState:
-        """Starts, not minimised yet: their values are infinite.
+        """Return the starts before any minimization; their values are infinite.
 
         Args:
             objective: the problems.
@@ -102,7 +101,7 @@ class BasinHopping:
             starts: (dim, restarts, ...); quasi-random points, the same for all problems, by default.
 
         Raises:
-            ValueError: if the objective is no :class:`Objective`.
+            ValueError: if the objective is not an :class:`Objective`.
         """
         check_objective(objective)
         batch, dtype = objective.batch, objective.dtype
@@ -115,9 +114,9 @@ class BasinHopping:
         return SearchState(jnp.zeros((), jnp.int32), key, x, value, x, value)
 
     def step(self, objective: Objective, box: Box, state: SearchState) -> SearchState:
-        """One step of every chain: jump, minimise, and accept or stay.
+        """One step of every chain: jump, minimize, and accept or stay.
 
-        The first step minimises the starts as they are, those after the last hop the best points.
+        The first step minimizes the starts without a jump; steps after the last hop minimize the best points.
         """
         jump, rise, key = self._draw(state.key, objective.dim, state.x.dtype)
         more = (1,) * (state.x.ndim - 2)
@@ -256,7 +255,7 @@ class BasinHopping:
         return _state(state.hop + count, key, after)
 
     def _descend(self, objective: Objective, box: Box, x: Coordinates) -> tuple[jax.Array, jax.Array]:
-        """Local minimisation of every chain: at once if problems are few, else one after the other."""
+        """Local minimization of every chain: at once if problems are few, else one after the other."""
         starts = cast(jax.Array, x)
         if starts[0].size <= _AT_ONCE:
             chains = repeat_problems(objective, starts.ndim - 2, self.restarts)

@@ -1,4 +1,4 @@
-"""Work on those of many problems that need it."""
+"""Computation on a marked subset of many problems."""
 
 from collections.abc import Callable
 from typing import Any

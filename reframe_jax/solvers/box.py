@@ -16,8 +16,8 @@ class Box:
     """Bounds of every unknown.
 
     Attributes:
-        low, high: (dim,), or (dim, ...) for a box of every problem, in the unit of the unknown (rad for
-            rotation vectors, m for positions).
+        low, high: (dim,), or (dim, ...) for one box per problem, in the unit of the unknown (rad for rotation
+            vectors, m for positions).
     """
 
     low: jax.Array
@@ -40,7 +40,7 @@ class Box:
         return low + (high - low) * unit
 
     def at_face(self, points: jax.Array) -> jax.Array:
-        """Which coordinates of points (..., dim) lie on a face, or as good as on it."""
+        """Whether coordinates of points (..., dim) lie on a face, up to rounding."""
         low, high = (bound.reshape(*[1] * (points.ndim - 1), -1) for bound in (self.low, self.high))
         near = _NEAR * (high - low)
         return (points <= low + near) | (points >= high - near)
@@ -48,7 +48,7 @@ class Box:
     def fold(self, z: jax.Array) -> jax.Array:
         """Point of the box, (dim,), from an unbounded one: smooth, onto, and flat at the faces.
 
-        Lets a minimiser that knows nothing of bounds end on a face.
+        Lets an unbounded minimizer end on a face.
         """
         return (self.high + self.low) / 2 + (self.high - self.low) / 2 * jnp.sin(z)
 

@@ -17,7 +17,7 @@ Each step evaluates a few candidates and keeps the best:
 - *Newton on J^s*, d / (1 + s g.d) with d = H^-1 g: s = 6, 3 and 2 are exact where one, two or three axes
   of the geometric mean are constrained, s = 1 where a single axis dominates; s = 0 is Newton on log J;
 - *descent*, where H is indefinite: with H = L D L^T, the step of L |D| L^T, and shares of it;
-- *aligning and majorising*, far from the optimum: turns by Jacobi's angles, which would each make an
+- *aligning and majorizing*, far from the optimum: turns by Jacobi's angles, which would each make an
   off-diagonal entry of S zero, and the least origin of sum_n q_n v_n(p) / v_n, which bounds log J from
   above because J is concave in the variances. Together, and one without the other.
 """
@@ -64,7 +64,7 @@ class _Expansion(NamedTuple):
     gradient: list[jax.Array]
     hessian: Triangle
     covariance: Symmetric  # S
-    majorant: Symmetric | None  # curvature of the majorising quadratic in the shift
+    majorant: Symmetric | None  # curvature of the majorizing quadratic in the shift
 
 
 def _variances(moments: Coefficients, frame: _Frame) -> Vector:
@@ -161,7 +161,7 @@ def _aligning(s: Symmetric) -> jax.Array:
 
 
 def _majorising(here: _Expansion, majorant: Symmetric) -> jax.Array:
-    """Shift to the minimum of the majorising quadratic, (3, ...), to be taken away from the origin."""
+    """Shift to the minimum of the majorizing quadratic, (3, ...), to be taken away from the origin."""
     ridge = _RIDGE * (majorant[0] + majorant[3] + majorant[5])
     entries = (m + ridge if a == b else m for m, (a, b) in zip(majorant, INDEX_PAIRS, strict=True))
     return jnp.stack(symmetric.solve(cast(Symmetric, tuple(entries)), cast(Vector, tuple(here.gradient[3:]))))
@@ -279,9 +279,9 @@ def _descend(
 
 @dataclass(frozen=True)
 class FrameSteps:
-    """Local minimiser of a :class:`FrameObjective`: orientation and origin together, any power mean.
+    """Local minimizer of a :class:`FrameObjective`: orientation and origin together, any power mean.
 
-    The origin stays in the box. Orientations have no edge: the box bounds where they start only.
+    The origin stays in the box. Orientations are unbounded: the box bounds only their starts.
 
     Attributes:
         steps: number of steps; fixed, so that no problem waits for another.
@@ -314,7 +314,7 @@ class FrameSteps:
 
     @staticmethod
     def check(objective: Objective) -> MomentsObjective:
-        """The objective, if these steps can minimise it.
+        """The objective, if these steps can minimize it.
 
         Raises:
             ValueError: unless it is a :class:`MomentsObjective` whose unknowns are the frame.
@@ -322,6 +322,6 @@ class FrameSteps:
         if isinstance(objective, MomentsObjective) and objective.unknowns == "frame":
             return objective
         raise ValueError(
-            "FrameSteps minimise norms given by moments over orientation and origin (a FrameObjective), "
+            "FrameSteps minimize norms given by moments over orientation and origin (a FrameObjective), "
             f"not a {type(objective).__name__}; use ValleySteps, NewtonSteps or OptaxSteps for others."
         )

@@ -1,4 +1,4 @@
-"""Derivatives of an optimum, from the condition that holds there instead of from the search."""
+"""Derivatives of an optimum, from the implicit function theorem instead of the search."""
 
 from typing import Any
 
@@ -20,8 +20,8 @@ def attach_derivative(x: jax.Array, objective: Objective, box: Box) -> jax.Array
     """The optimum x, (dim, ...), as a differentiable function of the objective's data.
 
     Where the gradient g(x, data) vanishes, dx = -H^-1 (dg/d data) d data. Unknowns on the bounds stay
-    there, and directions in which the objective is flat contribute nothing. How x was found plays no
-    part: its own derivative is ignored. Derivatives of any order, forward and reverse.
+    there, and directions in which the objective is flat contribute nothing. How x was found does not matter:
+    its own derivative is ignored. Supports derivatives of any order, forward and reverse.
     """
     return x
 

@@ -20,12 +20,12 @@ class JointSearch:
     """Search of a :class:`PositionObjective` by way of the :class:`FrameObjective` behind it.
 
     With a negative exponent J is nearly that of its stillest axis, and with the rotation eliminated each
-    chain falls into the nearest of many narrow minima, where any axis is still. Chains that start with
-    axes of their own follow different ones, and miss fewer optima in less time.
+    chain falls into the nearest of many narrow minima, where any axis is still. Chains that start with their
+    own axes follow different minima, and miss fewer optima in less time.
 
     Attributes:
-        search: over orientation and origin together, with :class:`FrameSteps` inside.
-        refine: for the origin it finds, with the best axes at every point.
+        search: solver over orientation and origin together, with :class:`FrameSteps` inside.
+        refine: local minimizer of the origin found, with the best axes at every point.
     """
 
     search: BasinHopping
@@ -35,7 +35,7 @@ class JointSearch:
         """Search every problem of the objective.
 
         Raises:
-            ValueError: unless it is a norm of positions that :class:`ValleySteps` can minimise.
+            ValueError: unless it is a norm of positions that :class:`ValleySteps` can minimize.
         """
         known = self.refine.check(objective)
         turn = jnp.full_like(box.low, jnp.pi)

@@ -3,7 +3,7 @@
 A GPU's arithmetic waits for memory, and the search, run operation by operation, reads and writes its
 values some thousand times. Here every thread loads the 60 moments of one problem once, takes one chain
 of :class:`BasinHopping` through its steps in registers, and writes eight numbers. The step and the local
-minimiser are the functions that the search uses elsewhere, ``transition`` and ``descend`` of
+minimizer are the functions that the search uses elsewhere, ``transition`` and ``descend`` of
 :class:`ValleySteps`, and so are the random numbers; only the order in memory differs, and the rounding.
 """
 
@@ -77,7 +77,7 @@ def step_chains(
             return found, jnp.log(determinant) / 6
 
         def step(s: Any, carry: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
-            """One body for the first minimisation, the hops and the polishing: it is compiled once."""
+            """One body for the first minimization, the hops and the polishing: it is compiled once."""
             after = transition(
                 _as_chains(carry),
                 first[0] + s,

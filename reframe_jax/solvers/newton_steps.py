@@ -1,4 +1,4 @@
-"""Second-order local steps on any objective, whose derivatives are taken by automatic differentiation."""
+"""Second-order local steps on any objective, with derivatives by automatic differentiation."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +18,7 @@ _FLAT = 1e-9  # curvature below this share of the largest counts as this share: 
 
 @dataclass(frozen=True)
 class NewtonSteps:
-    """Local minimiser by Newton steps on powers of the norm, orientation and origin together.
+    """Local minimizer by Newton steps on powers of the norm, orientation and origin together.
 
     The idea of :class:`ValleySteps` and :class:`FrameSteps` without their closed forms: with H and g of
     f = log J, the Newton step on J^s is H^-1 g / (1 + s g.H^-1 g), one direction for every s; s = 6, 3

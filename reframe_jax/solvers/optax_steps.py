@@ -1,4 +1,4 @@
-"""Local minimisation with any Optax gradient transformation."""
+"""Local minimization with any Optax gradient transformation."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -16,11 +16,11 @@ __all__ = ["OptaxSteps"]
 
 @dataclass(frozen=True)
 class OptaxSteps:
-    """Local minimiser that follows an Optax gradient transformation inside the box.
+    """Local minimizer that follows an Optax gradient transformation inside the box.
 
     Attributes:
-        transformation: any ``optax.GradientTransformation``; those that need the value and a value
-            function (L-BFGS, line searches) get them. Keep one instance: a new one compiles anew.
+        transformation: any ``optax.GradientTransformation``; those that need the value and a value function
+            (L-BFGS, line searches) receive them. Reuse one instance: a new one compiles again.
         steps: number of updates; fixed, so that no problem waits for another.
     """
 

@@ -1,4 +1,4 @@
-"""Arrays whose trailing axes are problems: flattened, repeated for several chains, taken one by one."""
+"""Operations on arrays whose trailing axes are problems: flatten, repeat, take one by one."""
 
 from collections.abc import Callable
 from typing import TypeVar
@@ -15,12 +15,12 @@ _T = TypeVar("_T")
 
 
 def flatten_problems(tree: _T, axes: int) -> _T:
-    """The tree with one axis of problems in place of the last ``axes``, which may be none."""
+    """Replace the last ``axes`` axes of a tree, possibly none, by a single axis of problems."""
     return jax.tree.map(lambda a: a.reshape(*a.shape[: a.ndim - axes], -1), tree)
 
 
 def repeat_problems(tree: _T, axes: int, count: int) -> _T:
-    """The tree with every problem ``count`` times, along a new axis before the last ``axes``."""
+    """Repeat every problem ``count`` times along a new axis before the last ``axes`` axes."""
 
     def repeat(a: jax.Array) -> jax.Array:
         place = a.ndim - axes
@@ -36,7 +36,7 @@ def minimise_each(
     box: Box,
     x: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
-    """Apply a minimiser of one problem to all problems.
+    """Apply a minimizer of one problem to all problems.
 
     Args:
         minimise_one: from an objective of one problem, the box and x, (dim,), to the new x and its value.

@@ -1,4 +1,4 @@
-"""What a search is made of and what it returns."""
+"""The protocols of solvers, and their result."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,10 +22,10 @@ class Solution:
 
     Attributes:
         x: (dim, ...) best unknowns of every problem.
-        value: (...) what the objective is there: log J of a norm.
+        value: (...) objective there; for a norm, log J.
         agreement: (...) share of the restarts that ended within 0.1 % of the best norm, 0.001 of its value.
-        ends, end_values: (dim, restarts, ...) and (restarts, ...) the best of every restart, among
-            which twins are looked for; None if the solver does not say.
+        ends, end_values: (dim, restarts, ...) and (restarts, ...) the best point of every restart, the
+            candidates for twins; None if the solver does not return them.
     """
 
     x: jax.Array
@@ -36,10 +36,10 @@ class Solution:
 
 
 class Solver(Protocol):
-    """What ``identify`` needs of a solver. Solvers are static arguments: make them hashable.
+    """The protocol that ``identify`` expects of a solver. Solvers are static arguments: make them hashable.
 
-    :class:`BasinHopping` also lets its search be stepped by hand: ``init`` makes a state, ``step`` takes it
-    one step further, and ``finish`` turns it into a :class:`Solution`.
+    You can step the search of :class:`BasinHopping` by hand: ``init`` makes a state, ``step`` advances it,
+    and ``finish`` turns it into a :class:`Solution`.
     """
 
     def minimise(self, objective: Objective, box: Box, key: jax.Array) -> Solution:
@@ -48,6 +48,6 @@ class Solver(Protocol):
         Args:
             objective: the problems.
             box: where to search.
-            key: of the random numbers.
+            key: JAX random key.
         """
         ...

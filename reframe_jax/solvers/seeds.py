@@ -11,13 +11,13 @@ def quasi_random(key: jax.Array, count: int, dim: int, dtype: jnp.dtype) -> jax.
     """Points of the unit cube: Roberts' additive recurrence R_d, shifted at random.
 
     Any prefix of the sequence covers the cube evenly, so ``count`` can change freely. Its increments
-    are powers of the real root of x^(d+1) = x + 1, the generalised golden ratio.
+    are powers of the real root of x^(d+1) = x + 1, the generalized golden ratio.
 
     Args:
-        key: of the random shift.
+        key: JAX random key of the shift.
         count: number of points.
-        dim: of the cube.
-        dtype: of the result.
+        dim: dimension of the cube.
+        dtype: type of the result.
 
     Returns:
         (dim, count) in [0, 1).

@@ -1,4 +1,4 @@
-"""One step of a chain of basin hopping: the same for whole arrays of chains and for one in a GPU kernel."""
+"""One step of basin hopping, shared by arrays of chains and by the GPU kernel."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -13,7 +13,7 @@ Coordinates = jax.Array | tuple[jax.Array, ...]
 
 
 class Chains(NamedTuple):
-    """Where chains are, and the best that each has met.
+    """Current and best points of chains.
 
     Attributes:
         x: unknowns of every chain.
@@ -38,10 +38,10 @@ def transition(
     high: Coordinates,
     descend: Callable[[Coordinates], tuple[Coordinates, jax.Array]],
 ) -> Chains:
-    """Jump, minimise locally, and accept or stay.
+    """Jump, minimize locally, and accept or stay.
 
-    The first step minimises the starts as they are, those after the last hop the best points. A chain
-    moves if its value rises by less than ``rise``; NaN counts as infinite.
+    The first step minimizes the starts without a jump; steps after the last hop minimize the best points. A
+    chain moves if its value rises by less than ``rise``; NaN counts as infinite.
 
     Args:
         chains: before the step.
@@ -51,7 +51,7 @@ def transition(
         rise: largest rise that each chain accepts; broadcasts against the values.
         low: lower faces of the box.
         high: upper faces of the box.
-        descend: local minimiser, from unknowns to unknowns and their values.
+        descend: local minimizer, from unknowns to unknowns and their values.
 
     Returns:
         The chains after the step.

@@ -6,7 +6,7 @@ diverges and gradient descent crawls. For the geometric mean f is log det Sigma(
 of exponent up to 2 it is a concave function of Sigma. Each step here evaluates a few candidates and
 keeps the best, so f never rises but for rounding:
 
-- *majorise-minimise*: f is concave in Sigma, so its tangent tr(W(p0) Sigma(p)) bounds it from above,
+- *majorize-minimize*: f is concave in Sigma, so its tangent tr(W(p0) Sigma(p)) bounds it from above,
   W = df/dSigma being the inverse of Sigma for the geometric mean; the bound is quadratic and its
   minimum one 3x3 solve. Best far from the optimum and where all three axes are constrained.
 - *Newton on exp(f/m)*, m = 1, 2, 3, and on f: where m axes are constrained, det behaves as the m-th
@@ -53,7 +53,7 @@ class _Expansion(NamedTuple):
     sigma: Symmetric
     slopes: tuple[Symmetric, ...]  # Sigma_a
     gradient: Vector
-    majorant: Symmetric  # A, the curvature of the majorising quadratic
+    majorant: Symmetric  # A, the curvature of the majorizing quadratic
     hessian: Symmetric
 
 
@@ -255,7 +255,7 @@ def descend(
         moved = (p[i] - chosen_length * newton[i] for i in range(3))
         chosen = once(cast(Vector, tuple(jnp.clip(c, low[i], high[i]) for i, c in enumerate(moved))))
 
-        # the majorising step, cut short at the box and projected onto it
+        # the majorizing step, cut short at the box and projected onto it
         for length in (once(_room(p, down, low, high)), jnp.ones_like(best)):
             moved = (p[i] - length * down[i] for i in range(3))
             trial = once(cast(Vector, tuple(jnp.clip(c, low[i], high[i]) for i, c in enumerate(moved))))
@@ -270,7 +270,7 @@ def descend(
 
 @dataclass(frozen=True)
 class ValleySteps:
-    """Local minimiser of a :class:`PositionObjective`.
+    """Local minimizer of a :class:`PositionObjective`.
 
     Attributes:
         steps: number of steps; fixed, so that no problem waits for another.
@@ -298,7 +298,7 @@ class ValleySteps:
 
     @staticmethod
     def check(objective: Objective) -> MomentsObjective:
-        """The objective, if these steps can minimise it.
+        """The objective, if these steps can minimize it.
 
         Raises:
             ValueError: unless it is a :class:`MomentsObjective` whose unknowns are the position.
@@ -306,6 +306,6 @@ class ValleySteps:
         if isinstance(objective, MomentsObjective) and objective.unknowns == "position":
             return objective
         raise ValueError(
-            f"ValleySteps minimise norms given by moments over positions alone (a PositionObjective), not a "
+            f"ValleySteps minimize norms given by moments over positions alone (a PositionObjective), not a "
             f"{type(objective).__name__}; use FrameSteps, NewtonSteps or OptaxSteps for others."
         )

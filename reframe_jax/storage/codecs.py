@@ -20,7 +20,7 @@ class Codec(Protocol):
         """Write a file."""
 
     def read(self, stream: BinaryIO) -> tuple[dict[str, Any], str]:
-        """Arrays and header. Whatever a damaged file makes of it is raised."""
+        """Return arrays and header. Errors of a damaged file propagate."""
 
 
 class _Npz:

@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all."""
+"""Files that exist completely or not at all."""
 
 import errno
 import os
@@ -16,7 +16,7 @@ _ABANDONED = 3600.0  # s after which a temporary file has no writer any more; ma
 
 
 def write_whole(file: Path, write: Callable[[Path], Any]) -> None:
-    """Write beside a file and rename: whoever looks sees the old file or the whole new one.
+    """Write a temporary file and rename it: readers see the old file or the complete new one.
 
     Args:
         file: to write.
@@ -34,10 +34,10 @@ def write_whole(file: Path, write: Callable[[Path], Any]) -> None:
 
 
 def check_place(folder: Path) -> None:
-    """Find out before a long computation whether a folder that is not there can be made.
+    """Check, before a long computation, that a missing folder can be created.
 
     Raises:
-        OSError: if not.
+        OSError: if it cannot.
     """
     if folder.exists():
         return
@@ -50,9 +50,9 @@ def check_place(folder: Path) -> None:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove what killed writers left in a folder: temporary files that have not changed for an hour.
+    """Remove leftovers of killed writers: temporary files that have not changed for an hour.
 
-    Younger ones may belong to another machine that is writing at this moment.
+    Another machine may still be writing younger files.
     """
     for file in folder.glob(".*"):
         if not _TEMPORARY.fullmatch(file.name):

@@ -1,9 +1,9 @@
-"""Runs in parts: what is there is not made again, and is what it says it is.
+"""Runs in parts: existing parts are verified and not computed again.
 
 A run is a folder of numbered parts and ``run.json``, the options that all of them depend on. A part is on
-disk whole or not at all. It carries its name, the options, a checksum of what it was made from and one of
-all it holds, so that a part that was damaged, copied or made with other options is found out wherever it is
-read. Nothing is written before the first part has been computed: refused options leave no trace.
+disk completely or not at all. It carries its name, the options, and checksums of its source and its contents,
+so every read detects a part that was damaged, copied or made with other options. Nothing is written before
+the first part has been computed: refused options leave no trace.
 """
 
 import json
@@ -31,14 +31,14 @@ Record = dict[str, Any]
 def write_part(
     file: Path, codec: Codec, arrays: Mapping[str, Any], options: Record, *, source: str = ""
 ) -> None:
-    """Write a part, whole or not at all.
+    """Write a part, completely or not at all.
 
     Args:
-        file: to write; its name becomes part of what it says of itself.
+        file: path of the file; its name is recorded in the part.
         codec: the format.
-        arrays: what it holds.
-        options: what it depends on, as JSON.
-        source: checksum of what it was made from.
+        arrays: contents of the part.
+        options: options that the part depends on, as JSON.
+        source: checksum of the source of the part.
     """
     values = {name: np.asarray(array) for name, array in arrays.items()}
     header: Record = {"name": file.stem, "source": source, "options": options}
@@ -50,17 +50,17 @@ def write_part(
 def read_part(
     file: Path, codec: Codec, options: Record | None = None, *, source: str | None = None
 ) -> tuple[dict[str, Any], Record]:
-    """The arrays and the options of a part.
+    """Read the arrays and the options of a part.
 
     Args:
         file: written by :func:`write_part`.
         codec: the format.
-        options: that it must have been made with; None for any.
-        source: checksum of what it must have been made from; None for anything.
+        options: required options; None for any.
+        source: required checksum of the source; None for any.
 
     Raises:
-        ValueError: naming the file, if it is damaged, or is not the part that its name says, or was made
-            with other options or from something else.
+        ValueError: if the file is damaged or renamed, or was made with other options or from another source;
+            the message names the file.
     """
     with file.open("rb") as stream:
         try:
@@ -73,7 +73,7 @@ def read_part(
         except Exception as error:  # what a format makes of damage is not in its documentation
             raise _damaged(file, f"{type(error).__name__}: {error}") from error
     if not sound:
-        raise _damaged(file, "its checksum is not that of what it holds")
+        raise _damaged(file, "its checksum does not match its contents")
     if name != file.stem:
         raise ValueError(f"{file} is a copy of {name}: delete it, and it will be made again.")
     if options is not None and made_with != options:
@@ -110,7 +110,8 @@ class Run:
         codec: format of the parts.
         kind: what the parts hold, in words: ``"results of identify_many"``.
         unit: what is counted, in the plural.
-        options: what all parts depend on, as :func:`reframe_jax.storage.records.describe` writes it.
+        options: options that all parts depend on, as :func:`reframe_jax.storage.records.describe` writes
+            them.
 
     Raises:
         ValueError: if the folder is a file.
@@ -167,13 +168,13 @@ class Run:
         return self._options
 
     def resume(self, total: int | None = None) -> None:
-        """Compare with what is there, and remove what killed writers left. Writes nothing.
+        """Compare with the existing parts, and remove leftovers of killed writers. Writes nothing.
 
         Args:
             total: how many there are in all, if known.
 
         Raises:
-            ValueError: if the folder holds something else, results of other options, or a damaged record.
+            ValueError: if the folder holds other data, results with other options, or a damaged record.
             OSError: if the folder is not there and cannot be made.
         """
         check_place(self.folder)
@@ -186,7 +187,7 @@ class Run:
             read_part(file, self._codec, self._options)
 
     def finish(self, total: int | None = None) -> None:
-        """See that the record is there; it may have been lost while no part had to be made.
+        """Write the record if it is missing, for example because no part had to be made.
 
         Args:
             total: how many there were in all, where that is known at the end only.

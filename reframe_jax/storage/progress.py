@@ -1,4 +1,4 @@
-"""How far a long run is."""
+"""Progress of long runs."""
 
 import sys
 import time
@@ -13,11 +13,11 @@ _BAR = 20  # characters
 
 
 def make_meter(progress: Progress | bool | None, unit: str) -> Progress:
-    """What to call after every part.
+    """Return a function to call after every part.
 
     Args:
-        progress: a function, used as it is; True for a bar on standard error, False for nothing; None for a
-            bar where standard error is a terminal.
+        progress: a function, used unchanged; True for a bar on standard error, False for none; None for a bar
+            if standard error is a terminal.
         unit: what is counted, in the plural.
     """
     if callable(progress):

@@ -24,7 +24,7 @@ _ROWS = 1024  # hashed at once: windows overlap in memory, and a copy of all of 
 def describe_options(
     function: Callable[..., Any], given: Mapping[str, Any], *, without: Collection[str] = ()
 ) -> dict[str, Any]:
-    """Every keyword-only option of a function, as given or by default.
+    """Return every keyword-only option of a function, as given or by default.
 
     Args:
         function: whose signature says which options there are.
@@ -45,10 +45,10 @@ def describe_options(
 
 
 def describe(value: Any) -> Any:
-    """A value as JSON can write it.
+    """Convert a value to JSON types.
 
-    Numbers and arrays of any kind are told apart by value, dataclasses by their fields, functions by their
-    name and what they were made with. Long arrays are represented by a checksum.
+    Numbers and arrays are described by value, dataclasses by their fields, functions by their name, bound
+    arguments and closure. Long arrays become a checksum.
     """
     return _describe(value, ())
 
@@ -129,7 +129,7 @@ def checksum(arrays: Mapping[str, Any], *, start: str = "") -> str:
 
     Args:
         arrays: anything NumPy makes an array of.
-        start: text that is part of it too.
+        start: text to include.
     """
     total = hashlib.sha256(start.encode())
     for name in sorted(arrays):

@@ -1,8 +1,8 @@
-"""Any number of windows, from disk to disk: in bounded memory, resumable, spread over machines.
+"""Identification of any number of windows, from disk to disk: bounded memory, resumable, distributed.
 
 :func:`identify_many` cuts the windows into parts, identifies one after the other and writes each as one
-Parquet file; :mod:`reframe_jax.storage.parts` says what that file promises. A run that was killed goes on
-where it stopped, and machines that share a disk can share the parts.
+Parquet file; :mod:`reframe_jax.storage.parts` says what that file promises. A killed run resumes where it
+stopped, and machines that share a disk can share the parts.
 """
 
 from collections.abc import Iterable, Iterator
@@ -42,11 +42,11 @@ def identify_many(
     progress: Progress | bool | None = None,
     **options: Any,
 ) -> Path:
-    """Identify any number of windows and write the results to a folder, resuming what is there.
+    """Identify any number of windows, write the results to a folder, and resume an interrupted run.
 
-    Memory is bounded by the part: some 200 MB above the input at 8192 windows of 51 poses. Results are
-    those of :func:`identify`, whatever the part size. A run that was killed at any moment loses the part
-    it was working on, nothing else; call it again with the same arguments to go on.
+    The part size bounds the memory: some 200 MB above the input at 8192 windows of 51 poses. Results equal
+    those of :func:`identify`, whatever the part size. A killed run loses only the part it was working on;
+    call again with the same arguments to resume.
 
     Args:
         windows: (N, K+1, 4, 4) poses: an array, a memory-mapped one (``np.load(file, mmap_mode="r")``),
@@ -56,7 +56,7 @@ def identify_many(
         times: (K+1,) s, or (N, K+1) where the windows are an array.
         dt: sample time in s, a scalar, (K,), or (N, K) where the windows are an array.
         part_size: windows in a part.
-        parts: numbers of the parts to do, all by default: gives every machine its share.
+        parts: numbers of the parts to compute, all by default; use it to give every machine its share.
         progress: called with the windows done by this call and their number (None if unknown), after
             every part; True for a bar on standard error, the default where that is a terminal.
         **options: of :func:`identify`.
@@ -65,8 +65,8 @@ def identify_many(
         The folder.
 
     Raises:
-        ValueError: if the folder holds results of other windows or other options, or one that is damaged,
-            or the input is not as above. Nothing has been written then that was not there.
+        ValueError: if the folder holds results of other windows or options, or damaged results, or if the
+            input is unusable. Nothing is written in that case.
         TypeError: for an option that :func:`identify` does not have.
         ImportError: if pyarrow is missing (the extra ``parquet``).
     """
@@ -107,15 +107,15 @@ def identify_many(
 
 
 def load_results(folder: str | Path, parts: Iterable[int] | None = None) -> Identification:
-    """The results in a folder written by :func:`identify_many`, as one batch of NumPy arrays.
+    """Load the results in a folder written by :func:`identify_many`, as one batch of NumPy arrays.
 
     Args:
         folder: as given to :func:`identify_many`.
-        parts: numbers of the parts to load, all by default: for results that do not fit in memory.
+        parts: numbers of the parts to load, all by default; load a few if the results do not fit in memory.
 
     Raises:
-        ValueError: if the folder holds no results, or lacks some of what was asked for; and, naming it, if
-            a file is damaged, a copy of another, or was made with other options than the rest.
+        ValueError: if the folder holds no results, or lacks requested parts; or if a file, named in the
+            message, is damaged, a copy of another, or made with other options than the rest.
         ImportError: if pyarrow is missing.
     """
     PARQUET.library()

@@ -1,9 +1,9 @@
 """A reader per format, by suffix.
 
 A reader takes a path and the unit of positions (m, cm, mm), and returns :class:`Rows` as they are in the
-file; checks and repairs come later and are the same for all. It raises :class:`RecordingError` for what it
-cannot read; it may let OSError and UnicodeDecodeError pass. To add a format, copy ``trajectory.py`` and name
-its suffixes here.
+file. Checks and repairs follow and are the same for all formats. A reader raises :class:`RecordingError` for
+unreadable contents; OSError and UnicodeDecodeError may propagate. To add a format, copy ``trajectory.py`` and
+add its suffixes here.
 """
 
 from collections.abc import Callable

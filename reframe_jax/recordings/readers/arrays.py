@@ -54,7 +54,7 @@ def read_arrays(path: Path, unit: str) -> Rows:
 
     Args:
         path: the file. An .npy holds ``poses``. Other arrays of an .npz are not read.
-        unit: of its positions, which stay in it.
+        unit: unit of the positions; they are not converted.
 
     Raises:
         RecordingError: if these are not plain arrays of numbers of shapes that fit, whole, and not too large.

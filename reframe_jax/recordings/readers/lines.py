@@ -1,4 +1,4 @@
-"""What the readers of text have in common: lines as they come, numbers collected in compact arrays.
+"""Shared code of the text readers: lines one at a time, numbers collected in compact arrays.
 
 A row takes 72 bytes, however long its text is; no more than a line of text is held at a time.
 """
@@ -62,7 +62,7 @@ class Collector:
         """Add the row in a line.
 
         Raises:
-            RecordingError: if a cell is missing or no number, or there are too many rows.
+            RecordingError: if a cell is missing or not a number, or if there are too many rows.
         """
         if len(cells) != self._width:
             raise self._error(

@@ -20,7 +20,7 @@ def read_table(path: Path, unit: str) -> Rows:
 
     Args:
         path: the file.
-        unit: of its positions, which stay in it. A header may name it: ``x [mm]``.
+        unit: unit of the positions; they are not converted. A header may name it: ``x [mm]``.
 
     Raises:
         RecordingError: if a column is missing or named twice, or a row does not fit the header.

@@ -14,7 +14,7 @@ def read_trajectory(path: Path, unit: str) -> Rows:
 
     Args:
         path: the file.
-        unit: of its positions, which stay in it.
+        unit: unit of the positions; they are not converted.
 
     Raises:
         RecordingError: if a line does not hold 8 numbers.

@@ -1,8 +1,8 @@
 """A Franka arm under constraints, in MJX: demonstrations in bulk.
 
-from reframe_jax import panda
+from reframe_jax.simulation import arm
 
-made = panda.demonstrate("K", jax.random.key(0), batch=64)
+made = arm.demonstrate("K", jax.random.key(0), batch=64)
 found = rf.identify(made.poses, times=made.times)
 """
 

@@ -1,4 +1,4 @@
-"""How simulations are compiled, and what they are given."""
+"""Compilation of simulations, and checks of their numbers."""
 
 from collections.abc import Callable, Sequence
 from functools import wraps
@@ -47,7 +47,7 @@ def as_numbers(tree: Any, dtype: Any) -> Any:
 
 
 def check_numbers(given: Any, kind: type) -> None:
-    """Refuse something else than a dataclass of non-negative numbers; within a trace, what is known of it.
+    """Refuse anything but a dataclass of non-negative numbers; within a trace, check what is known.
 
     Args:
         given: what was given.

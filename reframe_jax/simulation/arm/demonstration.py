@@ -1,4 +1,4 @@
-"""Demonstrations: the arm guided by a hand under a constraint, any number at once."""
+"""Demonstrations: a hand guides the arm under a constraint, any number at once."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -49,14 +49,14 @@ class Demonstration:
     Attributes:
         times: (K+1,) s.
         poses: (N, K+1, 4, 4) m, of {b} in {g} as the robot records them.
-        exact_poses: (N, K+1, 4, 4) m, as they were.
+        exact_poses: (N, K+1, 4, 4) m, the true poses.
         joint_positions: (N, K+1, 7) rad.
         joint_velocities: (N, K+1, 7) rad/s.
-        truth: the constraint, geometry (N, 3) each.
+        truth: the true constraint, with geometry (N, 3) each.
         reaction: (N, K+1, 6) N m and N, moments and forces of the constraint on the tool along the axes
             of the angular and linear frame, the forces acting at its origin; zero along free axes.
         slip: (N, K+1, 6) rad and m, motion made along the frames' axes, the integral of the velocity.
-            Along constrained axes it is how far the constraint gave way; see ``violation``.
+            Along constrained axes, it measures how far the constraint gave way; see ``violation``.
         limit_margin: (N,) rad, least distance of a joint from the end of its range.
         status_code: (N,) int; read it as ``status``.
     """
@@ -96,10 +96,10 @@ class Demonstration:
 def frame_on_arm(
     constraint: str | ConstraintFrame, arm: str | Arm = PANDA, *, start: ArrayLike | None = None
 ) -> ConstraintFrame:
-    """A named constraint where the arm can move under it; a frame as it is.
+    """Place a named constraint where the arm can move under it; return a frame unchanged.
 
-    Its axes are those of the robot's base at the start, and its origin is 0.13 m below and before the
-    TCP: the tip of a tool, or the axis of a joint with that lever.
+    Its axes are those of the robot's base at the start. Its origin is 0.13 m below and in front of the TCP,
+    like the tip of a tool or the axis of a joint with that lever.
 
     Args:
         constraint: label or name of one of the twelve, or a frame.
@@ -108,7 +108,7 @@ def frame_on_arm(
 
     Raises:
         KeyError: for an unknown constraint.
-        ValueError: for an unknown robot, or something else than a constraint.
+        ValueError: for an unknown robot, or if ``constraint`` is not a constraint.
     """
     if isinstance(constraint, ConstraintFrame):
         return constraint
@@ -142,14 +142,14 @@ def demonstrate(
     """Simulate a hand that guides the arm under a constraint.
 
     Works under ``jit`` (with the shapes and names static) and ``grad``, with respect to the constraint's
-    geometry and the guide. One compiled program serves all constraints. Number i of a key is the same
-    whatever the batch, to rounding.
+    geometry and the guide. One compiled program serves all constraints. For a given key, demonstration number
+    i is the same in every batch, up to rounding.
 
     Args:
         constraint: label or name of one of the twelve, placed by :func:`frame_on_arm`, or any frame,
             its geometry in the robot's base and on the TCP. Geometry (N, 3) gives every demonstration
             its own.
-        key: of everything random.
+        key: JAX random key.
         batch: number N of demonstrations.
         first: number of the first one, to continue an earlier batch.
         duration: s.
@@ -158,23 +158,23 @@ def demonstrate(
             which a rigid constraint is kept to a few um.
         excitation: how the hand moves along the free axes: ``"exciting"``, ``"brisk"``, ``"paper"``, or a
             function of time that returns angular and linear velocities (3,), in rad/s and m/s.
-        form: how the constraint is made: exactly, or as a rigid mechanism welded to the tool where there
-            is one, which takes a program of its own, more time, and steps of 0.0025 s by default. Its weld
-            is a stiff spring, softer at longer steps: it may give way by more than the 50 um and 0.5 mrad
-            above which the status says so.
+        form: how the constraint is enforced: exactly, or by a rigid mechanism welded to the tool, which
+            exists for some constraints and needs its own program, more time, and by default steps of 0.0025
+            s. The weld is a stiff spring, softer at longer steps. If it gives way by more than 50 um or 0.5
+            mrad, the status says so.
         spread: rad and m, standard deviations of a random turn and shift of the geometry of every
             demonstration; :data:`SPREAD` is a reasonable one.
         guide: how the hand holds the tool.
-        imperfections: what separates the recording from the motion.
+        imperfections: errors of the robot and its sensors.
         arm: ``"panda"``, ``"fr3"``, or an arm.
         start: (7,) or (N, 7) rad, configurations to start from, at rest; the arm's home by default.
 
     Returns:
-        The demonstrations. Look at ``status_code``: nothing stops the arm at the limits of its joints.
+        The demonstrations. Check ``status_code``: nothing stops the arm at its joint limits.
 
     Raises:
         KeyError: for an unknown constraint.
-        ValueError: for an unknown name, or numbers and shapes other than the above.
+        ValueError: for an unknown name, or unusable numbers or shapes.
     """
     arm = find_arm(arm)
     if not callable(excitation) and excitation not in EXCITATIONS:
@@ -343,14 +343,14 @@ def demonstrations(
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> Iterator[Demonstration]:
-    """Any number of demonstrations, in chunks that are compiled once.
+    """Generate any number of demonstrations, in chunks that are compiled once.
 
     Args:
         constraint: as for :func:`demonstrate`; one geometry (3,) for all, before ``spread``.
-        key: of everything random.
+        key: JAX random key.
         count: number of demonstrations.
         chunk: number of demonstrations simulated at once.
-        redraw: leave out those with a status other than OK, and draw others.
+        redraw: replace demonstrations whose status is not OK by new ones.
         progress: called with the number of demonstrations so far and ``count``, after every chunk.
         options: for :func:`demonstrate`.
 
@@ -358,7 +358,7 @@ def demonstrations(
         Demonstrations on the host, ``count`` in all.
 
     Raises:
-        ValueError: when more than 9 in 10 of the demonstrations have to be left out.
+        ValueError: if more than 9 in 10 demonstrations are unusable.
     """
 
     def draw(number: int) -> tuple[Demonstration, np.ndarray]:

@@ -201,7 +201,7 @@ def inverse_dynamics(
 
 
 def solve_positive(matrix: jax.Array, right: jax.Array) -> jax.Array:
-    """Solve A X = B for a small symmetric positive definite A, by Cholesky's factorisation, unrolled.
+    """Solve A X = B for a small symmetric positive definite A, by Cholesky's factorization, unrolled.
 
     A library call for every lane of a batch costs more than the arithmetic; written out, the lanes run
     side by side.

@@ -1,8 +1,8 @@
 """The hand that guides the arm, and how it moves.
 
-The hand pulls the tool towards a moving pose that obeys the constraint, as one who knows what a door
-does: through a spring and a damper, a little beside the true place, and with a tremor. Everything is
-smooth and a function of time, so that a demonstration does not depend on the step of its simulation.
+The hand pulls the tool towards a moving pose that obeys the constraint, through a spring and a damper, with a
+small misalignment and a tremor. Everything is a smooth function of time, so a demonstration does not depend
+on the step of its simulation.
 """
 
 from collections.abc import Callable
@@ -43,8 +43,8 @@ class Guide:
         angular_stiffness: N m/rad.
         damping: N s/m.
         angular_damping: N m s/rad.
-        misalignment: m, standard deviation of where the hand thinks the tool should be, per component
-            and constant over a demonstration.
+        misalignment: m, standard deviation per component of the error in where the hand holds the tool;
+            constant over a demonstration.
         angular_misalignment: rad, the same for its orientation.
         tremor: N, root mean square of each component of a shaking force.
         angular_tremor: N m, of a shaking moment.
@@ -70,8 +70,8 @@ def exciting(key: jax.Array, free: jax.Array) -> Excitation:
     """Two sines along every free axis, all of different rates, with random phases, in reach of the arm.
 
     0.4 rad/s rms with three free rotations and 0.5 with one, 0.1 m/s; at most 0.45 rad and 0.1 m from
-    the start. What the fewest axes leave of the data is made up by larger angles: a pin's position is
-    seen in the curvature of its path only. Of four draws of the phases the most even is taken.
+    the start. Fewer free axes give less data, so they turn further: only the curvature of its path reveals
+    the position of a pin. The most even of four draws of the phases is taken.
 
     Args:
         key: of the phases.
@@ -81,7 +81,7 @@ def exciting(key: jax.Array, free: jax.Array) -> Excitation:
 
 
 def brisk(key: jax.Array, free: jax.Array) -> Excitation:
-    """As ``exciting``, but a single free rotation turns as fast as those of the paper's Table 4.
+    """Like ``exciting``, but a single free rotation turns as fast as in the paper's Table 4.
 
     0.75 to 0.9 rad/s rms, up to 0.7 rad from the start, and at rates no higher than the 2 and 3 rad/s that
     the paper's experimenter followed. A hinge then often takes the arm to its limits, as the status of the
@@ -162,7 +162,7 @@ EXCITATIONS: dict[str, Callable[[jax.Array, jax.Array], Excitation]] = {
 
 
 def find_excitation(excitation: str | Excitation, key: jax.Array, free: jax.Array) -> Excitation:
-    """The excitation of a name, for a key and the free axes (6,); a function as it is."""
+    """Return the excitation of a name, for a key and the free axes (6,), or a function unchanged."""
     if not isinstance(excitation, str):
         return excitation
     return EXCITATIONS[excitation](key, free)
@@ -174,7 +174,7 @@ class Hand:
     """One hand, drawn at random.
 
     Attributes:
-        offset: (6,) rad and m, twist from where the tool should be to where the hand thinks it should.
+        offset: (6,) rad and m, twist from the correct pose of the tool to the pose that the hand aims at.
         phases: (6, n) rad, of the tremor.
     """
 

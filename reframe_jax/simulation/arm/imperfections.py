@@ -1,4 +1,4 @@
-"""What separates a recording from the motion that was made: errors of the robot and of its sensors."""
+"""Errors of the robot and its sensors, which separate a recording from the true motion."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ __all__ = ["ENCODER_GRADE", "MATCHED", "REALISTIC", "Imperfections", "measure"]
 class Imperfections:
     """Imperfections of a demonstration, all off by default.
 
-    The compliances act while the arm moves, everything else on what is recorded of it.
+    The compliances act on the motion, everything else on the recording.
 
     Attributes:
         compliance: m/N, by which the tool and its mount give way along constrained translations.
@@ -33,7 +33,7 @@ class Imperfections:
         latency: s, by which orientations are older than the positions recorded with them.
         pose_noise: m, standard deviation of each component of the position; those of the rotation
             vector have 3 times as many rad (paper, section 5.1).
-        dropouts: probability that a sample is lost, and the one before is recorded again.
+        dropouts: probability that a sample is lost and the previous one repeated.
     """
 
     compliance: float | jax.Array = 0.0
@@ -63,7 +63,7 @@ rms of its Table 4: 1-6 mm/s and 20-60 mrad/s on the Panda, up to 75 mrad/s on t
 def measure(
     joints: jax.Array, velocity: jax.Array, dt: float, what: Imperfections, key: jax.Array, arm: Arm
 ) -> jax.Array:
-    """Poses as the robot would record them.
+    """Return poses as the robot would record them.
 
     Args:
         joints: (K+1, 7) rad, true joint positions.

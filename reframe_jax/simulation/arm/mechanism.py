@@ -2,8 +2,8 @@
 
 An independent form of the constraint, with MuJoCo's own soft constraint solver: what a robot bolted to
 a hinge or a slide is to a simulator. It exists where the constraint is a chain of slides and hinges:
-for A-D and I-L of the catalogue. It is slower than the exact form, of which it is the check, and its
-model also runs in C MuJoCo.
+for A-D and I-L of the catalogue. It is slower than the exact form and serves as a check of it. Its model also
+runs in C MuJoCo.
 """
 
 from functools import cache
@@ -40,7 +40,7 @@ _WELD = 'solref="0.004 1" solimp="0.999 0.9999 0.001"'  # stiff: 15 um and 0.3 m
 
 
 def mechanism_joints(frame: ConstraintFrame) -> Joints:
-    """The chain of joints that makes a constraint, along the axes of its frame.
+    """Return the chain of joints that makes a constraint, along the axes of its frame.
 
     Raises:
         ValueError: for a constraint that no chain of slides and hinges makes.
@@ -139,7 +139,7 @@ def integrate_welded(
         start: (7,) rad.
         drive: who moves the arm.
         state: of the drive at the start.
-        steps: when; of at most 0.005 s, for the weld to hold.
+        steps: samples, and steps of at most 0.005 s between them, for the weld to hold.
     """
     dtype, step = start.dtype, steps.length
     host = mechanism_model(arm, joints, step)

@@ -272,10 +272,10 @@ ROBOTS: dict[str, Arm] = {arm.name: arm for arm in (PANDA, FR3)}
 
 
 def find_arm(arm: str | Arm) -> Arm:
-    """The arm of a name; an :class:`Arm` as it is.
+    """Return the arm of a name, or an :class:`Arm` unchanged.
 
     Raises:
-        ValueError: listing the names there are.
+        ValueError: for an unknown name; the message lists the known ones.
     """
     if isinstance(arm, Arm):
         return arm
@@ -363,8 +363,8 @@ def forward_kinematics(
     Args:
         joints: (..., 7) rad.
         arm: the robot.
-        links: rotations (..., 8, 3, 3) and positions (..., 8, 3), m, of the links in their parents, in
-            place of the arm's: a robot as it was built, not as it was drawn.
+        links: rotations (..., 8, 3, 3) and positions (..., 8, 3), m, of the links in their parents, instead
+            of the arm's: a robot as built, not as designed.
 
     Returns:
         Rotation (..., 3, 3) and position (..., 3), m, of {b} in {g}.

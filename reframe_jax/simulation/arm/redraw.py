@@ -1,4 +1,4 @@
-"""Drawing again what a robot cannot do, until there are enough."""
+"""Repeated draws until enough of them are feasible for the robot."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ def draw_good(
     complaint: str = "demonstrations are usable",
     progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[Draw[Batch]]:
-    """Chunks of draws until so many are good.
+    """Draw chunks until enough draws are good.
 
     Args:
         draw: given the number of a chunk, what is in it and the :class:`RolloutStatus` (n,) of each.
@@ -51,7 +51,7 @@ def draw_good(
         Every chunk, those without a good one too.
 
     Raises:
-        ValueError: when more than 9 in 10 draws are of no use, and more are still wanted.
+        ValueError: if more than 9 in 10 draws are unusable and more are still needed.
     """
     done, drawn = 0, 0
     while done < count:

@@ -28,7 +28,7 @@ _LENGTH = 0.14  # m, of the drawn axes
 
 
 class RenderError(RuntimeError):
-    """Nothing could be drawn here; the message says what is missing."""
+    """Drawing is impossible on this machine; the message says what is missing."""
 
 
 def film_frames(
@@ -39,14 +39,14 @@ def film_frames(
     skin: str | Path | None = None,
     size: tuple[int, int] = (480, 368),
 ) -> np.ndarray:
-    """Pictures of the arm at joint positions, with the constraint's frame and the path of the TCP.
+    """Draw pictures of the arm at joint positions, with the constraint frame and the path of the TCP.
 
     Free axes of the frame are blue, constrained axes orange: short bars for the linear frame, a disc for
     a free rotation. A grey rod leads from the hand to the origin of the frame.
 
     Args:
         joints: (K, 7) rad, such as the ``joint_positions`` of one demonstration.
-        truth: the constraint, geometry (3,) each; none to draw the arm alone.
+        truth: the constraint, with geometry (3,) each; None draws the arm alone.
         arm: the robot.
         skin: a MuJoCo model of the robot to look at in place of primitive shapes, such as MuJoCo
             Menagerie's ``panda.xml``, or a folder of meshes: ``link0.stl`` to ``link7.stl``, ``hand.stl``.
@@ -56,8 +56,8 @@ def film_frames(
         (K, height, width, 3) uint8.
 
     Raises:
-        ValueError: for a skin that cannot be loaded, or is of another robot.
-        RenderError: where there is no OpenGL.
+        ValueError: if the skin cannot be loaded or belongs to another robot.
+        RenderError: if OpenGL is not available.
     """
     arm = find_arm(arm)
     joints = np.asarray(joints, dtype=float)

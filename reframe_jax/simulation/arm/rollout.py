@@ -49,7 +49,7 @@ class AxisLaw:
 
 
 def hold(free: jax.Array, slipped: jax.Array, step: float, compliance: jax.Array) -> AxisLaw:
-    """The constrained axes held by springs or rigidly, the free ones free.
+    """Hold the constrained axes by springs or rigidly, and leave the free ones free.
 
     Args:
         free: (6,), 1 where an axis is free.
@@ -64,7 +64,7 @@ def hold(free: jax.Array, slipped: jax.Array, step: float, compliance: jax.Array
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Track:
-    """What a rollout leaves at its samples.
+    """Motion and forces at the samples of a rollout.
 
     Attributes:
         joints: (K+1, 7) rad.
@@ -81,7 +81,7 @@ class Track:
 
 
 class Steps(NamedTuple):
-    """When a rollout is seen, and how it gets there.
+    """Samples of a rollout, and the steps between them.
 
     Attributes:
         samples: number K of samples after the first.
@@ -113,10 +113,10 @@ def integrate(
         arm: the robot.
         frame: the constraint, of one rollout.
         start: (7,) rad.
-        drive: who moves the arm: called once a step, at its middle.
+        drive: torques that move the arm; called once per step, at its middle.
         state: of the drive at the start.
-        law: what acts along the axes, given how far they have slipped.
-        steps: when.
+        law: what acts along the axes, as a function of their slip.
+        steps: samples, and steps between them.
     """
     dtype, step = start.dtype, steps.length
     damping = jnp.asarray(arm.damping, dtype=dtype)
@@ -154,13 +154,13 @@ def run_samples(
     observe: Callable[[Any], Track],
     steps: Steps,
 ) -> Track:
-    """What is seen at the start and at every sample after it.
+    """Observe the start and every sample after it.
 
     Args:
         advance: one step, given the carry and its number.
         carry: at the start.
-        observe: what a sample holds, of the carry.
-        steps: when.
+        observe: from the carry to the contents of a sample.
+        steps: samples, and steps between them.
     """
 
     def sample(carry: Any, index: jax.Array) -> tuple[Any, Track]:

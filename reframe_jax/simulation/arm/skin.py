@@ -1,4 +1,4 @@
-"""What the arm looks like in a film: primitive shapes, or a user's own meshes.
+"""Appearance of the arm in a film: primitive shapes, or the user's own meshes.
 
 The library carries no meshes. A skin is a MuJoCo model that the user has, such as MuJoCo Menagerie's
 ``panda.xml`` or ``fr3.xml``, or a folder of meshes with names like ``link0.stl`` and ``hand_1.obj``. It is

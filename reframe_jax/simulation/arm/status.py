@@ -1,4 +1,4 @@
-"""Whether a rollout is one the robot could have made."""
+"""Status of rollouts: whether the robot could have made them."""
 
 from enum import IntEnum
 
@@ -14,7 +14,7 @@ _SLIPPED = (5e-4, 5e-5)  # rad and m by which a rigid axis must not slip; a soun
 
 
 class RolloutStatus(IntEnum):
-    """Whether a rollout can be trusted."""
+    """Outcome of a rollout."""
 
     OK = 0
     SPEED_LIMIT = 1
@@ -25,7 +25,7 @@ class RolloutStatus(IntEnum):
 
     @property
     def message(self) -> str:
-        """What happened."""
+        """Explanation of the outcome."""
         return _MESSAGES[self]
 
 
@@ -43,10 +43,10 @@ _MESSAGES = {
 
 
 def judge(track: Track, free: jax.Array, compliance: jax.Array, arm: Arm) -> tuple[jax.Array, jax.Array]:
-    """Whether rollouts can be trusted.
+    """Judge whether rollouts can be trusted.
 
     Args:
-        track: of N rollouts.
+        track: tracks of N rollouts.
         free: (N, 6), 1 where an axis is free.
         compliance: (6,) rad/(N m) and m/N, of the constrained axes; zero is rigid.
         arm: the robot.

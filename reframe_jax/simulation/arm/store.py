@@ -1,4 +1,4 @@
-"""Demonstrations on disk: numbered parts, written whole or not at all, that a later run continues."""
+"""Demonstrations on disk: numbered parts, written completely or not at all, that a later run resumes."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -51,18 +51,19 @@ def store_demonstrations(
     progress: Progress | bool | None = None,
     **options: Any,
 ) -> Path:
-    """Simulate usable demonstrations into a folder, going on from the parts that are there.
+    """Simulate usable demonstrations into a folder, and resume from the parts already there.
 
-    The same ``count``, or a larger one, adds what is missing. Memory is bounded by the chunk.
+    Repeat the call with the same ``count`` or a larger one to add what is missing. The chunk bounds the
+    memory.
 
     Args:
         constraint: as for :func:`reframe_jax.simulation.arm.demonstrate`.
-        key: of everything random.
+        key: JAX random key.
         count: number of demonstrations.
         folder: made if missing; read it with :func:`load_demonstrations`, or part by part with
             :func:`stored_demonstrations`.
         chunk: number simulated at once, and in a part before those with a status are left out.
-        redraw: leave out those with a status other than OK, and draw others.
+        redraw: replace demonstrations whose status is not OK by new ones.
         progress: called with the number of demonstrations so far and ``count``, after every part; True for a
             bar on standard error, the default where that is a terminal.
         **options: of :func:`reframe_jax.simulation.arm.demonstrate`.
@@ -71,8 +72,8 @@ def store_demonstrations(
         The folder.
 
     Raises:
-        ValueError: if the folder holds something else, demonstrations of other options, or a part that is
-            damaged; or when more than 9 in 10 demonstrations have to be left out.
+        ValueError: if the folder holds other data, demonstrations with other options, or a damaged part; or
+            if more than 9 in 10 demonstrations are unusable.
         TypeError: for an option that :func:`reframe_jax.simulation.arm.demonstrate` does not have.
     """
     run = Run(Path(folder), NPZ, _KIND, _UNIT, _describe_run(constraint, key, chunk, redraw, options))
@@ -95,7 +96,7 @@ def store_demonstrations(
 
 
 def stored_demonstrations(folder: str | Path) -> Iterator[Demonstration]:
-    """The parts of a folder one after the other, as batches of NumPy arrays: memory is bounded by a part.
+    """Iterate over the parts of a folder, as batches of NumPy arrays; one part bounds the memory.
 
     ``rf.identify_many((poses for part in stored_demonstrations(folder) for poses in part.poses), ...)``
     identifies all of them.
@@ -104,7 +105,7 @@ def stored_demonstrations(folder: str | Path) -> Iterator[Demonstration]:
         folder: written by :func:`store_demonstrations`.
 
     Raises:
-        ValueError: if there are none, one is missing between others, or a file is damaged.
+        ValueError: if there are no parts, a part between others is missing, or a file is damaged.
     """
     run = Run.open(Path(folder), NPZ, _KIND, _UNIT)
     numbers = list(run.parts)
@@ -129,11 +130,11 @@ def _from_arrays(part: dict[str, Any]) -> Demonstration:
 
 
 def load_demonstrations(folder: str | Path, count: int | None = None) -> Demonstration:
-    """Demonstrations of a folder as one batch of NumPy arrays.
+    """Load the demonstrations of a folder as one batch of NumPy arrays.
 
     Args:
         folder: written by :func:`store_demonstrations`.
-        count: the first so many; all by default, which may be more than were asked for.
+        count: number to load, from the first; all by default, which may exceed the number requested.
 
     Raises:
         ValueError: if there are none, or fewer than ``count``.

@@ -1,9 +1,9 @@
 """Tasks reproduced with control in constraint frames (paper, section 6).
 
-The arm starts at one end-stop of a constraint and is to reach the other, moved by wrenches along the
-axes of a control frame: the true one, one with errors, or one that was identified. What an inexact
-frame costs is the reaction along the true constrained axes; an exact one has some too, from the arm's
-own inertia and friction, and is the baseline beside every figure.
+The arm starts at one end-stop of a constraint and moves to the other under wrenches along the axes of a
+control frame: the true frame, one with errors, or an identified one. An inexact frame causes reactions along
+the true constrained axes. The exact frame causes some too, from the inertia and friction of the arm, and is
+the baseline.
 """
 
 from reframe_jax.simulation.reproduction.comparison import Comparison, compare, matched_choices

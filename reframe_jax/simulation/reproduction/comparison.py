@@ -35,13 +35,13 @@ class Comparison:
     """A task reproduced in three kinds of frames: the rows of the paper's Figure 5.
 
     Attributes:
-        demonstrations: that the frames were identified from.
+        demonstrations: the demonstrations from which the frames were identified.
         found: the identifications.
         exact: trials in the true frames, the baseline.
         literature: trials in frames with the errors of methods that have prior knowledge.
         identified: trials in the identified frames.
-        redrawn: number of geometries left out, because the arm could not be guided there, or not reach
-            the end-stop in the true frame either (see ``RolloutStatus``).
+        redrawn: number of geometries left out because the arm could not be guided there, or could not reach
+            the end-stop even in the true frame (see ``RolloutStatus``).
         errors: (N, 3) of the identified frames: deg of the angular and of the linear axis, and mm; NaN
             where the constraint leaves them free.
     """
@@ -81,30 +81,29 @@ def compare(
     arm: str | Arm = PANDA,
     progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
-    """From demonstration to reproduction: demonstrate, identify, and reproduce in three kinds of frames.
+    """Demonstrate, identify, and reproduce a task in three kinds of frames.
 
     Geometries under which the arm reaches a limit, or under which the end-stop is out of its reach even
     with the true frame, are left out and counted.
 
-    Where a constraint leaves the origin of its frame free, the identified one is put where the true one
-    is, as forces along the axes act there; where all rotations are free, moments are along the true axes.
-    Any choice is right, but another than the baseline's cannot be compared with it.
+    If a constraint leaves the origin of its frame free, the identified origin moves to the true one, where
+    forces along the axes act. If all rotations are free, moments act along the true axes. Any choice is
+    correct, but only the baseline's is comparable with it.
 
     Args:
         constraint: label or name of one of the twelve, or a frame.
-        key: of everything random.
-        trials: number of demonstrations, each with a geometry of its own, and of reproductions.
+        key: JAX random key.
+        trials: number of demonstrations, each with its own geometry, and of reproductions.
         controller: the wrenches.
-        task: the end-stops, and where the arm starts, to be guided too.
-        imperfections: of the demonstrations; their compliance is that of the reproductions too.
+        task: the end-stops, and the start of the arm, also for the demonstrations.
+        imperfections: of the demonstrations; the reproductions share their compliance.
         excitation: of the demonstrations; see :func:`reframe_jax.simulation.arm.demonstrate`.
         spread: rad and m, of the geometry; see :func:`reframe_jax.simulation.arm.demonstrate`.
         arm: the robot.
         progress: called with the number of trials prepared so far and ``trials``.
 
     Raises:
-        ValueError: for numbers and names other than the above, and when more than 9 in 10 geometries have
-            to be left out.
+        ValueError: for unusable numbers or names, or if more than 9 in 10 geometries are unusable.
     """
     if trials < 1:
         raise ValueError(f"trials must be at least 1, not {trials}.")
@@ -160,13 +159,13 @@ def compare(
 def matched_choices(
     found: Identification, truth: ConstraintFrame, *, arm: str | Arm = PANDA, start: ArrayLike = ROOMY
 ) -> Frame:
-    """The identified frames to control in, with the true ones' choices where the constraint leaves one.
+    """Return the identified frames, with the choices of the true frames where the constraint leaves one.
 
     Args:
         found: N identifications.
         truth: geometry (N, 3) each.
         arm: the robot.
-        start: (7,) rad, where the choices are the same.
+        start: (7,) rad, configuration at which the choices agree.
     """
     arm = find_arm(arm)
     frames = control_frames(found)

@@ -1,4 +1,4 @@
-"""Wrenches along the axes of a control frame, as a function of where they have got to."""
+"""Wrenches along the axes of a control frame, as a function of their travel."""
 
 import math
 from collections.abc import Callable
@@ -22,8 +22,8 @@ Pair = tuple[float | jax.Array, float | jax.Array]
 class Controller:
     """Wrenches along the axes of a control frame; every field is (rotations, translations).
 
-    Along free axes a constant push, and a spring and a damper to a point that travels at ``speed`` as
-    far as ``reach``; along constrained axes a spring and a damper to the start. Special cases:
+    Along free axes: a constant push, and a spring and a damper to a point that travels at ``speed`` as far as
+    ``reach``. Along constrained axes: a spring and a damper to the start. Special cases:
     :func:`constant_wrench`, :func:`hybrid`, :func:`axis_impedance`.
 
     Attributes:
@@ -64,7 +64,7 @@ def axis_impedance(speed: Pair = (0.3, 0.08), reach: Pair = (0.5, 0.15)) -> Cont
 
     Args:
         speed: rad/s and m/s.
-        reach: rad and m; beyond the end-stop, so that it is pressed.
+        reach: rad and m; beyond the end-stop, to press against it.
     """
     return Controller(
         speed=speed,

@@ -1,4 +1,4 @@
-"""Frames to control in: true, wrong on purpose, or identified."""
+"""Control frames: true, deliberately wrong, or identified."""
 
 import math
 from typing import Any
@@ -22,7 +22,7 @@ LITERATURE_ERRORS = ((0.5, 5.0), (1.0, 7.5))
 
 
 def control_frames(found: Identification | ConstraintFrame | Frame) -> Frame:
-    """Frames to control in, with the batch axes of what they come from.
+    """Return frames to control in, with the batch axes of ``found``.
 
     Args:
         found: identifications, whose types may differ from one to the next, or constraint frames.
@@ -51,7 +51,7 @@ def erroneous_frames(
     arm: str | Arm = PANDA,
     start: Any = ROOMY,
 ) -> Frame:
-    """Frames turned and shifted by errors of random direction and uniform size.
+    """Turn and shift frames by errors of random direction and uniform size.
 
     Args:
         truth: geometry (N, 3) each.
@@ -59,7 +59,7 @@ def erroneous_frames(
         angles: degrees, smallest and largest turn.
         distances: mm, smallest and largest shift.
         arm: the robot.
-        start: (7,) rad, where the errors are as said.
+        start: (7,) rad, configuration at which the errors apply.
     """
     dtype, count, arm = truth.position.dtype, truth.position.shape[0], find_arm(arm)
     pose = forward_kinematics(arm.start(start, dtype), arm)

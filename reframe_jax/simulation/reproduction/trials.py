@@ -1,4 +1,4 @@
-"""Tasks from end-stop to end-stop, and trials of them."""
+"""Tasks from end-stop to end-stop, and their trials."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -38,7 +38,7 @@ class Task:
     """From one end-stop of every free axis to the other.
 
     Attributes:
-        start: (7,) rad, where the arm is at the first stops.
+        start: (7,) rad, configuration of the arm at the first stops.
         travel: rad and m between the stops.
         friction: N m s/rad and N s/m, of the mechanism along its free axes.
         stop_compliance: rad/(N m) and m/N, of the second stop, a damped spring.
@@ -68,10 +68,10 @@ class Trials:
         travelled: (N, K+1, 6) rad and m, motion along the axes of the true frame since the start.
         reaction: (N, K+1, 6) N m and N, of the constraint on the tool along its constrained axes.
         completed: (N,) bool, whether every free axis arrived at its stop.
-        completion_time: (N,) s, when the last one did; infinite where it did not.
+        completion_time: (N,) s, when the last axis arrived; infinite if one did not.
         peak_moment: (N,) N m, largest norm of the reaction moment over a trial (paper, section 6.2).
         peak_force: (N,) N, largest norm of the reaction force.
-        status_code: (N,) int, a ``RolloutStatus``; SINGULAR where the stop was out of the arm's reach.
+        status_code: (N,) int, a ``RolloutStatus``; SINGULAR if the stop was out of the arm's reach.
     """
 
     times: jax.Array
@@ -108,10 +108,10 @@ def reproduce(
     frame decides what part of it is free and how it moves on.
 
     Args:
-        truth: the constraint that is there, geometry (N, 3) each.
+        truth: the true constraint, with geometry (N, 3) each.
         frames: the frames to control in, N of them.
         controller: the wrenches.
-        task: the end-stops, and for how long.
+        task: the end-stops and the duration.
         arm: the robot.
         compliance: rad/(N m) and m/N, of tool and mount.
 
