@@ -56,7 +56,7 @@ LagRule = Literal["auto", "given", "single"]
 
 _FLOOR = 16  # of the covariance, in units of rounding: keeps noise-free windows positive definite
 _TOUCH_UP = 16  # steps that follow when velocities are seen from the optimum
-_REFINING = 8  # steps from the optimum of velocities to that of displacements
+_REFINING = 5  # steps from the optimum of velocities to that of displacements
 _WHITE = 2.0  # noises that constrained axes show at most where the noise is white
 _IN_BODY, _IN_GROUND = int(LinearType.GB), int(LinearType.BG)  # types whose origin's path is followed
 
@@ -292,16 +292,24 @@ def solve_evidence(
     norm = _norm(optimum.rms, exponent)
     n = jnp.argmin(norm, axis=-1).astype(jnp.int32)
     seen = _Frames(angular_axes, optimum.position, optimum.axes, optimum.local_axes)
-    patterns, _ = _patterns(evidence, a, seen)
     refined = jnp.zeros(n.shape, dtype=bool)
     if rule == "auto" and evidence.maps is None:
         whole = _refine(evidence, optimum.position, box, exponent)
-        other, distance = _patterns(evidence, a, whole)
-        refined = jax.lax.stop_gradient(_is_white(_of_type(n, distance), _likeliest(other, n), n))
-        patterns = jnp.where(refined[None, None, :, None], other, patterns)
+        patterns, distance = _patterns(evidence, a, whole)
+        refined = jax.lax.stop_gradient(_is_white(_of_type(n, distance), _likeliest(patterns, n), n))
+        rough = seen
         seen = jax.tree.map(
-            lambda new, old: jnp.where(refined.reshape(-1, *[1] * (old.ndim - 1)), new, old), whole, seen
+            lambda new, old: jnp.where(refined.reshape(-1, *[1] * (old.ndim - 1)), new, old), whole, rough
         )
+        # nothing more to do where the noise of all windows is white
+        patterns = jax.lax.cond(
+            jnp.all(refined),
+            lambda _: patterns,
+            lambda _: jnp.where(refined[None, None, :, None], patterns, _patterns(evidence, a, rough)[0]),
+            None,
+        )
+    else:
+        patterns, _ = _patterns(evidence, a, seen)
     patterns = jax.lax.stop_gradient(patterns)
     if thresholds is None:
         angular_dof, linear_dof = _likeliest(patterns, n)
