@@ -50,7 +50,8 @@ _GAIN, _GAIN_SPREAD, _GAIN_SHARE = 0.1, 0.6, 0.15  # of measured rotation; how o
 _FREE_SPREAD = 1.2  # of free axes about their common size
 _LEAST, _LEAST_WIDTH = log(8.0), 0.25  # noises that a free axis went, at least
 _APART, _APART_WIDTH = 2.3, 0.4  # between free axes and slow errors
-_SIZES = log(1e6 / 4)  # range of the sizes of free motion
+_LARGEST = 1e6  # noises that a free axis goes, at most; beyond it noise is rounding, of each group its own
+_SIZES = log(_LARGEST / 4)  # range of the sizes of free motion
 
 
 def _normal(x: jax.Array, mean: jax.Array | float, deviation: jax.Array | float) -> jax.Array:
@@ -70,7 +71,7 @@ def freedom_patterns(distance: jax.Array, gain: jax.Array, samples: jax.Array) -
     Returns:
         (4, 4, ...): n free rotations and m free translations at [n, m].
     """
-    y = jnp.log(jnp.maximum(distance, 1e-3))
+    y = jnp.log(jnp.clip(distance, 1e-3, _LARGEST))
     # one more axis in front: the multiples
     more = (-1, *([1] * y.ndim))
     multiples = jnp.asarray(_MULTIPLES, y.dtype).reshape(more)

@@ -472,18 +472,19 @@ def _patterns(
         position: (N, 4, 3) m, from the centre for types in the ground.
         axes: (N, 4, 3, 3).
     """
-    rounding = _FLOOR * float(jnp.finfo(axes.dtype).eps)
+    rounding, tiny = _FLOOR * float(jnp.finfo(axes.dtype).eps), float(jnp.finfo(axes.dtype).tiny)
     turned = _pick(symmetric.to_matrix(_constant(evidence.angular_spread)), kind)
     angular_axes = _pick(angular_axes, kind)
     squares = jnp.sum(angular_axes * matmul3(turned, angular_axes), axis=-2)
     whole = jnp.trace(turned, axis1=-2, axis2=-1)
     noise = jnp.square(evidence.noise.rotation)[:, None] + rounding * whole[:, None]
-    angular = jnp.sqrt(jnp.maximum(squares, 0) / noise)
+    # a body that does not turn at all, to the last digit, has no noise either
+    angular = jnp.sqrt(jnp.maximum(squares, 0) / jnp.maximum(noise, tiny))
     x = jnp.moveaxis(position, -1, 0)
     spread = symmetric.to_matrix(covariance_at(evidence.linear_spread, (x[0], x[1], x[2])))
     squares = jnp.sum(axes * matmul3(spread, axes), axis=-2)
     variance, lever = _noise_along(evidence, position, axes)
-    variance = variance + rounding * jnp.trace(spread, axis1=-2, axis2=-1)[..., None]
+    variance = jnp.maximum(variance + rounding * jnp.trace(spread, axis1=-2, axis2=-1)[..., None], tiny)
     linear = jnp.sqrt(jnp.maximum(squares, 0) / variance)
     gain = jnp.sqrt(lever * whole[:, None, None] / variance)
     angular = jnp.broadcast_to(angular[:, None], linear.shape)
