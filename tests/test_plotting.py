@@ -21,6 +21,7 @@ from reframe_jax.identification.results import (
     Candidates,
     Identification,
     LinearFrame,
+    PoseNoise,
 )
 from reframe_jax.motion.checks import Status
 from reframe_jax.plotting.style import FREE
@@ -44,10 +45,16 @@ def identification(
     common: dict[str, Any] = {"norm": np.float64(1), "norms": np.ones(4), "rms": np.ones(3)}
     common |= {"tied": np.zeros(4, bool), "free_rotation": np.zeros(3, bool), "rotvec": np.array([0, 0, 0.3])}
     return Identification(
-        angular=AngularFrame(type_code=np.int32(1), dof=np.array(angular_dof), **common),
+        angular=AngularFrame(
+            type_code=np.int32(1),
+            dof=np.array(angular_dof),
+            free_probability=np.array(angular_dof, float),
+            **common,
+        ),
         linear=LinearFrame(
             type_code=np.int32(kind),
             dof=np.array(linear_dof),
+            free_probability=np.array(linear_dof, float),
             position=POSITION,
             twin=POSITION,
             has_twin=np.False_,
@@ -55,6 +62,10 @@ def identification(
             **common,
         ),
         candidates=AllCandidates(candidates, candidates),
+        class_probability=np.zeros((4, 4, 4)),
+        noise=PoseNoise(np.float64(1e-4), np.float64(3e-4)),
+        lag=np.int32(1),
+        counted=np.ones(9, bool),
         status_code=np.int32(Status.OK),
     )
 

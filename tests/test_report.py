@@ -20,6 +20,7 @@ from reframe_jax.identification.results import (
     Candidates,
     Identification,
     LinearFrame,
+    PoseNoise,
 )
 from reframe_jax.identification.velocities import frame_velocities
 from reframe_jax.motion.checks import Status
@@ -61,6 +62,7 @@ def identification(
             type_code=np.int32(AngularType.B),
             rotvec=three(QUARTER),
             dof=three(angular_dof),
+            free_probability=three([0.01, 0.02, 0.99]),
             rms=three([0.01, 0.02, 0.3]),
             norm=np.float64(0.0391),
             norms=three([0.04, 0.0391]),
@@ -74,6 +76,7 @@ def identification(
             twin=three([0.1, -0.25, 0.0] if twin is None else twin),
             has_twin=np.bool_(twin is not None),
             dof=three(linear_dof),
+            free_probability=three([0.0, 0.01, 0.02]),
             rms=three([0.001, 0.002, 0.25]),
             norm=np.float64(0.00794),
             norms=three([0.5, 0.25, 0.125, 0.0625]),
@@ -82,6 +85,10 @@ def identification(
             free_position=one if free_position is None else free_position,
         ),
         candidates=AllCandidates(candidates(2, angular_dof, False), candidates(4, linear_dof, True)),
+        class_probability=np.full((4, 4, 4), 1 / 64),
+        noise=PoseNoise(np.float64(1e-4), np.float64(3e-4)),
+        lag=np.int32(5),
+        counted=np.ones(51, bool),
         status_code=np.int32(status),
     )
 
