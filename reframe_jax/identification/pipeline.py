@@ -167,13 +167,15 @@ def reduce_windows(
     # a failed window computes with harmless numbers, so that no NaN enters a derivative
     poses = jnp.where(failed[:, None, None, None], jnp.eye(4, dtype=poses.dtype)[None, None], poses)
     steps = jnp.where(jnp.isfinite(steps) & (steps > 0), steps, 1)
-    centre = jax.lax.stop_gradient(jnp.mean(poses[:, :, :3, 3], axis=1))
+    number = jnp.full(windows, samples + 1, jnp.int32) if count is None else count
+    own = (jnp.arange(samples + 1, dtype=jnp.int32)[None] < number[:, None])[:, :, None]
+    total = jnp.sum(jnp.where(own, poses[:, :, :3, 3], 0), axis=1)
+    centre = jax.lax.stop_gradient(total / number.astype(poses.dtype)[:, None])
     poses = poses.at[:, :, :3, 3].add(-centre[:, None])
     shared = jnp.broadcast_to(steps, (1, samples)) if steps.ndim == 1 else steps
     times = jnp.concatenate([jnp.zeros_like(shared[:, :1]), jnp.cumsum(shared, axis=1)], axis=1)
-    number = jnp.full(windows, samples + 1, jnp.int32) if count is None else count
     if rule == "single":
-        counted = jnp.arange(samples + 1, dtype=jnp.int32)[None] < number[:, None]
+        counted = own[:, :, 0]
     else:
         times_of_all = jnp.broadcast_to(times, (windows, samples + 1))
         poses, counted = repair_poses(poses, times_of_all, number)
