@@ -18,6 +18,8 @@ compiled = functools.partial(jax.jit, compiler_options=compiler_options())
 
 NOISES = np.logspace(-6, -4, 5)
 SEEDS = 20
+# its generator's poses leave the constraint, from sample to sample, by more than the noise
+PAPER = {"discretization": "left", "lag": 1, "thresholds": rf.Thresholds()}
 
 
 @functools.cache
@@ -68,7 +70,7 @@ def test_the_twelve_constraints_are_identified_with_errors_proportional_to_noise
 @pytest.mark.parametrize("label", "ABCDHKL")
 def test_the_papers_generator_in_the_left_discretization_has_no_plateau(label):
     poses, truth = windows(label, exact=False, excitation="paper")
-    found = rf.identify(poses, dt=0.1, discretization="left")
+    found = rf.identify(poses, dt=0.1, **PAPER)
     errors = metrics.geometry_errors(found, truth)
     assert np.all(metrics.types_correct(found, truth))
     assert np.all(metrics.dof_correct(found, truth))
@@ -84,7 +86,7 @@ def test_the_papers_generator_in_the_left_discretization_has_no_plateau(label):
 @pytest.mark.parametrize("label", "EF")
 def test_motion_that_is_a_pure_rotation_is_reported_as_a_revolute_joint_with_all_types_tied(label):
     poses, _ = windows(label, exact=False, excitation="paper")
-    found = rf.identify(poses, dt=0.1, discretization="left")
+    found = rf.identify(poses, dt=0.1, **PAPER)
     assert set(found.name.ravel()) == {"Revolute joint"}
     assert np.all(found.linear.tied)
     assert np.all(found.linear.free_rotation)
@@ -93,14 +95,14 @@ def test_motion_that_is_a_pure_rotation_is_reported_as_a_revolute_joint_with_all
 def test_a_point_with_one_axis_less_is_found_and_described():
     """The paper's motion of G turns about a second point that moves along one axis only."""
     poses, _ = windows("G", exact=False, excitation="paper")
-    found = rf.identify(poses, dt=0.1, discretization="left")
+    found = rf.identify(poses, dt=0.1, **PAPER)
     assert set(found.name.ravel()) == {"Unnamed: 3 rotations, 1 translation in BB"}
 
 
 @pytest.mark.parametrize("label", "IJ")
 def test_types_that_the_papers_motion_cannot_tell_apart_are_reported_as_tied(label):
     poses, truth = windows(label, exact=False, excitation="paper")
-    found = rf.identify(poses, dt=0.1, discretization="left")
+    found = rf.identify(poses, dt=0.1, **PAPER)
     assert np.mean(metrics.types_correct(found, truth, ties=True)) > 0.9
     assert np.mean(np.sum(np.asarray(found.linear.tied), axis=-1) > 1) > 0.9
 
@@ -198,11 +200,11 @@ class Middle:
 def test_one_trace_per_shape(mixed):
     program = _compiled_for_cpu if jax.default_backend() == "cpu" else _compiled
     solver = Middle()
-    rf.identify(mixed, dt=0.1, solver=solver)
+    rf.identify(mixed, dt=0.1, thresholds=rf.Thresholds(), solver=solver)
     before = program._cache_size()
     rf.identify(mixed + 0, dt=0.2, thresholds=rf.Thresholds(0.1, 0.02), bounds=0.8, solver=solver)
     assert program._cache_size() == before
-    rf.identify(mixed[:, :40], dt=0.1, solver=solver)
+    rf.identify(mixed[:, :40], dt=0.1, thresholds=rf.Thresholds(), solver=solver)
     assert program._cache_size() == before + 1
 
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
-from planted_problems import FRAMES, POSITIONS, VALLEY, four_moments, frame_value, search_positions
+from planted_problems import FRAMES, POSITIONS, VALLEY, compiled, four_moments, frame_value, search_positions
 from scipy.spatial.transform import Rotation
 
 from reframe_jax.geometry.symmetric import to_matrix
@@ -45,13 +45,13 @@ class TestOptax:
     def test_several_problems_at_once(self, transformation, steps, moments):
         """Orientation and origin by gradients alone, from beside the optimum that is known."""
         position = search_positions(VALLEY, moments)
-        covariance = jax.jit(lambda m, x: to_matrix(PositionObjective(m).covariance(x)))(moments, position.x)
+        covariance = compiled(lambda m, x: to_matrix(PositionObjective(m).covariance(x)))(moments, position.x)
         axes = np.linalg.eigh(np.asarray(covariance))[1]
         axes = axes * np.sign(np.linalg.det(axes))[:, None, None]
         start = np.concatenate([Rotation.from_matrix(axes).as_rotvec().T + 0.05, position.x + 0.02])
         inner = OptaxSteps(transformation, steps)
         order = np.array([2, 0, 3, 1])
-        minimise = jax.jit(lambda m, x: inner(FrameObjective(m), FRAMES, x))
+        minimise = compiled(lambda m, x: inner(FrameObjective(m), FRAMES, x))
         with jax.numpy_dtype_promotion("standard"):  # Optax mixes types of integers
             found, value = minimise(moments, start)
             turned, turned_value = minimise(moments[..., order], start[:, order])
@@ -69,7 +69,7 @@ class TestOptax:
         inner = OptaxSteps(optax.sgd(30.0), 7)
         x = jnp.asarray(np.random.default_rng(1).uniform(-0.5, 0.5, size=(3, 4)))
         objective = PositionObjective(moments)
-        found, value = jax.jit(lambda x: inner(objective, POSITIONS, x))(x)
-        value_of = jax.jit(objective.value)
+        found, value = compiled(lambda x: inner(objective, POSITIONS, x))(x)
+        value_of = compiled(objective.value)
         assert np.all(value <= value_of(x) + 1e-12)
         np.testing.assert_allclose(value, value_of(found), atol=1e-9)

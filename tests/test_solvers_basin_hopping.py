@@ -13,6 +13,7 @@ from planted_problems import (
     KEY,
     POSITIONS,
     VALLEY,
+    compiled,
     four_moments,
     planted,
     search,
@@ -50,8 +51,8 @@ class TestBasinHopping:
     def test_stepping_by_hand(self, moments):
         """init, step and finish are minimise; the best value of a chain never rises."""
         objective = PositionObjective(moments)
-        value_of = jax.jit(objective.value)
-        step = jax.jit(lambda state: self.solver.step(objective, POSITIONS, state))
+        value_of = compiled(objective.value)
+        step = compiled(lambda state: self.solver.step(objective, POSITIONS, state))
         state = self.solver.init(objective, POSITIONS, KEY)
         assert state.x.shape == (3, 3, 4)
         assert np.all(np.asarray(state.value) == np.inf)
@@ -64,7 +65,7 @@ class TestBasinHopping:
             met = np.stack([value_of(state.best_x[:, i]) for i in range(3)])
             np.testing.assert_allclose(state.best_value, met, rtol=1e-10)
             assert np.all(np.abs(state.x) <= 1)
-        by_hand = jax.jit(lambda state: self.solver.finish(objective, POSITIONS, state))(state)
+        by_hand = compiled(lambda state: self.solver.finish(objective, POSITIONS, state))(state)
         gain = np.min(state.best_value, axis=0) - np.asarray(by_hand.value)
         assert np.min(gain) >= 0
         assert np.max(gain) > 0.01
@@ -80,7 +81,7 @@ class TestBasinHopping:
         maps = np.stack([planted(rng, FREE[i % 4])[0] for i in range(37)])
         objective = PositionObjective(velocity_moments(jnp.asarray(maps)))
         solver = BasinHopping(ValleySteps(3), restarts=3, hops=2, polish=1, settled=0)
-        step = jax.jit(lambda state: solver.step(objective, POSITIONS, state))
+        step = compiled(lambda state: solver.step(objective, POSITIONS, state))
         first = step(solver.init(objective, POSITIONS, KEY))
         last = first
         for _ in range(3):
@@ -110,7 +111,7 @@ class TestBasinHopping:
 
         def values(temperature):
             solver = dataclasses.replace(self.solver, inner=stay, hops=6, temperature=temperature)
-            step = jax.jit(lambda state: solver.step(objective, POSITIONS, state))
+            step = compiled(lambda state: solver.step(objective, POSITIONS, state))
             state, seen = solver.init(objective, POSITIONS, KEY), []
             for _ in range(6):
                 state = step(state)

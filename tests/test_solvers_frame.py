@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from planted_problems import FRAMES, KEY, POSITIONS, VALLEY, four_moments, frame_value
+from planted_problems import FRAMES, KEY, POSITIONS, VALLEY, compiled, four_moments, frame_value
 from scipy.spatial.transform import Rotation
 
 from reframe_jax.geometry.rotations import rotation_exp
@@ -44,14 +44,14 @@ class TestFrameSteps:
 
         zero = jnp.zeros(dim)
         np.testing.assert_allclose(stepped(zero), FrameObjective(m, exponent).value(x), rtol=1e-12)
-        expand = jax.jit(lambda m: frame_steps._expand(m, frame_of(x), exponent))
+        expand = compiled(lambda m: frame_steps._expand(m, frame_of(x), exponent))
         gradient, rows, covariance, _ = expand(m)
         axes = np.asarray(rotation_exp(x[:3]))
         sigma = to_matrix(FrameObjective(m, exponent).covariance(x))
         np.testing.assert_allclose(to_matrix(covariance), axes.T @ np.asarray(sigma) @ axes, atol=1e-12)
-        hessian = jax.jit(jax.hessian(stepped))(zero)
+        hessian = compiled(jax.hessian(stepped))(zero)
         scale = np.max(np.abs(hessian))
-        np.testing.assert_allclose(jnp.stack(gradient), jax.jit(jax.grad(stepped))(zero), atol=1e-11)
+        np.testing.assert_allclose(jnp.stack(gradient), compiled(jax.grad(stepped))(zero), atol=1e-11)
         for i, row in enumerate(rows):
             np.testing.assert_allclose(jnp.stack(row), hessian[i, : i + 1], rtol=0, atol=1e-9 * scale + 1e-12)
 
@@ -84,8 +84,8 @@ class TestFrameSteps:
     def test_majorant(self, moments, exponent):
         """With the axes kept, the quadratic touches log J and is nowhere below it."""
         m, x = moments[..., 0], jnp.asarray([0.4, -1.1, 0.7, 0.2, -0.1, 0.4])
-        here = jax.jit(lambda m: frame_steps._expand(m, frame_of(x), exponent))(m)
-        value_of = jax.jit(FrameObjective(m, exponent).value)
+        here = compiled(lambda m: frame_steps._expand(m, frame_of(x), exponent))(m)
+        value_of = compiled(FrameObjective(m, exponent).value)
         slope, curvature = np.stack(here.gradient[3:]), np.asarray(to_matrix(here.majorant))
         for shift in np.random.default_rng(2).uniform(-1, 1, size=(20, 3)):
             bound = value_of(x) + slope @ shift + shift @ curvature @ shift / 2
@@ -106,7 +106,7 @@ class TestFrameSteps:
         """Six unknowns and three: the same optimum; and angular velocities, whose optimum is closed form."""
         solver = BasinHopping(FrameSteps(10), restarts=8, hops=2)
 
-        @jax.jit
+        @compiled()
         def norms(moments):
             return (
                 solver.minimise(FrameObjective(moments, exponent), FRAMES, KEY),
@@ -116,12 +116,12 @@ class TestFrameSteps:
         found, valley = norms(moments)
         assert found.x.shape == (6, 4)
         np.testing.assert_allclose(found.value, valley.value, atol=1e-8)
-        on_cpu = jax.default_backend() == "cpu"  # the valley of -1 is flat, and a GPU rounds otherwise
-        np.testing.assert_allclose(found.x[3:], valley.x, atol=1e-6 if on_cpu else 1e-5)
+        # the valley of -1 is flat: rounding decides where in it a search ends
+        np.testing.assert_allclose(found.x[3:], valley.x, atol=1e-5 if exponent < 0 else 1e-6)
         turns = Box(FRAMES.low[:3], FRAMES.high[:3])
-        angular = jax.jit(lambda m: solver.minimise(FrameObjective(m, exponent), turns, KEY))(moments[:, :1])
+        angular = compiled(lambda m: solver.minimise(FrameObjective(m, exponent), turns, KEY))(moments[:, :1])
         variances = np.linalg.eigvalsh(np.asarray(to_matrix(tuple(moments[:, 0]))))
-        exact = jax.jit(lambda s: log_power_mean(jnp.log(s.T) / 2, exponent))(jnp.asarray(variances))
+        exact = compiled(lambda s: log_power_mean(jnp.log(s.T) / 2, exponent))(jnp.asarray(variances))
         np.testing.assert_allclose(angular.value, exact, atol=1e-9)
 
     def test_never_rises_and_stays_in_the_box(self, moments, rng):
@@ -129,7 +129,7 @@ class TestFrameSteps:
         objective = FrameObjective(moments)
         box = Box(FRAMES.low.at[3:].set(-0.1), FRAMES.high.at[3:].set(0.1))
         x = jnp.asarray(rng.uniform(-0.1, 0.1, size=(6, 4)))
-        step = jax.jit(lambda x: FrameSteps(1)(objective, box, x))
+        step = compiled(lambda x: FrameSteps(1)(objective, box, x))
         best = start = np.asarray(frame_value(moments, x))
         for _ in range(15):
             x, value = step(x)
@@ -141,7 +141,7 @@ class TestFrameSteps:
         assert np.any(np.abs(x[3:]) == 0.1)
 
     def test_a_problem_without_a_value_is_no_trap_for_the_others(self, moments):
-        minimise = jax.jit(lambda m, x: FrameSteps(5)(FrameObjective(m), FRAMES, x))
+        minimise = compiled(lambda m, x: FrameSteps(5)(FrameObjective(m), FRAMES, x))
         x = jnp.asarray(np.random.default_rng(1).uniform(-0.5, 0.5, size=(6, 4)))
         good, bad = minimise(moments, x)[1], minimise(moments.at[..., 2].set(jnp.nan), x)[1]
         kept = np.array([0, 1, 3])
@@ -158,12 +158,12 @@ class TestJointSearch:
         """Their norms are those with the best axes there; every chain says where it ended."""
         solver = JointSearch(BasinHopping(FrameSteps(10), restarts=5, hops=2), refine=ValleySteps(4))
         objective = PositionObjective(moments, -1.0)
-        found = jax.jit(lambda m: solver.minimise(PositionObjective(m, -1.0), POSITIONS, KEY))(moments)
+        found = compiled(lambda m: solver.minimise(PositionObjective(m, -1.0), POSITIONS, KEY))(moments)
         assert found.x.shape == (3, 4)
         assert found.ends.shape == (3, 5, 4)
         assert np.all(np.abs(found.x) <= 1)
-        np.testing.assert_allclose(found.value, jax.jit(objective.value)(found.x), rtol=1e-12)
+        np.testing.assert_allclose(found.value, compiled(objective.value)(found.x), rtol=1e-11)
         assert np.all(found.value <= np.min(found.end_values, axis=0) + 1e-9)
-        slope = jax.jit(jax.grad(lambda x: jnp.sum(objective.value(x))))(found.x)
+        slope = compiled(jax.grad(lambda x: jnp.sum(objective.value(x))))(found.x)
         inside = np.abs(found.x) < 1
         np.testing.assert_allclose(np.asarray(slope)[inside], 0, atol=1e-5)

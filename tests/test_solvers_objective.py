@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
-from planted_problems import FRAMES, KEY, POSITIONS, four_moments
+from planted_problems import FRAMES, KEY, POSITIONS, compiled, four_moments
 
 from reframe_jax import objectives, solvers
 from reframe_jax.objectives import FrameObjective, MomentsObjective, Objective, PositionObjective
@@ -61,7 +61,7 @@ def test_any_objective_is_minimised(inner, far):
     """Without moments, with two leaves of different rank: the deeper of two bowls, problem by problem."""
     solver = BasinHopping(inner, restarts=4, hops=1)
     with jax.numpy_dtype_promotion("standard"):  # Optax mixes types of integers
-        found = jax.jit(solver.minimise)(BOWLS, SQUARE, KEY)
+        found = compiled(solver.minimise)(BOWLS, SQUARE, KEY)
     np.testing.assert_allclose(found.x, BOTTOMS, atol=far)
     np.testing.assert_allclose(found.value, np.log(DEPTHS), atol=far if inner == NewtonSteps(12) else 3)
     assert found.ends.shape == (2, 4, 3)
@@ -70,7 +70,7 @@ def test_any_objective_is_minimised(inner, far):
 def test_any_shape_of_problems():
     """One problem, and a grid of them, are found as in a row."""
     solver = BasinHopping(NewtonSteps(12), restarts=4, hops=0, polish=0)
-    search = jax.jit(solver.minimise)
+    search = compiled(solver.minimise)
     alone = search(jax.tree.map(lambda a: a[..., 1], BOWLS), SQUARE, KEY)
     assert alone.x.shape == (2,)
     np.testing.assert_allclose(alone.x, BOTTOMS[:, 1], atol=1e-6)
@@ -84,7 +84,7 @@ def test_many_problems_take_turns():
     """More minimisations than are done at once: restart by restart."""
     solver = BasinHopping(NewtonSteps(12), restarts=4, hops=0, polish=0)
     many = jax.tree.map(lambda a: jnp.tile(a, 100), BOWLS)
-    found = jax.jit(solver.minimise)(many, SQUARE, KEY)
+    found = compiled(solver.minimise)(many, SQUARE, KEY)
     np.testing.assert_allclose(found.x, np.tile(BOTTOMS, 100), atol=1e-6)
 
 

@@ -4,7 +4,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from planted_problems import KEY, NOISE, ORIGINS, POSITIONS, VALLEY, four_moments, planted, search_positions
+from planted_problems import (
+    KEY,
+    NOISE,
+    ORIGINS,
+    POSITIONS,
+    VALLEY,
+    compiled,
+    four_moments,
+    planted,
+    search_positions,
+)
 
 from reframe_jax.geometry.symmetric import to_matrix
 from reframe_jax.objectives.moments import covariance_at, velocity_moments
@@ -30,25 +40,25 @@ class TestValley:
         def f(p):
             return 6 * PositionObjective(m, exponent).value(p)
 
-        found = jax.jit(_expand, static_argnums=2)(m, tuple(p), exponent)
-        hessian = jax.jit(jax.hessian(f))(p)
+        found = compiled(_expand, static_argnums=2)(m, tuple(p), exponent)
+        hessian = compiled(jax.hessian(f))(p)
         scale = np.max(np.abs(hessian))
-        np.testing.assert_allclose(jnp.stack(found.gradient), jax.jit(jax.grad(f))(p), rtol=1e-10)
+        np.testing.assert_allclose(jnp.stack(found.gradient), compiled(jax.grad(f))(p), rtol=1e-10)
         np.testing.assert_allclose(to_matrix(found.hessian), hessian, rtol=0, atol=1e-9 * scale)
 
         def mean_of(sigma):
             log_rms = jnp.log(jnp.linalg.eigvalsh(sigma)) / 2
             return 6 * log_power_mean(log_rms, exponent)
 
-        tangent = jax.jit(jax.grad(mean_of))(to_matrix(covariance_at(m, tuple(p))))
+        tangent = compiled(jax.grad(mean_of))(to_matrix(covariance_at(m, tuple(p))))
 
         def bound(q):
             return jnp.sum(tangent * to_matrix(covariance_at(m, tuple(q))))
 
         np.testing.assert_allclose(
-            to_matrix(found.majorant), jax.jit(jax.hessian(bound))(p), rtol=0, atol=1e-9 * scale
+            to_matrix(found.majorant), compiled(jax.hessian(bound))(p), rtol=0, atol=1e-9 * scale
         )
-        below = jax.jit(lambda q: f(p) + bound(q) - bound(p) - f(q))
+        below = compiled(lambda q: f(p) + bound(q) - bound(p) - f(q))
         for q in np.random.default_rng(2).uniform(-1, 1, size=(20, 3)):
             assert below(q) > -1e-9
 
@@ -57,15 +67,15 @@ class TestValley:
         maps, origin = planted(np.random.default_rng(3), (1, 0, 0), noise=1e-7)
         m = velocity_moments(jnp.asarray(maps))
         p = jnp.asarray(origin) + jnp.asarray([1e-6, -2e-6, 1e-6])
-        found = jax.jit(_expand, static_argnums=2)(m, tuple(p), 0.0)
-        hessian = jax.jit(jax.hessian(lambda p: 6 * PositionObjective(m).value(p)))(p)
+        found = compiled(_expand, static_argnums=2)(m, tuple(p), 0.0)
+        hessian = compiled(jax.hessian(lambda p: 6 * PositionObjective(m).value(p)))(p)
         np.testing.assert_allclose(to_matrix(found.hessian), hessian, atol=1e-4 * np.max(np.abs(hessian)))
 
     @pytest.mark.parametrize("exponent", [1.0, -1.0, -np.inf])
     def test_other_means_never_rise(self, moments, exponent):
         objective = PositionObjective(moments, exponent)
         x = jnp.asarray(np.random.default_rng(7).uniform(-1, 1, size=(3, 4)))
-        step = jax.jit(lambda x: ValleySteps(1)(objective, POSITIONS, x))
+        step = compiled(lambda x: ValleySteps(1)(objective, POSITIONS, x))
         best = start = np.asarray(objective.value(x))
         for _ in range(12):
             x, value = step(x)
@@ -77,8 +87,8 @@ class TestValley:
     def test_never_rises_and_stays_in_the_box(self, moments, rng):
         objective = PositionObjective(moments)
         x = jnp.asarray(rng.uniform(-1, 1, size=(3, 4)))
-        step = jax.jit(lambda x: ValleySteps(1)(objective, POSITIONS, x))
-        value_of = jax.jit(objective.value)
+        step = compiled(lambda x: ValleySteps(1)(objective, POSITIONS, x))
+        value_of = compiled(objective.value)
         best = np.asarray(value_of(x))
         for _ in range(15):
             x, value = step(x)
@@ -104,7 +114,7 @@ class TestValley:
         found = search_positions(VALLEY, moments, KEY, Box(jnp.asarray(low), jnp.asarray(high))).x
         assert found[axis, 0] == limit
         objective = PositionObjective(moments[..., 0])
-        slope = np.asarray(jax.jit(jax.grad(objective.value))(found[:, 0]))
+        slope = np.asarray(compiled(jax.grad(objective.value))(found[:, 0]))
         assert slope[axis] * np.sign(limit) < 0
         held = (found[:, 0] <= low) | (found[:, 0] >= high)
         np.testing.assert_allclose(slope[~held], 0, atol=1e-5)

@@ -117,7 +117,7 @@ class TestFindTwins:
         chains = PositionObjective(objective.moments[:, :, None])
         ends, values = ValleySteps(20)(chains, Box(-9 * jnp.ones(3), 9 * jnp.ones(3)), ends)
         solution = Solution(ends[:, 0], values[0], jnp.ones(1), ends, values)
-        return find_twins(objective, box, solution, jnp.asarray([dof]), 0.037, jnp.zeros(1), 50)
+        return find_twins(objective, box, solution, jnp.asarray([dof]), jnp.zeros(1), jnp.full(1, 50.0))
 
     def test_the_other_tip(self, objective):
         twin, is_twin = self.look(objective, *TIPS)

@@ -330,7 +330,8 @@ def place_frame(
         rotation: (3, 3), of {b} in {g}.
         position: (3,) m, of {b} in {g}.
     """
-    angular, linear, point = np.asarray(parts_on_body(frame.angular_type, frame.linear_type))
+    with jax.ensure_compile_time_eval():  # types are known also where the geometry is traced
+        angular, linear, point = np.asarray(parts_on_body(frame.angular_type, frame.linear_type))
     in_body = matmul(rotation.T, axes)
     return replace(
         frame,

@@ -164,4 +164,5 @@ def tied_types(rms: jax.Array, dof: jax.Array, winner: jax.Array, samples: jax.A
 
     counted = (of_winner(dof) == 0).astype(rms.dtype)
     excess = excess_over(of_winner(rms), rms, counted)
-    return (jnp.sum(counted, axis=-1) == 0) | (excess < tie_margin(counted, jnp.asarray(samples)[..., None]))
+    number = jnp.broadcast_to(jnp.asarray(samples, rms.dtype), winner.shape)[..., None]
+    return (jnp.sum(counted, axis=-1) == 0) | (excess < tie_margin(counted, number))

@@ -165,7 +165,8 @@ def _single(poses: Any, steps: Any, options: tuple[Any, ...], static: dict[str, 
     if fill:
         poses = xp.concatenate([poses, xp.repeat(poses[-1:], fill, axis=0)])
         steps = np.concatenate([steps, np.repeat(steps[-1:], fill)])
-    number = np.full(1, count, np.int32) if fill else None
+    # one program for a size, whether there is something to fill or not
+    number = np.full(1, count, np.int32) if count > _SHORT else None
     lag, *others = options
     reduced = {name: static[name] for name in ("rule", "discretization")}
     evidence = _reduce(poses[None], np.asarray(steps, poses.dtype), number, lag, **reduced)

@@ -49,13 +49,12 @@ _MISFIT = 0.15  # of the logarithm of an axis that shows noise alone, for what t
 _GAIN, _GAIN_SPREAD, _GAIN_SHARE = 0.1, 0.7, 0.2  # of measured rotation; how often an axis shows it
 _FREE_SPREAD = 1.2  # of free axes about their common size
 _SILENT_SHARE = 0.2  # of constrained axes that show noise alone although there are slow errors
-_LEAST, _LEAST_WIDTH = (
-    (log(3.5), log(8.0)),
-    0.25,
-)  # noises that a free axis went, without slow errors and with
+_LEAST = log(3.5), log(8.0)  # noises that a free axis goes at least, without slow errors and with them
+_LEAST_WIDTH = 0.25
 _USUAL, _USUAL_SPREAD = (0.3, 0.05), 1.3  # rad and m that people move things, and its logarithm's spread
 _APART, _APART_WIDTH = 2.3, 0.4  # between free axes and slow errors
-_SIZES = log(1e6 / 4)  # range of the sizes of free motion
+_LARGEST = 1e6  # noises that a free axis goes, at most; beyond it noise is rounding, of each group its own
+_SIZES = log(_LARGEST / 4)  # range of the sizes of free motion
 
 
 def _normal(x: jax.Array, mean: jax.Array | float, deviation: jax.Array | float) -> jax.Array:
@@ -76,7 +75,7 @@ def freedom_patterns(distance: jax.Array, noise: jax.Array, gain: jax.Array, sam
     Returns:
         (4, 4, ...): n free rotations and m free translations at [n, m].
     """
-    y = jnp.log(jnp.maximum(distance, 1e-6))
+    y = jnp.log(jnp.clip(distance, 1e-6, _LARGEST))
     # one more axis in front: the multiples
     more = (-1, *([1] * y.ndim))
     multiples = jnp.asarray(_MULTIPLES, y.dtype).reshape(more)

@@ -169,13 +169,15 @@ def reduce_windows(
     # a failed window computes with harmless numbers, so that no NaN enters a derivative
     poses = jnp.where(failed[:, None, None, None], jnp.eye(4, dtype=poses.dtype)[None, None], poses)
     steps = jnp.where(jnp.isfinite(steps) & (steps > 0), steps, 1)
-    centre = jax.lax.stop_gradient(jnp.mean(poses[:, :, :3, 3], axis=1))
+    number = jnp.full(windows, samples + 1, jnp.int32) if count is None else count
+    own = (jnp.arange(samples + 1, dtype=jnp.int32)[None] < number[:, None])[:, :, None]
+    total = jnp.sum(jnp.where(own, poses[:, :, :3, 3], 0), axis=1)
+    centre = jax.lax.stop_gradient(total / number.astype(poses.dtype)[:, None])
     poses = poses.at[:, :, :3, 3].add(-centre[:, None])
     shared = jnp.broadcast_to(steps, (1, samples)) if steps.ndim == 1 else steps
     times = jnp.concatenate([jnp.zeros_like(shared[:, :1]), jnp.cumsum(shared, axis=1)], axis=1)
-    number = jnp.full(windows, samples + 1, jnp.int32) if count is None else count
     if rule == "single":
-        counted = jnp.arange(samples + 1, dtype=jnp.int32)[None] < number[:, None]
+        counted = own[:, :, 0]
     else:
         times_of_all = jnp.broadcast_to(times, (windows, samples + 1))
         poses, counted = repair_poses(poses, times_of_all, number)
@@ -547,18 +549,19 @@ def _patterns(evidence: Evidence, kind: jax.Array, frames: _Frames) -> tuple[jax
         (4, 4, N, 4), and (6, N, 4): how far each axis moved, in noises.
     """
     position, axes = frames.position, frames.axes
-    rounding = _FLOOR * float(jnp.finfo(axes.dtype).eps)
+    rounding, tiny = _FLOOR * float(jnp.finfo(axes.dtype).eps), float(jnp.finfo(axes.dtype).tiny)
     turned = _pick(symmetric.to_matrix(_constant(evidence.angular_spread)), kind)
     angular_axes = _pick(frames.angular_axes, kind)
     squares = jnp.sum(angular_axes * matmul3(turned, angular_axes), axis=-2)
     whole = jnp.trace(turned, axis1=-2, axis2=-1)
     noise = jnp.square(evidence.noise.rotation)[:, None] + rounding * whole[:, None]
-    angular = jnp.sqrt(jnp.maximum(squares, 0) / noise)
+    # a body that does not turn at all, to the last digit, has no noise either
+    angular = jnp.sqrt(jnp.maximum(squares, 0) / jnp.maximum(noise, tiny))
     x = jnp.moveaxis(position, -1, 0)
     spread = symmetric.to_matrix(covariance_at(evidence.linear_spread, (x[0], x[1], x[2])))
     squares = jnp.sum(axes * matmul3(spread, axes), axis=-2)
     variance, lever = _noise_along(evidence, position, axes)
-    variance = variance + rounding * jnp.trace(spread, axis1=-2, axis2=-1)[..., None]
+    variance = jnp.maximum(variance + rounding * jnp.trace(spread, axis1=-2, axis2=-1)[..., None], tiny)
     linear = jnp.sqrt(jnp.maximum(squares, 0) / variance)
     gain = jnp.sqrt(lever * whole[:, None, None] / variance)
     angular = jnp.broadcast_to(angular[:, None], linear.shape)

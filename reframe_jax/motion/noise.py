@@ -23,7 +23,7 @@ _TURN = radians(20.0)  # that it should turn at most
 _SHARE = 6  # chords that fit a window, at least
 _GROWS = 2.0  # motion of a chord over that of one a quarter as long, below which it is drift
 _SATURATED = 0.8  # share of the longest chord from which on longer lags bring nothing
-_WHOLE = 1e-3  # how far from whole the multiples of a unit of rounding are, at most
+_OFF_GRID = 0.05  # mean distance of steps from multiples of the smallest; a quarter if they are none
 _BISECTIONS, _OCTAVES = 14, 40  # of a median: to 0.2 % over twelve decades
 
 
@@ -82,21 +82,20 @@ def estimate_noise(position: jax.Array, turns: jax.Array, counted: jax.Array) ->
     rounding = jnp.stack([jnp.max(jnp.abs(values), axis=(0, 1)) for values in (position, turns)])
     rounding = 4 * float(jnp.finfo(position.dtype).eps) * rounding
     spreads = jnp.maximum(jnp.where(jnp.isfinite(best), best, 0), rounding)
-    return jnp.maximum(spreads[0], _rounding(position, counted)), spreads[1]
+    rounded = _unit_of_rounding(position, counted) / 12**0.5
+    return jnp.maximum(spreads[0], rounded), spreads[1]
 
 
-def _rounding(position: jax.Array, counted: jax.Array) -> jax.Array:
-    """Standard deviation of what rounding did to positions, (N,) m; zero unless they were rounded.
-
-    Of positions that are rounded the smallest step is the unit, and all steps are multiples of it.
-    """
+def _unit_of_rounding(position: jax.Array, counted: jax.Array) -> jax.Array:
+    """The unit that positions are rounded to, (N,) m: all steps are multiples of the smallest; else zero."""
     steps = jnp.abs(jnp.diff(position, axis=1))
-    both = (counted[1:] & counted[:-1])[None]
-    unit = jnp.min(jnp.where(both & (steps > 0), steps, jnp.inf), axis=(0, 1))
-    unit = jnp.where(jnp.isfinite(unit), unit, 1)
+    moved = (counted[1:] & counted[:-1])[None] & (steps > 0)
+    smallest = jnp.min(jnp.where(moved, steps, jnp.inf), axis=(0, 1))
+    unit = jnp.where(jnp.isfinite(smallest), smallest, 1)
     multiples = steps / unit[None, None]
-    whole = jnp.abs(multiples - jnp.round(multiples)) < _WHOLE
-    return jnp.where(jnp.all(whole | ~both, axis=(0, 1)), unit / 12**0.5, 0)
+    off = jnp.where(moved, jnp.abs(multiples - jnp.round(multiples)), 0)
+    number = jnp.maximum(jnp.sum(moved, axis=(0, 1), dtype=position.dtype), 1)
+    return jnp.where(jnp.isfinite(smallest) & (jnp.sum(off, axis=(0, 1)) < _OFF_GRID * number), unit, 0)
 
 
 def _candidates(poses: int) -> list[int]:

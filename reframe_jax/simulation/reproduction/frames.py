@@ -1,10 +1,10 @@
 """Control frames: true, deliberately wrong, or identified."""
 
 import math
-from typing import Any
 
 import jax
 import jax.numpy as jnp
+from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import Frame, assemble_frame, frame_arrays, move_frame
@@ -49,7 +49,7 @@ def erroneous_frames(
     angles: tuple[float, float] = LITERATURE_ERRORS[0],
     distances: tuple[float, float] = LITERATURE_ERRORS[1],
     arm: str | Arm = PANDA,
-    start: Any = ROOMY,
+    start: ArrayLike = ROOMY,
 ) -> Frame:
     """Turn and shift frames by errors of random direction and uniform size.
 

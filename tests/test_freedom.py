@@ -1,0 +1,117 @@
+"""Degrees of freedom from distances made by hand, in units of the noise."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import reframe_jax as rf
+from reframe_jax.geometry.transforms import make_pose
+from reframe_jax.identification.freedom import freedom_patterns, type_weights
+from reframe_jax.simulation import synthetic
+
+SAMPLES = 51.0
+WHITE = [1.05, 0.96, 1.1]
+TRACKER = [4.0, 7.0, 9.0]  # slow errors of several noises
+CLASSES = {
+    "hinge": (1, 0),
+    "drawer": (0, 1),
+    "pin on plane": (3, 2),
+    "cylinder": (1, 1),
+    "ball": (3, 0),
+    "free motion": (3, 3),
+    "rest": (0, 0),
+}
+
+patterns = jax.jit(freedom_patterns)
+
+
+def distances(free, held, far):
+    """Six distances: the last axes of each frame are free, and went so far."""
+    rotations, translations = free
+    went = far * np.array([0.6, 1.0, 1.7])
+    return np.concatenate([[*sorted(held)[: 3 - n], *went[3 - n :]] for n in (rotations, translations)])
+
+
+@pytest.mark.parametrize(("held", "far"), [(WHITE, 60.0), (WHITE, 5e3), (TRACKER, 800.0)])
+def test_classes_made_by_hand(held, far):
+    """With white noise, and with a tracker whose slow errors are as large along every constrained axis."""
+    distance = np.stack([distances(free, held, far) for free in CLASSES.values()], axis=1)
+    found = np.asarray(patterns(distance, np.zeros((3, len(CLASSES))), np.full(len(CLASSES), SAMPLES)))
+    np.testing.assert_allclose(np.sum(found, axis=(0, 1)), 1, rtol=1e-12)
+    assert np.all(found >= 0)
+    for i, (name, free) in enumerate(CLASSES.items()):
+        if (name, held) == ("rest", TRACKER):
+            continue  # six axes that drift alike: nothing to compare them with
+        assert found[(*free, i)] == np.max(found[..., i]) > 0.8, name
+
+
+def test_what_an_error_of_scale_makes_at_the_end_of_a_lever_is_no_freedom():
+    """A hinge with a long lever: a tenth of its rotation is measured as motion of its origin."""
+    distance = np.array([*TRACKER[:2], 2e4, 5.0, 8.0, 400.0])
+    none, lever = (np.asarray(patterns(distance, np.full(3, gain), SAMPLES)) for gain in (0.0, 4e3))
+    assert none[1, 1] > 0.9
+    assert lever[1, 0] > 20 * none[1, 0]
+
+
+def test_the_further_an_axis_went_the_likelier_it_is_free():
+    far = np.geomspace(1, 1e4, 25)
+    distance = np.broadcast_to(np.array([1.0, 1.0, 0.0, 1.0, 1.0, 1.0])[:, None], (6, 25)).copy()
+    distance[2] = far
+    found = np.asarray(patterns(distance, np.zeros((3, 25)), np.full(25, SAMPLES)))
+    free = np.sum(found[1:], axis=(0, 1))
+    assert free[0] < 0.01
+    assert free[-1] > 0.99
+    assert np.all(np.diff(free[far > 3]) > -1e-9)
+
+
+def test_weights_of_types():
+    """Those that tie share; three standard deviations are next to nothing."""
+    margin = np.full(2, 0.3)
+    excess = np.array([[0.0, 0.0, 0.3, 2.0], [0.0, 0.1, -0.1, 0.2]])
+    weights = np.asarray(jax.jit(type_weights)(excess, margin))
+    np.testing.assert_allclose(np.sum(weights, axis=-1), 1)
+    np.testing.assert_allclose(weights[0, 2] / weights[0, 0], np.exp(-4.5))
+    assert weights[0, 0] == weights[0, 1]
+    assert weights[0, 3] < 1e-12
+    np.testing.assert_allclose(weights[1, 2], weights[1, 0])  # none is better than the winner
+
+
+@pytest.fixture(scope="module")
+def windows():
+    """A hinge, a drawer, a pin on a plane and free motion, (4, 51, 4, 4)."""
+    keys = jax.random.split(jax.random.key(8), 4)
+    pin = rf.ConstraintFrame.named("K")
+    made = "A", "B", pin, replace(pin, linear_dof=(1, 1, 1))
+    return np.stack([synthetic.simulate(c, k, noise=1e-4).poses for c, k in zip(made, keys, strict=True)])
+
+
+def test_speed_plays_no_part(windows):
+    """The same poses in a tenth of the time and in ten times as long."""
+    found = rf.identify(windows, dt=0.1)
+    np.testing.assert_array_equal(found.angular.dof.sum(axis=1), [1, 0, 3, 3])
+    np.testing.assert_array_equal(found.linear.dof.sum(axis=1), [0, 1, 2, 3])
+    for dt in (0.01, 1.0):
+        other = rf.identify(windows, dt=dt)
+        np.testing.assert_array_equal(other.angular.dof, found.angular.dof)
+        np.testing.assert_array_equal(other.linear.dof, found.linear.dof)
+        np.testing.assert_allclose(other.class_probability, found.class_probability, atol=1e-4)
+
+
+def test_probabilities_are_those_of_the_classes(windows):
+    found = jax.device_get(rf.identify(windows, dt=0.1))
+    np.testing.assert_allclose(found.class_probability.sum(axis=(1, 2, 3)), 1, rtol=1e-9)
+    for frame in (found.angular, found.linear):
+        assert np.all(np.diff(frame.free_probability, axis=1) >= 0)
+        np.testing.assert_array_equal(frame.dof, frame.free_probability > 0.5)
+
+
+def test_a_drawer_that_does_not_turn_to_the_last_digit():
+    """Without noise and without rotation there is nothing to divide by."""
+    position = jnp.stack([0.2 * jnp.sin(0.1 * jnp.arange(51.0)), jnp.zeros(51), jnp.zeros(51)], axis=-1)
+    found = rf.identify(np.asarray(make_pose(jnp.broadcast_to(jnp.eye(3), (51, 3, 3)), position)), dt=0.1)
+    assert found.name == "Prismatic joint"
+    assert found.status is rf.Status.OK
+    assert np.all(np.isfinite(found.class_probability))

@@ -1,0 +1,103 @@
+"""Recordings of any length, padded or not, alone or in a batch, with pauses or without."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import reframe_jax as rf
+from reframe_jax.identification import entry
+from reframe_jax.simulation import synthetic
+from reframe_jax.solvers import Solution
+
+DT = 0.02
+
+
+@pytest.fixture(scope="module")
+def recording():
+    """400 poses of a pin on a plane."""
+    made = synthetic.simulate("K", jax.random.key(4), noise=1e-4, dt=DT, duration=7.98)
+    return np.asarray(made.poses)
+
+
+class Middle:
+    """The middle of the box, without a search, which would take long to compile."""
+
+    def minimise(self, objective, box, key):
+        x = jnp.zeros((3, *objective.moments.shape[2:]))
+        value = objective.value(x)
+        return Solution(x, value, jnp.ones_like(value))
+
+
+MIDDLE = Middle()
+
+
+@pytest.mark.parametrize(("poses", "lag"), [(51, "auto"), (51, 7), (300, "auto"), (300, 1)])
+def test_alone_padded_and_in_a_batch(recording, monkeypatch, poses, lag):
+    """All that is made of the poses before and after the search."""
+    window, options = recording[:poses], {"dt": DT, "lag": lag, "solver": MIDDLE}
+    batch = rf.identify(np.stack([window, window[::-1]]), **options)[0]
+    alone, padded = alone_and_padded(window, monkeypatch, options)
+    for other in (padded, batch):
+        for (path, x), y in zip(jax.tree.leaves_with_path(alone), jax.tree.leaves(other), strict=True):
+            np.testing.assert_allclose(y, x, rtol=1e-6, atol=1e-6, err_msg=jax.tree_util.keystr(path))
+
+
+def test_a_search_ends_at_the_same_place_padded(recording, monkeypatch):
+    alone, padded = alone_and_padded(recording[:300], monkeypatch, {"dt": DT})
+    assert alone.name == padded.name == "Pin-plane contact"
+    np.testing.assert_allclose(padded.linear.position, alone.linear.position, atol=1e-6)
+    np.testing.assert_allclose(padded.linear.rms, alone.linear.rms, rtol=1e-6)
+
+
+def alone_and_padded(window, monkeypatch, options):
+    """Identified by a program for its length, and by one for more poses."""
+    found = []
+    for short in (1000, 0):
+        monkeypatch.setattr(entry, "_SHORT", short)
+        assert (entry._padded_size(len(window)) > len(window)) == (short == 0)
+        found.append(rf.identify(window, **options))
+    assert all(each.counted.shape == (len(window),) for each in found)
+    return found
+
+
+def test_sizes_are_few_and_fit():
+    sizes = {count: entry._padded_size(count) for count in range(5, 5000)}
+    assert all(count <= size < 1.51 * count for count, size in sizes.items())
+    assert all(sizes[count] == count for count in range(5, 65))
+    assert len({size for count, size in sizes.items() if count > 64}) == 13
+
+
+def test_the_search_is_compiled_once_for_all_lengths(recording):
+    """And what reduces poses to evidence once for every size they are padded to."""
+    rf.identify(recording[:51], dt=DT)
+    solved, reduced = entry._solve._cache_size(), entry._reduce._cache_size()
+    lengths = [60, 90, 97, 120, 128, 130, 170, 192, 200, 250]
+    for count in lengths:
+        assert rf.identify(recording[:count], dt=DT).name == "Pin-plane contact"
+    assert entry._solve._cache_size() == solved
+    sizes = {entry._padded_size(count) for count in lengths}
+    assert sizes == {60, 96, 128, 192, 256}
+    assert entry._reduce._cache_size() - reduced <= len(sizes)
+
+
+def test_pauses_change_nothing(recording):
+    """A body that rests at both ends and in the middle, and whose rest is as noisy as its motion."""
+    poses = recording[:200]
+    exact = np.asarray(synthetic.simulate("K", jax.random.key(4), dt=DT, duration=7.98).poses)
+    keys = jax.random.split(jax.random.key(1), 3)
+    first, middle, last = (
+        np.asarray(synthetic.add_pose_noise(jnp.asarray(np.repeat(exact[k, None], 40, axis=0)), key, 1e-4))
+        for k, key in zip((0, 100, 199), keys, strict=True)
+    )
+    with_rest = np.concatenate([first, poses[:100], middle, poses[100:], last])
+    through, paused = (rf.identify(each, dt=DT) for each in (poses, with_rest))
+    assert paused.name == through.name == "Pin-plane contact"
+    np.testing.assert_array_equal(paused.angular.dof, through.angular.dof)
+    np.testing.assert_array_equal(paused.linear.dof, through.linear.dof)
+    for found in (through, paused):  # on either side of the truth, by what the noise allows
+        np.testing.assert_allclose(found.linear.position, [0.1, 0.3, 0.1], atol=2e-3)
+    # rest is left out of velocities, so that their size is that of the motion
+    np.testing.assert_allclose(paused.linear.rms[1:], through.linear.rms[1:], rtol=0.15)
+    everything = rf.identify(with_rest, dt=DT, lag=1)
+    assert np.all(everything.linear.rms[1:] < 0.9 * through.linear.rms[1:])

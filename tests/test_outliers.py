@@ -1,0 +1,100 @@
+"""Flips and jumps are found by sample and take no part; what moves fast, or stays away, is none."""
+
+import jax
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import reframe_jax as rf
+from reframe_jax.motion.outliers import repair_poses
+from reframe_jax.simulation import synthetic
+
+POSES, DT, NOISE = 61, 0.04, 1e-4
+repair = jax.jit(repair_poses)
+
+
+@pytest.fixture(scope="module")
+def poses():
+    """A hinge that swings, (61, 4, 4)."""
+    return np.array(synthetic.simulate("A", jax.random.key(5), noise=NOISE, dt=DT, duration=2.4).poses)
+
+
+def found_in(poses):
+    """Samples that do not count."""
+    return list(np.flatnonzero(~np.asarray(rf.identify(poses, dt=DT).counted)))
+
+
+def turn(poses, samples, angle):
+    spoilt = poses.copy()
+    spoilt[samples, :3, :3] = spoilt[samples, :3, :3] @ Rotation.from_rotvec([angle, 0, 0]).as_matrix()
+    return spoilt
+
+
+def shift(poses, samples, distance):
+    spoilt = poses.copy()
+    spoilt[samples, :3, 3] += np.array([0.0, 0.6, 0.8]) * distance
+    return spoilt
+
+
+@pytest.mark.parametrize("samples", [[30], [12, 13], [3, 28, 29, 55], [1], [59]], ids=str)
+@pytest.mark.parametrize(
+    "spoil", [lambda p, s: turn(p, s, np.pi), lambda p, s: turn(p, s, 0.2), lambda p, s: shift(p, s, 0.05)]
+)
+def test_jumps_are_found_by_sample_and_left_out(poses, samples, spoil):
+    clean = rf.identify(poses, dt=DT)
+    assert np.all(clean.counted)
+    found = rf.identify(spoil(poses, samples), dt=DT)
+    assert list(np.flatnonzero(~np.asarray(found.counted))) == samples
+    assert found.name == clean.name == "Revolute joint"
+    axis = np.asarray(clean.angular.axes)[:, 2]
+    assert np.degrees(np.arccos(min(1, abs(axis @ np.asarray(found.angular.axes)[:, 2])))) < 0.1
+    offset = np.asarray(found.linear.position - clean.linear.position)
+    if found.linear.frame_type is clean.linear.frame_type:
+        along = np.asarray(clean.linear.free_position)
+        assert np.linalg.norm(offset - along @ offset) < 10 * NOISE
+    np.testing.assert_allclose(found.noise.position, clean.noise.position, rtol=0.2)
+
+
+def test_nothing_is_left_out_of_consecutive_poses(poses):
+    """lag=1 is the paper's: every pose counts."""
+    assert np.all(rf.identify(shift(poses, [30], 0.05), dt=DT, lag=1).counted)
+
+
+def test_fast_motion_is_no_outlier():
+    """A body that turns by a radian a sample, and one that is hit."""
+    times = DT * np.arange(POSES)
+    fast = np.tile(np.eye(4), (POSES, 1, 1))
+    fast[:, :3, :3] = Rotation.from_rotvec(np.outer(25 * times, [0.0, 0.0, 1.0])).as_matrix()
+    hit = np.tile(np.eye(4), (POSES, 1, 1))
+    hit[:, 0, 3] = np.abs(times - 1.2)
+    swing = np.tile(np.eye(4), (POSES, 1, 1))
+    swing[:, 1, 3] = 0.3 * np.sin(6 * times)
+    for window in (fast, hit, swing):
+        window[:, :3, 3] += 1e-5 * np.random.default_rng(0).normal(size=(POSES, 3))
+        assert found_in(window) == []
+
+
+def test_a_step_that_does_not_come_back_is_no_outlier(poses):
+    assert found_in(shift(poses, slice(30, None), 0.05)) == []
+
+
+def test_too_many_outliers_are_none(poses):
+    """Beyond a third it is not known which are the poses."""
+    every_other = list(range(0, POSES, 2))
+    assert found_in(shift(poses, every_other, 0.05)) == []
+
+
+def test_what_is_left_out_is_filled_in(poses):
+    """By the motion between the poses beside it, and by nothing in the other windows; padding stays."""
+    spoilt = turn(shift(poses, [20, 21], 0.3), [20, 21], 1.0)
+    spoilt[50:] = spoilt[49]
+    windows, times = np.stack([spoilt, poses]), np.tile(DT * np.arange(POSES), (2, 1))
+    filled, counted = (np.asarray(a) for a in repair(windows, times, np.array([50, POSES], np.int32)))
+    assert list(np.flatnonzero(~counted[0])) == [20, 21, *range(50, POSES)]
+    assert np.all(counted[1])
+    np.testing.assert_array_equal(filled[1], poses)
+    np.testing.assert_array_equal(filled[0, :20], poses[:20])
+    step = np.linalg.inv(poses[19]) @ poses[22]
+    rotation = Rotation.from_rotvec(Rotation.from_matrix(step[:3, :3]).as_rotvec() / 3)
+    np.testing.assert_allclose(filled[0, 20, :3, :3], poses[19, :3, :3] @ rotation.as_matrix(), atol=1e-9)
+    np.testing.assert_allclose(filled[0, 20, :3, 3], (2 * poses[19] + poses[22])[:3, 3] / 3, atol=1e-12)
