@@ -10,7 +10,7 @@ import pytest
 import reframe_jax as rf
 from reframe_jax.compilation import chunk_size, compiler_options
 from reframe_jax.identification.entry import default_solver
-from reframe_jax.identification.pipeline import window_moments
+from reframe_jax.identification.evidence import window_moments
 from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
 from reframe_jax.simulation import synthetic
 from reframe_jax.solvers import Box, JointSearch

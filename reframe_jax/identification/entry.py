@@ -21,14 +21,9 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from reframe_jax.compilation import chunk_size, compiler_options, traced
 from reframe_jax.identification.classify import Thresholds
+from reframe_jax.identification.evidence import Evidence, LagRule, reduce_windows
 from reframe_jax.identification.options import Lag, as_dtype, check_options, lag_in_samples, make_box
-from reframe_jax.identification.pipeline import (
-    Evidence,
-    LagRule,
-    identify_windows,
-    reduce_windows,
-    solve_evidence,
-)
+from reframe_jax.identification.pipeline import identify_windows, solve_evidence
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import MIN_VELOCITIES, Status
 from reframe_jax.motion.kinematics import Discretization

@@ -8,7 +8,7 @@ import numpy as np
 
 from reframe_jax.compilation import traced
 from reframe_jax.identification.classify import Thresholds
-from reframe_jax.identification.pipeline import LagRule
+from reframe_jax.identification.evidence import LagRule
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.solvers import Box, Solver
 

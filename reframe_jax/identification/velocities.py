@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from reframe_jax.constraints.located import ground_offset
 from reframe_jax.constraints.types import LinearType
 from reframe_jax.geometry.products import apply, matmul
+from reframe_jax.identification.evidence import LagRule
 from reframe_jax.identification.options import Lag, lag_in_samples
-from reframe_jax.identification.pipeline import LagRule
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion import kinematics
 from reframe_jax.motion.chords import chord_velocities, moving_chords

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.located import ground_offset
 from reframe_jax.constraints.types import LinearType
+from reframe_jax.identification.evidence import LagRule, reduce_windows
 from reframe_jax.identification.options import Lag, lag_in_samples
-from reframe_jax.identification.pipeline import LagRule, reduce_windows
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.objectives.velocity import PositionObjective

@@ -1,0 +1,117 @@
+"""How far the motion went along every axis, in noises, and what that says about its freedom."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reframe_jax.constraints.types import LinearType
+from reframe_jax.geometry import symmetric
+from reframe_jax.geometry.products import matmul3
+from reframe_jax.identification.evidence import FLOOR, IN_BODY, IN_GROUND, Evidence
+from reframe_jax.identification.freedom import freedom_patterns
+from reframe_jax.identification.optima import Frames, constant_covariance, pick_type
+from reframe_jax.objectives.moments import covariance_at
+
+__all__ = ["free_probabilities", "is_white", "likeliest_pattern", "pattern_probabilities"]
+
+_WHITE = 2.0  # noises that constrained axes show at most where the noise is white
+
+
+def is_white(distance: jax.Array, dof: tuple[jax.Array, jax.Array], winner: jax.Array) -> jax.Array:
+    """Whether the constrained axes show white noise and nothing else, (N,).
+
+    Args:
+        distance: (6, N) in noises, along the axes of the winner.
+        dof: as :func:`likeliest_pattern` returns it.
+        winner: (N,) linear type.
+    """
+    held = jnp.concatenate([dof[0][:, 0], pick_type(dof[1], winner)], axis=1) == 0
+    quiet = jnp.all(~held.T | (distance < _WHITE), axis=0)
+    return quiet & jnp.any(held, axis=1)
+
+
+def pattern_probabilities(evidence: Evidence, kind: jax.Array, frames: Frames) -> tuple[jax.Array, jax.Array]:
+    """Probability of every pattern of degrees of freedom for each linear type, and what it comes from.
+
+    Args:
+        evidence: of the windows.
+        kind: (N,) the best angular type.
+        frames: of all types.
+
+    Returns:
+        (4, 4, N, 4), and (6, N, 4): how far each axis moved, in noises.
+    """
+    position, axes = frames.position, frames.axes
+    rounding, tiny = FLOOR * float(jnp.finfo(axes.dtype).eps), float(jnp.finfo(axes.dtype).tiny)
+    turned = pick_type(symmetric.to_matrix(constant_covariance(evidence.angular_spread)), kind)
+    angular_axes = pick_type(frames.angular_axes, kind)
+    squares = jnp.sum(angular_axes * matmul3(turned, angular_axes), axis=-2)
+    whole = jnp.trace(turned, axis1=-2, axis2=-1)
+    noise = jnp.square(evidence.noise.rotation)[:, None] + rounding * whole[:, None]
+    # a body that does not turn at all, to the last digit, has no noise either
+    angular = jnp.sqrt(jnp.maximum(squares, 0) / jnp.maximum(noise, tiny))
+    x = jnp.moveaxis(position, -1, 0)
+    spread = symmetric.to_matrix(covariance_at(evidence.linear_spread, (x[0], x[1], x[2])))
+    squares = jnp.sum(axes * matmul3(spread, axes), axis=-2)
+    variance, lever = _noise_along(evidence, position, axes)
+    variance = jnp.maximum(variance + rounding * jnp.trace(spread, axis1=-2, axis2=-1)[..., None], tiny)
+    linear = jnp.sqrt(jnp.maximum(squares, 0) / variance)
+    gain = jnp.sqrt(lever * whole[:, None, None] / variance)
+    angular = jnp.broadcast_to(angular[:, None], linear.shape)
+    turning = jnp.broadcast_to(jnp.sqrt(noise)[:, None], linear.shape)
+    distance, sizes = (
+        jnp.moveaxis(jnp.concatenate(pair, axis=-1), -1, 0)
+        for pair in ((angular, linear), (turning, jnp.sqrt(variance)))
+    )
+    samples = evidence.poses.astype(axes.dtype)[:, None]
+    return freedom_patterns(distance, sizes, jnp.moveaxis(gain, -1, 0), samples), distance
+
+
+def _noise_along(evidence: Evidence, position: jax.Array, axes: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Noise of a frame's origin along its axes, (N, 4, 3) m^2, and the square of the lever it acts through.
+
+    Noise in orientation acts through the lever from the origin of {b} to that of the frame, as far as the
+    lever is perpendicular to the axis; in the types whose path is summed up along the motion (BB and GG) the
+    noise of the steps adds up as well.
+    """
+    p = position
+    square = jnp.sum(jnp.square(p), axis=-1)
+    positions = symmetric.to_matrix(tuple(evidence.positions))  # type: ignore[arg-type]
+    mean = jnp.moveaxis(evidence.mean_paths, (2, 3), (0, 1))  # (N, 2, 3, 4)
+    x = jnp.moveaxis(p, -1, 0)
+    on_body = evidence.linear_spread[:, :, :, IN_BODY]
+    without = on_body.at[:, :4].set(0)  # what the lever does, and the position of {b} does not
+    turning = symmetric.to_matrix(covariance_at(without, tuple(x[:, :, IN_BODY])))  # type: ignore[arg-type]
+    passing = symmetric.to_matrix(
+        covariance_at(evidence.linear_spread[:, :, :, IN_GROUND], tuple(x[:, :, IN_GROUND]))  # type: ignore[arg-type]
+    )
+    spread = jnp.stack([jnp.zeros_like(turning), turning, positions, passing], axis=1)
+    turned = matmul3(mean[:, 0, :, 1:], p[:, IN_BODY, :, None])[..., 0]
+    passed = mean[:, 1, :, 0] + matmul3(mean[:, 1, :, 1:], p[:, IN_GROUND, :, None])[..., 0]
+    centre = jnp.stack([p[:, 0], turned, p[:, 2], passed], axis=1)
+    total = jnp.trace(spread, axis1=-2, axis2=-1) + jnp.sum(jnp.square(centre), axis=-1)
+    total = total.at[:, IN_BODY].set(square[:, IN_BODY])
+    along = jnp.sum(axes * matmul3(spread, axes), axis=-2)
+    along = along + jnp.square(matmul3(centre[..., None, :], axes)[..., 0, :])
+    lever = jnp.maximum(total[..., None] - along, 0)
+    of_position = jnp.square(evidence.noise.position)[:, None, None]
+    of_rotation = jnp.square(evidence.noise.rotation)[:, None, None]
+    variance = of_position + of_rotation * lever
+    summed = np.asarray([t.orientation_body == t.position_body for t in LinearType])[None, :, None]
+    turns, shifts = (square[:, None, None] / 2 for square in evidence.travel)
+    return variance + jnp.where(summed, turns * variance + shifts * of_rotation, 0), lever
+
+
+def likeliest_pattern(patterns: jax.Array, winner: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Degrees of freedom of both angular types, (N, 2, 3), and of all linear ones, (N, 4, 3)."""
+    best = jnp.argmax(patterns.reshape(16, *patterns.shape[2:]), axis=0).astype(jnp.int32)  # (N, 4)
+    rotations_free = jnp.take_along_axis(best, winner[:, None], axis=1) // 4
+    ranks = jnp.arange(3, dtype=jnp.int32)[None, None]
+    angular = (ranks >= 3 - rotations_free[..., None]).astype(jnp.int32)
+    linear = (ranks >= 3 - (best % 4)[..., None]).astype(jnp.int32)
+    return jnp.broadcast_to(angular, (len(winner), 2, 3)), linear
+
+
+def free_probabilities(number: jax.Array) -> jax.Array:
+    """Probability that each axis is free, (N, 3), from that of every number of free axes, (N, 4)."""
+    return jnp.cumsum(number[:, :0:-1], axis=1)

@@ -1,0 +1,214 @@
+"""The optimum of every frame type: its axes and its origin."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from reframe_jax.compilation import once
+from reframe_jax.geometry import rotations, symmetric
+from reframe_jax.geometry.products import matmul3
+from reframe_jax.identification.evidence import Evidence, covariance_moments
+from reframe_jax.objectives.moments import covariance_at
+from reframe_jax.objectives.norms import log_power_mean, principal_axes
+from reframe_jax.objectives.velocity import PositionObjective
+from reframe_jax.solvers import Box, Solution, Solver, ValleySteps
+from reframe_jax.solvers.implicit import attach_derivative
+
+__all__ = [
+    "Frames",
+    "Optima",
+    "constant_covariance",
+    "find_optima",
+    "orient_axes",
+    "pick_problem",
+    "pick_type",
+    "refine_frames",
+]
+
+_TOUCH_UP = 16  # steps that follow when velocities are seen from the optimum
+
+
+_REFINING = 5  # steps from the optimum of velocities to that of displacements
+
+
+@dataclass(frozen=True)
+class Optima:
+    """The optimum of every frame type, and which type of each group is the best.
+
+    Attributes:
+        angular_rms: (N, 2, 3) rad/s.
+        angular_axes: (N, 2, 3, 3).
+        angular_norm: (N, 2) rad/s.
+        angular_winner: (N,) type of the lowest norm.
+        searched: the problems of the linear types, and ``solution``: what the solver said of them.
+        objective: the problems as seen along ``local_axes``.
+        position: (N, 4, 3) m, from the centre for types in the ground.
+        axes, local_axes: (N, 4, 3, 3), the axes in the body of the type, and in those of the objective.
+        rms: (N, 4, 3) m/s.
+        norm: (N, 4) m/s.
+        linear_winner: (N,) type of the lowest norm.
+    """
+
+    angular_rms: jax.Array
+    angular_axes: jax.Array
+    angular_norm: jax.Array
+    angular_winner: jax.Array
+    searched: PositionObjective
+    solution: Solution
+    objective: PositionObjective
+    position: jax.Array
+    axes: jax.Array
+    local_axes: jax.Array
+    rms: jax.Array
+    norm: jax.Array
+    linear_winner: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Frames:
+    """Frames of all types.
+
+    Attributes:
+        angular_axes: (N, 2, 3, 3).
+        position: (N, 4, 3) m, from the centre for types in the ground.
+        axes, local_axes: (N, 4, 3, 3), see :class:`Optima`.
+    """
+
+    angular_axes: jax.Array
+    position: jax.Array
+    axes: jax.Array
+    local_axes: jax.Array
+
+
+def pick_type(array: jax.Array, index: jax.Array) -> jax.Array:
+    """From (N, T, ...) what belongs to one type each, (N, ...)."""
+    index = index.reshape(*index.shape, *([1] * (array.ndim - index.ndim)))
+    return jnp.take_along_axis(array, index, axis=1)[:, 0]
+
+
+def pick_problem(types: jax.Array, leaf: jax.Array) -> jax.Array:
+    """From (..., N, T) what belongs to one type each, (..., N)."""
+    index = types.reshape(*([1] * (leaf.ndim - 2)), -1, 1)
+    return jnp.take_along_axis(leaf, index, axis=-1)[..., 0]
+
+
+def _seen_from(maps: jax.Array, axes: jax.Array, origin: jax.Array | None = None) -> jax.Array:
+    """The maps (3, columns, K, types, N) along axes (N, types, 3, 3), from an origin (3, N, types).
+
+    Squares do not fit float32: one axis moves 1e5 times faster than another, and rounding of the one
+    hides the square of the other. Seen along its axes from the optimum, each velocity is squared by
+    itself, and float32 is as good as its digits. (The same as a square root of the moments, cheaper.)
+    """
+    e = jnp.transpose(axes, (2, 3, 1, 0))[:, :, None, None]
+    turned = e[0][:, :] * maps[0, None] + e[1][:, :] * maps[1, None] + e[2][:, :] * maps[2, None]
+    if origin is None:
+        return turned
+    p = jnp.swapaxes(origin, 1, 2)[:, None, None]
+    moved = turned[:, 0] + turned[:, 1] * p[0] + turned[:, 2] * p[1] + turned[:, 3] * p[2]
+    return jnp.concatenate([moved[:, None], turned[:, 1:]], axis=1)
+
+
+def _again(evidence: Evidence, maps: jax.Array) -> jax.Array:
+    """Moments of velocities seen along their own axes, with a floor that leaves float32 its digits."""
+    unit = jnp.asarray([1, 0, 0, 1, 0, 1], dtype=maps.dtype)[:, None, None, None]
+    return once(jnp.where((evidence.status >= 10)[:, None], unit, covariance_moments(maps, 2)))
+
+
+def _angular_optima(evidence: Evidence) -> tuple[jax.Array, jax.Array]:
+    """RMS velocity along the axes of both types, (N, 2, 3) rad/s, and the axes, (N, 2, 3, 3)."""
+    rms, axes = principal_axes(constant_covariance(evidence.angular))
+    if evidence.rates is not None:
+        first = jax.lax.stop_gradient(axes)
+        rms, axes = principal_axes(constant_covariance(_again(evidence, _seen_from(evidence.rates, first))))
+        axes = matmul3(first, axes)
+    return rms, axes
+
+
+def constant_covariance(moments: jax.Array) -> symmetric.Symmetric:
+    """Covariance of velocities that have no position."""
+    zero = jnp.zeros_like(moments[0, 0])
+    return covariance_at(moments, (zero, zero, zero))
+
+
+def find_optima(evidence: Evidence, box: Box, key: jax.Array, exponent: float, solver: Solver) -> Optima:
+    """Search the position of every linear type; the axes of all types follow in closed form.
+
+    Args:
+        evidence: of N windows.
+        box: where positions are searched, m.
+        key: of the solver's random numbers.
+        exponent: of the power mean over axes.
+        solver: search for the position.
+    """
+    angular_rms, angular_axes = _angular_optima(evidence)
+    angular_norm = _norm(angular_rms, exponent)
+    objective = PositionObjective(evidence.linear, exponent)
+    searched = jax.lax.stop_gradient(objective)
+    solution = jax.tree.map(jax.lax.stop_gradient, solver.minimise(searched, box, key))
+    if evidence.maps is None:
+        x = attach_derivative(solution.x, objective, box)
+        rms, axes = principal_axes(objective.covariance(x))
+        local = axes
+    else:
+        first = jax.lax.stop_gradient(principal_axes(objective.covariance(solution.x))[1])
+        seen = _seen_from(evidence.maps, first, solution.x)
+        objective = PositionObjective(_again(evidence, seen), exponent)
+        low, high = box.bounds(solution.x)
+        here = Box(low - solution.x, high - solution.x)
+        start = jnp.zeros_like(solution.x)
+        shift, _ = ValleySteps(_TOUCH_UP)(jax.lax.stop_gradient(objective), here, start)
+        shift = attach_derivative(shift, objective, here)
+        rms, local = principal_axes(objective.covariance(shift))
+        axes, x = matmul3(first, local), solution.x + shift
+    norm = _norm(rms, exponent)
+    return Optima(
+        angular_rms=angular_rms,
+        angular_axes=angular_axes,
+        angular_norm=angular_norm,
+        angular_winner=jnp.argmin(angular_norm, axis=-1).astype(jnp.int32),
+        searched=searched,
+        solution=solution,
+        objective=objective,
+        position=jnp.moveaxis(x, 0, -1),
+        axes=axes,
+        local_axes=local,
+        rms=rms,
+        norm=norm,
+        linear_winner=jnp.argmin(norm, axis=-1).astype(jnp.int32),
+    )
+
+
+def refine_frames(evidence: Evidence, position: jax.Array, box: Box, exponent: float) -> Frames:
+    """The frames in which the paths leave their mean least: displacements between all pairs of poses.
+
+    For white noise these are better than velocities by a factor of 1.5 to 10, the more so the higher the
+    rate; for slow errors they are worse.
+
+    Args:
+        evidence: of the windows.
+        position: (N, 4, 3) m, where to start.
+        box: of the search.
+        exponent: of the power mean over axes.
+    """
+    objective = PositionObjective(evidence.linear_spread, exponent)
+    start = jax.lax.stop_gradient(jnp.moveaxis(position, -1, 0))
+    x, _ = ValleySteps(_REFINING)(jax.lax.stop_gradient(objective), box, start)
+    x = attach_derivative(x, objective, box)
+    _, axes = principal_axes(objective.covariance(x))
+    _, angular_axes = principal_axes(constant_covariance(evidence.angular_spread))
+    return Frames(angular_axes, jnp.moveaxis(x, 0, -1), axes, axes)
+
+
+def _norm(rms: jax.Array, exponent: float) -> jax.Array:
+    return jnp.exp(log_power_mean(jnp.moveaxis(jnp.log(rms), -1, 0), exponent))
+
+
+def orient_axes(axes: jax.Array, dof: jax.Array) -> jax.Array:
+    """Rotation vector of the axes; turning axes of one kind into each other contributes no derivative."""
+    fixed = jax.lax.stop_gradient(axes)
+    turn = matmul3(jnp.swapaxes(fixed, -1, -2), axes)
+    at_rest = jax.lax.stop_gradient(turn)
+    distinct = (dof[..., :, None] != dof[..., None, :]).astype(axes.dtype)
+    return rotations.rotation_log(matmul3(fixed, at_rest + distinct * (turn - at_rest)))
