@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.entry import identify
 from reframe_jax.recordings.cleaning import clean_recording, pose_noise, pose_outliers, recording_warnings
 from reframe_jax.recordings.reading import load_recording
@@ -144,7 +145,7 @@ def test_warnings() -> None:
 @pytest.mark.parametrize(("number", "radius"), [(389, 0.530), (391, 0.313), (403, 0.522)])
 def test_real_doors_are_hinges(number: int, radius: float) -> None:
     recording = clean_recording(load_recording(DATA / f"kitchen_door_{number}.csv"))
-    found = identify(recording.poses, times=recording.times)
+    found = identify(recording.poses, times=recording.times, lag=1, thresholds=Thresholds())
     assert found.name == "Revolute joint"
     positions = recording.poses[:, :3, 3]
     normal = np.linalg.svd(positions - positions.mean(axis=0))[2][2]
@@ -159,7 +160,7 @@ def test_real_doors_are_hinges(number: int, radius: float) -> None:
 @pytest.mark.parametrize("number", [394, 407])
 def test_real_drawers_slide(number: int) -> None:
     recording = clean_recording(load_recording(DATA / f"kitchen_drawer_{number}.csv"))
-    found = identify(recording.poses, times=recording.times)
+    found = identify(recording.poses, times=recording.times, lag=1, thresholds=Thresholds())
     assert found.name == "Prismatic joint"
     positions = recording.poses[:, :3, 3]
     line = np.linalg.svd(positions - positions.mean(axis=0))[2][0]
@@ -170,5 +171,5 @@ def test_real_drawers_slide(number: int) -> None:
 @pytest.mark.parametrize(("name", "dof"), [("contour_a_1", 1), ("contour_b_1", 1), ("pouring", 2)])
 def test_other_recordings_stay_what_they_are(name: str, dof: int) -> None:
     recording = clean_recording(load_recording(DATA / f"{name}.csv"))
-    found = identify(recording.poses, times=recording.times)
+    found = identify(recording.poses, times=recording.times, lag=1, thresholds=Thresholds())
     assert (found.angular.dof.sum(), found.linear.dof.sum()) == (2, dof)

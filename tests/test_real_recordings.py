@@ -1,0 +1,85 @@
+"""Recordings of cameras, markers and trackers, identified with nothing but the defaults."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import reframe_jax as rf
+from reframe_jax.geometry.rotations import rotation_exp
+
+DATA = Path(__file__).parent.parent.parent / "shared" / "data"
+
+pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="needs the real recordings, in ../shared/data")
+
+
+def identify(name: str, **options) -> tuple[rf.Recording, rf.Identification]:
+    recording = rf.load_recording(DATA / f"{name}.csv")
+    return recording, rf.identify(recording.poses, times=recording.times, **options)
+
+
+def fit_circle(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Centre and axis of the circle through points that a few outliers may spoil."""
+    kept = points
+    for _ in range(10):
+        middle = np.median(kept, axis=0)
+        normal = np.linalg.svd(kept - middle)[2][2]
+        basis = np.linalg.svd(kept - middle)[2][:2]
+        flat = (kept - middle) @ basis.T
+        design = np.column_stack([2 * flat, np.ones(len(flat))])
+        solution = np.linalg.lstsq(design, np.sum(flat**2, axis=1), rcond=None)[0]
+        centre = middle + solution[:2] @ basis
+        radius = np.sqrt(solution[2] + solution[:2] @ solution[:2])
+        away = (points - centre) @ normal
+        inside = points - centre - np.outer(away, normal)
+        error = np.hypot(np.linalg.norm(inside, axis=1) - radius, away)
+        kept = points[error < 4 * np.median(error)]
+    return centre, normal
+
+
+def angle_between(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), abs(a @ b))))
+
+
+@pytest.mark.parametrize("number", [389, 391, 403])
+def test_doors_turn_about_the_axis_of_their_circle(number: int) -> None:
+    recording, found = identify(f"kitchen_door_{number}")
+    assert found.name == "Revolute joint"
+    centre, normal = fit_circle(recording.poses[:, :3, 3])
+    # the angular types are tied for a hinge: take the ground's
+    axis = rotation_exp(found.candidates.angular.rotvec[rf.AngularType.G])[:, 2]
+    assert angle_between(np.asarray(axis), normal) < 3
+    assert found.linear.frame_type in (rf.LinearType.GG, rf.LinearType.BG)
+    offset = np.asarray(found.linear.position) - centre
+    assert np.linalg.norm(np.cross(normal, offset)) < 0.015
+
+
+@pytest.mark.parametrize("number", [394, 407])
+def test_drawers_slide_along_their_line_although_their_orientation_wanders(number: int) -> None:
+    recording, found = identify(f"kitchen_drawer_{number}")
+    assert found.name == "Prismatic joint"
+    assert 5 < np.sum(~np.asarray(found.counted)) < 20
+    positions = recording.poses[np.asarray(found.counted), :3, 3]
+    line = np.linalg.svd(positions - positions.mean(axis=0))[2][0]
+    assert angle_between(np.asarray(found.linear.axes)[:, 2], line) < 0.7
+
+
+def test_a_slow_cabinet_is_a_hinge() -> None:
+    _, found = identify("champ_microwave_with_grasp")
+    assert found.name == "Revolute joint"
+
+
+@pytest.mark.parametrize(("name", "chords"), [("contour_a_1", (3, 5, 7, 10)), ("contour_b_1", (3, 5, 7, 10))])
+def test_a_tool_on_a_contour_has_one_point_whatever_the_chord(name: str, chords: tuple[int, ...]) -> None:
+    _, default = identify(name)
+    assert default.linear.frame_type == rf.LinearType.BB
+    assert (int(default.angular.dof.sum()), int(default.linear.dof.sum())) == (3, 1)
+    assert default.probability > 0.9
+    points = [np.asarray(identify(name, lag=lag)[1].candidates.linear.position)[0] for lag in chords]
+    assert np.max(np.linalg.norm(points - np.mean(points, axis=0), axis=1)) < 3e-3
+
+
+@pytest.mark.parametrize("name", ["pouring", "wiping_0", "grating_0"])
+def test_free_motion_is_unconstrained(name: str) -> None:
+    _, found = identify(name)
+    assert found.name.startswith("Unconstrained")
