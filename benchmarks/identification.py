@@ -119,13 +119,23 @@ def ready(row: Row) -> Row:
 
 
 def run_identify(name: str, poses: jax.Array | np.ndarray, repeats: int = 3) -> Row:
-    """All windows in one call."""
+    """All windows in one call, on velocities of consecutive poses."""
     found, seconds, compiling = timed(
         lambda: rf.identify(poses, dt=DT, lag=1, thresholds=_THRESHOLDS), repeats
     )
     positions = np.asarray(found.candidates.linear.position, dtype=float)
     norms = np.concatenate([found.angular.norms, found.linear.norms], axis=1, dtype=float)
     return ready(Row(name, np.arange(len(poses)), norms, positions, seconds, compiling))
+
+
+def time_defaults(poses: jax.Array) -> None:
+    """Print what the defaults take: their norms are those of other velocities, and cannot be compared."""
+    _, seconds, compiling = timed(lambda: rf.identify(poses, dt=DT), 3)
+    rate = len(poses) / seconds
+    print(
+        f"{'identify, defaults':18}{len(poses):>9}{1e3 / rate:>10.4f} ms{rate:>11.1f}{compiling:>9.1f} s",
+        flush=True,
+    )
 
 
 def latencies(poses: np.ndarray) -> np.ndarray:
@@ -174,6 +184,7 @@ def solve(size: Size, poses: np.ndarray) -> tuple[list[Row], float]:
     middle, few = spaced(poses, size.general), spaced(poses, size.slow)
     print(f"{'':18}{'windows':>9}{'per window':>13}{'windows/s':>11}{'compile':>11}")
     rows = [run_identify("identify", on_device)]
+    time_defaults(on_device)
     _, peak = peak_above(lambda: rf.identify(on_device, dt=DT, lag=1, thresholds=_THRESHOLDS))
     rows.append(ready(Row("general search", middle, *contestants.general_search(poses[middle]))))
     rows.append(ready(Row("dual annealing", few, *contestants.annealing(poses[few], few))))

@@ -126,9 +126,9 @@ def test_a_window_in_words() -> None:
     lines = to_table(found, label="door.csv").splitlines()
     assert lines[0] == "door.csv: Revolute joint (0.75)"
     assert lines[1] == "A frame was identified."
-    assert "Angular frame B: axes fixed in the body; G would do as well" in lines
+    assert "Angular frame B: axes fixed in the body; tied with G" in lines
     assert (
-        "Linear frame GB: axes in the ground, origin fixed in the body; BB and BG would do as well" in lines
+        "Linear frame GB: axes in the ground, origin fixed in the body; BB and Btied with G" in lines
     )
     # the columns of the rotation, not its rows
     assert "  axis 1  ( 0.000,  1.000,  0.000)      0.01 rad/s  constrained" in lines

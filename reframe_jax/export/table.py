@@ -66,7 +66,7 @@ def _vector(vector: Any, digits: int, width: int = 0) -> str:
 def _frame_block(group: str, frame: Any) -> list[str]:
     kind = TYPES[group](int(frame.type_code))
     others = [name for name in tied_names(group, frame) if name != str(kind)]
-    ties = f"; {_enumeration(others)} would do as well" if others else ""
+    ties = f"; tied with {_enumeration(others)}" if others else ""
     if isinstance(kind, LinearType):
         axes_in, origin_in = BODY_NAMES[kind.orientation_body], BODY_NAMES[kind.position_body]
         where = "axes and origin" if axes_in == origin_in else f"axes in the {axes_in}, origin"
