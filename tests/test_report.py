@@ -127,9 +127,7 @@ def test_a_window_in_words() -> None:
     assert lines[0] == "door.csv: Revolute joint (0.75)"
     assert lines[1] == "A frame was identified."
     assert "Angular frame B: axes fixed in the body; tied with G" in lines
-    assert (
-        "Linear frame GB: axes in the ground, origin fixed in the body; BB and Btied with G" in lines
-    )
+    assert "Linear frame GB: axes in the ground, origin fixed in the body; tied with BB and BG" in lines
     # the columns of the rotation, not its rows
     assert "  axis 1  ( 0.000,  1.000,  0.000)      0.01 rad/s  constrained" in lines
     assert "  axis 2  (-1.000,  0.000,  0.000)      0.02 rad/s  constrained (0.90)" in lines
