@@ -143,16 +143,8 @@ NUMPY_TYPES = (ArrayLike, DTypeLike, *typing.get_args(ArrayLike), *typing.get_ar
 # arguments that are still typed as Any: take a name off when its annotation says more
 UNTYPED = {
     "Identification.__getitem__(index)",
-    "OnlineIdentifier.push(pose)",
     "demonstrations(options)",  # those of demonstrate
-    "identify(bounds)",
-    "identify(dt)",
-    "identify(poses)",
-    "identify(times)",
-    "identify_many(dt)",
-    "identify_many(options)",
-    "identify_many(times)",
-    "identify_many(windows)",
+    "identify_many(options)",  # those of identify
     "store_demonstrations(options)",  # those of demonstrate
 }
 

@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from numpy.typing import ArrayLike
 
 from reframe_jax.compilation import chunk_size, compiler_options, traced
 from reframe_jax.identification.classify import Thresholds
@@ -50,15 +51,15 @@ def default_solver(norm: float = 0.0) -> BasinHopping | JointSearch:
 
 
 def identify(
-    poses: Any,
+    poses: ArrayLike,
     *,
-    times: Any = None,
-    dt: Any = None,
+    times: ArrayLike | None = None,
+    dt: ArrayLike | None = None,
     lag: Lag = "auto",
     norm: float = 0.0,
     discretization: Discretization = "chord",
     thresholds: Thresholds | None = None,
-    bounds: Any = 1.0,
+    bounds: ArrayLike | tuple[ArrayLike, ArrayLike] = 1.0,
     solver: Solver | None = None,
     key: jax.Array | None = None,
 ) -> Identification:
@@ -103,16 +104,17 @@ def identify(
     """
     exponent = check_exponent(norm)
     inside_a_trace = traced((poses, times, dt, lag, thresholds, bounds, key))
+    array: Any = poses
     host = not isinstance(poses, jax.Array)
     if host:
-        poses = np.asarray(poses)
-        poses = poses if np.issubdtype(poses.dtype, np.floating) else poses.astype(float)
+        array = np.asarray(poses)
+        array = array if np.issubdtype(array.dtype, np.floating) else array.astype(float)
     check_options(thresholds, solver, discretization)
-    wide = host and poses.dtype == np.float64
+    wide = host and array.dtype == np.float64
     with jax.enable_x64(True) if wide else contextlib.nullcontext():
-        steps = _steps(poses, times, dt)
+        steps = _steps(array, times, dt)
         rule, samples = lag_in_samples(lag, steps, discretization)
-        dtype = jax.dtypes.canonicalize_dtype(poses.dtype)
+        dtype = jax.dtypes.canonicalize_dtype(array.dtype)
         options = (
             samples,
             None if thresholds is None else jax.tree.map(lambda t: as_dtype(t, dtype), thresholds),
@@ -127,15 +129,15 @@ def identify(
         }
         on_cpu = jax.default_backend() == "cpu" and not inside_a_trace
         run = partial(_compiled_for_cpu if on_cpu else _compiled, **static)
-        batch = poses.shape[:-3]
+        batch = array.shape[:-3]
         if not (inside_a_trace or batch):
-            found = _single(poses, steps, options, static)
+            found = _single(array, steps, options, static)
         elif inside_a_trace or 0 in batch:
-            found = run(poses, steps, *options)
-        elif (sharding := _sharding(poses)) is not None:
-            found = _on_mesh(run, poses, sharding, steps, options)
+            found = run(array, steps, *options)
+        elif (sharding := _sharding(array)) is not None:
+            found = _on_mesh(run, array, sharding, steps, options)
         else:
-            windows = poses.reshape(-1, *poses.shape[-3:])
+            windows = array.reshape(-1, *array.shape[-3:])
             steps = steps if steps.ndim == 1 else steps.reshape(-1, steps.shape[-1])
             found = _in_pieces(run, windows, steps, options)
             if len(batch) > 1:

@@ -4,7 +4,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from jax.typing import ArrayLike
+from numpy.typing import ArrayLike
 
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.entry import identify
@@ -78,7 +78,7 @@ class OnlineIdentifier:
         self._times = np.zeros(2 * length)
         self._length, self._count = length, 0
 
-    def push(self, pose: Any, time: float | None = None) -> Identification | None:
+    def push(self, pose: ArrayLike, time: float | None = None) -> Identification | None:
         """Add a pose.
 
         Args:

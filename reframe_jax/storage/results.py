@@ -15,6 +15,7 @@ from typing import Any, get_type_hints
 
 import jax
 import numpy as np
+from numpy.typing import ArrayLike
 
 from reframe_jax.identification.entry import identify
 from reframe_jax.identification.results import (
@@ -32,11 +33,11 @@ _UNIT = "windows"
 
 
 def identify_many(
-    windows: Any,
+    windows: ArrayLike | Iterable[ArrayLike],
     out: str | Path,
     *,
-    times: Any = None,
-    dt: Any = None,
+    times: ArrayLike | None = None,
+    dt: ArrayLike | None = None,
     part_size: int = 8192,
     parts: Iterable[int] | None = None,
     progress: Progress | bool | None = None,
@@ -77,7 +78,8 @@ def identify_many(
         raise ValueError(f"part_size must be a whole number, not {part_size!r}.") from error
     if part_size < 1:
         raise ValueError(f"part_size must be at least 1, not {part_size}.")
-    total = len(windows) if _is_array(windows) else None
+    source: Any = windows
+    total = len(source) if _is_array(source) else None
     wanted = None if parts is None else set(_part_numbers(parts))
     _check_numbers(wanted, total, part_size)
     depends_on = describe_options(identify, options, without=("times", "dt"))
