@@ -4,13 +4,14 @@ The evidence has one shape whatever the length of the windows.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import jax
 import jax.numpy as jnp
 
 from reframe_jax.compilation import once
-from reframe_jax.constraints.types import LinearType
+from reframe_jax.constraints.types import AngularType, LinearType
 from reframe_jax.geometry import symmetric
 from reframe_jax.identification.results import (
     PoseNoise,
@@ -31,6 +32,7 @@ __all__ = [
     "LagRule",
     "covariance_moments",
     "reduce_windows",
+    "usable_moments",
     "window_moments",
 ]
 
@@ -69,6 +71,12 @@ def covariance_moments(maps: jax.Array, power: int = 1) -> jax.Array:
     rounding = (FLOOR * float(jnp.finfo(moments.dtype).eps)) ** power
     floor = rounding * jax.lax.stop_gradient(jnp.sum(jnp.stack(squares), axis=0))
     return moments.at[jnp.asarray([0, 3, 5]), 0].add(floor[None])
+
+
+def usable_moments(failed: jax.Array, maps: jax.Array, power: int = 1) -> jax.Array:
+    """Moments of maps, see :func:`covariance_moments`; harmless ones for the windows (N,) that failed."""
+    unit = jnp.asarray([1, 0, 0, 1, 0, 1], dtype=maps.dtype)[:, None, None, None]
+    return once(jnp.where(failed[:, None], unit, covariance_moments(maps, power)))
 
 
 @jax.tree_util.register_dataclass
@@ -143,18 +151,18 @@ def reduce_windows(
     poses = poses.at[:, :, :3, 3].add(-centre[:, None])
     shared = jnp.broadcast_to(steps, (1, samples)) if steps.ndim == 1 else steps
     times = jnp.concatenate([jnp.zeros_like(shared[:, :1]), jnp.cumsum(shared, axis=1)], axis=1)
+    times = jnp.broadcast_to(times, (windows, samples + 1))
     if rule == "single":
         counted = own[:, :, 0]
     else:
-        times_of_all = jnp.broadcast_to(times, (windows, samples + 1))
-        poses, counted = repair_poses(poses, times_of_all, number)
+        poses, counted = repair_poses(poses, times, number)
     poses = once(poses)
     maps, paths = once(kinematics.velocity_paths(poses, steps, count))
     if rule == "single" and discretization != "chord":
         _, maps = once(kinematics.velocity_components(poses, steps, discretization))
     rotation, position = paths[:, 1:, :, IN_BODY], paths[:, 0, :, IN_BODY]
     counts = counted.T
-    turns = jnp.stack([maps[2, 2], maps[0, 3], maps[1, 1]])[:, :, 0] * shared.T[None]
+    turns = kinematics.rates_of(maps)[:, 0, :, AngularType.B] * shared.T[None]
     at_rest = jax.lax.stop_gradient((rotation, position, turns))
     noise = estimate_noise(at_rest[1], at_rest[2], counts)
     one = jnp.ones(windows, jnp.int32)
@@ -171,8 +179,7 @@ def reduce_windows(
         if rule == "single":
             share = weights / jnp.maximum(jnp.mean(weights, axis=0, keepdims=True), 1 / samples)
             return maps * jnp.sqrt(share)[None, None, :, None]
-        every = jnp.broadcast_to(times.T, (samples + 1, windows))
-        return chord_velocities(paths, every, lag, weights)
+        return chord_velocities(paths, times.T, lag, weights)
 
     if count is None and rule == "single":
         velocities = maps
@@ -182,11 +189,7 @@ def reduce_windows(
     spread, mean = spread_of(paths, counts)
     spread = once(spread)
     about = spread[:, 0, :, IN_BODY]
-    unit = jnp.asarray([1, 0, 0, 1, 0, 1], dtype=poses.dtype)[:, None, None, None]
-
-    def moments(maps: jax.Array) -> jax.Array:
-        return once(jnp.where(failed[:, None], unit, covariance_moments(maps)))
-
+    moments = partial(usable_moments, failed)
     pairs = (counts[1:] & counts[:-1])[None]
     travel = [
         jnp.sum(jnp.where(pairs, jnp.square(s), 0), axis=(0, 1)) for s in (turns, jnp.diff(position, axis=1))

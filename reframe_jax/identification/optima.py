@@ -5,10 +5,9 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.compilation import once
 from reframe_jax.geometry import rotations, symmetric
 from reframe_jax.geometry.products import matmul3
-from reframe_jax.identification.evidence import Evidence, covariance_moments
+from reframe_jax.identification.evidence import Evidence, usable_moments
 from reframe_jax.objectives.moments import covariance_at
 from reframe_jax.objectives.norms import log_power_mean, principal_axes
 from reframe_jax.objectives.velocity import PositionObjective
@@ -112,8 +111,7 @@ def _seen_from(maps: jax.Array, axes: jax.Array, origin: jax.Array | None = None
 
 def _again(evidence: Evidence, maps: jax.Array) -> jax.Array:
     """Moments of velocities seen along their own axes, with a floor that leaves float32 its digits."""
-    unit = jnp.asarray([1, 0, 0, 1, 0, 1], dtype=maps.dtype)[:, None, None, None]
-    return once(jnp.where((evidence.status >= 10)[:, None], unit, covariance_moments(maps, 2)))
+    return usable_moments(evidence.status >= 10, maps, 2)
 
 
 def _angular_optima(evidence: Evidence) -> tuple[jax.Array, jax.Array]:
