@@ -39,7 +39,7 @@ def pattern_probabilities(evidence: Evidence, kind: jax.Array, frames: Frames) -
         frames: of all types.
 
     Returns:
-        (4, 4, N, 4), and (6, N, 4): how far each axis moved, in noises.
+        (4, 4, N, 4), and (6, N, 4): how far each axis moved, in noises of single poses.
     """
     position, axes = frames.position, frames.axes
     rounding, tiny = FLOOR * float(jnp.finfo(axes.dtype).eps), float(jnp.finfo(axes.dtype).tiny)
@@ -47,7 +47,7 @@ def pattern_probabilities(evidence: Evidence, kind: jax.Array, frames: Frames) -
     angular_axes = pick_type(frames.angular_axes, kind)
     squares = jnp.sum(angular_axes * matmul3(turned, angular_axes), axis=-2)
     whole = jnp.trace(turned, axis1=-2, axis2=-1)
-    noise = jnp.square(evidence.noise.rotation)[:, None] + rounding * whole[:, None]
+    noise = jnp.square(evidence.share * evidence.noise.rotation)[:, None] + rounding * whole[:, None]
     # a body that does not turn at all, to the last digit, has no noise either
     angular = jnp.sqrt(jnp.maximum(squares, 0) / jnp.maximum(noise, tiny))
     x = jnp.moveaxis(position, -1, 0)
@@ -63,8 +63,10 @@ def pattern_probabilities(evidence: Evidence, kind: jax.Array, frames: Frames) -
         jnp.moveaxis(jnp.concatenate(pair, axis=-1), -1, 0)
         for pair in ((angular, linear), (turning, jnp.sqrt(variance)))
     )
-    samples = evidence.poses.astype(axes.dtype)[:, None]
-    return freedom_patterns(distance, sizes, jnp.moveaxis(gain, -1, 0), samples), distance
+    share = evidence.share[:, None]
+    samples = evidence.poses.astype(axes.dtype)[:, None] * jnp.square(share)
+    patterns = freedom_patterns(distance, sizes, jnp.moveaxis(gain, -1, 0), samples, share)
+    return patterns, distance * share
 
 
 def _noise_along(evidence: Evidence, position: jax.Array, axes: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -97,9 +99,11 @@ def _noise_along(evidence: Evidence, position: jax.Array, axes: jax.Array) -> tu
     of_position = jnp.square(evidence.noise.position)[:, None, None]
     of_rotation = jnp.square(evidence.noise.rotation)[:, None, None]
     variance = of_position + of_rotation * lever
+    left = jnp.square(evidence.share)[:, None, None]
     summed = np.asarray([t.orientation_body == t.position_body for t in LinearType])[None, :, None]
     turns, shifts = (square[:, None, None] / 2 for square in evidence.travel)
-    return variance + jnp.where(summed, turns * variance + shifts * of_rotation, 0), lever
+    # steps add up to the same whether their noise was averaged before or not
+    return left * variance + jnp.where(summed, turns * variance + shifts * of_rotation, 0), lever
 
 
 def likeliest_pattern(patterns: jax.Array, winner: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -22,6 +22,7 @@ from reframe_jax.motion.chords import chord_velocities, moving_chords, spread_of
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.motion.noise import choose_lag, estimate_noise
 from reframe_jax.motion.outliers import repair_poses
+from reframe_jax.motion.smoothing import noise_share, smooth_noise
 from reframe_jax.objectives.moments import component_moments
 
 __all__ = [
@@ -89,6 +90,7 @@ class Evidence:
         centre: (N, 3) m, mean position of {b}; everything else is relative to it.
         counted: (N, K+1) bool, poses that are neither outliers nor padding.
         noise: of the poses.
+        share: (N,) of the noise that is left after averaging neighbours, 1 without.
         lag: (N,) samples between the poses of a chord.
         samples: (N,) independent chords.
         poses: (N,) number of poses that count.
@@ -105,6 +107,7 @@ class Evidence:
     centre: jax.Array
     counted: jax.Array
     noise: PoseNoise
+    share: jax.Array
     lag: jax.Array
     samples: jax.Array
     poses: jax.Array
@@ -156,23 +159,26 @@ def reduce_windows(
         counted = own[:, :, 0]
     else:
         poses, counted = repair_poses(poses, times, number)
-    poses = once(poses)
-    maps, paths = once(kinematics.velocity_paths(poses, steps, count))
+    rotation, position = kinematics.split_poses(once(poses))
+    counts = counted.T
+    measured = jax.lax.stop_gradient((rotation, position))
+    noise = estimate_noise(measured[1], kinematics.turns_of(measured[0]), counts)
+    one = jnp.ones(windows, jnp.int32)
+    width = 0 * one
+    if rule == "auto":
+        lag = choose_lag(*measured, counts, noise, number)
+        rotation, position, width = once(
+            smooth_noise(rotation, position, times.T, counts, number, noise, lag)
+        )
+    lag = one if rule == "single" or lag is None else jnp.minimum(one * lag, number - 1)
+    maps, paths = once(kinematics.paths_of(rotation, position, shared, count))
     if rule == "single" and discretization != "chord":
         _, maps = once(kinematics.velocity_components(poses, steps, discretization))
-    rotation, position = paths[:, 1:, :, IN_BODY], paths[:, 0, :, IN_BODY]
-    counts = counted.T
     turns = kinematics.rates_of(maps)[:, 0, :, AngularType.B] * shared.T[None]
-    at_rest = jax.lax.stop_gradient((rotation, position, turns))
-    noise = estimate_noise(at_rest[1], at_rest[2], counts)
-    one = jnp.ones(windows, jnp.int32)
-    if rule == "auto":
-        lag = choose_lag(at_rest[0], at_rest[1], counts, noise, number)
-    lag = one if rule == "single" or lag is None else jnp.minimum(one * lag, number - 1)
     if rule == "single":
         weights = (counts[1:] & counts[:-1]).astype(poses.dtype)
     else:
-        weights = moving_chords(at_rest[0], at_rest[1], counts, lag, noise)
+        weights = moving_chords(*jax.lax.stop_gradient((rotation, position)), counts, lag, noise)
     plain = jnp.all(lag == 1) & jnp.all(weights == 1)
 
     def chords(_: None) -> jax.Array:
@@ -200,6 +206,7 @@ def reduce_windows(
         centre=centre,
         counted=counted,
         noise=PoseNoise(position=noise[0], rotation=noise[1]),
+        share=noise_share(width, poses.dtype),
         lag=lag,
         samples=jnp.maximum(jnp.sum(weights > 0, axis=0, dtype=poses.dtype), 1) / lag.astype(poses.dtype),
         poses=jnp.sum(counts, axis=0, dtype=jnp.int32),

@@ -40,10 +40,10 @@ for _pattern, _weight in (
 ):
     PATTERN_PRIOR[_pattern] = _weight
 
-_MULTIPLES = tuple(log(2.0) * n for n in range(7))  # slow errors, in logarithms of noises; the first is none
+_STEPS = 6  # between no slow errors and the largest
+_MOST = log(64.0)  # slow errors at most, in logarithms of noises of single poses
 _LIKELY = log(8.0)  # multiples up to this one are equally likely
 _RARER = 0.8  # standard deviation, in logarithms, of their decline beyond
-_WEIGHTS = (0.5, *(np.exp(-np.square(np.maximum(np.asarray(_MULTIPLES[1:]) - _LIKELY, 0) / _RARER) / 2) / 12))
 _SPREAD = 0.8  # of constrained axes about their multiple
 _MISFIT = 0.15  # of the logarithm of an axis that shows noise alone, for what the noise model misses
 _GAIN, _GAIN_SPREAD, _GAIN_SHARE = 0.1, 0.7, 0.2  # of measured rotation; how often an axis shows it
@@ -62,7 +62,9 @@ def _normal(x: jax.Array, mean: jax.Array | float, deviation: jax.Array | float)
     return -jnp.square((x - mean) / deviation) / 2 - jnp.log(deviation * (2 * pi) ** 0.5)
 
 
-def freedom_patterns(distance: jax.Array, noise: jax.Array, gain: jax.Array, samples: jax.Array) -> jax.Array:
+def freedom_patterns(
+    distance: jax.Array, noise: jax.Array, gain: jax.Array, samples: jax.Array, share: jax.Array
+) -> jax.Array:
     """Probability of every pattern of degrees of freedom.
 
     Args:
@@ -71,15 +73,19 @@ def freedom_patterns(distance: jax.Array, noise: jax.Array, gain: jax.Array, sam
         noise: (6, ...) rad and m, that noise.
         gain: (3, ...) what all of the measured rotation makes at the end of the lever, along linear axes.
         samples: (...) independent samples.
+        share: (...) of the noise of single poses that averaging has left. Slow errors are of the order of the
+            noise of single poses, and averaging leaves them as they are.
 
     Returns:
         (4, 4, ...): n free rotations and m free translations at [n, m].
     """
     y = jnp.log(jnp.clip(distance, 1e-6, _LARGEST))
     # one more axis in front: the multiples
-    more = (-1, *([1] * y.ndim))
-    multiples = jnp.asarray(_MULTIPLES, y.dtype).reshape(more)
-    weights = jnp.log(jnp.asarray(_WEIGHTS, y.dtype)).reshape(more)[:, 0]  # (M, 1, ...)
+    single = -jnp.log(share)[None, None]  # a noise of a single pose
+    step = jnp.arange(_STEPS + 1, dtype=y.dtype).reshape(-1, *[1] * y.ndim)
+    multiples, white_only = step / _STEPS * (_MOST + single), step == 0
+    rarer = jnp.square(jnp.maximum(multiples - single - _LIKELY, 0) / _RARER) / 2
+    weights = jnp.where(white_only, log(0.5), -rarer - log(2 * _STEPS))[:, 0]  # (M, ...)
     white = jnp.broadcast_to(jnp.sqrt(1 / (2 * samples) + _MISFIT**2)[None], y.shape)
     silent = _normal(jnp.maximum(y, 0), 0.0, white)[None]
     own = jnp.logaddexp(
@@ -88,22 +94,22 @@ def freedom_patterns(distance: jax.Array, noise: jax.Array, gain: jax.Array, sam
     by_gain = _normal(y[3:], jnp.log(jnp.maximum(_GAIN * gain, 1e-9)), _GAIN_SPREAD) + log(_GAIN_SHARE)
     linear = jnp.logaddexp(own[:, 3:] + log(1 - _GAIN_SHARE), by_gain[None])
     tracked = jnp.concatenate([own[:, :3], linear], axis=1)
-    constrained = jnp.where(multiples == 0, silent, tracked)
+    constrained = jnp.where(white_only, silent, tracked)
     held = _over_patterns(constrained, 1, free=False)  # (M, 4, 4, ...)
     number = jnp.asarray([[a + b for b in range(4)] for a in range(4)], y.dtype)
     number = number.reshape(4, 4, *([1] * (y.ndim - 1)))
     count = jnp.maximum(number, 1)
     total, squares = (_over_patterns(x, 0, free=True) for x in (y, jnp.square(y)))
-    least = jnp.where(multiples == 0, _LEAST[0], _LEAST[1])
+    least = jnp.where(white_only, _LEAST[0], _LEAST[1] + single)
     far = _over_patterns(jax.nn.log_sigmoid((y[None] - least) / _LEAST_WIDTH), 1, free=True)
     size = total / count
     scatter = jnp.maximum(squares - count * jnp.square(size), 0)
     # free axes of a common size, over which is summed: a Gaussian integral
     width = (2 * pi) ** 0.5 * _FREE_SPREAD
     alike = -scatter / (2 * _FREE_SPREAD**2) - (number - 1) * log(width) - jnp.log(count) / 2 - log(_SIZES)
-    multiples = multiples[:, None]
+    multiples, white_only = multiples[:, None], white_only[:, None]
     apart = jax.nn.log_sigmoid((size[None] - multiples - _APART) / _APART_WIDTH)
-    free = far + alike[None] + jnp.where(multiples == 0, 0, apart)
+    free = far + alike[None] + jnp.where(white_only, 0, apart)
     terms = held + weights[:, None, None] + jnp.where(number[None] == 0, 0, free)
     evidence = jax.nn.logsumexp(terms, axis=0)
     seen = jnp.exp(evidence - jnp.max(evidence, axis=(0, 1), keepdims=True))

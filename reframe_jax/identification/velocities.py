@@ -15,6 +15,7 @@ from reframe_jax.motion import kinematics
 from reframe_jax.motion.chords import chord_velocities, moving_chords
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.motion.outliers import repair_poses
+from reframe_jax.motion.smoothing import smooth_noise
 
 __all__ = ["frame_velocities"]
 
@@ -62,7 +63,7 @@ def _frame_velocities(
         position = found.linear.position
     else:
         centre = jnp.mean(poses[:, :3, 3], axis=0)
-        chords = _chords(poses.at[:, :3, 3].add(-centre), steps, found)
+        chords = _chords(poses.at[:, :3, 3].add(-centre), steps, found, rule)
         rates = kinematics.rates_of(chords)[:, 0, :, found.angular.type_code, 0].T
         maps = jnp.moveaxis(chords[..., found.linear.type_code, 0], 2, 0)
         position = found.linear.position - ground_offset(centre)[found.linear.type_code]
@@ -70,15 +71,18 @@ def _frame_velocities(
     return matmul(rates, found.angular.axes), matmul(velocities, found.linear.axes)
 
 
-def _chords(poses: jax.Array, steps: jax.Array, found: Identification) -> jax.Array:
+def _chords(poses: jax.Array, steps: jax.Array, found: Identification, rule: LagRule) -> jax.Array:
     """Velocity maps (3, 4, K, 4, 1) of the chords that took part; NaN elsewhere."""
     times = jnp.concatenate([jnp.zeros_like(steps[:1]), jnp.cumsum(steps)])
     number = jnp.full(1, len(times), jnp.int32)
     repaired, _ = repair_poses(poses[None], times[None], number)
-    _, paths = kinematics.velocity_paths(repaired, steps)
+    rotation, position = kinematics.split_poses(repaired)
     counted, lag = found.counted[:, None], found.lag[None]
     noise = found.noise.position[None], found.noise.rotation[None]
-    weights = moving_chords(paths[:, 1:, :, _IN_BODY], paths[:, 0, :, _IN_BODY], counted, lag, noise)
+    if rule == "auto":
+        rotation, position, _ = smooth_noise(rotation, position, times[:, None], counted, number, noise, lag)
+    _, paths = kinematics.paths_of(rotation, position, steps[None])
+    weights = moving_chords(rotation, position, counted, lag, noise)
     # all that count alike: takes back the weighting
     chords = chord_velocities(paths, times[:, None], lag, weights) * jnp.sqrt(jnp.mean(weights))
     return jnp.where(weights[None, None, :, None] > 0, chords, jnp.nan)

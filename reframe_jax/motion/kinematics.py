@@ -26,8 +26,11 @@ __all__ = [
     "angular_velocities",
     "body_twists",
     "linear_velocity_maps",
+    "paths_of",
     "rates_of",
     "spatial_twists",
+    "split_poses",
+    "turns_of",
     "velocity_components",
     "velocity_paths",
 ]
@@ -79,8 +82,8 @@ def _transpose(matrix: jax.Array) -> jax.Array:
     return jnp.swapaxes(matrix, 0, 1)
 
 
-def _rotations_and_positions(poses: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """(3, 3, K+1, ...) and (3, K+1, ...) of poses (..., K+1, 4, 4)."""
+def split_poses(poses: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Rotations (3, 3, K+1, ...) and positions (3, K+1, ...) of poses (..., K+1, 4, 4)."""
     top = once(_inside_out(poses[..., :3, :], 2))
     return top[:, :3], top[:, 3]
 
@@ -121,7 +124,7 @@ def body_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
     Returns:
         (..., K, 6) as (w, v) in {b}; rad/s, m/s.
     """
-    return _outside_in(_mean_twists(*_rotations_and_positions(poses), _step_times(dt, poses))[0], 1)
+    return _outside_in(_mean_twists(*split_poses(poses), _step_times(dt, poses))[0], 1)
 
 
 def spatial_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
@@ -129,7 +132,7 @@ def spatial_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
 
     Arguments and shapes as in :func:`body_twists`; the result is in {g}.
     """
-    return _outside_in(_mean_twists(*_rotations_and_positions(poses), _step_times(dt, poses))[1], 1)
+    return _outside_in(_mean_twists(*split_poses(poses), _step_times(dt, poses))[1], 1)
 
 
 def _mean_twists(rotation: jax.Array, position: jax.Array, steps: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -271,7 +274,7 @@ def velocity_components(
     """
     if discretization not in ("chord", "left"):
         raise ValueError(f"discretization must be 'chord' or 'left', not {discretization!r}.")
-    rotation, position = _rotations_and_positions(poses)
+    rotation, position = split_poses(poses)
     steps = _step_times(dt, poses)
     step = _inside_out(steps, 0)[None, None]
     body, spatial = _mean_twists(rotation, position, steps)
@@ -305,8 +308,19 @@ def velocity_paths(
     Returns:
         (3, 4, K, 4, ...) m/s and 1/s, and (3, 4, K+1, 4, ...) m and 1.
     """
-    rotation, position = _rotations_and_positions(poses)
-    steps = _step_times(dt, poses)
+    return paths_of(*split_poses(poses), _step_times(dt, poses), count)
+
+
+def paths_of(
+    rotation: jax.Array, position: jax.Array, steps: jax.Array, count: jax.Array | None = None
+) -> tuple[jax.Array, jax.Array]:
+    """Compute what :func:`velocity_paths` does, from rotations (3, 3, K+1, ...) and positions (3, K+1, ...).
+
+    Args:
+        rotation, position: as :func:`split_poses` returns them.
+        steps: (..., K) sample times, s; of size 1 along axes in which the windows do not differ.
+        count: as there.
+    """
     step = _inside_out(steps, 0)[None, None]
     body, spatial = _mean_twists(rotation, position, steps)
     used = None if count is None else count - 1
@@ -317,6 +331,12 @@ def velocity_paths(
     maps = jnp.stack([bb, jnp.diff(in_ground, axis=2) * rate, gg, jnp.diff(in_body, axis=2) * rate], axis=3)
     paths = jnp.stack([_sum_up(bb * step), in_ground, _sum_up(gg * step), in_body], axis=3)
     return maps, paths
+
+
+def turns_of(rotation: jax.Array) -> jax.Array:
+    """Axis of every step's rotation times the sine of its angle, (3, K, ...), of rotations (3, 3, K+1, ...)."""
+    turn = _product(_transpose(rotation[:, :, :-1]), rotation[:, :, 1:])
+    return jnp.stack([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
 
 
 def rates_of(maps: jax.Array) -> jax.Array:
