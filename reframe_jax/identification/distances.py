@@ -96,6 +96,13 @@ def _noise_along(evidence: Evidence, position: jax.Array, axes: jax.Array) -> tu
     along = jnp.sum(axes * matmul3(spread, axes), axis=-2)
     along = along + jnp.square(matmul3(centre[..., None, :], axes)[..., 0, :])
     lever = jnp.maximum(total[..., None] - along, 0)
+    # of noise that leads away from a single axis nothing is left: the lever acts across that axis
+    second = spread + centre[..., :, None] * centre[..., None, :]
+    axis = jnp.stack([evidence.axis.in_ground, evidence.axis.in_body])
+    axis = jnp.stack([axis[int(t.orientation_body)].T for t in LinearType], axis=1)  # (N, 4, 3)
+    across = jnp.cross(axes, axis[..., None], axis=-2)
+    about = jnp.sum(across * matmul3(second, across), axis=-2)
+    lever = jnp.where(evidence.alone[:, None, None], about, lever)
     of_position = jnp.square(evidence.noise.position)[:, None, None]
     of_rotation = jnp.square(evidence.noise.rotation)[:, None, None]
     variance = of_position + of_rotation * lever

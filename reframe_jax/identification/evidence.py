@@ -5,7 +5,7 @@ The evidence has one shape whatever the length of the windows.
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +22,7 @@ from reframe_jax.motion.chords import chord_velocities, moving_chords, spread_of
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.motion.noise import choose_lag, estimate_noise
 from reframe_jax.motion.outliers import repair_poses
+from reframe_jax.motion.single_axis import SingleAxis, find_single_axis, keep_axis
 from reframe_jax.motion.smoothing import noise_share, smooth_noise
 from reframe_jax.objectives.moments import component_moments
 
@@ -90,6 +91,8 @@ class Evidence:
         centre: (N, 3) m, mean position of {b}; everything else is relative to it.
         counted: (N, K+1) bool, poses that are neither outliers nor padding.
         noise: of the poses.
+        axis: about which the body turns, for windows that turn about a single one; ``alone``: (N,) bool,
+            whether noise that leads away from it was taken out of the linear velocities.
         share: (N,) of the noise that is left after averaging neighbours, 1 without.
         lag: (N,) samples between the poses of a chord.
         samples: (N,) independent chords.
@@ -107,6 +110,8 @@ class Evidence:
     centre: jax.Array
     counted: jax.Array
     noise: PoseNoise
+    axis: SingleAxis
+    alone: jax.Array
     share: jax.Array
     lag: jax.Array
     samples: jax.Array
@@ -141,82 +146,157 @@ def reduce_windows(
         discretization: see :func:`reframe_jax.motion.kinematics.linear_velocity_maps`; another than
             "chord" only for the rule "single".
     """
-    windows, samples = poses.shape[0], poses.shape[1] - 1
     status = window_status(poses, steps)
     failed = status >= 10
     # a failed window computes with harmless numbers, so that no NaN enters a derivative
     poses = jnp.where(failed[:, None, None, None], jnp.eye(4, dtype=poses.dtype)[None, None], poses)
     steps = jnp.where(jnp.isfinite(steps) & (steps > 0), steps, 1)
-    number = jnp.full(windows, samples + 1, jnp.int32) if count is None else count
-    own = (jnp.arange(samples + 1, dtype=jnp.int32)[None] < number[:, None])[:, :, None]
+    steps = jnp.broadcast_to(steps, (1, *steps.shape)) if steps.ndim == 1 else steps
+    number = jnp.full(poses.shape[0], poses.shape[1], jnp.int32) if count is None else count
+    poses, centre = _centred(poses, number)
+    times = jnp.concatenate([jnp.zeros_like(steps[:, :1]), jnp.cumsum(steps, axis=1)], axis=1)
+    times = jnp.broadcast_to(times, (len(poses), times.shape[1]))
+    motion = _motion(poses, times, number, lag, rule)
+    maps, paths = once(kinematics.paths_of(motion.rotation, motion.position, steps, count))
+    if discretization != "chord":
+        _, maps = once(kinematics.velocity_components(poses, steps, discretization))
+    rates, turns = kinematics.rates_of(maps), kinematics.rates_of(paths)
+    axis = find_single_axis(motion.rotation, motion.counted, motion.share * motion.noise[1])
+    alone = axis.found & (motion.lag > 1)
+    if rule == "auto":
+        kept = axis._replace(found=alone)
+
+        def of_axis(_: None) -> tuple[jax.Array, jax.Array]:
+            return kinematics.paths_of(keep_axis(motion.rotation, kept), motion.position, steps, count)
+
+        maps, paths = once(jax.lax.cond(jnp.any(alone), of_axis, lambda _: (maps, paths), None))
+    rates, velocities = _velocities(motion, times.T, (rates, turns), (maps, paths), rule, count is None)
+    turned, _ = spread_of(turns, motion.counted)
+    spread, mean = spread_of(paths, motion.counted)
+    turned, spread = once((turned, spread))
+    about = spread[:, 0, :, IN_BODY]
+    moments = partial(usable_moments, failed)
+    precise = poses.dtype != jnp.float32
+    moving = jnp.sum(motion.weights > 0, axis=0, dtype=poses.dtype)
+    return Evidence(
+        status=status,
+        centre=centre,
+        counted=motion.counted.T,
+        noise=PoseNoise(position=motion.noise[0], rotation=motion.noise[1]),
+        axis=axis,
+        alone=alone,
+        share=motion.share,
+        lag=motion.lag,
+        samples=jnp.maximum(moving, 1) / motion.lag.astype(poses.dtype),
+        poses=jnp.sum(motion.counted, axis=0, dtype=jnp.int32),
+        angular=moments(rates),
+        linear=moments(velocities),
+        angular_spread=moments(turned),
+        linear_spread=moments(spread),
+        mean_paths=jnp.stack([mean[:, :, t] for t in (IN_BODY, IN_GROUND)], axis=-1),
+        positions=jnp.stack([jnp.mean(about[i] * about[j], axis=0) for i, j in symmetric.INDEX_PAIRS]),
+        travel=_travel(motion, jnp.diff(turns[:, 0, :, AngularType.B], axis=1)),
+        rates=None if precise else rates,
+        maps=None if precise else velocities,
+    )
+
+
+class _Motion(NamedTuple):
+    """The motion of N windows as it is used.
+
+    Attributes:
+        rotation, position: (3, 3, K+1, N) and (3, K+1, N) m, averaged over neighbours where that pays.
+        counted: (K+1, N) bool, poses that are neither outliers nor padding.
+        noise: (N,) m and (N,) rad, of the measured poses.
+        share: (N,) of the noise that is left.
+        lag: (N,) samples.
+        weights: (K, N) of the chords.
+    """
+
+    rotation: jax.Array
+    position: jax.Array
+    counted: jax.Array
+    noise: tuple[jax.Array, jax.Array]
+    share: jax.Array
+    lag: jax.Array
+    weights: jax.Array
+
+
+def _centred(poses: jax.Array, number: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Poses about their mean position, and that mean, (N, 3) m; as many of each window count as it has."""
+    own = (jnp.arange(poses.shape[1], dtype=jnp.int32)[None] < number[:, None])[:, :, None]
     total = jnp.sum(jnp.where(own, poses[:, :, :3, 3], 0), axis=1)
     centre = jax.lax.stop_gradient(total / number.astype(poses.dtype)[:, None])
-    poses = poses.at[:, :, :3, 3].add(-centre[:, None])
-    shared = jnp.broadcast_to(steps, (1, samples)) if steps.ndim == 1 else steps
-    times = jnp.concatenate([jnp.zeros_like(shared[:, :1]), jnp.cumsum(shared, axis=1)], axis=1)
-    times = jnp.broadcast_to(times, (windows, samples + 1))
+    return poses.at[:, :, :3, 3].add(-centre[:, None]), centre
+
+
+def _motion(
+    poses: jax.Array, times: jax.Array, number: jax.Array, lag: jax.Array | None, rule: LagRule
+) -> _Motion:
+    """Leave out outliers and rest, choose the lag, and average out noise, as far as the rule says so."""
     if rule == "single":
-        counted = own[:, :, 0]
+        counted = jnp.arange(poses.shape[1], dtype=jnp.int32)[None] < number[:, None]
     else:
         poses, counted = repair_poses(poses, times, number)
     rotation, position = kinematics.split_poses(once(poses))
     counts = counted.T
     measured = jax.lax.stop_gradient((rotation, position))
     noise = estimate_noise(measured[1], kinematics.turns_of(measured[0]), counts)
-    one = jnp.ones(windows, jnp.int32)
-    width = 0 * one
+    one = jnp.ones_like(number)
+    width = jnp.zeros_like(number)
     if rule == "auto":
         lag = choose_lag(*measured, counts, noise, number)
         rotation, position, width = once(
             smooth_noise(rotation, position, times.T, counts, number, noise, lag)
         )
-    lag = one if rule == "single" or lag is None else jnp.minimum(one * lag, number - 1)
-    maps, paths = once(kinematics.paths_of(rotation, position, shared, count))
-    if rule == "single" and discretization != "chord":
-        _, maps = once(kinematics.velocity_components(poses, steps, discretization))
-    turns = kinematics.rates_of(maps)[:, 0, :, AngularType.B] * shared.T[None]
-    if rule == "single":
+    share = noise_share(width, poses.dtype)
+    if rule == "single" or lag is None:
         weights = (counts[1:] & counts[:-1]).astype(poses.dtype)
-    else:
-        weights = moving_chords(*jax.lax.stop_gradient((rotation, position)), counts, lag, noise)
-    plain = jnp.all(lag == 1) & jnp.all(weights == 1)
+        return _Motion(rotation, position, counts, noise, share, one, weights)
+    lag = jnp.minimum(one * lag, number - 1)
+    weights = moving_chords(*jax.lax.stop_gradient((rotation, position)), counts, lag, noise)
+    return _Motion(rotation, position, counts, noise, share, lag, weights)
 
-    def chords(_: None) -> jax.Array:
+
+def _velocities(
+    motion: _Motion,
+    times: jax.Array,
+    angular: tuple[jax.Array, jax.Array],
+    linear: tuple[jax.Array, jax.Array],
+    rule: LagRule,
+    whole: bool,
+) -> tuple[jax.Array, jax.Array]:
+    """Velocities of all chords, from those of single steps and from paths, of both groups.
+
+    Args:
+        motion: of the windows.
+        times: (K+1, N) s.
+        angular: angular velocities of single steps, and their paths.
+        linear: linear velocities of single steps, and their paths.
+        rule: "single" for single steps.
+        whole: whether no window has padding.
+    """
+    steps = angular[0], linear[0]
+    if rule == "single" and whole:
+        return steps
+    weights = motion.weights
+
+    def chords(_: None) -> tuple[jax.Array, jax.Array]:
         if rule == "single":
-            share = weights / jnp.maximum(jnp.mean(weights, axis=0, keepdims=True), 1 / samples)
-            return maps * jnp.sqrt(share)[None, None, :, None]
-        return chord_velocities(paths, times.T, lag, weights)
+            share = weights / jnp.maximum(jnp.mean(weights, axis=0, keepdims=True), 1 / len(weights))
+            scale = jnp.sqrt(share)[None, None, :, None]
+            return steps[0] * scale, steps[1] * scale
+        of_angular, of_linear = (
+            chord_velocities(path, times, motion.lag, weights) for path in (angular[1], linear[1])
+        )
+        return of_angular, of_linear
 
-    if count is None and rule == "single":
-        velocities = maps
-    else:
-        velocities = once(jax.lax.cond(plain, lambda _: maps, chords, None))
-    rates = kinematics.rates_of(velocities)
-    spread, mean = spread_of(paths, counts)
-    spread = once(spread)
-    about = spread[:, 0, :, IN_BODY]
-    moments = partial(usable_moments, failed)
-    pairs = (counts[1:] & counts[:-1])[None]
-    travel = [
-        jnp.sum(jnp.where(pairs, jnp.square(s), 0), axis=(0, 1)) for s in (turns, jnp.diff(position, axis=1))
-    ]
-    precise = poses.dtype != jnp.float32
-    return Evidence(
-        status=status,
-        centre=centre,
-        counted=counted,
-        noise=PoseNoise(position=noise[0], rotation=noise[1]),
-        share=noise_share(width, poses.dtype),
-        lag=lag,
-        samples=jnp.maximum(jnp.sum(weights > 0, axis=0, dtype=poses.dtype), 1) / lag.astype(poses.dtype),
-        poses=jnp.sum(counts, axis=0, dtype=jnp.int32),
-        angular=moments(rates),
-        linear=moments(velocities),
-        angular_spread=moments(kinematics.rates_of(spread)),
-        linear_spread=moments(spread),
-        mean_paths=jnp.stack([mean[:, :, t] for t in (IN_BODY, IN_GROUND)], axis=-1),
-        positions=jnp.stack([jnp.mean(about[i] * about[j], axis=0) for i, j in symmetric.INDEX_PAIRS]),
-        travel=jnp.stack(travel),
-        rates=None if precise else rates,
-        maps=None if precise else velocities,
-    )
+    plain = jnp.all(motion.lag == 1) & jnp.all(weights == 1)
+    return once(jax.lax.cond(plain, lambda _: steps, chords, None))
+
+
+def _travel(motion: _Motion, turns: jax.Array) -> jax.Array:
+    """Sum of the squares of all steps, (2, N) rad^2 and m^2, from their rotation vectors (3, K, N)."""
+    pairs = (motion.counted[1:] & motion.counted[:-1])[None]
+    moves = turns, jnp.diff(motion.position, axis=1)
+    return jnp.stack([jnp.sum(jnp.where(pairs, jnp.square(move), 0), axis=(0, 1)) for move in moves])

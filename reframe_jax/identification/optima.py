@@ -196,7 +196,21 @@ def refine_frames(evidence: Evidence, position: jax.Array, box: Box, exponent: f
     x = attach_derivative(x, objective, box)
     _, axes = principal_axes(objective.covariance(x))
     _, angular_axes = principal_axes(constant_covariance(evidence.angular_spread))
+    angular_axes = _about_single_axis(evidence, angular_axes)
     return Frames(angular_axes, jnp.moveaxis(x, 0, -1), axes, axes)
+
+
+def _about_single_axis(evidence: Evidence, axes: jax.Array) -> jax.Array:
+    """The angular axes (N, 2, 3, 3) with the fastest one put where the rotations keep it, if they do."""
+    axis = jnp.stack([evidence.axis.in_ground.T, evidence.axis.in_body.T], axis=1)
+    same = jnp.sum(axis * axes[..., 2], axis=-1, keepdims=True)
+    third = jnp.where(same < 0, -axis, axis)
+    first = axes[..., 0] - third * jnp.sum(third * axes[..., 0], axis=-1, keepdims=True)
+    length = jnp.sqrt(jnp.sum(jnp.square(first), axis=-1, keepdims=True))
+    found = evidence.axis.found[:, None] & (length[..., 0] > 0.5)
+    first = first / jnp.where(length > 0, length, 1)
+    turned = jnp.stack([first, jnp.cross(third, first), third], axis=-1)
+    return jnp.where(found[..., None, None], turned, axes)
 
 
 def _norm(rms: jax.Array, exponent: float) -> jax.Array:

@@ -317,7 +317,8 @@ def paths_of(
     """Compute what :func:`velocity_paths` does, from rotations (3, 3, K+1, ...) and positions (3, K+1, ...).
 
     Args:
-        rotation, position: as :func:`split_poses` returns them.
+        rotation: (3, 3, K+1, ...), as :func:`split_poses` returns it.
+        position: (3, K+1, ...) m.
         steps: (..., K) sample times, s; of size 1 along axes in which the windows do not differ.
         count: as there.
     """
@@ -334,7 +335,7 @@ def paths_of(
 
 
 def turns_of(rotation: jax.Array) -> jax.Array:
-    """Axis of every step's rotation times the sine of its angle, (3, K, ...), of rotations (3, 3, K+1, ...)."""
+    """Axis times sine of the angle of every step, (3, K, ...), from rotations (3, 3, K+1, ...)."""
     turn = _product(_transpose(rotation[:, :, :-1]), rotation[:, :, 1:])
     return jnp.stack([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
 

@@ -1,9 +1,9 @@
-"""Poses averaged over neighbours, as far as the motion permits.
+"""Poses averaged over their neighbours, as far as the motion permits.
 
-At a high rate each pose moves by less than its noise, and steps of such poses are mostly noise. Products of
-steps, of which the paths of BB and GG and all angular paths are made, then grow noise that no later average
-removes. So the average is taken first. It is a filter of the entries of the pose, and a constraint of GB or BG
-is linear in these, so that filter does not bend it; others bend by the fourth power of the width.
+At a high rate a body moves less between two poses than their noise, so steps are mostly noise. Angular paths
+and the paths of BB and GG are sums of products of steps, and their noise grows in a way that no later average
+removes. Therefore neighbours are averaged first. The filter is linear in the entries of the pose. So are the
+constraints of GB and BG, which it leaves as they are; the others it changes by the fourth power of its width.
 
 All arrays have components first, then samples, then windows.
 """
@@ -21,7 +21,11 @@ _PROJECTIONS = 4  # steps of Newton's iteration towards the nearest rotation
 
 
 def smoothing_width(
-    rotation: jax.Array, position: jax.Array, counted: jax.Array, noise: tuple[jax.Array, jax.Array], lag: jax.Array
+    rotation: jax.Array,
+    position: jax.Array,
+    counted: jax.Array,
+    noise: tuple[jax.Array, jax.Array],
+    lag: jax.Array,
 ) -> jax.Array:
     """Choose how many neighbours on each side an average takes, (N,) int32; 0 leaves the poses as they are.
 
@@ -42,7 +46,9 @@ def smoothing_width(
         both = (counted[span:] & counted[:-span]).astype(position.dtype)
         number = jnp.maximum(jnp.sum(both, axis=0), 1)
         shift = jnp.sum(both * jnp.sum(jnp.square(position[:, span:] - position[:, :-span]), axis=0), axis=0)
-        turn = jnp.sum(both * jnp.sum(jnp.square(rotation[:, :, span:] - rotation[:, :, :-span]), axis=(0, 1)), axis=0)
+        turn = jnp.sum(
+            both * jnp.sum(jnp.square(rotation[:, :, span:] - rotation[:, :, :-span]), axis=(0, 1)), axis=0
+        )
         fits = fits & (shift <= number * jnp.square(_NARROW * noise[0])) & (_PART * span <= lag)
         fits = fits & (turn / 2 <= number * jnp.square(_NARROW * noise[1]))
         width = jnp.where(fits, jnp.int32(half), width)
@@ -128,7 +134,9 @@ def _room(times: jax.Array, count: jax.Array) -> jax.Array:
     gap = own & (steps > _GAP * mean[None])
     ends = jnp.zeros((1, *count.shape), bool)
     first = jax.lax.cummax(jnp.where(jnp.concatenate([ends, gap]), here, 0), axis=0)
-    last = jax.lax.cummin(jnp.where(jnp.concatenate([gap, ends]), here, count[None] - 1), axis=0, reverse=True)
+    last = jax.lax.cummin(
+        jnp.where(jnp.concatenate([gap, ends]), here, count[None] - 1), axis=0, reverse=True
+    )
     return jnp.maximum(jnp.minimum(here - first, last - here), 0)
 
 
