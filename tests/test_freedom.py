@@ -27,9 +27,10 @@ CLASSES = {
 
 
 @jax.jit
-def patterns(distance, gain, samples):
+def patterns(distance, gain, samples, share=1.0):
     """Noise far below what people move, so that it hides nothing."""
-    return freedom_patterns(distance, jnp.full_like(distance, 1e-6), gain, samples)
+    share = jnp.full_like(samples, share)
+    return freedom_patterns(distance, jnp.full_like(distance, 1e-6), gain, jnp.asarray(samples), share)
 
 
 def distances(free, held, far):
@@ -50,6 +51,16 @@ def test_classes_made_by_hand(held, far):
         if (name, held) == ("rest", TRACKER):
             continue  # six axes that drift alike: nothing to compare them with
         assert found[(*free, i)] == np.max(found[..., i]) > 0.8, name
+
+
+def test_averaging_makes_no_freedom_of_slow_errors():
+    """They stay while the noise shrinks to a fifth, and remain a few noises of single poses."""
+    distance = distances((1, 0), TRACKER, 800.0) / 0.2
+    found = np.asarray(patterns(distance, np.zeros(3), SAMPLES, 0.2))
+    assert found[1, 0] == np.max(found) > 0.8
+    # white noise, averaged as well, is found as before
+    found = np.asarray(patterns(distances((3, 2), WHITE, 60.0), np.zeros(3), SAMPLES, 0.2))
+    assert found[3, 2] == np.max(found) > 0.8
 
 
 def test_what_an_error_of_scale_makes_at_the_end_of_a_lever_is_no_freedom():

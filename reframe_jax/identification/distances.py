@@ -12,7 +12,7 @@ from reframe_jax.identification.freedom import freedom_patterns
 from reframe_jax.identification.optima import Frames, constant_covariance, pick_type
 from reframe_jax.objectives.moments import covariance_at
 
-__all__ = ["free_probabilities", "is_white", "likeliest_pattern", "pattern_probabilities"]
+__all__ = ["free_probabilities", "is_white", "likeliest_pattern", "noise_along", "pattern_probabilities"]
 
 _WHITE = 2.0  # noises that constrained axes show at most where the noise is white
 
@@ -53,7 +53,7 @@ def pattern_probabilities(evidence: Evidence, kind: jax.Array, frames: Frames) -
     x = jnp.moveaxis(position, -1, 0)
     spread = symmetric.to_matrix(covariance_at(evidence.linear_spread, (x[0], x[1], x[2])))
     squares = jnp.sum(axes * matmul3(spread, axes), axis=-2)
-    variance, lever = _noise_along(evidence, position, axes)
+    variance, lever = noise_along(evidence, position, axes)
     variance = jnp.maximum(variance + rounding * jnp.trace(spread, axis1=-2, axis2=-1)[..., None], tiny)
     linear = jnp.sqrt(jnp.maximum(squares, 0) / variance)
     gain = jnp.sqrt(lever * whole[:, None, None] / variance)
@@ -66,15 +66,20 @@ def pattern_probabilities(evidence: Evidence, kind: jax.Array, frames: Frames) -
     share = evidence.share[:, None]
     samples = evidence.poses.astype(axes.dtype)[:, None] * jnp.square(share)
     patterns = freedom_patterns(distance, sizes, jnp.moveaxis(gain, -1, 0), samples, share)
-    return patterns, distance * share
+    return patterns, distance * share[None]
 
 
-def _noise_along(evidence: Evidence, position: jax.Array, axes: jax.Array) -> tuple[jax.Array, jax.Array]:
+def noise_along(evidence: Evidence, position: jax.Array, axes: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Noise of a frame's origin along its axes, (N, 4, 3) m^2, and the square of the lever it acts through.
 
     Noise in orientation acts through the lever from the origin of {b} to that of the frame, as far as the
     lever is perpendicular to the axis; in the types whose path is summed up along the motion (BB and GG) the
     noise of the steps adds up as well.
+
+    Args:
+        evidence: of the windows.
+        position: (N, 4, 3) m, origins of all types.
+        axes: (N, 4, 3, 3).
     """
     p = position
     square = jnp.sum(jnp.square(p), axis=-1)

@@ -44,6 +44,7 @@ from reframe_jax.identification.results import (
     Identification,
     LinearFrame,
 )
+from reframe_jax.identification.shared_axis import share_axis
 from reframe_jax.identification.twins import find_twins
 from reframe_jax.motion.checks import Status
 from reframe_jax.motion.kinematics import Discretization
@@ -102,6 +103,8 @@ def solve_evidence(
             degrees_of_freedom(optima.angular_rms, thresholds.angular),
             degrees_of_freedom(optima.rms, thresholds.linear),
         )
+    if rule == "auto":
+        frames = share_axis(evidence, frames, dof, refined)
     angular = Candidates(
         rotvec=orient_axes(frames.angular_axes, dof[0]),
         dof=dof[0],

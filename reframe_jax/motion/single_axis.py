@@ -27,11 +27,13 @@ class SingleAxis(NamedTuple):
     Attributes:
         in_ground: (3, N) unit vectors.
         in_body: (3, N) unit vectors.
+        spread: (N,) rad^2, variance of the angle about it.
         found: (N,) bool, whether the rotation is one about this axis and noise.
     """
 
     in_ground: jax.Array
     in_body: jax.Array
+    spread: jax.Array
     found: jax.Array
 
 
@@ -56,7 +58,7 @@ def find_single_axis(rotation: jax.Array, counted: jax.Array, noise: jax.Array) 
     length = jnp.sqrt(jnp.sum(jnp.square(in_ground), axis=0))
     variance = jnp.square(noise)
     found = (1 - first < 2 * _AWAY**2 * variance) & (1 - second > _TURNS**2 * variance)
-    return SingleAxis(in_ground / jnp.where(length > 0, length, 1)[None], in_body, found)
+    return SingleAxis(in_ground / jnp.where(length > 0, length, 1)[None], in_body, 1 - second, found)
 
 
 def keep_axis(rotation: jax.Array, axis: SingleAxis) -> jax.Array:
