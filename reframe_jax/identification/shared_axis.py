@@ -27,7 +27,7 @@ _PARALLEL = cos(radians(15.0))  # as in the names of the classes
 def share_axis(
     evidence: Evidence, frames: Frames, dof: tuple[jax.Array, jax.Array], white: jax.Array
 ) -> Frames:
-    """Put the odd axis of every linear frame where it agrees best with the axis of rotation, if parallel to it.
+    """Put the odd axis of each linear frame where it agrees best with a parallel axis of rotation.
 
     The two tilts are averaged with weights n s^2 / noise^2, the information of n samples that spread by s
     along the direction of the tilt.
