@@ -81,6 +81,10 @@ def test_derivatives_match_finite_differences(label):
         finite = np.asarray(forward[name] - backward[name]) / (2 * h)
         if name == "position":
             slope, finite = determined @ slope, determined @ finite
+        if name == "axes" and label in ("C", "D"):
+            # both groups measure the linear one, and the noise that weighs them counts as given: see
+            # test_shared_axis.py
+            slope, finite = slope[3:], finite[3:]
         scale = np.max(np.abs(finite)) + 1e-3
         np.testing.assert_allclose(np.asarray(slope) / scale, finite / scale, atol=2e-3, err_msg=name)
 
