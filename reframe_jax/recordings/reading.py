@@ -148,8 +148,8 @@ def _closed(path: Path, error: Exception) -> RecordingError:
 
 def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Recording:
     """Read one body and check it."""
-    rows = reader.read(path, wanted)
     with np.errstate(all="ignore"):  # numbers too large to be squared: what comes of them is refused below
+        rows = reader.read(path, wanted)
         times = drop_unfinished(rows, make_times(rows, dt))
         times = check_times(rows, times)
         if len(times) < MIN_POSES:

@@ -9,7 +9,7 @@ from reframe_jax.geometry.numpy_rotations import rotation_matrices, rotation_vec
 from reframe_jax.recordings.checks import MIN_POSES
 from reframe_jax.recordings.recording import Recording, RecordingError
 
-__all__ = ["interpolate_poses", "relative_poses"]
+__all__ = ["interpolate_poses", "invert_poses", "relative_poses"]
 
 _GAP = 5.0  # median steps, after which a body counts as lost
 _BLOCK = 2**14  # poses worked on at once
@@ -46,7 +46,7 @@ def relative_poses(a: Recording, b: Recording) -> Recording:
     return replace(
         a,
         times=a.times[known],
-        poses=_inverse(poses) @ a.poses[known],
+        poses=invert_poses(poses) @ a.poses[known],
         notes=tuple(notes),
         wrenches=None if a.wrenches is None else a.wrenches[known],
     )
@@ -90,7 +90,8 @@ def _between(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.nda
     return found
 
 
-def _inverse(poses: np.ndarray) -> np.ndarray:
+def invert_poses(poses: np.ndarray) -> np.ndarray:
+    """Inverse poses (N, 4, 4)."""
     found = np.zeros_like(poses)
     found[:, :3, :3] = poses[:, :3, :3].swapaxes(1, 2)
     found[:, :3, 3] = -np.einsum("nij,nj->ni", found[:, :3, :3], poses[:, :3, 3])

@@ -8,15 +8,19 @@ needs them.
 from pathlib import Path
 
 from reframe_jax.recordings.readers.arrays import ARRAYS
+from reframe_jax.recordings.readers.bags import BAG
+from reframe_jax.recordings.readers.motive import MOTIVE
+from reframe_jax.recordings.readers.qualisys import QUALISYS
 from reframe_jax.recordings.readers.reader import Reader
 from reframe_jax.recordings.readers.table import TABLE
 from reframe_jax.recordings.readers.trajectory import TRAJECTORY
+from reframe_jax.recordings.readers.vicon import VICON
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.selection import Selection, flag
 
 __all__ = ["READERS", "check_options", "choose_reader"]
 
-READERS: tuple[Reader, ...] = (TABLE, TRAJECTORY, ARRAYS)
+READERS: tuple[Reader, ...] = (MOTIVE, VICON, QUALISYS, TABLE, TRAJECTORY, ARRAYS, BAG)
 
 _HEAD = 4096  # bytes by which a format is recognised
 _FOLDER = "/"
