@@ -47,6 +47,7 @@ def test_topics(tmp_path: Path, poses: np.ndarray, name: str, kind: str) -> None
     same(load_recording(path), poses)
     same(load_recording(path, topic="/pose"), poses)
     described, entries = list_contents(path)
+    assert entries is not None
     assert described == "a ROS bag"
     (entry,) = entries
     assert (entry.option, entry.name) == ("topic", "/pose")
@@ -183,6 +184,7 @@ def test_chains_of_moving_edges(tree: tuple[Make, dict[tuple[str, str], np.ndarr
 
 def test_frames_are_listed(tree: tuple[Make, dict[tuple[str, str], np.ndarray]]) -> None:
     _, entries = list_contents(tree[0]("a.db3"))
+    assert entries is not None
     assert {(entry.option, entry.name, entry.detail) for entry in entries} == {
         ("from_frame", "map", "tf frame without a parent"),
         ("to_frame", "base", "tf frame in map, 7 transforms"),

@@ -39,6 +39,7 @@ def test_several_bodies_must_be_named(tmp_path: Path, bodies: Poses) -> None:
             with pytest.raises(RecordingError, match=re.escape(str(path)) + ": " + problem):
                 load_recording(path, body=option, angles="vector" if name == "b.csv" else None)
         kind, entries = list_contents(path)
+        assert entries is not None
         assert kind.startswith("a")
         assert [(entry.option, entry.name) for entry in entries] == [("body", "Rod"), ("body", "Door 1")]
 

@@ -120,14 +120,14 @@ def load_recording(
         raise _closed(path, error) from error
 
 
-def list_contents(path: str | Path) -> tuple[str, list[Entry]]:
+def list_contents(path: str | Path) -> tuple[str, list[Entry] | None]:
     """List what can be read from a file: topics, frames, bodies, markers or columns.
 
     Args:
         path: the file or folder.
 
     Returns:
-        What the file is, and what it holds; nothing for formats of a single recording.
+        What the file is, and what it holds; None for formats of a single recording.
 
     Raises:
         RecordingError: if the file cannot be read.
@@ -135,7 +135,7 @@ def list_contents(path: str | Path) -> tuple[str, list[Entry]]:
     path = Path(path)
     try:
         reader = choose_reader(path)
-        return reader.name, reader.contents(path) if reader.contents else []
+        return reader.name, reader.contents(path) if reader.contents else None
     except RecordingError:
         raise
     except (OSError, ValueError) as error:

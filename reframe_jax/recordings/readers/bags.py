@@ -5,9 +5,13 @@ the standard definitions of their types, whether or not the bag holds any. Times
 headers, not the times of recording.
 """
 
+import importlib
+import io
+import os
 from array import array
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +47,7 @@ class _Samples:
 class _Bag:
     """An open bag: its connections of known types, and their decoded messages."""
 
-    def __init__(self, reader: Any, decode: Any) -> None:
+    def __init__(self, reader: Any, decode: Callable[[bytes, str], Any]) -> None:
         self._reader, self._decode = reader, decode
 
     def connections(self, types: tuple[str, ...]) -> list[Any]:
@@ -57,17 +61,41 @@ class _Bag:
             yield connection, self._decode(data, known)
 
 
+class _Stream(io.BufferedReader):
+    """A file of which no more is read than there is: a damaged bag may claim any length."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        left = os.fstat(self.fileno()).st_size - self.tell()
+        return super().read(left if size is None or size < 0 else max(min(size, left), 0))
+
+
+class _BoundedPath(type(Path())):  # type: ignore[misc]
+    """A path whose files open as such streams."""
+
+    def open(self, mode: str = "r", *options: Any, **more: Any) -> Any:
+        if mode == "rb":
+            return _Stream(io.FileIO(self, "r"))
+        return super().open(mode, *options, **more)
+
+
+@cache
+def _decoder(first: bool) -> Callable[[bytes, str], Any]:
+    """Decodes messages of ROS 1, or of ROS 2, by the standard definitions of their types."""
+    types = importlib.import_module("rosbags.typesys")
+    store = types.get_typestore(types.Stores.ROS1_NOETIC if first else types.Stores.LATEST)
+    if _TF[0] not in store.fielddefs:
+        store.register(types.get_types_from_msg(f"{_TRANSFORM}[] transforms", _TF[0]))
+    decode: Callable[[bytes, str], Any] = store.deserialize_ros1 if first else store.deserialize_cdr
+    return decode
+
+
 @contextmanager
 def _open(path: Path) -> Iterator[_Bag]:
     """Open a bag; whatever is wrong with it is a :class:`RecordingError`."""
-    types = import_extra(path, "rosbags.typesys", "bags")
     first = path.suffix.lower() == ".bag"
     library = import_extra(path, "rosbags.rosbag1" if first else "rosbags.rosbag2", "bags")
-    with stumbling(path, _WHOLE), library.Reader(path) as reader:
-        store = types.get_typestore(types.Stores.ROS1_NOETIC if first else types.Stores.LATEST)
-        if _TF[0] not in store.fielddefs:
-            store.register(types.get_types_from_msg(f"{_TRANSFORM}[] transforms", _TF[0]))
-        yield _Bag(reader, store.deserialize_ros1 if first else store.deserialize_cdr)
+    with stumbling(path, _WHOLE), library.Reader(_BoundedPath(path)) as reader:
+        yield _Bag(reader, _decoder(first))
 
 
 def read_bag(path: Path, wanted: Selection) -> Rows:
