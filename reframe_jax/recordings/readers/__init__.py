@@ -9,6 +9,7 @@ from pathlib import Path
 
 from reframe_jax.recordings.readers.arrays import ARRAYS
 from reframe_jax.recordings.readers.bags import BAG
+from reframe_jax.recordings.readers.c3d import C3D
 from reframe_jax.recordings.readers.motive import MOTIVE
 from reframe_jax.recordings.readers.qualisys import QUALISYS
 from reframe_jax.recordings.readers.reader import Reader
@@ -20,7 +21,7 @@ from reframe_jax.recordings.selection import Selection, flag
 
 __all__ = ["READERS", "check_options", "choose_reader"]
 
-READERS: tuple[Reader, ...] = (MOTIVE, VICON, QUALISYS, TABLE, TRAJECTORY, ARRAYS, BAG)
+READERS: tuple[Reader, ...] = (MOTIVE, VICON, QUALISYS, TABLE, TRAJECTORY, ARRAYS, BAG, C3D)
 
 _HEAD = 4096  # bytes by which a format is recognised
 _FOLDER = "/"
