@@ -10,7 +10,10 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from bag_files import POSE, START, Messages, write_bag
 from export_files import motive, qualisys, vicon
@@ -198,12 +201,33 @@ def bag(name: str, seed: int) -> bytes:
         return write_bag(Path(folder), name, samples).read_bytes()
 
 
+def make_parquet(rng: np.random.Generator) -> bytes:
+    table = motion(rng)
+    columns = {"timestamp": table[:, 0], **dict(zip(["x", "y", "z"], table[:, 1:4].T, strict=True))}
+    columns["q"] = pa.FixedSizeListArray.from_arrays(pa.array(table[:, 4:].ravel()), 4)
+    sink = io.BytesIO()
+    pq.write_table(pa.table(columns), sink)
+    return sink.getvalue()
+
+
+def make_hdf5(rng: np.random.Generator) -> bytes:
+    table, sink = motion(rng), io.BytesIO()
+    with h5py.File(sink, "w") as file:
+        file["p"], file["q"] = table[:, 1:4], table[:, 4:]
+    return sink.getvalue()
+
+
 FORMATS = {
     **{".csv": make_csv, ".tum": make_tum, ".npy": make_npy, ".npz": make_npz},
     **{"motive.csv": make_motive, "vicon.csv": make_vicon, "qualisys.tsv": make_qualisys},
     **{".bag": partial(make_bag, name="a.bag"), ".mcap": partial(make_bag, name="a.mcap")},
+    **{".parquet": make_parquet, ".hdf5": make_hdf5},
 }
-OPTIONS: dict[str, Any] = {"vicon.csv": {"angles": "vector"}}
+OPTIONS: dict[str, Any] = {
+    "vicon.csv": {"angles": "vector"},
+    ".parquet": {"position": "x,y,z", "orientation": "q", "quaternion": "xyzw"},
+    ".hdf5": {"position": "p", "orientation": "q", "quaternion": "xyzw"},
+}
 
 
 def outcome(path: Path, dt: float | None, **options: Any) -> str:
@@ -249,7 +273,7 @@ def read_mutated(folder: Path, suffix: str, count: int) -> dict[str, int]:
         path.write_bytes(content if whole else mutated(rng, content))
         tracemalloc.reset_peak()
         try:
-            dt = 0.1 if rng.random() < 0.3 else None
+            dt = 0.1 if suffix == ".hdf5" or rng.random() < 0.3 else None
             outcomes[outcome(path, dt, **OPTIONS.get(suffix, {}))] += 1
         except BaseException as error:
             error.add_note(f"of the file {path}")
@@ -265,7 +289,7 @@ def test_files_that_are_whole_are_read(tmp_path: Path, suffix: str) -> None:
     makers = {**FORMATS, ".npy": whole_npy, ".npz": whole_npz}
     path = tmp_path / f"a{suffix}"
     path.write_bytes(makers[suffix](np.random.default_rng(3)))
-    assert outcome(path, None, **OPTIONS.get(suffix, {})) == "read"
+    assert outcome(path, 0.1 if suffix == ".hdf5" else None, **OPTIONS.get(suffix, {})) == "read"
 
 
 def whole_npy(rng: np.random.Generator) -> bytes:

@@ -56,11 +56,13 @@ def _sets(library: Any, file: Any) -> dict[str, Any]:
 
 
 def _numbers(data: Any, column: Column) -> np.ndarray:
-    """Some numbers of all rows, (N, k)."""
-    if data.ndim == 3 and data.shape[1:] != (3, 3):
-        return np.empty((len(data), 0))  # pictures and the like: refused as having no numbers
-    values = np.asarray(data[:], float).reshape(len(data), -1)
-    return values[:, column.part]
+    """Some numbers of all rows, (N, k); only these are read, few as those of a pose are."""
+    if data.ndim != 2:
+        matrices = data.ndim == 3 and data.shape[1:] == (3, 3)
+        shape = len(data), 9 if matrices else int(data.ndim == 1)
+        return np.asarray(data[()], float).reshape(shape)[:, column.part] if shape[1] else np.empty(shape)
+    wanted = range(*column.part.indices(data.shape[1]))
+    return np.asarray(data[:, column.part], float) if len(wanted) <= 9 else np.empty((len(data), len(wanted)))
 
 
 def _contents(path: Path) -> list[Entry]:
