@@ -244,9 +244,7 @@ def test_bags_cut_off(tmp_path: Path, poses: np.ndarray, name: str, keep: int) -
 def test_folders_that_are_no_bags(tmp_path: Path, poses: np.ndarray) -> None:
     path = write_bag(tmp_path, "a", topic("a", POSE, poses))
     (path / "metadata.yaml").write_text("rosbag2_bagfile_information: 3\n")
-    with pytest.raises(
-        RecordingError, match="expected a whole ROS bag; it cannot be read: Invalid bag metadata"
-    ):
+    with pytest.raises(RecordingError, match="expected a whole ROS bag; it cannot be read: "):
         load_recording(path)
     (path / "metadata.yaml").unlink()
     with pytest.raises(RecordingError, match="cannot be read: Is a directory"):

@@ -60,7 +60,20 @@ def load_recording(
         may hold ``positions`` (N, 3) and ``quaternions`` (N, 4) instead, ``times`` (N,), and ``wrenches``
         (N, 6). Its other arrays are not read.
 
-    A recording has at most 8,388,608 poses. A million of them need less than 300 MB while they are read.
+    ``.csv`` and ``.tsv`` of motion capture
+        Exports of OptiTrack Motive, Vicon Tracker and Nexus (``angles``), and Qualisys; told by their first
+        line. ``body`` names a rigid body.
+    ``.bag``, ``.mcap``, ``.db3``, or the folder of a ROS 2 bag
+        ``topic``, or ``from_frame`` and ``to_frame``. Needs the extra ``bags``.
+    ``.c3d``
+        ``body``. Needs the extra ``c3d``.
+    ``.parquet``, ``.hdf5``, ``.h5``
+        ``position`` and ``orientation`` name columns. Need the extras ``parquet`` and ``hdf5``.
+
+    The page Files of the documentation says what is read of each, and how.
+
+    A recording has at most 8,388,608 poses. A million of them need about 300 MB while they are read, twice
+    that for a chain of tf frames.
     Options that a format does not use are refused.
 
     Args:
