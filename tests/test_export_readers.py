@@ -98,6 +98,11 @@ def test_rows_of_headings_that_came_later_or_earlier(tmp_path: Path, bodies: Pos
     same(load_recording(save(tmp_path / "b.csv", text), body="Rod"), bodies["Rod"])
 
 
+def test_names_of_takes_with_commas(tmp_path: Path, bodies: Poses) -> None:
+    text = motive(bodies).replace("Take 2024", "Door, left, 2024")
+    same(load_recording(save(tmp_path / "a.csv", text), body="Rod"), bodies["Rod"])
+
+
 def test_bones_of_motive(tmp_path: Path, bodies: Poses) -> None:
     text = motive(bodies).replace("Rigid Body,", "Bone,")
     same(load_recording(save(tmp_path / "a.csv", text), body="Rod"), bodies["Rod"])
@@ -173,6 +178,8 @@ def test_bodies_that_vicon_lost(tmp_path: Path, bodies: Poses) -> None:
     one, kept = {"Rod": bodies["Rod"]}, np.delete(np.arange(12), [3, 4])
     recording = load_recording(save(tmp_path / "a.csv", vicon(one, lost=(3, 4))), angles="vector")
     same(recording, bodies["Rod"], kept)
+    ends = re.sub(r"^([45],0),.*$", r"\1", vicon(one), flags=re.MULTILINE)
+    same(load_recording(save(tmp_path / "c.csv", ends), angles="vector"), bodies["Rod"], kept)
     zeros = re.sub(r"^([45],0),.*$", r"\1,0,0,0,0,0,0", vicon(one), flags=re.MULTILINE)
     recording = load_recording(save(tmp_path / "b.csv", zeros), angles="vector")
     same(recording, bodies["Rod"], kept)
@@ -215,6 +222,14 @@ def test_qualisys(tmp_path: Path, bodies: Poses, titles: bool, frames: bool) -> 
         recording = load_recording(path, body=name)
         same(recording, poses)
         assert recording.notes == ()
+
+
+@pytest.mark.parametrize("between", ["", "_", "."])
+def test_titles_of_columns(tmp_path: Path, bodies: Poses, between: str) -> None:
+    text = qualisys(bodies)
+    titles = re.sub(r"(Rod|Door 1) (?=\S+)", rf"\1{between}" if between else "", text.splitlines()[9])
+    lines = [*text.splitlines()[:9], titles, *text.splitlines()[10:]]
+    same(load_recording(save(tmp_path / "a.tsv", "\n".join(lines)), body="Rod"), bodies["Rod"])
 
 
 def test_the_order_of_matrices_is_checked_against_the_angles(tmp_path: Path, bodies: Poses) -> None:

@@ -3,6 +3,8 @@
 import argparse
 import dataclasses
 import inspect
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +16,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from reframe_jax.cli.reading import add_reading, reading_options
 from reframe_jax.recordings.cleaning import clean_recording
 from reframe_jax.recordings.readers import READERS, reader
-from reframe_jax.recordings.reading import load_recording
+from reframe_jax.recordings.reading import list_contents, load_recording
 from reframe_jax.recordings.recording import Recording, RecordingError
 from reframe_jax.recordings.relative import interpolate_poses, relative_poses
 from reframe_jax.recordings.selection import Selection
@@ -80,6 +82,32 @@ def test_a_library_that_is_missing_is_named_with_its_extra(tmp_path: Path) -> No
         RecordingError, match=r"a\.bag: needs no_library, .*: pip install 'reframe-jax\[bags\]'"
     ):
         reader.import_extra(tmp_path / "a.bag", "no_library.highlevel", "bags")
+
+
+@pytest.mark.parametrize(
+    ("name", "head", "library", "extra"),
+    [
+        ("a.bag", b"#ROSBAG V2.0\n", "rosbags.rosbag1", "bags"),
+        ("a.mcap", b"\x89MCAP0\r\n", "rosbags.rosbag2", "bags"),
+        ("a.c3d", b"\x02\x50", "ezc3d", "c3d"),
+        ("a.parquet", b"PAR1", "pyarrow.parquet", "parquet"),
+        ("a.hdf5", b"\x89HDF\r\n\x1a\n", "h5py", "hdf5"),
+    ],
+)
+def test_libraries_are_imported_when_a_file_needs_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, head: bytes, library: str, extra: str
+) -> None:
+    (tmp_path / name).write_bytes(head)
+    monkeypatch.setitem(sys.modules, library, None)
+    for read in (load_recording, list_contents):
+        with pytest.raises(RecordingError, match=rf"pip install 'reframe-jax\[{extra}\]'"):
+            read(tmp_path / name)
+
+
+def test_nothing_optional_is_imported_before() -> None:
+    code = "import sys, reframe_jax.recordings.reading; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not {"rosbags", "ezc3d", "pyarrow", "h5py"} & {name.split(".")[0] for name in done.stdout.split()}
 
 
 def test_what_a_library_raises_is_one_line(tmp_path: Path) -> None:

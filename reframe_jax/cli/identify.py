@@ -36,9 +36,10 @@ _IDENTIFY = """\
 Identify the constraint of recordings.
 
 A recording is a .csv or .tsv with a header (t,x,y,z,qx,qy,qz,qw in any order), a
-TUM trajectory (.txt, .tum), an .npy or an .npz, a bag, a C3D, or an export of a
-motion-capture system; metres and seconds unless the file or an option says
-otherwise. It is taken as one window, or as sliding windows with --window.
+TUM trajectory (.txt, .tum), an .npy or an .npz, a ROS bag, a C3D, an export of a
+motion-capture system, or a Parquet or HDF5 file; metres and seconds unless the
+file or an option says otherwise. It is taken as one window, or as sliding
+windows with --window.
 In parentheses after the name is its probability, and after an axis that it is
 free or constrained, where it is not clear.
 """

@@ -33,6 +33,7 @@ def collect(
     width: int,
     columns: Sequence[int],
     time: int | None = None,
+    short: bool = False,
 ) -> Rows:
     """Numbers in some columns of a table; NaN for empty cells.
 
@@ -42,9 +43,12 @@ def collect(
         width: cells of every row.
         columns: indices of those that are kept, in this order.
         time: index of the time.
+        short: whether rows may end early, where nothing was seen.
     """
     rows = Collector(path, width, time, columns)
     for number, cells in lines:
+        if short:
+            cells += [""] * (width - len(cells))
         while len(cells) > width and not cells[-1]:
             cells.pop()
         rows.add(number, cells)

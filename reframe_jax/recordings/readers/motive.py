@@ -8,6 +8,7 @@ Cells are empty where a body was not seen. The ground frame is that of the expor
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -86,8 +87,8 @@ def _read_header(path: Path, lines: Iterator[tuple[int, list[str]]]) -> _Header:
     Raises:
         RecordingError: if they are not as expected.
     """
-    pairs = iter(next(lines)[1])
-    about = dict(zip(pairs, pairs, strict=False))
+    first = next(lines)[1]
+    about = dict(pairwise(first))  # names of takes may hold commas
     headings: list[list[str]] = []
     for _, cells in lines:
         if cells[0] == "Frame" or len(headings) == _MOST_HEADINGS:

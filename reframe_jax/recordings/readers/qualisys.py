@@ -135,7 +135,7 @@ def _read_header(path: Path) -> tuple[_Header, _Lines]:
 
 def _titled(titles: list[str], names: list[str], about: dict[str, list[str]]) -> _Header:
     """The header of a file that names its columns; a name may start with that of the body."""
-    last = [title.rpartition(" ")[2] for title in titles]
+    last = [re.split("[ _.:]", title)[-1] for title in titles]
     starts = [i for i in range(len(last) - 6) if last[i : i + 3] == ["X", "Y", "Z"]]
     full = all(last[i + 7 : i + 16] == [f"Rot[{k}]" for k in range(9)] for i in starts)
     size = _FULL if full else _ANGLES_ONLY

@@ -3,7 +3,7 @@
 A section starts with its title, ``Objects`` or ``Segments``, then the rate in Hz, a row of names, a row
 ``Frame, Sub Frame, RX, RY, RZ, TX, TY, TZ, ...`` and a row of units. Four columns of rotation, with ``RW``,
 are a quaternion. Three are a helical (rotation) vector or Euler angles, which the file does not say: the
-user does. Cells are empty, or all 0, where a body was not seen.
+user does. Where a body was not seen, cells are empty or all 0, or the row ends.
 """
 
 from collections.abc import Iterator
@@ -62,7 +62,7 @@ def read_vicon(path: Path, wanted: Selection) -> Rows:
         )
     if not three and wanted.angles is not None:
         raise RecordingError(f"{path}: holds quaternions; leave out {flag('angles')}.")
-    rows = collect(path, rest, width, [*body.position, *body.rotation, 0, 1])
+    rows = collect(path, rest, width, [*body.position, *body.rotation, 0, 1], short=True)
     if np.any(rows.values[:, -1] != 0):
         raise RecordingError(
             f"{path}: has sub frames; expected one row a frame, export it at the frame rate."
