@@ -242,6 +242,8 @@ def test_bodies_that_never_meet(rng: np.random.Generator) -> None:
     a = record(times, walk(rng, times))
     with pytest.raises(RecordingError, match="only 0 of its poses are at times of the other body"):
         relative_poses(a, replace(a, times=times + 5))
+    with pytest.raises(RecordingError, match="expected two poses or more of the other body, found 1"):
+        relative_poses(a, replace(a, times=times[:1], poses=a.poses[:1]))
     with pytest.raises(RecordingError, match="expected origins that are numbers of seconds, not 'noon'"):
         relative_poses(replace(a, origin="noon"), a)
 

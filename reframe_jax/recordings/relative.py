@@ -33,6 +33,8 @@ def relative_poses(a: Recording, b: Recording) -> Recording:
     Raises:
         RecordingError: if they have too few times in common.
     """
+    if len(b.times) < 2:
+        raise RecordingError(f"{b.path}: expected two poses or more of the other body, found {len(b.times)}.")
     times = a.times + _shift(a, b)
     poses, known = interpolate_poses(b.times, b.poses, times)
     if known.sum() < MIN_POSES:

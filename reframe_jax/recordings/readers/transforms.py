@@ -102,7 +102,7 @@ def chain_rows(path: Path, chain: Sequence[tuple[Edge, bool, Rows]]) -> Rows:
     for edge, along, rows in chain:
         here = make_poses(rows)
         if edge.static:
-            here = np.repeat(here[-1:], len(times), axis=0)
+            here = here[-1:]
         elif rows is not own:
             found, seen = interpolate_poses(_seconds(rows, own), here, times)
             here = np.tile(np.eye(4), (len(times), 1, 1))
