@@ -15,6 +15,7 @@ from reframe_jax.motion.windows import sliding_windows
 from reframe_jax.recordings.cleaning import clean_recording, pose_noise, pose_outliers, recording_warnings
 from reframe_jax.recordings.reading import load_recording
 from reframe_jax.recordings.recording import Recording, RecordingError
+from reframe_jax.recordings.relative import relative_poses
 from reframe_jax.recordings.writing import save_recording
 from reframe_jax.solvers import BasinHopping, FrameSteps, NewtonSteps, OptaxSteps, ValleySteps
 from reframe_jax.storage.results import identify_many, load_results
@@ -53,6 +54,7 @@ __all__ = [
     "pose_noise",
     "pose_outliers",
     "recording_warnings",
+    "relative_poses",
     "save_recording",
     "sliding_windows",
     "to_json",

@@ -1,5 +1,7 @@
 """Rotations in plain NumPy, against SciPy."""
 
+from itertools import permutations
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,8 +9,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from reframe_jax.geometry.numpy_rotations import (
+    euler_matrices,
     matrices_to_quaternions,
     quaternions_to_matrices,
+    rotation_matrices,
     rotation_vectors,
 )
 
@@ -34,3 +38,18 @@ def test_half_turns(rotvec: tuple[float, float, float]) -> None:
     matrix = Rotation.from_rotvec(rotvec).as_matrix()
     np.testing.assert_allclose(quaternions_to_matrices(matrices_to_quaternions(matrix)), matrix, atol=1e-14)
     assert np.linalg.norm(rotation_vectors(matrix)) == pytest.approx(np.linalg.norm(rotvec), abs=1e-7)
+
+
+def test_matrices_of_rotation_vectors(rng: np.random.Generator) -> None:
+    vectors = np.concatenate([rng.normal(size=(20, 3)) * 3, np.zeros((1, 3)), np.full((1, 3), 1e-9)])
+    np.testing.assert_allclose(
+        rotation_matrices(vectors), Rotation.from_rotvec(vectors).as_matrix(), atol=1e-14
+    )
+
+
+@pytest.mark.parametrize("order", ["".join(letters) for letters in permutations("xyz")])
+def test_turns_about_three_axes(order: str, rng: np.random.Generator) -> None:
+    angles = rng.uniform(-3, 3, size=(10, 3))
+    for name in (order, order.upper()):  # SciPy has the same convention: capitals for the moving axes
+        expected = Rotation.from_euler(name, angles).as_matrix()
+        np.testing.assert_allclose(euler_matrices(name, angles), expected, atol=1e-14)

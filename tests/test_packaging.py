@@ -81,6 +81,9 @@ def test_the_wheel_holds_the_package_and_nothing_else(built: Path) -> None:
         "docs",
         "cuda",
         "render",
+        "bags",
+        "c3d",
+        "hdf5",
         "test",
     } <= extras
 

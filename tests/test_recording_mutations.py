@@ -1,20 +1,29 @@
 """Files as accidents leave them: each is a valid recording, or refused in words; nothing else, no warning."""
 
 import io
+import tempfile
 import tracemalloc
 import warnings
 import zipfile
 from collections.abc import Callable
+from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
+import h5py
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
+from bag_files import POSE, START, Messages, write_bag
+from export_files import motive, qualisys, vicon
+from recording_files import poses_of
 from scipy.spatial.transform import Rotation
 
 from reframe_jax.recordings.reading import load_recording
 from reframe_jax.recordings.recording import RecordingError
 
-FEW, MANY = 100, 6000  # files of each format; together 400, or 24,000 on request
+FEW, MANY = 100, 6000  # files of each format
 ROWS = 12
 MOST_MEMORY = 2**24  # bytes; 2**20 are enough for these files
 
@@ -163,15 +172,70 @@ def mutated(rng: np.random.Generator, content: bytes) -> bytes:
     return content
 
 
-FORMATS = {".csv": make_csv, ".tum": make_tum, ".npy": make_npy, ".npz": make_npz}
+def make_motive(rng: np.random.Generator) -> bytes:
+    rotation = str(rng.choice(["Quaternion", "XYZ"]))
+    return motive({"Rod": poses_of(motion(rng))}, rotation=rotation, lost=(4,)).encode()
 
 
-def outcome(path: Path, dt: float | None) -> str:
+def make_vicon(rng: np.random.Generator) -> bytes:
+    return vicon({"Rod": poses_of(motion(rng))}, lost=(4,)).encode()
+
+
+def make_qualisys(rng: np.random.Generator) -> bytes:
+    bodies = {"Rod": poses_of(motion(rng))}
+    return qualisys(bodies, titles=bool(rng.random() < 0.5), lost=(4,)).encode()
+
+
+def make_bag(rng: np.random.Generator, name: str) -> bytes:
+    return bag(name, int(rng.integers(3)))
+
+
+@cache
+def bag(name: str, seed: int) -> bytes:
+    messages, poses = Messages(name), poses_of(motion(np.random.default_rng(seed)))
+    stamps = [START + 10**7 * k for k in range(ROWS)]
+    with tempfile.TemporaryDirectory() as folder:
+        samples = [
+            ("/pose", POSE, messages.pose(POSE, t, pose), t) for t, pose in zip(stamps, poses, strict=True)
+        ]
+        return write_bag(Path(folder), name, samples).read_bytes()
+
+
+def make_parquet(rng: np.random.Generator) -> bytes:
+    table = motion(rng)
+    columns = {"timestamp": table[:, 0], **dict(zip(["x", "y", "z"], table[:, 1:4].T, strict=True))}
+    columns["q"] = pa.FixedSizeListArray.from_arrays(pa.array(table[:, 4:].ravel()), 4)
+    sink = io.BytesIO()
+    pq.write_table(pa.table(columns), sink)
+    return sink.getvalue()
+
+
+def make_hdf5(rng: np.random.Generator) -> bytes:
+    table, sink = motion(rng), io.BytesIO()
+    with h5py.File(sink, "w") as file:
+        file["p"], file["q"] = table[:, 1:4], table[:, 4:]
+    return sink.getvalue()
+
+
+FORMATS = {
+    **{".csv": make_csv, ".tum": make_tum, ".npy": make_npy, ".npz": make_npz},
+    **{"motive.csv": make_motive, "vicon.csv": make_vicon, "qualisys.tsv": make_qualisys},
+    **{".bag": partial(make_bag, name="a.bag"), ".mcap": partial(make_bag, name="a.mcap")},
+    **{".parquet": make_parquet, ".hdf5": make_hdf5},
+}
+OPTIONS: dict[str, Any] = {
+    "vicon.csv": {"angles": "vector"},
+    ".parquet": {"position": "x,y,z", "orientation": "q", "quaternion": "xyzw"},
+    ".hdf5": {"position": "p", "orientation": "q", "quaternion": "xyzw"},
+}
+
+
+def outcome(path: Path, dt: float | None, **options: Any) -> str:
     """Loads a file and checks what comes of it."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            recording = load_recording(path, dt=dt)
+            recording = load_recording(path, dt=dt, **options)
     except RecordingError as error:
         check_message(str(error), path)
         return "refused"
@@ -209,7 +273,8 @@ def read_mutated(folder: Path, suffix: str, count: int) -> dict[str, int]:
         path.write_bytes(content if whole else mutated(rng, content))
         tracemalloc.reset_peak()
         try:
-            outcomes[outcome(path, dt=0.1 if rng.random() < 0.3 else None)] += 1
+            dt = 0.1 if suffix == ".hdf5" or rng.random() < 0.3 else None
+            outcomes[outcome(path, dt, **OPTIONS.get(suffix, {}))] += 1
         except BaseException as error:
             error.add_note(f"of the file {path}")
             raise
@@ -224,7 +289,7 @@ def test_files_that_are_whole_are_read(tmp_path: Path, suffix: str) -> None:
     makers = {**FORMATS, ".npy": whole_npy, ".npz": whole_npz}
     path = tmp_path / f"a{suffix}"
     path.write_bytes(makers[suffix](np.random.default_rng(3)))
-    assert outcome(path, None) == "read"
+    assert outcome(path, 0.1 if suffix == ".hdf5" else None, **OPTIONS.get(suffix, {})) == "read"
 
 
 def whole_npy(rng: np.random.Generator) -> bytes:

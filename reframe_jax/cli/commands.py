@@ -10,6 +10,7 @@ __all__ = ["COMMANDS", "EXAMPLES", "Parser", "add_command"]
 
 COMMANDS = {
     "identify": "identify the constraint of recordings",
+    "topics": "list what can be read from files",
     "simulate": "simulate a recording",
     "demonstrate": "simulate demonstrations on a robot arm",
     "reproduce": "demonstrate, identify and reproduce a task",
@@ -20,6 +21,7 @@ examples:
   reframe-jax simulate --constraint A --noise 1e-4 --out door.csv
   reframe-jax identify door.csv --plot door.png
   reframe-jax identify *.csv --window 50 --stride 10 --json answers.json
+  reframe-jax identify walk.mcap --from map --to tool
 """
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from reframe_jax.cli import arguments
 from reframe_jax.cli.commands import add_command
 from reframe_jax.cli.configuring import configure_jax
+from reframe_jax.cli.reading import add_reading, reading_options
 from reframe_jax.cli.speaking import say, show
 from reframe_jax.export.common import Window
 from reframe_jax.export.json import to_document, to_record
@@ -35,8 +36,10 @@ _IDENTIFY = """\
 Identify the constraint of recordings.
 
 A recording is a .csv or .tsv with a header (t,x,y,z,qx,qy,qz,qw in any order), a
-TUM trajectory (.txt, .tum), an .npy or an .npz; metres and seconds unless told
-otherwise. It is taken as one window, or as sliding windows with --window.
+TUM trajectory (.txt, .tum), an .npy or an .npz, a ROS bag, a C3D, an export of a
+motion-capture system, or a Parquet or HDF5 file; metres and seconds unless the
+file or an option says otherwise. It is taken as one window, or as sliding
+windows with --window.
 In parentheses after the name is its probability, and after an axis that it is
 free or constrained, where it is not clear.
 """
@@ -48,7 +51,6 @@ def add_identify(commands: Any) -> None:
     defaults = Thresholds()
     add = command.add_argument
     add("files", nargs="+", type=Path, metavar="FILE", help="recordings")
-    add("--dt", type=arguments.seconds, metavar="S", help="sample time in s, for files without times")
     add(
         "--lag",
         type=arguments.lag,
@@ -57,7 +59,6 @@ def add_identify(commands: Any) -> None:
         help="between the two poses of a velocity: a number of samples (10), a time (0.5s), or auto, as "
         "short as the noise allows (auto); 1 is the paper's",
     )
-    add("--unit", choices=["m", "cm", "mm"], default="m", help="unit of positions in the files (m)")
     add("--window", type=arguments.whole, metavar="N", help="poses per window (all)")
     add("--stride", type=arguments.whole, metavar="M", help="poses between the starts of two windows (N)")
     add(
@@ -100,6 +101,7 @@ def add_identify(commands: Any) -> None:
         metavar="OUT.png",
         help="draw the result; of several recordings, to OUT-NAME.png each",
     )
+    add_reading(command)
 
 
 def _identify(options: argparse.Namespace) -> int:
@@ -159,7 +161,7 @@ def _identify_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
     """Identify, print and draw one recording; returns its entry in the JSON document."""
     recording, found, windows, problem = None, None, None, None
     try:
-        recording = load_recording(path, unit=options.unit, dt=options.dt)
+        recording = load_recording(path, **reading_options(options))
         for note in recording.notes:
             say(f"reframe-jax: {path}: {note}")
         found, windows = _windows(recording, options)

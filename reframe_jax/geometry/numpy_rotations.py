@@ -6,7 +6,13 @@ Always in double precision, whatever JAX's 64-bit switch says; nothing here is t
 
 import numpy as np
 
-__all__ = ["matrices_to_quaternions", "quaternions_to_matrices", "rotation_vectors"]
+__all__ = [
+    "euler_matrices",
+    "matrices_to_quaternions",
+    "quaternions_to_matrices",
+    "rotation_matrices",
+    "rotation_vectors",
+]
 
 
 def quaternions_to_matrices(quaternions: np.ndarray) -> np.ndarray:
@@ -39,3 +45,26 @@ def rotation_vectors(matrices: np.ndarray) -> np.ndarray:
     factor = 2 * np.arctan2(sine, quaternions[..., 3]) / np.where(sine == 0, 1, sine)
     vectors: np.ndarray = factor[..., None] * quaternions[..., :3]
     return vectors
+
+
+def rotation_matrices(vectors: np.ndarray) -> np.ndarray:
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), rad."""
+    angle = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    sine = 0.5 * np.sinc(angle / (2 * np.pi))  # sin(angle / 2) / angle, 1/2 at 0
+    return quaternions_to_matrices(np.concatenate([sine * vectors, np.cos(angle / 2)], axis=-1))
+
+
+def euler_matrices(order: str, angles: np.ndarray) -> np.ndarray:
+    """Rotation matrices (..., 3, 3) of three turns.
+
+    Args:
+        order: three letters. "XYZ" turns about the moving axes, about x first: Rx Ry Rz; "xyz" about the
+            fixed axes, about x first: Rz Ry Rx.
+        angles: (..., 3) rad, in the order of the letters.
+    """
+    turns = [
+        rotation_matrices(angles[..., i, None] * np.eye(3)["xyz".index(letter.lower())])
+        for i, letter in enumerate(order)
+    ]
+    first, second, third = turns if order.isupper() else turns[::-1]
+    return first @ second @ third

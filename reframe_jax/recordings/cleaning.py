@@ -83,7 +83,13 @@ def clean_recording(
             cut = f", after {rest} at rest at the ends were left out" if rest else ""
             notes.append(f"thinned to {len(thinned)} poses, at least {step:.2g} s apart, {why}{cut}.")
             kept = kept[thinned]
-    return replace(recording, times=times[kept], poses=poses[kept], notes=(*recording.notes, *notes))
+    return replace(
+        recording,
+        times=times[kept],
+        poses=poses[kept],
+        notes=(*recording.notes, *notes),
+        wrenches=None if recording.wrenches is None else recording.wrenches[kept],
+    )
 
 
 def pose_outliers(times: np.ndarray, poses: np.ndarray) -> np.ndarray:

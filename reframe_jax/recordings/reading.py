@@ -4,8 +4,8 @@ NumPy only. ``Recording.notes`` lists rows that were dropped, repaired or look o
 wrong raises a :class:`RecordingError` that says where, what was expected, and what to do.
 """
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -17,17 +17,30 @@ from reframe_jax.recordings.checks import (
     make_poses,
     make_times,
 )
-from reframe_jax.recordings.readers import READERS
+from reframe_jax.recordings.readers import check_options, choose_reader
+from reframe_jax.recordings.readers.reader import Entry, Reader
 from reframe_jax.recordings.recording import Recording, RecordingError
-from reframe_jax.recordings.rows import Rows
+from reframe_jax.recordings.relative import relative_poses
+from reframe_jax.recordings.selection import UNITS, Angles, Quaternion, Selection, Unit
 
-__all__ = ["load_recording"]
-
-_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+__all__ = ["list_contents", "load_recording"]
 
 
 def load_recording(
-    path: str | Path, *, unit: Literal["m", "cm", "mm"] = "m", dt: float | None = None
+    path: str | Path,
+    *,
+    unit: Unit | None = None,
+    dt: float | None = None,
+    topic: str | None = None,
+    from_frame: str | None = None,
+    to_frame: str | None = None,
+    body: str | None = None,
+    in_body: str | None = None,
+    position: str | None = None,
+    orientation: str | None = None,
+    quaternion: Quaternion | None = None,
+    angles: Angles | None = None,
+    episode: int | None = None,
 ) -> Recording:
     """Read a recording of poses.
 
@@ -37,59 +50,125 @@ def load_recording(
         Columns named by a header, in any order; others are ignored. Time: ``t``, ``time``,
         ``timestamp``, ``stamp``. Position: ``x``, ``px``, ``pos_x``, ``position.x``; also ``tx``, unless
         there is an ``fx`` or another position, as it is a torque then. Orientation: ``qx``, ``quat_x``,
-        ``orientation.x``. Or a pose matrix, ``m00`` to ``m23`` or ``m33`` (or ``t00``): row, column. Lines
-        that start with ``#`` or ``%`` are comments; the last one before the numbers may be the header.
+        ``orientation.x``. Or a pose matrix, ``m00`` to ``m23`` or ``m33`` (or ``t00``): row, column.
+        Wrench, kept as it is: ``fx``, ``force_x``, ``wrench.force.x``; ``tx``, ``torque_x``. Lines that
+        start with ``#`` or ``%`` are comments; the last one before the numbers may be the header.
     ``.txt``, ``.tum``
         A TUM trajectory: lines of ``t x y z qx qy qz qw``, separated by blanks; ``#`` starts a comment.
     ``.npy``, ``.npz``
         ``poses``: (N, 4, 4), or (N, 7) as ``x y z qx qy qz qw``, or (N, 8) with the time first. An .npz
-        may hold ``positions`` (N, 3) and ``quaternions`` (N, 4) instead, and ``times`` (N,). Its other
-        arrays are not read.
+        may hold ``positions`` (N, 3) and ``quaternions`` (N, 4) instead, ``times`` (N,), and ``wrenches``
+        (N, 6). Its other arrays are not read.
 
-    A recording has at most 8,388,608 poses. A million of them need less than 300 MB while they are read.
+    ``.csv`` and ``.tsv`` of motion capture
+        Exports of OptiTrack Motive, Vicon Tracker and Nexus (``angles``), and Qualisys; told by their first
+        line. ``body`` names a rigid body.
+    ``.bag``, ``.mcap``, ``.db3``, or the folder of a ROS 2 bag
+        ``topic``, or ``from_frame`` and ``to_frame``. Needs the extra ``bags``.
+    ``.c3d``
+        ``body``. Needs the extra ``c3d``.
+    ``.parquet``, ``.hdf5``, ``.h5``
+        ``position`` and ``orientation`` name columns. Need the extras ``parquet`` and ``hdf5``.
+
+    The page Files of the documentation says what is read of each, and how.
+
+    A recording has at most 8,388,608 poses. A million of them need about 300 MB while they are read, twice
+    that for a chain of tf frames.
+    Options that a format does not use are refused.
 
     Args:
-        path: the file.
-        unit: unit of the positions in the file.
+        path: the file or folder.
+        unit: unit of the positions, for files that do not state it; m by default.
         dt: sample time in s, for files without times; times in the file are then ignored.
+        topic: topic of a bag.
+        from_frame: tf frame of a bag that serves as the ground.
+        to_frame: tf frame of a bag whose pose is read.
+        body: rigid body; in a C3D, a prefix of marker names, or names of markers separated by commas.
+        in_body: body in whose frame the poses are expressed, see :func:`relative_poses`; in a bag, its topic.
+        position: column of the positions, (N, 3).
+        orientation: column of the orientations, (N, 4), (N, 3) or (N, 3, 3).
+        quaternion: order of the numbers in the column of orientations.
+        angles: what three angles mean: "vector", a rotation vector; "XYZ" and the like, turns about the
+            moving axes, that about x first; "xyz" and the like, turns about the fixed axes.
+        episode: number of the episode in a file of several.
 
     Returns:
         The recording, in metres and seconds.
 
     Raises:
-        RecordingError: if the file or one of its rows cannot be used.
+        RecordingError: if the file or one of its rows cannot be used, an option is wrong for it, or a library
+            that it needs is not installed.
     """
     path = Path(path)
-    if unit not in _UNITS:
-        raise RecordingError(f"unit must be one of {', '.join(_UNITS)}, not {unit!r}.")
+    wanted = Selection(
+        unit=unit,
+        topic=topic,
+        from_frame=from_frame,
+        to_frame=to_frame,
+        body=body,
+        in_body=in_body,
+        position=position,
+        orientation=orientation,
+        quaternion=quaternion,
+        angles=angles,
+        episode=episode,
+    )
     if dt is not None and not 0 < dt < np.inf:
         raise RecordingError(f"dt must be a positive number of seconds, not {dt!r}.")
-    rows = _read(path, unit)
+    try:
+        reader = choose_reader(path)
+        check_options(path, reader, wanted)
+        recording = _load(path, reader, replace(wanted, in_body=None), dt)
+        if in_body is None:
+            return recording
+        alone = replace(wanted, in_body=None)
+        by_topic = "topic" in reader.options
+        other = replace(alone, topic=in_body) if by_topic else replace(alone, body=in_body)
+        return relative_poses(recording, _load(path, reader, other, dt))
+    except UnicodeDecodeError as error:
+        raise RecordingError(f"{path}: is not a text file; expected UTF-8.") from error
+    except RecordingError:
+        raise
+    except (OSError, ValueError) as error:  # the latter of a path that holds a zero byte
+        raise _closed(path, error) from error
+
+
+def list_contents(path: str | Path) -> tuple[str, list[Entry] | None]:
+    """List what can be read from a file: topics, frames, bodies, markers or columns.
+
+    Args:
+        path: the file or folder.
+
+    Returns:
+        What the file is, and what it holds; None for formats of a single recording.
+
+    Raises:
+        RecordingError: if the file cannot be read.
+    """
+    path = Path(path)
+    try:
+        reader = choose_reader(path)
+        return reader.name, reader.contents(path) if reader.contents else None
+    except RecordingError:
+        raise
+    except (OSError, ValueError) as error:
+        raise _closed(path, error) from error
+
+
+def _closed(path: Path, error: Exception) -> RecordingError:
+    return RecordingError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}.")
+
+
+def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Recording:
+    """Read one body and check it."""
     with np.errstate(all="ignore"):  # numbers too large to be squared: what comes of them is refused below
+        rows = reader.read(path, wanted)
         times = drop_unfinished(rows, make_times(rows, dt))
         times = check_times(rows, times)
         if len(times) < MIN_POSES:
             raise RecordingError(f"{path}: has {len(times)} usable poses; expected {MIN_POSES} or more.")
         poses = make_poses(rows)
-        poses[:, :3, 3] *= _UNITS[unit]
+        poses[:, :3, 3] *= UNITS[wanted.unit or "m"] if rows.metres is None else rows.metres
         check_positions(rows, poses[:, :3, 3])
-    return Recording(times, poses, path, tuple(rows.notes))
-
-
-def _read(path: Path, unit: str) -> Rows:
-    """The rows of a file, by its suffix."""
-    suffix = path.suffix.lower()
-    if suffix in (".pkl", ".pickle"):
-        raise RecordingError(f"{path}: pickles can run code when they are read; save arrays as .npz instead.")
-    if suffix not in READERS:
-        raise RecordingError(f"{path}: expected one of {', '.join(READERS)}, not the suffix {suffix!r}.")
-    try:
-        return READERS[suffix](path, unit)
-    except RecordingError:
-        raise
-    except UnicodeDecodeError as error:
-        raise RecordingError(f"{path}: is not a text file; expected UTF-8.") from error
-    except (OSError, ValueError) as error:  # the latter of a path that holds a zero byte
-        raise RecordingError(
-            f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}."
-        ) from error
+    origin = rows.origin if dt is None else None
+    return Recording(times, poses, path, tuple(rows.notes), origin, rows.wrenches)

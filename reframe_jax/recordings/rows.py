@@ -27,6 +27,8 @@ class Rows:
         times: (N,) s, or None if the file has none. NaN where one is missing.
         origin: the time that ``times`` count from, as the file writes it; None if that is 0.
         notes: sentences about what was dropped, repaired or looks odd.
+        wrenches: (N, 6) force in N and torque in Nm, as :class:`Recording` has them, or None.
+        metres: length of the unit of the positions if the file states it, else None.
     """
 
     path: Path
@@ -36,6 +38,8 @@ class Rows:
     times: np.ndarray | None
     origin: str | None = None
     notes: list[str] = field(default_factory=list)
+    wrenches: np.ndarray | None = None
+    metres: float | None = None
 
     def error(self, row: int, problem: str) -> RecordingError:
         """What is wrong with a row."""
@@ -50,6 +54,7 @@ class Rows:
         self.notes.append(f"{self.word} {dropped[0]}{more} dropped: {why}.")
         self.where, self.values = self.where[mask], self.values[mask]
         self.times = None if self.times is None else self.times[mask]
+        self.wrenches = None if self.wrenches is None else self.wrenches[mask]
 
 
 def shown(text: str, length: int = 200) -> str:

@@ -1,26 +1,69 @@
-"""A reader per format, by suffix.
+"""The registry of readers: suffix and content select one.
 
-A reader takes a path and the unit of positions (m, cm, mm), and returns :class:`Rows` as they are in the
-file. Checks and repairs follow and are the same for all formats. A reader raises :class:`RecordingError` for
-unreadable contents; OSError and UnicodeDecodeError may propagate. To add a format, copy ``trajectory.py`` and
-add its suffixes here.
+To add a format, copy ``trajectory.py`` and add its :class:`Reader` here. Of the readers with the suffix of a
+file, the first one that recognises its first bytes reads it. Optional libraries are imported when a file
+needs them.
 """
 
-from collections.abc import Callable
 from pathlib import Path
 
-from reframe_jax.recordings.readers.arrays import read_arrays
-from reframe_jax.recordings.readers.table import read_table
-from reframe_jax.recordings.readers.trajectory import read_trajectory
-from reframe_jax.recordings.rows import Rows
+from reframe_jax.recordings.readers.arrays import ARRAYS
+from reframe_jax.recordings.readers.bags import BAG
+from reframe_jax.recordings.readers.c3d import C3D
+from reframe_jax.recordings.readers.hdf5 import HDF5
+from reframe_jax.recordings.readers.motive import MOTIVE
+from reframe_jax.recordings.readers.parquet import PARQUET
+from reframe_jax.recordings.readers.qualisys import QUALISYS
+from reframe_jax.recordings.readers.reader import Reader
+from reframe_jax.recordings.readers.table import TABLE
+from reframe_jax.recordings.readers.trajectory import TRAJECTORY
+from reframe_jax.recordings.readers.vicon import VICON
+from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.recordings.selection import Selection, flag
 
-__all__ = ["READERS"]
+__all__ = ["READERS", "check_options", "choose_reader"]
 
-READERS: dict[str, Callable[[Path, str], Rows]] = {
-    ".csv": read_table,
-    ".tsv": read_table,
-    ".txt": read_trajectory,
-    ".tum": read_trajectory,
-    ".npy": read_arrays,
-    ".npz": read_arrays,
-}
+READERS: tuple[Reader, ...] = (MOTIVE, VICON, QUALISYS, TABLE, TRAJECTORY, ARRAYS, BAG, C3D, PARQUET, HDF5)
+
+_HEAD = 4096  # bytes by which a format is recognised
+_FOLDER = "/"
+
+
+def choose_reader(path: Path) -> Reader:
+    """The reader of a file or folder.
+
+    Raises:
+        RecordingError: if there is none for its suffix, or its content is not of these formats.
+        OSError: from the file.
+    """
+    folder = path.is_dir()
+    suffix = _FOLDER if folder else path.suffix.lower()
+    if suffix in (".pkl", ".pickle"):
+        raise RecordingError(f"{path}: pickles can run code when they are read; save arrays as .npz instead.")
+    candidates = [reader for reader in READERS if suffix in reader.suffixes]
+    if not candidates and not folder:
+        suffixes = dict.fromkeys(each for reader in READERS for each in reader.suffixes if each != _FOLDER)
+        raise RecordingError(f"{path}: expected one of {', '.join(suffixes)}, not the suffix {suffix!r}.")
+    head = b""
+    if not folder or not any(reader.recognises(path, head) for reader in candidates):
+        with path.open("rb") as file:  # of a folder that is no recording, an OSError says so
+            head = file.read(_HEAD)
+    for reader in candidates:
+        if reader.recognises(path, head):
+            return reader
+    names = " or ".join(reader.name for reader in candidates)
+    raise RecordingError(f"{path}: expected {names}; the content is of another kind.")
+
+
+def check_options(path: Path, reader: Reader, wanted: Selection) -> None:
+    """Refuse options that the format does not use.
+
+    Raises:
+        RecordingError: that names the option and those that may be used instead.
+    """
+    for name in wanted.given:
+        if name not in reader.options:
+            used = ", ".join(flag(each) for each in sorted(reader.options)) or "none of them"
+            raise RecordingError(
+                f"{path}: is {reader.name}, which does not use {flag(name)}; options for it: {used}."
+            )

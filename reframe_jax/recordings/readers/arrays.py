@@ -13,12 +13,14 @@ from typing import IO
 
 import numpy as np
 
+from reframe_jax.recordings.readers.reader import Reader
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import EPOCH, MOST_ROWS, Rows, shown
+from reframe_jax.recordings.selection import Selection
 
-__all__ = ["read_arrays"]
+__all__ = ["ARRAYS", "read_arrays"]
 
-_NAMES = ("poses", "positions", "quaternions", "times")
+_NAMES = ("poses", "positions", "quaternions", "times", "wrenches")
 _LONGEST_HEADER = 10_000  # bytes; NumPy writes 128 for an array of numbers
 _PIECE = 2**18  # bytes read at a time
 _LISTED = 8  # arrays listed in a message
@@ -49,12 +51,12 @@ class _Array:
         return numbers.reshape(self.shape, order="F" if self.by_column else "C")
 
 
-def read_arrays(path: Path, unit: str) -> Rows:
-    """Read ``poses``, or ``positions`` and ``quaternions``, and ``times``, from an .npy or .npz.
+def read_arrays(path: Path, wanted: Selection) -> Rows:
+    """Read ``poses``, or ``positions`` and ``quaternions``, ``times`` and ``wrenches``, from an .npy or .npz.
 
     Args:
         path: the file. An .npy holds ``poses``. Other arrays of an .npz are not read.
-        unit: unit of the positions; they are not converted.
+        wanted: nothing of it is used here.
 
     Raises:
         RecordingError: if these are not plain arrays of numbers of shapes that fit, whole, and not too large.
@@ -128,14 +130,17 @@ def _rows(path: Path, arrays: dict[str, _Array], others: list[str]) -> Rows:
     pair = (shapes.get("positions"), shapes.get("quaternions")) == ((count, 3), (count, 4))
     timed = shapes.get("poses") == (count, 8) and "times" not in shapes
     fits = pair or timed or shapes.get("poses") in ((count, 7), (count, 4, 4))
-    if not (fits and count and shapes.get("times", (count,)) == (count,)) or any(
-        array.dtype.kind not in "fiu" for array in arrays.values()
-    ):
+    others_fit = shapes.get("times", (count,)) == (count,) and shapes.get("wrenches", (count, 6)) == (
+        count,
+        6,
+    )
+    if not (fits and count and others_fit) or any(array.dtype.kind not in "fiu" for array in arrays.values()):
         found = [f"{name} {array.shape} of {array.dtype}" for name, array in arrays.items()] + others
         more = ", ..." if len(found) > _LISTED else ""
         raise RecordingError(
             f"{path}: expected numbers: poses (N, 4, 4), or positions (N, 3) and quaternions (N, 4), and "
-            f"times (N,); found {shown(', '.join(found[:_LISTED]), 400) or 'nothing'}{more}."
+            "times (N,), perhaps wrenches (N, 6); "
+            f"found {shown(', '.join(found[:_LISTED]), 400) or 'nothing'}{more}."
         )
     if count > MOST_ROWS:
         raise RecordingError(
@@ -148,7 +153,8 @@ def _rows(path: Path, arrays: dict[str, _Array], others: list[str]) -> Rows:
         parts[0] = parts[0][:, timed:]
         values = (np.hstack(parts) if pair else parts[0]).astype(float, copy=False)
         seconds, origin = (None, None) if times is None else _since_first(times)
-    return Rows(path, "sample", np.arange(count), values, seconds, origin)
+        wrenches = arrays["wrenches"].read().astype(float, copy=False) if "wrenches" in arrays else None
+    return Rows(path, "sample", np.arange(count), values, seconds, origin, wrenches=wrenches)
 
 
 def _since_first(times: np.ndarray) -> tuple[np.ndarray, str | None]:
@@ -165,3 +171,12 @@ def _since_first(times: np.ndarray) -> tuple[np.ndarray, str | None]:
         return (times - first).astype(float), str(first)
     whole, zero = times.astype(np.uint64), first.astype(np.uint64)  # the difference is exact modulo 2^64
     return np.where(times < first, -(zero - whole).astype(float), (whole - zero).astype(float)), str(first)
+
+
+ARRAYS = Reader(
+    name="arrays of NumPy",
+    suffixes=(".npy", ".npz"),
+    recognises=lambda path, head: True,
+    read=read_arrays,
+    options=frozenset({"unit"}),
+)

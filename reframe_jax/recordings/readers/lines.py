@@ -21,8 +21,12 @@ _LONGEST = 2**16  # characters of a line
 _EXACT = decimal.Context(prec=50, traps=[])
 
 
-def read_lines(path: Path) -> Iterator[tuple[int, str]]:
+def read_lines(path: Path, blanks: str | None = None) -> Iterator[tuple[int, str]]:
     """Numbered lines of a UTF-8 text that are not blank, stripped, one at a time.
+
+    Args:
+        path: the file.
+        blanks: characters to strip at both ends; all white space by default.
 
     Raises:
         RecordingError: if a line is longer than 65,536 characters.
@@ -36,8 +40,8 @@ def read_lines(path: Path) -> Iterator[tuple[int, str]]:
                 raise RecordingError(
                     f"{path}: line {number}: is longer than {_LONGEST} characters; expected a row of numbers."
                 )
-            if stripped := line.strip():
-                yield number, stripped
+            if line.strip():
+                yield number, line.strip(blanks)
 
 
 class Collector:
@@ -51,10 +55,19 @@ class Collector:
         width: cells of every row.
         time: index of the cell with the time, or None.
         columns: indices of the cells with the numbers of a pose.
+        wrench: indices of the six cells with a wrench, or none.
     """
 
-    def __init__(self, path: Path, width: int, time: int | None, columns: Sequence[int]) -> None:
-        self._path, self._width, self._time, self._columns = path, width, time, columns
+    def __init__(
+        self,
+        path: Path,
+        width: int,
+        time: int | None,
+        columns: Sequence[int],
+        wrench: Sequence[int] = (),
+    ) -> None:
+        self._path, self._width, self._time = path, width, time
+        self._columns, self._pose = [*columns, *wrench], len(columns)
         self._where, self._values, self._times = array("q"), array("d"), array("d")
         self._started, self._origin = False, decimal.Decimal(0)
 
@@ -82,13 +95,15 @@ class Collector:
 
     def rows(self) -> Rows:
         """All rows that were added."""
+        values = np.asarray(self._values).reshape(-1, len(self._columns))
         return Rows(
             self._path,
             "line",
             np.asarray(self._where),
-            np.asarray(self._values).reshape(-1, len(self._columns)),
+            values[:, : self._pose],
             None if self._time is None else np.asarray(self._times),
             str(self._origin) if self._origin else None,
+            wrenches=values[:, self._pose :] if self._pose < len(self._columns) else None,
         )
 
     def _seconds(self, number: int, cell: str) -> float:

@@ -7,20 +7,22 @@ from itertools import chain
 from pathlib import Path
 
 from reframe_jax.recordings.readers.lines import Collector, read_lines
+from reframe_jax.recordings.readers.reader import Reader
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import HEADER, Rows, shown
+from reframe_jax.recordings.selection import Selection
 
-__all__ = ["read_table"]
+__all__ = ["TABLE", "read_table"]
 
 _COMMENT = "#%"
 
 
-def read_table(path: Path, unit: str) -> Rows:
+def read_table(path: Path, wanted: Selection) -> Rows:
     """Read a table whose header is the first line, or the last comment before the numbers.
 
     Args:
         path: the file.
-        unit: unit of the positions; they are not converted. A header may name it: ``x [mm]``.
+        wanted: the unit of the positions, which are not converted. A header may name it: ``x [mm]``.
 
     Raises:
         RecordingError: if a column is missing or named twice, or a row does not fit the header.
@@ -42,8 +44,9 @@ def read_table(path: Path, unit: str) -> Rows:
             f"{path}: line {number}: expected a header such as {HEADER}, found numbers; name the columns, "
             "or save a TUM trajectory as .txt."
         )
-    time, columns = _find_columns(path, [name.strip() for name in header], unit)
-    rows = Collector(path, len(header), time, columns)
+    names = [name.strip() for name in header]
+    time, columns = _find_columns(path, names, wanted.unit or "m")
+    rows = Collector(path, len(header), time, columns, _find_wrench(names))
     for number, line in chain(pending, lines):
         if line[0] not in _COMMENT:
             rows.add(number, _cells(line, delimiter))
@@ -70,7 +73,7 @@ def _is_number(cell: str) -> bool:
 
 def _find_columns(path: Path, header: list[str], unit: str) -> tuple[int | None, list[int]]:
     """Columns of time and of the numbers of a pose."""
-    names = [re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_") for name in header]
+    names = [_plain(name) for name in header]
 
     def find(pattern: str) -> int | None:
         found = [i for i, name in enumerate(names) if re.fullmatch(pattern, name)]
@@ -94,3 +97,27 @@ def _find_columns(path: Path, header: list[str], unit: str) -> tuple[int | None,
             f"{HEADER}, found {shown(','.join(header))}."
         )
     return time, [column for column in pose.values() if column is not None]
+
+
+def _find_wrench(header: list[str]) -> list[int]:
+    """Columns of force and torque, all six or none: fx, force_x, wrench.force.x and the like."""
+    names, found = [_plain(name) for name in header], []
+    for letter, word, unit in (("f", "force", "n"), ("t", "torque", "nm")):
+        for axis in "xyz":
+            pattern = rf"({letter}_?|(.*_)?{word}_){axis}(_{unit})?"
+            found.append([i for i, name in enumerate(names) if re.fullmatch(pattern, name)])
+    return [columns[0] for columns in found] if all(len(columns) == 1 for columns in found) else []
+
+
+def _plain(name: str) -> str:
+    """A name in lower case, its other characters as single underscores."""
+    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+
+
+TABLE = Reader(
+    name="a table with named columns",
+    suffixes=(".csv", ".tsv"),
+    recognises=lambda path, head: True,
+    read=read_table,
+    options=frozenset({"unit"}),
+)

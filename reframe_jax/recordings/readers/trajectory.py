@@ -3,18 +3,20 @@
 from pathlib import Path
 
 from reframe_jax.recordings.readers.lines import Collector, read_lines
+from reframe_jax.recordings.readers.reader import Reader
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows
+from reframe_jax.recordings.selection import Selection
 
-__all__ = ["read_trajectory"]
+__all__ = ["TRAJECTORY", "read_trajectory"]
 
 
-def read_trajectory(path: Path, unit: str) -> Rows:
+def read_trajectory(path: Path, wanted: Selection) -> Rows:
     """Read lines of ``t x y z qx qy qz qw``, separated by blanks; ``#`` starts a comment.
 
     Args:
         path: the file.
-        unit: unit of the positions; they are not converted.
+        wanted: nothing of it is used here.
 
     Raises:
         RecordingError: if a line does not hold 8 numbers.
@@ -35,3 +37,12 @@ def read_trajectory(path: Path, unit: str) -> Rows:
             "table that has a header as .csv."
         )
     return rows.rows()
+
+
+TRAJECTORY = Reader(
+    name="a TUM trajectory",
+    suffixes=(".txt", ".tum"),
+    recognises=lambda path, head: True,
+    read=read_trajectory,
+    options=frozenset({"unit"}),
+)

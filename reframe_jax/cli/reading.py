@@ -1,0 +1,42 @@
+"""The options that select what is read from a file, the same for every command."""
+
+import argparse
+from typing import Any
+
+from reframe_jax.cli import arguments
+from reframe_jax.recordings.selection import ANGLES, QUATERNIONS, UNITS
+
+__all__ = ["add_reading", "reading_options"]
+
+_NAMES = (
+    *("unit", "dt", "topic", "from_frame", "to_frame", "body", "in_body"),
+    *("position", "orientation", "quaternion", "angles", "episode"),
+)
+
+
+def add_reading(command: argparse.ArgumentParser) -> None:
+    """Add the options of :func:`reframe_jax.load_recording` to a command."""
+    add = command.add_argument_group("what to read (reframe-jax topics FILE lists it)").add_argument
+    add("--dt", type=arguments.seconds, metavar="S", help="sample time in s, for files without times")
+    add("--unit", choices=[*UNITS], help="unit of positions, for files that do not state it (m)")
+    add("--topic", metavar="NAME", help="topic of a bag")
+    add("--from", dest="from_frame", metavar="FRAME", help="tf frame of a bag that serves as the ground")
+    add("--to", dest="to_frame", metavar="FRAME", help="tf frame of a bag whose motion is read")
+    add("--body", metavar="NAME", help="rigid body; in a C3D, a prefix of markers, or markers A,B,C")
+    add("--in", dest="in_body", metavar="NAME", help="body (in a bag: topic) to which the motion is relative")
+    add("--position", metavar="COLUMN", help="column of positions, such as NAME or NAME[0:3]")
+    add("--orientation", metavar="COLUMN", help="column of orientations, such as NAME[3:7]")
+    add("--quaternion", choices=QUATERNIONS, help="order of the numbers of a quaternion in that column")
+    add(
+        "--angles",
+        choices=ANGLES,
+        metavar="HOW",
+        help="what three angles mean: vector (rotation vector), XYZ etc. (turns about the moving axes, x "
+        "first), xyz etc. (about the fixed axes)",
+    )
+    add("--episode", type=arguments.whole, metavar="N", help="number of the episode in a file of several")
+
+
+def reading_options(options: argparse.Namespace) -> dict[str, Any]:
+    """Keyword arguments of :func:`reframe_jax.load_recording`."""
+    return {name: getattr(options, name) for name in _NAMES}

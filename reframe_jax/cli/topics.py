@@ -1,0 +1,53 @@
+"""``reframe-jax topics``: what can be read from files."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from reframe_jax.cli.commands import COMMANDS
+from reframe_jax.cli.speaking import say, show
+from reframe_jax.recordings.reading import list_contents
+from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.recordings.rows import shown
+from reframe_jax.recordings.selection import flag
+
+__all__ = ["add_topics"]
+
+_TOPICS = """\
+List what can be read from files: topics and tf frames of bags, rigid bodies and
+markers of motion capture, columns of data sets. The first word of a line is the
+option that selects it.
+"""
+
+
+def add_topics(commands: Any) -> None:
+    """Add the command to those of the command line."""
+    command = commands.add_parser(
+        "topics",
+        description=_TOPICS,
+        help=COMMANDS["topics"],
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    command.add_argument("files", nargs="+", type=Path, metavar="FILE", help="recordings")
+    command.set_defaults(run=_topics)
+
+
+def _topics(options: argparse.Namespace) -> int:
+    failed = False
+    for path in options.files:
+        try:
+            kind, entries = list_contents(path)
+        except RecordingError as error:
+            say(f"reframe-jax: error: {error}")
+            failed = True
+            continue
+        if not entries:
+            only = "a single recording" if entries is None else "nothing that can be read"
+            show(f"{path}: {kind}: {only}")
+            continue
+        show(f"{path}: {kind}")
+        rows = [(flag(each.option).partition("(")[2].rstrip(")"), shown(each.name)) for each in entries]
+        width = max(len(f"{option} {name}") for option, name in rows)
+        for (option, name), each in zip(rows, entries, strict=True):
+            show(f"  {f'{option} {name}':{width}}  {shown(each.detail)}")
+    return int(failed)

@@ -1,0 +1,255 @@
+"""Poses in ROS 1 and ROS 2 bags: topics of stamped poses, or a chain of tf frames.
+
+Bags are read with the library rosbags, message by message; only numbers are kept. Messages are decoded by
+the standard definitions of their types, whether or not the bag holds any. Times are the stamps of the
+headers, not the times of recording.
+"""
+
+import importlib
+import io
+import os
+from array import array
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name, import_extra, stumbling
+from reframe_jax.recordings.readers.transforms import Edge, chain_rows, describe_frames
+from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.recordings.rows import MOST_ROWS, Rows, shown
+from reframe_jax.recordings.selection import Selection, flag
+
+__all__ = ["BAG", "read_bag"]
+
+_POSE = "geometry_msgs/msg/PoseStamped"
+_TRANSFORM = "geometry_msgs/msg/TransformStamped"
+_TOPICS = (_POSE, "geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Odometry", _TRANSFORM)
+_TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+_WHOLE = "a whole ROS bag"
+
+
+class _Samples:
+    """Poses of a topic or of a tf edge, as compact numbers."""
+
+    def __init__(self) -> None:
+        self.stamps, self.values = array("q"), array("d")  # ns; x y z qx qy qz qw
+
+    def add(self, stamp: Any, position: Any, orientation: Any) -> None:
+        self.stamps.append(1_000_000_000 * stamp.sec + stamp.nanosec)
+        self.values.extend((position.x, position.y, position.z))
+        self.values.extend((orientation.x, orientation.y, orientation.z, orientation.w))
+
+
+class _Bag:
+    """An open bag: its connections of known types, and their decoded messages."""
+
+    def __init__(self, reader: Any, decode: Callable[[bytes, str], Any]) -> None:
+        self._reader, self._decode = reader, decode
+
+    def connections(self, types: tuple[str, ...]) -> list[Any]:
+        """Connections of these types that hold messages."""
+        return [each for each in self._reader.connections if each.msgtype in types and each.msgcount]
+
+    def messages(self, connections: list[Any]) -> Iterator[tuple[Any, Any]]:
+        """Connection and message, in the order of recording."""
+        for connection, _, data in self._reader.messages(connections=connections) if connections else ():
+            known = _TF[0] if connection.msgtype in _TF else connection.msgtype
+            yield connection, self._decode(data, known)
+
+
+class _Stream(io.BufferedReader):
+    """A file of which no more is read than there is: a damaged bag may claim any length."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        left = os.fstat(self.fileno()).st_size - self.tell()
+        return super().read(left if size is None or size < 0 else max(min(size, left), 0))
+
+
+class _BoundedPath(type(Path())):  # type: ignore[misc]
+    """A path whose files open as such streams."""
+
+    def open(self, mode: str = "r", *options: Any, **more: Any) -> Any:
+        if mode == "rb":
+            return _Stream(io.FileIO(self, "r"))
+        return super().open(mode, *options, **more)
+
+
+@cache
+def _decoder(first: bool) -> Callable[[bytes, str], Any]:
+    """Decodes messages of ROS 1, or of ROS 2, by the standard definitions of their types."""
+    types = importlib.import_module("rosbags.typesys")
+    store = types.get_typestore(types.Stores.ROS1_NOETIC if first else types.Stores.LATEST)
+    if _TF[0] not in store.fielddefs:
+        store.register(types.get_types_from_msg(f"{_TRANSFORM}[] transforms", _TF[0]))
+    decode: Callable[[bytes, str], Any] = store.deserialize_ros1 if first else store.deserialize_cdr
+    return decode
+
+
+@contextmanager
+def _open(path: Path) -> Iterator[_Bag]:
+    """Open a bag; whatever is wrong with it is a :class:`RecordingError`."""
+    first = path.suffix.lower() == ".bag"
+    library = import_extra(path, "rosbags.rosbag1" if first else "rosbags.rosbag2", "bags")
+    with stumbling(path, _WHOLE), library.Reader(_BoundedPath(path)) as reader:
+        yield _Bag(reader, _decoder(first))
+
+
+def read_bag(path: Path, wanted: Selection) -> Rows:
+    """Read a topic, or the motion of one tf frame in another.
+
+    Args:
+        path: the file, or the folder of a ROS 2 bag.
+        wanted: the topic, needed if there are several; or both frames. Of a topic of transforms, ``to_frame``
+            selects the child frame.
+
+    Raises:
+        RecordingError: if the bag is damaged or holds no such topic or frames, or rosbags is missing.
+    """
+    frames = wanted.from_frame, wanted.to_frame
+    with _open(path) as bag:
+        if wanted.topic is None and frames != (None, None):
+            if None in frames:
+                raise RecordingError(f"{path}: expected both {flag('from_frame')} and {flag('to_frame')}.")
+            return _read_chain(path, bag, str(frames[0]), str(frames[1]))
+        if wanted.from_frame is not None:
+            raise RecordingError(
+                f"{path}: expected either {flag('topic')} or {flag('from_frame')}, not both: the ground of a "
+                "topic is the frame in its headers."
+            )
+        return _read_topic(path, bag, wanted)
+
+
+def _read_topic(path: Path, bag: _Bag, wanted: Selection) -> Rows:
+    """All poses of a topic."""
+    known = bag.connections(_TOPICS)
+    names = sorted({each.topic for each in known})
+    if wanted.topic in {each.topic for each in bag.connections(_TF)}:
+        raise RecordingError(
+            f"{path}: {wanted.topic} holds tf frames; name two, {flag('from_frame')} and {flag('to_frame')}, "
+            f"instead of {flag('topic')}."
+        )
+    if not names and bag.connections(_TF):
+        raise RecordingError(
+            f"{path}: has no topics of stamped poses, but tf frames; name two, {flag('from_frame')} and "
+            f"{flag('to_frame')}; reframe-jax topics lists them."
+        )
+    topic = choose_name(path, "topic", wanted.topic, names, "topics of stamped poses")
+    chosen = [each for each in known if each.topic == topic]
+    if wanted.to_frame is not None and any(each.msgtype != _TRANSFORM for each in chosen):
+        raise RecordingError(f"{path}: {flag('to_frame')} selects among transforms; {topic} holds poses.")
+    samples: dict[tuple[str, str], _Samples] = {}
+    for connection, message in bag.messages(chosen):
+        child = getattr(message, "child_frame_id", "")
+        if wanted.to_frame is not None and _plain(child) != _plain(wanted.to_frame):
+            continue
+        _take(path, samples, message.header, child, connection.msgtype, message)
+    if len(samples) != 1:
+        pairs = shown(
+            ", ".join(f"{child or 'a body'} in {parent or 'no frame'}" for parent, child in samples)
+        )
+        raise RecordingError(
+            f"{path}: expected the poses of one frame in one other on {topic}, found {pairs or 'none'}; of "
+            f"transforms, name the frame, {flag('to_frame')}."
+        )
+    return _rows(path, next(iter(samples.values())))
+
+
+def _take(path: Path, samples: dict[Any, _Samples], header: Any, child: str, kind: str, message: Any) -> None:
+    """Keep the numbers of a stamped message."""
+    if kind == _TRANSFORM:
+        position, orientation = message.transform.translation, message.transform.rotation
+    else:
+        pose = message.pose if kind == _POSE else message.pose.pose
+        position, orientation = pose.position, pose.orientation
+    kept = samples.setdefault((_plain(header.frame_id), _plain(child)), _Samples())
+    if len(kept.stamps) == MOST_ROWS:
+        raise RecordingError(f"{path}: has more than {MOST_ROWS} poses; cut the recording into files.")
+    kept.add(header.stamp, position, orientation)
+
+
+def _rows(path: Path, samples: _Samples) -> Rows:
+    """Rows in the order of their stamps."""
+    stamps = np.asarray(samples.stamps)
+    values = np.asarray(samples.values).reshape(-1, 7)
+    where, notes = np.arange(len(stamps)), []
+    if late := int(np.sum(np.diff(stamps) < 0)):
+        where = np.argsort(stamps, kind="stable")
+        stamps, values = stamps[where], values[where]
+        notes.append(f"{late} messages came after later ones; all are sorted by their stamps.")
+    if not stamps.any():  # nobody set them
+        return Rows(path, "message", where, values, None, notes=notes)
+    seconds, rest = divmod(int(stamps[0]), 1_000_000_000)
+    origin = f"{seconds}.{rest:09d}" if stamps[0] else None
+    times = 1e-9 * (stamps - stamps[0])
+    return Rows(path, "message", where, values, times, origin, notes)
+
+
+def _read_chain(path: Path, bag: _Bag, ground: str, body: str) -> Rows:
+    """Poses of a tf frame in another; reads the bag twice, so that only the edges between are kept."""
+    edges = _edges(bag)
+    chain = Edge.chain(path, edges, _plain(ground), _plain(body))
+    samples: dict[tuple[str, str], _Samples] = {}
+    wanted = {(edge.parent, edge.child): edge for edge, _ in chain}
+    for connection, message in bag.messages(bag.connections(_TF)):
+        for each in message.transforms:
+            edge = wanted.get((_plain(each.header.frame_id), _plain(each.child_frame_id)))
+            if edge is not None and edge.static == _is_static(connection):
+                _take(path, samples, each.header, each.child_frame_id, _TRANSFORM, each)
+    rows = {key: _rows(path, kept) for key, kept in samples.items()}
+    return chain_rows(path, [(edge, along, rows[edge.parent, edge.child]) for edge, along in chain])
+
+
+def _edges(bag: _Bag) -> list[Edge]:
+    """All pairs of frames; those that are published as static and moving are moving."""
+    counts: dict[tuple[str, str], list[int]] = {}
+    for connection, message in bag.messages(bag.connections(_TF)):
+        static = _is_static(connection)
+        for each in message.transforms:
+            key = _plain(each.header.frame_id), _plain(each.child_frame_id)
+            counts.setdefault(key, [0, 0])[static] += 1
+    return [
+        Edge(parent, child, static=not moving, count=moving or still)
+        for (parent, child), (moving, still) in counts.items()
+    ]
+
+
+def _is_static(connection: Any) -> bool:
+    return bool(connection.topic.endswith("tf_static"))
+
+
+def _plain(frame: str) -> str:
+    """The name of a frame; tf once wrote a slash before it."""
+    return frame.removeprefix("/")
+
+
+def _contents(path: Path) -> list[Entry]:
+    with _open(path) as bag:
+        counts: dict[tuple[str, str], int] = {}
+        for each in bag.connections(_TOPICS):
+            key = each.topic, each.msgtype.replace("/msg/", "/")
+            counts[key] = counts.get(key, 0) + each.msgcount
+        found = [
+            Entry("topic", topic, f"{kind}, {count} messages") for (topic, kind), count in counts.items()
+        ]
+        return found + [Entry(*each) for each in describe_frames(_edges(bag))]
+
+
+def _recognises(path: Path, head: bytes) -> bool:
+    if path.is_dir():
+        return (path / "metadata.yaml").is_file()
+    magic = {".bag": b"#ROSBAG V", ".mcap": b"\x89MCAP", ".db3": b"SQLite format 3\0"}
+    return head.startswith(magic[path.suffix.lower()])
+
+
+BAG = Reader(
+    name="a ROS bag",
+    suffixes=(".bag", ".mcap", ".db3", "/"),
+    recognises=_recognises,
+    read=read_bag,
+    options=frozenset({"topic", "from_frame", "to_frame", "in_body", "unit"}),
+    contents=_contents,
+)

@@ -1,0 +1,87 @@
+"""Data sets of HDF5 files, such as those of robomimic; the user names them."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from reframe_jax.recordings.readers.columns import Column, column_entries, find_columns, pose_rows
+from reframe_jax.recordings.readers.reader import Entry, Reader, import_extra, stumbling
+from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.recordings.rows import MOST_ROWS, Rows
+from reframe_jax.recordings.selection import Selection
+
+__all__ = ["HDF5", "read_hdf5"]
+
+_WHOLE = "a whole HDF5 file"
+
+
+def read_hdf5(path: Path, wanted: Selection) -> Rows:
+    """Read positions and orientations; these files have no times.
+
+    Args:
+        path: the file.
+        wanted: the paths of the data sets, and how the orientations are meant.
+
+    Raises:
+        RecordingError: if the file is damaged, or the data sets are not in it or do not fit, or h5py is
+            missing.
+    """
+    library = import_extra(path, "h5py", "hdf5")
+    with stumbling(path, _WHOLE), library.File(path, "r") as file:
+        sets = _sets(library, file)
+        chosen = find_columns(path, wanted, [*sets])
+        counts = {len(sets[column.name]) for columns in chosen for column in columns}
+        if len(counts) > 1 or max(counts) > MOST_ROWS:
+            raise RecordingError(
+                f"{path}: expected data sets of the same length, up to {MOST_ROWS}; found "
+                f"{', '.join(map(str, sorted(counts)))}."
+            )
+        positions, orientations = (
+            np.hstack([_numbers(sets[column.name], column) for column in columns]) for columns in chosen
+        )
+    return pose_rows(path, positions, orientations, None, wanted)
+
+
+def _sets(library: Any, file: Any) -> dict[str, Any]:
+    """Data sets of numbers, a few for each row, by their paths."""
+    found: dict[str, Any] = {}
+
+    def visit(name: str, thing: Any) -> None:
+        if isinstance(thing, library.Dataset) and thing.dtype.kind in "fiu" and thing.ndim in (1, 2, 3):
+            found[name] = thing
+
+    file.visititems(visit)
+    return found
+
+
+def _numbers(data: Any, column: Column) -> np.ndarray:
+    """Some numbers of all rows, (N, k); only these are read, few as those of a pose are."""
+    if data.ndim != 2:
+        matrices = data.ndim == 3 and data.shape[1:] == (3, 3)
+        shape = len(data), 9 if matrices else int(data.ndim == 1)
+        return np.asarray(data[()], float).reshape(shape)[:, column.part] if shape[1] else np.empty(shape)
+    wanted = range(*column.part.indices(data.shape[1]))
+    return np.asarray(data[:, column.part], float) if len(wanted) <= 9 else np.empty((len(data), len(wanted)))
+
+
+def _contents(path: Path) -> list[Entry]:
+    library = import_extra(path, "h5py", "hdf5")
+    with stumbling(path, _WHOLE), library.File(path, "r") as file:
+        return column_entries(
+            [
+                (name, int(np.prod(data.shape[1:])), f"{data.shape} {data.dtype}")
+                for name, data in _sets(library, file).items()
+                if data.ndim < 3 or data.shape[1:] == (3, 3)
+            ]
+        )
+
+
+HDF5 = Reader(
+    name="an HDF5 file",
+    suffixes=(".hdf5", ".h5"),
+    recognises=lambda path, head: head.startswith(b"\x89HDF\r\n\x1a\n"),
+    read=read_hdf5,
+    options=frozenset({"position", "orientation", "quaternion", "angles", "unit"}),
+    contents=_contents,
+)

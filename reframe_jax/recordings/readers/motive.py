@@ -1,0 +1,129 @@
+"""Rigid bodies in a CSV export of OptiTrack Motive, format version 1.2 and later.
+
+The first line holds pairs of names and values: units, rotation type, coordinate space. Rows of types, names
+and components of all columns follow, down to the row ``Frame, Time (Seconds), X, Y, Z, ...``. Quaternions
+are told by their axis names. Euler angles are in degrees, about the moving axes, in the order of the header.
+Cells are empty where a body was not seen. The ground frame is that of the export, y up unless changed.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from reframe_jax.geometry.numpy_rotations import euler_matrices
+from reframe_jax.recordings.readers.exports import collect, matrix_rows, split
+from reframe_jax.recordings.readers.lines import read_lines
+from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name
+from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.recordings.rows import Rows, shown
+from reframe_jax.recordings.selection import ANGLES, Selection
+
+__all__ = ["MOTIVE", "read_motive"]
+
+_METRES = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3}
+_ORDERS = [order for order in ANGLES if order.isupper()]
+_BODIES = ("Rigid Body", "Bone")
+_MOST_HEADINGS = 12  # rows between the first line and the row of axes
+
+
+@dataclass(frozen=True)
+class _Header:
+    """What the rows before the numbers say."""
+
+    about: dict[str, str]
+    width: int
+    time: int
+    bodies: dict[str, dict[str, int]]  # name -> "Rotation X" and the like -> column
+
+
+def read_motive(path: Path, wanted: Selection) -> Rows:
+    """Read a rigid body or bone.
+
+    Args:
+        path: the file.
+        wanted: the body; needed if there are several.
+
+    Raises:
+        RecordingError: if the header is not that of such an export, or the body is not in it.
+    """
+    lines = _lines(path)
+    header = _read_header(path, lines)
+    body = header.bodies[choose_name(path, "body", wanted.body, [*header.bodies], "rigid bodies")]
+    rotation, metres = header.about.get("Rotation Type", ""), header.about.get("Length Units", "")
+    if metres.lower() not in _METRES:
+        raise RecordingError(
+            f"{path}: line 1: expected Length Units of Meters, Centimeters or Millimeters, found "
+            f"{shown(metres, 40)!r}."
+        )
+    quaternion = rotation.lower() == "quaternion"
+    if not quaternion and rotation not in _ORDERS:
+        raise RecordingError(
+            f"{path}: line 1: expected a Rotation Type of Quaternion or {', '.join(_ORDERS)}, found "
+            f"{shown(rotation, 40)!r}."
+        )
+    names = [f"Position {axis}" for axis in "XYZ"]
+    names += [f"Rotation {axis}" for axis in ("XYZW" if quaternion else rotation)]
+    if missing := [name for name in names if name not in body]:
+        raise RecordingError(f"{path}: no column for {', '.join(missing)} of the body; export both.")
+    rows = collect(path, lines, header.width, [body[name] for name in names], header.time)
+    rows.metres = _METRES[metres.lower()]
+    if not quaternion:
+        turned = euler_matrices(rotation, np.radians(rows.values[:, 3:]))
+        rows.values = matrix_rows(turned, rows.values[:, :3])
+    return rows
+
+
+def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
+    for number, line in read_lines(path, "\r\n"):
+        yield number, split(line, ",")
+
+
+def _read_header(path: Path, lines: Iterator[tuple[int, list[str]]]) -> _Header:
+    """Take the lines down to the row of axes.
+
+    Raises:
+        RecordingError: if they are not as expected.
+    """
+    first = next(lines)[1]
+    about = dict(pairwise(first))  # names of takes may hold commas
+    headings: list[list[str]] = []
+    for _, cells in lines:
+        if cells[0] == "Frame" or len(headings) == _MOST_HEADINGS:
+            break
+        headings.append(cells)
+    else:
+        cells = [""]
+    if cells[0] != "Frame" or len(headings) < 3 or not cells[1:2] or not cells[1].startswith("Time"):
+        raise RecordingError(
+            f"{path}: expected the header of a Motive export of version 1.2 or later: rows of types, names "
+            f"and components, then Frame,Time (Seconds),X,...; the file says version "
+            f"{shown(about.get('Format Version', ''), 20)!r}."
+        )
+    types, names, parts = headings[0], headings[1], headings[-1]
+    bodies: dict[str, dict[str, int]] = {}
+    for column, axis in enumerate(cells):
+        kind, name, part = (row[column] if column < len(row) else "" for row in (types, names, parts))
+        if kind in _BODIES and part in ("Rotation", "Position"):
+            if kind == "Bone" and about.get("Coordinate Space") == "Local":
+                continue  # relative to its parent: no pose in the ground frame
+            if bodies.setdefault(name, {}).setdefault(f"{part} {axis}", column) != column:
+                raise RecordingError(f"{path}: two bodies are called {shown(name, 40)!r}; rename one.")
+    return _Header(about, len(cells), 1, bodies)
+
+
+def _contents(path: Path) -> list[Entry]:
+    header = _read_header(path, _lines(path))
+    return [Entry("body", name, "rigid body") for name in header.bodies]
+
+
+MOTIVE = Reader(
+    name="an export of OptiTrack Motive",
+    suffixes=(".csv",),
+    recognises=lambda path, head: head.removeprefix(b"\xef\xbb\xbf").startswith(b"Format Version,"),
+    read=read_motive,
+    options=frozenset({"body", "in_body"}),
+    contents=_contents,
+)

@@ -1,0 +1,108 @@
+"""Columns of Parquet files, such as those of LeRobot; the user names them."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from reframe_jax.recordings.readers.columns import Column, column_entries, find_columns, pose_rows
+from reframe_jax.recordings.readers.reader import Entry, Reader, import_extra, stumbling
+from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.recordings.rows import MOST_ROWS, Rows, shown
+from reframe_jax.recordings.selection import Selection, flag
+
+__all__ = ["PARQUET", "read_parquet"]
+
+_WHOLE = "a whole Parquet file"
+_TIME, _EPISODE = Column("timestamp"), Column("episode_index")  # as LeRobot calls them
+_BATCH = 2**14  # rows
+_LISTED = 10  # episodes in a message
+
+
+def read_parquet(path: Path, wanted: Selection) -> Rows:
+    """Read positions and orientations, and times from the column ``timestamp``, in s.
+
+    Args:
+        path: the file.
+        wanted: the columns, how the orientations are meant, and the episode; needed if the file has several.
+
+    Raises:
+        RecordingError: if the file is damaged, or the columns or the episode are not in it, or pyarrow is
+            missing.
+    """
+    library = import_extra(path, "pyarrow.parquet", "parquet")
+    with stumbling(path, _WHOLE), library.ParquetFile(path) as file:
+        names = file.schema_arrow.names
+        chosen = find_columns(path, wanted, names)
+        timed, numbered = _TIME.name in names, _EPISODE.name in names
+        if wanted.episode is not None and not numbered:
+            raise RecordingError(f"{path}: has no column {_EPISODE.name}; leave out {flag('episode')}.")
+        groups = [*chosen, *([[_TIME]] if timed else [])]
+        every = [column for group in groups for column in group] + ([_EPISODE] if numbered else [])
+        parts: list[list[np.ndarray]] = [[] for _ in groups]
+        episodes: set[int] = set()
+        count = 0
+        for batch in file.iter_batches(_BATCH, columns=list(dict.fromkeys(each.name for each in every))):
+            kept = np.ones(len(batch), bool)
+            if numbered:
+                number = _numbers(path, batch, _EPISODE)[:, 0]
+                episodes |= set(number.astype(int).tolist())
+                kept = kept if wanted.episode is None else number == wanted.episode
+            count += int(kept.sum())
+            if count > MOST_ROWS:
+                raise RecordingError(f"{path}: has more than {MOST_ROWS} rows; cut the recording into files.")
+            for group, part in zip(groups, parts, strict=True):
+                part.append(np.hstack([_numbers(path, batch, column)[kept] for column in group]))
+    if (wanted.episode is None and len(episodes) > 1) or (wanted.episode not in (None, *episodes)):
+        listed = ", ".join(map(str, sorted(episodes)[:_LISTED])) + (
+            ", ..." if len(episodes) > _LISTED else ""
+        )
+        raise RecordingError(f"{path}: holds the episodes {listed}; name one of them, {flag('episode')}.")
+    if not count:
+        raise RecordingError(f"{path}: has no rows.")
+    arrays = [np.concatenate(part) for part in parts]
+    return pose_rows(path, arrays[0], arrays[1], arrays[2][:, 0] if timed else None, wanted)
+
+
+def _numbers(path: Path, batch: Any, column: Column) -> np.ndarray:
+    """Some numbers of each row of a batch, (N, k); NaN where one is missing.
+
+    Raises:
+        RecordingError: if the column holds something else, or lists of different lengths.
+    """
+    cells = batch.column(column.name)
+    kind = str(cells.type)
+    if "list<" in kind:
+        flat = cells.flatten()
+        if cells.null_count or len(flat) % max(len(cells), 1):
+            raise RecordingError(f"{path}: the lists of {shown(column.name, 80)} are not of the same length.")
+    else:
+        flat = cells
+    if not any(word in str(flat.type) for word in ("float", "double", "int")) or "list<" in str(flat.type):
+        raise RecordingError(
+            f"{path}: expected numbers in {shown(column.name, 80)}, found {shown(kind, 80)}."
+        )
+    values = flat.to_numpy(zero_copy_only=False).astype(float)
+    return values.reshape(len(cells), -1)[:, column.part]
+
+
+def _contents(path: Path) -> list[Entry]:
+    library = import_extra(path, "pyarrow.parquet", "parquet")
+    with stumbling(path, _WHOLE), library.ParquetFile(path) as file:
+        rows = file.metadata.num_rows
+        columns = [
+            (each.name, getattr(each.type, "list_size", 1), f"{each.type}, {rows} rows")
+            for each in file.schema_arrow
+            if any(word in str(each.type) for word in ("float", "double"))
+        ]
+        return column_entries(columns)
+
+
+PARQUET = Reader(
+    name="a Parquet file",
+    suffixes=(".parquet",),
+    recognises=lambda path, head: head.startswith(b"PAR1"),
+    read=read_parquet,
+    options=frozenset({"position", "orientation", "quaternion", "angles", "episode", "unit"}),
+    contents=_contents,
+)

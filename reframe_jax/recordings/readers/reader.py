@@ -1,0 +1,121 @@
+"""What a reader is, and what readers share."""
+
+import importlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+
+from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.recordings.rows import Rows, shown
+from reframe_jax.recordings.selection import Selection, flag
+
+__all__ = ["Entry", "Reader", "choose_name", "import_extra", "stumbling"]
+
+_LISTED = 20  # names in a message
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Something that can be read from a file.
+
+    Attributes:
+        option: name of the option that selects it, such as ``topic``.
+        name: what to give to that option.
+        detail: a few words on it: type, number of samples.
+    """
+
+    option: str
+    name: str
+    detail: str
+
+
+@dataclass(frozen=True)
+class Reader:
+    """How to read one format.
+
+    Attributes:
+        name: what messages call it, with an article: "a ROS bag".
+        suffixes: of its files, in lower case with the dot; "/" for folders.
+        recognises: whether the path and the first bytes of the file (none of a folder) belong to the format.
+        read: reads the rows. It raises :class:`RecordingError` for unreadable contents; OSError and
+            UnicodeDecodeError may propagate.
+        options: names of the options in :class:`Selection` that it uses.
+        contents: lists what can be read, for formats whose files hold several things.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    recognises: Callable[[Path, bytes], bool]
+    read: Callable[[Path, Selection], Rows]
+    options: frozenset[str]
+    contents: Callable[[Path], list[Entry]] | None = None
+
+
+def import_extra(path: Path, module: str, extra: str) -> ModuleType:
+    """Import an optional library.
+
+    Raises:
+        RecordingError: if it is not installed; the message names the extra.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        library = module.partition(".")[0]
+        raise RecordingError(
+            f"{path}: needs {library}, which is not installed: pip install 'reframe-jax[{extra}]'."
+        ) from error
+
+
+@contextmanager
+def stumbling(path: Path, what: str) -> Iterator[None]:
+    """Turn whatever a library raises about the contents of a file into one line.
+
+    Args:
+        path: the file.
+        what: what the file should be, such as "a whole C3D file".
+
+    Raises:
+        RecordingError: for everything except errors of the disk.
+    """
+    try:
+        yield
+    except RecordingError:
+        raise
+    except OSError as error:
+        if error.errno is not None:
+            raise
+        raise _unreadable(path, what, error) from error
+    except Exception as error:
+        raise _unreadable(path, what, error) from error
+
+
+def _unreadable(path: Path, what: str, error: Exception) -> RecordingError:
+    reason = shown(" ".join(str(error).split())) or type(error).__name__
+    return RecordingError(f"{path}: expected {what}; it cannot be read: {reason.rstrip('.')}.")
+
+
+def choose_name(path: Path, option: str, wanted: str | None, names: list[str], what: str) -> str:
+    """The name that the user gave, or the only one there is.
+
+    Args:
+        path: the file.
+        option: name of the option.
+        wanted: its value.
+        names: those in the file.
+        what: what they are, in the plural: "rigid bodies".
+
+    Raises:
+        RecordingError: if there is no such name, or several and none was given; the message lists them.
+    """
+    if wanted in names:
+        return wanted
+    listed = ", ".join(shown(name, 60) for name in names[:_LISTED]) + (", ..." if names[_LISTED:] else "")
+    if not names:
+        raise RecordingError(f"{path}: has no {what}.")
+    if wanted is not None:
+        raise RecordingError(f"{path}: has no {shown(wanted, 60)!r} among its {what}: {listed}.")
+    if len(names) > 1:
+        raise RecordingError(f"{path}: has several {what}; name one, {flag(option)}: {listed}.")
+    return names[0]

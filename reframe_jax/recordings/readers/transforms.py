@@ -1,0 +1,152 @@
+"""Chains of transforms between frames, as tf has them: a tree of edges, some of which move."""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from reframe_jax.recordings.checks import make_poses
+from reframe_jax.recordings.readers.exports import matrix_rows
+from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.recordings.relative import interpolate_poses, invert_poses
+from reframe_jax.recordings.rows import Rows, shown
+
+__all__ = ["Edge", "chain_rows", "describe_frames"]
+
+_LISTED = 20  # frames in a message
+
+
+@dataclass(frozen=True)
+class Edge:
+    """The pose of a child frame in its parent.
+
+    Attributes:
+        parent: frame.
+        child: frame.
+        static: whether the pose holds for all times.
+        count: number of transforms.
+    """
+
+    parent: str
+    child: str
+    static: bool
+    count: int
+
+    @staticmethod
+    def chain(path: Path, edges: Sequence["Edge"], ground: str, body: str) -> list[tuple["Edge", bool]]:
+        """The edges from one frame to another, each with whether it leads from parent to child.
+
+        Raises:
+            RecordingError: if a frame is unknown, or no edges connect them.
+        """
+        near: dict[str, list[tuple[str, Edge, bool]]] = {}
+        for edge in edges:
+            near.setdefault(edge.parent, []).append((edge.child, edge, True))
+            near.setdefault(edge.child, []).append((edge.parent, edge, False))
+        names = sorted(near)
+        listed = shown(", ".join(names[:_LISTED]), 1000) + (", ..." if names[_LISTED:] else "")
+        for frame in (ground, body):
+            if frame not in near:
+                raise RecordingError(
+                    f"{path}: has no tf frame {shown(frame, 60)!r}; frames: {listed or 'none'}."
+                )
+        if ground == body:
+            raise RecordingError(f"{path}: expected two frames, found {shown(ground, 60)!r} twice.")
+        before: dict[str, tuple[str, Edge, bool]] = {}
+        waiting = deque([ground])
+        while waiting and body not in before:
+            frame = waiting.popleft()
+            for other, edge, along in near[frame]:
+                if other not in before and other != ground:
+                    before[other] = (frame, edge, along)
+                    waiting.append(other)
+        if body not in before:
+            raise RecordingError(
+                f"{path}: no transforms connect {shown(ground, 60)} with {shown(body, 60)}; frames: {listed}."
+            )
+        found, frame = [], body
+        while frame != ground:
+            frame, edge, along = before[frame]
+            found.append((edge, along))
+        return found[::-1]
+
+
+def chain_rows(path: Path, chain: Sequence[tuple[Edge, bool, Rows]]) -> Rows:
+    """Poses along a chain, at the stamps of its moving edge.
+
+    Where several edges move, the one with the fewest stamps gives them, and the others are interpolated:
+    positions linearly, orientations along the shortest turn. Stamps at which another edge is unknown, as they
+    are before its first transform, after its last, or in a gap of five of its median steps, are left out. Of
+    a static edge, the last transform counts.
+
+    Args:
+        path: the file.
+        chain: edges from the ground to the body, whether each leads from parent to child, and their poses.
+
+    Returns:
+        Rows of matrices, in the unit of the file.
+
+    Raises:
+        RecordingError: if no edge moves, or the edges have no times in common.
+    """
+    for edge, _, rows in chain:
+        _clean(path, edge, rows)
+    moving = [rows for edge, _, rows in chain if not edge.static]
+    if not moving:
+        raise RecordingError(f"{path}: all transforms between the two frames are static: nothing moves.")
+    own = min(moving, key=lambda rows: len(rows.values))
+    times = _seconds(own, own)
+    poses, known = np.tile(np.eye(4), (len(times), 1, 1)), np.ones(len(times), bool)
+    for edge, along, rows in chain:
+        here = make_poses(rows)
+        if edge.static:
+            here = here[-1:]
+        elif rows is not own:
+            found, seen = interpolate_poses(_seconds(rows, own), here, times)
+            here = np.tile(np.eye(4), (len(times), 1, 1))
+            here[seen], known = found, known & seen
+        poses = poses @ (here if along else invert_poses(here))
+    if not known.any():
+        raise RecordingError(f"{path}: the moving frames of the chain have no times in common.")
+    values = matrix_rows(poses[:, :3, :3], poses[:, :3, 3])
+    notes = [note for _, _, rows in chain for note in rows.notes]
+    joined = Rows(path, own.word, own.where, values, own.times, own.origin, notes)
+    joined.keep(known, "another frame of the chain has no transform at that time")
+    return joined
+
+
+def _clean(path: Path, edge: Edge, rows: Rows) -> None:
+    """Drop transforms that cannot be used.
+
+    Raises:
+        RecordingError: if none is left, or those of a moving edge have no stamps.
+    """
+    what = f"transform of {shown(edge.child, 60)} in {shown(edge.parent, 60)}"
+    rows.keep(np.isfinite(rows.values).all(axis=1), f"a number of a {what} is missing or not finite")
+    if not edge.static and rows.times is None:
+        raise RecordingError(f"{path}: the stamps of every {what} are 0; expected times.")
+    if not edge.static and rows.times is not None and len(rows.times):
+        rows.keep(np.append(True, np.diff(rows.times) > 0), f"the stamp of a {what} is repeated")
+    fewest = 1 if edge.static else 2
+    if len(rows.values) < fewest:
+        raise RecordingError(f"{path}: has {len(rows.values)} usable {what}; expected {fewest} or more.")
+
+
+def describe_frames(edges: Sequence[Edge]) -> list[tuple[str, str, str]]:
+    """Frames as options of reading: option, name, and what is known of the frame."""
+    children = {edge.child for edge in edges}
+    roots = dict.fromkeys(edge.parent for edge in edges if edge.parent not in children)
+    found = [("from_frame", root, "tf frame without a parent") for root in roots]
+    for edge in edges:
+        kind = "static" if edge.static else f"{edge.count} transforms"
+        found.append(("to_frame", edge.child, f"tf frame in {edge.parent}, {kind}"))
+    return found
+
+
+def _seconds(rows: Rows, other: Rows) -> np.ndarray:
+    """Times (N,) s of rows, on the clock of others; both count from their origins."""
+    times = np.zeros(len(rows.values)) if rows.times is None else rows.times
+    whole, part = ([int(each or 0) for each in (rows.origin or "0.0").split(".")] for rows in (rows, other))
+    return times + (whole[0] - part[0]) + 1e-9 * (whole[1] - part[1])

@@ -1,0 +1,111 @@
+"""The motion of one body relative to another."""
+
+from dataclasses import replace
+from decimal import Decimal, InvalidOperation
+
+import numpy as np
+
+from reframe_jax.geometry.numpy_rotations import rotation_matrices, rotation_vectors
+from reframe_jax.recordings.checks import MIN_POSES
+from reframe_jax.recordings.recording import Recording, RecordingError
+
+__all__ = ["interpolate_poses", "invert_poses", "relative_poses"]
+
+_GAP = 5.0  # median steps, after which a body counts as lost
+_BLOCK = 2**14  # poses worked on at once
+
+
+def relative_poses(a: Recording, b: Recording) -> Recording:
+    """Poses of one body in the frame of another: ``inv(B) A``, at the times of ``a``.
+
+    Where ``b`` has no pose at that time, it is interpolated between its neighbours: the position linearly,
+    the orientation by turning at a constant rate about one axis. Times before or after ``b``, and in gaps of
+    ``b`` longer than five of its median steps, are left out with a note.
+
+    Args:
+        a: the body whose motion is wanted.
+        b: the body in whose frame it is expressed, in the same ground frame and on the same clock. Times
+            that count from different origins are compared by their origins.
+
+    Returns:
+        The recording of ``a``, its poses those in the frame of ``b``; wrenches are kept as they are.
+
+    Raises:
+        RecordingError: if they have too few times in common.
+    """
+    if len(b.times) < 2:
+        raise RecordingError(f"{b.path}: expected two poses or more of the other body, found {len(b.times)}.")
+    times = a.times + _shift(a, b)
+    poses, known = interpolate_poses(b.times, b.poses, times)
+    if known.sum() < MIN_POSES:
+        raise RecordingError(
+            f"{a.path}: only {known.sum()} of its poses are at times of the other body, in {b.path}; "
+            f"expected {MIN_POSES} or more."
+        )
+    notes = [*a.notes, *(note for note in b.notes if note not in a.notes)]
+    if left := len(times) - int(known.sum()):
+        notes.append(f"{left} of {len(times)} poses left out: the other body was not tracked at their times.")
+    return replace(
+        a,
+        times=a.times[known],
+        poses=invert_poses(poses) @ a.poses[known],
+        notes=tuple(notes),
+        wrenches=None if a.wrenches is None else a.wrenches[known],
+    )
+
+
+def interpolate_poses(
+    times: np.ndarray, poses: np.ndarray, wanted: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Interpolate poses: positions linearly, orientations along the shortest turn at a constant rate.
+
+    Args:
+        times: (N,) s, increasing.
+        poses: (N, 4, 4).
+        wanted: (M,) s.
+
+    Returns:
+        Poses (L, 4, 4) at those wanted times that are ``known`` (M,) bool: within the times, and not in a gap
+        longer than five median steps.
+    """
+    after = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
+    steps = np.diff(times)
+    exact = times[np.clip(np.searchsorted(times, wanted), 0, len(times) - 1)] == wanted
+    inside = (wanted >= times[0]) & (wanted <= times[-1])
+    known = exact | (inside & (steps[after - 1] <= _GAP * np.median(steps)))
+    after, wanted = after[known], wanted[known]
+    share = (wanted - times[after - 1]) / steps[after - 1]
+    found = np.empty((len(wanted), 4, 4))
+    for start in range(0, len(wanted), _BLOCK):
+        part = slice(start, start + _BLOCK)
+        found[part] = _between(poses[after[part] - 1], poses[after[part]], share[part])
+    return found, known
+
+
+def _between(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Poses at shares (N,) of the way from the first to the second (N, 4, 4); exact at 0 and 1."""
+    turns = rotation_vectors(first[:, :3, :3].swapaxes(1, 2) @ second[:, :3, :3])
+    found = first.copy()
+    found[:, :3, :3] = first[:, :3, :3] @ rotation_matrices(share[:, None] * turns)
+    found[:, :3, 3] += share[:, None] * (second[:, :3, 3] - first[:, :3, 3])
+    found[share == 0], found[share == 1] = first[share == 0], second[share == 1]
+    return found
+
+
+def invert_poses(poses: np.ndarray) -> np.ndarray:
+    """Inverse poses (N, 4, 4)."""
+    found = np.zeros_like(poses)
+    found[:, :3, :3] = poses[:, :3, :3].swapaxes(1, 2)
+    found[:, :3, 3] = -np.einsum("nij,nj->ni", found[:, :3, :3], poses[:, :3, 3])
+    found[:, 3, 3] = 1
+    return found
+
+
+def _shift(a: Recording, b: Recording) -> float:
+    """What to add to times of ``a``, s, to have them on the clock of ``b``."""
+    try:
+        return float(Decimal(a.origin or 0) - Decimal(b.origin or 0))
+    except InvalidOperation as error:
+        raise RecordingError(
+            f"{a.path}: expected origins that are numbers of seconds, not {a.origin!r} and {b.origin!r}."
+        ) from error

@@ -1,0 +1,73 @@
+"""What a user chooses to read from a file: the same words in Python and on the command line."""
+
+from dataclasses import dataclass, fields
+from typing import Literal, get_args
+
+from reframe_jax.recordings.recording import RecordingError
+
+__all__ = ["ANGLES", "QUATERNIONS", "UNITS", "Angles", "Quaternion", "Selection", "Unit", "flag"]
+
+Unit = Literal["m", "cm", "mm"]
+Quaternion = Literal["xyzw", "wxyz"]
+Angles = Literal["vector", "XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX", "xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
+UNITS: dict[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+QUATERNIONS: tuple[str, ...] = get_args(Quaternion)
+ANGLES: tuple[str, ...] = get_args(Angles)
+
+_CHOICES = {"unit": tuple(UNITS), "quaternion": QUATERNIONS, "angles": ANGLES}
+_FLAGS = {"from_frame": "--from", "to_frame": "--to", "in_body": "--in"}
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Options of reading; None where the user says nothing.
+
+    Attributes:
+        unit: unit of the positions in the file.
+        topic: topic of a bag.
+        from_frame: tf frame that serves as the ground.
+        to_frame: tf frame whose pose is read.
+        body: name of a rigid body; in a C3D, a prefix of marker names or a list of them with commas.
+        in_body: body in whose frame the poses are expressed, named like ``body``; in a bag, a topic.
+        position: column of the positions.
+        orientation: column of the orientations.
+        quaternion: order of the numbers of a quaternion.
+        angles: what three angles mean: a rotation vector, or turns about the moving axes (XYZ) or the
+            fixed axes (xyz), the first letter first.
+        episode: number of the episode.
+    """
+
+    unit: Unit | None = None
+    topic: str | None = None
+    from_frame: str | None = None
+    to_frame: str | None = None
+    body: str | None = None
+    in_body: str | None = None
+    position: str | None = None
+    orientation: str | None = None
+    quaternion: Quaternion | None = None
+    angles: Angles | None = None
+    episode: int | None = None
+
+    def __post_init__(self) -> None:
+        for name, choices in _CHOICES.items():
+            value = getattr(self, name)
+            if value is not None and value not in choices:
+                raise RecordingError(f"{name} must be one of {', '.join(choices)}, not {value!r}.")
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name == "episode":
+                if value is not None and (not isinstance(value, int) or value < 0):
+                    raise RecordingError(f"episode must be a number from 0, not {value!r}.")
+            elif value is not None and (not isinstance(value, str) or not value):
+                raise RecordingError(f"{field.name} must be a name, not {value!r}.")
+
+    @property
+    def given(self) -> list[str]:
+        """Names of the options that are set."""
+        return [field.name for field in fields(self) if getattr(self, field.name) is not None]
+
+
+def flag(name: str) -> str:
+    """An option as messages call it, in Python and on the command line: ``in_body (--in)``."""
+    return f"{name} ({_FLAGS.get(name, '--' + name)})"
