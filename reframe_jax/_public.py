@@ -4,12 +4,16 @@ from reframe_jax.constraints.catalogue import CONSTRAINTS, Constraint, constrain
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.types import AngularType, AxisRelation, LinearType
 from reframe_jax.export.json import to_json
+from reframe_jax.export.mjcf import to_mjcf, to_mjspec
+from reframe_jax.export.sdf import to_sdf
 from reframe_jax.export.table import to_table
+from reframe_jax.export.urdf import to_urdf
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.entry import default_solver, identify
 from reframe_jax.identification.online import OnlineIdentifier
 from reframe_jax.identification.results import AngularFrame, Candidates, Identification, LinearFrame
 from reframe_jax.identification.velocities import frame_velocities
+from reframe_jax.joints.joint import Joint
 from reframe_jax.motion.checks import Status
 from reframe_jax.motion.windows import sliding_windows
 from reframe_jax.recordings.cleaning import clean_recording, pose_noise, pose_outliers, recording_warnings
@@ -30,6 +34,7 @@ __all__ = [
     "ConstraintFrame",
     "FrameSteps",
     "Identification",
+    "Joint",
     "LinearFrame",
     "LinearType",
     "NewtonSteps",
@@ -56,5 +61,9 @@ __all__ = [
     "save_recording",
     "sliding_windows",
     "to_json",
+    "to_mjcf",
+    "to_mjspec",
+    "to_sdf",
     "to_table",
+    "to_urdf",
 ]
