@@ -7,6 +7,7 @@ from reframe_jax.export.json import to_json
 from reframe_jax.export.mjcf import to_mjcf, to_mjspec
 from reframe_jax.export.sdf import to_sdf
 from reframe_jax.export.table import to_table
+from reframe_jax.export.task_frame import TaskFrame, to_task_frame
 from reframe_jax.export.urdf import to_urdf
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.entry import default_solver, identify
@@ -43,6 +44,7 @@ __all__ = [
     "Recording",
     "RecordingError",
     "Status",
+    "TaskFrame",
     "Thresholds",
     "ValleySteps",
     "clean_recording",
@@ -65,5 +67,6 @@ __all__ = [
     "to_mjspec",
     "to_sdf",
     "to_table",
+    "to_task_frame",
     "to_urdf",
 ]
