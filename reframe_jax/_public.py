@@ -3,6 +3,7 @@
 from reframe_jax.constraints.catalogue import CONSTRAINTS, Constraint, constraint, describe, lookup
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.types import AngularType, AxisRelation, LinearType
+from reframe_jax.export.columns import to_frame
 from reframe_jax.export.json import to_json
 from reframe_jax.export.mjcf import to_mjcf, to_mjspec
 from reframe_jax.export.sdf import to_sdf
@@ -62,6 +63,7 @@ __all__ = [
     "recording_warnings",
     "save_recording",
     "sliding_windows",
+    "to_frame",
     "to_json",
     "to_mjcf",
     "to_mjspec",
