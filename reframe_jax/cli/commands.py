@@ -14,12 +14,14 @@ COMMANDS = {
     "demonstrate": "simulate demonstrations on a robot arm",
     "reproduce": "demonstrate, identify and reproduce a task",
     "constraints": "list the named constraints",
+    "completion": "print a script that completes the command line in a shell",
 }
 EXAMPLES = """\
 examples:
   reframe-jax simulate --constraint A --noise 1e-4 --out door.csv
   reframe-jax identify door.csv --plot door.png
   reframe-jax identify *.csv --window 50 --stride 10 --json answers.json
+  reframe-jax identify door.csv --urdf door.urdf --parent frame --child door
 """
 
 

@@ -167,12 +167,12 @@ def to_task_frame(
     if point_on_body:
         placed[:3, 3] = rotation @ placed[:3, 3] + origin
     # axes that are all alike are fixed in no body
-    decisive = {point_on_body}
-    decisive |= {linear_on_body} if linear.odd is not None else set()
-    decisive |= {angular_on_body} if angular.odd is not None else set()
+    fixed = {"origin": point_on_body}
+    fixed |= {"linear axes": linear_on_body} if linear.odd is not None else {}
+    fixed |= {"angular axes": angular_on_body} if angular.odd is not None else {}
     holder: Literal["ground", "body"] | None = None
-    if len(decisive) == 1:
-        holder = "body" if decisive.pop() else "ground"
+    if len(set(fixed.values())) == 1:
+        holder = "body" if point_on_body else "ground"
     if holder == "body":
         placed = np.linalg.inv(there) @ placed
     free = np.array([*frame.linear_dof, *turns], bool)
@@ -181,8 +181,9 @@ def to_task_frame(
     validity = (
         f"Always: the frame is fixed in {names[holder == 'body']}."
         if holder
-        else f"At one pose of {body}: its origin is fixed in {names[point_on_body]}, its linear axes in "
-        f"{names[linear_on_body]}, its angular axes in {names[angular_on_body]}."
+        else f"At one pose of {body}. Fixed are: "
+        + ", ".join(f"{part} in {names[on_body]}" for part, on_body in fixed.items())
+        + "."
     )
     frame_id = names[holder == "body"]
     return TaskFrame(name, frame_id, task, placed, validity, free, stiffness, turned)
