@@ -13,6 +13,7 @@ COMMANDS = {
     "simulate": "simulate a recording",
     "demonstrate": "simulate demonstrations on a robot arm",
     "reproduce": "demonstrate, identify and reproduce a task",
+    "view": "look at a recording and its constraint in the browser",
     "constraints": "list the named constraints",
     "completion": "print a script that completes the command line in a shell",
 }

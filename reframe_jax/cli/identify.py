@@ -29,7 +29,7 @@ from reframe_jax.recordings.reading import load_recording
 from reframe_jax.recordings.recording import Recording, RecordingError
 from reframe_jax.storage.progress import make_meter
 
-__all__ = ["add_identify"]
+__all__ = ["add_identify", "identify_recording"]
 
 _CHUNK = 2048  # windows between two reports of progress
 _CLOSE = 1.5  # factor from a threshold within which an axis is neither clearly free nor constrained
@@ -194,7 +194,7 @@ def _identify_file(path: Path, options: argparse.Namespace, tables: list[Columns
         recording = load_recording(path, unit=options.unit, dt=options.dt)
         for note in recording.notes:
             say(f"reframe-jax: {path}: {note}")
-        found, windows = _windows(recording, options)
+        found, windows = identify_recording(recording, options)
         close = _close_calls(found, _thresholds(options)) if options.window is None else []
         for note in close:
             say(f"reframe-jax: {path}: {note}")
@@ -253,8 +253,14 @@ def _print_result(
     return f"{path}: {statuses[0].message}" if all(status.failed for status in statuses) else None
 
 
-def _windows(recording: Recording, options: argparse.Namespace) -> tuple[Identification, list[Window]]:
-    """Identify all windows; without --window, the whole recording as a single one."""
+def identify_recording(
+    recording: Recording, options: argparse.Namespace
+) -> tuple[Identification, list[Window]]:
+    """Identify all windows; without --window, the whole recording as a single one.
+
+    Raises:
+        RecordingError: if the recording cannot be used.
+    """
     whole = options.window is None
     length = len(recording.times) if whole else options.window
     if length > len(recording.times):
