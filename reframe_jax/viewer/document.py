@@ -50,7 +50,7 @@ def write_page(path: Path | str, windows: list[WindowTrack], *, title: str = "re
 
 def _panel(windows: list[WindowTrack], title: str) -> str:
     style = (
-        "position:fixed;top:8px;left:8px;z-index:1000;max-height:94vh;overflow:auto;padding:6px 10px;"
+        "position:fixed;top:8px;right:8px;z-index:1000;max-height:88vh;overflow:auto;padding:6px 10px;"
         "background:rgba(255,255,255,.92);border-radius:6px;font:12px sans-serif;color:#222;width:360px"
     )
     parts = []
@@ -58,7 +58,7 @@ def _panel(windows: list[WindowTrack], title: str) -> str:
         begin, end = window.times[0], window.times[-1]
         plots = "".join(_plot(name, rows, window.velocity_times) for name, rows in velocity_series(window))
         parts.append(
-            f"<details{' open' if len(windows) == 1 else ''}><summary><b>{html.escape(window.name)}</b>, "
+            f"<details{' open' if len(windows) == 1 else ''}><summary><b>{html.escape(window.name.rstrip('.'))}</b>, "
             f"{begin:.2f} to {end:.2f} s</summary>{plots}"
             f"<details><summary>result</summary><pre style='font-size:9px'>{html.escape(window.text)}</pre>"
             "</details></details>"

@@ -34,7 +34,7 @@ LEGEND = (
 def scene_box(windows: list[WindowTrack]) -> tuple[np.ndarray, float]:
     """Centre (3,) and size, m, of all that is drawn."""
     points = [window.poses[window.counted, :3, 3] for window in windows]
-    points += [window.frame.origins for window in windows if window.frame is not None]
+    points += [window.frame.origins[window.counted] for window in windows if window.frame is not None]
     together = np.concatenate(points)
     together = together[np.isfinite(together).all(axis=1)]
     if not len(together):
@@ -56,7 +56,7 @@ class Drawing:
 
     def draw(self, window: WindowTrack) -> None:
         """Replace what is drawn by another window, at its first pose."""
-        for node in self._nodes:
+        for node in reversed(self._nodes):  # what hangs on a node comes after it
             node.remove()
         self._nodes, self._moving, self._window = [], {}, window
         scene, size = self._scene, self._size
@@ -79,12 +79,12 @@ class Drawing:
                 lever = np.stack([np.zeros(3), window.frame.in_body])[None]
                 colour, thickness = _rgb(BODY), 0.012 * size
                 self._nodes.append(scene.add_line_segments("/body/lever", lever, colour, thickness=thickness))
+            self._path("/origins", window.frame.origins[window.counted], _ORIGIN, 0.003)
             self._draw_frame(window.frame)
         self.show(0)
 
     def _draw_frame(self, frame: FrameTrack) -> None:
         scene, size = self._scene, self._size
-        self._path("/origins", frame.origins, _ORIGIN, 0.003)
         for name in ("linear", "angular", "spread"):
             node = scene.add_frame(f"/{name}", show_axes=False)
             self._nodes.append(node)
@@ -94,7 +94,7 @@ class Drawing:
             axis = 0.22 * size * np.eye(3)[i]
             name = f"/linear/axis_{i + 1}"
             if frame.linear_free[i]:
-                radii = {
+                radii: dict[str, Any] = {
                     "shaft_radius": 0.006 * size,
                     "head_radius": 0.014 * size,
                     "head_length": 0.04 * size,

@@ -20,7 +20,8 @@ __all__ = ["Page", "close_server", "legend_html", "open_server", "serve_page", "
 
 _HOST = "127.0.0.1"
 _TICK = 0.05  # s between two poses while it plays
-_VIEW = np.array([0.7, -1.0, 0.6])  # of the camera from the centre, in sizes of the scene
+_VIEW = np.array([0.9, -1.3, 0.8])  # of the camera from the centre, in sizes of the scene
+_ASIDE = 0.25  # sizes by which it looks past the centre, which the panel on the right would hide
 
 
 def open_server(windows: list[WindowTrack], port: int) -> tuple["viser.ViserServer", Drawing]:
@@ -42,6 +43,8 @@ def open_server(windows: list[WindowTrack], port: int) -> tuple["viser.ViserServ
         server = viser.ViserServer(host=_HOST, port=port, verbose=False)
     server.scene.set_up_direction("+z")
     server.scene.add_frame("/ground", axes_length=0.15 * size, axes_radius=0.003 * size)
+    right = np.cross([0.0, 0.0, 1.0], _VIEW)
+    centre = centre + _ASIDE * size * right / np.linalg.norm(right)
     server.initial_camera.look_at = tuple(centre)
     server.initial_camera.position = tuple(centre + size * _VIEW)
     server.initial_camera.near = 0.01 * size
@@ -108,9 +111,14 @@ class Page:
         while True:
             time.sleep(_TICK)
             if self._playing.value:
-                times = self._current.times
-                later = self._time.value + _TICK
-                self._time.value = float(later if later <= times[-1] else times[0])
+                self.advance(_TICK)
+
+    def advance(self, seconds: float) -> None:
+        """Move the time on, at the end of the window back to its beginning."""
+        times = self._current.times
+        later = self._time.value + seconds
+        self._time.value = float(later if later <= times[-1] else times[0])
+        self._show()
 
     def close(self) -> None:
         """Stop the server."""
@@ -123,7 +131,7 @@ class Page:
             with self._server.atomic():
                 self._drawing.draw(window)
                 begin, end = float(window.times[0]), float(window.times[-1])
-                self._heading.content = f"**{window.name}**, {begin:.2f} to {end:.2f} s"
+                self._heading.content = f"**{window.name.rstrip('.')}**, {begin:.2f} to {end:.2f} s"
                 self._time.min, self._time.max = min(begin, self._time.min), end
                 self._time.value = begin
                 self._time.min = begin
