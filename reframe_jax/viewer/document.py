@@ -58,8 +58,8 @@ def _panel(windows: list[WindowTrack], title: str) -> str:
         begin, end = window.times[0], window.times[-1]
         plots = "".join(_plot(name, rows, window.velocity_times) for name, rows in velocity_series(window))
         parts.append(
-            f"<details{' open' if len(windows) == 1 else ''}><summary><b>{html.escape(window.name.rstrip('.'))}</b>, "
-            f"{begin:.2f} to {end:.2f} s</summary>{plots}"
+            f"<details{' open' if len(windows) == 1 else ''}><summary>"
+            f"<b>{html.escape(window.name.rstrip('.'))}</b>, {begin:.2f} to {end:.2f} s</summary>{plots}"
             f"<details><summary>result</summary><pre style='font-size:9px'>{html.escape(window.text)}</pre>"
             "</details></details>"
         )
