@@ -3,6 +3,7 @@
 import builtins
 import re
 import socket
+import webbrowser
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from reframe_jax.plotting.scene import frames_in_ground
 from reframe_jax.plotting.style import BODY, CONSTRAINED, OUTLIERS, TURNING
 from reframe_jax.recordings.writing import save_recording
 from reframe_jax.simulation import synthetic
-from reframe_jax.viewer import WindowTrack, serve_page, track_window, write_page
+from reframe_jax.viewer import Page, WindowTrack, serve_page, track_window, write_page
 from reframe_jax.viewer.drawing import scene_box
 from reframe_jax.viewer.page import velocity_series
 
@@ -268,6 +269,35 @@ def test_the_command_writes_a_file(
     assert "cannot be written: No such file or directory" in capsys.readouterr().err
     assert program.main(["view", str(tmp_path / "no.csv")]) == 1
     assert "cannot be read: No such file" in capsys.readouterr().err
+
+
+def test_the_command_serves_a_page_until_it_is_interrupted(
+    hinge: tuple[np.ndarray, np.ndarray, rf.Identification],
+    tmp_path: Path,
+    capsys: Any,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pytest.importorskip("viser", reason="needs viser")
+    poses, times, _ = hinge
+    recording = tmp_path / "door.csv"
+    save_recording(recording, times, poses)
+    served: list[tuple[str, int]] = []
+    opened: list[str] = []
+
+    def interrupted(page: Page) -> None:
+        host, port = page.url.removeprefix("http://").split(":")
+        socket.create_connection((host, int(port)), timeout=5).close()
+        served.append((host, int(port)))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Page, "run", interrupted)
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    assert program.main(["view", "--no-cache", str(recording), "--port", "8190", "--open"]) == 130
+    ((host, port),) = served
+    assert opened == [f"http://{host}:{port}"]
+    assert capsys.readouterr().out == f"{recording}: {opened[0]} (Ctrl-C ends it)\n"
+    with pytest.raises(OSError, match="refused"):
+        socket.create_connection((host, port), timeout=5)
 
 
 @pytest.mark.parametrize(

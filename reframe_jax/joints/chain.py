@@ -16,7 +16,10 @@ __all__ = ["JointPart", "PartKind", "chain_coordinates", "chain_poses", "rotatio
 
 PartKind = Literal["hinge", "slide", "ball"]
 
-_STEPS = 4  # Gauss-Newton steps; the start is exact in the rotation
+_STEPS = 6  # Gauss-Newton steps at most; the start is exact in the rotation
+_SETTLED = 1e-9  # rad or m, change that ends them
+_DAMPING = 1e-12  # of the squares, for chains that lock
+_CHUNK = 16384  # poses at a time, which bounds the memory
 _SMALL = 1e-6  # rad or m, step of the differences
 
 
@@ -85,23 +88,39 @@ def chain_coordinates(
         poses: (K, 4, 4), m.
         length: m that weigh as much as one radian.
     """
-    found = _first_guess(parts, home, poses)
-    if found.shape[-1] == 0:
-        return found
-    for _ in range(_STEPS):
-        now = _residuals(parts, home, poses, found, length)
-        columns = []
-        for step in _SMALL * np.eye(found.shape[-1]):
-            there = _residuals(parts, home, poses, found + step, length)
-            back = _residuals(parts, home, poses, found - step, length)
-            columns.append((there - back) / (2 * _SMALL))
-        jacobian = np.stack(columns, axis=-1)
-        found = found - (np.linalg.pinv(jacobian) @ now[..., None])[..., 0]
+    found = np.concatenate(
+        [
+            _nearest(parts, home, poses[first : first + _CHUNK], length)
+            for first in range(0, len(poses), _CHUNK)
+        ]
+    )
     first = 0
     for part in parts:
         if part.kind == "hinge":
             found[:, first] = np.unwrap(found[:, first])
         first += part.width
+    return found
+
+
+def _nearest(parts: Sequence[JointPart], home: np.ndarray, poses: np.ndarray, length: float) -> np.ndarray:
+    """Coordinates of a chunk of poses, by Gauss and Newton."""
+    found = _first_guess(parts, home, poses)
+    number = found.shape[-1]
+    for _ in range(_STEPS if number else 0):
+        now = _residuals(parts, home, poses, found, length)
+        columns = []
+        for step in _SMALL * np.eye(number):
+            there = _residuals(parts, home, poses, found + step, length)
+            back = _residuals(parts, home, poses, found - step, length)
+            columns.append((there - back) / (2 * _SMALL))
+        jacobian = np.stack(columns, axis=-1)
+        transposed = jacobian.swapaxes(-1, -2)
+        square = transposed @ jacobian
+        square += _DAMPING * np.trace(square, axis1=1, axis2=2)[:, None, None] * np.eye(number)
+        change = np.linalg.solve(square, transposed @ now[..., None])[..., 0]
+        found = found - change
+        if np.abs(change).max() < _SETTLED:
+            break
     return found
 
 

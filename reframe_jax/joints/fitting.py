@@ -1,7 +1,7 @@
 """From a constraint frame and the poses it was identified from to a joint.
 
 The frame fixes the axes and the point; the poses fix what a frame does not say: the home pose, by averaging
-over all of them, the range of the coordinates, and how well the joint fits.
+over them, the range of the coordinates, and how well the joint fits.
 """
 
 from collections.abc import Sequence
@@ -23,6 +23,7 @@ __all__ = ["fit_joint"]
 _ALIGNED = np.cos(np.radians(15.0))  # of the angle within which two axes count as parallel
 _SQUARE = np.sin(np.radians(15.0))  # of the angle within which they count as perpendicular
 _ROUNDS = 3  # in which the home pose settles
+_AVERAGED = 2000  # poses over which it is averaged: of many every few
 _UNIVERSAL = np.radians(5.0)  # error above which two axes do not explain the rotations
 
 
@@ -185,10 +186,11 @@ def _fit(geometry: _Geometry, plan: _Plan, parent: str, child: str, length: floa
     name = _name(geometry)
     if not plan.is_chain:
         return _without_chain(geometry, plan.type, name, parent, child, length)
+    some = poses[:: max(1, len(poses) // _AVERAGED)]
     for _ in range(_ROUNDS):
         parts = _parts(geometry, plan, home)
-        coordinates = chain_coordinates(parts, home, poses, length)
-        home = _mean_pose(np.linalg.inv(chain_poses(parts, np.eye(4), coordinates)) @ poses)
+        coordinates = chain_coordinates(parts, home, some, length)
+        home = _mean_pose(np.linalg.inv(chain_poses(parts, np.eye(4), coordinates)) @ some)
     parts = _parts(geometry, plan, home)
     coordinates = chain_coordinates(parts, home, poses, length)
     model = chain_poses(parts, home, coordinates)
@@ -281,7 +283,7 @@ def _gauge(plan: _Plan, parts: Sequence[JointPart], child: str) -> tuple[str, ..
     kinds = [part.kind for part in parts]
     said = []
     if kinds:
-        said.append("Any pose may be zero; it is where the recording starts, averaged over all poses.")
+        said.append("Any pose may be zero; it is where the recording starts, averaged over the poses.")
     if "hinge" in kinds or "slide" in kinds:
         said.append("An axis and its negative are the same; the largest component is positive.")
     if plan.type == "planar":
