@@ -26,7 +26,7 @@ from reframe_jax.viewer.page import velocity_series
 
 POSES = 21
 WIDTH, HEIGHT = 1280, 800
-SCENE = slice(400, 870)  # columns of the picture with nothing but the scene
+SCENE = slice(320, 870)  # columns of the picture with nothing but the scene
 
 
 def record(label: str) -> tuple[np.ndarray, np.ndarray, rf.Identification]:

@@ -20,8 +20,8 @@ __all__ = ["Page", "close_server", "legend_html", "open_server", "serve_page", "
 
 _HOST = "127.0.0.1"
 _TICK = 0.05  # s between two poses while it plays
-_VIEW = np.array([0.9, -1.3, 0.8])  # of the camera from the centre, in sizes of the scene
-_ASIDE = 0.25  # sizes by which it looks past the centre, which the panel on the right would hide
+_VIEW = np.array([0.75, -1.1, 0.65])  # of the camera from the centre, in sizes of the scene
+_ASIDE = 0.4  # sizes by which it looks past the centre, which the panel on the right would hide
 
 
 def open_server(windows: list[WindowTrack], port: int) -> tuple["viser.ViserServer", Drawing]:
