@@ -3,13 +3,19 @@
 from reframe_jax.constraints.catalogue import CONSTRAINTS, Constraint, constraint, describe, lookup
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.types import AngularType, AxisRelation, LinearType
+from reframe_jax.export.columns import to_frame
 from reframe_jax.export.json import to_json
+from reframe_jax.export.mjcf import to_mjcf, to_mjspec
+from reframe_jax.export.sdf import to_sdf
 from reframe_jax.export.table import to_table
+from reframe_jax.export.task_frame import TaskFrame, to_task_frame
+from reframe_jax.export.urdf import to_urdf
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.entry import default_solver, identify
 from reframe_jax.identification.online import OnlineIdentifier
 from reframe_jax.identification.results import AngularFrame, Candidates, Identification, LinearFrame
 from reframe_jax.identification.velocities import frame_velocities
+from reframe_jax.joints.joint import Joint
 from reframe_jax.motion.checks import Status
 from reframe_jax.motion.windows import sliding_windows
 from reframe_jax.recordings.cleaning import clean_recording, pose_noise, pose_outliers, recording_warnings
@@ -31,6 +37,7 @@ __all__ = [
     "ConstraintFrame",
     "FrameSteps",
     "Identification",
+    "Joint",
     "LinearFrame",
     "LinearType",
     "NewtonSteps",
@@ -39,6 +46,7 @@ __all__ = [
     "Recording",
     "RecordingError",
     "Status",
+    "TaskFrame",
     "Thresholds",
     "ValleySteps",
     "clean_recording",
@@ -57,6 +65,12 @@ __all__ = [
     "relative_poses",
     "save_recording",
     "sliding_windows",
+    "to_frame",
     "to_json",
+    "to_mjcf",
+    "to_mjspec",
+    "to_sdf",
     "to_table",
+    "to_task_frame",
+    "to_urdf",
 ]

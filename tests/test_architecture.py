@@ -5,6 +5,8 @@ import importlib
 import inspect
 import pkgutil
 import re
+import subprocess
+import sys
 import typing
 from collections.abc import Callable
 from pathlib import Path
@@ -105,6 +107,16 @@ def test_modules_do_not_import_each_other_in_a_circle() -> None:
 
     for name in sorted(graph.keys() - packages):
         visit(name, ())
+
+
+def test_the_core_imports_no_extra_and_no_simulator() -> None:
+    """They take as long as everything else together; functions that need them import them."""
+    code = "import sys, reframe_jax; reframe_jax.identify; print(*sorted(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    heavy = {"mujoco", "pandas", "pyarrow", "matplotlib", "viser", "shtab", "dask", "PIL"}
+    assert "jax" in loaded
+    assert not loaded & heavy
 
 
 def walk() -> list[ModuleType]:

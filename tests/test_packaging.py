@@ -75,6 +75,9 @@ def test_the_wheel_holds_the_package_and_nothing_else(built: Path) -> None:
     assert {
         "plot",
         "parquet",
+        "pandas",
+        "completion",
+        "viewer",
         "distributed",
         "benchmark",
         "notebooks",

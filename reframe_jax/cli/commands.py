@@ -14,7 +14,9 @@ COMMANDS = {
     "simulate": "simulate a recording",
     "demonstrate": "simulate demonstrations on a robot arm",
     "reproduce": "demonstrate, identify and reproduce a task",
+    "view": "look at a recording and its constraint in the browser",
     "constraints": "list the named constraints",
+    "completion": "print a script that completes the command line in a shell",
 }
 EXAMPLES = """\
 examples:
@@ -22,6 +24,7 @@ examples:
   reframe-jax identify door.csv --plot door.png
   reframe-jax identify *.csv --window 50 --stride 10 --json answers.json
   reframe-jax identify walk.mcap --from map --to tool
+  reframe-jax identify door.csv --urdf door.urdf --parent frame --child door
 """
 
 

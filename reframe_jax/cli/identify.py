@@ -1,6 +1,7 @@
 """``reframe-jax identify``: the constraints of recordings."""
 
 import argparse
+import glob
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -12,8 +13,11 @@ import numpy as np
 from reframe_jax.cli import arguments
 from reframe_jax.cli.commands import add_command
 from reframe_jax.cli.configuring import configure_jax
+from reframe_jax.cli.exports import add_exports, check_exports, path_of, write_joint_files, write_tables
 from reframe_jax.cli.reading import add_reading, reading_options
 from reframe_jax.cli.speaking import say, show
+from reframe_jax.cli.summary import summary_table
+from reframe_jax.export.columns import Columns, to_columns
 from reframe_jax.export.common import Window
 from reframe_jax.export.json import to_document, to_record
 from reframe_jax.export.table import to_table
@@ -24,8 +28,9 @@ from reframe_jax.motion.checks import MIN_VELOCITIES, Status
 from reframe_jax.motion.windows import sliding_windows
 from reframe_jax.recordings.reading import load_recording
 from reframe_jax.recordings.recording import Recording, RecordingError
+from reframe_jax.storage.progress import make_meter
 
-__all__ = ["add_identify"]
+__all__ = ["add_identify", "identify_recording"]
 
 _CHUNK = 2048  # windows between two reports of progress
 _CLOSE = 1.5  # factor from a threshold within which an axis is neither clearly free nor constrained
@@ -39,7 +44,8 @@ A recording is a .csv or .tsv with a header (t,x,y,z,qx,qy,qz,qw in any order), 
 TUM trajectory (.txt, .tum), an .npy or an .npz, a ROS bag, a C3D, an export of a
 motion-capture system, or a Parquet or HDF5 file; metres and seconds unless the
 file or an option says otherwise. It is taken as one window, or as sliding
-windows with --window.
+windows with --window. Patterns such as 'runs/**/*.csv' are expanded; several
+recordings end with one table of all.
 In parentheses after the name is its probability, and after an axis that it is
 free or constrained, where it is not clear.
 """
@@ -94,6 +100,7 @@ def add_identify(commands: Any) -> None:
         metavar="M",
         help="how far positions are searched, in m (%(default)s)",
     )
+    add("--summary", action="store_true", help="print the table of all recordings only")
     add("--json", metavar="OUT", help="write the results as JSON; - prints them instead of tables")
     add(
         "--plot",
@@ -102,16 +109,30 @@ def add_identify(commands: Any) -> None:
         help="draw the result; of several recordings, to OUT-NAME.png each",
     )
     add_reading(command)
+    add_exports(command)
 
 
 def _identify(options: argparse.Namespace) -> int:
+    options.files = [path for pattern in options.files for path in _expand(pattern)]
     _check(options)
     configure_jax(options.cache)
-    records, failed = [], False
+    records: list[dict[str, Any]] = []
+    tables: list[Columns] = []
+    quiet = options.summary or options.json == "-" or not sys.stdout.isatty()
+    meter = make_meter(None if quiet and len(options.files) > 1 else False, "recordings")
     for path in options.files:
-        record = _identify_file(path, options)
+        record = _identify_file(path, options, tables)
         records.append(record)
-        failed |= record["error"] is not None
+        meter(len(records), len(options.files))
+        if quiet and sys.stderr.isatty() and len(records) < len(options.files):
+            say("", end="\r")  # what is said next replaces the bar
+    failed = any(record["error"] is not None for record in records)
+    several = sum(record["error"] is None for record in records) > 1
+    if options.json != "-" and (several or options.summary):
+        show(summary_table(records))
+    for problem in write_tables(tables, options):
+        say(f"reframe-jax: error: {problem}")
+        failed = True
     try:
         if options.json == "-":
             show(to_document(records))
@@ -123,8 +144,16 @@ def _identify(options: argparse.Namespace) -> int:
     return int(failed)
 
 
+def _expand(pattern: Path) -> list[Path]:
+    """The files that a pattern matches, sorted; the pattern itself if there is none, or if it is a file."""
+    if not glob.has_magic(str(pattern)) or pattern.exists():
+        return [pattern]
+    return [Path(name) for name in sorted(glob.glob(str(pattern), recursive=True))] or [pattern]
+
+
 def _check(options: argparse.Namespace) -> None:
     """Refuse options that do not go together."""
+    check_exports(options)
     if options.discretization != "chord" and options.lag not in ("auto", 1):
         options.usage_error("--discretization left takes velocities from consecutive poses: leave out --lag.")
     if options.window is None:
@@ -157,21 +186,27 @@ def _check_plot(options: argparse.Namespace) -> None:
         options.usage_error(f"--plot: there is no directory {out.parent}.")
 
 
-def _identify_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
-    """Identify, print and draw one recording; returns its entry in the JSON document."""
+def _identify_file(path: Path, options: argparse.Namespace, tables: list[Columns]) -> dict[str, Any]:
+    """Identify, print, draw and export one recording; returns its entry in the JSON document.
+
+    Its columns are appended to ``tables``.
+    """
     recording, found, windows, problem = None, None, None, None
     try:
         recording = load_recording(path, **reading_options(options))
         for note in recording.notes:
             say(f"reframe-jax: {path}: {note}")
-        found, windows = _windows(recording, options)
+        found, windows = identify_recording(recording, options)
         close = _close_calls(found, _thresholds(options)) if options.window is None else []
         for note in close:
             say(f"reframe-jax: {path}: {note}")
         recording = replace(recording, notes=(*recording.notes, *close))
         problem = _print_result(path, found, windows, options)
+        tables.append(to_columns(found, label=str(path), windows=windows))
         if options.plot is not None and problem is None:
             problem = _plot(recording, found, options)
+        if options.window is None and problem is None:
+            problem = "; ".join(write_joint_files(recording, found, options)) or None
     except RecordingError as error:
         problem = str(error)
     except Exception as error:  # whatever is wrong with a file, the others keep their results
@@ -215,13 +250,19 @@ def _print_result(
 ) -> str | None:
     """Print the table; returns what is wrong if no window has a result."""
     statuses = [Status(int(code)) for code in np.ravel(found.status_code)]
-    if options.json != "-":
+    if options.json != "-" and not options.summary:
         show(to_table(found, label=str(path), windows=windows), end="\n\n")
     return f"{path}: {statuses[0].message}" if all(status.failed for status in statuses) else None
 
 
-def _windows(recording: Recording, options: argparse.Namespace) -> tuple[Identification, list[Window]]:
-    """Identify all windows; without --window, the whole recording as a single one."""
+def identify_recording(
+    recording: Recording, options: argparse.Namespace
+) -> tuple[Identification, list[Window]]:
+    """Identify all windows; without --window, the whole recording as a single one.
+
+    Raises:
+        RecordingError: if the recording cannot be used.
+    """
     whole = options.window is None
     length = len(recording.times) if whole else options.window
     if length > len(recording.times):
@@ -265,9 +306,7 @@ def _plot(recording: Recording, found: Identification, options: argparse.Namespa
     """Draw a recording; returns what is wrong if it cannot be drawn."""
     from reframe_jax.plotting import plot_identification
 
-    out: Path = options.plot
-    if len(options.files) > 1:
-        out = out.with_stem(f"{out.stem}-{recording.path.stem}")
+    out = path_of(options.plot, recording.path, options)
     try:
         figure = plot_identification(
             recording.poses,

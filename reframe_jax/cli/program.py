@@ -7,12 +7,12 @@ code is 0 on success, 1 if a file failed, and 2 for a wrong command line. All co
 import argparse
 import importlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 
 import reframe_jax
 from reframe_jax.cli.commands import COMMANDS, EXAMPLES, Parser
 
-__all__ = ["main"]
+__all__ = ["full_parser", "main"]
 
 _DESCRIPTION = """\
 Find the frame in which a measured motion is constrained: the body it is
@@ -39,8 +39,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     return code
 
 
+def full_parser() -> argparse.ArgumentParser:
+    """The parser with all commands, every one of them imported."""
+    return _build(COMMANDS.keys())
+
+
 def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     """The parser for these arguments: only the command they name is imported, which takes a second."""
+    named = next((word for word in argv if not word.startswith("-")), None)
+    return _build(COMMANDS.keys() & {named})
+
+
+def _build(imported: Set[str]) -> argparse.ArgumentParser:
+    """The parser; of commands that are not imported it knows the names only."""
     parser = Parser(
         prog="reframe-jax",
         description=_DESCRIPTION,
@@ -49,9 +60,8 @@ def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"%(prog)s {reframe_jax.__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    named = next((word for word in argv if not word.startswith("-")), None)
     for name, help in COMMANDS.items():
-        if name == named:
+        if name in imported:
             module = importlib.import_module(f"reframe_jax.cli.{name}")
             getattr(module, f"add_{name}")(commands)
         else:

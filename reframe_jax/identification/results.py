@@ -11,16 +11,21 @@ from typing import Any
 
 import jax
 import numpy as np
+from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.catalogue import Constraint, describe, lookup
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.types import AngularType, AxisRelation, Dof, LinearType
 from reframe_jax.geometry import rotations
+from reframe_jax.joints.fitting import fit_joint
+from reframe_jax.joints.joint import Joint
 from reframe_jax.motion.checks import Status
 
 __all__ = ["AllCandidates", "AngularFrame", "Candidates", "Identification", "LinearFrame", "PoseNoise"]
 
 _ALIGNED = 15.0  # degrees within which two axes count as parallel or perpendicular
+_LEVERS = 0.03, 3.0  # m, between which the noise of positions over that of orientations is believed
+_USUAL_LEVER = 0.3  # m, where neither noise is known
 
 
 _axes = jax.jit(rotations.rotation_exp)
@@ -282,6 +287,30 @@ class Identification:
             linear_rotvec=self.linear.rotvec,
             position=self.linear.position,
         )
+
+    def to_joint(self, poses: ArrayLike, *, parent: str = "ground", child: str = "body") -> Joint:
+        """The joint of a single window, for robot descriptions: see :class:`Joint`.
+
+        Args:
+            poses: (K+1, 4, 4), m, those that were identified; outliers take no part.
+            parent: name of the ground {g} in the joint.
+            child: name of the body {b} in the joint.
+
+        Raises:
+            ValueError: for a batch, a window without a result, or other poses than were identified.
+        """
+        if np.shape(self.status_code):
+            raise ValueError("A batch has many joints: index one window first, found[i].")
+        if self.status.failed:
+            raise ValueError(f"There is no joint: {self.status.message}")
+        values, counted = np.asarray(poses, dtype=float), np.asarray(self.counted)
+        if values.shape != (*counted.shape, 4, 4):
+            expected = (*counted.shape, 4, 4)
+            raise ValueError(f"Expected the poses that were identified, {expected}, not {values.shape}.")
+        position, rotation = float(self.noise.position), float(self.noise.rotation)
+        known = position > 0 and rotation > 0
+        lever = float(np.clip(position / rotation, *_LEVERS)) if known else _USUAL_LEVER
+        return fit_joint(self.constraint_frame, values[counted], parent=parent, child=child, length=lever)
 
     def _class(self) -> tuple[LinearType, Dof, Dof, AxisRelation | None]:
         """Linear type, degrees of freedom, and how the odd axes of the two frames lie."""

@@ -1,0 +1,50 @@
+"""``reframe-jax completion``: completion of the command line in a shell."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from reframe_jax.cli.commands import add_command
+from reframe_jax.cli.speaking import say, show
+
+__all__ = ["add_completion"]
+
+_COMPLETION = """\
+Print a script that completes the command line in a shell.
+
+For bash:  reframe-jax completion bash > ~/.local/share/bash-completion/completions/reframe-jax
+For zsh:   reframe-jax completion zsh > a file _reframe-jax in a folder of $fpath
+"""
+
+
+def add_completion(commands: Any) -> None:
+    """Add the command to those of the command line."""
+    command = add_command(commands, "completion", _completion, _COMPLETION)
+    command.add_argument("shell", choices=["bash", "zsh", "tcsh"], help="shell to complete in")
+
+
+def _completion(options: argparse.Namespace) -> int:
+    try:
+        import shtab
+    except ImportError:
+        say("reframe-jax: error: completion needs shtab: pip install 'reframe-jax[completion]'")
+        return 1
+    from reframe_jax.cli.program import full_parser
+
+    parser = full_parser()
+    for action in _actions(parser):
+        if action.type is Path:
+            action.complete = shtab.FILE  # type: ignore[attr-defined]
+    show(shtab.complete(parser, options.shell), end="")
+    return 0
+
+
+def _actions(parser: argparse.ArgumentParser) -> list[argparse.Action]:
+    """All arguments of a parser and of its commands."""
+    actions = []
+    for action in parser._actions:
+        actions.append(action)
+        if isinstance(action.choices, dict):
+            for command in action.choices.values():
+                actions += _actions(command)
+    return actions

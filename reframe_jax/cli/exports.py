@@ -1,0 +1,119 @@
+"""Files that ``reframe-jax identify`` writes for other programs: robot descriptions, task frames, tables."""
+
+import argparse
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from reframe_jax.export.columns import Columns, write_csv, write_parquet
+from reframe_jax.export.mjcf import to_mjcf
+from reframe_jax.export.sdf import to_sdf
+from reframe_jax.export.task_frame import TaskFrame, to_task_frame
+from reframe_jax.export.urdf import to_urdf
+from reframe_jax.identification.results import Identification
+from reframe_jax.joints.joint import Joint
+from reframe_jax.recordings.recording import Recording
+
+__all__ = ["add_exports", "check_exports", "path_of", "write_joint_files", "write_tables"]
+
+_ROBOTS: dict[str, Callable[[Joint], str]] = {"urdf": to_urdf, "mjcf": to_mjcf, "sdf": to_sdf}
+_DOCUMENTS: dict[str, Callable[[TaskFrame], str]] = {
+    ".yaml": TaskFrame.to_yaml,
+    ".yml": TaskFrame.to_yaml,
+    ".json": TaskFrame.to_json,
+}
+_TABLES = {"csv": write_csv, "parquet": write_parquet}
+
+
+def add_exports(command: argparse.ArgumentParser) -> None:
+    """Add the options to a command."""
+    group = command.add_argument_group(
+        "files for other programs", "Of several recordings, joints and task frames go to OUT-NAME each."
+    )
+    add = group.add_argument
+    for name in _ROBOTS:
+        add(f"--{name}", type=Path, metavar="OUT", help=f"write the joint as {name.upper()}")
+    add(
+        "--task-frame", type=Path, metavar="OUT", help="write the task frame at the last pose, .yaml or .json"
+    )
+    add("--parent", default="ground", metavar="NAME", help="name of the ground in these files (ground)")
+    add("--child", default="body", metavar="NAME", help="name of the body in these files (body)")
+    add("--csv", type=Path, metavar="OUT", help="write one table of all recordings, a row a window, as CSV")
+    add("--parquet", type=Path, metavar="OUT", help="write the same table as Parquet")
+
+
+def check_exports(options: argparse.Namespace) -> None:
+    """Refuse, before anything is computed, what could not be written after it."""
+    of_joints = [*_ROBOTS, "task_frame"]
+    for name in (*of_joints, *_TABLES):
+        out: Path | None = getattr(options, name)
+        option = f"--{name.replace('_', '-')}"
+        if out is None:
+            continue
+        if out.is_dir():
+            options.usage_error(f"{option} must name a file; {out} is a directory.")
+        if not out.parent.is_dir():
+            options.usage_error(f"{option}: there is no directory {out.parent}.")
+        if name in of_joints:
+            if options.window is not None:
+                options.usage_error(f"{option} describes whole recordings: leave out --window.")
+            if len({path.stem for path in options.files}) < len(options.files):
+                options.usage_error(f"{option} needs recordings with different names.")
+    if options.task_frame is not None and options.task_frame.suffix not in _DOCUMENTS:
+        expected = ", ".join(_DOCUMENTS)
+        options.usage_error(f"--task-frame must end in {expected}, not {options.task_frame.name!r}.")
+    if not options.parent or options.parent == options.child:
+        options.usage_error("--parent and --child must be two different names.")
+
+
+def path_of(out: Path, recording: Path, options: argparse.Namespace) -> Path:
+    """Where a file of one recording goes: its name is added if there are several recordings."""
+    return out.with_stem(f"{out.stem}-{recording.stem}") if len(options.files) > 1 else out
+
+
+def write_joint_files(recording: Recording, found: Identification, options: argparse.Namespace) -> list[str]:
+    """Write the joint and the task frame of a recording as asked; returns what went wrong."""
+    texts: dict[Path, Callable[[], str]] = {}
+    for name, to_robot in _ROBOTS.items():
+        if getattr(options, name) is not None:
+            joint = found.to_joint(recording.poses, parent=options.parent, child=options.child)
+            texts[getattr(options, name)] = partial(to_robot, joint)
+    if options.task_frame is not None:
+        last = recording.poses[np.flatnonzero(found.counted)[-1]]
+        texts[options.task_frame] = partial(_task_text, found, last, options)
+    problems = []
+    for out, make in texts.items():
+        out = path_of(out, recording.path, options)
+        try:
+            out.write_text(make(), encoding="utf-8", errors="xmlcharrefreplace")
+        except ValueError as error:
+            problems.append(f"{recording.path}: {error}")
+        except OSError as error:
+            problems.append(f"{out}: cannot be written: {error.strerror}.")
+    return problems
+
+
+def _task_text(found: Identification, pose: np.ndarray, options: argparse.Namespace) -> str:
+    task = to_task_frame(found, pose, ground=options.parent, body=options.child)
+    return _DOCUMENTS[options.task_frame.suffix](task)
+
+
+def write_tables(tables: list[Columns], options: argparse.Namespace) -> list[str]:
+    """Write the tables of all recordings as asked; returns what went wrong."""
+    problems = []
+    for name, write in _TABLES.items():
+        out = getattr(options, name)
+        if out is None:
+            continue
+        if not tables:
+            problems.append(f"{out}: not written: no recording has a result.")
+            continue
+        try:
+            write(out, tables)
+        except ImportError as error:
+            problems.append(str(error))
+        except OSError as error:
+            problems.append(f"{out}: cannot be written: {error.strerror}.")
+    return problems

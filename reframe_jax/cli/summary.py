@@ -1,0 +1,48 @@
+"""One table of many recordings."""
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+__all__ = ["summary_table"]
+
+_COLUMNS = ("recording", "windows", "name", "prob.", "angular", "linear", "origin [m]", "noise", "status")
+
+
+def summary_table(records: Sequence[dict[str, Any]]) -> str:
+    """A row for every recording; of several windows the name that most of them have.
+
+    Args:
+        records: made by :func:`reframe_jax.export.json.to_record`.
+    """
+    rows = [list(_COLUMNS), *(_row(record) for record in records)]
+    widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+    )
+
+
+def _row(record: dict[str, Any]) -> list[str]:
+    windows = [window for window in record["windows"] if window.get("name") is not None]
+    start = [str(record["recording"]), str(len(record["windows"]))]
+    if not windows:
+        return [*start, *("-",) * 6, "error" if record["error"] else record["windows"][0]["status"]]
+    (name, number) = Counter(window["name"] for window in windows).most_common(1)[0]
+    if len(record["windows"]) > 1:
+        statuses = Counter(window["status"] for window in record["windows"])
+        told = ", ".join(f"{count} {status}" for status, count in statuses.most_common())
+        return [*start, f"{name} ({number} of {len(record['windows'])})", *("-",) * 5, told]
+    (window,) = windows
+    noise = window["noise"]
+    return [
+        *start,
+        name,
+        f"{window['probability']:.2f}",
+        window["angular"]["type"],
+        window["linear"]["type"],
+        ", ".join(f"{value + 0.0:.3f}" for value in np.round(window["linear"]["position"], 3)),
+        f"{1e3 * noise['position']:.2g} mm, {np.degrees(noise['rotation']):.2g} deg",
+        window["status"],
+    ]

@@ -1,0 +1,115 @@
+"""``reframe-jax view``: a recording and its constraint in the browser."""
+
+import argparse
+import webbrowser
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from reframe_jax.cli import arguments
+from reframe_jax.cli.commands import add_command
+from reframe_jax.cli.configuring import configure_jax
+from reframe_jax.cli.identify import identify_recording
+from reframe_jax.cli.reading import add_reading, reading_options
+from reframe_jax.cli.speaking import say, show
+from reframe_jax.motion.checks import MIN_VELOCITIES
+from reframe_jax.recordings.reading import load_recording
+from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.viewer.document import write_page
+from reframe_jax.viewer.page import serve_page
+from reframe_jax.viewer.tracks import WindowTrack, track_window
+
+__all__ = ["add_view"]
+
+_VIEW = """\
+Look at a recording and its constraint in the browser.
+
+The page shows the body, its path, the frame with its free and constrained axes, and
+the velocities along them; a slider moves through the time. It is served on this
+machine only (127.0.0.1) until Ctrl-C, and needs no network. --html writes it as one
+file instead, which can be sent to somebody and opened without Python.
+"""
+
+
+def add_view(commands: Any) -> None:
+    """Add the command to those of the command line."""
+    command = add_command(commands, "view", _view, _VIEW)
+    add = command.add_argument
+    add("file", type=Path, metavar="FILE", help="recording, in a format that identify reads")
+    add("--lag", type=arguments.lag, default="auto", metavar="L", help="as for identify (auto)")
+    add("--window", type=arguments.whole, metavar="N", help="poses per window (all)")
+    add("--stride", type=arguments.whole, metavar="M", help="poses between the starts of two windows (N)")
+    add(
+        "--port", type=arguments.count, default=8080, metavar="P", help="of the page, or the next free (8080)"
+    )
+    add("--open", action="store_true", help="open the page in the browser")
+    add("--html", type=Path, metavar="OUT", help="write the page to a file instead")
+    add_reading(command)
+    # those of identify that a look does not need
+    command.set_defaults(
+        norm=0.0, discretization="chord", bounds=1.0, angular_threshold=None, linear_threshold=None
+    )
+
+
+def _view(options: argparse.Namespace) -> int:
+    _check(options)
+    configure_jax(options.cache)
+    try:
+        tracks = _tracks(options)
+    except RecordingError as error:
+        say(f"reframe-jax: error: {error}")
+        return 1
+    try:
+        if options.html is None:
+            _serve(tracks, options)
+        else:
+            write_page(options.html, tracks, title=options.file.name)
+            show(f"{options.html}: {tracks[0].name}" + (" and more" if len(tracks) > 1 else ""))
+    except ImportError as error:
+        say(f"reframe-jax: error: {error}")
+        return 1
+    except OSError as error:
+        say(f"reframe-jax: error: {options.html}: cannot be written: {error.strerror}.")
+        return 1
+    return 0
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Refuse options that do not go together."""
+    if options.window is None:
+        if options.stride is not None:
+            options.usage_error("--stride needs --window.")
+        options.stride = 1
+    elif options.window < MIN_VELOCITIES + 1:
+        options.usage_error(f"--window must be at least {MIN_VELOCITIES + 1} poses.")
+    options.stride = options.window if options.stride is None else options.stride
+    if options.stride < 1:
+        options.usage_error("--stride must be at least 1.")
+    if options.port > 65535:
+        options.usage_error(f"--port must be at most 65535, not {options.port}.")
+
+
+def _tracks(options: argparse.Namespace) -> list[WindowTrack]:
+    recording = load_recording(options.file, **reading_options(options))
+    for note in recording.notes:
+        say(f"reframe-jax: {options.file}: {note}")
+    found, spans = identify_recording(recording, options)
+    each = [found] if options.window is None else [found[index] for index in range(len(spans))]
+    tracks = []
+    for one, span in zip(each, spans, strict=True):
+        rows = slice(span.start, span.stop)
+        one = jax.tree.map(jax.numpy.asarray, one)
+        tracks.append(track_window(recording.poses[rows], recording.times[rows], one, lag=options.lag))
+    return tracks
+
+
+def _serve(tracks: list[WindowTrack], options: argparse.Namespace) -> None:
+    page = serve_page(tracks, title=options.file.name, port=options.port)
+    show(f"{options.file}: {page.url} (Ctrl-C ends it)")
+    if options.open:
+        webbrowser.open(page.url)
+    try:
+        page.run()
+    finally:
+        page.close()

@@ -1,0 +1,165 @@
+"""An identification as flat columns, one row a window: for data frames, Parquet and CSV.
+
+The columns are the same everywhere. Units are in the names; axes are numbered as in ``LinearFrame``, from the
+slowest. Rows of windows that failed have NaN, 0, False or an empty text.
+"""
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+
+from reframe_jax.export.common import TYPES, Window, axes_of
+from reframe_jax.identification.results import Identification
+from reframe_jax.motion.checks import Status
+
+if TYPE_CHECKING:
+    import pandas
+
+__all__ = ["Columns", "to_columns", "to_frame", "write_csv", "write_parquet"]
+
+Columns = dict[str, np.ndarray]
+"""Names and values (n,) of columns; texts are arrays of objects."""
+
+_UNITS = {"angular": "rad_s", "linear": "m_s"}
+
+
+def to_frame(
+    found: Identification, *, label: str | None = None, windows: Sequence[Window] | None = None
+) -> "pandas.DataFrame":
+    """Return an identification as a pandas data frame, one row a window.
+
+    Columns are flat and typed, with units in their names: ``linear_position_x_m``, ``angular_rms_1_rad_s``.
+    ``frame.to_parquet`` and ``frame.to_csv`` write what ``reframe-jax identify --parquet`` and ``--csv`` do.
+
+    Args:
+        found: of one window, or a batch.
+        label: name of the recording, for the column ``recording``.
+        windows: which part of the recording each window is; without them ``start`` and ``stop`` are -1, and
+            their times NaN.
+
+    Raises:
+        ImportError: if pandas is not installed.
+        ValueError: if there are not as many ``windows`` as in ``found``.
+    """
+    try:
+        import pandas
+    except ImportError as error:
+        raise ImportError("to_frame needs pandas: pip install 'reframe-jax[pandas]'") from error
+    return pandas.DataFrame(to_columns(found, label=label, windows=windows))
+
+
+def to_columns(
+    found: Identification, *, label: str | None = None, windows: Sequence[Window] | None = None
+) -> Columns:
+    """Return the columns of :func:`to_frame` as NumPy arrays; arguments and errors as there."""
+    host: Identification = jax.tree.map(np.asarray, jax.device_get(found))
+    batch = host.status_code.shape
+    number = int(np.prod(batch, dtype=int))
+    host = jax.tree.map(lambda leaf: leaf.reshape(number, *leaf.shape[len(batch) :]), host)
+    if windows is not None and len(windows) != number:
+        raise ValueError(f"Expected {number} windows, as many as were identified, not {len(windows)}.")
+    each = [host[index] for index in range(number)]
+    failed = np.array([Status(int(code)).failed for code in host.status_code], bool)
+    columns: Columns = {"recording": _texts([label or ""] * number), "window": np.arange(number)}
+    columns |= _spans(windows, number)
+    columns |= {
+        "status": _texts([Status(int(code)).name for code in host.status_code]),
+        "name": _texts(["" if bad else one.name for bad, one in zip(failed, each, strict=True)]),
+        "label": _texts(
+            [
+                "" if bad or one.entry is None else one.entry.label
+                for bad, one in zip(failed, each, strict=True)
+            ]
+        ),
+        "probability": np.asarray(host.probability, float),
+        "noise_position_m": _floats(host.noise.position),
+        "noise_rotation_rad": _floats(host.noise.rotation),
+        "lag_samples": np.asarray(host.lag, np.int64),
+        "refined": np.asarray(host.refined, bool),
+        "outliers": np.asarray(np.sum(~host.counted, axis=-1), np.int64),
+    }
+    for group in TYPES:
+        columns |= _frame_columns(group, getattr(host, group), failed)
+    return columns
+
+
+def write_csv(path: Path, tables: Sequence[Columns]) -> None:
+    """Write tables of the same columns below each other as CSV; numbers are written so that they read back.
+
+    Raises:
+        OSError: if the file cannot be written.
+    """
+    with path.open("w", newline="", encoding="utf-8", errors="backslashreplace") as file:
+        writer = csv.writer(file)
+        for index, columns in enumerate(tables):
+            if index == 0:
+                writer.writerow(columns)
+            writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
+
+
+def write_parquet(path: Path, tables: Sequence[Columns]) -> None:
+    """Write tables of the same columns below each other as one Parquet file.
+
+    Raises:
+        ImportError: if pyarrow is not installed.
+        OSError: if the file cannot be written.
+    """
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError as error:
+        raise ImportError("Parquet needs pyarrow: pip install 'reframe-jax[parquet]'") from error
+    pyarrow.parquet.write_table(pyarrow.concat_tables([pyarrow.table(table) for table in tables]), path)
+
+
+def _spans(windows: Sequence[Window] | None, number: int) -> Columns:
+    unknown = Window(-1, -1, np.nan, np.nan)
+    spans = [unknown] * number if windows is None else list(windows)
+    return {
+        "start": np.array([span.start for span in spans], np.int64),
+        "stop": np.array([span.stop for span in spans], np.int64),
+        "start_time_s": np.array([span.start_time for span in spans], float),
+        "stop_time_s": np.array([span.stop_time for span in spans], float),
+    }
+
+
+def _frame_columns(group: str, frame: Any, failed: np.ndarray) -> Columns:
+    """Columns of the angular or the linear frame: type, ties, axes, freedom, velocities, origin."""
+    kinds: Any = TYPES[group]
+    codes = [int(code) for code in frame.type_code]
+    axes = np.asarray(axes_of(frame.rotvec), float)
+    columns = {
+        "type": _texts(["" if bad else str(kinds(code)) for bad, code in zip(failed, codes, strict=True)]),
+        "tied": _texts([" ".join(str(kind) for kind in kinds if row[kind]) for row in frame.tied]),
+        "norm_" + _UNITS[group]: _floats(frame.norm),
+    }
+    for axis in range(3):
+        place = f"{axis + 1}"
+        columns |= {f"axis_{place}_{name}": axes[:, i, axis] for i, name in enumerate("xyz")}
+        columns[f"free_{place}"] = np.asarray(frame.dof[:, axis], bool)
+        columns[f"free_probability_{place}"] = _floats(frame.free_probability[:, axis])
+        columns[f"rms_{place}_{_UNITS[group]}"] = _floats(frame.rms[:, axis])
+        columns[f"turns_about_{place}"] = np.asarray(frame.free_rotation[:, axis], bool)
+    if group == "linear":
+        for i, name in enumerate("xyz"):
+            columns[f"position_{name}_m"] = _floats(frame.position[:, i])
+        directions = np.trace(frame.free_position, axis1=-2, axis2=-1)
+        columns["open_directions"] = np.where(failed, 0, np.round(np.nan_to_num(directions))).astype(np.int64)
+        columns["has_twin"] = np.asarray(frame.has_twin, bool)
+        for i, name in enumerate("xyz"):
+            columns[f"twin_{name}_m"] = np.where(frame.has_twin, _floats(frame.twin[:, i]), np.nan)
+    return {f"{group}_{name}": column for name, column in columns.items()}
+
+
+def _floats(values: Any) -> np.ndarray:
+    return np.asarray(values, np.float64)
+
+
+def _texts(values: Sequence[str]) -> np.ndarray:
+    texts = np.empty(len(values), object)
+    texts[:] = values
+    return texts

@@ -1,0 +1,123 @@
+"""What the writers of robot descriptions share: names, numbers, the placeholder of a mass, refusals."""
+
+from collections.abc import Iterable
+from xml.etree import ElementTree
+
+import numpy as np
+
+from reframe_jax.geometry.numpy_rotations import matrices_to_quaternions
+from reframe_jax.joints.chain import JointPart
+from reframe_jax.joints.joint import Joint
+
+__all__ = [
+    "RADIUS",
+    "check_mass",
+    "check_writable",
+    "element",
+    "is_endless",
+    "part_names",
+    "quaternion_wxyz",
+    "remarks",
+    "roll_pitch_yaw",
+    "sphere_inertia",
+    "to_text",
+    "written",
+]
+
+RADIUS = 0.1  # m, of the sphere whose inertia stands for the unknown one
+
+
+def check_mass(mass: float) -> float:
+    """The mass in kg.
+
+    Raises:
+        ValueError: if it is not positive and finite.
+    """
+    if not 0 < mass < np.inf:
+        raise ValueError(f"Expected a positive mass in kg, not {mass}.")
+    return float(mass)
+
+
+def check_writable(joint: Joint, language: str) -> None:
+    """Refuse constraints that are no joint.
+
+    Raises:
+        ValueError: for a contact, which restricts velocities only, and for a free body.
+    """
+    if joint.type == "floating":
+        raise ValueError(f"{language} has nothing to say: {joint.child} is free, so there is no joint.")
+    if not joint.is_chain:
+        raise ValueError(
+            f"{language} cannot say {joint.name!r}: it is a contact, not a joint. It restricts velocities "
+            "only, and closes a loop through the ground that no tree of joints makes. Simulate the contact."
+        )
+
+
+def is_endless(part: JointPart) -> bool:
+    """Whether a hinge was seen to turn by a full turn or more, so that it has no limits."""
+    return part.kind == "hinge" and part.high - part.low >= 2 * np.pi
+
+
+def part_names(joint: Joint) -> list[str]:
+    """A name for every part: the child and the kind, with a number where there are several of that kind."""
+    kinds = [part.kind for part in joint.parts]
+    names = []
+    for index, kind in enumerate(kinds):
+        number = f"_{kinds[: index + 1].count(kind)}" if kinds.count(kind) > 1 else ""
+        names.append(f"{joint.child}_{kind}{number}")
+    return names
+
+
+def sphere_inertia(mass: float) -> float:
+    """Moment of inertia in kg m^2 of a solid sphere of 0.1 m radius."""
+    return 0.4 * mass * RADIUS**2
+
+
+def remarks(joint: Joint) -> list[str]:
+    """Sentences for the head of a file: what the joint is, how well it fits, and what was chosen."""
+    lines = [
+        f"{joint.name}, identified by reframe_jax from recorded poses of {joint.child} in {joint.parent}."
+    ]
+    if joint.is_chain:
+        position, rotation = 1e3 * joint.position_error, np.degrees(joint.rotation_error)
+        lines.append(f"RMS distance from the recording: {position:.2g} mm, {rotation:.2g} deg.")
+    if joint.parts:
+        lines.append("The limits are the recorded range.")
+    return [*lines, *joint.gauge, "Poses do not tell a mass: that of a sphere stands for it."]
+
+
+def written(values: Iterable[float]) -> str:
+    """Numbers separated by spaces, to ten digits; no negative zeros."""
+    return " ".join(f"{value + 0.0:.10g}" for value in np.round(np.asarray(list(values), float), 12))
+
+
+def quaternion_wxyz(rotation: np.ndarray) -> np.ndarray:
+    """Unit quaternion (4,) as w, x, y, z of a rotation matrix (3, 3)."""
+    return np.roll(matrices_to_quaternions(rotation), 1)
+
+
+def roll_pitch_yaw(rotation: np.ndarray) -> np.ndarray:
+    """Angles (3,), rad, about the fixed axes x, y, z in this order; yaw 0 at a pitch of 90 degrees."""
+    cosine = np.hypot(rotation[0, 0], rotation[1, 0])
+    pitch = np.arctan2(-rotation[2, 0], cosine)
+    if cosine < 1e-9:
+        return np.array([np.arctan2(-rotation[1, 2], rotation[1, 1]), pitch, 0.0])
+    roll = np.arctan2(rotation[2, 1], rotation[2, 2])
+    return np.array([roll, pitch, np.arctan2(rotation[1, 0], rotation[0, 0])])
+
+
+def element(
+    parent: ElementTree.Element, tag: str, text: str | None = None, **attributes: str
+) -> ElementTree.Element:
+    """Append an element."""
+    made = ElementTree.SubElement(parent, tag, attributes)
+    made.text = text
+    return made
+
+
+def to_text(root: ElementTree.Element, joint: Joint) -> str:
+    """An indented XML document with the remarks as a comment at its head."""
+    lines = "\n".join(f"  {line}" for line in remarks(joint)).replace("--", "- -")
+    root.insert(0, ElementTree.Comment(f"\n{lines}\n  "))
+    ElementTree.indent(root)
+    return '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"

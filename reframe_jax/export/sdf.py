@@ -1,0 +1,93 @@
+"""A joint as SDF (SDFormat)."""
+
+from xml.etree import ElementTree
+
+import numpy as np
+
+from reframe_jax.export.robots import (
+    check_mass,
+    check_writable,
+    element,
+    is_endless,
+    part_names,
+    roll_pitch_yaw,
+    sphere_inertia,
+    to_text,
+    written,
+)
+from reframe_jax.joints.joint import Joint
+
+__all__ = ["to_sdf"]
+
+_KINDS = {"hinge": "revolute", "slide": "prismatic", "ball": "ball"}
+_SHARE = 1e-3  # of the mass, in each link between two parts of a chain
+_MODEL = "__model__"  # the frame of the model, which is the parent
+
+
+def to_sdf(joint: Joint, *, mass: float = 1.0) -> str:
+    """Return a joint as an SDF 1.9 document with one model.
+
+    The links are the parent, fixed to the world, the child, and one link between any two parts of the joint;
+    a cylindrical joint is a chain of a slide and a hinge, a planar joint of two slides and a hinge.
+
+    Args:
+        joint: from :meth:`Identification.to_joint`. The limits are its recorded range, though SDF has none
+            for balls; a hinge seen to make a full turn is ``continuous``.
+        mass: kg, of the child, a solid sphere of 0.1 m radius at its origin; poses do not tell masses.
+
+    Raises:
+        ValueError: for a contact or a free body, which are no joints; or a mass that is not positive.
+    """
+    check_mass(mass)
+    check_writable(joint, "SDF")
+    root = ElementTree.Element("sdf", version="1.9")
+    model = element(root, "model", name=f"{joint.parent}_{joint.child}")
+    _add_link(model, joint.parent, np.zeros(6), mass)
+    _add_joint(model, f"{joint.parent}_fixed", "fixed", "world", joint.parent)
+    place = np.concatenate([joint.home[:3, 3], roll_pitch_yaw(joint.home[:3, :3])])
+    names = part_names(joint)
+    links = [*(f"{name}_link" for name in names[:-1]), joint.child]
+    last = joint.parent
+    for name, part, link in zip(names, joint.parts, links, strict=bool(names)):
+        at_point = np.concatenate([part.point, np.zeros(3)])
+        if link == joint.child:
+            _add_link(model, link, place, mass)
+        else:
+            _add_link(model, link, at_point, _SHARE * mass)
+        kind = "continuous" if is_endless(part) else _KINDS[part.kind]
+        made = _add_joint(model, name, kind, last, link)
+        element(made, "pose", written(at_point), relative_to=_MODEL)
+        if part.kind != "ball":
+            axis = element(made, "axis")
+            element(axis, "xyz", written(part.axis), expressed_in=_MODEL)
+            if not is_endless(part):
+                limit = element(axis, "limit")
+                element(limit, "lower", written([part.low]))
+                element(limit, "upper", written([part.high]))
+        last = link
+    if not names:
+        _add_link(model, joint.child, place, mass)
+        _add_joint(model, f"{joint.child}_fixed", "fixed", joint.parent, joint.child)
+    return to_text(root, joint)
+
+
+def _add_joint(
+    model: ElementTree.Element, name: str, kind: str, parent: str, child: str
+) -> ElementTree.Element:
+    made = element(model, "joint", name=name, type=kind)
+    element(made, "parent", parent)
+    element(made, "child", child)
+    return made
+
+
+def _add_link(model: ElementTree.Element, name: str, place: np.ndarray, mass: float) -> None:
+    """A link at a place (x, y, z, roll, pitch, yaw) of the model, with the inertial of a sphere."""
+    link = element(model, "link", name=name)
+    element(link, "pose", written(place))
+    inertial = element(link, "inertial")
+    element(inertial, "mass", written([mass]))
+    inertia = element(inertial, "inertia")
+    for entry in ("ixx", "iyy", "izz"):
+        element(inertia, entry, written([sphere_inertia(mass)]))
+    for entry in ("ixy", "ixz", "iyz"):
+        element(inertia, entry, "0")

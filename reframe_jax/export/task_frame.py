@@ -1,0 +1,244 @@
+"""The task frame for controllers: where it is, which axes to move and which to leave to the contact."""
+
+import json
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from reframe_jax.constraints.catalogue import describe, lookup
+from reframe_jax.constraints.frame import ConstraintFrame
+from reframe_jax.constraints.located import parts_on_body
+from reframe_jax.geometry.numpy_rotations import matrices_to_quaternions
+from reframe_jax.identification.results import Identification
+
+__all__ = ["TaskFrame", "to_task_frame"]
+
+_ALIGNED = 15.0  # degrees within which two axes count as parallel or perpendicular
+_ORDER = ("x", "y", "z", "rx", "ry", "rz")
+_UNITS = ("N/m",) * 3 + ("N m/rad",) * 3
+
+
+@dataclass(frozen=True, eq=False)
+class TaskFrame:
+    """One frame whose axes are those of both the angular and the linear constraint.
+
+    Six numbers in a row are along x, y, z of this frame, then about them.
+
+    Attributes:
+        constraint: name of the constraint.
+        frame_id: name of the body that ``transform`` is in: the one in which the frame is fixed, or the
+            ground where its parts are fixed in different bodies.
+        task: name of this frame.
+        transform: (4, 4) pose of this frame in ``frame_id``, m.
+        validity: a sentence that says for how long.
+        free: (6,) bool, whether motion along or about an axis is free.
+        stiffness: (6,) N/m, N m/rad, along and about the axes of this frame.
+        turned: degrees by which the identified angular axes were turned to fit the linear ones.
+    """
+
+    constraint: str
+    frame_id: str
+    task: str
+    transform: np.ndarray
+    validity: str
+    free: np.ndarray
+    stiffness: np.ndarray
+    turned: float
+
+    @property
+    def motion_selection(self) -> np.ndarray:
+        """(6, 6) diagonal, in the axes of this frame: 1 where the motion is controlled, the free axes."""
+        return np.diag(self.free.astype(float))
+
+    @property
+    def force_selection(self) -> np.ndarray:
+        """(6, 6) diagonal, in the axes of this frame: 1 where the force is controlled, constrained axes."""
+        return np.diag((~self.free).astype(float))
+
+    def in_frame_id(self, matrix: ArrayLike) -> np.ndarray:
+        """A (6, 6) matrix in the axes of ``frame_id``, such as a selection or ``np.diag(stiffness)``.
+
+        The reference point stays the origin of this frame.
+        """
+        turn = np.kron(np.eye(2), self.transform[:3, :3])
+        return turn @ np.asarray(matrix, float) @ turn.T
+
+    def to_yaml(self) -> str:
+        """A YAML document with the fields of a ``geometry_msgs/TransformStamped``, and the control."""
+        return "\n".join(_yaml_lines(self._document())) + "\n"
+
+    def to_json(self) -> str:
+        """The document of :meth:`to_yaml` as JSON."""
+        return json.dumps(self._document(), indent=2)
+
+    def _document(self) -> dict[str, Any]:
+        x, y, z = _plain(self.transform[:3, 3])
+        quaternion = _plain(matrices_to_quaternions(self.transform[:3, :3]))
+        turn = dict(zip("xyzw", quaternion, strict=True))
+        return {
+            "header": {"frame_id": self.frame_id},
+            "child_frame_id": self.task,
+            "transform": {"translation": {"x": x, "y": y, "z": z}, "rotation": turn},
+            "constraint": self.constraint,
+            "valid": self.validity,
+            "control": {
+                "frame": self.task,
+                "order": list(_ORDER),
+                "motion_selection": [int(free) for free in self.free],
+                "force_selection": [int(not free) for free in self.free],
+                "stiffness": _plain(self.stiffness),
+                "stiffness_units": list(_UNITS),
+            },
+        }
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Axes of one group, columns in the ground, and which of them are free."""
+
+    axes: np.ndarray
+    free: tuple[int, ...]
+
+    @property
+    def odd(self) -> int | None:
+        """Index of the axis that differs from the other two; None if all are alike."""
+        number = sum(self.free)
+        return self.free.index(number % 2) if number in (1, 2) else None
+
+
+def to_task_frame(
+    found: Identification | ConstraintFrame,
+    pose: ArrayLike,
+    *,
+    ground: str = "ground",
+    body: str = "body",
+    task: str = "task",
+    stiff: tuple[float, float] = (1000.0, 50.0),
+    soft: tuple[float, float] = (100.0, 5.0),
+) -> TaskFrame:
+    """Return the task frame of a constraint while the body is at a pose.
+
+    Where the angular and the linear frame both have an odd axis (a single free or a single constrained one),
+    these axes must be parallel or perpendicular, so that one frame serves both; up to 15 degrees are put down
+    to errors, and the linear axes are kept.
+
+    Args:
+        found: of a single window.
+        pose: (4, 4) of {b} in {g}, m: where the frame is wanted. The same for all poses if the whole frame is
+            fixed in one body.
+        ground: name of {g}.
+        body: name of {b}.
+        task: name of the frame.
+        stiff: N/m and N m/rad, stiffness along and about free axes, where the controller moves.
+        soft: N/m and N m/rad, stiffness along and about constrained axes, where the contact decides.
+
+    Raises:
+        ValueError: for a batch, a window without a result, another shape, stiffness that is negative or not
+            finite, or axes that are neither parallel nor perpendicular.
+    """
+    if isinstance(found, Identification):
+        if np.shape(found.status_code) == () and found.status.failed:
+            raise ValueError(f"There is no task frame: {found.status.message}")
+        name, frame = found.name, found.constraint_frame
+    else:
+        key = found.linear_type, found.angular_dof, found.linear_dof
+        entry = lookup(*key)
+        name, frame = describe(*key) if entry is None else entry.name, found
+    if np.shape(frame.position) != (3,):
+        raise ValueError(f"Expected a single frame, not a batch of shape {np.shape(frame.position)[:-1]}.")
+    there = np.asarray(pose, float)
+    if there.shape != (4, 4) or not np.isfinite(there).all():
+        raise ValueError(f"Expected a finite pose of shape (4, 4), not one of shape {there.shape}.")
+    both = np.array([stiff, soft], float)
+    if both.shape != (2, 2) or not ((both >= 0) & np.isfinite(both)).all():
+        raise ValueError(f"Expected two stiffnesses that are 0 or more, not {stiff} and {soft}.")
+    angular_on_body, linear_on_body, point_on_body = np.asarray(
+        parts_on_body(frame.angular_type, frame.linear_type)
+    ).tolist()
+    rotation, origin = there[:3, :3], there[:3, 3]
+    angular = _Part(_in_ground(frame.angular_axes, angular_on_body, rotation), frame.angular_dof)
+    linear = _Part(_in_ground(frame.linear_axes, linear_on_body, rotation), frame.linear_dof)
+    axes, turns, turned = _common_axes(angular, linear)
+    placed = np.eye(4)
+    placed[:3, :3] = axes
+    placed[:3, 3] = np.asarray(frame.position, float)
+    if point_on_body:
+        placed[:3, 3] = rotation @ placed[:3, 3] + origin
+    # axes that are all alike are fixed in no body
+    fixed = {"origin": point_on_body}
+    fixed |= {"linear axes": linear_on_body} if linear.odd is not None else {}
+    fixed |= {"angular axes": angular_on_body} if angular.odd is not None else {}
+    holder: Literal["ground", "body"] | None = None
+    if len(set(fixed.values())) == 1:
+        holder = "body" if point_on_body else "ground"
+    if holder == "body":
+        placed = np.linalg.inv(there) @ placed
+    free = np.array([*frame.linear_dof, *turns], bool)
+    stiffness = np.where(free, np.repeat(both[0], 3), np.repeat(both[1], 3))
+    names = {True: body, False: ground}
+    validity = (
+        f"Always: the frame is fixed in {names[holder == 'body']}."
+        if holder
+        else f"At one pose of {body}. Fixed are: "
+        + ", ".join(f"{part} in {names[on_body]}" for part, on_body in fixed.items())
+        + "."
+    )
+    frame_id = names[holder == "body"]
+    return TaskFrame(name, frame_id, task, placed, validity, free, stiffness, turned)
+
+
+def _in_ground(axes: ArrayLike, on_body: bool, rotation: np.ndarray) -> np.ndarray:
+    values = np.asarray(axes, float)
+    return rotation @ values if on_body else values
+
+
+def _common_axes(angular: _Part, linear: _Part) -> tuple[np.ndarray, tuple[int, ...], float]:
+    """Axes for both groups, which rotations about them are free, and by how many degrees one was turned."""
+    if linear.odd is None:
+        return angular.axes, angular.free, 0.0
+    if angular.odd is None:
+        return linear.axes, angular.free, 0.0
+    own, other = linear.axes[:, linear.odd], angular.axes[:, angular.odd]
+    angle = float(np.degrees(np.arccos(min(1.0, abs(float(own @ other))))))
+    place = linear.odd
+    axes = linear.axes
+    if angle > _ALIGNED:
+        if angle < 90 - _ALIGNED:
+            raise ValueError(
+                f"No frame serves both: the angular and the linear axes lie at {angle:.0f} degrees, neither "
+                "parallel nor perpendicular."
+            )
+        # turned about its odd axis, the linear frame is the same
+        place = (linear.odd + 1) % 3
+        across = other - own * (own @ other)
+        across /= np.linalg.norm(across)
+        axes = np.empty((3, 3))
+        axes[:, linear.odd], axes[:, place] = own, across
+        axes[:, 3 - linear.odd - place] = np.cross(own, across)
+    kind = angular.free[angular.odd]
+    turns = tuple(kind if index == place else 1 - kind for index in range(3))
+    return axes, turns, min(angle, 90 - angle)
+
+
+def _plain(values: np.ndarray) -> list[float]:
+    """Numbers without negative zeros, to 9 digits after the point."""
+    return [float(value) + 0.0 for value in np.round(values, 9)]
+
+
+def _yaml_lines(value: dict[str, Any], indent: str = "") -> list[str]:
+    lines = []
+    for name, item in value.items():
+        if isinstance(item, dict):
+            lines += [f"{indent}{name}:", *_yaml_lines(item, indent + "  ")]
+        else:
+            lines.append(f"{indent}{name}: {_yaml(item)}")
+    return lines
+
+
+def _yaml(item: Any) -> str:
+    """A list, a number or a text in one line; numbers without exponents, which YAML 1.1 takes for texts."""
+    if isinstance(item, list):
+        return f"[{', '.join(map(_yaml, item))}]"
+    return f"{item:.9f}" if isinstance(item, float) else json.dumps(item)

@@ -1,0 +1,91 @@
+"""A joint as URDF."""
+
+from xml.etree import ElementTree
+
+import numpy as np
+
+from reframe_jax.export.robots import (
+    check_mass,
+    check_writable,
+    element,
+    is_endless,
+    part_names,
+    roll_pitch_yaw,
+    sphere_inertia,
+    to_text,
+    written,
+)
+from reframe_jax.joints.chain import JointPart
+from reframe_jax.joints.joint import Joint
+
+__all__ = ["to_urdf"]
+
+_EFFORT, _VELOCITY = "1000", "10"  # N or N m, m/s or rad/s: the format demands numbers
+_SHARE = 1e-3  # of the mass, in each link between two parts of a chain
+_NO_LENGTH = 1e-9  # m or rad, below which an offset is left out
+
+
+def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
+    """Return a joint as a URDF document.
+
+    The links are the parent, the child, and one link for every part of the joint between them, with the axes
+    of the parent. A joint with several parts is a chain: a cylindrical joint is a slide and a hinge, a planar
+    joint two slides and a hinge (the type ``planar`` of URDF leaves open whether the child may turn). Every
+    moving link has an inertial, which MuJoCo demands, and MuJoCo is told to keep fixed links.
+
+    Args:
+        joint: from :meth:`Identification.to_joint`. The limits are its recorded range; a hinge seen to make
+            a full turn is ``continuous``.
+        mass: kg, of the child, a solid sphere of 0.1 m radius at its origin; poses do not tell masses.
+
+    Raises:
+        ValueError: for what URDF cannot say: balls, contacts, free bodies; or a mass that is not positive.
+    """
+    check_mass(mass)
+    check_writable(joint, "URDF")
+    if any(part.kind == "ball" for part in joint.parts):
+        raise ValueError(
+            f"URDF cannot say {joint.name!r}: it has no ball joint, and three hinges instead would lock. "
+            "Write MJCF or SDF."
+        )
+    robot = ElementTree.Element("robot", name=f"{joint.parent}_{joint.child}")
+    compiler = {"fusestatic": "false", "discardvisual": "false"}
+    element(element(robot, "mujoco"), "compiler", **compiler)
+    element(robot, "link", name=joint.parent)
+    last, place = joint.parent, np.zeros(3)
+    for name, part in zip(part_names(joint), joint.parts, strict=True):
+        _add_part(robot, name, part, last, place)
+        _add_link(robot, f"{name}_link", _SHARE * mass)
+        last, place = f"{name}_link", part.point
+    mount = element(robot, "joint", name=f"{joint.child}_fixed", type="fixed")
+    _add_origin(mount, joint.home[:3, 3] - place, roll_pitch_yaw(joint.home[:3, :3]))
+    element(mount, "parent", link=last)
+    element(mount, "child", link=joint.child)
+    _add_link(robot, joint.child, mass)
+    return to_text(robot, joint)
+
+
+def _add_part(robot: ElementTree.Element, name: str, part: JointPart, last: str, place: np.ndarray) -> None:
+    """A hinge or a slide from a link, whose origin is at a place in the parent."""
+    kind = "prismatic" if part.kind == "slide" else "continuous" if is_endless(part) else "revolute"
+    made = element(robot, "joint", name=name, type=kind)
+    _add_origin(made, part.point - place, np.zeros(3))
+    element(made, "parent", link=last)
+    element(made, "child", link=f"{name}_link")
+    element(made, "axis", xyz=written(part.axis))
+    range_ = {} if is_endless(part) else {"lower": written([part.low]), "upper": written([part.high])}
+    element(made, "limit", effort=_EFFORT, velocity=_VELOCITY, **range_)
+
+
+def _add_link(robot: ElementTree.Element, name: str, mass: float) -> None:
+    """A link with the inertial of a sphere at its origin."""
+    inertial = element(element(robot, "link", name=name), "inertial")
+    element(inertial, "mass", value=written([mass]))
+    moment, nothing = written([sphere_inertia(mass)]), "0"
+    moments = {"ixx": moment, "iyy": moment, "izz": moment, "ixy": nothing, "ixz": nothing, "iyz": nothing}
+    element(inertial, "inertia", **moments)
+
+
+def _add_origin(joint: ElementTree.Element, place: np.ndarray, angles: np.ndarray) -> None:
+    if np.abs([*place, *angles]).max() > _NO_LENGTH:
+        element(joint, "origin", xyz=written(place), rpy=written(angles))

@@ -1,0 +1,171 @@
+"""Chains of hinges, slides and balls, in NumPy: poses from coordinates, and coordinates from poses.
+
+With all coordinates at zero the child is at its home pose. Each part then moves everything after it:
+T(q) = M_1(q_1) M_2(q_2) ... T_home, a product of exponentials.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from reframe_jax.geometry.numpy_rotations import quaternions_to_matrices, rotation_vectors
+
+__all__ = ["JointPart", "PartKind", "chain_coordinates", "chain_poses", "rotation_about"]
+
+PartKind = Literal["hinge", "slide", "ball"]
+
+_STEPS = 6  # Gauss-Newton steps at most; the start is exact in the rotation
+_SETTLED = 1e-9  # rad or m, change that ends them
+_DAMPING = 1e-12  # of the squares, for chains that lock
+_CHUNK = 16384  # poses at a time, which bounds the memory
+_SMALL = 1e-6  # rad or m, step of the differences
+
+
+@dataclass(frozen=True, eq=False)
+class JointPart:
+    """One part of a joint: a hinge, a slide or a ball.
+
+    Attributes:
+        kind: "hinge" and "slide" have one coordinate (rad, m), "ball" has three (a rotation vector, rad).
+        axis: (3,) unit vector in the parent, where all coordinates are zero; of a ball zeros.
+        point: (3,) m in the parent, where all coordinates are zero: on the axis of a hinge, the centre of
+            a ball. The point of a slide means nothing.
+        low, high: the range that the recording covers, rad or m; of a ball 0 and the largest angle from zero.
+    """
+
+    kind: PartKind
+    axis: np.ndarray
+    point: np.ndarray
+    low: float = 0.0
+    high: float = 0.0
+
+    @property
+    def width(self) -> int:
+        """Number of coordinates."""
+        return 3 if self.kind == "ball" else 1
+
+
+def rotation_about(vectors: np.ndarray) -> np.ndarray:
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), rad."""
+    half = np.linalg.norm(vectors, axis=-1, keepdims=True) / 2
+    quaternions = np.concatenate([np.sinc(half / np.pi) * vectors / 2, np.cos(half)], axis=-1)
+    return quaternions_to_matrices(quaternions)
+
+
+def chain_poses(parts: Sequence[JointPart], home: np.ndarray, coordinates: np.ndarray) -> np.ndarray:
+    """Poses (..., 4, 4) of the child in the parent, for coordinates (..., n)."""
+    pose = np.broadcast_to(np.eye(4), (*coordinates.shape[:-1], 4, 4))
+    first = 0
+    for part in parts:
+        pose = pose @ _motion(part, coordinates[..., first : first + part.width])
+        first += part.width
+    moved: np.ndarray = pose @ home
+    return moved
+
+
+def _motion(part: JointPart, coordinates: np.ndarray) -> np.ndarray:
+    """Displacements (..., 4, 4) of one part, for its coordinates (..., width)."""
+    moved = np.tile(np.eye(4), (*coordinates.shape[:-1], 1, 1))
+    if part.kind == "slide":
+        moved[..., :3, 3] = coordinates * part.axis
+        return moved
+    turn = rotation_about(coordinates if part.kind == "ball" else coordinates * part.axis)
+    moved[..., :3, :3] = turn
+    moved[..., :3, 3] = part.point - turn @ part.point
+    return moved
+
+
+def chain_coordinates(
+    parts: Sequence[JointPart], home: np.ndarray, poses: np.ndarray, length: float
+) -> np.ndarray:
+    """Coordinates (K, n) at which a chain is nearest to poses, hinges unwrapped over time.
+
+    Args:
+        parts: of the chain, at most one ball.
+        home: (4, 4), pose of the child with all coordinates at zero.
+        poses: (K, 4, 4), m.
+        length: m that weigh as much as one radian.
+    """
+    found = np.concatenate(
+        [
+            _nearest(parts, home, poses[first : first + _CHUNK], length)
+            for first in range(0, len(poses), _CHUNK)
+        ]
+    )
+    first = 0
+    for part in parts:
+        if part.kind == "hinge":
+            found[:, first] = np.unwrap(found[:, first])
+        first += part.width
+    return found
+
+
+def _nearest(parts: Sequence[JointPart], home: np.ndarray, poses: np.ndarray, length: float) -> np.ndarray:
+    """Coordinates of a chunk of poses, by Gauss and Newton."""
+    found = _first_guess(parts, home, poses)
+    number = found.shape[-1]
+    for _ in range(_STEPS if number else 0):
+        now = _residuals(parts, home, poses, found, length)
+        columns = []
+        for step in _SMALL * np.eye(number):
+            there = _residuals(parts, home, poses, found + step, length)
+            back = _residuals(parts, home, poses, found - step, length)
+            columns.append((there - back) / (2 * _SMALL))
+        jacobian = np.stack(columns, axis=-1)
+        transposed = jacobian.swapaxes(-1, -2)
+        square = transposed @ jacobian
+        square += _DAMPING * np.trace(square, axis1=1, axis2=2)[:, None, None] * np.eye(number)
+        change = np.linalg.solve(square, transposed @ now[..., None])[..., 0]
+        found = found - change
+        if np.abs(change).max() < _SETTLED:
+            break
+    return found
+
+
+def _first_guess(parts: Sequence[JointPart], home: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """Coordinates whose rotations are those of the poses, one part after the other; slides are at zero."""
+    turned = poses[:, :3, :3] @ home[:3, :3].T
+    hinges = [part for part in parts if part.kind == "hinge"]
+    found = []
+    for part in parts:
+        if part.kind == "slide":
+            found.append(np.zeros((len(poses), 1)))
+        elif part.kind == "ball":
+            found.append(rotation_vectors(turned))
+        else:
+            later = hinges[hinges.index(part) + 1 :]
+            angle = _angle_about(part.axis, turned, later[0].axis if later else None)
+            turned = rotation_about(-angle[:, None] * part.axis) @ turned
+            found.append(angle[:, None])
+    return np.concatenate(found, axis=-1) if found else np.zeros((len(poses), 0))
+
+
+def _angle_about(axis: np.ndarray, turned: np.ndarray, later: np.ndarray | None) -> np.ndarray:
+    """Angles (K,) about an axis: of whole rotations, or those that turn the axis of the hinge after it."""
+    if later is not None:
+        seen = turned @ later
+        return np.arctan2(seen @ np.cross(axis, later), seen @ later - (seen @ axis) * (axis @ later))
+    skew = np.stack(
+        [
+            turned[:, 2, 1] - turned[:, 1, 2],
+            turned[:, 0, 2] - turned[:, 2, 0],
+            turned[:, 1, 0] - turned[:, 0, 1],
+        ],
+        axis=-1,
+    )
+    along = np.einsum("i,kij,j->k", axis, turned, axis)
+    angles: np.ndarray = np.arctan2(skew @ axis, np.trace(turned, axis1=1, axis2=2) - along)
+    return angles
+
+
+def _residuals(
+    parts: Sequence[JointPart], home: np.ndarray, poses: np.ndarray, coordinates: np.ndarray, length: float
+) -> np.ndarray:
+    """(K, 6): what the chain is away from the poses, m; rotations times the length."""
+    model = chain_poses(parts, home, coordinates)
+    turn = poses[:, :3, :3].swapaxes(-1, -2) @ model[:, :3, :3]
+    skew = (turn - turn.swapaxes(-1, -2)) / 2
+    vector = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=-1)
+    return np.concatenate([length * vector, model[:, :3, 3] - poses[:, :3, 3]], axis=-1)

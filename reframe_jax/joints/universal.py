@@ -1,0 +1,41 @@
+"""The two axes of a universal joint, one fixed in each body, from rotations."""
+
+import numpy as np
+
+__all__ = ["universal_axes"]
+
+_STARTS = 8
+_STEPS = 40
+
+
+def universal_axes(rotations: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the axes between which the angle changes least.
+
+    A frame holds the direction about which nothing turns fixed in one body. In a universal joint that
+    direction is perpendicular to both axes and fixed in neither body, so the axes are found here:
+    a^T R(k) b is constant for an axis a of the ground and an axis b of the body.
+
+    Args:
+        rotations: (K, 3, 3), of {b} in {g}.
+        normal: (3,) in {g}, about which nothing turns at the mean pose.
+
+    Returns:
+        (3,) unit vectors: the first axis in {g}, the second in {b}.
+    """
+    moved = rotations - rotations.mean(axis=0)
+    across = np.linalg.svd(normal[None])[2][1:]
+    best = np.inf, np.zeros(3), np.zeros(3)
+    for angle in np.arange(_STARTS) * np.pi / _STARTS:
+        first = np.cos(angle) * across[0] + np.sin(angle) * across[1]
+        for _ in range(_STEPS):
+            _, second = _stillest(np.einsum("i,kij->kj", first, moved))
+            change, first = _stillest(moved @ second)
+        if change < best[0]:
+            best = change, first, second
+    return best[1], best[2]
+
+
+def _stillest(rows: np.ndarray) -> tuple[float, np.ndarray]:
+    """The unit vector (3,) on which rows (K, 3) have the smallest projections, and their sum of squares."""
+    values, vectors = np.linalg.eigh(rows.T @ rows)
+    return float(values[0]), vectors[:, 0]

@@ -1,0 +1,7 @@
+"""A page in the browser: a body, its path and the constraint frame over time; extra ``viewer``."""
+
+from reframe_jax.viewer.document import write_page
+from reframe_jax.viewer.page import Page, serve_page
+from reframe_jax.viewer.tracks import FrameTrack, WindowTrack, track_window
+
+__all__ = ["FrameTrack", "Page", "WindowTrack", "serve_page", "track_window", "write_page"]

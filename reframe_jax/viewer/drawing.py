@@ -1,0 +1,173 @@
+"""Draws windows in a viser scene."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from reframe_jax.geometry.numpy_rotations import matrices_to_quaternions
+from reframe_jax.plotting.style import BODY, CONSTRAINED, FREE, OUTLIERS, TURNING, axis_colours
+from reframe_jax.viewer.tracks import FrameTrack, WindowTrack
+
+if TYPE_CHECKING:
+    import viser
+
+__all__ = ["LEGEND", "Drawing", "scene_box"]
+
+_DASHES = 7  # of a constrained axis
+_MOST = 2000  # points of a path
+_DEVIATIONS = 2.0  # of the ellipsoid
+_TWIN, _ORIGIN, _SPREAD = "#000000", "#222222", "#CC79A7"
+
+LEGEND = (
+    (BODY, "path of the body, and its lever to the origin of the linear frame"),
+    (_ORIGIN, "that origin, and its path"),
+    (FREE[0], "free axis of the linear frame (arrow)"),
+    (CONSTRAINED[0], "constrained axis of the linear frame (dashes)"),
+    (TURNING, "free axis of rotation"),
+    (OUTLIERS["color"], "poses left out"),
+    (_TWIN, "twin: an origin as good (wire)"),
+    (_SPREAD, "uncertainty of the origin: two standard deviations, if known"),
+)
+"""Colours, and what is drawn in them."""
+
+
+def scene_box(windows: list[WindowTrack]) -> tuple[np.ndarray, float]:
+    """Centre (3,) and size, m, of all that is drawn."""
+    points = [window.poses[window.counted, :3, 3] for window in windows]
+    points += [window.frame.origins[window.counted] for window in windows if window.frame is not None]
+    together = np.concatenate(points)
+    together = together[np.isfinite(together).all(axis=1)]
+    if not len(together):
+        return np.zeros(3), 1.0
+    low, high = together.min(axis=0), together.max(axis=0)
+    return (low + high) / 2, max(float(np.max(high - low)), 0.05)
+
+
+class Drawing:
+    """Windows in a scene, one at a time, at one pose at a time."""
+
+    def __init__(self, scene: "viser.SceneApi", size: float) -> None:
+        """Draw into a scene, for windows of a size in m."""
+        self._scene = scene
+        self._size = size
+        self._nodes: list[Any] = []
+        self._moving: dict[str, Any] = {}
+        self._window: WindowTrack | None = None
+
+    def draw(self, window: WindowTrack) -> None:
+        """Replace what is drawn by another window, at its first pose."""
+        for node in reversed(self._nodes):  # what hangs on a node comes after it
+            node.remove()
+        self._nodes, self._moving, self._window = [], {}, window
+        scene, size = self._scene, self._size
+        self._path("/path", window.poses[window.counted, :3, 3], BODY, 0.006)
+        out = window.poses[~window.counted, :3, 3]
+        if len(out):
+            self._nodes.append(
+                scene.add_point_cloud(
+                    "/outliers", out, _rgb(OUTLIERS["color"]), point_size=0.02 * size, precision="float32"
+                )
+            )
+        body = scene.add_frame("/body", axes_length=0.12 * size, axes_radius=0.004 * size)
+        box = scene.add_box(
+            "/body/box", _rgb(BODY), dimensions=np.full(3, 0.06 * size), opacity=0.6, cast_shadow=False
+        )
+        self._nodes += [body, box]
+        self._moving["body"] = body
+        if window.frame is not None:
+            if window.frame.in_body is not None:
+                lever = np.stack([np.zeros(3), window.frame.in_body])[None]
+                colour, thickness = _rgb(BODY), 0.012 * size
+                self._nodes.append(scene.add_line_segments("/body/lever", lever, colour, thickness=thickness))
+            self._path("/origins", window.frame.origins[window.counted], _ORIGIN, 0.003)
+            self._draw_frame(window.frame)
+        self.show(0)
+
+    def _draw_frame(self, frame: FrameTrack) -> None:
+        scene, size = self._scene, self._size
+        for name in ("linear", "angular", "spread"):
+            node = scene.add_frame(f"/{name}", show_axes=False)
+            self._nodes.append(node)
+            self._moving[name] = node
+        self._nodes.append(scene.add_icosphere("/linear/origin", 0.012 * size, _rgb(_ORIGIN)))
+        for i, colour in enumerate(axis_colours(frame.linear_free)):
+            axis = 0.22 * size * np.eye(3)[i]
+            name = f"/linear/axis_{i + 1}"
+            if frame.linear_free[i]:
+                radii: dict[str, Any] = {
+                    "shaft_radius": 0.006 * size,
+                    "head_radius": 0.014 * size,
+                    "head_length": 0.04 * size,
+                }
+                points = np.stack([np.zeros(3), axis])[None]
+                self._nodes.append(scene.add_arrows(name, points, _rgb(colour), **radii))
+            else:
+                ends = np.linspace(0, 1, 2 * _DASHES).reshape(_DASHES, 2, 1) * axis
+                self._nodes.append(scene.add_line_segments(name, ends, _rgb(colour), thickness=0.008 * size))
+            self._nodes.append(scene.add_label(f"{name}/label", str(i + 1), position=1.15 * axis))
+        if frame.angular_free.sum() < 3:  # a ball turns about every axis
+            for number in np.flatnonzero(frame.angular_free):
+                i = int(number)
+                ends = np.stack([-0.35 * size * np.eye(3)[i], 0.35 * size * np.eye(3)[i]])[None]
+                name = f"/angular/axis_{i + 1}"
+                self._nodes.append(scene.add_line_segments(name, ends, _rgb(TURNING), thickness=0.007 * size))
+        if frame.twins is not None:
+            twin = scene.add_icosphere("/twin", 0.018 * size, _rgb(_TWIN), subdivisions=1, wireframe=True)
+            self._nodes.append(twin)
+            self._moving["twin"] = twin
+        if frame.spread is not None:
+            self._draw_spread(frame.spread)
+
+    def _draw_spread(self, root: np.ndarray) -> None:
+        """An ellipsoid of two standard deviations."""
+        values, vectors = np.linalg.eigh(root)
+        vectors = vectors * np.array([1, 1, np.sign(np.linalg.det(vectors))])
+        ellipsoid = self._scene.add_icosphere(
+            "/spread/ellipsoid",
+            1.0,
+            _rgb(_SPREAD),
+            scale=tuple(_DEVIATIONS * np.maximum(values, 1e-6)),
+            wxyz=_wxyz(vectors),
+            opacity=0.35,
+            cast_shadow=False,
+        )
+        self._nodes.append(ellipsoid)
+
+    def _path(self, name: str, points: np.ndarray, colour: str, width: float) -> None:
+        """A line through points (n, 3); of many every few."""
+        points = points[np.isfinite(points).all(axis=1)]
+        points = points[:: max(1, len(points) // _MOST)]
+        if len(points) > 1 and np.ptp(points, axis=0).max() > 0:
+            ends = np.stack([points[:-1], points[1:]], axis=1)
+            line = self._scene.add_line_segments(name, ends, _rgb(colour), thickness=width * self._size)
+            self._nodes.append(line)
+
+    def show(self, sample: int) -> None:
+        """Move everything to where it is at a pose of the window."""
+        if self._window is None:
+            return
+        pose, frame = self._window.poses[sample], self._window.frame
+        if not np.isfinite(pose).all():  # of a window without a result
+            return
+        _move(self._moving["body"], pose[:3, 3], pose[:3, :3])
+        if frame is None:
+            return
+        origin = frame.origins[sample]
+        _move(self._moving["linear"], origin, frame.linear_axes[sample])
+        _move(self._moving["angular"], origin, frame.angular_axes[sample])
+        _move(self._moving["spread"], origin, frame.spread_axes[sample])
+        if frame.twins is not None:
+            self._moving["twin"].position = frame.twins[sample]
+
+
+def _move(node: Any, position: np.ndarray, rotation: np.ndarray) -> None:
+    node.position, node.wxyz = position, _wxyz(rotation)
+
+
+def _wxyz(rotation: np.ndarray) -> np.ndarray:
+    return np.roll(matrices_to_quaternions(rotation), 1)
+
+
+def _rgb(colour: str) -> tuple[int, int, int]:
+    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return red, green, blue

@@ -1,0 +1,195 @@
+"""The page that is served to a browser on this machine."""
+
+import contextlib
+import html
+import io
+import threading
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from reframe_jax.plotting.style import axis_colours
+from reframe_jax.viewer.drawing import LEGEND, Drawing, scene_box
+from reframe_jax.viewer.tracks import WindowTrack
+
+if TYPE_CHECKING:
+    import viser
+
+__all__ = ["Page", "close_server", "legend_html", "open_server", "serve_page", "velocity_series"]
+
+_HOST = "127.0.0.1"
+_TICK = 0.05  # s between two poses while it plays
+_VIEW = np.array([0.75, -1.1, 0.65])  # of the camera from the centre, in sizes of the scene
+_ASIDE = 0.4  # sizes by which it looks past the centre, which the panel on the right would hide
+
+
+def open_server(windows: list[WindowTrack], port: int) -> tuple["viser.ViserServer", Drawing]:
+    """A server on this machine only, with its camera at the scene.
+
+    Raises:
+        ImportError: if viser is not installed.
+        ValueError: without windows.
+        OSError: if the port is taken.
+    """
+    try:
+        import viser
+    except ImportError as error:
+        raise ImportError("The viewer needs viser: pip install 'reframe-jax[viewer]'") from error
+    if not windows:
+        raise ValueError("Expected at least one window.")
+    centre, size = scene_box(windows)
+    with contextlib.redirect_stdout(io.StringIO()):  # its banner
+        server = viser.ViserServer(host=_HOST, port=port, verbose=False)
+    server.scene.set_up_direction("+z")
+    server.scene.add_frame("/ground", axes_length=0.15 * size, axes_radius=0.003 * size)
+    right = np.cross([0.0, 0.0, 1.0], _VIEW)
+    centre = centre + _ASIDE * size * right / np.linalg.norm(right)
+    server.initial_camera.look_at = tuple(centre)
+    server.initial_camera.position = tuple(centre + size * _VIEW)
+    server.initial_camera.near = 0.01 * size
+    return server, Drawing(server.scene, size)
+
+
+def close_server(server: "viser.ViserServer") -> None:
+    """Stop a server, silently."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        server.stop()
+
+
+def serve_page(windows: list[WindowTrack], *, title: str = "reframe_jax", port: int = 8080) -> "Page":
+    """Serve a page with a window of a recording, a slider of the time, and the velocities along the axes.
+
+    The server listens on 127.0.0.1 only, in a thread of its own; the page needs no network. With several
+    windows, a second slider selects one.
+
+    Args:
+        windows: of one recording, from :func:`track_window`.
+        title: heading of the page.
+        port: of the server; if it is taken the next free one.
+
+    Raises:
+        ImportError: if viser is not installed.
+        ValueError: without windows.
+    """
+    return Page(windows, title, port)
+
+
+class Page:
+    """A page that is being served; keep it, and close it at the end."""
+
+    def __init__(self, windows: list[WindowTrack], title: str, port: int) -> None:
+        """Start the server; arguments as in :func:`serve_page`."""
+        self._windows = windows
+        self._lock = threading.RLock()
+        self._server, self._drawing = open_server(windows, port)
+        self._current = windows[0]
+        self._charts: list[Any] = []
+        gui = self._server.gui
+        gui.configure_theme(control_width="large", show_share_button=False)
+        gui.set_panel_label(title)
+        self._heading = gui.add_markdown("")
+        if len(windows) > 1:
+            choice = gui.add_slider("window", 0, len(windows) - 1, 1, 0)
+            choice.on_update(lambda _: self._select(int(choice.value)))
+        self._time: Any = gui.add_slider("time [s]", 0.0, 1.0, 0.001, 0.0)
+        self._time.on_update(lambda _: self._show())
+        self._playing = gui.add_checkbox("play", False)
+        self._plots = gui.add_folder("velocities along the axes")
+        self._table = gui.add_folder("result", expand_by_default=False)
+        with gui.add_folder("legend", expand_by_default=False):
+            gui.add_html(legend_html())
+        self._select(0)
+
+    @property
+    def url(self) -> str:
+        """Address of the page."""
+        return f"http://{_HOST}:{self._server.get_port()}"
+
+    def run(self) -> None:
+        """Play while the checkbox is set; does not return."""
+        while True:
+            time.sleep(_TICK)
+            if self._playing.value:
+                self.advance(_TICK)
+
+    def advance(self, seconds: float) -> None:
+        """Move the time on, at the end of the window back to its beginning."""
+        times = self._current.times
+        later = self._time.value + seconds
+        self._time.value = float(later if later <= times[-1] else times[0])
+        self._show()
+
+    def close(self) -> None:
+        """Stop the server."""
+        close_server(self._server)
+
+    def _select(self, index: int) -> None:
+        """Show another window, from its beginning."""
+        with self._lock:
+            window = self._current = self._windows[index]
+            with self._server.atomic():
+                self._drawing.draw(window)
+                begin, end = float(window.times[0]), float(window.times[-1])
+                self._heading.content = f"**{window.name.rstrip('.')}**, {begin:.2f} to {end:.2f} s"
+                self._time.min, self._time.max = min(begin, self._time.min), end
+                self._time.value = begin
+                self._time.min = begin
+                self._draw_plots(window)
+
+    def _draw_plots(self, window: WindowTrack) -> None:
+        gui = self._server.gui
+        for chart in self._charts:
+            chart.remove()
+        self._charts = []
+        with self._plots:
+            for title, rows in velocity_series(window):
+                data = (window.velocity_times, *(values for _, _, values in rows))
+                series: list[Any] = [{"label": "s"}]
+                series += [{"label": label, "stroke": colour, "width": 1.5} for label, colour, _ in rows]
+                scales: dict[str, Any] = {"x": {"time": False}}
+                axes: Any = ({"label": "time [s]"}, {})
+                self._charts.append(
+                    gui.add_uplot(data, tuple(series), title=title, scales=scales, axes=axes, aspect=1.6)
+                )
+        with self._table:
+            self._charts.append(gui.add_html(f"<pre style='font-size:9px'>{html.escape(window.text)}</pre>"))
+
+    def _show(self) -> None:
+        """Move everything to the pose nearest to the time of the slider."""
+        with self._lock:
+            sample = int(np.argmin(np.abs(self._current.times - self._time.value)))
+            with self._server.atomic():
+                self._drawing.show(sample)
+
+
+def velocity_series(window: WindowTrack) -> list[tuple[str, list[tuple[str, str, np.ndarray]]]]:
+    """Plots of a window: their titles, and of every axis a label, a colour and values (K,).
+
+    The first plot shows the residuals: what is left along the constrained axes, where the velocity should be
+    zero. The others show all axes.
+    """
+    if window.frame is None or not len(window.velocity_times):
+        return []
+    residuals, plots = [], []
+    for group, free, columns, unit, fine in (
+        ("linear", window.frame.linear_free, slice(3, 6), "m/s", "mm/s"),
+        ("angular", window.frame.angular_free, slice(0, 3), "rad/s", "mrad/s"),
+    ):
+        values = window.frame.velocities[:, columns].T
+        rows = []
+        for i, colour in enumerate(axis_colours(free)):
+            rows.append((f"{i + 1} {'free' if free[i] else 'constrained'}", colour, values[i]))
+            if not free[i]:
+                residuals.append((f"{group} {i + 1} [{fine}]", colour, 1e3 * values[i]))
+        plots.append((f"{group} [{unit}]", rows))
+    return [("residuals", residuals), *plots] if residuals else plots
+
+
+def legend_html() -> str:
+    """Colours and what is drawn in them."""
+    rows = (
+        f'<div><span style="color:{colour}">&#9632;</span> {html.escape(text)}</div>'
+        for colour, text in LEGEND
+    )
+    return f'<div style="font-size:12px;padding:4px 12px">{"".join(rows)}</div>'

@@ -1,0 +1,153 @@
+"""What is drawn of a window: the frame at every pose, and the velocities along its axes, in NumPy."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike
+
+from reframe_jax.constraints.located import frame_arrays, locate_on_host
+from reframe_jax.constraints.types import AngularType, LinearType
+from reframe_jax.export.table import to_table
+from reframe_jax.identification.options import Lag
+from reframe_jax.identification.results import Identification
+from reframe_jax.identification.velocities import frame_velocities
+from reframe_jax.motion.kinematics import Discretization
+
+__all__ = ["FrameTrack", "WindowTrack", "track_window"]
+
+
+@dataclass(frozen=True, eq=False)
+class FrameTrack:
+    """A constraint frame at every pose of a window, in the axes of the ground.
+
+    Attributes:
+        origins: (K+1, 3) m, of the linear frame.
+        in_body: (3,) m, that origin in the body; None if it is fixed in the ground.
+        linear_axes, angular_axes: (K+1, 3, 3), columns are axes.
+        linear_free, angular_free: (3,) bool, which of them are free.
+        twins: (K+1, 3) m, an origin that explains the window as well; None if there is none.
+        spread: (3, 3) square root of the origin's covariance in the body it is fixed in, m; None if unknown.
+        spread_axes: (K+1, 3, 3), columns are the axes of that body.
+        velocities: (K, 6) rad/s along the angular axes, m/s along the linear ones; NaN where there is none.
+    """
+
+    origins: np.ndarray
+    in_body: np.ndarray | None
+    linear_axes: np.ndarray
+    angular_axes: np.ndarray
+    linear_free: np.ndarray
+    angular_free: np.ndarray
+    twins: np.ndarray | None
+    spread: np.ndarray | None
+    spread_axes: np.ndarray
+    velocities: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class WindowTrack:
+    """One window of a recording.
+
+    Attributes:
+        name: of the constraint, or why there is none.
+        text: the table of the result.
+        times: (K+1,) s.
+        poses: (K+1, 4, 4) m.
+        counted: (K+1,) bool, poses that are no outliers.
+        frame: None for a window without a result.
+        velocity_times: (K,) s, at which ``frame.velocities`` are.
+    """
+
+    name: str
+    text: str
+    times: np.ndarray
+    poses: np.ndarray
+    counted: np.ndarray
+    frame: FrameTrack | None
+    velocity_times: np.ndarray
+
+
+def track_window(
+    poses: ArrayLike,
+    times: ArrayLike,
+    found: Identification,
+    *,
+    lag: Lag = "auto",
+    discretization: Discretization = "chord",
+    covariance: ArrayLike | None = None,
+) -> WindowTrack:
+    """Compute what is drawn of a window.
+
+    Args:
+        poses: (K+1, 4, 4), m.
+        times: (K+1,) s.
+        found: identification of these poses.
+        lag: the one it was made with.
+        discretization: the one it was made with.
+        covariance: (3, 3) m^2, of the linear frame's origin in the body that it is fixed in, to be drawn as
+            an ellipsoid; none is drawn by default.
+
+    Raises:
+        ValueError: for a batch, other poses than were identified, or a covariance that is none.
+    """
+    if np.shape(found.status_code):
+        raise ValueError("A batch has many frames: index one window first, found[i].")
+    host = jax.device_get(found)
+    places, instants = np.asarray(poses, float), np.asarray(times, float)
+    if places.shape != (*host.counted.shape, 4, 4) or instants.shape != host.counted.shape:
+        raise ValueError(
+            f"Expected the {len(host.counted)} poses that were identified and their times, not "
+            f"{places.shape} and {instants.shape}."
+        )
+    spread = None if covariance is None else _square_root(np.asarray(covariance, float))
+    counted = np.asarray(host.counted, bool)
+    steps = len(instants) - 1
+    if host.status.failed:
+        return WindowTrack(host.name, host.name, instants, places, counted, None, instants[:0])
+    apart = int(host.lag)
+    along = frame_velocities(jnp.asarray(places), jnp.asarray(np.diff(instants)), found, discretization, lag)
+    velocities = np.concatenate(jax.device_get(along), axis=-1)[: steps + 1 - apart]
+    middle = (instants[apart:] + instants[:-apart]) / 2
+    frame = _track_frame(host, places, spread, velocities)
+    return WindowTrack(host.name, to_table(found), instants, places, counted, frame, middle)
+
+
+def _track_frame(
+    found: Identification, poses: np.ndarray, spread: np.ndarray | None, velocities: np.ndarray
+) -> FrameTrack:
+    with jax.enable_x64(True):
+        frame = frame_arrays(found.constraint_frame)
+    there = locate_on_host(frame, poses)
+    on_body = LinearType(int(found.linear.type_code)).position_body == AngularType.B
+    twins = None
+    if found.linear.has_twin:
+        twin = np.asarray(found.linear.twin, float)
+        twins = poses[:, :3, :3] @ twin + poses[:, :3, 3] if on_body else np.tile(twin, (len(poses), 1))
+    return FrameTrack(
+        origins=poses[:, :3, 3] + there.lever,
+        in_body=np.asarray(found.linear.position, float) if on_body else None,
+        linear_axes=np.asarray(there.linear_axes),
+        angular_axes=np.asarray(there.angular_axes),
+        linear_free=np.asarray(found.linear.dof, bool),
+        angular_free=np.asarray(found.angular.dof, bool),
+        twins=twins,
+        spread=spread,
+        spread_axes=poses[:, :3, :3] if on_body else np.tile(np.eye(3), (len(poses), 1, 1)),
+        velocities=velocities,
+    )
+
+
+def _square_root(covariance: np.ndarray) -> np.ndarray:
+    """The symmetric square root of a covariance (3, 3).
+
+    Raises:
+        ValueError: if it is not symmetric, not finite, or has a negative eigenvalue.
+    """
+    if covariance.shape != (3, 3) or not np.isfinite(covariance).all():
+        raise ValueError(f"Expected a finite covariance of shape (3, 3), not one of {covariance.shape}.")
+    values, vectors = np.linalg.eigh(covariance)
+    if not np.allclose(covariance, covariance.T) or values[0] < -1e-9 * abs(values[2]):
+        raise ValueError("Expected a covariance that is symmetric, without negative eigenvalues.")
+    root: np.ndarray = (vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T
+    return root

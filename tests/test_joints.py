@@ -1,0 +1,282 @@
+"""Joints: of every class of constraint, with their zero, range and errors."""
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import reframe_jax as rf
+from reframe_jax.constraints.catalogue import CONSTRAINTS
+from reframe_jax.joints import fit_joint
+from reframe_jax.simulation import synthetic
+
+START = np.eye(4)
+START[:3, :3] = Rotation.from_rotvec([0.4, -0.2, 1.9]).as_matrix()
+START[:3, 3] = 0.3, -0.2, 0.5
+ROTVEC = (0.3, -0.5, 0.9)
+
+CHAINS = {
+    "A": ("revolute", ["hinge"]),
+    "B": ("prismatic", ["slide"]),
+    "C": ("cylindrical", ["slide", "hinge"]),
+    "D": ("planar", ["slide", "slide", "hinge"]),
+    "I": ("general", ["slide", "hinge"]),
+    "J": ("general", ["hinge", "slide"]),
+    "K": ("general", ["slide", "slide", "ball"]),
+    "L": ("general", ["ball", "slide", "slide"]),
+    "spherical": ("spherical", ["ball"]),
+    "fixed": ("fixed", []),
+}
+
+
+def frame_of(label: str) -> rf.ConstraintFrame:
+    return rf.ConstraintFrame.named(label, rotvec=ROTVEC)
+
+
+def recorded(frame: rf.ConstraintFrame, noise: float = 0.0) -> np.ndarray:
+    simulation = synthetic.simulate(frame, jax.random.key(3), noise=noise, start=jnp.asarray(START))
+    return np.asarray(simulation.poses)
+
+
+def chain_of(*parts: tuple[str, Any, Any], coordinates: np.ndarray) -> np.ndarray:
+    """Poses of a chain, by SciPy: each part moves everything after it."""
+    poses = np.tile(START, (len(coordinates), 1, 1))
+    for column, (kind, axis, point) in reversed(list(enumerate(parts))):
+        moved = np.tile(np.eye(4), (len(coordinates), 1, 1))
+        if kind == "slide":
+            moved[:, :3, 3] = coordinates[:, column, None] * np.asarray(axis)
+        else:
+            vectors = coordinates[:, column, None] * np.asarray(axis)
+            moved[:, :3, :3] = Rotation.from_rotvec(vectors).as_matrix()
+            moved[:, :3, 3] = point - moved[:, :3, :3] @ point
+        poses = moved @ poses
+    return poses
+
+
+@pytest.mark.parametrize("label", CHAINS)
+def test_a_chain_follows_the_recording(label: str) -> None:
+    frame = frame_of(label)
+    poses = recorded(frame)
+    joint = fit_joint(frame, poses, parent="table", child="lid")
+    kind, parts = CHAINS[label]
+    assert (joint.type, [part.kind for part in joint.parts]) == (kind, parts)
+    assert (joint.name, joint.parent, joint.child) == (rf.constraint(label).name, "table", "lid")
+    assert joint.position_error < 1e-7
+    assert joint.rotation_error < 1e-6
+    coordinates = joint.coordinates(poses)
+    np.testing.assert_allclose(joint.poses(coordinates), poses, atol=1e-6)
+    np.testing.assert_allclose(coordinates[0], 0, atol=1e-7)
+    first = 0
+    for part in joint.parts:
+        values = coordinates[:, first : first + part.width]
+        seen = np.linalg.norm(values, axis=1) if part.kind == "ball" else values
+        assert part.high == pytest.approx(seen.max())
+        assert part.low == pytest.approx(0 if part.kind == "ball" else seen.min())
+        first += part.width
+
+
+@pytest.mark.parametrize("kind", rf.LinearType)
+@pytest.mark.parametrize("label", "ABCD")
+def test_types_that_tie_give_the_same_joint(label: str, kind: rf.LinearType) -> None:
+    """A hinge is one in every frame type: here the geometry of the frame at rest, told in each of them."""
+    frame = frame_of(label)
+    poses = recorded(frame)
+    turn, origin = START[:3, :3], START[:3, :3] @ np.asarray(frame.position) + START[:3, 3]
+    axes = turn @ np.asarray(frame.linear_axes)
+
+    def told(on_body: bool) -> np.ndarray:
+        return Rotation.from_matrix(turn.T @ axes if on_body else axes).as_rotvec()
+
+    other = rf.ConstraintFrame(
+        angular_type=kind.orientation_body,
+        angular_dof=frame.angular_dof,
+        linear_type=kind,
+        linear_dof=frame.linear_dof,
+        angular_rotvec=jnp.asarray(told(kind.name[0] == "B")),
+        linear_rotvec=jnp.asarray(told(kind.name[0] == "B")),
+        position=jnp.asarray(frame.position if kind.name[1] == "B" else origin),
+    )
+    expected, joint = fit_joint(frame, poses), fit_joint(other, poses)
+    assert joint.type == expected.type
+    assert joint.axis is not None
+    np.testing.assert_allclose(joint.axis, expected.axis, atol=1e-7)
+    np.testing.assert_allclose(joint.point, expected.point, atol=1e-7)
+    np.testing.assert_allclose(joint.home, expected.home, atol=1e-7)
+    assert joint.position_error < 1e-7
+
+
+@pytest.mark.parametrize("label", "EFGH")
+def test_contacts_are_no_joints(label: str) -> None:
+    frame = frame_of(label)
+    joint = fit_joint(frame, recorded(frame))
+    assert (joint.type, joint.parts, joint.is_chain, joint.axis) == ("general", (), False, None)
+    assert joint.name == CONSTRAINTS[label].name
+    assert "restricts velocities" in joint.gauge[0]
+    assert np.isnan(joint.position_error)
+    with pytest.raises(ValueError, match="no coordinates determine the pose"):
+        joint.poses([])
+    with pytest.raises(ValueError, match="no coordinates determine the pose"):
+        joint.coordinates(np.eye(4)[None])
+
+
+def test_a_free_body_floats() -> None:
+    frame = frame_of("unconstrained")
+    joint = fit_joint(frame, recorded(frame))
+    assert (joint.type, joint.is_chain) == ("floating", False)
+    assert "free" in joint.gauge[0]
+
+
+def test_a_universal_joint_has_an_axis_in_each_body(rng: np.random.Generator) -> None:
+    """No frame fixed in one body holds its still direction: the axes come from the rotations."""
+    first, second, point = np.array([0.0, 0.6, 0.8]), np.array([1.0, 0, 0]), np.array([0.2, 0.1, 0.3])
+    coordinates = rng.uniform(-0.5, 0.5, (60, 2))
+    coordinates[0] = 0
+    poses = chain_of(("hinge", first, point), ("hinge", second, point), coordinates=coordinates)
+    still = Rotation.align_vectors([np.cross(first, second)], [[0, 0, 1.0]])[0].as_rotvec()
+    frame = rf.ConstraintFrame(
+        angular_type=rf.AngularType.G,
+        angular_dof=(1, 1, 0),
+        linear_type=rf.LinearType.GG,
+        linear_dof=(0, 0, 0),
+        angular_rotvec=jnp.asarray(still),
+        linear_rotvec=jnp.zeros(3),
+        position=jnp.asarray(point),
+    )
+    joint = fit_joint(frame, poses)
+    assert (joint.type, joint.name) == ("universal", "Universal joint")
+    np.testing.assert_allclose([part.axis for part in joint.parts], [first, second], atol=1e-6)
+    np.testing.assert_allclose(joint.coordinates(poses), coordinates, atol=1e-5)
+    assert joint.rotation_error < 1e-5
+    # two hinges that follow each other at any other angle are one too; three rotations are not
+    free = np.array(poses)
+    free[:, :3, :3] = Rotation.random(60, rng).as_matrix()
+    assert fit_joint(frame, free).type == "general"
+
+
+def test_what_rotates_and_slides_otherwise_is_a_chain(rng: np.random.Generator) -> None:
+    """Classes without a name: a table that slides both ways, a ball on a rail, a hinge that slides askew."""
+    axes = Rotation.from_rotvec(ROTVEC).as_matrix()
+    along = jnp.asarray(ROTVEC)
+    time = np.linspace(0, 3, 40)
+    steps = np.stack([0.2 * np.sin(time), 0.1 * np.sin(2.2 * time)], axis=1)
+    zero, point = jnp.zeros(3), jnp.asarray([0.1, 0.2, 0.3])
+
+    table = rf.ConstraintFrame(rf.AngularType.G, (0, 0, 0), rf.LinearType.BB, (0, 1, 1), zero, along, point)
+    slides = [("slide", axis, None) for axis in (START[:3, :3] @ axes).T[1:]]
+    joint = fit_joint(table, chain_of(*slides, coordinates=steps))
+    assert [part.kind for part in joint.parts] == ["slide", "slide"]
+    assert joint.position_error < 1e-7
+    assert joint.name == "Unnamed: 0 rotations, 2 translations in BB"
+
+    askew = np.array([0.0, 0.6, 0.8])
+    hinge = rf.ConstraintFrame(
+        rf.AngularType.G,
+        (0, 0, 1),
+        rf.LinearType.GB,
+        (0, 0, 1),
+        zero,
+        jnp.asarray(Rotation.align_vectors([askew], [[0, 0, 1.0]])[0].as_rotvec()),
+        jnp.asarray(START[:3, :3].T @ (np.array([0.5, 0.5, 0.5]) - START[:3, 3])),
+    )
+    parts = ("slide", askew, None), ("hinge", [0, 0, 1.0], np.full(3, 0.5))
+    joint = fit_joint(hinge, chain_of(*parts, coordinates=steps[:, ::-1] * [1, 5]))
+    assert joint.name == "Unnamed: 1 rotation, 1 translation in GB, axes oblique"
+    assert joint.position_error < 1e-7
+
+    free = rf.ConstraintFrame(rf.AngularType.G, (0, 0, 1), rf.LinearType.BG, (1, 1, 1), zero, zero, point)
+    poses = chain_of(("hinge", [0, 0, 1.0], np.zeros(3)), coordinates=steps)
+    poses[:, :3, 3] += rng.normal(size=(40, 3))
+    joint = fit_joint(free, poses)
+    assert [part.kind for part in joint.parts] == ["slide"] * 3 + ["hinge"]
+    assert joint.position_error < 1e-7
+
+
+def test_full_turns_are_continuous() -> None:
+    frame = frame_of("A")
+    axis, point = np.array([0.0, 0.6, -0.8]), np.array([0.1, 0.2, 0.3])
+    angles = np.linspace(0, 3 * np.pi, 80)[:, None]
+    poses = chain_of(("hinge", axis, point), coordinates=angles)
+    frame = rf.ConstraintFrame(
+        rf.AngularType.G,
+        (0, 0, 1),
+        rf.LinearType.GG,
+        (0, 0, 0),
+        jnp.asarray(Rotation.align_vectors([axis], [[0, 0, 1.0]])[0].as_rotvec()),
+        jnp.zeros(3),
+        jnp.asarray(point),
+    )
+    joint = fit_joint(frame, poses)
+    assert joint.type == "continuous"
+    assert joint.axis is not None
+    np.testing.assert_allclose(joint.axis, -axis, atol=1e-9)  # the largest component is positive
+    assert joint.range == pytest.approx((-3 * np.pi, 0))
+    assert joint.range is not None
+    short = fit_joint(frame, poses[:50])
+    assert short.type == "revolute"
+
+
+def test_zero_and_range_are_averages_over_noise() -> None:
+    """The home pose has the noise of all poses together, not that of the first one."""
+    frame = frame_of("A")
+    exact, noisy = fit_joint(frame, recorded(frame)), fit_joint(frame, recorded(frame, noise=2e-3))
+    assert 1e-3 < noisy.position_error < 5e-3
+    assert 3e-3 < noisy.rotation_error < 2e-2
+    # along the joint the zero follows the first pose, across it it does not
+    nearest = exact.coordinates(noisy.home[None])
+    off = np.linalg.norm(exact.poses(nearest)[0, :3, 3] - noisy.home[:3, 3])
+    assert off < 1e-3
+    assert noisy.range == pytest.approx(exact.range, abs=0.05)
+
+
+def test_joints_say_what_was_chosen() -> None:
+    frame = frame_of("A")
+    text = str(fit_joint(frame, recorded(frame), child="door"))
+    assert text.startswith("Revolute joint: revolute joint from ground to door\n  axis   (")
+    for words in (" m\n  hinge  ", " deg\n  error  ", "nearest to the origin of the door", "its negative"):
+        assert words in text
+    frame = frame_of("D")
+    assert "turned within the plane" in str(fit_joint(frame, recorded(frame)))
+
+
+def test_what_cannot_be_a_joint_is_refused() -> None:
+    frame = frame_of("A")
+    poses = recorded(frame)
+    with pytest.raises(ValueError, match=r"Expected poses of shape \(K\+1, 4, 4\), not \(4, 4\)"):
+        fit_joint(frame, poses[0])
+    with pytest.raises(ValueError, match="Expected finite poses"):
+        fit_joint(frame, np.full_like(poses, np.nan))
+    with pytest.raises(ValueError, match=r"not a batch of shape \(2,\)"):
+        fit_joint(jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), frame), poses)
+    with pytest.raises(ValueError, match="two different names, not 'door' and 'door'"):
+        fit_joint(frame, poses, parent="door", child="door")
+    with pytest.raises(ValueError, match="a positive length in m, not 0"):
+        fit_joint(frame, poses, length=0)
+    joint = fit_joint(frame, poses)
+    with pytest.raises(ValueError, match=r"coordinates of shape \(..., 1\), not \(2,\)"):
+        joint.poses([0.0, 1.0])
+    with pytest.raises(ValueError, match=r"poses of shape \(K, 4, 4\), not \(4, 4\)"):
+        joint.coordinates(poses[0])
+
+
+def test_identifications_become_joints() -> None:
+    """Outliers take no part, and windows without a result have no joint."""
+    poses = recorded(frame_of("A"), noise=1e-4)[:21].copy()
+    poses[10, :3, 3] += 1.0
+    found = rf.identify(poses, dt=0.1)
+    assert found.name == "Revolute joint"
+    joint = found.to_joint(poses, parent="wall", child="door")
+    assert (joint.type, joint.parent, joint.child) == ("revolute", "wall", "door")
+    assert joint.position_error < 5e-4
+    assert 0.03 <= joint.length <= 3
+    with pytest.raises(ValueError, match=r"the poses that were identified, \(21, 4, 4\), not \(20, 4, 4\)"):
+        found.to_joint(poses[1:])
+    still = replace(found, status_code=np.int32(rf.Status.NO_MOTION))
+    with pytest.raises(ValueError, match="There is no joint: "):
+        still.to_joint(poses)
+    batch = jax.tree.map(lambda leaf: np.stack([leaf, leaf]), found)
+    with pytest.raises(ValueError, match="index one window first"):
+        batch.to_joint(poses)

@@ -1,0 +1,316 @@
+"""The viewer: what is drawn, on a page in a real browser, and in one file without a network."""
+
+import builtins
+import re
+import socket
+import webbrowser
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from browsers import headless_browser, near, picture, wait_for
+
+import reframe_jax as rf
+from reframe_jax.cli import program
+from reframe_jax.plotting.scene import frames_in_ground
+from reframe_jax.plotting.style import BODY, CONSTRAINED, OUTLIERS, TURNING
+from reframe_jax.recordings.writing import save_recording
+from reframe_jax.simulation import synthetic
+from reframe_jax.viewer import Page, WindowTrack, serve_page, track_window, write_page
+from reframe_jax.viewer.drawing import scene_box
+from reframe_jax.viewer.page import velocity_series
+
+POSES = 21
+WIDTH, HEIGHT = 1280, 800
+SCENE = slice(320, 870)  # columns of the picture with nothing but the scene
+
+
+def record(label: str) -> tuple[np.ndarray, np.ndarray, rf.Identification]:
+    """Poses with one outlier, their times, and their identification."""
+    simulation = synthetic.simulate(label, jax.random.key(0), noise=1e-4)
+    poses = np.array(simulation.poses[:POSES])
+    poses[7, :3, 3] += 0.15
+    return poses, np.asarray(simulation.times[:POSES]), rf.identify(poses, dt=0.1)
+
+
+@pytest.fixture(scope="module")
+def hinge() -> tuple[np.ndarray, np.ndarray, rf.Identification]:
+    return record("A")
+
+
+@pytest.fixture(scope="module")
+def tracks(hinge: tuple[np.ndarray, np.ndarray, rf.Identification]) -> list[WindowTrack]:
+    """A hinge with a twin and a known uncertainty, and a later window without a result."""
+    poses, times, found = hinge
+    linear = replace(found.linear, has_twin=np.True_, twin=found.linear.position + 0.05)
+    first = track_window(poses, times, replace(found, linear=linear), covariance=np.diag([1e-5, 4e-5, 1e-5]))
+    failed = replace(found, status_code=np.int32(rf.Status.NO_MOTION))
+    return [first, track_window(poses, times + 2, failed)]
+
+
+# what is drawn
+
+
+@pytest.mark.parametrize("label", ["A", "K"])
+def test_tracks_are_where_the_pictures_are(label: str) -> None:
+    poses, times, found = record(label)
+    track = track_window(poses, times, found)
+    assert track.frame is not None
+    origins, axes, turning = frames_in_ground(poses, found, np.arange(POSES))
+    np.testing.assert_allclose(track.frame.origins, origins, atol=1e-12)
+    np.testing.assert_allclose(track.frame.linear_axes, axes, atol=1e-12)
+    free = track.frame.angular_free
+    if free.sum() < 3:
+        np.testing.assert_allclose(track.frame.angular_axes.swapaxes(1, 2)[:, free], turning, atol=1e-12)
+    if track.frame.in_body is not None:
+        tip = poses[:, :3, :3] @ track.frame.in_body + poses[:, :3, 3]
+        np.testing.assert_allclose(track.frame.origins, tip, atol=1e-12)
+    assert track.name == found.name
+    assert not track.counted[7]
+    assert track.frame.twins is None
+    assert track.frame.spread is None
+
+
+def test_twins_and_uncertainty_are_fixed_where_the_origin_is() -> None:
+    poses, times, found = record("K")  # its origin is fixed in the body
+    linear = replace(found.linear, has_twin=np.True_, twin=found.linear.position)
+    covariance = np.array([[4e-4, 1e-4, 0], [1e-4, 3e-4, 0], [0, 0, 1e-6]])
+    track = track_window(poses, times, replace(found, linear=linear), covariance=covariance)
+    assert track.frame is not None
+    assert track.frame.twins is not None
+    assert track.frame.spread is not None
+    np.testing.assert_allclose(track.frame.twins, track.frame.origins, atol=1e-12)
+    np.testing.assert_allclose(track.frame.spread @ track.frame.spread, covariance, atol=1e-12)
+    np.testing.assert_array_equal(track.frame.spread_axes, poses[:, :3, :3])
+
+
+def test_residuals_are_the_velocities_of_constrained_axes(tracks: list[WindowTrack]) -> None:
+    first, failed = tracks
+    assert first.frame is not None
+    (title, rows), (_, linear), (_, angular) = velocity_series(first)
+    assert title == "residuals"
+    assert [label for label, _, _ in rows] == [
+        *(f"linear {i} [mm/s]" for i in (1, 2, 3)),
+        *(f"angular {i} [mrad/s]" for i in (1, 2)),
+    ]
+    assert [label for label, _, _ in angular] == ["1 constrained", "2 constrained", "3 free"]
+    np.testing.assert_array_equal(rows[0][2], 1e3 * linear[0][2])
+    assert all(len(values) == len(first.velocity_times) for _, _, values in (*rows, *linear, *angular))
+    assert np.isnan(first.frame.velocities).any()  # at the outlier
+    assert velocity_series(failed) == []
+
+
+def test_the_scene_holds_the_motion_without_outliers(tracks: list[WindowTrack]) -> None:
+    centre, size = scene_box(tracks)
+    assert tracks[0].frame is not None
+    counted = tracks[0].counted
+    points = np.concatenate([tracks[0].poses[counted, :3, 3], tracks[0].frame.origins[counted]])
+    assert (np.abs(points - centre) <= size / 2 + 1e-12).all()
+    nothing = replace(tracks[1], poses=np.full_like(tracks[1].poses, np.nan))
+    assert scene_box([nothing])[1] == 1
+
+
+def test_what_cannot_be_drawn_is_refused(hinge: tuple[np.ndarray, np.ndarray, rf.Identification]) -> None:
+    poses, times, found = hinge
+    with pytest.raises(ValueError, match="Expected the 21 poses that were identified and their times"):
+        track_window(poses[1:], times, found)
+    with pytest.raises(ValueError, match=r"a finite covariance of shape \(3, 3\), not one of \(2, 2\)"):
+        track_window(poses, times, found, covariance=np.eye(2))
+    for wrong in (np.diag([1, 1, -1.0]), np.triu(np.ones((3, 3)))):
+        with pytest.raises(ValueError, match="symmetric, without negative eigenvalues"):
+            track_window(poses, times, found, covariance=wrong)
+    batch = jax.tree.map(lambda leaf: np.stack([leaf, leaf]), found)
+    with pytest.raises(ValueError, match="index one window first"):
+        track_window(poses, times, batch)
+    with pytest.raises(ValueError, match="at least one window"):
+        serve_page([])
+
+
+def test_the_viewer_names_what_is_missing(
+    tracks: list[WindowTrack], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = builtins.__import__
+
+    def without(name: str, *args: Any, **kwargs: Any) -> Any:
+        if name.split(".")[0] == "viser":
+            raise ImportError(name)
+        return real(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(ImportError, match=r"pip install 'reframe-jax\[viewer\]'"):
+        write_page(tmp_path / "page.html", tracks)
+
+
+# in a browser
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    pytest.importorskip("viser", reason="needs viser")
+    with headless_browser() as found:
+        yield found
+
+
+def shows_the_scene(page: Any) -> bool:
+    """Whether the hinge is seen: its path, its dashes, its axis of rotation and the outlier."""
+    scene = picture(page)[:, SCENE]
+    lines = all(near(scene, colour).sum() > 40 for colour in (BODY, CONSTRAINED[0], TURNING))
+    return lines and near(scene, OUTLIERS["color"], 40).sum() > 5
+
+
+def test_the_page_shows_the_window_and_needs_no_network(browser: Any, tracks: list[WindowTrack]) -> None:
+    page = serve_page(tracks, title="door.csv", port=8190)
+    try:
+        view = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
+        asked: list[str] = []
+        view.on("request", lambda request: asked.append(request.url))
+        view.goto(page.url)
+        wait_for(lambda: shows_the_scene(view))
+        for words in ("door.csv", "Revolute joint", "residuals", "time [s]", "window"):
+            assert view.get_by_text(words).first.is_visible(), words
+        before = picture(view)[:, SCENE]
+        wait_for(lambda: bool((picture(view)[:, SCENE] == before).all()))
+
+        # the slider of the time moves the body
+        field = view.locator("input:visible:not([type=checkbox])").last
+        field.fill("1.5")
+        field.press("Enter")
+        wait_for(lambda: bool((picture(view)[:, SCENE] != before).sum() > 500))
+        assert shows_the_scene(view)
+
+        # the other window has no result, and so no axes
+        field = view.locator("input:visible:not([type=checkbox])").first
+        field.fill("1")
+        field.press("Enter")
+        wait_for(lambda: view.get_by_text("No result").first.is_visible())
+        wait_for(lambda: not near(picture(view)[:, SCENE], TURNING).any())
+        assert near(picture(view)[:, SCENE], BODY).sum() > 40
+
+        local = re.compile(r"(blob:)?http://127\.0\.0\.1:\d+/|data:|ws://127\.0\.0\.1:\d+")
+        assert asked
+        assert all(local.match(url) for url in asked), asked
+    finally:
+        page.close()
+
+
+def test_the_page_is_for_this_machine_only(tracks: list[WindowTrack]) -> None:
+    """A server on all addresses would answer at 127.0.0.2 too."""
+    pytest.importorskip("viser", reason="needs viser")
+    page = serve_page(tracks, port=8190)
+    try:
+        port = int(page.url.rsplit(":", 1)[1])
+        assert page.url.startswith("http://127.0.0.1:")
+        socket.create_connection(("127.0.0.1", port), timeout=5).close()
+        with pytest.raises(OSError, match="refused"):
+            socket.create_connection(("127.0.0.2", port), timeout=5)
+    finally:
+        page.close()
+
+
+def test_playing_moves_the_body_and_starts_again(tracks: list[WindowTrack]) -> None:
+    pytest.importorskip("viser", reason="needs viser")
+    page = serve_page(tracks[:1], port=8190)
+    try:
+        body = page._drawing._moving["body"]
+        np.testing.assert_allclose(body.position, tracks[0].poses[0, :3, 3])
+        page.advance(1.04)
+        np.testing.assert_allclose(body.position, tracks[0].poses[10, :3, 3])
+        page.advance(1.5)
+        np.testing.assert_allclose(body.position, tracks[0].poses[0, :3, 3])
+    finally:
+        page.close()
+
+
+def test_one_file_shows_the_same_without_a_network(
+    browser: Any, tracks: list[WindowTrack], tmp_path: Path
+) -> None:
+    path = tmp_path / "page.html"
+    write_page(path, tracks, title="a <door>")
+    context = browser.new_context(viewport={"width": WIDTH, "height": HEIGHT})
+    context.set_offline(True)
+    view = context.new_page()
+    asked: list[str] = []
+    view.on("request", lambda request: asked.append(request.url))
+    view.goto(path.as_uri())
+    # it plays: the hinge is seen during the first window
+    wait_for(lambda: shows_the_scene(view))
+    panel = view.locator("#reframe-panel")
+    assert panel.get_by_text("a <door>").is_visible()
+    assert panel.get_by_text("Revolute joint").first.is_visible()
+    panel.locator("summary").first.click()
+    assert panel.locator("svg path").count() == 5 + 3 + 3
+    assert panel.get_by_text("residuals").is_visible()
+    assert all(url.startswith(("file:", "data:", "blob:")) for url in asked), asked
+    context.close()
+
+
+# on the command line
+
+
+def test_the_command_writes_a_file(
+    hinge: tuple[np.ndarray, np.ndarray, rf.Identification], tmp_path: Path, capsys: Any
+) -> None:
+    pytest.importorskip("viser", reason="needs viser")
+    poses, times, _ = hinge
+    recording, out = tmp_path / "door.csv", tmp_path / "door.html"
+    save_recording(recording, times, poses)
+    assert program.main(["view", "--no-cache", str(recording), "--html", str(out)]) == 0
+    captured = capsys.readouterr()
+    assert (captured.out, captured.err) == (f"{out}: Revolute joint\n", "")
+    text = out.read_text()
+    assert "door.csv" in text
+    assert "<svg" in text
+    assert not re.search(r'(src|href)="https?:', text)
+    assert program.main(["view", str(recording), "--html", str(tmp_path / "no" / "a.html")]) == 1
+    assert "cannot be written: No such file or directory" in capsys.readouterr().err
+    assert program.main(["view", str(tmp_path / "no.csv")]) == 1
+    assert "cannot be read: No such file" in capsys.readouterr().err
+
+
+def test_the_command_serves_a_page_until_it_is_interrupted(
+    hinge: tuple[np.ndarray, np.ndarray, rf.Identification],
+    tmp_path: Path,
+    capsys: Any,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pytest.importorskip("viser", reason="needs viser")
+    poses, times, _ = hinge
+    recording = tmp_path / "door.csv"
+    save_recording(recording, times, poses)
+    served: list[tuple[str, int]] = []
+    opened: list[str] = []
+
+    def interrupted(page: Page) -> None:
+        host, port = page.url.removeprefix("http://").split(":")
+        socket.create_connection((host, int(port)), timeout=5).close()
+        served.append((host, int(port)))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Page, "run", interrupted)
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    assert program.main(["view", "--no-cache", str(recording), "--port", "8190", "--open"]) == 130
+    ((host, port),) = served
+    assert opened == [f"http://{host}:{port}"]
+    assert capsys.readouterr().out == f"{recording}: {opened[0]} (Ctrl-C ends it)\n"
+    with pytest.raises(OSError, match="refused"):
+        socket.create_connection((host, port), timeout=5)
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        (["--stride", "2"], "--stride needs --window"),
+        (["--window", "3"], "--window must be at least 5 poses"),
+        (["--window", "9", "--stride", "0"], "--stride must be at least 1"),
+        (["--port", "70000"], "--port must be at most 65535, not 70000"),
+    ],
+)
+def test_wrong_options_are_refused(options: list[str], problem: str, capsys: Any) -> None:
+    with pytest.raises(SystemExit) as caught:
+        program.main(["view", "a.csv", *options])
+    assert caught.value.code == 2
+    assert problem in capsys.readouterr().err
