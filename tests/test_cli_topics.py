@@ -77,7 +77,7 @@ def test_options_of_reading_reach_the_reader(
         read.append(recording)
         raise ValueError("enough")
 
-    monkeypatch.setattr(command, "_windows", windows)
+    monkeypatch.setattr(command, "identify_recording", windows)
     names = {"from_frame": "--from", "to_frame": "--to"}
     words = [word for name, value in options.items() for word in (names.get(name, f"--{name}"), str(value))]
     assert program.main(["identify", "--no-cache", str(bag), *words]) == 1
