@@ -1,5 +1,6 @@
 """Identification while the robot moves: push a pose, get the current frame."""
 
+from operator import index
 from typing import Any
 
 import jax
@@ -8,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.entry import identify
+from reframe_jax.identification.inputs import read_number, read_numbers
 from reframe_jax.identification.options import Lag, check_options, lag_in_samples, make_box
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import MIN_VELOCITIES, ROTATION_TOLERANCE, Status
@@ -56,11 +58,15 @@ class OnlineIdentifier:
         solver: Solver | None = None,
         key: jax.Array | None = None,
     ) -> None:
+        try:
+            length = index(length)
+        except TypeError as error:
+            raise ValueError(f"length must be a whole number of poses, not {length!r}.") from error
         if length < MIN_VELOCITIES + 1:
             raise ValueError(f"A window needs at least {MIN_VELOCITIES + 1} poses, not {length}.")
-        if dt is not None and not 0 < dt < np.inf:
+        if dt is not None and not 0 < (dt := read_number("dt", dt)) < np.inf:
             raise ValueError(f"dt must be a positive number of seconds, not {dt}.")
-        check_options(thresholds, solver, discretization)
+        check_options(thresholds, solver, discretization, key)
         lag_in_samples(lag, np.ones(length - 1), discretization)
         make_box(bounds, np.dtype(float))
         self._dt = dt
@@ -92,12 +98,13 @@ class OnlineIdentifier:
             ValueError: if the pose or time is missing, of a wrong shape, or unusable: it is not added.
                 Also if the window as a whole has no motion; the pose is then kept.
         """
-        pose = np.asarray(pose, dtype=float)
+        pose = np.asarray(read_numbers("pose", pose), dtype=float)
         if pose.shape != (4, 4) or not np.all(np.isfinite(pose)):
             raise ValueError(f"A pose must be a finite (4, 4) matrix, not {pose.shape}: {pose.tolist()}.")
         if (time is None) == (self._dt is None):
             raise ValueError("Give a time with every pose, or the sample time dt once, in seconds.")
         _check_rigid(pose)
+        time = None if time is None else read_number("time", time)
         if time is not None and not np.isfinite(time):
             raise ValueError(f"A time must be a finite number of seconds, not {time}.")
         last = self._times[(self._count - 1) % self._length]

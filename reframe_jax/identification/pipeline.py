@@ -242,9 +242,17 @@ def _with_status(found: Identification, before: jax.Array) -> Identification:
     on_bounds = pick_type(found.candidates.linear.on_bounds, found.linear.type_code)
     outcome = jnp.where(on_bounds, Status.ON_BOUNDS, Status.OK)
     outcome = jnp.where(still, Status.NOT_EXCITED, outcome)
-    failed = before >= 10
-    found = jax.tree.map(partial(_blank, failed), found)
-    return replace(found, status_code=jnp.where(failed, before, outcome.astype(jnp.int32)))
+    outcome = jnp.where(_is_finite(found), outcome, Status.OUT_OF_RANGE).astype(jnp.int32)
+    outcome = jnp.where(before >= 10, before, outcome)
+    found = jax.tree.map(partial(_blank, outcome >= 10), found)
+    return replace(found, status_code=outcome)
+
+
+def _is_finite(found: Identification) -> jax.Array:
+    """Whether all numbers of a window are finite, (N,)."""
+    leaves = [x for x in jax.tree.leaves(found) if jnp.issubdtype(x.dtype, jnp.floating)]
+    finite = [jnp.all(jnp.isfinite(x).reshape(len(x), -1), axis=1) for x in leaves]
+    return jnp.all(jnp.stack(finite), axis=0)
 
 
 def _blank(failed: jax.Array, leaf: jax.Array) -> jax.Array:

@@ -222,7 +222,10 @@ def _parts(windows: Any, size: int, wanted: set[int] | None) -> Iterator[tuple[i
             if wanted is None or number in wanted:
                 yield number, windows[number * size : (number + 1) * size]
         return
-    source = iter(windows)
+    try:
+        source = iter(windows)
+    except TypeError as error:
+        raise ValueError(f"windows must be an array or an iterable of windows, not {windows!r}.") from error
     shape: tuple[int, ...] | None = None
     for number in count():
         batch = [np.asarray(window) for window in islice(source, size)]
