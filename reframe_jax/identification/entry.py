@@ -24,13 +24,14 @@ from reframe_jax.compilation import chunk_size, compiler_options, traced
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.evidence import Evidence, LagRule, reduce_windows
 from reframe_jax.identification.inputs import take_poses, take_steps
-from reframe_jax.identification.options import Lag, as_dtype, check_options, lag_in_samples, make_box
+from reframe_jax.identification.options import Lag, as_dtype, check_options, lag_in_samples, make_space
 from reframe_jax.identification.pipeline import identify_windows, solve_evidence
 from reframe_jax.identification.results import Identification
+from reframe_jax.identification.widening import SearchSpace
 from reframe_jax.motion.checks import Status
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.objectives.norms import check_exponent
-from reframe_jax.solvers import BasinHopping, Box, FrameSteps, JointSearch, Solver, ValleySteps
+from reframe_jax.solvers import BasinHopping, FrameSteps, JointSearch, Solver, ValleySteps
 
 __all__ = ["default_solver", "identify"]
 
@@ -60,7 +61,7 @@ def identify(
     norm: float = 0.0,
     discretization: Discretization = "chord",
     thresholds: Thresholds | None = None,
-    bounds: ArrayLike | tuple[ArrayLike, ArrayLike] = 1.0,
+    bounds: ArrayLike | tuple[ArrayLike, ArrayLike] | None = None,
     solver: Solver | None = None,
     key: jax.Array | None = None,
 ) -> Identification:
@@ -91,9 +92,10 @@ def identify(
             :func:`reframe_jax.motion.kinematics.linear_velocity_maps`.
         thresholds: RMS velocities above which an axis is free.
         bounds: where positions are searched, in m: half the width of a cube, or (low, high), each (3,).
-            The box is centred on the mean position of {b} for frames fixed in the ground, and on the
-            origin of {b} for frames fixed in the body, so the answer does not depend on where the
-            ground frame happens to be.
+            By default 1 m, and 16 m for windows whose motion points to an origin farther away, which
+            ``warnings`` of the result then says. The box is centred on the mean position of {b} for frames
+            fixed in the ground, and on the origin of {b} for frames fixed in the body, so the answer does not
+            depend on where the ground frame happens to be.
         solver: search for the position, by default :func:`default_solver`.
         key: of the solver's random numbers; by default ``jax.random.key(0)``.
 
@@ -116,7 +118,7 @@ def identify(
         options = (
             samples,
             None if thresholds is None else jax.tree.map(lambda t: as_dtype(t, dtype), thresholds),
-            make_box(bounds, dtype),
+            make_space(bounds, dtype),
             key,
         )
         static = {
@@ -310,7 +312,7 @@ def _identify(
     steps: jax.Array,
     lag: jax.Array | None,
     thresholds: Thresholds | None,
-    box: Box,
+    space: SearchSpace,
     key: jax.Array | None,
     *,
     rule: LagRule,
@@ -327,7 +329,7 @@ def _identify(
     lag = None if lag is None else jnp.broadcast_to(lag, batch).reshape(-1)
 
     def of_windows(poses: jax.Array, steps: jax.Array, lag: jax.Array | None) -> Identification:
-        options = thresholds, box, key, rule, exponent, discretization, solver
+        options = thresholds, space, key, rule, exponent, discretization, solver
         return identify_windows(poses, steps, None, lag, *options)
 
     count, chunk = flat.shape[0], chunk_size()
@@ -348,7 +350,7 @@ def _identify(
 def _solve_evidence(
     evidence: Evidence,
     thresholds: Thresholds | None,
-    box: Box,
+    space: SearchSpace,
     key: jax.Array | None,
     *,
     rule: LagRule,
@@ -356,7 +358,7 @@ def _solve_evidence(
     solver: Solver,
 ) -> Identification:
     key = jax.random.key(0) if key is None else key
-    return solve_evidence(evidence, thresholds, box, key, rule, exponent, solver)
+    return solve_evidence(evidence, thresholds, space, key, rule, exponent, solver)
 
 
 _STATIC = ("rule", "exponent", "discretization", "solver")

@@ -10,12 +10,14 @@ from reframe_jax.compilation import traced
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.evidence import LagRule
 from reframe_jax.identification.inputs import read_numbers
+from reframe_jax.identification.widening import SearchSpace
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.solvers import Box, Solver
 
-__all__ = ["Lag", "as_dtype", "check_options", "lag_in_samples", "make_box"]
+__all__ = ["Lag", "as_dtype", "check_options", "lag_in_samples", "make_space"]
 
 _LONGEST = 2**30  # samples of a lag, far more than a window has
+_NEAR, _FAR = 1.0, 16.0  # m, half the width of the boxes that are searched by default
 _FARTHEST = 1e6  # m, of bounds: far more than any mechanism, and powers of it are finite
 
 Lag = Literal["auto"] | int | float | np.ndarray | jax.Array
@@ -89,12 +91,17 @@ def _is_key(key: Any) -> bool:
     return plain or (jnp.issubdtype(key.dtype, jax.dtypes.prng_key) and key.shape == ())
 
 
-def make_box(bounds: Any, dtype: np.dtype) -> Box:
+def make_space(bounds: Any, dtype: np.dtype) -> SearchSpace:
     """Where positions are searched, from ``bounds`` of :func:`reframe_jax.identify`.
+
+    Bounds that were given are kept; those by default are widened where the motion asks for it.
 
     Raises:
         ValueError: if they are of a wrong shape, or span no box.
     """
+    if bounds is None:
+        near, far = (as_dtype(np.full(3, size), dtype) for size in (_NEAR, _FAR))
+        return SearchSpace(Box(-near, near), Box(-far, far))
     if isinstance(bounds, tuple) and len(bounds) != 2:
         raise ValueError(f"bounds must be a length in m, or (low, high), not {len(bounds)} of them.")
     if isinstance(bounds, tuple):
@@ -112,7 +119,8 @@ def make_box(bounds: Any, dtype: np.dtype) -> Box:
         if not (np.all(low >= -_FARTHEST) and np.all(high <= _FARTHEST)):
             raise ValueError(f"bounds must lie within {_FARTHEST:g} m, not {low} and {high}.")
     ones = np.ones(3, dtype)
-    return Box(low * ones, high * ones)
+    box = Box(low * ones, high * ones)
+    return SearchSpace(box, box)
 
 
 def as_dtype(value: Any, dtype: np.dtype) -> Any:
