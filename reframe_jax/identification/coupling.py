@@ -18,6 +18,7 @@ from reframe_jax.objectives.velocity import PositionObjective
 __all__ = ["coupled_positions"]
 
 _APART = 0.05  # m, between origins that are compared
+_AS_STILL = 0.2  # in the logarithm of their RMS; few samples alone make nothing coupled
 
 
 def coupled_positions(
@@ -30,7 +31,7 @@ def coupled_positions(
     """Directions in which other origins, each with its own axes, explain a window as well.
 
     Along the principal curvatures of log J, origins 5 cm away on both sides are compared with the optimum:
-    are as many axes as still, to within sampling error?
+    are as many axes as still, to within sampling error and 20 %?
 
     Args:
         objective: of one type for each window.
@@ -45,7 +46,7 @@ def coupled_positions(
     basis, others = _principal_directions(objective, x, free)
     held = (dof == 0).astype(x.dtype)
     reference, _ = principal_axes(objective.covariance(x))
-    margin = tie_margin(held, samples)
+    margin = jnp.minimum(tie_margin(held, samples), _AS_STILL)
     as_still = others
     for i in range(3):
         for sign in (1.0, -1.0):

@@ -114,9 +114,9 @@ def _seen_from(maps: jax.Array, axes: jax.Array, origin: jax.Array | None = None
     return jnp.concatenate([moved[:, None], turned[:, 1:]], axis=1)
 
 
-def _again(evidence: Evidence, maps: jax.Array) -> jax.Array:
+def _again(evidence: Evidence, maps: jax.Array, floor: jax.Array | None = None) -> jax.Array:
     """Moments of velocities seen along their own axes, with a floor that leaves float32 its digits."""
-    return usable_moments(evidence.status >= 10, maps, 2)
+    return usable_moments(evidence.status >= 10, maps, 2, floor)
 
 
 def _angular_optima(evidence: Evidence) -> tuple[jax.Array, jax.Array]:
@@ -162,7 +162,7 @@ def find_optima(
     else:
         first = jax.lax.stop_gradient(principal_axes(objective.covariance(solution.x))[1])
         seen = _seen_from(evidence.maps, first, solution.x)
-        objective = PositionObjective(_again(evidence, seen), exponent)
+        objective = PositionObjective(_again(evidence, seen, evidence.floor), exponent)
         low, high = box.bounds(solution.x)
         here = Box(low - solution.x, high - solution.x)
         start = jnp.zeros_like(solution.x)

@@ -134,6 +134,7 @@ def solve_evidence(
     linear_frame = _linear_frame(linear, evidence, optima, patterns, idle)
     cautions = {
         Caution.FAR_ORIGIN: optima.widened,
+        Caution.ROUNDED: evidence.rounded,
         Caution.COUPLED: jnp.any(linear_frame.coupled_position != 0, axis=(-2, -1)),
     }
     found = Identification(
