@@ -47,6 +47,37 @@ def test_a_refused_pose_is_not_added(recording):
     np.testing.assert_array_equal(found.linear.position, window.linear.position)
 
 
+def test_a_time_far_in_the_future_does_not_block_the_stream(recording, monkeypatch):
+    monkeypatch.setattr(online, "identify", lambda poses, *, times, **_: np.asarray(times))
+    stream = rf.OnlineIdentifier(5)
+    pose = np.asarray(recording.poses)[0]
+    for time in (0.0, 0.1, 1e9):
+        assert stream.push(pose, time) is None
+    for time in (0.2, 0.3, 0.1, 0.2):  # the third does not increase
+        with pytest.raises(ValueError, match="Times must increase"):
+            stream.push(pose, time)
+        assert len(stream) == 3
+    assert stream.push(pose, 0.3) is None
+    assert len(stream) == 1
+    for time in (0.4, 0.5, 0.6):
+        assert stream.push(pose, time) is None
+    np.testing.assert_array_equal(stream.push(pose, 0.7), [0.3, 0.4, 0.5, 0.6, 0.7])
+
+
+def test_times_refused_now_and_then_empty_no_window(recording, monkeypatch):
+    monkeypatch.setattr(online, "identify", lambda *_, **__: None)
+    stream, pose = rf.OnlineIdentifier(5), np.asarray(recording.poses)[0]
+    for time in range(20):
+        stream.push(pose, time)
+        with pytest.raises(ValueError, match="Times must increase"):
+            stream.push(pose, time - 0.5)
+    assert len(stream) == 5
+    stream.reset()
+    assert len(stream) == 0
+    stream.push(pose, -1.0)
+    assert len(stream) == 1
+
+
 def test_the_first_time_must_be_a_number(recording):
     with pytest.raises(ValueError, match="finite number of seconds, not nan"):
         rf.OnlineIdentifier(5).push(np.asarray(recording.poses)[0], np.nan)

@@ -60,6 +60,13 @@ def test_the_readme_names_every_extra() -> None:
     assert not missing
 
 
+def test_every_requirement_has_an_upper_bound() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    groups = [project["dependencies"], *project["optional-dependencies"].values()]
+    names = [name for group in groups for name in group if not name.startswith("reframe-jax[")]
+    assert [name for name in names if "<" not in name] == []
+
+
 def test_the_wheel_holds_the_package_and_nothing_else(built: Path) -> None:
     (wheel,) = built.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:

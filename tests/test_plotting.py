@@ -58,6 +58,7 @@ def identification(
             twin=POSITION,
             has_twin=np.False_,
             free_position=np.zeros((3, 3)),
+            coupled_position=np.zeros((3, 3)),
             **common,
         ),
         candidates=AllCandidates(candidates, candidates),
@@ -67,6 +68,7 @@ def identification(
         refined=np.False_,
         counted=~np.isin(np.arange(9), outliers),
         status_code=np.int32(Status.OK),
+        warning_codes=np.int32(0),
     )
 
 

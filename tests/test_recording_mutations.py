@@ -5,7 +5,6 @@ import tempfile
 import tracemalloc
 import warnings
 import zipfile
-from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -18,158 +17,14 @@ import pytest
 from bag_files import POSE, START, Messages, write_bag
 from export_files import motive, qualisys, vicon
 from recording_files import poses_of
-from scipy.spatial.transform import Rotation
 
+from benchmarks.mutations import FORMATS as TEXT_AND_ARRAYS
+from benchmarks.mutations import ROWS, make_recording, motion
 from reframe_jax.recordings.reading import load_recording
 from reframe_jax.recordings.recording import RecordingError
 
 FEW, MANY = 100, 6000  # files of each format
-ROWS = 12
 MOST_MEMORY = 2**24  # bytes; 2**20 are enough for these files
-
-TOKENS = [
-    *(b"nan", b"inf", b"-1e999", b"1e999", b"1e308", b"-1e308", b"1e-400", b"0e99999999999999999999", b""),
-    *(b"1_0", b"0x10", b"1+2j", b"True", b"12:30", b"2020-01-01", b"9" * 400, b"1600000000.123456789"),
-    *(b'"', b'""', b"'", b"\0", b"\xff", b"\xef\xbb\xbf", b"\r", b"\x1b[2J", b"\xe2\x80\xa8", b"\\", b"\\d"),
-    *(b",", b";", b"\t", b"#", b"%", b"\n\n", b" ", b"(", b"]" * 300, b"(" * 300, b"x" * 70_000),
-    *(b"x,x", b"t", b"qx", b"fx", b"m00", b"pos_x", b"snan", "٣".encode(), b"-", b"None", b"1" * 5000),
-]
-SHAPES = [
-    *("(12, 8)", "(12, 7)", "(12,)", "()", "(0, 8)", "(12, 4, 4)", "(3, 4, 8)", "(1000000000000, 8)"),
-    *("(9999999999999999999999, 8)", "(-12, 8)", "(12, -8)", "(12.0, 8)", "(None, 8)", "('a', 8)", "(12, 8"),
-    *("(12L, 8L)", "[12, 8]", "12", "(True, 8)", "(2, 48)", "(96,)", "(96, 1)", "(6, 8)", "(5, 7)"),
-]
-TYPES = [
-    *("'<f8'", "'>f8'", "'<f4'", "'<f2'", "'<f16'", "'<i8'", "'<u8'", "'|i1'", "'|u1'", "'<c16'", "'<c8'"),
-    *("'|b1'", "'<U2'", "'|S8'", "'<M8[s]'", "'<m8[ns]'", "'<M8'", "'|O'", "'|V8'", "'|V0'", "'<U0'", "'f'"),
-    *("[('a', '<f8')]", "[('a', '<f4'), ('b', '<f4')]", "[('a', '<f8', (2,))]", "('<f8', (2,))", "7", "None"),
-    *(
-        "[]",
-        "{}",
-        "'a'",
-        "'<q'",
-        "'<f8,<f8'",
-        "[('a', '|O')]",
-        "'\\d'",
-        "{'names': ['a'], 'formats': ['<f8']}",
-    ),
-]
-
-Mutation = Callable[[np.random.Generator, bytes], bytes]
-
-
-def motion(rng: np.random.Generator) -> np.ndarray:
-    """(12, 8): t, x, y, z, qx, qy, qz, qw of a wandering body."""
-    times = np.cumsum(rng.uniform(0.02, 0.1, ROWS)) + rng.choice([0.0, 1.6e9])
-    return np.column_stack([times, rng.normal(size=(ROWS, 3)), Rotation.random(ROWS, rng).as_quat()])
-
-
-def text_of(table: np.ndarray, separator: str) -> bytes:
-    return "".join(separator.join(map(repr, row)) + "\n" for row in table.tolist()).encode()
-
-
-def make_csv(rng: np.random.Generator) -> bytes:
-    return b"t,x,y,z,qx,qy,qz,qw\n" + text_of(motion(rng), ",")
-
-
-def make_tum(rng: np.random.Generator) -> bytes:
-    return text_of(motion(rng), " ")
-
-
-def make_npy(rng: np.random.Generator, name: str = "table") -> bytes:
-    table = motion(rng)
-    poses = np.tile(np.eye(4), (ROWS, 1, 1))
-    poses[:, :3, :3], poses[:, :3, 3] = Rotation.from_quat(table[:, 4:]).as_matrix(), table[:, 1:4]
-    arrays = {
-        "table": table,
-        "poses": poses,
-        "positions": table[:, 1:4],
-        "quaternions": table[:, 4:],
-        "times": table[:, 0],
-    }
-    file = io.BytesIO()
-    np.save(file, arrays[name])
-    content = file.getvalue()
-    if rng.random() < 0.15:
-        content = with_header(content, "'descr': '<f8'", f"'descr': {rng.choice(TYPES)}")
-    if rng.random() < 0.15:
-        content = with_header(content, f"'shape': {arrays[name].shape}", f"'shape': {rng.choice(SHAPES)}")
-    if rng.random() < 0.05:
-        content = with_header(content, "False", str(rng.choice(["True", "1", "None", "'", "-", "(" * 300])))
-    return content
-
-
-def with_header(content: bytes, old: str, new: str) -> bytes:
-    """An .npy with a part of its header replaced, and the length of the header told right."""
-    length = int.from_bytes(content[8:10], "little")
-    header = content[10 : 10 + length].replace(old.encode(), new.encode())
-    return content[:8] + len(header).to_bytes(2, "little") + header + content[10 + length :]
-
-
-def make_npz(rng: np.random.Generator) -> bytes:
-    """An archive whose members may be mutated themselves, and packed in any way."""
-    names = ["poses", "times"] if rng.random() < 0.5 else ["positions", "quaternions", "times"]
-    seed = int(rng.integers(2**32))
-    file = io.BytesIO()
-    methods = [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA]
-    with zipfile.ZipFile(file, "w", methods[rng.choice(4, p=[0.4, 0.4, 0.1, 0.1])]) as archive:
-        for name in names:
-            content = make_npy(np.random.default_rng(seed) if rng.random() < 0.9 else rng, name)
-            if rng.random() < 0.2:
-                content = mutated(rng, content)
-            archive.writestr(name + ".npy", content)
-    return file.getvalue()
-
-
-def flip(rng: np.random.Generator, content: bytes) -> bytes:
-    changed = bytearray(content)
-    for where in rng.integers(len(changed), size=rng.integers(1, 6)):
-        changed[where] ^= 1 << int(rng.integers(8))
-    return bytes(changed)
-
-
-def span(rng: np.random.Generator, content: bytes) -> tuple[int, int]:
-    """A part of a file: of any length, or a few bytes."""
-    start = int(rng.integers(len(content)))
-    longest = len(content) - start if rng.random() < 0.3 else 40
-    return start, min(len(content), start + int(rng.integers(1, longest + 1)))
-
-
-def cut(rng: np.random.Generator, content: bytes) -> bytes:
-    start, stop = span(rng, content)
-    return content[:start] if rng.random() < 0.5 else content[:start] + content[stop:]
-
-
-def repeat(rng: np.random.Generator, content: bytes) -> bytes:
-    start, stop = span(rng, content)
-    return content[:stop] + content[start:]
-
-
-def swap(rng: np.random.Generator, content: bytes) -> bytes:
-    a, b, c, d = sorted([*span(rng, content), *span(rng, content)])
-    return content[:a] + content[c:d] + content[b:c] + content[a:b] + content[d:]
-
-
-def insert(rng: np.random.Generator, content: bytes) -> bytes:
-    start = int(rng.integers(len(content)))
-    return content[:start] + TOKENS[rng.integers(len(TOKENS))] + content[start:]
-
-
-def replace_cell(rng: np.random.Generator, content: bytes) -> bytes:
-    """Another token between two separators: in text a cell, elsewhere some bytes."""
-    marks = [i for i, byte in enumerate(content) if byte in b", \n:"]
-    if len(marks) < 2:
-        return insert(rng, content)
-    k = int(rng.integers(len(marks) - 1))
-    return content[: marks[k] + 1] + TOKENS[rng.integers(len(TOKENS))] + content[marks[k + 1] :]
-
-
-def mutated(rng: np.random.Generator, content: bytes) -> bytes:
-    kinds: list[Mutation] = [flip, cut, repeat, swap, insert, replace_cell]
-    for _ in range(rng.integers(1, 4)):
-        if content:
-            content = kinds[rng.integers(len(kinds))](rng, content)
-    return content
 
 
 def make_motive(rng: np.random.Generator) -> bytes:
@@ -218,7 +73,7 @@ def make_hdf5(rng: np.random.Generator) -> bytes:
 
 
 FORMATS = {
-    **{".csv": make_csv, ".tum": make_tum, ".npy": make_npy, ".npz": make_npz},
+    **TEXT_AND_ARRAYS,
     **{"motive.csv": make_motive, "vicon.csv": make_vicon, "qualisys.tsv": make_qualisys},
     **{".bag": partial(make_bag, name="a.bag"), ".mcap": partial(make_bag, name="a.mcap")},
     **{".parquet": make_parquet, ".hdf5": make_hdf5},
@@ -267,10 +122,7 @@ def read_mutated(folder: Path, suffix: str, count: int) -> dict[str, int]:
     for seed in range(count):
         rng = np.random.default_rng([seed, *suffix.encode()])
         path = folder / f"{seed}{suffix}"
-        content = FORMATS[suffix](rng)
-        # most changes to an archive break a checksum: in half of them only members are mutated
-        whole = suffix == ".npz" and rng.random() < 0.5
-        path.write_bytes(content if whole else mutated(rng, content))
+        path.write_bytes(make_recording(rng, suffix, FORMATS[suffix]))
         tracemalloc.reset_peak()
         try:
             dt = 0.1 if suffix == ".hdf5" or rng.random() < 0.3 else None

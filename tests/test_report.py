@@ -14,6 +14,7 @@ from reframe_jax.constraints.types import AngularType, LinearType
 from reframe_jax.export.common import Window
 from reframe_jax.export.json import to_document, to_json, to_record
 from reframe_jax.export.table import to_table
+from reframe_jax.identification.cautions import caution_codes
 from reframe_jax.identification.entry import identify
 from reframe_jax.identification.results import (
     AllCandidates,
@@ -68,6 +69,9 @@ def identification(
         probability[index] = value
     one, three = np.diag([0.0, 0.0, 1.0]), np.array
     ties = np.isin(np.arange(4), [linear_type, *tied])
+    codes = caution_codes(
+        np.array([poses - len(outliers)]), np.array([lag]), (np.ones((1, 3)),) * 2, None, {}
+    )
     return Identification(
         angular=AngularFrame(
             type_code=np.int32(AngularType.B),
@@ -94,6 +98,7 @@ def identification(
             tied=ties,
             free_rotation=three([True, True, True]),
             free_position=one if free_position is None else free_position,
+            coupled_position=np.zeros((3, 3)),
         ),
         candidates=AllCandidates(candidates(2, angular_dof, False), candidates(4, linear_dof, True)),
         class_probability=probability,
@@ -102,6 +107,7 @@ def identification(
         refined=np.bool_(lag > 1),
         counted=~np.isin(np.arange(poses), outliers),
         status_code=np.int32(status),
+        warning_codes=np.asarray(codes)[0],
     )
 
 
@@ -171,7 +177,7 @@ def test_noise_lag_and_outliers_of_a_window_in_a_recording() -> None:
     ("poses", "lag", "outliers", "words"),
     [
         (6, 1, (), "5 velocities say nothing"),
-        (7, 1, (), None),
+        (14, 1, (), None),
         (7, 1, (3,), "5 velocities say nothing"),
         (21, 4, (), "5 velocities that do not overlap say nothing"),
         (21, 12, (), "1 velocity says nothing"),
@@ -192,6 +198,12 @@ def test_results_say_so_if_they_say_nothing(
         assert note.endswith("Take longer windows." if lag == 1 else "Take longer windows, or a shorter lag.")
         assert note in to_table(found).splitlines()
         assert to_table(batch(found, found)).splitlines()[-1] == note  # once
+
+
+@pytest.mark.parametrize("poses", [7, 13])
+def test_results_say_so_if_they_say_little(poses: int) -> None:
+    (note,) = identification(poses=poses).warnings
+    assert note.startswith(f"{poses - 1} velocities say little: with 12 or fewer, ")
 
 
 @pytest.mark.parametrize(

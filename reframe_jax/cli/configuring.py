@@ -1,6 +1,9 @@
 """JAX settings of the command line."""
 
+import glob
 import os
+import re
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -8,14 +11,36 @@ import jax
 
 __all__ = ["configure_jax"]
 
+_UNREADABLE = r"Error reading persistent compilation cache entry for '([^']+)'"
+
 
 def configure_jax(cache: bool) -> None:
     """Enable 64-bit mode and, with ``cache``, keep compiled programs between runs."""
     settings: dict[str, Any] = {"jax_enable_x64": True}
     if cache:
         home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        settings["jax_compilation_cache_dir"] = str(Path(home) / "reframe-jax")
+        folder = Path(home) / "reframe-jax"
+        _replace_unreadable(folder)
+        settings["jax_compilation_cache_dir"] = str(folder)
         settings["jax_persistent_cache_min_compile_time_secs"] = 0.0
         settings["jax_persistent_cache_min_entry_size_bytes"] = -1
     for name, value in settings.items():
         jax.config.update(name, value)  # type: ignore[no-untyped-call]
+
+
+def _replace_unreadable(folder: Path) -> None:
+    """Delete entries of the cache that JAX warns it cannot read, so that it writes them anew.
+
+    JAX compiles such a program again, but keeps the file that is there.
+    """
+    show = warnings.showwarning
+
+    def delete_or_show(message: Warning | str, *about: Any, **more: Any) -> None:
+        unreadable = re.match(_UNREADABLE, str(message))
+        if unreadable is None:
+            show(message, *about, **more)
+            return
+        for file in folder.glob(glob.escape(unreadable[1]) + "-*"):
+            file.unlink(missing_ok=True)
+
+    warnings.showwarning = delete_or_show  # type: ignore[assignment]

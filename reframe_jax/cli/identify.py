@@ -3,7 +3,6 @@
 import argparse
 import glob
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +32,6 @@ from reframe_jax.storage.progress import make_meter
 __all__ = ["add_identify", "identify_recording"]
 
 _CHUNK = 2048  # windows between two reports of progress
-_CLOSE = 1.5  # factor from a threshold within which an axis is neither clearly free nor constrained
 _PICTURES = (".png", ".pdf", ".svg", ".jpg", ".webp")
 
 
@@ -96,9 +94,8 @@ def add_identify(commands: Any) -> None:
     add(
         "--bounds",
         type=arguments.metres,
-        default=1.0,
         metavar="M",
-        help="how far positions are searched, in m (%(default)s)",
+        help="how far positions are searched, in m (1, and up to 16 where the motion points farther)",
     )
     add("--summary", action="store_true", help="print the table of all recordings only")
     add("--json", metavar="OUT", help="write the results as JSON; - prints them instead of tables")
@@ -197,10 +194,8 @@ def _identify_file(path: Path, options: argparse.Namespace, tables: list[Columns
         for note in recording.notes:
             say(f"reframe-jax: {path}: {note}")
         found, windows = identify_recording(recording, options)
-        close = _close_calls(found, _thresholds(options)) if options.window is None else []
-        for note in close:
-            say(f"reframe-jax: {path}: {note}")
-        recording = replace(recording, notes=(*recording.notes, *close))
+        for warning in found.warnings if options.window is None else []:
+            say(f"reframe-jax: {path}: {warning}")
         problem = _print_result(path, found, windows, options)
         tables.append(to_columns(found, label=str(path), windows=windows))
         if options.plot is not None and problem is None:
@@ -215,27 +210,6 @@ def _identify_file(path: Path, options: argparse.Namespace, tables: list[Columns
         say(f"reframe-jax: error: {problem}")
     notes = recording.notes if recording else ()
     return to_record(found, label=str(path), windows=windows, notes=notes, error=problem)
-
-
-def _close_calls(found: Identification, thresholds: Thresholds | None) -> list[str]:
-    """A warning of axes so near a threshold given that they are neither clearly free nor constrained."""
-    if thresholds is None:
-        return []
-    close = [
-        f"{group} axis {number} ({rms:.3g} {unit}, threshold {level:g})"
-        for group, level, unit in (
-            ("angular", thresholds.angular, "rad/s"),
-            ("linear", thresholds.linear, "m/s"),
-        )
-        for number, rms in enumerate(np.asarray(getattr(found, group).rms), start=1)
-        if level / _CLOSE < rms < level * _CLOSE
-    ]
-    if not close:
-        return []
-    return [
-        f"close to the threshold, so that free or constrained is uncertain: {', '.join(close)}. Look at the "
-        "gaps between the velocities, and set the thresholds into them."
-    ]
 
 
 def _thresholds(options: argparse.Namespace) -> Thresholds | None:

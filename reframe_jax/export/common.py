@@ -18,10 +18,7 @@ __all__ = [
     "outlier_samples",
     "split_windows",
     "tied_names",
-    "window_notes",
 ]
-
-_UNKNOWNS = 5  # of one constrained axis: its direction, and where the origin is
 
 TYPES = {"angular": AngularType, "linear": LinearType}
 
@@ -65,17 +62,3 @@ def outlier_samples(found: Identification, window: Window | None) -> list[int]:
     """Samples of the recording, or else of the window, that took no part in a window."""
     start = 0 if window is None else window.start
     return [start + int(index) for index in np.flatnonzero(~np.asarray(found.counted))]
-
-
-def window_notes(found: Identification) -> list[str]:
-    """Sentences on what the numbers of one window do not show: so few velocities that they say nothing."""
-    lag = int(found.lag)
-    velocities = (int(np.sum(found.counted)) - 1) // max(lag, 1)
-    if velocities > _UNKNOWNS:
-        return []
-    apart, remedy = ("", "") if lag == 1 else (" that do not overlap", ", or a shorter lag")
-    subject = "1 velocity says" if velocities == 1 else f"{velocities} velocities{apart} say"
-    return [
-        f"{subject} nothing: with {_UNKNOWNS} or fewer, nearly every motion has a frame in which an axis "
-        f"stands still. Take longer windows{remedy}."
-    ]

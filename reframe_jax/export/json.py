@@ -16,7 +16,7 @@ The document that ``to_json`` and ``reframe-jax identify --json`` write has the 
               "start", "stop": samples of the recording, from start up to but not including stop, or null,
               "start_time", "stop_time": s, of the first and the last sample, or null,
               "status": name of a ``Status``, "message": its sentence,
-              "notes": sentences about the result, such as that so few velocities say nothing,
+              "notes": reasons to doubt the result, ``warnings`` of the window,
               "name": of the constraint, "label": letter or word in the catalogue, or null outside of it,
               "probability": of the name; see ``Identification.probability`` for what it is conditional on,
               "class_probability": [
@@ -37,11 +37,13 @@ The document that ``to_json`` and ``reframe-jax identify --json`` write has the 
               "linear": {
                 the same with "type" and "tied" of "BB", "GB", "GG", "BG", and
                 "position": [3], "free_position": [unit vectors along which the position is undetermined],
+                "coupled_position": [unit vectors along which it can move if the axes turn along],
                 "twin": [3] another position that explains the window as well, or null,
               },
               "candidates": {
                 "angular": {type: as "angular", without "type", "tied" and "free_probability"},
-                "linear": {type: as "linear", without them and "twin", and "on_bounds", "agreement"},
+                "linear": {type: as "linear", without them, "coupled_position" and "twin", and "on_bounds",
+                  "agreement"},
               }
             }
           ]
@@ -70,7 +72,6 @@ from reframe_jax.export.common import (
     outlier_samples,
     split_windows,
     tied_names,
-    window_notes,
 )
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
@@ -147,7 +148,7 @@ def _window_record(index: int, found: Identification, span: Window | None) -> di
         return record | {"notes": []} | dict.fromkeys(_RESULT)
     entry = found.entry
     record |= {
-        "notes": window_notes(found),
+        "notes": found.warnings,
         "name": found.name,
         "label": entry.label if entry else None,
         "probability": _plain(found.probability),
@@ -162,6 +163,8 @@ def _window_record(index: int, found: Identification, span: Window | None) -> di
         named = {"type": str(types(int(frame.type_code))), "tied": tied_names(group, frame)}
         record[group] = named | _frame_record(frame)
         record[group]["free_probability"] = _plain(np.asarray(frame.free_probability).tolist())
+    coupled = directions(np.asarray(found.linear.coupled_position))
+    record["linear"]["coupled_position"] = np.reshape(coupled, (-1, 3)).tolist()
     record["linear"]["twin"] = _plain(found.linear.twin.tolist()) if found.linear.has_twin else None
     record["candidates"] = {
         group: {str(kind): _frame_record(_of_type(found, group, kind)) for kind in types}

@@ -15,7 +15,6 @@ from reframe_jax.export.common import (
     outlier_samples,
     split_windows,
     tied_names,
-    window_notes,
 )
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
@@ -52,7 +51,7 @@ def to_table(
         return heading
     spans: Sequence[Window | None] = windows or [None]
     (window,) = spans
-    blocks = [f"{heading} ({_probability(host.probability)})", status.message, *window_notes(host), ""]
+    blocks = [f"{heading} ({_probability(host.probability)})", status.message, *host.warnings, ""]
     for group in TYPES:
         blocks += _frame_block(group, getattr(host, group))
     return "\n".join([*blocks, *_norms_block(host), _noise_line(host, window)])
@@ -84,6 +83,8 @@ def _frame_block(group: str, frame: Any) -> list[str]:
     if isinstance(kind, LinearType):
         lines.append(f"  origin  {_vector(frame.position, 4)} m in the {origin_in}")
         lines += _choice_of_position(directions(frame.free_position))
+        if coupled := directions(frame.coupled_position):
+            lines.append(f"          not determined, if the axes turn along, along {_along(coupled)}")
         if frame.has_twin:
             away = np.linalg.norm(frame.twin - frame.position)
             lines.append(
@@ -131,8 +132,11 @@ def _choice_of_position(directions: list[np.ndarray]) -> list[str]:
         return []
     if len(directions) == 3:
         return ["          not determined: the origin closest to the motion is given"]
-    along = " and ".join(_vector(direction, 3) for direction in directions)
-    return [f"          not determined along {along}"]
+    return [f"          not determined along {_along(directions)}"]
+
+
+def _along(directions: list[np.ndarray]) -> str:
+    return " and ".join(_vector(direction, 3) for direction in directions)
 
 
 def _norms_block(found: Identification) -> list[str]:
@@ -172,7 +176,7 @@ def _batch_table(
     legend = [f"{status.name}: {status.message}" for status in statuses]
     ties = any("~" in cell for row in rows for cell in row)
     twins = any(found.linear.has_twin for found in each)
-    notes = {note: None for found in each if not _failed(found) for note in window_notes(found)}
+    notes = {note: None for found in each if not _failed(found) for note in found.warnings}
     return [
         f"{label}: {count}" if label else count,
         *lines,

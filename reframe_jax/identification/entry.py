@@ -23,13 +23,15 @@ from numpy.typing import ArrayLike
 from reframe_jax.compilation import chunk_size, compiler_options, traced
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.evidence import Evidence, LagRule, reduce_windows
-from reframe_jax.identification.options import Lag, as_dtype, check_options, lag_in_samples, make_box
+from reframe_jax.identification.inputs import take_poses, take_steps
+from reframe_jax.identification.options import Lag, as_dtype, check_options, lag_in_samples, make_space
 from reframe_jax.identification.pipeline import identify_windows, solve_evidence
 from reframe_jax.identification.results import Identification
-from reframe_jax.motion.checks import MIN_VELOCITIES, Status
+from reframe_jax.identification.widening import SearchSpace
+from reframe_jax.motion.checks import Status
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.objectives.norms import check_exponent
-from reframe_jax.solvers import BasinHopping, Box, FrameSteps, JointSearch, Solver, ValleySteps
+from reframe_jax.solvers import BasinHopping, FrameSteps, JointSearch, Solver, ValleySteps
 
 __all__ = ["default_solver", "identify"]
 
@@ -59,7 +61,7 @@ def identify(
     norm: float = 0.0,
     discretization: Discretization = "chord",
     thresholds: Thresholds | None = None,
-    bounds: ArrayLike | tuple[ArrayLike, ArrayLike] = 1.0,
+    bounds: ArrayLike | tuple[ArrayLike, ArrayLike] | None = None,
     solver: Solver | None = None,
     key: jax.Array | None = None,
 ) -> Identification:
@@ -75,7 +77,8 @@ def identify(
     float32).
 
     Args:
-        poses: (..., K+1, 4, 4) poses of the moving body {b} in the ground {g}, in metres; K >= 4.
+        poses: (..., K+1, 4, 4) poses of the moving body {b} in the ground {g}, in metres; K >= 4. float64 or
+            float32; integers become float64.
         times: (K+1,) or (..., K+1) sample times in s, increasing. Give either ``times`` or ``dt``.
         dt: sample time in s, a scalar or (K,) or (..., K).
         lag: between the two poses that a velocity is taken from: a number of samples (int), a time in s
@@ -89,9 +92,10 @@ def identify(
             :func:`reframe_jax.motion.kinematics.linear_velocity_maps`.
         thresholds: RMS velocities above which an axis is free.
         bounds: where positions are searched, in m: half the width of a cube, or (low, high), each (3,).
-            The box is centred on the mean position of {b} for frames fixed in the ground, and on the
-            origin of {b} for frames fixed in the body, so the answer does not depend on where the
-            ground frame happens to be.
+            By default 1 m, and 16 m for windows whose motion points to an origin farther away, which
+            ``warnings`` of the result then says. The box is centred on the mean position of {b} for frames
+            fixed in the ground, and on the origin of {b} for frames fixed in the body, so the answer does not
+            depend on where the ground frame happens to be.
         solver: search for the position, by default :func:`default_solver`.
         key: of the solver's random numbers; by default ``jax.random.key(0)``.
 
@@ -99,26 +103,22 @@ def identify(
         The identification, with the leading axes of ``poses``.
 
     Raises:
-        ValueError: if shapes or options are not as above; for a single window outside a trace also
+        ValueError: if types, shapes or options are not as above; for a single window outside a trace also
             if its poses or times are unusable. In a batch such windows get a ``status`` instead.
     """
     exponent = check_exponent(norm)
     inside_a_trace = traced((poses, times, dt, lag, thresholds, bounds, key))
-    array: Any = poses
-    host = not isinstance(poses, jax.Array)
-    if host:
-        array = np.asarray(poses)
-        array = array if np.issubdtype(array.dtype, np.floating) else array.astype(float)
-    check_options(thresholds, solver, discretization)
-    wide = host and array.dtype == np.float64
+    array = take_poses(poses)
+    check_options(thresholds, solver, discretization, key)
+    wide = not isinstance(array, jax.Array) and array.dtype == np.float64
     with jax.enable_x64(True) if wide else contextlib.nullcontext():
-        steps = _steps(array, times, dt)
+        steps = take_steps(array, times, dt)
         rule, samples = lag_in_samples(lag, steps, discretization)
         dtype = jax.dtypes.canonicalize_dtype(array.dtype)
         options = (
             samples,
             None if thresholds is None else jax.tree.map(lambda t: as_dtype(t, dtype), thresholds),
-            make_box(bounds, dtype),
+            make_space(bounds, dtype),
             key,
         )
         static = {
@@ -190,36 +190,6 @@ def _in_float64() -> bool:
 
 def _narrow(leaf: np.ndarray) -> np.ndarray:
     return leaf.astype(np.float32) if leaf.dtype == np.float64 else leaf
-
-
-def _steps(poses: Any, times: Any, dt: Any) -> Any:
-    """Sample time of every step, (K,) or (..., K), after checking the shapes."""
-    if poses.ndim < 3 or poses.shape[-2:] != (4, 4):
-        raise ValueError(f"poses must have shape (..., K+1, 4, 4), not {poses.shape}.")
-    samples, batch = poses.shape[-3] - 1, poses.shape[:-3]
-    if samples < MIN_VELOCITIES:
-        raise ValueError(
-            f"A window needs at least {MIN_VELOCITIES + 1} poses, that is {MIN_VELOCITIES} velocities; "
-            f"this one has {samples + 1}."
-        )
-    if (times is None) == (dt is None):
-        raise ValueError("Give either times, (..., K+1), or the sample time dt, in seconds.")
-    if times is not None:
-        # differences first: seconds since 1970 do not fit float32
-        times = times if isinstance(times, jax.Array) else np.asarray(times)
-        if times.shape not in ((samples + 1,), (*batch, samples + 1)):
-            raise ValueError(
-                f"times must have shape ({samples + 1},) or {(*batch, samples + 1)}, one per pose, "
-                f"not {times.shape}."
-            )
-        return times[..., 1:] - times[..., :-1]
-    dt = dt if isinstance(dt, jax.Array) else np.asarray(dt)
-    if dt.shape not in ((), (samples,), (*batch, samples)):
-        raise ValueError(
-            f"dt must be a scalar or have shape ({samples},) or {(*batch, samples)}, one per step, "
-            f"not {dt.shape}."
-        )
-    return dt[None].repeat(samples) if dt.ndim == 0 else dt
 
 
 def _in_pieces(
@@ -342,7 +312,7 @@ def _identify(
     steps: jax.Array,
     lag: jax.Array | None,
     thresholds: Thresholds | None,
-    box: Box,
+    space: SearchSpace,
     key: jax.Array | None,
     *,
     rule: LagRule,
@@ -359,7 +329,7 @@ def _identify(
     lag = None if lag is None else jnp.broadcast_to(lag, batch).reshape(-1)
 
     def of_windows(poses: jax.Array, steps: jax.Array, lag: jax.Array | None) -> Identification:
-        options = thresholds, box, key, rule, exponent, discretization, solver
+        options = thresholds, space, key, rule, exponent, discretization, solver
         return identify_windows(poses, steps, None, lag, *options)
 
     count, chunk = flat.shape[0], chunk_size()
@@ -380,7 +350,7 @@ def _identify(
 def _solve_evidence(
     evidence: Evidence,
     thresholds: Thresholds | None,
-    box: Box,
+    space: SearchSpace,
     key: jax.Array | None,
     *,
     rule: LagRule,
@@ -388,7 +358,7 @@ def _solve_evidence(
     solver: Solver,
 ) -> Identification:
     key = jax.random.key(0) if key is None else key
-    return solve_evidence(evidence, thresholds, box, key, rule, exponent, solver)
+    return solve_evidence(evidence, thresholds, space, key, rule, exponent, solver)
 
 
 _STATIC = ("rule", "exponent", "discretization", "solver")

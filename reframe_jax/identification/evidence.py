@@ -20,7 +20,7 @@ from reframe_jax.motion import kinematics
 from reframe_jax.motion.checks import window_status
 from reframe_jax.motion.chords import chord_velocities, moving_chords, spread_of
 from reframe_jax.motion.kinematics import Discretization
-from reframe_jax.motion.noise import choose_lag, estimate_noise
+from reframe_jax.motion.noise import choose_lag, estimate_noise, unit_of_rounding
 from reframe_jax.motion.outliers import repair_poses
 from reframe_jax.motion.single_axis import SingleAxis, find_single_axis, keep_axis
 from reframe_jax.motion.smoothing import noise_share, smooth_noise
@@ -43,6 +43,9 @@ LagRule = Literal["auto", "given", "single"]
 
 
 FLOOR = 16  # of the covariance, in units of rounding: keeps noise-free windows positive definite
+
+
+_ROUNDED = 1.5  # the rounding of positions, below which their noise is that
 
 
 IN_BODY, IN_GROUND = int(LinearType.GB), int(LinearType.BG)  # types whose origin's path is followed
@@ -75,10 +78,18 @@ def covariance_moments(maps: jax.Array, power: int = 1) -> jax.Array:
     return moments.at[jnp.asarray([0, 3, 5]), 0].add(floor[None])
 
 
-def usable_moments(failed: jax.Array, maps: jax.Array, power: int = 1) -> jax.Array:
-    """Moments of maps, see :func:`covariance_moments`; harmless ones for the windows (N,) that failed."""
+def usable_moments(
+    failed: jax.Array, maps: jax.Array, power: int = 1, floor: jax.Array | None = None
+) -> jax.Array:
+    """Moments of maps, see :func:`covariance_moments`; harmless ones for the windows (N,) that failed.
+
+    A floor (N,) is added to the covariance in every direction.
+    """
     unit = jnp.asarray([1, 0, 0, 1, 0, 1], dtype=maps.dtype)[:, None, None, None]
-    return once(jnp.where(failed[:, None], unit, covariance_moments(maps, power)))
+    moments = covariance_moments(maps, power)
+    if floor is not None:
+        moments = moments.at[jnp.asarray([0, 3, 5]), 0].add(floor[None, :, None])
+    return once(jnp.where(failed[:, None], unit, moments))
 
 
 @jax.tree_util.register_dataclass
@@ -91,6 +102,9 @@ class Evidence:
         centre: (N, 3) m, mean position of {b}; everything else is relative to it.
         counted: (N, K+1) bool, poses that are neither outliers nor padding.
         noise: of the poses.
+        rounded: (N,) bool, whether rounding of the positions is their noise.
+        floor: (N,) m^2/s^2, what it adds to the variance of velocities in every direction: a coordinate that
+            rounding made constant is not known any better than the others.
         axis: about which the body turns, for windows that turn about a single one; ``alone``: (N,) bool,
             whether noise that leads away from it was taken out of the linear velocities.
         share: (N,) of the noise that is left after averaging neighbours, 1 without.
@@ -110,6 +124,8 @@ class Evidence:
     centre: jax.Array
     counted: jax.Array
     noise: PoseNoise
+    rounded: jax.Array
+    floor: jax.Array
     axis: SingleAxis
     alone: jax.Array
     share: jax.Array
@@ -176,6 +192,9 @@ def reduce_windows(
     turned, spread = once((turned, spread))
     about = spread[:, 0, :, IN_BODY]
     moments = partial(usable_moments, failed)
+    rounding = motion.share * motion.rounding
+    span = times[:, -1] / (poses.shape[1] - 1) * motion.lag.astype(poses.dtype)
+    floor = 2 * jnp.square(rounding / span)
     precise = poses.dtype != jnp.float32
     moving = jnp.sum(motion.weights > 0, axis=0, dtype=poses.dtype)
     return Evidence(
@@ -183,6 +202,8 @@ def reduce_windows(
         centre=centre,
         counted=motion.counted.T,
         noise=PoseNoise(position=motion.noise[0], rotation=motion.noise[1]),
+        rounded=motion.rounding > 0,
+        floor=floor,
         axis=axis,
         alone=alone,
         share=motion.share,
@@ -190,9 +211,9 @@ def reduce_windows(
         samples=jnp.maximum(moving, 1) / motion.lag.astype(poses.dtype),
         poses=jnp.sum(motion.counted, axis=0, dtype=jnp.int32),
         angular=moments(rates),
-        linear=moments(velocities),
+        linear=moments(velocities, floor=floor),
         angular_spread=moments(turned),
-        linear_spread=moments(spread),
+        linear_spread=moments(spread, floor=jnp.square(rounding)),
         mean_paths=jnp.stack([mean[:, :, t] for t in (IN_BODY, IN_GROUND)], axis=-1),
         positions=jnp.stack([jnp.mean(about[i] * about[j], axis=0) for i, j in symmetric.INDEX_PAIRS]),
         travel=_travel(motion, jnp.diff(turns[:, 0, :, AngularType.B], axis=1)),
@@ -208,6 +229,7 @@ class _Motion(NamedTuple):
         rotation, position: (3, 3, K+1, N) and (3, K+1, N) m, averaged over neighbours where that pays.
         counted: (K+1, N) bool, poses that are neither outliers nor padding.
         noise: (N,) m and (N,) rad, of the measured poses.
+        rounding: (N,) m, standard deviation of the rounding of positions where it is their noise, else 0.
         share: (N,) of the noise that is left.
         lag: (N,) samples.
         weights: (K, N) of the chords.
@@ -217,6 +239,7 @@ class _Motion(NamedTuple):
     position: jax.Array
     counted: jax.Array
     noise: tuple[jax.Array, jax.Array]
+    rounding: jax.Array
     share: jax.Array
     lag: jax.Array
     weights: jax.Array
@@ -242,6 +265,8 @@ def _motion(
     counts = counted.T
     measured = jax.lax.stop_gradient((rotation, position))
     noise = estimate_noise(measured[1], kinematics.turns_of(measured[0]), counts)
+    rounding = unit_of_rounding(measured[1], counts) / 12**0.5
+    rounding = jnp.where(noise[0] < _ROUNDED * rounding, rounding, 0)
     one = jnp.ones_like(number)
     width = jnp.zeros_like(number)
     if rule == "auto":
@@ -252,10 +277,10 @@ def _motion(
     share = noise_share(width, poses.dtype)
     if rule == "single" or lag is None:
         weights = (counts[1:] & counts[:-1]).astype(poses.dtype)
-        return _Motion(rotation, position, counts, noise, share, one, weights)
+        return _Motion(rotation, position, counts, noise, rounding, share, one, weights)
     lag = jnp.minimum(one * lag, number - 1)
     weights = moving_chords(*jax.lax.stop_gradient((rotation, position)), counts, lag, noise)
-    return _Motion(rotation, position, counts, noise, share, lag, weights)
+    return _Motion(rotation, position, counts, noise, rounding, share, lag, weights)
 
 
 def _velocities(

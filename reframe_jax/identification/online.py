@@ -1,5 +1,6 @@
 """Identification while the robot moves: push a pose, get the current frame."""
 
+from operator import index
 from typing import Any
 
 import jax
@@ -8,7 +9,8 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.entry import identify
-from reframe_jax.identification.options import Lag, check_options, lag_in_samples, make_box
+from reframe_jax.identification.inputs import read_number, read_numbers
+from reframe_jax.identification.options import Lag, check_options, lag_in_samples, make_space
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import MIN_VELOCITIES, ROTATION_TOLERANCE, Status
 from reframe_jax.motion.kinematics import Discretization
@@ -16,6 +18,8 @@ from reframe_jax.objectives.norms import check_exponent
 from reframe_jax.solvers import Solver
 
 __all__ = ["OnlineIdentifier"]
+
+_PATIENCE = 3  # times in a row that come too early, after which the window begins anew
 
 
 class OnlineIdentifier:
@@ -52,17 +56,21 @@ class OnlineIdentifier:
         norm: float = 0.0,
         discretization: Discretization = "chord",
         thresholds: Thresholds | None = None,
-        bounds: ArrayLike | tuple[ArrayLike, ArrayLike] = 1.0,
+        bounds: ArrayLike | tuple[ArrayLike, ArrayLike] | None = None,
         solver: Solver | None = None,
         key: jax.Array | None = None,
     ) -> None:
+        try:
+            length = index(length)
+        except TypeError as error:
+            raise ValueError(f"length must be a whole number of poses, not {length!r}.") from error
         if length < MIN_VELOCITIES + 1:
             raise ValueError(f"A window needs at least {MIN_VELOCITIES + 1} poses, not {length}.")
-        if dt is not None and not 0 < dt < np.inf:
+        if dt is not None and not 0 < (dt := read_number("dt", dt)) < np.inf:
             raise ValueError(f"dt must be a positive number of seconds, not {dt}.")
-        check_options(thresholds, solver, discretization)
+        check_options(thresholds, solver, discretization, key)
         lag_in_samples(lag, np.ones(length - 1), discretization)
-        make_box(bounds, np.dtype(float))
+        make_space(bounds, np.dtype(float))
         self._dt = dt
         self._options: dict[str, Any] = {
             "lag": lag,
@@ -77,6 +85,7 @@ class OnlineIdentifier:
         self._poses = np.zeros((2 * length, 4, 4))
         self._times = np.zeros(2 * length)
         self._length, self._count = length, 0
+        self._early: list[float] = []  # times refused one after the other
 
     def push(self, pose: ArrayLike, time: float | None = None) -> Identification | None:
         """Add a pose.
@@ -90,28 +99,46 @@ class OnlineIdentifier:
 
         Raises:
             ValueError: if the pose or time is missing, of a wrong shape, or unusable: it is not added.
-                Also if the window as a whole has no motion; the pose is then kept.
+                Also if the window as a whole has no motion; the pose is then kept. Of three times in a row
+                that increase among themselves and come too early, the third begins a new window: the time
+                before them was wrong, or the clock was set back.
         """
-        pose = np.asarray(pose, dtype=float)
+        pose = np.asarray(read_numbers("pose", pose), dtype=float)
         if pose.shape != (4, 4) or not np.all(np.isfinite(pose)):
             raise ValueError(f"A pose must be a finite (4, 4) matrix, not {pose.shape}: {pose.tolist()}.")
         if (time is None) == (self._dt is None):
             raise ValueError("Give a time with every pose, or the sample time dt once, in seconds.")
         _check_rigid(pose)
+        time = None if time is None else read_number("time", time)
         if time is not None and not np.isfinite(time):
             raise ValueError(f"A time must be a finite number of seconds, not {time}.")
         last = self._times[(self._count - 1) % self._length]
         if time is not None and self._count and not time > last:
-            raise ValueError(f"Times must increase: {time} s came after {last} s.")
+            self._refuse(time, last)
         slot = self._count % self._length
         for row in (slot, slot + self._length):
             self._poses[row], self._times[row] = pose, 0.0 if time is None else time
         self._count += 1
+        self._early = []
         if self._count < self._length:
             return None
         window = slice(slot + 1, slot + 1 + self._length)
         times = None if time is None else self._times[window]
         return identify(self._poses[window], times=times, dt=self._dt, **self._options)
+
+    def reset(self) -> None:
+        """Empty the window: the next pose is the first."""
+        self._count, self._early = 0, []
+
+    def _refuse(self, time: float, last: float) -> None:
+        """Refuse a time that comes too early, unless so many did that the last one must have been wrong.
+
+        Otherwise a single time stamp far in the future would block the stream for ever.
+        """
+        self._early = [*self._early, time] if not self._early or time > self._early[-1] else [time]
+        if len(self._early) < _PATIENCE:
+            raise ValueError(f"Times must increase: {time} s came after {last} s.")
+        self.reset()
 
     def __len__(self) -> int:
         """Poses in the window so far."""

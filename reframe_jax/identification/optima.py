@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from reframe_jax.geometry import rotations, symmetric
 from reframe_jax.geometry.products import matmul3
 from reframe_jax.identification.evidence import Evidence, usable_moments
+from reframe_jax.identification.widening import SearchSpace, widen_search
 from reframe_jax.objectives.moments import covariance_at
 from reframe_jax.objectives.norms import log_power_mean, principal_axes
 from reframe_jax.objectives.velocity import PositionObjective
@@ -47,6 +48,8 @@ class Optima:
         rms: (N, 4, 3) m/s.
         norm: (N, 4) m/s.
         linear_winner: (N,) type of the lowest norm.
+        box: where each origin was searched, m.
+        widened: (N,) bool, whether that was the far box.
     """
 
     angular_rms: jax.Array
@@ -62,6 +65,8 @@ class Optima:
     rms: jax.Array
     norm: jax.Array
     linear_winner: jax.Array
+    box: Box
+    widened: jax.Array
 
 
 @jax.tree_util.register_dataclass
@@ -109,9 +114,9 @@ def _seen_from(maps: jax.Array, axes: jax.Array, origin: jax.Array | None = None
     return jnp.concatenate([moved[:, None], turned[:, 1:]], axis=1)
 
 
-def _again(evidence: Evidence, maps: jax.Array) -> jax.Array:
+def _again(evidence: Evidence, maps: jax.Array, floor: jax.Array | None = None) -> jax.Array:
     """Moments of velocities seen along their own axes, with a floor that leaves float32 its digits."""
-    return usable_moments(evidence.status >= 10, maps, 2)
+    return usable_moments(evidence.status >= 10, maps, 2, floor)
 
 
 def _angular_optima(evidence: Evidence) -> tuple[jax.Array, jax.Array]:
@@ -130,12 +135,14 @@ def constant_covariance(moments: jax.Array) -> symmetric.Symmetric:
     return covariance_at(moments, (zero, zero, zero))
 
 
-def find_optima(evidence: Evidence, box: Box, key: jax.Array, exponent: float, solver: Solver) -> Optima:
+def find_optima(
+    evidence: Evidence, space: SearchSpace, key: jax.Array, exponent: float, solver: Solver
+) -> Optima:
     """Search the position of every linear type; the axes of all types follow in closed form.
 
     Args:
         evidence: of N windows.
-        box: where positions are searched, m.
+        space: where positions are searched, m.
         key: of the solver's random numbers.
         exponent: of the power mean over axes.
         solver: search for the position.
@@ -144,7 +151,10 @@ def find_optima(evidence: Evidence, box: Box, key: jax.Array, exponent: float, s
     angular_norm = _norm(angular_rms, exponent)
     objective = PositionObjective(evidence.linear, exponent)
     searched = jax.lax.stop_gradient(objective)
-    solution = jax.tree.map(jax.lax.stop_gradient, solver.minimise(searched, box, key))
+    solution = jax.tree.map(jax.lax.stop_gradient, solver.minimise(searched, space.near, key))
+    solution, box, widened = widen_search(
+        searched, space, solution, jax.lax.stop_gradient(evidence.samples), key
+    )
     if evidence.maps is None:
         x = attach_derivative(solution.x, objective, box)
         rms, axes = principal_axes(objective.covariance(x))
@@ -152,7 +162,7 @@ def find_optima(evidence: Evidence, box: Box, key: jax.Array, exponent: float, s
     else:
         first = jax.lax.stop_gradient(principal_axes(objective.covariance(solution.x))[1])
         seen = _seen_from(evidence.maps, first, solution.x)
-        objective = PositionObjective(_again(evidence, seen), exponent)
+        objective = PositionObjective(_again(evidence, seen, evidence.floor), exponent)
         low, high = box.bounds(solution.x)
         here = Box(low - solution.x, high - solution.x)
         start = jnp.zeros_like(solution.x)
@@ -175,6 +185,8 @@ def find_optima(evidence: Evidence, box: Box, key: jax.Array, exponent: float, s
         rms=rms,
         norm=norm,
         linear_winner=jnp.argmin(norm, axis=-1).astype(jnp.int32),
+        box=box,
+        widened=widened,
     )
 
 

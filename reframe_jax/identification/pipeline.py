@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax.constraints.located import ground_offset
+from reframe_jax.identification.cautions import Caution, caution_codes
 from reframe_jax.identification.classify import (
     Thresholds,
     degrees_of_freedom,
@@ -20,6 +21,7 @@ from reframe_jax.identification.classify import (
     tie_margin,
     tied_types,
 )
+from reframe_jax.identification.coupling import coupled_positions
 from reframe_jax.identification.distances import (
     free_probabilities,
     is_white,
@@ -46,9 +48,10 @@ from reframe_jax.identification.results import (
 )
 from reframe_jax.identification.shared_axis import share_axis
 from reframe_jax.identification.twins import find_twins
+from reframe_jax.identification.widening import SearchSpace, is_steep
 from reframe_jax.motion.checks import Status
 from reframe_jax.motion.kinematics import Discretization
-from reframe_jax.solvers import Box, Solver
+from reframe_jax.solvers import Solver
 
 __all__ = ["identify_windows", "solve_evidence"]
 
@@ -59,7 +62,7 @@ def identify_windows(
     count: jax.Array | None,
     lag: jax.Array | None,
     thresholds: Thresholds | None,
-    box: Box,
+    space: SearchSpace,
     key: jax.Array,
     rule: LagRule,
     exponent: float,
@@ -71,13 +74,13 @@ def identify_windows(
     Arguments of :func:`reduce_windows` and :func:`solve_evidence`.
     """
     evidence = reduce_windows(poses, steps, count, lag, rule, discretization)
-    return solve_evidence(evidence, thresholds, box, key, rule, exponent, solver)
+    return solve_evidence(evidence, thresholds, space, key, rule, exponent, solver)
 
 
 def solve_evidence(
     evidence: Evidence,
     thresholds: Thresholds | None,
-    box: Box,
+    space: SearchSpace,
     key: jax.Array,
     rule: LagRule,
     exponent: float,
@@ -88,14 +91,14 @@ def solve_evidence(
     Args:
         evidence: of N windows.
         thresholds: above which an axis is free; None to let the noise of the recording decide.
-        box: where positions are searched, m.
+        space: where positions are searched, m.
         key: of the solver's random numbers.
         rule: that the evidence was made by; for "auto" the frames are refined where the noise is white.
         exponent: of the power mean over axes.
         solver: search for the position.
     """
-    optima = find_optima(evidence, box, key, exponent, solver)
-    frames, patterns, refined = _decide(evidence, optima, box, rule, exponent)
+    optima = find_optima(evidence, space, key, exponent, solver)
+    frames, patterns, refined = _decide(evidence, optima, rule, exponent)
     if thresholds is None:
         dof = likeliest_pattern(patterns, optima.linear_winner)
     else:
@@ -125,12 +128,18 @@ def solve_evidence(
         free_rotation=free_rotations(dof[1]),
         position=ground_offset(evidence.centre) + position,
         free_position=free,
-        on_bounds=jnp.any(box.at_face(position), axis=-1),
+        on_bounds=_on_bounds(optima, position),
         agreement=optima.solution.agreement,
     )
+    linear_frame = _linear_frame(linear, evidence, optima, patterns, idle)
+    cautions = {
+        Caution.FAR_ORIGIN: optima.widened,
+        Caution.ROUNDED: evidence.rounded,
+        Caution.COUPLED: jnp.any(linear_frame.coupled_position != 0, axis=(-2, -1)),
+    }
     found = Identification(
         angular=_angular_frame(angular, evidence, optima, patterns),
-        linear=_linear_frame(linear, evidence, optima, patterns, box, idle),
+        linear=linear_frame,
         candidates=AllCandidates(angular=angular, linear=linear),
         class_probability=_class_probability(evidence, optima, dof[1], patterns),
         noise=evidence.noise,
@@ -138,12 +147,13 @@ def solve_evidence(
         refined=refined,
         counted=evidence.counted,
         status_code=jnp.zeros_like(evidence.status),
+        warning_codes=_warning_codes(evidence, optima, thresholds, cautions),
     )
     return _with_status(found, evidence.status)
 
 
 def _decide(
-    evidence: Evidence, optima: Optima, box: Box, rule: LagRule, exponent: float
+    evidence: Evidence, optima: Optima, rule: LagRule, exponent: float
 ) -> tuple[Frames, jax.Array, jax.Array]:
     """The frames to report, the probability of every pattern, (4, 4, N, 4), and which are refined, (N,)."""
     a, n = optima.angular_winner, optima.linear_winner
@@ -151,7 +161,7 @@ def _decide(
     if rule != "auto" or evidence.maps is not None:
         patterns, _ = pattern_probabilities(evidence, a, rough)
         return rough, jax.lax.stop_gradient(patterns), jnp.zeros(n.shape, dtype=bool)
-    refined = refine_frames(evidence, optima.position, box, exponent)
+    refined = refine_frames(evidence, optima.position, optima.box, exponent)
     patterns, distance = pattern_probabilities(evidence, a, refined)
     white = is_white(pick_problem(n, distance), likeliest_pattern(patterns, n), n)
 
@@ -192,16 +202,18 @@ def _linear_frame(
     evidence: Evidence,
     optima: Optima,
     patterns: jax.Array,
-    box: Box,
     idle: jax.Array,
 ) -> LinearFrame:
     n = optima.linear_winner
     assert candidates.position is not None
     assert candidates.free_position is not None
-    searched, solution = jax.tree.map(partial(pick_problem, n), (optima.searched, optima.solution))
-    twin, has_twin = find_twins(
-        searched, box, solution, pick_type(candidates.dof, n), jax.lax.stop_gradient(idle), evidence.samples
+    searched, solution, box = jax.tree.map(
+        partial(pick_problem, n), (optima.searched, optima.solution, optima.box)
     )
+    free = pick_type(candidates.free_position, n)
+    dof = pick_type(candidates.dof, n)
+    twin, has_twin = find_twins(searched, box, solution, dof, jax.lax.stop_gradient(idle), evidence.samples)
+    coupled = coupled_positions(searched, solution.x, jax.lax.stop_gradient(free), dof, evidence.samples)
     position, offset = pick_type(candidates.position, n), pick_type(ground_offset(evidence.centre), n)
     return LinearFrame(
         type_code=n,
@@ -216,8 +228,15 @@ def _linear_frame(
         norms=candidates.norm,
         tied=tied_types(candidates.rms, candidates.dof, n, evidence.samples),
         free_rotation=pick_type(candidates.free_rotation, n),
-        free_position=pick_type(candidates.free_position, n),
+        free_position=free,
+        coupled_position=jax.lax.stop_gradient(coupled),
     )
+
+
+def _on_bounds(optima: Optima, position: jax.Array) -> jax.Array:
+    """Whether origins lie on the bounds, (N, 4), as reported or, where log J falls outwards, as found."""
+    steep = is_steep(optima.searched, optima.box, optima.solution.x)
+    return jnp.any(optima.box.at_face(position), axis=-1) | steep
 
 
 def _of_winner(patterns: jax.Array, optima: Optima) -> jax.Array:
@@ -235,6 +254,13 @@ def _class_probability(evidence: Evidence, optima: Optima, dof: jax.Array, patte
     return of_types[:, :, None, None] * jnp.moveaxis(patterns, (2, 3), (0, 1))
 
 
+def _warning_codes(
+    evidence: Evidence, optima: Optima, thresholds: Thresholds | None, cautions: dict[Caution, jax.Array]
+) -> jax.Array:
+    rms = pick_type(optima.angular_rms, optima.angular_winner), pick_type(optima.rms, optima.linear_winner)
+    return caution_codes(evidence.poses, evidence.lag, rms, thresholds, cautions)
+
+
 def _with_status(found: Identification, before: jax.Array) -> Identification:
     """The results with their status, and nothing but it where a window had failed before the search."""
     still = jnp.sum(found.angular.dof, axis=-1) + jnp.sum(found.linear.dof, axis=-1) == 0
@@ -242,9 +268,17 @@ def _with_status(found: Identification, before: jax.Array) -> Identification:
     on_bounds = pick_type(found.candidates.linear.on_bounds, found.linear.type_code)
     outcome = jnp.where(on_bounds, Status.ON_BOUNDS, Status.OK)
     outcome = jnp.where(still, Status.NOT_EXCITED, outcome)
-    failed = before >= 10
-    found = jax.tree.map(partial(_blank, failed), found)
-    return replace(found, status_code=jnp.where(failed, before, outcome.astype(jnp.int32)))
+    outcome = jnp.where(_is_finite(found), outcome, Status.OUT_OF_RANGE).astype(jnp.int32)
+    outcome = jnp.where(before >= 10, before, outcome)
+    found = jax.tree.map(partial(_blank, outcome >= 10), found)
+    return replace(found, status_code=outcome)
+
+
+def _is_finite(found: Identification) -> jax.Array:
+    """Whether all numbers of a window are finite, (N,)."""
+    leaves = [x for x in jax.tree.leaves(found) if jnp.issubdtype(x.dtype, jnp.floating)]
+    finite = [jnp.all(jnp.isfinite(x).reshape(len(x), -1), axis=1) for x in leaves]
+    return jnp.all(jnp.stack(finite), axis=0)
 
 
 def _blank(failed: jax.Array, leaf: jax.Array) -> jax.Array:

@@ -17,6 +17,7 @@ from reframe_jax.constraints.catalogue import Constraint, describe, lookup
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.types import AngularType, AxisRelation, Dof, LinearType
 from reframe_jax.geometry import rotations
+from reframe_jax.identification.cautions import caution_sentences
 from reframe_jax.joints.fitting import fit_joint
 from reframe_jax.joints.joint import Joint
 from reframe_jax.motion.checks import Status
@@ -120,6 +121,8 @@ class LinearFrame:
         free_rotation: (..., 3) bool, as in :class:`AngularFrame`.
         free_position: (..., 3, 3) projector onto the directions in which the origin can be moved
             without changing the constraint (the "-" of the paper's Table 2); its trace is their number.
+        coupled_position: (..., 3, 3) projector onto further directions, in which the origin can be moved if
+            the axes turn along, and explain the window as well: along them neither can be told by itself.
     """
 
     type_code: jax.Array
@@ -135,6 +138,7 @@ class LinearFrame:
     tied: jax.Array
     free_rotation: jax.Array
     free_position: jax.Array
+    coupled_position: jax.Array
 
     @property
     def frame_type(self) -> Any:
@@ -208,6 +212,8 @@ class Identification:
             velocities, which slow errors of a tracker spoil less.
         counted: (..., K+1) bool, poses that took part: outliers did not.
         status_code: (...) int; read it as ``status``. Windows that failed hold NaN and zeros.
+        warning_codes: (...) int, bits of :class:`reframe_jax.identification.cautions.Caution`; read them as
+            ``warnings``.
     """
 
     angular: AngularFrame
@@ -219,6 +225,7 @@ class Identification:
     refined: jax.Array
     counted: jax.Array
     status_code: jax.Array
+    warning_codes: jax.Array
 
     def __getitem__(self, index: Any) -> "Identification":
         """Windows of a batch, indexed like an array."""
@@ -228,6 +235,18 @@ class Identification:
     def status(self) -> Any:
         """``Status`` of a single window; integer codes of a batch."""
         return _member(Status, self.status_code)
+
+    @property
+    def warnings(self) -> Any:
+        """Reasons to doubt the result of a single window, a list of sentences; the codes of a batch.
+
+        Tables, JSON documents and the command line say the same.
+        """
+        if isinstance(self.warning_codes, jax.core.Tracer) or np.ndim(self.warning_codes):
+            return self.warning_codes
+        velocities = int(np.sum(np.asarray(self.counted))) - 1
+        speeds = np.asarray(self.angular.rms).tolist(), np.asarray(self.linear.rms).tolist()
+        return caution_sentences(int(self.warning_codes), velocities, int(self.lag), speeds)
 
     @property
     def entry(self) -> Constraint | None:

@@ -32,7 +32,7 @@ def find_twins(
 
     Args:
         objective: moments (6, 10, N), of one frame type each.
-        box: where positions were searched, m.
+        box: where each position was searched, m.
         solution: of N searches, with C ends each.
         dof: (N, 3) degrees of freedom at the optimum.
         noise: (N,) rad/s, RMS of what counts as no rotation.
@@ -48,9 +48,10 @@ def find_twins(
     margin = tie_margin(constrained.T, samples)
 
     def look(block: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
-        moments, rival, optimum, constrained, margin, noise = block
-        objective_here, constrained = PositionObjective(moments, objective.exponent), constrained.T
-        x, _ = _LOCAL(objective_here, box, rival)
+        moments, low, high, rival, optimum, constrained, margin, noise = block
+        box_here, constrained = Box(low, high), constrained.T
+        objective_here = PositionObjective(moments, objective.exponent)
+        x, _ = _LOCAL(objective_here, box_here, rival)
         twice, both = jnp.concatenate([moments, moments], axis=-1), jnp.concatenate([optimum, x], axis=-1)
         free = jnp.tile(1 - constrained, (2, 1))
         frames = _frame(PositionObjective(twice, objective.exponent), both, free, jnp.tile(noise, 2))
@@ -58,11 +59,11 @@ def find_twins(
         middle_rms, _ = principal_axes(objective_here.covariance((first + twin).T / 2))
         excess = excess_over(rms, twin_rms, constrained)
         barrier = excess_over(rms, middle_rms, constrained) - jnp.maximum(excess, 0)
-        on_bounds = jnp.any(box.at_face(twin), axis=-1)
+        on_bounds = jnp.any(box_here.at_face(twin), axis=-1)
         as_good = (excess < margin) & jnp.any(constrained > 0, axis=-1)
         return twin.T, as_good & (barrier > margin) & ~on_bounds
 
-    inputs = objective.moments, rival, solution.x, constrained, margin, noise
+    inputs = objective.moments, *box.bounds(rival), rival, solution.x, constrained, margin, noise
     # on exciting motion hardly a chain ends beyond a barrier
     twin, found = update_marked(look, beyond, inputs, (rival, jnp.zeros_like(beyond)))
     return twin.T, found

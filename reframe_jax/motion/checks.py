@@ -13,6 +13,10 @@ MIN_VELOCITIES = 4
 ROTATION_TOLERANCE = 1e-3
 """Largest entry of R^T R - I in a pose."""
 
+_FARTHEST = 1e9  # m, of positions; coordinates of maps reach 1e7
+_SHORTEST, _LONGEST = 1e-9, 1e6  # s, of steps
+_SLACK = 1e-3  # of these limits, for rounding
+
 
 class Status(IntEnum):
     """Outcome of one window. Codes of 10 and above mean that it has no result: all its numbers are NaN."""
@@ -24,6 +28,7 @@ class Status(IntEnum):
     NOT_A_POSE = 11
     TIMES_NOT_INCREASING = 12
     NO_MOTION = 13
+    OUT_OF_RANGE = 14
 
     @property
     def failed(self) -> bool:
@@ -53,6 +58,10 @@ _MESSAGES = {
     ),
     Status.TIMES_NOT_INCREASING: "Sample times do not increase; expected every step dt > 0.",
     Status.NO_MOTION: "All poses of the window are equal; expected a window in which something moves.",
+    Status.OUT_OF_RANGE: (
+        f"Numbers are too large or too small to compute with; expected positions within {_FARTHEST:g} m, "
+        f"steps from {_SHORTEST:g} to {_LONGEST:g} s, and motion of ordinary size."
+    ),
 }
 
 
@@ -84,12 +93,15 @@ def window_status(poses: jax.Array, steps: jax.Array) -> jax.Array:
         & (handed > 0)
         & jnp.all(jnp.abs(poses[..., 3, :] - bottom) < 1e-6, axis=-1)
     )
+    far = jnp.any(jnp.abs(poses[..., :3, 3]) > _FARTHEST * (1 + _SLACK), axis=(-2, -1))
+    odd = (steps < _SHORTEST * (1 - _SLACK)) | (steps > _LONGEST * (1 + _SLACK))
     moving = jnp.any(poses != poses[..., :1, :, :], axis=(-3, -2, -1))
     codes = (
         (~finite, Status.NOT_FINITE),
         (~jnp.all(rigid, axis=-1), Status.NOT_A_POSE),
         (~jnp.all(steps > 0, axis=-1), Status.TIMES_NOT_INCREASING),
         (~moving, Status.NO_MOTION),
+        (far | jnp.any(odd, axis=-1), Status.OUT_OF_RANGE),
     )
     status = jnp.full(finite.shape, Status.OK, dtype=jnp.int32)
     for wrong, code in reversed(codes):

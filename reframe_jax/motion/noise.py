@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-__all__ = ["choose_lag", "estimate_noise", "masked_median"]
+__all__ = ["choose_lag", "estimate_noise", "masked_median", "unit_of_rounding"]
 
 _ORDERS = (2, 4, 6)  # of the differences from which noise is told
 _GAUSSIAN = 0.6745  # median of the absolute value of a standard normal variable
@@ -82,20 +82,32 @@ def estimate_noise(position: jax.Array, turns: jax.Array, counted: jax.Array) ->
     rounding = jnp.stack([jnp.max(jnp.abs(values), axis=(0, 1)) for values in (position, turns)])
     rounding = 4 * float(jnp.finfo(position.dtype).eps) * rounding
     spreads = jnp.maximum(jnp.where(jnp.isfinite(best), best, 0), rounding)
-    rounded = _unit_of_rounding(position, counted) / 12**0.5
+    rounded = unit_of_rounding(position, counted) / 12**0.5
     return jnp.maximum(spreads[0], rounded), spreads[1]
 
 
-def _unit_of_rounding(position: jax.Array, counted: jax.Array) -> jax.Array:
-    """The unit that positions are rounded to, (N,) m: all steps are multiples of the smallest; else zero."""
+def unit_of_rounding(position: jax.Array, counted: jax.Array) -> jax.Array:
+    """The unit that positions are rounded to, (N,) m: all steps are multiples of the smallest; else zero.
+
+    Steps of one size only are those of even motion, not of rounding.
+
+    Args:
+        position: (3, K+1, N) m.
+        counted: (K+1, N) bool, poses that count.
+    """
     steps = jnp.abs(jnp.diff(position, axis=1))
-    moved = (counted[1:] & counted[:-1])[None] & (steps > 0)
+    both = (counted[1:] & counted[:-1])[None]
+    moved = both & (steps > 0)
     smallest = jnp.min(jnp.where(moved, steps, jnp.inf), axis=(0, 1))
     unit = jnp.where(jnp.isfinite(smallest), smallest, 1)
     multiples = steps / unit[None, None]
     off = jnp.where(moved, jnp.abs(multiples - jnp.round(multiples)), 0)
     number = jnp.maximum(jnp.sum(moved, axis=(0, 1), dtype=position.dtype), 1)
-    return jnp.where(jnp.isfinite(smallest) & (jnp.sum(off, axis=(0, 1)) < _OFF_GRID * number), unit, 0)
+    least = jnp.min(jnp.where(both, steps, jnp.inf), axis=1)
+    most = jnp.max(jnp.where(both, steps, 0), axis=1)
+    uneven = jnp.any(most > least + unit[None] / 2, axis=0)
+    rounded = uneven & (jnp.sum(off, axis=(0, 1)) < _OFF_GRID * number)
+    return jnp.where(jnp.isfinite(smallest) & rounded, unit, 0)
 
 
 def _candidates(poses: int) -> list[int]:

@@ -12,6 +12,7 @@ import math
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from reframe_jax.geometry import rotations, symmetric
 from reframe_jax.geometry.products import matmul
@@ -35,9 +36,12 @@ def check_exponent(exponent: float) -> float:
     Raises:
         ValueError: unless -inf <= exponent <= 2. Above 2 the norm favours even axes, not small ones.
     """
-    if not -math.inf <= exponent <= 2:
+    if not isinstance(exponent, (int, float, np.number)) or isinstance(exponent, bool):
+        raise ValueError(f"The exponent of the norm must be a plain number, not {exponent!r}.")
+    value = float(exponent)
+    if not -math.inf <= value <= 2:
         raise ValueError(f"The exponent of the norm over axes must lie in [-inf, 2], not {exponent}.")
-    return float(exponent)
+    return value
 
 
 def log_power_mean(log_values: jax.Array, exponent: float) -> jax.Array:

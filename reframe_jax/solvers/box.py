@@ -41,7 +41,7 @@ class Box:
 
     def at_face(self, points: jax.Array) -> jax.Array:
         """Whether coordinates of points (..., dim) lie on a face, up to rounding."""
-        low, high = (bound.reshape(*[1] * (points.ndim - 1), -1) for bound in (self.low, self.high))
+        low, high = (jnp.moveaxis(bound, 0, -1) for bound in self.bounds(jnp.moveaxis(points, -1, 0)))
         near = _NEAR * (high - low)
         return (points <= low + near) | (points >= high - near)
 

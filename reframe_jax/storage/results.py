@@ -46,7 +46,8 @@ def identify_many(
     """Identify any number of windows, write the results to a folder, and resume an interrupted run.
 
     The part size bounds the memory: some 200 MB above the input at 8192 windows of 51 poses. Results equal
-    those of :func:`identify`, whatever the part size. A killed run loses only the part it was working on;
+    those of :func:`identify`, whatever the part size; a window identified by itself differs by rounding, up
+    to about 1e-8, because another program computes it. A killed run loses only the part it was working on;
     call again with the same arguments to resume.
 
     Args:
@@ -222,7 +223,10 @@ def _parts(windows: Any, size: int, wanted: set[int] | None) -> Iterator[tuple[i
             if wanted is None or number in wanted:
                 yield number, windows[number * size : (number + 1) * size]
         return
-    source = iter(windows)
+    try:
+        source = iter(windows)
+    except TypeError as error:
+        raise ValueError(f"windows must be an array or an iterable of windows, not {windows!r}.") from error
     shape: tuple[int, ...] | None = None
     for number in count():
         batch = [np.asarray(window) for window in islice(source, size)]

@@ -1,0 +1,130 @@
+"""Poses and times as they are given: of which types they may be, and what the pipeline makes of them."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reframe_jax.motion.checks import MIN_VELOCITIES
+
+__all__ = ["read_number", "read_numbers", "take_poses", "take_steps"]
+
+_TOO_COARSE = ("float16", "bfloat16")
+_REMEDIES = {
+    "M": ": give seconds, (times - times[0]) / np.timedelta64(1, 's')",
+    "m": ": give seconds, dt / np.timedelta64(1, 's')",
+}
+
+
+def read_numbers(name: str, value: Any) -> Any:
+    """An array of real numbers that JAX computes with: float32 or float64 of this machine, or integers.
+
+    Arrays of JAX stay as they are. Others become NumPy arrays in the byte order of the machine; those of more
+    than 64 bits are rounded to float64.
+
+    Args:
+        name: of the argument, for messages.
+        value: an array, or what NumPy makes one of.
+
+    Raises:
+        ValueError: for anything but real numbers, or for floats of 16 bits and less.
+    """
+    if not isinstance(value, jax.Array):
+        if np.ma.is_masked(value):
+            raise ValueError(f"{name} must not be masked: leave those entries out, or make them NaN.")
+        try:
+            value = np.asarray(value)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{name} must be an array of numbers: {error}") from error
+    dtype = value.dtype
+    kind = getattr(dtype, "kind", "V")  # keys of random numbers have none
+    if dtype.name in _TOO_COARSE or (kind == "f" and dtype.itemsize < 4):
+        raise ValueError(
+            f"{name} must be float64, float32 or integers, not {dtype.name}, which keeps three digits: "
+            "motion drowns in its rounding. Converting it brings nothing back."
+        )
+    if kind not in "iuf":
+        remedy = _REMEDIES.get(kind, "")
+        raise ValueError(f"{name} must be real numbers, float64, float32 or integers, not {dtype}{remedy}.")
+    if isinstance(value, jax.Array):
+        return value
+    if kind == "f" and dtype.itemsize > 8:
+        return value.astype(np.float64)
+    return value.astype(dtype.newbyteorder("="), copy=False)
+
+
+def read_number(name: str, value: Any) -> float:
+    """A single real number.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    number = read_numbers(name, value)
+    if number.ndim:
+        raise ValueError(f"{name} must be a number, not an array of shape {number.shape}.")
+    return float(number)
+
+
+def take_poses(poses: Any) -> Any:
+    """Poses (..., K+1, 4, 4) of float32 or float64, checked for type and shape; integers become float64.
+
+    Raises:
+        ValueError: if they are of a wrong type or shape, or too few.
+    """
+    poses = read_numbers("poses", poses)
+    if poses.dtype.kind != "f":
+        poses = poses.astype(float)
+    if poses.ndim < 3 or poses.shape[-2:] != (4, 4):
+        raise ValueError(f"poses must have shape (..., K+1, 4, 4), not {poses.shape}.")
+    if poses.shape[-3] <= MIN_VELOCITIES:
+        raise ValueError(
+            f"A window needs at least {MIN_VELOCITIES + 1} poses, that is {MIN_VELOCITIES} velocities; "
+            f"this one has {poses.shape[-3]}."
+        )
+    return poses
+
+
+def take_steps(poses: Any, times: Any, dt: Any) -> Any:
+    """Sample time of every step, (K,) or (..., K) in s, from times or dt.
+
+    Args:
+        poses: as :func:`take_poses` returns them.
+        times: (K+1,) or (..., K+1) s, or None.
+        dt: a scalar, (K,) or (..., K) s, or None.
+
+    Raises:
+        ValueError: unless exactly one of the two is given, in such a shape and of real numbers.
+    """
+    samples, batch = poses.shape[-3] - 1, poses.shape[:-3]
+    if (times is None) == (dt is None):
+        raise ValueError("Give either times, (..., K+1), or the sample time dt, in seconds.")
+    if times is not None:
+        times = read_numbers("times", times)
+        if times.shape not in ((samples + 1,), (*batch, samples + 1)):
+            raise ValueError(
+                f"times must have shape ({samples + 1},) or {(*batch, samples + 1)}, one per pose, "
+                f"not {times.shape}."
+            )
+        # before they are rounded: seconds since 1970 do not fit float32
+        return _differences(times)
+    dt = read_numbers("dt", dt)
+    if dt.shape not in ((), (samples,), (*batch, samples)):
+        raise ValueError(
+            f"dt must be a scalar or have shape ({samples},) or {(*batch, samples)}, one per step, "
+            f"not {dt.shape}."
+        )
+    return dt[None].repeat(samples) if dt.ndim == 0 else dt
+
+
+def _differences(times: Any) -> Any:
+    """Differences of neighbours as floats; also of unsigned integers that fall, and of any that overflow."""
+    later, earlier = times[..., 1:], times[..., :-1]
+    if times.dtype.kind == "f":
+        return later - earlier
+    xp = jnp if isinstance(times, jax.Array) else np
+    rises = later >= earlier
+    # modulo 2^n, so that no difference is too large for its type
+    unsigned = np.dtype(f"u{times.dtype.itemsize}")
+    size = xp.where(rises, later - earlier, earlier - later).astype(unsigned).astype(float)
+    return xp.where(rises, size, -size)

@@ -1,0 +1,228 @@
+"""Numbers of every type: taken for what they are, or refused in words. No NaN under a good status."""
+
+import decimal
+
+import jax
+import jax.numpy as jnp
+import ml_dtypes
+import numpy as np
+import pytest
+
+import reframe_jax as rf
+from reframe_jax.identification.inputs import read_numbers, take_steps
+from reframe_jax.simulation import synthetic
+from reframe_jax.solvers import Solution
+
+K = 20
+DT = 0.05
+
+
+class Middle:
+    """The middle of the box, without a search, which would take long to compile."""
+
+    def minimise(self, objective, box, key):
+        x = jnp.zeros((3, *objective.moments.shape[2:]), objective.dtype)
+        value = objective.value(x)
+        return Solution(x, value, jnp.ones_like(value))
+
+
+MIDDLE = Middle()
+
+
+@pytest.fixture(scope="module")
+def poses():
+    """(21, 4, 4) of a hinge."""
+    return np.asarray(synthetic.simulate("A", jax.random.key(2), noise=1e-4, duration=1.0, dt=DT).poses)
+
+
+def identify(poses, **options):
+    if not options.keys() & {"dt", "times"}:
+        options["dt"] = DT
+    return rf.identify(poses, solver=MIDDLE, **options)
+
+
+def same(found, expected):
+    for x, y in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_array_equal(np.asarray(x), np.asarray(y))
+
+
+def test_arrays_of_the_other_byte_order_are_read_as_the_numbers_they_hold(poses):
+    times = DT * np.arange(K + 1)
+    expected = identify(poses, times=times)
+    same(identify(poses.astype(">f8"), times=times.astype(">f8")), expected)
+    steps = np.diff(times)
+    same(identify(poses.astype("<f8"), dt=steps.astype(">f8")), identify(poses, dt=steps))
+    single = identify(poses.astype(np.float32))
+    same(identify(poses.astype(">f4")), single)
+    assert single.linear.norm.dtype == np.float32
+
+
+def test_numbers_of_more_than_64_bits_are_rounded(poses):
+    same(identify(poses.astype(np.longdouble), dt=np.longdouble(DT)), identify(poses))
+
+
+@pytest.mark.parametrize("name", ["uint8", "uint32", "uint64", "int8", "int64", ">i2", "float32"])
+def test_times_of_every_type_are_subtracted_without_overflow(poses, name):
+    times = np.arange(K + 1)
+    if name == "int8":
+        times = 10 * times - 100  # no difference of ends fits
+    expected = take_steps(poses, times.astype(float), None)
+    np.testing.assert_array_equal(take_steps(poses, times.astype(name), None), expected)
+
+
+@pytest.mark.parametrize("name", ["uint8", "uint64", "int32"])
+def test_unsigned_times_that_run_back_are_seen_to(poses, name):
+    times = np.arange(K + 1).astype(name)
+    times[7] = 2
+    assert take_steps(poses, times, None)[6] == -4
+    assert take_steps(poses, jnp.asarray(times), None)[6] == -4
+    with pytest.raises(ValueError, match="do not increase"):
+        identify(poses, times=times)
+
+
+def test_the_widest_integers_have_the_right_difference(poses):
+    times = np.arange(K + 1)
+    times[0], times[-1] = np.iinfo(np.int64).min, np.iinfo(np.int64).max
+    assert take_steps(poses, times, None)[-1] == np.iinfo(np.int64).max - (K - 1.0)
+    assert take_steps(poses, times, None)[0] == 2.0**63
+
+
+WRONG = {
+    "float16": np.float16,
+    "bfloat16": ml_dtypes.bfloat16,
+    "bool": bool,
+    "complex128": complex,
+    "<U32": str,
+    "object": object,
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+@pytest.mark.parametrize("argument", ["poses", "times", "dt"])
+def test_types_that_are_no_numbers_or_too_coarse_are_refused_by_name(poses, name, argument):
+    arguments = {"poses": poses, "dt": None, "times": None}
+    values = {"poses": poses, "times": DT * np.arange(K + 1), "dt": np.full(K, DT)}
+    arguments[argument] = values[argument].astype(WRONG[name])
+    if argument == "poses":
+        arguments["dt"] = DT
+    with pytest.raises(ValueError, match=rf"{argument} must be .* not {name}"):
+        identify(**arguments)
+
+
+def test_coarse_arrays_of_jax_are_refused(poses):
+    with pytest.raises(ValueError, match="not float16"):
+        identify(jnp.asarray(poses, jnp.float16))
+    with pytest.raises(ValueError, match="not float16"):
+        jax.eval_shape(lambda poses: identify(poses), jax.ShapeDtypeStruct((21, 4, 4), jnp.float16))
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"times": np.arange(K + 1).astype("datetime64[s]")}, r"times - times\[0\]"),
+        ({"dt": np.timedelta64(50, "ms")}, r"dt / np.timedelta64"),
+        ({"dt": "0.1"}, "dt must be"),
+        ({"times": [[0, 1], [2]]}, "times must be an array of numbers"),
+        ({"dt": np.ma.masked_array(np.full(K, DT), mask=np.arange(K) == 2)}, "masked"),
+        ({"dt": decimal.Decimal("0.1")}, "dt must be"),
+        ({"bounds": np.inf}, "within 1e\\+06 m"),
+        ({"bounds": 1e200}, "within 1e\\+06 m"),
+        ({"bounds": (-1.0, np.nan)}, "low < high"),
+        ({"bounds": (-1e7, 1.0)}, "within 1e\\+06 m"),
+        ({"bounds": "1"}, "bounds must be"),
+        ({"bounds": True}, "bounds must be"),
+        ({"bounds": (1.0, 2.0, 3.0)}, "or \\(low, high\\)"),
+        ({"bounds": None}, "bounds must be"),
+        ({"lag": True}, "lag must be"),
+        ({"lag": "fast"}, "lag must be"),
+        ({"lag": [1, 2]}, "lag must be"),
+        ({"lag": np.nan}, "lag must be"),
+        ({"norm": "0"}, "plain number"),
+        ({"norm": None}, "plain number"),
+        ({"norm": [0, 1]}, "plain number"),
+        ({"norm": np.nan}, "exponent"),
+        ({"thresholds": rf.Thresholds(angular="a")}, "thresholds must be"),
+        ({"key": 3}, "key must be one key"),
+        ({"key": jnp.zeros(3)}, "key must be one key"),
+        ({"dt": 1e-60}, "too large or too small"),
+        ({"dt": 1e30}, "too large or too small"),
+    ],
+)
+def test_options_of_a_wrong_type_or_size_are_refused_in_words(poses, options, words):
+    with pytest.raises(ValueError, match=words):
+        identify(poses, **options)
+
+
+@pytest.mark.parametrize("lag", [2**40, 1e300, np.float32(1e30)])
+def test_lags_beyond_every_integer_are_the_whole_window(poses, lag):
+    assert identify(poses, lag=lag).lag == K
+
+
+@pytest.mark.parametrize("where", [1e155, -1e30, 1e10])
+def test_a_pose_beyond_the_earth_fails_its_window_and_no_other(poses, where):
+    batch = np.stack([poses, poses])
+    batch[1, 4, 0, 3] = where
+    found = identify(batch)
+    assert [rf.Status(int(code)) for code in found.status_code] == [rf.Status.OK, rf.Status.OUT_OF_RANGE]
+    same(found[0], identify(np.stack([poses, poses]))[0])
+    with pytest.raises(ValueError, match="too large or too small"):
+        identify(batch[1])
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("size", [1e-200, 1e-30, 1e-6, 1e3, 1e7, 9e8])
+def test_no_window_has_nan_under_a_good_status(poses, size, dtype):
+    """Motion from the very small to the very large, at the shortest and longest steps."""
+    batch = np.tile(poses, (6, 1, 1, 1))
+    batch[:, :, :3, 3] *= size
+    batch[3:, :, :3, :3] = np.eye(3)
+    steps = np.tile(np.array([1e-9, DT, 1e6])[:, None], (2, K))
+    found = identify(batch.astype(dtype), dt=steps.astype(dtype))
+    good = np.asarray(found.status_code) < 10
+    for leaf in jax.tree.leaves(found):
+        if np.issubdtype(leaf.dtype, np.floating):
+            assert np.all(np.isfinite(np.asarray(leaf)[good]))
+
+
+def test_what_json_reads_is_no_array():
+    with pytest.raises(ValueError, match="poses must be"):
+        identify({"poses": 1})
+    assert read_numbers("x", [1, 2.5]).dtype == np.float64
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"length": 5.5}, "whole number"),
+        ({"length": "9"}, "whole number"),
+        ({"length": 9, "dt": "0.1"}, "dt must be"),
+        ({"length": 9, "dt": True}, "dt must be"),
+        ({"length": 9, "key": 0}, "key must be"),
+        ({"length": 9, "bounds": np.inf}, "bounds must"),
+    ],
+)
+def test_streams_refuse_options_at_once(options, words):
+    with pytest.raises(ValueError, match=words):
+        rf.OnlineIdentifier(**options)
+
+
+@pytest.mark.parametrize("time", ["0.1", True, np.datetime64("2020-01-01"), [0.1], None])
+def test_streams_refuse_times_that_are_no_numbers(poses, time):
+    online = rf.OnlineIdentifier(9)
+    with pytest.raises(ValueError, match="time"):
+        online.push(poses[0], time)
+    assert len(online) == 0
+
+
+@pytest.mark.parametrize("kind", [np.float16, bool, str])
+def test_streams_refuse_poses_that_are_no_numbers(kind):
+    with pytest.raises(ValueError, match="pose must be"):
+        rf.OnlineIdentifier(9, dt=0.1).push(np.eye(4).astype(kind))
+
+
+def test_a_folder_of_results_is_not_begun_with_input_that_is_refused(poses, tmp_path):
+    pytest.importorskip("pyarrow")
+    for windows in (np.stack([poses]).astype(np.float16), 5, None, [[1, 2]]):
+        with pytest.raises(ValueError, match=r"poses|windows"):
+            rf.identify_many(windows, tmp_path / "out", dt=DT, solver=MIDDLE)
+    assert not (tmp_path / "out").exists()
