@@ -132,7 +132,6 @@ def test_coarse_arrays_of_jax_are_refused(poses):
         ({"bounds": "1"}, "bounds must be"),
         ({"bounds": True}, "bounds must be"),
         ({"bounds": (1.0, 2.0, 3.0)}, "or \\(low, high\\)"),
-        ({"bounds": None}, "bounds must be"),
         ({"lag": True}, "lag must be"),
         ({"lag": "fast"}, "lag must be"),
         ({"lag": [1, 2]}, "lag must be"),
