@@ -183,6 +183,16 @@ def test_no_window_has_nan_under_a_good_status(poses, size, dtype):
             assert np.all(np.isfinite(np.asarray(leaf)[good]))
 
 
+def test_a_body_that_slides_without_turning_at_all_is_a_prismatic_joint(poses):
+    """Every direction of the origin is free, and its curvature zero to the last digit."""
+    slid = np.tile(np.eye(4), (K + 1, 1, 1))
+    slid[:, :3, 3] = np.sin(np.linspace(0, 3, K + 1))[:, None] * [0.1, 0.2, -0.05]
+    slid[:, :3, 3] = np.round(slid[:, :3, 3], 3)
+    found = rf.identify(slid, dt=DT)
+    assert found.status is rf.Status.OK
+    assert found.name == "Prismatic joint"
+
+
 def test_what_json_reads_is_no_array():
     with pytest.raises(ValueError, match="poses must be"):
         identify({"poses": 1})

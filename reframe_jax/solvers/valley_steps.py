@@ -252,7 +252,9 @@ def descend(
             better = value < best  # false for NaN
             chosen_length = jnp.where(better, length, chosen_length)
             best = once(jnp.where(better, value, best))
-        moved = (p[i] - chosen_length * newton[i] for i in range(3))
+        # without any rotation all directions are free, and Newton's is not finite
+        stays = chosen_length == 0
+        moved = (jnp.where(stays, p[i], p[i] - chosen_length * newton[i]) for i in range(3))
         chosen = once(cast(Vector, tuple(jnp.clip(c, low[i], high[i]) for i, c in enumerate(moved))))
 
         # the majorizing step, cut short at the box and projected onto it
