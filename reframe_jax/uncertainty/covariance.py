@@ -18,9 +18,10 @@ from reframe_jax.identification.results import Identification, PoseNoise
 from reframe_jax.uncertainty.estimate import Estimates, covariance_of_windows, estimates_of
 from reframe_jax.uncertainty.inputs import in_pieces, pad_recording, poses_of, sample_steps
 
-__all__ = ["Covariance", "covariance", "move"]
+__all__ = ["Covariance", "Errors", "covariance", "move"]
 
 Errors = Literal["measured", "white"]
+"""Whether what is left over inflates a covariance, or the noise is trusted to be white."""
 
 _SAME_NORM = 1e-3  # relative difference between the norm and the geometric mean that rounding makes
 

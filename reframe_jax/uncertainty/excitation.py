@@ -185,7 +185,7 @@ def _independent(correlation: jax.Array, level: jax.Array, free: jax.Array) -> j
         pivot = jnp.take_along_axis(left, best[None], axis=0)
         share = row / jnp.where(there[None], pivot, 1)
         rest = jnp.where(there[None, None], rest - row[:, None] * share[None], rest)
-        number = number + there
+        number = number + there.astype(jnp.int32)
     return number
 
 
