@@ -1,22 +1,20 @@
 """The covariance of an identification, on request."""
 
-import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import chunk_size, compiler_options, traced
+from reframe_jax.compilation import traced
 from reframe_jax.geometry import rotations
 from reframe_jax.geometry.products import matmul
 from reframe_jax.identification.results import Identification, PoseNoise
-from reframe_jax.uncertainty.estimate import Estimates, covariance_of_windows, estimates_of
-from reframe_jax.uncertainty.inputs import in_pieces, pad_recording, poses_of, sample_steps
+from reframe_jax.uncertainty.estimate import Estimates, covariance_of_windows
+from reframe_jax.uncertainty.inputs import over_windows
 
 __all__ = ["Covariance", "Errors", "covariance", "move"]
 
@@ -155,18 +153,7 @@ def covariance(
     if errors not in get_args(Errors):
         raise ValueError(f"errors must be 'measured' or 'white', not {errors!r}.")
     _check_norm(found)
-    array, wide = poses_of(found, poses)
-    with jax.enable_x64(True) if wide else contextlib.nullcontext():
-        steps = sample_steps(array, times, dt)
-        estimates = estimates_of(found, noise, array.dtype)
-        measured = errors == "measured"
-        if traced((array, steps, estimates)):
-            return _of_batch(array, steps, estimates, measured)
-        if array.ndim > 3:
-            result = _of_many(array, steps, estimates, measured)
-        else:
-            result = _of_one(array, steps, estimates, measured)
-    return jax.tree.map(jnp.asarray, jax.device_get(result)) if wide else result
+    return over_windows(_measured if errors == "measured" else _white, found, poses, times, dt, noise)
 
 
 def _check_norm(found: Identification) -> None:
@@ -182,58 +169,18 @@ def _check_norm(found: Identification) -> None:
             )
 
 
-def _windows(
+def _measured(poses: jax.Array, found: Estimates, steps: jax.Array, count: jax.Array | None) -> Covariance:
+    return _of_windows(poses, found, steps, count, True)
+
+
+def _white(poses: jax.Array, found: Estimates, steps: jax.Array, count: jax.Array | None) -> Covariance:
+    return _of_windows(poses, found, steps, count, False)
+
+
+def _of_windows(
     poses: jax.Array, found: Estimates, steps: jax.Array, count: jax.Array | None, measured: bool
 ) -> Covariance:
     failed = ~jnp.isfinite(found.position[:, 0])
-    poses = jnp.where(failed[:, None, None, None], jnp.eye(4, dtype=poses.dtype)[None, None], poses)
     matrix, inflation, determined = covariance_of_windows(poses, steps, count, found, measured)
     matrix = jnp.where(failed[:, None, None], jnp.nan, matrix)
     return Covariance(matrix, jnp.where(failed[:, None], jnp.nan, inflation), determined & ~failed)
-
-
-@partial(jax.jit, static_argnames="measured", compiler_options=compiler_options())
-def _piece(
-    inputs: tuple[jax.Array, Estimates, jax.Array | None],
-    shared: jax.Array | None,
-    count: jax.Array | None,
-    *,
-    measured: bool,
-) -> Covariance:
-    """The covariance of N windows, chunk by chunk; sample times are those of each window, or shared."""
-
-    def run(part: tuple[jax.Array, Estimates, jax.Array | None]) -> Covariance:
-        poses, found, steps = part
-        own = shared if steps is None else steps
-        assert own is not None
-        return _windows(poses, found, own, count, measured)
-
-    chunk, size = chunk_size(), len(inputs[0])
-    if size <= chunk:
-        return run(inputs)
-    split = jax.tree.map(lambda leaf: leaf.reshape(-1, chunk, *leaf.shape[1:]), inputs)
-    return jax.tree.map(lambda leaf: leaf.reshape(size, *leaf.shape[2:]), jax.lax.map(run, split))
-
-
-def _of_one(poses: Any, steps: Any, found: Estimates, measured: bool) -> Covariance:
-    poses, steps, count = pad_recording(poses, steps)
-    window = jax.tree.map(lambda leaf: leaf[None], (poses, found.padded(len(poses))))
-    result = _piece((*window, None), steps, count, measured=measured)
-    return jax.tree.map(lambda leaf: leaf[0], jax.device_get(result))
-
-
-def _of_many(poses: Any, steps: Any, found: Estimates, measured: bool) -> Covariance:
-    batch = poses.shape[:-3]
-    shared, own = (steps, None) if steps.ndim == 1 else (None, steps)
-    flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[len(batch) :]), (poses, found, own))
-    result = in_pieces(lambda part: _piece(part, shared, None, measured=measured), flat, len(flat[0]))
-    return jax.tree.map(lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), result)
-
-
-def _of_batch(poses: Any, steps: Any, found: Estimates, measured: bool) -> Covariance:
-    """Inside a trace: all windows at once."""
-    batch = poses.shape[:-3]
-    own = None if steps.ndim == 1 else steps
-    flat = jax.tree.map(lambda leaf: jnp.reshape(leaf, (-1, *leaf.shape[len(batch) :])), (poses, found, own))
-    result = _windows(flat[0], flat[1], steps if own is None else flat[2], None, measured)
-    return jax.tree.map(lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), result)

@@ -182,6 +182,9 @@ def covariance_of_windows(
 def paths_of(poses: jax.Array, steps: jax.Array, count: jax.Array | None, found: Estimates) -> Paths:
     """Paths of the frames of N windows; arguments as in :func:`covariance_of_windows`."""
     windows, samples = poses.shape[0], poses.shape[1] - 1
+    # a failed window computes with harmless poses
+    failed = ~jnp.isfinite(found.position[:, 0])
+    poses = jnp.where(failed[:, None, None, None], jnp.eye(4, dtype=poses.dtype)[None, None], poses)
     number = jnp.full(windows, samples + 1, jnp.int32) if count is None else count
     own = jnp.arange(samples + 1, dtype=jnp.int32)[None] < number[:, None]
     total = jnp.sum(jnp.where(own[:, :, None], poses[:, :, :3, 3], 0), axis=1)

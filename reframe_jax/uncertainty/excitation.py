@@ -9,21 +9,18 @@ kinds of motion therefore say less than their frames show:
 - velocities of free axes were proportional, so that fewer motions were made than axes are free.
 """
 
-import contextlib
 from dataclasses import dataclass
-from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import compiler_options, traced
 from reframe_jax.constraints.catalogue import CONSTRAINTS, OTHER_CONSTRAINTS
 from reframe_jax.constraints.types import LinearType
 from reframe_jax.identification.results import Identification
-from reframe_jax.uncertainty.estimate import Estimates, estimates_of, paths_of
-from reframe_jax.uncertainty.inputs import pad_recording, poses_of, sample_steps
+from reframe_jax.uncertainty.estimate import Estimates, paths_of
+from reframe_jax.uncertainty.inputs import over_windows
 
 __all__ = ["Excitation", "excitation", "possible_constraints"]
 
@@ -109,28 +106,11 @@ def excitation(
     Raises:
         ValueError: if the poses are not those of ``found``.
     """
-    array, wide = poses_of(found, poses)
-    with jax.enable_x64(True) if wide else contextlib.nullcontext():
-        steps = sample_steps(array, times, dt)
-        estimates = estimates_of(found, None, array.dtype)
-        batch = array.shape[:-3]
-        count = None
-        if not batch and not traced((array, steps, estimates)):
-            array, steps, count = pad_recording(array, steps)
-            estimates = estimates.padded(len(array))
-        own = steps.ndim > 1
-        flat = jax.tree.map(
-            lambda leaf: leaf.reshape(-1, *leaf.shape[len(batch) :]),
-            (array, estimates, steps if own else None),
-        )
-        result = _excitations(flat[0], flat[1], flat[2] if own else steps, count)
-        return jax.tree.map(lambda leaf: leaf.reshape(batch), result)
+    return over_windows(_of_windows, found, poses, times, dt)
 
 
-@partial(jax.jit, compiler_options=compiler_options())
-def _excitations(poses: jax.Array, found: Estimates, steps: jax.Array, count: jax.Array | None) -> Excitation:
+def _of_windows(poses: jax.Array, found: Estimates, steps: jax.Array, count: jax.Array | None) -> Excitation:
     failed = ~jnp.isfinite(found.position[:, 0])
-    poses = jnp.where(failed[:, None, None, None], jnp.eye(4, dtype=poses.dtype)[None, None], poses)
     paths = paths_of(poses, steps, count, found)
     sampling = paths.sampling
     velocities = sampling.chords(jnp.concatenate([paths.along_angular, paths.along_linear]))
@@ -150,7 +130,7 @@ def _excitations(poses: jax.Array, found: Estimates, steps: jax.Array, count: ja
     level = jnp.square(_NOISES * noise * scale)
     motions = _independent(gram * scale[:, None] * scale[None], level, free)
     steady = _steady(velocities, ones, free, noise)
-    number = jnp.sum(dof, axis=0)
+    number = jnp.sum(dof, axis=0, dtype=jnp.int32)
     return Excitation(
         free=jnp.where(failed, 0, number),
         motions=jnp.where(failed, 0, motions),
