@@ -26,6 +26,7 @@ from reframe_jax.recordings.writing import save_recording
 from reframe_jax.solvers import BasinHopping, FrameSteps, NewtonSteps, OptaxSteps, ValleySteps
 from reframe_jax.storage.results import identify_many, load_results
 from reframe_jax.uncertainty.covariance import Covariance, covariance
+from reframe_jax.uncertainty.design import MotionAdvice, next_motion
 from reframe_jax.uncertainty.excitation import Excitation, excitation
 
 __all__ = [
@@ -44,6 +45,7 @@ __all__ = [
     "Joint",
     "LinearFrame",
     "LinearType",
+    "MotionAdvice",
     "NewtonSteps",
     "OnlineIdentifier",
     "OptaxSteps",
@@ -65,6 +67,7 @@ __all__ = [
     "load_recording",
     "load_results",
     "lookup",
+    "next_motion",
     "pose_noise",
     "pose_outliers",
     "recording_warnings",
