@@ -1,4 +1,4 @@
-"""Error bars of a constraint frame: an ellipsoid at its origin, a cone on its axis, and bars on velocities."""
+"""Error bars of a constraint frame: an ellipsoid at its origin, cones on its axes, bars on velocities."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -28,12 +28,11 @@ _LINES = 25  # points of a circle
 def plot_uncertainty(
     poses: ArrayLike, found: Identification, covariance: Covariance, *, title: str | None = None
 ) -> "Figure":
-    """Draw how sure a frame is: where it lies in space, its origin close up, its axis, and its velocities.
+    """Draw how sure a frame is: the scene, its origin close up, its axes, and its velocities.
 
-    Top left is the scene of :func:`plot_scene`. Top right is the origin, enlarged: the ellipsoid holds it with a
-    probability of 95 %; it is flat along directions in which the origin is free, and missing if all are. Below
-    are the deviation of the odd axes, as the ellipse that holds its tip with 95 %, and the RMS velocities with
-    bars of 95 %.
+    Beside the scene of :func:`plot_scene` is the origin, enlarged. The ellipsoid holds it with a probability
+    of 95 %, and is flat along directions in which the origin is free. Below are the tilts of the odd axes:
+    the cones that hold them with 95 %, cut across. Then come the RMS velocities, with intervals of 95 %.
 
     Args:
         poses: (K+1, 4, 4), m.
@@ -60,7 +59,7 @@ def plot_uncertainty(
 def _draw_origin(axes: "Axes3D", found: Identification, sure: Covariance) -> None:
     """The ellipsoid of the origin and the directions of the linear axes, in mm."""
     body = BODY_NAMES[found.linear.frame_type.position_body]
-    axes.set_title(f"origin, in the {body} [mm]", fontsize=9)
+    axes.set_title(f"origin, in the {body} [mm]", fontsize=9, pad=30)
     variances, directions = np.linalg.eigh(1e6 * np.asarray(sure.position))
     radii = _ELLIPSOID * np.sqrt(np.maximum(variances, 0))
     size = 1.15 * float(radii[-1])
@@ -81,14 +80,14 @@ def _draw_origin(axes: "Axes3D", found: Identification, sure: Covariance) -> Non
             axes.plot(*ends.T, color="black", linewidth=0.9)
             axes.text(*(1.08 * radius * direction), f"{_INTERVAL / _ELLIPSOID * radius:.2g}", fontsize=7)
     axes.plot([0], [0], [0], "o", color="black", markersize=3)
-    for i, name in enumerate("xyz"):
+    for name in "xyz":
         getattr(axes, f"set_{name}lim")(-size, size)
         getattr(axes, f"set_{name}label")(name, fontsize=8)
         axes.locator_params(axis=name, nbins=5)
     axes.plot([], [], color="black", linewidth=0.9, label="principal axes, with 1.96 standard deviations")
     axes.set_box_aspect((1, 1, 1))
     axes.tick_params(labelsize=7)
-    axes.legend(**LEGEND_ABOVE | {"bbox_to_anchor": (0.5, -0.12), "ncols": 1})
+    axes.legend(**LEGEND_ABOVE | {"ncols": 1})
 
 
 def _draw_tilts(axes: "Axes", found: Identification, sure: Covariance) -> None:

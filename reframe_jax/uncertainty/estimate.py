@@ -1,6 +1,7 @@
 """Covariance of identified frames: from checked arrays, all windows at once."""
 
 from dataclasses import dataclass, replace
+from math import cos, radians
 from typing import Any
 
 import jax
@@ -8,22 +9,25 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.compilation import once, traced
-from reframe_jax.constraints.located import ground_offset
-from reframe_jax.constraints.types import LinearType
+from reframe_jax.constraints.located import ground_offset, parts_on_body
+from reframe_jax.constraints.types import AngularType, LinearType
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification.results import Identification, PoseNoise
 from reframe_jax.motion import kinematics
 from reframe_jax.motion.chords import moving_chords
 from reframe_jax.motion.outliers import repair_poses
+from reframe_jax.motion.single_axis import find_single_axis
 from reframe_jax.uncertainty.propagation import apply_to_rows, position_to_poses, turn_to_poses
 from reframe_jax.uncertainty.sampling import Sampling
 from reframe_jax.uncertainty.sandwich import inflation, long_run_variance, noise_covariance
 from reframe_jax.uncertainty.sensitivity import angular_rows, linear_rows, rms_rows
+from reframe_jax.uncertainty.turning import axis_rows, combine_rows
 
 __all__ = ["Estimates", "Paths", "covariance_of_windows", "estimates_of", "paths_of"]
 
 _IN_BODY = int(LinearType.GB)
 _BLOCKS = 8  # in a window, of which the long-run variance is taken
+_PARALLEL = cos(radians(15.0))  # as in the names of the classes
 _FLOOR = 16  # noise that is always there, in units of rounding
 
 
@@ -152,27 +156,33 @@ def covariance_of_windows(
     angular_axes, linear_axes = _axes(found.angular_rotvec), _axes(found.linear_rotvec)
     of_turn = jnp.concatenate([_to_path(sampling, angular), angular_rms])
     of_turn = apply_to_rows(angular_axes[:, :, None], of_turn)
-    of_shift = apply_to_rows(linear_axes[:, :, None], jnp.concatenate([linear_path, linear_rms]))
+    still = _to_path(sampling, linear.still)
+    of_shift = apply_to_rows(linear_axes[:, :, None], jnp.concatenate([linear_path, linear_rms, still]))
     first = turn_to_poses(once(of_turn), found.angular_type, paths.rotation, paths.turns)
     second, shift = position_to_poses(
         once(of_shift), found.linear_type, paths.rotation, paths.shift, paths.origin
     )
-    # angular turn, linear turn, origin, angular rms, linear rms
-    turn = jnp.concatenate([first[:3], second[:6], first[3:], second[6:]])
-    zero = jnp.zeros_like(first[:3])
-    shift = jnp.concatenate([zero, shift[:6], zero, shift[6:]])
     rounding = _FLOOR * float(jnp.finfo(poses.dtype).eps)
     noise = (
         jnp.maximum(found.position_noise, rounding * jnp.sqrt(jnp.max(jnp.sum(paths.shift**2, 0), 0))),
         jnp.maximum(found.rotation_noise, rounding),
     )
+    zero = jnp.zeros_like(first[:3])
+    of_angular, of_linear = (first[:3], zero), (second[:3], shift[:3])
+    explained = noise_covariance(
+        jnp.concatenate([first[:3], second[:6]]), jnp.concatenate([zero, shift[:6]]), noise
+    )
+    of_still = (second[9:], shift[9:])
+    of_angular, of_linear = _with_single_axis(paths, found, of_angular, of_linear, of_still, noise)
+    # angular turn, linear turn, origin, angular rms, linear rms
+    turn = jnp.concatenate([of_angular[0], of_linear[0], second[3:6], first[3:], second[6:9]])
+    shift = jnp.concatenate([of_angular[1], of_linear[1], shift[3:6], zero, shift[6:9]])
     matrix = noise_covariance(turn, shift, noise)
     grown = jnp.ones((3, poses.shape[0]), poses.dtype)
     if measured:
         number = poses.shape[1] if count is None else count
-        grown = _inflations(
-            matrix, (angular, linear.turn, linear.position), (turned, moved, moved), sampling, found, number
-        )
+        rows = angular, linear.turn, linear.position
+        grown = _inflations(explained, rows, (turned, moved, moved), sampling, found, number)
     matrix = _to_body(matrix, angular_axes, linear_axes)
     factors = jnp.concatenate([jnp.repeat(grown, 3, axis=0), jnp.ones((6, *grown.shape[1:]), grown.dtype)])
     matrix = matrix * factors[:, None] * factors[None]
@@ -236,6 +246,38 @@ def _sampling(paths: jax.Array, times: jax.Array, found: Estimates) -> Sampling:
     shares = counted.astype(paths.dtype)
     shares = shares / jnp.maximum(jnp.sum(shares, axis=0, keepdims=True), 1)
     return Sampling(found.refined, shares, found.lag, scales)
+
+
+def _with_single_axis(
+    paths: Paths,
+    found: Estimates,
+    angular: tuple[jax.Array, jax.Array],
+    linear: tuple[jax.Array, jax.Array],
+    still: tuple[jax.Array, jax.Array],
+    noise: tuple[jax.Array, jax.Array],
+) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
+    """Sensitivities of turns to rotations and positions where the body turns about a single axis.
+
+    The axis is then the one that the rotations keep in place; a linear frame whose odd axis is parallel to it
+    takes the mean of its own and that, weighted as if the origin stood ``still``.
+    """
+    shares = paths.sampling.shares
+    single = find_single_axis(paths.rotation, found.counted.T, found.rotation_noise)
+    turns_once = single.found & found.refined & (jnp.sum(found.angular_dof, axis=1) == 1)
+    angular_axes, linear_axes = _axes(found.angular_rotvec), _axes(found.linear_rotvec)
+    in_body = found.angular_type == int(AngularType.B)
+    rows = axis_rows(paths.rotation, shares, angular_axes, angular_axes[:, 2], in_body)
+    angular = (jnp.where(turns_once[None, None, None], rows, angular[0]), angular[1])
+    slides = jnp.sum(found.linear_dof, axis=1)
+    last = slides == 1
+    odd = jnp.where(last[None], linear_axes[:, 2], linear_axes[:, 0])
+    on_body = parts_on_body(found.angular_type, found.linear_type)[:, 1]
+    axis = jnp.where(on_body[None], single.in_body, single.in_ground)
+    parallel = jnp.abs(jnp.sum(axis * odd, axis=0)) > _PARALLEL
+    shared = turns_once & parallel & (last | (slides == 2))
+    rows = axis_rows(paths.rotation, shares, linear_axes, odd, on_body)
+    tilts = jnp.stack([last, jnp.ones_like(last), ~last]) & shared[None]  # about all axes but the odd one
+    return angular, combine_rows(linear, still, (rows, jnp.zeros_like(rows)), tilts, noise)
 
 
 def _of_type(array: jax.Array, kind: jax.Array) -> jax.Array:

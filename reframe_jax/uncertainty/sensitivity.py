@@ -38,6 +38,7 @@ class Rows:
 
     Attributes:
         turn: (3, 3, K+1, N) of a turn about each axis of the frame; components along the axes.
+        still: (3, 3, K+1, N) the same if the origin stood still.
         position: (3, 3, K+1, N) of each coordinate of the reported origin.
         optimum: (3, 3, K+1, N) of each coordinate of the optimum.
         offset: (3, N) m, from the reported origin to the optimum.
@@ -45,6 +46,7 @@ class Rows:
     """
 
     turn: jax.Array
+    still: jax.Array
     position: jax.Array
     optimum: jax.Array
     offset: jax.Array
@@ -97,12 +99,13 @@ def linear_rows(samples: jax.Array, slopes: jax.Array, dof: jax.Array, free: jax
     solve, _ = _restricted_inverse(there.hessian, None)
     best = samples + jnp.sum(slopes * offset[None, :, None], axis=1)
     optimum = _origin_rows(solve, there, best, slopes)
-    variances, turn = [there.sigma[i, i] for i in range(3)], []
+    variances, still, turn = [there.sigma[i, i] for i in range(3)], [], []
     for k in range(3):
         row, weight = _turn_row(k, best, variances, dof)
         by_origin = there.moved[:, (k + 1) % 3, (k + 2) % 3] * weight[None]
+        still.append(row)
         turn.append(row + jnp.sum(by_origin[:, None, None] * optimum, axis=0))
-    return Rows(jnp.stack(turn), position, optimum, offset, determined)
+    return Rows(jnp.stack(turn), jnp.stack(still), position, optimum, offset, determined)
 
 
 def _turn_row(
