@@ -240,6 +240,13 @@ def _print_result(
     return f"{path}: {statuses[0].message}" if all(status.failed for status in statuses) else None
 
 
+def _explanation(recording: Recording, found: Identification, options: argparse.Namespace) -> str:
+    """The result in plain words, with error bars where the options allow a covariance."""
+    usual = options.norm == 0 and options.discretization == "chord"
+    spread = covariance(found, recording.poses, times=recording.times) if usual else None
+    return found.explain(spread, excitation(found, recording.poses, times=recording.times))
+
+
 def identify_recording(
     recording: Recording, options: argparse.Namespace
 ) -> tuple[Identification, list[Window]]:
@@ -248,15 +255,6 @@ def identify_recording(
     Raises:
         RecordingError: if the recording cannot be used.
     """
-def _explanation(recording: Recording, found: Identification, options: argparse.Namespace) -> str:
-    """The result in plain words, with error bars where the options allow a covariance."""
-    usual = options.norm == 0 and options.discretization == "chord"
-    spread = covariance(found, recording.poses, times=recording.times) if usual else None
-    return found.explain(spread, excitation(found, recording.poses, times=recording.times))
-
-
-def _windows(recording: Recording, options: argparse.Namespace) -> tuple[Identification, list[Window]]:
-    """Identify all windows; without --window, the whole recording as a single one."""
     whole = options.window is None
     length = len(recording.times) if whole else options.window
     if length > len(recording.times):

@@ -18,9 +18,9 @@ from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.types import AngularType, AxisRelation, Dof, LinearType
 from reframe_jax.geometry import rotations
 from reframe_jax.identification.cautions import caution_sentences
+from reframe_jax.identification.explanation import Finding, Spread, Tested, explain_finding
 from reframe_jax.joints.fitting import fit_joint
 from reframe_jax.joints.joint import Joint
-from reframe_jax.identification.explanation import Finding, Spread, Tested, explain_finding
 from reframe_jax.motion.checks import Status
 
 __all__ = ["AllCandidates", "AngularFrame", "Candidates", "Identification", "LinearFrame", "PoseNoise"]
@@ -331,6 +331,7 @@ class Identification:
         known = position > 0 and rotation > 0
         lever = float(np.clip(position / rotation, *_LEVERS)) if known else _USUAL_LEVER
         return fit_joint(self.constraint_frame, values[counted], parent=parent, child=child, length=lever)
+
     def explain(self, covariance: Spread | None = None, excitation: Tested | None = None) -> str:
         """Explain a single window in up to five lines of plain English.
 
