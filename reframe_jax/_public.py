@@ -25,6 +25,9 @@ from reframe_jax.recordings.relative import relative_poses
 from reframe_jax.recordings.writing import save_recording
 from reframe_jax.solvers import BasinHopping, FrameSteps, NewtonSteps, OptaxSteps, ValleySteps
 from reframe_jax.storage.results import identify_many, load_results
+from reframe_jax.uncertainty.covariance import Covariance, covariance
+from reframe_jax.uncertainty.design import MotionAdvice, next_motion
+from reframe_jax.uncertainty.excitation import Excitation, excitation
 
 __all__ = [
     "CONSTRAINTS",
@@ -35,11 +38,14 @@ __all__ = [
     "Candidates",
     "Constraint",
     "ConstraintFrame",
+    "Covariance",
+    "Excitation",
     "FrameSteps",
     "Identification",
     "Joint",
     "LinearFrame",
     "LinearType",
+    "MotionAdvice",
     "NewtonSteps",
     "OnlineIdentifier",
     "OptaxSteps",
@@ -51,14 +57,17 @@ __all__ = [
     "ValleySteps",
     "clean_recording",
     "constraint",
+    "covariance",
     "default_solver",
     "describe",
+    "excitation",
     "frame_velocities",
     "identify",
     "identify_many",
     "load_recording",
     "load_results",
     "lookup",
+    "next_motion",
     "pose_noise",
     "pose_outliers",
     "recording_warnings",

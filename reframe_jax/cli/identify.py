@@ -28,6 +28,8 @@ from reframe_jax.motion.windows import sliding_windows
 from reframe_jax.recordings.reading import load_recording
 from reframe_jax.recordings.recording import Recording, RecordingError
 from reframe_jax.storage.progress import make_meter
+from reframe_jax.uncertainty.covariance import covariance
+from reframe_jax.uncertainty.excitation import excitation
 
 __all__ = ["add_identify", "identify_recording"]
 
@@ -98,6 +100,11 @@ def add_identify(commands: Any) -> None:
         help="how far positions are searched, in m (1, and up to 16 where the motion points farther)",
     )
     add("--summary", action="store_true", help="print the table of all recordings only")
+    add(
+        "--explain",
+        action="store_true",
+        help="say in plain words what was found, how sure that is (95 %%), and which motion would tell more",
+    )
     add("--json", metavar="OUT", help="write the results as JSON; - prints them instead of tables")
     add(
         "--plot",
@@ -165,6 +172,8 @@ def _check(options: argparse.Namespace) -> None:
         options.stride = options.window if options.stride is None else options.stride
     if options.stride < 1:
         options.usage_error("--stride must be at least 1.")
+    if options.explain and options.window is not None:
+        options.usage_error("--explain explains whole recordings: leave out --window.")
     if options.plot is not None:
         _check_plot(options)
     stems = {path.stem for path in options.files}
@@ -198,6 +207,8 @@ def _identify_file(path: Path, options: argparse.Namespace, tables: list[Columns
             say(f"reframe-jax: {path}: {warning}")
         problem = _print_result(path, found, windows, options)
         tables.append(to_columns(found, label=str(path), windows=windows))
+        if options.explain and options.json != "-" and problem is None:
+            show(_explanation(recording, found, options), end="\n\n")
         if options.plot is not None and problem is None:
             problem = _plot(recording, found, options)
         if options.window is None and problem is None:
@@ -227,6 +238,13 @@ def _print_result(
     if options.json != "-" and not options.summary:
         show(to_table(found, label=str(path), windows=windows), end="\n\n")
     return f"{path}: {statuses[0].message}" if all(status.failed for status in statuses) else None
+
+
+def _explanation(recording: Recording, found: Identification, options: argparse.Namespace) -> str:
+    """The result in plain words, with error bars where the options allow a covariance."""
+    usual = options.norm == 0 and options.discretization == "chord"
+    spread = covariance(found, recording.poses, times=recording.times) if usual else None
+    return found.explain(spread, excitation(found, recording.poses, times=recording.times))
 
 
 def identify_recording(

@@ -18,6 +18,7 @@ from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.types import AngularType, AxisRelation, Dof, LinearType
 from reframe_jax.geometry import rotations
 from reframe_jax.identification.cautions import caution_sentences
+from reframe_jax.identification.explanation import Finding, Spread, Tested, explain_finding
 from reframe_jax.joints.fitting import fit_joint
 from reframe_jax.joints.joint import Joint
 from reframe_jax.motion.checks import Status
@@ -330,6 +331,45 @@ class Identification:
         known = position > 0 and rotation > 0
         lever = float(np.clip(position / rotation, *_LEVERS)) if known else _USUAL_LEVER
         return fit_joint(self.constraint_frame, values[counted], parent=parent, child=child, length=lever)
+
+    def explain(self, covariance: Spread | None = None, excitation: Tested | None = None) -> str:
+        """Explain a single window in up to five lines of plain English.
+
+        They say what the constraint is like and how probable its name is, where it lies, along which axis,
+        what the motion does not tell, and which motion would.
+
+        Args:
+            covariance: of this window, from :func:`reframe_jax.covariance`, for the error bars (95 %).
+            excitation: of this window, from :func:`reframe_jax.excitation`, for what the motion did not test.
+
+        Raises:
+            ValueError: for a batch.
+        """
+        if np.shape(self.status_code):
+            raise ValueError("A batch has many explanations: index one window first, found[i].")
+        host = jax.tree.map(np.asarray, self)
+        if host.status.failed:
+            return str(host.name)
+        kind, linear, entry = host.linear.frame_type, host.linear, host.entry
+        matters = sum(_dof(linear.dof)) > 0 and (entry is None or entry.linear_type is not None)
+        tied = [str(t) for t in LinearType if matters and linear.tied[t] and t != kind]
+        twin = float(np.linalg.norm(linear.twin - linear.position)) if linear.has_twin else None
+        finding = Finding(
+            name=host.name,
+            probability=host.probability,
+            named=entry is not None,
+            angular_type=host.angular.frame_type,
+            linear_type=kind,
+            angular_dof=host.angular.dof,
+            linear_dof=linear.dof,
+            angular_axes=np.asarray(_axes(host.angular.rotvec)),
+            linear_axes=np.asarray(_axes(linear.rotvec)),
+            position=linear.position,
+            free_position=linear.free_position,
+            rivals=tuple(tied),
+            twin=twin,
+        )
+        return explain_finding(finding, covariance, excitation)
 
     def _class(self) -> tuple[LinearType, Dof, Dof, AxisRelation | None]:
         """Linear type, degrees of freedom, and how the odd axes of the two frames lie."""

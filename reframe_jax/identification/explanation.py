@@ -1,0 +1,221 @@
+"""An identification in plain English: what it is, how sure, where, and what the motion left open."""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from reframe_jax.constraints.types import BODY_NAMES, AngularType, LinearType
+
+__all__ = ["Finding", "Spread", "Tested", "explain_finding"]
+
+_INTERVAL = 1.96  # standard deviations that hold 95 %
+_SLOW = 2.0  # inflation from which on slow errors are worth a word
+
+_LIKE = {
+    "Revolute joint": "The body moves like a door on its hinge: it turns about one axis and does not slide",
+    "Prismatic joint": "The body moves like a drawer: it slides along a straight line and does not turn",
+    "Cylinder joint": "The body moves like a sleeve on a rod: it slides along one axis and turns about it",
+    "Plane-plane contact": "The body moves like a box on a table: it slides on a plane and turns within it",
+    "Planar contour following": (
+        "The body moves in a plane like a skate: one point of it goes only where the body points"
+    ),
+    "Planar contour rolling": (
+        "The body moves in a plane like a wheel on a fixed rail: at a fixed place it passes in one direction"
+    ),
+    "Cart on a curved surface": (
+        "The body moves like a cart on a curved floor: one point of it never leaves the plane of the cart"
+    ),
+    "Contour rolling": "The body passes a fixed place in one direction only, like a contour that rolls there",
+    "Planar pin-plane contact": (
+        "The body moves in a plane like a pin in a slot: one point of it stays on a straight line"
+    ),
+    "Planar plane-pin contact": (
+        "The body moves in a plane like a slot on a pin: a straight line of it stays on one fixed point"
+    ),
+    "Pin-plane contact": "The body moves like a pen on paper: its tip stays on a plane, and it turns freely",
+    "Plane-pin contact": (
+        "The body moves like a tray on a fingertip: a plane of it stays on a fixed point, and it turns freely"
+    ),
+    "Spherical joint": "The body moves like a ball in its socket: it turns in every way about one point",
+    "Universal joint": "The body turns about one point, about two axes only, and does not slide",
+    "Fixed": "The body did not move",
+    "Unconstrained": "Nothing holds the body: it moved in every direction",
+}
+
+
+class Spread(Protocol):
+    """Covariances of one window; see :class:`reframe_jax.Covariance`."""
+
+    @property
+    def angular_axes(self) -> Any:
+        """(3, 3) rad^2."""
+        ...
+
+    @property
+    def linear_axes(self) -> Any:
+        """(3, 3) rad^2."""
+        ...
+
+    @property
+    def position(self) -> Any:
+        """(3, 3) m^2."""
+        ...
+
+    @property
+    def inflation(self) -> Any:
+        """(3,) by slow errors."""
+        ...
+
+
+class Tested(Protocol):
+    """What the motion of one window tested; see :class:`reframe_jax.Excitation`."""
+
+    @property
+    def free(self) -> Any:
+        """Free axes."""
+        ...
+
+    @property
+    def motions(self) -> Any:
+        """Independent motions."""
+        ...
+
+    @property
+    def steady(self) -> Any:
+        """Whether a velocity never changed."""
+        ...
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One window, on the host.
+
+    Attributes:
+        name: of the constraint, and ``probability``: of the name.
+        named: whether the name is one of the catalogue.
+        angular_type, linear_type: of the frames.
+        angular_dof, linear_dof: (3,) 1 where an axis is free.
+        angular_axes, linear_axes: (3, 3) columns.
+        position: (3,) m, and ``free_position``: (3, 3) projector onto what is free of it.
+        rivals: names of the other linear types that explain the motion as well, if the type matters.
+        twin: m, distance to an origin as good, or None.
+    """
+
+    name: str
+    probability: float
+    named: bool
+    angular_type: AngularType
+    linear_type: LinearType
+    angular_dof: np.ndarray
+    linear_dof: np.ndarray
+    angular_axes: np.ndarray
+    linear_axes: np.ndarray
+    position: np.ndarray
+    free_position: np.ndarray
+    rivals: tuple[str, ...]
+    twin: float | None
+
+
+def explain_finding(finding: Finding, spread: Spread | None, tested: Tested | None) -> str:
+    """Up to five lines: what it is, where, along which axis, what is open, and what would settle it.
+
+    Args:
+        finding: of one window.
+        spread: its covariance, for the error bars; None if there is none.
+        tested: what the motion tested; None if that is not known.
+    """
+    like = _LIKE.get(finding.name, f"The body has the freedom of no common mechanism. {finding.name}")
+    lines = [f"{like} (probability {_probability(finding.probability)})."]
+    lines += [line for line in (_where(finding, spread), _direction(finding, spread)) if line]
+    settled = _still_open(finding, tested)
+    return "\n".join([*lines, *settled])
+
+
+def _probability(value: float) -> str:
+    return "below 0.01" if value < 0.01 else "above 0.99" if value > 0.99 else f"{value:.2f}"
+
+
+def _vector(vector: np.ndarray, digits: int) -> str:
+    return "(" + ", ".join(f"{np.round(x, digits) + 0.0:.{digits}f}" for x in vector) + ")"
+
+
+def _largest(covariance: Any) -> float:
+    """Half the width of the 95 % interval along the worst direction."""
+    return _INTERVAL * float(np.sqrt(max(np.linalg.eigvalsh(np.asarray(covariance, float))[-1], 0)))
+
+
+def _within(size: float, unit: str) -> str:
+    return f", give or take {size:.2g} {unit}"
+
+
+def _where(finding: Finding, spread: Spread | None) -> str:
+    """Where the origin lies, if it lies anywhere."""
+    free = round(float(np.trace(finding.free_position)))
+    if free == 3 or finding.linear_dof.sum() == 3:
+        return ""
+    if finding.linear_dof.sum() == 0 and free == 1:
+        what = "The axis passes through"
+    elif free:
+        what = "A point of the contact is"
+    else:
+        what = "The point is"
+    body = BODY_NAMES[finding.linear_type.position_body]
+    size = "" if spread is None else _within(1e3 * _largest(spread.position), "mm")
+    line = f"{what} {_vector(finding.position, 4)} m in the {body}{size}."
+    if spread is not None and float(np.max(np.asarray(spread.inflation))) > _SLOW:
+        line += " Slow errors of the tracker, not its noise, set this limit."
+    return line
+
+
+def _direction(finding: Finding, spread: Spread | None) -> str:
+    """The axis that is unlike the other two: of rotation if there is one, else of translation."""
+    turns, slides = int(finding.angular_dof.sum()), int(finding.linear_dof.sum())
+    if turns in (1, 2):
+        axes, index = finding.angular_axes, 2 if turns == 1 else 0
+        what = "It turns about" if turns == 1 else "It does not turn about"
+        body, covariance = finding.angular_type, None if spread is None else spread.angular_axes
+    elif slides in (1, 2):
+        axes, index = finding.linear_axes, 2 if slides == 1 else 0
+        what = "It slides along" if slides == 1 else "The plane is perpendicular to"
+        body = finding.linear_type.orientation_body
+        covariance = None if spread is None else spread.linear_axes
+    else:
+        return ""
+    size = "" if covariance is None else _within(np.degrees(_largest(covariance)), "degrees")
+    return f"{what} the direction {_vector(axes[:, index], 3)} in the {BODY_NAMES[body]}{size}."
+
+
+def _still_open(finding: Finding, tested: Tested | None) -> list[str]:
+    """What the motion does not tell, and what would; at most two lines."""
+    doubts, advice = [], []
+    turns, slides = int(finding.angular_dof.sum()), int(finding.linear_dof.sum())
+    if tested is not None and int(tested.motions) == 1:
+        doubts.append("only this one path was tried, and the mechanism may have more freedom")
+        advice.append("try to turn the body about other axes and to push it in other directions")
+    elif tested is not None and bool(tested.steady):
+        doubts.append("a velocity never changed, so the true constraint may have more freedom")
+        advice.append("move back and forth along every axis, each at its own changing speed")
+    elif tested is not None and int(tested.motions) < int(tested.free):
+        number = int(tested.motions)
+        doubts.append(f"of {int(tested.free)} free axes only {number} moved independently")
+        advice.append("move along one axis after the other")
+    if not finding.named and 0 < turns < 3:
+        axis = _vector(finding.angular_axes[:, 0], 2)
+        doubts.append(f"it did not turn about {axis} of the {BODY_NAMES[finding.angular_type]}")
+        advice.append("turn the body about that axis as well, if it can")
+    elif not finding.named and 0 < slides < 3:
+        axis = _vector(finding.linear_axes[:, 0], 2)
+        body = BODY_NAMES[finding.linear_type.orientation_body]
+        doubts.append(f"it did not slide along {axis} of the {body}")
+        advice.append("push the body along that axis as well, if it gives way")
+    if finding.rivals:
+        doubts.append(f"frames of type {' and '.join(finding.rivals)} explain the motion as well")
+        advice.append("turn the body further while it moves")
+    if finding.twin is not None:
+        doubts.append(f"a second point, {1e3 * finding.twin:.0f} mm away, explains the motion as well")
+        advice.append("move along more directions")
+    if not doubts:
+        return []
+    listed = list(dict.fromkeys(advice))[:2]
+    return [f"Not determined: {'; '.join(doubts[:2])}.", f"To settle it, {', and '.join(listed)}."]

@@ -1,0 +1,148 @@
+"""Error bars of a constraint frame: an ellipsoid at its origin, cones on its axes, bars on velocities."""
+
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+from numpy.typing import ArrayLike
+
+from reframe_jax.constraints.types import BODY_NAMES
+from reframe_jax.export.common import axes_of
+from reframe_jax.identification.results import Identification
+from reframe_jax.plotting.scene import check_window, draw_space
+from reframe_jax.plotting.style import LEGEND_ABOVE, TURNING, axis_colours, new_figure
+from reframe_jax.uncertainty.covariance import Covariance
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from mpl_toolkits.mplot3d.axes3d import Axes3D
+
+__all__ = ["plot_uncertainty"]
+
+_INTERVAL = 1.96  # standard deviations that hold 95 %
+_ELLIPSOID = 2.795  # standard deviations of the ellipsoid that holds 95 % in three dimensions
+_LINES = 25  # points of a circle
+
+
+def plot_uncertainty(
+    poses: ArrayLike, found: Identification, covariance: Covariance, *, title: str | None = None
+) -> "Figure":
+    """Draw how sure a frame is: the scene, its origin close up, its axes, and its velocities.
+
+    Beside the scene of :func:`plot_scene` is the origin, enlarged. The ellipsoid holds it with a probability
+    of 95 %, and is flat along directions in which the origin is free. Below are the tilts of the odd axes:
+    the cones that hold them with 95 %, cut across. Then come the RMS velocities, with intervals of 95 %.
+
+    Args:
+        poses: (K+1, 4, 4), m.
+        found: identification of these poses.
+        covariance: of ``found``.
+        title: title of the figure, by default the name of the constraint.
+
+    Raises:
+        ImportError: if Matplotlib is not installed.
+        ValueError: for a batch, or a window without a result.
+    """
+    host = check_window(found)
+    sure = jax.device_get(covariance)
+    figure = new_figure(9, 8.4)
+    figure.suptitle(host.name if title is None else title, fontsize=12)
+    grid = figure.add_gridspec(2, 2, height_ratios=(1.25, 1))
+    draw_space(figure.add_subplot(grid[0, 0], projection="3d"), np.asarray(poses), host)
+    _draw_origin(figure.add_subplot(grid[0, 1], projection="3d"), host, sure)
+    _draw_tilts(figure.add_subplot(grid[1, 0]), host, sure)
+    _draw_rms(figure.add_subplot(grid[1, 1]), host, sure)
+    return figure
+
+
+def _draw_origin(axes: "Axes3D", found: Identification, sure: Covariance) -> None:
+    """The ellipsoid of the origin and the directions of the linear axes, in mm."""
+    body = BODY_NAMES[found.linear.frame_type.position_body]
+    axes.set_title(f"origin, in the {body} [mm]", fontsize=9, pad=30)
+    variances, directions = np.linalg.eigh(1e6 * np.asarray(sure.position))
+    radii = _ELLIPSOID * np.sqrt(np.maximum(variances, 0))
+    size = 1.15 * float(radii[-1])
+    if not 0 < size < np.inf:
+        axes.text2D(0.5, 0.5, "the origin is free", transform=axes.transAxes, ha="center")
+        axes.set_axis_off()
+        return
+    u, v = np.meshgrid(np.linspace(0, 2 * np.pi, _LINES), np.linspace(0, np.pi, _LINES), indexing="ij")
+    ball = np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)])
+    surface = np.einsum("ij,jkl->ikl", directions * radii, ball)
+    axes.plot_surface(*surface, color=TURNING, alpha=0.25, linewidth=0)
+    axes.plot_wireframe(
+        *surface, color=TURNING, linewidth=0.4, rstride=4, cstride=4, label="holds it with 95 %"
+    )
+    for direction, radius in zip(directions.T, radii, strict=True):
+        if radius > 0.01 * size:
+            ends = np.outer([-1, 1], radius * direction)
+            axes.plot(*ends.T, color="black", linewidth=0.9)
+            axes.text(*(1.08 * radius * direction), f"{_INTERVAL / _ELLIPSOID * radius:.2g}", fontsize=7)
+    axes.plot([0], [0], [0], "o", color="black", markersize=3)
+    for name in "xyz":
+        getattr(axes, f"set_{name}lim")(-size, size)
+        getattr(axes, f"set_{name}label")(name, fontsize=8)
+        axes.locator_params(axis=name, nbins=5)
+    axes.plot([], [], color="black", linewidth=0.9, label="principal axes, with 1.96 standard deviations")
+    axes.set_box_aspect((1, 1, 1))
+    axes.tick_params(labelsize=7)
+    axes.legend(**LEGEND_ABOVE | {"ncols": 1})
+
+
+def _draw_tilts(axes: "Axes", found: Identification, sure: Covariance) -> None:
+    """How far the odd axes may tilt, seen along them, in degrees: the cone that holds them, cut across."""
+    angle = np.linspace(0, 2 * np.pi, 4 * _LINES)
+    circle = np.sqrt(5.991) * np.stack([np.cos(angle), np.sin(angle)])  # 95 % in two dimensions
+    largest = 0.0
+    for name, frame, matrix, colour in (
+        ("angular", found.angular, sure.angular_axes, TURNING),
+        ("linear", found.linear, sure.linear_axes, axis_colours(found.linear.dof)[0]),
+    ):
+        number = int(np.sum(frame.dof))
+        if number not in (1, 2):
+            continue
+        odd = 2 if number == 1 else 0
+        triad = np.asarray(axes_of(frame.rotvec))
+        across = np.delete(triad, odd, axis=1)
+        turns = across.T @ np.asarray(matrix) @ across
+        quarter = np.array([[0.0, 1.0], [-1.0, 0.0]])  # a turn about one moves the tip along the other
+        variances, directions = np.linalg.eigh(quarter @ turns @ quarter.T)
+        tip = np.degrees((directions * np.sqrt(np.maximum(variances, 0))) @ circle)
+        what = "free" if number == 1 else "constrained"
+        axes.plot(*tip, color=colour, label=f"axis {odd + 1} of the {name} frame, {what}")
+        axes.fill(*tip, color=colour, alpha=0.15)
+        largest = max(largest, float(np.max(np.abs(tip))))
+    axes.axhline(0, color="black", linewidth=0.5)
+    axes.axvline(0, color="black", linewidth=0.5)
+    axes.set_title("tilt of the axis that differs from the other two [degrees]", fontsize=9, pad=22)
+    if largest > 0:
+        axes.set_xlim(-1.2 * largest, 1.2 * largest)
+        axes.set_ylim(-1.2 * largest, 1.2 * largest)
+        axes.legend(**LEGEND_ABOVE)
+    else:
+        axes.text(0.5, 0.6, "no axis differs", transform=axes.transAxes, ha="center")
+    axes.set_aspect("equal")
+    axes.tick_params(labelsize=8)
+
+
+def _draw_rms(axes: "Axes", found: Identification, sure: Covariance) -> None:
+    """RMS velocities of all axes with their intervals, on a logarithmic scale."""
+    ticks: list[Any] = []
+    for start, name, frame, matrix, unit in (
+        (0, "angular", found.angular, sure.angular_rms, "rad/s"),
+        (4, "linear", found.linear, sure.linear_rms, "m/s"),
+    ):
+        rms = np.asarray(frame.rms, float)
+        width = _INTERVAL * np.sqrt(np.maximum(np.diag(np.asarray(matrix)), 0))
+        low = np.minimum(width, 0.9 * rms)
+        for i, colour in enumerate(axis_colours(frame.dof)):
+            axes.errorbar(
+                start + i, rms[i], yerr=[[low[i]], [width[i]]], fmt="o", color=colour, capsize=5, markersize=4
+            )
+            ticks.append((start + i, f"{name}\naxis {i + 1}\n{unit}"))
+    axes.set_yscale("log")
+    axes.set_title("rms velocity along the axes", fontsize=9, pad=22)
+    axes.set_xticks([place for place, _ in ticks], [text for _, text in ticks], fontsize=7)
+    axes.tick_params(axis="y", labelsize=8)
+    axes.grid(axis="y", linewidth=0.4, alpha=0.6)

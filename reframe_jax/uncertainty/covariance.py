@@ -1,0 +1,186 @@
+"""The covariance of an identification, on request."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike
+
+from reframe_jax.compilation import traced
+from reframe_jax.geometry import rotations
+from reframe_jax.geometry.products import matmul
+from reframe_jax.identification.results import Identification, PoseNoise
+from reframe_jax.uncertainty.estimate import Estimates, covariance_of_windows
+from reframe_jax.uncertainty.inputs import over_windows
+
+__all__ = ["Covariance", "Errors", "covariance", "move"]
+
+Errors = Literal["measured", "white"]
+"""Whether what is left over inflates a covariance, or the noise is trusted to be white."""
+
+_SAME_NORM = 1e-3  # relative difference between the norm and the geometric mean that rounding makes
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Covariance:
+    """How sure an identification is, to first order.
+
+    Small changes of the estimate are 15 numbers: the turn of the angular axes and of the linear axes as
+    rotation vectors in the bodies of their types (rad; axes become exp(turn) axes), the shift of the origin
+    (m), and the changes of the RMS velocities along the angular (rad/s) and the linear axes (m/s). What is
+    free has no variance: its rows are zero, and ``found.linear.free_position`` and ``free_rotation`` name it.
+
+    Attributes:
+        matrix: (..., 15, 15) covariance of those numbers. NaN where the window failed.
+        inflation: (..., 3) how much larger the standard deviations of the angular axes, the linear axes and
+            the origin are than the white noise of the poses explains: 1 where it explains all.
+        determined: (...) bool, whether the motion determines all that the class does not leave free; if not,
+            the covariance says nothing about the rest.
+    """
+
+    matrix: jax.Array
+    inflation: jax.Array
+    determined: jax.Array
+
+    def __getitem__(self, index: int | slice | np.ndarray | jax.Array) -> "Covariance":
+        """Windows of a batch, indexed like an array."""
+        return jax.tree.map(lambda leaf: leaf[index], self)
+
+    @property
+    def angular_axes(self) -> jax.Array:
+        """(..., 3, 3) rad^2, of the turn of the angular axes: a rotation vector in the body of their type."""
+        return self.matrix[..., :3, :3]
+
+    @property
+    def linear_axes(self) -> jax.Array:
+        """(..., 3, 3) rad^2, of the turn of the linear axes, likewise."""
+        return self.matrix[..., 3:6, 3:6]
+
+    @property
+    def position(self) -> jax.Array:
+        """(..., 3, 3) m^2, of the origin, in the body of its type's second letter."""
+        return self.matrix[..., 6:9, 6:9]
+
+    @property
+    def angular_rms(self) -> jax.Array:
+        """(..., 3, 3) rad^2/s^2, of the RMS along the angular axes; constrained axes show the noise."""
+        return self.matrix[..., 9:12, 9:12]
+
+    @property
+    def linear_rms(self) -> jax.Array:
+        """(..., 3, 3) m^2/s^2, of the RMS along the linear axes."""
+        return self.matrix[..., 12:, 12:]
+
+    def of(self, function: Callable[[Identification], jax.Array], found: Identification) -> jax.Array:
+        """Covariance of anything computed from the estimate: the delta method.
+
+        Args:
+            function: of an identification of one window, differentiable, to an array (...) of n numbers. It
+                may read the rotation vectors, axes and RMS of both frames, the position, and the types.
+            found: what this is the covariance of; a batch is mapped over.
+
+        Returns:
+            (n, n), with the leading axes of ``found``.
+        """
+
+        def changed(change: jax.Array, one: Identification) -> jax.Array:
+            return jnp.ravel(function(move(one, change)))
+
+        def of_one(one: Identification, matrix: jax.Array) -> jax.Array:
+            slope = jax.jacfwd(changed)(jnp.zeros(15, matrix.dtype), one)
+            return matmul(matmul(slope, matrix), slope.T)
+
+        batch = self.matrix.shape[:-2]
+        for _ in batch:
+            of_one = jax.vmap(of_one)
+        return of_one(found, self.matrix)
+
+
+def move(found: Identification, change: jax.Array) -> Identification:
+    """An identification with its estimate changed by the numbers (15,) of :class:`Covariance`."""
+
+    def turned(rotvec: jax.Array, by: jax.Array) -> jax.Array:
+        return rotations.rotation_log(matmul(rotations.rotation_exp(by), rotations.rotation_exp(rotvec)))
+
+    angular, linear = found.angular, found.linear
+    return replace(
+        found,
+        angular=replace(angular, rotvec=turned(angular.rotvec, change[:3]), rms=angular.rms + change[9:12]),
+        linear=replace(
+            linear,
+            rotvec=turned(linear.rotvec, change[3:6]),
+            position=linear.position + change[6:9],
+            rms=linear.rms + change[12:],
+        ),
+    )
+
+
+def covariance(
+    found: Identification,
+    poses: ArrayLike,
+    *,
+    times: ArrayLike | None = None,
+    dt: ArrayLike | None = None,
+    noise: PoseNoise | None = None,
+    errors: Errors = "measured",
+) -> Covariance:
+    """Compute the covariance of an identification: of the axes, the origin, and the RMS velocities.
+
+    To first order in the noise of the poses: the derivative of the optimum by every pose (implicit function
+    theorem), times the noise. Overlapping chords and displacements share poses, which this takes into
+    account. Trackers have slow errors besides; by default what the motion leaves along constrained axes, and
+    for how long it has one sign, inflates the covariance. It holds for the types and degrees of freedom that
+    were found: if these are wrong, so is the covariance.
+
+    Args:
+        found: by :func:`reframe_jax.identify` from these poses, with the default norm and discretization.
+        poses: (..., K+1, 4, 4), as given to it.
+        times: (K+1,) or (..., K+1) s, as given to it.
+        dt: s, as given to it.
+        noise: of the poses, numbers or (...); by default what the recording shows, ``found.noise``.
+        errors: ``"measured"`` inflates by what is left over; ``"white"`` trusts the noise.
+
+    Returns:
+        The covariance, with the leading axes of ``found``.
+
+    Raises:
+        ValueError: if the poses are not those of ``found``, or it was made with another norm.
+    """
+    if errors not in get_args(Errors):
+        raise ValueError(f"errors must be 'measured' or 'white', not {errors!r}.")
+    _check_norm(found)
+    return over_windows(_measured if errors == "measured" else _white, found, poses, times, dt, noise)
+
+
+def _check_norm(found: Identification) -> None:
+    """Refuse identifications by another norm than the geometric mean."""
+    if traced(found.linear.norm):
+        return
+    for frame in (found.angular, found.linear):
+        norm, rms = np.asarray(frame.norm, float), np.asarray(frame.rms, float)
+        mean = np.exp(np.mean(np.log(np.maximum(rms, 1e-300)), axis=-1))
+        if np.any(np.abs(norm - mean) > _SAME_NORM * mean):
+            raise ValueError(
+                "The covariance holds for the default norm, the geometric mean: identify with norm=0."
+            )
+
+
+def _measured(poses: jax.Array, found: Estimates, steps: jax.Array, count: jax.Array | None) -> Covariance:
+    return _of_windows(poses, found, steps, count, True)
+
+
+def _white(poses: jax.Array, found: Estimates, steps: jax.Array, count: jax.Array | None) -> Covariance:
+    return _of_windows(poses, found, steps, count, False)
+
+
+def _of_windows(
+    poses: jax.Array, found: Estimates, steps: jax.Array, count: jax.Array | None, measured: bool
+) -> Covariance:
+    failed = ~jnp.isfinite(found.position[:, 0])
+    matrix, inflation, determined = covariance_of_windows(poses, steps, count, found, measured)
+    matrix = jnp.where(failed[:, None, None], jnp.nan, matrix)
+    return Covariance(matrix, jnp.where(failed[:, None], jnp.nan, inflation), determined & ~failed)

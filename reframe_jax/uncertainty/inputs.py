@@ -1,0 +1,181 @@
+"""From what a user gives to windows: checks of poses and times, padding, and pieces on all processors."""
+
+import contextlib
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike
+
+from reframe_jax.compilation import chunk_size, compiler_options, traced
+from reframe_jax.identification.results import Identification, PoseNoise
+from reframe_jax.uncertainty.estimate import Estimates, estimates_of
+
+__all__ = ["WindowFunction", "over_windows"]
+
+WindowFunction = Callable[[jax.Array, Estimates, jax.Array, jax.Array | None], Any]
+"""Of poses (N, K+1, 4, 4), what was found, sample times (K,) or (N, K), and lengths (N,) or None."""
+
+_SHORT = 64  # poses up to which a recording is not padded
+_PIECE = 8  # chunks that one thread computes in one call
+
+
+def _poses_of(found: Identification, poses: ArrayLike) -> tuple[Any, bool]:
+    """The poses as a floating array, and whether they are to be computed in float64.
+
+    Raises:
+        ValueError: if they cannot be those that were identified.
+    """
+    array: Any = poses if isinstance(poses, jax.Array) else np.asarray(poses)
+    if not np.issubdtype(array.dtype, np.floating):
+        array = array.astype(float)
+    expected = (*np.shape(found.counted), 4, 4)
+    if array.shape != expected:
+        raise ValueError(f"poses must be those that were identified, of shape {expected}, not {array.shape}.")
+    return array, not isinstance(poses, jax.Array) and array.dtype == np.float64
+
+
+def _sample_steps(poses: Any, times: ArrayLike | None, dt: ArrayLike | None) -> Any:
+    """Sample time of every step in s, (K,) or (..., K) with the batch axes of the poses.
+
+    Raises:
+        ValueError: unless exactly one of ``times`` and ``dt`` is given, in a shape that fits.
+    """
+    if (times is None) == (dt is None):
+        raise ValueError("Give either times, (..., K+1), or the sample time dt, in seconds.")
+    batch, samples = poses.shape[:-3], poses.shape[-3] - 1
+    name, value, number = ("times", times, samples + 1) if dt is None else ("dt", dt, samples)
+    array: Any = value if isinstance(value, jax.Array) else np.asarray(value, float)
+    shapes = [(number,), (*batch, number)][: 2 if batch else 1] + ([()] if name == "dt" else [])
+    if array.shape not in shapes:
+        listed = " or ".join(map(str, shapes))
+        raise ValueError(f"{name} must have the shape {listed}, not {array.shape}.")
+    if name == "times":
+        array = array[..., 1:] - array[..., :-1]
+    elif array.ndim == 0:
+        array = array[None].repeat(samples)
+    return array.astype(poses.dtype)
+
+
+def _pad_recording(poses: Any, steps: Any) -> tuple[Any, Any, np.ndarray | None]:
+    """One recording padded to one of few lengths, so that new lengths compile nothing; and its own length.
+
+    Short ones stay as they are, and their length is None.
+    """
+    count = poses.shape[0]
+    if count <= _SHORT:
+        return poses, steps, None
+    fill = (1 << (count - 1).bit_length()) - count
+    xp = jnp if isinstance(poses, jax.Array) else np
+    poses = xp.concatenate([poses, xp.repeat(poses[-1:], fill, axis=0)])
+    steps = np.concatenate([steps, np.repeat(steps[-1:], fill)])
+    return poses, steps, np.full(1, count, np.int32)
+
+
+def over_windows(
+    function: WindowFunction,
+    found: Identification,
+    poses: ArrayLike,
+    times: ArrayLike | None,
+    dt: ArrayLike | None,
+    noise: PoseNoise | None = None,
+) -> Any:
+    """Call a function of N windows for the windows of an identification, single, many or traced.
+
+    Args:
+        function: defined in a module, so that it compiles once.
+        found: identification of one window or a batch.
+        poses: of these windows, as the user gave them.
+        times: s, or None.
+        dt: s, or None.
+        noise: of the poses; that of ``found`` by default.
+
+    Returns:
+        What the function returns, with the leading axes of ``found`` in place of that of the windows.
+
+    Raises:
+        ValueError: if the poses cannot be those of ``found``, or their times do not fit.
+    """
+    array, wide = _poses_of(found, poses)
+    with jax.enable_x64(True) if wide else contextlib.nullcontext():
+        steps = _sample_steps(array, times, dt)
+        estimates = estimates_of(found, noise, array.dtype)
+        inside_a_trace = traced((array, steps, estimates))
+        if array.ndim == 3 and not inside_a_trace:
+            result = _single(function, array, steps, estimates)
+        else:
+            result = _batch(function, array, steps, estimates, inside_a_trace)
+    return jax.tree.map(jnp.asarray, jax.device_get(result)) if wide else result
+
+
+def _single(function: WindowFunction, poses: Any, steps: Any, found: Estimates) -> Any:
+    poses, steps, count = _pad_recording(poses, steps)
+    window = jax.tree.map(lambda leaf: leaf[None], (poses, found.padded(len(poses))))
+    result = _piece((*window, None), steps, count, function=function)
+    return jax.tree.map(lambda leaf: leaf[0], jax.device_get(result))
+
+
+def _batch(function: WindowFunction, poses: Any, steps: Any, found: Estimates, inside_a_trace: bool) -> Any:
+    batch = poses.shape[:-3]
+    shared, own = (steps, None) if steps.ndim == 1 else (None, steps)
+    flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[len(batch) :]), (poses, found, own))
+    if inside_a_trace:
+        result = function(flat[0], flat[1], steps if own is None else flat[2], None)
+    else:
+        result = _in_pieces(lambda part: _piece(part, shared, None, function=function), flat, len(flat[0]))
+    return jax.tree.map(lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), result)
+
+
+@partial(jax.jit, static_argnames="function", compiler_options=compiler_options())
+def _piece(
+    inputs: tuple[jax.Array, Estimates, jax.Array | None],
+    shared: jax.Array | None,
+    count: jax.Array | None,
+    *,
+    function: WindowFunction,
+) -> Any:
+    """The function of N windows, chunk by chunk; sample times are those of each window, or shared."""
+
+    def run(part: tuple[jax.Array, Estimates, jax.Array | None]) -> Any:
+        poses, found, steps = part
+        own = shared if steps is None else steps
+        assert own is not None
+        return function(poses, found, own, count)
+
+    chunk, size = chunk_size(), len(inputs[0])
+    if size <= chunk:
+        return run(inputs)
+    split = jax.tree.map(lambda leaf: leaf.reshape(-1, chunk, *leaf.shape[1:]), inputs)
+    return jax.tree.map(lambda leaf: leaf.reshape(size, *leaf.shape[2:]), jax.lax.map(run, split))
+
+
+def _in_pieces(run: Callable[..., Any], tree: Any, count: int) -> Any:
+    """Run N windows in pieces of few sizes, on all processors; the last piece repeats its last window.
+
+    Args:
+        run: a compiled function of the pytree, whose leaves have N as their first axis.
+        tree: its argument.
+        count: N.
+    """
+    chunk = chunk_size()
+    size = chunk if count <= chunk else _PIECE * chunk
+    starts = range(0, count, size)
+    precise = bool(jax.dtypes.canonicalize_dtype(np.float64) == np.float64)
+
+    def piece(start: int) -> Any:
+        rows = np.minimum(np.arange(start, start + size), count - 1)
+        part = slice(start, start + size) if start + size <= count else rows
+        with jax.enable_x64(precise):  # JAX's settings belong to a thread
+            return jax.block_until_ready(run(jax.tree.map(lambda leaf: leaf[part], tree)))
+
+    parts = [piece(start) for start in starts[:1]]
+    if len(starts) > 1:
+        workers = 1 if jax.default_backend() != "cpu" else len(os.sched_getaffinity(0))
+        with ThreadPoolExecutor(workers) as pool:
+            parts += pool.map(piece, starts[1:])
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:count], *parts)

@@ -1,0 +1,55 @@
+"""How paths are sampled for an estimate, and the transpose of that."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+__all__ = ["Sampling"]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Sampling:
+    """How paths are sampled: chords between two poses, or all poses about their mean.
+
+    The scales are such that the sum of squares of what is sampled is its mean square.
+
+    Attributes:
+        about_mean: (N,) bool, which of the two.
+        shares: (K+1, N) weight of each pose about the mean, of sum 1.
+        lag: (N,) samples between the ends of a chord.
+        scales: (K+1, N) 1/s, of every chord, by its first pose; 0 for those that do not count.
+    """
+
+    about_mean: jax.Array
+    shares: jax.Array
+    lag: jax.Array
+    scales: jax.Array
+
+    def take(self, path: jax.Array) -> jax.Array:
+        """Samples (n, K+1, N) of paths (n, K+1, N)."""
+        mean = jnp.sum(self.shares[None] * path, axis=1, keepdims=True)
+        centred = (path - mean) * jnp.sqrt(self.shares)[None]
+        return jnp.where(self.about_mean[None, None], centred, self.chords(path))
+
+    def give_back(self, samples: jax.Array) -> jax.Array:
+        """The transpose of :meth:`take`."""
+        scaled = jnp.sqrt(self.shares)[None] * samples
+        centred = scaled - self.shares[None] * jnp.sum(scaled, axis=1, keepdims=True)
+        return jnp.where(self.about_mean[None, None], centred, self.from_chords(samples))
+
+    def chords(self, path: jax.Array) -> jax.Array:
+        """Velocities of all chords, (n, K+1, N), whatever ``about_mean`` says."""
+        end = jnp.minimum(self._index() + self.lag[None], path.shape[1] - 1)
+        return (jnp.take_along_axis(path, end[None], axis=1) - path) * self.scales[None]
+
+    def from_chords(self, samples: jax.Array) -> jax.Array:
+        """The transpose of :meth:`chords`."""
+        scaled = samples * self.scales[None]
+        first = self._index() - self.lag[None]
+        ends = jnp.take_along_axis(scaled, jnp.maximum(first, 0)[None], axis=1)
+        return jnp.where((first >= 0)[None], ends, 0) - scaled
+
+    def _index(self) -> jax.Array:
+        return jnp.arange(self.scales.shape[0], dtype=jnp.int32)[:, None]

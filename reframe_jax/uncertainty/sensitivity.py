@@ -1,0 +1,238 @@
+"""How the estimates of a window depend on the paths that they are made from.
+
+The origin x minimises log det Sigma(x), where Sigma is the sum over the samples of u u^T and u is the path of
+the origin, taken between the ends of chords or about its mean: u = a + B x. The axes are the eigenvectors of
+Sigma. With S = Sigma^-1 and b_a = du/dx_a, the derivatives by u at one sample are
+
+    gradient of the objective:  2 S (b_a - Sigma_a S u),      Sigma_a = dSigma/dx_a,
+    turn about axis k:          (u_j e_i + u_i e_j) / (Sigma_ii - Sigma_jj),    (k, i, j) cyclic,
+
+and the implicit function theorem gives x by its Hessian. What is free has no derivative: turns of two axes
+that are both free or both constrained, and directions in which the origin changes nothing. Along the latter
+the reported origin is moved to the point nearest to the motion; the axes remain those at the optimum.
+
+Arrays have components first, then samples, then windows.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from reframe_jax.geometry import symmetric
+from reframe_jax.objectives.moments import MONOMIALS
+from reframe_jax.objectives.velocity import PositionObjective
+from reframe_jax.solvers import Box, ValleySteps
+
+__all__ = ["Rows", "angular_rows", "linear_rows", "rms_rows"]
+
+_FLAT = 1e-9  # curvature below this share of the largest: the direction is taken for free
+_BACK = ValleySteps(6)  # from the reported origin to the optimum
+_FAR = 100.0  # m, from the motion; farther than any search goes
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Rows:
+    """Sensitivities of the linear frame to the samples of its path.
+
+    Attributes:
+        turn: (3, 3, K+1, N) of a turn about each axis of the frame; components along the axes.
+        still: (3, 3, K+1, N) the same if the origin stood still.
+        position: (3, 3, K+1, N) of each coordinate of the reported origin.
+        optimum: (3, 3, K+1, N) of each coordinate of the optimum.
+        offset: (3, N) m, from the reported origin to the optimum.
+        determined: (N,) bool, whether the objective is curved along all directions that are not free.
+    """
+
+    turn: jax.Array
+    still: jax.Array
+    position: jax.Array
+    optimum: jax.Array
+    offset: jax.Array
+    determined: jax.Array
+
+
+@dataclass(frozen=True)
+class _Here:
+    """The objective about a point: Sigma (3, 3, N), its derivatives (3, 3, 3, N), and more."""
+
+    sigma: jax.Array
+    moved: jax.Array
+    inverse: jax.Array
+    weighted: jax.Array  # S Sigma_a S
+    hessian: jax.Array
+
+
+def sums_of_products(a: jax.Array, b: jax.Array) -> jax.Array:
+    """Sums over the samples of all products of components, (n, K+1, N) and (m, K+1, N) to (n, m, N)."""
+    return jnp.stack([jnp.sum(row[None] * b, axis=1) for row in a])
+
+
+def angular_rows(samples: jax.Array, dof: jax.Array) -> jax.Array:
+    """Sensitivities of a turn about each axis of an angular frame, (3, 3, K+1, N).
+
+    Args:
+        samples: (3, K+1, N) along the axes of the frame.
+        dof: (3, N), 1 where an axis is free.
+    """
+    variances = [jnp.sum(jnp.square(axis), axis=0) for axis in samples]
+    return jnp.stack([_turn_row(k, samples, variances, dof)[0] for k in range(3)])
+
+
+def linear_rows(samples: jax.Array, slopes: jax.Array, dof: jax.Array, free: jax.Array) -> Rows:
+    """Sensitivities of a linear frame.
+
+    Args:
+        samples: (3, K+1, N) u along the axes of the frame, at the reported origin.
+        slopes: (3, 3, K+1, N) derivatives of these components by the coordinates of the origin.
+        dof: (3, N), 1 where an axis is free.
+        free: (3, 3, N) projector onto the directions in which the origin is free.
+    """
+    flat = jnp.concatenate([samples[:, None], slopes], axis=1).reshape(12, *samples.shape[1:])
+    gram = sums_of_products(flat, flat).reshape(3, 4, 3, 4, -1)
+    offset = _optimum(gram)
+    here, there = _about(gram, jnp.zeros_like(offset)), _about(gram, offset)
+    held = jnp.broadcast_to(jnp.eye(3, dtype=free.dtype)[:, :, None], free.shape) - free
+    solve, determined = _restricted_inverse(here.hessian, held)
+    position = _origin_rows(solve, here, samples, slopes)
+    solve, _ = _restricted_inverse(there.hessian, None)
+    best = samples + jnp.sum(slopes * offset[None, :, None], axis=1)
+    optimum = _origin_rows(solve, there, best, slopes)
+    variances, still, turn = [there.sigma[i, i] for i in range(3)], [], []
+    for k in range(3):
+        row, weight = _turn_row(k, best, variances, dof)
+        by_origin = there.moved[:, (k + 1) % 3, (k + 2) % 3] * weight[None]
+        still.append(row)
+        turn.append(row + jnp.sum(by_origin[:, None, None] * optimum, axis=0))
+    return Rows(jnp.stack(turn), jnp.stack(still), position, optimum, offset, determined)
+
+
+def _turn_row(
+    k: int, samples: jax.Array, variances: list[jax.Array], dof: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Of a turn about axis k, (3, K+1, N), and its derivative by Sigma_ij of the other two axes, (N,)."""
+    i, j = (k + 1) % 3, (k + 2) % 3
+    gap = variances[i] - variances[j]
+    differ = (dof[i] != dof[j]) & (gap != 0)
+    weight = jnp.where(differ, 1 / jnp.where(differ, gap, 1), 0)
+    row = [jnp.zeros_like(samples[0])] * 3
+    row[i], row[j] = samples[j] * weight[None], samples[i] * weight[None]
+    return jnp.stack(row), weight
+
+
+def _optimum(gram: jax.Array) -> jax.Array:
+    """From the reported origin to the optimum, (3, N) m."""
+    moments = jnp.stack(
+        [
+            jnp.stack(
+                [gram[i, a, j, b] if a == b else gram[i, a, j, b] + gram[i, b, j, a] for a, b in MONOMIALS]
+            )
+            for i, j in symmetric.INDEX_PAIRS
+        ]
+    )
+    far = jnp.full(3, _FAR, gram.dtype)
+    start = jnp.zeros_like(gram[:, 0, 0, 0])
+    return _BACK(PositionObjective(moments), Box(-far, far), start)[0]
+
+
+def _about(gram: jax.Array, offset: jax.Array) -> _Here:
+    """The objective about a point, (3, N) m from the reported origin.
+
+    Args:
+        gram: (3, 4, 3, 4, N) sums of products of (u, b_x, b_y, b_z), component and column twice.
+        offset: of the point.
+    """
+    column = gram[:, 0] + jnp.sum(gram[:, 1:] * offset[None, :, None, None], axis=1)  # (3, 3, 4, N)
+    sigma = column[:, :, 0] + jnp.sum(column[:, :, 1:] * offset[None, None], axis=2)
+    mixed = column[:, :, 1:]  # u_i b_ja
+    moved = jnp.moveaxis(mixed + jnp.swapaxes(mixed, 0, 1), 2, 0)
+    inverse = _inverse(sigma)
+    weighted = jnp.stack([_chain(inverse, m, inverse) for m in moved])
+    curvature = 2 * jnp.sum(inverse[:, None, :, None] * gram[:, 1:, :, 1:], axis=(0, 2))
+    hessian = curvature - jnp.stack(
+        [jnp.stack([jnp.sum(w * m, axis=(0, 1)) for m in moved]) for w in weighted]
+    )
+    return _Here(sigma, moved, inverse, weighted, hessian)
+
+
+def _origin_rows(solve: jax.Array, here: _Here, samples: jax.Array, slopes: jax.Array) -> jax.Array:
+    """Minus the inverse Hessian (3, 3, N) times the derivative of the gradient by u, (3, 3, K+1, N)."""
+    by_slopes = -2 * solve[:, None, :, None] * here.inverse[None, :, None]  # (c, i, a, j, N)
+    by_samples = 2 * jnp.sum(solve[:, :, None, None] * here.weighted[None], axis=1)  # (c, i, j, N)
+    flat = slopes.swapaxes(0, 1).reshape(9, *slopes.shape[2:])
+    rows = []
+    for c in range(3):
+        weights = by_slopes[c].reshape(3, 9, -1)
+        rows.append(
+            jnp.stack(
+                [
+                    jnp.sum(weights[i][:, None] * flat, axis=0)
+                    + jnp.sum(by_samples[c, i][:, None] * samples, axis=0)
+                    for i in range(3)
+                ]
+            )
+        )
+    return jnp.stack(rows)
+
+
+def _chain(a: jax.Array, b: jax.Array, c: jax.Array) -> jax.Array:
+    """Product of matrices (3, 3, N)."""
+    ab = jnp.sum(a[:, :, None] * b[None], axis=1)
+    return jnp.sum(ab[:, :, None] * c[None], axis=1)
+
+
+def _inverse(matrix: jax.Array) -> jax.Array:
+    """Of symmetric matrices (3, 3, N), scaled by their diagonals first: they differ by many decades."""
+    tiny = jnp.finfo(matrix.dtype).tiny
+    scale = 1 / jnp.sqrt(jnp.maximum(jnp.stack([matrix[i, i] for i in range(3)]), tiny))
+    scaled = matrix * scale[:, None] * scale[None]
+    xx, xy, xz, yy, yz, zz = (scaled[i, j] for i, j in symmetric.INDEX_PAIRS)
+    unit = xx, xy, xz, yy, yz, zz
+    inverse = jnp.moveaxis(symmetric.to_matrix(symmetric.adjugate(unit)), (-2, -1), (0, 1))
+    return inverse * (1 / symmetric.determinant(unit))[None, None] * scale[:, None] * scale[None]
+
+
+def _restricted_inverse(hessian: jax.Array, held: jax.Array | None) -> tuple[jax.Array, jax.Array]:
+    """Inverse of (3, 3, N) in some directions, zero in the others; and whether it exists.
+
+    Args:
+        hessian: to invert.
+        held: (3, 3, N) projector onto these directions; all by default.
+    """
+    inside = hessian if held is None else _chain(held, hessian, held)
+    xx, xy, xz, yy, yz, zz = (inside[i, j] for i, j in symmetric.INDEX_PAIRS)
+    values, vectors = symmetric.eigh((xx, xy, xz, yy, yz, zz))
+    axes = jnp.stack([jnp.stack(vector) for vector in vectors], axis=1)
+    strengths = jnp.stack(values)
+    largest = jnp.max(jnp.abs(jnp.stack([hessian[i, i] for i in range(3)])), axis=0, keepdims=True)
+    stiff = strengths > _FLAT * largest
+    reciprocal = jnp.where(stiff, 1 / jnp.where(stiff, strengths, 1), 0)
+    unit = jnp.broadcast_to(jnp.eye(3, dtype=hessian.dtype)[:, :, None], hessian.shape)
+    inverse = _chain(axes * reciprocal[None], jnp.swapaxes(axes, 0, 1), unit if held is None else held)
+    wanted = 3.0 if held is None else jnp.round(held[0, 0] + held[1, 1] + held[2, 2])
+    return inverse, jnp.sum(stiff, axis=0, dtype=hessian.dtype) >= wanted
+
+
+def rms_rows(samples: jax.Array, slopes: jax.Array | None, dof: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Sensitivities of the RMS along each axis of a frame.
+
+    The RMS of a constrained axis is that of its noise, whose square is known to two variances over the number
+    of samples. The derivative at the noise found counts that twice, hence the square root of one half.
+
+    Args:
+        samples: (3, K+1, N) velocities along the axes.
+        slopes: (3, 3, K+1, N) their derivatives by the coordinates of the origin; None for an angular frame.
+        dof: (3, N), 1 where an axis is free.
+
+    Returns:
+        (3, K+1, N), of axis i to its own component at every sample, and (3, 3, N), of axis i to the
+        coordinates of the origin; zero without one.
+    """
+    tiny = jnp.finfo(samples.dtype).tiny
+    rms = jnp.sqrt(jnp.maximum(jnp.sum(jnp.square(samples), axis=1), tiny))
+    share = jnp.where(dof == 1, 1, jnp.sqrt(jnp.asarray(0.5, samples.dtype)))
+    own = samples * (share / rms)[:, None]
+    if slopes is None:
+        return own, jnp.zeros((3, 3, samples.shape[2]), samples.dtype)
+    return own, jnp.sum(samples[:, None] * slopes, axis=2) / rms[:, None]
