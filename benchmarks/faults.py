@@ -191,9 +191,14 @@ def attack_runs(kills: int, folder: Path) -> Tally:
         command = [sys.executable, "-c", _CHILD, str(folder / "windows.npy"), str(out)]
         return subprocess.Popen(command, stderr=subprocess.PIPE)
 
+    def succeeds(out: Path) -> bool:
+        child = start(out)
+        child.communicate()
+        return child.returncode == 0
+
     whole, killed = folder / "uninterrupted", folder / "killed"
     began = time.monotonic()
-    if start(whole).wait() != 0:
+    if not succeeds(whole):
         tally.add("fault", "an uninterrupted run failed")
         return tally
     duration = time.monotonic() - began
@@ -210,7 +215,7 @@ def attack_runs(kills: int, folder: Path) -> Tally:
         if ended:
             _compare(tally, number, killed, whole)
             shutil.rmtree(killed)
-    if start(killed).wait() != 0:
+    if not succeeds(killed):
         tally.faults["the last run failed"] += 1
     _compare(tally, kills, killed, whole)
     return tally
