@@ -33,7 +33,7 @@ from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.objectives.norms import check_exponent
 from reframe_jax.solvers import BasinHopping, FrameSteps, JointSearch, Solver, ValleySteps
 
-__all__ = ["default_solver", "identify"]
+__all__ = ["default_solver", "identify", "identify_padded", "sample_steps"]
 
 _SHORT = 64  # poses up to which a recording is not padded
 _PIECE = 8  # chunks that one thread computes in one call
@@ -113,6 +113,7 @@ def identify(
     wide = not isinstance(array, jax.Array) and array.dtype == np.float64
     with jax.enable_x64(True) if wide else contextlib.nullcontext():
         steps = take_steps(array, times, dt)
+        steps = sample_steps(array, times, dt)
         rule, samples = lag_in_samples(lag, steps, discretization)
         dtype = jax.dtypes.canonicalize_dtype(array.dtype)
         options = (
@@ -151,19 +152,41 @@ def identify(
     return found
 
 
-def _single(poses: Any, steps: Any, options: tuple[Any, ...], static: dict[str, Any]) -> Identification:
+def identify_padded(poses: np.ndarray, times: np.ndarray, reach: float) -> Identification:
+    """Identify a recording of 8 poses or more with the defaults, padded however short it is.
+
+    Lengths of pieces of recordings differ; none compiles a program of its own.
+
+    Args:
+        poses: (K+1, 4, 4) float64, of one window that has been checked; m.
+        times: (K+1,) s.
+        reach: m, half the width of the cube in which positions are searched.
+
+    Returns:
+        The identification, with its ``status``.
+    """
+    with jax.enable_x64(True):
+        options = None, None, make_box(reach, poses.dtype), None
+        static = {"rule": "auto", "exponent": 0.0, "discretization": "chord", "solver": default_solver()}
+        found = _single(poses, np.diff(times), options, static, shortest=_SHORT)
+    return found if _in_float64() else jax.device_put(jax.tree.map(_narrow, jax.device_get(found)))
+
+
+def _single(
+    poses: Any, steps: Any, options: tuple[Any, ...], static: dict[str, Any], shortest: int = 0
+) -> Identification:
     """Identify one recording: reduced by a program for recordings up to its length, solved by one for all.
 
     The evidence of all recordings has one shape, so that a new length compiles little or nothing.
     """
-    count, size = poses.shape[0], _padded_size(poses.shape[0])
+    count, size = poses.shape[0], max(_padded_size(poses.shape[0]), shortest)
     xp = jnp if isinstance(poses, jax.Array) else np
     fill = size - count
     if fill:
         poses = xp.concatenate([poses, xp.repeat(poses[-1:], fill, axis=0)])
         steps = np.concatenate([steps, np.repeat(steps[-1:], fill)])
     # one program for a size, whether there is something to fill or not
-    number = np.full(1, count, np.int32) if count > _SHORT else None
+    number = np.full(1, count, np.int32) if count > _SHORT or shortest else None
     lag, *others = options
     reduced = {name: static[name] for name in ("rule", "discretization")}
     evidence = _reduce(poses[None], np.asarray(steps, poses.dtype), number, lag, **reduced)
@@ -190,6 +213,36 @@ def _in_float64() -> bool:
 
 def _narrow(leaf: np.ndarray) -> np.ndarray:
     return leaf.astype(np.float32) if leaf.dtype == np.float64 else leaf
+
+
+def sample_steps(poses: Any, times: Any, dt: Any) -> Any:
+    """Sample time of every step, (K,) or (..., K), after checking the shapes."""
+    if poses.ndim < 3 or poses.shape[-2:] != (4, 4):
+        raise ValueError(f"poses must have shape (..., K+1, 4, 4), not {poses.shape}.")
+    samples, batch = poses.shape[-3] - 1, poses.shape[:-3]
+    if samples < MIN_VELOCITIES:
+        raise ValueError(
+            f"A window needs at least {MIN_VELOCITIES + 1} poses, that is {MIN_VELOCITIES} velocities; "
+            f"this one has {samples + 1}."
+        )
+    if (times is None) == (dt is None):
+        raise ValueError("Give either times, (..., K+1), or the sample time dt, in seconds.")
+    if times is not None:
+        # differences first: seconds since 1970 do not fit float32
+        times = times if isinstance(times, jax.Array) else np.asarray(times)
+        if times.shape not in ((samples + 1,), (*batch, samples + 1)):
+            raise ValueError(
+                f"times must have shape ({samples + 1},) or {(*batch, samples + 1)}, one per pose, "
+                f"not {times.shape}."
+            )
+        return times[..., 1:] - times[..., :-1]
+    dt = dt if isinstance(dt, jax.Array) else np.asarray(dt)
+    if dt.shape not in ((), (samples,), (*batch, samples)):
+        raise ValueError(
+            f"dt must be a scalar or have shape ({samples},) or {(*batch, samples)}, one per step, "
+            f"not {dt.shape}."
+        )
+    return dt[None].repeat(samples) if dt.ndim == 0 else dt
 
 
 def _in_pieces(
