@@ -1,1 +1,1 @@
-"""Sequences of constraints: where in a recording the constraint changes, and which constraint holds between."""
+"""Sequences of constraints: where the constraint of a recording changes, and which holds between."""

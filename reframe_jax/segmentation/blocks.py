@@ -16,8 +16,13 @@ from reframe_jax.segmentation.chords import Chords, Tracks
 __all__ = ["Blocks", "Scales", "make_blocks", "merge_blocks", "scale_chords"]
 
 _LEAST = 1e-12  # variance along a constrained axis over that along a free one: below it, all is rounding
-_STILL = 0.02  # share of the recording's speed below which the body rests
-_LEVER = 0.1, 1.0  # m: a motion that only turns is as large as at the first, one that only slides as at the second
+_STILL = 0.01  # share of the peak speed below which the body rests
+_PAUSE, _LONG = 0.1, 8  # share of the peak speeds before and after, within so many motion times: a pause
+_PEAK = 0.99  # quantile of speeds that is their peak
+_LEVER = (
+    0.1,
+    1.0,
+)  # m: a motion that only turns is as large as at the first, one that only slides as at the second
 
 
 @dataclass(frozen=True)
@@ -28,7 +33,7 @@ class Scales:
         size: (K,) speed of each chord over that of the recording; both groups together, smoothed.
         turning: rad/s of the recording, and ``sliding``: m/s.
         time: s, in which the motion becomes independent of what it was before.
-        moving: (K,) bool, chords that count: longer than noise, and no fifty times slower than the recording.
+        moving: (K,) bool, chords that count: longer than noise, and no pause.
     """
 
     size: np.ndarray
@@ -68,11 +73,11 @@ def scale_chords(tracks: Tracks, chords: Chords) -> Scales:
     rms = [float(np.sqrt(np.mean(np.sum(x[use] ** 2, axis=1)))) if use.any() else 1.0 for x in (turn, slide)]
     turning, sliding = np.hypot(rms[0], rms[1] / _LEVER[1]), np.hypot(rms[1], rms[0] * _LEVER[0])
     twist = np.concatenate([turn / turning, slide / sliding], axis=1)
-    use = use & (np.sum(twist**2, axis=1) > _STILL**2)
-    twist = twist * use[:, None]
     step = float(np.median(np.diff(tracks.times)))
-    samples = _independent_after(twist)
+    samples = _independent_after(twist * use[:, None])
     half = max(1, round(samples / 2))
+    use = use & ~_resting(np.linalg.norm(twist, axis=1), use, samples)
+    twist = twist * use[:, None]
     squares, number = (_box(x, half) for x in (np.sum(twist**2, axis=1), use.astype(float)))
     size = np.sqrt(squares / np.maximum(number, 1))
     lowest = np.sqrt(2) * np.hypot(tracks.noise[0] / sliding, tracks.noise[1] / turning)
@@ -91,6 +96,31 @@ def _independent_after(twist: np.ndarray) -> float:
     negative = np.flatnonzero(correlation <= 0)
     end = negative[0] if len(negative) else len(correlation)
     return float(1 + 2 * np.sum(correlation[1:end] ** 2))
+
+
+def _resting(speed: np.ndarray, use: np.ndarray, samples: float) -> np.ndarray:
+    """Where the body rests or pauses, (K,) bool: slow against all of the motion, or that before and after.
+
+    Slow motion that lasts is motion.
+    """
+    if not use.any():
+        return ~use
+    half = round(samples / 8)
+    recent = _box(speed, half) / _box(np.ones(len(speed)), half)
+    reach = max(1, round(_LONG * samples))
+    before = _rolling_maximum(recent, reach)
+    after = _rolling_maximum(recent[::-1], reach)[::-1]
+    return recent < np.maximum(_PAUSE * np.minimum(before, after), _STILL * np.quantile(speed[use], _PEAK))
+
+
+def _rolling_maximum(x: np.ndarray, width: int) -> np.ndarray:
+    """Maximum of each element and those before it, so many in all; infinite where there are fewer."""
+    blocks = -(-len(x) // width)
+    padded = np.append(x, np.full(blocks * width - len(x), -np.inf)).reshape(blocks, width)
+    forward = np.maximum.accumulate(padded, axis=1).ravel()[: len(x)]
+    backward = np.maximum.accumulate(padded[:, ::-1], axis=1)[:, ::-1].ravel()[: len(x)]
+    first = np.arange(len(x)) - width + 1
+    return np.where(first < 0, np.inf, np.maximum(forward, backward[np.maximum(first, 0)]))
 
 
 def _box(x: np.ndarray, half: int) -> np.ndarray:
@@ -114,7 +144,9 @@ def make_blocks(tracks: Tracks, chords: Chords, scales: Scales, start: np.ndarra
     block = np.clip(np.searchsorted(start, index, side="right") - 1, 0, number - 1)
     inside = index + lag < start[block + 1]
     weight = scales.moving / scales.size**2
-    noise = [2 * (sigma / np.where(chords.span > 0, chords.span, 1) / scales.size) ** 2 for sigma in tracks.noise]
+    noise = [
+        2 * (sigma / np.where(chords.span > 0, chords.span, 1) / scales.size) ** 2 for sigma in tracks.noise
+    ]
     floors = np.stack([noise[1] / scales.turning**2, noise[0] / scales.sliding**2]) + _LEAST
     x = tracks.positions
     ends = np.minimum(index + lag, len(index) - 1)
@@ -142,7 +174,9 @@ def make_blocks(tracks: Tracks, chords: Chords, scales: Scales, start: np.ndarra
                 row.append(np.add.reduceat(product * keep, edges, axis=0).T)
             packed.append(np.stack(row))
         linear.append(np.stack(packed) / scales.sliding**2)
-        turns = [np.add.reduceat(rates[..., i] * rates[..., j] * keep, edges, axis=0).T for i, j in INDEX_PAIRS]
+        turns = [
+            np.add.reduceat(rates[..., i] * rates[..., j] * keep, edges, axis=0).T for i, j in INDEX_PAIRS
+        ]
         angular.append(np.stack(turns) / scales.turning**2)
         sums.append(np.add.reduceat(each * group, edges, axis=1))
     step = scales.time / float(np.median(np.diff(tracks.times)))

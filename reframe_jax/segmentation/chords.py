@@ -31,8 +31,8 @@ class Tracks:
     """What chunks of a recording are reduced to.
 
     Attributes:
-        paths: (chunks, size, 4, 3, 4) m and 1 by frame type, see :func:`reframe_jax.motion.kinematics.velocity_paths`; each
-            chunk has its own origin in time.
+        paths: (chunks, size, 4, 3, 4) m and 1 by frame type, see
+            :func:`reframe_jax.motion.kinematics.velocity_paths`; each chunk begins a path of its own.
         times: (N,) s.
         positions: (N, 3) m, repaired, about ``centre``.
         centre: (3,) m.
@@ -151,7 +151,10 @@ def cut_chords(tracks: Tracks, lag: int) -> Chords:
     whole = np.arange(number) + lag < number
     chords[~whole] = 0
     in_ground = chords[:, LinearType.GB]
-    sizes = np.linalg.norm(in_ground[:, :, 0], axis=1), np.linalg.norm(in_ground[:, :, 1:], axis=(1, 2)) / 2**0.5
+    sizes = (
+        np.linalg.norm(in_ground[:, :, 0], axis=1),
+        np.linalg.norm(in_ground[:, :, 1:], axis=(1, 2)) / 2**0.5,
+    )
     far = (sizes[0] > _REST * tracks.noise[0]) | (sizes[1] > _REST * tracks.noise[1])
     moving = whole & far & tracks.counted & tracks.counted[ends]
     return Chords(chords / np.where(span > 0, span, 1)[:, None, None, None], moving, span, lag)

@@ -12,7 +12,7 @@ from reframe_jax.motion.checks import Status
 from reframe_jax.segmentation.blocks import Blocks, make_blocks, scale_chords
 from reframe_jax.segmentation.chords import LONGEST_LAG, Tracks, cut_chords, track_poses
 from reframe_jax.segmentation.labels import label_segments
-from reframe_jax.segmentation.partition import partition
+from reframe_jax.segmentation.partition import boundary_price, partition
 from reframe_jax.segmentation.refine import Place, place_boundary
 from reframe_jax.segmentation.rests import find_rests
 from reframe_jax.segmentation.results import Boundary, Segment, Segmentation
@@ -38,9 +38,9 @@ def segment(
     the unknown frame included. It is the objective of :func:`reframe_jax.identify` as a likelihood, with one
     more term for each number that the frame needs. The partition into spans of the lowest total cost is the
     result. The number of segments follows from it, and nothing is to be tuned. A constraint that does not
-    hold, free motion, is one of the possibilities. Rest says nothing about a constraint: a pause within a motion
-    does not divide it, and rest between different constraints, at the start and at the end is a segment of its
-    own.
+    hold, free motion, is one of the possibilities. Rest says nothing about a constraint: a pause within a
+    motion does not divide it. Rest between different constraints, at the start and at the end is a segment of
+    its own.
 
     Computed in float64 on the processor; not differentiable. To differentiate, identify the segments'
     poses with :func:`reframe_jax.identify`.
@@ -76,11 +76,14 @@ def segment(
     spans = partition(blocks, *options)
     rests = find_rests(tracks, chords, scales)
     fits = fit_spans(blocks, [[(a, b)] for a, b in spans], *options)
-    cuts = _place_cuts(tracks, blocks, spans, fits, rests, grid)
+    near = max(grid, round(scales.time / float(np.median(np.diff(times)))))
+    cuts = _place_cuts(tracks, blocks, spans, fit_spans(blocks, _inner(spans), *options), rests, grid, near)
     probability = _probabilities(blocks, spans, fits, options)
     pieces, boundaries = _assemble(times, cuts, probability, rests, samples)
     found = [None if which < 0 else _identify(poses[a:b], times[a:b], reach) for a, b, which in pieces]
-    labels = label_segments(blocks, spans, fits, [f for f, p in zip(found, pieces, strict=True) if p[2] >= 0], options)
+    labels = label_segments(
+        blocks, spans, fits, [f for f, p in zip(found, pieces, strict=True) if p[2] >= 0], options
+    )
     segments = tuple(
         Segment(a, b, -1 if which < 0 else labels[which], one)
         for (a, b, which), one in zip(pieces, found, strict=True)
@@ -116,6 +119,12 @@ def _identify(poses: np.ndarray, times: np.ndarray, reach: float) -> Identificat
     return identify_padded(poses, times, reach)
 
 
+def _inner(spans: np.ndarray) -> list[list[tuple[int, int]]]:
+    """Spans without their first and last blocks, where that leaves enough: what is certainly within a segment."""
+    long = np.diff(spans, axis=1)[:, 0] >= _GRID + 2
+    return [[(int(a + cut), int(b - cut))] for (a, b), cut in zip(spans, long, strict=True)]
+
+
 def _place_cuts(
     tracks: Tracks,
     blocks: Blocks,
@@ -123,30 +132,29 @@ def _place_cuts(
     fits: Fits,
     rests: list[tuple[int, int]],
     grid: int,
+    near: int,
 ) -> list[Place | tuple[int, int]]:
     """Where each segment ends and the next begins: a place, or the rest between them."""
     cuts: list[Place | tuple[int, int]] = []
     for i in range(len(spans) - 1):
         (a, b), (c, d) = blocks.start[spans[i]], blocks.start[spans[i + 1]]
-        between = [rest for rest in rests if rest[0] < c + grid and rest[1] > b - grid]
+        between = [rest for rest in rests if rest[0] < c + near and rest[1] > b - near]
         between = [rest for rest in between if rest[0] > a and rest[1] < d]
         if between:
             cuts.append((between[0][0], between[-1][1]))
             continue
-        low, high = max(b - grid, (a + b) // 2), min(c + grid, (c + d + 1) // 2)
+        low, high = max(b - 2 * grid, (a + b) // 2), min(c + 2 * grid, (c + d + 1) // 2)
         cuts.append(place_boundary(tracks, fits, (i, int(a), int(low)), (i + 1, int(high), int(d))))
     return cuts
 
 
-def _probabilities(
-    blocks: Blocks, spans: np.ndarray, fits: Fits, options: tuple[float, float]
-) -> np.ndarray:
+def _probabilities(blocks: Blocks, spans: np.ndarray, fits: Fits, options: tuple[float, float]) -> np.ndarray:
     """Probability that each segment and the next do not belong together, (S-1,)."""
     if len(spans) < 2:
         return np.zeros(0)
     pairs = [[(int(spans[i, 0]), int(spans[i + 1, 1]))] for i in range(len(spans) - 1)]
     together = fit_spans(blocks, pairs, *options).cost
-    gain = together - fits.cost[:-1] - fits.cost[1:] - np.log(len(blocks.moving))
+    gain = together - fits.cost[:-1] - fits.cost[1:] - boundary_price(blocks)
     return 1 / (1 + np.exp(-np.clip(gain, -50, 50)))
 
 

@@ -5,13 +5,18 @@ import numpy as np
 from reframe_jax.segmentation.blocks import Blocks, merge_blocks
 from reframe_jax.segmentation.spans import span_costs
 
-__all__ = ["partition"]
+__all__ = ["boundary_price", "partition"]
+
+
+def boundary_price(blocks: Blocks) -> float:
+    """Cost of a boundary in nats: it may lie at any of the recording's independent motions."""
+    return float(np.log(max(np.sum(blocks.moving), 2)))
 
 
 def partition(blocks: Blocks, noise_ratio: float, reach: float) -> np.ndarray:
     """Find the partition of the lowest cost.
 
-    Spans longer than the longest that is computed are put together from shorter ones, until nothing is gained.
+    Spans longer than the longest computed are put together from shorter ones, until nothing is gained.
     Where the constraint changes, one block may belong to neither segment.
 
     Returns:
@@ -19,7 +24,7 @@ def partition(blocks: Blocks, noise_ratio: float, reach: float) -> np.ndarray:
     """
     edges = np.arange(len(blocks.moving) + 1)
     single = np.ones(len(blocks.moving), bool)
-    price = np.log(max(len(single), 2))
+    price = boundary_price(blocks)
     while True:
         costs = span_costs(merge_blocks(blocks, edges[:-1]), noise_ratio, reach)
         chosen = _cheapest(costs, price, single)

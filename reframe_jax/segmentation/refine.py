@@ -52,8 +52,9 @@ def place_boundary(
     total = np.concatenate([[0], np.cumsum(forward)]) + np.concatenate([np.cumsum(backward[::-1])[::-1], [0]])
     share = np.cumsum(np.exp(total.min() - total))
     share /= share[-1]
-    middle, first, last = (np.searchsorted(share, q) for q in (0.5, (1 - _LIKELY) / 2, (1 + _LIKELY) / 2))
-    return Place(low + int(middle), low + int(first), low + int(min(last, high - low)))
+    found = np.searchsorted(share, [0.5, (1 - _LIKELY) / 2, (1 + _LIKELY) / 2])
+    middle, first, last = (int(index) for index in low + np.minimum(found, high - low))
+    return Place(middle, first, last)
 
 
 def _surprise(
@@ -62,8 +63,8 @@ def _surprise(
     """Cost of each pose between a segment and the other end, (M,), in order of time, if it belongs to it."""
     which, start, stop = segment
     count = abs(end - (start if backward else stop))
-    anchor = max(4, min(tracks.lag, count))
-    inside = min(stop - start, 4 * (count + anchor))
+    inside = min(stop - start, 4 * count + 4)
+    anchor = max(1, min(tracks.lag, inside // 4))
     if backward:
         path = _along_axes(tracks, fits, which, end, start + inside)[::-1]
     else:
@@ -72,7 +73,7 @@ def _surprise(
     floor = 1e-9 + tracks.noise[1], 1e-9 + tracks.noise[0]
     least = np.repeat(np.asarray(floor), 3)
     # how far the path goes from its mean over an anchor, as a function of the poses since
-    lead = np.minimum(np.arange(count), max(inside - anchor - 1, 0))
+    lead = np.minimum(np.arange(count), inside - anchor - 1)
     totals = np.cumsum(np.concatenate([np.zeros((1, 6)), known]), axis=0)
     means = (totals[anchor:] - totals[:-anchor]) / anchor
     expected = np.empty((count, 6))
@@ -81,11 +82,9 @@ def _surprise(
         gone = known[there:] - means[: len(known) - there]
         expected[step] = np.mean(gone**2, axis=0) if len(gone) else np.inf
     expected = np.maximum.accumulate(np.maximum(expected, least**2), axis=0)
-    free = np.maximum(np.mean((ahead - means[-1]) ** 2, axis=0), expected[-1])
+    # mean zero while the constraint holds, so that neither segment takes what both explain
     weight = expected[0] / expected[-1]
-    away = (ahead - means[-1]) ** 2
-    cost = (away / expected + np.log(expected) - np.log(free)) / 2
-    cost = np.sum(cost * weight, axis=1)
+    cost = np.sum(weight * ((ahead - means[-1]) ** 2 / expected - 1), axis=1) / 2
     return cost[::-1] if backward else cost
 
 

@@ -11,7 +11,7 @@ __all__ = ["find_rests"]
 def find_rests(tracks: Tracks, chords: Chords, scales: Scales) -> list[tuple[int, int]]:
     """Find where the body rests, as poses [start, stop) in order of time.
 
-    A rest lasts at least half the time in which the motion becomes independent of what it was, and two chords.
+    A rest lasts at least the time in which the motion becomes independent of what it was, and two chords.
 
     Args:
         tracks: of the recording.
@@ -22,7 +22,7 @@ def find_rests(tracks: Tracks, chords: Chords, scales: Scales) -> list[tuple[int
     still = ~scales.moving[: number - chords.lag]
     edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
     step = float(np.median(np.diff(tracks.times)))
-    shortest = max(scales.time / step / 2, 2 * chords.lag)
+    shortest = max(scales.time / step, 2 * chords.lag)
     rests = []
     for first, last in edges.reshape(-1, 2):
         # outliers do not count, but do not rest either

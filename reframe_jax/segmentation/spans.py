@@ -2,7 +2,7 @@
 
 import functools
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -44,7 +44,7 @@ class Fits:
         cost: (S,) nats.
         angular_type, linear_type: (S,) of the lowest cost.
         angular_axes, linear_axes: (S, 3, 3), columns are axes in the bodies of the types.
-        position: (S, 3) m, origin of the linear frame; for types in the ground about the centre of the recording.
+        position: (S, 3) m, origin of the linear frame; about the recording's centre for types in the ground.
     """
 
     cost: np.ndarray
@@ -56,7 +56,7 @@ class Fits:
 
 
 def fit_spans(blocks: Blocks, spans: list[list[tuple[int, int]]], noise_ratio: float, reach: float) -> Fits:
-    """Fit one constraint to each of several spans, or to several spans at once, by the search of ``identify``.
+    """Fit a constraint to each of several spans, or to several spans at once.
 
     Args:
         blocks: of the recording.
@@ -74,7 +74,11 @@ def fit_spans(blocks: Blocks, spans: list[list[tuple[int, int]]], noise_ratio: f
     found = []
     for first in range(0, len(spans), _SEGMENTS):
         own = np.minimum(np.arange(first, first + _SEGMENTS), len(spans) - 1)
-        found.append(jax.device_get(_fits(Totals(*(x[..., own] for x in (*sums, moving))), noise_ratio, reach)))
+        found.append(
+            jax.device_get(
+                _fits(Totals(*(jnp.asarray(x[..., own]) for x in (*sums, moving))), noise_ratio, reach)
+            )
+        )
     return Fits(*(np.concatenate(x)[: len(spans)] for x in zip(*found, strict=True)))
 
 
@@ -145,7 +149,9 @@ def _costs(
         cost, p = cost_of(own, p, noise_ratio, reach)
         return (own, p), cost
 
-    zero = Totals(*(jnp.zeros_like(part(x, jnp.asarray(0))) for x in (angular[0], linear[0], sums[0], moving)))
+    zero = Totals(
+        *(jnp.zeros_like(part(x, jnp.asarray(0))) for x in (angular[0], linear[0], sums[0], moving))
+    )
     start = jnp.zeros((3, 4, _STARTS), linear.dtype)
     return jax.lax.scan(step, (zero, start), jnp.arange(LONGEST))[1]
 
@@ -191,7 +197,9 @@ def _means(total: Totals) -> _Means:
     on_body = jnp.asarray(_ON_BODY)[None, :, None]
     return _Means(
         angular=jnp.where(rests, unit, total.angular / number),
-        linear=jnp.where(rests, jnp.pad(unit[:, None], ((0, 0), (0, 9), (0, 0), (0, 0))), total.linear / number),
+        linear=jnp.where(
+            rests, jnp.pad(unit[:, None], ((0, 0), (0, 9), (0, 0), (0, 0))), total.linear / number
+        ),
         floors=jnp.where(rests, 1, total.sums[1:3] / number),
         logs=jnp.exp(total.sums[3:5] / number),
         scatter=jnp.maximum(squares, 0),
@@ -238,7 +246,9 @@ def _parts(sigma: jax.Array, floor: jax.Array, log_floor: jax.Array, n: jax.Arra
     values, axes = symmetric.eigh(tuple(sigma))  # type: ignore[arg-type]
     v = [jnp.maximum(x - floor, 0) + log_floor for x in values]
     data = n / 2 * (jnp.log(v[0]) + jnp.log(v[1]) + jnp.log(v[2]))
-    turns = sum(jnp.log1p(n * jnp.square(v[i] - v[j]) / (v[i] * v[j])) for i, j in ((0, 1), (0, 2), (1, 2))) / 2
+    turns = (
+        sum(jnp.log1p(n * jnp.square(v[i] - v[j]) / (v[i] * v[j])) for i, j in ((0, 1), (0, 2), (1, 2))) / 2
+    )
     inverse = []
     for i, j in symmetric.INDEX_PAIRS:
         inverse.append(sum(axes[k][i] * axes[k][j] / v[k] for k in range(3)))
@@ -250,4 +260,4 @@ def _position_cost(moments: jax.Array, weights: Any, n: jax.Array, reach: jax.Ar
     information = [n * reach**2 * symmetric.trace_product(weights, s) / 2 for s in seconds]
     for i in (0, 3, 5):
         information[i] = 1 + information[i]
-    return jnp.log(jnp.maximum(symmetric.determinant(tuple(information)), 1)) / 2
+    return jnp.log(jnp.maximum(symmetric.determinant(cast(symmetric.Symmetric, tuple(information))), 1)) / 2

@@ -16,6 +16,7 @@ from reframe_jax.simulation.synthetic import Excitation, simulate
 __all__ = ["SequenceSimulation", "simulate_sequence"]
 
 _REACH = 0.3  # m, half the width of the cube about the body in which origins of frames are drawn
+_NO_ERRORS = PoseErrors()
 
 
 @jax.tree_util.register_dataclass
@@ -47,7 +48,7 @@ def simulate_sequence(
     dt: float = 0.01,
     excitation: str | Excitation = "exciting",
     ease: float = 0.25,
-    errors: PoseErrors = PoseErrors(),
+    errors: PoseErrors = _NO_ERRORS,
 ) -> SequenceSimulation:
     """Simulate a body that moves under one constraint after the other.
 
