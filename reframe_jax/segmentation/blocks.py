@@ -17,7 +17,8 @@ __all__ = ["Blocks", "Scales", "make_blocks", "merge_blocks", "scale_chords"]
 
 _LEAST = 1e-12  # variance along a constrained axis over that along a free one: below it, all is rounding
 _STILL = 0.01  # share of the peak speed below which the body rests
-_PAUSE, _LONG = 0.1, 8  # share of the peak speeds before and after, within so many motion times: a pause
+_PAUSE = 0.1  # share of the peak speeds before and after below which the body pauses
+_NEAR, _FAR = 4, 8  # motion times within which these peaks lie, for some instant of a pause and for all of it
 _PEAK = 0.99  # quantile of speeds that is their peak
 _LEVER = (
     0.1,
@@ -107,20 +108,31 @@ def _resting(speed: np.ndarray, use: np.ndarray, samples: float) -> np.ndarray:
         return ~use
     half = round(samples / 8)
     recent = _box(speed, half) / _box(np.ones(len(speed)), half)
-    reach = max(1, round(_LONG * samples))
-    before = _rolling_maximum(recent, reach)
-    after = _rolling_maximum(recent[::-1], reach)[::-1]
-    return recent < np.maximum(_PAUSE * np.minimum(before, after), _STILL * np.quantile(speed[use], _PEAK))
+    # where a recording begins or ends within reach, the other side alone decides
+    near = recent < _PAUSE * _peaks_about(recent, round(_NEAR * samples), np.inf)
+    far = near | (recent < _PAUSE * _peaks_about(recent, round(_FAR * samples), 0))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], far.astype(np.int8), [0]])))
+    pauses = np.zeros(len(speed), bool)
+    for start, stop in edges.reshape(-1, 2):
+        pauses[start:stop] = np.any(near[start:stop])
+    return pauses | (recent < _STILL * np.quantile(speed[use], _PEAK))
 
 
-def _rolling_maximum(x: np.ndarray, width: int) -> np.ndarray:
-    """Maximum of each element and those before it, so many in all; infinite where there are fewer."""
+def _peaks_about(x: np.ndarray, reach: int, beyond: float) -> np.ndarray:
+    """The smaller of the maxima before and after each element, within a reach."""
+    width = max(1, reach)
+    before = _rolling_maximum(x, width, beyond)
+    return np.minimum(before, _rolling_maximum(x[::-1], width, beyond)[::-1])
+
+
+def _rolling_maximum(x: np.ndarray, width: int, beyond: float) -> np.ndarray:
+    """Maximum of each element and those before it, so many in all; ``beyond`` where there are fewer."""
     blocks = -(-len(x) // width)
     padded = np.append(x, np.full(blocks * width - len(x), -np.inf)).reshape(blocks, width)
     forward = np.maximum.accumulate(padded, axis=1).ravel()[: len(x)]
     backward = np.maximum.accumulate(padded[:, ::-1], axis=1)[:, ::-1].ravel()[: len(x)]
     first = np.arange(len(x)) - width + 1
-    return np.where(first < 0, np.inf, np.maximum(forward, backward[np.maximum(first, 0)]))
+    return np.where(first < 0, beyond, np.maximum(forward, backward[np.maximum(first, 0)]))
 
 
 def _box(x: np.ndarray, half: int) -> np.ndarray:

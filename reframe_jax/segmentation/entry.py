@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -21,6 +22,7 @@ from reframe_jax.segmentation.spans import Fits, fit_spans
 __all__ = ["segment"]
 
 _FEWEST = 8  # poses that can be identified in a segment
+_REST = 2  # motion times that a rest lasts at least; shorter ones are pauses
 _GRID = 4  # blocks in the time in which the motion becomes independent
 
 
@@ -63,6 +65,12 @@ def segment(
     poses, times = _checked(poses, times, dt)
     if not 0 < reach < np.inf:
         raise ValueError(f"reach must be a positive length in m, not {reach}.")
+    with jax.enable_x64(True):
+        return _segment(poses, times, lag, reach)
+
+
+def _segment(poses: np.ndarray, times: np.ndarray, lag: int | None, reach: float) -> Segmentation:
+    """Segment a recording that has been checked."""
     tracks = track_poses(poses, times)
     samples = tracks.lag if lag is None else lag
     if not 1 <= samples <= min(LONGEST_LAG, len(poses) // 2):
@@ -74,10 +82,12 @@ def segment(
     blocks = make_blocks(tracks, chords, scales, starts)
     options = tracks.noise[1] / tracks.noise[0], reach
     spans = partition(blocks, *options)
-    rests = find_rests(tracks, chords, scales)
+    pauses = find_rests(tracks, chords, scales)
+    motion = max(1, round(scales.time / float(np.median(np.diff(times)))))
+    rests = [(a, b) for a, b in pauses if b - a >= _REST * max(motion, samples)]
     fits = fit_spans(blocks, [[(a, b)] for a, b in spans], *options)
-    near = max(grid, round(scales.time / float(np.median(np.diff(times)))))
-    cuts = _place_cuts(tracks, blocks, spans, fit_spans(blocks, _inner(spans), *options), rests, grid, near)
+    inner = fit_spans(blocks, _inner(spans), *options)
+    cuts = _place_cuts(tracks, blocks, spans, inner, pauses, rests, grid, max(grid, motion))
     probability = _probabilities(blocks, spans, fits, options)
     pieces, boundaries = _assemble(times, cuts, probability, rests, samples)
     found = [None if which < 0 else _identify(poses[a:b], times[a:b], reach) for a, b, which in pieces]
@@ -120,7 +130,7 @@ def _identify(poses: np.ndarray, times: np.ndarray, reach: float) -> Identificat
 
 
 def _inner(spans: np.ndarray) -> list[list[tuple[int, int]]]:
-    """Spans without their first and last blocks, where that leaves enough: what is certainly within a segment."""
+    """Spans without their first and last blocks, where that leaves enough: certainly within a segment."""
     long = np.diff(spans, axis=1)[:, 0] >= _GRID + 2
     return [[(int(a + cut), int(b - cut))] for (a, b), cut in zip(spans, long, strict=True)]
 
@@ -130,6 +140,7 @@ def _place_cuts(
     blocks: Blocks,
     spans: np.ndarray,
     fits: Fits,
+    pauses: list[tuple[int, int]],
     rests: list[tuple[int, int]],
     grid: int,
     near: int,
@@ -143,7 +154,11 @@ def _place_cuts(
         if between:
             cuts.append((between[0][0], between[-1][1]))
             continue
-        low, high = max(b - 2 * grid, (a + b) // 2), min(c + 2 * grid, (c + d + 1) // 2)
+        # in a short pause the boundary may be anywhere
+        within = [pause for pause in pauses if pause[0] < c + grid and pause[1] > b - grid]
+        low = min([b - 2 * grid, *(pause[0] - grid for pause in within)])
+        high = max([c + 2 * grid, *(pause[1] + grid for pause in within)])
+        low, high = max(low, (a + b) // 2), min(high, (c + d + 1) // 2)
         cuts.append(place_boundary(tracks, fits, (i, int(a), int(low)), (i + 1, int(high), int(d))))
     return cuts
 

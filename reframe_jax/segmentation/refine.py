@@ -10,6 +10,7 @@ from reframe_jax.segmentation.spans import Fits
 
 __all__ = ["Place", "place_boundary"]
 
+_EXPLAINED = 1.0  # nats by which a pose speaks for the constraint that predicts it
 _LIKELY = 0.95  # probability of the interval in which a boundary lies
 
 
@@ -82,9 +83,12 @@ def _surprise(
         gone = known[there:] - means[: len(known) - there]
         expected[step] = np.mean(gone**2, axis=0) if len(gone) else np.inf
     expected = np.maximum.accumulate(np.maximum(expected, least**2), axis=0)
-    # mean zero while the constraint holds, so that neither segment takes what both explain
+    # of mean zero while the constraint holds, so that neither segment takes what both explain; a frame
+    # without constrained axes explains nothing, and leaves to the other what that explains
     weight = expected[0] / expected[-1]
-    cost = np.sum(weight * ((ahead - means[-1]) ** 2 / expected - 1), axis=1) / 2
+    cost = np.sum(weight * ((ahead - means[-1]) ** 2 / expected - 1), axis=1) / 2 - _EXPLAINED * np.max(
+        weight
+    )
     return cost[::-1] if backward else cost
 
 

@@ -9,9 +9,7 @@ __all__ = ["find_rests"]
 
 
 def find_rests(tracks: Tracks, chords: Chords, scales: Scales) -> list[tuple[int, int]]:
-    """Find where the body rests, as poses [start, stop) in order of time.
-
-    A rest lasts at least the time in which the motion becomes independent of what it was, and two chords.
+    """Find where the body rests or pauses, as poses [start, stop) in order of time.
 
     Args:
         tracks: of the recording.
@@ -21,12 +19,10 @@ def find_rests(tracks: Tracks, chords: Chords, scales: Scales) -> list[tuple[int
     number = len(tracks.times)
     still = ~scales.moving[: number - chords.lag]
     edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
-    step = float(np.median(np.diff(tracks.times)))
-    shortest = max(scales.time / step, 2 * chords.lag)
     rests = []
     for first, last in edges.reshape(-1, 2):
         # outliers do not count, but do not rest either
         counted = tracks.counted[first : last + chords.lag]
-        if last - 1 + chords.lag - first >= shortest and np.mean(counted) > 0.5:
+        if np.mean(counted) > 0.5:
             rests.append((int(first), int(last - 1 + chords.lag + (last == len(still)))))
     return rests

@@ -86,7 +86,7 @@ def fit_spans(blocks: Blocks, spans: list[list[tuple[int, int]]], noise_ratio: f
 def _fits(total: Totals, noise_ratio: Any, reach: Any) -> tuple[jax.Array, ...]:
     means = _means(total)
     objective, box = _problem(means, reach)
-    starts = means.centre + reach / 2 * jnp.asarray(_CORNERS, means.centre.dtype)[..., None, None]
+    starts = means.centre[None] + reach / 2 * jnp.asarray(_CORNERS, means.centre.dtype)[..., None, None]
     found, values = jax.vmap(lambda start: ValleySteps(_STEPS_ALONE)(objective, box, start))(starts)
     best = jnp.argmin(values, axis=0)
     p = jnp.take_along_axis(found, best[None, None], axis=0)[0]
@@ -143,7 +143,8 @@ def _costs(
 
     def step(carry: tuple[Totals, jax.Array], w: jax.Array) -> tuple[tuple[Totals, jax.Array], jax.Array]:
         before, p = carry
-        added = (part(x[0], w) + part(x[1], jnp.maximum(w - 1, 0)) * (w > 0) for x in (angular, linear, sums))
+        further = (w > 0).astype(moving.dtype)
+        added = (part(x[0], w) + part(x[1], jnp.maximum(w - 1, 0)) * further for x in (angular, linear, sums))
         own = Totals(*(a + b for a, b in zip(before, (*added, part(moving, w)), strict=True)))
         own = once(own)
         cost, p = cost_of(own, p, noise_ratio, reach)
@@ -192,18 +193,16 @@ def _means(total: Totals) -> _Means:
     number = jnp.maximum(total.sums[0], 1)
     rests = total.sums[0] == 0
     unit = jnp.asarray([1, 0, 0, 1, 0, 1], number.dtype)[:, None, None]
-    mean = total.sums[5:8] / number
+    identity = jnp.pad(unit[:, None], ((0, 0), (0, 9), (0, 0), (0, 0)))
+    mean = total.sums[5:8] / number[None]
     squares = jnp.where(rests, 0, total.sums[8] / number - jnp.sum(mean**2, axis=0))
-    on_body = jnp.asarray(_ON_BODY)[None, :, None]
     return _Means(
-        angular=jnp.where(rests, unit, total.angular / number),
-        linear=jnp.where(
-            rests, jnp.pad(unit[:, None], ((0, 0), (0, 9), (0, 0), (0, 0))), total.linear / number
-        ),
-        floors=jnp.where(rests, 1, total.sums[1:3] / number),
-        logs=jnp.exp(total.sums[3:5] / number),
+        angular=jnp.where(rests[None, None], unit, total.angular / number[None, None]),
+        linear=jnp.where(rests[None, None, None], identity, total.linear / number[None, None, None]),
+        floors=jnp.where(rests[None], 1, total.sums[1:3] / number[None]),
+        logs=jnp.exp(total.sums[3:5] / number[None]),
         scatter=jnp.maximum(squares, 0),
-        centre=jnp.where(on_body, 0, mean[:, None]),
+        centre=jnp.where(jnp.asarray(_ON_BODY)[None, :, None], 0, mean[:, None]),
         motions=jnp.where(rests, 0, total.moving),
         alone=jnp.where(rests & (total.moving > 0), jnp.inf, 0),
     )
@@ -227,7 +226,7 @@ def _costs_of_types(means: _Means, p: jax.Array, noise_ratio: Any, reach: Any) -
 
 
 def _problem(means: _Means, reach: Any) -> tuple[PositionObjective, Box]:
-    moments = means.linear.at[jnp.asarray([0, 3, 5]), 0].add(means.floors[1])
+    moments = means.linear.at[jnp.asarray([0, 3, 5]), 0].add(means.floors[1][None, None])
     return PositionObjective(moments), Box(means.centre - reach, means.centre + reach)
 
 
