@@ -1,4 +1,4 @@
-"""Pictures: identifications, scenes, error curves, objectives, maps.
+"""Pictures: identifications, segmentations, scenes, error curves, objectives, maps.
 
 Needs Matplotlib: ``pip install "reframe-jax[plot]"``. Every function returns a new figure that ``pyplot``
 does not know: display it in a notebook, or call ``figure.savefig(...)``.
@@ -11,6 +11,7 @@ from reframe_jax.plotting.landscape import plot_landscape
 from reframe_jax.plotting.maps import plot_bars, plot_maps
 from reframe_jax.plotting.scene import plot_scene
 from reframe_jax.plotting.uncertainty import plot_uncertainty
+from reframe_jax.plotting.segmentation import plot_segmentation
 
 __all__ = [
     "Curve",
@@ -23,4 +24,5 @@ __all__ = [
     "plot_maps",
     "plot_scene",
     "plot_uncertainty",
+    "plot_segmentation",
 ]
