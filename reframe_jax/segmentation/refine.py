@@ -10,7 +10,8 @@ from reframe_jax.segmentation.spans import Fits
 
 __all__ = ["Place", "place_boundary"]
 
-_EXPLAINED = 1.0  # nats by which a pose speaks for the constraint that predicts it
+_SCATTER = 2.0  # standard deviations by which noise is taken to scatter
+_EXPLAINED = 0.1  # nats by which a pose speaks for the constraint, for each axis along which it is predicted
 _LIKELY = 0.95  # probability of the interval in which a boundary lies
 
 
@@ -83,12 +84,12 @@ def _surprise(
         gone = known[there:] - means[: len(known) - there]
         expected[step] = np.mean(gone**2, axis=0) if len(gone) else np.inf
     expected = np.maximum.accumulate(np.maximum(expected, least**2), axis=0)
-    # of mean zero while the constraint holds, so that neither segment takes what both explain; a frame
-    # without constrained axes explains nothing, and leaves to the other what that explains
+    # no cost within the scatter of noise, so that chance does not decide where both constraints predict a pose;
+    # then it belongs rather to the one that predicts more of it
     weight = expected[0] / expected[-1]
-    cost = np.sum(weight * ((ahead - means[-1]) ** 2 / expected - 1), axis=1) / 2 - _EXPLAINED * np.max(
-        weight
-    )
+    surprise = np.sum(weight * (ahead - means[-1]) ** 2 / expected, axis=1)
+    usual = np.sum(weight) + _SCATTER * np.sqrt(2 * np.sum(weight**2))
+    cost = np.maximum(surprise - usual, 0) / 2 - _EXPLAINED * np.sum(weight)
     return cost[::-1] if backward else cost
 
 

@@ -1,6 +1,8 @@
 """What every span of a recording costs, if one constraint holds in it."""
 
 import functools
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, NamedTuple, cast
 
@@ -115,19 +117,20 @@ def span_costs(blocks: Blocks, noise_ratio: float, reach: float) -> np.ndarray:
     """
     number = len(blocks.moving)
     costs = np.full((number, LONGEST), np.inf)
-    for first in range(0, number, _STARTS):
-        width = _STARTS + LONGEST
-        here = min(number - first, width)
+    parts = (blocks.angular, blocks.linear, blocks.sums, blocks.moving)
 
-        def cut(x: np.ndarray, first: int = first, here: int = here, width: int = width) -> np.ndarray:
-            part = x[..., first : first + here]
-            return np.pad(part, [(0, 0)] * (x.ndim - 1) + [(0, width - here)])
+    def compute(first: int) -> None:
+        here = min(number - first, _STARTS + LONGEST)
+        fill = _STARTS + LONGEST - here
+        own = [np.pad(x[..., first : first + here], [(0, 0)] * (x.ndim - 1) + [(0, fill)]) for x in parts]
+        with jax.enable_x64(True):  # JAX's settings belong to a thread
+            found = np.asarray(_costs(*own, noise_ratio, reach)).T
+        costs[first : first + _STARTS] = found[: min(_STARTS, number - first)]
 
-        found = _costs(
-            *(cut(x) for x in (blocks.angular, blocks.linear, blocks.sums, blocks.moving)), noise_ratio, reach
-        )
-        rows = min(_STARTS, number - first)
-        costs[first : first + rows] = np.asarray(found).T[:rows]
+    firsts = range(0, number, _STARTS)
+    compute(firsts[0])  # two threads would both compile
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(compute, firsts[1:]))
     i, w = np.indices(costs.shape)
     return np.where(i + w < number, costs, np.inf)
 
