@@ -84,8 +84,8 @@ def _surprise(
         gone = known[there:] - means[: len(known) - there]
         expected[step] = np.mean(gone**2, axis=0) if len(gone) else np.inf
     expected = np.maximum.accumulate(np.maximum(expected, least**2), axis=0)
-    # no cost within the scatter of noise, so that chance does not decide where both constraints predict a pose;
-    # then it belongs rather to the one that predicts more of it
+    # no cost within the scatter of noise, so that chance does not decide where both constraints predict a
+    # pose; then it belongs rather to the one that predicts more of it
     weight = expected[0] / expected[-1]
     surprise = np.sum(weight * (ahead - means[-1]) ** 2 / expected, axis=1)
     usual = np.sum(weight) + _SCATTER * np.sqrt(2 * np.sum(weight**2))

@@ -20,8 +20,8 @@ def segment_velocities(poses: np.ndarray, found: Segmentation) -> tuple[np.ndarr
 
     Returns:
         Angular velocities, (N, 3) rad/s, and linear velocities of the frame's origin, (N, 3) m/s, by the
-        first pose of each chord of ``found.lag`` samples. NaN where a chord crosses a boundary or ends beyond the
-        recording, and in segments without identification.
+        first pose of each chord of ``found.lag`` samples. NaN where a chord crosses a boundary or ends beyond
+        the recording, and in segments without identification.
     """
     with jax.enable_x64(True):
         tracks = track_poses(np.asarray(poses, float), found.times)
