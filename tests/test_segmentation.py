@@ -81,7 +81,7 @@ def test_a_constraint_that_comes_back_has_the_same_label() -> None:
     truth = simulate_sequence([hinge, "unconstrained", hinge, "A"], jax.random.key(2), dt=DT, durations=4.0)
     found = rf.segment(measured(truth, "encoder"), dt=DT)
     assert [segment.label for segment in found.moving] == [0, 1, 0, 2]
-    assert np.all(np.abs(np.array([b.index for b in found.boundaries]) - truth.boundaries) <= 10)
+    assert np.all(np.abs(np.array([b.index for b in found.boundaries]) - truth.boundaries) <= 20)
     assert found.labels.shape == (len(truth.poses),)
     assert [int(found.labels[i]) for i in (100, 600, 1000, 1400)] == [0, 1, 0, 2]
 
@@ -202,7 +202,7 @@ def test_simulated_sequences_are_continuous_and_keep_their_constraints() -> None
     assert len(truth.truths) == 2
     speed = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=(1, 2))
     # at rest where the one gives way to the other, and no jumps
-    assert speed[[0, 499, 500, -1]].max() < 1e-3 * speed.max()
+    assert speed[[0, 499, 500, -1]].max() < 5e-3 * speed.max()
     assert np.abs(np.diff(speed)).max() < 0.1 * speed.max()
     found = rf.identify(poses[:501], dt=DT)
     assert found.name == "Revolute joint"

@@ -23,6 +23,7 @@ _CORE, _BEFORE, _AFTER = 384, 8, 120  # poses of a chunk that are its own, and t
 _SIZE = _BEFORE + _CORE + _AFTER
 LONGEST_LAG = _AFTER - _BEFORE  # samples
 _BATCH = 8  # chunks computed at once
+_MOVING = 0.1  # share of chords that must be long for the others not to count
 _REST = 4.0  # noises that a chord must be long not to count as rest
 
 
@@ -156,7 +157,10 @@ def cut_chords(tracks: Tracks, lag: int) -> Chords:
         np.linalg.norm(in_ground[:, :, 1:], axis=(1, 2)) / 2**0.5,
     )
     far = (sizes[0] > _REST * tracks.noise[0]) | (sizes[1] > _REST * tracks.noise[1])
-    moving = whole & far & tracks.counted & tracks.counted[ends]
+    usable = whole & tracks.counted & tracks.counted[ends]
+    moving = usable & far
+    if np.sum(moving) < _MOVING * np.sum(usable):
+        moving = usable
     return Chords(chords / np.where(span > 0, span, 1)[:, None, None, None], moving, span, lag)
 
 
