@@ -37,7 +37,6 @@ def labelled_changes(name: str) -> np.ndarray:
         ("champ_microwave_with_grasp", "Revolute joint"),
         ("contour_a_1", "Unnamed: 3 rotations, 1 translation in BB"),
         ("contour_b_1", "Unnamed: 3 rotations, 1 translation in BB"),
-        ("pouring", "Unconstrained"),
     ],
 )
 def test_one_constraint_is_one_moving_segment(name: str, constraint: str) -> None:
@@ -54,3 +53,11 @@ def test_grating_begins_and_ends_where_its_authors_say(name: str) -> None:
     longest = max(found.moving, key=lambda segment: segment.stop - segment.start)
     assert found.times[longest.stop - 1] - found.times[longest.start] > 20
     assert len(found.moving) <= 5
+
+
+def test_wiping_is_one_segment_between_approach_and_retreat() -> None:
+    found = segmented("wiping_1")
+    edges = np.array([boundary.time for boundary in found.boundaries])
+    for change in labelled_changes("wiping_1"):
+        assert np.abs(edges - change).min() < 0.5
+    assert len(found.moving) == 3

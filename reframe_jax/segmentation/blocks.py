@@ -19,6 +19,7 @@ _LEAST = 1e-12  # variance along a constrained axis over that along a free one: 
 _STILL = 0.01  # share of the peak speed below which the body rests
 _PAUSE = 0.1  # share of the peak speeds before and after below which the body pauses
 _NEAR, _FAR = 4, 8  # motion times within which these peaks lie, for some instant of a pause and for all of it
+_REST = 4.0  # noises that motion along an axis must be large
 _PEAK = 0.99  # quantile of speeds that is their peak
 _LEVER = (
     0.1,
@@ -33,7 +34,8 @@ class Scales:
     Attributes:
         size: (K,) speed of each chord over that of the recording; both groups together, smoothed.
         turning: rad/s of the recording, and ``sliding``: m/s.
-        time: s, in which the motion becomes independent of what it was before.
+        time: s, in which the motion as a whole becomes independent of what it was before.
+        independent: samples in which its axes do, on average: small ones are quicker.
         moving: (K,) bool, chords that count: longer than noise, and no pause.
     """
 
@@ -42,6 +44,7 @@ class Scales:
     turning: float
     sliding: float
     time: float
+    independent: float
 
 
 @dataclass(frozen=True)
@@ -83,7 +86,23 @@ def scale_chords(tracks: Tracks, chords: Chords) -> Scales:
     size = np.sqrt(squares / np.maximum(number, 1))
     lowest = np.sqrt(2) * np.hypot(tracks.noise[0] / sliding, tracks.noise[1] / turning)
     size = np.maximum(size, lowest / np.where(chords.span > 0, chords.span, 1))
-    return Scales(np.where(use, size, 1), use, float(turning), float(sliding), samples * step)
+    rate = np.mean(1 / chords.span[use] ** 2) if use.any() else 1.0
+    white = [2 * rate * (tracks.noise[1] / turning) ** 2, 2 * rate * (tracks.noise[0] / sliding) ** 2]
+    independent = _independent_after(_standardized(twist, np.repeat(white, 3), int(np.sum(use))))
+    return Scales(np.where(use, size, 1), use, float(turning), float(sliding), samples * step, independent)
+
+
+def _standardized(twist: np.ndarray, white: np.ndarray, count: int) -> np.ndarray:
+    """Twist (K, 6) along its principal axes, all of one size: each tells as much of the motion as the others.
+
+    Axes that do not stand out of the noise, of variances (6,), are left out: noise is not motion.
+    """
+    values, axes = np.linalg.eigh(twist.T @ twist / max(count, 1))
+    noise = white @ axes**2
+    share = np.clip(1 - _REST**2 * noise / np.maximum(values, np.finfo(float).tiny), 0, 1)
+    if not np.any(share > 0):
+        return twist
+    return twist @ axes * np.sqrt(share / np.maximum(values, np.finfo(float).tiny))
 
 
 def _independent_after(twist: np.ndarray) -> float:
@@ -191,8 +210,7 @@ def make_blocks(tracks: Tracks, chords: Chords, scales: Scales, start: np.ndarra
         ]
         angular.append(np.stack(turns) / scales.turning**2)
         sums.append(np.add.reduceat(each * group, edges, axis=1))
-    step = scales.time / float(np.median(np.diff(tracks.times)))
-    moving = np.add.reduceat(scales.moving.astype(float), edges) / step
+    moving = np.add.reduceat(scales.moving.astype(float), edges) / scales.independent
     return Blocks(start, np.stack(angular), np.stack(linear), np.stack(sums), moving)
 
 

@@ -92,6 +92,7 @@ def _fits(total: Totals, noise_ratio: Any, reach: Any) -> tuple[jax.Array, ...]:
     found, values = jax.vmap(lambda start: ValleySteps(_STEPS_ALONE)(objective, box, start))(starts)
     best = jnp.argmin(jnp.where(jnp.isnan(values), jnp.inf, values), axis=0)
     p = jnp.take_along_axis(found, best[None, None], axis=0)[0]
+    p = jnp.where(jnp.isnan(p), means.centre, p)  # where the body rests, no step leads anywhere
     turning, sliding, turning_axes, axes = _costs_of_types(means, p, noise_ratio, reach)
     kinds = jnp.argmin(turning, axis=0), jnp.argmin(sliding, axis=0)
 
