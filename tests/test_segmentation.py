@@ -204,7 +204,7 @@ def test_simulated_sequences_are_continuous_and_keep_their_constraints() -> None
     # at rest where the one gives way to the other, and no jumps
     assert speed[[0, 499, 500, -1]].max() < 5e-3 * speed.max()
     assert np.abs(np.diff(speed)).max() < 0.1 * speed.max()
-    found = rf.identify(poses[:501], dt=DT)
+    found = rf.identify(measured(truth, "encoder")[:501], dt=DT)
     assert found.name == "Revolute joint"
 
 
