@@ -31,8 +31,7 @@ from reframe_jax.storage.progress import make_meter
 from reframe_jax.uncertainty.covariance import covariance
 from reframe_jax.uncertainty.excitation import excitation
 
-__all__ = ["add_identify", "identify_recording"]
-__all__ = ["add_identify", "check_plot"]
+__all__ = ["add_identify", "check_plot", "identify_recording"]
 
 _CHUNK = 2048  # windows between two reports of progress
 _PICTURES = (".png", ".pdf", ".svg", ".jpg", ".webp")
