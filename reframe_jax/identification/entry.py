@@ -33,7 +33,7 @@ from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.objectives.norms import check_exponent
 from reframe_jax.solvers import BasinHopping, FrameSteps, JointSearch, Solver, ValleySteps
 
-__all__ = ["default_solver", "identify", "identify_padded", "sample_steps"]
+__all__ = ["default_solver", "identify", "identify_padded"]
 
 _SHORT = 64  # poses up to which a recording is not padded
 _SIZES_OF_PIECES = 64, 256, 1024, 4096  # poses that pieces of recordings are padded to
@@ -114,7 +114,6 @@ def identify(
     wide = not isinstance(array, jax.Array) and array.dtype == np.float64
     with jax.enable_x64(True) if wide else contextlib.nullcontext():
         steps = take_steps(array, times, dt)
-        steps = sample_steps(array, times, dt)
         rule, samples = lag_in_samples(lag, steps, discretization)
         dtype = jax.dtypes.canonicalize_dtype(array.dtype)
         options = (
@@ -167,7 +166,7 @@ def identify_padded(poses: np.ndarray, times: np.ndarray, reach: float) -> Ident
         The identification, with its ``status``.
     """
     with jax.enable_x64(True):
-        options = None, None, make_box(reach, poses.dtype), None
+        options = None, None, make_space(reach, poses.dtype), None
         static = {"rule": "auto", "exponent": 0.0, "discretization": "chord", "solver": default_solver()}
         found = _single(poses, np.diff(times), options, static, sizes=_SIZES_OF_PIECES)
     return found if _in_float64() else jax.device_put(jax.tree.map(_narrow, jax.device_get(found)))
@@ -215,36 +214,6 @@ def _in_float64() -> bool:
 
 def _narrow(leaf: np.ndarray) -> np.ndarray:
     return leaf.astype(np.float32) if leaf.dtype == np.float64 else leaf
-
-
-def sample_steps(poses: Any, times: Any, dt: Any) -> Any:
-    """Sample time of every step, (K,) or (..., K), after checking the shapes."""
-    if poses.ndim < 3 or poses.shape[-2:] != (4, 4):
-        raise ValueError(f"poses must have shape (..., K+1, 4, 4), not {poses.shape}.")
-    samples, batch = poses.shape[-3] - 1, poses.shape[:-3]
-    if samples < MIN_VELOCITIES:
-        raise ValueError(
-            f"A window needs at least {MIN_VELOCITIES + 1} poses, that is {MIN_VELOCITIES} velocities; "
-            f"this one has {samples + 1}."
-        )
-    if (times is None) == (dt is None):
-        raise ValueError("Give either times, (..., K+1), or the sample time dt, in seconds.")
-    if times is not None:
-        # differences first: seconds since 1970 do not fit float32
-        times = times if isinstance(times, jax.Array) else np.asarray(times)
-        if times.shape not in ((samples + 1,), (*batch, samples + 1)):
-            raise ValueError(
-                f"times must have shape ({samples + 1},) or {(*batch, samples + 1)}, one per pose, "
-                f"not {times.shape}."
-            )
-        return times[..., 1:] - times[..., :-1]
-    dt = dt if isinstance(dt, jax.Array) else np.asarray(dt)
-    if dt.shape not in ((), (samples,), (*batch, samples)):
-        raise ValueError(
-            f"dt must be a scalar or have shape ({samples},) or {(*batch, samples)}, one per step, "
-            f"not {dt.shape}."
-        )
-    return dt[None].repeat(samples) if dt.ndim == 0 else dt
 
 
 def _in_pieces(

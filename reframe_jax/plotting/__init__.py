@@ -10,8 +10,8 @@ from reframe_jax.plotting.identification import plot_identification
 from reframe_jax.plotting.landscape import plot_landscape
 from reframe_jax.plotting.maps import plot_bars, plot_maps
 from reframe_jax.plotting.scene import plot_scene
-from reframe_jax.plotting.uncertainty import plot_uncertainty
 from reframe_jax.plotting.segmentation import plot_segmentation
+from reframe_jax.plotting.uncertainty import plot_uncertainty
 
 __all__ = [
     "Curve",
@@ -23,6 +23,6 @@ __all__ = [
     "plot_landscape",
     "plot_maps",
     "plot_scene",
-    "plot_uncertainty",
     "plot_segmentation",
+    "plot_uncertainty",
 ]

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reframe_jax.compilation import traced
-from reframe_jax.identification.entry import identify_padded, sample_steps
+from reframe_jax.identification.entry import identify_padded
+from reframe_jax.identification.inputs import take_steps
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
 from reframe_jax.segmentation.blocks import Blocks, make_blocks, scale_chords
@@ -106,7 +107,7 @@ def _checked(poses: Any, times: Any, dt: Any) -> tuple[np.ndarray, np.ndarray]:
     poses = np.asarray(poses, float)
     if poses.ndim != 3 or poses.shape[1:] != (4, 4) or len(poses) < 2 * _FEWEST:
         raise ValueError(f"poses must have shape (N, 4, 4) with N >= {2 * _FEWEST}, not {poses.shape}.")
-    steps = np.asarray(sample_steps(poses, times, dt), float)
+    steps = np.asarray(take_steps(poses, times, dt), float)
     rotation = poses[:, :3, :3]
     skewed = np.abs(np.swapaxes(rotation, 1, 2) @ rotation - np.eye(3)).max(initial=0)
     for wrong, status in (
