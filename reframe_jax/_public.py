@@ -23,6 +23,8 @@ from reframe_jax.recordings.reading import load_recording
 from reframe_jax.recordings.recording import Recording, RecordingError
 from reframe_jax.recordings.relative import relative_poses
 from reframe_jax.recordings.writing import save_recording
+from reframe_jax.segmentation.entry import segment
+from reframe_jax.segmentation.results import Boundary, Segment, Segmentation
 from reframe_jax.solvers import BasinHopping, FrameSteps, NewtonSteps, OptaxSteps, ValleySteps
 from reframe_jax.storage.results import identify_many, load_results
 from reframe_jax.uncertainty.covariance import Covariance, covariance
@@ -35,6 +37,7 @@ __all__ = [
     "AngularType",
     "AxisRelation",
     "BasinHopping",
+    "Boundary",
     "Candidates",
     "Constraint",
     "ConstraintFrame",
@@ -51,6 +54,8 @@ __all__ = [
     "OptaxSteps",
     "Recording",
     "RecordingError",
+    "Segment",
+    "Segmentation",
     "Status",
     "TaskFrame",
     "Thresholds",
@@ -73,6 +78,7 @@ __all__ = [
     "recording_warnings",
     "relative_poses",
     "save_recording",
+    "segment",
     "sliding_windows",
     "to_frame",
     "to_json",

@@ -11,6 +11,7 @@ __all__ = ["COMMANDS", "EXAMPLES", "Parser", "add_command"]
 COMMANDS = {
     "identify": "identify the constraint of recordings",
     "topics": "list what can be read from files",
+    "segment": "find where the constraint of recordings changes",
     "simulate": "simulate a recording",
     "demonstrate": "simulate demonstrations on a robot arm",
     "reproduce": "demonstrate, identify and reproduce a task",

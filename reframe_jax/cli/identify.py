@@ -31,7 +31,7 @@ from reframe_jax.storage.progress import make_meter
 from reframe_jax.uncertainty.covariance import covariance
 from reframe_jax.uncertainty.excitation import excitation
 
-__all__ = ["add_identify", "identify_recording"]
+__all__ = ["add_identify", "check_plot", "identify_recording"]
 
 _CHUNK = 2048  # windows between two reports of progress
 _PICTURES = (".png", ".pdf", ".svg", ".jpg", ".webp")
@@ -175,13 +175,13 @@ def _check(options: argparse.Namespace) -> None:
     if options.explain and options.window is not None:
         options.usage_error("--explain explains whole recordings: leave out --window.")
     if options.plot is not None:
-        _check_plot(options)
+        check_plot(options)
     stems = {path.stem for path in options.files}
     if options.plot is not None and len(stems) < len(options.files):
         options.usage_error("--plot needs recordings with different names.")
 
 
-def _check_plot(options: argparse.Namespace) -> None:
+def check_plot(options: argparse.Namespace) -> None:
     """Refuse, before anything is computed, what could not be drawn after it."""
     out: Path = options.plot
     if out.is_dir():

@@ -33,9 +33,10 @@ from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.objectives.norms import check_exponent
 from reframe_jax.solvers import BasinHopping, FrameSteps, JointSearch, Solver, ValleySteps
 
-__all__ = ["default_solver", "identify"]
+__all__ = ["default_solver", "identify", "identify_padded"]
 
 _SHORT = 64  # poses up to which a recording is not padded
+_SIZES_OF_PIECES = 64, 256, 1024, 4096  # poses that pieces of recordings are padded to
 _PIECE = 8  # chunks that one thread computes in one call
 _FEWEST = 1024  # windows in a piece on an accelerator
 
@@ -151,19 +152,42 @@ def identify(
     return found
 
 
-def _single(poses: Any, steps: Any, options: tuple[Any, ...], static: dict[str, Any]) -> Identification:
+def identify_padded(poses: np.ndarray, times: np.ndarray, reach: float) -> Identification:
+    """Identify a recording of 8 poses or more with the defaults, padded however short it is.
+
+    Lengths of pieces of recordings differ; none compiles a program of its own.
+
+    Args:
+        poses: (K+1, 4, 4) float64, of one window that has been checked; m.
+        times: (K+1,) s.
+        reach: m, half the width of the cube in which positions are searched.
+
+    Returns:
+        The identification, with its ``status``.
+    """
+    with jax.enable_x64(True):
+        options = None, None, make_space(reach, poses.dtype), None
+        static = {"rule": "auto", "exponent": 0.0, "discretization": "chord", "solver": default_solver()}
+        found = _single(poses, np.diff(times), options, static, sizes=_SIZES_OF_PIECES)
+    return found if _in_float64() else jax.device_put(jax.tree.map(_narrow, jax.device_get(found)))
+
+
+def _single(
+    poses: Any, steps: Any, options: tuple[Any, ...], static: dict[str, Any], sizes: tuple[int, ...] = ()
+) -> Identification:
     """Identify one recording: reduced by a program for recordings up to its length, solved by one for all.
 
     The evidence of all recordings has one shape, so that a new length compiles little or nothing.
     """
-    count, size = poses.shape[0], _padded_size(poses.shape[0])
+    count = poses.shape[0]
+    size = next((n for n in sizes if n >= count), _padded_size(count))
     xp = jnp if isinstance(poses, jax.Array) else np
     fill = size - count
     if fill:
         poses = xp.concatenate([poses, xp.repeat(poses[-1:], fill, axis=0)])
         steps = np.concatenate([steps, np.repeat(steps[-1:], fill)])
     # one program for a size, whether there is something to fill or not
-    number = np.full(1, count, np.int32) if count > _SHORT else None
+    number = np.full(1, count, np.int32) if count > _SHORT or sizes else None
     lag, *others = options
     reduced = {name: static[name] for name in ("rule", "discretization")}
     evidence = _reduce(poses[None], np.asarray(steps, poses.dtype), number, lag, **reduced)

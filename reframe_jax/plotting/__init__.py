@@ -1,4 +1,4 @@
-"""Pictures: identifications, scenes, error curves, objectives, maps.
+"""Pictures: identifications, segmentations, scenes, error curves, objectives, maps.
 
 Needs Matplotlib: ``pip install "reframe-jax[plot]"``. Every function returns a new figure that ``pyplot``
 does not know: display it in a notebook, or call ``figure.savefig(...)``.
@@ -10,6 +10,7 @@ from reframe_jax.plotting.identification import plot_identification
 from reframe_jax.plotting.landscape import plot_landscape
 from reframe_jax.plotting.maps import plot_bars, plot_maps
 from reframe_jax.plotting.scene import plot_scene
+from reframe_jax.plotting.segmentation import plot_segmentation
 from reframe_jax.plotting.uncertainty import plot_uncertainty
 
 __all__ = [
@@ -22,5 +23,6 @@ __all__ = [
     "plot_landscape",
     "plot_maps",
     "plot_scene",
+    "plot_segmentation",
     "plot_uncertainty",
 ]

@@ -85,6 +85,7 @@ def simulate(
     excitation: str | Excitation = "exciting",
     exact: bool = True,
     start: jax.Array | None = None,
+    ease: float | jax.Array = 0.0,
 ) -> Simulation:
     """Simulate a body that moves under a constraint.
 
@@ -100,6 +101,7 @@ def simulate(
         exact: integrate the motion between samples; False takes the paper's one step per sample.
         start: (4, 4) first pose; the identity by default. A frame whose angular and linear parts are
             fixed in different bodies keeps its class only if its axes agree at the start.
+        ease: s, in which the motion sets out from rest, and comes to rest at the end.
 
     Returns:
         The recording, of round(duration / dt) + 1 poses.
@@ -114,7 +116,7 @@ def simulate(
     first = jnp.eye(4, dtype=frame.position.dtype) if start is None else start
     phase_key, noise_key = jax.random.split(key)
     arrays, steps = located.frame_arrays(frame), round(duration / dt)
-    poses = _integrate(arrays, phase_key, first, dt, excitation=excitation, exact=exact, steps=steps)
+    poses = _integrate(arrays, phase_key, first, dt, ease, excitation=excitation, exact=exact, steps=steps)
     times = dt * jnp.arange(steps + 1, dtype=first.dtype)
     return Simulation(times, add_pose_noise(poses, noise_key, noise), poses, frame)
 
@@ -125,6 +127,7 @@ def _integrate(
     key: jax.Array,
     first: jax.Array,
     dt: float,
+    ease: float | jax.Array,
     *,
     excitation: str | Excitation,
     exact: bool,
@@ -134,7 +137,9 @@ def _integrate(
     velocity = EXCITATIONS[excitation](key, steps * dt) if isinstance(excitation, str) else excitation
 
     def twist(t: jax.Array, pose: jax.Array) -> jax.Array:
-        return _frame_twist(frame, pose, *velocity(t))
+        angular, linear = velocity(t)
+        share = _eased(t, ease) * _eased(steps * dt - t, ease)
+        return _frame_twist(frame, pose, share * angular, share * linear)
 
     def advance(pose: jax.Array, t: jax.Array) -> tuple[jax.Array, jax.Array]:
         if not exact:
@@ -148,6 +153,13 @@ def _integrate(
         return moved, pose
 
     return jax.lax.scan(advance, first, dt * jnp.arange(steps + 1, dtype=first.dtype))[1]
+
+
+def _eased(t: jax.Array, ease: float | jax.Array) -> jax.Array:
+    """Share of the speed at a time after rest: from 0 to 1, smoothly."""
+    rises = jnp.asarray(ease, dtype=t.dtype) > 0
+    s = jnp.where(rises, jnp.clip(t / jnp.where(rises, ease, 1), 0, 1), 1)
+    return s * s * (3 - 2 * s)
 
 
 def _runge_kutta(

@@ -1,0 +1,106 @@
+"""A segmentation as a table, for people, and as JSON, for programs.
+
+The document of :func:`segments_to_json` and ``reframe-jax segment --json`` has the schema named by
+:data:`SCHEMA`. Numbers are in SI units::
+
+    {
+      "schema": "reframe-jax/segmentation/1",
+      "recordings": [
+        {
+          "recording": its name, "error": why it could not be used, or null,
+          "lag": samples between the two poses of a velocity,
+          "segments": [
+            {
+              "start", "stop": samples, from start up to but not including stop,
+              "start_time", "stop_time": s, of the first and the last sample,
+              "label": number of the constraint, the same where it comes back; -1 for rest,
+              "name": of the constraint, or "Rest",
+              "identification": as a window of "reframe-jax/identification/2", or null
+            }
+          ],
+          "boundaries": [
+            {"index": first sample of the next segment, "time": s, "probability",
+             "earliest", "latest": samples between which it lies with a probability of 95 %}
+          ]
+        }
+      ]
+    }
+"""
+
+import json
+from dataclasses import asdict
+from typing import Any
+
+from reframe_jax.export.common import Window
+from reframe_jax.export.json import to_record
+from reframe_jax.segmentation.results import Segment, Segmentation
+
+__all__ = ["SCHEMA", "segments_to_json", "segments_to_record", "segments_to_table"]
+
+SCHEMA = "reframe-jax/segmentation/1"
+
+
+def segments_to_table(found: Segmentation, *, label: str | None = None) -> str:
+    """What a person reads: a row per segment.
+
+    Args:
+        found: the segmentation.
+        label: heading, such as the name of the recording.
+    """
+    plural = "" if len(found) == 1 else "s"
+    rows = [f"{label}: {len(found)} segment{plural}" if label else f"{len(found)} segment{plural}"]
+    rows.append(f"{'from':>9} {'to':>9}  {'label':>5}  constraint")
+    ends = [None, *found.boundaries]
+    for segment, boundary in zip(found.segments, ends, strict=True):
+        start, stop = (float(found.times[i]) for i in (segment.start, segment.stop - 1))
+        label_text = "" if segment.resting else str(segment.label)
+        row = f"{start:>7.3f} s {stop:>7.3f} s  {label_text:>5}  {segment.name}"
+        if segment.identification is not None:
+            row += f" ({100 * segment.identification.probability:.0f} %)"
+        if boundary is not None:
+            low, high = (float(found.times[i]) for i in (boundary.earliest, boundary.latest))
+            row += f"; since {low:.3f} to {high:.3f} s ({100 * boundary.probability:.0f} %)"
+        rows.append(row)
+    return "\n".join(rows)
+
+
+def segments_to_record(
+    found: Segmentation | None, *, label: str | None = None, error: str | None = None
+) -> dict[str, Any]:
+    """An entry of the JSON document, in plain Python types.
+
+    Args:
+        found: the segmentation; None if there is none.
+        label: name of the recording.
+        error: why there is none.
+    """
+    record: dict[str, Any] = {"recording": label, "error": error}
+    if found is None:
+        return record
+    return record | {
+        "lag": found.lag,
+        "segments": [_segment_record(segment, found) for segment in found.segments],
+        "boundaries": [asdict(boundary) for boundary in found.boundaries],
+    }
+
+
+def _segment_record(segment: Segment, found: Segmentation) -> dict[str, Any]:
+    start, stop = (float(found.times[i]) for i in (segment.start, segment.stop - 1))
+    window = Window(segment.start, segment.stop, start, stop)
+    inner = None
+    if segment.identification is not None:
+        (inner,) = to_record(segment.identification, windows=[window])["windows"]
+    return {
+        "start": segment.start,
+        "stop": segment.stop,
+        "start_time": start,
+        "stop_time": stop,
+        "label": segment.label,
+        "name": segment.name,
+        "identification": inner,
+    }
+
+
+def segments_to_json(records: list[dict[str, Any]]) -> str:
+    """The JSON document of entries from :func:`segments_to_record`."""
+    return json.dumps({"schema": SCHEMA, "recordings": records}, indent=2, allow_nan=False)

@@ -1,0 +1,1 @@
+"""Sequences of constraints: where the constraint of a recording changes, and which holds between."""

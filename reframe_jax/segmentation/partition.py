@@ -1,0 +1,58 @@
+"""The best partition of a recording into spans, given what every span costs."""
+
+import numpy as np
+
+from reframe_jax.segmentation.blocks import Blocks, merge_blocks
+from reframe_jax.segmentation.spans import span_costs
+
+__all__ = ["boundary_price", "partition"]
+
+
+def boundary_price(blocks: Blocks) -> float:
+    """Cost of a boundary in nats: it may lie at any of the recording's independent motions."""
+    return float(np.log(max(np.sum(blocks.moving), 2)))
+
+
+def partition(blocks: Blocks, noise_ratio: float, reach: float) -> np.ndarray:
+    """Find the partition of the lowest cost.
+
+    Spans longer than the longest computed are put together from shorter ones, until nothing is gained.
+    Where the constraint changes, one block may belong to neither segment.
+
+    Returns:
+        (S, 2) first block of every segment, and the first behind it.
+    """
+    edges = np.arange(len(blocks.moving) + 1)
+    single = np.ones(len(blocks.moving), bool)
+    price = boundary_price(blocks)
+    while True:
+        costs = span_costs(merge_blocks(blocks, edges[:-1]), noise_ratio, reach)
+        chosen = _cheapest(costs, price, single)
+        kept = np.unique(np.concatenate([[0, len(edges) - 1], chosen.ravel()]))
+        if len(kept) == len(edges):
+            return edges[chosen]
+        edges = edges[kept]
+        single = np.diff(edges) == 1
+
+
+def _cheapest(costs: np.ndarray, price: float, single: np.ndarray) -> np.ndarray:
+    """Spans that cost least together, (S, 2)."""
+    number, longest = costs.shape
+    least, before = np.full(number + 1, np.inf), np.zeros(number + 1, int)
+    # at the end of a segment, and at the start of the next: one block may lie between them
+    ready, skipped = np.full(number + 1, np.inf), np.zeros(number + 1, bool)
+    ready[0] = -price
+    for end in range(1, number + 1):
+        starts = np.arange(max(0, end - longest), end)
+        total = ready[starts] + costs[starts, end - 1 - starts] + price
+        choice = int(np.argmin(total))
+        least[end], before[end] = total[choice], starts[choice]
+        skip = least[end - 1] if single[end - 1] and end > 1 else np.inf
+        skipped[end] = skip < least[end]
+        ready[end] = min(skip, least[end])
+    spans, end = [], number
+    while end > 0:
+        start = int(before[end])
+        spans.append((start, end))
+        end = start - 1 if skipped[start] else start
+    return np.asarray(spans[::-1])
