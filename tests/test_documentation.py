@@ -38,8 +38,7 @@ def run_code(page: str) -> dict[str, Any]:
     return names
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/tutorial.md", "docs/exports.md"])
-@pytest.mark.parametrize("page", ["README.md", "docs/tutorial.md", "docs/uncertainty.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/tutorial.md", "docs/exports.md", "docs/uncertainty.md"])
 @pytest.mark.filterwarnings("default")
 def test_code_runs(page: str, plain_jax: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
