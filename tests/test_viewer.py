@@ -1,8 +1,10 @@
 """The viewer: what is drawn, on a page in a real browser, and in one file without a network."""
 
 import builtins
+import gc
 import re
 import socket
+import warnings
 import webbrowser
 from collections.abc import Iterator
 from dataclasses import replace
@@ -24,6 +26,9 @@ from reframe_jax.viewer import Page, WindowTrack, serve_page, track_window, writ
 from reframe_jax.viewer.drawing import scene_box
 from reframe_jax.viewer.page import velocity_series
 
+# a connection that is cut off while the server stops is closed by the collector
+pytestmark = pytest.mark.filterwarnings("ignore:.*socket:pytest.PytestUnraisableExceptionWarning")
+
 POSES = 21
 WIDTH, HEIGHT = 1280, 800
 SCENE = slice(320, 870)  # columns of the picture with nothing but the scene
@@ -35,6 +40,14 @@ def record(label: str) -> tuple[np.ndarray, np.ndarray, rf.Identification]:
     poses = np.array(simulation.poses[:POSES])
     poses[7, :3, 3] += 0.15
     return poses, np.asarray(simulation.times[:POSES]), rf.identify(poses, dt=0.1)
+
+
+def close(page: Page) -> None:
+    """Close a page, and collect the sockets that the server's library leaves open, without its warnings."""
+    page.close()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)
+        gc.collect()
 
 
 @pytest.fixture(scope="module")
@@ -194,7 +207,7 @@ def test_the_page_shows_the_window_and_needs_no_network(browser: Any, tracks: li
         assert asked
         assert all(local.match(url) for url in asked), asked
     finally:
-        page.close()
+        close(page)
 
 
 def test_the_page_is_for_this_machine_only(tracks: list[WindowTrack]) -> None:
@@ -208,7 +221,7 @@ def test_the_page_is_for_this_machine_only(tracks: list[WindowTrack]) -> None:
         with pytest.raises(OSError, match="refused"):
             socket.create_connection(("127.0.0.2", port), timeout=5)
     finally:
-        page.close()
+        close(page)
 
 
 def test_playing_moves_the_body_and_starts_again(tracks: list[WindowTrack]) -> None:
@@ -222,7 +235,7 @@ def test_playing_moves_the_body_and_starts_again(tracks: list[WindowTrack]) -> N
         page.advance(1.5)
         np.testing.assert_allclose(body.position, tracks[0].poses[0, :3, 3])
     finally:
-        page.close()
+        close(page)
 
 
 def test_one_file_shows_the_same_without_a_network(
