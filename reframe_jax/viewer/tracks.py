@@ -25,8 +25,10 @@ class FrameTrack:
     Attributes:
         origins: (K+1, 3) m, of the linear frame.
         in_body: (3,) m, that origin in the body; None if it is fixed in the ground.
-        linear_axes, angular_axes: (K+1, 3, 3), columns are axes.
-        linear_free, angular_free: (3,) bool, which of them are free.
+        linear_axes: (K+1, 3, 3), columns are axes.
+        angular_axes: (K+1, 3, 3), columns are axes.
+        linear_free: (3,) bool, which of them are free.
+        angular_free: (3,) bool, likewise.
         twins: (K+1, 3) m, an origin that explains the window as well; None if there is none.
         spread: (3, 3) square root of the origin's covariance in the body it is fixed in, m; None if unknown.
         spread_axes: (K+1, 3, 3), columns are the axes of that body.
