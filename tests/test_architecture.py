@@ -152,14 +152,6 @@ def signature(name: str) -> str:
 
 NUMPY_TYPES = (ArrayLike, DTypeLike, *typing.get_args(ArrayLike), *typing.get_args(DTypeLike))
 
-# arguments that are still typed as Any: take a name off when its annotation says more
-UNTYPED = {
-    "Identification.__getitem__(index)",
-    "demonstrations(options)",  # those of demonstrate
-    "identify_many(options)",  # those of identify
-    "store_demonstrations(options)",  # those of demonstrate
-}
-
 
 def public_callables() -> dict[str, Callable[..., Any]]:
     """Functions, and methods of classes, of the flat name space and of the modules of the documentation."""
@@ -203,8 +195,7 @@ def test_public_arguments_have_types() -> None:
         for parameter in inspect.signature(function).parameters.values()
         if parameter.name not in ("self", "cls") and mentions_any(parameter.annotation)
     }
-    assert not untyped - UNTYPED, "arguments typed as Any"
-    assert not UNTYPED - untyped, "take these off the list UNTYPED"
+    assert not untyped, "arguments typed as Any"
 
 
 def test_the_check_of_types_sees_any() -> None:

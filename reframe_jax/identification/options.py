@@ -1,10 +1,11 @@
 """Options of the main entry: what they may be, and what the pipeline makes of them."""
 
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypedDict, get_args
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from reframe_jax.compilation import traced
 from reframe_jax.identification.classify import Thresholds
@@ -14,7 +15,7 @@ from reframe_jax.identification.widening import SearchSpace
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.solvers import Box, Solver
 
-__all__ = ["Lag", "as_dtype", "check_options", "lag_in_samples", "make_space"]
+__all__ = ["IdentifyOptions", "Lag", "as_dtype", "check_options", "lag_in_samples", "make_space"]
 
 _LONGEST = 2**30  # samples of a lag, far more than a window has
 _NEAR, _FAR = 1.0, 16.0  # m, half the width of the boxes that are searched by default
@@ -22,6 +23,18 @@ _FARTHEST = 1e6  # m, of bounds: far more than any mechanism, and powers of it a
 
 Lag = Literal["auto"] | int | float | np.ndarray | jax.Array
 """Samples, seconds or "auto"."""
+
+
+class IdentifyOptions(TypedDict, total=False):
+    """Keyword arguments of :func:`reframe_jax.identify` that functions which call it hand on."""
+
+    lag: Lag
+    norm: float
+    discretization: Discretization
+    thresholds: Thresholds | None
+    bounds: ArrayLike | tuple[ArrayLike, ArrayLike] | None
+    solver: Solver | None
+    key: jax.Array | None
 
 
 def lag_in_samples(lag: Lag, steps: Any, discretization: Discretization) -> tuple[LagRule, Any]:

@@ -7,6 +7,7 @@ arrays, which compare equal to the members, for a batch.
 
 from dataclasses import dataclass
 from enum import IntEnum
+from types import EllipsisType
 from typing import Any
 
 import jax
@@ -24,6 +25,10 @@ from reframe_jax.joints.joint import Joint
 from reframe_jax.motion.checks import Status
 
 __all__ = ["AllCandidates", "AngularFrame", "Candidates", "Identification", "LinearFrame", "PoseNoise"]
+
+_Item = int | slice | EllipsisType | None | np.ndarray | jax.Array
+Index = _Item | tuple[_Item, ...] | list[int]
+"""What indexes an array."""
 
 _ALIGNED = 15.0  # degrees within which two axes count as parallel or perpendicular
 _LEVERS = 0.03, 3.0  # m, between which the noise of positions over that of orientations is believed
@@ -228,7 +233,7 @@ class Identification:
     status_code: jax.Array
     warning_codes: jax.Array
 
-    def __getitem__(self, index: Any) -> "Identification":
+    def __getitem__(self, index: Index) -> "Identification":
         """Windows of a batch, indexed like an array."""
         return jax.tree.map(lambda leaf: leaf[index], self)
 

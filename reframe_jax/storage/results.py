@@ -5,22 +5,21 @@ Parquet file; :mod:`reframe_jax.storage.parts` says what that file promises. A k
 stopped, and machines that share a disk can share the parts.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import fields, is_dataclass
 from itertools import count, islice
 from operator import index
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any, Unpack, get_type_hints
 
 import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
 from reframe_jax.identification.entry import identify
-from reframe_jax.identification.results import (
-    Identification,
-)
+from reframe_jax.identification.options import IdentifyOptions
+from reframe_jax.identification.results import Identification
 from reframe_jax.storage.codecs import PARQUET
 from reframe_jax.storage.parts import Run
 from reframe_jax.storage.progress import Progress, make_meter
@@ -41,7 +40,7 @@ def identify_many(
     part_size: int = 8192,
     parts: Iterable[int] | None = None,
     progress: Progress | bool | None = None,
-    **options: Any,
+    **options: Unpack[IdentifyOptions],
 ) -> Path:
     """Identify any number of windows, write the results to a folder, and resume an interrupted run.
 
@@ -189,7 +188,7 @@ def _row_count(total: int | None, size: int, wanted: set[int] | None) -> int | N
 
 
 def _do_part(
-    run: Run, number: int, poses: np.ndarray, timing: dict[str, Any], options: dict[str, Any], source: str
+    run: Run, number: int, poses: np.ndarray, timing: dict[str, Any], options: Mapping[str, Any], source: str
 ) -> int:
     """Identify and write a part, or check the one that is there; returns its number of windows."""
     if run.has(number):
@@ -202,7 +201,7 @@ def _do_part(
     return len(poses)
 
 
-def _identify(poses: Any, timing: dict[str, Any], options: dict[str, Any]) -> Identification:
+def _identify(poses: Any, timing: dict[str, Any], options: Mapping[str, Any]) -> Identification:
     """Results on the host, in the precision of the poses whatever JAX is set to."""
     precise = np.asarray(poses[:0]).dtype != np.float32
     with jax.enable_x64(precise):

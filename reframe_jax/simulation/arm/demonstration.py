@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict, Unpack
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +27,7 @@ from reframe_jax.simulation.synthetic import Excitation
 
 __all__ = [
     "SPREAD",
+    "DemonstrateOptions",
     "Demonstration",
     "demonstrate",
     "demonstrations",
@@ -39,6 +40,21 @@ SPREAD = (0.4, 0.02)
 
 _ORIGIN = (0.05, 0.02, -0.12)  # m, from the TCP at home to the origin of a named constraint's frame
 _LONGEST = {"exact": 0.01, "mechanism": 0.0025}  # s, longest step at which a constraint is kept
+
+
+class DemonstrateOptions(TypedDict, total=False):
+    """Keyword arguments of :func:`demonstrate` that functions which call it hand on."""
+
+    duration: float
+    dt: float
+    step: float | None
+    excitation: str | Excitation
+    form: Literal["exact", "mechanism"]
+    spread: tuple[float, float]
+    guide: Guide
+    imperfections: Imperfections
+    arm: str | Arm
+    start: ArrayLike | None
 
 
 @jax.tree_util.register_dataclass
@@ -341,7 +357,7 @@ def demonstrations(
     chunk: int = 64,
     redraw: bool = True,
     progress: Callable[[int, int], None] | None = None,
-    **options: Any,
+    **options: Unpack[DemonstrateOptions],
 ) -> Iterator[Demonstration]:
     """Generate any number of demonstrations, in chunks that are compiled once.
 

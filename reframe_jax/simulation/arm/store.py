@@ -1,16 +1,16 @@
 """Demonstrations on disk: numbered parts, written completely or not at all, that a later run resumes."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import jax
 import numpy as np
 
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.types import AngularType, Dof, LinearType
-from reframe_jax.simulation.arm.demonstration import Demonstration, demonstrate
+from reframe_jax.simulation.arm.demonstration import DemonstrateOptions, Demonstration, demonstrate
 from reframe_jax.simulation.arm.redraw import draw_good
 from reframe_jax.simulation.arm.status import RolloutStatus
 from reframe_jax.storage.codecs import NPZ
@@ -49,7 +49,7 @@ def store_demonstrations(
     chunk: int = 64,
     redraw: bool = True,
     progress: Progress | bool | None = None,
-    **options: Any,
+    **options: Unpack[DemonstrateOptions],
 ) -> Path:
     """Simulate usable demonstrations into a folder, and resume from the parts already there.
 
@@ -158,7 +158,7 @@ def _dof(values: np.ndarray) -> Dof:
 
 
 def _describe_run(
-    constraint: str | ConstraintFrame, key: jax.Array, chunk: int, redraw: bool, options: dict[str, Any]
+    constraint: str | ConstraintFrame, key: jax.Array, chunk: int, redraw: bool, options: Mapping[str, Any]
 ) -> dict[str, Any]:
     """What the demonstrations depend on."""
     return {
