@@ -115,3 +115,20 @@ def test_derivative_with_the_noise_given(reduced, rng):
     slope = jax.jvp(moved, (jnp.zeros(()),), (jnp.ones(()),))[1]
     finite = (moved(jnp.asarray(1e-3)) - moved(jnp.asarray(-1e-3))) / 2e-3
     np.testing.assert_allclose(slope, finite, atol=1e-5 * float(jnp.max(jnp.abs(finite))))
+
+
+def test_noise_is_removed_with_automatic_chords_only():
+    """Where it is not, it still acts at the end of the lever, and the evidence says so."""
+    keys = jax.random.split(jax.random.key(7), 2)
+    poses = jax.vmap(lambda key: synthetic.simulate("A", key, noise=NOISE, dt=0.05, duration=4.0).poses)(keys)
+
+    @partial(jax.jit, static_argnames="rule")
+    def reduce(poses, lag, rule):
+        return reduce_windows(poses, jnp.full(80, 0.05), None, lag, rule, "chord")
+
+    automatic = reduce(poses, None, rule="auto")
+    given = reduce(poses, automatic.lag, rule="given")
+    assert np.all(np.asarray(automatic.lag) > 1)
+    assert np.all(np.asarray(automatic.axis.found) & np.asarray(given.axis.found))
+    assert np.all(np.asarray(automatic.alone))
+    assert not np.any(np.asarray(given.alone))

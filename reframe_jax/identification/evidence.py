@@ -178,7 +178,7 @@ def reduce_windows(
         _, maps = once(kinematics.velocity_components(poses, steps, discretization))
     rates, turns = kinematics.rates_of(maps), kinematics.rates_of(paths)
     axis = find_single_axis(motion.rotation, motion.counted, motion.share * motion.noise[1])
-    alone = axis.found & (motion.lag > 1)
+    alone = axis.found & (motion.lag > 1) & (rule == "auto")
     if rule == "auto":
         kept = axis._replace(found=alone)
 
