@@ -4,6 +4,7 @@ import builtins
 import gc
 import re
 import socket
+import time
 import warnings
 import webbrowser
 from collections.abc import Iterator
@@ -26,8 +27,8 @@ from reframe_jax.viewer import Page, WindowTrack, serve_page, track_window, writ
 from reframe_jax.viewer.drawing import scene_box
 from reframe_jax.viewer.page import velocity_series
 
-# a connection that is cut off while the server stops is closed by the collector
-pytestmark = pytest.mark.filterwarnings("ignore:.*socket:pytest.PytestUnraisableExceptionWarning")
+# connections that are cut off while a server stops are closed by the collector, sooner or later
+pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 
 POSES = 21
 WIDTH, HEIGHT = 1280, 800
@@ -42,9 +43,11 @@ def record(label: str) -> tuple[np.ndarray, np.ndarray, rf.Identification]:
     return poses, np.asarray(simulation.times[:POSES]), rf.identify(poses, dt=0.1)
 
 
-def close(page: Page) -> None:
-    """Close a page, and collect the sockets that the server's library leaves open, without its warnings."""
-    page.close()
+@pytest.fixture(scope="module", autouse=True)
+def collect_connections() -> Iterator[None]:
+    """Collect what the servers left open here, so that no test of another module is blamed for it."""
+    yield
+    time.sleep(0.5)  # their threads end
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ResourceWarning)
         gc.collect()
@@ -207,7 +210,7 @@ def test_the_page_shows_the_window_and_needs_no_network(browser: Any, tracks: li
         assert asked
         assert all(local.match(url) for url in asked), asked
     finally:
-        close(page)
+        page.close()
 
 
 def test_the_page_is_for_this_machine_only(tracks: list[WindowTrack]) -> None:
@@ -221,7 +224,7 @@ def test_the_page_is_for_this_machine_only(tracks: list[WindowTrack]) -> None:
         with pytest.raises(OSError, match="refused"):
             socket.create_connection(("127.0.0.2", port), timeout=5)
     finally:
-        close(page)
+        page.close()
 
 
 def test_playing_moves_the_body_and_starts_again(tracks: list[WindowTrack]) -> None:
@@ -235,7 +238,7 @@ def test_playing_moves_the_body_and_starts_again(tracks: list[WindowTrack]) -> N
         page.advance(1.5)
         np.testing.assert_allclose(body.position, tracks[0].poses[0, :3, 3])
     finally:
-        close(page)
+        page.close()
 
 
 def test_one_file_shows_the_same_without_a_network(
