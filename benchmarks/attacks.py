@@ -260,7 +260,7 @@ def _odd_value(rng: np.random.Generator, usual: np.ndarray) -> Any:
             warnings.simplefilter("ignore")
             return usual.astype(str(rng.choice(types)))
     if kind == 5:
-        return usual.reshape(rng.choice([-1, 1]), *usual.shape[1:]) if usual.ndim == 1 else usual[..., :3]
+        return usual[None] if usual.ndim == 1 else usual[..., :3]
     if kind == 6:
         return usual[: int(rng.integers(5))]
     if kind == 7:

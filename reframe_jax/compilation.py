@@ -9,13 +9,14 @@ is in kernels of our own, in which values stay in registers.
 """
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
 from typing import Any, TypeVar
 
 import jax
+import jax.numpy as jnp
 
-__all__ = ["chunk_size", "compiler_options", "inside_a_kernel", "once", "once_on_cpu", "traced"]
+__all__ = ["apply_each", "chunk_size", "compiler_options", "inside_a_kernel", "once", "once_on_cpu", "traced"]
 
 _CPU_OPTIONS: dict[str, Any] = {
     "xla_disable_hlo_passes": "cse_barrier_expander",  # the pass that drops the marks of once()
@@ -31,15 +32,19 @@ _inside_a_kernel: ContextVar[bool] = ContextVar("_inside_a_kernel", default=Fals
 _CHUNK = {"cpu": 32, "gpu": 65536}
 
 
-def compiler_options(platform: str | None = None) -> dict[str, Any]:
+def compiler_options(platform: str | None = None, single: bool = False) -> dict[str, Any]:
     """``compiler_options`` of ``jax.jit`` for identification.
 
     JAX takes them from the outermost ``jit`` only: give them to yours if you call ``identify`` inside one.
 
     Args:
         platform: ``"cpu"``, ``"gpu"``; by default that of JAX's default device.
+        single: whether the program is for a single window. Its arrays are short, so that machine code that
+            LLVM optimises less is as fast, and compiles sooner.
     """
-    return dict(_CPU_OPTIONS) if (platform or jax.default_backend()) == "cpu" else {}
+    if (platform or jax.default_backend()) != "cpu":
+        return {}
+    return {**_CPU_OPTIONS, **({"xla_backend_optimization_level": 1} if single else {})}
 
 
 def chunk_size() -> int:
@@ -55,6 +60,18 @@ def once(values: _T) -> _T:
 def once_on_cpu(values: _T) -> _T:
     """:func:`once` on a CPU; on a GPU XLA may fuse what computes the values with what reads them."""
     return once(values) if jax.default_backend() == "cpu" else values
+
+
+def apply_each(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
+    """Apply an elementwise function to pytrees of one shape, stacked so that it is compiled once for all.
+
+    In a GPU kernel, which holds no stacks, it is applied to one after the other.
+    """
+    if _inside_a_kernel.get():
+        return [function(item) for item in items]
+    stacked = once(jax.tree.map(lambda *leaves: jnp.stack(leaves), *items))
+    found = once(jax.vmap(function)(stacked))
+    return [jax.tree.map(lambda leaf, i=i: leaf[i], found) for i in range(len(items))]
 
 
 @contextlib.contextmanager

@@ -10,7 +10,7 @@ import pytest
 import reframe_jax as rf
 from reframe_jax.compilation import compiler_options
 from reframe_jax.geometry.rotations import rotation_exp
-from reframe_jax.identification.entry import _compiled, _compiled_for_cpu
+from reframe_jax.identification import programs
 from reframe_jax.simulation import metrics, synthetic
 from reframe_jax.solvers import Solution
 
@@ -198,14 +198,16 @@ class Middle:
 
 
 def test_one_trace_per_shape(mixed):
-    program = _compiled_for_cpu if jax.default_backend() == "cpu" else _compiled
+    on_cpu = jax.default_backend() == "cpu"
+    program = programs._reduce_chunks if on_cpu else programs.identify_compiled
     solver = Middle()
     rf.identify(mixed, dt=0.1, thresholds=rf.Thresholds(), solver=solver)
-    before = program._cache_size()
+    before, solved = program._cache_size(), programs._solve_chunks._cache_size()
     rf.identify(mixed + 0, dt=0.2, thresholds=rf.Thresholds(0.1, 0.02), bounds=0.8, solver=solver)
     assert program._cache_size() == before
     rf.identify(mixed[:, :40], dt=0.1, thresholds=rf.Thresholds(), solver=solver)
     assert program._cache_size() == before + 1
+    assert programs._solve_chunks._cache_size() == solved
 
 
 def test_float32_finds_the_same_frames_at_its_own_precision():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
-from reframe_jax.identification import entry
+from reframe_jax.identification import entry, programs
 from reframe_jax.simulation import synthetic
 from reframe_jax.solvers import Solution
 
@@ -71,14 +71,14 @@ def test_sizes_are_few_and_fit():
 def test_the_search_is_compiled_once_for_all_lengths(recording):
     """And what reduces poses to evidence once for every size they are padded to."""
     rf.identify(recording[:51], dt=DT)
-    solved, reduced = entry._solve._cache_size(), entry._reduce._cache_size()
+    solved, reduced = programs.solve_one._cache_size(), programs.reduce_one._cache_size()
     lengths = [60, 90, 97, 120, 128, 130, 170, 192, 200, 250]
     for count in lengths:
         assert rf.identify(recording[:count], dt=DT).name == "Pin-plane contact"
-    assert entry._solve._cache_size() == solved
+    assert programs.solve_one._cache_size() == solved
     sizes = {entry._padded_size(count) for count in lengths}
     assert sizes == {60, 96, 128, 192, 256}
-    assert entry._reduce._cache_size() - reduced <= len(sizes)
+    assert programs.reduce_one._cache_size() - reduced <= len(sizes)
 
 
 def test_pauses_change_nothing(recording):

@@ -14,6 +14,7 @@ from reframe_jax.geometry.symmetric import INDEX_PAIRS
 from reframe_jax.identification.classify import excess_over, tie_margin
 from reframe_jax.objectives.norms import principal_axes
 from reframe_jax.objectives.velocity import PositionObjective
+from reframe_jax.solvers.valley_steps import slope_and_curvature
 
 __all__ = ["coupled_positions"]
 
@@ -47,11 +48,11 @@ def coupled_positions(
     held = (dof == 0).astype(x.dtype)
     reference, _ = principal_axes(objective.covariance(x))
     margin = jnp.minimum(tie_margin(held, samples), _AS_STILL)
-    as_still = others
-    for i in range(3):
-        for sign in (1.0, -1.0):
-            rms, _ = principal_axes(objective.covariance(x + sign * _APART * basis[:, :, i].T))
-            as_still = as_still.at[:, i].set(as_still[:, i] & (excess_over(reference, rms, held) < margin))
+    ends = jnp.stack([x + sign * _APART * basis[:, :, i].T for i in range(3) for sign in (1.0, -1.0)], axis=1)
+    at_ends = PositionObjective(objective.moments[:, :, None], objective.exponent)
+    rms, _ = principal_axes(at_ends.covariance(ends))  # (6, N, 3)
+    still = excess_over(reference[None], rms, held[None]) < margin[None]
+    as_still = others & jnp.all(still.reshape(3, 2, -1), axis=1).T
     as_still = as_still & jnp.any(held > 0, axis=1)[:, None]
     return matmul3(basis * as_still[:, None, :].astype(x.dtype), basis.swapaxes(-1, -2))
 
@@ -62,11 +63,7 @@ def _principal_directions(
     """Directions of the principal curvatures, (N, 3, 3) columns, and which are not free, (N, 3) bool."""
     eye = jnp.eye(3, dtype=x.dtype)
 
-    def gradient(x: jax.Array) -> jax.Array:
-        return jax.grad(lambda y: jnp.sum(objective.value(y)))(x)
-
-    columns = [jax.jvp(gradient, (x,), (jnp.broadcast_to(e[:, None], x.shape),))[1] for e in eye]
-    curvature = jnp.moveaxis(jnp.stack(columns, axis=1), -1, 0)
+    curvature = symmetric.to_matrix(slope_and_curvature(objective, x)[1])
     others = eye[None] - free
     curvature = matmul3(others, matmul3(curvature, others))
     # free directions come last, and do not mix with the others

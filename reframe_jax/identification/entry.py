@@ -22,12 +22,16 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.compilation import chunk_size, compiler_options, traced
 from reframe_jax.identification.classify import Thresholds
-from reframe_jax.identification.evidence import Evidence, LagRule, reduce_windows
 from reframe_jax.identification.inputs import take_poses, take_steps
 from reframe_jax.identification.options import Lag, as_dtype, check_options, lag_in_samples, make_space
-from reframe_jax.identification.pipeline import identify_windows, solve_evidence
+from reframe_jax.identification.programs import (
+    identify_chunks,
+    identify_compiled,
+    identify_flat,
+    reduce_one,
+    solve_one,
+)
 from reframe_jax.identification.results import Identification
-from reframe_jax.identification.widening import SearchSpace
 from reframe_jax.motion.checks import Status
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.objectives.norms import check_exponent
@@ -122,14 +126,13 @@ def identify(
             make_space(bounds, dtype),
             key,
         )
-        static = {
+        static: dict[str, Any] = {
             "rule": rule,
             "exponent": exponent,
             "discretization": discretization,
             "solver": default_solver(exponent) if solver is None else solver,
         }
-        on_cpu = jax.default_backend() == "cpu" and not inside_a_trace
-        run = partial(_compiled_for_cpu if on_cpu else _compiled, **static)
+        run = partial(identify_compiled, **static)
         batch = array.shape[:-3]
         if not (inside_a_trace or batch):
             found = _single(array, steps, options, static)
@@ -140,7 +143,8 @@ def identify(
         else:
             windows = array.reshape(-1, *array.shape[-3:])
             steps = steps if steps.ndim == 1 else steps.reshape(-1, steps.shape[-1])
-            found = _in_pieces(run, windows, steps, options)
+            program = identify_chunks if jax.default_backend() == "cpu" else identify_compiled
+            found = _in_pieces(partial(program, **static), windows, steps, options)
             if len(batch) > 1:
                 found = jax.tree.map(lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), found)
     if wide and not _in_float64():
@@ -190,14 +194,13 @@ def _single(
     number = np.full(1, count, np.int32) if count > _SHORT or sizes else None
     lag, *others = options
     reduced = {name: static[name] for name in ("rule", "discretization")}
-    evidence = _reduce(poses[None], np.asarray(steps, poses.dtype), number, lag, **reduced)
+    evidence = reduce_one(poses[None], np.asarray(steps, poses.dtype), number, lag, **reduced)
     counted = evidence.counted[0, :count]
     if evidence.maps is None:
         # of one length for all
         evidence = replace(evidence, counted=np.ones((1, 1), bool))
     searched = {name: static[name] for name in ("rule", "exponent", "solver")}
-    found = jax.tree.map(lambda leaf: leaf[0], _solve(evidence, *others, **searched))
-    return replace(found, counted=counted)
+    return replace(solve_one(evidence, *others, **searched), counted=counted)
 
 
 def _padded_size(count: int) -> int:
@@ -291,7 +294,7 @@ def _on_mesh(
     size = max(1, _piece_size(count * windows_in_row) // windows_in_row)
     # by a program of its own: within one that identifies, XLA would transpose all poses instead of a piece
     rows = program(_rows, (True, False), size=size)
-    identify_rows = program(_identify, (True, own_steps, False, False, False, False), **run.keywords)
+    identify_rows = program(identify_flat, (True, own_steps, False, False, False, False), **run.keywords)
     parts = []
     for start in range(0, count, size):
         part = rows(poses, start), rows(steps, start) if own_steps else steps
@@ -329,70 +332,3 @@ def _workers() -> int:
     if jax.default_backend() != "cpu":
         return 1
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _identify(
-    poses: jax.Array,
-    steps: jax.Array,
-    lag: jax.Array | None,
-    thresholds: Thresholds | None,
-    space: SearchSpace,
-    key: jax.Array | None,
-    *,
-    rule: LagRule,
-    exponent: float,
-    discretization: Discretization,
-    solver: Solver,
-) -> Identification:
-    """Identify (..., K+1, 4, 4) poses, chunk by chunk."""
-    key = jax.random.key(0) if key is None else key
-    batch, shared = poses.shape[:-3], steps.ndim == 1
-    flat = poses.reshape(-1, *poses.shape[-3:])
-    steps = steps.astype(poses.dtype)
-    steps = steps if shared else steps.reshape(-1, steps.shape[-1])
-    lag = None if lag is None else jnp.broadcast_to(lag, batch).reshape(-1)
-
-    def of_windows(poses: jax.Array, steps: jax.Array, lag: jax.Array | None) -> Identification:
-        options = thresholds, space, key, rule, exponent, discretization, solver
-        return identify_windows(poses, steps, None, lag, *options)
-
-    count, chunk = flat.shape[0], chunk_size()
-    if count <= chunk:
-        found = of_windows(flat, steps, lag)
-    else:
-        chunks = -(-count // chunk)
-        split = (flat, None if shared else steps, lag)
-        if chunks * chunk > count:  # the last window fills the last chunk
-            fill = np.minimum(np.arange(chunks * chunk), count - 1)
-            split = jax.tree.map(lambda a: a[fill], split)
-        split = jax.tree.map(lambda a: a.reshape(chunks, chunk, *a.shape[1:]), split)
-        found = jax.lax.map(lambda part: of_windows(part[0], steps if shared else part[1], part[2]), split)
-        found = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:count], found)
-    return jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), found)
-
-
-def _solve_evidence(
-    evidence: Evidence,
-    thresholds: Thresholds | None,
-    space: SearchSpace,
-    key: jax.Array | None,
-    *,
-    rule: LagRule,
-    exponent: float,
-    solver: Solver,
-) -> Identification:
-    key = jax.random.key(0) if key is None else key
-    return solve_evidence(evidence, thresholds, space, key, rule, exponent, solver)
-
-
-_STATIC = ("rule", "exponent", "discretization", "solver")
-_compiled = jax.jit(_identify, static_argnames=_STATIC)
-_compiled_for_cpu = jax.jit(_identify, static_argnames=_STATIC, compiler_options=compiler_options("cpu"))
-_reduce = jax.jit(
-    reduce_windows, static_argnames=("rule", "discretization"), compiler_options=compiler_options()
-)
-_solve = jax.jit(
-    _solve_evidence,
-    static_argnames=("rule", "exponent", "solver"),
-    compiler_options=compiler_options(),
-)

@@ -5,7 +5,7 @@ The evidence has one shape whatever the length of the windows.
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -173,19 +173,11 @@ def reduce_windows(
     times = jnp.concatenate([jnp.zeros_like(steps[:, :1]), jnp.cumsum(steps, axis=1)], axis=1)
     times = jnp.broadcast_to(times, (len(poses), times.shape[1]))
     motion = _motion(poses, times, number, lag, rule)
-    maps, paths = once(kinematics.paths_of(motion.rotation, motion.position, steps, count))
-    if discretization != "chord":
-        _, maps = once(kinematics.velocity_components(poses, steps, discretization))
-    rates, turns = kinematics.rates_of(maps), kinematics.rates_of(paths)
     axis = find_single_axis(motion.rotation, motion.counted, motion.share * motion.noise[1])
     alone = axis.found & (motion.lag > 1) & (rule == "auto")
-    if rule == "auto":
-        kept = axis._replace(found=alone)
-
-        def of_axis(_: None) -> tuple[jax.Array, jax.Array]:
-            return kinematics.paths_of(keep_axis(motion.rotation, kept), motion.position, steps, count)
-
-        maps, paths = once(jax.lax.cond(jnp.any(alone), of_axis, lambda _: (maps, paths), None))
+    maps, paths, rates, turns = _paths(motion, steps, count, axis._replace(found=alone), rule)
+    if discretization != "chord":
+        rates, maps = once(kinematics.velocity_components(poses, steps, discretization))
     rates, velocities = _velocities(motion, times.T, (rates, turns), (maps, paths), rule, count is None)
     turned, _ = spread_of(turns, motion.counted)
     spread, mean = spread_of(paths, motion.counted)
@@ -281,6 +273,35 @@ def _motion(
     lag = jnp.minimum(one * lag, number - 1)
     weights = moving_chords(*jax.lax.stop_gradient((rotation, position)), counts, lag, noise)
     return _Motion(rotation, position, counts, noise, rounding, share, lag, weights)
+
+
+def _paths(
+    motion: _Motion, steps: jax.Array, count: jax.Array | None, axis: SingleAxis, rule: LagRule
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Velocities of single steps and paths, linear ones first, then angular ones.
+
+    The linear ones of windows with a single axis are those of rotations that keep it, the angular ones are
+    those of the rotations as they are.
+    """
+
+    def of_rotation(rotation: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return kinematics.paths_of(rotation, motion.position, steps, count)
+
+    if rule != "auto":
+        maps, paths = once(of_rotation(motion.rotation))
+        return maps, paths, kinematics.rates_of(maps), kinematics.rates_of(paths)
+
+    def go(before: tuple[jax.Array, jax.Array], kept: jax.Array) -> tuple[Any, Any]:
+        """As measured, then with the axis kept, by one program."""
+        found = axis.found & kept
+        rotation = keep_axis(motion.rotation, axis._replace(found=found))
+        after = jax.lax.cond(jnp.any(found) | ~kept, of_rotation, lambda _: before, rotation)
+        return after, tuple(kinematics.rates_of(x) for x in after)
+
+    shapes = jax.eval_shape(of_rotation, motion.rotation)
+    nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+    (maps, paths), (rates, turns) = jax.lax.scan(go, nothing, jnp.asarray([False, True]))
+    return once((maps, paths, rates[0], turns[0]))
 
 
 def _velocities(

@@ -10,6 +10,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
+from reframe_jax.compilation import once
 from reframe_jax.constraints.located import ground_offset
 from reframe_jax.identification.cautions import Caution, caution_codes
 from reframe_jax.identification.classify import (
@@ -73,7 +74,7 @@ def identify_windows(
 
     Arguments of :func:`reduce_windows` and :func:`solve_evidence`.
     """
-    evidence = reduce_windows(poses, steps, count, lag, rule, discretization)
+    evidence = once(reduce_windows(poses, steps, count, lag, rule, discretization))
     return solve_evidence(evidence, thresholds, space, key, rule, exponent, solver)
 
 

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from reframe_jax.objectives.velocity import PositionObjective
 from reframe_jax.solvers import BasinHopping, Box, Solution, ValleySteps
 from reframe_jax.solvers.blocks import update_marked
+from reframe_jax.solvers.valley_steps import slope_and_curvature
 
 __all__ = ["SearchSpace", "is_steep", "widen_search"]
 
@@ -38,7 +39,7 @@ class SearchSpace:
 def is_steep(objective: PositionObjective, box: Box, x: jax.Array) -> jax.Array:
     """Whether log J falls outwards from an origin (3, ...) on the faces of a box, (...) bool."""
     low, high = box.bounds(x)
-    slope = jax.grad(lambda x: jnp.sum(objective.value(x)))(x)
+    slope, _ = slope_and_curvature(objective, x)
     points = jnp.moveaxis(x, 0, -1)
     on_face = jnp.moveaxis(box.at_face(points), -1, 0)
     outwards = jnp.where(x > (low + high) / 2, -slope, slope) * (high - low) / 2

@@ -9,7 +9,7 @@ whatever the number of samples. They are stored coefficients first, problems las
 many problems is elementwise arithmetic on contiguous arrays.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -25,11 +25,14 @@ __all__ = [
     "covariance_at",
     "covariance_gradient",
     "covariance_hessian",
+    "covariance_on_line",
     "velocity_moments",
 ]
 
 Coefficients = Sequence[Sequence[jax.Array]] | jax.Array
 """Moments by component and monomial: an array (6, 10, ...), or its entries."""
+
+_Polynomial = Callable[[Sequence[jax.Array], Vector], jax.Array]  # of its coefficients and a point
 
 MONOMIALS = tuple((a, b) for a in range(4) for b in range(a, 4))
 """Pairs (a, b) whose product of (1, px, py, pz) is the monomial of each of the ten coefficients."""
@@ -128,32 +131,25 @@ def covariance_at(moments: Coefficients, position: Vector) -> Symmetric:
         position: (px, py, pz), arrays over the problems.
     """
     if len(moments[0]) == 1:
-        xx, xy, xz, yy, yz, zz = (moments[i][0] for i in range(6))
-        return xx, xy, xz, yy, yz, zz
-    x, y, z = position
+        return _each_component(moments, position, lambda q, _: q[0])
 
-    def component(q: Sequence[jax.Array] | jax.Array) -> jax.Array:
+    def value(q: Sequence[jax.Array], p: Vector) -> jax.Array:
+        x, y, z = p
         in_x = q[1] + x * q[4] + y * q[5] + z * q[6]
         in_y = q[2] + y * q[7] + z * q[8]
         return q[0] + x * in_x + y * in_y + z * (q[3] + z * q[9])
 
-    xx, xy, xz, yy, yz, zz = (component(moments[i]) for i in range(6))
-    return xx, xy, xz, yy, yz, zz
+    return _each_component(moments, position, value)
 
 
 def covariance_gradient(moments: Coefficients, position: Vector) -> tuple[Symmetric, ...]:
     """Derivatives of Sigma(p) with respect to px, py and pz."""
-    x, y, z = position
-
-    def slopes(q: Sequence[jax.Array] | jax.Array) -> Vector:
-        return (
-            q[1] + 2 * x * q[4] + y * q[5] + z * q[6],
-            q[2] + x * q[5] + 2 * y * q[7] + z * q[8],
-            q[3] + x * q[6] + y * q[8] + 2 * z * q[9],
-        )
-
-    xx, xy, xz, yy, yz, zz = (slopes(moments[i]) for i in range(6))
-    return tuple((xx[a], xy[a], xz[a], yy[a], yz[a], zz[a]) for a in range(3))
+    slopes: tuple[_Polynomial, ...] = (
+        lambda q, p: q[1] + 2 * p[0] * q[4] + p[1] * q[5] + p[2] * q[6],
+        lambda q, p: q[2] + p[0] * q[5] + 2 * p[1] * q[7] + p[2] * q[8],
+        lambda q, p: q[3] + p[0] * q[6] + p[1] * q[8] + 2 * p[2] * q[9],
+    )
+    return tuple(_each_component(moments, position, slope) for slope in slopes)
 
 
 def covariance_hessian(moments: Coefficients) -> tuple[Symmetric, ...]:
@@ -164,3 +160,24 @@ def covariance_hessian(moments: Coefficients) -> tuple[Symmetric, ...]:
         xx, xy, xz, yy, yz, zz = (factor * moments[i][monomial] for i in range(6))
         seconds.append((xx, xy, xz, yy, yz, zz))
     return tuple(seconds)
+
+
+def covariance_on_line(moments: Coefficients, direction: Vector) -> Symmetric:
+    """The coefficient of l^2 in Sigma(p + l d), the same for every p."""
+
+    def bend(q: Sequence[jax.Array], d: Vector) -> jax.Array:
+        x, y, z = d
+        return x * (x * q[4] + y * q[5] + z * q[6]) + y * (y * q[7] + z * q[8]) + z * z * q[9]
+
+    return _each_component(moments, direction, bend)
+
+
+def _each_component(moments: Coefficients, at: Vector, polynomial: _Polynomial) -> Symmetric:
+    """Values of a polynomial with the coefficients of each component; of an array, those of all at once."""
+    if isinstance(moments, jax.Array):
+        here = at[0][None], at[1][None], at[2][None]
+        values = once(polynomial([moments[:, m] for m in range(moments.shape[1])], here))
+        xx, xy, xz, yy, yz, zz = values
+    else:
+        xx, xy, xz, yy, yz, zz = (polynomial(q, at) for q in moments)
+    return xx, xy, xz, yy, yz, zz

@@ -25,7 +25,7 @@ from typing import NamedTuple, cast
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.compilation import once
+from reframe_jax.compilation import apply_each, once
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, Symmetric, Vector
 from reframe_jax.objectives.moments import (
@@ -33,12 +33,13 @@ from reframe_jax.objectives.moments import (
     covariance_at,
     covariance_gradient,
     covariance_hessian,
+    covariance_on_line,
 )
 from reframe_jax.objectives.norms import log_power_mean
 from reframe_jax.objectives.protocol import MomentsObjective, Objective
 from reframe_jax.solvers.box import Box
 
-__all__ = ["ValleySteps", "descend"]
+__all__ = ["ValleySteps", "descend", "slope_and_curvature"]
 
 _RIDGE = 1e-10  # of the Hessians, relative to the trace: keeps a free direction solvable
 
@@ -58,14 +59,20 @@ class _Expansion(NamedTuple):
 
 
 def _expand(moments: Coefficients, p: Vector, exponent: float) -> _Expansion:
-    sigma, slopes = once((covariance_at(moments, p), covariance_gradient(moments, p)))
+    sigma, slopes = covariance_at(moments, p), covariance_gradient(moments, p)
     seconds = covariance_hessian(moments)
     if exponent == 0:
         gradient, majorant, curvature = _derivatives_of_det(sigma, slopes, seconds)
     else:
         gradient, majorant, curvature = _derivatives_of_mean(sigma, slopes, seconds, exponent)
     hessian = cast(Symmetric, tuple(m + c for m, c in zip(majorant, curvature, strict=True)))
-    return once(_Expansion(sigma, slopes, gradient, majorant, hessian))
+    return _Expansion(sigma, slopes, *once((gradient, majorant, hessian)))
+
+
+def slope_and_curvature(objective: MomentsObjective, x: jax.Array) -> tuple[jax.Array, Symmetric]:
+    """Gradient, (3, ...), and Hessian of log J with respect to the origins x, (3, ...), in closed form."""
+    here = _expand(objective.moments, (x[0], x[1], x[2]), objective.exponent)
+    return jnp.stack(here.gradient) / 6, cast(Symmetric, tuple(h / 6 for h in here.hessian))
 
 
 def _derivatives_of_det(
@@ -94,7 +101,7 @@ def _derivatives_of_det(
         cx, cy, cz = xz + g21 * xy + g20 * xx, yz + g21 * yy + g20 * xy, zz + g21 * yz + g20 * xz
         return xx, bx, cx, by + g10 * bx, cy + g10 * cx, cz + g21 * cy + g20 * cx
 
-    turned = once([eliminated(slope) for slope in slopes])
+    turned = apply_each(eliminated, slopes)
     scale = (x * x, x * y, x * z, y * y, y * z, z * z)
 
     def trace(m: Symmetric) -> jax.Array:
@@ -106,7 +113,7 @@ def _derivatives_of_det(
         )
 
     gradient = tuple(trace(m) for m in turned)
-    majorant = tuple(trace(eliminated(m)) for m in seconds)
+    majorant = tuple(apply_each(lambda m: trace(eliminated(m)), seconds))
     curvature = tuple(-product(turned[a], turned[b]) for a, b in INDEX_PAIRS)
     return cast(Vector, gradient), cast(Symmetric, majorant), cast(Symmetric, curvature)
 
@@ -163,13 +170,9 @@ def _derivatives_of_mean(
 
 def _along(moments: Coefficients, slopes: tuple[Symmetric, ...], d: Vector) -> tuple[Symmetric, Symmetric]:
     """S1 and S2 of Sigma(p - l d) = Sigma(p) - l S1 + l^2 S2."""
-    first, second = [], []
-    for i in range(6):
-        q = moments[i]
-        first.append(d[0] * slopes[0][i] + d[1] * slopes[1][i] + d[2] * slopes[2][i])
-        in_x = d[0] * q[4] + d[1] * q[5] + d[2] * q[6]
-        second.append(d[0] * in_x + d[1] * (d[1] * q[7] + d[2] * q[8]) + d[2] * d[2] * q[9])
-    return once((cast(Symmetric, tuple(first)), cast(Symmetric, tuple(second))))
+    first = tuple(d[0] * in_x + d[1] * in_y + d[2] * in_z for in_x, in_y, in_z in zip(*slopes, strict=True))
+    second = covariance_on_line(moments, d)
+    return once(cast(Symmetric, first)), second
 
 
 def _hold(matrix: Symmetric, held: list[jax.Array], trace: jax.Array) -> Symmetric:
@@ -233,9 +236,9 @@ def descend(
         ]
         g = cast(Vector, tuple(jnp.where(held[i], 0, here.gradient[i]) for i in range(3)))
         trace = here.majorant[0] + here.majorant[3] + here.majorant[5]
-        down = symmetric.solve(_hold(here.majorant, held, trace), g)
-        newton = symmetric.solve(_hold(here.hessian, held, trace), g)
-        down, newton = once((down, newton))
+        down, newton = once(
+            apply_each(lambda m: symmetric.solve(_hold(m, held, trace), g), (here.majorant, here.hessian))
+        )
 
         # Newton's lengths, as far as the box allows, on the line along which Sigma is a quadratic
         slope = newton[0] * g[0] + newton[1] * g[1] + newton[2] * g[2]
@@ -244,11 +247,14 @@ def descend(
         lengths = [jnp.clip(1 / (1 + slope / m), -behind, ahead) for m in powers]
         lengths = once(lengths)
         first, second = _along(moments, here.slopes, newton)
+
+        def on_line(length: jax.Array) -> jax.Array:
+            terms = zip(here.sigma, first, second, strict=True)
+            sigma = tuple(s0 - length * (s1 - length * s2) for s0, s1, s2 in terms)
+            return _level(cast(Symmetric, sigma), exponent)
+
         chosen_length = jnp.zeros_like(best)
-        for length in lengths:
-            on_line = zip(here.sigma, first, second, strict=True)
-            sigma = tuple(s0 - length * (s1 - length * s2) for s0, s1, s2 in on_line)
-            value = once(_level(cast(Symmetric, sigma), exponent))
+        for length, value in zip(lengths, apply_each(on_line, lengths), strict=True):
             better = value < best  # false for NaN
             chosen_length = jnp.where(better, length, chosen_length)
             best = once(jnp.where(better, value, best))
@@ -258,12 +264,14 @@ def descend(
         chosen = once(cast(Vector, tuple(jnp.clip(c, low[i], high[i]) for i, c in enumerate(moved))))
 
         # the majorizing step, cut short at the box and projected onto it
-        for length in (once(_room(p, down, low, high)), jnp.ones_like(best)):
+        def trial(length: jax.Array) -> tuple[Vector, jax.Array]:
             moved = (p[i] - length * down[i] for i in range(3))
-            trial = once(cast(Vector, tuple(jnp.clip(c, low[i], high[i]) for i, c in enumerate(moved))))
-            value = once(_level(covariance_at(moments, trial), exponent))
+            there = once(cast(Vector, tuple(jnp.clip(c, low[i], high[i]) for i, c in enumerate(moved))))
+            return there, _level(covariance_at(moments, there), exponent)
+
+        for there, value in apply_each(trial, (once(_room(p, down, low, high)), jnp.ones_like(best))):
             better = value < best
-            picked = tuple(jnp.where(better, trial[i], chosen[i]) for i in range(3))
+            picked = tuple(jnp.where(better, there[i], chosen[i]) for i in range(3))
             chosen, best = once((cast(Vector, picked), jnp.where(better, value, best)))
         return chosen, best
 

@@ -1,0 +1,138 @@
+"""Compiled programs that identify: of a batch, of the chunks of a piece, of one recording.
+
+On a processor, a window passes two programs. The first reduces it to its evidence; the second, the large one,
+is the same for windows of all lengths.
+"""
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reframe_jax.compilation import chunk_size, compiler_options
+from reframe_jax.identification.classify import Thresholds
+from reframe_jax.identification.evidence import Evidence, LagRule, reduce_windows
+from reframe_jax.identification.pipeline import identify_windows, solve_evidence
+from reframe_jax.identification.results import Identification
+from reframe_jax.identification.widening import SearchSpace
+from reframe_jax.motion.kinematics import Discretization
+from reframe_jax.solvers import Solver
+
+__all__ = ["identify_chunks", "identify_compiled", "identify_flat", "reduce_one", "solve_one"]
+
+
+def identify_flat(
+    poses: jax.Array,
+    steps: jax.Array,
+    lag: jax.Array | None,
+    thresholds: Thresholds | None,
+    space: SearchSpace,
+    key: jax.Array | None,
+    *,
+    rule: LagRule,
+    exponent: float,
+    discretization: Discretization,
+    solver: Solver,
+) -> Identification:
+    """Identify (..., K+1, 4, 4) poses, chunk by chunk."""
+    key = jax.random.key(0) if key is None else key
+    batch, shared = poses.shape[:-3], steps.ndim == 1
+    flat = poses.reshape(-1, *poses.shape[-3:])
+    steps = steps.astype(poses.dtype)
+    steps = steps if shared else steps.reshape(-1, steps.shape[-1])
+    lag = None if lag is None else jnp.broadcast_to(lag, batch).reshape(-1)
+
+    def of_windows(poses: jax.Array, steps: jax.Array, lag: jax.Array | None) -> Identification:
+        options = thresholds, space, key, rule, exponent, discretization, solver
+        return identify_windows(poses, steps, None, lag, *options)
+
+    count, chunk = flat.shape[0], chunk_size()
+    if count <= chunk:
+        found = of_windows(flat, steps, lag)
+    else:
+        chunks = -(-count // chunk)
+        split = (flat, None if shared else steps, lag)
+        if chunks * chunk > count:  # the last window fills the last chunk
+            fill = np.minimum(np.arange(chunks * chunk), count - 1)
+            split = jax.tree.map(lambda a: a[fill], split)
+        split = jax.tree.map(lambda a: a.reshape(chunks, chunk, *a.shape[1:]), split)
+        found = jax.lax.map(lambda part: of_windows(part[0], steps if shared else part[1], part[2]), split)
+        found = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:count], found)
+    return jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), found)
+
+
+def _solve_evidence(
+    evidence: Evidence,
+    thresholds: Thresholds | None,
+    space: SearchSpace,
+    key: jax.Array | None,
+    *,
+    rule: LagRule,
+    exponent: float,
+    solver: Solver,
+) -> Identification:
+    key = jax.random.key(0) if key is None else key
+    return solve_evidence(evidence, thresholds, space, key, rule, exponent, solver)
+
+
+def _solve_first(evidence: Evidence, *others: Any, **static: Any) -> Identification:
+    """Of the only window."""
+    return jax.tree.map(lambda leaf: leaf[0], _solve_evidence(evidence, *others, **static))
+
+
+def _reduce_each_chunk(
+    poses: jax.Array,
+    steps: jax.Array,
+    lag: jax.Array | None,
+    *,
+    rule: LagRule,
+    discretization: Discretization,
+) -> Evidence:
+    """Evidence of (N, K+1, 4, 4) poses with an axis of chunks in front."""
+    shared, chunks = steps.ndim == 1, len(poses) // chunk_size()
+    steps = steps.astype(poses.dtype)
+    split = poses, None if shared else steps
+    split = jax.tree.map(lambda a: a.reshape(chunks, -1, *a.shape[1:]), split)
+
+    def reduce(part: tuple[jax.Array, jax.Array | None]) -> Evidence:
+        return reduce_windows(part[0], steps if part[1] is None else part[1], None, lag, rule, discretization)
+
+    return jax.lax.map(reduce, split)
+
+
+def _solve_each_chunk(evidence: Evidence, *others: Any, **static: Any) -> Identification:
+    found = jax.lax.map(lambda part: _solve_evidence(part, *others, **static), evidence)
+    return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), found)
+
+
+def identify_chunks(
+    poses: Any,
+    steps: Any,
+    lag: Any,
+    *others: Any,
+    rule: LagRule,
+    exponent: float,
+    discretization: Discretization,
+    solver: Solver,
+) -> Identification:
+    """Identify (N, K+1, 4, 4) poses, N a multiple of the size of a chunk, as :func:`identify_flat` does."""
+    evidence = _reduce_chunks(poses, steps, lag, rule=rule, discretization=discretization)
+    counted = evidence.counted
+    if evidence.maps is None:
+        evidence = replace(evidence, counted=np.ones((*counted.shape[:2], 1), bool))
+    found = _solve_chunks(evidence, *others, rule=rule, exponent=exponent, solver=solver)
+    return replace(found, counted=counted.reshape(len(poses), -1) & found.counted)
+
+
+_STATIC = ("rule", "exponent", "discretization", "solver")
+identify_compiled = jax.jit(identify_flat, static_argnames=_STATIC)
+_on_cpu = partial(jax.jit, compiler_options=compiler_options("cpu"))
+_reduce_chunks = _on_cpu(_reduce_each_chunk, static_argnames=("rule", "discretization"))
+_solve_chunks = _on_cpu(_solve_each_chunk, static_argnames=("rule", "exponent", "solver"))
+# of a single window: machine code that is optimised less compiles sooner and is as fast
+_for_one = partial(jax.jit, compiler_options=compiler_options(single=True))
+reduce_one = _for_one(reduce_windows, static_argnames=("rule", "discretization"))
+solve_one = _for_one(_solve_first, static_argnames=("rule", "exponent", "solver"))
