@@ -67,8 +67,9 @@ def curves(poses: np.ndarray, best: np.ndarray, *, full: bool, names: Sequence[s
     some = poses[np.arange(2048) % len(poses)]
     if "samples" in names:
         for samples in (25, 50, 100, 200, 400):
-            # repeated motion: what counts here is the number of samples
-            long = np.tile(some, (1, -(-(samples + 1) // some.shape[1]), 1, 1))[:, : samples + 1]
+            # to and fro: what counts here is the number of samples
+            there_and_back = np.concatenate([some, some[:, -2:0:-1]], axis=1)
+            long = there_and_back[:, np.arange(samples + 1) % there_and_back.shape[1]]
             measure("samples", samples, partial(rf.identify, long, dt=DT), len(some))
             print(flush=True)
     if "starts" in names:

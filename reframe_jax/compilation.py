@@ -26,6 +26,8 @@ if jax.__version_info__ < (0, 11):
     # the older of two code generators compiles twice as fast; jax 0.11 has one only
     _CPU_OPTIONS["xla_cpu_use_fusion_emitters"] = False
 
+_BLOCK, _SHARE = 8, 16  # problems are worked on by the eight, or by a sixteenth of all
+
 _T = TypeVar("_T")
 _inside_a_kernel: ContextVar[bool] = ContextVar("_inside_a_kernel", default=False)
 
@@ -72,6 +74,34 @@ def apply_each(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any
     stacked = once(jax.tree.map(lambda *leaves: jnp.stack(leaves), *items))
     found = once(jax.vmap(function)(stacked))
     return [jax.tree.map(lambda leaf, i=i: leaf[i], found) for i in range(len(items))]
+
+
+def update_marked(function: Callable[[Any], Any], marked: jax.Array, inputs: Any, outputs: Any) -> Any:
+    """Replace what belongs to the marked problems, gathered into full blocks; the others cost nothing.
+
+    Args:
+        function: from the inputs of a block of problems to their outputs.
+        marked: (N,) bool.
+        inputs: pytree of arrays (..., N).
+        outputs: pytree of arrays (..., N), as the function returns it.
+
+    Returns:
+        The outputs, new where marked.
+    """
+    problems = marked.size
+    size = max(min(problems, _BLOCK), problems // _SHARE)
+    order, count = jnp.argsort(~marked), jnp.sum(marked)  # the marked first, as they come
+
+    def block(i: jax.Array, outputs: Any) -> Any:
+        # tied to i: of a single problem XLA would see that every block is the same, and compute it anyway
+        i, of_all = jax.lax.optimization_barrier((i, inputs))
+        place = i * size + jnp.arange(size)
+        rows = order[jnp.minimum(place, problems - 1)]
+        found = function(jax.tree.map(lambda a: jnp.take(a, rows, axis=-1), of_all))
+        target = jnp.where(place < count, rows, problems)  # those of problems not marked are dropped
+        return jax.tree.map(lambda old, new: old.at[..., target].set(new, mode="drop"), outputs, found)
+
+    return jax.lax.fori_loop(0, (count + size - 1) // size, block, outputs)
 
 
 @contextlib.contextmanager

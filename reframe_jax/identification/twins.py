@@ -8,11 +8,11 @@ sampling error, those of the point halfway are clearly not, and no bound of the 
 import jax
 import jax.numpy as jnp
 
+from reframe_jax.compilation import update_marked
 from reframe_jax.identification.classify import excess_over, nearest_origin, tie_margin
 from reframe_jax.objectives.norms import principal_axes
 from reframe_jax.objectives.velocity import PositionObjective
 from reframe_jax.solvers import Box, Solution, ValleySteps
-from reframe_jax.solvers.blocks import update_marked
 
 __all__ = ["find_twins"]
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
+from reframe_jax.compilation import update_marked
 from reframe_jax.objectives.velocity import PositionObjective
 from reframe_jax.solvers import BasinHopping, Box, Solution, ValleySteps
-from reframe_jax.solvers.blocks import update_marked
 from reframe_jax.solvers.valley_steps import slope_and_curvature
 
 __all__ = ["SearchSpace", "is_steep", "widen_search"]

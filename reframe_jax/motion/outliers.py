@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.compilation import update_marked
 from reframe_jax.geometry import rotations
 from reframe_jax.geometry.products import matmul
 from reframe_jax.motion.noise import masked_median
@@ -35,16 +36,20 @@ def repair_poses(poses: jax.Array, times: jax.Array, count: jax.Array) -> tuple[
     if poses.shape[1] <= 2 * _HALF:
         return poses, own
 
-    def look(_: None) -> tuple[jax.Array, jax.Array]:
-        outliers = jax.lax.stop_gradient(jax.vmap(_find)(poses, times, count))
-        outliers = outliers & own
+    def look(block: tuple[jax.Array, ...]) -> jax.Array:
+        poses, times, count, own = (jnp.moveaxis(array, -1, 0) for array in block)
+        outliers = jax.vmap(_find)(poses, times, count) & own
         share = jnp.sum(outliers, axis=1, dtype=poses.dtype) / count.astype(poses.dtype)
-        many = share > _MOST
-        outliers = outliers & ~many[:, None]
-        return jax.vmap(_fill)(poses, times, own & ~outliers), own & ~outliers
+        return (own & ~(outliers & (share <= _MOST)[:, None])).T
 
-    suspicious = jnp.any(_is_suspicious(jax.lax.stop_gradient(poses), own))
-    return jax.lax.cond(suspicious, look, lambda _: (poses, own), None)
+    # windows last
+    inputs = jnp.moveaxis(jax.lax.stop_gradient(poses), 0, -1), times.T, count, own.T
+    counted = update_marked(look, _is_suspicious(jax.lax.stop_gradient(poses), own), inputs, own.T).T
+
+    def fill(_: None) -> jax.Array:
+        return jax.vmap(_fill)(poses, times, counted)
+
+    return jax.lax.cond(jnp.any(counted != own), fill, lambda _: poses, None), counted
 
 
 def _is_suspicious(poses: jax.Array, own: jax.Array) -> jax.Array:

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.compilation import update_marked
 from reframe_jax.objectives.protocol import Objective, check_objective
-from reframe_jax.solvers.blocks import update_marked
 from reframe_jax.solvers.box import Box
 from reframe_jax.solvers.kernel import step_chains
 from reframe_jax.solvers.problems import flatten_problems, repeat_problems
