@@ -1,17 +1,63 @@
-"""What the benchmarks share: the machine they ran on, and their metrics in a file."""
+"""What the benchmarks share: their command lines, the machine they ran on, and their metrics in a file."""
 
+import argparse
 import json
 import os
 import platform
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any, TypeVar
 
 import jax
 import numpy as np
 
 import reframe_jax
 
-__all__ = ["machine", "write_metrics"]
+__all__ = ["chosen_plan", "machine", "new_parser", "plan_parser", "write_metrics", "write_record"]
+
+_Plan = TypeVar("_Plan")
+
+
+def new_parser(name: str, doc: str | None) -> argparse.ArgumentParser:
+    """The parser of a benchmark, whose help is the docstring of its module."""
+    return argparse.ArgumentParser(
+        prog=f"python -m benchmarks.{name}",
+        description=doc,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+
+
+def plan_parser(name: str, doc: str | None, *, quick: str) -> argparse.ArgumentParser:
+    """The parser of a benchmark with a plan; ``quick`` says what ``--quick`` covers."""
+    parser = new_parser(name, doc)
+    add = parser.add_argument
+    add("--quick", action="store_true", help=quick)
+    add(
+        "--constraints",
+        dest="labels",
+        nargs="+",
+        choices=list(reframe_jax.CONSTRAINTS),
+        metavar="LABEL",
+        help="these only, A to L",
+    )
+    add("--sigmas", nargs="+", type=float, help="standard deviations of the position noise, m")
+    add("--json", type=Path, help="file to write all figures to")
+    return parser
+
+
+def chosen_plan(options: argparse.Namespace, plan: _Plan, quick: _Plan) -> _Plan:
+    """The plan, or the quick one, with the fields that options of their names set."""
+    start: Any = quick if options.quick else plan
+    given = {name: value for name, value in vars(options).items() if value is not None}
+    fields = {name: given[name] for name in given.keys() & vars(start).keys()}
+    return replace(start, **{name: tuple(x) if isinstance(x, list) else x for name, x in fields.items()})
+
+
+def write_record(file: Path | None, record: Mapping[str, Any]) -> None:
+    """Write figures as JSON, if there is a file to write them to."""
+    if file is not None:
+        file.write_text(json.dumps(record, indent=2) + "\n")
 
 
 def machine() -> str:
@@ -32,5 +78,4 @@ def machine() -> str:
 
 def write_metrics(file: Path | None, metrics: Mapping[str, float]) -> None:
     """Write metrics as JSON, if there is a file to write them to."""
-    if file is not None:
-        file.write_text(json.dumps({"metrics": dict(metrics)}, indent=2) + "\n")
+    write_record(file, {"metrics": dict(metrics)})

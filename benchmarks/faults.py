@@ -13,7 +13,6 @@ Each part prints what came of its inputs and how many faults there were; the fir
 exit code is 1 if there were any. ``--count 1000000 --kills 100`` is the full run.
 """
 
-import argparse
 import contextlib
 import io
 import json
@@ -44,7 +43,7 @@ from benchmarks.attacks import (
     attempt,
     sound_windows,
 )
-from benchmarks.common import machine
+from benchmarks.common import machine, new_parser
 from benchmarks.mutations import FORMATS, TOKENS, make_recording, mutated
 from reframe_jax.cli import program
 
@@ -268,11 +267,7 @@ def attack(count: int, kills: int, only: Sequence[str]) -> dict[str, Any]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the attacks; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.faults",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = new_parser("faults", __doc__)
     parser.add_argument("--count", type=int, default=5000, help="mutated inputs in all (5000)")
     parser.add_argument("--kills", type=int, default=3, help="runs that are killed (3)")
     parser.add_argument("--quick", action="store_true", help="a few inputs of every part, none killed")

@@ -29,7 +29,6 @@ windows/s, at 30 Tflop/s of an H200 in float64 100M/s. The run measures that sha
 copies and multiplies, and prints the gap to the floors that follow.
 """
 
-import argparse
 import json
 import re
 import time
@@ -45,7 +44,7 @@ import numpy as np
 
 import reframe_jax as rf
 from benchmarks import contestants, scaling
-from benchmarks.common import machine
+from benchmarks.common import machine, new_parser
 from benchmarks.dual_annealing import DT, MISS, best_known, errors_mm, make_windows
 from benchmarks.timing import jit, machine_floors, peak_above, timed
 from reframe_jax.identification.entry import default_solver
@@ -302,11 +301,7 @@ def gate(metrics: dict[str, float], baseline: Path) -> list[str]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Command line of the benchmark."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.identification",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = new_parser("identification", __doc__)
     add = parser.add_argument
     add("--windows", type=int, default=Size.windows, help="windows to identify (12288)")
     add("--quick", action="store_true", help="under a minute: 1536 windows, and less of the rest")

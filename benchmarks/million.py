@@ -8,7 +8,6 @@ identified again by themselves, are the same.
 Start it again with the same ``--out`` after it was stopped, and it goes on.
 """
 
-import argparse
 import json
 import os
 import tempfile
@@ -21,7 +20,7 @@ import jax
 import numpy as np
 
 import reframe_jax as rf
-from benchmarks.common import machine
+from benchmarks.common import machine, new_parser
 from benchmarks.timing import peak_above
 from reframe_jax.simulation import synthetic
 
@@ -111,11 +110,7 @@ def run(count: int, part_size: int, folder: Path, again: int = 256) -> dict[str,
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Command line of the benchmark."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.million",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = new_parser("million", __doc__)
     add = parser.add_argument
     add("--windows", type=int, default=1_000_000, help="windows to identify (1,000,000)")
     add("--part-size", type=int, default=8192, help="windows in a part (8192)")

@@ -16,13 +16,10 @@ estimate has 0.7 (one unknown) to 0.9 (three). The bounds of E to H are those fo
 left out. Right are the types (ties accepted), the numbers of degrees of freedom, and the name.
 """
 
-import argparse
-import json
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -31,7 +28,7 @@ import numpy as np
 
 import reframe_jax as rf
 from benchmarks.bounds import cramer_rao
-from benchmarks.common import machine
+from benchmarks.common import chosen_plan, machine, plan_parser, write_record
 from benchmarks.fits import LINE_FITS, QUANTITIES, Scores, Windows, anneal, line_scores, scores
 from benchmarks.lags import identify_at, takes_lag
 from benchmarks.timing import timed
@@ -275,16 +272,9 @@ def report(plan: Plan, table: dict[str, np.ndarray], times: list[dict[str, Any]]
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Command line of the benchmark."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.noise",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = plan_parser("noise", __doc__, quick="about a minute: one motion, two noise levels, two rates")
     add = parser.add_argument
-    add("--quick", action="store_true", help="about a minute: one motion, two noise levels, two rates")
-    add("--constraints", nargs="+", choices=list(rf.CONSTRAINTS), metavar="LABEL", help="these only, A to L")
     add("--motions", nargs="+", choices=list(EXCITATIONS), help="these only")
-    add("--sigmas", nargs="+", type=float, help="standard deviations of the position noise, m")
     add("--rates", nargs="+", type=float, help="sampling rates, Hz")
     add("--windows", type=int, help="of every constraint, motion, noise level and rate")
     add("--annealed", type=int, help="of every constraint, by dual annealing")
@@ -293,20 +283,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         choices=list(ERRORS),
         help="what is added to the white noise; the bound knows nothing of it",
     )
-    add("--json", type=Path, help="file to write all figures to")
-    options = vars(parser.parse_args(argv))
-    file, quick, labels = options.pop("json"), options.pop("quick"), options.pop("constraints")
-    chosen: dict[str, Any] = {
-        name: tuple(x) if isinstance(x, list) else x for name, x in options.items() if x is not None
-    }
-    if labels:
-        chosen["labels"] = tuple(labels)
-    plan = replace(QUICK if quick else Plan(), **chosen)
+    options = parser.parse_args(argv)
+    plan = chosen_plan(options, Plan(), QUICK)
     jax.config.update("jax_enable_x64", True)
     print(f"windows of {DURATION:g} s, {plan.errors} noise; {machine()}")
-    record = report(plan, *run(plan))
-    if file is not None:
-        file.write_text(json.dumps(record, indent=2) + "\n")
+    write_record(options.json, report(plan, *run(plan)))
     return 0
 
 

@@ -15,7 +15,6 @@ and the paper's thresholds). By the name of the file:
 The positions of trackers are far better than their rotations, so circle and line serve as the truth.
 """
 
-import argparse
 import json
 import sys
 from collections.abc import Sequence
@@ -28,7 +27,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 import reframe_jax as rf
-from benchmarks.common import machine
+from benchmarks.common import machine, new_parser
 from benchmarks.lags import identify_at, takes_lag
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
@@ -225,11 +224,7 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, float]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Command line of the benchmark."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.real",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = new_parser("real", __doc__)
     parser.add_argument("--data", type=Path, default=DATA, help="folder of recordings (../shared/data)")
     parser.add_argument("--only", nargs="+", metavar="PREFIX", help="files whose names start so")
     parser.add_argument("--json", type=Path, help="file to write all figures to")

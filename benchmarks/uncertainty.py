@@ -13,12 +13,10 @@
 Windows of 5 s at 20 Hz with random geometry, measured with noise whose ratio of rad to m is 3.
 """
 
-import argparse
 import itertools
-import json
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +24,7 @@ import jax
 import numpy as np
 
 import reframe_jax as rf
-from benchmarks.common import machine
+from benchmarks.common import chosen_plan, machine, plan_parser, write_record
 from reframe_jax.constraints import AngularType, ConstraintFrame, LinearType, lookup
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.plotting.style import BODY, LINES, new_figure
@@ -285,35 +283,18 @@ def report(plan: Plan, picture: Path | None) -> dict[str, Any]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Command line of the benchmark."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.uncertainty",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = plan_parser("uncertainty", __doc__, quick="a few minutes: two noise levels, few windows")
     add = parser.add_argument
-    add("--quick", action="store_true", help="a few minutes: two noise levels, few windows")
-    add("--constraints", nargs="+", choices=list(rf.CONSTRAINTS), metavar="LABEL", help="these only, A to L")
     add("--motion", choices=["exciting", "hand", "sine", "slow", "reach"], help="of the windows")
-    add("--sigmas", nargs="+", type=float, help="standard deviations of the position noise, m")
     add("--windows", type=int, help="of every constraint and noise level")
     add("--slow", type=float, help="m, standard deviation of an error that changes slowly")
     add("--errors", choices=["measured", "white"], help="of the covariance; see reframe_jax.covariance")
     add("--plot", type=Path, help="file of the reliability diagram")
-    add("--json", type=Path, help="file to write all figures to")
-    options = vars(parser.parse_args(argv))
-    file, quick, picture = options.pop("json"), options.pop("quick"), options.pop("plot")
-    labels = options.pop("constraints")
-    chosen: dict[str, Any] = {
-        name: tuple(x) if isinstance(x, list) else x for name, x in options.items() if x is not None
-    }
-    if labels:
-        chosen["labels"] = tuple(labels)
-    plan = replace(QUICK if quick else Plan(), **chosen)
+    options = parser.parse_args(argv)
+    plan = chosen_plan(options, Plan(), QUICK)
     jax.config.update("jax_enable_x64", True)
     print(f"{plan.motion} motion, covariance from {plan.errors} errors; {machine()}")
-    record = report(plan, picture)
-    if file is not None:
-        file.write_text(json.dumps(record, indent=2) + "\n")
+    write_record(options.json, report(plan, options.plot))
     return 0
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import reframe_jax
-from reframe_jax.cli import configuring, program
+from reframe_jax.cli import configuring, program, reading
 from reframe_jax.cli import identify as command
 from reframe_jax.constraints.catalogue import CONSTRAINTS, OTHER_CONSTRAINTS
 from reframe_jax.constraints.frame import ConstraintFrame
@@ -127,7 +127,7 @@ def test_no_error_of_a_file_loses_the_others(
             raise error
         return load_recording(path, **options)
 
-    monkeypatch.setattr(command, "load_recording", load)
+    monkeypatch.setattr(reading, "load_recording", load)
     assert run(clip, bad, "--json", "-") == 1
     out, err = capsys.readouterr()
     problem = f"{bad}: {type(error).__name__}: {error}"

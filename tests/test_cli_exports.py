@@ -18,6 +18,7 @@ import yaml
 
 from reframe_jax.cli import identify as command
 from reframe_jax.cli import program
+from reframe_jax.cli.reading import expand
 from reframe_jax.identification.entry import identify
 from reframe_jax.recordings.reading import load_recording
 from reframe_jax.recordings.writing import save_recording
@@ -137,8 +138,8 @@ def test_patterns_that_match_nothing_are_missing_files(tmp_path: Path, capsys: C
     assert capsys.readouterr().err == f"reframe-jax: error: {problem}\n"
     odd = tmp_path / "run[1].csv"
     odd.write_text("t,x,y,z\n")
-    assert command._expand(odd) == [odd]
-    assert command._expand(tmp_path / "**" / "run*") == [odd]
+    assert expand([odd]) == [odd]
+    assert expand([tmp_path / "**" / "run*"]) == [odd]
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""``reframe-jax topics``, and the options of ``identify`` that it names."""
+"""``reframe-jax topics``, and the options of the other commands that it names."""
 
 import argparse
 from pathlib import Path
@@ -9,10 +9,9 @@ import pytest
 from bag_files import POSE, START, TF, Messages, write_bag
 from export_files import motion, motive
 
-from reframe_jax.cli import identify as command
-from reframe_jax.cli import program
+from reframe_jax.cli import identify, program, segment, view
 from reframe_jax.recordings.reading import load_recording
-from reframe_jax.recordings.recording import Recording
+from reframe_jax.recordings.recording import Recording, RecordingError
 
 Captured = pytest.CaptureFixture[str]
 
@@ -61,6 +60,7 @@ def test_files_that_cannot_be_listed(tmp_path: Path, capsys: Captured) -> None:
     assert second == f"reframe-jax: error: {missing}: cannot be read: No such file or directory."
 
 
+@pytest.mark.parametrize("command", ["identify", "segment", "view"])
 @pytest.mark.parametrize(
     "options",
     [
@@ -69,18 +69,29 @@ def test_files_that_cannot_be_listed(tmp_path: Path, capsys: Captured) -> None:
     ],
 )
 def test_options_of_reading_reach_the_reader(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator, options: dict[str, Any]
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    rng: np.random.Generator,
+    command: str,
+    options: dict[str, Any],
 ) -> None:
     bag, read = write(tmp_path, motion(rng)), []
 
     def windows(recording: Recording, options: argparse.Namespace) -> Any:
-        read.append(recording)
-        raise ValueError("enough")
+        read.append((recording.times, recording.poses))
+        raise RecordingError("enough")
 
-    monkeypatch.setattr(command, "identify_recording", windows)
+    def segments(poses: np.ndarray, times: np.ndarray, **options: Any) -> Any:
+        read.append((times, poses))
+        raise RecordingError("enough")
+
+    monkeypatch.setattr(identify, "identify_recording", windows)
+    monkeypatch.setattr(view, "identify_recording", windows)
+    monkeypatch.setattr(segment, "segment", segments)
     names = {"from_frame": "--from", "to_frame": "--to"}
     words = [word for name, value in options.items() for word in (names.get(name, f"--{name}"), str(value))]
-    assert program.main(["identify", "--no-cache", str(bag), *words]) == 1
+    assert program.main([command, "--no-cache", str(bag), *words]) == 1
     expected = load_recording(bag, **options)
-    np.testing.assert_array_equal(read[0].poses, expected.poses)
-    np.testing.assert_array_equal(read[0].times, expected.times)
+    ((times, poses),) = read
+    np.testing.assert_array_equal(poses, expected.poses)
+    np.testing.assert_array_equal(times, expected.times)

@@ -77,6 +77,9 @@ def test_wrong_options_are_refused_before_anything_is_read(
         (["--plot", str(tmp_path)], "is a directory"),
         (["--lag", "0"], "positive whole number"),
         (["--reach", "no"], "expected a number"),
+        (["--unit", "mile"], "invalid choice"),
+        (["no/missing.csv", "--plot", str(tmp_path / "a.png")], "recordings with different names"),
+        (["--plot", str(tmp_path / "a.txt")], "must end in .png"),
     ):
         with pytest.raises(SystemExit):
             program.main(["segment", "missing.csv", *options])

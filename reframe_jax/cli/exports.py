@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from reframe_jax.cli.outputs import path_of
 from reframe_jax.export.columns import Columns, write_csv, write_parquet
 from reframe_jax.export.mjcf import to_mjcf
 from reframe_jax.export.sdf import to_sdf
@@ -16,7 +17,7 @@ from reframe_jax.identification.results import Identification
 from reframe_jax.joints.joint import Joint
 from reframe_jax.recordings.recording import Recording
 
-__all__ = ["add_exports", "check_exports", "path_of", "write_joint_files", "write_tables"]
+__all__ = ["add_exports", "check_exports", "write_joint_files", "write_tables"]
 
 _ROBOTS: dict[str, Callable[[Joint], str]] = {"urdf": to_urdf, "mjcf": to_mjcf, "sdf": to_sdf}
 _DOCUMENTS: dict[str, Callable[[TaskFrame], str]] = {
@@ -66,11 +67,6 @@ def check_exports(options: argparse.Namespace) -> None:
         options.usage_error(f"--task-frame must end in {expected}, not {options.task_frame.name!r}.")
     if not options.parent or options.parent == options.child:
         options.usage_error("--parent and --child must be two different names.")
-
-
-def path_of(out: Path, recording: Path, options: argparse.Namespace) -> Path:
-    """Where a file of one recording goes: its name is added if there are several recordings."""
-    return out.with_stem(f"{out.stem}-{recording.stem}") if len(options.files) > 1 else out
 
 
 def write_joint_files(recording: Recording, found: Identification, options: argparse.Namespace) -> list[str]:

@@ -1,8 +1,8 @@
 """``reframe-jax identify``: the constraints of recordings."""
 
 import argparse
-import glob
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +12,12 @@ import numpy as np
 from reframe_jax.cli import arguments
 from reframe_jax.cli.commands import add_command
 from reframe_jax.cli.configuring import configure_jax
-from reframe_jax.cli.exports import add_exports, check_exports, path_of, write_joint_files, write_tables
-from reframe_jax.cli.reading import add_reading, reading_options
+from reframe_jax.cli.exports import add_exports, check_exports, write_joint_files, write_tables
+from reframe_jax.cli.outputs import add_outputs, check_outputs, draw, write_document
+from reframe_jax.cli.reading import add_reading, expand, read_recording
 from reframe_jax.cli.speaking import say, show
 from reframe_jax.cli.summary import summary_table
+from reframe_jax.cli.windows import add_windows, check_windows
 from reframe_jax.export.columns import Columns, to_columns
 from reframe_jax.export.common import Window
 from reframe_jax.export.json import to_document, to_record
@@ -23,18 +25,16 @@ from reframe_jax.export.table import to_table
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.entry import identify
 from reframe_jax.identification.results import Identification
-from reframe_jax.motion.checks import MIN_VELOCITIES, Status
+from reframe_jax.motion.checks import Status
 from reframe_jax.motion.windows import sliding_windows
-from reframe_jax.recordings.reading import load_recording
 from reframe_jax.recordings.recording import Recording, RecordingError
 from reframe_jax.storage.progress import make_meter
 from reframe_jax.uncertainty.covariance import covariance
 from reframe_jax.uncertainty.excitation import excitation
 
-__all__ = ["add_identify", "check_plot", "identify_recording"]
+__all__ = ["add_identify", "identify_recording"]
 
 _CHUNK = 2048  # windows between two reports of progress
-_PICTURES = (".png", ".pdf", ".svg", ".jpg", ".webp")
 
 
 _IDENTIFY = """\
@@ -65,8 +65,7 @@ def add_identify(commands: Any) -> None:
         help="between the two poses of a velocity: a number of samples (10), a time (0.5s), or auto, as "
         "short as the noise allows (auto); 1 is the paper's",
     )
-    add("--window", type=arguments.whole, metavar="N", help="poses per window (all)")
-    add("--stride", type=arguments.whole, metavar="M", help="poses between the starts of two windows (N)")
+    add_windows(command)
     add(
         "--norm",
         type=arguments.exponent,
@@ -105,19 +104,13 @@ def add_identify(commands: Any) -> None:
         action="store_true",
         help="say in plain words what was found, how sure that is (95 %%), and which motion would tell more",
     )
-    add("--json", metavar="OUT", help="write the results as JSON; - prints them instead of tables")
-    add(
-        "--plot",
-        type=Path,
-        metavar="OUT.png",
-        help="draw the result; of several recordings, to OUT-NAME.png each",
-    )
+    add_outputs(command)
     add_reading(command)
     add_exports(command)
 
 
 def _identify(options: argparse.Namespace) -> int:
-    options.files = [path for pattern in options.files for path in _expand(pattern)]
+    options.files = expand(options.files)
     _check(options)
     configure_jax(options.cache)
     records: list[dict[str, Any]] = []
@@ -134,25 +127,11 @@ def _identify(options: argparse.Namespace) -> int:
     several = sum(record["error"] is None for record in records) > 1
     if options.json != "-" and (several or options.summary):
         show(summary_table(records))
-    for problem in write_tables(tables, options):
-        say(f"reframe-jax: error: {problem}")
-        failed = True
-    try:
-        if options.json == "-":
-            show(to_document(records))
-        elif options.json is not None:
-            Path(options.json).write_text(to_document(records) + "\n", encoding="utf-8")
-    except OSError as error:
-        say(f"reframe-jax: error: {options.json}: cannot be written: {error.strerror}.")
-        failed = True
+    for problem in [*write_tables(tables, options), write_document(partial(to_document, records), options)]:
+        if problem is not None:
+            say(f"reframe-jax: error: {problem}")
+            failed = True
     return int(failed)
-
-
-def _expand(pattern: Path) -> list[Path]:
-    """The files that a pattern matches, sorted; the pattern itself if there is none, or if it is a file."""
-    if not glob.has_magic(str(pattern)) or pattern.exists():
-        return [pattern]
-    return [Path(name) for name in sorted(glob.glob(str(pattern), recursive=True))] or [pattern]
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -160,36 +139,12 @@ def _check(options: argparse.Namespace) -> None:
     check_exports(options)
     if options.discretization != "chord" and options.lag not in ("auto", 1):
         options.usage_error("--discretization left takes velocities from consecutive poses: leave out --lag.")
-    if options.window is None:
-        if options.stride is not None:
-            options.usage_error("--stride needs --window.")
-        options.stride = 1
-    else:
-        if options.window < MIN_VELOCITIES + 1:
-            options.usage_error(f"--window must be at least {MIN_VELOCITIES + 1} poses.")
-        if options.plot is not None:
-            options.usage_error("--plot draws whole recordings: leave out --window.")
-        options.stride = options.window if options.stride is None else options.stride
-    if options.stride < 1:
-        options.usage_error("--stride must be at least 1.")
+    check_windows(options)
+    if options.plot is not None and options.window is not None:
+        options.usage_error("--plot draws whole recordings: leave out --window.")
     if options.explain and options.window is not None:
         options.usage_error("--explain explains whole recordings: leave out --window.")
-    if options.plot is not None:
-        check_plot(options)
-    stems = {path.stem for path in options.files}
-    if options.plot is not None and len(stems) < len(options.files):
-        options.usage_error("--plot needs recordings with different names.")
-
-
-def check_plot(options: argparse.Namespace) -> None:
-    """Refuse, before anything is computed, what could not be drawn after it."""
-    out: Path = options.plot
-    if out.is_dir():
-        options.usage_error(f"--plot must name a file; {out} is a directory.")
-    if out.suffix.lower() not in _PICTURES:
-        options.usage_error(f"--plot must end in {', '.join(_PICTURES)}, not {out.name!r}.")
-    if not out.parent.is_dir():
-        options.usage_error(f"--plot: there is no directory {out.parent}.")
+    check_outputs(options)
 
 
 def _identify_file(path: Path, options: argparse.Namespace, tables: list[Columns]) -> dict[str, Any]:
@@ -199,9 +154,7 @@ def _identify_file(path: Path, options: argparse.Namespace, tables: list[Columns
     """
     recording, found, windows, problem = None, None, None, None
     try:
-        recording = load_recording(path, **reading_options(options))
-        for note in recording.notes:
-            say(f"reframe-jax: {path}: {note}")
+        recording = read_recording(path, options)
         found, windows = identify_recording(recording, options)
         for warning in found.warnings if options.window is None else []:
             say(f"reframe-jax: {path}: {warning}")
@@ -210,7 +163,7 @@ def _identify_file(path: Path, options: argparse.Namespace, tables: list[Columns
         if options.explain and options.json != "-" and problem is None:
             show(_explanation(recording, found, options), end="\n\n")
         if options.plot is not None and problem is None:
-            problem = _plot(recording, found, options)
+            problem = draw(partial(_figure, recording, found, options), recording.path, options)
         if options.window is None and problem is None:
             problem = "; ".join(write_joint_files(recording, found, options)) or None
     except RecordingError as error:
@@ -294,25 +247,15 @@ def _identify_windows(poses: np.ndarray, times: np.ndarray, options: argparse.Na
     )
 
 
-def _plot(recording: Recording, found: Identification, options: argparse.Namespace) -> str | None:
-    """Draw a recording; returns what is wrong if it cannot be drawn."""
+def _figure(recording: Recording, found: Identification, options: argparse.Namespace) -> Any:
     from reframe_jax.plotting import plot_identification
 
-    out = path_of(options.plot, recording.path, options)
-    try:
-        figure = plot_identification(
-            recording.poses,
-            found,
-            times=recording.times,
-            thresholds=_thresholds(options),
-            discretization=options.discretization,
-            lag=options.lag,
-            title=f"{recording.path.name}: {found.name}",
-        )
-    except ImportError as error:
-        return str(error)
-    try:
-        figure.savefig(out)
-    except (OSError, ValueError) as error:
-        return f"{out}: cannot be written: {getattr(error, 'strerror', None) or error}."
-    return None
+    return plot_identification(
+        recording.poses,
+        found,
+        times=recording.times,
+        thresholds=_thresholds(options),
+        discretization=options.discretization,
+        lag=options.lag,
+        title=f"{recording.path.name}: {found.name}",
+    )

@@ -1,12 +1,17 @@
-"""The options that select what is read from a file, the same for every command."""
+"""Which files are read, and what is read from them, the same for every command."""
 
 import argparse
+import glob
+from pathlib import Path
 from typing import Any
 
 from reframe_jax.cli import arguments
+from reframe_jax.cli.speaking import say
+from reframe_jax.recordings.reading import load_recording
+from reframe_jax.recordings.recording import Recording
 from reframe_jax.recordings.selection import ANGLES, QUATERNIONS, UNITS
 
-__all__ = ["add_reading", "reading_options"]
+__all__ = ["add_reading", "expand", "read_recording", "reading_options"]
 
 _NAMES = (
     *("unit", "dt", "topic", "from_frame", "to_frame", "body", "in_body"),
@@ -40,3 +45,26 @@ def add_reading(command: argparse.ArgumentParser) -> None:
 def reading_options(options: argparse.Namespace) -> dict[str, Any]:
     """Keyword arguments of :func:`reframe_jax.load_recording`."""
     return {name: getattr(options, name) for name in _NAMES}
+
+
+def expand(patterns: list[Path]) -> list[Path]:
+    """The files that patterns match, sorted; a pattern itself if there is none, or if it is a file."""
+    return [path for pattern in patterns for path in _matches(pattern)]
+
+
+def _matches(pattern: Path) -> list[Path]:
+    if not glob.has_magic(str(pattern)) or pattern.exists():
+        return [pattern]
+    return [Path(name) for name in sorted(glob.glob(str(pattern), recursive=True))] or [pattern]
+
+
+def read_recording(path: Path, options: argparse.Namespace) -> Recording:
+    """Read a recording with the options of :func:`add_reading`, and say what was noted about it.
+
+    Raises:
+        RecordingError: if it cannot be read.
+    """
+    recording = load_recording(path, **reading_options(options))
+    for note in recording.notes:
+        say(f"reframe-jax: {path}: {note}")
+    return recording

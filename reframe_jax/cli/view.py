@@ -11,10 +11,9 @@ from reframe_jax.cli import arguments
 from reframe_jax.cli.commands import add_command
 from reframe_jax.cli.configuring import configure_jax
 from reframe_jax.cli.identify import identify_recording
-from reframe_jax.cli.reading import add_reading, reading_options
+from reframe_jax.cli.reading import add_reading, read_recording
 from reframe_jax.cli.speaking import say, show
-from reframe_jax.motion.checks import MIN_VELOCITIES
-from reframe_jax.recordings.reading import load_recording
+from reframe_jax.cli.windows import add_windows, check_windows
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.viewer.document import write_page
 from reframe_jax.viewer.page import serve_page
@@ -38,8 +37,7 @@ def add_view(commands: Any) -> None:
     add = command.add_argument
     add("file", type=Path, metavar="FILE", help="recording, in a format that identify reads")
     add("--lag", type=arguments.lag, default="auto", metavar="L", help="as for identify (auto)")
-    add("--window", type=arguments.whole, metavar="N", help="poses per window (all)")
-    add("--stride", type=arguments.whole, metavar="M", help="poses between the starts of two windows (N)")
+    add_windows(command)
     add(
         "--port", type=arguments.count, default=8080, metavar="P", help="of the page, or the next free (8080)"
     )
@@ -77,23 +75,13 @@ def _view(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace) -> None:
     """Refuse options that do not go together."""
-    if options.window is None:
-        if options.stride is not None:
-            options.usage_error("--stride needs --window.")
-        options.stride = 1
-    elif options.window < MIN_VELOCITIES + 1:
-        options.usage_error(f"--window must be at least {MIN_VELOCITIES + 1} poses.")
-    options.stride = options.window if options.stride is None else options.stride
-    if options.stride < 1:
-        options.usage_error("--stride must be at least 1.")
+    check_windows(options)
     if options.port > 65535:
         options.usage_error(f"--port must be at most 65535, not {options.port}.")
 
 
 def _tracks(options: argparse.Namespace) -> list[WindowTrack]:
-    recording = load_recording(options.file, **reading_options(options))
-    for note in recording.notes:
-        say(f"reframe-jax: {options.file}: {note}")
+    recording = read_recording(options.file, options)
     found, spans = identify_recording(recording, options)
     each = [found] if options.window is None else [found[index] for index in range(len(spans))]
     tracks = []

@@ -10,6 +10,7 @@ from reframe_jax.joints.chain import JointPart
 from reframe_jax.joints.joint import Joint
 
 __all__ = [
+    "LINK_SHARE",
     "RADIUS",
     "check_mass",
     "check_writable",
@@ -24,6 +25,7 @@ __all__ = [
     "written",
 ]
 
+LINK_SHARE = 1e-3  # of the mass, in each link between two parts of a chain
 RADIUS = 0.1  # m, of the sphere whose inertia stands for the unknown one
 
 

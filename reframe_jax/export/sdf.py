@@ -5,6 +5,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from reframe_jax.export.robots import (
+    LINK_SHARE,
     check_mass,
     check_writable,
     element,
@@ -20,7 +21,6 @@ from reframe_jax.joints.joint import Joint
 __all__ = ["to_sdf"]
 
 _KINDS = {"hinge": "revolute", "slide": "prismatic", "ball": "ball"}
-_SHARE = 1e-3  # of the mass, in each link between two parts of a chain
 _MODEL = "__model__"  # the frame of the model, which is the parent
 
 
@@ -53,7 +53,7 @@ def to_sdf(joint: Joint, *, mass: float = 1.0) -> str:
         if link == joint.child:
             _add_link(model, link, place, mass)
         else:
-            _add_link(model, link, at_point, _SHARE * mass)
+            _add_link(model, link, at_point, LINK_SHARE * mass)
         kind = "continuous" if is_endless(part) else _KINDS[part.kind]
         made = _add_joint(model, name, kind, last, link)
         element(made, "pose", written(at_point), relative_to=_MODEL)

@@ -5,6 +5,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from reframe_jax.export.robots import (
+    LINK_SHARE,
     check_mass,
     check_writable,
     element,
@@ -21,7 +22,6 @@ from reframe_jax.joints.joint import Joint
 __all__ = ["to_urdf"]
 
 _EFFORT, _VELOCITY = "1000", "10"  # N or N m, m/s or rad/s: the format demands numbers
-_SHARE = 1e-3  # of the mass, in each link between two parts of a chain
 _NO_LENGTH = 1e-9  # m or rad, below which an offset is left out
 
 
@@ -55,7 +55,7 @@ def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
     last, place = joint.parent, np.zeros(3)
     for name, part in zip(part_names(joint), joint.parts, strict=True):
         _add_part(robot, name, part, last, place)
-        _add_link(robot, f"{name}_link", _SHARE * mass)
+        _add_link(robot, f"{name}_link", LINK_SHARE * mass)
         last, place = f"{name}_link", part.point
     mount = element(robot, "joint", name=f"{joint.child}_fixed", type="fixed")
     _add_origin(mount, joint.home[:3, 3] - place, roll_pitch_yaw(joint.home[:3, :3]))

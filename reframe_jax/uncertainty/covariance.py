@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from reframe_jax.compilation import traced
 from reframe_jax.geometry import rotations
 from reframe_jax.geometry.products import matmul
-from reframe_jax.identification.results import Identification, PoseNoise
+from reframe_jax.identification.results import Identification, Index, PoseNoise
 from reframe_jax.uncertainty.estimate import Estimates, covariance_of_windows
 from reframe_jax.uncertainty.inputs import over_windows
 
@@ -46,7 +46,7 @@ class Covariance:
     inflation: jax.Array
     determined: jax.Array
 
-    def __getitem__(self, index: int | slice | np.ndarray | jax.Array) -> "Covariance":
+    def __getitem__(self, index: Index) -> "Covariance":
         """Windows of a batch, indexed like an array."""
         return jax.tree.map(lambda leaf: leaf[index], self)
 

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.catalogue import CONSTRAINTS, OTHER_CONSTRAINTS
 from reframe_jax.constraints.types import LinearType
-from reframe_jax.identification.results import Identification
+from reframe_jax.identification.results import Identification, Index
 from reframe_jax.uncertainty.estimate import Estimates, paths_of
 from reframe_jax.uncertainty.inputs import over_windows
 
@@ -53,7 +53,7 @@ class Excitation:
     steady: jax.Array
     named: jax.Array
 
-    def __getitem__(self, index: int | slice | np.ndarray | jax.Array) -> "Excitation":
+    def __getitem__(self, index: Index) -> "Excitation":
         """Windows of a batch, indexed like an array."""
         return jax.tree.map(lambda leaf: leaf[index], self)
 

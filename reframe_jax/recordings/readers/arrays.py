@@ -3,8 +3,7 @@
 import math
 import warnings
 import zipfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
@@ -13,7 +12,7 @@ from typing import IO
 
 import numpy as np
 
-from reframe_jax.recordings.readers.reader import Reader
+from reframe_jax.recordings.readers.reader import Reader, blaming
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import EPOCH, MOST_ROWS, Rows, shown
 from reframe_jax.recordings.selection import Selection
@@ -61,7 +60,7 @@ def read_arrays(path: Path, wanted: Selection) -> Rows:
     Raises:
         RecordingError: if these are not plain arrays of numbers of shapes that fit, whole, and not too large.
     """
-    with path.open("rb") as file, _stumbling(path):
+    with path.open("rb") as file, blaming(lambda _: _no_arrays(path)):
         if file.read(2) != b"PK":
             single = _find(path, "poses", lambda: path.open("rb"), path.stat().st_size)
             return _rows(path, {"poses": single}, [])
@@ -77,21 +76,6 @@ def read_arrays(path: Path, wanted: Selection) -> Rows:
                 if name in members
             }
             return _rows(path, arrays, sorted(members.keys() - set(_NAMES)))
-
-
-@contextmanager
-def _stumbling(path: Path) -> Iterator[None]:
-    """Say what a file is not, whatever NumPy, zipfile or a decompressor raises about its bytes."""
-    try:
-        yield
-    except RecordingError:
-        raise
-    except OSError as error:
-        if error.errno is not None:
-            raise  # the disk's fault, not that of the bytes
-        raise _no_arrays(path) from error
-    except Exception as error:
-        raise _no_arrays(path) from error
 
 
 def _no_arrays(path: Path, why: str = "") -> RecordingError:

@@ -2,8 +2,9 @@
 
 import importlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 
@@ -11,7 +12,7 @@ from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, shown
 from reframe_jax.recordings.selection import Selection, flag
 
-__all__ = ["Entry", "Reader", "choose_name", "import_extra", "stumbling"]
+__all__ = ["Entry", "Reader", "blaming", "choose_name", "import_extra", "stumbling"]
 
 _LISTED = 20  # names in a message
 
@@ -68,8 +69,7 @@ def import_extra(path: Path, module: str, extra: str) -> ModuleType:
         ) from error
 
 
-@contextmanager
-def stumbling(path: Path, what: str) -> Iterator[None]:
+def stumbling(path: Path, what: str) -> AbstractContextManager[None]:
     """Turn whatever a library raises about the contents of a file into one line.
 
     Args:
@@ -77,18 +77,30 @@ def stumbling(path: Path, what: str) -> Iterator[None]:
         what: what the file should be, such as "a whole C3D file".
 
     Raises:
-        RecordingError: for everything except errors of the disk.
+        RecordingError: in the context, for everything except errors of the disk.
+    """
+    return blaming(partial(_unreadable, path, what))
+
+
+@contextmanager
+def blaming(blame: Callable[[Exception], RecordingError]) -> Iterator[None]:
+    """Turn whatever is raised about the bytes of a file into an error that says what they are not.
+
+    Args:
+        blame: makes that error.
+
+    Raises:
+        RecordingError: made by ``blame``, for everything except errors of the disk; those that are raised in
+            the context are passed on.
     """
     try:
         yield
     except RecordingError:
         raise
-    except OSError as error:
-        if error.errno is not None:
-            raise
-        raise _unreadable(path, what, error) from error
     except Exception as error:
-        raise _unreadable(path, what, error) from error
+        if isinstance(error, OSError) and error.errno is not None:
+            raise  # the disk's fault, not that of the bytes
+        raise blame(error) from error
 
 
 def _unreadable(path: Path, what: str, error: Exception) -> RecordingError:

@@ -1,0 +1,76 @@
+"""The files that a command writes of what it found in recordings: a JSON document, pictures."""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from reframe_jax.cli.speaking import show
+
+__all__ = ["add_outputs", "check_outputs", "draw", "path_of", "write_document"]
+
+_PICTURES = (".png", ".pdf", ".svg", ".jpg", ".webp")
+
+
+def add_outputs(command: argparse.ArgumentParser) -> None:
+    """Add the options ``--json`` and ``--plot`` to a command with ``files``."""
+    add = command.add_argument
+    add("--json", metavar="OUT", help="write the results as JSON; - prints them instead of tables")
+    add(
+        "--plot",
+        type=Path,
+        metavar="OUT.png",
+        help="draw the result; of several recordings, to OUT-NAME.png each",
+    )
+
+
+def check_outputs(options: argparse.Namespace) -> None:
+    """Refuse, before anything is computed, what could not be drawn after it."""
+    out: Path | None = options.plot
+    if out is None:
+        return
+    if out.is_dir():
+        options.usage_error(f"--plot must name a file; {out} is a directory.")
+    if out.suffix.lower() not in _PICTURES:
+        options.usage_error(f"--plot must end in {', '.join(_PICTURES)}, not {out.name!r}.")
+    if not out.parent.is_dir():
+        options.usage_error(f"--plot: there is no directory {out.parent}.")
+    if len({path.stem for path in options.files}) < len(options.files):
+        options.usage_error("--plot needs recordings with different names.")
+
+
+def path_of(out: Path, recording: Path, options: argparse.Namespace) -> Path:
+    """Where a file of one recording goes: its name is added if there are several recordings."""
+    return out.with_stem(f"{out.stem}-{recording.stem}") if len(options.files) > 1 else out
+
+
+def write_document(make: Callable[[], str], options: argparse.Namespace) -> str | None:
+    """Write or print the JSON document as asked; returns what is wrong if it cannot be written."""
+    if options.json == "-":
+        show(make())
+    elif options.json is not None:
+        try:
+            Path(options.json).write_text(make() + "\n", encoding="utf-8")
+        except OSError as error:
+            return f"{options.json}: cannot be written: {error.strerror}."
+    return None
+
+
+def draw(make: Callable[[], Any], recording: Path, options: argparse.Namespace) -> str | None:
+    """Save the figure of a recording; returns what is wrong if it cannot be drawn.
+
+    Args:
+        make: draws the figure; ImportError if a library is missing.
+        recording: path of the recording.
+        options: of the command.
+    """
+    out = path_of(options.plot, recording, options)
+    try:
+        figure = make()
+    except ImportError as error:
+        return str(error)
+    try:
+        figure.savefig(out)
+    except (OSError, ValueError) as error:
+        return f"{out}: cannot be written: {getattr(error, 'strerror', None) or error}."
+    return None
