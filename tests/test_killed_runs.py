@@ -62,9 +62,16 @@ CHILD = """
 """
 
 
-def run_child(stored, out, moment):
+def run_killed(stored, out, moment):
+    """A run in a process of its own, which dies at a moment; returns its exit code."""
     arguments = [str(stored), str(out), moment]
     return subprocess.run([sys.executable, "-c", textwrap.dedent(CHILD), *arguments], check=False).returncode
+
+
+def run_whole(stored, out):
+    """The same run, to its end and with JAX's own settings, in this process: it is traced once."""
+    with jax.enable_x64(False), jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        rf.identify_many(np.load(stored, mmap_mode="r"), out, dt=0.1, part_size=16, solver=SOLVER)
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +79,7 @@ def uninterrupted(windows, tmp_path_factory):
     """The windows in a file, and the results of a run that nobody killed."""
     home = tmp_path_factory.mktemp("uninterrupted")
     np.save(home / "windows.npy", windows)
-    assert run_child(home / "windows.npy", home / "out", "never") == 0
+    run_whole(home / "windows.npy", home / "out")
     return home / "windows.npy", home / "out"
 
 
@@ -80,14 +87,14 @@ def uninterrupted(windows, tmp_path_factory):
 def test_a_run_killed_at_any_moment_redoes_one_part_at_most(moment, uninterrupted, tmp_path):
     stored, whole = uninterrupted
     killed = tmp_path / "out"
-    assert run_child(stored, killed, moment) == -signal.SIGKILL
+    assert run_killed(stored, killed, moment) == -signal.SIGKILL
     # the second of three parts was in flight: the first is there, and nothing that looks like the others
     (first,) = killed.glob("part-*.parquet")
     assert first.name == "part-00000000.parquet"
     before = first.stat().st_mtime_ns, first.stat().st_ino
     with pytest.raises(ValueError, match="2 parts are missing"):
         rf.load_results(killed)
-    assert run_child(stored, killed, "never") == 0
+    run_whole(stored, killed)
     assert (first.stat().st_mtime_ns, first.stat().st_ino) == before
     for file in sorted(whole.iterdir()):
         assert (killed / file.name).read_bytes() == file.read_bytes(), file.name
@@ -106,7 +113,7 @@ def test_what_killed_writers_left_goes_when_it_is_old(uninterrupted):
         file.write_bytes(b"half")
     for file in (old, other):
         os.utime(file, (time.time() - 7200,) * 2)
-    rf.identify_many(np.load(stored), out, dt=0.1, part_size=16, solver=SOLVER)
+    run_whole(stored, out)
     assert [file.exists() for file in (old, young, other)] == [False, True, True]
     for file in (young, other):
         file.unlink()
