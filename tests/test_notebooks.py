@@ -1,4 +1,4 @@
-"""Every notebook runs from a clean kernel, and is stored without output."""
+"""Every notebook runs without the names and settings of others, and is stored without output."""
 
 from pathlib import Path
 
@@ -27,20 +27,45 @@ def test_no_output_is_stored(path: Path) -> None:
         assert cell.get("execution_count") is None
 
 
+# before every notebook: no names and no settings of the one before, and a collector as in conftest.py
+CLEAN = """
+%reset -f
+import gc, jax
+jax.config.update("jax_enable_x64", False)
+gc.freeze()
+gc.set_threshold(100_000, 50, 1000)
+del gc, jax
+"""
+
+
+@pytest.fixture(scope="module")
+def executed() -> dict[Path, list[nbformat.NotebookNode]]:
+    """Cells of every notebook with their outputs. One kernel runs them all, and traces identify once."""
+    cells = {path: nbformat.read(path, as_version=4).cells for path in NOTEBOOKS}
+    chain = nbformat.v4.new_notebook()
+    for each in cells.values():
+        chain.cells += [nbformat.v4.new_code_cell(CLEAN), *each]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(ROOT))
+        nbclient.NotebookClient(
+            chain,
+            timeout=240,
+            allow_errors=True,
+            kernel_name="python3",
+            resources={"metadata": {"path": str(ROOT)}},
+        ).execute()
+    for cell in chain.cells:
+        if cell.source == CLEAN:
+            assert not cell.outputs, cell.outputs
+    return cells
+
+
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 @pytest.mark.filterwarnings("default")
-def test_notebooks_run(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    notebook = nbformat.read(path, as_version=4)
-    client = nbclient.NotebookClient(
-        notebook, timeout=240, kernel_name="python3", resources={"metadata": {"path": str(ROOT)}}
-    )
-    done = client.execute()
-    pictures = [
-        output
-        for cell in done.cells
-        for output in cell.get("outputs", [])
-        if "image/png" in output.get("data", {})
-    ]
-    assert pictures
+def test_notebooks_run(path: Path, executed: dict[Path, list[nbformat.NotebookNode]], tmp_path: Path) -> None:
+    outputs = [output for cell in executed[path] for output in cell.get("outputs", [])]
+    for output in outputs:
+        assert output.output_type != "error", "\n".join(output.traceback)
+    assert any("image/png" in output.get("data", {}) for output in outputs)
+    done = nbformat.v4.new_notebook(cells=executed[path])
     nbformat.write(done, tmp_path / path.name)
