@@ -5,7 +5,8 @@ import sys
 import textwrap
 
 SCRIPT = """
-    import os
+    import gc, os
+    gc.disable()  # tracing makes millions of objects, and next to no garbage
     os.environ["JAX_PLATFORMS"] = "cpu"
     import jax, numpy as np, pytest
     import jax.numpy as jnp
