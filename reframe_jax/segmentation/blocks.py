@@ -35,7 +35,7 @@ class Scales:
         size: (K,) speed of each chord over that of the recording; both groups together, smoothed.
         turning: rad/s of the recording, and ``sliding``: m/s.
         time: s, in which the motion as a whole becomes independent of what it was before.
-        independent: samples in which its axes do, on average: small ones are quicker.
+        independent: samples after which the motion says something new: between ``time`` and that of its axes.
         moving: (K,) bool, chords that count: longer than noise, and no pause.
     """
 
@@ -88,7 +88,9 @@ def scale_chords(tracks: Tracks, chords: Chords) -> Scales:
     size = np.maximum(size, lowest / np.where(chords.span > 0, chords.span, 1))
     rate = np.mean(1 / chords.span[use] ** 2) if use.any() else 1.0
     white = [2 * rate * (tracks.noise[1] / turning) ** 2, 2 * rate * (tracks.noise[0] / sliding) ** 2]
-    independent = _independent_after(_standardized(twist, np.repeat(white, 3), int(np.sum(use))))
+    axes = _independent_after(_standardized(twist, np.repeat(white, 3), int(np.sum(use))))
+    # small axes are quicker than the motion as a whole; what is fitted depends on both
+    independent = (samples + axes) / 2
     return Scales(np.where(use, size, 1), use, float(turning), float(sliding), samples * step, independent)
 
 
