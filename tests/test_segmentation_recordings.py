@@ -19,7 +19,7 @@ def segmented(name: str) -> rf.Segmentation:
 
 
 def labelled_changes(name: str) -> np.ndarray:
-    """Times at which the authors' label changes, s; but for the last tenth of a second, where tails are cut."""
+    """Times at which the authors' label changes, s, except in the last tenth of a second."""
     with open(DATA / f"{name}.csv") as file:
         rows = list(csv.DictReader(file))
     phases = np.array([float(row["label"]) for row in rows])

@@ -173,7 +173,7 @@ def _place_cut(
     between: tuple[int, int],
     step: int,
 ) -> Place:
-    """Place the boundary of spans [a, b) and [c, d), first between two poses, then ever further about these."""
+    """Place the boundary of spans [a, b) and [c, d): between two poses, or outside these if need be."""
     a, b, c, d = spans
     lowest, highest = (a + b) // 2, (c + d + 1) // 2
     low, high = max(between[0], lowest), min(between[1], highest)
