@@ -47,7 +47,13 @@ def test_a_refused_pose_is_not_added(recording):
     np.testing.assert_array_equal(found.linear.position, window.linear.position)
 
 
-def test_a_time_far_in_the_future_does_not_block_the_stream(recording, monkeypatch):
+@pytest.fixture
+def unwatched(monkeypatch):
+    """Identifications that are none cannot be watched."""
+    monkeypatch.setattr(online.ChangeWatch, "push", lambda *_: None)
+
+
+def test_a_time_far_in_the_future_does_not_block_the_stream(recording, monkeypatch, unwatched):
     monkeypatch.setattr(online, "identify", lambda poses, *, times, **_: np.asarray(times))
     stream = rf.OnlineIdentifier(5)
     pose = np.asarray(recording.poses)[0]
@@ -64,7 +70,7 @@ def test_a_time_far_in_the_future_does_not_block_the_stream(recording, monkeypat
     np.testing.assert_array_equal(stream.push(pose, 0.7), [0.3, 0.4, 0.5, 0.6, 0.7])
 
 
-def test_times_refused_now_and_then_empty_no_window(recording, monkeypatch):
+def test_times_refused_now_and_then_empty_no_window(recording, monkeypatch, unwatched):
     monkeypatch.setattr(online, "identify", lambda *_, **__: None)
     stream, pose = rf.OnlineIdentifier(5), np.asarray(recording.poses)[0]
     for time in range(20):
@@ -122,7 +128,7 @@ def test_options_that_there_are_not_are_refused():
         rf.OnlineIdentifier(21, lags=1)
 
 
-def test_options_reach_the_identification(recording, monkeypatch):
+def test_options_reach_the_identification(recording, monkeypatch, unwatched):
     seen = {}
     monkeypatch.setattr(online, "identify", lambda poses, **options: seen.update(options))
     thresholds, solver, key = rf.Thresholds(0.1, 0.2), rf.BasinHopping(rf.ValleySteps(1)), jax.random.key(5)

@@ -19,11 +19,13 @@ def segmented(name: str) -> rf.Segmentation:
 
 
 def labelled_changes(name: str) -> np.ndarray:
-    """Times at which the authors' label changes, s."""
+    """Times at which the authors' label changes, s, except in the last tenth of a second."""
     with open(DATA / f"{name}.csv") as file:
         rows = list(csv.DictReader(file))
     phases = np.array([float(row["label"]) for row in rows])
-    return np.array([float(row["t"]) for row in rows])[np.flatnonzero(np.diff(phases)) + 1]
+    times = np.array([float(row["t"]) for row in rows])
+    changes = times[np.flatnonzero(np.diff(phases)) + 1]
+    return changes[changes < times[-1] - 0.1]
 
 
 @pytest.mark.parametrize(
@@ -35,6 +37,7 @@ def labelled_changes(name: str) -> np.ndarray:
         ("kitchen_drawer_394", "Prismatic joint"),
         ("kitchen_drawer_407", "Prismatic joint"),
         ("champ_microwave_with_grasp", "Revolute joint"),
+        ("pouring", "Unconstrained"),
         ("contour_a_1", "Unnamed: 3 rotations, 1 translation in BB"),
         ("contour_b_1", "Unnamed: 3 rotations, 1 translation in BB"),
     ],
@@ -55,9 +58,12 @@ def test_grating_begins_and_ends_where_its_authors_say(name: str) -> None:
     assert len(found.moving) <= 5
 
 
-def test_wiping_is_one_segment_between_approach_and_retreat() -> None:
-    found = segmented("wiping_1")
+@pytest.mark.parametrize("name", ["wiping_0", "wiping_1"])
+def test_wiping_is_one_segment_between_approach_and_retreat(name: str) -> None:
+    found = segmented(name)
     edges = np.array([boundary.time for boundary in found.boundaries])
-    for change in labelled_changes("wiping_1"):
+    for change in labelled_changes(name):
         assert np.abs(edges - change).min() < 0.5
     assert len(found.moving) == 3
+    approach, wiping, _ = found.moving
+    assert approach.label != wiping.label

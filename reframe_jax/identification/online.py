@@ -7,6 +7,7 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
+from reframe_jax.identification.changes import Change, ChangeWatch
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.entry import identify
 from reframe_jax.identification.inputs import read_number, read_numbers
@@ -42,6 +43,10 @@ class OnlineIdentifier:
         bounds: where positions are searched, m.
         solver: search for the position.
         key: of the solver's random numbers.
+
+    Attributes:
+        change: the last change of the constraint that the stream has shown, with the time that it took to
+            notice; None before the first. It is sought as soon as one window is full.
 
     Raises:
         ValueError: if the window is too short, the sample time not positive, or another option of no use.
@@ -86,6 +91,9 @@ class OnlineIdentifier:
         self._times = np.zeros(2 * length)
         self._length, self._count = length, 0
         self._early: list[float] = []  # times refused one after the other
+        self._watch = ChangeWatch(length)
+        self._began = 0  # poses pushed before the window last was emptied
+        self.change: Change | None = None
 
     def push(self, pose: ArrayLike, time: float | None = None) -> Identification | None:
         """Add a pose.
@@ -124,11 +132,26 @@ class OnlineIdentifier:
             return None
         window = slice(slot + 1, slot + 1 + self._length)
         times = None if time is None else self._times[window]
-        return identify(self._poses[window], times=times, dt=self._dt, **self._options)
+        found = identify(self._poses[window], times=times, dt=self._dt, **self._options)
+        self._look_for_change(window, found)
+        return found
 
     def reset(self) -> None:
         """Empty the window: the next pose is the first."""
+        self._began += self._count
         self._count, self._early = 0, []
+        self._watch.reset(self._began)
+
+    def _look_for_change(self, window: slice, found: Identification) -> None:
+        """Update ``change``, given the identification of the window."""
+        last = self._began + self._count - 1
+        counts = np.arange(last - self._length + 1, last + 1)
+        times = np.asarray(self._times[window] if self._dt is None else self._dt * counts)
+        changed = self._watch.push(self._poses[window], last, found)
+        if changed is not None:
+            # a pose of the window, or of an earlier one
+            time = times[max(changed - last - 1, -self._length)]
+            self.change = Change(changed, float(time), float(times[-1] - time))
 
     def _refuse(self, time: float, last: float) -> None:
         """Refuse a time that comes too early, unless so many did that the last one must have been wrong.

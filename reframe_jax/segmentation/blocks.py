@@ -35,7 +35,7 @@ class Scales:
         size: (K,) speed of each chord over that of the recording; both groups together, smoothed.
         turning: rad/s of the recording, and ``sliding``: m/s.
         time: s, in which the motion as a whole becomes independent of what it was before.
-        independent: samples in which its axes do, on average: small ones are quicker.
+        independent: samples after which the motion says something new: between ``time`` and that of its axes.
         moving: (K,) bool, chords that count: longer than noise, and no pause.
     """
 
@@ -56,8 +56,9 @@ class Blocks:
         angular: (2, 6, 2, M) second moments of angular velocity: chords within the block, and across its
             end; by component and frame type.
         linear: (2, 6, 10, 4, M) those of the maps, see :mod:`reframe_jax.objectives.moments`.
-        sums: (2, 9, M) of the chords' number, of noise variances (angular, then linear) and of their
-            logarithms, of the positions of {b} (m) and of the square of their distance from the centre.
+        sums: (2, 9, M) of the chords' number, of noise variances (angular, then linear), of the logarithms
+            of the smallest variances that can be told in spite of the noise, of the positions of {b} (m) and
+            of the square of their distance from the centre.
         moving: (M,) independent motions.
     """
 
@@ -88,7 +89,9 @@ def scale_chords(tracks: Tracks, chords: Chords) -> Scales:
     size = np.maximum(size, lowest / np.where(chords.span > 0, chords.span, 1))
     rate = np.mean(1 / chords.span[use] ** 2) if use.any() else 1.0
     white = [2 * rate * (tracks.noise[1] / turning) ** 2, 2 * rate * (tracks.noise[0] / sliding) ** 2]
-    independent = _independent_after(_standardized(twist, np.repeat(white, 3), int(np.sum(use))))
+    axes = _independent_after(_standardized(twist, np.repeat(white, 3), int(np.sum(use))))
+    # small axes are quicker than the motion as a whole; what is fitted depends on both
+    independent = (samples + axes) / 2
     return Scales(np.where(use, size, 1), use, float(turning), float(sliding), samples * step, independent)
 
 
@@ -179,11 +182,13 @@ def make_blocks(tracks: Tracks, chords: Chords, scales: Scales, start: np.ndarra
         2 * (sigma / np.where(chords.span > 0, chords.span, 1) / scales.size) ** 2 for sigma in tracks.noise
     ]
     floors = np.stack([noise[1] / scales.turning**2, noise[0] / scales.sliding**2]) + _LEAST
+    # a straight line through all poses of an independent motion is as much surer than one chord
+    surer = min(6 * lag**2 / scales.independent**3, 1.0)
     x = tracks.positions
     ends = np.minimum(index + lag, len(index) - 1)
     middle = (x + x[ends]) / 2
     each = np.concatenate(
-        [np.ones((1, len(index))), floors, np.log(floors), middle.T, np.sum(middle**2, axis=1)[None]]
+        [np.ones((1, len(index))), floors, np.log(surer * floors), middle.T, np.sum(middle**2, axis=1)[None]]
     )
     each = each * scales.moving
     maps = chords.maps * np.sqrt(weight)[:, None, None, None]

@@ -159,9 +159,31 @@ def _place_cuts(
         within = [pause for pause in pauses if pause[0] < c + grid and pause[1] > b - grid]
         low = min([b - 2 * grid, *(pause[0] - grid for pause in within)])
         high = max([c + 2 * grid, *(pause[1] + grid for pause in within)])
-        low, high = max(low, (a + b) // 2), min(high, (c + d + 1) // 2)
-        cuts.append(place_boundary(tracks, fits, (i, int(a), int(low)), (i + 1, int(high), int(d))))
+        cuts.append(
+            _place_cut(tracks, fits, i, (int(a), int(b), int(c), int(d)), (int(low), int(high)), grid)
+        )
     return cuts
+
+
+def _place_cut(
+    tracks: Tracks,
+    fits: Fits,
+    which: int,
+    spans: tuple[int, int, int, int],
+    between: tuple[int, int],
+    step: int,
+) -> Place:
+    """Place the boundary of spans [a, b) and [c, d): between two poses, or outside these if need be."""
+    a, b, c, d = spans
+    lowest, highest = (a + b) // 2, (c + d + 1) // 2
+    low, high = max(between[0], lowest), min(between[1], highest)
+    while True:
+        place = place_boundary(tracks, fits, (which, a, low), (which + 1, high, d))
+        before = low > lowest and place.earliest < low + step
+        after = high < highest and place.latest > high - step
+        if not (before or after):
+            return place
+        low, high = max(low - before * step, lowest), min(high + after * step, highest)
 
 
 def _probabilities(blocks: Blocks, spans: np.ndarray, fits: Fits, options: tuple[float, float]) -> np.ndarray:

@@ -19,7 +19,8 @@ def label_segments(
     """Number the constraints in order of appearance, the same number where the same one comes back.
 
     Segments of one class have the same constraint if one frame costs less for all their motions than a frame
-    for each. Free motion has no frame: all of it is the same.
+    for each. Free motion has no frame: all of it is the same. Neighbours differ: there would be no boundary
+    between them otherwise.
 
     Args:
         blocks: of the recording.
@@ -32,7 +33,11 @@ def label_segments(
     groups: list[list[int]] = []
     costs: list[float] = []
     for i, own in enumerate(classes):
-        alike = [k for k, group in enumerate(groups) if own is not None and classes[group[0]] == own]
+        alike = [
+            k
+            for k, group in enumerate(groups)
+            if own is not None and classes[group[0]] == own and group[-1] != i - 1
+        ]
         if alike and own == (3, 3):
             groups[alike[0]].append(i)
             continue

@@ -11,7 +11,7 @@ from reframe_jax.segmentation.spans import Fits
 __all__ = ["Place", "place_boundary"]
 
 _SCATTER = 2.0  # standard deviations by which noise is taken to scatter
-_EXPLAINED = 0.1  # nats by which a pose speaks for the constraint, for each axis along which it is predicted
+_EXPLAINED = 0.02  # share of the evidence of a pose's range that counts: neighbouring poses tell the same
 _LIKELY = 0.95  # probability of the interval in which a boundary lies
 
 
@@ -85,11 +85,11 @@ def _surprise(
         expected[step] = np.mean(gone**2, axis=0) if len(gone) else np.inf
     expected = np.maximum.accumulate(np.maximum(expected, least**2), axis=0)
     # no cost within the scatter of noise, so that chance does not decide where both constraints predict a
-    # pose; then it belongs rather to the one that predicts more of it
+    # pose; then it belongs rather to the one that leaves it the smaller range
     weight = expected[0] / expected[-1]
     surprise = np.sum(weight * (ahead - means[-1]) ** 2 / expected, axis=1)
     usual = np.sum(weight) + _SCATTER * np.sqrt(2 * np.sum(weight**2))
-    cost = np.maximum(surprise - usual, 0) / 2 - _EXPLAINED * np.sum(weight)
+    cost = np.maximum(surprise - usual, 0) / 2 + _EXPLAINED * np.sum(np.log(expected[-1])) / 2
     return cost[::-1] if backward else cost
 
 

@@ -176,7 +176,7 @@ class _Means(NamedTuple):
 
     Attributes:
         angular, linear: second moments.
-        floors, logs: (2, M) mean noise variance of both groups, and its geometric mean.
+        floors, logs: (2, M) mean noise variance of both groups, and the smallest variance that can be told.
         scatter: (M,) m^2, of the positions of {b}.
         centre: (3, 4, M) m, where origins are likeliest.
         motions: (M,) independent motions.
@@ -200,11 +200,13 @@ def _means(total: Totals) -> _Means:
     identity = jnp.pad(unit[:, None], ((0, 0), (0, 9), (0, 0), (0, 0)))
     mean = total.sums[5:8] / number[None]
     squares = jnp.where(rests, 0, total.sums[8] / number - jnp.sum(mean**2, axis=0))
+    # the variance that noise happens to have in so many chords (its differences, 2 chords in 3 independent)
+    scatter = total.sums[1:3] / number[None] * jnp.minimum(jnp.sqrt(3 / number), 1)[None]
     return _Means(
         angular=jnp.where(rests[None, None], unit, total.angular / number[None, None]),
         linear=jnp.where(rests[None, None, None], identity, total.linear / number[None, None, None]),
         floors=jnp.where(rests[None], 1, total.sums[1:3] / number[None]),
-        logs=jnp.exp(total.sums[3:5] / number[None]),
+        logs=jnp.maximum(jnp.exp(total.sums[3:5] / number[None]), scatter),
         scatter=jnp.maximum(squares, 0),
         centre=jnp.where(jnp.asarray(_ON_BODY)[None, :, None], 0, mean[:, None]),
         motions=jnp.where(rests, 0, total.moving),

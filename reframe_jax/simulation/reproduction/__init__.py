@@ -19,6 +19,7 @@ from reframe_jax.simulation.reproduction.frames import (
     control_frames,
     erroneous_frames,
 )
+from reframe_jax.simulation.reproduction.sequences import SequenceTrial, reproduce_sequence
 from reframe_jax.simulation.reproduction.trials import Task, Trials, reproduce
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "ROOMY",
     "Comparison",
     "Controller",
+    "SequenceTrial",
     "Task",
     "Trials",
     "axis_impedance",
@@ -36,4 +38,5 @@ __all__ = [
     "hybrid",
     "matched_choices",
     "reproduce",
+    "reproduce_sequence",
 ]
