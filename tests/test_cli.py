@@ -73,6 +73,19 @@ def read_json(text: str) -> list[dict[str, Any]]:
 # identify
 
 
+def test_explains_in_plain_words(clip: Path, capsys: Captured) -> None:
+    assert run(clip, "--explain") == 0
+    lines = capsys.readouterr().out.strip().splitlines()
+    words = lines[next(i for i, line in enumerate(lines) if line.startswith("The body moves")) :]
+    assert words[0].startswith("The body moves like a door on its hinge")
+    assert "give or take" in words[1]
+    assert words[1].endswith("Every other point of the axis is as right.")
+    assert words[2].startswith("It turns about the direction")
+    assert "only this one path was tried" in words[3]
+    assert words[4].startswith("To settle it,")
+    assert len(words) == 5
+
+
 def test_a_recording_is_identified(clip: Path, tmp_path: Path, capsys: Captured) -> None:
     assert run(clip, "--json", tmp_path / "out.json") == 0
     out, err = capsys.readouterr()

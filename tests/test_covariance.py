@@ -85,6 +85,49 @@ def test_matches_the_derivative_of_the_estimate(recordings):
     np.testing.assert_allclose(sure.position, expected, rtol=0.1, atol=0.03 * np.max(expected))
 
 
+def test_noise_shifts_the_estimate_by_the_bias(recordings):
+    """At 3 mm and 0.5 degrees, levers come out too short: every time, and by as much as is said."""
+    simulation, _, _ = recordings["K"]
+    disturbed = jax.vmap(lambda pose, key: disturb(pose, key, PoseErrors(sigma=3e-3), DT))
+    poses = np.asarray(disturbed(simulation.exact_poses, jax.random.split(jax.random.key(2), WINDOWS)))
+    found = rf.identify(poses, dt=DT)
+    sure = rf.covariance(found, poses, dt=DT)
+    right = np.asarray(types_correct(found, simulation.truth) & dof_correct(found, simulation.truth))
+    right = right & np.asarray(sure.first_order)
+    assert right.mean() > 0.6
+    error = (np.asarray(found.linear.position) - np.asarray(simulation.truth.position))[right]
+    bias = np.asarray(sure.bias)[right, 6:9]
+    assert np.corrcoef(error.ravel(), bias.ravel())[0, 1] > 0.3
+    weight = 1 / np.diagonal(np.asarray(sure.position)[right], axis1=1, axis2=2)
+    assert 0.6 < np.sum(weight * error * bias) / np.sum(weight * bias**2) < 1.4
+    scores = standard_scores(found, sure, simulation.truth, np.asarray(simulation.exact_poses[:, 0]))
+    assert 0.90 < np.mean(np.abs(scores["position"][right]) < INTERVAL) < 0.99
+
+
+def test_too_much_noise_is_said(recordings):
+    simulation, poses, found = recordings["K"]
+    assert np.all(rf.covariance(found, poses, dt=DT).first_order)
+    disturbed = jax.vmap(lambda pose, key: disturb(pose, key, PoseErrors(sigma=1.5e-2), DT))
+    poses = np.asarray(disturbed(simulation.exact_poses, jax.random.split(jax.random.key(2), WINDOWS)))
+    sure = rf.covariance(rf.identify(poses, dt=DT), poses, dt=DT)
+    assert np.mean(sure.first_order) < 0.1
+
+
+@pytest.mark.parametrize("label", "AK")
+def test_a_bootstrap_agrees(recordings, label):
+    _, poses, found = recordings[label]
+    usual = rf.covariance(found, poses, dt=DT, errors="white")
+    second = rf.covariance(found, poses, dt=DT, method="bootstrap")
+    parts = {"A": ("angular_axes", "position"), "K": ("linear_axes", "position")}
+    for part in parts[label]:
+        sizes = [np.sqrt(np.trace(getattr(each, part), axis1=1, axis2=2)) for each in (usual, second)]
+        assert 0.75 < np.median(sizes[1] / sizes[0]) < 1.25
+    assert np.all(second.bias == 0)
+    np.testing.assert_allclose(second.linear_rms, usual.linear_rms)
+    free = np.einsum("nij,njk->nik", found.linear.free_position, second.position)
+    assert np.max(np.abs(free)) < 1e-9 * np.max(second.position)
+
+
 def test_free_directions_have_no_variance(recordings):
     _, poses, found = recordings["A"]
     sure = rf.covariance(found, poses, dt=DT)
@@ -161,6 +204,10 @@ def test_what_is_refused(recordings):
         rf.covariance(found[0], poses[0])
     with pytest.raises(ValueError, match="dt must have the shape"):
         rf.covariance(found[0], poses[0], dt=[DT, DT])
+    with pytest.raises(ValueError, match="'derivative' or 'bootstrap'"):
+        rf.covariance(found[0], poses[0], dt=DT, method="jackknife")
+    with pytest.raises(ValueError, match="no model of the noise"):
+        rf.covariance(found[0], poses[0], dt=DT, method="bootstrap", noise=NOISE)
     with pytest.raises(ValueError, match="'measured' or 'white'"):
         rf.covariance(found[0], poses[0], dt=DT, errors="red")
     other = replace(found[0], linear=replace(found[0].linear, norm=2 * found[0].linear.norm))

@@ -1,5 +1,7 @@
 """Motions that do not tell the constraint are named as such, and explained."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
@@ -10,6 +12,11 @@ from reframe_jax.uncertainty.excitation import possible_constraints
 
 SAMPLES, DT, WINDOWS = 50, 0.1, 6
 ERRORS = PoseErrors(sigma=2e-4)
+
+
+def straight(t):
+    """Along one line, without turning."""
+    return jax.numpy.zeros(3), jax.numpy.array([0.0, 0.15, 0.0]) * jax.numpy.sin(1.3 * t)
 
 
 def only_turning(t):
@@ -26,7 +33,8 @@ def without_spin(t):
 
 MOTIONS = [
     *((label, "paper") for label in "EFGIJ"),
-    *((label, "exciting") for label in "ACEFGHIJKL"),
+    *((label, "exciting") for label in "ACDEFGHIJKL"),
+    ("K", straight),
     ("K", only_turning),
     ("K", without_spin),
 ]
@@ -53,7 +61,7 @@ def moved():
     }
 
 
-@pytest.mark.parametrize("motion", MOTIONS[:5] + MOTIONS[-2:])
+@pytest.mark.parametrize("motion", MOTIONS[:5] + MOTIONS[-3:])
 def test_ambiguous_motions_determine_nothing(moved, motion):
     _, found, tested = moved[motion]
     assert not np.any(tested.determined)
@@ -62,7 +70,7 @@ def test_ambiguous_motions_determine_nothing(moved, motion):
     assert rf.constraint(motion[0]).name in names
 
 
-@pytest.mark.parametrize("label", "CEFGHIJKL")
+@pytest.mark.parametrize("label", "CDEFGHIJKL")
 def test_exciting_motions_determine_the_class(moved, label):
     _, _, tested = moved[label, "exciting"]
     assert np.all(tested.determined)
@@ -73,6 +81,22 @@ def test_a_hinge_is_one_path(moved):
     assert np.all(tested.one_path)
     assert not np.any(tested.steady)
     assert not np.any(tested.determined)
+
+
+def test_a_hinge_that_moved_well_is_determined_but_for_the_point_on_its_axis(moved):
+    poses, found, tested = moved["A", "exciting"]
+    sure = rf.covariance(found[0], poses[0], dt=DT)
+    assert sure.determined
+    assert sure.first_order
+    lines = found[0].explain(sure, tested[0]).splitlines()
+    assert lines[0].startswith("The body moves like a door on its hinge")
+    assert lines[1].startswith("The axis passes through")
+    assert float(lines[1].split("give or take ")[1].split()[0]) < 1
+    assert lines[1].endswith("Every other point of the axis is as right.")
+    assert lines[2].startswith("It turns about the direction")
+    assert float(lines[2].split("give or take ")[1].split()[0]) < 0.2
+    assert lines[3].startswith("Not determined: only this one path was tried")
+    assert len(lines) == 5
 
 
 def test_steady_velocities_are_seen(moved):
@@ -109,6 +133,15 @@ def test_explanations_say_what_would_settle_it(moved):
     for _, found, tested in moved.values():
         for i in range(WINDOWS):
             assert len(found[i].explain(excitation=tested[i]).splitlines()) <= 5
+
+
+def test_explanations_say_where_error_bars_end(moved):
+    poses, found, tested = moved["K", "exciting"]
+    sure = rf.covariance(found[0], poses[0], dt=DT)
+    too_noisy = replace(sure, first_order=np.array(False))
+    text = found[0].explain(too_noisy, tested[0])
+    assert text.splitlines()[2].endswith("The noise is so large that the errors may be larger than that.")
+    assert "The noise is so large" not in found[0].explain(sure, tested[0])
 
 
 def test_a_batch_has_many_explanations(moved):

@@ -54,6 +54,35 @@ def test_doors_turn_about_the_axis_of_their_circle(number: int) -> None:
     assert np.linalg.norm(np.cross(normal, offset)) < 0.015
 
 
+def test_error_bars_of_half_a_recording_hold_the_other_half() -> None:
+    """Slow errors are part of them: otherwise none of these would."""
+    scores = []
+    for name in ("kitchen_door_389", "kitchen_door_403", "champ_microwave_with_grasp"):
+        recording = rf.load_recording(DATA / f"{name}.csv")
+        middle = len(recording.times) // 2
+        halves = [(recording.poses[part], recording.times[part]) for part in np.s_[:middle, middle:]]
+        found = [rf.identify(poses, times=times) for poses, times in halves]
+        for one, other, (poses, times) in zip(found, found[::-1], halves, strict=True):
+            assert one.name == "Revolute joint"
+            sure = rf.covariance(one, poses, times=times)
+            assert np.max(sure.inflation) > 2
+            assert "Slow errors of the tracker" in one.explain(sure)
+            axis = np.asarray(one.angular.axes)[:, 2]
+            its_axis = np.asarray(rotation_exp(other.candidates.angular.rotvec[int(one.angular.type_code)]))[
+                :, 2
+            ]
+            its_axis = its_axis * np.sign(axis @ its_axis)
+            origin = np.asarray(other.candidates.linear.position)[int(one.linear.type_code)]
+            offset = origin - np.asarray(one.linear.position)
+            offset = offset - np.asarray(one.linear.free_position) @ offset
+            for error, matrix in ((np.cross(axis, its_axis), sure.angular_axes), (offset, sure.position)):
+                variances, directions = np.linalg.eigh(np.asarray(matrix, float))
+                known = variances > 1e-6 * variances[-1]
+                scores += [*np.abs(error @ directions)[known] / np.sqrt(variances[known])]
+    assert len(scores) >= 20
+    assert np.mean(np.array(scores) < 1.96) >= 0.8
+
+
 @pytest.mark.parametrize("number", [394, 407])
 def test_drawers_slide_along_their_line_although_their_orientation_wanders(number: int) -> None:
     recording, found = identify(f"kitchen_drawer_{number}")

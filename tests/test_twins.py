@@ -66,6 +66,21 @@ def test_both_tips_of_a_stick_in_a_corner_are_found():
     np.testing.assert_array_equal(found.linear.twin[~some], found.linear.position[~some])
 
 
+def test_twins_have_a_probability():
+    poses = corner()
+    found = jax.device_get(rf.identify(poses, dt=0.1))
+    sure = rf.covariance(found, poses, dt=0.1)
+    some = np.asarray(found.linear.has_twin)
+    probability = np.asarray(sure.twin_probability)
+    assert np.all(probability[~some] == 0)
+    # both tips are as right: which of them fits better is chance
+    assert np.all((probability[some] > 0) & (probability[some] < 1))
+    assert 0.2 < np.mean(probability[some]) < 0.7
+    first = int(np.flatnonzero(some)[0])
+    text = found[first].explain(sure[first])
+    assert f"is right with probability {probability[first]:.2f}" in text
+
+
 def test_the_second_point_of_the_papers_h_is_found_in_the_ground():
     poses, frame = papers_h()
     far = jnp.eye(4).at[:3, 3].set(jnp.asarray([5.0, -3.0, 2.0]))

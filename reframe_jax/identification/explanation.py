@@ -67,6 +67,16 @@ class Spread(Protocol):
         """(3,) by slow errors."""
         ...
 
+    @property
+    def first_order(self) -> Any:
+        """Whether the noise is small enough for error bars."""
+        ...
+
+    @property
+    def twin_probability(self) -> Any:
+        """That the twin is the true origin."""
+        ...
+
 
 class Tested(Protocol):
     """What the motion of one window tested; see :class:`reframe_jax.Excitation`."""
@@ -128,7 +138,9 @@ def explain_finding(finding: Finding, spread: Spread | None, tested: Tested | No
     like = _LIKE.get(finding.name, f"The body has the freedom of no common mechanism. {finding.name}")
     lines = [f"{like} (probability {_probability(finding.probability)})."]
     lines += [line for line in (_where(finding, spread), _direction(finding, spread)) if line]
-    settled = _still_open(finding, tested)
+    if spread is not None and len(lines) > 1 and not bool(spread.first_order):
+        lines[-1] += " The noise is so large that the errors may be larger than that."
+    settled = _still_open(finding, spread, tested)
     return "\n".join([*lines, *settled])
 
 
@@ -163,6 +175,8 @@ def _where(finding: Finding, spread: Spread | None) -> str:
     body = BODY_NAMES[finding.linear_type.position_body]
     size = "" if spread is None else _within(1e3 * _largest(spread.position), "mm")
     line = f"{what} {_vector(finding.position, 4)} m in the {body}{size}."
+    if what.startswith("The axis"):
+        line += " Every other point of the axis is as right."
     if spread is not None and float(np.max(np.asarray(spread.inflation))) > _SLOW:
         line += " Slow errors of the tracker, not its noise, set this limit."
     return line
@@ -186,7 +200,7 @@ def _direction(finding: Finding, spread: Spread | None) -> str:
     return f"{what} the direction {_vector(axes[:, index], 3)} in the {BODY_NAMES[body]}{size}."
 
 
-def _still_open(finding: Finding, tested: Tested | None) -> list[str]:
+def _still_open(finding: Finding, spread: Spread | None, tested: Tested | None) -> list[str]:
     """What the motion does not tell, and what would; at most two lines."""
     doubts, advice = [], []
     turns, slides = int(finding.angular_dof.sum()), int(finding.linear_dof.sum())
@@ -213,7 +227,11 @@ def _still_open(finding: Finding, tested: Tested | None) -> list[str]:
         doubts.append(f"frames of type {' and '.join(finding.rivals)} explain the motion as well")
         advice.append("turn the body further while it moves")
     if finding.twin is not None:
-        doubts.append(f"a second point, {1e3 * finding.twin:.0f} mm away, explains the motion as well")
+        point = f"a second point, {1e3 * finding.twin:.0f} mm away,"
+        if spread is None:
+            doubts.append(f"{point} explains the motion as well")
+        else:
+            doubts.append(f"{point} is right with probability {float(spread.twin_probability):.2f}")
         advice.append("move along more directions")
     if not doubts:
         return []

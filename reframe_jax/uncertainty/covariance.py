@@ -13,13 +13,18 @@ from reframe_jax.compilation import traced
 from reframe_jax.geometry import rotations
 from reframe_jax.geometry.products import matmul
 from reframe_jax.identification.results import Identification, Index, PoseNoise
-from reframe_jax.uncertainty.estimate import Estimates, covariance_of_windows
+from reframe_jax.uncertainty.bootstrap import bootstrap_of_windows
+from reframe_jax.uncertainty.estimate import covariance_of_windows
 from reframe_jax.uncertainty.inputs import over_windows
+from reframe_jax.uncertainty.paths import Estimates
 
-__all__ = ["Covariance", "Errors", "covariance", "move"]
+__all__ = ["Covariance", "Errors", "Method", "covariance", "move"]
 
 Errors = Literal["measured", "white"]
 """Whether what is left over inflates a covariance, or the noise is trusted to be white."""
+
+Method = Literal["derivative", "bootstrap"]
+"""By the derivative of the estimate by every pose, or by resampling blocks of the recording."""
 
 _SAME_NORM = 1e-3  # relative difference between the norm and the geometric mean that rounding makes
 
@@ -35,16 +40,28 @@ class Covariance:
     free has no variance: its rows are zero, and ``found.linear.free_position`` and ``free_rotation`` name it.
 
     Attributes:
-        matrix: (..., 15, 15) covariance of those numbers. NaN where the window failed.
+        matrix: (..., 15, 15) mean squares and products of the errors of those numbers: their covariance and
+            the products of their bias. NaN where the window failed.
+        bias: (..., 15) error that the noise makes on average, whatever the number of samples: noise of the
+            orientation acts through the lever to the origin and makes it look shorter. Zero for the angular
+            axes and the RMS. Subtract it from the estimate to correct that.
         inflation: (..., 3) how much larger the standard deviations of the angular axes, the linear axes and
             the origin are than the white noise of the poses explains: 1 where it explains all.
         determined: (...) bool, whether the motion determines all that the class does not leave free; if not,
             the covariance says nothing about the rest.
+        first_order: (...) bool, whether the noise is small enough for a first-order covariance: along the
+            constrained axes it shows at most a sixth of the motion along the slowest free one. If not, the
+            true errors are larger than the covariance says.
+        twin_probability: (...) that ``found.linear.twin`` is the true origin rather than the reported one, by
+            the sampling distribution of the difference of their norms; 0 where there is no twin.
     """
 
     matrix: jax.Array
+    bias: jax.Array
     inflation: jax.Array
     determined: jax.Array
+    first_order: jax.Array
+    twin_probability: jax.Array
 
     def __getitem__(self, index: Index) -> "Covariance":
         """Windows of a batch, indexed like an array."""
@@ -127,14 +144,16 @@ def covariance(
     dt: ArrayLike | None = None,
     noise: PoseNoise | None = None,
     errors: Errors = "measured",
+    method: Method = "derivative",
 ) -> Covariance:
     """Compute the covariance of an identification: of the axes, the origin, and the RMS velocities.
 
     To first order in the noise of the poses: the derivative of the optimum by every pose (implicit function
     theorem), times the noise. Overlapping chords and displacements share poses, which this takes into
-    account. Trackers have slow errors besides; by default what the motion leaves along constrained axes, and
-    for how long it has one sign, inflates the covariance. It holds for the types and degrees of freedom that
-    were found: if these are wrong, so is the covariance.
+    account. To second order, noise also shifts the estimate (``bias``), which the covariance includes.
+    Trackers have slow errors besides; by default what the motion leaves along constrained axes, and for how
+    long it has one sign, inflates the covariance. It holds for the types and degrees of freedom that were
+    found: if these are wrong, so is the covariance.
 
     Args:
         found: by :func:`reframe_jax.identify` from these poses, with the default norm and discretization.
@@ -143,16 +162,26 @@ def covariance(
         dt: s, as given to it.
         noise: of the poses, numbers or (...); by default what the recording shows, ``found.noise``.
         errors: ``"measured"`` inflates by what is left over; ``"white"`` trusts the noise.
+        method: ``"bootstrap"`` is a second way to the covariance of the axes and the origin, without a model
+            of the noise: 256 sums of the moments of 48 blocks of the recording, with random weights. It knows
+            no bias and costs more. For BB and GG, whose errors add up along the path, it is too small.
 
     Returns:
         The covariance, with the leading axes of ``found``.
 
     Raises:
-        ValueError: if the poses are not those of ``found``, or it was made with another norm.
+        ValueError: if the poses are not those of ``found``, it was made with another norm, or the options do
+            not go together.
     """
     if errors not in get_args(Errors):
         raise ValueError(f"errors must be 'measured' or 'white', not {errors!r}.")
+    if method not in get_args(Method):
+        raise ValueError(f"method must be 'derivative' or 'bootstrap', not {method!r}.")
+    if method == "bootstrap" and (noise is not None or errors != "measured"):
+        raise ValueError("The bootstrap has no model of the noise: leave out noise and errors.")
     _check_norm(found)
+    if method == "bootstrap":
+        return over_windows(_bootstrapped, found, poses, times, dt)
     return over_windows(_measured if errors == "measured" else _white, found, poses, times, dt, noise)
 
 
@@ -181,6 +210,24 @@ def _of_windows(
     poses: jax.Array, found: Estimates, steps: jax.Array, count: jax.Array | None, measured: bool
 ) -> Covariance:
     failed = ~jnp.isfinite(found.position[:, 0])
-    matrix, inflation, determined = covariance_of_windows(poses, steps, count, found, measured)
+    matrix, bias, inflation, determined, small, twin = covariance_of_windows(
+        poses, steps, count, found, measured
+    )
     matrix = jnp.where(failed[:, None, None], jnp.nan, matrix)
-    return Covariance(matrix, jnp.where(failed[:, None], jnp.nan, inflation), determined & ~failed)
+    bias, inflation = (jnp.where(failed[:, None], jnp.nan, x) for x in (bias, inflation))
+    twin = jnp.where(failed, jnp.nan, twin)
+    return Covariance(matrix, bias, inflation, determined & ~failed, small & ~failed, twin)
+
+
+def _bootstrapped(
+    poses: jax.Array, found: Estimates, steps: jax.Array, count: jax.Array | None
+) -> Covariance:
+    """By resampling; the twin is compared as always."""
+    usual = _of_windows(poses, found, steps, count, False)
+    failed = ~jnp.isfinite(found.position[:, 0])
+    matrix = bootstrap_of_windows(poses, steps, count, found)
+    matrix = jnp.where(failed[:, None, None], jnp.nan, matrix)
+    number = matrix.shape[1]
+    matrix = usual.matrix.at[:, :number].set(0).at[:, :, :number].set(0).at[:, :number, :number].set(matrix)
+    nothing = jnp.where(failed[:, None], jnp.nan, jnp.zeros_like(usual.bias))
+    return replace(usual, matrix=matrix, bias=nothing, inflation=1 + nothing[:, :3])

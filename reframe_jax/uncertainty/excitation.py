@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike
 from reframe_jax.constraints.catalogue import CONSTRAINTS, OTHER_CONSTRAINTS
 from reframe_jax.constraints.types import LinearType
 from reframe_jax.identification.results import Identification, Index
-from reframe_jax.uncertainty.estimate import Estimates, paths_of
 from reframe_jax.uncertainty.inputs import over_windows
+from reframe_jax.uncertainty.paths import Estimates, paths_of
 
 __all__ = ["Excitation", "excitation", "possible_constraints"]
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.compilation import chunk_size, compiler_options, traced
 from reframe_jax.identification.results import Identification, PoseNoise
-from reframe_jax.uncertainty.estimate import Estimates, estimates_of
+from reframe_jax.uncertainty.paths import Estimates, estimates_of
 
 __all__ = ["WindowFunction", "over_windows"]
 

@@ -11,6 +11,9 @@ are taken along the mean axes of their ends, which is exact to second order in t
 Arrays have rows (one for each estimate) and components first, then samples, then windows.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 
@@ -37,20 +40,29 @@ def position_to_poses(
     fixed = jnp.broadcast_to(origin[:, None], position.shape)
     arm = apply_to_rows(rotation, fixed[None])[0]
     in_body, in_ground = (_steps_in_body, _steps_in_ground)
-    candidates = {
-        LinearType.BB: in_body(rows, rotation, position + arm, arm),
-        LinearType.GB: _point(rows, arm),
-        LinearType.GG: in_ground(rows, rotation, fixed - position),
-        LinearType.BG: _point(apply_to_rows(rotation, rows), fixed - position),
+    candidates: dict[int, Callable[[], tuple[jax.Array, jax.Array]]] = {
+        LinearType.BB: lambda: in_body(rows, rotation, position + arm, arm),
+        LinearType.GB: lambda: _point(rows, arm),
+        LinearType.GG: lambda: in_ground(rows, rotation, fixed - position),
+        LinearType.BG: lambda: _point(apply_to_rows(rotation, rows), fixed - position),
     }
-    turn, shift = candidates[LinearType.BB]
-    for other, (its_turn, its_shift) in candidates.items():
-        here = kind == int(other)
-        turn, shift = (
-            jnp.where(here[None, None, None], own, rest)
-            for own, rest in ((its_turn, turn), (its_shift, shift))
-        )
+    turn, shift = _of_kind(kind, candidates, (rows, rows))
     return turn, shift
+
+
+def _of_kind(kind: jax.Array, candidates: dict[int, Callable[[], Any]], like: Any) -> Any:
+    """What belongs to the type of each window; types that no window has are not computed."""
+    result = like
+    for code, compute in candidates.items():
+        here = kind == int(code)
+
+        def take(before: Any, here: jax.Array = here, compute: Callable[[], Any] = compute) -> Any:
+            return jax.tree.map(
+                lambda new, old: jnp.where(here[None, None, None], new, old), compute(), before
+            )
+
+        result = jax.lax.cond(jnp.any(here), take, lambda before: before, result)
+    return result
 
 
 def turn_to_poses(rows: jax.Array, kind: jax.Array, rotation: jax.Array, turns: jax.Array) -> jax.Array:
@@ -66,9 +78,12 @@ def turn_to_poses(rows: jax.Array, kind: jax.Array, rotation: jax.Array, turns: 
         (m, 3, K+1, N), in the axes of {g}.
     """
     pull = _after(rows)
-    in_body = _differences(apply_to_rows(_middle(rotation), pull))
-    in_ground = _differences(pull) + _halves(cross_rows(jnp.diff(turns, axis=1)[None], pull))
-    return jnp.where((kind == int(AngularType.B))[None, None, None], in_body, in_ground)
+    candidates: dict[int, Callable[[], jax.Array]] = {
+        AngularType.B: lambda: _differences(apply_to_rows(_middle(rotation), pull)),
+        AngularType.G: lambda: _differences(pull) + _halves(cross_rows(jnp.diff(turns, axis=1)[None], pull)),
+    }
+    result: jax.Array = _of_kind(kind, candidates, rows)
+    return result
 
 
 def _point(rows: jax.Array, arm: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -39,6 +39,13 @@ class Sampling:
         centred = scaled - self.shares[None] * jnp.sum(scaled, axis=1, keepdims=True)
         return jnp.where(self.about_mean[None, None], centred, self.from_chords(samples))
 
+    def pose_weights(self) -> jax.Array:
+        """How often the noise of every pose counts in what is sampled, (K+1, N)."""
+        once = jnp.square(self.scales)
+        first = self._index() - self.lag[None]
+        ends = jnp.take_along_axis(once, jnp.maximum(first, 0), axis=0)
+        return jnp.where(self.about_mean[None], self.shares, once + jnp.where(first >= 0, ends, 0))
+
     def chords(self, path: jax.Array) -> jax.Array:
         """Velocities of all chords, (n, K+1, N), whatever ``about_mean`` says."""
         end = jnp.minimum(self._index() + self.lag[None], path.shape[1] - 1)

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from reframe_jax.compilation import once
 from reframe_jax.geometry.products import matmul
 
-__all__ = ["inflation", "long_run_variance", "noise_covariance"]
+__all__ = ["inflation", "long_run_variance", "noise_covariance", "noise_variances"]
 
 
 def noise_covariance(turn: jax.Array, shift: jax.Array, noise: tuple[jax.Array, jax.Array]) -> jax.Array:
@@ -32,6 +32,12 @@ def noise_covariance(turn: jax.Array, shift: jax.Array, noise: tuple[jax.Array, 
     rows = jnp.concatenate([turn * noise[1][None, None, None], shift * noise[0][None, None, None]], axis=1)
     flat = jnp.moveaxis(once(rows.reshape(rows.shape[0], -1, rows.shape[-1])), -1, 0)
     return jnp.moveaxis(matmul(flat, jnp.swapaxes(flat, 1, 2)), 0, -1)
+
+
+def noise_variances(turn: jax.Array, shift: jax.Array, noise: tuple[jax.Array, jax.Array]) -> jax.Array:
+    """The diagonal of :func:`noise_covariance`, (m, N)."""
+    by_shift, by_turn = (jnp.sum(jnp.square(rows), axis=(1, 2)) for rows in (shift, turn))
+    return jnp.square(noise[0])[None] * by_shift + jnp.square(noise[1])[None] * by_turn
 
 
 def long_run_variance(scores: jax.Array, block: jax.Array) -> jax.Array:

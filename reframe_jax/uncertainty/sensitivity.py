@@ -23,8 +23,17 @@ from reframe_jax.geometry import symmetric
 from reframe_jax.objectives.moments import MONOMIALS
 from reframe_jax.objectives.velocity import PositionObjective
 from reframe_jax.solvers import Box, ValleySteps
+from reframe_jax.uncertainty.shifts import PathNoise, pull_of_noise
 
-__all__ = ["Rows", "angular_rows", "linear_rows", "rms_rows"]
+__all__ = [
+    "Rows",
+    "angular_rows",
+    "covariance_at_offset",
+    "linear_rows",
+    "optimum_near",
+    "rms_rows",
+    "sums_of_products",
+]
 
 _FLAT = 1e-9  # curvature below this share of the largest: the direction is taken for free
 _BACK = ValleySteps(6)  # from the reported origin to the optimum
@@ -42,6 +51,8 @@ class Rows:
         position: (3, 3, K+1, N) of each coordinate of the reported origin.
         optimum: (3, 3, K+1, N) of each coordinate of the optimum.
         offset: (3, N) m, from the reported origin to the optimum.
+        turn_shift: (3, N) rad, turn about each axis of the frame that noise makes on average.
+        position_shift: (3, N) m, shift of the reported origin that noise makes on average.
         determined: (N,) bool, whether the objective is curved along all directions that are not free.
     """
 
@@ -50,6 +61,8 @@ class Rows:
     position: jax.Array
     optimum: jax.Array
     offset: jax.Array
+    turn_shift: jax.Array
+    position_shift: jax.Array
     determined: jax.Array
 
 
@@ -80,7 +93,9 @@ def angular_rows(samples: jax.Array, dof: jax.Array) -> jax.Array:
     return jnp.stack([_turn_row(k, samples, variances, dof)[0] for k in range(3)])
 
 
-def linear_rows(samples: jax.Array, slopes: jax.Array, dof: jax.Array, free: jax.Array) -> Rows:
+def linear_rows(
+    samples: jax.Array, slopes: jax.Array, dof: jax.Array, free: jax.Array, noise: PathNoise
+) -> Rows:
     """Sensitivities of a linear frame.
 
     Args:
@@ -88,24 +103,51 @@ def linear_rows(samples: jax.Array, slopes: jax.Array, dof: jax.Array, free: jax
         slopes: (3, 3, K+1, N) derivatives of these components by the coordinates of the origin.
         dof: (3, N), 1 where an axis is free.
         free: (3, 3, N) projector onto the directions in which the origin is free.
+        noise: of the path of the reported origin.
     """
     flat = jnp.concatenate([samples[:, None], slopes], axis=1).reshape(12, *samples.shape[1:])
     gram = sums_of_products(flat, flat).reshape(3, 4, 3, 4, -1)
-    offset = _optimum(gram)
+    offset = optimum_near(gram, jnp.zeros_like(gram[:, 0, 0, 0]))
     here, there = _about(gram, jnp.zeros_like(offset)), _about(gram, offset)
     held = jnp.broadcast_to(jnp.eye(3, dtype=free.dtype)[:, :, None], free.shape) - free
     solve, determined = _restricted_inverse(here.hessian, held)
     position = _origin_rows(solve, here, samples, slopes)
-    solve, _ = _restricted_inverse(there.hessian, None)
+    solve, _ = _restricted_inverse(here.hessian - noise.curvature(here.inverse), held)
+    shift = -jnp.sum(solve * _pull(here, noise, dof)[None], axis=1)
+    every = jnp.broadcast_to(jnp.eye(3, dtype=free.dtype)[:, :, None], free.shape)
+    solve, _ = _restricted_inverse(there.hessian, every)
     best = samples + jnp.sum(slopes * offset[None, :, None], axis=1)
     optimum = _origin_rows(solve, there, best, slopes)
     variances, still, turn = [there.sigma[i, i] for i in range(3)], [], []
+    turn_shift = []
     for k in range(3):
         row, weight = _turn_row(k, best, variances, dof)
-        by_origin = there.moved[:, (k + 1) % 3, (k + 2) % 3] * weight[None]
+        i, j = (k + 1) % 3, (k + 2) % 3
+        by_origin = there.moved[:, i, j] * weight[None]
+        turn_shift.append(noise.matrix[i, j] * weight + jnp.sum(by_origin * shift, axis=0))
         still.append(row)
         turn.append(row + jnp.sum(by_origin[:, None, None] * optimum, axis=0))
-    return Rows(jnp.stack(turn), jnp.stack(still), position, optimum, offset, determined)
+    return Rows(
+        turn=jnp.stack(turn),
+        still=jnp.stack(still),
+        position=position,
+        optimum=optimum,
+        offset=offset,
+        turn_shift=jnp.stack(turn_shift),
+        position_shift=shift,
+        determined=determined,
+    )
+
+
+def _pull(here: _Here, noise: PathNoise, dof: jax.Array) -> jax.Array:
+    """Gradient at the true origin by noise, (3, N)."""
+    blocks = []
+    for part in (dof == 0, dof == 1):
+        inside = part[:, None] & part[None]
+        apart = jnp.where(jnp.eye(3, dtype=bool)[:, :, None], here.sigma, 0)
+        inverse = _inverse(jnp.where(inside, here.sigma, apart))
+        blocks.append(jnp.where(inside, inverse, 0))
+    return pull_of_noise(here.moved, (blocks[0], blocks[1]), noise, dof)
 
 
 def _turn_row(
@@ -121,8 +163,13 @@ def _turn_row(
     return jnp.stack(row), weight
 
 
-def _optimum(gram: jax.Array) -> jax.Array:
-    """From the reported origin to the optimum, (3, N) m."""
+def optimum_near(gram: jax.Array, start: jax.Array) -> jax.Array:
+    """From the reported origin to the optimum near a point, (3, N) m.
+
+    Args:
+        gram: as in :func:`covariance_at_offset`.
+        start: (3, N) m, the point, from the reported origin.
+    """
     moments = jnp.stack(
         [
             jnp.stack(
@@ -132,8 +179,23 @@ def _optimum(gram: jax.Array) -> jax.Array:
         ]
     )
     far = jnp.full(3, _FAR, gram.dtype)
-    start = jnp.zeros_like(gram[:, 0, 0, 0])
     return _BACK(PositionObjective(moments), Box(-far, far), start)[0]
+
+
+def covariance_at_offset(gram: jax.Array, offset: jax.Array) -> jax.Array:
+    """Sigma at a point, (3, 3, N).
+
+    Args:
+        gram: (3, 4, 3, 4, N) sums of products of (u, b_x, b_y, b_z), component and column twice.
+        offset: (3, N) m, of the point, from the reported origin.
+    """
+    column = _column(gram, offset)
+    return column[:, :, 0] + jnp.sum(column[:, :, 1:] * offset[None, None], axis=2)
+
+
+def _column(gram: jax.Array, offset: jax.Array) -> jax.Array:
+    """Sums of products of u at a point and (u, b_x, b_y, b_z) at the reported origin, (3, 3, 4, N)."""
+    return gram[:, 0] + jnp.sum(gram[:, 1:] * offset[None, :, None, None], axis=1)
 
 
 def _about(gram: jax.Array, offset: jax.Array) -> _Here:
@@ -143,8 +205,8 @@ def _about(gram: jax.Array, offset: jax.Array) -> _Here:
         gram: (3, 4, 3, 4, N) sums of products of (u, b_x, b_y, b_z), component and column twice.
         offset: of the point.
     """
-    column = gram[:, 0] + jnp.sum(gram[:, 1:] * offset[None, :, None, None], axis=1)  # (3, 3, 4, N)
-    sigma = column[:, :, 0] + jnp.sum(column[:, :, 1:] * offset[None, None], axis=2)
+    column = _column(gram, offset)
+    sigma = covariance_at_offset(gram, offset)
     mixed = column[:, :, 1:]  # u_i b_ja
     moved = jnp.moveaxis(mixed + jnp.swapaxes(mixed, 0, 1), 2, 0)
     inverse = _inverse(sigma)
@@ -193,14 +255,14 @@ def _inverse(matrix: jax.Array) -> jax.Array:
     return inverse * (1 / symmetric.determinant(unit))[None, None] * scale[:, None] * scale[None]
 
 
-def _restricted_inverse(hessian: jax.Array, held: jax.Array | None) -> tuple[jax.Array, jax.Array]:
+def _restricted_inverse(hessian: jax.Array, held: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Inverse of (3, 3, N) in some directions, zero in the others; and whether it exists.
 
     Args:
         hessian: to invert.
-        held: (3, 3, N) projector onto these directions; all by default.
+        held: (3, 3, N) projector onto these directions.
     """
-    inside = hessian if held is None else _chain(held, hessian, held)
+    inside = _chain(held, hessian, held)
     xx, xy, xz, yy, yz, zz = (inside[i, j] for i, j in symmetric.INDEX_PAIRS)
     values, vectors = symmetric.eigh((xx, xy, xz, yy, yz, zz))
     axes = jnp.stack([jnp.stack(vector) for vector in vectors], axis=1)
@@ -208,31 +270,23 @@ def _restricted_inverse(hessian: jax.Array, held: jax.Array | None) -> tuple[jax
     largest = jnp.max(jnp.abs(jnp.stack([hessian[i, i] for i in range(3)])), axis=0, keepdims=True)
     stiff = strengths > _FLAT * largest
     reciprocal = jnp.where(stiff, 1 / jnp.where(stiff, strengths, 1), 0)
-    unit = jnp.broadcast_to(jnp.eye(3, dtype=hessian.dtype)[:, :, None], hessian.shape)
-    inverse = _chain(axes * reciprocal[None], jnp.swapaxes(axes, 0, 1), unit if held is None else held)
-    wanted = 3.0 if held is None else jnp.round(held[0, 0] + held[1, 1] + held[2, 2])
+    inverse = _chain(axes * reciprocal[None], jnp.swapaxes(axes, 0, 1), held)
+    wanted = jnp.round(held[0, 0] + held[1, 1] + held[2, 2])
     return inverse, jnp.sum(stiff, axis=0, dtype=hessian.dtype) >= wanted
 
 
-def rms_rows(samples: jax.Array, slopes: jax.Array | None, dof: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Sensitivities of the RMS along each axis of a frame.
+def rms_rows(samples: jax.Array, dof: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Sensitivities of the RMS along each axis of a frame to its own component at every sample, (3, K+1, N).
 
     The RMS of a constrained axis is that of its noise, whose square is known to two variances over the number
-    of samples. The derivative at the noise found counts that twice, hence the square root of one half.
+    of samples. The derivative at the noise found counts that twice, hence the square root of one half, which
+    comes second, (3, N), and 1 for free axes.
 
     Args:
         samples: (3, K+1, N) velocities along the axes.
-        slopes: (3, 3, K+1, N) their derivatives by the coordinates of the origin; None for an angular frame.
         dof: (3, N), 1 where an axis is free.
-
-    Returns:
-        (3, K+1, N), of axis i to its own component at every sample, and (3, 3, N), of axis i to the
-        coordinates of the origin; zero without one.
     """
     tiny = jnp.finfo(samples.dtype).tiny
     rms = jnp.sqrt(jnp.maximum(jnp.sum(jnp.square(samples), axis=1), tiny))
     share = jnp.where(dof == 1, 1, jnp.sqrt(jnp.asarray(0.5, samples.dtype)))
-    own = samples * (share / rms)[:, None]
-    if slopes is None:
-        return own, jnp.zeros((3, 3, samples.shape[2]), samples.dtype)
-    return own, jnp.sum(samples[:, None] * slopes, axis=2) / rms[:, None]
+    return samples * (share / rms)[:, None], share

@@ -1,0 +1,226 @@
+"""The paths that frames were estimated from: repaired, averaged and sampled as they were identified."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reframe_jax.compilation import once, traced
+from reframe_jax.constraints.located import ground_offset
+from reframe_jax.constraints.types import LinearType
+from reframe_jax.geometry.rotations import rotation_exp
+from reframe_jax.identification.results import Identification, PoseNoise
+from reframe_jax.motion import kinematics
+from reframe_jax.motion.chords import moving_chords
+from reframe_jax.motion.outliers import repair_poses
+from reframe_jax.motion.single_axis import SingleAxis, find_single_axis, keep_axis
+from reframe_jax.motion.smoothing import noise_share, smooth_noise
+from reframe_jax.uncertainty.propagation import apply_to_rows
+from reframe_jax.uncertainty.sampling import Sampling
+
+__all__ = ["Estimates", "Paths", "axes_of", "estimates_of", "paths_of"]
+
+_IN_BODY = int(LinearType.GB)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Estimates:
+    """What the covariance needs of N identifications.
+
+    Attributes:
+        angular_type, linear_type: (N,) codes.
+        angular_rotvec, linear_rotvec, position: (N, 3) rad, rad and m.
+        twin: (N, 3) m, and ``has_twin``: (N,) bool.
+        angular_dof, linear_dof: (N, 3).
+        free_position: (N, 3, 3).
+        refined: (N,) bool.
+        lag: (N,) samples.
+        counted: (N, K+1) bool.
+        seen: noise that the recordings show, by which they were identified.
+        position_noise, rotation_noise: (N,) m and rad, noise that the covariance is of.
+    """
+
+    angular_type: jax.Array
+    linear_type: jax.Array
+    angular_rotvec: jax.Array
+    linear_rotvec: jax.Array
+    position: jax.Array
+    twin: jax.Array
+    has_twin: jax.Array
+    angular_dof: jax.Array
+    linear_dof: jax.Array
+    free_position: jax.Array
+    refined: jax.Array
+    lag: jax.Array
+    counted: jax.Array
+    seen: PoseNoise
+    position_noise: jax.Array
+    rotation_noise: jax.Array
+
+    def padded(self, size: int) -> "Estimates":
+        """Those of one window on the host, whose poses are padded to a number of them."""
+        counted: Any = np.zeros(size, bool)
+        counted[: len(self.counted)] = self.counted
+        return replace(self, counted=counted)
+
+
+def estimates_of(found: Identification, noise: PoseNoise | None, dtype: np.dtype) -> Estimates:
+    """What the covariance needs of an identification, in the precision of the poses."""
+    batch = np.shape(found.status_code)
+    given = found.noise if noise is None else noise
+    angular, linear = found.angular, found.linear
+    estimates = Estimates(
+        angular_type=angular.type_code,
+        linear_type=linear.type_code,
+        angular_rotvec=angular.rotvec,
+        linear_rotvec=linear.rotvec,
+        position=linear.position,
+        twin=linear.twin,
+        has_twin=linear.has_twin,
+        angular_dof=angular.dof,
+        linear_dof=linear.dof,
+        free_position=linear.free_position,
+        refined=found.refined,
+        lag=found.lag,
+        counted=found.counted,
+        seen=found.noise,
+        position_noise=jnp.broadcast_to(jnp.asarray(given.position), batch),
+        rotation_noise=jnp.broadcast_to(jnp.asarray(given.rotation), batch),
+    )
+    if not traced(estimates):
+        estimates = jax.device_get(estimates)  # NumPy takes views where JAX would run programs
+
+    def convert(leaf: Any) -> Any:
+        return leaf.astype(dtype) if np.issubdtype(leaf.dtype, np.floating) else leaf
+
+    return jax.tree.map(convert, estimates)
+
+
+@dataclass(frozen=True)
+class Paths:
+    """Paths of a window's frames, as they were identified: components first, then samples, then windows.
+
+    Attributes:
+        rotation: (3, 3, K+1, N), and ``shift``: (3, K+1, N) m, of {b} in {g}, from the centre.
+        turns: (3, K+1, N) rad, summed steps of rotation in the body of the angular type.
+        along_angular: (3, K+1, N) the same along the axes of the angular frame.
+        along_linear: (3, K+1, N) m, path of the origin along the axes of the linear frame.
+        slopes: (3, 3, K+1, N) its derivatives by the coordinates of the origin.
+        origin: (3, N) m, in the body it is fixed in, from the centre for types in the ground.
+        single: axis about which the body turns, and ``kept``: (N,) bool, whether noise that leads away from
+            it was taken out of the rotations; ``tilted``: the rotations with it.
+        share: (N,) of the noise that averaging neighbours has left.
+    """
+
+    rotation: jax.Array
+    shift: jax.Array
+    turns: jax.Array
+    along_angular: jax.Array
+    along_linear: jax.Array
+    slopes: jax.Array
+    origin: jax.Array
+    single: SingleAxis
+    kept: jax.Array
+    tilted: jax.Array
+    share: jax.Array
+    sampling: Sampling
+
+
+def paths_of(poses: jax.Array, steps: jax.Array, count: jax.Array | None, found: Estimates) -> Paths:
+    """Paths of the frames of N windows; arguments as in :func:`covariance_of_windows`."""
+    windows, samples = poses.shape[0], poses.shape[1] - 1
+    # a failed window computes with harmless poses
+    failed = ~jnp.isfinite(found.position[:, 0])
+    poses = jnp.where(failed[:, None, None, None], jnp.eye(4, dtype=poses.dtype)[None, None], poses)
+    number = jnp.full(windows, samples + 1, jnp.int32) if count is None else count
+    own = jnp.arange(samples + 1, dtype=jnp.int32)[None] < number[:, None]
+    total = jnp.sum(jnp.where(own[:, :, None], poses[:, :, :3, 3], 0), axis=1)
+    centre = total / number.astype(poses.dtype)[:, None]
+    poses = poses.at[:, :, :3, 3].add(-centre[:, None])
+    shared = jnp.broadcast_to(steps, (1, samples)) if steps.ndim == 1 else steps
+    times = jnp.concatenate([jnp.zeros_like(shared[:, :1]), jnp.cumsum(shared, axis=1)], axis=1)
+    times = jnp.broadcast_to(times, (windows, samples + 1))
+    out = own & ~found.counted
+
+    def mend(poses: jax.Array) -> jax.Array:
+        return jnp.where(out[:, :, None, None], repair_poses(poses, times, number)[0], poses)
+
+    poses = once(jax.lax.cond(jnp.any(out), mend, lambda poses: poses, poses))
+    rotation, shift, share = _averaged(poses, times, number, found)
+    _, paths = once(kinematics.paths_of(rotation, shift, shared, count))
+    turns = _of_type(kinematics.rates_of(paths)[:, 0], found.angular_type)
+    single = find_single_axis(rotation, found.counted.T, share * found.seen.rotation)
+    kept = single.found & found.refined & (found.lag > 1)
+
+    def keep(_: None) -> tuple[jax.Array, jax.Array]:
+        straight = keep_axis(rotation, single._replace(found=kept))
+        return straight, kinematics.paths_of(straight, shift, shared, count)[1]
+
+    tilted = rotation
+    rotation, paths = once(jax.lax.cond(jnp.any(kept), keep, lambda _: (rotation, paths), None))
+    maps = _of_type(paths, found.linear_type)
+    offset = jnp.take_along_axis(ground_offset(centre), found.linear_type[:, None, None], axis=1)[:, 0]
+    origin = (found.position - offset).T
+    path = maps[:, 0] + jnp.sum(maps[:, 1:] * origin[None, :, None], axis=1)
+    back = jnp.swapaxes(axes_of(found.linear_rotvec), 0, 1)[:, :, None]
+    slopes = jnp.stack([apply_to_rows(back, maps[None, :, a])[0] for a in (1, 2, 3)], axis=1)
+    angular_back = jnp.swapaxes(axes_of(found.angular_rotvec), 0, 1)[:, :, None]
+    return Paths(
+        rotation=rotation,
+        shift=shift,
+        turns=turns,
+        along_angular=apply_to_rows(angular_back, turns[None])[0],
+        along_linear=apply_to_rows(back, path[None])[0],
+        slopes=slopes,
+        origin=origin,
+        single=single,
+        kept=kept,
+        tilted=tilted,
+        share=share,
+        sampling=_sampling(paths, times, found),
+    )
+
+
+def _averaged(
+    poses: jax.Array, times: jax.Array, number: jax.Array, found: Estimates
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Rotations (3, 3, K+1, N) and positions (3, K+1, N) as they were identified, and the noise left in them.
+
+    Where the noise was not found to be white, it is not known whether neighbours were averaged.
+    """
+    rotation, position = kinematics.split_poses(poses)
+    seen, lag = (found.seen.position, found.seen.rotation), jnp.where(found.refined, found.lag, 0)
+    rotation, position, width = once(
+        smooth_noise(rotation, position, times.T, found.counted.T, number, seen, lag)
+    )
+    return rotation, position, noise_share(width, poses.dtype)
+
+
+def _sampling(paths: jax.Array, times: jax.Array, found: Estimates) -> Sampling:
+    counted = found.counted.T
+    rotation, position = paths[:, 1:, :, _IN_BODY], paths[:, 0, :, _IN_BODY]
+    noise = found.seen.position, found.seen.rotation
+    weights = moving_chords(rotation, position, counted, found.lag, noise)
+    weights = jnp.concatenate([weights, jnp.zeros_like(weights[:1])])
+    last = times.shape[1] - 1
+    end = jnp.minimum(jnp.arange(last + 1, dtype=jnp.int32)[:, None] + found.lag[None], last)
+    span = jnp.take_along_axis(times.T, end, axis=0) - times.T
+    number = jnp.maximum(jnp.sum(weights, axis=0), 1)
+    scales = jnp.where(weights > 0, jnp.sqrt(weights / number[None]) / jnp.where(weights > 0, span, 1), 0)
+    shares = counted.astype(paths.dtype)
+    shares = shares / jnp.maximum(jnp.sum(shares, axis=0, keepdims=True), 1)
+    return Sampling(found.refined, shares, found.lag, scales)
+
+
+def _of_type(array: jax.Array, kind: jax.Array) -> jax.Array:
+    """From (..., K+1, T, N) what belongs to one type each, (..., K+1, N)."""
+    index = kind.reshape(*[1] * (array.ndim - 1), -1)
+    return jnp.take_along_axis(array, index, axis=-2)[..., 0, :]
+
+
+def axes_of(rotvec: jax.Array) -> jax.Array:
+    """(3, 3, N) of (N, 3)."""
+    return jnp.moveaxis(rotation_exp(rotvec), 0, -1)
