@@ -14,7 +14,15 @@ import numpy as np
 
 import reframe_jax
 
-__all__ = ["chosen_plan", "machine", "new_parser", "plan_parser", "write_metrics", "write_record"]
+__all__ = [
+    "chosen_plan",
+    "machine",
+    "new_parser",
+    "plan_parser",
+    "read_parts",
+    "write_metrics",
+    "write_record",
+]
 
 _Plan = TypeVar("_Plan")
 
@@ -43,7 +51,13 @@ def plan_parser(name: str, doc: str | None, *, quick: str) -> argparse.ArgumentP
     )
     add("--sigmas", nargs="+", type=float, help="standard deviations of the position noise, m")
     add("--json", type=Path, help="file to write all figures to")
+    add("--join", nargs="+", type=Path, metavar="JSON", help="run nothing: show what runs of parts wrote")
     return parser
+
+
+def read_parts(options: argparse.Namespace) -> list[dict[str, Any]]:
+    """Records of the runs to join; none without ``--join``."""
+    return [json.loads(part.read_text()) for part in options.join or []]
 
 
 def chosen_plan(options: argparse.Namespace, plan: _Plan, quick: _Plan) -> _Plan:

@@ -28,7 +28,7 @@ import numpy as np
 
 import reframe_jax as rf
 from benchmarks.bounds import cramer_rao
-from benchmarks.common import chosen_plan, machine, plan_parser, write_record
+from benchmarks.common import chosen_plan, machine, plan_parser, read_parts, write_record
 from benchmarks.fits import LINE_FITS, QUANTITIES, Scores, Windows, anneal, line_scores, scores
 from benchmarks.lags import identify_at, takes_lag
 from benchmarks.timing import timed
@@ -243,11 +243,8 @@ def slopes(rows: list[dict[str, Any]], by: str) -> dict[str, float]:
 
 def report(plan: Plan, table: dict[str, np.ndarray], times: list[dict[str, Any]]) -> dict[str, Any]:
     """Print the tables; returns the record for --json."""
-    show(
-        summarise(table, ["constraint"]),
-        "constraint",
-        "By constraint, over all motions, noise levels and rates",
-    )
+    by_constraint = summarise(table, ["constraint"])
+    show_constraints(by_constraint)
     if len(plan.motions) > 1:
         show(summarise(table, ["motion"]), "motion", "By motion")
     by_sigma, by_rate = summarise(table, ["sigma"]), summarise(table, ["rate"])
@@ -267,7 +264,18 @@ def report(plan: Plan, table: dict[str, np.ndarray], times: list[dict[str, Any]]
         f"{name}_right": float(np.mean(table[f"{name}_right"][mine])) for name in ("types", "dof", "name")
     }
     rows = summarise(table, ["constraint", "motion", "sigma", "rate"])
-    return {"machine": machine(), "metrics": metrics, "times": times, "rows": rows}
+    return {
+        "machine": machine(),
+        "metrics": metrics,
+        "times": times,
+        "constraints": by_constraint,
+        "rows": rows,
+    }
+
+
+def show_constraints(rows: list[dict[str, Any]]) -> None:
+    """Print the table of all constraints."""
+    show(rows, "constraint", "By constraint, over all motions, noise levels and rates")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -284,6 +292,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         help="what is added to the white noise; the bound knows nothing of it",
     )
     options = parser.parse_args(argv)
+    if parts := read_parts(options):
+        print(f"windows of {DURATION:g} s; {parts[0]['machine']}")
+        show_constraints([row for part in parts for row in part["constraints"]])
+        return 0
     plan = chosen_plan(options, Plan(), QUICK)
     jax.config.update("jax_enable_x64", True)
     print(f"windows of {DURATION:g} s, {plan.errors} noise; {machine()}")

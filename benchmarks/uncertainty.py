@@ -14,7 +14,6 @@ Windows of 5 s at 20 Hz with random geometry, measured with noise whose ratio of
 by --constraints or --sigmas with --json; --join prints the tables of several parts.
 """
 
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import reframe_jax as rf
-from benchmarks.common import chosen_plan, machine, plan_parser, write_record
+from benchmarks.common import chosen_plan, machine, plan_parser, read_parts, write_record
 from benchmarks.uncertainty_reliability import (
     KINDS,
     Said,
@@ -305,11 +304,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--slow", type=float, help="m, standard deviation of an error that changes slowly")
     add("--errors", choices=["measured", "white"], help="of the covariance; see reframe_jax.covariance")
     add("--plot", type=Path, help="file of the reliability diagram")
-    add("--join", nargs="+", type=Path, metavar="JSON", help="run nothing: show what other runs wrote")
     options = parser.parse_args(argv)
     plan = chosen_plan(options, Plan(), QUICK)
     jax.config.update("jax_enable_x64", True)
-    parts = [json.loads(part.read_text()) for part in options.join or []]
+    parts = read_parts(options)
     record = joined(parts) if parts else run(plan)
     print(f"{plan.motion} motion, covariance from {plan.errors} errors; {record['machine']}")
     show(record, options.plot)
