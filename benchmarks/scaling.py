@@ -16,11 +16,13 @@ from benchmarks.timing import jit, timed
 from reframe_jax.compilation import chunk_size
 from reframe_jax.identification.entry import default_solver
 from reframe_jax.identification.evidence import window_moments
+from reframe_jax.simulation import synthetic
 
 Curves = dict[str, dict[str, float]]
 
 _BLOCK = 65536  # windows in memory at once
 _ON_DEVICES = 2**23  # windows spread over accelerators
+_SIMULATED = 64  # longer windows; they are repeated
 _RESULT = 1200  # bytes of what is found in a window
 LABELS = {
     "windows": "windows",
@@ -35,6 +37,15 @@ def identify_repeated(poses: np.ndarray, count: int) -> None:
     for start in range(0, count, _BLOCK):
         rows = np.arange(start, min(start + _BLOCK, count)) % len(poses)
         jax.block_until_ready(rf.identify(poses[rows], dt=DT))
+
+
+def _longer(samples: int) -> np.ndarray:
+    """Simulated windows of so many velocities."""
+
+    def simulate(key: jax.Array) -> jax.Array:
+        return synthetic.simulate("K", key, noise=1e-5, duration=samples * DT, dt=DT).poses
+
+    return np.asarray(jit(jax.vmap(simulate))(jax.random.split(jax.random.key(0), _SIMULATED)))
 
 
 def curves(poses: np.ndarray, best: np.ndarray, *, full: bool, names: Sequence[str] | None = None) -> Curves:
@@ -67,9 +78,7 @@ def curves(poses: np.ndarray, best: np.ndarray, *, full: bool, names: Sequence[s
     some = poses[np.arange(2048) % len(poses)]
     if "samples" in names:
         for samples in (25, 50, 100, 200, 400):
-            # to and fro: what counts here is the number of samples
-            there_and_back = np.concatenate([some, some[:, -2:0:-1]], axis=1)
-            long = there_and_back[:, np.arange(samples + 1) % there_and_back.shape[1]]
+            long = _longer(samples)[np.arange(len(some)) % _SIMULATED]
             measure("samples", samples, partial(rf.identify, long, dt=DT), len(some))
             print(flush=True)
     if "starts" in names:
