@@ -121,18 +121,19 @@ def solve_evidence(
     free, position = nearest_origin(
         optima.objective.moments, frames.local_axes, dof[1], optima.rms, frames.position, idle[:, None]
     )
+    position, on_bounds = ground_offset(evidence.centre) + position, _on_bounds(optima, position)
     linear = Candidates(
         rotvec=orient_axes(frames.axes, dof[1]),
         dof=dof[1],
         rms=optima.rms,
         norm=optima.norm,
         free_rotation=free_rotations(dof[1]),
-        position=ground_offset(evidence.centre) + position,
+        position=position,
         free_position=free,
-        on_bounds=_on_bounds(optima, position),
+        on_bounds=on_bounds,
         agreement=optima.solution.agreement,
     )
-    linear_frame = _linear_frame(linear, evidence, optima, patterns, idle)
+    linear_frame = _linear_frame(linear, (position, free), evidence, optima, patterns, idle)
     cautions = {
         Caution.FAR_ORIGIN: optima.widened,
         Caution.ROUNDED: evidence.rounded,
@@ -150,7 +151,7 @@ def solve_evidence(
         status_code=jnp.zeros_like(evidence.status),
         warning_codes=_warning_codes(evidence, optima, thresholds, cautions),
     )
-    return _with_status(found, evidence.status)
+    return _with_status(found, evidence.status, pick_type(on_bounds, optima.linear_winner))
 
 
 def _decide(
@@ -200,22 +201,21 @@ def _angular_frame(
 
 def _linear_frame(
     candidates: Candidates,
+    origin: tuple[jax.Array, jax.Array],
     evidence: Evidence,
     optima: Optima,
     patterns: jax.Array,
     idle: jax.Array,
 ) -> LinearFrame:
     n = optima.linear_winner
-    assert candidates.position is not None
-    assert candidates.free_position is not None
     searched, solution, box = jax.tree.map(
         partial(pick_problem, n), (optima.searched, optima.solution, optima.box)
     )
-    free = pick_type(candidates.free_position, n)
+    position, free = (pick_type(array, n) for array in origin)
     dof = pick_type(candidates.dof, n)
     twin, has_twin = find_twins(searched, box, solution, dof, jax.lax.stop_gradient(idle), evidence.samples)
     coupled = coupled_positions(searched, solution.x, jax.lax.stop_gradient(free), dof, evidence.samples)
-    position, offset = pick_type(candidates.position, n), pick_type(ground_offset(evidence.centre), n)
+    offset = pick_type(ground_offset(evidence.centre), n)
     return LinearFrame(
         type_code=n,
         rotvec=pick_type(candidates.rotvec, n),
@@ -262,11 +262,9 @@ def _warning_codes(
     return caution_codes(evidence.poses, evidence.lag, rms, thresholds, cautions)
 
 
-def _with_status(found: Identification, before: jax.Array) -> Identification:
+def _with_status(found: Identification, before: jax.Array, on_bounds: jax.Array) -> Identification:
     """The results with their status, and nothing but it where a window had failed before the search."""
     still = jnp.sum(found.angular.dof, axis=-1) + jnp.sum(found.linear.dof, axis=-1) == 0
-    assert found.candidates.linear.on_bounds is not None
-    on_bounds = pick_type(found.candidates.linear.on_bounds, found.linear.type_code)
     outcome = jnp.where(on_bounds, Status.ON_BOUNDS, Status.OK)
     outcome = jnp.where(still, Status.NOT_EXCITED, outcome)
     outcome = jnp.where(_is_finite(found), outcome, Status.OUT_OF_RANGE).astype(jnp.int32)
