@@ -62,7 +62,6 @@ def _principal_directions(
 ) -> tuple[jax.Array, jax.Array]:
     """Directions of the principal curvatures, (N, 3, 3) columns, and which are not free, (N, 3) bool."""
     eye = jnp.eye(3, dtype=x.dtype)
-
     curvature = symmetric.to_matrix(slope_and_curvature(objective, x)[1])
     others = eye[None] - free
     curvature = matmul3(others, matmul3(curvature, others))

@@ -236,9 +236,8 @@ def descend(
         ]
         g = cast(Vector, tuple(jnp.where(held[i], 0, here.gradient[i]) for i in range(3)))
         trace = here.majorant[0] + here.majorant[3] + here.majorant[5]
-        down, newton = once(
-            apply_each(lambda m: symmetric.solve(_hold(m, held, trace), g), (here.majorant, here.hessian))
-        )
+        both = here.majorant, here.hessian
+        down, newton = apply_each(lambda m: symmetric.solve(_hold(m, held, trace), g), both)
 
         # Newton's lengths, as far as the box allows, on the line along which Sigma is a quadratic
         slope = newton[0] * g[0] + newton[1] * g[1] + newton[2] * g[2]
