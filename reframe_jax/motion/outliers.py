@@ -1,7 +1,7 @@
-"""Single poses that jump away and back: flips, swapped markers, lost frames.
+"""Poses that jump away and back: flips, swapped markers, lost frames.
 
-Robust lines through the neighbours find them. They do not count; paths that run across them use the motion
-interpolated between the poses beside them.
+Robust lines through the neighbours find up to two in a row; :mod:`.bursts` finds longer runs. They do not
+count; paths that run across them use the motion interpolated between the poses beside them.
 """
 
 import jax
@@ -11,7 +11,8 @@ import numpy as np
 from reframe_jax.compilation import update_marked
 from reframe_jax.geometry import rotations
 from reframe_jax.geometry.products import matmul
-from reframe_jax.motion.noise import masked_median
+from reframe_jax.motion.bursts import find_runs
+from reframe_jax.motion.noise import masked_median, unit_of_rounding
 
 __all__ = ["repair_poses"]
 
@@ -37,14 +38,18 @@ def repair_poses(poses: jax.Array, times: jax.Array, count: jax.Array) -> tuple[
         return poses, own
 
     def look(block: tuple[jax.Array, ...]) -> jax.Array:
-        poses, times, count, own = (jnp.moveaxis(array, -1, 0) for array in block)
-        outliers = jax.vmap(_find)(poses, times, count) & own
+        poses, times, count, own, unit = (jnp.moveaxis(array, -1, 0) for array in block)
+        runs = jax.vmap(find_runs)(poses, count, unit)
+        outliers = jax.vmap(_find)(jax.vmap(_fill)(poses, times, ~runs), times, count)
+        outliers = (outliers | runs) & own
         share = jnp.sum(outliers, axis=1, dtype=poses.dtype) / count.astype(poses.dtype)
         return (own & ~(outliers & (share <= _MOST)[:, None])).T
 
+    measured = jax.lax.stop_gradient(poses)
+    unit = unit_of_rounding(jnp.moveaxis(measured[:, :, :3, 3], 0, -1).swapaxes(0, 1), own.T)
     # windows last
-    inputs = jnp.moveaxis(jax.lax.stop_gradient(poses), 0, -1), times.T, count, own.T
-    counted = update_marked(look, _is_suspicious(jax.lax.stop_gradient(poses), own), inputs, own.T).T
+    inputs = jnp.moveaxis(measured, 0, -1), times.T, count, own.T, unit
+    counted = update_marked(look, _is_suspicious(measured, own), inputs, own.T).T
 
     def fill(_: None) -> jax.Array:
         return jax.vmap(_fill)(poses, times, counted)
@@ -105,12 +110,13 @@ def _unwrap(turns: jax.Array) -> jax.Array:
     """Rotation vectors (K, M, 3), of the two for each rotation those on the side of the largest in its row.
 
     Neighbours of a pose that is off by about a half turn are close to each other, their logarithms are not.
+    Rotations of less than a quarter turn stay as they are.
     """
     angles = jnp.linalg.norm(turns, axis=-1, keepdims=True)
     largest = jnp.take_along_axis(turns, jnp.argmax(angles, axis=1)[..., None], axis=1)
     others = turns * (1 - 2 * jnp.pi / jnp.where(angles == 0, 1, angles))
     nearer = jnp.linalg.norm(others - largest, axis=-1) < jnp.linalg.norm(turns - largest, axis=-1)
-    return jnp.where(nearer[..., None], others, turns)
+    return jnp.where(nearer[..., None] & (angles > jnp.pi / 2), others, turns)
 
 
 def _fill(poses: jax.Array, times: jax.Array, counted: jax.Array) -> jax.Array:

@@ -1,0 +1,102 @@
+"""Runs of poses that jump away together and come back: flipped orientations, swapped or covered markers.
+
+A run starts with a step unlike those before it and ends with one unlike those after it; and from the pose
+before the run to the pose after it, the body moved as it did before and after. A body that stays where it
+jumped to, or that only moved fast, makes no such run.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reframe_jax.geometry import rotations
+from reframe_jax.geometry.products import matmul
+
+__all__ = ["LONGEST_RUN", "find_runs"]
+
+LONGEST_RUN = 24  # poses
+_SHORTEST_RUN = 3  # poses; lines through the neighbours find shorter ones
+_BESIDE = 5  # steps before and after a run that say how the body moves
+_JUMP = 6.0  # distance of a step from those beside it, in units of their scatter
+_LATE = 3.0  # usual steps that a body may go in one
+_BRIDGE = 0.5  # of the jump, that the motion across the run may differ from the motion beside it
+_UNEVEN = 4.0  # ratio of the two jumps, from which on they are not those of one run
+_SHARE = 6  # runs are no longer than this part of the window
+
+
+def find_runs(poses: jax.Array, count: jax.Array, unit: jax.Array) -> jax.Array:
+    """Find the runs of a window: those of at least three poses that start and end within it.
+
+    Args:
+        poses: (K+1, 4, 4) m.
+        count: () number of poses; the others are padding.
+        unit: () m, that positions are rounded to, or 0.
+
+    Returns:
+        (K+1,) bool, the poses of all runs.
+    """
+    size = poses.shape[0]
+    longest = min(LONGEST_RUN, size // _SHARE)
+    if longest < _SHORTEST_RUN:
+        return jnp.zeros(size, bool)
+    length = np.arange(longest + 1, dtype=np.int32)
+    here = np.arange(size - 1, dtype=np.int32)
+    last = np.minimum(here[:, None] + length, size - 2)  # the step that ends a run of this length
+    inside = (here[:, None] >= _BESIDE) & (here[:, None] + length + _BESIDE < count - 1)
+    inverse = jnp.swapaxes(poses[:, :3, :3], -1, -2)
+    beyond = np.minimum(last + 1, size - 1)
+    turns = rotations.rotation_log(matmul(poses[beyond, :3, :3], inverse[here][:, None]))
+    shifts = poses[beyond, :3, 3] - poses[here, None, :3, 3]
+    returns = jnp.zeros(last.shape, bool)
+    for moves, least in ((turns, jnp.zeros_like(unit)), (shifts, unit)):
+        before, after = (_beside(moves[:, 0], side) for side in (-1, 1))
+        away, back = _excess(*before, least)[:, None], _excess(*after, least)[last]
+        jump = jnp.where(
+            jnp.maximum(away, back) < _UNEVEN * jnp.minimum(away, back), jnp.minimum(away, back), 0
+        )
+        usual = (before[0][:, None] + after[0][last]) / 2 * (length + 1)[None, :, None].astype(moves.dtype)
+        across = jnp.linalg.norm(moves - usual, axis=-1)
+        returns = returns | ((jump > 0) & (across < _BRIDGE * jump))
+    return _union(returns & inside)
+
+
+def _beside(steps: jax.Array, side: int) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Median of the steps (K, 3) before (-1) or after (1) each one, (K, 3), distances from it, and scatter.
+
+    The body may be early or late on its way: distances are from the usual step up to three times its length.
+    """
+    number = steps.shape[0]
+    near = np.arange(number)[:, None] + side * np.arange(1, _BESIDE + 1)
+    others = steps[np.clip(near, 0, number - 1)]
+    usual = jnp.median(others, axis=1)
+    scatter = jnp.median(jnp.linalg.norm(others - usual[:, None], axis=-1), axis=1)
+    square = jnp.sum(jnp.square(usual), axis=-1)
+    times = jnp.sum(steps * usual, axis=-1) / jnp.where(square > 0, square, 1)
+    late = jnp.clip(times, 0, _LATE)[:, None] * usual
+    return usual, jnp.linalg.norm(steps - late, axis=-1), scatter
+
+
+def _excess(usual: jax.Array, distance: jax.Array, scatter: jax.Array, least: jax.Array) -> jax.Array:
+    """How far each step is from the usual one, (K,), where it is a jump; else 0."""
+    typical = jnp.median(distance)
+    rounding = 64 * jnp.finfo(usual.dtype).eps * (1 + jnp.max(distance))
+    level = _JUMP * jnp.maximum(jnp.maximum(scatter, typical), least) + rounding
+    return jnp.where(distance > level, distance, 0)
+
+
+def _union(returns: jax.Array) -> jax.Array:
+    """Poses of the runs (K+1,), from the steps that start one, and its length (K, longest + 1): the shortest.
+
+    A run starts after the one before it has ended: the step back is no start.
+    """
+    shortest = jnp.where(jnp.any(returns[:, 1:], axis=1), jnp.argmax(returns[:, 1:], axis=1) + 1, 0)
+
+    def go(end: jax.Array, step: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        here, length = step
+        end = jnp.where((length > 0) & (here > end), here + length, end)
+        return end, here < end
+
+    here = jnp.arange(len(returns), dtype=jnp.int32)
+    long_enough = jnp.where(shortest >= _SHORTEST_RUN, shortest, 0).astype(jnp.int32)
+    _, within = jax.lax.scan(go, jnp.int32(-1), (here, long_enough))
+    return jnp.concatenate([jnp.zeros(1, bool), within])
