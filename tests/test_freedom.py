@@ -6,9 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import reframe_jax as rf
 from reframe_jax.geometry.transforms import make_pose
+from reframe_jax.identification.distances import share_of_turn
+from reframe_jax.identification.evidence import reduce_windows
 from reframe_jax.identification.freedom import freedom_patterns, type_weights
 from reframe_jax.simulation import synthetic
 
@@ -27,10 +30,11 @@ CLASSES = {
 
 
 @jax.jit
-def patterns(distance, gain, samples, share=1.0):
+def patterns(distance, gain, samples, share=1.0, of_turn=0.3):
     """Noise far below what people move, so that it hides nothing."""
-    share = jnp.full_like(samples, share)
-    return freedom_patterns(distance, jnp.full_like(distance, 1e-6), gain, jnp.asarray(samples), share)
+    share, of_turn = jnp.full_like(samples, share), jnp.full_like(gain, of_turn)
+    noise = jnp.full_like(distance, 1e-6)
+    return freedom_patterns(distance, noise, gain, of_turn, jnp.asarray(samples), share)
 
 
 def distances(free, held, far):
@@ -69,6 +73,55 @@ def test_what_an_error_of_scale_makes_at_the_end_of_a_lever_is_no_freedom():
     none, lever = (np.asarray(patterns(distance, np.full(3, gain), SAMPLES)) for gain in (0.0, 4e3))
     assert none[1, 1] > 0.9
     assert lever[1, 0] > 20 * none[1, 0]
+
+
+def test_motion_that_the_rotation_explains_is_no_freedom():
+    """White noise, and one linear axis that went a tenth of the lever: the rest of it is noise, or is not."""
+    distance = np.array([1.0, 1.1, 60.0, 1.0, 1.1, 6.0])
+    gain, alone = np.full(3, 60.0), np.array([1.0, 1.1, 60.0, 1.0, 1.1, 60.0])
+    explained, other = (
+        np.asarray(patterns(distance, gain, SAMPLES, of_turn=share)) for share in (1 - 1 / 36, 0.3)
+    )
+    assert explained[1, 0] == np.max(explained) > 0.6
+    assert other[1, 1] == np.max(other) > 0.6
+    # further than a scale error goes: free, although proportional
+    assert np.asarray(patterns(alone, gain, SAMPLES, of_turn=0.999))[1, 1] > 0.9
+
+
+def test_a_hinge_whose_rotation_is_measured_short():
+    """By 6 %, as trackers do that see a marker at a slant; the lever is 0.5 m."""
+    rng, angle = np.random.default_rng(4), 0.5 - 0.5 * np.cos(np.linspace(0, np.pi, 151))
+    exact = Rotation.from_rotvec(np.outer(0.94 * angle, [0.0, 0.0, 1.0]))
+    measured = Rotation.from_rotvec(rng.normal(0, 5e-3, (151, 3))) * exact
+    position = 0.5 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    poses = make_pose(measured.as_matrix(), position + rng.normal(0, 3e-4, (151, 3)))
+    found = rf.identify(np.asarray(poses), dt=0.05)
+    assert found.name == "Revolute joint"
+    assert found.probability > 0.6
+    assert abs(np.asarray(found.angular.axes)[2, 2]) > np.cos(np.radians(0.5))
+
+
+def test_the_share_that_the_rotation_explains():
+    """Against a sum over samples, with the lever that the rotation moves most."""
+    poses = np.asarray(synthetic.simulate("L", jax.random.key(3), noise=1e-4).poses)
+    evidence = jax.jit(reduce_windows, static_argnums=(4, 5))(
+        poses[None], np.full(50, 0.1), None, None, "auto", "chord"
+    )
+    rng = np.random.default_rng(0)
+    axes, position = Rotation.random(4, rng).as_matrix(), rng.normal(0, 0.3, (4, 3))
+    shares = share_of_turn(evidence.linear_spread, jnp.asarray(position[None]), jnp.asarray(axes[None]))
+    turned = poses[:, :3, :3]
+    for kind, rotation, shift in (
+        (rf.LinearType.GB, turned, poses[:, :3, 3]),
+        (rf.LinearType.BG, turned.mT, -(turned.mT @ poses[:, :3, 3, None])[..., 0]),
+    ):
+        path = rotation @ (position[kind] + (kind == rf.LinearType.BG) * poses[:, :3, 3].mean(axis=0)) + shift
+        for axis in range(3):
+            along = path @ axes[kind][:, axis]
+            ends = np.einsum("i,kij->kj", axes[kind][:, axis], rotation)
+            lever = np.linalg.svd(ends - ends.mean(axis=0))[2][0]
+            expected = np.corrcoef(along, ends @ lever)[0, 1] ** 2
+            np.testing.assert_allclose(shares[0, kind, axis], expected, atol=0.02)
 
 
 def test_the_further_an_axis_went_the_likelier_it_is_free():

@@ -10,10 +10,18 @@ from reframe_jax.geometry.products import matmul3
 from reframe_jax.identification.evidence import FLOOR, IN_BODY, IN_GROUND, Evidence
 from reframe_jax.identification.freedom import freedom_patterns
 from reframe_jax.identification.optima import Frames, constant_covariance, pick_type
-from reframe_jax.objectives.moments import covariance_at
+from reframe_jax.objectives.moments import MONOMIALS, covariance_at
 
-__all__ = ["free_probabilities", "is_white", "likeliest_pattern", "noise_along", "pattern_probabilities"]
+__all__ = [
+    "free_probabilities",
+    "is_white",
+    "likeliest_pattern",
+    "noise_along",
+    "pattern_probabilities",
+    "share_of_turn",
+]
 
+_SQUARINGS = 4  # of a covariance, after which its largest eigenvalue is 16 times as far from the others
 _WHITE = 2.0  # noises that constrained axes show at most where the noise is white
 
 
@@ -65,8 +73,47 @@ def pattern_probabilities(evidence: Evidence, kind: jax.Array, frames: Frames) -
     )
     share = evidence.share[:, None]
     samples = evidence.poses.astype(axes.dtype)[:, None] * jnp.square(share)
-    patterns = freedom_patterns(distance, sizes, jnp.moveaxis(gain, -1, 0), samples, share)
+    of_turn = share_of_turn(evidence.linear_spread, position, axes)
+    gain, of_turn = (jnp.moveaxis(array, -1, 0) for array in (gain, of_turn))
+    patterns = freedom_patterns(distance, sizes, gain, of_turn, samples, share)
     return patterns, distance * share[None]
+
+
+def share_of_turn(moments: jax.Array, position: jax.Array, axes: jax.Array) -> jax.Array:
+    """Share of the motion along each linear axis that is proportional to the rotation, (N, 4, 3), 0 to 1.
+
+    The rotation is seen as the motion, along the same axis, of the end of a lever that it moves most.
+
+    Args:
+        moments: (6, 10, N, 4) of the paths.
+        position: (N, 4, 3) m, origins of all types.
+        axes: (N, 4, 3, 3).
+    """
+    squares = jnp.stack(
+        [axes[..., i, :] * axes[..., j, :] * (1 + (i != j)) for i, j in symmetric.INDEX_PAIRS]
+    )
+    along = jnp.sum(squares[:, None] * moments[..., None], axis=0)  # (10, N, 4, 3)
+    covariances = {pair: along[k] / (1 + (pair[0] != pair[1])) for k, pair in enumerate(MONOMIALS)}
+    ends = tuple(covariances[i + 1, j + 1] for i, j in symmetric.INDEX_PAIRS)
+    levers = symmetric.to_matrix(ends)  # type: ignore[arg-type]
+    with_position = jnp.stack([covariances[0, j] for j in (1, 2, 3)], axis=-1)
+    p = position[:, :, None]
+    with_origin = with_position + matmul3(levers, jnp.broadcast_to(p, with_position.shape)[..., None])[..., 0]
+    whole = covariances[0, 0] + jnp.sum(p * (with_position + with_origin), axis=-1)
+    lever = _main_direction(levers)
+    longest = jnp.sum(lever * matmul3(levers, lever[..., None])[..., 0], axis=-1)
+    common = jnp.square(jnp.sum(lever * with_origin, axis=-1))
+    return jnp.clip(common / jnp.maximum(longest * whole, float(jnp.finfo(axes.dtype).tiny)), 0, 1)
+
+
+def _main_direction(matrix: jax.Array) -> jax.Array:
+    """The direction of the largest eigenvalue of covariances (..., 3, 3), nearly: (..., 3), of any length."""
+    for _ in range(_SQUARINGS):
+        trace = jnp.trace(matrix, axis1=-2, axis2=-1)[..., None, None]
+        matrix = matrix / jnp.where(trace > 0, trace, 1)
+        matrix = matmul3(matrix, matrix)
+    largest = jnp.argmax(jnp.diagonal(matrix, axis1=-2, axis2=-1), axis=-1)[..., None, None]
+    return jnp.take_along_axis(matrix, largest, axis=-2)[..., 0, :]
 
 
 def noise_along(evidence: Evidence, position: jax.Array, axes: jax.Array) -> tuple[jax.Array, jax.Array]:

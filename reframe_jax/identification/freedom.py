@@ -5,7 +5,9 @@ has two groups of axes.
 
 - *Constrained* axes show noise (t about 1); or, with a tracker that has slow errors besides its noise, some
   multiple of the noise that is unknown but common to the recording; or, along an axis of a linear frame,
-  what an error in the scale of measured rotation does at the end of the lever.
+  what an error of measured rotation does at the end of the lever: a tenth of what the rotation itself does.
+  If the error is in the scale of the rotation, the motion is proportional to the rotation, and the rest of it
+  is as small as that of other constrained axes; free axes seldom move like that.
 - *Free* axes went far: t is unknown but of one order of magnitude for all of them, and clearly larger than
   what constrained axes show; unless the noise is as large as the motion and hides it.
 
@@ -28,8 +30,8 @@ PATTERN_PRIOR = np.full((4, 4), 0.1)
 """Weight of every pattern (free rotations, free translations) before any data are seen."""
 for _pattern, _weight in (
     ((0, 0), 0.1),
-    ((0, 1), 1.0),
-    ((1, 0), 1.0),
+    ((0, 1), 2.0),
+    ((1, 0), 2.0),
     ((1, 1), 1.0),
     ((1, 2), 0.5),
     ((2, 0), 0.3),
@@ -46,7 +48,9 @@ _LIKELY = log(8.0)  # multiples up to this one are equally likely
 _RARER = 0.8  # standard deviation, in logarithms, of their decline beyond
 _SPREAD = 0.8  # of constrained axes about their multiple
 _MISFIT = 0.15  # of the logarithm of an axis that shows noise alone, for what the noise model misses
-_GAIN, _GAIN_SPREAD, _GAIN_SHARE = 0.1, 0.7, 0.2  # of measured rotation; how often an axis shows it
+_GAIN, _GAIN_SPREAD = 0.1, 0.7  # error of measured rotation, over the rotation, and its logarithm's spread
+_GAIN_SHARE, _SCALE_SHARE = 0.2, 0.1  # how often an axis shows such an error, and one of scale
+_UNRELATED = 0.7  # exponent of the distribution of the share of a motion that the rotation does not explain
 _FREE_SPREAD = 1.2  # of free axes about their common size
 _SILENT_SHARE = 0.2  # of constrained axes that show noise alone although there are slow errors
 _LEAST = log(3.5), log(8.0)  # noises that a free axis goes at least, without slow errors and with them
@@ -63,7 +67,12 @@ def _normal(x: jax.Array, mean: jax.Array | float, deviation: jax.Array | float)
 
 
 def freedom_patterns(
-    distance: jax.Array, noise: jax.Array, gain: jax.Array, samples: jax.Array, share: jax.Array
+    distance: jax.Array,
+    noise: jax.Array,
+    gain: jax.Array,
+    of_turn: jax.Array,
+    samples: jax.Array,
+    share: jax.Array,
 ) -> jax.Array:
     """Probability of every pattern of degrees of freedom.
 
@@ -71,7 +80,9 @@ def freedom_patterns(
         distance: (6, ...) how far the motion went along the axes of the angular frame, then of the linear
             frame, over the noise propagated to them; axes in the order in which they become free.
         noise: (6, ...) rad and m, that noise.
-        gain: (3, ...) what all of the measured rotation makes at the end of the lever, along linear axes.
+        gain: (3, ...) what all of the measured rotation makes at the end of the lever, along linear axes, in
+            noises.
+        of_turn: (3, ...) share of the motion along linear axes that is proportional to the rotation.
         samples: (...) independent samples.
         share: (...) of the noise of single poses that averaging has left. Slow errors are of the order of the
             noise of single poses, and averaging leaves them as they are.
@@ -87,14 +98,7 @@ def freedom_patterns(
     rarer = jnp.square(jnp.maximum(multiples - single - _LIKELY, 0) / _RARER) / 2
     weights = jnp.where(white_only, log(0.5), -rarer - log(2 * _STEPS))[:, 0]  # (M, ...)
     white = jnp.broadcast_to(jnp.sqrt(1 / (2 * samples) + _MISFIT**2)[None], y.shape)
-    silent = _normal(jnp.maximum(y, 0), 0.0, white)[None]
-    own = jnp.logaddexp(
-        _normal(y[None], multiples, _SPREAD) + log(1 - _SILENT_SHARE), silent + log(_SILENT_SHARE)
-    )
-    by_gain = _normal(y[3:], jnp.log(jnp.maximum(_GAIN * gain, 1e-9)), _GAIN_SPREAD) + log(_GAIN_SHARE)
-    linear = jnp.logaddexp(own[:, 3:] + log(1 - _GAIN_SHARE), by_gain[None])
-    tracked = jnp.concatenate([own[:, :3], linear], axis=1)
-    constrained = jnp.where(white_only, silent, tracked)
+    constrained = _of_constrained(y, (multiples, white_only), white, gain, of_turn)
     held = _over_patterns(constrained, 1, free=False)  # (M, 4, 4, ...)
     number = jnp.asarray([[a + b for b in range(4)] for a in range(4)], y.dtype)
     number = number.reshape(4, 4, *([1] * (y.ndim - 1)))
@@ -116,6 +120,36 @@ def freedom_patterns(
     prior = jnp.asarray(PATTERN_PRIOR, y.dtype).reshape(number.shape)
     weighted = prior * _with_hidden(seen, _hidden(y, noise))
     return weighted / jnp.sum(weighted, axis=(0, 1), keepdims=True)
+
+
+def _of_constrained(
+    y: jax.Array, errors: tuple[jax.Array, jax.Array], white: jax.Array, gain: jax.Array, of_turn: jax.Array
+) -> jax.Array:
+    """Logarithm of the density of the motion along constrained axes, (M, 6, ...), for each kind of errors.
+
+    Args:
+        y: (6, ...) logarithm of the motion, in noises.
+        errors: multiples of the noise, (M, 1, ...), and which of them is noise alone.
+        white: (6, ...) standard deviation of the logarithm of noise alone.
+        gain: (3, ...) see :func:`freedom_patterns`.
+        of_turn: (3, ...) likewise.
+    """
+    multiples, white_only = errors
+
+    def of_errors(y: jax.Array, white: jax.Array) -> jax.Array:
+        silent = _normal(jnp.maximum(y, 0), 0.0, white)[None]
+        slow = _normal(y[None], multiples, _SPREAD) + log(1 - _SILENT_SHARE)
+        return jnp.where(white_only, silent, jnp.logaddexp(slow, silent + log(_SILENT_SHARE)))
+
+    own, along = of_errors(y, white), y[3:]
+    of_lever = _normal(along, jnp.log(jnp.maximum(_GAIN * gain, 1e-9)), _GAIN_SPREAD)[None]
+    rest = jnp.log(jnp.maximum(1 - of_turn, 1e-12)) / 2
+    usual = log(2 * _UNRELATED) + 2 * _UNRELATED * rest  # density of the rest if nothing relates the two
+    by_scale = of_lever + of_errors(along + rest, white[3:]) - usual[None] + log(_SCALE_SHARE)
+    by_rotation = jnp.where(white_only, -jnp.inf, of_lever + log(_GAIN_SHARE))
+    neither = own[:, 3:] + jnp.log(1 - _SCALE_SHARE - jnp.where(white_only, 0, _GAIN_SHARE))
+    linear = jnp.logaddexp(jnp.logaddexp(neither, by_scale), by_rotation)
+    return jnp.concatenate([own[:, :3], linear], axis=1)
 
 
 def _hidden(y: jax.Array, noise: jax.Array) -> jax.Array:
