@@ -23,6 +23,7 @@ __all__ = [
     "orient_axes",
     "pick_problem",
     "pick_type",
+    "put_third_axis",
     "refine_frames",
 ]
 
@@ -214,12 +215,17 @@ def refine_frames(evidence: Evidence, position: jax.Array, box: Box, exponent: f
 
 def _about_single_axis(evidence: Evidence, axes: jax.Array) -> jax.Array:
     """The angular axes (N, 2, 3, 3) with the fastest one put where the rotations keep it, if they do."""
-    axis = jnp.stack([evidence.axis.in_ground.T, evidence.axis.in_body.T], axis=1)
-    same = jnp.sum(axis * axes[..., 2], axis=-1, keepdims=True)
-    third = jnp.where(same < 0, -axis, axis)
+    third = jnp.stack([evidence.axis.in_ground.T, evidence.axis.in_body.T], axis=1)
+    return put_third_axis(axes, third, evidence.axis.found)
+
+
+def put_third_axis(axes: jax.Array, third: jax.Array, chosen: jax.Array) -> jax.Array:
+    """The axes (N, 2, 3, 3) with the third along (N, 2, 3), either way round, for the windows (N,) chosen."""
+    same = jnp.sum(third * axes[..., 2], axis=-1, keepdims=True)
+    third = jnp.where(same < 0, -third, third)
     first = axes[..., 0] - third * jnp.sum(third * axes[..., 0], axis=-1, keepdims=True)
     length = jnp.sqrt(jnp.sum(jnp.square(first), axis=-1, keepdims=True))
-    found = evidence.axis.found[:, None] & (length[..., 0] > 0.5)
+    found = chosen[:, None] & (length[..., 0] > 0.5)
     first = first / jnp.where(length > 0, length, 1)
     turned = jnp.stack([first, jnp.cross(third, first), third], axis=-1)
     return jnp.where(found[..., None, None], turned, axes)

@@ -40,6 +40,7 @@ from reframe_jax.identification.optima import (
     pick_type,
     refine_frames,
 )
+from reframe_jax.identification.plane_of_motion import use_plane
 from reframe_jax.identification.results import (
     AllCandidates,
     AngularFrame,
@@ -109,6 +110,7 @@ def solve_evidence(
         )
     if rule == "auto":
         frames = share_axis(evidence, frames, dof, refined)
+        frames = use_plane(evidence, frames, dof[0], ~refined)
     angular = Candidates(
         rotvec=orient_axes(frames.angular_axes, dof[0]),
         dof=dof[0],
