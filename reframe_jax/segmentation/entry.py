@@ -45,8 +45,8 @@ def segment(
     motion does not divide it. Rest between different constraints, at the start and at the end is a segment of
     its own.
 
-    Computed in float64 on the processor; not differentiable. To differentiate, identify the segments'
-    poses with :func:`reframe_jax.identify`.
+    Computed in float64 on the processor. Boundaries are whole numbers, so the function is not differentiable;
+    what is found between them is: identify the poses of a segment with :func:`reframe_jax.identify`.
 
     Args:
         poses: (N, 4, 4) poses of the moving body {b} in the ground {g}, m; N >= 16.
