@@ -24,6 +24,7 @@ from reframe_jax.recordings.recording import Recording, RecordingError
 from reframe_jax.recordings.relative import relative_poses
 from reframe_jax.recordings.writing import save_recording
 from reframe_jax.segmentation.entry import segment
+from reframe_jax.segmentation.many import segment_many
 from reframe_jax.segmentation.results import Boundary, Segment, Segmentation
 from reframe_jax.solvers import BasinHopping, FrameSteps, NewtonSteps, OptaxSteps, ValleySteps
 from reframe_jax.storage.results import identify_many, load_results
@@ -79,6 +80,7 @@ __all__ = [
     "relative_poses",
     "save_recording",
     "segment",
+    "segment_many",
     "sliding_windows",
     "to_frame",
     "to_json",

@@ -14,6 +14,8 @@ from reframe_jax.geometry import transforms
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification.entry import default_solver
 from reframe_jax.simulation import synthetic
+from reframe_jax.simulation.motions import PoseErrors, disturb
+from reframe_jax.simulation.sequences import simulate_sequence
 
 # polished until the finite differences of the search itself are exact enough to compare with
 SOLVER = rf.BasinHopping(rf.ValleySteps(8), restarts=4, hops=3, polish=6)
@@ -87,6 +89,22 @@ def test_derivatives_match_finite_differences(label):
             slope, finite = slope[3:], finite[3:]
         scale = np.max(np.abs(finite)) + 1e-3
         np.testing.assert_allclose(np.asarray(slope) / scale, finite / scale, atol=2e-3, err_msg=name)
+
+
+def test_between_boundaries_the_frame_of_a_segment_is_differentiable():
+    truth = simulate_sequence(["A", "K"], jax.random.key(1), dt=0.1, durations=8.0)
+    poses = np.asarray(disturb(truth.exact_poses, jax.random.key(0), PoseErrors(sigma=1e-4), 0.1))
+    segment = rf.segment(poses, dt=0.1).segments[1]
+    assert segment.name == "Pin-plane contact"
+    own = jnp.asarray(poses[segment.stop - 51 : segment.stop])
+    linear = segment.identification.linear
+    types = int(linear.type_code), int(segment.identification.angular.type_code)
+    direction = jnp.asarray(np.random.default_rng(4).normal(size=(51, 6)))
+    slope = slope_along(jnp.zeros(()), own, direction, *types)["position"]
+    forward, backward = (
+        along(jnp.asarray(step), own, direction, *types)["position"] for step in (1e-6, -1e-6)
+    )
+    np.testing.assert_allclose(slope, (forward - backward) / 2e-6, atol=2e-3 * np.max(np.abs(slope)))
 
 
 def test_reverse_mode_agrees_with_forward_mode_under_jit_and_vmap():

@@ -12,11 +12,11 @@ from reframe_jax.simulation.sequences import simulate_sequence
 DT, LENGTH = 0.02, 101
 
 
-def changes(poses: np.ndarray, *, timed: bool = False) -> list[Change]:
-    online = rf.OnlineIdentifier(LENGTH, dt=None if timed else DT)
+def changes(poses: np.ndarray, *, timed: bool = False, dt: float = DT) -> list[Change]:
+    online = rf.OnlineIdentifier(LENGTH, dt=None if timed else dt)
     seen: list[Change] = []
     for index, pose in enumerate(poses):
-        online.push(pose, 7 + DT * index if timed else None)
+        online.push(pose, 7 + dt * index if timed else None)
         if online.change is not None and online.change not in seen:
             seen.append(online.change)
     return seen
@@ -53,3 +53,10 @@ def test_a_single_constraint_changes_nothing_nor_does_an_outlier() -> None:
     poses = np.asarray(truth.poses).copy()
     poses[180, :3, 3] += 0.05
     assert changes(poses) == []
+
+
+@pytest.mark.parametrize("label", ["L", "unconstrained"])
+def test_a_window_of_too_little_motion_changes_nothing(label: str) -> None:
+    """101 poses hold about two independent motions; the frame found in them fails later."""
+    truth = simulate_sequence([label], jax.random.key(1), dt=0.01, errors=PoseErrors(sigma=1e-5))
+    assert changes(np.asarray(truth.poses), dt=0.01) == []

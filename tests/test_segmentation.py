@@ -1,6 +1,7 @@
 """Sequences of simulated constraints: number of segments, boundaries, classes, labels."""
 
 from functools import cache
+from itertools import pairwise
 
 import jax
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 import reframe_jax as rf
 from reframe_jax.segmentation.blocks import make_blocks, merge_blocks, scale_chords
 from reframe_jax.segmentation.chords import cut_chords, local_paths, track_poses
+from reframe_jax.segmentation.partition import _cheapest
 from reframe_jax.segmentation.spans import fit_spans, span_costs
 from reframe_jax.simulation.motions import PoseErrors, disturb, random_motion
 from reframe_jax.simulation.sequences import SequenceSimulation, simulate_sequence
@@ -213,3 +215,36 @@ def test_simulation_refuses_what_it_cannot_do() -> None:
         simulate_sequence(["A", "B"], jax.random.key(0), durations=[1.0, 1.0, 1.0])
     with pytest.raises(KeyError, match="No constraint"):
         simulate_sequence(["A", "nothing"], jax.random.key(0), dt=0.1)
+
+
+def cheapest_by_trying(
+    costs: np.ndarray, moving: np.ndarray, price: float, single: np.ndarray, start: int = 0, after: int = 0
+) -> float:
+    """Lowest cost of a partition from ``start`` on, behind a span that began at ``after``, by trying all."""
+    number = len(moving)
+    if start == number:
+        return 0.0
+    best = np.inf
+    may_skip = start > 0 and single[start] and moving[after:start].any()
+    for first in (start, start + 1) if may_skip else (start,):
+        for end in range(first + 1, min(number, first + costs.shape[1]) + 1):
+            if first == start or moving[first:end].any():
+                own = costs[first, end - first - 1] + (price if start else 0.0)
+                best = min(best, own + cheapest_by_trying(costs, moving, price, single, end, first))
+    return best
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_partition_is_the_cheapest_of_all(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    costs = rng.normal(0, 5, (6, 4))
+    moving, single = rng.integers(0, 2, 6).astype(float), rng.random(6) < 0.7
+    i, w = np.indices(costs.shape)
+    costs = np.where(i + w < 6, costs, np.inf)
+    spans = _cheapest(costs, moving, 2.0, single)
+    assert spans[0, 0] == 0
+    assert spans[-1, 1] == 6
+    total = sum(costs[a, b - a - 1] for a, b in spans) + 2.0 * (len(spans) - 1)
+    for (a, b), (c, d) in pairwise(spans):
+        assert c == b or (c == b + 1 and single[b] and moving[a:b].any() and moving[c:d].any())
+    assert total == pytest.approx(cheapest_by_trying(costs, moving, 2.0, single))

@@ -8,6 +8,7 @@ from reframe_jax.constraints.types import AngularType, LinearType
 from reframe_jax.geometry.numpy_rotations import rotation_vectors
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
+from reframe_jax.motion.independence import independent_after
 
 __all__ = ["Change", "ChangeWatch"]
 
@@ -15,7 +16,10 @@ _LARGER = 100.0  # times the variance along a constrained axis that a change is 
 _SURE = 1e-4  # probability with which noise alone would reach the evidence for a change
 _SHARE = 0.5  # of that evidence that one chord can give: no single pose decides
 _CERTAIN = 0.99  # probability that an axis is constrained, or that a class is right, for it to count
+_MOTIONS = 8  # independent motions that a frame must have explained for its failure to count as a change
 _LASTING = 4  # part of a window for which they must last
+
+_TINY = float(np.finfo(float).tiny)
 
 
 @dataclass(frozen=True)
@@ -38,8 +42,10 @@ class ChangeWatch:
 
     Along every constrained axis, the squared displacement over a chord is compared with its mean in the
     window that the frame comes from. The evidence that it has grown is summed up from the time at which it
-    last was nil (Page's cumulative sums). A constraint that only takes over from freer motion violates
-    nothing: the identification itself then shows fewer degrees of freedom.
+    last was nil (Page's cumulative sums). A frame from too little motion fails although the constraint is
+    the same; so a frame must first explain several independent motions, and one that fails earlier is taken
+    anew. A constraint that only takes over from freer motion violates nothing: the identification itself then
+    shows fewer degrees of freedom.
 
     Args:
         length: poses in a window.
@@ -77,13 +83,14 @@ class ChangeWatch:
         changed = None
         if (last - reference.made) % reference.lag == 0:
             changed = self._compare(poses[-1 - reference.lag :: reference.lag], last)
+        if last < reference.trusted:
+            if changed is not None:  # the window held too little motion to determine its constraint
+                self._refer(poses, last, found)
+            return None
         changed = self._count_fewer(found, last) if changed is None else changed
         if changed is not None:
             self.reset(changed)
-            return changed
-        if last - reference.made >= self._length and not np.any(self._evidence):
-            self._refer(poses, last, found)
-        return None
+        return changed
 
     def _refer(self, poses: np.ndarray, last: int, found: Identification) -> None:
         self._reference = _Reference(poses, last, found)
@@ -133,9 +140,13 @@ class _Reference:
         self.lag = min(int(found.lag), len(poses) // 4)
         free = np.concatenate([found.angular.free_probability, found.linear.free_probability])
         self.constrained = (free < 1 - _CERTAIN).astype(float)
-        squares = self.displacements(poses[: -self.lag], poses[self.lag :]) ** 2
+        shifts = self.displacements(poses[: -self.lag], poses[self.lag :])
+        squares = shifts**2
+        size = np.sqrt(np.repeat(np.mean(squares.reshape(len(squares), 2, 3), axis=(0, 2)), 3)) + _TINY
+        needed = round(_MOTIONS * independent_after(shifts / size)) - len(poses)
+        self.trusted = made + max(needed, len(poses) // 2)
         noise = np.repeat([float(found.noise.rotation), float(found.noise.position)], 3)
-        self.variance = np.maximum(np.mean(squares, axis=0), 2 * noise**2) + np.finfo(float).tiny
+        self.variance = np.maximum(np.mean(squares, axis=0), 2 * noise**2) + _TINY
 
     def displacements(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
         """Displacements along the axes between poses, (M, 6): rad for the angular ones, then m."""
@@ -157,4 +168,4 @@ class _Reference:
 
 
 def _freedom(found: Identification) -> int:
-    return int(np.sum(found.angular.dof) + np.sum(found.linear.dof))
+    return int(np.asarray(found.angular.dof).sum() + np.asarray(found.linear.dof).sum())

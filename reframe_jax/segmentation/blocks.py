@@ -10,6 +10,7 @@ import numpy as np
 
 from reframe_jax.constraints.types import AngularType, LinearType
 from reframe_jax.geometry.symmetric import INDEX_PAIRS
+from reframe_jax.motion.independence import independent_after
 from reframe_jax.objectives.moments import MONOMIALS
 from reframe_jax.segmentation.chords import Chords, Tracks
 
@@ -79,7 +80,7 @@ def scale_chords(tracks: Tracks, chords: Chords) -> Scales:
     turning, sliding = np.hypot(rms[0], rms[1] / _LEVER[1]), np.hypot(rms[1], rms[0] * _LEVER[0])
     twist = np.concatenate([turn / turning, slide / sliding], axis=1)
     step = float(np.median(np.diff(tracks.times)))
-    samples = _independent_after(twist * use[:, None])
+    samples = independent_after(twist * use[:, None])
     half = max(1, round(samples / 2))
     use = use & ~_resting(np.linalg.norm(twist, axis=1), use, samples)
     twist = twist * use[:, None]
@@ -89,7 +90,7 @@ def scale_chords(tracks: Tracks, chords: Chords) -> Scales:
     size = np.maximum(size, lowest / np.where(chords.span > 0, chords.span, 1))
     rate = np.mean(1 / chords.span[use] ** 2) if use.any() else 1.0
     white = [2 * rate * (tracks.noise[1] / turning) ** 2, 2 * rate * (tracks.noise[0] / sliding) ** 2]
-    axes = _independent_after(_standardized(twist, np.repeat(white, 3), int(np.sum(use))))
+    axes = independent_after(_standardized(twist, np.repeat(white, 3), int(np.sum(use))))
     # small axes are quicker than the motion as a whole; what is fitted depends on both
     independent = (samples + axes) / 2
     return Scales(np.where(use, size, 1), use, float(turning), float(sliding), samples * step, independent)
@@ -106,19 +107,6 @@ def _standardized(twist: np.ndarray, white: np.ndarray, count: int) -> np.ndarra
     if not np.any(share > 0):
         return twist
     return twist @ axes * np.sqrt(share / np.maximum(values, np.finfo(float).tiny))
-
-
-def _independent_after(twist: np.ndarray) -> float:
-    """Samples after which a motion says something new: the integral of its squared correlation (Bartlett)."""
-    size = 1 << (2 * len(twist) - 1).bit_length()
-    spectrum = np.fft.rfft(twist, size, axis=0)
-    correlation = np.fft.irfft(np.sum(np.abs(spectrum) ** 2, axis=1), size)[: len(twist)]
-    if correlation[0] <= 0:
-        return 1.0
-    correlation = correlation / correlation[0]
-    negative = np.flatnonzero(correlation <= 0)
-    end = negative[0] if len(negative) else len(correlation)
-    return float(1 + 2 * np.sum(correlation[1:end] ** 2))
 
 
 def _resting(speed: np.ndarray, use: np.ndarray, samples: float) -> np.ndarray:

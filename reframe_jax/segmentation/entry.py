@@ -15,7 +15,7 @@ from reframe_jax.segmentation.blocks import Blocks, make_blocks, scale_chords
 from reframe_jax.segmentation.chords import LONGEST_LAG, Tracks, cut_chords, track_poses
 from reframe_jax.segmentation.labels import label_segments
 from reframe_jax.segmentation.partition import boundary_price, partition
-from reframe_jax.segmentation.refine import Place, place_boundary
+from reframe_jax.segmentation.refine import Place, Search, place_boundaries
 from reframe_jax.segmentation.rests import find_rests
 from reframe_jax.segmentation.results import Boundary, Segment, Segmentation
 from reframe_jax.segmentation.spans import Fits, fit_spans
@@ -45,8 +45,8 @@ def segment(
     motion does not divide it. Rest between different constraints, at the start and at the end is a segment of
     its own.
 
-    Computed in float64 on the processor; not differentiable. To differentiate, identify the segments'
-    poses with :func:`reframe_jax.identify`.
+    Computed in float64 on the processor. Boundaries are whole numbers, so the function is not differentiable;
+    what is found between them is: identify the poses of a segment with :func:`reframe_jax.identify`.
 
     Args:
         poses: (N, 4, 4) poses of the moving body {b} in the ground {g}, m; N >= 16.
@@ -147,9 +147,9 @@ def _place_cuts(
     near: int,
 ) -> list[Place | tuple[int, int]]:
     """Where each segment ends and the next begins: a place, or the rest between them."""
-    cuts: list[Place | tuple[int, int]] = []
+    cuts: list[Search | tuple[int, int]] = []
     for i in range(len(spans) - 1):
-        (a, b), (c, d) = blocks.start[spans[i]], blocks.start[spans[i + 1]]
+        (a, b), (c, d) = (blocks.start[spans[k]].tolist() for k in (i, i + 1))
         between = [rest for rest in rests if rest[0] < c + near and rest[1] > b - near]
         between = [rest for rest in between if rest[0] > a and rest[1] < d]
         if between:
@@ -159,31 +159,10 @@ def _place_cuts(
         within = [pause for pause in pauses if pause[0] < c + grid and pause[1] > b - grid]
         low = min([b - 2 * grid, *(pause[0] - grid for pause in within)])
         high = max([c + 2 * grid, *(pause[1] + grid for pause in within)])
-        cuts.append(
-            _place_cut(tracks, fits, i, (int(a), int(b), int(c), int(d)), (int(low), int(high)), grid)
-        )
-    return cuts
-
-
-def _place_cut(
-    tracks: Tracks,
-    fits: Fits,
-    which: int,
-    spans: tuple[int, int, int, int],
-    between: tuple[int, int],
-    step: int,
-) -> Place:
-    """Place the boundary of spans [a, b) and [c, d): between two poses, or outside these if need be."""
-    a, b, c, d = spans
-    lowest, highest = (a + b) // 2, (c + d + 1) // 2
-    low, high = max(between[0], lowest), min(between[1], highest)
-    while True:
-        place = place_boundary(tracks, fits, (which, a, low), (which + 1, high, d))
-        before = low > lowest and place.earliest < low + step
-        after = high < highest and place.latest > high - step
-        if not (before or after):
-            return place
-        low, high = max(low - before * step, lowest), min(high + after * step, highest)
+        cuts.append(Search(i, a, d, low, high, (a + b) // 2, (c + d + 1) // 2))
+    searches = [cut for cut in cuts if isinstance(cut, Search)]
+    places = iter(place_boundaries(tracks, fits, searches, grid))
+    return [next(places) if isinstance(cut, Search) else cut for cut in cuts]
 
 
 def _probabilities(blocks: Blocks, spans: np.ndarray, fits: Fits, options: tuple[float, float]) -> np.ndarray:

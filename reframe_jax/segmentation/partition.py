@@ -26,8 +26,8 @@ def partition(blocks: Blocks, noise_ratio: float, reach: float) -> np.ndarray:
     single = np.ones(len(blocks.moving), bool)
     price = boundary_price(blocks)
     while True:
-        costs = span_costs(merge_blocks(blocks, edges[:-1]), noise_ratio, reach)
-        chosen = _cheapest(costs, price, single)
+        merged = merge_blocks(blocks, edges[:-1])
+        chosen = _cheapest(span_costs(merged, noise_ratio, reach), merged.moving, price, single)
         kept = np.unique(np.concatenate([[0, len(edges) - 1], chosen.ravel()]))
         if len(kept) == len(edges):
             return edges[chosen]
@@ -35,24 +35,27 @@ def partition(blocks: Blocks, noise_ratio: float, reach: float) -> np.ndarray:
         single = np.diff(edges) == 1
 
 
-def _cheapest(costs: np.ndarray, price: float, single: np.ndarray) -> np.ndarray:
+def _cheapest(costs: np.ndarray, moving: np.ndarray, price: float, single: np.ndarray) -> np.ndarray:
     """Spans that cost least together, (S, 2)."""
     number, longest = costs.shape
     least, before = np.full(number + 1, np.inf), np.zeros(number + 1, int)
-    # at the end of a segment, and at the start of the next: one block may lie between them
+    # at the end of a segment, and at the start of the next: one block may lie between them, but not beside
+    # a span without motion, which costs nothing
     ready, skipped = np.full(number + 1, np.inf), np.zeros(number + 1, bool)
-    ready[0] = -price
+    least[0] = ready[0] = -price
+    motion = np.concatenate([[0], np.cumsum(moving > 0)])
     for end in range(1, number + 1):
         starts = np.arange(max(0, end - longest), end)
-        total = ready[starts] + costs[starts, end - 1 - starts] + price
+        moves = motion[starts] < motion[end]
+        total = np.where(moves, ready[starts], least[starts]) + costs[starts, end - 1 - starts] + price
         choice = int(np.argmin(total))
         least[end], before[end] = total[choice], starts[choice]
-        skip = least[end - 1] if single[end - 1] and end > 1 else np.inf
-        skipped[end] = skip < least[end]
-        ready[end] = min(skip, least[end])
+        may_skip = end > 1 and single[end - 1] and motion[before[end - 1]] < motion[end - 1]
+        skipped[end] = may_skip and least[end - 1] < least[end]
+        ready[end] = least[end - 1] if skipped[end] else least[end]
     spans, end = [], number
     while end > 0:
         start = int(before[end])
         spans.append((start, end))
-        end = start - 1 if skipped[start] else start
+        end = start - 1 if skipped[start] and motion[start] < motion[end] else start
     return np.asarray(spans[::-1])

@@ -18,7 +18,8 @@ class Boundary:
         index: of the first pose of the next segment.
         time: s, of that pose.
         probability: that the two segments do not belong together.
-        earliest, latest: indices between which the boundary lies with a probability of 95 %.
+        earliest, latest: between the poses of these indices the constraint changes with a probability of
+            95 %.
     """
 
     index: int
