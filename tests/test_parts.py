@@ -186,7 +186,7 @@ def test_results_that_were_tampered_with(identify_many: Any, tmp_path: Path) -> 
     with pytest.raises(ValueError, match=rf"{10**30 - 3} parts are missing, \[3, 4, 5"):
         rf.load_results(out)
     (out / "run.json").write_text(json.dumps({**record, **{10_000 * letter: 1 for letter in "abcdefghij"}}))
-    with pytest.raises(ValueError, match="other options than those of its run .* and 2 more") as raised:
+    with pytest.raises(ValueError, match=r"other options than those of its run .* and 2 more") as raised:
         rf.load_results(out)
     assert len(str(raised.value)) < 1000
 
