@@ -33,7 +33,7 @@ __all__ = [
     "sound_windows",
 ]
 
-PATIENCE = 120.0  # s that one input may take, compilation included
+PATIENCE = 600.0  # s that one input may take, compilation on a busy machine included
 POSES, DT = 21, 0.1
 _LABELS, _MOST = "AEGK", 1024
 

@@ -252,7 +252,9 @@ def attack(count: int, kills: int, only: Sequence[str]) -> dict[str, Any]:
                 continue
             number = kills if part == "kills" else max(1, round(SHARES[part] * count))
             began = time.monotonic()
-            watched = number >= 1000
+            watched = (
+                number >= 1000 and part != "commands"
+            )  # each of which takes its programs along at its end
             if watched:
                 run(min(number // 10, FIRST))  # compiles, and fills pools of memory
             before = memory()

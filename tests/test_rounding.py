@@ -11,7 +11,6 @@ from reframe_jax.identification.cautions import Caution
 from reframe_jax.motion.noise import unit_of_rounding
 from reframe_jax.simulation import synthetic
 
-
 LEVEL = Rotation.from_rotvec([np.pi / 2, 0, 0]).as_matrix()  # the paper's planar motions turn about y
 
 
@@ -82,7 +81,7 @@ def test_the_unit_of_rounding():
         np.round(path, 2) * np.array([1, 1, 0])[:, None, None],
         0.01 * np.arange(40.0)[None, :, None] * np.array([1, 0, 0])[:, None, None],  # even motion
         np.zeros((3, 40, 1)),
-        np.concatenate([path[:2], np.round(path[2:] / 40) * 0.1]),  # of so few digits that it mostly repeats
+        np.concatenate([path[:2], np.round(path[2:] / 3) * 0.1]),  # mostly repeats
     ]
     counted = jnp.ones((40, len(windows)), bool)
     unit = unit_of_rounding(jnp.asarray(np.concatenate(windows, axis=2)), counted)
