@@ -15,6 +15,7 @@ import numpy as np
 import reframe_jax
 
 __all__ = [
+    "add_files",
     "chosen_plan",
     "machine",
     "new_parser",
@@ -50,9 +51,15 @@ def plan_parser(name: str, doc: str | None, *, quick: str) -> argparse.ArgumentP
         help="these only, A to L",
     )
     add("--sigmas", nargs="+", type=float, help="standard deviations of the position noise, m")
+    add_files(parser)
+    return parser
+
+
+def add_files(parser: argparse.ArgumentParser) -> None:
+    """The options of a benchmark that can run in parts: ``--json`` and ``--join``."""
+    add = parser.add_argument
     add("--json", type=Path, help="file to write all figures to")
     add("--join", nargs="+", type=Path, metavar="JSON", help="run nothing: show what runs of parts wrote")
-    return parser
 
 
 def read_parts(options: argparse.Namespace) -> list[dict[str, Any]]:

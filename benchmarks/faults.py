@@ -1,6 +1,7 @@
 """Attacks on everything that takes input, counted: no crash, no hang, no NaN, nothing but refusals in words.
 
-- *files*: mutated recordings of every format are read, or refused with a ``RecordingError``;
+- *files*: mutated recordings, CSV, TUM, ``.npy`` and ``.npz``, are read, or refused with a ``RecordingError``
+  (the tests mutate those of the other formats);
 - *windows*: batches with NaN, infinities, huge and tiny numbers, flipped bits, repeated and swapped poses. A
   window has a failed status, or only finite numbers, and its sound neighbours keep theirs to the last bit;
 - *arguments*: arrays of every type, shape and byte order, and options that are none, give a result or a
@@ -10,12 +11,12 @@
 - *kills*: runs of ``identify_many`` killed at random moments end with the same bytes.
 
 Each part prints what came of its inputs and how many faults there were; the first of these are listed. The
-exit code is 1 if there were any. ``--count 1000000 --kills 100`` is the full run.
+exit code is 1 if there were any. ``--count 1000000 --kills 100`` is the full run; ``--only`` splits it among
+processes, each with its own ``--json``, and ``--join`` shows their files as one.
 """
 
 import contextlib
 import io
-import json
 import resource
 import shutil
 import signal
@@ -43,13 +44,14 @@ from benchmarks.attacks import (
     attempt,
     sound_windows,
 )
-from benchmarks.common import machine, new_parser
+from benchmarks.common import add_files, machine, new_parser, read_parts, write_record
 from benchmarks.mutations import FORMATS, TOKENS, make_recording, mutated
 from reframe_jax.cli import program
 
 SHARES = {"files": 0.2, "windows": 0.7, "arguments": 0.05, "stores": 0.04, "commands": 0.01}
 LISTED = 5  # faults printed of each part
-GROWTH = 500  # MB that the memory of the process may grow by after the first tenth of a part
+FIRST = 5000  # inputs before the memory of the process is watched
+GROWTH = 500  # MB that the memory of the process may grow by from then on
 
 
 def attack_files(count: int, folder: Path) -> Tally:
@@ -85,7 +87,7 @@ def attack_stores(count: int, folder: Path) -> Tally:
         if action == 0:
             (store / name).unlink()
         elif action == 1:
-            shutil.copy(store / str(rng.choice(files)), store / name)
+            shutil.copy(store / str(rng.choice([file for file in files if file != name])), store / name)
         else:
             (store / name).write_bytes(mutated(rng, (store / name).read_bytes()))
         attempt(tally, f"store {seed} ({name})", partial(_load, store, expected))
@@ -250,18 +252,47 @@ def attack(count: int, kills: int, only: Sequence[str]) -> dict[str, Any]:
                 continue
             number = kills if part == "kills" else max(1, round(SHARES[part] * count))
             began = time.monotonic()
-            run(max(1, number // 10)) if number >= 1000 else None  # compiles, and fills pools of memory
+            watched = (
+                number >= 1000 and part != "commands"
+            )  # each of which takes its programs along at its end
+            if watched:
+                run(min(number // 10, FIRST))  # compiles, and fills pools of memory
             before = memory()
             tally = run(number)
-            grown = memory() - before
-            if number >= 1000 and grown > GROWTH:
+            grown = memory() - before if watched else None
+            if grown is not None and grown > GROWTH:
                 tally.faults[f"memory grew by {grown:.0f} MB"] += 1
-            outcomes = ", ".join(f"{n} {outcome}" for outcome, n in tally.outcomes.most_common())
-            faults = sum(tally.faults.values())
-            print(f"{part:10} {outcomes}; {faults} faults; {time.monotonic() - began:.0f} s", flush=True)
-            for fault in list(tally.faults)[:LISTED]:
-                print(f"           {fault}", flush=True)
-            report[part] = {"outcomes": dict(tally.outcomes), "faults": dict(tally.faults), "grown_mb": grown}
+            report[part] = {
+                "outcomes": dict(tally.outcomes.most_common()),
+                "faults": dict(tally.faults),
+                "grown_mb": grown,
+                "seconds": time.monotonic() - began,
+            }
+            show(part, report[part])
+    return report
+
+
+def show(part: str, counts: dict[str, Any]) -> None:
+    """Print what came of the inputs of a part, and the first of its faults."""
+    outcomes = ", ".join(f"{n:,} {outcome}" for outcome, n in counts["outcomes"].items())
+    total, faults, grown = sum(counts["outcomes"].values()), counts["faults"], counts["grown_mb"]
+    growth = "" if grown is None else f"memory grew by {grown:.0f} MB; "
+    number = f"{sum(faults.values())} faults"
+    print(f"{part:10}{total:9,}: {outcomes}; {number}; {growth}{counts['seconds']:.0f} s", flush=True)
+    for fault in list(faults)[:LISTED]:
+        print(f"          {fault}", flush=True)
+
+
+def join(reports: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Show what runs of different parts wrote, and return it as one report."""
+    report: dict[str, Any] = {}
+    for one in reports:
+        if twice := report.keys() & one.keys():
+            raise SystemExit(f"Each part once: {', '.join(sorted(twice))} is in two files.")
+        report |= one
+    for part in (*SHARES, "kills"):
+        if part in report:
+            show(part, report[part])
     return report
 
 
@@ -272,15 +303,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--kills", type=int, default=3, help="runs that are killed (3)")
     parser.add_argument("--quick", action="store_true", help="a few inputs of every part, none killed")
     parser.add_argument("--only", nargs="+", choices=[*SHARES, "kills"], help="parts to run (all)")
-    parser.add_argument("--json", type=Path, help="file to write the counts to")
+    add_files(parser)
     options = parser.parse_args(argv)
     jax.config.update("jax_enable_x64", True)
     count, kills = (300, 0) if options.quick else (options.count, options.kills)
     only = options.only or [*SHARES, *(["kills"] if kills else [])]
     print(machine())
-    report = attack(count, kills, only)
-    if options.json is not None:
-        options.json.write_text(json.dumps(report, indent=1) + "\n")
+    report = join(read_parts(options)) if options.join else attack(count, kills, only)
+    write_record(options.json, report)
     faults = sum(sum(part["faults"].values()) for part in report.values())
     print(f"{faults} faults")
     return int(faults > 0)

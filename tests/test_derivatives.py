@@ -107,10 +107,32 @@ def test_between_boundaries_the_frame_of_a_segment_is_differentiable():
     np.testing.assert_allclose(slope, (forward - backward) / 2e-6, atol=2e-3 * np.max(np.abs(slope)))
 
 
+def far_window():
+    """Poses (51, 4, 4) of a pin 3 m from the origin of the body, and the truth: its search is widened."""
+    truth = rf.ConstraintFrame.named("K", position=jnp.asarray([2.0, -1.0, 2.0]))
+    return synthetic.simulate(truth, jax.random.key(3), noise=1e-4).poses, truth
+
+
+def test_derivatives_of_a_widened_search_match_finite_differences():
+    poses, truth = far_window()
+    types = int(truth.linear_type), int(truth.angular_type)
+    direction = jnp.asarray(np.random.default_rng(1).normal(size=(51, 6)))
+    zero, h = jnp.zeros(()), 1e-6
+    found = along(zero, poses, direction, *types)
+    np.testing.assert_allclose(found["position"], truth.position, atol=0.02)
+    exact = slope_along(zero, poses, direction, *types)
+    forward, backward = (along(zero + step, poses, direction, *types) for step in (h, -h))
+    for name in ("norms", "rms", "position", "axes"):
+        finite = np.asarray(forward[name] - backward[name]) / (2 * h)
+        scale = np.max(np.abs(finite)) + 1e-3
+        np.testing.assert_allclose(np.asarray(exact[name]) / scale, finite / scale, atol=2e-3, err_msg=name)
+
+
 def test_reverse_mode_agrees_with_forward_mode_under_jit_and_vmap():
     truth = rf.ConstraintFrame.named("K")
-    keys = jax.random.split(jax.random.key(0), 3)
+    keys = jax.random.split(jax.random.key(0), 2)
     poses = jax.vmap(lambda key: synthetic.simulate(truth, key, noise=1e-4).poses)(keys)
+    poses = jnp.concatenate([poses, far_window()[0][None]])
 
     def position(poses):  # polished: the two programs round differently, and must end at the same point
         return rf.identify(poses, dt=0.1, solver=SOLVER).linear.position[0]

@@ -77,6 +77,26 @@ def test_faults_make_the_exit_code(monkeypatch, capsys):
     assert out.splitlines()[-1] == "1 faults"
 
 
+def test_parts_that_ran_apart_are_joined(tmp_path, monkeypatch, capsys):
+    good, bad = Tally(), Tally()
+    good.add("read")
+    bad.add("fault", "it broke")
+    monkeypatch.setattr(faults, "attack_windows", lambda count: good)
+    monkeypatch.setattr(faults, "attack_arguments", lambda count: bad)
+    files = [str(tmp_path / f"{part}.json") for part in ("windows", "arguments")]
+    for file, part in zip(files, ("windows", "arguments"), strict=True):
+        faults.main(["--only", part, "--count", "10", "--json", file])
+    apart = capsys.readouterr().out.splitlines()
+    joined = str(tmp_path / "all.json")
+    assert faults.main(["--json", joined, "--join", *files]) == 1
+    together = capsys.readouterr().out.splitlines()
+    assert together[-1] == "1 faults"
+    assert [line for line in together[1:-1] if line in apart] == together[1:-1]
+    assert set(json.loads((tmp_path / "all.json").read_text())) == {"windows", "arguments"}
+    with pytest.raises(SystemExit, match="windows is in two files"):
+        faults.main(["--join", joined, files[0]])
+
+
 def test_runs_that_are_killed_end_with_the_same_bytes(tmp_path):
     pytest.importorskip("pyarrow")
     tally = faults.attack_runs(1, tmp_path)

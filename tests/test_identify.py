@@ -166,6 +166,19 @@ def test_a_bad_window_has_a_status_and_leaves_the_others_alone(mixed):
     assert np.all(np.isfinite(np.asarray(gradient)))
 
 
+def test_neighbours_with_longer_chords_leave_a_window_alone():
+    simulate = jax.jit(jax.vmap(lambda key, noise: synthetic.simulate("K", key, noise=noise).poses))
+    keys, noise = jax.random.split(jax.random.key(3), 8), np.full(8, 1e-6)
+    before = rf.identify(np.asarray(simulate(keys, noise)), dt=0.1)
+    noise[2:5] = 3e-3
+    after = rf.identify(np.asarray(simulate(keys, noise)), dt=0.1)
+    same = np.asarray([0, 1, 5, 6, 7])
+    assert np.all(before.lag == 1)
+    assert np.all(after.lag[2:5] > 1)
+    for x, y in zip(jax.tree.leaves(before[same]), jax.tree.leaves(after[same]), strict=True):
+        np.testing.assert_array_equal(x, y)
+
+
 def test_irregular_times_give_the_same_frame(mixed):
     truth = rf.ConstraintFrame.named("K")
     key = jax.random.key(0)

@@ -114,6 +114,15 @@ class TestPowerMean:
         with pytest.raises(ValueError, match="must lie in"):
             power_mean(jnp.ones(3), exponent)
 
+    @pytest.mark.parametrize("exponent", [True, 1j, np.complex128(1), np.timedelta64(1, "s"), "0", None])
+    def test_exponents_that_are_no_numbers(self, exponent):
+        with pytest.raises(ValueError, match="must be a plain number"):
+            check_exponent(exponent)
+
+    def test_exponents_too_large_for_a_float(self):
+        with pytest.raises(ValueError, match="must lie in"):
+            check_exponent(10**400)
+
     def test_exponents_that_are(self):
         for exponent in (*EXPONENTS, 1, np.float32(0.5)):
             assert isinstance(check_exponent(exponent), float)

@@ -122,6 +122,7 @@ def test_a_record_that_is_damaged_is_named(tmp_path: Path) -> None:
         ("{}", "something else than numbers"),
         (whole.replace("16", "-16"), r"run\.json is damaged"),
         (whole.replace("16", '"x"'), r"run\.json is damaged"),
+        (whole.replace("16", f'"{10_000 * "x"}"'), r"run\.json is damaged.{,200}$"),
     ):
         record.write_text(text)
         for use in (
@@ -181,6 +182,13 @@ def test_results_that_were_tampered_with(identify_many: Any, tmp_path: Path) -> 
     (out / "run.json").write_text(json.dumps({**record, "windows": 23}))
     with pytest.raises(ValueError, match=r"24 windows; run\.json says 23"):
         rf.load_results(out)
+    (out / "run.json").write_text(json.dumps({**record, "windows": 10**30, "part_size": 1}))
+    with pytest.raises(ValueError, match=rf"{10**30 - 3} parts are missing, \[3, 4, 5"):
+        rf.load_results(out)
+    (out / "run.json").write_text(json.dumps({**record, **{10_000 * letter: 1 for letter in "abcdefghij"}}))
+    with pytest.raises(ValueError, match=r"other options than those of its run .* and 2 more") as raised:
+        rf.load_results(out)
+    assert len(str(raised.value)) < 1000
 
 
 def test_results_are_not_relabelled(identify_many: Any, tmp_path: Path) -> None:

@@ -33,6 +33,8 @@ class Caution(IntFlag):
     """The same of the linear frame."""
     CLOSE_LINEAR_2 = 256
     CLOSE_LINEAR_3 = 512
+    IMPROBABLE = 1024
+    """Other names are together more probable than the one reported."""
 
 
 def caution_codes(
@@ -66,7 +68,7 @@ def caution_codes(
 
 
 def caution_sentences(
-    code: int, velocities: int, lag: int, speeds: tuple[list[float], list[float]]
+    code: int, velocities: int, lag: int, speeds: tuple[list[float], list[float]], probability: float
 ) -> list[str]:
     """What the code of one window says.
 
@@ -75,11 +77,17 @@ def caution_sentences(
         velocities: number of steps between poses that count.
         lag: samples between the poses of a velocity.
         speeds: rad/s and m/s, RMS along the axes of both frames.
+        probability: of the name.
     """
     found = Caution(code)
     sentences = []
     if Caution.FEW_VELOCITIES in found:
         sentences.append(_few(velocities, max(lag, 1)))
+    if Caution.IMPROBABLE in found:
+        sentences.append(
+            f"The name has a probability of only {probability:.2f}: all others together have more. Move "
+            "farther along every free direction."
+        )
     close = [
         f"{group} axis {axis + 1} ({speeds[i][axis]:.3g} {unit})"
         for i, (group, unit) in enumerate((("angular", "rad/s"), ("linear", "m/s")))

@@ -20,7 +20,7 @@ from reframe_jax.motion import kinematics
 from reframe_jax.motion.checks import window_status
 from reframe_jax.motion.chords import chord_velocities, moving_chords, spread_of
 from reframe_jax.motion.kinematics import Discretization
-from reframe_jax.motion.noise import choose_lag, estimate_noise, unit_of_rounding
+from reframe_jax.motion.noise import choose_lag, constant_components, estimate_noise, unit_of_rounding
 from reframe_jax.motion.outliers import repair_poses
 from reframe_jax.motion.single_axis import SingleAxis, find_single_axis, keep_axis
 from reframe_jax.motion.smoothing import noise_share, smooth_noise
@@ -169,10 +169,11 @@ def reduce_windows(
     steps = jnp.where(jnp.isfinite(steps) & (steps > 0), steps, 1)
     steps = jnp.broadcast_to(steps, (1, *steps.shape)) if steps.ndim == 1 else steps
     number = jnp.full(poses.shape[0], poses.shape[1], jnp.int32) if count is None else count
+    spacing = _spacing(poses)
     poses, centre = _centred(poses, number)
     times = jnp.concatenate([jnp.zeros_like(steps[:, :1]), jnp.cumsum(steps, axis=1)], axis=1)
     times = jnp.broadcast_to(times, (len(poses), times.shape[1]))
-    motion = _motion(poses, times, number, lag, rule)
+    motion = _motion(poses, times, number, lag, rule, spacing)
     axis = find_single_axis(motion.rotation, motion.counted, motion.share * motion.noise[1])
     alone = axis.found & (motion.lag > 1) & (rule == "auto")
     maps, paths, rates, turns = _paths(motion, steps, count, axis._replace(found=alone), rule)
@@ -246,7 +247,12 @@ def _centred(poses: jax.Array, number: jax.Array) -> tuple[jax.Array, jax.Array]
 
 
 def _motion(
-    poses: jax.Array, times: jax.Array, number: jax.Array, lag: jax.Array | None, rule: LagRule
+    poses: jax.Array,
+    times: jax.Array,
+    number: jax.Array,
+    lag: jax.Array | None,
+    rule: LagRule,
+    spacing: jax.Array,
 ) -> _Motion:
     """Leave out outliers and rest, choose the lag, and average out noise, as far as the rule says so."""
     if rule == "single":
@@ -256,9 +262,7 @@ def _motion(
     rotation, position = kinematics.split_poses(once(poses))
     counts = counted.T
     measured = jax.lax.stop_gradient((rotation, position))
-    noise = estimate_noise(measured[1], kinematics.turns_of(measured[0]), counts)
-    rounding = unit_of_rounding(measured[1], counts) / 12**0.5
-    rounding = jnp.where(noise[0] < _ROUNDED * rounding, rounding, 0)
+    noise, rounding = _noise(*measured, counts, spacing)
     one = jnp.ones_like(number)
     width = jnp.zeros_like(number)
     if rule == "auto":
@@ -273,6 +277,34 @@ def _motion(
     lag = jnp.minimum(one * lag, number - 1)
     weights = moving_chords(*jax.lax.stop_gradient((rotation, position)), counts, lag, noise)
     return _Motion(rotation, position, counts, noise, rounding, share, lag, weights)
+
+
+def _spacing(poses: jax.Array) -> jax.Array:
+    """Distance between neighbouring numbers where positions are largest, (N,) m.
+
+    Numbers that float32 holds exactly have most likely passed through it.
+    """
+    position = jax.lax.stop_gradient(poses[:, :, :3, 3])
+    single = jnp.finfo(jnp.float32)
+    narrow = jax.lax.reduce_precision(position, single.nexp, single.nmant)
+    passed = jnp.all(narrow == position, axis=(1, 2))
+    eps = jnp.where(passed, float(single.eps), float(jnp.finfo(position.dtype).eps))
+    return eps.astype(position.dtype) * jnp.max(jnp.abs(position), axis=(1, 2))
+
+
+def _noise(
+    rotation: jax.Array, position: jax.Array, counted: jax.Array, spacing: jax.Array
+) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:
+    """The noise of poses, (N,) m and (N,) rad, and what rounding has of it where that is most, else 0."""
+    turns = kinematics.turns_of(rotation)
+    of_position, of_rotation = estimate_noise(position, turns, counted)
+    rounding = jnp.maximum(unit_of_rounding(position, counted), spacing) / 12**0.5
+    of_position = jnp.maximum(of_position, rounding)
+    # a coordinate that never changes, of a body that turns in every way, is not known any better
+    still = jnp.any(constant_components(position, counted), axis=0)
+    turning = ~jnp.any(constant_components(turns, counted[1:] & counted[:-1], 1), axis=0)
+    rounding = jnp.where(still & turning, of_position, rounding)
+    return (of_position, of_rotation), jnp.where(of_position < _ROUNDED * rounding, rounding, 0)
 
 
 def _paths(
@@ -335,10 +367,12 @@ def _velocities(
         of_angular, of_linear = (
             chord_velocities(path, times, motion.lag, weights) for path in (angular[1], linear[1])
         )
-        return of_angular, of_linear
+        # a window whose chords are its steps has the same numbers whatever the other windows are
+        own = plain[None, None, None, None]
+        return jnp.where(own, steps[0], of_angular), jnp.where(own, steps[1], of_linear)
 
-    plain = jnp.all(motion.lag == 1) & jnp.all(weights == 1)
-    return once(jax.lax.cond(plain, lambda _: steps, chords, None))
+    plain = (motion.lag == 1) & jnp.all(weights == 1, axis=0)
+    return once(jax.lax.cond(jnp.all(plain), lambda _: steps, chords, None))
 
 
 def _travel(motion: _Motion, turns: jax.Array) -> jax.Array:

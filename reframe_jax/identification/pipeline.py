@@ -31,6 +31,7 @@ from reframe_jax.identification.distances import (
 )
 from reframe_jax.identification.evidence import Evidence, LagRule, reduce_windows
 from reframe_jax.identification.freedom import type_weights
+from reframe_jax.identification.naming import name_probability
 from reframe_jax.identification.optima import (
     Frames,
     Optima,
@@ -56,6 +57,8 @@ from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.solvers import Solver
 
 __all__ = ["identify_windows", "solve_evidence"]
+
+_EVEN = 0.5  # probability of a name, below which all others together are more probable
 
 
 def identify_windows(
@@ -136,16 +139,23 @@ def solve_evidence(
         agreement=optima.solution.agreement,
     )
     linear_frame = _linear_frame(linear, (position, free), evidence, optima, patterns, idle)
+    angular_frame = _angular_frame(angular, evidence, optima, patterns)
+    classes = _class_probability(evidence, optima, dof[1], patterns)
+    n = optima.linear_winner
+    axes = frames.angular_axes, pick_type(frames.axes, n)
+    probability = name_probability(classes, n, (angular_frame.dof, linear_frame.dof), axes)
     cautions = {
         Caution.FAR_ORIGIN: optima.widened,
         Caution.ROUNDED: evidence.rounded,
+        # thresholds name a class whatever its probability
+        Caution.IMPROBABLE: (probability < _EVEN) & (thresholds is None),
         Caution.COUPLED: jnp.any(linear_frame.coupled_position != 0, axis=(-2, -1)),
     }
     found = Identification(
-        angular=_angular_frame(angular, evidence, optima, patterns),
+        angular=angular_frame,
         linear=linear_frame,
         candidates=AllCandidates(angular=angular, linear=linear),
-        class_probability=_class_probability(evidence, optima, dof[1], patterns),
+        class_probability=classes,
         noise=evidence.noise,
         lag=evidence.lag,
         refined=refined,
@@ -153,7 +163,7 @@ def solve_evidence(
         status_code=jnp.zeros_like(evidence.status),
         warning_codes=_warning_codes(evidence, optima, thresholds, cautions),
     )
-    return _with_status(found, evidence.status, pick_type(on_bounds, optima.linear_winner))
+    return _with_status(found, evidence.status, pick_type(on_bounds, n))
 
 
 def _decide(

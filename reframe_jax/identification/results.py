@@ -13,13 +13,14 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.constraints.catalogue import Constraint, describe, lookup
+from reframe_jax.constraints.catalogue import Constraint, lookup
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.types import AngularType, AxisRelation, Dof, LinearType
 from reframe_jax.geometry import rotations
 from reframe_jax.identification.cautions import caution_sentences
 from reframe_jax.identification.explanation import Finding, Spread, Tested, explain_finding
 from reframe_jax.identification.frames import AllCandidates, AngularFrame, Candidates, LinearFrame, member
+from reframe_jax.identification.naming import ALIGNED, name_class
 from reframe_jax.joints.fitting import fit_joint
 from reframe_jax.joints.joint import Joint
 from reframe_jax.motion.checks import Status
@@ -38,7 +39,6 @@ _Item = int | slice | EllipsisType | None | np.ndarray | jax.Array
 Index = _Item | tuple[_Item, ...] | list[int]
 """What indexes an array."""
 
-_ALIGNED = 15.0  # degrees within which two axes count as parallel or perpendicular
 _LEVERS = 0.03, 3.0  # m, between which the noise of positions over that of orientations is believed
 _USUAL_LEVER = 0.3  # m, where neither noise is known
 
@@ -112,7 +112,7 @@ class Identification:
             return self.warning_codes
         velocities = int(np.sum(np.asarray(self.counted))) - 1
         speeds = np.asarray(self.angular.rms).tolist(), np.asarray(self.linear.rms).tolist()
-        return caution_sentences(int(self.warning_codes), velocities, int(self.lag), speeds)
+        return caution_sentences(int(self.warning_codes), velocities, int(self.lag), speeds, self.probability)
 
     @property
     def entry(self) -> Constraint | None:
@@ -129,7 +129,7 @@ class Identification:
         if np.shape(self.status_code):
             return self._of_each("name", object)
         status = Status(int(self.status_code))
-        return f"No result: {status.message}" if status.failed else _name(*self._class())
+        return f"No result: {status.message}" if status.failed else name_class(*self._class())
 
     @property
     def probability(self) -> Any:
@@ -145,9 +145,9 @@ class Identification:
             return self._of_each("probability", float)
         if Status(int(self.status_code)).failed:
             return float("nan")
-        own, (_, angular, linear, relation) = _name(*self._class()), self._class()
+        own, (_, angular, linear, relation) = name_class(*self._class()), self._class()
         classes = np.asarray(self.class_probability)[:, sum(angular), sum(linear)]
-        same = [_name(kind, angular, linear, relation) == own for kind in LinearType]
+        same = [name_class(kind, angular, linear, relation) == own for kind in LinearType]
         return float(np.sum(classes[same]))
 
     def _of_each(self, attribute: str, dtype: Any) -> np.ndarray:
@@ -250,16 +250,11 @@ class Identification:
             for rotvec, dof in zip(rotvecs, (angular, linear), strict=True)
         )
         angle = np.degrees(np.arccos(min(1.0, abs(float(first @ second)))))
-        if angle < _ALIGNED:
+        if angle < ALIGNED:
             return kind, angular, linear, AxisRelation.PARALLEL
-        if angle > 90 - _ALIGNED:
+        if angle > 90 - ALIGNED:
             return kind, angular, linear, AxisRelation.PERPENDICULAR
         return kind, angular, linear, AxisRelation.OBLIQUE
-
-
-def _name(kind: LinearType, angular: Dof, linear: Dof, relation: AxisRelation | None) -> str:
-    entry = lookup(kind, angular, linear, relation)
-    return describe(kind, angular, linear, relation) if entry is None else entry.name
 
 
 def _dof(dof: jax.Array) -> Dof:

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-__all__ = ["choose_lag", "estimate_noise", "masked_median", "unit_of_rounding"]
+__all__ = ["choose_lag", "constant_components", "estimate_noise", "masked_median", "unit_of_rounding"]
 
 _ORDERS = (2, 4, 6)  # of the differences from which noise is told
 _GAUSSIAN = 0.6745  # median of the absolute value of a standard normal variable
@@ -51,7 +51,8 @@ def estimate_noise(position: jax.Array, turns: jax.Array, counted: jax.Array) ->
 
     Uses the median absolute differences of order 2, 4 and 6, and returns the smallest estimate, because
     smooth motion vanishes from high differences. A few jumps do not matter. Errors that change slowly are not
-    included. Rounded positions have at least the noise of their rounding.
+    included. Components that never change, as those that a planar tracker does not measure, say nothing about
+    the noise of the others. Rounded positions have at least the noise of their rounding.
 
     Args:
         position: (3, K+1, N) m.
@@ -64,20 +65,25 @@ def estimate_noise(position: jax.Array, turns: jax.Array, counted: jax.Array) ->
     poses = counted.shape[0]
     rows, masks, scales = [], [], []
     orders = [m for m in _ORDERS if m < poses - 1] or [2]
+    changing = [
+        ~constant_components(position, counted),
+        ~constant_components(turns, counted[1:] & counted[:-1], 1),
+    ]
     for order in orders:
         whole = counted[: poses - order]
         for shift in range(1, order + 1):
             whole = whole & counted[shift : shift + poses - order]
-        for values, first in ((position, 0), (turns, 1)):
+        for values, first, changes in ((position, 0, changing[0]), (turns, 1, changing[1])):
             difference = jnp.abs(jnp.diff(values, order - first, axis=1))
             rows.append(jnp.pad(difference, ((0, 0), (0, order), (0, 0))))
-            masks.append(jnp.pad(whole, ((0, order), (0, 0))))
+            masks.append(jnp.pad(whole[None] & changes[:, None], ((0, 0), (0, order), (0, 0))))
             scales.append(_GAUSSIAN * comb(2 * order, order) ** 0.5)
     shape = (-1, len(rows), counted.shape[1])
-    stacked, mask = jnp.stack(rows, axis=2).reshape(shape), jnp.stack(masks, axis=1)
-    deviation = masked_median(stacked, jnp.tile(mask, (3, 1, 1)))
+    stacked, mask = jnp.stack(rows, axis=2).reshape(shape), jnp.stack(masks, axis=2)
+    deviation = masked_median(stacked, mask.reshape(shape))
     deviation = deviation / jnp.asarray(scales, position.dtype)[:, None]
-    deviation = jnp.where(jnp.sum(mask, axis=0) >= 4, deviation, jnp.inf)
+    enough = jnp.max(jnp.sum(mask, axis=1), axis=0) >= 4
+    deviation = jnp.where(enough, deviation, jnp.inf)
     best = jnp.min(deviation.reshape(len(orders), 2, -1), axis=0)
     rounding = jnp.stack([jnp.max(jnp.abs(values), axis=(0, 1)) for values in (position, turns)])
     rounding = 4 * float(jnp.finfo(position.dtype).eps) * rounding
@@ -86,10 +92,27 @@ def estimate_noise(position: jax.Array, turns: jax.Array, counted: jax.Array) ->
     return jnp.maximum(spreads[0], rounded), spreads[1]
 
 
+def constant_components(values: jax.Array, counted: jax.Array, least: float = 0.0) -> jax.Array:
+    """Which components of values (3, M, N) stay the same to the last digit, (3, N) bool.
+
+    Args:
+        values: (3, M, N).
+        counted: (M, N) bool, which count.
+        least: size of the numbers that the values were computed from, at least.
+    """
+    low = jnp.min(jnp.where(counted[None], values, jnp.inf), axis=1)
+    high = jnp.max(jnp.where(counted[None], values, -jnp.inf), axis=1)
+    largest = jnp.max(jnp.where(counted[None], jnp.abs(values), 0), axis=(0, 1))
+    rounding = 4 * float(jnp.finfo(values.dtype).eps) * jnp.maximum(largest, least)
+    return high - low <= rounding[None]
+
+
 def unit_of_rounding(position: jax.Array, counted: jax.Array) -> jax.Array:
     """The unit that positions are rounded to, (N,) m: all steps are multiples of the smallest; else zero.
 
-    Steps of one size only are those of even motion, not of rounding.
+    Steps of one size only are those of even motion, not of rounding. Where numbers have a fixed count of
+    digits, large coordinates are rounded more than small ones. So a coordinate that mostly repeats its value
+    while others change has a unit of its own, its smallest step.
 
     Args:
         position: (3, K+1, N) m.
@@ -107,7 +130,11 @@ def unit_of_rounding(position: jax.Array, counted: jax.Array) -> jax.Array:
     most = jnp.max(jnp.where(both, steps, 0), axis=1)
     uneven = jnp.any(most > least + unit[None] / 2, axis=0)
     rounded = uneven & (jnp.sum(off, axis=(0, 1)) < _OFF_GRID * number)
-    return jnp.where(jnp.isfinite(smallest) & rounded, unit, 0)
+    common = jnp.where(jnp.isfinite(smallest) & rounded, unit, 0)
+    anywhere = jnp.any(moved, axis=0)
+    repeats = jnp.sum(anywhere[None] & ~moved, axis=1) * 2 > jnp.sum(anywhere, axis=0)[None]
+    own = jnp.min(jnp.where(moved, steps, jnp.inf), axis=1)
+    return jnp.maximum(common, jnp.max(jnp.where(repeats & jnp.isfinite(own), own, 0), axis=0))
 
 
 def _candidates(poses: int) -> list[int]:

@@ -36,9 +36,13 @@ def check_exponent(exponent: float) -> float:
     Raises:
         ValueError: unless -inf <= exponent <= 2. Above 2 the norm favours even axes, not small ones.
     """
-    if not isinstance(exponent, (int, float, np.number)) or isinstance(exponent, bool):
+    real = isinstance(exponent, (int, float, np.integer, np.floating))
+    if not real or isinstance(exponent, (bool, np.timedelta64)):  # which NumPy counts among the integers
         raise ValueError(f"The exponent of the norm must be a plain number, not {exponent!r}.")
-    value = float(exponent)
+    try:
+        value = float(exponent)
+    except OverflowError:
+        value = math.nan
     if not -math.inf <= value <= 2:
         raise ValueError(f"The exponent of the norm over axes must lie in [-inf, 2], not {exponent}.")
     return value

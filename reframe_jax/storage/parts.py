@@ -8,6 +8,7 @@ the first part has been computed: refused options leave no trace.
 
 import json
 import re
+import reprlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from reframe_jax.storage.records import checksum
 __all__ = ["Run", "read_part", "write_part"]
 
 _FORMAT = 4
+_LISTED, _LONGEST = 8, 40  # names of options in a message, and letters of each
 _RUN = "run.json"
 _PART = re.compile(r"part-(\d{8,})")
 
@@ -97,9 +99,12 @@ def _damaged(file: Path, why: str) -> ValueError:
 
 
 def _difference(one: Record, other: Record) -> str:
-    """Names of what differs."""
+    """Names of what differs; a damaged record may have names of any length."""
     names = [*one, *(name for name in other if name not in one)]
-    return ", ".join(name for name in names if one.get(name) != other.get(name))
+    differ = [name for name in names if one.get(name) != other.get(name)]
+    more = [f"and {len(differ) - _LISTED} more"] if len(differ) > _LISTED else []
+    short = [name if len(name) <= _LONGEST else name[:_LONGEST] + "…" for name in differ[:_LISTED]]
+    return ", ".join(short + more)
 
 
 class Run:
@@ -237,7 +242,7 @@ class Run:
             )
         total = record.get(self._unit)
         if total is not None and (not isinstance(total, int) or total < 0):
-            raise _damaged(file, f"{self._unit} is {total!r}")
+            raise _damaged(file, f"{self._unit} is {reprlib.repr(total)}")
         return record
 
     def _compare(self) -> None:

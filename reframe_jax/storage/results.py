@@ -29,6 +29,7 @@ __all__ = ["identify_many", "load_results"]
 
 _KIND = "results of identify_many"
 _UNIT = "windows"
+_LISTED = 8  # missing parts in a message
 
 
 def identify_many(
@@ -123,13 +124,13 @@ def load_results(folder: str | Path, parts: Iterable[int] | None = None) -> Iden
     PARQUET.library()
     run = Run.open(Path(folder), PARQUET, _KIND, _UNIT)
     stored = run.parts
-    wanted = list(_all_parts(run)) if parts is None else _part_numbers(parts)
+    wanted = _all_parts(run) if parts is None else _part_numbers(parts)
     if not wanted:
         raise ValueError("parts must name at least one part to load.")
-    missing = [number for number in wanted if number not in stored]
-    if missing:
+    number, missing = _missing(wanted, stored)
+    if number:
         raise ValueError(
-            f"{folder} is incomplete: {len(missing)} parts are missing, {missing[:8]} among them. "
+            f"{folder} is incomplete: {number} parts are missing, {missing} among them. "
             "Run identify_many again."
         )
     loaded = [run.read(number) for number in wanted]
@@ -160,6 +161,15 @@ def _all_parts(run: Run) -> range:
     if run.total is None or not isinstance(size, int) or size < 1:
         return range(max(run.parts) + 1)
     return range(-(-run.total // size))
+
+
+def _missing(wanted: range | list[int], stored: Mapping[int, Path]) -> tuple[int, list[int]]:
+    """How many parts are missing, and the first of them; a range may be longer than any list."""
+    if isinstance(wanted, range):
+        number = wanted.stop - sum(part in wanted for part in stored)
+    else:
+        number = sum(part not in stored for part in wanted)
+    return number, list(islice((part for part in wanted if part not in stored), _LISTED))
 
 
 def _part_numbers(parts: Iterable[int]) -> list[int]:

@@ -1,0 +1,61 @@
+"""Names of classes, and how probable the name of a window is."""
+
+from math import cos, radians
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reframe_jax.constraints.catalogue import describe, lookup
+from reframe_jax.constraints.types import AxisRelation, Dof, LinearType
+
+__all__ = ["ALIGNED", "name_class", "name_probability"]
+
+ALIGNED = 15.0  # degrees within which two axes count as parallel or perpendicular
+
+
+def name_class(kind: LinearType, angular: Dof, linear: Dof, relation: AxisRelation | None) -> str:
+    """Name of a class, of the catalogue or in words; see :func:`reframe_jax.constraints.catalogue.lookup`."""
+    entry = lookup(kind, angular, linear, relation)
+    return describe(kind, angular, linear, relation) if entry is None else entry.name
+
+
+def name_probability(
+    classes: jax.Array,
+    winner: jax.Array,
+    dof: tuple[jax.Array, jax.Array],
+    axes: tuple[jax.Array, jax.Array],
+) -> jax.Array:
+    """Probability of the name of each window, (N,), as ``Identification.probability`` has it.
+
+    Args:
+        classes: (N, 4, 4, 4) probability of every linear type, number of free rotations and of translations.
+        winner: (N,) linear type.
+        dof: (N, 3) of both frames.
+        axes: (N, 2, 3, 3) of both angular types, and (N, 3, 3) of the linear frame; columns.
+    """
+    angular, linear = (jnp.sum(number, axis=-1) for number in dof)
+    bodies = np.asarray([int(kind.orientation_body) for kind in LinearType], np.int32)
+    body = jnp.asarray(bodies)[winner]
+    turning = jnp.take_along_axis(axes[0], body[:, None, None, None], axis=1)[:, 0, :, 2]
+    odd = jnp.where((linear == 1)[:, None], axes[1][:, :, 2], axes[1][:, :, 0])
+    parallel = jnp.abs(jnp.sum(turning * odd, axis=-1)) > cos(radians(ALIGNED))
+    rows = jnp.arange(len(winner), dtype=winner.dtype)
+    of_types = classes[rows, :, angular, linear]
+    own = jnp.take_along_axis(of_types, winner[:, None], axis=1)[:, 0]
+    for_all = jnp.asarray(_FOR_ALL_TYPES)[angular, linear, parallel.astype(jnp.int32)]
+    return jnp.where(for_all, jnp.sum(of_types, axis=1), own)
+
+
+def _is_for_all_types(rotations: int, translations: int, parallel: bool) -> bool:
+    """Whether a class has the same name in all linear types."""
+    patterns: tuple[Dof, ...] = (0, 0, 0), (0, 0, 1), (0, 1, 1), (1, 1, 1)
+    related = rotations in (1, 2) and translations in (1, 2)
+    relation = (AxisRelation.PARALLEL if parallel else AxisRelation.OBLIQUE) if related else None
+    dof = patterns[rotations], patterns[translations]
+    return len({name_class(kind, *dof, relation) for kind in LinearType}) == 1
+
+
+_FOR_ALL_TYPES = np.array(
+    [[[_is_for_all_types(a, b, parallel) for parallel in (False, True)] for b in range(4)] for a in range(4)]
+)
