@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from reframe_jax.cli.outputs import path_of
+from reframe_jax.cli.speaking import say
 from reframe_jax.export.columns import Columns, write_csv, write_parquet
 from reframe_jax.export.mjcf import to_mjcf
 from reframe_jax.export.sdf import to_sdf
@@ -72,10 +73,12 @@ def check_exports(options: argparse.Namespace) -> None:
 def write_joint_files(recording: Recording, found: Identification, options: argparse.Namespace) -> list[str]:
     """Write the joint and the task frame of a recording as asked; returns what went wrong."""
     texts: dict[Path, Callable[[], str]] = {}
-    for name, to_robot in _ROBOTS.items():
-        if getattr(options, name) is not None:
-            joint = found.to_joint(recording.poses, parent=options.parent, child=options.child)
-            texts[getattr(options, name)] = partial(to_robot, joint)
+    robots = [name for name in _ROBOTS if getattr(options, name) is not None]
+    if robots:
+        joint = found.to_joint(recording.poses, parent=options.parent, child=options.child)
+        if joint.is_envelope:
+            say(f"reframe-jax: {recording.path}: {joint.gauge[0]}")
+        texts |= {getattr(options, name): partial(_ROBOTS[name], joint) for name in robots}
     if options.task_frame is not None:
         last = recording.poses[np.flatnonzero(found.counted)[-1]]
         texts[options.task_frame] = partial(_task_text, found, last, options)
