@@ -79,12 +79,13 @@ def test_what_a_format_cannot_say_is_one_line(recordings: Path, tmp_path: Path, 
     out.mkdir()
     task = out / "task.json"
     files = recordings / "[dp]*.csv", cart
-    assert run(*files, "--urdf", out / "a.urdf", "--task-frame", task) == 1
+    assert run(*files, "--urdf", out / "a.urdf", "--mjcf", out / "a.xml", "--task-frame", task) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(
-        f"reframe-jax: error: {cart}: URDF cannot say 'Cart on a curved surface'. No chain"
+        f"reframe-jax: error: {cart}: URDF and MJCF cannot say 'Cart on a curved surface'."
     )
-    written = {"a-door.urdf", "a-pen.urdf"}
+    assert line.count("Cart") == 1
+    written = {"a-door.urdf", "a-door.xml", "a-pen.urdf", "a-pen.xml"}
     written |= {f"task-{name}.json" for name in ("cart", "door", "pen")}
     assert {path.name for path in out.iterdir()} == written
     assert json.loads((out / "task-pen.json").read_text())["constraint"] == "Pin-plane contact"

@@ -47,7 +47,7 @@ def check_writable(joint: Joint, language: str) -> None:
         ValueError: for a contact that leaves every pose within reach, and for a free body.
     """
     if joint.type == "floating":
-        raise ValueError(f"{language} has nothing to say: {joint.child} is free, so there is no joint.")
+        raise ValueError(f"There is no joint to write as {language}: {joint.child} is free.")
     if not joint.is_chain:
         raise ValueError(f"{language} cannot say {joint.name!r}. {' '.join(joint.gauge)}")
 

@@ -87,11 +87,17 @@ def estimates_of(found: Identification, noise: PoseNoise | None, dtype: np.dtype
         lag=found.lag,
         counted=found.counted,
         seen=found.noise,
-        position_noise=jnp.broadcast_to(jnp.asarray(given.position), batch),
-        rotation_noise=jnp.broadcast_to(jnp.asarray(given.rotation), batch),
+        position_noise=given.position,
+        rotation_noise=given.rotation,
     )
+    xp: Any = jnp
     if not traced(estimates):
-        estimates = jax.device_get(estimates)  # NumPy takes views where JAX would run programs
+        xp, estimates = np, jax.device_get(estimates)  # NumPy takes views where JAX would run programs
+    position, rotation = (
+        xp.broadcast_to(xp.asarray(size), batch)
+        for size in (estimates.position_noise, estimates.rotation_noise)
+    )
+    estimates = replace(estimates, position_noise=position, rotation_noise=rotation)
 
     def convert(leaf: Any) -> Any:
         return leaf.astype(dtype) if np.issubdtype(leaf.dtype, np.floating) else leaf
