@@ -113,12 +113,12 @@ def test_too_much_noise_is_said(recordings):
     assert np.mean(sure.first_order) < 0.1
 
 
-@pytest.mark.parametrize("label", "AK")
+@pytest.mark.parametrize("label", "AEHK")
 def test_a_bootstrap_agrees(recordings, label):
     _, poses, found = recordings[label]
     usual = rf.covariance(found, poses, dt=DT, errors="white")
     second = rf.covariance(found, poses, dt=DT, method="bootstrap")
-    parts = {"A": ("angular_axes", "position"), "K": ("linear_axes", "position")}
+    parts = {label: ("linear_axes", "position") for label in "EHK"} | {"A": ("angular_axes", "position")}
     for part in parts[label]:
         sizes = [np.sqrt(np.trace(getattr(each, part), axis1=1, axis2=2)) for each in (usual, second)]
         assert 0.75 < np.median(sizes[1] / sizes[0]) < 1.25
