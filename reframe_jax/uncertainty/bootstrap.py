@@ -145,7 +145,7 @@ def _optimum(moments: jax.Array, free: jax.Array) -> tuple[jax.Array, jax.Array]
         free: (3, 3, N).
     """
     start = jnp.zeros_like(moments[:, 0, 0, 0])
-    size = sum(moments[i, a, i, a] for i in range(3) for a in range(1, 4))
+    size = jnp.sum(jnp.stack([moments[i, a, i, a] for i in range(3) for a in range(1, 4)]), axis=0)
     held = jnp.eye(3, dtype=free.dtype)[:, None, :, None, None] * (free * size[None, None])[None, :, None]
     origin = optimum_near(moments.at[:, 1:, :, 1:].add(held), start)
     return covariance_at_offset(moments, optimum_near(moments, start)), origin
