@@ -40,7 +40,7 @@ from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.simulation.metrics import dof_correct, types_correct
 from reframe_jax.simulation.motions import PoseErrors, disturb, random_motion
 from reframe_jax.simulation.synthetic import Excitation, Simulation
-from reframe_jax.uncertainty.covariance import Covariance, Errors
+from reframe_jax.uncertainty.covariance import Covariance, Errors, Method
 
 __all__ = ["standard_scores"]
 
@@ -62,6 +62,7 @@ class Plan:
     windows: int = 1000
     slow: float = 0.0
     errors: Errors = "measured"
+    method: Method = "derivative"
 
 
 QUICK = Plan(sigmas=(1e-4, 1e-3), windows=32)
@@ -174,7 +175,7 @@ def coverage_of(label: str, made: Simulation, sigma: float, plan: Plan) -> tuple
     """One row of the table, and what the reliability of probabilities needs."""
     poses = measured(made, sigma, plan.slow)
     found = rf.identify(poses, dt=DT)
-    sure = rf.covariance(found, poses, dt=DT, errors=plan.errors)
+    sure = rf.covariance(found, poses, dt=DT, errors=plan.errors, method=plan.method)
     usable = np.asarray(found.status_code) == 0
     right = usable & np.asarray(types_correct(found, made.truth) & dof_correct(found, made.truth))
     small = np.asarray(sure.first_order)
@@ -303,13 +304,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--windows", type=int, help="of every constraint and noise level")
     add("--slow", type=float, help="m, standard deviation of an error that changes slowly")
     add("--errors", choices=["measured", "white"], help="of the covariance; see reframe_jax.covariance")
+    add("--method", choices=["derivative", "bootstrap"], help="of the covariance, likewise")
     add("--plot", type=Path, help="file of the reliability diagram")
     options = parser.parse_args(argv)
     plan = chosen_plan(options, Plan(), QUICK)
     jax.config.update("jax_enable_x64", True)
     parts = read_parts(options)
     record = joined(parts) if parts else run(plan)
-    print(f"{plan.motion} motion, covariance from {plan.errors} errors; {record['machine']}")
+    how = f"{plan.errors} errors" if plan.method == "derivative" else "a bootstrap"
+    print(f"{plan.motion} motion, covariance from {how}; {record['machine']}")
     show(record, options.plot)
     write_record(options.json, record)
     return 0

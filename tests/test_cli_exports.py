@@ -32,14 +32,17 @@ Captured = pytest.CaptureFixture[str]
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a door (revolute), a pen (on a plane), and a file that is no recording."""
     folder = tmp_path_factory.mktemp("recordings")
-    for name, label in (("door", "A"), ("pen", "K")):
-        path = folder / f"{name}.csv"
-        words = ["simulate", "--no-cache", "--constraint", label, "--noise", "1e-5", "--duration", "3.5"]
-        assert program.main([*words, "--out", str(path)]) == 0
-        recording = load_recording(path)
-        save_recording(path, recording.times[:POSES], recording.poses[:POSES])
+    simulate(folder / "door.csv", "A")
+    simulate(folder / "pen.csv", "K")
     (folder / "notes.csv").write_text("t,x,y,z\n0,0,0,0\n")
     return folder
+
+
+def simulate(path: Path, label: str) -> None:
+    words = ["simulate", "--no-cache", "--constraint", label, "--noise", "1e-5", "--duration", "3.5"]
+    assert program.main([*words, "--out", str(path)]) == 0
+    recording = load_recording(path)
+    save_recording(path, recording.times[:POSES], recording.poses[:POSES])
 
 
 def run(*arguments: str | Path) -> int:
@@ -71,18 +74,30 @@ def test_a_recording_becomes_robot_descriptions(recordings: Path, tmp_path: Path
 
 def test_what_a_format_cannot_say_is_one_line(recordings: Path, tmp_path: Path, capsys: Captured) -> None:
     """And the other recordings and formats are written all the same."""
-    pattern = recordings / "[dp]*.csv"
-    task = tmp_path / "task.json"
-    assert (
-        run(pattern, "--urdf", tmp_path / "a.urdf", "--mjcf", tmp_path / "a.xml", "--task-frame", task) == 1
-    )
+    cart, out = tmp_path / "cart.csv", tmp_path / "out"
+    simulate(cart, "G")
+    out.mkdir()
+    task = out / "task.json"
+    files = recordings / "[dp]*.csv", cart
+    assert run(*files, "--urdf", out / "a.urdf", "--mjcf", out / "a.xml", "--task-frame", task) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(
-        f"reframe-jax: error: {recordings / 'pen.csv'}: URDF cannot say 'Pin-plane contact'"
+        f"reframe-jax: error: {cart}: URDF and MJCF cannot say 'Cart on a curved surface'."
     )
-    written = {"a-door.urdf", "a-door.xml", "a-pen.xml", "task-door.json", "task-pen.json"}
-    assert {path.name for path in tmp_path.iterdir()} == written
-    assert json.loads((tmp_path / "task-pen.json").read_text())["constraint"] == "Pin-plane contact"
+    assert line.count("Cart") == 1
+    written = {"a-door.urdf", "a-door.xml", "a-pen.urdf", "a-pen.xml"}
+    written |= {f"task-{name}.json" for name in ("cart", "door", "pen")}
+    assert {path.name for path in out.iterdir()} == written
+    assert json.loads((out / "task-pen.json").read_text())["constraint"] == "Pin-plane contact"
+
+
+def test_what_a_chain_does_not_hold_is_said(tmp_path: Path, capsys: Captured) -> None:
+    recording, out = tmp_path / "blade.csv", tmp_path / "a.urdf"
+    simulate(recording, "E")
+    assert run(recording, "--urdf", out, "--child", "blade") == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[-1].startswith(f"reframe-jax: {recording}: The chain holds the plane of the motion.")
+    assert mujoco.MjModel.from_xml_path(str(out)).njnt == 3
 
 
 def test_patterns_end_with_one_table(recordings: Path, tmp_path: Path, capsys: Captured) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from export_files import BODIES, motion, motive, qualisys, vicon
+from scipy.spatial.transform import Rotation
 
 from reframe_jax.recordings.reading import list_contents, load_recording
 from reframe_jax.recordings.recording import Recording, RecordingError
@@ -165,6 +166,13 @@ def test_vicon_does_not_say_what_its_angles_are(tmp_path: Path, bodies: Poses) -
         load_recording(path, body="Rod", angles="vector")
 
 
+def test_headings_of_vicon_before_names(tmp_path: Path, bodies: Poses) -> None:
+    """Tracker says there that it wrote quaternions; its rows may end in a comma."""
+    text = vicon(bodies, angles="quaternion").replace("Global Angle ", "Global Angle (Quaternion) ")
+    path = save(tmp_path / "a.csv", text.replace("\n", ",\n"))
+    same(load_recording(path, body="Door 1"), bodies["Door 1"])
+
+
 @pytest.mark.parametrize("sep", [";", "\t"])
 def test_vicon_separators_and_other_sections(tmp_path: Path, bodies: Poses, sep: str) -> None:
     rows = (["Trajectories"], ["100"], ["", "", "m1"], ["Frame", "Sub Frame", "X", "Y", "Z"])
@@ -230,6 +238,28 @@ def test_titles_of_columns(tmp_path: Path, bodies: Poses, between: str) -> None:
     titles = re.sub(r"(Rod|Door 1) (?=\S+)", rf"\1{between}" if between else "", text.splitlines()[9])
     lines = [*text.splitlines()[:9], titles, *text.splitlines()[10:]]
     same(load_recording(save(tmp_path / "a.tsv", "\n".join(lines)), body="Rod"), bodies["Rod"])
+
+
+def test_headers_of_older_versions_of_qualisys(tmp_path: Path) -> None:
+    """No FILE_VERSION, analog lines, the name of a body before X only, five digits; and a known rotation."""
+    angle = np.radians([20.0, -35.0, 50.0])
+    turns = [Rotation.from_rotvec(x * axis).as_matrix() for x, axis in zip(angle, np.eye(3), strict=True)]
+    matrix = turns[0] @ turns[1] @ turns[2]  # roll, then pitch and yaw about the axes as they moved
+    header = ["NO_OF_FRAMES\t8", "NO_OF_CAMERAS\t4", "NO_OF_BODIES\t1", "FREQUENCY\t50", "NO_OF_ANALOG\t0"]
+    header += ["ANALOG_FREQUENCY\t0", "DESCRIPTION\t--", "TIME_STAMP\t2020-01-22, 17:47:17\t1.5"]
+    names = ["X", "Y", "Z", "Roll", "Pitch", "Yaw", "Residual", *(f"Rot[{k}]" for k in range(9))]
+    header += [
+        "DATA_INCLUDED\t6D",
+        "BODY_NAMES\tHull",
+        "\t".join(["Frame", "Time", f"Hull {names[0]}", *names[1:]]),
+    ]
+    rows = [[k + 1, k / 50, 1e3 + k, 2e3, 3e3, 20.0, -35.0, 50.0, 0.7, *matrix.T.ravel()] for k in range(8)]
+    lines = ["\t".join(f"{x:.5f}" for x in row) for row in rows]
+    recording = load_recording(save(tmp_path / "a.tsv", "\r\n".join([*header, *lines])))
+    np.testing.assert_allclose(recording.poses[:, :3, :3], np.tile(matrix, (8, 1, 1)), atol=2e-5)
+    np.testing.assert_allclose(recording.poses[2, :3, 3], [1.002, 2.0, 3.0])
+    np.testing.assert_allclose(recording.times, np.arange(8) / 50, atol=1e-9)
+    assert not any("convention" in note or "row by row" in note for note in recording.notes)
 
 
 def test_the_order_of_matrices_is_checked_against_the_angles(tmp_path: Path, bodies: Poses) -> None:

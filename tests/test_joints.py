@@ -24,6 +24,8 @@ CHAINS = {
     "B": ("prismatic", ["slide"]),
     "C": ("cylindrical", ["slide", "hinge"]),
     "D": ("planar", ["slide", "slide", "hinge"]),
+    "E": ("general", ["slide", "slide", "hinge"]),
+    "F": ("general", ["slide", "slide", "hinge"]),
     "I": ("general", ["slide", "hinge"]),
     "J": ("general", ["hinge", "slide"]),
     "K": ("general", ["slide", "slide", "ball"]),
@@ -65,6 +67,7 @@ def test_a_chain_follows_the_recording(label: str) -> None:
     kind, parts = CHAINS[label]
     assert (joint.type, [part.kind for part in joint.parts]) == (kind, parts)
     assert (joint.name, joint.parent, joint.child) == (rf.constraint(label).name, "table", "lid")
+    assert joint.is_envelope == (label in "EF")
     assert joint.position_error < 1e-7
     assert joint.rotation_error < 1e-6
     coordinates = joint.coordinates(poses)
@@ -109,13 +112,49 @@ def test_types_that_tie_give_the_same_joint(label: str, kind: rf.LinearType) -> 
     assert joint.position_error < 1e-7
 
 
-@pytest.mark.parametrize("label", "EFGH")
+@pytest.mark.parametrize("label", "EF")
+def test_what_the_chain_does_not_hold_is_said(label: str) -> None:
+    """A wheel on its plane: the chain holds the plane, and lets the wheel move sideways."""
+    frame = frame_of(label)
+    joint = fit_joint(frame, recorded(frame), child="wheel")
+    assert joint.gauge[0].startswith(
+        "The chain holds the plane of the motion. The constraint also holds one more"
+    )
+    slides = [part.axis for part in joint.parts[:2]]
+    np.testing.assert_allclose(np.abs(np.cross(*slides) @ joint.parts[2].axis), 1, atol=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("kind", [rf.LinearType.BB, rf.LinearType.GG])
+def test_a_wheel_that_leans_reaches_all_positions(kind: rf.LinearType, count: int) -> None:
+    """A slide that turns with a hinge it is not perpendicular to reaches a plane and its normal."""
+    frame = rf.ConstraintFrame(
+        angular_type=kind.orientation_body,
+        angular_dof=(0, 0, 1),
+        linear_type=kind,
+        linear_dof=(int(count == 2), 0, 1),
+        angular_rotvec=jnp.zeros(3),
+        linear_rotvec=jnp.asarray([0.7, 0.1, 0.0]),
+        position=jnp.asarray([0.1, 0.2, 0.0]),
+    )
+    poses = np.asarray(synthetic.simulate(frame, jax.random.key(4), noise=0.0).poses)
+    joint = fit_joint(frame, poses)
+    assert [part.kind for part in joint.parts] == ["slide"] * 3 + ["hinge"]
+    lost = "one more velocity" if count == 2 else "two more velocities"
+    assert joint.gauge[0].startswith(
+        f"The chain holds the axis of rotation. The constraint also holds {lost}"
+    )
+    assert joint.position_error < 1e-7
+
+
+@pytest.mark.parametrize("label", "GH")
 def test_contacts_are_no_joints(label: str) -> None:
     frame = frame_of(label)
     joint = fit_joint(frame, recorded(frame))
     assert (joint.type, joint.parts, joint.is_chain, joint.axis) == ("general", (), False, None)
     assert joint.name == CONSTRAINTS[label].name
     assert "restricts velocities" in joint.gauge[0]
+    assert "error" not in str(joint)
     assert np.isnan(joint.position_error)
     with pytest.raises(ValueError, match="no coordinates determine the pose"):
         joint.poses([])
@@ -154,7 +193,60 @@ def test_a_universal_joint_has_an_axis_in_each_body(rng: np.random.Generator) ->
     # two hinges that follow each other at any other angle are one too; three rotations are not
     free = np.array(poses)
     free[:, :3, :3] = Rotation.random(60, rng).as_matrix()
-    assert fit_joint(frame, free).type == "general"
+    other = fit_joint(frame, free)
+    assert (other.type, other.is_chain) == ("general", False)
+    assert "two hinges do not turn as it does" in other.gauge[0]
+    # on a slide, the two hinges come along
+    along = np.array([0.6, 0.0, 0.8])
+    on_slide = np.column_stack([rng.uniform(0, 0.3, 60), coordinates])
+    slid = chain_of(
+        ("slide", along, None), ("hinge", first, point), ("hinge", second, point), coordinates=on_slide
+    )
+    rail = replace(
+        frame,
+        linear_type=rf.LinearType.GB,
+        linear_dof=(0, 0, 1),
+        linear_rotvec=jnp.asarray(Rotation.align_vectors([along], [[0, 0, 1.0]])[0].as_rotvec()),
+        position=jnp.asarray(START[:3, :3].T @ (point - START[:3, 3])),
+    )
+    joint = fit_joint(rail, slid)
+    assert [part.kind for part in joint.parts] == ["slide", "hinge", "hinge"]
+    assert joint.position_error < 1e-5
+    assert joint.rotation_error < 1e-5
+
+
+@pytest.mark.parametrize("label", ["K", "L", "spherical"])
+def test_three_hinges_stand_for_a_ball(label: str) -> None:
+    frame = frame_of(label)
+    poses = recorded(frame)
+    joint = fit_joint(frame, poses)
+    hinged = joint.without_balls()
+    kinds = [part.kind for part in joint.parts]
+    place = kinds.index("ball")
+    assert [part.kind for part in hinged.parts] == [*kinds[:place], *["hinge"] * 3, *kinds[place + 1 :]]
+    coordinates = hinged.coordinates(poses)
+    np.testing.assert_allclose(hinged.poses(coordinates), poses, atol=1e-6)
+    ranges = [(part.low, part.high) for part in hinged.parts]
+    np.testing.assert_allclose(ranges, np.stack([coordinates.min(0), coordinates.max(0)], axis=1), atol=1e-6)
+    assert "Three hinges" in hinged.gauge[-1]
+    assert fit_joint(frame_of("A"), recorded(frame_of("A"))).without_balls().parts[0].kind == "hinge"
+
+
+def test_hinges_that_would_lock_do_not_stand_for_a_ball(rng: np.random.Generator) -> None:
+    frame = frame_of("spherical")
+    poses = recorded(frame)
+    centre = fit_joint(frame, poses).point
+    turns = Rotation.random(400, rng).as_matrix()
+    free = np.tile(np.eye(4), (400, 1, 1))
+    free[:, :3, :3] = turns
+    free[:, :3, 3] = centre - turns @ np.asarray(frame.position)
+    ball = rf.ConstraintFrame(
+        rf.AngularType.G, (1, 1, 1), rf.LinearType.GB, (0, 0, 0), jnp.zeros(3), jnp.zeros(3), frame.position
+    )
+    joint = fit_joint(ball, free)
+    assert joint.position_error < 1e-7
+    with pytest.raises(ValueError, match="on the recorded rotations they lock"):
+        joint.without_balls()
 
 
 def test_what_rotates_and_slides_otherwise_is_a_chain(rng: np.random.Generator) -> None:

@@ -41,6 +41,29 @@ def test_half_turns_survive_the_csv(tmp_path: Path, rotvec: tuple[float, float, 
     np.testing.assert_allclose(load_recording(tmp_path / "a.csv").poses, poses, rtol=0, atol=1e-14)
 
 
+@pytest.mark.parametrize("name", ["a.csv", "a.npz"])
+def test_wrenches_are_written_and_read(
+    name: str, tmp_path: Path, table: np.ndarray, rng: np.random.Generator
+) -> None:
+    wrenches = rng.normal(size=(len(table), 6))
+    wrenches[3, 2] = np.nan
+    save_recording(tmp_path / name, table[:, 0], poses_of(table), wrenches=wrenches)
+    read = load_recording(tmp_path / name)
+    np.testing.assert_array_equal(read.wrenches, wrenches)
+    np.testing.assert_allclose(read.poses, poses_of(table), rtol=0, atol=1e-14)
+    save_recording(tmp_path / name, table[:, 0], poses_of(table))
+    assert load_recording(tmp_path / name).wrenches is None
+
+
+def test_wrenches_that_do_not_fit_are_refused(tmp_path: Path, table: np.ndarray) -> None:
+    times, poses = table[:, 0], poses_of(table)
+    with pytest.raises(RecordingError, match=r"expected wrenches of shape \(9, 6\), not \(9, 3\)"):
+        save_recording(tmp_path / "a.csv", times, poses, wrenches=np.zeros((9, 3)))
+    with pytest.raises(RecordingError, match="expected finite wrenches, or NaN"):
+        save_recording(tmp_path / "a.npz", times, poses, wrenches=np.full((9, 6), np.inf))
+    assert not list(tmp_path.iterdir())
+
+
 def test_what_cannot_be_written_is_refused(tmp_path: Path, table: np.ndarray) -> None:
     times, poses = table[:, 0], poses_of(table)
     with pytest.raises(RecordingError, match=r"expected times \(N,\) and poses"):

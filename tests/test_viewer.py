@@ -24,7 +24,7 @@ from reframe_jax.plotting.style import BODY, CONSTRAINED, OUTLIERS, TURNING
 from reframe_jax.recordings.writing import save_recording
 from reframe_jax.simulation import synthetic
 from reframe_jax.viewer import Page, WindowTrack, serve_page, track_window, write_page
-from reframe_jax.viewer.drawing import scene_box
+from reframe_jax.viewer.drawing import Drawing, scene_box
 from reframe_jax.viewer.page import velocity_series
 
 # connections that are cut off while a server stops are closed by the collector, sooner or later
@@ -120,6 +120,24 @@ def test_residuals_are_the_velocities_of_constrained_axes(tracks: list[WindowTra
     assert velocity_series(failed) == []
 
 
+def test_small_uncertainty_is_enlarged_and_said(
+    hinge: tuple[np.ndarray, np.ndarray, rf.Identification],
+) -> None:
+    """Two standard deviations of 6 mm are seen in a scene of 0.2 m, 60 micrometres are not."""
+    poses, times, found = hinge
+    covariance = np.diag([9e-6, 4e-6, 0])
+    scene: Any = None  # nothing is drawn
+
+    def caption(scale: float) -> str:
+        track = track_window(poses, times, found, covariance=scale * covariance)
+        return Drawing(scene, 0.2).caption(track)
+
+    assert caption(1) == "origin ± 6, 4 mm (two standard deviations)"
+    assert caption(1e-4) == "origin ± 0.06, 0.04 mm (two standard deviations), drawn 100 times larger"
+    assert caption(0) == ""
+    assert Drawing(scene, 0.2).caption(track_window(poses, times, found)) == ""
+
+
 def test_the_scene_holds_the_motion_without_outliers(tracks: list[WindowTrack]) -> None:
     centre, size = scene_box(tracks)
     assert tracks[0].frame is not None
@@ -176,6 +194,13 @@ def shows_the_scene(page: Any) -> bool:
     scene = picture(page)[:, SCENE]
     lines = all(near(scene, colour).sum() > 40 for colour in (BODY, CONSTRAINED[0], TURNING))
     return lines and near(scene, OUTLIERS["color"], 40).sum() > 5
+
+
+def shows_the_ellipsoid(page: Any) -> bool:
+    """Whether a pale patch of its colour is seen, which nothing else in the scene has."""
+    red, green, blue = np.moveaxis(picture(page)[:, SCENE], -1, 0)
+    pale = (green > 140) & (red - green > 12) & (red - green < 60) & (blue - green > 6)
+    return bool(pale.sum() > 200)
 
 
 def test_the_page_shows_the_window_and_needs_no_network(browser: Any, tracks: list[WindowTrack]) -> None:
@@ -254,12 +279,14 @@ def test_one_file_shows_the_same_without_a_network(
     view.goto(path.as_uri())
     # it plays: the hinge is seen during the first window
     wait_for(lambda: shows_the_scene(view))
+    wait_for(lambda: shows_the_ellipsoid(view))
     panel = view.locator("#reframe-panel")
     assert panel.get_by_text("a <door>").is_visible()
     assert panel.get_by_text("Revolute joint").first.is_visible()
     panel.locator("summary").first.click()
     assert panel.locator("svg path").count() == 5 + 3 + 3
     assert panel.get_by_text("residuals").is_visible()
+    assert panel.get_by_text("(two standard deviations)").is_visible()
     assert all(url.startswith(("file:", "data:", "blob:")) for url in asked), asked
     context.close()
 
@@ -279,6 +306,7 @@ def test_the_command_writes_a_file(
     assert (captured.out, captured.err) == (f"{out}: Revolute joint\n", "")
     text = out.read_text()
     assert "door.csv" in text
+    assert re.search(r"origin ± [\d., ]+ mm \(two standard deviations\)", text)
     assert "<svg" in text
     assert not re.search(r'(src|href)="https?:', text)
     assert program.main(["view", str(recording), "--html", str(tmp_path / "no" / "a.html")]) == 1

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 
 from reframe_jax.cli import arguments
 from reframe_jax.cli.commands import add_command
@@ -14,7 +15,9 @@ from reframe_jax.cli.identify import identify_recording
 from reframe_jax.cli.reading import add_reading, read_recording
 from reframe_jax.cli.speaking import say, show
 from reframe_jax.cli.windows import add_windows, check_windows
+from reframe_jax.motion.windows import sliding_windows
 from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.uncertainty.covariance import covariance
 from reframe_jax.viewer.document import write_page
 from reframe_jax.viewer.page import serve_page
 from reframe_jax.viewer.tracks import WindowTrack, track_window
@@ -83,12 +86,19 @@ def _check(options: argparse.Namespace) -> None:
 def _tracks(options: argparse.Namespace) -> list[WindowTrack]:
     recording = read_recording(options.file, options)
     found, spans = identify_recording(recording, options)
-    each = [found] if options.window is None else [found[index] for index in range(len(spans))]
+    poses, times = recording.poses, recording.times
+    if options.window is None:
+        spread = np.asarray(covariance(found, poses, times=times).position)[None]
+        found = jax.tree.map(lambda leaf: np.asarray(leaf)[None], found)
+    else:
+        places, instants = (sliding_windows(x, options.window, options.stride) for x in (poses, times))
+        spread = np.asarray(covariance(found, places, times=instants).position)
     tracks = []
-    for one, span in zip(each, spans, strict=True):
+    for index, span in enumerate(spans):
         rows = slice(span.start, span.stop)
-        one = jax.tree.map(jax.numpy.asarray, one)
-        tracks.append(track_window(recording.poses[rows], recording.times[rows], one, lag=options.lag))
+        one = jax.tree.map(jax.numpy.asarray, found[index])
+        known = spread[index] if np.isfinite(spread[index]).all() else None
+        tracks.append(track_window(poses[rows], times[rows], one, lag=options.lag, covariance=known))
     return tracks
 
 

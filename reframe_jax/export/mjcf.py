@@ -44,7 +44,8 @@ def to_mjspec(joint: Joint, *, mass: float = 1.0) -> "mujoco.MjSpec":
         mass: kg, of the child's sphere; poses do not tell masses.
 
     Raises:
-        ValueError: for a contact or a free body, which are no joints; or a mass that is not positive.
+        ValueError: for a contact that leaves every pose within reach, or a free body; or a mass that is not
+            positive.
     """
     import mujoco  # takes a third of a second
 

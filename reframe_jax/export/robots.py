@@ -44,15 +44,12 @@ def check_writable(joint: Joint, language: str) -> None:
     """Refuse constraints that are no joint.
 
     Raises:
-        ValueError: for a contact, which restricts velocities only, and for a free body.
+        ValueError: for a contact that leaves every pose within reach, and for a free body.
     """
     if joint.type == "floating":
-        raise ValueError(f"{language} has nothing to say: {joint.child} is free, so there is no joint.")
+        raise ValueError(f"There is no joint to write as {language}: {joint.child} is free.")
     if not joint.is_chain:
-        raise ValueError(
-            f"{language} cannot say {joint.name!r}: it is a contact, not a joint. It restricts velocities "
-            "only, and closes a loop through the ground that no tree of joints makes. Simulate the contact."
-        )
+        raise ValueError(f"{language} cannot say {joint.name!r}. {' '.join(joint.gauge)}")
 
 
 def is_endless(part: JointPart) -> bool:

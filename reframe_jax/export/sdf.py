@@ -36,7 +36,8 @@ def to_sdf(joint: Joint, *, mass: float = 1.0) -> str:
         mass: kg, of the child, a solid sphere of 0.1 m radius at its origin; poses do not tell masses.
 
     Raises:
-        ValueError: for a contact or a free body, which are no joints; or a mass that is not positive.
+        ValueError: for a contact that leaves every pose within reach, or a free body; or a mass that is not
+            positive.
     """
     check_mass(mass)
     check_writable(joint, "SDF")

@@ -30,7 +30,8 @@ def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
 
     The links are the parent, the child, and one link for every part of the joint between them, with the axes
     of the parent. A joint with several parts is a chain: a cylindrical joint is a slide and a hinge, a planar
-    joint two slides and a hinge (the type ``planar`` of URDF leaves open whether the child may turn). Every
+    joint two slides and a hinge (the type ``planar`` of URDF leaves open whether the child may turn). Three
+    hinges stand for a ball, as in :meth:`Joint.without_balls`, whose coordinates are those of the file. Every
     moving link has an inertial, which MuJoCo demands, and MuJoCo is told to keep fixed links.
 
     Args:
@@ -39,15 +40,15 @@ def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
         mass: kg, of the child, a solid sphere of 0.1 m radius at its origin; poses do not tell masses.
 
     Raises:
-        ValueError: for what URDF cannot say: balls, contacts, free bodies; or a mass that is not positive.
+        ValueError: for what URDF cannot say: balls that turn so far that three hinges lock, contacts that
+            leave every pose within reach, free bodies; or a mass that is not positive.
     """
     check_mass(mass)
     check_writable(joint, "URDF")
-    if any(part.kind == "ball" for part in joint.parts):
-        raise ValueError(
-            f"URDF cannot say {joint.name!r}: it has no ball joint, and three hinges instead would lock. "
-            "Write MJCF or SDF."
-        )
+    try:
+        joint = joint.without_balls()
+    except ValueError as error:
+        raise ValueError(f"URDF has no ball joint. {error} Write MJCF or SDF.") from None
     robot = ElementTree.Element("robot", name=f"{joint.parent}_{joint.child}")
     compiler = {"fusestatic": "false", "discardvisual": "false"}
     element(element(robot, "mujoco"), "compiler", **compiler)

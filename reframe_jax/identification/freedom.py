@@ -9,13 +9,15 @@ has two groups of axes.
   If the error is in the scale of the rotation, the motion is proportional to the rotation, and the rest of it
   is as small as that of other constrained axes; free axes seldom move like that.
 - *Free* axes went far: t is unknown but of one order of magnitude for all of them, and clearly larger than
-  what constrained axes show; unless the noise is as large as the motion and hides it.
+  what constrained axes show; unless the noise is as large as the motion and hides it. How large the motion
+  is, people's habits and the other free axes of the frame tell.
 
 The unknowns are summed over with the priors below, and so are the patterns: the first axes of each frame,
 sorted by velocity, are the constrained ones, so there are 4 x 4. How fast somebody moved plays no part.
 
-The priors hold for kinds of recordings, not for single ones: noise alone, half of the time; else slow
-errors of 2 to 64 noises, the larger the rarer; constraints with a name before those without.
+The priors hold for kinds of recordings, not for single ones: noise alone, two times of three; else slow
+errors of 2 to 64 noises, the larger the rarer; constraints with a name before those without. Which of the two
+a recording has is then up to its constrained axes: each that shows noise alone speaks against slow errors.
 """
 
 from math import log, pi
@@ -42,6 +44,7 @@ for _pattern, _weight in (
 ):
     PATTERN_PRIOR[_pattern] = _weight
 
+_WHITE_SHARE = 2 / 3  # of recordings have noise alone
 _STEPS = 6  # between no slow errors and the largest
 _MOST = log(64.0)  # slow errors at most, in logarithms of noises of single poses
 _LIKELY = log(8.0)  # multiples up to this one are equally likely
@@ -96,7 +99,8 @@ def freedom_patterns(
     step = jnp.arange(_STEPS + 1, dtype=y.dtype).reshape(-1, *[1] * y.ndim)
     multiples, white_only = step / _STEPS * (_MOST + single), step == 0
     rarer = jnp.square(jnp.maximum(multiples - single - _LIKELY, 0) / _RARER) / 2
-    weights = jnp.where(white_only, log(0.5), -rarer - log(2 * _STEPS))[:, 0]  # (M, ...)
+    slow = log((1 - _WHITE_SHARE) / _STEPS) - rarer
+    weights = jnp.where(white_only, log(_WHITE_SHARE), slow)[:, 0]  # (M, ...)
     white = jnp.broadcast_to(jnp.sqrt(1 / (2 * samples) + _MISFIT**2)[None], y.shape)
     constrained = _of_constrained(y, (multiples, white_only), white, gain, of_turn)
     held = _over_patterns(constrained, 1, free=False)  # (M, 4, 4, ...)
@@ -153,9 +157,16 @@ def _of_constrained(
 
 
 def _hidden(y: jax.Array, noise: jax.Array) -> jax.Array:
-    """Probability that a free axis shows nothing but noise, (6, ...): noise as large as motion usually is."""
+    """Probability that a free axis shows nothing but noise, (6, ...): noise as large as its motion is.
+
+    Its motion is as large as usual, and as that of the largest free axis of its frame where one is seen.
+    """
     sizes = jnp.asarray([_USUAL[0]] * 3 + [_USUAL[1]] * 3, y.dtype).reshape(-1, *[1] * (y.ndim - 1))
-    below = (_LEAST[0] - jnp.log(sizes / noise)) / _USUAL_SPREAD
+    largest = jnp.repeat(jnp.stack([jnp.max(y[:3], axis=0), jnp.max(y[3:], axis=0)]), 3, axis=0)
+    seen = jax.nn.sigmoid((largest - _LEAST[0]) / _LEAST_WIDTH)
+    usual, alike = 1 / _USUAL_SPREAD**2, seen / _FREE_SPREAD**2
+    size = (usual * jnp.log(sizes / noise) + alike * largest) / (usual + alike)
+    below = (_LEAST[0] - size) * jnp.sqrt(usual + alike)
     return jax.scipy.stats.norm.cdf(below) * jax.nn.sigmoid((_LEAST[0] - y) / _LEAST_WIDTH)
 
 

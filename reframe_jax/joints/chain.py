@@ -33,6 +33,7 @@ class JointPart:
         point: (3,) m in the parent, where all coordinates are zero: on the axis of a hinge, the centre of
             a ball. The point of a slide means nothing.
         low, high: the range that the recording covers, rad or m; of a ball 0 and the largest angle from zero.
+        hinges: of a ball three hinges in its place, with their recorded ranges; none if they would lock.
     """
 
     kind: PartKind
@@ -40,6 +41,7 @@ class JointPart:
     point: np.ndarray
     low: float = 0.0
     high: float = 0.0
+    hinges: "tuple[JointPart, ...]" = ()
 
     @property
     def width(self) -> int:
@@ -136,14 +138,17 @@ def _first_guess(parts: Sequence[JointPart], home: np.ndarray, poses: np.ndarray
             found.append(rotation_vectors(turned))
         else:
             later = hinges[hinges.index(part) + 1 :]
-            angle = _angle_about(part.axis, turned, later[0].axis if later else None)
+            angle = _angle_about(part.axis, turned, later[-1].axis if later else None)
             turned = rotation_about(-angle[:, None] * part.axis) @ turned
             found.append(angle[:, None])
     return np.concatenate(found, axis=-1) if found else np.zeros((len(poses), 0))
 
 
 def _angle_about(axis: np.ndarray, turned: np.ndarray, later: np.ndarray | None) -> np.ndarray:
-    """Angles (K,) about an axis: of whole rotations, or those that turn the axis of the hinge after it."""
+    """Angles (K,) about an axis: of whole rotations, or those that turn the axis of the last hinge after it.
+
+    A hinge between them is perpendicular to both.
+    """
     if later is not None:
         seen = turned @ later
         return np.arctan2(seen @ np.cross(axis, later), seen @ later - (seen @ axis) * (axis @ later))

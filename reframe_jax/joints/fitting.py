@@ -5,80 +5,23 @@ over them, the range of the coordinates, and how well the joint fits.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.catalogue import describe, lookup
 from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.located import parts_on_body
-from reframe_jax.constraints.types import AxisRelation, LinearType
-from reframe_jax.joints.chain import JointPart, PartKind, chain_coordinates, chain_poses
+from reframe_jax.joints.cardan import ball_hinges
+from reframe_jax.joints.chain import JointPart, chain_coordinates, chain_poses
 from reframe_jax.joints.joint import Joint, JointType
-from reframe_jax.joints.universal import universal_axes
+from reframe_jax.joints.plans import Geometry, Plan, frame_geometry, joint_plans, only_velocities, relate_axes
 
 __all__ = ["fit_joint"]
 
-_ALIGNED = np.cos(np.radians(15.0))  # of the angle within which two axes count as parallel
-_SQUARE = np.sin(np.radians(15.0))  # of the angle within which they count as perpendicular
 _ROUNDS = 3  # in which the home pose settles
 _AVERAGED = 2000  # poses over which it is averaged: of many every few
 _UNIVERSAL = np.radians(5.0)  # error above which two axes do not explain the rotations
-
-
-@dataclass(frozen=True)
-class _Geometry:
-    """A constraint frame in NumPy, and poses.
-
-    ``turning`` and ``sliding`` are the free axes, rows in the body of their type; ``odd`` is the axis of the
-    linear frame that differs from the other two, or None.
-    """
-
-    frame: ConstraintFrame
-    poses: np.ndarray
-    turning: np.ndarray
-    sliding: np.ndarray
-    odd: np.ndarray | None
-    position: np.ndarray
-    angular_on_body: bool
-    linear_on_body: bool
-    point_on_body: bool
-
-    def in_ground(self, direction: np.ndarray, on_body: bool) -> np.ndarray:
-        """A direction that is fixed in both bodies, in the ground: the mean over all poses."""
-        return _unit(np.mean(self.poses[:, :3, :3] @ direction, axis=0)) if on_body else direction
-
-    def hinge(self) -> np.ndarray:
-        """The only free axis of rotation, which is fixed in both bodies, in the ground."""
-        return self.in_ground(self.turning[0], self.angular_on_body)
-
-    def centre(self) -> np.ndarray:
-        """The origin of the linear frame in the ground, m: the mean over all poses if it is fixed in {b}."""
-        if not self.point_on_body:
-            return self.position
-        return np.mean(self.poses[:, :3, :3] @ self.position + self.poses[:, :3, 3], axis=0)
-
-    def slides(self, home: np.ndarray) -> np.ndarray:
-        """The free axes of translation (n, 3) in the ground, with the child at its home pose."""
-        return self.sliding @ home[:3, :3].T if self.linear_on_body else self.sliding
-
-
-@dataclass(frozen=True)
-class _Plan:
-    """What kind of chain a constraint is.
-
-    ``is_chain`` is False where nothing but velocities is restricted, or nothing at all. ``axis`` is the
-    direction of a hinge, and of the slide of a cylindrical joint or the normal of a planar one; ``second``
-    is the second axis of a universal joint in the child.
-    """
-
-    type: JointType
-    is_chain: bool = True
-    turns: PartKind | None = None
-    turns_first: bool = False
-    axis: np.ndarray | None = None
-    second: np.ndarray | None = None
 
 
 def fit_joint(
@@ -100,7 +43,8 @@ def fit_joint(
 
     Returns:
         The joint. A class that no chain of hinges, slides and balls makes has the type "general", no
-        parts, and a sentence in ``gauge`` that says so.
+        parts, and a sentence in ``gauge`` that says so. Where a chain reaches the poses of the constraint but
+        holds fewer of its velocities, ``is_envelope`` is True, and a sentence says what is not held.
 
     Raises:
         ValueError: for a batch, poses of another shape or that are not finite, equal or empty names, or a
@@ -117,71 +61,12 @@ def fit_joint(
         raise ValueError(f"Expected two different names, not {parent!r} and {child!r}.")
     if not 0 < length < np.inf:
         raise ValueError(f"Expected a positive length in m, not {length}.")
-    geometry = _geometry(frame, values)
-    joints = [_fit(geometry, plan, parent, child, length) for plan in _plans(geometry)]
+    geometry = frame_geometry(frame, values)
+    joints = [_fit(geometry, plan, parent, child, length) for plan in joint_plans(geometry)]
     return min(joints, key=lambda joint: joint.position_error)
 
 
-def _geometry(frame: ConstraintFrame, poses: np.ndarray) -> _Geometry:
-    angular, linear = np.asarray(frame.angular_axes, float).T, np.asarray(frame.linear_axes, float).T
-    free = np.asarray(frame.linear_dof, bool)
-    count = int(free.sum())
-    odd = linear[free if count == 1 else ~free][0] if count in (1, 2) else None
-    on_body = np.asarray(parts_on_body(frame.angular_type, frame.linear_type))
-    turning = angular[np.asarray(frame.angular_dof, bool)]
-    position = np.asarray(frame.position, float)
-    return _Geometry(frame, poses, turning, linear[free], odd, position, *map(bool, on_body))
-
-
-def _relation(geometry: _Geometry) -> AxisRelation | None:
-    """Angle between the odd axes of the two frames; None where a frame has no odd axis."""
-    turns = len(geometry.turning)
-    if turns not in (1, 2) or geometry.odd is None:
-        return None
-    angular = geometry.turning[0] if turns == 1 else np.cross(*geometry.turning)
-    turned = geometry.in_ground(angular, geometry.angular_on_body)
-    cosine = abs(float(turned @ geometry.in_ground(geometry.odd, geometry.linear_on_body)))
-    if cosine > _ALIGNED:
-        return AxisRelation.PARALLEL
-    return AxisRelation.PERPENDICULAR if cosine < _SQUARE else AxisRelation.OBLIQUE
-
-
-def _plans(geometry: _Geometry) -> list[_Plan]:
-    """The chains to try; of several, the one that fits best is the joint."""
-    turns, slides = len(geometry.turning), len(geometry.sliding)
-    if turns == 0:
-        kinds: tuple[JointType, ...] = ("fixed", "prismatic", "general", "general")
-        return [_Plan(kinds[slides])]
-    if turns == 2:
-        return [_universal_plan(geometry) if slides == 0 else _Plan("general", is_chain=False)]
-    if turns == 3:
-        kinds = ("spherical", "general", "general", "floating")
-        return [_general_plan(geometry, kinds[slides], "ball", None)]
-    axis = geometry.hinge()
-    if _relation(geometry) == AxisRelation.PARALLEL and geometry.odd is not None:
-        # the axis was found twice, from the rotations and from the translations
-        other = geometry.in_ground(geometry.odd, geometry.linear_on_body)
-        kind: JointType = "cylindrical" if slides == 1 else "planar"
-        return [_Plan(kind, turns="hinge", axis=each) for each in (axis, other)]
-    return [_general_plan(geometry, "revolute" if slides == 0 else "general", "hinge", axis)]
-
-
-def _general_plan(geometry: _Geometry, kind: JointType, turns: PartKind, axis: np.ndarray | None) -> _Plan:
-    """A rotation, with slides before it if they are fixed in the ground and move a point of the child."""
-    linear = geometry.frame.linear_type
-    if len(geometry.sliding) in (0, 3):
-        return _Plan(kind, is_chain=kind != "floating", turns=turns, axis=axis)
-    is_chain = linear in (LinearType.GB, LinearType.BG)
-    return _Plan(kind, is_chain=is_chain, turns=turns, turns_first=linear == LinearType.BG, axis=axis)
-
-
-def _universal_plan(geometry: _Geometry) -> _Plan:
-    normal = geometry.in_ground(np.cross(*geometry.turning), geometry.angular_on_body)
-    first, second = universal_axes(geometry.poses[:, :3, :3], normal)
-    return _Plan("universal", turns="hinge", axis=first, second=second)
-
-
-def _fit(geometry: _Geometry, plan: _Plan, parent: str, child: str, length: float) -> Joint:
+def _fit(geometry: Geometry, plan: Plan, parent: str, child: str, length: float) -> Joint:
     poses, home = geometry.poses, geometry.poses[0]
     name = _name(geometry)
     if not plan.is_chain:
@@ -196,7 +81,7 @@ def _fit(geometry: _Geometry, plan: _Plan, parent: str, child: str, length: floa
     model = chain_poses(parts, home, coordinates)
     position_error = _rms(np.linalg.norm(model[:, :3, 3] - poses[:, :3, 3], axis=-1))
     rotation_error = _rms(_angles(model[:, :3, :3], poses[:, :3, :3]))
-    if plan.type == "universal" and rotation_error > _UNIVERSAL:
+    if plan.second is not None and rotation_error > _UNIVERSAL:
         return _without_chain(geometry, "general", name, parent, child, length)
     parts = _with_ranges(parts, coordinates)
     turning = [part for part in parts if part.kind != "slide"]
@@ -211,7 +96,8 @@ def _fit(geometry: _Geometry, plan: _Plan, parent: str, child: str, length: floa
         point=turning[0].point if turning else home[:3, 3],
         home=home,
         parts=parts,
-        gauge=_gauge(plan, parts, child),
+        gauge=_gauge(geometry, plan, parts, child),
+        is_envelope=plan.is_envelope,
         position_error=position_error,
         rotation_error=rotation_error,
         length=length,
@@ -219,42 +105,49 @@ def _fit(geometry: _Geometry, plan: _Plan, parent: str, child: str, length: floa
 
 
 def _without_chain(
-    geometry: _Geometry, kind: JointType, name: str, parent: str, child: str, length: float
+    geometry: Geometry, kind: JointType, name: str, parent: str, child: str, length: float
 ) -> Joint:
-    """A joint without coordinates: the child is free, or only its velocities are restricted."""
+    """A joint without coordinates: the child is free, or no chain makes its motion."""
     why = (
-        "There is no constraint: the pose is free."
-        if kind == "floating"
-        else "No chain of hinges, slides and balls makes this constraint: it restricts velocities, as a "
-        "contact does, and leaves the poses free."
+        "No chain of hinges, slides and balls makes this constraint: it restricts velocities only, as a "
+        "wheel does, and leaves every pose within reach. Simulate the contact."
     )
+    if kind == "floating":
+        why = "There is no constraint: the pose is free."
+    elif len(geometry.turning) == 2 and not only_velocities(geometry):
+        why = "No chain of hinges, slides and balls makes this constraint: two hinges do not turn as it does."
     home, nothing = geometry.poses[0], float("nan")
     return Joint(kind, name, parent, child, None, home[:3, 3], home, (), (why,), nothing, nothing, length)
 
 
-def _parts(geometry: _Geometry, plan: _Plan, home: np.ndarray) -> tuple[JointPart, ...]:
+def _parts(geometry: Geometry, plan: Plan, home: np.ndarray) -> tuple[JointPart, ...]:
     """The chain, with the child at a home pose."""
     origin = home[:3, 3]
-    if plan.type == "cylindrical" and plan.axis is not None:
-        directions = [_positive(plan.axis)]
-    elif plan.type == "planar" and plan.axis is not None:
-        normal = _positive(plan.axis)
-        along = geometry.slides(home)[1]
-        along = _positive(_unit(along - normal * (along @ normal)))
-        directions = [along, np.cross(normal, along)]
-    elif len(geometry.turning):
-        directions = [_positive(direction) for direction in geometry.slides(home)]
-    else:
-        directions = [
-            _positive(geometry.in_ground(direction, geometry.linear_on_body))
-            for direction in geometry.sliding
-        ]
+    directions = _slide_directions(geometry, plan, home)
     slides = [JointPart("slide", direction, origin) for direction in directions]
     turns = _turns(geometry, plan, home)
     return (*turns, *slides) if plan.turns_first else (*slides, *turns)
 
 
-def _turns(geometry: _Geometry, plan: _Plan, home: np.ndarray) -> list[JointPart]:
+def _slide_directions(geometry: Geometry, plan: Plan, home: np.ndarray) -> list[np.ndarray]:
+    """Unit vectors (3,) of the slides in the ground, with the child at its home pose."""
+    if plan.slides == "along" and plan.axis is not None:
+        return [_positive(plan.axis)]
+    if plan.slides == "plane" and plan.axis is not None:
+        normal = _positive(plan.axis)
+        along = geometry.slides(home)[-1]
+        along = _positive(_unit(along - normal * (along @ normal)))
+        return [along, np.cross(normal, along)]
+    if plan.slides == "space":
+        return list(np.eye(3))
+    if len(geometry.turning):
+        return [_positive(direction) for direction in geometry.slides(home)]
+    return [
+        _positive(geometry.in_ground(direction, geometry.linear_on_body)) for direction in geometry.sliding
+    ]
+
+
+def _turns(geometry: Geometry, plan: Plan, home: np.ndarray) -> list[JointPart]:
     """The rotation of a chain: nothing, a hinge, two, or a ball."""
     if plan.turns is None:
         return []
@@ -268,29 +161,38 @@ def _turns(geometry: _Geometry, plan: _Plan, home: np.ndarray) -> list[JointPart
     return [JointPart("hinge", axis, point) for axis in axes]
 
 
-def _anchor(geometry: _Geometry, plan: _Plan, home: np.ndarray) -> np.ndarray:
+def _anchor(geometry: Geometry, plan: Plan, home: np.ndarray) -> np.ndarray:
     """A point of the axis, or the centre, in the ground with the child at its home pose."""
-    if plan.type == "planar" or len(geometry.sliding) == 3:
+    if plan.slides in ("plane", "space") or len(geometry.sliding) == 3:
         return home[:3, 3]
-    moved = len(geometry.sliding) and plan.type != "cylindrical" and not plan.turns_first
+    moved = len(geometry.sliding) and plan.slides == "free" and not plan.turns_first
     if moved:  # a point of the child that slides take along
         return home[:3, :3] @ geometry.position + home[:3, 3]
     return geometry.centre()
 
 
-def _gauge(plan: _Plan, parts: Sequence[JointPart], child: str) -> tuple[str, ...]:
-    """What the motion leaves open, and what was chosen."""
+def _gauge(geometry: Geometry, plan: Plan, parts: Sequence[JointPart], child: str) -> tuple[str, ...]:
+    """What the motion leaves open, what was chosen, and what the chain does not hold."""
     kinds = [part.kind for part in parts]
     said = []
+    if plan.is_envelope:
+        held = "the plane of the motion" if plan.slides == "plane" else "the axis of rotation"
+        lost = "one more velocity" if len(parts) - len(geometry.sliding) == 2 else "two more velocities"
+        said.append(
+            f"The chain holds {held}. The constraint also holds {lost} of the {child} at zero, as a wheel "
+            "does, and no chain of joints says that."
+        )
     if kinds:
         said.append("Any pose may be zero; it is where the recording starts, averaged over the poses.")
     if "hinge" in kinds or "slide" in kinds:
         said.append("An axis and its negative are the same; the largest component is positive.")
-    if plan.type == "planar":
+    if plan.slides == "plane":
         said.append(
             "The two slides may be turned within the plane, and the hinge may be anywhere: the first slide "
             f"is the fastest identified axis, and the hinge is at the origin of the {child}."
         )
+    elif kinds.count("slide") == 3 and kinds.count("hinge"):
+        said.append(f"A hinge may be anywhere; it is at the origin of the {child} at zero.")
     elif kinds.count("hinge") == 1:
         said.append(
             f"The point may slide along the axis; it is the one nearest to the origin of the {child} at zero."
@@ -307,17 +209,16 @@ def _with_ranges(parts: Sequence[JointPart], coordinates: np.ndarray) -> tuple[J
     for part in parts:
         values = coordinates[:, first : first + part.width]
         first += part.width
-        low, high = (
-            (0.0, np.linalg.norm(values, axis=-1).max())
-            if part.kind == "ball"
-            else (values.min(), values.max())
-        )
-        ranged.append(replace(part, low=float(low), high=float(high)))
+        if part.kind == "ball":
+            high = float(np.linalg.norm(values, axis=-1).max())
+            ranged.append(replace(part, high=high, hinges=ball_hinges(part.point, values)))
+        else:
+            ranged.append(replace(part, low=float(values.min()), high=float(values.max())))
     return tuple(ranged)
 
 
-def _name(geometry: _Geometry) -> str:
-    frame, relation = geometry.frame, _relation(geometry)
+def _name(geometry: Geometry) -> str:
+    frame, relation = geometry.frame, relate_axes(geometry)
     key = frame.linear_type, frame.angular_dof, frame.linear_dof
     entry = lookup(*key, relation)
     return describe(*key, relation) if entry is None else entry.name

@@ -1,6 +1,6 @@
 """A joint between two bodies, as robot descriptions have it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -47,6 +47,8 @@ class Joint:
         position_error: m, root mean square distance of the recorded origins of the child from the joint's.
         rotation_error: rad, root mean square angle between the recorded orientations and the joint's.
         length: m that weighed as much as one radian when coordinates were found from poses.
+        is_envelope: whether the parts reach the poses of the constraint but hold fewer velocities than it
+            does: they keep a wheel that rolls on its plane, but not from moving sideways.
     """
 
     type: JointType
@@ -61,6 +63,7 @@ class Joint:
     position_error: float
     rotation_error: float
     length: float = 0.3
+    is_envelope: bool = False
 
     @property
     def is_chain(self) -> bool:
@@ -106,6 +109,22 @@ class Joint:
             raise ValueError(f"Expected poses of shape (K, 4, 4), not {values.shape}.")
         return chain_coordinates(self.parts, self.home, values, self.length)
 
+    def without_balls(self) -> "Joint":
+        """The same joint with three hinges in place of every ball, for formats that have none.
+
+        Raises:
+            ValueError: if the recorded rotations come near to where three hinges lock.
+        """
+        if all(part.kind != "ball" for part in self.parts):
+            return self
+        if any(part.kind == "ball" and not part.hinges for part in self.parts):
+            raise ValueError(
+                f"{self.name}: three hinges cannot stand for its ball; on the recorded rotations they lock."
+            )
+        parts = tuple(hinge for part in self.parts for hinge in (part.hinges or (part,)))
+        said = "Three hinges through its centre stand for the ball. They lock farther out than recorded."
+        return replace(self, parts=parts, gauge=(*self.gauge, said))
+
     def _check_chain(self) -> None:
         if not self.is_chain:
             raise ValueError(f"{self.name}: no coordinates determine the pose of a {self.type} joint.")
@@ -120,9 +139,12 @@ class Joint:
             what, scale, unit = (
                 (part.kind, 1e3, "mm") if part.kind == "slide" else (part.kind, 57.29578, "deg")
             )
-            lines.append(f"  {what:5}  {scale * part.low:.1f} to {scale * part.high:.1f} {unit}")
-        error = f"{1e3 * self.position_error:.2g} mm, {np.degrees(self.rotation_error):.2g} deg"
-        return "\n".join([*lines, f"  error  {error}, rms", *(f"  {sentence}" for sentence in self.gauge)])
+            low, high = np.round([scale * part.low, scale * part.high], 1) + 0.0  # no negative zeros
+            lines.append(f"  {what:5}  {low:.1f} to {high:.1f} {unit}")
+        if self.is_chain:
+            error = f"{1e3 * self.position_error:.2g} mm, {np.degrees(self.rotation_error):.2g} deg"
+            lines.append(f"  error  {error}, rms")
+        return "\n".join([*lines, *(f"  {sentence}" for sentence in self.gauge)])
 
 
 def _vector(vector: np.ndarray, digits: int) -> str:

@@ -7,9 +7,10 @@ import numpy as np
 
 from reframe_jax.recordings.recording import RecordingError
 
-__all__ = ["EPOCH", "HEADER", "MOST_ROWS", "Rows", "shown"]
+__all__ = ["EPOCH", "HEADER", "MOST_ROWS", "WRENCH_HEADER", "Rows", "shown"]
 
 HEADER = "t,x,y,z,qx,qy,qz,qw"
+WRENCH_HEADER = "fx,fy,fz,tx,ty,tz"
 MOST_ROWS = 2**23  # 8,388,608: their poses take 1 GiB
 EPOCH = 1e6  # s: times that start later than this count from the first sample
 

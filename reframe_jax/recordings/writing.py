@@ -9,22 +9,27 @@ from numpy.typing import ArrayLike
 from reframe_jax.geometry.numpy_rotations import matrices_to_quaternions
 from reframe_jax.recordings.checks import make_poses
 from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import HEADER, Rows
+from reframe_jax.recordings.rows import HEADER, WRENCH_HEADER, Rows
 
 __all__ = ["save_recording"]
 
 
-def save_recording(path: str | Path, times: ArrayLike, poses: ArrayLike) -> None:
+def save_recording(
+    path: str | Path, times: ArrayLike, poses: ArrayLike, *, wrenches: ArrayLike | None = None
+) -> None:
     """Write a recording: a ``.csv`` of ``t,x,y,z,qx,qy,qz,qw``, or an ``.npz`` of ``times`` and ``poses``.
+
+    Both formats hold wrenches: as further columns ``fx,fy,fz,tx,ty,tz``, and as an array ``wrenches``.
 
     Args:
         path: the file; its suffix selects the format.
         times: (K+1,) s.
         poses: (K+1, 4, 4), m.
+        wrenches: (K+1, 6) force in N, then torque in Nm, written as they are; NaN where a number is missing.
 
     Raises:
-        RecordingError: if the shapes do not fit, a pose is not a rigid transform, or the file cannot be
-            written.
+        RecordingError: if the shapes do not fit, a pose is not a rigid transform, a wrench is infinite, or
+            the file cannot be written.
     """
     path, times, poses = Path(path), np.asarray(times, dtype=float), np.asarray(poses, dtype=float)
     if not times.size or times.ndim != 1 or poses.shape != (len(times), 4, 4):
@@ -33,15 +38,23 @@ def save_recording(path: str | Path, times: ArrayLike, poses: ArrayLike) -> None
         )
     if not (np.isfinite(times).all() and np.isfinite(poses).all()):
         raise RecordingError(f"{path}: expected finite times and poses; remove the samples that are not.")
+    forces = np.empty((len(times), 0)) if wrenches is None else np.asarray(wrenches, dtype=float)
+    if wrenches is not None and forces.shape != (len(times), 6):
+        raise RecordingError(f"{path}: expected wrenches of shape ({len(times)}, 6), not {forces.shape}.")
+    if np.isinf(forces).any():
+        raise RecordingError(f"{path}: expected finite wrenches, or NaN where a number is missing.")
     with np.errstate(all="ignore"):  # rotations too large to be squared are refused
         poses = make_poses(Rows(path, "sample", np.arange(len(times)), poses.reshape(-1, 16), times))
     try:
         if path.suffix.lower() == ".npz":
-            np.savez(path, times=times, poses=poses)
+            arrays = {"times": times, "poses": poses} | ({} if wrenches is None else {"wrenches": forces})
+            np.savez(path, allow_pickle=False, **arrays)
         elif path.suffix.lower() == ".csv":
-            table = np.column_stack([times, poses[:, :3, 3], matrices_to_quaternions(poses[:, :3, :3])])
+            quaternions = matrices_to_quaternions(poses[:, :3, :3])
+            table = np.column_stack([times, poses[:, :3, 3], quaternions, forces])
+            header = HEADER if wrenches is None else f"{HEADER},{WRENCH_HEADER}"
             with path.open("w", newline="", encoding="utf-8") as file:
-                csv.writer(file, lineterminator="\n").writerows([HEADER.split(","), *table.tolist()])
+                csv.writer(file, lineterminator="\n").writerows([header.split(","), *table.tolist()])
         else:
             raise RecordingError(f"{path}: recordings are written as .csv or .npz, not {path.suffix!r}.")
     except OSError as error:

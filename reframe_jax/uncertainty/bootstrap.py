@@ -3,20 +3,24 @@
 Moments are sums over samples. A window is cut into blocks, whose moments are added up again with random
 weights of mean one, exponentially distributed (the Bayesian bootstrap, Rubin 1981). Every such sum has an
 optimum of its own, and these scatter as estimates from other recordings of the same kind would. Blocks keep
-errors together that belong together. Those of the paths of BB and GG, which are summed up, are longer than
-any block: there the bootstrap says too little.
+errors together that belong together.
+
+The errors of the paths of BB and GG are longer than any block, because these paths are summed up, and the
+estimate takes most of them in: what is left over says too little. Where displacements from the mean were
+used, these windows are estimated again from poses that are disturbed by their noise.
 
 Arrays have components first, then blocks or replicas, then windows.
 """
-
-from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 
 from reframe_jax.compilation import once
+from reframe_jax.constraints.located import parts_on_body
 from reframe_jax.constraints.types import AngularType
 from reframe_jax.geometry import symmetric
+from reframe_jax.geometry.products import matmul3
+from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.uncertainty.estimate import in_bodies, oriented_in_body, shared_axes
 from reframe_jax.uncertainty.paths import Estimates, Paths, axes_of, paths_of
 from reframe_jax.uncertainty.sensitivity import (
@@ -30,6 +34,7 @@ __all__ = ["bootstrap_of_windows"]
 _BLOCKS = 48  # in a window
 _FITTED = 6  # numbers that are fitted to a window, by which its residuals are too small
 _REPLICAS = 256
+_DISTURBED = 128  # replicas of the poses
 
 
 def bootstrap_of_windows(
@@ -81,23 +86,99 @@ def bootstrap_of_windows(
     flat = flat.reshape(12, *flat.shape[2:])
     shape = (3, 4, 3, 4, _REPLICAS * poses.shape[0])
     moments = once(gram(flat, found.refined).reshape(shape))
-    offset = optimum_near(moments, jnp.zeros_like(moments[:, 0, 0, 0]))
-    sigma = covariance_at_offset(moments, offset).reshape(3, 3, _REPLICAS, -1)
+    free = jnp.tile(jnp.moveaxis(found.free_position, 0, -1), _REPLICAS)
+    sigma, offset = _optimum(moments, free)
+    sigma = sigma.reshape(3, 3, _REPLICAS, -1)
     linear_dof, angular_dof = found.linear_dof.T, found.angular_dof.T
-    own = _turns(sigma, linear_dof)
     turned = gram(paths.along_angular, found.refined)
-    angular = _turns(turned, angular_dof)
-    angular, own = _with_single_axis(paths, found, resampled, angular, own)
-    offset = offset.reshape(3, _REPLICAS, -1)
-    free = jnp.moveaxis(found.free_position, 0, -1)
-    origin = offset - jnp.sum(free[:, :, None] * offset[None], axis=1)
-    changes = jnp.concatenate([angular, own, origin])
-    changes = changes - jnp.mean(changes, axis=1, keepdims=True)
+    changes = _turns(turned, angular_dof), _turns(sigma, linear_dof), offset.reshape(3, _REPLICAS, -1)
     # weights of fixed sum vary a little less than samples do
-    share = (_BLOCKS + 1) / (_BLOCKS - _FITTED) / (_REPLICAS - 1)
-    matrix = sums_of_products(changes, changes) * share
+    share = (_BLOCKS + 1) / (_BLOCKS - _FITTED)
+    matrix = share * _scatter(paths, found, changes, resampled(_mean_entries(paths)))
+    summed = found.refined & _is_summed(found)
+
+    def again(matrix: jax.Array) -> jax.Array:
+        return jnp.where(summed[None, None], _of_disturbed(poses, steps, count, found, paths), matrix)
+
+    matrix = jax.lax.cond(jnp.any(summed), again, lambda matrix: matrix, matrix)
     matrix = in_bodies(matrix, axes_of(found.angular_rotvec), axes_of(found.linear_rotvec))
     return jnp.moveaxis(matrix, -1, 0)
+
+
+def _of_disturbed(
+    poses: jax.Array, steps: jax.Array, count: jax.Array | None, found: Estimates, paths: Paths
+) -> jax.Array:
+    """Covariance (9, 9, N) of estimates from poses that are disturbed by their noise once more."""
+    linear_dof, angular_dof = found.linear_dof.T, found.angular_dof.T
+
+    def estimate(key: jax.Array) -> tuple[jax.Array, ...]:
+        turn, shift = (
+            jax.random.normal(each, (1, poses.shape[1], 3), poses.dtype) for each in jax.random.split(key)
+        )
+        turned = rotation_exp(turn * found.rotation_noise[:, None, None])
+        noisy = poses.at[:, :, :3, :3].set(matmul3(poses[:, :, :3, :3], turned))
+        noisy = noisy.at[:, :, :3, 3].add(shift * found.position_noise[:, None, None])
+        seen = paths_of(noisy, steps, count, found)
+        take = seen.sampling.take
+        flat = jnp.concatenate([seen.along_linear[:, None], seen.slopes], axis=1)
+        flat = take(flat.reshape(12, *flat.shape[2:]))
+        moments = once(sums_of_products(flat, flat).reshape(3, 4, 3, 4, -1))
+        sigma, offset = _optimum(moments, jnp.moveaxis(found.free_position, 0, -1))
+        of_turns = take(seen.along_angular)
+        angular = _turns(sums_of_products(of_turns, of_turns)[:, :, None], angular_dof)[:, 0]
+        own = _turns(sigma[:, :, None], linear_dof)[:, 0]
+        return angular, own, offset, jnp.sum(_mean_entries(seen), axis=1)
+
+    stacked = jax.lax.map(estimate, jax.random.split(jax.random.key(1), _DISTURBED))
+    angular, own, offset, mean = (jnp.swapaxes(each, 0, 1) for each in stacked)
+    return _scatter(paths, found, (angular, own, offset), mean)
+
+
+def _optimum(moments: jax.Array, free: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Covariance along the axes at the optimum, (3, 3, N), and how far the optimum is off, (3, N) m.
+
+    The axes are those of the optimum wherever it is. The origin is held along the free directions, of the
+    projectors (3, 3, N): the objective is flat there, and a search would not come to an end.
+
+    Args:
+        moments: (3, 4, 3, 4, N).
+        free: (3, 3, N).
+    """
+    start = jnp.zeros_like(moments[:, 0, 0, 0])
+    size = jnp.sum(jnp.stack([moments[i, a, i, a] for i in range(3) for a in range(1, 4)]), axis=0)
+    held = jnp.eye(3, dtype=free.dtype)[:, None, :, None, None] * (free * size[None, None])[None, :, None]
+    origin = optimum_near(moments.at[:, 1:, :, 1:].add(held), start)
+    return covariance_at_offset(moments, optimum_near(moments, start)), origin
+
+
+def _scatter(
+    paths: Paths, found: Estimates, changes: tuple[jax.Array, jax.Array, jax.Array], mean: jax.Array
+) -> jax.Array:
+    """Covariance (9, 9, N) of replicas.
+
+    Args:
+        paths: of the windows.
+        found: of them.
+        changes: turns of the angular axes and of the linear axes, and shifts of the origin, (3, B, N) each.
+        mean: (9, B, N) entries of the mean rotation.
+    """
+    angular, own = _with_single_axis(paths, found, mean, *changes[:2])
+    free = jnp.moveaxis(found.free_position, 0, -1)
+    origin = changes[2] - jnp.sum(free[:, :, None] * changes[2][None], axis=1)
+    every = jnp.concatenate([angular, own, origin])
+    every = every - jnp.mean(every, axis=1, keepdims=True)
+    return sums_of_products(every, every) / (every.shape[1] - 1)
+
+
+def _mean_entries(paths: Paths) -> jax.Array:
+    """What every sample adds to the entries of the mean rotation, (9, K+1, N)."""
+    return paths.tilted.reshape(9, *paths.tilted.shape[2:]) * paths.sampling.shares[None]
+
+
+def _is_summed(found: Estimates) -> jax.Array:
+    """Whether the path of the origin is summed up along the motion, (N,): in BB and GG."""
+    on_body = parts_on_body(found.angular_type, found.linear_type)
+    return on_body[:, 1] == on_body[:, 2]
 
 
 def _shares(scales: jax.Array) -> jax.Array:
@@ -120,13 +201,19 @@ def _turns(sigma: jax.Array, dof: jax.Array) -> jax.Array:
 def _with_single_axis(
     paths: Paths,
     found: Estimates,
-    resampled: Callable[[jax.Array], jax.Array],
+    mean: jax.Array,
     angular: jax.Array,
     linear: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
-    """Turns (3, B, N) of both frames where the body turns about a single axis, from the mean rotation."""
-    entries = paths.tilted.reshape(9, *paths.tilted.shape[2:]) * paths.sampling.shares[None]
-    mean = resampled(entries)
+    """Turns (3, B, N) of both frames where the body turns about a single axis.
+
+    Args:
+        paths: of the windows.
+        found: of them.
+        mean: (9, B, N) entries of the mean rotation.
+        angular: (3, B, N) turns of the angular axes by their own samples.
+        linear: (3, B, N) likewise.
+    """
     mean = mean.reshape(3, 3, *mean.shape[1:])
     sides = {}
     for body, matrix in ((AngularType.G, mean), (AngularType.B, jnp.swapaxes(mean, 0, 1))):

@@ -26,6 +26,7 @@ Errors = Literal["measured", "white"]
 Method = Literal["derivative", "bootstrap"]
 """By the derivative of the estimate by every pose, or by resampling blocks of the recording."""
 
+_UNLIKELY = 1.35e-3  # probability of three standard deviations
 _SAME_NORM = 1e-3  # relative difference between the norm and the geometric mean that rounding makes
 
 
@@ -50,10 +51,13 @@ class Covariance:
         determined: (...) bool, whether the motion determines all that the class does not leave free; if not,
             the covariance says nothing about the rest.
         first_order: (...) bool, whether the noise is small enough for a first-order covariance: along the
-            constrained axes it shows at most a sixth of the motion along the slowest free one. If not, the
+            constrained axes it shows at most an eighth of the motion along the slowest free one. If not, the
             true errors are larger than the covariance says.
         twin_probability: (...) that ``found.linear.twin`` is the true origin rather than the reported one, by
             the sampling distribution of the difference of their norms; 0 where there is no twin.
+        type_probability: (..., 4) that each linear type, rather than the reported one, has the stiller axes,
+            by the sampling distribution of the difference of their norms: 1/2 for a type that leaves over
+            the same, and for the reported one. See :attr:`tied`.
     """
 
     matrix: jax.Array
@@ -62,6 +66,7 @@ class Covariance:
     determined: jax.Array
     first_order: jax.Array
     twin_probability: jax.Array
+    type_probability: jax.Array
 
     def __getitem__(self, index: Index) -> "Covariance":
         """Windows of a batch, indexed like an array."""
@@ -91,6 +96,15 @@ class Covariance:
     def linear_rms(self) -> jax.Array:
         """(..., 3, 3) m^2/s^2, of the RMS along the linear axes."""
         return self.matrix[..., 12:, 12:]
+
+    @property
+    def tied(self) -> jax.Array:
+        """(..., 4) bool, linear types that explain the window as well: within three standard deviations.
+
+        ``found.linear.tied`` takes the norms of two types for independent. They are not: both leave over much
+        of the same noise. This compares the difference with its own standard deviation.
+        """
+        return self.type_probability > _UNLIKELY
 
     def of(self, function: Callable[[Identification], jax.Array], found: Identification) -> jax.Array:
         """Covariance of anything computed from the estimate: the delta method.
@@ -164,7 +178,8 @@ def covariance(
         errors: ``"measured"`` inflates by what is left over; ``"white"`` trusts the noise.
         method: ``"bootstrap"`` is a second way to the covariance of the axes and the origin, without a model
             of the noise: 256 sums of the moments of 48 blocks of the recording, with random weights. It knows
-            no bias and costs more. For BB and GG, whose errors add up along the path, it is too small.
+            no bias and costs more. For BB and GG, whose errors add up along the path, blocks say too little:
+            these are estimated 128 times from poses that are disturbed by ``found.noise``.
 
     Returns:
         The covariance, with the leading axes of ``found``.
@@ -210,13 +225,13 @@ def _of_windows(
     poses: jax.Array, found: Estimates, steps: jax.Array, count: jax.Array | None, measured: bool
 ) -> Covariance:
     failed = ~jnp.isfinite(found.position[:, 0])
-    matrix, bias, inflation, determined, small, twin = covariance_of_windows(
+    matrix, bias, inflation, determined, small, twin, types = covariance_of_windows(
         poses, steps, count, found, measured
     )
     matrix = jnp.where(failed[:, None, None], jnp.nan, matrix)
     bias, inflation = (jnp.where(failed[:, None], jnp.nan, x) for x in (bias, inflation))
-    twin = jnp.where(failed, jnp.nan, twin)
-    return Covariance(matrix, bias, inflation, determined & ~failed, small & ~failed, twin)
+    twin, types = jnp.where(failed, jnp.nan, twin), jnp.where(failed[:, None], jnp.nan, types)
+    return Covariance(matrix, bias, inflation, determined & ~failed, small & ~failed, twin, types)
 
 
 def _bootstrapped(

@@ -10,7 +10,7 @@ from reframe_jax.constraints.located import parts_on_body
 from reframe_jax.constraints.types import AngularType
 from reframe_jax.uncertainty.paths import Estimates, Paths, axes_of, paths_of
 from reframe_jax.uncertainty.propagation import apply_to_rows, position_to_poses, turn_to_poses
-from reframe_jax.uncertainty.rivals import twin_probability
+from reframe_jax.uncertainty.rivals import twin_probability, type_probability
 from reframe_jax.uncertainty.sampling import Sampling
 from reframe_jax.uncertainty.sandwich import inflation, long_run_variance, noise_covariance, noise_variances
 from reframe_jax.uncertainty.sensitivity import (
@@ -33,7 +33,7 @@ _FLOOR = 16  # noise that is always there, in units of rounding
 
 def covariance_of_windows(
     poses: jax.Array, steps: jax.Array, count: jax.Array | None, found: Estimates, measured: bool
-) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]:
+) -> tuple[jax.Array, ...]:
     """Covariance of the estimates of N windows.
 
     Args:
@@ -119,15 +119,17 @@ def covariance_of_windows(
     matrix = matrix + bias[:, None] * bias[None]
     small = _stand_apart(turned, angular_dof) & _stand_apart(moved, linear_dof)
 
+    block = _block(sampling, number)
+
     def compare(_: None) -> jax.Array:
-        block = _block(sampling, number)
         flat = jnp.concatenate([moved[:, None], slopes], axis=1).reshape(12, *moved.shape[1:])
         gram = sums_of_products(flat, flat).reshape(3, 4, 3, 4, -1)
         twin = optimum_near(gram, (found.twin - found.position).T)
         return jnp.where(found.has_twin, twin_probability(moved, slopes, twin, linear_dof, block), 0)
 
     probability = jax.lax.cond(jnp.any(found.has_twin), compare, lambda _: jnp.zeros_like(noise[0]), None)
-    return jnp.moveaxis(matrix, -1, 0), bias.T, grown.T, linear.determined, small, probability
+    of_types = type_probability(once(paths.rivals), sampling, found.linear_type, linear_dof, block)
+    return jnp.moveaxis(matrix, -1, 0), bias.T, grown.T, linear.determined, small, probability, of_types
 
 
 def _stand_apart(samples: jax.Array, dof: jax.Array) -> jax.Array:

@@ -102,22 +102,21 @@ def over_windows(
         ValueError: if the poses cannot be those of ``found``, or their times do not fit.
     """
     array, wide = _poses_of(found, poses)
+    narrow = wide and jax.dtypes.canonicalize_dtype(np.float64) == np.float32
     with jax.enable_x64(True) if wide else contextlib.nullcontext():
         steps = _sample_steps(array, times, dt)
         estimates = estimates_of(found, noise, array.dtype)
         inside_a_trace = traced((array, steps, estimates))
         if array.ndim == 3 and not inside_a_trace:
-            result = _single(function, array, steps, estimates)
-        else:
-            result = _batch(function, array, steps, estimates, inside_a_trace)
-    return jax.tree.map(jnp.asarray, jax.device_get(result)) if wide else result
+            return _single(function, array, steps, estimates, narrow)
+        result = _batch(function, array, steps, estimates, inside_a_trace)
+    return jax.tree.map(jnp.asarray, jax.device_get(result)) if narrow else result
 
 
-def _single(function: WindowFunction, poses: Any, steps: Any, found: Estimates) -> Any:
+def _single(function: WindowFunction, poses: Any, steps: Any, found: Estimates, narrow: bool) -> Any:
     poses, steps, count = _pad_recording(poses, steps)
     window = jax.tree.map(lambda leaf: leaf[None], (poses, found.padded(len(poses))))
-    result = _piece((*window, None), steps, count, function=function)
-    return jax.tree.map(lambda leaf: leaf[0], jax.device_get(result))
+    return _only_piece((*window, None), steps, count, function=function, narrow=narrow)
 
 
 def _batch(function: WindowFunction, poses: Any, steps: Any, found: Estimates, inside_a_trace: bool) -> Any:
@@ -131,8 +130,7 @@ def _batch(function: WindowFunction, poses: Any, steps: Any, found: Estimates, i
     return jax.tree.map(lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), result)
 
 
-@partial(jax.jit, static_argnames="function", compiler_options=compiler_options())
-def _piece(
+def _chunks(
     inputs: tuple[jax.Array, Estimates, jax.Array | None],
     shared: jax.Array | None,
     count: jax.Array | None,
@@ -152,6 +150,20 @@ def _piece(
         return run(inputs)
     split = jax.tree.map(lambda leaf: leaf.reshape(-1, chunk, *leaf.shape[1:]), inputs)
     return jax.tree.map(lambda leaf: leaf.reshape(size, *leaf.shape[2:]), jax.lax.map(run, split))
+
+
+_piece = jax.jit(_chunks, static_argnames="function", compiler_options=compiler_options())
+
+
+@partial(jax.jit, static_argnames=("function", "narrow"), compiler_options=compiler_options())
+def _only_piece(*arguments: Any, function: WindowFunction, narrow: bool) -> Any:
+    """The function of a single window, without its axis; narrow numbers have 32 bits."""
+
+    def take(leaf: jax.Array) -> jax.Array:
+        kinds = {np.dtype(np.float64): np.float32, np.dtype(np.int64): np.int32}
+        return leaf[0].astype(kinds.get(leaf.dtype, leaf.dtype) if narrow else leaf.dtype)
+
+    return jax.tree.map(take, _chunks(*arguments, function=function))
 
 
 def _in_pieces(run: Callable[..., Any], tree: Any, count: int) -> Any:

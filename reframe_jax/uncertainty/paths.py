@@ -1,7 +1,7 @@
 """The paths that frames were estimated from: repaired, averaged and sampled as they were identified."""
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -33,6 +33,7 @@ class Estimates:
     Attributes:
         angular_type, linear_type: (N,) codes.
         angular_rotvec, linear_rotvec, position: (N, 3) rad, rad and m.
+        candidates: (N, 4, 3) m, origins of all linear types.
         twin: (N, 3) m, and ``has_twin``: (N,) bool.
         angular_dof, linear_dof: (N, 3).
         free_position: (N, 3, 3).
@@ -48,6 +49,7 @@ class Estimates:
     angular_rotvec: jax.Array
     linear_rotvec: jax.Array
     position: jax.Array
+    candidates: jax.Array
     twin: jax.Array
     has_twin: jax.Array
     angular_dof: jax.Array
@@ -78,6 +80,7 @@ def estimates_of(found: Identification, noise: PoseNoise | None, dtype: np.dtype
         angular_rotvec=angular.rotvec,
         linear_rotvec=linear.rotvec,
         position=linear.position,
+        candidates=cast(jax.Array, found.candidates.linear.position),
         twin=linear.twin,
         has_twin=linear.has_twin,
         angular_dof=angular.dof,
@@ -87,11 +90,17 @@ def estimates_of(found: Identification, noise: PoseNoise | None, dtype: np.dtype
         lag=found.lag,
         counted=found.counted,
         seen=found.noise,
-        position_noise=jnp.broadcast_to(jnp.asarray(given.position), batch),
-        rotation_noise=jnp.broadcast_to(jnp.asarray(given.rotation), batch),
+        position_noise=given.position,
+        rotation_noise=given.rotation,
     )
+    xp: Any = jnp
     if not traced(estimates):
-        estimates = jax.device_get(estimates)  # NumPy takes views where JAX would run programs
+        xp, estimates = np, jax.device_get(estimates)  # NumPy takes views where JAX would run programs
+    position, rotation = (
+        xp.broadcast_to(xp.asarray(size), batch)
+        for size in (estimates.position_noise, estimates.rotation_noise)
+    )
+    estimates = replace(estimates, position_noise=position, rotation_noise=rotation)
 
     def convert(leaf: Any) -> Any:
         return leaf.astype(dtype) if np.issubdtype(leaf.dtype, np.floating) else leaf
@@ -110,6 +119,7 @@ class Paths:
         along_linear: (3, K+1, N) m, path of the origin along the axes of the linear frame.
         slopes: (3, 3, K+1, N) its derivatives by the coordinates of the origin.
         origin: (3, N) m, in the body it is fixed in, from the centre for types in the ground.
+        rivals: (3, K+1, 4, N) m, paths of the origins of all linear types.
         single: axis about which the body turns, and ``kept``: (N,) bool, whether noise that leads away from
             it was taken out of the rotations; ``tilted``: the rotations with it.
         share: (N,) of the noise that averaging neighbours has left.
@@ -122,6 +132,7 @@ class Paths:
     along_linear: jax.Array
     slopes: jax.Array
     origin: jax.Array
+    rivals: jax.Array
     single: SingleAxis
     kept: jax.Array
     tilted: jax.Array
@@ -162,8 +173,10 @@ def paths_of(poses: jax.Array, steps: jax.Array, count: jax.Array | None, found:
     tilted = rotation
     rotation, paths = once(jax.lax.cond(jnp.any(kept), keep, lambda _: (rotation, paths), None))
     maps = _of_type(paths, found.linear_type)
-    offset = jnp.take_along_axis(ground_offset(centre), found.linear_type[:, None, None], axis=1)[:, 0]
+    offsets = ground_offset(centre)
+    offset = jnp.take_along_axis(offsets, found.linear_type[:, None, None], axis=1)[:, 0]
     origin = (found.position - offset).T
+    origins = jnp.moveaxis(found.candidates - offsets, (0, 1), (2, 1))
     path = maps[:, 0] + jnp.sum(maps[:, 1:] * origin[None, :, None], axis=1)
     back = jnp.swapaxes(axes_of(found.linear_rotvec), 0, 1)[:, :, None]
     slopes = jnp.stack([apply_to_rows(back, maps[None, :, a])[0] for a in (1, 2, 3)], axis=1)
@@ -176,6 +189,7 @@ def paths_of(poses: jax.Array, steps: jax.Array, count: jax.Array | None, found:
         along_linear=apply_to_rows(back, path[None])[0],
         slopes=slopes,
         origin=origin,
+        rivals=paths[:, 0] + jnp.sum(paths[:, 1:] * origins[None, :, None], axis=1),
         single=single,
         kept=kept,
         tilted=tilted,

@@ -1,18 +1,21 @@
-"""How probable a second origin is: by the sampling distribution of the difference of two norms.
+"""How probable a second origin, or another frame type, is: by the sampling distribution of a difference.
 
 Two origins that explain the same window are not independent: what one leaves over, the other mostly leaves
 over as well. Their norms differ by d = (log det S_2 - log det S_1) / 2, S being the covariance along the
 constrained axes, and d is a sum over the samples of the difference of what they contribute. The spread of
-that sum tells how much d may be by chance (Vuong 1989).
+that sum tells how much d may be by chance (Vuong 1989). The same holds for the origins of two frame types.
 """
 
 import jax
 import jax.numpy as jnp
 
 from reframe_jax.geometry import symmetric
+from reframe_jax.uncertainty.sampling import Sampling
 from reframe_jax.uncertainty.sandwich import long_run_variance
 
-__all__ = ["twin_probability"]
+__all__ = ["twin_probability", "type_probability"]
+
+_MISSED = 0.1  # of the logarithm of an axis: noise does not act on the paths of all types alike
 
 
 def twin_probability(
@@ -28,12 +31,51 @@ def twin_probability(
         block: (N,) samples beyond which errors are independent.
     """
     held = jnp.sum(dof == 0, axis=0)
-    here, share = _left_over(samples, held)
-    there, its_share = _left_over(samples + jnp.sum(slopes * twin[None, :, None], axis=1), held)
-    variance = long_run_variance((its_share - share)[None], block)[0]
-    difference = there - here
-    deviations = difference / jnp.sqrt(jnp.maximum(variance, jnp.finfo(variance.dtype).tiny))
-    return jax.scipy.stats.norm.cdf(-deviations)
+    there = samples + jnp.sum(slopes * twin[None, :, None], axis=1)
+    return _better(_left_over(there, held), _left_over(samples, held), block)
+
+
+def type_probability(
+    paths: jax.Array, sampling: Sampling, winner: jax.Array, dof: jax.Array, block: jax.Array
+) -> jax.Array:
+    """Probability that each linear type, rather than the reported one, has the stiller axes, (N, 4).
+
+    Compared are as many axes as the reported type has constrained: the slowest ones of every type.
+
+    Args:
+        paths: (3, K+1, 4, N) m, of the origins of all types.
+        sampling: of the windows.
+        winner: (N,) the reported type.
+        dof: (3, N) of its axes, 1 where an axis is free.
+        block: (N,) samples beyond which errors are independent.
+    """
+    held = jnp.sum(dof == 0, axis=0)
+    left = [_left_over(sampling.take(paths[:, :, kind]), held) for kind in range(paths.shape[2])]
+    total, shares = (jnp.stack(parts) for parts in zip(*left, strict=True))
+    own = jnp.take_along_axis(total, winner[None], axis=0)[0]
+    own_shares = jnp.take_along_axis(shares, winner[None, None], axis=0)[0]
+    missed = _MISSED * jnp.sqrt(held.astype(paths.dtype))
+    return jnp.stack([_better(each, (own, own_shares), block, missed) for each in left], axis=-1)
+
+
+def _better(
+    one: tuple[jax.Array, jax.Array],
+    other: tuple[jax.Array, jax.Array],
+    block: jax.Array,
+    missed: jax.Array | float = 0.0,
+) -> jax.Array:
+    """Probability that one leaves less over than the other, (N,); 1/2 where the two leave the same.
+
+    Args:
+        one: logarithm of its norm, (N,), and what each sample adds to it, (K+1, N).
+        other: likewise.
+        block: (N,) samples beyond which errors are independent.
+        missed: standard deviation of the difference of the logarithms besides chance.
+    """
+    variance = long_run_variance((one[1] - other[1])[None], block)[0]
+    rounding = jnp.finfo(variance.dtype).eps  # its square root, of the logarithm of a norm
+    deviation = jnp.sqrt(variance + jnp.square(missed) + rounding)
+    return jax.scipy.stats.norm.cdf((other[0] - one[0]) / deviation)
 
 
 def _left_over(samples: jax.Array, held: jax.Array) -> tuple[jax.Array, jax.Array]:

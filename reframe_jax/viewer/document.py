@@ -41,25 +41,27 @@ def write_page(path: Path | str, windows: list[WindowTrack], *, title: str = "re
                 drawing.show(int(sample))
                 recording.insert_sleep(float(wait))
         text = recording.as_html()
+        captions = [drawing.caption(window) for window in windows]
     finally:
         close_server(server)
     # the page of viser fills the window; ours lies in a corner of it
     place = text.rindex("</body>")
-    Path(path).write_text(text[:place] + _panel(windows, title) + text[place:], encoding="utf-8")
+    Path(path).write_text(text[:place] + _panel(windows, captions, title) + text[place:], encoding="utf-8")
 
 
-def _panel(windows: list[WindowTrack], title: str) -> str:
+def _panel(windows: list[WindowTrack], captions: list[str], title: str) -> str:
     style = (
         "position:fixed;top:8px;right:8px;z-index:1000;max-height:88vh;overflow:auto;padding:6px 10px;"
         "background:rgba(255,255,255,.92);border-radius:6px;font:12px sans-serif;color:#222;width:360px"
     )
     parts = []
-    for window in windows:
+    for window, caption in zip(windows, captions, strict=True):
         begin, end = window.times[0], window.times[-1]
         plots = "".join(_plot(name, rows, window.velocity_times) for name, rows in velocity_series(window))
         parts.append(
             f"<details{' open' if len(windows) == 1 else ''}><summary>"
-            f"<b>{html.escape(window.name.rstrip('.'))}</b>, {begin:.2f} to {end:.2f} s</summary>{plots}"
+            f"<b>{html.escape(window.name.rstrip('.'))}</b>, {begin:.2f} to {end:.2f} s</summary>"
+            f"<div>{html.escape(caption)}</div>{plots}"
             f"<details><summary>result</summary><pre style='font-size:9px'>{html.escape(window.text)}</pre>"
             "</details></details>"
         )

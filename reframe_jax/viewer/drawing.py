@@ -16,6 +16,9 @@ __all__ = ["LEGEND", "Drawing", "scene_box"]
 _DASHES = 7  # of a constrained axis
 _MOST = 2000  # points of a path
 _DEVIATIONS = 2.0  # of the ellipsoid
+_SEEN = 0.03  # of the size of the scene: an ellipsoid whose longest half-axis is shorter is enlarged
+_THIN = 0.002  # of that size: half-axis along directions without a variance
+_NOTHING = 1e-9  # m, of a standard deviation
 _TWIN, _ORIGIN, _SPREAD = "#000000", "#222222", "#CC79A7"
 
 LEGEND = (
@@ -26,7 +29,7 @@ LEGEND = (
     (TURNING, "free axis of rotation"),
     (OUTLIERS["color"], "poses left out"),
     (_TWIN, "twin: an origin as good (wire)"),
-    (_SPREAD, "uncertainty of the origin: two standard deviations, if known"),
+    (_SPREAD, "uncertainty of the origin: two standard deviations, enlarged as the heading says"),
 )
 """Colours, and what is drawn in them."""
 
@@ -118,15 +121,36 @@ class Drawing:
         if frame.spread is not None:
             self._draw_spread(frame.spread)
 
+    def caption(self, window: WindowTrack) -> str:
+        """The uncertainty of the origin in words, and how much larger it is drawn; "" if it is unknown."""
+        if window.frame is None or window.frame.spread is None:
+            return ""
+        halves = _DEVIATIONS * np.linalg.eigvalsh(window.frame.spread)[::-1]
+        halves = halves[halves > _NOTHING]
+        if not len(halves):
+            return ""
+        numbers = ", ".join(f"{1e3 * half:.2g}" for half in halves)
+        larger = self._enlargement(halves[0])
+        drawn = f", drawn {larger:,} times larger" if larger > 1 else ""
+        return f"origin ± {numbers} mm (two standard deviations){drawn}"
+
+    def _enlargement(self, longest: float) -> int:
+        """A power of ten by which an ellipsoid with a longest half-axis in m is enlarged to be seen."""
+        if longest <= _NOTHING:
+            return 1
+        return 10 ** max(0, int(np.ceil(np.log10(_SEEN * self._size / longest))))
+
     def _draw_spread(self, root: np.ndarray) -> None:
-        """An ellipsoid of two standard deviations."""
+        """An ellipsoid of two standard deviations, enlarged to be seen."""
         values, vectors = np.linalg.eigh(root)
         vectors = vectors * np.array([1, 1, np.sign(np.linalg.det(vectors))])
+        halves = _DEVIATIONS * values
+        halves = np.maximum(halves * self._enlargement(halves[2]), _THIN * self._size)
         ellipsoid = self._scene.add_icosphere(
             "/spread/ellipsoid",
             1.0,
             _rgb(_SPREAD),
-            scale=tuple(_DEVIATIONS * np.maximum(values, 1e-6)),
+            scale=tuple(halves),
             wxyz=_wxyz(vectors),
             opacity=0.35,
             cast_shadow=False,

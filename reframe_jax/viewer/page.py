@@ -131,7 +131,8 @@ class Page:
             with self._server.atomic():
                 self._drawing.draw(window)
                 begin, end = float(window.times[0]), float(window.times[-1])
-                self._heading.content = f"**{window.name.rstrip('.')}**, {begin:.2f} to {end:.2f} s"
+                heading = f"**{window.name.rstrip('.')}**, {begin:.2f} to {end:.2f} s"
+                self._heading.content = "\n\n".join(filter(None, [heading, self._drawing.caption(window)]))
                 self._time.min, self._time.max = min(begin, self._time.min), end
                 self._time.value = begin
                 self._time.min = begin

@@ -6,6 +6,7 @@ are a quaternion. Three are a helical (rotation) vector or Euler angles, which t
 user does. Where a body was not seen, cells are empty or all 0, or the row ends.
 """
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain
@@ -26,6 +27,7 @@ __all__ = ["VICON", "read_vicon"]
 _WITH_POSES = ("objects", "segments")
 _TITLES = (*_WITH_POSES, "trajectories", "devices", "joints", "model outputs", "events")
 _RADIANS = {"rad": 1.0, "deg": np.pi / 180}
+_HEADING = re.compile(r"^Global Angle (\([A-Za-z ]+\) )?")  # before names: Global Angle (Quaternion) Rod:Rod
 _PARTS = slice(0, -3), slice(-3, None)  # of the columns of a body: rotation, translation
 
 _Lines = Iterator[tuple[int, list[str]]]
@@ -118,7 +120,7 @@ def _read_header(path: Path, lines: _Lines) -> tuple[float, int, dict[str, _Body
         if axes[first : first + width] != [*("RX", "RY", "RZ", "RW")[: width - 3], "TX", "TY", "TZ"]:
             raise RecordingError(f"{path}: expected the columns RX,RY,RZ,TX,TY,TZ of every body.")
         name = names[first] if first < len(names) else ""
-        name = name.removeprefix("Global Angle ").strip()
+        name = _HEADING.sub("", name).strip()
         subject, _, segment = name.partition(":")
         name = subject if subject == segment else name
         if name in bodies or not name:
