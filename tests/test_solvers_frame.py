@@ -166,4 +166,4 @@ class TestJointSearch:
         assert np.all(found.value <= np.min(found.end_values, axis=0) + 1e-9)
         slope = compiled(jax.grad(lambda x: jnp.sum(objective.value(x))))(found.x)
         inside = np.abs(found.x) < 1
-        np.testing.assert_allclose(np.asarray(slope)[inside], 0, atol=1e-5)
+        np.testing.assert_allclose(np.asarray(slope)[inside], 0, atol=5e-4)

@@ -103,7 +103,9 @@ def freedom_patterns(
     weights = jnp.where(white_only, log(_WHITE_SHARE), slow)[:, 0]  # (M, ...)
     white = jnp.broadcast_to(jnp.sqrt(1 / (2 * samples) + _MISFIT**2)[None], y.shape)
     constrained = _of_constrained(y, (multiples, white_only), white, gain, of_turn)
-    held = _over_patterns(constrained, 1, free=False)  # (M, 4, 4, ...)
+    plain, scaled = (_over_patterns(densities, 1, free=False) for densities in constrained)
+    # (M, 4, 4, ...): an error of scale is one of the angle about a single axis
+    held = jnp.concatenate([plain[:, :1], scaled[:, 1:2], plain[:, 2:]], axis=1)
     number = jnp.asarray([[a + b for b in range(4)] for a in range(4)], y.dtype)
     number = number.reshape(4, 4, *([1] * (y.ndim - 1)))
     count = jnp.maximum(number, 1)
@@ -128,8 +130,10 @@ def freedom_patterns(
 
 def _of_constrained(
     y: jax.Array, errors: tuple[jax.Array, jax.Array], white: jax.Array, gain: jax.Array, of_turn: jax.Array
-) -> jax.Array:
+) -> tuple[jax.Array, jax.Array]:
     """Logarithm of the density of the motion along constrained axes, (M, 6, ...), for each kind of errors.
+
+    Without errors in the scale of the measured rotation, and with them.
 
     Args:
         y: (6, ...) logarithm of the motion, in noises.
@@ -149,11 +153,17 @@ def _of_constrained(
     of_lever = _normal(along, jnp.log(jnp.maximum(_GAIN * gain, 1e-9)), _GAIN_SPREAD)[None]
     rest = jnp.log(jnp.maximum(1 - of_turn, 1e-12)) / 2
     usual = log(2 * _UNRELATED) + 2 * _UNRELATED * rest  # density of the rest if nothing relates the two
-    by_scale = of_lever + of_errors(along + rest, white[3:]) - usual[None] + log(_SCALE_SHARE)
+    by_scale = of_lever + of_errors(along + rest, white[3:]) - usual[None]
+    gain_share = jnp.where(white_only, 0, _GAIN_SHARE)
     by_rotation = jnp.where(white_only, -jnp.inf, of_lever + log(_GAIN_SHARE))
-    neither = own[:, 3:] + jnp.log(1 - _SCALE_SHARE - jnp.where(white_only, 0, _GAIN_SHARE))
-    linear = jnp.logaddexp(jnp.logaddexp(neither, by_scale), by_rotation)
-    return jnp.concatenate([own[:, :3], linear], axis=1)
+
+    def of_all(scale_share: float) -> jax.Array:
+        linear = jnp.logaddexp(own[:, 3:] + jnp.log(1 - scale_share - gain_share), by_rotation)
+        if scale_share:
+            linear = jnp.logaddexp(linear, by_scale + log(scale_share))
+        return jnp.concatenate([own[:, :3], linear], axis=1)
+
+    return of_all(0.0), of_all(_SCALE_SHARE)
 
 
 def _hidden(y: jax.Array, noise: jax.Array) -> jax.Array:
