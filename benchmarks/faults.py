@@ -308,8 +308,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     jax.config.update("jax_enable_x64", True)
     count, kills = (300, 0) if options.quick else (options.count, options.kills)
     only = options.only or [*SHARES, *(["kills"] if kills else [])]
-    print(machine())
-    report = join(read_parts(options)) if options.join else attack(count, kills, only)
+    if options.join:
+        report = join(read_parts(options))
+    else:
+        print(machine())
+        report = attack(count, kills, only)
     write_record(options.json, report)
     faults = sum(sum(part["faults"].values()) for part in report.values())
     print(f"{faults} faults")
