@@ -198,10 +198,14 @@ def attack_runs(kills: int, folder: Path) -> Tally:
         return child.returncode == 0
 
     whole, killed = folder / "uninterrupted", folder / "killed"
-    began = time.monotonic()
-    if not succeeds(whole):
-        tally.add("fault", "an uninterrupted run failed")
-        return tally
+    for out in (
+        whole,
+        folder / "again",
+    ):  # the second time, compiled programs come from the cache, as for all
+        began = time.monotonic()
+        if not succeeds(out):
+            tally.add("fault", "an uninterrupted run failed")
+            return tally
     duration = time.monotonic() - began
     rng = np.random.default_rng(5)
     for number in range(kills):
