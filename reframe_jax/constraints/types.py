@@ -1,8 +1,22 @@
 """Frame types: the bodies that a constraint frame is attached to (paper, section 3)."""
 
 from enum import Enum, IntEnum
+from math import cos, radians, sin
 
-__all__ = ["BODY_NAMES", "AngularType", "AxisRelation", "Dof", "LinearType"]
+__all__ = [
+    "BODY_NAMES",
+    "PARALLEL_COSINE",
+    "AngularType",
+    "AxisRelation",
+    "Dof",
+    "LinearType",
+    "relation_of_cosine",
+]
+
+_ALIGNED = 15.0  # degrees within which two axes count as parallel or perpendicular
+
+PARALLEL_COSINE = cos(radians(_ALIGNED))
+"""Cosine of the angle between two axes above which they count as parallel, in names and elsewhere."""
 
 
 class AngularType(IntEnum):
@@ -50,6 +64,13 @@ class AxisRelation(Enum):
     PARALLEL = "parallel"
     PERPENDICULAR = "perpendicular"
     OBLIQUE = "oblique"
+
+
+def relation_of_cosine(cosine: float) -> AxisRelation:
+    """How two axes lie, from the cosine of the angle between them, of either sign."""
+    if abs(cosine) > PARALLEL_COSINE:
+        return AxisRelation.PARALLEL
+    return AxisRelation.PERPENDICULAR if abs(cosine) < sin(radians(_ALIGNED)) else AxisRelation.OBLIQUE
 
 
 Dof = tuple[int, int, int]

@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike
 from reframe_jax.constraints.catalogue import describe, lookup
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import parts_on_body
+from reframe_jax.constraints.types import AxisRelation, relation_of_cosine
 from reframe_jax.geometry.numpy_rotations import matrices_to_quaternions
 from reframe_jax.identification.results import Identification
 
 __all__ = ["TaskFrame", "to_task_frame"]
 
-_ALIGNED = 15.0  # degrees within which two axes count as parallel or perpendicular
 _ORDER = ("x", "y", "z", "rx", "ry", "rz")
 _UNITS = ("N/m",) * 3 + ("N m/rad",) * 3
 
@@ -202,14 +202,15 @@ def _common_axes(angular: _Part, linear: _Part) -> tuple[np.ndarray, tuple[int, 
         return linear.axes, angular.free, 0.0
     own, other = linear.axes[:, linear.odd], angular.axes[:, angular.odd]
     angle = float(np.degrees(np.arccos(min(1.0, abs(float(own @ other))))))
+    relation = relation_of_cosine(float(own @ other))
     place = linear.odd
     axes = linear.axes
-    if angle > _ALIGNED:
-        if angle < 90 - _ALIGNED:
-            raise ValueError(
-                f"No frame serves both: the angular and the linear axes lie at {angle:.0f} degrees, neither "
-                "parallel nor perpendicular."
-            )
+    if relation == AxisRelation.OBLIQUE:
+        raise ValueError(
+            f"No frame serves both: the angular and the linear axes lie at {angle:.0f} degrees, neither "
+            "parallel nor perpendicular."
+        )
+    if relation == AxisRelation.PERPENDICULAR:
         # turned about its odd axis, the linear frame is the same
         place = (linear.odd + 1) % 3
         across = other - own * (own @ other)

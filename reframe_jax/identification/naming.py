@@ -1,17 +1,13 @@
 """Names of classes, and how probable the name of a window is."""
 
-from math import cos, radians
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.catalogue import describe, lookup
-from reframe_jax.constraints.types import AxisRelation, Dof, LinearType
+from reframe_jax.constraints.types import PARALLEL_COSINE, AxisRelation, Dof, LinearType
 
-__all__ = ["ALIGNED", "name_class", "name_probability"]
-
-ALIGNED = 15.0  # degrees within which two axes count as parallel or perpendicular
+__all__ = ["name_class", "name_probability"]
 
 
 def name_class(kind: LinearType, angular: Dof, linear: Dof, relation: AxisRelation | None) -> str:
@@ -39,7 +35,7 @@ def name_probability(
     body = jnp.asarray(bodies)[winner]
     turning = jnp.take_along_axis(axes[0], body[:, None, None, None], axis=1)[:, 0, :, 2]
     odd = jnp.where((linear == 1)[:, None], axes[1][:, :, 2], axes[1][:, :, 0])
-    parallel = jnp.abs(jnp.sum(turning * odd, axis=-1)) > cos(radians(ALIGNED))
+    parallel = jnp.abs(jnp.sum(turning * odd, axis=-1)) > PARALLEL_COSINE
     rows = jnp.arange(len(winner), dtype=winner.dtype)
     of_types = classes[rows, :, angular, linear]
     own = jnp.take_along_axis(of_types, winner[:, None], axis=1)[:, 0]

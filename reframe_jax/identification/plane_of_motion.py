@@ -6,20 +6,17 @@ the positions knows the axis better than the rotations do, the more so the furth
 """
 
 from dataclasses import replace
-from math import cos, radians
 
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.constraints.types import AngularType
+from reframe_jax.constraints.types import PARALLEL_COSINE, AngularType
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.products import matmul3
 from reframe_jax.identification.evidence import Evidence
 from reframe_jax.identification.optima import Frames, constant_covariance, put_third_axis
 
 __all__ = ["use_plane"]
-
-_NEAR = cos(radians(15.0))  # between the axis and the normal, so that both can be the same
 
 
 def use_plane(evidence: Evidence, frames: Frames, dof: jax.Array, chosen: jax.Array) -> Frames:
@@ -57,5 +54,5 @@ def use_plane(evidence: Evidence, frames: Frames, dof: jax.Array, chosen: jax.Ar
     thirds = {AngularType.G: fused, AngularType.B: axes[:, AngularType.B, :, 2] + tilt}
     third = jnp.stack([thirds[kind] for kind in AngularType], axis=1)
     third = third / jnp.linalg.norm(third, axis=-1, keepdims=True)
-    single = chosen & (jnp.sum(dof[:, 0], axis=-1) == 1) & (jnp.abs(along[:, 0]) > _NEAR)
+    single = chosen & (jnp.sum(dof[:, 0], axis=-1) == 1) & (jnp.abs(along[:, 0]) > PARALLEL_COSINE)
     return replace(frames, angular_axes=put_third_axis(axes, third, single))

@@ -15,12 +15,12 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.catalogue import Constraint, lookup
 from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.types import AngularType, AxisRelation, Dof, LinearType
+from reframe_jax.constraints.types import AngularType, AxisRelation, Dof, LinearType, relation_of_cosine
 from reframe_jax.geometry import rotations
 from reframe_jax.identification.cautions import caution_sentences
 from reframe_jax.identification.explanation import Finding, Spread, Tested, explain_finding
 from reframe_jax.identification.frames import AllCandidates, AngularFrame, Candidates, LinearFrame, member
-from reframe_jax.identification.naming import ALIGNED, name_class
+from reframe_jax.identification.naming import name_class
 from reframe_jax.joints.fitting import fit_joint
 from reframe_jax.joints.joint import Joint
 from reframe_jax.motion.checks import Status
@@ -249,12 +249,7 @@ class Identification:
             np.asarray(_axes(rotvec))[:, 2 if sum(dof) == 1 else 0]
             for rotvec, dof in zip(rotvecs, (angular, linear), strict=True)
         )
-        angle = np.degrees(np.arccos(min(1.0, abs(float(first @ second)))))
-        if angle < ALIGNED:
-            return kind, angular, linear, AxisRelation.PARALLEL
-        if angle > 90 - ALIGNED:
-            return kind, angular, linear, AxisRelation.PERPENDICULAR
-        return kind, angular, linear, AxisRelation.OBLIQUE
+        return kind, angular, linear, relation_of_cosine(float(first @ second))
 
 
 def _dof(dof: jax.Array) -> Dof:

@@ -6,12 +6,11 @@ either: the rotation where it turned far, the translation where it went far.
 """
 
 from dataclasses import replace
-from math import cos, radians
 
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.constraints.types import LinearType
+from reframe_jax.constraints.types import PARALLEL_COSINE, LinearType
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.products import matmul3
 from reframe_jax.identification.distances import noise_along
@@ -20,8 +19,6 @@ from reframe_jax.identification.optima import Frames
 from reframe_jax.objectives.moments import covariance_at
 
 __all__ = ["share_axis"]
-
-_PARALLEL = cos(radians(15.0))  # as in the names of the classes
 
 
 def share_axis(
@@ -65,7 +62,7 @@ def share_axis(
     )
     axes = jnp.stack([first, jnp.cross(third, first), third], axis=-1)
     single = evidence.axis.found & white & (jnp.sum(dof[0][:, 0], axis=-1) == 1)
-    parallel = (jnp.abs(along[..., 0]) > _PARALLEL) & ((free == 1) | (free == 2))
+    parallel = (jnp.abs(along[..., 0]) > PARALLEL_COSINE) & ((free == 1) | (free == 2))
     chosen = (single[:, None] & parallel)[..., None, None]
     return replace(
         frames,

@@ -7,15 +7,12 @@ import numpy as np
 
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import parts_on_body
-from reframe_jax.constraints.types import AxisRelation, LinearType
+from reframe_jax.constraints.types import AxisRelation, LinearType, relation_of_cosine
 from reframe_jax.joints.chain import PartKind
 from reframe_jax.joints.joint import JointType
 from reframe_jax.joints.universal import universal_axes
 
 __all__ = ["Geometry", "Plan", "frame_geometry", "joint_plans", "only_velocities", "relate_axes"]
-
-_ALIGNED = np.cos(np.radians(15.0))  # of the angle within which two axes count as parallel
-_SQUARE = np.sin(np.radians(15.0))  # of the angle within which they count as perpendicular
 
 
 @dataclass(frozen=True)
@@ -97,10 +94,7 @@ def relate_axes(geometry: Geometry) -> AxisRelation | None:
         return None
     angular = geometry.turning[0] if turns == 1 else np.cross(*geometry.turning)
     turned = geometry.in_ground(angular, geometry.angular_on_body)
-    cosine = abs(float(turned @ geometry.in_ground(geometry.odd, geometry.linear_on_body)))
-    if cosine > _ALIGNED:
-        return AxisRelation.PARALLEL
-    return AxisRelation.PERPENDICULAR if cosine < _SQUARE else AxisRelation.OBLIQUE
+    return relation_of_cosine(float(turned @ geometry.in_ground(geometry.odd, geometry.linear_on_body)))
 
 
 def joint_plans(geometry: Geometry) -> list[Plan]:

@@ -1,13 +1,11 @@
 """Covariance of identified frames: from checked arrays, all windows at once."""
 
-from math import cos, radians
-
 import jax
 import jax.numpy as jnp
 
 from reframe_jax.compilation import once
 from reframe_jax.constraints.located import parts_on_body
-from reframe_jax.constraints.types import AngularType
+from reframe_jax.constraints.types import PARALLEL_COSINE, AngularType
 from reframe_jax.uncertainty.paths import Estimates, Paths, axes_of, paths_of
 from reframe_jax.uncertainty.propagation import apply_to_rows, position_to_poses, turn_to_poses
 from reframe_jax.uncertainty.rivals import twin_probability, type_probability
@@ -26,7 +24,6 @@ from reframe_jax.uncertainty.turning import axis_rows, combine_rows, kept_rows
 __all__ = ["covariance_of_windows", "in_bodies", "oriented_in_body", "shared_axes"]
 
 _BLOCKS = 8  # in a window, of which the long-run variance is taken
-_PARALLEL = cos(radians(15.0))  # as in the names of the classes
 _SMALL = 1 / 8  # of the slowest free axis, up to which noise along constrained axes is small
 _FLOOR = 16  # noise that is always there, in units of rounding
 
@@ -188,7 +185,7 @@ def shared_axes(paths: Paths, found: Estimates) -> tuple[jax.Array, jax.Array, j
     last = slides == 1
     odd = jnp.where(last[None], linear_axes[:, 2], linear_axes[:, 0])
     axis = jnp.where(oriented_in_body(found)[None], single.in_body, single.in_ground)
-    parallel = jnp.abs(jnp.sum(axis * odd, axis=0)) > _PARALLEL
+    parallel = jnp.abs(jnp.sum(axis * odd, axis=0)) > PARALLEL_COSINE
     shared = turns_once & parallel & (last | (slides == 2))
     return turns_once, odd, jnp.stack([last, jnp.ones_like(last), ~last]) & shared[None]
 
