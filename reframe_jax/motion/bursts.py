@@ -51,9 +51,8 @@ def find_runs(poses: jax.Array, count: jax.Array, unit: jax.Array) -> jax.Array:
     for moves, least in ((turns, jnp.zeros_like(unit)), (shifts, unit)):
         before, after = (_beside(moves[:, 0], side) for side in (-1, 1))
         away, back = _excess(*before, least)[:, None], _excess(*after, least)[last]
-        jump = jnp.where(
-            jnp.maximum(away, back) < _UNEVEN * jnp.minimum(away, back), jnp.minimum(away, back), 0
-        )
+        smaller, larger = jnp.minimum(away, back), jnp.maximum(away, back)
+        jump = jnp.where(larger < _UNEVEN * smaller, smaller, 0)
         usual = (before[0][:, None] + after[0][last]) / 2 * (length + 1)[None, :, None].astype(moves.dtype)
         across = jnp.linalg.norm(moves - usual, axis=-1)
         returns = returns | ((jump > 0) & (across < _BRIDGE * jump))

@@ -38,7 +38,8 @@ def repair_poses(poses: jax.Array, times: jax.Array, count: jax.Array) -> tuple[
         return poses, own
 
     def look(block: tuple[jax.Array, ...]) -> jax.Array:
-        poses, times, count, own, unit = (jnp.moveaxis(array, -1, 0) for array in block)
+        poses, times, count, own = (jnp.moveaxis(array, -1, 0) for array in block)
+        unit = unit_of_rounding(block[0][:, :3, 3].swapaxes(0, 1), block[3])
         runs = jax.vmap(find_runs)(poses, count, unit)
         outliers = jax.vmap(_find)(jax.vmap(_fill)(poses, times, ~runs), times, count)
         outliers = (outliers | runs) & own
@@ -46,9 +47,7 @@ def repair_poses(poses: jax.Array, times: jax.Array, count: jax.Array) -> tuple[
         return (own & ~(outliers & (share <= _MOST)[:, None])).T
 
     measured = jax.lax.stop_gradient(poses)
-    unit = unit_of_rounding(jnp.moveaxis(measured[:, :, :3, 3], 0, -1).swapaxes(0, 1), own.T)
-    # windows last
-    inputs = jnp.moveaxis(measured, 0, -1), times.T, count, own.T, unit
+    inputs = jnp.moveaxis(measured, 0, -1), times.T, count, own.T  # windows last
     counted = update_marked(look, _is_suspicious(measured, own), inputs, own.T).T
 
     def fill(_: None) -> jax.Array:
