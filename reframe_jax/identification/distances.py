@@ -10,7 +10,7 @@ from reframe_jax.geometry.products import matmul3
 from reframe_jax.identification.evidence import FLOOR, IN_BODY, IN_GROUND, Evidence
 from reframe_jax.identification.freedom import freedom_patterns
 from reframe_jax.identification.optima import Frames, constant_covariance, pick_type
-from reframe_jax.objectives.moments import MONOMIALS, covariance_at
+from reframe_jax.objectives.moments import covariance_at, covariance_gradient, covariance_hessian
 
 __all__ = [
     "free_probabilities",
@@ -89,17 +89,19 @@ def share_of_turn(moments: jax.Array, position: jax.Array, axes: jax.Array) -> j
         position: (N, 4, 3) m, origins of all types.
         axes: (N, 4, 3, 3).
     """
-    squares = jnp.stack(
-        [axes[..., i, :] * axes[..., j, :] * (1 + (i != j)) for i, j in symmetric.INDEX_PAIRS]
-    )
-    along = jnp.sum(squares[:, None] * moments[..., None], axis=0)  # (10, N, 4, 3)
-    covariances = {pair: along[k] / (1 + (pair[0] != pair[1])) for k, pair in enumerate(MONOMIALS)}
-    ends = tuple(covariances[i + 1, j + 1] for i, j in symmetric.INDEX_PAIRS)
-    levers = symmetric.to_matrix(ends)  # type: ignore[arg-type]
-    with_position = jnp.stack([covariances[0, j] for j in (1, 2, 3)], axis=-1)
-    p = position[:, :, None]
-    with_origin = with_position + matmul3(levers, jnp.broadcast_to(p, with_position.shape)[..., None])[..., 0]
-    whole = covariances[0, 0] + jnp.sum(p * (with_position + with_origin), axis=-1)
+    e = axes[..., 0, :], axes[..., 1, :], axes[..., 2, :]
+    x = jnp.moveaxis(position, -1, 0)
+
+    def along(covariance: symmetric.Symmetric) -> jax.Array:
+        xx, xy, xz, yy, yz, zz = (entry[..., None] for entry in covariance)
+        return symmetric.quadratic_form(e, (xx, xy, xz, yy, yz, zz), e)
+
+    at_origin = x[0], x[1], x[2]
+    whole = along(covariance_at(moments, at_origin))
+    # of a square, derivatives have a factor of two
+    with_origin = jnp.stack([along(slope) for slope in covariance_gradient(moments, at_origin)], axis=-1) / 2
+    xx, xy, xz, yy, yz, zz = (along(bend) / 2 for bend in covariance_hessian(moments))
+    levers = symmetric.to_matrix((xx, xy, xz, yy, yz, zz))
     lever = _main_direction(levers)
     longest = jnp.sum(lever * matmul3(levers, lever[..., None])[..., 0], axis=-1)
     common = jnp.square(jnp.sum(lever * with_origin, axis=-1))
