@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from reframe_jax.constraints.types import AngularType, LinearType
 from reframe_jax.geometry import transforms
-from reframe_jax.motion import kinematics
+from reframe_jax.motion import kinematics, magnus
 from reframe_jax.motion.kinematics import (
     angular_velocities,
     body_twists,
@@ -316,15 +316,13 @@ class TestDiscretization:
     def test_derivative_weights(self, steps, rng):
         """Exact for polynomials of one degree less than there are nodes."""
         dt = irregular(rng, 2, steps)
-        weights = jax.jit(kinematics._derivative_weights)(dt)
-        count = min(steps, kinematics._STENCIL)
+        weights = jax.jit(magnus._derivative_weights)(dt)
+        count = min(steps, magnus._STENCIL)
         assert weights.shape == (2, steps, count)
         middle = np.cumsum(dt, axis=-1) - dt / 2
         shape = rng.normal(size=count)
         values, expected = np.polyval(shape, middle), np.polyval(np.polyder(shape), middle)
-        found = jax.jit(kinematics._derivative)(jnp.moveaxis(weights, 0, -1).swapaxes(0, 1), values.T[None])[
-            0
-        ]
+        found = jax.jit(magnus._derivative)(jnp.moveaxis(weights, 0, -1).swapaxes(0, 1), values.T[None])[0]
         np.testing.assert_allclose(found, expected.T, atol=2e-10)
 
 

@@ -1,0 +1,52 @@
+"""Algebra of small vectors and matrices with components first: (3, ...), (6, ...), (3, 3, ...).
+
+Every operation is elementwise on long rows of samples and windows, and needs no kernels for small matrices,
+which are slow in XLA.
+"""
+
+import jax
+import jax.numpy as jnp
+
+__all__ = ["bracket", "components_first", "components_last", "cross", "hat", "product", "transpose"]
+
+
+def components_first(array: jax.Array, components: int) -> jax.Array:
+    """(..., K, components) to (components, K, ...), for a number of component axes."""
+    axes = range(-components, 0)
+    return jnp.moveaxis(array, (*axes, -components - 1), tuple(range(components + 1)))
+
+
+def components_last(array: jax.Array, components: int) -> jax.Array:
+    """Inverse of :func:`components_first`."""
+    axes = range(-components, 0)
+    return jnp.moveaxis(array, tuple(range(components + 1)), (*axes, -components - 1))
+
+
+def product(a: jax.Array, b: jax.Array) -> jax.Array:
+    """Matrix product (3, 3, ...) (3, n, ...) or matrix times vector (3, 3, ...) (3, ...)."""
+    if b.ndim == a.ndim:
+        return a[:, 0, None] * b[0, None] + a[:, 1, None] * b[1, None] + a[:, 2, None] * b[2, None]
+    return a[:, 0] * b[0, None] + a[:, 1] * b[1, None] + a[:, 2] * b[2, None]
+
+
+def cross(a: jax.Array, b: jax.Array) -> jax.Array:
+    """Cross product of vectors (3, ...)."""
+    return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def hat(w: jax.Array) -> jax.Array:
+    """(3, ...) to (3, 3, ...): see :func:`reframe_jax.geometry.rotations.hat`."""
+    zero = jnp.zeros_like(w[0])
+    rows = ([zero, -w[2], w[1]], [w[2], zero, -w[0]], [-w[1], w[0], zero])
+    return jnp.stack([jnp.stack(row) for row in rows])
+
+
+def transpose(matrix: jax.Array) -> jax.Array:
+    """Transpose of matrices (3, 3, ...)."""
+    return jnp.swapaxes(matrix, 0, 1)
+
+
+def bracket(a: jax.Array, b: jax.Array) -> jax.Array:
+    """Lie bracket of twists (w, v): [a, b] = (wa x wb, wa x vb - wb x va)."""
+    wa, va, wb, vb = a[:3], a[3:], b[:3], b[3:]
+    return jnp.concatenate([cross(wa, wb), cross(wa, vb) - cross(wb, va)])
