@@ -88,12 +88,22 @@ def test_frames_stay_right_handed_and_orthogonal(reduced):
     np.testing.assert_allclose(np.linalg.det(axes), 1, atol=1e-12)
 
 
-def test_axes_that_are_not_parallel_stay(reduced):
-    """Of a pin on a plane, which turns about an axis of the plane; and where two axes are free to turn."""
-    for label, angular in (("I", [0, 0, 1]), ("D", [0, 1, 1])):
-        _, noisy = reduced(label)
-        axes = np.asarray(shared(noisy, jnp.asarray(angular), jnp.asarray(DOF[label])))
-        np.testing.assert_allclose(axes[:, 1], np.asarray(frames_of(noisy).axes)[:, 1], atol=1e-9)
+def test_a_free_translation_is_perpendicular_to_the_axis(reduced):
+    """Of a pin on a plane, which turns about an axis of the plane: the rest of its frame stays."""
+    _, noisy = reduced("I")
+    before = np.asarray(frames_of(noisy).axes)[:, 1]
+    after = np.asarray(shared(noisy, jnp.asarray([0, 0, 1]), jnp.asarray(DOF["I"])))[:, 1]
+    axis = np.asarray(noisy.axis.in_ground).T
+    assert np.max(np.abs(np.sum(before[..., 2] * axis, axis=-1))) > 1e-5
+    np.testing.assert_allclose(np.sum(after[..., 2] * axis, axis=-1), 0, atol=1e-12)
+    across = np.cross(axis, before[..., 2])
+    np.testing.assert_allclose(np.sum(after[..., 2] * across, axis=-1), 0, atol=1e-9)
+
+
+def test_frames_stay_where_two_axes_are_free_to_turn(reduced):
+    _, noisy = reduced("D")
+    axes = np.asarray(shared(noisy, jnp.asarray([0, 1, 1]), jnp.asarray(DOF["D"])))
+    np.testing.assert_allclose(axes[:, 1], np.asarray(frames_of(noisy).axes)[:, 1], atol=1e-9)
 
 
 def test_derivative_with_the_noise_given(reduced, rng):

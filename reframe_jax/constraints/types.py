@@ -6,6 +6,7 @@ from math import cos, radians, sin
 __all__ = [
     "BODY_NAMES",
     "PARALLEL_COSINE",
+    "SQUARE_COSINE",
     "AngularType",
     "AxisRelation",
     "Dof",
@@ -17,6 +18,9 @@ _ALIGNED = 15.0  # degrees within which two axes count as parallel or perpendicu
 
 PARALLEL_COSINE = cos(radians(_ALIGNED))
 """Cosine of the angle between two axes above which they count as parallel, in names and elsewhere."""
+
+SQUARE_COSINE = sin(radians(_ALIGNED))
+"""That below which they count as perpendicular."""
 
 
 class AngularType(IntEnum):
@@ -70,7 +74,7 @@ def relation_of_cosine(cosine: float) -> AxisRelation:
     """How two axes lie, from the cosine of the angle between them, of either sign."""
     if abs(cosine) > PARALLEL_COSINE:
         return AxisRelation.PARALLEL
-    return AxisRelation.PERPENDICULAR if abs(cosine) < sin(radians(_ALIGNED)) else AxisRelation.OBLIQUE
+    return AxisRelation.PERPENDICULAR if abs(cosine) < SQUARE_COSINE else AxisRelation.OBLIQUE
 
 
 Dof = tuple[int, int, int]

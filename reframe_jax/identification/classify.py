@@ -87,7 +87,9 @@ def free_positions(
         pull.append(total if a == b else total / 2)
     strengths, directions = symmetric.eigh(tuple(pull))  # type: ignore[arg-type]
     basis = jnp.stack([jnp.stack(direction, axis=-1) for direction in directions], axis=-1)
-    rounding = 64 * jnp.finfo(axes.dtype).eps * strengths[2]
+    # what moving the origin changes along all axes, free ones too
+    squares = [moments[i, MONOMIALS.index((a, a))] for i in (0, 3, 5) for a in (1, 2, 3)]
+    rounding = 64 * jnp.finfo(axes.dtype).eps * jnp.sum(jnp.stack(squares), axis=0)
     limit = jnp.maximum(jnp.square(_NOISE_MARGIN * noise), rounding)[..., None]
     strength = jnp.stack(strengths, axis=-1)
     change = strength * jnp.square(matmul3(position[..., None, :], basis)[..., 0, :])

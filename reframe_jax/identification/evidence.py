@@ -174,7 +174,8 @@ def reduce_windows(
     times = jnp.concatenate([jnp.zeros_like(steps[:, :1]), jnp.cumsum(steps, axis=1)], axis=1)
     times = jnp.broadcast_to(times, (len(poses), times.shape[1]))
     motion = _motion(poses, times, number, lag, rule, spacing)
-    axis = find_single_axis(motion.rotation, motion.counted, motion.share * motion.noise[1])
+    noise = motion.share * motion.noise[0], motion.share * motion.noise[1]
+    axis = find_single_axis(motion.rotation, motion.position, motion.counted, noise)
     alone = axis.found & (motion.lag > 1) & (rule == "auto")
     maps, paths, rates, turns = _paths(motion, steps, count, axis._replace(found=alone), rule)
     if discretization != "chord":

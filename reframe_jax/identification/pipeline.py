@@ -121,8 +121,9 @@ def solve_evidence(
         norm=optima.angular_norm,
         free_rotation=free_rotations(dof[0]),
     )
-    # rotation about axes that are classified as constrained is taken for noise
+    # rotation about axes that are classified as constrained is taken for noise, unless it was taken out
     idle = jnp.min(jnp.max(jnp.where(dof[0] == 0, optima.angular_rms, 0), axis=-1), axis=-1)
+    idle = jnp.where(evidence.alone, 0, idle)
     free, position = nearest_origin(
         optima.objective.moments, frames.local_axes, dof[1], optima.rms, frames.position, idle[:, None]
     )

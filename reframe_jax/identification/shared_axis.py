@@ -9,25 +9,31 @@ from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from reframe_jax.constraints.types import PARALLEL_COSINE, LinearType
+from reframe_jax.constraints.types import PARALLEL_COSINE, SQUARE_COSINE, LinearType
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.products import matmul3
 from reframe_jax.identification.distances import noise_along
 from reframe_jax.identification.evidence import Evidence
-from reframe_jax.identification.optima import Frames
+from reframe_jax.identification.optima import Frames, put_third_axis
 from reframe_jax.objectives.moments import covariance_at
 
 __all__ = ["share_axis"]
+
+_BODIES = np.array([int(kind.orientation_body) for kind in LinearType])
 
 
 def share_axis(
     evidence: Evidence, frames: Frames, dof: tuple[jax.Array, jax.Array], white: jax.Array
 ) -> Frames:
-    """Put the odd axis of each linear frame where it agrees best with a parallel axis of rotation.
+    """Give the frames of a body that turns about a single axis one axis where the constraint has one.
 
-    The two tilts are averaged with weights n s^2 / noise^2, the information of n samples that spread by s
-    along the direction of the tilt.
+    - A body that slides along the axis: the free axes of both frames are the mean of both estimates. Their
+      tilts are weighted with n s^2 / noise^2, the information of n samples that spread by s along the
+      direction of the tilt.
+    - A body that moves in a plane: its axis of rotation is known from both already. The normal of a plane of
+      contact is that axis; a single free translation is perpendicular to it.
 
     Args:
         evidence: of N windows.
@@ -36,39 +42,47 @@ def share_axis(
         white: (N,) bool, whether the noise is known; the frames of other windows stay as they are.
     """
     free = jnp.sum(dof[1], axis=-1)
-    last = (free == 1)[
-        ..., None
-    ]  # the odd axis is the free one, the last; else the constrained one, the first
-    odd = jnp.where(last, frames.axes[..., 2], frames.axes[..., 0])
-    sides = frames.axes[..., 1], jnp.where(last, frames.axes[..., 0], frames.axes[..., 2])
-    both = jnp.stack([evidence.axis.in_ground, evidence.axis.in_body])
-    rotation = jnp.stack([both[int(kind.orientation_body)].T for kind in LinearType], axis=1)
-    along = jnp.sum(rotation * odd, axis=-1, keepdims=True)
-    rotation = jnp.where(along < 0, -rotation, rotation)
+    rotation = jnp.stack([evidence.axis.in_ground.T, evidence.axis.in_body.T], axis=1)[:, _BODIES]
+    single = (evidence.axis.found & white & (jnp.sum(dof[0][:, 0], axis=-1) == 1))[:, None]
+    planar = single & evidence.axis.planar[:, None]
+    first, _, third = (frames.axes[..., n] for n in range(3))
 
-    squares, noise = _spread_and_noise(evidence, frames)
-    of_odd = jnp.where(last[..., 0], squares[..., 2], squares[..., 0])
-    of_rotation = evidence.axis.spread / jnp.square(evidence.share * evidence.noise.rotation)
-    fused = odd
-    for number, side in enumerate(sides):
-        other = jnp.where(last[..., 0], squares[..., 1 - number], squares[..., 1 + number])
-        held = jnp.where(last[..., 0], noise[..., 1 - number], noise[..., 0])
-        weight = of_rotation[:, None] / (of_rotation[:, None] + jnp.abs(of_odd - other) / held)
-        fused = fused + (weight * jnp.sum(rotation * side, axis=-1))[..., None] * side
-    fused = _unit(fused)
-    remaining = sides[1] - fused * jnp.sum(fused * sides[1], axis=-1, keepdims=True)
-    first, third = (
-        _unit(jnp.where(last, one, other)) for one, other in ((remaining, fused), (fused, remaining))
-    )
-    axes = jnp.stack([first, jnp.cross(third, first), third], axis=-1)
-    single = evidence.axis.found & white & (jnp.sum(dof[0][:, 0], axis=-1) == 1)
-    parallel = (jnp.abs(along[..., 0]) > PARALLEL_COSINE) & ((free == 1) | (free == 2))
-    chosen = (single[:, None] & parallel)[..., None, None]
+    along, across = _dot(rotation, third), _dot(rotation, first)
+    slides = single & ~planar & (free == 1) & (jnp.abs(along) > PARALLEL_COSINE)
+    faces = planar & (free == 2) & (jnp.abs(across) > PARALLEL_COSINE)
+    aside = planar & (free == 1) & (jnp.abs(along) < SQUARE_COSINE)
+    fused = _mean_axis(evidence, frames, jnp.where(along < 0, -1, 1)[..., None] * rotation)
+    # all types say the same; the noise of those whose path is summed up is larger
+    shared = jnp.all(slides, axis=1)
+    turning = jnp.stack([fused[:, LinearType.GB], fused[:, LinearType.BG]], axis=1)
+    same = turning[:, _BODIES]
+    same = jnp.where(_dot(same, fused)[..., None] < 0, -same, same)
+    fused = jnp.where(shared[:, None, None], same, fused)
+    beside = _unit(third - along[..., None] * rotation)
+    third = jnp.where((faces | aside)[..., None], beside, jnp.where(slides[..., None], fused, third))
+    first = jnp.where(faces[..., None], jnp.where(across < 0, -1, 1)[..., None] * rotation, first)
+    first = _unit(first - third * _dot(first, third)[..., None])
+    turned = jnp.stack([first, jnp.cross(third, first), third], axis=-1)
+    chosen = (slides | faces | aside)[..., None, None]
     return replace(
         frames,
-        axes=jnp.where(chosen, axes, frames.axes),
-        local_axes=jnp.where(chosen, axes, frames.local_axes),
+        angular_axes=put_third_axis(frames.angular_axes, turning, shared),
+        axes=jnp.where(chosen, turned, frames.axes),
+        local_axes=jnp.where(chosen, turned, frames.local_axes),
     )
+
+
+def _mean_axis(evidence: Evidence, frames: Frames, rotation: jax.Array) -> jax.Array:
+    """Mean of the free axes of the linear frames and the axes of rotation, both (N, 4, 3)."""
+    squares, noise = _spread_and_noise(evidence, frames)
+    of_rotation = evidence.axis.spread / jnp.square(evidence.share * evidence.noise.rotation)
+    fused = frames.axes[..., 2]
+    for n in (0, 1):
+        information = jnp.abs(squares[..., 2] - squares[..., n]) / noise[..., n]
+        weight = of_rotation[:, None] / (of_rotation[:, None] + information)
+        side = frames.axes[..., n]
+        fused = fused + (weight * _dot(rotation, side))[..., None] * side
+    return _unit(fused)
 
 
 def _spread_and_noise(evidence: Evidence, frames: Frames) -> tuple[jax.Array, jax.Array]:
@@ -82,3 +96,7 @@ def _spread_and_noise(evidence: Evidence, frames: Frames) -> tuple[jax.Array, ja
 
 def _unit(vector: jax.Array) -> jax.Array:
     return vector / jnp.sqrt(jnp.sum(jnp.square(vector), axis=-1, keepdims=True))
+
+
+def _dot(a: jax.Array, b: jax.Array) -> jax.Array:
+    return jnp.sum(a * b, axis=-1)

@@ -23,6 +23,7 @@ _TURN = radians(20.0)  # that it should turn at most
 _SHARE = 6  # chords that fit a window, at least
 _GROWS = 2.0  # motion of a chord over that of one a quarter as long, below which it is drift
 _SATURATED = 0.8  # share of the longest chord from which on longer lags bring nothing
+_OF_NOISE = 2.17  # median length of a chord that is noise alone, in noises of a component
 _OFF_GRID = 0.05  # mean distance of steps from multiples of the smallest; a quarter if they are none
 _BISECTIONS, _OCTAVES = 14, 40  # of a median: to 0.2 % over twelve decades
 
@@ -155,7 +156,7 @@ def choose_lag(
 
     The median chord should be 70 times the noise in position and in orientation, or 80 % of the longest that
     the motion makes. It should turn by no more than 20 degrees, and at least six chords must fit in the
-    window. A group (position or orientation) whose chords hardly grow with the lag does not count.
+    window. A group (position or orientation) whose motion hardly grows with the lag does not count.
 
     Args:
         rotation: (3, 3, K+1, N) rotation matrices.
@@ -197,5 +198,6 @@ def _needed(size: jax.Array, allowed: jax.Array, lags: list[int]) -> jax.Array:
     quarter = [max(i for i, other in enumerate(lags) if other * 4 <= max(lag, 4)) for lag in lags]
     before = jnp.take_along_axis(size, jnp.asarray(quarter, jnp.int32)[found][None], axis=0)[0]
     here = jnp.take_along_axis(size, found[None], axis=0)[0]
+    before, here = (jnp.sqrt(jnp.maximum(jnp.square(x) - _OF_NOISE**2, 0)) for x in (before, here))
     drifts = (jnp.asarray(lags, jnp.int32)[found] >= 4) & (here < _GROWS * before)
     return jnp.where(drifts, 0, found)

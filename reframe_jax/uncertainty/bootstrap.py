@@ -21,13 +21,15 @@ from reframe_jax.constraints.types import AngularType
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.products import matmul3
 from reframe_jax.geometry.rotations import rotation_exp
-from reframe_jax.uncertainty.estimate import in_bodies, oriented_in_body, shared_axes
-from reframe_jax.uncertainty.paths import Estimates, Paths, axes_of, paths_of
+from reframe_jax.motion.single_axis import tilt_to_plane
+from reframe_jax.uncertainty.estimate import in_bodies
+from reframe_jax.uncertainty.paths import Estimates, Paths, axes_of, oriented_in_body, paths_of
 from reframe_jax.uncertainty.sensitivity import (
     covariance_at_offset,
     optimum_near,
     sums_of_products,
 )
+from reframe_jax.uncertainty.shared_axis import shared_axes, with_tilt
 
 __all__ = ["bootstrap_of_windows"]
 
@@ -91,10 +93,11 @@ def bootstrap_of_windows(
     sigma = sigma.reshape(3, 3, _REPLICAS, -1)
     linear_dof, angular_dof = found.linear_dof.T, found.angular_dof.T
     turned = gram(paths.along_angular, found.refined)
+    positions = gram(paths.shift, jnp.ones_like(found.refined))
     changes = _turns(turned, angular_dof), _turns(sigma, linear_dof), offset.reshape(3, _REPLICAS, -1)
     # weights of fixed sum vary a little less than samples do
     share = (_BLOCKS + 1) / (_BLOCKS - _FITTED)
-    matrix = share * _scatter(paths, found, changes, resampled(_mean_entries(paths)))
+    matrix = share * _scatter(paths, found, changes, (resampled(_mean_entries(paths)), _packed(positions)))
     summed = found.refined & _is_summed(found)
 
     def again(matrix: jax.Array) -> jax.Array:
@@ -127,11 +130,13 @@ def _of_disturbed(
         of_turns = take(seen.along_angular)
         angular = _turns(sums_of_products(of_turns, of_turns)[:, :, None], angular_dof)[:, 0]
         own = _turns(sigma[:, :, None], linear_dof)[:, 0]
-        return angular, own, offset, jnp.sum(_mean_entries(seen), axis=1)
+        about = seen.shift - jnp.sum(seen.sampling.shares[None] * seen.shift, axis=1, keepdims=True)
+        spread = sums_of_products(seen.sampling.shares[None] * about, about)
+        return angular, own, offset, jnp.sum(_mean_entries(seen), axis=1), _packed(spread)
 
     stacked = jax.lax.map(estimate, jax.random.split(jax.random.key(1), _DISTURBED))
-    angular, own, offset, mean = (jnp.swapaxes(each, 0, 1) for each in stacked)
-    return _scatter(paths, found, (angular, own, offset), mean)
+    angular, own, offset, mean, spread = (jnp.swapaxes(each, 0, 1) for each in stacked)
+    return _scatter(paths, found, (angular, own, offset), (mean, spread))
 
 
 def _optimum(moments: jax.Array, free: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -152,7 +157,10 @@ def _optimum(moments: jax.Array, free: jax.Array) -> tuple[jax.Array, jax.Array]
 
 
 def _scatter(
-    paths: Paths, found: Estimates, changes: tuple[jax.Array, jax.Array, jax.Array], mean: jax.Array
+    paths: Paths,
+    found: Estimates,
+    changes: tuple[jax.Array, jax.Array, jax.Array],
+    seen: tuple[jax.Array, jax.Array],
 ) -> jax.Array:
     """Covariance (9, 9, N) of replicas.
 
@@ -160,14 +168,19 @@ def _scatter(
         paths: of the windows.
         found: of them.
         changes: turns of the angular axes and of the linear axes, and shifts of the origin, (3, B, N) each.
-        mean: (9, B, N) entries of the mean rotation.
+        seen: (9, B, N) entries of the mean rotation, and (6, B, N) m^2, covariance of the positions.
     """
-    angular, own = _with_single_axis(paths, found, mean, *changes[:2])
+    angular, own = _with_single_axis(paths, found, seen, *changes[:2])
     free = jnp.moveaxis(found.free_position, 0, -1)
     origin = changes[2] - jnp.sum(free[:, :, None] * changes[2][None], axis=1)
     every = jnp.concatenate([angular, own, origin])
     every = every - jnp.mean(every, axis=1, keepdims=True)
     return sums_of_products(every, every) / (every.shape[1] - 1)
+
+
+def _packed(matrix: jax.Array) -> jax.Array:
+    """The six entries of symmetric matrices (3, 3, ...)."""
+    return jnp.stack([matrix[i, j] for i, j in symmetric.INDEX_PAIRS])
 
 
 def _mean_entries(paths: Paths) -> jax.Array:
@@ -201,7 +214,7 @@ def _turns(sigma: jax.Array, dof: jax.Array) -> jax.Array:
 def _with_single_axis(
     paths: Paths,
     found: Estimates,
-    mean: jax.Array,
+    seen: tuple[jax.Array, jax.Array],
     angular: jax.Array,
     linear: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
@@ -210,31 +223,55 @@ def _with_single_axis(
     Args:
         paths: of the windows.
         found: of them.
-        mean: (9, B, N) entries of the mean rotation.
+        seen: (9, B, N) entries of the mean rotation, and (6, B, N) m^2, covariance of the positions.
         angular: (3, B, N) turns of the angular axes by their own samples.
         linear: (3, B, N) likewise.
     """
-    mean = mean.reshape(3, 3, *mean.shape[1:])
-    sides = {}
-    for body, matrix in ((AngularType.G, mean), (AngularType.B, jnp.swapaxes(mean, 0, 1))):
-        gram = [jnp.sum(matrix[i] * matrix[j], axis=0) for i, j in symmetric.INDEX_PAIRS]
-        xx, xy, xz, yy, yz, zz = gram
-        _, (_, _, axis) = symmetric.eigh((xx, xy, xz, yy, yz, zz))
-        sides[body] = jnp.stack(axis)
+    mean, spread = seen[0].reshape(3, 3, *seen[0].shape[1:]), seen[1]
+    xx, xy, xz, yy, yz, zz = (jnp.sum(mean[i] * mean[j], axis=0) for i, j in symmetric.INDEX_PAIRS)
+    _, (_, _, kept) = symmetric.eigh((xx, xy, xz, yy, yz, zz))
+    axis = jnp.stack(kept)
+    stiffness = jnp.broadcast_to(paths.single.stiffness[None], xx.shape)
+    xx, xy, xz, yy, yz, zz = spread
+    normal = tilt_to_plane(axis, (xx, xy, xz, yy, yz, zz), stiffness)
+    axis = jnp.where(paths.single.planar[None, None], normal, axis)
 
-    def tilts(axes: jax.Array, odd: jax.Array, on_body: jax.Array) -> jax.Array:
-        """Turns (3, B, N) about the axes (3, 3, N) of a frame that take its odd axis to that of rotation."""
-        axis = jnp.where(on_body[None, None], sides[AngularType.B], sides[AngularType.G])
+    def carried(axis: jax.Array, to_body: jax.Array, to_ground: jax.Array) -> jax.Array:
+        """The axis (3, B, N) as the other body sees it, by the mean rotation."""
+        in_body, in_ground = jnp.sum(mean * axis[:, None], axis=0), jnp.sum(mean * axis[None], axis=1)
+        moved = jnp.where(to_body[None, None], in_body, axis)
+        moved = jnp.where(to_ground[None, None], in_ground, moved)
+        return moved / jnp.sqrt(jnp.sum(jnp.square(moved), axis=0, keepdims=True))
+
+    def tilts(axes: jax.Array, odd: jax.Array, axis: jax.Array) -> jax.Array:
+        """Turns (3, B, N) about the axes (3, 3, N) of a frame that take its odd axis to another."""
         axis = axis * jnp.sign(jnp.sum(axis * odd[:, None], axis=0))[None]
         turn = jnp.cross(jnp.broadcast_to(odd[:, None], axis.shape), axis, axis=0)
         return jnp.sum(axes[:, :, None] * turn[:, None], axis=0)
 
     angular_axes, linear_axes = axes_of(found.angular_rotvec), axes_of(found.linear_rotvec)
-    turns_once, odd, shared = shared_axes(paths, found)
-    alone = tilts(angular_axes, angular_axes[:, 2], found.angular_type == int(AngularType.B))
-    angular = jnp.where(turns_once[None, None], alone, angular)
-    rotation = tilts(linear_axes, odd, oriented_in_body(found))
+    angular_on_body, on_body = found.angular_type == int(AngularType.B), oriented_in_body(found)
+    shared, nowhere = shared_axes(paths, found), jnp.zeros_like(on_body)
+    here = carried(axis, on_body, nowhere)
+    alone = tilts(angular_axes, angular_axes[:, 2], carried(axis, angular_on_body, nowhere))
+    odd = jnp.where(shared.faces[None], linear_axes[:, 0], linear_axes[:, 2])
+    rotation = tilts(linear_axes, odd, here)
     scatter = [jnp.var(each, axis=1, keepdims=True) for each in (linear, rotation)]
     total = scatter[0] + scatter[1]
     weight = jnp.where(total > 0, scatter[0] / jnp.where(total > 0, total, 1), 0)
-    return angular, jnp.where(shared[:, None], linear + weight * (rotation - linear), linear)
+    weight = jnp.where(shared.faces[None, None], 1, weight)
+    mixed = shared.slides | shared.faces
+    of_third = jnp.zeros_like(linear[:1])
+    fused = jnp.where(mixed[None, None], linear + weight * (rotation - linear), linear)
+    fused = jnp.where(shared.slides[None, None], jnp.concatenate([fused[:2], of_third]), fused)
+    third = linear_axes[:, 2][:, None] + fused[1][None] * linear_axes[:, 0][:, None]
+    third = third - fused[0][None] * linear_axes[:, 1][:, None]
+    third = carried(third, angular_on_body & ~on_body, on_body & ~angular_on_body)
+    both = tilts(angular_axes, angular_axes[:, 2], third)
+    angular = jnp.where(shared.alone[None, None], alone, angular)
+    angular = jnp.where(shared.slides[None, None], both, angular)
+    held = jnp.where(on_body[None], paths.single.in_body, paths.single.in_ground)
+    same = here * jnp.sign(jnp.sum(here * held[:, None], axis=0))[None]
+    tilt = -jnp.sum(same * linear_axes[:, 2][:, None], axis=0)
+    aside = with_tilt(fused, tilt, jnp.sum(linear_axes[:, :2] * held[:, None], axis=0))
+    return angular, jnp.where(shared.aside[None, None], aside, fused)

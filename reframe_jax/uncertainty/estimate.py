@@ -4,9 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax.compilation import once
-from reframe_jax.constraints.located import parts_on_body
-from reframe_jax.constraints.types import PARALLEL_COSINE, AngularType
-from reframe_jax.uncertainty.paths import Estimates, Paths, axes_of, paths_of
+from reframe_jax.uncertainty.paths import Estimates, Paths, axes_of, oriented_in_body, paths_of
 from reframe_jax.uncertainty.propagation import apply_to_rows, position_to_poses, turn_to_poses
 from reframe_jax.uncertainty.rivals import twin_probability, type_probability
 from reframe_jax.uncertainty.sampling import Sampling
@@ -18,10 +16,11 @@ from reframe_jax.uncertainty.sensitivity import (
     rms_rows,
     sums_of_products,
 )
+from reframe_jax.uncertainty.shared_axis import rows_with_axis
 from reframe_jax.uncertainty.shifts import noise_of_path
-from reframe_jax.uncertainty.turning import axis_rows, combine_rows, kept_rows
+from reframe_jax.uncertainty.turning import kept_rows
 
-__all__ = ["covariance_of_windows", "in_bodies", "oriented_in_body", "shared_axes"]
+__all__ = ["covariance_of_windows", "in_bodies"]
 
 _BLOCKS = 8  # in a window, of which the long-run variance is taken
 _SMALL = 1 / 8  # of the slowest free axis, up to which noise along constrained axes is small
@@ -88,15 +87,11 @@ def covariance_of_windows(
 
     def with_axis(_: None) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array], jax.Array]:
         of_still = _to_poses(paths, found, _to_path(sampling, linear.still))
-        return _with_single_axis(paths, found, of_angular, of_linear, of_still, noise)
+        return rows_with_axis(paths, found, of_angular, of_linear, of_still, noise, linear.turn_shift)
 
-    of_angular, of_linear, weight = once(
-        jax.lax.cond(
-            jnp.any(paths.single.found),
-            with_axis,
-            lambda _: (of_angular, of_linear, jnp.zeros_like(linear.turn_shift)),
-            None,
-        )
+    as_found = of_angular, of_linear, linear.turn_shift
+    of_angular, of_linear, turn_shift = once(
+        jax.lax.cond(jnp.any(paths.single.found), with_axis, lambda _: as_found, None)
     )
     # angular turn, linear turn, origin, angular rms, linear rms
     turn = jnp.concatenate([of_angular[0], of_linear[0], second[3:6], first[3:], second[6:9]])
@@ -110,7 +105,7 @@ def covariance_of_windows(
     matrix = in_bodies(matrix, angular_axes, linear_axes)
     factors = jnp.concatenate([jnp.repeat(grown, 3, axis=0), jnp.ones((6, *grown.shape[1:]), grown.dtype)])
     matrix = matrix * factors[:, None] * factors[None]
-    tilt = jnp.sum(linear_axes * ((1 - weight) * linear.turn_shift)[None], axis=1)
+    tilt = jnp.sum(linear_axes * turn_shift[None], axis=1)
     none = jnp.zeros_like(tilt)
     bias = jnp.concatenate([none, tilt, linear.position_shift, none, none])
     matrix = matrix + bias[:, None] * bias[None]
@@ -141,58 +136,11 @@ def _to_poses(paths: Paths, found: Estimates, rows: jax.Array) -> tuple[jax.Arra
     rows = apply_to_rows(axes_of(found.linear_rotvec)[:, :, None], rows)
     turn, shift = position_to_poses(once(rows), found.linear_type, paths.rotation, paths.shift, paths.origin)
 
-    def keep(turn: jax.Array) -> jax.Array:
-        return kept_rows(turn, paths.rotation, paths.sampling.shares, paths.single.in_ground, paths.kept)
+    def keep(rows: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        return kept_rows(*rows, paths)
 
-    return jax.lax.cond(jnp.any(paths.kept), keep, lambda turn: turn, turn), shift
-
-
-def _with_single_axis(
-    paths: Paths,
-    found: Estimates,
-    angular: tuple[jax.Array, jax.Array],
-    linear: tuple[jax.Array, jax.Array],
-    still: tuple[jax.Array, jax.Array],
-    noise: tuple[jax.Array, jax.Array],
-) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array], jax.Array]:
-    """Sensitivities of turns to rotations and positions where the body turns about a single axis.
-
-    The axis is then the one that the rotations keep in place; a linear frame whose odd axis is parallel to it
-    takes the mean of its own and that, weighted as if the origin stood ``still``. The weights of the
-    rotations in the turns of the linear frame, (3, N), come last.
-    """
-    shares = paths.sampling.shares
-    angular_axes, linear_axes = axes_of(found.angular_rotvec), axes_of(found.linear_rotvec)
-    turns_once, odd, tilts = shared_axes(paths, found)
-    in_body = found.angular_type == int(AngularType.B)
-    rows = axis_rows(paths.rotation, shares, angular_axes, angular_axes[:, 2], in_body)
-    angular = (jnp.where(turns_once[None, None, None], rows, angular[0]), angular[1])
-    rows = axis_rows(paths.rotation, shares, linear_axes, odd, oriented_in_body(found))
-    turn, shift, weight = combine_rows(linear, still, (rows, jnp.zeros_like(rows)), tilts, noise)
-    return angular, (turn, shift), weight
-
-
-def shared_axes(paths: Paths, found: Estimates) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Which axes are those that the rotations keep in place.
-
-    Returns:
-        (N,) bool, whether the angular axis is; the odd axis of the linear frame, (3, N); and about which axes
-        of this frame the turns are estimated from both, (3, N) bool.
-    """
-    single, linear_axes = paths.single, axes_of(found.linear_rotvec)
-    turns_once = single.found & found.refined & (jnp.sum(found.angular_dof, axis=1) == 1)
-    slides = jnp.sum(found.linear_dof, axis=1)
-    last = slides == 1
-    odd = jnp.where(last[None], linear_axes[:, 2], linear_axes[:, 0])
-    axis = jnp.where(oriented_in_body(found)[None], single.in_body, single.in_ground)
-    parallel = jnp.abs(jnp.sum(axis * odd, axis=0)) > PARALLEL_COSINE
-    shared = turns_once & parallel & (last | (slides == 2))
-    return turns_once, odd, jnp.stack([last, jnp.ones_like(last), ~last]) & shared[None]
-
-
-def oriented_in_body(found: Estimates) -> jax.Array:
-    """Whether the axes of the linear frame are fixed in {b}, (N,)."""
-    return parts_on_body(found.angular_type, found.linear_type)[:, 1]
+    turn, shift = jax.lax.cond(jnp.any(paths.kept), keep, lambda rows: rows, (turn, shift))
+    return turn, shift
 
 
 def _to_path(sampling: Sampling, rows: jax.Array) -> jax.Array:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.compilation import once, traced
-from reframe_jax.constraints.located import ground_offset
+from reframe_jax.constraints.located import ground_offset, parts_on_body
 from reframe_jax.constraints.types import LinearType
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification.results import Identification, PoseNoise
@@ -20,7 +20,7 @@ from reframe_jax.motion.smoothing import noise_share, smooth_noise
 from reframe_jax.uncertainty.propagation import apply_to_rows
 from reframe_jax.uncertainty.sampling import Sampling
 
-__all__ = ["Estimates", "Paths", "axes_of", "estimates_of", "paths_of"]
+__all__ = ["Estimates", "Paths", "axes_of", "estimates_of", "oriented_in_body", "paths_of"]
 
 _IN_BODY = int(LinearType.GB)
 
@@ -163,7 +163,8 @@ def paths_of(poses: jax.Array, steps: jax.Array, count: jax.Array | None, found:
     rotation, shift, share = _averaged(poses, times, number, found)
     _, paths = once(kinematics.paths_of(rotation, shift, shared, count))
     turns = _of_type(kinematics.rates_of(paths)[:, 0], found.angular_type)
-    single = find_single_axis(rotation, found.counted.T, share * found.seen.rotation)
+    noise = share * found.seen.position, share * found.seen.rotation
+    single = find_single_axis(rotation, shift, found.counted.T, noise)
     kept = single.found & found.refined & (found.lag > 1)
 
     def keep(_: None) -> tuple[jax.Array, jax.Array]:
@@ -238,3 +239,8 @@ def _of_type(array: jax.Array, kind: jax.Array) -> jax.Array:
 def axes_of(rotvec: jax.Array) -> jax.Array:
     """(3, 3, N) of (N, 3)."""
     return jnp.moveaxis(rotation_exp(rotvec), 0, -1)
+
+
+def oriented_in_body(found: Estimates) -> jax.Array:
+    """Whether the axes of the linear frame are fixed in {b}, (N,)."""
+    return parts_on_body(found.angular_type, found.linear_type)[:, 1]

@@ -7,6 +7,10 @@ perpendicular to it, by the mean over the poses of
 
     e . ((R - M) m x x) / (1 - s^2)  in the body,      e . ((R M^T - 1) m x x) / (1 - s^2)  in the ground.
 
+A body that moves in a plane has the axis where |n - x|^2 s + n.P.n is least, P being the covariance of its
+positions p and s the stiffness. With A = Q P Q + s, where Q takes n out, it moves along m by s A^-1 m of the
+above, and with errors d of the positions by minus the mean of (p . A^-1 m) (d . n). In the body it is M^T n.
+
 Rotations that are brought back to that axis keep of their errors those about it, (e . x) x, and those of the
 axis itself, x x (dx - R dy).
 """
@@ -14,63 +18,108 @@ axis itself, x x (dx - R dy).
 import jax
 import jax.numpy as jnp
 
+from reframe_jax.geometry import symmetric
+from reframe_jax.motion.single_axis import across_axis
+from reframe_jax.uncertainty.paths import Paths
 from reframe_jax.uncertainty.propagation import apply_to_rows, cross_rows
 
-__all__ = ["axis_rows", "combine_rows", "kept_rows"]
+__all__ = ["axis_moves", "axis_rows", "carried_rows", "combine_rows", "kept_rows"]
 
 
 def axis_rows(
-    rotation: jax.Array, shares: jax.Array, axes: jax.Array, odd: jax.Array, on_body: jax.Array
-) -> jax.Array:
-    """Sensitivities to rotation errors of the turns that take the axis along with the frame, (3, 3, K+1, N).
+    paths: Paths, axes: jax.Array, odd: jax.Array, on_body: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Sensitivities to pose errors of the turns that take the axis along with a frame, (3, 3, K+1, N) each.
 
     Args:
-        rotation: (3, 3, K+1, N), of {b} in {g}.
-        shares: (K+1, N) weight of each pose, of sum 1.
+        paths: of the windows.
         axes: (3, 3, N) of the frame, columns; a turn about each of them is a row.
         odd: (3, N) the one that lies along the axis of rotation.
         on_body: (N,) bool, whether the frame is oriented in {b}; else in {g}.
     """
-    mean = jnp.sum(shares[None, None] * rotation, axis=2)
     # a turn about k moves the axis along k x a, by minus that along a x k
-    beside = cross_rows(odd[None], jnp.swapaxes(axes, 0, 1))
-    in_body = jnp.where(on_body[None, None], beside, apply_to_rows(jnp.swapaxes(mean, 0, 1), beside))
-    rest = jnp.where(on_body[None, None], apply_to_rows(mean, beside), beside)
-    here = jnp.broadcast_to(in_body[:, :, None], (*in_body.shape[:2], *rotation.shape[2:]))
-    apart = apply_to_rows(rotation, here) - rest[:, :, None]
-    in_ground = jnp.where(on_body[None], apply_to_rows(mean, odd[None])[0], odd)
-    left = 1 - jnp.sum(jnp.square(jnp.where(on_body[None, None], rest, in_body)), axis=1)
-    size = jnp.sum(jnp.square(beside), axis=1)
-    known = (size > 0.5) & (left > 0)
-    scale = jnp.where(known, -1 / jnp.where(known, left, 1), 0)
-    arms = jnp.broadcast_to(in_ground[None, :, None], apart.shape)
-    return scale[:, None, None] * shares[None, None] * cross_rows(apart, arms)
+    return axis_moves(paths, cross_rows(jnp.swapaxes(axes, 0, 1), odd[None]), odd, on_body)
 
 
-def kept_rows(
-    rows: jax.Array, rotation: jax.Array, shares: jax.Array, in_ground: jax.Array, kept: jax.Array
-) -> jax.Array:
-    """Sensitivities to measured rotations, from those to rotations that were kept about an axis.
+def axis_moves(
+    paths: Paths, directions: jax.Array, odd: jax.Array, on_body: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Sensitivities to pose errors of how far the axis moves along directions perpendicular to it.
 
     Args:
-        rows: (m, 3, K+1, N) sensitivities to errors in the ground.
-        rotation: (3, 3, K+1, N), of {b} in {g}.
-        shares: (K+1, N) weight of each pose, of sum 1.
-        in_ground: (3, N) the axis.
-        kept: (N,) bool, which windows were kept about it.
+        paths: of the windows.
+        directions: (m, 3, N), in {b} or {g}.
+        odd: (3, N) the axis there, either way round.
+        on_body: (N,) bool, whether that is {b}.
+
+    Returns:
+        Those to rotations and to positions, (m, 3, K+1, N) each.
     """
-    mean = jnp.sum(shares[None, None] * rotation, axis=2)
-    axis = jnp.broadcast_to(in_ground[None, :, None], (1, *rows.shape[1:]))
-    tilts = cross_rows(rows, axis)
-    of_ground = jnp.sum(tilts, axis=2)
-    of_body = jnp.sum(apply_to_rows(jnp.swapaxes(rotation, 0, 1), tilts), axis=2)
-    back = apply_to_rows(jnp.swapaxes(mean, 0, 1), of_ground)
-    apart = apply_to_rows(rotation, jnp.broadcast_to((back - of_body)[:, :, None], rows.shape))
-    apart = apart - (of_ground - apply_to_rows(mean, of_body))[:, :, None]
+    shares, single = paths.sampling.shares, paths.single
+    mean = jnp.sum(shares[None, None] * paths.rotation, axis=2)
+    in_ground = jnp.where(on_body[None], apply_to_rows(mean, odd[None])[0], odd)
+    along = jnp.where(on_body[None, None], apply_to_rows(mean, directions), directions)
+    about = paths.shift - jnp.sum(shares[None] * paths.shift, axis=1, keepdims=True)
+    spread = [jnp.sum(shares * about[i] * about[j], axis=0) for i, j in symmetric.INDEX_PAIRS]
+    xx, xy, xz, yy, yz, zz = spread
+    matrix, _ = across_axis(in_ground, (xx, xy, xz, yy, yz, zz), single.stiffness)
+    solved = jnp.stack([jnp.stack(symmetric.solve(matrix, (v[0], v[1], v[2]))) for v in along])
+    pulled = jnp.where(single.planar[None, None], solved * single.stiffness[None, None], along)
+    # by the rotations
+    back = apply_to_rows(jnp.swapaxes(mean, 0, 1), pulled)
+    apart = apply_to_rows(paths.rotation, _at_all(back, shares)) - pulled[:, :, None]
     left = 1 - _middle_singular_value(mean, in_ground)
-    scale = shares / jnp.where(kept, left, 1)[None]
-    along = jnp.sum(rows * axis, axis=1, keepdims=True) * axis
-    return jnp.where(kept[None, None, None], along + scale[None, None] * cross_rows(apart, axis), rows)
+    scale = shares / jnp.where(left > 0, left, 1)[None]
+    arms = jnp.broadcast_to(in_ground[None, :, None], apart.shape)
+    turn = scale[None, None] * cross_rows(apart, arms)
+    # by the positions
+    weight = jnp.where(single.planar, jnp.sum(solved[:, :, None] * about[None], axis=1) * shares[None], 0)
+    shift = -weight[:, None] * in_ground[None, :, None]
+    return turn + carried_rows(paths, directions, in_ground, on_body), shift
+
+
+def carried_rows(paths: Paths, directions: jax.Array, in_ground: jax.Array, to_body: jax.Array) -> jax.Array:
+    """Sensitivities to rotation errors of an axis of the ground as it is seen in the body, (m, 3, K+1, N).
+
+    Args:
+        paths: of the windows.
+        directions: (m, 3, N) along which the axis moves in the body.
+        in_ground: (3, N) the axis.
+        to_body: (N,) bool, the windows that this is for; zero in others.
+    """
+    shares = jnp.where(to_body[None], paths.sampling.shares, 0)
+    turned = apply_to_rows(paths.rotation, _at_all(directions, shares))
+    return shares[None, None] * cross_rows(turned, jnp.broadcast_to(in_ground[None, :, None], turned.shape))
+
+
+def _at_all(rows: jax.Array, shares: jax.Array) -> jax.Array:
+    """(m, 3, N) at every sample, (m, 3, K+1, N)."""
+    return jnp.broadcast_to(rows[:, :, None], (*rows.shape[:2], *shares.shape))
+
+
+def kept_rows(turn: jax.Array, shift: jax.Array, paths: Paths) -> tuple[jax.Array, jax.Array]:
+    """Sensitivities to measured poses, from those to poses whose rotations were kept about an axis.
+
+    Args:
+        turn: (m, 3, K+1, N) sensitivities to errors of the rotations, in the ground.
+        shift: (m, 3, K+1, N) likewise, of the positions.
+        paths: of the windows.
+
+    Returns:
+        Both, the same for windows that were not kept about an axis.
+    """
+    in_ground = paths.single.in_ground
+    axis = jnp.broadcast_to(in_ground[None, :, None], (1, *turn.shape[1:]))
+    tilts = cross_rows(turn, axis)
+    of_ground = jnp.sum(tilts, axis=2)
+    of_body = jnp.sum(apply_to_rows(jnp.swapaxes(paths.rotation, 0, 1), tilts), axis=2)
+    mean = jnp.sum(paths.sampling.shares[None, None] * paths.rotation, axis=2)
+    nowhere = jnp.zeros_like(paths.kept)
+    moved = axis_moves(paths, of_ground - apply_to_rows(mean, of_body), in_ground, nowhere)
+    along = jnp.sum(turn * axis, axis=1, keepdims=True) * axis
+    kept = along + moved[0] - carried_rows(paths, of_body, in_ground, ~nowhere)
+    chosen = paths.kept[None, None, None]
+    return jnp.where(chosen, kept, turn), shift + jnp.where(chosen, moved[1], 0)
 
 
 def _middle_singular_value(mean: jax.Array, axis: jax.Array) -> jax.Array:
