@@ -162,7 +162,7 @@ def _chunks(
 _piece = jax.jit(_chunks, static_argnames="function", compiler_options=compiler_options())
 
 
-@partial(jax.jit, static_argnames="function", compiler_options=compiler_options())
+@partial(jax.jit, static_argnames="function", compiler_options=compiler_options(single=True))
 def _only_piece(*arguments: Any, function: WindowFunction) -> Any:
     """The function of a single window, without its axis."""
     return jax.tree.map(lambda leaf: leaf[0], _chunks(*arguments, function=function))
