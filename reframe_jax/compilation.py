@@ -12,6 +12,7 @@ import contextlib
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
+from functools import partial
 from typing import Any, TypeVar
 
 import jax
@@ -135,14 +136,27 @@ def traced(tree: Any) -> bool:
 def index_leaves(tree: _T, index: Any) -> _T:
     """Index every leaf of a pytree like an array.
 
-    One program takes a single row from all JAX arrays, instead of one program for every shape and dtype.
+    One program takes a row, or consecutive rows, from all JAX arrays, instead of one program for every shape
+    and dtype.
     """
-    single = isinstance(index, int | np.integer) and not isinstance(index, bool)
-    if single and all(isinstance(leaf, jax.Array) and leaf.ndim for leaf in jax.tree.leaves(tree)):
-        return _take_row(tree, index)
+    leaves = jax.tree.leaves(tree)
+    together = all(isinstance(leaf, jax.Array) and leaf.ndim for leaf in leaves)
+    lengths = {leaf.shape[0] for leaf in leaves} if together else set()
+    if len(lengths) == 1:
+        if isinstance(index, int | np.integer) and not isinstance(index, bool):
+            return _take_row(tree, index)
+        if isinstance(index, slice):
+            start, stop, step = index.indices(lengths.pop())
+            if step == 1:
+                return _take_rows(tree, start, max(0, stop - start))
     return jax.tree.map(lambda leaf: leaf[index], tree)
 
 
 @jax.jit
 def _take_row(tree: _T, row: jax.Array) -> _T:
     return jax.tree.map(lambda leaf: jax.lax.dynamic_index_in_dim(leaf, row, keepdims=False), tree)
+
+
+@partial(jax.jit, static_argnums=2)
+def _take_rows(tree: _T, start: jax.Array, count: int) -> _T:
+    return jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, start, count), tree)

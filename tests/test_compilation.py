@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reframe_jax.compilation import _take_row, compiler_options, index_leaves
+from reframe_jax.compilation import _take_row, _take_rows, compiler_options, index_leaves
 
 
 @pytest.mark.parametrize(
@@ -36,8 +36,18 @@ def test_a_row_of_all_arrays_is_taken_by_one_program() -> None:
     np.testing.assert_array_equal(index_leaves(batch, np.int64(5))["one"], 5.0)
 
 
+def test_consecutive_rows_too() -> None:
+    batch = {"one": jnp.arange(8.0), "two": jnp.ones((8, 2))}
+    before = _take_rows._cache_size()
+    for rows in (slice(0, 3), slice(2, 5), slice(-3, None)):
+        np.testing.assert_array_equal(index_leaves(batch, rows)["one"], np.arange(8.0)[rows])
+    assert _take_rows._cache_size() == before + 1
+    assert index_leaves(batch, slice(5, 2))["two"].shape == (0, 2)
+    assert index_leaves(batch, slice(6, 100))["two"].shape == (2, 2)
+
+
 @pytest.mark.parametrize(
-    "index", [slice(1, 3), np.array([0, 2]), (Ellipsis, 0), None, np.array([True, False, True])]
+    "index", [slice(None, None, 2), np.array([0, 2]), (Ellipsis, 0), None, np.array([True, False, True])]
 )
 def test_other_indices_are_those_of_arrays(index: Any) -> None:
     values = np.arange(12.0).reshape(3, 4)
