@@ -9,14 +9,26 @@ is in kernels of our own, in which values stay in registers.
 """
 
 import contextlib
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
+from functools import partial
 from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-__all__ = ["apply_each", "chunk_size", "compiler_options", "inside_a_kernel", "once", "once_on_cpu", "traced"]
+__all__ = [
+    "apply_each",
+    "chunk_size",
+    "compiler_options",
+    "index_leaves",
+    "inside_a_kernel",
+    "once",
+    "once_on_cpu",
+    "traced",
+]
 
 _CPU_OPTIONS: dict[str, Any] = {
     "xla_disable_hlo_passes": "cse_barrier_expander",  # the pass that drops the marks of once()
@@ -26,6 +38,7 @@ if jax.__version_info__ < (0, 11):
     # the older of two code generators compiles twice as fast; jax 0.11 has one only
     _CPU_OPTIONS["xla_cpu_use_fusion_emitters"] = False
 
+_LEVEL = "xla_backend_optimization_level"
 _BLOCK, _SHARE = 8, 16  # problems are worked on by the eight, or by a sixteenth of all
 
 _T = TypeVar("_T")
@@ -42,11 +55,12 @@ def compiler_options(platform: str | None = None, single: bool = False) -> dict[
     Args:
         platform: ``"cpu"``, ``"gpu"``; by default that of JAX's default device.
         single: whether the program is for a single window. Its arrays are short, so that machine code that
-            LLVM optimises less is as fast, and compiles sooner.
+            LLVM optimises less is as fast, and compiles sooner. A level that ``XLA_FLAGS`` names wins.
     """
     if (platform or jax.default_backend()) != "cpu":
         return {}
-    return {**_CPU_OPTIONS, **({"xla_backend_optimization_level": 1} if single else {})}
+    level_chosen = _LEVEL in os.environ.get("XLA_FLAGS", "")
+    return {**_CPU_OPTIONS, **({_LEVEL: 1} if single and not level_chosen else {})}
 
 
 def chunk_size() -> int:
@@ -117,3 +131,32 @@ def inside_a_kernel() -> Iterator[None]:
 def traced(tree: Any) -> bool:
     """Whether any array of a pytree is a tracer, that is, the caller is being transformed."""
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
+
+
+def index_leaves(tree: _T, index: Any) -> _T:
+    """Index every leaf of a pytree like an array.
+
+    One program takes a row, or consecutive rows, from all JAX arrays, instead of one program for every shape
+    and dtype.
+    """
+    leaves = jax.tree.leaves(tree)
+    together = all(isinstance(leaf, jax.Array) and leaf.ndim for leaf in leaves)
+    lengths = {leaf.shape[0] for leaf in leaves} if together else set()
+    if len(lengths) == 1:
+        if isinstance(index, int | np.integer) and not isinstance(index, bool):
+            return _take_row(tree, index)
+        if isinstance(index, slice):
+            start, stop, step = index.indices(lengths.pop())
+            if step == 1:
+                return _take_rows(tree, start, max(0, stop - start))
+    return jax.tree.map(lambda leaf: leaf[index], tree)
+
+
+@jax.jit
+def _take_row(tree: _T, row: jax.Array) -> _T:
+    return jax.tree.map(lambda leaf: jax.lax.dynamic_index_in_dim(leaf, row, keepdims=False), tree)
+
+
+@partial(jax.jit, static_argnums=2)
+def _take_rows(tree: _T, start: jax.Array, count: int) -> _T:
+    return jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, start, count), tree)

@@ -10,6 +10,7 @@ machine code that users run. Variables set by the caller win.
 """
 
 import builtins
+import contextlib
 import ctypes
 import gc
 import os
@@ -45,8 +46,6 @@ hypothesis.settings.register_profile("repeatable", derandomize=True, database=No
 hypothesis.settings.load_profile("repeatable")
 
 
-_MOST_MEMORY = 3e9  # bytes that a worker may hold after a module; its programs take most of them
-
 # JAX makes millions of objects while it traces. Python would look through all of them again and again for
 # cycles, for a sixth of the time; nothing that is imported ever goes away.
 gc.collect()
@@ -58,12 +57,32 @@ gc.set_threshold(100_000, 50, 1000)
 def _free_programs() -> Iterator[None]:
     """Programs are kept for the modules that follow, until they fill gigabytes: then all are dropped."""
     yield
-    if _resident_memory() > _MOST_MEMORY:
+    most = _most_memory()
+    if _resident_memory() > most:
+        _trim_memory()  # compiling leaves a quarter of it behind, free but not given back
+    if _resident_memory() > most:
         jax.clear_caches()
         gc.collect()
-        libc = ctypes.CDLL(None)
-        if hasattr(libc, "malloc_trim"):  # glibc gives memory back when asked to
-            libc.malloc_trim(0)
+        _trim_memory()
+
+
+def _trim_memory() -> None:
+    """Give free memory back to the system, where the C library can: glibc's does when asked to."""
+    libc = ctypes.CDLL(None)
+    if hasattr(libc, "malloc_trim"):
+        libc.malloc_trim(0)
+
+
+def _most_memory() -> float:
+    """Bytes that this process may hold after a module: its share of half the machine, 3 to 6 GB."""
+    try:
+        machine = float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    except (OSError, ValueError):
+        machine = 0.0
+    with contextlib.suppress(OSError, ValueError):  # that of a container; "max" if it has no limit
+        machine = min(machine, float(Path("/sys/fs/cgroup/memory.max").read_text()))
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    return min(max(machine / 2 / workers, 3e9), 6e9)
 
 
 def _resident_memory() -> float:

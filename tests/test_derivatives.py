@@ -76,7 +76,7 @@ def test_derivatives_match_finite_differences(label):
     arguments = (poses, direction, linear_type, angular_type)
     exact = slope_along(jnp.zeros(()), *arguments)
     h = 1e-6
-    forward, backward = (along(jnp.asarray(step), *arguments) for step in (h, -h))
+    forward, backward = (along(jnp.asarray(step, float), *arguments) for step in (h, -h))
     determined = np.eye(3) - np.asarray(along(jnp.zeros(()), *arguments)["free"])
     for name in ("norms", "rms", "position", "axes"):
         slope = np.asarray(exact[name])
@@ -102,7 +102,7 @@ def test_between_boundaries_the_frame_of_a_segment_is_differentiable():
     direction = jnp.asarray(np.random.default_rng(4).normal(size=(51, 6)))
     slope = slope_along(jnp.zeros(()), own, direction, *types)["position"]
     forward, backward = (
-        along(jnp.asarray(step), own, direction, *types)["position"] for step in (1e-6, -1e-6)
+        along(jnp.asarray(step, float), own, direction, *types)["position"] for step in (1e-6, -1e-6)
     )
     np.testing.assert_allclose(slope, (forward - backward) / 2e-6, atol=2e-3 * np.max(np.abs(slope)))
 
@@ -128,42 +128,44 @@ def test_derivatives_of_a_widened_search_match_finite_differences():
         np.testing.assert_allclose(np.asarray(exact[name]) / scale, finite / scale, atol=2e-3, err_msg=name)
 
 
+@compiled
+def position_jacobians(windows):
+    """Of three windows (3, 51, 4, 4) in reverse mode: (3, 3, 51, 4, 4). One program for all tests."""
+
+    def position(poses):  # polished: two programs round differently, and must end at the same point
+        return rf.identify(poses, dt=0.1, solver=SOLVER).linear.position
+
+    return jax.vmap(jax.jacrev(position))(windows)
+
+
 def test_reverse_mode_agrees_with_forward_mode_under_jit_and_vmap():
     truth = rf.ConstraintFrame.named("K")
     keys = jax.random.split(jax.random.key(0), 2)
     poses = jax.vmap(lambda key: synthetic.simulate(truth, key, noise=1e-4).poses)(keys)
     poses = jnp.concatenate([poses, far_window()[0][None]])
-
-    def position(poses):  # polished: the two programs round differently, and must end at the same point
-        return rf.identify(poses, dt=0.1, solver=SOLVER).linear.position[0]
-
-    gradient = compiled(jax.vmap(jax.grad(position)))(poses)
-    assert np.all(np.isfinite(gradient))
+    jacobians = np.asarray(position_jacobians(poses))
+    assert np.all(np.isfinite(jacobians))
     # forward mode of single windows, by the program that is compared with finite differences above
     directions = jnp.asarray(np.random.default_rng(2).normal(size=(3, 51, 6)))
     types = int(truth.linear_type), int(truth.angular_type)
     zero = jnp.zeros(())
-    for window, direction, slope in zip(poses, directions, gradient, strict=True):
+    for window, direction, jacobian in zip(poses, directions, jacobians, strict=True):
         _, change = jax.jvp(lambda step, w=window, d=direction: perturbed(w, step * d), (zero,), (zero + 1,))
-        forward = slope_along(zero, window, direction, *types)["position"][0]
-        np.testing.assert_allclose(np.sum(np.asarray(slope * change)), forward, rtol=1e-6)
-
-
-@compiled
-def position_jacobian(poses):
-    return jax.jacrev(lambda p: rf.identify(p, dt=0.1).linear.position)(poses)
+        forward = slope_along(zero, window, direction, *types)["position"]
+        reverse = np.einsum("ikab,kab->i", jacobian, change)
+        np.testing.assert_allclose(reverse, forward, rtol=1e-6)
 
 
 def test_what_is_free_contributes_nothing():
     truth = rf.ConstraintFrame.named("B")
-    poses = synthetic.simulate(truth, jax.random.key(0), noise=1e-4).poses
-    np.testing.assert_allclose(position_jacobian(poses), 0, atol=1e-9)
+    keys = jax.random.split(jax.random.key(0), 3)
+    poses = jax.vmap(lambda key: synthetic.simulate(truth, key, noise=1e-4).poses)(keys)
+    np.testing.assert_allclose(position_jacobians(poses), 0, atol=1e-9)
 
 
 def test_noise_free_windows_have_finite_derivatives():
-    for label in "AK":
-        poses = synthetic.simulate(rf.ConstraintFrame.named(label), jax.random.key(0)).poses
-        assert np.all(np.isfinite(position_jacobian(poses)))
+    poses = [synthetic.simulate(label, jax.random.key(0)).poses for label in "AKA"]
+    assert np.all(np.isfinite(position_jacobians(jnp.stack(poses))))
 
 
 @pytest.mark.parametrize("norm", [0.0, 1.0, -1.0])

@@ -11,11 +11,20 @@ from reframe_jax.geometry.symmetric import INDEX_PAIRS, to_matrix
 from reframe_jax.objectives.moments import MONOMIALS, covariance_at, covariance_gradient, velocity_moments
 from reframe_jax.objectives.norms import axis_rms, axis_rms_from_moments, frame_norm, power_mean
 
+# one program each, instead of one for every operation
+moments_of, gradient_at = jax.jit(velocity_moments), jax.jit(covariance_gradient)
+
 
 @jax.jit
 def covariance(maps, position):
     """(..., 3, 3) at positions (..., 3)."""
-    return to_matrix(covariance_at(velocity_moments(maps), tuple(jnp.moveaxis(position, -1, 0))))
+    return covariance_from(velocity_moments(maps), position)
+
+
+@jax.jit
+def covariance_from(moments, position):
+    """(..., 3, 3) from moments of velocities, at positions (..., 3)."""
+    return to_matrix(covariance_at(moments, tuple(jnp.moveaxis(position, -1, 0))))
 
 
 def direct(maps, position, weights=None):
@@ -61,34 +70,34 @@ def test_weights(rng):
     maps, position = rng.normal(size=(3, 12, 3, 4)), rng.normal(size=(3, 3))
     weights = rng.uniform(0, 2, size=(3, 12))
     weights[:, :4] = 0  # as if these samples were not there
-    at = tuple(jnp.asarray(position.T))
-    moments = velocity_moments(jnp.asarray(maps), jnp.asarray(weights))
-    found = to_matrix(covariance_at(moments, at))
+    moments = moments_of(maps, weights)
+    found = covariance_from(moments, position)
     np.testing.assert_allclose(found, direct(maps, position, weights), rtol=1e-12, atol=1e-12)
-    left_out = velocity_moments(jnp.asarray(maps[:, 4:]), jnp.asarray(weights[:, 4:]))
+    left_out = moments_of(maps[:, 4:], weights[:, 4:])
     np.testing.assert_allclose(moments, left_out, atol=1e-14)
-    even = velocity_moments(jnp.asarray(maps), jnp.full((3, 12), 0.3))
-    np.testing.assert_allclose(even, velocity_moments(jnp.asarray(maps)), atol=1e-14)
+    even = moments_of(maps, np.full((3, 12), 0.3))
+    np.testing.assert_allclose(even, moments_of(maps), atol=1e-14)
 
 
 def test_shapes(rng):
     """Coefficients first, problems last; velocities without a position have one coefficient."""
-    maps = jnp.asarray(rng.normal(size=(5, 4, 9, 3, 4)))
-    moments = velocity_moments(maps)
+    maps = rng.normal(size=(5, 4, 9, 3, 4))
+    moments = np.asarray(moments_of(maps))
     assert moments.shape == (6, 10, 5, 4)
-    np.testing.assert_allclose(moments[..., 3, 2], velocity_moments(maps[3, 2]), atol=1e-15)
-    assert velocity_moments(maps[0, 0]).shape == (6, 10)
-    rates = velocity_moments(maps[..., :1])
+    np.testing.assert_allclose(moments[..., 3, 2], moments_of(maps[3, 2]), atol=1e-15)
+    assert moments_of(maps[0, 0]).shape == (6, 10)
+    rates = moments_of(maps[..., :1])
     assert rates.shape == (6, 1, 5, 4)
+    rates = np.asarray(rates)
     np.testing.assert_allclose(rates[:, 0], moments[:, 0], atol=1e-15)
-    anywhere = covariance_at(rates, (jnp.asarray(7.0),) * 3)
-    np.testing.assert_allclose(jnp.stack(anywhere), rates[:, 0])
+    anywhere = jax.jit(covariance_at)(rates, (7.0,) * 3)
+    np.testing.assert_allclose(np.stack(anywhere), rates[:, 0])
 
 
 def test_polynomial_layout(rng):
     """Component by monomial, as INDEX_PAIRS and MONOMIALS say."""
     maps = rng.normal(size=(7, 3, 4))
-    moments = np.asarray(velocity_moments(jnp.asarray(maps)))
+    moments = np.asarray(moments_of(maps))
     for row, (i, j) in zip(moments, INDEX_PAIRS, strict=True):
         for coefficient, (a, b) in zip(row, MONOMIALS, strict=True):
             product = maps[:, i, a] * maps[:, j, b]
@@ -98,13 +107,18 @@ def test_polynomial_layout(rng):
 
 
 def test_gradient(rng):
-    moments = velocity_moments(jnp.asarray(rng.normal(size=(5, 9, 3, 4))))
-    position = jnp.asarray(rng.normal(size=(3, 5)))
-    slopes = covariance_gradient(moments, tuple(position))
+    moments = moments_of(rng.normal(size=(5, 9, 3, 4)))
+    position = rng.normal(size=(3, 5))
+
+    @jax.jit
+    def along(tangent):
+        return jax.jvp(lambda p: jnp.stack(covariance_at(moments, tuple(p))), (position,), (tangent,))[1]
+
+    slopes = gradient_at(moments, tuple(position))
     for axis, slope in enumerate(slopes):
-        tangent = jnp.zeros_like(position).at[axis].set(1.0)
-        _, expected = jax.jvp(lambda p: jnp.stack(covariance_at(moments, tuple(p))), (position,), (tangent,))
-        np.testing.assert_allclose(jnp.stack(slope), expected, atol=1e-13)
+        tangent = np.zeros_like(position)
+        tangent[axis] = 1.0
+        np.testing.assert_allclose(np.stack(slope), along(tangent), atol=1e-13)
 
 
 def test_objective_from_samples_and_from_moments(rng):

@@ -24,6 +24,13 @@ from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
 EXPONENTS = (-math.inf, -3.0, -1.0, -1e-6, 0.0, 1e-6, 0.5, 1.0, 2.0)
 SOME_EXPONENTS = (-math.inf, -3.0, 0.0, 1e-6, 2.0)  # where each takes long to compile
 
+# one program each, instead of one for every operation
+moments_of, rms_at, turned = jax.jit(velocity_moments), jax.jit(axis_rms), jax.jit(rotation_exp)
+rms_of = jax.jit(axis_rms_from_covariance)
+norm_at = jax.jit(frame_norm, static_argnums=3)
+value_of = jax.jit(lambda objective, x: objective.value(x))
+covariance_of = jax.jit(lambda objective, x: to_matrix(objective.covariance(x)))
+
 
 def by_definition(values, exponent):
     if exponent == -math.inf:
@@ -133,20 +140,20 @@ class TestNorms:
         """Along column n of the orientation, at the origin p, over the samples."""
         rotvec, position = rng.normal(size=(2, 5, 3))
         maps = rng.normal(size=(5, 11, 3, 4))
-        axes = np.asarray(rotation_exp(jnp.asarray(rotvec)))
+        axes = np.asarray(turned(rotvec))
         expected = np.zeros((5, 3))
         for w in range(5):
             for n in range(3):
                 along = [axes[w, :, n] @ (m[:, 0] + m[:, 1:] @ position[w]) for m in maps[w]]
                 expected[w, n] = np.sqrt(np.mean(np.square(along)))
-        found = axis_rms(jnp.asarray(rotvec), jnp.asarray(position), jnp.asarray(maps))
+        found = rms_at(rotvec, position, maps)
         np.testing.assert_allclose(found, expected, rtol=1e-13)
         rates = maps[..., 0]
-        still = axis_rms(jnp.asarray(rotvec), jnp.zeros((5, 3)), jnp.asarray(maps))
-        without = axis_rms(jnp.asarray(rotvec), None, jnp.asarray(rates))
+        still = rms_at(rotvec, np.zeros((5, 3)), maps)
+        without = rms_at(rotvec, None, rates)
         np.testing.assert_allclose(without, still, rtol=1e-13)
-        covariance = jnp.asarray(np.einsum("wki,wkj->wij", rates, rates) / 11)
-        from_covariance = axis_rms_from_covariance(jnp.asarray(rotvec), covariance)
+        covariance = np.einsum("wki,wkj->wij", rates, rates) / 11
+        from_covariance = rms_of(rotvec, covariance)
         np.testing.assert_allclose(from_covariance, without, rtol=1e-13)
 
     @pytest.mark.parametrize("exponent", [-3.0, 0.0])
@@ -174,36 +181,36 @@ class TestObjectives:
     def test_value_is_the_logarithm_of_the_norm(self, exponent, rng):
         maps = rng.normal(size=(4, 20, 3, 4))
         x = rng.normal(size=(6, 4))
-        objective = FrameObjective(velocity_moments(jnp.asarray(maps)), exponent)
-        norm = frame_norm(jnp.asarray(x[:3].T), jnp.asarray(x[3:].T), jnp.asarray(maps), exponent)
+        objective = FrameObjective(moments_of(maps), exponent)
+        norm = norm_at(x[:3].T, x[3:].T, maps, exponent)
         assert objective.dim == 6
-        np.testing.assert_allclose(objective.value(jnp.asarray(x)), np.log(norm), atol=1e-12)
-        rates = FrameObjective(velocity_moments(jnp.asarray(maps[..., :1])), exponent)
-        norm = frame_norm(jnp.asarray(x[:3].T), None, jnp.asarray(maps[..., 0]), exponent)
+        np.testing.assert_allclose(value_of(objective, x), np.log(norm), atol=1e-12)
+        rates = FrameObjective(moments_of(maps[..., :1]), exponent)
+        norm = norm_at(x[:3].T, None, maps[..., 0], exponent)
         assert rates.dim == 3
-        np.testing.assert_allclose(rates.value(jnp.asarray(x[:3])), np.log(norm), atol=1e-12)
+        np.testing.assert_allclose(value_of(rates, x[:3]), np.log(norm), atol=1e-12)
 
     @pytest.mark.parametrize("exponent", SOME_EXPONENTS)
     def test_eliminating_the_rotation(self, exponent, rng):
         """The value at an origin is that of the frame along the eigenvectors there."""
-        maps = jnp.asarray(rng.normal(size=(20, 3, 4)))
-        moments = velocity_moments(maps)
-        position = jnp.asarray(rng.normal(size=3))
+        maps = rng.normal(size=(20, 3, 4))
+        moments = moments_of(maps)
+        position = rng.normal(size=3)
         objective = PositionObjective(moments, exponent)
-        covariance = np.asarray(to_matrix(objective.covariance(position)))
+        covariance = np.asarray(covariance_of(objective, position))
         rms = np.sqrt(np.linalg.eigvalsh(covariance))
         expected = np.log(by_definition(rms[None], exponent)[0])
-        assert objective.value(position) == pytest.approx(expected, abs=1e-13)
+        assert value_of(objective, position) == pytest.approx(expected, abs=1e-13)
         if exponent == 0:
             assert expected == pytest.approx(np.log(np.linalg.det(covariance)) / 6, abs=1e-12)
-        assert PositionObjective(velocity_moments(maps[..., :1]), exponent).value(position) < np.inf
+        assert value_of(PositionObjective(moments_of(maps[..., :1]), exponent), position) < np.inf
 
     @pytest.mark.parametrize(
         ("kind", "exponent"), [(FrameObjective, -1.0), (PositionObjective, -1.0), (PositionObjective, 0.0)]
     )
     def test_derivatives(self, kind, exponent, rng):
         """Gradient and Hessian, which the local minimisers step on."""
-        objective = kind(velocity_moments(jnp.asarray(rng.normal(size=(20, 3, 4)))), exponent)
+        objective = kind(moments_of(rng.normal(size=(20, 3, 4))), exponent)
         x = rng.normal(size=objective.dim)
         step = 1e-5
         around = x + step * np.concatenate([np.eye(x.size), -np.eye(x.size), np.zeros((1, x.size))])
@@ -218,10 +225,10 @@ class TestObjectives:
     @pytest.mark.parametrize("exponent", [-1.0, 0.0, 1.0])
     def test_not_positive_definite_counts_as_infinite(self, exponent):
         """Rounding may leave a negative variance, or two whose product is positive; the slope is 0."""
-        moments = jnp.stack([from_matrix(jnp.diag(jnp.asarray(d)))[i] for i in range(6) for d in NEGATIVE])
-        objective = PositionObjective(moments.reshape(6, 1, len(NEGATIVE)), exponent)
-        x = jnp.zeros((3, len(NEGATIVE)))
-        np.testing.assert_array_equal(objective.value(x), np.inf)
+        moments = np.stack(jax.jit(jax.vmap(lambda d: from_matrix(jnp.diag(d))))(np.asarray(NEGATIVE)))
+        objective = PositionObjective(jnp.asarray(moments[:, None]), exponent)
+        x = np.zeros((3, len(NEGATIVE)))
+        np.testing.assert_array_equal(value_of(objective, x), np.inf)
         np.testing.assert_array_equal(jax.jit(jax.grad(lambda x: jnp.sum(objective.value(x))))(x), 0)
 
     def test_single_precision_of_a_slow_window(self):
@@ -231,15 +238,14 @@ class TestObjectives:
         assert value == pytest.approx(np.log(6e-42) / 6, rel=1e-6)
 
     def test_objectives_are_pytrees(self, rng):
-        moments = velocity_moments(jnp.asarray(rng.normal(size=(3, 20, 3, 4))))
+        moments = moments_of(rng.normal(size=(3, 20, 3, 4)))
         for kind in (FrameObjective, PositionObjective):
             objective = kind(moments, 1.0)
             assert [leaf.shape for leaf in jax.tree.leaves(objective)] == [(6, 10, 3)]
             one = jax.tree.map(lambda leaf: leaf[..., 1], objective)
             assert one.exponent == 1.0
-            x = jnp.asarray(rng.normal(size=(objective.dim, 3)))
-            evaluate = jax.jit(lambda objective, x: objective.value(x))
-            np.testing.assert_allclose(evaluate(one, x[:, 1]), evaluate(objective, x)[1], rtol=1e-12)
+            x = rng.normal(size=(objective.dim, 3))
+            np.testing.assert_allclose(value_of(one, x[:, 1]), value_of(objective, x)[1], rtol=1e-12)
 
 
 NEGATIVE = ([-1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [1.0, 1.0, -1.0], [0.0, 1.0, 1.0], [0.0, 0.0, 0.0])
@@ -266,6 +272,3 @@ def test_no_rotation_beats_the_eigenvectors(seed, powers, rotvec, exponent):
     # variances below the rounding of the largest are not known to any digit
     slack = 1 + 1e-14 * variances.max() / variances.min()
     assert by_definition(rms[None], exponent)[0] * slack >= best
-
-
-rms_of = jax.jit(axis_rms_from_covariance)

@@ -20,7 +20,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import chunk_size, compiler_options, traced
+from reframe_jax.compilation import chunk_size, compiler_options, index_leaves, traced
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.inputs import take_poses, take_steps
 from reframe_jax.identification.options import Lag, as_dtype, check_options, lag_in_samples, make_space
@@ -324,7 +324,8 @@ def _rows(array: jax.Array, start: jax.Array, *, size: int) -> jax.Array:
 
 
 def _join(parts: list[Identification], *, count: int) -> Identification:
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:count], *parts)
+    joined = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts) if len(parts) > 1 else parts[0]
+    return index_leaves(joined, slice(count))
 
 
 def _workers() -> int:

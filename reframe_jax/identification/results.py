@@ -13,6 +13,7 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
+from reframe_jax.compilation import index_leaves
 from reframe_jax.constraints.catalogue import Constraint, lookup
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.types import AngularType, AxisRelation, Dof, LinearType, relation_of_cosine
@@ -95,7 +96,7 @@ class Identification:
 
     def __getitem__(self, index: Index) -> "Identification":
         """Windows of a batch, indexed like an array."""
-        return jax.tree.map(lambda leaf: leaf[index], self)
+        return index_leaves(self, index)
 
     @property
     def status(self) -> Any:

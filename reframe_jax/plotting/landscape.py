@@ -1,6 +1,7 @@
 """The objective over a plane of positions, as the search for a frame's origin sees it."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import jax
@@ -10,8 +11,9 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.located import ground_offset
 from reframe_jax.constraints.types import LinearType
-from reframe_jax.identification.evidence import LagRule, reduce_windows
+from reframe_jax.identification.evidence import Evidence
 from reframe_jax.identification.options import Lag, lag_in_samples
+from reframe_jax.identification.programs import reduce_one
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.objectives.velocity import PositionObjective
@@ -53,29 +55,17 @@ def landscape(
     poses, times = jnp.asarray(poses), jnp.asarray(times)
     steps, kind = jnp.diff(times), LinearType(linear_type)
     rule, samples = lag_in_samples(lag, np.asarray(steps), discretization)
-    return _landscape(poses, steps, jnp.asarray(positions), int(kind), samples, rule, norm, discretization)
+    seen = reduce_one(poses[None], steps, None, samples, rule=rule, discretization=discretization)
+    return _norms(seen, jnp.asarray(positions), int(kind), norm)
 
 
-def _norms(
-    poses: jax.Array,
-    steps: jax.Array,
-    positions: jax.Array,
-    kind: jax.Array,
-    lag: jax.Array | None,
-    rule: LagRule,
-    norm: float,
-    discretization: Discretization,
-) -> jax.Array:
-    seen = reduce_windows(poses[None], steps, None, lag, rule, discretization)
+@partial(jax.jit, static_argnames="norm")  # the type is not: one program serves all four
+def _norms(seen: Evidence, positions: jax.Array, kind: jax.Array, norm: float) -> jax.Array:
     offset = ground_offset(seen.centre[0])[kind]
     positions = positions - offset.reshape((1,) * (positions.ndim - 1) + (3,))
     moments = seen.linear[:, :, 0]
     one = moments[..., kind].reshape(*moments.shape[:2], *([1] * (positions.ndim - 1)))
     return jnp.exp(PositionObjective(one, norm).value(jnp.moveaxis(positions, -1, 0)))
-
-
-# the type is not static: one program serves all four
-_landscape = jax.jit(_norms, static_argnames=("rule", "norm", "discretization"))
 
 
 def plot_landscape(

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import traced
+from reframe_jax.compilation import index_leaves, traced
 from reframe_jax.geometry import rotations
 from reframe_jax.geometry.products import matmul
 from reframe_jax.identification.results import Identification, Index, PoseNoise
@@ -70,7 +70,7 @@ class Covariance:
 
     def __getitem__(self, index: Index) -> "Covariance":
         """Windows of a batch, indexed like an array."""
-        return jax.tree.map(lambda leaf: leaf[index], self)
+        return index_leaves(self, index)
 
     @property
     def angular_axes(self) -> jax.Array:

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from reframe_jax.compilation import index_leaves
 from reframe_jax.constraints.catalogue import CONSTRAINTS, OTHER_CONSTRAINTS
 from reframe_jax.constraints.types import LinearType
 from reframe_jax.identification.results import Identification, Index
@@ -55,7 +56,7 @@ class Excitation:
 
     def __getitem__(self, index: Index) -> "Excitation":
         """Windows of a batch, indexed like an array."""
-        return jax.tree.map(lambda leaf: leaf[index], self)
+        return index_leaves(self, index)
 
     @property
     def one_path(self) -> jax.Array:

@@ -108,15 +108,22 @@ def over_windows(
         estimates = estimates_of(found, noise, array.dtype)
         inside_a_trace = traced((array, steps, estimates))
         if array.ndim == 3 and not inside_a_trace:
-            return _single(function, array, steps, estimates, narrow)
-        result = _batch(function, array, steps, estimates, inside_a_trace)
-    return jax.tree.map(jnp.asarray, jax.device_get(result)) if narrow else result
+            result = _single(function, array, steps, estimates)
+        else:
+            result = _batch(function, array, steps, estimates, inside_a_trace)
+    return jax.device_put(jax.tree.map(_narrow, jax.device_get(result))) if narrow else result
 
 
-def _single(function: WindowFunction, poses: Any, steps: Any, found: Estimates, narrow: bool) -> Any:
+def _narrow(leaf: Any) -> Any:
+    """A NumPy array in 32 bits, made on the host: one program serves both settings of JAX."""
+    kinds = {np.dtype(np.float64): np.float32, np.dtype(np.int64): np.int32}
+    return leaf.astype(kinds.get(leaf.dtype, leaf.dtype))
+
+
+def _single(function: WindowFunction, poses: Any, steps: Any, found: Estimates) -> Any:
     poses, steps, count = _pad_recording(poses, steps)
     window = jax.tree.map(lambda leaf: leaf[None], (poses, found.padded(len(poses))))
-    return _only_piece((*window, None), steps, count, function=function, narrow=narrow)
+    return _only_piece((*window, None), steps, count, function=function)
 
 
 def _batch(function: WindowFunction, poses: Any, steps: Any, found: Estimates, inside_a_trace: bool) -> Any:
@@ -155,15 +162,10 @@ def _chunks(
 _piece = jax.jit(_chunks, static_argnames="function", compiler_options=compiler_options())
 
 
-@partial(jax.jit, static_argnames=("function", "narrow"), compiler_options=compiler_options())
-def _only_piece(*arguments: Any, function: WindowFunction, narrow: bool) -> Any:
-    """The function of a single window, without its axis; narrow numbers have 32 bits."""
-
-    def take(leaf: jax.Array) -> jax.Array:
-        kinds = {np.dtype(np.float64): np.float32, np.dtype(np.int64): np.int32}
-        return leaf[0].astype(kinds.get(leaf.dtype, leaf.dtype) if narrow else leaf.dtype)
-
-    return jax.tree.map(take, _chunks(*arguments, function=function))
+@partial(jax.jit, static_argnames="function", compiler_options=compiler_options(single=True))
+def _only_piece(*arguments: Any, function: WindowFunction) -> Any:
+    """The function of a single window, without its axis."""
+    return jax.tree.map(lambda leaf: leaf[0], _chunks(*arguments, function=function))
 
 
 def _in_pieces(run: Callable[..., Any], tree: Any, count: int) -> Any:

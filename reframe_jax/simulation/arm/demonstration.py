@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import traced
+from reframe_jax.compilation import index_leaves, traced
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import Frame, frame_arrays, move_frame, place_frame
 from reframe_jax.geometry import rotations, transforms
@@ -91,7 +91,7 @@ class Demonstration:
     def __getitem__(self, index: int | slice | np.ndarray | jax.Array) -> "Demonstration":
         """Some of the demonstrations; a single index leaves no batch axis."""
         parts = {name: value for name, value in vars(self).items() if name != "times"}
-        return Demonstration(self.times, **jax.tree.map(lambda leaf: leaf[index], parts))
+        return Demonstration(self.times, **index_leaves(parts, index))
 
     @property
     def violation(self) -> jax.Array:

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.compilation import index_leaves
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import Frame, frame_arrays, locate
 from reframe_jax.geometry import rotations, transforms
@@ -88,7 +89,7 @@ class Trials:
     def __getitem__(self, index: int | slice | np.ndarray | jax.Array) -> "Trials":
         """Some of the trials; a single index leaves no batch axis."""
         parts = {name: value for name, value in vars(self).items() if name != "times"}
-        return Trials(self.times, **{name: value[index] for name, value in parts.items()})
+        return Trials(self.times, **index_leaves(parts, index))
 
 
 def reproduce(

@@ -1,0 +1,60 @@
+"""Options of the compiler, and one program that takes a window out of a batch."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from reframe_jax.compilation import _take_row, _take_rows, compiler_options, index_leaves
+
+
+@pytest.mark.parametrize(
+    ("flags", "level"),
+    [(None, 1), ("--xla_cpu_enable_fast_math=false", 1), ("--xla_backend_optimization_level=0", None)],
+)
+def test_a_level_that_the_caller_chose_wins(
+    flags: str | None, level: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if flags is None:
+        monkeypatch.delenv("XLA_FLAGS", raising=False)
+    else:
+        monkeypatch.setenv("XLA_FLAGS", flags)
+    assert compiler_options("cpu", single=True).get("xla_backend_optimization_level") == level
+    assert "xla_backend_optimization_level" not in compiler_options("cpu")
+
+
+def test_a_row_of_all_arrays_is_taken_by_one_program() -> None:
+    batch = {"one": jnp.arange(8.0), "two": jnp.arange(24).reshape(8, 3) > 4, "three": jnp.ones((8, 2, 2))}
+    before = _take_row._cache_size()
+    for row in (0, 3, -1, 7):
+        taken = index_leaves(batch, row)
+        for name, leaf in batch.items():
+            assert taken[name].dtype == leaf.dtype
+            np.testing.assert_array_equal(taken[name], np.asarray(leaf)[row])
+    assert _take_row._cache_size() == before + 1
+    np.testing.assert_array_equal(index_leaves(batch, np.int64(5))["one"], 5.0)
+
+
+def test_consecutive_rows_too() -> None:
+    batch = {"one": jnp.arange(8.0), "two": jnp.ones((8, 2))}
+    before = _take_rows._cache_size()
+    for rows in (slice(0, 3), slice(2, 5), slice(-3, None)):
+        np.testing.assert_array_equal(index_leaves(batch, rows)["one"], np.arange(8.0)[rows])
+    assert _take_rows._cache_size() == before + 1
+    assert index_leaves(batch, slice(5, 2))["two"].shape == (0, 2)
+    assert index_leaves(batch, slice(6, 100))["two"].shape == (2, 2)
+
+
+@pytest.mark.parametrize(
+    "index", [slice(None, None, 2), np.array([0, 2]), (Ellipsis, 0), None, np.array([True, False, True])]
+)
+def test_other_indices_are_those_of_arrays(index: Any) -> None:
+    values = np.arange(12.0).reshape(3, 4)
+    np.testing.assert_array_equal(index_leaves({"one": jnp.asarray(values)}, index)["one"], values[index])
+
+
+def test_numpy_arrays_stay_what_they_are() -> None:
+    assert isinstance(index_leaves({"one": np.ones((2, 2))}, 0)["one"], np.ndarray)
+    with pytest.raises(IndexError):  # of a single window there is no first one
+        index_leaves({"one": jnp.ones(())}, 0)
