@@ -156,7 +156,7 @@ class TestFrameSteps:
 class TestJointSearch:
     def test_finds_origins(self, moments):
         """Their norms are those with the best axes there; every chain says where it ended."""
-        solver = JointSearch(BasinHopping(FrameSteps(10), restarts=5, hops=2), refine=ValleySteps(8))
+        solver = JointSearch(BasinHopping(FrameSteps(10), restarts=5, hops=2), refine=ValleySteps(4))
         objective = PositionObjective(moments, -1.0)
         found = compiled(lambda m: solver.minimise(PositionObjective(m, -1.0), POSITIONS, KEY))(moments)
         assert found.x.shape == (3, 4)
@@ -164,6 +164,10 @@ class TestJointSearch:
         assert np.all(np.abs(found.x) <= 1)
         np.testing.assert_allclose(found.value, compiled(objective.value)(found.x), rtol=1e-11)
         assert np.all(found.value <= np.min(found.end_values, axis=0) + 1e-9)
-        slope = compiled(jax.grad(lambda x: jnp.sum(objective.value(x))))(found.x)
-        inside = np.abs(found.x) < 1
-        np.testing.assert_allclose(np.asarray(slope)[inside], 0, atol=1e-5)
+        assert np.all(np.abs(found.x) < 0.99)
+        gradient = jax.grad(lambda x: jnp.sum(objective.value(x)))
+        slope, bend = (np.asarray(compiled(f)(found.x)) for f in (gradient, jax.jacfwd(gradient)))
+        for n in range(4):
+            # what a Newton step would still gain; the slope itself is steep in narrow valleys
+            gain = slope[:, n] @ np.linalg.solve(bend[:, n, :, n], slope[:, n])
+            assert 0 <= gain < 1e-11
