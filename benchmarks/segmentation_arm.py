@@ -41,7 +41,11 @@ def arm_rows(count: int) -> list[dict[str, Any]]:
             right = len(found) == len(_DURATIONS)
             indices = [b.index for b in found.boundaries]
             misses = np.subtract(indices, made.boundaries) * _DT if right else np.zeros(0)
-            named = [segment.name for segment in found.segments] == ["Unconstrained", entry.name, "Unconstrained"]
+            named = [segment.name for segment in found.segments] == [
+                "Unconstrained",
+                entry.name,
+                "Unconstrained",
+            ]
             rows.append({"label": label, "right": right, "named": named, "misses": np.abs(misses).tolist()})
     return rows
 

@@ -26,7 +26,9 @@ _FORCES = np.concatenate(
     [[0.0], 10.0 ** np.arange(-8, 12.1, 0.5)]
 )  # spectra to choose from, in the same units
 _HELD = 1e-3  # share of the spectrum of free motion below which an axis is held
-_EXPLAINED = 0.4  # share of the evidence that counts; from simulations at 25 to 500 Hz, 10 um to 1 mm of noise
+_EXPLAINED = (
+    0.4  # share of the evidence that counts; from simulations at 25 to 500 Hz, 10 um to 1 mm of noise
+)
 _LEAST = 1e-9  # m and rad: noise of poses that were computed
 
 
