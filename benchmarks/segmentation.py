@@ -8,7 +8,7 @@ simulated arm; and one long recording for the time. The contestants are told tha
 ``segment`` is not. "known frames" is told the true frames too, and within 0.5 s where the change is: what the
 noise permits, by the likelihood that ``segment`` uses with the frames it has found.
 
-The whole run takes a quarter of an hour. To run it in parts:
+The whole run takes about eight minutes. To run it in parts:
 
     python -m benchmarks.segmentation --noise encoders --arm 0 --long 0 --json encoders.json
     python -m benchmarks.segmentation --noise markers --first 0 --pairs 78 --json markers_0.json
