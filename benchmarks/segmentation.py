@@ -1,27 +1,39 @@
 """Sequences of constraints: segmentation against kernel change points and sliding windows.
 
-    python -m benchmarks.segmentation [--quick] [--pairs N] [--singles N] [--long N] [--json FILE]
+    python -m benchmarks.segmentation [--quick] [--pairs N] [--singles N] [--arm N] [--long N] [--json FILE]
 
 All ordered pairs of the twelve constraints and free motion, 5 s each at 100 Hz, with the noise of encoders
-(10 um) and of markers (0.2 mm, 1 mrad); single constraints, in which no change may be found; and one long
-recording for the time. The contestants are told that there is one change; ``segment`` is not.
+(10 um) and of markers (0.2 mm, 1 mrad); single constraints, in which no change may be found; tasks on the
+simulated arm; and one long recording for the time. The contestants are told that there is one change;
+``segment`` is not. "known frames" is told the true frames too, and within 0.5 s where the change is: what the
+noise permits, by the likelihood that ``segment`` uses with the frames it has found.
+
+The whole run takes about eight minutes. To run it in parts:
+
+    python -m benchmarks.segmentation --noise encoders --arm 0 --long 0 --json encoders.json
+    python -m benchmarks.segmentation --noise markers --first 0 --pairs 78 --json markers_0.json
+    python -m benchmarks.segmentation --join encoders.json markers_0.json
 """
 
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import permutations
-from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import reframe_jax as rf
-from benchmarks.common import machine, new_parser, write_metrics
+from benchmarks.common import add_files, machine, new_parser, read_parts, write_record
+from benchmarks.segmentation_arm import arm_rows, show_arm
 from benchmarks.timing import peak_above
+from reframe_jax.constraints.types import LinearType
 from reframe_jax.geometry.numpy_rotations import rotation_vectors
+from reframe_jax.segmentation.chords import track_poses
+from reframe_jax.segmentation.refine import Search, place_boundaries
+from reframe_jax.segmentation.spans import Fits
 from reframe_jax.simulation.metrics import geometry_errors
 from reframe_jax.simulation.motions import PoseErrors, disturb
 from reframe_jax.simulation.sequences import SequenceSimulation, simulate_sequence
@@ -35,30 +47,74 @@ EXCITATIONS = ("exciting", "hand")
 DT = 0.01
 CLOSE = 0.1  # s
 _WINDOW, _STRIDE = 101, 10  # poses of the sliding windows
-_ALL, _QUICK = (156, 8, 100_000), (13, 1, 10_000)  # pairs, recordings of each constraint, poses
+_SEEDS = (
+    20_000,
+    50_000,
+)  # of the first pair and the first single constraint; others served to choose constants
+_NEAR = 50  # poses from the change within which it is sought with known frames
+_ALL, _QUICK = (156, 16, 4, 100_000), (13, 1, 1, 10_000)  # pairs, recordings of a constraint, tasks, poses
 
 
 def main() -> None:
     parser = new_parser("segmentation", __doc__)
     add = parser.add_argument
     add("--quick", action="store_true", help="13 pairs, each constraint once by itself, 10000 poses")
+    add("--noise", nargs="+", choices=list(NOISE), default=list(NOISE), help="these only")
+    add("--first", type=int, default=0, help="pairs to leave out before the first one")
     add("--pairs", type=int, help="pairs of constraints for every noise (156: all)")
-    add("--singles", type=int, help="recordings of each constraint by itself (8)")
-    add("--long", type=int, help="poses of the long recording (100000)")
-    add("--json", type=Path, help="write the figures to a file")
+    add("--singles", type=int, help="recordings of each constraint by itself (16)")
+    add("--arm", type=int, help="tasks of the arm with each constraint (4)")
+    add("--long", type=int, help="poses of the long recording (100000; 0: none)")
+    add_files(parser)
     options = parser.parse_args()
-    given = options.pairs, options.singles, options.long
-    usual = _QUICK if options.quick else _ALL
-    pairs, singles, long = (a if b is None else b for a, b in zip(usual, given, strict=True))
     jax.config.update("jax_enable_x64", True)
-    print(machine())
+    record = _joined(read_parts(options)) if options.join else _run(options)
+    print(record["machine"])
+    write_record(options.json, record | {"metrics": show(record)})
+
+
+def _run(options: Any) -> dict[str, Any]:
+    """What the benchmark measures, by row."""
+    given = options.pairs, options.singles, options.arm, options.long
+    usual = _QUICK if options.quick else _ALL
+    pairs, singles, tasks, long = (a if b is None else b for a, b in zip(usual, given, strict=True))
     contestants = available_contestants()
+    return {
+        "machine": machine(),
+        "pairs": [
+            row for noise in options.noise for row in compare(noise, options.first, pairs, contestants)
+        ],
+        "singles": [row for noise in options.noise for row in count_false_changes(noise, singles)],
+        "arm": arm_rows(tasks),
+        "long": [measure_time(long)] if long else [],
+    }
+
+
+def _joined(parts: list[dict[str, Any]]) -> dict[str, Any]:
+    """The rows of several runs together."""
+    rows = {
+        name: [row for part in parts for row in part[name]] for name in ("pairs", "singles", "arm", "long")
+    }
+    return {"machine": parts[0]["machine"], **rows}
+
+
+def show(record: dict[str, Any]) -> dict[str, float]:
+    """Print the figures of a record, and return them."""
     metrics: dict[str, float] = {}
     for noise in NOISE:
-        metrics |= compare(noise, pairs, contestants)
-        metrics |= count_false_changes(noise, singles)
-    metrics |= measure_time(long)
-    write_metrics(options.json, metrics)
+        if rows := [row for row in record["pairs"] if row["noise"] == noise]:
+            metrics |= {f"{noise} {name}": value for name, value in _show_pairs(noise, rows).items()}
+        if rows := [row for row in record["singles"] if row["noise"] == noise]:
+            metrics[f"{noise} false changes"] = share = float(np.mean([row["changed"] for row in rows]))
+            print(f"  changes in {len(rows)} single constraints {share:12.1%}")
+    if record["arm"]:
+        metrics |= show_arm(record["arm"])
+    for row in record["long"]:
+        print(f"\n{row['poses']} poses: {row['s']:.1f} s ({row['first s']:.1f} s the first time), ", end="")
+        print(f"{row['segments']} segments")
+        print(f"  {row['processor s']:.1f} s of processor time, {row['MB']:.0f} MB of memory")
+        metrics |= {f"long {name}": row[name] for name in ("s", "processor s", "MB")}
+    return metrics
 
 
 def available_contestants() -> Contestants:
@@ -72,67 +128,78 @@ def available_contestants() -> Contestants:
     return {**contestants, "kernel": from_kernel}
 
 
-def compare(noise: str, count: int, contestants: Contestants) -> dict[str, float]:
+def compare(noise: str, first: int, count: int, contestants: Contestants) -> list[dict[str, Any]]:
     """Boundaries of pairs by every contestant; segments against the parts that the truth cuts out."""
     # in an order in which every part of the pairs has all constraints
     pairs = sorted(permutations(range(len(LABELS)), 2), key=lambda pair: (pair[1] - pair[0]) % len(LABELS))
-    misses: dict[str, list[float]] = {name: [] for name in ("segment", *contestants)}
-    seconds = dict.fromkeys(misses, 0.0)
-    right, named, held, widths = [], [], [], []
-    frames: dict[str, list[np.ndarray]] = {"segment": [], "cut out": []}
-    for trial, pair in enumerate(pairs[:count]):
-        truth, poses = simulated([LABELS[i] for i in pair], trial, noise)
+    rows = []
+    for trial, pair in list(enumerate(pairs))[first : first + count]:
+        labels = [LABELS[i] for i in pair]
+        truth, poses = simulated(labels, _SEEDS[0] + trial, noise)
         (change,) = truth.boundaries
         found, taken = _timed(partial(rf.segment, poses, dt=DT))
-        seconds["segment"] += taken
-        misses["segment"].append(_miss([boundary.index for boundary in found.boundaries], change))
-        right.append(len(found) == 2)
         alone = [rf.identify(part, dt=DT) for part in (poses[: change + 1], poses[change:])]
-        named.append([segment.name for segment in found.segments] == [one.name for one in alone])
-        if right[-1]:
+        row: dict[str, Any] = {
+            "noise": noise,
+            "labels": labels,
+            "right": len(found) == 2,
+            "named": [segment.name for segment in found.segments] == [one.name for one in alone],
+            "misses": {"segment": _miss([boundary.index for boundary in found.boundaries], change)},
+            "seconds": {"segment": taken},
+        }
+        if row["right"]:
             (boundary,) = found.boundaries
-            held.append(boundary.earliest <= change <= boundary.latest)
-            widths.append(DT * (boundary.latest - boundary.earliest))
-            frames["segment"] += _errors([s.identification for s in found.segments], truth)
-            frames["cut out"] += _errors(alone, truth)
-        for name, find in contestants.items():
-            indices, taken = _timed(partial(find, poses))
-            seconds[name] += taken
-            misses[name].append(_miss(indices, change))
-    count = len(right)
+            row["held"] = boundary.earliest <= change <= boundary.latest
+            row["width"] = DT * (boundary.latest - boundary.earliest)
+            row["errors"] = {
+                "segment": _errors([s.identification for s in found.segments], truth),
+                "cut out": _errors(alone, truth),
+            }
+        own: Contestants = {"known frames": partial(from_known_frames, truth), **contestants}
+        for name, find in own.items():
+            indices, row["seconds"][name] = _timed(partial(find, poses))
+            row["misses"][name] = _miss(indices, change)
+        rows.append(row)
+    return rows
+
+
+def _show_pairs(noise: str, rows: list[dict[str, Any]]) -> dict[str, float]:
+    """Print and return what was found in pairs."""
+    right = [row for row in rows if row["right"]]
     metrics = {
-        "right number": float(np.mean(right)),
-        "names as if cut out": float(np.mean(named)),
-        "intervals that hold the change": float(np.mean(held)),
+        "right number": len(right) / len(rows),
+        "names as if cut out": float(np.mean([row["named"] for row in rows])),
+        "intervals that hold the change": float(np.mean([row["held"] for row in right])),
     }
-    print(f"\n{count} pairs, noise of {noise}")
+    print(f"\n{len(rows)} pairs, noise of {noise}")
     for name, value in metrics.items():
         print(f"  {name:<32} {value:7.1%}")
-    print(f"  {'median width of these intervals':<32} {np.median(widths):6.3f} s")
+    print(f"  {'median width of these intervals':<32} {np.median([row['width'] for row in right]):6.3f} s")
     print(f"  {'median error of axes, origins':<32} ", end="")
-    for name, errors in frames.items():
-        turn, shift = np.nanmedian([e[0] for e in errors]), np.nanmedian([e[1] for e in errors])
+    for name in ("segment", "cut out"):
+        errors = np.array([each for row in right for each in row["errors"][name]])
+        turn, shift = np.nanmedian(errors, axis=0)
         print(f"{name} {np.degrees(turn):.4f} deg, {1e3 * shift:.4f} mm   ", end="")
         metrics |= {f"{name} axes rad": float(turn), f"{name} origins m": float(shift)}
-    print(f"\n  {'':<10} {'median':>9} {'90 %':>9} {'within ' + str(CLOSE) + ' s':>13} {'s each':>8}")
-    for name, errors_of in misses.items():
-        median, most = np.quantile(errors_of, [0.5, 0.9])
-        share = float(np.mean(np.asarray(errors_of) <= CLOSE + 1e-9))
-        print(f"  {name:<10} {median:>7.3f} s {most:>7.3f} s {share:>13.1%} {seconds[name] / count:>8.2f}")
+    print(f"\n  {'':<12} {'median':>9} {'90 %':>9} {'within ' + str(CLOSE) + ' s':>13} {'s each':>8}")
+    for name in rows[0]["misses"]:
+        misses = np.array([row["misses"][name] for row in rows])
+        median, most = np.quantile(misses, [0.5, 0.9])
+        share = float(np.mean(misses <= CLOSE + 1e-9))
+        seconds = np.mean([row["seconds"][name] for row in rows])
+        print(f"  {name:<12} {median:>7.3f} s {most:>7.3f} s {share:>13.1%} {seconds:>8.2f}")
         metrics |= {f"{name} median s": float(median), f"{name} within": share}
-    return {f"{noise} {name}": value for name, value in metrics.items()}
+    return metrics
 
 
-def count_false_changes(noise: str, count: int) -> dict[str, float]:
-    """Share of recordings of a single constraint in which a change is found."""
-    changed = []
+def count_false_changes(noise: str, count: int) -> list[dict[str, Any]]:
+    """Whether a change is found in recordings of a single constraint."""
+    rows = []
     for trial in range(count):
         for place, label in enumerate(LABELS):
-            _, poses = simulated([label], 1000 + trial * len(LABELS) + place, noise)
-            changed.append(len(rf.segment(poses, dt=DT)) > 1)
-    share = float(np.mean(changed))
-    print(f"  changes in {len(changed)} single constraints {share:12.1%}")
-    return {f"{noise} false changes": share}
+            _, poses = simulated([label], _SEEDS[1] + trial * len(LABELS) + place, noise)
+            rows.append({"noise": noise, "label": label, "changed": len(rf.segment(poses, dt=DT)) > 1})
+    return rows
 
 
 def simulated(labels: list[str], trial: int, noise: str) -> tuple[SequenceSimulation, np.ndarray]:
@@ -142,19 +209,43 @@ def simulated(labels: list[str], trial: int, noise: str) -> tuple[SequenceSimula
     return truth, np.asarray(disturb(truth.exact_poses, key, NOISE[noise], DT))
 
 
-def _errors(found: Sequence[rf.Identification | None], truth: SequenceSimulation) -> list[np.ndarray]:
+def _errors(found: Sequence[rf.Identification | None], truth: SequenceSimulation) -> list[list[float]]:
     """Errors (rad, m) of the linear frames of two parts; NaN where there is no such axis or origin."""
     errors = []
     for one, frame, start in zip(found, truth.truths, (0, *truth.boundaries), strict=True):
         if one is not None and frame.linear_dof != (1, 1, 1):
             error = geometry_errors(one, frame, start=truth.exact_poses[start])
-            errors.append(np.array([float(error.linear), float(error.position)]))
+            errors.append([float(error.linear), float(error.position)])
     return errors
 
 
 def _miss(indices: list[int], change: int) -> float:
     """Time from a change to the nearest boundary, s."""
     return DT * min((abs(index - change) for index in indices), default=np.inf)
+
+
+def from_known_frames(truth: SequenceSimulation, poses: np.ndarray) -> list[int]:
+    """The likeliest place near the change, given the true frames of both sides."""
+    tracks = track_poses(poses, DT * np.arange(len(poses)))
+    frames = truth.truths
+    on_ground = [frame.linear_type in (LinearType.GG, LinearType.BG) for frame in frames]
+    fits = Fits(
+        cost=np.zeros(2),
+        angular_type=np.array([int(frame.angular_type) for frame in frames]),
+        linear_type=np.array([int(frame.linear_type) for frame in frames]),
+        angular_axes=np.stack([np.asarray(frame.angular_axes) for frame in frames]),
+        linear_axes=np.stack([np.asarray(frame.linear_axes) for frame in frames]),
+        position=np.stack(
+            [
+                np.asarray(frame.position) - ground * tracks.centre
+                for frame, ground in zip(frames, on_ground, strict=True)
+            ]
+        ),
+    )
+    (change,) = truth.boundaries
+    low, high = change - _NEAR, change + _NEAR
+    (place,) = place_boundaries(tracks, fits, [Search(0, 0, len(poses), low, high, low, high)], _NEAR)
+    return [place.index]
 
 
 def from_kernel(poses: np.ndarray) -> list[int]:
@@ -183,7 +274,7 @@ def _twists(poses: np.ndarray) -> np.ndarray:
     return np.concatenate([rotation_vectors(back @ rotation[1:]), shifts], axis=1)
 
 
-def measure_time(poses: int) -> dict[str, float]:
+def measure_time(poses: int) -> dict[str, float | int]:
     """Time and memory of a long recording, compiled before."""
     truth = simulate_sequence(["A", "unconstrained", "K", "B", "L"], jax.random.key(4), dt=DT)
     exact = np.asarray(truth.exact_poses)
@@ -195,9 +286,14 @@ def measure_time(poses: int) -> dict[str, float]:
     cpu = time.process_time()
     (found, taken), memory = peak_above(lambda: _timed(lambda: rf.segment(measured, dt=DT)))
     cpu = time.process_time() - cpu
-    print(f"\n{poses} poses: {taken:.1f} s ({first:.1f} s the first time), {len(found)} segments")
-    print(f"  {cpu:.1f} s of processor time, {memory:.0f} MB of memory")
-    return {"long s": taken, "long processor s": cpu, "long MB": memory}
+    return {
+        "poses": poses,
+        "segments": len(found),
+        "s": taken,
+        "first s": first,
+        "processor s": cpu,
+        "MB": memory,
+    }
 
 
 def _timed(call: Callable[[], _T]) -> tuple[_T, float]:

@@ -10,8 +10,8 @@ import pytest
 import reframe_jax as rf
 from reframe_jax.segmentation.blocks import make_blocks, merge_blocks, scale_chords
 from reframe_jax.segmentation.chords import cut_chords, local_paths, track_poses
-from reframe_jax.segmentation.partition import _cheapest
-from reframe_jax.segmentation.spans import fit_spans, span_costs
+from reframe_jax.segmentation.partition import _cheapest, _join_motionless, _too_short
+from reframe_jax.segmentation.spans import LONGEST, fit_spans, span_costs
 from reframe_jax.simulation.motions import PoseErrors, disturb, random_motion
 from reframe_jax.simulation.sequences import SequenceSimulation, simulate_sequence
 
@@ -248,3 +248,21 @@ def test_the_partition_is_the_cheapest_of_all(seed: int) -> None:
     for (a, b), (c, d) in pairwise(spans):
         assert c == b or (c == b + 1 and single[b] and moving[a:b].any() and moving[c:d].any())
     assert total == pytest.approx(cheapest_by_trying(costs, moving, 2.0, single))
+
+
+def test_spans_without_motion_belong_to_their_neighbours() -> None:
+    moving = np.array([0.0, 1, 2, 0, 0, 3, 1, 0])
+    spans = np.array([[0, 1], [1, 3], [3, 5], [5, 7], [7, 8]])
+    assert _join_motionless(spans, moving).tolist() == [[0, 5], [5, 8]]
+    twice = np.array([[0, 1], [1, 2], [2, 4]])
+    assert _join_motionless(twice, np.array([0.0, 0, 1, 1])).tolist() == [[0, 4]]
+    assert _join_motionless(spans, np.zeros(8)).tolist() == [[0, 8]]
+
+
+def test_spans_of_less_than_one_motion_are_a_last_resort() -> None:
+    short = _too_short(np.array([0.4, 0.4, 0.4, 0.0, 0.9]))
+    assert short.shape == (5, LONGEST)
+    assert short[0, :4].tolist() == [True, True, False, False]
+    assert short[3, :2].tolist() == [False, True]
+    # a recording that moves so little is one span
+    assert not _too_short(np.array([0.3, 0.3]))[0, 1]

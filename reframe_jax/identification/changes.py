@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from reframe_jax.constraints.types import AngularType, LinearType
-from reframe_jax.geometry.numpy_rotations import rotation_vectors
+from reframe_jax.geometry.numpy_rotations import rotation_matrices, rotation_vectors
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
 from reframe_jax.motion.independence import independent_after
@@ -129,9 +129,9 @@ class _Reference:
 
     def __init__(self, poses: np.ndarray, made: int, found: Identification) -> None:
         linear = LinearType(int(found.linear.type_code))
-        self._turning = np.asarray(found.angular.axes, float)
+        self._turning = rotation_matrices(np.asarray(found.angular.rotvec, float))
         self._turns_on_body = int(found.angular.type_code) == AngularType.B
-        self._sliding = np.asarray(found.linear.axes, float)
+        self._sliding = rotation_matrices(np.asarray(found.linear.rotvec, float))
         self._slides_on_body = linear.orientation_body == AngularType.B
         self._position = np.asarray(found.linear.position, float)
         self._on_body = linear.position_body == AngularType.B

@@ -11,8 +11,8 @@ from reframe_jax.identification.entry import identify_padded
 from reframe_jax.identification.inputs import take_steps
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
-from reframe_jax.segmentation.blocks import Blocks, make_blocks, scale_chords
-from reframe_jax.segmentation.chords import LONGEST_LAG, Tracks, cut_chords, track_poses
+from reframe_jax.segmentation.blocks import Blocks, Scales, make_blocks, scale_chords
+from reframe_jax.segmentation.chords import LONGEST_LAG, Chords, Tracks, cut_chords, track_poses
 from reframe_jax.segmentation.labels import label_segments
 from reframe_jax.segmentation.partition import boundary_price, partition
 from reframe_jax.segmentation.refine import Place, Search, place_boundaries
@@ -24,7 +24,9 @@ __all__ = ["segment"]
 
 _FEWEST = 8  # poses that can be identified in a segment
 _REST = 2  # motion times that a rest lasts at least; shorter ones are pauses
-_GRID = 4  # blocks in the time in which the motion becomes independent
+_CHORDS = 2  # chords in the time in which the motion becomes independent, at least
+_SHORTER = 4  # times that a chord may be shorter for that than the noise requires
+_GRID = 4  # blocks in the same time
 
 
 def segment(
@@ -52,7 +54,8 @@ def segment(
         poses: (N, 4, 4) poses of the moving body {b} in the ground {g}, m; N >= 16.
         times: (N,) sample times in s, increasing. Give either ``times`` or ``dt``.
         dt: sample time in s, a scalar or (N-1,).
-        lag: samples between the two poses of a velocity; by default as many as the noise requires.
+        lag: samples between the two poses of a velocity. By default as many as the noise requires, or fewer,
+            down to a quarter, where that is more than half the motion time.
         reach: m, half the width of the cube in which origins of frames are searched, about the body.
 
     Returns:
@@ -76,8 +79,7 @@ def _segment(poses: np.ndarray, times: np.ndarray, lag: int | None, reach: float
     samples = tracks.lag if lag is None else lag
     if not 1 <= samples <= min(LONGEST_LAG, len(poses) // 2):
         raise ValueError(f"lag must be from 1 to {min(LONGEST_LAG, len(poses) // 2)} samples, not {lag}.")
-    chords = cut_chords(tracks, samples)
-    scales = scale_chords(tracks, chords)
+    samples, chords, scales = _cut(tracks, samples, fixed=lag is not None)
     grid = max(samples, int(np.ceil(scales.time / _GRID / np.median(np.diff(times)))))
     starts = np.append(np.arange(0, max(len(poses) - grid, 1), grid), len(poses))
     blocks = make_blocks(tracks, chords, scales, starts)
@@ -100,6 +102,20 @@ def _segment(poses: np.ndarray, times: np.ndarray, lag: int | None, reach: float
         for (a, b, which), one in zip(pieces, found, strict=True)
     )
     return Segmentation(segments, tuple(boundaries), times, samples, scales.time)
+
+
+def _cut(tracks: Tracks, samples: int, *, fixed: bool) -> tuple[int, Chords, Scales]:
+    """Length of chords, the chords, and their scales: no longer than the motion allows, unless fixed."""
+    step = float(np.median(np.diff(tracks.times)))
+    shortest = -(-samples // _SHORTER)
+    while True:
+        chords = cut_chords(tracks, samples)
+        scales = scale_chords(tracks, chords)
+        # long chords smooth the motion and make it seem slower: approached step by step
+        longest = max(shortest, int(scales.time / _CHORDS / step))
+        if fixed or samples <= longest:
+            return samples, chords, scales
+        samples = longest
 
 
 def _checked(poses: Any, times: Any, dt: Any) -> tuple[np.ndarray, np.ndarray]:

@@ -3,9 +3,11 @@
 import numpy as np
 
 from reframe_jax.segmentation.blocks import Blocks, merge_blocks
-from reframe_jax.segmentation.spans import span_costs
+from reframe_jax.segmentation.spans import LONGEST, span_costs
 
 __all__ = ["boundary_price", "partition"]
+
+_SHORT = 1e6  # nats that a span of less than one motion costs more: chosen only where nothing else is left
 
 
 def boundary_price(blocks: Blocks) -> float:
@@ -27,12 +29,33 @@ def partition(blocks: Blocks, noise_ratio: float, reach: float) -> np.ndarray:
     price = boundary_price(blocks)
     while True:
         merged = merge_blocks(blocks, edges[:-1])
-        chosen = _cheapest(span_costs(merged, noise_ratio, reach), merged.moving, price, single)
+        costs = span_costs(merged, noise_ratio, reach) + _SHORT * _too_short(merged.moving)
+        chosen = _cheapest(costs, merged.moving, price, single)
         kept = np.unique(np.concatenate([[0, len(edges) - 1], chosen.ravel()]))
         if len(kept) == len(edges):
-            return edges[chosen]
+            return _join_motionless(edges[chosen], blocks.moving)
         edges = edges[kept]
         single = np.diff(edges) == 1
+
+
+def _too_short(moving: np.ndarray) -> np.ndarray:
+    """Whether each span moves, but by less than one independent motion, (M, LONGEST) bool."""
+    total = np.concatenate([[0], np.cumsum(moving)])
+    first = np.arange(len(moving))[:, None]
+    motions = total[np.minimum(first + np.arange(1, LONGEST + 1), len(moving))] - total[first]
+    return (motions > 0) & (motions < min(1.0, total[-1]))
+
+
+def _join_motionless(spans: np.ndarray, moving: np.ndarray) -> np.ndarray:
+    """Spans (S, 2), those without motion joined to the one before them, or at the start to the one behind."""
+    moves = np.array([bool(np.any(moving[a:b])) for a, b in spans])
+    kept = spans[moves].copy()
+    if not len(kept):
+        return np.array([[0, len(moving)]])
+    for a, b in spans[~moves]:
+        own = max(int(np.searchsorted(kept[:, 0], a, side="right")) - 1, 0)
+        kept[own] = min(kept[own, 0], a), max(kept[own, 1], b)
+    return kept
 
 
 def _cheapest(costs: np.ndarray, moving: np.ndarray, price: float, single: np.ndarray) -> np.ndarray:

@@ -29,6 +29,7 @@ from reframe_jax.simulation.arm.dynamics import Motion, arm_motion, inverse_dyna
 from reframe_jax.simulation.arm.guide import EXCITATIONS, Guide
 from reframe_jax.simulation.arm.imperfections import ENCODER_GRADE, MATCHED, REALISTIC, Imperfections
 from reframe_jax.simulation.arm.model import FR3, PANDA, ROBOTS, Arm, Link, arm_xml, forward_kinematics
+from reframe_jax.simulation.arm.sequences import SequenceDemonstration, demonstrate_sequence
 from reframe_jax.simulation.arm.status import RolloutStatus
 from reframe_jax.simulation.arm.store import load_demonstrations, store_demonstrations, stored_demonstrations
 
@@ -48,9 +49,11 @@ __all__ = [
     "Link",
     "Motion",
     "RolloutStatus",
+    "SequenceDemonstration",
     "arm_motion",
     "arm_xml",
     "demonstrate",
+    "demonstrate_sequence",
     "demonstrations",
     "forward_kinematics",
     "frame_on_arm",

@@ -14,31 +14,37 @@ from numpy.typing import ArrayLike
 from reframe_jax.compilation import index_leaves, traced
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import Frame, frame_arrays, move_frame, place_frame
-from reframe_jax.geometry import rotations, transforms
-from reframe_jax.simulation.arm.compiled import as_numbers, check_numbers, jit_simulation
-from reframe_jax.simulation.arm.guide import EXCITATIONS, Guide, find_excitation, guide_drive, make_hand
-from reframe_jax.simulation.arm.imperfections import Imperfections, measure
-from reframe_jax.simulation.arm.mechanism import Joints, integrate_welded, mechanism_joints
+from reframe_jax.geometry import rotations
+from reframe_jax.simulation.arm.compiled import check_numbers
+from reframe_jax.simulation.arm.guide import EXCITATIONS, Guide
+from reframe_jax.simulation.arm.guided import Plan, at_rest, demonstration_keys, run_guided
+from reframe_jax.simulation.arm.imperfections import Imperfections
+from reframe_jax.simulation.arm.mechanism import mechanism_joints
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
 from reframe_jax.simulation.arm.redraw import draw_good
-from reframe_jax.simulation.arm.rollout import Steps, Track, hold, integrate
-from reframe_jax.simulation.arm.status import RolloutStatus, judge
+from reframe_jax.simulation.arm.rollout import Steps
+from reframe_jax.simulation.arm.status import RolloutStatus
 from reframe_jax.simulation.synthetic import Excitation
 
 __all__ = [
+    "ORIGIN",
     "SPREAD",
     "DemonstrateOptions",
     "Demonstration",
+    "check_demonstration",
     "demonstrate",
     "demonstrations",
     "frame_on_arm",
     "sampling",
+    "scatter",
 ]
 
 SPREAD = (0.4, 0.02)
 """rad and m, standard deviations of a geometry drawn at random, per component."""
 
-_ORIGIN = (0.05, 0.02, -0.12)  # m, from the TCP at home to the origin of a named constraint's frame
+ORIGIN = (0.05, 0.02, -0.12)
+"""m, from the TCP at the start to the origin of a named constraint's frame, along the axes of the base."""
+
 _LONGEST = {"exact": 0.01, "mechanism": 0.0025}  # s, longest step at which a constraint is kept
 
 
@@ -135,7 +141,7 @@ def frame_on_arm(
     rotation, position = forward_kinematics(joints, arm)
     frame = ConstraintFrame.named(constraint)
     axes = jnp.eye(3, dtype=joints.dtype)
-    return place_frame(frame, axes, position + jnp.asarray(_ORIGIN, dtype=joints.dtype), rotation, position)
+    return place_frame(frame, axes, position + jnp.asarray(ORIGIN, dtype=joints.dtype), rotation, position)
 
 
 def demonstrate(
@@ -193,18 +199,9 @@ def demonstrate(
         ValueError: for an unknown name, or unusable numbers or shapes.
     """
     arm = find_arm(arm)
-    if not callable(excitation) and excitation not in EXCITATIONS:
-        raise ValueError(f"No excitation {excitation!r}. There are: {', '.join(EXCITATIONS)}.")
-    if batch < 1:
-        raise ValueError(f"batch must be at least 1, not {batch}.")
-    if first < 0:
-        raise ValueError(f"first must be at least 0, not {first}.")
+    check_demonstration(batch, first, excitation, spread, guide, imperfections)
     if form not in _LONGEST:
         raise ValueError(f"form must be 'exact' or 'mechanism', not {form!r}.")
-    if np.shape(spread) != (2,):
-        raise ValueError(f"spread must be two numbers, rad and m, not {spread!r}.")
-    check_numbers(guide, Guide)
-    check_numbers(imperfections, Imperfections)
     if form == "mechanism" and not _rigid(imperfections):
         raise ValueError("A mechanism is rigid: compliance needs form='exact'.")
     steps = sampling(duration, dt, step, _LONGEST[form])
@@ -222,18 +219,31 @@ def demonstrate(
     frame = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (batch, 3)), frame)
     arrays = frame_arrays(frame)
     if any(np.ravel(spread)):
-        arrays, angular, linear = _place(arrays, key, numbers, joints, jnp.asarray(spread, dtype=dtype), arm)
-        frame = replace(frame, angular_rotvec=angular, linear_rotvec=linear, position=arrays.position)
-    made = _demonstrate(
-        arrays,
-        key,
-        numbers,
-        joints,
-        guide,
-        imperfections,
-        plan=_Plan(steps, dt, excitation, arm, mechanism_joints(frame) if form == "mechanism" else None),
-    )
+        frame, arrays = scatter(frame, key, numbers, joints, spread, arm)
+    plan = Plan(steps, dt, excitation, arm, mechanism_joints(frame) if form == "mechanism" else None)
+    made = run_guided(arrays, key, numbers, at_rest(joints), guide, imperfections, plan=plan)
     return Demonstration(truth=frame, **made)
+
+
+def check_demonstration(
+    batch: int,
+    first: int,
+    excitation: str | Excitation,
+    spread: tuple[float, float],
+    guide: Guide,
+    imperfections: Imperfections,
+) -> None:
+    """Refuse options that no demonstration can be made with, by a ValueError."""
+    if not callable(excitation) and excitation not in EXCITATIONS:
+        raise ValueError(f"No excitation {excitation!r}. There are: {', '.join(EXCITATIONS)}.")
+    if batch < 1:
+        raise ValueError(f"batch must be at least 1, not {batch}.")
+    if first < 0:
+        raise ValueError(f"first must be at least 0, not {first}.")
+    if np.shape(spread) != (2,):
+        raise ValueError(f"spread must be two numbers, rad and m, not {spread!r}.")
+    check_numbers(guide, Guide)
+    check_numbers(imperfections, Imperfections)
 
 
 def _rigid(imperfections: Imperfections) -> bool:
@@ -255,9 +265,18 @@ def sampling(duration: float, dt: float, step: float | None, longest: float = 0.
     return Steps(round(duration / dt), substeps, dt / substeps)
 
 
-def _keys(key: jax.Array, numbers: jax.Array) -> jax.Array:
-    """Keys (N, 4) of the demonstrations of these numbers: geometry, hand, excitation, sensors."""
-    return jax.vmap(lambda number: jax.random.split(jax.random.fold_in(key, number), 4))(numbers)
+def scatter(
+    frame: ConstraintFrame,
+    key: jax.Array,
+    numbers: jax.Array,
+    joints: jax.Array,
+    spread: tuple[float, float],
+    arm: Arm,
+) -> tuple[ConstraintFrame, Frame]:
+    """Turn and shift the geometry (N, 3) of each demonstration at random, about the TCP at its joints."""
+    size = jnp.asarray(spread, dtype=joints.dtype)
+    arrays, angular, linear = _place(frame_arrays(frame), key, numbers, joints, size, arm)
+    return replace(frame, angular_rotvec=angular, linear_rotvec=linear, position=arrays.position), arrays
 
 
 @partial(jax.jit, static_argnames="arm")
@@ -270,83 +289,9 @@ def _place(
         turn, shift = spread[:, None] * jax.random.normal(key, (2, 3), start.dtype)
         return move_frame(frame, rotations.rotation_exp(turn), shift, *forward_kinematics(start, arm))
 
-    there = jax.vmap(place)(frame, _keys(key, numbers)[:, 0], start)
+    there = jax.vmap(place)(frame, demonstration_keys(key, numbers)[:, 0], start)
     rotvecs = rotations.rotation_log(jnp.stack([there.angular_axes, there.linear_axes]))
     return there, rotvecs[0], rotvecs[1]
-
-
-@dataclass(frozen=True)
-class _Plan:
-    """What one compiled program is for: when, who, and how."""
-
-    steps: Steps
-    dt: float
-    excitation: str | Excitation
-    arm: Arm
-    joints: Joints | None
-
-
-@jit_simulation(("plan",))
-def _demonstrate(
-    frame: Frame,
-    key: jax.Array,
-    numbers: jax.Array,
-    start: jax.Array,
-    guide: Guide,
-    imperfections: Imperfections,
-    *,
-    plan: _Plan,
-) -> dict[str, jax.Array]:
-    """What a demonstration holds besides the truth; one program for every class of constraint."""
-    keys = _keys(key, numbers)
-    track = jax.vmap(partial(_roll, guide, imperfections, plan))(frame, keys[:, 1:3], start)
-    record = partial(measure, dt=plan.dt, what=imperfections, arm=plan.arm)
-    poses = jax.vmap(lambda q, v, k: record(q, v, key=k))(track.joints, track.velocity, keys[:, 3])
-    margin, status = judge(track, frame.free, _compliance(imperfections, start.dtype), plan.arm)
-    return {
-        "times": plan.dt * jnp.arange(plan.steps.samples + 1, dtype=start.dtype),
-        "poses": poses,
-        "exact_poses": transforms.make_pose(*forward_kinematics(track.joints, plan.arm)),
-        "joint_positions": track.joints,
-        "joint_velocities": track.velocity,
-        "reaction": track.force,
-        "slip": track.slip,
-        "limit_margin": margin,
-        "status_code": status,
-    }
-
-
-def _compliance(imperfections: Imperfections, dtype: Any) -> jax.Array:
-    """(6,) rad/(N m) and m/N."""
-    given = as_numbers(imperfections, dtype)
-    return jnp.stack([given.angular_compliance] * 3 + [given.compliance] * 3)
-
-
-def _roll(
-    guide: Guide,
-    imperfections: Imperfections,
-    plan: _Plan,
-    frame: Frame,
-    keys: jax.Array,
-    start: jax.Array,
-) -> Track:
-    """One demonstration."""
-    dtype, step = start.dtype, plan.steps.length
-    hand = make_hand(guide, keys[0], dtype)
-    drive = guide_drive(guide, hand, frame, find_excitation(plan.excitation, keys[1], frame.free), step)
-    pose = transforms.make_pose(*forward_kinematics(start, plan.arm))
-    if plan.joints is not None:
-        return integrate_welded(plan.arm, plan.joints, frame, start, drive, pose, plan.steps)
-    compliance = _compliance(imperfections, dtype)
-    return integrate(
-        plan.arm,
-        frame,
-        start,
-        drive,
-        pose,
-        lambda slipped: hold(frame.free, slipped, step, compliance),
-        plan.steps,
-    )
 
 
 def demonstrations(

@@ -20,7 +20,7 @@ from reframe_jax.simulation.arm.compiled import as_numbers
 from reframe_jax.simulation.arm.dynamics import Motion
 from reframe_jax.simulation.synthetic import Excitation
 
-__all__ = ["EXCITATIONS", "Guide", "Hand", "find_excitation", "guide_drive", "make_hand"]
+__all__ = ["EXCITATIONS", "Guide", "Hand", "find_excitation", "guide_drive", "make_hand", "until"]
 
 _RATES = ((1.4, 4.4), (2.4, 5.4), (3.4, 6.4))  # rad/s, by axis: apart, so that 5 s tell the axes apart
 _LINEAR_RATE = 1.13  # ratio of the rates of linear to those of angular motion
@@ -166,6 +166,17 @@ def find_excitation(excitation: str | Excitation, key: jax.Array, free: jax.Arra
     if not isinstance(excitation, str):
         return excitation
     return EXCITATIONS[excitation](key, free)
+
+
+def until(end: jax.Array, excitation: Excitation) -> Excitation:
+    """An excitation that slows down and rests from a time (s) on; unchanged if that is infinite."""
+
+    def velocity(t: jax.Array) -> tuple[jax.Array, jax.Array]:
+        angular, linear = excitation(t)
+        share = _ease(end - t)
+        return share * angular, share * linear
+
+    return velocity
 
 
 @jax.tree_util.register_dataclass

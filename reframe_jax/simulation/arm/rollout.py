@@ -106,8 +106,10 @@ def integrate(
     state: Any,
     law: Callable[[jax.Array], AxisLaw],
     steps: Steps,
+    *,
+    velocity: jax.Array | None = None,
 ) -> Track:
-    """Integrate the motion of the arm under a constraint, from rest.
+    """Integrate the motion of the arm under a constraint.
 
     Args:
         arm: the robot.
@@ -117,6 +119,7 @@ def integrate(
         state: of the drive at the start.
         law: what acts along the axes, as a function of their slip.
         steps: samples, and steps between them.
+        velocity: (7,) rad/s at the start, which obeys the constraint; by default at rest.
     """
     dtype, step = start.dtype, steps.length
     damping = jnp.asarray(arm.damping, dtype=dtype)
@@ -144,7 +147,8 @@ def integrate(
         return Track(joints, velocity, slipped, force)
 
     zero = jnp.zeros(6, dtype=dtype)
-    carry = (start, jnp.zeros_like(start), zero, locate(frame, *forward_kinematics(start, arm)), state, zero)
+    velocity = jnp.zeros_like(start) if velocity is None else velocity
+    carry = (start, velocity, zero, locate(frame, *forward_kinematics(start, arm)), state, zero)
     return run_samples(advance, carry, observe, steps)
 
 

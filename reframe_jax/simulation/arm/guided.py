@@ -1,0 +1,153 @@
+"""The compiled program of a demonstration: a hand guides the arm under a constraint, a robot records."""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from reframe_jax.constraints.located import Frame, locate, multiply, twist_map
+from reframe_jax.geometry import transforms
+from reframe_jax.geometry.products import apply
+from reframe_jax.simulation.arm.compiled import as_numbers, jit_simulation
+from reframe_jax.simulation.arm.dynamics import arm_motion, solve_positive
+from reframe_jax.simulation.arm.guide import Guide, find_excitation, guide_drive, make_hand, until
+from reframe_jax.simulation.arm.imperfections import Imperfections, measure
+from reframe_jax.simulation.arm.mechanism import Joints, integrate_welded
+from reframe_jax.simulation.arm.model import Arm, forward_kinematics
+from reframe_jax.simulation.arm.rollout import Steps, Track, hold, integrate
+from reframe_jax.simulation.arm.status import judge
+from reframe_jax.simulation.synthetic import Excitation
+
+__all__ = ["Onset", "Plan", "at_rest", "compliance_of", "demonstration_keys", "meet", "run_guided"]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What one compiled program is for: when, who, and how."""
+
+    steps: Steps
+    dt: float
+    excitation: str | Excitation
+    arm: Arm
+    joints: Joints | None
+
+
+class Onset(NamedTuple):
+    """How N demonstrations begin, and when they end.
+
+    Attributes:
+        joints: (N, 7) rad.
+        velocity: (N, 7) rad/s, which obeys the constraint. A mechanism starts at rest.
+        end: s, at which the hand has come to rest; infinite if it does not.
+    """
+
+    joints: jax.Array
+    velocity: jax.Array
+    end: jax.Array
+
+
+def at_rest(joints: jax.Array) -> Onset:
+    """Begin at rest at joint positions (N, 7) rad, and do not end."""
+    return Onset(joints, jnp.zeros_like(joints), jnp.asarray(jnp.inf, dtype=joints.dtype))
+
+
+def demonstration_keys(key: jax.Array, numbers: jax.Array) -> jax.Array:
+    """Keys (N, 4) of the demonstrations of these numbers: geometry, hand, excitation, sensors."""
+    return jax.vmap(lambda number: jax.random.split(jax.random.fold_in(key, number), 4))(numbers)
+
+
+@jit_simulation(("plan",))
+def run_guided(
+    frame: Frame,
+    key: jax.Array,
+    numbers: jax.Array,
+    onset: Onset,
+    guide: Guide,
+    imperfections: Imperfections,
+    *,
+    plan: Plan,
+) -> dict[str, jax.Array]:
+    """What a demonstration holds besides the truth; one program for every class of constraint."""
+    keys = demonstration_keys(key, numbers)
+    dtype = onset.joints.dtype
+    roll = partial(_roll, guide, imperfections, plan, onset.end)
+    track = jax.vmap(roll)(frame, keys[:, 1:3], onset.joints, onset.velocity)
+    record = partial(measure, dt=plan.dt, what=imperfections, arm=plan.arm)
+    poses = jax.vmap(lambda q, v, k: record(q, v, key=k))(track.joints, track.velocity, keys[:, 3])
+    margin, status = judge(track, frame.free, compliance_of(imperfections, dtype), plan.arm)
+    return {
+        "times": plan.dt * jnp.arange(plan.steps.samples + 1, dtype=dtype),
+        "poses": poses,
+        "exact_poses": transforms.make_pose(*forward_kinematics(track.joints, plan.arm)),
+        "joint_positions": track.joints,
+        "joint_velocities": track.velocity,
+        "reaction": track.force,
+        "slip": track.slip,
+        "limit_margin": margin,
+        "status_code": status,
+    }
+
+
+def compliance_of(imperfections: Imperfections, dtype: Any) -> jax.Array:
+    """(6,) rad/(N m) and m/N, along the axes of a constraint."""
+    given = as_numbers(imperfections, dtype)
+    return jnp.stack([given.angular_compliance] * 3 + [given.compliance] * 3)
+
+
+def _roll(
+    guide: Guide,
+    imperfections: Imperfections,
+    plan: Plan,
+    end: jax.Array,
+    frame: Frame,
+    keys: jax.Array,
+    start: jax.Array,
+    velocity: jax.Array,
+) -> Track:
+    """One demonstration."""
+    dtype, step = start.dtype, plan.steps.length
+    hand = make_hand(guide, keys[0], dtype)
+    excitation = until(end, find_excitation(plan.excitation, keys[1], frame.free))
+    drive = guide_drive(guide, hand, frame, excitation, step)
+    pose = transforms.make_pose(*forward_kinematics(start, plan.arm))
+    if plan.joints is not None:
+        return integrate_welded(plan.arm, plan.joints, frame, start, drive, pose, plan.steps)
+    compliance = compliance_of(imperfections, dtype)
+    return integrate(
+        plan.arm,
+        frame,
+        start,
+        drive,
+        pose,
+        lambda slipped: hold(frame.free, slipped, step, compliance),
+        plan.steps,
+        velocity=velocity,
+    )
+
+
+@jit_simulation(("arm",))
+def meet(frame: Frame, joints: jax.Array, velocity: jax.Array, *, arm: Arm) -> jax.Array:
+    """Velocities (N, 7) of arms just after they met a constraint: an impact without rebound.
+
+    Args:
+        frame: the constraints, of N rollouts.
+        joints: (N, 7) rad.
+        velocity: (N, 7) rad/s, just before.
+        arm: the robot.
+    """
+
+    def one(frame: Frame, joints: jax.Array, velocity: jax.Array) -> jax.Array:
+        motion = arm_motion(joints, velocity, arm)
+        located = locate(frame, motion.rotation, motion.position)
+        held = 1 - frame.free
+        rows = held[:, None] * multiply(twist_map(located), motion.jacobian)
+        response = solve_positive(motion.mass, rows.T)
+        # free axes have empty rows: a one on their diagonal leaves them without an impulse
+        impulse = solve_positive(
+            multiply(rows, response) + jnp.diag(frame.free), multiply(rows, velocity)[:, None]
+        )
+        return velocity - apply(response, impulse[:, 0])
+
+    return jax.vmap(one)(frame, joints, velocity)

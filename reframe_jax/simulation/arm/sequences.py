@@ -1,0 +1,222 @@
+"""Demonstrations of tasks that change constraints: approach, contact, motion, release."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike
+
+from reframe_jax.constraints.frame import ConstraintFrame
+from reframe_jax.constraints.located import frame_arrays, place_frame
+from reframe_jax.simulation.arm.compiled import jit_simulation
+from reframe_jax.simulation.arm.demonstration import (
+    ORIGIN,
+    Demonstration,
+    check_demonstration,
+    sampling,
+    scatter,
+)
+from reframe_jax.simulation.arm.guide import Guide
+from reframe_jax.simulation.arm.guided import (
+    Onset,
+    Plan,
+    compliance_of,
+    demonstration_keys,
+    meet,
+    run_guided,
+)
+from reframe_jax.simulation.arm.imperfections import Imperfections, measure
+from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
+from reframe_jax.simulation.arm.rollout import Track
+from reframe_jax.simulation.arm.status import judge
+from reframe_jax.simulation.synthetic import Excitation
+
+__all__ = ["SequenceDemonstration", "demonstrate_sequence"]
+
+_SETTLE = 0.4  # s, after which the tool has followed a hand that rests
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class SequenceDemonstration:
+    """A batch of demonstrations of a task that changes constraints; slice it like an array.
+
+    Attributes:
+        times: (K+1,) s, of the whole task.
+        poses: (N, K+1, 4, 4) m, of {b} in {g} as the robot records them.
+        stages: the demonstration under each constraint. The first pose of a stage is the last one of the
+            stage before it. ``times`` begin at 0 in each.
+    """
+
+    times: jax.Array
+    poses: jax.Array
+    stages: tuple[Demonstration, ...]
+
+    def __getitem__(self, index: int | slice | np.ndarray | jax.Array) -> "SequenceDemonstration":
+        """Some of the demonstrations; a single index leaves no batch axis."""
+        return SequenceDemonstration(
+            self.times, self.poses[index], tuple(stage[index] for stage in self.stages)
+        )
+
+    @property
+    def boundaries(self) -> tuple[int, ...]:
+        """Index of the pose at which each constraint but the first takes over; it obeys both."""
+        ends = np.cumsum([len(stage.times) - 1 for stage in self.stages])
+        return tuple(int(end) for end in ends[:-1])
+
+    @property
+    def truths(self) -> tuple[ConstraintFrame, ...]:
+        """The true constraint of each stage."""
+        return tuple(stage.truth for stage in self.stages)
+
+    @property
+    def exact_poses(self) -> jax.Array:
+        """(N, K+1, 4, 4) m, the true poses of the whole task."""
+        return _in_a_row([stage.exact_poses for stage in self.stages], axis=-3)
+
+    @property
+    def joint_positions(self) -> jax.Array:
+        """(N, K+1, 7) rad, of the whole task."""
+        return _in_a_row([stage.joint_positions for stage in self.stages], axis=-2)
+
+    @property
+    def status_code(self) -> jax.Array:
+        """(N,) int: the worst :class:`RolloutStatus` of the stages."""
+        return jnp.max(jnp.stack([stage.status_code for stage in self.stages]), axis=0)
+
+
+def _in_a_row(parts: Sequence[jax.Array], axis: int) -> jax.Array:
+    """Join the stages; the pose of each hand-over comes once."""
+    later = [jax.lax.slice_in_dim(part, 1, part.shape[axis], axis=axis) for part in parts[1:]]
+    return jnp.concatenate([parts[0], *later], axis=axis)
+
+
+def demonstrate_sequence(
+    constraints: Sequence[str | ConstraintFrame],
+    key: jax.Array,
+    *,
+    batch: int = 1,
+    first: int = 0,
+    durations: float | Sequence[float] = 5.0,
+    dt: float = 0.05,
+    step: float | None = None,
+    excitation: str | Excitation = "exciting",
+    pause: bool = True,
+    spread: tuple[float, float] = (0.0, 0.0),
+    guide: Guide = Guide(),  # noqa: B008
+    imperfections: Imperfections = Imperfections(),  # noqa: B008
+    arm: str | Arm = PANDA,
+    start: ArrayLike | None = None,
+) -> SequenceDemonstration:
+    """Simulate a hand that guides the arm under one constraint after the other.
+
+    Each constraint takes hold of the tool where the one before has left it. What the tool then moves along
+    constrained axes stops at once, as where it hits a surface. All stages run in the program of
+    :func:`reframe_jax.simulation.arm.demonstrate`, of as many samples as the longest one has.
+
+    Args:
+        constraints: labels or names of the catalogue, "unconstrained" for an approach or a release, which are
+            placed about the TCP as in :func:`frame_on_arm`; or frames, which stay where they are.
+        key: JAX random key.
+        batch: number N of demonstrations.
+        first: number of the first one, to continue an earlier batch.
+        durations: s, of every stage, or of each.
+        dt: s, between recorded samples.
+        step: as in :func:`demonstrate`.
+        excitation: as in :func:`demonstrate`; each stage draws its own.
+        pause: whether the hand comes to rest before each change, and at the end. Otherwise it meets the next
+            constraint in motion.
+        spread: rad and m, standard deviations of a random turn and shift of each stage's geometry.
+        guide: how the hand holds the tool, anew in each stage.
+        imperfections: errors of the robot and its sensors.
+        arm: ``"panda"``, ``"fr3"``, or an arm.
+        start: (7,) or (N, 7) rad, configurations to start from, at rest; the arm's home by default.
+
+    Returns:
+        The demonstrations. Check ``status_code``: nothing stops the arm at its joint limits.
+
+    Raises:
+        KeyError: for an unknown constraint.
+        ValueError: for an unknown name, unusable numbers or shapes, no constraints, or another number of
+            durations.
+    """
+    arm = find_arm(arm)
+    each = [durations] * len(constraints) if isinstance(durations, int | float) else list(durations)
+    if not constraints or len(each) != len(constraints):
+        raise ValueError(
+            f"demonstrate_sequence needs constraints, and one duration or as many; got {len(constraints)} "
+            f"constraints and {len(each)} durations."
+        )
+    check_demonstration(batch, first, excitation, spread, guide, imperfections)
+    if start is not None and np.shape(start) not in ((7,), (batch, 7)):
+        raise ValueError(f"start must have shape (7,) or ({batch}, 7), not {np.shape(start)}.")
+    counts = [sampling(duration, dt, step).samples for duration in each]
+    plan = Plan(sampling(max(each), dt, step), dt, excitation, arm, None)
+    joints = jnp.broadcast_to(arm.start(start, float), (batch, 7))
+    velocity = jnp.zeros_like(joints)
+    numbers = jnp.asarray(first + np.arange(batch), dtype=jnp.uint32)
+    stages: list[Demonstration] = []
+    for stage, (constraint, count) in enumerate(zip(constraints, counts, strict=True)):
+        own = jax.random.fold_in(key, stage)
+        frame = _placed(constraint, joints, arm)
+        arrays = frame_arrays(frame)
+        if any(spread):
+            frame, arrays = scatter(frame, own, numbers, joints, spread, arm)
+        end = jnp.asarray(count * dt - _SETTLE if pause else jnp.inf, dtype=joints.dtype)
+        onset = Onset(joints, meet(arrays, joints, velocity, arm=arm), end)
+        made = run_guided(arrays, own, numbers, onset, guide, imperfections, plan=plan)
+        stages.append(_cut(made, frame, count, imperfections, arm))
+        joints, velocity = stages[-1].joint_positions[:, -1], stages[-1].joint_velocities[:, -1]
+    poses = _record(
+        _in_a_row([stage.joint_positions for stage in stages], axis=1),
+        _in_a_row([stage.joint_velocities for stage in stages], axis=1),
+        demonstration_keys(key, numbers)[:, 3],
+        imperfections,
+        dt=dt,
+        arm=arm,
+    )
+    edges = np.cumsum([0, *counts])
+    stages = [
+        replace(stage, poses=poses[:, a : b + 1])
+        for stage, a, b in zip(stages, edges[:-1], edges[1:], strict=True)
+    ]
+    return SequenceDemonstration(dt * jnp.arange(edges[-1] + 1, dtype=poses.dtype), poses, tuple(stages))
+
+
+def _placed(constraint: str | ConstraintFrame, joints: jax.Array, arm: Arm) -> ConstraintFrame:
+    """A constraint with geometry (N, 3), one with a name about the TCP of each arm at its joints (N, 7)."""
+    if isinstance(constraint, ConstraintFrame):
+        return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (len(joints), 3)), constraint)
+    if not isinstance(constraint, str):
+        raise ValueError(f"A constraint must be a label, a name or a ConstraintFrame, not {constraint!r}.")
+    frame = ConstraintFrame.named(constraint)
+    rotation, position = forward_kinematics(joints, arm)
+    place = partial(place_frame, frame, jnp.eye(3, dtype=joints.dtype))
+    return jax.vmap(place)(position + jnp.asarray(ORIGIN, dtype=joints.dtype)[None], rotation, position)
+
+
+def _cut(
+    made: dict[str, jax.Array], truth: ConstraintFrame, count: int, imperfections: Imperfections, arm: Arm
+) -> Demonstration:
+    """The first samples of a stage that was simulated for longer, judged by them alone."""
+    kept = {
+        name: made[name][:, : count + 1]
+        for name in ("poses", "exact_poses", "joint_positions", "joint_velocities", "reaction", "slip")
+    }
+    track = Track(kept["joint_positions"], kept["joint_velocities"], kept["slip"], kept["reaction"])
+    compliance = compliance_of(imperfections, track.joints.dtype)
+    margin, status = judge(track, frame_arrays(truth).free, compliance, arm)
+    return Demonstration(
+        times=made["times"][: count + 1], truth=truth, limit_margin=margin, status_code=status, **kept
+    )
+
+
+@jit_simulation(("dt", "arm"))
+def _record(
+    joints: jax.Array, velocity: jax.Array, keys: jax.Array, what: Imperfections, *, dt: float, arm: Arm
+) -> jax.Array:
+    """Poses (N, K+1, 4, 4) as the robot records them over the whole task."""
+    return jax.vmap(lambda q, v, key: measure(q, v, dt, what, key, arm))(joints, velocity, keys)
