@@ -21,7 +21,7 @@ from reframe_jax.objectives.moments import covariance_at
 
 __all__ = ["share_axis"]
 
-_BODIES = np.array([int(kind.orientation_body) for kind in LinearType])
+_BODIES = np.array([int(kind.orientation_body) for kind in LinearType], np.int32)
 
 
 def share_axis(
