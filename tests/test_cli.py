@@ -335,10 +335,24 @@ def test_plots_without_matplotlib(clip: Path, capsys: Captured) -> None:
     assert 'pip install "reframe-jax[plot]"' in err
 
 
-def test_results_that_cannot_be_written(clip: Path, tmp_path: Path, capsys: Captured) -> None:
-    target = tmp_path / "none" / "out.json"
-    assert run(clip, "--json", target) == 1
-    assert capsys.readouterr().err.startswith(f"reframe-jax: error: {target}: cannot be written")
+def test_results_that_could_not_be_written(clip: Path, tmp_path: Path, capsys: Captured) -> None:
+    """Are refused before anything is computed."""
+    for target, problem in (
+        (tmp_path / "none" / "out.json", "there is no directory"),
+        (tmp_path, "must name a file"),
+    ):
+        with pytest.raises(SystemExit) as caught:
+            run(clip, "--json", target)
+        assert caught.value.code == 2
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert problem in err
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a full device")
+def test_results_that_cannot_be_written(clip: Path, capsys: Captured) -> None:
+    assert run(clip, "--json", "/dev/full") == 1
+    assert capsys.readouterr().err.startswith("reframe-jax: error: /dev/full: cannot be written")
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="needs the real recordings, in ../shared/data")

@@ -52,6 +52,23 @@ def test_a_nut_on_a_screw_has_an_origin_for_every_axis(nuts):
     assert any("Other axes with other origins" in warning for warning in first.warnings)
 
 
+def test_a_screw_without_noise_is_no_hinge_with_errors_of_scale():
+    rng, windows = np.random.default_rng(5), []
+    t = np.linspace(0, 4, 51)
+    for rotation in Rotation.random(16, rng):
+        angle = 1.3 * np.sin(t + rng.uniform(0, 6)) + 0.6 * np.sin(9 / 4 * t)
+        axis = rng.normal(size=3)
+        axis /= np.linalg.norm(axis)
+        point, lever = rng.uniform(-0.3, 0.3, 3), 0.2 * rng.normal(size=3)
+        turn = Rotation.from_rotvec(angle[:, None] * axis)
+        poses = np.tile(np.eye(4), (51, 1, 1))
+        poses[:, :3, :3] = (turn * rotation).as_matrix()
+        poses[:, :3, 3] = point + turn.apply(lever) + PITCH * angle[:, None] * axis
+        windows.append(poses)
+    found = rf.identify(np.stack(windows), dt=0.1)
+    assert set(found.name) == {"Cylinder joint"}
+
+
 @pytest.mark.parametrize("label", "ADGK")
 def test_what_the_motion_determines_is_not_called_coupled(label):
     simulate = jax.jit(jax.vmap(lambda key: synthetic.simulate(label, key, noise=1e-4).poses))

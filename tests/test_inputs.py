@@ -38,7 +38,7 @@ def poses():
 def identify(poses, **options):
     if not options.keys() & {"dt", "times"}:
         options["dt"] = DT
-    return rf.identify(poses, solver=MIDDLE, **options)
+    return rf.identify(poses, **{"solver": MIDDLE, **options})
 
 
 def same(found, expected):
@@ -141,6 +141,8 @@ def test_coarse_arrays_of_jax_are_refused(poses):
         ({"norm": [0, 1]}, "plain number"),
         ({"norm": np.nan}, "exponent"),
         ({"thresholds": rf.Thresholds(angular="a")}, "thresholds must be"),
+        ({"thresholds": rf.Thresholds(angular=[0.1, 0.2])}, "one number each"),  # type: ignore[arg-type]
+        ({"solver": rf.BasinHopping}, "solver must be a search"),
         ({"key": 3}, "key must be one key"),
         ({"key": jnp.zeros(3)}, "key must be one key"),
         ({"dt": 1e-60}, "too large or too small"),
@@ -150,6 +152,11 @@ def test_coarse_arrays_of_jax_are_refused(poses):
 def test_options_of_a_wrong_type_or_size_are_refused_in_words(poses, options, words):
     with pytest.raises(ValueError, match=words):
         identify(poses, **options)
+
+
+def test_lags_of_every_integer_type_are_samples(poses):
+    for kind in (np.uint8, np.int8, np.uint16, np.int64):
+        assert identify(poses, lag=kind(3)).lag == 3
 
 
 @pytest.mark.parametrize("lag", [2**40, 1e300, np.float32(1e30)])
@@ -206,6 +213,8 @@ def test_what_json_reads_is_no_array():
         ({"length": "9"}, "whole number"),
         ({"length": 9, "dt": "0.1"}, "dt must be"),
         ({"length": 9, "dt": True}, "dt must be"),
+        ({"length": 9, "dt": 1e-60}, "steps from 1e-09 to 1e\\+06 s"),
+        ({"length": 9, "dt": 1e20}, "steps from 1e-09 to 1e\\+06 s"),
         ({"length": 9, "key": 0}, "key must be"),
         ({"length": 9, "bounds": np.inf}, "bounds must"),
     ],

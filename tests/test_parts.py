@@ -118,6 +118,7 @@ def test_a_record_that_is_damaged_is_named(tmp_path: Path) -> None:
         (whole[: len(whole) // 2], r"run\.json is damaged"),
         ("", r"run\.json is damaged"),
         ("\xff", r"run\.json is damaged|something else"),
+        (100_000 * "[", r"run\.json is damaged"),
         ("[]", "something else than numbers"),
         ("{}", "something else than numbers"),
         (whole.replace("16", "-16"), r"run\.json is damaged"),
@@ -133,6 +134,19 @@ def test_a_record_that_is_damaged_is_named(tmp_path: Path) -> None:
                 use()
             assert str(tmp_path / "out") in str(raised.value)
         assert record.read_text() == text
+
+
+def test_folders_in_the_place_of_files_are_named(tmp_path: Path) -> None:
+    run = Run(tmp_path / "out", NPZ, "numbers", "rows", {"a": 1})
+    run.write(0, numbers())
+    part, record = tmp_path / "out" / "part-00000000.npz", tmp_path / "out" / "run.json"
+    for file in (part, record):
+        file.unlink()
+        file.mkdir()
+    with pytest.raises(ValueError, match=rf"{part.name} is damaged: .*folder"):
+        run.read(0)
+    with pytest.raises(ValueError, match=r"run\.json is damaged"):
+        run.resume(16)
 
 
 def test_a_run_begun_elsewhere_in_the_meantime(tmp_path: Path) -> None:

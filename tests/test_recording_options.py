@@ -192,7 +192,7 @@ def test_relative_poses_at_the_same_times(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(found.poses, np.linalg.inv(b) @ a, atol=1e-14)
     np.testing.assert_array_equal(found.times, times)
     np.testing.assert_array_equal(found.wrenches, wrenches)
-    assert found.notes == ("x", "y")
+    assert found.notes == ("x", "of the other body: y")
 
 
 def test_relative_poses_at_other_times(rng: np.random.Generator) -> None:

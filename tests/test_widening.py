@@ -73,6 +73,13 @@ def test_bounds_that_were_given_are_kept_and_judged_where_the_search_ended():
     assert not np.any(says(found, Caution.FAR_ORIGIN))
 
 
+@pytest.mark.parametrize("bounds", [1e-3, 1e-9])
+def test_a_tiny_box_that_excludes_the_origin_is_noticed(bounds):
+    poses, _ = windows("K", 0.4)
+    found = rf.identify(poses, dt=0.1, bounds=bounds)
+    assert np.all(found.status_code == rf.Status.ON_BOUNDS)
+
+
 def test_one_window_says_in_words_what_a_batch_says_in_codes():
     poses, _ = windows("K", 4.0)
     found = rf.identify(poses[0], dt=0.1)

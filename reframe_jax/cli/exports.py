@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from reframe_jax.cli.outputs import path_of
+from reframe_jax.cli.outputs import check_file, path_of
 from reframe_jax.cli.speaking import say
 from reframe_jax.export.columns import Columns, write_csv, write_parquet
 from reframe_jax.export.mjcf import to_mjcf
@@ -55,10 +55,7 @@ def check_exports(options: argparse.Namespace) -> None:
         option = f"--{name.replace('_', '-')}"
         if out is None:
             continue
-        if out.is_dir():
-            options.usage_error(f"{option} must name a file; {out} is a directory.")
-        if not out.parent.is_dir():
-            options.usage_error(f"{option}: there is no directory {out.parent}.")
+        check_file(option, out, options)
         if name in of_joints:
             if options.window is not None:
                 options.usage_error(f"{option} describes whole recordings: leave out --window.")

@@ -7,7 +7,7 @@ from typing import Any
 
 from reframe_jax.cli.speaking import show
 
-__all__ = ["add_outputs", "check_outputs", "draw", "path_of", "write_document"]
+__all__ = ["add_outputs", "check_file", "check_outputs", "draw", "path_of", "write_document"]
 
 _PICTURES = (".png", ".pdf", ".svg", ".jpg", ".webp")
 
@@ -25,18 +25,25 @@ def add_outputs(command: argparse.ArgumentParser) -> None:
 
 
 def check_outputs(options: argparse.Namespace) -> None:
-    """Refuse, before anything is computed, what could not be drawn after it."""
+    """Refuse, before anything is computed, what could not be written or drawn after it."""
+    if options.json not in (None, "-"):
+        check_file("--json", Path(options.json), options)
     out: Path | None = options.plot
     if out is None:
         return
-    if out.is_dir():
-        options.usage_error(f"--plot must name a file; {out} is a directory.")
+    check_file("--plot", out, options)
     if out.suffix.lower() not in _PICTURES:
         options.usage_error(f"--plot must end in {', '.join(_PICTURES)}, not {out.name!r}.")
-    if not out.parent.is_dir():
-        options.usage_error(f"--plot: there is no directory {out.parent}.")
     if len({path.stem for path in options.files}) < len(options.files):
         options.usage_error("--plot needs recordings with different names.")
+
+
+def check_file(option: str, out: Path, options: argparse.Namespace) -> None:
+    """Refuse a path at which no file can be made."""
+    if out.is_dir():
+        options.usage_error(f"{option} must name a file; {out} is a directory.")
+    if not out.parent.is_dir():
+        options.usage_error(f"{option}: there is no directory {out.parent}.")
 
 
 def path_of(out: Path, recording: Path, options: argparse.Namespace) -> Path:

@@ -54,6 +54,7 @@ _MISFIT = 0.15  # of the logarithm of an axis that shows noise alone, for what t
 _GAIN, _GAIN_SPREAD = 0.1, 0.7  # error of measured rotation, over the rotation, and its logarithm's spread
 _GAIN_SHARE, _SCALE_SHARE = 0.2, 0.1  # how often an axis shows such an error, and one of scale
 _UNRELATED = 0.7  # exponent of the distribution of the share of a motion that the rotation does not explain
+_TOO_EXACT, _FAR = log(0.2), log(1e3)  # noises that the rest has at least, with an error of scale, and far
 _FREE_SPREAD = 1.2  # of free axes about their common size
 _SILENT_SHARE = 0.2  # of constrained axes that show noise alone although there are slow errors
 _LEAST = log(3.5), log(8.0)  # noises that a free axis goes at least, without slow errors and with them
@@ -154,6 +155,9 @@ def _of_constrained(
     rest = jnp.log(jnp.maximum(1 - of_turn, 1e-12)) / 2
     usual = log(2 * _UNRELATED) + 2 * _UNRELATED * rest  # density of the rest if nothing relates the two
     by_scale = of_lever + of_errors(along + rest, white[3:]) - usual[None]
+    # no sensor is as exact as that: a screw turns and slides like this
+    exact = along + jnp.log(jnp.maximum(1 - of_turn, 1e-30)) / 2 < _TOO_EXACT
+    by_scale = jnp.where(exact & (along > _FAR), -jnp.inf, by_scale)
     gain_share = jnp.where(white_only, 0, _GAIN_SHARE)
     by_rotation = jnp.where(white_only, -jnp.inf, of_lever + log(_GAIN_SHARE))
 

@@ -13,7 +13,7 @@ from reframe_jax.identification.entry import identify
 from reframe_jax.identification.inputs import read_number, read_numbers
 from reframe_jax.identification.options import Lag, check_options, lag_in_samples, make_space
 from reframe_jax.identification.results import Identification
-from reframe_jax.motion.checks import MIN_VELOCITIES, ROTATION_TOLERANCE, Status
+from reframe_jax.motion.checks import MIN_VELOCITIES, ROTATION_TOLERANCE, Status, check_step
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.objectives.norms import check_exponent
 from reframe_jax.solvers import Solver
@@ -73,6 +73,8 @@ class OnlineIdentifier:
             raise ValueError(f"A window needs at least {MIN_VELOCITIES + 1} poses, not {length}.")
         if dt is not None and not 0 < (dt := read_number("dt", dt)) < np.inf:
             raise ValueError(f"dt must be a positive number of seconds, not {dt}.")
+        if dt is not None:
+            check_step(dt)
         check_options(thresholds, solver, discretization, key)
         lag_in_samples(lag, np.ones(length - 1), discretization)
         make_space(bounds, np.dtype(float))
@@ -171,6 +173,7 @@ class OnlineIdentifier:
 def _check_rigid(pose: np.ndarray) -> None:
     """Refuse what would spoil every window that it is in."""
     rotation = pose[:3, :3]
-    skewed = np.abs(rotation.T @ rotation - np.eye(3)).max() >= ROTATION_TOLERANCE
+    with np.errstate(over="ignore", invalid="ignore"):
+        skewed = not np.abs(rotation.T @ rotation - np.eye(3)).max() < ROTATION_TOLERANCE
     if skewed or np.linalg.det(rotation) < 0 or np.abs(pose[3] - [0, 0, 0, 1]).max() >= 1e-6:
         raise ValueError(Status.NOT_A_POSE.message)

@@ -69,7 +69,8 @@ def lag_in_samples(lag: Lag, steps: Any, discretization: Discretization) -> tupl
         raise ValueError(
             "discretization 'left' takes velocities from consecutive poses: leave out lag, or give 1."
         )
-    return "given", xp.minimum(value, _LONGEST).astype(np.int32)
+    longest = min(_LONGEST, np.iinfo(value.dtype).max) if value.dtype.kind in "iu" else _LONGEST
+    return "given", xp.minimum(value, longest).astype(np.int32)
 
 
 def check_options(
@@ -87,9 +88,11 @@ def check_options(
         if not isinstance(thresholds, Thresholds):
             raise ValueError(f"thresholds must be Thresholds(angular=..., linear=...), not {thresholds!r}.")
         levels = [read_numbers("thresholds", x) for x in (thresholds.angular, thresholds.linear)]
+        if any(level.ndim for level in levels):
+            raise ValueError(f"thresholds must be one number each, in rad/s and m/s, not {thresholds}.")
         if not traced(levels) and not all(np.all(np.asarray(level) >= 0) for level in levels):
             raise ValueError(f"thresholds must be 0 or more, in rad/s and m/s, not {thresholds}.")
-    if solver is not None and not hasattr(solver, "minimise"):
+    if solver is not None and (isinstance(solver, type) or not hasattr(solver, "minimise")):
         raise ValueError(f"solver must be a search such as BasinHopping(ValleySteps(6)), not {solver!r}.")
     if discretization not in get_args(Discretization):
         raise ValueError(f"discretization must be 'chord' or 'left', not {discretization!r}.")

@@ -19,6 +19,7 @@ from reframe_jax.solvers.valley_steps import slope_and_curvature
 __all__ = ["SearchSpace", "is_steep", "widen_search"]
 
 _STEEP = 5e-3  # fall of log J over half a width of the box, outwards
+_LEAST = 1.0  # m, half a width that it is judged over at least: over a tiny box everything looks flat
 _FEWEST = 12  # starts in the larger box
 _EVIDENCE = 12.0  # of the far optimum against the near one, in the logarithm of their likelihoods
 
@@ -42,7 +43,7 @@ def is_steep(objective: PositionObjective, box: Box, x: jax.Array) -> jax.Array:
     slope, _ = slope_and_curvature(objective, x)
     points = jnp.moveaxis(x, 0, -1)
     on_face = jnp.moveaxis(box.at_face(points), -1, 0)
-    outwards = jnp.where(x > (low + high) / 2, -slope, slope) * (high - low) / 2
+    outwards = jnp.where(x > (low + high) / 2, -slope, slope) * jnp.maximum((high - low) / 2, _LEAST)
     return jnp.any(on_face & (outwards > _STEEP), axis=0)
 
 

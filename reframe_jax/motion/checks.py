@@ -5,7 +5,7 @@ from enum import IntEnum
 import jax
 import jax.numpy as jnp
 
-__all__ = ["MIN_VELOCITIES", "ROTATION_TOLERANCE", "Status", "window_status"]
+__all__ = ["MIN_VELOCITIES", "ROTATION_TOLERANCE", "Status", "check_step", "window_status"]
 
 MIN_VELOCITIES = 4
 """Fewest velocities in a window: three leave every covariance singular at some origin."""
@@ -63,6 +63,16 @@ _MESSAGES = {
         f"steps from {_SHORTEST:g} to {_LONGEST:g} s, and motion of ordinary size."
     ),
 }
+
+
+def check_step(step: float) -> None:
+    """Refuse a sample time, s, with which nothing can be computed.
+
+    Raises:
+        ValueError: with the words of the status that a window would get.
+    """
+    if not _SHORTEST * (1 - _SLACK) <= step <= _LONGEST * (1 + _SLACK):
+        raise ValueError(Status.OUT_OF_RANGE.message)
 
 
 def window_status(poses: jax.Array, steps: jax.Array) -> jax.Array:

@@ -28,7 +28,8 @@ def relative_poses(a: Recording, b: Recording) -> Recording:
             that count from different origins are compared by their origins.
 
     Returns:
-        The recording of ``a``, its poses those in the frame of ``b``; wrenches are kept as they are.
+        The recording of ``a``, its poses those in the frame of ``b``; wrenches are kept as they are. Notes
+        about ``b`` say so.
 
     Raises:
         RecordingError: if they have too few times in common.
@@ -42,7 +43,7 @@ def relative_poses(a: Recording, b: Recording) -> Recording:
             f"{a.path}: only {known.sum()} of its poses are at times of the other body, in {b.path}; "
             f"expected {MIN_POSES} or more."
         )
-    notes = [*a.notes, *(note for note in b.notes if note not in a.notes)]
+    notes = [*a.notes, *(f"of the other body: {note}" for note in b.notes if note not in a.notes)]
     if left := len(times) - int(known.sum()):
         notes.append(f"{left} of {len(times)} poses left out: the other body was not tracked at their times.")
     return replace(

@@ -64,6 +64,8 @@ def read_part(
         ValueError: if the file is damaged or renamed, or was made with other options or from another source;
             the message names the file.
     """
+    if file.is_dir():
+        raise _damaged(file, "it is a folder")
     with file.open("rb") as stream:
         try:
             arrays, text = codec.read(stream)
@@ -233,7 +235,7 @@ class Run:
             record = json.loads(file.read_bytes())
         except FileNotFoundError:
             return None
-        except ValueError as error:
+        except (ValueError, RecursionError, IsADirectoryError) as error:
             raise _damaged(file, str(error)) from error
         if not isinstance(record, dict) or record.get("kind") != self._kind:
             raise ValueError(

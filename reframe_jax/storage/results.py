@@ -47,7 +47,7 @@ def identify_many(
 
     The part size bounds the memory: some 200 MB above the input at 8192 windows of 51 poses. Results equal
     those of :func:`identify`, whatever the part size; a window identified by itself differs by rounding, up
-    to about 1e-8, because another program computes it. A killed run loses only the part it was working on;
+    to about 1e-7, because another program computes it. A killed run loses only the part it was working on;
     call again with the same arguments to resume.
 
     Args:

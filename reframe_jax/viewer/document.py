@@ -11,7 +11,7 @@ from reframe_jax.viewer.tracks import WindowTrack
 __all__ = ["write_page"]
 
 _FRAMES = 400  # poses in a file
-_WIDTH, _HEIGHT, _MARGIN = 340, 130, 34  # px, of a plot
+_WIDTH, _HEIGHT, _MARGIN = 340, 130, 46  # px, of a plot; the margin holds -1.2e-05
 
 
 def write_page(path: Path | str, windows: list[WindowTrack], *, title: str = "reframe_jax") -> None:
