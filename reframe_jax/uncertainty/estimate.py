@@ -86,8 +86,10 @@ def covariance_of_windows(
     )
 
     def with_axis(_: None) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array], jax.Array]:
-        of_still = _to_poses(paths, found, _to_path(sampling, linear.still))
-        return rows_with_axis(paths, found, of_angular, of_linear, of_still, noise, linear.turn_shift)
+        def still() -> tuple[jax.Array, jax.Array]:
+            return _to_poses(paths, found, _to_path(sampling, linear.still))
+
+        return rows_with_axis(paths, found, of_angular, of_linear, still, noise, linear.turn_shift)
 
     as_found = of_angular, of_linear, linear.turn_shift
     of_angular, of_linear, turn_shift = once(

@@ -4,6 +4,7 @@ Such frames have axes in common, see :mod:`reframe_jax.identification.shared_axi
 the axis, of the linear frame, or of a mean of both.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -15,6 +16,10 @@ from reframe_jax.uncertainty.propagation import apply_to_rows, cross_rows
 from reframe_jax.uncertainty.turning import axis_moves, axis_rows, carried_rows, combine_rows
 
 __all__ = ["SharedAxes", "rows_with_axis", "shared_axes", "with_tilt"]
+
+
+_Rows = tuple[jax.Array, jax.Array]  # sensitivities to rotations and to positions
+_Parts = tuple[_Rows, _Rows, jax.Array]  # of the angular and the linear frame; bias of the latter
 
 
 class SharedAxes(NamedTuple):
@@ -54,10 +59,10 @@ def rows_with_axis(
     found: Estimates,
     angular: tuple[jax.Array, jax.Array],
     linear: tuple[jax.Array, jax.Array],
-    still: tuple[jax.Array, jax.Array],
+    still: Callable[[], _Rows],
     noise: tuple[jax.Array, jax.Array],
     bias: jax.Array,
-) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array], jax.Array]:
+) -> _Parts:
     """Sensitivities of turns to rotations and positions where the body turns about a single axis.
 
     The axis is then the one of :mod:`reframe_jax.motion.single_axis`, and the linear frame has it in common
@@ -70,25 +75,37 @@ def rows_with_axis(
     angular_on_body = found.angular_type == int(AngularType.B)
     own = axis_rows(paths, angular_axes, angular_axes[:, 2], angular_on_body)
     angular = _choose(shared.alone, own, angular)
-    # the axis of rotation is the odd axis of the linear frame
-    odd = jnp.where(shared.faces[None], linear_axes[:, 0], linear_axes[:, 2])
-    rotation = axis_rows(paths, linear_axes, odd, on_body)
-    both = jnp.stack([shared.slides, shared.slides, jnp.zeros_like(shared.slides)])
-    turn, shift, weight = combine_rows(linear, still, rotation, both, noise)
-    weight = jnp.where(shared.faces[None], 1, weight)
-    turn, shift = _choose(shared.faces, rotation, (turn, shift))
-    carried = _to_angular(paths, angular_axes, linear_axes, (turn, shift), (angular_on_body, on_body))
-    angular = _choose(shared.slides, carried, angular)
-    bias = (1 - weight) * bias
-    # or it is perpendicular to it
-    axis = jnp.where(on_body[None], paths.single.in_body, paths.single.in_ground)
-    free = linear_axes[:, 2]
-    tilt, drift = axis_moves(paths, -free[None], axis, on_body)
-    inside = jnp.sum(linear_axes[:, :2] * axis[:, None], axis=0)
-    aside = with_tilt(turn, tilt[0], inside), with_tilt(shift, drift[0], inside)
-    turn, shift = _choose(shared.aside, aside, (turn, shift))
-    bias = jnp.where(shared.aside[None], with_tilt(bias, jnp.zeros_like(bias[0]), inside), bias)
-    return angular, (turn, shift), bias
+
+    def with_odd(_: None) -> _Parts:
+        """Where it is the odd axis of the linear frame."""
+        odd = jnp.where(shared.faces[None], linear_axes[:, 0], linear_axes[:, 2])
+        rotation = axis_rows(paths, linear_axes, odd, on_body)
+        both = jnp.stack([shared.slides, shared.slides, jnp.zeros_like(shared.slides)])
+        *mean, weight = combine_rows(linear, still(), rotation, both, noise)
+        rows = _choose(shared.faces, rotation, (mean[0], mean[1]))
+        weight = jnp.where(shared.faces[None], 1, weight)
+        carried = _to_angular(paths, angular_axes, linear_axes, rows, (angular_on_body, on_body))
+        return _choose(shared.slides, carried, angular), rows, (1 - weight) * bias
+
+    def with_side(parts: _Parts) -> _Parts:
+        """Where the free axis of the linear frame is perpendicular to it."""
+        angular, (turn, shift), bias = parts
+        axis = jnp.where(on_body[None], paths.single.in_body, paths.single.in_ground)
+        tilt, drift = axis_moves(paths, -linear_axes[None, :, 2], axis, on_body)
+        inside = jnp.sum(linear_axes[:, :2] * axis[:, None], axis=0)
+        aside = with_tilt(turn, tilt[0], inside), with_tilt(shift, drift[0], inside)
+        turned = with_tilt(bias, jnp.zeros_like(bias[0]), inside)
+        return (
+            angular,
+            _choose(shared.aside, aside, (turn, shift)),
+            jnp.where(shared.aside[None], turned, bias),
+        )
+
+    parts = angular, linear, bias
+    odd_somewhere = jnp.any(shared.slides | shared.faces)
+    parts = jax.lax.cond(odd_somewhere, with_odd, lambda _: parts, None)
+    parts = jax.lax.cond(jnp.any(shared.aside), with_side, lambda parts: parts, parts)
+    return parts
 
 
 def _choose(
