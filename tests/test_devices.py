@@ -30,18 +30,17 @@ SCRIPT = """
             value = objective.value(x)
             return Solution(x, value, jnp.ones_like(value))
 
-    expected = {lag: rf.identify(poses, dt=0.1, solver=OneStep(), lag=lag) for lag in ("auto", 1)}
-    assert len(np.unique(np.round(expected["auto"].linear.norm, 9))) == 12
-    for count, lag in ((1, 1), (2, 1), (3, "auto")):
+    identify = functools.partial(rf.identify, solver=OneStep())
+    expected = identify(poses, dt=0.1)
+    assert len(np.unique(np.round(expected.linear.norm, 9))) == 12
+    for count in (1, 2, 3):
         mesh = jax.make_mesh((count,), ("windows",), devices=jax.devices()[:count])
         sharding = jax.NamedSharding(mesh, jax.P("windows"))
-        found = rf.identify(jax.device_put(poses, sharding), dt=0.1, solver=OneStep(), lag=lag)
+        found = identify(jax.device_put(poses, sharding), dt=0.1)
         assert len(found.linear.norm.sharding.device_set) == count
-        np.testing.assert_allclose(found.linear.norm, expected[lag].linear.norm, rtol=1e-9)
-        np.testing.assert_allclose(found.linear.position, expected[lag].linear.position, atol=1e-6)
-    # consecutive poses from here on: less is computed to choose a lag and to refine, and compiled
-    identify, expected = functools.partial(rf.identify, solver=OneStep(), lag=1), expected[1]
-    assert len(np.unique(np.round(expected.linear.norm, 9))) == 12
+        np.testing.assert_allclose(found.linear.norm, expected.linear.norm, rtol=1e-9)
+        np.testing.assert_allclose(found.linear.position, expected.linear.position, atol=1e-6)
+    sharding = jax.NamedSharding(mesh, jax.P("windows"))
     steps = np.linspace(0.1, 0.2, 12)[:, None] * np.ones((1, poses.shape[1] - 1))
     expected_own = identify(poses, dt=steps)
     found = identify(jax.device_put(poses, sharding), dt=steps)
