@@ -199,14 +199,12 @@ def demonstrate(
         ValueError: for an unknown name, or unusable numbers or shapes.
     """
     arm = find_arm(arm)
-    check_demonstration(batch, first, excitation, spread, guide, imperfections)
+    check_demonstration(batch, first, excitation, spread, guide, imperfections, start)
     if form not in _LONGEST:
         raise ValueError(f"form must be 'exact' or 'mechanism', not {form!r}.")
     if form == "mechanism" and not _rigid(imperfections):
         raise ValueError("A mechanism is rigid: compliance needs form='exact'.")
     steps = sampling(duration, dt, step, _LONGEST[form])
-    if start is not None and np.shape(start) not in ((7,), (batch, 7)):
-        raise ValueError(f"start must have shape (7,) or ({batch}, 7), not {np.shape(start)}.")
     frame = frame_on_arm(constraint, arm, start=None if start is None or np.ndim(start) == 2 else start)
     dtype = frame.position.dtype
     joints = arm.start(start, dtype)
@@ -232,6 +230,7 @@ def check_demonstration(
     spread: tuple[float, float],
     guide: Guide,
     imperfections: Imperfections,
+    start: ArrayLike | None,
 ) -> None:
     """Refuse options that no demonstration can be made with, by a ValueError."""
     if not callable(excitation) and excitation not in EXCITATIONS:
@@ -244,6 +243,8 @@ def check_demonstration(
         raise ValueError(f"spread must be two numbers, rad and m, not {spread!r}.")
     check_numbers(guide, Guide)
     check_numbers(imperfections, Imperfections)
+    if start is not None and np.shape(start) not in ((7,), (batch, 7)):
+        raise ValueError(f"start must have shape (7,) or ({batch}, 7), not {np.shape(start)}.")
 
 
 def _rigid(imperfections: Imperfections) -> bool:

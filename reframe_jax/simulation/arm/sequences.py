@@ -150,9 +150,7 @@ def demonstrate_sequence(
             f"demonstrate_sequence needs constraints, and one duration or as many; got {len(constraints)} "
             f"constraints and {len(each)} durations."
         )
-    check_demonstration(batch, first, excitation, spread, guide, imperfections)
-    if start is not None and np.shape(start) not in ((7,), (batch, 7)):
-        raise ValueError(f"start must have shape (7,) or ({batch}, 7), not {np.shape(start)}.")
+    check_demonstration(batch, first, excitation, spread, guide, imperfections, start)
     counts = [sampling(duration, dt, step).samples for duration in each]
     plan = Plan(sampling(max(each), dt, step), dt, excitation, arm, None)
     joints = jnp.broadcast_to(arm.start(start, float), (batch, 7))
