@@ -139,6 +139,11 @@ class Paths:
     share: jax.Array
     sampling: Sampling
 
+    @property
+    def mean_rotation(self) -> jax.Array:
+        """(3, 3, N)."""
+        return jnp.sum(self.sampling.shares[None, None] * self.rotation, axis=2)
+
 
 def paths_of(poses: jax.Array, steps: jax.Array, count: jax.Array | None, found: Estimates) -> Paths:
     """Paths of the frames of N windows; arguments as in :func:`covariance_of_windows`."""

@@ -145,7 +145,7 @@ def _to_angular(
         rows: of turns about the linear axes.
         on_body: (N,) bool, whether the angular and the linear frame are oriented in {b}.
     """
-    mean = jnp.sum(paths.sampling.shares[None, None] * paths.rotation, axis=2)
+    mean = paths.mean_rotation
     odd = angular_axes[:, 2]
     directions = cross_rows(jnp.swapaxes(angular_axes, 0, 1), odd[None])
     to_body, to_ground = on_body[0] & ~on_body[1], on_body[1] & ~on_body[0]

@@ -56,7 +56,7 @@ def axis_moves(
         Those to rotations and to positions, (m, 3, K+1, N) each.
     """
     shares, single = paths.sampling.shares, paths.single
-    mean = jnp.sum(shares[None, None] * paths.rotation, axis=2)
+    mean = paths.mean_rotation
     in_ground = jnp.where(on_body[None], apply_to_rows(mean, odd[None])[0], odd)
     along = jnp.where(on_body[None, None], apply_to_rows(mean, directions), directions)
     about = paths.shift - jnp.sum(shares[None] * paths.shift, axis=1, keepdims=True)
@@ -67,11 +67,10 @@ def axis_moves(
     pulled = jnp.where(single.planar[None, None], solved * single.stiffness[None, None], along)
     # by the rotations
     back = apply_to_rows(jnp.swapaxes(mean, 0, 1), pulled)
-    apart = apply_to_rows(paths.rotation, _at_all(back, shares)) - pulled[:, :, None]
+    apart = apply_to_rows(paths.rotation, back[:, :, None]) - pulled[:, :, None]
     left = 1 - _middle_singular_value(mean, in_ground)
     scale = shares / jnp.where(left > 0, left, 1)[None]
-    arms = jnp.broadcast_to(in_ground[None, :, None], apart.shape)
-    turn = scale[None, None] * cross_rows(apart, arms)
+    turn = scale[None, None] * cross_rows(apart, in_ground[None, :, None])
     # by the positions
     weight = jnp.where(single.planar, jnp.sum(solved[:, :, None] * about[None], axis=1) * shares[None], 0)
     shift = -weight[:, None] * in_ground[None, :, None]
@@ -88,13 +87,8 @@ def carried_rows(paths: Paths, directions: jax.Array, in_ground: jax.Array, to_b
         to_body: (N,) bool, the windows that this is for; zero in others.
     """
     shares = jnp.where(to_body[None], paths.sampling.shares, 0)
-    turned = apply_to_rows(paths.rotation, _at_all(directions, shares))
-    return shares[None, None] * cross_rows(turned, jnp.broadcast_to(in_ground[None, :, None], turned.shape))
-
-
-def _at_all(rows: jax.Array, shares: jax.Array) -> jax.Array:
-    """(m, 3, N) at every sample, (m, 3, K+1, N)."""
-    return jnp.broadcast_to(rows[:, :, None], (*rows.shape[:2], *shares.shape))
+    turned = apply_to_rows(paths.rotation, directions[:, :, None])
+    return shares[None, None] * cross_rows(turned, in_ground[None, :, None])
 
 
 def kept_rows(turn: jax.Array, shift: jax.Array, paths: Paths) -> tuple[jax.Array, jax.Array]:
@@ -109,13 +103,12 @@ def kept_rows(turn: jax.Array, shift: jax.Array, paths: Paths) -> tuple[jax.Arra
         Both, the same for windows that were not kept about an axis.
     """
     in_ground = paths.single.in_ground
-    axis = jnp.broadcast_to(in_ground[None, :, None], (1, *turn.shape[1:]))
+    axis = in_ground[None, :, None]
     tilts = cross_rows(turn, axis)
     of_ground = jnp.sum(tilts, axis=2)
     of_body = jnp.sum(apply_to_rows(jnp.swapaxes(paths.rotation, 0, 1), tilts), axis=2)
-    mean = jnp.sum(paths.sampling.shares[None, None] * paths.rotation, axis=2)
     nowhere = jnp.zeros_like(paths.kept)
-    moved = axis_moves(paths, of_ground - apply_to_rows(mean, of_body), in_ground, nowhere)
+    moved = axis_moves(paths, of_ground - apply_to_rows(paths.mean_rotation, of_body), in_ground, nowhere)
     along = jnp.sum(turn * axis, axis=1, keepdims=True) * axis
     kept = along + moved[0] - carried_rows(paths, of_body, in_ground, ~nowhere)
     chosen = paths.kept[None, None, None]
