@@ -16,6 +16,7 @@ __all__ = [
     "Vector",
     "adjugate",
     "along",
+    "apply",
     "determinant",
     "eigh",
     "from_matrix",
@@ -60,12 +61,16 @@ def adjugate(s: Symmetric) -> Symmetric:
     )
 
 
+def apply(s: Symmetric, v: Vector) -> Vector:
+    """S v."""
+    xx, xy, xz, yy, yz, zz = s
+    x, y, z = v
+    return xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
+
+
 def along(s: Symmetric, axes: tuple[Vector, Vector, Vector]) -> Symmetric:
     """E^T S E, the matrix along axes that are the columns of E."""
-    xx, xy, xz, yy, yz, zz = s
-    turned = [
-        (xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z) for x, y, z in axes
-    ]
+    turned = [apply(s, axis) for axis in axes]
     entries = (
         axes[i][0] * turned[j][0] + axes[i][1] * turned[j][1] + axes[i][2] * turned[j][2]
         for i, j in INDEX_PAIRS
@@ -112,14 +117,10 @@ def trace_product(a: Symmetric, b: Symmetric) -> jax.Array:
 
 def solve(s: Symmetric, v: Vector) -> Vector:
     """S^-1 v by cofactors, S definite or not; infinite or NaN where it is singular."""
-    xx, xy, xz, yy, yz, zz = adjugate(s)
-    scale = 1 / (s[0] * xx + s[1] * xy + s[2] * xz)
-    x, y, z = v
-    return (
-        scale * (xx * x + xy * y + xz * z),
-        scale * (xy * x + yy * y + yz * z),
-        scale * (xz * x + yz * y + zz * z),
-    )
+    cofactors = adjugate(s)
+    scale = 1 / (s[0] * cofactors[0] + s[1] * cofactors[1] + s[2] * cofactors[2])
+    x, y, z = apply(cofactors, v)
+    return scale * x, scale * y, scale * z
 
 
 def _rotate(

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.symmetric import Vector
+from reframe_jax.motion.components import cross
 
 __all__ = ["SingleAxis", "across_axis", "find_single_axis", "keep_axis", "tilt_to_plane"]
 
@@ -106,9 +107,7 @@ def across_axis(
         spread: P, covariance of the positions, m^2.
         stiffness: (N,) m^2, s.
     """
-    xx, xy, xz, yy, yz, zz = spread
-    x, y, z = axis
-    pulled = jnp.stack([xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z])
+    pulled = jnp.stack(symmetric.apply(spread, (axis[0], axis[1], axis[2])))
     along = jnp.sum(pulled * axis, axis=0)
     entries = [
         spread[k] - axis[i] * pulled[j] - pulled[i] * axis[j] + along * axis[i] * axis[j]
@@ -130,18 +129,11 @@ def keep_axis(rotation: jax.Array, axis: SingleAxis) -> jax.Array:
 
     Windows without a single axis stay as they are.
     """
-    here = cast(Vector, tuple(jnp.sum(rotation * axis.in_body[None, :, None], axis=1)))
-    x, y, z = (component[None] for component in axis.in_ground)
-    turn = here[1] * z - here[2] * y, here[2] * x - here[0] * z, here[0] * y - here[1] * x
-    cosine = here[0] * x + here[1] * y + here[2] * z
-
-    def cross(matrix: jax.Array) -> jax.Array:
-        """Cross product of the turn with every column."""
-        a, b, c = (t[None] for t in turn)
-        return jnp.stack(
-            [b * matrix[2] - c * matrix[1], c * matrix[0] - a * matrix[2], a * matrix[1] - b * matrix[0]]
-        )
-
-    turned = cross(rotation)
-    turned = rotation + turned + cross(turned) / (1 + jnp.where(axis.found[None], cosine, 1))[None, None]
+    here, place = jnp.sum(rotation * axis.in_body[None, :, None], axis=1), axis.in_ground[:, None]
+    turn = cross(here, place)[:, None]
+    cosine = jnp.sum(here * place, axis=0)
+    turned = cross(turn, rotation)
+    turned = (
+        rotation + turned + cross(turn, turned) / (1 + jnp.where(axis.found[None], cosine, 1))[None, None]
+    )
     return jnp.where(axis.found[None, None, None], turned, rotation)

@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax.constraints.types import AngularType, LinearType
+from reframe_jax.motion.components import cross
 from reframe_jax.uncertainty.propagation import apply_to_rows
 
 __all__ = ["PathNoise", "noise_of_path", "pull_of_noise"]
@@ -107,13 +108,7 @@ def _across(square: jax.Array, axis: jax.Array, kept: jax.Array) -> jax.Array:
     trace = square[0, 0] + square[1, 1] + square[2, 2]
     every = trace[None, None] * jnp.eye(3, dtype=square.dtype)[:, :, None] - square
 
-    def cross(matrix: jax.Array) -> jax.Array:
-        x, y, z = (component[None] for component in axis)
-        return jnp.stack(
-            [y * matrix[2] - z * matrix[1], z * matrix[0] - x * matrix[2], x * matrix[1] - y * matrix[0]]
-        )
-
-    alone = cross(jnp.swapaxes(cross(square), 0, 1))
+    alone = cross(axis[:, None], jnp.swapaxes(cross(axis[:, None], square), 0, 1))
     return jnp.where(kept[None, None], alone, every)
 
 
