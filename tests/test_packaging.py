@@ -67,6 +67,24 @@ def test_every_requirement_has_an_upper_bound() -> None:
     assert [name for name in names if "<" not in name] == []
 
 
+def test_every_installed_package_is_pinned_with_hashes() -> None:
+    lines = (ROOT / "requirements.txt").read_text().replace("\\\n", " ").splitlines()
+    pinned = [line for line in lines if line and not line.startswith("#")]
+    for line in pinned:
+        assert re.fullmatch(r"[\w.-]+==[\w.]+( ; [^-]+)?( +--hash=sha256:[0-9a-f]{64})+", line), line
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    wanted, known = [*project["dependencies"], *extras["test"], *extras["docs"]], set()
+    while wanted:
+        requirement = wanted.pop()
+        if requirement.startswith("reframe-jax["):
+            wanted += [name for extra in requirement[12:-1].split(",") for name in extras[extra]]
+        else:
+            known.add(re.match(r"[\w.-]+", requirement)[0].lower())
+    assert known <= {line.split("==")[0] for line in pinned}
+    assert "://" not in "".join(lines)
+
+
 def test_the_wheel_holds_the_package_and_nothing_else(built: Path) -> None:
     (wheel,) = built.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
@@ -135,17 +153,10 @@ def test_wheel_and_sdist_install_into_an_empty_environment(built: Path, tmp_path
         home = tmp_path / str(number)
         venv.create(home, with_pip=True)
         python = home / "bin" / "python"
-        run(
-            python,
-            "-m",
-            "pip",
-            "install",
-            "-q",
-            "--constraint",
-            ROOT / "constraints.txt",
-            archive,
-            cwd=tmp_path,
-        )
+        install = (python, "-m", "pip", "install", "-q")
+        run(*install, "--require-hashes", "-r", ROOT / "requirements.txt", cwd=tmp_path)
+        run(*install, "--no-deps", archive, cwd=tmp_path)
+        run(python, "-m", "pip", "check", cwd=tmp_path)
         check(python, tmp_path)
         done = run(
             python, "-m", "reframe_jax", "identify", ROOT / "examples" / "pin_on_plane.csv", cwd=tmp_path
