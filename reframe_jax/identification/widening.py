@@ -2,8 +2,13 @@
 
 At a face of the box, log J may still fall outwards. Along a direction that the motion leaves free it is flat
 there, and nothing needs to be done. Where it is steep, the true origin may lie outside, and an optimum of
-another type inside may be none. Those windows, and no others, are searched again in a larger box. Its optima
-replace the former ones only if they are clearly likelier: noise has optima everywhere.
+another type inside may be none.
+
+A body that moves in a plane and turns has an optimum inside whatever it obeys: the one of bodies that do
+nothing but that. A narrow valley outside may hold an origin that obeys more, and a few starts find it.
+
+Those windows, and no others, are searched again in a larger box. Its optima replace the former ones only if
+they are clearly likelier: noise has optima everywhere.
 """
 
 from dataclasses import dataclass
@@ -12,15 +17,18 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax.compilation import update_marked
+from reframe_jax.geometry import symmetric
 from reframe_jax.objectives.velocity import PositionObjective
 from reframe_jax.solvers import BasinHopping, Box, Solution, ValleySteps
 from reframe_jax.solvers.valley_steps import slope_and_curvature
 
-__all__ = ["SearchSpace", "is_steep", "widen_search"]
+__all__ = ["SearchSpace", "is_steep", "moves_in_plane", "widen_search"]
 
 _STEEP = 5e-3  # fall of log J over half a width of the box, outwards
 _LEAST = 1.0  # m, half a width that it is judged over at least: over a tiny box everything looks flat
 _FEWEST = 12  # starts in the larger box
+_PROBE = BasinHopping(ValleySteps(8), restarts=4, hops=0, polish=0)  # whether there is anything
+_PLANE = 16.0  # of the motion of a planar origin: a square ratio, see moves_in_plane
 _EVIDENCE = 12.0  # of the far optimum against the near one, in the logarithm of their likelihoods
 
 
@@ -47,8 +55,26 @@ def is_steep(objective: PositionObjective, box: Box, x: jax.Array) -> jax.Array:
     return jnp.any(on_face & (outwards > _STEEP), axis=0)
 
 
+def moves_in_plane(objective: PositionObjective, solution: Solution) -> jax.Array:
+    """Whether the origin of the best type moves along two axes, and much less along the third, (N,) bool.
+
+    With squares a << b <= c of the velocities along the axes, the determinant of their covariance is abc, its
+    trace c, and the sum of its principal minors bc.
+    """
+    covariance = objective.covariance(solution.x)
+    cofactors = symmetric.adjugate(covariance)
+    minors, trace = (sum(m[i] for i in (0, 3, 5)) for m in (cofactors, covariance))
+    flat = minors**2 > _PLANE * symmetric.determinant(covariance) * trace
+    return jnp.take_along_axis(flat, jnp.argmin(solution.value, axis=-1)[:, None], axis=-1)[:, 0]
+
+
 def widen_search(
-    objective: PositionObjective, space: SearchSpace, solution: Solution, samples: jax.Array, key: jax.Array
+    objective: PositionObjective,
+    space: SearchSpace,
+    solution: Solution,
+    samples: jax.Array,
+    planar: jax.Array,
+    key: jax.Array,
 ) -> tuple[Solution, Box, jax.Array]:
     """The optima of windows whose origins may lie outside the near box, from the far one.
 
@@ -57,6 +83,7 @@ def widen_search(
         space: where to search.
         solution: of the search in the near box.
         samples: (N,) independent velocities.
+        planar: (N,) bool, windows whose origins may lie outside although nothing points there.
         key: of the starts.
 
     Returns:
@@ -66,9 +93,15 @@ def widen_search(
     larger = jnp.any((far.low < near.low) | (far.high > near.high))
     steep = jnp.any(is_steep(objective, near, solution.x), axis=-1) & larger
     chains = 0 if solution.ends is None else solution.ends.shape[1]
-    search = BasinHopping(ValleySteps(16), restarts=max(_FEWEST, chains), hops=0, polish=0)
     # with Gaussian velocities the logarithm of the likelihood is -3 log J for every sample
     margin = _EVIDENCE / (3 * samples)
+
+    def probe(block: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
+        moments, value, margin = block
+        found = _PROBE.minimise(PositionObjective(moments, objective.exponent), far, key)
+        return jnp.any(value - found.value > margin[None], axis=0)
+
+    search = BasinHopping(ValleySteps(16), restarts=max(_FEWEST, chains), hops=0, polish=0)
 
     def look(block: tuple[jax.Array, Solution, jax.Array]) -> tuple[Solution, jax.Array]:
         moments, before, margin = block
@@ -80,9 +113,10 @@ def widen_search(
         return jax.tree.map(lambda new, old: jnp.where(better, new, old), found, before), widened
 
     # windows last
-    inputs = jax.tree.map(lambda a: jnp.swapaxes(a, -1, -2), (objective.moments, solution))
-    solution_so_far = inputs[1], jnp.zeros_like(steep)
-    found, widened = update_marked(look, steep, (*inputs, margin), solution_so_far)
+    moments, before = jax.tree.map(lambda a: jnp.swapaxes(a, -1, -2), (objective.moments, solution))
+    outside = update_marked(probe, planar & larger & ~steep, (moments, before.value, margin), steep)
+    unchanged = before, jnp.zeros_like(steep)
+    found, widened = update_marked(look, outside, (moments, before, margin), unchanged)
     found = jax.tree.map(lambda a: jnp.swapaxes(a, -1, -2), found)
     low, high = (
         jnp.where(widened[None, :, None], a[:, None, None], b[:, None, None])
