@@ -4,8 +4,10 @@ At a face of the box, log J may still fall outwards. Along a direction that the 
 there, and nothing needs to be done. Where it is steep, the true origin may lie outside, and an optimum of
 another type inside may be none.
 
-A body that moves in a plane and turns has an optimum inside whatever it obeys: the one of bodies that do
-nothing but that. A narrow valley outside may hold an origin that obeys more, and a few starts find it.
+Two kinds of motion have an optimum inside whatever they obey. A body that moves in a plane and turns has the
+one of bodies that do nothing but that: a narrow valley outside may hold an origin that obeys more, and a few
+starts find it. A body on a far hinge moves along one of its own axes, as along a contour: the origin that
+moves least is compared.
 
 Those windows, and no others, are searched again in a larger box. Its optima replace the former ones only if
 they are clearly likelier: noise has optima everywhere.
@@ -18,6 +20,7 @@ import jax.numpy as jnp
 
 from reframe_jax.compilation import update_marked
 from reframe_jax.geometry import symmetric
+from reframe_jax.identification.evidence import FLOOR
 from reframe_jax.objectives.velocity import PositionObjective
 from reframe_jax.solvers import BasinHopping, Box, Solution, ValleySteps
 from reframe_jax.solvers.valley_steps import slope_and_curvature
@@ -53,6 +56,17 @@ def is_steep(objective: PositionObjective, box: Box, x: jax.Array) -> jax.Array:
     on_face = jnp.moveaxis(box.at_face(points), -1, 0)
     outwards = jnp.where(x > (low + high) / 2, -slope, slope) * jnp.maximum((high - low) / 2, _LEAST)
     return jnp.any(on_face & (outwards > _STEEP), axis=0)
+
+
+def slowest_origin(objective: PositionObjective, box: Box) -> jax.Array:
+    """The origins (3, ...) of the box whose root mean square velocity is least, m: minima of the trace."""
+    q = objective.moments[0] + objective.moments[3] + objective.moments[5]
+    floor = (
+        FLOOR * float(jnp.finfo(q.dtype).eps) * (q[4] + q[7] + q[9])
+    )  # along an axis of rotation any will do
+    curvature = 2 * (q[4] + floor), q[5], q[6], 2 * (q[7] + floor), q[8], 2 * (q[9] + floor)
+    origin = jnp.stack(symmetric.solve(curvature, (-q[1], -q[2], -q[3])))
+    return box.clip(jnp.where(jnp.isfinite(origin), origin, 0))
 
 
 def moves_in_plane(objective: PositionObjective, solution: Solution) -> jax.Array:
@@ -95,6 +109,8 @@ def widen_search(
     chains = 0 if solution.ends is None else solution.ends.shape[1]
     # with Gaussian velocities the logarithm of the likelihood is -3 log J for every sample
     margin = _EVIDENCE / (3 * samples)
+    gain = solution.value - objective.value(slowest_origin(objective, far))
+    outside = steep | (jnp.any(gain > margin[:, None], axis=-1) & larger)
 
     def probe(block: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
         moments, value, margin = block
@@ -114,7 +130,7 @@ def widen_search(
 
     # windows last
     moments, before = jax.tree.map(lambda a: jnp.swapaxes(a, -1, -2), (objective.moments, solution))
-    outside = update_marked(probe, planar & larger & ~steep, (moments, before.value, margin), steep)
+    outside = update_marked(probe, planar & larger & ~outside, (moments, before.value, margin), outside)
     unchanged = before, jnp.zeros_like(steep)
     found, widened = update_marked(look, outside, (moments, before, margin), unchanged)
     found = jax.tree.map(lambda a: jnp.swapaxes(a, -1, -2), found)
