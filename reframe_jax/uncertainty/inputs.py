@@ -22,7 +22,8 @@ WindowFunction = Callable[[jax.Array, Estimates, jax.Array, jax.Array | None], A
 """Of poses (N, K+1, 4, 4), what was found, sample times (K,) or (N, K), and lengths (N,) or None."""
 
 _SHORT = 64  # poses up to which a recording is not padded
-_PIECE = 8  # chunks that one thread computes in one call
+_WINDOWS = 8  # computed at once on a CPU: their sensitivities to all poses fill a core's second cache
+_PIECE = 32  # chunks that one thread computes in one call
 
 
 def _poses_of(found: Identification, poses: ArrayLike) -> tuple[Any, bool]:
@@ -133,8 +134,19 @@ def _batch(function: WindowFunction, poses: Any, steps: Any, found: Estimates, i
     if inside_a_trace:
         result = function(flat[0], flat[1], steps if own is None else flat[2], None)
     else:
-        result = _in_pieces(lambda part: _piece(part, shared, None, function=function), flat, len(flat[0]))
+        run = partial(_piece, shared=shared, count=None, function=function)
+        result = _in_pieces(run, flat, _order(flat[1]))
     return jax.tree.map(lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), result)
+
+
+def _order(found: Estimates) -> np.ndarray:
+    """Windows of one kind after each other: what a chunk has no window of is not computed."""
+    kinds = found.refined, np.sum(found.angular_dof, axis=-1), found.angular_type, found.linear_type
+    return np.lexsort([np.asarray(kind) for kind in kinds])
+
+
+def _chunk_size() -> int:
+    return min(chunk_size(), _WINDOWS) if jax.default_backend() == "cpu" else chunk_size()
 
 
 def _chunks(
@@ -152,7 +164,7 @@ def _chunks(
         assert own is not None
         return function(poses, found, own, count)
 
-    chunk, size = chunk_size(), len(inputs[0])
+    chunk, size = _chunk_size(), len(inputs[0])
     if size <= chunk:
         return run(inputs)
     split = jax.tree.map(lambda leaf: leaf.reshape(-1, chunk, *leaf.shape[1:]), inputs)
@@ -168,28 +180,28 @@ def _only_piece(*arguments: Any, function: WindowFunction) -> Any:
     return jax.tree.map(lambda leaf: leaf[0], _chunks(*arguments, function=function))
 
 
-def _in_pieces(run: Callable[..., Any], tree: Any, count: int) -> Any:
+def _in_pieces(run: Callable[..., Any], tree: Any, order: np.ndarray) -> Any:
     """Run N windows in pieces of few sizes, on all processors; the last piece repeats its last window.
 
     Args:
         run: a compiled function of the pytree, whose leaves have N as their first axis.
         tree: its argument.
-        count: N.
+        order: (N,) in which to run them.
     """
-    chunk = chunk_size()
+    chunk, count = _chunk_size(), len(order)
     size = chunk if count <= chunk else _PIECE * chunk
     starts = range(0, count, size)
     precise = bool(jax.dtypes.canonicalize_dtype(np.float64) == np.float64)
 
     def piece(start: int) -> Any:
-        rows = np.minimum(np.arange(start, start + size), count - 1)
-        part = slice(start, start + size) if start + size <= count else rows
+        rows = order[np.minimum(np.arange(start, start + size), count - 1)]
         with jax.enable_x64(precise):  # JAX's settings belong to a thread
-            return jax.block_until_ready(run(jax.tree.map(lambda leaf: leaf[part], tree)))
+            return jax.block_until_ready(run(jax.tree.map(lambda leaf: leaf[rows], tree)))
 
     parts = [piece(start) for start in starts[:1]]
     if len(starts) > 1:
         workers = 1 if jax.default_backend() != "cpu" else len(os.sched_getaffinity(0))
         with ThreadPoolExecutor(workers) as pool:
             parts += pool.map(piece, starts[1:])
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:count], *parts)
+    back = np.argsort(order)
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[back], *parts)

@@ -1,5 +1,6 @@
 """How paths are sampled for an estimate, and the transpose of that."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import jax
@@ -31,13 +32,13 @@ class Sampling:
         """Samples (n, K+1, N) of paths (n, K+1, N)."""
         mean = jnp.sum(self.shares[None] * path, axis=1, keepdims=True)
         centred = (path - mean) * jnp.sqrt(self.shares)[None]
-        return jnp.where(self.about_mean[None, None], centred, self.chords(path))
+        return self._either(centred, self.chords, path)
 
     def give_back(self, samples: jax.Array) -> jax.Array:
         """The transpose of :meth:`take`."""
         scaled = jnp.sqrt(self.shares)[None] * samples
         centred = scaled - self.shares[None] * jnp.sum(scaled, axis=1, keepdims=True)
-        return jnp.where(self.about_mean[None, None], centred, self.from_chords(samples))
+        return self._either(centred, self.from_chords, samples)
 
     def pose_weights(self) -> jax.Array:
         """How often the noise of every pose counts in what is sampled, (K+1, N)."""
@@ -57,6 +58,16 @@ class Sampling:
         first = self._index() - self.lag[None]
         ends = jnp.take_along_axis(scaled, jnp.maximum(first, 0)[None], axis=1)
         return jnp.where((first >= 0)[None], ends, 0) - scaled
+
+    def _either(
+        self, centred: jax.Array, by_chords: Callable[[jax.Array], jax.Array], values: jax.Array
+    ) -> jax.Array:
+        """What belongs to each window; chords are gathered, which costs most, only where one needs them."""
+
+        def both(_: None) -> jax.Array:
+            return jnp.where(self.about_mean[None, None], centred, by_chords(values))
+
+        return jax.lax.cond(jnp.all(self.about_mean), lambda _: centred, both, None)
 
     def _index(self) -> jax.Array:
         return jnp.arange(self.scales.shape[0], dtype=jnp.int32)[:, None]

@@ -55,26 +55,12 @@ def axis_moves(
     Returns:
         Those to rotations and to positions, (m, 3, K+1, N) each.
     """
-    shares, single = paths.sampling.shares, paths.single
     mean = paths.mean_rotation
     in_ground = jnp.where(on_body[None], apply_to_rows(mean, odd[None])[0], odd)
     along = jnp.where(on_body[None, None], apply_to_rows(mean, directions), directions)
-    about = paths.shift - jnp.sum(shares[None] * paths.shift, axis=1, keepdims=True)
-    spread = [jnp.sum(shares * about[i] * about[j], axis=0) for i, j in symmetric.INDEX_PAIRS]
-    xx, xy, xz, yy, yz, zz = spread
-    matrix, _ = across_axis(in_ground, (xx, xy, xz, yy, yz, zz), single.stiffness)
-    solved = jnp.stack([jnp.stack(symmetric.solve(matrix, (v[0], v[1], v[2]))) for v in along])
-    pulled = jnp.where(single.planar[None, None], solved * single.stiffness[None, None], along)
-    # by the rotations
-    back = apply_to_rows(jnp.swapaxes(mean, 0, 1), pulled)
-    apart = apply_to_rows(paths.rotation, back[:, :, None]) - pulled[:, :, None]
-    left = 1 - _middle_singular_value(mean, in_ground)
-    scale = shares / jnp.where(left > 0, left, 1)[None]
-    turn = scale[None, None] * cross_rows(apart, in_ground[None, :, None])
-    # by the positions
-    weight = jnp.where(single.planar, jnp.sum(solved[:, :, None] * about[None], axis=1) * shares[None], 0)
-    shift = -weight[:, None] * in_ground[None, :, None]
-    return turn + carried_rows(paths, directions, in_ground, on_body), shift
+    of_body, of_ground, shift = _axis_pulls(paths, along, in_ground)
+    carried = jnp.where(on_body[None, None], directions, 0)
+    return _axis_rows(paths, of_body + carried, of_ground, in_ground), shift
 
 
 def carried_rows(paths: Paths, directions: jax.Array, in_ground: jax.Array, to_body: jax.Array) -> jax.Array:
@@ -86,9 +72,8 @@ def carried_rows(paths: Paths, directions: jax.Array, in_ground: jax.Array, to_b
         in_ground: (3, N) the axis.
         to_body: (N,) bool, the windows that this is for; zero in others.
     """
-    shares = jnp.where(to_body[None], paths.sampling.shares, 0)
-    turned = apply_to_rows(paths.rotation, directions[:, :, None])
-    return shares[None, None] * cross_rows(turned, in_ground[None, :, None])
+    directions = jnp.where(to_body[None, None], directions, 0)
+    return _axis_rows(paths, directions, jnp.zeros_like(directions), in_ground)
 
 
 def kept_rows(turn: jax.Array, shift: jax.Array, paths: Paths) -> tuple[jax.Array, jax.Array]:
@@ -105,17 +90,59 @@ def kept_rows(turn: jax.Array, shift: jax.Array, paths: Paths) -> tuple[jax.Arra
     in_ground = paths.single.in_ground
     axis = in_ground[None, :, None]
     tilts = cross_rows(turn, axis)
-    of_ground = jnp.sum(tilts, axis=2)
-    of_body = jnp.sum(apply_to_rows(jnp.swapaxes(paths.rotation, 0, 1), tilts), axis=2)
-    nowhere = jnp.zeros_like(paths.kept)
-    moved = axis_moves(paths, of_ground - apply_to_rows(paths.mean_rotation, of_body), in_ground, nowhere)
-    along = jnp.sum(turn * axis, axis=1, keepdims=True) * axis
-    kept = along + moved[0] - carried_rows(paths, of_body, in_ground, ~nowhere)
+    at_ground = jnp.sum(tilts, axis=2)
+    at_body = jnp.sum(apply_to_rows(jnp.swapaxes(paths.rotation, 0, 1), tilts), axis=2)
+    along = at_ground - apply_to_rows(paths.mean_rotation, at_body)
+    of_body, of_ground, drift = _axis_pulls(paths, along, in_ground)
+    kept = jnp.sum(turn * axis, axis=1, keepdims=True) * axis
+    kept = kept + _axis_rows(paths, of_body - at_body, of_ground, in_ground)
     chosen = paths.kept[None, None, None]
-    return jnp.where(chosen, kept, turn), shift + jnp.where(chosen, moved[1], 0)
+    return jnp.where(chosen, kept, turn), shift + jnp.where(chosen, drift, 0)
 
 
-def _middle_singular_value(mean: jax.Array, axis: jax.Array) -> jax.Array:
+def _axis_pulls(
+    paths: Paths, along: jax.Array, in_ground: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """What moves the axis of the ground along directions (m, 3, N).
+
+    Returns:
+        What :func:`_axis_rows` takes, (m, 3, N) in the body and in the ground, for the rotations; and the
+        sensitivities to positions, (m, 3, K+1, N).
+    """
+    shares, single, mean = paths.sampling.shares, paths.single, paths.mean_rotation
+    about = paths.shift - jnp.sum(shares[None] * paths.shift, axis=1, keepdims=True)
+    spread = [jnp.sum(shares * about[i] * about[j], axis=0) for i, j in symmetric.INDEX_PAIRS]
+    xx, xy, xz, yy, yz, zz = spread
+    matrix, _ = across_axis(in_ground, (xx, xy, xz, yy, yz, zz), single.stiffness)
+    solved = jnp.stack([jnp.stack(symmetric.solve(matrix, (v[0], v[1], v[2]))) for v in along])
+    pulled = jnp.where(single.planar[None, None], solved * single.stiffness[None, None], along)
+    left = 1 - _middle_singular_value(mean)
+    pulled = pulled / jnp.where(left > 0, left, 1)[None, None]
+    weight = jnp.where(single.planar, jnp.sum(solved[:, :, None] * about[None], axis=1) * shares[None], 0)
+    return (
+        apply_to_rows(jnp.swapaxes(mean, 0, 1), pulled),
+        pulled,
+        -weight[:, None] * in_ground[None, :, None],
+    )
+
+
+def _axis_rows(paths: Paths, of_body: jax.Array, of_ground: jax.Array, axis: jax.Array) -> jax.Array:
+    """The mean over the poses of e . ((R b - g) x axis), b and g in the body and the ground, by e.
+
+    Args:
+        paths: of the windows.
+        of_body: (m, 3, N), b.
+        of_ground: (m, 3, N), g.
+        axis: (3, N) in the ground.
+
+    Returns:
+        (m, 3, K+1, N).
+    """
+    apart = apply_to_rows(paths.rotation, of_body[:, :, None]) - of_ground[:, :, None]
+    return paths.sampling.shares[None, None] * cross_rows(apart, axis[None, :, None])
+
+
+def _middle_singular_value(mean: jax.Array) -> jax.Array:
     """Square of the singular values across the axis, (N,), which are equal for turns about one axis."""
     return (jnp.sum(jnp.square(mean), axis=(0, 1)) - 1) / 2
 
