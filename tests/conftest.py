@@ -14,9 +14,11 @@ import contextlib
 import ctypes
 import gc
 import os
+import sys
 from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 _FLAGS = "--xla_backend_optimization_level=0"
@@ -54,16 +56,33 @@ gc.set_threshold(100_000, 50, 1000)
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _free_programs() -> Iterator[None]:
-    """Programs are kept for the modules that follow, until they fill gigabytes: then all are dropped."""
+def _free_programs(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Programs of the library are kept for the modules that follow, until they fill gigabytes.
+
+    Then all but those that identify are dropped, which nearly every module needs, and if need be these too.
+    What a module compiled for itself goes with it.
+    """
     yield
+    _drop_programs(request.module)
     most = _most_memory()
     if _resident_memory() > most:
         _trim_memory()  # compiling leaves a quarter of it behind, free but not given back
     if _resident_memory() > most:
+        for name, module in list(sys.modules.items()):
+            if name.startswith("reframe_jax.") and name != "reframe_jax.identification.programs":
+                _drop_programs(module)
+        _trim_memory()
+    if _resident_memory() > most:
         jax.clear_caches()
         gc.collect()
         _trim_memory()
+
+
+def _drop_programs(module: ModuleType) -> None:
+    """Drop what is compiled of the functions that a module defines."""
+    for value in vars(module).values():
+        if hasattr(value, "clear_cache") and getattr(value, "__module__", None) == module.__name__:
+            value.clear_cache()
 
 
 def _trim_memory() -> None:

@@ -163,20 +163,48 @@ def test_reverse_mode_agrees_with_forward_mode_under_jit_and_vmap():
 
 
 @compiled
-def position_jacobian(poses):
-    return jax.jacrev(lambda p: rf.identify(p, dt=0.1).linear.position)(poses)
+def jacobians_of_sums(windows):
+    """Of the positions and of the norms of (N, 51, 4, 4), added up without NaN: (4, N, 51, 4, 4)."""
+
+    def sums(windows):
+        linear = rf.identify(windows, dt=0.1).linear
+        return jnp.append(jnp.nansum(linear.position, axis=0), jnp.nansum(linear.norm))
+
+    return jax.jacrev(sums)(windows)
 
 
-def test_what_is_free_contributes_nothing():
-    truth = rf.ConstraintFrame.named("B")
-    poses = synthetic.simulate(truth, jax.random.key(0), noise=1e-4).poses
-    np.testing.assert_allclose(position_jacobian(poses), 0, atol=1e-9)
+@pytest.fixture(scope="module")
+def of_default_search():
+    """Derivatives (4, 51, 4, 4) of windows by name, of one batch: windows do not depend on each other."""
+
+    def simulated(label, **options):
+        return synthetic.simulate(rf.ConstraintFrame.named(label), jax.random.key(0), **options).poses
+
+    windows = {label: simulated(label, noise=1e-4) for label in rf.CONSTRAINTS}
+    windows |= {f"{label} without noise": simulated(label) for label in "AK"}
+    window = windows["K"]
+    windows |= {
+        "not finite": window.at[3, 0, 3].set(jnp.nan),
+        "not a pose": window.at[5, 0, 0].add(0.5),
+        "no motion": jnp.tile(window[:1], (51, 1, 1)),
+    }
+    derivatives = np.asarray(jacobians_of_sums(jnp.stack(list(windows.values()))))
+    return dict(zip(windows, np.moveaxis(derivatives, 1, 0), strict=True))
 
 
-def test_noise_free_windows_have_finite_derivatives():
+def test_what_is_free_contributes_nothing(of_default_search):
+    np.testing.assert_allclose(of_default_search["B"][:3], 0, atol=1e-9)
+    assert np.all(np.max(np.abs(of_default_search["K"]), axis=(1, 2, 3)) > 1e-6)
+
+
+def test_noise_free_windows_have_finite_derivatives(of_default_search):
     for label in "AK":
-        poses = synthetic.simulate(rf.ConstraintFrame.named(label), jax.random.key(0)).poses
-        assert np.all(np.isfinite(position_jacobian(poses)))
+        assert np.all(np.isfinite(of_default_search[f"{label} without noise"][:3]))
+
+
+def test_a_bad_window_leaves_the_derivatives_of_a_batch_finite(of_default_search):
+    for name, derivatives in of_default_search.items():
+        assert np.all(np.isfinite(derivatives)), name
 
 
 @pytest.mark.parametrize("norm", [0.0, 1.0, -1.0])

@@ -79,6 +79,9 @@ def identify_windows(
     Arguments of :func:`reduce_windows` and :func:`solve_evidence`.
     """
     evidence = once(reduce_windows(poses, steps, count, lag, rule, discretization))
+    # these count as given; once() would make tangents of zeros, to be followed through all that reads them
+    noise, share, samples = jax.lax.stop_gradient((evidence.noise, evidence.share, evidence.samples))
+    evidence = replace(evidence, noise=noise, share=share, samples=samples)
     return solve_evidence(evidence, thresholds, space, key, rule, exponent, solver)
 
 
@@ -173,15 +176,17 @@ def _decide(
     """The frames to report, the probability of every pattern, (4, 4, N, 4), and which are refined, (N,)."""
     a, n = optima.angular_winner, optima.linear_winner
     rough = Frames(optima.angular_axes, optima.position, optima.axes, optima.local_axes)
+    # what is free does not follow the poses: nothing is differentiated that leads there only
+    fixed, rough_fixed = jax.lax.stop_gradient((evidence, rough))
     if rule != "auto" or evidence.maps is not None:
-        patterns, _ = pattern_probabilities(evidence, a, rough)
-        return rough, jax.lax.stop_gradient(patterns), jnp.zeros(n.shape, dtype=bool)
+        patterns, _ = pattern_probabilities(fixed, a, rough_fixed)
+        return rough, patterns, jnp.zeros(n.shape, dtype=bool)
     refined = refine_frames(evidence, optima.position, optima.box, exponent)
-    patterns, distance = pattern_probabilities(evidence, a, refined)
+    patterns, distance = pattern_probabilities(fixed, a, jax.lax.stop_gradient(refined))
     white = is_white(pick_problem(n, distance), likeliest_pattern(patterns, n), n)
 
     def both(_: None) -> jax.Array:
-        other = pattern_probabilities(evidence, a, rough)[0]
+        other = pattern_probabilities(fixed, a, rough_fixed)[0]
         return jnp.where(white[None, None, :, None], patterns, other)
 
     # nothing more to do where the noise of all windows is white
@@ -189,7 +194,7 @@ def _decide(
     frames = jax.tree.map(
         lambda new, old: jnp.where(white.reshape(-1, *[1] * (old.ndim - 1)), new, old), refined, rough
     )
-    return frames, jax.lax.stop_gradient(patterns), jax.lax.stop_gradient(white)
+    return frames, patterns, white
 
 
 def _angular_frame(

@@ -64,11 +64,14 @@ def bootstrap_of_windows(
 
     def resampled(values: jax.Array) -> jax.Array:
         """Weighted sums over all samples of (m, K+1, N), (m, B, N)."""
-        sums = [jnp.sum(jnp.where((block == b)[None], values, 0), axis=1) for b in range(_BLOCKS)]
-        return sum(
-            (weights[None, :, b, None] * sums[b][:, None] for b in range(1, _BLOCKS)),
-            weights[None, :, 0, None] * sums[0][:, None],
-        )
+        values = once(values)
+
+        def add(b: jax.Array, total: jax.Array) -> jax.Array:
+            of_block = jnp.sum(jnp.where((block == b)[None], values, 0), axis=1)
+            return total + weights[None, :, b, None] * of_block[:, None]
+
+        nothing = jnp.zeros((len(values), _REPLICAS, values.shape[2]), values.dtype)
+        return jax.lax.fori_loop(0, _BLOCKS, add, nothing)
 
     def gram(path: jax.Array, about_mean: jax.Array) -> jax.Array:
         """Moments of paths (m, K+1, N) as they are sampled, (m, m, B, N)."""
