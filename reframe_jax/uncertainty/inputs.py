@@ -22,8 +22,8 @@ WindowFunction = Callable[[jax.Array, Estimates, jax.Array, jax.Array | None], A
 """Of poses (N, K+1, 4, 4), what was found, sample times (K,) or (N, K), and lengths (N,) or None."""
 
 _SHORT = 64  # poses up to which a recording is not padded
-_WINDOWS = 8  # computed at once on a CPU: their sensitivities to all poses fill a core's second cache
-_PIECE = 32  # chunks that one thread computes in one call
+_AT_ONCE = 8  # windows on a CPU: their sensitivities to all poses fill a core's second cache
+_PIECE = 8  # times as many windows as in a chunk of an identification, that one thread computes in one call
 
 
 def _poses_of(found: Identification, poses: ArrayLike) -> tuple[Any, bool]:
@@ -145,10 +145,6 @@ def _order(found: Estimates) -> np.ndarray:
     return np.lexsort([np.asarray(kind) for kind in kinds])
 
 
-def _chunk_size() -> int:
-    return min(chunk_size(), _WINDOWS) if jax.default_backend() == "cpu" else chunk_size()
-
-
 def _chunks(
     inputs: tuple[jax.Array, Estimates, jax.Array | None],
     shared: jax.Array | None,
@@ -164,7 +160,9 @@ def _chunks(
         assert own is not None
         return function(poses, found, own, count)
 
-    chunk, size = _chunk_size(), len(inputs[0])
+    chunk, size = chunk_size(), len(inputs[0])
+    if jax.default_backend() == "cpu":
+        chunk = min(chunk, _AT_ONCE)
     if size <= chunk:
         return run(inputs)
     split = jax.tree.map(lambda leaf: leaf.reshape(-1, chunk, *leaf.shape[1:]), inputs)
@@ -188,7 +186,7 @@ def _in_pieces(run: Callable[..., Any], tree: Any, order: np.ndarray) -> Any:
         tree: its argument.
         order: (N,) in which to run them.
     """
-    chunk, count = _chunk_size(), len(order)
+    chunk, count = chunk_size(), len(order)
     size = chunk if count <= chunk else _PIECE * chunk
     starts = range(0, count, size)
     precise = bool(jax.dtypes.canonicalize_dtype(np.float64) == np.float64)
