@@ -32,6 +32,7 @@ _LEAST = 1.0  # m, half a width that it is judged over at least: over a tiny box
 _FEWEST = 12  # starts in the larger box
 _PROBE = BasinHopping(ValleySteps(8), restarts=4, hops=0, polish=0)  # whether there is anything
 _PLANE = 16.0  # of the motion of a planar origin: a square ratio, see moves_in_plane
+_ROUNDINGS = 1e4  # of the fastest axis' square, which that of the second exceeds
 _EVIDENCE = 12.0  # of the far optimum against the near one, in the logarithm of their likelihoods
 
 
@@ -73,12 +74,13 @@ def moves_in_plane(objective: PositionObjective, solution: Solution) -> jax.Arra
     """Whether the origin of the best type moves along two axes, and much less along the third, (N,) bool.
 
     With squares a << b <= c of the velocities along the axes, the determinant of their covariance is abc, its
-    trace c, and the sum of its principal minors bc.
+    trace c, and the sum of its principal minors bc. Where rounding makes b, it says nothing.
     """
     covariance = objective.covariance(solution.x)
     cofactors = symmetric.adjugate(covariance)
-    minors, trace = (sum(m[i] for i in (0, 3, 5)) for m in (cofactors, covariance))
+    minors, trace = (m[0] + m[3] + m[5] for m in (cofactors, covariance))
     flat = minors**2 > _PLANE * symmetric.determinant(covariance) * trace
+    flat = flat & (minors > _ROUNDINGS * float(jnp.finfo(trace.dtype).eps) * trace**2)
     return jnp.take_along_axis(flat, jnp.argmin(solution.value, axis=-1)[:, None], axis=-1)[:, 0]
 
 
@@ -109,8 +111,11 @@ def widen_search(
     chains = 0 if solution.ends is None else solution.ends.shape[1]
     # with Gaussian velocities the logarithm of the likelihood is -3 log J for every sample
     margin = _EVIDENCE / (3 * samples)
-    gain = solution.value - objective.value(slowest_origin(objective, far))
-    outside = steep | (jnp.any(gain > margin[:, None], axis=-1) & larger)
+    slowest = slowest_origin(objective, far)
+    low, high = near.bounds(slowest)
+    elsewhere = jnp.any((slowest < low) | (slowest > high), axis=0)
+    gain = solution.value - objective.value(slowest)
+    outside = steep | (jnp.any(elsewhere & (gain > margin[:, None]), axis=-1) & larger)
 
     def probe(block: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
         moments, value, margin = block
