@@ -5,6 +5,8 @@ component every operation is a handful of elementwise array operations, which co
 vectorize over the batch; batched 3x3 kernels (einsum, solve, eigh) are 5-10 times slower.
 """
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 
@@ -24,6 +26,7 @@ __all__ = [
     "quadratic_form",
     "solve",
     "to_matrix",
+    "trace",
     "trace_product",
 ]
 
@@ -107,6 +110,11 @@ def determinant(s: Symmetric) -> jax.Array:
     x, y, z = pivots(s)
     product = x * y * z
     return jnp.where((x > 0) & (y > 0) & (z > 0), product, -jnp.abs(product))
+
+
+def trace(s: Sequence[jax.Array] | jax.Array) -> jax.Array:
+    """tr(S), of components or of arrays whose first axis is over them."""
+    return s[0] + s[3] + s[5]
 
 
 def trace_product(a: Symmetric, b: Symmetric) -> jax.Array:

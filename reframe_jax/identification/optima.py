@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from reframe_jax.geometry import rotations, symmetric
 from reframe_jax.geometry.products import matmul3
 from reframe_jax.identification.evidence import Evidence, usable_moments
-from reframe_jax.identification.widening import SearchSpace, moves_in_plane, widen_search
+from reframe_jax.identification.widening import SearchSpace, widen_search
 from reframe_jax.objectives.moments import covariance_at
 from reframe_jax.objectives.norms import log_power_mean, principal_axes
 from reframe_jax.objectives.velocity import PositionObjective
@@ -153,9 +153,8 @@ def find_optima(
     objective = PositionObjective(evidence.linear, exponent)
     searched = jax.lax.stop_gradient(objective)
     solution = jax.tree.map(jax.lax.stop_gradient, solver.minimise(searched, space.near, key))
-    planar = evidence.axis.found & moves_in_plane(searched, solution)
     samples = jax.lax.stop_gradient(evidence.samples)
-    solution, box, widened = widen_search(searched, space, solution, samples, planar, key)
+    solution, box, widened = widen_search(searched, space, solution, samples, evidence.axis.found, key)
     if evidence.maps is None:
         x = attach_derivative(solution.x, objective, box)
         rms, axes = principal_axes(objective.covariance(x))

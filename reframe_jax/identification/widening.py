@@ -25,7 +25,7 @@ from reframe_jax.objectives.velocity import PositionObjective
 from reframe_jax.solvers import BasinHopping, Box, Solution, ValleySteps
 from reframe_jax.solvers.valley_steps import slope_and_curvature
 
-__all__ = ["SearchSpace", "is_steep", "moves_in_plane", "widen_search"]
+__all__ = ["SearchSpace", "is_steep", "widen_search"]
 
 _STEEP = 5e-3  # fall of log J over half a width of the box, outwards
 _LEAST = 1.0  # m, half a width that it is judged over at least: over a tiny box everything looks flat
@@ -59,29 +59,39 @@ def is_steep(objective: PositionObjective, box: Box, x: jax.Array) -> jax.Array:
     return jnp.any(on_face & (outwards > _STEEP), axis=0)
 
 
-def slowest_origin(objective: PositionObjective, box: Box) -> jax.Array:
+def _slowest_origin(objective: PositionObjective, box: Box) -> jax.Array:
     """The origins (3, ...) of the box whose root mean square velocity is least, m: minima of the trace."""
-    q = objective.moments[0] + objective.moments[3] + objective.moments[5]
-    floor = (
-        FLOOR * float(jnp.finfo(q.dtype).eps) * (q[4] + q[7] + q[9])
-    )  # along an axis of rotation any will do
+    q = symmetric.trace(objective.moments)
+    # along an axis of rotation any will do
+    floor = FLOOR * float(jnp.finfo(q.dtype).eps) * (q[4] + q[7] + q[9])
     curvature = 2 * (q[4] + floor), q[5], q[6], 2 * (q[7] + floor), q[8], 2 * (q[9] + floor)
     origin = jnp.stack(symmetric.solve(curvature, (-q[1], -q[2], -q[3])))
     return box.clip(jnp.where(jnp.isfinite(origin), origin, 0))
 
 
-def moves_in_plane(objective: PositionObjective, solution: Solution) -> jax.Array:
+def _moves_in_plane(objective: PositionObjective, solution: Solution) -> jax.Array:
     """Whether the origin of the best type moves along two axes, and much less along the third, (N,) bool.
 
     With squares a << b <= c of the velocities along the axes, the determinant of their covariance is abc, its
     trace c, and the sum of its principal minors bc. Where rounding makes b, it says nothing.
     """
     covariance = objective.covariance(solution.x)
-    cofactors = symmetric.adjugate(covariance)
-    minors, trace = (m[0] + m[3] + m[5] for m in (cofactors, covariance))
+    minors, trace = (symmetric.trace(m) for m in (symmetric.adjugate(covariance), covariance))
     flat = minors**2 > _PLANE * symmetric.determinant(covariance) * trace
     flat = flat & (minors > _ROUNDINGS * float(jnp.finfo(trace.dtype).eps) * trace**2)
     return jnp.take_along_axis(flat, jnp.argmin(solution.value, axis=-1)[:, None], axis=-1)[:, 0]
+
+
+def _points_outside(
+    objective: PositionObjective, space: SearchSpace, solution: Solution, margin: jax.Array
+) -> jax.Array:
+    """Whether log J falls outwards at a face of the near box, or is lower at an origin outside, (N,) bool."""
+    steep = is_steep(objective, space.near, solution.x)
+    slowest = _slowest_origin(objective, space.far)
+    low, high = space.near.bounds(slowest)
+    elsewhere = jnp.any((slowest < low) | (slowest > high), axis=0)
+    lower = solution.value - objective.value(slowest) > margin[:, None]
+    return jnp.any(steep | (elsewhere & lower), axis=-1)
 
 
 def widen_search(
@@ -89,7 +99,7 @@ def widen_search(
     space: SearchSpace,
     solution: Solution,
     samples: jax.Array,
-    planar: jax.Array,
+    turning: jax.Array,
     key: jax.Array,
 ) -> tuple[Solution, Box, jax.Array]:
     """The optima of windows whose origins may lie outside the near box, from the far one.
@@ -99,7 +109,7 @@ def widen_search(
         space: where to search.
         solution: of the search in the near box.
         samples: (N,) independent velocities.
-        planar: (N,) bool, windows whose origins may lie outside although nothing points there.
+        turning: (N,) bool, windows whose body turns about a single axis.
         key: of the starts.
 
     Returns:
@@ -107,15 +117,11 @@ def widen_search(
     """
     near, far = space.near, space.far
     larger = jnp.any((far.low < near.low) | (far.high > near.high))
-    steep = jnp.any(is_steep(objective, near, solution.x), axis=-1) & larger
     chains = 0 if solution.ends is None else solution.ends.shape[1]
     # with Gaussian velocities the logarithm of the likelihood is -3 log J for every sample
     margin = _EVIDENCE / (3 * samples)
-    slowest = slowest_origin(objective, far)
-    low, high = near.bounds(slowest)
-    elsewhere = jnp.any((slowest < low) | (slowest > high), axis=0)
-    gain = solution.value - objective.value(slowest)
-    outside = steep | (jnp.any(elsewhere & (gain > margin[:, None]), axis=-1) & larger)
+    outside = _points_outside(objective, space, solution, margin) & larger
+    planar = turning & _moves_in_plane(objective, solution) & larger
 
     def probe(block: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
         moments, value, margin = block
@@ -135,8 +141,8 @@ def widen_search(
 
     # windows last
     moments, before = jax.tree.map(lambda a: jnp.swapaxes(a, -1, -2), (objective.moments, solution))
-    outside = update_marked(probe, planar & larger & ~outside, (moments, before.value, margin), outside)
-    unchanged = before, jnp.zeros_like(steep)
+    outside = update_marked(probe, planar & ~outside, (moments, before.value, margin), outside)
+    unchanged = before, jnp.zeros_like(outside)
     found, widened = update_marked(look, outside, (moments, before, margin), unchanged)
     found = jax.tree.map(lambda a: jnp.swapaxes(a, -1, -2), found)
     low, high = (

@@ -162,7 +162,7 @@ def _aligning(s: Symmetric) -> jax.Array:
 
 def _majorising(here: _Expansion, majorant: Symmetric) -> jax.Array:
     """Shift to the minimum of the majorizing quadratic, (3, ...), to be taken away from the origin."""
-    ridge = _RIDGE * (majorant[0] + majorant[3] + majorant[5])
+    ridge = _RIDGE * symmetric.trace(majorant)
     entries = (m + ridge if a == b else m for m, (a, b) in zip(majorant, INDEX_PAIRS, strict=True))
     return jnp.stack(symmetric.solve(cast(Symmetric, tuple(entries)), cast(Vector, tuple(here.gradient[3:]))))
 

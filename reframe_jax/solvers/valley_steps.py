@@ -235,7 +235,7 @@ def descend(
             for i in range(3)
         ]
         g = cast(Vector, tuple(jnp.where(held[i], 0, here.gradient[i]) for i in range(3)))
-        trace = here.majorant[0] + here.majorant[3] + here.majorant[5]
+        trace = symmetric.trace(here.majorant)
         both = here.majorant, here.hessian
         down, newton = apply_each(lambda m: symmetric.solve(_hold(m, held, trace), g), both)
 
