@@ -317,7 +317,7 @@ def _paths(
     those of the rotations as they are.
     """
 
-    @jax.jit
+    @jax.jit  # traced and linearised once for both passes
     def of_rotation(rotation: jax.Array) -> tuple[jax.Array, jax.Array]:
         return kinematics.paths_of(rotation, motion.position, steps, count)
 
