@@ -116,7 +116,7 @@ def test_too_much_noise_is_said(recordings):
 @pytest.mark.parametrize("label", "AEHK")
 def test_a_bootstrap_agrees(recordings, label):
     _, poses, found = recordings[label]
-    poses, found = poses[:CHUNK], found[:CHUNK]  # more would be computed as many more
+    poses, found = poses[:CHUNK], found[:CHUNK]  # a larger batch is filled up to 256
     usual = rf.covariance(found, poses, dt=DT, errors="white")
     second = rf.covariance(found, poses, dt=DT, method="bootstrap")
     parts = {label: ("linear_axes", "position") for label in "EHK"} | {"A": ("angular_axes", "position")}
