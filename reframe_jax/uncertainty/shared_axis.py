@@ -57,8 +57,8 @@ def shared_axes(paths: Paths, found: Estimates) -> SharedAxes:
 def rows_with_axis(
     paths: Paths,
     found: Estimates,
-    angular: tuple[jax.Array, jax.Array],
-    linear: tuple[jax.Array, jax.Array],
+    angular: _Rows,
+    linear: _Rows,
     still: Callable[[], _Rows],
     noise: tuple[jax.Array, jax.Array],
     bias: jax.Array,
@@ -108,9 +108,7 @@ def rows_with_axis(
     return parts
 
 
-def _choose(
-    here: jax.Array, new: tuple[jax.Array, jax.Array], old: tuple[jax.Array, jax.Array]
-) -> tuple[jax.Array, jax.Array]:
+def _choose(here: jax.Array, new: _Rows, old: _Rows) -> _Rows:
     """Sensitivities to rotations and positions of the windows (N,) chosen."""
     turn, shift = (jnp.where(here[None, None, None], a, b) for a, b in zip(new, old, strict=True))
     return turn, shift
@@ -133,9 +131,9 @@ def _to_angular(
     paths: Paths,
     angular_axes: jax.Array,
     linear_axes: jax.Array,
-    rows: tuple[jax.Array, jax.Array],
+    rows: _Rows,
     on_body: tuple[jax.Array, jax.Array],
-) -> tuple[jax.Array, jax.Array]:
+) -> _Rows:
     """Sensitivities of turns of the angular frame whose third axis is that of the linear frame.
 
     Args:
