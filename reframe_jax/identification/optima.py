@@ -223,9 +223,10 @@ def put_third_axis(axes: jax.Array, third: jax.Array, chosen: jax.Array) -> jax.
     same = jnp.sum(third * axes[..., 2], axis=-1, keepdims=True)
     third = jnp.where(same < 0, -third, third)
     first = axes[..., 0] - third * jnp.sum(third * axes[..., 0], axis=-1, keepdims=True)
-    length = jnp.sqrt(jnp.sum(jnp.square(first), axis=-1, keepdims=True))
-    found = chosen[:, None] & (length[..., 0] > 0.5)
-    first = first / jnp.where(length > 0, length, 1)
+    square = jnp.sum(jnp.square(first), axis=-1, keepdims=True)
+    length = jnp.sqrt(jnp.where(square > 0, square, 1))  # the root of zero has no derivative
+    found = chosen[:, None] & (square[..., 0] > 0) & (length[..., 0] > 0.5)
+    first = first / length
     turned = jnp.stack([first, jnp.cross(third, first), third], axis=-1)
     return jnp.where(found[..., None, None], turned, axes)
 

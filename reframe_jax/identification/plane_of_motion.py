@@ -41,6 +41,10 @@ def use_plane(evidence: Evidence, frames: Frames, dof: jax.Array, chosen: jax.Ar
 
     turned = symmetric.to_matrix(constant_covariance(evidence.angular_spread))[:, AngularType.G]
     squares = jnp.sum(axes[:, AngularType.G] * matmul3(turned, axes[:, AngularType.G]), axis=-2)
+    single = chosen & (jnp.sum(dof[:, 0], axis=-1) == 1) & (jnp.abs(along[:, 0]) > PARALLEL_COSINE)
+    # a body that does not turn, or stays on a line, has squares of zero; ones keep derivatives finite
+    left, *went = (jnp.where(single, square, 1) for square in (left, *went))
+    squares = jnp.where(single[:, None], squares, 1)
     tiny = float(jnp.finfo(axes.dtype).tiny)
     by_rotation = squares[:, 2] / jnp.maximum((squares[:, 0] + squares[:, 1]) / 2, tiny)
     fused = normal
@@ -54,5 +58,4 @@ def use_plane(evidence: Evidence, frames: Frames, dof: jax.Array, chosen: jax.Ar
     thirds = {AngularType.G: fused, AngularType.B: axes[:, AngularType.B, :, 2] + tilt}
     third = jnp.stack([thirds[kind] for kind in AngularType], axis=1)
     third = third / jnp.linalg.norm(third, axis=-1, keepdims=True)
-    single = chosen & (jnp.sum(dof[:, 0], axis=-1) == 1) & (jnp.abs(along[:, 0]) > PARALLEL_COSINE)
     return replace(frames, angular_axes=put_third_axis(axes, third, single))

@@ -51,14 +51,15 @@ def share_axis(
     slides = single & ~planar & (free == 1) & (jnp.abs(along) > PARALLEL_COSINE)
     faces = planar & (free == 2) & (jnp.abs(across) > PARALLEL_COSINE)
     aside = planar & (free == 1) & (jnp.abs(along) < SQUARE_COSINE)
-    fused = _mean_axis(evidence, frames, jnp.where(along < 0, -1, 1)[..., None] * rotation)
+    fused = _mean_axis(evidence, frames, jnp.where(along < 0, -1, 1)[..., None] * rotation, slides)
     # all types say the same; the noise of those whose path is summed up is larger
     shared = jnp.all(slides, axis=1)
     turning = jnp.stack([fused[:, LinearType.GB], fused[:, LinearType.BG]], axis=1)
     same = turning[:, _BODIES]
     same = jnp.where(_dot(same, fused)[..., None] < 0, -same, same)
     fused = jnp.where(shared[:, None, None], same, fused)
-    beside = _unit(third - along[..., None] * rotation)
+    # elsewhere the axis of rotation may be the third axis, and nothing is left beside it
+    beside = _unit(third - jnp.where(faces | aside, along, 0)[..., None] * rotation)
     third = jnp.where((faces | aside)[..., None], beside, jnp.where(slides[..., None], fused, third))
     first = jnp.where(faces[..., None], jnp.where(across < 0, -1, 1)[..., None] * rotation, first)
     first = _unit(first - third * _dot(first, third)[..., None])
@@ -72,14 +73,20 @@ def share_axis(
     )
 
 
-def _mean_axis(evidence: Evidence, frames: Frames, rotation: jax.Array) -> jax.Array:
-    """Mean of the free axes of the linear frames and the axes of rotation, both (N, 4, 3)."""
+def _mean_axis(evidence: Evidence, frames: Frames, rotation: jax.Array, chosen: jax.Array) -> jax.Array:
+    """Mean of the free axes of the linear frames and the axes of rotation, both (N, 4, 3), where chosen.
+
+    For the frames that are not chosen, (N, 4), it is some unit vector, with finite derivatives: a body that
+    does not turn has no information about the axis, and no noise.
+    """
     squares, noise = _spread_and_noise(evidence, frames)
-    of_rotation = evidence.axis.spread / jnp.square(evidence.share * evidence.noise.rotation)
+    turned = jnp.square(evidence.share * evidence.noise.rotation)[:, None]
+    of_rotation = jnp.where(chosen, evidence.axis.spread[:, None], 1) / jnp.where(chosen, turned, 1)
+    squares, noise = (jnp.where(chosen[..., None], array, 1) for array in (squares, noise))
     fused = frames.axes[..., 2]
     for n in (0, 1):
         information = jnp.abs(squares[..., 2] - squares[..., n]) / noise[..., n]
-        weight = of_rotation[:, None] / (of_rotation[:, None] + information)
+        weight = of_rotation / (of_rotation + information)
         side = frames.axes[..., n]
         fused = fused + (weight * _dot(rotation, side))[..., None] * side
     return _unit(fused)

@@ -72,7 +72,7 @@ def find_single_axis(
     centre = jnp.sum(weights[None] * position, axis=1) / number[None]
     about = weights[None] * (position - centre[:, None])
     spread = tuple(jnp.sum(about[i] * about[j], axis=0) / number for i, j in symmetric.INDEX_PAIRS)
-    known = found & (of_position > 0)
+    known = found & (of_position > 0) & (of_rotation > 0)
     ratio = jnp.where(known, of_position, 1) / jnp.where(known, of_rotation, 1)
     # positions spread by their noise in all directions alike
     stiffness = jnp.where(known, ratio * (1 - second) - of_position, 1)
@@ -120,8 +120,8 @@ def across_axis(
 
 def _unit(vector: jax.Array) -> jax.Array:
     """(3, N) of length 1."""
-    length = jnp.sqrt(jnp.sum(jnp.square(vector), axis=0))
-    return vector / jnp.where(length > 0, length, 1)[None]
+    square = jnp.sum(jnp.square(vector), axis=0)
+    return vector / jnp.sqrt(jnp.where(square > 0, square, 1))[None]
 
 
 def keep_axis(rotation: jax.Array, axis: SingleAxis) -> jax.Array:
