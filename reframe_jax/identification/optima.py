@@ -156,7 +156,7 @@ def find_optima(
     samples = jax.lax.stop_gradient(evidence.samples)
     solution, box, widened = widen_search(searched, space, solution, samples, evidence.axis.found, key)
     if evidence.maps is None:
-        x = attach_derivative(solution.x, objective, box)
+        x = _follow_moments(solution.x, objective, box)
         rms, axes = principal_axes(objective.covariance(x))
         local = axes
     else:
@@ -167,7 +167,7 @@ def find_optima(
         here = Box(low - solution.x, high - solution.x)
         start = jnp.zeros_like(solution.x)
         shift, _ = ValleySteps(_TOUCH_UP)(jax.lax.stop_gradient(objective), here, start)
-        shift = attach_derivative(shift, objective, here)
+        shift = _follow_moments(shift, objective, here)
         rms, local = principal_axes(objective.covariance(shift))
         axes, x = matmul3(first, local), solution.x + shift
     norm = _norm(rms, exponent)
@@ -190,6 +190,17 @@ def find_optima(
     )
 
 
+def _follow_moments(x: jax.Array, objective: PositionObjective, box: Box) -> jax.Array:
+    """The optima x, (3, N, 4) m, as differentiable functions of the moments.
+
+    They are the same in every unit of velocity. With moments of order one, the third powers that derivatives
+    divide by fit float32.
+    """
+    squares = [objective.moments[i, j] for i in (0, 3, 5) for j in (0, 4, 7, 9)]
+    size = jax.lax.stop_gradient(jnp.sum(jnp.stack(squares), axis=0))
+    return attach_derivative(x, PositionObjective(objective.moments / size, objective.exponent), box)
+
+
 def refine_frames(evidence: Evidence, position: jax.Array, box: Box, exponent: float) -> Frames:
     """The frames in which the paths leave their mean least: displacements between all pairs of poses.
 
@@ -205,7 +216,7 @@ def refine_frames(evidence: Evidence, position: jax.Array, box: Box, exponent: f
     objective = PositionObjective(evidence.linear_spread, exponent)
     start = jax.lax.stop_gradient(jnp.moveaxis(position, -1, 0))
     x, _ = ValleySteps(_REFINING)(jax.lax.stop_gradient(objective), box, start)
-    x = attach_derivative(x, objective, box)
+    x = _follow_moments(x, objective, box)
     _, axes = principal_axes(objective.covariance(x))
     _, angular_axes = principal_axes(constant_covariance(evidence.angular_spread))
     angular_axes = _about_single_axis(evidence, angular_axes)
