@@ -193,11 +193,10 @@ def find_optima(
 def _follow_moments(x: jax.Array, objective: PositionObjective, box: Box) -> jax.Array:
     """The optima x, (3, N, 4) m, as differentiable functions of the moments.
 
-    They are the same in every unit of velocity. With moments of order one, the third powers that derivatives
-    divide by fit float32.
+    They are the same in every unit of velocity. In units of the geometric mean of the RMS velocities, the
+    third powers of variances that derivatives divide by fit float32.
     """
-    squares = [objective.moments[i, j] for i in (0, 3, 5) for j in (0, 4, 7, 9)]
-    size = jax.lax.stop_gradient(jnp.sum(jnp.stack(squares), axis=0))
+    size = jax.lax.stop_gradient(jnp.exp(2 * PositionObjective(objective.moments).value(x)))
     return attach_derivative(x, PositionObjective(objective.moments / size, objective.exponent), box)
 
 

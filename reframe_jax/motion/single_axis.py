@@ -120,8 +120,8 @@ def across_axis(
 
 def _unit(vector: jax.Array) -> jax.Array:
     """(3, N) of length 1."""
-    square = jnp.sum(jnp.square(vector), axis=0)
-    return vector / jnp.sqrt(jnp.where(square > 0, square, 1))[None]
+    length = jnp.sqrt(jnp.sum(jnp.square(vector), axis=0))
+    return vector / jnp.where(length > 0, length, 1)[None]
 
 
 def keep_axis(rotation: jax.Array, axis: SingleAxis) -> jax.Array:
