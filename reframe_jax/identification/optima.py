@@ -20,6 +20,7 @@ __all__ = [
     "Optima",
     "constant_covariance",
     "find_optima",
+    "follow_where",
     "orient_axes",
     "pick_problem",
     "pick_type",
@@ -91,6 +92,16 @@ def pick_type(array: jax.Array, index: jax.Array) -> jax.Array:
     """From (N, T, ...) what belongs to one type each, (N, ...)."""
     index = index.reshape(*index.shape, *([1] * (array.ndim - index.ndim)))
     return jnp.take_along_axis(array, index, axis=1)[:, 0]
+
+
+def follow_where(chosen: jax.Array, value: jax.Array) -> jax.Array:
+    """The value (N, ...) as it is, with derivatives for the chosen windows (N,) only.
+
+    For what a ``where`` takes from the chosen windows only. Elsewhere it may divide by zero, and reverse mode
+    would multiply that by a derivative of zero. ``chosen`` may have more of the axes of ``value``.
+    """
+    chosen = chosen.reshape(*chosen.shape, *([1] * (value.ndim - chosen.ndim)))
+    return jnp.where(chosen, value, jax.lax.stop_gradient(value))
 
 
 def pick_problem(types: jax.Array, leaf: jax.Array) -> jax.Array:
@@ -230,13 +241,14 @@ def _about_single_axis(evidence: Evidence, axes: jax.Array) -> jax.Array:
 
 def put_third_axis(axes: jax.Array, third: jax.Array, chosen: jax.Array) -> jax.Array:
     """The axes (N, 2, 3, 3) with the third along (N, 2, 3), either way round, for the windows (N,) chosen."""
-    same = jnp.sum(third * axes[..., 2], axis=-1, keepdims=True)
+    third, own = follow_where(chosen, third), follow_where(chosen, axes)
+    same = jnp.sum(third * own[..., 2], axis=-1, keepdims=True)
     third = jnp.where(same < 0, -third, third)
-    first = axes[..., 0] - third * jnp.sum(third * axes[..., 0], axis=-1, keepdims=True)
+    first = own[..., 0] - third * jnp.sum(third * own[..., 0], axis=-1, keepdims=True)
     square = jnp.sum(jnp.square(first), axis=-1, keepdims=True)
-    length = jnp.sqrt(jnp.where(square > 0, square, 1))  # the root of zero has no derivative
-    found = chosen[:, None] & (square[..., 0] > 0) & (length[..., 0] > 0.5)
-    first = first / length
+    length = jnp.sqrt(follow_where(square > 0, square))
+    found = chosen[:, None] & (length[..., 0] > 0.5)
+    first = first / jnp.where(length > 0, length, 1)
     turned = jnp.stack([first, jnp.cross(third, first), third], axis=-1)
     return jnp.where(found[..., None, None], turned, axes)
 

@@ -6,6 +6,7 @@ the positions knows the axis better than the rotations do, the more so the furth
 """
 
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +15,7 @@ from reframe_jax.constraints.types import PARALLEL_COSINE, AngularType
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.products import matmul3
 from reframe_jax.identification.evidence import Evidence
-from reframe_jax.identification.optima import Frames, constant_covariance, put_third_axis
+from reframe_jax.identification.optima import Frames, constant_covariance, follow_where, put_third_axis
 
 __all__ = ["use_plane"]
 
@@ -42,9 +43,12 @@ def use_plane(evidence: Evidence, frames: Frames, dof: jax.Array, chosen: jax.Ar
     turned = symmetric.to_matrix(constant_covariance(evidence.angular_spread))[:, AngularType.G]
     squares = jnp.sum(axes[:, AngularType.G] * matmul3(turned, axes[:, AngularType.G]), axis=-2)
     single = chosen & (jnp.sum(dof[:, 0], axis=-1) == 1) & (jnp.abs(along[:, 0]) > PARALLEL_COSINE)
-    # a body that does not turn, or stays on a line, has squares of zero; ones keep derivatives finite
-    left, *went = (jnp.where(single, square, 1) for square in (left, *went))
-    squares = jnp.where(single[:, None], squares, 1)
+    mean = jnp.moveaxis(evidence.mean_paths[:, 1:, :, 0], 2, 0)
+    # a body that does not turn, or stays on a line, divides by squares of zero
+    of_single = in_ground, normal, sides, left, went, squares, mean
+    in_ground, normal, sides, left, went, squares, mean = jax.tree.map(
+        partial(follow_where, single), of_single
+    )
     tiny = float(jnp.finfo(axes.dtype).tiny)
     by_rotation = squares[:, 2] / jnp.maximum((squares[:, 0] + squares[:, 1]) / 2, tiny)
     fused = normal
@@ -53,7 +57,6 @@ def use_plane(evidence: Evidence, frames: Frames, dof: jax.Array, chosen: jax.Ar
         weight = by_rotation / jnp.maximum(by_rotation + jnp.maximum(by_plane, 0), tiny)
         fused = fused + (weight * jnp.sum(side * in_ground, axis=-1))[:, None] * side
     fused = fused / jnp.linalg.norm(fused, axis=-1, keepdims=True)
-    mean = jnp.moveaxis(evidence.mean_paths[:, 1:, :, 0], 2, 0)
     tilt = matmul3((fused - in_ground)[:, None], mean)[:, 0]
     thirds = {AngularType.G: fused, AngularType.B: axes[:, AngularType.B, :, 2] + tilt}
     third = jnp.stack([thirds[kind] for kind in AngularType], axis=1)

@@ -16,7 +16,7 @@ from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.products import matmul3
 from reframe_jax.identification.distances import noise_along
 from reframe_jax.identification.evidence import Evidence
-from reframe_jax.identification.optima import Frames, put_third_axis
+from reframe_jax.identification.optima import Frames, follow_where, put_third_axis
 from reframe_jax.objectives.moments import covariance_at
 
 __all__ = ["share_axis"]
@@ -58,8 +58,8 @@ def share_axis(
     same = turning[:, _BODIES]
     same = jnp.where(_dot(same, fused)[..., None] < 0, -same, same)
     fused = jnp.where(shared[:, None, None], same, fused)
-    # elsewhere the axis of rotation may be the third axis, and nothing is left beside it
-    beside = _unit(third - jnp.where(faces | aside, along, 0)[..., None] * rotation)
+    # elsewhere the third axis may be the axis of rotation, with nothing beside it
+    beside = _unit(follow_where(faces | aside, third - along[..., None] * rotation))
     third = jnp.where((faces | aside)[..., None], beside, jnp.where(slides[..., None], fused, third))
     first = jnp.where(faces[..., None], jnp.where(across < 0, -1, 1)[..., None] * rotation, first)
     first = _unit(first - third * _dot(first, third)[..., None])
@@ -76,18 +76,17 @@ def share_axis(
 def _mean_axis(evidence: Evidence, frames: Frames, rotation: jax.Array, chosen: jax.Array) -> jax.Array:
     """Mean of the free axes of the linear frames and the axes of rotation, both (N, 4, 3), where chosen.
 
-    For the frames that are not chosen, (N, 4), it is some unit vector, with finite derivatives: a body that
-    does not turn has no information about the axis, and no noise.
+    A body that does not turn has no such mean: its rotations have neither spread nor noise.
     """
-    squares, noise = _spread_and_noise(evidence, frames)
-    turned = jnp.square(evidence.share * evidence.noise.rotation)[:, None]
-    of_rotation = jnp.where(chosen, evidence.axis.spread[:, None], 1) / jnp.where(chosen, turned, 1)
-    squares, noise = (jnp.where(chosen[..., None], array, 1) for array in (squares, noise))
-    fused = frames.axes[..., 2]
+    spread = follow_where(jnp.any(chosen, axis=1), evidence.axis.spread)
+    of_rotation = spread / jnp.square(evidence.share * evidence.noise.rotation)
+    inputs = *_spread_and_noise(evidence, frames), frames.axes, rotation, of_rotation[:, None]
+    squares, noise, axes, rotation, of_rotation = (follow_where(chosen, array) for array in inputs)
+    fused = axes[..., 2]
     for n in (0, 1):
         information = jnp.abs(squares[..., 2] - squares[..., n]) / noise[..., n]
         weight = of_rotation / (of_rotation + information)
-        side = frames.axes[..., n]
+        side = axes[..., n]
         fused = fused + (weight * _dot(rotation, side))[..., None] * side
     return _unit(fused)
 
