@@ -208,7 +208,9 @@ def _follow_moments(x: jax.Array, objective: PositionObjective, box: Box) -> jax
     third powers of variances that derivatives divide by fit float32.
     """
     size = jax.lax.stop_gradient(jnp.exp(2 * PositionObjective(objective.moments).value(x)))
-    return attach_derivative(x, PositionObjective(objective.moments / size, objective.exponent), box)
+    return attach_derivative(
+        x, PositionObjective(objective.moments / size[None, None], objective.exponent), box
+    )
 
 
 def refine_frames(evidence: Evidence, position: jax.Array, box: Box, exponent: float) -> Frames:
