@@ -59,6 +59,6 @@ def use_plane(evidence: Evidence, frames: Frames, dof: jax.Array, chosen: jax.Ar
     fused = fused / jnp.linalg.norm(fused, axis=-1, keepdims=True)
     tilt = matmul3((fused - in_ground)[:, None], mean)[:, 0]
     thirds = {AngularType.G: fused, AngularType.B: axes[:, AngularType.B, :, 2] + tilt}
-    third = jnp.stack([thirds[kind] for kind in AngularType], axis=1)
+    third = follow_where(single, jnp.stack([thirds[kind] for kind in AngularType], axis=1))
     third = third / jnp.linalg.norm(third, axis=-1, keepdims=True)
     return replace(frames, angular_axes=put_third_axis(axes, third, single))
