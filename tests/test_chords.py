@@ -7,7 +7,14 @@ import pytest
 
 import reframe_jax as rf
 from reframe_jax.motion.chords import chord_velocities, moving_chords, spread_of
-from reframe_jax.motion.kinematics import linear_velocity_maps, velocity_paths
+from reframe_jax.motion.kinematics import (
+    linear_velocity_maps,
+    paths_of,
+    rates_of,
+    split_poses,
+    turn_paths,
+    velocity_paths,
+)
 from reframe_jax.simulation import synthetic
 
 POSES = 61
@@ -128,3 +135,19 @@ def test_a_lag_in_samples_and_in_seconds():
     by_number, by_time = (rf.identify(poses, dt=0.04, lag=lag) for lag in (5, 0.2))
     assert by_number.lag == by_time.lag == 5
     np.testing.assert_array_equal(by_number.linear.rms, by_time.linear.rms)
+
+
+@pytest.mark.parametrize("count", [None, np.array([POSES, 40, 33], np.int32)])
+def test_turns_need_no_positions(poses, count):
+    """They are the rates of the whole paths, of whole windows and of padded ones."""
+    rotation, position = split_poses(poses)
+
+    @jax.jit
+    def both(rotation, position):
+        steps = jnp.asarray(STEPS)[None]
+        whole = rates_of(paths_of(rotation, position, steps, count)[1])[:, 0]
+        return whole, turn_paths(rotation, steps, count)
+
+    whole, alone = both(rotation, position)
+    np.testing.assert_allclose(alone, whole, rtol=0, atol=1e-14)
+    assert np.ptp(np.asarray(alone), axis=1).min() > 0.1

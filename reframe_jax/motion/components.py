@@ -47,6 +47,8 @@ def transpose(matrix: jax.Array) -> jax.Array:
 
 
 def bracket(a: jax.Array, b: jax.Array) -> jax.Array:
-    """Lie bracket of twists (w, v): [a, b] = (wa x wb, wa x vb - wb x va)."""
+    """Lie bracket of twists (w, v), (wa x wb, wa x vb - wb x va), or of angular velocities, (3, ...)."""
+    if a.shape[0] == 3:
+        return cross(a, b)
     wa, va, wb, vb = a[:3], a[3:], b[:3], b[3:]
     return jnp.concatenate([cross(wa, wb), cross(wa, vb) - cross(wb, va)])

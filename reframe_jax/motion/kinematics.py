@@ -30,6 +30,7 @@ __all__ = [
     "rates_of",
     "spatial_twists",
     "split_poses",
+    "turn_paths",
     "turns_of",
     "velocity_components",
     "velocity_paths",
@@ -178,6 +179,28 @@ def paths_of(
     maps = jnp.stack([bb, jnp.diff(in_ground, axis=2) * rate, gg, jnp.diff(in_body, axis=2) * rate], axis=3)
     paths = jnp.stack([_sum_up(bb * step), in_ground, _sum_up(gg * step), in_body], axis=3)
     return maps, paths
+
+
+def turn_paths(rotation: jax.Array, steps: jax.Array, count: jax.Array | None = None) -> jax.Array:
+    """Compute the path whose derivative is the angular velocity, (3, K+1, 2, ...) rad in {g} and {b}.
+
+    It is what :func:`rates_of` takes from the paths of :func:`paths_of`, at a third of their cost.
+
+    Args:
+        rotation: (3, 3, K+1, ...).
+        steps: as there.
+        count: as there.
+    """
+    step = components_first(steps, 0)[None]
+    log = rotations.rotation_log
+    for _ in range(rotation.ndim - 2):
+        log = jax.vmap(log, in_axes=-1, out_axes=-1)
+    body = once(log(product(transpose(rotation)[:, :, :-1], rotation[:, :, 1:])) / step)
+    spatial = once(product(rotation[:, :, :-1], body))
+    used = None if count is None else count - 1
+    rates = [without_brackets(w, steps, seen, used) for w, seen in ((spatial, True), (body, False))]
+    turns = jnp.cumsum(jnp.stack(rates, axis=2) * step[:, :, None], axis=1)
+    return jnp.concatenate([jnp.zeros_like(turns[:, :1]), turns], axis=1)
 
 
 def turns_of(rotation: jax.Array) -> jax.Array:

@@ -99,7 +99,7 @@ def without_brackets(
     they are left in: the derivatives would make far more of the noise.
 
     Args:
-        means: (6, K, ...) mean twists.
+        means: (6, K, ...) mean twists, or (3, K, ...) mean angular velocities.
         dt: (..., K) s.
         spatial: whether they are spatial or body twists.
         count: see :func:`_derivative_weights`.

@@ -71,7 +71,7 @@ def covariance_of_windows(
     linear = once(linear_rows(moved, slopes, linear_dof, free, added))
     linear_path = _to_path(sampling, jnp.concatenate([linear.turn, linear.position]))
     angular_rms = _rms_path(paths.along_angular, None, sampling, angular_dof, None)
-    best = paths.along_linear + jnp.sum(paths.slopes * linear.offset[None, :, None], axis=1)
+    best = once(paths.along_linear + jnp.sum(paths.slopes * linear.offset[None, :, None], axis=1))
     optimum = _to_path(sampling, linear.optimum)
     linear_rms = _rms_path(best, paths.slopes, sampling, linear_dof, optimum)
     of_turn = once(jnp.concatenate([_to_path(sampling, angular), angular_rms]))
@@ -156,11 +156,11 @@ def _rms_path(
 ) -> jax.Array:
     """Sensitivities of the RMS velocities to the path, (3, 3, K+1, N)."""
     own, share = rms_rows(sampling.chords(path), dof)
-    back = sampling.from_chords(own)
+    back = once(sampling.from_chords(own))
     rows = jnp.stack([jnp.zeros_like(back).at[i].set(back[i]) for i in range(3)])
     if slopes is None or position is None:
         return rows
-    by_origin = jnp.sum(back[:, None] * slopes, axis=2) / share[:, None]
+    by_origin = once(jnp.sum(back[:, None] * slopes, axis=2) / share[:, None])
     return rows + jnp.stack([jnp.sum(by_origin[i][:, None, None] * position, axis=0) for i in range(3)])
 
 

@@ -108,6 +108,7 @@ def estimates_of(found: Identification, noise: PoseNoise | None, dtype: np.dtype
     return jax.tree.map(convert, estimates)
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Paths:
     """Paths of a window's frames, as they were identified: components first, then samples, then windows.
@@ -166,18 +167,20 @@ def paths_of(poses: jax.Array, steps: jax.Array, count: jax.Array | None, found:
 
     poses = once(jax.lax.cond(jnp.any(out), mend, lambda poses: poses, poses))
     rotation, shift, share = _averaged(poses, times, number, found)
-    _, paths = once(kinematics.paths_of(rotation, shift, shared, count))
-    turns = _of_type(kinematics.rates_of(paths)[:, 0], found.angular_type)
     noise = share * found.seen.position, share * found.seen.rotation
     single = find_single_axis(rotation, shift, found.counted.T, noise)
     kept = single.found & found.refined & (found.lag > 1)
 
-    def keep(_: None) -> tuple[jax.Array, jax.Array]:
-        straight = keep_axis(rotation, single._replace(found=kept))
-        return straight, kinematics.paths_of(straight, shift, shared, count)[1]
-
-    tilted = rotation
-    rotation, paths = once(jax.lax.cond(jnp.any(kept), keep, lambda _: (rotation, paths), None))
+    straight = once(
+        jax.lax.cond(jnp.any(kept), keep_axis, lambda same, _: same, rotation, single._replace(found=kept))
+    )
+    paths = once(kinematics.paths_of(straight, shift, shared, count)[1])
+    turns = jax.lax.cond(
+        jnp.any(kept),
+        lambda: kinematics.turn_paths(rotation, shared, count),
+        lambda: kinematics.rates_of(paths)[:, 0],
+    )
+    turns = once(_of_type(turns, found.angular_type))
     maps = _of_type(paths, found.linear_type)
     offsets = ground_offset(centre)
     offset = jnp.take_along_axis(offsets, found.linear_type[:, None, None], axis=1)[:, 0]
@@ -187,8 +190,8 @@ def paths_of(poses: jax.Array, steps: jax.Array, count: jax.Array | None, found:
     back = jnp.swapaxes(axes_of(found.linear_rotvec), 0, 1)[:, :, None]
     slopes = jnp.stack([apply_to_rows(back, maps[None, :, a])[0] for a in (1, 2, 3)], axis=1)
     angular_back = jnp.swapaxes(axes_of(found.angular_rotvec), 0, 1)[:, :, None]
-    return Paths(
-        rotation=rotation,
+    found_paths = Paths(
+        rotation=straight,
         shift=shift,
         turns=turns,
         along_angular=apply_to_rows(angular_back, turns[None])[0],
@@ -198,10 +201,11 @@ def paths_of(poses: jax.Array, steps: jax.Array, count: jax.Array | None, found:
         rivals=paths[:, 0] + jnp.sum(paths[:, 1:] * origins[None, :, None], axis=1),
         single=single,
         kept=kept,
-        tilted=tilted,
+        tilted=rotation,
         share=share,
         sampling=_sampling(paths, times, found),
     )
+    return once(found_paths)
 
 
 def _averaged(
@@ -237,8 +241,10 @@ def _sampling(paths: jax.Array, times: jax.Array, found: Estimates) -> Sampling:
 
 def _of_type(array: jax.Array, kind: jax.Array) -> jax.Array:
     """From (..., K+1, T, N) what belongs to one type each, (..., K+1, N)."""
-    index = kind.reshape(*[1] * (array.ndim - 1), -1)
-    return jnp.take_along_axis(array, index, axis=-2)[..., 0, :]
+    chosen = array[..., 0, :]
+    for code in range(1, array.shape[-2]):
+        chosen = jnp.where(kind == code, array[..., code, :], chosen)  # a gather takes each number by itself
+    return chosen
 
 
 def axes_of(rotvec: jax.Array) -> jax.Array:

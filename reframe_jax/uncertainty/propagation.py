@@ -17,6 +17,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from reframe_jax.compilation import once
 from reframe_jax.constraints.types import AngularType, LinearType
 
 __all__ = ["apply_to_rows", "cross_rows", "position_to_poses", "turn_to_poses"]
@@ -38,13 +39,13 @@ def position_to_poses(
         Those to rotation vectors and those to shifts, (m, 3, K+1, N) each, in the axes of {g}.
     """
     fixed = jnp.broadcast_to(origin[:, None], position.shape)
-    arm = apply_to_rows(rotation, fixed[None])[0]
+    arm = once(apply_to_rows(rotation, fixed[None])[0])
     in_body, in_ground = (_steps_in_body, _steps_in_ground)
     candidates: dict[int, Callable[[], tuple[jax.Array, jax.Array]]] = {
         LinearType.BB: lambda: in_body(rows, rotation, position + arm, arm),
         LinearType.GB: lambda: _point(rows, arm),
         LinearType.GG: lambda: in_ground(rows, rotation, fixed - position),
-        LinearType.BG: lambda: _point(apply_to_rows(rotation, rows), fixed - position),
+        LinearType.BG: lambda: _point(once(apply_to_rows(rotation, rows)), fixed - position),
     }
     turn, shift = _of_kind(kind, candidates, (rows, rows))
     return turn, shift
@@ -79,7 +80,7 @@ def turn_to_poses(rows: jax.Array, kind: jax.Array, rotation: jax.Array, turns: 
     """
     pull = _after(rows)
     candidates: dict[int, Callable[[], jax.Array]] = {
-        AngularType.B: lambda: _differences(apply_to_rows(_middle(rotation), pull)),
+        AngularType.B: lambda: _differences(once(apply_to_rows(_middle(rotation), pull))),
         AngularType.G: lambda: _differences(pull) + _halves(cross_rows(jnp.diff(turns, axis=1)[None], pull)),
     }
     result: jax.Array = _of_kind(kind, candidates, rows)
@@ -94,8 +95,8 @@ def _steps_in_body(
     rows: jax.Array, rotation: jax.Array, points: jax.Array, arm: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """BB: steps of a point of the body, in the axes of the body."""
-    pull = apply_to_rows(_middle(rotation), _after(rows))
-    turn, shift = _point(_differences(pull), arm)
+    pull = once(apply_to_rows(_middle(rotation), _after(rows)))
+    turn, shift = _point(once(_differences(pull)), arm)
     return turn - _halves(cross_rows(jnp.diff(points, axis=1)[None], pull)), shift
 
 
@@ -103,15 +104,15 @@ def _steps_in_ground(rows: jax.Array, rotation: jax.Array, arm: jax.Array) -> tu
     """GG: a point of the ground passes the body; steps in the axes of the ground, of the body past it."""
     pull, middle = _after(rows), _middle(rotation)
     in_body = apply_to_rows(jnp.swapaxes(rotation, 0, 1), arm[None])[0]
-    steps = -apply_to_rows(middle, jnp.diff(in_body, axis=1)[None])
-    on_poses = _differences(apply_to_rows(jnp.swapaxes(middle, 0, 1), pull))
-    turn, shift = _point(apply_to_rows(rotation, on_poses), arm)
+    steps = once(-apply_to_rows(middle, jnp.diff(in_body, axis=1)[None]))
+    on_poses = once(_differences(once(apply_to_rows(jnp.swapaxes(middle, 0, 1), pull))))
+    turn, shift = _point(once(apply_to_rows(rotation, on_poses)), arm)
     return turn + _halves(cross_rows(steps, pull)), shift
 
 
 def _after(rows: jax.Array) -> jax.Array:
     """Sensitivities to steps, (m, 3, K, N): those of all that comes after, added up."""
-    return jnp.cumsum(rows[:, :, :0:-1], axis=2)[:, :, ::-1]
+    return once(jnp.cumsum(rows[:, :, :0:-1], axis=2)[:, :, ::-1])
 
 
 def _middle(rotation: jax.Array) -> jax.Array:

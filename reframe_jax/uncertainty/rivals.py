@@ -9,6 +9,7 @@ that sum tells how much d may be by chance (Vuong 1989). The same holds for the 
 import jax
 import jax.numpy as jnp
 
+from reframe_jax.compilation import once
 from reframe_jax.geometry import symmetric
 from reframe_jax.uncertainty.sampling import Sampling
 from reframe_jax.uncertainty.sandwich import long_run_variance
@@ -32,7 +33,9 @@ def twin_probability(
     """
     held = jnp.sum(dof == 0, axis=0)
     there = samples + jnp.sum(slopes * twin[None, :, None], axis=1)
-    return _better(_left_over(there, held), _left_over(samples, held), block)
+    both = jnp.stack([there, samples], axis=1)
+    total, shares = _left_over(both, held)
+    return _better((total[:1], shares[:1]), (total[1:], shares[1:]), block)[0]
 
 
 def type_probability(
@@ -50,12 +53,13 @@ def type_probability(
         block: (N,) samples beyond which errors are independent.
     """
     held = jnp.sum(dof == 0, axis=0)
-    left = [_left_over(sampling.take(paths[:, :, kind]), held) for kind in range(paths.shape[2])]
-    total, shares = (jnp.stack(parts) for parts in zip(*left, strict=True))
-    own = jnp.take_along_axis(total, winner[None], axis=0)[0]
-    own_shares = jnp.take_along_axis(shares, winner[None, None], axis=0)[0]
-    missed = _MISSED * jnp.sqrt(held.astype(paths.dtype))
-    return jnp.stack([_better(each, (own, own_shares), block, missed) for each in left], axis=-1)
+    rows = jnp.swapaxes(paths, 1, 2)
+    samples = sampling.take(rows.reshape(-1, *rows.shape[2:])).reshape(rows.shape)
+    total, shares = once(_left_over(once(samples), held))
+    own = jnp.take_along_axis(total, winner[None], axis=0)
+    own_shares = jnp.take_along_axis(shares, winner[None, None], axis=0)
+    missed = _MISSED * jnp.sqrt(held.astype(paths.dtype))[None]
+    return _better((total, shares), (own, own_shares), block, missed).T
 
 
 def _better(
@@ -64,31 +68,35 @@ def _better(
     block: jax.Array,
     missed: jax.Array | float = 0.0,
 ) -> jax.Array:
-    """Probability that one leaves less over than the other, (N,); 1/2 where the two leave the same.
+    """Probability that each of m leaves less over than another, (m, N); 1/2 where the two leave the same.
 
     Args:
-        one: logarithm of its norm, (N,), and what each sample adds to it, (K+1, N).
-        other: likewise.
+        one: logarithms of their norms, (m, N), and what each sample adds to them, (m, K+1, N).
+        other: likewise, of the other, or of one other for all.
         block: (N,) samples beyond which errors are independent.
         missed: standard deviation of the difference of the logarithms besides chance.
     """
-    variance = long_run_variance((one[1] - other[1])[None], block)[0]
+    variance = long_run_variance(one[1] - other[1], block)
     rounding = jnp.finfo(variance.dtype).eps  # its square root, of the logarithm of a norm
     deviation = jnp.sqrt(variance + jnp.square(missed) + rounding)
     return jax.scipy.stats.norm.cdf((other[0] - one[0]) / deviation)
 
 
 def _left_over(samples: jax.Array, held: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Logarithm of the norm along the constrained axes, (N,), and what each sample adds to it, (K+1, N)."""
-    rows = [[jnp.sum(a * b, axis=0) for b in samples] for a in samples]
-    xx, xy, xz, yy, yz, zz = (rows[i][j] for i, j in symmetric.INDEX_PAIRS)
+    """Logarithms of the norms along the constrained axes, (m, N), and what each sample adds, (m, K+1, N).
+
+    Args:
+        samples: (3, m, K+1, N).
+        held: (N,) how many axes are constrained.
+    """
+    xx, xy, xz, yy, yz, zz = (jnp.sum(samples[i] * samples[j], axis=1) for i, j in symmetric.INDEX_PAIRS)
     values, vectors = symmetric.eigh((xx, xy, xz, yy, yz, zz))
     tiny = jnp.finfo(samples.dtype).tiny
     total, share = jnp.zeros_like(values[0]), jnp.zeros_like(samples[0])
     for i, (value, vector) in enumerate(zip(values, vectors, strict=True)):
-        counted, value = i < held, jnp.maximum(value, tiny)
-        along = jnp.sum(samples * jnp.stack(vector)[:, None], axis=0)
+        counted, value = (i < held)[None], jnp.maximum(value, tiny)
+        along = jnp.sum(samples * jnp.stack(vector)[:, :, None], axis=0)
         total = total + jnp.where(counted, jnp.log(value) / 2, 0)
-        share = share + jnp.where(counted[None], jnp.square(along) / (2 * value)[None], 0)
-    mean = jnp.mean(share, axis=0, keepdims=True)
+        share = share + jnp.where(counted[None], jnp.square(along) / (2 * value)[:, None], 0)
+    mean = jnp.mean(share, axis=1, keepdims=True)
     return total, share - mean

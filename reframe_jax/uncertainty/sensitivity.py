@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
+from reframe_jax.compilation import once
 from reframe_jax.geometry import symmetric
 from reframe_jax.objectives.moments import MONOMIALS
 from reframe_jax.objectives.velocity import PositionObjective
@@ -66,6 +67,7 @@ class Rows:
     determined: jax.Array
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class _Here:
     """The objective about a point: Sigma (3, 3, N), its derivatives (3, 3, 3, N), and more."""
@@ -105,10 +107,10 @@ def linear_rows(
         free: (3, 3, N) projector onto the directions in which the origin is free.
         noise: of the path of the reported origin.
     """
-    flat = jnp.concatenate([samples[:, None], slopes], axis=1).reshape(12, *samples.shape[1:])
-    gram = sums_of_products(flat, flat).reshape(3, 4, 3, 4, -1)
+    flat = once(jnp.concatenate([samples[:, None], slopes], axis=1).reshape(12, *samples.shape[1:]))
+    gram = once(sums_of_products(flat, flat)).reshape(3, 4, 3, 4, -1)
     offset = optimum_near(gram, jnp.zeros_like(gram[:, 0, 0, 0]))
-    here, there = _about(gram, jnp.zeros_like(offset)), _about(gram, offset)
+    here, there = once((_about(gram, jnp.zeros_like(offset)), _about(gram, offset)))
     held = jnp.broadcast_to(jnp.eye(3, dtype=free.dtype)[:, :, None], free.shape) - free
     solve, determined = _restricted_inverse(here.hessian, held)
     position = _origin_rows(solve, here, samples, slopes)
@@ -116,7 +118,7 @@ def linear_rows(
     shift = -jnp.sum(solve * _pull(here, noise, dof)[None], axis=1)
     every = jnp.broadcast_to(jnp.eye(3, dtype=free.dtype)[:, :, None], free.shape)
     solve, _ = _restricted_inverse(there.hessian, every)
-    best = samples + jnp.sum(slopes * offset[None, :, None], axis=1)
+    best = once(samples + jnp.sum(slopes * offset[None, :, None], axis=1))
     optimum = _origin_rows(solve, there, best, slopes)
     variances, still, turn = [there.sigma[i, i] for i in range(3)], [], []
     turn_shift = []
@@ -224,6 +226,7 @@ def _origin_rows(solve: jax.Array, here: _Here, samples: jax.Array, slopes: jax.
     by_samples = 2 * jnp.sum(solve[:, :, None, None] * here.weighted[None], axis=1)  # (c, i, j, N)
     flat = slopes.swapaxes(0, 1).reshape(9, *slopes.shape[2:])
     rows = []
+    by_slopes, by_samples = once((by_slopes, by_samples))
     for c in range(3):
         weights = by_slopes[c].reshape(3, 9, -1)
         rows.append(
@@ -235,7 +238,7 @@ def _origin_rows(solve: jax.Array, here: _Here, samples: jax.Array, slopes: jax.
                 ]
             )
         )
-    return jnp.stack(rows)
+    return once(jnp.stack(rows))
 
 
 def _chain(a: jax.Array, b: jax.Array, c: jax.Array) -> jax.Array:
