@@ -56,6 +56,21 @@ def test_heights_that_are_not_measured_beside_orientations_that_are():
     assert np.all(np.asarray(found.warnings) & Caution.ROUNDED > 0)
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_positions_that_are_not_measured_at_all(noise):
+    """A sensor of orientation alone turns about itself, wherever its positions say that it is."""
+    poses, rng = level_windows(0.0), np.random.default_rng(3)
+    errors = Rotation.from_rotvec(noise * rng.normal(size=(8 * 51, 3))).as_matrix()
+    poses[:, :, :3, :3] = poses[:, :, :3, :3] @ errors.reshape(8, 51, 3, 3)
+    poses[:, :, :3, 3] = np.linspace(0.0, 1.4, 8)[:, None, None]
+    found = rf.identify(poses, dt=0.1)
+    assert set(found.name) == {"Revolute joint"}
+    assert not np.any(found.status)
+    turns = np.sin(np.linspace(0, 5, 51)[:, None] * [1.0, 1.7, 2.3]) * rng.uniform(0.5, 1.0, (8, 1, 3))
+    poses[:, :, :3, :3] = Rotation.from_rotvec(turns.reshape(-1, 3)).as_matrix().reshape(8, 51, 3, 3)
+    assert set(rf.identify(poses, dt=0.1).name) == {"Spherical joint"}
+
+
 @pytest.mark.parametrize("label", "EFIJ")
 def test_planes_parallel_to_the_ground_in_millimetres(label):
     """Exact motion, turned until its plane is level, written in whole millimetres."""

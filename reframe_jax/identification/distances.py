@@ -155,7 +155,7 @@ def noise_along(evidence: Evidence, position: jax.Array, axes: jax.Array) -> tup
     axis = jnp.stack([evidence.axis.in_ground, evidence.axis.in_body])
     axis = jnp.stack([axis[int(t.orientation_body)].T for t in LinearType], axis=1)  # (N, 4, 3)
     across = jnp.cross(axes, axis[..., None], axis=-2)
-    about = jnp.sum(across * matmul3(second, across), axis=-2)
+    about = jnp.maximum(jnp.sum(across * matmul3(second, across), axis=-2), 0)
     lever = jnp.where(evidence.alone[:, None, None], about, lever)
     of_position = jnp.square(evidence.noise.position)[:, None, None]
     of_rotation = jnp.square(evidence.noise.rotation)[:, None, None]

@@ -45,6 +45,7 @@ LagRule = Literal["auto", "given", "single"]
 FLOOR = 16  # of the covariance, in units of rounding: keeps noise-free windows positive definite
 
 
+_UNSEEN = 1e-7  # m, rounding of positions that never change: that of a metre in float32
 _ROUNDED = 1.5  # the rounding of positions, below which their noise is that
 
 
@@ -299,10 +300,13 @@ def _noise(
     """The noise of poses, (N,) m and (N,) rad, and what rounding has of it where that is most, else 0."""
     turns = kinematics.turns_of(rotation)
     of_position, of_rotation = estimate_noise(position, turns, counted)
+    constant = constant_components(position, counted)
+    # of positions that never change, as of a sensor of orientation alone, no noise can be seen
+    spacing = jnp.where(jnp.all(constant, axis=0), jnp.maximum(spacing, _UNSEEN), spacing)
     rounding = jnp.maximum(unit_of_rounding(position, counted), spacing) / 12**0.5
     of_position = jnp.maximum(of_position, rounding)
     # a coordinate that never changes, of a body that turns in every way, is not known any better
-    still = jnp.any(constant_components(position, counted), axis=0)
+    still = jnp.any(constant, axis=0)
     turning = ~jnp.any(constant_components(turns, counted[1:] & counted[:-1], 1), axis=0)
     rounding = jnp.where(still & turning, of_position, rounding)
     return (of_position, of_rotation), jnp.where(of_position < _ROUNDED * rounding, rounding, 0)

@@ -1,0 +1,99 @@
+"""What the covariance costs, beside the identification that it belongs to.
+
+Windows of 101 poses, 5 s at 20 Hz, of every constraint with random geometry, measured with 0.1 mm and
+0.3 mrad. Identification and covariance run in turns, so that both see the same machine. The table has the
+fastest run of the batch, per window, and the median of the ratios of neighbouring runs; the median of one
+window by itself; how much longer the first covariance of the batch took, which has to be compiled; and the
+share of 95 % intervals of origins that hold the truth.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+import reframe_jax as rf
+from benchmarks.common import machine, new_parser, write_record
+from benchmarks.uncertainty import DT, INTERVAL, measured, recordings, standard_scores
+from reframe_jax.simulation.metrics import dof_correct, types_correct
+
+__all__ = ["cost_of"]
+
+SIGMA = 1e-4  # m
+SINGLES = 100  # calls with one window
+
+
+def seconds(call: Callable[[], Any]) -> float:
+    """Of one call, until its arrays are there."""
+    start = time.perf_counter()
+    jax.block_until_ready(jax.tree.leaves(call()))
+    return time.perf_counter() - start
+
+
+def in_turns(first: Callable[[], Any], second: Callable[[], Any], repeats: int) -> np.ndarray:
+    """Seconds of two calls that take turns, (repeats, 2)."""
+    return np.array([[seconds(first), seconds(second)] for _ in range(repeats)])
+
+
+def cost_of(label: str, windows: int, repeats: int) -> dict[str, float]:
+    """One row of the table."""
+    made = recordings(label, "exciting", windows)
+    poses = measured(made, SIGMA, 0.0)
+    found = rf.identify(poses, dt=DT)
+    one = rf.identify(poses[0], dt=DT)
+    first = seconds(lambda: rf.covariance(found, poses, dt=DT))
+    batch = in_turns(lambda: rf.identify(poses, dt=DT), lambda: rf.covariance(found, poses, dt=DT), repeats)
+    seconds(lambda: rf.covariance(one, poses[0], dt=DT))
+    single = in_turns(
+        lambda: rf.identify(poses[0], dt=DT), lambda: rf.covariance(one, poses[0], dt=DT), SINGLES
+    )
+    sure = rf.covariance(found, poses, dt=DT)
+    right = np.asarray(types_correct(found, made.truth) & dof_correct(found, made.truth))
+    scores = standard_scores(found, sure, made.truth, np.asarray(made.exact_poses[:, 0]))["position"][right]
+    sizes = np.abs(scores[np.isfinite(scores)])
+    return {
+        "identify": float(np.min(batch[:, 0])) / windows,
+        "covariance": float(np.min(batch[:, 1])) / windows,
+        "ratio": float(np.median(batch[:, 1] / batch[:, 0])),
+        "one identify": float(np.median(single[:, 0])),
+        "one covariance": float(np.median(single[:, 1])),
+        "compile": first - float(np.min(batch[:, 1])),
+        "coverage": float(np.mean(sizes < INTERVAL)) if len(sizes) else float("nan"),
+    }
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Command line of the benchmark."""
+    parser = new_parser("uncertainty_cost", __doc__)
+    add = parser.add_argument
+    add("--constraints", nargs="+", choices=list(rf.CONSTRAINTS), metavar="LABEL", help="these only, A to L")
+    add("--windows", type=int, default=1024, help="in a batch")
+    add("--repeats", type=int, default=7, help="runs of the batch")
+    add("--json", type=Path, help="file to write all figures to")
+    options = parser.parse_args(argv)
+    jax.config.update("jax_enable_x64", True)
+    print(machine())
+    print(f"{'':4}{'batch, us a window':>22}{'':8}{'one window, ms':>25}{'compile':>12}{'95 %':>9}")
+    print(
+        f"{'':4}{'identify':>10}{'covariance':>12}{'ratio':>8}{'identify':>13}{'covariance':>12}{'s':>12}{'hold':>9}"
+    )
+    rows = {}
+    for label in options.constraints or rf.CONSTRAINTS:
+        row = rows[label] = cost_of(label, options.windows, options.repeats)
+        print(
+            f"{label:4}{1e6 * row['identify']:>10.1f}{1e6 * row['covariance']:>12.1f}{row['ratio']:>8.2f}"
+            f"{1e3 * row['one identify']:>13.2f}{1e3 * row['one covariance']:>12.2f}"
+            f"{row['compile']:>12.1f}{row['coverage']:>9.1%}",
+            flush=True,
+        )
+    ratios = [row["ratio"] for row in rows.values()]
+    print(f"\nratios: {min(ratios):.2f} to {max(ratios):.2f}")
+    write_record(options.json, {"machine": machine(), "rows": rows})
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
