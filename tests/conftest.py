@@ -21,7 +21,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-_FLAGS = "--xla_backend_optimization_level=0"
+# LLVM gets a program whole: splitting it for threads saves nothing where workers fill the processors
+_FLAGS = "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
 if version("jax").startswith("0.10."):  # jax 0.11 has one code generator, and refuses to start with the flag
     _FLAGS += " --xla_cpu_use_fusion_emitters=false"
 

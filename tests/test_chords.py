@@ -117,7 +117,7 @@ def test_windows_of_one_batch_have_lags_of_their_own():
     noises = jnp.asarray([1e-7, 1e-4, 3e-3])
     keys = jax.random.split(jax.random.key(5), 3)
     simulate = jax.vmap(
-        lambda key, noise: synthetic.simulate("A", key, noise=noise, dt=0.04, duration=2.4).poses
+        lambda key, noise: synthetic.simulate("A", key, noise=noise, dt=0.04, duration=2.0).poses
     )
     windows = np.asarray(simulate(keys, noises))
     found = rf.identify(windows, dt=0.04)
@@ -131,7 +131,7 @@ def test_windows_of_one_batch_have_lags_of_their_own():
 
 
 def test_a_lag_in_samples_and_in_seconds():
-    poses = np.asarray(synthetic.simulate("A", jax.random.key(5), noise=3e-4, dt=0.04, duration=2.4).poses)
+    poses = np.asarray(synthetic.simulate("A", jax.random.key(5), noise=3e-4, dt=0.04, duration=2.0).poses)
     by_number, by_time = (rf.identify(poses, dt=0.04, lag=lag) for lag in (5, 0.2))
     assert by_number.lag == by_time.lag == 5
     np.testing.assert_array_equal(by_number.linear.rms, by_time.linear.rms)

@@ -58,12 +58,18 @@ def moved(step, poses, direction, linear_type, angular_type):
     return outputs(perturbed(poses, step * direction), linear_type, angular_type)
 
 
-along = compiled(moved)
-
-
 @compiled
+def outputs_and_slopes(step, *arguments):
+    """Both by one program."""
+    return jax.jvp(lambda step: moved(step, *arguments), (step,), (jnp.ones(()),))
+
+
+def along(step, *arguments):
+    return outputs_and_slopes(step, *arguments)[0]
+
+
 def slope_along(step, *arguments):
-    return jax.jvp(lambda step: moved(step, *arguments), (step,), (jnp.ones(()),))[1]
+    return outputs_and_slopes(step, *arguments)[1]
 
 
 @pytest.mark.parametrize("label", rf.CONSTRAINTS)

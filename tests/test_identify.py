@@ -216,7 +216,7 @@ def test_one_trace_per_shape(mixed):
     before, solved = program._cache_size(), programs._solve_chunks._cache_size()
     rf.identify(mixed + 0, dt=0.2, thresholds=rf.Thresholds(0.1, 0.02), bounds=0.8, solver=solver)
     assert program._cache_size() == before
-    rf.identify(mixed[:, :40], dt=0.1, thresholds=rf.Thresholds(), solver=solver)
+    rf.identify(mixed[:, :21], dt=0.1, thresholds=rf.Thresholds(), solver=solver)
     assert program._cache_size() == before + 1
     assert programs._solve_chunks._cache_size() == solved
 

@@ -294,14 +294,19 @@ def test_one_file_shows_the_same_without_a_network(
 # on the command line
 
 
-def test_the_command_writes_a_file(
-    hinge: tuple[np.ndarray, np.ndarray, rf.Identification], tmp_path: Path, capsys: Any
-) -> None:
+@pytest.fixture
+def door(tmp_path: Path) -> Path:
+    """A recording of 51 poses, as in most tests of the covariance: its program is the same."""
+    simulation = synthetic.simulate("A", jax.random.key(0), noise=1e-4)
+    path = tmp_path / "door.csv"
+    save_recording(path, np.asarray(simulation.times), np.asarray(simulation.poses))
+    return path
+
+
+def test_the_command_writes_a_file(door: Path, tmp_path: Path, capsys: Any) -> None:
     pytest.importorskip("viser", reason="needs viser")
-    poses, times, _ = hinge
-    recording, out = tmp_path / "door.csv", tmp_path / "door.html"
-    save_recording(recording, times, poses)
-    assert program.main(["view", "--no-cache", str(recording), "--html", str(out)]) == 0
+    out = tmp_path / "door.html"
+    assert program.main(["view", "--no-cache", str(door), "--html", str(out)]) == 0
     captured = capsys.readouterr()
     assert (captured.out, captured.err) == (f"{out}: Revolute joint\n", "")
     text = out.read_text()
@@ -309,22 +314,16 @@ def test_the_command_writes_a_file(
     assert re.search(r"origin ± [\d., ]+ mm \(two standard deviations\)", text)
     assert "<svg" in text
     assert not re.search(r'(src|href)="https?:', text)
-    assert program.main(["view", str(recording), "--html", str(tmp_path / "no" / "a.html")]) == 1
+    assert program.main(["view", str(door), "--html", str(tmp_path / "no" / "a.html")]) == 1
     assert "cannot be written: No such file or directory" in capsys.readouterr().err
     assert program.main(["view", str(tmp_path / "no.csv")]) == 1
     assert "cannot be read: No such file" in capsys.readouterr().err
 
 
 def test_the_command_serves_a_page_until_it_is_interrupted(
-    hinge: tuple[np.ndarray, np.ndarray, rf.Identification],
-    tmp_path: Path,
-    capsys: Any,
-    monkeypatch: pytest.MonkeyPatch,
+    door: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("viser", reason="needs viser")
-    poses, times, _ = hinge
-    recording = tmp_path / "door.csv"
-    save_recording(recording, times, poses)
     served: list[tuple[str, int]] = []
     opened: list[str] = []
 
@@ -336,10 +335,10 @@ def test_the_command_serves_a_page_until_it_is_interrupted(
 
     monkeypatch.setattr(Page, "run", interrupted)
     monkeypatch.setattr(webbrowser, "open", opened.append)
-    assert program.main(["view", "--no-cache", str(recording), "--port", "8190", "--open"]) == 130
+    assert program.main(["view", "--no-cache", str(door), "--port", "8190", "--open"]) == 130
     ((host, port),) = served
     assert opened == [f"http://{host}:{port}"]
-    assert capsys.readouterr().out == f"{recording}: {opened[0]} (Ctrl-C ends it)\n"
+    assert capsys.readouterr().out == f"{door}: {opened[0]} (Ctrl-C ends it)\n"
     with pytest.raises(OSError, match="refused"):
         socket.create_connection((host, port), timeout=5)
 

@@ -25,6 +25,7 @@ from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.inputs import take_poses, take_steps
 from reframe_jax.identification.options import Lag, as_dtype, check_options, lag_in_samples, make_space
 from reframe_jax.identification.programs import (
+    PIECE,
     identify_chunks,
     identify_compiled,
     identify_flat,
@@ -41,7 +42,6 @@ __all__ = ["default_solver", "identify", "identify_padded"]
 
 _SHORT = 64  # poses up to which a recording is not padded
 _SIZES_OF_PIECES = 64, 256, 1024, 4096  # poses that pieces of recordings are padded to
-_PIECE = 8  # chunks that one thread computes in one call
 _FEWEST = 1024  # windows in a piece on an accelerator
 
 _compiled_programs: set[Any] = set()  # that threads may run without compiling them at the same time
@@ -245,7 +245,7 @@ def _in_pieces(
     if len(starts) > alone:
         with ThreadPoolExecutor(_workers()) as pool:
             pieces += pool.map(piece, starts[alone:])
-    if len(pieces) == 1 and size == count:
+    if len(pieces) == 1 and len(pieces[0].status_code) == count:
         return pieces[0]
     return _join(pieces, count=count)
 
@@ -254,7 +254,7 @@ def _piece_size(count: int) -> int:
     """Windows in a piece: on a processor one of two sizes, on an accelerator a power of two for the few."""
     chunk = chunk_size()
     if count > chunk:
-        return _PIECE * chunk
+        return PIECE * chunk
     if jax.default_backend() == "cpu":
         return chunk
     return min(chunk, max(_FEWEST, 1 << (count - 1).bit_length()))

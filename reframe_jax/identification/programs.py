@@ -21,7 +21,9 @@ from reframe_jax.identification.widening import SearchSpace
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.solvers import Solver
 
-__all__ = ["identify_chunks", "identify_compiled", "identify_flat", "reduce_one", "solve_one"]
+__all__ = ["PIECE", "identify_chunks", "identify_compiled", "identify_flat", "reduce_one", "solve_one"]
+
+PIECE = 8  # chunks that one thread computes in one call
 
 
 def identify_flat(
@@ -91,7 +93,10 @@ def _reduce_each_chunk(
     rule: LagRule,
     discretization: Discretization,
 ) -> Evidence:
-    """Evidence of (N, K+1, 4, 4) poses with an axis of chunks in front."""
+    """Evidence of (N, K+1, 4, 4) poses with an axis of chunks in front, as many as a piece has.
+
+    A single chunk is repeated, so that one program solves few windows and many.
+    """
     shared, chunks = steps.ndim == 1, len(poses) // chunk_size()
     steps = steps.astype(poses.dtype)
     split = poses, None if shared else steps
@@ -100,11 +105,29 @@ def _reduce_each_chunk(
     def reduce(part: tuple[jax.Array, jax.Array | None]) -> Evidence:
         return reduce_windows(part[0], steps if part[1] is None else part[1], None, lag, rule, discretization)
 
-    return jax.lax.map(reduce, split)
+    evidence = jax.lax.map(reduce, split)
+    if chunks == PIECE:
+        return evidence
+    return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (PIECE, *leaf.shape[1:])), evidence)
 
 
-def _solve_each_chunk(evidence: Evidence, *others: Any, **static: Any) -> Identification:
-    found = jax.lax.map(lambda part: _solve_evidence(part, *others, **static), evidence)
+def _solve_each_chunk(evidence: Evidence, chunks: jax.Array, *others: Any, **static: Any) -> Identification:
+    """Identification of every window of the first chunks; those that follow are filled with zeros."""
+
+    @jax.jit  # to be traced once for its shapes and the loop
+    def solve(part: Evidence) -> Identification:
+        return _solve_evidence(part, *others, **static)
+
+    def chunk(i: jax.Array) -> Evidence:
+        return jax.tree.map(partial(jax.lax.dynamic_index_in_dim, index=i, keepdims=False), evidence)
+
+    def put(i: jax.Array, found: Identification) -> Identification:
+        into = partial(jax.lax.dynamic_update_index_in_dim, index=i, axis=0)
+        return jax.tree.map(into, found, solve(chunk(i)))
+
+    shapes = jax.eval_shape(solve, chunk(jnp.int32(0)))
+    nothing = jax.tree.map(lambda leaf: jnp.zeros((PIECE, *leaf.shape), leaf.dtype), shapes)
+    found = jax.lax.fori_loop(0, chunks, put, nothing)
     return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), found)
 
 
@@ -118,13 +141,18 @@ def identify_chunks(
     discretization: Discretization,
     solver: Solver,
 ) -> Identification:
-    """Identify (N, K+1, 4, 4) poses, N a multiple of the size of a chunk, as :func:`identify_flat` does."""
+    """Identify the (N, K+1, 4, 4) poses of one chunk or of a piece, as :func:`identify_flat` does.
+
+    Returns:
+        The identification of as many windows as a piece has, of which the first N are those of the poses.
+    """
     evidence = _reduce_chunks(poses, steps, lag, rule=rule, discretization=discretization)
     counted = evidence.counted
     if evidence.maps is None:
         evidence = replace(evidence, counted=np.ones((*counted.shape[:2], 1), bool))
-    found = _solve_chunks(evidence, *others, rule=rule, exponent=exponent, solver=solver)
-    return replace(found, counted=counted.reshape(len(poses), -1) & found.counted)
+    chunks = np.int32(len(poses) // chunk_size())
+    found = _solve_chunks(evidence, chunks, *others, rule=rule, exponent=exponent, solver=solver)
+    return replace(found, counted=counted.reshape(-1, counted.shape[-1]) & found.counted)
 
 
 _STATIC = ("rule", "exponent", "discretization", "solver")

@@ -23,7 +23,6 @@ WindowFunction = Callable[[jax.Array, Estimates, jax.Array, jax.Array | None], A
 
 _SHORT = 64  # poses up to which a recording is not padded
 _AT_ONCE = 8  # windows on a CPU: their sensitivities to all poses fill a core's second cache
-_PIECE = 8  # times as many windows as in a chunk of an identification, that one thread computes in one call
 
 
 def _poses_of(found: Identification, poses: ArrayLike) -> tuple[Any, bool]:
@@ -179,15 +178,14 @@ def _only_piece(*arguments: Any, function: WindowFunction) -> Any:
 
 
 def _in_pieces(run: Callable[..., Any], tree: Any, order: np.ndarray) -> Any:
-    """Run N windows in pieces of few sizes, on all processors; the last piece repeats its last window.
+    """Run N windows in pieces of one size, on all processors; the last piece repeats its last window.
 
     Args:
         run: a compiled function of the pytree, whose leaves have N as their first axis.
         tree: its argument.
         order: (N,) in which to run them.
     """
-    chunk, count = chunk_size(), len(order)
-    size = chunk if count <= chunk else _PIECE * chunk
+    size, count = chunk_size(), len(order)
     starts = range(0, count, size)
     precise = bool(jax.dtypes.canonicalize_dtype(np.float64) == np.float64)
 
