@@ -1,6 +1,6 @@
 """What the covariance costs, beside the identification that it belongs to.
 
-Windows of 101 poses, 5 s at 20 Hz, of every constraint with random geometry, measured with 0.1 mm and
+Windows of K = 50 and 100 steps at 20 Hz, of every constraint with random geometry, measured with 0.1 mm and
 0.3 mrad. Identification and covariance run in turns, so that both see the same machine. The table has the
 fastest run of the batch, per window, and the median of the ratios of neighbouring runs; the median of one
 window by itself; how much longer the first covariance of the batch took, which has to be compiled; and the
@@ -38,10 +38,10 @@ def in_turns(first: Callable[[], Any], second: Callable[[], Any], repeats: int) 
     return np.array([[seconds(first), seconds(second)] for _ in range(repeats)])
 
 
-def cost_of(label: str, windows: int, repeats: int) -> dict[str, float]:
+def cost_of(label: str, samples: int, windows: int, repeats: int) -> dict[str, Any]:
     """One row of the table."""
     made = recordings(label, "exciting", windows)
-    poses = measured(made, SIGMA, 0.0)
+    poses = measured(made, SIGMA, 0.0)[:, : samples + 1]
     found = rf.identify(poses, dt=DT)
     one = rf.identify(poses[0], dt=DT)
     first = seconds(lambda: rf.covariance(found, poses, dt=DT))
@@ -61,7 +61,7 @@ def cost_of(label: str, windows: int, repeats: int) -> dict[str, float]:
         "one identify": float(np.median(single[:, 0])),
         "one covariance": float(np.median(single[:, 1])),
         "compile": first - float(np.min(batch[:, 1])),
-        "coverage": float(np.mean(sizes < INTERVAL)) if len(sizes) else float("nan"),
+        "coverage": float(np.mean(sizes < INTERVAL)) if len(sizes) else None,
     }
 
 
@@ -73,24 +73,29 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--windows", type=int, default=1024, help="in a batch")
     add("--repeats", type=int, default=7, help="runs of the batch")
     add("--json", type=Path, help="file to write all figures to")
+    add("--samples", nargs="+", type=int, default=[50, 100], metavar="K", help="steps of a window, up to 100")
     options = parser.parse_args(argv)
     jax.config.update("jax_enable_x64", True)
     print(machine())
-    print(f"{'':4}{'batch, us a window':>22}{'':8}{'one window, ms':>25}{'compile':>12}{'95 %':>9}")
-    print(
-        f"{'':4}{'identify':>10}{'covariance':>12}{'ratio':>8}{'identify':>13}{'covariance':>12}{'s':>12}{'hold':>9}"
-    )
-    rows = {}
-    for label in options.constraints or rf.CONSTRAINTS:
-        row = rows[label] = cost_of(label, options.windows, options.repeats)
+    print(f"{'':9}{'batch, us a window':>22}{'':8}{'one window, ms':>25}{'compile':>12}{'95 %':>9}")
+    names = f"{'identify':>10}{'covariance':>12}{'ratio':>8}{'identify':>13}{'covariance':>12}{'s':>12}"
+    print(f"{'':4}{'K':>5}{names}{'hold':>9}")
+    rows = []
+    for samples in options.samples:
+        for label in options.constraints or rf.CONSTRAINTS:
+            row = cost_of(label, samples, options.windows, options.repeats)
+            rows.append({"constraint": label, "samples": samples, **row})
+            held = "-" if row["coverage"] is None else f"{row['coverage']:.1%}"
+            print(
+                f"{label:4}{samples:>5}{1e6 * row['identify']:>10.1f}{1e6 * row['covariance']:>12.1f}"
+                f"{row['ratio']:>8.2f}{1e3 * row['one identify']:>13.2f}{1e3 * row['one covariance']:>12.2f}"
+                f"{row['compile']:>12.1f}{held:>9}",
+                flush=True,
+            )
+        ratios = [row["ratio"] for row in rows if row["samples"] == samples]
         print(
-            f"{label:4}{1e6 * row['identify']:>10.1f}{1e6 * row['covariance']:>12.1f}{row['ratio']:>8.2f}"
-            f"{1e3 * row['one identify']:>13.2f}{1e3 * row['one covariance']:>12.2f}"
-            f"{row['compile']:>12.1f}{row['coverage']:>9.1%}",
-            flush=True,
+            f"ratios of K = {samples}: {min(ratios):.2f} to {max(ratios):.2f}, mean {np.mean(ratios):.2f}\n"
         )
-    ratios = [row["ratio"] for row in rows.values()]
-    print(f"\nratios: {min(ratios):.2f} to {max(ratios):.2f}")
     write_record(options.json, {"machine": machine(), "rows": rows})
     return 0
 

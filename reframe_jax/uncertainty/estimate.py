@@ -86,8 +86,8 @@ def covariance_of_windows(
     )
 
     def with_axis(_: None) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array], jax.Array]:
-        def still() -> tuple[jax.Array, jax.Array]:
-            return _to_poses(paths, found, _to_path(sampling, linear.still))
+        def still() -> jax.Array:
+            return noise_variances(*_to_poses(paths, found, _to_path(sampling, linear.still)), noise)
 
         return rows_with_axis(paths, found, of_angular, of_linear, still, noise, linear.turn_shift)
 
@@ -179,13 +179,15 @@ def _inflations(
     count: jax.Array | int,
 ) -> jax.Array:
     """Of the angular axes, the linear axes and the origin, (3, N)."""
-    block = _block(sampling, count)
-    grown = []
-    for group, dof in enumerate((found.angular_dof, found.linear_dof, found.linear_dof)):
-        left_over = jnp.where((dof == 0).T[:, None], samples[group], 0)
-        scores = jnp.sum(rows[group] * left_over[None], axis=1)
-        grown.append(inflation(long_run_variance(scores, block), variances[3 * group : 3 * group + 3]))
-    return jnp.stack(grown)
+    dofs = found.angular_dof, found.linear_dof, found.linear_dof
+    scores = []
+    for group, dof, values in zip(rows, dofs, samples, strict=True):
+        left_over = jnp.where((dof == 0).T[:, None], values, 0)
+        scores.append(jnp.sum(group * left_over[None], axis=1))
+    long_run = long_run_variance(once(jnp.concatenate(scores)), _block(sampling, count))
+    return jnp.stack(
+        [inflation(long_run[i : i + 3], variances[i : i + 3]) for i in range(0, len(long_run), 3)]
+    )
 
 
 def in_bodies(matrix: jax.Array, angular_axes: jax.Array, linear_axes: jax.Array) -> jax.Array:

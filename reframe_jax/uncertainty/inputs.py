@@ -140,7 +140,8 @@ def _batch(function: WindowFunction, poses: Any, steps: Any, found: Estimates, i
 
 def _order(found: Estimates) -> np.ndarray:
     """Windows of one kind after each other: what a chunk has no window of is not computed."""
-    kinds = found.refined, np.sum(found.angular_dof, axis=-1), found.angular_type, found.linear_type
+    turning = np.sum(found.angular_dof, axis=-1)
+    kinds = found.refined, turning, found.angular_type, found.linear_type, np.asarray(found.lag) > 1
     return np.lexsort([np.asarray(kind) for kind in kinds])
 
 

@@ -48,7 +48,7 @@ class Rows:
 
     Attributes:
         turn: (3, 3, K+1, N) of a turn about each axis of the frame; components along the axes.
-        still: (3, 3, K+1, N) the same if the origin stood still.
+        still: (2, 3, K+1, N) the same of the first two if the origin stood still.
         position: (3, 3, K+1, N) of each coordinate of the reported origin.
         optimum: (3, 3, K+1, N) of each coordinate of the optimum.
         offset: (3, N) m, from the reported origin to the optimum.
@@ -131,7 +131,7 @@ def linear_rows(
         turn.append(row + jnp.sum(by_origin[:, None, None] * optimum, axis=0))
     return Rows(
         turn=jnp.stack(turn),
-        still=jnp.stack(still),
+        still=jnp.stack(still[:2]),
         position=position,
         optimum=optimum,
         offset=offset,

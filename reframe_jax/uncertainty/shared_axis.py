@@ -10,6 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from reframe_jax.compilation import once
 from reframe_jax.constraints.types import PARALLEL_COSINE, SQUARE_COSINE, AngularType
 from reframe_jax.uncertainty.paths import Estimates, Paths, axes_of, oriented_in_body
 from reframe_jax.uncertainty.propagation import apply_to_rows, cross_rows
@@ -59,7 +60,7 @@ def rows_with_axis(
     found: Estimates,
     angular: _Rows,
     linear: _Rows,
-    still: Callable[[], _Rows],
+    still: Callable[[], jax.Array],
     noise: tuple[jax.Array, jax.Array],
     bias: jax.Array,
 ) -> _Parts:
@@ -67,8 +68,8 @@ def rows_with_axis(
 
     The axis is then the one of :mod:`reframe_jax.motion.single_axis`, and the linear frame has it in common
     with the angular one, see :mod:`reframe_jax.identification.shared_axis`. The mean of two estimates is
-    weighted as if the origin stood ``still``. The ``bias`` (3, N) of the turns of the linear frame, which the
-    axis does not have, comes last.
+    weighted by the variances (2, N) of turns about the first two axes if the origin stood ``still``. The
+    ``bias`` (3, N) of the turns of the linear frame, which the axis does not have, comes last.
     """
     angular_axes, linear_axes = axes_of(found.angular_rotvec), axes_of(found.linear_rotvec)
     shared, on_body = shared_axes(paths, found), oriented_in_body(found)
@@ -79,10 +80,12 @@ def rows_with_axis(
     def with_odd(_: None) -> _Parts:
         """Where it is the odd axis of the linear frame."""
         odd = jnp.where(shared.faces[None], linear_axes[:, 0], linear_axes[:, 2])
-        rotation = axis_rows(paths, linear_axes, odd, on_body)
-        both = jnp.stack([shared.slides, shared.slides, jnp.zeros_like(shared.slides)])
-        *mean, weight = combine_rows(linear, still(), rotation, both, noise)
-        rows = _choose(shared.faces, rotation, (mean[0], mean[1]))
+        rotation = once(axis_rows(paths, linear_axes, odd, on_body))
+        variances = jnp.concatenate(
+            [still(), jnp.zeros_like(bias[:1])]
+        )  # a turn about the third moves no axis
+        *mean, weight = combine_rows(linear, variances, rotation, shared.slides, noise)
+        rows = once(_choose(shared.faces, rotation, (mean[0], mean[1])))
         weight = jnp.where(shared.faces[None], 1, weight)
         carried = _to_angular(paths, angular_axes, linear_axes, rows, (angular_on_body, on_body))
         return _choose(shared.slides, carried, angular), rows, (1 - weight) * bias
@@ -159,7 +162,13 @@ def _to_angular(
             [turns[1] * a[None, None] - turns[0] * b[None, None] for a, b in zip(first, second, strict=True)]
         )
 
+    def to_body_too(turn: jax.Array) -> jax.Array:
+        return turn + carried_rows(paths, directions, axis, to_body)
+
+    def to_ground_too(turn: jax.Array) -> jax.Array:
+        shares = jnp.where(to_ground[None], paths.sampling.shares, 0)
+        return turn - shares[None, None] * cross_rows(directions[:, :, None], odd[None, :, None])
+
     turn, shift = (moved(part) for part in rows)
-    turn = turn + carried_rows(paths, directions, axis, to_body)
-    shares = jnp.where(to_ground[None], paths.sampling.shares, 0)
-    return turn - shares[None, None] * cross_rows(directions[:, :, None], odd[None, :, None]), shift
+    turn = jax.lax.cond(jnp.any(to_body), to_body_too, lambda turn: turn, turn)
+    return jax.lax.cond(jnp.any(to_ground), to_ground_too, lambda turn: turn, turn), shift

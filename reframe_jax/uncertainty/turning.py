@@ -22,6 +22,7 @@ from reframe_jax.geometry import symmetric
 from reframe_jax.motion.single_axis import across_axis
 from reframe_jax.uncertainty.paths import Paths
 from reframe_jax.uncertainty.propagation import apply_to_rows, cross_rows
+from reframe_jax.uncertainty.sandwich import noise_variances
 
 __all__ = ["axis_moves", "axis_rows", "carried_rows", "combine_rows", "kept_rows"]
 
@@ -110,20 +111,24 @@ def _axis_pulls(
         sensitivities to positions, (m, 3, K+1, N).
     """
     shares, single, mean = paths.sampling.shares, paths.single, paths.mean_rotation
-    about = paths.shift - jnp.sum(shares[None] * paths.shift, axis=1, keepdims=True)
-    spread = [jnp.sum(shares * about[i] * about[j], axis=0) for i, j in symmetric.INDEX_PAIRS]
-    xx, xy, xz, yy, yz, zz = spread
-    matrix, _ = across_axis(in_ground, (xx, xy, xz, yy, yz, zz), single.stiffness)
-    solved = jnp.stack([jnp.stack(symmetric.solve(matrix, (v[0], v[1], v[2]))) for v in along])
-    pulled = jnp.where(single.planar[None, None], solved * single.stiffness[None, None], along)
+
+    def with_plane(_: None) -> tuple[jax.Array, jax.Array]:
+        about = paths.shift - jnp.sum(shares[None] * paths.shift, axis=1, keepdims=True)
+        spread = [jnp.sum(shares * about[i] * about[j], axis=0) for i, j in symmetric.INDEX_PAIRS]
+        xx, xy, xz, yy, yz, zz = spread
+        matrix = across_axis(in_ground, (xx, xy, xz, yy, yz, zz), single.stiffness)[0]
+        solved = jnp.stack([jnp.stack(symmetric.solve(matrix, (v[0], v[1], v[2]))) for v in along])
+        weight = jnp.where(single.planar, jnp.sum(solved[:, :, None] * about[None], axis=1) * shares[None], 0)
+        pulled = jnp.where(single.planar[None, None], solved * single.stiffness[None, None], along)
+        return pulled, -weight[:, None] * in_ground[None, :, None]
+
+    def without(_: None) -> tuple[jax.Array, jax.Array]:
+        return along, jnp.zeros((*along.shape[:2], *shares.shape), along.dtype)
+
+    pulled, drift = jax.lax.cond(jnp.any(single.planar), with_plane, without, None)
     left = 1 - _middle_singular_value(mean)
     pulled = pulled / jnp.where(left > 0, left, 1)[None, None]
-    weight = jnp.where(single.planar, jnp.sum(solved[:, :, None] * about[None], axis=1) * shares[None], 0)
-    return (
-        apply_to_rows(jnp.swapaxes(mean, 0, 1), pulled),
-        pulled,
-        -weight[:, None] * in_ground[None, :, None],
-    )
+    return apply_to_rows(jnp.swapaxes(mean, 0, 1), pulled), pulled, drift
 
 
 def _axis_rows(paths: Paths, of_body: jax.Array, of_ground: jax.Array, axis: jax.Array) -> jax.Array:
@@ -149,7 +154,7 @@ def _middle_singular_value(mean: jax.Array) -> jax.Array:
 
 def combine_rows(
     own: tuple[jax.Array, jax.Array],
-    weighed: tuple[jax.Array, jax.Array],
+    first: jax.Array,
     other: tuple[jax.Array, jax.Array],
     both: jax.Array,
     noise: tuple[jax.Array, jax.Array],
@@ -158,22 +163,17 @@ def combine_rows(
 
     Args:
         own: sensitivities of one to rotations and positions, (m, 3, K+1, N) each.
-        weighed: those that its weight is taken from.
+        first: (m, N) variances that its weight is taken from; 0 for numbers that are its own alone.
         other: of the other.
-        both: (m, N) bool, which numbers are the mean of both; the rest are ``own``.
+        both: (N,) bool, windows whose numbers are the mean of both; in the rest they are ``own``.
         noise: (N,) m and (N,) rad.
 
     Returns:
         Those to rotations and positions, and the weight of the other estimate, (m, N).
     """
-
-    def variance(rows: tuple[jax.Array, jax.Array]) -> jax.Array:
-        turn, shift = (jnp.sum(jnp.square(part), axis=(1, 2)) for part in rows)
-        return jnp.square(noise[1])[None] * turn + jnp.square(noise[0])[None] * shift
-
-    first, second = variance(weighed), variance(other)
+    second = noise_variances(*other, noise)
     total = first + second
-    weight = jnp.where(both & (second > 0), first / jnp.where(total > 0, total, 1), 0)
+    weight = jnp.where(both[None] & (second > 0), first / jnp.where(total > 0, total, 1), 0)
     share = weight[:, None, None]
     turn, shift = ((1 - share) * a + share * b for a, b in zip(own, other, strict=True))
     return turn, shift, weight
