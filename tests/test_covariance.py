@@ -1,5 +1,6 @@
 """The covariance of an identification: against its errors, against finite differences, and its form."""
 
+import json
 from dataclasses import replace
 
 import jax
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
+from benchmarks import uncertainty_cost
 from benchmarks.uncertainty import INTERVAL, standard_scores
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification.results import PoseNoise
@@ -239,3 +241,27 @@ def test_what_is_refused(recordings):
     other = replace(found[0], linear=replace(found[0].linear, norm=2 * found[0].linear.norm))
     with pytest.raises(ValueError, match="geometric mean"):
         rf.covariance(other, poses[0], dt=DT)
+
+
+def test_the_benchmark_of_its_cost(tmp_path, capsys):
+    """In miniature: a table with a row for every constraint and length, and the same figures in a file."""
+    file = tmp_path / "cost.json"
+    options = [
+        "--constraints",
+        "K",
+        "--samples",
+        "50",
+        "--windows",
+        "32",
+        "--repeats",
+        "2",
+        "--json",
+        str(file),
+    ]
+    assert uncertainty_cost.main(options) == 0
+    (row,) = json.loads(file.read_text())["rows"]
+    assert (row["constraint"], row["samples"]) == ("K", 50)
+    assert row["coverage"] > 0.8
+    assert min(row["identify"], row["covariance"], row["ratio"], row["one covariance"]) > 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[:2] for line in lines if line.startswith("K ")] == [["K", "50"]]
