@@ -11,6 +11,7 @@ Inside, arrays are laid out components first, then samples, then windows: a rota
 :mod:`.components`. The public functions take and return samples and components last.
 """
 
+from collections.abc import Callable
 from typing import Literal
 
 import jax
@@ -62,10 +63,14 @@ def _body_twists(rotation: jax.Array, position: jax.Array, step: jax.Array) -> j
     """(6, K, ...)."""
     back = transpose(rotation[:, :, :-1])
     turn, shift = product(back, rotation[:, :, 1:]), product(back, jnp.diff(position, axis=1))
-    log = _log_of_step
-    for _ in range(shift.ndim - 1):
-        log = jax.vmap(log, in_axes=-1, out_axes=-1)
-    return log(turn, shift) / step[None]
+    return _over_steps(_log_of_step, shift.ndim - 1)(turn, shift) / step[None]
+
+
+def _over_steps(function: Callable[..., jax.Array], axes: int) -> Callable[..., jax.Array]:
+    """A function of one step for arrays with so many axes of samples and windows, which come last."""
+    for _ in range(axes):
+        function = jax.vmap(function, in_axes=-1, out_axes=-1)
+    return function
 
 
 def _spatial_twists(rotation: jax.Array, position: jax.Array, body: jax.Array) -> jax.Array:
@@ -184,7 +189,7 @@ def paths_of(
 def turn_paths(rotation: jax.Array, steps: jax.Array, count: jax.Array | None = None) -> jax.Array:
     """Compute the path whose derivative is the angular velocity, (3, K+1, 2, ...) rad in {g} and {b}.
 
-    It is what :func:`rates_of` takes from the paths of :func:`paths_of`, at a third of their cost.
+    It is what :func:`rates_of` takes from the paths of :func:`paths_of`, which need positions as well.
 
     Args:
         rotation: (3, 3, K+1, ...).
@@ -192,15 +197,12 @@ def turn_paths(rotation: jax.Array, steps: jax.Array, count: jax.Array | None = 
         count: as there.
     """
     step = components_first(steps, 0)[None]
-    log = rotations.rotation_log
-    for _ in range(rotation.ndim - 2):
-        log = jax.vmap(log, in_axes=-1, out_axes=-1)
-    body = once(log(product(transpose(rotation)[:, :, :-1], rotation[:, :, 1:])) / step)
+    turn = product(transpose(rotation[:, :, :-1]), rotation[:, :, 1:])
+    body = once(_over_steps(rotations.rotation_log, turn.ndim - 2)(turn) / step)
     spatial = once(product(rotation[:, :, :-1], body))
     used = None if count is None else count - 1
     rates = [without_brackets(w, steps, seen, used) for w, seen in ((spatial, True), (body, False))]
-    turns = jnp.cumsum(jnp.stack(rates, axis=2) * step[:, :, None], axis=1)
-    return jnp.concatenate([jnp.zeros_like(turns[:, :1]), turns], axis=1)
+    return _sum_up((jnp.stack(rates, axis=2) * step[:, :, None])[:, None])[:, 0]
 
 
 def turns_of(rotation: jax.Array) -> jax.Array:
@@ -228,7 +230,7 @@ def _point_maps(rotation: jax.Array, position: jax.Array) -> tuple[jax.Array, ja
 
 
 def _sum_up(steps: jax.Array) -> jax.Array:
-    """Path (3, 4, K+1, ...) from its steps (3, 4, K, ...)."""
+    """Path (3, n, K+1, ...) from its steps (3, n, K, ...)."""
     return jnp.concatenate([jnp.zeros_like(steps[:, :, :1]), jnp.cumsum(steps, axis=2)], axis=2)
 
 
