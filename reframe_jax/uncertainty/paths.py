@@ -190,22 +190,23 @@ def paths_of(poses: jax.Array, steps: jax.Array, count: jax.Array | None, found:
     back = jnp.swapaxes(axes_of(found.linear_rotvec), 0, 1)[:, :, None]
     slopes = jnp.stack([apply_to_rows(back, maps[None, :, a])[0] for a in (1, 2, 3)], axis=1)
     angular_back = jnp.swapaxes(axes_of(found.angular_rotvec), 0, 1)[:, :, None]
-    found_paths = Paths(
-        rotation=straight,
-        shift=shift,
-        turns=turns,
-        along_angular=apply_to_rows(angular_back, turns[None])[0],
-        along_linear=apply_to_rows(back, path[None])[0],
-        slopes=slopes,
-        origin=origin,
-        rivals=paths[:, 0] + jnp.sum(paths[:, 1:] * origins[None, :, None], axis=1),
-        single=single,
-        kept=kept,
-        tilted=rotation,
-        share=share,
-        sampling=_sampling(paths, times, found),
+    return once(
+        Paths(
+            rotation=straight,
+            shift=shift,
+            turns=turns,
+            along_angular=apply_to_rows(angular_back, turns[None])[0],
+            along_linear=apply_to_rows(back, path[None])[0],
+            slopes=slopes,
+            origin=origin,
+            rivals=paths[:, 0] + jnp.sum(paths[:, 1:] * origins[None, :, None], axis=1),
+            single=single,
+            kept=kept,
+            tilted=rotation,
+            share=share,
+            sampling=_sampling(paths, times, found),
+        )
     )
-    return once(found_paths)
 
 
 def _averaged(
