@@ -81,9 +81,8 @@ def rows_with_axis(
         """Where it is the odd axis of the linear frame."""
         odd = jnp.where(shared.faces[None], linear_axes[:, 0], linear_axes[:, 2])
         rotation = once(axis_rows(paths, linear_axes, odd, on_body))
-        variances = jnp.concatenate(
-            [still(), jnp.zeros_like(bias[:1])]
-        )  # a turn about the third moves no axis
+        # a turn about the third axis does not move it
+        variances = jnp.concatenate([still(), jnp.zeros_like(bias[:1])])
         *mean, weight = combine_rows(linear, variances, rotation, shared.slides, noise)
         rows = once(_choose(shared.faces, rotation, (mean[0], mean[1])))
         weight = jnp.where(shared.faces[None], 1, weight)
