@@ -31,7 +31,7 @@ _STEEP = 5e-3  # fall of log J over half a width of the box, outwards
 _LEAST = 1.0  # m, half a width that it is judged over at least: over a tiny box everything looks flat
 _FEWEST = 12  # starts in the larger box
 _PROBE = BasinHopping(ValleySteps(8), restarts=4, hops=0, polish=0)  # whether there is anything
-_PLANE = 16.0  # of the motion of a planar origin: a square ratio, see moves_in_plane
+_PLANE = 16.0  # of the motion of a planar origin: a square ratio, see _moves_in_plane
 _ROUNDINGS = 1e4  # of the fastest axis' square, which that of the second exceeds
 _EVIDENCE = 12.0  # of the far optimum against the near one, in the logarithm of their likelihoods
 
