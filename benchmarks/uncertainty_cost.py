@@ -17,7 +17,7 @@ import numpy as np
 
 import reframe_jax as rf
 from benchmarks.common import machine, new_parser, write_record
-from benchmarks.uncertainty import DT, INTERVAL, measured, recordings, standard_scores
+from benchmarks.uncertainty import DT, INTERVAL, SAMPLES, measured, recordings, standard_scores
 from reframe_jax.simulation.metrics import dof_correct, types_correct
 
 __all__ = ["cost_of"]
@@ -33,9 +33,15 @@ def seconds(call: Callable[[], Any]) -> float:
     return time.perf_counter() - start
 
 
-def in_turns(first: Callable[[], Any], second: Callable[[], Any], repeats: int) -> np.ndarray:
-    """Seconds of two calls that take turns, (repeats, 2)."""
-    return np.array([[seconds(first), seconds(second)] for _ in range(repeats)])
+def in_turns(poses: np.ndarray, found: rf.Identification, repeats: int) -> tuple[float, np.ndarray]:
+    """Seconds of the first covariance, and of identifications and covariances in turns, (repeats, 2)."""
+
+    def covariance() -> Any:
+        return rf.covariance(found, poses, dt=DT)
+
+    first = seconds(covariance)
+    turns = [[seconds(lambda: rf.identify(poses, dt=DT)), seconds(covariance)] for _ in range(repeats)]
+    return first, np.array(turns)
 
 
 def cost_of(label: str, samples: int, windows: int, repeats: int) -> dict[str, Any]:
@@ -43,13 +49,8 @@ def cost_of(label: str, samples: int, windows: int, repeats: int) -> dict[str, A
     made = recordings(label, "exciting", windows)
     poses = measured(made, SIGMA, 0.0)[:, : samples + 1]
     found = rf.identify(poses, dt=DT)
-    one = rf.identify(poses[0], dt=DT)
-    first = seconds(lambda: rf.covariance(found, poses, dt=DT))
-    batch = in_turns(lambda: rf.identify(poses, dt=DT), lambda: rf.covariance(found, poses, dt=DT), repeats)
-    seconds(lambda: rf.covariance(one, poses[0], dt=DT))
-    single = in_turns(
-        lambda: rf.identify(poses[0], dt=DT), lambda: rf.covariance(one, poses[0], dt=DT), SINGLES
-    )
+    first, batch = in_turns(poses, found, repeats)
+    _, single = in_turns(poses[0], rf.identify(poses[0], dt=DT), SINGLES)
     sure = rf.covariance(found, poses, dt=DT)
     right = np.asarray(types_correct(found, made.truth) & dof_correct(found, made.truth))
     scores = standard_scores(found, sure, made.truth, np.asarray(made.exact_poses[:, 0]))["position"][right]
@@ -75,6 +76,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--json", type=Path, help="file to write all figures to")
     add("--samples", nargs="+", type=int, default=[50, 100], metavar="K", help="steps of a window, up to 100")
     options = parser.parse_args(argv)
+    if max(options.samples) > SAMPLES:
+        parser.error(f"--samples must be at most {SAMPLES}")
     jax.config.update("jax_enable_x64", True)
     print(machine())
     print(f"{'':9}{'batch, us a window':>22}{'':8}{'one window, ms':>25}{'compile':>12}{'95 %':>9}")
