@@ -15,7 +15,6 @@ from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification.results import PoseNoise
 from reframe_jax.simulation.metrics import dof_correct, types_correct
 from reframe_jax.simulation.motions import PoseErrors, disturb, random_motion
-from reframe_jax.uncertainty import inputs
 
 SAMPLES, DT, SIGMA = 50, 0.1, 2e-4
 NOISE = PoseNoise(jnp.asarray(SIGMA), jnp.asarray(3 * SIGMA))
@@ -187,15 +186,13 @@ def test_one_window_is_as_in_a_batch(recordings):
     assert_same(batch[1], single)
 
 
-def test_long_recordings_are_padded(recordings, monkeypatch):
-    """By the program for few lengths as by the one for their own."""
-    _, poses, found = recordings["K"]
-    batch = rf.covariance(found[:2], poses[:2], dt=DT)
-    monkeypatch.setattr(inputs, "_SHORT", SAMPLES)
-    padded, steps, count = inputs._pad_recording(poses[0], np.full(SAMPLES, DT))
-    assert len(padded) == len(steps) + 1 == 64
-    assert count == SAMPLES + 1
-    assert_same(rf.covariance(found[0], poses[0], dt=DT), batch[0])
+def test_long_recordings_are_padded():
+    errors = PoseErrors(sigma=SIGMA)
+    long = random_motion("K", jax.random.key(2), samples=99, dt=DT, excitation="exciting", errors=errors)
+    poses = np.asarray(long.poses)
+    found = rf.identify(poses[None], dt=DT)
+    single = rf.covariance(found[0], poses, dt=DT)
+    assert_same(rf.covariance(found, poses[None], dt=DT)[0], single)
 
 
 def test_slow_errors_inflate(recordings):
@@ -246,19 +243,8 @@ def test_what_is_refused(recordings):
 def test_the_benchmark_of_its_cost(tmp_path, capsys):
     """In miniature: a table with a row for every constraint and length, and the same figures in a file."""
     file = tmp_path / "cost.json"
-    options = [
-        "--constraints",
-        "K",
-        "--samples",
-        "50",
-        "--windows",
-        "32",
-        "--repeats",
-        "2",
-        "--json",
-        str(file),
-    ]
-    assert uncertainty_cost.main(options) == 0
+    options = "--constraints K --samples 50 --windows 32 --repeats 2 --json"
+    assert uncertainty_cost.main([*options.split(), str(file)]) == 0
     (row,) = json.loads(file.read_text())["rows"]
     assert (row["constraint"], row["samples"]) == ("K", 50)
     assert row["coverage"] > 0.8

@@ -24,7 +24,7 @@ def tip():
 def test_motions_are_ranked(tip):
     poses, found = tip
     times = DT * np.arange(SAMPLES + 1)
-    advice = rf.next_motion(found[0], poses[0], times=times)
+    advice = rf.next_motion(found[0], poses[0], times=times, duration=1.0)
     free = np.flatnonzero(np.concatenate([found.angular.dof[0], found.linear.dof[0]]))
     assert len(advice.axes) == len(free) * (len(free) + 1) // 2
     assert np.all(np.diff(advice.shrinks) >= 0)
