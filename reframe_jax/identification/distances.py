@@ -7,8 +7,9 @@ import numpy as np
 from reframe_jax.constraints.types import LinearType
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.products import matmul3
-from reframe_jax.identification.evidence import FLOOR, IN_BODY, IN_GROUND, Evidence
+from reframe_jax.identification.evidence import FLOOR, Evidence
 from reframe_jax.identification.freedom import freedom_patterns
+from reframe_jax.identification.levers import lever_moments
 from reframe_jax.identification.optima import Frames, constant_covariance, pick_type
 from reframe_jax.objectives.moments import covariance_at, covariance_gradient, covariance_hessian
 
@@ -130,28 +131,11 @@ def noise_along(evidence: Evidence, position: jax.Array, axes: jax.Array) -> tup
         position: (N, 4, 3) m, origins of all types.
         axes: (N, 4, 3, 3).
     """
-    p = position
-    square = jnp.sum(jnp.square(p), axis=-1)
-    positions = symmetric.to_matrix(tuple(evidence.positions))  # type: ignore[arg-type]
-    mean = jnp.moveaxis(evidence.mean_paths, (2, 3), (0, 1))  # (N, 2, 3, 4)
-    x = jnp.moveaxis(p, -1, 0)
-    on_body = evidence.linear_spread[:, :, :, IN_BODY]
-    without = on_body.at[:, :4].set(0)  # what the lever does, and the position of {b} does not
-    turning = symmetric.to_matrix(covariance_at(without, tuple(x[:, :, IN_BODY])))  # type: ignore[arg-type]
-    passing = symmetric.to_matrix(
-        covariance_at(evidence.linear_spread[:, :, :, IN_GROUND], tuple(x[:, :, IN_GROUND]))  # type: ignore[arg-type]
-    )
-    spread = jnp.stack([jnp.zeros_like(turning), turning, positions, passing], axis=1)
-    turned = matmul3(mean[:, 0, :, 1:], p[:, IN_BODY, :, None])[..., 0]
-    passed = mean[:, 1, :, 0] + matmul3(mean[:, 1, :, 1:], p[:, IN_GROUND, :, None])[..., 0]
-    centre = jnp.stack([p[:, 0], turned, p[:, 2], passed], axis=1)
-    total = jnp.trace(spread, axis1=-2, axis2=-1) + jnp.sum(jnp.square(centre), axis=-1)
-    total = total.at[:, IN_BODY].set(square[:, IN_BODY])
-    along = jnp.sum(axes * matmul3(spread, axes), axis=-2)
-    along = along + jnp.square(matmul3(centre[..., None, :], axes)[..., 0, :])
-    lever = jnp.maximum(total[..., None] - along, 0)
+    x = jnp.moveaxis(position, -1, 0)
+    second = symmetric.to_matrix(covariance_at(lever_moments(evidence), (x[0], x[1], x[2])))
+    along = jnp.sum(axes * matmul3(second, axes), axis=-2)
+    lever = jnp.maximum(jnp.trace(second, axis1=-2, axis2=-1)[..., None] - along, 0)
     # of noise that leads away from a single axis nothing is left: the lever acts across that axis
-    second = spread + centre[..., :, None] * centre[..., None, :]
     axis = jnp.stack([evidence.axis.in_ground, evidence.axis.in_body])
     axis = jnp.stack([axis[int(t.orientation_body)].T for t in LinearType], axis=1)  # (N, 4, 3)
     across = jnp.cross(axes, axis[..., None], axis=-2)

@@ -31,6 +31,7 @@ from reframe_jax.identification.distances import (
 )
 from reframe_jax.identification.evidence import Evidence, LagRule, reduce_windows
 from reframe_jax.identification.freedom import type_weights
+from reframe_jax.identification.likelihood import likeliest_frames
 from reframe_jax.identification.naming import name_probability
 from reframe_jax.identification.optima import (
     Frames,
@@ -114,7 +115,12 @@ def solve_evidence(
             degrees_of_freedom(optima.angular_rms, thresholds.angular),
             degrees_of_freedom(optima.rms, thresholds.linear),
         )
+    # rotation about axes that are classified as constrained is taken for noise, unless it was taken out
+    idle = jnp.min(jnp.max(jnp.where(dof[0] == 0, optima.angular_rms, 0), axis=-1), axis=-1)
+    idle = jnp.where(evidence.alone, 0, idle)
     if rule == "auto":
+        if evidence.maps is None:
+            frames = likeliest_frames(evidence, frames, optima, dof[1], idle, refined)
         frames = share_axis(evidence, frames, dof, refined)
         frames = use_plane(evidence, frames, dof[0], ~refined)
     angular = Candidates(
@@ -124,9 +130,6 @@ def solve_evidence(
         norm=optima.angular_norm,
         free_rotation=free_rotations(dof[0]),
     )
-    # rotation about axes that are classified as constrained is taken for noise, unless it was taken out
-    idle = jnp.min(jnp.max(jnp.where(dof[0] == 0, optima.angular_rms, 0), axis=-1), axis=-1)
-    idle = jnp.where(evidence.alone, 0, idle)
     free, position = nearest_origin(
         optima.objective.moments, frames.local_axes, dof[1], optima.rms, frames.position, idle[:, None]
     )

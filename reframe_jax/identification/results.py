@@ -74,8 +74,8 @@ class Identification:
             number of free translations. All probabilities are conditional: see ``probability``.
         noise: of the poses.
         lag: (...) int, samples between the two poses of a velocity.
-        refined: (...) bool, whether the noise was found to be white, so that the frames are those of the
-            displacements between all pairs of poses, which are then more accurate; else those of the
+        refined: (...) bool, whether the noise was found to be white, so that the frames are the likeliest
+            for the displacements between all pairs of poses, which are then more accurate; else those of the
             velocities, which slow errors of a tracker spoil less.
         counted: (..., K+1) bool, poses that took part: outliers did not.
         status_code: (...) int; read it as ``status``. Windows that failed hold NaN and zeros.

@@ -16,14 +16,20 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax.compilation import once
-from reframe_jax.constraints.located import parts_on_body
 from reframe_jax.constraints.types import AngularType
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.products import matmul3
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.motion.single_axis import tilt_to_plane
 from reframe_jax.uncertainty.estimate import in_bodies
-from reframe_jax.uncertainty.paths import Estimates, Paths, axes_of, oriented_in_body, paths_of
+from reframe_jax.uncertainty.paths import (
+    Estimates,
+    Paths,
+    axes_of,
+    is_summed,
+    oriented_in_body,
+    paths_of,
+)
 from reframe_jax.uncertainty.sensitivity import (
     covariance_at_offset,
     optimum_near,
@@ -101,7 +107,7 @@ def bootstrap_of_windows(
     # weights of fixed sum vary a little less than samples do
     share = (_BLOCKS + 1) / (_BLOCKS - _FITTED)
     matrix = share * _scatter(paths, found, changes, (resampled(_mean_entries(paths)), _packed(positions)))
-    summed = found.refined & _is_summed(found)
+    summed = found.refined & is_summed(found)
 
     def again(matrix: jax.Array) -> jax.Array:
         return jnp.where(summed[None, None], _of_disturbed(poses, steps, count, found, paths), matrix)
@@ -189,12 +195,6 @@ def _packed(matrix: jax.Array) -> jax.Array:
 def _mean_entries(paths: Paths) -> jax.Array:
     """What every sample adds to the entries of the mean rotation, (9, K+1, N)."""
     return paths.tilted.reshape(9, *paths.tilted.shape[2:]) * paths.sampling.shares[None]
-
-
-def _is_summed(found: Estimates) -> jax.Array:
-    """Whether the path of the origin is summed up along the motion, (N,): in BB and GG."""
-    on_body = parts_on_body(found.angular_type, found.linear_type)
-    return on_body[:, 1] == on_body[:, 2]
 
 
 def _shares(scales: jax.Array) -> jax.Array:

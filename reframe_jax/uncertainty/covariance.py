@@ -44,8 +44,9 @@ class Covariance:
         matrix: (..., 15, 15) mean squares and products of the errors of those numbers: their covariance and
             the products of their bias. NaN where the window failed.
         bias: (..., 15) error that the noise makes on average, whatever the number of samples: noise of the
-            orientation acts through the lever to the origin and makes it look shorter. Zero for the angular
-            axes and the RMS. Subtract it from the estimate to correct that.
+            orientation acts through the lever to the origin and makes it look shorter. Subtract it from the
+            estimate to correct that. Zero for the angular axes, the RMS, and refined frames of the types GB
+            and BG, which are estimated without that noise.
         inflation: (..., 3) how much larger the standard deviations of the angular axes, the linear axes and
             the origin are than the white noise of the poses explains: 1 where it explains all.
         determined: (...) bool, whether the motion determines all that the class does not leave free; if not,

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax.compilation import once
-from reframe_jax.uncertainty.paths import Estimates, Paths, axes_of, oriented_in_body, paths_of
+from reframe_jax.uncertainty.paths import Estimates, Paths, axes_of, is_summed, oriented_in_body, paths_of
 from reframe_jax.uncertainty.propagation import apply_to_rows, position_to_poses, turn_to_poses
 from reframe_jax.uncertainty.rivals import twin_probability, type_probability
 from reframe_jax.uncertainty.sampling import Sampling
@@ -58,6 +58,9 @@ def covariance_of_windows(
     slopes = once(sampling.take(flat).reshape(paths.slopes.shape))
     angular = once(angular_rows(turned, angular_dof))
     axis = jnp.where(oriented_in_body(found)[None], paths.single.in_body, paths.single.in_ground)
+    # the likelihood of GB and BG takes its moments without the noise of the orientation
+    left = ~sampling.about_mean | paths.kept | is_summed(found)
+    of_rotation = jnp.where(left, paths.share * noise[1], 0)
     added = noise_of_path(
         found.linear_type,
         paths.rotation,
@@ -66,9 +69,9 @@ def covariance_of_windows(
         linear_axes,
         (axis, paths.kept),
         sampling.pose_weights(),
-        (paths.share * noise[0], paths.share * noise[1]),
+        (paths.share * noise[0], of_rotation),
     )
-    linear = once(linear_rows(moved, slopes, linear_dof, free, added))
+    linear = once(linear_rows(moved, slopes, linear_dof, free, added, sampling.about_mean))
     linear_path = _to_path(sampling, jnp.concatenate([linear.turn, linear.position]))
     angular_rms = _rms_path(paths.along_angular, None, sampling, angular_dof, None)
     best = once(paths.along_linear + jnp.sum(paths.slopes * linear.offset[None, :, None], axis=1))

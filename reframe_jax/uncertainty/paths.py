@@ -20,7 +20,7 @@ from reframe_jax.motion.smoothing import noise_share, smooth_noise
 from reframe_jax.uncertainty.propagation import apply_to_rows
 from reframe_jax.uncertainty.sampling import Sampling
 
-__all__ = ["Estimates", "Paths", "axes_of", "estimates_of", "oriented_in_body", "paths_of"]
+__all__ = ["Estimates", "Paths", "axes_of", "estimates_of", "is_summed", "oriented_in_body", "paths_of"]
 
 _IN_BODY = int(LinearType.GB)
 
@@ -256,3 +256,9 @@ def axes_of(rotvec: jax.Array) -> jax.Array:
 def oriented_in_body(found: Estimates) -> jax.Array:
     """Whether the axes of the linear frame are fixed in {b}, (N,)."""
     return parts_on_body(found.angular_type, found.linear_type)[:, 1]
+
+
+def is_summed(found: Estimates) -> jax.Array:
+    """Whether the path of the origin is summed up along the motion, (N,): in BB and GG."""
+    on_body = parts_on_body(found.angular_type, found.linear_type)
+    return on_body[:, 1] == on_body[:, 2]

@@ -7,9 +7,11 @@ Sigma. With S = Sigma^-1 and b_a = du/dx_a, the derivatives by u at one sample a
     gradient of the objective:  2 S (b_a - Sigma_a S u),      Sigma_a = dSigma/dx_a,
     turn about axis k:          (u_j e_i + u_i e_j) / (Sigma_ii - Sigma_jj),    (k, i, j) cyclic,
 
-and the implicit function theorem gives x by its Hessian. What is free has no derivative: turns of two axes
-that are both free or both constrained, and directions in which the origin changes nothing. Along the latter
-the reported origin is moved to the point nearest to the motion; the axes remain those at the optimum.
+and the implicit function theorem gives x by its Hessian. Where the estimate is the likeliest one, of the
+constrained axes alone, the log det of the block of the free axes is subtracted, here and in what follows.
+What is free has no derivative: turns of two axes that are both free or both constrained, and directions in
+which the origin changes nothing. Along the latter the reported origin is moved to the point nearest to the
+motion; the axes remain those at the optimum.
 
 Arrays have components first, then samples, then windows.
 """
@@ -74,8 +76,8 @@ class _Here:
 
     sigma: jax.Array
     moved: jax.Array
-    inverse: jax.Array
-    weighted: jax.Array  # S Sigma_a S
+    inverse: jax.Array  # S; less that of the block of axes that do not count
+    weighted: jax.Array  # S Sigma_a S, the same
     hessian: jax.Array
 
 
@@ -96,7 +98,12 @@ def angular_rows(samples: jax.Array, dof: jax.Array) -> jax.Array:
 
 
 def linear_rows(
-    samples: jax.Array, slopes: jax.Array, dof: jax.Array, free: jax.Array, noise: PathNoise
+    samples: jax.Array,
+    slopes: jax.Array,
+    dof: jax.Array,
+    free: jax.Array,
+    noise: PathNoise,
+    likeliest: jax.Array,
 ) -> Rows:
     """Sensitivities of a linear frame.
 
@@ -105,17 +112,19 @@ def linear_rows(
         slopes: (3, 3, K+1, N) derivatives of these components by the coordinates of the origin.
         dof: (3, N), 1 where an axis is free.
         free: (3, 3, N) projector onto the directions in which the origin is free.
-        noise: of the path of the reported origin.
+        noise: of the path of the reported origin, as far as the estimate did not allow for it.
+        likeliest: (N,) bool, whether the constrained axes alone count.
     """
     flat = once(jnp.concatenate([samples[:, None], slopes], axis=1).reshape(12, *samples.shape[1:]))
     gram = once(sums_of_products(flat, flat)).reshape(3, 4, 3, 4, -1)
     offset = optimum_near(gram, jnp.zeros_like(gram[:, 0, 0, 0]))
-    here, there = once((_about(gram, jnp.zeros_like(offset)), _about(gram, offset)))
+    left_out = likeliest[None] & (dof == 1)
+    here, there = once((_about(gram, jnp.zeros_like(offset), left_out), _about(gram, offset, left_out)))
     held = jnp.broadcast_to(jnp.eye(3, dtype=free.dtype)[:, :, None], free.shape) - free
     solve, determined = _restricted_inverse(here.hessian, held)
     position = _origin_rows(solve, here, samples, slopes)
     solve, _ = _restricted_inverse(here.hessian - noise.curvature(here.inverse), held)
-    shift = -jnp.sum(solve * _pull(here, noise, dof)[None], axis=1)
+    shift = -jnp.sum(solve * _pull(here, noise, dof, likeliest)[None], axis=1)
     every = jnp.broadcast_to(jnp.eye(3, dtype=free.dtype)[:, :, None], free.shape)
     solve, _ = _restricted_inverse(there.hessian, every)
     best = once(samples + jnp.sum(slopes * offset[None, :, None], axis=1))
@@ -141,15 +150,10 @@ def linear_rows(
     )
 
 
-def _pull(here: _Here, noise: PathNoise, dof: jax.Array) -> jax.Array:
+def _pull(here: _Here, noise: PathNoise, dof: jax.Array, likeliest: jax.Array) -> jax.Array:
     """Gradient at the true origin by noise, (3, N)."""
-    blocks = []
-    for part in (dof == 0, dof == 1):
-        inside = part[:, None] & part[None]
-        apart = jnp.where(jnp.eye(3, dtype=bool)[:, :, None], here.sigma, 0)
-        inverse = _inverse(jnp.where(inside, here.sigma, apart))
-        blocks.append(jnp.where(inside, inverse, 0))
-    return pull_of_noise(here.moved, (blocks[0], blocks[1]), noise, dof)
+    blocks = _block_inverse(here.sigma, dof == 0), _block_inverse(here.sigma, dof == 1)
+    return pull_of_noise(here.moved, blocks, noise, dof, likeliest)
 
 
 def _turn_row(
@@ -200,12 +204,14 @@ def _column(gram: jax.Array, offset: jax.Array) -> jax.Array:
     return gram[:, 0] + jnp.sum(gram[:, 1:] * offset[None, :, None, None], axis=1)
 
 
-def _about(gram: jax.Array, offset: jax.Array) -> _Here:
+def _about(gram: jax.Array, offset: jax.Array, left_out: jax.Array) -> _Here:
     """The objective about a point, (3, N) m from the reported origin.
 
     Args:
         gram: (3, 4, 3, 4, N) sums of products of (u, b_x, b_y, b_z), component and column twice.
         offset: of the point.
+        left_out: (3, N) bool, axes whose block is subtracted: log det Sigma less that of the block is of the
+            variance of the other axes that does not follow from these.
     """
     column = _column(gram, offset)
     sigma = covariance_at_offset(gram, offset)
@@ -213,11 +219,21 @@ def _about(gram: jax.Array, offset: jax.Array) -> _Here:
     moved = jnp.moveaxis(mixed + jnp.swapaxes(mixed, 0, 1), 2, 0)
     inverse = _inverse(sigma)
     weighted = jnp.stack([_chain(inverse, m, inverse) for m in moved])
+    without = _block_inverse(sigma, left_out)
+    inverse = inverse - without
+    weighted = weighted - jnp.stack([_chain(without, m, without) for m in moved])
     curvature = 2 * jnp.sum(inverse[:, None, :, None] * gram[:, 1:, :, 1:], axis=(0, 2))
     hessian = curvature - jnp.stack(
         [jnp.stack([jnp.sum(w * m, axis=(0, 1)) for m in moved]) for w in weighted]
     )
     return _Here(sigma, moved, inverse, weighted, hessian)
+
+
+def _block_inverse(sigma: jax.Array, part: jax.Array) -> jax.Array:
+    """Inverse of the block of sigma (3, 3, N) of the axes (3, N) that are part of it, zero elsewhere."""
+    inside = part[:, None] & part[None]
+    apart = jnp.where(jnp.eye(3, dtype=bool)[:, :, None], sigma, 0)
+    return jnp.where(inside, _inverse(jnp.where(inside, sigma, apart)), 0)
 
 
 def _origin_rows(solve: jax.Array, here: _Here, samples: jax.Array, slopes: jax.Array) -> jax.Array:

@@ -8,7 +8,8 @@ still and moves along the free axes f, the gradient at the true origin is
     tr(S_ff dSigma_ff) + tr(S_cc dN_cc) - 2 tr(S_cc N_cf S_ff dSigma_fc),
 
 S_cc and S_ff being the inverses of the two blocks of Sigma. Newton's step from it is the shift, by the
-Hessian less what noise adds to that. The axes turn by N_cf besides.
+Hessian less what noise adds to that. The axes turn by N_cf besides. The likeliest frame, of the constrained
+axes alone, has no first term, and none of the others where N was subtracted before it was estimated.
 
 Arrays have components first, then samples, then windows.
 """
@@ -117,6 +118,7 @@ def pull_of_noise(
     inverses: tuple[jax.Array, jax.Array],
     noise: PathNoise,
     dof: jax.Array,
+    likeliest: jax.Array,
 ) -> jax.Array:
     """Gradient of the objective at the true origin, on average, (3, N).
 
@@ -125,15 +127,17 @@ def pull_of_noise(
         inverses: (3, 3, N) of its blocks of constrained and of free axes; zero elsewhere.
         noise: of the path.
         dof: (3, N), 1 where an axis is free.
+        likeliest: (N,) bool, whether the constrained axes alone count.
     """
     held, free = inverses
+    pulling = jnp.where(likeliest[None, None], 0, free)
     between = ((dof == 0)[:, None] & (dof == 1)[None]).astype(moved.dtype)
     mixed = noise.matrix * between
     weight = jnp.sum(held[:, :, None] * mixed[None], axis=1)
     weight = jnp.sum(weight[:, :, None] * free[None], axis=1)  # (c, f, N)
     return jnp.stack(
         [
-            jnp.sum(free * slope + held * of_noise - 2 * weight * (slope - of_noise), axis=(0, 1))
+            jnp.sum(pulling * slope + held * of_noise - 2 * weight * (slope - of_noise), axis=(0, 1))
             for slope, of_noise in zip(moved, noise.moved, strict=True)
         ]
     )

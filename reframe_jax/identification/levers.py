@@ -1,0 +1,62 @@
+"""The levers through which noise of the orientation acts on the origin of a frame."""
+
+import jax
+import jax.numpy as jnp
+
+from reframe_jax.constraints.types import LinearType
+from reframe_jax.geometry.symmetric import INDEX_PAIRS
+from reframe_jax.identification.evidence import IN_BODY, IN_GROUND, Evidence
+from reframe_jax.objectives.moments import MONOMIALS
+
+__all__ = ["lever_moments", "noise_moments"]
+
+
+def lever_moments(evidence: Evidence) -> jax.Array:
+    """Second moments of the lever from the origin of {b} to that of a frame, in the body of its axes.
+
+    For BB it is p itself and for GB R p; for GG, from the mean position, and for BG it is p - x and
+    R^T (p - x), with x the position of {b}.
+
+    Returns:
+        (6, 10, N, 4), coefficients of polynomials in the origin p, as moments of velocities are.
+    """
+    dtype, count = evidence.linear_spread.dtype, evidence.linear_spread.shape[2]
+    unit = jnp.concatenate([jnp.zeros((3, 1), dtype), jnp.eye(3, dtype=dtype)], axis=1)
+    itself = jnp.broadcast_to(_square(unit[:, :, None]), (6, 10, count))
+    turning = evidence.linear_spread[..., IN_BODY].at[:, :4].set(0)  # without the position of {b}
+    turning = turning + _square(evidence.mean_paths[..., 0].at[:, 0].set(0))
+    passing = evidence.linear_spread[..., IN_GROUND] + _square(evidence.mean_paths[..., 1])
+    of_types = {
+        LinearType.BB: itself,
+        LinearType.GB: turning,
+        LinearType.GG: itself.at[:, 0].add(evidence.positions),
+        LinearType.BG: passing,
+    }
+    return jnp.stack([of_types[kind] for kind in LinearType], axis=-1)
+
+
+def _square(path: jax.Array) -> jax.Array:
+    """Moments (6, 10, N) of a single sample, (3, 4, N)."""
+    rows = []
+    for i, j in INDEX_PAIRS:
+        products = {(a, b): path[i, a] * path[j, b] for a in range(4) for b in range(4)}
+        rows.append(
+            jnp.stack([products[a, b] if a == b else products[a, b] + products[b, a] for a, b in MONOMIALS])
+        )
+    return jnp.stack(rows)
+
+
+def noise_moments(evidence: Evidence) -> jax.Array:
+    """What noise of the orientation adds to the moments of the paths of GB and BG, (6, 10, N, 4).
+
+    A turn e of every pose moves the end of a lever l by e x l: with a variance s^2 of every component of e,
+    that adds s^2 (tr S - S), S being the second moments of l. Zero for the other types, whose paths are
+    summed up, and where what leads away from a single axis was taken out.
+    """
+    xx, xy, xz, yy, yz, zz = lever_moments(evidence)
+    across = jnp.stack([yy + zz, -xy, -xz, xx + zz, -yz, xx + yy])
+    variance = jnp.square(evidence.share * evidence.noise.rotation)
+    variance = jnp.where(evidence.alone, 0, variance)
+    followed = jnp.asarray([kind.orientation_body != kind.position_body for kind in LinearType])
+    of_types = jnp.where(followed[None], variance[:, None], 0)
+    return across * of_types[None, None]

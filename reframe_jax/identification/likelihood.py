@@ -1,0 +1,129 @@
+"""The likeliest frame of a class: what follows once it is known which axes are constrained.
+
+The determinant of all axes finds the type, and which axes are free, without knowing either. Its optimum is
+not quite where the constrained axes are most at rest: the variances of free axes depend on the origin too,
+and so does the noise, because that of the orientation acts through the lever to the origin. With the class
+known, both are left out: the likelihood takes the constrained axes alone, from moments without that noise.
+"""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+
+from reframe_jax.compilation import once
+from reframe_jax.geometry import symmetric
+from reframe_jax.geometry.symmetric import INDEX_PAIRS, Symmetric
+from reframe_jax.identification.classify import nearest_origin
+from reframe_jax.identification.evidence import Evidence
+from reframe_jax.identification.levers import noise_moments
+from reframe_jax.identification.optima import Frames, Optima, pick_problem, pick_type
+from reframe_jax.objectives.held_axes import HeldAxesObjective
+from reframe_jax.objectives.moments import covariance_at
+from reframe_jax.objectives.norms import principal_axes
+from reframe_jax.solvers import Box
+from reframe_jax.solvers.implicit import attach_derivative
+
+__all__ = ["likeliest_frames"]
+
+_STEPS = 4
+_LENGTHS = 1.0, 0.3, 3.0  # of Newton's step that are tried
+_PRIOR = 1.0  # m, how far from the start an origin is expected that the data leave open
+
+
+def likeliest_frames(
+    evidence: Evidence, frames: Frames, optima: Optima, dof: jax.Array, idle: jax.Array, chosen: jax.Array
+) -> Frames:
+    """The frames, those of the best linear type replaced by the likeliest ones.
+
+    Args:
+        evidence: of N windows.
+        frames: of all types.
+        optima: from which they come.
+        dof: (N, 4, 3), of all linear types.
+        idle: (N,) rad/s, RMS of what counts as no rotation.
+        chosen: (N,) bool, windows whose noise is white; the frames of others stay as they are.
+    """
+    winner = optima.linear_winner
+    held = 1 - pick_type(dof, winner).T
+    chosen = chosen & (jnp.sum(held, axis=0) > 0)
+
+    def free() -> jax.Array:
+        velocities = pick_problem(winner, optima.objective.moments)
+        axes, rms, position = (pick_type(a, winner) for a in (frames.local_axes, optima.rms, frames.position))
+        return jax.lax.stop_gradient(nearest_origin(velocities, axes, 1 - held.T, rms, position, idle)[0])
+
+    def fit(_: None) -> tuple[jax.Array, jax.Array]:
+        start = jax.lax.stop_gradient(pick_type(frames.position, winner).T)
+        noise = jax.lax.stop_gradient(pick_problem(winner, noise_moments(evidence)))
+        # its mean is left in, so that what remains along every axis is positive
+        mean = symmetric.trace(covariance_at(noise, (start[0], start[1], start[2]))) / 3
+        moments = pick_problem(winner, evidence.linear_spread) - noise
+        moments = moments.at[jnp.asarray([0, 3, 5]), 0].add(mean[None])
+        objective = once(HeldAxesObjective(moments, held.astype(moments.dtype)))
+        inside = jax.tree.map(lambda bound: pick_problem(winner, bound), optima.box)
+        samples = evidence.poses.astype(moments.dtype)
+        x = _descend(jax.lax.stop_gradient(objective), inside, start, jnp.moveaxis(free(), 0, -1), samples)
+        x = attach_derivative(x, objective, inside)
+        return x.T, principal_axes(objective.covariance(x))[1]
+
+    def keep(_: None) -> tuple[jax.Array, jax.Array]:
+        return pick_type(frames.position, winner), pick_type(frames.axes, winner)
+
+    position, axes = jax.lax.cond(jnp.any(chosen), fit, keep, None)
+    here = chosen[:, None] & (winner[:, None] == jnp.arange(4, dtype=winner.dtype)[None])
+    return replace(
+        frames,
+        position=jnp.where(here[..., None], position[:, None], frames.position),
+        axes=jnp.where(here[..., None, None], axes[:, None], frames.axes),
+        local_axes=jnp.where(here[..., None, None], axes[:, None], frames.local_axes),
+    )
+
+
+def _descend(
+    objective: HeldAxesObjective, box: Box, start: jax.Array, free: jax.Array, samples: jax.Array
+) -> jax.Array:
+    """A few of Newton's steps from the origins (3, N), each as far as it helps.
+
+    In free directions, given by their projectors (3, 3, N), the origin stays where it is. In those that the
+    data hardly tell, the prior keeps it near.
+    """
+    prior = 2 / (samples * _PRIOR**2)
+    tied = jnp.eye(3, dtype=start.dtype)[:, :, None] - free
+
+    def value(x: jax.Array) -> jax.Array:
+        return objective.value(x) + prior * jnp.sum(jnp.square(x - start), axis=0) / 2
+
+    def step(_: int, carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        x, best = carry
+        slope, curvature = objective.slope_and_curvature(x)
+        slope = _project(tied, (slope + prior[None] * (x - start))[:, None])[:, 0]
+        strengths, axes = symmetric.eigh(_restrict(tied, curvature, prior))
+        down = jnp.zeros_like(x)
+        for strength, axis in zip(strengths, axes, strict=True):
+            along = jnp.stack(axis)
+            share = jnp.sum(along * slope, axis=0) / jnp.maximum(jnp.abs(strength), prior)
+            down = down - share[None] * along
+        chosen = x
+        for length in _LENGTHS:
+            there = once(box.clip(x + length * down))
+            found = once(value(there))
+            better = found < best
+            chosen, best = jnp.where(better[None], there, chosen), jnp.where(better, found, best)
+        return chosen, best
+
+    return jax.lax.fori_loop(0, _STEPS, step, (start, value(start)))[0]
+
+
+def _project(tied: jax.Array, matrix: jax.Array) -> jax.Array:
+    """Products of matrices (3, 3, N) and (3, m, N)."""
+    return jnp.sum(tied[:, :, None] * matrix[None], axis=1)
+
+
+def _restrict(tied: jax.Array, curvature: Symmetric, prior: jax.Array) -> Symmetric:
+    """The curvature in the directions that are not free, and the prior in all."""
+    xx, xy, xz, yy, yz, zz = curvature
+    matrix = jnp.stack([jnp.stack(row) for row in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))])
+    inside = _project(_project(tied, matrix), tied)
+    a, b, c, d, e, f = (inside[i, j] for i, j in INDEX_PAIRS)
+    return a + prior, b, c, d + prior, e, f + prior

@@ -1,0 +1,65 @@
+"""The likeliest frame of a class: the constrained axes alone, without the noise of the orientation."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import reframe_jax as rf
+from reframe_jax.geometry import symmetric
+from reframe_jax.objectives.held_axes import HeldAxesObjective
+from reframe_jax.objectives.moments import velocity_moments
+from reframe_jax.simulation.metrics import dof_correct, types_correct
+from reframe_jax.simulation.motions import PoseErrors, random_motion
+
+SAMPLES, DT, WINDOWS = 50, 0.1, 96
+
+
+@pytest.mark.parametrize("held", [(1, 0, 0), (1, 1, 0), (1, 1, 1)])
+def test_the_objective_and_its_derivatives(held):
+    maps = np.random.default_rng(0).normal(size=(40, 3, 4)) * np.array([1e-2, 0.1, 1])[:, None]
+    objective = HeldAxesObjective(velocity_moments(jnp.asarray(maps)), jnp.asarray(held, float))
+    x = jnp.asarray([0.3, -0.2, 0.1])
+    velocities = maps[..., 0] + maps[..., 1:] @ np.asarray(x)
+    variances = np.linalg.eigvalsh(velocities.T @ velocities / len(maps))
+    assert objective.value(x) == pytest.approx(np.sum(np.log(variances) * held))
+    slope, curvature = objective.slope_and_curvature(x)
+    np.testing.assert_allclose(slope, jax.grad(objective.value)(x), rtol=1e-9)
+    np.testing.assert_allclose(symmetric.to_matrix(curvature), jax.hessian(objective.value)(x), rtol=1e-8)
+
+
+def negative_log_likelihood(origin, normal, poses, noise):
+    """Of a point of the body on a plane: residuals with the noise of every pose, its lever included."""
+    lever = poses[:, :3, :3] @ origin
+    heights = (poses[:, :3, 3] + lever) @ normal
+    variance = noise[0] ** 2 + noise[1] ** 2 * np.sum(np.cross(lever, normal) ** 2, axis=1)
+    heights = heights - np.sum(heights / variance) / np.sum(1 / variance)
+    return np.sum(heights**2 / variance + np.log(variance)) / 2
+
+
+@pytest.mark.parametrize("sigma", [2e-4, 2e-3])
+def test_a_pin_on_a_plane_is_at_the_maximum_of_the_likelihood(sigma):
+    """No point nearby is likelier by more than the noise makes of it; the truth is not either."""
+
+    def one(key):
+        errors = PoseErrors(sigma=sigma)
+        return random_motion("K", key, samples=SAMPLES, dt=DT, excitation="exciting", errors=errors)
+
+    made = jax.vmap(one)(jax.random.split(jax.random.key(11), WINDOWS))
+    poses = np.asarray(made.poses)
+    found = rf.identify(poses, dt=DT)
+    right = np.asarray(types_correct(found, made.truth) & dof_correct(found, made.truth) & found.refined)
+    assert right.mean() > 0.6
+    normals = np.asarray(found.linear.axes)[:, :, 0]
+    gains = []
+    for i in np.flatnonzero(right):
+        noise = sigma, 3 * sigma
+
+        def value(x, i=i, noise=noise):
+            return negative_log_likelihood(x, normals[i], poses[i], noise)
+
+        here = np.asarray(found.linear.position[i])
+        shifts = [sigma * sign * axis for axis in np.eye(3) for sign in (-1, 1)]
+        gains.append(value(here) - min(value(here + shift) for shift in shifts))
+    # half a unit is one standard deviation
+    assert np.quantile(gains, 0.9) < 0.5
