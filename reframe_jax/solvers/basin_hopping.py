@@ -211,7 +211,7 @@ class BasinHopping:
             ends = first | (state.hop == last)
             done = jnp.where(first, self._is_settled(state), self._has_met(state))
             state = jax.lax.cond(ends, begin, lambda state, _: state, state, ended)
-            return state, ended + ends, is_open & ~(ends & done)
+            return state, ended + ends.astype(jnp.int32), is_open & ~(ends & done)
 
         every = jnp.ones(state.value.shape[1:], dtype=bool)
         return jax.lax.while_loop(goes_on, advance, (state, jnp.zeros((), jnp.int32), every))[0]
