@@ -19,7 +19,9 @@ and, without --quick,
 - ``CMA-ES x 4``: evosax's, four runs of 250 generations (if evosax is installed).
 
 A problem is missed if its norm is more than 0.1 % above the best that any contestant or a search with
-64 long restarts has found. Errors are those of the origin, over windows whose type is unique.
+64 long restarts has found. Errors are those of the origin, over windows whose type is unique. Without
+--quick, the misses of ``identify`` follow for windows of other motions and geometries, family by family;
+--families prints them alone.
 
 Floors, per window of K = 50 velocities. Bytes: the poses are read and the results written, 6.5 kB and
 1.2 kB; at 20 GB/s of a laptop's memory 2.6M windows/s, at 4.8 TB/s of an H200 600M/s. Flops: kinematics
@@ -46,6 +48,7 @@ import reframe_jax as rf
 from benchmarks import contestants, scaling
 from benchmarks.common import machine, new_parser
 from benchmarks.dual_annealing import DT, MISS, best_known, errors_mm, make_windows
+from benchmarks.families import count_misses
 from benchmarks.timing import jit, machine_floors, peak_above, timed
 from reframe_jax.identification.entry import default_solver
 from reframe_jax.objectives.velocity import PositionObjective
@@ -60,16 +63,17 @@ _MOMENT_FLOPS, _STEP_FLOPS = 0.1e6, 1100  # kinematics and moments; one step of 
 
 @dataclass
 class Size:
-    """How much of everything a run does: windows for ``identify``, and for slower contestants."""
+    """How much of everything a run does: windows for ``identify``, for slower contestants, of each family."""
 
     windows: int = 12288
     judged: int = _DISTINCT
     general: int = 1536
     slow: int = 24
+    family: int = 960
     full: bool = True
 
 
-QUICK = Size(windows=1536, judged=96, general=96, slow=4, full=False)
+QUICK = Size(windows=1536, judged=96, general=96, slow=4, family=0, full=False)
 
 
 @cache
@@ -271,6 +275,8 @@ def run(size: Size) -> tuple[dict[str, float], scaling.Curves]:
         "peak_memory_mb": peak,
         **floors(fast, poses),
     }
+    if size.family:
+        metrics |= count_misses(size.family)
     distinct = slice(min(size.windows, _DISTINCT))
     if size.full:
         shares = scaling.spread_of_time(poses[distinct])
@@ -309,6 +315,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--json", type=Path, help="file to write the metrics to")
     add("--plot", type=Path, help="file to draw the scaling curves to")
     add("--curves", nargs="+", choices=scaling.LABELS, help="measure these scaling curves, and nothing else")
+    add("--families", type=int, help="count misses in so many windows of each family, and nothing else")
     add("--gate", action="store_true", help="exit with 1 if a ratio is worse than the committed baseline")
     add("--baseline", type=Path, default=BASELINE, help="the baseline, the --json of a --quick run")
     options = parser.parse_args(argv)
@@ -316,9 +323,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     if options.cpu_devices:
         jax.config.update("jax_num_cpu_devices", options.cpu_devices)
     size = QUICK if options.quick else Size(windows=options.windows)
-    if options.curves and options.gate:
-        parser.error("--gate compares contestants, which --curves leaves out")
-    metrics, curves = ({}, run_curves(options.curves, size)) if options.curves else run(size)
+    if (options.curves or options.families) and options.gate:
+        parser.error("--gate compares contestants, which --curves and --families leave out")
+    if options.families:
+        print(machine())
+        metrics, curves = count_misses(options.families), {}
+    elif options.curves:
+        metrics, curves = {}, run_curves(options.curves, size)
+    else:
+        metrics, curves = run(size)
     if options.json:
         record = {"machine": machine(), "metrics": metrics, "scaling_us": curves}
         options.json.write_text(json.dumps(record, indent=2) + "\n")

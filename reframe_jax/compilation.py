@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 __all__ = [
+    "BLOCK_SHARE",
     "apply_each",
     "chunk_size",
     "compiler_options",
@@ -39,7 +40,9 @@ if jax.__version_info__ < (0, 11):
     _CPU_OPTIONS["xla_cpu_use_fusion_emitters"] = False
 
 _LEVEL = "xla_backend_optimization_level"
-_BLOCK, _SHARE = 8, 16  # problems are worked on by the eight, or by a sixteenth of all
+_BLOCK = 8  # marked problems are worked on by the eight
+BLOCK_SHARE = 16
+"""Or by this part of all."""
 
 _T = TypeVar("_T")
 _inside_a_kernel: ContextVar[bool] = ContextVar("_inside_a_kernel", default=False)
@@ -90,7 +93,9 @@ def apply_each(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any
     return [jax.tree.map(lambda leaf, i=i: leaf[i], found) for i in range(len(items))]
 
 
-def update_marked(function: Callable[[Any], Any], marked: jax.Array, inputs: Any, outputs: Any) -> Any:
+def update_marked(
+    function: Callable[[Any], Any], marked: jax.Array, inputs: Any, outputs: Any, share: int = BLOCK_SHARE
+) -> Any:
     """Replace what belongs to the marked problems, gathered into full blocks; the others cost nothing.
 
     Args:
@@ -98,12 +103,13 @@ def update_marked(function: Callable[[Any], Any], marked: jax.Array, inputs: Any
         marked: (N,) bool.
         inputs: pytree of arrays (..., N).
         outputs: pytree of arrays (..., N), as the function returns it.
+        share: of the problems that a block holds: one part of so many, and eight problems at least.
 
     Returns:
         The outputs, new where marked.
     """
     problems = marked.size
-    size = max(min(problems, _BLOCK), problems // _SHARE)
+    size = max(min(problems, _BLOCK), problems // share)
     order, count = jnp.argsort(~marked), jnp.sum(marked)  # the marked first, as they come
 
     def block(i: jax.Array, outputs: Any) -> Any:

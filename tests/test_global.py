@@ -9,6 +9,7 @@ import pytest
 
 import reframe_jax as rf
 from reframe_jax.compilation import chunk_size, compiler_options
+from reframe_jax.constraints.types import AngularType
 from reframe_jax.identification.entry import default_solver
 from reframe_jax.identification.evidence import window_moments
 from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
@@ -57,6 +58,26 @@ def test_the_default_search_reaches_the_best_of_64_long_searches(problems):
     found = search(default_solver(), PositionObjective(problems))
     best = jnp.minimum(best, found)
     assert np.mean(np.asarray(found - best) > 1e-3) <= 1e-3
+
+
+def above_truth(label):
+    """How far the search of slow motions ends above log J of the true origin, (96,)."""
+    frame = rf.ConstraintFrame.named(label)
+    keys, noises = jax.random.split(jax.random.key(13), 96), jnp.tile(jnp.logspace(-6, -5, 4), 24)
+    simulate = jax.vmap(lambda k, noise: synthetic.simulate(frame, k, noise=noise, excitation="slow").poses)
+    poses = simulate(keys, noises)
+    centre = jnp.mean(poses[..., :3, 3], axis=1)
+    linear = jax.jit(window_moments)(poses.at[..., :3, 3].add(-centre[:, None]), jnp.full(50, 0.1))[1]
+    kind = frame.linear_type
+    origin = frame.position[None] - (centre if kind.position_body == AngularType.G else 0 * centre)
+    at_truth = PositionObjective(linear[..., int(kind)]).value(origin.T)
+    found = search(default_solver(), PositionObjective(linear))[:, int(kind)]
+    return np.asarray(found - at_truth)
+
+
+def test_slow_motion_is_mostly_explained_as_well_as_by_the_truth():
+    """Its valleys are many and narrow: without rounds 15 % of these searches end above the truth, not 8 %."""
+    assert np.mean(np.concatenate([above_truth(label) for label in "KL"]) > 1e-3) < 0.11
 
 
 # the stillest axis alone (-inf) has many minima of nearly the same depth: which of them a search ends in

@@ -77,7 +77,7 @@ def test_curves_alone(monkeypatch, tmp_path, capsys):
     assert json.loads(file.read_text())["scaling_us"] == {"devices": {"1": 1.0}}
     with pytest.raises(SystemExit):
         identification.main(["--curves", "devices", "--gate"])
-    assert "--curves leaves out" in capsys.readouterr().err
+    assert "--curves and --families leave out" in capsys.readouterr().err
 
 
 def test_windows_to_spread_fit_the_memory_of_a_device(monkeypatch):

@@ -23,6 +23,7 @@ from planted_problems import (
 from reframe_jax.objectives.moments import velocity_moments
 from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
 from reframe_jax.solvers import BasinHopping, Box, FrameSteps, NewtonSteps, OptaxSteps, ValleySteps
+from reframe_jax.solvers.seeds import fresh_starts
 
 
 @pytest.fixture(scope="module")
@@ -97,6 +98,52 @@ class TestBasinHopping:
         # nothing is settled: the same as by hand for all
         found = search(solver, objective.moments, KEY, POSITIONS)
         np.testing.assert_allclose(found.value, np.min(last.best_value, axis=0), atol=1e-9)
+
+    def test_rounds(self):
+        """They lower what did not settle, alone as in a batch, and leave what did as it is."""
+        rng = np.random.default_rng(5)
+        maps = np.stack([planted(rng, FREE[i % 4])[0] for i in range(24)])
+        moments = velocity_moments(jnp.asarray(maps))
+        once = BasinHopping(ValleySteps(2), restarts=5, hops=2, polish=1)
+        rounds = dataclasses.replace(once, rounds=4)
+        first = search(dataclasses.replace(once, hops=0, polish=0), moments, KEY, POSITIONS)
+        found = search(rounds, moments, KEY, POSITIONS)
+        settled = np.ptp(np.asarray(first.end_values), axis=0) < once.settled
+        gain = np.asarray(first.value - found.value)
+        assert np.all(gain >= 0)
+        np.testing.assert_allclose(gain[settled], 0, atol=1e-9)
+        assert np.max(gain) > 0.01
+        met = np.sum(np.asarray(found.end_values) < np.asarray(found.value) + once.settled, axis=0) >= 4
+        assert np.mean(met) > np.mean(settled)
+        for i in (0, 3, 11):
+            alone = search(rounds, moments[..., i : i + 1], KEY, POSITIONS)
+            np.testing.assert_allclose(alone.value, found.value[i : i + 1], atol=1e-6)
+        never = search(dataclasses.replace(rounds, settled=1e9), moments, KEY, POSITIONS)
+        np.testing.assert_allclose(never.value, first.value, atol=1e-9)
+
+    def test_fresh_starts_are_the_stillest_origins_along_their_directions(self, moments):
+        """No other origin moves less along the direction that the key draws; all lie in the box."""
+        objective, wide = PositionObjective(moments), Box(jnp.full(3, -1e3), jnp.full(3, 1e3))
+        points = np.asarray(fresh_starts(objective, wide, KEY, 3))
+        assert points.shape == (3, 3, 4)
+        directions = np.asarray(jax.random.normal(KEY, (3, 3)))
+
+        def along(points):
+            """Mean square along each direction of the velocity of its own point, (3, 4)."""
+            means = []
+            for d, p in zip(directions.T, np.moveaxis(points, 1, 0), strict=True):
+                xx, xy, xz, yy, yz, zz = objective.covariance(jnp.asarray(p))
+                sigma = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+                means.append(np.einsum("i,ijn,j->n", d, sigma, d))
+            return np.array(means)
+
+        least = along(points)
+        for step in 0.01 * np.concatenate([np.eye(3), -np.eye(3)]):
+            assert np.all(along(points + step[:, None, None]) >= least - 1e-12)
+        near = fresh_starts(objective, POSITIONS, KEY, 3)
+        np.testing.assert_allclose(near, np.clip(points, -1, 1), atol=1e-12)
+        anywhere = fresh_starts(FrameObjective(moments), FRAMES, KEY, 3)
+        assert anywhere.shape == (6, 3, 4)
 
     def test_one_chain_meets_nobody(self, moments):
         """A single chain takes all its hops."""

@@ -1,5 +1,6 @@
 """The global search: basin hopping from many starts, for many problems at once."""
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from typing import cast
@@ -8,13 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.compilation import update_marked
+from reframe_jax.compilation import BLOCK_SHARE, update_marked
 from reframe_jax.objectives.protocol import Objective, check_objective
 from reframe_jax.solvers.box import Box
 from reframe_jax.solvers.kernel import step_chains
 from reframe_jax.solvers.problems import flatten_problems, repeat_problems
 from reframe_jax.solvers.protocol import LocalMinimiser, Solution
-from reframe_jax.solvers.seeds import quasi_random
+from reframe_jax.solvers.seeds import fresh_starts, quasi_random
 from reframe_jax.solvers.transition import Chains, Coordinates, transition
 from reframe_jax.solvers.valley_steps import ValleySteps
 
@@ -22,6 +23,9 @@ __all__ = ["BasinHopping", "SearchState"]
 
 _FEW = 4  # problems, those of one window, that are searched in a single loop
 _AT_ONCE = 1024  # minimizations at a time; if there are more, restarts take turns
+_FRESH = 0.4  # share of the chains that begin a round elsewhere
+_MET = 0.7  # share of the chains whose meeting ends the rounds
+_LATER = 256  # on an accelerator, rounds after the first take this part of all problems at a time
 
 
 @jax.tree_util.register_dataclass
@@ -64,9 +68,14 @@ class BasinHopping:
     stops hopping. Most problems settle, which makes the search fast. All problems use the same random
     numbers, so the answer depends on the data of the problem and the key, not on its place in a batch.
 
+    With ``rounds``, a problem that did not settle goes through rounds until most of its chains have met at
+    the best value. In each round one chain goes on from the best point, some begin at a fresh one (see
+    :func:`fresh_starts`), the others stay where they are. All minimize from there without a jump; the other
+    ``hops`` + ``polish`` - 1 steps follow. Slow motion, whose valleys are many and narrow, needs rounds.
+
     :meth:`minimise` is the whole search. To watch a search or stop it early, call ``init``, then ``step`` 1 +
     ``hops`` + ``polish`` times, then ``finish``. All three are pure functions of arrays that may be compiled;
-    every problem takes all steps, settled or not.
+    every problem takes all steps, settled or not, and none goes through rounds.
 
     Attributes:
         inner: local minimizer, such as :class:`ValleySteps` or :class:`FrameSteps`, or your own.
@@ -78,6 +87,7 @@ class BasinHopping:
         temperature: of Metropolis' rule, in log J: 0.1 accepts a 10 % larger norm once in e times.
         settled: largest difference in log J between the chains of a settled problem after their first
             minimization; 0 makes every problem hop.
+        rounds: the most that a problem goes through; 0 lets its chains hop once, from where they are.
     """
 
     inner: LocalMinimiser
@@ -88,6 +98,7 @@ class BasinHopping:
     hop_size: float = 0.1
     temperature: float = 0.1
     settled: float = 1e-4
+    rounds: int = 0
 
     def init(
         self, objective: Objective, box: Box, key: jax.Array, starts: jax.Array | None = None
@@ -159,8 +170,8 @@ class BasinHopping:
         """The whole search: :meth:`init`, :meth:`step` until every problem is done, :meth:`finish`.
 
         Arguments as in :meth:`init`. A settled problem is done after one step, the others after
-        1 + ``hops`` + ``polish``. On a GPU, with :class:`ValleySteps` on the geometric mean, the steps
-        run in one kernel.
+        1 + ``hops`` + ``polish``, or after their rounds. On a GPU, with :class:`ValleySteps` on the
+        geometric mean, the steps run in one kernel.
         """
         state = self.init(objective, box, key, starts)
         if state.value[0].size <= _FEW:
@@ -170,16 +181,25 @@ class BasinHopping:
             state = self._go_on(objective, box, state)
         return self.finish(objective, box, state)
 
+    @property
+    def _most_rounds(self) -> int:
+        """Times that an open problem takes ``hops`` + ``polish`` steps."""
+        return max(1, self.rounds) if self.hops + self.polish > 0 else 0
+
     def _walk(self, objective: Objective, box: Box, state: SearchState) -> SearchState:
         """All steps of a few problems, in one loop that compiles the step once."""
-        steps = 1 + self.hops + self.polish
+        last = self.hops + self.polish + (0 if self.rounds else 1)
+        key = self._draw(state.key, objective.dim, state.x.dtype)[2]  # after the first minimization
+        begin = partial(self._begin_round, objective, box, key)
 
-        def goes_on(carry: tuple[SearchState, jax.Array]) -> jax.Array:
-            state, is_open = carry
-            return (state.hop < steps) & jnp.any(is_open)
+        def goes_on(carry: tuple[SearchState, jax.Array, jax.Array]) -> jax.Array:
+            _, ended, is_open = carry
+            return (ended <= self._most_rounds) & jnp.any(is_open)
 
-        def advance(carry: tuple[SearchState, jax.Array]) -> tuple[SearchState, jax.Array]:
-            before, is_open = carry
+        def advance(
+            carry: tuple[SearchState, jax.Array, jax.Array],
+        ) -> tuple[SearchState, jax.Array, jax.Array]:
+            before, ended, is_open = carry
             after = self.step(objective, box, before)
             chains = jax.tree.map(
                 lambda new, old: jnp.where(jnp.broadcast_to(is_open, new.shape), new, old),
@@ -187,10 +207,14 @@ class BasinHopping:
                 before.chains,
             )
             state = _state(after.hop, after.key, chains)
-            return state, is_open & ~((before.hop == 0) & self._is_settled(state))
+            first = ended == 0
+            ends = first | (state.hop == last)
+            done = jnp.where(first, self._is_settled(state), self._has_met(state))
+            state = jax.lax.cond(ends, begin, lambda state, _: state, state, ended)
+            return state, ended + ends.astype(jnp.int32), is_open & ~(ends & done)
 
         every = jnp.ones(state.value.shape[1:], dtype=bool)
-        return jax.lax.while_loop(goes_on, advance, (state, every))[0]
+        return jax.lax.while_loop(goes_on, advance, (state, jnp.zeros((), jnp.int32), every))[0]
 
     def _advance(self, objective: Objective, box: Box, state: SearchState, count: int) -> SearchState:
         """Make ``count`` steps."""
@@ -203,19 +227,68 @@ class BasinHopping:
         return state
 
     def _go_on(self, objective: Objective, box: Box, state: SearchState) -> SearchState:
-        """Take the problems that are not settled through the other steps, gathered into full blocks."""
+        """Take the problems that are not settled through their rounds, gathered into full blocks."""
         batch = state.value.shape[1:]
-
-        def further(block: tuple[Objective, Chains]) -> Chains:
-            objective, chains = block
-            state_there = _state(state.hop, state.key, chains)
-            return self._advance(objective, box, state_there, self.hops + self.polish).chains
-
         flat_objective, chains = flatten_problems((objective, state.chains), len(batch))
-        is_open = ~self._is_settled(state).reshape(-1)
-        chains = update_marked(further, is_open, (flat_objective, chains), chains)
+
+        def a_round(
+            carry: tuple[jax.Array, Chains, jax.Array], share: int = BLOCK_SHARE
+        ) -> tuple[jax.Array, Chains, jax.Array]:
+            number, chains, is_open = carry
+
+            def further(block: tuple[Objective, Chains]) -> Chains:
+                objective, chains = block
+                start = _state(state.hop, state.key, chains)
+                start = self._begin_round(objective, box, state.key, start, number)
+                return self._advance(objective, box, start, self.hops + self.polish).chains
+
+            chains = update_marked(further, is_open, (flat_objective, chains), chains, share)
+            return number + 1, chains, is_open & ~self._has_met(_state(state.hop, state.key, chains))
+
+        def goes_on(carry: tuple[jax.Array, Chains, jax.Array]) -> jax.Array:
+            number, _, is_open = carry
+            return (number < self._most_rounds) & jnp.any(is_open)
+
+        carry = jnp.zeros((), jnp.int32), chains, ~self._is_settled(state).reshape(-1)
+        share = BLOCK_SHARE
+        if jax.default_backend() != "cpu":
+            # few problems need more than one round, and an accelerator works on many at once
+            carry, share = a_round(carry), _LATER
+        _, chains, _ = jax.lax.while_loop(goes_on, partial(a_round, share=share), carry)
         chains = jax.tree.map(lambda a: a.reshape(*a.shape[:-1], *batch), chains)
         return _state(state.hop, state.key, chains)
+
+    def _begin_round(
+        self, objective: Objective, box: Box, key: jax.Array, state: SearchState, number: jax.Array
+    ) -> SearchState:
+        """The state that a round starts from: that of the search before if there are no rounds.
+
+        Args:
+            objective: the problems.
+            box: where to search.
+            key: of all rounds.
+            state: at the end of the first minimization, or of the round before.
+            number: () of the round, from 0.
+        """
+        if self.rounds == 0:
+            return state
+        start_key, key = jax.random.split(jax.random.fold_in(key, number))
+        fresh = round(_FRESH * self.restarts)
+        starts = fresh_starts(objective, box, start_key, fresh)
+        best = jnp.argmin(state.best_value, axis=0)[None]
+        kept = self.restarts - fresh
+        x = jnp.concatenate(
+            [jnp.take_along_axis(state.best_x, best[None], axis=1), state.x[:, 1:kept], starts], axis=1
+        )
+        nowhere = jnp.full(starts.shape[1:], jnp.inf, state.value.dtype)
+        lowest = jnp.take_along_axis(state.best_value, best, axis=0)
+        value = jnp.concatenate([lowest, state.value[1:kept], nowhere])
+        return _state(jnp.zeros_like(state.hop), key, state.chains._replace(x=x, value=value))
+
+    def _has_met(self, state: SearchState) -> jax.Array:
+        """Whether most chains have met at the best value that any of them has found, (...)."""
+        near = state.best_value < jnp.min(state.best_value, axis=0)[None] + self.settled
+        return jnp.sum(near, axis=0, dtype=jnp.int32) >= math.ceil(_MET * self.restarts)
 
     def _is_settled(self, state: SearchState) -> jax.Array:
         """Whether all chains met, (...). One chain meets nobody."""

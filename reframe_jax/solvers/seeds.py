@@ -1,10 +1,17 @@
-"""Starting points that fill a box evenly."""
+"""Starting points: some that fill a box evenly, and some that the data suggest."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-__all__ = ["quasi_random"]
+from reframe_jax.geometry import symmetric
+from reframe_jax.geometry.symmetric import INDEX_PAIRS
+from reframe_jax.objectives.protocol import MomentsObjective, Objective
+from reframe_jax.solvers.box import Box
+
+__all__ = ["fresh_starts", "quasi_random"]
+
+_RIDGE = 1e-9  # of curvatures, relative to the trace: where an origin is free, the nearest
 
 
 def quasi_random(key: jax.Array, count: int, dim: int, dtype: jnp.dtype) -> jax.Array:
@@ -28,3 +35,35 @@ def quasi_random(key: jax.Array, count: int, dim: int, dtype: jnp.dtype) -> jax.
     steps = np.arange(1, count + 1) * root ** -np.arange(1.0, dim + 1)[:, None]
     shift = jax.random.uniform(key, (dim, 1), dtype=dtype)
     return jnp.mod(jnp.asarray(steps % 1, dtype=dtype) + shift, 1)
+
+
+def fresh_starts(objective: Objective, box: Box, key: jax.Array, count: int) -> jax.Array:
+    """Points at which a search that goes on may begin again, of every problem.
+
+    Of a norm of velocities over positions: the origins that move least along random directions. The origin
+    of a constraint is one of them, for the direction that it constrains. Of other objectives: quasi-random
+    points.
+
+    Args:
+        objective: the problems.
+        box: that holds the points.
+        key: JAX random key.
+        count: number of points.
+
+    Returns:
+        (dim, count, ...), in the unit of the unknowns.
+    """
+    batch, dtype = objective.batch, objective.dtype
+    if not (isinstance(objective, MomentsObjective) and objective.unknowns == "position"):
+        points = box.scale(quasi_random(key, count, objective.dim, dtype))
+        points = points.reshape(objective.dim, count, *([1] * len(batch)))
+        return jnp.broadcast_to(points, (objective.dim, count, *batch))
+    d = jax.random.normal(key, (3, count), dtype=dtype).reshape(3, count, *([1] * len(batch)))
+    # coefficients of d^T Sigma(p) d; its gradient vanishes where it is least
+    q = jnp.zeros((10, count, *batch), dtype)
+    for (a, b), row in zip(INDEX_PAIRS, objective.moments, strict=True):
+        q = q + (1 if a == b else 2) * (d[a] * d[b])[None] * row[:, None]
+    ridge = _RIDGE * (q[4] + q[7] + q[9])
+    curvature = 2 * (q[4] + ridge), q[5], q[6], 2 * (q[7] + ridge), q[8], 2 * (q[9] + ridge)
+    points = jnp.stack(symmetric.solve(curvature, (-q[1], -q[2], -q[3])))
+    return box.clip(jnp.where(jnp.isfinite(points), points, 0))
