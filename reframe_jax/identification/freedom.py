@@ -60,6 +60,7 @@ _SILENT_SHARE = 0.2  # of constrained axes that show noise alone although there 
 _LEAST = log(3.5), log(8.0)  # noises that a free axis goes at least, without slow errors and with them
 _LEAST_WIDTH = 0.25
 _SCREWS = 0.3  # of bodies that turn and slide about one axis are on a screw
+_PITCHES = log(1000.0)  # range of pitches
 _EVENLY = 0.5  # of the others turn and slide evenly, each once
 _UNKNOWN_SHARE = 0.02  # how often a screw shows errors of any other size
 _USUAL, _USUAL_SPREAD = (0.3, 0.05), 1.3  # rad and m that people move things, and its logarithm's spread
@@ -80,6 +81,7 @@ def freedom_patterns(
     of_turn: jax.Array,
     samples: jax.Array,
     share: jax.Array,
+    helical: jax.Array | None = None,
 ) -> jax.Array:
     """Probability of every pattern of degrees of freedom.
 
@@ -93,6 +95,8 @@ def freedom_patterns(
         samples: (...) independent samples.
         share: (...) of the noise of single poses that averaging has left. Slow errors are of the order of the
             noise of single poses, and averaging leaves them as they are.
+        helical: (...) bool, whether the last linear axis is the axis of rotation, and the motion along it
+            proportional to the turn; None where that is not known.
 
     Returns:
         (4, 4, ...): n free rotations and m free translations at [n, m].
@@ -117,6 +121,10 @@ def freedom_patterns(
     # free axes of a common size, over which is summed: a Gaussian integral
     width = (2 * pi) ** 0.5 * _FREE_SPREAD
     alike = -scatter / (2 * _FREE_SPREAD**2) - (number - 1) * log(width) - jnp.log(count) / 2 - log(_SIZES)
+    if helical is not None:
+        # a screw of any pitch slides any part of what it turns
+        pitched = jnp.logaddexp(log(1 - _SCREWS) + alike[1, 1], log(_SCREWS / (_PITCHES * _SIZES)))
+        alike = alike.at[1, 1].set(jnp.where(helical, pitched, alike[1, 1]))
     multiples, white_only = multiples[:, None], white_only[:, None]
     apart = jax.nn.log_sigmoid((size[None] - multiples - _APART) / _APART_WIDTH)
     free = far + alike[None] + jnp.where(white_only, 0, apart)

@@ -178,11 +178,11 @@ def _tilt_and_point(seen: _Seen, pitch: jax.Array, known: jax.Array) -> tuple[ja
     still = solve(pull)
     turned = [solve(angle[i, 1:]) for i in range(3)]
     left = [
-        jnp.square(pitch) * ((seen.variance if i == j else 0) - _dot(angle[i, 1:], turned[j]))
+        jnp.square(pitch) * ((seen.turned if i == j else 0) - _dot(angle[i, 1:], turned[j]))
         for i, j in INDEX_PAIRS
     ]
     partial_ = [
-        seen.positions[k] - angle[i, 0] * angle[j, 0] / seen.variance for k, (i, j) in enumerate(INDEX_PAIRS)
+        seen.positions[k] - angle[i, 0] * angle[j, 0] / seen.turned for k, (i, j) in enumerate(INDEX_PAIRS)
     ]
     along, slope = across_axis(e, cast(Symmetric, tuple(partial_)), seen.stiffness)
     beside, _ = across_axis(e, cast(Symmetric, tuple(left)), jnp.zeros_like(pitch))

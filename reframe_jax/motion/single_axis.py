@@ -123,7 +123,9 @@ def find_single_axis(
     normal = tilt_to_plane(in_ground, cast(symmetric.Symmetric, spread), stiffness)
     x, y, z = normal
     left = symmetric.quadratic_form((x, y, z), cast(symmetric.Symmetric, spread), (x, y, z))
-    planar = known & (left < _AWAY**2 * of_position)
+    # an arc of a screw looks planar from an axis that is tilted far more than the rotations allow
+    tilt = stiffness * jnp.sum(jnp.square(normal - in_ground), axis=0)
+    planar = known & (left + tilt < _AWAY**2 * of_position)
     in_ground = jnp.where(planar[None], normal, in_ground)
     in_body = jnp.where(planar[None], _unit(jnp.sum(mean * normal[:, None], axis=0)), in_body)
     return SingleAxis(in_ground, in_body, 1 - second, found, planar, stiffness)
