@@ -47,9 +47,8 @@ def pattern_probabilities(
         evidence: of the windows.
         kind: (N,) the best angular type.
         frames: of all types.
-        helical: (N,) bool, whether the third linear axes are the axis of rotation, and the motion along them
-            proportional to the turn: an error in the scale of the turn does nothing there. None where that
-            is not known.
+        helical: (N,) see :func:`.freedom_patterns`, of third linear axes that are the axis of rotation. An error
+            in the scale of the turn does nothing there.
 
     Returns:
         (4, 4, N, 4), and (6, N, 4): how far each axis moved, in noises of single poses.
@@ -81,7 +80,7 @@ def pattern_probabilities(
     of_turn = share_of_turn(evidence.linear_spread, position, axes)
     if helical is not None:
         helical = helical[:, None]
-        of_turn = of_turn.at[..., 2].set(jnp.where(helical, 0, of_turn[..., 2]))
+        of_turn = of_turn.at[..., 2].set(jnp.where(helical < 0, 0, of_turn[..., 2]))
     gain, of_turn = (jnp.moveaxis(array, -1, 0) for array in (gain, of_turn))
     patterns = freedom_patterns(distance, sizes, gain, of_turn, samples, share, helical)
     return patterns, distance * share[None]

@@ -95,8 +95,9 @@ def freedom_patterns(
         samples: (...) independent samples.
         share: (...) of the noise of single poses that averaging has left. Slow errors are of the order of the
             noise of single poses, and averaging leaves them as they are.
-        helical: (...) bool, whether the last linear axis is the axis of rotation, and the motion along it
-            proportional to the turn; None where that is not known.
+        helical: (...) logarithm of what is left of the motion along the last linear axis after the part that
+            is proportional to the turn, as a share of it, where that is the axis of rotation; 0 elsewhere.
+            None where that is not known.
 
     Returns:
         (4, 4, ...): n free rotations and m free translations at [n, m].
@@ -106,7 +107,7 @@ def freedom_patterns(
     multiples, white_only, weights = _error_sizes(share, y.ndim)
     single, weights = -jnp.log(share)[None, None], weights[:, 0]
     white = jnp.broadcast_to(jnp.sqrt(1 / (2 * samples) + _MISFIT**2)[None], y.shape)
-    constrained = _of_constrained(y, (multiples, white_only), white, gain, of_turn)
+    constrained = _of_constrained(y, (multiples, white_only), white, gain, of_turn, helical)
     plain, scaled = (_over_patterns(densities, 1, free=False) for densities in constrained)
     # (M, 4, 4, ...): an error of scale is one of the angle about a single axis
     held = jnp.concatenate([plain[:, :1], scaled[:, 1:2], plain[:, 2:]], axis=1)
@@ -124,7 +125,7 @@ def freedom_patterns(
     if helical is not None:
         # a screw of any pitch slides any part of what it turns
         pitched = jnp.logaddexp(log(1 - _SCREWS) + alike[1, 1], log(_SCREWS / (_PITCHES * _SIZES)))
-        alike = alike.at[1, 1].set(jnp.where(helical, pitched, alike[1, 1]))
+        alike = alike.at[1, 1].set(jnp.where(helical < 0, pitched, alike[1, 1]))
     multiples, white_only = multiples[:, None], white_only[:, None]
     apart = jax.nn.log_sigmoid((size[None] - multiples - _APART) / _APART_WIDTH)
     free = far + alike[None] + jnp.where(white_only, 0, apart)
@@ -164,7 +165,12 @@ def _of_errors(y: jax.Array, errors: tuple[jax.Array, jax.Array], white: jax.Arr
 
 
 def _of_constrained(
-    y: jax.Array, errors: tuple[jax.Array, jax.Array], white: jax.Array, gain: jax.Array, of_turn: jax.Array
+    y: jax.Array,
+    errors: tuple[jax.Array, jax.Array],
+    white: jax.Array,
+    gain: jax.Array,
+    of_turn: jax.Array,
+    helical: jax.Array | None,
 ) -> tuple[jax.Array, jax.Array]:
     """Logarithm of the density of the motion along constrained axes, (M, 6, ...), for each kind of errors.
 
@@ -176,6 +182,7 @@ def _of_constrained(
         white: (6, ...) standard deviation of the logarithm of noise alone.
         gain: (3, ...) see :func:`freedom_patterns`.
         of_turn: (3, ...) likewise.
+        helical: (...) likewise.
     """
     _, white_only = errors
     own, along = _of_errors(y, errors, white), y[3:]
@@ -189,10 +196,22 @@ def _of_constrained(
     gain_share = jnp.where(white_only, 0, _GAIN_SHARE)
     by_rotation = jnp.where(white_only, -jnp.inf, of_lever + log(_GAIN_SHARE))
 
+    def in_proportion(density: jax.Array, rest: jax.Array) -> jax.Array:
+        """Along the axis of rotation errors, but for noise, are seldom proportional to the turn."""
+        exact = (along[2] + rest < _TOO_EXACT) & (along[2] > _FAR)
+        seldom = jnp.where(exact, -jnp.inf, log(_SCALE_SHARE))
+        seldom = jnp.logaddexp(seldom, log(2 * _UNRELATED) + 2 * _UNRELATED * rest)
+        silent = _normal(jnp.maximum(along[2], 0), 0.0, white[5])[None]
+        silent = silent + jnp.where(white_only[:, 0], 0, log(_SILENT_SHARE))
+        seldom = jnp.where(rest < 0, jnp.minimum(seldom, 0), 0)[None]
+        return jnp.where(rest[None] < 0, jnp.logaddexp(density + seldom, silent), density)
+
     def of_all(scale_share: float) -> jax.Array:
         linear = jnp.logaddexp(own[:, 3:] + jnp.log(1 - scale_share - gain_share), by_rotation)
         if scale_share:
             linear = jnp.logaddexp(linear, by_scale + log(scale_share))
+        if helical is not None:
+            linear = linear.at[:, 2].set(in_proportion(linear[:, 2], helical))
         return jnp.concatenate([own[:, :3], linear], axis=1)
 
     return of_all(0.0), of_all(_SCALE_SHARE)
@@ -211,13 +230,13 @@ def screw_probabilities(
     On a screw, what the turn does not explain of the slide shows what a constrained axis shows: noise, slow
     errors, or what an error of measured rotation does through the pitch. In a cylinder joint it has a motion
     of its own, of any share of the slide, which may be so small that errors hide it. That share is also zero
-    where the body turned and slid evenly, each once: such a motion says nothing, and what the rest of it
-    says, the unsteady slide, decides.
+    where the body turned and slid evenly, each once: such a motion says nothing, and what is uneven of it
+    decides.
 
     Args:
         rest: (N,) what the turn does not explain of the slide, in noises.
         across: (N,) motion of the axis across itself, in noises.
-        slide: (N,) what the turn explains, of the whole slide and of the unsteady one, in noises.
+        slide: (N,) the slide, and what an uneven turn explains of it, in noises.
         gain: (N,) what all of the measured rotation does through the pitch, in noises.
         samples: (N,) independent samples.
         share: (N,) see :func:`freedom_patterns`.
@@ -225,7 +244,7 @@ def screw_probabilities(
     Returns:
         (N,) without doubts about even motion, and (N,) with them.
     """
-    y, side, whole, unsteady = (jnp.log(jnp.maximum(x, 1e-6)) for x in (rest, across, *slide))
+    y, side, whole, uneven = (jnp.log(jnp.maximum(x, 1e-6)) for x in (rest, across, *slide))
     multiples, white_only, weights = _error_sizes(share, 1)
     white = jnp.sqrt(1 / (2 * samples) + _MISFIT**2)
     of_error = _of_errors(y, (multiples, white_only), white)
@@ -244,7 +263,7 @@ def screw_probabilities(
         return jax.nn.sigmoid(first - second)
 
     beyond = rate * (multiples - whole[None])
-    even = log(_EVENLY) + jnp.minimum(rate * (multiples - unsteady[None]), 0)
+    even = log(_EVENLY) + jnp.minimum(rate * (multiples - uneven[None]), 0)
     return probability(beyond), probability(jnp.logaddexp(beyond, even))
 
 

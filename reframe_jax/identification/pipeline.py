@@ -220,7 +220,8 @@ def _decide(
         patterns, white, on_axis = so_far
         last = step == 1
         those = jax.tree.map(lambda *both: jnp.where(last, both[1], both[0]), *again)
-        new, distance = pattern_probabilities(fixed, a, those, last & screw.likely & fixed.axis.found)
+        rest = jnp.where(last & screw.likely & fixed.axis.found, screw.rest, 0)
+        new, distance = pattern_probabilities(fixed, a, those, rest)
         dof = _freedom(new, optima, thresholds)
         turns, slides = jnp.sum(dof[0][:, 0], axis=-1), jnp.sum(pick_type(dof[1], n), axis=-1)
         helical = last & screw.likely & (turns == 1) & (slides == 1)

@@ -32,6 +32,7 @@ __all__ = ["Screw", "find_screw"]
 _BODIES = np.array([int(kind.orientation_body) for kind in LinearType], np.int32)
 _ORIGINS = np.array([int(kind.position_body) for kind in LinearType], np.int32)
 _LIKELY = 0.5
+_SURE = 1e-3  # of the noise, what is left of a slide at least
 _QUIET = 2.0  # noises that a point of the axis moves across it at most where the noise is white
 
 
@@ -43,12 +44,14 @@ class Screw(NamedTuple):
         likely: (N,) bool, whether the slide is likely to be proportional to the turn. The frames are right
             then, though a cylinder joint that was turned and pushed evenly moves like that as well.
         probability: (N,) of a screw, against a cylinder joint.
+        rest: (N,) logarithm of what the turn does not explain of the slide, as a share of the slide.
         frames: of all types, on the axis.
     """
 
     pitch: jax.Array
     likely: jax.Array
     probability: jax.Array
+    rest: jax.Array
     frames: Frames
 
 
@@ -110,18 +113,20 @@ def find_screw(evidence: Evidence, frames: Frames, box: Box, single: jax.Array) 
     noise = of_position + jnp.square(pitch) * of_turning + rounding * size
     noise = jnp.maximum(noise, float(jnp.finfo(pitch.dtype).tiny))
     lever = _dot(point, point)
-    beside = 2 * of_position + of_turning * lever + rounding * (symmetric.trace(seen.positions) + lever)
+    # moments have a floor of a few roundings of all their entries
+    entries = [seen.paths[i, MONOMIALS.index((a, a))] for i in (0, 3, 5) for a in range(4)]
+    beside = 2 * of_position + of_turning * lever + 4 * rounding * sum(entries, jnp.zeros_like(lever))
     quiet = across < _QUIET**2 * beside
 
     def in_noises(square: jax.Array, noise: jax.Array) -> jax.Array:
         ratio = jax.lax.stop_gradient((jnp.maximum(square, 0), noise))
         return jnp.sqrt(ratio[0] / ratio[1])
 
-    slides = jnp.square(pitch) * seen.turned, jnp.square(pitch) * (evidence.turning.unsteady - of_turning)
+    uneven = jnp.square(pitch) * (evidence.turning.unsteady - of_turning)
     likely, probability = screw_probabilities(
         in_noises(left, noise),
         in_noises(across, jnp.maximum(beside, float(jnp.finfo(pitch.dtype).tiny))),
-        (in_noises(slides[0], noise), in_noises(slides[1], noise)),
+        (in_noises(slid, noise), in_noises(uneven, noise)),
         in_noises((jnp.square(pitch) + lever) * seen.turned, noise),
         evidence.poses.astype(pitch.dtype) * jnp.square(evidence.share),
         evidence.share,
@@ -130,7 +135,8 @@ def find_screw(evidence: Evidence, frames: Frames, box: Box, single: jax.Array) 
     inside = ~jnp.any(box.at_face(origins), axis=(-2, -1))
     chosen = usable & (likely > _LIKELY) & inside & jnp.isfinite(pitch)
     axes = jnp.stack([in_ground.T, in_body.T], axis=1)
-    return Screw(pitch, chosen, probability, _on_axis(frames, axes, origins, chosen))
+    rest = jnp.log(jnp.minimum(jax.lax.stop_gradient(jnp.maximum(left, noise * _SURE) / size), _LIKELY))
+    return Screw(pitch, chosen, probability, rest / 2, _on_axis(frames, axes, origins, chosen))
 
 
 def _look(evidence: Evidence, frames: Frames, usable: jax.Array, of_turning: jax.Array) -> _Seen:
