@@ -61,6 +61,7 @@ def identification(
     lag: int = 1,
     outliers: tuple[int, ...] = (),
     classes: dict[tuple[LinearType, int, int], float] | None = None,
+    pitch: float | None = None,
 ) -> Identification:
     """A revolute joint about z, unless told otherwise."""
     probability = np.zeros((4, 4, 4))
@@ -102,6 +103,8 @@ def identification(
         ),
         candidates=AllCandidates(candidates(2, angular_dof, False), candidates(4, linear_dof, True)),
         class_probability=probability,
+        screw_probability=np.float64(0.0 if pitch is None else 0.9),
+        pitch=np.float64(np.nan if pitch is None else pitch),
         noise=PoseNoise(position=np.float64(1.2e-4), rotation=np.radians(0.081)),
         lag=np.int32(lag),
         refined=np.bool_(lag > 1),

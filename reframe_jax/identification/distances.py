@@ -47,8 +47,8 @@ def pattern_probabilities(
         evidence: of the windows.
         kind: (N,) the best angular type.
         frames: of all types.
-        helical: (N,) see :func:`.freedom_patterns`, of third linear axes that are the axis of rotation. An error
-            in the scale of the turn does nothing there.
+        helical: (N,) see :func:`.freedom_patterns`, of third linear axes that are the axis of rotation. An
+            error in the scale of the turn does nothing there.
 
     Returns:
         (4, 4, N, 4), and (6, N, 4): how far each axis moved, in noises of single poses.

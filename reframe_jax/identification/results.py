@@ -72,8 +72,8 @@ class Identification:
         candidates: the optimum of every frame type.
         class_probability: (..., 4, 4, 4) probability of every class: linear type, number of free rotations,
             number of free translations. All probabilities are conditional: see ``probability``.
-        screw_probability: (...) probability that the slide is proportional to the turn, given one free rotation
-            and one free translation along its axis: of a screw joint, against a cylinder joint. 0 where the
+        screw_probability: (...) probability of a screw joint against a cylinder joint: that the slide is
+            proportional to the turn, if one rotation is free and a translation along its axis. 0 where the
             motion is not like that.
         pitch: (...) m/rad of a screw joint: translation of the body along the axis for each radian that it
             turns about it, positive for a right-handed thread; times 2 pi it is the lead, in m per turn. NaN
@@ -138,8 +138,8 @@ class Identification:
         if np.shape(self.status_code):
             return self._of_each("name", object)
         status = Status(int(self.status_code))
-        return f"No result: {status.message}" if status.failed else name_class(
-            *self._class(), self._is_screw()
+        return (
+            f"No result: {status.message}" if status.failed else name_class(*self._class(), self._is_screw())
         )
 
     @property
@@ -148,8 +148,8 @@ class Identification:
 
         The sum of ``class_probability`` over all classes that carry the name with axes that lie as those
         found do: of any linear type for A to D and joints such as the spherical, of their own type for E to
-        L. A screw joint has its share of the cylinder joint's, ``screw_probability``, and leaves it the rest. All
-        is conditional on the model of :mod:`reframe_jax.identification.freedom`: that one constraint
+        L. A screw joint and a cylinder joint, which have the same class, share it as ``screw_probability``
+        says. It is conditional on the model of :mod:`reframe_jax.identification.freedom`: that one constraint
         held throughout the window, and that noise and motion are of the kinds described there. Motion that
         did not use a free axis leaves it constrained, with a probability that may be high.
         """
@@ -246,6 +246,7 @@ class Identification:
             free_position=linear.free_position,
             rivals=tuple(tied),
             twin=twin,
+            pitch=float(host.pitch),
         )
         return explain_finding(finding, covariance, excitation)
 

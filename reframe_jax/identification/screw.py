@@ -2,7 +2,7 @@
 
 On a screw of pitch h about a line with direction e through c, a point p of the body has the velocity
 w (h e + e x (p - c)). Seen from one of the bodies it has the same direction at all times, whatever p is: two
-axes are still, and the determinant cannot tell the origin. An origin on the line is the one that moves along e.
+axes are still, and the determinant cannot tell the origin. Origins on the line are those that move along e.
 
 All arrays have components first and windows last, but for frames and results.
 """

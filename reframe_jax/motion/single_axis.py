@@ -80,9 +80,10 @@ def turn_moments(
     angle = jnp.sum(jax.lax.stop_gradient(axis)[:, None] * turns, axis=0)
     variance = jnp.mean(jnp.square(angle), axis=0)
     weights = counted.astype(times.dtype)
-    passed = weights * (times - jnp.sum(weights * times, axis=0) / jnp.maximum(jnp.sum(weights, axis=0), 1))
+    middle = jnp.sum(weights * times, axis=0) / jnp.maximum(jnp.sum(weights, axis=0), 1)
+    passed = weights * (times - middle[None])
     evenly = jnp.sum(angle * passed, axis=0) / jnp.maximum(jnp.sum(jnp.square(passed), axis=0), _INSTANT)
-    unsteady = jnp.mean(jnp.square(angle - evenly * passed), axis=0)
+    unsteady = jnp.mean(jnp.square(angle - evenly[None] * passed), axis=0)
     return TurnMoments(variance, unsteady, jnp.mean(paths * angle[None, None], axis=2))
 
 
