@@ -1,7 +1,6 @@
 """Bodies on a screw: their name, pitch and axis, and what is no screw."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -9,12 +8,14 @@ from scipy.spatial.transform import Rotation
 import reframe_jax as rf
 from reframe_jax.export.columns import to_columns
 from reframe_jax.export.json import to_record
+from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification.cautions import Caution
 from reframe_jax.simulation import synthetic
 from reframe_jax.simulation.excitations import EXCITATIONS
 from reframe_jax.simulation.motions import PoseErrors, random_motion
 from reframe_jax.storage.results import load_results
 
+axes_of = jax.jit(rotation_exp)
 DT, TIMES = 0.1, 0.1 * np.arange(51)
 WINDOWS = 8
 
@@ -43,7 +44,7 @@ class Nuts:
 
     def errors(self, found):
         """Angle of the axis, degrees, and distances of the origins in the ground from it, m."""
-        axis = np.asarray(found.candidates.angular.axes)[:, rf.AngularType.G, :, 2]
+        axis = axes_of(found.candidates.angular.rotvec)[:, rf.AngularType.G, :, 2]
         angle = np.degrees(np.arcsin(np.minimum(1, np.linalg.norm(np.cross(axis, self.axes), axis=1))))
         origin = np.asarray(found.candidates.linear.position)[:, [rf.LinearType.GG, rf.LinearType.BG]]
         away = np.cross(origin - self.points[:, None], self.axes[:, None])
@@ -96,13 +97,14 @@ def test_what_a_screw_says_of_itself():
     assert not np.any(found.linear.has_twin)
     for one, axis in zip((found[i] for i in range(WINDOWS)), nuts.axes, strict=True):
         kind = one.linear.frame_type
-        shared = np.asarray(one.candidates.angular.axes)[int(kind.orientation_body), :, 2]
+        turns_about = axes_of(one.candidates.angular.rotvec)[:, :, 2]
+        shared = turns_about[int(kind.orientation_body)]
         np.testing.assert_allclose(np.abs(shared @ np.asarray(one.linear.axes)[:, 2]), 1, atol=1e-9)
-        body = one.candidates.angular.axes[int(kind.position_body), :, 2]
+        body = turns_about[int(kind.position_body)]
         np.testing.assert_allclose(one.linear.free_position, np.outer(body, body), atol=1e-9)
         assert abs(float(one.linear.position @ body)) < 0.5
         assert one.entry is rf.constraint("screw")
-        assert np.linalg.norm(np.cross(one.candidates.angular.axes[0, :, 2], axis)) < 1e-2
+        assert np.linalg.norm(np.cross(turns_about[0], axis)) < 1e-2
     first = found[0]
     lines = first.explain().splitlines()
     assert lines[0].startswith("The body moves like a nut on a screw")
@@ -157,10 +159,10 @@ def test_bodies_that_slide_on_their_own_or_not_at_all_are_on_no_screw(noise):
 
 
 def test_the_probability_of_a_screw_says_how_often_it_is_one():
-    """A slide that hardly shows: of 1 to 6 noises."""
+    """A slide that hardly shows: of one noise and more."""
     poses, true = [], []
     for seed in range(6):
-        size = 2e-4 * (1 + seed)
+        size = 2e-4 * 1.7**seed
         poses += [Nuts(size, span=2.0, seed=seed).poses, Nuts(None, slide=2 * size, seed=seed).poses]
         true += [True] * WINDOWS + [False] * WINDOWS
     found = rf.identify(np.concatenate(poses), dt=DT)
@@ -200,21 +202,6 @@ def test_screws_in_single_precision():
     np.testing.assert_allclose(found.pitch, 0.05, atol=2e-3)
     _, away = nuts.errors(found)
     assert np.all(away < 5e-3)
-
-
-def test_the_pitch_follows_the_poses():
-    """Derivatives are finite, and those of the pitch are right."""
-    nuts = Nuts(0.05, 1e-4)
-    poses = jnp.asarray(nuts.poses[0])
-    stretch = jnp.asarray(nuts.axes[0])[:, None] * jnp.asarray(nuts.axes[0])[None]
-
-    def pitch(scale):
-        along = jnp.sum(poses[:, None, :3, 3] * stretch[None], axis=-1)
-        return rf.identify(poses.at[:, :3, 3].add(scale * along), dt=DT).pitch
-
-    slope = jax.jit(jax.jacfwd(pitch))(jnp.zeros(()))
-    # moving everything apart along the axis increases the pitch in proportion
-    np.testing.assert_allclose(slope, 0.05, rtol=1e-2)
 
 
 def test_a_screw_is_simulated():

@@ -33,6 +33,7 @@ _BODIES = np.array([int(kind.orientation_body) for kind in LinearType], np.int32
 _ORIGINS = np.array([int(kind.position_body) for kind in LinearType], np.int32)
 _LIKELY = 0.5
 _SURE = 1e-3  # of the noise, what is left of a slide at least
+_TRUSTED = 4.0  # squares of noises that are left of a slide that tells the axis
 _QUIET = 2.0  # noises that a point of the axis moves across it at most where the noise is white
 
 
@@ -98,17 +99,17 @@ def find_screw(evidence: Evidence, frames: Frames, box: Box, single: jax.Array) 
     of_position = jnp.square(evidence.share * evidence.noise.position)
     seen = _look(evidence, frames, usable, of_turning)
     known = evidence.axis.found & (evidence.noise.rotation > 0) & (evidence.noise.position > 0)
-    pitch = _dot(seen.in_ground, seen.with_angle[:, 0]) / seen.turned
-    tilt, point = _tilt_and_point(seen, pitch, known)
+    # a slide with a motion of its own says nothing about a tilt
+    left, _, pitch = _left_of_slide(seen, seen.in_ground)
+    expected = of_position + jnp.square(pitch) * of_turning
+    trust = jnp.where(left > _TRUSTED * expected, _TRUSTED * expected / jnp.where(left > 0, left, 1), 1)
+    tilt, point = _tilt_and_point(seen, pitch, known, jax.lax.stop_gradient(trust))
     across = _moves_across(seen, pitch, tilt, point)
     in_ground = _unit(seen.in_ground + tilt)
     in_body = _unit(seen.in_body + product(transpose(seen.mean[:, 1:]), tilt))
-    along = _dot(in_ground, seen.with_angle[:, 0])
-    pitch = along / seen.turned
+    left, slid, pitch = _left_of_slide(seen, in_ground)
 
     rounding = FLOOR * float(jnp.finfo(pitch.dtype).eps)
-    slid = _square_along(tuple(seen.positions), in_ground)
-    left = slid - 2 * pitch * along + jnp.square(pitch) * seen.variance
     size = slid + jnp.square(pitch) * seen.variance
     noise = of_position + jnp.square(pitch) * of_turning + rounding * size
     noise = jnp.maximum(noise, float(jnp.finfo(pitch.dtype).tiny))
@@ -156,12 +157,23 @@ def _look(evidence: Evidence, frames: Frames, usable: jax.Array, of_turning: jax
     return _Seen(in_ground, in_body, mean, paths, positions, with_angle, variance, turned, stiffness)
 
 
-def _tilt_and_point(seen: _Seen, pitch: jax.Array, known: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _left_of_slide(seen: _Seen, axis: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Mean squares (N,) m^2 of the slide along an axis (3, N): what the turn leaves of it, all; the pitch."""
+    along = _dot(axis, seen.with_angle[:, 0])
+    pitch = along / seen.turned
+    slid = _square_along(tuple(seen.positions), axis)
+    return slid - 2 * pitch * along + jnp.square(pitch) * seen.variance, slid, pitch
+
+
+def _tilt_and_point(
+    seen: _Seen, pitch: jax.Array, known: jax.Array, trust: jax.Array
+) -> tuple[jax.Array, jax.Array]:
     """How far the axis is tilted, (3, N) in {g}, and the point of {b} on it nearest to its origin, (3, N) m.
 
     Of a point q and a tilt d of the axis e with the projector Q across it, they minimise the mean square of
     Q (a + B q) - h t d, the path of the point across the axis at the angle t, plus that of (e + d) . a - h t,
-    plus s d^2, where s is the stiffness. The point is eliminated.
+    plus s d^2, where s is the stiffness. The point is eliminated. The second of these counts as much as
+    ``trust``, (N,), says.
     """
     e, y, angle = seen.in_ground, seen.in_body, seen.with_angle
     across = tuple((1 if i == j else 0) - e[i] * e[j] for i, j in INDEX_PAIRS)
@@ -188,7 +200,8 @@ def _tilt_and_point(seen: _Seen, pitch: jax.Array, known: jax.Array) -> tuple[ja
         for i, j in INDEX_PAIRS
     ]
     partial_ = [
-        seen.positions[k] - angle[i, 0] * angle[j, 0] / seen.turned for k, (i, j) in enumerate(INDEX_PAIRS)
+        trust * (seen.positions[k] - angle[i, 0] * angle[j, 0] / seen.turned)
+        for k, (i, j) in enumerate(INDEX_PAIRS)
     ]
     along, slope = across_axis(e, cast(Symmetric, tuple(partial_)), seen.stiffness)
     beside, _ = across_axis(e, cast(Symmetric, tuple(left)), jnp.zeros_like(pitch))
