@@ -173,7 +173,10 @@ class Identification:
 
     @property
     def constraint_frame(self) -> ConstraintFrame:
-        """Types, degrees of freedom and geometry of a single window, for simulation or control."""
+        """Types, degrees of freedom and geometry of a single window, for simulation or control.
+
+        That of a screw joint is that of a cylinder joint; ``pitch`` says the rest.
+        """
         if np.shape(self.status_code):
             raise ValueError("A batch has many constraint frames: index one window first, found[i].")
         return ConstraintFrame(
@@ -208,7 +211,14 @@ class Identification:
         position, rotation = float(self.noise.position), float(self.noise.rotation)
         known = position > 0 and rotation > 0
         lever = float(np.clip(position / rotation, *_LEVERS)) if known else _USUAL_LEVER
-        return fit_joint(self.constraint_frame, values[counted], parent=parent, child=child, length=lever)
+        return fit_joint(
+            self.constraint_frame,
+            values[counted],
+            parent=parent,
+            child=child,
+            length=lever,
+            pitch=float(self.pitch) if self._is_screw() else None,
+        )
 
     def explain(self, covariance: Spread | None = None, excitation: Tested | None = None) -> str:
         """Explain a single window in up to five lines of plain English.

@@ -144,9 +144,9 @@ def _look(evidence: Evidence, frames: Frames, usable: jax.Array, of_turning: jax
     """What the screw is found from; without derivatives in windows where it divides by zero."""
     turning = evidence.turning
     in_ground, in_body = (frames.angular_axes[:, kind, :, 2].T for kind in AngularType)
-    followed = in_ground, in_body, evidence.mean_paths[..., 0], evidence.linear_spread[..., IN_BODY]
-    followed += evidence.positions, turning.with_paths, turning.variance, evidence.axis.stiffness
-    followed = jax.tree.map(partial(_follow, usable), followed)
+    mean, paths = evidence.mean_paths[..., 0], evidence.linear_spread[..., IN_BODY]
+    given = in_ground, in_body, mean, paths, evidence.positions, turning.with_paths, turning.variance
+    followed = jax.tree.map(partial(_follow, usable), (*given, evidence.axis.stiffness))
     in_ground, in_body, mean, paths, positions, with_angle, variance, stiffness = followed
     # the angle is measured about this axis
     in_ground = jnp.where(_dot(in_ground, evidence.axis.in_ground)[None] < 0, -in_ground, in_ground)
@@ -188,10 +188,10 @@ def _tilt_and_point(
     # along the axis a point may be anywhere
     size = symmetric.trace(levers)
     free = [size * y[a] * y[b] for a, b in INDEX_PAIRS]
-    levers = cast(Symmetric, tuple(lever + one for lever, one in zip(levers, free, strict=True)))
+    matrix = cast(Symmetric, tuple(lever + one for lever, one in zip(levers, free, strict=True)))
 
     def solve(v: jax.Array) -> jax.Array:
-        return jnp.stack(symmetric.solve(levers, (v[0], v[1], v[2])))
+        return jnp.stack(symmetric.solve(matrix, (v[0], v[1], v[2])))
 
     still = solve(pull)
     turned = [solve(angle[i, 1:]) for i in range(3)]
@@ -205,10 +205,10 @@ def _tilt_and_point(
     ]
     along, slope = across_axis(e, cast(Symmetric, tuple(partial_)), seen.stiffness)
     beside, _ = across_axis(e, cast(Symmetric, tuple(left)), jnp.zeros_like(pitch))
-    matrix = cast(Symmetric, tuple(a + b for a, b in zip(along, beside, strict=True)))
+    stiff = cast(Symmetric, tuple(a + b for a, b in zip(along, beside, strict=True)))
     drift = pitch[None] * (angle[:, 0] - product(angle[:, 1:], still))
     drift = drift - e * _dot(e, drift)[None] - jnp.stack(slope)
-    tilt = jnp.where(known[None], jnp.stack(symmetric.solve(matrix, (drift[0], drift[1], drift[2]))), 0)
+    tilt = jnp.where(known[None], jnp.stack(symmetric.solve(stiff, (drift[0], drift[1], drift[2]))), 0)
     moved = tilt[0][None] * turned[0] + tilt[1][None] * turned[1] + tilt[2][None] * turned[2]
     point = pitch[None] * moved - still
     return tilt, point

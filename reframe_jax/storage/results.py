@@ -140,9 +140,9 @@ def load_results(folder: str | Path, parts: Iterable[int] | None = None) -> Iden
     if parts is None and run.total not in (None, count):
         raise ValueError(f"{folder} has results of {count} windows; run.json says {run.total}.")
 
-    missing = {name: value for name, value in _ADDED.items() if name not in columns}
+    added = {name: value for name, value in _ADDED.items() if name not in columns}
     precision = columns["class_probability"].dtype
-    columns |= {name: np.full(count, value, precision) for name, value in missing.items()}
+    columns |= {name: np.full(count, value, precision) for name, value in added.items()}
     found: Identification = _build(Identification, "", columns)
     return found
 
