@@ -103,6 +103,7 @@ def test_what_a_screw_says_of_itself():
         body = turns_about[int(kind.position_body)]
         np.testing.assert_allclose(one.linear.free_position, np.outer(body, body), atol=1e-9)
         assert abs(float(one.linear.position @ body)) < 0.5
+        assert kind in (rf.LinearType.GB, rf.LinearType.BG)
         assert one.entry is rf.constraint("screw")
         assert np.linalg.norm(np.cross(turns_about[0], axis)) < 1e-2
     first = found[0]

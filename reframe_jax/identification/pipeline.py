@@ -32,7 +32,7 @@ from reframe_jax.identification.distances import (
     likeliest_pattern,
     pattern_probabilities,
 )
-from reframe_jax.identification.evidence import Evidence, LagRule, reduce_windows
+from reframe_jax.identification.evidence import IN_BODY, IN_GROUND, Evidence, LagRule, reduce_windows
 from reframe_jax.identification.freedom import type_weights
 from reframe_jax.identification.naming import name_probability
 from reframe_jax.identification.optima import (
@@ -113,6 +113,7 @@ def solve_evidence(
     settled = _decide(evidence, optima, thresholds, rule, exponent)
     frames, patterns, dof = settled.frames, settled.patterns, settled.dof
     refined, on_axis, screw = settled.refined, settled.on_axis, settled.screw
+    optima = replace(optima, linear_winner=settled.winner)
     if rule == "auto":
         frames = share_axis(evidence, frames, dof, refined & ~on_axis)
         frames = use_plane(evidence, frames, dof[0], ~refined & ~on_axis)
@@ -185,6 +186,7 @@ class _Settled(NamedTuple):
         dof: (N, 2, 3) and (N, 4, 3).
         refined: (N,) bool, see :class:`Identification`.
         on_axis: (N,) bool, whether the frames are those of a screw.
+        winner: (N,) linear type: that of the lowest norm, on a screw of those whose origin has a path.
         screw: the screws.
     """
 
@@ -193,6 +195,7 @@ class _Settled(NamedTuple):
     dof: tuple[jax.Array, jax.Array]
     refined: jax.Array
     on_axis: jax.Array
+    winner: jax.Array
     screw: Screw
 
 
@@ -214,6 +217,9 @@ def _decide(
     turns_once = jnp.sum(pick_problem(n, patterns)[1], axis=0) > _EVEN
     screw = find_screw(evidence, frames, optima.box, turns_once)
     again = jax.lax.stop_gradient((rough, screw.frames))
+    # BB and GG cannot tell the origin on a screw, nor how well it is known
+    lower = jnp.where(optima.norm[:, IN_BODY] < optima.norm[:, IN_GROUND], IN_BODY, IN_GROUND)
+    followed = replace(optima, linear_winner=lower.astype(n.dtype))
 
     def judge(step: jax.Array, so_far: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
         """Judge the rough frames of windows whose noise is not white, then those of screws."""
@@ -222,11 +228,12 @@ def _decide(
         those = jax.tree.map(lambda *both: jnp.where(last, both[1], both[0]), *again)
         rest = jnp.where(last & screw.likely & fixed.axis.found, screw.rest, 0)
         new, distance = pattern_probabilities(fixed, a, those, rest)
-        dof = _freedom(new, optima, thresholds)
-        turns, slides = jnp.sum(dof[0][:, 0], axis=-1), jnp.sum(pick_type(dof[1], n), axis=-1)
+        dof = _freedom(new, followed, thresholds)
+        winner = followed.linear_winner
+        turns, slides = jnp.sum(dof[0][:, 0], axis=-1), jnp.sum(pick_type(dof[1], winner), axis=-1)
         helical = last & screw.likely & (turns == 1) & (slides == 1)
         taken = helical | (~last & ~white)
-        quiet = is_white(pick_problem(n, distance), dof, n) & refining
+        quiet = is_white(pick_problem(winner, distance), dof, winner) & refining
         patterns = jnp.where(taken[None, None, :, None], new, patterns)
         return patterns, jnp.where(helical, quiet, white), on_axis | helical
 
@@ -236,7 +243,9 @@ def _decide(
     start = patterns, white, jnp.zeros_like(white)
     patterns, white, on_axis = jax.lax.fori_loop(first, until, judge, start)
     frames = jax.tree.map(partial(_choose, on_axis), screw.frames, frames)
-    return _Settled(frames, patterns, _freedom(patterns, optima, thresholds), white, on_axis, screw)
+    winner = jnp.where(on_axis, followed.linear_winner, n)
+    dof = _freedom(patterns, replace(optima, linear_winner=winner), thresholds)
+    return _Settled(frames, patterns, dof, white, on_axis, winner, screw)
 
 
 def _choose(chosen: jax.Array, new: jax.Array, old: jax.Array) -> jax.Array:
