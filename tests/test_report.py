@@ -130,6 +130,22 @@ def blank(found: Identification, status: Status) -> Identification:
 # Tables
 
 
+@pytest.mark.parametrize(
+    ("pitch", "line"), [(0.02, "125.7 mm a turn, right"), (-0.001, "6.283 mm a turn, left")]
+)
+def test_a_screw_has_a_pitch(pitch: float, line: str) -> None:
+    found = identification(
+        angular_dof=(0, 0, 1),
+        linear_dof=(0, 0, 1),
+        classes={(LinearType.GB, 1, 1): 0.5, (LinearType.BG, 1, 1): 0.3},
+        pitch=pitch,
+    )
+    assert found.name == "Screw joint"
+    assert found.probability == pytest.approx(0.8 * 0.9)
+    assert f"Pitch   {pitch:g} m/rad: {line}-handed" in to_table(found).splitlines()
+    assert "Pitch" not in to_table(identification())
+
+
 def test_a_window_in_words() -> None:
     found = identification(tied=(LinearType.BB, LinearType.BG))
     lines = to_table(found, label="door.csv").splitlines()
