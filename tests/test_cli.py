@@ -415,7 +415,7 @@ def test_simulations_that_cannot_be_written(tmp_path: Path, capsys: Captured) ->
 
 def test_the_catalogue_is_listed(capsys: Captured) -> None:
     assert program.main(["constraints"]) == 0
-    rows = capsys.readouterr().out.splitlines()[1:17]
+    rows = capsys.readouterr().out.splitlines()[1:18]
     for row, entry in zip(rows, (CONSTRAINTS | OTHER_CONSTRAINTS).values(), strict=True):
         assert row.split()[0] == entry.label
         assert entry.name in row

@@ -35,7 +35,9 @@ def nuts():
 
 
 def test_a_nut_on_a_screw_has_an_origin_for_every_axis(nuts):
-    found = rf.identify(nuts, dt=0.1)
+    """The search is kept from the axis of the screw, which tells its origin."""
+    found = rf.identify(nuts, dt=0.1, bounds=0.02)
+    assert "Screw joint" not in found.name
     in_one_body = np.isin(found.linear.type_code, [rf.LinearType.BB, rf.LinearType.GG])
     assert np.sum(in_one_body) >= 6
     said = np.asarray(found.warnings) & Caution.COUPLED > 0
@@ -52,6 +54,13 @@ def test_a_nut_on_a_screw_has_an_origin_for_every_axis(nuts):
     assert any("Other axes with other origins" in warning for warning in first.warnings)
 
 
+def test_the_axis_of_a_screw_tells_its_origin(nuts):
+    found = rf.identify(nuts, dt=0.1)
+    assert set(found.name) == {"Screw joint"}
+    assert not np.any(np.asarray(found.linear.coupled_position))
+    assert not np.any(np.asarray(found.warnings))
+
+
 def test_a_screw_without_noise_is_no_hinge_with_errors_of_scale():
     rng, windows = np.random.default_rng(5), []
     t = np.linspace(0, 4, 51)
@@ -66,7 +75,8 @@ def test_a_screw_without_noise_is_no_hinge_with_errors_of_scale():
         poses[:, :3, 3] = point + turn.apply(lever) + PITCH * angle[:, None] * axis
         windows.append(poses)
     found = rf.identify(np.stack(windows), dt=0.1)
-    assert set(found.name) == {"Cylinder joint"}
+    assert set(found.name) == {"Screw joint"}
+    np.testing.assert_allclose(found.pitch, PITCH, rtol=1e-9)
 
 
 @pytest.mark.parametrize("label", "ADGK")

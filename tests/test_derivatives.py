@@ -37,6 +37,7 @@ def outputs(poses, linear_type, angular_type):
         "norms": jnp.concatenate([angular.norm, linear.norm[linear_type][None]]),
         "rms": jnp.concatenate([angular.rms[angular_type], linear.rms[linear_type]]),
         "position": linear.position[linear_type],
+        "pitch": jnp.nan_to_num(found.pitch),
         "free": linear.free_position[linear_type],
         "axes": jnp.concatenate(
             [
@@ -72,10 +73,10 @@ def slope_along(step, *arguments):
     return outputs_and_slopes(step, *arguments)[1]
 
 
-@pytest.mark.parametrize("label", rf.CONSTRAINTS)
+@pytest.mark.parametrize("label", [*rf.CONSTRAINTS, "screw"])
 def test_derivatives_match_finite_differences(label):
     truth = rf.ConstraintFrame.named(label)
-    poses = synthetic.simulate(truth, jax.random.key(3), noise=3e-4).poses
+    poses = synthetic.simulate(label, jax.random.key(3), noise=3e-4).poses
     linear_type, angular_type = int(truth.linear_type), int(truth.angular_type)
     direction = np.random.default_rng(1).normal(size=(51, 6))
     h = 1e-6
@@ -94,7 +95,7 @@ def test_derivatives_match_finite_differences(label):
     exact = slope_along(jnp.zeros(()), *arguments)
     forward, backward = (along(jnp.asarray(step, float), *arguments) for step in (h, -h))
     determined = np.eye(3) - np.asarray(along(jnp.zeros(()), *arguments)["free"])
-    for name in ("norms", "rms", "position", "axes"):
+    for name in ("norms", "rms", "position", "axes", "pitch"):
         slope = np.asarray(exact[name])
         finite = np.asarray(forward[name] - backward[name]) / (2 * h)
         if name == "position":
@@ -180,24 +181,26 @@ def test_reverse_mode_agrees_with_forward_mode_without_noise():
 
 @compiled
 def jacobians_of_sums(windows):
-    """Of the positions and of the norms of (N, 51, 4, 4), added up without NaN: (4, N, 51, 4, 4)."""
+    """Of positions, norms and pitches of (N, 51, 4, 4), added up without NaN: (5, N, 51, 4, 4)."""
 
     def sums(windows):
-        linear = rf.identify(windows, dt=0.1).linear
-        return jnp.append(jnp.nansum(linear.position, axis=0), jnp.nansum(linear.norm))
+        found = rf.identify(windows, dt=0.1)
+        numbers = jnp.append(jnp.nansum(found.linear.position, axis=0), jnp.nansum(found.linear.norm))
+        return jnp.append(numbers, jnp.nansum(found.pitch))
 
     return jax.jacrev(sums)(windows)
 
 
 @pytest.fixture(scope="module")
 def of_default_search():
-    """Derivatives (4, 51, 4, 4) of windows by name, of one batch: windows do not depend on each other."""
+    """Derivatives (5, 51, 4, 4) of windows by name, of one batch: windows do not depend on each other."""
 
     def simulated(label, **options):
-        return synthetic.simulate(rf.ConstraintFrame.named(label), jax.random.key(0), **options).poses
+        return synthetic.simulate(label, jax.random.key(0), **options).poses
 
-    windows = {label: simulated(label, noise=1e-4) for label in rf.CONSTRAINTS}
-    exact = {label: simulated(label) for label in rf.CONSTRAINTS}
+    labels = [*rf.CONSTRAINTS, "screw"]
+    windows = {label: simulated(label, noise=1e-4) for label in labels}
+    exact = {label: simulated(label) for label in labels}
     windows |= {f"{label} without noise": poses for label, poses in exact.items()}
     slide, hinge, window = exact["B"], exact["K"], windows["K"]
     windows |= {
@@ -217,7 +220,9 @@ def of_default_search():
 
 def test_what_is_free_contributes_nothing(of_default_search):
     np.testing.assert_allclose(of_default_search["B"][:3], 0, atol=1e-9)
-    assert np.all(np.max(np.abs(of_default_search["K"]), axis=(1, 2, 3)) > 1e-6)
+    assert np.all(np.max(np.abs(of_default_search["K"][:4]), axis=(1, 2, 3)) > 1e-6)
+    moving = {name for name, slopes in of_default_search.items() if np.any(slopes[4] != 0)}
+    assert moving == {"screw", "screw without noise"}
 
 
 def test_derivatives_are_finite_whatever_the_window(of_default_search):

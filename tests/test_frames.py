@@ -129,11 +129,21 @@ def test_names_beyond_the_twelve(label, name, rotations, translations, unique):
         )
 
 
-def test_there_are_four_of_them():
-    assert list(OTHER_CONSTRAINTS) == ["spherical", "universal", "fixed", "unconstrained"]
+def test_there_are_five_of_them():
+    assert list(OTHER_CONSTRAINTS) == ["spherical", "universal", "screw", "fixed", "unconstrained"]
     axes = {label: entry.angular_axis for label, entry in OTHER_CONSTRAINTS.items()}
-    assert axes == {"spherical": None, "universal": 2, "fixed": None, "unconstrained": None}
+    assert axes == {"spherical": None, "universal": 2, "screw": 0, "fixed": None, "unconstrained": None}
     assert OTHER_CONSTRAINTS["universal"].angular_dof == (1, 1, 0)  # z is the odd one
+
+
+def test_a_screw_is_a_cylinder_joint_whose_slide_follows_the_turn():
+    entry = OTHER_CONSTRAINTS["screw"]
+    assert constraint("Screw JOINT") is constraint("screw") is entry
+    for kind in LinearType:
+        assert lookup(kind, (1, 0, 0), (1, 0, 0)) is CONSTRAINTS["C"]
+        assert lookup(kind, (0, 0, 1), (0, 0, 1), screw=True) is entry
+        assert lookup(kind, (0, 0, 1), (0, 0, 0), screw=True) is CONSTRAINTS["A"]
+    assert lookup(LinearType.GB, (0, 0, 1), (0, 0, 1), OBLIQUE, screw=True) is None
 
 
 def test_classes_without_a_name():

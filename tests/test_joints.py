@@ -59,6 +59,32 @@ def chain_of(*parts: tuple[str, Any, Any], coordinates: np.ndarray) -> np.ndarra
     return poses
 
 
+@pytest.mark.parametrize("turns", [0.1, 5.0])
+def test_a_screw_is_one_part_with_a_pitch(turns: float) -> None:
+    frame = frame_of("screw")
+    turned = 2 * np.pi * turns * np.sin(np.linspace(0, 1.5, 201))
+    axis = np.asarray(Rotation.from_rotvec(ROTVEC).apply([1.0, 0.0, 0.0]))
+    axis, point = START[:3, :3] @ axis, START[:3, 3] + START[:3, :3] @ np.asarray(frame.position)
+    parts = ("slide", 0.03 * axis, None), ("hinge", axis, point)
+    poses = chain_of(*parts, coordinates=np.stack([turned, turned], axis=1))
+    joint = fit_joint(frame, poses, pitch=0.03)
+    (part,) = joint.parts
+    assert (joint.type, joint.name, part.kind, part.pitch) == ("screw", "Screw joint", "hinge", 0.03)
+    assert joint.position_error < 1e-6
+    assert joint.range is not None
+    np.testing.assert_allclose(np.ptp(joint.range), np.ptp(turned), rtol=1e-6)
+    np.testing.assert_allclose(joint.poses(joint.coordinates(poses[100:])), poses[100:], atol=1e-6)
+    assert "188.5 mm a turn" in str(joint)
+    assert "The body slides 188.5 mm along the axis a turn; the thread is right-handed." in joint.gauge
+
+
+@pytest.mark.parametrize(("label", "pitch"), [("A", 0.1), ("K", 0.1), ("I", 0.1), ("C", 0.0), ("C", np.nan)])
+def test_what_has_no_pitch_is_refused(label: str, pitch: float) -> None:
+    frame = frame_of(label)
+    with pytest.raises(ValueError, match="pitch"):
+        fit_joint(frame, recorded(frame), pitch=pitch)
+
+
 @pytest.mark.parametrize("label", CHAINS)
 def test_a_chain_follows_the_recording(label: str) -> None:
     frame = frame_of(label)

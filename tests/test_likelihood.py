@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.optimize
 
 import reframe_jax as rf
 from reframe_jax.geometry import symmetric
@@ -37,29 +38,28 @@ def negative_log_likelihood(origin, normal, poses, noise):
     return np.sum(heights**2 / variance + np.log(variance)) / 2
 
 
-@pytest.mark.parametrize("sigma", [2e-4, 2e-3])
+@pytest.mark.parametrize("sigma", [2e-4, 1e-3])
 def test_a_pin_on_a_plane_is_at_the_maximum_of_the_likelihood(sigma):
-    """No point nearby is likelier by more than the noise makes of it; the truth is not either."""
+    """Of motion that tells little, too: there the optimum of all axes is several standard deviations off."""
 
     def one(key):
         errors = PoseErrors(sigma=sigma)
-        return random_motion("K", key, samples=SAMPLES, dt=DT, excitation="exciting", errors=errors)
+        return random_motion("K", key, samples=SAMPLES, dt=DT, excitation="hand", errors=errors)
 
     made = jax.vmap(one)(jax.random.split(jax.random.key(11), WINDOWS))
     poses = np.asarray(made.poses)
     found = rf.identify(poses, dt=DT)
     right = np.asarray(types_correct(found, made.truth) & dof_correct(found, made.truth) & found.refined)
     assert right.mean() > 0.6
-    normals = np.asarray(found.linear.axes)[:, :, 0]
-    gains = []
+    losses = []
     for i in np.flatnonzero(right):
-        noise = sigma, 3 * sigma
+        basis = np.asarray(found.linear.axes[i])
 
-        def value(x, i=i, noise=noise):
-            return negative_log_likelihood(x, normals[i], poses[i], noise)
+        def value(x, i=i, basis=basis):
+            normal = basis[:, 0] + basis[:, 1:] @ x[3:]
+            noise = sigma, 3 * sigma
+            return negative_log_likelihood(x[:3], normal / np.linalg.norm(normal), poses[i], noise)
 
-        here = np.asarray(found.linear.position[i])
-        shifts = [sigma * sign * axis for axis in np.eye(3) for sign in (-1, 1)]
-        gains.append(value(here) - min(value(here + shift) for shift in shifts))
-    # half a unit is one standard deviation
-    assert np.quantile(gains, 0.9) < 0.5
+        start = np.concatenate([found.linear.position[i], [0, 0]])
+        losses.append(value(start) - scipy.optimize.minimize(value, start, method="BFGS").fun)
+    assert np.quantile(losses, 0.9) < 0.5  # half a unit is one standard deviation

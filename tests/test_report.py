@@ -61,6 +61,7 @@ def identification(
     lag: int = 1,
     outliers: tuple[int, ...] = (),
     classes: dict[tuple[LinearType, int, int], float] | None = None,
+    pitch: float | None = None,
 ) -> Identification:
     """A revolute joint about z, unless told otherwise."""
     probability = np.zeros((4, 4, 4))
@@ -102,6 +103,8 @@ def identification(
         ),
         candidates=AllCandidates(candidates(2, angular_dof, False), candidates(4, linear_dof, True)),
         class_probability=probability,
+        screw_probability=np.float64(0.0 if pitch is None else 0.9),
+        pitch=np.float64(np.nan if pitch is None else pitch),
         noise=PoseNoise(position=np.float64(1.2e-4), rotation=np.radians(0.081)),
         lag=np.int32(lag),
         refined=np.bool_(lag > 1),
@@ -125,6 +128,22 @@ def blank(found: Identification, status: Status) -> Identification:
 
 
 # Tables
+
+
+@pytest.mark.parametrize(
+    ("pitch", "line"), [(0.02, "125.7 mm a turn, right"), (-0.001, "6.283 mm a turn, left")]
+)
+def test_a_screw_has_a_pitch(pitch: float, line: str) -> None:
+    found = identification(
+        angular_dof=(0, 0, 1),
+        linear_dof=(0, 0, 1),
+        classes={(LinearType.GB, 1, 1): 0.5, (LinearType.BG, 1, 1): 0.3},
+        pitch=pitch,
+    )
+    assert found.name == "Screw joint"
+    assert found.probability == pytest.approx(0.8 * 0.9)
+    assert f"Pitch   {pitch:g} m/rad: {line}-handed" in to_table(found).splitlines()
+    assert "Pitch" not in to_table(identification())
 
 
 def test_a_window_in_words() -> None:

@@ -21,16 +21,19 @@ START = np.eye(4)
 START[:3, :3] = Rotation.from_rotvec([0.4, -0.2, 1.9]).as_matrix()
 START[:3, 3] = 0.3, -0.2, 0.5
 NOISE = 1e-4  # m; the recorded poses are this far from any joint
-LABELS = ("A", "B", "C", "D", "E", "F", "I", "J", "K", "L", "spherical", "fixed")
+LABELS = ("A", "B", "C", "D", "E", "F", "I", "J", "K", "L", "screw", "spherical", "fixed")
+PITCH = -0.04  # m/rad, of the screw
 
 
 def recorded_joint(label: str) -> tuple[rf.Joint, np.ndarray]:
     """A joint, and the noisy poses that it was fitted to."""
     frame = rf.ConstraintFrame.named(label, rotvec=(0.3, -0.5, 0.9))
     key = jax.random.key(5)
-    simulation = synthetic.simulate(frame, key, noise=NOISE, start=jnp.asarray(START), duration=3.0)
+    pitch = PITCH if label == "screw" else None
+    start = jnp.asarray(START)
+    simulation = synthetic.simulate(frame, key, noise=NOISE, start=start, duration=3.0, pitch=pitch)
     poses = np.asarray(simulation.poses)
-    return fit_joint(frame, poses, parent="wall", child="door"), poses
+    return fit_joint(frame, poses, parent="wall", child="door", pitch=pitch), poses
 
 
 def negative(joint: rf.Joint) -> rf.Joint:
@@ -42,13 +45,29 @@ def negative(joint: rf.Joint) -> rf.Joint:
     return replace(joint, parts=turned)
 
 
+def thread_of(text: str, model: mujoco.MjModel) -> tuple[int, int, float]:
+    """Numbers of the slide and of the hinge of a screw in MuJoCo's model, and what couples them, m/rad."""
+    mimic = ElementTree.fromstring(text).find("joint/mimic")
+    if mimic is not None:
+        return (
+            model.joint("door_slide").id,
+            model.joint(mimic.get("joint")).id,
+            float(mimic.get("multiplier", "")),
+        )
+    assert (model.neq, model.eq_type[0]) == (1, mujoco.mjtEq.mjEQ_JOINT)
+    offset, factor, *others = model.eq_data[0, :5]
+    assert not any((offset, *others))
+    return model.eq_obj1id[0], model.eq_obj2id[0], factor
+
+
 def by_mujoco(text: str, joint: rf.Joint, coordinates: np.ndarray) -> np.ndarray:
     """Poses of the child as MuJoCo sees them, within the limits of the file."""
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     assert model.body("wall").id != 0
     assert model.body("door").mass[0] > 0
-    assert model.njnt == len(joint.parts)
+    threads = [part for part in joint.parts if part.pitch]
+    assert model.njnt == len(joint.parts) + len(threads)
     poses = np.tile(np.eye(4), (len(coordinates), 1, 1))
     for pose, values in zip(poses, coordinates, strict=True):
         first = 0
@@ -61,6 +80,9 @@ def by_mujoco(text: str, joint: rf.Joint, coordinates: np.ndarray) -> np.ndarray
                 own = np.roll(Rotation.from_rotvec(own @ joint.home[:3, :3]).as_quat(), 1)
             start = model.jnt_qposadr[index]
             data.qpos[start : start + len(own)] = own
+            if part.pitch:
+                slide, turn, factor = thread_of(text, model)
+                data.qpos[slide] = factor * data.qpos[turn]
         mujoco.mj_kinematics(model, data)
         pose[:3, :3] = data.body("door").xmat.reshape(3, 3)
         pose[:3, 3] = data.body("door").xpos
@@ -93,7 +115,7 @@ def pose_of(text: str | None) -> np.ndarray:
 def by_the_sdf_specification(text: str, joint: rf.Joint, coordinates: np.ndarray) -> np.ndarray:
     """Each joint moves its child, and all that hangs on it, about its own place in the model."""
     root = ElementTree.fromstring(text)
-    assert root.get("version") == "1.9"
+    assert root.get("version") == ("1.10" if joint.type == "screw" else "1.9")
     (model,) = root.iter("model")
     links = {link.get("name"): pose_of(link.findtext("pose")) for link in model.iter("link")}
     joints = {made.findtext("child"): made for made in model.iter("joint")}
@@ -129,9 +151,12 @@ def by_the_sdf_specification(text: str, joint: rf.Joint, coordinates: np.ndarray
         if kind == "prismatic":
             motion[:, :3, 3] = vectors
         else:
-            assert kind in ("revolute", "ball")
+            assert kind in ("revolute", "screw", "ball")
             motion[:, :3, :3] = Rotation.from_rotvec(vectors).as_matrix()
             motion[:, :3, 3] = point - motion[:, :3, :3] @ point
+            lead = float(made.findtext("screw_thread_pitch") or 0)
+            assert (lead != 0) == (kind == "screw")
+            motion[:, :3, 3] += lead * vectors / (2 * np.pi)
         moved = moved @ motion
     return moved @ links["door"]
 
@@ -192,6 +217,22 @@ def test_full_turns_have_no_limits() -> None:
     types = {made.get("name"): made.get("type") for made in model.iter("joint")}
     assert types == {"wall_fixed": "fixed", "door_hinge": "continuous"}
     assert model.find("model/joint/axis/limit") is None
+
+
+def test_a_screw_that_made_full_turns_keeps_its_limits() -> None:
+    joint, _ = recorded_joint("screw")
+    (part,) = joint.parts
+    turned = replace(joint, parts=(replace(part, low=-1.0, high=20.0),))
+    robot = ElementTree.fromstring(rf.to_urdf(turned))
+    limits = {made.get("name"): made.find("limit") for made in robot.iter("joint")}
+    limit = limits["door_slide"]
+    assert limit is not None
+    np.testing.assert_allclose(
+        [float(limit.get(end, "nan")) for end in ("lower", "upper")], [20 * PITCH, -PITCH], rtol=1e-6
+    )
+    model = mujoco.MjModel.from_xml_string(rf.to_mjcf(turned))
+    np.testing.assert_allclose(model.jnt_range[model.joint("door_hinge").id], [-1, 20], rtol=1e-6)
+    assert ElementTree.fromstring(rf.to_sdf(turned)).find("model/joint[@type='screw']/axis/limit") is not None
 
 
 def test_half_turned_bodies_keep_their_orientation() -> None:

@@ -75,6 +75,7 @@ OTHER_CONSTRAINTS: dict[str, Constraint] = {
     for row in (
         _row("spherical", "Spherical joint", "111", "000", "", (None, None), "xyz"),
         _row("universal", "Universal joint", "110", "000", "", (2, None), "xyz"),
+        _row("screw", "Screw joint", "100", "100", "", (0, 0), "yz"),
         _row("fixed", "Fixed", "000", "000", "", (None, None), ""),
         _row("unconstrained", "Unconstrained", "111", "111", "", (None, None), ""),
     )
@@ -110,23 +111,32 @@ def _relation(angular: Dof, linear: Dof) -> AxisRelation | None:
     return AxisRelation.PARALLEL if a == b else AxisRelation.PERPENDICULAR
 
 
+def _is_cylindrical(entry: Constraint) -> bool:
+    """Whether a constraint leaves one rotation free, and one translation along its axis."""
+    related = _relation(entry.angular_dof, entry.linear_dof) == AxisRelation.PARALLEL
+    return related and (sum(entry.angular_dof), sum(entry.linear_dof)) == (1, 1)
+
+
 def lookup(
     linear_type: LinearType,
     angular_dof: Dof,
     linear_dof: Dof,
     relation: AxisRelation | Literal["aligned"] | None = "aligned",
+    screw: bool = False,
 ) -> Constraint | None:
     """Return the catalogue entry of a class, given its linear type and degrees of freedom.
 
     Which axes are free does not matter, only how many, and how the single free rotation axis lies to
     the odd axis (the single free, or single constrained one) of the linear frame: it tells a cylinder
-    joint from a planar contour. The angular type does not matter for any of them.
+    joint from a planar contour. The angular type does not matter for any of them. A screw joint has the class
+    of the cylinder joint; in it, the translation is proportional to the rotation.
 
     Args:
         linear_type: the linear frame's type.
         angular_dof: 1 where a rotation axis is free.
         linear_dof: 1 where a translation axis is free.
         relation: angle between those axes; by default both vectors refer to the same axes, as in Table 2.
+        screw: whether the translation is proportional to the rotation.
 
     Returns:
         The entry, or None for a class without a name.
@@ -139,6 +149,7 @@ def lookup(
             and sum(entry.linear_dof) == sum(linear_dof)
             and entry.linear_type in (None, linear_type)
             and _relation(entry.angular_dof, entry.linear_dof) == relation
+            and (entry.label == "screw") == (screw and _is_cylindrical(entry))
         ):
             return entry
     return None

@@ -76,6 +76,8 @@ def to_columns(
             ]
         ),
         "probability": np.asarray(host.probability, float),
+        "screw_probability": _floats(host.screw_probability),
+        "pitch_m_rad": _floats(host.pitch),
         "noise_position_m": _floats(host.noise.position),
         "noise_rotation_rad": _floats(host.noise.rotation),
         "lag_samples": np.asarray(host.lag, np.int64),

@@ -2,6 +2,8 @@
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from reframe_jax.export.robots import (
     RADIUS,
     check_mass,
@@ -36,7 +38,8 @@ def to_mjspec(joint: Joint, *, mass: float = 1.0) -> "mujoco.MjSpec":
     The parent is a body at the origin of the world, the child a body in it with all parts of the joint, and
     a sphere of 0.1 m radius that touches nothing;
     ``qpos`` are the joint's coordinates, but for a ball a quaternion in the axes of the child: that of the
-    rotation vector ``joint.home[:3, :3].T @ coordinates``. Angles are radians.
+    rotation vector ``joint.home[:3, :3].T @ coordinates``. Angles are radians. A screw joint is a hinge and a
+    slide that an equality constraint couples to it; ``qpos`` has both.
 
     Args:
         joint: from :meth:`Identification.to_joint`. The limits are its recorded range; a hinge seen to make
@@ -75,4 +78,18 @@ def to_mjspec(joint: Joint, *, mass: float = 1.0) -> "mujoco.MjSpec":
             limited=not is_endless(part),
             range=(part.low, part.high),
         )
+        if part.pitch:
+            slide = f"{joint.child}_slide"
+            child.add_joint(name=slide, type=kinds["slide"], axis=axis)
+            thread = np.zeros(mujoco.mjNEQDATA)
+            thread[1] = part.pitch  # the slide is this polynomial of the turn
+            joints = mujoco.mjtObj.mjOBJ_JOINT
+            spec.add_equality(
+                name=f"{joint.child}_thread",
+                type=mujoco.mjtEq.mjEQ_JOINT,
+                objtype=joints,
+                name1=slide,
+                name2=name,
+                data=thread,
+            )
     return spec

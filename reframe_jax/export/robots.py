@@ -53,8 +53,8 @@ def check_writable(joint: Joint, language: str) -> None:
 
 
 def is_endless(part: JointPart) -> bool:
-    """Whether a hinge was seen to turn by a full turn or more, so that it has no limits."""
-    return part.kind == "hinge" and part.high - part.low >= 2 * np.pi
+    """Whether a hinge was seen to turn by a full turn or more, so that it has no limits; a screw has some."""
+    return part.kind == "hinge" and not part.pitch and part.high - part.low >= 2 * np.pi
 
 
 def part_names(joint: Joint) -> list[str]:

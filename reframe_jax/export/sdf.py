@@ -25,7 +25,7 @@ _MODEL = "__model__"  # the frame of the model, which is the parent
 
 
 def to_sdf(joint: Joint, *, mass: float = 1.0) -> str:
-    """Return a joint as an SDF 1.9 document with one model.
+    """Return a joint as an SDF 1.9 document with one model; a screw joint needs SDF 1.10.
 
     The links are the parent, fixed to the world, the child, and one link between any two parts of the joint;
     a cylindrical joint is a chain of a slide and a hinge, a planar joint of two slides and a hinge.
@@ -41,7 +41,7 @@ def to_sdf(joint: Joint, *, mass: float = 1.0) -> str:
     """
     check_mass(mass)
     check_writable(joint, "SDF")
-    root = ElementTree.Element("sdf", version="1.9")
+    root = ElementTree.Element("sdf", version="1.10" if joint.type == "screw" else "1.9")
     model = element(root, "model", name=f"{joint.parent}_{joint.child}")
     _add_link(model, joint.parent, np.zeros(6), mass)
     _add_joint(model, f"{joint.parent}_fixed", "fixed", "world", joint.parent)
@@ -55,7 +55,7 @@ def to_sdf(joint: Joint, *, mass: float = 1.0) -> str:
             _add_link(model, link, place, mass)
         else:
             _add_link(model, link, at_point, LINK_SHARE * mass)
-        kind = "continuous" if is_endless(part) else _KINDS[part.kind]
+        kind = "continuous" if is_endless(part) else "screw" if part.pitch else _KINDS[part.kind]
         made = _add_joint(model, name, kind, last, link)
         element(made, "pose", written(at_point), relative_to=_MODEL)
         if part.kind != "ball":
@@ -65,6 +65,8 @@ def to_sdf(joint: Joint, *, mass: float = 1.0) -> str:
                 limit = element(axis, "limit")
                 element(limit, "lower", written([part.low]))
                 element(limit, "upper", written([part.high]))
+        if part.pitch:  # m per revolution, positive if right-handed
+            element(made, "screw_thread_pitch", written([2 * np.pi * part.pitch]))
         last = link
     if not names:
         _add_link(model, joint.child, place, mass)

@@ -54,6 +54,10 @@ def to_table(
     blocks = [f"{heading} ({_probability(host.probability)})", status.message, *host.warnings, ""]
     for group in TYPES:
         blocks += _frame_block(group, getattr(host, group))
+    if np.isfinite(host.pitch):
+        hand = "right" if host.pitch > 0 else "left"
+        lead = f"{2e3 * np.pi * abs(host.pitch):.4g} mm a turn, {hand}-handed"
+        blocks += [f"Pitch   {host.pitch:.4g} m/rad: {lead}", ""]
     return "\n".join([*blocks, *_norms_block(host), _noise_line(host, window)])
 
 

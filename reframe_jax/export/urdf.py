@@ -30,7 +30,8 @@ def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
 
     The links are the parent, the child, and one link for every part of the joint between them, with the axes
     of the parent. A joint with several parts is a chain: a cylindrical joint is a slide and a hinge, a planar
-    joint two slides and a hinge (the type ``planar`` of URDF leaves open whether the child may turn). Three
+    joint two slides and a hinge (the type ``planar`` of URDF leaves open whether the child may turn). A screw
+    joint is a hinge and a slide that mimics it. Three
     hinges stand for a ball, as in :meth:`Joint.without_balls`, whose coordinates are those of the file. Every
     moving link has an inertial, which MuJoCo demands, and MuJoCo is told to keep fixed links.
 
@@ -58,6 +59,14 @@ def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
         _add_part(robot, name, part, last, place)
         _add_link(robot, f"{name}_link", LINK_SHARE * mass)
         last, place = f"{name}_link", part.point
+        if part.pitch:
+            low, high = sorted((part.pitch * part.low, part.pitch * part.high))
+            slide = JointPart("slide", part.axis, part.point, low, high)
+            thread = f"{joint.child}_slide"
+            made = _add_part(robot, thread, slide, last, place)
+            element(made, "mimic", joint=name, multiplier=written([part.pitch]), offset="0")
+            _add_link(robot, f"{thread}_link", LINK_SHARE * mass)
+            last = f"{thread}_link"
     mount = element(robot, "joint", name=f"{joint.child}_fixed", type="fixed")
     _add_origin(mount, joint.home[:3, 3] - place, roll_pitch_yaw(joint.home[:3, :3]))
     element(mount, "parent", link=last)
@@ -66,7 +75,9 @@ def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
     return to_text(robot, joint)
 
 
-def _add_part(robot: ElementTree.Element, name: str, part: JointPart, last: str, place: np.ndarray) -> None:
+def _add_part(
+    robot: ElementTree.Element, name: str, part: JointPart, last: str, place: np.ndarray
+) -> ElementTree.Element:
     """A hinge or a slide from a link, whose origin is at a place in the parent."""
     kind = "prismatic" if part.kind == "slide" else "continuous" if is_endless(part) else "revolute"
     made = element(robot, "joint", name=name, type=kind)
@@ -76,6 +87,7 @@ def _add_part(robot: ElementTree.Element, name: str, part: JointPart, last: str,
     element(made, "axis", xyz=written(part.axis))
     range_ = {} if is_endless(part) else {"lower": written([part.low]), "upper": written([part.high])}
     element(made, "limit", effort=_EFFORT, velocity=_VELOCITY, **range_)
+    return made
 
 
 def _add_link(robot: ElementTree.Element, name: str, mass: float) -> None:

@@ -39,13 +39,17 @@ def is_white(distance: jax.Array, dof: tuple[jax.Array, jax.Array], winner: jax.
     return quiet & jnp.any(held, axis=1)
 
 
-def pattern_probabilities(evidence: Evidence, kind: jax.Array, frames: Frames) -> tuple[jax.Array, jax.Array]:
+def pattern_probabilities(
+    evidence: Evidence, kind: jax.Array, frames: Frames, helical: jax.Array | None = None
+) -> tuple[jax.Array, jax.Array]:
     """Probability of every pattern of degrees of freedom for each linear type, and what it comes from.
 
     Args:
         evidence: of the windows.
         kind: (N,) the best angular type.
         frames: of all types.
+        helical: (N,) see :func:`.freedom_patterns`, of third linear axes that are the axis of rotation. An
+            error in the scale of the turn does nothing there.
 
     Returns:
         (4, 4, N, 4), and (6, N, 4): how far each axis moved, in noises of single poses.
@@ -75,8 +79,11 @@ def pattern_probabilities(evidence: Evidence, kind: jax.Array, frames: Frames) -
     share = evidence.share[:, None]
     samples = evidence.poses.astype(axes.dtype)[:, None] * jnp.square(share)
     of_turn = share_of_turn(evidence.linear_spread, position, axes)
+    if helical is not None:
+        helical = helical[:, None]
+        of_turn = of_turn.at[..., 2].set(jnp.where(helical < 0, 0, of_turn[..., 2]))
     gain, of_turn = (jnp.moveaxis(array, -1, 0) for array in (gain, of_turn))
-    patterns = freedom_patterns(distance, sizes, gain, of_turn, samples, share)
+    patterns = freedom_patterns(distance, sizes, gain, of_turn, samples, share, helical)
     return patterns, distance * share[None]
 
 

@@ -22,7 +22,13 @@ from reframe_jax.motion.chords import chord_velocities, moving_chords, spread_of
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.motion.noise import choose_lag, constant_components, estimate_noise, unit_of_rounding
 from reframe_jax.motion.outliers import repair_poses
-from reframe_jax.motion.single_axis import SingleAxis, find_single_axis, keep_axis
+from reframe_jax.motion.single_axis import (
+    SingleAxis,
+    TurnMoments,
+    find_single_axis,
+    keep_axis,
+    turn_moments,
+)
 from reframe_jax.motion.smoothing import noise_share, smooth_noise
 from reframe_jax.objectives.moments import component_moments
 
@@ -116,6 +122,7 @@ class Evidence:
             :mod:`reframe_jax.objectives.moments`.
         angular_spread, linear_spread: moments of the paths about their mean, of the same shapes.
         mean_paths: (3, 4, N, 2) mean paths of the types GB and BG.
+        turning: what moves with the angle about the axis.
         positions: (6, N) m^2, covariance of the positions.
         travel: (2, N) rad^2 and m^2, sum of the squares of all steps.
         rates, maps: the chord velocities themselves, for float32, which cannot hold their squares; else None.
@@ -138,6 +145,7 @@ class Evidence:
     angular_spread: jax.Array
     linear_spread: jax.Array
     mean_paths: jax.Array
+    turning: TurnMoments
     positions: jax.Array
     travel: jax.Array
     rates: jax.Array | None
@@ -210,6 +218,9 @@ def reduce_windows(
         angular_spread=moments(turned),
         linear_spread=moments(spread, floor=jnp.square(rounding)),
         mean_paths=jnp.stack([mean[:, :, t] for t in (IN_BODY, IN_GROUND)], axis=-1),
+        turning=turn_moments(
+            axis.in_ground, turned[:, 0, :, AngularType.G], spread[:, :, :, IN_BODY], times.T, motion.counted
+        ),
         positions=jnp.stack([jnp.mean(about[i] * about[j], axis=0) for i, j in symmetric.INDEX_PAIRS]),
         travel=_travel(motion, jnp.diff(turns[:, 0, :, AngularType.B], axis=1)),
         rates=None if precise else rates,

@@ -16,6 +16,7 @@ _LIKE = {
     "Revolute joint": "The body moves like a door on its hinge: it turns about one axis and does not slide",
     "Prismatic joint": "The body moves like a drawer: it slides along a straight line and does not turn",
     "Cylinder joint": "The body moves like a sleeve on a rod: it slides along one axis and turns about it",
+    "Screw joint": "The body moves like a nut on a screw: as it turns about one axis, it slides along it",
     "Plane-plane contact": "The body moves like a box on a table: it slides on a plane and turns within it",
     "Planar contour following": (
         "The body moves in a plane like a skate: one point of it goes only where the body points"
@@ -110,6 +111,7 @@ class Finding:
         position: (3,) m, and ``free_position``: (3, 3) projector onto what is free of it.
         rivals: names of the other linear types that explain the motion as well, if the type matters.
         twin: m, distance to an origin as good, or None.
+        pitch: m/rad of a screw joint, else NaN.
     """
 
     name: str
@@ -125,6 +127,7 @@ class Finding:
     free_position: np.ndarray
     rivals: tuple[str, ...]
     twin: float | None
+    pitch: float
 
 
 def explain_finding(finding: Finding, spread: Spread | None, tested: Tested | None) -> str:
@@ -166,7 +169,7 @@ def _where(finding: Finding, spread: Spread | None) -> str:
     free = round(float(np.trace(finding.free_position)))
     if free == 3 or finding.linear_dof.sum() == 3:
         return ""
-    if finding.linear_dof.sum() == 0 and free == 1:
+    if free == 1 and (finding.linear_dof.sum() == 0 or np.isfinite(finding.pitch)):
         what = "The axis passes through"
     elif free:
         what = "A point of the contact is"
@@ -197,7 +200,11 @@ def _direction(finding: Finding, spread: Spread | None) -> str:
     else:
         return ""
     size = "" if covariance is None else _within(np.degrees(_largest(covariance)), "degrees")
-    return f"{what} the direction {_vector(axes[:, index], 3)} in the {BODY_NAMES[body]}{size}."
+    line = f"{what} the direction {_vector(axes[:, index], 3)} in the {BODY_NAMES[body]}{size}."
+    if np.isfinite(finding.pitch):
+        lead, hand = 2e3 * np.pi * abs(finding.pitch), "right" if finding.pitch > 0 else "left"
+        line += f" A full turn takes it {lead:.3g} mm along; the thread is {hand}-handed."
+    return line
 
 
 def _still_open(finding: Finding, spread: Spread | None, tested: Tested | None) -> list[str]:

@@ -68,7 +68,8 @@ class LinearFrame:
     """The identified frame of the linear velocity.
 
     Attributes:
-        type_code: (...) int, ``LinearType`` of the lowest norm; read it as ``frame_type``.
+        type_code: (...) int, ``LinearType`` of the lowest norm; read it as ``frame_type``. That of a screw
+            joint is GB or BG, because the norms of BB and GG do not tell its origin.
         rotvec: (..., 3) rad, orientation of the frame in the body of the type's first letter; axes in
             the order and handedness of :class:`AngularFrame`.
         position: (..., 3) m, origin of the frame in the body of the type's second letter. Where

@@ -26,7 +26,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-__all__ = ["PATTERN_PRIOR", "freedom_patterns", "type_weights"]
+__all__ = ["PATTERN_PRIOR", "freedom_patterns", "screw_probabilities", "type_weights"]
 
 PATTERN_PRIOR = np.full((4, 4), 0.1)
 """Weight of every pattern (free rotations, free translations) before any data are seen."""
@@ -59,6 +59,10 @@ _FREE_SPREAD = 1.2  # of free axes about their common size
 _SILENT_SHARE = 0.2  # of constrained axes that show noise alone although there are slow errors
 _LEAST = log(3.5), log(8.0)  # noises that a free axis goes at least, without slow errors and with them
 _LEAST_WIDTH = 0.25
+_SCREWS = 0.3  # of bodies that turn and slide about one axis are on a screw
+_PITCHES = log(1000.0)  # range of pitches
+_EVENLY = 0.5  # of the others turn and slide evenly, each once
+_UNKNOWN_SHARE = 0.002  # how often a screw shows errors of any other size
 _USUAL, _USUAL_SPREAD = (0.3, 0.05), 1.3  # rad and m that people move things, and its logarithm's spread
 _APART, _APART_WIDTH = 2.3, 0.4  # between free axes and slow errors
 _LARGEST = 1e6  # noises that a free axis goes, at most; beyond it noise is rounding, of each group its own
@@ -77,6 +81,7 @@ def freedom_patterns(
     of_turn: jax.Array,
     samples: jax.Array,
     share: jax.Array,
+    helical: jax.Array | None = None,
 ) -> jax.Array:
     """Probability of every pattern of degrees of freedom.
 
@@ -90,20 +95,19 @@ def freedom_patterns(
         samples: (...) independent samples.
         share: (...) of the noise of single poses that averaging has left. Slow errors are of the order of the
             noise of single poses, and averaging leaves them as they are.
+        helical: (...) logarithm of what is left of the motion along the last linear axis after the part that
+            is proportional to the turn, as a share of it, where that is the axis of rotation; 0 elsewhere.
+            None where that is not known.
 
     Returns:
         (4, 4, ...): n free rotations and m free translations at [n, m].
     """
     y = jnp.log(jnp.clip(distance, 1e-6, _LARGEST))
     # one more axis in front: the multiples
-    single = -jnp.log(share)[None, None]  # a noise of a single pose
-    step = jnp.arange(_STEPS + 1, dtype=y.dtype).reshape(-1, *[1] * y.ndim)
-    multiples, white_only = step / _STEPS * (_MOST + single), step == 0
-    rarer = jnp.square(jnp.maximum(multiples - single - _LIKELY, 0) / _RARER) / 2
-    slow = log((1 - _WHITE_SHARE) / _STEPS) - rarer
-    weights = jnp.where(white_only, log(_WHITE_SHARE), slow)[:, 0]  # (M, ...)
+    multiples, white_only, weights = _error_sizes(share, y.ndim)
+    single, weights = -jnp.log(share)[None, None], weights[:, 0]
     white = jnp.broadcast_to(jnp.sqrt(1 / (2 * samples) + _MISFIT**2)[None], y.shape)
-    constrained = _of_constrained(y, (multiples, white_only), white, gain, of_turn)
+    constrained = _of_constrained(y, (multiples, white_only), white, gain, of_turn, helical)
     plain, scaled = (_over_patterns(densities, 1, free=False) for densities in constrained)
     # (M, 4, 4, ...): an error of scale is one of the angle about a single axis
     held = jnp.concatenate([plain[:, :1], scaled[:, 1:2], plain[:, 2:]], axis=1)
@@ -118,6 +122,10 @@ def freedom_patterns(
     # free axes of a common size, over which is summed: a Gaussian integral
     width = (2 * pi) ** 0.5 * _FREE_SPREAD
     alike = -scatter / (2 * _FREE_SPREAD**2) - (number - 1) * log(width) - jnp.log(count) / 2 - log(_SIZES)
+    if helical is not None:
+        # a screw of any pitch slides any part of what it turns
+        pitched = jnp.logaddexp(log(1 - _SCREWS) + alike[1, 1], log(_SCREWS / (_PITCHES * _SIZES)))
+        alike = alike.at[1, 1].set(jnp.where(helical < 0, pitched, alike[1, 1]))
     multiples, white_only = multiples[:, None], white_only[:, None]
     apart = jax.nn.log_sigmoid((size[None] - multiples - _APART) / _APART_WIDTH)
     free = far + alike[None] + jnp.where(white_only, 0, apart)
@@ -129,8 +137,40 @@ def freedom_patterns(
     return weighted / jnp.sum(weighted, axis=(0, 1), keepdims=True)
 
 
+def _error_sizes(share: jax.Array, axes: int) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Multiples of the noise that errors have, in logarithms, and how often.
+
+    Args:
+        share: (...) see :func:`freedom_patterns`.
+        axes: number of axes that those of the multiples are put in front of.
+
+    Returns:
+        Multiples, which of them is noise alone, and the logarithm of its weight: (M, 1, ...) each, without
+        the multiples as many axes as asked for.
+    """
+    single = -jnp.log(share)[(None,) * (1 + axes - share.ndim)]  # a noise of a single pose
+    step = jnp.arange(_STEPS + 1, dtype=share.dtype).reshape(-1, *[1] * axes)
+    multiples, white_only = step / _STEPS * (_MOST + single), step == 0
+    rarer = jnp.square(jnp.maximum(multiples - single - _LIKELY, 0) / _RARER) / 2
+    slow = log((1 - _WHITE_SHARE) / _STEPS) - rarer
+    return multiples, white_only, jnp.where(white_only, log(_WHITE_SHARE), slow)
+
+
+def _of_errors(y: jax.Array, errors: tuple[jax.Array, jax.Array], white: jax.Array) -> jax.Array:
+    """Logarithm of the density of errors along constrained axes; see :func:`_of_constrained`."""
+    multiples, white_only = errors
+    silent = _normal(jnp.maximum(y, 0), 0.0, white)[None]
+    slow = _normal(y[None], multiples, _SPREAD) + log(1 - _SILENT_SHARE)
+    return jnp.where(white_only, silent, jnp.logaddexp(slow, silent + log(_SILENT_SHARE)))
+
+
 def _of_constrained(
-    y: jax.Array, errors: tuple[jax.Array, jax.Array], white: jax.Array, gain: jax.Array, of_turn: jax.Array
+    y: jax.Array,
+    errors: tuple[jax.Array, jax.Array],
+    white: jax.Array,
+    gain: jax.Array,
+    of_turn: jax.Array,
+    helical: jax.Array | None,
 ) -> tuple[jax.Array, jax.Array]:
     """Logarithm of the density of the motion along constrained axes, (M, 6, ...), for each kind of errors.
 
@@ -142,32 +182,89 @@ def _of_constrained(
         white: (6, ...) standard deviation of the logarithm of noise alone.
         gain: (3, ...) see :func:`freedom_patterns`.
         of_turn: (3, ...) likewise.
+        helical: (...) likewise.
     """
-    multiples, white_only = errors
-
-    def of_errors(y: jax.Array, white: jax.Array) -> jax.Array:
-        silent = _normal(jnp.maximum(y, 0), 0.0, white)[None]
-        slow = _normal(y[None], multiples, _SPREAD) + log(1 - _SILENT_SHARE)
-        return jnp.where(white_only, silent, jnp.logaddexp(slow, silent + log(_SILENT_SHARE)))
-
-    own, along = of_errors(y, white), y[3:]
+    _, white_only = errors
+    own, along = _of_errors(y, errors, white), y[3:]
     of_lever = _normal(along, jnp.log(jnp.maximum(_GAIN * gain, 1e-9)), _GAIN_SPREAD)[None]
     rest = jnp.log(jnp.maximum(1 - of_turn, 1e-12)) / 2
     usual = log(2 * _UNRELATED) + 2 * _UNRELATED * rest  # density of the rest if nothing relates the two
-    by_scale = of_lever + of_errors(along + rest, white[3:]) - usual[None]
-    # no sensor is as exact as that: a screw turns and slides like this
+    by_scale = of_lever + _of_errors(along + rest, errors, white[3:]) - usual[None]
+    # no sensor is as exact as that
     exact = along + jnp.log(jnp.maximum(1 - of_turn, 1e-30)) / 2 < _TOO_EXACT
     by_scale = jnp.where(exact & (along > _FAR), -jnp.inf, by_scale)
     gain_share = jnp.where(white_only, 0, _GAIN_SHARE)
     by_rotation = jnp.where(white_only, -jnp.inf, of_lever + log(_GAIN_SHARE))
 
+    def in_proportion(density: jax.Array, rest: jax.Array) -> jax.Array:
+        """Along the axis of rotation errors, but for noise, are seldom proportional to the turn."""
+        exact = (along[2] + rest < _TOO_EXACT) & (along[2] > _FAR)
+        seldom = jnp.where(exact, -jnp.inf, log(_SCALE_SHARE))
+        seldom = jnp.logaddexp(seldom, log(2 * _UNRELATED) + 2 * _UNRELATED * rest)
+        silent = _normal(jnp.maximum(along[2], 0), 0.0, white[5])[None]
+        silent = silent + jnp.where(white_only[:, 0], 0, log(_SILENT_SHARE))
+        seldom = jnp.where(rest < 0, jnp.minimum(seldom, 0), 0)[None]
+        return jnp.where(rest[None] < 0, jnp.logaddexp(density + seldom, silent), density)
+
     def of_all(scale_share: float) -> jax.Array:
         linear = jnp.logaddexp(own[:, 3:] + jnp.log(1 - scale_share - gain_share), by_rotation)
         if scale_share:
             linear = jnp.logaddexp(linear, by_scale + log(scale_share))
+        if helical is not None:
+            linear = linear.at[:, 2].set(in_proportion(linear[:, 2], helical))
         return jnp.concatenate([own[:, :3], linear], axis=1)
 
     return of_all(0.0), of_all(_SCALE_SHARE)
+
+
+def screw_probabilities(
+    rest: jax.Array,
+    across: jax.Array,
+    slide: tuple[jax.Array, jax.Array],
+    gain: jax.Array,
+    samples: jax.Array,
+    share: jax.Array,
+) -> tuple[jax.Array, jax.Array]:
+    """Probability that a slide along the axis of rotation is proportional to the turn, two times.
+
+    On a screw, what the turn does not explain of the slide shows what a constrained axis shows: noise, slow
+    errors, or what an error of measured rotation does through the pitch. In a cylinder joint it has a motion
+    of its own, of any share of the slide, which may be so small that errors hide it. That share is also zero
+    where the body turned and slid evenly, each once: such a motion says nothing, and what is uneven of it
+    decides.
+
+    Args:
+        rest: (N,) what the turn does not explain of the slide, in noises.
+        across: (N,) motion of the axis across itself, in noises.
+        slide: (N,) the slide, and what an uneven turn explains of it, in noises.
+        gain: (N,) what all of the measured rotation does through the pitch, in noises.
+        samples: (N,) independent samples.
+        share: (N,) see :func:`freedom_patterns`.
+
+    Returns:
+        (N,) without doubts about even motion, and (N,) with them.
+    """
+    y, side, whole, uneven = (jnp.log(jnp.maximum(x, 1e-6)) for x in (rest, across, *slide))
+    multiples, white_only, weights = _error_sizes(share, 1)
+    white = jnp.sqrt(1 / (2 * samples) + _MISFIT**2)
+    of_error = _of_errors(y, (multiples, white_only), white)
+    seen = weights + _of_errors(side, (multiples, white_only), white)
+    by_rotation = _normal(y, jnp.log(jnp.maximum(_GAIN * gain, 1e-9)), _GAIN_SPREAD)[None]
+    by_rotation = jnp.where(white_only, -jnp.inf, by_rotation + log(_GAIN_SHARE))
+    unknown = log(_UNKNOWN_SHARE / log(_LARGEST)) + jnp.where(y > whole, -jnp.inf, 0)[None]
+    screw = jnp.logaddexp(jnp.logaddexp(of_error, by_rotation), unknown)
+    rate = 2 * _UNRELATED
+    own = jnp.where(y > whole, -jnp.inf, log(rate) + rate * (y - whole))[None]
+
+    def probability(hidden: jax.Array) -> jax.Array:
+        cylinder = jnp.logaddexp(of_error + jnp.minimum(hidden, 0), own)
+        terms = log(_SCREWS) + screw + seen, log(1 - _SCREWS) + cylinder + seen
+        first, second = (jax.nn.logsumexp(term, axis=0) for term in terms)
+        return jax.nn.sigmoid(first - second)
+
+    beyond = rate * (multiples - whole[None])
+    even = log(_EVENLY) + jnp.minimum(rate * (multiples - uneven[None]), 0)
+    return probability(beyond), probability(jnp.logaddexp(beyond, even))
 
 
 def _hidden(y: jax.Array, noise: jax.Array) -> jax.Array:

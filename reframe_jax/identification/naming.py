@@ -10,9 +10,11 @@ from reframe_jax.constraints.types import PARALLEL_COSINE, AxisRelation, Dof, Li
 __all__ = ["name_class", "name_probability"]
 
 
-def name_class(kind: LinearType, angular: Dof, linear: Dof, relation: AxisRelation | None) -> str:
+def name_class(
+    kind: LinearType, angular: Dof, linear: Dof, relation: AxisRelation | None, screw: bool = False
+) -> str:
     """Name of a class, of the catalogue or in words; see :func:`reframe_jax.constraints.catalogue.lookup`."""
-    entry = lookup(kind, angular, linear, relation)
+    entry = lookup(kind, angular, linear, relation, screw)
     return describe(kind, angular, linear, relation) if entry is None else entry.name
 
 
@@ -21,6 +23,7 @@ def name_probability(
     winner: jax.Array,
     dof: tuple[jax.Array, jax.Array],
     axes: tuple[jax.Array, jax.Array],
+    screws: jax.Array,
 ) -> jax.Array:
     """Probability of the name of each window, (N,), as ``Identification.probability`` has it.
 
@@ -29,6 +32,7 @@ def name_probability(
         winner: (N,) linear type.
         dof: (N, 3) of both frames.
         axes: (N, 2, 3, 3) of both angular types, and (N, 3, 3) of the linear frame; columns.
+        screws: (N,) probability of a screw, if one rotation is free and a translation along its axis.
     """
     angular, linear = (jnp.sum(number, axis=-1) for number in dof)
     bodies = np.asarray([int(kind.orientation_body) for kind in LinearType], np.int32)
@@ -40,7 +44,8 @@ def name_probability(
     of_types = classes[rows, :, angular, linear]
     own = jnp.take_along_axis(of_types, winner[:, None], axis=1)[:, 0]
     for_all = jnp.asarray(_FOR_ALL_TYPES)[angular, linear, parallel.astype(jnp.int32)]
-    return jnp.where(for_all, jnp.sum(of_types, axis=1), own)
+    of_name = jnp.where(for_all, jnp.sum(of_types, axis=1), own)
+    return of_name * jnp.maximum(screws, 1 - screws)
 
 
 def _is_for_all_types(rotations: int, translations: int, parallel: bool) -> bool:

@@ -6,12 +6,15 @@ what is free (:mod:`.distances`, :mod:`.freedom`) -> Identification.
 
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from reframe_jax.compilation import once
 from reframe_jax.constraints.located import ground_offset
+from reframe_jax.constraints.types import LinearType
 from reframe_jax.identification.cautions import Caution, caution_codes
 from reframe_jax.identification.classify import (
     Thresholds,
@@ -29,7 +32,7 @@ from reframe_jax.identification.distances import (
     likeliest_pattern,
     pattern_probabilities,
 )
-from reframe_jax.identification.evidence import Evidence, LagRule, reduce_windows
+from reframe_jax.identification.evidence import IN_BODY, IN_GROUND, Evidence, LagRule, reduce_windows
 from reframe_jax.identification.freedom import type_weights
 from reframe_jax.identification.likelihood import likeliest_frames
 from reframe_jax.identification.naming import name_probability
@@ -50,6 +53,7 @@ from reframe_jax.identification.results import (
     Identification,
     LinearFrame,
 )
+from reframe_jax.identification.screw import Screw, find_screw
 from reframe_jax.identification.shared_axis import share_axis
 from reframe_jax.identification.twins import find_twins
 from reframe_jax.identification.widening import SearchSpace, is_steep
@@ -107,22 +111,18 @@ def solve_evidence(
         solver: search for the position.
     """
     optima = find_optima(evidence, space, key, exponent, solver)
-    frames, patterns, refined = _decide(evidence, optima, rule, exponent)
-    if thresholds is None:
-        dof = likeliest_pattern(patterns, optima.linear_winner)
-    else:
-        dof = (
-            degrees_of_freedom(optima.angular_rms, thresholds.angular),
-            degrees_of_freedom(optima.rms, thresholds.linear),
-        )
+    settled = _decide(evidence, optima, thresholds, rule, exponent)
+    frames, patterns, dof = settled.frames, settled.patterns, settled.dof
+    refined, on_axis, screw = settled.refined, settled.on_axis, settled.screw
+    optima = replace(optima, linear_winner=settled.winner)
     # rotation about axes that are classified as constrained is taken for noise, unless it was taken out
     idle = jnp.min(jnp.max(jnp.where(dof[0] == 0, optima.angular_rms, 0), axis=-1), axis=-1)
     idle = jnp.where(evidence.alone, 0, idle)
     if rule == "auto":
         if evidence.maps is None:
-            frames = likeliest_frames(evidence, frames, optima, dof[1], idle, refined)
-        frames = share_axis(evidence, frames, dof, refined)
-        frames = use_plane(evidence, frames, dof[0], ~refined)
+            frames = likeliest_frames(evidence, frames, optima, dof[1], idle, refined & ~on_axis)
+        frames = share_axis(evidence, frames, dof, refined & ~on_axis)
+        frames = use_plane(evidence, frames, dof[0], ~refined & ~on_axis)
     angular = Candidates(
         rotvec=orient_axes(frames.angular_axes, dof[0]),
         dof=dof[0],
@@ -133,7 +133,10 @@ def solve_evidence(
     free, position = nearest_origin(
         optima.objective.moments, frames.local_axes, dof[1], optima.rms, frames.position, idle[:, None]
     )
-    position, on_bounds = ground_offset(evidence.centre) + position, _on_bounds(optima, position)
+    free = jnp.where(on_axis[:, None, None, None], _along(frames.angular_axes), free)
+    position = jnp.where(on_axis[:, None, None], frames.position, position)
+    on_bounds = _on_bounds(optima, position) & ~on_axis[:, None]
+    position = ground_offset(evidence.centre) + position
     linear = Candidates(
         rotvec=orient_axes(frames.axes, dof[1]),
         dof=dof[1],
@@ -145,14 +148,16 @@ def solve_evidence(
         on_bounds=on_bounds,
         agreement=optima.solution.agreement,
     )
-    linear_frame = _linear_frame(linear, (position, free), evidence, optima, patterns, idle)
+    linear_frame = _linear_frame(linear, (position, free), evidence, optima, settled, idle)
     angular_frame = _angular_frame(angular, evidence, optima, patterns)
     classes = _class_probability(evidence, optima, dof[1], patterns)
     n = optima.linear_winner
     axes = frames.angular_axes, pick_type(frames.axes, n)
-    probability = name_probability(classes, n, (angular_frame.dof, linear_frame.dof), axes)
+    screws = jnp.where(on_axis, screw.probability, 0)
+    probability = name_probability(classes, n, (angular_frame.dof, linear_frame.dof), axes, screws)
+    named = on_axis & (screws > _EVEN)
     cautions = {
-        Caution.FAR_ORIGIN: optima.widened,
+        Caution.FAR_ORIGIN: optima.widened & ~on_axis,
         Caution.ROUNDED: evidence.rounded,
         # thresholds name a class whatever its probability
         Caution.IMPROBABLE: (probability < _EVEN) & (thresholds is None),
@@ -163,6 +168,8 @@ def solve_evidence(
         linear=linear_frame,
         candidates=AllCandidates(angular=angular, linear=linear),
         class_probability=classes,
+        screw_probability=screws,
+        pitch=jnp.where(named, screw.pitch, jnp.nan),
         noise=evidence.noise,
         lag=evidence.lag,
         refined=refined,
@@ -173,31 +180,92 @@ def solve_evidence(
     return _with_status(found, evidence.status, pick_type(on_bounds, n))
 
 
+class _Settled(NamedTuple):
+    """What is decided about N windows.
+
+    Attributes:
+        frames: to report.
+        patterns: (4, 4, N, 4) probability of every pattern of degrees of freedom.
+        dof: (N, 2, 3) and (N, 4, 3).
+        refined: (N,) bool, see :class:`Identification`.
+        on_axis: (N,) bool, whether the frames are those of a screw.
+        winner: (N,) linear type: that of the lowest norm, on a screw of those whose origin has a path.
+        screw: the screws.
+    """
+
+    frames: Frames
+    patterns: jax.Array
+    dof: tuple[jax.Array, jax.Array]
+    refined: jax.Array
+    on_axis: jax.Array
+    winner: jax.Array
+    screw: Screw
+
+
 def _decide(
-    evidence: Evidence, optima: Optima, rule: LagRule, exponent: float
-) -> tuple[Frames, jax.Array, jax.Array]:
-    """The frames to report, the probability of every pattern, (4, 4, N, 4), and which are refined, (N,)."""
+    evidence: Evidence, optima: Optima, thresholds: Thresholds | None, rule: LagRule, exponent: float
+) -> _Settled:
+    """Decide which frames to report, and which axes are free."""
     a, n = optima.angular_winner, optima.linear_winner
     rough = Frames(optima.angular_axes, optima.position, optima.axes, optima.local_axes)
+    refining = rule == "auto" and evidence.maps is None
+    frames = refine_frames(evidence, optima.position, optima.box, exponent) if refining else rough
     # what is free does not follow the poses: nothing is differentiated that leads there only
-    fixed, rough_fixed = jax.lax.stop_gradient((evidence, rough))
-    if rule != "auto" or evidence.maps is not None:
-        patterns, _ = pattern_probabilities(fixed, a, rough_fixed)
-        return rough, patterns, jnp.zeros(n.shape, dtype=bool)
-    refined = refine_frames(evidence, optima.position, optima.box, exponent)
-    patterns, distance = pattern_probabilities(fixed, a, jax.lax.stop_gradient(refined))
-    white = is_white(pick_problem(n, distance), likeliest_pattern(patterns, n), n)
+    fixed = jax.lax.stop_gradient(evidence)
+    patterns, distance = pattern_probabilities(fixed, a, jax.lax.stop_gradient(frames))
+    white = jnp.zeros(n.shape, dtype=bool)
+    if refining:
+        white = is_white(pick_problem(n, distance), likeliest_pattern(patterns, n), n)
+        frames = jax.tree.map(partial(_choose, white), frames, rough)
+    turns_once = jnp.sum(pick_problem(n, patterns)[1], axis=0) > _EVEN
+    screw = find_screw(evidence, frames, optima.box, turns_once)
+    again = jax.lax.stop_gradient((rough, screw.frames))
+    # BB and GG cannot tell the origin on a screw, nor how well it is known
+    lower = jnp.where(optima.norm[:, IN_BODY] < optima.norm[:, IN_GROUND], IN_BODY, IN_GROUND)
+    followed = replace(optima, linear_winner=lower.astype(n.dtype))
 
-    def both(_: None) -> jax.Array:
-        other = pattern_probabilities(fixed, a, rough_fixed)[0]
-        return jnp.where(white[None, None, :, None], patterns, other)
+    def judge(step: jax.Array, so_far: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+        """Judge the rough frames of windows whose noise is not white, then those of screws."""
+        patterns, white, on_axis = so_far
+        last = step == 1
+        those = jax.tree.map(lambda *both: jnp.where(last, both[1], both[0]), *again)
+        rest = jnp.where(last & screw.likely & fixed.axis.found, screw.rest, 0)
+        new, distance = pattern_probabilities(fixed, a, those, rest)
+        dof = _freedom(new, followed, thresholds)
+        winner = followed.linear_winner
+        turns, slides = jnp.sum(dof[0][:, 0], axis=-1), jnp.sum(pick_type(dof[1], winner), axis=-1)
+        helical = last & screw.likely & (turns == 1) & (slides == 1)
+        taken = helical | (~last & ~white)
+        quiet = is_white(pick_problem(winner, distance), dof, winner) & refining
+        patterns = jnp.where(taken[None, None, :, None], new, patterns)
+        return patterns, jnp.where(helical, quiet, white), on_axis | helical
 
-    # nothing more to do where the noise of all windows is white
-    patterns = jax.lax.cond(jnp.all(white), lambda _: patterns, both, None)
-    frames = jax.tree.map(
-        lambda new, old: jnp.where(white.reshape(-1, *[1] * (old.ndim - 1)), new, old), refined, rough
+    # one program for both, which mostly has nothing to do
+    first = jnp.all(white).astype(jnp.int32) if refining else 1
+    until = 1 + jnp.any(screw.likely).astype(jnp.int32)
+    start = patterns, white, jnp.zeros_like(white)
+    patterns, white, on_axis = jax.lax.fori_loop(first, until, judge, start)
+    frames = jax.tree.map(partial(_choose, on_axis), screw.frames, frames)
+    winner = jnp.where(on_axis, followed.linear_winner, n)
+    dof = _freedom(patterns, replace(optima, linear_winner=winner), thresholds)
+    return _Settled(frames, patterns, dof, white, on_axis, winner, screw)
+
+
+def _choose(chosen: jax.Array, new: jax.Array, old: jax.Array) -> jax.Array:
+    """From the new array (N, ...) the windows (N,) chosen."""
+    return jnp.where(chosen.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+
+
+def _freedom(
+    patterns: jax.Array, optima: Optima, thresholds: Thresholds | None
+) -> tuple[jax.Array, jax.Array]:
+    """Degrees of freedom of all types, (N, 2, 3) and (N, 4, 3)."""
+    if thresholds is None:
+        return likeliest_pattern(patterns, optima.linear_winner)
+    return (
+        degrees_of_freedom(optima.angular_rms, thresholds.angular),
+        degrees_of_freedom(optima.rms, thresholds.linear),
     )
-    return frames, patterns, white
 
 
 def _angular_frame(
@@ -225,10 +293,10 @@ def _linear_frame(
     origin: tuple[jax.Array, jax.Array],
     evidence: Evidence,
     optima: Optima,
-    patterns: jax.Array,
+    settled: _Settled,
     idle: jax.Array,
 ) -> LinearFrame:
-    n = optima.linear_winner
+    n, told = optima.linear_winner, settled.on_axis
     searched, solution, box = jax.tree.map(
         partial(pick_problem, n), (optima.searched, optima.solution, optima.box)
     )
@@ -236,6 +304,8 @@ def _linear_frame(
     dof = pick_type(candidates.dof, n)
     twin, has_twin = find_twins(searched, box, solution, dof, jax.lax.stop_gradient(idle), evidence.samples)
     coupled = coupled_positions(searched, solution.x, jax.lax.stop_gradient(free), dof, evidence.samples)
+    # the turn tells which of the family of origins lies on the axis of a screw
+    has_twin, coupled = has_twin & ~told, jnp.where(told[:, None, None], 0, coupled)
     offset = pick_type(ground_offset(evidence.centre), n)
     return LinearFrame(
         type_code=n,
@@ -244,7 +314,7 @@ def _linear_frame(
         twin=jnp.where(has_twin[:, None], offset + twin, jax.lax.stop_gradient(position)),
         has_twin=has_twin,
         dof=pick_type(candidates.dof, n),
-        free_probability=free_probabilities(jnp.sum(_of_winner(patterns, optima), axis=1)),
+        free_probability=free_probabilities(jnp.sum(_of_winner(settled.patterns, optima), axis=1)),
         rms=pick_type(candidates.rms, n),
         norm=pick_type(candidates.norm, n),
         norms=candidates.norm,
@@ -253,6 +323,12 @@ def _linear_frame(
         free_position=free,
         coupled_position=jax.lax.stop_gradient(coupled),
     )
+
+
+def _along(axes: jax.Array) -> jax.Array:
+    """Projectors onto the third angular axis in the bodies of the linear types' origins, (N, 4, 3, 3)."""
+    third = axes[..., 2][:, np.asarray([int(kind.position_body) for kind in LinearType], np.int32)]
+    return third[..., :, None] * third[..., None, :]
 
 
 def _on_bounds(optima: Optima, position: jax.Array) -> jax.Array:
@@ -296,6 +372,7 @@ def _with_status(found: Identification, before: jax.Array, on_bounds: jax.Array)
 
 def _is_finite(found: Identification) -> jax.Array:
     """Whether all numbers of a window are finite, (N,)."""
+    found = replace(found, pitch=jnp.where(jnp.isnan(found.pitch), 0, found.pitch))  # of no screw
     leaves = [x for x in jax.tree.leaves(found) if jnp.issubdtype(x.dtype, jnp.floating)]
     finite = [jnp.all(jnp.isfinite(x).reshape(len(x), -1), axis=1) for x in leaves]
     return jnp.all(jnp.stack(finite), axis=0)

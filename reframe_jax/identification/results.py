@@ -72,6 +72,12 @@ class Identification:
         candidates: the optimum of every frame type.
         class_probability: (..., 4, 4, 4) probability of every class: linear type, number of free rotations,
             number of free translations. All probabilities are conditional: see ``probability``.
+        screw_probability: (...) probability of a screw joint against a cylinder joint: that the slide is
+            proportional to the turn, if one rotation is free and a translation along its axis. 0 where the
+            motion is not like that.
+        pitch: (...) m/rad of a screw joint: translation of the body along the axis for each radian that it
+            turns about it, positive for a right-handed thread; times 2 pi it is the lead, in m per turn. NaN
+            where the constraint is no screw joint.
         noise: of the poses.
         lag: (...) int, samples between the two poses of a velocity.
         refined: (...) bool, whether the noise was found to be white, so that the frames are the likeliest
@@ -87,6 +93,8 @@ class Identification:
     linear: LinearFrame
     candidates: AllCandidates
     class_probability: jax.Array
+    screw_probability: jax.Array
+    pitch: jax.Array
     noise: PoseNoise
     lag: jax.Array
     refined: jax.Array
@@ -118,7 +126,7 @@ class Identification:
     @property
     def entry(self) -> Constraint | None:
         """Catalogue entry of a single window; None for a class without a name."""
-        return lookup(*self._class())
+        return lookup(*self._class(), screw=self._is_screw())
 
     @property
     def name(self) -> Any:
@@ -130,7 +138,9 @@ class Identification:
         if np.shape(self.status_code):
             return self._of_each("name", object)
         status = Status(int(self.status_code))
-        return f"No result: {status.message}" if status.failed else name_class(*self._class())
+        return (
+            f"No result: {status.message}" if status.failed else name_class(*self._class(), self._is_screw())
+        )
 
     @property
     def probability(self) -> Any:
@@ -138,7 +148,8 @@ class Identification:
 
         The sum of ``class_probability`` over all classes that carry the name with axes that lie as those
         found do: of any linear type for A to D and joints such as the spherical, of their own type for E to
-        L. It is conditional on the model of :mod:`reframe_jax.identification.freedom`: that one constraint
+        L. A screw joint and a cylinder joint, which have the same class, share it as ``screw_probability``
+        says. It is conditional on the model of :mod:`reframe_jax.identification.freedom`: that one constraint
         held throughout the window, and that noise and motion are of the kinds described there. Motion that
         did not use a free axis leaves it constrained, with a probability that may be high.
         """
@@ -149,7 +160,8 @@ class Identification:
         own, (_, angular, linear, relation) = name_class(*self._class()), self._class()
         classes = np.asarray(self.class_probability)[:, sum(angular), sum(linear)]
         same = [name_class(kind, angular, linear, relation) == own for kind in LinearType]
-        return float(np.sum(classes[same]))
+        screw = float(self.screw_probability)
+        return float(np.sum(classes[same])) * (screw if self._is_screw() else 1 - screw)
 
     def _of_each(self, attribute: str, dtype: Any) -> np.ndarray:
         """An attribute of every window of a batch."""
@@ -161,7 +173,10 @@ class Identification:
 
     @property
     def constraint_frame(self) -> ConstraintFrame:
-        """Types, degrees of freedom and geometry of a single window, for simulation or control."""
+        """Types, degrees of freedom and geometry of a single window, for simulation or control.
+
+        That of a screw joint is that of a cylinder joint; ``pitch`` says the rest.
+        """
         if np.shape(self.status_code):
             raise ValueError("A batch has many constraint frames: index one window first, found[i].")
         return ConstraintFrame(
@@ -196,7 +211,14 @@ class Identification:
         position, rotation = float(self.noise.position), float(self.noise.rotation)
         known = position > 0 and rotation > 0
         lever = float(np.clip(position / rotation, *_LEVERS)) if known else _USUAL_LEVER
-        return fit_joint(self.constraint_frame, values[counted], parent=parent, child=child, length=lever)
+        return fit_joint(
+            self.constraint_frame,
+            values[counted],
+            parent=parent,
+            child=child,
+            length=lever,
+            pitch=float(self.pitch) if self._is_screw() else None,
+        )
 
     def explain(self, covariance: Spread | None = None, excitation: Tested | None = None) -> str:
         """Explain a single window in up to five lines of plain English.
@@ -234,8 +256,13 @@ class Identification:
             free_position=linear.free_position,
             rivals=tuple(tied),
             twin=twin,
+            pitch=float(host.pitch),
         )
         return explain_finding(finding, covariance, excitation)
+
+    def _is_screw(self) -> bool:
+        """Whether a single window shows a screw joint."""
+        return bool(np.isfinite(self.pitch))
 
     def _class(self) -> tuple[LinearType, Dof, Dof, AxisRelation | None]:
         """Linear type, degrees of freedom, and how the odd axes of the two frames lie."""

@@ -34,6 +34,8 @@ class JointPart:
             a ball. The point of a slide means nothing.
         low, high: the range that the recording covers, rad or m; of a ball 0 and the largest angle from zero.
         hinges: of a ball three hinges in its place, with their recorded ranges; none if they would lock.
+        pitch: m/rad, of a hinge that is a screw: it slides along its axis for each radian that it turns about
+            it, positive for a right-handed thread. 0 for any other part.
     """
 
     kind: PartKind
@@ -42,6 +44,7 @@ class JointPart:
     low: float = 0.0
     high: float = 0.0
     hinges: "tuple[JointPart, ...]" = ()
+    pitch: float = 0.0
 
     @property
     def width(self) -> int:
@@ -76,6 +79,8 @@ def _motion(part: JointPart, coordinates: np.ndarray) -> np.ndarray:
     turn = rotation_about(coordinates if part.kind == "ball" else coordinates * part.axis)
     moved[..., :3, :3] = turn
     moved[..., :3, 3] = part.point - turn @ part.point
+    if part.pitch:
+        moved[..., :3, 3] += part.pitch * coordinates * part.axis
     return moved
 
 
@@ -140,8 +145,18 @@ def _first_guess(parts: Sequence[JointPart], home: np.ndarray, poses: np.ndarray
             later = hinges[hinges.index(part) + 1 :]
             angle = _angle_about(part.axis, turned, later[-1].axis if later else None)
             turned = rotation_about(-angle[:, None] * part.axis) @ turned
+            if part.pitch:
+                angle = _with_full_turns(part, angle, poses[:, :3, 3] - home[:3, 3])
             found.append(angle[:, None])
     return np.concatenate(found, axis=-1) if found else np.zeros((len(poses), 0))
+
+
+def _with_full_turns(part: JointPart, angle: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """Angles (K,) of a screw, up to full turns, with those that the slide tells, from shifts (K, 3) m."""
+    angle = np.unwrap(angle)
+    missing = np.median(shift @ part.axis / part.pitch - angle)
+    full: np.ndarray = angle + 2 * np.pi * np.round(missing / (2 * np.pi))
+    return full
 
 
 def _angle_about(axis: np.ndarray, turned: np.ndarray, later: np.ndarray | None) -> np.ndarray:

@@ -31,6 +31,7 @@ def fit_joint(
     parent: str = "ground",
     child: str = "body",
     length: float = 0.3,
+    pitch: float | None = None,
 ) -> Joint:
     """Return the joint that a constraint is, given poses that obey it.
 
@@ -40,6 +41,7 @@ def fit_joint(
         parent: name of {g}.
         child: name of {b}.
         length: m that weigh as much as one radian: the noise of positions over that of orientations.
+        pitch: m/rad of a screw joint, positive for a right-handed thread; None for all others.
 
     Returns:
         The joint. A class that no chain of hinges, slides and balls makes has the type "general", no
@@ -47,8 +49,9 @@ def fit_joint(
         holds fewer of its velocities, ``is_envelope`` is True, and a sentence says what is not held.
 
     Raises:
-        ValueError: for a batch, poses of another shape or that are not finite, equal or empty names, or a
-            length that is not positive.
+        ValueError: for a batch, poses of another shape or that are not finite, equal or empty names, a length
+            that is not positive, or a pitch that is 0 or not finite, or of a constraint other than one free
+            rotation and one free translation along its axis.
     """
     values = np.asarray(poses, dtype=float)
     if values.ndim != 3 or values.shape[1:] != (4, 4) or len(values) == 0:
@@ -61,7 +64,14 @@ def fit_joint(
         raise ValueError(f"Expected two different names, not {parent!r} and {child!r}.")
     if not 0 < length < np.inf:
         raise ValueError(f"Expected a positive length in m, not {length}.")
-    geometry = frame_geometry(frame, values)
+    geometry = frame_geometry(frame, values, pitch)
+    if pitch is not None:
+        if not (np.isfinite(pitch) and pitch != 0):
+            raise ValueError(f"Expected a pitch in m/rad other than 0, not {pitch}.")
+        if (len(geometry.turning), len(geometry.sliding)) != (1, 1) or _name(geometry) != "Screw joint":
+            raise ValueError(
+                "Only a body with one free rotation and a translation along its axis has a pitch."
+            )
     joints = [_fit(geometry, plan, parent, child, length) for plan in joint_plans(geometry)]
     return min(joints, key=lambda joint: joint.position_error)
 
@@ -125,6 +135,8 @@ def _parts(geometry: Geometry, plan: Plan, home: np.ndarray) -> tuple[JointPart,
     origin = home[:3, 3]
     directions = _slide_directions(geometry, plan, home)
     slides = [JointPart("slide", direction, origin) for direction in directions]
+    if plan.type == "screw":
+        slides = []  # that of the hinge
     turns = _turns(geometry, plan, home)
     return (*turns, *slides) if plan.turns_first else (*slides, *turns)
 
@@ -158,7 +170,8 @@ def _turns(geometry: Geometry, plan: Plan, home: np.ndarray) -> list[JointPart]:
     axes = [_positive(axis) for axis in axes]
     if plan.second is None:  # the point of the axis nearest to the origin of the child
         point = point + axes[0] * (axes[0] @ (origin - point))
-    return [JointPart("hinge", axis, point) for axis in axes]
+    pitch = geometry.pitch if plan.type == "screw" else None
+    return [JointPart("hinge", axis, point, pitch=pitch or 0.0) for axis in axes]
 
 
 def _anchor(geometry: Geometry, plan: Plan, home: np.ndarray) -> np.ndarray:
@@ -197,6 +210,10 @@ def _gauge(geometry: Geometry, plan: Plan, parts: Sequence[JointPart], child: st
         said.append(
             f"The point may slide along the axis; it is the one nearest to the origin of the {child} at zero."
         )
+    if plan.type == "screw" and geometry.pitch is not None:
+        hand = "right" if geometry.pitch > 0 else "left"
+        lead = 2e3 * np.pi * abs(geometry.pitch)
+        said.append(f"The {child} slides {lead:.4g} mm along the axis a turn; the thread is {hand}-handed.")
     if kinds and set(kinds) == {"slide"}:
         said.append(f"The point may be anywhere; it is the origin of the {child} at zero.")
     if not kinds:
@@ -220,7 +237,7 @@ def _with_ranges(parts: Sequence[JointPart], coordinates: np.ndarray) -> tuple[J
 def _name(geometry: Geometry) -> str:
     frame, relation = geometry.frame, relate_axes(geometry)
     key = frame.linear_type, frame.angular_dof, frame.linear_dof
-    entry = lookup(*key, relation)
+    entry = lookup(*key, relation, screw=geometry.pitch is not None)
     return describe(*key, relation) if entry is None else entry.name
 
 

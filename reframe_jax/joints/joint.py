@@ -15,6 +15,7 @@ JointType = Literal[
     "continuous",
     "prismatic",
     "cylindrical",
+    "screw",
     "planar",
     "spherical",
     "universal",
@@ -34,7 +35,8 @@ class Joint:
 
     Attributes:
         type: of the joint. "continuous" is a revolute joint that was seen to turn by a full turn or more;
-            "floating" has no constraint; "general" is any other class.
+            a "screw" has one part, a hinge with a pitch; "floating" has no constraint; "general" is any other
+            class.
         name: of the constraint, as in :attr:`Identification.name`.
         parent, child: names of the two bodies, {g} and {b} of the recording.
         axis: (3,) unit vector: of the rotation, or of the translation if nothing turns; the normal of a
@@ -141,6 +143,8 @@ class Joint:
             )
             low, high = np.round([scale * part.low, scale * part.high], 1) + 0.0  # no negative zeros
             lines.append(f"  {what:5}  {low:.1f} to {high:.1f} {unit}")
+            if part.pitch:
+                lines.append(f"  pitch  {2e3 * np.pi * part.pitch:.4g} mm a turn")
         if self.is_chain:
             error = f"{1e3 * self.position_error:.2g} mm, {np.degrees(self.rotation_error):.2g} deg"
             lines.append(f"  error  {error}, rms")

@@ -17,7 +17,7 @@ __all__ = ["Geometry", "Plan", "frame_geometry", "joint_plans", "only_velocities
 
 @dataclass(frozen=True)
 class Geometry:
-    """A constraint frame in NumPy, and poses.
+    """A constraint frame in NumPy, and poses; the pitch of a screw in m/rad, else None.
 
     ``turning`` and ``sliding`` are the free axes, rows in the body of their type; ``odd`` is the axis of the
     linear frame that differs from the other two, or None.
@@ -32,6 +32,7 @@ class Geometry:
     angular_on_body: bool
     linear_on_body: bool
     point_on_body: bool
+    pitch: float | None = None
 
     def in_ground(self, direction: np.ndarray, on_body: bool) -> np.ndarray:
         """A direction that is fixed in both bodies, in the ground: the mean over all poses."""
@@ -75,8 +76,8 @@ class Plan:
     is_envelope: bool = False
 
 
-def frame_geometry(frame: ConstraintFrame, poses: np.ndarray) -> Geometry:
-    """The geometry of a single frame and of poses (K+1, 4, 4)."""
+def frame_geometry(frame: ConstraintFrame, poses: np.ndarray, pitch: float | None = None) -> Geometry:
+    """The geometry of a single frame and of poses (K+1, 4, 4), of a screw with a pitch in m/rad."""
     angular, linear = np.asarray(frame.angular_axes, float).T, np.asarray(frame.linear_axes, float).T
     free = np.asarray(frame.linear_dof, bool)
     count = int(free.sum())
@@ -84,7 +85,9 @@ def frame_geometry(frame: ConstraintFrame, poses: np.ndarray) -> Geometry:
     on_body = np.asarray(parts_on_body(frame.angular_type, frame.linear_type))
     turning = angular[np.asarray(frame.angular_dof, bool)]
     position = np.asarray(frame.position, float)
-    return Geometry(frame, poses, turning, linear[free], odd, position, *map(bool, on_body))
+    angular_on_body, linear_on_body, point_on_body = map(bool, on_body)
+    moving = turning, linear[free], odd, position
+    return Geometry(frame, poses, *moving, angular_on_body, linear_on_body, point_on_body, pitch)
 
 
 def relate_axes(geometry: Geometry) -> AxisRelation | None:
@@ -128,6 +131,8 @@ def _hinge_plans(geometry: Geometry) -> list[Plan]:
         # the axis was found twice, from the rotations and from the translations
         other = geometry.in_ground(geometry.odd, geometry.linear_on_body)
         both = axis, other
+        if slides == 1 and geometry.pitch is not None:
+            return [Plan("screw", turns="hinge", axis=axis, slides="along")]
         if slides == 1:
             return [Plan("cylindrical", turns="hinge", axis=each, slides="along") for each in both]
         return [Plan("planar", turns="hinge", axis=each, slides="plane") for each in both]

@@ -16,10 +16,19 @@ from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.symmetric import Vector
 from reframe_jax.motion.components import cross
 
-__all__ = ["SingleAxis", "across_axis", "find_single_axis", "keep_axis", "tilt_to_plane"]
+__all__ = [
+    "SingleAxis",
+    "TurnMoments",
+    "across_axis",
+    "find_single_axis",
+    "keep_axis",
+    "tilt_to_plane",
+    "turn_moments",
+]
 
 _AWAY = 1.6  # noises that the axis may be off, root mean square
 _TURNS = 8.0  # noises that the body must turn about it, root mean square
+_INSTANT = 1e-30  # s^2, of times that are all the same
 
 
 class SingleAxis(NamedTuple):
@@ -40,6 +49,42 @@ class SingleAxis(NamedTuple):
     found: jax.Array
     planar: jax.Array
     stiffness: jax.Array
+
+
+class TurnMoments(NamedTuple):
+    """What moves with the angle about the axis.
+
+    Attributes:
+        variance: (N,) rad^2, of the angle. It counts full turns, unlike the spread of :class:`SingleAxis`.
+        unsteady: (N,) rad^2, what is left of it without the part that grows evenly in time.
+        with_paths: (3, 4, N) m rad and rad, covariance of the paths of points of the body with the angle.
+    """
+
+    variance: jax.Array
+    unsteady: jax.Array
+    with_paths: jax.Array
+
+
+def turn_moments(
+    axis: jax.Array, turns: jax.Array, paths: jax.Array, times: jax.Array, counted: jax.Array
+) -> TurnMoments:
+    """Sum up what moves with the angle about an axis.
+
+    Args:
+        axis: (3, N) unit vectors in {g}.
+        turns: (3, K+1, N) rad, path whose derivative is the angular velocity in {g}, about its mean.
+        paths: (3, 4, K+1, N) m and 1, of the type GB about their mean; see :func:`.kinematics.paths_of`.
+        times: (K+1, N) s.
+        counted: (K+1, N) bool, poses that count; ``turns`` and ``paths`` are zero at the others.
+    """
+    angle = jnp.sum(jax.lax.stop_gradient(axis)[:, None] * turns, axis=0)
+    variance = jnp.mean(jnp.square(angle), axis=0)
+    weights = counted.astype(times.dtype)
+    middle = jnp.sum(weights * times, axis=0) / jnp.maximum(jnp.sum(weights, axis=0), 1)
+    passed = weights * (times - middle[None])
+    evenly = jnp.sum(angle * passed, axis=0) / jnp.maximum(jnp.sum(jnp.square(passed), axis=0), _INSTANT)
+    unsteady = jnp.mean(jnp.square(angle - evenly[None] * passed), axis=0)
+    return TurnMoments(variance, unsteady, jnp.mean(paths * angle[None, None], axis=2))
 
 
 def find_single_axis(
@@ -79,7 +124,9 @@ def find_single_axis(
     normal = tilt_to_plane(in_ground, cast(symmetric.Symmetric, spread), stiffness)
     x, y, z = normal
     left = symmetric.quadratic_form((x, y, z), cast(symmetric.Symmetric, spread), (x, y, z))
-    planar = known & (left < _AWAY**2 * of_position)
+    # an arc of a screw looks planar from an axis that is tilted far more than the rotations allow
+    tilt = stiffness * jnp.sum(jnp.square(normal - in_ground), axis=0)
+    planar = known & (left + tilt < _AWAY**2 * of_position)
     in_ground = jnp.where(planar[None], normal, in_ground)
     in_body = jnp.where(planar[None], _unit(jnp.sum(mean * normal[:, None], axis=0)), in_body)
     return SingleAxis(in_ground, in_body, 1 - second, found, planar, stiffness)

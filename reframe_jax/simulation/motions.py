@@ -14,7 +14,7 @@ from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.types import AngularType, LinearType
 from reframe_jax.geometry import rotations, transforms
 from reframe_jax.geometry.products import apply, matmul
-from reframe_jax.simulation.synthetic import Excitation, Simulation, simulate
+from reframe_jax.simulation.synthetic import Excitation, Simulation, pitch_of, simulate
 
 __all__ = ["PoseErrors", "disturb", "random_constraint", "random_motion"]
 
@@ -90,7 +90,7 @@ def random_constraint(
     are oriented in the same body, so every start keeps the class.
 
     Args:
-        label: label or name of one of the twelve.
+        label: label or name of a constraint.
         key: JAX random key of the geometry, which is the same for all labels, up to the body that it is given
             in.
         linear_type: as in :meth:`ConstraintFrame.named`.
@@ -120,6 +120,7 @@ def random_motion(
     excitation: str | Excitation = "hand",
     errors: PoseErrors = PoseErrors(),
     linear_type: LinearType | None = None,
+    pitch: float | jax.Array | None = None,
 ) -> Simulation:
     """Draw a motion under a constraint of random geometry, with the errors of a tracker.
 
@@ -127,13 +128,14 @@ def random_motion(
     and whatever the errors are.
 
     Args:
-        label: label or name of one of the twelve.
+        label: label or name of a constraint.
         key: JAX random key of the geometry, the excitation and the errors.
         samples: K, number of steps.
         dt: sample time, s; a plain number.
         excitation: a name of :data:`reframe_jax.simulation.synthetic.EXCITATIONS`, or a function of time.
         errors: of the tracker; none by default.
         linear_type: as in :func:`random_constraint`.
+        pitch: m/rad of a screw; 0.05 by default for the label "screw", see :func:`.synthetic.simulate`.
 
     Returns:
         The recording, of K + 1 poses; the first of ``exact_poses`` is the start.
@@ -145,7 +147,13 @@ def random_motion(
     geometry_key, motion_key, error_key = jax.random.split(key, 3)
     frame, start = random_constraint(label, geometry_key, linear_type=linear_type)
     exact = simulate(
-        frame, motion_key, duration=samples * dt, dt=dt, excitation=excitation, start=start
+        frame,
+        motion_key,
+        duration=samples * dt,
+        dt=dt,
+        excitation=excitation,
+        start=start,
+        pitch=pitch_of(label) if pitch is None else pitch,
     ).exact_poses
     times = dt * jnp.arange(samples + 1, dtype=exact.dtype)
     return Simulation(times, disturb(exact, error_key, errors, dt), exact, frame)

@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax.constraints import located
+from reframe_jax.constraints.catalogue import constraint as named
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import Frame
 from reframe_jax.geometry import rotations, transforms
@@ -31,9 +32,11 @@ __all__ = [
     "body_twist",
     "exciting",
     "paper_excitation",
+    "pitch_of",
     "simulate",
 ]
 
+_PITCH = 0.05  # m/rad, of a screw by default
 _SUBSTEPS = 4  # Runge-Kutta steps per sample; the error is below 1e-9 m at dt = 0.1 s
 
 
@@ -86,13 +89,14 @@ def simulate(
     exact: bool = True,
     start: jax.Array | None = None,
     ease: float | jax.Array = 0.0,
+    pitch: float | jax.Array | None = None,
 ) -> Simulation:
     """Simulate a body that moves under a constraint.
 
     Works under ``jit`` and ``vmap``; batch it over keys, noise levels or the frame's geometry.
 
     Args:
-        constraint: label or name of one of the twelve, with the geometry of the paper, or any frame.
+        constraint: label or name of a constraint, with the geometry of the paper, or any frame.
         key: of the excitation and of the noise.
         noise: standard deviation sigma of the position noise in m; see :func:`add_pose_noise`.
         duration: s.
@@ -102,6 +106,9 @@ def simulate(
         start: (4, 4) first pose; the identity by default. A frame whose angular and linear parts are
             fixed in different bodies keeps its class only if its axes agree at the start.
         ease: s, in which the motion sets out from rest, and comes to rest at the end.
+        pitch: m/rad of a screw: the velocity along each linear axis is that much of the velocity about the
+            angular axis of the same number, and the excitation's is not used. By default 0.05 for the
+            constraint "screw", and None, no screw, for all others.
 
     Returns:
         The recording, of round(duration / dt) + 1 poses.
@@ -110,15 +117,26 @@ def simulate(
         KeyError: for an unknown constraint.
         ValueError: for an unknown excitation.
     """
-    frame = ConstraintFrame.named(constraint) if isinstance(constraint, str) else constraint
+    if isinstance(constraint, str):
+        frame = ConstraintFrame.named(constraint)
+        pitch = pitch_of(constraint) if pitch is None else pitch
+    else:
+        frame = constraint
     if isinstance(excitation, str) and excitation not in EXCITATIONS:
         raise ValueError(f"No excitation {excitation!r}. There are: {', '.join(EXCITATIONS)}.")
     first = jnp.eye(4, dtype=frame.position.dtype) if start is None else start
     phase_key, noise_key = jax.random.split(key)
     arrays, steps = located.frame_arrays(frame), round(duration / dt)
-    poses = _integrate(arrays, phase_key, first, dt, ease, excitation=excitation, exact=exact, steps=steps)
+    pitch = None if pitch is None else jnp.asarray(pitch, dtype=first.dtype)
+    options = {"excitation": excitation, "exact": exact, "steps": steps}
+    poses = _integrate(arrays, phase_key, first, dt, ease, pitch, **options)
     times = dt * jnp.arange(steps + 1, dtype=first.dtype)
     return Simulation(times, add_pose_noise(poses, noise_key, noise), poses, frame)
+
+
+def pitch_of(label: str) -> float | None:
+    """Pitch of a simulated constraint by default: m/rad for a screw, None for all others."""
+    return _PITCH if named(label).label == "screw" else None
 
 
 @partial(jax.jit, static_argnames=("excitation", "exact", "steps"))
@@ -128,6 +146,7 @@ def _integrate(
     first: jax.Array,
     dt: float,
     ease: float | jax.Array,
+    pitch: jax.Array | None,
     *,
     excitation: str | Excitation,
     exact: bool,
@@ -138,6 +157,7 @@ def _integrate(
 
     def twist(t: jax.Array, pose: jax.Array) -> jax.Array:
         angular, linear = velocity(t)
+        linear = linear if pitch is None else pitch * angular
         share = _eased(t, ease) * _eased(steps * dt - t, ease)
         return _frame_twist(frame, pose, share * angular, share * linear)
 
