@@ -80,16 +80,15 @@ def test_derivatives_match_finite_differences(label):
     linear_type, angular_type = int(truth.linear_type), int(truth.angular_type)
     direction = np.random.default_rng(1).normal(size=(51, 6))
     h = 1e-6
-    if truth.angular_dof.count(1) == 1:
-        arguments = (poses, jnp.asarray(direction), linear_type, angular_type)
-        exact = slope_along(jnp.zeros(()), *arguments)
-        forward, backward = (along(jnp.asarray(step, float), *arguments) for step in (h, -h))
-        for name, angular in (("norms", slice(2)), ("rms", slice(3))):
-            finite = np.asarray(forward[name] - backward[name])[angular] / (2 * h)
-            scale = np.max(np.abs(finite)) + 1e-3
-            np.testing.assert_allclose(exact[name][angular] / scale, finite / scale, atol=2e-3, err_msg=name)
-        # the noise that weighs positions and rotations counts as given: along a line it stays the same
-        direction = np.linspace(-1, 1, 51)[:, None] * direction[0] + direction[1]
+    arguments = (poses, jnp.asarray(direction), linear_type, angular_type)
+    exact = slope_along(jnp.zeros(()), *arguments)
+    forward, backward = (along(jnp.asarray(step, float), *arguments) for step in (h, -h))
+    for name, angular in (("norms", slice(2)), ("rms", slice(3))):
+        finite = np.asarray(forward[name] - backward[name])[angular] / (2 * h)
+        scale = np.max(np.abs(finite)) + 1e-3
+        np.testing.assert_allclose(exact[name][angular] / scale, finite / scale, atol=2e-3, err_msg=name)
+    # the noise of positions and rotations counts as given: along a line it stays the same
+    direction = np.linspace(-1, 1, 51)[:, None] * direction[0] + direction[1]
     direction = jnp.asarray(direction)
     arguments = (poses, direction, linear_type, angular_type)
     exact = slope_along(jnp.zeros(()), *arguments)
@@ -101,7 +100,9 @@ def test_derivatives_match_finite_differences(label):
         if name == "position":
             slope, finite = determined @ slope, determined @ finite
         scale = np.max(np.abs(finite)) + 1e-3
-        np.testing.assert_allclose(np.asarray(slope) / scale, finite / scale, atol=2e-3, err_msg=name)
+        # the likeliest frame follows the noise of the orientation a little, which a line changes a little
+        atol = 5e-3 if name in ("position", "axes") else 2e-3
+        np.testing.assert_allclose(np.asarray(slope) / scale, finite / scale, atol=atol, err_msg=name)
 
 
 def test_between_boundaries_the_frame_of_a_segment_is_differentiable():
@@ -112,7 +113,8 @@ def test_between_boundaries_the_frame_of_a_segment_is_differentiable():
     own = jnp.asarray(poses[segment.stop - 51 : segment.stop])
     linear = segment.identification.linear
     types = int(linear.type_code), int(segment.identification.angular.type_code)
-    direction = jnp.asarray(np.random.default_rng(4).normal(size=(51, 6)))
+    first, second = np.random.default_rng(4).normal(size=(2, 6))
+    direction = jnp.asarray(np.linspace(-1, 1, 51)[:, None] * first + second)  # along which noise stays
     slope = slope_along(jnp.zeros(()), own, direction, *types)["position"]
     forward, backward = (
         along(jnp.asarray(step, float), own, direction, *types)["position"] for step in (1e-6, -1e-6)
@@ -129,7 +131,8 @@ def far_window():
 def test_derivatives_of_a_widened_search_match_finite_differences():
     poses, truth = far_window()
     types = int(truth.linear_type), int(truth.angular_type)
-    direction = jnp.asarray(np.random.default_rng(1).normal(size=(51, 6)))
+    first, second = np.random.default_rng(1).normal(size=(2, 6))
+    direction = jnp.asarray(np.linspace(-1, 1, 51)[:, None] * first + second)  # along which noise stays
     zero, h = jnp.zeros(()), 1e-6
     found = along(zero, poses, direction, *types)
     np.testing.assert_allclose(found["position"], truth.position, atol=0.02)

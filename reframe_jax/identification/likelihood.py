@@ -6,10 +6,11 @@ and so does the noise, because that of the orientation acts through the lever to
 known, both are left out: the likelihood takes the constrained axes alone, from moments without that noise.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from reframe_jax.compilation import once
 from reframe_jax.geometry import symmetric
@@ -54,17 +55,23 @@ def likeliest_frames(
         return jax.lax.stop_gradient(nearest_origin(velocities, axes, 1 - held.T, rms, position, idle)[0])
 
     def fit(_: None) -> tuple[jax.Array, jax.Array]:
-        start = jax.lax.stop_gradient(pick_type(frames.position, winner).T)
-        noise = jax.lax.stop_gradient(pick_problem(winner, noise_moments(evidence)))
+        start = _follow(chosen, pick_type(frames.position, winner).T)
+        spread, noise = (
+            _follow(chosen, pick_problem(winner, moments))
+            for moments in (evidence.linear_spread, noise_moments(evidence))
+        )
         # its mean is left in, so that what remains along every axis is positive
         mean = symmetric.trace(covariance_at(noise, (start[0], start[1], start[2]))) / 3
-        moments = pick_problem(winner, evidence.linear_spread) - noise
-        moments = moments.at[jnp.asarray([0, 3, 5]), 0].add(mean[None])
+        moments = (spread - noise).at[jnp.asarray([0, 3, 5]), 0].add(mean[None])
         objective = once(HeldAxesObjective(moments, held.astype(moments.dtype)))
         inside = jax.tree.map(lambda bound: pick_problem(winner, bound), optima.box)
         samples = evidence.poses.astype(moments.dtype)
-        x = _descend(jax.lax.stop_gradient(objective), inside, start, jnp.moveaxis(free(), 0, -1), samples)
-        x = attach_derivative(x, objective, inside)
+        loose = jnp.moveaxis(free(), 0, -1)
+        problem = _Tied(objective, start, loose, 2 / (samples * _PRIOR**2))
+        place = jax.lax.stop_gradient(start)
+        x = _descend(jax.lax.stop_gradient(problem), inside)
+        x = attach_derivative(x, problem, inside)
+        x = x + _project(loose, (start - place)[:, None])[:, 0]
         return x.T, principal_axes(objective.covariance(x))[1]
 
     def keep(_: None) -> tuple[jax.Array, jax.Array]:
@@ -80,23 +87,55 @@ def likeliest_frames(
     )
 
 
-def _descend(
-    objective: HeldAxesObjective, box: Box, start: jax.Array, free: jax.Array, samples: jax.Array
-) -> jax.Array:
-    """A few of Newton's steps from the origins (3, N), each as far as it helps.
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class _Tied:
+    """The likelihood with a prior about a start, at which the origin stays in the directions that are free.
 
-    In free directions, given by their projectors (3, 3, N), the origin stays where it is. In those that the
-    data hardly tell, the prior keeps it near.
+    Attributes:
+        held: the likelihood.
+        start: (3, ...) m.
+        free: (3, 3, ...) projectors.
+        prior: (...) 1/m^2, which keeps origins near where the data hardly tell them.
     """
-    prior = 2 / (samples * _PRIOR**2)
-    tied = jnp.eye(3, dtype=start.dtype)[:, :, None] - free
 
-    def value(x: jax.Array) -> jax.Array:
-        return objective.value(x) + prior * jnp.sum(jnp.square(x - start), axis=0) / 2
+    held: HeldAxesObjective
+    start: jax.Array
+    free: jax.Array
+    prior: jax.Array
+
+    @property
+    def dim(self) -> int:
+        return self.held.dim
+
+    @property
+    def batch(self) -> tuple[int, ...]:
+        return self.held.batch
+
+    @property
+    def dtype(self) -> np.dtype:
+        return self.held.dtype
+
+    def value(self, x: jax.Array) -> jax.Array:
+        away = x - self.start
+        away = away - jnp.sum(self.free * away[None], axis=1)
+        return self.held.value(self.start + away) + self.prior * jnp.sum(jnp.square(away), axis=0) / 2
+
+
+def _follow(chosen: jax.Array, value: jax.Array) -> jax.Array:
+    """The value (..., N) as it is, with derivatives for the chosen windows (N,) only."""
+    chosen = chosen.reshape(*[1] * (value.ndim - 1), -1)
+    return jnp.where(chosen, value, jax.lax.stop_gradient(value))
+
+
+def _descend(problem: _Tied, box: Box) -> jax.Array:
+    """A few of Newton's steps from the starts, each as far as it helps; the origins, (3, N)."""
+    start, prior = problem.start, problem.prior
+    tied = jnp.eye(3, dtype=start.dtype)[:, :, None] - problem.free
 
     def step(_: int, carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         x, best = carry
-        slope, curvature = objective.slope_and_curvature(x)
+        slope, curvature = problem.held.slope_and_curvature(x)
         slope = _project(tied, (slope + prior[None] * (x - start))[:, None])[:, 0]
         strengths, axes = symmetric.eigh(_restrict(tied, curvature, prior))
         down = jnp.zeros_like(x)
@@ -107,12 +146,12 @@ def _descend(
         chosen = x
         for length in _LENGTHS:
             there = once(box.clip(x + length * down))
-            found = once(value(there))
+            found = once(problem.value(there))
             better = found < best
             chosen, best = jnp.where(better[None], there, chosen), jnp.where(better, found, best)
         return chosen, best
 
-    return jax.lax.fori_loop(0, _STEPS, step, (start, value(start)))[0]
+    return jax.lax.fori_loop(0, _STEPS, step, (start, problem.value(start)))[0]
 
 
 def _project(tied: jax.Array, matrix: jax.Array) -> jax.Array:

@@ -69,9 +69,10 @@ class BasinHopping:
     numbers, so the answer depends on the data of the problem and the key, not on its place in a batch.
 
     With ``rounds``, a problem that did not settle goes through rounds until most of its chains have met at
-    the best value. In each round one chain goes on from the best point, some begin at a fresh one (see
-    :func:`fresh_starts`), the others stay where they are. All minimize from there without a jump; the other
-    ``hops`` + ``polish`` - 1 steps follow. Slow motion, whose valleys are many and narrow, needs rounds.
+    the best value. In the first all chains go on from where they are. In each of the others one chain goes on
+    from the best point, some begin at a fresh one (see :func:`fresh_starts`), the others stay where they are.
+    These minimize from there without a jump; the other ``hops`` + ``polish`` - 1 steps follow. Slow motion,
+    whose valleys are many and narrow, needs rounds.
 
     :meth:`minimise` is the whole search. To watch a search or stop it early, call ``init``, then ``step`` 1 +
     ``hops`` + ``polish`` times, then ``finish``. All three are pure functions of arrays that may be compiled;
@@ -188,7 +189,6 @@ class BasinHopping:
 
     def _walk(self, objective: Objective, box: Box, state: SearchState) -> SearchState:
         """All steps of a few problems, in one loop that compiles the step once."""
-        last = self.hops + self.polish + (0 if self.rounds else 1)
         key = self._draw(state.key, objective.dim, state.x.dtype)[2]  # after the first minimization
         begin = partial(self._begin_round, objective, box, key)
 
@@ -208,6 +208,8 @@ class BasinHopping:
             )
             state = _state(after.hop, after.key, chains)
             first = ended == 0
+            # the first round begins after the first minimization, the others with one
+            last = self.hops + self.polish + (ended == 1).astype(jnp.int32)
             ends = first | (state.hop == last)
             done = jnp.where(first, self._is_settled(state), self._has_met(state))
             state = jax.lax.cond(ends, begin, lambda state, _: state, state, ended)
@@ -261,7 +263,7 @@ class BasinHopping:
     def _begin_round(
         self, objective: Objective, box: Box, key: jax.Array, state: SearchState, number: jax.Array
     ) -> SearchState:
-        """The state that a round starts from: that of the search before if there are no rounds.
+        """The state that a round starts from: for the first, that of the search before.
 
         Args:
             objective: the problems.
@@ -270,7 +272,7 @@ class BasinHopping:
             state: at the end of the first minimization, or of the round before.
             number: () of the round, from 0.
         """
-        if self.rounds == 0:
+        if self.rounds < 2:
             return state
         start_key, key = jax.random.split(jax.random.fold_in(key, number))
         fresh = round(_FRESH * self.restarts)
@@ -283,7 +285,8 @@ class BasinHopping:
         nowhere = jnp.full(starts.shape[1:], jnp.inf, state.value.dtype)
         lowest = jnp.take_along_axis(state.best_value, best, axis=0)
         value = jnp.concatenate([lowest, state.value[1:kept], nowhere])
-        return _state(jnp.zeros_like(state.hop), key, state.chains._replace(x=x, value=value))
+        fresh_state = _state(jnp.zeros_like(state.hop), key, state.chains._replace(x=x, value=value))
+        return jax.lax.cond(number == 0, lambda: state, lambda: fresh_state)
 
     def _has_met(self, state: SearchState) -> jax.Array:
         """Whether most chains have met at the best value that any of them has found, (...)."""
