@@ -141,7 +141,8 @@ def test_derivatives_of_a_widened_search_match_finite_differences():
     for name in ("norms", "rms", "position", "axes"):
         finite = np.asarray(forward[name] - backward[name]) / (2 * h)
         scale = np.max(np.abs(finite)) + 1e-3
-        np.testing.assert_allclose(np.asarray(exact[name]) / scale, finite / scale, atol=2e-3, err_msg=name)
+        atol = 5e-3 if name in ("position", "axes") else 2e-3  # as above
+        np.testing.assert_allclose(np.asarray(exact[name]) / scale, finite / scale, atol=atol, err_msg=name)
 
 
 @compiled

@@ -68,10 +68,8 @@ def likeliest_frames(
         samples = evidence.poses.astype(moments.dtype)
         loose = jnp.moveaxis(free(), 0, -1)
         problem = _Tied(objective, start, loose, 2 / (samples * _PRIOR**2))
-        place = jax.lax.stop_gradient(start)
         x = _descend(jax.lax.stop_gradient(problem), inside)
         x = attach_derivative(x, problem, inside)
-        x = x + _project(loose, (start - place)[:, None])[:, 0]
         return x.T, principal_axes(objective.covariance(x))[1]
 
     def keep(_: None) -> tuple[jax.Array, jax.Array]:
@@ -118,8 +116,8 @@ class _Tied:
 
     def value(self, x: jax.Array) -> jax.Array:
         away = x - self.start
-        away = away - jnp.sum(self.free * away[None], axis=1)
-        return self.held.value(self.start + away) + self.prior * jnp.sum(jnp.square(away), axis=0) / 2
+        there = x - jnp.sum(self.free * away[None], axis=1)
+        return self.held.value(there) + self.prior * jnp.sum(jnp.square(away), axis=0) / 2
 
 
 def _follow(chosen: jax.Array, value: jax.Array) -> jax.Array:
