@@ -5,19 +5,19 @@ from typing import cast
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from reframe_jax.compilation import once
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, Symmetric
-from reframe_jax.objectives.moments import covariance_at, covariance_gradient, covariance_hessian
+from reframe_jax.objectives.moments import covariance_gradient, covariance_hessian
+from reframe_jax.objectives.velocity import MomentsOfOrigins
 
 __all__ = ["HeldAxesObjective"]
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class HeldAxesObjective:
+class HeldAxesObjective(MomentsOfOrigins):
     """Logarithm of the product of the smallest variances, of as many axes as are constrained.
 
     With Gaussian noise of unknown size along the constrained axes, and any motion along the free ones, it is
@@ -30,25 +30,6 @@ class HeldAxesObjective:
 
     moments: jax.Array
     held: jax.Array
-
-    @property
-    def dim(self) -> int:
-        """Number of unknowns."""
-        return 3
-
-    @property
-    def batch(self) -> tuple[int, ...]:
-        """Shape of the problems."""
-        return self.moments.shape[2:]
-
-    @property
-    def dtype(self) -> np.dtype:
-        """Of the unknowns and the values."""
-        return self.moments.dtype
-
-    def covariance(self, x: jax.Array) -> Symmetric:
-        """Covariance of the path of the origin ``x``, (3, ...)."""
-        return covariance_at(self.moments, (x[0], x[1], x[2]))
 
     def value(self, x: jax.Array) -> jax.Array:
         """Of the origin (3, ...), (...); infinite where the variances are not positive."""
@@ -68,7 +49,7 @@ class HeldAxesObjective:
         with c_ij = 1 / (s_i s_j) for two constrained axes, 1 / (s_i (s_j - s_i)) if only i is, else 0.
         """
         at = x[0], x[1], x[2]
-        values, axes = once(symmetric.eigh(covariance_at(self.moments, at)))
+        values, axes = once(symmetric.eigh(self.covariance(x)))
         tiny = float(jnp.finfo(self.dtype).tiny)
         s = jnp.maximum(jnp.stack(values), tiny)
         h = self.held

@@ -11,12 +11,41 @@ from reframe_jax.geometry import rotations, symmetric
 from reframe_jax.objectives.moments import covariance_at
 from reframe_jax.objectives.norms import log_power_mean
 
-__all__ = ["FrameObjective", "PositionObjective"]
+__all__ = ["FrameObjective", "MomentsOfOrigins", "PositionObjective"]
+
+
+class _Moments:
+    """What objectives that are functions of moments have in common."""
+
+    moments: jax.Array
+
+    @property
+    def batch(self) -> tuple[int, ...]:
+        """Shape of the problems."""
+        return self.moments.shape[2:]
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Of the unknowns and the values."""
+        return self.moments.dtype
+
+
+class MomentsOfOrigins(_Moments):
+    """The same of those whose unknowns are the origin."""
+
+    @property
+    def dim(self) -> int:
+        """Number of unknowns."""
+        return 3
+
+    def covariance(self, x: jax.Array) -> symmetric.Symmetric:
+        """Covariance of the motion of the origin ``x``, (3, ...)."""
+        return covariance_at(self.moments, (x[0], x[1], x[2]))
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class FrameObjective:
+class FrameObjective(_Moments):
     """log J over orientation and origin, for any exponent.
 
     The unknowns are the rotation vector and, unless the velocities have no position, the origin.
@@ -33,16 +62,6 @@ class FrameObjective:
     def dim(self) -> int:
         """Number of unknowns: 6, or 3 without a position."""
         return 6 if self.moments.shape[1] > 1 else 3
-
-    @property
-    def batch(self) -> tuple[int, ...]:
-        """Shape of the problems."""
-        return self.moments.shape[2:]
-
-    @property
-    def dtype(self) -> np.dtype:
-        """Of the unknowns and the values."""
-        return self.moments.dtype
 
     @property
     def unknowns(self) -> Literal["frame"]:
@@ -73,7 +92,7 @@ class FrameObjective:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class PositionObjective:
+class PositionObjective(MomentsOfOrigins):
     """log J over the origin alone: the best orientation is eliminated in closed form.
 
     The variances along orthogonal axes are the diagonal of E^T Sigma E, which the eigenvalues of
@@ -90,28 +109,9 @@ class PositionObjective:
     exponent: float = field(default=0.0, metadata={"static": True})
 
     @property
-    def dim(self) -> int:
-        """Number of unknowns."""
-        return 3
-
-    @property
-    def batch(self) -> tuple[int, ...]:
-        """Shape of the problems."""
-        return self.moments.shape[2:]
-
-    @property
-    def dtype(self) -> np.dtype:
-        """Of the unknowns and the values."""
-        return self.moments.dtype
-
-    @property
     def unknowns(self) -> Literal["position"]:
         """The origin alone."""
         return "position"
-
-    def covariance(self, x: jax.Array) -> symmetric.Symmetric:
-        """Velocity covariance at the origin ``x``."""
-        return covariance_at(self.moments, (x[0], x[1], x[2]))
 
     def value(self, x: jax.Array) -> jax.Array:
         """Logarithm of J, (...), of the origin (3, ...); infinite where Sigma is not positive definite."""
