@@ -18,7 +18,7 @@ from reframe_jax.geometry.symmetric import INDEX_PAIRS, Symmetric
 from reframe_jax.identification.classify import nearest_origin
 from reframe_jax.identification.evidence import Evidence
 from reframe_jax.identification.levers import noise_moments
-from reframe_jax.identification.optima import Frames, Optima, pick_problem, pick_type
+from reframe_jax.identification.optima import Frames, Optima, follow_last, pick_problem, pick_type
 from reframe_jax.objectives.held_axes import HeldAxesObjective
 from reframe_jax.objectives.moments import covariance_at
 from reframe_jax.objectives.norms import principal_axes
@@ -55,9 +55,9 @@ def likeliest_frames(
         return jax.lax.stop_gradient(nearest_origin(velocities, axes, 1 - held.T, rms, position, idle)[0])
 
     def fit(_: None) -> tuple[jax.Array, jax.Array]:
-        start = _follow(chosen, pick_type(frames.position, winner).T)
+        start = follow_last(chosen, pick_type(frames.position, winner).T)
         spread, noise = (
-            _follow(chosen, pick_problem(winner, moments))
+            follow_last(chosen, pick_problem(winner, moments))
             for moments in (evidence.linear_spread, noise_moments(evidence))
         )
         # its mean is left in, so that what remains along every axis is positive
@@ -118,12 +118,6 @@ class _Tied:
         away = x - self.start
         there = x - jnp.sum(self.free * away[None], axis=1)
         return self.held.value(there) + self.prior * jnp.sum(jnp.square(away), axis=0) / 2
-
-
-def _follow(chosen: jax.Array, value: jax.Array) -> jax.Array:
-    """The value (..., N) as it is, with derivatives for the chosen windows (N,) only."""
-    chosen = chosen.reshape(*[1] * (value.ndim - 1), -1)
-    return jnp.where(chosen, value, jax.lax.stop_gradient(value))
 
 
 def _descend(problem: _Tied, box: Box) -> jax.Array:

@@ -20,6 +20,7 @@ __all__ = [
     "Optima",
     "constant_covariance",
     "find_optima",
+    "follow_last",
     "follow_where",
     "orient_axes",
     "pick_problem",
@@ -101,6 +102,11 @@ def follow_where(chosen: jax.Array, value: jax.Array) -> jax.Array:
     would multiply that by a derivative of zero. ``chosen`` may have more of the axes of ``value``.
     """
     chosen = chosen.reshape(*chosen.shape, *([1] * (value.ndim - chosen.ndim)))
+    return jnp.where(chosen, value, jax.lax.stop_gradient(value))
+
+
+def follow_last(chosen: jax.Array, value: jax.Array) -> jax.Array:
+    """The same of a value (..., N), windows last."""
     return jnp.where(chosen, value, jax.lax.stop_gradient(value))
 
 

@@ -21,7 +21,7 @@ from reframe_jax.geometry.products import matmul3
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, Symmetric, Vector
 from reframe_jax.identification.evidence import FLOOR, IN_BODY, IN_GROUND, Evidence
 from reframe_jax.identification.freedom import screw_probabilities
-from reframe_jax.identification.optima import Frames, put_third_axis
+from reframe_jax.identification.optima import Frames, follow_last, put_third_axis
 from reframe_jax.motion.components import product, transpose
 from reframe_jax.motion.single_axis import across_axis
 from reframe_jax.objectives.moments import MONOMIALS
@@ -146,7 +146,7 @@ def _look(evidence: Evidence, frames: Frames, usable: jax.Array, of_turning: jax
     in_ground, in_body = (frames.angular_axes[:, kind, :, 2].T for kind in AngularType)
     mean, paths = evidence.mean_paths[..., 0], evidence.linear_spread[..., IN_BODY]
     given = in_ground, in_body, mean, paths, evidence.positions, turning.with_paths, turning.variance
-    followed = jax.tree.map(partial(_follow, usable), (*given, evidence.axis.stiffness))
+    followed = jax.tree.map(partial(follow_last, usable), (*given, evidence.axis.stiffness))
     in_ground, in_body, mean, paths, positions, with_angle, variance, stiffness = followed
     # the angle is measured about this axis
     in_ground = jnp.where(_dot(in_ground, evidence.axis.in_ground)[None] < 0, -in_ground, in_ground)
@@ -247,12 +247,6 @@ def _on_axis(frames: Frames, third: jax.Array, origins: jax.Array, chosen: jax.A
     local = jnp.where(chosen[:, None, None, None], matmul3(frames.local_axes, turn), frames.local_axes)
     position = jnp.where(chosen[:, None, None], origins, frames.position)
     return replace(frames, angular_axes=angular, position=position, axes=axes, local_axes=local)
-
-
-def _follow(chosen: jax.Array, value: jax.Array) -> jax.Array:
-    """The value (..., N) as it is, with derivatives for the chosen windows (N,) only."""
-    chosen = chosen.reshape(*[1] * (value.ndim - 1), -1)
-    return jnp.where(chosen, value, jax.lax.stop_gradient(value))
 
 
 def _square_along(matrix: tuple[jax.Array, ...], axis: jax.Array) -> jax.Array:
