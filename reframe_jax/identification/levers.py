@@ -4,9 +4,8 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax.constraints.types import LinearType
-from reframe_jax.geometry.symmetric import INDEX_PAIRS
 from reframe_jax.identification.evidence import IN_BODY, IN_GROUND, Evidence
-from reframe_jax.objectives.moments import MONOMIALS
+from reframe_jax.objectives.moments import component_moments
 
 __all__ = ["lever_moments", "noise_moments"]
 
@@ -22,7 +21,7 @@ def lever_moments(evidence: Evidence) -> jax.Array:
     """
     dtype, count = evidence.linear_spread.dtype, evidence.linear_spread.shape[2]
     unit = jnp.concatenate([jnp.zeros((3, 1), dtype), jnp.eye(3, dtype=dtype)], axis=1)
-    itself = jnp.broadcast_to(_square(unit[:, :, None]), (6, 10, count))
+    itself = jnp.broadcast_to(_square(unit)[..., None], (6, 10, count))
     turning = evidence.linear_spread[..., IN_BODY].at[:, :4].set(0)  # without the position of {b}
     turning = turning + _square(evidence.mean_paths[..., 0].at[:, 0].set(0))
     passing = evidence.linear_spread[..., IN_GROUND] + _square(evidence.mean_paths[..., 1])
@@ -36,14 +35,8 @@ def lever_moments(evidence: Evidence) -> jax.Array:
 
 
 def _square(path: jax.Array) -> jax.Array:
-    """Moments (6, 10, N) of a single sample, (3, 4, N)."""
-    rows = []
-    for i, j in INDEX_PAIRS:
-        products = {(a, b): path[i, a] * path[j, b] for a in range(4) for b in range(4)}
-        rows.append(
-            jnp.stack([products[a, b] if a == b else products[a, b] + products[b, a] for a, b in MONOMIALS])
-        )
-    return jnp.stack(rows)
+    """Moments (6, 10, ...) of a single sample, (3, 4, ...)."""
+    return component_moments(path[:, :, None], jnp.ones_like(path[0, :1]))
 
 
 def noise_moments(evidence: Evidence) -> jax.Array:
