@@ -19,6 +19,7 @@ from reframe_jax.identification.classify import nearest_origin
 from reframe_jax.identification.evidence import Evidence
 from reframe_jax.identification.levers import noise_moments
 from reframe_jax.identification.optima import Frames, Optima, follow_last, pick_problem, pick_type
+from reframe_jax.motion.components import product
 from reframe_jax.objectives.held_axes import HeldAxesObjective
 from reframe_jax.objectives.moments import covariance_at
 from reframe_jax.objectives.norms import principal_axes
@@ -116,7 +117,7 @@ class _Tied:
 
     def value(self, x: jax.Array) -> jax.Array:
         away = x - self.start
-        there = x - jnp.sum(self.free * away[None], axis=1)
+        there = x - product(self.free, away)
         return self.held.value(there) + self.prior * jnp.sum(jnp.square(away), axis=0) / 2
 
 
@@ -128,7 +129,7 @@ def _descend(problem: _Tied, box: Box) -> jax.Array:
     def step(_: int, carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         x, best = carry
         slope, curvature = problem.held.slope_and_curvature(x)
-        slope = _project(tied, (slope + prior[None] * (x - start))[:, None])[:, 0]
+        slope = product(tied, slope + prior[None] * (x - start))
         strengths, axes = symmetric.eigh(_restrict(tied, curvature, prior))
         down = jnp.zeros_like(x)
         for strength, axis in zip(strengths, axes, strict=True):
@@ -146,15 +147,10 @@ def _descend(problem: _Tied, box: Box) -> jax.Array:
     return jax.lax.fori_loop(0, _STEPS, step, (start, problem.value(start)))[0]
 
 
-def _project(tied: jax.Array, matrix: jax.Array) -> jax.Array:
-    """Products of matrices (3, 3, N) and (3, m, N)."""
-    return jnp.sum(tied[:, :, None] * matrix[None], axis=1)
-
-
 def _restrict(tied: jax.Array, curvature: Symmetric, prior: jax.Array) -> Symmetric:
     """The curvature in the directions that are not free, and the prior in all."""
     xx, xy, xz, yy, yz, zz = curvature
     matrix = jnp.stack([jnp.stack(row) for row in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))])
-    inside = _project(_project(tied, matrix), tied)
+    inside = product(product(tied, matrix), tied)
     a, b, c, d, e, f = (inside[i, j] for i, j in INDEX_PAIRS)
     return a + prior, b, c, d + prior, e, f + prior

@@ -24,7 +24,7 @@ from reframe_jax.identification.freedom import screw_probabilities
 from reframe_jax.identification.optima import Frames, follow_last, put_third_axis
 from reframe_jax.motion.components import product, transpose
 from reframe_jax.motion.single_axis import across_axis
-from reframe_jax.objectives.moments import MONOMIALS
+from reframe_jax.objectives.moments import MONOMIALS, covariance_at
 from reframe_jax.solvers import Box
 
 __all__ = ["Screw", "find_screw"]
@@ -217,13 +217,8 @@ def _tilt_and_point(
 def _moves_across(seen: _Seen, pitch: jax.Array, tilt: jax.Array, point: jax.Array) -> jax.Array:
     """Mean square of the path of a point of the axis across the axis, (N,) m^2."""
     e = seen.in_ground
-    x, y, z = point
-    p = jnp.ones_like(x), x, y, z
-    moments = [
-        sum((seen.paths[k, m] * p[a] * p[b] for m, (a, b) in enumerate(MONOMIALS)), jnp.zeros_like(x))
-        for k in range(6)
-    ]
-    whole = symmetric.trace(moments) - _square_along(tuple(moments), e)
+    covariance = covariance_at(seen.paths, (point[0], point[1], point[2]))
+    whole = symmetric.trace(covariance) - _square_along(covariance, e)
     with_angle = seen.with_angle[:, 0] + product(seen.with_angle[:, 1:], point)
     return whole + pitch * (pitch * seen.variance * _dot(tilt, tilt) - 2 * _dot(tilt, with_angle))
 
