@@ -23,6 +23,7 @@ from reframe_jax.geometry import symmetric
 from reframe_jax.identification.evidence import FLOOR
 from reframe_jax.objectives.velocity import PositionObjective
 from reframe_jax.solvers import BasinHopping, Box, Solution, ValleySteps
+from reframe_jax.solvers.seeds import stillest_origins
 from reframe_jax.solvers.valley_steps import slope_and_curvature
 
 __all__ = ["SearchSpace", "is_steep", "widen_search"]
@@ -61,12 +62,8 @@ def is_steep(objective: PositionObjective, box: Box, x: jax.Array) -> jax.Array:
 
 def _slowest_origin(objective: PositionObjective, box: Box) -> jax.Array:
     """The origins (3, ...) of the box whose root mean square velocity is least, m: minima of the trace."""
-    q = symmetric.trace(objective.moments)
-    # along an axis of rotation any will do
-    floor = FLOOR * float(jnp.finfo(q.dtype).eps) * (q[4] + q[7] + q[9])
-    curvature = 2 * (q[4] + floor), q[5], q[6], 2 * (q[7] + floor), q[8], 2 * (q[9] + floor)
-    origin = jnp.stack(symmetric.solve(curvature, (-q[1], -q[2], -q[3])))
-    return box.clip(jnp.where(jnp.isfinite(origin), origin, 0))
+    rounding = FLOOR * float(jnp.finfo(objective.dtype).eps)
+    return stillest_origins(symmetric.trace(objective.moments), box, rounding)
 
 
 def _moves_in_plane(objective: PositionObjective, solution: Solution) -> jax.Array:

@@ -274,7 +274,12 @@ class BasinHopping:
         """
         if self.rounds < 2:
             return state
-        start_key, key = jax.random.split(jax.random.fold_in(key, number))
+        fresh = partial(self._fresh_round, objective, box, jax.random.fold_in(key, number), state)
+        return jax.lax.cond(number == 0, lambda: state, fresh)
+
+    def _fresh_round(self, objective: Objective, box: Box, key: jax.Array, state: SearchState) -> SearchState:
+        """One chain at the best point, some at fresh ones, the others where they are."""
+        start_key, key = jax.random.split(key)
         fresh = round(_FRESH * self.restarts)
         starts = fresh_starts(objective, box, start_key, fresh)
         best = jnp.argmin(state.best_value, axis=0)[None]
@@ -285,8 +290,7 @@ class BasinHopping:
         nowhere = jnp.full(starts.shape[1:], jnp.inf, state.value.dtype)
         lowest = jnp.take_along_axis(state.best_value, best, axis=0)
         value = jnp.concatenate([lowest, state.value[1:kept], nowhere])
-        fresh_state = _state(jnp.zeros_like(state.hop), key, state.chains._replace(x=x, value=value))
-        return jax.lax.cond(number == 0, lambda: state, lambda: fresh_state)
+        return _state(jnp.zeros_like(state.hop), key, state.chains._replace(x=x, value=value))
 
     def _has_met(self, state: SearchState) -> jax.Array:
         """Whether most chains have met at the best value that any of them has found, (...)."""

@@ -9,9 +9,9 @@ from reframe_jax.geometry.symmetric import INDEX_PAIRS
 from reframe_jax.objectives.protocol import MomentsObjective, Objective
 from reframe_jax.solvers.box import Box
 
-__all__ = ["fresh_starts", "quasi_random"]
+__all__ = ["fresh_starts", "quasi_random", "stillest_origins"]
 
-_RIDGE = 1e-9  # of curvatures, relative to the trace: where an origin is free, the nearest
+_RIDGE = 1e-9  # see stillest_origins
 
 
 def quasi_random(key: jax.Array, count: int, dim: int, dtype: jnp.dtype) -> jax.Array:
@@ -63,7 +63,18 @@ def fresh_starts(objective: Objective, box: Box, key: jax.Array, count: int) -> 
     q = jnp.zeros((10, count, *batch), dtype)
     for (a, b), row in zip(INDEX_PAIRS, objective.moments, strict=True):
         q = q + (1 if a == b else 2) * (d[a] * d[b])[None] * row[:, None]
-    ridge = _RIDGE * (q[4] + q[7] + q[9])
-    curvature = 2 * (q[4] + ridge), q[5], q[6], 2 * (q[7] + ridge), q[8], 2 * (q[9] + ridge)
-    points = jnp.stack(symmetric.solve(curvature, (-q[1], -q[2], -q[3])))
-    return box.clip(jnp.where(jnp.isfinite(points), points, 0))
+    return stillest_origins(q, box, _RIDGE)
+
+
+def stillest_origins(q: jax.Array, box: Box, ridge: float) -> jax.Array:
+    """Where polynomials of the second degree are least, (3, ...) m, in the box.
+
+    Args:
+        q: (10, ...), coefficients of a mean square in the origin, as the moments have them.
+        box: that holds the origins.
+        ridge: of the curvature, relative to its trace: where an origin is free, the nearest to zero.
+    """
+    ridges = ridge * (q[4] + q[7] + q[9])
+    curvature = 2 * (q[4] + ridges), q[5], q[6], 2 * (q[7] + ridges), q[8], 2 * (q[9] + ridges)
+    origins = jnp.stack(symmetric.solve(curvature, (-q[1], -q[2], -q[3])))
+    return box.clip(jnp.where(jnp.isfinite(origins), origins, 0))
