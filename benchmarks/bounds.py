@@ -32,6 +32,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from reframe_jax.constraints import AngularType, ConstraintFrame, LinearType, lookup
+from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES
 from reframe_jax.geometry.rotations import hat, rotation_exp
 
 __all__ = ["Bound", "cramer_rao"]
@@ -115,9 +116,7 @@ def cramer_rao(
         *(jnp.asarray(part) for part in parts), bodies, axes, position, poses, ratio
     )
     scale = sigma[:, None]
-    orientation = np.array([int(t.orientation_body) for t in LinearType])
-    place = np.array([int(t.position_body) for t in LinearType])
-    return Bound(scale * angular, scale * linear[:, orientation], scale * moved[:, place])
+    return Bound(scale * angular, scale * linear[:, ORIENTATION_BODIES], scale * moved[:, POSITION_BODIES])
 
 
 def _class_of(frame: ConstraintFrame) -> _Class:

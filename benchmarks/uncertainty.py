@@ -35,7 +35,8 @@ from benchmarks.uncertainty_reliability import (
     reliability,
     show_reliability,
 )
-from reframe_jax.constraints import AngularType, ConstraintFrame, LinearType, lookup
+from reframe_jax.constraints import AngularType, ConstraintFrame, lookup
+from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.simulation.metrics import dof_correct, types_correct
 from reframe_jax.simulation.motions import PoseErrors, disturb, random_motion
@@ -111,8 +112,6 @@ def standard_scores(
     matrix = np.asarray(covariance.matrix)
     entry = lookup(truth.linear_type, truth.angular_dof, truth.linear_dof)
     assert entry is not None
-    axes_of_type = np.array([int(t.orientation_body) for t in LinearType])
-    origin_of_type = np.array([int(t.position_body) for t in LinearType])
     turn, shift = np.asarray(start)[:, :3, :3], np.asarray(start)[:, :3, 3]
 
     def seen(axes: np.ndarray, fixed_in: int, wanted: np.ndarray) -> np.ndarray:
@@ -136,7 +135,7 @@ def standard_scores(
             found.linear,
             entry.linear_axis,
             truth.linear_dof,
-            axes_of_type[np.asarray(found.linear.type_code)],
+            ORIENTATION_BODIES[np.asarray(found.linear.type_code)],
         ),
     ):
         if odd is None:
@@ -146,7 +145,7 @@ def standard_scores(
         axis = axis * np.sign(np.sum(axis * true, axis=1))[:, None]
         block = slice(0, 3) if name == "angular" else slice(3, 6)
         scores[name] = _scores(np.cross(true, axis), matrix[:, block, block])
-    body = origin_of_type[np.asarray(found.linear.type_code)]
+    body = POSITION_BODIES[np.asarray(found.linear.type_code)]
     point = np.asarray(truth.position)
     if truth.linear_type.position_body == AngularType.B:
         point = (turn @ point[:, :, None])[:, :, 0] + shift

@@ -15,7 +15,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.types import AngularType, LinearType
+from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, AngularType
 from reframe_jax.geometry import rotations
 from reframe_jax.geometry.products import apply, matmul
 
@@ -38,9 +38,8 @@ __all__ = [
     "twist_map",
 ]
 
-_LINEAR_ON_BODY = np.array(
-    [[body == AngularType.B for body in (t.orientation_body, t.position_body)] for t in LinearType]
-)  # (types, 2): axes, origin
+_LINEAR_ON_BODY = np.stack([ORIENTATION_BODIES, POSITION_BODIES], axis=1) == AngularType.B
+"""(types, 2): axes, origin."""
 
 
 @jax.tree_util.register_dataclass

@@ -3,9 +3,13 @@
 from enum import Enum, IntEnum
 from math import cos, radians, sin
 
+import numpy as np
+
 __all__ = [
     "BODY_NAMES",
+    "ORIENTATION_BODIES",
     "PARALLEL_COSINE",
+    "POSITION_BODIES",
     "SQUARE_COSINE",
     "AngularType",
     "AxisRelation",
@@ -60,6 +64,13 @@ class LinearType(IntEnum):
     def position_body(self) -> AngularType:
         """Body in whose frame ``position`` is given."""
         return AngularType[self.name[1]]
+
+
+ORIENTATION_BODIES = np.array([kind.orientation_body for kind in LinearType], np.int32)
+"""Bodies of the axes of all linear types, (4,)."""
+
+POSITION_BODIES = np.array([kind.position_body for kind in LinearType], np.int32)
+"""Bodies of their origins, (4,)."""
 
 
 class AxisRelation(Enum):

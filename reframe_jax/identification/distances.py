@@ -2,9 +2,8 @@
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from reframe_jax.constraints.types import LinearType
+from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.products import matmul3
 from reframe_jax.identification.evidence import FLOOR, Evidence
@@ -144,7 +143,7 @@ def noise_along(evidence: Evidence, position: jax.Array, axes: jax.Array) -> tup
     lever = jnp.maximum(jnp.trace(second, axis1=-2, axis2=-1)[..., None] - along, 0)
     # of noise that leads away from a single axis nothing is left: the lever acts across that axis
     axis = jnp.stack([evidence.axis.in_ground, evidence.axis.in_body])
-    axis = jnp.stack([axis[int(t.orientation_body)].T for t in LinearType], axis=1)  # (N, 4, 3)
+    axis = jnp.moveaxis(axis[ORIENTATION_BODIES], -1, 0)  # (N, 4, 3)
     across = jnp.cross(axes, axis[..., None], axis=-2)
     about = jnp.maximum(jnp.sum(across * matmul3(second, across), axis=-2), 0)
     lever = jnp.where(evidence.alone[:, None, None], about, lever)
@@ -152,7 +151,7 @@ def noise_along(evidence: Evidence, position: jax.Array, axes: jax.Array) -> tup
     of_rotation = jnp.square(evidence.noise.rotation)[:, None, None]
     variance = of_position + of_rotation * lever
     left = jnp.square(evidence.share)[:, None, None]
-    summed = np.asarray([t.orientation_body == t.position_body for t in LinearType])[None, :, None]
+    summed = (ORIENTATION_BODIES == POSITION_BODIES)[None, :, None]
     turns, shifts = (square[:, None, None] / 2 for square in evidence.travel)
     # steps add up to the same whether their noise was averaged before or not
     return left * variance + jnp.where(summed, turns * variance + shifts * of_rotation, 0), lever

@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.constraints.types import LinearType
+from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, LinearType
 from reframe_jax.identification.evidence import IN_BODY, IN_GROUND, Evidence
 from reframe_jax.objectives.moments import component_moments
 
@@ -50,6 +50,6 @@ def noise_moments(evidence: Evidence) -> jax.Array:
     across = jnp.stack([yy + zz, -xy, -xz, xx + zz, -yz, xx + yy])
     variance = jnp.square(evidence.share * evidence.noise.rotation)
     variance = jnp.where(evidence.alone, 0, variance)
-    followed = jnp.asarray([kind.orientation_body != kind.position_body for kind in LinearType])
+    followed = jnp.asarray(ORIENTATION_BODIES != POSITION_BODIES)
     of_types = jnp.where(followed[None], variance[:, None], 0)
     return across * of_types[None, None]

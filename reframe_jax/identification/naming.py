@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.catalogue import describe, lookup
-from reframe_jax.constraints.types import PARALLEL_COSINE, AxisRelation, Dof, LinearType
+from reframe_jax.constraints.types import ORIENTATION_BODIES, PARALLEL_COSINE, AxisRelation, Dof, LinearType
 
 __all__ = ["name_class", "name_probability"]
 
@@ -35,8 +35,7 @@ def name_probability(
         screws: (N,) probability of a screw, if one rotation is free and a translation along its axis.
     """
     angular, linear = (jnp.sum(number, axis=-1) for number in dof)
-    bodies = np.asarray([int(kind.orientation_body) for kind in LinearType], np.int32)
-    body = jnp.asarray(bodies)[winner]
+    body = jnp.asarray(ORIENTATION_BODIES)[winner]
     turning = jnp.take_along_axis(axes[0], body[:, None, None, None], axis=1)[:, 0, :, 2]
     odd = jnp.where((linear == 1)[:, None], axes[1][:, :, 2], axes[1][:, :, 0])
     parallel = jnp.abs(jnp.sum(turning * odd, axis=-1)) > PARALLEL_COSINE

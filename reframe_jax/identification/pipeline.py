@@ -10,11 +10,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from reframe_jax.compilation import once
 from reframe_jax.constraints.located import ground_offset
-from reframe_jax.constraints.types import LinearType
+from reframe_jax.constraints.types import POSITION_BODIES
 from reframe_jax.identification.cautions import Caution, caution_codes
 from reframe_jax.identification.classify import (
     Thresholds,
@@ -327,7 +326,7 @@ def _linear_frame(
 
 def _along(axes: jax.Array) -> jax.Array:
     """Projectors onto the third angular axis in the bodies of the linear types' origins, (N, 4, 3, 3)."""
-    third = axes[..., 2][:, np.asarray([int(kind.position_body) for kind in LinearType], np.int32)]
+    third = axes[..., 2][:, POSITION_BODIES]
     return third[..., :, None] * third[..., None, :]
 
 

@@ -13,9 +13,8 @@ from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from reframe_jax.constraints.types import AngularType, LinearType
+from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, AngularType
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.products import matmul3
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, Symmetric, Vector
@@ -29,8 +28,6 @@ from reframe_jax.solvers import Box
 
 __all__ = ["Screw", "find_screw"]
 
-_BODIES = np.array([int(kind.orientation_body) for kind in LinearType], np.int32)
-_ORIGINS = np.array([int(kind.position_body) for kind in LinearType], np.int32)
 _LIKELY = 0.5
 _SURE = 1e-3  # of the noise, what is left of a slide at least
 _TRUSTED = 4.0  # squares of noises that are left of a slide that tells the axis
@@ -231,13 +228,13 @@ def _origins(
     passed = seen.mean[:, 0] + product(seen.mean[:, 1:], on_body)
     on_ground = jnp.where(quiet[None], passed, frames.position[:, IN_GROUND].T)
     places = [p - e * _dot(e, p)[None] for p, e in zip((on_ground, on_body), axes, strict=True)]
-    return jnp.stack([place.T for place in places], axis=1)[:, _ORIGINS]
+    return jnp.stack([place.T for place in places], axis=1)[:, POSITION_BODIES]
 
 
 def _on_axis(frames: Frames, third: jax.Array, origins: jax.Array, chosen: jax.Array) -> Frames:
     """The frames of the chosen windows (N,) with the axis, (N, 2, 3), and the origins, (N, 4, 3) m."""
     angular = put_third_axis(frames.angular_axes, third, chosen)
-    axes = jnp.where(chosen[:, None, None, None], angular[:, _BODIES], frames.axes)
+    axes = jnp.where(chosen[:, None, None, None], angular[:, ORIENTATION_BODIES], frames.axes)
     turn = matmul3(jnp.swapaxes(frames.axes, -1, -2), axes)
     local = jnp.where(chosen[:, None, None, None], matmul3(frames.local_axes, turn), frames.local_axes)
     position = jnp.where(chosen[:, None, None], origins, frames.position)

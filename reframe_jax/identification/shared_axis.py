@@ -9,9 +9,8 @@ from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from reframe_jax.constraints.types import PARALLEL_COSINE, SQUARE_COSINE, LinearType
+from reframe_jax.constraints.types import ORIENTATION_BODIES, PARALLEL_COSINE, SQUARE_COSINE, LinearType
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.products import matmul3
 from reframe_jax.identification.distances import noise_along
@@ -20,8 +19,6 @@ from reframe_jax.identification.optima import Frames, follow_where, put_third_ax
 from reframe_jax.objectives.moments import covariance_at
 
 __all__ = ["share_axis"]
-
-_BODIES = np.array([int(kind.orientation_body) for kind in LinearType], np.int32)
 
 
 def share_axis(
@@ -42,7 +39,7 @@ def share_axis(
         white: (N,) bool, whether the noise is known; the frames of other windows stay as they are.
     """
     free = jnp.sum(dof[1], axis=-1)
-    rotation = jnp.stack([evidence.axis.in_ground.T, evidence.axis.in_body.T], axis=1)[:, _BODIES]
+    rotation = jnp.stack([evidence.axis.in_ground.T, evidence.axis.in_body.T], axis=1)[:, ORIENTATION_BODIES]
     single = (evidence.axis.found & white & (jnp.sum(dof[0][:, 0], axis=-1) == 1))[:, None]
     planar = single & evidence.axis.planar[:, None]
     first, _, third = (frames.axes[..., n] for n in range(3))
@@ -55,7 +52,7 @@ def share_axis(
     # all types say the same; the noise of those whose path is summed up is larger
     shared = jnp.all(slides, axis=1)
     turning = jnp.stack([fused[:, LinearType.GB], fused[:, LinearType.BG]], axis=1)
-    same = turning[:, _BODIES]
+    same = turning[:, ORIENTATION_BODIES]
     same = jnp.where(_dot(same, fused)[..., None] < 0, -same, same)
     fused = jnp.where(shared[:, None, None], same, fused)
     # elsewhere the third axis may be the axis of rotation, with nothing beside it

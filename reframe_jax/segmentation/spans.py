@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.compilation import compiler_options, once
-from reframe_jax.constraints.types import LinearType
+from reframe_jax.constraints.types import POSITION_BODIES, AngularType
 from reframe_jax.geometry import symmetric
 from reframe_jax.objectives.moments import covariance_at, covariance_hessian
 from reframe_jax.objectives.velocity import PositionObjective
@@ -26,7 +26,7 @@ _STEPS = 3, 3, 4  # of the search: from the origins of the two spans within a sp
 _SEGMENTS = 32  # spans fitted at once
 _STEPS_ALONE = 12  # of the search of one fit, from each of these points of a cube
 _CORNERS = np.array([(0, 0, 0), *np.ndindex(2, 2, 2)]) * 2 - np.array([(0, 0, 0), *[(1, 1, 1)] * 8])
-_ON_BODY = np.array([t.position_body == 1 for t in LinearType])  # the origin is fixed in {b}
+_ON_BODY = POSITION_BODIES == AngularType.B  # the origin is fixed in {b}
 
 
 class Totals(NamedTuple):
