@@ -76,8 +76,8 @@ def above_truth(label):
 
 
 def test_slow_motion_is_mostly_explained_as_well_as_by_the_truth():
-    """Its valleys are many and narrow: without rounds 15 % of these searches end above the truth, not 8 %."""
-    assert np.mean(np.concatenate([above_truth(label) for label in "KL"]) > 1e-3) < 0.11
+    """Its valleys are many and narrow: without rounds 21 % of these searches end above the truth, not 4 %."""
+    assert np.mean(np.concatenate([above_truth(label) for label in "KL"]) > 1e-3) < 0.07
 
 
 # the stillest axis alone (-inf) has many minima of nearly the same depth: which of them a search ends in

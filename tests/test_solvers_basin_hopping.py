@@ -23,7 +23,7 @@ from planted_problems import (
 from reframe_jax.objectives.moments import velocity_moments
 from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
 from reframe_jax.solvers import BasinHopping, Box, FrameSteps, NewtonSteps, OptaxSteps, ValleySteps
-from reframe_jax.solvers.seeds import fresh_starts
+from reframe_jax.solvers.seeds import suggested_starts
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +69,7 @@ class TestBasinHopping:
         by_hand = compiled(lambda state: self.solver.finish(objective, POSITIONS, state))(state)
         gain = np.min(state.best_value, axis=0) - np.asarray(by_hand.value)
         assert np.min(gain) >= 0
-        assert np.max(gain) > 0.01
+        assert np.max(gain) > 2e-3
         np.testing.assert_allclose(by_hand.value, value_of(by_hand.x), rtol=1e-10)
         at_once = search_positions(self.solver, moments)
         np.testing.assert_allclose(at_once.x, by_hand.x, atol=1e-9)
@@ -106,25 +106,28 @@ class TestBasinHopping:
         moments = velocity_moments(jnp.asarray(maps))
         once = BasinHopping(ValleySteps(2), restarts=5, hops=2, polish=1)
         rounds = dataclasses.replace(once, rounds=4)
-        first = search(dataclasses.replace(once, hops=0, polish=0), moments, KEY, POSITIONS)
+        first = search(dataclasses.replace(rounds, hops=0, polish=0), moments, KEY, POSITIONS)
+        short = search(dataclasses.replace(rounds, rounds=1), moments, KEY, POSITIONS)
         found = search(rounds, moments, KEY, POSITIONS)
         settled = np.ptp(np.asarray(first.end_values), axis=0) < once.settled
         gain = np.asarray(first.value - found.value)
         assert np.all(gain >= 0)
         np.testing.assert_allclose(gain[settled], 0, atol=1e-9)
-        assert np.max(gain) > 0.01
-        met = np.sum(np.asarray(found.end_values) < np.asarray(found.value) + once.settled, axis=0) >= 4
-        assert np.mean(met) > np.mean(settled)
+        assert np.max(gain) > 2e-3
+        assert np.max(np.asarray(short.value - found.value)) > 2e-3
+        # the ends are those of the first round, and the best
+        assert np.sum(np.asarray(found.end_values) != np.asarray(short.end_values)) < 24
+        np.testing.assert_allclose(np.min(found.end_values, axis=0), found.value)
         for i in (0, 3, 11):
             alone = search(rounds, moments[..., i : i + 1], KEY, POSITIONS)
             np.testing.assert_allclose(alone.value, found.value[i : i + 1], atol=1e-6)
         never = search(dataclasses.replace(rounds, settled=1e9), moments, KEY, POSITIONS)
         np.testing.assert_allclose(never.value, first.value, atol=1e-9)
 
-    def test_fresh_starts_are_the_stillest_origins_along_their_directions(self, moments):
+    def test_suggested_starts_are_the_stillest_origins_along_their_directions(self, moments):
         """No other origin moves less along the direction that the key draws; all lie in the box."""
         objective, wide = PositionObjective(moments), Box(jnp.full(3, -1e3), jnp.full(3, 1e3))
-        points = np.asarray(fresh_starts(objective, wide, KEY, 3))
+        points = np.asarray(suggested_starts(objective, wide, KEY, 3, 1))
         assert points.shape == (3, 3, 4)
         directions = np.asarray(jax.random.normal(KEY, (3, 3)))
 
@@ -140,9 +143,9 @@ class TestBasinHopping:
         least = along(points)
         for step in 0.01 * np.concatenate([np.eye(3), -np.eye(3)]):
             assert np.all(along(points + step[:, None, None]) >= least - 1e-12)
-        near = fresh_starts(objective, POSITIONS, KEY, 3)
+        near = suggested_starts(objective, POSITIONS, KEY, 3, 1)
         np.testing.assert_allclose(near, np.clip(points, -1, 1), atol=1e-12)
-        anywhere = fresh_starts(FrameObjective(moments), FRAMES, KEY, 3)
+        anywhere = suggested_starts(FrameObjective(moments), FRAMES, KEY, 3, 1)
         assert anywhere.shape == (6, 3, 4)
 
     def test_one_chain_meets_nobody(self, moments):

@@ -46,7 +46,7 @@ _FEWEST = 1024  # windows in a piece on an accelerator
 
 _compiled_programs: set[Any] = set()  # that threads may run without compiling them at the same time
 
-_VALLEY = BasinHopping(ValleySteps(6), restarts=7, hops=3, polish=2, rounds=8)
+_VALLEY = BasinHopping(ValleySteps(6), restarts=7, hops=2, polish=1, rounds=8)
 _POSITIVE = BasinHopping(ValleySteps(8), restarts=8, hops=4, polish=2)
 _NEGATIVE = JointSearch(BasinHopping(FrameSteps(10), restarts=16, hops=3, polish=2), refine=ValleySteps(4))
 

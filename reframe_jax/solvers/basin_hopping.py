@@ -1,6 +1,5 @@
 """The global search: basin hopping from many starts, for many problems at once."""
 
-import math
 from dataclasses import dataclass
 from functools import partial
 from typing import cast
@@ -15,7 +14,7 @@ from reframe_jax.solvers.box import Box
 from reframe_jax.solvers.kernel import step_chains
 from reframe_jax.solvers.problems import flatten_problems, repeat_problems
 from reframe_jax.solvers.protocol import LocalMinimiser, Solution
-from reframe_jax.solvers.seeds import fresh_starts, quasi_random
+from reframe_jax.solvers.seeds import quasi_random, suggested_starts
 from reframe_jax.solvers.transition import Chains, Coordinates, transition
 from reframe_jax.solvers.valley_steps import ValleySteps
 
@@ -23,8 +22,8 @@ __all__ = ["BasinHopping", "SearchState"]
 
 _FEW = 4  # problems, those of one window, that are searched in a single loop
 _AT_ONCE = 1024  # minimizations at a time; if there are more, restarts take turns
-_FRESH = 0.4  # share of the chains that begin a round elsewhere
-_MET = 0.7  # share of the chains whose meeting ends the rounds
+_SUGGESTED = 0.4  # share of the chains that start where the data suggest
+_CANDIDATES = 4, 64  # of every such start, and of every chain that begins a round afresh
 _LATER = 256  # on an accelerator, rounds after the first take this part of all problems at a time
 
 
@@ -58,6 +57,32 @@ def _state(hop: jax.Array, key: jax.Array, chains: Chains) -> SearchState:
     return SearchState(hop, key, x, chains.value, best_x, chains.best_value)
 
 
+def _where(chosen: jax.Array, new: Chains, old: Chains) -> Chains:
+    """The new chains of the chosen problems (...), the old ones of the others."""
+    return jax.tree.map(lambda a, b: jnp.where(jnp.broadcast_to(chosen, a.shape), a, b), new, old)
+
+
+def _lowest(chains: Chains) -> tuple[jax.Array, jax.Array]:
+    """The best point that any chain has met, (dim, 1, ...), and the value there, (1, ...)."""
+    best = jnp.argmin(chains.best_value, axis=0)[None]
+    x = jnp.take_along_axis(cast(jax.Array, chains.best_x), best[None], axis=1)
+    return x, jnp.take_along_axis(chains.best_value, best, axis=0)
+
+
+def _with_best(ends: Chains, chains: Chains) -> Chains:
+    """Where chains ended in the first round, and instead of the highest end what later rounds found below.
+
+    Chains that begin afresh are led to the lowest values. Those of the first round ended wherever the valleys
+    led them, in other optima of nearly the same value too.
+    """
+    x, value = _lowest(chains)
+    rank = jnp.arange(len(ends.best_value)).reshape(-1, *([1] * (ends.best_value.ndim - 1)))
+    highest = rank == jnp.argmax(ends.best_value, axis=0)[None]
+    put = highest & (value < jnp.min(ends.best_value, axis=0)[None])
+    best_x = jnp.where(put[None], x, cast(jax.Array, ends.best_x))
+    return ends._replace(best_x=best_x, best_value=jnp.where(put, value, ends.best_value))
+
+
 @dataclass(frozen=True)
 class BasinHopping:
     """Basin hopping (Wales & Doye 1997) from quasi-random restarts.
@@ -68,11 +93,11 @@ class BasinHopping:
     stops hopping. Most problems settle, which makes the search fast. All problems use the same random
     numbers, so the answer depends on the data of the problem and the key, not on its place in a batch.
 
-    With ``rounds``, a problem that did not settle goes through rounds until most of its chains have met at
-    the best value. In the first all chains go on from where they are. In each of the others one chain goes on
-    from the best point, some begin at a fresh one (see :func:`fresh_starts`), the others stay where they are.
-    These minimize from there without a jump; the other ``hops`` + ``polish`` - 1 steps follow. Slow motion,
-    whose valleys are many and narrow, needs rounds.
+    With ``rounds``, some chains start where the data suggest (see :func:`suggested_starts`), and a problem
+    that did not settle goes through rounds until all its chains have met at the best value. In the first they
+    go on from where they are. In each of the others one chain goes on from the best point, the others begin
+    afresh where the data suggest. These minimize from there without a jump; the other ``hops`` + ``polish`` -
+    1 steps follow. Slow motion, whose valleys are many and narrow, needs rounds.
 
     :meth:`minimise` is the whole search. To watch a search or stop it early, call ``init``, then ``step`` 1 +
     ``hops`` + ``polish`` times, then ``finish``. All three are pure functions of arrays that may be compiled;
@@ -110,7 +135,8 @@ class BasinHopping:
             objective: the problems.
             box: where to search.
             key: of the random numbers.
-            starts: (dim, restarts, ...); quasi-random points, the same for all problems, by default.
+            starts: (dim, restarts, ...); by default quasi-random points, the same for all problems, and
+                those that the data suggest.
 
         Raises:
             ValueError: if the objective is not an :class:`Objective`.
@@ -119,11 +145,22 @@ class BasinHopping:
         batch, dtype = objective.batch, objective.dtype
         seed_key, key = jax.random.split(key)
         if starts is None:
-            starts = box.scale(quasi_random(seed_key, self.restarts, objective.dim, dtype))
-            starts = starts.reshape(objective.dim, self.restarts, *([1] * len(batch)))
+            starts = self._starts(objective, box, seed_key)
         x = jnp.broadcast_to(starts, (objective.dim, self.restarts, *batch))
         value = jnp.full(x.shape[1:], jnp.inf, dtype=dtype)
         return SearchState(jnp.zeros((), jnp.int32), key, x, value, x, value)
+
+    def _starts(self, objective: Objective, box: Box, key: jax.Array) -> jax.Array:
+        """Where the chains start, (dim, restarts, ...), or with ones for the axes of the problems."""
+        suggested = round(_SUGGESTED * self.restarts) if self.rounds else 0
+        filling = self.restarts - suggested
+        starts = box.scale(quasi_random(key, filling, objective.dim, objective.dtype))
+        starts = starts.reshape(objective.dim, filling, *([1] * len(objective.batch)))
+        if suggested == 0:
+            return starts
+        starts = jnp.broadcast_to(starts, (objective.dim, filling, *objective.batch))
+        more = suggested_starts(objective, box, jax.random.fold_in(key, 1), suggested, _CANDIDATES[0])
+        return jnp.concatenate([starts, more], axis=1)
 
     def step(self, objective: Objective, box: Box, state: SearchState) -> SearchState:
         """One step of every chain: jump, minimize, and accept or stay.
@@ -192,31 +229,29 @@ class BasinHopping:
         key = self._draw(state.key, objective.dim, state.x.dtype)[2]  # after the first minimization
         begin = partial(self._begin_round, objective, box, key)
 
-        def goes_on(carry: tuple[SearchState, jax.Array, jax.Array]) -> jax.Array:
-            _, ended, is_open = carry
+        def goes_on(carry: tuple[SearchState, Chains, jax.Array, jax.Array]) -> jax.Array:
+            _, _, ended, is_open = carry
             return (ended <= self._most_rounds) & jnp.any(is_open)
 
         def advance(
-            carry: tuple[SearchState, jax.Array, jax.Array],
-        ) -> tuple[SearchState, jax.Array, jax.Array]:
-            before, ended, is_open = carry
+            carry: tuple[SearchState, Chains, jax.Array, jax.Array],
+        ) -> tuple[SearchState, Chains, jax.Array, jax.Array]:
+            before, ends, ended, is_open = carry
             after = self.step(objective, box, before)
-            chains = jax.tree.map(
-                lambda new, old: jnp.where(jnp.broadcast_to(is_open, new.shape), new, old),
-                after.chains,
-                before.chains,
-            )
-            state = _state(after.hop, after.key, chains)
+            state = _state(after.hop, after.key, _where(is_open, after.chains, before.chains))
             first = ended == 0
             # the first round begins after the first minimization, the others with one
             last = self.hops + self.polish + (ended == 1).astype(jnp.int32)
-            ends = first | (state.hop == last)
-            done = jnp.where(first, self._is_settled(state), self._has_met(state))
-            state = jax.lax.cond(ends, begin, lambda state, _: state, state, ended)
-            return state, ended + ends.astype(jnp.int32), is_open & ~(ends & done)
+            stops = first | (state.hop == last)
+            done = self._have_met(jnp.where(first, state.value, state.best_value))
+            ends = _where(ended < 2, state.chains, ends)
+            state = jax.lax.cond(stops, begin, lambda state, _: state, state, ended)
+            return state, ends, ended + stops.astype(jnp.int32), is_open & ~(stops & done)
 
         every = jnp.ones(state.value.shape[1:], dtype=bool)
-        return jax.lax.while_loop(goes_on, advance, (state, jnp.zeros((), jnp.int32), every))[0]
+        start = state, state.chains, jnp.zeros((), jnp.int32), every
+        state, ends, _, _ = jax.lax.while_loop(goes_on, advance, start)
+        return _state(state.hop, state.key, _with_best(ends, state.chains))
 
     def _advance(self, objective: Objective, box: Box, state: SearchState, count: int) -> SearchState:
         """Make ``count`` steps."""
@@ -234,9 +269,9 @@ class BasinHopping:
         flat_objective, chains = flatten_problems((objective, state.chains), len(batch))
 
         def a_round(
-            carry: tuple[jax.Array, Chains, jax.Array], share: int = BLOCK_SHARE
-        ) -> tuple[jax.Array, Chains, jax.Array]:
-            number, chains, is_open = carry
+            carry: tuple[jax.Array, Chains, Chains, jax.Array], share: int = BLOCK_SHARE
+        ) -> tuple[jax.Array, Chains, Chains, jax.Array]:
+            number, chains, ends, is_open = carry
 
             def further(block: tuple[Objective, Chains]) -> Chains:
                 objective, chains = block
@@ -245,20 +280,22 @@ class BasinHopping:
                 return self._advance(objective, box, start, self.hops + self.polish).chains
 
             chains = update_marked(further, is_open, (flat_objective, chains), chains, share)
-            return number + 1, chains, is_open & ~self._has_met(_state(state.hop, state.key, chains))
+            ends = _where(number == 0, chains, ends)
+            return number + 1, chains, ends, is_open & ~self._have_met(chains.best_value)
 
-        def goes_on(carry: tuple[jax.Array, Chains, jax.Array]) -> jax.Array:
-            number, _, is_open = carry
+        def goes_on(carry: tuple[jax.Array, Chains, Chains, jax.Array]) -> jax.Array:
+            number, _, _, is_open = carry
             return (number < self._most_rounds) & jnp.any(is_open)
 
-        carry = jnp.zeros((), jnp.int32), chains, ~self._is_settled(state).reshape(-1)
+        carry = jnp.zeros((), jnp.int32), chains, chains, ~self._have_met(state.value).reshape(-1)
         share = BLOCK_SHARE
         if jax.default_backend() != "cpu":
             # few problems need more than one round, and an accelerator works on many at once
             carry, share = a_round(carry), _LATER
-        _, chains, _ = jax.lax.while_loop(goes_on, partial(a_round, share=share), carry)
-        chains = jax.tree.map(lambda a: a.reshape(*a.shape[:-1], *batch), chains)
-        return _state(state.hop, state.key, chains)
+        _, chains, ends, _ = jax.lax.while_loop(goes_on, partial(a_round, share=share), carry)
+        ends = _with_best(ends, chains)
+        ends = jax.tree.map(lambda a: a.reshape(*a.shape[:-1], *batch), ends)
+        return _state(state.hop, state.key, ends)
 
     def _begin_round(
         self, objective: Objective, box: Box, key: jax.Array, state: SearchState, number: jax.Array
@@ -274,34 +311,25 @@ class BasinHopping:
         """
         if self.rounds < 2:
             return state
-        fresh = partial(self._fresh_round, objective, box, jax.random.fold_in(key, number), state)
-        return jax.lax.cond(number == 0, lambda: state, fresh)
+        afresh = partial(self._begin_afresh, objective, box, jax.random.fold_in(key, number), state)
+        return jax.lax.cond(number == 0, lambda: state, afresh)
 
-    def _fresh_round(self, objective: Objective, box: Box, key: jax.Array, state: SearchState) -> SearchState:
-        """One chain at the best point, some at fresh ones, the others where they are."""
+    def _begin_afresh(
+        self, objective: Objective, box: Box, key: jax.Array, state: SearchState
+    ) -> SearchState:
+        """One chain at the best point, the others where the data suggest."""
         start_key, key = jax.random.split(key)
-        fresh = round(_FRESH * self.restarts)
-        starts = fresh_starts(objective, box, start_key, fresh)
-        best = jnp.argmin(state.best_value, axis=0)[None]
-        kept = self.restarts - fresh
-        x = jnp.concatenate(
-            [jnp.take_along_axis(state.best_x, best[None], axis=1), state.x[:, 1:kept], starts], axis=1
-        )
-        nowhere = jnp.full(starts.shape[1:], jnp.inf, state.value.dtype)
-        lowest = jnp.take_along_axis(state.best_value, best, axis=0)
-        value = jnp.concatenate([lowest, state.value[1:kept], nowhere])
+        starts = suggested_starts(objective, box, start_key, self.restarts - 1, _CANDIDATES[1])
+        x, value = _lowest(state.chains)
+        x = jnp.concatenate([x, starts], axis=1)
+        value = jnp.concatenate([value, jnp.full(starts.shape[1:], jnp.inf, value.dtype)])
         return _state(jnp.zeros_like(state.hop), key, state.chains._replace(x=x, value=value))
 
-    def _has_met(self, state: SearchState) -> jax.Array:
-        """Whether most chains have met at the best value that any of them has found, (...)."""
-        near = state.best_value < jnp.min(state.best_value, axis=0)[None] + self.settled
-        return jnp.sum(near, axis=0, dtype=jnp.int32) >= math.ceil(_MET * self.restarts)
-
-    def _is_settled(self, state: SearchState) -> jax.Array:
-        """Whether all chains met, (...). One chain meets nobody."""
+    def _have_met(self, value: jax.Array) -> jax.Array:
+        """Whether chains (restarts, ...) all have about the same value, (...). One chain meets nobody."""
         if self.restarts == 1:
-            return jnp.zeros(state.value.shape[1:], dtype=bool)
-        return jnp.max(state.value, axis=0) - jnp.min(state.value, axis=0) < self.settled
+            return jnp.zeros(value.shape[1:], dtype=bool)
+        return jnp.max(value, axis=0) - jnp.min(value, axis=0) < self.settled
 
     def _in_a_kernel(
         self,

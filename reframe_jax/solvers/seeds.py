@@ -8,8 +8,9 @@ from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.symmetric import INDEX_PAIRS
 from reframe_jax.objectives.protocol import MomentsObjective, Objective
 from reframe_jax.solvers.box import Box
+from reframe_jax.solvers.problems import repeat_problems
 
-__all__ = ["fresh_starts", "quasi_random", "stillest_origins"]
+__all__ = ["quasi_random", "stillest_origins", "suggested_starts"]
 
 _RIDGE = 1e-9  # see stillest_origins
 
@@ -37,18 +38,21 @@ def quasi_random(key: jax.Array, count: int, dim: int, dtype: jnp.dtype) -> jax.
     return jnp.mod(jnp.asarray(steps % 1, dtype=dtype) + shift, 1)
 
 
-def fresh_starts(objective: Objective, box: Box, key: jax.Array, count: int) -> jax.Array:
-    """Points at which a search that goes on may begin again, of every problem.
+def suggested_starts(
+    objective: Objective, box: Box, key: jax.Array, count: int, candidates: int
+) -> jax.Array:
+    """Points at which a search may begin, as the data of every problem suggest them.
 
-    Of a norm of velocities over positions: the origins that move least along random directions. The origin
-    of a constraint is one of them, for the direction that it constrains. Of other objectives: quasi-random
-    points.
+    Of a norm of velocities over positions: origins that move least along random directions. The origin of a
+    constraint is one of them, for the direction that it constrains. Every point is the best of some such
+    candidates. Of other objectives: quasi-random points.
 
     Args:
         objective: the problems.
         box: that holds the points.
         key: JAX random key.
         count: number of points.
+        candidates: directions that are tried for every point.
 
     Returns:
         (dim, count, ...), in the unit of the unknowns.
@@ -58,12 +62,17 @@ def fresh_starts(objective: Objective, box: Box, key: jax.Array, count: int) -> 
         points = box.scale(quasi_random(key, count, objective.dim, dtype))
         points = points.reshape(objective.dim, count, *([1] * len(batch)))
         return jnp.broadcast_to(points, (objective.dim, count, *batch))
-    d = jax.random.normal(key, (3, count), dtype=dtype).reshape(3, count, *([1] * len(batch)))
+    d = jax.random.normal(key, (3, candidates * count), dtype=dtype)
+    d = d.reshape(3, candidates * count, *([1] * len(batch)))
     # coefficients of d^T Sigma(p) d; its gradient vanishes where it is least
-    q = jnp.zeros((10, count, *batch), dtype)
+    q = jnp.zeros((10, candidates * count, *batch), dtype)
     for (a, b), row in zip(INDEX_PAIRS, objective.moments, strict=True):
         q = q + (1 if a == b else 2) * (d[a] * d[b])[None] * row[:, None]
-    return stillest_origins(q, box, _RIDGE)
+    points = stillest_origins(q, box, _RIDGE)
+    values = repeat_problems(objective, len(batch), candidates * count).value(points)
+    points = points.reshape(3, candidates, count, *batch)
+    best = jnp.argmin(values.reshape(candidates, count, *batch), axis=0)
+    return jnp.take_along_axis(points, best[None, None], axis=1)[:, 0]
 
 
 def stillest_origins(q: jax.Array, box: Box, ridge: float) -> jax.Array:
