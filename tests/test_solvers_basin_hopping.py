@@ -104,12 +104,11 @@ class TestBasinHopping:
         rng = np.random.default_rng(5)
         maps = np.stack([planted(rng, FREE[i % 4])[0] for i in range(24)])
         moments = velocity_moments(jnp.asarray(maps))
-        once = BasinHopping(ValleySteps(2), restarts=5, hops=2, polish=1)
-        rounds = dataclasses.replace(once, rounds=4)
+        rounds = BasinHopping(ValleySteps(2), restarts=3, hops=1, polish=0, rounds=4)
         first = search(dataclasses.replace(rounds, hops=0, polish=0), moments, KEY, POSITIONS)
         short = search(dataclasses.replace(rounds, rounds=1), moments, KEY, POSITIONS)
         found = search(rounds, moments, KEY, POSITIONS)
-        settled = np.ptp(np.asarray(first.end_values), axis=0) < once.settled
+        settled = np.ptp(np.asarray(first.end_values), axis=0) < rounds.settled
         gain = np.asarray(first.value - found.value)
         assert np.all(gain >= 0)
         np.testing.assert_allclose(gain[settled], 0, atol=1e-9)
