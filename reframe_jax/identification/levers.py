@@ -2,10 +2,12 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, LinearType
+from reframe_jax.geometry.symmetric import INDEX_PAIRS
 from reframe_jax.identification.evidence import IN_BODY, IN_GROUND, Evidence
-from reframe_jax.objectives.moments import component_moments
+from reframe_jax.objectives.moments import MONOMIALS
 
 __all__ = ["lever_moments", "noise_moments"]
 
@@ -36,7 +38,10 @@ def lever_moments(evidence: Evidence) -> jax.Array:
 
 def _square(path: jax.Array) -> jax.Array:
     """Moments (6, 10, ...) of a single sample, (3, 4, ...)."""
-    return component_moments(path[:, :, None], jnp.ones_like(path[0, :1]))
+    (i, j), (a, b) = np.transpose(INDEX_PAIRS), np.transpose(MONOMIALS)
+    straight, crossed = path[i][:, a] * path[j][:, b], path[i][:, b] * path[j][:, a]
+    twice = (a != b).reshape(1, -1, *([1] * (path.ndim - 2)))
+    return straight + jnp.where(twice, crossed, 0)
 
 
 def noise_moments(evidence: Evidence) -> jax.Array:

@@ -25,6 +25,7 @@ from reframe_jax.objectives.moments import covariance_at
 from reframe_jax.objectives.norms import principal_axes
 from reframe_jax.solvers import Box
 from reframe_jax.solvers.implicit import attach_derivative
+from reframe_jax.solvers.problems import repeat_problems
 
 __all__ = ["likeliest_frames"]
 
@@ -136,13 +137,14 @@ def _descend(problem: _Tied, box: Box) -> jax.Array:
             along = jnp.stack(axis)
             share = jnp.sum(along * slope, axis=0) / jnp.maximum(jnp.abs(strength), prior)
             down = down - share[None] * along
-        chosen = x
-        for length in _LENGTHS:
-            there = once(box.clip(x + length * down))
-            found = once(problem.value(there))
-            better = found < best
-            chosen, best = jnp.where(better[None], there, chosen), jnp.where(better, found, best)
-        return chosen, best
+        lengths = jnp.asarray(_LENGTHS, x.dtype)
+        tried = once(jax.vmap(lambda length: box.clip(x + length * down), out_axes=1)(lengths))
+        found = once(repeat_problems(problem, 1, len(_LENGTHS)).value(tried))
+        shortest = jnp.argmin(found, axis=0)[None]
+        there = jnp.take_along_axis(tried, shortest[None], axis=1)[:, 0]
+        lowest = jnp.take_along_axis(found, shortest, axis=0)[0]
+        better = lowest < best
+        return jnp.where(better[None], there, x), jnp.where(better, lowest, best)
 
     return jax.lax.fori_loop(0, _STEPS, step, (start, problem.value(start)))[0]
 

@@ -91,8 +91,8 @@ class Frames:
 
 def pick_type(array: jax.Array, index: jax.Array) -> jax.Array:
     """From (N, T, ...) what belongs to one type each, (N, ...)."""
-    index = index.reshape(*index.shape, *([1] * (array.ndim - index.ndim)))
-    return jnp.take_along_axis(array, index, axis=1)[:, 0]
+    chosen = index[:, None] == jnp.arange(array.shape[1], dtype=index.dtype)[None]
+    return _sum_where(chosen.reshape(*chosen.shape, *([1] * (array.ndim - 2))), array, 1)
 
 
 def follow_where(chosen: jax.Array, value: jax.Array) -> jax.Array:
@@ -112,8 +112,15 @@ def follow_last(chosen: jax.Array, value: jax.Array) -> jax.Array:
 
 def pick_problem(types: jax.Array, leaf: jax.Array) -> jax.Array:
     """From (..., N, T) what belongs to one type each, (..., N)."""
-    index = types.reshape(*([1] * (leaf.ndim - 2)), -1, 1)
-    return jnp.take_along_axis(leaf, index, axis=-1)[..., 0]
+    chosen = types[:, None] == jnp.arange(leaf.shape[-1], dtype=types.dtype)[None]
+    return _sum_where(chosen.reshape(*[1] * (leaf.ndim - 2), *chosen.shape), leaf, -1)
+
+
+def _sum_where(chosen: jax.Array, array: jax.Array, axis: int) -> jax.Array:
+    """The one entry that is chosen along an axis. A sum compiles sooner than a gather."""
+    if array.dtype == bool:
+        return jnp.any(chosen & array, axis=axis)
+    return jnp.sum(jnp.where(chosen, array, 0), axis=axis, dtype=array.dtype)
 
 
 def _seen_from(maps: jax.Array, axes: jax.Array, origin: jax.Array | None = None) -> jax.Array:

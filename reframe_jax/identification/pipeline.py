@@ -373,8 +373,8 @@ def _is_finite(found: Identification) -> jax.Array:
     """Whether all numbers of a window are finite, (N,)."""
     found = replace(found, pitch=jnp.where(jnp.isnan(found.pitch), 0, found.pitch))  # of no screw
     leaves = [x for x in jax.tree.leaves(found) if jnp.issubdtype(x.dtype, jnp.floating)]
-    finite = [jnp.all(jnp.isfinite(x).reshape(len(x), -1), axis=1) for x in leaves]
-    return jnp.all(jnp.stack(finite), axis=0)
+    numbers = jnp.concatenate([x.reshape(len(x), -1) for x in leaves], axis=1)
+    return jnp.all(jnp.isfinite(numbers), axis=1)
 
 
 def _blank(failed: jax.Array, leaf: jax.Array) -> jax.Array:

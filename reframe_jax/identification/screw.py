@@ -173,12 +173,11 @@ def _tilt_and_point(
     ``trust``, (N,), says.
     """
     e, y, angle = seen.in_ground, seen.in_body, seen.with_angle
-    across = tuple((1 if i == j else 0) - e[i] * e[j] for i, j in INDEX_PAIRS)
+    across = jnp.stack([(1 if i == j else 2) * ((1 if i == j else 0) - e[i] * e[j]) for i, j in INDEX_PAIRS])
+    bends = jnp.sum(across[:, None] * seen.paths, axis=0)  # traces of Q and every coefficient
 
     def bend(a: int, b: int) -> jax.Array:
-        column = seen.paths[:, MONOMIALS.index((a, b))]
-        total = symmetric.trace_product(cast(Symmetric, across), cast(Symmetric, tuple(column)))
-        return total if a == b else total / 2
+        return bends[MONOMIALS.index((a, b))] / (1 if a == b else 2)
 
     pull = jnp.stack([bend(0, a) for a in (1, 2, 3)])
     levers = [bend(a + 1, b + 1) for a, b in INDEX_PAIRS]

@@ -184,6 +184,8 @@ class BasinHopping:
 
     def _draw(self, key: jax.Array, dim: int, dtype: np.dtype) -> tuple[jax.Array, jax.Array, jax.Array]:
         """Jump of every chain as a share of the box, (dim, restarts), the rise it accepts, the next key."""
+        if self.hops == 0:
+            return jnp.zeros((dim, self.restarts), dtype), jnp.zeros(self.restarts, dtype), key
         jump_key, accept_key, key = jax.random.split(key, 3)
         jump = self.hop_size * jax.random.normal(jump_key, (dim, self.restarts), dtype=dtype)
         chance = jax.random.uniform(accept_key, (self.restarts,), dtype=dtype)
