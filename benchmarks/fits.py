@@ -25,6 +25,7 @@ from reframe_jax.simulation import metrics
 __all__ = ["LINE_FITS", "QUANTITIES", "Line", "Scores", "Windows", "anneal", "line_scores", "scores"]
 
 QUANTITIES = ("angular", "linear", "position")
+_SURE = 0.9  # probability of a name that is given without a doubt
 _THRESHOLDS = rf.Thresholds()
 
 
@@ -60,7 +61,8 @@ class Scores:
     Attributes:
         errors: of each of ``QUANTITIES``, (N,) in rad, rad and m; NaN where nothing is said or asked.
         bounds: what the bound allows, likewise.
-        right: by "types", "dof" and "name", (N,) bool; empty for contestants that do not say.
+        right: by "types", "dof" and "name", (N,) bool; and "silent": another name is given, with a
+            probability of 0.9 or more. Empty for contestants that do not say.
     """
 
     errors: dict[str, np.ndarray]
@@ -93,6 +95,7 @@ def scores(found: rf.Identification, windows: Windows) -> Scores:
 
     types, body = np.array([int(kind) for kind in kinds])[linear], np.array(bodies)[angular]
     bound = jax.tree.map(np.asarray, windows.bound)
+    right = np.asarray(found.name == entry.name)
     return Scores(
         {
             "angular": pick("angular", angular),
@@ -107,7 +110,8 @@ def scores(found: rf.Identification, windows: Windows) -> Scores:
         {
             "types": np.asarray(metrics.types_correct(found, frame, ties=True)),
             "dof": np.asarray(metrics.dof_correct(found, frame)),
-            "name": np.asarray(found.name == entry.name),
+            "name": right,
+            "silent": ~right & (np.asarray(found.probability) >= _SURE),
         },
     )
 

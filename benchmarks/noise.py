@@ -13,7 +13,8 @@ Errors are those of the unique axes and components of the position. Each is prin
 the mean square, and, with an x, the median of its ratio to the bound of the window, for which an efficient
 estimate has 0.7 (one unknown) to 0.9 (three). The bounds of E to H are those for consecutive poses; see
 :mod:`benchmarks.bounds`. What nobody can tell from a window, because its bound is above 0.2 rad or 0.1 m, is
-left out. Right are the types (ties accepted), the numbers of degrees of freedom, and the name.
+left out. Right are the types (ties accepted), the numbers of degrees of freedom, and the name; silent is the
+share of windows that get another name with a probability of 0.9 or more.
 """
 
 import sys
@@ -37,6 +38,8 @@ from reframe_jax.simulation.synthetic import EXCITATIONS
 
 DURATION = 5.0  # s
 RATIOS = 1.0, 20.0  # rad/m, between which the ratio of rotation to position noise is drawn
+# by name, what their column of a table is called
+SHARES = {"types": "types_right", "dof": "dof_right", "name": "name_right", "silent": "silent"}
 MEANINGLESS = {"angular": 0.2, "linear": 0.2, "position": 0.1}  # bounds, in rad and m
 UNITS = {"angular": np.degrees(1.0), "linear": np.degrees(1.0), "position": 1e3}
 ERRORS = {
@@ -80,8 +83,8 @@ class Table:
             row[f"{name}_bound"] = np.where(
                 known & np.isfinite(scored.errors[name]), scored.bounds[name], np.nan
             )
-        for name in ("types", "dof", "name"):
-            row[f"{name}_right"] = np.asarray(scored.right.get(name, blank), dtype=float)
+        for name, column in SHARES.items():
+            row[column] = np.asarray(scored.right.get(name, blank), dtype=float)
         for name, values in row.items():
             self.columns.setdefault(name, []).append(values)
 
@@ -174,7 +177,9 @@ def _anneal_some(table: Table, plan: Plan, found: rf.Identification, groups: lis
         rows = np.unique(np.linspace(0, size - 1, min(plan.annealed, size)).astype(int))
         annealed, seconds = anneal(found[start + rows], windows[rows])
         some = {name: values[rows] for name, values in where.items()}
-        table.add("dual annealing", some, scores(annealed, windows[rows]))
+        scored = scores(annealed, windows[rows])
+        scored.right.pop("silent")  # it gives no probability
+        table.add("dual annealing", some, scored)
         start, total, count = start + size, total + seconds, count + len(rows)
     return _time(float(groups[0][1]["rate"][0]), "dual annealing", count, total, 0.0)
 
@@ -200,9 +205,9 @@ def summarise(table: dict[str, np.ndarray], by: Sequence[str]) -> list[dict[str,
                 f"{name}_bound_{unit}": scale * float(np.sqrt(np.mean(bounds**2))) if known.any() else None,
                 f"{name}_ratio": float(np.median(errors / bounds)) if known.any() else None,
             }
-        for name in ("types", "dof", "name"):
-            right = table[f"{name}_right"][here]
-            row[f"{name}_right"] = None if np.isnan(right).all() else float(np.mean(right))
+        for column in SHARES.values():
+            right = table[column][here]
+            row[column] = None if np.isnan(right).all() else float(np.mean(right))
         rows.append(row)
     return rows
 
@@ -211,7 +216,7 @@ def show(rows: list[dict[str, Any]], by: str, title: str) -> None:
     """Print a table of figures."""
     print(f"\n{title}")
     heads = [f"{name + ', ' + unit:>25}" for name, unit in zip(QUANTITIES, ("deg", "deg", "mm"), strict=True)]
-    print(f"{'':8}{'':15}{''.join(heads)}{'types':>9}{'dof':>6}{'name':>6}")
+    print(f"{'':8}{'':15}{''.join(heads)}{'types':>9}{'dof':>6}{'name':>6}{'silent':>8}")
     last: Any = None
     for row in rows:
         value = row[by] if isinstance(row[by], str) else f"{row[by]:g}"
@@ -221,10 +226,10 @@ def show(rows: list[dict[str, Any]], by: str, title: str) -> None:
             figures = [row[f"{name}_{kind}"] for kind in (f"median_{unit}", f"rms_{unit}", "ratio")]
             median, rms, ratio = ("-" if x is None else f"{x:.2g}" for x in figures)
             print(f"{median:>8}{rms:>8}{'x' + ratio:>9}" if median != "-" else f"{'-':>25}", end="")
-        shares = [row[f"{name}_right"] for name in ("types", "dof", "name")]
+        shares = [row[column] for column in SHARES.values()]
         print(
             "".join(
-                f"{'-' if s is None else f'{s:.0%}':>{w}}" for s, w in zip(shares, (9, 6, 6), strict=True)
+                f"{'-' if s is None else f'{s:.0%}':>{w}}" for s, w in zip(shares, (9, 6, 6, 8), strict=True)
             )
         )
 
@@ -260,9 +265,7 @@ def report(plan: Plan, table: dict[str, np.ndarray], times: list[dict[str, Any]]
             f"{row['rate']:<8g}{row['contestant']:15}{row['windows']:>9}{row['seconds']:>10.2f}{row['compile_s']:>10.1f}"
         )
     mine = table["contestant"] == "identify"
-    metrics |= {
-        f"{name}_right": float(np.mean(table[f"{name}_right"][mine])) for name in ("types", "dof", "name")
-    }
+    metrics |= {column: float(np.mean(table[column][mine])) for column in SHARES.values()}
     rows = summarise(table, ["constraint", "motion", "sigma", "rate"])
     return {
         "machine": machine(),

@@ -101,7 +101,7 @@ def test_derivatives_match_finite_differences(label):
             slope, finite = determined @ slope, determined @ finite
         scale = np.max(np.abs(finite)) + 1e-3
         # the likeliest frame follows the noise of the orientation a little, which a line changes a little
-        atol = 5e-3 if name in ("position", "axes") else 2e-3
+        atol = 5e-3 if (label, name) in (("H", "axes"), ("L", "position")) else 2e-3
         np.testing.assert_allclose(np.asarray(slope) / scale, finite / scale, atol=atol, err_msg=name)
 
 
@@ -141,7 +141,7 @@ def test_derivatives_of_a_widened_search_match_finite_differences():
     for name in ("norms", "rms", "position", "axes"):
         finite = np.asarray(forward[name] - backward[name]) / (2 * h)
         scale = np.max(np.abs(finite)) + 1e-3
-        atol = 5e-3 if name in ("position", "axes") else 2e-3  # as above
+        atol = 3e-3 if name == "axes" else 2e-3  # as above
         np.testing.assert_allclose(np.asarray(exact[name]) / scale, finite / scale, atol=atol, err_msg=name)
 
 
