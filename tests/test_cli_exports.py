@@ -39,7 +39,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def simulate(path: Path, label: str) -> None:
-    words = ["simulate", "--no-cache", "--constraint", label, "--noise", "1e-5", "--duration", "3.5"]
+    words = f"simulate --no-cache --constraint {label} --noise 1e-5 --duration 3.5 --seed 1".split()
     assert program.main([*words, "--out", str(path)]) == 0
     recording = load_recording(path)
     save_recording(path, recording.times[:POSES], recording.poses[:POSES])

@@ -112,7 +112,7 @@ def test_yaml_and_json_say_the_same() -> None:
 
 
 def test_identifications_have_task_frames() -> None:
-    poses = synthetic.simulate("K", jax.random.key(0), noise=1e-5).poses[:21]
+    poses = synthetic.simulate("K", jax.random.key(1), noise=1e-5).poses[:21]
     found = rf.identify(poses, dt=0.1)
     task = rf.to_task_frame(found, poses[-1])
     assert task.constraint == found.name == "Pin-plane contact"
