@@ -73,6 +73,11 @@ def slope_along(step, *arguments):
     return outputs_and_slopes(step, *arguments)[1]
 
 
+def along_a_line(first, second):
+    """Tangents (51, 6) that change evenly: the noise of poses moved along them stays the same."""
+    return jnp.asarray(np.linspace(-1, 1, 51)[:, None] * first + second)
+
+
 @pytest.mark.parametrize("label", [*rf.CONSTRAINTS, "screw"])
 def test_derivatives_match_finite_differences(label):
     truth = rf.ConstraintFrame.named(label)
@@ -88,8 +93,7 @@ def test_derivatives_match_finite_differences(label):
         scale = np.max(np.abs(finite)) + 1e-3
         np.testing.assert_allclose(exact[name][angular] / scale, finite / scale, atol=2e-3, err_msg=name)
     # the noise of positions and rotations counts as given: along a line it stays the same
-    direction = np.linspace(-1, 1, 51)[:, None] * direction[0] + direction[1]
-    direction = jnp.asarray(direction)
+    direction = along_a_line(direction[0], direction[1])
     arguments = (poses, direction, linear_type, angular_type)
     exact = slope_along(jnp.zeros(()), *arguments)
     forward, backward = (along(jnp.asarray(step, float), *arguments) for step in (h, -h))
@@ -113,8 +117,7 @@ def test_between_boundaries_the_frame_of_a_segment_is_differentiable():
     own = jnp.asarray(poses[segment.stop - 51 : segment.stop])
     linear = segment.identification.linear
     types = int(linear.type_code), int(segment.identification.angular.type_code)
-    first, second = np.random.default_rng(4).normal(size=(2, 6))
-    direction = jnp.asarray(np.linspace(-1, 1, 51)[:, None] * first + second)  # along which noise stays
+    direction = along_a_line(*np.random.default_rng(4).normal(size=(2, 6)))
     slope = slope_along(jnp.zeros(()), own, direction, *types)["position"]
     forward, backward = (
         along(jnp.asarray(step, float), own, direction, *types)["position"] for step in (1e-6, -1e-6)
@@ -131,8 +134,7 @@ def far_window():
 def test_derivatives_of_a_widened_search_match_finite_differences():
     poses, truth = far_window()
     types = int(truth.linear_type), int(truth.angular_type)
-    first, second = np.random.default_rng(1).normal(size=(2, 6))
-    direction = jnp.asarray(np.linspace(-1, 1, 51)[:, None] * first + second)  # along which noise stays
+    direction = along_a_line(*np.random.default_rng(1).normal(size=(2, 6)))
     zero, h = jnp.zeros(()), 1e-6
     found = along(zero, poses, direction, *types)
     np.testing.assert_allclose(found["position"], truth.position, atol=0.02)
