@@ -14,7 +14,7 @@ from reframe_jax.solvers.box import Box
 from reframe_jax.solvers.kernel import step_chains
 from reframe_jax.solvers.problems import flatten_problems, repeat_problems
 from reframe_jax.solvers.protocol import LocalMinimiser, Solution
-from reframe_jax.solvers.seeds import quasi_random, suggested_starts
+from reframe_jax.solvers.seeds import even_starts, suggested_starts
 from reframe_jax.solvers.transition import Chains, Coordinates, transition
 from reframe_jax.solvers.valley_steps import ValleySteps
 
@@ -151,14 +151,12 @@ class BasinHopping:
         return SearchState(jnp.zeros((), jnp.int32), key, x, value, x, value)
 
     def _starts(self, objective: Objective, box: Box, key: jax.Array) -> jax.Array:
-        """Where the chains start, (dim, restarts, ...), or with ones for the axes of the problems."""
+        """Where the chains start, (dim, restarts, ...)."""
         suggested = round(_SUGGESTED * self.restarts) if self.rounds else 0
         filling = self.restarts - suggested
-        starts = box.scale(quasi_random(key, filling, objective.dim, objective.dtype))
-        starts = starts.reshape(objective.dim, filling, *([1] * len(objective.batch)))
+        starts = even_starts(objective, box, key, filling)
         if suggested == 0:
             return starts
-        starts = jnp.broadcast_to(starts, (objective.dim, filling, *objective.batch))
         more = suggested_starts(objective, box, jax.random.fold_in(key, 1), suggested, _CANDIDATES[0])
         return jnp.concatenate([starts, more], axis=1)
 
@@ -193,9 +191,8 @@ class BasinHopping:
 
     def finish(self, objective: Objective, box: Box, state: SearchState) -> Solution:
         """Refine the best point of all chains."""
-        winner = jnp.argmin(state.best_value, axis=0)
-        x = jnp.take_along_axis(state.best_x, winner[None, None], axis=1)[:, 0]
-        value = jnp.min(state.best_value, axis=0)
+        lowest, lowest_value = _lowest(state.chains)
+        x, value = lowest[:, 0], lowest_value[0]
         if self.refine is not None:
             refined, refined_value = self.refine(objective, box, x)
             better = refined_value < value

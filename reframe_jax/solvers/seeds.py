@@ -10,7 +10,7 @@ from reframe_jax.objectives.protocol import MomentsObjective, Objective
 from reframe_jax.solvers.box import Box
 from reframe_jax.solvers.problems import repeat_problems
 
-__all__ = ["quasi_random", "stillest_origins", "suggested_starts"]
+__all__ = ["even_starts", "quasi_random", "stillest_origins", "suggested_starts"]
 
 _RIDGE = 1e-9  # see stillest_origins
 
@@ -38,6 +38,13 @@ def quasi_random(key: jax.Array, count: int, dim: int, dtype: jnp.dtype) -> jax.
     return jnp.mod(jnp.asarray(steps % 1, dtype=dtype) + shift, 1)
 
 
+def even_starts(objective: Objective, box: Box, key: jax.Array, count: int) -> jax.Array:
+    """Points that fill the box evenly, the same for all problems, (dim, count, ...): see quasi_random."""
+    points = box.scale(quasi_random(key, count, objective.dim, objective.dtype))
+    points = points.reshape(objective.dim, count, *([1] * len(objective.batch)))
+    return jnp.broadcast_to(points, (objective.dim, count, *objective.batch))
+
+
 def suggested_starts(
     objective: Objective, box: Box, key: jax.Array, count: int, candidates: int
 ) -> jax.Array:
@@ -59,9 +66,7 @@ def suggested_starts(
     """
     batch, dtype = objective.batch, objective.dtype
     if not (isinstance(objective, MomentsObjective) and objective.unknowns == "position"):
-        points = box.scale(quasi_random(key, count, objective.dim, dtype))
-        points = points.reshape(objective.dim, count, *([1] * len(batch)))
-        return jnp.broadcast_to(points, (objective.dim, count, *batch))
+        return even_starts(objective, box, key, count)
     d = jax.random.normal(key, (3, candidates * count), dtype=dtype)
     d = d.reshape(3, candidates * count, *([1] * len(batch)))
     # coefficients of d^T Sigma(p) d; its gradient vanishes where it is least
