@@ -170,6 +170,22 @@ def test_free_directions_have_no_variance(recordings):
     assert np.all(sure.determined)
 
 
+def test_what_the_motion_leaves_open_has_an_error_farther_than_any_search(recordings):
+    """The point on the axis of a hinge, if the class did not leave it free."""
+    _, poses, found = recordings["A"]
+    poses, found = poses[:16], found[:16]
+    closed = replace(found, linear=replace(found.linear, free_position=0 * found.linear.free_position))
+    sure, usual = rf.covariance(closed, poses, dt=DT), rf.covariance(found, poses, dt=DT)
+    assert np.all(usual.determined)
+    # rounding may curve the objective a little along the axis
+    left_open = ~np.asarray(sure.determined)
+    assert left_open.sum() >= 4
+    along = np.einsum("nij,nij->n", np.asarray(found.linear.free_position), np.asarray(sure.position))
+    np.testing.assert_allclose(along[left_open], 100.0**2, rtol=0.01)
+    total, across = (np.trace(each.position, axis1=1, axis2=2) for each in (sure, usual))
+    assert np.all((total - along)[left_open] < 1.2 * across[left_open] + 1e-6)
+
+
 def test_anything_computed_from_the_estimate(recordings):
     _, poses, found = recordings["K"]
     sure = rf.covariance(found[:3], poses[:3], dt=DT)

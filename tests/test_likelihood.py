@@ -7,6 +7,8 @@ import pytest
 import scipy.optimize
 
 import reframe_jax as rf
+from benchmarks.bounds import cramer_rao
+from benchmarks.fits import Windows, scores
 from reframe_jax.geometry import symmetric
 from reframe_jax.objectives.held_axes import HeldAxesObjective
 from reframe_jax.objectives.moments import velocity_moments
@@ -63,3 +65,24 @@ def test_a_pin_on_a_plane_is_at_the_maximum_of_the_likelihood(sigma):
         start = np.concatenate([found.linear.position[i], [0, 0]])
         losses.append(value(start) - scipy.optimize.minimize(value, start, method="BFGS").fun)
     assert np.quantile(losses, 0.9) < 0.5  # half a unit is one standard deviation
+
+
+@pytest.mark.parametrize("motion", ["paper", "reach"])
+def test_a_cylinder_joint_is_known_as_well_as_the_noise_allows(motion):
+    """Where it turns and slides at the same time, the axis of the rotations tells where the line is."""
+    sigma, ratio = 1e-4, 5.0
+
+    def one(key):
+        errors = PoseErrors(sigma=sigma, rotation_ratio=ratio)
+        return random_motion("C", key, samples=SAMPLES, dt=DT, excitation=motion, errors=errors)
+
+    made = jax.vmap(one)(jax.random.split(jax.random.key(3), WINDOWS))
+    poses, exact = np.asarray(made.poses), np.asarray(made.exact_poses)
+    found = rf.identify(poses, dt=DT)
+    # all types say the same; those whose path is summed up have more noise
+    types = {rf.LinearType.GB, rf.LinearType.BG}
+    assert np.mean([rf.LinearType(code) in types for code in np.asarray(found.linear.type_code)]) > 0.9
+    bound = cramer_rao(made.truth, made.exact_poses, sigma, ratio)
+    scored = scores(found, Windows("C", made.truth, poses, exact, DT, bound))
+    for name in ("angular", "linear", "position"):
+        assert np.nanmedian(scored.errors[name] / scored.bounds[name]) < 1.15, name

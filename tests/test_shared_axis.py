@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reframe_jax.constraints import ConstraintFrame
+from reframe_jax.constraints import ConstraintFrame, LinearType
 from reframe_jax.identification.evidence import reduce_windows
 from reframe_jax.identification.optima import Frames
 from reframe_jax.identification.shared_axis import share_axis
@@ -58,7 +58,8 @@ def frames_of(evidence):
 @jax.jit
 def shared(evidence, angular, linear):
     number = (jnp.broadcast_to(angular, (WINDOWS, 2, 3)), jnp.broadcast_to(linear, (WINDOWS, 4, 3)))
-    return share_axis(evidence, frames_of(evidence), number, jnp.ones(WINDOWS, bool)).axes
+    winner = jnp.full(WINDOWS, int(LinearType.GB), jnp.int32)
+    return share_axis(evidence, frames_of(evidence), number, winner, jnp.ones(WINDOWS, bool)).axes
 
 
 def tilt(axis, truth):

@@ -13,12 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.compilation import once
+from reframe_jax.constraints.types import ORIENTATION_BODIES
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, Symmetric
 from reframe_jax.identification.classify import nearest_origin
 from reframe_jax.identification.evidence import Evidence
 from reframe_jax.identification.levers import noise_moments
 from reframe_jax.identification.optima import Frames, Optima, follow_last, pick_problem, pick_type
+from reframe_jax.identification.shared_axis import slides_along_axis
 from reframe_jax.motion.components import product
 from reframe_jax.objectives.held_axes import HeldAxesObjective
 from reframe_jax.objectives.moments import covariance_at
@@ -35,7 +37,12 @@ _PRIOR = 1.0  # m, how far from the start an origin is expected that the data le
 
 
 def likeliest_frames(
-    evidence: Evidence, frames: Frames, optima: Optima, dof: jax.Array, idle: jax.Array, chosen: jax.Array
+    evidence: Evidence,
+    frames: Frames,
+    optima: Optima,
+    dof: tuple[jax.Array, jax.Array],
+    idle: jax.Array,
+    chosen: jax.Array,
 ) -> Frames:
     """The frames, those of the best linear type replaced by the likeliest ones.
 
@@ -43,12 +50,13 @@ def likeliest_frames(
         evidence: of N windows.
         frames: of all types.
         optima: from which they come.
-        dof: (N, 4, 3), of all linear types.
+        dof: degrees of freedom, (N, 2, 3) and (N, 4, 3).
         idle: (N,) rad/s, RMS of what counts as no rotation.
         chosen: (N,) bool, windows whose noise is white; the frames of others stay as they are.
     """
     winner = optima.linear_winner
-    held = 1 - pick_type(dof, winner).T
+    held = 1 - pick_type(dof[1], winner).T
+    slides = pick_type(slides_along_axis(evidence, frames, dof, chosen), winner)
     chosen = chosen & (jnp.sum(held, axis=0) > 0)
 
     def free() -> jax.Array:
@@ -66,10 +74,11 @@ def likeliest_frames(
         mean = symmetric.trace(covariance_at(noise, (start[0], start[1], start[2]))) / 3
         moments = (spread - noise).at[jnp.asarray([0, 3, 5]), 0].add(mean[None])
         objective = once(HeldAxesObjective(moments, held.astype(moments.dtype)))
+        stiff = once(_with_rotations(evidence, winner, slides, objective, start))
         inside = jax.tree.map(lambda bound: pick_problem(winner, bound), optima.box)
         samples = evidence.poses.astype(moments.dtype)
         loose = jnp.moveaxis(free(), 0, -1)
-        problem = _Tied(objective, start, loose, 2 / (samples * _PRIOR**2))
+        problem = _Tied(stiff, start, loose, 2 / (samples * _PRIOR**2))
         x = _descend(jax.lax.stop_gradient(problem), inside)
         x = attach_derivative(x, problem, inside)
         return x.T, principal_axes(objective.covariance(x))[1]
@@ -85,6 +94,23 @@ def likeliest_frames(
         axes=jnp.where(here[..., None, None], axes[:, None], frames.axes),
         local_axes=jnp.where(here[..., None, None], axes[:, None], frames.local_axes),
     )
+
+
+def _with_rotations(
+    evidence: Evidence, winner: jax.Array, slides: jax.Array, objective: HeldAxesObjective, start: jax.Array
+) -> HeldAxesObjective:
+    """The likelihood with what the rotations know of the free axis, where the body slides along it.
+
+    A tilt d of the axis adds v n s^2 / r^2 d^2 to the variance v across it.
+    """
+    both = jnp.stack([evidence.axis.in_ground, evidence.axis.in_body], axis=-1)
+    axis = follow_last(slides, pick_problem(jnp.asarray(ORIENTATION_BODIES)[winner], both))
+    across = symmetric.eigh(objective.covariance(start))[0][:2]
+    variance = follow_last(slides, (across[0] + across[1]) / 2 * evidence.axis.spread)
+    noise = jnp.where(slides, evidence.share * evidence.noise.rotation, 1)
+    stiffness = jnp.where(slides, variance / jnp.square(noise), 0)
+    pairs = jnp.stack([axis[i] * axis[j] for i, j in INDEX_PAIRS])
+    return replace(objective, moments=objective.moments.at[:, 0].add(stiffness[None] * pairs))
 
 
 @jax.tree_util.register_dataclass

@@ -7,7 +7,7 @@ import numpy as np
 from reframe_jax.constraints.catalogue import describe, lookup
 from reframe_jax.constraints.types import ORIENTATION_BODIES, PARALLEL_COSINE, AxisRelation, Dof, LinearType
 
-__all__ = ["name_class", "name_probability"]
+__all__ = ["holds_for_all_types", "name_class", "name_probability"]
 
 
 def name_class(
@@ -35,16 +35,29 @@ def name_probability(
         screws: (N,) probability of a screw, if one rotation is free and a translation along its axis.
     """
     angular, linear = (jnp.sum(number, axis=-1) for number in dof)
+    rows = jnp.arange(len(winner), dtype=winner.dtype)
+    of_types = classes[rows, :, angular, linear]
+    own = jnp.take_along_axis(of_types, winner[:, None], axis=1)[:, 0]
+    of_name = jnp.where(holds_for_all_types(winner, dof, axes), jnp.sum(of_types, axis=1), own)
+    return of_name * jnp.maximum(screws, 1 - screws)
+
+
+def holds_for_all_types(
+    winner: jax.Array, dof: tuple[jax.Array, jax.Array], axes: tuple[jax.Array, jax.Array]
+) -> jax.Array:
+    """Whether a class, such as that of a hinge, says the same in all linear types, (N,) bool.
+
+    Args:
+        winner: (N,) linear type.
+        dof: (N, 3) of both frames.
+        axes: (N, 2, 3, 3) of both angular types, and (N, 3, 3) of the linear frame; columns.
+    """
+    angular, linear = (jnp.sum(number, axis=-1) for number in dof)
     body = jnp.asarray(ORIENTATION_BODIES)[winner]
     turning = jnp.take_along_axis(axes[0], body[:, None, None, None], axis=1)[:, 0, :, 2]
     odd = jnp.where((linear == 1)[:, None], axes[1][:, :, 2], axes[1][:, :, 0])
     parallel = jnp.abs(jnp.sum(turning * odd, axis=-1)) > PARALLEL_COSINE
-    rows = jnp.arange(len(winner), dtype=winner.dtype)
-    of_types = classes[rows, :, angular, linear]
-    own = jnp.take_along_axis(of_types, winner[:, None], axis=1)[:, 0]
-    for_all = jnp.asarray(_FOR_ALL_TYPES)[angular, linear, parallel.astype(jnp.int32)]
-    of_name = jnp.where(for_all, jnp.sum(of_types, axis=1), own)
-    return of_name * jnp.maximum(screws, 1 - screws)
+    return jnp.asarray(_FOR_ALL_TYPES)[angular, linear, parallel.astype(jnp.int32)]
 
 
 def _is_for_all_types(rotations: int, translations: int, parallel: bool) -> bool:

@@ -34,7 +34,7 @@ from reframe_jax.identification.distances import (
 from reframe_jax.identification.evidence import IN_BODY, IN_GROUND, Evidence, LagRule, reduce_windows
 from reframe_jax.identification.freedom import type_weights
 from reframe_jax.identification.likelihood import likeliest_frames
-from reframe_jax.identification.naming import name_probability
+from reframe_jax.identification.naming import holds_for_all_types, name_probability
 from reframe_jax.identification.optima import (
     Frames,
     Optima,
@@ -119,8 +119,8 @@ def solve_evidence(
     idle = jnp.where(evidence.alone, 0, idle)
     if rule == "auto":
         if evidence.maps is None:
-            frames = likeliest_frames(evidence, frames, optima, dof[1], idle, refined & ~on_axis)
-        frames = share_axis(evidence, frames, dof, refined & ~on_axis)
+            frames = likeliest_frames(evidence, frames, optima, dof, idle, refined & ~on_axis)
+        frames = share_axis(evidence, frames, dof, optima.linear_winner, refined & ~on_axis)
         frames = use_plane(evidence, frames, dof[0], ~refined & ~on_axis)
     angular = Candidates(
         rotvec=orient_axes(frames.angular_axes, dof[0]),
@@ -245,9 +245,25 @@ def _decide(
     start = patterns, white, jnp.zeros_like(white)
     patterns, white, on_axis = jax.lax.fori_loop(first, until, judge, start)
     frames = jax.tree.map(partial(_choose, on_axis), screw.frames, frames)
-    winner = jnp.where(on_axis, followed.linear_winner, n)
-    dof = _freedom(patterns, replace(optima, linear_winner=winner), thresholds)
-    return _Settled(frames, patterns, dof, white, on_axis, winner, screw)
+    # the paths of BB and GG are summed up, and their noise with them
+    dof = _freedom(patterns, optima, thresholds)
+    same = _says_the_same(optima, frames, dof, followed.linear_winner, evidence.samples)
+    by_path = on_axis | (white & same)
+    optima = replace(optima, linear_winner=jnp.where(by_path, followed.linear_winner, n))
+    dof = _freedom(patterns, optima, thresholds)
+    return _Settled(frames, patterns, dof, white, on_axis, optima.linear_winner, screw)
+
+
+def _says_the_same(
+    optima: Optima, frames: Frames, dof: tuple[jax.Array, jax.Array], other: jax.Array, samples: jax.Array
+) -> jax.Array:
+    """Whether another linear type (N,) says the same as the winner, as all do of a hinge, (N,) bool."""
+    n = optima.linear_winner
+    of_winner = pick_type(dof[1], n)
+    axes = frames.angular_axes, pick_type(frames.axes, n)
+    general = holds_for_all_types(n, (dof[0][:, 0], of_winner), axes)
+    tied = pick_type(tied_types(optima.rms, dof[1], n, samples), other)
+    return general & tied & jnp.all(pick_type(dof[1], other) == of_winner, axis=-1)
 
 
 def _choose(chosen: jax.Array, new: jax.Array, old: jax.Array) -> jax.Array:

@@ -10,7 +10,13 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.constraints.types import ORIENTATION_BODIES, PARALLEL_COSINE, SQUARE_COSINE, LinearType
+from reframe_jax.constraints.types import (
+    ORIENTATION_BODIES,
+    PARALLEL_COSINE,
+    SQUARE_COSINE,
+    AngularType,
+    LinearType,
+)
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.products import matmul3
 from reframe_jax.identification.distances import noise_along
@@ -18,17 +24,22 @@ from reframe_jax.identification.evidence import Evidence
 from reframe_jax.identification.optima import Frames, follow_where, put_third_axis
 from reframe_jax.objectives.moments import covariance_at
 
-__all__ = ["share_axis"]
+__all__ = ["share_axis", "slides_along_axis"]
 
 
 def share_axis(
-    evidence: Evidence, frames: Frames, dof: tuple[jax.Array, jax.Array], white: jax.Array
+    evidence: Evidence,
+    frames: Frames,
+    dof: tuple[jax.Array, jax.Array],
+    winner: jax.Array,
+    white: jax.Array,
 ) -> Frames:
     """Give the frames of a body that turns about a single axis one axis where the constraint has one.
 
     - A body that slides along the axis: the free axes of both frames are the mean of both estimates. Their
       tilts are weighted with n s^2 / noise^2, the information of n samples that spread by s along the
-      direction of the tilt.
+      direction of the tilt. What the best linear type says holds for all, in the other body by the mean
+      rotation.
     - A body that moves in a plane: its axis of rotation is known from both already. The normal of a plane of
       contact is that axis; a single free translation is perpendicular to it.
 
@@ -36,22 +47,21 @@ def share_axis(
         evidence: of N windows.
         frames: of all types.
         dof: degrees of freedom, (N, 2, 3) and (N, 4, 3).
+        winner: (N,) best linear type.
         white: (N,) bool, whether the noise is known; the frames of other windows stay as they are.
     """
     free = jnp.sum(dof[1], axis=-1)
-    rotation = jnp.stack([evidence.axis.in_ground.T, evidence.axis.in_body.T], axis=1)[:, ORIENTATION_BODIES]
-    single = (evidence.axis.found & white & (jnp.sum(dof[0][:, 0], axis=-1) == 1))[:, None]
-    planar = single & evidence.axis.planar[:, None]
+    rotation = _axis_of_rotation(evidence)
+    planar = (_turns_once(evidence, dof, white) & evidence.axis.planar)[:, None]
     first, _, third = (frames.axes[..., n] for n in range(3))
 
     along, across = _dot(rotation, third), _dot(rotation, first)
-    slides = single & ~planar & (free == 1) & (jnp.abs(along) > PARALLEL_COSINE)
+    slides = slides_along_axis(evidence, frames, dof, white)
     faces = planar & (free == 2) & (jnp.abs(across) > PARALLEL_COSINE)
     aside = planar & (free == 1) & (jnp.abs(along) < SQUARE_COSINE)
     fused = _mean_axis(evidence, frames, jnp.where(along < 0, -1, 1)[..., None] * rotation, slides)
-    # all types say the same; the noise of those whose path is summed up is larger
     shared = jnp.all(slides, axis=1)
-    turning = jnp.stack([fused[:, LinearType.GB], fused[:, LinearType.BG]], axis=1)
+    turning = _in_both_bodies(evidence, fused, winner)
     same = turning[:, ORIENTATION_BODIES]
     same = jnp.where(_dot(same, fused)[..., None] < 0, -same, same)
     fused = jnp.where(shared[:, None, None], same, fused)
@@ -68,6 +78,40 @@ def share_axis(
         axes=jnp.where(chosen, turned, frames.axes),
         local_axes=jnp.where(chosen, turned, frames.local_axes),
     )
+
+
+def _in_both_bodies(evidence: Evidence, axes: jax.Array, winner: jax.Array) -> jax.Array:
+    """One of the axes (N, 4, 3), in the body that the best type is oriented in and in the other, (N, 2, 3).
+
+    It is taken from the type whose origin has a path: the noise of a path that is summed up is larger.
+    """
+    on_body = (jnp.asarray(ORIENTATION_BODIES)[winner] == AngularType.B)[:, None]
+    mean = jnp.moveaxis(evidence.mean_paths[:, 1:, :, 0], 2, 0)
+    in_ground, in_body = axes[:, LinearType.GB], axes[:, LinearType.BG]
+    carried = _unit(matmul3(mean, in_body[..., None])[..., 0]), _unit(matmul3(in_ground[:, None], mean)[:, 0])
+    return jnp.stack(
+        [jnp.where(on_body, carried[0], in_ground), jnp.where(on_body, in_body, carried[1])], axis=1
+    )
+
+
+def slides_along_axis(
+    evidence: Evidence, frames: Frames, dof: tuple[jax.Array, jax.Array], white: jax.Array
+) -> jax.Array:
+    """Whether a body slides along the single axis it turns about, (N, 4); arguments as above."""
+    single = _turns_once(evidence, dof, white) & ~evidence.axis.planar
+    along = _dot(_axis_of_rotation(evidence), frames.axes[..., 2])
+    return single[:, None] & (jnp.sum(dof[1], axis=-1) == 1) & (jnp.abs(along) > PARALLEL_COSINE)
+
+
+def _turns_once(evidence: Evidence, dof: tuple[jax.Array, jax.Array], white: jax.Array) -> jax.Array:
+    """Windows (N,) with white noise whose body turns about a single axis."""
+    return evidence.axis.found & white & (jnp.sum(dof[0][:, 0], axis=-1) == 1)
+
+
+def _axis_of_rotation(evidence: Evidence) -> jax.Array:
+    """In the bodies of the linear types' orientations, (N, 4, 3)."""
+    axis = evidence.axis
+    return jnp.stack([axis.in_ground.T, axis.in_body.T], axis=1)[:, ORIENTATION_BODIES]
 
 
 def _mean_axis(evidence: Evidence, frames: Frames, rotation: jax.Array, chosen: jax.Array) -> jax.Array:

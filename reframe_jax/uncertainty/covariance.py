@@ -50,7 +50,8 @@ class Covariance:
         inflation: (..., 3) how much larger the standard deviations of the angular axes, the linear axes and
             the origin are than the white noise of the poses explains: 1 where it explains all.
         determined: (...) bool, whether the motion determines all that the class does not leave free; if not,
-            the covariance says nothing about the rest.
+            the origin has a standard deviation of 100 m, farther than any search goes, in the directions that
+            are neither free nor determined.
         first_order: (...) bool, whether the noise is small enough for a first-order covariance: along the
             constrained axes it shows at most an eighth of the motion along the slowest free one. If not, the
             true errors are larger than the covariance says.

@@ -10,15 +10,16 @@ from reframe_jax.uncertainty.rivals import twin_probability, type_probability
 from reframe_jax.uncertainty.sampling import Sampling
 from reframe_jax.uncertainty.sandwich import inflation, long_run_variance, noise_covariance, noise_variances
 from reframe_jax.uncertainty.sensitivity import (
+    FAR,
     angular_rows,
     linear_rows,
     optimum_near,
     rms_rows,
     sums_of_products,
 )
-from reframe_jax.uncertainty.shared_axis import rows_with_axis
+from reframe_jax.uncertainty.shared_axis import rows_with_axis, shared_axes
 from reframe_jax.uncertainty.shifts import noise_of_path
-from reframe_jax.uncertainty.turning import kept_rows
+from reframe_jax.uncertainty.turning import axis_moves, kept_rows
 
 __all__ = ["covariance_of_windows", "in_bodies"]
 
@@ -71,7 +72,11 @@ def covariance_of_windows(
         sampling.pose_weights(),
         (paths.share * noise[0], of_rotation),
     )
-    linear = once(linear_rows(moved, slopes, linear_dof, free, added, sampling.about_mean))
+    slides = shared_axes(paths, found).slides & ~found.on_screw
+    seen = jnp.where(slides, paths.share * found.seen.rotation, 1)
+    tie = jnp.where(slides, paths.single.spread / jnp.square(seen), 0)
+    along = jnp.sum(linear_axes * axis[:, None], axis=0)
+    linear = once(linear_rows(moved, slopes, linear_dof, free, added, sampling.about_mean, along, tie))
     linear_path = _to_path(sampling, jnp.concatenate([linear.turn, linear.position]))
     angular_rms = _rms_path(paths.along_angular, None, sampling, angular_dof, None)
     best = once(paths.along_linear + jnp.sum(paths.slopes * linear.offset[None, :, None], axis=1))
@@ -82,6 +87,15 @@ def covariance_of_windows(
     of_shift = once(jnp.concatenate([linear_path, linear_rms]))
     first = turn_to_poses(once(of_turn), found.angular_type, paths.rotation, paths.turns)
     second, shift = once(_to_poses(paths, found, of_shift))
+
+    def with_tilt(rows: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        directions = apply_to_rows(linear_axes, linear.by_axis)
+        directions = directions - axis[None] * jnp.sum(directions * axis[None], axis=1, keepdims=True)
+        tilts = axis_moves(paths, directions, axis, oriented_in_body(found))
+        turn, shift = (rows.at[:6].add(more) for rows, more in zip(rows, tilts, strict=True))
+        return turn, shift
+
+    second, shift = once(jax.lax.cond(jnp.any(slides), with_tilt, lambda rows: rows, (second, shift)))
     zero = jnp.zeros_like(first[:3])
     of_angular, of_linear = (first[:3], zero), (second[:3], shift[:3])
     explained = noise_variances(
@@ -114,6 +128,7 @@ def covariance_of_windows(
     none = jnp.zeros_like(tilt)
     bias = jnp.concatenate([none, tilt, linear.position_shift, none, none])
     matrix = matrix + bias[:, None] * bias[None]
+    matrix = matrix.at[6:9, 6:9].add(jnp.square(FAR) * linear.unknown)
     small = _stand_apart(turned, angular_dof) & _stand_apart(moved, linear_dof)
 
     block = _block(sampling, number)
@@ -126,7 +141,8 @@ def covariance_of_windows(
 
     probability = jax.lax.cond(jnp.any(found.has_twin), compare, lambda _: jnp.zeros_like(noise[0]), None)
     of_types = type_probability(once(paths.rivals), sampling, found.linear_type, linear_dof, block)
-    return jnp.moveaxis(matrix, -1, 0), bias.T, grown.T, linear.determined, small, probability, of_types
+    determined = jnp.all(linear.unknown == 0, axis=(0, 1))
+    return jnp.moveaxis(matrix, -1, 0), bias.T, grown.T, determined, small, probability, of_types
 
 
 def _stand_apart(samples: jax.Array, dof: jax.Array) -> jax.Array:

@@ -38,6 +38,7 @@ class Estimates:
         angular_dof, linear_dof: (N, 3).
         free_position: (N, 3, 3).
         refined: (N,) bool.
+        on_screw: (N,) bool, whether the frames are those of a screw.
         lag: (N,) samples.
         counted: (N, K+1) bool.
         seen: noise that the recordings show, by which they were identified.
@@ -56,6 +57,7 @@ class Estimates:
     linear_dof: jax.Array
     free_position: jax.Array
     refined: jax.Array
+    on_screw: jax.Array
     lag: jax.Array
     counted: jax.Array
     seen: PoseNoise
@@ -87,6 +89,7 @@ def estimates_of(found: Identification, noise: PoseNoise | None, dtype: np.dtype
         linear_dof=linear.dof,
         free_position=linear.free_position,
         refined=found.refined,
+        on_screw=found.screw_probability > 0,
         lag=found.lag,
         counted=found.counted,
         seen=found.noise,

@@ -29,6 +29,7 @@ from reframe_jax.solvers import Box, ValleySteps
 from reframe_jax.uncertainty.shifts import PathNoise, pull_of_noise
 
 __all__ = [
+    "FAR",
     "Rows",
     "angular_rows",
     "covariance_at_offset",
@@ -39,8 +40,9 @@ __all__ = [
 ]
 
 _FLAT = 1e-9  # curvature below this share of the largest: the direction is taken for free
+_NOTHING = 0.5  # trace of a projector, below which it is rounding
 _BACK = ValleySteps(6)  # from the reported origin to the optimum
-_FAR = 100.0  # m, from the motion; farther than any search goes
+FAR = 100.0  # m, from the motion; farther than any search goes
 
 
 @jax.tree_util.register_dataclass
@@ -53,20 +55,24 @@ class Rows:
         still: (2, 3, K+1, N) the same of the first two if the origin stood still.
         position: (3, 3, K+1, N) of each coordinate of the reported origin.
         optimum: (3, 3, K+1, N) of each coordinate of the optimum.
+        by_axis: (6, 3, N) of the turns and of the coordinates of the reported origin to the axis that the
+            rotations hold in place; components along the axes of the frame.
         offset: (3, N) m, from the reported origin to the optimum.
         turn_shift: (3, N) rad, turn about each axis of the frame that noise makes on average.
         position_shift: (3, N) m, shift of the reported origin that noise makes on average.
-        determined: (N,) bool, whether the objective is curved along all directions that are not free.
+        unknown: (3, 3, N) projector onto the directions along which the objective is not curved although they
+            are not free.
     """
 
     turn: jax.Array
     still: jax.Array
     position: jax.Array
     optimum: jax.Array
+    by_axis: jax.Array
     offset: jax.Array
     turn_shift: jax.Array
     position_shift: jax.Array
-    determined: jax.Array
+    unknown: jax.Array
 
 
 @jax.tree_util.register_dataclass
@@ -104,6 +110,8 @@ def linear_rows(
     free: jax.Array,
     noise: PathNoise,
     likeliest: jax.Array,
+    axis: jax.Array,
+    tie: jax.Array,
 ) -> Rows:
     """Sensitivities of a linear frame.
 
@@ -114,23 +122,33 @@ def linear_rows(
         free: (3, 3, N) projector onto the directions in which the origin is free.
         noise: of the path of the reported origin, as far as the estimate did not allow for it.
         likeliest: (N,) bool, whether the constrained axes alone count.
+        axis: (3, N) about which the body turns, along the axes of the frame.
+        tie: (N,) by how much the rotations resist a tilt of the free axis from it, in mean squares across it;
+            0 where they do not.
     """
     flat = once(jnp.concatenate([samples[:, None], slopes], axis=1).reshape(12, *samples.shape[1:]))
     gram = once(sums_of_products(flat, flat)).reshape(3, 4, 3, 4, -1)
-    offset = optimum_near(gram, jnp.zeros_like(gram[:, 0, 0, 0]))
+    nowhere = jnp.zeros_like(gram[:, 0, 0, 0])
+    across = covariance_at_offset(gram, nowhere)
+    stiffness = tie * (across[0, 0] + across[1, 1]) / 2
+    tied = gram.at[:, 0, :, 0].add(stiffness[None, None] * axis[:, None] * axis[None])
+    offset = optimum_near(tied, nowhere)
     left_out = likeliest[None] & (dof == 1)
-    here, there = once((_about(gram, jnp.zeros_like(offset), left_out), _about(gram, offset, left_out)))
+    here, there = once((_about(tied, nowhere, left_out), _about(tied, offset, left_out)))
     held = jnp.broadcast_to(jnp.eye(3, dtype=free.dtype)[:, :, None], free.shape) - free
-    solve, determined = _restricted_inverse(here.hessian, held)
+    solve, unknown = _restricted_inverse(here.hessian, held)
     position = _origin_rows(solve, here, samples, slopes)
+    position_by_axis = _origin_by_axis(solve, here, stiffness[None] * axis)
     solve, _ = _restricted_inverse(here.hessian - noise.curvature(here.inverse), held)
     shift = -jnp.sum(solve * _pull(here, noise, dof, likeliest)[None], axis=1)
     every = jnp.broadcast_to(jnp.eye(3, dtype=free.dtype)[:, :, None], free.shape)
     solve, _ = _restricted_inverse(there.hessian, every)
     best = once(samples + jnp.sum(slopes * offset[None, :, None], axis=1))
     optimum = _origin_rows(solve, there, best, slopes)
-    variances, still, turn = [there.sigma[i, i] for i in range(3)], [], []
-    turn_shift = []
+    optimum_by_axis = _origin_by_axis(solve, there, stiffness[None] * axis)
+    sigma = covariance_at_offset(gram, offset)
+    variances, still, turn = [sigma[i, i] for i in range(3)], [], []
+    turn_shift, turn_by_axis = [], []
     for k in range(3):
         row, weight = _turn_row(k, best, variances, dof)
         i, j = (k + 1) % 3, (k + 2) % 3
@@ -138,15 +156,17 @@ def linear_rows(
         turn_shift.append(noise.matrix[i, j] * weight + jnp.sum(by_origin * shift, axis=0))
         still.append(row)
         turn.append(row + jnp.sum(by_origin[:, None, None] * optimum, axis=0))
+        turn_by_axis.append(jnp.sum(by_origin[:, None] * optimum_by_axis, axis=0))
     return Rows(
         turn=jnp.stack(turn),
         still=jnp.stack(still[:2]),
         position=position,
         optimum=optimum,
+        by_axis=jnp.concatenate([jnp.stack(turn_by_axis), position_by_axis]),
         offset=offset,
         turn_shift=jnp.stack(turn_shift),
         position_shift=shift,
-        determined=determined,
+        unknown=unknown,
     )
 
 
@@ -184,7 +204,7 @@ def optimum_near(gram: jax.Array, start: jax.Array) -> jax.Array:
             for i, j in symmetric.INDEX_PAIRS
         ]
     )
-    far = jnp.full(3, _FAR, gram.dtype)
+    far = jnp.full(3, FAR, gram.dtype)
     return _BACK(PositionObjective(moments), Box(-far, far), start)[0]
 
 
@@ -257,6 +277,14 @@ def _origin_rows(solve: jax.Array, here: _Here, samples: jax.Array, slopes: jax.
     return once(jnp.stack(rows))
 
 
+def _origin_by_axis(solve: jax.Array, here: _Here, stiff: jax.Array) -> jax.Array:
+    """Minus the inverse Hessian (3, 3, N) times the derivative of the gradient by an axis, (3, 3, N).
+
+    Sigma contains k n n^T for the axis n; ``stiff`` (3, N) is k n.
+    """
+    return 2 * jnp.sum(solve[:, :, None] * jnp.sum(here.weighted * stiff[None, None], axis=2)[None], axis=1)
+
+
 def _chain(a: jax.Array, b: jax.Array, c: jax.Array) -> jax.Array:
     """Product of matrices (3, 3, N)."""
     ab = jnp.sum(a[:, :, None] * b[None], axis=1)
@@ -275,7 +303,9 @@ def _inverse(matrix: jax.Array) -> jax.Array:
 
 
 def _restricted_inverse(hessian: jax.Array, held: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Inverse of (3, 3, N) in some directions, zero in the others; and whether it exists.
+    """Inverse of (3, 3, N) in some directions, and the projector onto those of them where it has none.
+
+    It is zero there, and in all other directions.
 
     Args:
         hessian: to invert.
@@ -290,8 +320,10 @@ def _restricted_inverse(hessian: jax.Array, held: jax.Array) -> tuple[jax.Array,
     stiff = strengths > _FLAT * largest
     reciprocal = jnp.where(stiff, 1 / jnp.where(stiff, strengths, 1), 0)
     inverse = _chain(axes * reciprocal[None], jnp.swapaxes(axes, 0, 1), held)
-    wanted = jnp.round(held[0, 0] + held[1, 1] + held[2, 2])
-    return inverse, jnp.sum(stiff, axis=0, dtype=hessian.dtype) >= wanted
+    flat = jnp.sum(jnp.where(stiff, 0, axes)[:, None] * axes[None], axis=2)
+    unknown = flat - (jnp.eye(3, dtype=flat.dtype)[:, :, None] - held)
+    none = unknown[0, 0] + unknown[1, 1] + unknown[2, 2] < _NOTHING
+    return inverse, jnp.where(none, 0, unknown)
 
 
 def rms_rows(samples: jax.Array, dof: jax.Array) -> tuple[jax.Array, jax.Array]:
