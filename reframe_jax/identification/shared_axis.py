@@ -61,7 +61,7 @@ def share_axis(
     aside = planar & (free == 1) & (jnp.abs(along) < SQUARE_COSINE)
     fused = _mean_axis(evidence, frames, jnp.where(along < 0, -1, 1)[..., None] * rotation, slides)
     shared = jnp.all(slides, axis=1)
-    turning = _in_both_bodies(evidence, fused, winner)
+    turning = _in_both_bodies(evidence, fused, winner, shared)
     same = turning[:, ORIENTATION_BODIES]
     same = jnp.where(_dot(same, fused)[..., None] < 0, -same, same)
     fused = jnp.where(shared[:, None, None], same, fused)
@@ -80,13 +80,15 @@ def share_axis(
     )
 
 
-def _in_both_bodies(evidence: Evidence, axes: jax.Array, winner: jax.Array) -> jax.Array:
+def _in_both_bodies(evidence: Evidence, axes: jax.Array, winner: jax.Array, chosen: jax.Array) -> jax.Array:
     """One of the axes (N, 4, 3), in the body that the best type is oriented in and in the other, (N, 2, 3).
 
     It is taken from the type whose origin has a path: the noise of a path that is summed up is larger.
     """
     on_body = (jnp.asarray(ORIENTATION_BODIES)[winner] == AngularType.B)[:, None]
     mean = jnp.moveaxis(evidence.mean_paths[:, 1:, :, 0], 2, 0)
+    # a body that does not turn divides by zero
+    axes, mean = follow_where(chosen, axes), follow_where(chosen, mean)
     in_ground, in_body = axes[:, LinearType.GB], axes[:, LinearType.BG]
     carried = _unit(matmul3(mean, in_body[..., None])[..., 0]), _unit(matmul3(in_ground[:, None], mean)[:, 0])
     return jnp.stack(
