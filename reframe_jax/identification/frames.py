@@ -69,7 +69,8 @@ class LinearFrame:
 
     Attributes:
         type_code: (...) int, ``LinearType`` of the lowest norm; read it as ``frame_type``. That of a screw
-            joint is GB or BG, because the norms of BB and GG do not tell its origin.
+            joint is GB or BG, because the norms of BB and GG do not tell its origin; so is that of refined
+            frames whose class says the same in all types, such as a hinge, where one of these ties with it.
         rotvec: (..., 3) rad, orientation of the frame in the body of the type's first letter; axes in
             the order and handedness of :class:`AngularFrame`.
         position: (..., 3) m, origin of the frame in the body of the type's second letter. Where
