@@ -95,15 +95,15 @@ def test_lag_1_is_the_paper_s_objective_whether_or_not_identify_takes_a_lag(monk
 def test_a_run_in_miniature(tmp_path, capsys):
     file = tmp_path / "out.json"
     options = ["--constraints", "A", "K", "--motions", "exciting", "--sigmas", "1e-6", "--rates", "10"]
-    assert noise.main([*options, "--windows", "2", "--annealed", "1", "--json", str(file)]) == 0
+    assert noise.main([*options, "--windows", "16", "--annealed", "1", "--json", str(file)]) == 0
     record = json.loads(file.read_text())
     rows = {(row["constraint"], row["contestant"]): row for row in record["rows"]}
     assert {("A", "identify"), ("K", "identify"), ("A", "circle fit"), ("K", "dual annealing")} <= set(rows)
     for label in "AK":
         row = rows[label, "identify"]
-        assert row["windows"] == 2
+        assert row["windows"] == 16
         assert (row["types_right"], row["dof_right"], row["name_right"]) == (1, 1, 1)
-        assert 0 < row["position_bound_mm"] / 3 < row["position_rms_mm"] < 1  # of two windows
+        assert 0 < row["position_bound_mm"] / 3 < row["position_rms_mm"] < 1  # of 16 windows
     assert rows["K", "dual annealing"]["linear_median_deg"] < 1
     printed = capsys.readouterr()
     for table in ("By constraint", "By standard deviation", "By sampling rate", "compile"):
