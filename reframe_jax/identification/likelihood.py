@@ -13,14 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.compilation import once
-from reframe_jax.constraints.types import ORIENTATION_BODIES
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, Symmetric
 from reframe_jax.identification.classify import nearest_origin
 from reframe_jax.identification.evidence import Evidence
 from reframe_jax.identification.levers import noise_moments
 from reframe_jax.identification.optima import Frames, Optima, follow_last, pick_problem, pick_type
-from reframe_jax.identification.shared_axis import slides_along_axis
+from reframe_jax.identification.shared_axis import axis_of_rotation, slides_along_axis
 from reframe_jax.motion.components import product
 from reframe_jax.objectives.held_axes import HeldAxesObjective
 from reframe_jax.objectives.moments import covariance_at
@@ -103,8 +102,7 @@ def _with_rotations(
 
     A tilt d of the axis adds v n s^2 / r^2 d^2 to the variance v across it.
     """
-    both = jnp.stack([evidence.axis.in_ground, evidence.axis.in_body], axis=-1)
-    axis = follow_last(slides, pick_problem(jnp.asarray(ORIENTATION_BODIES)[winner], both))
+    axis = follow_last(slides, pick_type(axis_of_rotation(evidence), winner).T)
     across = symmetric.eigh(objective.covariance(start))[0][:2]
     variance = follow_last(slides, (across[0] + across[1]) / 2 * evidence.axis.spread)
     noise = jnp.where(slides, evidence.share * evidence.noise.rotation, 1)

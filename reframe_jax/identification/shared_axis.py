@@ -24,7 +24,7 @@ from reframe_jax.identification.evidence import Evidence
 from reframe_jax.identification.optima import Frames, follow_where, put_third_axis
 from reframe_jax.objectives.moments import covariance_at
 
-__all__ = ["share_axis", "slides_along_axis"]
+__all__ = ["axis_of_rotation", "share_axis", "slides_along_axis"]
 
 
 def share_axis(
@@ -51,7 +51,7 @@ def share_axis(
         white: (N,) bool, whether the noise is known; the frames of other windows stay as they are.
     """
     free = jnp.sum(dof[1], axis=-1)
-    rotation = _axis_of_rotation(evidence)
+    rotation = axis_of_rotation(evidence)
     planar = (_turns_once(evidence, dof, white) & evidence.axis.planar)[:, None]
     first, _, third = (frames.axes[..., n] for n in range(3))
 
@@ -101,7 +101,7 @@ def slides_along_axis(
 ) -> jax.Array:
     """Whether a body slides along the single axis it turns about, (N, 4); arguments as above."""
     single = _turns_once(evidence, dof, white) & ~evidence.axis.planar
-    along = _dot(_axis_of_rotation(evidence), frames.axes[..., 2])
+    along = _dot(axis_of_rotation(evidence), frames.axes[..., 2])
     return single[:, None] & (jnp.sum(dof[1], axis=-1) == 1) & (jnp.abs(along) > PARALLEL_COSINE)
 
 
@@ -110,8 +110,8 @@ def _turns_once(evidence: Evidence, dof: tuple[jax.Array, jax.Array], white: jax
     return evidence.axis.found & white & (jnp.sum(dof[0][:, 0], axis=-1) == 1)
 
 
-def _axis_of_rotation(evidence: Evidence) -> jax.Array:
-    """In the bodies of the linear types' orientations, (N, 4, 3)."""
+def axis_of_rotation(evidence: Evidence) -> jax.Array:
+    """The axis about which the body turns, in the bodies of the linear types' orientations, (N, 4, 3)."""
     axis = evidence.axis
     return jnp.stack([axis.in_ground.T, axis.in_body.T], axis=1)[:, ORIENTATION_BODIES]
 

@@ -131,21 +131,22 @@ def linear_rows(
     nowhere = jnp.zeros_like(gram[:, 0, 0, 0])
     across = covariance_at_offset(gram, nowhere)
     stiffness = tie * (across[0, 0] + across[1, 1]) / 2
-    tied = gram.at[:, 0, :, 0].add(stiffness[None, None] * axis[:, None] * axis[None])
+    stiff = stiffness[None] * axis
+    tied = gram.at[:, 0, :, 0].add(stiff[:, None] * axis[None])
     offset = optimum_near(tied, nowhere)
     left_out = likeliest[None] & (dof == 1)
     here, there = once((_about(tied, nowhere, left_out), _about(tied, offset, left_out)))
     held = jnp.broadcast_to(jnp.eye(3, dtype=free.dtype)[:, :, None], free.shape) - free
     solve, unknown = _restricted_inverse(here.hessian, held)
     position = _origin_rows(solve, here, samples, slopes)
-    position_by_axis = _origin_by_axis(solve, here, stiffness[None] * axis)
+    position_by_axis = _origin_by_axis(solve, here, stiff)
     solve, _ = _restricted_inverse(here.hessian - noise.curvature(here.inverse), held)
     shift = -jnp.sum(solve * _pull(here, noise, dof, likeliest)[None], axis=1)
     every = jnp.broadcast_to(jnp.eye(3, dtype=free.dtype)[:, :, None], free.shape)
     solve, _ = _restricted_inverse(there.hessian, every)
     best = once(samples + jnp.sum(slopes * offset[None, :, None], axis=1))
     optimum = _origin_rows(solve, there, best, slopes)
-    optimum_by_axis = _origin_by_axis(solve, there, stiffness[None] * axis)
+    optimum_by_axis = _origin_by_axis(solve, there, stiff)
     sigma = covariance_at_offset(gram, offset)
     variances, still, turn = [sigma[i, i] for i in range(3)], [], []
     turn_shift, turn_by_axis = [], []
