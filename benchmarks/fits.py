@@ -39,6 +39,8 @@ class Windows:
         poses, exact: (N, K+1, 4, 4), m.
         dt: s.
         bound: of every window.
+        determined: (N,) bool, whether the motion tells the degrees of freedom; see
+            :mod:`benchmarks.determined`.
     """
 
     label: str
@@ -47,11 +49,13 @@ class Windows:
     exact: np.ndarray
     dt: float
     bound: Bound
+    determined: np.ndarray
 
     def __getitem__(self, rows: Any) -> "Windows":
         """Some of the windows."""
         frame, bound = jax.tree.map(lambda leaf: leaf[rows], (self.frame, self.bound))
-        return Windows(self.label, frame, self.poses[rows], self.exact[rows], self.dt, bound)
+        told = self.determined[rows]
+        return Windows(self.label, frame, self.poses[rows], self.exact[rows], self.dt, bound, told)
 
 
 @dataclass(frozen=True)
@@ -61,8 +65,9 @@ class Scores:
     Attributes:
         errors: of each of ``QUANTITIES``, (N,) in rad, rad and m; NaN where nothing is said or asked.
         bounds: what the bound allows, likewise.
-        right: by "types", "dof" and "name", (N,) bool; and "silent": another name is given, with a
-            probability of 0.9 or more. Empty for contestants that do not say.
+        right: by "types", "dof" and "name", (N,) 0 or 1; and "silent": another name is given, with a
+            probability of 0.9 or more. NaN where the motion does not tell; "told": whether it does. Empty
+            for contestants that do not say.
     """
 
     errors: dict[str, np.ndarray]
@@ -96,6 +101,12 @@ def scores(found: rf.Identification, windows: Windows) -> Scores:
     types, body = np.array([int(kind) for kind in kinds])[linear], np.array(bodies)[angular]
     bound = jax.tree.map(np.asarray, windows.bound)
     right = np.asarray(found.name == entry.name)
+    said = {
+        "types": np.asarray(metrics.types_correct(found, frame, ties=True)),
+        "dof": np.asarray(metrics.dof_correct(found, frame)),
+        "name": right,
+        "silent": ~right & (np.asarray(found.probability) >= _SURE),
+    }
     return Scores(
         {
             "angular": pick("angular", angular),
@@ -107,12 +118,8 @@ def scores(found: rf.Identification, windows: Windows) -> Scores:
             "linear": bound.linear[rows, types],
             "position": bound.position[rows, types],
         },
-        {
-            "types": np.asarray(metrics.types_correct(found, frame, ties=True)),
-            "dof": np.asarray(metrics.dof_correct(found, frame)),
-            "name": right,
-            "silent": ~right & (np.asarray(found.probability) >= _SURE),
-        },
+        {name: np.where(windows.determined, values, np.nan) for name, values in said.items()}
+        | {"told": windows.determined},
     )
 
 

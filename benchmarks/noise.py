@@ -13,8 +13,9 @@ Errors are those of the unique axes and components of the position. Each is prin
 the mean square, and, with an x, the median of its ratio to the bound of the window, for which an efficient
 estimate has 0.7 (one unknown) to 0.9 (three). The bounds of E to H are those for consecutive poses; see
 :mod:`benchmarks.bounds`. What nobody can tell from a window, because its bound is above 0.2 rad or 0.1 m, is
-left out. Right are the types (ties accepted), the numbers of degrees of freedom, and the name; silent is the
-share of windows that get another name with a probability of 0.9 or more.
+left out. Told is the share of windows whose motion determines the degrees of freedom (see
+:mod:`benchmarks.determined`). Of these, right are the types (ties accepted), the numbers of degrees of
+freedom, and the name; silent is the share that get another name with a probability of 0.9 or more.
 """
 
 import sys
@@ -30,6 +31,7 @@ import numpy as np
 import reframe_jax as rf
 from benchmarks.bounds import cramer_rao
 from benchmarks.common import chosen_plan, machine, plan_parser, read_parts, write_record
+from benchmarks.determined import determined
 from benchmarks.fits import LINE_FITS, QUANTITIES, Scores, Windows, anneal, line_scores, scores
 from benchmarks.lags import identify_at, takes_lag
 from benchmarks.timing import timed
@@ -39,7 +41,13 @@ from reframe_jax.simulation.synthetic import EXCITATIONS
 DURATION = 5.0  # s
 RATIOS = 1.0, 20.0  # rad/m, between which the ratio of rotation to position noise is drawn
 # by name, what their column of a table is called
-SHARES = {"types": "types_right", "dof": "dof_right", "name": "name_right", "silent": "silent"}
+SHARES = {
+    "told": "told",
+    "types": "types_right",
+    "dof": "dof_right",
+    "name": "name_right",
+    "silent": "silent",
+}
 MEANINGLESS = {"angular": 0.2, "linear": 0.2, "position": 0.1}  # bounds, in rad and m
 UNITS = {"angular": np.degrees(1.0), "linear": np.degrees(1.0), "position": 1e3}
 ERRORS = {
@@ -130,7 +138,8 @@ def make(plan: Plan, rate: float) -> Iterator[tuple[Windows, dict[str, np.ndarra
         }
         bound = cramer_rao(made.truth, made.exact_poses, where["sigma"], where["ratio"])
         exact = np.asarray(made.exact_poses)
-        yield Windows(label, made.truth, np.asarray(made.poses), exact, dt, bound), where
+        told = determined(made.truth, exact, dt, where["sigma"], where["ratio"])
+        yield Windows(label, made.truth, np.asarray(made.poses), exact, dt, bound, told), where
 
 
 def run(plan: Plan) -> tuple[dict[str, np.ndarray], list[dict[str, Any]]]:
@@ -207,7 +216,7 @@ def summarise(table: dict[str, np.ndarray], by: Sequence[str]) -> list[dict[str,
             }
         for column in SHARES.values():
             right = table[column][here]
-            row[column] = None if np.isnan(right).all() else float(np.mean(right))
+            row[column] = None if np.isnan(right).all() else float(np.nanmean(right))
         rows.append(row)
     return rows
 
@@ -216,7 +225,7 @@ def show(rows: list[dict[str, Any]], by: str, title: str) -> None:
     """Print a table of figures."""
     print(f"\n{title}")
     heads = [f"{name + ', ' + unit:>25}" for name, unit in zip(QUANTITIES, ("deg", "deg", "mm"), strict=True)]
-    print(f"{'':8}{'':15}{''.join(heads)}{'types':>9}{'dof':>6}{'name':>6}{'silent':>8}")
+    print(f"{'':8}{'':15}{''.join(heads)}{'told':>8}{'types':>7}{'dof':>6}{'name':>6}{'silent':>8}")
     last: Any = None
     for row in rows:
         value = row[by] if isinstance(row[by], str) else f"{row[by]:g}"
@@ -229,7 +238,8 @@ def show(rows: list[dict[str, Any]], by: str, title: str) -> None:
         shares = [row[column] for column in SHARES.values()]
         print(
             "".join(
-                f"{'-' if s is None else f'{s:.0%}':>{w}}" for s, w in zip(shares, (9, 6, 6, 8), strict=True)
+                f"{'-' if s is None else f'{s:.0%}':>{w}}"
+                for s, w in zip(shares, (8, 7, 6, 6, 8), strict=True)
             )
         )
 
@@ -265,7 +275,7 @@ def report(plan: Plan, table: dict[str, np.ndarray], times: list[dict[str, Any]]
             f"{row['rate']:<8g}{row['contestant']:15}{row['windows']:>9}{row['seconds']:>10.2f}{row['compile_s']:>10.1f}"
         )
     mine = table["contestant"] == "identify"
-    metrics |= {column: float(np.mean(table[column][mine])) for column in SHARES.values()}
+    metrics |= {column: float(np.nanmean(table[column][mine])) for column in SHARES.values()}
     rows = summarise(table, ["constraint", "motion", "sigma", "rate"])
     return {
         "machine": machine(),

@@ -12,6 +12,7 @@ from reframe_jax.compilation import compiler_options
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification import programs
 from reframe_jax.simulation import metrics, synthetic
+from reframe_jax.simulation.motions import random_motion
 from reframe_jax.solvers import Solution
 
 compiled = functools.partial(jax.jit, compiler_options=compiler_options())
@@ -81,6 +82,16 @@ def test_the_papers_generator_in_the_left_discretization_has_no_plateau(label):
             assert abs(slope(np.asarray(error)) - 1) <= 0.1
         else:
             assert np.all(np.isnan(error))
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("label", "ABCDEFIJ")
+def test_smooth_motion_without_noise_gets_its_name_at_a_high_rate(label, dtype):
+    """Rounding is all that a hinge shows at its origin, or a rotation along its own axis."""
+    motion = random_motion(label, jax.random.key(0), samples=200, dt=0.02, excitation="sine")
+    found = rf.identify(np.asarray(motion.exact_poses, dtype), dt=0.02)
+    assert found.name == rf.CONSTRAINTS[label].name
+    assert found.probability > 0.9
 
 
 @pytest.mark.parametrize("label", "EF")

@@ -83,6 +83,6 @@ def test_a_cylinder_joint_is_known_as_well_as_the_noise_allows(motion):
     types = {rf.LinearType.GB, rf.LinearType.BG}
     assert np.mean([rf.LinearType(code) in types for code in np.asarray(found.linear.type_code)]) > 0.9
     bound = cramer_rao(made.truth, made.exact_poses, sigma, ratio)
-    scored = scores(found, Windows("C", made.truth, poses, exact, DT, bound))
+    scored = scores(found, Windows("C", made.truth, poses, exact, DT, bound, np.ones(WINDOWS, dtype=bool)))
     for name in ("angular", "linear", "position"):
         assert np.nanmedian(scored.errors[name] / scored.bounds[name]) < 1.15, name

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.products import matmul3
-from reframe_jax.identification.evidence import FLOOR, Evidence
+from reframe_jax.identification.evidence import FLOOR, Evidence, rounding_of
 from reframe_jax.identification.freedom import freedom_patterns
 from reframe_jax.identification.levers import lever_moments
 from reframe_jax.identification.optima import Frames, constant_covariance, pick_type
@@ -66,7 +66,7 @@ def pattern_probabilities(
     spread = symmetric.to_matrix(covariance_at(evidence.linear_spread, (x[0], x[1], x[2])))
     squares = jnp.sum(axes * matmul3(spread, axes), axis=-2)
     variance, lever = noise_along(evidence, position, axes)
-    variance = jnp.maximum(variance + rounding * jnp.trace(spread, axis1=-2, axis2=-1)[..., None], tiny)
+    variance = jnp.maximum(variance + rounding_of(evidence.linear_spread)[..., None], tiny)
     linear = jnp.sqrt(jnp.maximum(squares, 0) / variance)
     gain = jnp.sqrt(lever * whole[:, None, None] / variance)
     angular = jnp.broadcast_to(angular[:, None], linear.shape)
@@ -112,7 +112,10 @@ def share_of_turn(moments: jax.Array, position: jax.Array, axes: jax.Array) -> j
     lever = _main_direction(levers)
     longest = jnp.sum(lever * matmul3(levers, lever[..., None])[..., 0], axis=-1)
     common = jnp.square(jnp.sum(lever * with_origin, axis=-1))
-    return jnp.clip(common / jnp.maximum(longest * whole, float(jnp.finfo(axes.dtype).tiny)), 0, 1)
+    # along the axis of rotation no lever moves, and nothing but rounding is left of it
+    moves = longest > rounding_of(moments)[..., None]
+    share = common / jnp.maximum(longest * whole, float(jnp.finfo(axes.dtype).tiny))
+    return jnp.where(moves, jnp.clip(share, 0, 1), 0)
 
 
 def _main_direction(matrix: jax.Array) -> jax.Array:

@@ -40,6 +40,7 @@ __all__ = [
     "LagRule",
     "covariance_moments",
     "reduce_windows",
+    "rounding_of",
     "usable_moments",
     "window_moments",
 ]
@@ -79,10 +80,19 @@ def window_moments(
 def covariance_moments(maps: jax.Array, power: int = 1) -> jax.Array:
     """Moments, the types last, of maps (3, columns, K, types, ...), with a floor: rounding ** power."""
     moments = jnp.moveaxis(component_moments(maps), 2, -1)
+    floor = rounding_of(moments, power)
+    return moments.at[jnp.asarray([0, 3, 5]), 0].add(floor[None])
+
+
+def rounding_of(moments: jax.Array, power: int = 1) -> jax.Array:
+    """Part of a covariance that is lost in rounding, (N, types), from the moments (6, columns, N, types).
+
+    A few roundings ** power of the squares of all that the maps hold. These are not small where the velocity
+    is small: at the origin of a hinge nothing moves, as the difference of what does.
+    """
     squares = [moments[i, j] for i in (0, 3, 5) for j in ((0,) if moments.shape[1] == 1 else (0, 4, 7, 9))]
     rounding = (FLOOR * float(jnp.finfo(moments.dtype).eps)) ** power
-    floor = rounding * jax.lax.stop_gradient(jnp.sum(jnp.stack(squares), axis=0))
-    return moments.at[jnp.asarray([0, 3, 5]), 0].add(floor[None])
+    return rounding * jax.lax.stop_gradient(jnp.sum(jnp.stack(squares), axis=0))
 
 
 def usable_moments(
