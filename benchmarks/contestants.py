@@ -14,7 +14,7 @@ from benchmarks.dual_annealing import DT, anneal
 from benchmarks.timing import jit, timed_once
 from reframe_jax.compilation import chunk_size
 from reframe_jax.constraints.located import ground_offset
-from reframe_jax.identification.evidence import window_moments
+from reframe_jax.identification.floored_moments import window_moments
 from reframe_jax.objectives.velocity import FrameObjective
 from reframe_jax.solvers import Box
 

@@ -27,7 +27,7 @@ import reframe_jax as rf
 from benchmarks.common import write_metrics
 from benchmarks.timing import jit, timed
 from reframe_jax.compilation import chunk_size
-from reframe_jax.identification.evidence import window_moments
+from reframe_jax.identification.floored_moments import window_moments
 from reframe_jax.motion import kinematics
 from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
 from reframe_jax.simulation import metrics, synthetic

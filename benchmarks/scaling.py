@@ -15,7 +15,7 @@ from benchmarks.dual_annealing import DT, MISS
 from benchmarks.timing import jit, timed
 from reframe_jax.compilation import chunk_size
 from reframe_jax.identification.entry import default_solver
-from reframe_jax.identification.evidence import window_moments
+from reframe_jax.identification.floored_moments import window_moments
 from reframe_jax.simulation import synthetic
 
 Curves = dict[str, dict[str, float]]

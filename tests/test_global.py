@@ -11,7 +11,7 @@ import reframe_jax as rf
 from reframe_jax.compilation import chunk_size, compiler_options
 from reframe_jax.constraints.types import AngularType
 from reframe_jax.identification.entry import default_solver
-from reframe_jax.identification.evidence import window_moments
+from reframe_jax.identification.floored_moments import window_moments
 from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
 from reframe_jax.simulation import synthetic
 from reframe_jax.solvers import Box, JointSearch

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
-from reframe_jax.identification.evidence import window_moments
+from reframe_jax.identification.floored_moments import window_moments
 from reframe_jax.objectives import moments
 from reframe_jax.objectives.moments_kernel import mean_products
 from reframe_jax.objectives.velocity import PositionObjective

@@ -11,7 +11,7 @@ import reframe_jax as rf
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.geometry.transforms import make_pose
 from reframe_jax.identification.entry import default_solver
-from reframe_jax.identification.evidence import window_moments
+from reframe_jax.identification.floored_moments import window_moments
 from reframe_jax.identification.twins import find_twins
 from reframe_jax.objectives.velocity import PositionObjective
 from reframe_jax.simulation import synthetic

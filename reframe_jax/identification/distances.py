@@ -6,7 +6,8 @@ import jax.numpy as jnp
 from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.products import matmul3
-from reframe_jax.identification.evidence import FLOOR, Evidence, rounding_of
+from reframe_jax.identification.evidence import Evidence
+from reframe_jax.identification.floored_moments import rounding_of
 from reframe_jax.identification.freedom import freedom_patterns
 from reframe_jax.identification.levers import lever_moments
 from reframe_jax.identification.optima import Frames, constant_covariance, pick_type
@@ -54,12 +55,13 @@ def pattern_probabilities(
         (4, 4, N, 4), and (6, N, 4): how far each axis moved, in noises of single poses.
     """
     position, axes = frames.position, frames.axes
-    rounding, tiny = FLOOR * float(jnp.finfo(axes.dtype).eps), float(jnp.finfo(axes.dtype).tiny)
+    tiny = float(jnp.finfo(axes.dtype).tiny)
     turned = pick_type(symmetric.to_matrix(constant_covariance(evidence.angular_spread)), kind)
     angular_axes = pick_type(frames.angular_axes, kind)
     squares = jnp.sum(angular_axes * matmul3(turned, angular_axes), axis=-2)
     whole = jnp.trace(turned, axis1=-2, axis2=-1)
-    noise = jnp.square(evidence.share * evidence.noise.rotation)[:, None] + rounding * whole[:, None]
+    rounding = pick_type(rounding_of(evidence.angular_spread), kind)
+    noise = (jnp.square(evidence.share * evidence.noise.rotation) + rounding)[:, None]
     # a body that does not turn at all, to the last digit, has no noise either
     angular = jnp.sqrt(jnp.maximum(squares, 0) / jnp.maximum(noise, tiny))
     x = jnp.moveaxis(position, -1, 0)

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 
 from reframe_jax.geometry import rotations, symmetric
 from reframe_jax.geometry.products import matmul3
-from reframe_jax.identification.evidence import Evidence, usable_moments
+from reframe_jax.identification.evidence import Evidence
+from reframe_jax.identification.floored_moments import usable_moments
 from reframe_jax.identification.widening import SearchSpace, widen_search
 from reframe_jax.objectives.moments import covariance_at
 from reframe_jax.objectives.norms import log_power_mean, principal_axes

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 
 from reframe_jax.compilation import update_marked
 from reframe_jax.geometry import symmetric
-from reframe_jax.identification.evidence import FLOOR
+from reframe_jax.identification.floored_moments import FLOOR
 from reframe_jax.objectives.velocity import PositionObjective
 from reframe_jax.solvers import BasinHopping, Box, Solution, ValleySteps
 from reframe_jax.solvers.seeds import stillest_origins
