@@ -1,39 +1,64 @@
-"""Which windows tell the degrees of freedom: those whose exact motion obeys no tighter constraint.
+"""Which windows tell the constraint: those whose exact motion obeys no other as tight, nor a tighter one.
 
-The exact motion is seen at the optimum of the paper's objective for every frame type. An axis along which the
-frame goes no farther than ten times the noise of a pose counts as held there: a constraint that holds it as
-well explains the recording as well. The truth is determined where its own type holds no more axes than the
-truth does, and no other type does.
+The exact motion is seen at the optimum of the paper's objective for every frame type. The optimum is that
+of the measured poses over chords of a second: of exact poses it is any origin that leaves the constrained
+axes at zero, and among these the noise tells which holds the other axes best. An axis along which the frame
+goes no farther than ten times the noise of a pose counts as held there: a constraint that holds it as well
+explains the recording as well. The degrees of freedom are determined where the true type holds no more axes
+than the truth does, and no other type does; the type where no other holds as many.
 """
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import reframe_jax as rf
-from benchmarks.lags import identify_at
+from benchmarks.lags import identify_at, takes_lag
 from reframe_jax.constraints.types import POSITION_BODIES
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.motion.kinematics import velocity_components
 
-__all__ = ["determined"]
+__all__ = ["Told", "determined"]
 
+_CHORD = 1.0  # s
 _NOISES = 10  # that an axis goes at least to be seen free
 
 
+class Told(NamedTuple):
+    """What the motion tells of N windows.
+
+    Attributes:
+        dof: (N,) bool, whether the degrees of freedom.
+        name: (N,) bool, whether the frame type as well, where it makes a difference.
+    """
+
+    dof: np.ndarray
+    name: np.ndarray
+
+
 def determined(
-    frame: rf.ConstraintFrame, exact: np.ndarray, dt: float, sigma: np.ndarray, rotation_ratio: np.ndarray
-) -> np.ndarray:
-    """Whether the motion tells the degrees of freedom of the truth, (N,) bool.
+    label: str,
+    frame: rf.ConstraintFrame,
+    exact: np.ndarray,
+    measured: np.ndarray,
+    dt: float,
+    sigma: np.ndarray,
+    rotation_ratio: np.ndarray,
+) -> Told:
+    """What the motion tells of the truth.
 
     Args:
-        frame: the true constraint.
+        label: of the constraint.
+        frame: its geometry.
         exact: (N, K+1, 4, 4) true poses, m.
+        measured: (N, K+1, 4, 4) the same with noise.
         dt: s.
         sigma: (N,) standard deviation of the noise in every component of the position, m.
         rotation_ratio: (N,) that of every component of the rotation over ``sigma``, rad/m.
     """
-    found = identify_at(1, exact, dt=dt).candidates
+    found = identify_at(round(_CHORD / dt) if takes_lag() else 1, measured, dt=dt).candidates
     position = jnp.asarray(found.linear.position)
     rotvecs = found.angular.rotvec, found.linear.rotvec
     turns, moves, levers = _distances(jnp.asarray(exact), dt, rotvecs, position)
@@ -41,9 +66,13 @@ def determined(
     noise = sigma[:, None] * np.sqrt(1 + (rotation_ratio[:, None] * np.asarray(levers)) ** 2)
     moving = np.asarray(moves) / noise[:, :, None]
     free_rotations, free_translations = (np.sum(x > _NOISES, axis=2) for x in (turning, moving))
-    angular = free_rotations[:, int(frame.angular_type)] == sum(frame.angular_dof)
-    own = free_translations[:, int(frame.linear_type)] == sum(frame.linear_dof)
-    return angular & own & (np.min(free_translations, axis=1) == sum(frame.linear_dof))
+    entry = rf.CONSTRAINTS[label]
+    number = sum(entry.linear_dof)
+    angular = free_rotations[:, int(frame.angular_type)] == sum(entry.angular_dof)
+    own = free_translations[:, int(frame.linear_type)] == number
+    dof = angular & own & (np.min(free_translations, axis=1) == number)
+    alone = np.sum(free_translations == number, axis=1) == 1
+    return Told(dof, dof & (alone | (entry.linear_type is None)))
 
 
 @jax.jit

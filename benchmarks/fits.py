@@ -16,6 +16,7 @@ import numpy as np
 
 import reframe_jax as rf
 from benchmarks.bounds import Bound
+from benchmarks.determined import Told
 from benchmarks.dual_annealing import rotation_matrix, sampled_velocities, solve
 from reframe_jax.geometry.rotations import rotation_log
 from reframe_jax.geometry.transforms import pose_inverse
@@ -39,8 +40,7 @@ class Windows:
         poses, exact: (N, K+1, 4, 4), m.
         dt: s.
         bound: of every window.
-        determined: (N,) bool, whether the motion tells the degrees of freedom; see
-            :mod:`benchmarks.determined`.
+        told: what the motion tells.
     """
 
     label: str
@@ -49,12 +49,12 @@ class Windows:
     exact: np.ndarray
     dt: float
     bound: Bound
-    determined: np.ndarray
+    told: Told
 
     def __getitem__(self, rows: Any) -> "Windows":
         """Some of the windows."""
         frame, bound = jax.tree.map(lambda leaf: leaf[rows], (self.frame, self.bound))
-        told = self.determined[rows]
+        told = Told(*(part[rows] for part in self.told))
         return Windows(self.label, frame, self.poses[rows], self.exact[rows], self.dt, bound, told)
 
 
@@ -66,8 +66,8 @@ class Scores:
         errors: of each of ``QUANTITIES``, (N,) in rad, rad and m; NaN where nothing is said or asked.
         bounds: what the bound allows, likewise.
         right: by "types", "dof" and "name", (N,) 0 or 1; and "silent": another name is given, with a
-            probability of 0.9 or more. NaN where the motion does not tell; "told": whether it does. Empty
-            for contestants that do not say.
+            probability of 0.9 or more. NaN where the motion does not tell; "told": whether it tells the
+            degrees of freedom. Empty for contestants that do not say.
     """
 
     errors: dict[str, np.ndarray]
@@ -100,7 +100,7 @@ def scores(found: rf.Identification, windows: Windows) -> Scores:
 
     types, body = np.array([int(kind) for kind in kinds])[linear], np.array(bodies)[angular]
     bound = jax.tree.map(np.asarray, windows.bound)
-    right = np.asarray(found.name == entry.name)
+    told, right = windows.told, np.asarray(found.name == entry.name)
     said = {
         "types": np.asarray(metrics.types_correct(found, frame, ties=True)),
         "dof": np.asarray(metrics.dof_correct(found, frame)),
@@ -118,8 +118,11 @@ def scores(found: rf.Identification, windows: Windows) -> Scores:
             "linear": bound.linear[rows, types],
             "position": bound.position[rows, types],
         },
-        {name: np.where(windows.determined, values, np.nan) for name, values in said.items()}
-        | {"told": windows.determined},
+        {
+            name: np.where(told.name if name == "name" else told.dof, values, np.nan)
+            for name, values in said.items()
+        }
+        | {"told": told.dof},
     )
 
 

@@ -14,8 +14,9 @@ the mean square, and, with an x, the median of its ratio to the bound of the win
 estimate has 0.7 (one unknown) to 0.9 (three). The bounds of E to H are those for consecutive poses; see
 :mod:`benchmarks.bounds`. What nobody can tell from a window, because its bound is above 0.2 rad or 0.1 m, is
 left out. Told is the share of windows whose motion determines the degrees of freedom (see
-:mod:`benchmarks.determined`). Of these, right are the types (ties accepted), the numbers of degrees of
-freedom, and the name; silent is the share that get another name with a probability of 0.9 or more.
+:mod:`benchmarks.determined`). Of these, right are the types (ties accepted) and the numbers of degrees of
+freedom; the name, of those whose motion determines the type too. Silent is the share of the first that get
+another name with a probability of 0.9 or more.
 """
 
 import sys
@@ -138,8 +139,9 @@ def make(plan: Plan, rate: float) -> Iterator[tuple[Windows, dict[str, np.ndarra
         }
         bound = cramer_rao(made.truth, made.exact_poses, where["sigma"], where["ratio"])
         exact = np.asarray(made.exact_poses)
-        told = determined(made.truth, exact, dt, where["sigma"], where["ratio"])
-        yield Windows(label, made.truth, np.asarray(made.poses), exact, dt, bound, told), where
+        poses = np.asarray(made.poses)
+        told = determined(label, made.truth, exact, poses, dt, where["sigma"], where["ratio"])
+        yield Windows(label, made.truth, poses, exact, dt, bound, told), where
 
 
 def run(plan: Plan) -> tuple[dict[str, np.ndarray], list[dict[str, Any]]]:

@@ -10,9 +10,10 @@ from scipy.spatial.transform import Rotation
 
 import reframe_jax as rf
 from reframe_jax.geometry.transforms import make_pose
+from reframe_jax.identification.classify import class_probabilities, likeliest_type
 from reframe_jax.identification.distances import share_of_turn
 from reframe_jax.identification.evidence import reduce_windows
-from reframe_jax.identification.freedom import freedom_patterns, type_weights
+from reframe_jax.identification.freedom import freedom_patterns
 from reframe_jax.simulation import synthetic
 
 SAMPLES = 51.0
@@ -135,16 +136,29 @@ def test_the_further_an_axis_went_the_likelier_it_is_free():
     assert np.all(np.diff(free[far > 3]) > -1e-9)
 
 
-def test_weights_of_types():
-    """Those that tie share; three standard deviations are next to nothing."""
-    margin = np.full(2, 0.3)
-    excess = np.array([[0.0, 0.0, 0.3, 2.0], [0.0, 0.1, -0.1, 0.2]])
-    weights = np.asarray(jax.jit(type_weights)(excess, margin))
-    np.testing.assert_allclose(np.sum(weights, axis=-1), 1)
-    np.testing.assert_allclose(weights[0, 2] / weights[0, 0], np.exp(-4.5))
-    assert weights[0, 0] == weights[0, 1]
-    assert weights[0, 3] < 1e-12
-    np.testing.assert_allclose(weights[1, 2], weights[1, 0])  # none is better than the winner
+def test_types_are_compared_along_the_axes_that_the_winner_constrains():
+    """A likelihood ratio, which no number of samples makes larger than a few."""
+    patterns = np.full((4, 4, 4, 4), 1 / 16)
+    rms = np.broadcast_to([[1.0, 2, 3], [1, 2, 5], [1, 3, 6], [9, 12, 15]], (4, 4, 3))
+    dof = np.array([[0, 0, 1], [0, 0, 1], [0, 1, 1], [1, 1, 1]])
+    dof, winner = np.broadcast_to(dof[:, None], (4, 4, 3)), np.zeros(4, int)
+    classes = np.asarray(class_probabilities(patterns, rms, dof, winner, np.array([7.5, 1e9, 7.5, 7.5])))
+    np.testing.assert_allclose(np.sum(classes, axis=(1, 2, 3)), 1)
+    of_types = np.sum(classes, axis=(2, 3))
+    np.testing.assert_array_equal(of_types[:, 0], of_types[:, 1])  # the third axis does not count
+    ratio = of_types[:, 2] / of_types[:, 0]
+    np.testing.assert_allclose(ratio[0], np.exp(-6 * np.log(1.5) / 2))  # 10 numbers, worth 6
+    np.testing.assert_allclose(ratio[1], np.exp(-15 * np.log(1.5) / 2), rtol=1e-6)
+    np.testing.assert_allclose(ratio[2], 1)
+    np.testing.assert_allclose(of_types[3], 1 / 4)
+    assert np.all(of_types[:2, 3] < 1e-4)
+
+
+def test_the_likeliest_type_wins_unless_nothing_tells_them_apart():
+    classes = np.zeros((2, 4, 4, 4))
+    classes[0, :, 1, 2] = 0.1, 0.4, 0.2, 0.3
+    classes[1, :, 3, 3] = 0.25
+    assert likeliest_type(classes, np.array([3, 3])).tolist() == [1, 3]
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ import pytest
 import reframe_jax as rf
 from benchmarks import fits, lags, noise
 from benchmarks.bounds import cramer_rao
-from benchmarks.determined import determined
+from benchmarks.determined import Told, determined
 from reframe_jax.simulation.motions import PoseErrors, random_motion
 
 STEPS, DT = 50, 0.1
@@ -24,7 +24,7 @@ def windows(label: str, sigma: float, count: int = 3) -> fits.Windows:
     made = jax.vmap(of_key)(jax.random.split(jax.random.key(7), count))
     bound = cramer_rao(made.truth, made.exact_poses, sigma, 3.0)
     poses, exact = np.asarray(made.poses), np.asarray(made.exact_poses)
-    return fits.Windows(label, made.truth, poses, exact, DT, bound, np.ones(count, dtype=bool))
+    return fits.Windows(label, made.truth, poses, exact, DT, bound, Told(*np.ones((2, count), dtype=bool)))
 
 
 @pytest.mark.parametrize(
@@ -74,30 +74,36 @@ def test_what_nobody_can_tell_is_left_out():
 
 
 @pytest.mark.parametrize(
-    ("label", "excitation", "sigma", "told"),
+    ("label", "excitation", "sigma", "dof", "name"),
     [
-        ("A", "sine", 1e-4, True),
-        ("E", "sine", 1e-4, True),
-        ("E", "paper", 1e-4, False),  # it turns and slides steadily: on a circle
-        ("G", "paper", 1e-4, False),
-        ("K", "sine", 1e-4, True),
-        ("K", "sine", 1.0, False),  # the noise is larger than the motion
+        ("A", "sine", 1e-4, True, True),
+        ("E", "sine", 1e-4, True, True),
+        ("E", "paper", 1e-4, False, False),  # it turns and slides steadily: on a circle
+        ("J", "paper", 1e-4, True, False),  # it turns steadily: E explains it as well
+        ("G", "paper", 1e-4, False, False),
+        ("K", "sine", 1e-4, True, True),
+        ("K", "sine", 1.0, False, False),  # the noise is larger than the motion
     ],
 )
-def test_a_motion_tells_the_degrees_of_freedom_if_nothing_tighter_explains_it(label, excitation, sigma, told):
-    motion = random_motion(label, jax.random.key(1), samples=STEPS, dt=DT, excitation=excitation)
-    exact = np.asarray(motion.exact_poses)[None]
+def test_a_motion_tells_the_constraint_if_nothing_as_tight_explains_it(label, excitation, sigma, dof, name):
+    errors = PoseErrors(sigma, rotation_ratio=3.0)
+    motion = random_motion(
+        label, jax.random.key(1), samples=STEPS, dt=DT, excitation=excitation, errors=errors
+    )
+    exact, measured = np.asarray(motion.exact_poses)[None], np.asarray(motion.poses)[None]
     truth = jax.tree.map(lambda leaf: leaf[None], motion.truth)
-    assert determined(truth, exact, DT, np.array([sigma]), np.array([3.0])) == [told]
+    told = determined(label, truth, exact, measured, DT, np.array([sigma]), np.array([3.0]))
+    assert (told.dof, told.name) == ([dof], [name])
 
 
 def test_what_the_motion_does_not_tell_is_not_scored():
     ours = windows("A", 1e-4)
-    some = replace(ours, determined=np.array([True, False, True]))
+    some = replace(ours, told=Told(np.array([True, False, True]), np.array([True, False, False])))
     right = fits.scores(rf.identify(ours.poses, dt=DT), some).right
     np.testing.assert_array_equal(right["told"], [True, False, True])
-    for name in ("types", "dof", "name", "silent"):
+    for name in ("types", "dof", "silent"):
         np.testing.assert_array_equal(np.isnan(right[name]), [False, True, False])
+    np.testing.assert_array_equal(np.isnan(right["name"]), [False, True, True])
 
 
 def test_lag_1_is_the_paper_s_objective_whether_or_not_identify_takes_a_lag(monkeypatch):

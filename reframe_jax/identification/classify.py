@@ -12,10 +12,12 @@ from reframe_jax.objectives.moments import MONOMIALS
 
 __all__ = [
     "Thresholds",
+    "class_probabilities",
     "degrees_of_freedom",
     "excess_over",
     "free_positions",
     "free_rotations",
+    "likeliest_type",
     "nearest_origin",
     "tie_margin",
     "tied_types",
@@ -25,6 +27,7 @@ _NOISE_MARGIN = 3.0
 _STILL_MARGIN = 2.0
 _TIE_DEVIATIONS = 3.0
 _NOISE_CORRELATION = 1.5  # variance of a mean square of differenced white noise, against white noise
+_WORTH = 15.0  # independent numbers that any number of them is worth at most, where types are compared
 
 
 @jax.tree_util.register_dataclass
@@ -134,14 +137,21 @@ def excess_over(reference: jax.Array, rms: jax.Array, counted: jax.Array) -> jax
     return total / jnp.maximum(jnp.sum(counted, axis=-1), 1)
 
 
+def _independent_numbers(axes: jax.Array | int, samples: jax.Array | int) -> jax.Array:
+    """How many independent numbers velocities along n axes are, from K samples: n K / c.
+
+    c = 1.5, because differencing correlates neighbours.
+    """
+    return jnp.asarray(axes * samples / _NOISE_CORRELATION)
+
+
 def tie_margin(counted: jax.Array, samples: jax.Array | int) -> jax.Array:
     """What :func:`excess_over` may be, (...), for a tie: three standard deviations of a difference.
 
-    From K samples of noise, (...), the logarithm of the geometric mean over n axes is known to about
-    sqrt(c / (2 n K)), c = 1.5 because differencing correlates neighbours.
+    From N independent numbers the logarithm of a root mean square is known to about sqrt(1 / (2 N)).
     """
     number = jnp.maximum(jnp.sum(counted, axis=-1), 1)
-    return _TIE_DEVIATIONS * jnp.sqrt(_NOISE_CORRELATION / (number * samples))
+    return _TIE_DEVIATIONS / jnp.sqrt(_independent_numbers(number, samples))
 
 
 def tied_types(rms: jax.Array, dof: jax.Array, winner: jax.Array, samples: jax.Array | int) -> jax.Array:
@@ -168,3 +178,36 @@ def tied_types(rms: jax.Array, dof: jax.Array, winner: jax.Array, samples: jax.A
     excess = excess_over(of_winner(rms), rms, counted)
     number = jnp.broadcast_to(jnp.asarray(samples, rms.dtype), winner.shape)[..., None]
     return (jnp.sum(counted, axis=-1) == 0) | (excess < tie_margin(counted, number))
+
+
+def class_probabilities(
+    patterns: jax.Array, rms: jax.Array, dof: jax.Array, winner: jax.Array, samples: jax.Array
+) -> jax.Array:
+    """Probability of every class, (N, 4, 4, 4): linear type, number of free rotations, of free translations.
+
+    Types are compared along as many axes as the type of the lowest norm has constrained. What is left along
+    them is Gaussian of a size that is not known, so that of n independent numbers the logarithm of the
+    likelihood is - n log rms. Errors do not act on all types alike, which makes many numbers worth no more
+    than a few of them.
+
+    Args:
+        patterns: (4, 4, N, 4) probability of every pattern if the type were known.
+        rms: (N, 4, 3) m/s, ascending, of every type.
+        dof: (N, 4, 3) of every type.
+        winner: (N,) the type of the lowest norm.
+        samples: (N,) independent velocities.
+    """
+    counted = (jnp.take_along_axis(dof, winner[:, None, None], axis=1)[:, 0] == 0).astype(rms.dtype)
+    number = jnp.maximum(jnp.sum(counted, axis=1), 1)
+    worth = 1 / (1 / _independent_numbers(number, samples) + 1 / _WORTH)
+    size = jnp.sum(counted[:, None] * jnp.log(rms), axis=2) / number[:, None]
+    of_types = jax.nn.softmax(-worth[:, None] * size, axis=1)
+    return of_types[:, :, None, None] * jnp.moveaxis(patterns, (2, 3), (0, 1))
+
+
+def likeliest_type(classes: jax.Array, winner: jax.Array) -> jax.Array:
+    """The likeliest linear type, (N,); where all are as likely, the winner (N,)."""
+    of_types = jnp.sum(classes, axis=(2, 3))
+    own = jnp.take_along_axis(of_types, winner[:, None], axis=1)[:, 0]
+    likeliest = jnp.argmax(of_types, axis=1).astype(winner.dtype)
+    return jnp.where(own < jnp.max(of_types, axis=1), likeliest, winner)

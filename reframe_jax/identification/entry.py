@@ -73,7 +73,8 @@ def identify(
     """Identify the constraint frame of one window of poses, or of every window of a batch.
 
     Minimises the norm of Eqs. 7 and 8 of the paper for both angular and all four linear frame types,
-    takes the type with the lowest norm in each group, and classifies its degrees of freedom. Classes that say
+    takes the best type of each group, and classifies its degrees of freedom. The best type has the lowest
+    norm; by default the best linear type is the one whose constrained axes are the stillest. Classes that say
     the same in all types, such as a hinge, are given in GB or BG, which know the origin best.
 
     Batches run on every processor; windows that lie on several devices (by a ``NamedSharding`` along

@@ -68,9 +68,10 @@ class LinearFrame:
     """The identified frame of the linear velocity.
 
     Attributes:
-        type_code: (...) int, ``LinearType`` of the lowest norm; read it as ``frame_type``. That of a screw
-            joint is GB or BG, because the norms of BB and GG do not tell its origin; so is that of refined
-            frames whose class says the same in all types, such as a hinge, where one of these ties with it.
+        type_code: (...) int, the likeliest ``LinearType``, or with thresholds or a given lag that of the
+            lowest norm; read it as ``frame_type``. That of a screw joint is GB or BG, because the norms of
+            BB and GG do not tell its origin; so is that of refined frames whose class says the same in all
+            types, such as a hinge, where one of these ties with it.
         rotvec: (..., 3) rad, orientation of the frame in the body of the type's first letter; axes in
             the order and handedness of :class:`AngularFrame`.
         position: (..., 3) m, origin of the frame in the body of the type's second letter. Where

@@ -26,7 +26,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-__all__ = ["PATTERN_PRIOR", "freedom_patterns", "screw_probabilities", "type_weights"]
+__all__ = ["PATTERN_PRIOR", "freedom_patterns", "screw_probabilities"]
 
 PATTERN_PRIOR = np.full((4, 4), 0.1)
 """Weight of every pattern (free rotations, free translations) before any data are seen."""
@@ -315,14 +315,3 @@ def _over_patterns(values: jax.Array, axis: int, free: bool) -> jax.Array:
         else:
             sums.append(jnp.concatenate([zero, jnp.cumsum(group, axis=0)])[::-1])
     return jnp.moveaxis(sums[0][:, None] + sums[1][None], (0, 1), (axis, axis + 1))
-
-
-def type_weights(excess: jax.Array, margin: jax.Array) -> jax.Array:
-    """Probability of every frame type, (..., T), from what it exceeds the best by.
-
-    Args:
-        excess: (..., T) see :func:`reframe_jax.identification.classify.excess_over`.
-        margin: (...) three standard deviations of it.
-    """
-    deviations = 3 * jnp.maximum(excess, 0) / margin[..., None]
-    return jax.nn.softmax(-jnp.square(jnp.minimum(deviations, 30)) / 2, axis=-1)

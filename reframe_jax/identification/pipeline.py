@@ -17,11 +17,11 @@ from reframe_jax.constraints.types import POSITION_BODIES
 from reframe_jax.identification.cautions import Caution, caution_codes
 from reframe_jax.identification.classify import (
     Thresholds,
+    class_probabilities,
     degrees_of_freedom,
-    excess_over,
     free_rotations,
+    likeliest_type,
     nearest_origin,
-    tie_margin,
     tied_types,
 )
 from reframe_jax.identification.coupling import coupled_positions
@@ -32,7 +32,6 @@ from reframe_jax.identification.distances import (
     pattern_probabilities,
 )
 from reframe_jax.identification.evidence import IN_BODY, IN_GROUND, Evidence, LagRule, reduce_windows
-from reframe_jax.identification.freedom import type_weights
 from reframe_jax.identification.likelihood import likeliest_frames
 from reframe_jax.identification.naming import holds_for_all_types, name_probability
 from reframe_jax.identification.optima import (
@@ -149,11 +148,10 @@ def solve_evidence(
     )
     linear_frame = _linear_frame(linear, (position, free), evidence, optima, settled, idle)
     angular_frame = _angular_frame(angular, evidence, optima, patterns)
-    classes = _class_probability(evidence, optima, dof[1], patterns)
     n = optima.linear_winner
     axes = frames.angular_axes, pick_type(frames.axes, n)
     screws = jnp.where(on_axis, screw.probability, 0)
-    probability = name_probability(classes, n, (angular_frame.dof, linear_frame.dof), axes, screws)
+    probability = name_probability(settled.classes, n, (angular_frame.dof, linear_frame.dof), axes, screws)
     named = on_axis & (screws > _EVEN)
     cautions = {
         Caution.FAR_ORIGIN: optima.widened & ~on_axis,
@@ -166,7 +164,7 @@ def solve_evidence(
         angular=angular_frame,
         linear=linear_frame,
         candidates=AllCandidates(angular=angular, linear=linear),
-        class_probability=classes,
+        class_probability=settled.classes,
         screw_probability=screws,
         pitch=jnp.where(named, screw.pitch, jnp.nan),
         noise=evidence.noise,
@@ -185,15 +183,18 @@ class _Settled(NamedTuple):
     Attributes:
         frames: to report.
         patterns: (4, 4, N, 4) probability of every pattern of degrees of freedom.
+        classes: (N, 4, 4, 4) probability of every linear type and pattern.
         dof: (N, 2, 3) and (N, 4, 3).
         refined: (N,) bool, see :class:`Identification`.
         on_axis: (N,) bool, whether the frames are those of a screw.
-        winner: (N,) linear type: that of the lowest norm, on a screw of those whose origin has a path.
+        winner: (N,) linear type: the likeliest one, or for given chords that of the lowest norm; on
+            a screw, and where it makes no difference, one whose origin has a path.
         screw: the screws.
     """
 
     frames: Frames
     patterns: jax.Array
+    classes: jax.Array
     dof: tuple[jax.Array, jax.Array]
     refined: jax.Array
     on_axis: jax.Array
@@ -245,13 +246,18 @@ def _decide(
     start = patterns, white, jnp.zeros_like(white)
     patterns, white, on_axis = jax.lax.fori_loop(first, until, judge, start)
     frames = jax.tree.map(partial(_choose, on_axis), screw.frames, frames)
-    # the paths of BB and GG are summed up, and their noise with them
     dof = _freedom(patterns, optima, thresholds)
+    classes = class_probabilities(patterns, optima.rms, dof[1], n, evidence.samples)
+    if rule == "auto" and thresholds is None:
+        n = likeliest_type(classes, n)
+        optima = replace(optima, linear_winner=n)
+        dof = _freedom(patterns, optima, thresholds)
+    # the paths of BB and GG are summed up, and their noise with them
     same = _says_the_same(optima, frames, dof, followed.linear_winner, evidence.samples)
     by_path = on_axis | (white & same)
     optima = replace(optima, linear_winner=jnp.where(by_path, followed.linear_winner, n))
     dof = _freedom(patterns, optima, thresholds)
-    return _Settled(frames, patterns, dof, white, on_axis, optima.linear_winner, screw)
+    return _Settled(frames, patterns, classes, dof, white, on_axis, optima.linear_winner, screw)
 
 
 def _says_the_same(
@@ -355,16 +361,6 @@ def _on_bounds(optima: Optima, position: jax.Array) -> jax.Array:
 def _of_winner(patterns: jax.Array, optima: Optima) -> jax.Array:
     """Probability of every pattern of the best linear type, (N, 4, 4)."""
     return pick_type(jnp.moveaxis(patterns, (2, 3), (0, 1)), optima.linear_winner)
-
-
-def _class_probability(evidence: Evidence, optima: Optima, dof: jax.Array, patterns: jax.Array) -> jax.Array:
-    """Probability of every linear type and pattern, (N, 4, 4, 4)."""
-    winner = optima.linear_winner[:, None, None]
-    held = (jnp.take_along_axis(dof, winner, axis=1) == 0).astype(optima.rms.dtype)
-    best = jnp.take_along_axis(optima.rms, winner, axis=1)
-    margin = tie_margin(held[:, 0], evidence.samples)
-    of_types = type_weights(excess_over(best, optima.rms, held), margin)
-    return of_types[:, :, None, None] * jnp.moveaxis(patterns, (2, 3), (0, 1))
 
 
 def _warning_codes(
