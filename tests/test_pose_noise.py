@@ -93,13 +93,29 @@ def test_an_encoder_needs_no_chord_and_a_camera_one_that_grows_with_its_noise():
     assert np.all(lags(position, angle, (1e-6, 3e-6)) == 1)
     found = lags(position, angle, (SIGMAS, 3 * SIGMAS))
     assert np.all(np.diff(found) >= 0)
-    assert found[0] == 1
+    assert found[0] < 4
     assert 4 <= found[2] < found[3]
     # no longer than needed: the next shorter chord is less than 70 noises, in one of the groups
     turned = np.abs(2 * np.sin((angle[6:] - angle[:-6]) / 2))[:, 2]
     shifted = np.linalg.norm(position[:, 6:, 2] - position[:, :-6, 2], axis=0)
     long_at_6 = min(np.median(turned) / 3e-3, np.median(shifted) / 1e-3) >= 70
     assert (found[2] <= 6) == long_at_6
+
+
+def test_a_short_chord_grows_to_a_twentieth_of_the_longest_or_1000_noises():
+    """Some axis may move far less than the body."""
+    position = smooth()
+    medians = {
+        lag: np.median(np.linalg.norm(position[:, lag:, 0] - position[:, :-lag, 0], axis=0))
+        for lag in range(1, COUNT[0] // 6)
+    }
+    longest, sigmas = max(medians.values()), np.array([1e-9, 1e-6, 1e-5, 5e-5])
+    found = lags(position[:, :, :1].repeat(4, axis=2), np.zeros((POSES, 4)), (sigmas, 1e-6))
+    for sigma, lag in zip(sigmas, found, strict=True):
+        goal = min(1000 * sigma, 0.05 * longest)
+        assert medians[lag] >= max(goal, 70 * sigma)
+        assert lag == 1 or medians[lag - 1] < 1.5 * goal
+    assert found[0] == 1 < found[-1]
 
 
 @pytest.mark.parametrize("poses", [400, 100, 13, 12, 7])

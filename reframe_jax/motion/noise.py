@@ -19,6 +19,7 @@ __all__ = ["choose_lag", "constant_components", "estimate_noise", "masked_median
 _ORDERS = (2, 4, 6)  # of the differences from which noise is told
 _GAUSSIAN = 0.6745  # median of the absolute value of a standard normal variable
 _CHORD = 70.0  # noises that the median chord should be long
+_LONG_CHORD, _PART = 1000.0, 0.05  # more where that is so much of the longest, for axes that move slowly
 _TURN = radians(20.0)  # that it should turn at most
 _SHARE = 6  # chords that fit a window, at least
 _GROWS = 2.0  # motion of a chord over that of one a quarter as long, below which it is drift
@@ -154,9 +155,10 @@ def choose_lag(
 ) -> jax.Array:
     """Choose the lag: the fewest samples at which the median chord is long compared with the noise.
 
-    The median chord should be 70 times the noise in position and in orientation, or 80 % of the longest that
-    the motion makes. It should turn by no more than 20 degrees, and at least six chords must fit in the
-    window. A group (position or orientation) whose motion hardly grows with the lag does not count.
+    The median chord should be 70 times the noise in position and in orientation; or more, up to 1000 times,
+    until it is 5 % of the longest that the motion makes, because some axis may move far less than the body
+    does; or 80 % of the longest. It should turn by no more than 20 degrees, and at least six chords must fit
+    in the window. A group (position or orientation) whose motion hardly grows with the lag does not count.
 
     Args:
         rotation: (3, 3, K+1, N) rotation matrices.
@@ -193,7 +195,8 @@ def _needed(size: jax.Array, allowed: jax.Array, lags: list[int]) -> jax.Array:
     """Index of the lag that a group needs, (N,), from the chords (lags, N) in units of their noise."""
     size = jnp.where(allowed, size, 0)
     largest = jnp.max(size, axis=0)
-    goal = jnp.minimum(_CHORD, _SATURATED * largest)
+    goal = jnp.maximum(_CHORD, jnp.minimum(_LONG_CHORD, _PART * largest))
+    goal = jnp.minimum(goal, _SATURATED * largest)
     found = jnp.argmax(size >= goal[None], axis=0).astype(jnp.int32)
     quarter = [max(i for i, other in enumerate(lags) if other * 4 <= max(lag, 4)) for lag in lags]
     before = jnp.take_along_axis(size, jnp.asarray(quarter, jnp.int32)[found][None], axis=0)[0]
