@@ -8,6 +8,7 @@ import scipy.optimize
 
 import reframe_jax as rf
 from benchmarks.bounds import cramer_rao
+from benchmarks.determined import Told
 from benchmarks.fits import Windows, scores
 from reframe_jax.geometry import symmetric
 from reframe_jax.objectives.held_axes import HeldAxesObjective
@@ -83,6 +84,7 @@ def test_a_cylinder_joint_is_known_as_well_as_the_noise_allows(motion):
     types = {rf.LinearType.GB, rf.LinearType.BG}
     assert np.mean([rf.LinearType(code) in types for code in np.asarray(found.linear.type_code)]) > 0.9
     bound = cramer_rao(made.truth, made.exact_poses, sigma, ratio)
-    scored = scores(found, Windows("C", made.truth, poses, exact, DT, bound, np.ones(WINDOWS, dtype=bool)))
+    told = Told(*np.ones((2, WINDOWS), dtype=bool))
+    scored = scores(found, Windows("C", made.truth, poses, exact, DT, bound, told))
     for name in ("angular", "linear", "position"):
         assert np.nanmedian(scored.errors[name] / scored.bounds[name]) < 1.15, name
