@@ -153,7 +153,7 @@ def _norms_block(found: Identification) -> list[str]:
             tied |= mark == "~"
             entries.append(f"{kind} {_speed(frame.norms[kind])}{mark}")
         lines.append(f"Norms   {group:7}  {'  '.join(entries).rstrip()}  {_UNITS[group]}")
-    lines.append("        * lowest" + (", ~ tied: explains the motion as well" if tied else ""))
+    lines.append("        * reported" + (", ~ tied: explains the motion as well" if tied else ""))
     return lines
 
 
