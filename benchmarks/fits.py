@@ -53,8 +53,8 @@ class Windows:
 
     def __getitem__(self, rows: Any) -> "Windows":
         """Some of the windows."""
-        frame, bound = jax.tree.map(lambda leaf: leaf[rows], (self.frame, self.bound))
-        told = Told(*(part[rows] for part in self.told))
+        parts = self.frame, self.bound, self.told
+        frame, bound, told = jax.tree.map(lambda leaf: leaf[rows], parts)
         return Windows(self.label, frame, self.poses[rows], self.exact[rows], self.dt, bound, told)
 
 

@@ -93,7 +93,7 @@ def test_an_encoder_needs_no_chord_and_a_camera_one_that_grows_with_its_noise():
     assert np.all(lags(position, angle, (1e-6, 3e-6)) == 1)
     found = lags(position, angle, (SIGMAS, 3 * SIGMAS))
     assert np.all(np.diff(found) >= 0)
-    assert found[0] < 4
+    assert found[0] == 3  # a twentieth of the longest chord
     assert 4 <= found[2] < found[3]
     # no longer than needed: the next shorter chord is less than 70 noises, in one of the groups
     turned = np.abs(2 * np.sin((angle[6:] - angle[:-6]) / 2))[:, 2]
