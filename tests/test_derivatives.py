@@ -92,11 +92,13 @@ def test_derivatives_match_finite_differences(label):
         finite = np.asarray(forward[name] - backward[name])[angular] / (2 * h)
         scale = np.max(np.abs(finite)) + 1e-3
         np.testing.assert_allclose(exact[name][angular] / scale, finite / scale, atol=2e-3, err_msg=name)
-    # the noise of positions and rotations counts as given: along a line it stays the same
+    # the noise of positions and rotations counts as given: along a line it stays the same; steps ten times as
+    # long keep what the search leaves of an unclear direction out of the difference
+    h = 1e-5
     direction = along_a_line(direction[0], direction[1])
     arguments = (poses, direction, linear_type, angular_type)
     exact = slope_along(jnp.zeros(()), *arguments)
-    forward, backward = (along(jnp.asarray(step, float), *arguments) for step in (h, -h))
+    forward, backward = (along(jnp.asarray(step), *arguments) for step in (h, -h))
     determined = np.eye(3) - np.asarray(along(jnp.zeros(()), *arguments)["free"])
     for name in ("norms", "rms", "position", "axes", "pitch"):
         slope = np.asarray(exact[name])
@@ -105,7 +107,7 @@ def test_derivatives_match_finite_differences(label):
             slope, finite = determined @ slope, determined @ finite
         scale = np.max(np.abs(finite)) + 1e-3
         # the likeliest frame follows the noise of the orientation a little, which a line changes a little
-        atol = 5e-3 if (label, name) in (("H", "axes"), ("L", "position")) else 2e-3
+        atol = 5e-3 if label == "F" else 2e-3
         np.testing.assert_allclose(np.asarray(slope) / scale, finite / scale, atol=atol, err_msg=name)
 
 
@@ -163,7 +165,7 @@ def test_reverse_mode_agrees_with_forward_mode_under_jit_and_vmap():
     poses = jax.vmap(lambda key: synthetic.simulate(truth, key, noise=1e-4).poses)(keys)
     poses = jnp.concatenate([poses, far_window()[0][None]])
     jacobians = np.asarray(position_jacobians(poses))
-    compare_with_forward_mode(poses, jacobians, [truth] * 3, rtol=1e-6)
+    compare_with_forward_mode(poses, jacobians, [truth] * 3, rtol=1e-5)
 
 
 def compare_with_forward_mode(windows, jacobians, truths, **tolerance):
