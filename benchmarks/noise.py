@@ -162,7 +162,7 @@ def run(plan: Plan) -> tuple[dict[str, np.ndarray], list[dict[str, Any]]]:
             for windows, where in groups:
                 if windows.label in labels:
                     table.add(name, where, line_scores(fit(windows.poses), windows))
-        if rate == plan.rates[0]:
+        if plan.annealed and rate == plan.rates[0]:
             times.append(_anneal_some(table, plan, found, groups))
     return table.joined(), times
 
@@ -300,7 +300,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--motions", nargs="+", choices=list(EXCITATIONS), help="these only")
     add("--rates", nargs="+", type=float, help="sampling rates, Hz")
     add("--windows", type=int, help="of every constraint, motion, noise level and rate")
-    add("--annealed", type=int, help="of every constraint, by dual annealing")
+    add("--annealed", type=int, help="windows of every constraint by dual annealing; 0: none")
     add(
         "--errors",
         choices=list(ERRORS),
