@@ -35,7 +35,7 @@ import json
 import re
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -309,7 +309,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Command line of the benchmark."""
     parser = new_parser("identification", __doc__)
     add = parser.add_argument
-    add("--windows", type=int, default=Size.windows, help="windows to identify (12288)")
+    add("--windows", type=int, help="windows to identify (12288; with --quick, 1536)")
     add("--quick", action="store_true", help="under a minute: 1536 windows, and less of the rest")
     add("--cpu-devices", type=int, help="processors that JAX shows as so many devices, to spread over")
     add("--json", type=Path, help="file to write the metrics to")
@@ -322,7 +322,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     jax.config.update("jax_enable_x64", True)
     if options.cpu_devices:
         jax.config.update("jax_num_cpu_devices", options.cpu_devices)
-    size = QUICK if options.quick else Size(windows=options.windows)
+    size = QUICK if options.quick else Size()
+    if options.windows:
+        size = replace(size, windows=options.windows)
     if (options.curves or options.families) and options.gate:
         parser.error("--gate compares contestants, which --curves and --families leave out")
     if options.families:
