@@ -125,10 +125,20 @@ def mixed():
 
 
 def same(a, b, rtol=1e-4, atol=1e-5):
-    """Equal but for rounding, which free directions amplify, and most of all axes that go equally far."""
+    """Equal but for rounding, which free directions amplify, and most of all axes of which none is unique."""
     for (path, x), y in zip(jax.tree.leaves_with_path(a), jax.tree.leaves(b), strict=True):
         limit = 100 * atol if path[-1].name == "rotvec" else atol
         np.testing.assert_allclose(np.asarray(x), np.asarray(y), rtol=rtol, atol=limit, err_msg=str(path))
+    for x, y in zip(frames(a), frames(b), strict=True):
+        unique = ~np.all(x.free_rotation, axis=-1)
+        np.testing.assert_allclose(
+            np.asarray(x.rotvec)[unique], np.asarray(y.rotvec)[unique], rtol=rtol, atol=atol
+        )
+
+
+def frames(found):
+    """All of an identification."""
+    return found.angular, found.linear, found.candidates.angular, found.candidates.linear
 
 
 def test_norm_is_the_geometric_mean_of_rms_and_the_least_of_the_norms(mixed):
