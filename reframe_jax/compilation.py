@@ -21,6 +21,7 @@ import numpy as np
 
 __all__ = [
     "BLOCK_SHARE",
+    "add_up",
     "apply_each",
     "chunk_size",
     "compiler_options",
@@ -33,6 +34,7 @@ __all__ = [
 
 _CPU_OPTIONS: dict[str, Any] = {
     "xla_disable_hlo_passes": "cse_barrier_expander",  # the pass that drops the marks of once()
+    "xla_cpu_experimental_ynn_fusion_type": "",  # a library's sums, which cost more than they save here
     "xla_cpu_prefer_vector_width": 512,  # where there is AVX-512; otherwise it changes nothing
 }
 if jax.__version_info__ < (0, 11):
@@ -47,7 +49,7 @@ BLOCK_SHARE = 16
 _T = TypeVar("_T")
 _inside_a_kernel: ContextVar[bool] = ContextVar("_inside_a_kernel", default=False)
 
-_CHUNK = {"cpu": 32, "gpu": 65536}
+_CHUNK = {"cpu": 64, "gpu": 65536}
 
 
 def compiler_options(platform: str | None = None, single: bool = False) -> dict[str, Any]:
@@ -67,7 +69,7 @@ def compiler_options(platform: str | None = None, single: bool = False) -> dict[
 
 
 def chunk_size() -> int:
-    """Windows worked on at once: on a CPU so few that a core's first cache holds them, on a GPU many."""
+    """Windows worked on at once: on a CPU so few that a core's own caches hold them, on a GPU many."""
     return _CHUNK.get(jax.default_backend(), 1024)
 
 
@@ -79,6 +81,21 @@ def once(values: _T) -> _T:
 def once_on_cpu(values: _T) -> _T:
     """:func:`once` on a CPU; on a GPU XLA may fuse what computes the values with what reads them."""
     return once(values) if jax.default_backend() == "cpu" else values
+
+
+def add_up(x: jax.Array, axis: int) -> jax.Array:
+    """Sum over the samples along an axis that is not the last, as a few long additions.
+
+    XLA's reduction adds one number after the other on a CPU; whole slices are added a vector at a time.
+    """
+    take = partial(jax.lax.slice_in_dim, axis=axis)
+    while x.shape[axis] > 1:
+        parts = min(8, x.shape[axis])
+        size = x.shape[axis] // parts
+        slices = [take(x, i * size, (i + 1) * size) for i in range(parts)]
+        total, rest = once(sum(slices[1:], slices[0])), take(x, parts * size, None)
+        x = jnp.concatenate([total, rest], axis=axis) if rest.shape[axis] else total
+    return jnp.squeeze(x, axis)
 
 
 def apply_each(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:

@@ -13,6 +13,7 @@ from reframe_jax.motion.kinematics import (
     rates_of,
     split_poses,
     turn_paths,
+    turn_rates,
     velocity_paths,
 )
 from reframe_jax.simulation import synthetic
@@ -146,7 +147,7 @@ def test_turns_need_no_positions(poses, count):
     def both(rotation, position):
         steps = jnp.asarray(STEPS)[None]
         whole = rates_of(paths_of(rotation, position, steps, count)[1])[:, 0]
-        return whole, turn_paths(rotation, steps, count)
+        return whole, turn_paths(turn_rates(rotation, steps, count), steps)
 
     whole, alone = both(rotation, position)
     np.testing.assert_allclose(alone, whole, rtol=0, atol=1e-14)

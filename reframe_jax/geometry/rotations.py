@@ -9,6 +9,7 @@ differentiated, so each is fed a harmless angle where the other one is used.
 Conventions: rotation vectors are axis times angle, in radians; quaternions are (x, y, z, w).
 """
 
+from collections.abc import Sequence
 from math import factorial
 
 import jax
@@ -17,15 +18,20 @@ import jax.numpy as jnp
 from reframe_jax.compilation import once_on_cpu
 
 __all__ = [
+    "cotangent_factor",
     "hat",
     "left_jacobian",
     "left_jacobian_inverse",
+    "log_by_component",
     "quaternion_to_rotation",
     "rotation_exp",
     "rotation_log",
     "rotation_to_quaternion",
     "vee",
 ]
+
+Entries = Sequence[Sequence[jax.Array]] | jax.Array  # of a matrix, by row and column
+Vector = tuple[jax.Array, jax.Array, jax.Array]
 
 _TERMS = 10  # of each series below one radian; the first one left out is < 1e-17
 _SINC = tuple((-1) ** n / factorial(2 * n + 1) for n in range(_TERMS))
@@ -138,16 +144,21 @@ def rotation_log(rotation: jax.Array) -> jax.Array:
     Returns:
         (..., 3), rad.
     """
-    q = once_on_cpu(rotation_to_quaternion(rotation))
-    vector, w = q[..., :3], q[..., 3]
-    squared = _squared_length(vector)
+    vector = log_by_component([[rotation[..., i, j] for j in range(3)] for i in range(3)])
+    return once_on_cpu(jnp.stack(vector, axis=-1))
+
+
+def log_by_component(entries: Entries) -> Vector:
+    """:func:`rotation_log` of rotations given by their entries, arrays of one shape: faster on a CPU."""
+    x, y, z, w = once_on_cpu(_quaternion(entries))
+    squared = x * x + y * y + z * z
     small = squared < 1e-2
     length = jnp.sqrt(jnp.where(small, 1.0, squared))
     w_small = jnp.where(small, w, 1.0)
     # angle / sin(angle / 2) = 2 atan2(|vector|, w) / |vector|
     series = 2 / w_small * _series(squared / w_small**2, _ARCTANGENT)
-    factor = jnp.where(small, series, 2 * jnp.arctan2(length, w) / length)
-    return once_on_cpu(factor[..., None] * vector)
+    factor = once_on_cpu(jnp.where(small, series, 2 * jnp.arctan2(length, w) / length))
+    return factor * x, factor * y, factor * z
 
 
 def left_jacobian(rotvec: jax.Array) -> jax.Array:
@@ -175,12 +186,20 @@ def left_jacobian_inverse(rotvec: jax.Array) -> jax.Array:
     Returns:
         (..., 3, 3).
     """
-    squared, small, angle = _angle(rotvec)
+    w = hat(rotvec)
+    cotangent = cotangent_factor(_squared_length(rotvec))
+    return _identity_like(w) - w / 2 + _matrix(cotangent) * _hat_squared(rotvec)
+
+
+def cotangent_factor(squared: jax.Array) -> jax.Array:
+    """(1 - (x / 2) cot(x / 2)) / x^2 of squared angles x^2.
+
+    :func:`left_jacobian_inverse` is 1 - [w]x / 2 + factor [w]x [w]x.
+    """
+    small, angle = squared < 1.0, jnp.sqrt(jnp.where(squared < 1.0, 1.0, squared))
     half = angle / 2
     closed = (1 - half * jnp.cos(half) / jnp.sin(half)) / angle**2
-    cotangent = jnp.where(small, _series(squared, _COTANGENT), closed)
-    w = hat(rotvec)
-    return _identity_like(w) - w / 2 + _matrix(cotangent) * _hat_squared(rotvec)
+    return jnp.where(small, _series(jnp.where(small, squared, 0.0), _COTANGENT), closed)
 
 
 def quaternion_to_rotation(quaternion: jax.Array) -> jax.Array:
@@ -213,7 +232,10 @@ def rotation_to_quaternion(rotation: jax.Array) -> jax.Array:
     Returns:
         (..., 4) as (x, y, z, w).
     """
-    r = [[rotation[..., i, j] for j in range(3)] for i in range(3)]
+    return jnp.stack(_quaternion([[rotation[..., i, j] for j in range(3)] for i in range(3)]), axis=-1)
+
+
+def _quaternion(r: Entries) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     diagonal = (
         1 + r[0][0] - r[1][1] - r[2][2],
         1 - r[0][0] + r[1][1] - r[2][2],
@@ -228,10 +250,13 @@ def rotation_to_quaternion(rotation: jax.Array) -> jax.Array:
         (xz, yz, diagonal[2], zw),
         (xw, yw, zw, diagonal[3]),
     )
-    best, row = diagonal[3], jnp.stack(rows[3], axis=-1)
+    best, row = diagonal[3], rows[3]
     for entry, candidate in zip(diagonal[:3], rows[:3], strict=True):
         better = entry > best
         best = jnp.where(better, entry, best)
-        row = jnp.where(better[..., None], jnp.stack(candidate, axis=-1), row)
-    quaternion = row / jnp.sqrt(_squared_length(row))[..., None]
-    return jnp.where(quaternion[..., 3:] < 0, -quaternion, quaternion)
+        x, y, z, w = (jnp.where(better, new, old) for new, old in zip(candidate, row, strict=True))
+        row = x, y, z, w
+    x, y, z, w = once_on_cpu(row)
+    length = jnp.sqrt(x * x + y * y + z * z + w * w)
+    length = jnp.where(w < 0, -length, length)
+    return x / length, y / length, z / length, w / length

@@ -282,25 +282,21 @@ def _paths(
     those of the rotations as they are.
     """
 
-    @jax.jit  # traced and linearised once for both passes
-    def of_rotation(rotation: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return kinematics.paths_of(rotation, motion.position, steps, count)
-
+    rotation = motion.rotation
+    if rule == "auto":
+        rotation = once(jax.lax.cond(jnp.any(axis.found), keep_axis, lambda same, _: same, rotation, axis))
+    maps, paths = once(kinematics.paths_of(rotation, motion.position, steps, count))
+    rates, turns = once((kinematics.rates_of(maps), kinematics.rates_of(paths)))
     if rule != "auto":
-        maps, paths = once(of_rotation(motion.rotation))
-        return maps, paths, kinematics.rates_of(maps), kinematics.rates_of(paths)
+        return maps, paths, rates, turns
 
-    def go(before: tuple[jax.Array, jax.Array], kept: jax.Array) -> tuple[Any, Any]:
-        """As measured, then with the axis kept, by one program."""
-        found = axis.found & kept
-        rotation = keep_axis(motion.rotation, axis._replace(found=found))
-        after = jax.lax.cond(jnp.any(found) | ~kept, of_rotation, lambda _: before, rotation)
-        return after, tuple(kinematics.rates_of(x) for x in after)
+    def as_measured(kept: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        rates = kinematics.turn_rates(motion.rotation, steps, count)
+        turns = kinematics.turn_paths(rates, steps)
+        return jnp.where(axis.found, rates[:, None], kept[0]), jnp.where(axis.found, turns[:, None], kept[1])
 
-    shapes = jax.eval_shape(of_rotation, motion.rotation)
-    nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
-    (maps, paths), (rates, turns) = jax.lax.scan(go, nothing, jnp.asarray([False, True]))
-    return once((maps, paths, rates[0], turns[0]))
+    rates, turns = once(jax.lax.cond(jnp.any(axis.found), as_measured, lambda kept: kept, (rates, turns)))
+    return maps, paths, rates, turns
 
 
 def _velocities(

@@ -54,6 +54,7 @@ _MISFIT = 0.15  # of the logarithm of an axis that shows noise alone, for what t
 _GAIN, _GAIN_SPREAD = 0.1, 0.7  # error of measured rotation, over the rotation, and its logarithm's spread
 _GAIN_SHARE, _SCALE_SHARE = 0.2, 0.1  # how often an axis shows such an error, and one of scale
 _UNRELATED = 0.7  # exponent of the distribution of the share of a motion that the rotation does not explain
+_NOT_LESS = log(1e-12) / 2  # that part, in logarithms
 _TOO_EXACT, _FAR = log(0.2), log(1e3)  # noises that the rest has at least, with an error of scale, and far
 _FREE_SPREAD = 1.2  # of free axes about their common size
 _SILENT_SHARE = 0.2  # of constrained axes that show noise alone although there are slow errors
@@ -102,12 +103,25 @@ def freedom_patterns(
     Returns:
         (4, 4, ...): n free rotations and m free translations at [n, m].
     """
-    y = jnp.log(jnp.clip(distance, 1e-6, _LARGEST))
+    dtype = distance.dtype
+    # what the logarithms hold needs no more than float32, in which there are thousands of densities a window
+    y, sizes, lever, unexplained, samples, share = (
+        x.astype(jnp.float32)
+        for x in (
+            jnp.log(jnp.clip(distance, 1e-6, _LARGEST)),
+            jnp.log(noise),
+            jnp.log(jnp.maximum(_GAIN * gain, 1e-9)),
+            jnp.log(jnp.maximum(1 - of_turn, 1e-30)) / 2,
+            samples,
+            share,
+        )
+    )
+    helical = None if helical is None else helical.astype(jnp.float32)
     # one more axis in front: the multiples
     multiples, white_only, weights = _error_sizes(share, y.ndim)
     single, weights = -jnp.log(share)[None, None], weights[:, 0]
     white = jnp.broadcast_to(jnp.sqrt(1 / (2 * samples) + _MISFIT**2)[None], y.shape)
-    constrained = _of_constrained(y, (multiples, white_only), white, gain, of_turn, helical)
+    constrained = _of_constrained(y, (multiples, white_only), white, lever, unexplained, helical)
     plain, scaled = (_over_patterns(densities, 1, free=False) for densities in constrained)
     # (M, 4, 4, ...): an error of scale is one of the angle about a single axis
     held = jnp.concatenate([plain[:, :1], scaled[:, 1:2], plain[:, 2:]], axis=1)
@@ -133,7 +147,7 @@ def freedom_patterns(
     evidence = jax.nn.logsumexp(terms, axis=0)
     seen = jnp.exp(evidence - jnp.max(evidence, axis=(0, 1), keepdims=True))
     prior = jnp.asarray(PATTERN_PRIOR, y.dtype).reshape(number.shape)
-    weighted = prior * _with_hidden(seen, _hidden(y, noise))
+    weighted = (prior * _with_hidden(seen, _hidden(y, sizes))).astype(dtype)
     return weighted / jnp.sum(weighted, axis=(0, 1), keepdims=True)
 
 
@@ -168,8 +182,8 @@ def _of_constrained(
     y: jax.Array,
     errors: tuple[jax.Array, jax.Array],
     white: jax.Array,
-    gain: jax.Array,
-    of_turn: jax.Array,
+    lever: jax.Array,
+    unexplained: jax.Array,
     helical: jax.Array | None,
 ) -> tuple[jax.Array, jax.Array]:
     """Logarithm of the density of the motion along constrained axes, (M, 6, ...), for each kind of errors.
@@ -180,18 +194,18 @@ def _of_constrained(
         y: (6, ...) logarithm of the motion, in noises.
         errors: multiples of the noise, (M, 1, ...), and which of them is noise alone.
         white: (6, ...) standard deviation of the logarithm of noise alone.
-        gain: (3, ...) see :func:`freedom_patterns`.
-        of_turn: (3, ...) likewise.
-        helical: (...) likewise.
+        lever: (3, ...) logarithm of what errors of the measured rotation make, in noises.
+        unexplained: (3, ...) logarithm of what is left of the motion without what the rotation explains.
+        helical: (...) see :func:`freedom_patterns`.
     """
     _, white_only = errors
     own, along = _of_errors(y, errors, white), y[3:]
-    of_lever = _normal(along, jnp.log(jnp.maximum(_GAIN * gain, 1e-9)), _GAIN_SPREAD)[None]
-    rest = jnp.log(jnp.maximum(1 - of_turn, 1e-12)) / 2
+    of_lever = _normal(along, lever, _GAIN_SPREAD)[None]
+    rest = jnp.maximum(unexplained, _NOT_LESS)
     usual = log(2 * _UNRELATED) + 2 * _UNRELATED * rest  # density of the rest if nothing relates the two
     by_scale = of_lever + _of_errors(along + rest, errors, white[3:]) - usual[None]
     # no sensor is as exact as that
-    exact = along + jnp.log(jnp.maximum(1 - of_turn, 1e-30)) / 2 < _TOO_EXACT
+    exact = along + unexplained < _TOO_EXACT
     by_scale = jnp.where(exact & (along > _FAR), -jnp.inf, by_scale)
     gain_share = jnp.where(white_only, 0, _GAIN_SHARE)
     by_rotation = jnp.where(white_only, -jnp.inf, of_lever + log(_GAIN_SHARE))
@@ -271,12 +285,16 @@ def _hidden(y: jax.Array, noise: jax.Array) -> jax.Array:
     """Probability that a free axis shows nothing but noise, (6, ...): noise as large as its motion is.
 
     Its motion is as large as usual, and as that of the largest free axis of its frame where one is seen.
+
+    Args:
+        y: (6, ...) logarithm of the motion, in noises.
+        noise: (6, ...) logarithm of the noise, in rad and m.
     """
-    sizes = jnp.asarray([_USUAL[0]] * 3 + [_USUAL[1]] * 3, y.dtype).reshape(-1, *[1] * (y.ndim - 1))
+    sizes = jnp.asarray([log(_USUAL[0])] * 3 + [log(_USUAL[1])] * 3, y.dtype).reshape(-1, *[1] * (y.ndim - 1))
     largest = jnp.repeat(jnp.stack([jnp.max(y[:3], axis=0), jnp.max(y[3:], axis=0)]), 3, axis=0)
     seen = jax.nn.sigmoid((largest - _LEAST[0]) / _LEAST_WIDTH)
     usual, alike = 1 / _USUAL_SPREAD**2, seen / _FREE_SPREAD**2
-    size = (usual * jnp.log(sizes / noise) + alike * largest) / (usual + alike)
+    size = (usual * (sizes - noise) + alike * largest) / (usual + alike)
     below = (_LEAST[0] - size) * jnp.sqrt(usual + alike)
     return jax.scipy.stats.norm.cdf(below) * jax.nn.sigmoid((_LEAST[0] - y) / _LEAST_WIDTH)
 

@@ -4,10 +4,14 @@ Every operation is elementwise on long rows of samples and windows, and needs no
 which are slow in XLA.
 """
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 
-__all__ = ["bracket", "components_first", "components_last", "cross", "hat", "product", "transpose"]
+from reframe_jax.compilation import once_on_cpu
+
+__all__ = ["bracket", "components_first", "components_last", "cross", "product", "stack", "transpose"]
 
 
 def components_first(array: jax.Array, components: int) -> jax.Array:
@@ -29,16 +33,22 @@ def product(a: jax.Array, b: jax.Array) -> jax.Array:
     return a[:, 0] * b[0, None] + a[:, 1] * b[1, None] + a[:, 2] * b[2, None]
 
 
+def stack(parts: Sequence[jax.Array], axis: int = 0) -> jax.Array:
+    """Stack arrays of one shape.
+
+    On a CPU they are computed first, each by itself, and then copied: XLA would compute them number by number
+    in one loop, which asks at every number whose turn it is.
+    """
+    return jnp.concatenate(once_on_cpu([jnp.expand_dims(part, axis) for part in parts]), axis=axis)
+
+
+def _cross(a: jax.Array, b: jax.Array) -> list[jax.Array]:
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+
+
 def cross(a: jax.Array, b: jax.Array) -> jax.Array:
     """Cross product of vectors (3, ...)."""
-    return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
-def hat(w: jax.Array) -> jax.Array:
-    """(3, ...) to (3, 3, ...): see :func:`reframe_jax.geometry.rotations.hat`."""
-    zero = jnp.zeros_like(w[0])
-    rows = ([zero, -w[2], w[1]], [w[2], zero, -w[0]], [-w[1], w[0], zero])
-    return jnp.stack([jnp.stack(row) for row in rows])
+    return stack(_cross(a, b))
 
 
 def transpose(matrix: jax.Array) -> jax.Array:
@@ -51,4 +61,4 @@ def bracket(a: jax.Array, b: jax.Array) -> jax.Array:
     if a.shape[0] == 3:
         return cross(a, b)
     wa, va, wb, vb = a[:3], a[3:], b[:3], b[3:]
-    return jnp.concatenate([cross(wa, wb), cross(wa, vb) - cross(wb, va)])
+    return stack(_cross(wa, wb) + [x - y for x, y in zip(_cross(wa, vb), _cross(wb, va), strict=True)])

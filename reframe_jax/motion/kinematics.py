@@ -11,7 +11,6 @@ Inside, arrays are laid out components first, then samples, then windows: a rota
 :mod:`.components`. The public functions take and return samples and components last.
 """
 
-from collections.abc import Callable
 from typing import Literal
 
 import jax
@@ -19,7 +18,7 @@ import jax.numpy as jnp
 
 from reframe_jax.compilation import once
 from reframe_jax.geometry import rotations
-from reframe_jax.motion.components import components_first, components_last, cross, hat, product, transpose
+from reframe_jax.motion.components import components_first, components_last, cross, product, stack, transpose
 from reframe_jax.motion.magnus import without_brackets
 
 __all__ = [
@@ -32,6 +31,7 @@ __all__ = [
     "spatial_twists",
     "split_poses",
     "turn_paths",
+    "turn_rates",
     "turns_of",
     "velocity_components",
     "velocity_paths",
@@ -53,24 +53,20 @@ def split_poses(poses: jax.Array) -> tuple[jax.Array, jax.Array]:
     return top[:, :3], top[:, 3]
 
 
-def _log_of_step(rotation: jax.Array, shift: jax.Array) -> jax.Array:
-    """Twist (6,) whose exponential is the step (3, 3), (3,)."""
-    w = rotations.rotation_log(rotation)
-    return jnp.concatenate([w, product(rotations.left_jacobian_inverse(w), shift)])
+def _rotation_vectors(rotation: jax.Array) -> jax.Array:
+    """(3, ...) rad, of rotations (3, 3, ...)."""
+    return once(jnp.stack(rotations.log_by_component(rotation)))
 
 
 def _body_twists(rotation: jax.Array, position: jax.Array, step: jax.Array) -> jax.Array:
     """(6, K, ...)."""
     back = transpose(rotation[:, :, :-1])
     turn, shift = product(back, rotation[:, :, 1:]), product(back, jnp.diff(position, axis=1))
-    return _over_steps(_log_of_step, shift.ndim - 1)(turn, shift) / step[None]
-
-
-def _over_steps(function: Callable[..., jax.Array], axes: int) -> Callable[..., jax.Array]:
-    """A function of one step for arrays with so many axes of samples and windows, which come last."""
-    for _ in range(axes):
-        function = jax.vmap(function, in_axes=-1, out_axes=-1)
-    return function
+    # the twist whose exponential is the step: J_l(w)^-1 takes the shift to its linear part
+    w = _rotation_vectors(turn)
+    across = cross(w, shift)
+    factor = once(rotations.cotangent_factor(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]))
+    return jnp.concatenate([w, shift - across / 2 + factor[None] * cross(w, across)]) / step[None]
 
 
 def _spatial_twists(rotation: jax.Array, position: jax.Array, body: jax.Array) -> jax.Array:
@@ -181,15 +177,15 @@ def paths_of(
     gg = _twist_map(without_brackets(spatial, steps, True, used))
     in_ground, in_body = _point_maps(rotation, position)
     rate = once(1 / step)
-    maps = jnp.stack([bb, jnp.diff(in_ground, axis=2) * rate, gg, jnp.diff(in_body, axis=2) * rate], axis=3)
-    paths = jnp.stack([_sum_up(bb * step), in_ground, _sum_up(gg * step), in_body], axis=3)
+    maps = stack([bb, jnp.diff(in_ground, axis=2) * rate, gg, jnp.diff(in_body, axis=2) * rate], axis=3)
+    paths = stack([_sum_up(bb * step), in_ground, _sum_up(gg * step), in_body], axis=3)
     return maps, paths
 
 
-def turn_paths(rotation: jax.Array, steps: jax.Array, count: jax.Array | None = None) -> jax.Array:
-    """Compute the path whose derivative is the angular velocity, (3, K+1, 2, ...) rad in {g} and {b}.
+def turn_rates(rotation: jax.Array, steps: jax.Array, count: jax.Array | None = None) -> jax.Array:
+    """Compute the angular velocities of single steps, (3, K, 2, ...) rad/s in {g} and {b}.
 
-    It is what :func:`rates_of` takes from the paths of :func:`paths_of`, which need positions as well.
+    They are what :func:`rates_of` takes from the maps of :func:`paths_of`, which need positions as well.
 
     Args:
         rotation: (3, 3, K+1, ...).
@@ -198,11 +194,22 @@ def turn_paths(rotation: jax.Array, steps: jax.Array, count: jax.Array | None = 
     """
     step = components_first(steps, 0)[None]
     turn = product(transpose(rotation[:, :, :-1]), rotation[:, :, 1:])
-    body = once(_over_steps(rotations.rotation_log, turn.ndim - 2)(turn) / step)
+    body = once(_rotation_vectors(turn) / step)
     spatial = once(product(rotation[:, :, :-1], body))
     used = None if count is None else count - 1
-    rates = [without_brackets(w, steps, seen, used) for w, seen in ((spatial, True), (body, False))]
-    return _sum_up((jnp.stack(rates, axis=2) * step[:, :, None])[:, None])[:, 0]
+    return stack(
+        [without_brackets(w, steps, seen, used) for w, seen in ((spatial, True), (body, False))], axis=2
+    )
+
+
+def turn_paths(rates: jax.Array, steps: jax.Array) -> jax.Array:
+    """Compute the path whose derivative is the angular velocity, (3, K+1, 2, ...) rad in {g} and {b}.
+
+    Args:
+        rates: (3, K, 2, ...) rad/s, of single steps.
+        steps: (..., K) s.
+    """
+    return _sum_up((rates * components_first(steps, 0)[None, :, None])[:, None])[:, 0]
 
 
 def turns_of(rotation: jax.Array) -> jax.Array:
@@ -218,7 +225,10 @@ def rates_of(maps: jax.Array) -> jax.Array:
 
 def _twist_map(twist: jax.Array) -> jax.Array:
     """(3, 4, ...): velocity v + w x p of a point p, for twists (6, ...)."""
-    return jnp.concatenate([twist[3:, None], hat(twist[:3])], axis=1)
+    (x, y, z), v = twist[:3], twist[3:]
+    zero = jnp.zeros_like(x)
+    rows = v[0], zero, -z, y, v[1], z, zero, -x, v[2], -y, x, zero
+    return stack(rows).reshape(3, 4, *x.shape)
 
 
 def _point_maps(rotation: jax.Array, position: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -180,7 +180,7 @@ def paths_of(poses: jax.Array, steps: jax.Array, count: jax.Array | None, found:
     paths = once(kinematics.paths_of(straight, shift, shared, count)[1])
     turns = jax.lax.cond(
         jnp.any(kept),
-        lambda: kinematics.turn_paths(rotation, shared, count),
+        lambda: kinematics.turn_paths(kinematics.turn_rates(rotation, shared, count), shared),
         lambda: kinematics.rates_of(paths)[:, 0],
     )
     turns = once(_of_type(turns, found.angular_type))
