@@ -21,7 +21,6 @@ import numpy as np
 
 __all__ = [
     "BLOCK_SHARE",
-    "add_up",
     "apply_each",
     "chunk_size",
     "compiler_options",
@@ -81,21 +80,6 @@ def once(values: _T) -> _T:
 def once_on_cpu(values: _T) -> _T:
     """:func:`once` on a CPU; on a GPU XLA may fuse what computes the values with what reads them."""
     return once(values) if jax.default_backend() == "cpu" else values
-
-
-def add_up(x: jax.Array, axis: int) -> jax.Array:
-    """Sum over the samples along an axis that is not the last, as a few long additions.
-
-    XLA's reduction adds one number after the other on a CPU; whole slices are added a vector at a time.
-    """
-    take = partial(jax.lax.slice_in_dim, axis=axis)
-    while x.shape[axis] > 1:
-        parts = min(8, x.shape[axis])
-        size = x.shape[axis] // parts
-        slices = [take(x, i * size, (i + 1) * size) for i in range(parts)]
-        total, rest = once(sum(slices[1:], slices[0])), take(x, parts * size, None)
-        x = jnp.concatenate([total, rest], axis=axis) if rest.shape[axis] else total
-    return jnp.squeeze(x, axis)
 
 
 def apply_each(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:

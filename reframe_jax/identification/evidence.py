@@ -5,7 +5,7 @@ The evidence has one shape whatever the length of the windows.
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -281,7 +281,6 @@ def _paths(
     The linear ones of windows with a single axis are those of rotations that keep it, the angular ones are
     those of the rotations as they are.
     """
-
     rotation = motion.rotation
     if rule == "auto":
         rotation = once(jax.lax.cond(jnp.any(axis.found), keep_axis, lambda same, _: same, rotation, axis))

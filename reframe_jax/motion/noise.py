@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.compilation import add_up, once
+from reframe_jax.compilation import once
 
 __all__ = ["choose_lag", "constant_components", "estimate_noise", "masked_median", "unit_of_rounding"]
 
@@ -37,15 +37,15 @@ def masked_median(values: jax.Array, counted: jax.Array) -> jax.Array:
     Bisects the logarithm in elementwise passes, because sorting many short rows is slow.
     """
     # float32 is exact enough, and a processor compares twice as many numbers at a time
-    x = jnp.where(counted, values, jnp.inf).astype(jnp.float32)
-    top = jnp.max(jnp.where(counted, values, 0), axis=0).astype(jnp.float32)
-    top = jnp.log2(jnp.maximum(top, jnp.finfo(jnp.float32).tiny))
-    half = add_up(counted.astype(jnp.float32), 0) / 2
+    tiny = jnp.finfo(jnp.float32).tiny
+    logs = once(jnp.log2(jnp.maximum(jnp.where(counted, values, jnp.inf).astype(jnp.float32), tiny)))
+    top = jnp.max(jnp.where(counted, logs, jnp.log2(tiny)), axis=0)
+    half = jnp.sum(counted, axis=0, dtype=jnp.float32) / 2
 
     def halve(_: int, ends: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         low, high = ends
         middle = (low + high) / 2
-        enough = add_up((x <= once(jnp.exp2(middle))[None]).astype(jnp.float32), 0) >= half
+        enough = jnp.sum(logs <= middle[None], axis=0, dtype=jnp.float32) >= half
         return jnp.where(enough, low, middle), jnp.where(enough, middle, high)
 
     low, high = jax.lax.fori_loop(0, _BISECTIONS, halve, (top - _OCTAVES, top))

@@ -15,7 +15,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.compilation import add_up, once
+from reframe_jax.compilation import once
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, Symmetric, Vector
 from reframe_jax.objectives.moments_kernel import mean_products
 
@@ -93,7 +93,7 @@ def _products(entries: jax.Array, weights: jax.Array | None = None) -> list[jax.
         weights: (K, ...), of sum 1, or None for the mean.
     """
     weighted = once(entries / entries.shape[1] if weights is None else entries * weights[None])
-    return [add_up(weighted[i, None] * entries[i:], 1) for i in range(len(entries))]
+    return [_add_up(weighted[i, None] * entries[i:]) for i in range(len(entries))]
 
 
 @jax.custom_jvp
@@ -107,6 +107,20 @@ def _products_in_a_kernel(entries: jax.Array) -> list[jax.Array]:
 def _products_jvp(primals: tuple[jax.Array], tangents: tuple[jax.Array]) -> tuple[Any, Any]:
     _, change = jax.jvp(_products, primals, tangents)
     return _products_in_a_kernel(*primals), change
+
+
+def _add_up(x: jax.Array) -> jax.Array:
+    """Sum over the samples, (m, K, ...) to (m, ...), as a few long additions.
+
+    XLA's reduction adds one number after the other on a CPU; whole slices are added a vector at a time.
+    """
+    while x.shape[1] > 1:
+        parts = min(8, x.shape[1])
+        size = x.shape[1] // parts
+        slices = [x[:, i * size : (i + 1) * size] for i in range(parts)]
+        total, rest = once(sum(slices[1:], slices[0])), x[:, parts * size :]
+        x = jnp.concatenate([total, rest], axis=1) if rest.shape[1] else total
+    return x[:, 0]
 
 
 def covariance_at(moments: Coefficients, position: Vector) -> Symmetric:
