@@ -36,21 +36,21 @@ def masked_median(values: jax.Array, counted: jax.Array) -> jax.Array:
 
     Bisects the logarithm in elementwise passes, because sorting many short rows is slow.
     """
-    # float32 is exact enough, and a processor compares twice as many numbers at a time
-    tiny = jnp.finfo(jnp.float32).tiny
-    logs = once(jnp.log2(jnp.maximum(jnp.where(counted, values, jnp.inf).astype(jnp.float32), tiny)))
-    top = jnp.max(jnp.where(counted, logs, jnp.log2(tiny)), axis=0)
+    top = jnp.maximum(jnp.max(jnp.where(counted, values, 0), axis=0), jnp.finfo(values.dtype).tiny)
+    # as shares of the largest, float32 is exact enough: a processor compares twice as many at a time
+    shares = once(jnp.where(counted, values / top[None], jnp.inf).astype(jnp.float32))
     half = jnp.sum(counted, axis=0, dtype=jnp.float32) / 2
 
     def halve(_: int, ends: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         low, high = ends
         middle = (low + high) / 2
-        enough = jnp.sum(logs <= middle[None], axis=0, dtype=jnp.float32) >= half
+        enough = jnp.sum(shares <= jnp.exp2(middle)[None], axis=0, dtype=jnp.float32) >= half
         return jnp.where(enough, low, middle), jnp.where(enough, middle, high)
 
-    low, high = jax.lax.fori_loop(0, _BISECTIONS, halve, (top - _OCTAVES, top))
-    median = jnp.exp2(high).astype(values.dtype)
-    return jnp.where((half > 0) & (low > top - _OCTAVES), median, 0)
+    end = jnp.zeros(top.shape, jnp.float32)
+    low, high = jax.lax.fori_loop(0, _BISECTIONS, halve, (end - _OCTAVES, end))
+    median = top * jnp.exp2(high.astype(top.dtype))
+    return jnp.where((half > 0) & (low > -_OCTAVES), median, 0)
 
 
 def estimate_noise(position: jax.Array, turns: jax.Array, counted: jax.Array) -> tuple[jax.Array, jax.Array]:
