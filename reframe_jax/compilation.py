@@ -9,26 +9,33 @@ is in kernels of our own, in which values stay in registers.
 """
 
 import contextlib
+import math
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextvars import ContextVar
-from functools import partial
-from typing import Any, TypeVar
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial, wraps
+from typing import Any, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.experimental.scheduling_groups import xla_metadata_call
 
 __all__ = [
     "BLOCK_SHARE",
+    "Packed",
     "apply_each",
+    "as_one_kernel",
     "chunk_size",
     "compiler_options",
     "index_leaves",
     "inside_a_kernel",
     "once",
     "once_on_cpu",
+    "pack",
     "traced",
+    "unpack",
+    "with_kernels",
 ]
 
 _CPU_OPTIONS: dict[str, Any] = {
@@ -46,7 +53,10 @@ BLOCK_SHARE = 16
 """Or by this part of all."""
 
 _T = TypeVar("_T")
-_inside_a_kernel: ContextVar[bool] = ContextVar("_inside_a_kernel", default=False)
+_LARGE = 1 << 18  # numbers
+# what is being traced: "" anything, "program" one of our own for a CPU, "kernel" a kernel of such a program,
+# "gpu" a kernel for a GPU; JAX keeps what it traced in each apart
+_traced = jax.make_user_context("")
 
 _CHUNK = {"cpu": 64, "gpu": 65536}
 
@@ -74,7 +84,14 @@ def chunk_size() -> int:
 
 def once(values: _T) -> _T:
     """Compute the arrays of a pytree once, however many operations read them."""
-    return values if _inside_a_kernel.get() else jax.lax.optimization_barrier(values)
+    if _traced.value == "gpu":
+        return values
+    if _traced.value != "kernel":
+        return jax.lax.optimization_barrier(values)
+    # a kernel has no place for marks; results of a function that is called are stored too
+    leaves, structure = jax.tree.flatten(values)
+    stored: _T = jax.tree.unflatten(structure, _stored(*leaves))
+    return stored
 
 
 def once_on_cpu(values: _T) -> _T:
@@ -87,11 +104,60 @@ def apply_each(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any
 
     In a GPU kernel, which holds no stacks, it is applied to one after the other.
     """
-    if _inside_a_kernel.get():
+    if _traced.value == "gpu":
         return [function(item) for item in items]
     stacked = once(jax.tree.map(lambda *leaves: jnp.stack(leaves), *items))
     found = once(jax.vmap(function)(stacked))
     return [jax.tree.map(lambda leaf, i=i: leaf[i], found) for i in range(len(items))]
+
+
+def with_kernels(function: Callable[..., _T]) -> Callable[..., _T]:
+    """Let :func:`as_one_kernel` make kernels, where the function is traced for a CPU.
+
+    For programs that nobody differentiates or vectorizes: operations that this brings may not be allowed in
+    a kernel.
+    """
+
+    @wraps(function)
+    def program(*arguments: Any, **static: Any) -> _T:
+        if jax.default_backend() != "cpu":
+            return function(*arguments, **static)
+        with _traced("program"):
+            return function(*arguments, **static)
+
+    return program
+
+
+def as_one_kernel(function: Callable[..., _T], *arguments: Any) -> _T:
+    """Call a function of pytrees of arrays; within :func:`with_kernels` all of it is one kernel.
+
+    XLA on a CPU starts a kernel for every loop over arrays. That takes a tenth of a microsecond, longer than
+    the arithmetic of a few hundred numbers. Large arrays, over which XLA spreads several threads, stay as
+    they are.
+
+    Args:
+        function: of elementwise operations, reductions and loops, without sort, scatter, matrix product or
+            random bits. All its arrays are arguments.
+        arguments: pytrees of arrays.
+    """
+    large = max(leaf.size for leaf in jax.tree.leaves(arguments)) > _LARGE
+    if _traced.value != "program" or large:
+        return function(*arguments)
+
+    def kernel(*arguments: Any) -> tuple[_T, tuple[Any, ...]]:
+        with _traced("kernel"):
+            # XLA ends the process over an argument that a kernel does not use: all are returned too
+            return function(*arguments), arguments
+
+    return _called(kernel, xla_cpu_small_call="true")(*arguments)[0]
+
+
+def _called(function: Callable[..., _T], **attributes: str) -> Callable[..., _T]:
+    """The function as one that XLA calls, where by default it would put its operations in place."""
+    return cast(Callable[..., _T], xla_metadata_call(function, inlineable="false", **attributes))
+
+
+_stored = _called(lambda *leaves: leaves)
 
 
 def update_marked(
@@ -125,14 +191,40 @@ def update_marked(
     return jax.lax.fori_loop(0, (count + size - 1) // size, block, outputs)
 
 
-@contextlib.contextmanager
-def inside_a_kernel() -> Iterator[None]:
+def inside_a_kernel() -> contextlib.AbstractContextManager[None]:
     """While a GPU kernel is traced: all its values live in registers, and :func:`once` has no place."""
-    token = _inside_a_kernel.set(True)
-    try:
-        yield
-    finally:
-        _inside_a_kernel.reset(token)
+    return cast(contextlib.AbstractContextManager[None], _traced("gpu"))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Packed:
+    """A pytree of arrays, of one vector for every dtype; see :func:`pack`."""
+
+    vectors: dict[str, jax.Array]
+    structure: Any = field(metadata={"static": True})
+
+
+def pack(tree: Any) -> Packed:
+    """Put the arrays of a pytree together: every array that enters or leaves a program takes microseconds."""
+    leaves, structure = jax.tree.flatten(tree)
+    shapes = tuple((leaf.dtype.name, leaf.shape) for leaf in leaves)
+    vectors = {
+        dtype: jnp.concatenate([leaf.reshape(-1) for leaf in leaves if leaf.dtype.name == dtype])
+        for dtype in sorted({dtype for dtype, _ in shapes})
+    }
+    return Packed(vectors, (structure, shapes))
+
+
+def unpack(packed: Packed) -> Any:
+    """The pytree that was packed."""
+    structure, shapes = packed.structure
+    start, leaves = dict.fromkeys(packed.vectors, 0), []
+    for dtype, shape in shapes:
+        end = start[dtype] + math.prod(shape)
+        leaves.append(packed.vectors[dtype][start[dtype] : end].reshape(shape))
+        start[dtype] = end
+    return jax.tree.unflatten(structure, leaves)
 
 
 def traced(tree: Any) -> bool:

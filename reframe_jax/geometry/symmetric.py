@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.compilation import once
+from reframe_jax.compilation import as_one_kernel, once
 
 __all__ = [
     "INDEX_PAIRS",
@@ -169,6 +169,10 @@ def eigh(s: Symmetric) -> tuple[Vector, tuple[Vector, Vector, Vector]]:
     Returns:
         ``(values, vectors)``: three arrays, and three vectors of three arrays.
     """
+    return as_one_kernel(_jacobi, s)
+
+
+def _jacobi(s: Symmetric) -> tuple[Vector, tuple[Vector, Vector, Vector]]:
     zero, one = jnp.zeros_like(s[0]), jnp.ones_like(s[0])
 
     def sweep(carry: tuple, _: None) -> tuple[tuple, None]:  # type: ignore[type-arg]

@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES
 from reframe_jax.geometry import symmetric
@@ -82,7 +83,7 @@ def pattern_probabilities(
     of_turn = share_of_turn(evidence.linear_spread, position, axes)
     if helical is not None:
         helical = helical[:, None]
-        of_turn = of_turn.at[..., 2].set(jnp.where(helical < 0, 0, of_turn[..., 2]))
+        of_turn = jnp.where((helical < 0)[..., None] & (np.arange(3) == 2)[None, None], 0, of_turn)
     gain, of_turn = (jnp.moveaxis(array, -1, 0) for array in (gain, of_turn))
     patterns = freedom_patterns(distance, sizes, gain, of_turn, samples, share, helical)
     return patterns, distance * share[None]

@@ -196,11 +196,8 @@ def _single(
     number = np.full(1, count, np.int32) if count > _SHORT or sizes else None
     lag, *others = options
     reduced = {name: static[name] for name in ("rule", "discretization")}
-    evidence = reduce_one(poses[None], np.asarray(steps, poses.dtype), number, lag, **reduced)
-    counted = evidence.counted[0, :count]
-    if evidence.maps is None:
-        # of one length for all
-        evidence = replace(evidence, counted=np.ones((1, 1), bool))
+    evidence, counted = reduce_one(poses[None], np.asarray(steps, poses.dtype), number, lag, **reduced)
+    counted = counted[:count] if fill else counted
     searched = {name: static[name] for name in ("rule", "exponent", "solver")}
     return replace(solve_one(evidence, *others, **searched), counted=counted)
 

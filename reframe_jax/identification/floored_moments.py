@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from reframe_jax.compilation import once
 from reframe_jax.motion import kinematics
 from reframe_jax.motion.kinematics import Discretization
-from reframe_jax.objectives.moments import component_moments
+from reframe_jax.objectives.moments import add_variance, component_moments
 
 __all__ = ["FLOOR", "covariance_moments", "rounding_of", "usable_moments", "window_moments"]
 
@@ -34,8 +34,7 @@ def window_moments(
 def covariance_moments(maps: jax.Array, power: int = 1) -> jax.Array:
     """Moments, the types last, of maps (3, columns, K, types, ...), with a floor: rounding ** power."""
     moments = jnp.moveaxis(component_moments(maps), 2, -1)
-    floor = rounding_of(moments, power)
-    return moments.at[jnp.asarray([0, 3, 5]), 0].add(floor[None])
+    return add_variance(moments, rounding_of(moments, power))
 
 
 def rounding_of(moments: jax.Array, power: int = 1) -> jax.Array:
@@ -59,5 +58,5 @@ def usable_moments(
     unit = jnp.asarray([1, 0, 0, 1, 0, 1], dtype=maps.dtype)[:, None, None, None]
     moments = covariance_moments(maps, power)
     if floor is not None:
-        moments = moments.at[jnp.asarray([0, 3, 5]), 0].add(floor[None, :, None])
+        moments = add_variance(moments, floor[:, None])
     return once(jnp.where(failed[:, None], unit, moments))

@@ -139,7 +139,8 @@ def freedom_patterns(
     if helical is not None:
         # a screw of any pitch slides any part of what it turns
         pitched = jnp.logaddexp(log(1 - _SCREWS) + alike[1, 1], log(_SCREWS / (_PITCHES * _SIZES)))
-        alike = alike.at[1, 1].set(jnp.where(helical < 0, pitched, alike[1, 1]))
+        single = (np.arange(16) == 5).reshape(number.shape)  # one axis turns, and one slides
+        alike = jnp.where(single & (helical < 0)[None, None], pitched[None, None], alike)
     multiples, white_only = multiples[:, None], white_only[:, None]
     apart = jax.nn.log_sigmoid((size[None] - multiples - _APART) / _APART_WIDTH)
     free = far + alike[None] + jnp.where(white_only, 0, apart)
@@ -225,7 +226,8 @@ def _of_constrained(
         if scale_share:
             linear = jnp.logaddexp(linear, by_scale + log(scale_share))
         if helical is not None:
-            linear = linear.at[:, 2].set(in_proportion(linear[:, 2], helical))
+            third = in_proportion(linear[:, 2], helical)
+            linear = jnp.concatenate([linear[:, :2], third[:, None]], axis=1)
         return jnp.concatenate([own[:, :3], linear], axis=1)
 
     return of_all(0.0), of_all(_SCALE_SHARE)

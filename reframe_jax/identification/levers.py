@@ -7,7 +7,7 @@ import numpy as np
 from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, LinearType
 from reframe_jax.geometry.symmetric import INDEX_PAIRS
 from reframe_jax.identification.evidence import IN_BODY, IN_GROUND, Evidence
-from reframe_jax.objectives.moments import MONOMIALS
+from reframe_jax.objectives.moments import MONOMIALS, add_covariance
 
 __all__ = ["lever_moments", "noise_moments"]
 
@@ -24,13 +24,15 @@ def lever_moments(evidence: Evidence) -> jax.Array:
     dtype, count = evidence.linear_spread.dtype, evidence.linear_spread.shape[2]
     unit = jnp.concatenate([jnp.zeros((3, 1), dtype), jnp.eye(3, dtype=dtype)], axis=1)
     itself = jnp.broadcast_to(_square(unit)[..., None], (6, 10, count))
-    turning = evidence.linear_spread[..., IN_BODY].at[:, :4].set(0)  # without the position of {b}
-    turning = turning + _square(evidence.mean_paths[..., 0].at[:, 0].set(0))
+    # without the position of {b}, which is the first column
+    turns = (np.arange(10) >= 4)[None, :, None]
+    turning = jnp.where(turns, evidence.linear_spread[..., IN_BODY], 0)
+    turning = turning + _square(jnp.where((np.arange(4) > 0)[None, :, None], evidence.mean_paths[..., 0], 0))
     passing = evidence.linear_spread[..., IN_GROUND] + _square(evidence.mean_paths[..., 1])
     of_types = {
         LinearType.BB: itself,
         LinearType.GB: turning,
-        LinearType.GG: itself.at[:, 0].add(evidence.positions),
+        LinearType.GG: add_covariance(itself, evidence.positions),
         LinearType.BG: passing,
     }
     return jnp.stack([of_types[kind] for kind in LinearType], axis=-1)

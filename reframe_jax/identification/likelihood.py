@@ -22,7 +22,7 @@ from reframe_jax.identification.optima import Frames, Optima, follow_last, pick_
 from reframe_jax.identification.shared_axis import axis_of_rotation, slides_along_axis
 from reframe_jax.motion.components import product
 from reframe_jax.objectives.held_axes import HeldAxesObjective
-from reframe_jax.objectives.moments import covariance_at
+from reframe_jax.objectives.moments import add_covariance, add_variance, covariance_at
 from reframe_jax.objectives.norms import principal_axes
 from reframe_jax.solvers import Box
 from reframe_jax.solvers.implicit import attach_derivative
@@ -71,7 +71,7 @@ def likeliest_frames(
         )
         # its mean is left in, so that what remains along every axis is positive
         mean = symmetric.trace(covariance_at(noise, (start[0], start[1], start[2]))) / 3
-        moments = (spread - noise).at[jnp.asarray([0, 3, 5]), 0].add(mean[None])
+        moments = add_variance(spread - noise, mean)
         objective = once(HeldAxesObjective(moments, held.astype(moments.dtype)))
         stiff = once(_with_rotations(evidence, winner, slides, objective, start))
         inside = jax.tree.map(lambda bound: pick_problem(winner, bound), optima.box)
@@ -108,7 +108,7 @@ def _with_rotations(
     noise = jnp.where(slides, evidence.share * evidence.noise.rotation, 1)
     stiffness = jnp.where(slides, variance / jnp.square(noise), 0)
     pairs = jnp.stack([axis[i] * axis[j] for i, j in INDEX_PAIRS])
-    return replace(objective, moments=objective.moments.at[:, 0].add(stiffness[None] * pairs))
+    return replace(objective, moments=add_covariance(objective.moments, stiffness[None] * pairs))
 
 
 @jax.tree_util.register_dataclass

@@ -36,6 +36,7 @@ _TOUCH_UP = 16  # steps that follow when velocities are seen from the optimum
 _REFINING = 5  # steps from the optimum of velocities to that of displacements
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Optima:
     """The optimum of every frame type, and which type of each group is the best.

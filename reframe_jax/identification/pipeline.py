@@ -11,7 +11,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.compilation import once
+from reframe_jax.compilation import as_one_kernel, once
 from reframe_jax.constraints.located import ground_offset
 from reframe_jax.constraints.types import POSITION_BODIES
 from reframe_jax.identification.cautions import Caution, caution_codes
@@ -109,13 +109,23 @@ def solve_evidence(
         solver: search for the position.
     """
     optima = find_optima(evidence, space, key, exponent, solver)
-    settled = _decide(evidence, optima, thresholds, rule, exponent)
-    frames, patterns, dof = settled.frames, settled.patterns, settled.dof
-    refined, on_axis, screw = settled.refined, settled.on_axis, settled.screw
+    settled = as_one_kernel(partial(_decide, rule=rule, exponent=exponent), evidence, optima, thresholds)
     optima = replace(optima, linear_winner=settled.winner)
-    # rotation about axes that are classified as constrained is taken for noise, unless it was taken out
-    idle = jnp.min(jnp.max(jnp.where(dof[0] == 0, optima.angular_rms, 0), axis=-1), axis=-1)
-    idle = jnp.where(evidence.alone, 0, idle)
+    twins = _twins(evidence, optima, settled)
+    return as_one_kernel(partial(_report, rule=rule), evidence, optima, settled, twins, thresholds)
+
+
+def _report(
+    evidence: Evidence,
+    optima: Optima,
+    settled: "_Settled",
+    twins: tuple[jax.Array, jax.Array],
+    thresholds: Thresholds | None,
+    rule: LagRule,
+) -> Identification:
+    """What is said of every window."""
+    frames, patterns, dof = settled.frames, settled.patterns, settled.dof
+    refined, on_axis, screw, idle = settled.refined, settled.on_axis, settled.screw, settled.idle
     if rule == "auto":
         if evidence.maps is None:
             frames = likeliest_frames(evidence, frames, optima, dof, idle, refined & ~on_axis)
@@ -146,7 +156,7 @@ def solve_evidence(
         on_bounds=on_bounds,
         agreement=optima.solution.agreement,
     )
-    linear_frame = _linear_frame(linear, (position, free), evidence, optima, settled, idle)
+    linear_frame = _linear_frame(linear, (position, free), twins, evidence, optima, settled)
     angular_frame = _angular_frame(angular, evidence, optima, patterns)
     n = optima.linear_winner
     axes = frames.angular_axes, pick_type(frames.axes, n)
@@ -190,6 +200,8 @@ class _Settled(NamedTuple):
         winner: (N,) linear type: the likeliest one, or for given chords that of the lowest norm; on
             a screw, and where it makes no difference, one whose origin has a path.
         screw: the screws.
+        idle: (N,) rad/s, RMS of rotation about axes that are classified as constrained. It counts as noise,
+            unless it was taken out.
     """
 
     frames: Frames
@@ -200,6 +212,7 @@ class _Settled(NamedTuple):
     on_axis: jax.Array
     winner: jax.Array
     screw: Screw
+    idle: jax.Array
 
 
 def _decide(
@@ -257,7 +270,19 @@ def _decide(
     by_path = on_axis | (white & same)
     optima = replace(optima, linear_winner=jnp.where(by_path, followed.linear_winner, n))
     dof = _freedom(patterns, optima, thresholds)
-    return _Settled(frames, patterns, classes, dof, white, on_axis, optima.linear_winner, screw)
+    idle = jnp.min(jnp.max(jnp.where(dof[0] == 0, optima.angular_rms, 0), axis=-1), axis=-1)
+    idle = jnp.where(evidence.alone, 0, idle)
+    return _Settled(frames, patterns, classes, dof, white, on_axis, optima.linear_winner, screw, idle)
+
+
+def _twins(evidence: Evidence, optima: Optima, settled: _Settled) -> tuple[jax.Array, jax.Array]:
+    """Of the best linear type, (N, 3) m and (N,) bool; see :func:`find_twins`."""
+    n = optima.linear_winner
+    searched, solution, box = jax.tree.map(
+        partial(pick_problem, n), (optima.searched, optima.solution, optima.box)
+    )
+    idle = jax.lax.stop_gradient(settled.idle)
+    return find_twins(searched, box, solution, pick_type(settled.dof[1], n), idle, evidence.samples)
 
 
 def _says_the_same(
@@ -312,19 +337,17 @@ def _angular_frame(
 def _linear_frame(
     candidates: Candidates,
     origin: tuple[jax.Array, jax.Array],
+    twins: tuple[jax.Array, jax.Array],
     evidence: Evidence,
     optima: Optima,
     settled: _Settled,
-    idle: jax.Array,
 ) -> LinearFrame:
     n, told = optima.linear_winner, settled.on_axis
-    searched, solution, box = jax.tree.map(
-        partial(pick_problem, n), (optima.searched, optima.solution, optima.box)
-    )
+    searched, x = jax.tree.map(partial(pick_problem, n), (optima.searched, optima.solution.x))
     position, free = (pick_type(array, n) for array in origin)
     dof = pick_type(candidates.dof, n)
-    twin, has_twin = find_twins(searched, box, solution, dof, jax.lax.stop_gradient(idle), evidence.samples)
-    coupled = coupled_positions(searched, solution.x, jax.lax.stop_gradient(free), dof, evidence.samples)
+    twin, has_twin = twins
+    coupled = coupled_positions(searched, x, jax.lax.stop_gradient(free), dof, evidence.samples)
     # the turn tells which of the family of origins lies on the axis of a screw
     has_twin, coupled = has_twin & ~told, jnp.where(told[:, None, None], 0, coupled)
     offset = pick_type(ground_offset(evidence.centre), n)

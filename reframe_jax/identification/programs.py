@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.compilation import chunk_size, compiler_options
+from reframe_jax.compilation import Packed, chunk_size, compiler_options, pack, unpack, with_kernels
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.evidence import Evidence, LagRule, reduce_windows
 from reframe_jax.identification.pipeline import identify_windows, solve_evidence
@@ -80,11 +80,21 @@ def _solve_evidence(
     return solve_evidence(evidence, thresholds, space, key, rule, exponent, solver)
 
 
-def _solve_first(evidence: Evidence, *others: Any, **static: Any) -> Identification:
+@with_kernels
+def _reduce_first(*arguments: Any, **static: Any) -> tuple[Packed, jax.Array]:
+    """Evidence of a single window, and which of its poses count, (K+1,)."""
+    evidence = reduce_windows(*arguments, **static)
+    # of one length for all
+    return pack(replace(evidence, counted=jnp.ones((1, 1), bool))), evidence.counted[0]
+
+
+@with_kernels
+def _solve_first(evidence: Packed, *others: Any, **static: Any) -> Identification:
     """Of the only window."""
-    return jax.tree.map(lambda leaf: leaf[0], _solve_evidence(evidence, *others, **static))
+    return jax.tree.map(lambda leaf: leaf[0], _solve_evidence(unpack(evidence), *others, **static))
 
 
+@with_kernels
 def _reduce_each_chunk(
     poses: jax.Array,
     steps: jax.Array,
@@ -111,6 +121,7 @@ def _reduce_each_chunk(
     return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (PIECE, *leaf.shape[1:])), evidence)
 
 
+@with_kernels
 def _solve_each_chunk(evidence: Evidence, chunks: jax.Array, *others: Any, **static: Any) -> Identification:
     """Identification of every window of the first chunks; those that follow are filled with zeros."""
 
@@ -162,5 +173,5 @@ _reduce_chunks = _on_cpu(_reduce_each_chunk, static_argnames=("rule", "discretiz
 _solve_chunks = _on_cpu(_solve_each_chunk, static_argnames=("rule", "exponent", "solver"))
 # of a single window: machine code that is optimised less compiles sooner and is as fast
 _for_one = partial(jax.jit, compiler_options=compiler_options(single=True))
-reduce_one = _for_one(reduce_windows, static_argnames=("rule", "discretization"))
+reduce_one = _for_one(_reduce_first, static_argnames=("rule", "discretization"))
 solve_one = _for_one(_solve_first, static_argnames=("rule", "exponent", "solver"))

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.compilation import once
+from reframe_jax.compilation import as_one_kernel, once
 
 __all__ = ["choose_lag", "constant_components", "estimate_noise", "masked_median", "unit_of_rounding"]
 
@@ -40,6 +40,13 @@ def masked_median(values: jax.Array, counted: jax.Array) -> jax.Array:
     # as shares of the largest, float32 is exact enough: a processor compares twice as many at a time
     shares = once(jnp.where(counted, values / top[None], jnp.inf).astype(jnp.float32))
     half = jnp.sum(counted, axis=0, dtype=jnp.float32) / 2
+    low, high = as_one_kernel(_bisect, shares, half)
+    median = top * jnp.exp2(high.astype(top.dtype))
+    return jnp.where((half > 0) & (low > -_OCTAVES), median, 0)
+
+
+def _bisect(shares: jax.Array, half: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Two logarithms, (...), between which that of the value lies that ``half`` of the shares are below."""
 
     def halve(_: int, ends: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         low, high = ends
@@ -47,10 +54,9 @@ def masked_median(values: jax.Array, counted: jax.Array) -> jax.Array:
         enough = jnp.sum(shares <= jnp.exp2(middle)[None], axis=0, dtype=jnp.float32) >= half
         return jnp.where(enough, low, middle), jnp.where(enough, middle, high)
 
-    end = jnp.zeros(top.shape, jnp.float32)
+    end = jnp.zeros(half.shape, jnp.float32)
     low, high = jax.lax.fori_loop(0, _BISECTIONS, halve, (end - _OCTAVES, end))
-    median = top * jnp.exp2(high.astype(top.dtype))
-    return jnp.where((half > 0) & (low > -_OCTAVES), median, 0)
+    return low, high
 
 
 def estimate_noise(position: jax.Array, turns: jax.Array, counted: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -22,6 +22,8 @@ from reframe_jax.objectives.moments_kernel import mean_products
 __all__ = [
     "MONOMIALS",
     "Coefficients",
+    "add_covariance",
+    "add_variance",
     "covariance_at",
     "covariance_gradient",
     "covariance_hessian",
@@ -121,6 +123,18 @@ def _add_up(x: jax.Array) -> jax.Array:
         total, rest = once(sum(slices[1:], slices[0])), x[:, parts * size :]
         x = jnp.concatenate([total, rest], axis=1) if rest.shape[1] else total
     return x[:, 0]
+
+
+def add_covariance(moments: jax.Array, covariance: jax.Array) -> jax.Array:
+    """Moments (6, columns, ...) of a covariance with a constant one, (6, ...), more."""
+    first = (moments[:, 0] + covariance)[:, None]
+    return jnp.concatenate([first, moments[:, 1:]], axis=1)
+
+
+def add_variance(moments: jax.Array, variance: jax.Array) -> jax.Array:
+    """Moments (6, columns, ...) of a covariance with a variance (...) more in every direction."""
+    unit = jnp.asarray([1, 0, 0, 1, 0, 1], moments.dtype).reshape(6, *[1] * variance.ndim)
+    return add_covariance(moments, unit * variance[None])
 
 
 def covariance_at(moments: Coefficients, position: Vector) -> Symmetric:

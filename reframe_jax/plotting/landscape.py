@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from reframe_jax.compilation import Packed, unpack
 from reframe_jax.constraints.located import ground_offset
 from reframe_jax.constraints.types import LinearType
 from reframe_jax.identification.evidence import Evidence
@@ -55,15 +56,16 @@ def landscape(
     poses, times = jnp.asarray(poses), jnp.asarray(times)
     steps, kind = jnp.diff(times), LinearType(linear_type)
     rule, samples = lag_in_samples(lag, np.asarray(steps), discretization)
-    seen = reduce_one(poses[None], steps, None, samples, rule=rule, discretization=discretization)
+    seen, _ = reduce_one(poses[None], steps, None, samples, rule=rule, discretization=discretization)
     return _norms(seen, jnp.asarray(positions), int(kind), norm)
 
 
 @partial(jax.jit, static_argnames="norm")  # the type is not: one program serves all four
-def _norms(seen: Evidence, positions: jax.Array, kind: jax.Array, norm: float) -> jax.Array:
-    offset = ground_offset(seen.centre[0])[kind]
+def _norms(seen: Packed, positions: jax.Array, kind: jax.Array, norm: float) -> jax.Array:
+    evidence: Evidence = unpack(seen)
+    offset = ground_offset(evidence.centre[0])[kind]
     positions = positions - offset.reshape((1,) * (positions.ndim - 1) + (3,))
-    moments = seen.linear[:, :, 0]
+    moments = evidence.linear[:, :, 0]
     one = moments[..., kind].reshape(*moments.shape[:2], *([1] * (positions.ndim - 1)))
     return jnp.exp(PositionObjective(one, norm).value(jnp.moveaxis(positions, -1, 0)))
 

@@ -20,12 +20,13 @@ in the others.
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.compilation import apply_each, once
+from reframe_jax.compilation import apply_each, as_one_kernel, once
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, Symmetric, Vector
 from reframe_jax.objectives.moments import (
@@ -131,7 +132,8 @@ def _derivatives_of_mean(
     values, axes = once(symmetric.eigh(sigma))
     s = jnp.maximum(jnp.stack(values), jnp.finfo(values[0].dtype).tiny)
     if exponent == -math.inf:
-        share, own = jnp.zeros_like(s).at[0].set(1), 0.0  # the smallest counts alone
+        # the smallest counts alone
+        share, own = jnp.stack([jnp.ones_like(s[0]), jnp.zeros_like(s[0]), jnp.zeros_like(s[0])]), 0.0
     else:
         share, own = jax.nn.softmax(exponent / 2 * jnp.log(s), axis=0), exponent / 2
     s, share, first = once((s, share, 3 * share / s))
@@ -301,7 +303,8 @@ class ValleySteps:
         moments, x = known.moments.reshape(6, 10, -1), x.reshape(3, -1)
         low, high = box.bounds(x)
         bounds = cast(Vector, tuple(low)), cast(Vector, tuple(high))
-        p, _ = descend(moments, *bounds, (x[0], x[1], x[2]), self.steps, known.exponent)
+        improve = partial(descend, steps=self.steps, exponent=known.exponent)
+        p, _ = as_one_kernel(improve, moments, *bounds, (x[0], x[1], x[2]))
         found = jnp.stack(p).reshape(3, *batch)
         return found, objective.value(found)
 
