@@ -4,8 +4,11 @@ The search is a few hundred elementwise operations on arrays over problems. Left
 fuses them into loops of which each computes what it needs from scratch, a Hessian once for every
 component of every step that reads it: most of the time goes into repetition. :func:`once` marks the
 values that are to be computed once and stored. On a CPU XLA drops such marks before it fuses, unless told
-not to by :func:`compiler_options`; on a GPU it fuses first. Where a GPU's memory is the limit, the arithmetic
-is in kernels of our own, in which values stay in registers.
+not to by :func:`compiler_options`; on a GPU it fuses first.
+
+The loops that are left are many and short, and on a CPU starting one costs as much as running it. In our own
+programs :func:`as_one_kernel` compiles a whole search or decision to one. Where a GPU's memory is the limit,
+the arithmetic is in kernels of our own, in which values stay in registers.
 """
 
 import contextlib
@@ -206,7 +209,7 @@ class Packed:
 
 
 def pack(tree: Any) -> Packed:
-    """Put the arrays of a pytree together: every array that enters or leaves a program takes microseconds."""
+    """Put the arrays of a pytree together: every array that leaves a program takes a microsecond or two."""
     leaves, structure = jax.tree.flatten(tree)
     shapes = tuple((leaf.dtype.name, leaf.shape) for leaf in leaves)
     vectors = {
