@@ -118,7 +118,9 @@ def _operations(jaxpr: Any, inside: bool = False) -> Iterator[str]:
     for equation in jaxpr.eqns:
         if inside:
             yield equation.primitive.name
-        kernel = inside or "xla_cpu_small_call" in equation.params
+        called = equation.primitive.name == "xla_metadata_call"
+        marks = {name: value for name, value in equation.params.items() if name != "jaxpr"}
+        kernel = inside or (called and "xla_cpu_small_call" in str(marks))
         for value in equation.params.values():
             for inner in value if isinstance(value, tuple | list) else (value,):
                 inner = getattr(inner, "jaxpr", inner)
