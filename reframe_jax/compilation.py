@@ -59,7 +59,7 @@ _T = TypeVar("_T")
 _LARGE = 1 << 18  # numbers
 # what is being traced: "" anything, "program" one of our own for a CPU, "kernel" a kernel of such a program,
 # "gpu" a kernel for a GPU; JAX keeps what it traced in each apart
-_traced = jax.make_user_context("")
+_state = jax.make_user_context("")
 
 _CHUNK = {"cpu": 64, "gpu": 65536}
 
@@ -87,9 +87,9 @@ def chunk_size() -> int:
 
 def once(values: _T) -> _T:
     """Compute the arrays of a pytree once, however many operations read them."""
-    if _traced.value == "gpu":
+    if _state.value == "gpu":
         return values
-    if _traced.value != "kernel":
+    if _state.value != "kernel":
         return jax.lax.optimization_barrier(values)
     # a kernel has no place for marks; results of a function that is called are stored too
     leaves, structure = jax.tree.flatten(values)
@@ -107,7 +107,7 @@ def apply_each(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any
 
     In a GPU kernel, which holds no stacks, it is applied to one after the other.
     """
-    if _traced.value == "gpu":
+    if _state.value == "gpu":
         return [function(item) for item in items]
     stacked = once(jax.tree.map(lambda *leaves: jnp.stack(leaves), *items))
     found = once(jax.vmap(function)(stacked))
@@ -125,7 +125,7 @@ def with_kernels(function: Callable[..., _T]) -> Callable[..., _T]:
     def program(*arguments: Any, **static: Any) -> _T:
         if jax.default_backend() != "cpu":
             return function(*arguments, **static)
-        with _traced("program"):
+        with _state("program"):
             return function(*arguments, **static)
 
     return program
@@ -144,11 +144,11 @@ def as_one_kernel(function: Callable[..., _T], *arguments: Any) -> _T:
         arguments: pytrees of arrays.
     """
     large = max(leaf.size for leaf in jax.tree.leaves(arguments)) > _LARGE
-    if _traced.value != "program" or large:
+    if _state.value != "program" or large:
         return function(*arguments)
 
     def kernel(*arguments: Any) -> tuple[_T, tuple[Any, ...]]:
-        with _traced("kernel"):
+        with _state("kernel"):
             # XLA ends the process over an argument that a kernel does not use: all are returned too
             return function(*arguments), arguments
 
@@ -196,7 +196,7 @@ def update_marked(
 
 def inside_a_kernel() -> contextlib.AbstractContextManager[None]:
     """While a GPU kernel is traced: all its values live in registers, and :func:`once` has no place."""
-    return cast(contextlib.AbstractContextManager[None], _traced("gpu"))
+    return cast(contextlib.AbstractContextManager[None], _state("gpu"))
 
 
 @jax.tree_util.register_dataclass

@@ -139,8 +139,9 @@ def freedom_patterns(
     if helical is not None:
         # a screw of any pitch slides any part of what it turns
         pitched = jnp.logaddexp(log(1 - _SCREWS) + alike[1, 1], log(_SCREWS / (_PITCHES * _SIZES)))
-        single = (np.arange(16) == 5).reshape(number.shape)  # one axis turns, and one slides
-        alike = jnp.where(single & (helical < 0)[None, None], pitched[None, None], alike)
+        one = np.arange(4) == 1
+        of_screws = np.outer(one, one).reshape(number.shape)  # one axis turns, and one slides
+        alike = jnp.where(of_screws & (helical < 0)[None, None], pitched[None, None], alike)
     multiples, white_only = multiples[:, None], white_only[:, None]
     apart = jax.nn.log_sigmoid((size[None] - multiples - _APART) / _APART_WIDTH)
     free = far + alike[None] + jnp.where(white_only, 0, apart)

@@ -25,7 +25,7 @@ def lever_moments(evidence: Evidence) -> jax.Array:
     unit = jnp.concatenate([jnp.zeros((3, 1), dtype), jnp.eye(3, dtype=dtype)], axis=1)
     itself = jnp.broadcast_to(_square(unit)[..., None], (6, 10, count))
     # without the position of {b}, which is the first column
-    turns = (np.arange(10) >= 4)[None, :, None]
+    turns = np.asarray([a > 0 for a, _ in MONOMIALS])[None, :, None]
     turning = jnp.where(turns, evidence.linear_spread[..., IN_BODY], 0)
     turning = turning + _square(jnp.where((np.arange(4) > 0)[None, :, None], evidence.mean_paths[..., 0], 0))
     passing = evidence.linear_spread[..., IN_GROUND] + _square(evidence.mean_paths[..., 1])

@@ -1,12 +1,11 @@
 """Identification of windows that have been checked: pure functions of arrays.
 
 poses -> evidence (:mod:`.evidence`) -> optimum of every type (:mod:`.optima`) -> how far each axis moved and
-what is free (:mod:`.distances`, :mod:`.freedom`) -> Identification.
+what is free (:mod:`.decision`, :mod:`.distances`, :mod:`.freedom`) -> Identification.
 """
 
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,34 +14,14 @@ from reframe_jax.compilation import as_one_kernel, once
 from reframe_jax.constraints.located import ground_offset
 from reframe_jax.constraints.types import POSITION_BODIES
 from reframe_jax.identification.cautions import Caution, caution_codes
-from reframe_jax.identification.classify import (
-    Thresholds,
-    class_probabilities,
-    degrees_of_freedom,
-    free_rotations,
-    likeliest_type,
-    nearest_origin,
-    tied_types,
-)
+from reframe_jax.identification.classify import Thresholds, free_rotations, nearest_origin, tied_types
 from reframe_jax.identification.coupling import coupled_positions
-from reframe_jax.identification.distances import (
-    free_probabilities,
-    is_white,
-    likeliest_pattern,
-    pattern_probabilities,
-)
-from reframe_jax.identification.evidence import IN_BODY, IN_GROUND, Evidence, LagRule, reduce_windows
+from reframe_jax.identification.decision import EVEN, Settled, decide
+from reframe_jax.identification.distances import free_probabilities
+from reframe_jax.identification.evidence import Evidence, LagRule, reduce_windows
 from reframe_jax.identification.likelihood import likeliest_frames
-from reframe_jax.identification.naming import holds_for_all_types, name_probability
-from reframe_jax.identification.optima import (
-    Frames,
-    Optima,
-    find_optima,
-    orient_axes,
-    pick_problem,
-    pick_type,
-    refine_frames,
-)
+from reframe_jax.identification.naming import name_probability
+from reframe_jax.identification.optima import Optima, find_optima, orient_axes, pick_problem, pick_type
 from reframe_jax.identification.plane_of_motion import use_plane
 from reframe_jax.identification.results import (
     AllCandidates,
@@ -51,7 +30,6 @@ from reframe_jax.identification.results import (
     Identification,
     LinearFrame,
 )
-from reframe_jax.identification.screw import Screw, find_screw
 from reframe_jax.identification.shared_axis import share_axis
 from reframe_jax.identification.twins import find_twins
 from reframe_jax.identification.widening import SearchSpace, is_steep
@@ -60,8 +38,6 @@ from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.solvers import Solver
 
 __all__ = ["identify_windows", "solve_evidence"]
-
-_EVEN = 0.5  # probability of a name, below which all others together are more probable
 
 
 def identify_windows(
@@ -109,7 +85,7 @@ def solve_evidence(
         solver: search for the position.
     """
     optima = find_optima(evidence, space, key, exponent, solver)
-    settled = as_one_kernel(partial(_decide, rule=rule, exponent=exponent), evidence, optima, thresholds)
+    settled = as_one_kernel(partial(decide, rule=rule, exponent=exponent), evidence, optima, thresholds)
     optima = replace(optima, linear_winner=settled.winner)
     twins = _twins(evidence, optima, settled)
     return as_one_kernel(partial(_report, rule=rule), evidence, optima, settled, twins, thresholds)
@@ -118,7 +94,7 @@ def solve_evidence(
 def _report(
     evidence: Evidence,
     optima: Optima,
-    settled: "_Settled",
+    settled: Settled,
     twins: tuple[jax.Array, jax.Array],
     thresholds: Thresholds | None,
     rule: LagRule,
@@ -162,12 +138,12 @@ def _report(
     axes = frames.angular_axes, pick_type(frames.axes, n)
     screws = jnp.where(on_axis, screw.probability, 0)
     probability = name_probability(settled.classes, n, (angular_frame.dof, linear_frame.dof), axes, screws)
-    named = on_axis & (screws > _EVEN)
+    named = on_axis & (screws > EVEN)
     cautions = {
         Caution.FAR_ORIGIN: optima.widened & ~on_axis,
         Caution.ROUNDED: evidence.rounded,
         # thresholds name a class whatever its probability
-        Caution.IMPROBABLE: (probability < _EVEN) & (thresholds is None),
+        Caution.IMPROBABLE: (probability < EVEN) & (thresholds is None),
         Caution.COUPLED: jnp.any(linear_frame.coupled_position != 0, axis=(-2, -1)),
     }
     found = Identification(
@@ -187,95 +163,7 @@ def _report(
     return _with_status(found, evidence.status, pick_type(on_bounds, n))
 
 
-class _Settled(NamedTuple):
-    """What is decided about N windows.
-
-    Attributes:
-        frames: to report.
-        patterns: (4, 4, N, 4) probability of every pattern of degrees of freedom.
-        classes: (N, 4, 4, 4) probability of every linear type and pattern.
-        dof: (N, 2, 3) and (N, 4, 3).
-        refined: (N,) bool, see :class:`Identification`.
-        on_axis: (N,) bool, whether the frames are those of a screw.
-        winner: (N,) linear type: the likeliest one, or for given chords that of the lowest norm; on
-            a screw, and where it makes no difference, one whose origin has a path.
-        screw: the screws.
-        idle: (N,) rad/s, RMS of rotation about axes that are classified as constrained. It counts as noise,
-            unless it was taken out.
-    """
-
-    frames: Frames
-    patterns: jax.Array
-    classes: jax.Array
-    dof: tuple[jax.Array, jax.Array]
-    refined: jax.Array
-    on_axis: jax.Array
-    winner: jax.Array
-    screw: Screw
-    idle: jax.Array
-
-
-def _decide(
-    evidence: Evidence, optima: Optima, thresholds: Thresholds | None, rule: LagRule, exponent: float
-) -> _Settled:
-    """Decide which frames to report, and which axes are free."""
-    a, n = optima.angular_winner, optima.linear_winner
-    rough = Frames(optima.angular_axes, optima.position, optima.axes, optima.local_axes)
-    refining = rule == "auto" and evidence.maps is None
-    frames = refine_frames(evidence, optima.position, optima.box, exponent) if refining else rough
-    # what is free does not follow the poses: nothing is differentiated that leads there only
-    fixed = jax.lax.stop_gradient(evidence)
-    patterns, distance = pattern_probabilities(fixed, a, jax.lax.stop_gradient(frames))
-    white = jnp.zeros(n.shape, dtype=bool)
-    if refining:
-        white = is_white(pick_problem(n, distance), likeliest_pattern(patterns, n), n)
-        frames = jax.tree.map(partial(_choose, white), frames, rough)
-    turns_once = jnp.sum(pick_problem(n, patterns)[1], axis=0) > _EVEN
-    screw = find_screw(evidence, frames, optima.box, turns_once)
-    again = jax.lax.stop_gradient((rough, screw.frames))
-    # BB and GG cannot tell the origin on a screw, nor how well it is known
-    lower = jnp.where(optima.norm[:, IN_BODY] < optima.norm[:, IN_GROUND], IN_BODY, IN_GROUND)
-    followed = replace(optima, linear_winner=lower.astype(n.dtype))
-
-    def judge(step: jax.Array, so_far: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
-        """Judge the rough frames of windows whose noise is not white, then those of screws."""
-        patterns, white, on_axis = so_far
-        last = step == 1
-        those = jax.tree.map(lambda *both: jnp.where(last, both[1], both[0]), *again)
-        rest = jnp.where(last & screw.likely & fixed.axis.found, screw.rest, 0)
-        new, distance = pattern_probabilities(fixed, a, those, rest)
-        dof = _freedom(new, followed, thresholds)
-        winner = followed.linear_winner
-        turns, slides = jnp.sum(dof[0][:, 0], axis=-1), jnp.sum(pick_type(dof[1], winner), axis=-1)
-        helical = last & screw.likely & (turns == 1) & (slides == 1)
-        taken = helical | (~last & ~white)
-        quiet = is_white(pick_problem(winner, distance), dof, winner) & refining
-        patterns = jnp.where(taken[None, None, :, None], new, patterns)
-        return patterns, jnp.where(helical, quiet, white), on_axis | helical
-
-    # one program for both, which mostly has nothing to do
-    first = jnp.all(white).astype(jnp.int32) if refining else 1
-    until = 1 + jnp.any(screw.likely).astype(jnp.int32)
-    start = patterns, white, jnp.zeros_like(white)
-    patterns, white, on_axis = jax.lax.fori_loop(first, until, judge, start)
-    frames = jax.tree.map(partial(_choose, on_axis), screw.frames, frames)
-    dof = _freedom(patterns, optima, thresholds)
-    classes = class_probabilities(patterns, optima.rms, dof[1], n, evidence.samples)
-    if rule == "auto" and thresholds is None:
-        n = likeliest_type(classes, n)
-        optima = replace(optima, linear_winner=n)
-        dof = _freedom(patterns, optima, thresholds)
-    # the paths of BB and GG are summed up, and their noise with them
-    same = _says_the_same(optima, frames, dof, followed.linear_winner, evidence.samples)
-    by_path = on_axis | (white & same)
-    optima = replace(optima, linear_winner=jnp.where(by_path, followed.linear_winner, n))
-    dof = _freedom(patterns, optima, thresholds)
-    idle = jnp.min(jnp.max(jnp.where(dof[0] == 0, optima.angular_rms, 0), axis=-1), axis=-1)
-    idle = jnp.where(evidence.alone, 0, idle)
-    return _Settled(frames, patterns, classes, dof, white, on_axis, optima.linear_winner, screw, idle)
-
-
-def _twins(evidence: Evidence, optima: Optima, settled: _Settled) -> tuple[jax.Array, jax.Array]:
+def _twins(evidence: Evidence, optima: Optima, settled: Settled) -> tuple[jax.Array, jax.Array]:
     """Of the best linear type, (N, 3) m and (N,) bool; see :func:`find_twins`."""
     n = optima.linear_winner
     searched, solution, box = jax.tree.map(
@@ -283,35 +171,6 @@ def _twins(evidence: Evidence, optima: Optima, settled: _Settled) -> tuple[jax.A
     )
     idle = jax.lax.stop_gradient(settled.idle)
     return find_twins(searched, box, solution, pick_type(settled.dof[1], n), idle, evidence.samples)
-
-
-def _says_the_same(
-    optima: Optima, frames: Frames, dof: tuple[jax.Array, jax.Array], other: jax.Array, samples: jax.Array
-) -> jax.Array:
-    """Whether another linear type (N,) says the same as the winner, as all do of a hinge, (N,) bool."""
-    n = optima.linear_winner
-    of_winner = pick_type(dof[1], n)
-    axes = frames.angular_axes, pick_type(frames.axes, n)
-    general = holds_for_all_types(n, (dof[0][:, 0], of_winner), axes)
-    tied = pick_type(tied_types(optima.rms, dof[1], n, samples), other)
-    return general & tied & jnp.all(pick_type(dof[1], other) == of_winner, axis=-1)
-
-
-def _choose(chosen: jax.Array, new: jax.Array, old: jax.Array) -> jax.Array:
-    """From the new array (N, ...) the windows (N,) chosen."""
-    return jnp.where(chosen.reshape(-1, *[1] * (old.ndim - 1)), new, old)
-
-
-def _freedom(
-    patterns: jax.Array, optima: Optima, thresholds: Thresholds | None
-) -> tuple[jax.Array, jax.Array]:
-    """Degrees of freedom of all types, (N, 2, 3) and (N, 4, 3)."""
-    if thresholds is None:
-        return likeliest_pattern(patterns, optima.linear_winner)
-    return (
-        degrees_of_freedom(optima.angular_rms, thresholds.angular),
-        degrees_of_freedom(optima.rms, thresholds.linear),
-    )
 
 
 def _angular_frame(
@@ -340,7 +199,7 @@ def _linear_frame(
     twins: tuple[jax.Array, jax.Array],
     evidence: Evidence,
     optima: Optima,
-    settled: _Settled,
+    settled: Settled,
 ) -> LinearFrame:
     n, told = optima.linear_winner, settled.on_axis
     searched, x = jax.tree.map(partial(pick_problem, n), (optima.searched, optima.solution.x))

@@ -1,0 +1,143 @@
+"""What is decided about windows: which frames to report, what is free, and which type is the likeliest."""
+
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from reframe_jax.identification.classify import (
+    Thresholds,
+    class_probabilities,
+    degrees_of_freedom,
+    likeliest_type,
+    tied_types,
+)
+from reframe_jax.identification.distances import is_white, likeliest_pattern, pattern_probabilities
+from reframe_jax.identification.evidence import IN_BODY, IN_GROUND, Evidence, LagRule
+from reframe_jax.identification.naming import holds_for_all_types
+from reframe_jax.identification.optima import Frames, Optima, pick_problem, pick_type, refine_frames
+from reframe_jax.identification.screw import Screw, find_screw
+
+__all__ = ["EVEN", "Settled", "decide"]
+
+EVEN = 0.5
+"""Probability of a name, below which all others together are more probable."""
+
+
+class Settled(NamedTuple):
+    """What is decided about N windows.
+
+    Attributes:
+        frames: to report.
+        patterns: (4, 4, N, 4) probability of every pattern of degrees of freedom.
+        classes: (N, 4, 4, 4) probability of every linear type and pattern.
+        dof: (N, 2, 3) and (N, 4, 3).
+        refined: (N,) bool, see :class:`Identification`.
+        on_axis: (N,) bool, whether the frames are those of a screw.
+        winner: (N,) linear type: the likeliest one, or for given chords that of the lowest norm; on
+            a screw, and where it makes no difference, one whose origin has a path.
+        screw: the screws.
+        idle: (N,) rad/s, RMS of rotation about axes that are classified as constrained. It counts as noise,
+            unless it was taken out.
+    """
+
+    frames: Frames
+    patterns: jax.Array
+    classes: jax.Array
+    dof: tuple[jax.Array, jax.Array]
+    refined: jax.Array
+    on_axis: jax.Array
+    winner: jax.Array
+    screw: Screw
+    idle: jax.Array
+
+
+def decide(
+    evidence: Evidence, optima: Optima, thresholds: Thresholds | None, rule: LagRule, exponent: float
+) -> Settled:
+    """Decide which frames to report, and which axes are free."""
+    a, n = optima.angular_winner, optima.linear_winner
+    rough = Frames(optima.angular_axes, optima.position, optima.axes, optima.local_axes)
+    refining = rule == "auto" and evidence.maps is None
+    frames = refine_frames(evidence, optima.position, optima.box, exponent) if refining else rough
+    # what is free does not follow the poses: nothing is differentiated that leads there only
+    fixed = jax.lax.stop_gradient(evidence)
+    patterns, distance = pattern_probabilities(fixed, a, jax.lax.stop_gradient(frames))
+    white = jnp.zeros(n.shape, dtype=bool)
+    if refining:
+        white = is_white(pick_problem(n, distance), likeliest_pattern(patterns, n), n)
+        frames = jax.tree.map(partial(_choose, white), frames, rough)
+    turns_once = jnp.sum(pick_problem(n, patterns)[1], axis=0) > EVEN
+    screw = find_screw(evidence, frames, optima.box, turns_once)
+    again = jax.lax.stop_gradient((rough, screw.frames))
+    # BB and GG cannot tell the origin on a screw, nor how well it is known
+    lower = jnp.where(optima.norm[:, IN_BODY] < optima.norm[:, IN_GROUND], IN_BODY, IN_GROUND)
+    followed = replace(optima, linear_winner=lower.astype(n.dtype))
+
+    def judge(step: jax.Array, so_far: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+        """Judge the rough frames of windows whose noise is not white, then those of screws."""
+        patterns, white, on_axis = so_far
+        last = step == 1
+        those = jax.tree.map(lambda *both: jnp.where(last, both[1], both[0]), *again)
+        rest = jnp.where(last & screw.likely & fixed.axis.found, screw.rest, 0)
+        new, distance = pattern_probabilities(fixed, a, those, rest)
+        dof = _freedom(new, followed, thresholds)
+        winner = followed.linear_winner
+        turns, slides = jnp.sum(dof[0][:, 0], axis=-1), jnp.sum(pick_type(dof[1], winner), axis=-1)
+        helical = last & screw.likely & (turns == 1) & (slides == 1)
+        taken = helical | (~last & ~white)
+        quiet = is_white(pick_problem(winner, distance), dof, winner) & refining
+        patterns = jnp.where(taken[None, None, :, None], new, patterns)
+        return patterns, jnp.where(helical, quiet, white), on_axis | helical
+
+    # one program for both, which mostly has nothing to do
+    first = jnp.all(white).astype(jnp.int32) if refining else 1
+    until = 1 + jnp.any(screw.likely).astype(jnp.int32)
+    start = patterns, white, jnp.zeros_like(white)
+    patterns, white, on_axis = jax.lax.fori_loop(first, until, judge, start)
+    frames = jax.tree.map(partial(_choose, on_axis), screw.frames, frames)
+    dof = _freedom(patterns, optima, thresholds)
+    classes = class_probabilities(patterns, optima.rms, dof[1], n, evidence.samples)
+    if rule == "auto" and thresholds is None:
+        n = likeliest_type(classes, n)
+        optima = replace(optima, linear_winner=n)
+        dof = _freedom(patterns, optima, thresholds)
+    # the paths of BB and GG are summed up, and their noise with them
+    same = _says_the_same(optima, frames, dof, followed.linear_winner, evidence.samples)
+    by_path = on_axis | (white & same)
+    optima = replace(optima, linear_winner=jnp.where(by_path, followed.linear_winner, n))
+    dof = _freedom(patterns, optima, thresholds)
+    idle = jnp.min(jnp.max(jnp.where(dof[0] == 0, optima.angular_rms, 0), axis=-1), axis=-1)
+    idle = jnp.where(evidence.alone, 0, idle)
+    return Settled(frames, patterns, classes, dof, white, on_axis, optima.linear_winner, screw, idle)
+
+
+def _says_the_same(
+    optima: Optima, frames: Frames, dof: tuple[jax.Array, jax.Array], other: jax.Array, samples: jax.Array
+) -> jax.Array:
+    """Whether another linear type (N,) says the same as the winner, as all do of a hinge, (N,) bool."""
+    n = optima.linear_winner
+    of_winner = pick_type(dof[1], n)
+    axes = frames.angular_axes, pick_type(frames.axes, n)
+    general = holds_for_all_types(n, (dof[0][:, 0], of_winner), axes)
+    tied = pick_type(tied_types(optima.rms, dof[1], n, samples), other)
+    return general & tied & jnp.all(pick_type(dof[1], other) == of_winner, axis=-1)
+
+
+def _choose(chosen: jax.Array, new: jax.Array, old: jax.Array) -> jax.Array:
+    """From the new array (N, ...) the windows (N,) chosen."""
+    return jnp.where(chosen.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+
+
+def _freedom(
+    patterns: jax.Array, optima: Optima, thresholds: Thresholds | None
+) -> tuple[jax.Array, jax.Array]:
+    """Degrees of freedom of all types, (N, 2, 3) and (N, 4, 3)."""
+    if thresholds is None:
+        return likeliest_pattern(patterns, optima.linear_winner)
+    return (
+        degrees_of_freedom(optima.angular_rms, thresholds.angular),
+        degrees_of_freedom(optima.rms, thresholds.linear),
+    )
