@@ -31,6 +31,7 @@ __all__ = [
     "as_one_kernel",
     "chunk_size",
     "compiler_options",
+    "in_float64",
     "index_leaves",
     "inside_a_kernel",
     "once",
@@ -83,6 +84,11 @@ def compiler_options(platform: str | None = None, single: bool = False) -> dict[
 def chunk_size() -> int:
     """Windows worked on at once: on a CPU so few that a core's own caches hold them, on a GPU many."""
     return _CHUNK.get(jax.default_backend(), 1024)
+
+
+def in_float64() -> bool:
+    """Whether JAX computes in float64, in this thread."""
+    return bool(jax.dtypes.canonicalize_dtype(np.float64) == np.float64)
 
 
 def once(values: _T) -> _T:

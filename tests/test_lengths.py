@@ -1,5 +1,7 @@
 """Recordings of any length, padded or not, alone or in a batch, with pauses or without."""
 
+import threading
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -79,6 +81,36 @@ def test_the_search_is_compiled_once_for_all_lengths(recording):
     sizes = {entry._padded_size(count) for count in lengths}
     assert sizes == {60, 96, 128, 192, 256}
     assert programs.reduce_one._cache_size() - reduced <= len(sizes)
+
+
+@pytest.mark.parametrize("windows", [(), (2,)])
+def test_two_programs_are_compiled_side_by_side(recording, windows):
+    compiled = []
+
+    def note(event, _, fun_name="", **_others):
+        if event.endswith("backend_compile_duration"):
+            compiled.append((fun_name, threading.current_thread() is threading.main_thread()))
+
+    poses, solver = np.broadcast_to(recording[:51], (*windows, 51, 4, 4)), Middle()
+    jax.monitoring.register_event_duration_secs_listener(note)
+    try:
+        first = rf.identify(poses, dt=DT, solver=solver)
+        again = rf.identify(poses, dt=DT, solver=solver)
+    finally:
+        jax.monitoring.unregister_event_duration_listener(note)
+    # the program that solves once, beside what comes before
+    assert [alone for name, alone in compiled if "solve" in name] == [False]
+    np.testing.assert_array_equal(again.linear.position, first.linear.position)
+
+
+def test_what_is_wrong_with_a_solver_is_said(recording):
+    class Fails:
+        def minimise(self, objective, box, key):
+            raise ArithmeticError("no minimum")
+
+    for poses in (recording[:51], np.stack([recording[:51]] * 2)):
+        with pytest.raises(ArithmeticError, match="no minimum"):
+            rf.identify(poses, dt=DT, solver=Fails())
 
 
 def test_pauses_change_nothing(recording):

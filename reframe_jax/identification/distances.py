@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.compilation import apply_each
 from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.products import matmul3
@@ -107,10 +108,11 @@ def share_of_turn(moments: jax.Array, position: jax.Array, axes: jax.Array) -> j
         return symmetric.quadratic_form(e, (xx, xy, xz, yy, yz, zz), e)
 
     at_origin = x[0], x[1], x[2]
-    whole = along(covariance_at(moments, at_origin))
+    slopes, bends = covariance_gradient(moments, at_origin), covariance_hessian(moments)
+    whole, *squares = apply_each(along, [covariance_at(moments, at_origin), *slopes, *bends])
     # of a square, derivatives have a factor of two
-    with_origin = jnp.stack([along(slope) for slope in covariance_gradient(moments, at_origin)], axis=-1) / 2
-    xx, xy, xz, yy, yz, zz = (along(bend) / 2 for bend in covariance_hessian(moments))
+    with_origin = jnp.stack(squares[:3], axis=-1) / 2
+    xx, xy, xz, yy, yz, zz = (bend / 2 for bend in squares[3:])
     levers = symmetric.to_matrix((xx, xy, xz, yy, yz, zz))
     lever = _main_direction(levers)
     longest = jnp.sum(lever * matmul3(levers, lever[..., None])[..., 0], axis=-1)

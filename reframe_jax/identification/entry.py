@@ -20,7 +20,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import chunk_size, compiler_options, index_leaves, traced
+from reframe_jax.compilation import chunk_size, compiler_options, in_float64, index_leaves, traced
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.inputs import take_poses, take_steps
 from reframe_jax.identification.options import Lag, as_dtype, check_options, lag_in_samples, make_space
@@ -29,8 +29,7 @@ from reframe_jax.identification.programs import (
     identify_chunks,
     identify_compiled,
     identify_flat,
-    reduce_one,
-    solve_one,
+    identify_one,
 )
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
@@ -149,7 +148,7 @@ def identify(
             found = _in_pieces(partial(program, **static), windows, steps, options)
             if len(batch) > 1:
                 found = jax.tree.map(lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), found)
-    if wide and not _in_float64():
+    if wide and not in_float64():
         found = jax.device_put(jax.tree.map(_narrow, jax.device_get(found)))
     if not batch and not inside_a_trace:
         status = Status(int(found.status_code))
@@ -175,7 +174,7 @@ def identify_padded(poses: np.ndarray, times: np.ndarray, reach: float) -> Ident
         options = None, None, make_space(reach, poses.dtype), None
         static = {"rule": "auto", "exponent": 0.0, "discretization": "chord", "solver": default_solver()}
         found = _single(poses, np.diff(times), options, static, sizes=_SIZES_OF_PIECES)
-    return found if _in_float64() else jax.device_put(jax.tree.map(_narrow, jax.device_get(found)))
+    return found if in_float64() else jax.device_put(jax.tree.map(_narrow, jax.device_get(found)))
 
 
 def _single(
@@ -194,12 +193,8 @@ def _single(
         steps = np.concatenate([steps, np.repeat(steps[-1:], fill)])
     # one program for a size, whether there is something to fill or not
     number = np.full(1, count, np.int32) if count > _SHORT or sizes else None
-    lag, *others = options
-    reduced = {name: static[name] for name in ("rule", "discretization")}
-    evidence, counted = reduce_one(poses[None], np.asarray(steps, poses.dtype), number, lag, **reduced)
-    counted = counted[:count] if fill else counted
-    searched = {name: static[name] for name in ("rule", "exponent", "solver")}
-    return replace(solve_one(evidence, *others, **searched), counted=counted)
+    found = identify_one(poses[None], np.asarray(steps, poses.dtype), number, *options, **static)
+    return replace(found, counted=found.counted[:count]) if fill else found
 
 
 def _padded_size(count: int) -> int:
@@ -208,10 +203,6 @@ def _padded_size(count: int) -> int:
         return count
     size = 1 << (count - 1).bit_length()
     return 3 * size // 4 if count <= 3 * size // 4 else size
-
-
-def _in_float64() -> bool:
-    return bool(jax.dtypes.canonicalize_dtype(np.float64) == np.float64)
 
 
 def _narrow(leaf: np.ndarray) -> np.ndarray:
@@ -226,7 +217,7 @@ def _in_pieces(
     The pieces are spread over all processors. The last one is filled with its last window.
     """
     count = len(windows)
-    size, precise = _piece_size(count), _in_float64()
+    size, precise = _piece_size(count), in_float64()
 
     def piece(start: int) -> Identification:
         rows = np.minimum(np.arange(start, start + size), count - 1)

@@ -1,9 +1,12 @@
 """Compiled programs that identify: of a batch, of the chunks of a piece, of one recording.
 
 On a processor, a window passes two programs. The first reduces it to its evidence; the second, the large one,
-is the same for windows of all lengths.
+is the same for windows of all lengths. The first time, they are compiled side by side.
 """
 
+import contextlib
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -12,7 +15,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.compilation import Packed, chunk_size, compiler_options, pack, unpack, with_kernels
+from reframe_jax.compilation import (
+    Packed,
+    chunk_size,
+    compiler_options,
+    in_float64,
+    pack,
+    unpack,
+    with_kernels,
+)
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.evidence import Evidence, LagRule, reduce_windows
 from reframe_jax.identification.pipeline import identify_windows, solve_evidence
@@ -21,9 +32,11 @@ from reframe_jax.identification.widening import SearchSpace
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.solvers import Solver
 
-__all__ = ["PIECE", "identify_chunks", "identify_compiled", "identify_flat", "reduce_one", "solve_one"]
+__all__ = ["PIECE", "identify_chunks", "identify_compiled", "identify_flat", "identify_one", "reduce_one"]
 
 PIECE = 8  # chunks that one thread computes in one call
+
+_begun: set[Any] = set()  # kinds of programs that have been compiled, or are being
 
 
 def identify_flat(
@@ -142,6 +155,25 @@ def _solve_each_chunk(evidence: Evidence, chunks: jax.Array, *others: Any, **sta
     return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), found)
 
 
+def identify_one(
+    poses: Any,
+    steps: Any,
+    count: Any,
+    lag: Any,
+    *others: Any,
+    rule: LagRule,
+    exponent: float,
+    discretization: Discretization,
+    solver: Solver,
+) -> Identification:
+    """Identify the only window of (1, K+1, 4, 4) poses; ``count``, (1,), of them, if it is not None."""
+    reduce = partial(reduce_one, poses, steps, count, lag, rule=rule, discretization=discretization)
+    solve = partial(solve_one, rule=rule, exponent=exponent, solver=solver)
+    with _compiling(solve, reduce, lambda reduced: (reduced[0], *others)):
+        evidence, counted = reduce()
+    return replace(solve(evidence, *others), counted=counted)
+
+
 def identify_chunks(
     poses: Any,
     steps: Any,
@@ -157,13 +189,46 @@ def identify_chunks(
     Returns:
         The identification of as many windows as a piece has, of which the first N are those of the poses.
     """
-    evidence = _reduce_chunks(poses, steps, lag, rule=rule, discretization=discretization)
-    counted = evidence.counted
-    if evidence.maps is None:
-        evidence = replace(evidence, counted=np.ones((*counted.shape[:2], 1), bool))
-    chunks = np.int32(len(poses) // chunk_size())
-    found = _solve_chunks(evidence, chunks, *others, rule=rule, exponent=exponent, solver=solver)
+    reduce = partial(_reduce_chunks, poses, steps, lag, rule=rule, discretization=discretization)
+    solve = partial(_solve_chunks, rule=rule, exponent=exponent, solver=solver)
+
+    def arguments(evidence: Evidence) -> tuple[Any, ...]:
+        if evidence.maps is None:  # of one length for all
+            every: Any = np.ones((*evidence.counted.shape[:2], 1), bool)
+            evidence = replace(evidence, counted=every)
+        return evidence, np.int32(len(poses) // chunk_size()), *others
+
+    with _compiling(solve, reduce, arguments):
+        evidence = reduce()
+    found, counted = solve(*arguments(evidence)), evidence.counted
     return replace(found, counted=counted.reshape(-1, counted.shape[-1]) & found.counted)
+
+
+@contextlib.contextmanager
+def _compiling(solve: Any, reduce: Any, arguments: Callable[[Any], tuple[Any, ...]]) -> Iterator[None]:
+    """While poses are reduced for the first time, compile the program that solves in another thread.
+
+    Args:
+        solve: the program, partial with what is static of its arguments.
+        reduce: the program that comes before, partial with all its arguments.
+        arguments: of the former, from the results of the latter, or from their shapes.
+    """
+    precise = in_float64()  # JAX's settings belong to a thread
+    kind = solve.func, precise, reduce.args[0].dtype, *reduce.keywords.values(), *solve.keywords.values()
+    # arrays that a device was chosen for need a program that their shapes do not tell
+    if kind in _begun or getattr(reduce.args[0], "committed", False):
+        yield
+        return
+    _begun.add(kind)
+    shapes = reduce.func.eval_shape(*reduce.args, **reduce.keywords)
+
+    def compile_solver() -> None:
+        with jax.enable_x64(precise):
+            solve.func.lower(*arguments(shapes), **solve.keywords).compile()
+
+    with ThreadPoolExecutor(1) as thread:
+        thread.submit(compile_solver)  # what is wrong with it, the call of the program says
+        yield
 
 
 _STATIC = ("rule", "exponent", "discretization", "solver")

@@ -40,7 +40,7 @@ from reframe_jax.objectives.norms import log_power_mean
 from reframe_jax.objectives.protocol import MomentsObjective, Objective
 from reframe_jax.solvers.box import Box
 
-__all__ = ["ValleySteps", "descend", "slope_and_curvature"]
+__all__ = ["ValleySteps", "descend", "slope", "slope_and_curvature"]
 
 _RIDGE = 1e-10  # of the Hessians, relative to the trace: keeps a free direction solvable
 
@@ -70,51 +70,74 @@ def _expand(moments: Coefficients, p: Vector, exponent: float) -> _Expansion:
     return _Expansion(sigma, slopes, *once((gradient, majorant, hessian)))
 
 
+def slope(objective: MomentsObjective, x: jax.Array) -> jax.Array:
+    """Gradient of log J, (3, ...), with respect to the origins x, (3, ...)."""
+    if objective.exponent != 0:
+        return slope_and_curvature(objective, x)[0]
+    p = x[0], x[1], x[2]
+    weights = _Elimination.of(covariance_at(objective.moments, p))
+    slopes = covariance_gradient(objective.moments, p)
+    return jnp.stack(apply_each(lambda m: weights.trace(weights.turn(m)), slopes)) / 6
+
+
 def slope_and_curvature(objective: MomentsObjective, x: jax.Array) -> tuple[jax.Array, Symmetric]:
     """Gradient, (3, ...), and Hessian of log J with respect to the origins x, (3, ...), in closed form."""
     here = _expand(objective.moments, (x[0], x[1], x[2]), objective.exponent)
     return jnp.stack(here.gradient) / 6, cast(Symmetric, tuple(h / 6 for h in here.hessian))
 
 
-def _derivatives_of_det(
-    sigma: Symmetric, slopes: tuple[Symmetric, ...], seconds: tuple[Symmetric, ...]
-) -> tuple[Vector, Symmetric, Symmetric]:
-    """For f = log det Sigma, W = Sigma^-1: the curvature of f is -tr(W Sigma_a W Sigma_b).
+class _Elimination(NamedTuple):
+    """Sigma = L D L^T, with which traces tr(Sigma^-1 M) are taken.
 
-    All traces are taken after elimination, Sigma = L D L^T: W itself, where one axis moves freely and
-    another hardly at all, has lost the digits that they hang on.
+    Sigma^-1 itself, where one axis moves freely and another hardly at all, has lost the digits that they hang
+    on.
     """
-    xx, xy, xz, yy, yz, zz = sigma
-    x = 1 / xx
-    lyx, lzx = xy * x, xz * x
-    dy = yy - xy * lyx
-    coupling = yz - xy * lzx
-    y = 1 / dy
-    lzy = coupling * y
-    z = 1 / (zz - xz * lzx - coupling * lzy)
-    g10, g20, g21 = -lyx, lyx * lzy - lzx, -lzy  # L^-1
-    x, y, z, g10, g20, g21 = once((x, y, z, g10, g20, g21))
 
-    def eliminated(m: Symmetric) -> Symmetric:
+    inverse: Vector  # 1/D
+    below: Vector  # the entries 10, 20 and 21 of L^-1
+
+    @classmethod
+    def of(cls, sigma: Symmetric) -> "_Elimination":
+        xx, xy, xz, yy, yz, zz = sigma
+        x = 1 / xx
+        lyx, lzx = xy * x, xz * x
+        dy = yy - xy * lyx
+        coupling = yz - xy * lzx
+        y = 1 / dy
+        lzy = coupling * y
+        z = 1 / (zz - xz * lzx - coupling * lzy)
+        return once(cls((x, y, z), (-lyx, lyx * lzy - lzx, -lzy)))
+
+    def turn(self, m: Symmetric) -> Symmetric:
         """L^-1 M L^-T."""
+        g10, g20, g21 = self.below
         xx, xy, xz, yy, yz, zz = m
         bx, by = xy + g10 * xx, yy + g10 * xy
         cx, cy, cz = xz + g21 * xy + g20 * xx, yz + g21 * yy + g20 * xy, zz + g21 * yz + g20 * xz
         return xx, bx, cx, by + g10 * bx, cy + g10 * cx, cz + g21 * cy + g20 * cx
 
-    turned = apply_each(eliminated, slopes)
-    scale = (x * x, x * y, x * z, y * y, y * z, z * z)
+    def trace(self, turned: Symmetric) -> jax.Array:
+        """tr(Sigma^-1 M), of a matrix that was turned."""
+        x, y, z = self.inverse
+        return x * turned[0] + y * turned[3] + z * turned[5]
 
-    def trace(m: Symmetric) -> jax.Array:
-        return x * m[0] + y * m[3] + z * m[5]
+
+def _derivatives_of_det(
+    sigma: Symmetric, slopes: tuple[Symmetric, ...], seconds: tuple[Symmetric, ...]
+) -> tuple[Vector, Symmetric, Symmetric]:
+    """For f = log det Sigma, W = Sigma^-1: the curvature of f is -tr(W Sigma_a W Sigma_b)."""
+    weights = _Elimination.of(sigma)
+    x, y, z = weights.inverse
+    turned = apply_each(weights.turn, slopes)
+    scale = (x * x, x * y, x * z, y * y, y * z, z * z)
 
     def product(a: Symmetric, b: Symmetric) -> jax.Array:
         return symmetric.trace_product(
             cast(Symmetric, tuple(f * m for f, m in zip(scale, a, strict=True))), b
         )
 
-    gradient = tuple(trace(m) for m in turned)
-    majorant = tuple(apply_each(lambda m: trace(eliminated(m)), seconds))
+    gradient = tuple(weights.trace(m) for m in turned)
+    majorant = tuple(apply_each(lambda m: weights.trace(weights.turn(m)), seconds))
     curvature = tuple(-product(turned[a], turned[b]) for a, b in INDEX_PAIRS)
     return cast(Vector, gradient), cast(Symmetric, majorant), cast(Symmetric, curvature)
 

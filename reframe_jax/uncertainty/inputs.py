@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import chunk_size, compiler_options, traced
+from reframe_jax.compilation import chunk_size, compiler_options, in_float64, traced
 from reframe_jax.identification.results import Identification, PoseNoise
 from reframe_jax.uncertainty.paths import Estimates, estimates_of
 
@@ -102,7 +102,7 @@ def over_windows(
         ValueError: if the poses cannot be those of ``found``, or their times do not fit.
     """
     array, wide = _poses_of(found, poses)
-    narrow = wide and jax.dtypes.canonicalize_dtype(np.float64) == np.float32
+    narrow = wide and not in_float64()
     with jax.enable_x64(True) if wide else contextlib.nullcontext():
         steps = _sample_steps(array, times, dt)
         estimates = estimates_of(found, noise, array.dtype)
@@ -188,7 +188,7 @@ def _in_pieces(run: Callable[..., Any], tree: Any, order: np.ndarray) -> Any:
     """
     size, count = chunk_size(), len(order)
     starts = range(0, count, size)
-    precise = bool(jax.dtypes.canonicalize_dtype(np.float64) == np.float64)
+    precise = in_float64()
 
     def piece(start: int) -> Any:
         rows = order[np.minimum(np.arange(start, start + size), count - 1)]
