@@ -7,6 +7,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from reframe_jax.compilation import as_one_kernel
 from reframe_jax.identification.classify import (
     Thresholds,
     class_probabilities,
@@ -58,60 +59,118 @@ def decide(
     evidence: Evidence, optima: Optima, thresholds: Thresholds | None, rule: LagRule, exponent: float
 ) -> Settled:
     """Decide which frames to report, and which axes are free."""
-    a, n = optima.angular_winner, optima.linear_winner
-    rough = Frames(optima.angular_axes, optima.position, optima.axes, optima.local_axes)
     refining = rule == "auto" and evidence.maps is None
-    frames = refine_frames(evidence, optima.position, optima.box, exponent) if refining else rough
+    rough = Frames(optima.angular_axes, optima.position, optima.axes, optima.local_axes)
+    frames = rough
+    if refining:
+        refine = partial(refine_frames, exponent=exponent)
+        frames = as_one_kernel(refine, evidence, optima.position, optima.box)
+    first_look = partial(_first_look, refining=refining)
+    frames, screw, patterns, white = as_one_kernel(first_look, evidence, optima, frames, rough)
+    judge = partial(_judge_again, refining=refining)
     # what is free does not follow the poses: nothing is differentiated that leads there only
-    fixed = jax.lax.stop_gradient(evidence)
-    patterns, distance = pattern_probabilities(fixed, a, jax.lax.stop_gradient(frames))
+    given = (*jax.lax.stop_gradient((evidence, optima, rough, screw)), thresholds)
+    # one program for both, which mostly has nothing to do
+    first = jnp.all(white).astype(jnp.int32) if refining else 1
+    until = 1 + jnp.any(screw.likely).astype(jnp.int32)
+    start = patterns, white, jnp.zeros_like(white)
+    judged = jax.lax.fori_loop(
+        first, until, lambda step, so_far: as_one_kernel(judge, step, so_far, *given), start
+    )
+    settle = partial(_settle, likeliest=rule == "auto" and thresholds is None)
+    return as_one_kernel(settle, evidence, optima, frames, screw, judged, thresholds)
+
+
+def _first_look(
+    evidence: Evidence, optima: Optima, frames: Frames, rough: Frames, refining: bool
+) -> tuple[Frames, Screw, jax.Array, jax.Array]:
+    """How free the axes of refined frames are; the rough ones where the noise is not white; the screws.
+
+    Returns:
+        The frames, the screws, the patterns, and (N,) bool, whether the noise is white.
+    """
+    n = optima.linear_winner
+    fixed, seen = jax.lax.stop_gradient((evidence, frames))
+    patterns, distance = pattern_probabilities(fixed, optima.angular_winner, seen)
     white = jnp.zeros(n.shape, dtype=bool)
     if refining:
         white = is_white(pick_problem(n, distance), likeliest_pattern(patterns, n), n)
         frames = jax.tree.map(partial(_choose, white), frames, rough)
     turns_once = jnp.sum(pick_problem(n, patterns)[1], axis=0) > EVEN
-    screw = find_screw(evidence, frames, optima.box, turns_once)
-    again = jax.lax.stop_gradient((rough, screw.frames))
-    # BB and GG cannot tell the origin on a screw, nor how well it is known
-    lower = jnp.where(optima.norm[:, IN_BODY] < optima.norm[:, IN_GROUND], IN_BODY, IN_GROUND)
-    followed = replace(optima, linear_winner=lower.astype(n.dtype))
+    return frames, find_screw(evidence, frames, optima.box, turns_once), patterns, white
 
-    def judge(step: jax.Array, so_far: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
-        """Judge the rough frames of windows whose noise is not white, then those of screws."""
-        patterns, white, on_axis = so_far
-        last = step == 1
-        those = jax.tree.map(lambda *both: jnp.where(last, both[1], both[0]), *again)
-        rest = jnp.where(last & screw.likely & fixed.axis.found, screw.rest, 0)
-        new, distance = pattern_probabilities(fixed, a, those, rest)
-        dof = _freedom(new, followed, thresholds)
-        winner = followed.linear_winner
-        turns, slides = jnp.sum(dof[0][:, 0], axis=-1), jnp.sum(pick_type(dof[1], winner), axis=-1)
-        helical = last & screw.likely & (turns == 1) & (slides == 1)
-        taken = helical | (~last & ~white)
-        quiet = is_white(pick_problem(winner, distance), dof, winner) & refining
-        patterns = jnp.where(taken[None, None, :, None], new, patterns)
-        return patterns, jnp.where(helical, quiet, white), on_axis | helical
 
-    # one program for both, which mostly has nothing to do
-    first = jnp.all(white).astype(jnp.int32) if refining else 1
-    until = 1 + jnp.any(screw.likely).astype(jnp.int32)
-    start = patterns, white, jnp.zeros_like(white)
-    patterns, white, on_axis = jax.lax.fori_loop(first, until, judge, start)
+def _judge_again(
+    step: jax.Array,
+    so_far: tuple[jax.Array, jax.Array, jax.Array],
+    evidence: Evidence,
+    optima: Optima,
+    rough: Frames,
+    screw: Screw,
+    thresholds: Thresholds | None,
+    refining: bool,
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Judge the rough frames of windows whose noise is not white, then those of screws.
+
+    Args:
+        step: 0, then 1.
+        so_far: the patterns, and (N,) bool, whether the noise is white and whether they are on a screw.
+        evidence: of the windows.
+        optima: of all types.
+        rough: frames that are not refined.
+        screw: the screws.
+        thresholds: above which an axis is free.
+        refining: whether other frames are refined.
+    """
+    patterns, white, on_axis = so_far
+    last = step == 1
+    followed = replace(optima, linear_winner=_with_a_path(optima))
+    those = jax.tree.map(lambda *both: jnp.where(last, both[1], both[0]), rough, screw.frames)
+    rest = jnp.where(last & screw.likely & evidence.axis.found, screw.rest, 0)
+    new, distance = pattern_probabilities(evidence, optima.angular_winner, those, rest)
+    dof = _freedom(new, followed, thresholds)
+    winner = followed.linear_winner
+    turns, slides = jnp.sum(dof[0][:, 0], axis=-1), jnp.sum(pick_type(dof[1], winner), axis=-1)
+    helical = last & screw.likely & (turns == 1) & (slides == 1)
+    taken = helical | (~last & ~white)
+    quiet = is_white(pick_problem(winner, distance), dof, winner) & refining
+    patterns = jnp.where(taken[None, None, :, None], new, patterns)
+    return patterns, jnp.where(helical, quiet, white), on_axis | helical
+
+
+def _settle(
+    evidence: Evidence,
+    optima: Optima,
+    frames: Frames,
+    screw: Screw,
+    judged: tuple[jax.Array, jax.Array, jax.Array],
+    thresholds: Thresholds | None,
+    likeliest: bool,
+) -> Settled:
+    """What follows from the patterns; the best linear type is the likeliest one, or the one found before."""
+    patterns, white, on_axis = judged
+    n, other = optima.linear_winner, _with_a_path(optima)
     frames = jax.tree.map(partial(_choose, on_axis), screw.frames, frames)
     dof = _freedom(patterns, optima, thresholds)
     classes = class_probabilities(patterns, optima.rms, dof[1], n, evidence.samples)
-    if rule == "auto" and thresholds is None:
+    if likeliest:
         n = likeliest_type(classes, n)
         optima = replace(optima, linear_winner=n)
         dof = _freedom(patterns, optima, thresholds)
     # the paths of BB and GG are summed up, and their noise with them
-    same = _says_the_same(optima, frames, dof, followed.linear_winner, evidence.samples)
+    same = _says_the_same(optima, frames, dof, other, evidence.samples)
     by_path = on_axis | (white & same)
-    optima = replace(optima, linear_winner=jnp.where(by_path, followed.linear_winner, n))
+    optima = replace(optima, linear_winner=jnp.where(by_path, other, n))
     dof = _freedom(patterns, optima, thresholds)
     idle = jnp.min(jnp.max(jnp.where(dof[0] == 0, optima.angular_rms, 0), axis=-1), axis=-1)
     idle = jnp.where(evidence.alone, 0, idle)
     return Settled(frames, patterns, classes, dof, white, on_axis, optima.linear_winner, screw, idle)
+
+
+def _with_a_path(optima: Optima) -> jax.Array:
+    """GB or BG, whichever has the lower norm, (N,): BB and GG cannot tell the origin on a screw."""
+    lower = jnp.where(optima.norm[:, IN_BODY] < optima.norm[:, IN_GROUND], IN_BODY, IN_GROUND)
+    return lower.astype(optima.linear_winner.dtype)
 
 
 def _says_the_same(

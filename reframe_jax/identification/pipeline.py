@@ -21,7 +21,14 @@ from reframe_jax.identification.distances import free_probabilities
 from reframe_jax.identification.evidence import Evidence, LagRule, reduce_windows
 from reframe_jax.identification.likelihood import likeliest_frames
 from reframe_jax.identification.naming import name_probability
-from reframe_jax.identification.optima import Optima, find_optima, orient_axes, pick_problem, pick_type
+from reframe_jax.identification.optima import (
+    Frames,
+    Optima,
+    find_optima,
+    orient_axes,
+    pick_problem,
+    pick_type,
+)
 from reframe_jax.identification.plane_of_motion import use_plane
 from reframe_jax.identification.results import (
     AllCandidates,
@@ -85,28 +92,34 @@ def solve_evidence(
         solver: search for the position.
     """
     optima = find_optima(evidence, space, key, exponent, solver)
-    settled = as_one_kernel(partial(decide, rule=rule, exponent=exponent), evidence, optima, thresholds)
+    settled = decide(evidence, optima, thresholds, rule, exponent)
     optima = replace(optima, linear_winner=settled.winner)
     twins = _twins(evidence, optima, settled)
-    return as_one_kernel(partial(_report, rule=rule), evidence, optima, settled, twins, thresholds)
+    frames = settled.frames
+    if rule == "auto":
+        frames = as_one_kernel(_refine, evidence, optima, settled)
+    return as_one_kernel(_report, evidence, optima, settled, frames, twins, thresholds)
+
+
+def _refine(evidence: Evidence, optima: Optima, settled: Settled) -> Frames:
+    """The frames to report, with what is known once it is known what is free."""
+    frames, dof, refined = settled.frames, settled.dof, settled.refined & ~settled.on_axis
+    if evidence.maps is None:
+        frames = likeliest_frames(evidence, frames, optima, dof, settled.idle, refined)
+    frames = share_axis(evidence, frames, dof, optima.linear_winner, refined)
+    return use_plane(evidence, frames, dof[0], ~settled.refined & ~settled.on_axis)
 
 
 def _report(
     evidence: Evidence,
     optima: Optima,
     settled: Settled,
+    frames: Frames,
     twins: tuple[jax.Array, jax.Array],
     thresholds: Thresholds | None,
-    rule: LagRule,
 ) -> Identification:
     """What is said of every window."""
-    frames, patterns, dof = settled.frames, settled.patterns, settled.dof
-    refined, on_axis, screw, idle = settled.refined, settled.on_axis, settled.screw, settled.idle
-    if rule == "auto":
-        if evidence.maps is None:
-            frames = likeliest_frames(evidence, frames, optima, dof, idle, refined & ~on_axis)
-        frames = share_axis(evidence, frames, dof, optima.linear_winner, refined & ~on_axis)
-        frames = use_plane(evidence, frames, dof[0], ~refined & ~on_axis)
+    dof, on_axis, screw = settled.dof, settled.on_axis, settled.screw
     angular = Candidates(
         rotvec=orient_axes(frames.angular_axes, dof[0]),
         dof=dof[0],
@@ -115,7 +128,12 @@ def _report(
         free_rotation=free_rotations(dof[0]),
     )
     free, position = nearest_origin(
-        optima.objective.moments, frames.local_axes, dof[1], optima.rms, frames.position, idle[:, None]
+        optima.objective.moments,
+        frames.local_axes,
+        dof[1],
+        optima.rms,
+        frames.position,
+        settled.idle[:, None],
     )
     free = jnp.where(on_axis[:, None, None, None], _along(frames.angular_axes), free)
     position = jnp.where(on_axis[:, None, None], frames.position, position)
@@ -133,7 +151,7 @@ def _report(
         agreement=optima.solution.agreement,
     )
     linear_frame = _linear_frame(linear, (position, free), twins, evidence, optima, settled)
-    angular_frame = _angular_frame(angular, evidence, optima, patterns)
+    angular_frame = _angular_frame(angular, evidence, optima, settled.patterns)
     n = optima.linear_winner
     axes = frames.angular_axes, pick_type(frames.axes, n)
     screws = jnp.where(on_axis, screw.probability, 0)
@@ -155,7 +173,7 @@ def _report(
         pitch=jnp.where(named, screw.pitch, jnp.nan),
         noise=evidence.noise,
         lag=evidence.lag,
-        refined=refined,
+        refined=settled.refined,
         counted=evidence.counted,
         status_code=jnp.zeros_like(evidence.status),
         warning_codes=_warning_codes(evidence, optima, thresholds, cautions),
