@@ -35,7 +35,8 @@ def patterns(distance, gain, samples, share=1.0, of_turn=0.3):
     """Noise far below what people move, so that it hides nothing."""
     share, of_turn = jnp.full_like(samples, share), jnp.full_like(gain, of_turn)
     noise = jnp.full_like(distance, 1e-6)
-    return freedom_patterns(distance, noise, gain, of_turn, jnp.asarray(samples), share)
+    resting = distance[3:], noise[3:]
+    return freedom_patterns(distance, noise, gain, of_turn, jnp.asarray(samples), share, resting)
 
 
 def distances(free, held, far):

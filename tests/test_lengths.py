@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
-from reframe_jax.identification import entry, programs
+from reframe_jax.identification import inputs, programs
 from reframe_jax.simulation import synthetic
 from reframe_jax.solvers import Solution
 
@@ -55,32 +55,33 @@ def test_a_search_ends_at_the_same_place_padded(recording, monkeypatch):
 def alone_and_padded(window, monkeypatch, options):
     """Identified by a program for its length, and by one for more poses."""
     found = []
-    for short in (1000, 0):
-        monkeypatch.setattr(entry, "_SHORT", short)
-        assert (entry._padded_size(len(window)) > len(window)) == (short == 0)
+    for fewest in (1000, 0):
+        monkeypatch.setattr(inputs, "_FEWEST", fewest)
+        assert (inputs.padded_size(len(window)) > len(window)) == (fewest == 0)
         found.append(rf.identify(window, **options))
     assert all(each.counted.shape == (len(window),) for each in found)
     return found
 
 
 def test_sizes_are_few_and_fit():
-    sizes = {count: entry._padded_size(count) for count in range(5, 5000)}
-    assert all(count <= size < 1.51 * count for count, size in sizes.items())
-    assert all(sizes[count] == count for count in range(5, 65))
-    assert len({size for count, size in sizes.items() if count > 64}) == 13
+    sizes = {count: inputs.padded_size(count) for count in range(5, 70_000)}
+    assert all(count <= size <= max(64, 4 * count) for count, size in sizes.items())
+    assert all(size < 2 * count for count, size in sizes.items() if count > 4096)
+    assert sorted({size for count, size in sizes.items() if 8 <= count < 10_000}) == [
+        64, 256, 1024, 4096, 8192, 16384
+    ]  # fmt: skip
 
 
 def test_the_search_is_compiled_once_for_all_lengths(recording):
     """And what reduces poses to evidence once for every size they are padded to."""
     rf.identify(recording[:51], dt=DT)
     solved, reduced = programs.solve_one._cache_size(), programs.reduce_one._cache_size()
-    lengths = [60, 90, 97, 120, 128, 130, 170, 192, 200, 250]
+    lengths = [40, 60, 90, 97, 120, 128, 130, 170, 192, 200, 250]
     for count in lengths:
         assert rf.identify(recording[:count], dt=DT).name == "Pin-plane contact"
     assert programs.solve_one._cache_size() == solved
-    sizes = {entry._padded_size(count) for count in lengths}
-    assert sizes == {60, 96, 128, 192, 256}
-    assert programs.reduce_one._cache_size() - reduced <= len(sizes)
+    assert {inputs.padded_size(count) for count in lengths} == {64, 256}
+    assert programs.reduce_one._cache_size() - reduced <= 1  # that of 64 poses is there
 
 
 @pytest.mark.parametrize("windows", [(), (2,)])

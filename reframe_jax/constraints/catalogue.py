@@ -164,6 +164,7 @@ def describe(
         return f"{sum(dof)} {what}{'' if sum(dof) == 1 else 's'}"
 
     text = f"{count(angular_dof, 'rotation')}, {count(linear_dof, 'translation')}"
-    where = f" in {linear_type}" if sum(linear_dof) < 3 else ""
+    # without rotation, all types say the same
+    where = f" in {linear_type}" if sum(linear_dof) < 3 and sum(angular_dof) > 0 else ""
     how = f", axes {relation.value}" if relation is not None else ""
     return f"Unnamed: {text}{where}{how}"

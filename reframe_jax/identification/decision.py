@@ -15,7 +15,12 @@ from reframe_jax.identification.classify import (
     likeliest_type,
     tied_types,
 )
-from reframe_jax.identification.distances import is_white, likeliest_pattern, pattern_probabilities
+from reframe_jax.identification.distances import (
+    distances_at_rest,
+    is_white,
+    likeliest_pattern,
+    pattern_probabilities,
+)
 from reframe_jax.identification.evidence import IN_BODY, IN_GROUND, Evidence, LagRule
 from reframe_jax.identification.naming import holds_for_all_types
 from reframe_jax.identification.optima import Frames, Optima, pick_problem, pick_type, refine_frames
@@ -66,10 +71,11 @@ def decide(
         refine = partial(refine_frames, exponent=exponent)
         frames = as_one_kernel(refine, evidence, optima.position, optima.box)
     first_look = partial(_first_look, refining=refining)
-    frames, screw, patterns, white = as_one_kernel(first_look, evidence, optima, frames, rough)
+    resting = as_one_kernel(distances_at_rest, jax.lax.stop_gradient(evidence))
+    frames, screw, patterns, white = as_one_kernel(first_look, evidence, optima, frames, rough, resting)
     judge = partial(_judge_again, refining=refining)
     # what is free does not follow the poses: nothing is differentiated that leads there only
-    given = (*jax.lax.stop_gradient((evidence, optima, rough, screw)), thresholds)
+    given = (*jax.lax.stop_gradient((evidence, optima, rough, screw)), resting, thresholds)
     # one program for both, which mostly has nothing to do
     first = jnp.all(white).astype(jnp.int32) if refining else 1
     until = 1 + jnp.any(screw.likely).astype(jnp.int32)
@@ -82,7 +88,12 @@ def decide(
 
 
 def _first_look(
-    evidence: Evidence, optima: Optima, frames: Frames, rough: Frames, refining: bool
+    evidence: Evidence,
+    optima: Optima,
+    frames: Frames,
+    rough: Frames,
+    resting: tuple[jax.Array, jax.Array],
+    refining: bool,
 ) -> tuple[Frames, Screw, jax.Array, jax.Array]:
     """How free the axes of refined frames are; the rough ones where the noise is not white; the screws.
 
@@ -91,7 +102,7 @@ def _first_look(
     """
     n = optima.linear_winner
     fixed, seen = jax.lax.stop_gradient((evidence, frames))
-    patterns, distance = pattern_probabilities(fixed, optima.angular_winner, seen)
+    patterns, distance = pattern_probabilities(fixed, optima.angular_winner, seen, resting)
     white = jnp.zeros(n.shape, dtype=bool)
     if refining:
         white = is_white(pick_problem(n, distance), likeliest_pattern(patterns, n), n)
@@ -107,6 +118,7 @@ def _judge_again(
     optima: Optima,
     rough: Frames,
     screw: Screw,
+    resting: tuple[jax.Array, jax.Array],
     thresholds: Thresholds | None,
     refining: bool,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -119,6 +131,7 @@ def _judge_again(
         optima: of all types.
         rough: frames that are not refined.
         screw: the screws.
+        resting: of :func:`.distances_at_rest`.
         thresholds: above which an axis is free.
         refining: whether other frames are refined.
     """
@@ -127,7 +140,7 @@ def _judge_again(
     followed = replace(optima, linear_winner=_with_a_path(optima))
     those = jax.tree.map(lambda *both: jnp.where(last, both[1], both[0]), rough, screw.frames)
     rest = jnp.where(last & screw.likely & evidence.axis.found, screw.rest, 0)
-    new, distance = pattern_probabilities(evidence, optima.angular_winner, those, rest)
+    new, distance = pattern_probabilities(evidence, optima.angular_winner, those, resting, rest)
     dof = _freedom(new, followed, thresholds)
     winner = followed.linear_winner
     turns, slides = jnp.sum(dof[0][:, 0], axis=-1), jnp.sum(pick_type(dof[1], winner), axis=-1)

@@ -8,7 +8,7 @@ from reframe_jax.compilation import apply_each
 from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.products import matmul3
-from reframe_jax.identification.evidence import Evidence
+from reframe_jax.identification.evidence import IN_BODY, Evidence
 from reframe_jax.identification.floored_moments import rounding_of
 from reframe_jax.identification.freedom import freedom_patterns
 from reframe_jax.identification.levers import lever_moments
@@ -16,6 +16,7 @@ from reframe_jax.identification.optima import Frames, constant_covariance, pick_
 from reframe_jax.objectives.moments import covariance_at, covariance_gradient, covariance_hessian
 
 __all__ = [
+    "distances_at_rest",
     "free_probabilities",
     "is_white",
     "likeliest_pattern",
@@ -42,7 +43,11 @@ def is_white(distance: jax.Array, dof: tuple[jax.Array, jax.Array], winner: jax.
 
 
 def pattern_probabilities(
-    evidence: Evidence, kind: jax.Array, frames: Frames, helical: jax.Array | None = None
+    evidence: Evidence,
+    kind: jax.Array,
+    frames: Frames,
+    resting: tuple[jax.Array, jax.Array],
+    helical: jax.Array | None = None,
 ) -> tuple[jax.Array, jax.Array]:
     """Probability of every pattern of degrees of freedom for each linear type, and what it comes from.
 
@@ -50,11 +55,13 @@ def pattern_probabilities(
         evidence: of the windows.
         kind: (N,) the best angular type.
         frames: of all types.
+        resting: of :func:`distances_at_rest`.
         helical: (N,) see :func:`.freedom_patterns`, of third linear axes that are the axis of rotation. An
             error in the scale of the turn does nothing there.
 
     Returns:
-        (4, 4, N, 4), and (6, N, 4): how far each axis moved, in noises of single poses.
+        (4, 4, N, 4), and (6, N, 4): how far each axis moved, in noises of single poses; linear axes as any
+        point of the body did where the likeliest pattern has no rotation.
     """
     position, axes = frames.position, frames.axes
     tiny = float(jnp.finfo(axes.dtype).tiny)
@@ -72,7 +79,9 @@ def pattern_probabilities(
     variance, lever = noise_along(evidence, position, axes)
     variance = jnp.maximum(variance + rounding_of(evidence.linear_spread)[..., None], tiny)
     linear = jnp.sqrt(jnp.maximum(squares, 0) / variance)
-    gain = jnp.sqrt(lever * whole[:, None, None] / variance)
+    # at the end of a lever the body moves, and an error of the rotation does not move it further
+    gone = symmetric.trace(tuple(evidence.positions))[:, None, None]
+    gain = jnp.sqrt(jnp.minimum(lever * whole[:, None, None], gone) / variance)
     angular = jnp.broadcast_to(angular[:, None], linear.shape)
     turning = jnp.broadcast_to(jnp.sqrt(noise)[:, None], linear.shape)
     distance, sizes = (
@@ -86,8 +95,24 @@ def pattern_probabilities(
         helical = helical[:, None]
         of_turn = jnp.where((helical < 0)[..., None] & (np.arange(3) == 2)[None, None], 0, of_turn)
     gain, of_turn = (jnp.moveaxis(array, -1, 0) for array in (gain, of_turn))
-    patterns = freedom_patterns(distance, sizes, gain, of_turn, samples, share, helical)
-    return patterns, distance * share[None]
+    patterns = freedom_patterns(distance, sizes, gain, of_turn, samples, share, resting, helical)
+    turns = jnp.argmax(patterns.reshape(16, *patterns.shape[2:]), axis=0) // 4 > 0
+    linear = jnp.where(turns[None], distance[3:], resting[0])
+    return patterns, jnp.concatenate([distance[:3], linear]) * share[None]
+
+
+def distances_at_rest(evidence: Evidence) -> tuple[jax.Array, jax.Array]:
+    """How far a body that does not turn went, see :func:`.freedom_patterns`: (3, N, 1) each.
+
+    In noises, along the principal axes of its path, and those noises in m.
+    """
+    variance = jnp.square(evidence.share * evidence.noise.position)
+    variance = jnp.maximum(
+        variance + rounding_of(evidence.linear_spread)[:, IN_BODY], float(jnp.finfo(variance.dtype).tiny)
+    )
+    squares, _ = symmetric.eigh(tuple(evidence.positions))
+    distance = jnp.sqrt(jnp.maximum(jnp.stack(squares), 0) / variance[None])
+    return distance[..., None], jnp.broadcast_to(jnp.sqrt(variance)[None], distance.shape)[..., None]
 
 
 def share_of_turn(moments: jax.Array, position: jax.Array, axes: jax.Array) -> jax.Array:

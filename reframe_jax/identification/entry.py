@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.compilation import chunk_size, compiler_options, in_float64, index_leaves, traced
 from reframe_jax.identification.classify import Thresholds
-from reframe_jax.identification.inputs import take_poses, take_steps
+from reframe_jax.identification.inputs import pad_recording, take_poses, take_steps
 from reframe_jax.identification.options import Lag, as_dtype, check_options, lag_in_samples, make_space
 from reframe_jax.identification.programs import (
     PIECE,
@@ -37,10 +37,8 @@ from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.objectives.norms import check_exponent
 from reframe_jax.solvers import BasinHopping, FrameSteps, JointSearch, Solver, ValleySteps
 
-__all__ = ["default_solver", "identify", "identify_padded"]
+__all__ = ["default_solver", "identify", "identify_piece"]
 
-_SHORT = 64  # poses up to which a recording is not padded
-_SIZES_OF_PIECES = 64, 256, 1024, 4096  # poses that pieces of recordings are padded to
 _FEWEST = 1024  # windows in a piece on an accelerator
 
 _compiled_programs: set[Any] = set()  # that threads may run without compiling them at the same time
@@ -157,10 +155,8 @@ def identify(
     return found
 
 
-def identify_padded(poses: np.ndarray, times: np.ndarray, reach: float) -> Identification:
-    """Identify a recording of 8 poses or more with the defaults, padded however short it is.
-
-    Lengths of pieces of recordings differ; none compiles a program of its own.
+def identify_piece(poses: np.ndarray, times: np.ndarray, reach: float) -> Identification:
+    """Identify a piece of a recording with the defaults. If it cannot be used, its status says so.
 
     Args:
         poses: (K+1, 4, 4) float64, of one window that has been checked; m.
@@ -173,36 +169,19 @@ def identify_padded(poses: np.ndarray, times: np.ndarray, reach: float) -> Ident
     with jax.enable_x64(True):
         options = None, None, make_space(reach, poses.dtype), None
         static = {"rule": "auto", "exponent": 0.0, "discretization": "chord", "solver": default_solver()}
-        found = _single(poses, np.diff(times), options, static, sizes=_SIZES_OF_PIECES)
+        found = _single(poses, np.diff(times), options, static)
     return found if in_float64() else jax.device_put(jax.tree.map(_narrow, jax.device_get(found)))
 
 
-def _single(
-    poses: Any, steps: Any, options: tuple[Any, ...], static: dict[str, Any], sizes: tuple[int, ...] = ()
-) -> Identification:
+def _single(poses: Any, steps: Any, options: tuple[Any, ...], static: dict[str, Any]) -> Identification:
     """Identify one recording: reduced by a program for recordings up to its length, solved by one for all.
 
     The evidence of all recordings has one shape, so that a new length compiles little or nothing.
     """
     count = poses.shape[0]
-    size = next((n for n in sizes if n >= count), _padded_size(count))
-    xp = jnp if isinstance(poses, jax.Array) else np
-    fill = size - count
-    if fill:
-        poses = xp.concatenate([poses, xp.repeat(poses[-1:], fill, axis=0)])
-        steps = np.concatenate([steps, np.repeat(steps[-1:], fill)])
-    # one program for a size, whether there is something to fill or not
-    number = np.full(1, count, np.int32) if count > _SHORT or sizes else None
+    poses, steps, number = pad_recording(poses, steps)
     found = identify_one(poses[None], np.asarray(steps, poses.dtype), number, *options, **static)
-    return replace(found, counted=found.counted[:count]) if fill else found
-
-
-def _padded_size(count: int) -> int:
-    """Poses that a recording is padded to: 2^n or 3 * 2^n; short ones stay as they are."""
-    if count <= _SHORT:
-        return count
-    size = 1 << (count - 1).bit_length()
-    return 3 * size // 4 if count <= 3 * size // 4 else size
+    return found if number is None else replace(found, counted=found.counted[:count])
 
 
 def _narrow(leaf: np.ndarray) -> np.ndarray:

@@ -82,6 +82,7 @@ def freedom_patterns(
     of_turn: jax.Array,
     samples: jax.Array,
     share: jax.Array,
+    at_rest: tuple[jax.Array, jax.Array],
     helical: jax.Array | None = None,
 ) -> jax.Array:
     """Probability of every pattern of degrees of freedom.
@@ -96,6 +97,9 @@ def freedom_patterns(
         samples: (...) independent samples.
         share: (...) of the noise of single poses that averaging has left. Slow errors are of the order of the
             noise of single poses, and averaging leaves them as they are.
+        at_rest: what takes the place of the linear part of ``distance`` and ``noise`` in patterns without
+            rotation, (3, ...) each, alike for all types: such a body has no origin, and moves as any of its
+            points does. Seen from a distant origin, the noise of the orientation would hide that.
         helical: (...) logarithm of what is left of the motion along the last linear axis after the part that
             is proportional to the turn, as a share of it, where that is the axis of rotation; 0 elsewhere.
             None where that is not known.
@@ -105,11 +109,13 @@ def freedom_patterns(
     """
     dtype = distance.dtype
     # what the logarithms hold needs no more than float32, in which there are thousands of densities a window
-    y, sizes, lever, unexplained, samples, share = (
+    y, sizes, resting, resting_sizes, lever, unexplained, samples, share = (
         x.astype(jnp.float32)
         for x in (
             jnp.log(jnp.clip(distance, 1e-6, _LARGEST)),
             jnp.log(noise),
+            jnp.log(jnp.clip(at_rest[0], 1e-6, _LARGEST)),
+            jnp.log(at_rest[1]),
             jnp.log(jnp.maximum(_GAIN * gain, 1e-9)),
             jnp.log(jnp.maximum(1 - of_turn, 1e-30)) / 2,
             samples,
@@ -120,17 +126,22 @@ def freedom_patterns(
     # one more axis in front: the multiples
     multiples, white_only, weights = _error_sizes(share, y.ndim)
     single, weights = -jnp.log(share)[None, None], weights[:, 0]
-    white = jnp.broadcast_to(jnp.sqrt(1 / (2 * samples) + _MISFIT**2)[None], y.shape)
-    constrained = _of_constrained(y, (multiples, white_only), white, lever, unexplained, helical)
-    plain, scaled = (_over_patterns(densities, 1, free=False) for densities in constrained)
+    errors = multiples, white_only
+    one_white = jnp.sqrt(1 / (2 * samples) + _MISFIT**2)[None]
+    white = jnp.broadcast_to(one_white, y.shape)
+    own_at_rest = _of_errors(resting, errors, one_white)
+    constrained = _of_constrained(y, errors, white, lever, unexplained, helical)
+    plain, scaled = (_over_patterns(densities, own_at_rest, 1, free=False) for densities in constrained)
     # (M, 4, 4, ...): an error of scale is one of the angle about a single axis
     held = jnp.concatenate([plain[:, :1], scaled[:, 1:2], plain[:, 2:]], axis=1)
     number = jnp.asarray([[a + b for b in range(4)] for a in range(4)], y.dtype)
     number = number.reshape(4, 4, *([1] * (y.ndim - 1)))
     count = jnp.maximum(number, 1)
-    total, squares = (_over_patterns(x, 0, free=True) for x in (y, jnp.square(y)))
+    total = _over_patterns(y, resting, 0, free=True)
+    squares = _over_patterns(jnp.square(y), jnp.square(resting), 0, free=True)
     least = jnp.where(white_only, _LEAST[0], _LEAST[1] + single)
-    far = _over_patterns(jax.nn.log_sigmoid((y[None] - least) / _LEAST_WIDTH), 1, free=True)
+    beyond, beyond_at_rest = (jax.nn.log_sigmoid((x[None] - least) / _LEAST_WIDTH) for x in (y, resting))
+    far = _over_patterns(beyond, beyond_at_rest, 1, free=True)
     size = total / count
     scatter = jnp.maximum(squares - count * jnp.square(size), 0)
     # free axes of a common size, over which is summed: a Gaussian integral
@@ -149,7 +160,15 @@ def freedom_patterns(
     evidence = jax.nn.logsumexp(terms, axis=0)
     seen = jnp.exp(evidence - jnp.max(evidence, axis=(0, 1), keepdims=True))
     prior = jnp.asarray(PATTERN_PRIOR, y.dtype).reshape(number.shape)
-    weighted = (prior * _with_hidden(seen, _hidden(y, sizes))).astype(dtype)
+    hidden = [
+        _hidden(*group)
+        for group in (
+            (y[:3], sizes[:3], _USUAL[0]),
+            (y[3:], sizes[3:], _USUAL[1]),
+            (resting, resting_sizes, _USUAL[1]),
+        )
+    ]
+    weighted = (prior * _with_hidden(seen, *hidden)).astype(dtype)
     return weighted / jnp.sum(weighted, axis=(0, 1), keepdims=True)
 
 
@@ -284,55 +303,61 @@ def screw_probabilities(
     return probability(beyond), probability(jnp.logaddexp(beyond, even))
 
 
-def _hidden(y: jax.Array, noise: jax.Array) -> jax.Array:
-    """Probability that a free axis shows nothing but noise, (6, ...): noise as large as its motion is.
+def _hidden(y: jax.Array, noise: jax.Array, usual: float) -> jax.Array:
+    """Probability that a free axis shows nothing but noise, (3, ...): noise as large as its motion is.
 
     Its motion is as large as usual, and as that of the largest free axis of its frame where one is seen.
 
     Args:
-        y: (6, ...) logarithm of the motion, in noises.
-        noise: (6, ...) logarithm of the noise, in rad and m.
+        y: (3, ...) logarithm of the motion along the axes of a frame, in noises.
+        noise: (3, ...) logarithm of the noise, in rad or m.
+        usual: rad or m, the usual motion.
     """
-    sizes = jnp.asarray([log(_USUAL[0])] * 3 + [log(_USUAL[1])] * 3, y.dtype).reshape(-1, *[1] * (y.ndim - 1))
-    largest = jnp.repeat(jnp.stack([jnp.max(y[:3], axis=0), jnp.max(y[3:], axis=0)]), 3, axis=0)
+    largest = jnp.max(y, axis=0)[None]
     seen = jax.nn.sigmoid((largest - _LEAST[0]) / _LEAST_WIDTH)
-    usual, alike = 1 / _USUAL_SPREAD**2, seen / _FREE_SPREAD**2
-    size = (usual * (sizes - noise) + alike * largest) / (usual + alike)
-    below = (_LEAST[0] - size) * jnp.sqrt(usual + alike)
+    by_habit, alike = 1 / _USUAL_SPREAD**2, seen / _FREE_SPREAD**2
+    size = (by_habit * (log(usual) - noise) + alike * largest) / (by_habit + alike)
+    below = (_LEAST[0] - size) * jnp.sqrt(by_habit + alike)
     return jax.scipy.stats.norm.cdf(below) * jax.nn.sigmoid((_LEAST[0] - y) / _LEAST_WIDTH)
 
 
-def _with_hidden(seen: jax.Array, hidden: jax.Array) -> jax.Array:
+def _with_hidden(seen: jax.Array, angular: jax.Array, linear: jax.Array, at_rest: jax.Array) -> jax.Array:
     """Likelihood of every pattern, (4, 4, ...), from that of the axes that are seen to be free.
 
     Args:
         seen: (4, 4, ...).
-        hidden: (6, ...) see :func:`_hidden`.
+        angular: (3, ...) see :func:`_hidden`.
+        linear: (3, ...) likewise.
+        at_rest: (3, ...) likewise, of linear axes in patterns without rotation.
     """
-    for group in range(2):
-        x, h = jnp.moveaxis(seen, group, 0), hidden[3 * group : 3 * group + 3]
+    at_rest = jnp.broadcast_to(at_rest, linear.shape)
+    for group, hidden in enumerate((angular[:, None], jnp.stack([at_rest, linear, linear, linear], axis=1))):
+        x = jnp.moveaxis(seen, group, 0)
         rows = [x[0]]
         for free in range(1, 4):
             # the last axis that became free is seen, or hidden behind as many as are seen without it
-            rows.append(x[free] + h[3 - free][None] * rows[-1])
+            rows.append(x[free] + hidden[3 - free] * rows[-1])
         seen = jnp.moveaxis(jnp.stack(rows), 0, group)
     return seen
 
 
-def _over_patterns(values: jax.Array, axis: int, free: bool) -> jax.Array:
+def _over_patterns(values: jax.Array, at_rest: jax.Array, axis: int, free: bool) -> jax.Array:
     """Sums over the axes that are free in every pattern, or over those that are not.
 
     Args:
         values: six of them along an axis: three of the angular frame, three of the linear one.
+        at_rest: the linear ones in patterns without rotation.
         axis: that axis; two of size 4 take its place.
         free: which to add up; the last axes of each frame become free first.
     """
-    x = jnp.moveaxis(values, axis, 0)
+    x, still = jnp.moveaxis(values, axis, 0), jnp.moveaxis(at_rest, axis, 0)
     sums = []
-    for group in (x[:3], x[3:]):
+    for group in (x[:3], x[3:], jnp.broadcast_to(still, x[3:].shape)):
         zero = jnp.zeros_like(group[:1])
         if free:
             sums.append(jnp.concatenate([zero, jnp.cumsum(group[::-1], axis=0)]))
         else:
             sums.append(jnp.concatenate([zero, jnp.cumsum(group, axis=0)])[::-1])
-    return jnp.moveaxis(sums[0][:, None] + sums[1][None], (0, 1), (axis, axis + 1))
+    angular, linear, resting = sums
+    of_linear = jnp.stack([resting, linear, linear, linear])
+    return jnp.moveaxis(angular[:, None] + of_linear, (0, 1), (axis, axis + 1))

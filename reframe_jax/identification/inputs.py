@@ -8,8 +8,9 @@ import numpy as np
 
 from reframe_jax.motion.checks import MIN_VELOCITIES
 
-__all__ = ["read_number", "read_numbers", "take_poses", "take_steps"]
+__all__ = ["pad_recording", "padded_size", "read_number", "read_numbers", "take_poses", "take_steps"]
 
+_FEWEST, _SHORT, _LONG = 8, 64, 4096  # poses that are padded at least; the smallest size; see padded_size
 _TOO_COARSE = ("float16", "bfloat16")
 _REMEDIES = {
     "M": ": give seconds, (times - times[0]) / np.timedelta64(1, 's')",
@@ -128,3 +129,38 @@ def _differences(times: Any) -> Any:
     unsigned = np.dtype(f"u{times.dtype.itemsize}")
     size = xp.where(rises, later - earlier, earlier - later).astype(unsigned).astype(float)
     return xp.where(rises, size, -size)
+
+
+def padded_size(count: int) -> int:
+    """Poses that a recording is padded to: 64, 256, 1024 or 4096, then powers of 2.
+
+    A program for a size takes longer to compile than thousands of poses that do not count take to run.
+    """
+    if count < _FEWEST:
+        return count
+    size = _SHORT
+    while size < count:
+        size *= 4 if size < _LONG else 2
+    return size
+
+
+def pad_recording(poses: Any, steps: Any) -> tuple[Any, Any, np.ndarray | None]:
+    """One recording padded to one of few lengths, so that new lengths compile nothing; and its own length.
+
+    The very shortest stay as they are, and their length is None.
+
+    Args:
+        poses: (K+1, 4, 4).
+        steps: (K,) s.
+
+    Returns:
+        Poses, steps, and (1,) int32 or None.
+    """
+    count = poses.shape[0]
+    fill = padded_size(count) - count
+    if fill:
+        xp = jnp if isinstance(poses, jax.Array) else np
+        poses = xp.concatenate([poses, xp.repeat(poses[-1:], fill, axis=0)])
+        steps = np.concatenate([steps, np.repeat(steps[-1:], fill)])
+    # one program for a size, whether there is something to fill or not
+    return poses, steps, None if count < _FEWEST else np.full(1, count, np.int32)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reframe_jax.compilation import traced
-from reframe_jax.identification.entry import identify_padded
+from reframe_jax.identification.entry import identify_piece
 from reframe_jax.identification.inputs import take_steps
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
@@ -143,7 +143,7 @@ def _identify(poses: np.ndarray, times: np.ndarray, reach: float) -> Identificat
     """Identify a segment; None where it is too short or does not move."""
     if len(poses) < _FEWEST or np.all(poses == poses[:1]):
         return None
-    return identify_padded(poses, times, reach)
+    return identify_piece(poses, times, reach)
 
 
 def _inner(spans: np.ndarray) -> list[list[tuple[int, int]]]:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reframe_jax.compilation import chunk_size, compiler_options, in_float64, traced
+from reframe_jax.identification.inputs import pad_recording
 from reframe_jax.identification.results import Identification, PoseNoise
 from reframe_jax.uncertainty.paths import Estimates, estimates_of
 
@@ -21,7 +22,6 @@ __all__ = ["WindowFunction", "over_windows"]
 WindowFunction = Callable[[jax.Array, Estimates, jax.Array, jax.Array | None], Any]
 """Of poses (N, K+1, 4, 4), what was found, sample times (K,) or (N, K), and lengths (N,) or None."""
 
-_SHORT = 64  # poses up to which a recording is not padded
 _AT_ONCE = 8  # windows on a CPU: their sensitivities to all poses fill a core's second cache
 
 
@@ -60,21 +60,6 @@ def _sample_steps(poses: Any, times: ArrayLike | None, dt: ArrayLike | None) -> 
     elif array.ndim == 0:
         array = array[None].repeat(samples)
     return array.astype(poses.dtype)
-
-
-def _pad_recording(poses: Any, steps: Any) -> tuple[Any, Any, np.ndarray | None]:
-    """One recording padded to one of few lengths, so that new lengths compile nothing; and its own length.
-
-    Short ones stay as they are, and their length is None.
-    """
-    count = poses.shape[0]
-    if count <= _SHORT:
-        return poses, steps, None
-    fill = (1 << (count - 1).bit_length()) - count
-    xp = jnp if isinstance(poses, jax.Array) else np
-    poses = xp.concatenate([poses, xp.repeat(poses[-1:], fill, axis=0)])
-    steps = np.concatenate([steps, np.repeat(steps[-1:], fill)])
-    return poses, steps, np.full(1, count, np.int32)
 
 
 def over_windows(
@@ -121,7 +106,7 @@ def _narrow(leaf: Any) -> Any:
 
 
 def _single(function: WindowFunction, poses: Any, steps: Any, found: Estimates) -> Any:
-    poses, steps, count = _pad_recording(poses, steps)
+    poses, steps, count = pad_recording(poses, steps)
     window = jax.tree.map(lambda leaf: leaf[None], (poses, found.padded(len(poses))))
     return _only_piece((*window, None), steps, count, function=function)
 
