@@ -207,7 +207,8 @@ def faults_of_batch(status: np.ndarray, found: Any, expected: Any, spoilt: np.nd
         name = jax.tree_util.keystr(path)
         if np.issubdtype(leaf.dtype, np.floating):
             finite = np.isfinite(leaf).reshape(len(leaf), -1).all(axis=1)
-            if np.any(good & ~finite) and name != ".pitch":  # NaN where the constraint is no screw
+            # NaN where the constraint is no such joint
+            if np.any(good & ~finite) and name not in (".pitch", ".universal_axes"):
                 yield f"{name} is not finite in window {np.flatnonzero(good & ~finite)[0]}"
         if not np.array_equal(leaf[untouched], before[untouched], equal_nan=leaf.dtype.kind == "f"):
             yield f"{name} of a sound window changed"

@@ -65,6 +65,8 @@ def identification(
         class_probability=np.zeros((4, 4, 4)),
         screw_probability=np.float64(0),
         pitch=np.float64(np.nan),
+        universal_probability=np.float64(0),
+        universal_axes=np.full((2, 3), np.nan),
         noise=PoseNoise(position=np.float64(1e-9), rotation=np.float64(1e-9)),
         lag=np.int32(lag),
         refined=np.False_,

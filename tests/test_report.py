@@ -105,6 +105,8 @@ def identification(
         class_probability=probability,
         screw_probability=np.float64(0.0 if pitch is None else 0.9),
         pitch=np.float64(np.nan if pitch is None else pitch),
+        universal_probability=np.float64(0),
+        universal_axes=np.full((2, 3), np.nan),
         noise=PoseNoise(position=np.float64(1.2e-4), rotation=np.radians(0.081)),
         lag=np.int32(lag),
         refined=np.bool_(lag > 1),

@@ -123,13 +123,15 @@ def lookup(
     linear_dof: Dof,
     relation: AxisRelation | Literal["aligned"] | None = "aligned",
     screw: bool = False,
+    universal: bool = False,
 ) -> Constraint | None:
     """Return the catalogue entry of a class, given its linear type and degrees of freedom.
 
     Which axes are free does not matter, only how many, and how the single free rotation axis lies to
     the odd axis (the single free, or single constrained one) of the linear frame: it tells a cylinder
     joint from a planar contour. The angular type does not matter for any of them. A screw joint has the class
-    of the cylinder joint; in it, the translation is proportional to the rotation.
+    of the cylinder joint; in it, the translation is proportional to the rotation. A universal joint whose
+    second axis turned far has the class of the spherical joint.
 
     Args:
         linear_type: the linear frame's type.
@@ -137,12 +139,15 @@ def lookup(
         linear_dof: 1 where a translation axis is free.
         relation: angle between those axes; by default both vectors refer to the same axes, as in Table 2.
         screw: whether the translation is proportional to the rotation.
+        universal: whether three free rotations are those about two axes, one of each body.
 
     Returns:
         The entry, or None for a class without a name.
     """
     if relation == "aligned":
         relation = _relation(angular_dof, linear_dof)
+    if universal and (sum(angular_dof), sum(linear_dof)) == (3, 0):
+        return OTHER_CONSTRAINTS["universal"]
     for entry in _ALL.values():
         if (
             sum(entry.angular_dof) == sum(angular_dof)

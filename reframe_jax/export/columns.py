@@ -78,6 +78,12 @@ def to_columns(
         "probability": np.asarray(host.probability, float),
         "screw_probability": _floats(host.screw_probability),
         "pitch_m_rad": _floats(host.pitch),
+        "universal_probability": _floats(host.universal_probability),
+        **{
+            f"universal_{body}_{name}": _floats(host.universal_axes[:, i, j])
+            for i, body in enumerate(("ground", "body"))
+            for j, name in enumerate("xyz")
+        },
         "noise_position_m": _floats(host.noise.position),
         "noise_rotation_rad": _floats(host.noise.rotation),
         "lag_samples": np.asarray(host.lag, np.int64),

@@ -25,6 +25,8 @@ The document that ``to_json`` and ``reframe-jax identify --json`` write has the 
               ],
               "screw_probability": of a screw joint, where one rotation and a translation along it are free,
               "pitch": m/rad of a screw joint, positive for a right-handed thread, else null,
+              "universal_probability": of a universal joint, where the body turns about a point,
+              "universal_axes": {"ground": [3], "body": [3]; unit vectors} of a universal joint, else null,
               "noise": {"position": m, "rotation": rad; standard deviations of every component},
               "lag": samples between the two poses of a velocity,
               "refined": whether the frames are those of the displacements between all pairs of poses,
@@ -87,6 +89,8 @@ _RESULT = (
     "class_probability",
     "screw_probability",
     "pitch",
+    "universal_probability",
+    "universal_axes",
     "noise",
     "lag",
     "refined",
@@ -143,6 +147,13 @@ def to_record(
     }
 
 
+def _pair(axes: Any) -> dict[str, Any] | None:
+    """The axes of a universal joint by body; None where there is none."""
+    if not np.all(np.isfinite(axes)):
+        return None
+    return dict(zip(("ground", "body"), np.asarray(axes).tolist(), strict=True))
+
+
 def _window_record(index: int, found: Identification, span: Window | None) -> dict[str, Any]:
     status = Status(int(found.status_code))
     record: dict[str, Any] = {"index": index}
@@ -159,6 +170,8 @@ def _window_record(index: int, found: Identification, span: Window | None) -> di
         "class_probability": _classes(found),
         "screw_probability": float(found.screw_probability),
         "pitch": _plain(float(found.pitch)),
+        "universal_probability": float(found.universal_probability),
+        "universal_axes": _pair(found.universal_axes),
         "noise": {"position": float(found.noise.position), "rotation": float(found.noise.rotation)},
         "lag": int(found.lag),
         "refined": bool(found.refined),

@@ -58,6 +58,9 @@ def to_table(
         hand = "right" if host.pitch > 0 else "left"
         lead = f"{2e3 * np.pi * abs(host.pitch):.4g} mm a turn, {hand}-handed"
         blocks += [f"Pitch   {host.pitch:.4g} m/rad: {lead}", ""]
+    if np.all(np.isfinite(host.universal_axes)):
+        ground, body = (_vector(axis, 3) for axis in host.universal_axes)
+        blocks += [f"Turns   about {ground} in the ground and {body} in the body", ""]
     return "\n".join([*blocks, *_norms_block(host), _noise_line(host, window)])
 
 

@@ -112,6 +112,7 @@ class Finding:
         rivals: names of the other linear types that explain the motion as well, if the type matters.
         twin: m, distance to an origin as good, or None.
         pitch: m/rad of a screw joint, else NaN.
+        universal: (2, 3) the axes of a universal joint, in {g} and in {b}, else None.
     """
 
     name: str
@@ -128,6 +129,7 @@ class Finding:
     rivals: tuple[str, ...]
     twin: float | None
     pitch: float
+    universal: np.ndarray | None
 
 
 def explain_finding(finding: Finding, spread: Spread | None, tested: Tested | None) -> str:
@@ -188,6 +190,9 @@ def _where(finding: Finding, spread: Spread | None) -> str:
 def _direction(finding: Finding, spread: Spread | None) -> str:
     """The axis that is unlike the other two: of rotation if there is one, else of translation."""
     turns, slides = int(finding.angular_dof.sum()), int(finding.linear_dof.sum())
+    if finding.universal is not None:
+        first, second = (_vector(axis, 3) for axis in finding.universal)
+        return f"It turns about the directions {first} in the ground and {second} in the body."
     if turns in (1, 2):
         axes, index = finding.angular_axes, 2 if turns == 1 else 0
         what = "It turns about" if turns == 1 else "It does not turn about"

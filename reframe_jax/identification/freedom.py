@@ -21,12 +21,13 @@ a recording has is then up to its constrained axes: each that shows noise alone 
 """
 
 from math import log, pi
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-__all__ = ["PATTERN_PRIOR", "freedom_patterns", "screw_probabilities"]
+__all__ = ["PATTERN_PRIOR", "freedom_patterns", "screw_probabilities", "universal_probability"]
 
 PATTERN_PRIOR = np.full((4, 4), 0.1)
 """Weight of every pattern (free rotations, free translations) before any data are seen."""
@@ -61,9 +62,10 @@ _SILENT_SHARE = 0.2  # of constrained axes that show noise alone although there 
 _LEAST = log(3.5), log(8.0)  # noises that a free axis goes at least, without slow errors and with them
 _LEAST_WIDTH = 0.25
 _SCREWS = 0.3  # of bodies that turn and slide about one axis are on a screw
+_UNIVERSALS = 0.2  # of bodies that turn about a point in every way, as seen from both bodies
 _PITCHES = log(1000.0)  # range of pitches
 _EVENLY = 0.5  # of the others turn and slide evenly, each once
-_UNKNOWN_SHARE = 0.002  # how often a screw shows errors of any other size
+_UNKNOWN_SHARE = 0.002  # how often a screw or a universal joint shows errors of any other size
 _USUAL, _USUAL_SPREAD = (0.3, 0.05), 1.3  # rad and m that people move things, and its logarithm's spread
 _APART, _APART_WIDTH = 2.3, 0.4  # between free axes and slow errors
 _LARGEST = 1e6  # noises that a free axis goes, at most; beyond it noise is rounding, of each group its own
@@ -280,27 +282,96 @@ def screw_probabilities(
     Returns:
         (N,) without doubts about even motion, and (N,) with them.
     """
-    y, side, whole, uneven = (jnp.log(jnp.maximum(x, 1e-6)) for x in (rest, across, *slide))
-    multiples, white_only, weights = _error_sizes(share, 1)
-    white = jnp.sqrt(1 / (2 * samples) + _MISFIT**2)
-    of_error = _of_errors(y, (multiples, white_only), white)
-    seen = weights + _of_errors(side, (multiples, white_only), white)
-    by_rotation = _normal(y, jnp.log(jnp.maximum(_GAIN * gain, 1e-9)), _GAIN_SPREAD)[None]
-    by_rotation = jnp.where(white_only, -jnp.inf, by_rotation + log(_GAIN_SHARE))
-    unknown = log(_UNKNOWN_SHARE / log(_LARGEST)) + jnp.where(y > whole, -jnp.inf, 0)[None]
-    screw = jnp.logaddexp(jnp.logaddexp(of_error, by_rotation), unknown)
-    rate = 2 * _UNRELATED
-    own = jnp.where(y > whole, -jnp.inf, log(rate) + rate * (y - whole))[None]
+    whole, uneven = slide
+    seen = _of_rest(rest, across, whole, gain, samples, share)
+    beyond = seen.hidden(whole)
+    even = log(_EVENLY) + jnp.minimum(seen.hidden(uneven), 0)
+    return seen.probability(_SCREWS, beyond), seen.probability(_SCREWS, jnp.logaddexp(beyond, even))
 
-    def probability(hidden: jax.Array) -> jax.Array:
-        cylinder = jnp.logaddexp(of_error + jnp.minimum(hidden, 0), own)
-        terms = log(_SCREWS) + screw + seen, log(1 - _SCREWS) + cylinder + seen
+
+def universal_probability(
+    change: jax.Array,
+    slide: jax.Array,
+    least: jax.Array,
+    turn: jax.Array,
+    samples: jax.Array,
+    share: jax.Array,
+) -> jax.Array:
+    """Probability that a body that turns about a point does so about two axes, one of each body, alone.
+
+    In a universal joint the angle between these axes changes by errors only. In a spherical joint it has a
+    motion of its own, of any share of that about the axis that turns least.
+
+    Args:
+        change: (N,) of the angle, in noises.
+        slide: (N,) motion of the point, in noises.
+        least: (N,) rotation about the axis that turns least, in noises.
+        turn: (N,) all of the rotation, in noises.
+        samples: (N,) independent samples.
+        share: (N,) see :func:`freedom_patterns`.
+    """
+    seen = _of_rest(change, slide, least, turn, samples, share)
+    return seen.probability(_UNIVERSALS, seen.hidden(least))
+
+
+class _Rest(NamedTuple):
+    """Densities of what a joint does not explain of a motion, in logarithms, for every size of errors.
+
+    Attributes:
+        errors: (M, N) if it is an error of that size.
+        joint: (M, N) if the joint explains the motion.
+        own: (1, N) if it is a motion of its own.
+        seen: (M, N) weights of the sizes, as another axis that is constrained shows them.
+        multiples: (M, 1) or (M, N), logarithms of the sizes.
+    """
+
+    errors: jax.Array
+    joint: jax.Array
+    own: jax.Array
+    seen: jax.Array
+    multiples: jax.Array
+
+    def hidden(self, whole: jax.Array) -> jax.Array:
+        """Logarithm of the probability that errors hide a motion of its own of a motion (N,), in noises."""
+        return 2 * _UNRELATED * (self.multiples - jnp.log(jnp.maximum(whole, 1e-6))[None])
+
+    def probability(self, prior: float, hidden: jax.Array) -> jax.Array:
+        """Probability of the joint, (N,), from one before any data are seen."""
+        free = jnp.logaddexp(self.errors + jnp.minimum(hidden, 0), self.own)
+        terms = log(prior) + self.joint + self.seen, log(1 - prior) + free + self.seen
         first, second = (jax.nn.logsumexp(term, axis=0) for term in terms)
         return jax.nn.sigmoid(first - second)
 
-    beyond = rate * (multiples - whole[None])
-    even = log(_EVENLY) + jnp.minimum(rate * (multiples - uneven[None]), 0)
-    return probability(beyond), probability(jnp.logaddexp(beyond, even))
+
+def _of_rest(
+    rest: jax.Array,
+    beside: jax.Array,
+    whole: jax.Array,
+    gain: jax.Array,
+    samples: jax.Array,
+    share: jax.Array,
+) -> _Rest:
+    """Judge what a joint does not explain of a motion.
+
+    Args:
+        rest: (N,) in noises.
+        beside: (N,) motion along another axis that is constrained, in noises.
+        whole: (N,) the motion, in noises.
+        gain: (N,) what an error of all of the measured rotation would make of it, in noises.
+        samples: (N,) independent samples.
+        share: (N,) see :func:`freedom_patterns`.
+    """
+    y, side, most = (jnp.log(jnp.maximum(x, 1e-6)) for x in (rest, beside, whole))
+    multiples, white_only, weights = _error_sizes(share, 1)
+    white = jnp.sqrt(1 / (2 * samples) + _MISFIT**2)
+    errors = _of_errors(y, (multiples, white_only), white)
+    seen = weights + _of_errors(side, (multiples, white_only), white)
+    by_rotation = _normal(y, jnp.log(jnp.maximum(_GAIN * gain, 1e-9)), _GAIN_SPREAD)[None]
+    by_rotation = jnp.where(white_only, -jnp.inf, by_rotation + log(_GAIN_SHARE))
+    joint = jnp.logaddexp(jnp.logaddexp(errors, by_rotation), log(_UNKNOWN_SHARE / log(_LARGEST)))
+    rate = 2 * _UNRELATED
+    own = log(rate) + rate * jnp.minimum(y - most, 0)[None]
+    return _Rest(errors, joint, own, seen, multiples)
 
 
 def _hidden(y: jax.Array, noise: jax.Array, usual: float) -> jax.Array:

@@ -7,14 +7,19 @@ import numpy as np
 from reframe_jax.constraints.catalogue import describe, lookup
 from reframe_jax.constraints.types import ORIENTATION_BODIES, PARALLEL_COSINE, AxisRelation, Dof, LinearType
 
-__all__ = ["holds_for_all_types", "name_class", "name_probability"]
+__all__ = ["holds_for_all_types", "is_universal", "name_class", "name_probability", "turns_about_point"]
 
 
 def name_class(
-    kind: LinearType, angular: Dof, linear: Dof, relation: AxisRelation | None, screw: bool = False
+    kind: LinearType,
+    angular: Dof,
+    linear: Dof,
+    relation: AxisRelation | None,
+    screw: bool = False,
+    universal: bool = False,
 ) -> str:
     """Name of a class, of the catalogue or in words; see :func:`reframe_jax.constraints.catalogue.lookup`."""
-    entry = lookup(kind, angular, linear, relation, screw)
+    entry = lookup(kind, angular, linear, relation, screw, universal)
     return describe(kind, angular, linear, relation) if entry is None else entry.name
 
 
@@ -24,6 +29,7 @@ def name_probability(
     dof: tuple[jax.Array, jax.Array],
     axes: tuple[jax.Array, jax.Array],
     screws: jax.Array,
+    universals: jax.Array,
 ) -> jax.Array:
     """Probability of the name of each window, (N,), as ``Identification.probability`` has it.
 
@@ -33,13 +39,28 @@ def name_probability(
         dof: (N, 3) of both frames.
         axes: (N, 2, 3, 3) of both angular types, and (N, 3, 3) of the linear frame; columns.
         screws: (N,) probability of a screw, if one rotation is free and a translation along its axis.
+        universals: (N,) probability of a universal joint, if the body turns about a point.
     """
     angular, linear = (jnp.sum(number, axis=-1) for number in dof)
     rows = jnp.arange(len(winner), dtype=winner.dtype)
     of_types = classes[rows, :, angular, linear]
     own = jnp.take_along_axis(of_types, winner[:, None], axis=1)[:, 0]
     of_name = jnp.where(holds_for_all_types(winner, dof, axes), jnp.sum(of_types, axis=1), own)
-    return of_name * jnp.maximum(screws, 1 - screws)
+    of_name = of_name * jnp.maximum(screws, 1 - screws)
+    # a universal joint has one class or the other, by how far its second axis turned
+    two, three = (jnp.sum(classes[:, :, n, 0], axis=1) for n in (2, 3))
+    of_point = jnp.where(is_universal(dof, universals), two + universals * three, (1 - universals) * three)
+    return jnp.where(turns_about_point(dof), of_point, of_name)
+
+
+def turns_about_point(dof: tuple[jax.Array, jax.Array]) -> jax.Array:
+    """Whether a body turns about more than one axis, and does not slide, (N,) bool."""
+    return (jnp.sum(dof[0], axis=-1) >= 2) & (jnp.sum(dof[1], axis=-1) == 0)
+
+
+def is_universal(dof: tuple[jax.Array, jax.Array], universals: jax.Array) -> jax.Array:
+    """Whether a body is on a universal joint, (N,) bool; arguments as in :func:`name_probability`."""
+    return turns_about_point(dof) & ((jnp.sum(dof[0], axis=-1) == 2) | (universals > 0.5))
 
 
 def holds_for_all_types(

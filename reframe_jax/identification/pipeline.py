@@ -18,9 +18,9 @@ from reframe_jax.identification.classify import Thresholds, free_rotations, near
 from reframe_jax.identification.coupling import coupled_positions
 from reframe_jax.identification.decision import EVEN, Settled, decide
 from reframe_jax.identification.distances import free_probabilities
-from reframe_jax.identification.evidence import Evidence, LagRule, reduce_windows
+from reframe_jax.identification.evidence import IN_BODY, Evidence, LagRule, reduce_windows
 from reframe_jax.identification.likelihood import likeliest_frames
-from reframe_jax.identification.naming import name_probability
+from reframe_jax.identification.naming import is_universal, name_probability, turns_about_point
 from reframe_jax.identification.optima import (
     Frames,
     Optima,
@@ -39,6 +39,7 @@ from reframe_jax.identification.results import (
 )
 from reframe_jax.identification.shared_axis import share_axis
 from reframe_jax.identification.twins import find_twins
+from reframe_jax.identification.universal import Universal, find_universal
 from reframe_jax.identification.widening import SearchSpace, is_steep
 from reframe_jax.motion.checks import Status
 from reframe_jax.motion.kinematics import Discretization
@@ -95,10 +96,11 @@ def solve_evidence(
     settled = decide(evidence, optima, thresholds, rule, exponent)
     optima = replace(optima, linear_winner=settled.winner)
     twins = _twins(evidence, optima, settled)
+    universal = _universal(evidence, settled)
     frames = settled.frames
     if rule == "auto":
         frames = as_one_kernel(_refine, evidence, optima, settled)
-    return as_one_kernel(_report, evidence, optima, settled, frames, twins, thresholds)
+    return as_one_kernel(_report, evidence, optima, settled, frames, twins, universal, thresholds)
 
 
 def _refine(evidence: Evidence, optima: Optima, settled: Settled) -> Frames:
@@ -116,6 +118,7 @@ def _report(
     settled: Settled,
     frames: Frames,
     twins: tuple[jax.Array, jax.Array],
+    universal: Universal,
     thresholds: Thresholds | None,
 ) -> Identification:
     """What is said of every window."""
@@ -155,7 +158,8 @@ def _report(
     n = optima.linear_winner
     axes = frames.angular_axes, pick_type(frames.axes, n)
     screws = jnp.where(on_axis, screw.probability, 0)
-    probability = name_probability(settled.classes, n, (angular_frame.dof, linear_frame.dof), axes, screws)
+    freedom = angular_frame.dof, linear_frame.dof
+    probability = name_probability(settled.classes, n, freedom, axes, screws, universal.probability)
     named = on_axis & (screws > EVEN)
     cautions = {
         Caution.FAR_ORIGIN: optima.widened & ~on_axis,
@@ -171,6 +175,10 @@ def _report(
         class_probability=settled.classes,
         screw_probability=screws,
         pitch=jnp.where(named, screw.pitch, jnp.nan),
+        universal_probability=universal.probability,
+        universal_axes=jnp.where(
+            is_universal(freedom, universal.probability)[:, None, None], universal.axes, jnp.nan
+        ),
         noise=evidence.noise,
         lag=evidence.lag,
         refined=settled.refined,
@@ -179,6 +187,12 @@ def _report(
         warning_codes=_warning_codes(evidence, optima, thresholds, cautions),
     )
     return _with_status(found, evidence.status, pick_type(on_bounds, n))
+
+
+def _universal(evidence: Evidence, settled: Settled) -> Universal:
+    """The universal joints, among windows that turn about a point."""
+    frames, dof = settled.frames, (settled.dof[0][:, 0], pick_type(settled.dof[1], settled.winner))
+    return find_universal(evidence, frames.angular_axes, frames.position[:, IN_BODY], turns_about_point(dof))
 
 
 def _twins(evidence: Evidence, optima: Optima, settled: Settled) -> tuple[jax.Array, jax.Array]:
@@ -283,7 +297,9 @@ def _with_status(found: Identification, before: jax.Array, on_bounds: jax.Array)
 
 def _is_finite(found: Identification) -> jax.Array:
     """Whether all numbers of a window are finite, (N,)."""
-    found = replace(found, pitch=jnp.where(jnp.isnan(found.pitch), 0, found.pitch))  # of no screw
+    # NaN where there is no such joint
+    pitch, pair = (jnp.where(jnp.isnan(x), 0, x) for x in (found.pitch, found.universal_axes))
+    found = replace(found, pitch=pitch, universal_axes=pair)
     leaves = [x for x in jax.tree.leaves(found) if jnp.issubdtype(x.dtype, jnp.floating)]
     numbers = jnp.concatenate([x.reshape(len(x), -1) for x in leaves], axis=1)
     return jnp.all(jnp.isfinite(numbers), axis=1)

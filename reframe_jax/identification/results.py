@@ -78,6 +78,11 @@ class Identification:
         pitch: (...) m/rad of a screw joint: translation of the body along the axis for each radian that it
             turns about it, positive for a right-handed thread; times 2 pi it is the lead, in m per turn. NaN
             where the constraint is no screw joint.
+        universal_probability: (...) probability of a universal joint against a spherical joint: that an axis
+            of the ground and one of the body keep their angle, if the body turns about a point and more than
+            one axis. 0 where the motion is not like that. No derivatives.
+        universal_axes: (..., 2, 3) unit vectors of a universal joint: its axis in {g} and its axis in {b}.
+            NaN where the constraint is none. No derivatives.
         noise: of the poses.
         lag: (...) int, samples between the two poses of a velocity.
         refined: (...) bool, whether the noise was found to be white, so that the frames are the likeliest
@@ -95,6 +100,8 @@ class Identification:
     class_probability: jax.Array
     screw_probability: jax.Array
     pitch: jax.Array
+    universal_probability: jax.Array
+    universal_axes: jax.Array
     noise: PoseNoise
     lag: jax.Array
     refined: jax.Array
@@ -126,7 +133,7 @@ class Identification:
     @property
     def entry(self) -> Constraint | None:
         """Catalogue entry of a single window; None for a class without a name."""
-        return lookup(*self._class(), screw=self._is_screw())
+        return lookup(*self._class(), self._is_screw(), self._is_universal())
 
     @property
     def name(self) -> Any:
@@ -138,9 +145,9 @@ class Identification:
         if np.shape(self.status_code):
             return self._of_each("name", object)
         status = Status(int(self.status_code))
-        return (
-            f"No result: {status.message}" if status.failed else name_class(*self._class(), self._is_screw())
-        )
+        if status.failed:
+            return f"No result: {status.message}"
+        return name_class(*self._class(), self._is_screw(), self._is_universal())
 
     @property
     def probability(self) -> Any:
@@ -149,15 +156,20 @@ class Identification:
         The sum of ``class_probability`` over all classes that carry the name with axes that lie as those
         found do: of any linear type for A to D and joints such as the spherical, of their own type for E to
         L. A screw joint and a cylinder joint, which have the same class, share it as ``screw_probability``
-        says. It is conditional on the model of :mod:`reframe_jax.identification.freedom`: that one constraint
-        held throughout the window, and that noise and motion are of the kinds described there. Motion that
-        did not use a free axis leaves it constrained, with a probability that may be high.
+        says, a universal joint and a spherical joint as ``universal_probability`` says. It is conditional on
+        the model of :mod:`reframe_jax.identification.freedom`: that one constraint held throughout the
+        window, and that noise and motion are of the kinds described there. Motion that did not use a free
+        axis leaves it constrained, with a probability that may be high.
         """
         if np.shape(self.status_code):
             return self._of_each("probability", float)
         if Status(int(self.status_code)).failed:
             return float("nan")
         own, (_, angular, linear, relation) = name_class(*self._class()), self._class()
+        if sum(angular) >= 2 and sum(linear) == 0:
+            two, three = np.sum(np.asarray(self.class_probability)[:, 2:, 0], axis=0).tolist()
+            universal = float(self.universal_probability)
+            return two + universal * three if self._is_universal() else (1 - universal) * three
         classes = np.asarray(self.class_probability)[:, sum(angular), sum(linear)]
         same = [name_class(kind, angular, linear, relation) == own for kind in LinearType]
         screw = float(self.screw_probability)
@@ -175,7 +187,8 @@ class Identification:
     def constraint_frame(self) -> ConstraintFrame:
         """Types, degrees of freedom and geometry of a single window, for simulation or control.
 
-        That of a screw joint is that of a cylinder joint; ``pitch`` says the rest.
+        That of a screw joint is that of a cylinder joint; ``pitch`` says the rest. That of a universal joint
+        may be that of a spherical joint, if the second axis turned far; ``universal_axes`` are its axes.
         """
         if np.shape(self.status_code):
             raise ValueError("A batch has many constraint frames: index one window first, found[i].")
@@ -218,6 +231,7 @@ class Identification:
             child=child,
             length=lever,
             pitch=float(self.pitch) if self._is_screw() else None,
+            universal=np.asarray(self.universal_axes, float) if self._is_universal() else None,
         )
 
     def explain(self, covariance: Spread | None = None, excitation: Tested | None = None) -> str:
@@ -257,12 +271,17 @@ class Identification:
             rivals=tuple(tied),
             twin=twin,
             pitch=float(host.pitch),
+            universal=host.universal_axes if host._is_universal() else None,
         )
         return explain_finding(finding, covariance, excitation)
 
     def _is_screw(self) -> bool:
         """Whether a single window shows a screw joint."""
         return bool(np.isfinite(self.pitch))
+
+    def _is_universal(self) -> bool:
+        """Whether a single window shows a universal joint."""
+        return bool(np.all(np.isfinite(self.universal_axes)))
 
     def _class(self) -> tuple[LinearType, Dof, Dof, AxisRelation | None]:
         """Linear type, degrees of freedom, and how the odd axes of the two frames lie."""

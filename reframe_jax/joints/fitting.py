@@ -32,6 +32,7 @@ def fit_joint(
     child: str = "body",
     length: float = 0.3,
     pitch: float | None = None,
+    universal: ArrayLike | None = None,
 ) -> Joint:
     """Return the joint that a constraint is, given poses that obey it.
 
@@ -42,6 +43,8 @@ def fit_joint(
         child: name of {b}.
         length: m that weigh as much as one radian: the noise of positions over that of orientations.
         pitch: m/rad of a screw joint, positive for a right-handed thread; None for all others.
+        universal: (2, 3) axes of a universal joint, the first in {g} and the second in {b}; None for all
+            others, and for a frame about one axis of which the body does not turn, where they are found.
 
     Returns:
         The joint. A class that no chain of hinges, slides and balls makes has the type "general", no
@@ -50,8 +53,9 @@ def fit_joint(
 
     Raises:
         ValueError: for a batch, poses of another shape or that are not finite, equal or empty names, a length
-            that is not positive, or a pitch that is 0 or not finite, or of a constraint other than one free
-            rotation and one free translation along its axis.
+            that is not positive, a pitch that is 0 or not finite, or of a constraint other than one free
+            rotation and one free translation along its axis, or two axes that are no unit vectors, or of a
+            constraint with a free translation.
     """
     values = np.asarray(poses, dtype=float)
     if values.ndim != 3 or values.shape[1:] != (4, 4) or len(values) == 0:
@@ -64,7 +68,13 @@ def fit_joint(
         raise ValueError(f"Expected two different names, not {parent!r} and {child!r}.")
     if not 0 < length < np.inf:
         raise ValueError(f"Expected a positive length in m, not {length}.")
-    geometry = frame_geometry(frame, values, pitch)
+    axes = None if universal is None else np.asarray(universal, float)
+    geometry = frame_geometry(frame, values, pitch, axes)
+    if axes is not None:
+        if axes.shape != (2, 3) or not np.allclose(np.linalg.norm(axes, axis=1), 1, atol=1e-3):
+            raise ValueError("Expected two unit vectors as the axes of a universal joint.")
+        if len(geometry.turning) < 2 or len(geometry.sliding):
+            raise ValueError("Only a body that turns about a point is on a universal joint.")
     if pitch is not None:
         if not (np.isfinite(pitch) and pitch != 0):
             raise ValueError(f"Expected a pitch in m/rad other than 0, not {pitch}.")
@@ -237,7 +247,7 @@ def _with_ranges(parts: Sequence[JointPart], coordinates: np.ndarray) -> tuple[J
 def _name(geometry: Geometry) -> str:
     frame, relation = geometry.frame, relate_axes(geometry)
     key = frame.linear_type, frame.angular_dof, frame.linear_dof
-    entry = lookup(*key, relation, screw=geometry.pitch is not None)
+    entry = lookup(*key, relation, geometry.pitch is not None, geometry.universal is not None)
     return describe(*key, relation) if entry is None else entry.name
 
 

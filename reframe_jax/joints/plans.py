@@ -17,7 +17,9 @@ __all__ = ["Geometry", "Plan", "frame_geometry", "joint_plans", "only_velocities
 
 @dataclass(frozen=True)
 class Geometry:
-    """A constraint frame in NumPy, and poses; the pitch of a screw in m/rad, else None.
+    """A constraint frame in NumPy, and poses.
+
+    ``pitch`` is that of a screw in m/rad; ``universal`` are the axes of a universal joint, in {g} and in {b}.
 
     ``turning`` and ``sliding`` are the free axes, rows in the body of their type; ``odd`` is the axis of the
     linear frame that differs from the other two, or None.
@@ -33,6 +35,7 @@ class Geometry:
     linear_on_body: bool
     point_on_body: bool
     pitch: float | None = None
+    universal: np.ndarray | None = None
 
     def in_ground(self, direction: np.ndarray, on_body: bool) -> np.ndarray:
         """A direction that is fixed in both bodies, in the ground: the mean over all poses."""
@@ -76,8 +79,10 @@ class Plan:
     is_envelope: bool = False
 
 
-def frame_geometry(frame: ConstraintFrame, poses: np.ndarray, pitch: float | None = None) -> Geometry:
-    """The geometry of a single frame and of poses (K+1, 4, 4), of a screw with a pitch in m/rad."""
+def frame_geometry(
+    frame: ConstraintFrame, poses: np.ndarray, pitch: float | None = None, universal: np.ndarray | None = None
+) -> Geometry:
+    """The geometry of a single frame and of poses (K+1, 4, 4); the rest as in :class:`Geometry`."""
     angular, linear = np.asarray(frame.angular_axes, float).T, np.asarray(frame.linear_axes, float).T
     free = np.asarray(frame.linear_dof, bool)
     count = int(free.sum())
@@ -87,7 +92,7 @@ def frame_geometry(frame: ConstraintFrame, poses: np.ndarray, pitch: float | Non
     position = np.asarray(frame.position, float)
     angular_on_body, linear_on_body, point_on_body = map(bool, on_body)
     moving = turning, linear[free], odd, position
-    return Geometry(frame, poses, *moving, angular_on_body, linear_on_body, point_on_body, pitch)
+    return Geometry(frame, poses, *moving, angular_on_body, linear_on_body, point_on_body, pitch, universal)
 
 
 def relate_axes(geometry: Geometry) -> AxisRelation | None:
@@ -108,6 +113,9 @@ def joint_plans(geometry: Geometry) -> list[Plan]:
         return [Plan(kinds[slides])]
     if turns == 1:
         return _hinge_plans(geometry)
+    if geometry.universal is not None:
+        first, second = geometry.universal
+        return [Plan("universal", turns="hinge", axis=first, second=second)]
     kind: JointType = "general"
     if slides == 0:
         kind = "universal" if turns == 2 else "spherical"

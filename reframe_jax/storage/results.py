@@ -30,7 +30,12 @@ __all__ = ["identify_many", "load_results"]
 _KIND = "results of identify_many"
 _UNIT = "windows"
 _LISTED = 8  # missing parts in a message
-_ADDED = {"pitch": np.nan, "screw_probability": 0.0}  # columns that earlier versions did not write
+_ADDED: dict[str, Any] = {  # columns that earlier versions did not write
+    "pitch": np.nan,
+    "screw_probability": 0.0,
+    "universal_probability": 0.0,
+    "universal_axes": np.full((2, 3), np.nan),
+}
 
 
 def identify_many(
@@ -142,7 +147,7 @@ def load_results(folder: str | Path, parts: Iterable[int] | None = None) -> Iden
 
     added = {name: value for name, value in _ADDED.items() if name not in columns}
     precision = columns["class_probability"].dtype
-    columns |= {name: np.full(count, value, precision) for name, value in added.items()}
+    columns |= {name: np.full((count, *np.shape(value)), value, precision) for name, value in added.items()}
     found: Identification = _build(Identification, "", columns)
     return found
 
