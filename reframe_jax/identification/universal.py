@@ -209,7 +209,7 @@ def _unit(vector: jax.Array) -> jax.Array:
 def _first(values: jax.Array) -> jax.Array:
     """Which is the least along the first axis, (n, ...) bool."""
     places = jnp.arange(len(values), dtype=jnp.int32).reshape(-1, *[1] * (values.ndim - 1))
-    return jnp.argmin(values, axis=0)[None] == places
+    return jnp.argmin(values, axis=0).astype(jnp.int32)[None] == places
 
 
 def _pick(
