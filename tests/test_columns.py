@@ -60,7 +60,7 @@ def test_columns_are_flat_and_typed(batch: rf.Identification) -> None:
     assert set(kinds.values()) == {"O", "i", "f", "b"}
     assert all(column.shape == (4,) for column in columns.values())
     # what has a unit has it in its name; axes are unit vectors
-    unitless = r"(screw_)?probability|.*_axis_\d_[xyz]|.*_free_probability_\d"
+    unitless = r"((screw|universal)_)?probability|universal_\w+_[xyz]|.*_axis_\d_[xyz]|.*_free_probability_\d"
     for name, kind in kinds.items():
         if kind == "f" and not re.fullmatch(unitless, name):
             assert re.search(r"_(m|s|rad|m_s|rad_s|m_rad)$", name), name

@@ -288,7 +288,7 @@ def test_what_rotates_and_slides_otherwise_is_a_chain(rng: np.random.Generator) 
     joint = fit_joint(table, chain_of(*slides, coordinates=steps))
     assert [part.kind for part in joint.parts] == ["slide", "slide"]
     assert joint.position_error < 1e-7
-    assert joint.name == "Unnamed: 0 rotations, 2 translations in BB"
+    assert joint.name == "Unnamed: 0 rotations, 2 translations"
 
     askew = np.array([0.0, 0.6, 0.8])
     hinge = rf.ConstraintFrame(

@@ -29,7 +29,7 @@ from reframe_jax.objectives.moments import MONOMIALS, covariance_at
 
 __all__ = ["Universal", "find_universal"]
 
-_MATRICES = 2  # that searches start from, from each of three pairs of axes
+_MATRICES = 4  # that searches start from, from each of three pairs of axes
 _LEAST_NOISE = 1e-3  # square of what noise of one radian does to a matrix, at least
 _ROUNDS = 8
 _DAMPING = 0.0, 1e-3, 1e-1  # of steps
