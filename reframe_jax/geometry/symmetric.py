@@ -14,6 +14,7 @@ from reframe_jax.compilation import as_one_kernel, once
 
 __all__ = [
     "INDEX_PAIRS",
+    "PACKED",
     "Symmetric",
     "Vector",
     "adjugate",
@@ -34,7 +35,7 @@ Symmetric = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array, jax.Arr
 Vector = tuple[jax.Array, jax.Array, jax.Array]
 
 INDEX_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-_PACKED = ((0, 1, 2), (1, 3, 4), (2, 4, 5))
+PACKED = ((0, 1, 2), (1, 3, 4), (2, 4, 5))
 
 _JACOBI_SWEEPS = 5  # quadratic convergence: 4 reach float64 rounding from the worst case, 2 spare
 
@@ -47,7 +48,7 @@ def from_matrix(matrix: jax.Array) -> Symmetric:
 
 def to_matrix(s: Symmetric) -> jax.Array:
     """Matrices (..., 3, 3) from components."""
-    rows = [jnp.stack([s[_PACKED[i][j]] for j in range(3)], axis=-1) for i in range(3)]
+    rows = [jnp.stack([s[PACKED[i][j]] for j in range(3)], axis=-1) for i in range(3)]
     return jnp.stack(rows, axis=-2)
 
 
@@ -210,7 +211,7 @@ def _sum(terms: list[jax.Array]) -> jax.Array:
 
 def quadratic_form(a: Vector, s: Symmetric, b: Vector) -> jax.Array:
     """a^T S b."""
-    return _sum([a[i] * s[_PACKED[i][j]] * b[j] for i in range(3) for j in range(3)])
+    return _sum([a[i] * s[PACKED[i][j]] * b[j] for i in range(3) for j in range(3)])
 
 
 @eigh.defjvp

@@ -22,14 +22,11 @@ from reframe_jax.identification.distances import (
     pattern_probabilities,
 )
 from reframe_jax.identification.evidence import IN_BODY, IN_GROUND, Evidence, LagRule
-from reframe_jax.identification.naming import holds_for_all_types
+from reframe_jax.identification.naming import EVEN, holds_for_all_types
 from reframe_jax.identification.optima import Frames, Optima, pick_problem, pick_type, refine_frames
 from reframe_jax.identification.screw import Screw, find_screw
 
-__all__ = ["EVEN", "Settled", "decide"]
-
-EVEN = 0.5
-"""Probability of a name, below which all others together are more probable."""
+__all__ = ["Settled", "decide"]
 
 
 class Settled(NamedTuple):

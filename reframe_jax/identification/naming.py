@@ -7,7 +7,17 @@ import numpy as np
 from reframe_jax.constraints.catalogue import describe, lookup
 from reframe_jax.constraints.types import ORIENTATION_BODIES, PARALLEL_COSINE, AxisRelation, Dof, LinearType
 
-__all__ = ["holds_for_all_types", "is_universal", "name_class", "name_probability", "turns_about_point"]
+__all__ = [
+    "EVEN",
+    "holds_for_all_types",
+    "is_universal",
+    "name_class",
+    "name_probability",
+    "turns_about_point",
+]
+
+EVEN = 0.5
+"""Probability of a name, below which all others together are more probable."""
 
 
 def name_class(
@@ -60,7 +70,7 @@ def turns_about_point(dof: tuple[jax.Array, jax.Array]) -> jax.Array:
 
 def is_universal(dof: tuple[jax.Array, jax.Array], universals: jax.Array) -> jax.Array:
     """Whether a body is on a universal joint, (N,) bool; arguments as in :func:`name_probability`."""
-    return turns_about_point(dof) & ((jnp.sum(dof[0], axis=-1) == 2) | (universals > 0.5))
+    return turns_about_point(dof) & ((jnp.sum(dof[0], axis=-1) == 2) | (universals > EVEN))
 
 
 def holds_for_all_types(

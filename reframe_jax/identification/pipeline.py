@@ -16,11 +16,11 @@ from reframe_jax.constraints.types import POSITION_BODIES
 from reframe_jax.identification.cautions import Caution, caution_codes
 from reframe_jax.identification.classify import Thresholds, free_rotations, nearest_origin, tied_types
 from reframe_jax.identification.coupling import coupled_positions
-from reframe_jax.identification.decision import EVEN, Settled, decide
+from reframe_jax.identification.decision import Settled, decide
 from reframe_jax.identification.distances import free_probabilities
 from reframe_jax.identification.evidence import IN_BODY, Evidence, LagRule, reduce_windows
 from reframe_jax.identification.likelihood import likeliest_frames
-from reframe_jax.identification.naming import is_universal, name_probability, turns_about_point
+from reframe_jax.identification.naming import EVEN, is_universal, name_probability, turns_about_point
 from reframe_jax.identification.optima import (
     Frames,
     Optima,

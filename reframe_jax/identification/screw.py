@@ -22,7 +22,7 @@ from reframe_jax.identification.evidence import IN_BODY, IN_GROUND, Evidence
 from reframe_jax.identification.floored_moments import FLOOR
 from reframe_jax.identification.freedom import screw_probabilities
 from reframe_jax.identification.optima import Frames, follow_last, put_third_axis
-from reframe_jax.motion.components import product, transpose
+from reframe_jax.motion.components import product, transpose, unit
 from reframe_jax.motion.single_axis import across_axis
 from reframe_jax.objectives.moments import MONOMIALS, covariance_at
 from reframe_jax.solvers import Box
@@ -103,8 +103,8 @@ def find_screw(evidence: Evidence, frames: Frames, box: Box, single: jax.Array) 
     trust = jnp.where(left > _TRUSTED * expected, _TRUSTED * expected / jnp.where(left > 0, left, 1), 1)
     tilt, point = _tilt_and_point(seen, pitch, known, jax.lax.stop_gradient(trust))
     across = _moves_across(seen, pitch, tilt, point)
-    in_ground = _unit(seen.in_ground + tilt)
-    in_body = _unit(seen.in_body + product(transpose(seen.mean[:, 1:]), tilt))
+    in_ground = unit(seen.in_ground + tilt)
+    in_body = unit(seen.in_body + product(transpose(seen.mean[:, 1:]), tilt))
     left, slid, pitch = _left_of_slide(seen, in_ground)
 
     rounding = FLOOR * float(jnp.finfo(pitch.dtype).eps)
@@ -245,10 +245,6 @@ def _square_along(matrix: tuple[jax.Array, ...], axis: jax.Array) -> jax.Array:
     """The square along an axis (3, N)."""
     e: Vector = (axis[0], axis[1], axis[2])
     return symmetric.quadratic_form(e, cast(Symmetric, matrix), e)
-
-
-def _unit(vector: jax.Array) -> jax.Array:
-    return vector / jnp.sqrt(_dot(vector, vector))[None]
 
 
 def _dot(a: jax.Array, b: jax.Array) -> jax.Array:

@@ -19,12 +19,12 @@ from reframe_jax.compilation import as_one_kernel, update_marked
 from reframe_jax.constraints.types import AngularType
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.products import matmul3
-from reframe_jax.geometry.symmetric import INDEX_PAIRS
+from reframe_jax.geometry.symmetric import INDEX_PAIRS, PACKED
 from reframe_jax.identification.evidence import IN_BODY, Evidence
-from reframe_jax.identification.floored_moments import FLOOR
+from reframe_jax.identification.floored_moments import rounding_of
 from reframe_jax.identification.freedom import universal_probability
 from reframe_jax.identification.optima import constant_covariance
-from reframe_jax.motion.components import product
+from reframe_jax.motion.components import product, unit
 from reframe_jax.objectives.moments import MONOMIALS, covariance_at
 
 __all__ = ["Universal", "find_universal"]
@@ -35,7 +35,7 @@ _ROUNDS = 8
 _DAMPING = 0.0, 1e-3, 1e-1  # of steps
 _LEAST_SINE = 1e-4  # its square
 _TIMES = [1 if a == b else 2 for a, b in INDEX_PAIRS]  # that a product of entries is in a quadratic form
-_PAIR = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # components of a symmetric matrix
+_PAIR = np.array(PACKED)
 _SIGN = np.array([[0, 1, -1], [-1, 0, 1], [1, -1, 0]])  # of the permutation that begins with two indices
 _THIRD = np.array([[0, 2, 1], [2, 0, 0], [1, 0, 0]])  # its last index
 _SKEWED = 0.01  # square of the sine of the angle between the axes, at least
@@ -137,7 +137,7 @@ def _refine(
     def step(_: jax.Array, found: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
         a, b, least, variance = found
         steps = zip(_steps(covariance, a, b), (a, b), strict=True)
-        first, second = (_unit(at[:, None] + shift) for shift, at in steps)  # (3, lengths, S, N)
+        first, second = (unit(at[:, None] + shift) for shift, at in steps)  # (3, lengths, S, N)
         every = [x.reshape(3, -1, x.shape[-1]) for x in (first, second)]
         values, variances = (x.reshape(first.shape[1:]) for x in judge(*every))
         values = jnp.where(jnp.isfinite(values), values, jnp.inf)
@@ -202,10 +202,6 @@ def _solve(matrix: jax.Array, columns: jax.Array) -> jax.Array:
     return jnp.stack(symmetric.solve(entries, (columns[0], columns[1], columns[2])))  # type: ignore[arg-type]
 
 
-def _unit(vector: jax.Array) -> jax.Array:
-    return vector / jnp.sqrt(jnp.sum(jnp.square(vector), axis=0))[None]
-
-
 def _first(values: jax.Array) -> jax.Array:
     """Which is the least along the first axis, (n, ...) bool."""
     places = jnp.arange(len(values), dtype=jnp.int32).reshape(-1, *[1] * (values.ndim - 1))
@@ -233,8 +229,7 @@ def _judge(
     of_turning, of_position = (
         jnp.square(evidence.share * noise) for noise in (evidence.noise.rotation, evidence.noise.position)
     )
-    squares = [paths[i, MONOMIALS.index((a, a))] for i in (0, 3, 5) for a in range(4)]
-    rounding = FLOOR * float(jnp.finfo(change.dtype).eps) * sum(squares, jnp.zeros_like(change))
+    rounding = rounding_of(evidence.linear_spread)[:, IN_BODY]
     rounding = jnp.maximum(rounding, float(jnp.finfo(change.dtype).tiny))
     # noise of the orientation changes the angle the less, the smaller it is
     cosine = jnp.sum(ground * product(evidence.mean_paths[:, 1:, :, 0], body), axis=0)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from reframe_jax.compilation import once_on_cpu
 
-__all__ = ["bracket", "components_first", "components_last", "cross", "product", "stack", "transpose"]
+__all__ = ["bracket", "components_first", "components_last", "cross", "product", "stack", "transpose", "unit"]
 
 
 def components_first(array: jax.Array, components: int) -> jax.Array:
@@ -62,3 +62,8 @@ def bracket(a: jax.Array, b: jax.Array) -> jax.Array:
         return cross(a, b)
     wa, va, wb, vb = a[:3], a[3:], b[:3], b[3:]
     return stack(_cross(wa, wb) + [x - y for x, y in zip(_cross(wa, vb), _cross(wb, va), strict=True)])
+
+
+def unit(vector: jax.Array) -> jax.Array:
+    """Vectors (3, ...) divided by their length."""
+    return vector / jnp.sqrt(jnp.sum(jnp.square(vector), axis=0))[None]
