@@ -21,13 +21,24 @@ a recording has is then up to its constrained axes: each that shows noise alone 
 """
 
 from math import log, pi
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-__all__ = ["PATTERN_PRIOR", "freedom_patterns", "screw_probabilities", "universal_probability"]
+from reframe_jax.identification.error_model import (
+    LARGEST,
+    ROTATION_ERROR_SHARE,
+    UNRELATED,
+    ErrorSizes,
+    error_sizes,
+    of_errors,
+    of_noise,
+    of_rotation_error,
+    spread_of_noise,
+)
+
+__all__ = ["PATTERN_PRIOR", "SCREWS", "freedom_patterns"]
 
 PATTERN_PRIOR = np.full((4, 4), 0.1)
 """Weight of every pattern (free rotations, free translations) before any data are seen."""
@@ -45,36 +56,19 @@ for _pattern, _weight in (
 ):
     PATTERN_PRIOR[_pattern] = _weight
 
-_WHITE_SHARE = 2 / 3  # of recordings have noise alone
-_STEPS = 6  # between no slow errors and the largest
-_MOST = log(64.0)  # slow errors at most, in logarithms of noises of single poses
-_LIKELY = log(8.0)  # multiples up to this one are equally likely
-_RARER = 0.8  # standard deviation, in logarithms, of their decline beyond
-_SPREAD = 0.8  # of constrained axes about their multiple
-_MISFIT = 0.15  # of the logarithm of an axis that shows noise alone, for what the noise model misses
-_GAIN, _GAIN_SPREAD = 0.1, 0.7  # error of measured rotation, over the rotation, and its logarithm's spread
-_GAIN_SHARE, _SCALE_SHARE = 0.2, 0.1  # how often an axis shows such an error, and one of scale
-_UNRELATED = 0.7  # exponent of the distribution of the share of a motion that the rotation does not explain
+SCREWS = 0.3
+"""Share of bodies that turn and slide about one axis that are on a screw."""
+
+_SCALE_SHARE = 0.1  # how often constrained axes show an error of scale
 _NOT_LESS = log(1e-12) / 2  # that part, in logarithms
 _TOO_EXACT, _FAR = log(0.2), log(1e3)  # noises that the rest has at least, with an error of scale, and far
 _FREE_SPREAD = 1.2  # of free axes about their common size
-_SILENT_SHARE = 0.2  # of constrained axes that show noise alone although there are slow errors
 _LEAST = log(3.5), log(8.0)  # noises that a free axis goes at least, without slow errors and with them
 _LEAST_WIDTH = 0.25
-_SCREWS = 0.3  # of bodies that turn and slide about one axis are on a screw
-_UNIVERSALS = 0.2  # of bodies that turn about a point in every way, as seen from both bodies
 _PITCHES = log(1000.0)  # range of pitches
-_EVENLY = 0.5  # of the others turn and slide evenly, each once
-_UNKNOWN_SHARE = 0.002  # how often a screw or a universal joint shows errors of any other size
 _USUAL, _USUAL_SPREAD = (0.3, 0.05), 1.3  # rad and m that people move things, and its logarithm's spread
 _APART, _APART_WIDTH = 2.3, 0.4  # between free axes and slow errors
-_LARGEST = 1e6  # noises that a free axis goes, at most; beyond it noise is rounding, of each group its own
-_SIZES = log(_LARGEST / 4)  # range of the sizes of free motion
-
-
-def _normal(x: jax.Array, mean: jax.Array | float, deviation: jax.Array | float) -> jax.Array:
-    """Logarithm of the normal density."""
-    return -jnp.square((x - mean) / deviation) / 2 - jnp.log(deviation * (2 * pi) ** 0.5)
+_SIZES = log(LARGEST / 4)  # range of the sizes of free motion
 
 
 def freedom_patterns(
@@ -111,28 +105,24 @@ def freedom_patterns(
     """
     dtype = distance.dtype
     # what the logarithms hold needs no more than float32, in which there are thousands of densities a window
-    y, sizes, resting, resting_sizes, lever, unexplained, samples, share = (
+    y, noise, resting, resting_noise, unexplained, gain, samples, share = (
         x.astype(jnp.float32)
         for x in (
-            jnp.log(jnp.clip(distance, 1e-6, _LARGEST)),
+            jnp.log(jnp.clip(distance, 1e-6, LARGEST)),
             jnp.log(noise),
-            jnp.log(jnp.clip(at_rest[0], 1e-6, _LARGEST)),
+            jnp.log(jnp.clip(at_rest[0], 1e-6, LARGEST)),
             jnp.log(at_rest[1]),
-            jnp.log(jnp.maximum(_GAIN * gain, 1e-9)),
             jnp.log(jnp.maximum(1 - of_turn, 1e-30)) / 2,
+            gain,
             samples,
             share,
         )
     )
     helical = None if helical is None else helical.astype(jnp.float32)
     # one more axis in front: the multiples
-    multiples, white_only, weights = _error_sizes(share, y.ndim)
-    single, weights = -jnp.log(share)[None, None], weights[:, 0]
-    errors = multiples, white_only
-    one_white = jnp.sqrt(1 / (2 * samples) + _MISFIT**2)[None]
-    white = jnp.broadcast_to(one_white, y.shape)
-    own_at_rest = _of_errors(resting, errors, one_white)
-    constrained = _of_constrained(y, errors, white, lever, unexplained, helical)
+    sizes, spread = error_sizes(share, y.ndim), spread_of_noise(samples)[None]
+    own_at_rest = of_errors(resting, sizes, spread)
+    constrained = _of_constrained(y, sizes, spread, gain, unexplained, helical)
     plain, scaled = (_over_patterns(densities, own_at_rest, 1, free=False) for densities in constrained)
     # (M, 4, 4, ...): an error of scale is one of the angle about a single axis
     held = jnp.concatenate([plain[:, :1], scaled[:, 1:2], plain[:, 2:]], axis=1)
@@ -141,7 +131,8 @@ def freedom_patterns(
     count = jnp.maximum(number, 1)
     total = _over_patterns(y, resting, 0, free=True)
     squares = _over_patterns(jnp.square(y), jnp.square(resting), 0, free=True)
-    least = jnp.where(white_only, _LEAST[0], _LEAST[1] + single)
+    multiples, white_only, weights = sizes
+    least = jnp.where(white_only, _LEAST[0], _LEAST[1] - jnp.log(share)[None, None])
     beyond, beyond_at_rest = (jax.nn.log_sigmoid((x[None] - least) / _LEAST_WIDTH) for x in (y, resting))
     far = _over_patterns(beyond, beyond_at_rest, 1, free=True)
     size = total / count
@@ -151,61 +142,34 @@ def freedom_patterns(
     alike = -scatter / (2 * _FREE_SPREAD**2) - (number - 1) * log(width) - jnp.log(count) / 2 - log(_SIZES)
     if helical is not None:
         # a screw of any pitch slides any part of what it turns
-        pitched = jnp.logaddexp(log(1 - _SCREWS) + alike[1, 1], log(_SCREWS / (_PITCHES * _SIZES)))
+        pitched = jnp.logaddexp(log(1 - SCREWS) + alike[1, 1], log(SCREWS / (_PITCHES * _SIZES)))
         one = np.arange(4) == 1
         of_screws = np.outer(one, one).reshape(number.shape)  # one axis turns, and one slides
         alike = jnp.where(of_screws & (helical < 0)[None, None], pitched[None, None], alike)
     multiples, white_only = multiples[:, None], white_only[:, None]
     apart = jax.nn.log_sigmoid((size[None] - multiples - _APART) / _APART_WIDTH)
     free = far + alike[None] + jnp.where(white_only, 0, apart)
-    terms = held + weights[:, None, None] + jnp.where(number[None] == 0, 0, free)
+    terms = held + weights[:, 0, None, None] + jnp.where(number[None] == 0, 0, free)
     evidence = jax.nn.logsumexp(terms, axis=0)
     seen = jnp.exp(evidence - jnp.max(evidence, axis=(0, 1), keepdims=True))
     prior = jnp.asarray(PATTERN_PRIOR, y.dtype).reshape(number.shape)
     hidden = [
         _hidden(*group)
         for group in (
-            (y[:3], sizes[:3], _USUAL[0]),
-            (y[3:], sizes[3:], _USUAL[1]),
-            (resting, resting_sizes, _USUAL[1]),
+            (y[:3], noise[:3], _USUAL[0]),
+            (y[3:], noise[3:], _USUAL[1]),
+            (resting, resting_noise, _USUAL[1]),
         )
     ]
     weighted = (prior * _with_hidden(seen, *hidden)).astype(dtype)
     return weighted / jnp.sum(weighted, axis=(0, 1), keepdims=True)
 
 
-def _error_sizes(share: jax.Array, axes: int) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Multiples of the noise that errors have, in logarithms, and how often.
-
-    Args:
-        share: (...) see :func:`freedom_patterns`.
-        axes: number of axes that those of the multiples are put in front of.
-
-    Returns:
-        Multiples, which of them is noise alone, and the logarithm of its weight: (M, 1, ...) each, without
-        the multiples as many axes as asked for.
-    """
-    single = -jnp.log(share)[(None,) * (1 + axes - share.ndim)]  # a noise of a single pose
-    step = jnp.arange(_STEPS + 1, dtype=share.dtype).reshape(-1, *[1] * axes)
-    multiples, white_only = step / _STEPS * (_MOST + single), step == 0
-    rarer = jnp.square(jnp.maximum(multiples - single - _LIKELY, 0) / _RARER) / 2
-    slow = log((1 - _WHITE_SHARE) / _STEPS) - rarer
-    return multiples, white_only, jnp.where(white_only, log(_WHITE_SHARE), slow)
-
-
-def _of_errors(y: jax.Array, errors: tuple[jax.Array, jax.Array], white: jax.Array) -> jax.Array:
-    """Logarithm of the density of errors along constrained axes; see :func:`_of_constrained`."""
-    multiples, white_only = errors
-    silent = _normal(jnp.maximum(y, 0), 0.0, white)[None]
-    slow = _normal(y[None], multiples, _SPREAD) + log(1 - _SILENT_SHARE)
-    return jnp.where(white_only, silent, jnp.logaddexp(slow, silent + log(_SILENT_SHARE)))
-
-
 def _of_constrained(
     y: jax.Array,
-    errors: tuple[jax.Array, jax.Array],
-    white: jax.Array,
-    lever: jax.Array,
+    sizes: ErrorSizes,
+    spread: jax.Array,
+    gain: jax.Array,
     unexplained: jax.Array,
     helical: jax.Array | None,
 ) -> tuple[jax.Array, jax.Array]:
@@ -215,36 +179,35 @@ def _of_constrained(
 
     Args:
         y: (6, ...) logarithm of the motion, in noises.
-        errors: multiples of the noise, (M, 1, ...), and which of them is noise alone.
-        white: (6, ...) standard deviation of the logarithm of noise alone.
-        lever: (3, ...) logarithm of what errors of the measured rotation make, in noises.
+        sizes: of errors.
+        spread: (1, ...) standard deviation of the logarithm of noise alone.
+        gain: (3, ...) what all of the measured rotation makes at the end of the lever, in noises.
         unexplained: (3, ...) logarithm of what is left of the motion without what the rotation explains.
         helical: (...) see :func:`freedom_patterns`.
     """
-    _, white_only = errors
-    own, along = _of_errors(y, errors, white), y[3:]
-    of_lever = _normal(along, lever, _GAIN_SPREAD)[None]
+    white_only = sizes.white_only
+    own, along = of_errors(y, sizes, spread), y[3:]
+    of_lever = of_rotation_error(along, gain)
     rest = jnp.maximum(unexplained, _NOT_LESS)
-    usual = log(2 * _UNRELATED) + 2 * _UNRELATED * rest  # density of the rest if nothing relates the two
-    by_scale = of_lever + _of_errors(along + rest, errors, white[3:]) - usual[None]
+    usual = log(2 * UNRELATED) + 2 * UNRELATED * rest  # density of the rest if nothing relates the two
+    by_scale = of_lever + of_errors(along + rest, sizes, spread) - usual[None]
     # no sensor is as exact as that
     exact = along + unexplained < _TOO_EXACT
     by_scale = jnp.where(exact & (along > _FAR), -jnp.inf, by_scale)
-    gain_share = jnp.where(white_only, 0, _GAIN_SHARE)
-    by_rotation = jnp.where(white_only, -jnp.inf, of_lever + log(_GAIN_SHARE))
+    lever_share = jnp.where(white_only, 0, ROTATION_ERROR_SHARE)
+    by_rotation = jnp.where(white_only, -jnp.inf, of_lever + log(ROTATION_ERROR_SHARE))
 
     def in_proportion(density: jax.Array, rest: jax.Array) -> jax.Array:
         """Along the axis of rotation errors, but for noise, are seldom proportional to the turn."""
         exact = (along[2] + rest < _TOO_EXACT) & (along[2] > _FAR)
         seldom = jnp.where(exact, -jnp.inf, log(_SCALE_SHARE))
-        seldom = jnp.logaddexp(seldom, log(2 * _UNRELATED) + 2 * _UNRELATED * rest)
-        silent = _normal(jnp.maximum(along[2], 0), 0.0, white[5])[None]
-        silent = silent + jnp.where(white_only[:, 0], 0, log(_SILENT_SHARE))
+        seldom = jnp.logaddexp(seldom, log(2 * UNRELATED) + 2 * UNRELATED * rest)
+        silent = of_noise(along[2], spread[0], white_only[:, 0])
         seldom = jnp.where(rest < 0, jnp.minimum(seldom, 0), 0)[None]
         return jnp.where(rest[None] < 0, jnp.logaddexp(density + seldom, silent), density)
 
     def of_all(scale_share: float) -> jax.Array:
-        linear = jnp.logaddexp(own[:, 3:] + jnp.log(1 - scale_share - gain_share), by_rotation)
+        linear = jnp.logaddexp(own[:, 3:] + jnp.log(1 - scale_share - lever_share), by_rotation)
         if scale_share:
             linear = jnp.logaddexp(linear, by_scale + log(scale_share))
         if helical is not None:
@@ -253,125 +216,6 @@ def _of_constrained(
         return jnp.concatenate([own[:, :3], linear], axis=1)
 
     return of_all(0.0), of_all(_SCALE_SHARE)
-
-
-def screw_probabilities(
-    rest: jax.Array,
-    across: jax.Array,
-    slide: tuple[jax.Array, jax.Array],
-    gain: jax.Array,
-    samples: jax.Array,
-    share: jax.Array,
-) -> tuple[jax.Array, jax.Array]:
-    """Probability that a slide along the axis of rotation is proportional to the turn, two times.
-
-    On a screw, what the turn does not explain of the slide shows what a constrained axis shows: noise, slow
-    errors, or what an error of measured rotation does through the pitch. In a cylinder joint it has a motion
-    of its own, of any share of the slide, which may be so small that errors hide it. That share is also zero
-    where the body turned and slid evenly, each once: such a motion says nothing, and what is uneven of it
-    decides.
-
-    Args:
-        rest: (N,) what the turn does not explain of the slide, in noises.
-        across: (N,) motion of the axis across itself, in noises.
-        slide: (N,) the slide, and what an uneven turn explains of it, in noises.
-        gain: (N,) what all of the measured rotation does through the pitch, in noises.
-        samples: (N,) independent samples.
-        share: (N,) see :func:`freedom_patterns`.
-
-    Returns:
-        (N,) without doubts about even motion, and (N,) with them.
-    """
-    whole, uneven = slide
-    seen = _of_rest(rest, across, whole, gain, samples, share)
-    beyond = seen.hidden(whole)
-    even = log(_EVENLY) + jnp.minimum(seen.hidden(uneven), 0)
-    return seen.probability(_SCREWS, beyond), seen.probability(_SCREWS, jnp.logaddexp(beyond, even))
-
-
-def universal_probability(
-    change: jax.Array,
-    slide: jax.Array,
-    least: jax.Array,
-    turn: jax.Array,
-    samples: jax.Array,
-    share: jax.Array,
-) -> jax.Array:
-    """Probability that a body that turns about a point does so about two axes, one of each body, alone.
-
-    In a universal joint the angle between these axes changes by errors only. In a spherical joint it has a
-    motion of its own, of any share of that about the axis that turns least.
-
-    Args:
-        change: (N,) of the angle, in noises.
-        slide: (N,) motion of the point, in noises.
-        least: (N,) rotation about the axis that turns least, in noises.
-        turn: (N,) all of the rotation, in noises.
-        samples: (N,) independent samples.
-        share: (N,) see :func:`freedom_patterns`.
-    """
-    seen = _of_rest(change, slide, least, turn, samples, share)
-    return seen.probability(_UNIVERSALS, seen.hidden(least))
-
-
-class _Rest(NamedTuple):
-    """Densities of what a joint does not explain of a motion, in logarithms, for every size of errors.
-
-    Attributes:
-        errors: (M, N) if it is an error of that size.
-        joint: (M, N) if the joint explains the motion.
-        own: (1, N) if it is a motion of its own.
-        seen: (M, N) weights of the sizes, as another axis that is constrained shows them.
-        multiples: (M, 1) or (M, N), logarithms of the sizes.
-    """
-
-    errors: jax.Array
-    joint: jax.Array
-    own: jax.Array
-    seen: jax.Array
-    multiples: jax.Array
-
-    def hidden(self, whole: jax.Array) -> jax.Array:
-        """Logarithm of the probability that errors hide a motion of its own of a motion (N,), in noises."""
-        return 2 * _UNRELATED * (self.multiples - jnp.log(jnp.maximum(whole, 1e-6))[None])
-
-    def probability(self, prior: float, hidden: jax.Array) -> jax.Array:
-        """Probability of the joint, (N,), from one before any data are seen."""
-        free = jnp.logaddexp(self.errors + jnp.minimum(hidden, 0), self.own)
-        terms = log(prior) + self.joint + self.seen, log(1 - prior) + free + self.seen
-        first, second = (jax.nn.logsumexp(term, axis=0) for term in terms)
-        return jax.nn.sigmoid(first - second)
-
-
-def _of_rest(
-    rest: jax.Array,
-    beside: jax.Array,
-    whole: jax.Array,
-    gain: jax.Array,
-    samples: jax.Array,
-    share: jax.Array,
-) -> _Rest:
-    """Judge what a joint does not explain of a motion.
-
-    Args:
-        rest: (N,) in noises.
-        beside: (N,) motion along another axis that is constrained, in noises.
-        whole: (N,) the motion, in noises.
-        gain: (N,) what an error of all of the measured rotation would make of it, in noises.
-        samples: (N,) independent samples.
-        share: (N,) see :func:`freedom_patterns`.
-    """
-    y, side, most = (jnp.log(jnp.maximum(x, 1e-6)) for x in (rest, beside, whole))
-    multiples, white_only, weights = _error_sizes(share, 1)
-    white = jnp.sqrt(1 / (2 * samples) + _MISFIT**2)
-    errors = _of_errors(y, (multiples, white_only), white)
-    seen = weights + _of_errors(side, (multiples, white_only), white)
-    by_rotation = _normal(y, jnp.log(jnp.maximum(_GAIN * gain, 1e-9)), _GAIN_SPREAD)[None]
-    by_rotation = jnp.where(white_only, -jnp.inf, by_rotation + log(_GAIN_SHARE))
-    joint = jnp.logaddexp(jnp.logaddexp(errors, by_rotation), log(_UNKNOWN_SHARE / log(_LARGEST)))
-    rate = 2 * _UNRELATED
-    own = log(rate) + rate * jnp.minimum(y - most, 0)[None]
-    return _Rest(errors, joint, own, seen, multiples)
 
 
 def _hidden(y: jax.Array, noise: jax.Array, usual: float) -> jax.Array:

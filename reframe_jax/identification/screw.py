@@ -18,9 +18,9 @@ from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, A
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.products import matmul3
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, Symmetric, Vector
+from reframe_jax.identification.coupled_axes import screw_probabilities
 from reframe_jax.identification.evidence import IN_BODY, IN_GROUND, Evidence
 from reframe_jax.identification.floored_moments import FLOOR
-from reframe_jax.identification.freedom import screw_probabilities
 from reframe_jax.identification.optima import Frames, follow_last, put_third_axis
 from reframe_jax.motion.components import product, transpose, unit
 from reframe_jax.motion.single_axis import across_axis

@@ -20,9 +20,9 @@ from reframe_jax.constraints.types import AngularType
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.products import matmul3
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, PACKED
+from reframe_jax.identification.coupled_axes import universal_probability
 from reframe_jax.identification.evidence import IN_BODY, Evidence
 from reframe_jax.identification.floored_moments import rounding_of
-from reframe_jax.identification.freedom import universal_probability
 from reframe_jax.identification.optima import constant_covariance
 from reframe_jax.motion.components import product, unit
 from reframe_jax.objectives.moments import MONOMIALS, covariance_at
