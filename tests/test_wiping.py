@@ -53,3 +53,19 @@ def test_it_stays_in_the_plane(tracker, spin, name):
     axes = Rotation.from_rotvec(np.array(found.linear.rotvec)).as_matrix()[:, :, 0]
     cosine = np.abs(np.sum(axes * np.array([normal for _, normal in made]), axis=1))
     assert np.degrees(np.arccos(np.minimum(cosine, 1)))[in_ground & right].max() < 1
+
+
+@pytest.mark.parametrize("tilt", [0.01, 0.02])
+def test_errors_of_orientation_that_follow_the_path_are_no_pivot_far_away(tilt):
+    """A tilt by so many rad for each metre of path is what a pivot 100 or 50 m away would do."""
+    poses = []
+    for seed in range(12):
+        made, normal = wiping(seed, "motion capture", 0.4)
+        path = made[:, :3, 3] - made[:, :3, 3].mean(axis=0)
+        lean = Rotation.from_rotvec(tilt * np.cross(normal, path))
+        made[:, :3, :3] = lean.as_matrix() @ made[:, :3, :3]
+        poses.append(made)
+    found = rf.identify(np.stack(poses), dt=DT)
+    names = list(found.name)
+    assert names.count("Plane-plane contact") >= 11, names
+    assert set(found.status_code.tolist()) == {rf.Status.OK}

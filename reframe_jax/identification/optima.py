@@ -7,9 +7,9 @@ import jax.numpy as jnp
 
 from reframe_jax.geometry import rotations, symmetric
 from reframe_jax.geometry.products import matmul3
-from reframe_jax.identification.evidence import Evidence
+from reframe_jax.identification.evidence import Evidence, LagRule
 from reframe_jax.identification.floored_moments import usable_moments
-from reframe_jax.identification.widening import SearchSpace, widen_search
+from reframe_jax.identification.widening import SearchSpace, clear_gain, widen_search
 from reframe_jax.objectives.moments import covariance_at
 from reframe_jax.objectives.norms import log_power_mean, principal_axes
 from reframe_jax.objectives.velocity import PositionObjective
@@ -55,6 +55,8 @@ class Optima:
         linear_winner: (N,) type of the lowest norm.
         box: where each origin was searched, m.
         widened: (N,) bool, whether that was the far box.
+        margin: (N,) by how much log J falls outwards at least where an origin lies on a face because of the
+            motion: what :func:`.clear_gain` says, but for bounds that were given.
     """
 
     angular_rms: jax.Array
@@ -72,6 +74,7 @@ class Optima:
     linear_winner: jax.Array
     box: Box
     widened: jax.Array
+    margin: jax.Array
 
 
 @jax.tree_util.register_dataclass
@@ -163,7 +166,12 @@ def constant_covariance(moments: jax.Array) -> symmetric.Symmetric:
 
 
 def find_optima(
-    evidence: Evidence, space: SearchSpace, key: jax.Array, exponent: float, solver: Solver
+    evidence: Evidence,
+    space: SearchSpace,
+    key: jax.Array,
+    rule: LagRule,
+    exponent: float,
+    solver: Solver,
 ) -> Optima:
     """Search the position of every linear type; the axes of all types follow in closed form.
 
@@ -171,6 +179,7 @@ def find_optima(
         evidence: of N windows.
         space: where positions are searched, m.
         key: of the solver's random numbers.
+        rule: that the evidence was made by; for "auto" errors may be slow.
         exponent: of the power mean over axes.
         solver: search for the position.
     """
@@ -179,8 +188,8 @@ def find_optima(
     objective = PositionObjective(evidence.linear, exponent)
     searched = jax.lax.stop_gradient(objective)
     solution = jax.tree.map(jax.lax.stop_gradient, solver.minimise(searched, space.near, key))
-    samples = jax.lax.stop_gradient(evidence.samples)
-    solution, box, widened = widen_search(searched, space, solution, samples, evidence.axis.found, key)
+    margin = clear_gain(jax.lax.stop_gradient(evidence.samples), rule == "auto")
+    solution, box, widened = widen_search(searched, space, solution, margin, evidence.axis.found, key)
     if evidence.maps is None:
         x = _follow_moments(solution.x, objective, box)
         rms, axes = principal_axes(objective.covariance(x))
@@ -213,6 +222,7 @@ def find_optima(
         linear_winner=jnp.argmin(norm, axis=-1).astype(jnp.int32),
         box=box,
         widened=widened,
+        margin=jnp.where(space.widens, margin, 0),
     )
 
 

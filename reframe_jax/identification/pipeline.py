@@ -92,7 +92,7 @@ def solve_evidence(
         exponent: of the power mean over axes.
         solver: search for the position.
     """
-    optima = find_optima(evidence, space, key, exponent, solver)
+    optima = find_optima(evidence, space, key, rule, exponent, solver)
     settled = decide(evidence, optima, thresholds, rule, exponent)
     optima = replace(optima, linear_winner=settled.winner)
     twins = _twins(evidence, optima, settled)
@@ -268,7 +268,7 @@ def _along(axes: jax.Array) -> jax.Array:
 
 def _on_bounds(optima: Optima, position: jax.Array) -> jax.Array:
     """Whether origins lie on the bounds, (N, 4), as reported or, where log J falls outwards, as found."""
-    steep = is_steep(optima.searched, optima.box, optima.solution.x)
+    steep = is_steep(optima.searched, optima.box, optima.solution.x, optima.margin)
     return jnp.any(optima.box.at_face(position), axis=-1) | steep
 
 

@@ -26,7 +26,7 @@ from reframe_jax.solvers import BasinHopping, Box, Solution, ValleySteps
 from reframe_jax.solvers.seeds import stillest_origins
 from reframe_jax.solvers.valley_steps import slope
 
-__all__ = ["SearchSpace", "is_steep", "widen_search"]
+__all__ = ["SearchSpace", "clear_gain", "is_steep", "widen_search"]
 
 _STEEP = 5e-3  # fall of log J over half a width of the box, outwards
 _LEAST = 1.0  # m, half a width that it is judged over at least: over a tiny box everything looks flat
@@ -35,6 +35,7 @@ _PROBE = BasinHopping(ValleySteps(8), restarts=4, hops=0, polish=0)  # whether t
 _PLANE = 16.0  # of the motion of a planar origin: a square ratio, see _moves_in_plane
 _ROUNDINGS = 1e4  # of the fastest axis' square, which that of the second exceeds
 _EVIDENCE = 12.0  # of the far optimum against the near one, in the logarithm of their likelihoods
+_MOST_SAMPLES = 15.0  # that count as independent where errors may be slow
 
 
 @jax.tree_util.register_dataclass
@@ -49,14 +50,36 @@ class SearchSpace:
     near: Box
     far: Box
 
+    @property
+    def widens(self) -> jax.Array:
+        """Whether there is a larger box to search, a bool."""
+        return jnp.any((self.far.low < self.near.low) | (self.far.high > self.near.high))
 
-def is_steep(objective: PositionObjective, box: Box, x: jax.Array) -> jax.Array:
-    """Whether log J falls outwards from an origin (3, ...) on the faces of a box, (...) bool."""
+
+def clear_gain(samples: jax.Array, slow_errors: bool) -> jax.Array:
+    """How much lower log J is, (N,), at an origin that is clearly likelier than another one.
+
+    With Gaussian velocities the logarithm of the likelihood is -3 log J for every independent sample.
+
+    Args:
+        samples: (N,) velocities that are independent if noise is all there is.
+        slow_errors: whether there may be others. They change with the pose of the body as its motion does,
+            and an origin far away, where they move it most, turns them into whatever is needed.
+    """
+    return _EVIDENCE / 3 * (1 / samples + (1 / _MOST_SAMPLES if slow_errors else 0))
+
+
+def is_steep(objective: PositionObjective, box: Box, x: jax.Array, least: jax.Array) -> jax.Array:
+    """Whether log J falls outwards from an origin (3, N, T) on the faces of a box, (N, T) bool.
+
+    By more than ``least``, (N,), over half a width of the box.
+    """
     low, high = box.bounds(x)
     points = jnp.moveaxis(x, 0, -1)
     on_face = jnp.moveaxis(box.at_face(points), -1, 0)
     fall = jnp.where(x > (low + high) / 2, -1, 1) * slope(objective, x)  # outwards, 1/m
-    return jnp.any(on_face & (fall * jnp.maximum((high - low) / 2, _LEAST) > _STEEP), axis=0)
+    fall = fall * jnp.maximum((high - low) / 2, _LEAST)
+    return jnp.any(on_face & (fall > jnp.maximum(least, _STEEP)[None, :, None]), axis=0)
 
 
 def _slowest_origin(objective: PositionObjective, box: Box) -> jax.Array:
@@ -82,7 +105,7 @@ def _points_outside(
     objective: PositionObjective, space: SearchSpace, solution: Solution, margin: jax.Array
 ) -> jax.Array:
     """Whether log J falls outwards at a face of the near box, or is lower at an origin outside, (N,) bool."""
-    steep = is_steep(objective, space.near, solution.x)
+    steep = is_steep(objective, space.near, solution.x, jnp.zeros_like(margin))
     slowest = _slowest_origin(objective, space.far)
     low, high = space.near.bounds(slowest)
     elsewhere = jnp.any((slowest < low) | (slowest > high), axis=0)
@@ -94,7 +117,7 @@ def widen_search(
     objective: PositionObjective,
     space: SearchSpace,
     solution: Solution,
-    samples: jax.Array,
+    margin: jax.Array,
     turning: jax.Array,
     key: jax.Array,
 ) -> tuple[Solution, Box, jax.Array]:
@@ -104,7 +127,7 @@ def widen_search(
         objective: moments (6, 10, N, T), of all types.
         space: where to search.
         solution: of the search in the near box.
-        samples: (N,) independent velocities.
+        margin: (N,) see :func:`clear_gain`.
         turning: (N,) bool, windows whose body turns about a single axis.
         key: of the starts.
 
@@ -112,10 +135,8 @@ def widen_search(
         The solutions, the box of every problem, and (N,) bool, whose optima are those of the far box.
     """
     near, far = space.near, space.far
-    larger = jnp.any((far.low < near.low) | (far.high > near.high))
+    larger = space.widens
     chains = 0 if solution.ends is None else solution.ends.shape[1]
-    # with Gaussian velocities the logarithm of the likelihood is -3 log J for every sample
-    margin = _EVIDENCE / (3 * samples)
     outside = _points_outside(objective, space, solution, margin) & larger
     planar = turning & _moves_in_plane(objective, solution) & larger
 
