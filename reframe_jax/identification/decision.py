@@ -76,7 +76,7 @@ def decide(
     # one program for both, which mostly has nothing to do
     first = jnp.all(white).astype(jnp.int32) if refining else 1
     until = 1 + jnp.any(screw.likely).astype(jnp.int32)
-    start = patterns, white, jnp.zeros_like(white)
+    start = patterns, white, jnp.zeros_like(white), jnp.zeros_like(white)
     judged = jax.lax.fori_loop(
         first, until, lambda step, so_far: as_one_kernel(judge, step, so_far, *given), start
     )
@@ -105,12 +105,13 @@ def _first_look(
         white = is_white(pick_problem(n, distance), likeliest_pattern(patterns, n), n)
         frames = jax.tree.map(partial(_choose, white), frames, rough)
     turns_once = jnp.sum(pick_problem(n, patterns)[1], axis=0) > EVEN
-    return frames, find_screw(evidence, frames, optima.box, turns_once), patterns, white
+    screw = find_screw(evidence, frames, optima.box, turns_once, resting[0][0, :, 0])
+    return frames, screw, patterns, white
 
 
 def _judge_again(
     step: jax.Array,
-    so_far: tuple[jax.Array, jax.Array, jax.Array],
+    so_far: tuple[jax.Array, jax.Array, jax.Array, jax.Array],
     evidence: Evidence,
     optima: Optima,
     rough: Frames,
@@ -118,12 +119,13 @@ def _judge_again(
     resting: tuple[jax.Array, jax.Array],
     thresholds: Thresholds | None,
     refining: bool,
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Judge the rough frames of windows whose noise is not white, then those of screws.
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Judge the rough frames of windows whose noise is not white, then those on the axis of a slide.
 
     Args:
         step: 0, then 1.
-        so_far: the patterns, and (N,) bool, whether the noise is white and whether they are on a screw.
+        so_far: the patterns, and (N,) bool each, whether the noise is white, whether they are on a screw, and
+            whether on the axis of a hinge that errors had tilted.
         evidence: of the windows.
         optima: of all types.
         rough: frames that are not refined.
@@ -132,7 +134,7 @@ def _judge_again(
         thresholds: above which an axis is free.
         refining: whether other frames are refined.
     """
-    patterns, white, on_axis = so_far
+    patterns, white, on_axis, on_hinge = so_far
     last = step == 1
     followed = replace(optima, linear_winner=_with_a_path(optima))
     those = jax.tree.map(lambda *both: jnp.where(last, both[1], both[0]), rough, screw.frames)
@@ -141,11 +143,13 @@ def _judge_again(
     dof = _freedom(new, followed, thresholds)
     winner = followed.linear_winner
     turns, slides = jnp.sum(dof[0][:, 0], axis=-1), jnp.sum(pick_type(dof[1], winner), axis=-1)
-    helical = last & screw.likely & (turns == 1) & (slides == 1)
-    taken = helical | (~last & ~white)
+    placed = last & screw.likely & (turns == 1)
+    helical, hinged = placed & (slides == 1), placed & (slides == 0)
+    taken = helical | hinged | (~last & ~white)
     quiet = is_white(pick_problem(winner, distance), dof, winner) & refining
     patterns = jnp.where(taken[None, None, :, None], new, patterns)
-    return patterns, jnp.where(helical, quiet, white), on_axis | helical
+    white = jnp.where(helical, quiet, white & ~hinged)
+    return patterns, white, on_axis | helical, on_hinge | hinged
 
 
 def _settle(
@@ -153,14 +157,14 @@ def _settle(
     optima: Optima,
     frames: Frames,
     screw: Screw,
-    judged: tuple[jax.Array, jax.Array, jax.Array],
+    judged: tuple[jax.Array, jax.Array, jax.Array, jax.Array],
     thresholds: Thresholds | None,
     likeliest: bool,
 ) -> Settled:
     """What follows from the patterns; the best linear type is the likeliest one, or the one found before."""
-    patterns, white, on_axis = judged
+    patterns, white, on_axis, on_hinge = judged
     n, other = optima.linear_winner, _with_a_path(optima)
-    frames = jax.tree.map(partial(_choose, on_axis), screw.frames, frames)
+    frames = jax.tree.map(partial(_choose, on_axis | on_hinge), screw.frames, frames)
     dof = _freedom(patterns, optima, thresholds)
     classes = class_probabilities(patterns, optima.rms, dof[1], n, evidence.samples)
     if likeliest:
@@ -169,7 +173,7 @@ def _settle(
         dof = _freedom(patterns, optima, thresholds)
     # the paths of BB and GG are summed up, and their noise with them
     same = _says_the_same(optima, frames, dof, other, evidence.samples)
-    by_path = on_axis | (white & same)
+    by_path = on_axis | on_hinge | (white & same)
     optima = replace(optima, linear_winner=jnp.where(by_path, other, n))
     dof = _freedom(patterns, optima, thresholds)
     idle = jnp.min(jnp.max(jnp.where(dof[0] == 0, optima.angular_rms, 0), axis=-1), axis=-1)

@@ -10,7 +10,7 @@ from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.products import matmul3
 from reframe_jax.identification.evidence import IN_BODY, Evidence
 from reframe_jax.identification.floored_moments import rounding_of
-from reframe_jax.identification.freedom import freedom_patterns
+from reframe_jax.identification.freedom import Slide, freedom_patterns
 from reframe_jax.identification.levers import lever_moments
 from reframe_jax.identification.optima import Frames, constant_covariance, pick_type
 from reframe_jax.objectives.moments import covariance_at, covariance_gradient, covariance_hessian
@@ -56,8 +56,8 @@ def pattern_probabilities(
         kind: (N,) the best angular type.
         frames: of all types.
         resting: of :func:`distances_at_rest`.
-        helical: (N,) see :func:`.freedom_patterns`, of third linear axes that are the axis of rotation. An
-            error in the scale of the turn does nothing there.
+        helical: (N,) see :class:`.Slide`, of third linear axes that are the axis of rotation. An error in the
+            scale of the turn does nothing there.
 
     Returns:
         (4, 4, N, 4), and (6, N, 4): how far each axis moved, in noises of single poses; linear axes as any
@@ -91,11 +91,16 @@ def pattern_probabilities(
     share = evidence.share[:, None]
     samples = evidence.poses.astype(axes.dtype)[:, None] * jnp.square(share)
     of_turn = share_of_turn(evidence.linear_spread, position, axes)
+    slide = None
     if helical is not None:
         helical = helical[:, None]
         of_turn = jnp.where((helical < 0)[..., None] & (np.arange(3) == 2)[None, None], 0, of_turn)
+        # noise of the rotation, over the turn, is the tilt; times how far the body went
+        tilt = gone[..., 0] * (noise / jnp.maximum(whole[:, None], tiny))
+        tilted = jnp.sqrt(jnp.maximum(squares[..., 2], 0) / (variance[..., 2] + tilt))
+        slide = Slide(helical, tilted, resting[0][0])
     gain, of_turn = (jnp.moveaxis(array, -1, 0) for array in (gain, of_turn))
-    patterns = freedom_patterns(distance, sizes, gain, of_turn, samples, share, resting, helical)
+    patterns = freedom_patterns(distance, sizes, gain, of_turn, samples, share, resting, slide)
     turns = jnp.argmax(patterns.reshape(16, *patterns.shape[2:]), axis=0) // 4 > 0
     linear = jnp.where(turns[None], distance[3:], resting[0])
     return patterns, jnp.concatenate([distance[:3], linear]) * share[None]

@@ -22,6 +22,7 @@ __all__ = [
     "of_errors",
     "of_noise",
     "of_rotation_error",
+    "of_slow_errors",
     "spread_of_noise",
 ]
 
@@ -80,7 +81,7 @@ def spread_of_noise(samples: jax.Array) -> jax.Array:
     return jnp.sqrt(1 / (2 * samples) + _MISFIT**2)
 
 
-def of_noise(y: jax.Array, spread: jax.Array, white_only: jax.Array) -> jax.Array:
+def of_noise(y: jax.Array, spread: jax.Array | float, white_only: jax.Array | bool) -> jax.Array:
     """Logarithm of the density of noise alone: all there is, or now and then although there are slow errors.
 
     Args:
@@ -100,10 +101,15 @@ def of_errors(y: jax.Array, sizes: ErrorSizes, spread: jax.Array) -> jax.Array:
         sizes: of errors.
         spread: (...) see :func:`spread_of_noise`.
     """
-    multiples, white_only, _ = sizes
+    white_only = sizes.white_only
     silent = of_noise(y, spread, white_only)
-    slow = log_normal(y[None], multiples, _SPREAD) + log(1 - _SILENT_SHARE)
+    slow = of_slow_errors(y, sizes) + log(1 - _SILENT_SHARE)
     return jnp.where(white_only, silent, jnp.logaddexp(slow, silent))
+
+
+def of_slow_errors(y: jax.Array, sizes: ErrorSizes) -> jax.Array:
+    """Logarithm of the density of slow errors that are there, (M, ...), of motions (...) as above."""
+    return log_normal(y[None], sizes.multiples, _SPREAD)
 
 
 def of_rotation_error(y: jax.Array, gain: jax.Array) -> jax.Array:

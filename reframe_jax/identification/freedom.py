@@ -21,6 +21,7 @@ a recording has is then up to its constrained axes: each that shows noise alone 
 """
 
 from math import log, pi
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -32,13 +33,15 @@ from reframe_jax.identification.error_model import (
     UNRELATED,
     ErrorSizes,
     error_sizes,
+    log_normal,
     of_errors,
     of_noise,
     of_rotation_error,
+    of_slow_errors,
     spread_of_noise,
 )
 
-__all__ = ["PATTERN_PRIOR", "SCREWS", "freedom_patterns"]
+__all__ = ["PATTERN_PRIOR", "SCREWS", "Slide", "freedom_patterns"]
 
 PATTERN_PRIOR = np.full((4, 4), 0.1)
 """Weight of every pattern (free rotations, free translations) before any data are seen."""
@@ -69,6 +72,23 @@ _PITCHES = log(1000.0)  # range of pitches
 _USUAL, _USUAL_SPREAD = (0.3, 0.05), 1.3  # rad and m that people move things, and its logarithm's spread
 _APART, _APART_WIDTH = 2.3, 0.4  # between free axes and slow errors
 _SIZES = log(LARGEST / 4)  # range of the sizes of free motion
+_TILT_SHARE = 0.5  # of recordings, those whose axis of rotation is tilted by slow errors and nothing else
+_TILT_SPREAD = 0.8  # of the logarithm of a tilt by slow errors below the noise
+
+
+class Slide(NamedTuple):
+    """Motion along the last linear axis where that is the axis of rotation.
+
+    Attributes:
+        unexplained: (...) logarithm of what is left of it after the part that is proportional to the turn, as
+            a share of it; 0 where that is not the axis.
+        tilted: (...) the motion, over what the noise of a pose makes of the body's path if it tilts the axis.
+        across_plane: (...) motion of the body across the plane nearest to its path, in noises.
+    """
+
+    unexplained: jax.Array
+    tilted: jax.Array
+    across_plane: jax.Array
 
 
 def freedom_patterns(
@@ -79,7 +99,7 @@ def freedom_patterns(
     samples: jax.Array,
     share: jax.Array,
     at_rest: tuple[jax.Array, jax.Array],
-    helical: jax.Array | None = None,
+    slide: Slide | None = None,
 ) -> jax.Array:
     """Probability of every pattern of degrees of freedom.
 
@@ -96,9 +116,7 @@ def freedom_patterns(
         at_rest: what takes the place of the linear part of ``distance`` and ``noise`` in patterns without
             rotation, (3, ...) each, alike for all types: such a body has no origin, and moves as any of its
             points does. Seen from a distant origin, the noise of the orientation would hide that.
-        helical: (...) logarithm of what is left of the motion along the last linear axis after the part that
-            is proportional to the turn, as a share of it, where that is the axis of rotation; 0 elsewhere.
-            None where that is not known.
+        slide: along the axis of rotation; None where that is not known.
 
     Returns:
         (4, 4, ...): n free rotations and m free translations at [n, m].
@@ -118,11 +136,11 @@ def freedom_patterns(
             share,
         )
     )
-    helical = None if helical is None else helical.astype(jnp.float32)
+    slide = None if slide is None else Slide(*(x.astype(jnp.float32) for x in slide))
     # one more axis in front: the multiples
     sizes, spread = error_sizes(share, y.ndim), spread_of_noise(samples)[None]
     own_at_rest = of_errors(resting, sizes, spread)
-    constrained = _of_constrained(y, sizes, spread, gain, unexplained, helical)
+    constrained = _of_constrained(y, sizes, spread, gain, unexplained, slide)
     plain, scaled = (_over_patterns(densities, own_at_rest, 1, free=False) for densities in constrained)
     # (M, 4, 4, ...): an error of scale is one of the angle about a single axis
     held = jnp.concatenate([plain[:, :1], scaled[:, 1:2], plain[:, 2:]], axis=1)
@@ -140,12 +158,15 @@ def freedom_patterns(
     # free axes of a common size, over which is summed: a Gaussian integral
     width = (2 * pi) ** 0.5 * _FREE_SPREAD
     alike = -scatter / (2 * _FREE_SPREAD**2) - (number - 1) * log(width) - jnp.log(count) / 2 - log(_SIZES)
-    if helical is not None:
+    if slide is not None:
+        one = np.arange(4) == 1
+        of_hinges, of_screws = (np.outer(one, x).reshape(number.shape) for x in (np.arange(4) == 0, one))
+        tilted = _of_tilted(y, sizes, spread, slide)[:, None, None]
+        held = jnp.where(of_hinges[None], jnp.logaddexp(held, tilted), held)
         # a screw of any pitch slides any part of what it turns
         pitched = jnp.logaddexp(log(1 - SCREWS) + alike[1, 1], log(SCREWS / (_PITCHES * _SIZES)))
-        one = np.arange(4) == 1
-        of_screws = np.outer(one, one).reshape(number.shape)  # one axis turns, and one slides
-        alike = jnp.where(of_screws & (helical < 0)[None, None], pitched[None, None], alike)
+        on_axis = (slide.unexplained < 0)[None, None]
+        alike = jnp.where(of_screws & on_axis, pitched[None, None], alike)
     multiples, white_only = multiples[:, None], white_only[:, None]
     apart = jax.nn.log_sigmoid((size[None] - multiples - _APART) / _APART_WIDTH)
     free = far + alike[None] + jnp.where(white_only, 0, apart)
@@ -171,7 +192,7 @@ def _of_constrained(
     spread: jax.Array,
     gain: jax.Array,
     unexplained: jax.Array,
-    helical: jax.Array | None,
+    slide: Slide | None,
 ) -> tuple[jax.Array, jax.Array]:
     """Logarithm of the density of the motion along constrained axes, (M, 6, ...), for each kind of errors.
 
@@ -183,7 +204,7 @@ def _of_constrained(
         spread: (1, ...) standard deviation of the logarithm of noise alone.
         gain: (3, ...) what all of the measured rotation makes at the end of the lever, in noises.
         unexplained: (3, ...) logarithm of what is left of the motion without what the rotation explains.
-        helical: (...) see :func:`freedom_patterns`.
+        slide: along the axis of rotation.
     """
     white_only = sizes.white_only
     own, along = of_errors(y, sizes, spread), y[3:]
@@ -210,12 +231,38 @@ def _of_constrained(
         linear = jnp.logaddexp(own[:, 3:] + jnp.log(1 - scale_share - lever_share), by_rotation)
         if scale_share:
             linear = jnp.logaddexp(linear, by_scale + log(scale_share))
-        if helical is not None:
-            third = in_proportion(linear[:, 2], helical)
+        if slide is not None:
+            third = in_proportion(linear[:, 2], slide.unexplained)
             linear = jnp.concatenate([linear[:, :2], third[:, None]], axis=1)
         return jnp.concatenate([own[:, :3], linear], axis=1)
 
     return of_all(0.0), of_all(_SCALE_SHARE)
+
+
+def _of_tilted(y: jax.Array, sizes: ErrorSizes, spread: jax.Array, slide: Slide) -> jax.Array:
+    """Logarithm of the density of a hinge whose slow errors tilt the axis that is seen, (M, ...).
+
+    What slow errors do in proportion to the motion looks like a motion about another axis, and they show
+    along no axis but that of rotation: there a body seems to slide that moves in a plane. A body that slides
+    leaves the plane, by any share of what it slides.
+
+    Args:
+        y: (6, ...) logarithm of the motion, in noises.
+        sizes: of errors.
+        spread: (1, ...) standard deviation of the logarithm of noise alone.
+        slide: along the axis of rotation.
+    """
+    tilted, across = (jnp.log(jnp.clip(x, 1e-6, LARGEST))[None] for x in slide[1:])
+    others = jnp.concatenate([y[:2], y[3:5]])
+    silent = jnp.sum(log_normal(jnp.maximum(others, 0), 0.0, spread), axis=0)
+    usual = log(2 * UNRELATED) + 2 * UNRELATED * jnp.minimum(across - y[5:], 0)
+    in_plane = of_errors(across, sizes, spread) - usual[None]
+    # errors below the noise are slow ones as well
+    tilt = jnp.where(sizes.white_only, of_noise(tilted, _TILT_SPREAD, True), of_slow_errors(tilted, sizes))
+    # what they do besides the tilt is below the noise, along all other axes
+    alone = log(_TILT_SHARE) - 2 * UNRELATED * jnp.maximum(tilted[0], 0)
+    density = tilt[:, 0] + in_plane[:, 0] + (alone + silent)[None]
+    return jnp.where((slide.unexplained < 0)[None], density, -jnp.inf)
 
 
 def _hidden(y: jax.Array, noise: jax.Array, usual: float) -> jax.Array:

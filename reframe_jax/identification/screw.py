@@ -33,6 +33,7 @@ _LIKELY = 0.5
 _SURE = 1e-3  # of the noise, what is left of a slide at least
 _TRUSTED = 4.0  # squares of noises that are left of a slide that tells the axis
 _QUIET = 2.0  # noises that a point of the axis moves across it at most where the noise is white
+_SEEN = 3.5  # noises that a slide goes at least
 
 
 class Screw(NamedTuple):
@@ -40,8 +41,9 @@ class Screw(NamedTuple):
 
     Attributes:
         pitch: (N,) m/rad.
-        likely: (N,) bool, whether the slide is likely to be proportional to the turn. The frames are right
-            then, though a cylinder joint that was turned and pushed evenly moves like that as well.
+        likely: (N,) bool, whether the slide is likely to be proportional to the turn, or made by a tilt of
+            the axis. The frames are right then, though a cylinder joint that was turned and pushed evenly
+            moves like that as well.
         probability: (N,) of a screw, against a cylinder joint.
         rest: (N,) logarithm of what the turn does not explain of the slide, as a share of the slide.
         frames: of all types, on the axis.
@@ -78,7 +80,9 @@ class _Seen(NamedTuple):
     stiffness: jax.Array
 
 
-def find_screw(evidence: Evidence, frames: Frames, box: Box, single: jax.Array) -> Screw:
+def find_screw(
+    evidence: Evidence, frames: Frames, box: Box, single: jax.Array, across_plane: jax.Array
+) -> Screw:
     """Find the axis and the pitch of bodies on a screw, and how probable it is that they are on one.
 
     The pitch is the slope of the slide over the turn. The axis and a point on it are where the squares of all
@@ -91,6 +95,7 @@ def find_screw(evidence: Evidence, frames: Frames, box: Box, single: jax.Array) 
         frames: of all types.
         box: where origins were searched, m; those on the axis must lie in it.
         single: (N,) bool, whether the body turns about a single axis.
+        across_plane: (N,) motion of the body across the plane nearest to its path, in noises.
     """
     usable = single & (evidence.turning.variance > 0)
     of_turning = jnp.square(evidence.share * evidence.noise.rotation)
@@ -130,9 +135,11 @@ def find_screw(evidence: Evidence, frames: Frames, box: Box, single: jax.Array) 
         evidence.poses.astype(pitch.dtype) * jnp.square(evidence.share),
         evidence.share,
     )
+    # in a plane nobody slides: the axis that is seen is tilted, by errors that look like a motion
+    tilted = (across_plane < _QUIET) & (in_noises(slid, noise) > _SEEN)
     origins = _origins(seen, frames, quiet, point, (in_ground, in_body))
     inside = ~jnp.any(box.at_face(origins), axis=(-2, -1))
-    chosen = usable & (likely > _LIKELY) & inside & jnp.isfinite(pitch)
+    chosen = usable & ((likely > _LIKELY) | tilted) & inside & jnp.isfinite(pitch)
     axes = jnp.stack([in_ground.T, in_body.T], axis=1)
     rest = jnp.log(jnp.minimum(jax.lax.stop_gradient(jnp.maximum(left, noise * _SURE) / size), _LIKELY))
     return Screw(pitch, chosen, probability, rest / 2, _on_axis(frames, axes, origins, chosen))
