@@ -254,3 +254,17 @@ def test_a_hinge_whose_axis_is_tilted_by_slow_errors_is_no_screw(noise):
     # the plane in which the body moves tells the axis better than its rotations do, along the longer side
     angle, _ = nuts.errors(found)
     assert np.all(np.radians(angle) < 50 * noise)
+
+
+def test_a_body_that_slides_across_its_axis_is_on_no_hinge():
+    """A plane-plane contact in slow motion: noise tilts the axis, along which the body seems to slide."""
+    errors = PoseErrors(sigma=1e-5, rotation_ratio=15.0)
+
+    def simulate(key):
+        return random_motion("D", key, samples=50, dt=DT, excitation="slow", errors=errors).poses
+
+    poses = jax.jit(jax.vmap(simulate))(jax.random.split(jax.random.key(3), 96))
+    found = rf.identify(np.asarray(poses), dt=DT)
+    hinges = (found.name == "Revolute joint") & (found.probability > 0.5)
+    assert np.sum(hinges) <= 1
+    assert np.sum(found.name == "Plane-plane contact") > 70

@@ -143,10 +143,13 @@ def _judge_again(
     dof = _freedom(new, followed, thresholds)
     winner = followed.linear_winner
     turns, slides = jnp.sum(dof[0][:, 0], axis=-1), jnp.sum(pick_type(dof[1], winner), axis=-1)
-    placed = last & screw.likely & (turns == 1)
+    of_winner = pick_problem(winner, distance)
+    # patterns free the last axis first: the axis of rotation, if it is the one that moves
+    slides_most = jnp.all(of_winner[3:5] <= of_winner[5:], axis=0)
+    placed = last & screw.likely & (turns == 1) & slides_most
     helical, hinged = placed & (slides == 1), placed & (slides == 0)
     taken = helical | hinged | (~last & ~white)
-    quiet = is_white(pick_problem(winner, distance), dof, winner) & refining
+    quiet = is_white(of_winner, dof, winner) & refining
     patterns = jnp.where(taken[None, None, :, None], new, patterns)
     white = jnp.where(helical, quiet, white & ~hinged)
     return patterns, white, on_axis | helical, on_hinge | hinged
