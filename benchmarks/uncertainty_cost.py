@@ -39,8 +39,11 @@ def in_turns(poses: np.ndarray, found: rf.Identification, repeats: int) -> tuple
     def covariance() -> Any:
         return rf.covariance(found, poses, dt=DT)
 
+    def identification() -> Any:
+        return rf.identify(poses, dt=DT, compiled=True)
+
     first = seconds(covariance)
-    turns = [[seconds(lambda: rf.identify(poses, dt=DT)), seconds(covariance)] for _ in range(repeats)]
+    turns = [[seconds(identification), seconds(covariance)] for _ in range(repeats)]
     return first, np.array(turns)
 
 
@@ -50,7 +53,7 @@ def cost_of(label: str, samples: int, windows: int, repeats: int) -> dict[str, A
     poses = measured(made, SIGMA, 0.0)[:, : samples + 1]
     found = rf.identify(poses, dt=DT)
     first, batch = in_turns(poses, found, repeats)
-    _, single = in_turns(poses[0], rf.identify(poses[0], dt=DT), SINGLES)
+    _, single = in_turns(poses[0], rf.identify(poses[0], dt=DT, compiled=True), SINGLES)
     sure = rf.covariance(found, poses, dt=DT)
     right = np.asarray(types_correct(found, made.truth) & dof_correct(found, made.truth))
     scores = standard_scores(found, sure, made.truth, np.asarray(made.exact_poses[:, 0]))["position"][right]

@@ -24,6 +24,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.experimental.scheduling_groups import xla_metadata_call
 
+from reframe_jax.arrays import put, using_numpy
+
 __all__ = [
     "BLOCK_SHARE",
     "Packed",
@@ -93,7 +95,7 @@ def in_float64() -> bool:
 
 def once(values: _T) -> _T:
     """Compute the arrays of a pytree once, however many operations read them."""
-    if _state.value == "gpu":
+    if _state.value == "gpu" or using_numpy():
         return values
     if _state.value != "kernel":
         return jax.lax.optimization_barrier(values)
@@ -114,6 +116,8 @@ def apply_each(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any
     In a GPU kernel, which holds no stacks, it is applied to one after the other.
     """
     if _state.value == "gpu":
+        return [function(item) for item in items]
+    if using_numpy():
         return [function(item) for item in items]
     stacked = once(jax.tree.map(lambda *leaves: jnp.stack(leaves), *items))
     found = once(jax.vmap(function)(stacked))
@@ -184,6 +188,11 @@ def update_marked(
     Returns:
         The outputs, new where marked.
     """
+    if using_numpy():
+        if not np.any(marked):
+            return outputs
+        found = function(jax.tree.map(lambda leaf: leaf[..., marked], inputs))
+        return jax.tree.map(lambda old, new: put(old, (..., marked), new), outputs, found)
     problems = marked.size
     size = max(min(problems, _BLOCK), problems // share)
     order, count = jnp.argsort(~marked), jnp.sum(marked)  # the marked first, as they come

@@ -41,6 +41,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from reframe_jax.identification import uncompiled
+
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -54,6 +56,12 @@ hypothesis.settings.load_profile("repeatable")
 gc.collect()
 gc.freeze()
 gc.set_threshold(100_000, 50, 1000)
+
+
+@pytest.fixture(autouse=True)
+def _first_calls() -> None:
+    """Every test is the first to identify: what it runs does not hang on the tests before it."""
+    uncompiled._calls.clear()
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -5,14 +5,15 @@ orientation is then good to a milliradian.
 """
 
 import jax
-import jax.numpy as jnp
+
+from reframe_jax.arrays import jnp, lax
 
 __all__ = ["apply", "matmul", "matmul3"]
 
 
 def matmul(a: jax.Array, b: jax.Array) -> jax.Array:
     """``a @ b``."""
-    return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
+    return jnp.matmul(a, b, precision=lax.Precision.HIGHEST)
 
 
 def apply(matrix: jax.Array, vector: jax.Array) -> jax.Array:

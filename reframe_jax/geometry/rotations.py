@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from math import factorial
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import jnp
 from reframe_jax.compilation import once_on_cpu
 
 __all__ = [

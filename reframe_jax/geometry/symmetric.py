@@ -8,8 +8,8 @@ vectorize over the batch; batched 3x3 kernels (einsum, solve, eigh) are 5-10 tim
 from collections.abc import Sequence
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import custom_jvp, jnp, lax
 from reframe_jax.compilation import as_one_kernel, once
 
 __all__ = [
@@ -159,7 +159,7 @@ def _choose(condition: jax.Array, a: Vector, b: Vector) -> Vector:
     return x, y, z
 
 
-@jax.custom_jvp
+@custom_jvp
 def eigh(s: Symmetric) -> tuple[Vector, tuple[Vector, Vector, Vector]]:
     """Eigenvalues in ascending order and their unit eigenvectors, by cyclic Jacobi rotations.
 
@@ -186,7 +186,7 @@ def _jacobi(s: Symmetric) -> tuple[Vector, tuple[Vector, Vector, Vector]]:
 
     axes = ((one, zero, zero), (zero, one, zero), (zero, zero, one))
     start = ((s[0], s[3], s[5]), (s[1], s[2], s[4]), axes)
-    (found, _, axes), _ = jax.lax.scan(sweep, start, length=_JACOBI_SWEEPS)
+    (found, _, axes), _ = lax.scan(sweep, start, length=_JACOBI_SWEEPS)
     values: list[jax.Array] = list(found)
     vectors: list[Vector] = list(axes)
     for i, j in ((0, 1), (1, 2), (0, 1)):

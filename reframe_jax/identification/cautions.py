@@ -3,8 +3,8 @@
 from enum import IntFlag
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import jnp
 from reframe_jax.identification.classify import Thresholds
 
 __all__ = ["Caution", "caution_codes", "caution_sentences"]

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import jnp, nn
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.products import matmul3
 from reframe_jax.geometry.symmetric import INDEX_PAIRS
@@ -201,7 +201,7 @@ def class_probabilities(
     number = jnp.maximum(jnp.sum(counted, axis=1), 1)
     worth = 1 / (1 / _independent_numbers(number, samples) + 1 / _WORTH)
     size = jnp.sum(counted[:, None] * jnp.log(rms), axis=2) / number[:, None]
-    of_types = jax.nn.softmax(-worth[:, None] * size, axis=1)
+    of_types = nn.softmax(-worth[:, None] * size, axis=1)
     return of_types[:, :, None, None] * jnp.moveaxis(patterns, (2, 3), (0, 1))
 
 

@@ -9,8 +9,8 @@ from math import log
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import jnp, nn
 from reframe_jax.identification.error_model import (
     LARGEST,
     ROTATION_ERROR_SHARE,
@@ -113,8 +113,8 @@ class _Rest(NamedTuple):
         """Probability of the joint, (N,), from one before any data are seen."""
         free = jnp.logaddexp(self.errors + jnp.minimum(hidden, 0), self.own)
         terms = log(prior) + self.joint + self.seen, log(1 - prior) + free + self.seen
-        first, second = (jax.nn.logsumexp(term, axis=0) for term in terms)
-        return jax.nn.sigmoid(first - second)
+        first, second = (nn.logsumexp(term, axis=0) for term in terms)
+        return nn.sigmoid(first - second)
 
 
 def _of_rest(

@@ -6,8 +6,8 @@ line of its own. With the axes eliminated, the constrained axes of such a family
 """
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import jnp
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.products import matmul3
 from reframe_jax.geometry.symmetric import INDEX_PAIRS

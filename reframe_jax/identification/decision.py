@@ -5,8 +5,8 @@ from functools import partial
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import jnp, lax
 from reframe_jax.compilation import as_one_kernel
 from reframe_jax.identification.classify import (
     Thresholds,
@@ -68,16 +68,16 @@ def decide(
         refine = partial(refine_frames, exponent=exponent)
         frames = as_one_kernel(refine, evidence, optima.position, optima.box)
     first_look = partial(_first_look, refining=refining)
-    resting = as_one_kernel(distances_at_rest, jax.lax.stop_gradient(evidence))
+    resting = as_one_kernel(distances_at_rest, lax.stop_gradient(evidence))
     frames, screw, patterns, white = as_one_kernel(first_look, evidence, optima, frames, rough, resting)
     judge = partial(_judge_again, refining=refining)
     # what is free does not follow the poses: nothing is differentiated that leads there only
-    given = (*jax.lax.stop_gradient((evidence, optima, rough, screw)), resting, thresholds)
+    given = (*lax.stop_gradient((evidence, optima, rough, screw)), resting, thresholds)
     # one program for both, which mostly has nothing to do
     first = jnp.all(white).astype(jnp.int32) if refining else 1
     until = 1 + jnp.any(screw.likely).astype(jnp.int32)
     start = patterns, white, jnp.zeros_like(white), jnp.zeros_like(white)
-    judged = jax.lax.fori_loop(
+    judged = lax.fori_loop(
         first, until, lambda step, so_far: as_one_kernel(judge, step, so_far, *given), start
     )
     settle = partial(_settle, likeliest=rule == "auto" and thresholds is None)
@@ -98,7 +98,7 @@ def _first_look(
         The frames, the screws, the patterns, and (N,) bool, whether the noise is white.
     """
     n = optima.linear_winner
-    fixed, seen = jax.lax.stop_gradient((evidence, frames))
+    fixed, seen = lax.stop_gradient((evidence, frames))
     patterns, distance = pattern_probabilities(fixed, optima.angular_winner, seen, resting)
     white = jnp.zeros(n.shape, dtype=bool)
     if refining:

@@ -1,9 +1,9 @@
 """How far the motion went along every axis, in noises, and what that says about its freedom."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.arrays import jnp
 from reframe_jax.compilation import apply_each
 from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES
 from reframe_jax.geometry import symmetric

@@ -32,6 +32,7 @@ from reframe_jax.identification.programs import (
     identify_one,
 )
 from reframe_jax.identification.results import Identification
+from reframe_jax.identification.uncompiled import check_compiled, identify_uncompiled, is_worth_compiling
 from reframe_jax.motion.checks import Status
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.objectives.norms import check_exponent
@@ -66,6 +67,7 @@ def identify(
     bounds: ArrayLike | tuple[ArrayLike, ArrayLike] | None = None,
     solver: Solver | None = None,
     key: jax.Array | None = None,
+    compiled: bool | None = None,
 ) -> Identification:
     """Identify the constraint frame of one window of poses, or of every window of a batch.
 
@@ -102,6 +104,11 @@ def identify(
             depend on where the ground frame happens to be.
         solver: search for the position, by default :func:`default_solver`.
         key: of the solver's random numbers; by default ``jax.random.key(0)``.
+        compiled: whether programs that JAX compiles identify the windows, or NumPy, one operation after the
+            other. The results are the same up to rounding. A compiled program takes tens of seconds for its
+            first answer, and from then on a millisecond a window; NumPy takes about a twentieth of a second,
+            always. By default the first 128 calls of a process with a single window, or up to 64, use NumPy.
+            Windows under a transformation of JAX, or on a device that they were put on, are always compiled.
 
     Returns:
         The identification, with the leading axes of ``poses``.
@@ -114,6 +121,8 @@ def identify(
     inside_a_trace = traced((poses, times, dt, lag, thresholds, bounds, key))
     array = take_poses(poses)
     check_options(thresholds, solver, discretization, key)
+    solver = default_solver(exponent) if solver is None else solver
+    check_compiled(compiled, solver)
     wide = not isinstance(array, jax.Array) and array.dtype == np.float64
     with jax.enable_x64(True) if wide else contextlib.nullcontext():
         steps = take_steps(array, times, dt)
@@ -129,19 +138,22 @@ def identify(
             "rule": rule,
             "exponent": exponent,
             "discretization": discretization,
-            "solver": default_solver(exponent) if solver is None else solver,
+            "solver": solver,
         }
         run = partial(identify_compiled, **static)
         batch = array.shape[:-3]
-        if not (inside_a_trace or batch):
-            found = _single(array, steps, options, static)
-        elif inside_a_trace or 0 in batch:
+        if inside_a_trace or 0 in batch:
             found = run(array, steps, *options)
+        elif not (is_worth_compiling(array, static) if compiled is None else compiled):
+            found = identify_uncompiled(array, steps, *options, **static)
+        elif not batch:
+            found = _single(array, steps, options, static)
         elif (sharding := _sharding(array)) is not None:
             found = _on_mesh(run, array, sharding, steps, options)
         else:
             windows = array.reshape(-1, *array.shape[-3:])
             steps = steps if steps.ndim == 1 else steps.reshape(-1, steps.shape[-1])
+            options = samples if np.ndim(samples) == 0 else samples.reshape(-1), *options[1:]
             program = identify_chunks if jax.default_backend() == "cpu" else identify_compiled
             found = _in_pieces(partial(program, **static), windows, steps, options)
             if len(batch) > 1:
@@ -168,8 +180,16 @@ def identify_piece(poses: np.ndarray, times: np.ndarray, reach: float) -> Identi
     """
     with jax.enable_x64(True):
         options = None, None, make_space(reach, poses.dtype), None
-        static = {"rule": "auto", "exponent": 0.0, "discretization": "chord", "solver": default_solver()}
-        found = _single(poses, np.diff(times), options, static)
+        static: dict[str, Any] = {
+            "rule": "auto",
+            "exponent": 0.0,
+            "discretization": "chord",
+            "solver": default_solver(),
+        }
+        if is_worth_compiling(poses, static):
+            found = _single(poses, np.diff(times), options, static)
+        else:
+            found = identify_uncompiled(poses, np.diff(times), *options, **static)
     return found if in_float64() else jax.device_put(jax.tree.map(_narrow, jax.device_get(found)))
 
 
@@ -197,17 +217,20 @@ def _in_pieces(
     """
     count = len(windows)
     size, precise = _piece_size(count), in_float64()
+    lag, *others = options
 
     def piece(start: int) -> Identification:
         rows = np.minimum(np.arange(start, start + size), count - 1)
         whole = rows[-1] - rows[0] == size - 1
         part = slice(start, start + size) if whole else rows
         with jax.enable_x64(precise):  # JAX's settings belong to a thread
-            found = run(windows[part], steps if steps.ndim == 1 else steps[part], *options)
+            own = steps if steps.ndim == 1 else steps[part], lag if np.ndim(lag) == 0 else lag[part]
+            found = run(windows[part], *own, *others)
             return jax.block_until_ready(found)
 
     starts = range(0, count, size)
-    program = (size, windows.shape[1:], windows.dtype, steps.ndim, precise, *run.keywords.values())
+    ranks = steps.ndim, np.ndim(lag)
+    program = (size, windows.shape[1:], windows.dtype, ranks, precise, *run.keywords.values())
     alone = 1 if len(starts) == 1 or program not in _compiled_programs else 0
     pieces = [piece(start) for start in starts[:alone]]  # two threads would both compile
     _compiled_programs.add(program)
@@ -255,19 +278,21 @@ def _on_mesh(
     """Every device of the mesh identifies the windows it holds, in pieces; nothing travels between them."""
     axis = (*sharding.spec, None)[0]
     program = partial(_program_for_mesh, sharding.mesh, axis)
-    own_steps = steps.ndim > 1
-    if own_steps:
-        steps = jax.device_put(steps, NamedSharding(sharding.mesh, PartitionSpec(axis)))
+    lag, *others = options
+    each = NamedSharding(sharding.mesh, PartitionSpec(axis))
+    own_steps, own_lag = steps.ndim > 1, np.ndim(lag) > 0
+    steps = jax.device_put(steps, each) if own_steps else steps
+    lag = jax.device_put(lag, each) if own_lag else lag
     count = sharding.shard_shape(poses.shape)[0]
     windows_in_row = math.prod(poses.shape[1:-3])
     size = max(1, _piece_size(count * windows_in_row) // windows_in_row)
     # by a program of its own: within one that identifies, XLA would transpose all poses instead of a piece
     rows = program(_rows, (True, False), size=size)
-    identify_rows = program(identify_flat, (True, own_steps, False, False, False, False), **run.keywords)
+    identify_rows = program(identify_flat, (True, own_steps, own_lag, False, False, False), **run.keywords)
     parts = []
     for start in range(0, count, size):
-        part = rows(poses, start), rows(steps, start) if own_steps else steps
-        parts.append(jax.block_until_ready(identify_rows(*part, *options)))
+        own = rows(steps, start) if own_steps else steps, rows(lag, start) if own_lag else lag
+        parts.append(jax.block_until_ready(identify_rows(rows(poses, start), *own, *others)))
     return program(_join, (True,), count=count)(parts)
 
 

@@ -10,7 +10,8 @@ from math import log, pi
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
+
+from reframe_jax.arrays import jnp
 
 __all__ = [
     "LARGEST",

@@ -8,8 +8,9 @@ from functools import partial
 from typing import Literal, NamedTuple
 
 import jax
-import jax.numpy as jnp
+import numpy as np
 
+from reframe_jax.arrays import jnp, lax, put
 from reframe_jax.compilation import once
 from reframe_jax.constraints.types import AngularType, LinearType
 from reframe_jax.geometry import symmetric
@@ -205,8 +206,8 @@ def _centred(poses: jax.Array, number: jax.Array) -> tuple[jax.Array, jax.Array]
     """Poses about their mean position, and that mean, (N, 3) m; as many of each window count as it has."""
     own = (jnp.arange(poses.shape[1], dtype=jnp.int32)[None] < number[:, None])[:, :, None]
     total = jnp.sum(jnp.where(own, poses[:, :, :3, 3], 0), axis=1)
-    centre = jax.lax.stop_gradient(total / number.astype(poses.dtype)[:, None])
-    return poses.at[:, :, :3, 3].add(-centre[:, None]), centre
+    centre = lax.stop_gradient(total / number.astype(poses.dtype)[:, None])
+    return put(poses, np.s_[:, :, :3, 3], poses[:, :, :3, 3] - centre[:, None]), centre
 
 
 def _motion(
@@ -224,7 +225,7 @@ def _motion(
         poses, counted = repair_poses(poses, times, number)
     rotation, position = kinematics.split_poses(once(poses))
     counts = counted.T
-    measured = jax.lax.stop_gradient((rotation, position))
+    measured = lax.stop_gradient((rotation, position))
     noise, rounding = _noise(*measured, counts, spacing)
     one = jnp.ones_like(number)
     width = jnp.zeros_like(number)
@@ -238,7 +239,7 @@ def _motion(
         weights = (counts[1:] & counts[:-1]).astype(poses.dtype)
         return _Motion(rotation, position, counts, noise, rounding, share, one, weights)
     lag = jnp.minimum(one * lag, number - 1)
-    weights = moving_chords(*jax.lax.stop_gradient((rotation, position)), counts, lag, noise)
+    weights = moving_chords(*lax.stop_gradient((rotation, position)), counts, lag, noise)
     return _Motion(rotation, position, counts, noise, rounding, share, lag, weights)
 
 
@@ -247,9 +248,9 @@ def _spacing(poses: jax.Array) -> jax.Array:
 
     Numbers that float32 holds exactly have most likely passed through it.
     """
-    position = jax.lax.stop_gradient(poses[:, :, :3, 3])
+    position = lax.stop_gradient(poses[:, :, :3, 3])
     single = jnp.finfo(jnp.float32)
-    narrow = jax.lax.reduce_precision(position, single.nexp, single.nmant)
+    narrow = lax.reduce_precision(position, single.nexp, single.nmant)
     passed = jnp.all(narrow == position, axis=(1, 2))
     eps = jnp.where(passed, float(single.eps), float(jnp.finfo(position.dtype).eps))
     return eps.astype(position.dtype) * jnp.max(jnp.abs(position), axis=(1, 2))
@@ -283,7 +284,7 @@ def _paths(
     """
     rotation = motion.rotation
     if rule == "auto":
-        rotation = once(jax.lax.cond(jnp.any(axis.found), keep_axis, lambda same, _: same, rotation, axis))
+        rotation = once(lax.cond(jnp.any(axis.found), keep_axis, lambda same, _: same, rotation, axis))
     maps, paths = once(kinematics.paths_of(rotation, motion.position, steps, count))
     rates, turns = once((kinematics.rates_of(maps), kinematics.rates_of(paths)))
     if rule != "auto":
@@ -294,7 +295,7 @@ def _paths(
         turns = kinematics.turn_paths(rates, steps)
         return jnp.where(axis.found, rates[:, None], kept[0]), jnp.where(axis.found, turns[:, None], kept[1])
 
-    rates, turns = once(jax.lax.cond(jnp.any(axis.found), as_measured, lambda kept: kept, (rates, turns)))
+    rates, turns = once(lax.cond(jnp.any(axis.found), as_measured, lambda kept: kept, (rates, turns)))
     return maps, paths, rates, turns
 
 
@@ -334,7 +335,7 @@ def _velocities(
         return jnp.where(own, steps[0], of_angular), jnp.where(own, steps[1], of_linear)
 
     plain = (motion.lag == 1) & jnp.all(weights == 1, axis=0)
-    return once(jax.lax.cond(jnp.all(plain), lambda _: steps, chords, None))
+    return once(lax.cond(jnp.all(plain), lambda _: steps, chords, None))
 
 
 def _travel(motion: _Motion, turns: jax.Array) -> jax.Array:

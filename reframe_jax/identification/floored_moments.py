@@ -1,8 +1,8 @@
 """Moments of a window's velocities and paths, with a floor where rounding hides everything."""
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import jnp, lax
 from reframe_jax.compilation import once
 from reframe_jax.motion import kinematics
 from reframe_jax.motion.kinematics import Discretization
@@ -45,7 +45,7 @@ def rounding_of(moments: jax.Array, power: int = 1) -> jax.Array:
     """
     squares = [moments[i, j] for i in (0, 3, 5) for j in ((0,) if moments.shape[1] == 1 else (0, 4, 7, 9))]
     rounding = (FLOOR * float(jnp.finfo(moments.dtype).eps)) ** power
-    return rounding * jax.lax.stop_gradient(jnp.sum(jnp.stack(squares), axis=0))
+    return rounding * lax.stop_gradient(jnp.sum(jnp.stack(squares), axis=0))
 
 
 def usable_moments(

@@ -24,9 +24,9 @@ from math import log, pi
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.arrays import jnp, nn, norm
 from reframe_jax.identification.error_model import (
     LARGEST,
     ROTATION_ERROR_SHARE,
@@ -151,7 +151,7 @@ def freedom_patterns(
     squares = _over_patterns(jnp.square(y), jnp.square(resting), 0, free=True)
     multiples, white_only, weights = sizes
     least = jnp.where(white_only, _LEAST[0], _LEAST[1] - jnp.log(share)[None, None])
-    beyond, beyond_at_rest = (jax.nn.log_sigmoid((x[None] - least) / _LEAST_WIDTH) for x in (y, resting))
+    beyond, beyond_at_rest = (nn.log_sigmoid((x[None] - least) / _LEAST_WIDTH) for x in (y, resting))
     far = _over_patterns(beyond, beyond_at_rest, 1, free=True)
     size = total / count
     scatter = jnp.maximum(squares - count * jnp.square(size), 0)
@@ -168,10 +168,10 @@ def freedom_patterns(
         on_axis = (slide.unexplained < 0)[None, None]
         alike = jnp.where(of_screws & on_axis, pitched[None, None], alike)
     multiples, white_only = multiples[:, None], white_only[:, None]
-    apart = jax.nn.log_sigmoid((size[None] - multiples - _APART) / _APART_WIDTH)
+    apart = nn.log_sigmoid((size[None] - multiples - _APART) / _APART_WIDTH)
     free = far + alike[None] + jnp.where(white_only, 0, apart)
     terms = held + weights[:, 0, None, None] + jnp.where(number[None] == 0, 0, free)
-    evidence = jax.nn.logsumexp(terms, axis=0)
+    evidence = nn.logsumexp(terms, axis=0)
     seen = jnp.exp(evidence - jnp.max(evidence, axis=(0, 1), keepdims=True))
     prior = jnp.asarray(PATTERN_PRIOR, y.dtype).reshape(number.shape)
     hidden = [
@@ -276,11 +276,11 @@ def _hidden(y: jax.Array, noise: jax.Array, usual: float) -> jax.Array:
         usual: rad or m, the usual motion.
     """
     largest = jnp.max(y, axis=0)[None]
-    seen = jax.nn.sigmoid((largest - _LEAST[0]) / _LEAST_WIDTH)
+    seen = nn.sigmoid((largest - _LEAST[0]) / _LEAST_WIDTH)
     by_habit, alike = 1 / _USUAL_SPREAD**2, seen / _FREE_SPREAD**2
     size = (by_habit * (log(usual) - noise) + alike * largest) / (by_habit + alike)
     below = (_LEAST[0] - size) * jnp.sqrt(by_habit + alike)
-    return jax.scipy.stats.norm.cdf(below) * jax.nn.sigmoid((_LEAST[0] - y) / _LEAST_WIDTH)
+    return norm.cdf(below) * nn.sigmoid((_LEAST[0] - y) / _LEAST_WIDTH)
 
 
 def _with_hidden(seen: jax.Array, angular: jax.Array, linear: jax.Array, at_rest: jax.Array) -> jax.Array:

@@ -1,9 +1,9 @@
 """The levers through which noise of the orientation acts on the origin of a frame."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.arrays import jnp
 from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, LinearType
 from reframe_jax.geometry.symmetric import INDEX_PAIRS
 from reframe_jax.identification.evidence import IN_BODY, IN_GROUND, Evidence

@@ -9,9 +9,9 @@ known, both are left out: the likelihood takes the constrained axes alone, from 
 from dataclasses import dataclass, replace
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.arrays import jnp, lax, vmap
 from reframe_jax.compilation import once
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, Symmetric
@@ -61,7 +61,7 @@ def likeliest_frames(
     def free() -> jax.Array:
         velocities = pick_problem(winner, optima.objective.moments)
         axes, rms, position = (pick_type(a, winner) for a in (frames.local_axes, optima.rms, frames.position))
-        return jax.lax.stop_gradient(nearest_origin(velocities, axes, 1 - held.T, rms, position, idle)[0])
+        return lax.stop_gradient(nearest_origin(velocities, axes, 1 - held.T, rms, position, idle)[0])
 
     def fit(_: None) -> tuple[jax.Array, jax.Array]:
         start = follow_last(chosen, pick_type(frames.position, winner).T)
@@ -78,14 +78,14 @@ def likeliest_frames(
         samples = evidence.poses.astype(moments.dtype)
         loose = jnp.moveaxis(free(), 0, -1)
         problem = _Tied(stiff, start, loose, 2 / (samples * _PRIOR**2))
-        x = _descend(jax.lax.stop_gradient(problem), inside)
+        x = _descend(lax.stop_gradient(problem), inside)
         x = attach_derivative(x, problem, inside)
         return x.T, principal_axes(objective.covariance(x))[1]
 
     def keep(_: None) -> tuple[jax.Array, jax.Array]:
         return pick_type(frames.position, winner), pick_type(frames.axes, winner)
 
-    position, axes = jax.lax.cond(jnp.any(chosen), fit, keep, None)
+    position, axes = lax.cond(jnp.any(chosen), fit, keep, None)
     here = chosen[:, None] & (winner[:, None] == jnp.arange(4, dtype=winner.dtype)[None])
     return replace(
         frames,
@@ -162,7 +162,7 @@ def _descend(problem: _Tied, box: Box) -> jax.Array:
             share = jnp.sum(along * slope, axis=0) / jnp.maximum(jnp.abs(strength), prior)
             down = down - share[None] * along
         lengths = jnp.asarray(_LENGTHS, x.dtype)
-        tried = once(jax.vmap(lambda length: box.clip(x + length * down), out_axes=1)(lengths))
+        tried = once(vmap(lambda length: box.clip(x + length * down), out_axes=1)(lengths))
         found = once(repeat_problems(problem, 1, len(_LENGTHS)).value(tried))
         shortest = jnp.argmin(found, axis=0)[None]
         there = jnp.take_along_axis(tried, shortest[None], axis=1)[:, 0]
@@ -170,7 +170,7 @@ def _descend(problem: _Tied, box: Box) -> jax.Array:
         better = lowest < best
         return jnp.where(better[None], there, x), jnp.where(better, lowest, best)
 
-    return jax.lax.fori_loop(0, _STEPS, step, (start, problem.value(start)))[0]
+    return lax.fori_loop(0, _STEPS, step, (start, problem.value(start)))[0]
 
 
 def _restrict(tied: jax.Array, curvature: Symmetric, prior: jax.Array) -> Symmetric:

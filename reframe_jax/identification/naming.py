@@ -1,9 +1,9 @@
 """Names of classes, and how probable the name of a window is."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.arrays import jnp
 from reframe_jax.constraints.catalogue import describe, lookup
 from reframe_jax.constraints.types import ORIENTATION_BODIES, PARALLEL_COSINE, AxisRelation, Dof, LinearType
 

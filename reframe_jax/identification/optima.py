@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import jnp, lax
 from reframe_jax.geometry import rotations, symmetric
 from reframe_jax.geometry.products import matmul3
 from reframe_jax.identification.evidence import Evidence, LagRule
@@ -107,12 +107,12 @@ def follow_where(chosen: jax.Array, value: jax.Array) -> jax.Array:
     would multiply that by a derivative of zero. ``chosen`` may have more of the axes of ``value``.
     """
     chosen = chosen.reshape(*chosen.shape, *([1] * (value.ndim - chosen.ndim)))
-    return jnp.where(chosen, value, jax.lax.stop_gradient(value))
+    return jnp.where(chosen, value, lax.stop_gradient(value))
 
 
 def follow_last(chosen: jax.Array, value: jax.Array) -> jax.Array:
     """The same of a value (..., N), windows last."""
-    return jnp.where(chosen, value, jax.lax.stop_gradient(value))
+    return jnp.where(chosen, value, lax.stop_gradient(value))
 
 
 def pick_problem(types: jax.Array, leaf: jax.Array) -> jax.Array:
@@ -153,7 +153,7 @@ def _angular_optima(evidence: Evidence) -> tuple[jax.Array, jax.Array]:
     """RMS velocity along the axes of both types, (N, 2, 3) rad/s, and the axes, (N, 2, 3, 3)."""
     rms, axes = principal_axes(constant_covariance(evidence.angular))
     if evidence.rates is not None:
-        first = jax.lax.stop_gradient(axes)
+        first = lax.stop_gradient(axes)
         rms, axes = principal_axes(constant_covariance(_again(evidence, _seen_from(evidence.rates, first))))
         axes = matmul3(first, axes)
     return rms, axes
@@ -186,22 +186,22 @@ def find_optima(
     angular_rms, angular_axes = _angular_optima(evidence)
     angular_norm = _norm(angular_rms, exponent)
     objective = PositionObjective(evidence.linear, exponent)
-    searched = jax.lax.stop_gradient(objective)
-    solution = jax.tree.map(jax.lax.stop_gradient, solver.minimise(searched, space.near, key))
-    margin = clear_gain(jax.lax.stop_gradient(evidence.samples), rule == "auto")
+    searched = lax.stop_gradient(objective)
+    solution = jax.tree.map(lax.stop_gradient, solver.minimise(searched, space.near, key))
+    margin = clear_gain(lax.stop_gradient(evidence.samples), rule == "auto")
     solution, box, widened = widen_search(searched, space, solution, margin, evidence.axis.found, key)
     if evidence.maps is None:
         x = _follow_moments(solution.x, objective, box)
         rms, axes = principal_axes(objective.covariance(x))
         local = axes
     else:
-        first = jax.lax.stop_gradient(principal_axes(objective.covariance(solution.x))[1])
+        first = lax.stop_gradient(principal_axes(objective.covariance(solution.x))[1])
         seen = _seen_from(evidence.maps, first, solution.x)
         objective = PositionObjective(_again(evidence, seen, evidence.floor), exponent)
         low, high = box.bounds(solution.x)
         here = Box(low - solution.x, high - solution.x)
         start = jnp.zeros_like(solution.x)
-        shift, _ = ValleySteps(_TOUCH_UP)(jax.lax.stop_gradient(objective), here, start)
+        shift, _ = ValleySteps(_TOUCH_UP)(lax.stop_gradient(objective), here, start)
         shift = _follow_moments(shift, objective, here)
         rms, local = principal_axes(objective.covariance(shift))
         axes, x = matmul3(first, local), solution.x + shift
@@ -232,7 +232,7 @@ def _follow_moments(x: jax.Array, objective: PositionObjective, box: Box) -> jax
     They are the same in every unit of velocity. In units of the geometric mean of the RMS velocities, the
     third powers of variances that derivatives divide by fit float32.
     """
-    size = jax.lax.stop_gradient(jnp.exp(2 * PositionObjective(objective.moments).value(x)))
+    size = lax.stop_gradient(jnp.exp(2 * PositionObjective(objective.moments).value(x)))
     return attach_derivative(
         x, PositionObjective(objective.moments / size[None, None], objective.exponent), box
     )
@@ -251,8 +251,8 @@ def refine_frames(evidence: Evidence, position: jax.Array, box: Box, exponent: f
         exponent: of the power mean over axes.
     """
     objective = PositionObjective(evidence.linear_spread, exponent)
-    start = jax.lax.stop_gradient(jnp.moveaxis(position, -1, 0))
-    x, _ = ValleySteps(_REFINING)(jax.lax.stop_gradient(objective), box, start)
+    start = lax.stop_gradient(jnp.moveaxis(position, -1, 0))
+    x, _ = ValleySteps(_REFINING)(lax.stop_gradient(objective), box, start)
     x = _follow_moments(x, objective, box)
     _, axes = principal_axes(objective.covariance(x))
     _, angular_axes = principal_axes(constant_covariance(evidence.angular_spread))
@@ -286,8 +286,8 @@ def _norm(rms: jax.Array, exponent: float) -> jax.Array:
 
 def orient_axes(axes: jax.Array, dof: jax.Array) -> jax.Array:
     """Rotation vector of the axes; turning axes of one kind into each other contributes no derivative."""
-    fixed = jax.lax.stop_gradient(axes)
+    fixed = lax.stop_gradient(axes)
     turn = matmul3(jnp.swapaxes(fixed, -1, -2), axes)
-    at_rest = jax.lax.stop_gradient(turn)
+    at_rest = lax.stop_gradient(turn)
     distinct = (dof[..., :, None] != dof[..., None, :]).astype(axes.dtype)
     return rotations.rotation_log(matmul3(fixed, at_rest + distinct * (turn - at_rest)))

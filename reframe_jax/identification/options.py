@@ -35,6 +35,7 @@ class IdentifyOptions(TypedDict, total=False):
     bounds: ArrayLike | tuple[ArrayLike, ArrayLike] | None
     solver: Solver | None
     key: jax.Array | None
+    compiled: bool | None
 
 
 def lag_in_samples(lag: Lag, steps: Any, discretization: Discretization) -> tuple[LagRule, Any]:

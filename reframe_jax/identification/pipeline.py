@@ -8,8 +8,8 @@ from dataclasses import replace
 from functools import partial
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import jnp, lax
 from reframe_jax.compilation import as_one_kernel, once
 from reframe_jax.constraints.located import ground_offset
 from reframe_jax.constraints.types import POSITION_BODIES
@@ -67,7 +67,7 @@ def identify_windows(
     """
     evidence = once(reduce_windows(poses, steps, count, lag, rule, discretization))
     # these count as given; once() would make tangents of zeros, to be followed through all that reads them
-    noise, share, samples = jax.lax.stop_gradient((evidence.noise, evidence.share, evidence.samples))
+    noise, share, samples = lax.stop_gradient((evidence.noise, evidence.share, evidence.samples))
     evidence = replace(evidence, noise=noise, share=share, samples=samples)
     return solve_evidence(evidence, thresholds, space, key, rule, exponent, solver)
 
@@ -201,7 +201,7 @@ def _twins(evidence: Evidence, optima: Optima, settled: Settled) -> tuple[jax.Ar
     searched, solution, box = jax.tree.map(
         partial(pick_problem, n), (optima.searched, optima.solution, optima.box)
     )
-    idle = jax.lax.stop_gradient(settled.idle)
+    idle = lax.stop_gradient(settled.idle)
     return find_twins(searched, box, solution, pick_type(settled.dof[1], n), idle, evidence.samples)
 
 
@@ -238,7 +238,7 @@ def _linear_frame(
     position, free = (pick_type(array, n) for array in origin)
     dof = pick_type(candidates.dof, n)
     twin, has_twin = twins
-    coupled = coupled_positions(searched, x, jax.lax.stop_gradient(free), dof, evidence.samples)
+    coupled = coupled_positions(searched, x, lax.stop_gradient(free), dof, evidence.samples)
     # the turn tells which of the family of origins lies on the axis of a screw
     has_twin, coupled = has_twin & ~told, jnp.where(told[:, None, None], 0, coupled)
     offset = pick_type(ground_offset(evidence.centre), n)
@@ -246,7 +246,7 @@ def _linear_frame(
         type_code=n,
         rotvec=pick_type(candidates.rotvec, n),
         position=position,
-        twin=jnp.where(has_twin[:, None], offset + twin, jax.lax.stop_gradient(position)),
+        twin=jnp.where(has_twin[:, None], offset + twin, lax.stop_gradient(position)),
         has_twin=has_twin,
         dof=pick_type(candidates.dof, n),
         free_probability=free_probabilities(jnp.sum(_of_winner(settled.patterns, optima), axis=1)),
@@ -256,7 +256,7 @@ def _linear_frame(
         tied=tied_types(candidates.rms, candidates.dof, n, evidence.samples),
         free_rotation=pick_type(candidates.free_rotation, n),
         free_position=free,
-        coupled_position=jax.lax.stop_gradient(coupled),
+        coupled_position=lax.stop_gradient(coupled),
     )
 
 

@@ -9,8 +9,8 @@ from dataclasses import replace
 from functools import partial
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import jnp
 from reframe_jax.constraints.types import PARALLEL_COSINE, AngularType
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.products import matmul3

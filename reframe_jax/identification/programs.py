@@ -122,11 +122,13 @@ def _reduce_each_chunk(
     """
     shared, chunks = steps.ndim == 1, len(poses) // chunk_size()
     steps = steps.astype(poses.dtype)
-    split = poses, None if shared else steps
+    one_lag = lag is None or lag.ndim == 0
+    split = poses, None if shared else steps, None if one_lag else lag
     split = jax.tree.map(lambda a: a.reshape(chunks, -1, *a.shape[1:]), split)
 
-    def reduce(part: tuple[jax.Array, jax.Array | None]) -> Evidence:
-        return reduce_windows(part[0], steps if part[1] is None else part[1], None, lag, rule, discretization)
+    def reduce(part: tuple[jax.Array, jax.Array | None, jax.Array | None]) -> Evidence:
+        own = steps if part[1] is None else part[1], None, lag if part[2] is None else part[2]
+        return reduce_windows(part[0], *own, rule, discretization)
 
     evidence = jax.lax.map(reduce, split)
     if chunks == PIECE:

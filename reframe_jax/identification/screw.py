@@ -12,8 +12,8 @@ from functools import partial
 from typing import NamedTuple, cast
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import jnp, lax
 from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, AngularType
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.products import matmul3
@@ -106,7 +106,7 @@ def find_screw(
     left, _, pitch = _left_of_slide(seen, seen.in_ground)
     expected = of_position + jnp.square(pitch) * of_turning
     trust = jnp.where(left > _TRUSTED * expected, _TRUSTED * expected / jnp.where(left > 0, left, 1), 1)
-    tilt, point = _tilt_and_point(seen, pitch, known, jax.lax.stop_gradient(trust))
+    tilt, point = _tilt_and_point(seen, pitch, known, lax.stop_gradient(trust))
     across = _moves_across(seen, pitch, tilt, point)
     in_ground = unit(seen.in_ground + tilt)
     in_body = unit(seen.in_body + product(transpose(seen.mean[:, 1:]), tilt))
@@ -123,7 +123,7 @@ def find_screw(
     quiet = across < _QUIET**2 * beside
 
     def in_noises(square: jax.Array, noise: jax.Array) -> jax.Array:
-        ratio = jax.lax.stop_gradient((jnp.maximum(square, 0), noise))
+        ratio = lax.stop_gradient((jnp.maximum(square, 0), noise))
         return jnp.sqrt(ratio[0] / ratio[1])
 
     uneven = jnp.square(pitch) * (evidence.turning.unsteady - of_turning)
@@ -141,7 +141,7 @@ def find_screw(
     inside = ~jnp.any(box.at_face(origins), axis=(-2, -1))
     chosen = usable & ((likely > _LIKELY) | tilted) & inside & jnp.isfinite(pitch)
     axes = jnp.stack([in_ground.T, in_body.T], axis=1)
-    rest = jnp.log(jnp.minimum(jax.lax.stop_gradient(jnp.maximum(left, noise * _SURE) / size), _LIKELY))
+    rest = jnp.log(jnp.minimum(lax.stop_gradient(jnp.maximum(left, noise * _SURE) / size), _LIKELY))
     return Screw(pitch, chosen, probability, rest / 2, _on_axis(frames, axes, origins, chosen))
 
 

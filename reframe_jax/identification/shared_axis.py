@@ -8,8 +8,8 @@ either: the rotation where it turned far, the translation where it went far.
 from dataclasses import replace
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import jnp
 from reframe_jax.constraints.types import (
     ORIENTATION_BODIES,
     PARALLEL_COSINE,

@@ -6,8 +6,8 @@ sampling error, those of the point halfway are clearly not, and no bound of the 
 """
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import jnp
 from reframe_jax.compilation import update_marked
 from reframe_jax.identification.classify import excess_over, nearest_origin, tie_margin
 from reframe_jax.objectives.norms import principal_axes

@@ -12,9 +12,9 @@ from functools import partial
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.arrays import jnp, lax, linalg
 from reframe_jax.compilation import as_one_kernel, update_marked
 from reframe_jax.constraints.types import AngularType
 from reframe_jax.geometry import symmetric
@@ -65,7 +65,7 @@ def find_universal(
         turns: (N,) bool, windows that turn about more than one axis, and have no free translation. The others
             have probability 0.
     """
-    evidence, angular_axes, position = jax.lax.stop_gradient((evidence, angular_axes, position))
+    evidence, angular_axes, position = lax.stop_gradient((evidence, angular_axes, position))
     pairs, mean = _pairs(evidence.linear_spread[..., IN_BODY]), evidence.mean_paths[:, 1:, :, 0]
     none = jnp.zeros((3, len(turns)), pairs.dtype)
     ground, body, change = update_marked(_search, turns, (pairs, mean), (none, none, none[0]))
@@ -112,7 +112,7 @@ def _stillest_matrices(covariance: jax.Array, mean: jax.Array) -> jax.Array:
     eye = jnp.eye(9, dtype=mean.dtype)
     form, weight = (jnp.moveaxis(x.reshape(9, 9, -1), -1, 0) for x in (covariance, squares))
     root = jnp.linalg.cholesky((1 + _LEAST_NOISE) * eye[None] - weight)
-    solve = partial(jax.scipy.linalg.solve_triangular, root, lower=True)
+    solve = partial(linalg.solve_triangular, root, lower=True)
     _, vectors = jnp.linalg.eigh(solve(jnp.swapaxes(solve(form), -1, -2)))
     stillest = solve(vectors[:, :, :_MATRICES], trans=1)
     return jnp.moveaxis(stillest, 0, -1).reshape(3, 3, _MATRICES, -1)
@@ -153,7 +153,7 @@ def _refine(
     ]
     _, vectors = symmetric.eigh(tuple(squares))  # type: ignore[arg-type]
     a, b = (jnp.concatenate([jnp.stack(vector)[:, side] for vector in vectors], axis=1) for side in (0, 1))
-    a, b, least, variance = jax.lax.fori_loop(0, _ROUNDS, step, (a, b, *judge(a, b)))
+    a, b, least, variance = lax.fori_loop(0, _ROUNDS, step, (a, b, *judge(a, b)))
     return _pick(_first(least), a, b, variance)
 
 

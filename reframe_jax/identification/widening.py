@@ -16,8 +16,8 @@ they are clearly likelier: noise has optima everywhere.
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import jnp
 from reframe_jax.compilation import update_marked
 from reframe_jax.geometry import symmetric
 from reframe_jax.identification.floored_moments import FLOOR

@@ -6,9 +6,9 @@ jumped to, or that only moved fast, makes no such run.
 """
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.arrays import jnp, lax
 from reframe_jax.geometry import rotations
 from reframe_jax.geometry.products import matmul
 
@@ -97,5 +97,5 @@ def _union(returns: jax.Array) -> jax.Array:
 
     here = jnp.arange(len(returns), dtype=jnp.int32)
     long_enough = jnp.where(shortest >= _SHORTEST_RUN, shortest, 0).astype(jnp.int32)
-    _, within = jax.lax.scan(go, jnp.int32(-1), (here, long_enough))
+    _, within = lax.scan(go, jnp.int32(-1), (here, long_enough))
     return jnp.concatenate([jnp.zeros(1, bool), within])

@@ -3,7 +3,8 @@
 from enum import IntEnum
 
 import jax
-import jax.numpy as jnp
+
+from reframe_jax.arrays import jnp
 
 __all__ = ["MIN_VELOCITIES", "ROTATION_TOLERANCE", "Status", "check_step", "window_status"]
 

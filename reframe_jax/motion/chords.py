@@ -6,8 +6,9 @@ costs no more than a short one.
 """
 
 import jax
-import jax.numpy as jnp
 import numpy as np
+
+from reframe_jax.arrays import jnp
 
 __all__ = ["chord_velocities", "moving_chords", "spread_of"]
 

@@ -7,8 +7,8 @@ which are slow in XLA.
 from collections.abc import Sequence
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import jnp
 from reframe_jax.compilation import once_on_cpu
 
 __all__ = ["bracket", "components_first", "components_last", "cross", "product", "stack", "transpose", "unit"]

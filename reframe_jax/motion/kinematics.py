@@ -14,8 +14,8 @@ Inside, arrays are laid out components first, then samples, then windows: a rota
 from typing import Literal
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import jnp
 from reframe_jax.compilation import once
 from reframe_jax.geometry import rotations
 from reframe_jax.motion.components import components_first, components_last, cross, product, stack, transpose

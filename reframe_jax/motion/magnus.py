@@ -1,9 +1,9 @@
 """Mean twists from the logarithms of steps: the Magnus expansion without its brackets."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.arrays import jnp
 from reframe_jax.compilation import once
 from reframe_jax.motion.components import bracket, components_first
 

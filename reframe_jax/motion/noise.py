@@ -11,9 +11,9 @@ All arrays have components first, then samples, then windows.
 from math import comb, radians
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.arrays import jnp, lax
 from reframe_jax.compilation import as_one_kernel, once
 
 __all__ = ["choose_lag", "constant_components", "estimate_noise", "masked_median", "unit_of_rounding"]
@@ -55,7 +55,7 @@ def _bisect(shares: jax.Array, half: jax.Array) -> tuple[jax.Array, jax.Array]:
         return jnp.where(enough, low, middle), jnp.where(enough, middle, high)
 
     end = jnp.zeros(half.shape, jnp.float32)
-    low, high = jax.lax.fori_loop(0, _BISECTIONS, halve, (end - _OCTAVES, end))
+    low, high = lax.fori_loop(0, _BISECTIONS, halve, (end - _OCTAVES, end))
     return low, high
 
 

@@ -5,9 +5,9 @@ count; paths that run across them use the motion interpolated between the poses 
 """
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.arrays import jnp, lax, put, vmap
 from reframe_jax.compilation import update_marked
 from reframe_jax.geometry import rotations
 from reframe_jax.geometry.products import matmul
@@ -40,20 +40,20 @@ def repair_poses(poses: jax.Array, times: jax.Array, count: jax.Array) -> tuple[
     def look(block: tuple[jax.Array, ...]) -> jax.Array:
         poses, times, count, own = (jnp.moveaxis(array, -1, 0) for array in block)
         unit = unit_of_rounding(block[0][:, :3, 3].swapaxes(0, 1), block[3])
-        runs = jax.vmap(find_runs)(poses, count, unit)
-        outliers = jax.vmap(_find)(jax.vmap(_fill)(poses, times, ~runs), times, count)
+        runs = vmap(find_runs)(poses, count, unit)
+        outliers = vmap(_find)(vmap(_fill)(poses, times, ~runs), times, count)
         outliers = (outliers | runs) & own
         share = jnp.sum(outliers, axis=1, dtype=poses.dtype) / count.astype(poses.dtype)
         return (own & ~(outliers & (share <= _MOST)[:, None])).T
 
-    measured = jax.lax.stop_gradient(poses)
+    measured = lax.stop_gradient(poses)
     inputs = jnp.moveaxis(measured, 0, -1), times.T, count, own.T  # windows last
     counted = update_marked(look, _is_suspicious(measured, own), inputs, own.T).T
 
     def fill(_: None) -> jax.Array:
-        return jax.vmap(_fill)(poses, times, counted)
+        return vmap(_fill)(poses, times, counted)
 
-    return jax.lax.cond(jnp.any(counted != own), fill, lambda _: poses, None), counted
+    return lax.cond(jnp.any(counted != own), fill, lambda _: poses, None), counted
 
 
 def _is_suspicious(poses: jax.Array, own: jax.Array) -> jax.Array:
@@ -121,8 +121,8 @@ def _unwrap(turns: jax.Array) -> jax.Array:
 def _fill(poses: jax.Array, times: jax.Array, counted: jax.Array) -> jax.Array:
     """Poses that count as they are, others on the way between the nearest that do."""
     here = np.arange(poses.shape[0], dtype=np.int32)
-    before = jax.lax.cummax(jnp.where(counted, here, -1))
-    after = jax.lax.cummin(jnp.where(counted, here, len(here)), reverse=True)
+    before = lax.cummax(jnp.where(counted, here, -1))
+    after = lax.cummin(jnp.where(counted, here, len(here)), reverse=True)
     before, after = jnp.where(before < 0, after, before), jnp.where(after == len(here), before, after)
     span = times[after] - times[before]
     share = jnp.where(span > 0, (times - times[before]) / jnp.where(span > 0, span, 1), 0)
@@ -130,5 +130,5 @@ def _fill(poses: jax.Array, times: jax.Array, counted: jax.Array) -> jax.Array:
     turn = rotations.rotation_log(matmul(jnp.swapaxes(start[:, :3, :3], -1, -2), end[:, :3, :3]))
     rotation = matmul(start[:, :3, :3], rotations.rotation_exp(share[:, None] * turn))
     position = start[:, :3, 3] + share[:, None] * (end[:, :3, 3] - start[:, :3, 3])
-    filled = poses.at[:, :3, :3].set(rotation).at[:, :3, 3].set(position)
+    filled = put(put(poses, np.s_[:, :3, :3], rotation), np.s_[:, :3, 3], position)
     return jnp.where(counted[:, None, None], poses, filled)

@@ -10,8 +10,8 @@ All arrays have components first, then samples, then windows.
 from typing import NamedTuple, cast
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import jnp, lax
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.symmetric import Vector
 from reframe_jax.motion.components import cross
@@ -77,7 +77,7 @@ def turn_moments(
         times: (K+1, N) s.
         counted: (K+1, N) bool, poses that count; ``turns`` and ``paths`` are zero at the others.
     """
-    angle = jnp.sum(jax.lax.stop_gradient(axis)[:, None] * turns, axis=0)
+    angle = jnp.sum(lax.stop_gradient(axis)[:, None] * turns, axis=0)
     variance = jnp.mean(jnp.square(angle), axis=0)
     weights = counted.astype(times.dtype)
     middle = jnp.sum(weights * times, axis=0) / jnp.maximum(jnp.sum(weights, axis=0), 1)

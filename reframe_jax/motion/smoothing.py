@@ -9,8 +9,9 @@ All arrays have components first, then samples, then windows.
 """
 
 import jax
-import jax.numpy as jnp
 import numpy as np
+
+from reframe_jax.arrays import jnp, lax
 
 __all__ = ["noise_share", "smooth_noise", "smooth_poses", "smoothing_width"]
 
@@ -117,12 +118,12 @@ def smooth_noise(
         return rotation, position, none
 
     def average(_: None) -> tuple[jax.Array, jax.Array, jax.Array]:
-        rest = jax.lax.stop_gradient((rotation, position))
+        rest = lax.stop_gradient((rotation, position))
         width = smoothing_width(*rest, counted, noise, lag)
         return *smooth_poses(rotation, position, times, count, width), width
 
     worthwhile = jnp.any(lag >= 2 * _PART)  # not for an encoder's noise
-    return jax.lax.cond(worthwhile, average, lambda _: (rotation, position, none), None)
+    return lax.cond(worthwhile, average, lambda _: (rotation, position, none), None)
 
 
 def _room(times: jax.Array, count: jax.Array) -> jax.Array:
@@ -133,10 +134,8 @@ def _room(times: jax.Array, count: jax.Array) -> jax.Array:
     mean = jnp.sum(jnp.where(own, steps, 0), axis=0) / jnp.maximum(count - 1, 1).astype(times.dtype)
     gap = own & (steps > _GAP * mean[None])
     ends = jnp.zeros((1, *count.shape), bool)
-    first = jax.lax.cummax(jnp.where(jnp.concatenate([ends, gap]), here, 0), axis=0)
-    last = jax.lax.cummin(
-        jnp.where(jnp.concatenate([gap, ends]), here, count[None] - 1), axis=0, reverse=True
-    )
+    first = lax.cummax(jnp.where(jnp.concatenate([ends, gap]), here, 0), axis=0)
+    last = lax.cummin(jnp.where(jnp.concatenate([gap, ends]), here, count[None] - 1), axis=0, reverse=True)
     return jnp.maximum(jnp.minimum(here - first, last - here), 0)
 
 

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import cast
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import jnp
 from reframe_jax.compilation import once
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, Symmetric

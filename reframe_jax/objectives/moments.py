@@ -13,8 +13,9 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
-import jax.numpy as jnp
+import numpy as np
 
+from reframe_jax.arrays import custom_jvp, jnp
 from reframe_jax.compilation import once
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, Symmetric, Vector
 from reframe_jax.objectives.moments_kernel import mean_products
@@ -98,7 +99,7 @@ def _products(entries: jax.Array, weights: jax.Array | None = None) -> list[jax.
     return [_add_up(weighted[i, None] * entries[i:]) for i in range(len(entries))]
 
 
-@jax.custom_jvp
+@custom_jvp
 def _products_in_a_kernel(entries: jax.Array) -> list[jax.Array]:
     """:func:`_products` on a GPU."""
     rows = mean_products(entries.reshape(*entries.shape[:2], -1))
@@ -188,7 +189,7 @@ def covariance_on_line(moments: Coefficients, direction: Vector) -> Symmetric:
 
 def _each_component(moments: Coefficients, at: Vector, polynomial: _Polynomial) -> Symmetric:
     """Values of a polynomial with the coefficients of each component; of an array, those of all at once."""
-    if isinstance(moments, jax.Array):
+    if isinstance(moments, jax.Array | np.ndarray):
         here = at[0][None], at[1][None], at[2][None]
         values = once(polynomial([moments[:, m] for m in range(moments.shape[1])], here))
         xx, xy, xz, yy, yz, zz = values

@@ -11,9 +11,9 @@ is its transpose. The power mean of exponent 0, the geometric mean, is the paper
 import math
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.arrays import jnp, lax
 from reframe_jax.geometry import rotations, symmetric
 from reframe_jax.geometry.products import matmul
 from reframe_jax.objectives.moments import covariance_at
@@ -66,7 +66,7 @@ def log_power_mean(log_values: jax.Array, exponent: float) -> jax.Array:
     if exponent == 0:
         return jnp.mean(log_values, axis=0)
     extreme = jnp.min if exponent < 0 else jnp.max
-    top = jax.lax.stop_gradient(extreme(log_values, axis=0))
+    top = lax.stop_gradient(extreme(log_values, axis=0))
     excess = jnp.mean(jnp.expm1(exponent * (log_values - top[None])), axis=0)
     return top + jnp.log1p(excess) / exponent
 

@@ -5,9 +5,9 @@ from functools import partial
 from typing import cast
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.arrays import jnp, lax, random
 from reframe_jax.compilation import BLOCK_SHARE, update_marked
 from reframe_jax.objectives.protocol import Objective, check_objective
 from reframe_jax.solvers.box import Box
@@ -143,7 +143,7 @@ class BasinHopping:
         """
         check_objective(objective)
         batch, dtype = objective.batch, objective.dtype
-        seed_key, key = jax.random.split(key)
+        seed_key, key = random.split(key)
         if starts is None:
             starts = self._starts(objective, box, seed_key)
         x = jnp.broadcast_to(starts, (objective.dim, self.restarts, *batch))
@@ -157,7 +157,7 @@ class BasinHopping:
         starts = even_starts(objective, box, key, filling)
         if suggested == 0:
             return starts
-        more = suggested_starts(objective, box, jax.random.fold_in(key, 1), suggested, _CANDIDATES[0])
+        more = suggested_starts(objective, box, random.fold_in(key, 1), suggested, _CANDIDATES[0])
         return jnp.concatenate([starts, more], axis=1)
 
     def step(self, objective: Objective, box: Box, state: SearchState) -> SearchState:
@@ -184,9 +184,9 @@ class BasinHopping:
         """Jump of every chain as a share of the box, (dim, restarts), the rise it accepts, the next key."""
         if self.hops == 0:
             return jnp.zeros((dim, self.restarts), dtype), jnp.zeros(self.restarts, dtype), key
-        jump_key, accept_key, key = jax.random.split(key, 3)
-        jump = self.hop_size * jax.random.normal(jump_key, (dim, self.restarts), dtype=dtype)
-        chance = jax.random.uniform(accept_key, (self.restarts,), dtype=dtype)
+        jump_key, accept_key, key = random.split(key, 3)
+        jump = self.hop_size * random.normal(jump_key, (dim, self.restarts), dtype=dtype)
+        chance = random.uniform(accept_key, (self.restarts,), dtype=dtype)
         return jump, -self.temperature * jnp.log(chance), key
 
     def finish(self, objective: Objective, box: Box, state: SearchState) -> Solution:
@@ -244,12 +244,12 @@ class BasinHopping:
             stops = first | (state.hop == last)
             done = self._have_met(jnp.where(first, state.value, state.best_value))
             ends = _where(ended < 2, state.chains, ends)
-            state = jax.lax.cond(stops, begin, lambda state, _: state, state, ended)
+            state = lax.cond(stops, begin, lambda state, _: state, state, ended)
             return state, ends, ended + stops.astype(jnp.int32), is_open & ~(stops & done)
 
         every = jnp.ones(state.value.shape[1:], dtype=bool)
         start = state, state.chains, jnp.zeros((), jnp.int32), every
-        state, ends, _, _ = jax.lax.while_loop(goes_on, advance, start)
+        state, ends, _, _ = lax.while_loop(goes_on, advance, start)
         return _state(state.hop, state.key, _with_best(ends, state.chains))
 
     def _advance(self, objective: Objective, box: Box, state: SearchState, count: int) -> SearchState:
@@ -257,9 +257,7 @@ class BasinHopping:
         on_gpu, inner = jax.default_backend() == "gpu", self.inner
         if on_gpu and isinstance(inner, ValleySteps) and inner.check(objective).exponent == 0:
             return self._in_a_kernel(inner, objective, box, state, count)
-        state, _ = jax.lax.scan(
-            lambda state, _: (self.step(objective, box, state), None), state, length=count
-        )
+        state, _ = lax.scan(lambda state, _: (self.step(objective, box, state), None), state, length=count)
         return state
 
     def _go_on(self, objective: Objective, box: Box, state: SearchState) -> SearchState:
@@ -291,7 +289,7 @@ class BasinHopping:
         if jax.default_backend() != "cpu":
             # few problems need more than one round, and an accelerator works on many at once
             carry, share = a_round(carry), _LATER
-        _, chains, ends, _ = jax.lax.while_loop(goes_on, partial(a_round, share=share), carry)
+        _, chains, ends, _ = lax.while_loop(goes_on, partial(a_round, share=share), carry)
         ends = _with_best(ends, chains)
         ends = jax.tree.map(lambda a: a.reshape(*a.shape[:-1], *batch), ends)
         return _state(state.hop, state.key, ends)
@@ -310,14 +308,14 @@ class BasinHopping:
         """
         if self.rounds < 2:
             return state
-        afresh = partial(self._begin_afresh, objective, box, jax.random.fold_in(key, number), state)
-        return jax.lax.cond(number == 0, lambda: state, afresh)
+        afresh = partial(self._begin_afresh, objective, box, random.fold_in(key, number), state)
+        return lax.cond(number == 0, lambda: state, afresh)
 
     def _begin_afresh(
         self, objective: Objective, box: Box, key: jax.Array, state: SearchState
     ) -> SearchState:
         """One chain at the best point, the others where the data suggest."""
-        start_key, key = jax.random.split(key)
+        start_key, key = random.split(key)
         starts = suggested_starts(objective, box, start_key, self.restarts - 1, _CANDIDATES[1])
         x, value = _lowest(state.chains)
         x = jnp.concatenate([x, starts], axis=1)
@@ -367,7 +365,5 @@ class BasinHopping:
         if starts[0].size <= _AT_ONCE:
             chains = repeat_problems(objective, starts.ndim - 2, self.restarts)
             return self.inner(chains, box, starts)
-        found, value = jax.lax.map(
-            lambda start: self.inner(objective, box, start), jnp.moveaxis(starts, 1, 0)
-        )
+        found, value = lax.map(lambda start: self.inner(objective, box, start), jnp.moveaxis(starts, 1, 0))
         return jnp.moveaxis(found, 0, 1), value

@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
+
+from reframe_jax.arrays import jnp
 
 __all__ = ["Box"]
 

@@ -3,8 +3,8 @@
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import custom_jvp, jnp, vmap
 from reframe_jax.geometry.products import apply
 from reframe_jax.objectives.protocol import Objective
 from reframe_jax.solvers.box import Box
@@ -15,7 +15,7 @@ __all__ = ["attach_derivative"]
 _FLAT = 1e-9  # curvature below this share of the largest: the direction is free and contributes nothing
 
 
-@jax.custom_jvp
+@custom_jvp
 def attach_derivative(x: jax.Array, objective: Objective, box: Box) -> jax.Array:
     """The optimum x, (dim, ...), as a differentiable function of the objective's data.
 
@@ -46,5 +46,5 @@ def _attach_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[ja
 
     of_problems = x, (x > low) & (x < high), objective, tangents[1]
     flat = flatten_problems(of_problems, x.ndim - 1)
-    change = jax.vmap(one, in_axes=(-1, -1, -1, -1), out_axes=-1)(*flat)
+    change = vmap(one, in_axes=(-1, -1, -1, -1), out_axes=-1)(*flat)
     return x, change.reshape(x.shape)

@@ -1,9 +1,9 @@
 """Starting points: some that fill a box evenly, and some that the data suggest."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.arrays import jnp, random
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.symmetric import INDEX_PAIRS
 from reframe_jax.objectives.protocol import MomentsObjective, Objective
@@ -34,7 +34,7 @@ def quasi_random(key: jax.Array, count: int, dim: int, dtype: jnp.dtype) -> jax.
     for _ in range(64):
         root = (1 + root) ** (1 / (dim + 1))
     steps = np.arange(1, count + 1) * root ** -np.arange(1.0, dim + 1)[:, None]
-    shift = jax.random.uniform(key, (dim, 1), dtype=dtype)
+    shift = random.uniform(key, (dim, 1), dtype=dtype)
     return jnp.mod(jnp.asarray(steps % 1, dtype=dtype) + shift, 1)
 
 
@@ -67,7 +67,7 @@ def suggested_starts(
     batch, dtype = objective.batch, objective.dtype
     if not (isinstance(objective, MomentsObjective) and objective.unknowns == "position"):
         return even_starts(objective, box, key, count)
-    d = jax.random.normal(key, (3, candidates * count), dtype=dtype)
+    d = random.normal(key, (3, candidates * count), dtype=dtype)
     d = d.reshape(3, candidates * count, *([1] * len(batch)))
     # coefficients of d^T Sigma(p) d; its gradient vanishes where it is least
     q = jnp.zeros((10, candidates * count, *batch), dtype)

@@ -4,7 +4,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
+
+from reframe_jax.arrays import jnp
 
 __all__ = ["Chains", "Coordinates", "transition"]
 

@@ -24,8 +24,8 @@ from functools import partial
 from typing import NamedTuple, cast
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import jnp, lax, nn
 from reframe_jax.compilation import apply_each, as_one_kernel, once
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, Symmetric, Vector
@@ -158,7 +158,7 @@ def _derivatives_of_mean(
         # the smallest counts alone
         share, own = jnp.stack([jnp.ones_like(s[0]), jnp.zeros_like(s[0]), jnp.zeros_like(s[0])]), 0.0
     else:
-        share, own = jax.nn.softmax(exponent / 2 * jnp.log(s), axis=0), exponent / 2
+        share, own = nn.softmax(exponent / 2 * jnp.log(s), axis=0), exponent / 2
     s, share, first = once((s, share, 3 * share / s))
     turned = once([dict(zip(INDEX_PAIRS, symmetric.along(slope, axes), strict=True)) for slope in slopes])
 
@@ -299,7 +299,7 @@ def descend(
             chosen, best = once((cast(Vector, picked), jnp.where(better, value, best)))
         return chosen, best
 
-    return jax.lax.fori_loop(0, steps, step, (p, _level(covariance_at(moments, p), exponent)))
+    return lax.fori_loop(0, steps, step, (p, _level(covariance_at(moments, p), exponent)))
 
 
 @dataclass(frozen=True)
