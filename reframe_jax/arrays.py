@@ -5,8 +5,8 @@ twentieth of one. Modules that identify take ``jnp``, ``lax`` and the rest from 
 Within :func:`with_numpy` these are NumPy functions that compute at once; everywhere else they are JAX's.
 
 Functions in which NumPy differs from JAX are listed below. Code that runs on both has four rules: no
-``.at``, but :func:`put`; no index out of range; nothing that asks whether an array is a ``jax.Array``; no
-derivative, whose rules are those of JAX.
+``.at``, but :func:`put` and :func:`add`; no index out of range; nothing that asks whether an array is a
+``jax.Array``; no derivative, whose rules are those of JAX.
 """
 
 import contextlib
@@ -21,6 +21,7 @@ import jax
 import numpy as np
 
 __all__ = [
+    "add",
     "custom_jvp",
     "jnp",
     "lax",
@@ -61,6 +62,15 @@ def put(array: _T, index: Any, values: Any) -> _T:
         return array.at[index].set(values)  # type: ignore[attr-defined]
     changed: Any = np.array(array)
     changed[index] = values
+    return changed
+
+
+def add(array: _T, index: Any, values: Any) -> _T:
+    """The array with values added at an index."""
+    if not using_numpy():
+        return array.at[index].add(values)  # type: ignore[attr-defined]
+    changed: Any = np.array(array)
+    changed[index] += values
     return changed
 
 
@@ -201,7 +211,9 @@ _NN = SimpleNamespace(
     softmax=_softmax,
 )
 _RANDOM = SimpleNamespace(
+    exponential=_drawn(jax.random.exponential),
     fold_in=jax.random.fold_in,
+    key=jax.random.key,
     normal=_drawn(jax.random.normal),
     split=jax.random.split,
     uniform=_drawn(jax.random.uniform),

@@ -1,6 +1,7 @@
 """Windows identified with NumPy: the same results as those of compiled programs, and nothing compiled."""
 
 import functools
+import itertools
 import threading
 
 import hypothesis
@@ -120,14 +121,14 @@ def test_the_first_calls_compile_no_search(monkeypatch):
 
 def test_later_calls_and_large_batches_are_compiled(monkeypatch):
     monkeypatch.setattr(uncompiled, "FIRST_CALLS", 2)
-    kind = {"rule": "auto", "solver": rf.default_solver()}
+    kind = "auto", rf.default_solver()
     window, batch = np.zeros((5, 4, 4)), np.zeros((65, 5, 4, 4))
-    assert uncompiled.is_worth_compiling(batch, kind)
-    assert [uncompiled.is_worth_compiling(window, kind) for _ in range(4)] == [False, False, True, True]
-    assert not uncompiled.is_worth_compiling(window, {**kind, "rule": "single"})  # another program
-    assert uncompiled.is_worth_compiling(window, {**kind, "solver": rf.default_solver(-1)})
+    assert uncompiled.is_worth_compiling(batch, *kind)
+    assert [uncompiled.is_worth_compiling(window, *kind) for _ in range(4)] == [False, False, True, True]
+    assert not uncompiled.is_worth_compiling(window, "single", kind[1])  # another program
+    assert uncompiled.is_worth_compiling(window, "auto", rf.default_solver(-1))
     there = jax.device_put(window, jax.devices()[0])
-    assert uncompiled.is_worth_compiling(there, {"rule": "given", "solver": rf.default_solver()})
+    assert uncompiled.is_worth_compiling(there, "given", kind[1])
 
 
 def test_transformations_are_those_of_jax():
@@ -141,6 +142,33 @@ def test_transformations_are_those_of_jax():
 def test_solvers_that_need_derivatives_are_refused(solver):
     with pytest.raises(ValueError, match="NumPy runs BasinHopping with ValleySteps only"):
         rf.identify(windows("B"), dt=DT, solver=solver, compiled=False)
+
+
+@pytest.mark.parametrize(
+    ("label", "how"),
+    [
+        ("A", "white"),
+        *itertools.product("AK", ["measured", "bootstrap", "excitation"]),
+        *zip("CHL", ["measured"] * 3),
+    ],
+)
+def test_how_sure(label, how, monkeypatch):
+    poses = windows(label)[1:]
+    found = rf.identify(poses, dt=DT)
+
+    def compute():
+        if how == "excitation":
+            return rf.excitation(found, poses, dt=DT)
+        options = {"method": how} if how == "bootstrap" else {"errors": how}
+        return rf.covariance(found, poses, dt=DT, **options)
+
+    quick = compute()
+    monkeypatch.setattr(uncompiled, "FIRST_CALLS", 0)
+    for (path, x), y in zip(jax.tree.leaves_with_path(quick), jax.tree.leaves(compute()), strict=True):
+        name = jax.tree_util.keystr(path)
+        assert (x.dtype, x.shape) == (y.dtype, y.shape), name
+        largest = float(np.nanmax(np.abs(np.asarray(y, float))))
+        np.testing.assert_allclose(x, y, rtol=1e-5, atol=1e-8 * largest, err_msg=name)
 
 
 def test_a_choice_that_is_none_is_refused():

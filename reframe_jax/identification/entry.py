@@ -144,7 +144,7 @@ def identify(
         batch = array.shape[:-3]
         if inside_a_trace or 0 in batch:
             found = run(array, steps, *options)
-        elif not (is_worth_compiling(array, static) if compiled is None else compiled):
+        elif not (is_worth_compiling(array, *static.values()) if compiled is None else compiled):
             found = identify_uncompiled(array, steps, *options, **static)
         elif not batch:
             found = _single(array, steps, options, static)
@@ -186,7 +186,7 @@ def identify_piece(poses: np.ndarray, times: np.ndarray, reach: float) -> Identi
             "discretization": "chord",
             "solver": default_solver(),
         }
-        if is_worth_compiling(poses, static):
+        if is_worth_compiling(poses, *static.values()):
             found = _single(poses, np.diff(times), options, static)
         else:
             found = identify_uncompiled(poses, np.diff(times), *options, **static)

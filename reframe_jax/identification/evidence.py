@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 import jax
 import numpy as np
 
-from reframe_jax.arrays import jnp, lax, put
+from reframe_jax.arrays import add, jnp, lax
 from reframe_jax.compilation import once
 from reframe_jax.constraints.types import AngularType, LinearType
 from reframe_jax.geometry import symmetric
@@ -207,7 +207,7 @@ def _centred(poses: jax.Array, number: jax.Array) -> tuple[jax.Array, jax.Array]
     own = (jnp.arange(poses.shape[1], dtype=jnp.int32)[None] < number[:, None])[:, :, None]
     total = jnp.sum(jnp.where(own, poses[:, :, :3, 3], 0), axis=1)
     centre = lax.stop_gradient(total / number.astype(poses.dtype)[:, None])
-    return put(poses, np.s_[:, :, :3, 3], poses[:, :, :3, 3] - centre[:, None]), centre
+    return add(poses, np.s_[:, :, :3, 3], -centre[:, None]), centre
 
 
 def _motion(

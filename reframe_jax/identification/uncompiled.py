@@ -22,18 +22,20 @@ _CHUNK = 64  # windows that are identified at a time
 _calls: Counter[Any] = Counter()
 
 
-def is_worth_compiling(poses: Any, options: dict[str, Any]) -> bool:
-    """Whether windows should be identified by compiled programs; counts the calls.
+def is_worth_compiling(poses: Any, *options: Any) -> bool:
+    """Whether windows should be left to compiled programs; counts the calls.
 
     Args:
         poses: (..., K+1, 4, 4).
-        options: those for which programs are compiled.
+        options: for which a program is compiled; one with a solver that needs it always is.
     """
     many = math.prod(poses.shape[:-3]) > _CHUNK
     # whoever put them on a device wants them to be worked on there
-    if many or getattr(poses, "committed", False) or not _runs_on_numpy(options["solver"]):
+    if many or getattr(poses, "committed", False):
         return True
-    kind = poses.dtype, *options.values()
+    if not all(_runs_on_numpy(option) for option in options if hasattr(option, "minimise")):
+        return True
+    kind = poses.dtype, *options
     _calls[kind] += 1
     return _calls[kind] > FIRST_CALLS
 

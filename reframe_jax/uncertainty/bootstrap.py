@@ -13,8 +13,9 @@ Arrays have components first, then blocks or replicas, then windows.
 """
 
 import jax
-import jax.numpy as jnp
+import numpy as np
 
+from reframe_jax.arrays import add, jnp, lax, put, random
 from reframe_jax.compilation import once
 from reframe_jax.constraints.types import AngularType
 from reframe_jax.geometry import symmetric
@@ -65,7 +66,7 @@ def bootstrap_of_windows(
     number = jnp.full(poses.shape[0], poses.shape[1], jnp.int32) if count is None else count
     length = jnp.maximum(-(-number // _BLOCKS), jnp.where(found.refined, 1, 2 * found.lag))
     block = jnp.arange(poses.shape[1], dtype=jnp.int32)[:, None] // length[None]
-    weights = jax.random.exponential(jax.random.key(0), (_REPLICAS, _BLOCKS), poses.dtype)
+    weights = random.exponential(random.key(0), (_REPLICAS, _BLOCKS), poses.dtype)
     weights = weights / jnp.mean(weights, axis=1, keepdims=True)
 
     def resampled(values: jax.Array) -> jax.Array:
@@ -77,7 +78,7 @@ def bootstrap_of_windows(
             return total + weights[None, :, b, None] * of_block[:, None]
 
         nothing = jnp.zeros((len(values), _REPLICAS, values.shape[2]), values.dtype)
-        return jax.lax.fori_loop(0, _BLOCKS, add, nothing)
+        return lax.fori_loop(0, _BLOCKS, add, nothing)
 
     def gram(path: jax.Array, about_mean: jax.Array) -> jax.Array:
         """Moments of paths (m, K+1, N) as they are sampled, (m, m, B, N)."""
@@ -112,7 +113,7 @@ def bootstrap_of_windows(
     def again(matrix: jax.Array) -> jax.Array:
         return jnp.where(summed[None, None], _of_disturbed(poses, steps, count, found, paths), matrix)
 
-    matrix = jax.lax.cond(jnp.any(summed), again, lambda matrix: matrix, matrix)
+    matrix = lax.cond(jnp.any(summed), again, lambda matrix: matrix, matrix)
     matrix = in_bodies(matrix, axes_of(found.angular_rotvec), axes_of(found.linear_rotvec))
     return jnp.moveaxis(matrix, -1, 0)
 
@@ -124,12 +125,10 @@ def _of_disturbed(
     linear_dof, angular_dof = found.linear_dof.T, found.angular_dof.T
 
     def estimate(key: jax.Array) -> tuple[jax.Array, ...]:
-        turn, shift = (
-            jax.random.normal(each, (1, poses.shape[1], 3), poses.dtype) for each in jax.random.split(key)
-        )
+        turn, shift = (random.normal(each, (1, poses.shape[1], 3), poses.dtype) for each in random.split(key))
         turned = rotation_exp(turn * found.rotation_noise[:, None, None])
-        noisy = poses.at[:, :, :3, :3].set(matmul3(poses[:, :, :3, :3], turned))
-        noisy = noisy.at[:, :, :3, 3].add(shift * found.position_noise[:, None, None])
+        noisy = put(poses, np.s_[:, :, :3, :3], matmul3(poses[:, :, :3, :3], turned))
+        noisy = add(noisy, np.s_[:, :, :3, 3], shift * found.position_noise[:, None, None])
         seen = paths_of(noisy, steps, count, found)
         take = seen.sampling.take
         flat = jnp.concatenate([seen.along_linear[:, None], seen.slopes], axis=1)
@@ -143,7 +142,7 @@ def _of_disturbed(
         spread = sums_of_products(seen.sampling.shares[None] * about, about)
         return angular, own, offset, jnp.sum(_mean_entries(seen), axis=1), _packed(spread)
 
-    stacked = jax.lax.map(estimate, jax.random.split(jax.random.key(1), _DISTURBED))
+    stacked = lax.map(estimate, random.split(random.key(1), _DISTURBED))
     angular, own, offset, mean, spread = (jnp.swapaxes(each, 0, 1) for each in stacked)
     return _scatter(paths, found, (angular, own, offset), (mean, spread))
 
@@ -161,7 +160,7 @@ def _optimum(moments: jax.Array, free: jax.Array) -> tuple[jax.Array, jax.Array]
     start = jnp.zeros_like(moments[:, 0, 0, 0])
     size = jnp.sum(jnp.stack([moments[i, a, i, a] for i in range(3) for a in range(1, 4)]), axis=0)
     held = jnp.eye(3, dtype=free.dtype)[:, None, :, None, None] * (free * size[None, None])[None, :, None]
-    origin = optimum_near(moments.at[:, 1:, :, 1:].add(held), start)
+    origin = optimum_near(add(moments, np.s_[:, 1:, :, 1:], held), start)
     return covariance_at_offset(moments, optimum_near(moments, start)), origin
 
 

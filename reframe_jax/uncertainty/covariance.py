@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from reframe_jax.arrays import jnp, put, vmap
 from reframe_jax.compilation import index_leaves, traced
 from reframe_jax.geometry import rotations
 from reframe_jax.geometry.products import matmul
@@ -129,7 +129,7 @@ class Covariance:
 
         batch = self.matrix.shape[:-2]
         for _ in batch:
-            of_one = jax.vmap(of_one)
+            of_one = vmap(of_one)
         return of_one(found, self.matrix)
 
 
@@ -245,6 +245,7 @@ def _bootstrapped(
     matrix = bootstrap_of_windows(poses, steps, count, found)
     matrix = jnp.where(failed[:, None, None], jnp.nan, matrix)
     number = matrix.shape[1]
-    matrix = usual.matrix.at[:, :number].set(0).at[:, :, :number].set(0).at[:, :number, :number].set(matrix)
+    apart = put(put(usual.matrix, np.s_[:, :number], 0), np.s_[:, :, :number], 0)
+    matrix = put(apart, np.s_[:, :number, :number], matrix)
     nothing = jnp.where(failed[:, None], jnp.nan, jnp.zeros_like(usual.bias))
     return replace(usual, matrix=matrix, bias=nothing, inflation=1 + nothing[:, :3])

@@ -1,8 +1,9 @@
 """Covariance of identified frames: from checked arrays, all windows at once."""
 
 import jax
-import jax.numpy as jnp
+import numpy as np
 
+from reframe_jax.arrays import add, jnp, lax, put
 from reframe_jax.compilation import once
 from reframe_jax.uncertainty.paths import Estimates, Paths, axes_of, is_summed, oriented_in_body, paths_of
 from reframe_jax.uncertainty.propagation import apply_to_rows, position_to_poses, turn_to_poses
@@ -92,10 +93,10 @@ def covariance_of_windows(
         directions = apply_to_rows(linear_axes, linear.by_axis)
         directions = directions - axis[None] * jnp.sum(directions * axis[None], axis=1, keepdims=True)
         tilts = axis_moves(paths, directions, axis, oriented_in_body(found))
-        turn, shift = (rows.at[:6].add(more) for rows, more in zip(rows, tilts, strict=True))
+        turn, shift = (add(rows, np.s_[:6], more) for rows, more in zip(rows, tilts, strict=True))
         return turn, shift
 
-    second, shift = once(jax.lax.cond(jnp.any(slides), with_tilt, lambda rows: rows, (second, shift)))
+    second, shift = once(lax.cond(jnp.any(slides), with_tilt, lambda rows: rows, (second, shift)))
     zero = jnp.zeros_like(first[:3])
     of_angular, of_linear = (first[:3], zero), (second[:3], shift[:3])
     explained = noise_variances(
@@ -110,7 +111,7 @@ def covariance_of_windows(
 
     as_found = of_angular, of_linear, linear.turn_shift
     of_angular, of_linear, turn_shift = once(
-        jax.lax.cond(jnp.any(paths.single.found), with_axis, lambda _: as_found, None)
+        lax.cond(jnp.any(paths.single.found), with_axis, lambda _: as_found, None)
     )
     # angular turn, linear turn, origin, angular rms, linear rms
     turn = jnp.concatenate([of_angular[0], of_linear[0], second[3:6], first[3:], second[6:9]])
@@ -128,7 +129,7 @@ def covariance_of_windows(
     none = jnp.zeros_like(tilt)
     bias = jnp.concatenate([none, tilt, linear.position_shift, none, none])
     matrix = matrix + bias[:, None] * bias[None]
-    matrix = matrix.at[6:9, 6:9].add(jnp.square(FAR) * linear.unknown)
+    matrix = add(matrix, np.s_[6:9, 6:9], jnp.square(FAR) * linear.unknown)
     small = _stand_apart(turned, angular_dof) & _stand_apart(moved, linear_dof)
 
     block = _block(sampling, number)
@@ -139,7 +140,7 @@ def covariance_of_windows(
         twin = optimum_near(gram, (found.twin - found.position).T)
         return jnp.where(found.has_twin, twin_probability(moved, slopes, twin, linear_dof, block), 0)
 
-    probability = jax.lax.cond(jnp.any(found.has_twin), compare, lambda _: jnp.zeros_like(noise[0]), None)
+    probability = lax.cond(jnp.any(found.has_twin), compare, lambda _: jnp.zeros_like(noise[0]), None)
     of_types = type_probability(once(paths.rivals), sampling, found.linear_type, linear_dof, block)
     determined = jnp.all(linear.unknown == 0, axis=(0, 1))
     return jnp.moveaxis(matrix, -1, 0), bias.T, grown.T, determined, small, probability, of_types
@@ -160,7 +161,7 @@ def _to_poses(paths: Paths, found: Estimates, rows: jax.Array) -> tuple[jax.Arra
     def keep(rows: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         return kept_rows(*rows, paths)
 
-    turn, shift = jax.lax.cond(jnp.any(paths.kept), keep, lambda rows: rows, (turn, shift))
+    turn, shift = lax.cond(jnp.any(paths.kept), keep, lambda rows: rows, (turn, shift))
     return turn, shift
 
 
@@ -176,7 +177,7 @@ def _rms_path(
     """Sensitivities of the RMS velocities to the path, (3, 3, K+1, N)."""
     own, share = rms_rows(sampling.chords(path), dof)
     back = once(sampling.from_chords(own))
-    rows = jnp.stack([jnp.zeros_like(back).at[i].set(back[i]) for i in range(3)])
+    rows = jnp.stack([put(jnp.zeros_like(back), i, back[i]) for i in range(3)])
     if slopes is None or position is None:
         return rows
     by_origin = once(jnp.sum(back[:, None] * slopes, axis=2) / share[:, None])

@@ -12,10 +12,10 @@ kinds of motion therefore say less than their frames show:
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from reframe_jax.arrays import jnp
 from reframe_jax.compilation import index_leaves
 from reframe_jax.constraints.catalogue import CONSTRAINTS, OTHER_CONSTRAINTS
 from reframe_jax.constraints.types import LinearType

@@ -12,9 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from reframe_jax.arrays import with_numpy
 from reframe_jax.compilation import chunk_size, compiler_options, in_float64, traced
 from reframe_jax.identification.inputs import pad_recording
 from reframe_jax.identification.results import Identification, PoseNoise
+from reframe_jax.identification.uncompiled import is_worth_compiling
 from reframe_jax.uncertainty.paths import Estimates, estimates_of
 
 __all__ = ["WindowFunction", "over_windows"]
@@ -92,7 +94,9 @@ def over_windows(
         steps = _sample_steps(array, times, dt)
         estimates = estimates_of(found, noise, array.dtype)
         inside_a_trace = traced((array, steps, estimates))
-        if array.ndim == 3 and not inside_a_trace:
+        if not inside_a_trace and not is_worth_compiling(array, function):
+            result = _with_numpy(function, array, steps, estimates)
+        elif array.ndim == 3 and not inside_a_trace:
             result = _single(function, array, steps, estimates)
         else:
             result = _batch(function, array, steps, estimates, inside_a_trace)
@@ -103,6 +107,18 @@ def _narrow(leaf: Any) -> Any:
     """A NumPy array in 32 bits, made on the host: one program serves both settings of JAX."""
     kinds = {np.dtype(np.float64): np.float32, np.dtype(np.int64): np.int32}
     return leaf.astype(kinds.get(leaf.dtype, leaf.dtype))
+
+
+def _with_numpy(function: WindowFunction, poses: Any, steps: Any, found: Estimates) -> Any:
+    """Compile nothing."""
+    poses, steps, found = jax.device_get((poses, steps, found))
+    batch, shared = poses.shape[:-3], steps.ndim == 1
+    poses = poses.reshape(-1, *poses.shape[-3:])
+    found = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[len(batch) :]), found)
+    steps = steps if shared else steps.reshape(-1, steps.shape[-1])
+    with with_numpy():
+        result = function(poses, found, steps, None)
+    return jax.device_put(jax.tree.map(lambda leaf: leaf.reshape((*batch, *leaf.shape[1:])), result))
 
 
 def _single(function: WindowFunction, poses: Any, steps: Any, found: Estimates) -> Any:

@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.arrays import add, jnp, lax
 from reframe_jax.compilation import once, traced
 from reframe_jax.constraints.located import ground_offset, parts_on_body
 from reframe_jax.constraints.types import LinearType
@@ -159,7 +159,7 @@ def paths_of(poses: jax.Array, steps: jax.Array, count: jax.Array | None, found:
     own = jnp.arange(samples + 1, dtype=jnp.int32)[None] < number[:, None]
     total = jnp.sum(jnp.where(own[:, :, None], poses[:, :, :3, 3], 0), axis=1)
     centre = total / number.astype(poses.dtype)[:, None]
-    poses = poses.at[:, :, :3, 3].add(-centre[:, None])
+    poses = add(poses, np.s_[:, :, :3, 3], -centre[:, None])
     shared = jnp.broadcast_to(steps, (1, samples)) if steps.ndim == 1 else steps
     times = jnp.concatenate([jnp.zeros_like(shared[:, :1]), jnp.cumsum(shared, axis=1)], axis=1)
     times = jnp.broadcast_to(times, (windows, samples + 1))
@@ -168,17 +168,17 @@ def paths_of(poses: jax.Array, steps: jax.Array, count: jax.Array | None, found:
     def mend(poses: jax.Array) -> jax.Array:
         return jnp.where(out[:, :, None, None], repair_poses(poses, times, number)[0], poses)
 
-    poses = once(jax.lax.cond(jnp.any(out), mend, lambda poses: poses, poses))
+    poses = once(lax.cond(jnp.any(out), mend, lambda poses: poses, poses))
     rotation, shift, share = _averaged(poses, times, number, found)
     noise = share * found.seen.position, share * found.seen.rotation
     single = find_single_axis(rotation, shift, found.counted.T, noise)
     kept = single.found & found.refined & (found.lag > 1)
 
     straight = once(
-        jax.lax.cond(jnp.any(kept), keep_axis, lambda same, _: same, rotation, single._replace(found=kept))
+        lax.cond(jnp.any(kept), keep_axis, lambda same, _: same, rotation, single._replace(found=kept))
     )
     paths = once(kinematics.paths_of(straight, shift, shared, count)[1])
-    turns = jax.lax.cond(
+    turns = lax.cond(
         jnp.any(kept),
         lambda: kinematics.turn_paths(kinematics.turn_rates(rotation, shared, count), shared),
         lambda: kinematics.rates_of(paths)[:, 0],

@@ -15,8 +15,8 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import jnp, lax
 from reframe_jax.compilation import once
 from reframe_jax.constraints.types import AngularType, LinearType
 
@@ -62,7 +62,7 @@ def _of_kind(kind: jax.Array, candidates: dict[int, Callable[[], Any]], like: An
                 lambda new, old: jnp.where(here[None, None, None], new, old), compute(), before
             )
 
-        result = jax.lax.cond(jnp.any(here), take, lambda before: before, result)
+        result = lax.cond(jnp.any(here), take, lambda before: before, result)
     return result
 
 

@@ -7,8 +7,8 @@ that sum tells how much d may be by chance (Vuong 1989). The same holds for the 
 """
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import jnp, norm
 from reframe_jax.compilation import once
 from reframe_jax.geometry import symmetric
 from reframe_jax.uncertainty.sampling import Sampling
@@ -79,7 +79,7 @@ def _better(
     variance = long_run_variance(one[1] - other[1], block)
     rounding = jnp.finfo(variance.dtype).eps  # its square root, of the logarithm of a norm
     deviation = jnp.sqrt(variance + jnp.square(missed) + rounding)
-    return jax.scipy.stats.norm.cdf((other[0] - one[0]) / deviation)
+    return norm.cdf((other[0] - one[0]) / deviation)
 
 
 def _left_over(samples: jax.Array, held: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -4,7 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
+
+from reframe_jax.arrays import jnp, lax
 
 __all__ = ["Sampling"]
 
@@ -67,7 +68,7 @@ class Sampling:
         def both(_: None) -> jax.Array:
             return jnp.where(self.about_mean[None, None], centred, by_chords(values))
 
-        return jax.lax.cond(jnp.all(self.about_mean), lambda _: centred, both, None)
+        return lax.cond(jnp.all(self.about_mean), lambda _: centred, both, None)
 
     def _index(self) -> jax.Array:
         return jnp.arange(self.scales.shape[0], dtype=jnp.int32)[:, None]

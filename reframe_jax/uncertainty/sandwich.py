@@ -10,8 +10,8 @@ variance (Newey and West 1987). Its ratio to what the noise explains inflates th
 """
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import jnp
 from reframe_jax.compilation import once
 from reframe_jax.geometry.products import matmul
 

@@ -19,8 +19,9 @@ Arrays have components first, then samples, then windows.
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
+import numpy as np
 
+from reframe_jax.arrays import add, jnp
 from reframe_jax.compilation import once
 from reframe_jax.geometry import symmetric
 from reframe_jax.objectives.moments import MONOMIALS
@@ -132,7 +133,7 @@ def linear_rows(
     across = covariance_at_offset(gram, nowhere)
     stiffness = tie * (across[0, 0] + across[1, 1]) / 2
     stiff = stiffness[None] * axis
-    tied = gram.at[:, 0, :, 0].add(stiff[:, None] * axis[None])
+    tied = add(gram, np.s_[:, 0, :, 0], stiff[:, None] * axis[None])
     offset = optimum_near(tied, nowhere)
     left_out = likeliest[None] & (dof == 1)
     here, there = once((_about(tied, nowhere, left_out), _about(tied, offset, left_out)))

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import jnp, lax
 from reframe_jax.compilation import once
 from reframe_jax.constraints.types import PARALLEL_COSINE, SQUARE_COSINE, AngularType
 from reframe_jax.uncertainty.paths import Estimates, Paths, axes_of, oriented_in_body
@@ -105,8 +105,8 @@ def rows_with_axis(
 
     parts = angular, linear, bias
     odd_somewhere = jnp.any(shared.slides | shared.faces)
-    parts = jax.lax.cond(odd_somewhere, with_odd, lambda _: parts, None)
-    parts = jax.lax.cond(jnp.any(shared.aside), with_side, lambda parts: parts, parts)
+    parts = lax.cond(odd_somewhere, with_odd, lambda _: parts, None)
+    parts = lax.cond(jnp.any(shared.aside), with_side, lambda parts: parts, parts)
     return parts
 
 
@@ -169,5 +169,5 @@ def _to_angular(
         return turn - shares[None, None] * cross_rows(directions[:, :, None], odd[None, :, None])
 
     turn, shift = (moved(part) for part in rows)
-    turn = jax.lax.cond(jnp.any(to_body), to_body_too, lambda turn: turn, turn)
-    return jax.lax.cond(jnp.any(to_ground), to_ground_too, lambda turn: turn, turn), shift
+    turn = lax.cond(jnp.any(to_body), to_body_too, lambda turn: turn, turn)
+    return lax.cond(jnp.any(to_ground), to_ground_too, lambda turn: turn, turn), shift

@@ -17,8 +17,8 @@ Arrays have components first, then samples, then windows.
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import jnp
 from reframe_jax.constraints.types import AngularType, LinearType
 from reframe_jax.motion.components import cross
 from reframe_jax.uncertainty.propagation import apply_to_rows

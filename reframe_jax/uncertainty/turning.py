@@ -16,8 +16,8 @@ axis itself, x x (dx - R dy).
 """
 
 import jax
-import jax.numpy as jnp
 
+from reframe_jax.arrays import jnp, lax
 from reframe_jax.geometry import symmetric
 from reframe_jax.motion.single_axis import across_axis
 from reframe_jax.uncertainty.paths import Paths
@@ -125,7 +125,7 @@ def _axis_pulls(
     def without(_: None) -> tuple[jax.Array, jax.Array]:
         return along, jnp.zeros((*along.shape[:2], *shares.shape), along.dtype)
 
-    pulled, drift = jax.lax.cond(jnp.any(single.planar), with_plane, without, None)
+    pulled, drift = lax.cond(jnp.any(single.planar), with_plane, without, None)
     left = 1 - _middle_singular_value(mean)
     pulled = pulled / jnp.where(left > 0, left, 1)[None, None]
     return apply_to_rows(jnp.swapaxes(mean, 0, 1), pulled), pulled, drift
