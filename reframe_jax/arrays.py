@@ -163,8 +163,8 @@ def _normal_cdf(x: np.ndarray) -> np.ndarray:
     return (_erfc(-x / math.sqrt(2)) / 2).astype(x.dtype)
 
 
-def _solve_triangular(root: np.ndarray, x: np.ndarray, lower: bool) -> np.ndarray:
-    return np.linalg.solve(root, x)
+def _solve_triangular(root: np.ndarray, x: np.ndarray, lower: bool, trans: int = 0) -> np.ndarray:
+    return np.linalg.solve(np.swapaxes(root, -1, -2) if trans else root, x)
 
 
 def _drawn(draw: Callable[..., jax.Array]) -> Callable[..., np.ndarray]:

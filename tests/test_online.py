@@ -21,7 +21,7 @@ def test_every_push_identifies_the_last_window(recording):
     assert found[:20] == [None] * 20
     assert len(stream) == 21
     for last in (20, 21, 30):
-        window = rf.identify(poses[last - 20 : last + 1], dt=0.1)
+        window = rf.identify(poses[last - 20 : last + 1], dt=0.1, compiled=True)
         np.testing.assert_array_equal(found[last].linear.position, window.linear.position)
         assert found[last].name == window.name
 
@@ -43,7 +43,7 @@ def test_a_refused_pose_is_not_added(recording):
         with pytest.raises(ValueError, match=words):
             stream.push(bad, time)
     found = stream.push(poses[20], times[20])
-    window = rf.identify(poses[:21], times=times[:21])
+    window = rf.identify(poses[:21], times=times[:21], compiled=True)
     np.testing.assert_array_equal(found.linear.position, window.linear.position)
 
 
@@ -133,6 +133,7 @@ def test_options_reach_the_identification(recording, monkeypatch, unwatched):
     monkeypatch.setattr(online, "identify", lambda poses, **options: seen.update(options))
     thresholds, solver, key = rf.Thresholds(0.1, 0.2), rf.BasinHopping(rf.ValleySteps(1)), jax.random.key(5)
     options = {"lag": 2, "norm": 1, "thresholds": thresholds, "bounds": 0.5, "solver": solver, "key": key}
+    options["compiled"] = False
     stream = rf.OnlineIdentifier(5, dt=0.1, **options)
     for pose in np.asarray(recording.poses)[:5]:
         stream.push(pose)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 import reframe_jax as rf
 from reframe_jax import arrays
@@ -92,11 +93,25 @@ def test_outliers_pauses_and_windows_that_fail():
     assert [rf.Status(int(code)).failed for code in found.status] == [False, False, True, True, True, False]
 
 
-def test_a_screw_and_a_universal_joint_have_their_numbers():
+def test_a_screw_has_its_pitch():
     screw = simulate("C", jax.random.key(0), noise=1e-5, dt=DT, pitch=0.02).poses
     found, expected = both(np.asarray(screw))
     assert found.name == expected.name == "Screw joint"
     np.testing.assert_allclose(found.pitch, expected.pitch, rtol=1e-6)
+
+
+def test_a_universal_joint_has_its_axes(rng):
+    t = np.arange(101) * DT
+    turns = 0.5 * np.sin(0.9 * t), 0.4 * np.sin(1.7 * t + 1)
+    poses = np.tile(np.eye(4), (101, 1, 1))
+    turn = Rotation.from_euler("XY", np.stack(turns, axis=1)) * Rotation.from_rotvec(
+        3e-4 * rng.normal(size=(101, 3))
+    )
+    poses[:, :3, :3] = turn.as_matrix()
+    poses[:, :3, 3] = turn.apply([0.1, 0.05, -0.08]) + 1e-4 * rng.normal(size=(101, 3))
+    found, expected = both(poses)
+    assert found.name == expected.name == "Universal joint"
+    np.testing.assert_allclose(found.universal_axes, expected.universal_axes, atol=1e-7)
 
 
 def test_a_batch_equals_its_windows():
@@ -215,6 +230,7 @@ def test_functions_are_those_of_jax(x):
         yield arrays.vmap(lambda a, b: a * b, in_axes=(0, None), out_axes=1)(x, x[0])
         yield arrays.put(jnp.asarray(x), (0, slice(1, None)), 7.0)
         yield arrays.linalg.solve_triangular(np.array([[2.0, 0], [1, 3]]), x, lower=True)
+        yield arrays.linalg.solve_triangular(np.array([[2.0, 0], [1, 3]]), x, lower=True, trans=1)
         yield arrays.random.normal(jax.random.key(3), (2, 5))
         yield arrays.random.uniform(jax.random.key(3), (2, 5))
 
