@@ -36,7 +36,7 @@ def identify_repeated(poses: np.ndarray, count: int) -> None:
     """Identify ``count`` windows, those given again and again; memory is that of one block."""
     for start in range(0, count, _BLOCK):
         rows = np.arange(start, min(start + _BLOCK, count)) % len(poses)
-        jax.block_until_ready(rf.identify(poses[rows], dt=DT))
+        jax.block_until_ready(rf.identify(poses[rows], dt=DT, compiled=True))
 
 
 def _longer(samples: int) -> np.ndarray:

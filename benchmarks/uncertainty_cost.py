@@ -37,7 +37,7 @@ def in_turns(poses: np.ndarray, found: rf.Identification, repeats: int) -> tuple
     """Seconds of the first covariance, and of identifications and covariances in turns, (repeats, 2)."""
 
     def covariance() -> Any:
-        return rf.covariance(found, poses, dt=DT)
+        return rf.covariance(found, poses, dt=DT, compiled=True)
 
     def identification() -> Any:
         return rf.identify(poses, dt=DT, compiled=True)

@@ -14,6 +14,7 @@ import math
 from collections.abc import Callable, Iterator
 from contextvars import ContextVar
 from functools import partial
+from operator import itemgetter
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -123,7 +124,7 @@ def _vmap(function: Callable[..., Any], in_axes: Any = 0, out_axes: int = 0) -> 
 
         def of_one(i: int) -> Any:
             taken = (
-                argument if axis is None else jax.tree.map(partial(np.take, indices=i, axis=axis), argument)
+                argument if axis is None else jax.tree.map(itemgetter((*[slice(None)] * axis, i)), argument)
                 for argument, axis in zip(arguments, axes, strict=True)
             )
             return function(*taken)

@@ -138,12 +138,12 @@ def test_later_calls_and_large_batches_are_compiled(monkeypatch):
     monkeypatch.setattr(uncompiled, "FIRST_CALLS", 2)
     kind = "auto", rf.default_solver()
     window, batch = np.zeros((5, 4, 4)), np.zeros((65, 5, 4, 4))
-    assert uncompiled.is_worth_compiling(batch, *kind)
-    assert [uncompiled.is_worth_compiling(window, *kind) for _ in range(4)] == [False, False, True, True]
-    assert not uncompiled.is_worth_compiling(window, "single", kind[1])  # another program
-    assert uncompiled.is_worth_compiling(window, "auto", rf.default_solver(-1))
+    assert uncompiled.compile_windows(None, batch, *kind)
+    assert [uncompiled.compile_windows(None, window, *kind) for _ in range(4)] == [False, False, True, True]
+    assert not uncompiled.compile_windows(None, window, "single", kind[1])  # another program
+    assert uncompiled.compile_windows(None, window, "auto", rf.default_solver(-1))
     there = jax.device_put(window, jax.devices()[0])
-    assert uncompiled.is_worth_compiling(there, "given", kind[1])
+    assert uncompiled.compile_windows(None, there, "given", kind[1])
 
 
 def test_transformations_are_those_of_jax():
@@ -167,19 +167,18 @@ def test_solvers_that_need_derivatives_are_refused(solver):
         *itertools.product("CHL", ["measured"]),
     ],
 )
-def test_how_sure(label, how, monkeypatch):
+def test_how_sure(label, how):
     poses = windows(label)[1:]
     found = rf.identify(poses, dt=DT)
 
-    def compute():
+    def compute(compiled):
         if how == "excitation":
-            return rf.excitation(found, poses, dt=DT)
+            return rf.excitation(found, poses, dt=DT, compiled=compiled)
         options = {"method": how} if how == "bootstrap" else {"errors": how}
-        return rf.covariance(found, poses, dt=DT, **options)
+        return rf.covariance(found, poses, dt=DT, **options, compiled=compiled)
 
-    quick = compute()
-    monkeypatch.setattr(uncompiled, "FIRST_CALLS", 0)
-    for (path, x), y in zip(jax.tree.leaves_with_path(quick), jax.tree.leaves(compute()), strict=True):
+    quick, slow = compute(False), compute(True)
+    for (path, x), y in zip(jax.tree.leaves_with_path(quick), jax.tree.leaves(slow), strict=True):
         name = jax.tree_util.keystr(path)
         assert (x.dtype, x.shape) == (y.dtype, y.shape), name
         largest = float(np.nanmax(np.abs(np.asarray(y, float))))

@@ -32,7 +32,7 @@ from reframe_jax.identification.programs import (
     identify_one,
 )
 from reframe_jax.identification.results import Identification
-from reframe_jax.identification.uncompiled import check_compiled, identify_uncompiled, is_worth_compiling
+from reframe_jax.identification.uncompiled import check_compiled, compile_windows, identify_uncompiled
 from reframe_jax.motion.checks import Status
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.objectives.norms import check_exponent
@@ -144,7 +144,7 @@ def identify(
         batch = array.shape[:-3]
         if inside_a_trace or 0 in batch:
             found = run(array, steps, *options)
-        elif not (is_worth_compiling(array, *static.values()) if compiled is None else compiled):
+        elif not compile_windows(compiled, array, *static.values()):
             found = identify_uncompiled(array, steps, *options, **static)
         elif not batch:
             found = _single(array, steps, options, static)
@@ -186,7 +186,7 @@ def identify_piece(poses: np.ndarray, times: np.ndarray, reach: float) -> Identi
             "discretization": "chord",
             "solver": default_solver(),
         }
-        if is_worth_compiling(poses, *static.values()):
+        if compile_windows(None, poses, *static.values()):
             found = _single(poses, np.diff(times), options, static)
         else:
             found = identify_uncompiled(poses, np.diff(times), *options, **static)

@@ -161,6 +161,7 @@ def covariance(
     noise: PoseNoise | None = None,
     errors: Errors = "measured",
     method: Method = "derivative",
+    compiled: bool | None = None,
 ) -> Covariance:
     """Compute the covariance of an identification: of the axes, the origin, and the RMS velocities.
 
@@ -182,6 +183,7 @@ def covariance(
             of the noise: 256 sums of the moments of 48 blocks of the recording, with random weights. It knows
             no bias and costs more. For BB and GG, whose errors add up along the path, blocks say too little:
             these are estimated 128 times from poses that are disturbed by ``found.noise``.
+        compiled: whether a program that JAX compiles computes it, or NumPy; see :func:`reframe_jax.identify`.
 
     Returns:
         The covariance, with the leading axes of ``found``.
@@ -198,8 +200,9 @@ def covariance(
         raise ValueError("The bootstrap has no model of the noise: leave out noise and errors.")
     _check_norm(found)
     if method == "bootstrap":
-        return over_windows(_bootstrapped, found, poses, times, dt)
-    return over_windows(_measured if errors == "measured" else _white, found, poses, times, dt, noise)
+        return over_windows(_bootstrapped, found, poses, times, dt, compiled=compiled)
+    function = _measured if errors == "measured" else _white
+    return over_windows(function, found, poses, times, dt, noise, compiled)
 
 
 def _check_norm(found: Identification) -> None:

@@ -91,7 +91,12 @@ def possible_constraints(found: Identification) -> tuple[str, ...]:
 
 
 def excitation(
-    found: Identification, poses: ArrayLike, *, times: ArrayLike | None = None, dt: ArrayLike | None = None
+    found: Identification,
+    poses: ArrayLike,
+    *,
+    times: ArrayLike | None = None,
+    dt: ArrayLike | None = None,
+    compiled: bool | None = None,
 ) -> Excitation:
     """Say how much of the constraint a motion tested.
 
@@ -100,6 +105,7 @@ def excitation(
         poses: (..., K+1, 4, 4), as given to it.
         times: (K+1,) or (..., K+1) s, as given to it.
         dt: s, as given to it.
+        compiled: whether a program that JAX compiles computes it, or NumPy; see :func:`reframe_jax.identify`.
 
     Returns:
         The excitation, with the leading axes of ``found``.
@@ -107,7 +113,7 @@ def excitation(
     Raises:
         ValueError: if the poses are not those of ``found``.
     """
-    return over_windows(_of_windows, found, poses, times, dt)
+    return over_windows(_of_windows, found, poses, times, dt, compiled=compiled)
 
 
 def _of_windows(poses: jax.Array, found: Estimates, steps: jax.Array, count: jax.Array | None) -> Excitation:

@@ -12,11 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.arrays import with_numpy
 from reframe_jax.compilation import chunk_size, compiler_options, in_float64, traced
 from reframe_jax.identification.inputs import pad_recording
 from reframe_jax.identification.results import Identification, PoseNoise
-from reframe_jax.identification.uncompiled import is_worth_compiling
+from reframe_jax.identification.uncompiled import check_compiled, compile_windows, compute_uncompiled
 from reframe_jax.uncertainty.paths import Estimates, estimates_of
 
 __all__ = ["WindowFunction", "over_windows"]
@@ -71,6 +70,7 @@ def over_windows(
     times: ArrayLike | None,
     dt: ArrayLike | None,
     noise: PoseNoise | None = None,
+    compiled: bool | None = None,
 ) -> Any:
     """Call a function of N windows for the windows of an identification, single, many or traced.
 
@@ -81,6 +81,7 @@ def over_windows(
         times: s, or None.
         dt: s, or None.
         noise: of the poses; that of ``found`` by default.
+        compiled: as for :func:`reframe_jax.identify`.
 
     Returns:
         What the function returns, with the leading axes of ``found`` in place of that of the windows.
@@ -88,14 +89,19 @@ def over_windows(
     Raises:
         ValueError: if the poses cannot be those of ``found``, or their times do not fit.
     """
+    check_compiled(compiled)
     array, wide = _poses_of(found, poses)
     narrow = wide and not in_float64()
     with jax.enable_x64(True) if wide else contextlib.nullcontext():
         steps = _sample_steps(array, times, dt)
         estimates = estimates_of(found, noise, array.dtype)
         inside_a_trace = traced((array, steps, estimates))
-        if not inside_a_trace and not is_worth_compiling(array, function):
-            result = _with_numpy(function, array, steps, estimates)
+        if not inside_a_trace and not compile_windows(compiled, array, function):
+
+            def of_few(poses: Any, steps: Any, found: Estimates) -> Any:
+                return function(poses, found, steps, None)
+
+            result = compute_uncompiled(of_few, array.shape[:-3], array, steps, estimates)
         elif array.ndim == 3 and not inside_a_trace:
             result = _single(function, array, steps, estimates)
         else:
@@ -107,18 +113,6 @@ def _narrow(leaf: Any) -> Any:
     """A NumPy array in 32 bits, made on the host: one program serves both settings of JAX."""
     kinds = {np.dtype(np.float64): np.float32, np.dtype(np.int64): np.int32}
     return leaf.astype(kinds.get(leaf.dtype, leaf.dtype))
-
-
-def _with_numpy(function: WindowFunction, poses: Any, steps: Any, found: Estimates) -> Any:
-    """Compile nothing."""
-    poses, steps, found = jax.device_get((poses, steps, found))
-    batch, shared = poses.shape[:-3], steps.ndim == 1
-    poses = poses.reshape(-1, *poses.shape[-3:])
-    found = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[len(batch) :]), found)
-    steps = steps if shared else steps.reshape(-1, steps.shape[-1])
-    with with_numpy():
-        result = function(poses, found, steps, None)
-    return jax.device_put(jax.tree.map(lambda leaf: leaf.reshape((*batch, *leaf.shape[1:])), result))
 
 
 def _single(function: WindowFunction, poses: Any, steps: Any, found: Estimates) -> Any:
