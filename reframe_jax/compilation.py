@@ -31,6 +31,7 @@ __all__ = [
     "Packed",
     "apply_each",
     "as_one_kernel",
+    "backend",
     "chunk_size",
     "compiler_options",
     "in_float64",
@@ -88,6 +89,11 @@ def chunk_size() -> int:
     return _CHUNK.get(jax.default_backend(), 1024)
 
 
+def backend() -> str:
+    """What computes here: "cpu", also with NumPy, "gpu" or another of JAX's."""
+    return "cpu" if using_numpy() else jax.default_backend()
+
+
 def in_float64() -> bool:
     """Whether JAX computes in float64, in this thread."""
     return bool(jax.dtypes.canonicalize_dtype(np.float64) == np.float64)
@@ -107,7 +113,7 @@ def once(values: _T) -> _T:
 
 def once_on_cpu(values: _T) -> _T:
     """:func:`once` on a CPU; on a GPU XLA may fuse what computes the values with what reads them."""
-    return once(values) if jax.default_backend() == "cpu" else values
+    return once(values) if backend() == "cpu" else values
 
 
 def apply_each(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:

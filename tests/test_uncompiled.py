@@ -280,3 +280,11 @@ def test_a_rule_of_derivatives_is_skipped_with_numpy():
     assert jax.grad(double)(1.0) == 7
     with arrays.with_numpy():
         assert isinstance(double(np.ones(2)), np.ndarray)
+
+
+def test_a_gpu_leaves_numpy_alone(monkeypatch):
+    """Kernels for a GPU are for arrays that lie there."""
+    expected = rf.identify(windows("H"), dt=DT, compiled=False)
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    found = rf.identify(windows("H"), dt=DT, compiled=False)
+    np.testing.assert_array_equal(found.linear.position, expected.linear.position)

@@ -16,7 +16,7 @@ import jax
 import numpy as np
 
 from reframe_jax.arrays import custom_jvp, jnp
-from reframe_jax.compilation import once
+from reframe_jax.compilation import backend, once
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, Symmetric, Vector
 from reframe_jax.objectives.moments_kernel import mean_products
 
@@ -70,7 +70,7 @@ def component_moments(maps: jax.Array, weights: jax.Array | None = None) -> jax.
     entries = once(maps.reshape(3 * columns, samples, *maps.shape[3:]))
     if weights is not None:
         rows = _products(entries, weights / jnp.sum(weights, axis=0, keepdims=True))
-    elif jax.default_backend() == "gpu":
+    elif backend() == "gpu":
         rows = _products_in_a_kernel(entries)
     else:
         rows = _products(entries)

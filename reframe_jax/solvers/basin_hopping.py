@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from reframe_jax.arrays import jnp, lax, random
-from reframe_jax.compilation import BLOCK_SHARE, update_marked
+from reframe_jax.compilation import BLOCK_SHARE, backend, update_marked
 from reframe_jax.objectives.protocol import Objective, check_objective
 from reframe_jax.solvers.box import Box
 from reframe_jax.solvers.kernel import step_chains
@@ -254,7 +254,7 @@ class BasinHopping:
 
     def _advance(self, objective: Objective, box: Box, state: SearchState, count: int) -> SearchState:
         """Make ``count`` steps."""
-        on_gpu, inner = jax.default_backend() == "gpu", self.inner
+        on_gpu, inner = backend() == "gpu", self.inner
         if on_gpu and isinstance(inner, ValleySteps) and inner.check(objective).exponent == 0:
             return self._in_a_kernel(inner, objective, box, state, count)
         state, _ = lax.scan(lambda state, _: (self.step(objective, box, state), None), state, length=count)
@@ -286,7 +286,7 @@ class BasinHopping:
 
         carry = jnp.zeros((), jnp.int32), chains, chains, ~self._have_met(state.value).reshape(-1)
         share = BLOCK_SHARE
-        if jax.default_backend() != "cpu":
+        if backend() != "cpu":
             # few problems need more than one round, and an accelerator works on many at once
             carry, share = a_round(carry), _LATER
         _, chains, ends, _ = lax.while_loop(goes_on, partial(a_round, share=share), carry)
