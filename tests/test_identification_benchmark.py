@@ -125,7 +125,7 @@ def test_compilation_is_apart_from_the_call():
 
 def test_repeated_windows_are_identified_in_blocks(monkeypatch):
     seen = []
-    monkeypatch.setattr(scaling.rf, "identify", lambda poses, dt: seen.append(poses[:, 0, 0, 0]))
+    monkeypatch.setattr(scaling.rf, "identify", lambda poses, dt, compiled: seen.append(poses[:, 0, 0, 0]))
     monkeypatch.setattr(scaling, "_BLOCK", 8)
     poses = np.zeros((5, 2, 4, 4)) + np.arange(5)[:, None, None, None]
     scaling.identify_repeated(poses, 19)
