@@ -164,8 +164,29 @@ def _normal_cdf(x: np.ndarray) -> np.ndarray:
     return (_erfc(-x / math.sqrt(2)) / 2).astype(x.dtype)
 
 
+def _or_nan(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function of matrices (..., n, n) with NaN for those that it refuses, as JAX has it."""
+
+    def of_all(*matrices: np.ndarray) -> Any:
+        try:
+            return function(*matrices)
+        except np.linalg.LinAlgError:
+            batch = np.broadcast_shapes(*(matrix.shape[:-2] for matrix in matrices))
+            if not batch:
+                like = function(
+                    *(np.broadcast_to(np.eye(*m.shape[-2:], dtype=m.dtype), m.shape) for m in matrices)
+                )
+                return jax.tree.map(lambda leaf: np.full_like(leaf, np.nan), like)
+            each = [np.broadcast_to(matrix, (*batch, *matrix.shape[-2:])) for matrix in matrices]
+            found = [of_all(*(matrix[i] for matrix in each)) for i in np.ndindex(batch)]
+            return jax.tree.map(lambda *parts: np.stack(parts).reshape(*batch, *parts[0].shape), *found)
+
+    return of_all
+
+
 def _solve_triangular(root: np.ndarray, x: np.ndarray, lower: bool, trans: int = 0) -> np.ndarray:
-    return np.linalg.solve(np.swapaxes(root, -1, -2) if trans else root, x)
+    found: np.ndarray = _or_nan(np.linalg.solve)(np.swapaxes(root, -1, -2) if trans else root, x)
+    return found
 
 
 def _drawn(draw: Callable[..., jax.Array]) -> Callable[..., np.ndarray]:
@@ -186,6 +207,12 @@ class _Either:
 class _NumPy:
     """NumPy, and what of JAX's NumPy it has otherwise."""
 
+    linalg = SimpleNamespace(
+        cholesky=_or_nan(np.linalg.cholesky),
+        eigh=_or_nan(np.linalg.eigh),
+        norm=np.linalg.norm,
+        solve=_or_nan(np.linalg.solve),
+    )
     matmul = staticmethod(_matmul)
     nanmedian = staticmethod(_nanmedian)
 

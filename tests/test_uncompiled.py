@@ -249,6 +249,30 @@ def test_numpy_keeps_single_precision_in_densities():
             assert function(x).dtype == np.float32
 
 
+def test_matrices_that_are_refused_become_nan():
+    """NumPy would raise an error for all of them."""
+    bad = np.stack([np.eye(2), np.full((2, 2), np.nan), -np.eye(2), [[1.0, 2], [2, 1]]])
+
+    def roots():
+        cholesky = arrays.jnp.linalg.cholesky
+        return np.tril(cholesky(bad)), np.tril(cholesky(bad[2]))
+
+    def axes():
+        return arrays.jnp.linalg.eigh(bad)
+
+    expected = [*roots(), *axes()]
+    singular = np.array([np.eye(2), [[1.0, 0], [1, 0]]])
+    with arrays.with_numpy():
+        found = [*roots(), *axes()]
+        solved = arrays.linalg.solve_triangular(singular, np.ones((2, 2, 1)), lower=True)
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(np.isnan(one), np.isnan(other))
+        kept = ~np.isnan(one)
+        np.testing.assert_allclose(np.abs(one[kept]), np.abs(np.asarray(other)[kept]), atol=1e-12)
+    assert np.all(solved[0] == 1)
+    assert np.all(np.isnan(solved[1]))
+
+
 def test_other_precisions_are_not_pretended():
     with arrays.with_numpy(), pytest.raises(NotImplementedError, match="float32 only"):
         arrays.lax.reduce_precision(np.ones(2), 5, 10)
