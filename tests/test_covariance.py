@@ -271,3 +271,14 @@ def test_the_benchmark_of_its_cost(tmp_path, capsys):
     assert min(row["identify"], row["covariance"], row["ratio"], row["one covariance"]) > 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[:2] for line in lines if line.startswith("K ")] == [["K", "50"]]
+
+
+def test_motion_that_does_not_turn_at_all_has_one_in_single_precision():
+    """The velocities about its axes are too small for float32, and so is their mean."""
+    times = np.linspace(0, 5, 51)
+    poses = np.tile(np.eye(4), (51, 1, 1))
+    poses[:, 0, 3] = np.sin(times)
+    with jax.enable_x64(False):
+        found = rf.identify(poses, times=times)
+        assert np.any(found.angular.rms == 0)
+        assert rf.covariance(found, poses, times=times).matrix.shape == (15, 15)
