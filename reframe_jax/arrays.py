@@ -37,7 +37,6 @@ __all__ = [
 ]
 
 _T = TypeVar("_T")
-_Function = TypeVar("_Function", bound=Callable[..., Any])
 _numpy: ContextVar[bool] = ContextVar("_numpy", default=False)
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from reframe_jax.arrays import custom_jvp, jnp
+from reframe_jax.arrays import jnp
 from reframe_jax.compilation import backend, once
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, Symmetric, Vector
 from reframe_jax.objectives.moments_kernel import mean_products
@@ -99,7 +99,7 @@ def _products(entries: jax.Array, weights: jax.Array | None = None) -> list[jax.
     return [_add_up(weighted[i, None] * entries[i:]) for i in range(len(entries))]
 
 
-@custom_jvp
+@jax.custom_jvp
 def _products_in_a_kernel(entries: jax.Array) -> list[jax.Array]:
     """:func:`_products` on a GPU."""
     rows = mean_products(entries.reshape(*entries.shape[:2], -1))

@@ -4,7 +4,7 @@ from typing import Any
 
 import jax
 
-from reframe_jax.arrays import custom_jvp, jnp, vmap
+from reframe_jax.arrays import custom_jvp, jnp
 from reframe_jax.geometry.products import apply
 from reframe_jax.objectives.protocol import Objective
 from reframe_jax.solvers.box import Box
@@ -46,5 +46,5 @@ def _attach_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[ja
 
     of_problems = x, (x > low) & (x < high), objective, tangents[1]
     flat = flatten_problems(of_problems, x.ndim - 1)
-    change = vmap(one, in_axes=(-1, -1, -1, -1), out_axes=-1)(*flat)
+    change = jax.vmap(one, in_axes=(-1, -1, -1, -1), out_axes=-1)(*flat)
     return x, change.reshape(x.shape)

@@ -5,7 +5,7 @@ from typing import TypeVar
 
 import jax
 
-from reframe_jax.arrays import jnp, vmap
+from reframe_jax.arrays import jnp
 from reframe_jax.objectives.protocol import Objective
 from reframe_jax.solvers.box import Box
 
@@ -49,5 +49,5 @@ def minimise_each(
     """
     batch = x.shape[1:]
     flat_objective, flat_x = flatten_problems((objective, x), len(batch))
-    found, values = vmap(minimise_one, in_axes=(-1, None, -1), out_axes=-1)(flat_objective, box, flat_x)
+    found, values = jax.vmap(minimise_one, in_axes=(-1, None, -1), out_axes=-1)(flat_objective, box, flat_x)
     return found.reshape(x.shape), values.reshape(batch)

@@ -73,12 +73,12 @@ def bootstrap_of_windows(
         """Weighted sums over all samples of (m, K+1, N), (m, B, N)."""
         values = once(values)
 
-        def add(b: jax.Array, total: jax.Array) -> jax.Array:
+        def add_block(b: jax.Array, total: jax.Array) -> jax.Array:
             of_block = jnp.sum(jnp.where((block == b)[None], values, 0), axis=1)
             return total + weights[None, :, b, None] * of_block[:, None]
 
         nothing = jnp.zeros((len(values), _REPLICAS, values.shape[2]), values.dtype)
-        return lax.fori_loop(0, _BLOCKS, add, nothing)
+        return lax.fori_loop(0, _BLOCKS, add_block, nothing)
 
     def gram(path: jax.Array, about_mean: jax.Array) -> jax.Array:
         """Moments of paths (m, K+1, N) as they are sampled, (m, m, B, N)."""

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.arrays import jnp, put, vmap
+from reframe_jax.arrays import jnp, put
 from reframe_jax.compilation import index_leaves, traced
 from reframe_jax.geometry import rotations
 from reframe_jax.geometry.products import matmul
@@ -129,7 +129,7 @@ class Covariance:
 
         batch = self.matrix.shape[:-2]
         for _ in batch:
-            of_one = vmap(of_one)
+            of_one = jax.vmap(of_one)
         return of_one(found, self.matrix)
 
 
