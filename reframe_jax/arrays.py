@@ -2,7 +2,8 @@
 
 To compile a search takes many seconds; to compute it for one window, one operation after the other, takes a
 twentieth of one. Modules that identify take ``jnp``, ``lax`` and the rest from here instead of from JAX.
-Within :func:`with_numpy` these are NumPy functions that compute at once; everywhere else they are JAX's.
+Within :func:`with_numpy` these are NumPy functions that compute at once; everywhere else they are JAX's. In
+our own programs for a processor, ``jnp`` writes out short reductions, see :mod:`.short_axes`.
 
 Functions in which NumPy differs from JAX are listed below. Code that runs on both has four rules: no
 ``.at``, but :func:`put` and :func:`add`; no index out of range; nothing that asks whether an array is a
@@ -21,6 +22,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import jax
 import numpy as np
 
+from reframe_jax.short_axes import ShortAxes
+
 __all__ = [
     "add",
     "custom_jvp",
@@ -31,6 +34,7 @@ __all__ = [
     "norm",
     "put",
     "random",
+    "tracing",
     "using_numpy",
     "vmap",
     "with_numpy",
@@ -38,6 +42,10 @@ __all__ = [
 
 _T = TypeVar("_T")
 _numpy: ContextVar[bool] = ContextVar("_numpy", default=False)
+
+tracing = jax.make_user_context("")
+"""What is being traced: "" anything, "program" one of our own for a CPU, "kernel" a kernel of such a program,
+"gpu" a kernel for a GPU. JAX keeps what it traced in each apart."""
 
 
 def using_numpy() -> bool:
@@ -194,13 +202,19 @@ def _drawn(draw: Callable[..., jax.Array]) -> Callable[..., np.ndarray]:
 
 
 class _Either:
-    """Functions of a module of JAX, or within :func:`with_numpy` those of the same names for NumPy."""
+    """Functions of a module of JAX, or within :func:`with_numpy` those of the same names for NumPy.
 
-    def __init__(self, of_jax: Any, of_numpy: Any) -> None:
+    Others may take the place of the former in our own programs for a processor.
+    """
+
+    def __init__(self, of_jax: Any, of_numpy: Any, in_programs: Any = None) -> None:
         self._of_jax, self._of_numpy = of_jax, of_numpy
+        self._in_programs = of_jax if in_programs is None else in_programs
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self._of_numpy if _numpy.get() else self._of_jax, name)
+        if _numpy.get():
+            return getattr(self._of_numpy, name)
+        return getattr(self._in_programs if tracing.value in ("program", "kernel") else self._of_jax, name)
 
 
 class _NumPy:
@@ -252,7 +266,7 @@ if TYPE_CHECKING:
     from jax.scipy import linalg
     from jax.scipy.stats import norm
 else:
-    jnp = _Either(jax.numpy, _NumPy())
+    jnp = _Either(jax.numpy, _NumPy(), ShortAxes())
     lax = _Either(jax.lax, _LAX)
     linalg = _Either(jax.scipy.linalg, SimpleNamespace(solve_triangular=_solve_triangular))
     nn = _Either(jax.nn, _NN)

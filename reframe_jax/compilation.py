@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.experimental.scheduling_groups import xla_metadata_call
 
-from reframe_jax.arrays import put, using_numpy
+from reframe_jax.arrays import put, tracing, using_numpy
 
 __all__ = [
     "BLOCK_SHARE",
@@ -61,9 +61,6 @@ BLOCK_SHARE = 16
 
 _T = TypeVar("_T")
 _LARGE = 1 << 18  # numbers
-# what is being traced: "" anything, "program" one of our own for a CPU, "kernel" a kernel of such a program,
-# "gpu" a kernel for a GPU; JAX keeps what it traced in each apart
-_state = jax.make_user_context("")
 
 _CHUNK = {"cpu": 64, "gpu": 65536}
 
@@ -101,9 +98,9 @@ def in_float64() -> bool:
 
 def once(values: _T) -> _T:
     """Compute the arrays of a pytree once, however many operations read them."""
-    if _state.value == "gpu" or using_numpy():
+    if tracing.value == "gpu" or using_numpy():
         return values
-    if _state.value != "kernel":
+    if tracing.value != "kernel":
         return jax.lax.optimization_barrier(values)
     # a kernel has no place for marks; results of a function that is called are stored too
     leaves, structure = jax.tree.flatten(values)
@@ -121,7 +118,7 @@ def apply_each(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any
 
     In a GPU kernel, which holds no stacks, it is applied to one after the other.
     """
-    if _state.value == "gpu":
+    if tracing.value == "gpu":
         return [function(item) for item in items]
     if using_numpy():
         return [function(item) for item in items]
@@ -141,13 +138,13 @@ def with_kernels(function: Callable[..., _T]) -> Callable[..., _T]:
     def program(*arguments: Any, **static: Any) -> _T:
         if jax.default_backend() != "cpu":
             return function(*arguments, **static)
-        with _state("program"):
+        with tracing("program"):
             return function(*arguments, **static)
 
     return program
 
 
-def as_one_kernel(function: Callable[..., _T], *arguments: Any) -> _T:
+def as_one_kernel(function: Callable[..., _T], *arguments: Any, most: int = _LARGE) -> _T:
     """Call a function of pytrees of arrays; within :func:`with_kernels` all of it is one kernel.
 
     XLA on a CPU starts a kernel for every loop over arrays. That takes a tenth of a microsecond, longer than
@@ -155,16 +152,17 @@ def as_one_kernel(function: Callable[..., _T], *arguments: Any) -> _T:
     they are.
 
     Args:
-        function: of elementwise operations, reductions and loops, without sort, scatter, matrix product or
-            random bits. All its arrays are arguments.
+        function: of elementwise operations, reductions and loops, without sort, scatter or matrix product.
+            All its arrays are arguments.
         arguments: pytrees of arrays.
+        most: numbers that the largest of them may have.
     """
-    large = max(leaf.size for leaf in jax.tree.leaves(arguments)) > _LARGE
-    if _state.value != "program" or large:
+    large = max(leaf.size for leaf in jax.tree.leaves(arguments)) > most
+    if tracing.value != "program" or large:
         return function(*arguments)
 
     def kernel(*arguments: Any) -> tuple[_T, tuple[Any, ...]]:
-        with _state("kernel"):
+        with tracing("kernel"):
             # XLA ends the process over an argument that a kernel does not use: all are returned too
             return function(*arguments), arguments
 
@@ -200,6 +198,8 @@ def update_marked(
         found = function(jax.tree.map(lambda leaf: leaf[..., marked], inputs))
         return jax.tree.map(lambda old, new: put(old, (..., marked), new), outputs, found)
     problems = marked.size
+    if problems == 1:
+        return jax.lax.cond(marked[0], lambda new, _: function(new), lambda _, old: old, inputs, outputs)
     size = max(min(problems, _BLOCK), problems // share)
     order, count = jnp.argsort(~marked), jnp.sum(marked)  # the marked first, as they come
 
@@ -217,7 +217,7 @@ def update_marked(
 
 def inside_a_kernel() -> contextlib.AbstractContextManager[None]:
     """While a GPU kernel is traced: all its values live in registers, and :func:`once` has no place."""
-    return cast(contextlib.AbstractContextManager[None], _state("gpu"))
+    return cast(contextlib.AbstractContextManager[None], tracing("gpu"))
 
 
 @jax.tree_util.register_dataclass

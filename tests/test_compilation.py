@@ -23,7 +23,7 @@ from reframe_jax.identification import programs
 from reframe_jax.identification.entry import default_solver
 from reframe_jax.identification.options import make_space
 
-_NOT_IN_KERNELS = {"scatter", "scatter-add", "scatter_add", "sort", "top_k", "dot_general", "random_bits"}
+_NOT_IN_KERNELS = {"scatter", "scatter-add", "scatter_add", "sort", "top_k", "dot_general"}
 
 
 @pytest.mark.parametrize(

@@ -201,7 +201,12 @@ def _single(poses: Any, steps: Any, options: tuple[Any, ...], static: dict[str, 
     count = poses.shape[0]
     poses, steps, number = pad_recording(poses, steps)
     found = identify_one(poses[None], np.asarray(steps, poses.dtype), number, *options, **static)
-    return found if number is None else replace(found, counted=found.counted[:count])
+    if number is None:
+        return found
+    # by NumPy: for JAX, to take a part of an array is another program
+    counted = found.counted
+    device = counted.sharding if counted.committed else None
+    return replace(found, counted=jax.device_put(np.asarray(counted)[:count], device))
 
 
 def _narrow(leaf: np.ndarray) -> np.ndarray:

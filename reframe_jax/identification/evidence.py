@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from reframe_jax.arrays import add, jnp, lax
-from reframe_jax.compilation import once
+from reframe_jax.compilation import as_one_kernel, once
 from reframe_jax.constraints.types import AngularType, LinearType
 from reframe_jax.geometry import symmetric
 from reframe_jax.identification.floored_moments import usable_moments
@@ -44,6 +44,7 @@ LagRule = Literal["auto", "given", "single"]
 
 
 _UNSEEN = 1e-7  # m, rounding of positions that never change: that of a metre in float32
+_SHORT = 1 << 15  # numbers of the poses of a window that is followed by one kernel on a processor
 _ROUNDED = 1.5  # the rounding of positions, below which their noise is that
 
 
@@ -133,28 +134,75 @@ def reduce_windows(
     poses, centre = _centred(poses, number)
     times = jnp.concatenate([jnp.zeros_like(steps[:, :1]), jnp.cumsum(steps, axis=1)], axis=1)
     times = jnp.broadcast_to(times, (len(poses), times.shape[1]))
-    motion = _motion(poses, times, number, lag, rule, spacing)
+    if rule == "single":
+        counted = jnp.arange(poses.shape[1], dtype=jnp.int32)[None] < number[:, None]
+    else:
+        poses, counted = repair_poses(poses, times, number)
+    windows = _Windows(status, poses, counted, centre, spacing, steps, times, number)
+    follow = partial(_follow, rule=rule, whole=count is None, discretization=discretization)
+    return as_one_kernel(follow, windows, lag, most=_SHORT)
+
+
+class _Windows(NamedTuple):
+    """N windows without outliers.
+
+    Attributes:
+        status: (N,) codes of ``Status``.
+        poses: (N, K+1, 4, 4) m, about their mean position; outliers replaced.
+        counted: (N, K+1) bool, poses that are neither outliers nor padding.
+        centre: (N, 3) m, that mean position.
+        spacing: (N,) m, between neighbouring numbers where positions are largest.
+        steps: (1, K) or (N, K) s.
+        times: (N, K+1) s.
+        number: (N,) of poses, padding left out.
+    """
+
+    status: jax.Array
+    poses: jax.Array
+    counted: jax.Array
+    centre: jax.Array
+    spacing: jax.Array
+    steps: jax.Array
+    times: jax.Array
+    number: jax.Array
+
+
+def _follow(
+    windows: _Windows, lag: jax.Array | None, *, rule: LagRule, whole: bool, discretization: Discretization
+) -> Evidence:
+    """Follow the motion of windows; the other arguments are those of :func:`reduce_windows`.
+
+    Args:
+        windows: without outliers.
+        lag: (N,) or () samples, for the rule "given".
+        rule: what velocities are taken from.
+        whole: whether no window has padding.
+        discretization: of velocities.
+    """
+    failed, steps, times = windows.status >= 10, windows.steps, windows.times
+    motion = _motion(windows, lag, rule)
     noise = motion.share * motion.noise[0], motion.share * motion.noise[1]
     axis = find_single_axis(motion.rotation, motion.position, motion.counted, noise)
     alone = axis.found & (motion.lag > 1) & (rule == "auto")
+    count = None if whole else windows.number
     maps, paths, rates, turns = _paths(motion, steps, count, axis._replace(found=alone), rule)
     if discretization != "chord":
-        rates, maps = once(kinematics.velocity_components(poses, steps, discretization))
-    rates, velocities = _velocities(motion, times.T, (rates, turns), (maps, paths), rule, count is None)
+        rates, maps = once(kinematics.velocity_components(windows.poses, steps, discretization))
+    rates, velocities = _velocities(motion, times.T, (rates, turns), (maps, paths), rule, whole)
     turned, _ = spread_of(turns, motion.counted)
     spread, mean = spread_of(paths, motion.counted)
     turned, spread = once((turned, spread))
     about = spread[:, 0, :, IN_BODY]
     moments = partial(usable_moments, failed)
     rounding = motion.share * motion.rounding
-    span = times[:, -1] / (poses.shape[1] - 1) * motion.lag.astype(poses.dtype)
+    span = times[:, -1] / steps.shape[1] * motion.lag.astype(times.dtype)
     floor = 2 * jnp.square(rounding / span)
-    precise = poses.dtype != jnp.float32
-    moving = jnp.sum(motion.weights > 0, axis=0, dtype=poses.dtype)
+    precise = times.dtype != jnp.float32
+    moving = jnp.sum(motion.weights > 0, axis=0, dtype=times.dtype)
     return Evidence(
-        status=status,
-        centre=centre,
-        counted=motion.counted.T,
+        status=windows.status,
+        centre=windows.centre,
+        counted=windows.counted,
         noise=PoseNoise(position=motion.noise[0], rotation=motion.noise[1]),
         rounded=motion.rounding > 0,
         floor=floor,
@@ -162,7 +210,7 @@ def reduce_windows(
         alone=alone,
         share=motion.share,
         lag=motion.lag,
-        samples=jnp.maximum(moving, 1) / motion.lag.astype(poses.dtype),
+        samples=jnp.maximum(moving, 1) / motion.lag.astype(times.dtype),
         poses=jnp.sum(motion.counted, axis=0, dtype=jnp.int32),
         angular=moments(rates),
         linear=moments(velocities, floor=floor),
@@ -210,33 +258,21 @@ def _centred(poses: jax.Array, number: jax.Array) -> tuple[jax.Array, jax.Array]
     return add(poses, np.s_[:, :, :3, 3], -centre[:, None]), centre
 
 
-def _motion(
-    poses: jax.Array,
-    times: jax.Array,
-    number: jax.Array,
-    lag: jax.Array | None,
-    rule: LagRule,
-    spacing: jax.Array,
-) -> _Motion:
-    """Leave out outliers and rest, choose the lag, and average out noise, as far as the rule says so."""
-    if rule == "single":
-        counted = jnp.arange(poses.shape[1], dtype=jnp.int32)[None] < number[:, None]
-    else:
-        poses, counted = repair_poses(poses, times, number)
-    rotation, position = kinematics.split_poses(once(poses))
-    counts = counted.T
+def _motion(windows: _Windows, lag: jax.Array | None, rule: LagRule) -> _Motion:
+    """Leave out rest, choose the lag, and average out noise, as far as the rule says so."""
+    times, number = windows.times.T, windows.number
+    rotation, position = kinematics.split_poses(once(windows.poses))
+    counts = windows.counted.T
     measured = lax.stop_gradient((rotation, position))
-    noise, rounding = _noise(*measured, counts, spacing)
+    noise, rounding = _noise(*measured, counts, windows.spacing)
     one = jnp.ones_like(number)
     width = jnp.zeros_like(number)
     if rule == "auto":
         lag = choose_lag(*measured, counts, noise, number)
-        rotation, position, width = once(
-            smooth_noise(rotation, position, times.T, counts, number, noise, lag)
-        )
-    share = noise_share(width, poses.dtype)
+        rotation, position, width = once(smooth_noise(rotation, position, times, counts, number, noise, lag))
+    share = noise_share(width, position.dtype)
     if rule == "single" or lag is None:
-        weights = (counts[1:] & counts[:-1]).astype(poses.dtype)
+        weights = (counts[1:] & counts[:-1]).astype(position.dtype)
         return _Motion(rotation, position, counts, noise, rounding, share, one, weights)
     lag = jnp.minimum(one * lag, number - 1)
     weights = moving_chords(*lax.stop_gradient((rotation, position)), counts, lag, noise)

@@ -8,7 +8,7 @@ jumped to, or that only moved fast, makes no such run.
 import jax
 import numpy as np
 
-from reframe_jax.arrays import jnp, lax
+from reframe_jax.arrays import jnp, lax, vmap
 from reframe_jax.geometry import rotations
 from reframe_jax.geometry.products import matmul
 
@@ -47,16 +47,18 @@ def find_runs(poses: jax.Array, count: jax.Array, unit: jax.Array) -> jax.Array:
     beyond = np.minimum(last + 1, size - 1)
     turns = rotations.rotation_log(matmul(poses[beyond, :3, :3], inverse[here][:, None]))
     shifts = poses[beyond, :3, 3] - poses[here, None, :3, 3]
-    returns = jnp.zeros(last.shape, bool)
-    for moves, least in ((turns, jnp.zeros_like(unit)), (shifts, unit)):
+
+    def returning(moves: jax.Array, least: jax.Array) -> jax.Array:
         before, after = (_beside(moves[:, 0], side) for side in (-1, 1))
         away, back = _excess(*before, least)[:, None], _excess(*after, least)[last]
         smaller, larger = jnp.minimum(away, back), jnp.maximum(away, back)
         jump = jnp.where(larger < _UNEVEN * smaller, smaller, 0)
         usual = (before[0][:, None] + after[0][last]) / 2 * (length + 1)[None, :, None].astype(moves.dtype)
         across = jnp.linalg.norm(moves - usual, axis=-1)
-        returns = returns | ((jump > 0) & (across < _BRIDGE * jump))
-    return _union(returns & inside)
+        return (jump > 0) & (across < _BRIDGE * jump)
+
+    returns = vmap(returning)(jnp.stack([turns, shifts]), jnp.stack([jnp.zeros_like(unit), unit]))
+    return _union(jnp.any(returns, axis=0) & inside)
 
 
 def _beside(steps: jax.Array, side: int) -> tuple[jax.Array, jax.Array, jax.Array]:

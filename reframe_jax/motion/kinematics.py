@@ -127,7 +127,7 @@ def velocity_components(
     step = components_first(steps, 0)[None, None]
     body, spatial = _mean_twists(rotation, position, steps)
     if discretization == "chord":
-        body, spatial = without_brackets(body, steps, False), without_brackets(spatial, steps, True)
+        body, spatial = without_brackets(body, spatial, steps)
     bb, gg = (_twist_map(twist) for twist in (body, spatial))
     if discretization == "left":
         gb, bg = product(rotation[:, :, :-1], bb), product(transpose(rotation)[:, :, :-1], gg)
@@ -173,8 +173,7 @@ def paths_of(
     step = components_first(steps, 0)[None, None]
     body, spatial = _mean_twists(rotation, position, steps)
     used = None if count is None else count - 1
-    bb = _twist_map(without_brackets(body, steps, False, used))
-    gg = _twist_map(without_brackets(spatial, steps, True, used))
+    bb, gg = (_twist_map(twist) for twist in without_brackets(body, spatial, steps, used))
     in_ground, in_body = _point_maps(rotation, position)
     rate = once(1 / step)
     maps = stack([bb, jnp.diff(in_ground, axis=2) * rate, gg, jnp.diff(in_body, axis=2) * rate], axis=3)
@@ -197,9 +196,8 @@ def turn_rates(rotation: jax.Array, steps: jax.Array, count: jax.Array | None = 
     body = once(_rotation_vectors(turn) / step)
     spatial = once(product(rotation[:, :, :-1], body))
     used = None if count is None else count - 1
-    return stack(
-        [without_brackets(w, steps, seen, used) for w, seen in ((spatial, True), (body, False))], axis=2
-    )
+    body, spatial = without_brackets(body, spatial, steps, used)
+    return stack([spatial, body], axis=2)
 
 
 def turn_paths(rates: jax.Array, steps: jax.Array) -> jax.Array:

@@ -82,8 +82,8 @@ def _derivative(weights: jax.Array, x: jax.Array) -> jax.Array:
 
 
 def without_brackets(
-    means: jax.Array, dt: jax.Array, spatial: bool, count: jax.Array | None = None
-) -> jax.Array:
+    body: jax.Array, spatial: jax.Array, dt: jax.Array, count: jax.Array | None = None
+) -> tuple[jax.Array, jax.Array]:
     """Mean twists of the steps with the brackets of the Magnus expansion removed, to sixth order in dt.
 
     With a1 = h V, a2 = h^2 V', a3 = h^3 V''/2, a4 = h^4 V'''/6 at the middle of a step of length h, the
@@ -99,16 +99,29 @@ def without_brackets(
     they are left in: the derivatives would make far more of the noise.
 
     Args:
-        means: (6, K, ...) mean twists, or (3, K, ...) mean angular velocities.
+        body: (6, K, ...) mean body twists, or (3, K, ...) mean angular velocities in {b}.
+        spatial: the same in {g}.
         dt: (..., K) s.
-        spatial: whether they are spatial or body twists.
         count: see :func:`_derivative_weights`.
+
+    Returns:
+        Both, of the same shapes.
     """
-    # constants are multiplied with, as in h * (1 / 24): in float64 a division takes a GPU far longer
     weights, h = once(components_first(_derivative_weights(dt, count), 1)), components_first(dt, 0)[None]
+    even = components_first(
+        jnp.max(dt, axis=-1, keepdims=True) <= _EVEN * jnp.min(dt, axis=-1, keepdims=True), 0
+    )
+    return (
+        body - jnp.where(even[None], _brackets(body, weights, h, -1.0), 0),
+        spatial - jnp.where(even[None], _brackets(spatial, weights, h, 1.0), 0),
+    )
+
+
+def _brackets(means: jax.Array, weights: jax.Array, h: jax.Array, turn: float) -> jax.Array:
+    """The brackets, which turn round for body twists (-1)."""
+    # constants are multiplied with, as in h * (1 / 24): in float64 a division takes a GPU far longer
     first = once(_derivative(weights, means))
     second = once(_derivative(weights, first))
-    turn = 1.0 if spatial else -1.0
     # from the mean to the middle of the step; steps of unequal length jump in this, so no derivative
     # may be taken of anything that still has a factor h in it
     middle = means - h**2 * (1 / 24) * second + h**2 * (turn / 12) * bracket(means, first)
@@ -120,7 +133,4 @@ def without_brackets(
     in_first = (turn / 720) * a12 + (1 / 360) * a3
     first_bracket = bracket(a1, bracket(a1, in_first) - (turn / 12) * a2 - (turn / 80) * a4)
     second_bracket = bracket(a2, (turn / 240) * a3 - (1 / 240) * a12)
-    even = components_first(
-        jnp.max(dt, axis=-1, keepdims=True) <= _EVEN * jnp.min(dt, axis=-1, keepdims=True), 0
-    )
-    return means - jnp.where(even[None], (first_bracket + second_bracket) * once(1 / h), 0)
+    return (first_bracket + second_bracket) * once(1 / h)

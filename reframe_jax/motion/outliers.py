@@ -4,6 +4,8 @@ Robust lines through the neighbours find up to two in a row; :mod:`.bursts` find
 count; paths that run across them use the motion interpolated between the poses beside them.
 """
 
+from functools import partial
+
 import jax
 import numpy as np
 
@@ -87,22 +89,32 @@ def _find(poses: jax.Array, times: jax.Array, count: jax.Array) -> jax.Array:
     inverse = jnp.swapaxes(poses[:, None, :3, :3], -1, -2)
     turns = _unwrap(rotations.rotation_log(matmul(inverse, poses[near, :3, :3])))
     shifts = poses[near, :3, 3] - poses[:, None, :3, 3]
-    found = jnp.zeros(here.shape, bool)
-    one, other = np.triu_indices(width, 1)
     inside = (here > 0) & (here < count - 1)
-    for offsets in (turns, shifts):
-        slopes = (offsets[:, other] - offsets[:, one]) / (later[:, other] - later[:, one])[..., None]
-        level = offsets - jnp.median(slopes, axis=1)[:, None] * later[..., None]
-        line = jnp.median(level, axis=1)
-        scatter = jnp.median(jnp.linalg.norm(level - line[:, None], axis=-1), axis=1)
-        typical = jnp.nanmedian(jnp.where(here < count, scatter, jnp.nan))
-        rounding = 64 * jnp.finfo(poses.dtype).eps * (1 + jnp.max(jnp.abs(offsets)))
-        far = jnp.linalg.norm(line, axis=-1) > _OUTLIER * jnp.maximum(scatter, typical) + rounding
-        sides = [
-            jnp.nanmedian(jnp.where(side[..., None], offsets, jnp.nan), axis=1) for side in (after, ~after)
-        ]
-        found = found | (far & (jnp.sum(sides[0] * sides[1], axis=-1) > 0))
-    return found & inside
+    # of both groups at once, as nothing but the numbers differs
+    strays = vmap(partial(_strays, later=later, after=after, own=jnp.asarray(here < count)))
+    return jnp.any(strays(jnp.stack([turns, shifts])), axis=0) & inside
+
+
+def _strays(offsets: jax.Array, later: jax.Array, after: jax.Array, own: jax.Array) -> jax.Array:
+    """Poses (K+1,) that lie far off the line through their neighbours, and on the same side of all of them.
+
+    Args:
+        offsets: (K+1, 6, 3) of the neighbours from each pose, rad or m.
+        later: (K+1, 6) s, how much later they are.
+        after: (K+1, 6) bool, whether they are.
+        own: (K+1,) bool, poses of the window.
+    """
+    one, other = np.triu_indices(offsets.shape[1], 1)
+    slopes = (offsets[:, other] - offsets[:, one]) / (later[:, other] - later[:, one])[..., None]
+    level = offsets - jnp.median(slopes, axis=1)[:, None] * later[..., None]
+    line = jnp.median(level, axis=1)
+    scatter = jnp.median(jnp.linalg.norm(level - line[:, None], axis=-1), axis=1)
+    typical = jnp.nanmedian(jnp.where(own, scatter, jnp.nan))
+    rounding = 64 * jnp.finfo(offsets.dtype).eps * (1 + jnp.max(jnp.abs(offsets)))
+    far = jnp.linalg.norm(line, axis=-1) > _OUTLIER * jnp.maximum(scatter, typical) + rounding
+    sides = vmap(lambda side: jnp.nanmedian(jnp.where(side[..., None], offsets, jnp.nan), axis=1))
+    before, behind = sides(jnp.stack([after, ~after]))
+    return far & (jnp.sum(before * behind, axis=-1) > 0)
 
 
 def _unwrap(turns: jax.Array) -> jax.Array:

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from reframe_jax.arrays import jnp, lax, random
-from reframe_jax.compilation import BLOCK_SHARE, backend, update_marked
+from reframe_jax.compilation import BLOCK_SHARE, as_one_kernel, backend, update_marked
 from reframe_jax.objectives.protocol import Objective, check_objective
 from reframe_jax.solvers.box import Box
 from reframe_jax.solvers.kernel import step_chains
@@ -165,7 +165,8 @@ class BasinHopping:
 
         The first step minimizes the starts without a jump; steps after the last hop minimize the best points.
         """
-        jump, rise, key = self._draw(state.key, objective.dim, state.x.dtype)
+        draw = partial(self._draw, dim=objective.dim, dtype=state.x.dtype)
+        jump, rise, key = as_one_kernel(draw, state.key)
         more = (1,) * (state.x.ndim - 2)
         low, high = box.bounds(state.x)
         chains = transition(
@@ -308,14 +309,14 @@ class BasinHopping:
         """
         if self.rounds < 2:
             return state
-        afresh = partial(self._begin_afresh, objective, box, random.fold_in(key, number), state)
+        afresh = partial(self._begin_afresh, objective, box, key, state, number)
         return lax.cond(number == 0, lambda: state, afresh)
 
     def _begin_afresh(
-        self, objective: Objective, box: Box, key: jax.Array, state: SearchState
+        self, objective: Objective, box: Box, key: jax.Array, state: SearchState, number: jax.Array
     ) -> SearchState:
         """One chain at the best point, the others where the data suggest."""
-        start_key, key = random.split(key)
+        start_key, key = random.split(random.fold_in(key, number))
         starts = suggested_starts(objective, box, start_key, self.restarts - 1, _CANDIDATES[1])
         x, value = _lowest(state.chains)
         x = jnp.concatenate([x, starts], axis=1)
