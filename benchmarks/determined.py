@@ -20,7 +20,7 @@ from reframe_jax.constraints.types import POSITION_BODIES
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.motion.kinematics import velocity_components
 
-__all__ = ["Told", "determined"]
+__all__ = ["Told", "determined", "distances"]
 
 _CHORD = 1.0  # s
 _NOISES = 10  # that an axis goes at least to be seen free
@@ -61,7 +61,7 @@ def determined(
     found = identify_at(round(_CHORD / dt) if takes_lag() else 1, measured, dt=dt).candidates
     position = jnp.asarray(found.linear.position)
     rotvecs = found.angular.rotvec, found.linear.rotvec
-    turns, moves, levers = _distances(jnp.asarray(exact), dt, rotvecs, position)
+    turns, moves, levers = distances(jnp.asarray(exact), dt, rotvecs, position)
     turning = np.asarray(turns) / (rotation_ratio * sigma)[:, None, None]
     noise = sigma[:, None] * np.sqrt(1 + (rotation_ratio[:, None] * np.asarray(levers)) ** 2)
     moving = np.asarray(moves) / noise[:, :, None]
@@ -76,12 +76,18 @@ def determined(
 
 
 @jax.jit
-def _distances(
+def distances(
     poses: jax.Array, dt: float, rotvecs: tuple[jax.Array, jax.Array], position: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """How far frames go along their axes, (N, 2, 3) rad and (N, 4, 3) m, and their levers, (N, 4) m.
 
     Distances are standard deviations over the window; a lever is the root of the mean square.
+
+    Args:
+        poses: (N, K+1, 4, 4) m.
+        dt: s.
+        rotvecs: of the axes, (N, 2, 3) and (N, 4, 3).
+        position: (N, 4, 3) m, of the origins.
     """
     rates, maps = velocity_components(poses, dt)  # (3, 1, K, 2, N) and (3, 4, K, 4, N)
     origin = jnp.moveaxis(position, 0, -1)  # (4, 3, N)

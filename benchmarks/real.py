@@ -12,6 +12,10 @@ and the paper's thresholds). By the name of the file:
   how far these origins lie from their mean; this needs an ``identify`` that takes a lag;
 - anything else: the class.
 
+Of the default's frame, it is printed how far the measured origin goes along the constrained axis along which
+it goes farthest, in standard deviations of the noise and as a share of the way of the body. What exceeds a
+few noises is error that changes slowly: a free axis that goes as far looks the same.
+
 The positions of trackers are far better than their rotations, so circle and line serve as the truth.
 """
 
@@ -23,11 +27,13 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import least_squares
 
 import reframe_jax as rf
 from benchmarks.common import machine, new_parser
+from benchmarks.determined import distances
 from benchmarks.lags import identify_at, takes_lag
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
@@ -166,6 +172,24 @@ def class_of(found: rf.Identification) -> dict[str, Any]:
     }
 
 
+def farthest_held(found: rf.Identification, recording: rf.Recording) -> dict[str, float]:
+    """How far the origin goes along a constrained axis: in noises, and as a share of the way of the body."""
+    counted = np.asarray(found.counted)
+    poses, dt = recording.poses[counted], float(np.median(np.diff(recording.times)))
+    candidates, kind = found.candidates, int(found.linear.type_code)
+    assert candidates.linear.position is not None
+    rotvecs = jnp.asarray(candidates.angular.rotvec)[None], jnp.asarray(candidates.linear.rotvec)[None]
+    _, moves, levers = distances(
+        jnp.asarray(poses)[None], dt, rotvecs, jnp.asarray(candidates.linear.position)[None]
+    )
+    held = np.asarray(moves)[0, kind][np.asarray(found.linear.dof) == 0]
+    if held.size == 0:
+        return {}
+    noise = np.hypot(float(found.noise.position), float(found.noise.rotation) * float(levers[0, kind]))
+    way = np.sqrt(np.sum(np.var(poses[:, :3, 3], axis=0)))
+    return {"held_noises": float(held.max() / noise), "held_share": float(held.max() / way)}
+
+
 def examine(file: Path) -> dict[str, Any]:
     """Everything about one recording."""
     recording = rf.load_recording(file)
@@ -177,6 +201,7 @@ def examine(file: Path) -> dict[str, Any]:
     both = {"default": found, "lag 1": by_one}
     row: dict[str, Any] = {"file": file.name, "kind": kind, "poses": len(recording.poses)}
     row["classes"] = {name: class_of(each) for name, each in both.items()}
+    row |= farthest_held(found, recording)
     positions = recording.poses[:, :3, 3]
     if kind in ("door", "drawer"):
         fit, figures = (circle_axis, hinge_figures) if kind == "door" else (line_axis, slide_figures)
@@ -200,6 +225,9 @@ def show(row: dict[str, Any]) -> None:
         distance = f"{figures['distance_mm']:>9.1f} mm" if "distance_mm" in figures else " " * 12
         angle = f"{figures['angle_deg']:>8.2f} deg" if "angle_deg" in figures else " " * 12
         print(f"  {name:8}{distance}{angle}  {kind['type']}  {kind['name']}")
+    if "held_noises" in row:
+        noises, share = row["held_noises"], row["held_share"]
+        print(f"  held axes go up to {noises:.0f} noises, {share:.3f} of the way of the body")
     for at in row.get("lags", []):
         point = " ".join(f"{1e3 * x:8.1f}" for x in at["tool_point_m"])
         print(f"  lag {at['lag']:<4} {at['type']}  tool point {point} mm")

@@ -61,7 +61,7 @@ def _first_place(
     def place_of(x: jax.Array, axis: int | None = None) -> jax.Array:
         if axis is None or not 0 < x.shape[axis] <= _LONGEST:
             return reduction(x, axis=axis)
-        best, place = jax.lax.index_in_dim(x, 0, axis, keepdims=False), None
+        best = jax.lax.index_in_dim(x, 0, axis, keepdims=False)
         place = jnp.zeros(best.shape, jax.dtypes.canonicalize_dtype(np.int64))
         for i in range(1, x.shape[axis]):
             part = jax.lax.index_in_dim(x, i, axis, keepdims=False)

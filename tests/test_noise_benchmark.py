@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
-from benchmarks import fits, lags, noise
+from benchmarks import fits, lags, noise, weak_axes
 from benchmarks.bounds import cramer_rao
 from benchmarks.determined import Told, determined
 from reframe_jax.simulation.motions import PoseErrors, random_motion
@@ -160,3 +160,21 @@ def test_a_hinge_is_scored_in_the_body_its_winner_is_in(kind):
         linear=replace(found.linear, type_code=jnp.full(3, int(kind))),
     )
     np.testing.assert_allclose(fits.scores(moved, ours).errors["position"], 0.01, rtol=1e-6)
+
+
+def test_weak_axes_are_grouped_and_the_wrong_ones_listed(tmp_path, capsys):
+    file, again = tmp_path / "out.json", tmp_path / "again.json"
+    assert weak_axes.main(["--quick", "--json", str(file)]) == 0
+    printed = capsys.readouterr().out
+    record = json.loads(file.read_text())
+    rows = [weak_axes.Window(**row) for row in record["windows"]]
+    assert {row.constraint for row in rows} <= {"D", "K"}
+    assert all(row.noises > 10 and 0 < row.share < 2 for row in rows)  # told
+    assert record["metrics"]["windows"] == len(rows) > 0
+    wrong = replace(rows[0], right=False, probability=0.95, share=0.005, said="Fixed")
+    metrics = weak_axes.show([*rows, wrong])
+    assert metrics["sure_and_wrong"] == record["metrics"]["sure_and_wrong"] + 1
+    assert ": Fixed (0.95)" in capsys.readouterr().out
+    assert weak_axes.main(["--join", str(file), "--json", str(again)]) == 0
+    assert capsys.readouterr().out == printed
+    assert json.loads(again.read_text()) == record

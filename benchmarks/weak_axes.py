@@ -1,0 +1,130 @@
+"""Degrees of freedom against how far the free axis goes that goes least.
+
+Windows as in :mod:`benchmarks.noise`, of constraints with free translations, whose motion tells the
+degrees of freedom (see :mod:`benchmarks.determined`: each free axis goes ten noises at least). Errors of
+trackers that change slowly go far too: in ``python -m benchmarks.real`` the origins of recorded hinges go
+up to a tenth of the way of the body along axes that are held. So the windows are grouped by the way of
+the weakest free axis as a share of that of the body, and the wrong ones are listed. Ways are standard
+deviations over the window; that of the body is of its measured position.
+"""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import reframe_jax as rf
+from benchmarks.common import chosen_plan, machine, plan_parser, read_parts, write_record
+from benchmarks.determined import distances
+from benchmarks.fits import Windows, scores
+from benchmarks.noise import Plan, make, say
+
+PLAN = Plan(labels=tuple("DEFGHIJKL"), sigmas=(1e-6, 1e-5, 1e-4, 1e-3), rates=(10, 100))
+QUICK = Plan(labels=("D", "K"), motions=("slow",), sigmas=(1e-5,), rates=(10,), windows=2)
+EDGES = 0.0, 0.01, 0.03, 0.1, 0.3, np.inf  # of shares
+SURE = 0.9
+
+
+@dataclass(frozen=True)
+class Window:
+    """A window that tells its degrees of freedom: how far its weakest free axis goes, and what was said."""
+
+    constraint: str
+    motion: str
+    rate: float
+    sigma: float
+    way_mm: float
+    noises: float
+    share: float
+    right: bool
+    said: str
+    probability: float
+
+
+def judge(windows: Windows, where: dict[str, np.ndarray]) -> list[Window]:
+    """Identify the windows of one constraint and rate."""
+    assert windows.frame.linear_type is not None
+    found, kind = rf.identify(windows.poses, dt=windows.dt), int(windows.frame.linear_type)
+    candidates = found.candidates
+    rotvecs = jnp.asarray(candidates.angular.rotvec), jnp.asarray(candidates.linear.rotvec)
+    exact = jnp.asarray(windows.exact)
+    _, moves, levers = distances(exact, windows.dt, rotvecs, jnp.asarray(candidates.linear.position))
+    free = sum(rf.CONSTRAINTS[windows.label].linear_dof)
+    way = np.sort(np.asarray(moves)[:, kind], axis=1)[:, 3 - free]
+    noise = where["sigma"] * np.hypot(1, where["ratio"] * np.asarray(levers)[:, kind])
+    body = np.sqrt(np.sum(np.var(windows.exact[:, :, :3, 3], axis=1), axis=1))
+    right = scores(found, windows).right["dof"]
+    return [
+        Window(
+            windows.label,
+            str(where["motion"][i]),
+            float(where["rate"][i]),
+            float(where["sigma"][i]),
+            1e3 * float(way[i]),
+            float(way[i] / noise[i]),
+            float(way[i] / body[i]),
+            bool(right[i]),
+            str(found.name[i]),
+            float(found.probability[i]),
+        )
+        for i in np.flatnonzero(windows.told.dof)
+    ]
+
+
+def run(plan: Plan) -> list[Window]:
+    """All windows of a plan that tell their degrees of freedom."""
+    rows = []
+    for rate in plan.rates:
+        for windows, where in make(plan, rate):
+            say(f"{rate:g} Hz: {windows.label}, {len(windows.poses)} windows")
+            rows += judge(windows, where)
+    return rows
+
+
+def show(rows: list[Window]) -> dict[str, float]:
+    """Print the groups and the wrong windows; returns the metrics."""
+    print("way of the weakest free axis    windows   right   wrong with 0.9 or more")
+    metrics: dict[str, float] = {"windows": len(rows), "right": _share(rows)}
+    for low, high in pairwise(EDGES):
+        group = [row for row in rows if low <= row.share < high]
+        sure = sum(not row.right and row.probability >= SURE for row in group)
+        name = f"{low:g} to {high:g} of the body's" if np.isfinite(high) else f"from {low:g} of the body's"
+        percent = f"{100 * _share(group):.1f} %" if group else "-"
+        print(f"{name:<32}{len(group):>7}{percent:>9}{sure:>14}")
+        metrics[f"right_from_{low:g}"] = _share(group)
+    print(f"{'all':<32}{len(rows):>7}{100 * _share(rows):>7.1f} %")
+    print()
+    wrong = sorted((row for row in rows if not row.right), key=lambda row: row.share)
+    metrics["sure_and_wrong"] = sum(row.probability >= SURE for row in wrong)
+    for row in wrong:
+        print(
+            f"{row.constraint} {row.motion}, {row.rate:g} Hz, {row.sigma:g} m: {row.way_mm:.2f} mm, "
+            f"{row.noises:.0f} noises, {row.share:.3f} of the body's way: {row.said} ({row.probability:.2f})"
+        )
+    return metrics
+
+
+def _share(rows: list[Window]) -> float:
+    return float(np.mean([row.right for row in rows])) if rows else float("nan")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Command line of the benchmark."""
+    options = plan_parser("weak_axes", __doc__, quick="a few windows").parse_args(argv)
+    jax.config.update("jax_enable_x64", True)
+    parts = read_parts(options)
+    print(parts[0]["machine"] if parts else machine())
+    rows = [Window(**window) for part in parts for window in part["windows"]]
+    rows = rows or run(chosen_plan(options, PLAN, QUICK))
+    record: dict[str, Any] = {"machine": machine(), "metrics": show(rows)}
+    write_record(options.json, record | {"windows": [asdict(row) for row in rows]})
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
