@@ -44,7 +44,7 @@ LagRule = Literal["auto", "given", "single"]
 
 
 _UNSEEN = 1e-7  # m, rounding of positions that never change: that of a metre in float32
-_SHORT = 1 << 15  # numbers of the poses of a window that is followed by one kernel on a processor
+_SHORT = 1 << 16  # numbers of poses, of windows that one kernel follows on a processor
 _ROUNDED = 1.5  # the rounding of positions, below which their noise is that
 
 
