@@ -113,8 +113,8 @@ def _strays(offsets: jax.Array, later: jax.Array, after: jax.Array, own: jax.Arr
     rounding = 64 * jnp.finfo(offsets.dtype).eps * (1 + jnp.max(jnp.abs(offsets)))
     far = jnp.linalg.norm(line, axis=-1) > _OUTLIER * jnp.maximum(scatter, typical) + rounding
     sides = vmap(lambda side: jnp.nanmedian(jnp.where(side[..., None], offsets, jnp.nan), axis=1))
-    before, behind = sides(jnp.stack([after, ~after]))
-    return far & (jnp.sum(before * behind, axis=-1) > 0)
+    ahead, behind = sides(jnp.stack([after, ~after]))
+    return far & (jnp.sum(ahead * behind, axis=-1) > 0)
 
 
 def _unwrap(turns: jax.Array) -> jax.Array:
