@@ -116,11 +116,9 @@ def once_on_cpu(values: _T) -> _T:
 def apply_each(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
     """Apply an elementwise function to pytrees of one shape, stacked so that it is compiled once for all.
 
-    In a GPU kernel, which holds no stacks, it is applied to one after the other.
+    In a GPU kernel, which holds no stacks, and with NumPy it is applied to one after the other.
     """
-    if tracing.value == "gpu":
-        return [function(item) for item in items]
-    if using_numpy():
+    if tracing.value == "gpu" or using_numpy():
         return [function(item) for item in items]
     stacked = once(jax.tree.map(lambda *leaves: jnp.stack(leaves), *items))
     found = once(jax.vmap(function)(stacked))

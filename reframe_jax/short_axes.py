@@ -78,10 +78,9 @@ _sum = _written_out(jnp.sum, jnp.add, "f")
 def _mean(
     x: jax.Array, axis: int | tuple[int, ...] | None = None, dtype: Any = None, keepdims: bool = False
 ) -> jax.Array:
-    count = math.prod(x.shape[i] for i in _axes_of(x, axis))
-    if x.dtype.kind != "f" or dtype is not None or not 0 < count <= _LONGEST:
+    if x.dtype.kind != "f" or dtype is not None:
         return jnp.mean(x, axis=axis, dtype=dtype, keepdims=keepdims)
-    return _sum(x, axis=axis, keepdims=keepdims) / count
+    return _sum(x, axis=axis, keepdims=keepdims) / math.prod(x.shape[i] for i in _axes_of(x, axis))
 
 
 class ShortAxes:
