@@ -9,13 +9,13 @@ from reframe_jax.cli import arguments
 from reframe_jax.cli.speaking import say
 from reframe_jax.recordings.reading import load_recording
 from reframe_jax.recordings.recording import Recording
-from reframe_jax.recordings.selection import ANGLES, QUATERNIONS, UNITS
+from reframe_jax.recordings.selection import ANGLE_UNITS, ANGLES, QUATERNIONS, TIME_UNITS, UNITS
 
 __all__ = ["add_reading", "expand", "read_recording", "reading_options"]
 
 _NAMES = (
-    *("unit", "dt", "topic", "from_frame", "to_frame", "body", "in_body"),
-    *("position", "orientation", "quaternion", "angles", "episode"),
+    *("unit", "time_unit", "dt", "topic", "from_frame", "to_frame", "body", "in_body"),
+    *("position", "orientation", "quaternion", "angles", "angle_unit", "episode"),
 )
 
 
@@ -24,6 +24,7 @@ def add_reading(command: argparse.ArgumentParser) -> None:
     add = command.add_argument_group("what to read (reframe-jax topics FILE lists it)").add_argument
     add("--dt", type=arguments.seconds, metavar="S", help="sample time in s, for files without times")
     add("--unit", choices=[*UNITS], help="unit of positions, for files that do not state it (m)")
+    add("--time-unit", choices=[*TIME_UNITS], help="unit of times, for files that do not state it (s)")
     add("--topic", metavar="NAME", help="topic of a bag")
     add("--from", dest="from_frame", metavar="FRAME", help="tf frame of a bag that serves as the ground")
     add("--to", dest="to_frame", metavar="FRAME", help="tf frame of a bag whose motion is read")
@@ -31,7 +32,7 @@ def add_reading(command: argparse.ArgumentParser) -> None:
     add("--in", dest="in_body", metavar="NAME", help="body (in a bag: topic) to which the motion is relative")
     add("--position", metavar="COLUMN", help="column of positions, such as NAME or NAME[0:3]")
     add("--orientation", metavar="COLUMN", help="column of orientations, such as NAME[3:7]")
-    add("--quaternion", choices=QUATERNIONS, help="order of the numbers of a quaternion in that column")
+    add("--quaternion", choices=QUATERNIONS, help="order in which the file holds quaternions")
     add(
         "--angles",
         choices=ANGLES,
@@ -39,6 +40,7 @@ def add_reading(command: argparse.ArgumentParser) -> None:
         help="what three angles mean: vector (rotation vector), XYZ etc. (turns about the moving axes, x "
         "first), xyz etc. (about the fixed axes)",
     )
+    add("--angle-unit", choices=[*ANGLE_UNITS], help="unit of these angles (rad)")
     add("--episode", type=arguments.whole, metavar="N", help="number of the episode in a file of several")
 
 

@@ -1,92 +1,130 @@
-"""From rows of numbers to poses: repairs, drops and refusals."""
+"""From rows of numbers to poses: repairs, rows that are left out, and refusals."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
-from reframe_jax.geometry.numpy_rotations import quaternions_to_matrices
+from reframe_jax.geometry.numpy_rotations import quaternions_to_matrices, rotation_vectors
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows
+from reframe_jax.recordings.selection import Selection
 
-__all__ = ["MIN_POSES", "check_positions", "check_times", "drop_unfinished", "make_poses", "make_times"]
+__all__ = ["MIN_POSES", "check_positions", "check_turns", "drop_unfinished", "make_poses", "note_repeats"]
 
-MIN_POSES = 5  # of the smallest window that can be identified
-_FARTHEST = 20.0  # m from the median position: beyond it the unit is wrong, or the row
-_SLOW = 1.0, 1e3  # s between samples: worth a note, and refused
+MIN_POSES = 4  # of a tool whose tip is calibrated; a motion needs 5
+_FARTHEST = 20.0  # m from the median position, of a body that is moved by hand or by an arm
+_FEW_FAR = 0.05  # fraction of the rows that are left out if they are farther
+_VEHICLE, _HAND = 30.0, 50.0  # m/s^2: what a vehicle stays below, and what a hand seldom exceeds
+_OVER = 0.25  # s, over which accelerations are taken, so that noise does not count
+_MANY = 30  # rows, from which on accelerations say something
+_SMALL = 3.0  # numbers in mm or cm that span less were probably metres
+_FASTEST, _FAST = 50.0, 10.0  # rad/s, of angles that are refused, and of those that are worth a note
 _ROTATION_ERROR = 1e-4, 1e-2  # worth a note, since printing rounds off less; and refused
-_STALE = 0.05  # share of repeated poses that is worth a note
+_STALE = 0.05  # fraction of repeated poses that is worth a note
 _BLOCK = 2**14  # rows worked on at once, so that intermediate values stay small
 
 
-def make_times(rows: Rows, dt: float | None) -> np.ndarray:
-    """Times of the rows (N,), s: those of the file, or multiples of the sample time.
-
-    Raises:
-        RecordingError: if there is neither.
-    """
-    if dt is not None:
-        if rows.times is not None:
-            rows.notes.append(f"the times in the file are ignored, for the sample time of {dt:g} s given.")
-        return np.arange(len(rows.values)) * float(dt)
-    if rows.times is None:
-        raise RecordingError(f"{rows.path}: has no times; name a column t, in seconds, or give dt (--dt).")
-    if rows.origin is not None:
-        rows.notes.append(f"times count from the first sample, at {rows.origin} s.")
-    return rows.times
+def drop_unfinished(rows: Rows) -> None:
+    """Leave out rows in which a number is missing, or whose quaternion is zero."""
+    finite = np.isfinite(rows.values).all(axis=1)
+    if rows.times is not None:
+        finite &= np.isfinite(rows.times)
+    rows.keep(finite, "a number is missing or not finite", "missing")
+    if rows.values.shape[1] == 7:
+        turned = (rows.values[:, 3:] != 0).any(axis=1)
+    else:
+        turned = (rows.values.reshape(len(rows.values), -1, 4)[:, :3, :3] != 0).any(axis=(1, 2))
+    rows.keep(turned, "all numbers of the orientation are 0, so tracking was lost", "untracked")
 
 
-def drop_unfinished(rows: Rows, times: np.ndarray) -> np.ndarray:
-    """Drop rows in which a number is missing, and return the remaining times."""
-    rows.times = times
-    rows.keep(np.isfinite(rows.values).all(axis=1) & np.isfinite(times), "a number is missing or not finite")
-    return rows.times
-
-
-def check_times(rows: Rows, times: np.ndarray) -> np.ndarray:
-    """Refuse times that do not increase, drop exact duplicates, and return the remaining times.
-
-    Raises:
-        RecordingError: if time decreases, stands still while the body moves, or is not in seconds.
-    """
-    rows.times = times
-    steps, still = np.diff(times), _repeats(rows.values)
-    wrong = np.flatnonzero((steps < 0) | ((steps == 0) & ~still))
-    if len(wrong):
-        now = wrong[0] + 1
-        problem = "goes back in time" if steps[wrong[0]] < 0 else "has another pose at the same time"
-        raise rows.error(
-            now, f"{problem}, {times[now - 1]:g} s to {times[now]:g} s; expected times to increase."
-        )
-    step = float(np.median(steps)) if len(steps) else 0.0
-    slow = f"samples are {step:g} s apart; if the times are in ms, us or ns, convert them or give dt (--dt)."
-    if step > _SLOW[1]:
-        raise RecordingError(f"{rows.path}: {slow}")
-    if step > _SLOW[0]:
-        rows.notes.append(slow)
-    stale = int(np.sum(still & (steps > 0)))
-    if stale > _STALE * len(times):
+def note_repeats(rows: Rows, poses: np.ndarray) -> None:
+    """Note poses (N, 4, 4) that repeat the one before, if there are many of them."""
+    stale = int(np.sum((poses[1:] == poses[:-1]).all(axis=(1, 2))))
+    if stale > _STALE * len(poses):
         rows.notes.append(
-            f"{stale} of {len(times)} samples repeat the pose before: a tracker that repeats old samples "
-            "makes the velocity jump; remove them unless the body stood still."
+            f"{stale} of {len(poses)} poses repeat the one before exactly: the body rested, or the poses are "
+            "written more often than they are measured."
         )
-    rows.keep(np.append(True, steps > 0)[: len(times)], "it repeats the row before")
-    return rows.times
 
 
-def check_positions(rows: Rows, positions: np.ndarray) -> None:
-    """Refuse positions (N, 3), m, one of which is far from the others.
+def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> np.ndarray:
+    """Check that positions are in the unit they are read in.
+
+    Args:
+        rows: the rows, with times.
+        poses: (N, 4, 4), m.
+        wanted: the unit.
+
+    Returns:
+        Poses (N, 4, 4) of the rows that are left.
 
     Raises:
-        RecordingError: if one is more than 20 m from the median position.
+        RecordingError: if the body moves as none does.
     """
+    positions, times = poses[:, :3, 3], rows.times
     distance = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
-    row = int(np.argmax(distance))
-    if not distance[row] <= _FARTHEST:
-        raise rows.error(
-            row,
-            f"lies {distance[row]:.3g} m from the median position; expected less than {_FARTHEST:g} m. If "
-            "the positions are in mm or cm, say so (unit='mm', --unit mm); otherwise delete the row.",
+    far = ~(distance <= _FARTHEST)
+    if far.any() and far.sum() <= max(_FEW_FAR * len(far), 1):
+        beyond = f"more than {_FARTHEST:g} m from the other positions"
+        note = "; if the unit is wrong, give unit (--unit)" if rows.metres is None else ""
+        rows.keep(~far, beyond + note, "far")
+        return poses[~far]
+    change = _acceleration(positions, times) if times is not None else 0.0
+    span = float(np.linalg.norm(np.ptp(positions, axis=0)))
+    advice = "give unit='mm' (--unit mm)" if rows.metres is None else "the file states another unit: correct it"
+    if far.any():
+        if not change <= _VEHICLE:
+            row = int(np.argmax(distance))
+            raise rows.error(
+                row,
+                f"lies {distance[row]:.3g} m from the median position, and the velocity changes by "
+                f"{change:.2g} m/s^2, more than that of a vehicle; if the positions are in mm, {advice}.",
+            )
+        rows.notes.append(f"positions span {span:.3g} m, as those of a vehicle; if they are in mm, {advice}.")
+    elif change > _HAND and len(times if times is not None else ()) >= _MANY and span > 1:
+        rows.notes.append(
+            f"the velocity changes by {change:.2g} m/s^2, more than a hand moves a body; if the positions are "
+            f"in mm, {advice}."
         )
+    factor = 1.0 if wanted.unit in (None, "m") else {"cm": 100.0, "mm": 1000.0}[wanted.unit]
+    if factor > 1 and rows.metres is None and span * factor < _SMALL and len(poses) >= _MANY:
+        rows.notes.append(
+            f"positions span {1e3 * span:.2g} mm; if the file has them in m, leave out unit (--unit)."
+        )
+    return poses
+
+
+def _acceleration(positions: np.ndarray, times: np.ndarray) -> float:
+    """Change of the velocity in m/s^2 that three of four poses stay below."""
+    step = np.median(np.diff(times)) if len(times) > 1 else 0.0
+    if len(times) < 3 or not step > 0:
+        return 0.0
+    lag = int(np.clip(np.ceil(_OVER / step), 1, (len(times) - 1) // 2))
+    velocities = (positions[lag:] - positions[:-lag]) / (times[lag:] - times[:-lag])[:, None]
+    changes = np.linalg.norm(velocities[lag:] - velocities[:-lag], axis=1)
+    middle = (times[2 * lag :] - times[: -2 * lag]) / 2
+    return float(np.quantile(changes / middle, 0.75))
+
+
+def check_turns(rows: Rows, poses: np.ndarray, wanted: Selection) -> None:
+    """Refuse angles in radians if a body turns as none does.
+
+    Raises:
+        RecordingError: if half of the steps are faster than 50 rad/s.
+    """
+    if not rows.angles or wanted.angle_unit is not None or len(poses) < 3 or rows.times is None:
+        return
+    steps = poses[1:, :3, :3] @ poses[:-1, :3, :3].swapaxes(1, 2)
+    rate = float(np.median(np.linalg.norm(rotation_vectors(steps), axis=1) / np.diff(rows.times)))
+    sentence = f"read in rad, its angles turn the body by {rate:.2g} rad/s"
+    advice = "give angle_unit='deg' (--angle-unit deg)"
+    if rate > _FASTEST:
+        raise RecordingError(
+            f"{rows.path}: {sentence}, faster than any hand; if they are in degrees, {advice}, else "
+            "angle_unit='rad' (--angle-unit rad)."
+        )
+    if rate > _FAST:
+        rows.notes.append(f"{sentence}; if they are in degrees, {advice}.")
 
 
 def make_poses(rows: Rows) -> np.ndarray:
@@ -122,19 +160,13 @@ def make_poses(rows: Rows) -> np.ndarray:
 
 def _judge(rows: Rows, error: np.ndarray, what: str) -> None:
     """Refuse rotations whose error (N,) is large; note the repair of others."""
+    if not len(error):
+        return
     row, (noted, refused) = int(np.argmax(error)), _ROTATION_ERROR
     if not error[row] <= refused:
         raise rows.error(row, f"expected {what}; delete the row if tracking was lost there.")
     if error[row] > noted:
         rows.notes.append(f"rotations were repaired: up to {error[row]:.1g} away from {what}.")
-
-
-def _repeats(values: np.ndarray) -> np.ndarray:
-    """Whether each row but the first holds the numbers of the one before: (N-1,) bool."""
-    same = np.empty(max(len(values) - 1, 0), bool)
-    for block in _blocks(len(same)):
-        same[block] = (values[1:][block] == values[:-1][block]).all(axis=1)
-    return same
 
 
 def _blocks(count: int) -> Iterator[slice]:

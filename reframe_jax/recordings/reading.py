@@ -12,16 +12,29 @@ import numpy as np
 from reframe_jax.recordings.checks import (
     MIN_POSES,
     check_positions,
-    check_times,
+    check_turns,
     drop_unfinished,
     make_poses,
-    make_times,
+    note_repeats,
 )
+from reframe_jax.recordings.clock import drop_equal_times, make_times, sort_times
+from reframe_jax.recordings.left_out import leave_out_lost, note_jumps
+from reframe_jax.recordings.quaternion_order import reorder, shows_other_order
 from reframe_jax.recordings.readers import check_options, choose_reader
 from reframe_jax.recordings.readers.reader import Entry, Reader
 from reframe_jax.recordings.recording import Recording, RecordingError
 from reframe_jax.recordings.relative import relative_poses
-from reframe_jax.recordings.selection import UNITS, Angles, Quaternion, Selection, Unit
+from reframe_jax.recordings.rows import Rows
+from reframe_jax.recordings.selection import (
+    UNITS,
+    Angles,
+    AngleUnit,
+    Quaternion,
+    Selection,
+    TimeUnit,
+    Unit,
+    flag,
+)
 
 __all__ = ["list_contents", "load_recording"]
 
@@ -30,6 +43,7 @@ def load_recording(
     path: str | Path,
     *,
     unit: Unit | None = None,
+    time_unit: TimeUnit | None = None,
     dt: float | None = None,
     topic: str | None = None,
     from_frame: str | None = None,
@@ -40,6 +54,7 @@ def load_recording(
     orientation: str | None = None,
     quaternion: Quaternion | None = None,
     angles: Angles | None = None,
+    angle_unit: AngleUnit | None = None,
     episode: int | None = None,
 ) -> Recording:
     """Read a recording of poses.
@@ -79,6 +94,7 @@ def load_recording(
     Args:
         path: the file or folder.
         unit: unit of the positions, for files that do not state it; m by default.
+        time_unit: unit of the times, for files that do not state it; s by default.
         dt: sample time in s, for files without times; times in the file are then ignored.
         topic: topic of a bag.
         from_frame: tf frame of a bag that serves as the ground.
@@ -87,13 +103,15 @@ def load_recording(
         in_body: body in whose frame the poses are expressed, see :func:`relative_poses`; in a bag, its topic.
         position: column of the positions, (N, 3).
         orientation: column of the orientations, (N, 4), (N, 3) or (N, 3, 3).
-        quaternion: order of the numbers in the column of orientations.
+        quaternion: order in which the file holds the numbers of a quaternion, whatever their names.
         angles: what three angles mean: "vector", a rotation vector; "XYZ" and the like, turns about the
             moving axes, that about x first; "xyz" and the like, turns about the fixed axes.
+        angle_unit: unit of these angles, "rad" or "deg", for files that do not state it; rad by default.
         episode: number of the episode in a file of several.
 
     Returns:
-        The recording, in metres and seconds.
+        The recording, in metres and seconds. Rows in which tracking was lost are left out; ``left_out`` and
+        ``notes`` say which and why.
 
     Raises:
         RecordingError: if the file or one of its rows cannot be used, an option is wrong for it, or a library
@@ -102,6 +120,7 @@ def load_recording(
     path = Path(path)
     wanted = Selection(
         unit=unit,
+        time_unit=time_unit,
         topic=topic,
         from_frame=from_frame,
         to_frame=to_frame,
@@ -111,6 +130,7 @@ def load_recording(
         orientation=orientation,
         quaternion=quaternion,
         angles=angles,
+        angle_unit=angle_unit,
         episode=episode,
     )
     if dt is not None and not 0 < dt < np.inf:
@@ -163,12 +183,62 @@ def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Re
     """Read one body and check it."""
     with np.errstate(all="ignore"):  # numbers too large to be squared: what comes of them is refused below
         rows = reader.read(path, wanted)
-        times = drop_unfinished(rows, make_times(rows, dt))
-        times = check_times(rows, times)
-        if len(times) < MIN_POSES:
-            raise RecordingError(f"{path}: has {len(times)} usable poses; expected {MIN_POSES} or more.")
+        _apply_order(rows, wanted)
+        make_times(rows, dt, wanted)
+        drop_unfinished(rows)
+        sort_times(rows)
+        drop_equal_times(rows)
+        _check_count(rows)
         poses = make_poses(rows)
         poses[:, :3, 3] *= UNITS[wanted.unit or "m"] if rows.metres is None else rows.metres
-        check_positions(rows, poses[:, :3, 3])
-    origin = rows.origin if dt is None else None
-    return Recording(times, poses, path, tuple(rows.notes), origin, rows.wrenches)
+        poses = leave_out_lost(rows, poses)
+        poses = check_positions(rows, poses, wanted)
+        _check_count(rows)
+        check_turns(rows, poses, wanted)
+        _check_order(rows, reader)
+        note_jumps(rows, poses)
+        note_repeats(rows, poses)
+    return Recording(
+        np.asarray(rows.times),
+        poses,
+        path,
+        tuple(rows.notes),
+        rows.origin,
+        rows.wrenches,
+        rows.where,
+        rows.word,
+        tuple(rows.left_out),
+    )
+
+
+def _check_count(rows: Rows) -> None:
+    if len(rows.values) < MIN_POSES:
+        left = "; ".join(rows.notes[-3:])
+        raise RecordingError(
+            f"{rows.path}: has {len(rows.values)} usable poses; expected {MIN_POSES} or more. {left}".rstrip()
+        )
+
+
+def _apply_order(rows: Rows, wanted: Selection) -> None:
+    """Read quaternions in the order that the user gave."""
+    if wanted.quaternion is None:
+        return
+    if rows.values.shape[1] != 7:
+        raise RecordingError(f"{rows.path}: holds no quaternions there; leave out {flag('quaternion')}.")
+    rows.values = rows.values.copy()
+    rows.values[:, 3:] = reorder(rows.values[:, 3:], rows.order, wanted.quaternion)
+    rows.order = wanted.quaternion
+
+
+def _check_order(rows: Rows, reader: Reader) -> None:
+    """Note that the other order of quaternions makes the motion a constrained one, if it does."""
+    if rows.values.shape[1] != 7 or "quaternion" not in reader.options:
+        return
+    other: Quaternion = "wxyz" if rows.order == "xyzw" else "xyzw"
+    quaternions = rows.values[:, 3:] / np.linalg.norm(rows.values[:, 3:], axis=1, keepdims=True)
+    if shows_other_order(rows.values[:, :3], quaternions, reorder(quaternions, rows.order, other)):
+        rows.notes.append(
+            f"with quaternions in the order {other} the orientations fit the positions, and in the order "
+            f"{rows.order} they do not: if the file holds {other}, give quaternion={other!r} "
+            f"(--quaternion {other})."
+        )

@@ -5,11 +5,30 @@ from pathlib import Path
 
 import numpy as np
 
-__all__ = ["Recording", "RecordingError"]
+__all__ = ["LeftOut", "Recording", "RecordingError"]
 
 
 class RecordingError(ValueError):
     """A file that cannot be used as a recording."""
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """Rows of a file that are not in the recording.
+
+    Attributes:
+        rows: (N,) int, their numbers, as :attr:`Recording.rows` counts them.
+        reason: one word: "missing" (a number is missing), "untracked" (the system says so, or writes zeros),
+            "origin", "identity", "constant", "frozen" or "end" (tracking was lost, see
+            :class:`reframe_jax.recordings.lost.LostRun`), "repeated" (the row before again), "equal_time"
+            (another pose at the same time), "far" (farther away than a body can go), "relative" (the other
+            body was not tracked).
+        why: the reason in words.
+    """
+
+    rows: np.ndarray
+    reason: str
+    why: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,12 +39,16 @@ class Recording:
         times: (K+1,) s, increasing, not necessarily evenly.
         poses: (K+1, 4, 4), m.
         path: file that it was read from.
-        notes: sentences about what was dropped, repaired or looks odd.
+        notes: sentences about what was left out, repaired or looks odd.
         origin: time at which ``times`` are 0, in s, as the file writes it; None if the file says 0. Times
             that start late, such as those since 1970, count from their first sample.
         wrenches: (K+1, 6) force in N, then torque in Nm, if the file has them, else None. They are the
             numbers of the file, in the frame of the sensor and about its origin: nothing is transformed.
             NaN where a number is missing.
+        rows: (K+1,) int, where the poses are in the file: numbers of lines from 1, of samples and messages
+            from 0; None if they are from no file.
+        row_word: what the rows are called: line, sample, message or frame.
+        left_out: rows of the file that were left out, and why.
     """
 
     times: np.ndarray
@@ -34,3 +57,6 @@ class Recording:
     notes: tuple[str, ...] = ()
     origin: str | None = None
     wrenches: np.ndarray | None = None
+    rows: np.ndarray | None = None
+    row_word: str = "sample"
+    left_out: tuple[LeftOut, ...] = ()

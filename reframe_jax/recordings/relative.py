@@ -7,7 +7,7 @@ import numpy as np
 
 from reframe_jax.geometry.numpy_rotations import rotation_matrices, rotation_vectors
 from reframe_jax.recordings.checks import MIN_POSES
-from reframe_jax.recordings.recording import Recording, RecordingError
+from reframe_jax.recordings.recording import LeftOut, Recording, RecordingError
 
 __all__ = ["interpolate_poses", "invert_poses", "relative_poses"]
 
@@ -44,14 +44,20 @@ def relative_poses(a: Recording, b: Recording) -> Recording:
             f"expected {MIN_POSES} or more."
         )
     notes = [*a.notes, *(f"of the other body: {note}" for note in b.notes if note not in a.notes)]
+    left_out = a.left_out
     if left := len(times) - int(known.sum()):
-        notes.append(f"{left} of {len(times)} poses left out: the other body was not tracked at their times.")
+        why = "the other body was not tracked at their times"
+        notes.append(f"{left} of {len(times)} poses left out: {why}.")
+        if a.rows is not None:
+            left_out = (*left_out, LeftOut(a.rows[~known], "relative", why))
     return replace(
         a,
         times=a.times[known],
         poses=invert_poses(poses) @ a.poses[known],
         notes=tuple(notes),
         wrenches=None if a.wrenches is None else a.wrenches[known],
+        rows=None if a.rows is None else a.rows[known],
+        left_out=left_out,
     )
 
 

@@ -2,17 +2,19 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
-from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.recordings.recording import LeftOut, RecordingError
 
-__all__ = ["EPOCH", "HEADER", "MOST_ROWS", "WRENCH_HEADER", "Rows", "shown"]
+__all__ = ["EPOCH", "HEADER", "MOST_ROWS", "WRENCH_HEADER", "Rows", "name_rows", "shown"]
 
 HEADER = "t,x,y,z,qx,qy,qz,qw"
 WRENCH_HEADER = "fx,fy,fz,tx,ty,tz"
 MOST_ROWS = 2**23  # 8,388,608: their poses take 1 GiB
 EPOCH = 1e6  # s: times that start later than this count from the first sample
+_LISTED = 4  # ranges of rows in a sentence
 
 
 @dataclass
@@ -25,11 +27,17 @@ class Rows:
         where: (N,) int, the numbers of the rows.
         values: (N, 7) positions and quaternions, or (N, 12) or (N, 16) matrices, row by row; in the unit of
             the file. NaN where a number is missing.
-        times: (N,) s, or None if the file has none. NaN where one is missing.
+        times: (N,), or None if the file has none. NaN where one is missing.
         origin: the time that ``times`` count from, as the file writes it; None if that is 0.
-        notes: sentences about what was dropped, repaired or looks odd.
+        notes: sentences about what was left out, repaired or looks odd.
         wrenches: (N, 6) force in N and torque in Nm, as :class:`Recording` has them, or None.
         metres: length of the unit of the positions if the file states it, else None.
+        seconds: length of the unit of the times if the file states it, else None.
+        order: order in which the file holds quaternions, which ``values`` has as x y z w.
+        angles: whether the orientations come from angles whose unit the file does not state.
+        no_times: what gives the times where the file has none, for a message.
+        frames: (N,) int, numbers of the frames, which count sample times; None if every row is one.
+        left_out: rows that were left out.
     """
 
     path: Path
@@ -41,21 +49,51 @@ class Rows:
     notes: list[str] = field(default_factory=list)
     wrenches: np.ndarray | None = None
     metres: float | None = None
+    seconds: float | None = None
+    order: Literal["xyzw", "wxyz"] = "xyzw"
+    angles: bool = False
+    no_times: str = "give the sample time, dt (--dt)"
+    frames: np.ndarray | None = None
+    left_out: list[LeftOut] = field(default_factory=list)
 
     def error(self, row: int, problem: str) -> RecordingError:
         """What is wrong with a row."""
         return RecordingError(f"{self.path}: {self.word} {self.where[row]}: {problem}")
 
-    def keep(self, mask: np.ndarray, why: str) -> None:
-        """Drop the rows outside the mask (N,), with a note."""
+    def keep(self, mask: np.ndarray, why: str, reason: str, note: str | None = None) -> None:
+        """Leave out the rows outside the mask (N,).
+
+        Args:
+            mask: rows that stay.
+            why: the reason in words, which the note gives after the rows.
+            reason: the same in one word, of those of :class:`LeftOut`.
+            note: another sentence for it.
+        """
         dropped = self.where[~mask]
         if not len(dropped):
             return
-        more = f" and {len(dropped) - 1} more" if len(dropped) > 1 else ""
-        self.notes.append(f"{self.word} {dropped[0]}{more} dropped: {why}.")
-        self.where, self.values = self.where[mask], self.values[mask]
-        self.times = None if self.times is None else self.times[mask]
-        self.wrenches = None if self.wrenches is None else self.wrenches[mask]
+        self.notes.append(note or f"{name_rows(self.word, dropped)} left out: {why}.")
+        self.left_out.append(LeftOut(np.sort(dropped), reason, why))
+        self.take(mask)
+
+    def take(self, rows: np.ndarray) -> None:
+        """Keep some rows, of a mask or of indices, and their order."""
+        for name in ("where", "values", "times", "wrenches", "frames"):
+            numbers = getattr(self, name)
+            setattr(self, name, None if numbers is None else numbers[rows])
+
+
+def name_rows(word: str, numbers: np.ndarray) -> str:
+    """Rows in words: "line 4", "lines 4-9, 12 (7 rows)"."""
+    numbers = np.unique(numbers)
+    if len(numbers) == 1:
+        return f"{word} {numbers[0]}"
+    edges = np.flatnonzero(np.diff(numbers) > 1)
+    first, last = numbers[np.append(0, edges + 1)], numbers[np.append(edges, len(numbers) - 1)]
+    parts = [str(a) if a == b else f"{a}-{b}" for a, b in zip(first, last, strict=True)]
+    more = f" and {len(parts) - _LISTED} more" if len(parts) > _LISTED else ""
+    count = f" ({len(numbers)} rows)" if len(numbers) > 2 else ""
+    return f"{word}s {', '.join(parts[:_LISTED])}{more}{count}"
 
 
 def shown(text: str, length: int = 200) -> str:

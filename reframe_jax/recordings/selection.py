@@ -1,20 +1,44 @@
 """What a user chooses to read from a file: the same words in Python and on the command line."""
 
+import math
 from dataclasses import dataclass, fields
 from typing import Literal, get_args
 
 from reframe_jax.recordings.recording import RecordingError
 
-__all__ = ["ANGLES", "QUATERNIONS", "UNITS", "Angles", "Quaternion", "Selection", "Unit", "flag"]
+__all__ = [
+    "ANGLES",
+    "ANGLE_UNITS",
+    "QUATERNIONS",
+    "TIME_UNITS",
+    "UNITS",
+    "AngleUnit",
+    "Angles",
+    "Quaternion",
+    "Selection",
+    "TimeUnit",
+    "Unit",
+    "flag",
+]
 
 Unit = Literal["m", "cm", "mm"]
+TimeUnit = Literal["s", "ms", "us", "ns"]
+AngleUnit = Literal["rad", "deg"]
 Quaternion = Literal["xyzw", "wxyz"]
 Angles = Literal["vector", "XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX", "xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
 UNITS: dict[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+TIME_UNITS: dict[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+ANGLE_UNITS: dict[str, float] = {"rad": 1.0, "deg": math.pi / 180}
 QUATERNIONS: tuple[str, ...] = get_args(Quaternion)
 ANGLES: tuple[str, ...] = get_args(Angles)
 
-_CHOICES = {"unit": tuple(UNITS), "quaternion": QUATERNIONS, "angles": ANGLES}
+_CHOICES = {
+    "unit": tuple(UNITS),
+    "time_unit": tuple(TIME_UNITS),
+    "quaternion": QUATERNIONS,
+    "angles": ANGLES,
+    "angle_unit": tuple(ANGLE_UNITS),
+}
 _FLAGS = {"from_frame": "--from", "to_frame": "--to", "in_body": "--in"}
 
 
@@ -24,6 +48,7 @@ class Selection:
 
     Attributes:
         unit: unit of the positions in the file.
+        time_unit: unit of the times in the file.
         topic: topic of a bag.
         from_frame: tf frame that serves as the ground.
         to_frame: tf frame whose pose is read.
@@ -31,13 +56,15 @@ class Selection:
         in_body: body in whose frame the poses are expressed, named like ``body``; in a bag, a topic.
         position: column of the positions.
         orientation: column of the orientations.
-        quaternion: order of the numbers of a quaternion.
+        quaternion: order in which the file holds the numbers of a quaternion.
         angles: what three angles mean: a rotation vector, or turns about the moving axes (XYZ) or the
             fixed axes (xyz), the first letter first.
+        angle_unit: unit of these angles.
         episode: number of the episode.
     """
 
     unit: Unit | None = None
+    time_unit: TimeUnit | None = None
     topic: str | None = None
     from_frame: str | None = None
     to_frame: str | None = None
@@ -47,6 +74,7 @@ class Selection:
     orientation: str | None = None
     quaternion: Quaternion | None = None
     angles: Angles | None = None
+    angle_unit: AngleUnit | None = None
     episode: int | None = None
 
     def __post_init__(self) -> None:
@@ -70,4 +98,4 @@ class Selection:
 
 def flag(name: str) -> str:
     """An option as messages call it, in Python and on the command line: ``in_body (--in)``."""
-    return f"{name} ({_FLAGS.get(name, '--' + name)})"
+    return f"{name} ({_FLAGS.get(name, '--' + name.replace('_', '-'))})"

@@ -20,6 +20,7 @@ from reframe_jax.recordings.selection import Selection
 __all__ = ["ARRAYS", "read_arrays"]
 
 _NAMES = ("poses", "positions", "quaternions", "times", "wrenches")
+_NO_TIMES = "add an array times (N,) to an .npz, or give the sample time, dt (--dt)"
 _LONGEST_HEADER = 10_000  # bytes; NumPy writes 128 for an array of numbers
 _PIECE = 2**18  # bytes read at a time
 _LISTED = 8  # arrays listed in a message
@@ -138,7 +139,7 @@ def _rows(path: Path, arrays: dict[str, _Array], others: list[str]) -> Rows:
         values = (np.hstack(parts) if pair else parts[0]).astype(float, copy=False)
         seconds, origin = (None, None) if times is None else _since_first(times)
         wrenches = arrays["wrenches"].read().astype(float, copy=False) if "wrenches" in arrays else None
-    return Rows(path, "sample", np.arange(count), values, seconds, origin, wrenches=wrenches)
+    return Rows(path, "sample", np.arange(count), values, seconds, origin, wrenches=wrenches, no_times=_NO_TIMES)
 
 
 def _since_first(times: np.ndarray) -> tuple[np.ndarray, str | None]:
@@ -162,5 +163,5 @@ ARRAYS = Reader(
     suffixes=(".npy", ".npz"),
     recognises=lambda path, head: True,
     read=read_arrays,
-    options=frozenset({"unit"}),
+    options=frozenset({"unit", "time_unit", "quaternion"}),
 )

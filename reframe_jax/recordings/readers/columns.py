@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from reframe_jax.geometry.numpy_rotations import euler_matrices, rotation_matrices
+from reframe_jax.recordings.readers.angles import angle_matrices
 from reframe_jax.recordings.readers.exports import matrix_rows
 from reframe_jax.recordings.readers.reader import Entry
 from reframe_jax.recordings.recording import RecordingError
@@ -64,15 +64,17 @@ def pose_rows(
     orientations: np.ndarray,
     times: np.ndarray | None,
     wanted: Selection,
+    no_times: str,
 ) -> Rows:
     """Poses of columns.
 
     Args:
         path: the file.
         positions: (N, 3).
-        orientations: (N, 4) quaternions, (N, 3) angles in rad, or (N, 9) matrices, row by row.
+        orientations: (N, 4) quaternions, (N, 3) angles, or (N, 9) matrices, row by row.
         times: (N,) s, or None.
-        wanted: the order of quaternions and the meaning of angles; needed for these.
+        wanted: the order of quaternions and the meaning of angles, needed for these; the unit of angles.
+        no_times: what gives the times if there are none.
 
     Raises:
         RecordingError: if the widths do not fit, or the order or meaning is not given.
@@ -84,6 +86,8 @@ def pose_rows(
             f"orientation; found {positions.shape[1]} and {width}; select some, such as NAME[0:3]."
         )
     needed = {4: "quaternion", 3: "angles"}.get(width)
+    if wanted.angle_unit is not None and width != 3:
+        raise RecordingError(f"{path}: has {width} numbers of an orientation; leave out {flag('angle_unit')}.")
     for option in ("quaternion", "angles"):
         given = getattr(wanted, option) is not None
         if option == needed and not given:
@@ -93,18 +97,20 @@ def pose_rows(
         if option != needed and given:
             raise RecordingError(f"{path}: has {width} numbers of an orientation; leave out {flag(option)}.")
     if width == 4:
-        order = [3, 0, 1, 2] if wanted.quaternion == "xyzw" else [0, 1, 2, 3]
-        w, x, y, z = orientations[:, order].T
-        values = np.column_stack([positions, x, y, z, w])
+        values = np.column_stack([positions, orientations])  # whose order is applied by reading
     elif width == 3:
-        if wanted.angles == "vector":
-            turned = rotation_matrices(orientations)
-        else:
-            turned = euler_matrices(str(wanted.angles), orientations)
-        values = matrix_rows(turned, positions)
+        values = matrix_rows(angle_matrices(path, orientations, wanted), positions)
     else:
         values = matrix_rows(orientations.reshape(-1, 3, 3), positions)
-    return Rows(path, "sample", np.arange(len(values)), values, times)
+    return Rows(
+        path,
+        "sample",
+        np.arange(len(values)),
+        values,
+        times,
+        angles=width == 3,
+        no_times=no_times,
+    )
 
 
 def column_entries(columns: Sequence[tuple[str, int, str]]) -> list[Entry]:

@@ -57,7 +57,7 @@ def collect(
 
 def drop_zeros(rows: Rows, values: np.ndarray) -> None:
     """Drop the rows in which all values (N, M) are 0: so some systems write that a body was not seen."""
-    rows.keep(~(values == 0).all(axis=1), "all its numbers are 0, as the body was not seen")
+    rows.keep(~(values == 0).all(axis=1), "all numbers are 0, as the body was not seen", "untracked")
 
 
 def matrix_rows(matrices: np.ndarray, positions: np.ndarray) -> np.ndarray:

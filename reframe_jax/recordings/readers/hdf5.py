@@ -14,6 +14,7 @@ from reframe_jax.recordings.selection import Selection
 __all__ = ["HDF5", "read_hdf5"]
 
 _WHOLE = "a whole HDF5 file"
+_NO_TIMES = "HDF5 files are read without: give the sample time, dt (--dt)"
 
 
 def read_hdf5(path: Path, wanted: Selection) -> Rows:
@@ -40,7 +41,7 @@ def read_hdf5(path: Path, wanted: Selection) -> Rows:
         positions, orientations = (
             np.hstack([_numbers(sets[column.name], column) for column in columns]) for columns in chosen
         )
-    return pose_rows(path, positions, orientations, None, wanted)
+    return pose_rows(path, positions, orientations, None, wanted, _NO_TIMES)
 
 
 def _sets(library: Any, file: Any) -> dict[str, Any]:
@@ -82,6 +83,6 @@ HDF5 = Reader(
     suffixes=(".hdf5", ".h5"),
     recognises=lambda path, head: head.startswith(b"\x89HDF\r\n\x1a\n"),
     read=read_hdf5,
-    options=frozenset({"position", "orientation", "quaternion", "angles", "unit"}),
+    options=frozenset({"position", "orientation", "quaternion", "angles", "angle_unit", "unit"}),
     contents=_contents,
 )

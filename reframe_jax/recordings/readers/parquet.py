@@ -15,6 +15,7 @@ __all__ = ["PARQUET", "read_parquet"]
 
 _WHOLE = "a whole Parquet file"
 _TIME, _EPISODE = Column("timestamp"), Column("episode_index")  # as LeRobot calls them
+_NO_TIMES = "call the column of times timestamp, or give the sample time, dt (--dt)"
 _BATCH = 2**14  # rows
 _LISTED = 10  # episodes in a message
 
@@ -61,7 +62,7 @@ def read_parquet(path: Path, wanted: Selection) -> Rows:
     if not count:
         raise RecordingError(f"{path}: has no rows.")
     arrays = [np.concatenate(part) for part in parts]
-    return pose_rows(path, arrays[0], arrays[1], arrays[2][:, 0] if timed else None, wanted)
+    return pose_rows(path, arrays[0], arrays[1], arrays[2][:, 0] if timed else None, wanted, _NO_TIMES)
 
 
 def _numbers(path: Path, batch: Any, column: Column) -> np.ndarray:
@@ -103,6 +104,6 @@ PARQUET = Reader(
     suffixes=(".parquet",),
     recognises=lambda path, head: head.startswith(b"PAR1"),
     read=read_parquet,
-    options=frozenset({"position", "orientation", "quaternion", "angles", "episode", "unit"}),
+    options=frozenset({"position", "orientation", "quaternion", "angles", "angle_unit", "episode", "unit", "time_unit"}),
     contents=_contents,
 )

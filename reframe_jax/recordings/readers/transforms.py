@@ -113,7 +113,7 @@ def chain_rows(path: Path, chain: Sequence[tuple[Edge, bool, Rows]]) -> Rows:
     values = matrix_rows(poses[:, :3, :3], poses[:, :3, 3])
     notes = [note for _, _, rows in chain for note in rows.notes]
     joined = Rows(path, own.word, own.where, values, own.times, own.origin, notes)
-    joined.keep(known, "another frame of the chain has no transform at that time")
+    joined.keep(known, "another frame of the chain has no transform at that time", "relative")
     return joined
 
 
@@ -124,11 +124,11 @@ def _clean(path: Path, edge: Edge, rows: Rows) -> None:
         RecordingError: if none is left, or those of a moving edge have no stamps.
     """
     what = f"transform of {shown(edge.child, 60)} in {shown(edge.parent, 60)}"
-    rows.keep(np.isfinite(rows.values).all(axis=1), f"a number of a {what} is missing or not finite")
+    rows.keep(np.isfinite(rows.values).all(axis=1), f"a number of a {what} is missing", "missing")
     if not edge.static and rows.times is None:
         raise RecordingError(f"{path}: the stamps of every {what} are 0; expected times.")
     if not edge.static and rows.times is not None and len(rows.times):
-        rows.keep(np.append(True, np.diff(rows.times) > 0), f"the stamp of a {what} is repeated")
+        rows.keep(np.append(True, np.diff(rows.times) > 0), f"the stamp of a {what} is repeated", "equal_time")
     fewest = 1 if edge.static else 2
     if len(rows.values) < fewest:
         raise RecordingError(f"{path}: has {len(rows.values)} usable {what}; expected {fewest} or more.")

@@ -165,6 +165,6 @@ VICON = Reader(
     suffixes=(".csv",),
     recognises=_recognises,
     read=read_vicon,
-    options=frozenset({"body", "in_body", "angles"}),
+    options=frozenset({"body", "in_body", "angles", "quaternion"}),
     contents=_contents,
 )

@@ -1,0 +1,111 @@
+"""Rows that are left out as tracking was lost there, and jumps that stay, in words."""
+
+import numpy as np
+
+from reframe_jax.geometry.numpy_rotations import rotation_vectors
+from reframe_jax.recordings.lost import LostRun, find_lost_poses
+from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.recordings.rows import Rows, name_rows
+
+__all__ = ["leave_out_lost", "note_jumps"]
+
+_WHY = {
+    "origin": "the position is 0, 0, 0",
+    "identity": "the pose is the identity",
+    "constant": "the pose is a constant far from the others",
+    "frozen": "the pose before is repeated while the body moved on",
+    "end": "the last pose is repeated exactly while the body was moving",
+}
+_FEW, _MOST = 10, 0.5  # poses that are left, and fraction that was lost, of a recording that is refused
+_JUMP, _JUMPS = 10.0, 8  # a jump over the longest of 20 steps, and jumps that are worth a sentence
+
+
+def leave_out_lost(rows: Rows, poses: np.ndarray) -> np.ndarray:
+    """Leave out the rows in which tracking was lost, with a note of where and why.
+
+    Args:
+        rows: the rows, with times.
+        poses: (N, 4, 4), m.
+
+    Returns:
+        The poses that are left.
+
+    Raises:
+        RecordingError: if they are too few.
+    """
+    lost = find_lost_poses(poses, rows.times)
+    if not lost.mask.any():
+        return poses
+    reasons, where = lost.reasons, rows.where
+    left = int(np.sum(~lost.mask))
+    kept = np.ones(len(poses), bool)
+    for kind, why in _WHY.items():
+        mine = reasons == kind
+        if not mine.any():
+            continue
+        runs = [run for run in lost.runs if run.kind == kind]
+        note = f"{name_rows(rows.word, where[mine])} left out, as tracking was lost: {why}"
+        if jump := _jump_in_words(rows.word, poses, where, runs):
+            note += f"; {jump}"
+        rows.keep(~mine[kept], why, kind, f"{note}.")
+        kept &= ~mine
+    if left < _FEW and left < _MOST * len(poses):
+        raise RecordingError(
+            f"{rows.path}: only {left} of {len(poses)} poses are left; " + " ".join(rows.notes[-2:])
+        )
+    return poses[kept]
+
+
+def _jump_in_words(word: str, poses: np.ndarray, where: np.ndarray, runs: list[LostRun]) -> str:
+    """The jump to the longest run and back."""
+    run = max(runs, key=lambda each: each.stop - each.start)
+    to = None if run.before is None else _length(poses[run.before], poses[run.start])
+    back = None if run.after is None else _length(poses[run.stop - 1], poses[run.after])
+    if run.kind == "end":
+        return ""
+    if run.kind == "frozen":
+        return "" if run.after is None else f"the pose jumps {back} at {word} {where[run.after]}"
+    if to is None:
+        return "" if run.after is None else f"the pose jumps {back} at {word} {where[run.after]}"
+    sentence = f"the pose jumps {to} at {word} {where[run.start]}"
+    return sentence if run.after is None else f"{sentence} and back at {word} {where[run.after]}"
+
+
+def _length(before: np.ndarray, after: np.ndarray) -> str:
+    """The distance of two poses in words: a length, or an angle if the body stays where it is."""
+    moved = float(np.linalg.norm(after[:3, 3] - before[:3, 3]))
+    turned = float(np.linalg.norm(rotation_vectors(after[:3, :3] @ before[:3, :3].T)))
+    if moved < 0.2 * turned * 0.3 or moved == 0:  # against a body of 0.3 m
+        return f"{np.degrees(turned):.2g} deg"
+    return f"{moved:.2g} m" if moved >= 0.1 else f"{1e3 * moved:.2g} mm"
+
+
+def note_jumps(rows: Rows, poses: np.ndarray) -> None:
+    """Note steps that are much longer than all others, which may be lost tracking that no rule finds."""
+    if rows.times is None or len(poses) < 20:
+        return
+    spans = np.diff(rows.times)
+    late = np.maximum(spans / np.median(spans), 1)
+    moved = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    turned = np.linalg.norm(np.diff(poses[:, :3, :3], axis=0), axis=(1, 2))
+    far = np.zeros(len(late), bool)
+    for steps in (moved / late, turned / late):
+        far |= steps > _JUMP * np.quantile(steps, 0.95) + 1e-9
+    jumps = np.flatnonzero(far) + 1
+    if not 0 < len(jumps) <= _JUMPS:
+        return
+    sentences, at = [], 0
+    while at < len(jumps):
+        here = jumps[at]
+        sentence = f"{_length(poses[here - 1], poses[here])} at {rows.word} {rows.where[here]}"
+        if at + 1 < len(jumps):
+            back = jumps[at + 1]
+            apart = [np.abs(poses[k] - poses[here - 1]).max() for k in (back, back - 1)]
+            if apart[0] < 0.5 * apart[1]:
+                sentence += f" and back at {rows.word} {rows.where[back]}"
+                at += 1
+        sentences.append(sentence)
+        at += 1
+    rows.notes.append(
+        f"the pose jumps {', '.join(sentences)}; if tracking was lost there, remove these rows."
+    )

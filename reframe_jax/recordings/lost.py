@@ -1,0 +1,259 @@
+"""Rows of a recording that are no poses, as tracking was lost: NumPy only.
+
+Systems that lose a body write a number all the same: the origin, the identity, some constant, or the last pose
+again and again. Measured poses have noise, so they do not repeat exactly; and a body that rests stays where its
+path leads. Therefore exact repeats count as lost where they are far from the path before and after them, in
+units of the steps of that path. Repeats that continue the path are a body at rest, and stay.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+__all__ = ["Kind", "LostPoses", "LostRun", "find_lost_poses"]
+
+Kind = Literal["missing", "origin", "identity", "constant", "frozen", "end"]
+
+_SAME = 1e-9  # m, or of an element of a rotation matrix, within which numbers are equal
+_FAR, _FAR_ORIGIN = 5.0, 3.0  # steps of the path; fewer suffice for exact zeros, which nobody measures
+_NEAR = 10  # rows on either side whose steps count
+_AHEAD = 4  # the same, for poses that are frozen
+_FROZEN = 4.0  # steps that a body must have made while the pose was frozen for long
+_APART = 0.25  # distance of the origin from all positions over their spread, if they are no path
+_FEW = 2000  # positions of which all distances are computed
+_REPEATS, _NOISY = 3, 0.01  # repeats at the end, and noise over a step, that make a frozen end
+
+
+@dataclass(frozen=True)
+class LostRun:
+    """Consecutive rows that are no poses.
+
+    Attributes:
+        start: first row.
+        stop: row after the last one.
+        kind: "missing" (not finite), "origin" (position 0, 0, 0), "identity" (position 0, 0, 0 and no turn),
+            "constant" (another number that repeats), "frozen" (repeats the pose before), "end" (the same, to
+            the end of the recording).
+        before: row of the last pose before the run, or None.
+        after: row of the first pose after the run, or None.
+    """
+
+    start: int
+    stop: int
+    kind: Kind
+    before: int | None = None
+    after: int | None = None
+
+
+@dataclass(frozen=True)
+class LostPoses:
+    """Rows of (K, 4, 4) that are no poses.
+
+    Attributes:
+        mask: (K,) bool, whether a row is no pose.
+        runs: runs of these rows.
+    """
+
+    mask: np.ndarray
+    runs: tuple[LostRun, ...]
+
+    @property
+    def reasons(self) -> np.ndarray:
+        """(K,) str, the kind of :class:`LostRun` of every row; empty for poses."""
+        found = np.full(len(self.mask), "", dtype="U8")
+        for run in self.runs:
+            found[run.start : run.stop] = run.kind
+        return found
+
+
+def find_lost_poses(poses: np.ndarray, times: np.ndarray | None = None) -> LostPoses:
+    """Find the rows that are no poses.
+
+    Args:
+        poses: (K, 4, 4), m.
+        times: (K,) s, increasing; rows are evenly spaced by default.
+
+    Returns:
+        The rows, and why.
+    """
+    poses = np.asarray(poses, float)
+    finite = np.isfinite(poses).all(axis=(1, 2))
+    kinds = np.where(finite, "", "missing").astype("U8")
+    rows = np.flatnonzero(finite)
+    clock = np.arange(len(poses), dtype=float) if times is None else np.asarray(times, float)
+    for search in (_at_origin, _constant, _frozen):
+        if len(rows) > 2:
+            found = search(poses[rows], clock[rows])
+            kinds[rows] = found
+            rows = rows[found == ""]
+    mask = kinds != ""
+    return LostPoses(mask, tuple(_describe(kinds, mask)))
+
+
+def _describe(kinds: np.ndarray, mask: np.ndarray) -> Iterator[LostRun]:
+    """Runs of rows of the same kind, with the poses around them."""
+    kept = np.flatnonzero(~mask)
+    edges = np.flatnonzero(np.append(True, kinds[1:] != kinds[:-1])) if len(kinds) else []
+    for start, stop in zip(edges, np.append(edges[1:], len(kinds)), strict=True):
+        if not mask[start]:
+            continue
+        place = int(np.searchsorted(kept, start))
+        yield LostRun(
+            start=int(start),
+            stop=int(stop),
+            kind=str(kinds[start]),  # type: ignore[arg-type]
+            before=int(kept[place - 1]) if place else None,
+            after=int(kept[place]) if place < len(kept) else None,
+        )
+
+
+@dataclass(frozen=True)
+class _Path:
+    """Positions or rotations (N, k) as a path: which rows repeat which, and how long the steps are."""
+
+    numbers: np.ndarray
+    steps: np.ndarray  # (N-1,), over the time they took in median steps, if that is more than one
+    value: np.ndarray  # (N,) int, equal for equal rows
+    zero: np.ndarray  # (N,) bool: the numbers are those of the origin
+
+    @staticmethod
+    def of(numbers: np.ndarray, origin: np.ndarray, times: np.ndarray) -> "_Path":
+        spans = np.diff(times)
+        usual = float(np.median(spans[spans > 0])) if (spans > 0).any() else 1.0
+        steps = np.linalg.norm(np.diff(numbers, axis=0), axis=1)
+        steps[steps < _SAME] = 0
+        # rows are compared by one number each, a sum with weights that no other row shares by chance
+        weights = np.sqrt(np.arange(2, 2 + numbers.shape[1])) * np.pi
+        keys = np.round(numbers / _SAME) @ weights
+        value = np.unique(np.round(keys, 3), return_inverse=True)[1].ravel()
+        zero = (np.abs(numbers - origin) < _SAME).all(axis=1)
+        return _Path(numbers, steps / np.maximum(spans / usual, 1), value, zero)
+
+    @property
+    def runs(self) -> np.ndarray:
+        """(M, 2) first row, and row after the last one, of rows that repeat each other."""
+        edges = np.flatnonzero(np.diff(self.value)) + 1
+        return np.column_stack([np.append(0, edges), np.append(edges, len(self.value))])
+
+    def usual_step(self, ignored: np.ndarray) -> float:
+        """A long step of the path: of ten, the longest. Steps from and to ignored rows (N,) do not count."""
+        steps = self.steps[~(ignored[1:] | ignored[:-1])]
+        steps = steps[steps > 0]
+        return float(np.quantile(steps, 0.9)) if len(steps) else 0.0
+
+    def near_step(self, start: int, stop: int, ignored: np.ndarray) -> float:
+        """The same around a run of rows: of four, the longest."""
+        low, high = max(start - 1 - _NEAR, 0), stop + _NEAR
+        near = np.arange(low, min(high, len(self.steps)))
+        near = near[~(ignored[near] | ignored[near + 1])]
+        steps = self.steps[near]
+        steps = steps[steps > 0]
+        return float(np.quantile(steps, 0.75)) if len(steps) else 0.0
+
+    def jumps(self, start: int, stop: int, far: float, ignored: np.ndarray, usual: float) -> bool:
+        """Whether the path jumps to a run of rows and away from it, or one of both at its ends."""
+        ends = [self.steps[at] for at in (start - 1, stop - 1) if 0 <= at < len(self.steps)]
+        limit = far * max(usual, self.near_step(start, stop, ignored)) + _SAME
+        return bool(ends) and min(ends) > limit
+
+
+def _paths(poses: np.ndarray, times: np.ndarray) -> tuple[_Path, _Path]:
+    turns = poses[:, :3, :3].reshape(-1, 9) / np.sqrt(2)
+    position = _Path.of(poses[:, :3, 3], np.zeros(3), times)
+    return position, _Path.of(turns, np.eye(3).ravel() / np.sqrt(2), times)
+
+
+def _at_origin(poses: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Rows whose position is 0, 0, 0, or whose orientation is the identity, far from the path."""
+    kinds = np.full(len(poses), "", "U8")
+    position, turn = _paths(poses, times)
+    for path in (position, turn):
+        if path.zero.all() or not path.zero.any():
+            continue
+        usual = path.usual_step(path.zero)
+        apart = path is position and _is_apart(path)
+        for start, stop in path.runs:
+            if path.zero[start] and (apart or path.jumps(start, stop, _FAR_ORIGIN, path.zero, usual)):
+                both = position.zero[start:stop] & turn.zero[start:stop]
+                alone = "origin" if path is position else "identity"
+                kinds[start:stop] = np.where(both, "identity", alone)
+    return kinds
+
+
+def _is_apart(path: _Path) -> bool:
+    """Whether the origin is far from all positions, where these are few or no path."""
+    others = path.numbers[~path.zero]
+    if not 3 < len(others) <= _FEW:
+        return False
+    spread = np.sqrt(np.mean(np.sum((others - others.mean(axis=0)) ** 2, axis=1)))
+    between = np.linalg.norm(others[:, None] - others, axis=2) + np.diag(np.full(len(others), np.inf))
+    nearest = np.linalg.norm(others, axis=1).min()
+    usual = np.quantile(between.min(axis=1), 0.9)
+    return bool(nearest > max(_APART * spread, _FAR_ORIGIN * usual) and nearest > _SAME)
+
+
+def _constant(poses: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Rows that repeat other numbers, wherever these occur far from the path."""
+    kinds = np.full(len(poses), "", "U8")
+    for path in _paths(poses, times):
+        repeated = (np.bincount(path.value) > 1)[path.value]
+        if repeated.all() or not repeated.any():
+            usual = path.usual_step(np.zeros(len(poses), bool))
+        else:
+            usual = path.usual_step(repeated) or path.usual_step(np.zeros(len(poses), bool))
+        runs = path.runs
+        runs = runs[repeated[runs[:, 0]]]
+        lengths = _jump_lengths(path, runs)
+        for value in np.unique(path.value[runs[lengths > _FAR * usual + _SAME, 0]]):
+            mine = path.value == value
+            every = runs[path.value[runs[:, 0]] == value]
+            if all(path.jumps(start, stop, _FAR, mine, usual) for start, stop in every) and not mine.all():
+                kinds[mine] = "constant"
+    return kinds
+
+
+def _jump_lengths(path: _Path, runs: np.ndarray) -> np.ndarray:
+    """The shorter one of the steps to and from every run; at the ends of the recording, the only one."""
+    steps = np.concatenate([[np.inf], path.steps, [np.inf]])
+    shorter: np.ndarray = np.minimum(steps[runs[:, 0]], steps[runs[:, 1]])
+    return shorter
+
+
+def _frozen(poses: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Rows that repeat the pose before while the body went on; the first of every run is a pose."""
+    kinds = np.full(len(poses), "", "U8")
+    position, turn = _paths(poses, times)
+    still = (position.steps == 0) & (turn.steps == 0)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))
+    for start, stop in edges.reshape(-1, 2):  # rows start + 1 to stop repeat row start
+        if stop == len(poses) - 1:
+            if stop - start >= _REPEATS and any(_stops_dead(path, start) for path in (position, turn)):
+                kinds[start + 1 :] = "end"
+        elif any(_goes_on(path, start, stop) for path in (position, turn)):
+            kinds[start + 1 : stop + 1] = "frozen"
+    return kinds
+
+
+def _goes_on(path: _Path, start: int, stop: int) -> bool:
+    """Whether the step after a run is as long as those that were missed, and not the usual one."""
+    steps = path.steps
+    before, after = steps[:start], steps[stop + 1 :]
+    near = np.concatenate([before[before > 0][-_AHEAD:], after[after > 0][:_AHEAD]])
+    usual = max(near.max(initial=0), float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0)
+    needed = min(1 + 0.5 * (stop - start), _FROZEN)
+    return bool(len(near) and steps[stop] > needed * usual + _SAME)
+
+
+def _stops_dead(path: _Path, start: int) -> bool:
+    """Whether a body moves up to a row, with noise, from which on its pose repeats exactly."""
+    moving = path.steps[: start]
+    moving = moving[moving > 0]
+    if len(moving) < 2 * _NEAR:
+        return False
+    last = float(np.median(path.steps[max(start - _AHEAD, 0) : start]))
+    rows = path.numbers[max(start - 200, 0) : start + 1]
+    noise = np.median(np.linalg.norm(np.diff(rows, n=3, axis=0), axis=1)) / np.sqrt(20)
+    usual = float(np.median(moving[-_NEAR:]))
+    return bool(last > 0.5 * usual and last > 5 * noise and noise > _NOISY * usual)
