@@ -140,7 +140,7 @@ def test_rotations(tmp_path: Path, poses: np.ndarray, rng: np.random.Generator) 
     recording = load_recording(path, body="pelvis")
     np.testing.assert_allclose(recording.poses, np.delete(poses, 4, axis=0), atol=FINE)
     np.testing.assert_allclose(recording.times, np.delete(0.01 * np.arange(12), 4))
-    assert recording.notes[0] == "frame 4 dropped: all its numbers are 0, as the body was not seen."
+    assert recording.notes[0] == "frame 4 left out: all numbers are 0, as the body was not seen."
     entries = list_contents(path)[1]
     assert entries is not None
     assert [entry.name for entry in entries] == ["pelvis", "head", "door"]
@@ -153,7 +153,7 @@ def test_frames_without_markers_are_dropped(tmp_path: Path, poses: np.ndarray) -
     points["rod:2"][5] = 0
     recording = load_recording(write_c3d(tmp_path / "a.c3d", points))
     np.testing.assert_allclose(recording.poses, np.delete(as_fitted(poses), 3, axis=0), atol=FINE)
-    assert recording.notes[-1] == "frame 3 dropped: a number is missing or not finite."
+    assert recording.notes[-1] == "frame 3 left out: a number is missing or not finite."
 
 
 def test_markers_that_are_on_no_body(tmp_path: Path, poses: np.ndarray, rng: np.random.Generator) -> None:

@@ -114,7 +114,7 @@ def test_rows_with_missing_numbers_are_dropped(tmp_path: Path, poses: np.ndarray
     path = lerobot(tmp_path / "a.parquet", [poses], **more)
     recording = load_recording(path, **{**STATE, "position": "x,y,z"})
     np.testing.assert_allclose(recording.poses, np.delete(poses, 4, axis=0), atol=FINE)
-    assert recording.notes == ("sample 4 dropped: a number is missing or not finite.",)
+    assert recording.notes == ("sample 4 left out: a number is missing or not finite.",)
 
 
 @pytest.mark.parametrize(

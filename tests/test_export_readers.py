@@ -87,7 +87,7 @@ def test_a_single_body_of_motive_needs_no_name(tmp_path: Path, bodies: Poses) ->
     text = "\ufeff" + motive({"Rod": bodies["Rod"]}, lost=(3, 4))
     recording = load_recording(save(tmp_path / "a.csv", text))
     same(recording, bodies["Rod"], np.delete(np.arange(12), [3, 4]))
-    assert recording.notes == ("line 11 and 1 more dropped: a number is missing or not finite.",)
+    assert recording.notes == ("lines 11-12 left out: a number is missing or not finite.",)
 
 
 def test_rows_of_headings_that_came_later_or_earlier(tmp_path: Path, bodies: Poses) -> None:
@@ -191,7 +191,7 @@ def test_bodies_that_vicon_lost(tmp_path: Path, bodies: Poses) -> None:
     zeros = re.sub(r"^([45],0),.*$", r"\1,0,0,0,0,0,0", vicon(one), flags=re.MULTILINE)
     recording = load_recording(save(tmp_path / "b.csv", zeros), angles="vector")
     same(recording, bodies["Rod"], kept)
-    assert recording.notes == ("line 9 and 1 more dropped: all its numbers are 0, as the body was not seen.",)
+    assert recording.notes == ("lines 9-10 left out: all numbers are 0, as the body was not seen.",)
 
 
 @pytest.mark.parametrize(
@@ -287,7 +287,7 @@ def test_bodies_that_qualisys_lost(tmp_path: Path, bodies: Poses) -> None:
     recording = load_recording(save(tmp_path / "a.tsv", qualisys(one, lost=(3, 4))))
     same(recording, bodies["Rod"], kept)
     assert recording.notes == (
-        "line 14 and 1 more dropped: all its numbers are 0, as the body was not seen.",
+        "lines 14-15 left out: all numbers are 0, as the body was not seen.",
     )
     lines = qualisys(one).splitlines()
     for number in (13, 14):

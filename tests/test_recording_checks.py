@@ -22,14 +22,15 @@ def test_units(tmp_path: Path, table: np.ndarray, unit: str, scale: float) -> No
     header = ["t", f"x [{unit}]", f"y [{unit}]", f"z [{unit}]", "qx", "qy", "qz", "qw"]
     path = write(tmp_path / "a.csv", header, rows)
     check(path, table, unit=unit)
-    if unit != "m":
-        with pytest.raises(RecordingError, match=r"no column for x, y, z \(positions in m\)"):
-            load_recording(path)
+    check(path, table)
+    other = "cm" if unit == "mm" else "mm"
+    with pytest.raises(RecordingError, match=r"its header states another unit; leave out unit \(--unit\)"):
+        load_recording(path, unit=other)  # type: ignore[arg-type]
 
 
 def test_millimetres_are_not_taken_for_metres(tmp_path: Path, table: np.ndarray) -> None:
     path = write(tmp_path / "a.csv", HEADER, table * [1, 1000, 1000, 1000, 1, 1, 1, 1])
-    with pytest.raises(RecordingError, match=r"line \d+: lies .* expected less than 20 m.*--unit mm"):
+    with pytest.raises(RecordingError, match=r"line \d+: lies .* more than that of a vehicle.*--unit mm"):
         load_recording(path)
 
 
@@ -65,12 +66,9 @@ def test_times_that_are_not_seconds(tmp_path: Path, table: np.ndarray) -> None:
     nanoseconds = np.round(table[:, 0] / 1e-9).astype(np.int64) + 1_623_456_789_000_000_000
     assert step > 0
     np.savez(tmp_path / "a.npz", times=nanoseconds, poses=poses_of(table))
-    with pytest.raises(RecordingError, match=r"samples are .* s apart.*ns.*--dt"):
+    with pytest.raises(RecordingError, match=r"times are .* s apart.*--time-unit ns.*--dt"):
         load_recording(tmp_path / "a.npz")
     table[:, 0] *= 1000
-    (note,) = load_recording(write(tmp_path / "a.csv", HEADER, table)).notes
-    assert "s apart" in note
-    assert "ms" in note
 
 
 def test_sample_times_are_needed_exactly_where_there_are_none(tmp_path: Path, table: np.ndarray) -> None:
@@ -90,16 +88,19 @@ def test_sample_times_are_needed_exactly_where_there_are_none(tmp_path: Path, ta
 def test_whole_times_do_not_overflow(tmp_path: Path, table: np.ndarray, start: int, dtype: type) -> None:
     times = np.array([start + 2 * k for k in range(9)], dtype)
     np.savez(tmp_path / "a.npz", times=times, poses=poses_of(table))
-    recording = load_recording(tmp_path / "a.npz")
+    recording = load_recording(tmp_path / "a.npz", time_unit="s")
     np.testing.assert_array_equal(recording.times, 2.0 * np.arange(9))
     assert recording.notes[0] == f"times count from the first sample, at {start} s."
 
 
-def test_whole_times_that_go_back_are_refused(tmp_path: Path, table: np.ndarray) -> None:
+def test_whole_times_that_go_back_are_sorted(tmp_path: Path, table: np.ndarray) -> None:
     times = np.array([1_600_000_000 + k for k in (0, 1, 2, -3, 4, 5, 6, 7, 8)], np.uint64)
     np.savez(tmp_path / "a.npz", times=times, poses=poses_of(table))
-    with pytest.raises(RecordingError, match="sample 3: goes back in time, 2 s to -3 s"):
-        load_recording(tmp_path / "a.npz")
+    recording = load_recording(tmp_path / "a.npz")
+    np.testing.assert_array_equal(recording.times, [-3, 0, 1, 2, 4, 5, 6, 7, 8])
+    assert recording.rows is not None
+    assert recording.rows.tolist() == [3, 0, 1, 2, 4, 5, 6, 7, 8]
+    assert recording.notes[1:] == ("sample 3 is earlier than the sample before; all are sorted by time.",)
 
 
 # Repairs
@@ -115,7 +116,7 @@ def test_rows_with_gaps_are_dropped_and_the_others_keep_their_times(
     kept = np.delete(table, [2, 4, 5], axis=0)
     np.testing.assert_allclose(recording.times, kept[:, 0], atol=1e-12)
     np.testing.assert_allclose(recording.poses, poses_of(kept), atol=1e-12)
-    assert recording.notes == ("line 4 and 2 more dropped: a number is missing or not finite.",)
+    assert recording.notes == ("lines 4, 6-7 (3 rows) left out: a number is missing or not finite.",)
     # with a sample time, a dropped row still takes its time
     rows[5, 0] = 0.0
     expected = 0.1 * np.delete(np.arange(9), [2, 4])
@@ -126,7 +127,7 @@ def test_duplicates_are_dropped(tmp_path: Path, table: np.ndarray) -> None:
     rows = table[[0, 1, 1, 1, 2, 3, 4, 5, 6, 7, 8]]
     recording = load_recording(write(tmp_path / "a.csv", HEADER, rows))
     np.testing.assert_allclose(recording.times, table[:, 0], atol=1e-12)
-    assert recording.notes == ("line 4 and 1 more dropped: it repeats the row before.",)
+    assert recording.notes == ("lines 4-5 left out: the row before is repeated.",)
 
 
 def test_standstill_is_kept_and_noted_where_it_is_frequent(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -139,7 +140,7 @@ def test_standstill_is_kept_and_noted_where_it_is_frequent(tmp_path: Path, rng: 
     recording = load_recording(write(tmp_path / "a.csv", HEADER, rows))
     assert len(recording.times) == 40
     (note,) = recording.notes
-    assert note.startswith("20 of 40 samples repeat the pose before")
+    assert note.startswith("20 of 40 poses repeat the one before exactly: the body rested, or")
 
 
 def test_quaternions_are_normalised_within_a_hundredth(tmp_path: Path, table: np.ndarray) -> None:
@@ -149,11 +150,15 @@ def test_quaternions_are_normalised_within_a_hundredth(tmp_path: Path, table: np
         recording = load_recording(write(tmp_path / "a.csv", HEADER, rows))
         np.testing.assert_allclose(recording.poses, expected, rtol=0, atol=1e-12)
         assert len(recording.notes) == notes
-    for factor in (1.02, 0.0):
-        rows = table.copy()
-        rows[3, 4:] *= factor
-        with pytest.raises(RecordingError, match="line 5: expected a quaternion of length 1"):
-            load_recording(write(tmp_path / "a.csv", HEADER, rows))
+    rows = table.copy()
+    rows[3, 4:] *= 1.02
+    with pytest.raises(RecordingError, match="line 5: expected a quaternion of length 1"):
+        load_recording(write(tmp_path / "a.csv", HEADER, rows))
+    rows[3, 4:] = 0
+    recording = load_recording(write(tmp_path / "a.csv", HEADER, rows))
+    np.testing.assert_allclose(recording.times, np.delete(table[:, 0], 3), atol=1e-12)
+    (left_out,) = recording.left_out
+    assert (left_out.rows.tolist(), left_out.reason) == ([5], "untracked")
 
 
 def test_matrices_are_made_orthonormal_or_refused(tmp_path: Path, table: np.ndarray) -> None:
@@ -182,16 +187,10 @@ def test_matrices_are_made_orthonormal_or_refused(tmp_path: Path, table: np.ndar
 @pytest.mark.parametrize(
     ("spoil", "problem"),
     [
-        (lambda rows: rows[3].__setitem__(0, rows[2][0]), "line 5: has another pose at the same time"),
-        (
-            lambda rows: rows[3].__setitem__(0, rows[1][0]),
-            "line 5: goes back in time.*expected times to incr",
-        ),
         (lambda rows: rows[3].__setitem__(2, "abc"), "line 5: expected numbers: .*'abc'"),
         (lambda rows: rows[3].__setitem__(0, "12:30"), "line 5: expected numbers: .*'12:30'"),
         (lambda rows: rows[8].pop(), "line 10: expected 8 columns, found 7; delete the line"),
-        (lambda rows: rows[2].__setitem__(3, 500.0), "line 4: lies 5.* m from the median"),
-        (lambda rows: rows.__delitem__(slice(4, None)), "has 4 usable poses; expected 5"),
+        (lambda rows: rows.__delitem__(slice(3, None)), "has 3 usable poses; expected 4"),
         (lambda rows: rows.clear(), "has no more than one line of text; expected a header such as t,x,y,z"),
     ],
 )
@@ -215,5 +214,6 @@ def test_options_are_checked(tmp_path: Path) -> None:
             load_recording(tmp_path / "a.csv", dt=dt)
 
 
-def test_the_smallest_recording_is_the_smallest_window() -> None:
-    assert MIN_POSES == MIN_VELOCITIES + 1
+def test_the_smallest_recording_is_a_calibration() -> None:
+    """Four touches suffice for the tip of a tool, and are fewer than a window needs."""
+    assert MIN_POSES == MIN_VELOCITIES

@@ -6,7 +6,7 @@ import numpy as np
 
 from reframe_jax.geometry.numpy_rotations import quaternions_to_matrices, rotation_vectors
 from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import Rows
+from reframe_jax.recordings.rows import Rows, is_path
 from reframe_jax.recordings.selection import Selection
 
 __all__ = ["MIN_POSES", "check_positions", "check_turns", "drop_unfinished", "make_poses", "note_repeats"]
@@ -71,7 +71,9 @@ def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> np.ndar
         return poses[~far]
     change = _acceleration(positions, times) if times is not None else 0.0
     span = float(np.linalg.norm(np.ptp(positions, axis=0)))
-    advice = "give unit='mm' (--unit mm)" if rows.metres is None else "the file states another unit: correct it"
+    advice = (
+        "give unit='mm' (--unit mm)" if rows.metres is None else "the file states another unit: correct it"
+    )
     if far.any():
         if not change <= _VEHICLE:
             row = int(np.argmax(distance))
@@ -81,10 +83,10 @@ def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> np.ndar
                 f"{change:.2g} m/s^2, more than that of a vehicle; if the positions are in mm, {advice}.",
             )
         rows.notes.append(f"positions span {span:.3g} m, as those of a vehicle; if they are in mm, {advice}.")
-    elif change > _HAND and len(times if times is not None else ()) >= _MANY and span > 1:
+    elif change > _HAND and len(poses) >= _MANY and span > 1 and is_path(positions):
         rows.notes.append(
-            f"the velocity changes by {change:.2g} m/s^2, more than a hand moves a body; if the positions are "
-            f"in mm, {advice}."
+            f"the velocity changes by {change:.2g} m/s^2, more than a hand moves a body; if the positions "
+            f"are in mm, {advice}."
         )
     factor = 1.0 if wanted.unit in (None, "m") else {"cm": 100.0, "mm": 1000.0}[wanted.unit]
     if factor > 1 and rows.metres is None and span * factor < _SMALL and len(poses) >= _MANY:

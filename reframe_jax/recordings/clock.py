@@ -5,7 +5,7 @@ from decimal import Decimal
 import numpy as np
 
 from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import Rows
+from reframe_jax.recordings.rows import Rows, is_path
 from reframe_jax.recordings.selection import TIME_UNITS, Selection, flag
 
 __all__ = ["drop_equal_times", "make_times", "sort_times"]
@@ -13,7 +13,6 @@ __all__ = ["drop_equal_times", "make_times", "sort_times"]
 _SLOW = 1.0, 1e3  # s between samples: worth a note if they are a path, and refused
 _SINCE_1970 = {"ns": 1e16, "us": 1e13, "ms": 1e10}  # in s, what stamps of these units look like
 _PER_STEP = {"ns": 1e5, "us": 1e2, "ms": 0.0}  # s, the shortest step that such stamps look like
-_PATH = 0.1  # median step over the spread of the positions, below which they are a path
 _COARSE = 0.5  # part of the rows that share their time, above which the times are rounded
 _OTHER_BODY, _OFTEN = 5.0, 0.2  # distance of two poses at a time in steps, and how often, of several bodies
 _RESTART = 3.0  # length of the path sorted by time over that in the file, if these are two recordings
@@ -66,20 +65,11 @@ def _check_unit(rows: Rows, wanted: Selection) -> None:
             f"time_unit={looks!r} (--time-unit {looks}), or the sample time, dt (--dt)."
         )
     places = rows.values[:, :3] if rows.values.shape[1] == 7 else rows.values[:, [3, 7, 11]]
-    if wanted.time_unit is None and step > _SLOW[0] and _is_path(places):
+    if wanted.time_unit is None and step > _SLOW[0] and is_path(places):
         rows.notes.append(
             f"times are {step:g} s apart, though the body moves little from one to the next; if they are in "
             f"{looks}, give time_unit={looks!r} (--time-unit {looks})."
         )
-
-
-def _is_path(places: np.ndarray) -> bool:
-    """Whether positions (N, 3) follow each other in short steps."""
-    places = places[np.isfinite(places).all(axis=1)]
-    if len(places) < 10:
-        return False
-    steps = np.median(np.linalg.norm(np.diff(places, axis=0), axis=1))
-    return bool(steps < _PATH * np.linalg.norm(places.std(axis=0)))
 
 
 def sort_times(rows: Rows) -> None:
@@ -151,6 +141,6 @@ def drop_equal_times(rows: Rows) -> None:
             ~other,
             "another pose at the same time",
             "equal_time",
-            f"{other.sum()} of {len(again)} rows left out, from {rows.word} {rows.where[other][0]} on: they have "
-            "the time of the row before and another pose.",
+            f"{other.sum()} of {len(again)} rows left out, from {rows.word} {rows.where[other][0]} on: they "
+            "have the time of the row before and another pose.",
         )

@@ -1,9 +1,9 @@
 """Rows of a recording that are no poses, as tracking was lost: NumPy only.
 
-Systems that lose a body write a number all the same: the origin, the identity, some constant, or the last pose
-again and again. Measured poses have noise, so they do not repeat exactly; and a body that rests stays where its
-path leads. Therefore exact repeats count as lost where they are far from the path before and after them, in
-units of the steps of that path. Repeats that continue the path are a body at rest, and stay.
+Systems that lose a body write a number all the same: the origin, the identity, some constant, or the last
+pose again and again. Measured poses have noise, so they do not repeat exactly; and a body that rests stays
+where its path leads. Therefore exact repeats count as lost where they are far from the path before and after
+them, in units of the steps of that path. Repeats that continue the path are a body at rest, and stay.
 """
 
 from collections.abc import Iterator
@@ -95,7 +95,7 @@ def find_lost_poses(poses: np.ndarray, times: np.ndarray | None = None) -> LostP
 def _describe(kinds: np.ndarray, mask: np.ndarray) -> Iterator[LostRun]:
     """Runs of rows of the same kind, with the poses around them."""
     kept = np.flatnonzero(~mask)
-    edges = np.flatnonzero(np.append(True, kinds[1:] != kinds[:-1])) if len(kinds) else []
+    edges = np.flatnonzero(np.append(True, kinds[1:] != kinds[:-1])[: len(kinds)])
     for start, stop in zip(edges, np.append(edges[1:], len(kinds)), strict=True):
         if not mask[start]:
             continue
@@ -248,7 +248,7 @@ def _goes_on(path: _Path, start: int, stop: int) -> bool:
 
 def _stops_dead(path: _Path, start: int) -> bool:
     """Whether a body moves up to a row, with noise, from which on its pose repeats exactly."""
-    moving = path.steps[: start]
+    moving = path.steps[:start]
     moving = moving[moving > 0]
     if len(moving) < 2 * _NEAR:
         return False

@@ -14,6 +14,7 @@ __all__ = ["reorder", "shows_other_order"]
 
 _ROWS = 400  # that are compared
 _TURN = 0.1  # rad between two poses of a velocity, at least: more than noise
+_FEWEST = 12  # rows; of so few, the difference must be twice as clear
 _FLOOR = 1e-4  # part of the largest mean square velocity that counts as none
 _CLEAR = 3.0  # difference of the summed logarithms of mean squares; 0 for free motions
 
@@ -37,14 +38,14 @@ def shows_other_order(positions: np.ndarray, quaternions: np.ndarray, other: np.
     rows = np.linspace(0, len(positions) - 1, min(len(positions), _ROWS)).astype(int)
     places = positions[rows] - positions[rows].mean(axis=0)
     spread = np.sqrt(np.mean(np.sum(places**2, axis=1)))
-    if len(rows) < 5 or not spread > 0:
+    if len(rows) < _FEWEST or not spread > 0:
         return False
     here, there = (quaternions_to_matrices(each[rows]) for each in (quaternions, other))
     lag = _lag(here)
     if lag is None:
         return False
     own, others = (_freedom(places / spread, turned, lag) for turned in (here, there))
-    return own - others > _CLEAR
+    return own - others > _CLEAR * (1 + _FEWEST / (len(rows) - lag))
 
 
 def _lag(turned: np.ndarray) -> int | None:

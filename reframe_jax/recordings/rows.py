@@ -8,12 +8,13 @@ import numpy as np
 
 from reframe_jax.recordings.recording import LeftOut, RecordingError
 
-__all__ = ["EPOCH", "HEADER", "MOST_ROWS", "WRENCH_HEADER", "Rows", "name_rows", "shown"]
+__all__ = ["EPOCH", "HEADER", "MOST_ROWS", "WRENCH_HEADER", "Rows", "is_path", "name_rows", "shown"]
 
 HEADER = "t,x,y,z,qx,qy,qz,qw"
 WRENCH_HEADER = "fx,fy,fz,tx,ty,tz"
 MOST_ROWS = 2**23  # 8,388,608: their poses take 1 GiB
 EPOCH = 1e6  # s: times that start later than this count from the first sample
+_PATH = 0.1  # median step over the spread of the positions, below which they are a path
 _LISTED = 4  # ranges of rows in a sentence
 
 
@@ -81,6 +82,15 @@ class Rows:
         for name in ("where", "values", "times", "wrenches", "frames"):
             numbers = getattr(self, name)
             setattr(self, name, None if numbers is None else numbers[rows])
+
+
+def is_path(places: np.ndarray) -> bool:
+    """Whether positions (N, 3) follow each other in short steps, as separate touches do not."""
+    places = places[np.isfinite(places).all(axis=1)]
+    if len(places) < 10:
+        return False
+    steps = np.median(np.linalg.norm(np.diff(places, axis=0), axis=1))
+    return bool(steps < _PATH * np.linalg.norm(places.std(axis=0)))
 
 
 def name_rows(word: str, numbers: np.ndarray) -> str:

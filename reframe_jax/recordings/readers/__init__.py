@@ -11,19 +11,26 @@ from reframe_jax.recordings.readers.arrays import ARRAYS
 from reframe_jax.recordings.readers.bags import BAG
 from reframe_jax.recordings.readers.c3d import C3D
 from reframe_jax.recordings.readers.hdf5 import HDF5
+from reframe_jax.recordings.readers.kitti import KITTI
+from reframe_jax.recordings.readers.mha import MHA
 from reframe_jax.recordings.readers.motive import MOTIVE
+from reframe_jax.recordings.readers.ndi import NDI
 from reframe_jax.recordings.readers.parquet import PARQUET
 from reframe_jax.recordings.readers.qualisys import QUALISYS
 from reframe_jax.recordings.readers.reader import Reader
 from reframe_jax.recordings.readers.table import TABLE
 from reframe_jax.recordings.readers.trajectory import TRAJECTORY
+from reframe_jax.recordings.readers.trc import TRC
 from reframe_jax.recordings.readers.vicon import VICON
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.selection import Selection, flag
 
 __all__ = ["READERS", "check_options", "choose_reader"]
 
-READERS: tuple[Reader, ...] = (MOTIVE, VICON, QUALISYS, TABLE, TRAJECTORY, ARRAYS, BAG, C3D, PARQUET, HDF5)
+READERS: tuple[Reader, ...] = (
+    *(MOTIVE, VICON, QUALISYS, NDI, KITTI, TRAJECTORY, TABLE),
+    *(ARRAYS, BAG, C3D, TRC, MHA, PARQUET, HDF5),
+)
 
 _HEAD = 4096  # bytes by which a format is recognised
 _FOLDER = "/"

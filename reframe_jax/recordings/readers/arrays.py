@@ -139,7 +139,9 @@ def _rows(path: Path, arrays: dict[str, _Array], others: list[str]) -> Rows:
         values = (np.hstack(parts) if pair else parts[0]).astype(float, copy=False)
         seconds, origin = (None, None) if times is None else _since_first(times)
         wrenches = arrays["wrenches"].read().astype(float, copy=False) if "wrenches" in arrays else None
-    return Rows(path, "sample", np.arange(count), values, seconds, origin, wrenches=wrenches, no_times=_NO_TIMES)
+    return Rows(
+        path, "sample", np.arange(count), values, seconds, origin, wrenches=wrenches, no_times=_NO_TIMES
+    )
 
 
 def _since_first(times: np.ndarray) -> tuple[np.ndarray, str | None]:

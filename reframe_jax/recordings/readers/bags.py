@@ -1,8 +1,8 @@
-"""Poses in ROS 1 and ROS 2 bags: topics of stamped poses, or a chain of tf frames.
+"""Poses in ROS 1 and ROS 2 bags: topics of poses, or a chain of tf frames.
 
 Bags are read with the library rosbags, message by message; only numbers are kept. Messages are decoded by
 the standard definitions of their types, whether or not the bag holds any. Times are the stamps of the
-headers, not the times of recording.
+headers; where messages have none, or nobody set them, the times at which they were recorded.
 """
 
 import importlib
@@ -27,7 +27,12 @@ __all__ = ["BAG", "read_bag"]
 
 _POSE = "geometry_msgs/msg/PoseStamped"
 _TRANSFORM = "geometry_msgs/msg/TransformStamped"
-_TOPICS = (_POSE, "geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Odometry", _TRANSFORM)
+_PLAIN_POSE, _PLAIN_TRANSFORM = "geometry_msgs/msg/Pose", "geometry_msgs/msg/Transform"  # without stamps
+_ARRAY = "geometry_msgs/msg/PoseArray"
+_TOPICS = (
+    *(_POSE, "geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Odometry", _TRANSFORM),
+    *(_ARRAY, _PLAIN_POSE, _PLAIN_TRANSFORM, "geometry_msgs/msg/PoseWithCovariance"),
+)
 _TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _WHOLE = "a whole ROS bag"
 
@@ -36,10 +41,12 @@ class _Samples:
     """Poses of a topic or of a tf edge, as compact numbers."""
 
     def __init__(self) -> None:
-        self.stamps, self.values = array("q"), array("d")  # ns; x y z qx qy qz qw
+        self.stamps, self.logged = array("q"), array("q")  # ns
+        self.values = array("d")  # x y z qx qy qz qw
 
-    def add(self, stamp: Any, position: Any, orientation: Any) -> None:
-        self.stamps.append(1_000_000_000 * stamp.sec + stamp.nanosec)
+    def add(self, header: Any, logged: int, position: Any, orientation: Any) -> None:
+        self.stamps.append(0 if header is None else 1_000_000_000 * header.stamp.sec + header.stamp.nanosec)
+        self.logged.append(logged)
         self.values.extend((position.x, position.y, position.z))
         self.values.extend((orientation.x, orientation.y, orientation.z, orientation.w))
 
@@ -54,11 +61,11 @@ class _Bag:
         """Connections of these types that hold messages."""
         return [each for each in self._reader.connections if each.msgtype in types and each.msgcount]
 
-    def messages(self, connections: list[Any]) -> Iterator[tuple[Any, Any]]:
-        """Connection and message, in the order of recording."""
-        for connection, _, data in self._reader.messages(connections=connections) if connections else ():
+    def messages(self, connections: list[Any]) -> Iterator[tuple[Any, int, Any]]:
+        """Connection, time of recording in ns, and message, in the order of recording."""
+        for connection, logged, data in self._reader.messages(connections=connections) if connections else ():
             known = _TF[0] if connection.msgtype in _TF else connection.msgtype
-            yield connection, self._decode(data, known)
+            yield connection, logged, self._decode(data, known)
 
 
 class _Stream(io.BufferedReader):
@@ -104,7 +111,7 @@ def read_bag(path: Path, wanted: Selection) -> Rows:
     Args:
         path: the file, or the folder of a ROS 2 bag.
         wanted: the topic, needed if there are several; or both frames. Of a topic of transforms, ``to_frame``
-            selects the child frame.
+            selects the child frame; of arrays of poses, ``body`` the number.
 
     Raises:
         RecordingError: if the bag is damaged or holds no such topic or frames, or rosbags is missing.
@@ -134,19 +141,33 @@ def _read_topic(path: Path, bag: _Bag, wanted: Selection) -> Rows:
         )
     if not names and bag.connections(_TF):
         raise RecordingError(
-            f"{path}: has no topics of stamped poses, but tf frames; name two, {flag('from_frame')} and "
+            f"{path}: has no topics of poses, but tf frames; name two, {flag('from_frame')} and "
             f"{flag('to_frame')}; reframe-jax topics lists them."
         )
-    topic = choose_name(path, "topic", wanted.topic, names, "topics of stamped poses")
+    topic = choose_name(path, "topic", wanted.topic, names, "topics of poses")
     chosen = [each for each in known if each.topic == topic]
     if wanted.to_frame is not None and any(each.msgtype != _TRANSFORM for each in chosen):
         raise RecordingError(f"{path}: {flag('to_frame')} selects among transforms; {topic} holds poses.")
     samples: dict[tuple[str, str], _Samples] = {}
-    for connection, message in bag.messages(chosen):
+    several = 0
+    for connection, logged, message in bag.messages(chosen):
         child = getattr(message, "child_frame_id", "")
         if wanted.to_frame is not None and _plain(child) != _plain(wanted.to_frame):
             continue
-        _take(path, samples, message.header, child, connection.msgtype, message)
+        if connection.msgtype == _ARRAY:
+            several = max(several, len(message.poses))
+            number = int(wanted.body) if wanted.body and wanted.body.isdecimal() else 0
+            for pose in message.poses[number : number + 1]:
+                _keep(path, samples, (message.header.frame_id, child), message.header, logged, pose)
+        else:
+            _take(path, samples, logged, child, message)
+    if several > 1 and not (wanted.body or "").isdecimal():
+        raise RecordingError(
+            f"{path}: {topic} holds arrays of {several} poses; give the number of one, {flag('body')}, from "
+            f"0 to {several - 1}."
+        )
+    if wanted.body is not None and not several:
+        raise RecordingError(f"{path}: {topic} holds no arrays of poses; leave out {flag('body')}.")
     if len(samples) != 1:
         pairs = shown(
             ", ".join(f"{child or 'a body'} in {parent or 'no frame'}" for parent, child in samples)
@@ -158,34 +179,55 @@ def _read_topic(path: Path, bag: _Bag, wanted: Selection) -> Rows:
     return _rows(path, next(iter(samples.values())))
 
 
-def _take(path: Path, samples: dict[Any, _Samples], header: Any, child: str, kind: str, message: Any) -> None:
-    """Keep the numbers of a stamped message."""
-    if kind == _TRANSFORM:
-        position, orientation = message.transform.translation, message.transform.rotation
-    else:
-        pose = message.pose if kind == _POSE else message.pose.pose
-        position, orientation = pose.position, pose.orientation
-    kept = samples.setdefault((_plain(header.frame_id), _plain(child)), _Samples())
+def _take(path: Path, samples: dict[Any, _Samples], logged: int, child: str, message: Any) -> None:
+    """Keep the numbers of a message of a single pose."""
+    header = getattr(message, "header", None)
+    names = getattr(header, "frame_id", ""), child
+    while hasattr(message, "pose"):  # with a covariance, the pose of a pose
+        message = message.pose
+    _keep(path, samples, names, header, logged, getattr(message, "transform", message))
+
+
+def _keep(
+    path: Path,
+    samples: dict[Any, _Samples],
+    names: tuple[str, str],
+    header: Any,
+    logged: int,
+    pose: Any,
+) -> None:
+    """Keep the numbers of a pose or transform."""
+    kept = samples.setdefault((_plain(names[0]), _plain(names[1])), _Samples())
     if len(kept.stamps) == MOST_ROWS:
         raise RecordingError(f"{path}: has more than {MOST_ROWS} poses; cut the recording into files.")
-    kept.add(header.stamp, position, orientation)
+    if hasattr(pose, "translation"):
+        kept.add(header, logged, pose.translation, pose.rotation)
+    else:
+        kept.add(header, logged, pose.position, pose.orientation)
 
 
-def _rows(path: Path, samples: _Samples) -> Rows:
-    """Rows in the order of their stamps."""
+def _rows(path: Path, samples: _Samples, static: bool = False) -> Rows:
+    """Rows in the order of their stamps, or of their recording if nobody set the stamps."""
     stamps = np.asarray(samples.stamps)
     values = np.asarray(samples.values).reshape(-1, 7)
     where, notes = np.arange(len(stamps)), []
+    if not stamps.any() and not static:
+        stamps = np.asarray(samples.logged)
+        notes.append("the messages have no stamps, or 0: the times are those at which they were recorded.")
+    elif (unset := int(np.sum(stamps == 0))) and not static:
+        set_ones = stamps != 0
+        notes.append(f"{unset} of {len(stamps)} messages left out: their stamp is 0.")
+        stamps, values, where = stamps[set_ones], values[set_ones], where[set_ones]
     if late := int(np.sum(np.diff(stamps) < 0)):
-        where = np.argsort(stamps, kind="stable")
-        stamps, values = stamps[where], values[where]
+        order = np.argsort(stamps, kind="stable")
+        stamps, values, where = stamps[order], values[order], where[order]
         notes.append(f"{late} messages came after later ones; all are sorted by their stamps.")
-    if not stamps.any():  # nobody set them
+    if not stamps.any():
         return Rows(path, "message", where, values, None, notes=notes)
     seconds, rest = divmod(int(stamps[0]), 1_000_000_000)
     origin = f"{seconds}.{rest:09d}" if stamps[0] else None
     times = 1e-9 * (stamps - stamps[0])
-    return Rows(path, "message", where, values, times, origin, notes)
+    return Rows(path, "message", where, values, times, origin, notes, seconds=1.0)
 
 
 def _read_chain(path: Path, bag: _Bag, ground: str, body: str) -> Rows:
@@ -194,19 +236,19 @@ def _read_chain(path: Path, bag: _Bag, ground: str, body: str) -> Rows:
     chain = Edge.chain(path, edges, _plain(ground), _plain(body))
     samples: dict[tuple[str, str], _Samples] = {}
     wanted = {(edge.parent, edge.child): edge for edge, _ in chain}
-    for connection, message in bag.messages(bag.connections(_TF)):
+    for connection, logged, message in bag.messages(bag.connections(_TF)):
         for each in message.transforms:
             edge = wanted.get((_plain(each.header.frame_id), _plain(each.child_frame_id)))
             if edge is not None and edge.static == _is_static(connection):
-                _take(path, samples, each.header, each.child_frame_id, _TRANSFORM, each)
-    rows = {key: _rows(path, kept) for key, kept in samples.items()}
+                _take(path, samples, logged, each.child_frame_id, each)
+    rows = {key: _rows(path, kept, wanted[key].static) for key, kept in samples.items()}
     return chain_rows(path, [(edge, along, rows[edge.parent, edge.child]) for edge, along in chain])
 
 
 def _edges(bag: _Bag) -> list[Edge]:
     """All pairs of frames; those that are published as static and moving are moving."""
     counts: dict[tuple[str, str], list[int]] = {}
-    for connection, message in bag.messages(bag.connections(_TF)):
+    for connection, _, message in bag.messages(bag.connections(_TF)):
         static = _is_static(connection)
         for each in message.transforms:
             key = _plain(each.header.frame_id), _plain(each.child_frame_id)
@@ -250,6 +292,6 @@ BAG = Reader(
     suffixes=(".bag", ".mcap", ".db3", "/"),
     recognises=_recognises,
     read=read_bag,
-    options=frozenset({"topic", "from_frame", "to_frame", "in_body", "unit"}),
+    options=frozenset({"topic", "from_frame", "to_frame", "in_body", "body", "quaternion", "unit"}),
     contents=_contents,
 )

@@ -5,7 +5,6 @@ ever; the structure of a file is checked first. Lengths are in the unit that POI
 """
 
 import os
-import re
 import struct
 import subprocess
 import sys
@@ -16,10 +15,10 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from reframe_jax.recordings.markers import fit_markers, group_markers
 from reframe_jax.recordings.readers.exports import drop_zeros
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name, import_extra
 from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rigid_body import fit_rigid_body
 from reframe_jax.recordings.rows import MOST_ROWS, Rows, shown
 from reframe_jax.recordings.selection import UNITS, Selection, flag
 
@@ -32,7 +31,6 @@ _MOST_PARAMETERS = (
 _BIG_ENDIAN = 86  # the number of the processor that wrote the file, of those from 84
 _WHOLE = "a whole C3D file"
 _PATIENCE, _SLOWEST = 30.0, 1e6  # s, and bytes a second, after which reading is given up
-_LOOSE = 5e-3  # m rms, above which markers are hardly on one body
 
 
 @dataclass(frozen=True)
@@ -50,11 +48,7 @@ class _File:
     @property
     def groups(self) -> dict[str, list[str]]:
         """Prefixes that three or more markers share: ``rod`` of ``rod:a`` or ``rod1``."""
-        found: dict[str, list[str]] = {}
-        for label in self.markers:
-            prefix = label.partition(":")[0] if ":" in label else re.sub(r"[\W_]*\d+$", "", label)
-            found.setdefault(prefix, []).append(label)
-        return {prefix: labels for prefix, labels in found.items() if prefix and len(labels) > 2}
+        return group_markers(self.markers)
 
 
 def read_c3d(path: Path, wanted: Selection) -> Rows:
@@ -87,7 +81,7 @@ def read_c3d(path: Path, wanted: Selection) -> Rows:
     if name in file.rotations:
         poses, rate = file.poses[:, file.rotations[name]], file.rotation_rate
     else:
-        (poses, notes), rate = _fit(path, file, markers, metres), file.rate
+        (poses, notes), rate = fit_markers(path, file.points, file.markers, markers, metres), file.rate
     if len(poses) > MOST_ROWS:
         raise RecordingError(
             f"{path}: has {len(poses)} frames; expected at most {MOST_ROWS}; cut the recording into files."
@@ -111,36 +105,6 @@ def _metres(path: Path, unit: str, wanted: Selection) -> float:
             f"{path}: expected POINT:UNITS of {', '.join(UNITS)}, found {shown(unit, 20)!r}."
         )
     return UNITS[stated]
-
-
-def _fit(path: Path, file: _File, labels: list[str], metres: float) -> tuple[np.ndarray, list[str]]:
-    """Poses (N, 4, 4) of a body with these markers, and a note on how well they fit."""
-    if missing := [label for label in labels if label not in file.markers]:
-        raise RecordingError(
-            f"{path}: has no marker {shown(', '.join(missing), 200)}; markers: "
-            f"{shown(', '.join(file.markers), 1000)}."
-        )
-    if len(set(labels)) < 3:
-        raise RecordingError(f"{path}: expected three markers or more of a body, found {len(set(labels))}.")
-    points = file.points[:, [file.markers[label] for label in dict.fromkeys(labels)]]
-    try:
-        poses, residuals = fit_rigid_body(points)
-    except ValueError as error:
-        counts = np.isfinite(points).all(axis=2).sum(axis=0)
-        seen = ", ".join(f"{label} {count}" for label, count in zip(labels, counts, strict=False))
-        raise RecordingError(
-            f"{path}: no rigid body fits, as {error}; name others, {flag('body')}. Frames in which each is "
-            f"seen, of {len(points)}: {shown(seen, 500)}."
-        ) from error
-    fitted = residuals[np.isfinite(residuals)] * metres
-    if not len(fitted):  # numbers too large to compute with
-        raise _damaged(path, "no pose of the markers is finite")
-    rms, worst = np.sqrt(np.mean(fitted**2)), fitted.max()
-    note = (
-        f"{len(labels)} markers are {1e3 * rms:.2g} mm rms from a rigid body, {1e3 * worst:.2g} mm in the "
-        "worst frame"
-    )
-    return poses, [note + ("; are all on the same body?" if rms > _LOOSE else ".")]
 
 
 def _open(path: Path) -> _File:

@@ -87,7 +87,9 @@ def pose_rows(
         )
     needed = {4: "quaternion", 3: "angles"}.get(width)
     if wanted.angle_unit is not None and width != 3:
-        raise RecordingError(f"{path}: has {width} numbers of an orientation; leave out {flag('angle_unit')}.")
+        raise RecordingError(
+            f"{path}: has {width} numbers of an orientation; leave out {flag('angle_unit')}."
+        )
     for option in ("quaternion", "angles"):
         given = getattr(wanted, option) is not None
         if option == needed and not given:

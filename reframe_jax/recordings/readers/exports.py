@@ -1,6 +1,7 @@
 """Shared code of the exports of motion-capture systems: a header, then a row of numbers per frame."""
 
 import csv
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -9,13 +10,60 @@ import numpy as np
 from reframe_jax.recordings.readers.lines import Collector
 from reframe_jax.recordings.rows import Rows
 
-__all__ = ["collect", "drop_zeros", "is_number", "matrix_rows", "split"]
+__all__ = [
+    "collect",
+    "drop_zeros",
+    "find_delimiter",
+    "first_numbers",
+    "is_number",
+    "matrix_rows",
+    "split",
+]
+
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(e[-+]?\d+)?", re.IGNORECASE)
 
 
-def split(line: str, delimiter: str) -> list[str]:
-    """Cells of a line, stripped."""
-    cells = next(csv.reader([line], delimiter=delimiter)) if '"' in line else line.split(delimiter)
+def split(line: str, delimiter: str | None) -> list[str]:
+    """Cells of a line, stripped; decimal commas become points where commas do not separate.
+
+    Args:
+        line: the line.
+        delimiter: between the cells; blanks by default.
+    """
+    if delimiter is None:
+        cells = line.split()
+    else:
+        cells = next(csv.reader([line], delimiter=delimiter)) if '"' in line else line.split(delimiter)
+    if delimiter != "," and "," in line:
+        cells = [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell.strip()) else cell for cell in cells]
     return [cell.strip() for cell in cells]
+
+
+def find_delimiter(line: str) -> str | None:
+    """The character between the cells of a header or of a row of numbers; None for blanks."""
+    return next((mark for mark in "\t;," if mark in line), None)
+
+
+def first_numbers(head: bytes) -> tuple[int, list[str]]:
+    """Of the first bytes of a text: the numbers in the first row, and the cells of the comment before it.
+
+    0 if the first row that is no comment does not consist of numbers.
+    """
+    comment: list[str] = []
+    for line in head.decode("utf-8-sig", errors="replace").splitlines():
+        text = line.strip()
+        if text.startswith(("#", "%")):
+            text = text.lstrip("#% ")
+            comment = split(text, find_delimiter(text))
+        elif text:
+            text = text.partition("#")[0].strip()
+            cells = split(text, find_delimiter(text))
+            while cells and not cells[-1]:
+                cells.pop()
+            # "0.1, 0.2" is separated by commas, "0.1 0.2" by blanks
+            whole = all(is_number(cell) or not cell for cell in cells) and any(cells)
+            return (len(cells) if whole else 0), comment
+    return 0, comment
 
 
 def is_number(cell: str) -> bool:

@@ -3,9 +3,12 @@
 The first line holds pairs of names and values: units, rotation type, coordinate space. Rows of types, names
 and components of all columns follow, down to the row ``Frame, Time (Seconds), X, Y, Z, ...``. Quaternions
 are told by their axis names. Euler angles are in degrees, about the moving axes, in the order of the header.
-Cells are empty where a body was not seen. The ground frame is that of the export, y up unless changed.
+Cells are empty where a body was not seen. Spreadsheets
+save the export with semicolons and decimal commas. The ground frame is that of the export, y up unless
+changed.
 """
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -14,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from reframe_jax.geometry.numpy_rotations import euler_matrices
-from reframe_jax.recordings.readers.exports import collect, matrix_rows, split
+from reframe_jax.recordings.readers.exports import collect, find_delimiter, matrix_rows, split
 from reframe_jax.recordings.readers.lines import read_lines
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name
 from reframe_jax.recordings.recording import RecordingError
@@ -23,6 +26,7 @@ from reframe_jax.recordings.selection import ANGLES, Selection
 
 __all__ = ["MOTIVE", "read_motive"]
 
+_FIRST = "Format Version"
 _METRES = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3}
 _ORDERS = [order for order in ANGLES if order.isupper()]
 _BODIES = ("Rigid Body", "Bone")
@@ -77,8 +81,13 @@ def read_motive(path: Path, wanted: Selection) -> Rows:
 
 
 def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
+    delimiter = ","
     for number, line in read_lines(path, "\r\n"):
-        yield number, split(line, ",")
+        if line.lstrip('"').startswith(_FIRST):
+            delimiter = find_delimiter(line.replace('"', "")[len(_FIRST) :][:1]) or ","
+        cells = split(line, delimiter)
+        if any(cells):  # spreadsheets fill blank lines with delimiters
+            yield number, cells
 
 
 def _read_header(path: Path, lines: Iterator[tuple[int, list[str]]]) -> _Header:
@@ -102,6 +111,8 @@ def _read_header(path: Path, lines: Iterator[tuple[int, list[str]]]) -> _Header:
             f"and components, then Frame,Time (Seconds),X,...; the file says version "
             f"{shown(about.get('Format Version', ''), 20)!r}."
         )
+    while cells and not cells[-1]:
+        cells.pop()
     types, names, parts = headings[0], headings[1], headings[-1]
     bodies: dict[str, dict[str, int]] = {}
     for column, axis in enumerate(cells):
@@ -122,8 +133,8 @@ def _contents(path: Path) -> list[Entry]:
 MOTIVE = Reader(
     name="an export of OptiTrack Motive",
     suffixes=(".csv",),
-    recognises=lambda path, head: head.removeprefix(b"\xef\xbb\xbf").startswith(b"Format Version,"),
+    recognises=lambda path, head: re.match(b'(\xef\xbb\xbf)?"?Format Version"?[,;\t]', head) is not None,
     read=read_motive,
-    options=frozenset({"body", "in_body"}),
+    options=frozenset({"body", "in_body", "quaternion"}),
     contents=_contents,
 )

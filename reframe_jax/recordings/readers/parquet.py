@@ -104,6 +104,8 @@ PARQUET = Reader(
     suffixes=(".parquet",),
     recognises=lambda path, head: head.startswith(b"PAR1"),
     read=read_parquet,
-    options=frozenset({"position", "orientation", "quaternion", "angles", "angle_unit", "episode", "unit", "time_unit"}),
+    options=frozenset(
+        {"position", "orientation", "quaternion", "angles", "angle_unit", "episode", "unit", "time_unit"}
+    ),
     contents=_contents,
 )

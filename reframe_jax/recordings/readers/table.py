@@ -1,20 +1,102 @@
-"""Tables with a header: columns are found by their names."""
+"""Tables with a header: columns are found by their names, in the units that the header states."""
 
-import csv
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 
+import numpy as np
+
+from reframe_jax.recordings.readers.angles import angle_matrices
+from reframe_jax.recordings.readers.exports import find_delimiter, is_number, matrix_rows, split
 from reframe_jax.recordings.readers.lines import Collector, read_lines
 from reframe_jax.recordings.readers.reader import Reader
+from reframe_jax.recordings.readers.units import ANGLE_WORDS, LENGTH_WORDS, TIME_WORDS, split_unit
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import HEADER, Rows, shown
-from reframe_jax.recordings.selection import Selection
+from reframe_jax.recordings.selection import UNITS, Selection, flag
 
 __all__ = ["TABLE", "read_table"]
 
 _COMMENT = "#%"
+_TIMES = (
+    r"(.*_)?header_stamp",  # rostopic echo -p: the stamp of the message, rather than when it came
+    r"t|times?|timestamps?|stamp|sec|secs|seconds|(elapsed_|ros_)?time",
+)
+_SECONDS, _NANOSECONDS = r"(.*_)?(stamp|timespec)_s(ecs?)?", r"(.*_)?(stamp|timespec)_n(ano)?s(ecs?)?"
+_POSITIONS = r"{axis}", r"(p_?|p_.+_|(.*_)?(pos(ition)?|translation)_){axis}"
+_QUATERNIONS = r"q_?{axis}", r"(q_.+_|(.*_)?(quat(ernion)?|orientation|rot(ation)?)_(q_?)?){axis}"
+_ANGLES = {
+    "x": r"(.*_)?(r_?x|rot(ation)?_(vector_|vec_)?x|(rotvec|euler|angle)_x|roll)",
+    "y": r"(.*_)?(r_?y|rot(ation)?_(vector_|vec_)?y|(rotvec|euler|angle)_y|pitch)",
+    "z": r"(.*_)?(r_?z|rot(ation)?_(vector_|vec_)?z|(rotvec|euler|angle)_z|yaw)",
+}
+_NO_TIMES = "name their column t, or time [ms] in another unit, or give the sample time, dt (--dt)"
+
+
+@dataclass(frozen=True)
+class _Header:
+    """Names and units of the columns of a table."""
+
+    path: Path
+    titles: list[str]
+    names: list[str]
+    units: list[str]
+    body: str | None
+
+    @staticmethod
+    def of(path: Path, titles: list[str], body: str | None) -> "_Header":
+        names, units = zip(*(split_unit(title) for title in titles), strict=True)
+        plain = None if body is None else split_unit(body)[0]
+        return _Header(path, titles, [*names], [*units], plain)
+
+    def find(self, pattern: str) -> int | None:
+        """The column of a name, if there is one.
+
+        Raises:
+            RecordingError: if there are several.
+        """
+        found = [i for i, name in enumerate(self.names) if re.fullmatch(pattern, name)]
+        if self.body is not None and len(found) > 1:
+            found = [i for i in found if self.names[i].startswith(self.body)]
+        if len(found) > 1:
+            both = " and ".join(repr(shown(self.titles[i], 40)) for i in found[:2])
+            raise RecordingError(
+                f"{self.path}: columns {both} mean the same; select one by the start of its name, "
+                f"{flag('body')}, or rename all but one."
+            )
+        return found[0] if found else None
+
+    def all(self, patterns: Sequence[str]) -> list[int] | None:
+        """The columns of several names, or None if one is missing."""
+        found = [self.find(pattern) for pattern in patterns]
+        return None if None in found else [i for i in found if i is not None]
+
+    def unit(self, columns: Sequence[int], words: dict[str, float]) -> float | None:
+        """The unit that some columns state, in m, s or rad; None if they state none.
+
+        Raises:
+            RecordingError: if it is unknown, or not the same for all.
+        """
+        stated = {self.units[i] for i in columns}
+        if stated == {""}:
+            return None
+        if len(stated) > 1 or not stated <= words.keys():
+            listed = shown(", ".join(self.titles[i] for i in columns))
+            raise RecordingError(f"{self.path}: expected one of the units {', '.join(words)}: {listed}.")
+        return words[stated.pop()]
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Where the numbers of a pose are, and what they mean."""
+
+    time: int | None
+    clock: list[int] | None  # seconds and nanoseconds
+    position: list[int]
+    orientation: list[int]
+    kind: str  # "quaternion", "angles", or "matrix", of which the position is a part
 
 
 def read_table(path: Path, wanted: Selection) -> Rows:
@@ -22,102 +104,167 @@ def read_table(path: Path, wanted: Selection) -> Rows:
 
     Args:
         path: the file.
-        wanted: the unit of the positions, which are not converted. A header may name it: ``x [mm]``.
+        wanted: units that the header does not state, what angles mean, and how the names of the columns
+            start if there are several poses in a row.
 
     Raises:
         RecordingError: if a column is missing or named twice, or a row does not fit the header.
     """
+    number, titles, lines = _read_header(path)
+    header = _Header.of(path, titles, wanted.body)
+    found = _find_columns(header, wanted)
+    width = len(titles) + bool(found.clock)
+    time = len(titles) if found.clock else found.time
+    rows = Collector(path, width, time, [*found.position, *found.orientation], _find_wrench(header))
+    for number, cells in lines:
+        if found.clock and len(cells) == len(titles):
+            seconds, nanoseconds = (cells[i] for i in found.clock)
+            cells = [*cells, f"{seconds}.{nanoseconds.zfill(9)}" if seconds.isdecimal() else ""]
+        rows.add(number, cells)
+    return _convert(rows.rows(), header, found, wanted)
+
+
+def _convert(rows: Rows, header: _Header, found: _Columns, wanted: Selection) -> Rows:
+    """Give the rows their units, and make rotations of angles."""
+    rows.no_times = _NO_TIMES
+    rows.metres = header.unit(found.position, LENGTH_WORDS) if found.position else None
+    if rows.metres not in (None, UNITS.get(wanted.unit or "", rows.metres)):
+        raise RecordingError(f"{rows.path}: its header states another unit; leave out {flag('unit')}.")
+    if found.time is not None:
+        rows.seconds = header.unit([found.time], TIME_WORDS)
+        late = abs(float(rows.origin or 0)) > 1e16
+        if rows.seconds is None and header.names[found.time] in ("field_header_stamp", "time") and late:
+            rows.seconds = 1e-9 if any(name.startswith("field_") for name in header.names) else None
+    if found.clock:
+        rows.seconds = 1.0
+    if found.kind == "quaternion":
+        first = np.argmin(found.orientation)
+        rows.order = "wxyz" if first == 3 else "xyzw"
+    if found.kind == "angles":
+        angles = rows.values[:, 3:]
+        if wanted.angles != "vector":
+            angles = angles[:, ["xyz".index(axis) for axis in str(wanted.angles).lower()]]
+        stated = header.unit(found.orientation, ANGLE_WORDS)
+        rows.angles = stated is None
+        rows.values = matrix_rows(angle_matrices(rows.path, angles, wanted, stated), rows.values[:, :3])
+    elif wanted.angles is not None or wanted.angle_unit is not None:
+        given = "angles" if wanted.angles is not None else "angle_unit"
+        raise RecordingError(f"{rows.path}: holds no angles, but a {found.kind}; leave out {flag(given)}.")
+    return rows
+
+
+def _read_header(path: Path) -> tuple[int, list[str], Iterator[tuple[int, list[str]]]]:
+    """The line and the titles of the header, and the rows of cells after it."""
     lines = read_lines(path)
     comments, first = _first_row(lines)
     following = next(lines, None)
     if first is None or following is None:
         what = "has no more than one line of text" if first or comments else "is empty"
         raise RecordingError(f"{path}: {what}; expected a header such as {HEADER}, and rows of numbers.")
-    delimiter = next((mark for mark in "\t;" if mark in first[1]), ",")
-    pending = [following]
-    number, text = first
-    if comments and _is_number(_cells(text, delimiter)[0]):
+    (number, text), pending = first, [following]
+    cells = split(text, find_delimiter(text))
+    if comments and is_number(cells[0]):
         (number, text), pending = comments[-1], [first, following]
-    header = _cells(text.lstrip(_COMMENT + " "), delimiter)
-    if _is_number(header[0]):
+    text = text.lstrip(_COMMENT + " ")
+    delimiter = find_delimiter(text)
+    titles = split(text, delimiter)
+    while titles and not titles[-1]:
+        titles.pop()
+    if not titles or is_number(titles[0]):
         raise RecordingError(
-            f"{path}: line {number}: expected a header such as {HEADER}, found numbers; name the columns, "
-            "or save a TUM trajectory as .txt."
+            f"{path}: line {number}: expected a header such as {HEADER}, or rows of 8 numbers (t x y z qx qy "
+            f"qz qw) or 12 (KITTI); found {len(titles)} numbers."
         )
-    names = [name.strip() for name in header]
-    time, columns = _find_columns(path, names, wanted.unit or "m")
-    rows = Collector(path, len(header), time, columns, _find_wrench(names))
-    for number, line in chain(pending, lines):
-        if line[0] not in _COMMENT:
-            rows.add(number, _cells(line, delimiter))
-    return rows.rows()
+
+    def rows() -> Iterator[tuple[int, list[str]]]:
+        for line, row in chain(pending, lines):
+            if row[0] in _COMMENT:
+                continue
+            cells = split(row, delimiter)
+            while len(cells) > len(titles) and not cells[-1]:
+                cells.pop()
+            if any(cells):
+                yield line, cells
+
+    return number, titles, rows()
 
 
 def _first_row(lines: Iterator[tuple[int, str]]) -> tuple[list[tuple[int, str]], tuple[int, str] | None]:
     """The last comment at the start of a file, if any, and the line after it."""
     comments: list[tuple[int, str]] = []
     for line in lines:
-        if line[1][0] not in _COMMENT:
+        if line[1].startswith("sep="):  # of spreadsheets
+            continue
+        if line[1][0] not in _COMMENT or (not comments and "field." in line[1]):
             return comments, line
         comments = [line]
     return comments, None
 
 
-def _cells(line: str, delimiter: str) -> list[str]:
-    return next(csv.reader([line], delimiter=delimiter)) if '"' in line else line.split(delimiter)
-
-
-def _is_number(cell: str) -> bool:
-    return bool(re.fullmatch(r"\s*[-+]?[\d.]+(e[-+]?\d+)?\s*", cell, re.IGNORECASE))
-
-
-def _find_columns(path: Path, header: list[str], unit: str) -> tuple[int | None, list[int]]:
+def _find_columns(header: _Header, wanted: Selection) -> _Columns:
     """Columns of time and of the numbers of a pose."""
-    names = [_plain(name) for name in header]
-
-    def find(pattern: str) -> int | None:
-        found = [i for i, name in enumerate(names) if re.fullmatch(pattern, name)]
-        if len(found) > 1:
-            both = " and ".join(repr(shown(header[i], 40)) for i in found[:2])
-            raise RecordingError(f"{path}: columns {both} mean the same; rename or remove all but one.")
-        return found[0] if found else None
-
-    time = find(r"(t|time|times|timestamp|stamp|sec|seconds)(_s|_sec|_seconds)?")
-    matrix = [find(f"[mt]_?{i // 4}_?{i % 4}") for i in range(16)]
+    time = next((i for i in map(header.find, _TIMES) if i is not None), None)
+    clock = header.all([_SECONDS, _NANOSECONDS]) if time is None else None
+    matrix = [header.find(f"[mt]_?{i // 4}_?{i % 4}") for i in range(16)]
     for size in (16, 12):
         if None not in matrix[:size]:
-            return time, [i for i in matrix[:size] if i is not None]
-    pose = {axis: find(rf"(p_?|(.*_)?pos(ition)?_)?{axis}(_{unit})?") for axis in "xyz"}
-    if set(pose.values()) == {None} and "fx" not in names:
-        pose = {axis: find(rf"t_?{axis}(_{unit})?") for axis in "xyz"}
-    pose |= {f"q{axis}": find(rf"(q_?|(.*_)?(quat(ernion)?|orientation)_){axis}") for axis in "xyzw"}
-    if missing := [key for key, column in pose.items() if column is None]:
-        raise RecordingError(
-            f"{path}: no column for {', '.join(missing)} (positions in {unit}); expected a header such as "
-            f"{HEADER}, found {shown(','.join(header))}."
-        )
-    return time, [column for column in pose.values() if column is not None]
+            return _Columns(time, clock, [], [i for i in matrix[:size] if i is not None], "matrix")
+    position = _first(header, _POSITIONS, "xyz")
+    if position is None and "fx" not in header.names:
+        position = _first(header, (r"(.*_)?t_?{axis}",), "xyz")
+    quaternion = _first(header, _QUATERNIONS, "xyzw")
+    if quaternion is None:
+        quaternion = header.all(["q_?x", "q_?y", "q_?z", "q_?[0o]"])  # NDI calls the scalar Q0
+    if position is not None and quaternion is None:
+        quaternion = header.all([f"q(uat)?_?{i}" for i in range(4)])
+        if quaternion is not None and wanted.quaternion is None:
+            raise RecordingError(
+                f"{header.path}: does not say in which order q0, q1, q2, q3 are; give {flag('quaternion')}."
+            )
+    if position is not None and quaternion is not None:
+        return _Columns(time, clock, position, quaternion, "quaternion")
+    angles = header.all([*_ANGLES.values()])
+    if position is not None and angles is not None:
+        if wanted.angles is None:
+            listed = shown(", ".join(header.titles[i] for i in angles), 80)
+            raise RecordingError(
+                f"{header.path}: does not say what the angles {listed} mean; give {flag('angles')}: vector "
+                "for a rotation vector, xyz for turns about the fixed axes, x (roll) first, and so on."
+            )
+        return _Columns(time, clock, position, angles, "angles")
+    missing = [
+        *("xyz" if position is None else ""),
+        *(("qx", "qy", "qz", "qw") if quaternion is None else ()),
+    ]
+    raise RecordingError(
+        f"{header.path}: no column for {', '.join(missing)}; expected a header such as {HEADER}, found "
+        f"{shown(','.join(header.titles))}."
+    )
 
 
-def _find_wrench(header: list[str]) -> list[int]:
+def _first(header: _Header, patterns: Sequence[str], axes: str) -> list[int] | None:
+    """Columns of the first pattern that all axes have: x, or else position_x."""
+    for pattern in ("|".join(patterns),) if header.body is None else patterns[::-1]:
+        found = header.all([pattern.replace("{axis}", axis) for axis in axes])
+        if found is not None:
+            return found
+    return None
+
+
+def _find_wrench(header: _Header) -> list[int]:
     """Columns of force and torque, all six or none: fx, force_x, wrench.force.x and the like."""
-    names, found = [_plain(name) for name in header], []
+    found = []
     for letter, word, unit in (("f", "force", "n"), ("t", "torque", "nm")):
         for axis in "xyz":
             pattern = rf"({letter}_?|(.*_)?{word}_){axis}(_{unit})?"
-            found.append([i for i, name in enumerate(names) if re.fullmatch(pattern, name)])
+            found.append([i for i, name in enumerate(header.names) if re.fullmatch(pattern, name)])
     return [columns[0] for columns in found] if all(len(columns) == 1 for columns in found) else []
-
-
-def _plain(name: str) -> str:
-    """A name in lower case, its other characters as single underscores."""
-    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
 
 
 TABLE = Reader(
     name="a table with named columns",
-    suffixes=(".csv", ".tsv"),
+    suffixes=(".csv", ".tsv", ".txt", ".tum"),
     recognises=lambda path, head: True,
     read=read_table,
-    options=frozenset({"unit"}),
+    options=frozenset({"unit", "time_unit", "quaternion", "angles", "angle_unit", "body"}),
 )

@@ -112,7 +112,8 @@ def chain_rows(path: Path, chain: Sequence[tuple[Edge, bool, Rows]]) -> Rows:
         raise RecordingError(f"{path}: the moving frames of the chain have no times in common.")
     values = matrix_rows(poses[:, :3, :3], poses[:, :3, 3])
     notes = [note for _, _, rows in chain for note in rows.notes]
-    joined = Rows(path, own.word, own.where, values, own.times, own.origin, notes)
+    joined = Rows(path, own.word, own.where, values, own.times, own.origin, notes, seconds=1.0)
+    joined.left_out = own.left_out
     joined.keep(known, "another frame of the chain has no transform at that time", "relative")
     return joined
 
@@ -128,7 +129,9 @@ def _clean(path: Path, edge: Edge, rows: Rows) -> None:
     if not edge.static and rows.times is None:
         raise RecordingError(f"{path}: the stamps of every {what} are 0; expected times.")
     if not edge.static and rows.times is not None and len(rows.times):
-        rows.keep(np.append(True, np.diff(rows.times) > 0), f"the stamp of a {what} is repeated", "equal_time")
+        rows.keep(
+            np.append(True, np.diff(rows.times) > 0), f"the stamp of a {what} is repeated", "equal_time"
+        )
     fewest = 1 if edge.static else 2
     if len(rows.values) < fewest:
         raise RecordingError(f"{path}: has {len(rows.values)} usable {what}; expected {fewest} or more.")

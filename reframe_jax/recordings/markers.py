@@ -1,0 +1,96 @@
+"""Bodies of markers, as files of marker positions have them: which there are, and their poses."""
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.recordings.rigid_body import fit_rigid_body
+from reframe_jax.recordings.rows import shown
+from reframe_jax.recordings.selection import flag
+
+__all__ = ["choose_markers", "fit_markers", "group_markers"]
+
+_LOOSE = 5e-3  # m rms, above which markers are hardly on one body
+
+
+def group_markers(labels: Iterable[str]) -> dict[str, list[str]]:
+    """Prefixes that three or more markers share: ``rod`` of ``rod:a`` or ``rod1``."""
+    found: dict[str, list[str]] = {}
+    for label in labels:
+        prefix = label.partition(":")[0] if ":" in label else re.sub(r"[\W_]*\d+$", "", label)
+        found.setdefault(prefix, []).append(label)
+    return {prefix: labels for prefix, labels in found.items() if prefix and len(labels) > 2}
+
+
+def choose_markers(path: Path, body: str | None, labels: list[str]) -> list[str]:
+    """The markers of the body that the user named, or of the only one.
+
+    Args:
+        path: the file.
+        body: a prefix, or labels with commas between them.
+        labels: of all markers.
+
+    Raises:
+        RecordingError: if there is no such body, or several and none was named.
+    """
+    groups = group_markers(labels)
+    if body is not None and "," in body:
+        return [label.strip() for label in body.split(",")]
+    if body in groups:
+        return groups[str(body)]
+    if body is None and len(groups) == 1:
+        return next(iter(groups.values()))
+    if body is None and not groups and len(labels) == 3:
+        return labels
+    why = f"has no body {shown(body, 60)!r}" if body else "does not say which markers are on a body"
+    bodies = f"prefixes: {shown(', '.join(groups), 400)}; " if groups else ""
+    raise RecordingError(
+        f"{path}: {why}; name a prefix of markers, or three markers or more with commas between them, "
+        f"{flag('body')}; {bodies}markers: {shown(', '.join(labels), 1000) or 'none'}."
+    )
+
+
+def fit_markers(
+    path: Path, points: np.ndarray, known: dict[str, int], labels: list[str], metres: float
+) -> tuple[np.ndarray, list[str]]:
+    """Poses (N, 4, 4) of a body with some markers, in the unit of the points, and a note on their fit.
+
+    Args:
+        path: the file.
+        points: (N, M, 3), NaN where a marker is not seen.
+        known: their indices, by label.
+        labels: of the markers of the body.
+        metres: length of the unit.
+
+    Raises:
+        RecordingError: if a marker is not in the file, or no rigid body fits.
+    """
+    if missing := [label for label in labels if label not in known]:
+        raise RecordingError(
+            f"{path}: has no marker {shown(', '.join(missing), 200)}; markers: "
+            f"{shown(', '.join(known), 1000)}."
+        )
+    if len(set(labels)) < 3:
+        raise RecordingError(f"{path}: expected three markers or more of a body, found {len(set(labels))}.")
+    points = points[:, [known[label] for label in dict.fromkeys(labels)]]
+    try:
+        poses, residuals = fit_rigid_body(points)
+    except ValueError as error:
+        counts = np.isfinite(points).all(axis=2).sum(axis=0)
+        seen = ", ".join(f"{label} {count}" for label, count in zip(labels, counts, strict=False))
+        raise RecordingError(
+            f"{path}: no rigid body fits, as {error}; name others, {flag('body')}. Frames in which each is "
+            f"seen, of {len(points)}: {shown(seen, 500)}."
+        ) from error
+    fitted = residuals[np.isfinite(residuals)] * metres
+    if not len(fitted):
+        raise RecordingError(f"{path}: no pose of the markers is finite; expected positions in metres or mm.")
+    rms, worst = np.sqrt(np.mean(fitted**2)), fitted.max()
+    note = (
+        f"{len(labels)} markers are {1e3 * rms:.2g} mm rms from a rigid body, {1e3 * worst:.2g} mm in the "
+        "worst frame"
+    )
+    return poses, [note + ("; are all on the same body?" if rms > _LOOSE else ".")]
