@@ -314,6 +314,6 @@ def test_broken_files_of_qualisys(tmp_path: Path, bodies: Poses, old: str, new: 
 
 def test_qualisys_without_times(tmp_path: Path, bodies: Poses) -> None:
     text = qualisys(bodies, frames=False).replace("FREQUENCY\t100", "FREQUENCY\tEXT")
-    with pytest.raises(RecordingError, match=r"has no times; .* give dt \(--dt\)"):
+    with pytest.raises(RecordingError, match=r"has no times; .*dt \(--dt\)"):
         load_recording(save(tmp_path / "a.tsv", text), body="Rod")
     same(load_recording(tmp_path / "a.tsv", body="Rod", dt=0.01), bodies["Rod"])

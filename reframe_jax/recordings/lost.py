@@ -22,8 +22,9 @@ _NEAR = 10  # rows on either side whose steps count
 _AHEAD = 4  # the same, for poses that are frozen
 _FROZEN = 4.0  # steps that a body must have made while the pose was frozen for long
 _APART = 0.25  # distance of the origin from all positions over their spread, if they are no path
+_OTHERS = 3  # rows elsewhere, without which nothing is known of the path
 _FEW = 2000  # positions of which all distances are computed
-_REPEATS, _NOISY = 3, 0.01  # repeats at the end, and noise over a step, that make a frozen end
+_REPEATS, _NOISY = 3, 0.002  # repeats at the end, and noise over a step, that make a frozen end
 
 
 @dataclass(frozen=True)
@@ -152,11 +153,22 @@ class _Path:
         steps = steps[steps > 0]
         return float(np.quantile(steps, 0.75)) if len(steps) else 0.0
 
-    def jumps(self, start: int, stop: int, far: float, ignored: np.ndarray, usual: float) -> bool:
-        """Whether the path jumps to a run of rows and away from it, or one of both at its ends."""
+    def jumps(
+        self, start: int, stop: int, far: float, ignored: np.ndarray, usual: float, either: bool = False
+    ) -> bool:
+        """Whether the path jumps to a run of rows and away from it, or one of both at its ends.
+
+        Args:
+            start: first row.
+            stop: row after the last one.
+            far: steps that are a jump.
+            ignored: (N,) bool, rows whose steps do not count.
+            usual: a step of the path.
+            either: whether one of both jumps suffices.
+        """
         ends = [self.steps[at] for at in (start - 1, stop - 1) if 0 <= at < len(self.steps)]
         limit = far * max(usual, self.near_step(start, stop, ignored)) + _SAME
-        return bool(ends) and min(ends) > limit
+        return bool(ends) and (max(ends) if either else min(ends)) > limit
 
 
 def _paths(poses: np.ndarray, times: np.ndarray) -> tuple[_Path, _Path]:
@@ -170,12 +182,16 @@ def _at_origin(poses: np.ndarray, times: np.ndarray) -> np.ndarray:
     kinds = np.full(len(poses), "", "U8")
     position, turn = _paths(poses, times)
     for path in (position, turn):
-        if path.zero.all() or not path.zero.any():
+        if np.sum(~path.zero) < _OTHERS or not path.zero.any():
             continue
         usual = path.usual_step(path.zero)
         apart = path is position and _is_apart(path)
         for start, stop in path.runs:
-            if path.zero[start] and (apart or path.jumps(start, stop, _FAR_ORIGIN, path.zero, usual)):
+            # the path may come close to the origin by chance, when tracking is lost or found again
+            either = stop - start > 1
+            if not path.zero[start]:
+                continue
+            if apart or path.jumps(start, stop, _FAR_ORIGIN, path.zero, usual, either):
                 both = position.zero[start:stop] & turn.zero[start:stop]
                 alone = "origin" if path is position else "identity"
                 kinds[start:stop] = np.where(both, "identity", alone)
@@ -185,7 +201,7 @@ def _at_origin(poses: np.ndarray, times: np.ndarray) -> np.ndarray:
 def _is_apart(path: _Path) -> bool:
     """Whether the origin is far from all positions, where these are few or no path."""
     others = path.numbers[~path.zero]
-    if not 3 < len(others) <= _FEW:
+    if not _OTHERS <= len(others) <= _FEW:
         return False
     spread = np.sqrt(np.mean(np.sum((others - others.mean(axis=0)) ** 2, axis=1)))
     between = np.linalg.norm(others[:, None] - others, axis=2) + np.diag(np.full(len(others), np.inf))
@@ -209,7 +225,7 @@ def _constant(poses: np.ndarray, times: np.ndarray) -> np.ndarray:
         for value in np.unique(path.value[runs[lengths > _FAR * usual + _SAME, 0]]):
             mine = path.value == value
             every = runs[path.value[runs[:, 0]] == value]
-            if all(path.jumps(start, stop, _FAR, mine, usual) for start, stop in every) and not mine.all():
+            if all(path.jumps(start, stop, _FAR, mine, usual) for start, stop in every) and np.sum(~mine) >= _OTHERS:
                 kinds[mine] = "constant"
     return kinds
 
@@ -254,6 +270,6 @@ def _stops_dead(path: _Path, start: int) -> bool:
         return False
     last = float(np.median(path.steps[max(start - _AHEAD, 0) : start]))
     rows = path.numbers[max(start - 200, 0) : start + 1]
-    noise = np.median(np.linalg.norm(np.diff(rows, n=3, axis=0), axis=1)) / np.sqrt(20)
+    noise = np.median(np.linalg.norm(np.diff(rows, n=5, axis=0), axis=1)) / np.sqrt(252)  # 1 + 25 + 100 ...
     usual = float(np.median(moving[-_NEAR:]))
     return bool(last > 0.5 * usual and last > 5 * noise and noise > _NOISY * usual)

@@ -89,8 +89,9 @@ def is_path(places: np.ndarray) -> bool:
     places = places[np.isfinite(places).all(axis=1)]
     if len(places) < 10:
         return False
-    steps = np.median(np.linalg.norm(np.diff(places, axis=0), axis=1))
-    return bool(steps < _PATH * np.linalg.norm(places.std(axis=0)))
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    steps = steps[steps > 0]
+    return len(steps) > 0 and bool(np.median(steps) < _PATH * np.linalg.norm(places.std(axis=0)))
 
 
 def name_rows(word: str, numbers: np.ndarray) -> str:

@@ -1,0 +1,167 @@
+"""Lost tracking that a file writes as numbers: left out, with rows and reason; a body at rest is not."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recording_files import HEADER, poses_of, write
+from scipy.spatial.transform import Rotation
+
+from reframe_jax.recordings.lost import find_lost_poses
+from reframe_jax.recordings.reading import load_recording
+from reframe_jax.recordings.recording import RecordingError
+
+DATA = Path(__file__).parents[2] / "shared" / "data"
+COUNT = 300
+
+
+def hinge(rng: np.random.Generator, noise: float = 7e-5, count: int = COUNT) -> np.ndarray:
+    """(count, 8) t, x, y, z, qx, qy, qz, qw of a body on a hinge, as it swings."""
+    times = 0.02 * np.arange(count)
+    axis = np.array([0.1, 0.2, 0.97]) / np.linalg.norm([0.1, 0.2, 0.97])
+    turned = Rotation.from_rotvec(np.outer(0.5 + 1.2 * np.sin(1.3 * times), axis))
+    turned = turned * Rotation.from_rotvec(noise * rng.normal(size=(count, 3)))
+    places = [0.5, 0.3, 0.2] + turned.apply([0.4, 0.05, 0.1]) + noise * rng.normal(size=(count, 3))
+    return np.column_stack([times, places, turned.as_quat()])
+
+
+FILLS = {
+    "origin": lambda rows, lost: rows.__setitem__((lost, slice(1, 4)), 0.0),
+    "identity": lambda rows, lost: rows.__setitem__((lost, slice(1, 8)), [0, 0, 0, 0, 0, 0, 1]),
+    "constant": lambda rows, lost: rows.__setitem__((lost, slice(1, 8)), [3, -2, 1, 0.5, 0.5, 0.5, 0.5]),
+}
+
+
+@pytest.mark.parametrize("kind", FILLS)
+@pytest.mark.parametrize("length", [1, 2, 10, 40, 200])
+@pytest.mark.parametrize("place", ["start", "middle", "end"])
+def test_numbers_of_lost_tracking_are_left_out(
+    tmp_path: Path, rng: np.random.Generator, kind: str, length: int, place: str
+) -> None:
+    if kind == "constant" and length == 1:
+        pytest.skip("a single row that nothing repeats is an outlier")
+    rows = hinge(rng)
+    start = {"start": 0, "middle": 70, "end": COUNT - length}[place]
+    lost = np.arange(start, start + length)
+    FILLS[kind](rows, lost)
+    recording = load_recording(write(tmp_path / "a.csv", HEADER, rows))
+    kept = np.delete(rows, lost, axis=0)
+    np.testing.assert_allclose(recording.poses, poses_of(kept), atol=1e-12)
+    np.testing.assert_allclose(recording.times, kept[:, 0], atol=1e-12)
+    (left_out,) = recording.left_out
+    assert left_out.reason == kind
+    np.testing.assert_array_equal(left_out.rows, lost + 2)  # lines, after a header
+    assert recording.rows is not None
+    np.testing.assert_array_equal(recording.rows, np.delete(np.arange(COUNT), lost) + 2)
+    (note,) = recording.notes
+    assert f"{start + 2}" in note
+    assert "left out, as tracking was lost" in note
+
+
+def test_jumps_are_named(tmp_path: Path, rng: np.random.Generator) -> None:
+    rows = hinge(rng)
+    FILLS["origin"](rows, np.arange(100, 140))
+    (note,) = load_recording(write(tmp_path / "a.csv", HEADER, rows)).notes
+    assert note.startswith("lines 102-141 (40 rows) left out, as tracking was lost: the position is 0, 0, 0; ")
+    assert note.endswith(" m at line 102 and back at line 142.")
+
+
+def test_losses_here_and_there_are_left_out(rng: np.random.Generator) -> None:
+    """Of a third of the rows, in runs of any length, with several numbers."""
+    rows = hinge(rng)
+    lost = np.flatnonzero(np.repeat(rng.random(COUNT // 3) < 0.33, 3))
+    FILLS["origin"](rows, lost[lost < 150])
+    FILLS["identity"](rows, lost[lost >= 150])
+    np.testing.assert_array_equal(np.flatnonzero(find_lost_poses(poses_of(rows), rows[:, 0]).mask), lost)
+    single = hinge(rng)
+    FILLS["constant"](single, np.arange(5, COUNT, 7))
+    found = find_lost_poses(poses_of(single), single[:, 0])
+    np.testing.assert_array_equal(np.flatnonzero(found.mask), np.arange(5, COUNT, 7))
+    assert set(found.reasons) == {"", "constant"}
+
+
+@pytest.mark.parametrize("length", [4, 10, 40])
+@pytest.mark.parametrize("start", [20, 100, COUNT])
+def test_frozen_poses_are_left_out(rng: np.random.Generator, length: int, start: int) -> None:
+    """While the body moves; the first of the equal poses is one."""
+    rows = hinge(rng)
+    start = min(start, COUNT - length)
+    rows[start : start + length, 1:] = rows[start - 1, 1:]
+    found = find_lost_poses(poses_of(rows), rows[:, 0])
+    np.testing.assert_array_equal(np.flatnonzero(found.mask), np.arange(start, start + length))
+    assert set(found.reasons[start : start + length]) == {"end" if start + length == COUNT else "frozen"}
+
+
+def test_a_frozen_orientation_is_no_pose_though_the_position_moves(rng: np.random.Generator) -> None:
+    rows = hinge(rng)
+    rows[100:140, 4:] = [0, 0, 0, 1]
+    np.testing.assert_array_equal(np.flatnonzero(find_lost_poses(poses_of(rows)).mask), np.arange(100, 140))
+
+
+@pytest.mark.parametrize("where", [0, 100, COUNT])
+@pytest.mark.parametrize("noise", [0.0, 7e-5])
+def test_a_body_at_rest_is_not_lost(rng: np.random.Generator, where: int, noise: float) -> None:
+    """The path stops and goes on from there: with exact repeats, as from the controller of a robot."""
+    rows = hinge(rng, noise)
+    row = min(where, COUNT - 1)
+    if noise and where == COUNT:
+        pytest.skip("exact repeats at the end of a noisy motion are a frozen pose")
+    rested = np.insert(rows, [row] * 50, rows[row], axis=0)
+    rested[:, 0] = 0.02 * np.arange(len(rested))
+    assert not find_lost_poses(poses_of(rested), rested[:, 0]).mask.any()
+
+
+def test_poses_relative_to_the_first_start_at_the_identity(rng: np.random.Generator) -> None:
+    poses = poses_of(hinge(rng))
+    own = np.linalg.inv(poses[0]) @ poses
+    assert not find_lost_poses(own).mask.any()
+    own[100:140] = np.eye(4)
+    np.testing.assert_array_equal(np.flatnonzero(find_lost_poses(own).mask), np.arange(100, 140))
+
+
+def test_motions_that_keep_a_number_are_poses(rng: np.random.Generator) -> None:
+    """A ball that turns about the origin, a drawer that does not turn, and samples that are held."""
+    rows = hinge(rng)
+    ball, drawer, held = rows.copy(), rows.copy(), rows.copy()
+    ball[:, 1:4], drawer[:, 4:] = 0, [0, 0, 0, 1]
+    held[:, 1:] = np.repeat(rows[::4, 1:], 4, axis=0)
+    coarse = np.column_stack([rows[:, :1], np.round(rows[:, 1:4], 2), rows[:, 4:]])
+    for motion in (ball, drawer, held, coarse):
+        assert not find_lost_poses(poses_of(motion), motion[:, 0]).mask.any()
+
+
+def test_touches_are_poses_and_zeros_between_them_are_not(rng: np.random.Generator) -> None:
+    turned = Rotation.from_rotvec(rng.uniform(-0.5, 0.5, (14, 3))) * Rotation.from_rotvec([np.pi, 0, 0])
+    places = [0.25, -0.88, 0.04] - turned.apply([0.005, 0.095, 0.308])
+    rows = np.column_stack([np.arange(14.0), places, turned.as_quat()])
+    assert not find_lost_poses(poses_of(rows), rows[:, 0]).mask.any()
+    rows[[3, 8], 1:] = [0, 0, 0, 0, 0, 0, 1]
+    assert np.flatnonzero(find_lost_poses(poses_of(rows), rows[:, 0]).mask).tolist() == [3, 8]
+
+
+def test_numbers_that_are_not_finite_are_no_poses(rng: np.random.Generator) -> None:
+    poses = poses_of(hinge(rng))
+    poses[7, 0, 3] = np.nan
+    found = find_lost_poses(poses)
+    assert (np.flatnonzero(found.mask).tolist(), found.reasons[7]) == ([7], "missing")
+
+
+def test_recordings_of_too_few_poses_are_refused(tmp_path: Path, rng: np.random.Generator) -> None:
+    rows = hinge(rng)
+    FILLS["origin"](rows, np.arange(6, COUNT))
+    with pytest.raises(RecordingError, match="only 6 of 300 poses are left; lines 8-301 .* tracking was lost"):
+        load_recording(write(tmp_path / "a.csv", HEADER, rows))
+
+
+def test_jumps_that_stay_are_noted(tmp_path: Path, rng: np.random.Generator) -> None:
+    rows = hinge(rng)
+    rows[100:103, 1:4] += [0.9, 0, 0]
+    (note,) = load_recording(write(tmp_path / "a.csv", HEADER, rows)).notes
+    assert note.startswith("the pose jumps 0.91 m at line 102 and back at line 105; ")
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="needs the small inputs in ../shared/data/cases")
+@pytest.mark.parametrize(("name", "lines"), [("lost_origin_40", (102, 141)), ("lost_identity_30", (102, 131))])
+def test_the_cases(name: str, lines: tuple[int, int]) -> None:
+    (left_out,) = load_recording(DATA / "cases" / f"{name}.csv").left_out
+    np.testing.assert_array_equal(left_out.rows, np.arange(lines[0], lines[1] + 1))
