@@ -62,7 +62,9 @@ def test_jumps_are_named(tmp_path: Path, rng: np.random.Generator) -> None:
     rows = hinge(rng)
     FILLS["origin"](rows, np.arange(100, 140))
     (note,) = load_recording(write(tmp_path / "a.csv", HEADER, rows)).notes
-    assert note.startswith("lines 102-141 (40 rows) left out, as tracking was lost: the position is 0, 0, 0; ")
+    assert note.startswith(
+        "lines 102-141 (40 rows) left out, as tracking was lost: the position is 0, 0, 0; "
+    )
     assert note.endswith(" m at line 102 and back at line 142.")
 
 
@@ -149,7 +151,9 @@ def test_numbers_that_are_not_finite_are_no_poses(rng: np.random.Generator) -> N
 def test_recordings_of_too_few_poses_are_refused(tmp_path: Path, rng: np.random.Generator) -> None:
     rows = hinge(rng)
     FILLS["origin"](rows, np.arange(6, COUNT))
-    with pytest.raises(RecordingError, match="only 6 of 300 poses are left; lines 8-301 .* tracking was lost"):
+    with pytest.raises(
+        RecordingError, match=r"only 6 of 300 poses are left; lines 8-301 .* tracking was lost"
+    ):
         load_recording(write(tmp_path / "a.csv", HEADER, rows))
 
 
@@ -161,7 +165,9 @@ def test_jumps_that_stay_are_noted(tmp_path: Path, rng: np.random.Generator) -> 
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="needs the small inputs in ../shared/data/cases")
-@pytest.mark.parametrize(("name", "lines"), [("lost_origin_40", (102, 141)), ("lost_identity_30", (102, 131))])
+@pytest.mark.parametrize(
+    ("name", "lines"), [("lost_origin_40", (102, 141)), ("lost_identity_30", (102, 131))]
+)
 def test_the_cases(name: str, lines: tuple[int, int]) -> None:
     (left_out,) = load_recording(DATA / "cases" / f"{name}.csv").left_out
     np.testing.assert_array_equal(left_out.rows, np.arange(lines[0], lines[1] + 1))

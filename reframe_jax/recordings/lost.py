@@ -20,6 +20,7 @@ _SAME = 1e-9  # m, or of an element of a rotation matrix, within which numbers a
 _FAR, _FAR_ORIGIN = 5.0, 3.0  # steps of the path; fewer suffice for exact zeros, which nobody measures
 _NEAR = 10  # rows on either side whose steps count
 _AHEAD = 4  # the same, for poses that are frozen
+_LONG = 6  # repeats that are many
 _FROZEN = 4.0  # steps that a body must have made while the pose was frozen for long
 _APART = 0.25  # distance of the origin from all positions over their spread, if they are no path
 _OTHERS = 3  # rows elsewhere, without which nothing is known of the path
@@ -225,7 +226,10 @@ def _constant(poses: np.ndarray, times: np.ndarray) -> np.ndarray:
         for value in np.unique(path.value[runs[lengths > _FAR * usual + _SAME, 0]]):
             mine = path.value == value
             every = runs[path.value[runs[:, 0]] == value]
-            if all(path.jumps(start, stop, _FAR, mine, usual) for start, stop in every) and np.sum(~mine) >= _OTHERS:
+            if (
+                all(path.jumps(start, stop, _FAR, mine, usual) for start, stop in every)
+                and np.sum(~mine) >= _OTHERS
+            ):
                 kinds[mine] = "constant"
     return kinds
 
@@ -256,10 +260,13 @@ def _goes_on(path: _Path, start: int, stop: int) -> bool:
     """Whether the step after a run is as long as those that were missed, and not the usual one."""
     steps = path.steps
     before, after = steps[:start], steps[stop + 1 :]
-    near = np.concatenate([before[before > 0][-_AHEAD:], after[after > 0][:_AHEAD]])
-    usual = max(near.max(initial=0), float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0)
-    needed = min(1 + 0.5 * (stop - start), _FROZEN)
-    return bool(len(near) and steps[stop] > needed * usual + _SAME)
+    near = [each for each in (before[before > 0][-_AHEAD:], after[after > 0][:_AHEAD]) if len(each)]
+    if not near:
+        return False
+    # a few repeats count only if no step nearby is as long as the one after them
+    longest = np.max if stop - start < _LONG else np.median
+    usual = max(*(float(longest(each)) for each in near), float(np.median(steps[steps > 0])))
+    return bool(steps[stop] > min(1 + 0.5 * (stop - start), _FROZEN) * usual + _SAME)
 
 
 def _stops_dead(path: _Path, start: int) -> bool:
@@ -270,6 +277,7 @@ def _stops_dead(path: _Path, start: int) -> bool:
         return False
     last = float(np.median(path.steps[max(start - _AHEAD, 0) : start]))
     rows = path.numbers[max(start - 200, 0) : start + 1]
-    noise = np.median(np.linalg.norm(np.diff(rows, n=5, axis=0), axis=1)) / np.sqrt(252)  # 1 + 25 + 100 ...
+    fifth = np.linalg.norm(np.diff(rows, n=5, axis=0), axis=1)  # of smooth motion, almost nothing
+    noise = np.median(fifth) / np.sqrt(252)
     usual = float(np.median(moving[-_NEAR:]))
     return bool(last > 0.5 * usual and last > 5 * noise and noise > _NOISY * usual)

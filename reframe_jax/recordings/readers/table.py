@@ -68,6 +68,16 @@ class _Header:
             )
         return found[0] if found else None
 
+    @property
+    def clock(self) -> list[int] | None:
+        """The two columns of seconds and nanoseconds of a stamp, if there are such."""
+        plain = [re.sub(r"[^a-z0-9]+", "_", title.lower()).strip("_") for title in self.titles]
+        found = [
+            [i for i, name in enumerate(plain) if re.fullmatch(pattern, name)]
+            for pattern in (_SECONDS, _NANOSECONDS)
+        ]
+        return [found[0][0], found[1][0]] if all(len(each) == 1 for each in found) else None
+
     def all(self, patterns: Sequence[str]) -> list[int] | None:
         """The columns of several names, or None if one is missing."""
         found = [self.find(pattern) for pattern in patterns]
@@ -166,8 +176,10 @@ def _read_header(path: Path) -> tuple[int, list[str], Iterator[tuple[int, list[s
     if comments and is_number(cells[0]):
         (number, text), pending = comments[-1], [first, following]
     text = text.lstrip(_COMMENT + " ")
-    delimiter = find_delimiter(text)
+    delimiter = find_delimiter(pending[0][1])  # a comment may have other marks between its words
     titles = split(text, delimiter)
+    if len(titles) < 2:
+        titles = split(text, find_delimiter(text))
     while titles and not titles[-1]:
         titles.pop()
     if not titles or is_number(titles[0]):
@@ -203,8 +215,8 @@ def _first_row(lines: Iterator[tuple[int, str]]) -> tuple[list[tuple[int, str]],
 
 def _find_columns(header: _Header, wanted: Selection) -> _Columns:
     """Columns of time and of the numbers of a pose."""
-    time = next((i for i in map(header.find, _TIMES) if i is not None), None)
-    clock = header.all([_SECONDS, _NANOSECONDS]) if time is None else None
+    clock = header.clock
+    time = None if clock else next((i for i in map(header.find, _TIMES) if i is not None), None)
     matrix = [header.find(f"[mt]_?{i // 4}_?{i % 4}") for i in range(16)]
     for size in (16, 12):
         if None not in matrix[:size]:
