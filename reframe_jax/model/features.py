@@ -1,0 +1,113 @@
+"""Features of a pose: every condition that a constraint puts on a motion is linear in them.
+
+A coordinate of a constraint is w'z with constant weights w and 27 features z of a pose:
+
+    p | R (row by row) | R'p | integral of w_b | integral of v_b | integral of w_g | integral of v_g
+
+with (w_b, v_b) the body twist and (w_g, v_g) the spatial twist. The tip x of a tool along the normal n of a
+plane, for instance, is n'(p + R x). So the second moments of z are all that any constraint needs.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reframe_jax.geometry.rotations import hat
+from reframe_jax.motion import kinematics
+
+__all__ = ["COUNT", "Features", "pose_features"]
+
+COUNT = 27
+POSITION, ROTATION, IN_BODY = slice(0, 3), slice(3, 12), slice(12, 15)
+TURN_BODY, SHIFT_BODY, TURN_GROUND, SHIFT_GROUND = slice(15, 18), slice(18, 21), slice(21, 24), slice(24, 27)
+
+_SENSITIVE = 8  # poses at which the sensitivity of the features to a pose is evaluated
+
+
+class Features(NamedTuple):
+    """Features of N windows.
+
+    Attributes:
+        values: (N, P, 27) of every pose; positions are relative to their mean.
+        to_position: (N, M, 27, 3) derivative with respect to the position, at M poses of the window.
+        to_rotation: (N, M, 27, 3) the same for a small rotation in {b}, per rad.
+        mean_rotation: (N, 3, 3) the rotation nearest to the mean of all R.
+    """
+
+    values: jax.Array
+    to_position: jax.Array
+    to_rotation: jax.Array
+    mean_rotation: jax.Array
+
+
+def pose_features(
+    rotation: jax.Array, position: jax.Array, steps: jax.Array, counted: jax.Array, count: jax.Array | None
+) -> Features:
+    """Features of the poses of N windows.
+
+    Args:
+        rotation: (3, 3, P, N).
+        position: (3, P, N) m, about their mean.
+        steps: (1, K) or (N, K) s.
+        counted: (P, N) bool, poses that count.
+        count: (N,) number of poses if the rest is padding, else None.
+    """
+    _, paths = kinematics.paths_of(rotation, position, steps, count)
+    body, in_ground, ground, in_body = (paths[:, :, :, t] for t in range(4))
+
+    def turn(path: jax.Array) -> list[jax.Array]:
+        return [path[2, 2], path[0, 3], path[1, 1]]
+
+    rows = [*in_ground[:, 0], *in_ground[:, 1:].reshape(9, *position.shape[1:]), *in_body[:, 0]]
+    rows += [*turn(body), *body[:, 0], *turn(ground), *ground[:, 0]]
+    values = jnp.moveaxis(jnp.stack(rows), (0, 1, 2), (2, 1, 0))
+    weight = counted.astype(values.dtype)
+    mean = jnp.sum(rotation * weight, axis=2) / jnp.sum(weight, axis=0)
+    mean = nearest_rotation(jnp.moveaxis(mean, -1, 0))
+    last = jnp.full(position.shape[-1], position.shape[1] - 1) if count is None else count - 1
+    chosen = (last[:, None] * np.linspace(0, 1, _SENSITIVE)).astype(jnp.int32)
+    here = jnp.take_along_axis(values, chosen[:, :, None], axis=1)
+    return Features(values, *_sensitivity(here), mean)
+
+
+def nearest_rotation(matrix: jax.Array) -> jax.Array:
+    """The rotation nearest to matrices (..., 3, 3), by Newton's iteration for the polar factor.
+
+    Where the mean of rotations is nearly singular, any rotation is as near: the iteration is damped, and its
+    result made orthogonal by Gram and Schmidt.
+    """
+    tiny = 1e-3 * jnp.eye(3, dtype=matrix.dtype)
+    x = matrix + tiny
+    for _ in range(8):
+        a, b, c = x[..., 0, :], x[..., 1, :], x[..., 2, :]
+        cofactors = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)], axis=-2)
+        det = jnp.sum(a * cofactors[..., 0, :], axis=-1)[..., None, None]
+        det = jnp.where(jnp.abs(det) < 1e-9, 1e-9, det)
+        x = (x + cofactors / det) / 2
+    u = x[..., 0]
+    u = u / jnp.linalg.norm(u, axis=-1, keepdims=True)
+    v = x[..., 1] - u * jnp.sum(u * x[..., 1], axis=-1, keepdims=True)
+    v = v / jnp.linalg.norm(v, axis=-1, keepdims=True)
+    return jnp.stack([u, v, jnp.cross(u, v)], axis=-1)
+
+
+def _sensitivity(values: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Derivatives of features (..., 27) with respect to the pose, (..., 27, 3) each.
+
+    Of a twist that is summed up, the sum at a pose moves with the pose.
+    """
+    p, q = values[..., POSITION], values[..., IN_BODY]
+    rotation = values[..., ROTATION].reshape(*values.shape[:-1], 3, 3)
+    unit = jnp.broadcast_to(jnp.eye(3, dtype=values.dtype), rotation.shape)
+    zero = jnp.zeros_like(unit)
+    inverse = jnp.swapaxes(rotation, -1, -2)
+    # R exp(d): every row r of R changes by r x d ... in components, R_il [e_c]_lj
+    cross = jnp.stack([hat(e) for e in jnp.eye(3, dtype=values.dtype)])
+    turned = jnp.einsum("...il,clj->...ijc", rotation, cross).reshape(*values.shape[:-1], 9, 3)
+    nine = jnp.zeros_like(turned)
+    to_position = jnp.concatenate([unit, nine, inverse, zero, inverse, zero, unit], axis=-2)
+    lever = jnp.einsum("...ij,...jk->...ik", hat(p), rotation)
+    to_rotation = jnp.concatenate([zero, turned, hat(q), unit, zero, rotation, lever], axis=-2)
+    return to_position, to_rotation

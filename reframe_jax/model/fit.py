@@ -1,0 +1,190 @@
+"""The fit of an entry of the table: its frame, origin, tilt and pitch.
+
+Held blocks of coordinates are normal with a covariance that is not known, one at each scale. The fit minimises
+sum_s n_s log det (W G_s W') over the held blocks, with W(parameters) the weights of the coordinates and G_s
+the moments of the features. An axis that goes through both bodies is the same in both up to a tilt; tilt and
+held rotations have one size. The steps are those of Levenberg and Marquardt for the tangent of the logarithm,
+a sum of squares.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from reframe_jax.geometry.rotations import rotation_exp
+from reframe_jax.model.table import KINDS, ROWS, Table
+
+__all__ = ["Data", "Parameters", "coordinates", "fit_entry", "held_covariance"]
+
+_STEPS = 15
+_DAMPING = 1e-3  # first, of the diagonal
+_LONGEST = 0.5  # rad or m, of one step
+_PARAMETERS = 9
+
+Array = jax.Array
+
+
+class Parameters(NamedTuple):
+    """Parameters of an entry.
+
+    Attributes:
+        axes: (3, 3) the frame in the body; its columns are the directions of the table.
+        origin: (3,) m, in the body of the linear type's second letter.
+        tilt: (2,) rad, of the axis in the ground against the mean rotation of the axis in the body.
+        pitch: () m/rad.
+    """
+
+    axes: Array
+    origin: Array
+    tilt: Array
+    pitch: Array
+
+
+class Data(NamedTuple):
+    """What a window gives to the fit.
+
+    Attributes:
+        products: (S, 27, 27) moments of the features.
+        details: (S,) independent details.
+        mean_rotation: (3, 3).
+        box: () m, half the width of the cube in which origins lie.
+    """
+
+    products: Array
+    details: Array
+    mean_rotation: Array
+    box: Array
+
+
+def ground_axes(parameters: Parameters, mean_rotation: Array) -> Array:
+    """The frame in the ground, (3, 3)."""
+    tilt = jnp.concatenate([parameters.tilt, jnp.zeros_like(parameters.tilt[:1])])
+    return mean_rotation @ parameters.axes @ rotation_exp(tilt)
+
+
+def coordinates(parameters: Parameters, mean_rotation: Array, entry: Table) -> Array:
+    """Weights of the six coordinates, (6, 27)."""
+    in_body, in_ground = parameters.axes.T, ground_axes(parameters, mean_rotation).T
+    directions = jnp.where(entry.ground[:, None], in_ground[entry.column], in_body[entry.column])
+    between = (entry.kind == KINDS.index("angle between"))[:, None]
+    points = jnp.where(between, in_body[0][None], parameters.origin[None])
+    points = jnp.concatenate([jnp.ones_like(points[:, :1]), points], axis=1)
+    rows = jnp.asarray(ROWS, directions.dtype)[entry.kind]
+    weights = jnp.einsum("ic,ia,icaf->if", directions, points, rows)
+    # a screw advances with the rotation about its axis
+    return weights.at[5].add(-jnp.where(entry.pitch, parameters.pitch, 0) * weights[2])
+
+
+def move(parameters: Parameters, step: Array, box: Array) -> Parameters:
+    """Parameters after a step (9,): rotation of the frame, origin, tilt, pitch."""
+    return Parameters(
+        parameters.axes @ rotation_exp(step[:3]),
+        jnp.clip(parameters.origin + step[3:6], -box, box),
+        parameters.tilt + step[6:8],
+        parameters.pitch + step[8],
+    )
+
+
+def held_covariance(weights: Array, products: Array, entry: Table) -> Array:
+    """Covariance of held coordinates at every scale, rotations and translations apart, (S, 2, 3, 3).
+
+    Different blocks are independent; the place of a free coordinate holds 1.
+    """
+    covariance = jnp.einsum("if,sfg,jg->sij", weights, products, weights)
+    both = entry.together & entry.held[:, None] & entry.held[None, :]
+    small = jnp.finfo(covariance.dtype).tiny ** 0.5
+    alone = jnp.where(entry.held, small, 1.0)
+    covariance = jnp.where(both, covariance, 0) + jnp.diag(alone)
+    return jnp.stack([covariance[:, :3, :3], covariance[:, 3:, 3:]], axis=1)
+
+
+def _cofactors(s: Array) -> tuple[Array, Array]:
+    """Cofactors and determinant of symmetric (..., 3, 3)."""
+    a, b, c = s[..., 0, 0], s[..., 0, 1], s[..., 0, 2]
+    d, e, f = s[..., 1, 1], s[..., 1, 2], s[..., 2, 2]
+    p, q, r = d * f - e * e, c * e - b * f, b * e - c * d
+    u, v, w = a * f - c * c, b * c - a * e, a * d - b * b
+    rows = [p, q, r, q, u, v, r, v, w]
+    return jnp.stack(rows, axis=-1).reshape(s.shape), a * p + b * q + c * r
+
+
+def _log_determinants(covariance: Array) -> Array:
+    """(S,) of both triples together."""
+    _, det = _cofactors(covariance)
+    return jnp.sum(jnp.log(jnp.maximum(det, jnp.finfo(det.dtype).tiny)), axis=-1)
+
+
+def _tilt_cost(tilt: Array, data: Data, scale: Array, tie: Array) -> Array:
+    return jnp.where(tie, jnp.sum(data.details) * jnp.log1p(jnp.sum(jnp.square(tilt)) / scale**2), 0.0)
+
+
+def objective(parameters: Parameters, data: Data, entry: Table, scale: Array, tie: Array) -> Array:
+    """What the fit minimises; see the module."""
+    weights = coordinates(parameters, data.mean_rotation, entry)
+    covariance = held_covariance(weights, data.products, entry)
+    value = jnp.sum(data.details * _log_determinants(covariance))
+    return value + _tilt_cost(parameters.tilt, data, scale, tie)
+
+
+def _expand(parameters: Parameters, data: Data, entry: Table, scale: Array, tie: Array) -> tuple[Array, Array]:
+    """Gradient (9,) and the Hessian of the tangent (9, 9)."""
+
+    def weights_after(step: Array) -> Array:
+        return coordinates(move(parameters, step, data.box), data.mean_rotation, entry)
+
+    zero = jnp.zeros(_PARAMETERS, data.products.dtype)
+    weights = weights_after(zero)
+    slopes = jax.jacfwd(weights_after)(zero)
+    covariance = held_covariance(weights, data.products, entry)
+    cofactors, det = _cofactors(covariance)
+    inverse = cofactors / jnp.maximum(det, jnp.finfo(det.dtype).tiny)[..., None, None]
+    whole = jnp.zeros((*inverse.shape[:1], 6, 6), inverse.dtype)
+    whole = whole.at[:, :3, :3].set(inverse[:, 0]).at[:, 3:, 3:].set(inverse[:, 1])
+    held = entry.held[:, None] & entry.held[None, :]
+    whole = jnp.where(held, whole, 0) * data.details[:, None, None]
+    pulled = jnp.einsum("sij,jf,sfg->ig", whole, weights, data.products)
+    gradient = 2 * jnp.einsum("ig,igp->p", pulled, slopes)
+    moved = jnp.einsum("ifp,sfg->sigp", slopes, data.products)
+    hessian = 2 * jnp.einsum("sigp,sij,jgq->pq", moved, whole, slopes)
+    bend = jnp.where(tie, jnp.sum(data.details) / (scale**2 + jnp.sum(jnp.square(parameters.tilt))), 0.0)
+    gradient = gradient.at[6:8].add(2 * bend * parameters.tilt)
+    return gradient, hessian.at[(6, 7), (6, 7)].add(2 * bend)
+
+
+def fit_entry(
+    start: Parameters, data: Data, entry: Table, scale: Array, tie: Array, steps: int = _STEPS
+) -> tuple[Parameters, Array]:
+    """Fit an entry to a window, from a start.
+
+    Args:
+        start: of the parameters.
+        data: of the window.
+        entry: one row of the table.
+        scale: () rad, size of the tilt.
+        tie: () bool, whether the tilt counts; else it is free.
+        steps: of Levenberg and Marquardt.
+
+    Returns:
+        The parameters and the objective there.
+    """
+    small = jnp.finfo(data.products.dtype).tiny ** 0.5
+
+    def step(_: int, carry: tuple[Parameters, Array, Array]) -> tuple[Parameters, Array, Array]:
+        here, value, damping = carry
+        gradient, hessian = _expand(here, data, entry, scale, tie)
+        size = jnp.diagonal(hessian)
+        lift = damping * size + 1e-9 * jnp.max(size) + small
+        change = -jnp.linalg.solve(hessian + jnp.diag(lift), gradient)
+        change = change * jnp.minimum(1, _LONGEST / jnp.maximum(jnp.max(jnp.abs(change)), small))
+        there = move(here, change, data.box)
+        new = objective(there, data, entry, scale, tie)
+        lower = new < value
+        here = jax.tree.map(lambda a, b: jnp.where(lower, a, b), there, here)
+        damping = jnp.clip(jnp.where(lower, damping * 0.1, damping * 10), 1e-7, 1e4)
+        return here, jnp.where(lower, new, value), damping
+
+    value = objective(start, data, entry, scale, tie)
+    damping = jnp.asarray(_DAMPING, data.products.dtype)
+    fitted, value, _ = jax.lax.fori_loop(0, steps, step, (start, value, damping))
+    return fitted, value

@@ -1,0 +1,98 @@
+"""Second moments of the features, time scale by time scale.
+
+At the scale h, a detail is the difference of the means of two neighbouring blocks of h poses, at every shift
+(Haar's wavelet, not decimated). Block means average white noise; differences of neighbours forget drift. What
+the largest scale leaves is the smooth part: block means about their mean. For h = 1 the details are those of
+consecutive poses, and the norm made of them is the paper's.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+__all__ = ["Moments", "scale_moments"]
+
+_PART = 4  # of a window that two blocks, or the block of the smooth part, take at most
+_FEWEST = 4  # details of a scale
+
+
+class Moments(NamedTuple):
+    """Moments of N windows at S scales, the last one the smooth part.
+
+    Attributes:
+        products: (N, S, F, F) mean of z z' over the details of a scale.
+        details: (N, S) number of independent details; 0 where a window has no such scale.
+        width: (N, S) poses in a block, h.
+    """
+
+    products: jax.Array
+    details: jax.Array
+    width: jax.Array
+
+    @property
+    def share(self) -> jax.Array:
+        """(N, S) weight of a scale in the variance of the path: details have it four times, per octave."""
+        last = jnp.arange(self.width.shape[1]) == self.width.shape[1] - 1
+        return jnp.where(last, 1.0, 0.25).astype(self.products.dtype) * (self.details > 0)
+
+    @property
+    def white(self) -> jax.Array:
+        """(N, S) variance at a scale of white noise of unit variance."""
+        last = jnp.arange(self.width.shape[1]) == self.width.shape[1] - 1
+        return jnp.where(last, 1.0, 2.0) / self.width
+
+
+def scale_moments(values: jax.Array, counted: jax.Array, count: jax.Array | None) -> Moments:
+    """Second moments of features.
+
+    Args:
+        values: (N, P, F).
+        counted: (N, P) bool, poses that count; a block counts if half of its poses do.
+        count: (N,) number of poses if the rest is padding, else None.
+    """
+    poses, dtype = values.shape[1], values.dtype
+    number = jnp.full(len(values), poses, jnp.int32) if count is None else count
+    weight = counted.astype(dtype)
+    mean = jnp.sum(values * weight[..., None], axis=1) / jnp.maximum(jnp.sum(weight, axis=1), 1)[:, None]
+    total = (values - mean[:, None]) * weight[..., None]
+    products, details, widths = [], [], []
+    smooth = jnp.zeros((len(values), values.shape[2], values.shape[2]), dtype)
+    smooth_width = jnp.ones(len(values), dtype)
+    h = 1
+    while h == 1 or _PART * h <= poses:
+        # a block is as good as empty unless half of its poses count
+        full = weight >= max(1, h / 2)
+        block = total / jnp.maximum(weight, 1)[..., None]
+        if 2 * h * _PART <= poses or h == 1:
+            both = full[:, h:] & full[:, :-h]
+            detail = jnp.where(both[..., None], block[:, h:] - block[:, :-h], 0)
+            found = jnp.sum(both, axis=1).astype(dtype)
+            fits = (2 * h * _PART <= number) & (found >= _FEWEST)
+            products.append(_mean_products(detail, found))
+            details.append(jnp.where(fits, found / (2 * h), 0))
+            widths.append(jnp.full(len(values), h, dtype))
+        # the largest block that fits, which is among the last three where there is padding
+        possible = 2 * h * _PART > poses if count is None else 16 * h * _PART > poses
+        if possible:
+            own = (h * _PART <= number) & (2 * h * _PART > number) if h > 1 else 2 * _PART > number
+            found = jnp.sum(full, axis=1).astype(dtype)
+            middle = jnp.sum(jnp.where(full[..., None], block, 0), axis=1) / jnp.maximum(found, 1)[:, None]
+            rest = jnp.where(full[..., None], block - middle[:, None], 0)
+            smooth = jnp.where(own[:, None, None], _mean_products(rest, found), smooth)
+            smooth_width = jnp.where(own, h, smooth_width)
+        total, weight = total[:, h:] + total[:, :-h], weight[:, h:] + weight[:, :-h]
+        h *= 2
+    used = jnp.sum(counted, axis=1).astype(dtype)
+    return Moments(
+        jnp.stack([*products, smooth], axis=1),
+        jnp.stack([*details, jnp.maximum(used / smooth_width - 1, 0.5)], axis=1),
+        jnp.stack([*widths, smooth_width], axis=1),
+    )
+
+
+def _mean_products(detail: jax.Array, found: jax.Array) -> jax.Array:
+    """Mean of z z' over details (N, D, F) of which so many are not zero, (N, F, F)."""
+    products = jnp.einsum("ndf,ndg->nfg", detail, detail, precision="highest")
+    return products / jnp.maximum(found, 1)[:, None, None]

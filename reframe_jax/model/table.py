@@ -1,0 +1,227 @@
+"""The table of constraints: every constraint is six coordinates of the motion, each held or free.
+
+To add a constraint, add an entry. A coordinate is a direction times a feature vector that is measured in one
+body (see :data:`KINDS`). Directions are columns of one frame: 0 and 1 lie across its axis, 2 is the axis. The
+frame has a copy in each body; an entry that uses both has one axis through both bodies, up to a tilt that is
+held like its rotations. Coordinates that are written together, as in ``held("BG", 0, 1)``, are a block: which
+directions within it are meant does not matter.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from reframe_jax.constraints.types import LinearType
+from reframe_jax.model import features as z
+
+__all__ = ["ENTRIES", "KINDS", "ROWS", "TABLE", "Entry"]
+
+KINDS = ("BB", "GB", "GG", "BG", "turn in body", "turn in ground", "position", "angle between")
+"""Vectors whose coordinates are held or free: the path of an origin as the four linear types see it, the summed
+rotation in either body, the position of the body in the ground, and the direction of an axis of the body."""
+
+_GROUND = {"GB", "GG", "turn in ground", "position", "angle between"}  # directions are fixed in the ground
+
+
+def _weights(kind: str) -> np.ndarray:
+    """(3, 4, 27): the row n'(a + B x) of a direction n and an origin x is sum n_i (1, x)_a weights[i, a]."""
+    w = np.zeros((3, 4, z.COUNT))
+    cross = np.array([[[0, 0, 0], [0, 0, 1], [0, -1, 0]], [[0, 0, -1], [0, 0, 0], [1, 0, 0]]])
+    cross = np.concatenate([cross, np.array([[[0, 1, 0], [-1, 0, 0], [0, 0, 0]]])])  # e_a x e_i, (a, i, :)
+    for i in range(3):
+        if kind in ("position", "GB"):
+            w[i, 0, z.POSITION.start + i] = 1
+        elif kind == "BG":
+            w[i, 0, z.IN_BODY.start + i] = -1
+        elif kind in ("BB", "turn in body"):
+            w[i, 0, (z.SHIFT_BODY if kind == "BB" else z.TURN_BODY).start + i] = 1
+        elif kind in ("GG", "turn in ground"):
+            w[i, 0, (z.SHIFT_GROUND if kind == "GG" else z.TURN_GROUND).start + i] = 1
+        for a in range(3):
+            if kind in ("GB", "angle between"):
+                w[i, 1 + a, z.ROTATION.start + 3 * i + a] = 1  # n'R x
+            elif kind == "BG":
+                w[i, 1 + a, z.ROTATION.start + 3 * a + i] = 1  # n'R'x
+            elif kind in ("BB", "GG"):
+                w[i, 1 + a, z.TURN_BODY if kind == "BB" else z.TURN_GROUND] = cross[a, i]  # w.(x x n)
+    return w
+
+
+ROWS = np.stack([_weights(kind) for kind in KINDS])
+"""(kinds, 3, 4, 27)."""
+
+
+class Block(NamedTuple):
+    """Coordinates of one kind, held or free together."""
+
+    kind: str
+    columns: tuple[int, ...]
+    held: bool
+
+
+def held(kind: str, *columns: int) -> Block:
+    """Coordinates that do not change."""
+    return Block(kind, columns, True)
+
+
+def free(kind: str, *columns: int) -> Block:
+    """Coordinates in which the body moves."""
+    return Block(kind, columns, False)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A constraint, in one of the ways in which it can be written.
+
+    Attributes:
+        label: of the catalogue (:mod:`reframe_jax.constraints.catalogue`), or a description.
+        kind: linear type whose frame is reported.
+        blocks: six coordinates: three of rotation, then three of translation.
+        start: what the axis of the frame starts from: "turn", the axis of the largest rotation; "normal" and
+            "along", the directions in which the origin moves least and most; "path" and "lift", the same of
+            the body's position; "cross", a pair of axes of a universal joint.
+        any_origin: columns along which the origin can move without a change.
+        pitch: whether the last coordinate is coupled with the rotation about the axis.
+        tied: whether the frame has one axis through both bodies.
+        parameters: number of parameters that the held coordinates determine.
+    """
+
+    label: str
+    kind: LinearType
+    blocks: tuple[Block, ...]
+    start: str
+    any_origin: tuple[int, ...]
+    parameters: int
+    pitch: bool = False
+
+    @property
+    def tied(self) -> bool:
+        """Whether coordinates are directed in both bodies, along the one axis of both."""
+        if self.start == "cross":
+            return False
+        spread = [b for b in self.blocks if len(b.columns) < 3]
+        return len({b.kind in _GROUND for b in spread}) == 2
+
+    @property
+    def dof(self) -> tuple[int, int]:
+        """Number of free rotations, and of free translations."""
+        free_ones = [not b.held for b in self.blocks for _ in b.columns]
+        return sum(free_ones[:3]), sum(free_ones[3:])
+
+
+def _turn(kind: LinearType) -> str:
+    return "turn in body" if kind.name[0] == "B" else "turn in ground"
+
+
+def _entries() -> tuple[Entry, ...]:
+    bb, gb, gg, bg = LinearType.BB, LinearType.GB, LinearType.GG, LinearType.BG
+    still, turning = held("turn in body", 0, 1, 2), free("turn in body", 0, 1, 2)
+    slots = {bb: "E", gg: "F", gb: "I", bg: "J"}
+    surfaces = {bb: "G", gb: "K", bg: "L", gg: "3 rotations, 2 translations"}
+    curves = {gg: "H", bb: "3 rotations, 1 translation", gb: "3 rotations, 1 translation"}
+    curves[bg] = "3 rotations, 1 translation"
+    found = []
+    for t in (bg, gb):
+        turns, tip = (held(_turn(t), 0, 1), free(_turn(t), 2)), held(t.name, 0, 1)
+        found += [
+            Entry("A", t, (*turns, tip, held("position", 2)), "turn", (2,), 4),
+            Entry("C", t, (*turns, tip, free("position", 2)), "turn", (2,), 4),
+            Entry("screw", t, (*turns, tip, held("position", 2)), "turn", (2,), 5, pitch=True),
+        ]
+    plane = held("turn in body", 0, 1), free("turn in body", 2), held("position", 2)
+    found.append(Entry("D", bg, (*plane, free("BG", 0, 1)), "turn", (0, 1, 2), 2))
+    for t in (bb, gb, gg, bg):
+        slot = held(_turn(t), 0, 1), free(_turn(t), 2), held("position", 2), held(t.name, 0), free(t.name, 1)
+        any_origin = (0, 2) if t in (bb, gg) else (2,)
+        found += [
+            Entry(slots[t], t, slot, "turn", any_origin, 4),
+            Entry(
+                surfaces[t],
+                t,
+                (turning, held(t.name, 2), free(t.name, 0, 1)),
+                "normal",
+                (2,) if t == bb else (),
+                3,
+            ),
+            Entry(curves[t], t, (turning, held(t.name, 0, 1), free(t.name, 2)), "along", (), 4),
+            Entry("unconstrained", t, (turning, free(t.name, 0, 1, 2)), "turn", (0, 1, 2), 0),
+        ]
+    anywhere = (0, 1, 2)
+    found += [
+        Entry("B", gb, (still, held("position", 0, 1), free("position", 2)), "path", anywhere, 2),
+        Entry(
+            "0 rotations, 2 translations",
+            gb,
+            (still, held("position", 2), free("position", 0, 1)),
+            "lift",
+            anywhere,
+            2,
+        ),
+        Entry("0 rotations, 3 translations", gb, (still, free("position", 0, 1, 2)), "path", anywhere, 0),
+        Entry("fixed", gb, (still, held("position", 0, 1, 2)), "path", anywhere, 0),
+    ]
+    for t in (gb, bg):
+        point = held(t.name, 0, 1, 2)
+        cross = held("angle between", 2), free("turn in ground", 2), free("turn in body", 0)
+        found += [
+            Entry("spherical", t, (turning, point), "turn", (), 3),
+            Entry("universal", t, (*cross, point), "cross", (), 6),
+        ]
+    return tuple(found)
+
+
+ENTRIES = _entries()
+"""All entries, in the order of their codes."""
+
+
+class Table(NamedTuple):
+    """The entries as arrays, E of them with six coordinates each.
+
+    Attributes:
+        kind, column: (E, 6) int.
+        ground: (E, 6) bool, whether the direction is fixed in the ground.
+        held: (E, 6) bool.
+        together: (E, 6, 6) bool, coordinates of one block.
+        pitch, tied, crossed: (E,) bool.
+        parameters: (E,).
+        variants: (E,) entries with the same label family, this one included.
+    """
+
+    kind: np.ndarray
+    column: np.ndarray
+    ground: np.ndarray
+    held: np.ndarray
+    together: np.ndarray
+    pitch: np.ndarray
+    tied: np.ndarray
+    crossed: np.ndarray
+    parameters: np.ndarray
+    variants: np.ndarray
+
+
+def _table(entries: tuple[Entry, ...]) -> Table:
+    rows = [[(b, c, n) for n, b in enumerate(e.blocks) for c in b.columns] for e in entries]
+    if any(len(row) != 6 for row in rows):
+        raise ValueError("Every constraint needs six coordinates.")
+    block = np.array([[n for _, _, n in row] for row in rows])
+    # what the blocks look like, whatever the type: variants of one family share its prior
+    families = [
+        (e.start, e.pitch, tuple((b.kind.startswith("turn"), b.columns, b.held) for b in e.blocks))
+        for e in entries
+    ]
+    return Table(
+        kind=np.array([[KINDS.index(b.kind) for b, _, _ in row] for row in rows]),
+        column=np.array([[c for _, c, _ in row] for row in rows]),
+        ground=np.array([[b.kind in _GROUND for b, _, _ in row] for row in rows]),
+        held=np.array([[b.held for b, _, _ in row] for row in rows]),
+        together=block[:, :, None] == block[:, None, :],
+        pitch=np.array([e.pitch for e in entries]),
+        tied=np.array([e.tied for e in entries]),
+        crossed=np.array([e.start == "cross" for e in entries]),
+        parameters=np.array([e.parameters for e in entries], float),
+        variants=np.array([families.count(f) for f in families], float),
+    )
+
+
+TABLE = _table(ENTRIES)
