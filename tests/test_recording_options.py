@@ -14,7 +14,6 @@ from recording_files import HEADER, check, poses_of, write
 from scipy.spatial.transform import Rotation, Slerp
 
 from reframe_jax.cli.reading import add_reading, reading_options
-from reframe_jax.recordings.cleaning import clean_recording
 from reframe_jax.recordings.readers import READERS, reader
 from reframe_jax.recordings.reading import list_contents, load_recording
 from reframe_jax.recordings.recording import Recording, RecordingError
@@ -150,9 +149,6 @@ def test_wrenches_stay_with_their_poses(tmp_path: Path, table: np.ndarray) -> No
     recording = load_recording(path)
     assert recording.wrenches is not None
     np.testing.assert_array_equal(recording.wrenches, np.delete(rows[:, 8:], 4, axis=0))
-    cleaned = clean_recording(recording, step=2.5 * float(np.median(np.diff(recording.times))))
-    kept = np.isin(recording.times, cleaned.times)
-    np.testing.assert_array_equal(cleaned.wrenches, recording.wrenches[kept])
 
 
 def test_wrenches_of_other_shapes_are_refused(tmp_path: Path, table: np.ndarray) -> None:

@@ -160,6 +160,47 @@ def test_seconds_and_nanoseconds(tmp_path: Path, rows: np.ndarray) -> None:
     same(load_recording(text(tmp_path / "a.csv", header, cells)), rows)
 
 
+def test_stamps_that_nobody_set_in_rostopic_echo(tmp_path: Path, rows: np.ndarray) -> None:
+    header = "%time,field.header.stamp," + ",".join(
+        [*(f"field.pose.position.{axis}" for axis in "xyz"), *(f"field.pose.orientation.{a}" for a in "xyzw")]
+    )
+    cells = [[stamp, 0, *row[1:]] for stamp, row in zip(stamps(rows), rows, strict=True)]
+    same(load_recording(text(tmp_path / "a.csv", header, cells)), rows)
+
+
+@pytest.mark.parametrize("frames", [["map"], ["map", "tool"]])
+def test_ros2_topic_echo(tmp_path: Path, rows: np.ndarray, frames: list[str]) -> None:
+    cells = [
+        [int(stamp) // 10**9, int(stamp) % 10**9, *frames, *row[1:], *([0.0] * 36)]
+        for stamp, row in zip(stamps(rows), rows, strict=True)
+    ]
+    same(load_recording(text(tmp_path / "a.csv", "", cells)), rows)
+
+
+def test_columns_of_a_table_that_the_user_names(tmp_path: Path, rows: np.ndarray) -> None:
+    path = text(tmp_path / "a.csv", "t,tcp.a,tcp.b,tcp.c,s,i,j,k", rows[:, [0, 1, 2, 3, 7, 4, 5, 6]])
+    with pytest.raises(RecordingError, match="no column for x, y, z, qx"):
+        load_recording(path)
+    options: dict[str, Any] = {"position": "tcp.a,tcp.b,tcp.c", "orientation": "s,i,j,k"}
+    with pytest.raises(RecordingError, match=r"how the columns s, i, j, k are meant; give quaternion"):
+        load_recording(path, **options)
+    same(load_recording(path, **options, quaternion="wxyz"), rows)
+    angles = Rotation.from_quat(rows[:, 4:]).as_euler("ZYX", degrees=True)
+    path = text(path, "t,X1,Y1,Z1,A,B,C", np.column_stack([rows[:, :4], angles]))  # as KUKA has them
+    options = {"position": "X1,Y1,Z1", "orientation": "A,B,C", "angles": "ZYX", "angle_unit": "deg"}
+    same(load_recording(path, **options), rows)
+
+
+def test_tables_of_several_poses(tmp_path: Path, rows: np.ndarray) -> None:
+    names = [f"{body}_{name}" for body in ("tool", "door") for name in HEADER[1:]]
+    path = text(tmp_path / "a.csv", ",".join(["t", *names]), np.hstack([rows, rows[::-1, 1:]]))
+    with pytest.raises(
+        RecordingError, match=r"several poses in a row; select one, body \(--body\): door, tool"
+    ):
+        load_recording(path)
+    same(load_recording(path, body="tool"), rows)
+
+
 @pytest.mark.parametrize("name", ["a.bag", "a.mcap"])
 def test_arrays_of_poses(tmp_path: Path, rows: np.ndarray, name: str) -> None:
     messages, kind = Messages(name), "geometry_msgs/msg/PoseArray"

@@ -1,1 +1,1 @@
-"""Recordings of poses: reading, writing, cleaning."""
+"""Recordings of poses: reading and writing."""

@@ -10,6 +10,7 @@ from pathlib import Path
 from reframe_jax.recordings.readers.arrays import ARRAYS
 from reframe_jax.recordings.readers.bags import BAG
 from reframe_jax.recordings.readers.c3d import C3D
+from reframe_jax.recordings.readers.echo import ECHO
 from reframe_jax.recordings.readers.hdf5 import HDF5
 from reframe_jax.recordings.readers.kitti import KITTI
 from reframe_jax.recordings.readers.mha import MHA
@@ -28,7 +29,7 @@ from reframe_jax.recordings.selection import Selection, flag
 __all__ = ["READERS", "check_options", "choose_reader"]
 
 READERS: tuple[Reader, ...] = (
-    *(MOTIVE, VICON, QUALISYS, NDI, KITTI, TRAJECTORY, TABLE),
+    *(MOTIVE, VICON, QUALISYS, NDI, ECHO, KITTI, TRAJECTORY, TABLE),
     *(ARRAYS, BAG, C3D, TRC, MHA, PARQUET, HDF5),
 )
 

@@ -44,7 +44,7 @@ def read_mha(path: Path, wanted: Selection) -> Rows:
             status.setdefault(match[1], {})[frame] = value
         elif match := _TRANSFORM.fullmatch(name):
             numbers.setdefault(match[1], {})[frame] = value
-        elif name == "Timestamp":
+        elif name == "Timestamp" or (name == "UnfilteredTimestamp" and frame not in stamps):
             stamps[frame] = value
     if len(frames) > MOST_ROWS:
         raise RecordingError(f"{path}: has more than {MOST_ROWS} frames; cut the recording into files.")

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from reframe_jax.recordings.readers.angles import angle_matrices
+from reframe_jax.recordings.readers.columns import find_columns
 from reframe_jax.recordings.readers.exports import find_delimiter, is_number, matrix_rows, split
 from reframe_jax.recordings.readers.lines import Collector, read_lines
 from reframe_jax.recordings.readers.reader import Reader
@@ -20,6 +21,7 @@ from reframe_jax.recordings.selection import UNITS, Selection, flag
 __all__ = ["TABLE", "read_table"]
 
 _COMMENT = "#%"
+_COLUMNS = "position", "orientation"
 _TIMES = (
     r"(.*_)?header_stamp",  # rostopic echo -p: the stamp of the message, rather than when it came
     r"t|times?|timestamps?|stamp|sec|secs|seconds|(elapsed_|ros_)?time",
@@ -106,7 +108,8 @@ class _Columns:
     clock: list[int] | None  # seconds and nanoseconds
     position: list[int]
     orientation: list[int]
-    kind: str  # "quaternion", "angles", or "matrix", of which the position is a part
+    kind: str  # "quaternion", "angles", "rotation" (a matrix), or "matrix", of which the position is a part
+    named: bool = False  # by the user
 
 
 def read_table(path: Path, wanted: Selection) -> Rows:
@@ -120,13 +123,14 @@ def read_table(path: Path, wanted: Selection) -> Rows:
     Raises:
         RecordingError: if a column is missing or named twice, or a row does not fit the header.
     """
-    number, titles, lines = _read_header(path)
+    titles, lines = _read_header(path)
     header = _Header.of(path, titles, wanted.body)
-    found = _find_columns(header, wanted)
+    first = next(lines, (0, [""] * len(titles)))
+    found = _find_columns(header, wanted, first[1])
     width = len(titles) + bool(found.clock)
     time = len(titles) if found.clock else found.time
     rows = Collector(path, width, time, [*found.position, *found.orientation], _find_wrench(header))
-    for number, cells in lines:
+    for number, cells in chain([first] if first[0] else [], lines):
         if found.clock and len(cells) == len(titles):
             seconds, nanoseconds = (cells[i] for i in found.clock)
             cells = [*cells, f"{seconds}.{nanoseconds.zfill(9)}" if seconds.isdecimal() else ""]
@@ -147,12 +151,14 @@ def _convert(rows: Rows, header: _Header, found: _Columns, wanted: Selection) ->
             rows.seconds = 1e-9 if any(name.startswith("field_") for name in header.names) else None
     if found.clock:
         rows.seconds = 1.0
-    if found.kind == "quaternion":
+    if found.kind == "rotation":
+        rows.values = matrix_rows(rows.values[:, 3:].reshape(-1, 3, 3), rows.values[:, :3])
+    if found.kind == "quaternion" and not found.named:
         first = np.argmin(found.orientation)
         rows.order = "wxyz" if first == 3 else "xyzw"
     if found.kind == "angles":
         angles = rows.values[:, 3:]
-        if wanted.angles != "vector":
+        if wanted.angles != "vector" and not found.named:
             angles = angles[:, ["xyz".index(axis) for axis in str(wanted.angles).lower()]]
         stated = header.unit(found.orientation, ANGLE_WORDS)
         rows.angles = stated is None
@@ -163,8 +169,8 @@ def _convert(rows: Rows, header: _Header, found: _Columns, wanted: Selection) ->
     return rows
 
 
-def _read_header(path: Path) -> tuple[int, list[str], Iterator[tuple[int, list[str]]]]:
-    """The line and the titles of the header, and the rows of cells after it."""
+def _read_header(path: Path) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
+    """The titles of the header, and the rows of cells after it."""
     lines = read_lines(path)
     comments, first = _first_row(lines)
     following = next(lines, None)
@@ -198,7 +204,7 @@ def _read_header(path: Path) -> tuple[int, list[str], Iterator[tuple[int, list[s
             if any(cells):
                 yield line, cells
 
-    return number, titles, rows()
+    return titles, rows()
 
 
 def _first_row(lines: Iterator[tuple[int, str]]) -> tuple[list[tuple[int, str]], tuple[int, str] | None]:
@@ -213,10 +219,14 @@ def _first_row(lines: Iterator[tuple[int, str]]) -> tuple[list[tuple[int, str]],
     return comments, None
 
 
-def _find_columns(header: _Header, wanted: Selection) -> _Columns:
-    """Columns of time and of the numbers of a pose."""
+def _find_columns(header: _Header, wanted: Selection, first: list[str]) -> _Columns:
+    """Columns of time and of the numbers of a pose; ``first`` is the first row."""
     clock = header.clock
-    time = None if clock else next((i for i in map(header.find, _TIMES) if i is not None), None)
+    times = [] if clock else [i for i in map(header.find, _TIMES) if i is not None]
+    set_ones = [i for i in times if i < len(first) and first[i].strip("0.")]
+    time = next(iter(set_ones or times[-1:]), None)  # a stamp of 0 was never set
+    if wanted.position is not None or wanted.orientation is not None:
+        return _named_columns(header, wanted, time, clock)
     matrix = [header.find(f"[mt]_?{i // 4}_?{i % 4}") for i in range(16)]
     for size in (16, 12):
         if None not in matrix[:size]:
@@ -233,6 +243,10 @@ def _find_columns(header: _Header, wanted: Selection) -> _Columns:
             raise RecordingError(
                 f"{header.path}: does not say in which order q0, q1, q2, q3 are; give {flag('quaternion')}."
             )
+    if position is not None and quaternion is not None:
+        return _Columns(time, clock, position, quaternion, "quaternion")
+    if quaternion is None:
+        position, quaternion = _with_prefix(header) or (position, quaternion)
     if position is not None and quaternion is not None:
         return _Columns(time, clock, position, quaternion, "quaternion")
     angles = header.all([*_ANGLES.values()])
@@ -252,6 +266,45 @@ def _find_columns(header: _Header, wanted: Selection) -> _Columns:
         f"{header.path}: no column for {', '.join(missing)}; expected a header such as {HEADER}, found "
         f"{shown(','.join(header.titles))}."
     )
+
+
+def _named_columns(header: _Header, wanted: Selection, time: int | None, clock: list[int] | None) -> _Columns:
+    """Columns that the user named, separated by commas."""
+    position, orientation = (
+        [column.name for column in columns] for columns in find_columns(header.path, wanted, header.titles)
+    )
+    kind = {4: "quaternion", 3: "angles", 9: "rotation"}.get(len(orientation))
+    if len(position) != 3 or kind is None:
+        raise RecordingError(
+            f"{header.path}: expected 3 columns of a position, and 4 (quaternion), 3 (angles) or 9 (matrix) "
+            f"of an orientation, with commas between them; found {len(position)} and {len(orientation)}."
+        )
+    for needed in ("quaternion", "angles"):
+        if kind == needed and getattr(wanted, needed) is None:
+            raise RecordingError(
+                f"{header.path}: does not say how the columns {', '.join(orientation)} are meant; give "
+                f"{flag(needed)}."
+            )
+    places, turns = ([header.titles.index(name) for name in names] for names in (position, orientation))
+    return _Columns(time, clock, places, turns, kind, named=True)
+
+
+def _with_prefix(header: _Header) -> tuple[list[int], list[int]] | None:
+    """Columns such as tool_x and tool_qx, of the only prefix there is, or that of the body."""
+    found = {re.sub("_q_?[xyzw]$", "", name) for name in header.names if re.fullmatch(r".+_q_?[xyzw]", name)}
+    if header.body is not None:
+        found = {prefix for prefix in found if prefix.startswith(header.body)}
+    if len(found) > 1:
+        raise RecordingError(
+            f"{header.path}: has several poses in a row; select one, {flag('body')}: "
+            f"{shown(', '.join(sorted(found)), 300)}."
+        )
+    for prefix in found:
+        quaternion = header.all([f"{prefix}_q_?{axis}" for axis in "xyzw"])
+        position = header.all([rf"{prefix}_(p_?|pos(ition)?_|t_?)?{axis}" for axis in "xyz"])
+        if quaternion is not None and position is not None:
+            return position, quaternion
+    return None
 
 
 def _first(header: _Header, patterns: Sequence[str], axes: str) -> list[int] | None:
@@ -278,5 +331,5 @@ TABLE = Reader(
     suffixes=(".csv", ".tsv", ".txt", ".tum"),
     recognises=lambda path, head: True,
     read=read_table,
-    options=frozenset({"unit", "time_unit", "quaternion", "angles", "angle_unit", "body"}),
+    options=frozenset({"unit", "time_unit", "quaternion", "angles", "angle_unit", "body", *_COLUMNS}),
 )

@@ -1,0 +1,59 @@
+"""Poses that ``ros2 topic echo --csv`` prints: the fields of every message in a row, without a header.
+
+They are seconds and nanoseconds of the stamp, the names of one or two frames, and the 7 numbers of a pose;
+covariances and velocities may follow. So are PoseStamped, PoseWithCovarianceStamped and Odometry.
+"""
+
+from pathlib import Path
+
+from reframe_jax.recordings.readers.exports import is_number, split
+from reframe_jax.recordings.readers.lines import Collector, read_lines
+from reframe_jax.recordings.readers.reader import Reader
+from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.recordings.rows import Rows
+from reframe_jax.recordings.selection import Selection
+
+__all__ = ["ECHO", "read_echo"]
+
+
+def read_echo(path: Path, wanted: Selection) -> Rows:
+    """Read rows of ``sec,nanosec,frame_id,x,y,z,qx,qy,qz,qw``, perhaps with a child frame before ``x``.
+
+    Args:
+        path: the file.
+        wanted: nothing of it is used here.
+
+    Raises:
+        RecordingError: if a row has other fields than the first.
+    """
+    rows: Collector | None = None
+    for number, line in read_lines(path):
+        cells = split(line, ",")
+        if rows is None:
+            first = _first_number(cells)
+            rows = Collector(path, len(cells) + 1, len(cells), range(first, first + 7))
+        rows.add(number, [*cells, f"{cells[0]}.{cells[1].zfill(9)}" if len(cells) > 1 else ""])
+    if rows is None:
+        raise RecordingError(f"{path}: is empty; expected rows of a stamp, a frame and a pose.")
+    found = rows.rows()
+    found.seconds = 1.0
+    return found
+
+
+def _first_number(cells: list[str]) -> int:
+    """The column of the first number after the frames; 0 if the row is not that of a pose."""
+    if len(cells) < 10 or not (cells[0].isdecimal() and cells[1].isdecimal()) or is_number(cells[2]):
+        return 0
+    first = 3 if is_number(cells[3]) else 4
+    return first if len(cells) >= first + 7 and all(map(is_number, cells[first:])) else 0
+
+
+ECHO = Reader(
+    name="an output of ros2 topic echo --csv",
+    suffixes=(".csv", ".txt"),
+    recognises=lambda path, head: (
+        _first_number(split(head.decode("utf-8-sig", "replace").split("\n")[0], ",")) > 0
+    ),
+    read=read_echo,
+    options=frozenset({"unit", "quaternion"}),
+)
