@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-__all__ = ["MONOMIALS", "PAIRS", "lowest_origins", "polynomials"]
+__all__ = ["MONOMIALS", "PAIRS", "lowest_origins", "norm_at", "polynomials"]
 
 PAIRS = tuple((i, j) for i in range(3) for j in range(i, 3))
 """Components of Sigma."""
@@ -88,6 +88,13 @@ def lowest_origins(coefficients: Array, details: Array, box: Array) -> tuple[Arr
     step = partial(_newton_step, coefficients, n, box)
     carry = jax.lax.fori_loop(0, _NEWTON_STEPS, lambda _, c: step(c), carry)
     return jnp.moveaxis(carry[0][..., 0], 0, -1), carry[1][..., 0]
+
+
+def norm_at(coefficients: Array, details: Array, origins: Array) -> Array:
+    """F of every type at its origin, (N, T), for origins (N, T, 3) m."""
+    n = jnp.moveaxis(details, 1, 0)[:, :, None, None]
+    _, det = _adjugate(_sigma(coefficients, _monomials(jnp.moveaxis(origins, -1, 0)[..., None])))
+    return jnp.sum(n * jnp.log(det), axis=0)[..., 0]
 
 
 def _starts(coefficients: Array, n: Array, box: Array) -> Array:

@@ -15,10 +15,10 @@ from reframe_jax.model.evidence import Amplitudes, Spectra, entry_amplitudes, lo
 from reframe_jax.model.features import Features
 from reframe_jax.model.fit import Data, Parameters, coordinates, fit_entry
 from reframe_jax.model.moments import Moments
-from reframe_jax.model.search import lowest_origins, polynomials
+from reframe_jax.model.search import lowest_origins, norm_at, polynomials
 from reframe_jax.model.table import ENTRIES, KINDS, ROWS, TABLE, Table
 
-__all__ = ["Solved", "smallest_scale", "solve_windows"]
+__all__ = ["Solved", "choose_scales", "solve_windows"]
 
 Array = jax.Array
 CANDIDATES = 8
@@ -29,11 +29,14 @@ class Solved(NamedTuple):
     """What is found about N windows.
 
     Attributes:
-        log_probability: (N, E) of every entry.
-        parameters: fitted parameters of every entry, with axes (N, E) in front.
-        amplitudes: of their coordinates, with axes (N, E) in front.
+        log_probability: (N, E) of every entry; -inf for those that were not fitted.
+        parameters: of the C entries that were fitted, with axes (N, C) in front.
+        amplitudes: of their coordinates, with axes (N, C) in front.
         origins: (N, 4, 3) m, of the lowest norm of every linear type; norm: (N, 4) F there.
         linear_axes: (N, 4, 3, 3) and angular_axes (N, 2, 3, 3): common axes, by amplitude, ascending.
+        starts: of every entry, with axes (N, E) in front.
+        chosen: (N, C) codes of the entries that were fitted.
+        tilt_scale: (N,) rad, size of the tilt in the fit.
     """
 
     log_probability: Array
@@ -43,45 +46,64 @@ class Solved(NamedTuple):
     norm: Array
     linear_axes: Array
     angular_axes: Array
-    before: Array
+    starts: Parameters
     chosen: Array
+    tilt_scale: Array
 
 
-def smallest_scale(moments: Moments, noise: Array) -> Moments:
-    """Leave out scales at which the motion does not stand out of the noise.
+def choose_scales(moments: Moments, noise: Array, scales: tuple[int, ...] | None) -> Moments:
+    """Leave out the details of scales that are not used.
 
     Args:
-        moments: of N windows.
+        moments: of N windows, of all scales.
         noise: (N, 2) m and rad, of every component.
+        scales: in samples; None for the smooth part and all at which the motion stands out of the noise.
     """
+    last = moments.details.shape[1] - 1
+    index = jnp.arange(last + 1)
+    if scales is not None:
+        asked = jnp.isin(moments.width, jnp.asarray(scales, moments.width.dtype)) & (index < last)
+        return moments._replace(details=jnp.where(asked, moments.details, 0))
     keep = jnp.ones_like(moments.details, bool)
     for group, rows in enumerate((z.POSITION, z.TURN_BODY)):
         size = jnp.trace(moments.products[:, :, rows, rows], axis1=2, axis2=3)
         level = 3 * jnp.square(SCALES.above_noise * noise[:, group, None]) * moments.white
         above = (size > level) & (moments.details > 0)
-        first = jnp.argmax(above, axis=1)
         # a group that never stands out of the noise does not count
-        first = jnp.where(jnp.any(above, axis=1), first, 0)
-        keep = keep & (jnp.arange(keep.shape[1]) >= first[:, None])
+        first = jnp.where(jnp.any(above, axis=1), jnp.argmax(above, axis=1), 0)
+        keep = keep & (index >= first[:, None])
     # the last details and the smooth part always count
     details = jnp.sum(moments.details[:, :-1] > 0, axis=1)
-    keep = keep | (jnp.arange(keep.shape[1]) >= details[:, None] - 1)
+    keep = keep | (index >= details[:, None] - 1)
     return moments._replace(details=jnp.where(keep, moments.details, 0))
 
 
-def solve_windows(features: Features, moments: Moments, noise: Array, box: Array) -> Solved:
-    """Search, fit and compare all entries.
+def solve_windows(
+    features: Features,
+    moments: Moments,
+    used: Moments,
+    noise: Array,
+    box: Array,
+    origins: Array | None = None,
+    assume: tuple[int, ...] | None = None,
+) -> Solved:
+    """Search, fit and compare entries of the table.
 
     Args:
         features: of N windows.
-        moments: of all scales.
+        moments: of all scales; ``used``: with details only at those that are used.
         noise: (N, 2) m and rad.
         box: (N,) m, half the width of the cube in which origins lie.
+        origins: (N, 4, 3) m, of every linear type, from another search; None to search over scales.
+        assume: codes of the entries that are compared; None for all.
     """
-    used = smallest_scale(moments, noise)
     coefficients = polynomials(used.products, ROWS[_LINEAR])
-    origins, norm = lowest_origins(coefficients, used.details, box)
-    return jax.vmap(_solve_window)(features, moments, used, noise, box, origins, norm)
+    if origins is None:
+        origins, norm = lowest_origins(coefficients, used.details, box)
+    else:
+        norm = norm_at(coefficients, used.details, origins)
+    solve = partial(_solve_window, assume=assume)
+    return jax.vmap(solve)(features, moments, used, noise, box, origins, norm)
 
 
 def _sorted_axes(rows: Array, products: Array, details: Array, share: Array) -> Array:
@@ -92,7 +114,14 @@ def _sorted_axes(rows: Array, products: Array, details: Array, share: Array) -> 
 
 
 def _solve_window(
-    features: Features, moments: Moments, used: Moments, noise: Array, box: Array, origins: Array, norm: Array
+    features: Features,
+    moments: Moments,
+    used: Moments,
+    noise: Array,
+    box: Array,
+    origins: Array,
+    norm: Array,
+    assume: tuple[int, ...] | None,
 ) -> Solved:
     products, details = used.products, used.details
     share, white = _weights(used)
@@ -122,13 +151,16 @@ def _solve_window(
 
     amplitudes, evidence = jax.vmap(judge)(starts, table)
     before = log_posterior(evidence, amplitudes, starts.pitch, table, details)
-    chosen = jax.lax.top_k(before, CANDIDATES)[1]
+    if assume is not None:
+        allowed = np.isin(np.arange(len(ENTRIES)), assume)
+        before = jnp.where(allowed, before, -jnp.inf)
+    chosen = jax.lax.top_k(before, CANDIDATES if assume is None else min(CANDIDATES, len(assume)))[1]
     start, entries = jax.tree.map(lambda leaf: leaf[chosen], (starts, table))
     parameters, _ = jax.vmap(lambda s, e: fit_entry(s, data, e, scale, e.tied))(start, entries)
     amplitudes, evidence = jax.vmap(judge)(parameters, entries)
     posterior = log_posterior(evidence, amplitudes, parameters.pitch, entries, details)
     everywhere = jnp.full(before.shape, -jnp.inf).at[chosen].set(posterior)
-    return Solved(everywhere, parameters, amplitudes, origins, norm, linear, angular, before, chosen)
+    return Solved(everywhere, parameters, amplitudes, origins, norm, linear, angular, starts, chosen, scale)
 
 
 def _weights(used: Moments) -> tuple[Array, Array]:
