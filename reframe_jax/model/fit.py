@@ -15,7 +15,19 @@ import jax.numpy as jnp
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.model.table import KINDS, ROWS, Table
 
-__all__ = ["Data", "Parameters", "coordinates", "fit_entry", "held_covariance"]
+__all__ = [
+    "Data",
+    "Parameters",
+    "coordinates",
+    "curvature",
+    "fit_entry",
+    "ground_axes",
+    "held_covariance",
+    "move",
+    "objective",
+    "settle",
+    "solve_determined",
+]
 
 _STEPS = 15
 _DAMPING = 1e-3  # first, of the diagonal
@@ -188,3 +200,54 @@ def fit_entry(
     damping = jnp.asarray(_DAMPING, data.products.dtype)
     fitted, value, _ = jax.lax.fori_loop(0, steps, step, (start, value, damping))
     return fitted, value
+
+
+@jax.custom_jvp
+def settle(parameters: Parameters, data: Data, entry: Table, scale: Array, tie: Array) -> Parameters:
+    """Fitted parameters as differentiable functions of the moments, by the implicit function theorem.
+
+    Where the gradient g(y, data) of the objective vanishes, dy = -H^-1 (dg / d data) d data. Parameters that
+    the held coordinates leave open contribute nothing.
+    """
+    return parameters
+
+
+def curvature(parameters: Parameters, data: Data, entry: Table, scale: Array, tie: Array) -> Array:
+    """Exact Hessian of the objective in the step of :func:`move`, (9, 9)."""
+
+    def value(step: Array) -> Array:
+        return objective(move(parameters, step, data.box), data, entry, scale, tie)
+
+    return jax.hessian(value)(jnp.zeros(_PARAMETERS, data.products.dtype))
+
+
+def solve_determined(hessian: Array, vector: Array, flat: float = 1e-9) -> Array:
+    """Solution of H y = v in the directions in which H is not flat, for v (9,) or (9, m)."""
+    unit = jnp.sqrt(jnp.maximum(jnp.diagonal(hessian), 1e-12 * jnp.max(jnp.diagonal(hessian)) + 1e-300))
+    values, axes = jnp.linalg.eigh(hessian / unit[:, None] / unit[None])
+    stiff = values > flat * jnp.max(values)
+    inverse = jnp.where(stiff, 1 / jnp.where(stiff, values, 1), 0)
+    shape = (-1,) + (1,) * (vector.ndim - 1)
+    along = axes.T @ (vector / unit.reshape(shape))
+    return (axes @ (inverse.reshape(shape) * along)) / unit.reshape(shape)
+
+
+@settle.defjvp
+def _settle_jvp(
+    primals: tuple[Parameters, Data, Table, Array, Array], tangents: tuple[Parameters, Data, Table, Array, Array]
+) -> tuple[Parameters, Parameters]:
+    parameters, data, entry, scale, tie = primals
+    zero = jnp.zeros(_PARAMETERS, data.products.dtype)
+
+    def gradient(products: Array, mean_rotation: Array) -> Array:
+        seen = data._replace(products=products, mean_rotation=mean_rotation)
+
+        def value(step: Array) -> Array:
+            return objective(move(parameters, step, data.box), seen, entry, scale, tie)
+
+        return jax.grad(value)(zero)
+
+    change = tangents[1].products, tangents[1].mean_rotation
+    _, rate = jax.jvp(gradient, (data.products, data.mean_rotation), change)
+    step = -solve_determined(curvature(parameters, data, entry, scale, tie), rate)
+    return parameters, jax.jvp(lambda s: move(parameters, s, data.box), (zero,), (step,))[1]
