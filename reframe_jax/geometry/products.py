@@ -5,8 +5,8 @@ orientation is then good to a milliradian.
 """
 
 import jax
-
-from reframe_jax.arrays import jnp, lax
+import jax.numpy as jnp
+from jax import lax
 
 __all__ = ["apply", "matmul", "matmul3"]
 

@@ -13,9 +13,7 @@ from collections.abc import Sequence
 from math import factorial
 
 import jax
-
-from reframe_jax.arrays import jnp
-from reframe_jax.compilation import once_on_cpu
+import jax.numpy as jnp
 
 __all__ = [
     "cotangent_factor",
@@ -145,19 +143,19 @@ def rotation_log(rotation: jax.Array) -> jax.Array:
         (..., 3), rad.
     """
     vector = log_by_component([[rotation[..., i, j] for j in range(3)] for i in range(3)])
-    return once_on_cpu(jnp.stack(vector, axis=-1))
+    return jnp.stack(vector, axis=-1)
 
 
 def log_by_component(entries: Entries) -> Vector:
     """:func:`rotation_log` of rotations given by their entries, arrays of one shape: faster on a CPU."""
-    x, y, z, w = once_on_cpu(_quaternion(entries))
+    x, y, z, w = _quaternion(entries)
     squared = x * x + y * y + z * z
     small = squared < 1e-2
     length = jnp.sqrt(jnp.where(small, 1.0, squared))
     w_small = jnp.where(small, w, 1.0)
     # angle / sin(angle / 2) = 2 atan2(|vector|, w) / |vector|
     series = 2 / w_small * _series(squared / w_small**2, _ARCTANGENT)
-    factor = once_on_cpu(jnp.where(small, series, 2 * jnp.arctan2(length, w) / length))
+    factor = jnp.where(small, series, 2 * jnp.arctan2(length, w) / length)
     return factor * x, factor * y, factor * z
 
 
@@ -256,7 +254,7 @@ def _quaternion(r: Entries) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]
         best = jnp.where(better, entry, best)
         x, y, z, w = (jnp.where(better, new, old) for new, old in zip(candidate, row, strict=True))
         row = x, y, z, w
-    x, y, z, w = once_on_cpu(row)
+    x, y, z, w = row
     length = jnp.sqrt(x * x + y * y + z * z + w * w)
     length = jnp.where(w < 0, -length, length)
     return x / length, y / length, z / length, w / length

@@ -8,9 +8,8 @@ vectorize over the batch; batched 3x3 kernels (einsum, solve, eigh) are 5-10 tim
 from collections.abc import Sequence
 
 import jax
-
-from reframe_jax.arrays import custom_jvp, jnp, lax
-from reframe_jax.compilation import as_one_kernel, once
+import jax.numpy as jnp
+from jax import custom_jvp, lax
 
 __all__ = [
     "INDEX_PAIRS",
@@ -170,7 +169,7 @@ def eigh(s: Symmetric) -> tuple[Vector, tuple[Vector, Vector, Vector]]:
     Returns:
         ``(values, vectors)``: three arrays, and three vectors of three arrays.
     """
-    return as_one_kernel(_jacobi, s)
+    return _jacobi(s)
 
 
 def _jacobi(s: Symmetric) -> tuple[Vector, tuple[Vector, Vector, Vector]]:
@@ -181,7 +180,7 @@ def _jacobi(s: Symmetric) -> tuple[Vector, tuple[Vector, Vector, Vector]]:
         off = {(0, 1): xy, (0, 2): xz, (1, 2): yz}
         for i, j in ((0, 1), (0, 2), (1, 2)):
             _rotate(values, off, axes, i, j)
-            values, off, axes = once((values, off, axes))
+            values, off, axes = (values, off, axes)
         return (tuple(values), (off[0, 1], off[0, 2], off[1, 2]), tuple(axes)), None
 
     axes = ((one, zero, zero), (zero, one, zero), (zero, zero, one))

@@ -73,11 +73,6 @@ class Spread(Protocol):
         """Whether the noise is small enough for error bars."""
         ...
 
-    @property
-    def twin_probability(self) -> Any:
-        """That the twin is the true origin."""
-        ...
-
 
 class Tested(Protocol):
     """What the motion of one window tested; see :class:`reframe_jax.Excitation`."""
@@ -110,7 +105,6 @@ class Finding:
         angular_axes, linear_axes: (3, 3) columns.
         position: (3,) m, and ``free_position``: (3, 3) projector onto what is free of it.
         rivals: names of the other linear types that explain the motion as well, if the type matters.
-        twin: m, distance to an origin as good, or None.
         pitch: m/rad of a screw joint, else NaN.
         universal: (2, 3) the axes of a universal joint, in {g} and in {b}, else None.
     """
@@ -127,7 +121,6 @@ class Finding:
     position: np.ndarray
     free_position: np.ndarray
     rivals: tuple[str, ...]
-    twin: float | None
     pitch: float
     universal: np.ndarray | None
 
@@ -238,13 +231,6 @@ def _still_open(finding: Finding, spread: Spread | None, tested: Tested | None) 
     if finding.rivals:
         doubts.append(f"frames of type {' and '.join(finding.rivals)} explain the motion as well")
         advice.append("turn the body further while it moves")
-    if finding.twin is not None:
-        point = f"a second point, {1e3 * finding.twin:.0f} mm away,"
-        if spread is None:
-            doubts.append(f"{point} explains the motion as well")
-        else:
-            doubts.append(f"{point} is right with probability {float(spread.twin_probability):.2f}")
-        advice.append("move along more directions")
     if not doubts:
         return []
     listed = list(dict.fromkeys(advice))[:2]

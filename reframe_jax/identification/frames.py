@@ -10,7 +10,7 @@ import numpy as np
 from reframe_jax.constraints.types import AngularType, LinearType
 from reframe_jax.geometry import rotations
 
-__all__ = ["AllCandidates", "AngularFrame", "Candidates", "LinearFrame", "member"]
+__all__ = ["AllCandidates", "AngularFrame", "Candidates", "LinearFrame", "PoseNoise", "member"]
 
 
 def member(kind: type[IntEnum], code: jax.Array) -> Any:
@@ -22,21 +22,37 @@ def member(kind: type[IntEnum], code: jax.Array) -> Any:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
+class PoseNoise:
+    """Standard deviation of the white noise in the poses, as the poses themselves show it.
+
+    Attributes:
+        position: (...) m, of every component of the position.
+        rotation: (...) rad, of every component of the orientation.
+    """
+
+    position: jax.Array
+    rotation: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class AngularFrame:
     """The identified frame of the angular velocity.
 
     Attributes:
-        type_code: (...) int, ``AngularType`` of the lowest norm; read it as ``frame_type``.
-        rotvec: (..., 3) rad, orientation of the frame in the body of its type. Its axes are sorted by
-            ``rms``, ascending, and right-handed; the first and third have a positive largest component.
-        dof: (..., 3) int, 1 where the axis is free: those of the likeliest class, or with thresholds those
-            whose ``rms`` is above.
+        type_code: (...) int, ``AngularType`` of the frame; read it as ``frame_type``.
+        rotvec: (..., 3) rad, orientation of the frame in the body of its type. Constrained axes come first, then
+            free ones, each sorted by ``amplitude``, ascending; the axes are right-handed, and the first and
+            the third have a positive largest component.
+        dof: (..., 3) int, 1 where the axis is free.
         free_probability: (..., 3) probability that the axis is free, ascending.
-        rms: (..., 3) rad/s, RMS angular velocity along each axis (lambda in the paper).
-        norm: (...) rad/s, the minimised norm: the power mean of ``rms``.
+        rms: (..., 3) rad/s, RMS angular velocity along each axis (lambda in the paper), at the smallest time
+            scale that is used.
+        amplitude: (..., 3) rad, RMS displacement along each axis over the recording: how far free axes moved,
+            and how far constrained axes give.
+        norm: (...) rad/s, the minimised norm: the geometric mean of the RMS velocities over axes and scales.
         norms: (..., 2) rad/s, the norms of types G and B.
-        tied: (..., 2) bool, types that explain the constraint as well as this one, to within sampling
-            error; this one included.
+        tied: (..., 2) bool, types that fit equally well, this one included.
         free_rotation: (..., 3) bool, axes about which the frame can be turned without changing the
             constraint: those whose two other axes are both free or both constrained.
     """
@@ -46,6 +62,7 @@ class AngularFrame:
     dof: jax.Array
     free_probability: jax.Array
     rms: jax.Array
+    amplitude: jax.Array
     norm: jax.Array
     norms: jax.Array
     tied: jax.Array
@@ -68,47 +85,37 @@ class LinearFrame:
     """The identified frame of the linear velocity.
 
     Attributes:
-        type_code: (...) int, the likeliest ``LinearType``, or with thresholds or a given lag that of the
-            lowest norm; read it as ``frame_type``. That of a screw joint is GB or BG, because the norms of
-            BB and GG do not tell its origin; so is that of refined frames whose class says the same in all
-            types, such as a hinge, where one of these ties with it.
+        type_code: (...) int, ``LinearType`` of the frame; read it as ``frame_type``.
         rotvec: (..., 3) rad, orientation of the frame in the body of the type's first letter; axes in
             the order and handedness of :class:`AngularFrame`.
         position: (..., 3) m, origin of the frame in the body of the type's second letter. Where
             ``free_position`` leaves a choice it is the point closest to the recorded motion: to the
             mean position of {b} for GG and BG, to the origin of {b} for BB and GB.
-        twin: (..., 3) m, another origin of this type that explains the window as well, to within
-            sampling error, though those between the two do not; in the body of ``position``, and
-            chosen like it where there is a choice. Equal to ``position`` where none was found.
-        has_twin: (...) bool, whether one was.
         dof: (..., 3) int, 1 where the axis is free.
         free_probability: (..., 3) as in :class:`AngularFrame`.
-        rms: (..., 3) m/s, RMS velocity along each axis at the minimum of the norm (lambda in the
-            paper). Moving the origin along free directions changes those of free axes only.
-        norm: (...) m/s, the minimised norm: the power mean of ``rms``.
+        rms: (..., 3) m/s, RMS velocity along each axis (lambda in the paper), at the smallest time scale that
+            is used.
+        amplitude: (..., 3) m, RMS displacement along each axis, as in :class:`AngularFrame`.
+        norm: (...) m/s, the minimised norm, as in :class:`AngularFrame`.
         norms: (..., 4) m/s, the norms of types BB, GB, GG and BG.
-        tied: (..., 4) bool, as in :class:`AngularFrame`.
+        tied: (..., 4) bool, types that fit equally well, this one included.
         free_rotation: (..., 3) bool, as in :class:`AngularFrame`.
         free_position: (..., 3, 3) projector onto the directions in which the origin can be moved
             without changing the constraint (the "-" of the paper's Table 2); its trace is their number.
-        coupled_position: (..., 3, 3) projector onto further directions, in which the origin can be moved if
-            the axes turn along, and explain the window as well: along them neither can be told by itself.
     """
 
     type_code: jax.Array
     rotvec: jax.Array
     position: jax.Array
-    twin: jax.Array
-    has_twin: jax.Array
     dof: jax.Array
     free_probability: jax.Array
     rms: jax.Array
+    amplitude: jax.Array
     norm: jax.Array
     norms: jax.Array
     tied: jax.Array
     free_rotation: jax.Array
     free_position: jax.Array
-    coupled_position: jax.Array
 
     @property
     def frame_type(self) -> Any:
@@ -124,30 +131,21 @@ class LinearFrame:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Candidates:
-    """The optimum of every frame type, the winner included; one more axis T, over the types.
+    """The frame of every type at its lowest norm, and that of the winner; one more axis T, over the types.
 
     Attributes:
         rotvec: (..., T, 3) rad.
-        position: (..., T, 3) m; None for angular frames.
-        dof: (..., T, 3) int.
+        dof: (..., T, 3) int; of types that lost, as many axes as the winner has free.
         rms: (..., T, 3) rad/s or m/s.
         norm: (..., T) rad/s or m/s.
-        free_rotation: (..., T, 3) bool.
-        free_position: (..., T, 3, 3); None for angular frames.
-        on_bounds: (..., T) bool, whether the position lies on the bounds; None for angular frames.
-        agreement: (..., T) share of the solver's restarts that found this optimum; None for angular
-            frames, which need no search.
+        position: (..., T, 3) m; None for angular frames.
     """
 
     rotvec: jax.Array
     dof: jax.Array
     rms: jax.Array
     norm: jax.Array
-    free_rotation: jax.Array
     position: jax.Array | None = None
-    free_position: jax.Array | None = None
-    on_bounds: jax.Array | None = None
-    agreement: jax.Array | None = None
 
 
 @jax.tree_util.register_dataclass

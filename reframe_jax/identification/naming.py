@@ -1,105 +1,119 @@
-"""Names of classes, and how probable the name of a window is."""
+"""Names of the entries of the table, and the entry of a class."""
 
-import jax
 import numpy as np
 
-from reframe_jax.arrays import jnp
-from reframe_jax.constraints.catalogue import describe, lookup
-from reframe_jax.constraints.types import ORIENTATION_BODIES, PARALLEL_COSINE, AxisRelation, Dof, LinearType
+from reframe_jax.constraints.catalogue import CONSTRAINTS, OTHER_CONSTRAINTS, Constraint
+from reframe_jax.constraints.types import LinearType
+from reframe_jax.model.table import ENTRIES, Entry
 
 __all__ = [
-    "EVEN",
-    "holds_for_all_types",
-    "is_universal",
-    "name_class",
-    "name_probability",
-    "turns_about_point",
+    "CLASS_CODES",
+    "NAMES",
+    "NAME_OF_ENTRY",
+    "NO_ENTRY",
+    "SAME_IN_ALL_TYPES",
+    "codes_of",
+    "constraint_of",
+    "name_of",
 ]
 
-EVEN = 0.5
-"""Probability of a name, below which all others together are more probable."""
+NO_ENTRY = -1
+"""Code of a class that has no entry."""
+
+_CATALOGUE = CONSTRAINTS | OTHER_CONSTRAINTS
 
 
-def name_class(
-    kind: LinearType,
-    angular: Dof,
-    linear: Dof,
-    relation: AxisRelation | None,
-    screw: bool = False,
-    universal: bool = False,
-) -> str:
-    """Name of a class, of the catalogue or in words; see :func:`reframe_jax.constraints.catalogue.lookup`."""
-    entry = lookup(kind, angular, linear, relation, screw, universal)
-    return describe(kind, angular, linear, relation) if entry is None else entry.name
+def constraint_of(code: int) -> Constraint | None:
+    """The catalogue's constraint of an entry, or None."""
+    return _CATALOGUE.get(ENTRIES[code].label)
 
 
-def name_probability(
-    classes: jax.Array,
-    winner: jax.Array,
-    dof: tuple[jax.Array, jax.Array],
-    axes: tuple[jax.Array, jax.Array],
-    screws: jax.Array,
-    universals: jax.Array,
-) -> jax.Array:
-    """Probability of the name of each window, (N,), as ``Identification.probability`` has it.
-
-    Args:
-        classes: (N, 4, 4, 4) probability of every linear type, number of free rotations and of translations.
-        winner: (N,) linear type.
-        dof: (N, 3) of both frames.
-        axes: (N, 2, 3, 3) of both angular types, and (N, 3, 3) of the linear frame; columns.
-        screws: (N,) probability of a screw, if one rotation is free and a translation along its axis.
-        universals: (N,) probability of a universal joint, if the body turns about a point.
-    """
-    angular, linear = (jnp.sum(number, axis=-1) for number in dof)
-    rows = jnp.arange(len(winner), dtype=winner.dtype)
-    of_types = classes[rows, :, angular, linear]
-    own = jnp.take_along_axis(of_types, winner[:, None], axis=1)[:, 0]
-    of_name = jnp.where(holds_for_all_types(winner, dof, axes), jnp.sum(of_types, axis=1), own)
-    of_name = of_name * jnp.maximum(screws, 1 - screws)
-    # a universal joint has one class or the other, by how far its second axis turned
-    two, three = (jnp.sum(classes[:, :, n, 0], axis=1) for n in (2, 3))
-    of_point = jnp.where(is_universal(dof, universals), two + universals * three, (1 - universals) * three)
-    return jnp.where(turns_about_point(dof), of_point, of_name)
+def name_of(code: int) -> str:
+    """Name of an entry, of the catalogue or in words."""
+    known = constraint_of(code)
+    if known is not None:
+        return known.name
+    return _describe(ENTRIES[code])
 
 
-def turns_about_point(dof: tuple[jax.Array, jax.Array]) -> jax.Array:
-    """Whether a body turns about more than one axis, and does not slide, (N,) bool."""
-    return (jnp.sum(dof[0], axis=-1) >= 2) & (jnp.sum(dof[1], axis=-1) == 0)
+def _describe(entry: Entry) -> str:
+    """A class without a name: the type matters where something turns and something is held."""
+    where = f" in {entry.kind}" if entry.dof[0] and entry.dof[1] < 3 else ""
+    return f"Unnamed: {entry.label}{where}"
 
 
-def is_universal(dof: tuple[jax.Array, jax.Array], universals: jax.Array) -> jax.Array:
-    """Whether a body is on a universal joint, (N,) bool; arguments as in :func:`name_probability`."""
-    return turns_about_point(dof) & ((jnp.sum(dof[0], axis=-1) == 2) | (universals > EVEN))
+NAMES = tuple(dict.fromkeys(name_of(code) for code in range(len(ENTRIES))))
+"""All names, without repetition."""
 
+NAME_OF_ENTRY = np.array([NAMES.index(name_of(code)) for code in range(len(ENTRIES))], np.int32)
+"""(E,) index of every entry's name."""
 
-def holds_for_all_types(
-    winner: jax.Array, dof: tuple[jax.Array, jax.Array], axes: tuple[jax.Array, jax.Array]
-) -> jax.Array:
-    """Whether a class, such as that of a hinge, says the same in all linear types, (N,) bool.
-
-    Args:
-        winner: (N,) linear type.
-        dof: (N, 3) of both frames.
-        axes: (N, 2, 3, 3) of both angular types, and (N, 3, 3) of the linear frame; columns.
-    """
-    angular, linear = (jnp.sum(number, axis=-1) for number in dof)
-    body = jnp.asarray(ORIENTATION_BODIES)[winner]
-    turning = jnp.take_along_axis(axes[0], body[:, None, None, None], axis=1)[:, 0, :, 2]
-    odd = jnp.where((linear == 1)[:, None], axes[1][:, :, 2], axes[1][:, :, 0])
-    parallel = jnp.abs(jnp.sum(turning * odd, axis=-1)) > PARALLEL_COSINE
-    return jnp.asarray(_FOR_ALL_TYPES)[angular, linear, parallel.astype(jnp.int32)]
-
-
-def _is_for_all_types(rotations: int, translations: int, parallel: bool) -> bool:
-    """Whether a class has the same name in all linear types."""
-    patterns: tuple[Dof, ...] = (0, 0, 0), (0, 0, 1), (0, 1, 1), (1, 1, 1)
-    related = rotations in (1, 2) and translations in (1, 2)
-    relation = (AxisRelation.PARALLEL if parallel else AxisRelation.OBLIQUE) if related else None
-    dof = patterns[rotations], patterns[translations]
-    return len({name_class(kind, *dof, relation) for kind in LinearType}) == 1
-
-
-_FOR_ALL_TYPES = np.array(
-    [[[_is_for_all_types(a, b, parallel) for parallel in (False, True)] for b in range(4)] for a in range(4)]
+SAME_IN_ALL_TYPES = np.array(
+    [
+        known.linear_type is None
+        if (known := constraint_of(code))
+        else not _describe(ENTRIES[code])[-2:].isupper()
+        for code in range(len(ENTRIES))
+    ]
 )
+"""(E,) whether the constraint is the same in frames of every linear type."""
+
+
+def codes_of(name: str) -> tuple[int, ...]:
+    """Codes of the entries with a name, a label of the catalogue, or a common word for it.
+
+    Raises:
+        ValueError: for an unknown name; the message lists the known ones.
+    """
+    wanted = _COMMON.get(name.casefold(), name).casefold()
+    codes = tuple(
+        code
+        for code, entry in enumerate(ENTRIES)
+        if wanted in (entry.label.casefold(), name_of(code).casefold())
+    )
+    if codes:
+        return codes
+    known = ", ".join(
+        f"{ENTRIES[int(np.argmax(NAME_OF_ENTRY == n))].label} ({each})" for n, each in enumerate(NAMES)
+    )
+    raise ValueError(f"No constraint {name!r}. There are: {known}; and in short {', '.join(_COMMON)}.")
+
+
+_COMMON = {
+    "hinge": "A",
+    "revolute": "A",
+    "slide": "B",
+    "prismatic": "B",
+    "drawer": "B",
+    "cylinder": "C",
+    "cylindrical": "C",
+    "plane": "D",
+    "planar": "D",
+    "pin": "K",
+    "ball": "spherical",
+    "sphere": "spherical",
+    "free": "unconstrained",
+}
+
+
+def _class_codes() -> np.ndarray:
+    """(4, 4, 4, 3): entry of a linear type, free rotations, free translations, and how the odd axes lie.
+
+    The odd axes are parallel (0), perpendicular (1) or neither (2).
+    """
+    codes = np.full((4, 4, 4, 3), NO_ENTRY, np.int32)
+    for code in reversed(range(len(ENTRIES))):
+        entry = ENTRIES[code]
+        if entry.pitch:
+            continue
+        types = [entry.kind] if not SAME_IN_ALL_TYPES[code] else list(LinearType)
+        r, t = entry.dof
+        related = r in (1, 2) and t in (1, 2)
+        relations = range(3) if not related else [1] if entry.label in "EFIJ" else [0]
+        for kind in types:
+            codes[kind, r, t, list(relations)] = code
+    return codes
+
+
+CLASS_CODES = _class_codes()
+"""Entry of every class, see :func:`_class_codes`."""

@@ -1,5 +1,6 @@
 """Options of the main entry: what they may be, and what the pipeline makes of them."""
 
+from collections.abc import Sequence
 from typing import Any, Literal, TypedDict, get_args
 
 import jax
@@ -9,69 +10,64 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.compilation import traced
 from reframe_jax.identification.classify import Thresholds
-from reframe_jax.identification.evidence import LagRule
 from reframe_jax.identification.inputs import read_numbers
-from reframe_jax.identification.widening import SearchSpace
+from reframe_jax.identification.naming import codes_of
 from reframe_jax.motion.kinematics import Discretization
-from reframe_jax.solvers import Box, Solver
+from reframe_jax.solvers import Solver
 
-__all__ = ["IdentifyOptions", "Lag", "as_dtype", "check_options", "lag_in_samples", "make_space"]
+__all__ = ["IdentifyOptions", "Scales", "check_bounds", "check_options", "take_assumed", "take_scales"]
 
-_LONGEST = 2**30  # samples of a lag, far more than a window has
-_NEAR, _FAR = 1.0, 16.0  # m, half the width of the boxes that are searched by default
 _FARTHEST = 1e6  # m, of bounds: far more than any mechanism, and powers of it are finite
 
-Lag = Literal["auto"] | int | float | np.ndarray | jax.Array
-"""Samples, seconds or "auto"."""
+Scales = Literal["auto"] | int | Sequence[int]
+"""Samples in the blocks of the time scales that are used."""
 
 
 class IdentifyOptions(TypedDict, total=False):
     """Keyword arguments of :func:`reframe_jax.identify` that functions which call it hand on."""
 
-    lag: Lag
+    scales: Scales
     norm: float
     discretization: Discretization
     thresholds: Thresholds | None
-    bounds: ArrayLike | tuple[ArrayLike, ArrayLike] | None
+    bounds: ArrayLike | None
     solver: Solver | None
     key: jax.Array | None
-    compiled: bool | None
+    assume: str | None
 
 
-def lag_in_samples(lag: Lag, steps: Any, discretization: Discretization) -> tuple[LagRule, Any]:
-    """What velocities are taken from, and the lag in samples where it is given.
-
-    Args:
-        lag: as given to :func:`reframe_jax.identify`.
-        steps: (K,) or (..., K) sample times, s.
-        discretization: as given to it.
+def take_scales(scales: Any, poses: int) -> tuple[int, ...] | None:
+    """The scales in samples, None for "auto".
 
     Raises:
-        ValueError: if the lag is none, or does not go with the discretization.
+        ValueError: unless they are powers of two that fit a window of so many poses.
     """
-    if isinstance(lag, str):
-        if lag != "auto":
-            raise ValueError(
-                f"lag must be 'auto', a number of samples (int) or seconds (float), not {lag!r}."
-            )
-        return ("auto" if discretization == "chord" else "single"), None
-    concrete = not isinstance(lag, jax.core.Tracer)
-    value = read_numbers("lag", lag)
-    if value.ndim or (concrete and not 0 < float(value) < np.inf):
-        raise ValueError(f"lag must be 'auto', a number of samples (int) or seconds (float), not {lag!r}.")
-    xp = jnp if traced((value, steps)) else np
-    if value.dtype.kind == "f":
-        step = xp.median(steps, axis=-1)
-        number = xp.round(value / xp.where(step > 0, step, 1))
-        value = xp.clip(xp.where(xp.isfinite(number), number, 1), 1, _LONGEST)
-    elif concrete and int(value) == 1:
-        return "single", None
-    if discretization != "chord":
+    if isinstance(scales, str):
+        if scales == "auto":
+            return None
+        raise ValueError(f"scales must be 'auto' or numbers of samples, not {scales!r}.")
+    values = np.atleast_1d(read_numbers("scales", scales))
+    longest = max(1, poses // 8)
+    whole = values.ndim == 1 and values.size and values.dtype.kind in "iu"
+    if not whole or not all(0 < v <= longest and v & (v - 1) == 0 for v in values.tolist()):
         raise ValueError(
-            "discretization 'left' takes velocities from consecutive poses: leave out lag, or give 1."
+            f"scales must be powers of two from 1 to an eighth of the window ({longest} samples), "
+            f"not {scales!r}."
         )
-    longest = min(_LONGEST, np.iinfo(value.dtype).max) if value.dtype.kind in "iu" else _LONGEST
-    return "given", xp.minimum(value, longest).astype(np.int32)
+    return tuple(sorted(set(values.tolist())))
+
+
+def take_assumed(assume: Any) -> tuple[int, ...] | None:
+    """Codes of the entries of a constraint that is assumed, None for all.
+
+    Raises:
+        ValueError: for an unknown name.
+    """
+    if assume is None:
+        return None
+    if not isinstance(assume, str):
+        raise ValueError(f"assume must be the name of a constraint, such as 'hinge', not {assume!r}.")
+    return codes_of(assume)
 
 
 def check_options(
@@ -108,38 +104,19 @@ def _is_key(key: Any) -> bool:
     return plain or (jnp.issubdtype(key.dtype, jax.dtypes.prng_key) and key.shape == ())
 
 
-def make_space(bounds: Any, dtype: np.dtype) -> SearchSpace:
-    """Where positions are searched, from ``bounds`` of :func:`reframe_jax.identify`.
-
-    Bounds that were given are kept; those by default are widened where the motion asks for it.
+def check_bounds(bounds: Any) -> Any:
+    """Half the width of the cube in which origins are searched, m; None by default.
 
     Raises:
-        ValueError: if they are of a wrong shape, or span no box.
+        ValueError: unless it is one positive length.
     """
     if bounds is None:
-        near, far = (as_dtype(np.full(3, size), dtype) for size in (_NEAR, _FAR))
-        return SearchSpace(Box(-near, near), Box(-far, far))
-    if isinstance(bounds, tuple) and len(bounds) != 2:
-        raise ValueError(f"bounds must be a length in m, or (low, high), not {len(bounds)} of them.")
-    if isinstance(bounds, tuple):
-        low, high = (read_numbers("bounds", bound) for bound in bounds)
-    else:
-        high = read_numbers("bounds", bounds).astype(dtype)
-        low = -high
-    low, high = as_dtype(low, dtype), as_dtype(high, dtype)
-    if low.shape not in ((), (3,)) or high.shape not in ((), (3,)):
-        raise ValueError("bounds must be a length in m, or (low, high) with a number or (3,) each.")
-    if not traced((low, high)):
-        low, high = np.asarray(low), np.asarray(high)
-        if not np.all(low < high):
-            raise ValueError(f"bounds must span a box: low < high, not {low} and {high}.")
-        if not (np.all(low >= -_FARTHEST) and np.all(high <= _FARTHEST)):
-            raise ValueError(f"bounds must lie within {_FARTHEST:g} m, not {low} and {high}.")
-    ones = np.ones(3, dtype)
-    box = Box(low * ones, high * ones)
-    return SearchSpace(box, box)
-
-
-def as_dtype(value: Any, dtype: np.dtype) -> Any:
-    """The value as an array of that type; arrays of JAX stay on their device."""
-    return value.astype(dtype) if isinstance(value, jax.Array) else np.asarray(value, dtype)
+        return None
+    value = read_numbers("bounds", bounds)
+    if value.ndim:
+        raise ValueError(
+            f"bounds must be one length in m, half the width of a cube, not of shape {value.shape}."
+        )
+    if not traced(value) and not 0 < float(value) <= _FARTHEST:
+        raise ValueError(f"bounds must be a length from 0 to {_FARTHEST:g} m, not {float(value):g}.")
+    return value

@@ -7,21 +7,28 @@ arrays, which compare equal to the members, for a batch.
 
 from dataclasses import dataclass
 from types import EllipsisType
-from typing import Any
+from typing import Any, cast
 
 import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
 from reframe_jax.compilation import index_leaves
-from reframe_jax.constraints.catalogue import Constraint, lookup
+from reframe_jax.constraints.catalogue import Constraint, describe
 from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.types import AngularType, AxisRelation, Dof, LinearType, relation_of_cosine
+from reframe_jax.constraints.types import AngularType, Dof, LinearType
 from reframe_jax.geometry import rotations
 from reframe_jax.identification.cautions import caution_sentences
 from reframe_jax.identification.explanation import Finding, Spread, Tested, explain_finding
-from reframe_jax.identification.frames import AllCandidates, AngularFrame, Candidates, LinearFrame, member
-from reframe_jax.identification.naming import name_class
+from reframe_jax.identification.frames import (
+    AllCandidates,
+    AngularFrame,
+    Candidates,
+    LinearFrame,
+    PoseNoise,
+    member,
+)
+from reframe_jax.identification.naming import NAME_OF_ENTRY, constraint_of, name_of
 from reframe_jax.joints.fitting import fit_joint
 from reframe_jax.joints.joint import Joint
 from reframe_jax.motion.checks import Status
@@ -49,45 +56,22 @@ _axes = jax.jit(rotations.rotation_exp)
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class PoseNoise:
-    """Standard deviation of the white noise in the poses, as the poses themselves show it.
-
-    Attributes:
-        position: (...) m, of every component of the position.
-        rotation: (...) rad, of every component of the orientation.
-    """
-
-    position: jax.Array
-    rotation: jax.Array
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
 class Identification:
     """The constraint frame of a window, or of every window of a batch.
 
     Attributes:
         angular: frame of the angular velocity.
         linear: frame of the linear velocity.
-        candidates: the optimum of every frame type.
-        class_probability: (..., 4, 4, 4) probability of every class: linear type, number of free rotations,
-            number of free translations. All probabilities are conditional: see ``probability``.
-        screw_probability: (...) probability of a screw joint against a cylinder joint: that the slide is
-            proportional to the turn, if one rotation is free and a translation along its axis. 0 where the
-            motion is not like that.
+        candidates: the frames of every type at its lowest norm.
+        entry_code: (...) int, the entry of :data:`reframe_jax.model.table.ENTRIES` that fits best.
+        entry_probability: (..., E) probability of every entry of the table; NaN with thresholds.
         pitch: (...) m/rad of a screw joint: translation of the body along the axis for each radian that it
             turns about it, positive for a right-handed thread; times 2 pi it is the lead, in m per turn. NaN
             where the constraint is no screw joint.
-        universal_probability: (...) probability of a universal joint against a spherical joint: that an axis
-            of the ground and one of the body keep their angle, if the body turns about a point and more than
-            one axis. 0 where the motion is not like that. No derivatives.
         universal_axes: (..., 2, 3) unit vectors of a universal joint: its axis in {g} and its axis in {b}.
-            NaN where the constraint is none. No derivatives.
+            NaN where the constraint is none.
         noise: of the poses.
-        lag: (...) int, samples between the two poses of a velocity.
-        refined: (...) bool, whether the noise was found to be white, so that the frames are the likeliest
-            for the displacements between all pairs of poses, which are then more accurate; else those of the
-            velocities, which slow errors of a tracker spoil less.
+        scale: (...) int, samples in the blocks of the smallest time scale that is used; 1 for single steps.
         counted: (..., K+1) bool, poses that took part: outliers did not.
         status_code: (...) int; read it as ``status``. Windows that failed hold NaN and zeros.
         warning_codes: (...) int, bits of :class:`reframe_jax.identification.cautions.Caution`; read them as
@@ -97,14 +81,12 @@ class Identification:
     angular: AngularFrame
     linear: LinearFrame
     candidates: AllCandidates
-    class_probability: jax.Array
-    screw_probability: jax.Array
+    entry_code: jax.Array
+    entry_probability: jax.Array
     pitch: jax.Array
-    universal_probability: jax.Array
     universal_axes: jax.Array
     noise: PoseNoise
-    lag: jax.Array
-    refined: jax.Array
+    scale: jax.Array
     counted: jax.Array
     status_code: jax.Array
     warning_codes: jax.Array
@@ -128,12 +110,13 @@ class Identification:
             return self.warning_codes
         velocities = int(np.sum(np.asarray(self.counted))) - 1
         speeds = np.asarray(self.angular.rms).tolist(), np.asarray(self.linear.rms).tolist()
-        return caution_sentences(int(self.warning_codes), velocities, int(self.lag), speeds, self.probability)
+        return caution_sentences(int(self.warning_codes), velocities, speeds, self.probability)
 
     @property
     def entry(self) -> Constraint | None:
         """Catalogue entry of a single window; None for a class without a name."""
-        return lookup(*self._class(), self._is_screw(), self._is_universal())
+        code = int(self.entry_code)
+        return constraint_of(code) if code >= 0 else None
 
     @property
     def name(self) -> Any:
@@ -142,46 +125,39 @@ class Identification:
         Classes outside the catalogue are described ("Unnamed: 3 rotations, 1 translation in GB"), and
         a window that failed is named after its status.
         """
-        if np.shape(self.status_code):
-            return self._of_each("name", object)
-        status = Status(int(self.status_code))
-        if status.failed:
-            return f"No result: {status.message}"
-        return name_class(*self._class(), self._is_screw(), self._is_universal())
+        codes, statuses = np.asarray(self.entry_code), np.asarray(self.status_code)
+        if codes.ndim:
+            every = zip(codes.ravel().tolist(), statuses.ravel().tolist(), strict=True)
+            names = np.empty(codes.size, object)
+            names[:] = [self._name(i, *pair) for i, pair in enumerate(every)]
+            return names.reshape(codes.shape)
+        return self._name(0, int(codes), int(statuses))
+
+    def _name(self, place: int, code: int, status: int) -> str:
+        if Status(status).failed:
+            return f"No result: {Status(status).message}"
+        if code >= 0:
+            return name_of(code)
+        kind = LinearType(int(np.asarray(self.linear.type_code).ravel()[place]))
+        dof = (np.asarray(x).reshape(-1, 3)[place] for x in (self.angular.dof, self.linear.dof))
+        angular, linear = (cast(Dof, tuple(d.tolist())) for d in dof)
+        return describe(kind, angular, linear)
 
     @property
     def probability(self) -> Any:
         """Probability of ``name``, a float; an array for a batch, NaN where a window failed.
 
-        The sum of ``class_probability`` over all classes that carry the name with axes that lie as those
-        found do: of any linear type for A to D and joints such as the spherical, of their own type for E to
-        L. A screw joint and a cylinder joint, which have the same class, share it as ``screw_probability``
-        says, a universal joint and a spherical joint as ``universal_probability`` says. It is conditional on
-        the model of :mod:`reframe_jax.identification.freedom`: that one constraint held throughout the
-        window, and that noise and motion are of the kinds described there. Motion that did not use a free
-        axis leaves it constrained, with a probability that may be high.
+        The sum of ``entry_probability`` over all entries with the name. It is conditional on the model of
+        :mod:`reframe_jax.model.evidence`: that one constraint of the table held throughout the window. Motion
+        that did not use a free axis leaves it constrained, with a probability that may be high. NaN with
+        thresholds, which have no probabilities.
         """
-        if np.shape(self.status_code):
-            return self._of_each("probability", float)
-        if Status(int(self.status_code)).failed:
-            return float("nan")
-        own, (_, angular, linear, relation) = name_class(*self._class()), self._class()
-        if sum(angular) >= 2 and sum(linear) == 0:
-            two, three = np.sum(np.asarray(self.class_probability)[:, 2:, 0], axis=0).tolist()
-            universal = float(self.universal_probability)
-            return two + universal * three if self._is_universal() else (1 - universal) * three
-        classes = np.asarray(self.class_probability)[:, sum(angular), sum(linear)]
-        same = [name_class(kind, angular, linear, relation) == own for kind in LinearType]
-        screw = float(self.screw_probability)
-        return float(np.sum(classes[same])) * (screw if self._is_screw() else 1 - screw)
-
-    def _of_each(self, attribute: str, dtype: Any) -> np.ndarray:
-        """An attribute of every window of a batch."""
-        values = np.empty(np.shape(self.status_code), dtype)
-        host = jax.tree.map(np.asarray, self)
-        for index in np.ndindex(values.shape):
-            values[index] = getattr(host[index], attribute)
-        return values
+        every, codes = np.asarray(self.entry_probability, float), np.asarray(self.entry_code)
+        same = NAME_OF_ENTRY == NAME_OF_ENTRY[np.maximum(codes, 0)][..., None]
+        found = np.where(same, every, 0).sum(axis=-1)
+        failed = (np.asarray(self.status_code) >= 10) | np.isnan(every[..., 0]) | (codes < 0)
+        found = np.where(failed, np.nan, found)
+        return found if found.ndim else float(found)
 
     @property
     def constraint_frame(self) -> ConstraintFrame:
@@ -255,7 +231,6 @@ class Identification:
         kind, linear, entry = host.linear.frame_type, host.linear, host.entry
         matters = sum(_dof(linear.dof)) > 0 and (entry is None or entry.linear_type is not None)
         tied = [str(t) for t in LinearType if matters and linear.tied[t] and t != kind]
-        twin = float(np.linalg.norm(linear.twin - linear.position)) if linear.has_twin else None
         finding = Finding(
             name=host.name,
             probability=host.probability,
@@ -269,7 +244,6 @@ class Identification:
             position=linear.position,
             free_position=linear.free_position,
             rivals=tuple(tied),
-            twin=twin,
             pitch=float(host.pitch),
             universal=host.universal_axes if host._is_universal() else None,
         )
@@ -282,21 +256,6 @@ class Identification:
     def _is_universal(self) -> bool:
         """Whether a single window shows a universal joint."""
         return bool(np.all(np.isfinite(self.universal_axes)))
-
-    def _class(self) -> tuple[LinearType, Dof, Dof, AxisRelation | None]:
-        """Linear type, degrees of freedom, and how the odd axes of the two frames lie."""
-        kind = LinearType(int(self.linear.type_code))
-        angular, linear = _dof(self.angular.dof), _dof(self.linear.dof)
-        if sum(angular) not in (1, 2) or sum(linear) not in (1, 2):
-            return kind, angular, linear, None
-        # compare the axes in the body they share, the one the linear frame is oriented in
-        shared = np.asarray(self.candidates.angular.rotvec)[int(kind.orientation_body)]
-        rotvecs = shared, np.asarray(self.linear.rotvec)
-        first, second = (
-            np.asarray(_axes(rotvec))[:, 2 if sum(dof) == 1 else 0]
-            for rotvec, dof in zip(rotvecs, (angular, linear), strict=True)
-        )
-        return kind, angular, linear, relation_of_cosine(float(first @ second))
 
 
 def _dof(dof: jax.Array) -> Dof:

@@ -6,9 +6,10 @@ jumped to, or that only moved fast, makes no such run.
 """
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import lax, vmap
 
-from reframe_jax.arrays import jnp, lax, vmap
 from reframe_jax.geometry import rotations
 from reframe_jax.geometry.products import matmul
 

@@ -3,8 +3,7 @@
 from enum import IntEnum
 
 import jax
-
-from reframe_jax.arrays import jnp
+import jax.numpy as jnp
 
 __all__ = ["MIN_VELOCITIES", "ROTATION_TOLERANCE", "Status", "check_step", "window_status"]
 

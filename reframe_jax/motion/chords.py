@@ -6,9 +6,8 @@ costs no more than a short one.
 """
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-
-from reframe_jax.arrays import jnp
 
 __all__ = ["chord_velocities", "moving_chords", "spread_of"]
 

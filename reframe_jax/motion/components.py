@@ -7,9 +7,7 @@ which are slow in XLA.
 from collections.abc import Sequence
 
 import jax
-
-from reframe_jax.arrays import jnp
-from reframe_jax.compilation import once_on_cpu
+import jax.numpy as jnp
 
 __all__ = ["bracket", "components_first", "components_last", "cross", "product", "stack", "transpose", "unit"]
 
@@ -39,7 +37,7 @@ def stack(parts: Sequence[jax.Array], axis: int = 0) -> jax.Array:
     On a CPU they are computed first, each by itself, and then copied: XLA would compute them number by number
     in one loop, which asks at every number whose turn it is.
     """
-    return jnp.concatenate(once_on_cpu([jnp.expand_dims(part, axis) for part in parts]), axis=axis)
+    return jnp.concatenate(([jnp.expand_dims(part, axis) for part in parts]), axis=axis)
 
 
 def _cross(a: jax.Array, b: jax.Array) -> list[jax.Array]:

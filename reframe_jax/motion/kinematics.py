@@ -14,9 +14,8 @@ Inside, arrays are laid out components first, then samples, then windows: a rota
 from typing import Literal
 
 import jax
+import jax.numpy as jnp
 
-from reframe_jax.arrays import jnp
-from reframe_jax.compilation import once
 from reframe_jax.geometry import rotations
 from reframe_jax.motion.components import components_first, components_last, cross, product, stack, transpose
 from reframe_jax.motion.magnus import without_brackets
@@ -49,13 +48,13 @@ def _step_times(dt: jax.Array | float, poses: jax.Array) -> jax.Array:
 
 def split_poses(poses: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Rotations (3, 3, K+1, ...) and positions (3, K+1, ...) of poses (..., K+1, 4, 4)."""
-    top = once(components_first(poses[..., :3, :], 2))
+    top = components_first(poses[..., :3, :], 2)
     return top[:, :3], top[:, 3]
 
 
 def _rotation_vectors(rotation: jax.Array) -> jax.Array:
     """(3, ...) rad, of rotations (3, 3, ...)."""
-    return once(jnp.stack(rotations.log_by_component(rotation)))
+    return jnp.stack(rotations.log_by_component(rotation))
 
 
 def _body_twists(rotation: jax.Array, position: jax.Array, step: jax.Array) -> jax.Array:
@@ -65,7 +64,7 @@ def _body_twists(rotation: jax.Array, position: jax.Array, step: jax.Array) -> j
     # the twist whose exponential is the step: J_l(w)^-1 takes the shift to its linear part
     w = _rotation_vectors(turn)
     across = cross(w, shift)
-    factor = once(rotations.cotangent_factor(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]))
+    factor = rotations.cotangent_factor(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
     return jnp.concatenate([w, shift - across / 2 + factor[None] * cross(w, across)]) / step[None]
 
 
@@ -102,8 +101,8 @@ def spatial_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
 
 def _mean_twists(rotation: jax.Array, position: jax.Array, steps: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Body and spatial twists, (6, K, ...); the sample times are (..., K)."""
-    body = once(_body_twists(rotation, position, components_first(steps, 0)))
-    return body, once(_spatial_twists(rotation, position, body))
+    body = _body_twists(rotation, position, components_first(steps, 0))
+    return body, (_spatial_twists(rotation, position, body))
 
 
 def velocity_components(
@@ -133,7 +132,7 @@ def velocity_components(
         gb, bg = product(rotation[:, :, :-1], bb), product(transpose(rotation)[:, :, :-1], gg)
     else:
         in_ground, in_body = _point_maps(rotation, position)
-        rate = once(1 / step)
+        rate = 1 / step
         gb, bg = jnp.diff(in_ground, axis=2) * rate, jnp.diff(in_body, axis=2) * rate
     rates = jnp.stack([spatial[:3], body[:3]], axis=2)
     return rates[:, None], jnp.stack([bb, gb, gg, bg], axis=3)
@@ -175,7 +174,7 @@ def paths_of(
     used = None if count is None else count - 1
     bb, gg = (_twist_map(twist) for twist in without_brackets(body, spatial, steps, used))
     in_ground, in_body = _point_maps(rotation, position)
-    rate = once(1 / step)
+    rate = 1 / step
     maps = stack([bb, jnp.diff(in_ground, axis=2) * rate, gg, jnp.diff(in_body, axis=2) * rate], axis=3)
     paths = stack([_sum_up(bb * step), in_ground, _sum_up(gg * step), in_body], axis=3)
     return maps, paths
@@ -193,8 +192,8 @@ def turn_rates(rotation: jax.Array, steps: jax.Array, count: jax.Array | None = 
     """
     step = components_first(steps, 0)[None]
     turn = product(transpose(rotation[:, :, :-1]), rotation[:, :, 1:])
-    body = once(_rotation_vectors(turn) / step)
-    spatial = once(product(rotation[:, :, :-1], body))
+    body = _rotation_vectors(turn) / step
+    spatial = product(rotation[:, :, :-1], body)
     used = None if count is None else count - 1
     body, spatial = without_brackets(body, spatial, steps, used)
     return stack([spatial, body], axis=2)

@@ -1,10 +1,9 @@
 """Mean twists from the logarithms of steps: the Magnus expansion without its brackets."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.arrays import jnp
-from reframe_jax.compilation import once
 from reframe_jax.motion.components import bracket, components_first
 
 __all__ = ["without_brackets"]
@@ -107,7 +106,7 @@ def without_brackets(
     Returns:
         Both, of the same shapes.
     """
-    weights, h = once(components_first(_derivative_weights(dt, count), 1)), components_first(dt, 0)[None]
+    weights, h = (components_first(_derivative_weights(dt, count), 1)), components_first(dt, 0)[None]
     even = components_first(
         jnp.max(dt, axis=-1, keepdims=True) <= _EVEN * jnp.min(dt, axis=-1, keepdims=True), 0
     )
@@ -120,17 +119,17 @@ def without_brackets(
 def _brackets(means: jax.Array, weights: jax.Array, h: jax.Array, turn: float) -> jax.Array:
     """The brackets, which turn round for body twists (-1)."""
     # constants are multiplied with, as in h * (1 / 24): in float64 a division takes a GPU far longer
-    first = once(_derivative(weights, means))
-    second = once(_derivative(weights, first))
+    first = _derivative(weights, means)
+    second = _derivative(weights, first)
     # from the mean to the middle of the step; steps of unequal length jump in this, so no derivative
     # may be taken of anything that still has a factor h in it
     middle = means - h**2 * (1 / 24) * second + h**2 * (turn / 12) * bracket(means, first)
     a1, a2 = h * middle, h**2 * _derivative(weights, middle)
     a3, a4 = h**3 * (1 / 2) * second, h**4 * (1 / 6) * _derivative(weights, second)
-    a1, a2, a3, a4 = once((a1, a2, a3, a4))
-    a12 = once(bracket(a1, a2))
+    a1, a2, a3, a4 = (a1, a2, a3, a4)
+    a12 = bracket(a1, a2)
     # the terms above, grouped by their outer factor
     in_first = (turn / 720) * a12 + (1 / 360) * a3
     first_bracket = bracket(a1, bracket(a1, in_first) - (turn / 12) * a2 - (turn / 80) * a4)
     second_bracket = bracket(a2, (turn / 240) * a3 - (1 / 240) * a12)
-    return (first_bracket + second_bracket) * once(1 / h)
+    return (first_bracket + second_bracket) * (1 / h)

@@ -11,10 +11,9 @@ All arrays have components first, then samples, then windows.
 from math import comb, radians
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-
-from reframe_jax.arrays import jnp, lax
-from reframe_jax.compilation import as_one_kernel, once
+from jax import lax
 
 __all__ = ["choose_lag", "constant_components", "estimate_noise", "masked_median", "unit_of_rounding"]
 
@@ -38,9 +37,9 @@ def masked_median(values: jax.Array, counted: jax.Array) -> jax.Array:
     """
     top = jnp.maximum(jnp.max(jnp.where(counted, values, 0), axis=0), jnp.finfo(values.dtype).tiny)
     # as shares of the largest, float32 is exact enough: a processor compares twice as many at a time
-    shares = once(jnp.where(counted, values / top[None], jnp.inf).astype(jnp.float32))
+    shares = jnp.where(counted, values / top[None], jnp.inf).astype(jnp.float32)
     half = jnp.sum(counted, axis=0, dtype=jnp.float32) / 2
-    low, high = as_one_kernel(_bisect, shares, half)
+    low, high = _bisect(shares, half)
     median = top * jnp.exp2(high.astype(top.dtype))
     return jnp.where((half > 0) & (low > -_OCTAVES), median, 0)
 

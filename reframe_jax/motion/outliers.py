@@ -7,9 +7,10 @@ count; paths that run across them use the motion interpolated between the poses 
 from functools import partial
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import lax, vmap
 
-from reframe_jax.arrays import jnp, lax, put, vmap
 from reframe_jax.compilation import update_marked
 from reframe_jax.geometry import rotations
 from reframe_jax.geometry.products import matmul
@@ -142,5 +143,5 @@ def _fill(poses: jax.Array, times: jax.Array, counted: jax.Array) -> jax.Array:
     turn = rotations.rotation_log(matmul(jnp.swapaxes(start[:, :3, :3], -1, -2), end[:, :3, :3]))
     rotation = matmul(start[:, :3, :3], rotations.rotation_exp(share[:, None] * turn))
     position = start[:, :3, 3] + share[:, None] * (end[:, :3, 3] - start[:, :3, 3])
-    filled = put(put(poses, np.s_[:, :3, :3], rotation), np.s_[:, :3, 3], position)
+    filled = poses.at[np.s_[:, :3, :3]].set(rotation).at[np.s_[:, :3, 3]].set(position)
     return jnp.where(counted[:, None, None], poses, filled)

@@ -10,8 +10,9 @@ All arrays have components first, then samples, then windows.
 from typing import NamedTuple, cast
 
 import jax
+import jax.numpy as jnp
+from jax import lax
 
-from reframe_jax.arrays import jnp, lax
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.symmetric import Vector
 from reframe_jax.motion.components import cross

@@ -9,9 +9,9 @@ All arrays have components first, then samples, then windows.
 """
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-
-from reframe_jax.arrays import jnp, lax
+from jax import lax
 
 __all__ = ["noise_share", "smooth_noise", "smooth_poses", "smoothing_width"]
 

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 from typing import cast
 
 import jax
+import jax.numpy as jnp
 
-from reframe_jax.arrays import jnp
-from reframe_jax.compilation import once
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, Symmetric
 from reframe_jax.objectives.moments import covariance_gradient, covariance_hessian
@@ -49,13 +48,13 @@ class HeldAxesObjective(MomentsOfOrigins):
         with c_ij = 1 / (s_i s_j) for two constrained axes, 1 / (s_i (s_j - s_i)) if only i is, else 0.
         """
         at = x[0], x[1], x[2]
-        values, axes = once(symmetric.eigh(self.covariance(x)))
+        values, axes = symmetric.eigh(self.covariance(x))
         tiny = float(jnp.finfo(self.dtype).tiny)
         s = jnp.maximum(jnp.stack(values), tiny)
         h = self.held
         first = h / s
         slopes = covariance_gradient(self.moments, at)
-        turned = once([dict(zip(INDEX_PAIRS, symmetric.along(slope, axes), strict=True)) for slope in slopes])
+        turned = [dict(zip(INDEX_PAIRS, symmetric.along(slope, axes), strict=True)) for slope in slopes]
         between = {
             (i, j): first[i] / jnp.where(h[j] > 0, s[j], jnp.maximum(s[j] - s[i], tiny))
             for i, j in INDEX_PAIRS

@@ -10,15 +10,12 @@ many problems is elementwise arithmetic on contiguous arrays.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.arrays import jnp
-from reframe_jax.compilation import backend, once
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, Symmetric, Vector
-from reframe_jax.objectives.moments_kernel import mean_products
 
 __all__ = [
     "MONOMIALS",
@@ -67,11 +64,9 @@ def component_moments(maps: jax.Array, weights: jax.Array | None = None) -> jax.
         (6, 10, ...) or (6, 1, ...).
     """
     columns, samples = maps.shape[1:3]
-    entries = once(maps.reshape(3 * columns, samples, *maps.shape[3:]))
+    entries = maps.reshape(3 * columns, samples, *maps.shape[3:])
     if weights is not None:
         rows = _products(entries, weights / jnp.sum(weights, axis=0, keepdims=True))
-    elif backend() == "gpu":
-        rows = _products_in_a_kernel(entries)
     else:
         rows = _products(entries)
 
@@ -95,21 +90,8 @@ def _products(entries: jax.Array, weights: jax.Array | None = None) -> list[jax.
         entries: (n, K, ...).
         weights: (K, ...), of sum 1, or None for the mean.
     """
-    weighted = once(entries / entries.shape[1] if weights is None else entries * weights[None])
+    weighted = entries / entries.shape[1] if weights is None else entries * weights[None]
     return [_add_up(weighted[i, None] * entries[i:]) for i in range(len(entries))]
-
-
-@jax.custom_jvp
-def _products_in_a_kernel(entries: jax.Array) -> list[jax.Array]:
-    """:func:`_products` on a GPU."""
-    rows = mean_products(entries.reshape(*entries.shape[:2], -1))
-    return [row.reshape(-1, *entries.shape[2:]) for row in rows]
-
-
-@_products_in_a_kernel.defjvp
-def _products_jvp(primals: tuple[jax.Array], tangents: tuple[jax.Array]) -> tuple[Any, Any]:
-    _, change = jax.jvp(_products, primals, tangents)
-    return _products_in_a_kernel(*primals), change
 
 
 def _add_up(x: jax.Array) -> jax.Array:
@@ -121,7 +103,7 @@ def _add_up(x: jax.Array) -> jax.Array:
         parts = min(8, x.shape[1])
         size = x.shape[1] // parts
         slices = [x[:, i * size : (i + 1) * size] for i in range(parts)]
-        total, rest = once(sum(slices[1:], slices[0])), x[:, parts * size :]
+        total, rest = (sum(slices[1:], slices[0])), x[:, parts * size :]
         x = jnp.concatenate([total, rest], axis=1) if rest.shape[1] else total
     return x[:, 0]
 
@@ -191,7 +173,7 @@ def _each_component(moments: Coefficients, at: Vector, polynomial: _Polynomial) 
     """Values of a polynomial with the coefficients of each component; of an array, those of all at once."""
     if isinstance(moments, jax.Array | np.ndarray):
         here = at[0][None], at[1][None], at[2][None]
-        values = once(polynomial([moments[:, m] for m in range(moments.shape[1])], here))
+        values = polynomial([moments[:, m] for m in range(moments.shape[1])], here)
         xx, xy, xz, yy, yz, zz = values
     else:
         xx, xy, xz, yy, yz, zz = (polynomial(q, at) for q in moments)

@@ -11,9 +11,10 @@ is its transpose. The power mean of exponent 0, the geometric mean, is the paper
 import math
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
-from reframe_jax.arrays import jnp, lax
 from reframe_jax.geometry import rotations, symmetric
 from reframe_jax.geometry.products import matmul
 from reframe_jax.objectives.moments import covariance_at

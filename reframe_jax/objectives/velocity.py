@@ -4,9 +4,9 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.arrays import jnp
 from reframe_jax.geometry import rotations, symmetric
 from reframe_jax.objectives.moments import covariance_at
 from reframe_jax.objectives.norms import log_power_mean

@@ -5,18 +5,17 @@ from functools import partial
 from typing import cast
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import lax, random
 
-from reframe_jax.arrays import jnp, lax, random
-from reframe_jax.compilation import BLOCK_SHARE, as_one_kernel, backend, update_marked
+from reframe_jax.compilation import BLOCK_SHARE, update_marked
 from reframe_jax.objectives.protocol import Objective, check_objective
 from reframe_jax.solvers.box import Box
-from reframe_jax.solvers.kernel import step_chains
 from reframe_jax.solvers.problems import flatten_problems, repeat_problems
 from reframe_jax.solvers.protocol import LocalMinimiser, Solution
 from reframe_jax.solvers.seeds import even_starts, suggested_starts
 from reframe_jax.solvers.transition import Chains, Coordinates, transition
-from reframe_jax.solvers.valley_steps import ValleySteps
 
 __all__ = ["BasinHopping", "SearchState"]
 
@@ -166,7 +165,7 @@ class BasinHopping:
         The first step minimizes the starts without a jump; steps after the last hop minimize the best points.
         """
         draw = partial(self._draw, dim=objective.dim, dtype=state.x.dtype)
-        jump, rise, key = as_one_kernel(draw, state.key)
+        jump, rise, key = draw(state.key)
         more = (1,) * (state.x.ndim - 2)
         low, high = box.bounds(state.x)
         chains = transition(
@@ -255,9 +254,6 @@ class BasinHopping:
 
     def _advance(self, objective: Objective, box: Box, state: SearchState, count: int) -> SearchState:
         """Make ``count`` steps."""
-        on_gpu, inner = backend() == "gpu", self.inner
-        if on_gpu and isinstance(inner, ValleySteps) and inner.check(objective).exponent == 0:
-            return self._in_a_kernel(inner, objective, box, state, count)
         state, _ = lax.scan(lambda state, _: (self.step(objective, box, state), None), state, length=count)
         return state
 
@@ -287,7 +283,7 @@ class BasinHopping:
 
         carry = jnp.zeros((), jnp.int32), chains, chains, ~self._have_met(state.value).reshape(-1)
         share = BLOCK_SHARE
-        if backend() != "cpu":
+        if jax.default_backend() != "cpu":
             # few problems need more than one round, and an accelerator works on many at once
             carry, share = a_round(carry), _LATER
         _, chains, ends, _ = lax.while_loop(goes_on, partial(a_round, share=share), carry)
@@ -328,37 +324,6 @@ class BasinHopping:
         if self.restarts == 1:
             return jnp.zeros(value.shape[1:], dtype=bool)
         return jnp.max(value, axis=0) - jnp.min(value, axis=0) < self.settled
-
-    def _in_a_kernel(
-        self,
-        inner: ValleySteps,
-        objective: Objective,
-        box: Box,
-        state: SearchState,
-        count: int,
-        interpret: bool = False,
-    ) -> SearchState:
-        """The state after ``count`` steps, as :meth:`step` reaches it."""
-        problems = state.value.ndim - 1
-        key, jumps, rises = state.key, [], []
-        for _ in range(count):
-            jump, rise, key = self._draw(key, objective.dim, state.x.dtype)
-            jumps.append((box.high - box.low)[:, None] * jump)
-            rises.append(rise)
-        after = step_chains(
-            flatten_problems(inner.check(objective).moments, problems),
-            box.low,
-            box.high,
-            state.hop,
-            flatten_problems(state.chains, problems),
-            jnp.stack(jumps),
-            jnp.stack(rises),
-            steps=inner.steps,
-            hops=self.hops,
-            interpret=interpret,
-        )
-        after = jax.tree.map(lambda new, old: new.reshape(old.shape), after, state.chains)
-        return _state(state.hop + count, key, after)
 
     def _descend(self, objective: Objective, box: Box, x: Coordinates) -> tuple[jax.Array, jax.Array]:
         """Local minimization of every chain: at once if problems are few, else one after the other."""

@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 
 import jax
-
-from reframe_jax.arrays import jnp
+import jax.numpy as jnp
 
 __all__ = ["Box"]
 

@@ -29,7 +29,6 @@ from typing import NamedTuple, cast
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.compilation import once
 from reframe_jax.geometry import rotations, symmetric
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, Symmetric, Vector
 from reframe_jax.objectives.moments import (
@@ -68,7 +67,7 @@ class _Expansion(NamedTuple):
 
 
 def _variances(moments: Coefficients, frame: _Frame) -> Vector:
-    sigma = once(covariance_at(moments, frame.position))
+    sigma = covariance_at(moments, frame.position)
     x, y, z = (symmetric.quadratic_form(e, sigma, e) for e in frame.axes)
     return x, y, z
 
@@ -112,10 +111,10 @@ def _shares(variances: Vector, exponent: float) -> Vector:
 
 def _expand(moments: Coefficients, frame: _Frame, exponent: float) -> _Expansion:
     axes, p = frame
-    s = once(symmetric.along(covariance_at(moments, p), axes))
+    s = symmetric.along(covariance_at(moments, p), axes)
     v = s[0], s[3], s[5]
-    q = once(_shares(v, exponent))
-    weights = once(tuple(q[n] / (2 * v[n]) for n in range(3)))
+    q = _shares(v, exponent)
+    weights = tuple(q[n] / (2 * v[n]) for n in range(3))
 
     def weighted(of_axes: tuple[jax.Array, ...]) -> jax.Array:
         return weights[0] * of_axes[0] + weights[1] * of_axes[1] + weights[2] * of_axes[2]
@@ -124,8 +123,8 @@ def _expand(moments: Coefficients, frame: _Frame, exponent: float) -> _Expansion
     seconds = _turning_twice(s)
     entries = {(j, i): weighted(tuple(m[k] for m in seconds)) for k, (i, j) in enumerate(INDEX_PAIRS)}
     if len(moments[0]) > 1:
-        for a, sigma_a in enumerate(once(covariance_gradient(moments, p))):
-            s_a = once(symmetric.along(sigma_a, axes))
+        for a, sigma_a in enumerate(covariance_gradient(moments, p)):
+            s_a = symmetric.along(sigma_a, axes)
             for n, slope in enumerate((s_a[0], s_a[3], s_a[5])):
                 slopes[n].append(slope)
             turning = _turning(s_a)
@@ -134,8 +133,8 @@ def _expand(moments: Coefficients, frame: _Frame, exponent: float) -> _Expansion
             along = tuple(symmetric.quadratic_form(e, sigma_ab, e) for e in axes)
             entries[3 + b, 3 + a] = weighted(along)
     dim = len(slopes[0])
-    logs = once([[slope / v[n] for slope in slopes[n]] for n in range(3)])
-    mean = once([q[0] * logs[0][i] + q[1] * logs[1][i] + q[2] * logs[2][i] for i in range(dim)])
+    logs = [[slope / v[n] for slope in slopes[n]] for n in range(3)]
+    mean = [q[0] * logs[0][i] + q[1] * logs[1][i] + q[2] * logs[2][i] for i in range(dim)]
     own = 0.0 if exponent == -inf else exponent  # with all the share on one axis both its terms cancel
     hessian = []
     for i in range(dim):
@@ -145,7 +144,7 @@ def _expand(moments: Coefficients, frame: _Frame, exponent: float) -> _Expansion
             row.append(entries[i, j] - (0.5 - own / 4) * outer - own / 4 * mean[i] * mean[j])
         hessian.append(row)
     majorant = tuple(entries[3 + b, 3 + a] for a, b in INDEX_PAIRS) if dim == 6 else None
-    return once(_Expansion([m / 2 for m in mean], hessian, s, cast(Symmetric | None, majorant)))
+    return _Expansion([m / 2 for m in mean], hessian, s, cast(Symmetric | None, majorant))
 
 
 def _aligning(s: Symmetric) -> jax.Array:
@@ -177,19 +176,19 @@ def _directions(gradient: list[jax.Array], hessian: Triangle) -> jax.Array:
         size = sum((jnp.abs(hessian[max(i, j)][min(i, j)]) for i in range(dim)), jnp.zeros_like(gradient[j]))
         column = [hessian[i][j] - _dot(lower[i], lower[j], pivots) for i in range(j, dim)]
         pivot = column[0] + _RIDGE * size
-        pivots.append(once(jnp.where(pivot == 0, 1, pivot)))
-        inverse.append(once(1 / pivots[j]))
+        pivots.append(jnp.where(pivot == 0, 1, pivot))
+        inverse.append(1 / pivots[j])
         for i in range(j + 1, dim):
-            lower[i].append(once(column[i - j] * inverse[j]))
+            lower[i].append(column[i - j] * inverse[j])
     forward: list[jax.Array] = []
     for i in range(dim):
-        forward.append(once(gradient[i] - _dot(lower[i], forward)))
+        forward.append(gradient[i] - _dot(lower[i], forward))
     found = []
     for scale in (inverse, [jnp.abs(c) for c in inverse]):
         x: list[jax.Array] = []  # from the last to the first
         for i in reversed(range(dim)):
             below = [lower[k][i] for k in reversed(range(i + 1, dim))]
-            x.append(once(forward[i] * scale[i] - _dot(below, x)))
+            x.append(forward[i] * scale[i] - _dot(below, x))
         found.append(jnp.stack(x[::-1]))
     return jnp.stack(found)
 
@@ -204,12 +203,10 @@ def _turned(axes: Axes, d: Vector) -> Axes:
     """E times the rotation of the unit quaternion along (1, d / 2), which is exp(d) to second order."""
     scale = jax.lax.rsqrt(1 + (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]) / 4)
     w, (x, y, z) = scale, (scale / 2 * c for c in d)
-    columns = once(
-        (
-            (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
-            (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
-            (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
-        )
+    columns = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
+        (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
+        (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
     )
 
     def times(column: Vector) -> Vector:
@@ -230,7 +227,7 @@ def _descend(
         if not placed:
             return _Frame(axes, frame.position)
         x, y, z = (jnp.clip(frame.position[a] - step[3 + a], low[a], high[a]) for a in range(3))
-        return once(_Frame(axes, (x, y, z)))
+        return _Frame(axes, (x, y, z))
 
     def held(frame: _Frame, here: _Expansion) -> tuple[list[jax.Array], Triangle]:
         """Gradient and Hessian with the coordinates held whose gradient points out of the box."""
@@ -245,32 +242,32 @@ def _descend(
             [jnp.where(stays[i] | stays[j], float(i == j), entry) for j, entry in enumerate(row)]
             for i, row in enumerate(here.hessian)
         ]
-        return once((gradient, hessian))
+        return (gradient, hessian)
 
     def step(_: int, carry: tuple[_Frame, jax.Array]) -> tuple[_Frame, jax.Array]:
         frame, best = carry
         here = _expand(moments, frame, exponent)
         gradient, hessian = (here.gradient, here.hessian) if here.majorant is None else held(frame, here)
-        newton, descent = once(tuple(_directions(gradient, hessian)))
-        slope = once(jnp.sum(newton * jnp.stack(gradient), axis=0))
+        newton, descent = tuple(_directions(gradient, hessian))
+        slope = jnp.sum(newton * jnp.stack(gradient), axis=0)
         steps = [newton / (1 + power * slope)[None] for power in _POWERS]
         steps += [share * descent for share in _SHARES]
-        turn = once(_aligning(here.covariance))
+        turn = _aligning(here.covariance)
         if here.majorant is None:
             steps.append(turn)
         else:
-            shift, still = once(_majorising(here, here.majorant)), jnp.zeros_like(turn)
+            shift, still = (_majorising(here, here.majorant)), jnp.zeros_like(turn)
             steps += [jnp.concatenate(pair) for pair in ((turn, shift), (turn, still), (still, shift))]
-        trials = once(jnp.stack(steps))
+        trials = jnp.stack(steps)
 
         def attempt(i: jax.Array, carry: tuple[_Frame, jax.Array]) -> tuple[_Frame, jax.Array]:
             """A loop, so that it is compiled once."""
             chosen, best = carry
             trial = moved(frame, jax.lax.dynamic_index_in_dim(trials, i, keepdims=False))
-            value = once(_level(moments, trial, exponent))
+            value = _level(moments, trial, exponent)
             better = value < best
             chosen = jax.tree.map(lambda new, old: jnp.where(better, new, old), trial, chosen)
-            return once((chosen, jnp.where(better, value, best)))
+            return (chosen, jnp.where(better, value, best))
 
         return jax.lax.fori_loop(0, len(trials), attempt, (frame, best))
 

@@ -3,8 +3,9 @@
 from typing import Any
 
 import jax
+import jax.numpy as jnp
+from jax import custom_jvp
 
-from reframe_jax.arrays import custom_jvp, jnp
 from reframe_jax.geometry.products import apply
 from reframe_jax.objectives.protocol import Objective
 from reframe_jax.solvers.box import Box

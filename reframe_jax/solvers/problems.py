@@ -4,8 +4,8 @@ from collections.abc import Callable
 from typing import TypeVar
 
 import jax
+import jax.numpy as jnp
 
-from reframe_jax.arrays import jnp
 from reframe_jax.objectives.protocol import Objective
 from reframe_jax.solvers.box import Box
 

@@ -3,10 +3,10 @@
 from functools import partial
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import random
 
-from reframe_jax.arrays import jnp, random
-from reframe_jax.compilation import as_one_kernel
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.symmetric import INDEX_PAIRS
 from reframe_jax.objectives.protocol import MomentsObjective, Objective
@@ -70,7 +70,7 @@ def suggested_starts(
     batch, dtype = objective.batch, objective.dtype
     if not (isinstance(objective, MomentsObjective) and objective.unknowns == "position"):
         return even_starts(objective, box, key, count)
-    d = as_one_kernel(partial(random.normal, shape=(3, candidates * count), dtype=dtype), key)
+    d = partial(random.normal, shape=(3, candidates * count), dtype=dtype)(key)
     d = d.reshape(3, candidates * count, *([1] * len(batch)))
     # coefficients of d^T Sigma(p) d; its gradient vanishes where it is least
     q = jnp.zeros((10, candidates * count, *batch), dtype)

@@ -4,8 +4,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
-
-from reframe_jax.arrays import jnp
+import jax.numpy as jnp
 
 __all__ = ["Chains", "Coordinates", "transition"]
 

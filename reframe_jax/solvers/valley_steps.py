@@ -24,9 +24,9 @@ from functools import partial
 from typing import NamedTuple, cast
 
 import jax
+import jax.numpy as jnp
+from jax import lax, nn
 
-from reframe_jax.arrays import jnp, lax, nn
-from reframe_jax.compilation import apply_each, as_one_kernel, once
 from reframe_jax.geometry import symmetric
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, Symmetric, Vector
 from reframe_jax.objectives.moments import (
@@ -67,7 +67,7 @@ def _expand(moments: Coefficients, p: Vector, exponent: float) -> _Expansion:
     else:
         gradient, majorant, curvature = _derivatives_of_mean(sigma, slopes, seconds, exponent)
     hessian = cast(Symmetric, tuple(m + c for m, c in zip(majorant, curvature, strict=True)))
-    return _Expansion(sigma, slopes, *once((gradient, majorant, hessian)))
+    return _Expansion(sigma, slopes, *((gradient, majorant, hessian)))
 
 
 def slope(objective: MomentsObjective, x: jax.Array) -> jax.Array:
@@ -77,7 +77,7 @@ def slope(objective: MomentsObjective, x: jax.Array) -> jax.Array:
     p = x[0], x[1], x[2]
     weights = _Elimination.of(covariance_at(objective.moments, p))
     slopes = covariance_gradient(objective.moments, p)
-    return jnp.stack(apply_each(lambda m: weights.trace(weights.turn(m)), slopes)) / 6
+    return jnp.stack([(lambda m: weights.trace(weights.turn(m)))(item) for item in slopes]) / 6
 
 
 def slope_and_curvature(objective: MomentsObjective, x: jax.Array) -> tuple[jax.Array, Symmetric]:
@@ -106,7 +106,7 @@ class _Elimination(NamedTuple):
         y = 1 / dy
         lzy = coupling * y
         z = 1 / (zz - xz * lzx - coupling * lzy)
-        return once(cls((x, y, z), (-lyx, lyx * lzy - lzx, -lzy)))
+        return cls((x, y, z), (-lyx, lyx * lzy - lzx, -lzy))
 
     def turn(self, m: Symmetric) -> Symmetric:
         """L^-1 M L^-T."""
@@ -128,7 +128,7 @@ def _derivatives_of_det(
     """For f = log det Sigma, W = Sigma^-1: the curvature of f is -tr(W Sigma_a W Sigma_b)."""
     weights = _Elimination.of(sigma)
     x, y, z = weights.inverse
-    turned = apply_each(weights.turn, slopes)
+    turned = [(weights.turn)(item) for item in slopes]
     scale = (x * x, x * y, x * z, y * y, y * z, z * z)
 
     def product(a: Symmetric, b: Symmetric) -> jax.Array:
@@ -137,7 +137,7 @@ def _derivatives_of_det(
         )
 
     gradient = tuple(weights.trace(m) for m in turned)
-    majorant = tuple(apply_each(lambda m: weights.trace(weights.turn(m)), seconds))
+    majorant = tuple([(lambda m: weights.trace(weights.turn(m)))(item) for item in seconds])
     curvature = tuple(-product(turned[a], turned[b]) for a, b in INDEX_PAIRS)
     return cast(Vector, gradient), cast(Symmetric, majorant), cast(Symmetric, curvature)
 
@@ -152,15 +152,15 @@ def _derivatives_of_mean(
 
         sum_ij f_ij M_a,ii M_b,jj + 2 sum_(i<j) (f_i - f_j) / (s_i - s_j) M_a,ij M_b,ij.
     """
-    values, axes = once(symmetric.eigh(sigma))
+    values, axes = symmetric.eigh(sigma)
     s = jnp.maximum(jnp.stack(values), jnp.finfo(values[0].dtype).tiny)
     if exponent == -math.inf:
         # the smallest counts alone
         share, own = jnp.stack([jnp.ones_like(s[0]), jnp.zeros_like(s[0]), jnp.zeros_like(s[0])]), 0.0
     else:
         share, own = nn.softmax(exponent / 2 * jnp.log(s), axis=0), exponent / 2
-    s, share, first = once((s, share, 3 * share / s))
-    turned = once([dict(zip(INDEX_PAIRS, symmetric.along(slope, axes), strict=True)) for slope in slopes])
+    s, share, first = (s, share, 3 * share / s)
+    turned = [dict(zip(INDEX_PAIRS, symmetric.along(slope, axes), strict=True)) for slope in slopes]
 
     def second(i: int, j: int) -> jax.Array:
         change = -own * share[j] if i != j else own * (1 - share[i]) - 1
@@ -172,8 +172,8 @@ def _derivatives_of_mean(
         limit = second(i, i) - second(i, j)  # as s_j and f_j go to s_i and f_i
         return jnp.where(close, limit, (first[j] - first[i]) / jnp.where(close, 1, gap))
 
-    on_axes = once({(i, j): second(i, j) for i in range(3) for j in range(3)})
-    between = once({(i, j): divided(i, j) for i, j in INDEX_PAIRS if i != j})
+    on_axes = {(i, j): second(i, j) for i in range(3) for j in range(3)}
+    between = {(i, j): divided(i, j) for i, j in INDEX_PAIRS if i != j}
 
     def trace(m: Symmetric) -> jax.Array:
         one, two, three = (first[i] * symmetric.quadratic_form(axes[i], m, axes[i]) for i in range(3))
@@ -197,7 +197,7 @@ def _along(moments: Coefficients, slopes: tuple[Symmetric, ...], d: Vector) -> t
     """S1 and S2 of Sigma(p - l d) = Sigma(p) - l S1 + l^2 S2."""
     first = tuple(d[0] * in_x + d[1] * in_y + d[2] * in_z for in_x, in_y, in_z in zip(*slopes, strict=True))
     second = covariance_on_line(moments, d)
-    return once(cast(Symmetric, first)), second
+    return (cast(Symmetric, first)), second
 
 
 def _hold(matrix: Symmetric, held: list[jax.Array], trace: jax.Array) -> Symmetric:
@@ -262,14 +262,14 @@ def descend(
         g = cast(Vector, tuple(jnp.where(held[i], 0, here.gradient[i]) for i in range(3)))
         trace = symmetric.trace(here.majorant)
         both = here.majorant, here.hessian
-        down, newton = apply_each(lambda m: symmetric.solve(_hold(m, held, trace), g), both)
+        down, newton = [(lambda m: symmetric.solve(_hold(m, held, trace), g))(item) for item in both]
 
         # Newton's lengths, as far as the box allows, on the line along which Sigma is a quadratic
         slope = newton[0] * g[0] + newton[1] * g[1] + newton[2] * g[2]
         ahead = _room(p, newton, low, high)
         behind = _room(p, cast(Vector, tuple(-c for c in newton)), low, high)
         lengths = [jnp.clip(1 / (1 + slope / m), -behind, ahead) for m in powers]
-        lengths = once(lengths)
+        lengths = lengths
         first, second = _along(moments, here.slopes, newton)
 
         def on_line(length: jax.Array) -> jax.Array:
@@ -278,25 +278,25 @@ def descend(
             return _level(cast(Symmetric, sigma), exponent)
 
         chosen_length = jnp.zeros_like(best)
-        for length, value in zip(lengths, apply_each(on_line, lengths), strict=True):
+        for length, value in zip(lengths, [(on_line)(item) for item in lengths], strict=True):
             better = value < best  # false for NaN
             chosen_length = jnp.where(better, length, chosen_length)
-            best = once(jnp.where(better, value, best))
+            best = jnp.where(better, value, best)
         # without any rotation all directions are free, and Newton's is not finite
         stays = chosen_length == 0
         moved = (jnp.where(stays, p[i], p[i] - chosen_length * newton[i]) for i in range(3))
-        chosen = once(cast(Vector, tuple(jnp.clip(c, low[i], high[i]) for i, c in enumerate(moved))))
+        chosen = cast(Vector, tuple(jnp.clip(c, low[i], high[i]) for i, c in enumerate(moved)))
 
         # the majorizing step, cut short at the box and projected onto it
         def trial(length: jax.Array) -> tuple[Vector, jax.Array]:
             moved = (p[i] - length * down[i] for i in range(3))
-            there = once(cast(Vector, tuple(jnp.clip(c, low[i], high[i]) for i, c in enumerate(moved))))
+            there = cast(Vector, tuple(jnp.clip(c, low[i], high[i]) for i, c in enumerate(moved)))
             return there, _level(covariance_at(moments, there), exponent)
 
-        for there, value in apply_each(trial, (once(_room(p, down, low, high)), jnp.ones_like(best))):
+        for there, value in [(trial)(item) for item in ((_room(p, down, low, high)), jnp.ones_like(best))]:
             better = value < best
             picked = tuple(jnp.where(better, there[i], chosen[i]) for i in range(3))
-            chosen, best = once((cast(Vector, picked), jnp.where(better, value, best)))
+            chosen, best = (cast(Vector, picked), jnp.where(better, value, best))
         return chosen, best
 
     return lax.fori_loop(0, steps, step, (p, _level(covariance_at(moments, p), exponent)))
@@ -327,7 +327,7 @@ class ValleySteps:
         low, high = box.bounds(x)
         bounds = cast(Vector, tuple(low)), cast(Vector, tuple(high))
         improve = partial(descend, steps=self.steps, exponent=known.exponent)
-        p, _ = as_one_kernel(improve, moments, *bounds, (x[0], x[1], x[2]))
+        p, _ = improve(moments, *bounds, (x[0], x[1], x[2]))
         found = jnp.stack(p).reshape(3, *batch)
         return found, objective.value(found)
 

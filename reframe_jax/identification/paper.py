@@ -1,0 +1,62 @@
+"""The paper's own search: velocities of single steps, any power mean over axes, any solver."""
+
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+
+from reframe_jax.motion import kinematics
+from reframe_jax.motion.kinematics import Discretization
+from reframe_jax.objectives.moments import add_variance, component_moments
+from reframe_jax.objectives.velocity import PositionObjective
+from reframe_jax.solvers import BasinHopping, Box, FrameSteps, JointSearch, Solver, ValleySteps
+
+if TYPE_CHECKING:
+    from reframe_jax.identification.pipeline import Prepared
+
+__all__ = ["default_solver", "paper_origins", "step_moments"]
+
+_FLOOR = 16  # roundings that are added to a covariance, so that windows without noise stay positive definite
+
+_VALLEY = BasinHopping(ValleySteps(6), restarts=7, hops=2, polish=1, rounds=8)
+_POSITIVE = BasinHopping(ValleySteps(8), restarts=8, hops=4, polish=2)
+_NEGATIVE = JointSearch(BasinHopping(FrameSteps(10), restarts=16, hops=3, polish=2), refine=ValleySteps(4))
+
+
+def default_solver(norm: float = 0.0) -> BasinHopping | JointSearch:
+    """The solver for an exponent of the norm where the search over scales does not apply."""
+    return _VALLEY if norm == 0 else _POSITIVE if norm > 0 else _NEGATIVE
+
+
+def step_moments(poses: jax.Array, steps: jax.Array, discretization: Discretization) -> tuple[jax.Array, ...]:
+    """Moments of the velocities of single steps: angular (6, 1, N, 2) and linear (6, 10, N, 4).
+
+    Args:
+        poses: (N, P, 4, 4) m.
+        steps: (1, K) or (N, K) s.
+        discretization: of velocities.
+    """
+    found = []
+    for maps in kinematics.velocity_components(poses, steps, discretization):
+        moments = jnp.moveaxis(component_moments(maps), 2, -1)
+        squares = [
+            moments[i, j] for i in (0, 3, 5) for j in ((0,) if moments.shape[1] == 1 else (0, 4, 7, 9))
+        ]
+        floor = _FLOOR * float(jnp.finfo(moments.dtype).eps) * sum(squares)
+        found.append(add_variance(moments, jax.lax.stop_gradient(floor)))
+    return tuple(found)
+
+
+def paper_origins(
+    window: "Prepared",
+    exponent: float,
+    discretization: Discretization,
+    solver: Solver | None,
+    key: jax.Array,
+) -> jax.Array:
+    """The origin of every linear type by the paper's norm, (N, 4, 3) m."""
+    _, linear = step_moments(window.poses, window.steps, discretization)
+    solver = default_solver(exponent) if solver is None else solver
+    half = jnp.broadcast_to(jnp.max(window.box), (3,))
+    solution = solver.minimise(PositionObjective(linear, exponent), Box(-half, half), key)
+    return jnp.moveaxis(solution.x, 0, -1)

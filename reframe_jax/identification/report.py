@@ -1,0 +1,441 @@
+"""From the most probable entry of the table to the frames that are reported."""
+
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reframe_jax.constraints.types import (
+    ORIENTATION_BODIES,
+    PARALLEL_COSINE,
+    POSITION_BODIES,
+    SQUARE_COSINE,
+    AngularType,
+    LinearType,
+)
+from reframe_jax.geometry.rotations import rotation_log
+from reframe_jax.identification.cautions import Caution, caution_codes
+from reframe_jax.identification.classify import Thresholds, degrees_of_freedom, free_rotations
+from reframe_jax.identification.frames import AllCandidates, AngularFrame, Candidates, LinearFrame, PoseNoise
+from reframe_jax.identification.naming import CLASS_CODES, NAME_OF_ENTRY, SAME_IN_ALL_TYPES
+from reframe_jax.identification.paper import step_moments
+from reframe_jax.identification.results import Identification
+from reframe_jax.model.axes import common_axes
+from reframe_jax.model.fit import Data, Parameters, coordinates, fit_entry, ground_axes, settle
+from reframe_jax.model.moments import Moments
+from reframe_jax.model.solve import Solved
+from reframe_jax.model.table import ENTRIES, KINDS, ROWS, TABLE
+from reframe_jax.motion.checks import Status
+from reframe_jax.motion.kinematics import Discretization
+from reframe_jax.objectives.moments import covariance_at
+from reframe_jax.objectives.norms import log_power_mean
+
+if TYPE_CHECKING:
+    from reframe_jax.identification.pipeline import Prepared
+
+__all__ = ["Winner", "report_windows", "winner_of_window"]
+
+Array = jax.Array
+
+_RIVAL = 0.05  # share of the probability of the winner from which on another type counts as tied
+_AT_BOUND = 0.999  # of the box
+_REFINE = 6  # steps of the last fit, in which the tilt is free
+
+_KIND = np.array([entry.kind for entry in ENTRIES], np.int32)
+_FREE = np.array([entry.dof for entry in ENTRIES], np.int32)
+_ANY_ORIGIN = np.array([[c in entry.any_origin for c in range(3)] for entry in ENTRIES])
+_CROSSED = TABLE.crossed
+_IN_GROUND = TABLE.ground[:, 0] & ~_CROSSED
+_LINEAR = np.array([KINDS.index(t.name) for t in LinearType])
+_TURNS = np.array([KINDS.index("turn in ground"), KINDS.index("turn in body")])
+
+
+class Winner(NamedTuple):
+    """The entry that is reported of a window.
+
+    Attributes:
+        code: () of the entry, or ``NO_ENTRY``.
+        name_probability: () of its name, NaN with thresholds.
+        parameters: fitted, with the tilt free; functions of the moments.
+        probability: (E,) of every entry.
+    """
+
+    code: Array
+    name_probability: Array
+    parameters: Parameters
+    probability: Array
+
+
+def winner_of_window(solved: Solved, live: Data, fixed: Data) -> Winner:
+    """The most probable name, its most probable entry, and the last fit.
+
+    Args:
+        solved: of one window.
+        live: moments that derivatives follow.
+        fixed: the same without derivatives.
+    """
+    probability = jnp.exp(solved.log_probability)
+    names = jax.ops.segment_sum(probability, jnp.asarray(NAME_OF_ENTRY), int(NAME_OF_ENTRY.max()) + 1)
+    of_name = names[NAME_OF_ENTRY]
+    code = jnp.argmax(jnp.where(of_name >= jnp.max(names), probability, -1)).astype(jnp.int32)
+    slot = jnp.argmax(solved.chosen == code)
+    entry = jax.tree.map(lambda leaf: jnp.asarray(leaf)[code], TABLE)
+    start = jax.tree.map(lambda leaf: leaf[slot], solved.parameters)
+    untied = jnp.asarray(False)
+    fitted, _ = fit_entry(start, fixed, entry, solved.tilt_scale, untied, _REFINE)
+    parameters = settle(fitted, live, entry, solved.tilt_scale, untied)
+    return Winner(code, jnp.max(names), parameters, probability)
+
+
+class _Rows(NamedTuple):
+    """Three coordinates of one group along the axes that are reported."""
+
+    axes: Array  # (3, 3) columns
+    weights: Array  # (3, 27)
+    square: Array  # (3,) mean square over the recording
+    dof: Array  # (3,) int
+
+
+def _block_rows(axes: Array, weights: Array, together: Array, free: Array, total: Array) -> _Rows:
+    """Principal axes of each block, held ones first, then by amplitude; right-handed, with signs fixed."""
+    covariance = jnp.where(together, weights @ total @ weights.T, 0)
+    turn = common_axes(jax.lax.stop_gradient(covariance)[None], jnp.ones(1, covariance.dtype))
+    axes, weights = axes @ turn, turn.T @ weights
+    square = jnp.einsum("if,fg,ig->i", weights, total, weights)
+    order = jnp.argsort(jax.lax.stop_gradient(square / jnp.max(square)) + 2.0 * free)
+    axes, weights, square, free = axes[:, order], weights[order], square[order], free[order]
+    sign = [_sign(axes[:, 0]), jnp.ones(()), _sign(axes[:, 2])]
+    axes = axes * jnp.stack(sign).astype(axes.dtype)
+    return _Rows(
+        axes.at[:, 1].set(jnp.cross(axes[:, 2], axes[:, 0])), weights, square, free.astype(jnp.int32)
+    )
+
+
+def _sign(axis: Array) -> Array:
+    """That makes the largest component positive."""
+    axis = jax.lax.stop_gradient(axis)
+    return jnp.where(axis[jnp.argmax(jnp.abs(axis))] < 0, -1, 1)
+
+
+def _speeds(weights: Array, live: Moments, step: Array) -> Array:
+    """RMS velocity along coordinates (3, 27), at the smallest scale that is used."""
+    first = jnp.argmax(live.details > 0)
+    square = jnp.einsum("if,fg,ig->i", weights, live.products[first], weights)
+    span = step * live.width[first]
+    return jnp.sqrt(jnp.maximum(square, 1e-30)) / span
+
+
+def _log_speed_norm(value: Array, live: Moments, step: Array) -> Array:
+    """Geometric mean of the RMS velocities over axes and scales, from F or its like (...)."""
+    count = jnp.sum(live.details)
+    spans = jnp.sum(live.details * jnp.log(live.width * step))
+    return jnp.exp((value / 2 / 3 - spans) / count)
+
+
+def _rotvec(axes: Array, dof: Array) -> Array:
+    """Rotation vector of axes; turning axes of one kind into each other contributes no derivative."""
+    fixed = jax.lax.stop_gradient(axes)
+    turn = fixed.T @ axes
+    at_rest = jax.lax.stop_gradient(turn)
+    distinct = (dof[:, None] != dof[None, :]).astype(axes.dtype)
+    return rotation_log(fixed @ (at_rest + distinct * (turn - at_rest)))
+
+
+class _Types(NamedTuple):
+    """Optima of all types, as the paper has them."""
+
+    angular_axes: Array  # (2, 3, 3)
+    linear_axes: Array  # (4, 3, 3)
+    angular_rms: Array  # (2, 3)
+    linear_rms: Array  # (4, 3)
+    angular_norm: Array  # (2,)
+    linear_norm: Array  # (4,)
+
+
+def _types_over_scales(solved: Solved, live: Moments, step: Array) -> _Types:
+    angular, linear = solved.angular_axes, solved.linear_axes
+    rows = jnp.asarray(ROWS, live.products.dtype)
+    points = jnp.concatenate([jnp.ones((4, 1), rows.dtype), solved.origins], axis=1)
+    of_linear = jnp.einsum("tai,taf->tif", linear, jnp.einsum("tiaf,ta->tif", rows[_LINEAR], points))
+    of_angular = jnp.einsum("tai,taf->tif", angular, rows[_TURNS][:, :, 0])
+    speeds = jax.vmap(partial(_speeds, live=live, step=step))
+    spread = jnp.einsum("tif,sfg,tig->tsi", of_angular, live.products, of_angular)
+    value = jnp.sum(live.details[:, None] * jnp.log(spread + 1e-30), axis=(1, 2))
+    norm = partial(_log_speed_norm, live=live, step=step)
+    return _Types(angular, linear, speeds(of_angular), speeds(of_linear), norm(value), norm(solved.norm))
+
+
+def _types_of_steps(
+    window: "Prepared", solved: Solved, exponent: float, discretization: Discretization
+) -> _Types:
+    """The paper's: velocities of single steps, of N windows."""
+    angular, linear = step_moments(window.poses, window.steps, discretization)
+    zero = jnp.zeros_like(angular[0, 0])
+    x = jnp.moveaxis(solved.origins, -1, 0)
+
+    def optimum(sigma: tuple[Array, ...]) -> tuple[Array, Array, Array]:
+        a, b, c, d, e, f = sigma
+        matrix = jnp.stack([a, b, c, b, d, e, c, e, f], axis=-1).reshape(*a.shape, 3, 3)
+        values, axes = jnp.linalg.eigh(matrix)
+        rms = jnp.sqrt(jnp.maximum(values, jnp.finfo(values.dtype).tiny))
+        turned = jnp.linalg.det(axes)[..., None, None] < 0
+        axes = jnp.where(turned & (jnp.arange(3) == 0), -axes, axes)
+        return axes, rms, jnp.exp(log_power_mean(jnp.moveaxis(jnp.log(rms), -1, 0), exponent))
+
+    of_angular = optimum(covariance_at(angular, (zero, zero, zero)))
+    of_linear = optimum(covariance_at(linear, (x[0], x[1], x[2])))
+    return _Types(*(part for pair in zip(of_angular, of_linear, strict=True) for part in pair))
+
+
+def report_windows(
+    window: "Prepared",
+    live: Moments,
+    solved: Solved,
+    thresholds: Thresholds | None,
+    exponent: float,
+    discretization: Discretization,
+    single_steps: bool,
+) -> Identification:
+    """The identification of N windows.
+
+    Args:
+        window: prepared windows; derivatives follow its features and moments.
+        live: moments with details at the scales that are used.
+        solved: what the model found, without derivatives.
+        thresholds: above which an axis is free, or None.
+        exponent: of the power mean, for the norms.
+        discretization: of velocities.
+        single_steps: whether RMS velocities are those of single steps.
+    """
+    time = jnp.sum(jnp.broadcast_to(window.steps, (len(window.poses), window.steps.shape[1])), axis=1)
+    step = time / window.steps.shape[1]
+    if single_steps:
+        types = _types_of_steps(window, solved, exponent, discretization)
+    else:
+        types = jax.vmap(_types_over_scales)(solved, live, step)
+    of_window = partial(_report_window, thresholds=thresholds, single_steps=single_steps)
+    found = jax.vmap(of_window)(window, live, solved, types, step)
+    return _with_status(found, window, thresholds)
+
+
+def _report_window(
+    window: "Prepared",
+    live: Moments,
+    solved: Solved,
+    types: _Types,
+    step: Array,
+    *,
+    thresholds: Thresholds | None,
+    single_steps: bool,
+) -> tuple[Identification, Array, Array]:
+    """One window, without its status; whether its origin lies on the bounds; its warnings."""
+    mean = window.features.mean_rotation
+    data = Data(live.products, live.details, mean, window.box)
+    fixed = jax.lax.stop_gradient(data)
+    share = jnp.where(jnp.arange(len(live.width)) == len(live.width) - 1, 1.0, 0.25) * (live.details > 0)
+    total = jnp.einsum("s,sfg->fg", share.astype(live.products.dtype), live.products)
+    types = types._replace(
+        angular_axes=jax.vmap(_fix_signs)(types.angular_axes),
+        linear_axes=jax.vmap(_fix_signs)(types.linear_axes),
+    )
+    if thresholds is None:
+        winner = winner_of_window(solved, data, fixed)
+    else:
+        winner = _winner_by_thresholds(types, solved, thresholds)
+    code, parameters = winner.code, winner.parameters
+    known = jnp.maximum(code, 0)
+    kind = jnp.asarray(_KIND)[known]
+    bodies = jnp.stack([ground_axes(parameters, mean), parameters.axes])  # by AngularType
+    entry = jax.tree.map(lambda leaf: jnp.asarray(leaf)[known], TABLE)
+    weights = coordinates(parameters._replace(pitch=jnp.zeros_like(parameters.pitch)), mean, entry)
+    held = entry.held & ~(entry.pitch & (jnp.arange(6) == 5))
+    linear_axes = bodies[jnp.asarray(ORIENTATION_BODIES)[kind]][:, entry.column[3:]]
+    linear = _block_rows(linear_axes, weights[3:], entry.together[3:, 3:], ~held[3:], total)
+    turned_in = jnp.where(jnp.asarray(_IN_GROUND)[known], int(AngularType.G), int(AngularType.B))
+    angular_type = jnp.where(jnp.sum(~held[:3]) == 2, jnp.argmin(types.angular_norm), turned_in).astype(
+        jnp.int32
+    )
+    plain = entry.crossed | (jnp.sum(~held[:3]) == 3) | (jnp.sum(~held[:3]) == 0)
+    of_types = []
+    for body in (AngularType.G, AngularType.B):
+        axes = jnp.where(plain, types.angular_axes[body], bodies[body][:, entry.column[:3]])
+        rows = axes.T @ jnp.asarray(ROWS, axes.dtype)[_TURNS[body], :, 0]
+        free = jnp.where(plain, jnp.arange(3) >= 3 - jnp.sum(~held[:3]), ~held[:3])
+        together = free[:, None] == free[None, :]
+        of_types.append(_block_rows(axes, rows, together, free, total))
+    angular_all: _Rows = jax.tree.map(lambda *leaves: jnp.stack(leaves), *of_types)
+    speeds = partial(_speeds, live=live, step=step)
+    angular_rms, linear_rms = jax.vmap(speeds)(angular_all.weights), speeds(linear.weights)
+    any_origin = jnp.asarray(_ANY_ORIGIN)[known]
+    directions = bodies[jnp.asarray(POSITION_BODIES)[kind]]
+    free_position = (directions * any_origin) @ directions.T
+    at_bound = jnp.any((jnp.abs(parameters.origin) > _AT_BOUND * window.box)) & ~jnp.all(any_origin)
+    position = parameters.origin - jax.lax.stop_gradient(free_position) @ parameters.origin
+    offset = jnp.where(jnp.asarray(POSITION_BODIES)[kind] == int(AngularType.G), window.centre, 0)
+    tied = _tied_types(winner, kind, thresholds, types)
+    if thresholds is not None or single_steps:
+        # the paper reports the optimum of a type
+        dof = _dof_by_thresholds(types, thresholds) if thresholds is not None else None
+        angular_all = angular_all._replace(axes=types.angular_axes)
+        angular_rms = types.angular_rms
+        linear = linear._replace(axes=types.linear_axes[kind])
+        linear_rms = types.linear_rms[kind]
+        counts = jnp.sum(angular_all.dof[0]), jnp.sum(linear.dof)
+        if dof is None:
+            dof = tuple(
+                jnp.broadcast_to((jnp.arange(3) >= 3 - n).astype(jnp.int32), (size, 3))
+                for n, size in zip(counts, (2, 4), strict=True)
+            )
+        else:
+            angular_type = jnp.argmin(types.angular_norm).astype(jnp.int32)
+        angular_all = angular_all._replace(dof=dof[0])
+        linear = linear._replace(dof=dof[1][kind])
+        linear_dof_all = dof[1]
+    else:
+        linear_dof_all = jnp.broadcast_to(jnp.arange(3) >= 3 - jnp.sum(linear.dof), (4, 3)).astype(jnp.int32)
+    a = angular_type
+    shift = jnp.where((jnp.asarray(POSITION_BODIES) == int(AngularType.G))[:, None], window.centre[None], 0)
+    positions = (solved.origins + shift).at[kind].set(position + offset)
+    linear_axes_all = types.linear_axes.at[kind].set(linear.axes)
+    linear_rms_all = types.linear_rms.at[kind].set(linear_rms)
+    linear_dof_all = linear_dof_all.at[kind].set(linear.dof)
+    angular_rotvecs = jax.vmap(_rotvec)(angular_all.axes, angular_all.dof)
+    linear_rotvecs = jax.vmap(_rotvec)(linear_axes_all, linear_dof_all)
+    r = jnp.sum(angular_all.dof[a])
+    crossed = entry.crossed & (code >= 0)
+    found = Identification(
+        angular=AngularFrame(
+            type_code=a,
+            rotvec=angular_rotvecs[a],
+            dof=angular_all.dof[a],
+            free_probability=_free_probability(winner, 0, angular_all.dof[a]),
+            rms=angular_rms[a],
+            amplitude=jnp.sqrt(jnp.maximum(angular_all.square[a], 0) + 1e-30),
+            norm=types.angular_norm[a],
+            norms=types.angular_norm,
+            tied=jnp.where(r == 2, jnp.arange(2) == a, True),
+            free_rotation=free_rotations(angular_all.dof[a]),
+        ),
+        linear=LinearFrame(
+            type_code=kind,
+            rotvec=linear_rotvecs[kind],
+            position=position + offset,
+            dof=linear.dof,
+            free_probability=_free_probability(winner, 1, linear.dof),
+            rms=linear_rms,
+            amplitude=jnp.sqrt(jnp.maximum(linear.square, 0) + 1e-30),
+            norm=types.linear_norm[kind],
+            norms=types.linear_norm,
+            tied=tied,
+            free_rotation=free_rotations(linear.dof),
+            free_position=free_position,
+        ),
+        candidates=AllCandidates(
+            angular=Candidates(
+                rotvec=angular_rotvecs, dof=angular_all.dof, rms=angular_rms, norm=types.angular_norm
+            ),
+            linear=Candidates(
+                rotvec=linear_rotvecs,
+                dof=linear_dof_all,
+                rms=linear_rms_all,
+                norm=types.linear_norm,
+                position=positions,
+            ),
+        ),
+        entry_code=code,
+        entry_probability=winner.probability,
+        pitch=jnp.where(entry.pitch & (code >= 0), parameters.pitch, jnp.nan),
+        universal_axes=jnp.where(crossed, jnp.stack([bodies[0][:, 2], bodies[1][:, 0]]), jnp.nan),
+        noise=PoseNoise(position=window.noise[0], rotation=window.noise[1]),
+        scale=live.width[jnp.argmax(live.details > 0)].astype(jnp.int32),
+        counted=window.counted,
+        status_code=jnp.zeros((), jnp.int32),
+        warning_codes=jnp.zeros((), jnp.int32),
+    )
+    few = jnp.sum(window.counted) - 1
+    marks = {Caution.IMPROBABLE: winner.name_probability < 0.5}
+    codes = caution_codes(few, (angular_rms[a], linear_rms), thresholds, marks)
+    return found, at_bound, codes
+
+
+def _fix_signs(axes: Array) -> Array:
+    first, third = axes[:, 0] * _sign(axes[:, 0]), axes[:, 2] * _sign(axes[:, 2])
+    return jnp.stack([first, jnp.cross(third, first), third], axis=1)
+
+
+def _dof_by_thresholds(types: _Types, thresholds: Thresholds) -> tuple[Array, Array]:
+    return (
+        degrees_of_freedom(types.angular_rms, thresholds.angular),
+        degrees_of_freedom(types.linear_rms, thresholds.linear),
+    )
+
+
+def _winner_by_thresholds(types: _Types, solved: Solved, thresholds: Thresholds) -> Winner:
+    """The paper's rule: types of the lowest norm, axes free where their RMS velocity is above."""
+    a, n = jnp.argmin(types.angular_norm), jnp.argmin(types.linear_norm)
+    angular, linear = _dof_by_thresholds(types, thresholds)
+    r, t = jnp.sum(angular[a]), jnp.sum(linear[n])
+    # how the odd axes lie, in the body in which the linear frame is fixed
+    turn = types.angular_axes[jnp.asarray(ORIENTATION_BODIES)[n]]
+    first = jnp.where(r == 1, turn[:, 2], turn[:, 0])
+    second = jnp.where(t == 1, types.linear_axes[n][:, 2], types.linear_axes[n][:, 0])
+    cosine = jnp.abs(first @ second)
+    relation = jnp.where(cosine > PARALLEL_COSINE, 0, jnp.where(cosine < SQUARE_COSINE, 1, 2))
+    code = jnp.asarray(CLASS_CODES)[n, r, t, relation]
+    # without an entry, the frame is that of an unconstrained body of the type
+    place = jnp.where(code >= 0, code, jnp.asarray(CLASS_CODES)[n, 3, 3, 0])
+    parameters = jax.tree.map(lambda leaf: leaf[place], solved.starts)
+    parameters = parameters._replace(origin=solved.origins[n])
+    probability = jnp.full(len(ENTRIES), jnp.nan, types.linear_norm.dtype)
+    return Winner(place, jnp.asarray(jnp.nan, probability.dtype), parameters, probability)._replace(
+        code=place
+    )
+
+
+def _free_probability(winner: Winner, group: int, dof: Array) -> Array:
+    """Probability that each axis is free, ascending, (3,)."""
+    count = jnp.asarray(_FREE[:, group])
+    above = [jnp.sum(jnp.where(count >= n, winner.probability, 0)) for n in (3, 2, 1)]
+    found = jnp.clip(jnp.stack(above), 0, 1)
+    return jnp.where(jnp.isnan(winner.probability[0]), dof.astype(found.dtype), found)
+
+
+def _tied_types(winner: Winner, kind: Array, thresholds: Thresholds | None, types: _Types) -> Array:
+    """Linear types whose entries of the same freedom are nearly as probable, (4,) bool."""
+    same = jnp.all(jnp.asarray(_FREE) == jnp.asarray(_FREE)[winner.code], axis=1)
+    of_types = jax.ops.segment_sum(jnp.where(same, winner.probability, 0), jnp.asarray(_KIND), 4)
+    tied = of_types >= _RIVAL * of_types[kind]
+    tied = jnp.where(jnp.isnan(of_types), jnp.arange(4) == kind, tied)
+    return tied | (jnp.arange(4) == kind) | jnp.asarray(SAME_IN_ALL_TYPES)[winner.code]
+
+
+def _with_status(
+    found: tuple[Identification, Array, Array], window: "Prepared", thresholds: Thresholds | None
+) -> Identification:
+    """The results with their status; NaN and zeros where a window failed."""
+    result, at_bound, codes = found
+    still = jnp.sum(result.angular.dof, axis=-1) + jnp.sum(result.linear.dof, axis=-1) == 0
+    outcome = jnp.where(at_bound, Status.ON_BOUNDS, Status.OK)
+    outcome = jnp.where(still, Status.NOT_EXCITED, outcome)
+    outcome = jnp.where(_is_finite(result), outcome, Status.OUT_OF_RANGE).astype(jnp.int32)
+    outcome = jnp.where(window.status >= 10, window.status, outcome)
+    failed = outcome >= 10
+
+    def blank(leaf: Array) -> Array:
+        wrong = failed.reshape(failed.shape + (1,) * (leaf.ndim - 1))
+        empty = jnp.nan if jnp.issubdtype(leaf.dtype, jnp.floating) else 0
+        return jnp.where(wrong, jnp.asarray(empty, leaf.dtype), leaf)
+
+    result = jax.tree.map(blank, result)
+    return replace(result, status_code=outcome, warning_codes=jnp.where(failed, 0, codes))
+
+
+def _is_finite(found: Identification) -> Array:
+    """Whether the frames of a window are finite, (N,)."""
+    numbers = (found.angular, found.linear, found.noise)
+    leaves = [x for x in jax.tree.leaves(numbers) if jnp.issubdtype(x.dtype, jnp.floating)]
+    flat = jnp.concatenate([x.reshape(len(x), -1) for x in leaves], axis=1)
+    return jnp.all(jnp.isfinite(flat), axis=1)

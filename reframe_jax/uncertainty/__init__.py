@@ -1,1 +1,0 @@
-"""How sure an identification is: covariance, motions that do not tell, and the motion to make next."""
