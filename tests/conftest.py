@@ -41,8 +41,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from reframe_jax.identification import uncompiled
-
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -56,12 +54,6 @@ hypothesis.settings.load_profile("repeatable")
 gc.collect()
 gc.freeze()
 gc.set_threshold(100_000, 50, 1000)
-
-
-@pytest.fixture(autouse=True)
-def _first_calls() -> None:
-    """Every test is the first to identify: what it runs does not hang on the tests before it."""
-    uncompiled._calls.clear()
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -78,7 +70,7 @@ def _free_programs(request: pytest.FixtureRequest) -> Iterator[None]:
         _trim_memory()  # compiling leaves a quarter of it behind, free but not given back
     if _resident_memory() > most:
         for name, module in list(sys.modules.items()):
-            if name.startswith("reframe_jax.") and name != "reframe_jax.identification.programs":
+            if name.startswith("reframe_jax.") and name != "reframe_jax.identification.entry":
                 _drop_programs(module)
         _trim_memory()
     if _resident_memory() > most:

@@ -11,10 +11,11 @@ from reframe_jax.objectives.norms import check_exponent
 __all__ = [
     "add_constraint",
     "add_seed",
+    "assumed",
     "count",
-    "lag",
     "metres",
     "positive",
+    "scales",
     "seconds",
     "whole",
 ]
@@ -98,18 +99,27 @@ def exponent(text: str) -> float:
         raise argparse.ArgumentTypeError(str(error)) from error
 
 
-def lag(text: str) -> str | int | float:
-    """The lag of velocities: "auto", a number of samples, or a time such as "0.5s"."""
+def scales(text: str) -> str | tuple[int, ...]:
+    """The time scales: "auto", or numbers of samples such as "1" or "1,2,4"."""
     if text == "auto":
         return text
     try:
-        if text.endswith("s"):
-            return seconds(text[:-1])
-        return count(text)
+        return tuple(count(part.strip()) for part in text.split(","))
     except argparse.ArgumentTypeError as error:
         raise argparse.ArgumentTypeError(
-            f"expected auto, a number of samples such as 10, or a time such as 0.5s, not {text!r}"
+            f"expected auto, or powers of two such as 1 or 4,8,16, not {text!r}"
         ) from error
+
+
+def assumed(text: str) -> str:
+    """The name of a constraint of the table."""
+    from reframe_jax.identification.naming import codes_of
+
+    try:
+        codes_of(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+    return text
 
 
 def label(text: str) -> str:

@@ -29,8 +29,6 @@ from reframe_jax.motion.checks import Status
 from reframe_jax.motion.windows import sliding_windows
 from reframe_jax.recordings.recording import Recording, RecordingError
 from reframe_jax.storage.progress import make_meter
-from reframe_jax.uncertainty.covariance import covariance
-from reframe_jax.uncertainty.excitation import excitation
 
 __all__ = ["add_identify", "identify_recording"]
 
@@ -58,12 +56,18 @@ def add_identify(commands: Any) -> None:
     add = command.add_argument
     add("files", nargs="+", type=Path, metavar="FILE", help="recordings")
     add(
-        "--lag",
-        type=arguments.lag,
+        "--scales",
+        type=arguments.scales,
         default="auto",
-        metavar="L",
-        help="between the two poses of a velocity: a number of samples (10), a time (0.5s), or auto, as "
-        "short as the noise allows (auto); 1 is the paper's",
+        metavar="N,N",
+        help="samples in the blocks whose means are compared, powers of two; 1 is the paper's, auto uses all "
+        "at which the motion stands out of the noise (auto)",
+    )
+    add(
+        "--assume",
+        type=arguments.assumed,
+        metavar="NAME",
+        help="name of a constraint that is known: hinge, ball, screw joint, K",
     )
     add_windows(command)
     add(
@@ -96,13 +100,14 @@ def add_identify(commands: Any) -> None:
         "--bounds",
         type=arguments.metres,
         metavar="M",
-        help="how far positions are searched, in m (1, and up to 16 where the motion points farther)",
+        help="half the width of the cube in which origins are searched, in m (2, or twice the extent of the "
+        "motion if that is more)",
     )
     add("--summary", action="store_true", help="print the table of all recordings only")
     add(
         "--explain",
         action="store_true",
-        help="say in plain words what was found, how sure that is (95 %%), and which motion would tell more",
+        help="explain the result in plain English, with error bars (95 %%) and the motion that would improve it",
     )
     add_outputs(command)
     add_reading(command)
@@ -137,8 +142,6 @@ def _identify(options: argparse.Namespace) -> int:
 def _check(options: argparse.Namespace) -> None:
     """Refuse options that do not go together."""
     check_exports(options)
-    if options.discretization != "chord" and options.lag not in ("auto", 1):
-        options.usage_error("--discretization left takes velocities from consecutive poses: leave out --lag.")
     check_windows(options)
     if options.plot is not None and options.window is not None:
         options.usage_error("--plot draws whole recordings: leave out --window.")
@@ -194,7 +197,10 @@ def _print_result(
 
 
 def _explanation(recording: Recording, found: Identification, options: argparse.Namespace) -> str:
-    """The result in plain words, with error bars where the options allow a covariance."""
+    """The result in plain English, with error bars where the options allow a covariance."""
+    from reframe_jax.uncertainty.covariance import covariance
+    from reframe_jax.uncertainty.excitation import excitation
+
     usual = options.norm == 0 and options.discretization == "chord"
     spread = covariance(found, recording.poses, times=recording.times) if usual else None
     return found.explain(spread, excitation(found, recording.poses, times=recording.times))
@@ -239,7 +245,8 @@ def _identify_windows(poses: np.ndarray, times: np.ndarray, options: argparse.Na
     return identify(
         poses,
         times=times,
-        lag=options.lag,
+        scales=options.scales,
+        assume=options.assume,
         norm=options.norm,
         discretization=options.discretization,
         thresholds=_thresholds(options),
@@ -256,6 +263,5 @@ def _figure(recording: Recording, found: Identification, options: argparse.Names
         times=recording.times,
         thresholds=_thresholds(options),
         discretization=options.discretization,
-        lag=options.lag,
         title=f"{recording.path.name}: {found.name}",
     )

@@ -17,7 +17,6 @@ from reframe_jax.cli.speaking import say, show
 from reframe_jax.cli.windows import add_windows, check_windows
 from reframe_jax.motion.windows import sliding_windows
 from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.uncertainty.covariance import covariance
 from reframe_jax.viewer.document import write_page
 from reframe_jax.viewer.page import serve_page
 from reframe_jax.viewer.tracks import WindowTrack, track_window
@@ -39,7 +38,8 @@ def add_view(commands: Any) -> None:
     command = add_command(commands, "view", _view, _VIEW)
     add = command.add_argument
     add("file", type=Path, metavar="FILE", help="recording, in a format that identify reads")
-    add("--lag", type=arguments.lag, default="auto", metavar="L", help="as for identify (auto)")
+    add("--scales", type=arguments.scales, default="auto", metavar="N,N", help="as for identify (auto)")
+    add("--assume", type=arguments.assumed, metavar="NAME", help="as for identify")
     add_windows(command)
     add(
         "--port", type=arguments.count, default=8080, metavar="P", help="of the page, or the next free (8080)"
@@ -49,7 +49,7 @@ def add_view(commands: Any) -> None:
     add_reading(command)
     # those of identify that a look does not need
     command.set_defaults(
-        norm=0.0, discretization="chord", bounds=1.0, angular_threshold=None, linear_threshold=None
+        norm=0.0, discretization="chord", bounds=None, angular_threshold=None, linear_threshold=None
     )
 
 
@@ -84,6 +84,8 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _tracks(options: argparse.Namespace) -> list[WindowTrack]:
+    from reframe_jax.uncertainty.covariance import covariance
+
     recording = read_recording(options.file, options)
     found, spans = identify_recording(recording, options)
     poses, times = recording.poses, recording.times
@@ -98,7 +100,7 @@ def _tracks(options: argparse.Namespace) -> list[WindowTrack]:
         rows = slice(span.start, span.stop)
         one = jax.tree.map(jax.numpy.asarray, found[index])
         known = spread[index] if np.isfinite(spread[index]).all() else None
-        tracks.append(track_window(poses[rows], times[rows], one, lag=options.lag, covariance=known))
+        tracks.append(track_window(poses[rows], times[rows], one, covariance=known))
     return tracks
 
 

@@ -76,9 +76,7 @@ def to_columns(
             ]
         ),
         "probability": np.asarray(host.probability, float),
-        "screw_probability": _floats(host.screw_probability),
         "pitch_m_rad": _floats(host.pitch),
-        "universal_probability": _floats(host.universal_probability),
         **{
             f"universal_{body}_{name}": _floats(host.universal_axes[:, i, j])
             for i, body in enumerate(("ground", "body"))
@@ -86,8 +84,7 @@ def to_columns(
         },
         "noise_position_m": _floats(host.noise.position),
         "noise_rotation_rad": _floats(host.noise.rotation),
-        "lag_samples": np.asarray(host.lag, np.int64),
-        "refined": np.asarray(host.refined, bool),
+        "scale_samples": np.asarray(host.scale, np.int64),
         "outliers": np.asarray(np.sum(~host.counted, axis=-1), np.int64),
     }
     for group in TYPES:
@@ -151,15 +148,13 @@ def _frame_columns(group: str, frame: Any, failed: np.ndarray) -> Columns:
         columns[f"free_{place}"] = np.asarray(frame.dof[:, axis], bool)
         columns[f"free_probability_{place}"] = _floats(frame.free_probability[:, axis])
         columns[f"rms_{place}_{_UNITS[group]}"] = _floats(frame.rms[:, axis])
+        columns[f"amplitude_{place}_{_UNITS[group].removesuffix('_s')}"] = _floats(frame.amplitude[:, axis])
         columns[f"turns_about_{place}"] = np.asarray(frame.free_rotation[:, axis], bool)
     if group == "linear":
         for i, name in enumerate("xyz"):
             columns[f"position_{name}_m"] = _floats(frame.position[:, i])
         directions = np.trace(frame.free_position, axis1=-2, axis2=-1)
         columns["open_directions"] = np.where(failed, 0, np.round(np.nan_to_num(directions))).astype(np.int64)
-        columns["has_twin"] = np.asarray(frame.has_twin, bool)
-        for i, name in enumerate("xyz"):
-            columns[f"twin_{name}_m"] = np.where(frame.has_twin, _floats(frame.twin[:, i]), np.nan)
     return {f"{group}_{name}": column for name, column in columns.items()}
 
 

@@ -4,7 +4,7 @@ The document that ``to_json`` and ``reframe-jax identify --json`` write has the 
 :data:`SCHEMA`. Numbers are in SI units (m, rad, s, m/s, rad/s); NaN and infinities are written as null::
 
     {
-      "schema": "reframe-jax/identification/2",
+      "schema": "reframe-jax/identification/3",
       "recordings": [
         {
           "recording": the label, or null,
@@ -19,35 +19,29 @@ The document that ``to_json`` and ``reframe-jax identify --json`` write has the 
               "notes": reasons to doubt the result, ``warnings`` of the window,
               "name": of the constraint, "label": letter or word in the catalogue, or null outside of it,
               "probability": of the name; see ``Identification.probability`` for what it is conditional on,
-              "class_probability": [
-                {"type": of the linear frame, "rotations", "translations": how many are free, "probability"},
-                those above 0.01, the likeliest first
+              "alternatives": [
+                {"name", "label", "type": of the linear frame, "probability"}: the constraints of the table with
+                a probability above 0.01, the reported one included, the most probable first; [] with thresholds
               ],
-              "screw_probability": of a screw joint, where one rotation and a translation along it are free,
               "pitch": m/rad of a screw joint, positive for a right-handed thread, else null,
-              "universal_probability": of a universal joint, where the body turns about a point,
               "universal_axes": {"ground": [3], "body": [3]; unit vectors} of a universal joint, else null,
               "noise": {"position": m, "rotation": rad; standard deviations of every component},
-              "lag": samples between the two poses of a velocity,
-              "refined": whether the frames are those of the displacements between all pairs of poses,
+              "scale": samples in the blocks of the smallest time scale that is used,
               "outliers": samples of the recording that took no part; counted from the first pose of the
                 window where "start" is null,
               "angular": {
-                "type": "G" or "B", "tied": types that explain the motion as well, this one included,
+                "type": "G" or "B", "tied": types that fit equally well, this one included,
                 "rotvec": [3], "axes": [3 unit vectors], "dof": [3, 1 is free],
-                "free_probability": [3], "rms": [3], "norm": number,
+                "free_probability": [3], "rms": [3], "amplitude": [3], RMS displacement in rad, "norm": number,
                 "free_rotation": [3 booleans, axes about which the frame can be turned],
               },
               "linear": {
-                the same with "type" and "tied" of "BB", "GB", "GG", "BG", and
+                the same with "type" and "tied" of "BB", "GB", "GG", "BG", "amplitude" in m, and
                 "position": [3], "free_position": [unit vectors along which the position is undetermined],
-                "coupled_position": [unit vectors along which it can move if the axes turn along],
-                "twin": [3] another position that explains the window as well, or null,
               },
               "candidates": {
-                "angular": {type: as "angular", without "type", "tied" and "free_probability"},
-                "linear": {type: as "linear", without them, "coupled_position" and "twin", and "on_bounds",
-                  "agreement"},
+                "angular": {type: {"rotvec", "axes", "dof", "rms", "norm"}},
+                "linear": {type: {the same and "position"}},
               }
             }
           ]
@@ -67,7 +61,6 @@ from typing import Any
 import jax
 import numpy as np
 
-from reframe_jax.constraints.types import LinearType
 from reframe_jax.export.common import (
     TYPES,
     Window,
@@ -77,7 +70,9 @@ from reframe_jax.export.common import (
     split_windows,
     tied_names,
 )
+from reframe_jax.identification.naming import constraint_of, name_of
 from reframe_jax.identification.results import Identification
+from reframe_jax.model.table import ENTRIES
 from reframe_jax.motion.checks import Status
 
 __all__ = ["SCHEMA", "to_document", "to_json", "to_record"]
@@ -86,23 +81,20 @@ _RESULT = (
     "name",
     "label",
     "probability",
-    "class_probability",
-    "screw_probability",
+    "alternatives",
     "pitch",
-    "universal_probability",
     "universal_axes",
     "noise",
-    "lag",
-    "refined",
+    "scale",
     "outliers",
     "angular",
     "linear",
     "candidates",
 )
 
-_LEAST = 0.01  # probability of a class that is written
+_LEAST = 0.01  # probability of an alternative that is written
 
-SCHEMA = "reframe-jax/identification/2"
+SCHEMA = "reframe-jax/identification/3"
 
 
 def to_json(
@@ -167,14 +159,11 @@ def _window_record(index: int, found: Identification, span: Window | None) -> di
         "name": found.name,
         "label": entry.label if entry else None,
         "probability": _plain(found.probability),
-        "class_probability": _classes(found),
-        "screw_probability": float(found.screw_probability),
+        "alternatives": _alternatives(found),
         "pitch": _plain(float(found.pitch)),
-        "universal_probability": float(found.universal_probability),
         "universal_axes": _pair(found.universal_axes),
         "noise": {"position": float(found.noise.position), "rotation": float(found.noise.rotation)},
-        "lag": int(found.lag),
-        "refined": bool(found.refined),
+        "scale": int(found.scale),
         "outliers": outlier_samples(found, span),
     }
     for group, types in TYPES.items():
@@ -182,9 +171,10 @@ def _window_record(index: int, found: Identification, span: Window | None) -> di
         named = {"type": str(types(int(frame.type_code))), "tied": tied_names(group, frame)}
         record[group] = named | _frame_record(frame)
         record[group]["free_probability"] = _plain(np.asarray(frame.free_probability).tolist())
-    coupled = directions(np.asarray(found.linear.coupled_position))
-    record["linear"]["coupled_position"] = np.reshape(coupled, (-1, 3)).tolist()
-    record["linear"]["twin"] = _plain(found.linear.twin.tolist()) if found.linear.has_twin else None
+        record[group]["amplitude"] = _plain(np.asarray(frame.amplitude).tolist())
+        record[group]["free_rotation"] = np.asarray(frame.free_rotation).tolist()
+    free = directions(np.asarray(found.linear.free_position))
+    record["linear"]["free_position"] = np.reshape(free, (-1, 3)).tolist()
     record["candidates"] = {
         group: {str(kind): _frame_record(_of_type(found, group, kind)) for kind in types}
         for group, types in TYPES.items()
@@ -192,19 +182,18 @@ def _window_record(index: int, found: Identification, span: Window | None) -> di
     return record
 
 
-def _classes(found: Identification) -> list[dict[str, Any]]:
-    """The likely classes, the likeliest first."""
-    probability = np.asarray(found.class_probability)
-    likely = [index for index in np.ndindex(probability.shape) if probability[index] > _LEAST]
-    likely.sort(key=lambda index: -probability[index])
+def _alternatives(found: Identification) -> list[dict[str, Any]]:
+    """The probable entries of the table, the most probable first."""
+    probability = np.nan_to_num(np.asarray(found.entry_probability, float))
+    likely = [code for code in np.argsort(-probability).tolist() if probability[code] > _LEAST]
     return [
         {
-            "type": str(LinearType(kind)),
-            "rotations": rotations,
-            "translations": translations,
-            "probability": float(probability[kind, rotations, translations]),
+            "name": name_of(code),
+            "label": entry.label if (entry := constraint_of(code)) else None,
+            "type": str(ENTRIES[code].kind),
+            "probability": float(probability[code]),
         }
-        for kind, rotations, translations in likely
+        for code in likely
     ]
 
 
@@ -220,13 +209,8 @@ def _frame_record(frame: Any) -> dict[str, Any]:
         "dof": frame.dof,
         "rms": frame.rms,
         "norm": frame.norm,
-        "free_rotation": frame.free_rotation,
         "position": getattr(frame, "position", None),
-        "on_bounds": getattr(frame, "on_bounds", None),
-        "agreement": getattr(frame, "agreement", None),
     }
-    if numbers["position"] is not None:
-        numbers["free_position"] = np.reshape(directions(frame.free_position), (-1, 3))
     return {name: _plain(np.asarray(value).tolist()) for name, value in numbers.items() if value is not None}
 
 

@@ -84,19 +84,12 @@ def _frame_block(group: str, frame: Any) -> list[str]:
         likely = frame.free_probability[i] if frame.dof[i] else 1 - frame.free_probability[i]
         if likely < _CLEAR:
             freedom += f" ({_probability(likely)})"
-        lines.append(
-            f"  axis {i + 1}  {_vector(axis, 3, 6)}  {_speed(frame.rms[i]):>8} {_UNITS[group]:5}  {freedom}"
-        )
+        size = f"{'moved' if frame.dof[i] else 'held within'} {_size(frame.amplitude[i], group)}"
+        speed = f"{_speed(frame.rms[i]):>8} {_UNITS[group]:5}"
+        lines.append(f"  axis {i + 1}  {_vector(axis, 3, 6)}  {speed}  {freedom}, {size}")
     if isinstance(kind, LinearType):
         lines.append(f"  origin  {_vector(frame.position, 4)} m in the {origin_in}")
         lines += _choice_of_position(directions(frame.free_position))
-        if coupled := directions(frame.coupled_position):
-            lines.append(f"          not determined, if the axes turn along, along {_along(coupled)}")
-        if frame.has_twin:
-            away = np.linalg.norm(frame.twin - frame.position)
-            lines.append(
-                f"      or  {_vector(frame.twin, 4)} m, {away:.2g} m away, explains the window as well"
-            )
     turns = [i for i in range(3) if frame.free_rotation[i]]
     if len(turns) == 3:
         lines.append("          the orientation is not determined")
@@ -106,19 +99,24 @@ def _frame_block(group: str, frame: Any) -> list[str]:
     return [*lines, ""]
 
 
+def _size(amplitude: float, group: str) -> str:
+    """An RMS displacement in mm or mrad."""
+    return f"{1e3 * amplitude:.2g} {'mrad' if group == 'angular' else 'mm'}"
+
+
 def _probability(value: float) -> str:
     """Two digits; nothing is certain."""
     return "<0.01" if value < 0.01 else ">0.99" if value > 0.99 else f"{value:.2f}"
 
 
 def _noise_line(found: Identification, window: Window | None) -> str:
-    """How noisy the poses are, what velocities are taken from, and which poses took no part."""
-    lag, out = int(found.lag), outlier_samples(found, window)
+    """How noisy the poses are, the smallest time scale, and which poses took no part."""
+    scale, out = int(found.scale), outlier_samples(found, window)
     position, rotation = 1e3 * found.noise.position, np.degrees(found.noise.rotation)
-    over = f"velocities over {lag} sample{'' if lag == 1 else 's'}"
+    over = f"blocks of {scale} sample{'' if scale == 1 else 's'}"
     if window is not None:
         period = (window.stop_time - window.start_time) / (window.stop - window.start - 1)
-        over += f" ({lag * period:.2g} s)"
+        over += f" ({scale * period:.2g} s)"
     parts = [f"{position:.2g} mm, {rotation:.2g} deg", over]
     if out:
         listed = ", ".join(map(str, out[:_LISTED]))
@@ -156,7 +154,7 @@ def _norms_block(found: Identification) -> list[str]:
             tied |= mark == "~"
             entries.append(f"{kind} {_speed(frame.norms[kind])}{mark}")
         lines.append(f"Norms   {group:7}  {'  '.join(entries).rstrip()}  {_UNITS[group]}")
-    lines.append("        * reported" + (", ~ tied: explains the motion as well" if tied else ""))
+    lines.append("        * reported" + (", ~ tied: fits equally well" if tied else ""))
     return lines
 
 
@@ -182,13 +180,11 @@ def _batch_table(
     statuses = sorted({Status(int(found.status_code)) for found in each} - {Status.OK})
     legend = [f"{status.name}: {status.message}" for status in statuses]
     ties = any("~" in cell for row in rows for cell in row)
-    twins = any(found.linear.has_twin for found in each)
     notes = {note: None for found in each if not _failed(found) for note in found.warnings}
     return [
         f"{label}: {count}" if label else count,
         *lines,
-        *(["~ tied: explains the motion as well"] if ties else []),
-        *(["+ another origin explains the motion as well"] if twins else []),
+        *(["~ tied: fits equally well"] if ties else []),
         *legend,
         *notes,
     ]
@@ -203,7 +199,7 @@ def _batch_row(index: int, found: Identification) -> list[str]:
         frame = getattr(found, group)
         kind = str(types(int(frame.type_code)))
         kinds.append("~".join([kind, *(name for name in tied_names(group, frame) if name != kind)]))
-    origin = _vector(found.linear.position, 3, 6) + ("+" if found.linear.has_twin else "")
+    origin = _vector(found.linear.position, 3, 6)
     return [str(index), found.name, _probability(found.probability), *kinds, origin, status.name]
 
 

@@ -1,4 +1,4 @@
-"""An identification in plain English: what it is, how sure, where, and what the motion left open."""
+"""An identification in plain English: the constraint, its probability, its location, and what stays open."""
 
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -103,8 +103,9 @@ class Finding:
         angular_type, linear_type: of the frames.
         angular_dof, linear_dof: (3,) 1 where an axis is free.
         angular_axes, linear_axes: (3, 3) columns.
+        angular_amplitude, linear_amplitude: (3,) rad and m, RMS displacement along the axes.
         position: (3,) m, and ``free_position``: (3, 3) projector onto what is free of it.
-        rivals: names of the other linear types that explain the motion as well, if the type matters.
+        rivals: names of the other linear types that fit equally well, if the type matters.
         pitch: m/rad of a screw joint, else NaN.
         universal: (2, 3) the axes of a universal joint, in {g} and in {b}, else None.
     """
@@ -118,6 +119,8 @@ class Finding:
     linear_dof: np.ndarray
     angular_axes: np.ndarray
     linear_axes: np.ndarray
+    angular_amplitude: np.ndarray
+    linear_amplitude: np.ndarray
     position: np.ndarray
     free_position: np.ndarray
     rivals: tuple[str, ...]
@@ -126,7 +129,7 @@ class Finding:
 
 
 def explain_finding(finding: Finding, spread: Spread | None, tested: Tested | None) -> str:
-    """Up to five lines: what it is, where, along which axis, what is open, and what would settle it.
+    """Up to six lines: the constraint, its play, its origin, its axis, what is open, and what would settle it.
 
     Args:
         finding: of one window.
@@ -135,15 +138,31 @@ def explain_finding(finding: Finding, spread: Spread | None, tested: Tested | No
     """
     like = _LIKE.get(finding.name, f"The body has the freedom of no common mechanism. {finding.name}")
     lines = [f"{like} (probability {_probability(finding.probability)})."]
-    lines += [line for line in (_where(finding, spread), _direction(finding, spread)) if line]
-    if spread is not None and len(lines) > 1 and not bool(spread.first_order):
-        lines[-1] += " The noise is so large that the errors may be larger than that."
+    where = [line for line in (_where(finding, spread), _direction(finding, spread)) if line]
+    if spread is not None and where and not bool(spread.first_order):
+        where[-1] += " The noise is high; the true error may exceed this interval."
+    lines += [*_held(finding), *where]
     settled = _still_open(finding, spread, tested)
     return "\n".join([*lines, *settled])
 
 
 def _probability(value: float) -> str:
     return "below 0.01" if value < 0.01 else "above 0.99" if value > 0.99 else f"{value:.2f}"
+
+
+def _held(finding: Finding) -> list[str]:
+    """How far the constrained axes give, and the free ones moved."""
+    sizes = []
+    for free in (0, 1):
+        moved = [
+            (finding.linear_amplitude[finding.linear_dof == free], "mm"),
+            (finding.angular_amplitude[finding.angular_dof == free], "mrad"),
+        ]
+        sizes.append(" and ".join(f"{1e3 * np.max(size):.2g} {unit}" for size, unit in moved if len(size)))
+    held, moved = sizes
+    if not held or not moved or finding.universal is not None:
+        return []
+    return [f"The constrained axes are held within {held}, while the free axes move {moved} (RMS)."]
 
 
 def _vector(vector: np.ndarray, digits: int) -> str:
@@ -174,9 +193,9 @@ def _where(finding: Finding, spread: Spread | None) -> str:
     size = "" if spread is None else _within(1e3 * _largest(spread.position), "mm")
     line = f"{what} {_vector(finding.position, 4)} m in the {body}{size}."
     if what.startswith("The axis"):
-        line += " Every other point of the axis is as right."
+        line += " Any point on this axis is equally valid."
     if spread is not None and float(np.max(np.asarray(spread.inflation))) > _SLOW:
-        line += " Slow errors of the tracker, not its noise, set this limit."
+        line += " Tracker drift, rather than noise, sets this limit."
     return line
 
 
@@ -206,14 +225,14 @@ def _direction(finding: Finding, spread: Spread | None) -> str:
 
 
 def _still_open(finding: Finding, spread: Spread | None, tested: Tested | None) -> list[str]:
-    """What the motion does not tell, and what would; at most two lines."""
+    """What the motion does not determine, and which motion would; at most two lines."""
     doubts, advice = [], []
     turns, slides = int(finding.angular_dof.sum()), int(finding.linear_dof.sum())
     if tested is not None and int(tested.motions) == 1:
-        doubts.append("only this one path was tried, and the mechanism may have more freedom")
+        doubts.append("the motion covered a single path, and the mechanism may allow more")
         advice.append("try to turn the body about other axes and to push it in other directions")
     elif tested is not None and bool(tested.steady):
-        doubts.append("a velocity never changed, so the true constraint may have more freedom")
+        doubts.append("a velocity never changed, so that the mechanism may allow more")
         advice.append("move back and forth along every axis, each at its own changing speed")
     elif tested is not None and int(tested.motions) < int(tested.free):
         number = int(tested.motions)
@@ -229,7 +248,7 @@ def _still_open(finding: Finding, spread: Spread | None, tested: Tested | None) 
         doubts.append(f"it did not slide along {axis} of the {body}")
         advice.append("push the body along that axis as well, if it gives way")
     if finding.rivals:
-        doubts.append(f"frames of type {' and '.join(finding.rivals)} explain the motion as well")
+        doubts.append(f"frames of type {' and '.join(finding.rivals)} fit equally well (tied)")
         advice.append("turn the body further while it moves")
     if not doubts:
         return []

@@ -7,11 +7,10 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.identification.changes import Change, ChangeWatch
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.entry import identify
 from reframe_jax.identification.inputs import read_number, read_numbers
-from reframe_jax.identification.options import Lag, check_options, lag_in_samples, make_space
+from reframe_jax.identification.options import Scales, check_bounds, check_options, take_assumed, take_scales
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import MIN_VELOCITIES, ROTATION_TOLERANCE, Status, check_step
 from reframe_jax.motion.kinematics import Discretization
@@ -26,32 +25,24 @@ _PATIENCE = 3  # times in a row that come too early, after which the window begi
 class OnlineIdentifier:
     """The constraint frame of the last poses of a stream.
 
-    Every push identifies the whole window anew: for 51 poses about a millisecond on one processor core
-    (``python -m benchmarks.identification`` prints it), of which the moments are the smaller part.
-    Updating moments instead would save that part and drift: the covariance along constrained axes is
-    1e-6 to 1e-10 of its largest entries, and every update leaves a rounding of these behind. It would be
-    inexact besides, because the default discretization takes derivatives over seven samples, so that the
-    newest pose changes the velocities of the three steps before it.
+    Every push identifies the whole window anew (``python -m benchmarks.identification`` prints the time).
+    Updating moments instead would drift: the moments along constrained axes are 1e-6 to 1e-10 of the largest
+    ones, and every update leaves a rounding of these behind.
 
     Args:
         length: poses in the window, K + 1; at least 5.
         dt: sample time in s, for streams without times.
-        lag: this and the others as in :func:`reframe_jax.identification.entry.identify`.
+        scales: this and the next ones are options of :func:`reframe_jax.identify`.
+        assume: name of a constraint.
         norm: exponent of the power mean.
         discretization: how velocity is taken from two poses.
         thresholds: RMS velocities above which an axis is free.
-        bounds: where positions are searched, m.
-        solver: search for the position.
+        bounds: half the width of the cube in which origins are searched, m.
+        solver: another search for the origin.
         key: of the solver's random numbers.
-        compiled: False lets NumPy identify the windows. The first full window then has its answer at once
-            and not after tens of seconds, and every push takes about a twentieth of a second.
-
-    Attributes:
-        change: the last change of the constraint that the stream has shown, with the time that it took to
-            notice; None before the first. It is sought as soon as one window is full.
 
     Raises:
-        ValueError: if the window is too short, the sample time not positive, or another option of no use.
+        ValueError: if the window is too short, the sample time not positive, or another option invalid.
     """
 
     def __init__(
@@ -59,14 +50,14 @@ class OnlineIdentifier:
         length: int,
         *,
         dt: float | None = None,
-        lag: Lag = "auto",
+        scales: Scales = "auto",
+        assume: str | None = None,
         norm: float = 0.0,
         discretization: Discretization = "chord",
         thresholds: Thresholds | None = None,
-        bounds: ArrayLike | tuple[ArrayLike, ArrayLike] | None = None,
+        bounds: ArrayLike | None = None,
         solver: Solver | None = None,
         key: jax.Array | None = None,
-        compiled: bool = True,
     ) -> None:
         try:
             length = index(length)
@@ -79,27 +70,25 @@ class OnlineIdentifier:
         if dt is not None:
             check_step(dt)
         check_options(thresholds, solver, discretization, key)
-        lag_in_samples(lag, np.ones(length - 1), discretization)
-        make_space(bounds, np.dtype(float))
+        check_bounds(bounds)
+        take_scales(scales, length)
+        take_assumed(assume)
         self._dt = dt
         self._options: dict[str, Any] = {
-            "lag": lag,
+            "scales": scales,
+            "assume": assume,
             "norm": check_exponent(norm),
             "discretization": discretization,
             "thresholds": thresholds,
             "bounds": bounds,
             "solver": solver,
             "key": key,
-            "compiled": compiled,
         }
         # poses are written twice, so that the window is always one slice
         self._poses = np.zeros((2 * length, 4, 4))
         self._times = np.zeros(2 * length)
         self._length, self._count = length, 0
         self._early: list[float] = []  # times refused one after the other
-        self._watch = ChangeWatch(length)
-        self._began = 0  # poses pushed before the window last was emptied
-        self.change: Change | None = None
 
     def push(self, pose: ArrayLike, time: float | None = None) -> Identification | None:
         """Add a pose.
@@ -138,26 +127,11 @@ class OnlineIdentifier:
             return None
         window = slice(slot + 1, slot + 1 + self._length)
         times = None if time is None else self._times[window]
-        found = identify(self._poses[window], times=times, dt=self._dt, **self._options)
-        self._look_for_change(window, found)
-        return found
+        return identify(self._poses[window], times=times, dt=self._dt, **self._options)
 
     def reset(self) -> None:
         """Empty the window: the next pose is the first."""
-        self._began += self._count
         self._count, self._early = 0, []
-        self._watch.reset(self._began)
-
-    def _look_for_change(self, window: slice, found: Identification) -> None:
-        """Update ``change``, given the identification of the window."""
-        last = self._began + self._count - 1
-        counts = np.arange(last - self._length + 1, last + 1)
-        times = np.asarray(self._times[window] if self._dt is None else self._dt * counts)
-        changed = self._watch.push(self._poses[window], last, found)
-        if changed is not None:
-            # a pose of the window, or of an earlier one
-            time = times[max(changed - last - 1, -self._length)]
-            self.change = Change(changed, float(time), float(times[-1] - time))
 
     def _refuse(self, time: float, last: float) -> None:
         """Refuse a time that comes too early, unless so many did that the last one must have been wrong.

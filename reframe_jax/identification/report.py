@@ -41,6 +41,8 @@ __all__ = ["Winner", "report_windows", "winner_of_window"]
 Array = jax.Array
 
 _RIVAL = 0.05  # share of the probability of the winner from which on another type counts as tied
+_VARIANT = 1e-3  # share of the probability of a name from which on an entry may be the one that is reported
+_FAR = 1e9  # log probability that puts an entry behind those that may
 _AT_BOUND = 0.999  # of the box
 _REFINE = 6  # steps of the last fit, in which the tilt is free
 
@@ -79,8 +81,12 @@ def winner_of_window(solved: Solved, live: Data, fixed: Data) -> Winner:
     """
     probability = jnp.exp(solved.log_probability)
     names = jax.ops.segment_sum(probability, jnp.asarray(NAME_OF_ENTRY), int(NAME_OF_ENTRY.max()) + 1)
-    of_name = names[NAME_OF_ENTRY]
-    code = jnp.argmax(jnp.where(of_name >= jnp.max(names), probability, -1)).astype(jnp.int32)
+    mine = names[NAME_OF_ENTRY] >= jnp.max(names)
+    # entries with one name that is the same in all types differ in their errors only: the lowest norm has
+    # the smallest
+    alike = jnp.any(mine & jnp.asarray(SAME_IN_ALL_TYPES)) & (probability > _VARIANT * jnp.max(names))
+    rank = jnp.where(alike, -solved.norm[jnp.asarray(_KIND)], jnp.log(probability) - _FAR)
+    code = jnp.argmax(jnp.where(mine, rank, -jnp.inf)).astype(jnp.int32)
     slot = jnp.argmax(solved.chosen == code)
     entry = jax.tree.map(lambda leaf: jnp.asarray(leaf)[code], TABLE)
     start = jax.tree.map(lambda leaf: leaf[slot], solved.parameters)

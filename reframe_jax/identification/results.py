@@ -211,10 +211,10 @@ class Identification:
         )
 
     def explain(self, covariance: Spread | None = None, excitation: Tested | None = None) -> str:
-        """Explain a single window in up to five lines of plain English.
+        """Explain a single window in up to six lines of plain English.
 
-        They say what the constraint is like and how probable its name is, where it lies, along which axis,
-        what the motion does not tell, and which motion would.
+        They describe the constraint, the probability of its name, how far constrained and free axes move, its
+        origin, its axis, what the motion does not determine, and which motion would.
 
         Args:
             covariance: of this window, from :func:`reframe_jax.covariance`, for the error bars (95 %).
@@ -241,6 +241,8 @@ class Identification:
             linear_dof=linear.dof,
             angular_axes=np.asarray(_axes(host.angular.rotvec)),
             linear_axes=np.asarray(_axes(linear.rotvec)),
+            angular_amplitude=host.angular.amplitude,
+            linear_amplitude=linear.amplitude,
             position=linear.position,
             free_position=linear.free_position,
             rivals=tuple(tied),

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reframe_jax.identification.classify import Thresholds
-from reframe_jax.identification.options import Lag
 from reframe_jax.identification.results import Identification
 from reframe_jax.identification.velocities import frame_velocities
 from reframe_jax.motion.kinematics import Discretization
@@ -29,7 +28,6 @@ def plot_identification(
     times: ArrayLike,
     thresholds: Thresholds | None = None,
     discretization: Discretization = "chord",
-    lag: Lag = "auto",
     title: str | None = None,
 ) -> "Figure":
     """Draw one window: its linear frame in space, and the velocities along the axes.
@@ -37,10 +35,9 @@ def plot_identification(
     On the left the path of the body in the ground, with the linear frame and the free axes of rotation
     through its origin. What is fixed in the body is drawn at the first, the middle and the last pose, the
     first one palest; an origin that is fixed there is joined to the body, and its path is dotted. Free axes
-    are arrows, constrained axes dashed lines without a head; a twin is a hollow circle. On the right the
-    velocities along the axes of both frames over time, as the identification took them: at its lag, without
-    rest. Outliers, which took no part, are crosses in space and along the time axis; the path leaves them
-    out.
+    are arrows, constrained axes dashed lines without a head. On the right the velocities of single steps
+    along the axes of both frames over time. Outliers, which took no part, are crosses in space and along the
+    time axis; the path leaves them out.
 
     Args:
         poses: (K+1, 4, 4), m.
@@ -48,7 +45,6 @@ def plot_identification(
         times: (K+1,) s.
         thresholds: those it was made with, drawn as lines; none by default.
         discretization: the one it was made with.
-        lag: the one it was made with.
         title: of the figure, by default the name of the constraint.
 
     Returns:
@@ -62,17 +58,16 @@ def plot_identification(
     host = check_window(found)
     poses, times = np.asarray(poses), np.asarray(times)
     steps = jnp.asarray(np.diff(times))
-    velocities = frame_velocities(jnp.asarray(poses), steps, found, discretization, lag)
+    velocities = frame_velocities(jnp.asarray(poses), steps, found, discretization)
     angular, linear = jax.device_get(velocities)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1), wspace=0.08)
     figure.suptitle(host.name if title is None else title, fontsize=12)
     draw_space(figure.add_subplot(grid[:, 0], projection="3d"), poses, host)
-    apart = int(host.lag)
-    middle = (times[apart:] + times[:-apart]) / 2
+    middle = (times[1:] + times[:-1]) / 2
     top, bottom = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
     limits = (None, None) if thresholds is None else (float(thresholds.linear), float(thresholds.angular))
-    _draw_velocities(top, middle, linear[: len(middle)], host.linear.dof, limits[0], "m/s")
-    _draw_velocities(bottom, middle, angular[: len(middle)], host.angular.dof, limits[1], "rad/s")
+    _draw_velocities(top, middle, linear, host.linear.dof, limits[0], "m/s")
+    _draw_velocities(bottom, middle, angular, host.angular.dof, limits[1], "rad/s")
     out = times[~np.asarray(host.counted)]
     if len(out):
         for graph in (top, bottom):

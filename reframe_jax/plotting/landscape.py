@@ -9,15 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import Packed, unpack
 from reframe_jax.constraints.located import ground_offset
 from reframe_jax.constraints.types import LinearType
-from reframe_jax.identification.evidence import Evidence
-from reframe_jax.identification.options import Lag, lag_in_samples
-from reframe_jax.identification.programs import reduce_one
+from reframe_jax.identification.options import Scales, take_scales
+from reframe_jax.identification.pipeline import prepare_windows
 from reframe_jax.identification.results import Identification
-from reframe_jax.motion.kinematics import Discretization
-from reframe_jax.objectives.velocity import PositionObjective
+from reframe_jax.model.search import norm_at, polynomials
+from reframe_jax.model.solve import choose_scales
+from reframe_jax.model.table import KINDS, ROWS
 from reframe_jax.plotting.style import CONSTRAINED, new_figure
 
 if TYPE_CHECKING:
@@ -32,9 +31,7 @@ def landscape(
     *,
     times: ArrayLike,
     linear_type: LinearType,
-    norm: float = 0.0,
-    discretization: Discretization = "chord",
-    lag: Lag = "auto",
+    scales: Scales = "auto",
 ) -> jax.Array:
     """Evaluate the norm, in m/s, of the best-oriented frame of a type at given origins.
 
@@ -43,31 +40,33 @@ def landscape(
         positions: (..., 3) m, origins in the body of the type's second letter.
         times: (K+1,) s.
         linear_type: of the frame.
-        norm: exponent of the power mean over axes.
-        discretization: see :func:`reframe_jax.motion.kinematics.linear_velocity_maps`.
-        lag: between the two poses of a velocity, as in :func:`reframe_jax.identify`.
+        scales: those of the identification, see :func:`reframe_jax.identify`.
 
     Returns:
-        (...).
+        (...) the norm: ``found.linear.norms`` at the identified origins.
 
     Raises:
-        ValueError: if the lag is none, or does not go with the discretization.
+        ValueError: if the scales do not fit the window.
     """
-    poses, times = jnp.asarray(poses), jnp.asarray(times)
-    steps, kind = jnp.diff(times), LinearType(linear_type)
-    rule, samples = lag_in_samples(lag, np.asarray(steps), discretization)
-    seen, _ = reduce_one(poses[None], steps, None, samples, rule=rule, discretization=discretization)
-    return _norms(seen, jnp.asarray(positions), int(kind), norm)
+    samples = take_scales(scales, len(np.asarray(poses)))
+    steps = jnp.diff(jnp.asarray(times))
+    return _norms(jnp.asarray(poses), steps, jnp.asarray(positions), int(linear_type), samples)
 
 
-@partial(jax.jit, static_argnames="norm")  # the type is not: one program serves all four
-def _norms(seen: Packed, positions: jax.Array, kind: jax.Array, norm: float) -> jax.Array:
-    evidence: Evidence = unpack(seen)
-    offset = ground_offset(evidence.centre[0])[kind]
-    positions = positions - offset.reshape((1,) * (positions.ndim - 1) + (3,))
-    moments = evidence.linear[:, :, 0]
-    one = moments[..., kind].reshape(*moments.shape[:2], *([1] * (positions.ndim - 1)))
-    return jnp.exp(PositionObjective(one, norm).value(jnp.moveaxis(positions, -1, 0)))
+@partial(jax.jit, static_argnames="scales")
+def _norms(
+    poses: jax.Array, steps: jax.Array, positions: jax.Array, kind: jax.Array, scales: tuple[int, ...] | None
+) -> jax.Array:
+    window = prepare_windows(poses[None], steps, None, None, scales)
+    used = choose_scales(window.moments, window.noise, scales)
+    rows = np.stack([ROWS[KINDS.index(each.name)] for each in LinearType])
+    one = polynomials(used.products, rows)[:, kind][:, None]
+    points = positions.reshape(-1, 3) - ground_offset(window.centre[0])[kind]
+    value = jax.lax.map(lambda x: norm_at(one, used.details, x[None, None])[0, 0], points)
+    # F is the sum of log det Sigma: half of it a third per axis, as displacements over their spans
+    details = used.details[0]
+    spans = jnp.sum(details * jnp.log(used.width[0] * jnp.mean(steps)))
+    return jnp.exp((value / 6 - spans) / jnp.sum(details)).reshape(positions.shape[:-1])
 
 
 def plot_landscape(
@@ -78,15 +77,12 @@ def plot_landscape(
     linear_types: Sequence[LinearType] | None = None,
     span: float = 0.5,
     points: int = 161,
-    norm: float = 0.0,
-    discretization: Discretization = "chord",
-    lag: Lag = "auto",
+    scales: Scales = "auto",
     title: str | None = None,
 ) -> "Figure":
     """Draw the norm over planes through the identified position, one row per frame type.
 
-    Where a type leaves the position free (:class:`LinearFrame`), or the frames are ``refined``, it is not
-    the lowest point. The planes are those of the axes x-y, x-z and y-z of the body that the type's second
+    The identified origin is that of the fitted constraint, close to the lowest point. The planes are those of the axes x-y, x-z and y-z of the body that the type's second
     letter names.
 
     Args:
@@ -96,9 +92,7 @@ def plot_landscape(
         linear_types: types to draw; by default the identified one.
         span: m, from the optimum to the edge.
         points: number of points along each side.
-        norm: exponent of the power mean over axes.
-        discretization: the one of the identification.
-        lag: the one of the identification.
+        scales: those of the identification.
         title: of the figure.
 
     Raises:
@@ -115,19 +109,8 @@ def plot_landscape(
             positions = np.tile(optima[int(kind)], (points, points, 1))
             positions[..., i] += line[None, :]
             positions[..., j] += line[:, None]
-            fields.append(
-                np.asarray(
-                    landscape(
-                        poses,
-                        positions,
-                        times=times,
-                        linear_type=kind,
-                        norm=norm,
-                        discretization=discretization,
-                        lag=lag,
-                    )
-                )
-            )
+            values = landscape(poses, positions, times=times, linear_type=kind, scales=scales)
+            fields.append(np.asarray(values))
     from matplotlib.colors import LogNorm
 
     low, high = (float(f(field)) for f, field in ((np.min, fields), (np.max, fields)))

@@ -44,8 +44,7 @@ def plot_scene(poses: ArrayLike, found: Identification, *, title: str | None = N
 
     What is fixed in the body is drawn at the first, the middle and the last pose, the first one palest;
     an origin that is fixed there is joined to the body, and its path is dotted. Free axes are arrows,
-    constrained axes dashed lines without a head. A twin is a hollow circle. The path leaves out outliers,
-    which are crosses.
+    constrained axes dashed lines without a head. The path leaves out outliers, which are crosses.
 
     Args:
         poses: (K+1, 4, 4), m.
@@ -83,8 +82,7 @@ def draw_space(axes: "Axes3D", poses: np.ndarray, found: Identification) -> None
     path = poses[:, :3, 3]
     samples = frame_samples(poses, found)
     origins, triads, rotation_axes = frames_in_ground(poses, found, samples)
-    twins = _origins(poses, found, found.linear.twin)[samples] if found.linear.has_twin else origins[:0]
-    points = np.concatenate([path, origins, twins, track(poses, found)])
+    points = np.concatenate([path, origins, track(poses, found)])
     length = frame_length(points)
     axes.plot(*path.T, color=BODY, linewidth=1.2, label="path and axes of the body")
     if found.linear.frame_type.position_body == AngularType.B:
@@ -95,9 +93,6 @@ def draw_space(axes: "Axes3D", poses: np.ndarray, found: Identification) -> None
     palest_first = (0.35, 0.6, 1.0)[-len(origins) :]
     for origin, triad, turning, alpha in zip(origins, triads, rotation_axes, palest_first, strict=True):
         draw_frame(axes, origin, length * triad, length * turning, found.linear.dof, alpha)
-    if len(twins):
-        hollow = {"markersize": 6, "markerfacecolor": "none", "markeredgecolor": "black"}
-        axes.plot(*twins.T, "o", label="twin: an origin as good", **hollow)
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
     near = out[(np.abs(out - centre) < _size(points) / 2).all(axis=1)]
     if len(out):
@@ -115,27 +110,22 @@ def draw_arm(axes: "Axes3D", path: np.ndarray, origins: np.ndarray, samples: np.
 
 def track(poses: np.ndarray, found: Identification) -> np.ndarray:
     """The origin of the linear frame in the ground, (K+1, 3) m."""
-    return _origins(poses, found, found.linear.position)
+    return poses[:, :3, 3] + _locate(poses, found).lever
 
 
-def _locate(poses: np.ndarray, found: Identification, position: Any) -> Located:
-    """The frames of a window, with their origin at a position (3,), at every pose (K+1, 4, 4)."""
+def _locate(poses: np.ndarray, found: Identification) -> Located:
+    """The frames of a window at every pose (K+1, 4, 4)."""
     with jax.enable_x64(True):
         frame = assemble_frame(
             found.angular.type_code,
             found.linear.type_code,
             angular_axes=axes_of(found.angular.rotvec),
             linear_axes=axes_of(found.linear.rotvec),
-            position=position,
+            position=found.linear.position,
             angular_dof=found.angular.dof,
             linear_dof=found.linear.dof,
         )
     return locate_on_host(frame, poses)
-
-
-def _origins(poses: np.ndarray, found: Identification, position: Any) -> np.ndarray:
-    """A point (3,) of the linear frame's body in the ground, (K+1, 3) m."""
-    return poses[:, :3, 3] + _locate(poses, found, position).lever
 
 
 def frame_samples(poses: np.ndarray, found: Identification) -> np.ndarray:
@@ -214,7 +204,7 @@ def frames_in_ground(
         axes of rotation, none of them if all three are free.
     """
     samples = frame_samples(poses, found) if samples is None else samples
-    there = jax.tree.map(lambda leaf: leaf[samples], _locate(poses, found, found.linear.position))
+    there = jax.tree.map(lambda leaf: leaf[samples], _locate(poses, found))
     free = np.asarray(found.angular.dof, dtype=bool) & (np.sum(found.angular.dof) < 3)
     turning = there.angular_axes.swapaxes(1, 2)[:, free]
     return poses[samples, :3, 3] + there.lever, there.linear_axes, turning

@@ -2,12 +2,14 @@
 
 from typing import TYPE_CHECKING
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from reframe_jax.motion import kinematics
 from reframe_jax.plotting.style import CONSTRAINED, FREE, LINES, new_figure
 from reframe_jax.segmentation.results import Segmentation
-from reframe_jax.segmentation.velocities import segment_velocities
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,7 +42,7 @@ def plot_segmentation(poses: ArrayLike, found: Segmentation, *, title: str | Non
     if title is not None:
         figure.suptitle(title, fontsize=12)
     _draw_line(line, found)
-    angular, linear = segment_velocities(np.asarray(poses), found)
+    angular, linear = _velocities(np.asarray(poses, float), found)
     for axes, velocities, group, label in (
         (top, linear, "linear", "velocity of the origin [m/s]"),
         (bottom, angular, "angular", "angular velocity [rad/s]"),
@@ -53,6 +55,28 @@ def plot_segmentation(poses: ArrayLike, found: Segmentation, *, title: str | Non
     bottom.set_xlabel("time [s]", fontsize=8)
     bottom.set_xlim(found.times[0], found.times[-1])
     return figure
+
+
+def _velocities(poses: np.ndarray, found: Segmentation) -> tuple[np.ndarray, np.ndarray]:
+    """Velocities (N-1, 3) along the axes of each segment's frames, rad/s and m/s; NaN where there are none."""
+    with jax.enable_x64(True):
+        rates, maps = jax.device_get(_maps(jnp.asarray(poses), jnp.diff(jnp.asarray(found.times))))
+    angular, linear = (np.full((len(poses) - 1, 3), np.nan) for _ in range(2))
+    for segment in found.segments:
+        one = segment.identification
+        if one is None:
+            continue
+        own = slice(segment.start, segment.stop - 1)
+        angular[own] = rates[int(one.angular.type_code), own] @ np.asarray(one.angular.axes)
+        at = maps[int(one.linear.type_code), own]
+        velocity = at[..., 0] + at[..., 1:] @ np.asarray(one.linear.position)
+        linear[own] = velocity @ np.asarray(one.linear.axes)
+    return angular, linear
+
+
+@jax.jit
+def _maps(poses: jax.Array, steps: jax.Array) -> tuple[jax.Array, jax.Array]:
+    return kinematics.angular_velocities(poses, steps), kinematics.linear_velocity_maps(poses, steps)
 
 
 def _draw_line(axes: "Axes", found: Segmentation) -> None:
@@ -71,11 +95,11 @@ def _draw_line(axes: "Axes", found: Segmentation) -> None:
 
 
 def _draw_velocities(axes: "Axes", found: Segmentation, velocities: np.ndarray, group: str) -> None:
-    middle = found.times + found.lag * np.median(np.diff(found.times)) / 2
+    middle = (found.times[1:] + found.times[:-1]) / 2
     for segment in found.segments:
         if segment.identification is None:
             continue
-        own = slice(segment.start, segment.stop)
+        own = slice(segment.start, segment.stop - 1)
         dof = np.asarray(getattr(segment.identification, group).dof)
         # constrained axes on top
         for axis in np.argsort(-dof, kind="stable"):

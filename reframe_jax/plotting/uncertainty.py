@@ -11,12 +11,13 @@ from reframe_jax.export.common import axes_of
 from reframe_jax.identification.results import Identification
 from reframe_jax.plotting.scene import check_window, draw_space
 from reframe_jax.plotting.style import LEGEND_ABOVE, TURNING, axis_colours, new_figure
-from reframe_jax.uncertainty.covariance import Covariance
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from mpl_toolkits.mplot3d.axes3d import Axes3D
+
+    from reframe_jax.uncertainty.covariance import Covariance
 
 __all__ = ["plot_uncertainty"]
 
@@ -26,7 +27,7 @@ _LINES = 25  # points of a circle
 
 
 def plot_uncertainty(
-    poses: ArrayLike, found: Identification, covariance: Covariance, *, title: str | None = None
+    poses: ArrayLike, found: Identification, covariance: "Covariance", *, title: str | None = None
 ) -> "Figure":
     """Draw how sure a frame is: the scene, its origin close up, its axes, and its velocities.
 
@@ -56,7 +57,7 @@ def plot_uncertainty(
     return figure
 
 
-def _draw_origin(axes: "Axes3D", found: Identification, sure: Covariance) -> None:
+def _draw_origin(axes: "Axes3D", found: Identification, sure: "Covariance") -> None:
     """The ellipsoid of the origin and the directions of the linear axes, in mm."""
     body = BODY_NAMES[found.linear.frame_type.position_body]
     axes.set_title(f"origin, in the {body} [mm]", fontsize=9, pad=30)
@@ -90,7 +91,7 @@ def _draw_origin(axes: "Axes3D", found: Identification, sure: Covariance) -> Non
     axes.legend(**LEGEND_ABOVE | {"ncols": 1})
 
 
-def _draw_tilts(axes: "Axes", found: Identification, sure: Covariance) -> None:
+def _draw_tilts(axes: "Axes", found: Identification, sure: "Covariance") -> None:
     """How far the odd axes may tilt, seen along them, in degrees: the cone that holds them, cut across."""
     angle = np.linspace(0, 2 * np.pi, 4 * _LINES)
     circle = np.sqrt(5.991) * np.stack([np.cos(angle), np.sin(angle)])  # 95 % in two dimensions
@@ -126,7 +127,7 @@ def _draw_tilts(axes: "Axes", found: Identification, sure: Covariance) -> None:
     axes.tick_params(labelsize=8)
 
 
-def _draw_rms(axes: "Axes", found: Identification, sure: Covariance) -> None:
+def _draw_rms(axes: "Axes", found: Identification, sure: "Covariance") -> None:
     """RMS velocities of all axes with their intervals, on a logarithmic scale."""
     ticks: list[Any] = []
     for start, name, frame, matrix, unit in (

@@ -30,12 +30,6 @@ __all__ = ["identify_many", "load_results"]
 _KIND = "results of identify_many"
 _UNIT = "windows"
 _LISTED = 8  # missing parts in a message
-_ADDED: dict[str, Any] = {  # columns that earlier versions did not write
-    "pitch": np.nan,
-    "screw_probability": 0.0,
-    "universal_probability": 0.0,
-    "universal_axes": np.full((2, 3), np.nan),
-}
 
 
 def identify_many(
@@ -144,10 +138,6 @@ def load_results(folder: str | Path, parts: Iterable[int] | None = None) -> Iden
     count = len(columns["status_code"])
     if parts is None and run.total not in (None, count):
         raise ValueError(f"{folder} has results of {count} windows; run.json says {run.total}.")
-
-    added = {name: value for name, value in _ADDED.items() if name not in columns}
-    precision = columns["class_probability"].dtype
-    columns |= {name: np.full((count, *np.shape(value)), value, precision) for name, value in added.items()}
     found: Identification = _build(Identification, "", columns)
     return found
 

@@ -19,7 +19,7 @@ _DEVIATIONS = 2.0  # of the ellipsoid
 _SEEN = 0.03  # of the size of the scene: an ellipsoid whose longest half-axis is shorter is enlarged
 _THIN = 0.002  # of that size: half-axis along directions without a variance
 _NOTHING = 1e-9  # m, of a standard deviation
-_TWIN, _ORIGIN, _SPREAD = "#000000", "#222222", "#CC79A7"
+_ORIGIN, _SPREAD = "#222222", "#CC79A7"
 
 LEGEND = (
     (BODY, "path of the body, and its lever to the origin of the linear frame"),
@@ -28,7 +28,6 @@ LEGEND = (
     (CONSTRAINED[0], "constrained axis of the linear frame (dashes)"),
     (TURNING, "free axis of rotation"),
     (OUTLIERS["color"], "poses left out"),
-    (_TWIN, "twin: an origin as good (wire)"),
     (_SPREAD, "uncertainty of the origin: two standard deviations, enlarged as the heading says"),
 )
 """Colours, and what is drawn in them."""
@@ -114,10 +113,6 @@ class Drawing:
                 ends = np.stack([-0.35 * size * np.eye(3)[i], 0.35 * size * np.eye(3)[i]])[None]
                 name = f"/angular/axis_{i + 1}"
                 self._nodes.append(scene.add_line_segments(name, ends, _rgb(TURNING), thickness=0.007 * size))
-        if frame.twins is not None:
-            twin = scene.add_icosphere("/twin", 0.018 * size, _rgb(_TWIN), subdivisions=1, wireframe=True)
-            self._nodes.append(twin)
-            self._moving["twin"] = twin
         if frame.spread is not None:
             self._draw_spread(frame.spread)
 
@@ -180,8 +175,6 @@ class Drawing:
         _move(self._moving["linear"], origin, frame.linear_axes[sample])
         _move(self._moving["angular"], origin, frame.angular_axes[sample])
         _move(self._moving["spread"], origin, frame.spread_axes[sample])
-        if frame.twins is not None:
-            self._moving["twin"].position = frame.twins[sample]
 
 
 def _move(node: Any, position: np.ndarray, rotation: np.ndarray) -> None:

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 from reframe_jax.constraints.located import frame_arrays, locate_on_host
 from reframe_jax.constraints.types import AngularType, LinearType
 from reframe_jax.export.table import to_table
-from reframe_jax.identification.options import Lag
 from reframe_jax.identification.results import Identification
 from reframe_jax.identification.velocities import frame_velocities
 from reframe_jax.motion.kinematics import Discretization
@@ -29,7 +28,6 @@ class FrameTrack:
         angular_axes: (K+1, 3, 3), columns are axes.
         linear_free: (3,) bool, which of them are free.
         angular_free: (3,) bool, likewise.
-        twins: (K+1, 3) m, an origin that explains the window as well; None if there is none.
         spread: (3, 3) square root of the origin's covariance in the body it is fixed in, m; None if unknown.
         spread_axes: (K+1, 3, 3), columns are the axes of that body.
         velocities: (K, 6) rad/s along the angular axes, m/s along the linear ones; NaN where there is none.
@@ -41,7 +39,6 @@ class FrameTrack:
     angular_axes: np.ndarray
     linear_free: np.ndarray
     angular_free: np.ndarray
-    twins: np.ndarray | None
     spread: np.ndarray | None
     spread_axes: np.ndarray
     velocities: np.ndarray
@@ -75,7 +72,6 @@ def track_window(
     times: ArrayLike,
     found: Identification,
     *,
-    lag: Lag = "auto",
     discretization: Discretization = "chord",
     covariance: ArrayLike | None = None,
 ) -> WindowTrack:
@@ -85,7 +81,6 @@ def track_window(
         poses: (K+1, 4, 4), m.
         times: (K+1,) s.
         found: identification of these poses.
-        lag: the one it was made with.
         discretization: the one it was made with.
         covariance: (3, 3) m^2, of the linear frame's origin in the body that it is fixed in, to be drawn as
             an ellipsoid; none is drawn by default.
@@ -104,13 +99,11 @@ def track_window(
         )
     spread = None if covariance is None else _square_root(np.asarray(covariance, float))
     counted = np.asarray(host.counted, bool)
-    steps = len(instants) - 1
     if host.status.failed:
         return WindowTrack(host.name, host.name, instants, places, counted, None, instants[:0])
-    apart = int(host.lag)
-    along = frame_velocities(jnp.asarray(places), jnp.asarray(np.diff(instants)), found, discretization, lag)
-    velocities = np.concatenate(jax.device_get(along), axis=-1)[: steps + 1 - apart]
-    middle = (instants[apart:] + instants[:-apart]) / 2
+    along = frame_velocities(jnp.asarray(places), jnp.asarray(np.diff(instants)), found, discretization)
+    velocities = np.concatenate(jax.device_get(along), axis=-1)
+    middle = (instants[1:] + instants[:-1]) / 2
     frame = _track_frame(host, places, spread, velocities)
     return WindowTrack(host.name, to_table(found), instants, places, counted, frame, middle)
 
@@ -122,10 +115,6 @@ def _track_frame(
         frame = frame_arrays(found.constraint_frame)
     there = locate_on_host(frame, poses)
     on_body = LinearType(int(found.linear.type_code)).position_body == AngularType.B
-    twins = None
-    if found.linear.has_twin:
-        twin = np.asarray(found.linear.twin, float)
-        twins = poses[:, :3, :3] @ twin + poses[:, :3, 3] if on_body else np.tile(twin, (len(poses), 1))
     return FrameTrack(
         origins=poses[:, :3, 3] + there.lever,
         in_body=np.asarray(found.linear.position, float) if on_body else None,
@@ -133,7 +122,6 @@ def _track_frame(
         angular_axes=np.asarray(there.angular_axes),
         linear_free=np.asarray(found.linear.dof, bool),
         angular_free=np.asarray(found.angular.dof, bool),
-        twins=twins,
         spread=spread,
         spread_axes=poses[:, :3, :3] if on_body else np.tile(np.eye(3), (len(poses), 1, 1)),
         velocities=velocities,
