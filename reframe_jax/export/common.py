@@ -18,6 +18,7 @@ __all__ = [
     "outlier_samples",
     "split_windows",
     "tied_names",
+    "two_digits",
 ]
 
 TYPES = {"angular": AngularType, "linear": LinearType}
@@ -53,8 +54,13 @@ def directions(projector: np.ndarray) -> list[np.ndarray]:
     return [vector * np.sign(vector[np.argmax(np.abs(vector))]) for vector in spanning]
 
 
+def two_digits(value: float) -> str:
+    """A number rounded to two digits, without an exponent where it is large: 320 and not 3.2e+02."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
 def tied_names(group: str, frame: Any) -> list[str]:
-    """Names of the types that explain the motion as well, the winner included."""
+    """Names of the types that fit equally well, the reported one included."""
     return [str(kind) for kind in TYPES[group] if frame.tied[kind]]
 
 

@@ -15,6 +15,7 @@ from reframe_jax.export.common import (
     outlier_samples,
     split_windows,
     tied_names,
+    two_digits,
 )
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
@@ -101,7 +102,7 @@ def _frame_block(group: str, frame: Any) -> list[str]:
 
 def _size(amplitude: float, group: str) -> str:
     """An RMS displacement in mm or mrad."""
-    return f"{1e3 * amplitude:.2g} {'mrad' if group == 'angular' else 'mm'}"
+    return f"{two_digits(1e3 * amplitude)} {'mrad' if group == 'angular' else 'mm'}"
 
 
 def _probability(value: float) -> str:

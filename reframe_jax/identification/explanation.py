@@ -158,7 +158,7 @@ def _held(finding: Finding) -> list[str]:
             (finding.linear_amplitude[finding.linear_dof == free], "mm"),
             (finding.angular_amplitude[finding.angular_dof == free], "mrad"),
         ]
-        sizes.append(" and ".join(f"{1e3 * np.max(size):.2g} {unit}" for size, unit in moved if len(size)))
+        sizes.append(" and ".join(f"{_two_digits(1e3 * float(np.max(size)))} {unit}" for size, unit in moved if len(size)))
     held, moved = sizes
     if not held or not moved or finding.universal is not None:
         return []
@@ -172,6 +172,11 @@ def _vector(vector: np.ndarray, digits: int) -> str:
 def _largest(covariance: Any) -> float:
     """Half the width of the 95 % interval along the worst direction."""
     return _INTERVAL * float(np.sqrt(max(np.linalg.eigvalsh(np.asarray(covariance, float))[-1], 0)))
+
+
+def _two_digits(value: float) -> str:
+    """Without an exponent where the number is large: 320 and not 3.2e+02."""
+    return f"{float(f'{value:.2g}'):g}"
 
 
 def _within(size: float, unit: str) -> str:

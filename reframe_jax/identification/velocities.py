@@ -1,0 +1,41 @@
+"""Velocities along the axes of identified frames."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+
+from reframe_jax.geometry.products import apply, matmul
+from reframe_jax.identification.results import Identification
+from reframe_jax.motion import kinematics
+from reframe_jax.motion.kinematics import Discretization
+
+__all__ = ["frame_velocities"]
+
+
+@partial(jax.jit, static_argnames="discretization")
+def frame_velocities(
+    poses: jax.Array, steps: jax.Array, found: Identification, discretization: Discretization = "chord"
+) -> tuple[jax.Array, jax.Array]:
+    """Compute the velocities along the axes of the identified frames: near zero along constrained axes.
+
+    For one window; use ``jax.vmap`` for many.
+
+    Args:
+        poses: (K+1, 4, 4), m.
+        steps: (K,) sample times, s.
+        found: identification of these poses.
+        discretization: the one that it was made with.
+
+    Returns:
+        Angular velocities (K, 3), rad/s, and linear velocities of the origin (K, 3), m/s. Row k is the step
+        between the poses k and k + 1; it is NaN where one of them is an outlier.
+    """
+    rates = kinematics.angular_velocities(poses, steps, discretization)[found.angular.type_code]
+    maps = kinematics.linear_velocity_maps(poses, steps, discretization)[found.linear.type_code]
+    velocities = maps[..., 0] + apply(maps[..., 1:], found.linear.position)
+    known = (found.counted[:-1] & found.counted[1:])[:, None]
+    return (
+        jnp.where(known, matmul(rates, found.angular.axes), jnp.nan),
+        jnp.where(known, matmul(velocities, found.linear.axes), jnp.nan),
+    )
