@@ -141,7 +141,7 @@ def compare(
     times = made.times
     made, exact = jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)), *parts)
     made, exact = (replace(part, times=jnp.asarray(times)) for part in (made, exact))
-    found = identify(made.poses, times=made.times, lag=1, thresholds=Thresholds())  # the paper's
+    found = identify(made.poses, times=made.times, scales=1, thresholds=Thresholds())  # the paper's
     errors = metrics.geometry_errors(found, made.truth, start=made.exact_poses[:, 0])
     return Comparison(
         demonstrations=made,
