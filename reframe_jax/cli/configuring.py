@@ -15,11 +15,15 @@ _UNREADABLE = r"Error reading persistent compilation cache entry for '([^']+)'"
 
 
 def configure_jax(cache: bool) -> None:
-    """Enable 64-bit mode and, with ``cache``, keep compiled programs between runs."""
+    """Enable 64-bit mode, and keep compiled programs between runs.
+
+    Args:
+        cache: whether to keep them; ``REFRAME_JAX_CACHE=0`` in the environment says no as well.
+    """
     settings: dict[str, Any] = {"jax_enable_x64": True}
-    if cache:
+    if cache and os.environ.get("REFRAME_JAX_CACHE") != "0":
         home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        folder = Path(home) / "reframe-jax"
+        folder = Path(home) / "reframe_jax"
         _replace_unreadable(folder)
         settings["jax_compilation_cache_dir"] = str(folder)
         settings["jax_persistent_cache_min_compile_time_secs"] = 0.0
