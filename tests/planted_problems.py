@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.compilation import compiler_options
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.objectives.moments import velocity_moments
 from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
@@ -16,10 +15,10 @@ from reframe_jax.solvers import BasinHopping, Box, ValleySteps
 
 
 def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Callable[..., Any]:
-    """``jax.jit`` as ``identify`` calls it; searches compile in half the time."""
+    """``jax.jit``."""
     if function is None:
         return lambda function: compiled(function, **options)
-    return jax.jit(function, compiler_options=compiler_options(), **options)
+    return jax.jit(function, **options)
 
 
 KEY = jax.random.key(3)

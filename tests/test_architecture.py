@@ -22,7 +22,6 @@ import reframe_jax
 
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "reframe_jax"
-FORMER = "Former name of"
 SNAPSHOT = ROOT / "tests" / "public_names.txt"
 
 
@@ -30,11 +29,6 @@ def layers() -> list[str]:
     """Packages in the order of the table in CONTRIBUTING, the lowest first."""
     table = (ROOT / "CONTRIBUTING.md").read_text().split("| package |")[1].split("\n\n")[0]
     return re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)
-
-
-def former_names() -> set[str]:
-    files = [*PACKAGE.glob("*.py"), *PACKAGE.glob("*/*.py")]
-    return {module_name(file) for file in files if (ast.get_docstring(parse(file)) or "").startswith(FORMER)}
 
 
 def module_name(file: Path) -> str:
@@ -61,20 +55,16 @@ def imports(file: Path) -> set[str]:
 
 def test_the_table_names_every_package() -> None:
     parts = {path.stem for path in PACKAGE.iterdir() if path.name[0] not in "_." and path.suffix != ".typed"}
-    parts -= {name.partition(".")[2] for name in former_names()}
     assert sorted(layers()) == sorted(parts)
 
 
 def test_imports_point_down_the_table() -> None:
-    order, former, wrong = layers(), former_names(), []
+    order, wrong = layers(), []
     for file in PACKAGE.rglob("*.py"):
         importer = module_name(file)
-        if importer in former or importer in ("reframe_jax", "reframe_jax._public", "reframe_jax.__main__"):
+        if importer in ("reframe_jax", "reframe_jax._public", "reframe_jax.__main__"):
             continue
         for imported in imports(file):
-            if any(imported == name or imported.startswith(name + ".") for name in former):
-                wrong.append(f"{importer} uses a former name: {imported}")
-                continue
             layer = imported.split(".")[1] if "." in imported else ""
             if layer not in order:  # __version__ and the like
                 continue
@@ -209,13 +199,3 @@ def test_public_names_are_frozen() -> None:
     """A change here is a change of the public interface: say so in CHANGELOG.md, then edit the file."""
     now = "\n".join(signature(name) for name in sorted(reframe_jax.__all__)) + "\n"
     assert now == SNAPSHOT.read_text(), "the public names differ from tests/public_names.txt"
-
-
-@pytest.mark.parametrize("name", sorted(former_names()))
-def test_former_names_still_work(name: str) -> None:
-    former = importlib.import_module(name)
-    target = re.search(r":mod:`([\w.]+)`", former.__doc__ or "")
-    assert target is not None
-    current = importlib.import_module(target[1])
-    assert former.__all__ == current.__all__
-    assert all(getattr(former, public) is getattr(current, public) for public in current.__all__)

@@ -65,7 +65,7 @@ def run(*arguments: str | Path) -> int:
 
 def read_json(text: str) -> list[dict[str, Any]]:
     document = json.loads(text)
-    assert document["schema"] == "reframe-jax/identification/2"
+    assert document["schema"] == "reframe-jax/identification/3"
     recordings: list[dict[str, Any]] = document["recordings"]
     return recordings
 
@@ -79,12 +79,13 @@ def test_explains_in_plain_words(tmp_path: Path, capsys: Captured) -> None:
     lines = capsys.readouterr().out.strip().splitlines()
     words = lines[next(i for i, line in enumerate(lines) if line.startswith("The body moves")) :]
     assert words[0].startswith("The body moves like a door on its hinge")
-    assert "give or take" in words[1]
-    assert words[1].endswith("Every other point of the axis is as right.")
-    assert words[2].startswith("It turns about the direction")
-    assert "only this one path was tried" in words[3]
-    assert words[4].startswith("To settle it,")
-    assert len(words) == 5
+    assert words[1].startswith("The constrained axes are held within ")
+    assert "give or take" in words[2]
+    assert words[2].endswith("Any point on this axis is equally valid.")
+    assert words[3].startswith("It turns about the direction")
+    assert "the motion covered a single path" in words[4]
+    assert words[5].startswith("To settle it,")
+    assert len(words) == 6
 
 
 def test_a_recording_is_identified(clip: Path, tmp_path: Path, capsys: Captured) -> None:
@@ -92,7 +93,7 @@ def test_a_recording_is_identified(clip: Path, tmp_path: Path, capsys: Captured)
     out, err = capsys.readouterr()
     (heading, noise) = (out.splitlines()[i] for i in (0, -2))
     assert re.fullmatch(re.escape(f"{clip}: Revolute joint (") + r"(0\.\d\d|>0\.99)\)", heading)
-    assert re.fullmatch(r"Noise   .* mm, .* deg; velocities over \d+ samples? \(0\.\d+ s\)", noise)
+    assert re.fullmatch(r"Noise   .* mm, .* deg; blocks of \d+ samples? \(0\.\d+ s\)", noise)
     assert err == ""
     (recording,) = read_json((tmp_path / "out.json").read_text())
     (window,) = recording["windows"]
@@ -102,7 +103,7 @@ def test_a_recording_is_identified(clip: Path, tmp_path: Path, capsys: Captured)
     found = identify(read.poses, times=read.times)
     np.testing.assert_allclose(window["linear"]["position"], found.linear.position, atol=1e-9)
     assert window["probability"] == pytest.approx(found.probability)
-    assert (window["lag"], window["outliers"], window["notes"]) == (int(found.lag), [], [])
+    assert (window["scale"], window["outliers"], window["notes"]) == (int(found.scale), [], [])
     # the hinge of the simulations: y through (0.1, -, 0.1), which is where the body starts
     np.testing.assert_allclose(np.array(window["linear"]["position"])[[0, 2]], [0.1, 0.1], atol=2e-3)
     (direction,) = window["linear"]["free_position"]
@@ -173,9 +174,9 @@ def test_outliers_are_left_out_and_told(door: Path, tmp_path: Path, capsys: Capt
     (recording,) = read_json((tmp_path / "out.json").read_text())
     (window,) = recording["windows"]
     assert (window["label"], window["outliers"]) == ("A", [15])
-    assert run(bad, "--lag", "1", "--json", "-") == 0
+    assert run(bad, "--scales", "1", "--json", "-") == 0
     (window,) = read_json(capsys.readouterr().out)[0]["windows"]
-    assert (window["lag"], window["outliers"]) == (1, [])
+    assert (window["scale"], window["outliers"]) == (1, [])
 
 
 def test_unit_and_sample_time(clip: Path, tmp_path: Path, capsys: Captured) -> None:
@@ -223,12 +224,18 @@ def test_options_reach_the_identification(clip: Path, monkeypatch: pytest.Monkey
     assert run(clip, *options) == 0
     thresholds = seen.pop("thresholds")
     assert (thresholds.angular, thresholds.linear) == (0.160, 0.01)
-    assert seen == {"lag": "auto", "norm": -np.inf, "discretization": "left", "bounds": 0.5}
+    assert seen == {
+        "scales": "auto",
+        "assume": None,
+        "norm": -np.inf,
+        "discretization": "left",
+        "bounds": 0.5,
+    }
     assert run(clip, "--angular-threshold", "0.3") == 0
     assert (seen["thresholds"].angular, seen["thresholds"].linear) == (0.3, 0.037)
-    for text, lag in (("auto", "auto"), ("10", 10), ("0.5s", 0.5)):
-        assert run(clip, "--lag", text) == 0
-        assert (seen["lag"], type(seen["lag"]), seen["thresholds"]) == (lag, type(lag), None)
+    for text, scales in (("auto", "auto"), ("1", (1,)), ("1,2", (1, 2))):
+        assert run(clip, "--scales", text, "--assume", "hinge") == 0
+        assert (seen["scales"], seen["assume"], seen["thresholds"]) == (scales, "hinge", None)
 
 
 @pytest.mark.parametrize("count", [1, 3])
@@ -444,11 +451,10 @@ def test_the_catalogue_is_listed(capsys: Captured) -> None:
         ),
         (["demonstrate", "--constraint", "A", "--out", "a", "--dt", "1e-9"], "at most 100000 times --dt"),
         (["identify", "a.csv", "--unit", "inch"], "invalid choice"),
-        (["identify", "a.csv", "--lag", "long"], "expected auto, .* such as 0.5s, not 'long'"),
-        (["identify", "a.csv", "--lag", "0"], "expected auto, .*, not '0'"),
-        (["identify", "a.csv", "--lag", "0.5"], "expected auto, .*, not '0.5'"),
-        (["identify", "a.csv", "--lag", "-1s"], "expected"),
-        (["identify", "a.csv", "--lag", "2", "--discretization", "left"], "leave out --lag"),
+        (["identify", "a.csv", "--scales", "long"], "expected auto, .* such as 1 or 4,8,16, not 'long'"),
+        (["identify", "a.csv", "--scales", "0"], "expected auto, .*, not '0'"),
+        (["identify", "a.csv", "--scales", "1,2.5"], "expected auto, .*, not '1,2.5'"),
+        (["identify", "a.csv", "--assume", "wheel"], "No constraint 'wheel'. There are: .*hinge"),
         (["identify", "a.csv", "--clean"], "unrecognized arguments: --clean"),
         (["identify", "a.csv", "--stride", "2"], "--stride needs --window"),
         (["identify", "a.csv", "--window", "4"], "--window must be at least 5"),
@@ -483,20 +489,20 @@ def test_a_window_that_any_motion_fits_is_noted(clip: Path, tmp_path: Path, caps
     save_recording(clip, recording.times[:6], recording.poses[:6])
     assert run(clip, "--json", tmp_path / "out.json") == 0
     (note,) = read_json((tmp_path / "out.json").read_text())[0]["windows"][0]["notes"]
-    assert note.startswith("5 velocities say nothing")
+    assert note.startswith("The window has only 5 velocities")
     assert note in capsys.readouterr().out.splitlines()
 
 
 def test_axes_close_to_a_threshold_are_noted(clip: Path, capsys: Captured) -> None:
     assert run(clip, "--angular-threshold", "1e-9", "--linear-threshold", "1e-9") == 0
-    assert "close to the threshold" not in capsys.readouterr().err
+    assert "nearly the threshold" not in capsys.readouterr().err
     rms = identify(load_recording(clip).poses, times=load_recording(clip).times).angular.rms
     fast = float(rms[2])
     assert run(clip, "--angular-threshold", f"{1.2 * fast}", "--json", "-") == 0
     captured = capsys.readouterr()
     assert f"uncertain: angular axis 3 ({fast:.3g} rad/s" in captured.err
     (window,) = read_json(captured.out)[0]["windows"]
-    assert any("close to the threshold" in note for note in window["notes"])
+    assert any("nearly the threshold" in note for note in window["notes"])
 
 
 def test_a_compiled_program_that_cannot_be_read_is_replaced(tmp_path: Path) -> None:
@@ -514,7 +520,7 @@ def test_a_compiled_program_that_cannot_be_read_is_replaced(tmp_path: Path) -> N
         return done.stderr
 
     start()
-    (entry,) = (tmp_path / "reframe-jax").glob("jit__lambda*-cache")
+    (entry,) = (tmp_path / "reframe_jax").glob("jit__lambda*-cache")
     whole = entry.read_bytes()
     entry.write_bytes(b"damaged")
     assert "cache" not in start()
@@ -544,18 +550,24 @@ def test_compiled_programs_are_kept_where_caches_belong(
     assert settings == {"jax_enable_x64": True}
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     configuring.configure_jax(cache=True)
-    assert settings["jax_compilation_cache_dir"] == str(tmp_path / "reframe-jax")
+    assert settings["jax_compilation_cache_dir"] == str(tmp_path / "reframe_jax")
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setattr(Path, "home", lambda: tmp_path)
     configuring.configure_jax(cache=True)
-    assert settings["jax_compilation_cache_dir"] == str(tmp_path / ".cache" / "reframe-jax")
+    assert settings["jax_compilation_cache_dir"] == str(tmp_path / ".cache" / "reframe_jax")
+    settings.clear()
+    monkeypatch.setenv("REFRAME_JAX_CACHE", "0")
+    configuring.configure_jax(cache=True)
+    assert settings == {"jax_enable_x64": True}
 
 
 def test_help_shows_examples(capsys: Captured) -> None:
     with pytest.raises(SystemExit) as caught:
         program.main(["identify", "--help"])
     assert caught.value.code == 0
-    assert "reframe-jax identify door.csv --plot door.png" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "reframe-jax identify door.csv --plot door.png" in out
+    assert "delete the folder reframe_jax" in " ".join(out.split())
 
 
 def test_the_module_runs() -> None:

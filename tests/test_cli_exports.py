@@ -231,7 +231,7 @@ def test_completion_names_what_is_missing(capsys: Captured, monkeypatch: pytest.
 
 
 def test_the_full_parser_reads_what_the_lean_one_does() -> None:
-    words = ["identify", "a.csv", "--lag", "3"]
+    words = ["identify", "a.csv", "--scales", "1,2"]
     full, lean = program.full_parser().parse_args(words), program._parser(words).parse_args(words)
 
     def plain(options: argparse.Namespace) -> dict[str, Any]:

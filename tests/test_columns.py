@@ -3,7 +3,6 @@
 import builtins
 import csv
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -50,8 +49,13 @@ def test_a_row_is_a_window(batch: rf.Identification) -> None:
         np.testing.assert_array_equal(frame[f"linear_free_{axis + 1}"], batch.linear.dof[:, axis] == 1)
     np.testing.assert_array_equal(frame["probability"], batch.probability)
     assert frame["linear_open_directions"].tolist() == [1, 1, 1, 0]
-    assert not frame["linear_has_twin"].any()
-    assert frame["linear_twin_x_m"].isna().all()
+    for axis in range(3):
+        np.testing.assert_array_equal(
+            frame[f"linear_amplitude_{axis + 1}_m"], batch.linear.amplitude[:, axis]
+        )
+        np.testing.assert_array_equal(
+            frame[f"angular_amplitude_{axis + 1}_rad"], batch.angular.amplitude[:, axis]
+        )
 
 
 def test_columns_are_flat_and_typed(batch: rf.Identification) -> None:
@@ -60,7 +64,7 @@ def test_columns_are_flat_and_typed(batch: rf.Identification) -> None:
     assert set(kinds.values()) == {"O", "i", "f", "b"}
     assert all(column.shape == (4,) for column in columns.values())
     # what has a unit has it in its name; axes are unit vectors
-    unitless = r"((screw|universal)_)?probability|universal_\w+_[xyz]|.*_axis_\d_[xyz]|.*_free_probability_\d"
+    unitless = r"probability|universal_\w+_[xyz]|.*_axis_\d_[xyz]|.*_free_probability_\d"
     for name, kind in kinds.items():
         if kind == "f" and not re.fullmatch(unitless, name):
             assert re.search(r"_(m|s|rad|m_s|rad_s|m_rad)$", name), name
@@ -73,13 +77,6 @@ def test_columns_are_flat_and_typed(batch: rf.Identification) -> None:
     two = to_columns(jax.tree.map(lambda leaf: leaf.reshape(2, 2, *leaf.shape[1:]), batch))
     np.testing.assert_array_equal(two["linear_position_x_m"], columns["linear_position_x_m"])
     assert two["name"].tolist() == columns["name"].tolist()
-
-
-def test_twins_are_told(batch: rf.Identification) -> None:
-    linear = replace(batch[0].linear, has_twin=np.True_, twin=np.array([1.0, 2.0, 3.0]))
-    columns = to_columns(replace(batch[0], linear=linear))
-    assert columns["linear_has_twin"].tolist() == [True]
-    assert [columns[f"linear_twin_{name}_m"][0] for name in "xyz"] == [1, 2, 3]
 
 
 def test_parquet_has_the_same_columns(batch: rf.Identification, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 import reframe_jax as rf
 from reframe_jax.identification.inputs import read_numbers, take_steps
+from reframe_jax.identification.options import take_scales
 from reframe_jax.simulation import synthetic
 from reframe_jax.solvers import Solution
 
@@ -126,17 +127,19 @@ def test_coarse_arrays_of_jax_are_refused(poses):
         ({"times": [[0, 1], [2]]}, "times must be an array of numbers"),
         ({"dt": np.ma.masked_array(np.full(K, DT), mask=np.arange(K) == 2)}, "masked"),
         ({"dt": decimal.Decimal("0.1")}, "dt must be"),
-        ({"bounds": np.inf}, "within 1e\\+06 m"),
-        ({"bounds": 1e200}, "within 1e\\+06 m"),
-        ({"bounds": (-1.0, np.nan)}, "low < high"),
-        ({"bounds": (-1e7, 1.0)}, "within 1e\\+06 m"),
+        ({"bounds": np.inf}, "from 0 to 1e\\+06 m"),
+        ({"bounds": 1e200}, "from 0 to 1e\\+06 m"),
+        ({"bounds": np.nan}, "from 0 to 1e\\+06 m"),
         ({"bounds": "1"}, "bounds must be"),
         ({"bounds": True}, "bounds must be"),
-        ({"bounds": (1.0, 2.0, 3.0)}, "or \\(low, high\\)"),
-        ({"lag": True}, "lag must be"),
-        ({"lag": "fast"}, "lag must be"),
-        ({"lag": [1, 2]}, "lag must be"),
-        ({"lag": np.nan}, "lag must be"),
+        ({"bounds": (1.0, 2.0, 3.0)}, "bounds must be one length"),
+        ({"scales": True}, "scales must be"),
+        ({"scales": "fast"}, "scales must be"),
+        ({"scales": [1, 3]}, "scales must be powers of two"),
+        ({"scales": 2**40}, "an eighth of the window"),
+        ({"scales": np.nan}, "scales must be"),
+        ({"assume": 3}, "assume must be the name"),
+        ({"assume": "wheel"}, "No constraint 'wheel'"),
         ({"norm": "0"}, "plain number"),
         ({"norm": None}, "plain number"),
         ({"norm": [0, 1]}, "plain number"),
@@ -155,14 +158,10 @@ def test_options_of_a_wrong_type_or_size_are_refused_in_words(poses, options, wo
         identify(poses, **options)
 
 
-def test_lags_of_every_integer_type_are_samples(poses):
+def test_scales_of_every_integer_type_are_samples(poses):
     for kind in (np.uint8, np.int8, np.uint16, np.int64):
-        assert identify(poses, lag=kind(3)).lag == 3
-
-
-@pytest.mark.parametrize("lag", [2**40, 1e300, np.float32(1e30)])
-def test_lags_beyond_every_integer_are_the_whole_window(poses, lag):
-    assert identify(poses, lag=lag).lag == K
+        assert take_scales(kind(2), 51) == (2,)
+    assert take_scales([4, 1, 4], 51) == (1, 4)
 
 
 @pytest.mark.parametrize("where", [1e155, -1e30, 1e10])

@@ -1,7 +1,6 @@
 """Pictures: what is drawn and where. How they look was judged by eye."""
 
 import io
-from dataclasses import replace
 from typing import Any
 
 import jax
@@ -15,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from reframe_jax import plotting
 from reframe_jax.constraints.types import LinearType
 from reframe_jax.identification.classify import Thresholds
+from reframe_jax.identification.naming import CLASS_CODES
 from reframe_jax.identification.results import (
     AllCandidates,
     AngularFrame,
@@ -23,6 +23,7 @@ from reframe_jax.identification.results import (
     LinearFrame,
     PoseNoise,
 )
+from reframe_jax.model.table import ENTRIES
 from reframe_jax.motion.checks import Status
 from reframe_jax.plotting.style import FREE
 
@@ -42,34 +43,28 @@ def identification(
     kind: LinearType,
     angular_dof: tuple[int, ...] = (0, 0, 1),
     linear_dof: tuple[int, ...] = (0, 1, 1),
-    lag: int = 1,
     outliers: tuple[int, ...] = (),
 ) -> Identification:
-    candidates = Candidates(*(np.zeros((4, 3)) for _ in range(5)))
+    candidates = Candidates(*(np.zeros((4, 3)) for _ in range(4)))
     common: dict[str, Any] = {"norm": np.float64(1), "norms": np.ones(4), "rms": np.ones(3)}
     common |= {"tied": np.zeros(4, bool), "free_rotation": np.zeros(3, bool), "rotvec": np.array([0, 0, 0.3])}
-    common |= {"free_probability": np.zeros(3)}
+    common |= {"free_probability": np.zeros(3), "amplitude": np.ones(3)}
     return Identification(
         angular=AngularFrame(type_code=np.int32(1), dof=np.array(angular_dof), **common),
         linear=LinearFrame(
             type_code=np.int32(kind),
             dof=np.array(linear_dof),
             position=POSITION,
-            twin=POSITION,
-            has_twin=np.False_,
             free_position=np.zeros((3, 3)),
-            coupled_position=np.zeros((3, 3)),
             **common,
         ),
         candidates=AllCandidates(candidates, candidates),
-        class_probability=np.zeros((4, 4, 4)),
-        screw_probability=np.float64(0),
+        entry_code=np.int32(CLASS_CODES[kind, sum(angular_dof), sum(linear_dof), 0]),
+        entry_probability=np.zeros(len(ENTRIES)),
         pitch=np.float64(np.nan),
-        universal_probability=np.float64(0),
         universal_axes=np.full((2, 3), np.nan),
         noise=PoseNoise(position=np.float64(1e-9), rotation=np.float64(1e-9)),
-        lag=np.int32(lag),
-        refined=np.False_,
+        scale=np.int32(1),
         counted=~np.isin(np.arange(9), outliers),
         status_code=np.int32(Status.OK),
         warning_codes=np.int32(0),
@@ -117,23 +112,6 @@ def test_an_origin_on_the_body_is_joined_to_it(poses: np.ndarray, kind: LinearTy
         np.testing.assert_allclose(np.transpose(path.get_data_3d()), there)
         ends = [np.transpose(line.get_data_3d()) for line in space.lines if line.get_linewidth() == 2.2]
         np.testing.assert_allclose(ends, np.stack([poses[:, :3, 3], there], axis=1)[[0, 4, 8]])
-
-
-@pytest.mark.parametrize("kind", [LinearType.BG, LinearType.GB])
-def test_a_twin_is_a_hollow_circle_where_it_is(poses: np.ndarray, kind: LinearType) -> None:
-    twin = np.array([1.2, -0.1, 0.3])
-    found = identification(kind)
-    found = replace(found, linear=replace(found.linear, twin=twin, has_twin=np.True_))
-    _, space, _ = draw(poses, found)
-    (circles,) = (line for line in space.lines if line.get_markerfacecolor() == "none")
-    assert circles.get_label() in {text.get_text() for text in space.get_legend().get_texts()}
-    there = np.broadcast_to(twin, (9, 3))
-    if kind.name[1] == "B":
-        there = poses[:, :3, :3] @ twin + poses[:, :3, 3]
-    np.testing.assert_allclose(np.transpose(circles.get_data_3d()), there[[0, 4, 8]])
-    limits = np.array([space.get_xlim(), space.get_ylim(), space.get_zlim()])
-    assert (limits[:, 0] < there[[0, 4, 8]]).all()
-    assert (there[[0, 4, 8]] < limits[:, 1]).all()
 
 
 def test_lengths_are_equal_and_everything_fits(poses: np.ndarray) -> None:
@@ -186,15 +164,6 @@ def test_without_thresholds_none_are_drawn(poses: np.ndarray) -> None:
     for graph in graphs:
         assert len(graph.lines) == 3
         assert len(graph.get_legend().get_texts()) == 3
-
-
-def test_velocities_are_drawn_over_the_lag(poses: np.ndarray) -> None:
-    _, _, (linear, _) = draw(poses, identification(LinearType.GB, lag=3))
-    path = poses[:, :3, :3] @ POSITION + poses[:, :3, 3]
-    velocities = (path[3:] - path[:-3]) / 0.3 @ Rotation.from_rotvec([0, 0, 0.3]).as_matrix()
-    for i, line in enumerate(linear.lines):
-        np.testing.assert_allclose(line.get_xdata(), (TIMES[3:] + TIMES[:-3]) / 2)
-        np.testing.assert_allclose(line.get_ydata(), velocities[:, i], atol=1e-9)
 
 
 @pytest.mark.parametrize(("distance", "shown"), [(0.05, 1), (50.0, 0)])

@@ -148,9 +148,13 @@ def test_a_window_in_words() -> None:
     assert "Linear frame GB: axes in the ground, origin fixed in the body; tied with BB and BG" in lines
     # the columns of the rotation, not its rows
     assert "  axis 1  ( 0.000,  1.000,  0.000)      0.01 rad/s  constrained, held within 1 mrad" in lines
-    assert "  axis 2  (-1.000,  0.000,  0.000)      0.02 rad/s  constrained (0.90), held within 2 mrad" in lines
+    assert (
+        "  axis 2  (-1.000,  0.000,  0.000)      0.02 rad/s  constrained (0.90), held within 2 mrad" in lines
+    )
     assert "  axis 3  ( 0.000,  0.000,  1.000)       0.3 rad/s  free, moved 400 mrad" in lines
-    assert "  axis 3  ( 0.000,  0.000,  1.000)      0.25 m/s    constrained (0.97), held within 320 mm" in lines
+    assert (
+        "  axis 3  ( 0.000,  0.000,  1.000)      0.25 m/s    constrained (0.97), held within 320 mm" in lines
+    )
     assert "          axes 1 and 2 can be turned about axis 3" in lines
     assert "  origin  (0.1000, -0.2500, 0.0000) m in the body" in lines
     assert "          not determined along (0.000, 0.000, 1.000)" in lines
@@ -183,8 +187,6 @@ def test_noise_scale_and_outliers_of_a_window_in_a_recording() -> None:
         .splitlines()[-1]
         .endswith("8 poses left out: samples 10, 11, 12, 13, 14, 15 and 2 more")
     )
-
-
 
 
 @pytest.mark.parametrize("poses", [6, 13])
@@ -229,7 +231,6 @@ def test_directions_of_the_position(projector: np.ndarray, words: str | None) ->
     assert bool(found) == (words is not None)
     if found and words:
         assert re.fullmatch(words, found[1])
-
 
 
 def test_warnings_are_spelt_out() -> None:
@@ -327,7 +328,9 @@ def test_json_of_a_batch_says_where_windows_are_and_has_no_nan() -> None:
 
 def test_json_says_how_sure_it_is_and_of_what() -> None:
     first, second = codes_of("A")
-    found = identification(entries={first: 0.2, second: 0.7, codes_of("K")[0]: 0.009}, scale=2, outliers=(3, 5))
+    found = identification(
+        entries={first: 0.2, second: 0.7, codes_of("K")[0]: 0.009}, scale=2, outliers=(3, 5)
+    )
     (window,) = strict(to_json(found, windows=[Window(10, 31, 1.0, 3.0)]))["recordings"][0]["windows"]
     assert window["probability"] == pytest.approx(0.9)
     hinge = {"name": "Revolute joint", "label": "A"}
@@ -365,7 +368,6 @@ def test_the_probability_of_a_name_is_that_of_all_entries_with_it(
     assert isinstance(found.probability, float)
     expected = sum(entries[code] for code in range(len(ENTRIES)) if name_of(code) == name)
     assert found.probability == pytest.approx(expected)
-
 
 
 def test_probabilities_of_a_batch() -> None:
@@ -419,9 +421,7 @@ def test_velocities_of_a_frame_are_those_of_a_particle(rng: np.random.Generator)
 def test_velocities_at_outliers_are_unknown() -> None:
     poses = np.tile(np.eye(4), (12, 1, 1))
     poses[:, 0, 3] = np.arange(12)
-    velocities = frame_velocities(
-        jnp.asarray(poses), jnp.ones(11), identification(poses=12, outliers=(4,))
-    )
+    velocities = frame_velocities(jnp.asarray(poses), jnp.ones(11), identification(poses=12, outliers=(4,)))
     for group in velocities:
         np.testing.assert_array_equal(np.flatnonzero(np.isnan(group).all(axis=1)), [3, 4])
 

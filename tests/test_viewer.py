@@ -60,10 +60,9 @@ def hinge() -> tuple[np.ndarray, np.ndarray, rf.Identification]:
 
 @pytest.fixture(scope="module")
 def tracks(hinge: tuple[np.ndarray, np.ndarray, rf.Identification]) -> list[WindowTrack]:
-    """A hinge with a twin and a known uncertainty, and a later window without a result."""
+    """A hinge with a known uncertainty, and a later window without a result."""
     poses, times, found = hinge
-    linear = replace(found.linear, has_twin=np.True_, twin=found.linear.position + 0.05)
-    first = track_window(poses, times, replace(found, linear=linear), covariance=np.diag([1e-5, 4e-5, 1e-5]))
+    first = track_window(poses, times, found, covariance=np.diag([1e-5, 4e-5, 1e-5]))
     failed = replace(found, status_code=np.int32(rf.Status.NO_MOTION))
     return [first, track_window(poses, times + 2, failed)]
 
@@ -87,20 +86,16 @@ def test_tracks_are_where_the_pictures_are(label: str) -> None:
         np.testing.assert_allclose(track.frame.origins, tip, atol=1e-12)
     assert track.name == found.name
     assert not track.counted[7]
-    assert track.frame.twins is None
     assert track.frame.spread is None
 
 
-def test_twins_and_uncertainty_are_fixed_where_the_origin_is() -> None:
+def test_uncertainty_is_fixed_where_the_origin_is() -> None:
     poses, times, found = record("K", seed=1)  # its origin is fixed in the body
     assert found.linear.frame_type == rf.LinearType.GB
-    linear = replace(found.linear, has_twin=np.True_, twin=found.linear.position)
     covariance = np.array([[4e-4, 1e-4, 0], [1e-4, 3e-4, 0], [0, 0, 1e-6]])
-    track = track_window(poses, times, replace(found, linear=linear), covariance=covariance)
+    track = track_window(poses, times, found, covariance=covariance)
     assert track.frame is not None
-    assert track.frame.twins is not None
     assert track.frame.spread is not None
-    np.testing.assert_allclose(track.frame.twins, track.frame.origins, atol=1e-12)
     np.testing.assert_allclose(track.frame.spread @ track.frame.spread, covariance, atol=1e-12)
     np.testing.assert_array_equal(track.frame.spread_axes, poses[:, :3, :3])
 

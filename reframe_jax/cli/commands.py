@@ -57,8 +57,8 @@ def add_command(commands: Any, name: str, run: Any, text: str) -> argparse.Argum
         "--no-cache",
         dest="cache",
         action="store_false",
-        help="do not keep compiled programs for later runs (likewise with REFRAME_JAX_CACHE=0); to clear them, "
-        "delete the folder reframe_jax in XDG_CACHE_HOME or ~/.cache",
+        help="do not keep compiled programs for later runs (likewise with REFRAME_JAX_CACHE=0); to clear "
+        "them, delete the folder reframe_jax in XDG_CACHE_HOME or ~/.cache",
     )
     command.set_defaults(run=run, usage_error=command.error)
     return command

@@ -107,7 +107,7 @@ def add_identify(commands: Any) -> None:
     add(
         "--explain",
         action="store_true",
-        help="explain the result in plain English, with error bars (95 %%) and the motion that would improve it",
+        help="explain the result in plain English, with error bars (95 %%) and what to record next",
     )
     add_outputs(command)
     add_reading(command)

@@ -20,8 +20,9 @@ The document that ``to_json`` and ``reframe-jax identify --json`` write has the 
               "name": of the constraint, "label": letter or word in the catalogue, or null outside of it,
               "probability": of the name; see ``Identification.probability`` for what it is conditional on,
               "alternatives": [
-                {"name", "label", "type": of the linear frame, "probability"}: the constraints of the table with
-                a probability above 0.01, the reported one included, the most probable first; [] with thresholds
+                {"name", "label", "type": of the linear frame, "probability"}
+                the constraints of the table with a probability above 0.01, the reported one included, the
+                most probable first; [] with thresholds
               ],
               "pitch": m/rad of a screw joint, positive for a right-handed thread, else null,
               "universal_axes": {"ground": [3], "body": [3]; unit vectors} of a universal joint, else null,
@@ -32,7 +33,8 @@ The document that ``to_json`` and ``reframe-jax identify --json`` write has the 
               "angular": {
                 "type": "G" or "B", "tied": types that fit equally well, this one included,
                 "rotvec": [3], "axes": [3 unit vectors], "dof": [3, 1 is free],
-                "free_probability": [3], "rms": [3], "amplitude": [3], RMS displacement in rad, "norm": number,
+                "free_probability": [3], "rms": [3], "norm": number,
+                "amplitude": [3], RMS displacement in rad,
                 "free_rotation": [3 booleans, axes about which the frame can be turned],
               },
               "linear": {

@@ -129,7 +129,7 @@ class Finding:
 
 
 def explain_finding(finding: Finding, spread: Spread | None, tested: Tested | None) -> str:
-    """Up to six lines: the constraint, its play, its origin, its axis, what is open, and what would settle it.
+    """Up to six lines: the constraint, its play, its origin, its axis, what is open, what would settle it.
 
     Args:
         finding: of one window.
@@ -158,7 +158,11 @@ def _held(finding: Finding) -> list[str]:
             (finding.linear_amplitude[finding.linear_dof == free], "mm"),
             (finding.angular_amplitude[finding.angular_dof == free], "mrad"),
         ]
-        sizes.append(" and ".join(f"{_two_digits(1e3 * float(np.max(size)))} {unit}" for size, unit in moved if len(size)))
+        sizes.append(
+            " and ".join(
+                f"{_two_digits(1e3 * float(np.max(size)))} {unit}" for size, unit in moved if len(size)
+            )
+        )
     held, moved = sizes
     if not held or not moved or finding.universal is not None:
         return []

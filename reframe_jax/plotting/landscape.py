@@ -82,8 +82,8 @@ def plot_landscape(
 ) -> "Figure":
     """Draw the norm over planes through the identified position, one row per frame type.
 
-    The identified origin is that of the fitted constraint, close to the lowest point. The planes are those of the axes x-y, x-z and y-z of the body that the type's second
-    letter names.
+    The identified origin is that of the fitted constraint, close to the lowest point. The planes are those of
+    the axes x-y, x-z and y-z of the body that the type's second letter names.
 
     Args:
         poses: (K+1, 4, 4), m.

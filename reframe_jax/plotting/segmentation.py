@@ -58,7 +58,7 @@ def plot_segmentation(poses: ArrayLike, found: Segmentation, *, title: str | Non
 
 
 def _velocities(poses: np.ndarray, found: Segmentation) -> tuple[np.ndarray, np.ndarray]:
-    """Velocities (N-1, 3) along the axes of each segment's frames, rad/s and m/s; NaN where there are none."""
+    """Velocities (N-1, 3) along the axes of each segment's frames, rad/s and m/s; NaN elsewhere."""
     with jax.enable_x64(True):
         rates, maps = jax.device_get(_maps(jnp.asarray(poses), jnp.diff(jnp.asarray(found.times))))
     angular, linear = (np.full((len(poses) - 1, 3), np.nan) for _ in range(2))

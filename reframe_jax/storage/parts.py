@@ -22,7 +22,7 @@ from reframe_jax.storage.records import checksum
 
 __all__ = ["Run", "read_part", "write_part"]
 
-_FORMAT = 5
+_FORMAT = 4
 _LISTED, _LONGEST = 8, 40  # names of options in a message, and letters of each
 _RUN = "run.json"
 _PART = re.compile(r"part-(\d{8,})")

@@ -7,7 +7,7 @@ stopped, and machines that share a disk can share the parts.
 
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from itertools import count, islice
 from operator import index
 from pathlib import Path
@@ -117,8 +117,9 @@ def load_results(folder: str | Path, parts: Iterable[int] | None = None) -> Iden
         parts: numbers of the parts to load, all by default; load a few if the results do not fit in memory.
 
     Raises:
-        ValueError: if the folder holds no results, or lacks requested parts; or if a file, named in the
-            message, is damaged, a copy of another, or made with other options than the rest.
+        ValueError: if the folder holds no results, those of another version, or lacks requested parts; or if
+            a file, named in the message, is damaged, a copy of another, or made with other options than the
+            rest.
         ImportError: if pyarrow is missing.
     """
     PARQUET.library()
@@ -138,18 +139,28 @@ def load_results(folder: str | Path, parts: Iterable[int] | None = None) -> Iden
     count = len(columns["status_code"])
     if parts is None and run.total not in (None, count):
         raise ValueError(f"{folder} has results of {count} windows; run.json says {run.total}.")
-    found: Identification = _build(Identification, "", columns)
+    try:
+        found: Identification = _build(Identification, "", columns)
+    except KeyError as error:
+        raise ValueError(
+            f"{folder} holds results of another version of reframe_jax (without {error}): identify the "
+            "windows again, in another folder."
+        ) from error
     return found
 
 
 def _build(kind: Any, prefix: str, columns: dict[str, Any]) -> Any:
-    """A result of the columns that are named after its fields; fields that are results are built alike."""
+    """A result of the columns that are named after its fields; fields that are results are built alike.
+
+    Raises:
+        KeyError: naming a column that is missing.
+    """
     types, values = get_type_hints(kind), {}
     for field in fields(kind):
         name = prefix + field.name
         if is_dataclass(types[field.name]):
             values[field.name] = _build(types[field.name], name + ".", columns)
-        elif name in columns:
+        elif name in columns or field.default is MISSING:
             values[field.name] = columns[name]
     return kind(**values)
 
