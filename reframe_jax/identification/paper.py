@@ -1,18 +1,14 @@
 """The paper's own search: velocities of single steps, any power mean over axes, any solver."""
 
-from typing import TYPE_CHECKING
-
 import jax
 import jax.numpy as jnp
 
+from reframe_jax.identification.preparation import Prepared
 from reframe_jax.motion import kinematics
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.objectives.moments import add_variance, component_moments
 from reframe_jax.objectives.velocity import PositionObjective
 from reframe_jax.solvers import BasinHopping, Box, FrameSteps, JointSearch, Solver, ValleySteps
-
-if TYPE_CHECKING:
-    from reframe_jax.identification.pipeline import Prepared
 
 __all__ = ["default_solver", "paper_origins", "step_moments"]
 
@@ -48,7 +44,7 @@ def step_moments(poses: jax.Array, steps: jax.Array, discretization: Discretizat
 
 
 def paper_origins(
-    window: "Prepared",
+    window: Prepared,
     exponent: float,
     discretization: Discretization,
     solver: Solver | None,

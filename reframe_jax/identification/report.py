@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +22,7 @@ from reframe_jax.identification.classify import Thresholds, degrees_of_freedom, 
 from reframe_jax.identification.frames import AllCandidates, AngularFrame, Candidates, LinearFrame, PoseNoise
 from reframe_jax.identification.naming import CLASS_CODES, NAME_OF_ENTRY, SAME_IN_ALL_TYPES
 from reframe_jax.identification.paper import step_moments
+from reframe_jax.identification.preparation import Prepared
 from reframe_jax.identification.results import Identification
 from reframe_jax.model.axes import common_axes
 from reframe_jax.model.fit import Data, Parameters, coordinates, fit_entry, ground_axes, settle
@@ -32,9 +33,6 @@ from reframe_jax.motion.checks import Status
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.objectives.moments import covariance_at
 from reframe_jax.objectives.norms import log_power_mean
-
-if TYPE_CHECKING:
-    from reframe_jax.identification.pipeline import Prepared
 
 __all__ = ["Winner", "report_windows", "winner_of_window"]
 
@@ -175,7 +173,7 @@ def _types_over_scales(solved: Solved, live: Moments, step: Array) -> _Types:
 
 
 def _types_of_steps(
-    window: "Prepared", solved: Solved, exponent: float, discretization: Discretization
+    window: Prepared, solved: Solved, exponent: float, discretization: Discretization
 ) -> _Types:
     """The paper's: velocities of single steps, of N windows."""
     angular, linear = step_moments(window.poses, window.steps, discretization)
@@ -197,7 +195,7 @@ def _types_of_steps(
 
 
 def report_windows(
-    window: "Prepared",
+    window: Prepared,
     live: Moments,
     solved: Solved,
     thresholds: Thresholds | None,
@@ -228,7 +226,7 @@ def report_windows(
 
 
 def _report_window(
-    window: "Prepared",
+    window: Prepared,
     live: Moments,
     solved: Solved,
     types: _Types,
@@ -419,7 +417,7 @@ def _tied_types(winner: Winner, kind: Array, thresholds: Thresholds | None, type
 
 
 def _with_status(
-    found: tuple[Identification, Array, Array], window: "Prepared", thresholds: Thresholds | None
+    found: tuple[Identification, Array, Array], window: Prepared, thresholds: Thresholds | None
 ) -> Identification:
     """The results with their status; NaN and zeros where a window failed."""
     result, at_bound, codes = found

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from reframe_jax.constraints.located import ground_offset
 from reframe_jax.constraints.types import LinearType
 from reframe_jax.identification.options import Scales, take_scales
-from reframe_jax.identification.pipeline import prepare_windows
+from reframe_jax.identification.preparation import prepare_windows
 from reframe_jax.identification.results import Identification
 from reframe_jax.model.search import norm_at, polynomials
 from reframe_jax.model.solve import choose_scales

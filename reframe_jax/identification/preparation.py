@@ -1,0 +1,96 @@
+"""What windows give to the model: poses without outliers, their noise, features and moments."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reframe_jax.model.features import Features, pose_features
+from reframe_jax.model.moments import Moments, scale_moments
+from reframe_jax.motion import kinematics
+from reframe_jax.motion.checks import window_status
+from reframe_jax.motion.noise import estimate_noise
+from reframe_jax.motion.outliers import repair_poses
+
+__all__ = ["Prepared", "prepare_windows"]
+
+_REACH = 2.0  # m, half the width of the box by default, or so many times the extent of the motion
+
+Array = jax.Array
+
+
+class Prepared(NamedTuple):
+    """What N windows give to the model.
+
+    Attributes:
+        status: (N,) codes of ``Status``.
+        centre: (N, 3) m, mean position; everything else is relative to it.
+        poses: (N, P, 4, 4) m, outliers replaced.
+        counted: (N, P) bool, poses that are neither outliers nor padding.
+        steps: (1, K) or (N, K) s.
+        count: (N,) number of poses.
+        noise: (N, 2) m and rad, white noise of every component.
+        features, moments: see :mod:`reframe_jax.model`; of all scales.
+        box: (N,) m, half the width of the cube of origins.
+    """
+
+    status: Array
+    centre: Array
+    poses: Array
+    counted: Array
+    steps: Array
+    count: Array
+    noise: Array
+    features: Features
+    moments: Moments
+    box: Array
+
+
+def prepare_windows(
+    poses: Array, steps: Array, count: Array | None, bounds: Array | None, scales: tuple[int, ...] | None
+) -> Prepared:
+    """Reduce windows to the moments of their features.
+
+    Args:
+        poses: (N, P, 4, 4) m.
+        steps: (K,) or (N, K) s.
+        count: (N,) number of poses in each window where the rest is padding, else None.
+        bounds: () m, half the width of the box; None for a box that grows with the motion.
+        scales: that were asked for, in samples; outliers are left out for None, all that stand out.
+    """
+    status = window_status(poses, steps)
+    failed = status >= 10
+    # a failed window computes with harmless numbers, so that no NaN enters a derivative
+    poses = jnp.where(failed[:, None, None, None], _harmless(poses), poses)
+    steps = jnp.where(jnp.isfinite(steps) & (steps > 0), steps, 1)
+    steps = steps[None] if steps.ndim == 1 else steps
+    number = jnp.full(len(poses), poses.shape[1], jnp.int32) if count is None else count
+    own = jnp.arange(poses.shape[1], dtype=jnp.int32)[None] < number[:, None]
+    total = jnp.sum(jnp.where(own[..., None], poses[:, :, :3, 3], 0), axis=1)
+    centre = jax.lax.stop_gradient(total / number.astype(poses.dtype)[:, None])
+    poses = poses.at[:, :, :3, 3].add(-centre[:, None])
+    counted = own
+    if scales is None:
+        times = jnp.concatenate([jnp.zeros_like(steps[:, :1]), jnp.cumsum(steps, axis=1)], axis=1)
+        times = jnp.broadcast_to(times, (len(poses), times.shape[1]))
+        poses, counted = repair_poses(poses, times, number)
+    rotation, position = kinematics.split_poses(poses)
+    still = jax.lax.stop_gradient((position, kinematics.turns_of(rotation)))
+    noise = jnp.stack(estimate_noise(*still, counted.T), axis=1)
+    features = pose_features(rotation, position, steps, counted.T, count)
+    moments = scale_moments(features.values, counted, count)
+    far = jnp.max(jnp.where(counted, jnp.sum(jnp.square(poses[:, :, :3, 3]), axis=-1), 0), axis=1)
+    box = jnp.maximum(_REACH, _REACH * jnp.sqrt(jax.lax.stop_gradient(far)))
+    box = box if bounds is None else jnp.broadcast_to(jnp.asarray(bounds, box.dtype), box.shape)
+    return Prepared(status, centre, poses, counted, steps, number, noise, features, moments, box)
+
+
+def _harmless(poses: Array) -> Array:
+    """A body that turns a little about one axis and slides along another, (P, 4, 4)."""
+    phase = np.linspace(0, 6, poses.shape[1])
+    window = np.tile(np.eye(4), (poses.shape[1], 1, 1))
+    cos, sin = np.cos(0.3 * np.sin(phase)), np.sin(0.3 * np.sin(phase))
+    window[:, 0, 0], window[:, 0, 1], window[:, 1, 0], window[:, 1, 1] = cos, -sin, sin, cos
+    window[:, 0, 3] = 0.1 * np.cos(1.7 * phase)
+    return jnp.asarray(window, poses.dtype)
