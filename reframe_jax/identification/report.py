@@ -106,7 +106,7 @@ class _Rows(NamedTuple):
 def _block_rows(axes: Array, weights: Array, together: Array, free: Array, total: Array) -> _Rows:
     """Principal axes of each block, held ones first, then by amplitude; right-handed, with signs fixed."""
     covariance = jnp.where(together, weights @ total @ weights.T, 0)
-    turn = common_axes(jax.lax.stop_gradient(covariance)[None], jnp.ones(1, covariance.dtype))
+    turn = _eigenvectors(covariance, together)
     axes, weights = axes @ turn, turn.T @ weights
     square = jnp.einsum("if,fg,ig->i", weights, total, weights)
     order = jnp.argsort(jax.lax.stop_gradient(square / jnp.max(square)) + 2.0 * free)
@@ -116,6 +116,19 @@ def _block_rows(axes: Array, weights: Array, together: Array, free: Array, total
     return _Rows(
         axes.at[:, 1].set(jnp.cross(axes[:, 2], axes[:, 0])), weights, square, free.astype(jnp.int32)
     )
+
+
+def _eigenvectors(covariance: Array, together: Array) -> Array:
+    """Of a covariance (3, 3), block by block, with their first derivative."""
+    fixed = jax.lax.stop_gradient(covariance)
+    turn = common_axes(fixed[None], jnp.ones(1, fixed.dtype))
+    seen = turn.T @ covariance @ turn
+    size = jax.lax.stop_gradient(jnp.diagonal(seen))
+    gap = size[None, :] - size[:, None]
+    apart = together & (jnp.abs(gap) > 1e-9 * jnp.max(size))
+    # the value of these is zero, their derivative is not
+    change = jnp.where(apart, (seen - jax.lax.stop_gradient(seen)) / jnp.where(apart, gap, 1), 0)
+    return turn + turn @ change
 
 
 def _sign(axis: Array) -> Array:

@@ -2,13 +2,10 @@
 
 from reframe_jax.objectives.norms import (
     axis_rms,
-    axis_rms_from_covariance,
-    axis_rms_from_moments,
     check_exponent,
     frame_norm,
     log_power_mean,
     power_mean,
-    principal_axes,
 )
 from reframe_jax.objectives.protocol import MomentsObjective, Objective
 from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
@@ -19,11 +16,8 @@ __all__ = [
     "Objective",
     "PositionObjective",
     "axis_rms",
-    "axis_rms_from_covariance",
-    "axis_rms_from_moments",
     "check_exponent",
     "frame_norm",
     "log_power_mean",
     "power_mean",
-    "principal_axes",
 ]

@@ -15,19 +15,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from reframe_jax.geometry import rotations, symmetric
+from reframe_jax.geometry import rotations
 from reframe_jax.geometry.products import matmul
-from reframe_jax.objectives.moments import covariance_at
 
 __all__ = [
     "axis_rms",
-    "axis_rms_from_covariance",
-    "axis_rms_from_moments",
     "check_exponent",
     "frame_norm",
     "log_power_mean",
     "power_mean",
-    "principal_axes",
 ]
 
 
@@ -118,46 +114,6 @@ def axis_rms(rotvec: jax.Array, position: jax.Array | None, maps: jax.Array) -> 
         velocity = maps[..., 0] + jnp.sum(maps[..., 1:] * position[..., None, None, :], axis=-1)
     in_frame = matmul(velocity, rotations.rotation_exp(rotvec))
     return _safe_sqrt(jnp.mean(in_frame**2, axis=-2))
-
-
-def axis_rms_from_covariance(rotvec: jax.Array, covariance: jax.Array) -> jax.Array:
-    """RMS velocity along each axis of a frame, (..., 3), from the velocity covariance (..., 3, 3)."""
-    axes = rotations.rotation_exp(rotvec)
-    return _safe_sqrt(jnp.sum(axes * matmul(covariance, axes), axis=-2))
-
-
-def axis_rms_from_moments(rotvec: jax.Array, position: jax.Array, moments: jax.Array) -> jax.Array:
-    """RMS velocity along each axis of a frame, from the window's moments (see :mod:`moments`).
-
-    Args:
-        rotvec: (..., 3) rad.
-        position: (..., 3) m.
-        moments: (6, 10, ...).
-
-    Returns:
-        (..., 3).
-    """
-    x, y, z = position[..., 0], position[..., 1], position[..., 2]
-    covariance = symmetric.to_matrix(covariance_at(moments, (x, y, z)))
-    return axis_rms_from_covariance(rotvec, covariance)
-
-
-def principal_axes(covariance: symmetric.Symmetric) -> tuple[jax.Array, jax.Array]:
-    """RMS along the principal axes, (..., 3) ascending, and the axes as columns, (..., 3, 3).
-
-    Right-handed, the largest component of the first and third axis positive.
-    """
-    variances, (first, _, third) = symmetric.eigh(covariance)
-    tiny = jnp.finfo(covariance[0].dtype).tiny
-    rms = jnp.sqrt(jnp.maximum(jnp.stack(variances, axis=-1), tiny))
-
-    def upright(axis: symmetric.Vector) -> jax.Array:
-        vector = jnp.stack(axis, axis=-1)
-        largest = jnp.take_along_axis(vector, jnp.argmax(jnp.abs(vector), axis=-1)[..., None], axis=-1)
-        return jnp.where(largest < 0, -vector, vector)
-
-    one, three = upright(first), upright(third)
-    return rms, jnp.stack([one, jnp.cross(three, one), three], axis=-1)
 
 
 def frame_norm(

@@ -1,30 +1,103 @@
 """Second-order local steps on any objective, with derivatives by automatic differentiation."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.geometry.products import apply
 from reframe_jax.objectives.protocol import Objective
 from reframe_jax.solvers.box import Box
 from reframe_jax.solvers.problems import minimise_each
 
-__all__ = ["NewtonSteps"]
+__all__ = ["NewtonSteps", "derivatives_in_box", "hold", "newton_steps", "take_best_steps"]
 
-_FLAT = 1e-9  # curvature below this share of the largest counts as this share: a free direction
+_POWERS = (0.0, 1.0, 2.0, 3.0, 6.0)  # s of the Newton steps on J^s
+_PARTS = (1.0, 0.25, 0.05)  # of the step that descends where the Hessian is indefinite
+_RIDGE = 1e-11  # on the diagonal, of the sum of its row: keeps a free direction solvable
+
+_Point = TypeVar("_Point")
+
+
+def newton_steps(gradient: jax.Array, hessian: jax.Array) -> jax.Array:
+    """Steps (8, dim) that may lower f = log J, to be taken away from the unknowns.
+
+    With H and g of f, the Newton step on J^s is H^-1 g / (1 + s g.H^-1 g), one direction for every s; s = 6, 3
+    and 2 are exact where one, two or three axes of the geometric mean are constrained, s = 1 where a single
+    axis dominates. Far from the optimum H = L D L^T is indefinite, and the step of L |D| L^T descends.
+    """
+    dim = gradient.shape[0]
+    ridge = _RIDGE * jnp.sum(jnp.abs(hessian), axis=1)
+    rows = jnp.concatenate([hessian, gradient[:, None]], axis=1)
+    for j in range(dim):
+        pivot = rows[j, j] + ridge[j]
+        rows = rows.at[j, j].set(jnp.where(pivot == 0, 1, pivot))
+        rows = rows.at[j + 1 :].add(-(rows[j + 1 :, j] / rows[j, j])[:, None] * rows[j][None])
+    pivots = jnp.diagonal(rows)
+    solved = rows[:, -1][None] / jnp.stack([pivots, jnp.abs(pivots)])
+    for j in reversed(range(dim)):
+        solved = solved.at[:, :j].add(-solved[:, j, None] * (rows[:j, j] / pivots[:j])[None])
+    newton, descent = solved
+    slope = jnp.sum(newton * gradient)
+    steps = [newton / (1 + s * slope) for s in _POWERS]
+    return jnp.stack(steps + [part * descent for part in _PARTS])
+
+
+def derivatives_in_box(
+    value: Callable[[jax.Array], jax.Array], x: jax.Array, low: jax.Array, high: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Gradient and Hessian with the coordinates held whose gradient points out of the box; which those are.
+
+    Both are zero where they are not finite.
+    """
+    gradient, hessian = jax.grad(value)(x), jax.hessian(value)(x)
+    held = ((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0))
+    finite = jnp.all(jnp.isfinite(hessian)) & jnp.all(jnp.isfinite(gradient))
+    gradient = jnp.where(held | ~finite, 0, gradient)
+    return gradient, hold(jnp.where(finite, hessian, 0), held), held
+
+
+def hold(hessian: jax.Array, held: jax.Array) -> jax.Array:
+    """The Hessian with the rows and columns of held coordinates those of a unit matrix."""
+    return jnp.where(held[:, None] | held[None, :], jnp.eye(len(held), dtype=hessian.dtype), hessian)
+
+
+def take_best_steps(
+    start: _Point,
+    value: jax.Array,
+    steps_at: Callable[[_Point], jax.Array],
+    move: Callable[[_Point, jax.Array], tuple[_Point, jax.Array]],
+    count: int,
+) -> tuple[_Point, jax.Array]:
+    """Take the best of some steps, again and again; stay where none is lower.
+
+    Args:
+        start: a pytree.
+        value: there.
+        steps_at: steps (n, dim) to try from a point.
+        move: from a point by a step to another point, and the value there.
+        count: number of times; fixed, so that no problem waits for another.
+
+    Returns:
+        The last point, and its value.
+    """
+
+    def advance(_: int, carry: tuple[_Point, jax.Array]) -> tuple[_Point, jax.Array]:
+        here, best = carry
+        points, values = jax.vmap(lambda step: move(here, step))(steps_at(here))
+        values = jnp.where(jnp.isnan(values), jnp.inf, values)
+        lowest = jnp.argmin(values)
+        better = values[lowest] < best
+        there = jax.tree.map(lambda new, old: jnp.where(better, new[lowest], old), points, here)
+        return there, jnp.where(better, values[lowest], best)
+
+    return jax.lax.fori_loop(0, count, advance, (start, value))
 
 
 @dataclass(frozen=True)
 class NewtonSteps:
-    """Local minimizer by Newton steps on powers of the norm, orientation and origin together.
-
-    The idea of :class:`ValleySteps` and :class:`FrameSteps` without their closed forms: with H and g of
-    f = log J, the Newton step on J^s is H^-1 g / (1 + s g.H^-1 g), one direction for every s; s = 6, 3
-    and 2 are exact where one, two or three axes of the geometric mean are constrained, s = 1 where a
-    single axis dominates. Far from the optimum H is indefinite and the step on ``|H|`` descends. The best
-    of all is kept.
+    """Local minimizer by Newton steps on powers of the norm, all unknowns together.
 
     Attributes:
         steps: number of steps; fixed, so that no problem waits for another.
@@ -41,32 +114,11 @@ class NewtonSteps:
         return minimise_each(self._minimise_one, objective, box, x)
 
     def _minimise_one(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        def step(carry: tuple[jax.Array, jax.Array], _: None) -> tuple[tuple[jax.Array, jax.Array], None]:
-            x, best = carry
-            gradient = jax.grad(objective.value)(x)
-            hessian = jax.hessian(objective.value)(x)
-            held = ((x <= box.low) & (gradient > 0)) | ((x >= box.high) & (gradient < 0))
-            gradient = jnp.where(held, 0, gradient)
-            hessian = jnp.where(held[:, None] | held[None, :], 0, hessian)
-            finite = jnp.all(jnp.isfinite(hessian)) & jnp.all(jnp.isfinite(gradient))
-            hessian, gradient = jnp.where(finite, hessian, 0), jnp.where(finite, gradient, 0)
-            curvature, axes = jnp.linalg.eigh(hessian)
-            largest = jnp.max(jnp.abs(curvature))
-            floor = jnp.maximum(_FLAT * largest, jnp.finfo(x.dtype).tiny)
-            strength = jnp.maximum(jnp.abs(curvature), floor)
-            along = apply(axes.T, gradient)
-            newton = apply(axes, jnp.where(curvature < 0, -along, along) / strength)
-            descent = apply(axes, along / strength)
-            slope = jnp.sum(newton * gradient)
-            directions: list[tuple[jax.Array, Any]] = [(descent, s) for s in (1.0, 0.25, 0.05)]
-            directions += [(newton, 1 / (1 + s * slope)) for s in (0.0, 1.0, 2.0, 3.0, 6.0)]
-            trials = jnp.stack([x - length * direction for direction, length in directions])
-            trials = jnp.clip(trials, box.low[None], box.high[None])
-            values = jax.vmap(objective.value)(trials)
-            values = jnp.where(jnp.isnan(values), jnp.inf, values)
-            i = jnp.argmin(values)
-            better = values[i] < best
-            return (jnp.where(better, trials[i], x), jnp.where(better, values[i], best)), None
+        def steps_at(x: jax.Array) -> jax.Array:
+            return newton_steps(*derivatives_in_box(objective.value, x, box.low, box.high)[:2])
 
-        (x, value), _ = jax.lax.scan(step, (x, objective.value(x)), length=self.steps)
-        return x, value
+        def move(x: jax.Array, step: jax.Array) -> tuple[jax.Array, jax.Array]:
+            there = jnp.clip(x - step, box.low, box.high)
+            return there, objective.value(there)
+
+        return take_best_steps(x, objective.value(x), steps_at, move, self.steps)

@@ -1,7 +1,7 @@
 """Operations on arrays whose trailing axes are problems: flatten, repeat, take one by one."""
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +31,7 @@ def repeat_problems(tree: _T, axes: int, count: int) -> _T:
 
 
 def minimise_each(
-    minimise_one: Callable[[Objective, Box, jax.Array], tuple[jax.Array, jax.Array]],
+    minimise_one: Callable[[Any, Box, jax.Array], tuple[jax.Array, jax.Array]],
     objective: Objective,
     box: Box,
     x: jax.Array,
@@ -41,7 +41,7 @@ def minimise_each(
     Args:
         minimise_one: from an objective of one problem, the box and x, (dim,), to the new x and its value.
         objective: the problems.
-        box: where to search, the same for all problems.
+        box: where to search; one for all problems, or one for each.
         x: (dim, ...) where to start.
 
     Returns:
@@ -49,5 +49,8 @@ def minimise_each(
     """
     batch = x.shape[1:]
     flat_objective, flat_x = flatten_problems((objective, x), len(batch))
-    found, values = jax.vmap(minimise_one, in_axes=(-1, None, -1), out_axes=-1)(flat_objective, box, flat_x)
+    own = box.low.ndim > 1
+    flat_box = flatten_problems(box, len(batch)) if own else box
+    each = jax.vmap(minimise_one, in_axes=(-1, -1 if own else None, -1), out_axes=-1)
+    found, values = each(flat_objective, flat_box, flat_x)
     return found.reshape(x.shape), values.reshape(batch)
