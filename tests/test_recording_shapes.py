@@ -385,6 +385,28 @@ def test_ndi(tmp_path: Path, rows: np.ndarray, times: str) -> None:
         load_recording(path, **options)
 
 
+def test_ndi_with_a_row_for_every_tool(tmp_path: Path, rows: np.ndarray) -> None:
+    cells = []
+    for k, row in enumerate(rows):
+        numbers = [row[7], *row[4:7], *(1000 * row[1:4])]
+        cells.append([100 + k, "0A", "OK", *(["-3.697314e28"] * 7 if k == 9 else numbers), 0.1])
+        cells.append([100 + k, "0B", "OK", 1, 0, 0, 0, 10, 20, -1500, 0.1])
+    header = "Frame#,ToolHandle,TransformStatus,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error"
+    path = text(tmp_path / "a.csv", header, cells)
+    same(load_recording(path, body="0A", dt=0.02), np.delete(rows, 9, axis=0))
+    with pytest.raises(RecordingError, match=r"several tools; name one, body .*: 0A, 0B"):
+        load_recording(path, dt=0.02)
+
+
+@pytest.mark.parametrize("word", ["null", "N/A", "--", "NaN", ""])
+def test_words_for_missing_numbers(tmp_path: Path, rows: np.ndarray, word: str) -> None:
+    cells = rows.astype(object)
+    cells[5, 1:] = word
+    recording = load_recording(write(tmp_path / "a.csv", HEADER, cells))
+    same(recording, np.delete(rows, 5, axis=0))
+    assert recording.left_out[0].reason == "missing"
+
+
 def test_a_scalar_called_q0(tmp_path: Path, rows: np.ndarray) -> None:
     numbers = rows[:, [0, 7, 4, 5, 6, 1, 2, 3]]
     same(load_recording(text(tmp_path / "a.csv", "t,Q0,Qx,Qy,Qz,Tx,Ty,Tz", numbers)), rows)
