@@ -17,6 +17,7 @@ __all__ = ["Kind", "LostPoses", "LostRun", "find_lost_poses"]
 Kind = Literal["missing", "origin", "identity", "constant", "frozen", "end"]
 
 _SAME = 1e-9  # m, or of an element of a rotation matrix, within which numbers are equal
+_LEAST = 1e-3  # m or rad, the shortest step that counts: quantized numbers repeat too
 _FAR, _FAR_ORIGIN = 5.0, 3.0  # steps of the path; fewer suffice for exact zeros, which nobody measures
 _NEAR = 20  # steps whose lengths count where a run is
 _AHEAD = 4  # the same, for poses that are frozen
@@ -35,9 +36,9 @@ class LostRun:
     Attributes:
         start: first row.
         stop: row after the last one.
-        kind: "missing" (not finite), "origin" (position 0, 0, 0), "identity" (position 0, 0, 0 and no turn),
-            "constant" (another number that repeats), "frozen" (repeats the pose before), "end" (the same, to
-            the end of the recording).
+        kind: "missing" (not finite), "origin" (position 0, 0, 0), "identity" (the orientation is the
+            identity, perhaps with a position of 0, 0, 0), "constant" (another number that repeats), "frozen"
+            (repeats the pose before), "end" (the same, to the end of the recording).
         before: row of the last pose before the run, or None.
         after: row of the first pose after the run, or None.
     """
@@ -150,6 +151,8 @@ class _Path:
     def usual_step(self, ignored: np.ndarray) -> float:
         """A long step of the path: of ten, the longest. Steps from and to ignored rows (N,) do not count."""
         steps = self.steps[~(ignored[1:] | ignored[:-1])]
+        if not (steps > 0).any():  # no two rows follow each other
+            steps = np.linalg.norm(np.diff(self.numbers[~ignored], axis=0), axis=1)
         steps = steps[steps > 0]
         return float(np.quantile(steps, 0.9)) if len(steps) else 0.0
 
@@ -186,7 +189,8 @@ class _Path:
         shorter, longer = np.fmin(to, back), np.fmax(to, back)
         several = np.diff(runs, axis=1)[:, 0] > 1
         length = np.where(several & either, longer, shorter)
-        found: np.ndarray = length > far * np.maximum(usual, self.near_steps(runs, ignored)) + _SAME
+        step = np.maximum(np.maximum(usual, self.near_steps(runs, ignored)), _LEAST)
+        found: np.ndarray = length > far * step
         return found
 
 
