@@ -17,9 +17,11 @@ import pytest
 from bag_files import POSE, START, Messages, write_bag
 from export_files import motive, qualisys, vicon
 from recording_files import poses_of
+from test_recording_shapes import trc
 
 from benchmarks.mutations import FORMATS as TEXT_AND_ARRAYS
 from benchmarks.mutations import ROWS, make_recording, motion
+from reframe_jax.recordings.checks import MIN_POSES
 from reframe_jax.recordings.reading import load_recording
 from reframe_jax.recordings.recording import RecordingError
 
@@ -72,13 +74,60 @@ def make_hdf5(rng: np.random.Generator) -> bytes:
     return sink.getvalue()
 
 
+def make_kitti(rng: np.random.Generator) -> bytes:
+    table = motion(rng)
+    numbers = np.column_stack([table[:, 0], poses_of(table)[:, :3].reshape(ROWS, 12)])
+    return "".join(" ".join(map(repr, row)) + "\n" for row in numbers.tolist()).encode()
+
+
+def make_angles(rng: np.random.Generator) -> bytes:
+    """A table with units in its header, and angles."""
+    rows = np.round(np.column_stack([motion(rng)[:, :4], rng.uniform(-1, 1, (ROWS, 3))]), 6).tolist()
+    header = "time [s];x [mm];y [mm];z [mm];roll [deg];pitch [deg];yaw [deg]\n"
+    return (header + "".join(";".join(map(repr, row)).replace(".", ",") + "\n" for row in rows)).encode()
+
+
+def make_echo(rng: np.random.Generator) -> bytes:
+    rows = motion(rng)[:, 1:].tolist()
+    return "".join(f"{5 + k},{k},map,{','.join(map(repr, row))}\n" for k, row in enumerate(rows)).encode()
+
+
+def make_ndi(rng: np.random.Generator) -> bytes:
+    rows = motion(rng)[:, [7, 4, 5, 6, 1, 2, 3]] * [1, 1, 1, 1, 1e3, 1e3, 1e3]
+    lines = [
+        f"{k},0A,{5 + k},{k},{'Missing' if k == 4 else 'OK'},{','.join(map(repr, row))},0.1"
+        for k, row in enumerate(rows.tolist())
+    ]
+    header = "Frame#,PortHandle,timespec_s,timespec_ns,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error"
+    return "\n".join([header, *lines]).encode()
+
+
+def make_trc(rng: np.random.Generator) -> bytes:
+    marks = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.08, 0], [0, 0, 0.06]])
+    poses = poses_of(motion(rng))
+    points = np.einsum("nij,kj->nki", poses[:, :3, :3], marks) + poses[:, None, :3, 3]
+    return trc(1e3 * points, ["rod1", "rod2", "rod3", "rod4"]).encode()
+
+
+def make_mha(rng: np.random.Generator) -> bytes:
+    lines = ["ObjectType = Image"]
+    for k, pose in enumerate(poses_of(motion(rng))):
+        lines.append(f"Seq_Frame{k:04d}_AToBTransform = {' '.join(map(repr, pose.ravel().tolist()))}")
+        lines.append(f"Seq_Frame{k:04d}_AToBTransformStatus = {'INVALID' if k == 4 else 'OK'}")
+        lines.append(f"Seq_Frame{k:04d}_Timestamp = {0.1 * k:.6f}")
+    return "\n".join([*lines, "ElementDataFile = LOCAL", ""]).encode() + bytes(64)
+
+
 FORMATS = {
     **TEXT_AND_ARRAYS,
+    **{"kitti.txt": make_kitti, "angles.csv": make_angles, "echo.csv": make_echo, "ndi.csv": make_ndi},
+    **{".trc": make_trc, ".mha": make_mha},
     **{"motive.csv": make_motive, "vicon.csv": make_vicon, "qualisys.tsv": make_qualisys},
     **{".bag": partial(make_bag, name="a.bag"), ".mcap": partial(make_bag, name="a.mcap")},
     **{".parquet": make_parquet, ".hdf5": make_hdf5},
 }
 OPTIONS: dict[str, Any] = {
+    "angles.csv": {"angles": "xyz"},
     "vicon.csv": {"angles": "vector"},
     ".parquet": {"position": "x,y,z", "orientation": "q", "quaternion": "xyzw"},
     ".hdf5": {"position": "p", "orientation": "q", "quaternion": "xyzw"},
@@ -97,7 +146,7 @@ def outcome(path: Path, dt: float | None, **options: Any) -> str:
     times, poses = recording.times, recording.poses
     assert times.shape == (len(poses),)
     assert poses.shape == (len(times), 4, 4)
-    assert len(times) >= 5
+    assert len(times) >= MIN_POSES
     assert np.isfinite(times).all()
     assert np.isfinite(poses).all()
     assert (times[1:] > times[:-1]).all()

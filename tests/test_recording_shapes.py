@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from bag_files import POSE, START, Messages, write_bag
+from bag_files import POSE, START, TF, Messages, write_bag
 from export_files import motive
 from recording_files import HEADER, poses_of, write
 from scipy.spatial.transform import Rotation
@@ -240,6 +240,24 @@ def test_poses_without_stamps_have_the_time_of_their_recording(
     assert "no stamps, or 0: the times are those at which they were recorded" in recording.notes[0]
 
 
+def test_a_tf_frame_that_was_lost(tmp_path: Path, rows: np.ndarray) -> None:
+    """The identity in one edge of a chain is no constant in the pose of the chain."""
+    messages, samples = Messages("a.mcap"), []
+    lost, poses = range(20, 30), poses_of(rows)
+    base = np.eye(4)
+    for k, pose in enumerate(poses):
+        stamp = START + k * STEP
+        base[:3, 3] = [0.01 * k, 0.3, 0.1]
+        edges = [
+            ("map", "base", base),
+            ("base", "tool", np.eye(4) if k in lost else np.linalg.inv(base) @ pose),
+        ]
+        samples.append(("/tf", TF, messages.tf(stamp, edges), stamp))
+    recording = load_recording(write_bag(tmp_path, "a.mcap", samples), from_frame="map", to_frame="tool")
+    np.testing.assert_allclose(recording.poses, poses_of(np.delete(rows, lost, axis=0)), atol=1e-9)
+    assert any("messages 20-29 (10 rows) left out, as tracking was lost" in note for note in recording.notes)
+
+
 # motion capture
 
 
@@ -367,6 +385,28 @@ def test_ndi(tmp_path: Path, rows: np.ndarray, times: str) -> None:
         load_recording(path, **options)
 
 
+def test_ndi_with_a_row_for_every_tool(tmp_path: Path, rows: np.ndarray) -> None:
+    cells = []
+    for k, row in enumerate(rows):
+        numbers = [row[7], *row[4:7], *(1000 * row[1:4])]
+        cells.append([100 + k, "0A", "OK", *(["-3.697314e28"] * 7 if k == 9 else numbers), 0.1])
+        cells.append([100 + k, "0B", "OK", 1, 0, 0, 0, 10, 20, -1500, 0.1])
+    header = "Frame#,ToolHandle,TransformStatus,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error"
+    path = text(tmp_path / "a.csv", header, cells)
+    same(load_recording(path, body="0A", dt=0.02), np.delete(rows, 9, axis=0))
+    with pytest.raises(RecordingError, match=r"several tools; name one, body .*: 0A, 0B"):
+        load_recording(path, dt=0.02)
+
+
+@pytest.mark.parametrize("word", ["null", "N/A", "--", "NaN", ""])
+def test_words_for_missing_numbers(tmp_path: Path, rows: np.ndarray, word: str) -> None:
+    cells = rows.astype(object)
+    cells[5, 1:] = word
+    recording = load_recording(write(tmp_path / "a.csv", HEADER, cells))
+    same(recording, np.delete(rows, 5, axis=0))
+    assert recording.left_out[0].reason == "missing"
+
+
 def test_a_scalar_called_q0(tmp_path: Path, rows: np.ndarray) -> None:
     numbers = rows[:, [0, 7, 4, 5, 6, 1, 2, 3]]
     same(load_recording(text(tmp_path / "a.csv", "t,Q0,Qx,Qy,Qz,Tx,Ty,Tz", numbers)), rows)
@@ -422,6 +462,11 @@ def test_a_row_that_is_far_away_is_left_out(tmp_path: Path, rows: np.ndarray) ->
     recording = load_recording(write(tmp_path / "a.csv", HEADER, wrong))
     assert (recording.left_out[0].rows.tolist(), recording.left_out[0].reason) == ([22], "far")
     same(recording, np.delete(rows, 20, axis=0))
+
+
+def test_a_large_motion_in_another_unit_is_not_cut(tmp_path: Path, rng: np.random.Generator) -> None:
+    rows = hinge(rng) * [3, 100, 100, 100, 1, 1, 1, 1]
+    assert not load_recording(write(tmp_path / "a.csv", HEADER, rows)).left_out
 
 
 def lerobot(path: Path, rows: np.ndarray, angles: np.ndarray) -> dict[str, Any]:

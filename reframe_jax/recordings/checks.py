@@ -14,8 +14,9 @@ __all__ = ["MIN_POSES", "check_positions", "check_turns", "drop_unfinished", "ma
 MIN_POSES = 4  # of a tool whose tip is calibrated; a motion needs 5
 _FARTHEST = 20.0  # m from the median position, of a body that is moved by hand or by an arm
 _FEW_FAR = 0.05  # fraction of the rows that are left out if they are farther
-_VEHICLE, _HAND = 30.0, 50.0  # m/s^2: what a vehicle stays below, and what a hand seldom exceeds
-_OVER = 0.25  # s, over which accelerations are taken, so that noise does not count
+_APART = 3.0  # times farther than all others
+_VEHICLE, _HAND = 20.0, 50.0  # m/s^2: what a vehicle stays below, and what a hand seldom exceeds
+_OVER = 0.5  # s, over which accelerations are taken, so that noise does not count
 _MANY = 30  # rows, from which on accelerations say something
 _SMALL = 3.0  # numbers in mm or cm that span less were probably metres
 _FASTEST, _FAST = 50.0, 10.0  # rad/s, of angles that are refused, and of those that are worth a note
@@ -64,7 +65,10 @@ def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> np.ndar
     positions, times = poses[:, :3, 3], rows.times
     distance = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
     far = ~(distance <= _FARTHEST)
-    if far.any() and far.sum() <= max(_FEW_FAR * len(far), 1):
+    alone = far.any() and distance[far].min() > _APART * max(
+        distance[~far].max(initial=0), _FARTHEST / _APART
+    )
+    if alone and far.sum() <= max(_FEW_FAR * len(far), 1):
         beyond = f"more than {_FARTHEST:g} m from the other positions"
         note = "; if the unit is wrong, give unit (--unit)" if rows.metres is None else ""
         rows.keep(~far, beyond + note, "far")

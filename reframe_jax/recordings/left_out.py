@@ -43,6 +43,8 @@ def leave_out_lost(rows: Rows, poses: np.ndarray) -> np.ndarray:
         mine = reasons == kind
         if not mine.any():
             continue
+        if kind == "identity" and not (poses[mine, :3, 3] == 0).all():
+            why = "the orientation is the identity"
         runs = [run for run in lost.runs if run.kind == kind]
         note = f"{name_rows(rows.word, where[mine])} left out, as tracking was lost: {why}"
         if jump := _jump_in_words(rows.word, poses, where, runs):

@@ -17,8 +17,9 @@ __all__ = ["Kind", "LostPoses", "LostRun", "find_lost_poses"]
 Kind = Literal["missing", "origin", "identity", "constant", "frozen", "end"]
 
 _SAME = 1e-9  # m, or of an element of a rotation matrix, within which numbers are equal
+_LEAST = 1e-3  # m or rad, the shortest step that counts: quantized numbers repeat too
 _FAR, _FAR_ORIGIN = 5.0, 3.0  # steps of the path; fewer suffice for exact zeros, which nobody measures
-_NEAR = 10  # rows on either side whose steps count
+_NEAR = 20  # steps whose lengths count where a run is
 _AHEAD = 4  # the same, for poses that are frozen
 _LONG = 6  # repeats that are many
 _FROZEN = 4.0  # steps that a body must have made while the pose was frozen for long
@@ -35,9 +36,9 @@ class LostRun:
     Attributes:
         start: first row.
         stop: row after the last one.
-        kind: "missing" (not finite), "origin" (position 0, 0, 0), "identity" (position 0, 0, 0 and no turn),
-            "constant" (another number that repeats), "frozen" (repeats the pose before), "end" (the same, to
-            the end of the recording).
+        kind: "missing" (not finite), "origin" (position 0, 0, 0), "identity" (the orientation is the
+            identity, perhaps with a position of 0, 0, 0), "constant" (another number that repeats), "frozen"
+            (repeats the pose before), "end" (the same, to the end of the recording).
         before: row of the last pose before the run, or None.
         after: row of the first pose after the run, or None.
     """
@@ -85,11 +86,15 @@ def find_lost_poses(poses: np.ndarray, times: np.ndarray | None = None) -> LostP
     kinds = np.where(finite, "", "missing").astype("U8")
     rows = np.flatnonzero(finite)
     clock = np.arange(len(poses), dtype=float) if times is None else np.asarray(times, float)
+    paths = _paths(poses if finite.all() else poses[rows], clock[rows]) if len(rows) > 2 else None
     for search in (_at_origin, _constant, _frozen):
-        if len(rows) > 2:
-            found = search(poses[rows], clock[rows])
-            kinds[rows] = found
+        if paths is None:
+            break
+        found = search(paths)
+        kinds[rows] = found
+        if (found != "").any():
             rows = rows[found == ""]
+            paths = _paths(poses[rows], clock[rows]) if len(rows) > 2 else None
     mask = kinds != ""
     return LostPoses(mask, tuple(_describe(kinds, mask)))
 
@@ -124,13 +129,17 @@ class _Path:
     def of(numbers: np.ndarray, origin: np.ndarray, times: np.ndarray) -> "_Path":
         spans = np.diff(times)
         usual = float(np.median(spans[spans > 0])) if (spans > 0).any() else 1.0
-        steps = np.linalg.norm(np.diff(numbers, axis=0), axis=1)
+        # rows are compared by one number each, a sum with weights that no other row shares by chance; column
+        # by column, so that equal rows have equal sums, and little memory is needed
+        squares, keys = np.zeros(len(numbers) - 1), np.zeros(len(numbers))
+        zero = np.ones(len(numbers), bool)
+        for k, column in enumerate(numbers.T):
+            squares += np.diff(column) ** 2
+            keys += np.round(column / _SAME) * (np.pi * np.sqrt(k + 2))
+            zero &= np.abs(column - origin[k]) < _SAME
+        steps = np.sqrt(squares)
         steps[steps < _SAME] = 0
-        # rows are compared by one number each, a sum with weights that no other row shares by chance
-        weights = np.sqrt(np.arange(2, 2 + numbers.shape[1])) * np.pi
-        keys = np.round(numbers / _SAME) @ weights
-        value = np.unique(np.round(keys, 3), return_inverse=True)[1].ravel()
-        zero = (np.abs(numbers - origin) < _SAME).all(axis=1)
+        value = np.unique(keys, return_inverse=True)[1].ravel()
         return _Path(numbers, steps / np.maximum(spans / usual, 1), value, zero)
 
     @property
@@ -142,34 +151,47 @@ class _Path:
     def usual_step(self, ignored: np.ndarray) -> float:
         """A long step of the path: of ten, the longest. Steps from and to ignored rows (N,) do not count."""
         steps = self.steps[~(ignored[1:] | ignored[:-1])]
+        if not (steps > 0).any():  # no two rows follow each other
+            steps = np.linalg.norm(np.diff(self.numbers[~ignored], axis=0), axis=1)
         steps = steps[steps > 0]
         return float(np.quantile(steps, 0.9)) if len(steps) else 0.0
 
-    def near_step(self, start: int, stop: int, ignored: np.ndarray) -> float:
-        """The same around a run of rows: of four, the longest."""
-        low, high = max(start - 1 - _NEAR, 0), stop + _NEAR
-        near = np.arange(low, min(high, len(self.steps)))
-        near = near[~(ignored[near] | ignored[near + 1])]
-        steps = self.steps[near]
-        steps = steps[steps > 0]
-        return float(np.quantile(steps, 0.75)) if len(steps) else 0.0
+    def near_steps(self, runs: np.ndarray, ignored: np.ndarray) -> np.ndarray:
+        """The same around every run of rows (M, 2): of four steps nearby, the longest."""
+        if not len(self.steps):
+            return np.zeros(len(runs))
+        count = -(-len(self.steps) // _NEAR)
+        blocks = np.full(count * _NEAR, np.inf)
+        blocks[: len(self.steps)] = np.where(
+            ignored[1:] | ignored[:-1] | (self.steps == 0), np.inf, self.steps
+        )
+        blocks = np.sort(blocks.reshape(count, _NEAR), axis=1)
+        known = np.isfinite(blocks).sum(axis=1)
+        long = np.where(known > 0, blocks[np.arange(count), (3 * np.maximum(known - 1, 0)) // 4], 0.0)
+        before, after = (np.clip(each // _NEAR, 0, count - 1) for each in (runs[:, 0] - 1, runs[:, 1]))
+        found: np.ndarray = np.maximum(long[before], long[after])
+        return found
 
     def jumps(
-        self, start: int, stop: int, far: float, ignored: np.ndarray, usual: float, either: bool = False
-    ) -> bool:
-        """Whether the path jumps to a run of rows and away from it, or one of both at its ends.
+        self, runs: np.ndarray, far: float, ignored: np.ndarray, usual: float, either: bool = False
+    ) -> np.ndarray:
+        """Whether the path jumps to runs of rows (M, 2) and away from them, or one of both at its ends.
 
         Args:
-            start: first row.
-            stop: row after the last one.
+            runs: first row, and row after the last one.
             far: steps that are a jump.
             ignored: (N,) bool, rows whose steps do not count.
             usual: a step of the path.
-            either: whether one of both jumps suffices.
+            either: whether one of both jumps suffices for runs of several rows.
         """
-        ends = [self.steps[at] for at in (start - 1, stop - 1) if 0 <= at < len(self.steps)]
-        limit = far * max(usual, self.near_step(start, stop, ignored)) + _SAME
-        return bool(ends) and (max(ends) if either else min(ends)) > limit
+        ends = np.concatenate([[np.nan], self.steps, [np.nan]])
+        to, back = ends[runs[:, 0]], ends[runs[:, 1]]
+        shorter, longer = np.fmin(to, back), np.fmax(to, back)
+        several = np.diff(runs, axis=1)[:, 0] > 1
+        length = np.where(several & either, longer, shorter)
+        step = np.maximum(np.maximum(usual, self.near_steps(runs, ignored)), _LEAST)
+        found: np.ndarray = length > far * step
+        return found
 
 
 def _paths(poses: np.ndarray, times: np.ndarray) -> tuple[_Path, _Path]:
@@ -178,25 +200,32 @@ def _paths(poses: np.ndarray, times: np.ndarray) -> tuple[_Path, _Path]:
     return position, _Path.of(turns, np.eye(3).ravel() / np.sqrt(2), times)
 
 
-def _at_origin(poses: np.ndarray, times: np.ndarray) -> np.ndarray:
+def _at_origin(paths: tuple[_Path, _Path]) -> np.ndarray:
     """Rows whose position is 0, 0, 0, or whose orientation is the identity, far from the path."""
-    kinds = np.full(len(poses), "", "U8")
-    position, turn = _paths(poses, times)
-    for path in (position, turn):
+    position, turn = paths
+    kinds = np.full(len(position.zero), "", "U8")
+    for path in paths:
         if np.sum(~path.zero) < _OTHERS or not path.zero.any():
             continue
-        usual = path.usual_step(path.zero)
-        apart = path is position and _is_apart(path)
-        for start, stop in path.runs:
+        runs = path.runs
+        runs = runs[path.zero[runs[:, 0]]]
+        if path is not position or not _is_apart(path):
             # the path may come close to the origin by chance, when tracking is lost or found again
-            either = stop - start > 1
-            if not path.zero[start]:
-                continue
-            if apart or path.jumps(start, stop, _FAR_ORIGIN, path.zero, usual, either):
-                both = position.zero[start:stop] & turn.zero[start:stop]
-                alone = "origin" if path is position else "identity"
-                kinds[start:stop] = np.where(both, "identity", alone)
+            usual = path.usual_step(path.zero)
+            runs = runs[path.jumps(runs, _FAR_ORIGIN, path.zero, usual, either=True)]
+        lost = _rows_of(runs, len(kinds))
+        kinds[lost] = "origin" if path is position else "identity"
+        kinds[lost & position.zero & turn.zero] = "identity"
     return kinds
+
+
+def _rows_of(runs: np.ndarray, count: int) -> np.ndarray:
+    """Whether each of so many rows is in a run (M, 2)."""
+    ends = np.zeros(count + 1, int)
+    np.add.at(ends, runs[:, 0], 1)
+    np.add.at(ends, runs[:, 1], -1)
+    found: np.ndarray = np.cumsum(ends[:-1]) > 0
+    return found
 
 
 def _is_apart(path: _Path) -> bool:
@@ -211,44 +240,37 @@ def _is_apart(path: _Path) -> bool:
     return bool(nearest > max(_APART * spread, _FAR_ORIGIN * usual) and nearest > _SAME)
 
 
-def _constant(poses: np.ndarray, times: np.ndarray) -> np.ndarray:
+def _constant(paths: tuple[_Path, _Path]) -> np.ndarray:
     """Rows that repeat other numbers, wherever these occur far from the path."""
-    kinds = np.full(len(poses), "", "U8")
-    for path in _paths(poses, times):
-        repeated = (np.bincount(path.value) > 1)[path.value]
-        if repeated.all() or not repeated.any():
-            usual = path.usual_step(np.zeros(len(poses), bool))
-        else:
-            usual = path.usual_step(repeated) or path.usual_step(np.zeros(len(poses), bool))
+    kinds = np.full(len(paths[0].zero), "", "U8")
+    for path in paths:
+        counts = np.bincount(path.value)
+        repeated = (counts > 1)[path.value]
+        if not repeated.any():
+            continue
+        usual = path.usual_step(repeated) or path.usual_step(np.zeros(len(kinds), bool))
         runs = path.runs
-        runs = runs[repeated[runs[:, 0]]]
-        lengths = _jump_lengths(path, runs)
-        for value in np.unique(path.value[runs[lengths > _FAR * usual + _SAME, 0]]):
-            mine = path.value == value
-            every = runs[path.value[runs[:, 0]] == value]
-            if (
-                all(path.jumps(start, stop, _FAR, mine, usual) for start, stop in every)
-                and np.sum(~mine) >= _OTHERS
-            ):
-                kinds[mine] = "constant"
+        runs, mine = runs[repeated[runs[:, 0]]], repeated
+        for _ in range(2):  # the second time, steps from and to numbers that are poses count too
+            away = path.jumps(runs, _FAR, mine, usual)
+            values = path.value[runs[:, 0]]
+            stays = np.zeros(len(counts), bool)
+            stays[values[~away]] = True  # a number that continues the path once is a pose
+            stays |= len(kinds) - counts < _OTHERS
+            runs = runs[~stays[values]]
+            mine = _rows_of(runs, len(kinds))
+        kinds[mine] = "constant"
     return kinds
 
 
-def _jump_lengths(path: _Path, runs: np.ndarray) -> np.ndarray:
-    """The shorter one of the steps to and from every run; at the ends of the recording, the only one."""
-    steps = np.concatenate([[np.inf], path.steps, [np.inf]])
-    shorter: np.ndarray = np.minimum(steps[runs[:, 0]], steps[runs[:, 1]])
-    return shorter
-
-
-def _frozen(poses: np.ndarray, times: np.ndarray) -> np.ndarray:
+def _frozen(paths: tuple[_Path, _Path]) -> np.ndarray:
     """Rows that repeat the pose before while the body went on; the first of every run is a pose."""
-    kinds = np.full(len(poses), "", "U8")
-    position, turn = _paths(poses, times)
+    position, turn = paths
+    kinds = np.full(len(position.zero), "", "U8")
     still = (position.steps == 0) & (turn.steps == 0)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))
     for start, stop in edges.reshape(-1, 2):  # rows start + 1 to stop repeat row start
-        if stop == len(poses) - 1:
+        if stop == len(kinds) - 1:
             if stop - start >= _REPEATS and any(_stops_dead(path, start) for path in (position, turn)):
                 kinds[start + 1 :] = "end"
         elif any(_goes_on(path, start, stop) for path in (position, turn)):
@@ -273,11 +295,11 @@ def _stops_dead(path: _Path, start: int) -> bool:
     """Whether a body moves up to a row, with noise, from which on its pose repeats exactly."""
     moving = path.steps[:start]
     moving = moving[moving > 0]
-    if len(moving) < 2 * _NEAR:
+    if len(moving) < _NEAR:
         return False
     last = float(np.median(path.steps[max(start - _AHEAD, 0) : start]))
     rows = path.numbers[max(start - 200, 0) : start + 1]
     fifth = np.linalg.norm(np.diff(rows, n=5, axis=0), axis=1)  # of smooth motion, almost nothing
     noise = np.median(fifth) / np.sqrt(252)
-    usual = float(np.median(moving[-_NEAR:]))
+    usual = float(np.median(moving[-_NEAR // 2 :]))
     return bool(last > 0.5 * usual and last > 5 * noise and noise > _NOISY * usual)

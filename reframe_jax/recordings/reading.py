@@ -87,7 +87,7 @@ def load_recording(
 
     The page Files of the documentation says what is read of each, and how.
 
-    A recording has at most 8,388,608 poses. A million of them need about 300 MB while they are read, twice
+    A recording has at most 8,388,608 poses. A million of them need about 450 MB while they are read, twice
     that for a chain of tf frames.
     Options that a format does not use are refused.
 

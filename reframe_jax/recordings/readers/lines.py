@@ -16,6 +16,7 @@ from reframe_jax.recordings.rows import EPOCH, MOST_ROWS, Rows, shown
 
 __all__ = ["Collector", "read_lines"]
 
+_MISSING = {"", "null", "none", "na", "n/a", "-", "--", "missing", "#n/a"}
 _LONGEST = 2**16  # characters of a line
 # digits enough for nanoseconds since 1970; what is no number becomes NaN instead of an exception
 _EXACT = decimal.Context(prec=50, traps=[])
@@ -120,9 +121,9 @@ class Collector:
         return float(_EXACT.subtract(_exactly(cell), self._origin))
 
     def _number(self, number: int, cell: str) -> float:
-        """A number, NaN for an empty cell."""
+        """A number, NaN for an empty cell or a word for it."""
         try:
-            return float(cell.strip() or "nan")
+            return float("nan" if cell.strip().lower() in _MISSING else cell)
         except ValueError:
             raise self._error(number, f"expected numbers: found '{shown(cell.strip(), 40)}'.") from None
 

@@ -48,7 +48,8 @@ def read_mha(path: Path, wanted: Selection) -> Rows:
             stamps[frame] = value
     if len(frames) > MOST_ROWS:
         raise RecordingError(f"{path}: has more than {MOST_ROWS} frames; cut the recording into files.")
-    body = choose_name(path, "body", wanted.body, [*numbers], "transforms")
+    asked = None if wanted.body is None else wanted.body.removesuffix("Transform")
+    body = choose_name(path, "body", asked, [*numbers], "transforms")
     order = sorted(frames)
     values = np.array([_numbers(path, frames[k], numbers[body].get(k, _MISSING)) for k in order])
     seconds = [float(stamps.get(k, "nan")) if _is_number(stamps.get(k, "nan")) else np.nan for k in order]

@@ -1,8 +1,9 @@
 """Tools in a CSV of the trackers of NDI (Polaris, Vega, Aurora), as its programs and examples write it.
 
-Each row is a frame. Each tool has columns ``Q0, Qx, Qy, Qz, Tx, Ty, Tz``, of which Q0 is the scalar, in mm,
-after its number (``PortHandle`` or the like), ``Frame#`` and ``State`` or ``TransformStatus``. A tool that
-was not tracked has another state than OK or Enabled, no numbers, or numbers as large as -3.7e28.
+Each row is a frame, or a tool in a frame. Each tool has columns ``Q0, Qx, Qy, Qz, Tx, Ty, Tz``, of which Q0
+is the scalar, in mm, after its number (``PortHandle`` or the like), ``Frame#`` and ``State`` or
+``TransformStatus``. A tool that was not tracked has another state than OK or Enabled, no numbers, or numbers
+as large as -3.7e28.
 """
 
 import re
@@ -28,6 +29,7 @@ _FRAMES = ("frame", "frame_number", "framenumber")
 _TIMES = ("timestamp", "time", "t", "time_s", "timestamp_s")
 _TRACKED = re.compile(r"ok|enabled|valid|tracked|visible|0x0+|0+|")
 _NO_TIMES = "frames are counted: give the sample time, dt (--dt), 1/60 s for a Polaris at 60 Hz"
+_MOST = 100  # tools
 _LOST = 1e20  # mm: numbers that mean that there is none
 _NEAREST = 10.0  # mm, from the origin of a tracker, within which no tool is measured
 
@@ -39,6 +41,7 @@ class _Tool:
     first: int  # of seven
     state: int | None
     frame: int | None
+    row: int | None = None  # where every tool has a row of its own: the column of its name
 
 
 @dataclass(frozen=True)
@@ -60,12 +63,15 @@ def read_ndi(path: Path, wanted: Selection) -> Rows:
         RecordingError: if there is no such tool, or a row is damaged.
     """
     header, lines = _read_header(path)
-    tool = header.tools[choose_name(path, "body", wanted.body, [*header.tools], "tools")]
+    name = choose_name(path, "body", wanted.body, [*header.tools], "tools")
+    tool = header.tools[name]
     time = header.width if header.clock else header.time
     pose = range(tool.first, tool.first + 7)
     rows = Collector(path, header.width + bool(header.clock), time, pose)
     frames, tracked = [], []
     for number, cells in lines:
+        if tool.row is not None and cells[tool.row : tool.row + 1] != [name]:
+            continue  # the row of another tool
         cells = (cells + [""] * (header.width - len(cells)))[: header.width]
         cells = [cell if is_number(cell) or i not in pose else "" for i, cell in enumerate(cells)]
         state = "" if tool.state is None else cells[tool.state].lower()
@@ -126,6 +132,12 @@ def _read_header(path: Path) -> tuple[_Header, Iterator[tuple[int, list[str]]]]:
         name = name or (port or "").replace("_", " ") or f"tool {len(tools) + 1}"
         tools[name if name not in tools else f"{name} ({len(tools) + 1})"] = _Tool(start, state, frame)
         before = start + 7
+    at = next((i for i, name in enumerate(names) if name in _NAMES), None)
+    if len(starts) == 1 and at is not None:
+        found = _tools_of_rows(path, delimiter, at)
+        if len(found) > 1:
+            (one,) = tools.values()
+            tools = {name: _Tool(one.first, one.state, one.frame, at) for name in found}
     stamp = next((i for i, name in enumerate(names) if name in _TIMES), None)
     pair = [next((i for i, name in enumerate(names) if name == each), None) for each in _CLOCK]
     clock = None if None in pair else (int(str(pair[0])), int(str(pair[1])))
@@ -140,6 +152,16 @@ def _read_header(path: Path) -> tuple[_Header, Iterator[tuple[int, list[str]]]]:
 
 
 _CLOCK = ("timespec_s", "timespec_ns")
+
+
+def _tools_of_rows(path: Path, delimiter: str | None, at: int) -> list[str]:
+    """The names in a column of all rows but the header."""
+    found: dict[str, None] = {}
+    for i, (_, line) in enumerate(read_lines(path)):
+        cells = split(line, delimiter)
+        if i and len(cells) > at and len(found) < _MOST:
+            found[cells[at]] = None
+    return [*found]
 
 
 def _contents(path: Path) -> list[Entry]:

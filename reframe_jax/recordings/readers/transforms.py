@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from reframe_jax.recordings.checks import make_poses
+from reframe_jax.recordings.checks import drop_unfinished, make_poses
+from reframe_jax.recordings.left_out import leave_out_lost
 from reframe_jax.recordings.readers.exports import matrix_rows
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.relative import interpolate_poses, invert_poses
@@ -119,19 +120,20 @@ def chain_rows(path: Path, chain: Sequence[tuple[Edge, bool, Rows]]) -> Rows:
 
 
 def _clean(path: Path, edge: Edge, rows: Rows) -> None:
-    """Drop transforms that cannot be used.
+    """Leave out transforms that cannot be used, or were written though tracking was lost.
 
     Raises:
         RecordingError: if none is left, or those of a moving edge have no stamps.
     """
     what = f"transform of {shown(edge.child, 60)} in {shown(edge.parent, 60)}"
-    rows.keep(np.isfinite(rows.values).all(axis=1), f"a number of a {what} is missing", "missing")
+    drop_unfinished(rows)
     if not edge.static and rows.times is None:
         raise RecordingError(f"{path}: the stamps of every {what} are 0; expected times.")
     if not edge.static and rows.times is not None and len(rows.times):
         rows.keep(
             np.append(True, np.diff(rows.times) > 0), f"the stamp of a {what} is repeated", "equal_time"
         )
+        leave_out_lost(rows, make_poses(rows))
     fewest = 1 if edge.static else 2
     if len(rows.values) < fewest:
         raise RecordingError(f"{path}: has {len(rows.values)} usable {what}; expected {fewest} or more.")

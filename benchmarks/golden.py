@@ -1,0 +1,399 @@
+"""The net under changes of identification: names, probabilities, errors and coverage on many recordings.
+
+    python -m benchmarks.golden --json NEW.json --compare benchmarks/results/golden.json
+    python -m benchmarks.golden --group soft
+
+Groups of recordings (:mod:`benchmarks.golden_cases` has the simulations):
+
+- ``real``: the recordings in shared/data; circles and lines through the positions are the truth;
+- ``white``: seventeen constraints with white noise of 1 um to 3 mm, at 10 and 100 Hz, three motions;
+- ``soft``: the same constraints with slow errors of 0.1 to 3 mm and 0.5 to 10 mrad, at 20 Hz;
+- ``nothing``: unconstrained motions with either kind of error;
+- ``paper``: the twelve constraints of the paper, identified with ``lag=1`` and its thresholds;
+- ``arm``: demonstrations on the simulated arm, only with ``--arm``.
+
+A name is right if it names the constraint, and the linear type is right where the constraint has only one. A
+recording is strong if each principal axis of its free rotations, and of its free translations less what is
+proportional to the rotations, has an rms of 20 slow errors, or of 10 times the white noise and 2 mm or 5
+mrad. Errors (median, 90 %) are those of right names; ``axis`` is the worse of the angular and linear axis,
+``position`` of a hinge the distance of lines at the point nearest to the motion. ``inside``: 95 % regions of
+``rf.covariance`` that contain the true position, and the true axes. Seconds are those of ``rf.identify``.
+"""
+
+import inspect
+import json
+import os
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+import reframe_jax as rf
+from benchmarks import golden_cases as made
+from benchmarks.common import machine, new_parser
+from benchmarks.golden_cases import CONSTRAINTS, Case
+
+DATA = Path(os.environ.get("REFRAME_DATA", Path(__file__).parents[2] / "shared" / "data"))
+GROUPS = ("real", *made.PLANS, "arm")
+MARKS = {True: "right", False: "WRONG", None: "not scored"}
+SURE, BINS = 0.9, (0.3, 0.5, 0.7, 0.9, 0.97, 0.99)  # probabilities; BINS are borders in the calibration
+Row = dict[str, Any]
+
+HINGE, SLIDE, PINS = "Revolute joint", "Prismatic joint", (CONSTRAINTS["K"].name, CONSTRAINTS["L"].name)
+RECORDINGS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "kitchen_door": ("door", (HINGE,)),
+    "champ_microwave": ("hinge", (HINGE,)),
+    "champ_stapler": ("hinge", (HINGE,)),
+    "hinge": ("hinge", (HINGE,)),
+    "lost_": ("hinge", (HINGE,)),
+    "kitchen_drawer": ("drawer", (SLIDE,)),
+    "champ_drawer": ("drawer", (SLIDE,)),
+    "contour": ("contour", (CONSTRAINTS["E"].name, "3 rotations, 1 translation in BB")),
+    "pouring": ("free", (CONSTRAINTS["unconstrained"].name,)),
+    "wiping": ("wiping", PINS),
+    "grating": ("grating", ()),
+    "tcp_touches": ("ball", (CONSTRAINTS["spherical"].name,)),
+}
+"""What moved, and the names or classes that are right, by the start of a file's name; grating has no name."""
+MEASURED = {
+    "hinge": ((0.00914, -0.00131, -0.99996), (-0.03309, -0.24509, -0.00055)),
+    "lost_": ((0.0976, 0.1952, 0.9759), (0.5, 0.3, 0.2)),
+}
+"""Axes of hinges and points on them, m, in the ground."""
+_WORKING, _CONTACT = 2.0, 0.6  # label of the phase with contact; s from its start to the contact
+_COVERED = 100  # poses of the longest simulated recordings whose covariance is computed
+
+
+def real_cases(folder: Path) -> list[Case]:
+    """The recordings of a folder and of its ``cases``."""
+    cases = []
+    files = sorted([*folder.glob("*.csv"), *folder.glob("cases/*.csv")])
+    for file, start in [pair for pair in product(files, RECORDINGS) if pair[0].name.startswith(pair[1])]:
+        label, names = RECORDINGS[start]
+        table = np.loadtxt(file, delimiter=",", skiprows=1)
+        if file.read_text().split("\n", 1)[0].endswith("label"):
+            table = table[table[:, -1] == _WORKING]
+            table = table[table[:, 0] >= table[0, 0] + _CONTACT]
+        poses = made.make_poses(Rotation.from_quat(table[:, 4:8]).as_matrix(), table[:, 1:4])
+        truth = made.no_truth()
+        if start in MEASURED:
+            truth = made.hinge_truth(np.array(MEASURED[start][0]), np.array(MEASURED[start][1]), poses)
+        elif label == "door":
+            truth = made.hinge_truth(*fit_axis(table[:, 1:4], circle=True), poses)
+        elif label == "drawer":
+            direction = made.in_both(fit_axis(table[:, 1:4], circle=False)[0], poses)
+            truth = replace(truth, linear=direction)
+        cases.append(Case(f"real/{file.stem}", "real", label, poses, table[:, 0], names, truth))
+    return cases
+
+
+def fit_axis(positions: np.ndarray, *, circle: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Direction and a point, m, of the axis of the circle, or of the line, through most of the positions."""
+    middle = np.median(positions, axis=0)
+    away = positions - middle
+    basis = np.linalg.svd(away, full_matrices=False)[2]
+    flat = away @ basis[:2].T
+    design = np.column_stack([2 * flat, np.ones(len(flat))])
+    centre = np.linalg.lstsq(design, np.sum(flat**2, axis=1), rcond=None)[0][:2] @ basis[:2]
+    start = np.concatenate([basis[2], centre] if circle else [basis[0], np.zeros(3)])
+
+    def miss(unknown: np.ndarray) -> np.ndarray:
+        axis = unknown[:3] / np.linalg.norm(unknown[:3])
+        along = (away - unknown[3:6]) @ axis
+        across = away - unknown[3:6] - along[:, None] * axis
+        radii = np.linalg.norm(across, axis=1)
+        return np.concatenate([along, radii - unknown[6]]) if circle else across.ravel()
+
+    start = np.append(start, np.median(np.linalg.norm(away - centre, axis=1)))
+    found = least_squares(miss, start, loss="soft_l1", f_scale=3e-3).x  # 3 mm: errors beyond count less
+    return found[:3] / np.linalg.norm(found[:3]), middle + found[3:6]
+
+
+# ---------- identification
+def options_of(function: Callable[..., Any], **options: Any) -> dict[str, Any]:
+    """Those options that a function still takes."""
+    return {name: value for name, value in options.items() if name in inspect.signature(function).parameters}
+
+
+def covariance_of(found: Any, poses: np.ndarray, **timing: Any) -> dict[str, np.ndarray]:
+    """Covariance matrices (N, 3, 3) of the angular axes and linear axes, rad^2, and of the position, m^2."""
+    sure = rf.covariance(found, poses, **timing)
+    parts = {"angular": sure.angular_axes, "linear": sure.linear_axes, "position": sure.position}
+    return {name: np.asarray(matrix, dtype=float).reshape(-1, 3, 3) for name, matrix in parts.items()}
+
+
+def run(cases: Sequence[Case]) -> tuple[dict[str, Row], dict[str, float], list[str]]:
+    """Identify the recordings, those of one length together; returns rows, seconds by group, and notes."""
+    batches: dict[tuple[Any, ...], list[Case]] = {}
+    for case in cases:
+        alike = (case.key,) if case.group == "real" else (len(case.poses), case.times[1], case.paper_settings)
+        batches.setdefault(alike, []).append(case)
+    rows: dict[str, Row] = {}
+    seconds, notes = dict.fromkeys([case.group for case in cases], 0.0), set()
+    for batch in batches.values():
+        first, alone, start = batch[0], batch[0].group == "real", time.perf_counter()
+        options: dict[str, Any] = {"times": first.times} if alone else {"dt": float(first.times[1])}
+        without = options_of(rf.identify, compiled=False) if alone else {}
+        paper = options_of(rf.identify, lag=1, thresholds=rf.Thresholds()) if first.paper_settings else {}
+        if first.paper_settings and len(paper) < 2:
+            notes.add("The group paper was skipped: identify takes no lag or no thresholds.")
+            continue
+        poses = first.poses if alone else np.array([case.poses for case in batch])
+        try:
+            found = rf.identify(poses, **options, **paper, **without)
+        except ValueError as error:
+            if not alone:
+                raise
+            row = {"constraint": first.label, "name": f"No result: {error}", "strong": True}
+            rows[first.key] = row | {"right": False if first.expected else None}
+            continue
+        answers = read_answers(found)
+        spent = time.perf_counter() - start
+        for case in batch:
+            seconds[case.group] += spent / len(batch)
+        if not alone:
+            print(f"{len(batch)} recordings of {len(first.poses)} poses: {spent:.0f} s", file=sys.stderr)
+        matrices: dict[str, np.ndarray] = {}
+        if not paper and (alone or len(first.poses) <= _COVERED):
+            try:
+                options |= options_of(rf.covariance, compiled=False) if alone else {}
+                matrices = covariance_of(found, poses, **options)
+            except Exception as error:  # the covariance may change while names must not
+                notes.add(f"No coverage: rf.covariance raised {type(error).__name__}: {error}"[:200])
+        for i, case in enumerate(batch):
+            rows[case.key] = score(case, answers[i], {name: matrix[i] for name, matrix in matrices.items()})
+    seconds = {group: round(spent, 1) for group, spent in seconds.items()}
+    return {case.key: rows[case.key] for case in cases if case.key in rows}, seconds, sorted(notes)
+
+
+def read_answers(found: Any) -> list[Row]:
+    """What an identification says of each recording."""
+    parts = {
+        "name": np.asarray(found.name, dtype=object).reshape(-1),
+        "p": np.asarray(found.probability, dtype=float).reshape(-1),
+        "status": np.asarray(found.status, dtype=int).reshape(-1),
+        "kind": np.asarray(found.linear.frame_type, dtype=int).reshape(-1),
+        "angular_kind": np.asarray(found.angular.frame_type, dtype=int).reshape(-1),
+        "point": np.asarray(found.linear.position, dtype=float).reshape(-1, 3),
+    }
+    for name, frame in (("angular", found.angular), ("linear", found.linear)):
+        axes = np.asarray(frame.axes, dtype=float).reshape(-1, 3, 3)
+        dof = np.asarray(frame.dof, dtype=int).reshape(-1, 3)
+        count = parts[f"{name}_free"] = dof.sum(axis=1)
+        odd = np.argmax(dof == (count == 1)[:, None], axis=1)  # the only free axis, or the only held one
+        axis = np.take_along_axis(axes, odd[:, None, None], 2)[:, :, 0]
+        parts[name] = np.where(np.isin(count, (1, 2))[:, None], axis, np.nan)
+    return [dict(zip(parts, values, strict=True)) for values in zip(*parts.values(), strict=True)]
+
+
+# ---------- scores
+def score(case: Case, answer: Row, matrices: dict[str, np.ndarray]) -> Row:
+    """Whether the name is right, and for a right name the errors and whether the 95 % regions hold them."""
+    kind, name = rf.LinearType(int(answer["kind"])).name, str(answer["name"])
+    free = "{} rotations, {} translation in {}".format(answer["angular_free"], answer["linear_free"], kind)
+    right = (name in case.expected and made.unique_type(name) in (None, kind)) or free in case.expected
+    row: Row = {"constraint": case.label, "name": name, "type": kind, "p": _digits(float(answer["p"]), 4)}
+    row |= {"status": int(answer["status"]), "strong": case.strong, "right": right if case.expected else None}
+    if not right:
+        return row
+    truth, inside, angles = case.truth, {}, []
+    bodies = {"angular": int(answer["angular_kind"]), "linear": "GB".index(kind[0])}
+    for part, of_both in (("angular", truth.angular), ("linear", truth.linear)):
+        true = of_both[bodies[part]]
+        turn = np.cross(true, answer[part] * np.sign(answer[part] @ true))
+        if np.isfinite(turn).all():
+            angles.append(float(np.degrees(np.arctan2(np.linalg.norm(turn), abs(true @ answer[part])))))
+            inside[part] = is_inside(turn, np.eye(3) - np.outer(true, true), matrices.get(part))
+    body = "GB".index(kind[1])
+    error, directions = answer["point"] - truth.point[body], truth.directions[body]
+    if np.isfinite(directions @ error).all():
+        inside["position"] = is_inside(directions @ error, directions, matrices.get("position"))
+        if truth.line:
+            axis = answer["angular"]
+            if body != bodies["angular"]:
+                turns = case.poses[:, :3, :3] if body == made.GROUND else case.poses[:, :3, :3].mT
+                axis = np.median(turns @ axis, axis=0)
+            directions = np.eye(3) - np.outer(axis, axis) / (axis @ axis)
+        row["position_mm"] = _digits(1e3 * float(np.linalg.norm(directions @ error)))
+    row |= {"axis_deg": _digits(max(angles))} if angles else {}
+    return row | {"inside": {part: value for part, value in inside.items() if value is not None}}
+
+
+def is_inside(error: np.ndarray, directions: np.ndarray, matrix: np.ndarray | None) -> bool | None:
+    """Whether the 95 % region of a covariance holds an error; None where there is no variance."""
+    if matrix is None or not np.isfinite(matrix).all():
+        return None
+    variances, axes = np.linalg.eigh(directions @ matrix @ directions)
+    known = variances > 1e-9 * max(variances[-1], 1e-24)
+    distance = np.sum((error @ axes)[known] ** 2 / variances[known])
+    return bool(distance <= chi2.ppf(0.95, known.sum())) if known.any() else None
+
+
+def _digits(value: float, digits: int = 3) -> float | None:
+    return float(f"{value:.{digits}g}") if np.isfinite(value) else None
+
+
+def summarise(rows: Sequence[Row]) -> Row:
+    """Counts, errors (median and 90 %), coverage and calibration of rows that have a right name."""
+    rows = [row | {"p": row.get("p") or 0.0} for row in rows if row["right"] is not None]
+    right, strong = [row for row in rows if row["right"]], [row for row in rows if row["strong"]]
+    sure, sure_strong = ([row for row in part if row["p"] >= SURE] for part in (rows, strong))
+    summary: Row = {"number": len(rows), "right": len(right)}
+    for name, part in (("strong", strong), ("sure", sure), ("sure_strong", sure_strong)):
+        summary |= {name: len(part), f"right_{name}": sum(row["right"] for row in part)}
+    summary["wrong_sure"] = summary["sure"] - summary["right_sure"]
+    for name in ("position_mm", "axis_deg"):
+        values = [row[name] for row in right if row.get(name) is not None] or [np.nan]
+        summary |= {name: _digits(np.median(values)), f"{name}_90": _digits(np.quantile(values, 0.9))}
+    for name, parts in (("inside_position", ("position",)), ("inside_axis", ("angular", "linear"))):
+        held = [row["inside"][part] for row in right for part in parts if part in row.get("inside", {})]
+        summary |= {name: _digits(sum(held) / len(held)) if held else None, f"{name}_of": len(held)}
+    summary["calibration"] = []  # recordings, mean probability and share right of each bin
+    places = np.digitize([row["p"] for row in rows], BINS)
+    for place in np.unique(places):
+        part = [row for row, own in zip(rows, places, strict=True) if own == place]
+        means = (float(np.mean([row[name] for row in part])) for name in ("p", "right"))
+        summary["calibration"].append([len(part), *(_digits(mean) for mean in means)])
+    return summary
+
+
+def by_group(rows: dict[str, Row]) -> dict[str, list[Row]]:
+    """Rows of each group, which starts the key."""
+    groups = {group: [row for key, row in rows.items() if key.startswith(group + "/")] for group in GROUPS}
+    return {group: part for group, part in groups.items() if part}
+
+
+# ---------- tables
+def table_line(name: str, rows: Sequence[Row], seconds: float | None = None) -> str:
+    """A line of the table, as in its head."""
+    found = summarise(rows)
+    line = f"{name:14}{found['number']:>7}{found['right']:>7}"
+    for part in ("strong", "sure", "sure_strong"):
+        line += f"{found[f'right_{part}']:>7}/{found[part]:<4}"
+    for part in ("position_mm", "position_mm_90", "axis_deg", "axis_deg_90"):
+        line += f"{'' if found[part] is None else f'{found[part]:.3g}':>9}"
+    for part in ("inside_position", "inside_axis"):
+        line += f"{'' if found[part] is None else f'{found[part]:.0%}':>8}"
+    return line + ("" if seconds is None else f"{seconds:>6.0f} s")
+
+
+def show(record: Row) -> None:
+    """Print the tables of a run: by group, by constraint, calibration, and the recordings of shared/data."""
+    groups = by_group(record["cases"])
+    print(f"{'':14}{'number':>7}{'right':>7}{'strong':>12}{'p >= 0.9':>12}{'and strong':>12}", end="")
+    print(f"{'position, mm':>18}{'axis, deg':>18}{'inside':>8}{'inside':>8}{'time':>8}")
+    for group, rows in groups.items():
+        print(table_line(group, rows, record["seconds"].get(group)))
+    for group in [group for group in ("white", "soft") if group in groups]:
+        print(f"\n{group} by constraint, with the most frequent wrong names")
+        for label in CONSTRAINTS:
+            rows = [row for row in groups[group] if row["constraint"] == label]
+            wrong = Counter(row["name"].split(":")[0] for row in rows if not row["right"]).most_common(2)
+            print(table_line(label, rows), "  " + ", ".join(f"{name} {count}" for name, count in wrong))
+    print("\ncalibration: mean probability > share right (recordings)")
+    for group, rows in groups.items():
+        bins = summarise(rows)["calibration"]
+        print(f"{group:10}" + "  ".join(f"{mean:.3f} > {share:.3f} ({count})" for count, mean, share in bins))
+    for key, row in record["cases"].items():
+        if key.startswith("real/"):
+            line = f"{key:33}{row['name'][:42]:43}{row.get('p') or 0:6.3f}  {MARKS[row['right']]:11}"
+            units = {"position_mm": "mm", "axis_deg": "deg"}
+            print(line, *(f"{row[part]} {unit}" for part, unit in units.items() if part in row))
+    for note in record["notes"]:
+        print(f"note: {note}")
+
+
+def compare(old: Row, new: Row, most: int = 12) -> list[str]:
+    """Lines that say what became better and worse in each group, over the recordings of both runs."""
+    both = [key for key in new["cases"] if key in old["cases"]]
+    before, after = ({key: record["cases"][key] for key in both} for record in (old, new))
+    lines = []
+    for group, rows in by_group(after).items():
+        was, now = summarise(by_group(before)[group]), summarise(rows)
+        lines.append(f"{group}: {len(rows)} recordings in both runs")
+        for name in [name for name in was if None not in (was[name], now[name])]:
+            gain = _goodness(name, now[name]) - _goodness(name, was[name])
+            if gain and abs(gain) > 0.02 * abs(was[name]):
+                change = f"{name:20}{was[name]:>10.4g} -> {now[name]:.4g}"
+                lines.append(f"  {'better' if gain > 0 else 'worse':8}{change}")
+        keys = [key for key in both if _name_and_mark(before[key]) != _name_and_mark(after[key])]
+        keys = [key for key in keys if key.startswith(f"{group}/")]
+        turned = Counter((bool(before[key]["right"]), bool(after[key]["right"])) for key in keys)
+        counts = f"{turned[False, True]} became right, {turned[True, False]} became wrong"
+        lines.append(f"  names   {len(keys)} changed, {counts}")
+        keys.sort(key=lambda key: bool(after[key]["right"]) - bool(before[key]["right"]))  # losses first
+        for key in keys if group == "real" else keys[:most]:
+            lines.append(f"    {key}: {_name_and_mark(before[key])} -> {_name_and_mark(after[key])}")
+    return lines
+
+
+def _goodness(name: str, value: Any) -> float:
+    """A figure of a summary, the higher the better; 0 for what is neither good nor bad."""
+    if name in ("inside_position", "inside_axis"):
+        return -abs(value - 0.95)
+    sign = name.startswith("right") - name.startswith(("wrong", "position", "axis"))
+    return sign * value if sign else 0.0
+
+
+def _name_and_mark(row: Row) -> str:
+    return f"{row['name']} ({MARKS[row['right']]})"
+
+
+def write(file: Path, record: Row) -> None:
+    """Write a run as JSON, a line for each recording."""
+    head = json.dumps({name: value for name, value in record.items() if name != "cases"}, indent=1)
+    lines = ",\n".join(f"  {json.dumps(key)}: {json.dumps(row)}" for key, row in record["cases"].items())
+    file.write_text(f'{head[:-2]},\n "cases": {{\n{lines}\n }}\n}}\n')
+
+
+def collect(groups: Sequence[str], data: Path = DATA, every: int = 1) -> tuple[list[Case], list[str]]:
+    """Every n-th recording of some groups, and a note if there are no real ones."""
+    real = real_cases(data)[::every] if "real" in groups else []
+    notes = [] if real or "real" not in groups else [f"The group real was skipped: no recordings in {data}."]
+    specs = [spec for group in groups if group in made.PLANS for spec in [*made.PLANS[group]()][::every]]
+    return [*real, *made.simulate(specs), *(made.arm_cases() if "arm" in groups else [])], notes
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Command line of the benchmark."""
+    add = (parser := new_parser("golden", __doc__)).add_argument
+    add("--group", nargs="+", choices=GROUPS, help="run these groups only")
+    add("--arm", action="store_true", help="run the simulated arm too")
+    add("--fewer", type=int, default=1, metavar="N", help="run every N-th recording of each group")
+    add("--data", type=Path, default=DATA, help="folder of recordings (REFRAME_DATA, or ../shared/data)")
+    add("--json", type=Path, help="file to write all figures to")
+    add("--read", type=Path, metavar="JSON", help="run nothing: show an earlier run")
+    add("--compare", type=Path, metavar="JSON", help="print what is better and worse than in an earlier run")
+    add("--changes", type=int, default=12, help="changed names to print of each simulated group (12)")
+    options = parser.parse_args(argv)
+    old = json.loads(options.compare.read_text()) if options.compare else None
+    if options.read:
+        record = json.loads(options.read.read_text())
+    else:
+        jax.config.update("jax_enable_x64", True)
+        groups = options.group or [group for group in GROUPS if group != "arm" or options.arm]
+        cases, skipped = collect(groups, options.data, options.fewer)
+        rows, seconds, notes = run(cases)
+        summary = {group: summarise(part) for group, part in by_group(rows).items()}
+        record = {"machine": machine(), "notes": skipped + notes, "seconds": seconds}
+        record |= {"summary": summary, "cases": rows}
+    show(record)
+    if options.json:
+        write(options.json, record)
+    if old is not None:
+        print("\n" + "\n".join(compare(old, record, options.changes)))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
