@@ -1,4 +1,4 @@
-"""Configuration of every test: double precision, and no silent promotion of types or ranks.
+"""Configuration of every test: double precision.
 
 A test of single precision asks for it by dtype; nothing in the library reads these settings.
 
@@ -42,8 +42,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 jax.config.update("jax_enable_x64", True)
-jax.config.update("jax_numpy_dtype_promotion", "strict")
-jax.config.update("jax_numpy_rank_promotion", "raise")
 
 hypothesis.settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
 hypothesis.settings.load_profile("repeatable")

@@ -8,19 +8,16 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
-from reframe_jax.compilation import compiler_options
 from reframe_jax.geometry.rotations import rotation_exp
-from reframe_jax.identification import programs
+from reframe_jax.identification import entry
 from reframe_jax.simulation import metrics, synthetic
 from reframe_jax.simulation.motions import random_motion
 from reframe_jax.solvers import Solution
 
-compiled = functools.partial(jax.jit, compiler_options=compiler_options())
-
 NOISES = np.logspace(-6, -4, 5)
 SEEDS = 20
 # its generator's poses leave the constraint, from sample to sample, by more than the noise
-PAPER = {"discretization": "left", "lag": 1, "thresholds": rf.Thresholds()}
+PAPER = {"discretization": "left", "scales": 1, "thresholds": rf.Thresholds()}
 
 
 @functools.cache
@@ -141,27 +138,27 @@ def frames(found):
     return found.angular, found.linear, found.candidates.angular, found.candidates.linear
 
 
-def test_norm_is_the_geometric_mean_of_rms_and_the_least_of_the_norms(mixed):
-    found = rf.identify(mixed, dt=0.1)
+def test_norm_of_single_steps_is_the_geometric_mean_of_rms(mixed):
+    found = rf.identify(mixed, dt=0.1, scales=1)
     for frame in (found.angular, found.linear):
         np.testing.assert_allclose(frame.norm, np.prod(np.asarray(frame.rms), axis=-1) ** (1 / 3), rtol=1e-9)
         norms = np.asarray(frame.norms)
         np.testing.assert_array_equal(frame.norm, norms[np.arange(12), np.asarray(frame.type_code)])
         assert np.all(np.diff(np.asarray(frame.rms), axis=-1) >= 0)
         np.testing.assert_allclose(np.linalg.det(np.asarray(frame.axes)), 1, rtol=1e-9)
-    angular, linear = found.angular, found.linear
-    np.testing.assert_array_equal(angular.norm, np.min(np.asarray(angular.norms), axis=-1))
-    # classes that say the same in all types are given in GB or BG, if these tie with the least
-    least = np.asarray(linear.norm) == np.min(np.asarray(linear.norms), axis=-1)
-    followed = np.isin(np.asarray(linear.type_code), [rf.LinearType.GB, rf.LinearType.BG])
-    for_all = np.isin(found.name, [rf.CONSTRAINTS[label].name for label in "ABCD"])
-    assert np.all(least | (followed & for_all & np.asarray(found.refined)))
-    assert least.mean() > 0.5
+
+
+def test_amplitudes_tell_free_axes_from_constrained_ones(mixed):
+    found = rf.identify(mixed, dt=0.1)
+    for frame, limit in ((found.angular, 2e-3), (found.linear, 5e-4)):
+        size, free = np.asarray(frame.amplitude), np.asarray(frame.dof) == 1
+        assert np.all(size[~free] < limit)
+        assert np.all(size[free] > 10 * limit)
 
 
 def test_vmap_equals_loop_and_batch(mixed):
     batch = rf.identify(mixed, dt=0.1)
-    vmapped = compiled(jax.vmap(lambda poses: rf.identify(poses, dt=0.1)))(mixed)
+    vmapped = jax.jit(jax.vmap(lambda poses: rf.identify(poses, dt=0.1)))(mixed)
     same(batch, vmapped)
     for i in (0, 5, 10):
         single = rf.identify(mixed[i], dt=0.1)
@@ -195,15 +192,15 @@ def test_a_bad_window_has_a_status_and_leaves_the_others_alone(mixed):
     assert found.name[0].startswith("No result")
 
 
-def test_neighbours_with_longer_chords_leave_a_window_alone():
+def test_neighbours_with_larger_scales_leave_a_window_alone():
     simulate = jax.jit(jax.vmap(lambda key, noise: synthetic.simulate("K", key, noise=noise).poses))
     keys, noise = jax.random.split(jax.random.key(3), 8), np.full(8, 1e-6)
     before = rf.identify(np.asarray(simulate(keys, noise)), dt=0.1)
     noise[2:5] = 3e-3
     after = rf.identify(np.asarray(simulate(keys, noise)), dt=0.1)
     same = np.asarray([0, 1, 5, 6, 7])
-    assert np.all(before.lag == 1)
-    assert np.all(after.lag[2:5] > 1)
+    assert np.all(before.scale == 1)
+    assert np.all(after.scale[2:5] > 1)
     for x, y in zip(jax.tree.leaves(before[same]), jax.tree.leaves(after[same]), strict=True):
         np.testing.assert_array_equal(x, y)
 
@@ -240,16 +237,13 @@ class Middle:
 
 
 def test_one_trace_per_shape(mixed):
-    on_cpu = jax.default_backend() == "cpu"
-    program = programs._reduce_chunks if on_cpu else programs.identify_compiled
-    solver = Middle()
+    program, solver = entry._identify_flat, Middle()
     rf.identify(mixed, dt=0.1, thresholds=rf.Thresholds(), solver=solver)
-    before, solved = program._cache_size(), programs._solve_chunks._cache_size()
-    rf.identify(mixed + 0, dt=0.2, thresholds=rf.Thresholds(0.1, 0.02), bounds=0.8, solver=solver)
+    before = program._cache_size()
+    rf.identify(mixed + 0, dt=0.2, thresholds=rf.Thresholds(0.1, 0.02), solver=solver)
     assert program._cache_size() == before
     rf.identify(mixed[:, :21], dt=0.1, thresholds=rf.Thresholds(), solver=solver)
     assert program._cache_size() == before + 1
-    assert programs._solve_chunks._cache_size() == solved
 
 
 def test_float32_finds_the_same_frames_at_its_own_precision():

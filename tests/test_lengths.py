@@ -1,14 +1,12 @@
 """Recordings of any length, padded or not, alone or in a batch, with pauses or without."""
 
-import threading
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import reframe_jax as rf
-from reframe_jax.identification import inputs, programs
+from reframe_jax.identification import entry, inputs
 from reframe_jax.simulation import synthetic
 from reframe_jax.solvers import Solution
 
@@ -34,10 +32,10 @@ class Middle:
 MIDDLE = Middle()
 
 
-@pytest.mark.parametrize(("poses", "lag"), [(51, "auto"), (51, 7), (300, "auto"), (300, 1)])
-def test_alone_padded_and_in_a_batch(recording, monkeypatch, poses, lag):
+@pytest.mark.parametrize(("poses", "scales"), [(51, "auto"), (300, 1)])
+def test_alone_padded_and_in_a_batch(recording, monkeypatch, poses, scales):
     """All that is made of the poses before and after the search."""
-    window, options = recording[:poses], {"dt": DT, "lag": lag, "solver": MIDDLE}
+    window, options = recording[:poses], {"dt": DT, "scales": scales, "solver": MIDDLE}
     batch = rf.identify(np.stack([window, window[::-1]]), **options)[0]
     alone, padded = alone_and_padded(window, monkeypatch, options)
     for other in (padded, batch):
@@ -72,36 +70,13 @@ def test_sizes_are_few_and_fit():
     ]  # fmt: skip
 
 
-def test_the_search_is_compiled_once_for_all_lengths(recording):
-    """And what reduces poses to evidence once for every size they are padded to."""
-    rf.identify(recording[:51], dt=DT)
-    solved, reduced = programs.solve_one._cache_size(), programs.reduce_one._cache_size()
+def test_one_program_serves_all_lengths_that_are_padded_to_a_size(recording):
+    before = entry._identify_flat._cache_size()
     lengths = [40, 60, 90, 97, 120, 128, 130, 170, 192, 200, 250]
     for count in lengths:
         assert rf.identify(recording[:count], dt=DT).name == "Pin-plane contact"
-    assert programs.solve_one._cache_size() == solved
     assert {inputs.padded_size(count) for count in lengths} == {64, 256}
-    assert programs.reduce_one._cache_size() - reduced <= 1  # that of 64 poses is there
-
-
-@pytest.mark.parametrize("windows", [(), (2,)])
-def test_two_programs_are_compiled_side_by_side(recording, windows):
-    compiled = []
-
-    def note(event, _, fun_name="", **_others):
-        if event.endswith("backend_compile_duration"):
-            compiled.append((fun_name, threading.current_thread() is threading.main_thread()))
-
-    poses, solver = np.broadcast_to(recording[:51], (*windows, 51, 4, 4)), Middle()
-    jax.monitoring.register_event_duration_secs_listener(note)
-    try:
-        first = rf.identify(poses, dt=DT, solver=solver)
-        again = rf.identify(poses, dt=DT, solver=solver)
-    finally:
-        jax.monitoring.unregister_event_duration_listener(note)
-    # the program that solves once, beside what comes before
-    assert [alone for name, alone in compiled if "solve" in name] == [False]
-    np.testing.assert_array_equal(again.linear.position, first.linear.position)
+    assert entry._identify_flat._cache_size() - before <= 2
 
 
 def test_what_is_wrong_with_a_solver_is_said(recording):
@@ -132,5 +107,5 @@ def test_pauses_change_nothing(recording):
         np.testing.assert_allclose(found.linear.position, [0.1, 0.3, 0.1], atol=2e-3)
     # rest is left out of velocities, so that their size is that of the motion
     np.testing.assert_allclose(paused.linear.rms[1:], through.linear.rms[1:], rtol=0.15)
-    everything = rf.identify(with_rest, dt=DT, lag=1)
+    everything = rf.identify(with_rest, dt=DT, scales=1)
     assert np.all(everything.linear.rms[1:] < 0.9 * through.linear.rms[1:])

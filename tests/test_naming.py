@@ -32,7 +32,7 @@ def test_names_less_probable_than_all_others_are_said_to_be(windows):
     assert np.any(said)
     assert not np.all(said)
     one = found[int(np.flatnonzero(said)[0])]
-    expected = f"The name has a probability of only {one.probability:.2f}"
+    expected = f"The name is uncertain (probability {one.probability:.2f})"
     assert any(sentence.startswith(expected) for sentence in one.warnings)
 
 

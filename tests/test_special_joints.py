@@ -1,0 +1,134 @@
+"""Screws, universal joints and far origins: names, pitches, axes and places, from one batch of windows."""
+
+import json
+
+import jax
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import reframe_jax as rf
+from reframe_jax.export.columns import to_columns
+
+POSES, DT, NOISE = 51, 0.1, 1e-4
+TIMES = DT * np.arange(POSES)
+PITCHES = (0.02, -0.02, 0.1, 0.005, -0.1, 0.05, 0.16, -0.01)
+SCREWS, UNIVERSAL, FAR = slice(0, 8), slice(8, 16), slice(16, 24)
+DISTANCE = 4.0  # m, of the far origins from the body
+
+
+def signal(rng, size):
+    """A sum of slow sines (51,) of the RMS ``size``."""
+    rates, phases = rng.uniform(0.1, 0.5, (4, 1)), rng.uniform(0, 6, (4, 1))
+    made = np.sum(rng.uniform(0.5, 1, (4, 1)) * np.sin(2 * np.pi * rates * TIMES + phases), axis=0)
+    return size * made / np.std(made)
+
+
+def with_noise(rng, rotation, position):
+    """Poses (51, 4, 4) with noise in m, and three times as much in rad."""
+    poses = np.tile(np.eye(4), (POSES, 1, 1))
+    poses[:, :3, :3] = (Rotation.from_rotvec(3 * NOISE * rng.normal(size=(POSES, 3))) * rotation).as_matrix()
+    poses[:, :3, 3] = position + NOISE * rng.normal(size=(POSES, 3))
+    return poses
+
+
+def on_screw(rng, pitch):
+    """Poses of a nut, and its axis."""
+    axis = rng.normal(size=3)
+    axis /= np.linalg.norm(axis)
+    point, start = rng.uniform(-0.3, 0.3, (2, 3))
+    angle = signal(rng, 0.8)
+    turn = Rotation.from_rotvec(angle[:, None] * axis)
+    position = point + turn.apply(start - point) + pitch * angle[:, None] * axis
+    return with_noise(rng, turn * Rotation.random(random_state=rng), position), axis
+
+
+def on_universal(rng):
+    """Poses on a universal joint, and its axes in the ground and in the body."""
+    outer, inner = Rotation.random(random_state=rng), Rotation.random(random_state=rng)
+    turns = [np.outer(signal(rng, size), axis) for size, axis in ((0.5, [1, 0, 0]), (0.4, [0, 1, 0]))]
+    rotation = outer * Rotation.from_rotvec(turns[0]) * Rotation.from_rotvec(turns[1]) * inner
+    poses = with_noise(rng, rotation, -rotation.apply([0.1, 0.05, -0.08]))
+    return poses, (outer.apply([1, 0, 0]), inner.inv().apply([0, 1, 0]))
+
+
+def on_far_plane(rng):
+    """Poses of a body of which a point stays on a plane, and that point in the body."""
+    tip = rng.normal(size=3)
+    tip *= DISTANCE / np.linalg.norm(tip)
+    rotation = Rotation.from_rotvec(np.stack([signal(rng, 0.3) for _ in range(3)], axis=1))
+    plane = np.stack([signal(rng, 0.2), signal(rng, 0.2), 0 * TIMES], axis=1)
+    return with_noise(rng, rotation, plane - rotation.apply(tip)), tip
+
+
+@pytest.fixture(scope="module")
+def made():
+    """Poses (24, 51, 4, 4): eight screws, eight universal joints, eight points far away; and their truth."""
+    rng = np.random.default_rng(4)
+    each = [on_screw(rng, pitch) for pitch in PITCHES]
+    each += [on_universal(rng) for _ in range(8)]
+    each += [on_far_plane(rng) for _ in range(8)]
+    return np.stack([poses for poses, _ in each]), [truth for _, truth in each]
+
+
+@pytest.fixture(scope="module")
+def found(made):
+    return jax.device_get(rf.identify(made[0], dt=DT))
+
+
+def test_a_nut_on_a_screw_is_named_with_its_pitch_and_axis(made, found):
+    screws, axes = found[SCREWS], made[1][SCREWS]
+    assert set(screws.name) == {"Screw joint"}
+    assert np.all(screws.probability > 0.5)
+    np.testing.assert_allclose(screws.pitch, PITCHES, atol=5e-4)
+    assert np.all(np.isnan(np.delete(found.pitch, np.r_[SCREWS])))
+    for one, axis in zip((screws[i] for i in range(8)), axes, strict=True):
+        in_ground = rf.AngularType.G
+        turned = Rotation.from_rotvec(one.candidates.angular.rotvec[in_ground]).as_matrix()[:, 2]
+        assert np.linalg.norm(np.cross(turned, axis)) < 5e-3
+        assert one.entry is rf.constraint("screw")
+
+
+def test_outputs_give_the_pitch(found):
+    one = found[1]
+    lines = one.explain().splitlines()
+    assert lines[0].startswith("The body moves like a nut on a screw")
+    assert lines[2].startswith("The axis passes through")
+    assert "mm along; the thread is left-handed." in lines[3]
+    assert "mm a turn, left-handed" in rf.to_table(one)
+    (window,) = json.loads(rf.to_json(one))["recordings"][0]["windows"]
+    assert (window["name"], window["label"], window["pitch"]) == ("Screw joint", "screw", float(one.pitch))
+    np.testing.assert_array_equal(to_columns(found)["pitch_m_rad"], found.pitch)
+
+
+def test_a_universal_joint_is_named_with_its_axes(made, found):
+    joints, axes = found[UNIVERSAL], np.array(made[1][UNIVERSAL])
+    assert set(joints.name) == {"Universal joint"}
+    np.testing.assert_array_equal(np.sum(joints.angular.dof, axis=1), 2)
+    cosine = np.abs(np.sum(joints.universal_axes * axes, axis=-1))
+    assert np.degrees(np.arccos(np.minimum(cosine, 1))).max() < 0.5
+    assert np.all(np.isnan(found[FAR].universal_axes))
+    one = joints[0]
+    assert "Turns   about" in rf.to_table(one)
+    (window,) = json.loads(rf.to_json(one))["recordings"][0]["windows"]
+    np.testing.assert_array_equal(window["universal_axes"]["body"], one.universal_axes[1])
+    assert one.explain().splitlines()[-1].startswith("It turns about the directions")
+
+
+def test_far_origins_are_found(made, found):
+    far, tips = found[FAR], np.array(made[1][FAR])
+    assert set(far.name) == {"Pin-plane contact"}
+    assert np.all(far.status_code == rf.Status.OK)
+    assert np.linalg.norm(far.linear.position - tips, axis=1).max() < 0.05
+
+
+def test_bounds_that_exclude_the_origin_are_noticed(made):
+    found = rf.identify(made[0], dt=DT, bounds=1.0)
+    assert np.all(found.status_code[FAR] == rf.Status.ON_BOUNDS)
+
+
+def test_a_joint_that_is_assumed_is_certain(made):
+    found = rf.identify(made[0], dt=DT, assume="screw joint")
+    assert set(found.name) == {"Screw joint"}
+    np.testing.assert_allclose(found.probability, 1)
+    np.testing.assert_allclose(found.pitch[SCREWS], PITCHES, atol=5e-4)
