@@ -163,10 +163,10 @@ def _held(finding: Finding) -> list[str]:
                 f"{_two_digits(1e3 * float(np.max(size)))} {unit}" for size, unit in moved if len(size)
             )
         )
-    held, moved = sizes
-    if not held or not moved or finding.universal is not None:
+    held, free_motion = sizes
+    if not held or not free_motion or finding.universal is not None:
         return []
-    return [f"The constrained axes are held within {held}, while the free axes move {moved} (RMS)."]
+    return [f"The constrained axes are held within {held}, while the free axes move {free_motion} (RMS)."]
 
 
 def _vector(vector: np.ndarray, digits: int) -> str:

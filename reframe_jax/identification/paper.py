@@ -38,7 +38,7 @@ def step_moments(poses: jax.Array, steps: jax.Array, discretization: Discretizat
         squares = [
             moments[i, j] for i in (0, 3, 5) for j in ((0,) if moments.shape[1] == 1 else (0, 4, 7, 9))
         ]
-        floor = _FLOOR * float(jnp.finfo(moments.dtype).eps) * sum(squares)
+        floor = _FLOOR * float(jnp.finfo(moments.dtype).eps) * jnp.sum(jnp.stack(squares), axis=0)
         found.append(add_variance(moments, jax.lax.stop_gradient(floor)))
     return tuple(found)
 

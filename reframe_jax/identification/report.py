@@ -227,8 +227,8 @@ def report_windows(
         discretization: of velocities.
         single_steps: whether RMS velocities are those of single steps.
     """
-    time = jnp.sum(jnp.broadcast_to(window.steps, (len(window.poses), window.steps.shape[1])), axis=1)
-    step = time / window.steps.shape[1]
+    window = window._replace(steps=jnp.broadcast_to(window.steps, (len(window.poses), window.steps.shape[1])))
+    step = jnp.mean(window.steps, axis=1)
     if single_steps:
         types = _types_of_steps(window, solved, exponent, discretization)
     else:
@@ -295,24 +295,20 @@ def _report_window(
     tied = _tied_types(winner, kind, thresholds, types)
     if thresholds is not None or single_steps:
         # the paper reports the optimum of a type
-        dof = _dof_by_thresholds(types, thresholds) if thresholds is not None else None
         angular_all = angular_all._replace(axes=types.angular_axes)
         angular_rms = types.angular_rms
         linear = linear._replace(axes=types.linear_axes[kind])
         linear_rms = types.linear_rms[kind]
-        counts = jnp.sum(angular_all.dof[0]), jnp.sum(linear.dof)
-        if dof is None:
-            dof = tuple(
-                jnp.broadcast_to((jnp.arange(3) >= 3 - n).astype(jnp.int32), (size, 3))
-                for n, size in zip(counts, (2, 4), strict=True)
-            )
+        if thresholds is None:
+            angular_dof_all = _last_free(jnp.sum(angular_all.dof[0]), 2)
+            linear_dof_all = _last_free(jnp.sum(linear.dof), 4)
         else:
+            angular_dof_all, linear_dof_all = _dof_by_thresholds(types, thresholds)
             angular_type = jnp.argmin(types.angular_norm).astype(jnp.int32)
-        angular_all = angular_all._replace(dof=dof[0])
-        linear = linear._replace(dof=dof[1][kind])
-        linear_dof_all = dof[1]
+        angular_all = angular_all._replace(dof=angular_dof_all)
+        linear = linear._replace(dof=linear_dof_all[kind])
     else:
-        linear_dof_all = jnp.broadcast_to(jnp.arange(3) >= 3 - jnp.sum(linear.dof), (4, 3)).astype(jnp.int32)
+        linear_dof_all = _last_free(jnp.sum(linear.dof), 4)
     a = angular_type
     shift = jnp.where((jnp.asarray(POSITION_BODIES) == int(AngularType.G))[:, None], window.centre[None], 0)
     positions = (solved.origins + shift).at[kind].set(position + offset)
@@ -376,6 +372,11 @@ def _report_window(
     marks = {Caution.IMPROBABLE: winner.name_probability < 0.5}
     codes = caution_codes(few, (angular_rms[a], linear_rms), thresholds, marks)
     return found, at_bound, codes
+
+
+def _last_free(number: Array, types: int) -> Array:
+    """Degrees of freedom (types, 3) where the last axes of every type are free."""
+    return jnp.broadcast_to(jnp.arange(3) >= 3 - number, (types, 3)).astype(jnp.int32)
 
 
 def _fix_signs(axes: Array) -> Array:
