@@ -9,7 +9,7 @@ Groups of recordings (:mod:`benchmarks.golden_cases` has the simulations):
 - ``white``: seventeen constraints with white noise of 1 um to 3 mm, at 10 and 100 Hz, three motions;
 - ``soft``: the same constraints with slow errors of 0.1 to 3 mm and 0.5 to 10 mrad, at 20 Hz;
 - ``nothing``: unconstrained motions with either kind of error;
-- ``paper``: the twelve constraints of the paper, identified with ``lag=1`` and its thresholds;
+- ``paper``: the twelve constraints of the paper, identified with ``scales=1`` and its thresholds;
 - ``arm``: demonstrations on the simulated arm, only with ``--arm``.
 
 A name is right if it names the constraint, and the linear type is right where the constraint has only one. A
@@ -20,13 +20,12 @@ mrad. Errors (median, 90 %) are those of right names; ``axis`` is the worse of t
 ``rf.covariance`` that contain the true position, and the true axes. Seconds are those of ``rf.identify``.
 """
 
-import inspect
 import json
 import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -120,11 +119,6 @@ def fit_axis(positions: np.ndarray, *, circle: bool) -> tuple[np.ndarray, np.nda
 
 
 # ---------- identification
-def options_of(function: Callable[..., Any], **options: Any) -> dict[str, Any]:
-    """Those options that a function still takes."""
-    return {name: value for name, value in options.items() if name in inspect.signature(function).parameters}
-
-
 def covariance_of(found: Any, poses: np.ndarray, **timing: Any) -> dict[str, np.ndarray]:
     """Covariance matrices (N, 3, 3) of the angular axes and linear axes, rad^2, and of the position, m^2."""
     sure = rf.covariance(found, poses, **timing)
@@ -143,14 +137,10 @@ def run(cases: Sequence[Case]) -> tuple[dict[str, Row], dict[str, float], list[s
     for batch in batches.values():
         first, alone, start = batch[0], batch[0].group == "real", time.perf_counter()
         options: dict[str, Any] = {"times": first.times} if alone else {"dt": float(first.times[1])}
-        without = options_of(rf.identify, compiled=False) if alone else {}
-        paper = options_of(rf.identify, lag=1, thresholds=rf.Thresholds()) if first.paper_settings else {}
-        if first.paper_settings and len(paper) < 2:
-            notes.add("The group paper was skipped: identify takes no lag or no thresholds.")
-            continue
+        paper: dict[str, Any] = {"scales": 1, "thresholds": rf.Thresholds()} if first.paper_settings else {}
         poses = first.poses if alone else np.array([case.poses for case in batch])
         try:
-            found = rf.identify(poses, **options, **paper, **without)
+            found = rf.identify(poses, **options, **paper)
         except ValueError as error:
             if not alone:
                 raise
@@ -166,7 +156,6 @@ def run(cases: Sequence[Case]) -> tuple[dict[str, Row], dict[str, float], list[s
         matrices: dict[str, np.ndarray] = {}
         if not paper and (alone or len(first.poses) <= _COVERED):
             try:
-                options |= options_of(rf.covariance, compiled=False) if alone else {}
                 matrices = covariance_of(found, poses, **options)
             except Exception as error:  # the covariance may change while names must not
                 notes.add(f"No coverage: rf.covariance raised {type(error).__name__}: {error}"[:200])

@@ -107,7 +107,7 @@ class Case:
     expected: tuple[str, ...]  # right names or classes; none if the recording is not scored
     truth: Truth
     strong: bool = True  # whether the free motion is large enough for a right name to be required
-    paper_settings: bool = False  # whether to identify with the paper's own lag and thresholds
+    paper_settings: bool = False  # whether to identify with the paper's own scale and thresholds
 
 
 class Spec(NamedTuple):

@@ -205,9 +205,8 @@ def test_a_type_that_belongs_to_the_name_must_be_right():
     assert golden.score(by_class, answer | {"kind": 3, "name": "Anything"}, {})["right"]
 
 
-def test_a_run_without_the_paper_settings_and_without_a_covariance(monkeypatch):
+def test_a_run_without_a_covariance(monkeypatch):
     cases = hinges()
-    cases.append(replace(cases[0], key="paper/one", group="paper", paper_settings=True))
 
     def identify(poses, *, dt):
         return planted([case for case in cases if len(case.poses) == poses.shape[1]][: len(poses)])
@@ -219,10 +218,9 @@ def test_a_run_without_the_paper_settings_and_without_a_covariance(monkeypatch):
     monkeypatch.setattr(golden.rf, "covariance", covariance)
     rows, seconds, notes = golden.run(cases)
     assert [row["right"] for row in rows.values()] == [True, True]
-    assert set(seconds) == {"white", "soft", "paper"}
-    assert len(notes) == 2
+    assert set(seconds) == {"white", "soft"}
+    assert len(notes) == 1
     assert "NotImplementedError: no covariance yet" in notes[0]
-    assert notes[1] == "The group paper was skipped: identify takes no lag or no thresholds."
 
 
 def record(**rows: dict[str, object]) -> dict[str, object]:
