@@ -193,7 +193,7 @@ def test_unit_and_sample_time(clip: Path, tmp_path: Path, capsys: Captured) -> N
             scaled["windows"][0]["linear"][name], expected["windows"][0]["linear"][name], rtol=1e-6
         )
     assert run(tmp_path / "a.npy", "--unit", "mm") == 1
-    assert "give dt (--dt)" in capsys.readouterr().err
+    assert "the sample time, dt (--dt)" in capsys.readouterr().err
 
 
 def test_a_body_at_rest_is_an_error(clip: Path, tmp_path: Path, capsys: Captured) -> None:

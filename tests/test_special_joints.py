@@ -84,7 +84,7 @@ def test_a_nut_on_a_screw_is_named_with_its_pitch_and_axis(made, found):
     assert np.all(np.isnan(np.delete(found.pitch, np.r_[SCREWS])))
     for one, axis in zip((screws[i] for i in range(8)), axes, strict=True):
         in_ground = rf.AngularType.G
-        turned = Rotation.from_rotvec(one.candidates.angular.rotvec[in_ground]).as_matrix()[:, 2]
+        turned = Rotation.from_rotvec(np.array(one.candidates.angular.rotvec[in_ground])).as_matrix()[:, 2]
         assert np.linalg.norm(np.cross(turned, axis)) < 5e-3
         assert one.entry is rf.constraint("screw")
 
