@@ -15,10 +15,8 @@ from reframe_jax.solvers import BasinHopping, Box, ValleySteps
 
 
 def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Callable[..., Any]:
-    """``jax.jit``."""
-    if function is None:
-        return lambda function: compiled(function, **options)
-    return jax.jit(function, **options)
+    """``jax.jit``, as a decorator with options too."""
+    return jax.jit(function, **options) if function else functools.partial(jax.jit, **options)
 
 
 KEY = jax.random.key(3)

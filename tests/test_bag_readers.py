@@ -65,9 +65,7 @@ def test_topics_are_listed_and_named(tmp_path: Path, poses: np.ndarray) -> None:
     same(load_recording(path, topic="/odom"), poses[::-1])
     with pytest.raises(RecordingError, match=r"name one, topic \(--topic\): /odom, /pose\."):
         load_recording(path)
-    with pytest.raises(
-        RecordingError, match="has no '/scan' among its topics of poses: /odom, /pose"
-    ):
+    with pytest.raises(RecordingError, match="has no '/scan' among its topics of poses: /odom, /pose"):
         load_recording(path, topic="/scan")
 
 

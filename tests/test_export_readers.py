@@ -286,9 +286,7 @@ def test_bodies_that_qualisys_lost(tmp_path: Path, bodies: Poses) -> None:
     one, kept = {"Rod": bodies["Rod"]}, np.delete(np.arange(12), [3, 4])
     recording = load_recording(save(tmp_path / "a.tsv", qualisys(one, lost=(3, 4))))
     same(recording, bodies["Rod"], kept)
-    assert recording.notes == (
-        "lines 14-15 left out: all numbers are 0, as the body was not seen.",
-    )
+    assert recording.notes == ("lines 14-15 left out: all numbers are 0, as the body was not seen.",)
     lines = qualisys(one).splitlines()
     for number in (13, 14):
         lines[number] = "\t".join([*lines[number].split("\t")[:2], *[""] * 16])

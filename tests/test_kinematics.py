@@ -316,14 +316,23 @@ class TestDiscretization:
     def test_derivative_weights(self, steps, rng):
         """Exact for polynomials of one degree less than there are nodes."""
         dt = irregular(rng, 2, steps)
-        weights = jax.jit(magnus._derivative_weights)(dt)
-        count = min(steps, magnus._STENCIL)
-        assert weights.shape == (2, steps, count)
         middle = np.cumsum(dt, axis=-1) - dt / 2
+        count = min(steps, magnus._STENCIL)
         shape = rng.normal(size=count)
         values, expected = np.polyval(shape, middle), np.polyval(np.polyder(shape), middle)
-        found = jax.jit(magnus._derivative)(jnp.moveaxis(weights, 0, -1).swapaxes(0, 1), values.T[None])[0]
+        nodes, weights = magnus._stencil(jnp.asarray(dt))
+        assert weights.shape == (2, steps, count)
+        found = magnus._derivative(nodes, jnp.moveaxis(weights, 0, -1), jnp.asarray(values.T)[None])[0]
         np.testing.assert_allclose(found, expected.T, atol=2e-10)
+
+    @pytest.mark.parametrize("number", [7, 9, 12])
+    def test_derivative_weights_beside_padding(self, number, rng):
+        """Steps that do not count change nothing for those that do."""
+        dt = irregular(rng, 2, 12)
+        alone = magnus._stencil(jnp.asarray(dt[:, :number]))[1]
+        padded = magnus._stencil(jnp.asarray(dt), jnp.full(2, number))[1]
+        np.testing.assert_allclose(padded[:, :number], alone, rtol=1e-12)
+        assert np.all(np.isfinite(padded))
 
 
 class TestSlidingWindows:

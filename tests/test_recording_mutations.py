@@ -5,6 +5,7 @@ import tempfile
 import tracemalloc
 import warnings
 import zipfile
+from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -118,7 +119,7 @@ def make_mha(rng: np.random.Generator) -> bytes:
     return "\n".join([*lines, "ElementDataFile = LOCAL", ""]).encode() + bytes(64)
 
 
-FORMATS = {
+FORMATS: dict[str, Callable[[np.random.Generator], bytes]] = {
     **TEXT_AND_ARRAYS,
     **{"kitti.txt": make_kitti, "angles.csv": make_angles, "echo.csv": make_echo, "ndi.csv": make_ndi},
     **{".trc": make_trc, ".mha": make_mha},

@@ -221,7 +221,7 @@ def test_arrays_of_poses(tmp_path: Path, rows: np.ndarray, name: str) -> None:
             ):
                 load_recording(path)
             same(load_recording(path, body="1"), np.column_stack([rows[:, :1], rows[::-1, 1:]]))
-        same(load_recording(path, **({"body": "0"} if count == 2 else {})), rows)
+        same(load_recording(path, body="0" if count == 2 else None), rows)
 
 
 @pytest.mark.parametrize("name", ["a.bag", "a.mcap"])

@@ -40,7 +40,7 @@ def test_a_segmentation_is_played_in_its_own_frames(played: reproduction.Sequenc
         identified = rf.identify(np.asarray(stage.poses)[:30], dt=0.05)
         parts.append(Segment(start, start + 101, label, identified))
         start += 101
-    found = Segmentation(tuple(parts), (), 0.05 * np.arange(start), 1, 1.0)
+    found = Segmentation(tuple(parts), (), 0.05 * np.arange(start), 1.0)
     again = reproduction.reproduce_sequence([frame("A"), frame("B")], found)
     assert again.completed
     np.testing.assert_allclose(again.poses[-1], played.poses[-1], atol=0.01)
@@ -57,6 +57,6 @@ def test_a_stage_that_does_not_arrive_ends_the_task() -> None:
 def test_unusable_stages_are_refused() -> None:
     with pytest.raises(ValueError, match="2 constraints and 1 frames"):
         reproduction.reproduce_sequence([frame("A"), frame("B")], [frame("A")])
-    short = Segmentation((Segment(0, 4, 0, None),), (), 0.05 * np.arange(4), 1, 1.0)
+    short = Segmentation((Segment(0, 4, 0, None),), (), 0.05 * np.arange(4), 1.0)
     with pytest.raises(ValueError, match="too short to identify"):
         reproduction.reproduce_sequence([frame("A")], short)

@@ -11,8 +11,8 @@ import reframe_jax as rf
 from reframe_jax.cli import program
 from reframe_jax.export.segments import SCHEMA, segments_to_record, segments_to_table
 from reframe_jax.plotting import plot_segmentation
+from reframe_jax.plotting.segmentation import segment_velocities
 from reframe_jax.recordings.writing import save_recording
-from reframe_jax.segmentation.velocities import segment_velocities
 from reframe_jax.simulation.motions import PoseErrors
 from reframe_jax.simulation.sequences import SequenceSimulation, simulate_sequence
 
@@ -75,7 +75,6 @@ def test_wrong_options_are_refused_before_anything_is_read(
 ) -> None:
     for options, message in (
         (["--plot", str(tmp_path)], "is a directory"),
-        (["--lag", "0"], "positive whole number"),
         (["--reach", "no"], "expected a number"),
         (["--unit", "mile"], "invalid choice"),
         (["no/missing.csv", "--plot", str(tmp_path / "a.png")], "recordings with different names"),
@@ -92,17 +91,17 @@ def test_velocities_along_constrained_axes_are_noise(
     angular, linear = segment_velocities(np.asarray(truth.poses), found)
     for segment in found.segments:
         assert segment.identification is not None
-        own = slice(segment.start + 5, segment.stop - 5)
+        # a border is known to some poses only
+        own = slice(segment.start + 25, segment.stop - 25)
         for velocities, frame in (
             (angular, segment.identification.angular),
             (linear, segment.identification.linear),
         ):
-            rms = np.sqrt(np.mean(velocities[own] ** 2, axis=0))
+            rms = np.sqrt(np.nanmean(velocities[own] ** 2, axis=0))
             free = np.asarray(frame.dof) == 1
-            # noise of 10 um and 30 urad in steps of 10 ms
             assert np.all(rms[~free] < 0.02)
             assert np.all(rms[free] > 0.05)
-    assert np.isnan(linear[-found.lag :]).all()
+    assert np.isnan(linear[-1]).all()
 
 
 def test_the_picture_shows_every_segment(truth: SequenceSimulation, found: rf.Segmentation) -> None:

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from reframe_jax.geometry.symmetric import to_matrix
 from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
 from reframe_jax.solvers import BasinHopping, NewtonSteps, OptaxSteps
+from reframe_jax.solvers.newton_steps import newton_steps
 
 NEWTON = BasinHopping(NewtonSteps(15), restarts=4, hops=0)
 
@@ -22,6 +23,17 @@ def moments():
 
 
 class TestNewton:
+    def test_directions(self, rng):
+        """Newton's step solves with H; the other descends whatever the signs of H's eigenvalues."""
+        h = rng.normal(size=(50, 6, 6))
+        h, g = h + np.swapaxes(h, 1, 2), rng.normal(size=(50, 6))
+        steps = compiled(jax.vmap(newton_steps))
+        found = np.asarray(steps(g, h))
+        np.testing.assert_allclose(np.einsum("nij,nj->ni", h, found[:, 0]), g, atol=1e-5)
+        assert np.all(np.sum(found[:, 5] * g, axis=1) > 0)
+        found = np.asarray(steps(g, h @ h + 0.1 * np.eye(6)))
+        np.testing.assert_allclose(found[:, 0], found[:, 5], rtol=1e-9)
+
     def test_agrees_with_the_valley(self, moments):
         """Two methods with nothing in common end at the same optimum."""
         valley = search_positions(VALLEY, moments)

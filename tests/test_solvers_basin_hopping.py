@@ -81,7 +81,7 @@ class TestBasinHopping:
         rng = np.random.default_rng(5)
         maps = np.stack([planted(rng, FREE[i % 4])[0] for i in range(37)])
         objective = PositionObjective(velocity_moments(jnp.asarray(maps)))
-        solver = BasinHopping(ValleySteps(3), restarts=3, hops=2, polish=1, settled=0)
+        solver = BasinHopping(slide, restarts=3, hops=2, polish=1, settled=0)
         step = compiled(lambda state: solver.step(objective, POSITIONS, state))
         first = step(solver.init(objective, POSITIONS, KEY))
         last = first
@@ -104,24 +104,24 @@ class TestBasinHopping:
         rng = np.random.default_rng(5)
         maps = np.stack([planted(rng, FREE[i % 4])[0] for i in range(24)])
         moments = velocity_moments(jnp.asarray(maps))
-        rounds = BasinHopping(ValleySteps(2), restarts=3, hops=1, polish=0, rounds=4)
-        first = search(dataclasses.replace(rounds, hops=0, polish=0), moments, KEY, POSITIONS)
+        objective = PositionObjective(moments)
+        rounds = BasinHopping(slide, restarts=3, hops=1, polish=0, rounds=4)
+        first = compiled(lambda state: rounds.step(objective, POSITIONS, state))(
+            rounds.init(objective, POSITIONS, KEY)
+        )
+        spread = np.ptp(np.asarray(first.value), axis=0)
+        rounds = dataclasses.replace(rounds, settled=float(np.median(spread)))
+        settled = spread < rounds.settled
         short = search(dataclasses.replace(rounds, rounds=1), moments, KEY, POSITIONS)
         found = search(rounds, moments, KEY, POSITIONS)
-        settled = np.ptp(np.asarray(first.end_values), axis=0) < rounds.settled
-        gain = np.asarray(first.value - found.value)
+        gain = np.min(np.asarray(first.value), axis=0) - np.asarray(found.value)
         assert np.all(gain >= 0)
         np.testing.assert_allclose(gain[settled], 0, atol=1e-9)
-        assert np.max(gain) > 0.01
-        assert np.max(np.asarray(short.value - found.value)) > 0.01
-        # the ends are those of the first round, and the best
-        assert np.sum(np.asarray(found.end_values) != np.asarray(short.end_values)) < 24
-        np.testing.assert_allclose(np.min(found.end_values, axis=0), found.value)
+        assert np.max(gain) > 0.1
+        assert np.max(np.asarray(short.value - found.value)) > 0.1
         for i in (0, 3, 11):
             alone = search(rounds, moments[..., i : i + 1], KEY, POSITIONS)
             np.testing.assert_allclose(alone.value, found.value[i : i + 1], atol=1e-6)
-        never = search(dataclasses.replace(rounds, settled=1e9), moments, KEY, POSITIONS)
-        np.testing.assert_allclose(never.value, first.value, atol=1e-9)
 
     def test_suggested_starts_are_the_stillest_origins_along_their_directions(self, moments):
         """No other origin moves less along the direction that the key draws; all lie in the box."""

@@ -21,82 +21,24 @@ def moments():
     return four_moments()
 
 
-def frame_of(x):
-    """The frame at unknowns (6,) or (3,)."""
-    axes = rotation_exp(x[:3])
-    position = tuple(x[3:]) if len(x) == 6 else tuple(jnp.zeros(3))
-    return frame_steps._Frame(tuple(tuple(axes[:, n]) for n in range(3)), position)
-
-
 class TestFrameSteps:
-    @pytest.mark.parametrize("dim", [3, 6])
-    @pytest.mark.parametrize("exponent", [0.0, 0.5, 1.0, 2.0, -1.0, -np.inf])
-    def test_derivatives(self, moments, exponent, dim):
-        """With respect to a turn about the frame's own axes and a shift, as autodiff has them."""
-        m = moments[:, : 10 if dim == 6 else 1, 0]
-        x = jnp.asarray([0.4, -1.1, 0.7, 0.2, -0.1, 0.4])[:dim]
-
-        def stepped(step):
-            turned = rotation_exp(x[:3]) @ rotation_exp(step[:3])
-            columns = tuple(tuple(turned[:, n]) for n in range(3))
-            position = tuple((x + step)[3:]) if dim == 6 else tuple(jnp.zeros(3))
-            return frame_steps._level(m, frame_steps._Frame(columns, position), exponent)
-
-        zero = jnp.zeros(dim)
-        np.testing.assert_allclose(stepped(zero), FrameObjective(m, exponent).value(x), rtol=1e-12)
-        expand = compiled(lambda m: frame_steps._expand(m, frame_of(x), exponent))
-        gradient, rows, covariance, _ = expand(m)
-        axes = np.asarray(rotation_exp(x[:3]))
-        sigma = to_matrix(FrameObjective(m, exponent).covariance(x))
-        np.testing.assert_allclose(to_matrix(covariance), axes.T @ np.asarray(sigma) @ axes, atol=1e-12)
-        hessian = compiled(jax.hessian(stepped))(zero)
-        scale = np.max(np.abs(hessian))
-        np.testing.assert_allclose(jnp.stack(gradient), compiled(jax.grad(stepped))(zero), atol=1e-11)
-        for i, row in enumerate(rows):
-            np.testing.assert_allclose(jnp.stack(row), hessian[i, : i + 1], rtol=0, atol=1e-9 * scale + 1e-12)
-
-    def test_directions(self, rng):
-        """Newton's step solves with H; the other descends whatever the signs of H's eigenvalues."""
-        h = rng.normal(size=(6, 6, 50))
-        h, g = h + np.swapaxes(h, 0, 1), rng.normal(size=(6, 50))
-        rows = [[jnp.asarray(h[i, j]) for j in range(i + 1)] for i in range(6)]
-        newton, descent = frame_steps._directions([jnp.asarray(row) for row in g], rows)
-        np.testing.assert_allclose(np.einsum("ijn,jn->in", h, newton), g, atol=1e-5)
-        assert np.all(np.sum(descent * g, axis=0) > 0)
-        definite = np.einsum("ikn,jkn->ijn", h, h) + 0.1 * np.eye(6)[:, :, None]
-        rows = [[jnp.asarray(definite[i, j]) for j in range(i + 1)] for i in range(6)]
-        newton, descent = frame_steps._directions([jnp.asarray(row) for row in g], rows)
-        np.testing.assert_allclose(newton, descent, rtol=1e-9)
-
     @pytest.mark.parametrize(("i", "j"), [(0, 1), (0, 2), (1, 2)])
     def test_aligning_turns(self, i, j):
         """In one plane the turn makes the matrix diagonal, by the smaller angle."""
         matrix = np.diag([1.0, 2.0, 4.0])
         matrix[i, j] = matrix[j, i] = 0.3
-        turn = np.asarray(frame_steps._aligning(tuple(jnp.asarray(matrix[np.triu_indices(3)]))))
+        turn = np.asarray(frame_steps._aligning(jnp.asarray(matrix)))
         assert np.count_nonzero(turn) == 1
         assert np.max(np.abs(turn)) < np.pi / 4
         axes = Rotation.from_rotvec(-turn).as_matrix()
         aligned = axes.T @ matrix @ axes
         np.testing.assert_allclose(aligned, np.diag(np.diag(aligned)), atol=1e-14)
 
-    @pytest.mark.parametrize("exponent", [0.0, 1.0, -1.0, -np.inf])
-    def test_majorant(self, moments, exponent):
-        """With the axes kept, the quadratic touches log J and is nowhere below it."""
-        m, x = moments[..., 0], jnp.asarray([0.4, -1.1, 0.7, 0.2, -0.1, 0.4])
-        here = compiled(lambda m: frame_steps._expand(m, frame_of(x), exponent))(m)
-        value_of = compiled(FrameObjective(m, exponent).value)
-        slope, curvature = np.stack(here.gradient[3:]), np.asarray(to_matrix(here.majorant))
-        for shift in np.random.default_rng(2).uniform(-1, 1, size=(20, 3)):
-            bound = value_of(x) + slope @ shift + shift @ curvature @ shift / 2
-            assert bound >= value_of(x.at[3:].add(shift)) - 1e-9
-
     def test_turning_is_the_exponential_to_second_order(self, rng):
         axes = rotation_exp(jnp.asarray(rng.normal(size=3)))
-        columns = tuple(tuple(axes[:, n]) for n in range(3))
         for size in (1e-3, 2.0):
             d = size * rng.normal(size=3)
-            turned = np.stack([np.stack(e) for e in frame_steps._turned(columns, tuple(d))], axis=-1)
+            turned = np.asarray(frame_steps._turned(axes, jnp.asarray(d)))
             np.testing.assert_allclose(turned.T @ turned, np.eye(3), atol=1e-14)
             exact = np.asarray(axes @ rotation_exp(jnp.asarray(d)))
             assert np.max(np.abs(turned - exact)) < np.linalg.norm(d) ** 3
@@ -155,15 +97,13 @@ class TestFrameSteps:
 
 class TestJointSearch:
     def test_finds_origins(self, moments):
-        """Their norms are those with the best axes there; every chain says where it ended."""
+        """Their norms are those with the best axes there."""
         solver = JointSearch(BasinHopping(FrameSteps(10), restarts=5, hops=2), refine=ValleySteps(4))
         objective = PositionObjective(moments, -1.0)
         found = compiled(lambda m: solver.minimise(PositionObjective(m, -1.0), POSITIONS, KEY))(moments)
         assert found.x.shape == (3, 4)
-        assert found.ends.shape == (3, 5, 4)
         assert np.all(np.abs(found.x) <= 1)
         np.testing.assert_allclose(found.value, compiled(objective.value)(found.x), rtol=1e-11)
-        assert np.all(found.value <= np.min(found.end_values, axis=0) + 1e-9)
         assert np.all(np.abs(found.x) < 0.99)
         gradient = jax.grad(lambda x: jnp.sum(objective.value(x)))
         slope, bend = (np.asarray(compiled(f)(found.x)) for f in (gradient, jax.jacfwd(gradient)))

@@ -1,4 +1,4 @@
-"""Local steps of origins: closed derivatives, descent, and the optimum they reach."""
+"""Local steps of origins: the bound, descent, and the optimum they reach."""
 
 import jax
 import jax.numpy as jnp
@@ -16,12 +16,9 @@ from planted_problems import (
     search_positions,
 )
 
-from reframe_jax.geometry.symmetric import to_matrix
-from reframe_jax.objectives.moments import covariance_at, velocity_moments
-from reframe_jax.objectives.norms import log_power_mean
-from reframe_jax.objectives.velocity import PositionObjective
+from reframe_jax.objectives.moments import velocity_moments
+from reframe_jax.objectives.velocity import PositionObjective, log_norm
 from reframe_jax.solvers import Box, ValleySteps
-from reframe_jax.solvers.valley_steps import _expand
 
 
 @pytest.fixture(scope="module")
@@ -32,44 +29,28 @@ def moments():
 
 class TestValley:
     @pytest.mark.parametrize("exponent", [0.0, 0.5, 1.0, 2.0, -1.0, -np.inf])
-    def test_derivatives(self, moments, exponent):
-        """Gradient and Hessian of 6 log J are those of autodiff; the majorant is f's tangent in Sigma."""
+    def test_the_tangent_in_the_covariance_is_a_bound(self, moments, exponent):
+        """f is concave in Sigma, on which the majorizing steps rest."""
+        norm = PositionObjective(moments[..., 0], exponent)
         p = jnp.asarray([0.2, -0.1, 0.4])
-        m = moments[..., 0]
+        tangent = compiled(jax.grad(log_norm), static_argnums=1)(norm.covariance(p), exponent)
 
-        def f(p):
-            return 6 * PositionObjective(m, exponent).value(p)
+        def above(q):
+            terms = zip(tangent, norm.covariance(q), norm.covariance(p), strict=True)
+            return norm.value(p) + sum(t * (there - here) for t, there, here in terms) - norm.value(q)
 
-        found = compiled(_expand, static_argnums=2)(m, tuple(p), exponent)
-        hessian = compiled(jax.hessian(f))(p)
-        scale = np.max(np.abs(hessian))
-        np.testing.assert_allclose(jnp.stack(found.gradient), compiled(jax.grad(f))(p), rtol=1e-10)
-        np.testing.assert_allclose(to_matrix(found.hessian), hessian, rtol=0, atol=1e-9 * scale)
+        shifts = np.random.default_rng(2).uniform(-1, 1, size=(20, 3))
+        assert np.all(compiled(jax.vmap(above))(shifts) > -1e-9)
+        slope = compiled(jax.grad(norm.value))(p)
+        np.testing.assert_allclose(compiled(jax.grad(above))(p), 0, atol=1e-9 * np.max(np.abs(slope)))
 
-        def mean_of(sigma):
-            log_rms = jnp.log(jnp.linalg.eigvalsh(sigma)) / 2
-            return 6 * log_power_mean(log_rms, exponent)
-
-        tangent = compiled(jax.grad(mean_of))(to_matrix(covariance_at(m, tuple(p))))
-
-        def bound(q):
-            return jnp.sum(tangent * to_matrix(covariance_at(m, tuple(q))))
-
-        np.testing.assert_allclose(
-            to_matrix(found.majorant), compiled(jax.hessian(bound))(p), rtol=0, atol=1e-9 * scale
-        )
-        below = compiled(lambda q: f(p) + bound(q) - bound(p) - f(q))
-        for q in np.random.default_rng(2).uniform(-1, 1, size=(20, 3)):
-            assert below(q) > -1e-9
-
-    def test_derivatives_of_a_nearly_singular_covariance(self):
-        """Two axes almost at rest beside a free one: cofactors would lose every digit of the Hessian."""
+    def test_axes_almost_at_rest_beside_a_free_one(self):
+        """Noise of 1e-7 of the motion: Newton's steps still end at the origin."""
         maps, origin = planted(np.random.default_rng(3), (1, 0, 0), noise=1e-7)
-        m = velocity_moments(jnp.asarray(maps))
-        p = jnp.asarray(origin) + jnp.asarray([1e-6, -2e-6, 1e-6])
-        found = compiled(_expand, static_argnums=2)(m, tuple(p), 0.0)
-        hessian = compiled(jax.hessian(lambda p: 6 * PositionObjective(m).value(p)))(p)
-        np.testing.assert_allclose(to_matrix(found.hessian), hessian, atol=1e-4 * np.max(np.abs(hessian)))
+        norm = PositionObjective(velocity_moments(jnp.asarray(maps)))
+        start = jnp.asarray(origin) + jnp.asarray([1e-3, -2e-3, 1e-3])
+        found, _ = compiled(lambda x: ValleySteps(8)(norm, POSITIONS, x))(start)
+        np.testing.assert_allclose(found, origin, atol=1e-6)
 
     @pytest.mark.parametrize("exponent", [1.0, -1.0, -np.inf])
     def test_other_means_never_rise(self, moments, exponent):
@@ -117,4 +98,4 @@ class TestValley:
         slope = np.asarray(compiled(jax.grad(objective.value))(found[:, 0]))
         assert slope[axis] * np.sign(limit) < 0
         held = (found[:, 0] <= low) | (found[:, 0] >= high)
-        np.testing.assert_allclose(slope[~held], 0, atol=1e-5)
+        np.testing.assert_allclose(slope[~held], 0, atol=1e-4)  # the curvature is 1e5

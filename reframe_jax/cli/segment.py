@@ -34,12 +34,6 @@ def add_segment(commands: Any) -> None:
     add = command.add_argument
     add("files", nargs="+", type=Path, metavar="FILE", help="recordings")
     add(
-        "--lag",
-        type=arguments.count,
-        metavar="L",
-        help="samples between the two poses of a velocity (as many as the noise requires)",
-    )
-    add(
         "--reach",
         type=arguments.metres,
         default=1.0,
@@ -68,7 +62,7 @@ def _segment_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
     found, problem = None, None
     try:
         recording = read_recording(path, options)
-        found = segment(recording.poses, times=recording.times, lag=options.lag, reach=options.reach)
+        found = segment(recording.poses, times=recording.times, reach=options.reach)
         if options.json != "-":
             show(segments_to_table(found, label=str(path)), end="\n\n")
         if options.plot is not None:

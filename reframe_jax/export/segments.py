@@ -4,17 +4,17 @@ The document of :func:`segments_to_json` and ``reframe-jax segment --json`` has 
 :data:`SCHEMA`. Numbers are in SI units::
 
     {
-      "schema": "reframe-jax/segmentation/1",
+      "schema": "reframe-jax/segmentation/2",
       "recordings": [
         {
           "recording": its name, "error": why it could not be used, or null,
-          "lag": samples between the two poses of a velocity,
+          "motion_time": s, in which the motion gives one independent value,
           "segments": [
             {
               "start", "stop": samples, from start up to but not including stop,
               "start_time", "stop_time": s, of the first and the last sample,
-              "label": number of the constraint, the same where it comes back; -1 for rest,
-              "name": of the constraint, or "Rest",
+              "label": number of the constraint, the same where it comes back; -1 where the body is still,
+              "name": of the constraint, or "Still",
               "identification": as a window of "reframe-jax/identification/2", or null
             }
           ],
@@ -37,7 +37,7 @@ from reframe_jax.segmentation.results import Segment, Segmentation
 
 __all__ = ["SCHEMA", "segments_to_json", "segments_to_record", "segments_to_table"]
 
-SCHEMA = "reframe-jax/segmentation/1"
+SCHEMA = "reframe-jax/segmentation/2"
 
 
 def segments_to_table(found: Segmentation, *, label: str | None = None) -> str:
@@ -78,7 +78,7 @@ def segments_to_record(
     if found is None:
         return record
     return record | {
-        "lag": found.lag,
+        "motion_time": found.motion_time,
         "segments": [_segment_record(segment, found) for segment in found.segments],
         "boundaries": [asdict(boundary) for boundary in found.boundaries],
     }

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-__all__ = ["apply", "matmul", "matmul3"]
+__all__ = ["apply", "matmul"]
 
 
 def matmul(a: jax.Array, b: jax.Array) -> jax.Array:
@@ -19,8 +19,3 @@ def matmul(a: jax.Array, b: jax.Array) -> jax.Array:
 def apply(matrix: jax.Array, vector: jax.Array) -> jax.Array:
     """Matrices (..., m, n) times vectors (..., n)."""
     return matmul(matrix, vector[..., None])[..., 0]
-
-
-def matmul3(a: jax.Array, b: jax.Array) -> jax.Array:
-    """``a @ b`` for matrices (..., m, 3) and (..., 3, n), written out: faster for many small ones."""
-    return sum((a[..., k, None] * b[..., None, k, :] for k in (1, 2)), a[..., 0, None] * b[..., None, 0, :])

@@ -223,7 +223,8 @@ def curvature(parameters: Parameters, data: Data, entry: Table, scale: Array, ti
 
 def solve_determined(hessian: Array, vector: Array, flat: float = 1e-9) -> Array:
     """Solution of H y = v in the directions in which H is not flat, for v (9,) or (9, m)."""
-    unit = jnp.sqrt(jnp.maximum(jnp.diagonal(hessian), 1e-12 * jnp.max(jnp.diagonal(hessian)) + 1e-300))
+    size = jnp.diagonal(hessian)
+    unit = jnp.sqrt(jnp.where(size > 1e-10 * jnp.max(size), size, jnp.max(size) + jnp.finfo(size.dtype).tiny))
     values, axes = jnp.linalg.eigh(hessian / unit[:, None] / unit[None])
     stiff = values > flat * jnp.max(values)
     inverse = jnp.where(stiff, 1 / jnp.where(stiff, values, 1), 0)

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-__all__ = ["MONOMIALS", "PAIRS", "lowest_origins", "norm_at", "polynomials"]
+__all__ = ["MONOMIALS", "PAIRS", "lowest_origins", "norm_at", "polynomials", "unexplained_covariance"]
 
 PAIRS = tuple((i, j) for i in range(3) for j in range(i, 3))
 """Components of Sigma."""
@@ -28,9 +28,11 @@ MONOMIALS = tuple((a, b) for a in range(4) for b in range(a, 4))
 _SECOND = tuple((a, b) for a, b in MONOMIALS if a > 0)
 
 _TANGENT_STEPS, _NEWTON_STEPS = 12, 10
-_RELAX = 1.6  # of tangent steps: takes about half as many; DESIGN of over-relaxed MM, at most 2
+_RELAX = 1.6  # of tangent steps, over-relaxed: takes about half as many
 _BLEND = 0.9  # part of the exact Hessian in the first Newton step
-_RANDOM_STARTS = 3
+_FIXED_STARTS = np.array([[0, 0.2, -0.5], [0, -0.2, -0.4], [0, 0.1, 0.5]])
+"""(3, starts) m."""
+_RIDGE = 1e-9  # of the trace, in the regression on rotation features
 
 Array = jax.Array
 
@@ -66,20 +68,47 @@ def _terms() -> list[tuple[tuple[int, int], tuple[int, int]]]:
     return terms
 
 
-def lowest_origins(coefficients: Array, details: Array, box: Array) -> tuple[Array, Array]:
+def unexplained_covariance(total: Array, rows: np.ndarray) -> Array:
+    """What no origin explains of the path of every type, (N, T, 3, 3) m^2: a lower bound of its covariance.
+
+    The path of an origin is affine in it with the rotation features as coefficients. The residuals of a linear
+    regression of the rest on these features are smaller than those of any origin, and small exactly along held
+    axes. Their inverse weighs the coordinates for a first origin.
+
+    Args:
+        total: (N, F, F) moments of the features over all scales.
+        rows: (T, 3, 4, F), see :func:`polynomials`.
+    """
+    found = []
+    for of_type in rows:
+        own = np.flatnonzero(np.abs(of_type[:, 0]).any(0))
+        others = np.flatnonzero(np.abs(of_type[:, 1:]).any((0, 1)))
+        path, turns = total[:, own[:, None], own], total[:, others[:, None], others]
+        both = total[:, others[:, None], own]
+        ridge = _RIDGE * jnp.trace(turns, axis1=1, axis2=2)[:, None, None] * jnp.eye(len(others), dtype=total.dtype)
+        rest = path - jnp.einsum("nfi,nfj->nij", both, jnp.linalg.solve(turns + ridge, both))
+        floor = jnp.finfo(total.dtype).eps * jnp.trace(path, axis1=1, axis2=2)[:, None, None]
+        found.append(rest + 64 * floor * jnp.eye(3, dtype=total.dtype))
+    return jnp.stack(found, axis=1)
+
+
+def lowest_origins(
+    coefficients: Array, details: Array, box: Array, unexplained: Array
+) -> tuple[Array, Array]:
     """The lowest F of every type, and where.
 
     Args:
         coefficients: (N, T, S * 6, 10).
         details: (N, S) independent details of each scale.
         box: (N,) m, half the width of the cube that is searched.
+        unexplained: (N, T, 3, 3) m^2, see :func:`unexplained_covariance`.
 
     Returns:
         (N, T, 3) m and (N, T).
     """
     n = jnp.moveaxis(details, 1, 0)[:, :, None, None]
     box = box[:, None, None]
-    x = jnp.clip(_starts(coefficients, n, box), -box, box)
+    x = jnp.clip(_starts(coefficients, n, unexplained), -box, box)
     x = jax.lax.fori_loop(0, _TANGENT_STEPS, lambda _, x: _tangent_step(coefficients, n, box, x), x)
     _, det = _adjugate(_sigma(coefficients, _monomials(x)))
     best = jnp.argmin(jnp.sum(n * jnp.log(det), axis=0), axis=-1)
@@ -97,22 +126,24 @@ def norm_at(coefficients: Array, details: Array, origins: Array) -> Array:
     return jnp.sum(n * jnp.log(det), axis=0)[..., 0]
 
 
-def _starts(coefficients: Array, n: Array, box: Array) -> Array:
-    """(3, N, T, starts) the origins that move least, over all scales and in the smooth part, zero, random."""
+def _starts(coefficients: Array, n: Array, unexplained: Array) -> Array:
+    """(3, N, T, starts): a tangent step by the unexplained covariance, the origins that move least, others."""
     shape = (*coefficients.shape[:2], -1, 6, 10)
     traces = coefficients.reshape(shape)[:, :, :, (0, 3, 5)].sum(3)
     total = jnp.einsum("nts,ntsm->ntm", jnp.moveaxis(n[..., 0] > 0, 0, -1).astype(traces.dtype), traces)
-    still = []
+    first = []
     for q in (total, traces[:, :, -1]):
         q = jnp.moveaxis(q, -1, 0)
         hessian = [q[MONOMIALS.index(ab)] * (1.0 if ab[0] == ab[1] else 0.5) for ab in _SECOND]
         slope = [q[MONOMIALS.index((0, a))] / 2 for a in (1, 2, 3)]
-        still.append(-_solve(_lift(hessian), slope)[0])
-    uniform = np.random.default_rng(3).uniform(-0.6, 0.6, (3, _RANDOM_STARTS))
-    fixed = jnp.asarray(np.concatenate([np.zeros((3, 1)), uniform], axis=1), coefficients.dtype)
-    fixed = fixed[:, None, None] * box[None]
+        first.append(-_solve(_lift(hessian), slope)[0])
+    adjugate, det = _adjugate(jnp.stack([unexplained[..., i, j] for i, j in PAIRS])[..., None])
+    inverse = [jnp.broadcast_to(entry / det, (*n.shape[:2], *det.shape[1:])) for entry in adjugate]
+    form = _tangent(coefficients, n, inverse)
+    first.append(-_solve(_lift([form[ab] for ab in _SECOND]), [form[a, 0] for a in (1, 2, 3)])[0][..., 0])
+    fixed = jnp.asarray(_FIXED_STARTS, coefficients.dtype)[:, None, None]
     fixed = jnp.broadcast_to(fixed, (3, *coefficients.shape[:2], fixed.shape[-1]))
-    return jnp.concatenate([jnp.stack(still, axis=-1), fixed], axis=-1)
+    return jnp.concatenate([jnp.stack(first, axis=-1), fixed], axis=-1)
 
 
 def _monomials(x: Array) -> Array:

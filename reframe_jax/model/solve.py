@@ -15,7 +15,7 @@ from reframe_jax.model.evidence import Amplitudes, Spectra, entry_amplitudes, lo
 from reframe_jax.model.features import Features
 from reframe_jax.model.fit import Data, Parameters, coordinates, fit_entry
 from reframe_jax.model.moments import Moments
-from reframe_jax.model.search import lowest_origins, norm_at, polynomials
+from reframe_jax.model.search import lowest_origins, norm_at, polynomials, unexplained_covariance
 from reframe_jax.model.table import ENTRIES, KINDS, ROWS, TABLE, Table
 
 __all__ = ["Solved", "choose_scales", "solve_windows"]
@@ -99,7 +99,9 @@ def solve_windows(
     """
     coefficients = polynomials(used.products, ROWS[_LINEAR])
     if origins is None:
-        origins, norm = lowest_origins(coefficients, used.details, box)
+        total = jnp.einsum("ns,nsfg->nfg", used.share, used.products)
+        unexplained = unexplained_covariance(total, ROWS[_LINEAR])
+        origins, norm = lowest_origins(coefficients, used.details, box, unexplained)
     else:
         norm = norm_at(coefficients, used.details, origins)
     solve = partial(_solve_window, assume=assume)

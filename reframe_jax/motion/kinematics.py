@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax.geometry import rotations
-from reframe_jax.motion.components import components_first, components_last, cross, product, stack, transpose
+from reframe_jax.motion.components import components_first, components_last, cross, product, transpose
 from reframe_jax.motion.magnus import without_brackets
 
 __all__ = [
@@ -26,14 +26,10 @@ __all__ = [
     "body_twists",
     "linear_velocity_maps",
     "paths_of",
-    "rates_of",
     "spatial_twists",
     "split_poses",
-    "turn_paths",
-    "turn_rates",
     "turns_of",
     "velocity_components",
-    "velocity_paths",
 ]
 
 Discretization = Literal["chord", "left"]
@@ -102,7 +98,7 @@ def spatial_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
 def _mean_twists(rotation: jax.Array, position: jax.Array, steps: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Body and spatial twists, (6, K, ...); the sample times are (..., K)."""
     body = _body_twists(rotation, position, components_first(steps, 0))
-    return body, (_spatial_twists(rotation, position, body))
+    return body, _spatial_twists(rotation, position, body)
 
 
 def velocity_components(
@@ -132,14 +128,13 @@ def velocity_components(
         gb, bg = product(rotation[:, :, :-1], bb), product(transpose(rotation)[:, :, :-1], gg)
     else:
         in_ground, in_body = _point_maps(rotation, position)
-        rate = 1 / step
-        gb, bg = jnp.diff(in_ground, axis=2) * rate, jnp.diff(in_body, axis=2) * rate
+        gb, bg = jnp.diff(in_ground, axis=2) / step, jnp.diff(in_body, axis=2) / step
     rates = jnp.stack([spatial[:3], body[:3]], axis=2)
     return rates[:, None], jnp.stack([bb, gb, gg, bg], axis=3)
 
 
-def velocity_paths(
-    poses: jax.Array, dt: jax.Array | float, count: jax.Array | None = None
+def paths_of(
+    rotation: jax.Array, position: jax.Array, steps: jax.Array, count: jax.Array | None = None
 ) -> tuple[jax.Array, jax.Array]:
     """Compute the velocity maps of single steps and the paths whose derivatives they are, components first.
 
@@ -148,65 +143,22 @@ def velocity_paths(
     body it moves in; for BB and GG it is summed along the measured motion, step by step.
 
     Args:
-        poses: (..., K+1, 4, 4), of {b} in {g}; m.
-        dt: sample time in s: a scalar, or (..., K) for irregular sampling.
+        rotation: (3, 3, K+1, ...), as :func:`split_poses` returns it.
+        position: (3, K+1, ...) m.
+        steps: (..., K) sample times, s; of size 1 along axes in which the windows do not differ.
         count: (...) number of poses, 8 or more, if the rest of the window is padding; all by default.
 
     Returns:
         (3, 4, K, 4, ...) m/s and 1/s, and (3, 4, K+1, 4, ...) m and 1.
-    """
-    return paths_of(*split_poses(poses), _step_times(dt, poses), count)
-
-
-def paths_of(
-    rotation: jax.Array, position: jax.Array, steps: jax.Array, count: jax.Array | None = None
-) -> tuple[jax.Array, jax.Array]:
-    """Compute what :func:`velocity_paths` does, from rotations (3, 3, K+1, ...) and positions (3, K+1, ...).
-
-    Args:
-        rotation: (3, 3, K+1, ...), as :func:`split_poses` returns it.
-        position: (3, K+1, ...) m.
-        steps: (..., K) sample times, s; of size 1 along axes in which the windows do not differ.
-        count: as there.
     """
     step = components_first(steps, 0)[None, None]
     body, spatial = _mean_twists(rotation, position, steps)
     used = None if count is None else count - 1
     bb, gg = (_twist_map(twist) for twist in without_brackets(body, spatial, steps, used))
     in_ground, in_body = _point_maps(rotation, position)
-    rate = 1 / step
-    maps = stack([bb, jnp.diff(in_ground, axis=2) * rate, gg, jnp.diff(in_body, axis=2) * rate], axis=3)
-    paths = stack([_sum_up(bb * step), in_ground, _sum_up(gg * step), in_body], axis=3)
+    maps = jnp.stack([bb, jnp.diff(in_ground, axis=2) / step, gg, jnp.diff(in_body, axis=2) / step], axis=3)
+    paths = jnp.stack([_sum_up(bb * step), in_ground, _sum_up(gg * step), in_body], axis=3)
     return maps, paths
-
-
-def turn_rates(rotation: jax.Array, steps: jax.Array, count: jax.Array | None = None) -> jax.Array:
-    """Compute the angular velocities of single steps, (3, K, 2, ...) rad/s in {g} and {b}.
-
-    They are what :func:`rates_of` takes from the maps of :func:`paths_of`, which need positions as well.
-
-    Args:
-        rotation: (3, 3, K+1, ...).
-        steps: as there.
-        count: as there.
-    """
-    step = components_first(steps, 0)[None]
-    turn = product(transpose(rotation[:, :, :-1]), rotation[:, :, 1:])
-    body = _rotation_vectors(turn) / step
-    spatial = product(rotation[:, :, :-1], body)
-    used = None if count is None else count - 1
-    body, spatial = without_brackets(body, spatial, steps, used)
-    return stack([spatial, body], axis=2)
-
-
-def turn_paths(rates: jax.Array, steps: jax.Array) -> jax.Array:
-    """Compute the path whose derivative is the angular velocity, (3, K+1, 2, ...) rad in {g} and {b}.
-
-    Args:
-        rates: (3, K, 2, ...) rad/s, of single steps.
-        steps: (..., K) s.
-    """
-    return _sum_up((rates * components_first(steps, 0)[None, :, None])[:, None])[:, 0]
 
 
 def turns_of(rotation: jax.Array) -> jax.Array:
@@ -215,17 +167,12 @@ def turns_of(rotation: jax.Array) -> jax.Array:
     return jnp.stack([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
 
 
-def rates_of(maps: jax.Array) -> jax.Array:
-    """Angular velocities (3, 1, K, 2, ...) in {g} and {b}, from the maps (3, 4, K, 4, ...): B p = w x p."""
-    return jnp.stack([maps[2, 2], maps[0, 3], maps[1, 1]])[:, None, :, 2::-2]
-
-
 def _twist_map(twist: jax.Array) -> jax.Array:
     """(3, 4, ...): velocity v + w x p of a point p, for twists (6, ...)."""
     (x, y, z), v = twist[:3], twist[3:]
     zero = jnp.zeros_like(x)
     rows = v[0], zero, -z, y, v[1], z, zero, -x, v[2], -y, x, zero
-    return stack(rows).reshape(3, 4, *x.shape)
+    return jnp.stack(rows).reshape(3, 4, *x.shape)
 
 
 def _point_maps(rotation: jax.Array, position: jax.Array) -> tuple[jax.Array, jax.Array]:

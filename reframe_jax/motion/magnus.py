@@ -1,5 +1,8 @@
 """Mean twists from the logarithms of steps: the Magnus expansion without its brackets."""
 
+from collections.abc import Callable
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +15,7 @@ _STENCIL = 7  # samples in the derivative of the twist
 _EVEN = 5  # longest over shortest step, above which derivatives across them amplify noise
 
 
-def _derivative_weights(dt: jax.Array, count: jax.Array | None = None) -> jax.Array:
+def _stencil(dt: jax.Array, count: jax.Array | None = None) -> tuple[jax.Array | np.ndarray, jax.Array]:
     """Finite-difference weights on irregular nodes: exact for polynomials of degree 6.
 
     The nodes are the middles of the steps; each derivative uses the seven nearest.
@@ -22,62 +25,39 @@ def _derivative_weights(dt: jax.Array, count: jax.Array | None = None) -> jax.Ar
         count: (...) how many of the steps count, 7 or more; the others are padding. All by default.
 
     Returns:
-        (..., K, n) in 1/s, for the derivative at each node: the weights of n consecutive nodes, or with a
-        ``count`` those of the nodes from 6 before it to 6 after it.
+        The nodes of each derivative, (K, n) or (..., K, n), and their weights, (..., K, n) in 1/s.
     """
     steps = dt.shape[-1]
     n = min(_STENCIL, steps)
-    each = np.arange(steps, dtype=np.int32)
-    nth = np.arange(n, dtype=np.int32)
+    each, nth = np.arange(steps, dtype=np.int32), np.arange(n, dtype=np.int32)
+    nodes: jax.Array | np.ndarray
     if count is None:
-        first = jnp.asarray(np.clip(each - n // 2, 0, steps - n))
-        spans = dt[..., first[:, None] + nth[None]]
+        nodes = np.clip(each - n // 2, 0, steps - n)[:, None] + nth[None]
+        spans = dt[..., nodes]
     else:
         each = each.reshape(*[1] * count.ndim, -1)
         first = jnp.clip(each - n // 2, 0, count[..., None] - n)
-        dt = jnp.broadcast_to(dt, first.shape)
-        nth = nth.reshape(*[1] * first.ndim, -1)
-        nodes = first[..., None] + nth
-        spans = jnp.take_along_axis(dt, nodes.reshape(*first.shape[:-1], -1), axis=-1).reshape(nodes.shape)
+        nodes = first[..., None] + nth.reshape(*[1] * first.ndim, -1)
+        flat = nodes.reshape(*first.shape[:-1], -1)
+        spans = jnp.take_along_axis(jnp.broadcast_to(dt, first.shape), flat, axis=-1).reshape(nodes.shape)
     time = jnp.cumsum(spans, axis=-1) - spans / 2
+    place = jnp.minimum(each - nodes[..., 0], n - 1)  # of the node itself; anywhere in padding
+    own = place.reshape(*[1] * (dt.ndim - place.ndim), *place.shape, 1) == nth.reshape(*[1] * dt.ndim, -1)
     # Lagrange's polynomial of node i has the derivative (c_h / c_i) / (t_h - t_i) at node h, c_i being
     # the product of t_i - t_j over the other nodes j; those of all nodes add up to zero
     gaps = time[..., :, None] - time[..., None, :]
     products = jnp.prod(jnp.where(jnp.broadcast_to(np.eye(n, dtype=bool), gaps.shape), 1, gaps), axis=-1)
-    own_place = (each - first)[..., None]
-    here = jnp.broadcast_to(nth.reshape(*[1] * (own_place.ndim - 1), -1) == own_place, time.shape)
-    inside = jnp.any(here, axis=-1, keepdims=True)  # everywhere but in padding
-    gap = jnp.where(inside, jnp.sum(jnp.where(here[..., None], gaps, 0), axis=-2), 1)
-    own = jnp.sum(jnp.where(here, products, 0), axis=-1, keepdims=True)
-    others = jnp.where(here, 0, own / (products * jnp.where(here, 1, gap)))
-    weights = jnp.where(here, -jnp.sum(others, axis=-1, keepdims=True), others)
-    if count is None:
-        return weights
-    place = first - each + (n - 1)  # of the first node, counted from 6 before
-    offsets = np.arange(2 * n - 1, dtype=np.int32).reshape((*nth.shape[:-1], -1))
-    rows = [jnp.where(place[..., None] + i == offsets, weights[..., i, None], 0) for i in range(n)]
-    return sum(rows[1:], rows[0])
+    gap = jnp.sum(jnp.where(own[..., None], gaps, 0), axis=-2)
+    here = jnp.sum(jnp.where(own, products, 0), axis=-1, keepdims=True)
+    others = jnp.where(own, 0, here / (products * jnp.where(own, 1, gap)))
+    return nodes, jnp.where(own, -jnp.sum(others, axis=-1, keepdims=True), others)
 
 
-def _derivative(weights: jax.Array, x: jax.Array) -> jax.Array:
-    """Derivative of samples (m, K, ...) with weights (n, K, ...), see :func:`_derivative_weights`."""
-    n, steps = weights.shape[:2]
-    if n > _STENCIL:  # centred
-        margin = n // 2
-        padded = jnp.pad(x, ((0, 0), (margin, margin), *[(0, 0)] * (x.ndim - 2)))
-        shifted = [weights[j, None] * padded[:, j : steps + j] for j in range(n)]
-        return sum(shifted[1:], shifted[0])
-    margin = n // 2
-    ends = [
-        jnp.sum(weights[None, :, rows] * x[:, nodes, None], axis=1)
-        for rows, nodes in (
-            (slice(margin), slice(n)),
-            (slice(steps - n + 1 + margin, None), slice(steps - n, None)),
-        )
-    ]
-    inner = weights[:, margin : steps - n + 1 + margin]
-    shifted = [inner[j, None] * x[:, j : steps - n + 1 + j] for j in range(n)]
-    return jnp.concatenate([ends[0], sum(shifted[1:], shifted[0]), ends[1]], axis=1)
+def _derivative(nodes: jax.Array | np.ndarray, weights: jax.Array, x: jax.Array) -> jax.Array:
+    """Derivative of samples (m, K, ...), from nodes (K, n) or (K, n, ...) and weights (K, n, ...)."""
+    flat = nodes.reshape(-1, *nodes.shape[2:])
+    near = x[:, flat] if flat.ndim == 1 else jnp.take_along_axis(x, flat[None], axis=1)
+    return jnp.sum(weights[None] * near.reshape(len(x), *nodes.shape[:2], *x.shape[2:]), axis=2)
 
 
 def without_brackets(
@@ -98,38 +78,40 @@ def without_brackets(
     they are left in: the derivatives would make far more of the noise.
 
     Args:
-        body: (6, K, ...) mean body twists, or (3, K, ...) mean angular velocities in {b}.
+        body: (6, K, ...) mean body twists.
         spatial: the same in {g}.
         dt: (..., K) s.
-        count: see :func:`_derivative_weights`.
+        count: see :func:`_stencil`.
 
     Returns:
         Both, of the same shapes.
     """
-    weights, h = (components_first(_derivative_weights(dt, count), 1)), components_first(dt, 0)[None]
-    even = components_first(
-        jnp.max(dt, axis=-1, keepdims=True) <= _EVEN * jnp.min(dt, axis=-1, keepdims=True), 0
-    )
+    nodes, weights = _stencil(dt, count)
+    if nodes.ndim > 2:
+        nodes = components_first(jnp.asarray(nodes), 1).swapaxes(0, 1)
+    weights, h = components_first(weights, 1).swapaxes(0, 1), components_first(dt, 0)[None]
+    even = jnp.max(h, axis=1, keepdims=True) <= _EVEN * jnp.min(h, axis=1, keepdims=True)
+    slope = partial(_derivative, nodes, weights)
     return (
-        body - jnp.where(even[None], _brackets(body, weights, h, -1.0), 0),
-        spatial - jnp.where(even[None], _brackets(spatial, weights, h, 1.0), 0),
+        body - jnp.where(even, _brackets(body, slope, h, -1.0), 0),
+        spatial - jnp.where(even, _brackets(spatial, slope, h, 1.0), 0),
     )
 
 
-def _brackets(means: jax.Array, weights: jax.Array, h: jax.Array, turn: float) -> jax.Array:
+def _brackets(
+    means: jax.Array, slope: Callable[[jax.Array], jax.Array], h: jax.Array, turn: float
+) -> jax.Array:
     """The brackets, which turn round for body twists (-1)."""
-    # constants are multiplied with, as in h * (1 / 24): in float64 a division takes a GPU far longer
-    first = _derivative(weights, means)
-    second = _derivative(weights, first)
+    first = slope(means)
+    second = slope(first)
     # from the mean to the middle of the step; steps of unequal length jump in this, so no derivative
     # may be taken of anything that still has a factor h in it
-    middle = means - h**2 * (1 / 24) * second + h**2 * (turn / 12) * bracket(means, first)
-    a1, a2 = h * middle, h**2 * _derivative(weights, middle)
-    a3, a4 = h**3 * (1 / 2) * second, h**4 * (1 / 6) * _derivative(weights, second)
-    a1, a2, a3, a4 = (a1, a2, a3, a4)
+    middle = means - h**2 / 24 * second + h**2 * (turn / 12) * bracket(means, first)
+    a1, a2 = h * middle, h**2 * slope(middle)
+    a3, a4 = h**3 / 2 * second, h**4 / 6 * slope(second)
     a12 = bracket(a1, a2)
     # the terms above, grouped by their outer factor
-    in_first = (turn / 720) * a12 + (1 / 360) * a3
+    in_first = (turn / 720) * a12 + a3 / 360
     first_bracket = bracket(a1, bracket(a1, in_first) - (turn / 12) * a2 - (turn / 80) * a4)
-    second_bracket = bracket(a2, (turn / 240) * a3 - (1 / 240) * a12)
-    return (first_bracket + second_bracket) * (1 / h)
+    second_bracket = bracket(a2, (turn / 240) * a3 - a12 / 240)
+    return (first_bracket + second_bracket) / h

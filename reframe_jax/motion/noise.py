@@ -1,31 +1,18 @@
-"""Noise of measured poses, and the chord length that it requires.
-
-The velocity between two poses is their difference over the time between them. For consecutive poses of a
-camera, it is mostly noise. A longer chord divides the same noise by a longer time, and overlapping chords use
-every pose. However, a chord cuts corners, so it should be no longer than the noise requires. For the noise of
-an encoder it is a single step, and the velocities are those of the paper.
+"""White noise of measured poses, as their differences show it.
 
 All arrays have components first, then samples, then windows.
 """
 
-from math import comb, radians
+from math import comb
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 
-__all__ = ["choose_lag", "constant_components", "estimate_noise", "masked_median", "unit_of_rounding"]
+__all__ = ["constant_components", "estimate_noise", "masked_median", "unit_of_rounding"]
 
-_ORDERS = (2, 4, 6)  # of the differences from which noise is told
+_ORDERS = (2, 4, 6)  # of the differences that noise is estimated from
 _GAUSSIAN = 0.6745  # median of the absolute value of a standard normal variable
-_CHORD = 70.0  # noises that the median chord should be long
-_LONG_CHORD, _PART = 1000.0, 0.05  # more where that is so much of the longest, for axes that move slowly
-_TURN = radians(20.0)  # that it should turn at most
-_SHARE = 6  # chords that fit a window, at least
-_GROWS = 2.0  # motion of a chord over that of one a quarter as long, below which it is drift
-_SATURATED = 0.8  # share of the longest chord from which on longer lags bring nothing
-_OF_NOISE = 2.17  # median length of a chord that is noise alone, in noises of a component
 _OFF_GRID = 0.05  # mean distance of steps from multiples of the smallest; a quarter if they are none
 _BISECTIONS, _OCTAVES = 14, 40  # of a median: to 0.2 % over twelve decades
 
@@ -147,70 +134,3 @@ def unit_of_rounding(position: jax.Array, counted: jax.Array) -> jax.Array:
     repeats = jnp.sum(anywhere[None] & ~moved, axis=1) * 2 > jnp.sum(anywhere, axis=0)[None]
     own = jnp.min(jnp.where(moved, steps, jnp.inf), axis=1)
     return jnp.maximum(common, jnp.max(jnp.where(repeats & jnp.isfinite(own), own, 0), axis=0))
-
-
-def _candidates(poses: int) -> list[int]:
-    """Lags to choose from, 1, 2, 3, 4, 6, 8, 12, ..., for windows of so many poses."""
-    longest = max(1, (poses - 1) // _SHARE)
-    lags = sorted({lag for n in range(32) for lag in (2**n, 3 * 2 ** (n - 1) if n else 1)})
-    return [lag for lag in lags if lag <= longest]
-
-
-def choose_lag(
-    rotation: jax.Array,
-    position: jax.Array,
-    counted: jax.Array,
-    noise: tuple[jax.Array, jax.Array],
-    count: jax.Array,
-) -> jax.Array:
-    """Choose the lag: the fewest samples at which the median chord is long compared with the noise.
-
-    The median chord should be 70 times the noise in position and in orientation; or more, up to 1000 times,
-    until it is 5 % of the longest that the motion makes, because some axis may move far less than the body
-    does; or 80 % of the longest. It should turn by no more than 20 degrees, and at least six chords must fit
-    in the window. A group (position or orientation) whose motion hardly grows with the lag does not count.
-
-    Args:
-        rotation: (3, 3, K+1, N) rotation matrices.
-        position: (3, K+1, N) m.
-        counted: (K+1, N) bool, which poses count.
-        noise: as :func:`estimate_noise` returns it.
-        count: (N,) number of poses in each window, padding left out.
-
-    Returns:
-        (N,) int32, samples between the two poses of a chord.
-    """
-    lags = _candidates(counted.shape[0])
-    chords, masks = [], []
-    for lag in lags:
-        shift = jnp.sum(jnp.square(position[:, lag:] - position[:, :-lag]), axis=0)
-        turn = jnp.sum(jnp.square(rotation[:, :, lag:] - rotation[:, :, :-lag]), axis=(0, 1)) / 2
-        chords.append(jnp.pad(jnp.sqrt(jnp.stack([shift, turn], axis=1)), ((0, lag - 1), (0, 0), (0, 0))))
-        masks.append(jnp.pad(counted[lag:] & counted[:-lag], ((0, lag - 1), (0, 0))))
-    mask = jnp.stack(masks, axis=1)[:, :, None]
-    sizes = jnp.stack(chords, axis=1)
-    sizes = masked_median(sizes, jnp.broadcast_to(mask, sizes.shape))  # (lags, 2, N)
-    allowed = jnp.stack([(lag == 1) | (lag * _SHARE <= count - 1) for lag in lags])
-    wanted = jnp.zeros(count.shape, jnp.int32)
-    for group in range(2):
-        wanted = jnp.maximum(wanted, _needed(sizes[:, group] / noise[group][None], allowed, lags))
-    within = jnp.cumsum((allowed & (sizes[:, 1] <= _TURN)).astype(jnp.int32), axis=0, dtype=jnp.int32)
-    # the last of those before which all turn less
-    so_far = within == 1 + np.arange(len(lags), dtype=np.int32)[:, None]
-    longest = jnp.maximum(jnp.sum(so_far, axis=0, dtype=jnp.int32) - 1, 0)
-    return jnp.asarray(lags, jnp.int32)[jnp.minimum(wanted, longest)]
-
-
-def _needed(size: jax.Array, allowed: jax.Array, lags: list[int]) -> jax.Array:
-    """Index of the lag that a group needs, (N,), from the chords (lags, N) in units of their noise."""
-    size = jnp.where(allowed, size, 0)
-    largest = jnp.max(size, axis=0)
-    goal = jnp.maximum(_CHORD, jnp.minimum(_LONG_CHORD, _PART * largest))
-    goal = jnp.minimum(goal, _SATURATED * largest)
-    found = jnp.argmax(size >= goal[None], axis=0).astype(jnp.int32)
-    quarter = [max(i for i, other in enumerate(lags) if other * 4 <= max(lag, 4)) for lag in lags]
-    before = jnp.take_along_axis(size, jnp.asarray(quarter, jnp.int32)[found][None], axis=0)[0]
-    here = jnp.take_along_axis(size, found[None], axis=0)[0]
-    before, here = (jnp.sqrt(jnp.maximum(jnp.square(x) - _OF_NOISE**2, 0)) for x in (before, here))
-    drifts = (jnp.asarray(lags, jnp.int32)[found] >= 4) & (here < _GROWS * before)
-    return jnp.where(drifts, 0, found)

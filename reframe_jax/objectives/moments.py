@@ -47,11 +47,11 @@ def component_moments(maps: jax.Array, weights: jax.Array | None = None) -> jax.
         (6, 10, ...) or (6, 1, ...).
     """
     weights = jnp.ones_like(maps[0, 0]) if weights is None else weights
-    weighted = maps * (weights / jnp.sum(weights, axis=0, keepdims=True))
+    weighted = maps * (weights / jnp.sum(weights, axis=0, keepdims=True))[None, None]
     means = jnp.einsum("iak...,jbk...->iajb...", weighted, maps, precision="highest")
     one, other = np.array(INDEX_PAIRS).T[:, :, None]
     a, b = np.array([(0, 0)] if maps.shape[1] == 1 else MONOMIALS).T
-    same = (a == b).reshape(-1, *[1] * (maps.ndim - 3))
+    same = (a == b).reshape(1, -1, *[1] * (maps.ndim - 3))
     return means[one, a, other, b] + jnp.where(same, 0, means[one, b, other, a])
 
 

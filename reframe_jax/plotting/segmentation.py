@@ -2,29 +2,31 @@
 
 from typing import TYPE_CHECKING
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.motion import kinematics
+from reframe_jax.constraints.types import AngularType
+from reframe_jax.identification.results import Identification
 from reframe_jax.plotting.style import CONSTRAINED, FREE, LINES, new_figure
+from reframe_jax.segmentation.cells import GROUND_TYPES, path_features
 from reframe_jax.segmentation.results import Segmentation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["plot_segmentation"]
+__all__ = ["plot_segmentation", "segment_velocities"]
 
-_RESTING = "#DDDDDD"
+_STILL = "#DDDDDD"
+_STEPS = 8  # of a motion time, over which velocities are taken
 
 
 def plot_segmentation(poses: ArrayLike, found: Segmentation, *, title: str | None = None) -> "Figure":
     """Draw a time line of constraints, and below it the velocities along the axes of each one's frames.
 
-    A constraint that comes back has the same colour; rest is grey. A band about each boundary shows where it
-    could also be. Velocities along free axes are blue, along constrained axes orange.
+    A constraint that comes back has the same colour; where the body is still, the line is grey. A band about
+    each boundary shows where the boundary could also be. Velocities along free axes are blue, along
+    constrained axes orange.
 
     Args:
         poses: (N, 4, 4), those that were segmented; m.
@@ -42,7 +44,7 @@ def plot_segmentation(poses: ArrayLike, found: Segmentation, *, title: str | Non
     if title is not None:
         figure.suptitle(title, fontsize=12)
     _draw_line(line, found)
-    angular, linear = _velocities(np.asarray(poses, float), found)
+    angular, linear = segment_velocities(np.asarray(poses), found)
     for axes, velocities, group, label in (
         (top, linear, "linear", "velocity of the origin [m/s]"),
         (bottom, angular, "angular", "angular velocity [rad/s]"),
@@ -57,33 +59,11 @@ def plot_segmentation(poses: ArrayLike, found: Segmentation, *, title: str | Non
     return figure
 
 
-def _velocities(poses: np.ndarray, found: Segmentation) -> tuple[np.ndarray, np.ndarray]:
-    """Velocities (N-1, 3) along the axes of each segment's frames, rad/s and m/s; NaN elsewhere."""
-    with jax.enable_x64(True):
-        rates, maps = jax.device_get(_maps(jnp.asarray(poses), jnp.diff(jnp.asarray(found.times))))
-    angular, linear = (np.full((len(poses) - 1, 3), np.nan) for _ in range(2))
-    for segment in found.segments:
-        one = segment.identification
-        if one is None:
-            continue
-        own = slice(segment.start, segment.stop - 1)
-        angular[own] = rates[int(one.angular.type_code), own] @ np.asarray(one.angular.axes)
-        at = maps[int(one.linear.type_code), own]
-        velocity = at[..., 0] + at[..., 1:] @ np.asarray(one.linear.position)
-        linear[own] = velocity @ np.asarray(one.linear.axes)
-    return angular, linear
-
-
-@jax.jit
-def _maps(poses: jax.Array, steps: jax.Array) -> tuple[jax.Array, jax.Array]:
-    return kinematics.angular_velocities(poses, steps), kinematics.linear_velocity_maps(poses, steps)
-
-
 def _draw_line(axes: "Axes", found: Segmentation) -> None:
     times = found.times
     for number, segment in enumerate(found.segments):
         start, stop = times[segment.start], times[min(segment.stop, len(times) - 1)]
-        colour = _RESTING if segment.resting else LINES[segment.label % len(LINES)]
+        colour = _STILL if segment.resting else LINES[segment.label % len(LINES)]
         axes.barh(0, stop - start, left=start, color=colour, alpha=0.6, height=0.8)
         # names of neighbours at different heights, so that short segments stay readable
         axes.text((start + stop) / 2, 0.55 + 0.35 * (number % 2), segment.name, ha="center", fontsize=7)
@@ -95,13 +75,53 @@ def _draw_line(axes: "Axes", found: Segmentation) -> None:
 
 
 def _draw_velocities(axes: "Axes", found: Segmentation, velocities: np.ndarray, group: str) -> None:
-    middle = (found.times[1:] + found.times[:-1]) / 2
     for segment in found.segments:
         if segment.identification is None:
             continue
-        own = slice(segment.start, segment.stop - 1)
+        own = slice(segment.start, segment.stop)
         dof = np.asarray(getattr(segment.identification, group).dof)
         # constrained axes on top
         for axis in np.argsort(-dof, kind="stable"):
             colour = FREE[axis] if dof[axis] else CONSTRAINED[axis]
-            axes.plot(middle[own], velocities[own, axis], color=colour, linewidth=1)
+            axes.plot(found.times[own], velocities[own, axis], color=colour, linewidth=1)
+
+
+def segment_velocities(poses: np.ndarray, found: Segmentation) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the velocities along the axes of the frames that hold at each time.
+
+    Args:
+        poses: (N, 4, 4), those that were segmented; m.
+        found: their segmentation.
+
+    Returns:
+        Angular velocities, (N, 3) rad/s, and linear velocities of the frame's origin, (N, 3) m/s, over an
+        eighth of the motion time about each pose. NaN near boundaries and in segments without identification.
+    """
+    poses = np.asarray(poses, float)
+    centre = poses[:, :3, 3].mean(axis=0)
+    half = max(1, round(found.motion_time / _STEPS / 2 / float(np.median(np.diff(found.times)))))
+    angular, linear = (np.full((len(poses), 3), np.nan) for _ in range(2))
+    for segment in found.segments:
+        start, stop = segment.start + half, segment.stop - half
+        if segment.identification is None or stop <= start:
+            continue
+        own = poses[segment.start : segment.stop]
+        features = path_features(own[:, :3, :3], own[:, :3, 3] - centre)
+        turned, moved = _along_axes(*features, segment.identification, centre)
+        duration = (found.times[start + half : segment.stop] - found.times[segment.start : stop - half])[
+            :, None
+        ]
+        angular[start:stop] = (turned[2 * half :] - turned[: -2 * half]) / duration
+        linear[start:stop] = (moved[2 * half :] - moved[: -2 * half]) / duration
+    return angular, linear
+
+
+def _along_axes(
+    linear: np.ndarray, angular: np.ndarray, found: Identification, centre: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Paths (P, 3) along the axes of one identification, about whose ground origin positions are not."""
+    kind, position = int(found.linear.type_code), np.asarray(found.linear.position)
+    origin = np.append(1.0, position - centre * (kind in GROUND_TYPES))
+    ground = int(found.angular.type_code) == AngularType.G
+    moved = linear[kind].reshape(-1, 3, 4) @ origin
+    return angular[0 if ground else 1] @ np.asarray(found.angular.axes), moved @ np.asarray(found.linear.axes)

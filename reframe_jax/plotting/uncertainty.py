@@ -1,6 +1,6 @@
-"""Error bars of a constraint frame: an ellipsoid at its origin, cones on its axes, bars on velocities."""
+"""Error bars of a constraint frame: an ellipsoid at its origin, cones on its axes."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
@@ -29,11 +29,11 @@ _LINES = 25  # points of a circle
 def plot_uncertainty(
     poses: ArrayLike, found: Identification, covariance: "Covariance", *, title: str | None = None
 ) -> "Figure":
-    """Draw how sure a frame is: the scene, its origin close up, its axes, and its velocities.
+    """Draw how sure a frame is: the scene, its origin close up, and its axes.
 
     Beside the scene of :func:`plot_scene` is the origin, enlarged. The ellipsoid holds it with a probability
     of 95 %, and is flat along directions in which the origin is free. Below are the tilts of the odd axes:
-    the cones that hold them with 95 %, cut across. Then come the RMS velocities, with intervals of 95 %.
+    the cones that hold them with 95 %, cut across.
 
     Args:
         poses: (K+1, 4, 4), m.
@@ -52,8 +52,7 @@ def plot_uncertainty(
     grid = figure.add_gridspec(2, 2, height_ratios=(1.25, 1))
     draw_space(figure.add_subplot(grid[0, 0], projection="3d"), np.asarray(poses), host)
     _draw_origin(figure.add_subplot(grid[0, 1], projection="3d"), host, sure)
-    _draw_tilts(figure.add_subplot(grid[1, 0]), host, sure)
-    _draw_rms(figure.add_subplot(grid[1, 1]), host, sure)
+    _draw_tilts(figure.add_subplot(grid[1, :]), host, sure)
     return figure
 
 
@@ -125,25 +124,3 @@ def _draw_tilts(axes: "Axes", found: Identification, sure: "Covariance") -> None
         axes.text(0.5, 0.6, "no axis differs", transform=axes.transAxes, ha="center")
     axes.set_aspect("equal")
     axes.tick_params(labelsize=8)
-
-
-def _draw_rms(axes: "Axes", found: Identification, sure: "Covariance") -> None:
-    """RMS velocities of all axes with their intervals, on a logarithmic scale."""
-    ticks: list[Any] = []
-    for start, name, frame, matrix, unit in (
-        (0, "angular", found.angular, sure.angular_rms, "rad/s"),
-        (4, "linear", found.linear, sure.linear_rms, "m/s"),
-    ):
-        rms = np.asarray(frame.rms, float)
-        width = _INTERVAL * np.sqrt(np.maximum(np.diag(np.asarray(matrix)), 0))
-        low = np.minimum(width, 0.9 * rms)
-        for i, colour in enumerate(axis_colours(frame.dof)):
-            axes.errorbar(
-                start + i, rms[i], yerr=[[low[i]], [width[i]]], fmt="o", color=colour, capsize=5, markersize=4
-            )
-            ticks.append((start + i, f"{name}\naxis {i + 1}\n{unit}"))
-    axes.set_yscale("log")
-    axes.set_title("rms velocity along the axes", fontsize=9, pad=22)
-    axes.set_xticks([place for place, _ in ticks], [text for _, text in ticks], fontsize=7)
-    axes.tick_params(axis="y", labelsize=8)
-    axes.grid(axis="y", linewidth=0.4, alpha=0.6)

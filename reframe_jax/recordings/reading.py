@@ -61,23 +61,26 @@ def load_recording(
 
     Formats, by suffix:
 
-    ``.csv``, ``.tsv``
+    ``.csv``, ``.tsv``, ``.txt``, ``.tum``
         Columns named by a header, in any order; others are ignored. Time: ``t``, ``time``,
-        ``timestamp``, ``stamp``. Position: ``x``, ``px``, ``pos_x``, ``position.x``; also ``tx``, unless
-        there is an ``fx`` or another position, as it is a torque then. Orientation: ``qx``, ``quat_x``,
-        ``orientation.x``. Or a pose matrix, ``m00`` to ``m23`` or ``m33`` (or ``t00``): row, column.
+        ``timestamp``, ``stamp``. Position: ``x``, ``px``, ``pos_x``, ``position.x``, ``p_RS_R_x``; also
+        ``tx``, unless there is an ``fx`` or another position, as it is a torque then. Orientation: ``qx``,
+        ``quat_x``, ``orientation.x``, ``q_RS_x``; or ``rx``, ``roll`` (``angles``). Or a pose matrix,
+        ``m00`` to ``m23`` or ``m33`` (or ``t00``): row, column. A unit may follow: ``x [mm]``, ``time_ns``.
         Wrench, kept as it is: ``fx``, ``force_x``, ``wrench.force.x``; ``tx``, ``torque_x``. Lines that
         start with ``#`` or ``%`` are comments; the last one before the numbers may be the header.
-    ``.txt``, ``.tum``
-        A TUM trajectory: lines of ``t x y z qx qy qz qw``, separated by blanks; ``#`` starts a comment.
+        Without a header: 8 numbers to a line are a TUM trajectory, ``t x y z qx qy qz qw``, and 12 one of
+        KITTI (``dt``).
     ``.npy``, ``.npz``
         ``poses``: (N, 4, 4), or (N, 7) as ``x y z qx qy qz qw``, or (N, 8) with the time first. An .npz
         may hold ``positions`` (N, 3) and ``quaternions`` (N, 4) instead, ``times`` (N,), and ``wrenches``
         (N, 6). Its other arrays are not read.
 
     ``.csv`` and ``.tsv`` of motion capture
-        Exports of OptiTrack Motive, Vicon Tracker and Nexus (``angles``), and Qualisys; told by their first
-        line. ``body`` names a rigid body.
+        Exports of OptiTrack Motive, Vicon Tracker and Nexus (``angles``), Qualisys, and NDI, by their first
+        lines. ``body`` names a rigid body.
+    ``.trc``, ``.mha``
+        Markers as OpenSim has them, and transforms as Plus has them (``body``).
     ``.bag``, ``.mcap``, ``.db3``, or the folder of a ROS 2 bag
         ``topic``, or ``from_frame`` and ``to_frame``. Needs the extra ``bags``.
     ``.c3d``

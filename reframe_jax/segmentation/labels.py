@@ -1,65 +1,67 @@
-"""Which segments have the same constraint."""
+"""Which pieces have the same constraint."""
 
 import numpy as np
 
-from reframe_jax.identification.results import Identification
-from reframe_jax.segmentation.blocks import Blocks
-from reframe_jax.segmentation.spans import Fits, fit_spans
+from reframe_jax.segmentation.cells import Cells
+from reframe_jax.segmentation.constants import SEGMENTS as C
+from reframe_jax.segmentation.pieces import Piece
+from reframe_jax.segmentation.rows import Fits, fit_spans
 
-__all__ = ["label_segments"]
+__all__ = ["label_pieces"]
 
 
-def label_segments(
-    blocks: Blocks,
-    spans: np.ndarray,
-    fits: Fits,
-    found: list[Identification | None],
-    options: tuple[float, float],
-) -> list[int]:
-    """Number the constraints in order of appearance, the same number where the same one comes back.
+def label_pieces(cells: Cells, pieces: list[Piece], reach: float) -> list[int]:
+    """Number the constraints in order of appearance; -1 for a still body.
 
-    Segments of one class have the same constraint if one frame costs less for all their motions than a frame
-    for each. Free motion has no frame: all of it is the same. Neighbours differ: there would be no boundary
-    between them otherwise.
+    A constraint has come back if as many coordinates are held, and those of the one piece hardly move in the
+    other, wherever they stay: the frame may be fixed in the body. All free motion is the same, and neighbours
+    differ.
 
     Args:
-        blocks: of the recording.
-        spans: (S, 2) blocks of the segments.
-        fits: of the segments.
-        found: their identifications; None for those too short.
-        options: noise ratio and reach, as in :func:`fit_spans`.
+        cells: of the recording.
+        pieces: in order of time, without cells that belong to two of them.
+        reach: m, half the width of the cube in which origins are searched.
     """
-    classes = [_class_of(one) for one in found]
+    fits = fit_spans(cells, np.array([(piece.start, piece.stop) for piece in pieces]), reach)
+    labels: list[int] = []
     groups: list[list[int]] = []
-    costs: list[float] = []
-    for i, own in enumerate(classes):
-        alike = [
-            k
-            for k, group in enumerate(groups)
-            if own is not None and classes[group[0]] == own and group[-1] != i - 1
-        ]
-        if alike and own == (3, 3):
-            groups[alike[0]].append(i)
+    for i, piece in enumerate(pieces):
+        if piece.still:
+            labels.append(-1)
             continue
-        pieces = [[(int(a), int(b)) for a, b in spans[[*groups[k], i]]] for k in alike]
-        together = fit_spans(blocks, pieces, *options).cost if alike else np.zeros(0)
-        gains = [costs[k] + fits.cost[i] - cost for k, cost in zip(alike, together, strict=True)]
-        if gains and max(gains) > 0:
-            best = int(np.argmax(gains))
-            groups[alike[best]].append(i)
-            costs[alike[best]] = float(together[best])
-        else:
-            groups.append([i])
-            costs.append(float(fits.cost[i]))
-    labels = [0] * len(classes)
-    for number, group in enumerate(groups):
-        for i in group:
-            labels[i] = number
+        alike = [
+            number
+            for number, group in enumerate(groups)
+            if labels[-1:] != [number] and any(_same(cells, pieces, fits, i, j) for j in group)
+        ]
+        labels.append(alike[0] if alike else len(groups))
+        if not alike:
+            groups.append([])
+        groups[labels[-1]].append(i)
     return labels
 
 
-def _class_of(found: Identification | None) -> tuple[int, int] | None:
-    """Numbers of free rotations and translations."""
-    if found is None:
-        return None
-    return int(np.sum(found.angular.dof)), int(np.sum(found.linear.dof))
+def _same(cells: Cells, pieces: list[Piece], fits: Fits, i: int, j: int) -> bool:
+    """Whether two pieces have the same constraint."""
+    if pieces[i].held != pieces[j].held:
+        return False
+    translations, rotations = pieces[i].held
+    for a, b in ((i, j), (j, i)):
+        spans = [slice(pieces[k].start, pieces[k].stop) for k in (a, b)]
+        weights = fits.weights[a, max(translations - 1, 0)]
+        if _holds(cells.linear, weights, translations, cells.floor[0], spans) and _holds(
+            cells.angular, fits.axes[a], rotations, cells.floor[1], spans
+        ):
+            return True
+    return False
+
+
+def _holds(features: np.ndarray, rows: np.ndarray, count: int, floor: float, spans: list[slice]) -> bool:
+    """Whether ``count`` rows of some type in (T, 3, F), held in the first span, stay held in the second."""
+    if count == 0:
+        return True
+    own, other = (
+        np.stack([np.std(z[span] @ w[:count].T, axis=0).max() for z, w in zip(features, rows, strict=True)])
+        for span in spans
+    )
+    return bool(np.any(np.maximum(own, other) <= max(C.same * own.min(), 2 * floor)))

@@ -18,7 +18,6 @@ def segment_many(
     *,
     times: Sequence[ArrayLike] | jax.Array | None = None,
     dt: float | Sequence[ArrayLike] | jax.Array | None = None,
-    lag: int | None = None,
     reach: float = 1.0,
 ) -> list[Segmentation]:
     """Segment several recordings, on all processor cores; each result is that of :func:`segment`.
@@ -28,7 +27,6 @@ def segment_many(
             any lengths.
         times: of each recording (N,) s. Give either ``times`` or ``dt``.
         dt: sample time of all recordings, or of each, s.
-        lag: as in :func:`segment`.
         reach: as in :func:`segment`.
 
     Returns:
@@ -47,9 +45,7 @@ def segment_many(
 
     def segment_one(index: int) -> Segmentation:
         try:
-            return segment(
-                recordings[index], times=each_times[index], dt=each_dt[index], lag=lag, reach=reach
-            )
+            return segment(recordings[index], times=each_times[index], dt=each_dt[index], reach=reach)
         except ValueError as error:
             raise ValueError(f"Recording {index}: {error}") from error
 

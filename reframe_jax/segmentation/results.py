@@ -32,14 +32,14 @@ class Boundary:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Segment:
-    """Part of a recording in which one constraint holds, or the body rests.
+    """Part of a recording in which one constraint holds, or the body is still.
 
     Attributes:
         start: index of its first pose.
         stop: index behind its last pose.
         label: number of its constraint, counted in order of appearance from 0; the same number where the same
-            constraint comes back. -1 for rest.
-        identification: of its poses; None for rest, and for parts too short to identify.
+            constraint comes back. -1 where the body is still.
+        identification: of its poses; None where the body is still, and for parts too short to identify.
     """
 
     start: int
@@ -49,14 +49,14 @@ class Segment:
 
     @property
     def resting(self) -> bool:
-        """Whether the body rests."""
+        """Whether the body is still."""
         return self.label < 0
 
     @property
     def name(self) -> str:
-        """Name of the constraint; "Rest", or "Too short to identify"."""
+        """Name of the constraint; "Still", or "Too short to identify"."""
         if self.identification is None:
-            return "Rest" if self.resting else "Too short to identify"
+            return "Still" if self.resting else "Too short to identify"
         return str(self.identification.name)
 
 
@@ -68,15 +68,13 @@ class Segmentation:
         segments: in order of time; together they hold every pose of the recording once.
         boundaries: between each segment and the next.
         times: (N,) s, of the poses.
-        lag: samples between the two poses of a velocity.
-        motion_time: s, after which the motion becomes independent of what it was: about the shortest segment
-            that can be told.
+        motion_time: s, in which the motion gives one independent value. A held axis needs six of them to be
+            distinguished from free motion, a spherical joint two.
     """
 
     segments: tuple[Segment, ...]
     boundaries: tuple[Boundary, ...]
     times: np.ndarray
-    lag: int
     motion_time: float
 
     def __len__(self) -> int:
@@ -85,10 +83,10 @@ class Segmentation:
 
     @property
     def moving(self) -> tuple[Segment, ...]:
-        """Segments in which the body does not rest."""
+        """Segments in which the body is not still."""
         return tuple(segment for segment in self.segments if not segment.resting)
 
     @property
     def labels(self) -> np.ndarray:
-        """(N,) label of each pose, -1 where the body rests."""
+        """(N,) label of each pose, -1 where the body is still."""
         return np.repeat([s.label for s in self.segments], [s.stop - s.start for s in self.segments])

@@ -7,8 +7,6 @@ import jax.numpy as jnp
 
 __all__ = ["Box"]
 
-_NEAR = 1e-3  # of the box: closer than this to a face counts as on it
-
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -38,12 +36,6 @@ class Box:
         """Point of the box from one of the unit cube."""
         low, high = self.bounds(unit)
         return low + (high - low) * unit
-
-    def at_face(self, points: jax.Array) -> jax.Array:
-        """Whether coordinates of points (..., dim) lie on a face, up to rounding."""
-        low, high = (jnp.moveaxis(bound, 0, -1) for bound in self.bounds(jnp.moveaxis(points, -1, 0)))
-        near = _NEAR * (high - low)
-        return (points <= low + near) | (points >= high - near)
 
     def fold(self, z: jax.Array) -> jax.Array:
         """Point of the box, (dim,), from an unbounded one: smooth, onto, and flat at the faces.

@@ -3,9 +3,9 @@
 The general route: nothing is eliminated. A step turns the frame about its own axes and shifts its origin, so
 no chart of the rotations is ever singular. Besides Newton's steps on powers of J, each step tries *aligning
 and majorizing*, for far from the optimum: turns by Jacobi's angles, which would each make an off-diagonal
-entry of S = E^T Sigma E zero, and the least origin of sum_n q_n v_n(p) / v_n, with v_n the variance along axis
-n and q_n its part in the power mean, which bounds log J from above because J is concave in the variances.
-Together, and one without the other.
+entry of S = E^T Sigma E zero, and the least origin of sum_n q_n v_n(p) / v_n, with v_n the variance along
+axis n and q_n its part in the power mean, which bounds log J from above because J is concave in the
+variances. Together, and one without the other.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from reframe_jax.objectives.norms import log_power_mean
 from reframe_jax.objectives.protocol import MomentsObjective, Objective
 from reframe_jax.objectives.velocity import FrameObjective
 from reframe_jax.solvers.box import Box
-from reframe_jax.solvers.newton_steps import derivatives_in_box, hold, newton_steps, take_best_steps
+from reframe_jax.solvers.newton_steps import derivatives, steps_in_box, take_best_steps
 from reframe_jax.solvers.problems import minimise_each
 
 __all__ = ["FrameSteps"]
@@ -95,17 +95,22 @@ class FrameSteps:
             def value(there: jax.Array) -> jax.Array:
                 return level(moved(frame, there - here))
 
-            gradient, hessian, held = derivatives_in_box(value, here, low, high)
+            gradient, hessian = derivatives(value, here)
             s = along(frame)
             parts = jax.grad(lambda v: log_power_mean(jnp.log(v) / 2, norm.exponent))(jnp.diagonal(s))
 
             def bound(origin: jax.Array) -> jax.Array:
                 return jnp.sum(parts * jnp.diagonal(along((frame[0], origin))))
 
-            shift = newton_steps(gradient[3:], hold(jax.hessian(bound)(frame[1]), held[3:]))[0]
+            curvature = jax.hessian(bound)(frame[1])
+            shift = steps_in_box(frame[1], low[3:], high[3:], gradient[3:], curvature)[0]
             turn, still = _aligning(s), jnp.zeros_like(here)
-            extra = [still.at[:3].set(turn).at[3:].set(shift), still.at[:3].set(turn), still.at[3:].set(shift)]
-            return jnp.concatenate([newton_steps(gradient, hessian), jnp.stack(extra)])
+            extra = [
+                still.at[:3].set(turn).at[3:].set(shift),
+                still.at[:3].set(turn),
+                still.at[3:].set(shift),
+            ]
+            return jnp.concatenate([steps_in_box(here, low, high, gradient, hessian), jnp.stack(extra)])
 
         def move(frame: _Frame, step: jax.Array) -> tuple[_Frame, jax.Array]:
             axes, origin = moved(frame, -step)

@@ -42,5 +42,4 @@ class JointSearch:
         frames = Box(jnp.concatenate([-turn, box.low]), jnp.concatenate([turn, box.high]))
         found = self.search.minimise(FrameObjective(known.moments, known.exponent), frames, key)
         x, value = self.refine(objective, box, found.x[3:])
-        ends = None if found.ends is None else found.ends[3:]
-        return Solution(x, value, found.agreement, ends, found.end_values)
+        return Solution(x, value, found.agreement)

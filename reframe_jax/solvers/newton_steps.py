@@ -11,7 +11,7 @@ from reframe_jax.objectives.protocol import Objective
 from reframe_jax.solvers.box import Box
 from reframe_jax.solvers.problems import minimise_each
 
-__all__ = ["NewtonSteps", "derivatives_in_box", "hold", "newton_steps", "take_best_steps"]
+__all__ = ["NewtonSteps", "derivatives", "newton_steps", "steps_in_box", "take_best_steps"]
 
 _POWERS = (0.0, 1.0, 2.0, 3.0, 6.0)  # s of the Newton steps on J^s
 _PARTS = (1.0, 0.25, 0.05)  # of the step that descends where the Hessian is indefinite
@@ -23,8 +23,8 @@ _Point = TypeVar("_Point")
 def newton_steps(gradient: jax.Array, hessian: jax.Array) -> jax.Array:
     """Steps (8, dim) that may lower f = log J, to be taken away from the unknowns.
 
-    With H and g of f, the Newton step on J^s is H^-1 g / (1 + s g.H^-1 g), one direction for every s; s = 6, 3
-    and 2 are exact where one, two or three axes of the geometric mean are constrained, s = 1 where a single
+    With H and g of f, the Newton step on J^s is H^-1 g / (1 + s g.H^-1 g), one direction for every s; s = 6,
+    3 and 2 are exact where one, two or three axes of the geometric mean are constrained, s = 1 where a single
     axis dominates. Far from the optimum H = L D L^T is indefinite, and the step of L |D| L^T descends.
     """
     dim = gradient.shape[0]
@@ -44,23 +44,29 @@ def newton_steps(gradient: jax.Array, hessian: jax.Array) -> jax.Array:
     return jnp.stack(steps + [part * descent for part in _PARTS])
 
 
-def derivatives_in_box(
-    value: Callable[[jax.Array], jax.Array], x: jax.Array, low: jax.Array, high: jax.Array
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Gradient and Hessian with the coordinates held whose gradient points out of the box; which those are.
-
-    Both are zero where they are not finite.
-    """
+def derivatives(value: Callable[[jax.Array], jax.Array], x: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Gradient and Hessian; zero where they are not finite."""
     gradient, hessian = jax.grad(value)(x), jax.hessian(value)(x)
-    held = ((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0))
     finite = jnp.all(jnp.isfinite(hessian)) & jnp.all(jnp.isfinite(gradient))
-    gradient = jnp.where(held | ~finite, 0, gradient)
-    return gradient, hold(jnp.where(finite, hessian, 0), held), held
+    return jnp.where(finite, gradient, 0), jnp.where(finite, hessian, 0)
 
 
-def hold(hessian: jax.Array, held: jax.Array) -> jax.Array:
-    """The Hessian with the rows and columns of held coordinates those of a unit matrix."""
-    return jnp.where(held[:, None] | held[None, :], jnp.eye(len(held), dtype=hessian.dtype), hessian)
+def steps_in_box(
+    x: jax.Array, low: jax.Array, high: jax.Array, gradient: jax.Array, hessian: jax.Array
+) -> jax.Array:
+    """:func:`newton_steps` with the coordinates held that would leave the box.
+
+    Those are held whose gradient points out of the box, then those that Newton's step would take out of it.
+    """
+    unit = jnp.eye(len(x), dtype=x.dtype)
+    out = gradient
+    for _ in range(2):
+        held = ((x <= low) & (out > 0)) | ((x >= high) & (out < 0))
+        gradient = jnp.where(held, 0, gradient)
+        hessian = jnp.where(held[:, None] | held[None, :], unit, hessian)
+        steps = newton_steps(gradient, hessian)
+        out = steps[0]
+    return steps
 
 
 def take_best_steps(
@@ -115,7 +121,7 @@ class NewtonSteps:
 
     def _minimise_one(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
         def steps_at(x: jax.Array) -> jax.Array:
-            return newton_steps(*derivatives_in_box(objective.value, x, box.low, box.high)[:2])
+            return steps_in_box(x, box.low, box.high, *derivatives(objective.value, x))
 
         def move(x: jax.Array, step: jax.Array) -> tuple[jax.Array, jax.Array]:
             there = jnp.clip(x - step, box.low, box.high)

@@ -41,7 +41,7 @@ def minimise_each(
     Args:
         minimise_one: from an objective of one problem, the box and x, (dim,), to the new x and its value.
         objective: the problems.
-        box: where to search; one for all problems, or one for each.
+        box: where to search, the same for all problems.
         x: (dim, ...) where to start.
 
     Returns:
@@ -49,8 +49,5 @@ def minimise_each(
     """
     batch = x.shape[1:]
     flat_objective, flat_x = flatten_problems((objective, x), len(batch))
-    own = box.low.ndim > 1
-    flat_box = flatten_problems(box, len(batch)) if own else box
-    each = jax.vmap(minimise_one, in_axes=(-1, -1 if own else None, -1), out_axes=-1)
-    found, values = each(flat_objective, flat_box, flat_x)
+    found, values = jax.vmap(minimise_one, in_axes=(-1, None, -1), out_axes=-1)(flat_objective, box, flat_x)
     return found.reshape(x.shape), values.reshape(batch)

@@ -24,15 +24,11 @@ class Solution:
         x: (dim, ...) best unknowns of every problem.
         value: (...) objective there; for a norm, log J.
         agreement: (...) share of the restarts that ended within 0.1 % of the best norm, 0.001 of its value.
-        ends, end_values: (dim, restarts, ...) and (restarts, ...) the best point of every restart, the
-            candidates for twins; None if the solver does not return them.
     """
 
     x: jax.Array
     value: jax.Array
     agreement: jax.Array
-    ends: jax.Array | None = None
-    end_values: jax.Array | None = None
 
 
 class Solver(Protocol):

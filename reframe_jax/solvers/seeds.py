@@ -13,9 +13,9 @@ from reframe_jax.objectives.protocol import MomentsObjective, Objective
 from reframe_jax.solvers.box import Box
 from reframe_jax.solvers.problems import repeat_problems
 
-__all__ = ["even_starts", "quasi_random", "stillest_origins", "suggested_starts"]
+__all__ = ["even_starts", "quasi_random", "suggested_starts"]
 
-_RIDGE = 1e-9  # see stillest_origins
+_RIDGE = 1e-9  # of the curvature, relative to its trace: where an origin is free, the nearest to zero
 
 
 def quasi_random(key: jax.Array, count: int, dim: int, dtype: jnp.dtype) -> jax.Array:
@@ -76,22 +76,11 @@ def suggested_starts(
     q = jnp.zeros((10, candidates * count, *batch), dtype)
     for (a, b), row in zip(INDEX_PAIRS, objective.moments, strict=True):
         q = q + (1 if a == b else 2) * (d[a] * d[b])[None] * row[:, None]
-    points = stillest_origins(q, box, _RIDGE)
+    ridges = _RIDGE * (q[4] + q[7] + q[9])
+    curvature = 2 * (q[4] + ridges), q[5], q[6], 2 * (q[7] + ridges), q[8], 2 * (q[9] + ridges)
+    least = jnp.stack(symmetric.solve(curvature, (-q[1], -q[2], -q[3])))
+    points = box.clip(jnp.where(jnp.isfinite(least), least, 0))
     values = repeat_problems(objective, len(batch), candidates * count).value(points)
     points = points.reshape(3, candidates, count, *batch)
     best = jnp.argmin(values.reshape(candidates, count, *batch), axis=0)
     return jnp.take_along_axis(points, best[None, None], axis=1)[:, 0]
-
-
-def stillest_origins(q: jax.Array, box: Box, ridge: float) -> jax.Array:
-    """Where polynomials of the second degree are least, (3, ...) m, in the box.
-
-    Args:
-        q: (10, ...), coefficients of a mean square in the origin, as the moments have them.
-        box: that holds the origins.
-        ridge: of the curvature, relative to its trace: where an origin is free, the nearest to zero.
-    """
-    ridges = ridge * (q[4] + q[7] + q[9])
-    curvature = 2 * (q[4] + ridges), q[5], q[6], 2 * (q[7] + ridges), q[8], 2 * (q[9] + ridges)
-    origins = jnp.stack(symmetric.solve(curvature, (-q[1], -q[2], -q[3])))
-    return box.clip(jnp.where(jnp.isfinite(origins), origins, 0))

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from reframe_jax.objectives.protocol import MomentsObjective, Objective
 from reframe_jax.objectives.velocity import PositionObjective, log_norm
 from reframe_jax.solvers.box import Box
-from reframe_jax.solvers.newton_steps import derivatives_in_box, hold, newton_steps, take_best_steps
+from reframe_jax.solvers.newton_steps import derivatives, steps_in_box, take_best_steps
 from reframe_jax.solvers.problems import minimise_each
 
 __all__ = ["ValleySteps"]
@@ -46,15 +46,19 @@ class ValleySteps:
 
     def _minimise_one(self, norm: PositionObjective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
         def steps_at(x: jax.Array) -> jax.Array:
-            gradient, hessian, held = derivatives_in_box(norm.value, x, box.low, box.high)
+            gradient, hessian = derivatives(norm.value, x)
             weights = jax.grad(log_norm)(norm.covariance(x), norm.exponent)
 
             def bound(x: jax.Array) -> jax.Array:
                 terms = [w * s for w, s in zip(weights, norm.covariance(x), strict=True)]
                 return sum(terms[1:], terms[0])
 
-            down = newton_steps(gradient, hold(jax.hessian(bound)(x), held))[:1]
-            return jnp.concatenate([newton_steps(gradient, hessian), down])
+            down = steps_in_box(x, box.low, box.high, gradient, jax.hessian(bound)(x))[:1]
+            steps = jnp.concatenate([steps_in_box(x, box.low, box.high, gradient, hessian), down])
+            # as far as the box allows, so that no step leaves a narrow valley, and the last one projected
+            room = jnp.where(steps > 0, (x - box.low)[None], (x - box.high)[None])
+            part = jnp.min(jnp.where(steps == 0, 1, room / jnp.where(steps == 0, 1, steps)), axis=1)
+            return jnp.concatenate([jnp.minimum(part, 1)[:, None] * steps, down])
 
         def move(x: jax.Array, step: jax.Array) -> tuple[jax.Array, jax.Array]:
             there = jnp.clip(x - step, box.low, box.high)

@@ -1,0 +1,54 @@
+"""Borders to the sample: where the one model explains the poses better, and where the other."""
+
+import numpy as np
+
+from reframe_jax.segmentation.bank import join_features, misfit
+from reframe_jax.segmentation.cells import Cells, path_features
+from reframe_jax.segmentation.constants import SEGMENTS as C
+from reframe_jax.segmentation.pieces import Piece
+
+__all__ = ["place_border"]
+
+_INTERVAL = 0.025, 0.975
+
+
+def place_border(
+    cells: Cells, rotation: np.ndarray, position: np.ndarray, before: Piece, after: Piece
+) -> tuple[int, int, int]:
+    """The pose at which the second piece begins.
+
+    Args:
+        cells: of the recording.
+        rotation: (P, 3, 3) of all poses.
+        position: (P, 3) m, of all poses.
+        before: the piece that ends there.
+        after: the piece that begins.
+
+    Returns:
+        Index of that pose, the likeliest, and the two indices between which it lies with 95 %.
+    """
+    n = cells.samples
+    near = round(C.cells) + 1
+    first, last = max(before.start, before.stop - 4 * near) * n, min(after.stop, after.start + 4 * near) * n
+    # at most half of each piece, so that borders keep their order
+    low = max((before.start + before.stop) * n // 2, (before.stop - near) * n) - first
+    high = min((after.start + after.stop) * n // 2, (after.start + near) * n) - first
+    border = before.stop * n - first
+    z = join_features(*path_features(rotation[first:last], position[first:last]))
+    gain = [np.zeros(len(z)), np.zeros(len(z))]
+    for side, (piece, own) in enumerate(((before, slice(0, border)), (after, slice(border, None)))):
+        if piece.model is not None:
+            values = z @ piece.model.rows[0].T
+            # summed paths begin anew here; the values are those away from the border
+            inner = values[own]
+            cut = len(inner) // 4
+            inner = inner[: len(inner) - cut] if side == 0 else inner[cut:]
+            model = piece.model._replace(middle=np.median(inner, axis=0)[None])
+            # beyond the border a free coordinate sets out from where it was held: small residuals are no
+            # evidence against it
+            gain[side] = (C.border - misfit(model, values[None])[0]) * cells.weight / n
+    evidence = np.concatenate([[0.0], np.cumsum(gain[0] - gain[1])])[low : high + 1]
+    weight = np.exp(evidence - evidence.max())
+    total = np.cumsum(weight) / weight.sum()
+    earliest, latest = (int(np.searchsorted(total, part)) for part in _INTERVAL)
+    return tuple(first + low + k for k in (int(evidence.argmax()), earliest, latest))  # type: ignore[return-value]

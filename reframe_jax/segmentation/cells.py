@@ -1,0 +1,161 @@
+"""A recording in cells: mean poses of a fraction of the time in which the motion becomes independent."""
+
+from dataclasses import dataclass
+from math import comb
+
+import numpy as np
+
+from reframe_jax.geometry.numpy_rotations import rotation_vectors
+from reframe_jax.segmentation.constants import SEGMENTS as C
+
+__all__ = ["GROUND_TYPES", "Cells", "make_cells", "path_features"]
+
+GROUND_TYPES = [2, 3]  # GG and BG: origins in the ground
+
+_CHUNK = 20_000  # poses whose features are computed at once
+_FEWEST = 6  # independent values that a recording has at least
+_PAIRS = 4000  # pairs of poses from which a structure function is estimated
+
+
+@dataclass(frozen=True)
+class Cells:
+    """The cells of a recording and the sizes that belong to it.
+
+    Attributes:
+        linear: (4, N, 12) features of the linear types BB, GB, GG, BG: the path of an origin x along n is the
+            product of the feature with n (1, x), row by row.
+        angular: (2, N, 3) rotation that has been summed up in the ground and in the body, rad.
+        samples: poses in a cell.
+        duration: s, of a cell.
+        motion_time: s, in which the motion gives one independent value.
+        motion: m, amplitude of the motion of a coordinate.
+        floor: (2,) m and rad, below which residuals are not told from zero.
+    """
+
+    linear: np.ndarray
+    angular: np.ndarray
+    samples: int
+    duration: float
+    motion_time: float
+    motion: float
+    floor: tuple[float, float]
+
+    @property
+    def weight(self) -> float:
+        """Independent values in a cell."""
+        return self.duration / self.motion_time
+
+    @property
+    def reference(self) -> tuple[float, float]:
+        """Amplitude of a free coordinate, m and rad."""
+        return self.motion * C.reference, self.motion * C.reference / C.lever
+
+    @property
+    def bound(self) -> tuple[float, float]:
+        """What a held coordinate moves at most, m and rad."""
+        return self._above_floor(self.motion * C.held)
+
+    @property
+    def still_bound(self) -> tuple[float, float]:
+        """What a coordinate of a still body moves at most, m and rad."""
+        return self._above_floor(self.motion * C.still)
+
+    def _above_floor(self, most: float) -> tuple[float, float]:
+        return max(most, 3 * self.floor[0]), max(most / C.lever, 3 * self.floor[1])
+
+
+def make_cells(rotation: np.ndarray, position: np.ndarray, step: float) -> Cells:
+    """Cells of poses (P, 3, 3) and (P, 3) m, ``step`` seconds apart."""
+    turns = rotation_vectors(np.swapaxes(rotation[:-1], 1, 2) @ rotation[1:])
+    noise = _white_noise(position), _white_noise(np.cumsum(turns, axis=0))
+    time, motion = _motion(rotation, position, noise, step)
+    samples = max(1, min(round(time / C.cells / step), len(position) // 8))
+    linear, angular = _average_features(rotation, position, samples)
+    floor = (C.floor_position, C.floor_rotation)
+    floors = [float(np.hypot(a, b / np.sqrt(samples))) for a, b in zip(floor, noise, strict=True)]
+    return Cells(linear, angular, samples, samples * step, time, motion, (floors[0], floors[1]))
+
+
+def _average_features(
+    rotation: np.ndarray, position: np.ndarray, samples: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Means of the features over cells of so many poses; a last cell that is not full is left out."""
+    number = len(position) // samples
+    linear, angular = np.empty((4, number, 12)), np.empty((2, number, 3))
+    # paths that have been summed up go on where the last chunk ended; poses have nothing to go on from
+    summed = np.array([[[1.0]], [[0.0]], [[1.0]], [[0.0]]]), np.ones((2, 1, 1))
+    ends = [np.zeros((4, 1, 12)), np.zeros((2, 1, 3))]
+    chunk = max(1, _CHUNK // samples)
+    for start in range(0, number, chunk):
+        stop = min(number, start + chunk)
+        own = slice(start * samples, stop * samples + 1)
+        parts = path_features(rotation[own], position[own])
+        for k, (mean, part) in enumerate(zip((linear, angular), parts, strict=True)):
+            part = part + summed[k] * ends[k]
+            inner = part[:, : (stop - start) * samples]
+            mean[:, start:stop] = inner.reshape(len(part), -1, samples, part.shape[2]).mean(axis=2)
+            ends[k] = part[:, -1:]
+    return linear, angular
+
+
+def path_features(rotation: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Features of the linear types (4, N, 12) and of the angular types (2, N, 3) of poses."""
+    back = np.swapaxes(rotation, 1, 2)
+    turn = rotation_vectors(back[:-1] @ rotation[1:])
+    hat = -np.cross(turn[:, None], np.eye(3))
+    angle = np.maximum(np.linalg.norm(turn, axis=1), 1e-6)[:, None, None]
+    series = 1 / angle**2 - (1 + np.cos(angle)) / (2 * angle * np.sin(angle))
+    series = np.where(angle < 1e-3, 1 / 12, series)
+    inverse = np.eye(3) - hat / 2 + series * hat @ hat
+    chord = np.einsum("kji,kj->ki", rotation[:-1], np.diff(position, axis=0))
+    shift = np.einsum("kij,kj->ki", inverse, chord)
+    turn_ground = np.einsum("kij,kj->ki", rotation[:-1], turn)
+    shift_ground = np.einsum("kij,kj->ki", rotation[:-1], shift) - np.cross(turn_ground, position[:-1])
+
+    def path(shift: np.ndarray, turn: np.ndarray) -> np.ndarray:
+        each = np.concatenate([shift[:, :, None], -np.cross(turn[:, None], np.eye(3))], axis=2)
+        return np.concatenate([np.zeros((1, 3, 4)), np.cumsum(each, axis=0)])
+
+    in_ground = np.concatenate([position[:, :, None], rotation], axis=2)
+    in_body = np.concatenate([-(back @ position[:, :, None]), back], axis=2)
+    linear = path(shift, turn), in_ground, path(shift_ground, turn_ground), in_body
+    start = np.zeros((1, 3))
+    angular = [np.concatenate([start, np.cumsum(each, axis=0)]) for each in (turn_ground, turn)]
+    return np.stack([each.reshape(-1, 12) for each in linear]), np.stack(angular)
+
+
+def _white_noise(path: np.ndarray) -> float:
+    """White noise of each component of a path (P, 3): the least that differences of several orders show."""
+    found = []
+    for order in (2, 3, 4, 6):
+        if len(path) >= order + 8:
+            square = np.sum(np.diff(path, order, axis=0) ** 2, axis=1)
+            found.append(np.sqrt(np.median(square) / 2.366 / comb(2 * order, order)))
+    return float(min(found))
+
+
+def _motion(
+    rotation: np.ndarray, position: np.ndarray, noise: tuple[float, float], step: float
+) -> tuple[float, float]:
+    """Time in which the motion gives an independent value, s, and its amplitude, m."""
+    number = len(position)
+    lags = np.unique(np.round(2 ** np.arange(0, np.log2(max(2, number / 3)), 0.5)).astype(int))
+    still = 6 * (noise[0] ** 2 + (C.lever * noise[1]) ** 2)
+
+    def displacement(lag: int) -> float:
+        first = np.unique(np.linspace(0, number - 1 - lag, _PAIRS).astype(int))
+        a, b = rotation[first], rotation[first + lag]
+        turn = 2 * np.arcsin(np.clip(np.sqrt(np.sum((a - b) ** 2, axis=(1, 2)) / 8), 0, 1))
+        shift = np.sum((position[first + lag] - position[first]) ** 2, axis=1)
+        return float(np.sqrt(max(np.quantile(shift + (C.lever * turn) ** 2, 0.8) - still, 0)))
+
+    size = np.array([displacement(lag) for lag in lags])
+    longest = max(step, number * step / _FEWEST)
+    if size.max() ** 2 < 4 * still:
+        return longest, max(float(size.max()), 1e-6)
+    speed = size / lags
+    fastest = int(np.argmax(speed))
+    slow = np.flatnonzero(speed[fastest:] < speed[fastest] / 2)
+    lag = lags[fastest + slow[0]] if len(slow) else lags[-1]
+    time = float(np.clip(C.motion_time * lag * step, step, longest))
+    return time, max(displacement(max(1, round(lag / 2))) / np.sqrt(3), 1e-6)

@@ -1,0 +1,56 @@
+"""Every tuned constant of segmentation, with where it comes from.
+
+The figures behind them: sequences and single constraints of :mod:`benchmarks.segmentation_cases` with seeds
+that the benchmark does not use, and the recordings of ``../shared/data``.
+"""
+
+from typing import NamedTuple
+
+__all__ = ["SEGMENTS", "SegmentConstants"]
+
+
+class SegmentConstants(NamedTuple):
+    """Constants of segmentation.
+
+    Attributes:
+        floor_position, floor_rotation: m and rad; residuals below are not told from zero: the usual slow
+            errors of a robot or a tracker.
+        lever: m, at which a rotation counts as a translation.
+        motion_time: of the lag at which the speed of displacements has halved, the time of one independent
+            value; 1 / (2 B) for motion of bandwidth B.
+        cells: cells in a motion time.
+        held: of the motion of the recording, the most that a held coordinate may move.
+        still: the same of a body that is still.
+        gap: largest motion of a span over that of a coordinate which is held in it.
+        reference: of the motion of the recording, the amplitude of a free coordinate that happens to move
+            little: divides between held and free.
+        price: log evidence that a segment costs, beside its parameters.
+        border: log evidence for a model at a pose that it explains, beside a border: residuals of about three
+            times their RMS are taken for motion.
+        tail: degrees of freedom of the distribution of residuals.
+        widen: times that residuals of models from windows are larger: of few values they come out too small.
+        same: times that held coordinates may move more where a constraint comes back or goes on.
+        pause: times that the body moves less in a pause than in the motion beside it.
+        still_time: motion times that stillness takes at least to be a state; a gap within a constraint is
+            shorter.
+    """
+
+    floor_position: float = 3e-4
+    floor_rotation: float = 1.5e-3
+    lever: float = 0.2
+    motion_time: float = 0.6
+    cells: float = 5.0
+    held: float = 1 / 20
+    still: float = 1 / 50
+    gap: float = 4.0
+    reference: float = 1 / 2
+    price: float = 6.0
+    border: float = 3.0
+    tail: float = 4.0
+    widen: float = 1.5
+    same: float = 2.5
+    pause: float = 3.0
+    still_time: float = 1.5
+
+
+SEGMENTS = SegmentConstants()

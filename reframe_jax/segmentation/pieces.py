@@ -1,0 +1,172 @@
+"""Pieces of a recording in which one model holds: found, fitted again, and joined across pauses."""
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from reframe_jax.segmentation.bank import Bank, choose_models, join_features
+from reframe_jax.segmentation.cells import Cells
+from reframe_jax.segmentation.constants import SEGMENTS as C
+from reframe_jax.segmentation.rows import Fits, fit_spans
+from reframe_jax.segmentation.sequence import Coverage, cover, likeliest
+
+__all__ = ["Piece", "find_pieces", "join_pieces", "stays_held"]
+
+_SHORTEST, _LONGEST = 4, 512  # cells in a window
+_ROUNDS = 4
+
+
+class Piece(NamedTuple):
+    """Cells [start, stop) and the model that holds there, a bank of one; None if nothing is held."""
+
+    start: int
+    stop: int
+    model: Bank | None
+
+    @property
+    def held(self) -> tuple[int, int]:
+        """Number of held translations and rotations."""
+        return (0, 0) if self.model is None else (int(self.model.held[0, 0]), int(self.model.held[0, 1]))
+
+    @property
+    def still(self) -> bool:
+        """Whether nothing moves."""
+        return self.held == (3, 3)
+
+
+def find_pieces(cells: Cells, reach: float) -> list[Piece]:
+    """The likeliest sequence of models: fitted to windows of many lengths, then to what they cover."""
+    number = cells.linear.shape[1]
+    z = join_features(cells.linear, cells.angular)
+    windows = _windows(number)
+    first = choose_models(cells, windows, fit_spans(cells, windows, reach))
+    if not len(first.price):
+        return [Piece(0, number, None)]
+    known = cover(cells, z, first, 0, C.widen)
+    bank, coverage, evidence = first, known, 0.0
+    pieces = [Piece(0, number, None)]
+    for _ in range(_ROUNDS):
+        path, now = likeliest(coverage, bank.price, number)
+        if now <= evidence + 0.1:
+            break
+        evidence = now
+        edges = [0, *(np.flatnonzero(np.diff(path)) + 1).tolist(), number]
+        pieces = [Piece(a, b, bank.take([path[a]]) if path[a] >= 0 else None) for a, b in pairwise(edges)]
+        spans = _neighbours(edges)
+        again = choose_models(cells, spans, fit_spans(cells, spans, reach))
+        kept = [piece.model for piece in pieces if piece.model is not None]
+        fresh = again.join(*kept)
+        if not len(fresh.price):
+            break
+        bank = first.join(fresh)
+        new = cover(cells, z, fresh, len(first.price), 1.0)
+        coverage = Coverage(*(np.concatenate(each) for each in zip(known, new, strict=True)))
+    return pieces
+
+
+def _windows(number: int) -> np.ndarray:
+    """Spans of 4, 8, 16, ... cells, four of them beginning in the length of one, and the whole."""
+    length, spans = _SHORTEST, [np.array([[0, number]])]
+    while length < min(number, _LONGEST + 1):
+        start = np.arange(0, number - length + 1, max(1, length // 4))
+        spans.append(np.stack([start, start + length], axis=1))
+        length *= 2
+    return np.concatenate(spans)
+
+
+def _neighbours(edges: list[int]) -> np.ndarray:
+    """Pieces, pieces without their ends, and two and three pieces together."""
+    spans = set()
+    for count in (1, 2, 3):
+        for a, b in zip(edges, edges[count:], strict=False):
+            spans.add((a, b))
+            spans |= {(a + cut, b - cut) for cut in (1, 2) if count == 1}
+    return np.array(sorted(span for span in spans if span[1] - span[0] >= 3))
+
+
+def stays_held(model: Bank, cells: Cells, union: Fits) -> bool:
+    """Whether as many rows as a model holds stay held, hardly wider, in a fit to more of the recording."""
+    translations, rotations = model.held[0]
+    found = []
+    for count, own, fitted, floor in (
+        (translations, model.size[0, :3], union.size[0, translations - 1], cells.floor[0]),
+        (rotations, model.size[0, 3:], union.turn[0], cells.floor[1]),
+    ):
+        most = np.maximum(C.same * np.sort(own)[:count], 2 * floor)
+        found.append(count == 0 or bool(np.any(np.all(np.sort(fitted)[:, :count] <= most, axis=1))))
+    return all(found)
+
+
+def join_pieces(cells: Cells, pieces: list[Piece], reach: float) -> list[Piece]:
+    """Join pieces of one constraint: across a pause, or where it has been fitted twice.
+
+    A pause between different constraints, or at an end of the recording, remains a piece if it is long.
+    """
+    pieces = list(pieces)
+    while True:
+        order = sorted(range(len(pieces)), key=lambda i: pieces[i].stop - pieces[i].start)
+        joined = next((new for i in order if (new := _join_one(cells, pieces, i, reach)) is not None), None)
+        if joined is None:
+            return pieces
+        pieces = joined
+
+
+def _join_one(cells: Cells, pieces: list[Piece], i: int, reach: float) -> list[Piece] | None:
+    """Join piece i with its neighbours; None if it stays."""
+    own = pieces[i]
+    beside = [j for j in (i - 1, i + 1) if 0 <= j < len(pieces)]
+    time = (own.stop - own.start) * cells.weight
+    for j in beside:
+        one = pieces[j]
+        if one.model is None:
+            continue
+        trials = []
+        if own.model is None:
+            if time < C.still_time and len(beside) == 2:
+                trials.append((i - 1, i + 1, [one.model]))
+        else:
+            if own.held == one.held:
+                trials.append((min(i, j), max(i, j), [own.model, one.model]))
+            slow = own.still or own.model.motion[0] <= one.model.motion[0] / C.pause
+            state = own.still and (time >= C.still_time if len(beside) == 1 else _other(pieces, i, j).still)
+            if slow and not state:
+                trials.append((min(i, *beside), max(i, *beside), [one.model]))
+        for first, last, models in trials:
+            new = _together(cells, pieces[first].start, pieces[last].stop, models, reach)
+            if new is not None:
+                return [*pieces[:first], new, *pieces[last + 1 :]]
+    if own.still and time < C.still_time and beside:
+        return _share(pieces, i)
+    return None
+
+
+def _other(pieces: list[Piece], i: int, j: int) -> Piece:
+    """The other neighbour of piece i than piece j."""
+    return pieces[2 * i - j]
+
+
+def _together(cells: Cells, start: int, stop: int, models: list[Bank], reach: float) -> Piece | None:
+    """One piece, if what the models hold stays held in all of it."""
+    span = np.array([[start, stop]])
+    fits = fit_spans(cells, span, reach)
+    found = choose_models(cells, span, fits)
+    same = np.flatnonzero(np.all(found.held == models[0].held, axis=1))
+    still = np.all(models[0].held == 3) and len(same)
+    if not (still or all(stays_held(model, cells, fits) for model in models)):
+        return None
+    return Piece(start, stop, found.take(same[:1]) if len(same) else models[0])
+
+
+def _share(pieces: list[Piece], i: int) -> list[Piece]:
+    """Divide a piece between its neighbours; of two that hold nothing, make one."""
+    own = pieces[i]
+    before, after = pieces[:i], pieces[i + 1 :]
+    if not before:
+        return [after[0]._replace(start=own.start), *after[1:]]
+    if not after:
+        return [*before[:-1], before[-1]._replace(stop=own.stop)]
+    if before[-1].model is None and after[0].model is None:
+        return [*before[:-1], before[-1]._replace(stop=after[0].stop), *after[1:]]
+    middle = (own.start + own.stop) // 2
+    return [*before[:-1], before[-1]._replace(stop=middle), after[0]._replace(start=middle), *after[1:]]

@@ -1,0 +1,1 @@
+"""How sure an identification is, what the motion tested, and which motion would help most."""

@@ -1,0 +1,193 @@
+"""Which motion to make next: the one that the covariance says would help most."""
+
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import combinations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike
+
+from reframe_jax.constraints.located import Frame, body_twist, frame_arrays
+from reframe_jax.geometry.transforms import pose_exp
+from reframe_jax.identification.results import Identification
+from reframe_jax.model.features import pose_features
+from reframe_jax.model.fit import Data
+from reframe_jax.model.moments import scale_moments
+from reframe_jax.motion import kinematics
+from reframe_jax.uncertainty.refit import Estimate, Refit, refit_windows
+from reframe_jax.uncertainty.spread import information, posterior, row_precision
+from reframe_jax.uncertainty.windows import over_windows
+
+__all__ = ["MotionAdvice", "next_motion"]
+
+_SPEED = np.repeat([0.5, 0.1], 3)  # rad/s and m/s, amplitude of a trial motion along an axis
+_RATE = 2 * np.pi  # rad/s: there and back in a second
+_LEAST = 1e-9  # share of the largest variance, of each kind, below which a direction has none
+
+
+@dataclass(frozen=True)
+class MotionAdvice:
+    """Small motions that the constraint allows, the most useful one first.
+
+    Attributes:
+        axes: (M, 6) bool, which of the three angular and three linear axes each of them moves.
+        shrinks: (M,) what each makes of the standard deviations, on average over all that is determined (the
+            geometric mean): 0.5 halves them, 1 changes nothing.
+    """
+
+    axes: np.ndarray
+    shrinks: np.ndarray
+
+    def __str__(self) -> str:
+        """In words, a line for each motion."""
+        return "\n".join(
+            f"{_in_words(axes)}: standard deviations times {shrink:.2f}"
+            for axes, shrink in zip(self.axes, self.shrinks, strict=True)
+        )
+
+
+def _in_words(axes: np.ndarray) -> str:
+    turns, slides = ([str(i + 1) for i in np.flatnonzero(part)] for part in (axes[:3], axes[3:]))
+    parts = [f"turn about angular axis {' and '.join(turns)}"] if turns else []
+    parts += [f"slide along linear axis {' and '.join(slides)}"] if slides else []
+    return ", ".join(parts)
+
+
+def next_motion(
+    found: Identification,
+    poses: ArrayLike,
+    *,
+    times: ArrayLike,
+    duration: float = 2.0,
+) -> MotionAdvice:
+    """Rank small motions by how much the covariance shrinks when they are added to the recording (D-optimal).
+
+    The motions start from the last pose and go along one or two of the free axes, back and forth each second,
+    at up to 0.5 rad/s and 0.1 m/s. The criterion is the determinant of the covariance of the axes and the
+    origin, with errors as large as in the recording.
+
+    Args:
+        found: of one window, by :func:`reframe_jax.identify` from these poses; it counts as right.
+        poses: (K+1, 4, 4) m.
+        times: (K+1,) s.
+        duration: of each motion, s.
+
+    Returns:
+        The motions, the most useful one first.
+
+    Raises:
+        ValueError: for a batch, a constraint without free axes, or poses that are not those of ``found``.
+    """
+    if np.shape(found.status_code):
+        raise ValueError("A batch has many constraints: index one window first, found[i].")
+    free = np.flatnonzero(np.concatenate([found.angular.dof, found.linear.dof]))
+    if not len(free):
+        raise ValueError(
+            "The constraint that was found has no free axis, so that there is no motion to make."
+        )
+    recorded, clock = np.asarray(poses, float), np.asarray(times, float)
+    step = float(np.median(np.diff(clock)))
+    number = max(round(duration / step), 8)
+    chosen = [*combinations(free, 1), *combinations(free, 2)]
+    axes = np.zeros((len(chosen), 6), bool)
+    for row, picked in zip(axes, chosen, strict=True):
+        row[list(picked)] = True
+    with jax.enable_x64(True):
+        frame = jax.tree.map(lambda leaf: jnp.asarray(leaf), frame_arrays(found.constraint_frame))
+        frame = jax.tree.map(lambda leaf: leaf if leaf.dtype == bool else leaf.astype(float), frame)
+        made = _move(frame, jnp.asarray(recorded[-1]), jnp.asarray(axes * _SPEED), step, number=number)
+    longer = np.concatenate([np.broadcast_to(recorded, (len(axes), *recorded.shape)), made], axis=1)
+    late = clock[-1] + step * np.arange(1, number + 1)
+    many = jax.tree.map(
+        lambda leaf: np.broadcast_to(leaf, (len(axes), *np.shape(leaf))), jax.device_get(found)
+    )
+    many = replace(many, counted=np.ones(longer.shape[:2], bool))
+    clock = np.concatenate([clock, late])
+    now, then = over_windows(_with_motion, many, longer, clock, None, "auto", parts=str(number))
+    shrinks = _shrinks(np.asarray(now)[0], np.asarray(then))
+    order = np.argsort(shrinks, kind="stable")
+    return MotionAdvice(axes[order], shrinks[order])
+
+
+def _with_motion(
+    poses: jax.Array,
+    steps: jax.Array,
+    count: jax.Array | None,
+    found: Estimate,
+    *,
+    scales: tuple[int, ...] | None,
+    parts: str,
+) -> tuple[jax.Array, jax.Array]:
+    """Covariances (N, 9, 9) without and with the motion that the last so many poses make."""
+    recorded = poses.shape[1] - int(parts)
+    refit, window = refit_windows(
+        poses[:, :recorded], steps[:, : recorded - 1], count, found, scales, "whole"
+    )
+    made = poses[:, recorded:].at[:, :, :3, 3].add(-window.centre[:, None])
+    rotation, position = kinematics.split_poses(made)
+    counted = jnp.ones(made.shape[:2], bool)
+    features = pose_features(rotation, position, steps[:, recorded:], counted.T, None)
+    moments = scale_moments(features.values, counted, None)
+    # the errors of a scale are those that the recording shows there; the smooth part is the last one
+    size = refit.data.details.shape[2] - moments.details.shape[1]
+    products, details = moments.products, moments.details
+    if size > 0:
+        empty = jnp.zeros((len(poses), size, *products.shape[2:]), products.dtype)
+        products = jnp.concatenate([products[:, :-1], empty, products[:, -1:]], axis=1)
+        details = jnp.concatenate([details[:, :-1], empty[:, :, 0, 0], details[:, -1:]], axis=1)
+    else:
+        taken = np.r_[: refit.data.details.shape[2] - 1, products.shape[1] - 1]
+        products, details = products[:, taken], details[:, taken]
+    return jax.vmap(_shrink)(refit, products, details)
+
+
+def _shrink(refit: Refit, products: jax.Array, details: jax.Array) -> tuple[jax.Array, jax.Array]:
+    parameters, data, slopes = jax.tree.map(
+        lambda leaf: leaf[0], (refit.parameters, refit.data, refit.slopes)
+    )
+    precision = row_precision(parameters, data, refit.entry)
+    details = jnp.where(data.details > 0, details, 0)
+    motion = Data(products, details, data.mean_rotation, data.box)
+    now, more = (
+        jnp.sum(information(parameters, precision, of, refit.entry), axis=(0, 1)) for of in (data, motion)
+    )
+    spreads = [slopes @ posterior(total, refit.prior) @ slopes.T for total in (now, now + more)]
+    return spreads[0], spreads[1]
+
+
+def _shrinks(now: np.ndarray, then: np.ndarray) -> np.ndarray:
+    """Geometric mean of the factors of standard deviations, (M,), where there is a variance now."""
+    now, then = now.astype(float), then.astype(float)
+    kinds = np.repeat(np.sqrt([max(np.trace(now[i : i + 3, i : i + 3]), 1e-30) for i in (0, 3, 6)]), 3)
+    unit = np.outer(kinds, kinds)
+    variances, directions = np.linalg.eigh(now / unit)
+    known = variances > _LEAST * variances[-1]
+    basis = directions[:, known] / np.sqrt(variances[known])
+    ratio = basis.T @ (then / unit) @ basis
+    return np.asarray(np.exp(np.linalg.slogdet(ratio)[1] / (2 * known.sum())))
+
+
+@partial(jax.jit, static_argnames="number")
+def _move(frame: Frame, start: jax.Array, speeds: jax.Array, step: float, *, number: int) -> jax.Array:
+    """Poses (M, number, 4, 4) after a start, along the axes of a frame at the speeds (M, 6)."""
+
+    def one(speed: jax.Array) -> jax.Array:
+        # the second of two axes is a quarter of a period late, so that the motion does not follow one line
+        late = jnp.cumsum((speed != 0).astype(speed.dtype)) - 1
+
+        def follow(pose: jax.Array, time: jax.Array) -> tuple[jax.Array, jax.Array]:
+            velocity = speed * jnp.cos(_RATE * time + late * (jnp.pi / 2))
+
+            def twist(pose: jax.Array) -> jax.Array:
+                return body_twist(frame, pose[:3, :3], pose[:3, 3], velocity)
+
+            half = pose @ pose_exp(twist(pose) * (step / 2))
+            pose = pose @ pose_exp(twist(half) * step)
+            return pose, pose
+
+        times = (jnp.arange(number, dtype=speed.dtype) + 0.5) * step
+        return jax.lax.scan(follow, start, times)[1]
+
+    return jax.vmap(one)(speeds)

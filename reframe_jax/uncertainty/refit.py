@@ -1,0 +1,239 @@
+"""The identified entry of the table, fitted again to a recording and to parts of it.
+
+A covariance is about nine numbers: the turn of the angular axes and of the linear axes, as rotation vectors
+in the bodies of their types (rad), and the shift of the origin (m).
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, AngularType
+from reframe_jax.geometry.rotations import rotation_log
+from reframe_jax.identification.classify import free_rotations
+from reframe_jax.identification.pipeline import Prepared, prepare_windows
+from reframe_jax.identification.results import Identification
+from reframe_jax.model.fit import Data, Parameters, fit_entry, ground_axes, move
+from reframe_jax.model.moments import Moments, scale_moments
+from reframe_jax.model.solve import choose_scales
+from reframe_jax.model.table import TABLE, Table
+
+__all__ = ["BLOCKS", "HALVES", "THIRDS", "Estimate", "Refit", "estimate_of", "prepare", "refit_windows"]
+
+Array = jax.Array
+
+_SPANS = ((0, 2), (1, 2), (0, 3), (1, 3), (2, 3))  # part i of n
+HALVES, THIRDS = ((1, 2),), ((3, 4), (3, 5), (4, 5))
+"""Pairs of parts that are spans; 0 is the whole."""
+BLOCKS = 6
+"""Blocks that are left out in turn."""
+_PRIOR_ANGLE, _PRIOR_PITCH = 1.0, 1.0  # rad and m/rad, standard deviation of what nothing determines
+
+
+class Estimate(NamedTuple):
+    """What was identified about N windows; fields as in :class:`Identification`, axes (N, 3, 3)."""
+
+    code: Array
+    angular_type: Array
+    angular_axes: Array
+    angular_dof: Array
+    linear_type: Array
+    linear_axes: Array
+    linear_dof: Array
+    position: Array
+    free_position: Array
+    pitch: Array
+    universal_axes: Array
+
+
+def estimate_of(found: Identification, dtype: np.dtype) -> Estimate:
+    """Take what the fit starts from, in the precision of the poses."""
+    a, n = found.angular, found.linear
+    frames = a.type_code, a.axes, a.dof, n.type_code, n.axes, n.dof, n.position, n.free_position
+    values = jax.tree.map(jnp.asarray, Estimate(found.entry_code, *frames, found.pitch, found.universal_axes))
+    return jax.tree.map(lambda x: x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x, values)
+
+
+class Refit(NamedTuple):
+    """Entries, fitted to N windows and to M parts of each; the first of the parts is the whole.
+
+    Attributes:
+        parameters, data: with axes (N, M) in front.
+        poses: (N, M) number of poses in each.
+        entry: rows of the table, (N,).
+        numbers: (N, M, 9) of each fit, against those of the whole window.
+        slopes: (N, M, 9, 9) of the numbers by a step of the parameters.
+        prior: (N, 9) standard deviations of the parameters where nothing determines them.
+    """
+
+    parameters: Parameters
+    data: Data
+    poses: Array
+    entry: Table
+    numbers: Array
+    slopes: Array
+    prior: Array
+
+
+def prepare(
+    poses: Array, steps: Array, count: Array | None, found: Estimate, scales: tuple[int, ...] | None
+) -> tuple[Prepared, Moments, Array, Table, Parameters]:
+    """Prepared windows, moments of the scales that are used, mean rotations, entries, and what was found.
+
+    Args:
+        poses: (N, P, 4, 4) m.
+        steps: (K,) or (N, K) s.
+        count: (N,) number of poses where the rest is padding, else None.
+        found: of the windows.
+        scales: in samples; None for all that stand out of the noise.
+    """
+    window = jax.lax.stop_gradient(prepare_windows(poses, steps, count, None, scales))
+    used = choose_scales(window.moments, window.noise, scales)
+    # that of the features is damped, by up to a milliradian
+    weight = window.counted.astype(window.poses.dtype)[:, :, None, None]
+    u, _, v = jnp.linalg.svd(jnp.sum(weight * window.poses[:, :, :3, :3], axis=1))
+    mean = (u * jnp.where(jnp.arange(3) == 2, jnp.linalg.det(u @ v)[:, None], 1)[:, None]) @ v
+    entry = jax.tree.map(lambda leaf: jnp.asarray(leaf)[jnp.maximum(found.code, 0)], TABLE)
+    return window, used, mean, entry, jax.vmap(_start)(found, window.centre, mean, entry)
+
+
+def refit_windows(
+    poses: Array,
+    steps: Array,
+    count: Array | None,
+    found: Estimate,
+    scales: tuple[int, ...] | None,
+    parts: str,
+) -> tuple[Refit, Prepared]:
+    """Fit the entries that were found to N windows and to their parts.
+
+    Args:
+        poses: this and the next four as in :func:`prepare`.
+        steps: s.
+        count: of poses.
+        found: of the windows.
+        scales: in samples.
+        parts: "whole", "spans" for halves and thirds too, "blocks" for the rest without each of six blocks.
+    """
+    window, used, mean, entry, start = prepare(poses, steps, count, found, scales)
+    products, details = used.products[:, None], used.details[:, None]
+    number = jnp.sum(window.counted, axis=1)[:, None]
+    if parts != "whole":
+        moments, of_parts = _moments_of_spans(window) if parts == "spans" else _moments_of_blocks(window)
+        noise = jnp.repeat(window.noise, of_parts.shape[1], axis=0)
+        moments = choose_scales(moments, noise, scales)
+        # scales that a part does not have are without details
+        fill = details.shape[2] - moments.details.shape[1]
+        more = jnp.concatenate([moments.products, *[moments.products[:, -1:]] * fill], axis=1)
+        products = jnp.concatenate([products, more.reshape(len(poses), -1, *more.shape[1:])], axis=1)
+        more = jnp.pad(moments.details, ((0, 0), (0, fill)))
+        details = jnp.concatenate([details, more.reshape(len(poses), -1, more.shape[1])], axis=1)
+        number = jnp.concatenate([number, of_parts], axis=1)
+    box = window.box
+    return jax.vmap(_fit_window)(mean, box, products, details, number, entry, start, found), window
+
+
+def _moments_of_blocks(window: Prepared) -> tuple[Moments, Array]:
+    """Moments (N * M, ...) of what is left without each of M blocks, and its number of poses (N, M)."""
+    block = jnp.arange(window.counted.shape[1])[None] * BLOCKS // window.count[:, None]
+    kept = window.counted[:, None] & (block[:, None] != jnp.arange(BLOCKS)[:, None])
+    values, length = (jnp.repeat(x, BLOCKS, axis=0) for x in (window.features.values, window.count))
+    return scale_moments(values, kept.reshape(-1, kept.shape[2]), length), jnp.sum(kept, axis=2)
+
+
+def _moments_of_spans(window: Prepared) -> tuple[Moments, Array]:
+    """The same of halves and thirds."""
+    values, count = window.features.values, window.count
+    first, end = (jnp.stack([count * (p + i) // n for p, n in _SPANS], axis=1) for i in (0, 1))
+    longest = -(-values.shape[1] // 2)
+    place = first[:, :, None] + jnp.arange(longest, dtype=jnp.int32)
+    own = place < end[:, :, None]
+    place = jnp.minimum(place, values.shape[1] - 1)
+    kept = jax.vmap(lambda counted, i: counted[i])(window.counted, place) & own
+    taken = jax.vmap(lambda value, i: value[i])(values, place).reshape(-1, longest, values.shape[2])
+    return scale_moments(taken, kept.reshape(-1, longest), (end - first).ravel()), jnp.sum(kept, axis=2)
+
+
+def _fit_window(
+    mean: Array,
+    box: Array,
+    products: Array,
+    details: Array,
+    poses: Array,
+    entry: Table,
+    start: Parameters,
+    found: Estimate,
+) -> Refit:
+    """One window, with products and details of its parts (M, ...)."""
+    data = jax.vmap(lambda p, d: Data(p, d, mean, box))(products, details)
+    one = jnp.ones((), products.dtype)
+
+    def fit(data: Data) -> Parameters:
+        return fit_entry(start, data, entry, one, jnp.asarray(False))[0]
+
+    parameters = jax.vmap(fit)(data)
+    whole = _frames(jax.tree.map(lambda leaf: leaf[0], parameters), mean, found, entry.crossed)
+
+    def numbers(parameters: Parameters) -> Array:
+        (axes, origin), (axes_of_whole, origin_of_whole) = (
+            _frames(parameters, mean, found, entry.crossed),
+            whole,
+        )
+        turns = rotation_log(axes @ jnp.swapaxes(axes_of_whole, 1, 2))
+        shift = origin - origin_of_whole
+        angular = _distinct(found.angular_axes, found.angular_dof) @ turns[0]
+        linear = _distinct(found.linear_axes, found.linear_dof) @ turns[1]
+        return jnp.concatenate([angular, linear, shift - found.free_position @ shift])
+
+    def slopes(parameters: Parameters) -> Array:
+        return jax.jacfwd(lambda step: numbers(move(parameters, step, box)))(jnp.zeros(9, products.dtype))
+
+    prior = jnp.stack([_PRIOR_ANGLE * one] * 3 + [box] * 3 + [_PRIOR_ANGLE * one] * 2 + [_PRIOR_PITCH * one])
+    of_parts = jax.vmap(numbers)(parameters), jax.vmap(slopes)(parameters)
+    return Refit(parameters, data, poses, entry, *of_parts, prior)
+
+
+def _start(found: Estimate, centre: Array, mean: Array, entry: Table) -> Parameters:
+    """Parameters of the frames that were found; the tilt, which frames do not show, is 0."""
+
+    def in_body(axes: Array, body: Array) -> Array:
+        return jnp.where(body == int(AngularType.G), mean.T @ axes, axes)
+
+    found = jax.tree.map(lambda x: jnp.nan_to_num(x), found)  # of failed windows
+    angular = in_body(found.angular_axes, found.angular_type)
+    linear = in_body(found.linear_axes, jnp.asarray(ORIENTATION_BODIES)[found.linear_type])
+    turns, slides = jnp.sum(found.angular_dof), jnp.sum(found.linear_dof)
+    axis = jnp.where(turns == 1, angular[:, 2], jnp.where(slides == 1, linear[:, 2], linear[:, 0]))
+    # the free direction of a slot is the second column; else any linear axis across will do
+    cosines = jnp.abs(linear.T @ axis)
+    across = linear[:, jnp.where(cosines[2] < 0.7, 2, jnp.argmin(cosines))]
+    ground, body = mean.T @ found.universal_axes[0], found.universal_axes[1]
+    second = jnp.where(entry.crossed, jnp.cross(ground, body), across - axis * (across @ axis))
+    second = second / jnp.sqrt(jnp.sum(second * second) + 1e-30)
+    first = jnp.where(entry.crossed, body, jnp.cross(second, axis))
+    axes = jnp.stack([first, second, jnp.cross(first, second)], axis=1)
+    lean = jnp.where(entry.crossed, jnp.arctan2(first @ ground, axes[:, 2] @ ground), 0)
+    in_ground = jnp.asarray(POSITION_BODIES)[found.linear_type] == int(AngularType.G)
+    origin = found.position - jnp.where(in_ground, centre, 0)
+    return Parameters(axes, origin, jnp.stack([0 * lean, lean]), jnp.where(entry.pitch, found.pitch, 0))
+
+
+def _frames(parameters: Parameters, mean: Array, found: Estimate, crossed: Array) -> tuple[Array, Array]:
+    """Angular and linear axes (2, 3, 3) in the bodies of their types, and the origin."""
+    bodies = jnp.stack([ground_axes(parameters, mean), parameters.axes])
+    # a universal joint does not turn about what is across both of its axes
+    to_ground = jnp.where(found.angular_type == int(AngularType.G), mean, jnp.eye(3, dtype=mean.dtype))
+    second = to_ground @ bodies[1][:, 0]
+    odd = jnp.cross(to_ground @ mean.T @ bodies[0][:, 2], second)
+    odd = odd / jnp.sqrt(jnp.sum(odd * odd) + 1e-30)
+    universal = jnp.stack([odd, second, jnp.cross(odd, second)], axis=1)
+    angular = jnp.where(crossed, universal, bodies[found.angular_type])
+    linear = bodies[jnp.asarray(ORIENTATION_BODIES)[found.linear_type]]
+    return jnp.stack([angular, linear]), parameters.origin
+
+
+def _distinct(axes: Array, dof: Array) -> Array:
+    """Projector onto the turns of a frame that matter, (3, 3)."""
+    return (axes * ~free_rotations(dof)) @ axes.T

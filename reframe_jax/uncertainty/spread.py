@@ -1,0 +1,106 @@
+"""How wide the likelihood of a fit is, and how far two fits are apart in units of that."""
+
+import jax
+import jax.numpy as jnp
+
+from reframe_jax.model.fit import Data, Parameters, coordinates, held_covariance, move
+from reframe_jax.model.table import Table
+
+__all__ = ["distances", "information", "posterior", "row_precision", "spread_of_fit", "student_factor"]
+
+Array = jax.Array
+
+_INTERVAL = 1.96  # standard deviations that hold 95 %
+_FEWEST = 2.0  # degrees of freedom of Student's distribution, at least
+_KNOWN = 1e-9  # share of the largest variance below which a direction has none
+
+
+def row_precision(parameters: Parameters, data: Data, entry: Table) -> Array:
+    """Inverse covariance of held coordinates at every scale, of rotations and translations, (S, 2, 6, 6)."""
+    weights = coordinates(parameters, data.mean_rotation, entry)
+    covariance = held_covariance(weights, data.products, entry)
+    unit = jnp.sqrt(jnp.diagonal(covariance, axis1=2, axis2=3))
+    inverse = jnp.linalg.inv(covariance / unit[..., :, None] / unit[..., None, :])
+    inverse = inverse / unit[..., :, None] / unit[..., None, :]
+    whole = jnp.zeros((len(inverse), 2, 6, 6), inverse.dtype)
+    whole = whole.at[:, 0, :3, :3].set(inverse[:, 0]).at[:, 1, 3:, 3:].set(inverse[:, 1])
+    return jnp.where(entry.held[:, None] & entry.held[None], whole, 0)
+
+
+def information(parameters: Parameters, precision: Array, motion: Data, entry: Table) -> Array:
+    """Fisher information of the parameters, by scale, from rotations and from translations, (S, 2, 9, 9).
+
+    Args:
+        parameters: of the entry.
+        precision: (S, 2, 6, 6) of :func:`row_precision`.
+        motion: that informs.
+        entry: row of the table.
+    """
+
+    def weights_after(step: Array) -> Array:
+        return coordinates(move(parameters, step, motion.box), motion.mean_rotation, entry)
+
+    slopes = jax.jacfwd(weights_after)(jnp.zeros(9, precision.dtype))
+    through = jnp.einsum("ifp,sfg,jgq->sipjq", slopes, motion.products, slopes)
+    found = jnp.einsum("sipjq,stij->stpq", through, precision)
+    return found * motion.details[:, None, None, None]
+
+
+def posterior(total: Array, prior: Array) -> Array:
+    """Covariance (9, 9) of parameters with an information (9, 9) and standard deviations (9,) before it."""
+    precision = total + jnp.diag(1 / jnp.square(prior))
+    unit = 1 / jnp.sqrt(jnp.diagonal(precision))
+    return unit[:, None] * unit[None] * jnp.linalg.inv(precision * unit[:, None] * unit[None])
+
+
+def student_factor(freedom: Array) -> Array:
+    """Variance by which a normal distribution has the 95 % interval of Student's (Cornish and Fisher)."""
+    z, n = _INTERVAL, freedom
+    wider = (z**3 + z) / 4 / n + (5 * z**5 + 16 * z**3 + 3 * z) / 96 / n**2
+    wider = wider + (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384 / n**3
+    return jnp.square(1 + wider / z)
+
+
+def spread_of_fit(
+    parameters: Parameters, data: Data, slopes: Array, entry: Table, prior: Array
+) -> tuple[Array, Array]:
+    """Covariance of the nine numbers, (9, 9), and that of the tilt, (2, 2).
+
+    The variances of held coordinates are estimated too, from the independent details of their scales. Each
+    scale weighs as much as it informs, which gives the degrees of freedom (Welch and Satterthwaite).
+
+    Args:
+        parameters: fitted.
+        data: that they were fitted to.
+        slopes: (9, 9) of the numbers by a step of the parameters.
+        entry: row of the table.
+        prior: (9,) standard deviations of parameters that nothing determines.
+    """
+    each = information(parameters, row_precision(parameters, data, entry), data, entry)
+    covariance = posterior(jnp.sum(each, axis=(0, 1)), prior)
+    influence = covariance @ slopes.T
+    part = (
+        jnp.einsum("pn,stpq,qn->nst", influence, each, influence).reshape(3, 3, *each.shape[:2]).sum(axis=1)
+    )
+    tiny = jnp.finfo(part.dtype).tiny ** 0.5
+    part = part / (jnp.sum(part, axis=(1, 2), keepdims=True) + tiny)
+    number = 1 / (jnp.sum(jnp.square(part) / jnp.maximum(data.details, 0.5)[:, None], axis=(1, 2)) + 1e-6)
+    freedom = jnp.maximum(number - 1, _FEWEST)
+    factor = jnp.repeat(jnp.sqrt(student_factor(freedom) * jnp.maximum(number / freedom, 1)), 3)
+    return slopes @ influence * factor[:, None] * factor[None], covariance[6:8, 6:8]
+
+
+def distances(apart: Array, covariance: Array) -> Array:
+    """Squared distances (3,) of numbers (9,) in units of their covariance (9, 9), for each dimension.
+
+    They are 1 on average for normal errors; 1 too for what has no dimension.
+    """
+    found = []
+    for i in (0, 3, 6):
+        rows = slice(i, i + 3)
+        values, axes = jnp.linalg.eigh(covariance[rows, rows])
+        known = values > _KNOWN * values[-1]
+        along = axes.T @ apart[rows]
+        square = jnp.sum(jnp.where(known, jnp.square(along) / jnp.where(known, values, 1), 0))
+        found.append(jnp.where(jnp.any(known), square / jnp.maximum(jnp.sum(known), 1), 1))
+    return jnp.stack(found)

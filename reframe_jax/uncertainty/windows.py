@@ -1,0 +1,95 @@
+"""From what a user gives to windows: checks of poses and times, padding, and pieces of one size."""
+
+import contextlib
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike
+
+from reframe_jax.compilation import in_float64, index_leaves, traced
+from reframe_jax.identification.inputs import pad_recording, take_poses, take_steps
+from reframe_jax.identification.options import Scales, take_scales
+from reframe_jax.identification.results import Identification
+from reframe_jax.uncertainty.refit import Estimate, estimate_of
+
+__all__ = ["over_windows"]
+
+_CHUNK = {"cpu": 32, "gpu": 1024}  # windows at once: moments of all parts fit the memory
+
+
+def over_windows(
+    function: Callable[..., Any],
+    found: Identification,
+    poses: ArrayLike,
+    times: ArrayLike | None,
+    dt: ArrayLike | None,
+    scales: Scales,
+    **static: Any,
+) -> Any:
+    """Call a function of N windows for the windows of an identification, single, many or traced.
+
+    Args:
+        function: of poses (N, K+1, 4, 4), steps (N, K), lengths (N,) or None, an :class:`Estimate` and, by
+            name, ``scales`` and the other options; defined in a module, so that it compiles once.
+        found: identification of one window or a batch.
+        poses: of these windows, as the user gave them; ``times``, ``dt`` and ``scales`` likewise.
+        times: s, or None.
+        dt: s, or None.
+        scales: in samples.
+        static: options of the function.
+
+    Returns:
+        What the function returns, with the leading axes of ``found`` in place of that of the windows.
+
+    Raises:
+        ValueError: if the poses cannot be those of ``found``, or their times do not fit.
+    """
+    array = take_poses(poses)
+    expected = (*np.shape(found.counted), 4, 4)
+    if array.shape != expected:
+        raise ValueError(f"poses must be those that were identified, of shape {expected}, not {array.shape}.")
+    wide = not isinstance(array, jax.Array) and array.dtype == np.float64
+    with jax.enable_x64(True) if wide else contextlib.nullcontext():
+        steps = take_steps(array, times, dt).astype(array.dtype)
+        estimate = estimate_of(found, array.dtype)
+        run = partial(_run, function=function, scales=take_scales(scales, array.shape[-3]), **static)
+        batch = array.shape[:-3]
+        if not batch:
+            array, steps, count = pad_recording(array, np.asarray(steps) if wide else steps)
+            one = jax.tree.map(lambda leaf: leaf[None], (array, steps, estimate))
+            result = index_leaves(run(one[0], one[1], count, one[2]), 0)
+        else:
+            steps = jnp.broadcast_to(steps, (*batch, array.shape[-3] - 1))
+            flat = jax.tree.map(
+                lambda leaf: leaf.reshape(-1, *leaf.shape[len(batch) :]), (array, steps, estimate)
+            )
+            result = jax.tree.map(lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), _in_pieces(run, *flat))
+    if wide and not in_float64():
+        return jax.device_put(jax.tree.map(_narrow, jax.device_get(result)))
+    return result
+
+
+@partial(jax.jit, static_argnames=("function", "scales", "parts"))
+def _run(poses: Any, steps: Any, count: Any, found: Estimate, *, function: Any, **static: Any) -> Any:
+    return function(poses, steps, count, found, **static)
+
+
+def _in_pieces(run: Callable[..., Any], poses: Any, steps: Any, found: Estimate) -> Any:
+    """Windows in pieces of one of few sizes; the last piece repeats its last window."""
+    count, size = len(poses), _CHUNK.get(jax.default_backend(), 256)
+    if count <= size or traced((poses, steps, found)):
+        return run(poses, steps, None, found)
+    parts = []
+    for start in range(0, count, size):
+        rows = np.minimum(np.arange(start, start + size), count - 1)
+        piece = jax.tree.map(lambda leaf, rows=rows: leaf[rows], (poses, steps, found))
+        parts.append(run(piece[0], piece[1], None, piece[2]))
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:count], *parts)
+
+
+def _narrow(leaf: Any) -> Any:
+    return leaf.astype(np.float32) if leaf.dtype == np.float64 else leaf
