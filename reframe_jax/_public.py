@@ -1,7 +1,5 @@
 """The public names, which :mod:`reframe_jax` imports when the first of them is used."""
 
-import contextlib
-
 from reframe_jax.constraints.catalogue import CONSTRAINTS, Constraint, constraint, describe, lookup
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.types import AngularType, AxisRelation, LinearType
@@ -25,22 +23,14 @@ from reframe_jax.recordings.reading import load_recording
 from reframe_jax.recordings.recording import Recording, RecordingError
 from reframe_jax.recordings.relative import relative_poses
 from reframe_jax.recordings.writing import save_recording
+from reframe_jax.segmentation.entry import segment
+from reframe_jax.segmentation.many import segment_many
+from reframe_jax.segmentation.results import Boundary, Segment, Segmentation
 from reframe_jax.solvers import BasinHopping, FrameSteps, NewtonSteps, OptaxSteps, ValleySteps
 from reframe_jax.storage.results import identify_many, load_results
-
-# These are being rewritten.
-with contextlib.suppress(ImportError):
-    from reframe_jax.segmentation.entry import segment
-with contextlib.suppress(ImportError):
-    from reframe_jax.segmentation.many import segment_many
-with contextlib.suppress(ImportError):
-    from reframe_jax.segmentation.results import Boundary, Segment, Segmentation
-with contextlib.suppress(ImportError):
-    from reframe_jax.uncertainty.covariance import Covariance, covariance
-with contextlib.suppress(ImportError):
-    from reframe_jax.uncertainty.design import MotionAdvice, next_motion
-with contextlib.suppress(ImportError):
-    from reframe_jax.uncertainty.excitation import Excitation, excitation
+from reframe_jax.uncertainty.covariance import Covariance, covariance
+from reframe_jax.uncertainty.design import MotionAdvice, next_motion
+from reframe_jax.uncertainty.excitation import Excitation, excitation
 
 __all__ = [
     "CONSTRAINTS",
@@ -101,4 +91,3 @@ __all__ = [
     "to_task_frame",
     "to_urdf",
 ]
-__all__ = [name for name in __all__ if name in globals()]

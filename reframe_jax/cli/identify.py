@@ -201,9 +201,10 @@ def _explanation(recording: Recording, found: Identification, options: argparse.
     from reframe_jax.uncertainty.covariance import covariance
     from reframe_jax.uncertainty.excitation import excitation
 
+    given = {"times": recording.times, "scales": options.scales}
     usual = options.norm == 0 and options.discretization == "chord"
-    spread = covariance(found, recording.poses, times=recording.times) if usual else None
-    return found.explain(spread, excitation(found, recording.poses, times=recording.times))
+    spread = covariance(found, recording.poses, **given) if usual else None
+    return found.explain(spread, excitation(found, recording.poses, **given))
 
 
 def identify_recording(

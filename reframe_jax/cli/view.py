@@ -90,11 +90,11 @@ def _tracks(options: argparse.Namespace) -> list[WindowTrack]:
     found, spans = identify_recording(recording, options)
     poses, times = recording.poses, recording.times
     if options.window is None:
-        spread = np.asarray(covariance(found, poses, times=times).position)[None]
+        spread = np.asarray(covariance(found, poses, times=times, scales=options.scales).position)[None]
         found = jax.tree.map(lambda leaf: np.asarray(leaf)[None], found)
     else:
         places, instants = (sliding_windows(x, options.window, options.stride) for x in (poses, times))
-        spread = np.asarray(covariance(found, places, times=instants).position)
+        spread = np.asarray(covariance(found, places, times=instants, scales=options.scales).position)
     tracks = []
     for index, span in enumerate(spans):
         rows = slice(span.start, span.stop)

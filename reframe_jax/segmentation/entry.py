@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reframe_jax.compilation import traced
-from reframe_jax.identification.entry import identify_piece
+from reframe_jax.identification.entry import identify
 from reframe_jax.identification.inputs import take_steps
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
@@ -108,10 +108,13 @@ def _probabilities(cells: Cells, pieces: list[Piece], reach: float) -> list[floa
 
 
 def _identify(poses: np.ndarray, times: np.ndarray, reach: float) -> Identification | None:
-    """Identify a segment; None where it is too short or does not move."""
-    if len(poses) < _FEWEST or np.all(poses == poses[:1]):
+    """Identify a segment; None where it is too short, does not move, or has no result."""
+    if len(poses) < _FEWEST:
         return None
-    return identify_piece(poses, times, reach)
+    try:
+        return identify(poses, times=times, bounds=reach)
+    except ValueError:
+        return None
 
 
 def _checked(poses: Any, times: Any, dt: Any) -> tuple[np.ndarray, np.ndarray]:
