@@ -40,7 +40,7 @@ class Prepared(NamedTuple):
     poses: Array
     counted: Array
     steps: Array
-    count: Array
+    count: Array  # type: ignore[assignment]  # tuple.count
     noise: Array
     features: Features
     moments: Moments
