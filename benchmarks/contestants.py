@@ -1,7 +1,6 @@
 """The other ways to solve the six problems of a window, each on the same moments."""
 
 import time
-from functools import cache
 from typing import Any
 
 import jax
@@ -10,11 +9,9 @@ import numpy as np
 from scipy.optimize import minimize
 
 import reframe_jax as rf
-from benchmarks.dual_annealing import DT, anneal
-from benchmarks.timing import jit, timed_once
-from reframe_jax.compilation import chunk_size
+from benchmarks.dual_annealing import DT, anneal, six_moments
+from benchmarks.timing import in_chunks, timed, timed_once
 from reframe_jax.constraints.located import ground_offset
-from reframe_jax.identification.floored_moments import window_moments
 from reframe_jax.objectives.velocity import FrameObjective
 from reframe_jax.solvers import Box
 
@@ -25,22 +22,19 @@ Solved = tuple[np.ndarray, np.ndarray, float, float]
 """Norms (N, 6), linear positions (N, 4, 3) in m, seconds, and seconds of compilation before."""
 
 
-@cache
-def _moments_of_chunk() -> Any:
-    return jit(lambda poses: window_moments(poses, jnp.full(poses.shape[1] - 1, DT, poses.dtype)))
-
-
-def six_moments(poses: np.ndarray) -> tuple[jax.Array, jax.Array, np.ndarray]:
-    """Angular and linear moments, and the centre that positions in the ground are counted from."""
+def moments_about_centre(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Angular and linear moments, windows in front; the centre that positions in the ground count from."""
     centre = poses[:, :, :3, 3].mean(axis=1)
     centred = np.array(poses)
     centred[:, :, :3, 3] -= centre[:, None]
-    size, count = chunk_size(), len(poses)
-    fill = np.minimum(np.arange(-(-count // size) * size), count - 1)
-    # chunks of one size, so that all contestants share a compilation
-    chunks = [_moments_of_chunk()(jnp.asarray(centred[rows])) for rows in fill.reshape(-1, size)]
-    angular, linear = (jnp.concatenate(part, axis=2)[:, :, :count] for part in zip(*chunks, strict=True))
+    angular, linear = in_chunks(_moments_of_chunk, centred)
     return angular, linear, centre
+
+
+@jax.jit
+def _moments_of_chunk(poses: jax.Array) -> tuple[jax.Array, jax.Array]:
+    angular, linear = six_moments(poses, DT)
+    return jnp.moveaxis(angular, 2, 0), jnp.moveaxis(linear, 2, 0)
 
 
 def shift_positions(positions: np.ndarray, centre: np.ndarray) -> np.ndarray:
@@ -50,37 +44,19 @@ def shift_positions(positions: np.ndarray, centre: np.ndarray) -> np.ndarray:
 
 def general_search(poses: np.ndarray) -> Solved:
     """Basin hopping over (rotation, position)."""
-    angular, linear, centre = six_moments(poses)
-    turn = jnp.full(3, TURN)
+    angular, linear, centre = moments_about_centre(poses)
+    turn, key = jnp.full(3, TURN), jax.random.key(0)
     box = Box(jnp.concatenate([-turn, -jnp.ones(3)]), jnp.concatenate([turn, jnp.ones(3)]))
-    solver, key = GENERAL, jax.random.key(0)
-    size, count = chunk_size(), len(poses)
-    fill = np.minimum(np.arange(-(-count // size) * size), count - 1)
 
-    @jax.jit
-    def chunked(moments: jax.Array) -> jax.Array:
-        return jnp.moveaxis(
-            moments[:, :, fill].reshape(*moments.shape[:2], -1, size, moments.shape[-1]), 2, 0
-        )
+    def of_chunk(angular: jax.Array, linear: jax.Array) -> tuple[jax.Array, jax.Array]:
+        angular, linear = (jnp.moveaxis(moments, 0, 2) for moments in (angular, linear))
+        turned = GENERAL.minimise(FrameObjective(angular), Box(-turn, turn), key)
+        placed = GENERAL.minimise(FrameObjective(linear), box, key)
+        return jnp.concatenate([turned.value, placed.value], axis=-1), jnp.moveaxis(placed.x[3:], 0, -1)
 
-    def search(angular: jax.Array, linear: jax.Array) -> tuple[jax.Array, jax.Array]:
-        def of_chunk(chunk: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-            turned = solver.minimise(FrameObjective(chunk[0]), Box(-turn, turn), key)
-            placed = solver.minimise(FrameObjective(chunk[1]), box, key)
-            return jnp.concatenate([turned.value, placed.value], axis=-1), placed.x[3:]
-
-        return jax.lax.map(of_chunk, (angular, linear))
-
-    run = jit(search)
-    inputs = chunked(angular), chunked(linear)
-    (values, x), seconds, compiling = timed_once(run, *inputs)
-    positions = np.moveaxis(np.asarray(x), 1, -1).reshape(-1, 4, 3)[:count]
-    return (
-        np.exp(np.asarray(values).reshape(-1, 6)[:count]),
-        shift_positions(positions, centre),
-        seconds,
-        compiling,
-    )
+    run = jax.jit(of_chunk)
+    (values, positions), seconds, compiling = timed(lambda: in_chunks(run, angular, linear), 1)
+    return np.exp(values), shift_positions(positions, centre), seconds, compiling
 
 
 @jax.jit
@@ -97,7 +73,7 @@ def annealing(poses: np.ndarray, seeds: np.ndarray) -> Solved:
 
 def lbfgs(poses: np.ndarray, starts: int) -> Solved:
     """SciPy's L-BFGS-B from random starts; on a processor, to spare it the way to an accelerator and back."""
-    angular, linear, centre = (np.asarray(a) for a in six_moments(poses))
+    angular, linear, centre = moments_about_centre(poses)
     with jax.default_device(jax.devices("cpu")[0]):
         return _lbfgs(angular, linear, centre, starts)
 
@@ -106,13 +82,13 @@ def _lbfgs(angular: np.ndarray, linear: np.ndarray, centre: np.ndarray, starts: 
     rng = np.random.default_rng(0)
     norms, positions = np.full((len(centre), 6), np.inf), np.zeros((len(centre), 4, 3))
     begin = time.perf_counter()
-    for moments, dim in ((angular[:, :, 0, 0], 3), (linear[:, :, 0, 0], 6)):
+    for moments, dim in ((angular[0, ..., 0], 3), (linear[0, ..., 0], 6)):
         _value_and_gradient(moments, np.full(dim, 0.1))
     compiling = time.perf_counter() - begin
     begin = time.perf_counter()
     for i in range(len(centre)):
         for t in range(6):
-            moments, dim = (angular[:, :, i, t], 3) if t < 2 else (linear[:, :, i, t - 2], 6)
+            moments, dim = (angular[i, ..., t], 3) if t < 2 else (linear[i, ..., t - 2], 6)
             bounds = [(-TURN, TURN)] * 3 + [(-1.0, 1.0)] * (dim - 3)
 
             def objective(x: np.ndarray, moments: np.ndarray = moments) -> tuple[float, np.ndarray]:
@@ -133,7 +109,7 @@ def cma_es(poses: np.ndarray, runs: int, generations: int) -> Solved:
     """CMA-ES of evosax on unit coordinates of the box."""
     from evosax.algorithms import CMA_ES
 
-    angular, linear, centre = six_moments(poses)
+    angular, linear, centre = moments_about_centre(poses)
 
     def solve(moments: jax.Array, key: jax.Array, scale: jax.Array) -> tuple[jax.Array, jax.Array]:
         strategy = CMA_ES(population_size=4 + 3 * len(scale), solution=jnp.zeros(len(scale)))
@@ -165,7 +141,7 @@ def cma_es(poses: np.ndarray, runs: int, generations: int) -> Solved:
             return values[winner], x[winner]
 
         def over(moments: jax.Array, scale: jax.Array) -> tuple[jax.Array, jax.Array]:
-            problems = jnp.moveaxis(moments, (2, 3), (0, 1))
+            problems = jnp.moveaxis(moments, 3, 1)
             return jax.vmap(jax.vmap(lambda m: best(m, scale)))(problems)
 
         turned, _ = over(angular, scales[0])

@@ -1,8 +1,8 @@
 """Which windows tell the constraint: those whose exact motion obeys no other as tight, nor a tighter one.
 
-The exact motion is seen at the optimum of the paper's objective for every frame type. The optimum is that
-of the measured poses over chords of a second: of exact poses it is any origin that leaves the constrained
-axes at zero, and among these the noise tells which holds the other axes best. An axis along which the frame
+The exact motion is seen at the optimum of the norm for every frame type. The optimum is that of the measured
+poses over time scales: of exact poses it is any origin that leaves the constrained axes at zero, and among
+these the noise decides which holds the other axes best. An axis along which the frame
 goes no farther than ten times the noise of a pose counts as held there: a constraint that holds it as well
 explains the recording as well. The degrees of freedom are determined where the true type holds no more axes
 than the truth does, and no other type does; the type where no other holds as many.
@@ -15,14 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 
 import reframe_jax as rf
-from benchmarks.lags import identify_at, takes_lag
 from reframe_jax.constraints.types import POSITION_BODIES
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.motion.kinematics import velocity_components
 
 __all__ = ["Told", "determined", "distances"]
 
-_CHORD = 1.0  # s
 _NOISES = 10  # that an axis goes at least to be seen free
 
 
@@ -58,7 +56,7 @@ def determined(
         sigma: (N,) standard deviation of the noise in every component of the position, m.
         rotation_ratio: (N,) that of every component of the rotation over ``sigma``, rad/m.
     """
-    found = identify_at(round(_CHORD / dt) if takes_lag() else 1, measured, dt=dt).candidates
+    found = rf.identify(measured, dt=dt).candidates
     position = jnp.asarray(found.linear.position)
     rotvecs = found.angular.rotvec, found.linear.rotvec
     turns, moves, levers = distances(jnp.asarray(exact), dt, rotvecs, position)

@@ -14,7 +14,6 @@ long restarts), as the share of problems more than 0.1 % above it, and the error
 import argparse
 import time
 from collections.abc import Callable, Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +24,8 @@ from scipy.optimize import dual_annealing
 
 import reframe_jax as rf
 from benchmarks.common import write_metrics
-from benchmarks.timing import jit, timed
-from reframe_jax.compilation import chunk_size
-from reframe_jax.identification.floored_moments import window_moments
+from benchmarks.timing import in_chunks, timed
+from reframe_jax.identification.paper import step_moments
 from reframe_jax.motion import kinematics
 from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
 from reframe_jax.simulation import metrics, synthetic
@@ -85,13 +83,19 @@ def numpy_objectives(poses: np.ndarray, dt: float = DT) -> list[tuple[Callable[[
 
 def jax_gradients(poses: np.ndarray, dt: float = DT) -> list[Callable[[np.ndarray], np.ndarray]]:
     """Gradients of the same six objectives, compiled once for all windows."""
-    steps = jnp.full(poses.shape[-3] - 1, dt)
-    angular, linear = window_moments(jnp.asarray(poses), steps)
+    angular, linear = six_moments(jnp.asarray(poses)[None], dt)
 
     def of(moments: jax.Array) -> Callable[[np.ndarray], np.ndarray]:
         return lambda x: np.asarray(_gradient(moments, jnp.asarray(x)))
 
-    return [of(angular[..., i]) for i in range(2)] + [of(linear[..., i]) for i in range(4)]
+    return [of(angular[..., 0, i]) for i in range(2)] + [of(linear[..., 0, i]) for i in range(4)]
+
+
+@jax.jit
+def six_moments(poses: jax.Array, dt: float | jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Moments of single steps of windows (N, K+1, 4, 4): angular (6, 1, N, 2) and linear (6, 10, N, 4)."""
+    angular, linear = step_moments(poses, jnp.full((1, poses.shape[1] - 1), dt, poses.dtype), "chord")
+    return angular, linear
 
 
 @jax.jit
@@ -124,47 +128,23 @@ def anneal(poses: np.ndarray, seed: int, *, gradient: bool) -> tuple[np.ndarray,
 
 
 _LONG = rf.BasinHopping(rf.ValleySteps(40), restarts=64, hops=0, refine=rf.ValleySteps(40))
-_LONGER = rf.BasinHopping(rf.ValleySteps(12), restarts=64, hops=40, polish=8, settled=0.0)
+_HALF = 1.5  # m: positions of dual annealing are bounded about the ground's origin, ours about the motion
 
 
 def best_known(poses: np.ndarray) -> np.ndarray:
     """Norms (N, 6) of a search with 64 long restarts."""
-    # positions of dual annealing are bounded about the ground's origin, ours about the motion: search both
-    return _best_of(_LONG, poses, 1.5)
-
-
-def best_in_box(poses: np.ndarray, half: float) -> np.ndarray:
-    """Norms (N, 6) of the better of two searches: 64 long restarts, and 64 chains of 40 hops.
-
-    Args:
-        poses: (N, K+1, 4, 4), m.
-        half: m, half a width of the box that is searched, about the mean of the motion.
-    """
-    return np.minimum(_best_of(_LONG, poses, half), _best_of(_LONGER, poses, half))
-
-
-@cache
-def _search_chunks(solver: rf.BasinHopping) -> Any:
-    """Compiled: from windows (chunks, N, K+1, 4, 4) and half a width of the box to norms (chunks, N, 6)."""
-
-    def of_chunk(poses: jax.Array, half: jax.Array) -> jax.Array:
-        angular, linear = window_moments(poses, jnp.full(poses.shape[1] - 1, DT))
-        box = Box(jnp.full(3, -half), jnp.full(3, half))
-        values = solver.minimise(PositionObjective(linear), box, jax.random.key(64)).value
-        zero = jnp.zeros((3, *angular.shape[2:]))
-        return jnp.exp(jnp.concatenate([PositionObjective(angular).value(zero), values], axis=-1))
-
-    return jit(lambda chunks, half: jax.lax.map(lambda poses: of_chunk(poses, half), chunks))
-
-
-def _best_of(solver: rf.BasinHopping, poses: np.ndarray, half: float) -> np.ndarray:
     centred = np.array(poses)
     centred[:, :, :3, 3] -= poses[:, :, :3, 3].mean(axis=1)[:, None]
-    size, count = chunk_size(), len(poses)
-    fill = np.minimum(np.arange(-(-count // size) * size), count - 1)
-    chunks = jnp.asarray(centred[fill].reshape(-1, size, *poses.shape[1:]))
-    found = _search_chunks(solver)(chunks, jnp.asarray(half))
-    return np.asarray(found).reshape(-1, 6)[:count]
+    return np.asarray(in_chunks(_best_of_chunk, centred))
+
+
+@jax.jit
+def _best_of_chunk(poses: jax.Array) -> jax.Array:
+    angular, linear = six_moments(poses, DT)
+    box = Box(jnp.full(3, -_HALF), jnp.full(3, _HALF))
+    values = _LONG.minimise(PositionObjective(linear), box, jax.random.key(64)).value
+    zero = jnp.zeros((3, *angular.shape[2:]))
+    return jnp.exp(jnp.concatenate([PositionObjective(angular).value(zero), values], axis=-1))
 
 
 def errors_mm(positions: np.ndarray, labels: Sequence[str]) -> np.ndarray:
@@ -188,7 +168,9 @@ def run(count: int, annealed: int) -> dict[str, float]:
     """Run all contestants and print the table."""
     poses, labels = make_windows(count)
     array = jnp.asarray(poses)
-    found, seconds, compiling = timed(lambda: rf.identify(array, dt=DT, lag=1, thresholds=rf.Thresholds()), 3)
+    found, seconds, compiling = timed(
+        lambda: rf.identify(array, dt=DT, scales=1, thresholds=rf.Thresholds()), 3
+    )
     sample = np.linspace(0, count - 1, annealed).astype(int)
     plain = [anneal(poses[i], seed=int(i), gradient=False) for i in sample]
     steered = [anneal(poses[i], seed=int(i), gradient=True) for i in sample]

@@ -7,51 +7,273 @@
 - *arguments*: arrays of every type, shape and byte order, and options that are none, give a result or a
   ``ValueError``;
 - *stores*: a mutated folder of results loads as it was, or is refused with a ``ValueError``;
-- *commands*: mutated command lines and files end with exit code 0, 1 or 2, and with messages;
-- *kills*: runs of ``identify_many`` killed at random moments end with the same bytes.
+- *commands*: mutated command lines and files end with exit code 0, 1 or 2, and with messages.
 
 Each part prints what came of its inputs and how many faults there were; the first of these are listed. The
-exit code is 1 if there were any. ``--count 1000000 --kills 100`` is the full run; ``--only`` splits it among
-processes, each with its own ``--json``, and ``--join`` shows their files as one.
+exit code is 1 if there were any. ``--count 1000000`` is the full run.
 """
 
 import contextlib
+import functools
 import io
-import resource
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 import reframe_jax as rf
-from benchmarks.attacks import (
-    DT,
-    POSES,
-    Standstill,
-    Tally,
-    attack_arguments,
-    attack_windows,
-    attempt,
-    sound_windows,
-)
-from benchmarks.common import add_files, machine, new_parser, read_parts, write_record
+from benchmarks.common import machine, new_parser, write_record
 from benchmarks.mutations import FORMATS, TOKENS, make_recording, mutated
 from reframe_jax.cli import program
+from reframe_jax.objectives import Objective
+from reframe_jax.simulation import synthetic
+from reframe_jax.solvers import Box, Solution
 
-SHARES = {"files": 0.2, "windows": 0.7, "arguments": 0.05, "stores": 0.04, "commands": 0.01}
+FRACTIONS = {"files": 0.2, "windows": 0.7, "arguments": 0.05, "stores": 0.04, "commands": 0.01}
 LISTED = 5  # faults printed of each part
-FIRST = 5000  # inputs before the memory of the process is watched
-GROWTH = 500  # MB that the memory of the process may grow by from then on
+PATIENCE = 600.0  # s that one input may take, compilation on a busy machine included
+POSES, DT = 21, 0.1
+_LABELS, _MOST = "AEGK", 1024
+
+
+@dataclass
+class Tally:
+    """What came of the inputs of one part.
+
+    Attributes:
+        outcomes: how many inputs came out how.
+        faults: how many there were of each, in words, with one example each.
+    """
+
+    outcomes: Counter[str] = field(default_factory=Counter)
+    faults: Counter[str] = field(default_factory=Counter)
+
+    def add(self, outcome: str, fault: str | None = None) -> None:
+        """Count an input."""
+        self.outcomes[outcome] += 1
+        if fault is not None:
+            self.faults[fault] += 1
+
+
+@dataclass(frozen=True)
+class Standstill:
+    """A solver that does not search: the arguments are under attack, not the search."""
+
+    def minimise(self, objective: Objective, box: Box, key: jax.Array) -> Solution:
+        """The middle of the box."""
+        x = jnp.zeros((objective.dim, *objective.batch), objective.dtype)
+        return Solution(x, objective.value(x), jnp.ones(objective.batch, objective.dtype))
+
+
+class Hang(BaseException):
+    """An input took longer than :data:`PATIENCE`."""
+
+
+@contextlib.contextmanager
+def _in_time() -> Iterator[None]:
+    def stop(*_: Any) -> None:
+        raise Hang
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, PATIENCE)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def attempt(
+    tally: Tally, name: str, act: Callable[[], str], allowed: tuple[type[Exception], ...] = (ValueError,)
+) -> None:
+    """Do something, and count what came of it.
+
+    Args:
+        tally: to count in.
+        name: of the input, to find it again.
+        act: returns the outcome; an ``AssertionError`` is a fault.
+        allowed: errors that are refusals, if they say something.
+    """
+    try:
+        with _in_time(), warnings.catch_warnings():
+            warnings.simplefilter("error")
+            tally.add(act())
+    except allowed as error:
+        words = str(error)
+        wordless = not words.strip() or len(words) > 4000
+        tally.add("refused", f"{name}: a refusal without words: {words[:80]!r}" if wordless else None)
+    except Hang:
+        tally.add("fault", f"{name}: no end within {PATIENCE:g} s")
+    except Exception as error:
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        place = f"{Path(where.filename).name}:{where.lineno}"
+        tally.add("fault", f"{name}: {type(error).__name__} at {place}: {str(error)[:200]}")
+
+
+@functools.cache
+def _windows() -> np.ndarray:
+    poses = []
+    for label in _LABELS:
+        make = partial(synthetic.simulate, label, noise=1e-4, duration=(POSES - 1) * DT, dt=DT)
+        keys = jax.random.split(jax.random.key(0), _MOST // len(_LABELS))
+        poses.append(np.asarray(jax.jit(jax.vmap(lambda key, make=make: make(key).poses))(keys)))
+    return np.stack(poses, axis=1).reshape(_MOST, POSES, 4, 4)
+
+
+def sound_windows(count: int) -> np.ndarray:
+    """(count, 21, 4, 4) poses of several constraints in turn; at most 1024 windows."""
+    return _windows()[:count].copy()
+
+
+def _spoil(rng: np.random.Generator, poses: np.ndarray) -> np.ndarray:
+    """A window with one to three mutations."""
+    poses = poses.copy()
+    for _ in range(rng.integers(1, 4)):
+        where = int(rng.integers(len(poses)))
+        kind = rng.integers(9)
+        if kind == 0:
+            poses[where, rng.integers(4), rng.integers(4)] = rng.choice([np.nan, np.inf, -np.inf, 0, 1e300])
+        elif kind == 1:
+            poses[:, :3, 3] *= 10.0 ** rng.uniform(-200, 200)
+        elif kind == 2:
+            poses[where:, :3, 3] += 10.0 ** rng.uniform(-20, 160)
+        elif kind == 3:
+            bits = poses.reshape(-1).view(np.uint64 if poses.itemsize == 8 else np.uint32)
+            bits[rng.integers(bits.size)] ^= bits.dtype.type(1 << int(rng.integers(8 * poses.itemsize)))
+        elif kind == 4:
+            poses[where:] = poses[where]
+        elif kind == 5:
+            poses[rng.permutation(len(poses))] = poses.copy()
+        elif kind == 6:
+            poses[:, rng.integers(3), 3] = rng.choice([0.0, 1e4])
+        elif kind == 7:
+            poses[:, :3, :3] = np.eye(3)
+        else:
+            poses[:, :3, 3] = np.round(poses[:, :3, 3], int(rng.integers(5)))
+    return poses
+
+
+def attack_windows(count: int) -> Tally:
+    """Batches of spoilt windows beside sound ones."""
+    tally = Tally()
+    size = _MOST if count >= 1000 else 32
+    sound = sound_windows(size)
+
+    @functools.cache
+    def expected(kind: str) -> rf.Identification:
+        return _identify_batch(sound.astype(kind), DT)
+
+    for number in range(-(-2 * count // size)):
+        rng = np.random.default_rng([number, 1])
+        kind = "float32" if number % 4 == 3 and count >= 1000 else "float64"
+        batch = sound.astype(kind)
+        spoilt = np.flatnonzero(rng.random(size) < 0.5)
+        with np.errstate(all="ignore"):
+            for row in spoilt:
+                batch[row] = _spoil(rng, batch[row])
+        before = expected(kind)
+        try:
+            with _in_time():
+                found = _identify_batch(batch, DT)
+        except Exception as error:
+            tally.add("fault", f"batch {number}: {type(error).__name__}: {str(error)[:200]}")
+            continue
+        for fault in faults_of_batch(np.asarray(found.status_code), found, before, spoilt):
+            tally.faults[f"batch {number} of {kind}: {fault}"] += 1
+        for code in found.status_code[spoilt]:
+            tally.outcomes[rf.Status(int(code)).name] += 1
+    return tally
+
+
+def _identify_batch(poses: np.ndarray, dt: Any) -> rf.Identification:
+    return jax.device_get(rf.identify(poses, dt=dt))
+
+
+def faults_of_batch(status: np.ndarray, found: Any, expected: Any, spoilt: np.ndarray) -> Iterator[str]:
+    """What is wrong with a batch.
+
+    Args:
+        status: (N,) codes.
+        found: pytree of arrays (N, ...).
+        expected: the same of sound windows.
+        spoilt: rows of windows that were not sound.
+    """
+    good, untouched = status < 10, np.ones(len(status), bool)
+    untouched[spoilt] = False
+    leaves = jax.tree_util.tree_leaves_with_path(found)
+    for (path, leaf), before in zip(leaves, jax.tree.leaves(expected), strict=True):
+        name = jax.tree_util.keystr(path)
+        if np.issubdtype(leaf.dtype, np.floating):
+            finite = np.isfinite(leaf).reshape(len(leaf), -1).all(axis=1)
+            # NaN where the constraint is no such joint
+            if np.any(good & ~finite) and name not in (".pitch", ".universal_axes"):
+                yield f"{name} is not finite in window {np.flatnonzero(good & ~finite)[0]}"
+        if not np.array_equal(leaf[untouched], before[untouched], equal_nan=leaf.dtype.kind == "f"):
+            yield f"{name} of a sound window changed"
+
+
+def attack_arguments(count: int) -> Tally:
+    """Values of every type and shape as every argument of ``identify``."""
+    tally, window = Tally(), sound_windows(1)[0]
+    for seed in range(count):
+        rng = np.random.default_rng([seed, 2])
+        arguments: dict[str, Any] = {"poses": window, "dt": DT}
+        for _ in range(rng.integers(1, 3)):
+            name = str(
+                rng.choice(
+                    ["poses", "times", "dt", "scales", "assume", "norm", "thresholds", "bounds", "key"]
+                )
+            )
+            arguments[name] = _odd_value(rng, window if name == "poses" else DT * np.arange(POSES))
+        if "times" in arguments and rng.random() < 0.8:
+            arguments.pop("dt")
+        attempt(tally, f"arguments {seed}", partial(_identify_one, arguments))
+    return tally
+
+
+def _identify_one(arguments: dict[str, Any]) -> str:
+    found = rf.identify(arguments.pop("poses"), **arguments, solver=Standstill())
+    number = found.noise.position  # instead of NaN, where there is no screw, universal joint or probability
+    known = replace(found, pitch=number, universal_axes=number, entry_probability=number)
+    for leaf in jax.tree.leaves(known):
+        finite = np.issubdtype(leaf.dtype, np.floating) and not np.all(np.isfinite(np.asarray(leaf)))
+        assert not finite or np.ndim(found.status_code), "NaN under a good status"
+    return "identified"
+
+
+def _odd_value(rng: np.random.Generator, usual: np.ndarray) -> Any:
+    types = ["f2", "f4", "f8", ">f8", ">f4", "f16", "i1", "u1"]
+    types += ["u4", ">u8", "i8", "c16", "?", "U8", "S4", "O"]
+    kind = rng.integers(10)
+    if kind < 5:
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return usual.astype(str(rng.choice(types)))
+    if kind == 5:
+        return usual[None] if usual.ndim == 1 else usual[..., :3]
+    if kind == 6:
+        return usual[: int(rng.integers(5))]
+    if kind == 7:
+        return usual.tolist()
+    odd: list[Any] = [None, "a", b"a", True, 1j, {}, [], (), [[1], [1, 2]], object(), np.ma.masked]
+    odd += [np.nan, np.inf, -1, 0, 1e300, 1e-300, 2**80, (1.0, 2.0), (1, 2, 3), (-1.0, np.ones(3))]
+    odd += [np.datetime64("2020"), np.timedelta64(1, "s"), np.array(0.5), lambda: 1, "hinge"]
+    every: list[Any] = [*odd, rf.Thresholds(0.1, 0.1)]
+    return every[int(rng.integers(len(every)))]
 
 
 def attack_files(count: int, folder: Path) -> Tally:
@@ -127,7 +349,7 @@ def _command(rng: np.random.Generator, sound: Path, spoilt: Path, folder: Path) 
             *([str(rng.choice(["--json", "x", "--no-cache"]))] if rng.random() < 0.5 else []),
         ]
     words = ["identify", "--no-cache", str(sound if rng.random() < 0.3 else spoilt)]
-    options = ["--dt", "--lag", "--unit", "--window", "--stride", "--norm", "--discretization", "--bounds"]
+    options = ["--dt", "--scales", "--unit", "--window", "--stride", "--norm", "--discretization", "--bounds"]
     options += ["--angular-threshold", "--linear-threshold", "--json"]
     values = [
         "1",
@@ -173,72 +395,7 @@ def _run(words: list[str]) -> str:
     return f"exit code {code}"
 
 
-_CHILD = """
-import sys
-import numpy as np
-import reframe_jax as rf
-from benchmarks.attacks import Standstill
-windows = np.load(sys.argv[1], mmap_mode="r")
-rf.identify_many(windows, sys.argv[2], dt=0.1, part_size=8, progress=False, solver=Standstill())
-"""
-
-
-def attack_runs(kills: int, folder: Path) -> Tally:
-    """Runs killed at random moments, and resumed until they end."""
-    tally = Tally()
-    np.save(folder / "windows.npy", sound_windows(512))
-
-    def start(out: Path) -> "subprocess.Popen[bytes]":
-        command = [sys.executable, "-c", _CHILD, str(folder / "windows.npy"), str(out)]
-        return subprocess.Popen(command, stderr=subprocess.PIPE)
-
-    def succeeds(out: Path) -> bool:
-        child = start(out)
-        child.communicate()
-        return child.returncode == 0
-
-    whole, killed = folder / "uninterrupted", folder / "killed"
-    for out in (
-        whole,
-        folder / "again",
-    ):  # the second time, compiled programs come from the cache, as for all
-        began = time.monotonic()
-        if not succeeds(out):
-            tally.add("fault", "an uninterrupted run failed")
-            return tally
-    duration = time.monotonic() - began
-    rng = np.random.default_rng(5)
-    for number in range(kills):
-        child = start(killed)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            child.wait(timeout=float(rng.uniform(0.3, 1.0) * duration))
-        child.kill()
-        _, words = child.communicate()
-        ended = child.returncode == 0
-        fault = child.returncode not in (0, -signal.SIGKILL)
-        tally.add("ended" if ended else "killed", f"kill {number}: {words[-200:]!r}" if fault else None)
-        if ended:
-            _compare(tally, number, killed, whole)
-            shutil.rmtree(killed)
-    if not succeeds(killed):
-        tally.faults["the last run failed"] += 1
-    _compare(tally, kills, killed, whole)
-    return tally
-
-
-def _compare(tally: Tally, number: int, killed: Path, whole: Path) -> None:
-    """Count files of a resumed run that differ from those of an uninterrupted one."""
-    for file in sorted(whole.iterdir()):
-        if not (killed / file.name).exists() or (killed / file.name).read_bytes() != file.read_bytes():
-            tally.faults[f"after kill {number}: {file.name} differs"] += 1
-
-
-def memory() -> float:
-    """Most memory that the process has used so far, MB."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-
-
-def attack(count: int, kills: int, only: Sequence[str]) -> dict[str, Any]:
+def attack(count: int, only: Sequence[str]) -> dict[str, Any]:
     """Run the parts, print what came of each, and return it as JSON."""
     report: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as name:
@@ -249,54 +406,20 @@ def attack(count: int, kills: int, only: Sequence[str]) -> dict[str, Any]:
             "arguments": attack_arguments,
             "stores": lambda n: attack_stores(n, folder),
             "commands": lambda n: attack_commands(n, folder),
-            "kills": lambda n: attack_runs(n, folder),
         }
-        for part, run in parts.items():
-            if part not in only:
-                continue
-            number = kills if part == "kills" else max(1, round(SHARES[part] * count))
+        for part in only:
             began = time.monotonic()
-            watched = (
-                number >= 1000 and part != "commands"
-            )  # each of which takes its programs along at its end
-            if watched:
-                run(min(number // 10, FIRST))  # compiles, and fills pools of memory
-            before = memory()
-            tally = run(number)
-            grown = memory() - before if watched else None
-            if grown is not None and grown > GROWTH:
-                tally.faults[f"memory grew by {grown:.0f} MB"] += 1
-            report[part] = {
-                "outcomes": dict(tally.outcomes.most_common()),
-                "faults": dict(tally.faults),
-                "grown_mb": grown,
-                "seconds": time.monotonic() - began,
-            }
-            show(part, report[part])
-    return report
-
-
-def show(part: str, counts: dict[str, Any]) -> None:
-    """Print what came of the inputs of a part, and the first of its faults."""
-    outcomes = ", ".join(f"{n:,} {outcome}" for outcome, n in counts["outcomes"].items())
-    total, faults, grown = sum(counts["outcomes"].values()), counts["faults"], counts["grown_mb"]
-    growth = "" if grown is None else f"memory grew by {grown:.0f} MB; "
-    number = f"{sum(faults.values())} faults"
-    print(f"{part:10}{total:9,}: {outcomes}; {number}; {growth}{counts['seconds']:.0f} s", flush=True)
-    for fault in list(faults)[:LISTED]:
-        print(f"          {fault}", flush=True)
-
-
-def join(reports: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Show what runs of different parts wrote, and return it as one report."""
-    report: dict[str, Any] = {}
-    for one in reports:
-        if twice := report.keys() & one.keys():
-            raise SystemExit(f"Each part once: {', '.join(sorted(twice))} is in two files.")
-        report |= one
-    for part in (*SHARES, "kills"):
-        if part in report:
-            show(part, report[part])
+            tally = parts[part](max(1, round(FRACTIONS[part] * count)))
+            seconds = time.monotonic() - began
+            outcomes = dict(tally.outcomes.most_common())
+            report[part] = {"outcomes": outcomes, "faults": dict(tally.faults), "seconds": seconds}
+            words = ", ".join(f"{n:,} {outcome}" for outcome, n in outcomes.items())
+            faults = sum(tally.faults.values())
+            print(
+                f"{part:10}{sum(outcomes.values()):9,}: {words}; {faults} faults; {seconds:.0f} s", flush=True
+            )
+            for fault in list(tally.faults)[:LISTED]:
+                print(f"          {fault}", flush=True)
     return report
 
 
@@ -304,19 +427,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the attacks; returns the exit code."""
     parser = new_parser("faults", __doc__)
     parser.add_argument("--count", type=int, default=5000, help="mutated inputs in all (5000)")
-    parser.add_argument("--kills", type=int, default=3, help="runs that are killed (3)")
-    parser.add_argument("--quick", action="store_true", help="a few inputs of every part, none killed")
-    parser.add_argument("--only", nargs="+", choices=[*SHARES, "kills"], help="parts to run (all)")
-    add_files(parser)
+    parser.add_argument("--quick", action="store_true", help="a few inputs of every part")
+    parser.add_argument("--only", nargs="+", choices=list(FRACTIONS), help="parts to run (all)")
+    parser.add_argument("--json", type=Path, help="file to write all figures to")
     options = parser.parse_args(argv)
     jax.config.update("jax_enable_x64", True)
-    count, kills = (300, 0) if options.quick else (options.count, options.kills)
-    only = options.only or [*SHARES, *(["kills"] if kills else [])]
-    if options.join:
-        report = join(read_parts(options))
-    else:
-        print(machine())
-        report = attack(count, kills, only)
+    print(machine())
+    report = attack(300 if options.quick else options.count, options.only or list(FRACTIONS))
     write_record(options.json, report)
     faults = sum(sum(part["faults"].values()) for part in report.values())
     print(f"{faults} faults")

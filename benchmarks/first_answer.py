@@ -1,10 +1,9 @@
-"""How long the first answer takes, by NumPy and by compiled programs, and every answer after it.
+"""How long the first answer of a process takes, stage by stage, and every answer after it.
 
-A process of its own each time: it imports the library, identifies one recording, and then the same again and
-again. NumPy compiles nothing but the random numbers of the search. Compiled programs are timed with nothing
-cached, and with their programs in JAX's compilation cache. The table has the seconds of the first answer,
-import included, the median of those that follow, the calls after which compiling would have been faster, and
-how far the reported origins are apart.
+A process of its own each time: it imports the library, identifies one recording, and then the same again
+and again. The stages are those of the first answer: importing, tracing (Python builds the program), compiling
+(XLA makes it machine code, or finds it in JAX's compilation cache), and the rest, which runs it. Timed with
+nothing cached, and with the programs of such a process in the cache.
 """
 
 import json
@@ -24,28 +23,41 @@ __all__ = ["measure"]
 
 RECORDING = Path(__file__).parent.parent / "examples" / "pin_on_plane.csv"
 AGAIN = 30  # answers after the first
+STAGES = "import", "trace", "compile", "run"
 
 _PROCESS = """
 import json, sys, time
 start = time.perf_counter()
+import jax
 import numpy as np
 import reframe_jax as rf
+rf.identify
+stages = {"import": time.perf_counter() - start, "trace": 0.0, "compile": 0.0}
+KINDS = {
+    "/jax/core/compile/jaxpr_trace_duration": "trace",
+    "/jax/core/compile/jaxpr_to_mlir_module_duration": "trace",
+    "/jax/core/compile/backend_compile_duration": "compile",
+}
+def listen(event, seconds, **_):
+    if event in KINDS:
+        stages[KINDS[event]] += seconds
+jax.monitoring.register_event_duration_secs_listener(listen)
 recording = rf.load_recording(sys.argv[1])
-compiled, again, seconds = sys.argv[2] == "compiled", int(sys.argv[3]), []
-for _ in range(1 + again):
-    found = rf.identify(recording.poses, times=recording.times, compiled=compiled)
-    origin = np.asarray(found.linear.position)
-    seconds.append(time.perf_counter() - start)
+answers = []
+for _ in range(1 + int(sys.argv[2])):
     start = time.perf_counter()
-print(json.dumps({"seconds": seconds, "name": found.name, "origin": origin.tolist()}))
+    found = rf.identify(recording.poses, times=recording.times)
+    np.asarray(found.linear.position)
+    answers.append(time.perf_counter() - start)
+stages["run"] = answers[0] - stages["trace"] - stages["compile"]
+print(json.dumps({"stages": stages, "then": answers[1:], "name": found.name}))
 """
 
 
-def measure(how: str, cache: str | None, recording: Path = RECORDING, again: int = AGAIN) -> dict[str, Any]:
-    """Answers of one process: their ``seconds``, the ``name`` and the ``origin``.
+def measure(cache: str | None, recording: Path = RECORDING, again: int = AGAIN) -> dict[str, Any]:
+    """Seconds of the ``stages`` of the first answer of one process, ``then`` of those after it, the ``name``.
 
     Args:
-        how: "compiled" or "numpy".
         cache: folder of JAX's compilation cache; None for none.
         recording: file to identify.
         again: number of answers after the first.
@@ -57,7 +69,7 @@ def measure(how: str, cache: str | None, recording: Path = RECORDING, again: int
             "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
             "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
         }
-    command = [sys.executable, "-c", _PROCESS, str(recording), how, str(again)]
+    command = [sys.executable, "-c", _PROCESS, str(recording), str(again)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     answer: dict[str, Any] = json.loads(done.stdout)
     return answer
@@ -72,27 +84,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--json", type=Path, help="file to write all figures to")
     options = parser.parse_args(argv)
     print(machine())
-    print(f"{'':26}{'first, s':>10}{'then, ms':>10}")
+    print(f"{'seconds':16}{''.join(f'{stage:>9}' for stage in STAGES)}{'all':>9}{'then, ms':>10}")
+    rows = {}
     with tempfile.TemporaryDirectory() as cache:
-        contestants = {
-            "NumPy": ("numpy", None),
-            "compiled, nothing cached": ("compiled", cache),
-            "compiled, from the cache": ("compiled", cache),
-        }
-        rows = {}
-        for name, (how, where) in contestants.items():
-            answer = measure(how, where, options.recording, options.again)
-            first, then = answer["seconds"][0], float(np.median(answer["seconds"][1:]))
-            rows[name] = {**answer, "first": first, "then": then}
-            print(f"{name:26}{first:>10.1f}{1e3 * then:>10.1f}", flush=True)
-    numpy = rows["NumPy"]
-    for name, row in list(rows.items())[1:]:
-        calls = (row["first"] - numpy["first"]) / (numpy["then"] - row["then"])
-        print(f"{name} is faster from call {calls:.0f} on")
-        rows[name]["faster from"] = calls
-    apart = [np.subtract(row["origin"], numpy["origin"]) for row in rows.values()]
-    names = {row["name"] for row in rows.values()}
-    print(f"{' / '.join(sorted(names))}; origins at most {np.abs(apart).max():.1g} m apart")
+        for name in ("nothing cached", "from the cache"):
+            rows[name] = measure(cache, options.recording, options.again)
+            stages = [rows[name]["stages"][stage] for stage in STAGES]
+            then = 1e3 * float(np.median(rows[name]["then"])) if rows[name]["then"] else float("nan")
+            print(
+                f"{name:16}{''.join(f'{s:>9.2f}' for s in (*stages, sum(stages)))}{then:>10.1f}", flush=True
+            )
     write_record(options.json, {"machine": machine(), "rows": rows})
     return 0
 

@@ -2,8 +2,8 @@
 
 Fits of a line in the ground, each for the constraints it is made for: a circle or a line through the
 positions, the algebraic pivot (least squares of R p + t = c over all poses, as in SARA and SCoRE), the mean
-screw axis over pairs of poses half a window apart. Frames, for all twelve: ``identify``, the same with lag 1,
-and SciPy's dual annealing on the paper's objective.
+screw axis over pairs of poses half a window apart. Frames, for all twelve: ``identify``, the same with
+``scales=1``, and SciPy's dual annealing on the paper's objective.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from benchmarks.determined import Told
 from benchmarks.dual_annealing import rotation_matrix, sampled_velocities, solve
 from reframe_jax.geometry.rotations import rotation_log
 from reframe_jax.geometry.transforms import pose_inverse
-from reframe_jax.identification.classify import degrees_of_freedom, tied_types
+from reframe_jax.identification.classify import degrees_of_freedom
 from reframe_jax.simulation import metrics
 
 __all__ = ["LINE_FITS", "QUANTITIES", "Line", "Scores", "Windows", "anneal", "line_scores", "scores"]
@@ -173,11 +173,11 @@ def anneal(found: rf.Identification, windows: Windows) -> tuple[rf.Identificatio
         origin = np.stack([r.x[3:] for r in results[2:]]) + np.where(in_ground[:, None], centre[i], 0)
         rows.append((np.stack(axes), np.stack(rms), np.array([r.fun for r in results]), origin))
     axes, rms, norms, origins = (jnp.asarray(np.stack(part)) for part in zip(*rows, strict=True))
-    optima, samples = (rotation_log(axes), rms, norms), windows.poses.shape[1] - 1
+    optima = rotation_log(axes), rms, norms
     turning, moving = ([leaf[:, types] for leaf in optima] for types in (slice(0, 2), slice(2, 6)))
     limit = _THRESHOLDS
-    angular, of_angular = _replaced(found.angular, found.candidates.angular, turning, limit.angular, samples)
-    linear, of_linear = _replaced(found.linear, found.candidates.linear, moving, limit.linear, samples)
+    angular, of_angular = _replaced(found.angular, found.candidates.angular, turning, limit.angular)
+    linear, of_linear = _replaced(found.linear, found.candidates.linear, moving, limit.linear)
     # both angular types express one constraint unless two axes are free
     angular = replace(angular, tied=angular.tied | (jnp.sum(angular.dof, axis=-1) != 2)[:, None])
     of_linear = replace(of_linear, position=origins)
@@ -195,13 +195,13 @@ def _sorted_axes(samples: np.ndarray, rotvec: np.ndarray) -> tuple[np.ndarray, n
 
 
 def _replaced(
-    part: Any, candidates: Any, optima: list[jax.Array], threshold: float | jax.Array, samples: int
+    part: Any, candidates: Any, optima: list[jax.Array], threshold: float | jax.Array
 ) -> tuple[Any, Any]:
     """A frame and its candidates with other optima: rotation vectors, RMS and norms of every type."""
     rotvec, rms, norms = optima
     winner, rows = jnp.argmin(norms, axis=1), jnp.arange(len(norms))
     dof = degrees_of_freedom(rms, threshold)
-    tied = tied_types(rms, dof, winner, samples)
+    tied = jnp.arange(norms.shape[1])[None] == winner[:, None]
     part = replace(part, type_code=winner, rotvec=rotvec[rows, winner], dof=dof[rows, winner], tied=tied)
     return part, replace(candidates, rotvec=rotvec, rms=rms, dof=dof, norm=norms)
 

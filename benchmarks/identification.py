@@ -1,11 +1,10 @@
 """Every way to solve the six problems of a window, in one run, on the same windows.
 
-All minimise the norm of velocities between consecutive poses, which is ``lag=1`` of ``identify``; the stream
-is of its defaults. Contestants, all in float64 unless said otherwise:
+All minimise the norm of velocities between consecutive poses, which is ``scales=1`` of ``identify``; the
+stream is of its defaults. Contestants, all in float64 unless said otherwise:
 
 - ``identify``: the library's fast path, all windows in one call, with the poses on the device;
-- ``general search``: basin hopping over orientation and origin together, without eliminating
-  the rotation, on one processor;
+- ``general search``: basin hopping over orientation and origin together, without eliminating the rotation;
 - ``dual annealing``: SciPy's, as the paper configured it (100 iterations, no gradient);
 
 on an accelerator also
@@ -19,16 +18,7 @@ and, without --quick,
 - ``CMA-ES x 4``: evosax's, four runs of 250 generations (if evosax is installed).
 
 A problem is missed if its norm is more than 0.1 % above the best that any contestant or a search with
-64 long restarts has found. Errors are those of the origin, over windows whose type is unique. Without
---quick, the misses of ``identify`` follow for windows of other motions and geometries, family by family;
---families prints them alone.
-
-Floors, per window of K = 50 velocities. Bytes: the poses are read and the results written, 6.5 kB and
-1.2 kB; at 20 GB/s of a laptop's memory 2.6M windows/s, at 4.8 TB/s of an H200 600M/s. Flops: kinematics
-and moments 0.1 Mflop; the search 7 starts x 6 steps x 4 types x 1,100 = 0.2 Mflop, and five times that for
-the few problems whose starts do not meet: 0.3 Mflop in all, at 50 Gflop/s of two cores with AVX-512 160,000
-windows/s, at 30 Tflop/s of an H200 in float64 100M/s. The run measures that share and what this machine
-copies and multiplies, and prints the gap to the floors that follow.
+64 long restarts has found. Errors are those of the origin, over windows whose type is unique.
 """
 
 import json
@@ -38,42 +28,35 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import reframe_jax as rf
-from benchmarks import contestants, scaling
-from benchmarks.common import machine, new_parser
+from benchmarks import contestants
+from benchmarks.common import machine, new_parser, write_record
 from benchmarks.dual_annealing import DT, MISS, best_known, errors_mm, make_windows
-from benchmarks.families import count_misses
-from benchmarks.timing import jit, machine_floors, peak_above, timed
-from reframe_jax.identification.entry import default_solver
-from reframe_jax.objectives.velocity import PositionObjective
-from reframe_jax.solvers import Box
+from benchmarks.timing import peak_above, timed
 
 BASELINE = Path(__file__).with_name("results") / "identification_baseline.json"
 GATED = {"speedup": 0.5, "speedup_general_search": 0.5}  # smallest share of the baseline that passes
 _DISTINCT = 6144  # windows beyond are repetitions
 _THRESHOLDS = rf.Thresholds()
-_MOMENT_FLOPS, _STEP_FLOPS = 0.1e6, 1100  # kinematics and moments; one step of one problem
 
 
 @dataclass
 class Size:
-    """How much of everything a run does: windows for ``identify``, for slower contestants, of each family."""
+    """How much of everything a run does: windows for ``identify``, and for slower contestants."""
 
     windows: int = 12288
     judged: int = _DISTINCT
     general: int = 1536
     slow: int = 24
-    family: int = 960
     full: bool = True
 
 
-QUICK = Size(windows=1536, judged=96, general=96, slow=4, family=0, full=False)
+QUICK = Size(windows=1536, judged=96, general=96, slow=4, full=False)
 
 
 @cache
@@ -124,7 +107,7 @@ def ready(row: Row) -> Row:
 def run_identify(name: str, poses: jax.Array | np.ndarray, repeats: int = 3) -> Row:
     """All windows in one call, on velocities of consecutive poses."""
     found, seconds, compiling = timed(
-        lambda: rf.identify(poses, dt=DT, lag=1, thresholds=_THRESHOLDS), repeats
+        lambda: rf.identify(poses, dt=DT, scales=1, thresholds=_THRESHOLDS), repeats
     )
     positions = np.asarray(found.candidates.linear.position, dtype=float)
     norms = np.concatenate([found.angular.norms, found.linear.norms], axis=1, dtype=float)
@@ -151,36 +134,6 @@ def latencies(poses: np.ndarray) -> np.ndarray:
     return np.array(seconds[poses.shape[1] :])
 
 
-def unsettled_share(poses: np.ndarray) -> float:
-    """Share of the linear problems whose starts do not all meet, so that they go on hopping."""
-    solver: Any = default_solver()
-    objective, box = PositionObjective(contestants.six_moments(poses)[1]), Box(-jnp.ones(3), jnp.ones(3))
-    start = solver.init(objective, box, jax.random.key(0))
-    first = jit(lambda state: solver.step(objective, box, state))(start)
-    return float(np.mean(np.ptp(np.asarray(first.value), axis=0) >= solver.settled))
-
-
-def floors(row: Row, poses: np.ndarray) -> dict[str, float]:
-    """How far ``identify`` is from what this machine can copy and calculate."""
-    window, unsettled = poses[0], unsettled_share(poses[:96])
-    found = rf.identify(window, dt=DT, lag=1, thresholds=_THRESHOLDS)
-    bytes_per_window = window.nbytes + sum(leaf.nbytes for leaf in jax.tree.leaves(found))
-    copied, calculated = machine_floors()
-    solver: Any = default_solver()
-    descents = solver.restarts * (1 + unsettled * (solver.hops + solver.polish))
-    flops = _MOMENT_FLOPS + descents * solver.inner.steps * 4 * _STEP_FLOPS
-    memory, arithmetic = bytes_per_window / copied, flops / calculated
-    print(
-        f"floors of this machine: {1e6 * memory:.2f} us per window to copy {bytes_per_window} B at "
-        f"{copied / 1e9:.0f} GB/s, {1e6 * arithmetic:.2f} us for {flops / 1e6:.2f} Mflop at "
-        f"{calculated / 1e9:.0f} Gflop/s ({100 * unsettled:.0f} % of the problems hop); "
-        f"identify takes {row.per_window / max(memory, arithmetic):.1f} "
-        "times the larger",
-        flush=True,
-    )
-    return {"bytes_floor_us": 1e6 * memory, "flops_floor_us": 1e6 * arithmetic, "unsettled": unsettled}
-
-
 def solve(size: Size, poses: np.ndarray) -> tuple[list[Row], float]:
     """What every contestant did, ``identify`` first, and the memory in MB that ``identify`` needed."""
     on_device = jnp.asarray(poses)
@@ -188,7 +141,7 @@ def solve(size: Size, poses: np.ndarray) -> tuple[list[Row], float]:
     print(f"{'':18}{'windows':>9}{'per window':>13}{'windows/s':>11}{'compile':>11}")
     rows = [run_identify("identify", on_device)]
     time_defaults(on_device)
-    _, peak = peak_above(lambda: rf.identify(on_device, dt=DT, lag=1, thresholds=_THRESHOLDS))
+    _, peak = peak_above(lambda: rf.identify(on_device, dt=DT, scales=1, thresholds=_THRESHOLDS))
     rows.append(ready(Row("general search", middle, *contestants.general_search(poses[middle]))))
     rows.append(ready(Row("dual annealing", few, *contestants.annealing(poses[few], few))))
     if jax.default_backend() != "cpu":
@@ -250,8 +203,8 @@ def judge(rows: Sequence[Row], best: np.ndarray, labels: Sequence[str]) -> dict[
     return metrics
 
 
-def run(size: Size) -> tuple[dict[str, float], scaling.Curves]:
-    """The whole benchmark: metrics and curves."""
+def run(size: Size) -> dict[str, float]:
+    """The whole benchmark: its metrics."""
     poses, labels = windows(size.windows)
     print(f"{size.windows} windows of {poses.shape[1] - 1} velocities, six problems each; {machine()}")
     rows, peak = solve(size, poses)
@@ -264,7 +217,7 @@ def run(size: Size) -> tuple[dict[str, float], scaling.Curves]:
         flush=True,
     )
     fast, general, annealed = rows[:3]
-    metrics = {
+    return {
         "windows": size.windows,
         "speedup": annealed.per_window / fast.per_window,
         "speedup_general_search": annealed.per_window / general.per_window,
@@ -273,23 +226,7 @@ def run(size: Size) -> tuple[dict[str, float], scaling.Curves]:
         "latency_98_ms": float(np.quantile(push, 0.98)),
         "compile_s": fast.compile_s,
         "peak_memory_mb": peak,
-        **floors(fast, poses),
     }
-    if size.family:
-        metrics |= count_misses(size.family)
-    distinct = slice(min(size.windows, _DISTINCT))
-    if size.full:
-        shares = scaling.spread_of_time(poses[distinct])
-        metrics |= {f"share_{name}": share for name, share in shares.items()}
-    return metrics, scaling.curves(poses[distinct], best[distinct, 2:], full=size.full)
-
-
-def run_curves(names: Sequence[str], size: Size) -> scaling.Curves:
-    """Some scaling curves and nothing else."""
-    poses, _ = windows(min(size.windows, _DISTINCT))
-    print(f"windows of {poses.shape[1] - 1} velocities, six problems each; {machine()}")
-    best = best_known(poses)[:, 2:] if "starts" in names else np.full((len(poses), 4), np.inf)
-    return scaling.curves(poses, best, full=size.full, names=names)
 
 
 def gate(metrics: dict[str, float], baseline: Path) -> list[str]:
@@ -311,34 +248,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     add = parser.add_argument
     add("--windows", type=int, help="windows to identify (12288; with --quick, 1536)")
     add("--quick", action="store_true", help="under a minute: 1536 windows, and less of the rest")
-    add("--cpu-devices", type=int, help="processors that JAX shows as so many devices, to spread over")
     add("--json", type=Path, help="file to write the metrics to")
-    add("--plot", type=Path, help="file to draw the scaling curves to")
-    add("--curves", nargs="+", choices=scaling.LABELS, help="measure these scaling curves, and nothing else")
-    add("--families", type=int, help="count misses in so many windows of each family, and nothing else")
     add("--gate", action="store_true", help="exit with 1 if a ratio is worse than the committed baseline")
     add("--baseline", type=Path, default=BASELINE, help="the baseline, the --json of a --quick run")
     options = parser.parse_args(argv)
     jax.config.update("jax_enable_x64", True)
-    if options.cpu_devices:
-        jax.config.update("jax_num_cpu_devices", options.cpu_devices)
     size = QUICK if options.quick else Size()
     if options.windows:
         size = replace(size, windows=options.windows)
-    if (options.curves or options.families) and options.gate:
-        parser.error("--gate compares contestants, which --curves and --families leave out")
-    if options.families:
-        print(machine())
-        metrics, curves = count_misses(options.families), {}
-    elif options.curves:
-        metrics, curves = {}, run_curves(options.curves, size)
-    else:
-        metrics, curves = run(size)
-    if options.json:
-        record = {"machine": machine(), "metrics": metrics, "scaling_us": curves}
-        options.json.write_text(json.dumps(record, indent=2) + "\n")
-    if options.plot:
-        scaling.plot(curves, options.plot)
+    metrics = run(size)
+    write_record(options.json, {"machine": machine(), "metrics": metrics})
     problems = gate(metrics, options.baseline) if options.gate else []
     for problem in problems:
         print(f"REGRESSION: {problem}")

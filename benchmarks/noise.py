@@ -4,7 +4,7 @@ Windows of 5 s of all twelve constraints, with random geometry, moved in several
 noise (or, by --errors, with worse), at several rates. The motion is the same at every rate and noise level,
 so that what changes is what is measured. Contestants:
 
-- ``identify``, and ``lag 1``: the same with the paper's chords of one sample (if ``identify`` takes a lag);
+- ``identify``, and ``scales=1``: the same on differences of consecutive poses, as the paper has them;
 - ``dual annealing``: SciPy's on the paper's objective, on a few windows of the first rate, as it takes half
   a second or more for each;
 - ``circle fit``, ``line fit``, ``pivot``, ``mean screw``: fits of a line, for A, B and C.
@@ -34,7 +34,6 @@ from benchmarks.bounds import cramer_rao
 from benchmarks.common import chosen_plan, machine, plan_parser, read_parts, write_record
 from benchmarks.determined import determined
 from benchmarks.fits import LINE_FITS, QUANTITIES, Scores, Windows, anneal, line_scores, scores
-from benchmarks.lags import identify_at, takes_lag
 from benchmarks.timing import timed
 from reframe_jax.simulation.motions import PoseErrors, random_motion
 from reframe_jax.simulation.synthetic import EXCITATIONS
@@ -154,10 +153,9 @@ def run(plan: Plan) -> tuple[dict[str, np.ndarray], list[dict[str, Any]]]:
         found, seconds, compiling = timed(partial(rf.identify, poses, dt=1 / rate), 1)
         times.append(_time(rate, "identify", len(poses), seconds, compiling))
         _score(table, "identify", found, groups)
-        if takes_lag():
-            by_one, seconds, compiling = timed(partial(identify_at, 1, poses, dt=1 / rate), 1)
-            times.append(_time(rate, "lag 1", len(poses), seconds, compiling))
-            _score(table, "lag 1", by_one, groups)
+        by_one, seconds, compiling = timed(partial(rf.identify, poses, dt=1 / rate, scales=1), 1)
+        times.append(_time(rate, "scales=1", len(poses), seconds, compiling))
+        _score(table, "scales=1", by_one, groups)
         for name, (labels, fit) in LINE_FITS.items():
             for windows, where in groups:
                 if windows.label in labels:

@@ -133,7 +133,7 @@ def identify_cell(poses: np.ndarray, discretization: Any) -> dict[str, np.ndarra
     """
     start = time.perf_counter()
     thresholds = rf.Thresholds()
-    found = rf.identify(poses, dt=DT, lag=1, thresholds=thresholds, discretization=discretization)
+    found = rf.identify(poses, dt=DT, scales=1, thresholds=thresholds, discretization=discretization)
     found = jax.device_get(found)
     seconds = time.perf_counter() - start
     scores: dict[str, list[Any]] = {

@@ -117,7 +117,7 @@ def identify_all(size: Size, compliance: float) -> dict[str, np.ndarray]:
             first = np.round(moments * (steps - stride * samples)).astype(int)
             index = first[..., None] + stride * np.arange(samples + 1)
             windows = np.take_along_axis(noisy, index[..., None, None], axis=3)
-            found = jax.device_get(rf.identify(windows, dt=period, lag=1, thresholds=rf.Thresholds()))
+            found = jax.device_get(rf.identify(windows, dt=period, scales=1, thresholds=rf.Thresholds()))
             for i, of_label in enumerate(made):
                 for name, values in _scores(found[i], of_label).items():
                     results[name][i, :, j, k] = values

@@ -161,7 +161,9 @@ def identify_all(key: jax.Array, trials: int, chunk: int, setup: Setup) -> dict[
             imperfections=setup.imperfections,
             excitation=setup.excitation,
         )
-        found = jax.device_get(rf.identify(made.poses, times=made.times, lag=1, thresholds=rf.Thresholds()))
+        found = jax.device_get(
+            rf.identify(made.poses, times=made.times, scales=1, thresholds=rf.Thresholds())
+        )
         errors = metrics.geometry_errors(found, made.truth, start=jnp.asarray(made.exact_poses[:, 0]))
         scores = {
             "norms": 1e3 * np.concatenate([found.angular.norms, found.linear.norms], axis=-1),

@@ -9,16 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
+import numpy as np
 
-from reframe_jax.compilation import compiler_options
-
-__all__ = ["jit", "machine_floors", "peak_above", "timed", "timed_once"]
-
-
-def jit(function: Callable[..., Any]) -> Any:
-    """``jax.jit`` with the compiler options that ``identify`` uses."""
-    return jax.jit(function, compiler_options=compiler_options())
+__all__ = ["in_chunks", "peak_above", "timed", "timed_once"]
 
 
 def timed(call: Callable[[], Any], repeats: int) -> tuple[Any, float, float]:
@@ -66,18 +59,17 @@ def peak_above(call: Callable[[], Any]) -> tuple[Any, float]:
     return result, max(0.0, peak - before)
 
 
-def machine_floors() -> tuple[float, float]:
-    """What this machine reaches by itself: copied bytes/s (read and written), and float64 flop/s.
+def in_chunks(call: Callable[..., Any], *inputs: Any, size: int = 256) -> Any:
+    """Results of a function of windows, N in front, on some at a time: all share a compilation.
 
-    The first from adding 1 to 128 MB, the second from the product of two large matrices.
+    The last windows are repeated to fill the last chunk.
     """
-    size = 1024 if jax.default_backend() == "cpu" else 8192
-    long, square = jnp.zeros(2**24), jnp.ones((size, size))
-    copy, product = jax.jit(lambda x: x + 1), jax.jit(lambda x: x @ x)
-    return (
-        2 * long.nbytes / timed(lambda: copy(long), 5)[1],
-        2 * size**3 / timed(lambda: product(square), 3)[1],
-    )
+    count = len(inputs[0])
+    parts = []
+    for start in range(0, count, size):
+        rows = np.minimum(np.arange(start, start + size), count - 1)
+        parts.append(call(*(x[rows] for x in inputs)))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
 
 
 def _resident_mb() -> float:

@@ -2,8 +2,8 @@
 
 Windows as in :mod:`benchmarks.noise`, of constraints with free translations, whose motion tells the
 degrees of freedom (see :mod:`benchmarks.determined`: each free axis goes ten noises at least). Errors of
-trackers that change slowly go far too: in ``python -m benchmarks.real`` the origins of recorded hinges go
-up to a tenth of the way of the body along axes that are held. So the windows are grouped by the way of
+trackers that change slowly go far too: the origins of recorded hinges go up to a tenth of the way of the body
+along axes that are held. So the windows are grouped by the way of
 the weakest free axis as a share of that of the body, and the wrong ones are listed. Ways are standard
 deviations over the window; that of the body is of its measured position.
 """

@@ -5,15 +5,15 @@ import json
 import numpy as np
 import pytest
 
-from benchmarks import attacks, faults
-from benchmarks.attacks import Tally, attempt
+from benchmarks import faults
+from benchmarks.faults import Tally, attempt
 
 
 def test_a_few_attacks_of_every_kind_find_no_fault(tmp_path, capsys):
     pytest.importorskip("pyarrow")
     assert faults.main(["--quick", "--json", str(tmp_path / "faults.json")]) == 0
     report = json.loads((tmp_path / "faults.json").read_text())
-    assert set(report) == set(faults.SHARES)
+    assert set(report) == set(faults.FRACTIONS)
     for part in report.values():
         assert part["faults"] == {}
         assert sum(part["outcomes"].values()) > 0
@@ -48,7 +48,7 @@ def hang():
     ],
 )
 def test_what_counts_as_a_fault(act, outcome, fault, monkeypatch):
-    monkeypatch.setattr(attacks, "PATIENCE", 0.2)
+    monkeypatch.setattr(faults, "PATIENCE", 0.2)
     tally = Tally()
     attempt(tally, "input 7", act)
     assert dict(tally.outcomes) == {outcome: 1}
@@ -60,7 +60,7 @@ def test_nan_under_a_good_status_and_changed_neighbours_are_faults():
     status, expected = np.array([0, 0, 12]), {"norm": np.array([1.0, 2.0, 3.0])}
 
     def faults_of(values):
-        return list(attacks.faults_of_batch(status, {"norm": np.array(values)}, expected, np.array([0])))
+        return list(faults.faults_of_batch(status, {"norm": np.array(values)}, expected, np.array([0])))
 
     assert faults_of([5.0, 2.0, 3.0]) == []
     assert "is not finite in window 0" in faults_of([np.nan, 2.0, 3.0])[0]
@@ -75,30 +75,3 @@ def test_faults_make_the_exit_code(monkeypatch, capsys):
     out = capsys.readouterr().out
     assert "it broke" in out
     assert out.splitlines()[-1] == "1 faults"
-
-
-def test_parts_that_ran_apart_are_joined(tmp_path, monkeypatch, capsys):
-    good, bad = Tally(), Tally()
-    good.add("read")
-    bad.add("fault", "it broke")
-    monkeypatch.setattr(faults, "attack_windows", lambda count: good)
-    monkeypatch.setattr(faults, "attack_arguments", lambda count: bad)
-    files = [str(tmp_path / f"{part}.json") for part in ("windows", "arguments")]
-    for file, part in zip(files, ("windows", "arguments"), strict=True):
-        faults.main(["--only", part, "--count", "10", "--json", file])
-    apart = capsys.readouterr().out.splitlines()
-    joined = str(tmp_path / "all.json")
-    assert faults.main(["--json", joined, "--join", *files]) == 1
-    together = capsys.readouterr().out.splitlines()
-    assert together[-1] == "1 faults"
-    assert [line for line in together[1:-1] if line in apart] == together[1:-1]
-    assert set(json.loads((tmp_path / "all.json").read_text())) == {"windows", "arguments"}
-    with pytest.raises(SystemExit, match="windows is in two files"):
-        faults.main(["--join", joined, files[0]])
-
-
-def test_runs_that_are_killed_end_with_the_same_bytes(tmp_path):
-    pytest.importorskip("pyarrow")
-    tally = faults.attack_runs(1, tmp_path)
-    assert not tally.faults
-    assert sum(tally.outcomes.values()) == 1

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
-from benchmarks import fits, lags, noise, weak_axes
+from benchmarks import fits, noise, weak_axes
 from benchmarks.bounds import cramer_rao
 from benchmarks.determined import Told, determined
 from reframe_jax.simulation.motions import PoseErrors, random_motion
@@ -51,7 +51,7 @@ def test_a_slope_is_that_of_the_medians():
         {"contestant": "identify", "rate": rate, "angular_median_deg": None, "linear_median_deg": 3 / rate}
         | {"position_median_mm": 5 * np.sqrt(rate)}
         for rate in (10.0, 30.0, 90.0)
-    ] + [{"contestant": "lag 1", "rate": 500.0, "position_median_mm": 1.0}]
+    ] + [{"contestant": "scales=1", "rate": 500.0, "position_median_mm": 1.0}]
     found = noise.slopes(rows, "rate")
     np.testing.assert_allclose(found["linear_slope_by_rate"], -1)
     np.testing.assert_allclose(found["position_slope_by_rate"], 0.5)
@@ -104,27 +104,6 @@ def test_what_the_motion_does_not_tell_is_not_scored():
     for name in ("types", "dof", "silent"):
         np.testing.assert_array_equal(np.isnan(right[name]), [False, True, False])
     np.testing.assert_array_equal(np.isnan(right["name"]), [False, True, True])
-
-
-def test_lag_1_is_the_paper_s_objective_whether_or_not_identify_takes_a_lag(monkeypatch):
-    given = {}
-
-    def with_lag(poses, *, dt, lag="auto"):
-        given.update(dt=dt, lag=lag)
-
-    def without_lag(poses, *, dt):
-        given.update(dt=dt, lag=None)
-
-    monkeypatch.setattr(rf, "identify", with_lag)
-    assert lags.takes_lag()
-    lags.identify_at(7, None, dt=0.1)
-    assert given == {"dt": 0.1, "lag": 7}
-    monkeypatch.setattr(rf, "identify", without_lag)
-    assert not lags.takes_lag()
-    lags.identify_at(1, None, dt=0.2)
-    assert given == {"dt": 0.2, "lag": None}
-    with pytest.raises(ValueError, match="not 7"):
-        lags.identify_at(7, None, dt=0.1)
 
 
 def test_a_run_in_miniature(tmp_path, capsys):
