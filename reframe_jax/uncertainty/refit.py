@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, AngularType
-from reframe_jax.geometry.rotations import rotation_log
 from reframe_jax.identification.classify import free_rotations
 from reframe_jax.identification.pipeline import Prepared, prepare_windows
 from reframe_jax.identification.results import Identification
@@ -181,7 +180,7 @@ def _fit_window(
             _frames(parameters, mean, found, entry.crossed),
             whole,
         )
-        turns = rotation_log(axes @ jnp.swapaxes(axes_of_whole, 1, 2))
+        turns = _small_turns(axes @ jnp.swapaxes(axes_of_whole, 1, 2))
         shift = origin - origin_of_whole
         angular = _distinct(found.angular_axes, found.angular_dof) @ turns[0]
         linear = _distinct(found.linear_axes, found.linear_dof) @ turns[1]
@@ -232,6 +231,12 @@ def _frames(parameters: Parameters, mean: Array, found: Estimate, crossed: Array
     angular = jnp.where(crossed, universal, bodies[found.angular_type])
     linear = bodies[jnp.asarray(ORIENTATION_BODIES)[found.linear_type]]
     return jnp.stack([angular, linear]), parameters.origin
+
+
+def _small_turns(rotations: Array) -> Array:
+    """Rotation vectors (2, 3) of small rotations: axis times sine."""
+    twice = rotations - jnp.swapaxes(rotations, 1, 2)
+    return jnp.stack([twice[:, 2, 1], twice[:, 0, 2], twice[:, 1, 0]], axis=1) / 2
 
 
 def _distinct(axes: Array, dof: Array) -> Array:
