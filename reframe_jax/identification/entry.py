@@ -45,14 +45,14 @@ def identify(
     """Identify the constraint frame of one window of poses, or of every window of a batch.
 
     The norm of the paper (Eqs. 7 and 8), taken over time scales too, gives the origin of every linear frame
-    type. From there every entry of the table of constraints is fitted to the second moments of the motion, and
-    the evidence decides which one holds: what is held, what is free, in which frame. The options ``scales=1``
-    and ``thresholds=Thresholds()`` are the paper's method.
+    type. From there every entry of the table of constraints is fitted to the second moments of the motion,
+    and the evidence decides which one holds: what is held, what is free, in which frame. The options
+    ``scales=1`` and ``thresholds=Thresholds()`` are the paper's method.
 
     Works under ``jit``, ``vmap`` and differentiation with respect to the poses; windows on several devices (a
     ``NamedSharding`` along their first axis) are identified where they are. Precision is that of the input;
-    NumPy float64 arrays are computed in float64 even where JAX's ``jax_enable_x64`` is off (the result is then
-    rounded to float32).
+    NumPy float64 arrays are computed in float64 even where JAX's ``jax_enable_x64`` is off (the result is
+    then rounded to float32).
 
     Args:
         poses: (..., K+1, 4, 4) poses of the moving body {b} in the ground {g}, in metres; K >= 4. float64 or

@@ -41,9 +41,9 @@ class AngularFrame:
 
     Attributes:
         type_code: (...) int, ``AngularType`` of the frame; read it as ``frame_type``.
-        rotvec: (..., 3) rad, orientation of the frame in the body of its type. Constrained axes come first, then
-            free ones, each sorted by ``amplitude``, ascending; the axes are right-handed, and the first and
-            the third have a positive largest component.
+        rotvec: (..., 3) rad, orientation of the frame in the body of its type. Constrained axes come first,
+            then free ones, each sorted by ``amplitude``, ascending; the axes are right-handed, and the first
+            and the third have a positive largest component.
         dof: (..., 3) int, 1 where the axis is free.
         free_probability: (..., 3) probability that the axis is free, ascending.
         rms: (..., 3) rad/s, RMS angular velocity along each axis (lambda in the paper), at the smallest time

@@ -289,7 +289,7 @@ def _report_window(
     any_origin = jnp.asarray(_ANY_ORIGIN)[known]
     directions = bodies[jnp.asarray(POSITION_BODIES)[kind]]
     free_position = (directions * any_origin) @ directions.T
-    at_bound = jnp.any((jnp.abs(parameters.origin) > _AT_BOUND * window.box)) & ~jnp.all(any_origin)
+    at_bound = jnp.any(jnp.abs(parameters.origin) > _AT_BOUND * window.box) & ~jnp.all(any_origin)
     position = parameters.origin - jax.lax.stop_gradient(free_position) @ parameters.origin
     offset = jnp.where(jnp.asarray(POSITION_BODIES)[kind] == int(AngularType.G), window.centre, 0)
     tied = _tied_types(winner, kind, thresholds, types)

@@ -153,7 +153,7 @@ class Identification:
         thresholds, which have no probabilities.
         """
         every, codes = np.asarray(self.entry_probability, float), np.asarray(self.entry_code)
-        same = NAME_OF_ENTRY == NAME_OF_ENTRY[np.maximum(codes, 0)][..., None]
+        same = NAME_OF_ENTRY[np.maximum(codes, 0)][..., None] == NAME_OF_ENTRY
         found = np.where(same, every, 0).sum(axis=-1)
         failed = (np.asarray(self.status_code) >= 10) | np.isnan(every[..., 0]) | (codes < 0)
         found = np.where(failed, np.nan, found)
