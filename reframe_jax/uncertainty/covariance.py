@@ -44,7 +44,8 @@ class Covariance:
     Attributes:
         matrix: (..., 9, 9) covariance of those numbers. NaN where the window failed.
         inflation: (..., 3) factor on the standard deviations of the angular axes, the linear axes and the
-            origin that slow errors require: 1 where parts of the recording agree within white errors.
+            origin that slow errors require: 1 where parts of the recording agree within white errors. All
+            three are the same: the largest disagreement of any of them counts.
         first_order: (...) bool, whether standard deviations are small enough for a covariance: axes within
             0.2 rad, the origin within a quarter of the box. If not, errors may be larger.
     """
@@ -168,6 +169,7 @@ def _of_windows(
 ) -> Covariance:
     refit, window = refit_windows(poses, steps, count, found, scales, parts)
     matrix, inflation = jax.vmap(_COMBINE[parts])(refit)
+    inflation = jnp.repeat(inflation[:, None], 3, axis=1)
     angles = jnp.sqrt(jnp.diagonal(matrix, axis1=1, axis2=2))
     small = jnp.max(angles[:, :6], axis=1) < _LARGE_TURN
     near = jnp.max(angles[:, 6:], axis=1) < _FAR * window.box
@@ -179,7 +181,7 @@ def _of_windows(
 def _of_whole(refit: Refit) -> tuple[jax.Array, jax.Array]:
     """One window, with white errors."""
     matrix, _ = _spreads(refit)
-    return matrix[0], jnp.ones(3, matrix.dtype)
+    return matrix[0], jnp.ones((), matrix.dtype)
 
 
 def _spreads(refit: Refit) -> tuple[jax.Array, jax.Array]:
@@ -190,24 +192,22 @@ def _spreads(refit: Refit) -> tuple[jax.Array, jax.Array]:
 def _of_spans(refit: Refit) -> tuple[jax.Array, jax.Array]:
     """One window, inflated by what its halves and thirds disagree by, and by the tilt between two axes."""
     matrix, tilts = _spreads(refit)
-    total = 0.0
+    tilt = refit.parameters.tilt[0]
+    disagreement = jnp.where(refit.entry.tied, tilt @ jnp.linalg.solve(tilts[0], tilt) / 2, 0)
     for pairs in (HALVES, THIRDS):
         i, j = np.array(pairs).T
         apart = jax.vmap(distances)(refit.numbers[i] - refit.numbers[j], matrix[i] + matrix[j])
         compared = jnp.all(refit.poses[np.array(pairs).ravel()] >= _FEWEST)
-        total = total + jnp.where(compared, jnp.mean(apart, axis=0), 1) / 2
-    tilt = refit.parameters.tilt[0]
-    leaning = jnp.where(refit.entry.tied, tilt @ jnp.linalg.solve(tilts[0], tilt) / 2, 0)
-    inflation = jnp.sqrt(jnp.maximum(1, jnp.maximum(total, leaning)))
-    factor = jnp.repeat(inflation, 3)
-    return matrix[0] * factor[:, None] * factor[None], inflation
+        disagreement = jnp.maximum(disagreement, jnp.where(compared, jnp.max(jnp.mean(apart, axis=0)), 0))
+    inflation = jnp.sqrt(jnp.maximum(1, disagreement))
+    return matrix[0] * jnp.square(inflation), inflation
 
 
 def _without_blocks(refit: Refit) -> tuple[jax.Array, jax.Array]:
     """One window, by the jackknife."""
     rest = refit.numbers[1:] - jnp.mean(refit.numbers[1:], axis=0)
     matrix = rest.T @ rest * (BLOCKS - 1) / BLOCKS
-    return matrix * student_factor(jnp.asarray(BLOCKS - 1.0)), jnp.ones(3, matrix.dtype)
+    return matrix * student_factor(jnp.asarray(BLOCKS - 1.0)), jnp.ones((), matrix.dtype)
 
 
 _COMBINE = {"whole": _of_whole, "spans": _of_spans, "blocks": _without_blocks}
