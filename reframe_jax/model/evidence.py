@@ -8,7 +8,8 @@ sampling error and its white noise. Two densities of log a are compared:
   through its lever;
 - *free*: slope B below and -3 above the size m of the motion, one m for rotations and one for translations.
 
-The four sizes belong to the recording and are integrated out on grids. To this come how well the held
+The four sizes belong to the recording and are integrated out on grids: densities of a logarithm that are smooth
+over half a unit are summed exactly by the trapezoidal rule with coarse steps. To this come how well the held
 coordinates are held against those of other entries, as a likelihood tempered to the few independent values that
 a motion has, and a unit of log evidence for every parameter.
 """
@@ -20,45 +21,39 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.model.axes import common_axes
 from reframe_jax.model.constants import EVIDENCE as C
-from reframe_jax.model.table import ROWS, Table  # noqa: F401
+from reframe_jax.model.densities import Nodes, amplitude_nodes, free_evidence, held_evidence
+from reframe_jax.model.small import cross, diagonalize, largest, once, total
+from reframe_jax.model.table import Table
 
-__all__ = ["Amplitudes", "Spectra", "entry_amplitudes", "log_evidence", "log_posterior"]
+__all__ = [
+    "Amplitudes",
+    "Coordinates",
+    "Spectra",
+    "amplitudes_of",
+    "compare",
+    "entry_amplitudes",
+    "log_evidence",
+    "log_posterior",
+]
 
 Array = jax.Array
+_TINY = 1e-18  # m^2 and rad^2, added to every variance
 
-# ---- grids of log amplitude and of the logarithms of sizes
-_STEP = 0.35
-_GRID = np.arange(log(1e-8), log(8.0), _STEP)
-_ERRORS = _STEP * np.arange(-12, 14)  # about the middle of the prior of slow errors
-_SLOPES = np.array([0.5, 0.75, 1, 1.5, 2, 3, 4.0])
-
-
-def _kernel(below: float, above: float) -> np.ndarray:
-    """Density of log a about every center of the grid, (centre, a)."""
-
-    def shape(u: np.ndarray) -> np.ndarray:
-        return np.exp(below * u - 0.5 * (below + above) * np.logaddexp(0, 2 * u))
-
-    total = shape(np.arange(-40, 40, _STEP)).sum()
-    return shape(_GRID[None] - _GRID[:, None]) / total
+# ---- grids of the logarithms of sizes
+_ERRORS = 0.7 * np.arange(-6, 7)  # about the middle of the prior of slow errors
+_TURNS = 0.5 * np.arange(-3, 4)  # about the usual rotation
+_SHIFTS = 0.5 * np.arange(-9, 10)  # about the usual translation
 
 
-_HELD = _kernel(1.0, C.held_above)
-_FREE = np.stack([_kernel(b, C.free_above) for b in _SLOPES])
+def _motions() -> np.ndarray:
+    """Prior of the sizes of free rotations and translations, (turns, shifts)."""
+    turns = np.exp(-0.5 * (_TURNS / C.turn_spread) ** 2)
+    shifts = np.exp(-0.5 * ((_SHIFTS[None] - _TURNS[:, None]) / C.lever_spread) ** 2)
+    return (turns / turns.sum())[:, None] * shifts / shifts.sum(axis=1, keepdims=True)
 
 
-def _normal(x: np.ndarray, middle: np.ndarray | float, spread: float, axis: int) -> np.ndarray:
-    q = np.exp(-0.5 * ((x - middle) / spread) ** 2)
-    return q / q.sum(axis=axis, keepdims=True)
-
-
-_MOTIONS = (
-    _normal(_GRID, log(C.turn), C.turn_spread, 0)[:, None]
-    * _normal(_GRID[None], _GRID[:, None] + log(C.lever), C.lever_spread, 1)
-)
-"""Prior of the sizes of free rotations and translations."""
+_MOTIONS = _motions()
 
 
 class Spectra(NamedTuple):
@@ -108,107 +103,168 @@ class Amplitudes(NamedTuple):
     consistency: Array
 
 
+class Coordinates(NamedTuple):
+    """Moments of the six coordinates of an entry, components first and problems last.
+
+    Attributes:
+        turns, shifts: (3, 3, S, ...) of the rotations, and of the translations.
+        mixed: (3, 3, S, ...) of rotations with translations.
+        levers: (2, 3, 3, ...) of the sensitivities to a rotation, of both.
+        gain: (6, ...) squared sensitivity to a position.
+        consistency: (...) mean log |det| of the derivative of the coordinates with respect to the pose.
+    """
+
+    turns: Array
+    shifts: Array
+    mixed: Array
+    levers: Array
+    gain: Array
+    consistency: Array
+
+
 def entry_amplitudes(weights: Array, entry: Table, spectra: Spectra) -> Amplitudes:
     """Amplitudes of the coordinates (6, 27) of an entry."""
-    total = jnp.einsum("s,sfg->fg", spectra.share, spectra.products)
-    blocks = jnp.where(entry.together, weights @ total @ weights.T, 0)
-    one = jnp.ones(1, weights.dtype)
-    turned = [common_axes(blocks[None, i : i + 3, i : i + 3], one).T @ weights[i : i + 3] for i in (0, 3)]
-    weights = jnp.concatenate(turned)
-    to_position = jnp.einsum("if,mfc->mic", weights, spectra.to_position)
-    to_rotation = jnp.einsum("if,mfc->mic", weights, spectra.to_rotation)
-    position_gain = jnp.mean(jnp.sum(jnp.square(to_position), axis=-1), axis=0)
-    lever = jnp.mean(jnp.sum(jnp.square(to_rotation), axis=-1), axis=0)
-    linear = jnp.arange(6) >= 3
+    form = jnp.einsum("if,sfg,jg->ijs", weights, spectra.products, weights)
+    to_position = jnp.einsum("if,mfc->icm", weights, spectra.to_position)
+    to_rotation = jnp.einsum("if,mfc->icm", weights, spectra.to_rotation)
     # rotations do not depend on positions: the derivative is block triangular
-    det = _determinant(to_rotation[:, :3]) * _determinant(to_position[:, 3:])
-    consistency = jnp.mean(jnp.log(jnp.abs(det) + 1e-6))
-    # a tracker's error of scale: held translations may move with the largest rotation
-    squares = jnp.einsum("if,fg,ig->i", weights, total, weights)
-    turns = jnp.where(linear | entry.held, -1.0, squares)
-    main = weights[jnp.argmax(turns)]
-    pull = weights @ total @ main / jnp.maximum(main @ total @ main, 1e-30)
-    most = C.scale_error * jnp.sqrt(lever)
-    pull = jnp.where(linear & entry.held & (jnp.max(turns) > 0), jnp.clip(pull, -most, most), 0)
-    weights = weights - pull[:, None] * main[None]
-    tiny = 1e-18
-    each = jnp.maximum(jnp.einsum("if,sfg,ig->is", weights, spectra.products, weights), 0) + tiny
-    parts = each * spectra.share
-    square = jnp.sum(parts, axis=1)
-    noise = position_gain * spectra.noise[0] ** 2 + lever * spectra.noise[1] ** 2
+    det = _determinant(to_rotation[:3]) * _determinant(to_position[3:])
+    levers = jnp.stack([jnp.mean(total(r[:, None] * r[None], 2), axis=-1) for r in jnp.split(to_rotation, 2)])
+    of = Coordinates(
+        turns=form[:3, :3],
+        shifts=form[3:, 3:],
+        mixed=form[:3, 3:],
+        levers=levers,
+        gain=jnp.mean(total(jnp.square(to_position), 1), axis=-1),
+        consistency=jnp.mean(jnp.log(jnp.abs(det) + 1e-6)),
+    )
+    return amplitudes_of(of, entry, spectra)
+
+
+def _determinant(rows: Array) -> Array:
+    """Of rows (3, 3, ...)."""
+    return total(rows[0] * cross(rows[1], rows[2]), 0)
+
+
+def _diagonal(outer: Array, form: Array) -> Array:
+    """Diagonal (3, S, ...) of U' C U for U (3, 3, ...) and C (3, 3, S, ...)."""
+    half = total(outer[:, :, None, None] * form[:, None], 0)
+    return total(half * jnp.swapaxes(outer, 0, 1)[:, :, None], 1)
+
+
+def amplitudes_of(of: Coordinates, entry: Table, spectra: Spectra) -> Amplitudes:
+    """Amplitudes of the coordinates of entries, components first and problems last.
+
+    Args:
+        of: the coordinates.
+        entry: rows of the table, (6, ...) and (6, 6, ...).
+        spectra: with the scales first; ``products`` and sensitivities are not used.
+    """
+    share, dtype = spectra.share, of.turns.dtype
+    together = entry.together
+    axes = [
+        diagonalize(total(form * share, 2)[:, :, None], together=together[rows, rows])
+        for form, rows in ((of.turns, slice(0, 3)), (of.shifts, slice(3, 6)))
+    ]
+    turns, shifts = _diagonal(axes[0], of.turns), _diagonal(axes[1], of.shifts)
+    lever = jnp.concatenate(
+        [_diagonal(a, form[:, :, None])[:, 0] for a, form in zip(axes, of.levers, strict=True)]
+    )
+    # a tracker's error of scale: held translations may move with the largest free rotation
+    squares = jnp.where(entry.held[:3], -1.0, total(turns * share, 1))
+    widest = largest(squares)
+    second = (squares[1] == widest) & (squares[0] < widest)
+    first = jnp.stack([squares[0] == widest, second, (squares[0] < widest) & (squares[1] < widest)])
+    main = total(axes[0] * first[None], 1)
+    along = total(total(of.turns * main[:, None, None], 0) * main[:, None], 0)
+    pulled = total(of.mixed * main[:, None, None], 0)
+    pulled = total(axes[1][:, :, None] * pulled[:, None], 0)
+    pull = total(pulled * share, 1) / jnp.maximum(total(along * share, 0), 1e-30)
+    most = C.scale_error * jnp.sqrt(lever[3:])
+    pull = jnp.where(entry.held[3:] & (widest > 0), jnp.clip(pull, -most, most), 0)[:, None]
+    shifts = shifts - 2 * pull * pulled + pull * pull * along
+    each = jnp.maximum(jnp.concatenate([turns, shifts]), 0) + _TINY
+    parts = each * share
+    square = total(parts, 1)
+    noise = of.gain * spectra.noise[0] ** 2 + lever * spectra.noise[1] ** 2
     # white noise cannot exceed what any scale shows
-    shown = jnp.min(jnp.where(spectra.all_details[:-1] > 0, each[:, :-1] / spectra.white[:-1], jnp.inf), axis=1)
-    noise = jnp.minimum(noise, shown) * jnp.sum(spectra.share * spectra.white) + 0.1 * tiny
-    variance = jnp.sum(2 * jnp.square(parts) / jnp.maximum(spectra.all_details, 1), axis=1) / square**2
+    shown = jnp.where(spectra.all_details[:-1] > 0, each[:, :-1] / spectra.white[:-1], jnp.inf)
+    noise = jnp.minimum(noise, -largest(-shown, 1)) * total(share * spectra.white, 0) + 0.1 * _TINY
+    variance = total(2 * jnp.square(parts) / jnp.maximum(spectra.all_details, 1), 1) / square**2
+    linear = jnp.arange(6).reshape(6, *[1] * (square.ndim - 1)) >= 3
     return Amplitudes(
         square=square,
         noise=noise,
         variance=jnp.minimum(variance, 1) + C.amplitude_variance,
         independent=2 / jnp.maximum(variance, 0.01),
-        linear=linear,
+        linear=jnp.broadcast_to(linear, square.shape),
         lever=lever,
-        size=jnp.sum(jnp.log(each) * spectra.details),
-        consistency=consistency,
+        size=total(jnp.log(each) * spectra.details, 0, 1).astype(dtype),
+        consistency=of.consistency,
     )
-
-
-def _determinant(m: Array) -> Array:
-    return jnp.sum(m[..., 0, :] * jnp.cross(m[..., 1, :], m[..., 2, :]), axis=-1)
 
 
 def log_evidence(of: Amplitudes, tilt: Array, entry: Table, noise: Array) -> Array:
     """Log evidence of what is held and free, with the sizes of errors and motions integrated out.
 
+    Components come first, problems last.
+
     Args:
         of: the coordinates.
-        tilt: () rad, of the axis between the bodies; 0 for entries without one.
-        entry: row of the table.
-        noise: (2,) m and rad, white noise, with which errors grow.
+        tilt: (...) rad, of the axis between the bodies; 0 for entries without one.
+        entry: rows of the table.
+        noise: (2, ...) m and rad, white noise, with which errors grow.
     """
-    log_square, log_noise = jnp.log(of.square)[:, None], jnp.log(of.noise)[:, None]
-    grid = jnp.asarray(_GRID, of.square.dtype)
-    likelihood = -0.5 * jnp.square(log_square - jnp.logaddexp(log_noise, 2 * grid)) / of.variance[:, None]
-    likelihood = likelihood - 0.5 * jnp.log(of.variance)[:, None]
-    top = jnp.max(likelihood, axis=1, keepdims=True)
-    weight = jnp.exp(likelihood - top)
-    small = jnp.finfo(of.square.dtype).tiny
-    held = jnp.log(weight @ jnp.asarray(_HELD.T, grid.dtype) + small) + top
-    # ---- slow errors: rotations e_r, translations e_t
-    least = jnp.asarray([C.error_position, C.error_rotation], grid.dtype)
-    middle = 0.5 * jnp.log(least**2 + jnp.square(C.error_of_noise * noise))
-    offsets = jnp.asarray(_ERRORS, grid.dtype)
-    prior = -0.5 * jnp.square(offsets / C.error_spread)
-    prior = prior - jax.nn.logsumexp(prior)
-    e_t, e_r = middle[0] + offsets, middle[1] + offsets
-    share = jnp.where(of.linear, 1.0, 0.0)[:, None, None]
-    centre = share * jnp.exp(2 * e_t)[None, None, :] + of.lever[:, None, None] * jnp.exp(2 * e_r)[None, :, None]
-    place = jnp.clip((0.5 * jnp.log(centre + 1e-18) - grid[0]) / _STEP, 0, len(_GRID) - 1.001)
-    index = place.astype(jnp.int32)
-    rest = place - index
-    flat = held + jnp.zeros_like(grid)
-    row = jnp.arange(6)[:, None, None]
-    at_centre = flat[row, index] * (1 - rest) + flat[row, index + 1] * rest
-    errors = jnp.sum(jnp.where(entry.held[:, None, None], at_centre, 0), axis=0)
-    errors = errors + prior[:, None] + prior[None, :]
-    errors = errors - 0.5 * C.held_above * jnp.log1p(jnp.square(tilt / jnp.exp(e_r)))[:, None]
-    # ---- motions
-    largest = [jnp.argmax(jnp.where(~entry.held & (of.linear == g), of.square, -1)) for g in (False, True)]
-    slope = jnp.stack([jnp.sqrt(of.independent[i] / 4) for i in largest])
-    which = jnp.argmin(jnp.abs(jnp.log(jnp.clip(slope, 0.5, 4))[:, None] - np.log(_SLOPES)), axis=1)
-    kernels = jnp.asarray(_FREE, grid.dtype)[which]
-    moves = []
-    for g, kernel in enumerate(kernels):
-        free = jnp.log(weight[3 * g : 3 * g + 3] @ kernel.T + small) + top[3 * g : 3 * g + 3]
-        moves.append(jnp.sum(jnp.where(~entry.held[3 * g : 3 * g + 3, None], free, 0), axis=0))
-    peaks = [jnp.max(m) for m in moves]
-    a, b = (jnp.exp(m - peak) for m, peak in zip(moves, peaks, strict=True))
-    motions = jnp.log(a @ jnp.asarray(_MOTIONS, grid.dtype) @ b + small) + peaks[0] + peaks[1]
-    return jax.nn.logsumexp(errors) + motions
+    nodes = once(amplitude_nodes(jnp.log(of.square), jnp.log(of.noise), of.variance))
+    value = _errors(nodes, of.lever, tilt, entry.held, noise) + _moves(nodes, of, entry.held)
+    return value.astype(of.square.dtype)
 
 
-def log_posterior(
-    evidence: Array, of: Amplitudes, pitch: Array, table: Table, details: Array
-) -> Array:
+def _grid(values: np.ndarray, axes: int) -> Array:
+    return jnp.asarray(values, jnp.float32).reshape(-1, *[1] * axes)
+
+
+def _errors(nodes: Nodes, lever: Array, tilt: Array, held: Array, noise: Array) -> Array:
+    """Log evidence of the held coordinates: slow errors e_r of rotations and e_t of translations."""
+    lanes = held.ndim - 1
+    least = jnp.asarray([C.error_position, C.error_rotation], noise.dtype).reshape(2, *[1] * (noise.ndim - 1))
+    middle = (least**2 + jnp.square(C.error_of_noise * noise)).astype(jnp.float32)
+    prior = -0.5 * np.square(_ERRORS / C.error_spread)
+    prior[[0, -1]] -= log(2)  # ends of the trapezoidal rule
+    prior = prior - np.log(np.sum(np.exp(prior)))
+    steps, prior = _grid(np.exp(2 * _ERRORS), lanes), _grid(prior, lanes)
+    e_t, e_r = middle[0] * steps, middle[1] * steps  # squares, (13, ...)
+    lever = lever.astype(jnp.float32)[:, None]
+    turns = jnp.where(held[:3, None], held_evidence(nodes.rows(slice(0, 3)), e_r * lever[:3]), 0)
+    turns = total(turns, 0) + prior
+    turns = turns - 0.5 * C.held_above * jnp.log1p(jnp.square(tilt).astype(jnp.float32) / e_r)
+    sizes = e_t[None] + (e_r * lever[3:])[:, :, None]
+    shifts = jnp.where(held[3:, None, None], held_evidence(nodes.rows(slice(3, 6)), sizes), 0)
+    value = once(once(turns)[:, None] + (total(shifts, 0) + prior))
+    value = value.reshape(-1, *value.shape[2:])
+    top = jax.lax.stop_gradient(largest(value))
+    # a sum over many rows is fast as a product
+    return jnp.log(jnp.tensordot(jnp.ones(len(value), jnp.float32), jnp.exp(value - top), 1)) + top
+
+
+def _moves(nodes: Nodes, of: Amplitudes, held: Array) -> Array:
+    """Log evidence of the free coordinates: sizes m_r of rotations and m_t of translations."""
+    lanes, sums = held.ndim - 1, []
+    for first, grid, middle in ((0, _TURNS, C.turn), (3, _SHIFTS, C.turn * C.lever)):
+        rows = slice(first, first + 3)
+        squares = jnp.where(held[rows], -1, of.square[rows])
+        independent = largest(jnp.where(squares == largest(squares), of.independent[rows], 0))
+        slope = jnp.clip(jnp.sqrt(independent / 4), 0.5, 4).astype(jnp.float32)
+        sizes = _grid(np.exp(2 * (grid + log(middle))), lanes)[None]
+        free = jnp.where(held[rows, None], 0, free_evidence(nodes.rows(rows), sizes, slope))
+        sums.append(once(total(free, 0)))
+    tops = [largest(s) for s in sums]
+    a, b = (jnp.exp(s - top) for s, top in zip(sums, tops, strict=True))
+    shared = jnp.tensordot(jnp.asarray(_MOTIONS, jnp.float32), b, 1)
+    return jnp.log(total(a * shared, 0) + jnp.finfo(jnp.float32).tiny) + tops[0] + tops[1]
+
+
+def log_posterior(evidence: Array, of: Amplitudes, pitch: Array, table: Table, details: Array) -> Array:
     """Log probability of every entry, (E,).
 
     Args:
@@ -218,23 +274,29 @@ def log_posterior(
         table: the entries.
         details: (S,) independent details.
     """
-    best = jnp.argmax(evidence)
-    count = jnp.sum(details)
-    free = ~table.held
-    independent = jnp.min(jnp.where(free, of.independent, jnp.inf), axis=1)[best]
-    independent = jnp.where(jnp.isfinite(independent), independent, 1.0)
-    worth = jnp.minimum(independent, C.worth)
-    tempered = worth / count
-    value = evidence - 0.5 * tempered * (of.size - jnp.min(of.size)) + worth * of.consistency
+    last = Amplitudes(*(jnp.moveaxis(leaf, 0, -1) for leaf in of))
+    rows = Table(*(jnp.moveaxis(jnp.asarray(leaf), 0, -1) for leaf in table))
+    return compare(evidence, last, pitch, rows, details)
+
+
+def compare(evidence: Array, of: Amplitudes, pitch: Array, table: Table, details: Array) -> Array:
+    """Log probability of entries, (E, ...): as :func:`log_posterior`, components first and problems last."""
+    first = jnp.arange(len(evidence)).reshape(-1, *[1] * (evidence.ndim - 1))
+    best = first == jnp.argmax(evidence, axis=0)
+    count = total(details, 0)
+    independent = -largest(jnp.where(table.held, -jnp.inf, -of.independent))
+    independent = largest(jnp.where(best, independent, 0))
+    worth = jnp.minimum(jnp.where(jnp.isfinite(independent), independent, 1.0), C.worth)
+    value = evidence - 0.5 * worth / count * (of.size + largest(-of.size)) + worth * of.consistency
     value = value - jnp.log(table.variants) - C.per_parameter * table.parameters
     value = value + jnp.where(table.pitch, _screw(of, pitch, worth), 0)
-    return value - jax.nn.logsumexp(value)
+    return value - jax.nn.logsumexp(value, axis=0)
 
 
 def _screw(of: Amplitudes, pitch: Array, worth: Array) -> Array:
-    """What a screw gains because two motions agree, and what the range of pitches costs, (E,)."""
-    turn, row = of.square[:, 2], of.square[:, 5]
+    """What a screw gains because two motions agree, and what the range of pitches costs, (E, ...)."""
+    turn, row = of.square[2], of.square[5]
     travel = jnp.square(pitch) * turn
-    values = jnp.maximum(jnp.minimum(of.independent[:, 2], C.screw_worth) - 1 - worth, 0)
+    values = jnp.maximum(jnp.minimum(of.independent[2], C.screw_worth) - 1 - worth, 0)
     gain = values * jnp.maximum(0, 0.5 * jnp.log((row + travel) / row))
     return gain + jnp.minimum(0, 0.5 * jnp.log(row / (travel + 1e-24))) - C.pitch_range

@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.geometry.rotations import hat
-from reframe_jax.motion import kinematics
+from reframe_jax.model.paths import twist_paths
+from reframe_jax.model.small import times
 
 __all__ = ["COUNT", "Features", "pose_features"]
 
@@ -54,15 +54,11 @@ def pose_features(
         counted: (P, N) bool, poses that count.
         count: (N,) number of poses if the rest is padding, else None.
     """
-    _, paths = kinematics.paths_of(rotation, position, steps, count)
-    body, in_ground, ground, in_body = (paths[:, :, :, t] for t in range(4))
-
-    def turn(path: jax.Array) -> list[jax.Array]:
-        return [path[2, 2], path[0, 3], path[1, 1]]
-
-    rows = [*in_ground[:, 0], *in_ground[:, 1:].reshape(9, *position.shape[1:]), *in_body[:, 0]]
-    rows += [*turn(body), *body[:, 0], *turn(ground), *ground[:, 0]]
-    values = jnp.moveaxis(jnp.stack(rows), (0, 1, 2), (2, 1, 0))
+    turns, shifts = twist_paths(rotation, position, steps, count)
+    inside = times(jnp.swapaxes(rotation, 0, 1), position)
+    rows = [position, rotation.reshape(9, *position.shape[1:]), inside]
+    rows += [turns[:, 0], shifts[:, 0], turns[:, 1], shifts[:, 1]]
+    values = jnp.moveaxis(jnp.concatenate(rows), (0, 1, 2), (2, 1, 0))
     weight = counted.astype(values.dtype)
     mean = jnp.sum(rotation * weight, axis=2) / jnp.sum(weight, axis=0)
     mean = nearest_rotation(jnp.moveaxis(mean, -1, 0))
@@ -93,6 +89,11 @@ def nearest_rotation(matrix: jax.Array) -> jax.Array:
     return jnp.stack([u, v, jnp.cross(u, v)], axis=-1)
 
 
+def _hat(vector: jax.Array) -> jax.Array:
+    """Matrices (..., 3, 3) of the cross product with vectors (..., 3)."""
+    return jnp.cross(vector[..., None, :], jnp.eye(3, dtype=vector.dtype)).swapaxes(-1, -2)
+
+
 def _sensitivity(values: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Derivatives of features (..., 27) with respect to the pose, (..., 27, 3) each.
 
@@ -104,10 +105,10 @@ def _sensitivity(values: jax.Array) -> tuple[jax.Array, jax.Array]:
     zero = jnp.zeros_like(unit)
     inverse = jnp.swapaxes(rotation, -1, -2)
     # R exp(d): every row r of R changes by r x d ... in components, R_il [e_c]_lj
-    cross = jnp.stack([hat(e) for e in jnp.eye(3, dtype=values.dtype)])
+    cross = _hat(jnp.eye(3, dtype=values.dtype))
     turned = jnp.einsum("...il,clj->...ijc", rotation, cross).reshape(*values.shape[:-1], 9, 3)
     nine = jnp.zeros_like(turned)
     to_position = jnp.concatenate([unit, nine, inverse, zero, inverse, zero, unit], axis=-2)
-    lever = jnp.einsum("...ij,...jk->...ik", hat(p), rotation)
-    to_rotation = jnp.concatenate([zero, turned, hat(q), unit, zero, rotation, lever], axis=-2)
+    lever = jnp.einsum("...ij,...jk->...ik", _hat(p), rotation)
+    to_rotation = jnp.concatenate([zero, turned, _hat(q), unit, zero, rotation, lever], axis=-2)
     return to_position, to_rotation

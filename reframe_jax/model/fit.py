@@ -13,6 +13,9 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax.geometry.rotations import rotation_exp
+from reframe_jax.model.crossed import crossed_axes
+from reframe_jax.model.rows import crossed_frame, gather_moments, in_body, problem_of, rotation_forms
+from reframe_jax.model.steps import Unknowns, descend
 from reframe_jax.model.table import KINDS, ROWS, Table
 
 __all__ = [
@@ -29,9 +32,7 @@ __all__ = [
     "solve_determined",
 ]
 
-_STEPS = 15
-_DAMPING = 1e-3  # first, of the diagonal
-_LONGEST = 0.5  # rad or m, of one step
+STEPS = 15
 _PARAMETERS = 9
 
 Array = jax.Array
@@ -139,33 +140,8 @@ def objective(parameters: Parameters, data: Data, entry: Table, scale: Array, ti
     return value + _tilt_cost(parameters.tilt, data, scale, tie)
 
 
-def _expand(parameters: Parameters, data: Data, entry: Table, scale: Array, tie: Array) -> tuple[Array, Array]:
-    """Gradient (9,) and the Hessian of the tangent (9, 9)."""
-
-    def weights_after(step: Array) -> Array:
-        return coordinates(move(parameters, step, data.box), data.mean_rotation, entry)
-
-    zero = jnp.zeros(_PARAMETERS, data.products.dtype)
-    weights = weights_after(zero)
-    slopes = jax.jacfwd(weights_after)(zero)
-    covariance = held_covariance(weights, data.products, entry)
-    cofactors, det = _cofactors(covariance)
-    inverse = cofactors / jnp.maximum(det, jnp.finfo(det.dtype).tiny)[..., None, None]
-    whole = jnp.zeros((*inverse.shape[:1], 6, 6), inverse.dtype)
-    whole = whole.at[:, :3, :3].set(inverse[:, 0]).at[:, 3:, 3:].set(inverse[:, 1])
-    held = entry.held[:, None] & entry.held[None, :]
-    whole = jnp.where(held, whole, 0) * data.details[:, None, None]
-    pulled = jnp.einsum("sij,jf,sfg->ig", whole, weights, data.products)
-    gradient = 2 * jnp.einsum("ig,igp->p", pulled, slopes)
-    moved = jnp.einsum("ifp,sfg->sigp", slopes, data.products)
-    hessian = 2 * jnp.einsum("sigp,sij,jgq->pq", moved, whole, slopes)
-    bend = jnp.where(tie, jnp.sum(data.details) / (scale**2 + jnp.sum(jnp.square(parameters.tilt))), 0.0)
-    gradient = gradient.at[6:8].add(2 * bend * parameters.tilt)
-    return gradient, hessian.at[(6, 7), (6, 7)].add(2 * bend)
-
-
 def fit_entry(
-    start: Parameters, data: Data, entry: Table, scale: Array, tie: Array, steps: int = _STEPS
+    start: Parameters, data: Data, entry: Table, scale: Array, tie: Array, steps: int = STEPS
 ) -> tuple[Parameters, Array]:
     """Fit an entry to a window, from a start.
 
@@ -180,26 +156,26 @@ def fit_entry(
     Returns:
         The parameters and the objective there.
     """
-    small = jnp.finfo(data.products.dtype).tiny ** 0.5
-
-    def step(_: int, carry: tuple[Parameters, Array, Array]) -> tuple[Parameters, Array, Array]:
-        here, value, damping = carry
-        gradient, hessian = _expand(here, data, entry, scale, tie)
-        size = jnp.diagonal(hessian)
-        lift = damping * size + 1e-9 * jnp.max(size) + small
-        change = -jnp.linalg.solve(hessian + jnp.diag(lift), gradient)
-        change = change * jnp.minimum(1, _LONGEST / jnp.maximum(jnp.max(jnp.abs(change)), small))
-        there = move(here, change, data.box)
-        new = objective(there, data, entry, scale, tie)
-        lower = new < value
-        here = jax.tree.map(lambda a, b: jnp.where(lower, a, b), there, here)
-        damping = jnp.clip(jnp.where(lower, damping * 0.1, damping * 10), 1e-7, 1e4)
-        return here, jnp.where(lower, new, value), damping
-
-    value = objective(start, data, entry, scale, tie)
-    damping = jnp.asarray(_DAMPING, data.products.dtype)
-    fitted, value, _ = jax.lax.fori_loop(0, steps, step, (start, value, damping))
-    return fitted, value
+    body = in_body(entry)
+    moments = gather_moments(data.products, entry.path, entry.turn).in_main_axes(data.mean_rotation, body)
+    problem = problem_of(moments, data.details, entry, scale, data.box, tie)
+    inside = jnp.where(body, start.axes, ground_axes(start, data.mean_rotation))
+    tilt = jnp.where(body, start.tilt, 0)
+    found, _ = descend(
+        problem, Unknowns(inside, start.origin, tilt, jnp.where(entry.pitch, start.pitch, 0)), steps
+    )
+    axes = jnp.where(body, found.frame, data.mean_rotation.T @ found.frame)
+    forms = rotation_forms(jnp.moveaxis(data.products, 0, -1))
+    a, b = ground_axes(start, data.mean_rotation)[:, 2], start.axes[:, 0]
+    a, b, _ = crossed_axes(forms, data.details, data.mean_rotation, a, b, False, steps)
+    cross_axes, cross_tilt = crossed_frame(a, b, data.mean_rotation)
+    fitted = Parameters(
+        jnp.where(entry.crossed, cross_axes, axes),
+        found.origin,
+        jnp.where(entry.crossed, cross_tilt, found.tilt),
+        found.pitch,
+    )
+    return fitted, objective(fitted, data, entry, scale, tie)
 
 
 @jax.custom_jvp
@@ -235,7 +211,8 @@ def solve_determined(hessian: Array, vector: Array, flat: float = 1e-9) -> Array
 
 @settle.defjvp
 def _settle_jvp(
-    primals: tuple[Parameters, Data, Table, Array, Array], tangents: tuple[Parameters, Data, Table, Array, Array]
+    primals: tuple[Parameters, Data, Table, Array, Array],
+    tangents: tuple[Parameters, Data, Table, Array, Array],
 ) -> tuple[Parameters, Parameters]:
     parameters, data, entry, scale, tie = primals
     zero = jnp.zeros(_PARAMETERS, data.products.dtype)

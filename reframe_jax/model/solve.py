@@ -1,22 +1,36 @@
-"""From features to the probability of every entry of the table, for windows that have been checked."""
+"""From features to the probability of every entry of the table, for windows that have been checked.
 
-from functools import partial
+A first look judges all entries at their starts; those that look best are fitted and judged again. Within, arrays
+have components first, then scales, entries and windows.
+"""
+
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.constraints.types import AngularType, LinearType
+from reframe_jax.constraints.types import LinearType
 from reframe_jax.model import features as z
-from reframe_jax.model.axes import common_axes, principal_axes, sort_axes
 from reframe_jax.model.constants import SCALES
-from reframe_jax.model.evidence import Amplitudes, Spectra, entry_amplitudes, log_evidence, log_posterior
+from reframe_jax.model.evidence import Amplitudes, Coordinates, Spectra, amplitudes_of, compare, log_evidence
 from reframe_jax.model.features import Features
-from reframe_jax.model.fit import Data, Parameters, coordinates, fit_entry
+from reframe_jax.model.fit import STEPS, Parameters
 from reframe_jax.model.moments import Moments
+from reframe_jax.model.rows import (
+    EntryMoments,
+    coordinates_at,
+    crossed_frame,
+    gather_moments,
+    in_body,
+    pick_moments,
+    problem_of,
+)
 from reframe_jax.model.search import lowest_origins, norm_at, polynomials, unexplained_covariance
-from reframe_jax.model.table import ENTRIES, KINDS, ROWS, TABLE, Table
+from reframe_jax.model.small import largest, sandwich, times, total
+from reframe_jax.model.starts import Axes, common_frames, entry_starts, stillest, universal_axes
+from reframe_jax.model.steps import Unknowns, descend, path_of, tilted_axis
+from reframe_jax.model.table import ENTRIES, KINDS, PATHS, ROWS, TABLE, Table
 
 __all__ = ["Solved", "choose_scales", "solve_windows"]
 
@@ -73,7 +87,7 @@ def choose_scales(moments: Moments, noise: Array, scales: tuple[int, ...] | None
         first = jnp.where(jnp.any(above, axis=1), jnp.argmax(above, axis=1), 0)
         keep = keep & (index >= first[:, None])
     # the last details and the smooth part always count
-    details = jnp.sum(moments.details[:, :-1] > 0, axis=1)
+    details = total(moments.details[:, :-1] > 0, 1)
     keep = keep | (index >= details[:, None] - 1)
     return moments._replace(details=jnp.where(keep, moments.details, 0))
 
@@ -99,23 +113,53 @@ def solve_windows(
     """
     coefficients = polynomials(used.products, ROWS[_LINEAR])
     if origins is None:
-        total = jnp.einsum("ns,nsfg->nfg", used.share, used.products)
-        unexplained = unexplained_covariance(total, ROWS[_LINEAR])
+        everything = jnp.einsum("ns,nsfg->nfg", used.share, used.products)
+        unexplained = unexplained_covariance(everything, ROWS[_LINEAR])
         origins, norm = lowest_origins(coefficients, used.details, box, unexplained)
     else:
         norm = norm_at(coefficients, used.details, origins)
-    solve = partial(_solve_window, assume=assume)
-    return jax.vmap(solve)(features, moments, used, noise, box, origins, norm)
+    return _compare(features, moments, used, noise, box, origins, norm, assume)
 
 
-def _sorted_axes(rows: Array, products: Array, details: Array, share: Array) -> Array:
-    """Common axes of three coordinates (3, 27), by amplitude, ascending and right-handed."""
-    covariances = jnp.einsum("if,sfg,jg->sij", rows, products, rows)
-    axes = common_axes(covariances + 1e-18 * jnp.eye(3, dtype=covariances.dtype), details)
-    return sort_axes(axes, jnp.einsum("s,sij->ij", share, covariances))[0]
+class _Windows(NamedTuple):
+    """What the judgement of entries needs of N windows, with the windows last.
+
+    Attributes:
+        products: (27, 27, S, N).
+        spectra: with (S, 1, N).
+        mean: (3, 3, N) mean rotation.
+        own: (2, 1, N) m and rad, noise that errors grow with.
+        turned: (3, 3, M, N) rotations of a few poses.
+        levers: (3, 3, 5, N) squared sensitivity to a rotation of the translations of every path.
+        joint: moments of the coordinates of a universal joint.
+    """
+
+    products: Array
+    spectra: Spectra
+    mean: Array
+    own: Array
+    turned: Array
+    levers: Array
+    joint: "_Joint"
 
 
-def _solve_window(
+class _Joint(NamedTuple):
+    """Coordinates of universal joints: a (3, N), b (3, N), moments (9, 9, S, N), and 1 - cos^2 (M, N)."""
+
+    ground: Array
+    body: Array
+    form: Array
+    sine: Array
+
+
+_COMBINATIONS, _COMBINATION = np.unique(np.stack([TABLE.path, TABLE.turn]), axis=1, return_inverse=True)
+
+
+def _last(tree: Table) -> Table:
+    return Table(*(jnp.moveaxis(jnp.asarray(leaf), 0, -1) for leaf in tree))
+
+
+def _compare(
     features: Features,
     moments: Moments,
     used: Moments,
@@ -125,129 +169,176 @@ def _solve_window(
     norm: Array,
     assume: tuple[int, ...] | None,
 ) -> Solved:
-    products, details = used.products, used.details
-    share, white = _weights(used)
-    rows = jnp.asarray(ROWS, products.dtype)
-    of_axes = partial(_sorted_axes, products=products, details=details, share=share)
-    points = jnp.concatenate([jnp.ones((4, 1), products.dtype), origins], axis=1)
-    linear = jax.vmap(of_axes)(jnp.einsum("tiaf,ta->tif", rows[_LINEAR], points))
-    turns = rows[np.array([KINDS.index("turn in ground"), KINDS.index("turn in body")]), :, 0]
-    angular = jax.vmap(of_axes)(turns)
-    mean = features.mean_rotation
-    starts = _starts(origins, linear, angular, mean, products, details, share)
-    data = Data(products, details, mean, box)
-    total = jnp.einsum("s,sfg->fg", share, products)
-    across = angular[AngularType.B][:, :2].T @ turns[AngularType.B]
-    held = across @ total @ across.T
-    scale = jnp.sqrt(jnp.maximum(jnp.trace(held) - jnp.linalg.det(held) / jnp.trace(held), 0) + 1e-12)
-    own = _own_noise(products, moments.details, white, noise)
-    spectra = Spectra(
-        products, details, moments.details, share, white, features.to_position, features.to_rotation, noise
+    products = jnp.moveaxis(used.products, 0, -1).transpose(1, 2, 0, 3)
+    details, all_details = used.details.T, moments.details.T
+    share, white = used.share.T, used.white.T
+    mean, place = jnp.moveaxis(features.mean_rotation, 0, -1), jnp.moveaxis(origins, 0, -1).swapaxes(0, 1)
+    path, turn = _COMBINATIONS
+    combined = pick_moments(products, path, turn).in_main_axes(
+        mean[:, :, None], in_body(TABLE._replace(path=path))[:, None]
     )
-    table = jax.tree.map(jnp.asarray, TABLE)
-
-    def judge(parameters: Parameters, entry: Table) -> tuple[Amplitudes, Array]:
-        of = entry_amplitudes(coordinates(parameters, mean, entry), entry, spectra)
-        tilt = jnp.where(entry.tied, jnp.linalg.norm(parameters.tilt), 0)
-        return of, log_evidence(of, tilt, entry, own)
-
-    amplitudes, evidence = jax.vmap(judge)(starts, table)
-    before = log_posterior(evidence, amplitudes, starts.pitch, table, details)
+    points = place[:, np.minimum(path, 3)]
+    _, paths = path_of(combined.paths, points)
+    first = [int(np.flatnonzero(path == t)[0]) for t in range(4)]
+    turns = jnp.stack([products[r, r] for r in (z.TURN_GROUND, z.TURN_BODY)], axis=3)
+    axes = common_frames(
+        paths[:, :, :, np.array(first)], turns, products[z.POSITION, z.POSITION], details, share
+    )
+    whole = total(products * share, 2)
+    a, b = universal_axes(axes, products, details, mean)
+    joint = _joint(a, b, place, used.products, features)
+    starts = entry_starts(place, axes, (a, b), whole, mean)
+    spectra = Spectra(
+        products,
+        details[:, None],
+        all_details[:, None],
+        share[:, None],
+        white[:, None],
+        None,
+        None,
+        noise.T[:, None],
+    )
+    own = _own_noise(products, all_details, white, noise)
+    turned = jnp.moveaxis(features.to_rotation[:, :, z.TURN_GROUND], 0, -1).transpose(1, 2, 0, 3)
+    of = _Windows(products, spectra, mean, own[:, None], turned, _levers(features, turned, place), joint)
+    # ---- a first look at all entries
+    table = Table(*(leaf[..., None] for leaf in _last(TABLE)))
+    every = EntryMoments(*(jnp.take(leaf, _COMBINATION, axis=-2) for leaf in combined))
+    amplitudes, evidence = _judge(every, starts, table, of)
+    before = compare(evidence, amplitudes, starts.pitch, table, details)
     if assume is not None:
-        allowed = np.isin(np.arange(len(ENTRIES)), assume)
-        before = jnp.where(allowed, before, -jnp.inf)
-    chosen = jax.lax.top_k(before, CANDIDATES if assume is None else min(CANDIDATES, len(assume)))[1]
-    start, entries = jax.tree.map(lambda leaf: leaf[chosen], (starts, table))
-    parameters, _ = jax.vmap(lambda s, e: fit_entry(s, data, e, scale, e.tied))(start, entries)
-    amplitudes, evidence = jax.vmap(judge)(parameters, entries)
-    posterior = log_posterior(evidence, amplitudes, parameters.pitch, entries, details)
-    everywhere = jnp.full(before.shape, -jnp.inf).at[chosen].set(posterior)
-    return Solved(everywhere, parameters, amplitudes, origins, norm, linear, angular, starts, chosen, scale)
+        before = jnp.where(np.isin(np.arange(len(ENTRIES)), assume)[:, None], before, -jnp.inf)
+    number = CANDIDATES if assume is None else min(CANDIDATES, len(assume))
+    chosen = jax.lax.top_k(before.T, number)[1].T  # (C, N)
+    start = jax.tree.map(
+        lambda leaf: jnp.take_along_axis(leaf, chosen[(None,) * (leaf.ndim - 2)], axis=-2), starts
+    )
+    entries = Table(*(leaf[..., chosen] for leaf in _last(TABLE)))
+    # ---- the best of them
+    picked = jax.vmap(gather_moments)(used.products, entries.path.T, entries.turn.T)
+    picked = EntryMoments(*(jnp.moveaxis(leaf, (0, -1), (-1, -2)) for leaf in picked))
+    picked = picked.in_main_axes(mean[:, :, None], in_body(entries))
+    scale = _tilt_scale(axes, whole)
+    problem = problem_of(picked, details[:, None], entries, scale, box, entries.tied)
+    found, _ = descend(problem, start, STEPS)
+    amplitudes, evidence = _judge(picked, found, entries, of)
+    posterior = compare(evidence, amplitudes, found.pitch, entries, details)
+    code = jnp.arange(len(ENTRIES))[:, None, None] == chosen[None]
+    everywhere = largest(jnp.where(code, posterior[None], -jnp.inf), 1)
+    return Solved(
+        everywhere.T,
+        _parameters(found, entries, of),
+        jax.tree.map(_first, amplitudes),
+        origins,
+        norm,
+        _first(axes.linear),
+        _first(axes.angular),
+        _parameters(starts, table, of),
+        chosen.T,
+        scale,
+    )
 
 
-def _weights(used: Moments) -> tuple[Array, Array]:
-    """``share`` and ``white`` of the moments of one window."""
-    last = np.arange(used.width.shape[0]) == used.width.shape[0] - 1
-    share = jnp.where(last, 1.0, 0.25).astype(used.products.dtype) * (used.details > 0)
-    return share, jnp.where(last, 1.0, 2.0) / used.width
+def _first(leaf: Array) -> Array:
+    """(components, entries, N) to (N, entries, components)."""
+    return jnp.moveaxis(leaf, (-1, -2), (0, 1))
+
+
+def _parameters(at: Unknowns, entries: Table, of: _Windows) -> Parameters:
+    """Parameters (N, entries, ...) of unknowns in axes of the main body."""
+    joint, mean = of.joint, of.mean[:, :, None]
+    axes = jnp.where(in_body(entries), at.frame, times(jnp.swapaxes(mean, 0, 1), at.frame))
+    cross_axes, cross_tilt = crossed_frame(joint.ground, joint.body, of.mean)
+    axes = jnp.where(entries.crossed, cross_axes[:, :, None], axes)
+    tilt = jnp.where(entries.crossed, cross_tilt[:, None], at.tilt)
+    return Parameters(*(_first(leaf) for leaf in (axes, at.origin, tilt, at.pitch)))
+
+
+def _judge(moments: EntryMoments, at: Unknowns, entries: Table, of: _Windows) -> tuple[Amplitudes, Array]:
+    """Amplitudes and log evidence of entries, with (entries, N) last."""
+    turns, shifts, mixed = coordinates_at(moments, at, entries.apart)
+    joint, crossed = of.joint, entries.crossed
+    # ---- the rotations of a universal joint are others
+    turns = jnp.where(crossed, joint.form[:3, :3, :, None], turns)
+    path_first = jnp.where(
+        entries.path == PATHS.index("GB"), joint.form[:3, 3:6, :, None], joint.form[:3, 6:, :, None]
+    )
+    path_first = total(path_first[:, :, None] * at.frame[None, :, :, None], 1)
+    mixed = jnp.where(crossed, path_first, mixed)
+    # ---- sensitivity to a rotation
+    unit = jnp.eye(3, dtype=turns.dtype)[:, :, None, None] + jnp.zeros_like(at.frame)
+    sine = total(joint.sine, 0) / len(joint.sine)
+    corner = (np.arange(9) == 0).reshape(3, 3, 1, 1)
+    of_turns = jnp.where(crossed & corner, sine, unit)
+    kinds = jnp.arange(len(PATHS)).reshape(-1, 1, 1) == entries.path[None]
+    lever = total(of.levers[:, :, :, None] * kinds, 2)
+    lever = sandwich(at.frame, lever[:, :, None])[:, :, 0]
+    third = (np.arange(3) == 2)[:, None, None]
+    row = entries.apart & (third[:, None] | third[None])
+    lever = jnp.where(row, jnp.where(third[:, None] & third[None], at.pitch**2, 0), lever)
+    # ---- derivative of the coordinates with respect to the pose
+    axis = times(of.mean[:, :, None], times(at.frame, tilted_axis(at.tilt)[0]))
+    along = total(of.turned[:, :, :, None] * at.frame[None, :, 2, None], 1)
+    cosine = total(along * axis[:, None], 0)
+    det = jnp.where(entries.apart & in_body(entries), jnp.abs(cosine), 1.0)
+    det = jnp.where(crossed, joint.sine[:, None], det)
+    gain = jnp.asarray([0.0, 0, 0, 1, 1, 1], turns.dtype)[:, None, None]
+    consistency = total(jnp.log(det + 1e-6), 0) / len(det)
+    coordinates = Coordinates(turns, shifts, mixed, jnp.stack([of_turns, lever]), gain, consistency)
+    amplitudes = amplitudes_of(coordinates, entries, of.spectra)
+    tilt = jnp.where(entries.tied, jnp.sqrt(total(at.tilt**2, 0) + jnp.finfo(turns.dtype).tiny), 0)
+    return amplitudes, log_evidence(amplitudes, tilt, entries, of.own)
+
+
+def _joint(a: Array, b: Array, place: Array, products: Array, features: Features) -> _Joint:
+    """Moments of a'R b, of the rotations about a and b, and of the path of either linear type's origin."""
+    rows = jnp.asarray(ROWS, products.dtype)
+    angle = jnp.einsum("in,jn,ijf->nf", a, b, rows[KINDS.index("angle between"), :, 1:])
+    turns = [
+        jnp.einsum("in,if->nf", v, rows[KINDS.index(f"turn in {where}"), :, 0])
+        for v, where in ((a, "ground"), (b, "body"))
+    ]
+    point = jnp.concatenate([jnp.ones_like(place[:1]), place])
+    paths = [
+        jnp.einsum("an,iaf->inf", point[:, t], rows[KINDS.index(t.name)])
+        for t in (LinearType.GB, LinearType.BG)
+    ]
+    weights = jnp.concatenate([jnp.stack([angle, *turns]), *paths]).swapaxes(0, 1)
+    form = jnp.einsum("nif,nsfg,njg->ijsn", weights, products, weights, precision="highest")
+    turned = features.to_rotation[:, :, z.TURN_GROUND]
+    cosine = jnp.einsum("in,nmij,jn->mn", a, turned, b)
+    return _Joint(a, b, form, 1 - cosine * cosine)
+
+
+def _levers(features: Features, turned: Array, place: Array) -> Array:
+    """Squared sensitivity to a rotation of translations along directions, (3, 3, 5, N)."""
+    sensitive = jnp.moveaxis(features.to_rotation[:, :, z.IN_BODY], 0, -1)
+    inside = jnp.stack([sensitive[:, 2, 1], sensitive[:, 0, 2], sensitive[:, 1, 0]])  # R'p, (3, M, N)
+    position = times(turned, inside)
+    x = place[:, :, None]
+    moved = [
+        jnp.broadcast_to(x[:, LinearType.BB], inside.shape),
+        times(turned, jnp.broadcast_to(x[:, LinearType.GB], inside.shape)),
+        x[:, LinearType.GG] - position,
+        times(turned.swapaxes(0, 1), jnp.broadcast_to(x[:, LinearType.BG], inside.shape)) - inside,
+        jnp.zeros_like(inside),
+    ]
+    arms = jnp.stack(moved, axis=2)  # (3, M, 5, N)
+    squares = total(arms[:, None] * arms[None], 2) / arms.shape[1]
+    unit = jnp.eye(3, dtype=arms.dtype)[:, :, None, None]
+    return unit * (squares[0, 0] + squares[1, 1] + squares[2, 2]) - squares
+
+
+def _tilt_scale(axes: Axes, whole: Array) -> Array:
+    """Size of the tilt in the fit: amplitude of the rotations across the axis of the largest, (N,) rad."""
+    across = sandwich(axes.angular[:, :, 1], whole[z.TURN_BODY, z.TURN_BODY][:, :, None])[:2, :2, 0]
+    trace = across[0, 0] + across[1, 1]
+    det = across[0, 0] * across[1, 1] - across[0, 1] * across[1, 0]
+    return jnp.sqrt(jnp.maximum(trace - det / jnp.maximum(trace, 1e-30), 0) + 1e-12)
 
 
 def _own_noise(products: Array, all_details: Array, white: Array, noise: Array) -> Array:
-    """White noise, (2,) m and rad, no more than any scale shows along its stillest axis."""
-    shown = []
-    for rows in (z.POSITION, z.TURN_BODY):
-        smallest = jax.vmap(lambda c: principal_axes(c)[1][0])(products[:-1, rows, rows])
-        shown.append(jnp.min(jnp.where(all_details[:-1] > 0, smallest / white[:-1], jnp.inf)))
-    return jnp.minimum(noise, jnp.sqrt(jnp.maximum(jnp.stack(shown), 1e-16)))
-
-
-def _frames(axis: Array, across: Array) -> Array:
-    """Rotations (..., 3, 3) whose last column is the axis, and whose first is nearest to ``across``."""
-    first = across - axis * jnp.sum(axis * across, axis=-1, keepdims=True)
-    first = first / jnp.sqrt(jnp.sum(first * first, axis=-1, keepdims=True) + 1e-30)
-    return jnp.stack([first, jnp.cross(axis, first), axis], axis=-1)
-
-
-def _starts(
-    origins: Array, linear: Array, angular: Array, mean: Array, products: Array, details: Array, share: Array
-) -> Parameters:
-    """Where the fit of every entry starts."""
-    total = jnp.einsum("s,sfg->fg", share, products)
-    main = angular[AngularType.B][:, 2]
-    path = principal_axes(total[z.POSITION, z.POSITION])[0]
-    first, second = _crossed_axes(angular, mean, products, details)
-    kinds = np.array([entry.kind for entry in ENTRIES])
-    own = linear[kinds]
-    fixed = np.array([[entry.kind.name[0] == "G"] for entry in ENTRIES])
-    # entries whose rotations are held are written with the position, in the ground
-    turn = jnp.where(fixed, mean @ main, main)
-    choices = {"turn": turn, "cross": first, "normal": own[:, :, 0], "along": own[:, :, 2]}
-    choices |= {"path": path[:, 2], "lift": path[:, 0]}
-    names = list(choices)
-    every = jnp.stack([jnp.broadcast_to(choices[name], turn.shape) for name in names])
-    which = np.array([names.index(entry.start) for entry in ENTRIES])
-    axis = every[which, np.arange(len(ENTRIES))]
-    # of the axes of the type, the stillest that is not nearly along the axis
-    sine = jnp.sqrt(jnp.maximum(1 - jnp.square(jnp.einsum("ea,eai->ei", axis, own)), 0))
-    across = jnp.take_along_axis(own, jnp.argmax(sine > 0.6, axis=1)[:, None, None], axis=2)[:, :, 0]
-    across = jnp.where(TABLE.crossed[:, None], mean @ second, across)
-    frames = _frames(axis, across)
-    frames = jnp.where(fixed[:, :, None], jnp.einsum("ji,ejk->eik", mean, frames), frames)
-    turns, slides = frames[:, :, 2], jnp.einsum("ij,ej->ei", mean, frames[:, :, 2])
-    both = jnp.einsum("ei,ij,ej->e", slides, total[z.POSITION, z.TURN_BODY], turns)
-    pitch = both / (jnp.einsum("ei,ij,ej->e", turns, total[z.TURN_BODY, z.TURN_BODY], turns) + 1e-30)
-    tilt = jnp.zeros((len(ENTRIES), 2), origins.dtype)
-    return Parameters(frames, origins[kinds], tilt, jnp.where(TABLE.pitch, pitch, 0))
-
-
-def _crossed_axes(angular: Array, mean: Array, products: Array, details: Array) -> tuple[Array, Array]:
-    """Axes a of the ground and b of the body whose angle changes least: a' R b, by turns."""
-    second = products[:, z.ROTATION, z.ROTATION].reshape(-1, 3, 3, 3, 3)
-
-    def improve(pair: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
-        a, b = pair
-        for _turn in range(2):
-            spread = jnp.einsum("siajb,a,b->sij", second, b, b)
-            size = jnp.einsum("sij,i,j->s", spread, a, a) + 1e-18
-            form = jnp.einsum("s,sij->ij", details / size, spread)
-            # axes along each other hold their angle in any motion about that axis
-            along = mean @ b
-            form = form + jnp.sum(details) * 30 * jnp.outer(along, along)
-            a = principal_axes(form)[0][:, 0]
-            spread = jnp.einsum("siajb,i,j->sab", second, a, a)
-            size = jnp.einsum("sab,a,b->s", spread, b, b) + 1e-18
-            form = jnp.einsum("s,sab->ab", details / size, spread)
-            along = mean.T @ a
-            form = form + jnp.sum(details) * 30 * jnp.outer(along, along)
-            b = principal_axes(form)[0][:, 0]
-        return (a, b), None
-
-    def of_start(a: Array, b: Array) -> tuple[Array, Array, Array]:
-        (a, b), _ = jax.lax.scan(improve, (a, b), None, length=3)
-        size = jnp.einsum("siajb,i,a,j,b->s", second, a, b, a, b)
-        return a, b, jnp.sum(details * jnp.log(size + 1e-18))
-
-    ground, body = angular[AngularType.G], angular[AngularType.B]
-    a, b, value = jax.vmap(of_start)(ground.T[jnp.array([2, 1])], body.T[jnp.array([1, 2])])
-    best = jnp.argmin(value)
-    return a[best], b[best]
+    """White noise, (2, N) m and rad, no more than any scale shows along its stillest axis."""
+    forms = jnp.stack([products[r, r, :-1] for r in (z.POSITION, z.TURN_BODY)], axis=2)
+    shown = jnp.where(all_details[:-1] > 0, stillest(forms) / white[:-1], jnp.inf)
+    return jnp.minimum(noise.T, jnp.sqrt(jnp.maximum(-largest(-shown, 1), 1e-16)))

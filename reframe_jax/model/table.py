@@ -4,7 +4,8 @@ To add a constraint, add an entry. A coordinate is a direction times a feature v
 body (see :data:`KINDS`). Directions are columns of one frame: 0 and 1 lie across its axis, 2 is the axis. The
 frame has a copy in each body; an entry that uses both has one axis through both bodies, up to a tilt that is
 held like its rotations. Coordinates that are written together, as in ``held("BG", 0, 1)``, are a block: which
-directions within it are meant does not matter.
+directions within it are meant does not matter. Rotations come first, then translations, each in the order of
+their columns.
 """
 
 from dataclasses import dataclass
@@ -15,11 +16,14 @@ import numpy as np
 from reframe_jax.constraints.types import LinearType
 from reframe_jax.model import features as z
 
-__all__ = ["ENTRIES", "KINDS", "ROWS", "TABLE", "Entry"]
+__all__ = ["ENTRIES", "KINDS", "PATHS", "ROWS", "TABLE", "Entry"]
 
 KINDS = ("BB", "GB", "GG", "BG", "turn in body", "turn in ground", "position", "angle between")
 """Vectors whose coordinates are held or free: the path of an origin as the four linear types see it, the summed
 rotation in either body, the position of the body in the ground, and the direction of an axis of the body."""
+
+PATHS = ("BB", "GB", "GG", "BG", "position")
+"""Kinds of translations."""
 
 _GROUND = {"GB", "GG", "turn in ground", "position", "angle between"}  # directions are fixed in the ground
 
@@ -129,17 +133,17 @@ def _entries() -> tuple[Entry, ...]:
             Entry("C", t, (*turns, tip, free("position", 2)), "turn", (2,), 4),
             Entry("screw", t, (*turns, tip, held("position", 2)), "turn", (2,), 5, pitch=True),
         ]
-    plane = held("turn in body", 0, 1), free("turn in body", 2), held("position", 2)
-    found.append(Entry("D", bg, (*plane, free("BG", 0, 1)), "turn", (0, 1, 2), 2))
+    plane = held("turn in body", 0, 1), free("turn in body", 2), free("BG", 0, 1), held("position", 2)
+    found.append(Entry("D", bg, plane, "turn", (0, 1, 2), 2))
     for t in (bb, gb, gg, bg):
-        slot = held(_turn(t), 0, 1), free(_turn(t), 2), held("position", 2), held(t.name, 0), free(t.name, 1)
+        slot = held(_turn(t), 0, 1), free(_turn(t), 2), held(t.name, 0), free(t.name, 1), held("position", 2)
         any_origin = (0, 2) if t in (bb, gg) else (2,)
         found += [
             Entry(slots[t], t, slot, "turn", any_origin, 4),
             Entry(
                 surfaces[t],
                 t,
-                (turning, held(t.name, 2), free(t.name, 0, 1)),
+                (turning, free(t.name, 0, 1), held(t.name, 2)),
                 "normal",
                 (2,) if t == bb else (),
                 3,
@@ -153,7 +157,7 @@ def _entries() -> tuple[Entry, ...]:
         Entry(
             "0 rotations, 2 translations",
             gb,
-            (still, held("position", 2), free("position", 0, 1)),
+            (still, free("position", 0, 1), held("position", 2)),
             "lift",
             anywhere,
             2,
@@ -186,6 +190,9 @@ class Table(NamedTuple):
         pitch, tied, crossed: (E,) bool.
         parameters: (E,).
         variants: (E,) entries with the same label family, this one included.
+        turn: (E,) int, 1 if the rotations are those in the ground, 0 in the body.
+        path: (E,) int, kind of the translations along columns 0 and 1, among :data:`PATHS`.
+        apart: (E,) bool, whether the translation along column 2 is that of the position, of another kind.
     """
 
     kind: np.ndarray
@@ -198,12 +205,21 @@ class Table(NamedTuple):
     crossed: np.ndarray
     parameters: np.ndarray
     variants: np.ndarray
+    turn: np.ndarray
+    path: np.ndarray
+    apart: np.ndarray
+
+    def row(self, code: int) -> "Table":
+        """One entry."""
+        return Table(*(leaf[code] for leaf in self))
 
 
 def _table(entries: tuple[Entry, ...]) -> Table:
     rows = [[(b, c, n) for n, b in enumerate(e.blocks) for c in b.columns] for e in entries]
-    if any(len(row) != 6 for row in rows):
-        raise ValueError("Every constraint needs six coordinates.")
+    for e, row in zip(entries, rows, strict=True):
+        columns = [c for _, c, _ in row]
+        if len(row) != 6 or columns[3:] != [0, 1, 2] or (e.start != "cross" and columns[:3] != [0, 1, 2]):
+            raise ValueError("Every constraint needs three rotations and three translations, by columns.")
     block = np.array([[n for _, _, n in row] for row in rows])
     # what the blocks look like, whatever the type: variants of one family share its prior
     families = [
@@ -221,6 +237,9 @@ def _table(entries: tuple[Entry, ...]) -> Table:
         crossed=np.array([e.start == "cross" for e in entries]),
         parameters=np.array([e.parameters for e in entries], float),
         variants=np.array([families.count(f) for f in families], float),
+        turn=np.array([int(any(b.kind == "turn in ground" for b, _, _ in row)) for row in rows]),
+        path=np.array([PATHS.index(row[3][0].kind) for row in rows]),
+        apart=np.array([row[3][0].kind != row[5][0].kind for row in rows]),
     )
 
 

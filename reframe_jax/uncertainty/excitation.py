@@ -125,7 +125,7 @@ def _of_windows(
     noise = gain[0] * window.noise[:, :1] ** 2 + gain[1] * window.noise[:, 1:] ** 2
     noise = 2 * noise / width**3
     coupled = entry.pitch[:, None] & (jnp.arange(6) == 5)
-    free = ~entry.held | coupled
+    free = ~jnp.asarray(entry.held) | coupled
     motions, steady = jax.vmap(_tested)(gram, mean, noise, free)
     failed = window.status >= 10
     number = jnp.sum(found.angular_dof, axis=1) + jnp.sum(found.linear_dof, axis=1)

@@ -173,11 +173,11 @@ def _fit_window(
         return fit_entry(start, data, entry, one, jnp.asarray(False))[0]
 
     parameters = jax.vmap(fit)(data)
-    whole = _frames(jax.tree.map(lambda leaf: leaf[0], parameters), mean, found, entry.crossed)
+    whole = _frames(jax.tree.map(lambda leaf: leaf[0], parameters), mean, found, entry)
 
     def numbers(parameters: Parameters) -> Array:
         (axes, origin), (axes_of_whole, origin_of_whole) = (
-            _frames(parameters, mean, found, entry.crossed),
+            _frames(parameters, mean, found, entry),
             whole,
         )
         turns = _small_turns(axes @ jnp.swapaxes(axes_of_whole, 1, 2))
@@ -219,7 +219,7 @@ def _start(found: Estimate, centre: Array, mean: Array, entry: Table) -> Paramet
     return Parameters(axes, origin, jnp.stack([0 * lean, lean]), jnp.where(entry.pitch, found.pitch, 0))
 
 
-def _frames(parameters: Parameters, mean: Array, found: Estimate, crossed: Array) -> tuple[Array, Array]:
+def _frames(parameters: Parameters, mean: Array, found: Estimate, entry: Table) -> tuple[Array, Array]:
     """Angular and linear axes (2, 3, 3) in the bodies of their types, and the origin."""
     bodies = jnp.stack([ground_axes(parameters, mean), parameters.axes])
     # a universal joint does not turn about what is across both of its axes
@@ -228,7 +228,7 @@ def _frames(parameters: Parameters, mean: Array, found: Estimate, crossed: Array
     odd = jnp.cross(to_ground @ mean.T @ bodies[0][:, 2], second)
     odd = odd / jnp.sqrt(jnp.sum(odd * odd) + 1e-30)
     universal = jnp.stack([odd, second, jnp.cross(odd, second)], axis=1)
-    angular = jnp.where(crossed, universal, bodies[found.angular_type])
+    angular = jnp.where(entry.crossed, universal, bodies[found.angular_type])
     linear = bodies[jnp.asarray(ORIENTATION_BODIES)[found.linear_type]]
     return jnp.stack([angular, linear]), parameters.origin
 

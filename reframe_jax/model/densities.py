@@ -1,0 +1,129 @@
+"""Densities of log amplitudes about a size, and their overlap with what a measured amplitude says.
+
+A density is e^(B u) / (1 + e^(2 u))^((B + G) / 2) of u = log a - log size: slopes B below the size and -G above.
+The likelihood of a is Gaussian in the logarithm of a^2 + noise^2. Where a is far below the noise, the likelihood
+is constant, and the density is integrated in closed form; above, by the trapezoidal rule on a few nodes.
+"""
+
+from math import gamma, log
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reframe_jax.model.constants import EVIDENCE as C
+from reframe_jax.model.small import total as add
+
+__all__ = ["Nodes", "amplitude_nodes", "free_evidence", "held_evidence"]
+
+Array = jax.Array
+_NODES = 6  # of the likelihood of an amplitude
+_WIDTH = 3.5  # standard deviations of log a^2 to either side
+_FLAT = 0.05  # a^2 over noise^2 below which the likelihood does not change
+_HELD_TOTAL = 8 / 15  # integral of the density with slopes 1 and -6
+
+
+class Nodes(NamedTuple):
+    """Nodes of the likelihoods of amplitudes.
+
+    Attributes:
+        squares: (_NODES, 6, ...) a^2 of the nodes, ascending.
+        weights: (_NODES, 6, ...) of the nodes.
+        below: (6, ...) likelihood of amplitudes below the first node.
+        top: (6, ...) logarithm of what all weights are multiplied with.
+    """
+
+    squares: Array
+    weights: Array
+    below: Array
+    top: Array
+
+    def rows(self, rows: slice) -> "Nodes":
+        """Those of some coordinates."""
+        return Nodes(self.squares[:, rows], self.weights[:, rows], self.below[rows], self.top[rows])
+
+
+def held_evidence(nodes: Nodes, sizes: Array) -> Array:
+    """Log evidence (k, g, ...) of k coordinates that are held with squared sizes (k, g, ...).
+
+    The grid may have several axes.
+    """
+    squares, weights, below, top = _spread(nodes, sizes.ndim)
+    inverse = 1 / (sizes + squares)
+    under = sizes * inverse
+    total = add(weights * (under * under * under * jnp.sqrt(squares * inverse)), 0)
+    first = squares[0] / (sizes + squares[0])
+    total = total + below * jnp.sqrt(first) * (1 - first * (2 / 3 - first / 5))
+    return jnp.log(total / _HELD_TOTAL + jnp.finfo(jnp.float32).tiny) + top
+
+
+def free_evidence(nodes: Nodes, sizes: Array, slope: Array) -> Array:
+    """Log evidence (k, g, ...) of k coordinates that are free, for squared sizes (k or 1, g, ...).
+
+    Args:
+        nodes: of the coordinates.
+        sizes: m^2 or rad^2.
+        slope: (...) B, below the size.
+    """
+    squares, weights, below, top = _spread(nodes, sizes.ndim)
+    over = squares / (sizes + squares)
+    power = jnp.exp(slope / 2 * jnp.log(over)) * (1 - over) ** int(C.free_above // 2)
+    if C.free_above % 2:
+        power = power * jnp.sqrt(1 - over)
+    first = jnp.exp(slope / 2 * jnp.log(squares[0] / (sizes + squares[0])))
+    total = add(weights * power, 0) + below * first / slope
+    norm = jnp.polyval(jnp.asarray(_TOTALS, jnp.float32), jnp.log(slope))
+    return jnp.log(total + jnp.finfo(jnp.float32).tiny) - norm + top
+
+
+def _spread(nodes: Nodes, axes: int) -> Nodes:
+    """With axes of size 1 for the grid, behind the coordinates."""
+    extra = tuple(range(1, 1 + axes - nodes.top.ndim))
+    one = tuple(n + 1 for n in extra)
+    return Nodes(
+        jnp.expand_dims(nodes.squares, one),
+        jnp.expand_dims(nodes.weights, one),
+        jnp.expand_dims(nodes.below, extra),
+        jnp.expand_dims(nodes.top, extra),
+    )
+
+
+def amplitude_nodes(log_square: Array, log_noise: Array, variance: Array) -> Nodes:
+    """Nodes of the likelihoods of amplitudes, in single precision.
+
+    Args:
+        log_square: (6, ...) log of the measured mean square.
+        log_noise: (6, ...) log of what noise has of it.
+        variance: (6, ...) of ``log_square``.
+    """
+    ratio, deviation = log_square - log_noise, jnp.sqrt(variance)
+    low, high = ratio - _WIDTH * deviation, ratio + _WIDTH * deviation
+    # log (a / noise)^2 of the first and of the last node
+    low = jnp.log(jnp.maximum(jnp.expm1(jnp.clip(low, -1, 60)), _FLAT))
+    high = jnp.maximum(jnp.log(jnp.maximum(jnp.expm1(jnp.clip(high, -1, 60)), _FLAT)), low + 1e-3)
+    steps = jnp.asarray(np.linspace(0, 1, _NODES), ratio.dtype).reshape(_NODES, *[1] * ratio.ndim)
+    place = low + (high - low) * steps
+    penalty = jnp.square(jnp.minimum(ratio, 0)) / variance
+    misfit = jnp.square(ratio - jnp.logaddexp(place, 0.0)) / variance
+    ends = np.ones(_NODES)
+    ends[[0, -1]] = 0.5
+    width = (high - low) / (2 * (_NODES - 1))  # of log a
+    weights = jnp.exp(-0.5 * (misfit - penalty)) * width * jnp.asarray(ends, ratio.dtype).reshape(steps.shape)
+    return Nodes(
+        jnp.exp(place + log_noise).astype(jnp.float32),
+        weights.astype(jnp.float32),
+        jnp.exp(-0.5 * (jnp.square(ratio) / variance - penalty)).astype(jnp.float32),
+        (-0.5 * penalty - 0.5 * jnp.log(variance)).astype(jnp.float32),
+    )
+
+
+def _totals() -> np.ndarray:
+    """Polynomial in log B of the log integral of the density with slopes B and -G."""
+    slopes = np.exp(np.linspace(log(0.5), log(4), 60))
+    g = C.free_above
+    totals = [log(0.5 * gamma(b / 2) * gamma(g / 2) / gamma((b + g) / 2)) for b in slopes]
+    return np.polyfit(np.log(slopes), totals, 5)
+
+
+_TOTALS = _totals()

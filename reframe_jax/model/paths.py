@@ -1,0 +1,175 @@
+"""Integrated twists of a measured motion: how far the body has turned and moved, seen in itself and in the ground.
+
+Between two poses, the logarithm of the step is the integral of the twist plus brackets that mix its components
+(the expansion of Magnus). The brackets are computed from derivatives of the twist and taken out, to the sixth
+order in the sample time: a component of the twist that is always zero stays zero.
+
+Arrays have components first, then twists in {b} and in {g}, then samples, and windows last.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reframe_jax.model.small import cross, once, times, total
+
+__all__ = ["turns_of", "twist_paths"]
+
+Array = jax.Array
+_STENCIL = 7  # samples in the derivative of the twist
+_EVEN = 5  # longest over shortest step, above which derivatives across them amplify noise
+
+
+def turns_of(rotation: Array) -> Array:
+    """Axis times sine of the angle of every step, (3, K, N), from rotations (3, 3, K+1, N)."""
+    turn = _relative(rotation)
+    return jnp.stack([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
+
+
+def _relative(rotation: Array) -> Array:
+    """R_k' R_k+1, (3, 3, K, N)."""
+    return times(jnp.swapaxes(rotation, 0, 1)[:, :, :-1], rotation[:, :, 1:])
+
+
+def _logarithm(turn: Array) -> tuple[Array, Array]:
+    """Rotation vectors w (3, ...) of rotations (3, 3, ...) below a half turn, and the factor f of :func:`_steps`."""
+    tiny = jnp.finfo(turn.dtype).eps ** 2
+    vee = jnp.stack([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    half_cosine = jnp.sqrt(jnp.maximum(1 + turn[0, 0] + turn[1, 1] + turn[2, 2], tiny)) / 2
+    half_sine = vee / (4 * half_cosine)  # of the half angle, times the axis
+    squared = total(half_sine * half_sine, 0)
+    small = squared < 1e-4
+    length = jnp.sqrt(jnp.where(small, 1.0, squared))
+    ratio = squared / half_cosine**2
+    series = (2 - ratio * (2 / 3 - ratio * (2 / 5 - ratio * (2 / 7 - ratio * 2 / 9)))) / half_cosine
+    factor = jnp.where(small, series, 2 * jnp.arctan2(length, half_cosine) / length)
+    w = factor * half_sine
+    angle = total(w * w, 0)
+    series = 1 / 12 + angle * (1 / 720 + angle * (1 / 30240 + angle * (1 / 1209600 + angle / 47900160)))
+    closed = (1 - factor * half_cosine / 2) / jnp.where(small, 1.0, angle)
+    return w, jnp.where(small, series, closed)
+
+
+def _steps(rotation: Array, position: Array) -> tuple[Array, Array]:
+    """Logarithms of the steps as twists: rotations and translations, (3, 2, K, N) each, in {b} and {g}."""
+    w, factor = once(_logarithm(once(_relative(rotation))))
+    shift = once(times(jnp.swapaxes(rotation, 0, 1)[:, :, :-1], position[:, 1:] - position[:, :-1]))
+    across = once(cross(w, shift))
+    v = once(shift - across / 2 + factor * cross(w, across))
+    here = rotation[:, :, :-1]
+    turned = once(times(here, w))
+    moved = times(here, v) + cross(position[:, :-1], turned)
+    return jnp.stack([w, turned], axis=1), jnp.stack([v, moved], axis=1)
+
+
+def twist_paths(rotation: Array, position: Array, steps: Array, count: Array | None) -> tuple[Array, Array]:
+    """Integrals of the twist from the first pose on.
+
+    Args:
+        rotation: (3, 3, P, N).
+        position: (3, P, N) m.
+        steps: (1, K) or (N, K) s, sample times.
+        count: (N,) number of poses, 8 or more, if the rest is padding, else None.
+
+    Returns:
+        Rotations (3, 2, P, N) rad and translations (3, 2, P, N) m, in {b} and {g}.
+    """
+    turns, shifts = _steps(rotation, position)
+    h = steps.T
+    twist = once(jnp.stack([turns, shifts]) / h)  # (2, 3, 2, K, N)
+    weights = once(_derivative_weights(steps, None if count is None else count - 1))
+    even = jnp.max(steps, axis=1) <= _EVEN * jnp.min(steps, axis=1)
+    twist = once((twist - jnp.where(even, _brackets(twist, weights, h), 0)) * h)
+    path = jnp.pad(_running_sum(twist), ((0, 0), (0, 0), (0, 0), (1, 0), (0, 0)))
+    return path[0], path[1]
+
+
+def _running_sum(x: Array) -> Array:
+    """Sums over the samples up to each one, (2, 3, 2, K, N), by doubling."""
+    reach = 1
+    while reach < x.shape[3]:
+        x = once(x + jnp.pad(x[:, :, :, :-reach], ((0, 0), (0, 0), (0, 0), (reach, 0), (0, 0))))
+        reach *= 2
+    return x
+
+
+def _bracket(a: Array, b: Array) -> Array:
+    """Lie bracket of twists (2, 3, ...): (wa x wb, wa x vb - wb x va)."""
+    w, v = a[0], a[1]
+    return once(jnp.stack([cross(w, b[0]), cross(w, b[1]) + cross(v, b[0])]))
+
+
+def _brackets(means: Array, weights: Array, h: Array) -> Array:
+    """Brackets of mean twists (2, 3, 2, K, N).
+
+    With a1 = h V, a2 = h^2 V', a3 = h^3 V''/2, a4 = h^4 V'''/6 at the middle of a step of length h, the
+    logarithm of the step is, for the spatial twist V (Blanes, Casas, Oteo & Ros 2009),
+
+        a1 + a3/12 - [a1,a2]/12 - [a1,a4]/80 + [a2,a3]/240 + [a1,[a1,a3]]/360 - [a2,[a1,a2]]/240
+           + [a1,[a1,[a1,a2]]]/720,
+
+    and for the body twist the same with every bracket turned round.
+    """
+    side = jnp.asarray([-1.0, 1.0], means.dtype)[:, None, None]
+    first = _derivative(weights, means)
+    second = _derivative(weights, first)
+    # from the mean to the middle of the step; steps of unequal length jump in this, so no derivative
+    # may be taken of anything that still has a factor h in it
+    middle = once(means - h**2 * (1 / 24) * second + h**2 * (side / 12) * _bracket(means, first))
+    a1, a2 = h * middle, h**2 * _derivative(weights, middle)
+    a3, a4 = h**3 * (1 / 2) * second, h**4 * (1 / 6) * _derivative(weights, second)
+    a1, a2, a3, a4 = once((a1, a2, a3, a4))
+    a12 = _bracket(a1, a2)
+    # the terms above, grouped by their outer factor
+    inner = _bracket(a1, once(side / 720 * a12 + 1 / 360 * a3))
+    outer = _bracket(a1, once(inner - side / 12 * a2 - side / 80 * a4))
+    return (outer + _bracket(a2, once(side / 240 * a3 - 1 / 240 * a12))) / h
+
+
+def _derivative_weights(steps: Array, count: Array | None) -> Array:
+    """Finite-difference weights on irregular nodes: exact for polynomials of degree 6.
+
+    The nodes are the middles of the steps; each derivative uses the seven nearest.
+
+    Args:
+        steps: (1, K) or (N, K) s.
+        count: (N,) how many of the steps count, 7 or more; the others are padding.
+
+    Returns:
+        (2 n - 1, K, N) in 1/s: weights of the nodes from n - 1 before each one to n - 1 after it.
+    """
+    number = steps.shape[1]
+    n = min(_STENCIL, number)
+    each, nth = np.arange(number), np.arange(n)
+    last = jnp.full(1, number) if count is None else count
+    first = jnp.clip(each[:, None] - n // 2, 0, last - n)  # (K, N)
+    windows = max(steps.shape[0], first.shape[1])
+    first = jnp.broadcast_to(first, (number, windows))
+    spans = jnp.take_along_axis(
+        jnp.broadcast_to(steps.T, (number, windows)),
+        (first + nth[:, None, None]).reshape(-1, windows),
+        axis=0,
+    ).reshape(n, number, windows)
+    ends = jnp.tensordot(jnp.asarray(np.tril(np.ones((n, n))) - np.eye(n) / 2, steps.dtype), spans, 1)
+    # Lagrange's polynomial of node i has the derivative (c_h / c_i) / (t_h - t_i) at node h, c_i being
+    # the product of t_i - t_j over the other nodes j; those of all nodes add up to zero
+    gaps = ends[:, None] - ends[None]
+    eye = np.eye(n, dtype=bool)[:, :, None, None]
+    products = jnp.prod(jnp.where(eye, 1, gaps), axis=1)
+    here = nth[:, None, None] == each[:, None] - first  # the node of this step
+    gap = jnp.sum(jnp.where(here[:, None], gaps, 0), axis=0)
+    own = jnp.sum(jnp.where(here, products, 0), axis=0)
+    others = jnp.where(here, 0, own / (products * jnp.where(gap == 0, 1, gap)))
+    weights = jnp.where(here, -jnp.sum(others, axis=0), others)
+    offset = jnp.arange(1 - n, n)[:, None, None, None]
+    at = first + nth[:, None, None] - each[:, None]
+    return jnp.sum(jnp.where(at == offset, weights, 0), axis=1)
+
+
+def _derivative(weights: Array, x: Array) -> Array:
+    """Derivative of samples (2, 3, 2, K, N) with weights of :func:`_derivative_weights`."""
+    number = x.shape[3]
+    reach = weights.shape[0] // 2
+    padded = jnp.pad(x, ((0, 0), (0, 0), (0, 0), (reach, reach), (0, 0)))
+    terms = [weights[j] * padded[:, :, :, j : j + number] for j in range(2 * reach + 1)]
+    return once(sum(terms[1:], terms[0]))

@@ -1,0 +1,140 @@
+"""Where the fit of every entry starts: common axes of the windows, and a frame for every entry.
+
+Components come first and windows last.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reframe_jax.constraints.types import AngularType
+from reframe_jax.model import features as z
+from reframe_jax.model.crossed import crossed_axes
+from reframe_jax.model.rows import rotation_forms
+from reframe_jax.model.small import cross, diagonalize, largest, normalize, times, total
+from reframe_jax.model.steps import Unknowns
+from reframe_jax.model.table import ENTRIES, TABLE
+
+__all__ = ["Axes", "common_frames", "entry_starts", "stillest", "universal_axes"]
+
+Array = jax.Array
+_STARTS = ("turn", "cross", "normal", "along", "path", "lift")
+_CROSS_STEPS, _LAST_STEPS = 8, 6
+_ALONG = 0.6  # sine of an angle, below which two axes are nearly along each other
+
+
+class Axes(NamedTuple):
+    """Common axes over scales, by amplitude, ascending and right-handed; their columns.
+
+    Attributes:
+        linear: (3, 3, 4, N) of the path of the lowest origin of every linear type.
+        angular: (3, 3, 2, N) of the rotation in the ground and in the body.
+        path: (3, 3, N) of the position.
+    """
+
+    linear: Array
+    angular: Array
+    path: Array
+
+
+def _sorted(axes: Array, size: Array) -> Array:
+    """Columns (3, 3, ...) by size (3, ...), ascending and right-handed."""
+    columns, sizes = [axes[:, k] for k in range(3)], [size[k] for k in range(3)]
+    for i, j in ((0, 1), (1, 2), (0, 1)):
+        swap = sizes[i] > sizes[j]
+        columns[i], columns[j] = (
+            jnp.where(swap, columns[j], columns[i]),
+            jnp.where(swap, columns[i], columns[j]),
+        )
+        sizes[i], sizes[j] = jnp.where(swap, sizes[j], sizes[i]), jnp.where(swap, sizes[i], sizes[j])
+    turned = total(columns[0] * cross(columns[1], columns[2]), 0)
+    return jnp.stack([columns[0] * jnp.where(turned < 0, -1, 1), columns[1], columns[2]], axis=1)
+
+
+def _sizes(axes: Array, form: Array) -> Array:
+    return total(axes * times(form, axes), 0)
+
+
+def stillest(forms: Array) -> Array:
+    """Smallest eigenvalues (...) of forms (3, 3, ...)."""
+    axes = diagonalize(forms[:, :, None] + 0.0)
+    return jnp.maximum(-largest(-_sizes(axes, forms)), 0)
+
+
+def common_frames(paths: Array, turns: Array, position: Array, details: Array, share: Array) -> Axes:
+    """Common axes of every window.
+
+    Args:
+        paths: (3, 3, S, 4, N) moments of the path of every linear type.
+        turns: (3, 3, S, 2, N) of the rotation in the ground and in the body.
+        position: (3, 3, S, N) of the position.
+        details: (S, N); share: (S, N).
+    """
+    whole = total(position * share, 2)
+    single = jnp.zeros_like(position).at[:, :, 0].set(whole)
+    forms = jnp.concatenate([paths, turns, single[:, :, :, None]], axis=3)
+    first = jnp.zeros_like(details).at[0].set(1)
+    weights = jnp.stack([details] * 6 + [first], axis=1)
+    lift = 1e-18 * jnp.eye(3, dtype=forms.dtype)[:, :, None, None, None]
+    axes = diagonalize(forms + lift, weights)
+    sizes = jnp.concatenate([total(forms[:, :, :, :6] * share[:, None], 2), whole[:, :, None]], axis=2)
+    axes = _sorted(axes, _sizes(axes, sizes))
+    return Axes(axes[:, :, :4], axes[:, :, 4:6], axes[:, :, 6])
+
+
+def universal_axes(axes: Axes, products: Array, details: Array, mean: Array) -> tuple[Array, Array]:
+    """Axes a of the ground and b of the body, (3, N), whose angle changes least.
+
+    Args:
+        axes: common axes.
+        products: (27, 27, S, N).
+        details: (S, N).
+        mean: (3, 3, N) mean rotation.
+    """
+    forms = rotation_forms(products)[:, :, :, :, :, None]
+    ground, body = axes.angular[:, :, AngularType.G], axes.angular[:, :, AngularType.B]
+    a, b = ground[:, np.array([2, 1])], body[:, np.array([1, 2])]
+    a, b, value = crossed_axes(forms, details[:, None], mean[:, :, None], a, b, True, _CROSS_STEPS)
+    better = value[0] <= value[1]
+    a, b = (jnp.where(better, v[:, 0], v[:, 1]) for v in (a, b))
+    a, b, _ = crossed_axes(forms[:, :, :, :, :, 0], details, mean, a, b, False, _LAST_STEPS)
+    return a, b
+
+
+def entry_starts(
+    origins: Array, axes: Axes, universal: tuple[Array, Array], moments: Array, mean: Array
+) -> Unknowns:
+    """Unknowns of every entry, in axes of its main body, with (E, N) last.
+
+    Args:
+        origins: (3, 4, N) m, of the lowest norm of every linear type.
+        axes: common axes.
+        universal: axes a of the ground and b of the body, (3, N).
+        moments: (27, 27, N) over all scales.
+        mean: (3, 3, N) mean rotation.
+    """
+    kinds = np.array([entry.kind for entry in ENTRIES])
+    own = axes.linear[:, :, kinds]
+    fixed = np.array([entry.kind.name[0] == "G" for entry in ENTRIES])[:, None]
+    main = axes.angular[:, 2, AngularType.B]
+    # entries whose rotations are held are written with the position, in the ground
+    turn = jnp.where(fixed, times(mean, main)[:, None], main[:, None])
+    choices = {"turn": turn, "normal": own[:, 0], "along": own[:, 2]}
+    choices |= {"path": axes.path[:, 2, None], "lift": axes.path[:, 0, None], "cross": turn}
+    which = np.array([_STARTS.index(entry.start) for entry in ENTRIES])[:, None]
+    axis = turn
+    for number, name in enumerate(_STARTS):
+        axis = jnp.where(which == number, choices[name], axis)
+    # of the axes of the type, the stillest that is not nearly along the axis
+    cosine = total(axis[:, None] * own, 0)
+    good = 1 - cosine * cosine > _ALONG**2
+    across = jnp.where(good[0], own[:, 0], jnp.where(good[1], own[:, 1], own[:, 2]))
+    first = normalize(across - axis * total(axis * across, 0))
+    frame = jnp.stack([first, cross(axis, first), axis], axis=1)
+    pair = moments[z.POSITION, z.TURN_BODY], moments[z.TURN_BODY, z.TURN_BODY]
+    moving = total(times(mean, main) * times(pair[0], main), 0)
+    pitch = moving / (total(main * times(pair[1], main), 0) + 1e-30)
+    pitches = jnp.where(TABLE.pitch[:, None], pitch, 0)
+    return Unknowns(frame, origins[:, kinds], jnp.zeros((2, *pitches.shape), pitches.dtype), pitches)
