@@ -56,8 +56,8 @@ def test_jumps_are_found_by_sample_and_left_out(poses, samples, spoil):
 
 
 def test_nothing_is_left_out_of_consecutive_poses(poses):
-    """lag=1 is the paper's: every pose counts."""
-    assert np.all(rf.identify(shift(poses, [30], 0.05), dt=DT, lag=1).counted)
+    """scales=1 is the paper's: every pose counts."""
+    assert np.all(rf.identify(shift(poses, [30], 0.05), dt=DT, scales=1).counted)
 
 
 def test_fast_motion_is_no_outlier():
