@@ -55,7 +55,7 @@ def identify_windows(
     if exponent != 0 or solver is not None or discretization != "chord":
         paper = paper_origins(fixed, exponent, discretization, solver, key)
     solved = solve_windows(
-        fixed.features, fixed.moments, used, fixed.noise, fixed.box, origins=paper, assume=assume
+        fixed.features, fixed.moments, used, fixed.noise, fixed.box, paper, assume, thresholds is None
     )
     live = window.moments._replace(details=used.details)
     steps_only = scales == (1,)

@@ -85,7 +85,11 @@ def unexplained_covariance(total: Array, rows: np.ndarray) -> Array:
         others = np.flatnonzero(np.abs(of_type[:, 1:]).any((0, 1)))
         path, turns = total[:, own[:, None], own], total[:, others[:, None], others]
         both = total[:, others[:, None], own]
-        ridge = _RIDGE * jnp.trace(turns, axis1=1, axis2=2)[:, None, None] * jnp.eye(len(others), dtype=total.dtype)
+        ridge = (
+            _RIDGE
+            * jnp.trace(turns, axis1=1, axis2=2)[:, None, None]
+            * jnp.eye(len(others), dtype=total.dtype)
+        )
         rest = path - jnp.einsum("nfi,nfj->nij", both, jnp.linalg.solve(turns + ridge, both))
         floor = jnp.finfo(total.dtype).eps * jnp.trace(path, axis1=1, axis2=2)[:, None, None]
         found.append(rest + 64 * floor * jnp.eye(3, dtype=total.dtype))

@@ -51,17 +51,19 @@ class Solved(NamedTuple):
         starts: of every entry, with axes (N, E) in front.
         chosen: (N, C) codes of the entries that were fitted.
         tilt_scale: (N,) rad, size of the tilt in the fit.
+
+    Without a comparison of entries, their probabilities are NaN, and what was fitted is None.
     """
 
     log_probability: Array
-    parameters: Parameters
-    amplitudes: Amplitudes
+    parameters: Parameters | None
+    amplitudes: Amplitudes | None
     origins: Array
     norm: Array
     linear_axes: Array
     angular_axes: Array
     starts: Parameters
-    chosen: Array
+    chosen: Array | None
     tilt_scale: Array
 
 
@@ -100,6 +102,7 @@ def solve_windows(
     box: Array,
     origins: Array | None = None,
     assume: tuple[int, ...] | None = None,
+    judge: bool = True,
 ) -> Solved:
     """Search, fit and compare entries of the table.
 
@@ -110,6 +113,7 @@ def solve_windows(
         box: (N,) m, half the width of the cube in which origins lie.
         origins: (N, 4, 3) m, of every linear type, from another search; None to search over scales.
         assume: codes of the entries that are compared; None for all.
+        judge: whether entries are compared; else only their starts and the optima of the types are found.
     """
     coefficients = polynomials(used.products, ROWS[_LINEAR])
     if origins is None:
@@ -118,7 +122,7 @@ def solve_windows(
         origins, norm = lowest_origins(coefficients, used.details, box, unexplained)
     else:
         norm = norm_at(coefficients, used.details, origins)
-    return _compare(features, moments, used, noise, box, origins, norm, assume)
+    return _compare(features, moments, used, noise, box, origins, norm, assume, judge)
 
 
 class _Windows(NamedTuple):
@@ -168,6 +172,7 @@ def _compare(
     origins: Array,
     norm: Array,
     assume: tuple[int, ...] | None,
+    judge: bool,
 ) -> Solved:
     products = jnp.moveaxis(used.products, 0, -1).transpose(1, 2, 0, 3)
     details, all_details = used.details.T, moments.details.T
@@ -188,6 +193,12 @@ def _compare(
     a, b = universal_axes(axes, products, details, mean)
     joint = _joint(a, b, place, used.products, features)
     starts = entry_starts(place, axes, (a, b), whole, mean)
+    scale = _tilt_scale(axes, whole)
+    if not judge:
+        never = jnp.full((origins.shape[0], len(ENTRIES)), jnp.nan, origins.dtype)
+        frames = _first(axes.linear), _first(axes.angular)
+        every_start = _start_parameters(starts, mean)
+        return Solved(never, None, None, origins, norm, *frames, every_start, None, scale)
     spectra = Spectra(
         products,
         details[:, None],
@@ -218,7 +229,6 @@ def _compare(
     picked = jax.vmap(gather_moments)(used.products, entries.path.T, entries.turn.T)
     picked = EntryMoments(*(jnp.moveaxis(leaf, (0, -1), (-1, -2)) for leaf in picked))
     picked = picked.in_main_axes(mean[:, :, None], in_body(entries))
-    scale = _tilt_scale(axes, whole)
     problem = problem_of(picked, details[:, None], entries, scale, box, entries.tied)
     found, _ = descend(problem, start, STEPS)
     amplitudes, evidence = _judge(picked, found, entries, of)
@@ -242,6 +252,14 @@ def _compare(
 def _first(leaf: Array) -> Array:
     """(components, entries, N) to (N, entries, components)."""
     return jnp.moveaxis(leaf, (-1, -2), (0, 1))
+
+
+def _start_parameters(at: Unknowns, mean: Array) -> Parameters:
+    """Parameters (N, E, ...) of the starts of all entries but universal joints."""
+    table = Table(*(leaf[..., None] for leaf in _last(TABLE)))
+    turned = times(jnp.swapaxes(mean[:, :, None], 0, 1), at.frame)
+    axes = jnp.where(in_body(table), at.frame, turned)
+    return Parameters(*(_first(leaf) for leaf in (axes, at.origin, at.tilt, at.pitch)))
 
 
 def _parameters(at: Unknowns, entries: Table, of: _Windows) -> Parameters:
