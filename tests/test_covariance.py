@@ -1,25 +1,15 @@
 """The covariance of an identification: against its errors, under slow errors, and its form."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from contacts import DT, POSES, Contact, simulate_contact
-from scipy.optimize import least_squares
-from scipy.stats import chi2
 
 import reframe_jax as rf
+from benchmarks.uncertainty_doors import DOORS, check_door, in_region
 
 EACH = 16
-DATA = Path(__file__).parents[2] / "shared" / "data"
-
-
-def region(error: np.ndarray, covariance: np.ndarray) -> bool:
-    """Whether a 95 % region holds an error (3,)."""
-    values, axes = np.linalg.eigh(covariance)
-    known = values > 1e-9 * values[-1]
-    return bool(np.sum((error @ axes)[known] ** 2 / values[known]) < chi2.ppf(0.95, known.sum()))
 
 
 def errors_of(found: rf.Identification, truth: Contact) -> tuple[np.ndarray, np.ndarray]:
@@ -45,7 +35,7 @@ def covered(truths: list[Contact], found: rf.Identification, sure: rf.Covariance
     for i, truth in enumerate(truths):
         turn, shift = errors_of(found[i], truth)
         axes = sure.angular_axes if np.sum(found.angular.dof[i]) == 1 else sure.linear_axes
-        inside += [region(turn, np.asarray(axes[i])), region(shift, np.asarray(sure.position[i]))]
+        inside += [in_region(turn, np.asarray(axes[i])), in_region(shift, np.asarray(sure.position[i]))]
     return float(np.mean(inside))
 
 
@@ -71,8 +61,8 @@ def test_regions_hold_the_truth(windows, sure):
     white = rf.covariance(found, poses, dt=DT, errors="white")
     assert covered(truths, found, white) >= 0.8
     assert np.all(np.asarray(white.inflation) == 1)
-    # white noise hardly inflates
-    assert np.median(sure.inflation) < 1.3
+    # the largest of several distances, each 1 on average
+    assert np.median(sure.inflation) < 1.5
     expected = np.asarray(white.position) * np.square(np.asarray(sure.inflation)[:, 2, None, None])
     np.testing.assert_allclose(sure.position, expected, rtol=1e-6, atol=1e-15)
 
@@ -167,57 +157,13 @@ def test_what_is_refused(windows):
         rf.covariance(found[0], poses[0], dt=DT, errors="red")
 
 
-def test_halves_of_doors_agree_within_their_regions():
-    """Of a camera's recordings, whose errors are slow: six doors, each half against the other."""
-    inside, held = [], []
-    for number in (389, 391, 403, 405, 411, 412):
-        recording = rf.load_recording(DATA / f"kitchen_door_{number}.csv")
-        point, axis = circle(np.asarray(recording.poses)[:, :3, 3])
-        half = len(recording.times) // 2
-        whole = estimate(recording.poses, recording.times)
-        spans = slice(half), slice(half, None)
-        halves = [estimate(recording.poses[rows], recording.times[rows]) for rows in spans]
-        for one, other in (halves, halves[::-1]):
-            shift = across(other[0].linear.position - one[0].linear.position, one[0])
-            inside.append(
-                region(shift, one[1].position + across(across(other[1].position, one[0]).T, one[0]))
-            )
-        shift = np.asarray(whole[0].linear.position) - point
-        free = np.asarray(whole[0].linear.free_position)
-        held.append(region(shift - axis * (shift @ free @ axis) / (axis @ free @ axis), whole[1].position))
-    assert np.mean(inside) >= 0.8
-    assert np.mean(held) >= 0.8
+def test_error_bars_of_doors_hold():
+    """Of a camera, whose errors are slow: regions hold the circle's axis, and each half the other's line."""
+    rows = [check_door(name) for name in DOORS]
+    for key in ("line holds", "axis holds", "halves hold each other's line"):
+        assert np.mean([row[key] for row in rows]) >= 0.8, key
 
 
-def estimate(poses: np.ndarray, times: np.ndarray) -> tuple[rf.Identification, rf.Covariance]:
-    """A hinge whose axis is written in the ground, and its covariance."""
-    found = rf.identify(poses, times=times)
-    assert found.linear.frame_type == rf.LinearType.BG
-    return found, rf.covariance(found, poses, times=times)
-
-
-def across(vector: np.ndarray, found: rf.Identification) -> np.ndarray:
-    """What of a vector is across the free directions of an origin."""
-    return vector - np.asarray(found.linear.free_position) @ vector
-
-
-def circle(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Centre (3,) m and axis (3,) of the circle through points (P, 3), with weights for outliers."""
-    middle = np.median(points, axis=0)
-    _, _, directions = np.linalg.svd(points - middle)
-    flat = (points - middle) @ directions[:2].T
-    start, *_ = np.linalg.lstsq(np.c_[2 * flat, np.ones(len(flat))], np.sum(flat**2, axis=1), rcond=None)
-
-    def split(unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        axis = directions[2] + unknown[:2] @ directions[:2]
-        return unknown[2:4] @ directions[:2] + unknown[4] * directions[2], axis / np.linalg.norm(axis)
-
-    def residuals(unknown: np.ndarray) -> np.ndarray:
-        centre, axis = split(unknown)
-        height = (points - middle - centre) @ axis
-        radius = np.linalg.norm(points - middle - centre - np.outer(height, axis), axis=1)
-        return np.r_[height, radius - unknown[5]]
-
-    radius = np.sqrt(start[2] + start[:2] @ start[:2])
-    fitted = least_squares(residuals, np.r_[0, 0, start[:2], 0, radius], loss="soft_l1", f_scale=1e-3).x
-    return middle + split(fitted)[0], split(fitted)[1]
+def test_error_bars_hold_a_measured_axis():
+    row = check_door("hinge")
+    assert row["axis holds"]

@@ -1,0 +1,110 @@
+"""Error bars where errors are slow: six kitchen doors that a camera saw, and a hinge whose axis was measured.
+
+Positions of a door lie on a circle within millimetres, whose axis is the truth. Each half of a recording has
+an estimate and a 95 % region of its own. The table has the errors of the whole, the half-widths of its
+intervals in the worst direction, and the share of regions that hold the truth and the other half's estimate.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import jax
+import numpy as np
+from scipy.stats import chi2
+
+import reframe_jax as rf
+from benchmarks.common import new_parser
+from benchmarks.golden import fit_axis
+
+__all__ = ["DOORS", "DOOR_DATA", "check_door", "in_region"]
+
+DOOR_DATA = Path(__file__).parents[2] / "shared" / "data"
+DOORS = tuple(f"kitchen_door_{number}" for number in (389, 391, 403, 405, 411, 412))
+_MEASURED = {"hinge": (np.array([0.00914, -0.00131, -0.99996]), np.array([-0.03309, -0.24509, -0.00055]))}
+
+
+def in_region(error: np.ndarray, covariance: np.ndarray) -> bool:
+    """Whether the 95 % region of a covariance (3, 3) holds an error (3,)."""
+    values, axes = np.linalg.eigh(covariance)
+    known = values > 1e-9 * values[-1]
+    return bool(np.sum((error @ axes)[known] ** 2 / values[known]) < chi2.ppf(0.95, known.sum()))
+
+
+class _Estimate:
+    """A hinge in the ground: its line, its axis in the body of the angular type, and their covariances."""
+
+    def __init__(self, recording: rf.Recording, rows: slice) -> None:
+        poses, times = np.asarray(recording.poses)[rows], np.asarray(recording.times)[rows]
+        self.found = rf.identify(poses, times=times, assume="hinge")
+        self.sure = rf.covariance(self.found, poses, times=times)
+        rotations = poses[:, :3, :3]
+        u, _, v = np.linalg.svd(rotations.mean(axis=0))
+        self.rotation = u @ v
+        self.body = self.found.angular.frame_type == rf.AngularType.B
+        self.axis = np.asarray(self.found.angular.axes)[:, 2]
+        self.in_ground = self.rotation @ self.axis if self.body else self.axis
+        self.middle = poses[:, :3, 3].mean(axis=0)
+
+    def line_error(self, point: np.ndarray, axis: np.ndarray) -> np.ndarray:
+        """Shift (3,) m of the origin from a line of the ground, across what is free."""
+        if self.found.linear.frame_type.position_body == rf.AngularType.B:
+            point, axis = self.rotation.T @ (point - self.middle), self.rotation.T @ axis
+        shift = np.asarray(self.found.linear.position) - point
+        free = np.asarray(self.found.linear.free_position)
+        return shift - axis * (shift @ free @ axis) / (axis @ free @ axis)
+
+    def axis_error(self, axis: np.ndarray) -> np.ndarray:
+        """Turn (3,) rad of the axis from one of the ground."""
+        axis = self.rotation.T @ axis if self.body else axis
+        return np.cross(axis, self.axis * np.sign(axis @ self.axis))
+
+
+def check_door(name: str) -> dict[str, float]:
+    """Errors of the whole and of its halves, and which regions hold what."""
+    recording = rf.load_recording(DOOR_DATA / f"{name}.csv")
+    axis, point = _MEASURED.get(name) or fit_axis(np.asarray(recording.poses)[:, :3, 3], circle=True)
+    number = len(recording.times)
+    spans = slice(None), slice(number // 2), slice(number // 2, None)
+    whole, *halves = (_Estimate(recording, rows) for rows in spans)
+    line, turn = whole.line_error(point, axis), whole.axis_error(axis)
+    row: dict[str, float] = {
+        "line, mm": 1e3 * float(np.linalg.norm(line)),
+        "line within, mm": 1.96e3 * float(np.sqrt(np.linalg.eigvalsh(whole.sure.position)[-1])),
+        "line holds": in_region(line, np.asarray(whole.sure.position)),
+        "axis, deg": float(np.degrees(np.linalg.norm(turn))),
+        "axis within, deg": 1.96
+        * float(np.degrees(np.sqrt(np.linalg.eigvalsh(whole.sure.angular_axes)[-1]))),
+        "axis holds": in_region(turn, np.asarray(whole.sure.angular_axes)),
+    }
+    lines, axes = [], []
+    for one, other in (halves, halves[::-1]):
+        at = np.asarray(other.found.linear.position)
+        if other.found.linear.frame_type.position_body == rf.AngularType.B:
+            at = other.rotation @ at + other.middle
+        lines.append(in_region(one.line_error(at, other.in_ground), np.asarray(one.sure.position)))
+        turn = one.axis_error(other.in_ground)
+        if one.body and other.body:
+            turn = np.cross(other.axis, one.axis * np.sign(one.axis @ other.axis))
+        axes.append(in_region(turn, np.asarray(one.sure.angular_axes)))
+    row |= {
+        "halves hold each other's line": float(np.mean(lines)),
+        "halves hold each other's axis": float(np.mean(axes)),
+    }
+    return row
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Command line of the benchmark."""
+    new_parser("uncertainty_doors", __doc__).parse_args(argv)
+    jax.config.update("jax_enable_x64", True)
+    rows = {name: check_door(name) for name in (*DOORS, *_MEASURED)}
+    for name, row in rows.items():
+        print(f"{name}: {'; '.join(f'{key} {value:.2f}' for key, value in row.items())}")
+    for key in next(iter(rows.values())):
+        if "hold" in key:
+            print(f"{key}: {np.mean([rows[name][key] for name in DOORS]):.0%} of the doors")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
