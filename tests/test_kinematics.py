@@ -325,15 +325,6 @@ class TestDiscretization:
         found = magnus._derivative(nodes, jnp.moveaxis(weights, 0, -1), jnp.asarray(values.T)[None])[0]
         np.testing.assert_allclose(found, expected.T, atol=2e-10)
 
-    @pytest.mark.parametrize("number", [7, 9, 12])
-    def test_derivative_weights_beside_padding(self, number, rng):
-        """Steps that do not count change nothing for those that do."""
-        dt = irregular(rng, 2, 12)
-        alone = magnus._stencil(jnp.asarray(dt[:, :number]))[1]
-        padded = magnus._stencil(jnp.asarray(dt), jnp.full(2, number))[1]
-        np.testing.assert_allclose(padded[:, :number], alone, rtol=1e-12)
-        assert np.all(np.isfinite(padded))
-
 
 class TestSlidingWindows:
     def test_view(self, rng):

@@ -5,8 +5,6 @@ component every operation is a handful of elementwise array operations, which co
 vectorize over the batch; batched 3x3 kernels (einsum, solve, eigh) are 5-10 times slower.
 """
 
-from collections.abc import Sequence
-
 import jax
 import jax.numpy as jnp
 from jax import custom_jvp, lax
@@ -16,18 +14,12 @@ __all__ = [
     "PACKED",
     "Symmetric",
     "Vector",
-    "adjugate",
-    "along",
-    "apply",
-    "determinant",
     "eigh",
     "from_matrix",
     "pivots",
     "quadratic_form",
     "solve",
     "to_matrix",
-    "trace",
-    "trace_product",
 ]
 
 Symmetric = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]
@@ -51,37 +43,6 @@ def to_matrix(s: Symmetric) -> jax.Array:
     return jnp.stack(rows, axis=-2)
 
 
-def adjugate(s: Symmetric) -> Symmetric:
-    """Transposed cofactors: the inverse times the determinant."""
-    xx, xy, xz, yy, yz, zz = s
-    return (
-        yy * zz - yz * yz,
-        xz * yz - xy * zz,
-        xy * yz - xz * yy,
-        xx * zz - xz * xz,
-        xy * xz - xx * yz,
-        xx * yy - xy * xy,
-    )
-
-
-def apply(s: Symmetric, v: Vector) -> Vector:
-    """S v."""
-    xx, xy, xz, yy, yz, zz = s
-    x, y, z = v
-    return xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
-
-
-def along(s: Symmetric, axes: tuple[Vector, Vector, Vector]) -> Symmetric:
-    """E^T S E, the matrix along axes that are the columns of E."""
-    turned = [apply(s, axis) for axis in axes]
-    entries = (
-        axes[i][0] * turned[j][0] + axes[i][1] * turned[j][1] + axes[i][2] * turned[j][2]
-        for i, j in INDEX_PAIRS
-    )
-    xx, xy, xz, yy, yz, zz = entries
-    return xx, xy, xz, yy, yz, zz
-
-
 def _reciprocal(x: jax.Array) -> jax.Array:
     """1/x, and 0 for 0: a zero pivot of a semidefinite matrix has a zero column below it."""
     zero = x == 0
@@ -91,8 +52,9 @@ def _reciprocal(x: jax.Array) -> jax.Array:
 def pivots(s: Symmetric) -> Vector:
     """The diagonal D of S = L D L^T, for a positive semidefinite matrix.
 
-    Eliminating is backward stable. Expanding the determinant by cofactors is not: where one axis moves
-    freely and two are constrained it loses twice the digits, and all of them in float32.
+    Its product is the determinant. Eliminating is backward stable. Expanding the determinant by cofactors is
+    not: where one axis moves freely and two are constrained it loses twice the digits, and all of them in
+    float32.
     """
     xx, xy, xz, yy, yz, zz = s
     inverse = _reciprocal(xx)
@@ -102,33 +64,14 @@ def pivots(s: Symmetric) -> Vector:
     return xx, y, z
 
 
-def determinant(s: Symmetric) -> jax.Array:
-    """Determinant of a positive semidefinite matrix, to the accuracy of its entries.
-
-    It is positive where the matrix is positive definite, and nowhere else.
-    """
-    x, y, z = pivots(s)
-    product = x * y * z
-    return jnp.where((x > 0) & (y > 0) & (z > 0), product, -jnp.abs(product))
-
-
-def trace(s: Sequence[jax.Array] | jax.Array) -> jax.Array:
-    """tr(S), of components or of arrays whose first axis is over them."""
-    return s[0] + s[3] + s[5]
-
-
-def trace_product(a: Symmetric, b: Symmetric) -> jax.Array:
-    """tr(A B)."""
-    diagonal = a[0] * b[0] + a[3] * b[3] + a[5] * b[5]
-    return diagonal + 2 * (a[1] * b[1] + a[2] * b[2] + a[4] * b[4])
-
-
 def solve(s: Symmetric, v: Vector) -> Vector:
     """S^-1 v by cofactors, S definite or not; infinite or NaN where it is singular."""
-    cofactors = adjugate(s)
-    scale = 1 / (s[0] * cofactors[0] + s[1] * cofactors[1] + s[2] * cofactors[2])
-    x, y, z = apply(cofactors, v)
-    return scale * x, scale * y, scale * z
+    xx, xy, xz, yy, yz, zz = s
+    a, b, c = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    d, e, f = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+    scale = 1 / (xx * a + xy * b + xz * c)
+    x, y, z = v
+    return scale * (a * x + b * y + c * z), scale * (b * x + d * y + e * z), scale * (c * x + e * y + f * z)
 
 
 def _rotate(
@@ -180,7 +123,6 @@ def _jacobi(s: Symmetric) -> tuple[Vector, tuple[Vector, Vector, Vector]]:
         off = {(0, 1): xy, (0, 2): xz, (1, 2): yz}
         for i, j in ((0, 1), (0, 2), (1, 2)):
             _rotate(values, off, axes, i, j)
-            values, off, axes = (values, off, axes)
         return (tuple(values), (off[0, 1], off[0, 2], off[1, 2]), tuple(axes)), None
 
     axes = ((one, zero, zero), (zero, one, zero), (zero, zero, one))

@@ -25,7 +25,6 @@ __all__ = [
     "angular_velocities",
     "body_twists",
     "linear_velocity_maps",
-    "paths_of",
     "spatial_twists",
     "split_poses",
     "turns_of",
@@ -133,34 +132,6 @@ def velocity_components(
     return rates[:, None], jnp.stack([bb, gb, gg, bg], axis=3)
 
 
-def paths_of(
-    rotation: jax.Array, position: jax.Array, steps: jax.Array, count: jax.Array | None = None
-) -> tuple[jax.Array, jax.Array]:
-    """Compute the velocity maps of single steps and the paths whose derivatives they are, components first.
-
-    A path is the integral of the velocity of a frame's origin in the axes of its type, affine in the
-    origin like the velocity: s(k; p) = a(k) + B(k) p. For GB and BG it is the origin's position in the
-    body it moves in; for BB and GG it is summed along the measured motion, step by step.
-
-    Args:
-        rotation: (3, 3, K+1, ...), as :func:`split_poses` returns it.
-        position: (3, K+1, ...) m.
-        steps: (..., K) sample times, s; of size 1 along axes in which the windows do not differ.
-        count: (...) number of poses, 8 or more, if the rest of the window is padding; all by default.
-
-    Returns:
-        (3, 4, K, 4, ...) m/s and 1/s, and (3, 4, K+1, 4, ...) m and 1.
-    """
-    step = components_first(steps, 0)[None, None]
-    body, spatial = _mean_twists(rotation, position, steps)
-    used = None if count is None else count - 1
-    bb, gg = (_twist_map(twist) for twist in without_brackets(body, spatial, steps, used))
-    in_ground, in_body = _point_maps(rotation, position)
-    maps = jnp.stack([bb, jnp.diff(in_ground, axis=2) / step, gg, jnp.diff(in_body, axis=2) / step], axis=3)
-    paths = jnp.stack([_sum_up(bb * step), in_ground, _sum_up(gg * step), in_body], axis=3)
-    return maps, paths
-
-
 def turns_of(rotation: jax.Array) -> jax.Array:
     """Axis times sine of the angle of every step, (3, K, ...), from rotations (3, 3, K+1, ...)."""
     turn = product(transpose(rotation[:, :, :-1]), rotation[:, :, 1:])
@@ -181,11 +152,6 @@ def _point_maps(rotation: jax.Array, position: jax.Array) -> tuple[jax.Array, ja
     in_ground = jnp.concatenate([position[:, None], rotation], axis=1)
     # a point p of the ground is R^T (p - x) in the body; the body moves against it
     return in_ground, jnp.concatenate([product(inverse, position)[:, None], -inverse], axis=1)
-
-
-def _sum_up(steps: jax.Array) -> jax.Array:
-    """Path (3, n, K+1, ...) from its steps (3, n, K, ...)."""
-    return jnp.concatenate([jnp.zeros_like(steps[:, :, :1]), jnp.cumsum(steps, axis=2)], axis=2)
 
 
 def angular_velocities(

@@ -15,54 +15,38 @@ _STENCIL = 7  # samples in the derivative of the twist
 _EVEN = 5  # longest over shortest step, above which derivatives across them amplify noise
 
 
-def _stencil(dt: jax.Array, count: jax.Array | None = None) -> tuple[jax.Array | np.ndarray, jax.Array]:
+def _stencil(dt: jax.Array) -> tuple[np.ndarray, jax.Array]:
     """Finite-difference weights on irregular nodes: exact for polynomials of degree 6.
 
-    The nodes are the middles of the steps; each derivative uses the seven nearest.
-
-    Args:
-        dt: (..., K) s.
-        count: (...) how many of the steps count, 7 or more; the others are padding. All by default.
+    The nodes are the middles of the steps, (..., K) s; each derivative uses the seven nearest.
 
     Returns:
-        The nodes of each derivative, (K, n) or (..., K, n), and their weights, (..., K, n) in 1/s.
+        The nodes of each derivative, (K, n), and their weights, (..., K, n) in 1/s.
     """
     steps = dt.shape[-1]
     n = min(_STENCIL, steps)
-    each, nth = np.arange(steps, dtype=np.int32), np.arange(n, dtype=np.int32)
-    nodes: jax.Array | np.ndarray
-    if count is None:
-        nodes = np.clip(each - n // 2, 0, steps - n)[:, None] + nth[None]
-        spans = dt[..., nodes]
-    else:
-        each = each.reshape(*[1] * count.ndim, -1)
-        first = jnp.clip(each - n // 2, 0, count[..., None] - n)
-        nodes = first[..., None] + nth.reshape(*[1] * first.ndim, -1)
-        flat = nodes.reshape(*first.shape[:-1], -1)
-        spans = jnp.take_along_axis(jnp.broadcast_to(dt, first.shape), flat, axis=-1).reshape(nodes.shape)
+    each = np.arange(steps)
+    nodes = np.clip(each - n // 2, 0, steps - n)[:, None] + np.arange(n)
+    spans = dt[..., nodes]
     time = jnp.cumsum(spans, axis=-1) - spans / 2
-    place = jnp.minimum(each - nodes[..., 0], n - 1)  # of the node itself; anywhere in padding
-    own = place.reshape(*[1] * (dt.ndim - place.ndim), *place.shape, 1) == nth.reshape(*[1] * dt.ndim, -1)
     # Lagrange's polynomial of node i has the derivative (c_h / c_i) / (t_h - t_i) at node h, c_i being
     # the product of t_i - t_j over the other nodes j; those of all nodes add up to zero
     gaps = time[..., :, None] - time[..., None, :]
     products = jnp.prod(jnp.where(jnp.broadcast_to(np.eye(n, dtype=bool), gaps.shape), 1, gaps), axis=-1)
+    own = jnp.broadcast_to(nodes == each[:, None], time.shape)
     gap = jnp.sum(jnp.where(own[..., None], gaps, 0), axis=-2)
     here = jnp.sum(jnp.where(own, products, 0), axis=-1, keepdims=True)
     others = jnp.where(own, 0, here / (products * jnp.where(own, 1, gap)))
     return nodes, jnp.where(own, -jnp.sum(others, axis=-1, keepdims=True), others)
 
 
-def _derivative(nodes: jax.Array | np.ndarray, weights: jax.Array, x: jax.Array) -> jax.Array:
-    """Derivative of samples (m, K, ...), from nodes (K, n) or (K, n, ...) and weights (K, n, ...)."""
-    flat = nodes.reshape(-1, *nodes.shape[2:])
-    near = x[:, flat] if flat.ndim == 1 else jnp.take_along_axis(x, flat[None], axis=1)
-    return jnp.sum(weights[None] * near.reshape(len(x), *nodes.shape[:2], *x.shape[2:]), axis=2)
+def _derivative(nodes: np.ndarray, weights: jax.Array, x: jax.Array) -> jax.Array:
+    """Derivative of samples (m, K, ...), from nodes (K, n) and weights (K, n, ...)."""
+    near = x[:, nodes.ravel()].reshape(len(x), *nodes.shape, *x.shape[2:])
+    return jnp.sum(weights[None] * near, axis=2)
 
 
-def without_brackets(
-    body: jax.Array, spatial: jax.Array, dt: jax.Array, count: jax.Array | None = None
-) -> tuple[jax.Array, jax.Array]:
+def without_brackets(body: jax.Array, spatial: jax.Array, dt: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Mean twists of the steps with the brackets of the Magnus expansion removed, to sixth order in dt.
 
     With a1 = h V, a2 = h^2 V', a3 = h^3 V''/2, a4 = h^4 V'''/6 at the middle of a step of length h, the
@@ -81,14 +65,11 @@ def without_brackets(
         body: (6, K, ...) mean body twists.
         spatial: the same in {g}.
         dt: (..., K) s.
-        count: see :func:`_stencil`.
 
     Returns:
         Both, of the same shapes.
     """
-    nodes, weights = _stencil(dt, count)
-    if nodes.ndim > 2:
-        nodes = components_first(jnp.asarray(nodes), 1).swapaxes(0, 1)
+    nodes, weights = _stencil(dt)
     weights, h = components_first(weights, 1).swapaxes(0, 1), components_first(dt, 0)[None]
     even = jnp.max(h, axis=1, keepdims=True) <= _EVEN * jnp.min(h, axis=1, keepdims=True)
     slope = partial(_derivative, nodes, weights)
