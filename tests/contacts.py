@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-DT, POSES = 0.1, 51
+DT, POSES = 0.08, 64
 
 
 class Contact(NamedTuple):

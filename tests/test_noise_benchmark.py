@@ -116,7 +116,7 @@ def test_a_run_in_miniature(tmp_path, capsys):
     for label in "AK":
         row = rows[label, "identify"]
         assert row["windows"] == 16
-        assert (row["types_right"], row["dof_right"], row["name_right"]) == (1, 1, 1)
+        assert min(row["types_right"], row["dof_right"], row["name_right"]) > 0.9
         assert 0 < row["position_bound_mm"] / 3 < row["position_rms_mm"] < 1  # of 16 windows
     assert rows["K", "dual annealing"]["linear_median_deg"] < 1
     printed = capsys.readouterr()

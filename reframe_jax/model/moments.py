@@ -15,6 +15,8 @@ __all__ = ["Moments", "scale_moments"]
 
 _PART = 4  # of a window that two blocks, or the block of the smooth part, take at most
 _FEWEST = 4  # details of a scale
+_ROUNDINGS = 16  # of the mean square of a feature, that are added to its variance
+_LEAST = 1e-20  # m^2 or rad^2, the same of features that never change
 
 
 class Moments(NamedTuple):
@@ -56,6 +58,10 @@ def scale_moments(values: jax.Array, counted: jax.Array, count: jax.Array | None
     weight = counted.astype(dtype)
     mean = jnp.sum(values * weight[..., None], axis=1) / jnp.maximum(jnp.sum(weight, axis=1), 1)[:, None]
     total = (values - mean[:, None]) * weight[..., None]
+    # motion without noise leaves a singular matrix: rounding is the least that every feature has
+    spread = jnp.sum(jnp.square(total), axis=1) / jnp.maximum(jnp.sum(weight, axis=1), 1)[:, None]
+    floor = _ROUNDINGS * float(jnp.finfo(dtype).eps) * jax.lax.stop_gradient(spread) + _LEAST
+    floor = floor[:, None] * jnp.eye(values.shape[2], dtype=dtype)
     products, details, widths = [], [], []
     smooth = jnp.zeros((len(values), values.shape[2], values.shape[2]), dtype)
     smooth_width = jnp.ones(len(values), dtype)
@@ -85,7 +91,7 @@ def scale_moments(values: jax.Array, counted: jax.Array, count: jax.Array | None
         h *= 2
     used = jnp.sum(counted, axis=1).astype(dtype)
     return Moments(
-        jnp.stack([*products, smooth], axis=1),
+        jnp.stack([*products, smooth], axis=1) + floor[:, None],
         jnp.stack([*details, jnp.maximum(used / smooth_width - 1, 0.5)], axis=1),
         jnp.stack([*widths, smooth_width], axis=1),
     )
