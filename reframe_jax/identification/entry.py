@@ -123,7 +123,9 @@ def identify(
 def _single(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Identification:
     """One recording, padded to one of few lengths, so that a new length compiles nothing."""
     count = poses.shape[0]
-    poses, steps, number = pad_recording(poses, steps)
+    number = None
+    if run.keywords["scales"] is None:  # velocities of single steps must not see the padding
+        poses, steps, number = pad_recording(poses, steps)
     found = run(poses[None], np.asarray(steps, poses.dtype)[None], number, *options)
     found = index_leaves(found, 0)
     return replace(found, counted=found.counted[:count])

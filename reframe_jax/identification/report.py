@@ -85,7 +85,7 @@ def winner_of_window(solved: Solved, live: Data, fixed: Data) -> Winner:
     alike = jnp.any(mine & jnp.asarray(SAME_IN_ALL_TYPES)) & (probability > _VARIANT * jnp.max(names))
     rank = jnp.where(alike, -solved.norm[jnp.asarray(_KIND)], jnp.log(probability) - _FAR)
     code = jnp.argmax(jnp.where(mine, rank, -jnp.inf)).astype(jnp.int32)
-    slot = jnp.argmax(solved.chosen == code)
+    slot = jnp.argmax(solved.chosen == code).astype(jnp.int32)
     entry = jax.tree.map(lambda leaf: jnp.asarray(leaf)[code], TABLE)
     start = jax.tree.map(lambda leaf: leaf[slot], solved.parameters)
     untied = jnp.asarray(False)
@@ -134,14 +134,21 @@ def _eigenvectors(covariance: Array, together: Array) -> Array:
 def _sign(axis: Array) -> Array:
     """That makes the largest component positive."""
     axis = jax.lax.stop_gradient(axis)
-    return jnp.where(axis[jnp.argmax(jnp.abs(axis))] < 0, -1, 1)
+    return jnp.where(axis[jnp.argmax(jnp.abs(axis)).astype(jnp.int32)] < 0, -1, 1)
+
+
+def _smallest(live: Moments) -> Array:
+    """The smallest scale of a window that is used, (S,) bool."""
+    used = live.details > 0
+    return used & (jnp.cumsum(used) == 1)
 
 
 def _speeds(weights: Array, live: Moments, step: Array) -> Array:
     """RMS velocity along coordinates (3, 27), at the smallest scale that is used."""
-    first = jnp.argmax(live.details > 0)
-    square = jnp.einsum("if,fg,ig->i", weights, live.products[first], weights)
-    span = step * live.width[first]
+    smallest = _smallest(live)
+    products = jnp.sum(jnp.where(smallest[:, None, None], live.products, 0), axis=0)
+    square = jnp.einsum("if,fg,ig->i", weights, products, weights)
+    span = step * jnp.sum(jnp.where(smallest, live.width, 0))
     return jnp.sqrt(jnp.maximum(square, 1e-30)) / span
 
 
@@ -363,7 +370,7 @@ def _report_window(
         pitch=jnp.where(entry.pitch & (code >= 0), parameters.pitch, jnp.nan),
         universal_axes=jnp.where(crossed, jnp.stack([bodies[0][:, 2], bodies[1][:, 0]]), jnp.nan),
         noise=PoseNoise(position=window.noise[0], rotation=window.noise[1]),
-        scale=live.width[jnp.argmax(live.details > 0)].astype(jnp.int32),
+        scale=jnp.sum(jnp.where(_smallest(live), live.width, 0)).astype(jnp.int32),
         counted=window.counted,
         status_code=jnp.zeros((), jnp.int32),
         warning_codes=jnp.zeros((), jnp.int32),
@@ -393,7 +400,7 @@ def _dof_by_thresholds(types: _Types, thresholds: Thresholds) -> tuple[Array, Ar
 
 def _winner_by_thresholds(types: _Types, solved: Solved, thresholds: Thresholds) -> Winner:
     """The paper's rule: types of the lowest norm, axes free where their RMS velocity is above."""
-    a, n = jnp.argmin(types.angular_norm), jnp.argmin(types.linear_norm)
+    a, n = (jnp.argmin(norm).astype(jnp.int32) for norm in (types.angular_norm, types.linear_norm))
     angular, linear = _dof_by_thresholds(types, thresholds)
     r, t = jnp.sum(angular[a]), jnp.sum(linear[n])
     # how the odd axes lie, in the body in which the linear frame is fixed
