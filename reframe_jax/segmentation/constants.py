@@ -16,6 +16,7 @@ class SegmentConstants(NamedTuple):
         floor_position, floor_rotation: m and rad; residuals below are not told from zero: the usual slow
             errors of a robot or a tracker.
         lever: m, at which a rotation counts as a translation.
+        quantile: of displacements, from which the motion time follows.
         motion_time: of the lag at which the speed of displacements has halved, the time of one independent
             value; 1 / (2 B) for motion of bandwidth B.
         cells: cells in a motion time.
@@ -38,7 +39,8 @@ class SegmentConstants(NamedTuple):
     floor_position: float = 3e-4
     floor_rotation: float = 1.5e-3
     lever: float = 0.2
-    motion_time: float = 0.6
+    quantile: float = 0.5
+    motion_time: float = 0.5
     cells: float = 5.0
     held: float = 1 / 20
     still: float = 1 / 50
@@ -48,7 +50,7 @@ class SegmentConstants(NamedTuple):
     border: float = 3.0
     tail: float = 4.0
     widen: float = 1.5
-    same: float = 2.5
+    same: float = 3.5
     pause: float = 3.0
     still_time: float = 1.5
 
