@@ -153,11 +153,12 @@ def _motion(
         return np.square(scale * np.stack([shift, turn], axis=1))
 
     def size(lag: int) -> float:
-        return float(np.sqrt(max(np.quantile(displacements(lag).sum(axis=1), C.quantile) - still, 0)))
+        """Mean displacement; where the body is still, it adds nothing at any lag."""
+        return float(np.mean(np.sqrt(np.maximum(displacements(lag).sum(axis=1) - 4 * still, 0))))
 
     sizes = np.array([size(lag) for lag in lags])
     time = max(step, number * step / _FEWEST)
-    if sizes.max() ** 2 >= 4 * still:
+    if sizes.max() > 0:
         speed = sizes / lags
         fastest = int(np.argmax(speed))
         slow = np.flatnonzero(speed[fastest:] < speed[fastest] / 2)
