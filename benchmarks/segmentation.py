@@ -199,8 +199,8 @@ def show(record: dict[str, Any]) -> dict[str, float]:
         print(f"  {name}: {row['close']} of 8, {row['balls']} balls, worst {row['worst']:.2f} s")
         metrics[name] = row["close"]
     for row in record["real"]:
-        right = "right" if row["right"] else "wrong"
-        print(f"  {row['name']:<28} {row['moving']} moving, {right}: {row['segments']}")
+        verdict = "right" if row["right"] else "wrong"
+        print(f"  {row['name']:<28} {row['moving']} moving, {verdict}: {row['segments']}")
     if record["real"]:
         metrics["real names"] = float(np.mean([row["right"] for row in record["real"]]))
     if record["arm"]:

@@ -43,15 +43,23 @@ class _Estimate:
         self.body = self.found.angular.frame_type == rf.AngularType.B
         self.axis = np.asarray(self.found.angular.axes)[:, 2]
         self.in_ground = self.rotation @ self.axis if self.body else self.axis
-        self.middle = poses[:, :3, 3].mean(axis=0)
+        self.poses = poses
 
     def line_error(self, point: np.ndarray, axis: np.ndarray) -> np.ndarray:
         """Shift (3,) m of the origin from a line of the ground, across what is free."""
         if self.found.linear.frame_type.position_body == rf.AngularType.B:
-            point, axis = self.rotation.T @ (point - self.middle), self.rotation.T @ axis
+            away = point - self.poses[:, :3, 3]
+            point = np.einsum("kji,kj->i", self.poses[:, :3, :3], away) / len(away)
+            axis = self.rotation.T @ axis
         shift = np.asarray(self.found.linear.position) - point
         free = np.asarray(self.found.linear.free_position)
         return shift - axis * (shift @ free @ axis) / (axis @ free @ axis)
+
+    def point_in_ground(self) -> np.ndarray:
+        """The origin, (3,) m, in the ground: on average, if it is fixed in the body."""
+        at = np.asarray(self.found.linear.position)
+        on_body = self.found.linear.frame_type.position_body == rf.AngularType.B
+        return (self.poses[:, :3, :3] @ at + self.poses[:, :3, 3]).mean(axis=0) if on_body else at
 
     def axis_error(self, axis: np.ndarray) -> np.ndarray:
         """Turn (3,) rad of the axis from one of the ground."""
@@ -78,10 +86,8 @@ def check_door(name: str) -> dict[str, float]:
     }
     lines, axes = [], []
     for one, other in (halves, halves[::-1]):
-        at = np.asarray(other.found.linear.position)
-        if other.found.linear.frame_type.position_body == rf.AngularType.B:
-            at = other.rotation @ at + other.middle
-        lines.append(in_region(one.line_error(at, other.in_ground), np.asarray(one.sure.position)))
+        apart = one.line_error(other.point_in_ground(), other.in_ground)
+        lines.append(in_region(apart, np.asarray(one.sure.position)))
         turn = one.axis_error(other.in_ground)
         if one.body and other.body:
             turn = np.cross(other.axis, one.axis * np.sign(one.axis @ other.axis))

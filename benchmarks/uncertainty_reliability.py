@@ -7,7 +7,6 @@ import numpy as np
 
 import reframe_jax as rf
 from reframe_jax.plotting.style import BODY, LINES, new_figure
-from reframe_jax.simulation.metrics import dof_correct, types_correct
 from reframe_jax.simulation.synthetic import Simulation
 
 __all__ = [
@@ -25,8 +24,6 @@ Said = dict[str, tuple[np.ndarray, np.ndarray]]
 
 KINDS = {
     "name": "Probability of the name",
-    "class": "Probability of the linear type and the numbers of free axes",
-    "type": "Probability of the linear type, where the numbers of free axes are right",
     "free axis": "Probability that an axis is free",
 }
 _BINS = (0.0, 0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98, 1.0)
@@ -36,24 +33,12 @@ _INTERVAL = 1.96
 def probabilities_of(found: rf.Identification, made: Simulation, true_name: str) -> Said:
     """What N identifications said of windows of one constraint, and whether it was right."""
     windows = np.shape(found.status_code)[0]
-    classes = np.asarray(found.class_probability)
-    dof = [np.asarray(part.dof).sum(axis=1) for part in (found.angular, found.linear)]
-    of_types = classes[np.arange(windows), :, dof[0], dof[1]]
-    of_class = of_types[np.arange(windows), np.asarray(found.linear.type_code)]
-    freedom = np.asarray(dof_correct(found, made.truth))
-    # a class that every type expresses has no type to be wrong about
-    typed = rf.constraint(true_name).linear_type is not None
-    type_right = np.asarray(types_correct(found, made.truth))
     free = [np.asarray(part.free_probability).ravel() for part in (found.angular, found.linear)]
     true = [np.sort(dof) for dof in (made.truth.angular_dof, made.truth.linear_dof)]
     said = {
         "name": (np.asarray(found.probability, float), np.asarray(found.name) == true_name),
         "free axis": (np.concatenate(free), np.concatenate([np.tile(dof, windows) for dof in true]) == 1),
     }
-    if typed:
-        said["class"] = (of_class, freedom & type_right)
-        share = of_class / np.maximum(of_types.sum(axis=1), np.finfo(float).tiny)
-        said["type"] = (share[freedom], type_right[freedom])
     return said
 
 

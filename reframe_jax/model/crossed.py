@@ -1,7 +1,8 @@
 """Two axes that keep their angle, one in each body: the cross of a universal joint.
 
 The angle of an axis a of the ground and an axis b of the body is held: a'R b is a coordinate of variance
-c_s(a, b), bilinear in the moments of R. The fit minimises sum_s n_s log c_s by Levenberg and Marquardt's steps.
+c_s(a, b), bilinear in the moments of R. The fit minimises sum_s n_s log c_s by Levenberg and Marquardt's
+steps.
 """
 
 import jax

@@ -1,7 +1,9 @@
 """Densities of log amplitudes about a size, and their overlap with what a measured amplitude says.
 
-A density is e^(B u) / (1 + e^(2 u))^((B + G) / 2) of u = log a - log size: slopes B below the size and -G above.
-The likelihood of a is Gaussian in the logarithm of a^2 + noise^2. Where a is far below the noise, the likelihood
+A density is e^(B u) / (1 + e^(2 u))^((B + G) / 2) of u = log a - log size: slopes B below the size and -G
+above.
+The likelihood of a is Gaussian in the logarithm of a^2 + noise^2. Where a is far below the noise, the
+likelihood
 is constant, and the density is integrated in closed form; above, by the trapezoidal rule on a few nodes.
 """
 

@@ -8,9 +8,11 @@ sampling error and its white noise. Two densities of log a are compared:
   through its lever;
 - *free*: slope B below and -3 above the size m of the motion, one m for rotations and one for translations.
 
-The four sizes belong to the recording and are integrated out on grids: densities of a logarithm that are smooth
+The four sizes belong to the recording and are integrated out on grids: densities of a logarithm that are
+smooth
 over half a unit are summed exactly by the trapezoidal rule with coarse steps. To this come how well the held
-coordinates are held against those of other entries, as a likelihood tempered to the few independent values that
+coordinates are held against those of other entries, as a likelihood tempered to the few independent values
+that
 a motion has, and a unit of log evidence for every parameter.
 """
 
@@ -74,8 +76,8 @@ class Spectra(NamedTuple):
     all_details: Array
     share: Array
     white: Array
-    to_position: Array
-    to_rotation: Array
+    to_position: Array | None
+    to_rotation: Array | None
     noise: Array
 
 

@@ -1,6 +1,7 @@
-"""Integrated twists of a measured motion: how far the body has turned and moved, seen in itself and in the ground.
+"""Integrated twists of a measured motion, seen in the body and in the ground.
 
-Between two poses, the logarithm of the step is the integral of the twist plus brackets that mix its components
+Between two poses, the logarithm of the step is the integral of the twist plus brackets that mix its
+components
 (the expansion of Magnus). The brackets are computed from derivatives of the twist and taken out, to the sixth
 order in the sample time: a component of the twist that is always zero stays zero.
 
@@ -32,7 +33,7 @@ def _relative(rotation: Array) -> Array:
 
 
 def _logarithm(turn: Array) -> tuple[Array, Array]:
-    """Rotation vectors w (3, ...) of rotations (3, 3, ...) below a half turn, and the factor f of :func:`_steps`."""
+    """Rotation vectors w (3, ...) of rotations (3, 3, ...) below a half turn, and f of :func:`_steps`."""
     tiny = jnp.finfo(turn.dtype).eps ** 2
     vee = jnp.stack([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
     half_cosine = jnp.sqrt(jnp.maximum(1 + turn[0, 0] + turn[1, 1] + turn[2, 2], tiny)) / 2

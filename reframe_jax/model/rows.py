@@ -13,9 +13,9 @@ from reframe_jax.model.table import KINDS, PATHS, ROWS, Table
 
 __all__ = [
     "EntryMoments",
+    "coordinates_at",
     "crossed_frame",
     "gather_moments",
-    "coordinates_at",
     "in_body",
     "pick_moments",
     "problem_of",
@@ -63,8 +63,8 @@ class EntryMoments(NamedTuple):
         unit = jnp.eye(3, dtype=mean.dtype).reshape(3, 3, *[1] * (mean.ndim - 2))
         turned = jnp.where(body, mean, unit)
         zero = jnp.zeros_like(turned)
-        outer = [jnp.concatenate([turned, zero], axis=1), jnp.concatenate([zero, zero + unit], axis=1)]
-        outer = jnp.concatenate(outer)
+        halves = [jnp.concatenate([turned, zero], axis=1), jnp.concatenate([zero, zero + unit], axis=1)]
+        outer = jnp.concatenate(halves)
         mixed = total(self.mixed[:, :, :, None] * outer[None, None, :, :, None], 2)
         return EntryMoments(self.paths, sandwich(outer, self.rows), mixed)
 

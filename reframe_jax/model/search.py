@@ -71,8 +71,10 @@ def _terms() -> list[tuple[tuple[int, int], tuple[int, int]]]:
 def unexplained_covariance(total: Array, rows: np.ndarray) -> Array:
     """What no origin explains of the path of every type, (N, T, 3, 3) m^2: a lower bound of its covariance.
 
-    The path of an origin is affine in it with the rotation features as coefficients. The residuals of a linear
-    regression of the rest on these features are smaller than those of any origin, and small exactly along held
+    The path of an origin is affine in it with the rotation features as coefficients. The residuals of a
+    linear
+    regression of the rest on these features are smaller than those of any origin, and small exactly along
+    held
     axes. Their inverse weighs the coordinates for a first origin.
 
     Args:
@@ -131,7 +133,7 @@ def norm_at(coefficients: Array, details: Array, origins: Array) -> Array:
 
 
 def _starts(coefficients: Array, n: Array, unexplained: Array) -> Array:
-    """(3, N, T, starts): a tangent step by the unexplained covariance, the origins that move least, others."""
+    """Starts (3, N, T, starts): by the unexplained covariance, the origins that move least, others."""
     shape = (*coefficients.shape[:2], -1, 6, 10)
     traces = coefficients.reshape(shape)[:, :, :, (0, 3, 5)].sum(3)
     total = jnp.einsum("nts,ntsm->ntm", jnp.moveaxis(n[..., 0] > 0, 0, -1).astype(traces.dtype), traces)

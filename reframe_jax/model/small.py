@@ -32,7 +32,7 @@ _PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
 def once(values: T) -> T:
-    """Compute arrays once: within one loop, XLA would compute them again for every operation that reads them."""
+    """Compute arrays once: XLA would compute them again for every operation that reads them."""
     return jax.lax.optimization_barrier(values)
 
 
@@ -129,7 +129,7 @@ def turn(cosine: Array, sine: Array, i: int, j: int) -> Array:
 def diagonalize(
     forms: Array, weights: Array | None = None, together: Array | None = None, sweeps: int = 5
 ) -> Array:
-    """Axes (3, 3, ...) in which forms (3, 3, S, ...) are diagonal as far as they can be, by Jacobi's rotations.
+    """Axes (3, 3, ...) in which forms (3, 3, S, ...) are as diagonal as possible, by Jacobi's rotations.
 
     They make sum_s w_s sum_i log (V' C_s V)_ii smallest (Flury & Gautschi 1986): principal axes that several
     covariances have in common, and the eigenvectors of a single one. Axes that are not correlated stay as

@@ -1,6 +1,7 @@
 """From features to the probability of every entry of the table, for windows that have been checked.
 
-A first look judges all entries at their starts; those that look best are fitted and judged again. Within, arrays
+A first look judges all entries at their starts; those that look best are fitted and judged again. Within,
+arrays
 have components first, then scales, entries and windows.
 """
 
@@ -108,7 +109,8 @@ def solve_windows(
 
     Args:
         features: of N windows.
-        moments: of all scales; ``used``: with details only at those that are used.
+        moments: of all scales.
+        used: the same, with details only at the scales that are used.
         noise: (N, 2) m and rad.
         box: (N,) m, half the width of the cube in which origins lie.
         origins: (N, 4, 3) m, of every linear type, from another search; None to search over scales.

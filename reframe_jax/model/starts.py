@@ -70,7 +70,8 @@ def common_frames(paths: Array, turns: Array, position: Array, details: Array, s
         paths: (3, 3, S, 4, N) moments of the path of every linear type.
         turns: (3, 3, S, 2, N) of the rotation in the ground and in the body.
         position: (3, 3, S, N) of the position.
-        details: (S, N); share: (S, N).
+        details: (S, N) independent details of every scale.
+        share: (S, N) of a scale in the variance of the path.
     """
     whole = total(position * share, 2)
     single = jnp.zeros_like(position).at[:, :, 0].set(whole)

@@ -1,8 +1,11 @@
 """Steps of the fit, for many problems at a time: components first, problems last.
 
-The unknowns of a problem are a frame V in its main body, an origin x, the tilt t of the axis between the bodies
-and a pitch h. Three blocks of coordinates can be held: rotations along columns of V, translations of the origin
-along columns of V, and the position of the body along the tilted axis, less h times the rotation about the axis.
+The unknowns of a problem are a frame V in its main body, an origin x, the tilt t of the axis between the
+bodies
+and a pitch h. Three blocks of coordinates can be held: rotations along columns of V, translations of the
+origin
+along columns of V, and the position of the body along the tilted axis, less h times the rotation about the
+axis.
 The objective is sum_s n_s log det of the held covariances; see :mod:`.fit`.
 """
 
@@ -38,7 +41,7 @@ _BEND = np.einsum("mkj,nli->mnklji", _LEVI_CIVITA, _LEVI_CIVITA).reshape(9, 81)
 
 
 class Unknowns(NamedTuple):
-    """What is fitted: ``frame`` (3, 3, ...), ``origin`` (3, ...) m, ``tilt`` (2, ...), ``pitch`` (...) m/rad."""
+    """Unknowns: ``frame`` (3, 3, ...), ``origin`` (3, ...) m, ``tilt`` (2, ...), ``pitch`` (...) m/rad."""
 
     frame: Array
     origin: Array
@@ -110,7 +113,7 @@ def row_size(rows: Array, row: Array) -> tuple[Array, Array]:
 
 
 def path_of(paths: Array, origin: Array) -> tuple[Array, Array]:
-    """Moments (3, 4, 3, S, ...) of unit origins with the path of an origin, and (3, 3, S, ...) of the path."""
+    """Moments of unit origins with an origin's path (3, 4, 3, S, ...), and of the path (3, 3, S, ...)."""
     x = origin[:, None]
     half = paths[:, :, :, 0] + total(paths[:, :, :, 1:] * x, 3)
     half = once(half)
@@ -170,10 +173,10 @@ def _expand(problem: Problem, at: Unknowns) -> tuple[Array, Array]:
     spun = [cross(unit, jnp.broadcast_to(v[:, None], unit.shape)) for v in (along, -at.pitch * third)]
     tilted = [times(at.frame, rates[0]), times(at.frame, rates[1])]
     zero = jnp.zeros_like(third)
-    slopes = [jnp.concatenate([spun[0][:, m], spun[1][:, m]]) for m in range(3)]
-    slopes += [jnp.concatenate([jnp.where(problem.tilted, v, 0), zero]) for v in tilted]
-    slopes.append(jnp.concatenate([zero, jnp.where(problem.pitch, -third, 0)]))
-    slopes = once(jnp.stack(slopes))  # (6 unknowns, 6, ...)
+    rates_of = [jnp.concatenate([spun[0][:, m], spun[1][:, m]]) for m in range(3)]
+    rates_of += [jnp.concatenate([jnp.where(problem.tilted, v, 0), zero]) for v in tilted]
+    rates_of.append(jnp.concatenate([zero, jnp.where(problem.pitch, -third, 0)]))
+    slopes = once(jnp.stack(rates_of))  # (6 unknowns, 6, ...)
     row_gradient = total(slopes * total(each * moved, 1)[None], 1)
     form = total(problem.rows * each, 2)
     carried = once(times(slopes, once(form)))

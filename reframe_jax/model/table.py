@@ -9,7 +9,7 @@ their columns.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,8 @@ from reframe_jax.model import features as z
 __all__ = ["ENTRIES", "KINDS", "PATHS", "ROWS", "TABLE", "Entry"]
 
 KINDS = ("BB", "GB", "GG", "BG", "turn in body", "turn in ground", "position", "angle between")
-"""Vectors whose coordinates are held or free: the path of an origin as the four linear types see it, the summed
+"""Vectors whose coordinates are held or free: the path of an origin as the four linear types see it, the
+summed
 rotation in either body, the position of the body in the ground, and the direction of an axis of the body."""
 
 PATHS = ("BB", "GB", "GG", "BG", "position")
@@ -195,19 +196,19 @@ class Table(NamedTuple):
         apart: (E,) bool, whether the translation along column 2 is that of the position, of another kind.
     """
 
-    kind: np.ndarray
-    column: np.ndarray
-    ground: np.ndarray
-    held: np.ndarray
-    together: np.ndarray
-    pitch: np.ndarray
-    tied: np.ndarray
-    crossed: np.ndarray
-    parameters: np.ndarray
-    variants: np.ndarray
-    turn: np.ndarray
-    path: np.ndarray
-    apart: np.ndarray
+    kind: Any
+    column: Any
+    ground: Any
+    held: Any
+    together: Any
+    pitch: Any
+    tied: Any
+    crossed: Any
+    parameters: Any
+    variants: Any
+    turn: Any
+    path: Any
+    apart: Any
 
     def row(self, code: int) -> "Table":
         """One entry."""

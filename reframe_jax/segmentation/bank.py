@@ -54,7 +54,7 @@ def join_features(linear: np.ndarray, angular: np.ndarray) -> np.ndarray:
 
 
 def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
-    """The best models of each span (P, 2) whose evidence exceeds their price."""
+    """The best models of each span (P, 2) whose evidence exceeds their price, or would in a longer span."""
     count = (spans[:, 1] - spans[:, 0]) * cells.weight
     own = fits.motion[:, None] / C.gap
     most = [
@@ -78,7 +78,7 @@ def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
     score[:, 0, 0] = -np.inf
     score = score.reshape(-1, 16)
     order = np.argsort(-score, axis=1)[:, :_KEPT]
-    span, rank = np.nonzero(np.take_along_axis(score, order, axis=1) > 0)
+    span, rank = np.nonzero(np.take_along_axis(score, order, axis=1) > -C.slack)
     chosen = order[span, rank]
     held = np.stack([chosen // 4, chosen % 4], axis=1)
     kinds = linear_type[span, held[:, 0]], angular_type[span, held[:, 1]]

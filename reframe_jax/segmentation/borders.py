@@ -46,7 +46,8 @@ def place_border(
             model = piece.model._replace(middle=np.median(inner, axis=0)[None])
             # beyond the border a free coordinate sets out from where it was held: small residuals are no
             # evidence against it
-            gain[side] = (C.border - misfit(model, values[None])[0]) * cells.weight / n
+            held = 1 + np.sum(np.isfinite(model.size))
+            gain[side] = (C.border * held - misfit(model, values[None])[0]) * cells.weight / n
     evidence = np.concatenate([[0.0], np.cumsum(gain[0] - gain[1])])[low : high + 1]
     weight = np.exp(evidence - evidence.max())
     total = np.cumsum(weight) / weight.sum()

@@ -14,6 +14,7 @@ GROUND_TYPES = [2, 3]  # GG and BG: origins in the ground
 
 _CHUNK = 20_000  # poses whose features are computed at once
 _FEWEST = 6  # independent values that a recording has at least
+_LEAST_TURN = 3  # of the motion, over a rotation that counts as free
 _PAIRS = 4000  # pairs of poses from which a structure function is estimated
 
 
@@ -28,7 +29,7 @@ class Cells:
         samples: poses in a cell.
         duration: s, of a cell.
         motion_time: s, in which the motion gives one independent value.
-        motion: m, amplitude of the motion of a coordinate.
+        motion: (2,) m and rad, amplitudes of a coordinate and of a rotation.
         floor: (2,) m and rad, below which residuals are not told from zero.
     """
 
@@ -37,7 +38,7 @@ class Cells:
     samples: int
     duration: float
     motion_time: float
-    motion: float
+    motion: tuple[float, float]
     floor: tuple[float, float]
 
     @property
@@ -48,32 +49,32 @@ class Cells:
     @property
     def reference(self) -> tuple[float, float]:
         """Amplitude of a free coordinate, m and rad."""
-        return self.motion * C.reference, self.motion * C.reference / C.lever
+        return self.motion[0] * C.reference, self.motion[1] * C.reference
 
     @property
     def bound(self) -> tuple[float, float]:
         """What a held coordinate moves at most, m and rad."""
-        return self._above_floor(self.motion * C.held)
+        return self._above_floor(C.held)
 
     @property
     def still_bound(self) -> tuple[float, float]:
         """What a coordinate of a still body moves at most, m and rad."""
-        return self._above_floor(self.motion * C.still)
+        return self._above_floor(C.still)
 
-    def _above_floor(self, most: float) -> tuple[float, float]:
-        return max(most, 3 * self.floor[0]), max(most / C.lever, 3 * self.floor[1])
+    def _above_floor(self, part: float) -> tuple[float, float]:
+        return max(part * self.motion[0], 3 * self.floor[0]), max(part * self.motion[1], 3 * self.floor[1])
 
 
 def make_cells(rotation: np.ndarray, position: np.ndarray, step: float) -> Cells:
     """Cells of poses (P, 3, 3) and (P, 3) m, ``step`` seconds apart."""
     turns = rotation_vectors(np.swapaxes(rotation[:-1], 1, 2) @ rotation[1:])
     noise = _white_noise(position), _white_noise(np.cumsum(turns, axis=0))
-    time, motion = _motion(rotation, position, noise, step)
+    time, motion, turn = _motion(rotation, position, noise, step)
     samples = max(1, min(round(time / C.cells / step), len(position) // 8))
     linear, angular = _average_features(rotation, position, samples)
     floor = (C.floor_position, C.floor_rotation)
     floors = [float(np.hypot(a, b / np.sqrt(samples))) for a, b in zip(floor, noise, strict=True)]
-    return Cells(linear, angular, samples, samples * step, time, motion, (floors[0], floors[1]))
+    return Cells(linear, angular, samples, samples * step, time, (motion, turn), (floors[0], floors[1]))
 
 
 def _average_features(
@@ -136,26 +137,35 @@ def _white_noise(path: np.ndarray) -> float:
 
 def _motion(
     rotation: np.ndarray, position: np.ndarray, noise: tuple[float, float], step: float
-) -> tuple[float, float]:
-    """Time in which the motion gives an independent value, s, and its amplitude, m."""
+) -> tuple[float, float, float]:
+    """Time in which the motion gives an independent value, s, and its amplitudes, m and rad."""
     number = len(position)
     lags = np.unique(np.round(2 ** np.arange(0, np.log2(max(2, number / 3)), 0.5)).astype(int))
-    still = 6 * (noise[0] ** 2 + (C.lever * noise[1]) ** 2)
+    scale = np.array([1, C.lever])
+    still = 6 * float(np.sum(np.square(scale * noise)))
 
-    def displacement(lag: int) -> float:
+    def displacements(lag: int) -> np.ndarray:
+        """Squares of translations and rotations, (pairs, 2) m^2."""
         first = np.unique(np.linspace(0, number - 1 - lag, _PAIRS).astype(int))
-        a, b = rotation[first], rotation[first + lag]
-        turn = 2 * np.arcsin(np.clip(np.sqrt(np.sum((a - b) ** 2, axis=(1, 2)) / 8), 0, 1))
-        shift = np.sum((position[first + lag] - position[first]) ** 2, axis=1)
-        return float(np.sqrt(max(np.quantile(shift + (C.lever * turn) ** 2, 0.8) - still, 0)))
+        chord = np.sum((rotation[first + lag] - rotation[first]) ** 2, axis=(1, 2)) / 8
+        turn = 2 * np.arcsin(np.clip(np.sqrt(chord), 0, 1))
+        shift = np.linalg.norm(position[first + lag] - position[first], axis=1)
+        return np.square(scale * np.stack([shift, turn], axis=1))
 
-    size = np.array([displacement(lag) for lag in lags])
-    longest = max(step, number * step / _FEWEST)
-    if size.max() ** 2 < 4 * still:
-        return longest, max(float(size.max()), 1e-6)
-    speed = size / lags
-    fastest = int(np.argmax(speed))
-    slow = np.flatnonzero(speed[fastest:] < speed[fastest] / 2)
-    lag = lags[fastest + slow[0]] if len(slow) else lags[-1]
-    time = float(np.clip(C.motion_time * lag * step, step, longest))
-    return time, max(displacement(max(1, round(lag / 2))) / np.sqrt(3), 1e-6)
+    def size(lag: int) -> float:
+        """Mean displacement; where the body is still, it adds nothing at any lag."""
+        return float(np.mean(np.sqrt(np.maximum(displacements(lag).sum(axis=1) - 4 * still, 0))))
+
+    sizes = np.array([size(lag) for lag in lags])
+    time = max(step, number * step / _FEWEST)
+    if sizes.max() > 0:
+        speed = sizes / lags
+        fastest = int(np.argmax(speed))
+        slow = np.flatnonzero(speed[fastest:] < speed[fastest] / 2)
+        lag = lags[fastest + slow[0]] if len(slow) else lags[-1]
+        time = float(np.clip(C.motion_time * lag * step, step, time))
+    # displacements of independent poses have twice the variance
+    square = displacements(max(1, min(round(2 * time / step), number - 2)))
+    motion = max(float(np.sqrt(np.quantile(square.sum(axis=1), 0.8) / 6)), 1e-6)
+    turn = float(np.sqrt(np.quantile(square[:, 1], 0.8) / 6))
+    return time, motion, max(turn, motion / _LEAST_TURN) / C.lever

@@ -25,8 +25,9 @@ class SegmentConstants(NamedTuple):
         reference: of the motion of the recording, the amplitude of a free coordinate that happens to move
             little: divides between held and free.
         price: log evidence that a segment costs, beside its parameters.
-        border: log evidence for a model at a pose that it explains, beside a border: residuals of about three
-            times their RMS are taken for motion.
+        slack: log evidence that a model of a window may lack: the segment may be longer.
+        border: log evidence, beside a border, of a pose that a model explains, and the same for every row:
+            of one row, residuals of 2.6 times their RMS are taken for motion.
         tail: degrees of freedom of the distribution of residuals.
         widen: times that residuals of models from windows are larger: of few values they come out too small.
         same: times that held coordinates may move more where a constraint comes back or goes on.
@@ -38,17 +39,18 @@ class SegmentConstants(NamedTuple):
     floor_position: float = 3e-4
     floor_rotation: float = 1.5e-3
     lever: float = 0.2
-    motion_time: float = 0.6
+    motion_time: float = 0.5
     cells: float = 5.0
     held: float = 1 / 20
     still: float = 1 / 50
     gap: float = 4.0
     reference: float = 1 / 2
-    price: float = 6.0
-    border: float = 3.0
+    price: float = 7.0
+    slack: float = 10.0
+    border: float = 1.0
     tail: float = 4.0
     widen: float = 1.5
-    same: float = 2.5
+    same: float = 3.5
     pause: float = 3.0
     still_time: float = 1.5
 

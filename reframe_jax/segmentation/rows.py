@@ -106,9 +106,9 @@ def _stillest(moments: np.ndarray, middle: np.ndarray, reach: float) -> tuple[np
         return x, axes, square
 
     random = [with_axes(middle + shift) for shift in _RANDOM]
-    three = lowest([with_axes(least), with_axes(middle), random[0]], 3, 6)
-    two = lowest([three[:2], with_axes(least), random[1]], 2, 8)
-    one = lowest([two[:2], three[:2], random[0]], 1, 8)
+    three = lowest([with_axes(least), random[0]], 3, 6)
+    two = lowest([three[:2], random[1]], 2, 8)
+    one = lowest([two[:2], three[:2]], 1, 8)
     weights, size = [], []
     for held, (x, axes, square) in enumerate((one, two, three), 1):
         z = np.concatenate([np.ones((len(x), 1)), x], axis=1)
