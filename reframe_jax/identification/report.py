@@ -41,6 +41,7 @@ Array = jax.Array
 _RIVAL = 0.05  # share of the probability of the winner from which on another type counts as tied
 _VARIANT = 1e-3  # share of the probability of a name from which on an entry may be the one that is reported
 _FAR = 1e9  # log probability that puts an entry behind those that may
+_DEVIATIONS = 3.0  # that tie two types where thresholds decide
 _AT_BOUND = 0.999  # of the box
 _REFINE = 6  # steps of the last fit, in which the tilt is free
 
@@ -299,7 +300,8 @@ def _report_window(
     at_bound = jnp.any(jnp.abs(parameters.origin) > _AT_BOUND * window.box) & ~jnp.all(any_origin)
     position = parameters.origin - jax.lax.stop_gradient(free_position) @ parameters.origin
     offset = jnp.where(jnp.asarray(POSITION_BODIES)[kind] == int(AngularType.G), window.centre, 0)
-    tied = _tied_types(winner, kind, thresholds, types)
+    velocities = jnp.sum(window.counted) - 1
+    tied = _tied_types(winner, kind, thresholds, types, velocities)
     if thresholds is not None or single_steps:
         # the paper reports the optimum of a type
         angular_all = angular_all._replace(axes=types.angular_axes)
@@ -375,9 +377,8 @@ def _report_window(
         status_code=jnp.zeros((), jnp.int32),
         warning_codes=jnp.zeros((), jnp.int32),
     )
-    few = jnp.sum(window.counted) - 1
     marks = {Caution.IMPROBABLE: winner.name_probability < 0.5}
-    codes = caution_codes(few, (angular_rms[a], linear_rms), thresholds, marks)
+    codes = caution_codes(velocities, (angular_rms[a], linear_rms), thresholds, marks)
     return found, at_bound, codes
 
 
@@ -428,13 +429,26 @@ def _free_probability(winner: Winner, group: int, dof: Array) -> Array:
     return jnp.where(jnp.isnan(winner.probability[0]), dof.astype(found.dtype), found)
 
 
-def _tied_types(winner: Winner, kind: Array, thresholds: Thresholds | None, types: _Types) -> Array:
-    """Linear types whose entries of the same freedom are nearly as probable, (4,) bool."""
+def _tied_types(
+    winner: Winner, kind: Array, thresholds: Thresholds | None, types: _Types, velocities: Array
+) -> Array:
+    """Linear types that fit equally well, (4,) bool.
+
+    With thresholds, those whose constrained axes are as still as the winner's within three standard
+    deviations of the geometric mean; differences of neighbours make 1.5 velocities worth one. Else those whose
+    entries of the same freedom are nearly as probable.
+    """
+    own = jnp.arange(4) == kind
+    if thresholds is not None:
+        held = types.linear_rms[kind] <= thresholds.linear
+        count = jnp.sum(held)
+        logs = jnp.log(types.linear_rms)
+        excess = jnp.sum(jnp.where(held, logs - logs[kind], 0), axis=1) / jnp.maximum(count, 1)
+        margin = _DEVIATIONS / jnp.sqrt(jnp.maximum(count, 1) * velocities / 1.5)
+        return own | (excess < margin) | (count == 0)
     same = jnp.all(jnp.asarray(_FREE) == jnp.asarray(_FREE)[winner.code], axis=1)
     of_types = jax.ops.segment_sum(jnp.where(same, winner.probability, 0), jnp.asarray(_KIND), 4)
-    tied = of_types >= _RIVAL * of_types[kind]
-    tied = jnp.where(jnp.isnan(of_types), jnp.arange(4) == kind, tied)
-    return tied | (jnp.arange(4) == kind) | jnp.asarray(SAME_IN_ALL_TYPES)[winner.code]
+    return own | (of_types >= _RIVAL * of_types[kind]) | jnp.asarray(SAME_IN_ALL_TYPES)[winner.code]
 
 
 def _with_status(
