@@ -435,8 +435,8 @@ def _tied_types(
     """Linear types that fit equally well, (4,) bool.
 
     With thresholds, those whose constrained axes are as still as the winner's within three standard
-    deviations of the geometric mean; differences of neighbours make 1.5 velocities worth one. Else those whose
-    entries of the same freedom are nearly as probable.
+    deviations of the geometric mean; differences of neighbours make 1.5 velocities worth one. Else those
+    whose entries of the same freedom are nearly as probable.
     """
     own = jnp.arange(4) == kind
     if thresholds is not None:
