@@ -68,7 +68,8 @@ def scale_moments(values: jax.Array, counted: jax.Array, count: jax.Array | None
     h = 1
     while h == 1 or _PART * h <= poses:
         # a block is as good as empty unless half of its poses count
-        full = weight >= max(1, h / 2)
+        inside = jnp.arange(weight.shape[1]) + h <= number[:, None]  # no block reaches into padding
+        full = (weight >= max(1, h / 2)) & inside
         block = total / jnp.maximum(weight, 1)[..., None]
         if 2 * h * _PART <= poses or h == 1:
             both = full[:, h:] & full[:, :-h]
