@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 __all__ = ["Moments", "scale_moments"]
 
@@ -76,7 +75,7 @@ def scale_moments(values: jax.Array, counted: jax.Array, count: jax.Array | None
         # the largest block that fits, which is among the last three where there is padding
         possible = 2 * h * _PART > poses if count is None else 16 * h * _PART > poses
         if possible:
-            own = (h * _PART <= number) & (2 * h * _PART > number) if h > 1 else 2 * _PART > number
+            own = (h * _PART <= number) & (2 * h * _PART > number) if h > 1 else number < 2 * _PART
             found = jnp.sum(full, axis=1).astype(dtype)
             middle = jnp.sum(jnp.where(full[..., None], block, 0), axis=1) / jnp.maximum(found, 1)[:, None]
             rest = jnp.where(full[..., None], block - middle[:, None], 0)

@@ -171,5 +171,8 @@ def _derivative(weights: Array, x: Array) -> Array:
     number = x.shape[3]
     reach = weights.shape[0] // 2
     padded = jnp.pad(x, ((0, 0), (0, 0), (0, 0), (reach, reach), (0, 0)))
-    terms = [weights[j] * padded[:, :, :, j : j + number] for j in range(2 * reach + 1)]
-    return once(sum(terms[1:], terms[0]))
+
+    def add(j: int, done: Array) -> Array:
+        return done + weights[j] * jax.lax.dynamic_slice_in_dim(padded, j, number, axis=3)
+
+    return jax.lax.fori_loop(0, 2 * reach + 1, add, jnp.zeros_like(x))
