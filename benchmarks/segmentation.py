@@ -8,10 +8,11 @@
 - a pointer that pivots about eight points, with 0.1, 0.3 and 1 mm of noise;
 - real recordings in ``../shared/data``, if they are there;
 - with ``--arm``, tasks on the simulated arm;
-- a recording of an hour at 100 Hz, for the time and the memory.
+- a recording of six minutes or more at 100 Hz, for the time and the memory.
 
 A change is found if a boundary lies within 0.3 s of it; a boundary further from every change is a false cut.
-A constraint is named right if the segment that overlaps it most has its name. The run takes three minutes.
+A constraint is named right if the segment that overlaps it most has its name. The run takes three minutes on
+two free cores.
 """
 
 import time
@@ -56,7 +57,7 @@ def main() -> None:
     add("--sequences", type=int, default=40, help="(%(default)s)")
     add("--singles", type=int, default=5, help="recordings of each constraint by itself (%(default)s)")
     add("--arm", type=int, default=0, help="tasks of the arm with each constraint (%(default)s)")
-    add("--hours", type=float, default=1.0, help="length of the long recording; 0: none (%(default)s)")
+    add("--hours", type=float, default=0.1, help="length of the long recording; 0: none (%(default)s)")
     add("--seed", type=int, default=_SEED, help="of the simulated sequences (%(default)s)")
     add_files(parser)
     options = parser.parse_args()

@@ -105,15 +105,20 @@ def join_pieces(cells: Cells, pieces: list[Piece], reach: float) -> list[Piece]:
     A pause between different constraints, or at an end of the recording, remains a piece if it is long.
     """
     pieces = list(pieces)
+    tried: dict[tuple[float, ...], Piece | None] = {}
     while True:
         order = sorted(range(len(pieces)), key=lambda i: pieces[i].stop - pieces[i].start)
-        joined = next((new for i in order if (new := _join_one(cells, pieces, i, reach)) is not None), None)
+        joined = next(
+            (new for i in order if (new := _join_one(cells, pieces, i, reach, tried)) is not None), None
+        )
         if joined is None:
             return pieces
         pieces = joined
 
 
-def _join_one(cells: Cells, pieces: list[Piece], i: int, reach: float) -> list[Piece] | None:
+def _join_one(
+    cells: Cells, pieces: list[Piece], i: int, reach: float, tried: dict[tuple[float, ...], Piece | None]
+) -> list[Piece] | None:
     """Join piece i with its neighbours; None if it stays."""
     own = pieces[i]
     beside = [j for j in (i - 1, i + 1) if 0 <= j < len(pieces)]
@@ -138,7 +143,11 @@ def _join_one(cells: Cells, pieces: list[Piece], i: int, reach: float) -> list[P
             if slow and not state:
                 trials.append((min(i, *beside), max(i, *beside), [one.model]))
         for first, last, models in trials:
-            new = _together(cells, pieces[first].start, pieces[last].stop, models, reach)
+            span = pieces[first].start, pieces[last].stop
+            key = (*span, *(float(value) for model in models for value in (*model.held[0], model.score[0])))
+            if key not in tried:
+                tried[key] = _together(cells, *span, models, reach)
+            new = tried[key]
             if new is not None:
                 return [*pieces[:first], new, *pieces[last + 1 :]]
     if own.still and time < C.still_time and beside:
