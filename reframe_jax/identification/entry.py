@@ -1,6 +1,7 @@
 """The main entry: poses in, identifications out."""
 
 import contextlib
+import functools
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -8,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import ArrayLike
 
 from reframe_jax.compilation import in_float64, index_leaves, traced
@@ -133,12 +135,13 @@ def _single(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Ident
 
 def _batch(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Identification:
     """Windows in pieces of one of few sizes, so that batches of every size share compilations."""
+    if isinstance(poses, jax.Array) and len(poses.sharding.device_set) > 1:
+        return _on_mesh(run, poses, steps, options)
     batch = poses.shape[:-3]
-    sharded = isinstance(poses, jax.Array) and len(poses.sharding.device_set) > 1
     windows = poses.reshape(-1, *poses.shape[-3:])
     own = steps if steps.ndim == 1 else steps.reshape(-1, steps.shape[-1])
     count = len(windows)
-    piece = count if sharded else _piece_size(count)
+    piece = _piece_size(count)
     parts = []
     for start in range(0, count, piece):
         rows = np.minimum(np.arange(start, start + piece), count - 1)
@@ -150,6 +153,37 @@ def _batch(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Identi
     if len(joined.status_code) != count:
         joined = index_leaves(joined, slice(count))
     return joined if len(batch) == 1 else jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), joined)
+
+
+def _on_mesh(run: Any, poses: jax.Array, steps: Any, options: tuple[Any, ...]) -> Identification:
+    """Every device identifies the windows that it holds; nothing travels between them."""
+    sharding = poses.sharding
+    spread = isinstance(sharding, NamedSharding)
+    if not spread or any(axis is not None for axis in sharding.spec[1:]):
+        raise ValueError(
+            "Windows on several devices must be spread along their first axis alone, by a NamedSharding; "
+            f"these have {sharding}."
+        )
+    axis = (*sharding.spec, None)[0]
+    own = steps.ndim > 1
+    if own:
+        steps = jax.device_put(steps, NamedSharding(sharding.mesh, PartitionSpec(axis)))
+    program = _program_for_mesh(sharding.mesh, axis, own, *run.keywords.items())
+    return program(poses, steps, None, *options)
+
+
+@functools.cache
+def _program_for_mesh(mesh: Mesh, axis: Any, own_steps: bool, *static: tuple[str, Any]) -> Any:
+    """The program of :func:`_identify_flat` for windows that are spread over a mesh."""
+    whole, part = PartitionSpec(), PartitionSpec(axis)
+    run = jax.shard_map(
+        partial(_identify_flat, **dict(static)),
+        mesh=mesh,
+        in_specs=(part, part if own_steps else whole, whole, whole, whole, whole),
+        out_specs=part,
+        check_vma=False,
+    )
+    return jax.jit(run)
 
 
 def _chunk() -> int:
