@@ -18,7 +18,6 @@ from reframe_jax.identification.velocities import frame_velocities
 from reframe_jax.joints.joint import Joint
 from reframe_jax.motion.checks import Status
 from reframe_jax.motion.windows import sliding_windows
-from reframe_jax.recordings.cleaning import clean_recording, pose_noise, pose_outliers, recording_warnings
 from reframe_jax.recordings.reading import load_recording
 from reframe_jax.recordings.recording import Recording, RecordingError
 from reframe_jax.recordings.relative import relative_poses
@@ -61,7 +60,6 @@ __all__ = [
     "TaskFrame",
     "Thresholds",
     "ValleySteps",
-    "clean_recording",
     "constraint",
     "covariance",
     "default_solver",
@@ -74,9 +72,6 @@ __all__ = [
     "load_results",
     "lookup",
     "next_motion",
-    "pose_noise",
-    "pose_outliers",
-    "recording_warnings",
     "relative_poses",
     "save_recording",
     "segment",

@@ -13,7 +13,7 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 def test_notebooks_are_numbered_without_a_gap_and_have_titles() -> None:
     """A glob that finds nothing would leave the tests below without work."""
-    assert [path.name.split("_")[0] for path in NOTEBOOKS] == ["1", "2", "3", "4", "5", "6"]
+    assert [path.name.split("_")[0] for path in NOTEBOOKS] == ["1", "2", "3", "4"]
     for path in NOTEBOOKS:
         first = nbformat.read(path, as_version=4).cells[0]
         assert first.cell_type == "markdown"
@@ -49,7 +49,7 @@ def executed() -> dict[Path, list[nbformat.NotebookNode]]:
         patch.setenv("PYTHONPATH", str(ROOT))
         nbclient.NotebookClient(
             chain,
-            timeout=240,
+            timeout=600,
             allow_errors=True,
             kernel_name="python3",
             resources={"metadata": {"path": str(ROOT)}},
