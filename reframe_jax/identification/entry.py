@@ -135,7 +135,7 @@ def _single(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Ident
 
 def _batch(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Identification:
     """Windows in pieces of one of few sizes, so that batches of every size share compilations."""
-    if isinstance(poses, jax.Array) and len(poses.sharding.device_set) > 1:
+    if isinstance(poses, jax.Array) and (len(poses.sharding.device_set) > 1 or _is_spread(poses.sharding)):
         return _on_mesh(run, poses, steps, options)
     batch = poses.shape[:-3]
     windows = poses.reshape(-1, *poses.shape[-3:])
@@ -153,6 +153,11 @@ def _batch(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Identi
     if len(joined.status_code) != count:
         joined = index_leaves(joined, slice(count))
     return joined if len(batch) == 1 else jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), joined)
+
+
+def _is_spread(sharding: Any) -> bool:
+    """Whether an axis of an array is spread over a mesh, be it one of a single device."""
+    return isinstance(sharding, NamedSharding) and any(axis is not None for axis in sharding.spec)
 
 
 def _on_mesh(run: Any, poses: jax.Array, steps: Any, options: tuple[Any, ...]) -> Identification:
