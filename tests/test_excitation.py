@@ -92,13 +92,13 @@ def test_steady_velocities_are_seen():
 def test_an_explanation_has_error_bars_and_advice(moved):
     poses, found, tested = moved["K"]
     sure = rf.covariance(found, poses, dt=DT)[0]
-    lines = found[0].explain(sure, tested[0]).splitlines()
-    assert lines[0].startswith("The body moves like a pen on paper")
+    text = found[0].explain(sure, tested[0])
+    assert text.startswith("The body moves like a pen on paper")
     # the interval is 1.96 standard deviations along the worst direction
     size = 1.96e3 * np.sqrt(np.linalg.eigvalsh(sure.position)[-1])
-    assert f"{size:.2g} mm" in lines[1]
-    assert lines[2].startswith("The plane is perpendicular to the direction")
-    assert len(lines) == 3
+    assert f"{size:.2g} mm" in text
+    assert "The plane is perpendicular to the direction" in text
+    assert len(text.splitlines()) <= 5
     large = replace(sure, first_order=np.array(False))
     assert found[0].explain(large, tested[0]) != found[0].explain(sure, tested[0])
     _, found, tested = moved["A"]

@@ -1,5 +1,6 @@
 """The motion to make next is the one after which the covariance is smallest, and error bars can be drawn."""
 
+import jax
 import numpy as np
 import pytest
 from contacts import DT, POSES, simulate_contact
@@ -30,8 +31,8 @@ def test_motions_are_ranked(tip):
 
 
 def test_batches_are_refused(tip):
-    poses, _ = tip
-    many = rf.identify(np.stack([poses] * 2), dt=DT)
+    poses, found = tip
+    many = jax.tree.map(lambda leaf: np.stack([leaf] * 2), found)
     with pytest.raises(ValueError, match="index one window"):
         rf.next_motion(many, np.stack([poses] * 2), times=DT * np.arange(POSES))
 
