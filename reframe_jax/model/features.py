@@ -74,9 +74,9 @@ def nearest_rotation(matrix: jax.Array) -> jax.Array:
     Where the mean of rotations is nearly singular, any rotation is as near: the iteration is damped, and its
     result made orthogonal by Gram and Schmidt.
     """
-    tiny = 1e-3 * jnp.eye(3, dtype=matrix.dtype)
+    tiny = 1e-9 * jnp.eye(3, dtype=matrix.dtype)
     x = matrix + tiny
-    for _ in range(8):
+    for _ in range(14):
         a, b, c = x[..., 0, :], x[..., 1, :], x[..., 2, :]
         cofactors = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)], axis=-2)
         det = jnp.sum(a * cofactors[..., 0, :], axis=-1)[..., None, None]
