@@ -1,1 +1,1 @@
-"""The model of identification: features, moments, the table of constraints, fit and evidence."""
+"""The model: features of poses, their moments, the table of constraints, fit and evidence."""

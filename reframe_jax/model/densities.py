@@ -1,9 +1,10 @@
 """Densities of log amplitudes about a size, and their overlap with what a measured amplitude says.
 
 A density is e^(B u) / (1 + e^(2 u))^((B + G) / 2) of u = log a - log size: slopes B below the size and -G
-above. The likelihood of a is Gaussian in the logarithm of a^2 + noise^2. Where a is far below the noise, the
-likelihood is constant, and the density is integrated in closed form; above, by the trapezoidal rule on a few
-nodes.
+above.
+The likelihood of a is Gaussian in the logarithm of a^2 + noise^2. Where a is far below the noise, the
+likelihood
+is constant, and the density is integrated in closed form; above, by the trapezoidal rule on a few nodes.
 """
 
 from math import gamma, log
@@ -14,11 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.model.constants import EVIDENCE as C
+from reframe_jax.model.small import total as add
 
 __all__ = ["Nodes", "amplitude_nodes", "free_evidence", "held_evidence"]
 
 Array = jax.Array
-_NODES = 5  # of the likelihood of an amplitude
+_NODES = 6  # of the likelihood of an amplitude
 _WIDTH = 3.5  # standard deviations of log a^2 to either side
 _FLAT = 0.05  # a^2 over noise^2 below which the likelihood does not change
 _HELD_TOTAL = 8 / 15  # integral of the density with slopes 1 and -6
@@ -50,11 +52,9 @@ def held_evidence(nodes: Nodes, sizes: Array) -> Array:
     The grid may have several axes.
     """
     squares, weights, below, top = _spread(nodes, sizes.ndim)
-    total = jnp.zeros((), jnp.float32)
-    for node in range(_NODES):  # one after the other: all of them would not fit the cache
-        inverse = 1 / (sizes + squares[node])
-        under = sizes * inverse
-        total = total + weights[node] * (under * under * under * jnp.sqrt(squares[node] * inverse))
+    inverse = 1 / (sizes + squares)
+    under = sizes * inverse
+    total = add(weights * (under * under * under * jnp.sqrt(squares * inverse)), 0)
     first = squares[0] / (sizes + squares[0])
     total = total + below * jnp.sqrt(first) * (1 - first * (2 / 3 - first / 5))
     return jnp.log(total / _HELD_TOTAL + jnp.finfo(jnp.float32).tiny) + top
@@ -69,13 +69,12 @@ def free_evidence(nodes: Nodes, sizes: Array, slope: Array) -> Array:
         slope: (...) B, below the size.
     """
     squares, weights, below, top = _spread(nodes, sizes.ndim)
-    total = jnp.zeros((), jnp.float32)
-    for node in range(_NODES):
-        over = squares[node] / (sizes + squares[node])
-        power = jnp.exp(slope / 2 * jnp.log(over)) * (1 - over) ** int(C.free_above // 2)
-        total = total + weights[node] * (power * jnp.sqrt(1 - over) if C.free_above % 2 else power)
+    over = squares / (sizes + squares)
+    power = jnp.exp(slope / 2 * jnp.log(over)) * (1 - over) ** int(C.free_above // 2)
+    if C.free_above % 2:
+        power = power * jnp.sqrt(1 - over)
     first = jnp.exp(slope / 2 * jnp.log(squares[0] / (sizes + squares[0])))
-    total = total + below * first / slope
+    total = add(weights * power, 0) + below * first / slope
     norm = jnp.polyval(jnp.asarray(_TOTALS, jnp.float32), jnp.log(slope))
     return jnp.log(total + jnp.finfo(jnp.float32).tiny) - norm + top
 

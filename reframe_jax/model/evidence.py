@@ -9,9 +9,11 @@ sampling error and its white noise. Two densities of log a are compared:
 - *free*: slope B below and -3 above the size m of the motion, one m for rotations and one for translations.
 
 The four sizes belong to the recording and are integrated out on grids: densities of a logarithm that are
-smooth over half a unit are summed exactly by the trapezoidal rule with coarse steps. To this come how well
-the held coordinates are held against those of other entries, as a likelihood tempered to the few independent
-values that a motion has, and a unit of log evidence for every parameter.
+smooth
+over half a unit are summed exactly by the trapezoidal rule with coarse steps. To this come how well the held
+coordinates are held against those of other entries, as a likelihood tempered to the few independent values
+that
+a motion has, and a unit of log evidence for every parameter.
 """
 
 from math import log
@@ -41,7 +43,7 @@ Array = jax.Array
 _TINY = 1e-18  # m^2 and rad^2, added to every variance
 
 # ---- grids of the logarithms of sizes
-_ERRORS = 1.05 * np.arange(-4, 5)  # about the middle of the prior of slow errors
+_ERRORS = 0.7 * np.arange(-6, 7)  # about the middle of the prior of slow errors
 _TURNS = 0.5 * np.arange(-3, 4)  # about the usual rotation
 _SHIFTS = 0.5 * np.arange(-9, 10)  # about the usual translation
 
@@ -65,8 +67,7 @@ class Spectra(NamedTuple):
         all_details: (S,) the same with those scales.
         share: (S,) of a scale in the variance of the path; 0 where it is not used.
         white: (S,) variance at a scale of white noise of unit variance.
-        to_position, to_rotation: (M, 27, 3) sensitivity of the features to a pose;
-            not needed by :func:`amplitudes_of`.
+        to_position, to_rotation: (M, 27, 3) sensitivity of the features to a pose.
         noise: (2,) m and rad, white noise of a pose.
     """
 
@@ -125,8 +126,6 @@ class Coordinates(NamedTuple):
 
 def entry_amplitudes(weights: Array, entry: Table, spectra: Spectra) -> Amplitudes:
     """Amplitudes of the coordinates (6, 27) of an entry."""
-    if spectra.to_position is None or spectra.to_rotation is None:
-        raise ValueError("The sensitivity of the features is needed.")
     form = jnp.einsum("if,sfg,jg->ijs", weights, spectra.products, weights)
     to_position = jnp.einsum("if,mfc->icm", weights, spectra.to_position)
     to_rotation = jnp.einsum("if,mfc->icm", weights, spectra.to_rotation)
@@ -164,11 +163,11 @@ def amplitudes_of(of: Coordinates, entry: Table, spectra: Spectra) -> Amplitudes
         spectra: with the scales first; ``products`` and sensitivities are not used.
     """
     share, dtype = spectra.share, of.turns.dtype
-    # rotations and translations in one
-    whole = jnp.stack([total(form * share, 2) for form in (of.turns, of.shifts)], axis=2)
-    mixing = jnp.stack([entry.together[:3, :3], entry.together[3:, 3:]], axis=2)
-    both = diagonalize(whole[:, :, None], together=jnp.broadcast_to(mixing, whole.shape))
-    axes = once((both[:, :, 0], both[:, :, 1]))
+    together = entry.together
+    axes = [
+        diagonalize(total(form * share, 2)[:, :, None], together=together[rows, rows])
+        for form, rows in ((of.turns, slice(0, 3)), (of.shifts, slice(3, 6)))
+    ]
     turns, shifts = _diagonal(axes[0], of.turns), _diagonal(axes[1], of.shifts)
     lever = jnp.concatenate(
         [_diagonal(a, form[:, :, None])[:, 0] for a, form in zip(axes, of.levers, strict=True)]
@@ -236,18 +235,18 @@ def _errors(nodes: Nodes, lever: Array, tilt: Array, held: Array, noise: Array) 
     prior[[0, -1]] -= log(2)  # ends of the trapezoidal rule
     prior = prior - np.log(np.sum(np.exp(prior)))
     steps, prior = _grid(np.exp(2 * _ERRORS), lanes), _grid(prior, lanes)
-    e_t, e_r = middle[0] * steps, middle[1] * steps  # squares, (errors, ...)
+    e_t, e_r = middle[0] * steps, middle[1] * steps  # squares, (13, ...)
     lever = lever.astype(jnp.float32)[:, None]
     turns = jnp.where(held[:3, None], held_evidence(nodes.rows(slice(0, 3)), e_r * lever[:3]), 0)
     turns = total(turns, 0) + prior
     turns = turns - 0.5 * C.held_above * jnp.log1p(jnp.square(tilt).astype(jnp.float32) / e_r)
     sizes = e_t[None] + (e_r * lever[3:])[:, :, None]
-    shifts = once(jnp.where(held[3:, None, None], held_evidence(nodes.rows(slice(3, 6)), sizes), 0))
+    shifts = jnp.where(held[3:, None, None], held_evidence(nodes.rows(slice(3, 6)), sizes), 0)
     value = once(once(turns)[:, None] + (total(shifts, 0) + prior))
-    top = jax.lax.stop_gradient(once(largest(once(largest(value)))))
+    value = value.reshape(-1, *value.shape[2:])
+    top = jax.lax.stop_gradient(largest(value))
     # a sum over many rows is fast as a product
-    rows = jnp.exp(value - top).reshape(-1, *value.shape[2:])
-    return jnp.log(jnp.tensordot(jnp.ones(len(rows), jnp.float32), rows, 1)) + top
+    return jnp.log(jnp.tensordot(jnp.ones(len(value), jnp.float32), jnp.exp(value - top), 1)) + top
 
 
 def _moves(nodes: Nodes, of: Amplitudes, held: Array) -> Array:
@@ -262,7 +261,7 @@ def _moves(nodes: Nodes, of: Amplitudes, held: Array) -> Array:
         free = jnp.where(held[rows, None], 0, free_evidence(nodes.rows(rows), sizes, slope))
         sums.append(once(total(free, 0)))
     tops = [largest(s) for s in sums]
-    a, b = (jnp.exp(s - once(top)) for s, top in zip(sums, tops, strict=True))
+    a, b = (jnp.exp(s - top) for s, top in zip(sums, tops, strict=True))
     shared = jnp.tensordot(jnp.asarray(_MOTIONS, jnp.float32), b, 1)
     return jnp.log(total(a * shared, 0) + jnp.finfo(jnp.float32).tiny) + tops[0] + tops[1]
 

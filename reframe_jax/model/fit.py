@@ -1,10 +1,11 @@
 """The fit of an entry of the table: its frame, origin, tilt and pitch.
 
 Held blocks of coordinates are normal with a covariance that is not known, one at each scale. The fit
-minimises sum_s n_s log det (W G_s W') over the held blocks, with W(parameters) the weights of the coordinates
-and G_s the moments of the features. An axis that goes through both bodies is the same in both up to a tilt;
-tilt and held rotations have one size. The steps are those of Levenberg and Marquardt for the tangent of the
-logarithm, a sum of squares.
+minimises
+sum_s n_s log det (W G_s W') over the held blocks, with W(parameters) the weights of the coordinates and G_s
+the moments of the features. An axis that goes through both bodies is the same in both up to a tilt; tilt and
+held rotations have one size. The steps are those of Levenberg and Marquardt for the tangent of the logarithm,
+a sum of squares.
 """
 
 from typing import NamedTuple
@@ -167,7 +168,7 @@ def fit_entry(
     axes = jnp.where(body, found.frame, data.mean_rotation.T @ found.frame)
     forms = rotation_forms(jnp.moveaxis(data.products, 0, -1))
     a, b = ground_axes(start, data.mean_rotation)[:, 2], start.axes[:, 0]
-    a, b, _ = crossed_axes(forms, data.details, data.mean_rotation, a, b, 0, steps)
+    a, b, _ = crossed_axes(forms, data.details, data.mean_rotation, a, b, False, steps)
     cross_axes, cross_tilt = crossed_frame(a, b, data.mean_rotation)
     fitted = Parameters(
         jnp.where(entry.crossed, cross_axes, axes),

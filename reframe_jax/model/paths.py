@@ -1,8 +1,9 @@
-"""Integrated twists of a measured motion: how far the body has turned and moved, in {b} and in {g}.
+"""Integrated twists of a measured motion, seen in the body and in the ground.
 
 Between two poses, the logarithm of the step is the integral of the twist plus brackets that mix its
-components (the expansion of Magnus). The brackets are computed from derivatives of the twist and taken out,
-to the sixth order in the sample time: a component of the twist that is always zero stays zero.
+components
+(the expansion of Magnus). The brackets are computed from derivatives of the twist and taken out, to the sixth
+order in the sample time: a component of the twist that is always zero stays zero.
 
 Arrays have components first, then twists in {b} and in {g}, then samples, and windows last.
 """
@@ -32,7 +33,7 @@ def _relative(rotation: Array) -> Array:
 
 
 def _logarithm(turn: Array) -> tuple[Array, Array]:
-    """Rotation vectors (3, ...) of rotations below a half turn, and the factor of w x (w x v) in a step."""
+    """Rotation vectors w (3, ...) of rotations (3, 3, ...) below a half turn, and f of :func:`_steps`."""
     tiny = jnp.finfo(turn.dtype).eps ** 2
     vee = jnp.stack([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
     half_cosine = jnp.sqrt(jnp.maximum(1 + turn[0, 0] + turn[1, 1] + turn[2, 2], tiny)) / 2
@@ -171,8 +172,5 @@ def _derivative(weights: Array, x: Array) -> Array:
     number = x.shape[3]
     reach = weights.shape[0] // 2
     padded = jnp.pad(x, ((0, 0), (0, 0), (0, 0), (reach, reach), (0, 0)))
-
-    def add(j: int, done: Array) -> Array:
-        return done + weights[j] * jax.lax.dynamic_slice_in_dim(padded, j, number, axis=3)
-
-    return jax.lax.fori_loop(0, 2 * reach + 1, add, jnp.zeros_like(x))
+    terms = [weights[j] * padded[:, :, :, j : j + number] for j in range(2 * reach + 1)]
+    return once(sum(terms[1:], terms[0]))

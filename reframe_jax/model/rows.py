@@ -7,18 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.model import features as z
-from reframe_jax.model.small import cross, normalize, once, sandwich, times, total
+from reframe_jax.model.small import cross, normalize, sandwich, times, total
 from reframe_jax.model.steps import Problem, Unknowns, axis_row, path_of, row_size
 from reframe_jax.model.table import KINDS, PATHS, ROWS, Table
 
 __all__ = [
     "EntryMoments",
-    "Located",
     "coordinates_at",
     "crossed_frame",
     "gather_moments",
     "in_body",
-    "locate",
     "pick_moments",
     "problem_of",
     "rotation_forms",
@@ -65,8 +63,8 @@ class EntryMoments(NamedTuple):
         unit = jnp.eye(3, dtype=mean.dtype).reshape(3, 3, *[1] * (mean.ndim - 2))
         turned = jnp.where(body, mean, unit)
         zero = jnp.zeros_like(turned)
-        rows = [jnp.concatenate([turned, zero], axis=1), jnp.concatenate([zero, zero + unit], axis=1)]
-        outer = jnp.concatenate(rows)
+        halves = [jnp.concatenate([turned, zero], axis=1), jnp.concatenate([zero, zero + unit], axis=1)]
+        outer = jnp.concatenate(halves)
         mixed = total(self.mixed[:, :, :, None] * outer[None, None, :, :, None], 2)
         return EntryMoments(self.paths, sandwich(outer, self.rows), mixed)
 
@@ -135,44 +133,26 @@ def problem_of(
     )
 
 
-class Located(NamedTuple):
-    """Moments at an origin, in axes of the main body.
-
-    Attributes:
-        path: (3, 3, S, ...) of the path of the origin.
-        rows: (6, 6, S, ...) of the position of the body and of the rotation.
-        mixed: (3, 6, S, ...) of the path with those.
-    """
-
-    path: Array
-    rows: Array
-    mixed: Array
-
-
-def locate(moments: EntryMoments, origin: Array) -> Located:
-    """Moments of the path of an origin (3, ...)."""
-    _, path = path_of(moments.paths, origin)
-    mixed = moments.mixed[:, 0] + total(moments.mixed[:, 1:] * origin[:, None, None], 1)
-    return Located(path, moments.rows, once(mixed))
-
-
-def coordinates_at(moments: Located, at: Unknowns, apart: Array) -> tuple[Array, Array, Array]:
+def coordinates_at(moments: EntryMoments, at: Unknowns, apart: Array) -> tuple[Array, Array, Array]:
     """Moments of the coordinates of entries: rotations, translations, and both, (3, 3, S, ...) each.
 
     Args:
-        moments: at the origin.
-        at: frame, tilt and pitch.
+        moments: in axes of the main body.
+        at: frame, origin, tilt and pitch.
         apart: (...) bool, as in the table.
     """
+    _, path = path_of(moments.paths, at.origin)
+    x = at.origin[:, None, None]
+    cross = moments.mixed[:, 0] + total(moments.mixed[:, 1:] * x, 1)
     frame = at.frame
-    turns, shifts = sandwich(frame, moments.rows[3:, 3:]), sandwich(frame, moments.path)
-    half = once(total(moments.mixed[:, None, 3:] * frame[:, :, None, None], 0))
+    turns, shifts = sandwich(frame, moments.rows[3:, 3:]), sandwich(frame, path)
+    half = total(cross[:, None, 3:] * frame[:, :, None, None], 0)
     mixed = total(half[None] * jnp.swapaxes(frame, 0, 1)[:, None, :, None], 2)
-    moved, size = row_size(moments.rows, once(axis_row(at)))
+    moved, size = row_size(moments.rows, axis_row(at))
     along = total(moved[3:, None] * frame[:, :, None], 0)
     third = (np.arange(3) == 2).reshape(3, *[1] * (along.ndim - 1))
     mixed = jnp.where(apart & third[None], along[:, None], mixed)
-    return once((turns, jnp.where(apart & third[:, None] & third[None], size, shifts), mixed))
+    return turns, jnp.where(apart & third[:, None] & third[None], size, shifts), mixed
 
 
 def rotation_forms(products: Array) -> Array:

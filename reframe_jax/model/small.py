@@ -8,6 +8,7 @@ from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 __all__ = [
     "cross",
@@ -18,29 +19,21 @@ __all__ = [
     "once",
     "rotate",
     "sandwich",
-    "solve_arrow",
+    "solve_positive",
     "times",
     "total",
+    "turn",
 ]
 
 Array = jax.Array
 T = TypeVar("T")
+_EYE = np.eye(3, dtype=bool)
+_PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
 def once(values: T) -> T:
-    """Compute arrays and store them.
-
-    XLA's CPU compiler puts chains of operations into one loop, and computes a value again for every operation
-    that reads it; it looks past an optimization barrier. A condition that it cannot evaluate makes it store
-    the values.
-    """
-    if jax.default_backend() != "cpu":
-        return values
-    leaf = jax.tree.leaves(values)[0]
-    one = jax.lax.stop_gradient(leaf[(0,) * leaf.ndim])
-    return jax.lax.cond(
-        (one <= 0) | ~(one <= 0), lambda v: v, lambda v: jax.tree.map(jnp.negative, v), values
-    )
+    """Compute arrays once: XLA would compute them again for every operation that reads them."""
+    return jax.lax.optimization_barrier(values)
 
 
 def total(array: Array, *axes: int) -> Array:
@@ -55,11 +48,12 @@ def total(array: Array, *axes: int) -> Array:
 
 
 def largest(array: Array, axis: int = 0) -> Array:
-    """Maximum over a short axis, term by term."""
-    top, *rest = (jax.lax.slice_in_dim(array, i, i + 1, axis=axis) for i in range(array.shape[axis]))
-    for term in rest:
-        top = jnp.maximum(top, term)
-    return jax.lax.squeeze(top, (axis,))
+    """Maximum over an axis, by halves."""
+    while (n := array.shape[axis]) > 1:
+        half = (n + 1) // 2
+        first = jax.lax.slice_in_dim(array, 0, half, axis=axis)
+        array = jnp.maximum(first, jax.lax.slice_in_dim(array, n - half, n, axis=axis))
+    return jax.lax.squeeze(array, (axis,))
 
 
 def times(matrix: Array, vector: Array) -> Array:
@@ -106,73 +100,68 @@ def inverse_and_determinant(s: Array) -> tuple[Array, Array]:
     return once(adjugate / det), det
 
 
-def solve_arrow(diagonal: Array, coupled: Array, right: Array) -> Array:
-    """Solve a symmetric, positive definite system of blocks of three, by Schur's complement.
+def solve_positive(matrix: Array, vector: Array) -> Array:
+    """Solution (n, ...) of a symmetric, positive definite system (n, n, ...), by elimination."""
+    n = len(vector)
+    floor = jnp.finfo(matrix.dtype).eps * jnp.stack([matrix[i, i] for i in range(n)])
+    rest, right, rows = matrix, vector, []
+    for _ in range(n):
+        pivot = jnp.maximum(rest[0, 0], floor[n - len(right)] + jnp.finfo(matrix.dtype).tiny)
+        row, value = rest[0, 1:] / pivot, right[0] / pivot
+        rows.append((row, value))
+        right = right[1:] - row * right[0]
+        rest = once(rest[1:, 1:] - rest[1:, :1] * row[None])
+    solution = rows[-1][1][None]
+    for row, value in rows[-2::-1]:
+        solution = jnp.concatenate([(value - total(row * solution, 0))[None], solution])
+    return solution
 
-    Args:
-        diagonal: (n, 3, 3, ...) the blocks on the diagonal.
-        coupled: (n - 1, 3, 3, ...) blocks of the first with every other; those are not coupled.
-        right: (n, 3, ...).
 
-    Returns:
-        (n, 3, ...).
-    """
-    sides = range(len(coupled))
-    inverses = once(jnp.moveaxis(inverse_and_determinant(jnp.moveaxis(diagonal[1:], 0, 2))[0], 2, 0))
-    carried = once(jnp.stack([times(coupled[k], inverses[k]) for k in sides]))
-    whole, value = diagonal[0], right[0]
-    for k in sides:
-        whole = whole - times(carried[k], jnp.swapaxes(coupled[k], 0, 1))
-        value = value - times(carried[k], right[k + 1])
-    first = once(times(inverse_and_determinant(once(whole))[0], value))
-    rest = [times(inverses[k], right[k + 1]) - times(jnp.swapaxes(carried[k], 0, 1), first) for k in sides]
-    return jnp.stack([first, *rest])
+def turn(cosine: Array, sine: Array, i: int, j: int) -> Array:
+    """Rotations (3, 3, ...) in the plane of the axes i and j."""
+    zero, one = jnp.zeros_like(cosine), jnp.ones_like(cosine)
+    rows = [[one if a == b else zero for b in range(3)] for a in range(3)]
+    rows[i][i] = rows[j][j] = cosine
+    rows[i][j], rows[j][i] = -sine, sine
+    return jnp.stack([entry for row in rows for entry in row]).reshape(3, 3, *cosine.shape)
 
 
 def diagonalize(
     forms: Array, weights: Array | None = None, together: Array | None = None, sweeps: int = 5
 ) -> Array:
-    """Axes (3, 3, ...) in which forms are nearly diagonal, by Jacobi's rotations.
+    """Axes (3, 3, ...) in which forms (3, 3, S, ...) are as diagonal as possible, by Jacobi's rotations.
 
     They make sum_s w_s sum_i log (V' C_s V)_ii smallest (Flury & Gautschi 1986): principal axes that several
     covariances have in common, and the eigenvectors of a single one. Axes that are not correlated stay as
     they are, and are not sorted.
 
     Args:
-        forms: (3, 3, S, ...), positive definite.
+        forms: positive definite.
         weights: (S, ...), or None for 1.
         together: (3, 3, ...) bool, pairs of axes that may be mixed; all by default.
         sweeps: number of rounds over the three pairs.
     """
-    tiny = jnp.finfo(forms.dtype).tiny
-    unit = jnp.eye(3, dtype=forms.dtype).reshape(3, 3, *[1] * (forms.ndim - 3))
-    axes = jnp.broadcast_to(unit, (*forms.shape[:2], *forms.shape[3:]))
-    mixing = jnp.ones((3, *forms.shape[3:]), bool) if together is None else _pairs(together)
+    tiny = jnp.finfo(forms.dtype).tiny ** 0.5
+    axes = jnp.broadcast_to(
+        jnp.eye(3, dtype=forms.dtype).reshape(3, 3, *[1] * (forms.ndim - 3)),
+        (*forms.shape[:2], *forms.shape[3:]),
+    )
 
-    def rotation(_: int, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        c, v, mixing = carry
-        di, dj = jnp.maximum(c[0, 0], tiny**0.5), jnp.maximum(c[1, 1], tiny**0.5)
-        gap, w = di - dj, (di - dj) / (di * dj)
-        w = w if weights is None else w * weights
-        apart, mixed = total(w * gap, 0), 2 * total(w * c[0, 1], 0)
-        length = jnp.sqrt(apart * apart + mixed * mixed + tiny)
-        tangent = jnp.where(mixing[0], mixed / (apart + length), 0)
-        cosine = 1 / jnp.sqrt(1 + tangent * tangent)
-        cosine, sine = once((cosine, tangent * cosine))
-        # the first axis goes to the end: the next pair is again that of the first two
-        c = jnp.swapaxes(_turn_first(jnp.swapaxes(_turn_first(c, cosine, sine), 0, 1), cosine, sine), 0, 1)
-        v = jnp.swapaxes(_turn_first(jnp.swapaxes(v, 0, 1), cosine, sine), 0, 1)
-        return c, v, _after(mixing)
+    def sweep(_: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        c, v = carry
+        for i, j in _PAIRS:
+            di, dj = jnp.maximum(c[i, i], tiny), jnp.maximum(c[j, j], tiny)
+            gap, w = di - dj, (di - dj) / (di * dj)
+            if weights is not None:
+                w = w * weights
+            apart, mixed = total(w * gap, 0), 2 * total(w * c[i, j], 0)
+            length = jnp.sqrt(apart * apart + mixed * mixed + jnp.finfo(forms.dtype).tiny)
+            tangent = mixed / (apart + length + jnp.finfo(forms.dtype).tiny)
+            if together is not None:
+                tangent = jnp.where(together[i, j], tangent, 0)
+            cosine = 1 / jnp.sqrt(1 + tangent * tangent)
+            q = once(turn(cosine, tangent * cosine, i, j))
+            c, v = once((sandwich(q, c), times(v, q)))
+        return c, v
 
-    return jax.lax.fori_loop(0, 3 * sweeps, rotation, (forms, axes, mixing))[1]
-
-
-def _turn_first(rows: Array, cosine: Array, sine: Array) -> Array:
-    """Turn the first two rows of (3, ...), and move the first to the end."""
-    a, b = rows[0], rows[1]
-    return jnp.stack([b * cosine - a * sine, rows[2], a * cosine + b * sine])
-
-
-def _pairs(together: Array) -> Array:
-    """Which of the pairs (0, 1), (1, 2), (2, 0) may be mixed, (3, ...)."""
-    return jnp.stack([together[0, 1], together[1, 2], together[2, 0]])
+    return jax.lax.fori_loop(0, sweeps, sweep, (forms, axes))[1]

@@ -1,7 +1,8 @@
 """From features to the probability of every entry of the table, for windows that have been checked.
 
 A first look judges all entries at their starts; those that look best are fitted and judged again. Within,
-arrays have components first, then scales, entries and windows.
+arrays
+have components first, then scales, entries and windows.
 """
 
 from typing import NamedTuple
@@ -19,19 +20,17 @@ from reframe_jax.model.fit import STEPS, Parameters
 from reframe_jax.model.moments import Moments
 from reframe_jax.model.rows import (
     EntryMoments,
-    Located,
     coordinates_at,
     crossed_frame,
     gather_moments,
     in_body,
-    locate,
     pick_moments,
     problem_of,
 )
 from reframe_jax.model.search import lowest_origins, norm_at, polynomials, unexplained_covariance
 from reframe_jax.model.small import largest, sandwich, times, total
 from reframe_jax.model.starts import Axes, common_frames, entry_starts, stillest, universal_axes
-from reframe_jax.model.steps import Unknowns, descend, tilted_axis
+from reframe_jax.model.steps import Unknowns, descend, path_of, tilted_axis
 from reframe_jax.model.table import ENTRIES, KINDS, PATHS, ROWS, TABLE, Table
 
 __all__ = ["Solved", "choose_scales", "solve_windows"]
@@ -111,7 +110,7 @@ def solve_windows(
     Args:
         features: of N windows.
         moments: of all scales.
-        used: with details only at the scales that are used.
+        used: the same, with details only at the scales that are used.
         noise: (N, 2) m and rad.
         box: (N,) m, half the width of the cube in which origins lie.
         origins: (N, 4, 3) m, of every linear type, from another search; None to search over scales.
@@ -186,11 +185,11 @@ def _compare(
         mean[:, :, None], in_body(TABLE._replace(path=path))[:, None]
     )
     points = place[:, np.minimum(path, 3)]
-    located = locate(combined, points)
+    _, paths = path_of(combined.paths, points)
     first = [int(np.flatnonzero(path == t)[0]) for t in range(4)]
     turns = jnp.stack([products[r, r] for r in (z.TURN_GROUND, z.TURN_BODY)], axis=3)
     axes = common_frames(
-        located.path[:, :, :, np.array(first)], turns, products[z.POSITION, z.POSITION], details, share
+        paths[:, :, :, np.array(first)], turns, products[z.POSITION, z.POSITION], details, share
     )
     whole = total(products * share, 2)
     a, b = universal_axes(axes, products, details, mean)
@@ -217,7 +216,7 @@ def _compare(
     of = _Windows(products, spectra, mean, own[:, None], turned, _levers(features, turned, place), joint)
     # ---- a first look at all entries
     table = Table(*(leaf[..., None] for leaf in _last(TABLE)))
-    every = Located(*(leaf[..., _COMBINATION, :] for leaf in located))
+    every = EntryMoments(*(jnp.take(leaf, _COMBINATION, axis=-2) for leaf in combined))
     amplitudes, evidence = _judge(every, starts, table, of)
     before = compare(evidence, amplitudes, starts.pitch, table, details)
     if assume is not None:
@@ -234,7 +233,7 @@ def _compare(
     picked = picked.in_main_axes(mean[:, :, None], in_body(entries))
     problem = problem_of(picked, details[:, None], entries, scale, box, entries.tied)
     found, _ = descend(problem, start, STEPS)
-    amplitudes, evidence = _judge(locate(picked, found.origin), found, entries, of)
+    amplitudes, evidence = _judge(picked, found, entries, of)
     posterior = compare(evidence, amplitudes, found.pitch, entries, details)
     code = jnp.arange(len(ENTRIES))[:, None, None] == chosen[None]
     everywhere = largest(jnp.where(code, posterior[None], -jnp.inf), 1)
@@ -275,7 +274,7 @@ def _parameters(at: Unknowns, entries: Table, of: _Windows) -> Parameters:
     return Parameters(*(_first(leaf) for leaf in (axes, at.origin, tilt, at.pitch)))
 
 
-def _judge(moments: Located, at: Unknowns, entries: Table, of: _Windows) -> tuple[Amplitudes, Array]:
+def _judge(moments: EntryMoments, at: Unknowns, entries: Table, of: _Windows) -> tuple[Amplitudes, Array]:
     """Amplitudes and log evidence of entries, with (entries, N) last."""
     turns, shifts, mixed = coordinates_at(moments, at, entries.apart)
     joint, crossed = of.joint, entries.crossed

@@ -21,7 +21,7 @@ __all__ = ["Axes", "common_frames", "entry_starts", "stillest", "universal_axes"
 
 Array = jax.Array
 _STARTS = ("turn", "cross", "normal", "along", "path", "lift")
-_APART_STEPS, _CROSS_STEPS = 8, 14
+_CROSS_STEPS, _LAST_STEPS = 8, 6
 _ALONG = 0.6  # sine of an angle, below which two axes are nearly along each other
 
 
@@ -70,8 +70,8 @@ def common_frames(paths: Array, turns: Array, position: Array, details: Array, s
         paths: (3, 3, S, 4, N) moments of the path of every linear type.
         turns: (3, 3, S, 2, N) of the rotation in the ground and in the body.
         position: (3, 3, S, N) of the position.
-        details: (S, N) independent details.
-        share: (S, N) weight of a scale in the variance of the path.
+        details: (S, N) independent details of every scale.
+        share: (S, N) of a scale in the variance of the path.
     """
     whole = total(position * share, 2)
     single = jnp.zeros_like(position).at[:, :, 0].set(whole)
@@ -97,9 +97,11 @@ def universal_axes(axes: Axes, products: Array, details: Array, mean: Array) -> 
     forms = rotation_forms(products)[:, :, :, :, :, None]
     ground, body = axes.angular[:, :, AngularType.G], axes.angular[:, :, AngularType.B]
     a, b = ground[:, np.array([2, 1])], body[:, np.array([1, 2])]
-    a, b, value = crossed_axes(forms, details[:, None], mean[:, :, None], a, b, _APART_STEPS, _CROSS_STEPS)
+    a, b, value = crossed_axes(forms, details[:, None], mean[:, :, None], a, b, True, _CROSS_STEPS)
     better = value[0] <= value[1]
-    return jnp.where(better, a[:, 0], a[:, 1]), jnp.where(better, b[:, 0], b[:, 1])
+    a, b = (jnp.where(better, v[:, 0], v[:, 1]) for v in (a, b))
+    a, b, _ = crossed_axes(forms[:, :, :, :, :, 0], details, mean, a, b, False, _LAST_STEPS)
+    return a, b
 
 
 def entry_starts(

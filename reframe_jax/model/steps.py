@@ -1,9 +1,12 @@
 """Steps of the fit, for many problems at a time: components first, problems last.
 
 The unknowns of a problem are a frame V in its main body, an origin x, the tilt t of the axis between the
-bodies and a pitch h. Three blocks of coordinates can be held: rotations along columns of V, translations of
-the origin along columns of V, and the position of the body along the tilted axis, less h times the rotation
-about the axis. The objective is sum_s n_s log det of the held covariances; see :mod:`.fit`.
+bodies
+and a pitch h. Three blocks of coordinates can be held: rotations along columns of V, translations of the
+origin
+along columns of V, and the position of the body along the tilted axis, less h times the rotation about the
+axis.
+The objective is sum_s n_s log det of the held covariances; see :mod:`.fit`.
 """
 
 from typing import NamedTuple
@@ -19,7 +22,7 @@ from reframe_jax.model.small import (
     once,
     rotate,
     sandwich,
-    solve_arrow,
+    solve_positive,
     times,
     total,
 )
@@ -38,7 +41,7 @@ _BEND = np.einsum("mkj,nli->mnklji", _LEVI_CIVITA, _LEVI_CIVITA).reshape(9, 81)
 
 
 class Unknowns(NamedTuple):
-    """What is fitted: frame (3, 3, ...), origin (3, ...) m, tilt (2, ...) rad and pitch (...) m/rad."""
+    """Unknowns: ``frame`` (3, 3, ...), ``origin`` (3, ...) m, ``tilt`` (2, ...), ``pitch`` (...) m/rad."""
 
     frame: Array
     origin: Array
@@ -110,7 +113,7 @@ def row_size(rows: Array, row: Array) -> tuple[Array, Array]:
 
 
 def path_of(paths: Array, origin: Array) -> tuple[Array, Array]:
-    """Moments (3, 4, 3, S, ...) of unit origins with an origin's path, and (3, 3, S, ...) of the path."""
+    """Moments of unit origins with an origin's path (3, 4, 3, S, ...), and of the path (3, 3, S, ...)."""
     x = origin[:, None]
     half = paths[:, :, :, 0] + total(paths[:, :, :, 1:] * x, 3)
     half = once(half)
@@ -137,61 +140,58 @@ def _objective(problem: Problem, at: Unknowns) -> Array:
     return one + two + three + _tilt_cost(problem, at.tilt)[0]
 
 
-def _expand(problem: Problem, at: Unknowns) -> tuple[Array, Array, Array]:
-    """Gradient and the Hessian of the tangent, by blocks of three: rotation, origin, tilt and pitch.
-
-    Returns:
-        The gradient of each block (3, 3, ...), the blocks on the diagonal (3, 3, 3, ...), and those of the
-        rotation with the two others (2, 3, 3, ...). The origin and the third block are not coupled.
-    """
+def _expand(problem: Problem, at: Unknowns) -> tuple[Array, Array]:
+    """Gradient (9, ...) and the Hessian of the tangent (9, 9, ...), in rotation, origin, tilt and pitch."""
     back = jnp.swapaxes(at.frame, 0, 1)
     half, path = path_of(problem.paths, at.origin)
-    forms = problem.turns, path
-    local = [once(sandwich(at.frame, form)) for form in forms]
-    inner = [
-        _held(form, held, problem.details)[0]
-        for form, held in zip(local, (problem.held_turns, problem.held_paths), strict=True)
+    weights = [
+        once(sandwich(back, _held(once(sandwich(at.frame, form)), held, problem.details)[0]))
+        for form, held in ((problem.turns, problem.held_turns), (path, problem.held_paths))
     ]
-    weights = [once(sandwich(back, weight)) for weight in once(inner)]
     # ---- rotations and translations: directions turn, the origin moves
-    pairs = list(zip(forms, weights, strict=True))
-    pulled = once([total(form[:, :, None] * weight[None], 1, 3) for form, weight in pairs])
-    bent = once([total(weight[:, :, None, None] * form[None, None], 4) for form, weight in pairs])
-    pull, bend = pulled[0] + pulled[1], once(bent[0] + bent[1])
-    turning = jnp.stack([pull[2, 1] - pull[1, 2], pull[0, 2] - pull[2, 0], pull[1, 0] - pull[0, 1]])
-    turns_turns = jnp.tensordot(jnp.asarray(_BEND, bend.dtype), bend.reshape(81, *bend.shape[4:]), 1)
-    turns_turns = once(turns_turns.reshape(3, 3, *bend.shape[4:]))
+    pulled = jnp.zeros_like(at.frame)
+    bent = jnp.zeros((3, 3, 3, 3, *at.frame.shape[2:]), at.frame.dtype)
+    for weight, form in zip(weights, (problem.turns, path), strict=True):
+        pulled = pulled + total(form[:, :, None] * weight[None], 1, 3)
+        bent = bent + total(weight[:, :, None, None] * form[None, None], 4)
+    turning = jnp.stack(
+        [pulled[2, 1] - pulled[1, 2], pulled[0, 2] - pulled[2, 0], pulled[1, 0] - pulled[0, 1]]
+    )
+    turns_turns = jnp.tensordot(jnp.asarray(_BEND, bent.dtype), bent.reshape(81, *bent.shape[4:]), 1)
+    turns_turns = turns_turns.reshape(3, 3, *bent.shape[4:])
     ahead = once(total(weights[1][:, :, None, None] * half[None, :, 1:], 1, 4))  # (k, a, j)
     moving = ahead[0, :, 0] + ahead[1, :, 1] + ahead[2, :, 2]
     turns_moves = jnp.stack([ahead[i, :, j] - ahead[j, :, i] for i, j in ((1, 2), (2, 0), (0, 1))])
-    moves_moves = once(total(problem.paths[:, 1:, :, 1:] * weights[1][:, None, :, None], 0, 2, 4))
+    moves_moves = total(problem.paths[:, 1:, :, 1:] * weights[1][:, None, :, None], 0, 2, 4)
     # ---- the row along the axis
-    axis, rates = once(tilted_axis(at.tilt))
-    along, third = once((times(at.frame, axis), -at.pitch * at.frame[:, 2]))
-    moved, size = row_size(problem.rows, jnp.concatenate([along, third]))
-    each = once(jnp.where(problem.held_row, problem.details / _held_size(problem, size), 0))
-    form = once(total(problem.rows * each, 2))
-    slopes = once(_slopes(problem, at.frame, along, third, rates))  # (6 unknowns, 6, ...)
-    row_gradient = total(slopes * once(total(each * moved, 1))[None], 1)
-    row_hessian = once(total(times(slopes, form)[:, None] * slopes[None], 2))
-    cost = _tilt_cost(problem, at.tilt)[1]
-    tilting = jnp.concatenate([row_gradient[3:5] + cost * at.tilt, row_gradient[5:]])
-    bends = np.diag([1.0, 1.0, 0.0]).reshape(3, 3, *[1] * cost.ndim) * cost
-    gradient = jnp.stack([turning + row_gradient[:3], moving, tilting])
-    diagonal = jnp.stack([turns_turns + row_hessian[:3, :3], moves_moves, row_hessian[3:, 3:] + bends])
-    return once((2 * gradient, 2 * diagonal, 2 * jnp.stack([turns_moves, row_hessian[:3, 3:]])))
-
-
-def _slopes(problem: Problem, frame: Array, along: Array, third: Array, rates: Array) -> Array:
-    """Derivatives of the row along the axis with respect to rotation, tilt and pitch, (6, 6, ...)."""
-    unit = jnp.broadcast_to(jnp.eye(3, dtype=frame.dtype).reshape(3, 3, *[1] * (frame.ndim - 2)), frame.shape)
-    spun = [cross(unit, jnp.broadcast_to(v[:, None], unit.shape)) for v in (along, third)]
-    turned = jnp.swapaxes(jnp.concatenate(spun), 0, 1)
-    tilted = jnp.where(problem.tilted, jnp.stack([times(frame, rates[0]), times(frame, rates[1])]), 0)
-    rest = jnp.concatenate([tilted, jnp.zeros_like(tilted)], axis=1)
-    pitched = jnp.where(problem.pitch, -frame[:, 2], 0)
-    pitched = jnp.concatenate([jnp.zeros_like(pitched), pitched])
-    return jnp.concatenate([turned, rest, pitched[None]])
+    axis, rates = tilted_axis(at.tilt)
+    along, third = times(at.frame, axis), at.frame[:, 2]
+    row = jnp.concatenate([along, -at.pitch * third])
+    moved, size = row_size(problem.rows, row)
+    each = jnp.where(problem.held_row, problem.details / _held_size(problem, size), 0)
+    unit = jnp.broadcast_to(jnp.eye(3, dtype=row.dtype).reshape(3, 3, *[1] * at.pitch.ndim), at.frame.shape)
+    spun = [cross(unit, jnp.broadcast_to(v[:, None], unit.shape)) for v in (along, -at.pitch * third)]
+    tilted = [times(at.frame, rates[0]), times(at.frame, rates[1])]
+    zero = jnp.zeros_like(third)
+    rates_of = [jnp.concatenate([spun[0][:, m], spun[1][:, m]]) for m in range(3)]
+    rates_of += [jnp.concatenate([jnp.where(problem.tilted, v, 0), zero]) for v in tilted]
+    rates_of.append(jnp.concatenate([zero, jnp.where(problem.pitch, -third, 0)]))
+    slopes = once(jnp.stack(rates_of))  # (6 unknowns, 6, ...)
+    row_gradient = total(slopes * total(each * moved, 1)[None], 1)
+    form = total(problem.rows * each, 2)
+    carried = once(times(slopes, once(form)))
+    row_hessian = total(carried[:, None] * slopes[None], 2)
+    bend = _tilt_cost(problem, at.tilt)[1]
+    gradient = 2 * jnp.concatenate(
+        [turning + row_gradient[:3], moving, row_gradient[3:5] + bend * at.tilt, row_gradient[5:]]
+    )
+    empty = jnp.zeros((3, 3, *bend.shape), bend.dtype)
+    bends = jnp.asarray(np.diag([1.0, 1.0, 0.0]), bend.dtype).reshape(3, 3, *[1] * bend.ndim) * bend
+    top = [turns_turns + row_hessian[:3, :3], turns_moves, row_hessian[:3, 3:]]
+    middle = [jnp.swapaxes(turns_moves, 0, 1), moves_moves, empty]
+    bottom = [row_hessian[3:, :3], empty, row_hessian[3:, 3:] + bends]
+    hessian = 2 * jnp.concatenate([jnp.concatenate(blocks, axis=1) for blocks in (top, middle, bottom)])
+    return gradient, hessian
 
 
 def _move(at: Unknowns, step: Array, box: Array) -> Unknowns:
@@ -209,12 +209,11 @@ def descend(problem: Problem, start: Unknowns, steps: int) -> tuple[Unknowns, Ar
 
     def step(_: int, carry: tuple[Unknowns, Array, Array]) -> tuple[Unknowns, Array, Array]:
         at, value, damping = carry
-        gradient, diagonal, coupled = _expand(problem, at)
-        size = jnp.stack([diagonal[:, i, i] for i in range(3)], axis=1)
-        lift = damping * size + 1e-9 * largest(largest(size)) + small
-        unit = jnp.eye(3, dtype=lift.dtype).reshape(3, 3, *[1] * value.ndim)
-        change = -solve_arrow(once(diagonal + unit * lift[:, :, None]), coupled, gradient)
-        change = once(change.reshape(9, *value.shape))
+        gradient, hessian = _expand(problem, at)
+        size = jnp.stack([hessian[i, i] for i in range(9)])
+        lift = damping * size + 1e-9 * largest(size) + small
+        unit = jnp.eye(9, dtype=lift.dtype).reshape(9, 9, *[1] * value.ndim)
+        change = -solve_positive(*once((hessian + unit * lift[:, None], gradient)))
         change = change * jnp.minimum(1, _LONGEST / jnp.maximum(largest(jnp.abs(change)), small))
         there = once(_move(at, once(change), problem.box))
         new = _objective(problem, there)

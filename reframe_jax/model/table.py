@@ -19,7 +19,8 @@ from reframe_jax.model import features as z
 __all__ = ["ENTRIES", "KINDS", "PATHS", "ROWS", "TABLE", "Entry"]
 
 KINDS = ("BB", "GB", "GG", "BG", "turn in body", "turn in ground", "position", "angle between")
-"""Vectors whose coordinates are held or free: the path of an origin as the linear types see it, the summed
+"""Vectors whose coordinates are held or free: the path of an origin as the four linear types see it, the
+summed
 rotation in either body, the position of the body in the ground, and the direction of an axis of the body."""
 
 PATHS = ("BB", "GB", "GG", "BG", "position")
