@@ -163,8 +163,7 @@ def _is_spread(sharding: Any) -> bool:
 def _on_mesh(run: Any, poses: jax.Array, steps: Any, options: tuple[Any, ...]) -> Identification:
     """Every device identifies the windows that it holds; nothing travels between them."""
     sharding = poses.sharding
-    spread = isinstance(sharding, NamedSharding)
-    if not spread or any(axis is not None for axis in sharding.spec[1:]):
+    if not isinstance(sharding, NamedSharding) or any(axis is not None for axis in sharding.spec[1:]):
         raise ValueError(
             "Windows on several devices must be spread along their first axis alone, by a NamedSharding; "
             f"these have {sharding}."
