@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-__all__ = ["BLOCK_SHARE", "in_float64", "index_leaves", "traced", "update_marked"]
+__all__ = ["BLOCK_SHARE", "in_float64", "index_leaves", "join_parts", "traced", "update_marked"]
 
 _BLOCK = 8  # marked problems are worked on by the eight
 BLOCK_SHARE = 16
@@ -77,6 +77,18 @@ def index_leaves(tree: _T, index: Any) -> _T:
             if step == 1:
                 return _take_rows(tree, start, max(0, stop - start))
     return jax.tree.map(lambda leaf: leaf[index], tree)
+
+
+def join_parts(parts: list[_T], count: int) -> _T:
+    """Parts joined along the first axis of their leaves, of which the first ``count`` rows are kept."""
+    if len(parts) == 1:
+        return (
+            parts[0] if len(jax.tree.leaves(parts[0])[0]) == count else index_leaves(parts[0], slice(count))
+        )
+    if jax.default_backend() == "cpu":  # without a program for every number of parts
+        parts = jax.device_get(parts)
+        return jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)[:count]), *parts)
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:count], *parts)
 
 
 @jax.jit

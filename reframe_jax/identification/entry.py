@@ -12,9 +12,9 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import in_float64, index_leaves, traced
+from reframe_jax.compilation import in_float64, index_leaves, join_parts, traced
 from reframe_jax.identification.classify import Thresholds
-from reframe_jax.identification.inputs import pad_recording, take_poses, take_steps
+from reframe_jax.identification.inputs import batch_size, pad_poses, take_poses, take_steps
 from reframe_jax.identification.options import Scales, check_bounds, check_options, take_assumed, take_scales
 from reframe_jax.identification.paper import default_solver
 from reframe_jax.identification.pipeline import identify_windows
@@ -27,7 +27,6 @@ from reframe_jax.solvers import Solver
 __all__ = ["default_solver", "identify"]
 
 _CHUNK = {"cpu": 64, "gpu": 4096}  # windows that are identified at once: what fits the cache, or the memory
-_PIECE = 64  # chunks in one call, between which the host may report progress
 
 
 def identify(
@@ -110,7 +109,7 @@ def identify(
         if inside_a_trace or 0 in batch:
             found = run(array, steps, None, *options)
         elif not batch:
-            found = _single(run, array, steps, options)
+            found = index_leaves(_on_host(run, array[None], np.asarray(steps)[None], options), 0)
         else:
             found = _batch(run, array, steps, options)
     if wide and not in_float64():
@@ -122,37 +121,31 @@ def identify(
     return found
 
 
-def _single(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Identification:
-    """One recording, padded to one of few lengths, so that a new length compiles nothing."""
-    count = poses.shape[0]
-    number = None
+def _on_host(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Identification:
+    """Windows (N, K+1, 4, 4) in pieces of one of few sizes and lengths: new ones compile nothing."""
+    count, length = len(poses), poses.shape[1]
+    padded = False
     if run.keywords["scales"] is None:  # velocities of single steps must not see the padding
-        poses, steps, number = pad_recording(poses, steps)
-    found = run(poses[None], np.asarray(steps, poses.dtype)[None], number, *options)
-    found = index_leaves(found, 0)
-    return replace(found, counted=found.counted[:count])
+        poses, steps, padded = pad_poses(poses, steps)
+    size = batch_size(count, _chunk())
+    lengths = np.full(size, length, np.int32) if padded else None
+    parts = []
+    for start in range(0, count, size):
+        rows = np.minimum(np.arange(start, start + size), count - 1)
+        part = slice(start, start + size) if start + size <= count else rows
+        parts.append(run(poses[part], steps if steps.ndim == 1 else steps[part], lengths, *options))
+    found = join_parts(parts, count)
+    return replace(found, counted=found.counted[:, :length])
 
 
 def _batch(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Identification:
-    """Windows in pieces of one of few sizes, so that batches of every size share compilations."""
+    """Windows with any leading axes, on the host or spread over devices."""
     if isinstance(poses, jax.Array) and (len(poses.sharding.device_set) > 1 or _is_spread(poses.sharding)):
         return _on_mesh(run, poses, steps, options)
     batch = poses.shape[:-3]
-    windows = poses.reshape(-1, *poses.shape[-3:])
     own = steps if steps.ndim == 1 else steps.reshape(-1, steps.shape[-1])
-    count = len(windows)
-    piece = _piece_size(count)
-    parts = []
-    for start in range(0, count, piece):
-        rows = np.minimum(np.arange(start, start + piece), count - 1)
-        whole = rows[-1] - rows[0] == piece - 1
-        part = slice(start, start + piece) if whole else rows
-        found = run(windows[part], own if own.ndim == 1 else own[part], None, *options)
-        parts.append(jax.block_until_ready(found) if count > piece else found)
-    joined = parts[0] if len(parts) == 1 else jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
-    if len(joined.status_code) != count:
-        joined = index_leaves(joined, slice(count))
-    return joined if len(batch) == 1 else jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), joined)
+    found = _on_host(run, poses.reshape(-1, *poses.shape[-3:]), own, options)
+    return found if len(batch) == 1 else jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), found)
 
 
 def _is_spread(sharding: Any) -> bool:
@@ -192,12 +185,6 @@ def _program_for_mesh(mesh: Mesh, axis: Any, own_steps: bool, *static: tuple[str
 
 def _chunk() -> int:
     return _CHUNK.get(jax.default_backend(), 1024)
-
-
-def _piece_size(count: int) -> int:
-    """Windows in a call: one chunk, or a piece of many."""
-    chunk = _chunk()
-    return min(chunk, count) if count <= chunk else min(_PIECE, -(-count // chunk)) * chunk
 
 
 @partial(jax.jit, static_argnames=("scales", "exponent", "discretization", "solver", "assume"))

@@ -8,7 +8,15 @@ import numpy as np
 
 from reframe_jax.motion.checks import MIN_VELOCITIES
 
-__all__ = ["pad_recording", "padded_size", "read_number", "read_numbers", "take_poses", "take_steps"]
+__all__ = [
+    "batch_size",
+    "pad_poses",
+    "padded_size",
+    "read_number",
+    "read_numbers",
+    "take_poses",
+    "take_steps",
+]
 
 _FEWEST, _SHORT, _LONG = 8, 64, 4096  # poses that are padded at least; the smallest size; see padded_size
 _TOO_COARSE = ("float16", "bfloat16")
@@ -132,7 +140,7 @@ def _differences(times: Any) -> Any:
 
 
 def padded_size(count: int) -> int:
-    """Poses that a recording is padded to: 64, 256, 1024 or 4096, then powers of 2.
+    """Poses that a window is padded to: 64, 256, 1024 or 4096, then powers of 2.
 
     A program for a size takes longer to compile than thousands of poses that do not count take to run.
     """
@@ -144,23 +152,29 @@ def padded_size(count: int) -> int:
     return size
 
 
-def pad_recording(poses: Any, steps: Any) -> tuple[Any, Any, np.ndarray | None]:
-    """One recording padded to one of few lengths, so that new lengths compile nothing; and its own length.
+def pad_poses(poses: Any, steps: Any) -> tuple[Any, Any, bool]:
+    """Windows padded to one of few lengths, so that new lengths compile nothing; whether lengths are needed.
 
-    The very shortest stay as they are, and their length is None.
+    The very shortest stay as they are.
 
     Args:
-        poses: (K+1, 4, 4).
-        steps: (K,) s.
-
-    Returns:
-        Poses, steps, and (1,) int32 or None.
+        poses: (..., K+1, 4, 4).
+        steps: (K,) or (..., K) s.
     """
-    count = poses.shape[0]
+    count = poses.shape[-3]
     fill = padded_size(count) - count
     if fill:
         xp = jnp if isinstance(poses, jax.Array) else np
-        poses = xp.concatenate([poses, xp.repeat(poses[-1:], fill, axis=0)])
-        steps = np.concatenate([steps, np.repeat(steps[-1:], fill)])
+        poses = xp.concatenate([poses, xp.repeat(poses[..., -1:, :, :], fill, axis=-3)], axis=-3)
+        xp = jnp if isinstance(steps, jax.Array) else np
+        steps = xp.concatenate([steps, xp.repeat(steps[..., -1:], fill, axis=-1)], axis=-1)
     # one program for a size, whether there is something to fill or not
-    return poses, steps, None if count < _FEWEST else np.full(1, count, np.int32)
+    return poses, steps, count >= _FEWEST
+
+
+def batch_size(count: int, most: int) -> int:
+    """Windows that are computed at once: 1, 8, 64, 512, ... and no more than ``most``."""
+    size = 1
+    while size < min(count, most):
+        size *= 8
+    return min(size, most)

@@ -25,7 +25,7 @@ from reframe_jax.identification.paper import step_moments
 from reframe_jax.identification.preparation import Prepared
 from reframe_jax.identification.results import Identification
 from reframe_jax.model.axes import common_axes
-from reframe_jax.model.fit import Data, Parameters, coordinates, fit_entry, ground_axes, settle
+from reframe_jax.model.fit import Data, Parameters, coordinates, ground_axes, settle
 from reframe_jax.model.moments import Moments
 from reframe_jax.model.solve import Solved
 from reframe_jax.model.table import ENTRIES, KINDS, ROWS, TABLE
@@ -43,7 +43,6 @@ _VARIANT = 1e-3  # share of the probability of a name from which on an entry may
 _FAR = 1e9  # log probability that puts an entry behind those that may
 _DEVIATIONS = 3.0  # that tie two types where thresholds decide
 _AT_BOUND = 0.999  # of the box
-_REFINE = 6  # steps of the last fit, in which the tilt is free
 
 _KIND = np.array([entry.kind for entry in ENTRIES], np.int32)
 _FREE = np.array([entry.dof for entry in ENTRIES], np.int32)
@@ -70,13 +69,12 @@ class Winner(NamedTuple):
     probability: Array
 
 
-def winner_of_window(solved: Solved, live: Data, fixed: Data) -> Winner:
-    """The most probable name, its most probable entry, and the last fit.
+def winner_of_window(solved: Solved, live: Data) -> Winner:
+    """The most probable name, its most probable entry, and its fit.
 
     Args:
         solved: of one window.
         live: moments that derivatives follow.
-        fixed: the same without derivatives.
     """
     probability = jnp.exp(solved.log_probability)
     names = jax.ops.segment_sum(probability, jnp.asarray(NAME_OF_ENTRY), int(NAME_OF_ENTRY.max()) + 1)
@@ -88,10 +86,8 @@ def winner_of_window(solved: Solved, live: Data, fixed: Data) -> Winner:
     code = jnp.argmax(jnp.where(mine, rank, -jnp.inf)).astype(jnp.int32)
     slot = jnp.argmax(solved.chosen == code).astype(jnp.int32)
     entry = jax.tree.map(lambda leaf: jnp.asarray(leaf)[code], TABLE)
-    start = jax.tree.map(lambda leaf: leaf[slot], solved.parameters)
-    untied = jnp.asarray(False)
-    fitted, _ = fit_entry(start, fixed, entry, solved.tilt_scale, untied, _REFINE)
-    parameters = settle(fitted, live, entry, solved.tilt_scale, untied)
+    fitted = jax.tree.map(lambda leaf: leaf[slot], solved.parameters)
+    parameters = settle(fitted, live, entry, solved.tilt_scale, jnp.asarray(False))
     return Winner(code, jnp.max(names), parameters, probability)
 
 
@@ -259,7 +255,6 @@ def _report_window(
     """One window, without its status; whether its origin lies on the bounds; its warnings."""
     mean = window.features.mean_rotation
     data = Data(live.products, live.details, mean, window.box)
-    fixed = jax.lax.stop_gradient(data)
     share = jnp.where(jnp.arange(len(live.width)) == len(live.width) - 1, 1.0, 0.25) * (live.details > 0)
     total = jnp.einsum("s,sfg->fg", share.astype(live.products.dtype), live.products)
     types = types._replace(
@@ -267,7 +262,7 @@ def _report_window(
         linear_axes=jax.vmap(_fix_signs)(types.linear_axes),
     )
     if thresholds is None:
-        winner = winner_of_window(solved, data, fixed)
+        winner = winner_of_window(solved, data)
     else:
         winner = _winner_by_thresholds(types, solved, thresholds)
     code, parameters = winner.code, winner.parameters

@@ -5,6 +5,8 @@ c_s(a, b), bilinear in the moments of R. The fit minimises sum_s n_s log c_s by 
 steps.
 """
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +20,7 @@ _APART = 30.0  # weight of the squared cosine of the mean angle: axes along each
 
 
 def crossed_axes(
-    forms: Array, details: Array, mean: Array, ground: Array, body: Array, apart: bool, steps: int
+    forms: Array, details: Array, mean: Array, ground: Array, body: Array, apart: int, steps: int
 ) -> tuple[Array, Array, Array]:
     """Axes after a number of steps.
 
@@ -28,59 +30,70 @@ def crossed_axes(
         mean: (3, 3, ...) mean rotation.
         ground: (3, ...) axis a to start from.
         body: (3, ...) axis b to start from.
-        apart: whether the mean axes are kept apart.
-        steps: number of them.
+        apart: number of first steps in which the mean axes are kept apart.
+        steps: number of all steps.
 
     Returns:
         a (3, ...), b (3, ...), and the objective.
     """
     small = jnp.finfo(ground.dtype).tiny ** 0.5
-    push = _APART * total(details, 0) if apart else 0.0
+    keep = _APART * total(details, 0)
+    unit = jnp.asarray(np.eye(6), ground.dtype).reshape(6, 6, *[1] * (ground.ndim - 1))
 
-    def variance(a: Array, b: Array) -> tuple[Array, Array, Array, Array]:
-        half = once(total(forms * a[:, None, None, None, None], 0))  # (j, k, l)
-        mixed = total(half * b[:, None, None, None], 0)  # (k, l): derivative by a_k of the first, b_l
-        of_body = total(half * a[:, None, None], 1)  # (j, l)
+    def expand(a: Array, b: Array) -> _Local:
+        """The logarithm's sum and its tangent about two axes, without what keeps them apart."""
         across = once(total(forms * b[:, None, None, None], 1))  # (i, k, l)
-        of_ground = total(across * b[:, None], 2)  # (i, k)
-        size = total(total(mixed * a[:, None, None], 0) * b[:, None], 0) + small
-        return once((size, of_ground, of_body, mixed))
-
-    def value_of(a: Array, b: Array, size: Array) -> Array:
-        cosine = total(a * times(mean, b), 0)
-        return total(details * jnp.log(size), 0) + push * cosine * cosine
-
-    def step(_: int, carry: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
-        a, b, value, damping = carry
-        size, of_ground, of_body, mixed = variance(a, b)
-        weight = details / size
-        turned, back = times(mean, b), times(jnp.swapaxes(mean, 0, 1), a)
-        pull = jnp.concatenate([turned, back])
-        upper, lower_block, between = (total(m * weight, 2) for m in (of_ground, of_body, mixed))
-        gradient = jnp.concatenate([times(upper, a), times(lower_block, b)])
-        gradient = gradient + push * total(a * turned, 0) * pull
-        # the row (k, l) of `between` is a rate of a and a rate of b
+        half = once(total(forms * a[:, None, None, None, None], 0))  # (j, k, l)
+        mixed, of_body = total(half * b[:, None, None, None], 0), total(half * a[:, None, None], 1)
+        of_ground, mixed = once((total(across * b[:, None], 2), mixed))  # (i, k) and (k, l)
+        size = once(total(total(mixed * a[:, None, None], 0) * b[:, None], 0) + small)
+        weight = once(details / size)
+        upper, lower, between = once(tuple(total(m * weight, 2) for m in (of_ground, of_body, mixed)))
+        gradient = jnp.concatenate([times(upper, a), times(lower, b)])
         rows = [
             jnp.concatenate([upper, between], axis=1),
-            jnp.concatenate([jnp.swapaxes(between, 0, 1), lower_block], axis=1),
+            jnp.concatenate([jnp.swapaxes(between, 0, 1), lower], axis=1),
         ]
-        hessian = jnp.concatenate(rows) + push * pull[:, None] * pull[None]
+        turned, back = times(mean, b), times(jnp.swapaxes(mean, 0, 1), a)
+        pull, cosine = jnp.concatenate([turned, back]), total(a * turned, 0)
+        value = total(details * jnp.log(size), 0)
+        return once(_Local(value, gradient, jnp.concatenate(rows), cosine, pull))
+
+    def step(i: Array, carry: tuple[Array, Array, _Local, Array]) -> tuple[Array, Array, _Local, Array]:
+        a, b, here, damping = carry
+        push = jnp.where(i <= apart, keep, 0)
+        gradient = here.gradient + push * here.cosine * here.pull
+        hessian = here.hessian + push * here.pull[:, None] * here.pull[None]
         # lengths do not count
         zero = jnp.zeros_like(a)
         both = jnp.stack([jnp.concatenate([a, zero]), jnp.concatenate([zero, b])])
-        gradient = gradient - total(both * total(both * gradient[None], 1)[:, None], 0)
-        top = largest(jnp.stack([hessian[i, i] for i in range(6)]))
-        unit = jnp.asarray(np.eye(6), a.dtype).reshape(6, 6, *[1] * value.ndim)
+        gradient = once(gradient - total(both * total(both * gradient[None], 1)[:, None], 0))
+        top = largest(total(hessian * unit, 1))
         lengths = total(both[:, :, None] * both[:, None], 0)
-        hessian = hessian + unit * ((damping + 1e-9) * top + small) + 10 * top * lengths
-        change = -solve_positive(*once((hessian, gradient)))
-        c, d = normalize(a + change[:3]), normalize(b + change[3:])
-        new = value_of(c, d, variance(c, d)[0])
-        lower = new < value
+        lifted = hessian + unit * ((damping + 1e-9) * top + small) + 10 * top * lengths
+        change = once(-solve_positive(*once((lifted, gradient))))
+        c, d = once((normalize(a + change[:3]), normalize(b + change[3:])))
+        new = expand(c, d)
+        before = here.value + push * here.cosine * here.cosine
+        lower = new.value + push * new.cosine * new.cosine < before
+        kept = jax.tree.map(lambda x, y: jnp.where(lower, x, y), (c, d, new), (a, b, here))
         damping = jnp.clip(jnp.where(lower, damping * 0.1, damping * 10), 1e-7, 1e4)
-        return jnp.where(lower, c, a), jnp.where(lower, d, b), jnp.where(lower, new, value), damping
+        return *kept, damping
 
-    value = value_of(ground, body, variance(ground, body)[0])
-    start = ground, body, value, jnp.full_like(value, 1e-3)
-    a, b, value, _ = jax.lax.fori_loop(0, steps, step, start)
-    return a, b, value
+    # the first step stays at the start, and expands there
+    start = jnp.zeros((6, *ground.shape[1:]), ground.dtype)
+    none = jnp.zeros_like(start[0])
+    nowhere = _Local(none + jnp.inf, start, start[None] + unit, none, start)
+    damping = none + 1e-2
+    a, b, here, _ = jax.lax.fori_loop(0, steps + 1, step, (ground, body, nowhere, damping))
+    return a, b, here.value
+
+
+class _Local(NamedTuple):
+    """Value, gradient (6, ...) and Hessian (6, 6, ...); cosine of the mean angle, and its gradient."""
+
+    value: Array
+    gradient: Array
+    hessian: Array
+    cosine: Array
+    pull: Array

@@ -164,14 +164,13 @@ def amplitudes_of(of: Coordinates, entry: Table, spectra: Spectra) -> Amplitudes
     """
     share, dtype = spectra.share, of.turns.dtype
     together = entry.together
-    axes = [
-        diagonalize(total(form * share, 2)[:, :, None], together=together[rows, rows])
-        for form, rows in ((of.turns, slice(0, 3)), (of.shifts, slice(3, 6)))
-    ]
-    turns, shifts = _diagonal(axes[0], of.turns), _diagonal(axes[1], of.shifts)
-    lever = jnp.concatenate(
-        [_diagonal(a, form[:, :, None])[:, 0] for a, form in zip(axes, of.levers, strict=True)]
-    )
+    both = jnp.stack([of.turns, of.shifts], axis=3)  # (3, 3, S, 2, ...)
+    mixable = jnp.stack([together[:3, :3], together[3:, 3:]], axis=2)
+    whole = once(total(both * share[:, None], 2))
+    axes = once(diagonalize(whole[:, :, None], together=mixable))
+    turns, shifts = jnp.moveaxis(once(_diagonal(axes, both)), 2, 0)
+    lever = jnp.moveaxis(_diagonal(axes, jnp.moveaxis(of.levers, 0, 2)[:, :, None])[:, 0], 1, 0)
+    axes, lever = jnp.moveaxis(axes, 2, 0), lever.reshape(6, *lever.shape[2:])
     # a tracker's error of scale: held translations may move with the largest free rotation
     squares = jnp.where(entry.held[:3], -1.0, total(turns * share, 1))
     widest = largest(squares)

@@ -17,7 +17,7 @@ __all__ = [
     "crossed_frame",
     "gather_moments",
     "in_body",
-    "pick_moments",
+    "path_moments",
     "problem_of",
     "rotation_forms",
 ]
@@ -87,18 +87,12 @@ def gather_moments(products: Array, path: Array, turn: Array) -> EntryMoments:
     return _split_moments(jnp.moveaxis(flat[:, places] * signs, -1, 0))
 
 
-def pick_moments(products: Array, path: np.ndarray, turn: np.ndarray) -> EntryMoments:
-    """Moments of several known kinds, with axes (kinds, ...) behind the scales.
-
-    Args:
-        products: (27, 27, S, ...).
-        path: (kinds,), as in the table.
-        turn: (kinds,).
-    """
-    flat = products.reshape(-1, *products.shape[2:])
-    signs = jnp.asarray(_SIGNS[path, turn].T, products.dtype)
-    picked = flat[_PLACES[path, turn].T] * signs.reshape(*signs.shape, *[1] * (flat.ndim - 1))
-    return _split_moments(jnp.moveaxis(picked, 1, 2))
+def path_moments(products: Array) -> Array:
+    """Moments (3, 4, 3, 4, S, 4, ...) of the paths of the linear types, of moments (27, 27, S, ...)."""
+    places, signs = _PLACES[:4, 0, :144].T, jnp.asarray(_SIGNS[:4, 0, :144].T, products.dtype)
+    picked = products.reshape(-1, *products.shape[2:])[places]
+    picked = picked * signs.reshape(*signs.shape, *[1] * (picked.ndim - 2))
+    return jnp.moveaxis(picked, 1, 2).reshape(3, 4, 3, 4, *products.shape[2:3], 4, *products.shape[3:])
 
 
 def _split_moments(picked: Array) -> EntryMoments:

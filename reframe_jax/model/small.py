@@ -8,7 +8,6 @@ from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 __all__ = [
     "cross",
@@ -22,18 +21,26 @@ __all__ = [
     "solve_positive",
     "times",
     "total",
-    "turn",
 ]
 
 Array = jax.Array
 T = TypeVar("T")
-_EYE = np.eye(3, dtype=bool)
-_PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
 def once(values: T) -> T:
-    """Compute arrays once: XLA would compute them again for every operation that reads them."""
-    return jax.lax.optimization_barrier(values)
+    """Compute arrays once: XLA would compute them again within every operation that reads them.
+
+    An ``optimization_barrier`` does this on a GPU. On a CPU it is removed before operations are joined; only
+    the boundary of a conditional stays, whose predicate is always true, which the compiler cannot know.
+    """
+    return jax.lax.platform_dependent(values, cpu=_conditional, default=jax.lax.optimization_barrier)
+
+
+def _conditional(values: T) -> T:
+    first = next(leaf for leaf in jax.tree.leaves(values) if jnp.issubdtype(leaf.dtype, jnp.floating))
+    first = first[(0,) * first.ndim]
+    always = jnp.isnan(first) | (first <= jnp.inf)
+    return jax.lax.cond(always, lambda x: x, lambda x: jax.tree.map(jnp.zeros_like, x), values)
 
 
 def total(array: Array, *axes: int) -> Array:
@@ -101,29 +108,22 @@ def inverse_and_determinant(s: Array) -> tuple[Array, Array]:
 
 
 def solve_positive(matrix: Array, vector: Array) -> Array:
-    """Solution (n, ...) of a symmetric, positive definite system (n, n, ...), by elimination."""
+    """Solution (n, ...) of a symmetric, positive definite system (n, n, ...), by Gauss and Jordan."""
     n = len(vector)
-    floor = jnp.finfo(matrix.dtype).eps * jnp.stack([matrix[i, i] for i in range(n)])
-    rest, right, rows = matrix, vector, []
-    for _ in range(n):
-        pivot = jnp.maximum(rest[0, 0], floor[n - len(right)] + jnp.finfo(matrix.dtype).tiny)
-        row, value = rest[0, 1:] / pivot, right[0] / pivot
-        rows.append((row, value))
-        right = right[1:] - row * right[0]
-        rest = once(rest[1:, 1:] - rest[1:, :1] * row[None])
-    solution = rows[-1][1][None]
-    for row, value in rows[-2::-1]:
-        solution = jnp.concatenate([(value - total(row * solution, 0))[None], solution])
-    return solution
+    diagonal = jnp.stack([matrix[i, i] for i in range(n)])
+    floor = jnp.finfo(matrix.dtype).eps * diagonal + jnp.finfo(matrix.dtype).tiny
+    place = jnp.arange(n).reshape(n, *[1] * (vector.ndim - 1))
 
+    def eliminate(k: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        matrix, vector = carry
+        pivot, column = matrix[k], jnp.where(place == k, 0, matrix[:, k])
+        size = jnp.maximum(pivot[k], floor[k])
+        row, value = once((pivot / size, vector[k] / size))
+        there = place == k
+        matrix = jnp.where(there[:, None], row[None], matrix - column[:, None] * row[None])
+        return matrix, jnp.where(there, value[None], vector - column * value[None])
 
-def turn(cosine: Array, sine: Array, i: int, j: int) -> Array:
-    """Rotations (3, 3, ...) in the plane of the axes i and j."""
-    zero, one = jnp.zeros_like(cosine), jnp.ones_like(cosine)
-    rows = [[one if a == b else zero for b in range(3)] for a in range(3)]
-    rows[i][i] = rows[j][j] = cosine
-    rows[i][j], rows[j][i] = -sine, sine
-    return jnp.stack([entry for row in rows for entry in row]).reshape(3, 3, *cosine.shape)
+    return jax.lax.fori_loop(0, n, eliminate, (matrix, vector))[1]
 
 
 def diagonalize(
@@ -142,26 +142,33 @@ def diagonalize(
         sweeps: number of rounds over the three pairs.
     """
     tiny = jnp.finfo(forms.dtype).tiny ** 0.5
-    axes = jnp.broadcast_to(
-        jnp.eye(3, dtype=forms.dtype).reshape(3, 3, *[1] * (forms.ndim - 3)),
-        (*forms.shape[:2], *forms.shape[3:]),
-    )
+    lanes = forms.ndim - 3
+    axes = jnp.eye(3, dtype=forms.dtype).reshape(3, 3, *[1] * lanes)
+    axes = jnp.broadcast_to(axes, (*forms.shape[:2], *forms.shape[3:]))
+    allowed = jnp.ones(axes.shape, bool) if together is None else jnp.broadcast_to(together, axes.shape)
 
-    def sweep(_: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        c, v = carry
-        for i, j in _PAIRS:
-            di, dj = jnp.maximum(c[i, i], tiny), jnp.maximum(c[j, j], tiny)
-            gap, w = di - dj, (di - dj) / (di * dj)
-            if weights is not None:
-                w = w * weights
-            apart, mixed = total(w * gap, 0), 2 * total(w * c[i, j], 0)
-            length = jnp.sqrt(apart * apart + mixed * mixed + jnp.finfo(forms.dtype).tiny)
-            tangent = mixed / (apart + length + jnp.finfo(forms.dtype).tiny)
-            if together is not None:
-                tangent = jnp.where(together[i, j], tangent, 0)
-            cosine = 1 / jnp.sqrt(1 + tangent * tangent)
-            q = once(turn(cosine, tangent * cosine, i, j))
-            c, v = once((sandwich(q, c), times(v, q)))
-        return c, v
+    def turn(_: int, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        """Rotate the first two axes, then put the first one last."""
+        c, v, allowed = carry
+        one, two = jnp.maximum(c[0, 0], tiny), jnp.maximum(c[1, 1], tiny)
+        gap, w = one - two, (one - two) / (one * two)
+        if weights is not None:
+            w = w * weights
+        apart, mixed = once((total(w * gap, 0), 2 * total(w * c[0, 1], 0)))
+        length = jnp.sqrt(apart * apart + mixed * mixed + jnp.finfo(forms.dtype).tiny)
+        tangent = mixed / (apart + length + jnp.finfo(forms.dtype).tiny)
+        tangent = jnp.where(allowed[0, 1], tangent, 0)
+        cosine = 1 / jnp.sqrt(1 + tangent * tangent)
+        cosine, sine = once((cosine, tangent * cosine))
+        v = once(_turn_two(v, cosine, sine))
+        c = once(_turn_two(c, cosine[None], sine[None]))
+        c = once(jnp.swapaxes(_turn_two(jnp.swapaxes(c, 0, 1), cosine[None], sine[None]), 0, 1))
+        return c, v, jnp.roll(allowed, (-1, -1), (0, 1))
 
-    return jax.lax.fori_loop(0, sweeps, sweep, (forms, axes))[1]
+    return jax.lax.fori_loop(0, 3 * sweeps, turn, (forms, axes, allowed))[1]
+
+
+def _turn_two(columns: Array, cosine: Array, sine: Array) -> Array:
+    """Columns (3, 3, ...): the first two turned into each other, the third, the new first."""
+    one, two, third = columns[:, 0], columns[:, 1], columns[:, 2]
+    return jnp.stack([two * cosine - one * sine, third, one * cosine + two * sine], axis=1)

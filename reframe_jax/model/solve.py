@@ -16,7 +16,7 @@ from reframe_jax.model import features as z
 from reframe_jax.model.constants import SCALES
 from reframe_jax.model.evidence import Amplitudes, Coordinates, Spectra, amplitudes_of, compare, log_evidence
 from reframe_jax.model.features import Features
-from reframe_jax.model.fit import STEPS, Parameters
+from reframe_jax.model.fit import LAST_STEPS, STEPS, Parameters
 from reframe_jax.model.moments import Moments
 from reframe_jax.model.rows import (
     EntryMoments,
@@ -24,11 +24,11 @@ from reframe_jax.model.rows import (
     crossed_frame,
     gather_moments,
     in_body,
-    pick_moments,
+    path_moments,
     problem_of,
 )
 from reframe_jax.model.search import lowest_origins, norm_at, polynomials, unexplained_covariance
-from reframe_jax.model.small import largest, sandwich, times, total
+from reframe_jax.model.small import largest, once, sandwich, times, total
 from reframe_jax.model.starts import Axes, common_frames, entry_starts, stillest, universal_axes
 from reframe_jax.model.steps import Unknowns, descend, path_of, tilted_axis
 from reframe_jax.model.table import ENTRIES, KINDS, PATHS, ROWS, TABLE, Table
@@ -45,8 +45,7 @@ class Solved(NamedTuple):
 
     Attributes:
         log_probability: (N, E) of every entry; -inf for those that were not fitted.
-        parameters: of the C entries that were fitted, with axes (N, C) in front.
-        amplitudes: of their coordinates, with axes (N, C) in front.
+        parameters: of the C entries that were fitted, with axes (N, C) in front; their tilt is free.
         origins: (N, 4, 3) m, of the lowest norm of every linear type; norm: (N, 4) F there.
         linear_axes: (N, 4, 3, 3) and angular_axes (N, 2, 3, 3): common axes, by amplitude, ascending.
         starts: of every entry, with axes (N, E) in front.
@@ -58,7 +57,6 @@ class Solved(NamedTuple):
 
     log_probability: Array
     parameters: Parameters | None
-    amplitudes: Amplitudes | None
     origins: Array
     norm: Array
     linear_axes: Array
@@ -158,9 +156,6 @@ class _Joint(NamedTuple):
     sine: Array
 
 
-_COMBINATIONS, _COMBINATION = np.unique(np.stack([TABLE.path, TABLE.turn]), axis=1, return_inverse=True)
-
-
 def _last(tree: Table) -> Table:
     return Table(*(jnp.moveaxis(jnp.asarray(leaf), 0, -1) for leaf in tree))
 
@@ -180,17 +175,9 @@ def _compare(
     details, all_details = used.details.T, moments.details.T
     share, white = used.share.T, used.white.T
     mean, place = jnp.moveaxis(features.mean_rotation, 0, -1), jnp.moveaxis(origins, 0, -1).swapaxes(0, 1)
-    path, turn = _COMBINATIONS
-    combined = pick_moments(products, path, turn).in_main_axes(
-        mean[:, :, None], in_body(TABLE._replace(path=path))[:, None]
-    )
-    points = place[:, np.minimum(path, 3)]
-    _, paths = path_of(combined.paths, points)
-    first = [int(np.flatnonzero(path == t)[0]) for t in range(4)]
+    _, paths = path_of(path_moments(products), place)
     turns = jnp.stack([products[r, r] for r in (z.TURN_GROUND, z.TURN_BODY)], axis=3)
-    axes = common_frames(
-        paths[:, :, :, np.array(first)], turns, products[z.POSITION, z.POSITION], details, share
-    )
+    axes = common_frames(paths, turns, products[z.POSITION, z.POSITION], details, share)
     whole = total(products * share, 2)
     a, b = universal_axes(axes, products, details, mean)
     joint = _joint(a, b, place, used.products, features)
@@ -200,7 +187,7 @@ def _compare(
         never = jnp.full((origins.shape[0], len(ENTRIES)), jnp.nan, origins.dtype)
         frames = _first(axes.linear), _first(axes.angular)
         every_start = _start_parameters(starts, mean)
-        return Solved(never, None, None, origins, norm, *frames, every_start, None, scale)
+        return Solved(never, None, origins, norm, *frames, every_start, None, scale)
     spectra = Spectra(
         products,
         details[:, None],
@@ -214,41 +201,83 @@ def _compare(
     own = _own_noise(products, all_details, white, noise)
     turned = jnp.moveaxis(features.to_rotation[:, :, z.TURN_GROUND], 0, -1).transpose(1, 2, 0, 3)
     of = _Windows(products, spectra, mean, own[:, None], turned, _levers(features, turned, place), joint)
-    # ---- a first look at all entries
-    table = Table(*(leaf[..., None] for leaf in _last(TABLE)))
-    every = EntryMoments(*(jnp.take(leaf, _COMBINATION, axis=-2) for leaf in combined))
-    amplitudes, evidence = _judge(every, starts, table, of)
-    before = compare(evidence, amplitudes, starts.pitch, table, details)
-    if assume is not None:
-        before = jnp.where(np.isin(np.arange(len(ENTRIES)), assume)[:, None], before, -jnp.inf)
-    number = CANDIDATES if assume is None else min(CANDIDATES, len(assume))
-    chosen = jax.lax.top_k(before.T, number)[1].T  # (C, N)
-    start = jax.tree.map(
-        lambda leaf: jnp.take_along_axis(leaf, chosen[(None,) * (leaf.ndim - 2)], axis=-2), starts
+    compared = np.arange(len(ENTRIES)) if assume is None else np.asarray(assume)
+    size = min(CANDIDATES, len(compared))
+    blocks = -(-len(compared) // size)
+    codes = jnp.asarray(np.resize(compared, (blocks, size)))  # what fills the last block counts once
+    counts = (np.arange(blocks * size) < len(compared))[:, None]
+    windows = details.shape[1]
+
+    def judge_block(r: Array, codes: Array, start: Unknowns) -> _Block:
+        entries = Table(*(leaf[..., codes] for leaf in _last(TABLE)))
+        picked = jax.vmap(gather_moments)(used.products, entries.path.T, entries.turn.T)
+        picked = EntryMoments(*once(tuple(jnp.moveaxis(leaf, (0, -1), (-1, -2)) for leaf in picked)))
+        picked = EntryMoments(*once(tuple(picked.in_main_axes(mean[:, :, None], in_body(entries)))))
+        problem = problem_of(picked, details[:, None], entries, scale, box, entries.tied & (r <= blocks))
+        steps = jnp.where(r < blocks, 0, jnp.where(r == blocks, STEPS, LAST_STEPS))
+        found, _ = descend(problem, start, steps)
+        amplitudes, evidence = _judge(picked, found, entries, of)
+        return _Block(codes, found, amplitudes, evidence)
+
+    def one_round(r: Array, all_blocks: _Block) -> _Block:
+        """A first look at every block of entries; then the fit of the best ones; then their last fit."""
+        looked = jax.tree.map(lambda leaf: _flat(leaf[:blocks]), all_blocks)
+        entries = Table(*(leaf[..., looked.codes] for leaf in _last(TABLE)))
+        before = compare(looked.evidence, looked.amplitudes, looked.found.pitch, entries, details)
+        best = jax.lax.top_k(jnp.where(counts, before, -jnp.inf).T, size)[1].T
+        best = jnp.take_along_axis(looked.codes, best, axis=0)
+        mine = jnp.where(r < blocks, codes[jnp.minimum(r, blocks - 1)][:, None], best)
+        start = jax.tree.map(
+            lambda leaf, fitted: jnp.where(
+                r > blocks, fitted, jnp.take_along_axis(leaf, mine[(None,) * (leaf.ndim - 2)], axis=-2)
+            ),
+            starts,
+            jax.tree.map(lambda leaf: leaf[blocks], all_blocks.found),
+        )
+        found = judge_block(r, mine, start)
+        return jax.tree.map(lambda whole, new: whole.at[r].set(new), all_blocks, found)
+
+    shape = jax.eval_shape(
+        judge_block,
+        jnp.int32(0),
+        jnp.zeros((size, windows), codes.dtype),
+        jax.tree.map(lambda x: x[..., :size, :], starts),
     )
+    empty = jax.tree.map(lambda leaf: jnp.zeros((blocks + 2, *leaf.shape), leaf.dtype), shape)
+    rounds = jax.lax.fori_loop(0, blocks + 2, one_round, empty)
+    fitted = jax.tree.map(lambda leaf: leaf[blocks], rounds)
+    last = jax.tree.map(lambda leaf: leaf[blocks + 1], rounds.found)
+    chosen = fitted.codes
     entries = Table(*(leaf[..., chosen] for leaf in _last(TABLE)))
-    # ---- the best of them
-    picked = jax.vmap(gather_moments)(used.products, entries.path.T, entries.turn.T)
-    picked = EntryMoments(*(jnp.moveaxis(leaf, (0, -1), (-1, -2)) for leaf in picked))
-    picked = picked.in_main_axes(mean[:, :, None], in_body(entries))
-    problem = problem_of(picked, details[:, None], entries, scale, box, entries.tied)
-    found, _ = descend(problem, start, STEPS)
-    amplitudes, evidence = _judge(picked, found, entries, of)
-    posterior = compare(evidence, amplitudes, found.pitch, entries, details)
+    posterior = compare(fitted.evidence, fitted.amplitudes, fitted.found.pitch, entries, details)
     code = jnp.arange(len(ENTRIES))[:, None, None] == chosen[None]
-    everywhere = largest(jnp.where(code, posterior[None], -jnp.inf), 1)
+    everywhere = jnp.max(jnp.where(code, posterior[None], -jnp.inf), axis=1)
     return Solved(
         everywhere.T,
-        _parameters(found, entries, of),
-        jax.tree.map(_first, amplitudes),
+        _parameters(last, entries, of),
         origins,
         norm,
         _first(axes.linear),
         _first(axes.angular),
-        _parameters(starts, table, of),
+        _start_parameters(starts, mean),
         chosen.T,
         scale,
     )
+
+
+class _Block(NamedTuple):
+    """Some entries of every window: codes (C, N), unknowns, amplitudes and evidence (C, N)."""
+
+    codes: Array
+    found: Unknowns
+    amplitudes: Amplitudes
+    evidence: Array
+
+
+def _flat(leaf: Array) -> Array:
+    """(blocks, ..., C, N) to (..., blocks * C, N)."""
+    moved = jnp.moveaxis(leaf, 0, -3)
+    return moved.reshape(*moved.shape[:-3], -1, moved.shape[-1])
 
 
 def _first(leaf: Array) -> Array:
@@ -297,7 +326,7 @@ def _judge(moments: EntryMoments, at: Unknowns, entries: Table, of: _Windows) ->
     row = entries.apart & (third[:, None] | third[None])
     lever = jnp.where(row, jnp.where(third[:, None] & third[None], at.pitch**2, 0), lever)
     # ---- derivative of the coordinates with respect to the pose
-    axis = times(of.mean[:, :, None], times(at.frame, tilted_axis(at.tilt)[0]))
+    axis = times(of.mean[:, :, None], times(at.frame, tilted_axis(at.tilt)))
     along = total(of.turned[:, :, :, None] * at.frame[None, :, 2, None], 1)
     cosine = total(along * axis[:, None], 0)
     det = jnp.where(entries.apart & in_body(entries), jnp.abs(cosine), 1.0)

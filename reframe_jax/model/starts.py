@@ -21,7 +21,7 @@ __all__ = ["Axes", "common_frames", "entry_starts", "stillest", "universal_axes"
 
 Array = jax.Array
 _STARTS = ("turn", "cross", "normal", "along", "path", "lift")
-_CROSS_STEPS, _LAST_STEPS = 8, 6
+_APART_STEPS, _CROSS_STEPS = 8, 16  # of the search for the axes of a universal joint
 _ALONG = 0.6  # sine of an angle, below which two axes are nearly along each other
 
 
@@ -97,10 +97,9 @@ def universal_axes(axes: Axes, products: Array, details: Array, mean: Array) -> 
     forms = rotation_forms(products)[:, :, :, :, :, None]
     ground, body = axes.angular[:, :, AngularType.G], axes.angular[:, :, AngularType.B]
     a, b = ground[:, np.array([2, 1])], body[:, np.array([1, 2])]
-    a, b, value = crossed_axes(forms, details[:, None], mean[:, :, None], a, b, True, _CROSS_STEPS)
+    a, b, value = crossed_axes(forms, details[:, None], mean[:, :, None], a, b, _APART_STEPS, _CROSS_STEPS)
     better = value[0] <= value[1]
     a, b = (jnp.where(better, v[:, 0], v[:, 1]) for v in (a, b))
-    a, b, _ = crossed_axes(forms[:, :, :, :, :, 0], details, mean, a, b, False, _LAST_STEPS)
     return a, b
 
 

@@ -9,6 +9,7 @@ axis.
 The objective is sum_s n_s log det of the held covariances; see :mod:`.fit`.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -16,7 +17,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.model.small import (
-    cross,
     inverse_and_determinant,
     largest,
     once,
@@ -78,31 +78,33 @@ class Problem(NamedTuple):
     box: Array
 
 
-def tilted_axis(tilt: Array) -> tuple[Array, Array]:
-    """Axis (3, ...) of exp(t_0, t_1, 0), and its derivatives (2, 3, ...)."""
-    squared = total(tilt * tilt, 0) + jnp.finfo(tilt.dtype).tiny
-    angle = jnp.sqrt(squared)
-    s, c = jnp.sin(angle) / angle, jnp.cos(angle)
-    rate, one, two = (c - s) / squared, tilt[0], tilt[1]
-    mixed = rate * one * two
-    rates = [mixed, -s - rate * one * one, -s * one, s + rate * two * two, -mixed, -s * two]
-    return jnp.stack([s * two, -s * one, c]), jnp.stack(rates).reshape(2, 3, *angle.shape)
+def tilted_axis(tilt: Array) -> Array:
+    """Axis (3, ...) of exp(t_0, t_1, 0)."""
+    angle = jnp.sqrt(total(tilt * tilt, 0) + jnp.finfo(tilt.dtype).tiny)
+    sine = jnp.sin(angle) / angle
+    return jnp.stack([sine * tilt[1], -sine * tilt[0], jnp.cos(angle)])
 
 
 def _held(form: Array, held: Array, details: Array) -> tuple[Array, Array]:
-    """Weights n_s C_s^-1 of held columns (3, 3, S, ...), zero elsewhere, and sum_s n_s log det C_s."""
+    """Weights n_s C_s^-1 of held columns (3, 3, S, B, ...), zero elsewhere, and the sum of n_s log det C_s.
+
+    Args:
+        form: (3, 3, S, B, ...) of B blocks.
+        held: (3, B, ...) bool.
+        details: (S, ...).
+    """
     both = (held[:, None] & held[None])[:, :, None]
     small = jnp.finfo(form.dtype).tiny ** 0.5
     unit = jnp.eye(3, dtype=form.dtype).reshape(3, 3, *[1] * (form.ndim - 2))
-    alone = unit * jnp.where(held, small, 1)[:, None, None]
-    inverse, det = inverse_and_determinant(jnp.where(both, form, 0) + alone)
-    return jnp.where(both, inverse * details, 0), total(details * jnp.log(det), 0)
+    lifted = jnp.where(both, form, 0) + unit * jnp.where(held, small, 1)[:, None, None]
+    inverse, det = inverse_and_determinant(lifted)
+    count = details[:, None]
+    return once(jnp.where(both, inverse * count, 0)), total(count * jnp.log(det), 0, 1)
 
 
 def axis_row(at: Unknowns) -> Array:
     """Weights (6, ...) of the position along the axis, less the pitch times the rotation about the axis."""
-    axis, _ = tilted_axis(at.tilt)
-    return jnp.concatenate([times(at.frame, axis), -at.pitch * at.frame[:, 2]])
+    return jnp.concatenate([times(at.frame, tilted_axis(at.tilt)), -at.pitch * at.frame[:, 2]])
 
 
 def row_size(rows: Array, row: Array) -> tuple[Array, Array]:
@@ -124,74 +126,86 @@ def _held_size(problem: Problem, size: Array) -> Array:
     return jnp.where(problem.held_row, size + jnp.finfo(size.dtype).tiny ** 0.5, 1)
 
 
-def _tilt_cost(problem: Problem, tilt: Array) -> tuple[Array, Array]:
-    """Cost of the tilt, and its derivative over 2 t: also the bend of its tangent."""
-    count, squared = total(problem.details, 0), total(tilt * tilt, 0)
-    cost = count * jnp.log1p(squared / problem.scale**2)
-    return jnp.where(problem.tie, cost, 0), jnp.where(problem.tie, count / (problem.scale**2 + squared), 0)
+class _Local(NamedTuple):
+    """The objective about a point: value (...), gradient (9, ...) and the tangent's Hessian (9, 9, ...)."""
+
+    value: Array
+    gradient: Array
+    hessian: Array
 
 
-def _objective(problem: Problem, at: Unknowns) -> Array:
-    _, path = path_of(problem.paths, at.origin)
-    _, one = _held(sandwich(at.frame, problem.turns), problem.held_turns, problem.details)
-    _, two = _held(sandwich(at.frame, path), problem.held_paths, problem.details)
-    _, size = row_size(problem.rows, axis_row(at))
-    three = total(problem.details * jnp.log(_held_size(problem, size)), 0)
-    return one + two + three + _tilt_cost(problem, at.tilt)[0]
+def _blocks(problem: Problem, frame: Array, origin: Array) -> tuple[Array, Array, Array, Array]:
+    """Value, gradient and Hessian (6, ...) of the held blocks in rotation and origin."""
+    half, path = path_of(problem.paths, origin)
+    forms = once(jnp.stack([problem.turns, path], axis=3))  # (3, 3, S, 2, ...)
+    held = jnp.stack([problem.held_turns, problem.held_paths], axis=1)
+    lanes = frame[:, :, None]
+    inverse, value = _held(once(sandwich(lanes, forms)), held, problem.details)
+    weight = once(sandwich(jnp.swapaxes(lanes, 0, 1), inverse))
+    # directions turn, the origin moves
+    levi = partial(jnp.tensordot, jnp.asarray(_LEVI_CIVITA, frame.dtype), precision="highest")
+    pulled = once(total(forms[:, :, None] * weight[None], 1, 3, 4))
+    bent = once(total(weight[:, :, None, None] * forms[None, None], 4, 5))
+    bend = jnp.asarray(_BEND, frame.dtype)
+    turns = jnp.tensordot(bend, bent.reshape(81, *bent.shape[4:]), 1, precision="highest")
+    on_path = weight[:, :, :, 1]
+    ahead = once(total(on_path[:, :, None, None] * half[None, :, 1:], 1, 4))  # (k, a, j)
+    both = levi(jnp.swapaxes(ahead, 1, 2), axes=((1, 2), (0, 1)))
+    moves = once(total(problem.paths[:, 1:, :, 1:] * on_path[:, None, :, None], 4))
+    gradient = [-levi(pulled, axes=((1, 2), (0, 1))), ahead[0, :, 0] + ahead[1, :, 1] + ahead[2, :, 2]]
+    turns, both, moves = once((turns.reshape(3, 3, *bent.shape[4:]), both, total(moves, 0, 2)))
+    top = jnp.concatenate([turns, both], axis=1)
+    bottom = jnp.concatenate([jnp.swapaxes(both, 0, 1), moves], axis=1)
+    return value, jnp.concatenate(gradient), top, bottom
 
 
-def _expand(problem: Problem, at: Unknowns) -> tuple[Array, Array]:
-    """Gradient (9, ...) and the Hessian of the tangent (9, 9, ...), in rotation, origin, tilt and pitch."""
-    back = jnp.swapaxes(at.frame, 0, 1)
-    half, path = path_of(problem.paths, at.origin)
-    weights = [
-        once(sandwich(back, _held(once(sandwich(at.frame, form)), held, problem.details)[0]))
-        for form, held in ((problem.turns, problem.held_turns), (path, problem.held_paths))
-    ]
-    # ---- rotations and translations: directions turn, the origin moves
-    pulled = jnp.zeros_like(at.frame)
-    bent = jnp.zeros((3, 3, 3, 3, *at.frame.shape[2:]), at.frame.dtype)
-    for weight, form in zip(weights, (problem.turns, path), strict=True):
-        pulled = pulled + total(form[:, :, None] * weight[None], 1, 3)
-        bent = bent + total(weight[:, :, None, None] * form[None, None], 4)
-    turning = jnp.stack(
-        [pulled[2, 1] - pulled[1, 2], pulled[0, 2] - pulled[2, 0], pulled[1, 0] - pulled[0, 1]]
-    )
-    turns_turns = jnp.tensordot(jnp.asarray(_BEND, bent.dtype), bent.reshape(81, *bent.shape[4:]), 1)
-    turns_turns = turns_turns.reshape(3, 3, *bent.shape[4:])
-    ahead = once(total(weights[1][:, :, None, None] * half[None, :, 1:], 1, 4))  # (k, a, j)
-    moving = ahead[0, :, 0] + ahead[1, :, 1] + ahead[2, :, 2]
-    turns_moves = jnp.stack([ahead[i, :, j] - ahead[j, :, i] for i, j in ((1, 2), (2, 0), (0, 1))])
-    moves_moves = total(problem.paths[:, 1:, :, 1:] * weights[1][:, None, :, None], 0, 2, 4)
-    # ---- the row along the axis
-    axis, rates = tilted_axis(at.tilt)
-    along, third = times(at.frame, axis), at.frame[:, 2]
-    row = jnp.concatenate([along, -at.pitch * third])
+def _row(problem: Problem, at: Unknowns) -> tuple[Array, Array, Array]:
+    """Value, gradient and Hessian (6, ...) of the row along the axis in rotation, tilt and pitch.
+
+    The tilt is given by tangents (t_0, t_1): the axis lies along (t_0, t_1, 1) in the frame.
+    """
+    frame, third = at.frame, at.frame[:, 2]
+    inverse = 1 / jnp.sqrt(1 + total(at.tilt * at.tilt, 0))
+    axis = jnp.concatenate([at.tilt, jnp.ones_like(inverse)[None]]) * inverse
+    along = times(frame, axis)
+    parts = once(jnp.stack([along, -at.pitch * third]))
+    row = parts.reshape(6, *inverse.shape)
     moved, size = row_size(problem.rows, row)
-    each = jnp.where(problem.held_row, problem.details / _held_size(problem, size), 0)
-    unit = jnp.broadcast_to(jnp.eye(3, dtype=row.dtype).reshape(3, 3, *[1] * at.pitch.ndim), at.frame.shape)
-    spun = [cross(unit, jnp.broadcast_to(v[:, None], unit.shape)) for v in (along, -at.pitch * third)]
-    tilted = [times(at.frame, rates[0]), times(at.frame, rates[1])]
+    size = jnp.where(problem.held_row, size + jnp.finfo(size.dtype).tiny ** 0.5, 1)
+    each = once(jnp.where(problem.held_row, problem.details / size, 0))
+    levi = jnp.asarray(_LEVI_CIVITA, frame.dtype)
+    spun = jnp.tensordot(levi, parts, ((1,), (1,)), precision="highest")  # (3, 3, 2, ...), e_m x v
+    spun = jnp.swapaxes(spun, 1, 2).reshape(3, 6, *inverse.shape)
+    tilted = jnp.swapaxes(frame[:, :2] - along[:, None] * axis[None, :2], 0, 1) * inverse
+    tilted = jnp.where(problem.tilted, tilted, 0)
     zero = jnp.zeros_like(third)
-    rates_of = [jnp.concatenate([spun[0][:, m], spun[1][:, m]]) for m in range(3)]
-    rates_of += [jnp.concatenate([jnp.where(problem.tilted, v, 0), zero]) for v in tilted]
-    rates_of.append(jnp.concatenate([zero, jnp.where(problem.pitch, -third, 0)]))
-    slopes = once(jnp.stack(rates_of))  # (6 unknowns, 6, ...)
-    row_gradient = total(slopes * total(each * moved, 1)[None], 1)
-    form = total(problem.rows * each, 2)
-    carried = once(times(slopes, once(form)))
-    row_hessian = total(carried[:, None] * slopes[None], 2)
-    bend = _tilt_cost(problem, at.tilt)[1]
-    gradient = 2 * jnp.concatenate(
-        [turning + row_gradient[:3], moving, row_gradient[3:5] + bend * at.tilt, row_gradient[5:]]
-    )
-    empty = jnp.zeros((3, 3, *bend.shape), bend.dtype)
-    bends = jnp.asarray(np.diag([1.0, 1.0, 0.0]), bend.dtype).reshape(3, 3, *[1] * bend.ndim) * bend
-    top = [turns_turns + row_hessian[:3, :3], turns_moves, row_hessian[:3, 3:]]
-    middle = [jnp.swapaxes(turns_moves, 0, 1), moves_moves, empty]
-    bottom = [row_hessian[3:, :3], empty, row_hessian[3:, 3:] + bends]
-    hessian = 2 * jnp.concatenate([jnp.concatenate(blocks, axis=1) for blocks in (top, middle, bottom)])
-    return gradient, hessian
+    advance = jnp.concatenate([zero, jnp.where(problem.pitch, -third, 0)])[None]
+    slopes = once(jnp.concatenate([spun, jnp.concatenate([tilted, jnp.zeros_like(tilted)], axis=1), advance]))
+    gradient = total(slopes * once(total(each * moved, 1))[None], 1)
+    carried = once(times(slopes, once(total(problem.rows * each, 2))))
+    hessian = once(total(carried[:, None] * slopes[None], 2))
+    value = total(problem.details * jnp.log(size), 0)
+    # ---- the cost of the tilt
+    count, squared = total(problem.details, 0), total(at.tilt * at.tilt, 0)
+    cost = jnp.where(problem.tie, count * jnp.log1p(squared / problem.scale**2), 0)
+    bend = jnp.where(problem.tie, count / (problem.scale**2 + squared), 0)
+    gradient = gradient + jnp.concatenate([zero, bend * at.tilt, zero[:1]])
+    diagonal = jnp.asarray(np.diag([0.0, 0, 0, 1, 1, 0]), bend.dtype).reshape(6, 6, *[1] * bend.ndim)
+    return value + cost, gradient, hessian + diagonal * bend
+
+
+def _expand(problem: Problem, at: Unknowns) -> _Local:
+    """The objective about a point, in rotation, origin, tilt and pitch."""
+    value, first, top, bottom = _blocks(problem, at.frame, at.origin)
+    of_row, second, row = once(_row(problem, at))
+    zero = jnp.zeros_like(row[:3, :3])
+    gradient = jnp.concatenate([first[:3] + second[:3], first[3:], second[3:]])
+    rows = [
+        jnp.concatenate([top[:, :3] + row[:3, :3], top[:, 3:], row[:3, 3:]], axis=1),
+        jnp.concatenate([bottom, zero], axis=1),
+        jnp.concatenate([row[3:, :3], zero, row[3:, 3:]], axis=1),
+    ]
+    return once(_Local(value + of_row, 2 * gradient, 2 * jnp.concatenate(rows)))
 
 
 def _move(at: Unknowns, step: Array, box: Array) -> Unknowns:
@@ -203,25 +217,44 @@ def _move(at: Unknowns, step: Array, box: Array) -> Unknowns:
     )
 
 
-def descend(problem: Problem, start: Unknowns, steps: int) -> tuple[Unknowns, Array]:
+def descend(problem: Problem, start: Unknowns, steps: int | Array) -> tuple[Unknowns, Array]:
     """Unknowns after a number of Levenberg and Marquardt's steps for the tangent, and the objective there."""
-    small = jnp.finfo(start.frame.dtype).tiny ** 0.5
+    dtype, lanes = start.frame.dtype, start.pitch.shape
+    small = jnp.finfo(dtype).tiny ** 0.5
+    unit = jnp.eye(9, dtype=dtype).reshape(9, 9, *[1] * len(lanes))
 
-    def step(_: int, carry: tuple[Unknowns, Array, Array]) -> tuple[Unknowns, Array, Array]:
-        at, value, damping = carry
-        gradient, hessian = _expand(problem, at)
-        size = jnp.stack([hessian[i, i] for i in range(9)])
+    def step(_: Array, carry: tuple[Unknowns, _Local, Array]) -> tuple[Unknowns, _Local, Array]:
+        at, here, damping = carry
+        size = total(here.hessian * unit, 1)
         lift = damping * size + 1e-9 * largest(size) + small
-        unit = jnp.eye(9, dtype=lift.dtype).reshape(9, 9, *[1] * value.ndim)
-        change = -solve_positive(*once((hessian + unit * lift[:, None], gradient)))
-        change = change * jnp.minimum(1, _LONGEST / jnp.maximum(largest(jnp.abs(change)), small))
-        there = once(_move(at, once(change), problem.box))
-        new = _objective(problem, there)
-        lower = new < value
-        at = jax.tree.map(lambda a, b: jnp.where(lower, a, b), there, at)
+        change = -solve_positive(here.hessian + unit * lift[:, None], here.gradient)
+        change = once(change * jnp.minimum(1, _LONGEST / jnp.maximum(largest(jnp.abs(change)), small)))
+        there = once(_move(at, change, problem.box))
+        new = _expand(problem, there)
+        lower = new.value < here.value
+        at, here = jax.tree.map(lambda a, b: jnp.where(lower, a, b), (there, new), (at, here))
         damping = jnp.clip(jnp.where(lower, damping * 0.1, damping * 10), 1e-7, 1e4)
-        return at, jnp.where(lower, new, value), damping
+        return at, here, damping
 
-    value = _objective(problem, start)
-    found, value, _ = jax.lax.fori_loop(0, steps, step, (start, value, jnp.full_like(value, _DAMPING)))
-    return found, value
+    # the first step stays at the start, and expands the objective there
+    nowhere = _Local(
+        jnp.full(lanes, jnp.inf, dtype),
+        jnp.zeros((9, *lanes), dtype),
+        jnp.zeros((9, 9, *lanes), dtype) + unit,
+    )
+    at = start._replace(tilt=_tangents(start.tilt))
+    carry = at, nowhere, jnp.full(lanes, 10 * _DAMPING, dtype)
+    at, here, _ = jax.lax.fori_loop(0, steps + 1, step, carry)
+    return at._replace(tilt=_angles(at.tilt)), here.value
+
+
+def _tangents(tilt: Array) -> Array:
+    """Tilt (t_0, t_1, 1) of the axis, from the rotation vector of a tilt."""
+    axis = tilted_axis(tilt)
+    return axis[:2] / axis[2:]
+
+
+def _angles(tangents: Array) -> Array:
+    """The inverse of :func:`_tangents`."""
+    length = jnp.sqrt(total(tangents * tangents, 0) + jnp.finfo(tangents.dtype).tiny)
+    return jnp.stack([-tangents[1], tangents[0]]) * (jnp.arctan(length) / length)

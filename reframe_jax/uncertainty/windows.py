@@ -10,15 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import in_float64, index_leaves, traced
-from reframe_jax.identification.inputs import pad_recording, take_poses, take_steps
+from reframe_jax.compilation import in_float64, index_leaves, join_parts, traced
+from reframe_jax.identification.inputs import batch_size, pad_poses, take_poses, take_steps
 from reframe_jax.identification.options import Scales, take_scales
 from reframe_jax.identification.results import Identification
 from reframe_jax.uncertainty.refit import Estimate, estimate_of
 
 __all__ = ["over_windows"]
 
-_CHUNK = {"cpu": 32, "gpu": 1024}  # windows at once: moments of all parts fit the memory
+_CHUNK = {"cpu": 8, "gpu": 1024}  # windows at once: moments of all parts fit the memory
 
 
 def over_windows(
@@ -59,9 +59,9 @@ def over_windows(
         run = partial(_run, function=function, scales=take_scales(scales, array.shape[-3]), **static)
         batch = array.shape[:-3]
         if not batch:
-            array, steps, count = pad_recording(array, np.asarray(steps) if wide else steps)
+            steps = np.asarray(steps) if wide else steps
             one = jax.tree.map(lambda leaf: leaf[None], (array, steps, estimate))
-            result = index_leaves(run(one[0], one[1], count, one[2]), 0)
+            result = index_leaves(_in_pieces(run, *one), 0)
         else:
             steps = jnp.broadcast_to(steps, (*batch, array.shape[-3] - 1))
             flat = jax.tree.map(
@@ -79,16 +79,19 @@ def _run(poses: Any, steps: Any, count: Any, found: Estimate, *, function: Any, 
 
 
 def _in_pieces(run: Callable[..., Any], poses: Any, steps: Any, found: Estimate) -> Any:
-    """Windows in pieces of one of few sizes; the last piece repeats its last window."""
-    count, size = len(poses), _CHUNK.get(jax.default_backend(), 256)
-    if count <= size or traced((poses, steps, found)):
+    """Windows in pieces of one of few sizes and lengths; the last piece repeats its last window."""
+    if traced((poses, steps, found)):
         return run(poses, steps, None, found)
+    count, length = poses.shape[:2]
+    poses, steps, padded = pad_poses(poses, steps)
+    size = batch_size(count, _CHUNK.get(jax.default_backend(), 256))
+    lengths = np.full(size, length, np.int32) if padded else None
     parts = []
     for start in range(0, count, size):
         rows = np.minimum(np.arange(start, start + size), count - 1)
         piece = jax.tree.map(lambda leaf, rows=rows: leaf[rows], (poses, steps, found))
-        parts.append(run(piece[0], piece[1], None, piece[2]))
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:count], *parts)
+        parts.append(run(piece[0], piece[1], lengths, piece[2]))
+    return join_parts(parts, count)
 
 
 def _narrow(leaf: Any) -> Any:
