@@ -257,10 +257,8 @@ def _report_window(
     data = Data(live.products, live.details, mean, window.box)
     share = jnp.where(jnp.arange(len(live.width)) == len(live.width) - 1, 1.0, 0.25) * (live.details > 0)
     total = jnp.einsum("s,sfg->fg", share.astype(live.products.dtype), live.products)
-    types = types._replace(
-        angular_axes=jax.vmap(_fix_signs)(types.angular_axes),
-        linear_axes=jax.vmap(_fix_signs)(types.linear_axes),
-    )
+    fixed = jax.vmap(_fix_signs)(jnp.concatenate([types.angular_axes, types.linear_axes]))
+    types = types._replace(angular_axes=fixed[:2], linear_axes=fixed[2:])
     if thresholds is None:
         winner = winner_of_window(solved, data)
     else:
@@ -273,7 +271,7 @@ def _report_window(
     weights = coordinates(parameters._replace(pitch=jnp.zeros_like(parameters.pitch)), mean, entry)
     held = entry.held & ~(entry.pitch & (jnp.arange(6) == 5))
     linear_axes = bodies[jnp.asarray(ORIENTATION_BODIES)[kind]][:, entry.column[3:]]
-    linear = _block_rows(linear_axes, weights[3:], entry.together[3:, 3:], ~held[3:], total)
+    of_linear = linear_axes, weights[3:], entry.together[3:, 3:], ~held[3:]
     turned_in = jnp.where(jnp.asarray(_IN_GROUND)[known], int(AngularType.G), int(AngularType.B))
     angular_type = jnp.where(jnp.sum(~held[:3]) == 2, jnp.argmin(types.angular_norm), turned_in).astype(
         jnp.int32
@@ -285,8 +283,10 @@ def _report_window(
         rows = axes.T @ jnp.asarray(ROWS, axes.dtype)[_TURNS[body], :, 0]
         free = jnp.where(plain, jnp.arange(3) >= 3 - jnp.sum(~held[:3]), ~held[:3])
         together = free[:, None] == free[None, :]
-        of_types.append(_block_rows(axes, rows, together, free, total))
-    angular_all: _Rows = jax.tree.map(lambda *leaves: jnp.stack(leaves), *of_types)
+        of_types.append((axes, rows, together, free))
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), of_linear, *of_types)
+    every: _Rows = jax.vmap(partial(_block_rows, total=total))(*stacked)
+    linear, angular_all = _Rows(*(leaf[0] for leaf in every)), _Rows(*(leaf[1:] for leaf in every))
     speeds = partial(_speeds, live=live, step=step)
     angular_rms, linear_rms = jax.vmap(speeds)(angular_all.weights), speeds(linear.weights)
     any_origin = jnp.asarray(_ANY_ORIGIN)[known]
@@ -319,8 +319,9 @@ def _report_window(
     linear_axes_all = types.linear_axes.at[kind].set(linear.axes)
     linear_rms_all = types.linear_rms.at[kind].set(linear_rms)
     linear_dof_all = linear_dof_all.at[kind].set(linear.dof)
-    angular_rotvecs = jax.vmap(_rotvec)(angular_all.axes, angular_all.dof)
-    linear_rotvecs = jax.vmap(_rotvec)(linear_axes_all, linear_dof_all)
+    every_dof = jnp.concatenate([angular_all.dof, linear_dof_all])
+    rotvecs = jax.vmap(_rotvec)(jnp.concatenate([angular_all.axes, linear_axes_all]), every_dof)
+    angular_rotvecs, linear_rotvecs = rotvecs[:2], rotvecs[2:]
     r = jnp.sum(angular_all.dof[a])
     crossed = entry.crossed & (code >= 0)
     found = Identification(

@@ -75,13 +75,14 @@ def nearest_rotation(matrix: jax.Array) -> jax.Array:
     result made orthogonal by Gram and Schmidt.
     """
     tiny = 1e-9 * jnp.eye(3, dtype=matrix.dtype)
-    x = matrix + tiny
-    for _ in range(14):
-        a, b, c = x[..., 0, :], x[..., 1, :], x[..., 2, :]
-        cofactors = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)], axis=-2)
-        det = jnp.sum(a * cofactors[..., 0, :], axis=-1)[..., None, None]
-        det = jnp.where(jnp.abs(det) < 1e-9, 1e-9, det)
-        x = (x + cofactors / det) / 2
+
+    def step(_: int, x: jax.Array) -> jax.Array:
+        rows = jnp.moveaxis(x, -2, 0)
+        cofactors = jnp.moveaxis(jnp.cross(jnp.roll(rows, -1, 0), jnp.roll(rows, -2, 0)), 0, -2)
+        det = jnp.sum(x[..., 0, :] * cofactors[..., 0, :], axis=-1)[..., None, None]
+        return (x + cofactors / jnp.where(jnp.abs(det) < 1e-9, 1e-9, det)) / 2
+
+    x = jax.lax.fori_loop(0, 14, step, matrix + tiny)
     u = x[..., 0]
     u = u / jnp.linalg.norm(u, axis=-1, keepdims=True)
     v = x[..., 1] - u * jnp.sum(u * x[..., 1], axis=-1, keepdims=True)
