@@ -25,6 +25,7 @@ __all__ = [
 
 Array = jax.Array
 T = TypeVar("T")
+_NO_MOMENT = -1.2345678e33  # a number that nothing here can be
 
 
 def once(values: T) -> T:
@@ -33,13 +34,10 @@ def once(values: T) -> T:
     An ``optimization_barrier`` does this on a GPU. On a CPU it is removed before operations are joined; only
     the boundary of a conditional stays, whose predicate is always true, which the compiler cannot know.
     """
-    return jax.lax.platform_dependent(values, cpu=_conditional, default=jax.lax.optimization_barrier)
-
-
-def _conditional(values: T) -> T:
+    if jax.default_backend() != "cpu":
+        return jax.lax.optimization_barrier(values)
     first = next(leaf for leaf in jax.tree.leaves(values) if jnp.issubdtype(leaf.dtype, jnp.floating))
-    first = first[(0,) * first.ndim]
-    always = jnp.isnan(first) | (first <= jnp.inf)
+    always = jax.lax.index_in_dim(first.reshape(-1), 0, keepdims=False) != _NO_MOMENT
     return jax.lax.cond(always, lambda x: x, lambda x: jax.tree.map(jnp.zeros_like, x), values)
 
 
