@@ -31,14 +31,14 @@ def write_page(path: Path | str, windows: list[WindowTrack], *, title: str = "re
     try:
         drawing.draw(windows[0])
         recording = server.get_scene_serializer()
-        share = max(2, _FRAMES // len(windows))
+        samples_per_window = max(2, _FRAMES // len(windows))
         for index, window in enumerate(windows):
             if index:
                 drawing.draw(window)
-            samples = np.unique(np.linspace(0, len(window.times) - 1, share).astype(int))
+            samples = np.unique(np.linspace(0, len(window.times) - 1, samples_per_window).astype(int))
             waits = np.diff(window.times[samples], append=window.times[-1])
             for sample, wait in zip(samples, waits, strict=True):
-                drawing.show(int(sample))
+                drawing.move_to(int(sample))
                 recording.insert_sleep(float(wait))
         text = recording.as_html()
         captions = [drawing.caption(window) for window in windows]

@@ -93,7 +93,7 @@ class Page:
             choice = gui.add_slider("window", 0, len(windows) - 1, 1, 0)
             choice.on_update(lambda _: self._select(int(choice.value)))
         self._time: Any = gui.add_slider("time [s]", 0.0, 1.0, 0.001, 0.0)
-        self._time.on_update(lambda _: self._show())
+        self._time.on_update(lambda _: self._move_to_time())
         self._playing = gui.add_checkbox("play", False)
         self._plots = gui.add_folder("velocities along the axes")
         self._table = gui.add_folder("result", expand_by_default=False)
@@ -118,7 +118,7 @@ class Page:
         times = self._current.times
         later = self._time.value + seconds
         self._time.value = float(later if later <= times[-1] else times[0])
-        self._show()
+        self._move_to_time()
 
     def close(self) -> None:
         """Stop the server."""
@@ -156,12 +156,12 @@ class Page:
         with self._table:
             self._charts.append(gui.add_html(f"<pre style='font-size:9px'>{html.escape(window.text)}</pre>"))
 
-    def _show(self) -> None:
+    def _move_to_time(self) -> None:
         """Move everything to the pose nearest to the time of the slider."""
         with self._lock:
             sample = int(np.argmin(np.abs(self._current.times - self._time.value)))
             with self._server.atomic():
-                self._drawing.show(sample)
+                self._drawing.move_to(sample)
 
 
 def velocity_series(window: WindowTrack) -> list[tuple[str, list[tuple[str, str, np.ndarray]]]]:
