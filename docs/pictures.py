@@ -12,6 +12,7 @@ from reframe_jax import plotting
 from reframe_jax.constraints.catalogue import OTHER_CONSTRAINTS
 from reframe_jax.constraints.located import frame_arrays, locate_on_host
 from reframe_jax.geometry import rotations
+from reframe_jax.joints.chain import JointPart, chain_poses
 from reframe_jax.plotting.style import BODY, TURNING, axis_colours, new_figure
 from reframe_jax.simulation import synthetic
 
@@ -103,6 +104,8 @@ def gallery() -> None:
 def _draw_constraint(axes: Any, label: str) -> None:
     made = synthetic.simulate(label, jax.random.key(0), duration=MOTIONS.get(label, EXCITED), dt=0.02)
     poses, truth = np.asarray(made.exact_poses, float), made.truth
+    if label == "universal":
+        poses = _universal_poses(np.asarray(made.times))
     there = locate_on_host(frame_arrays(truth), poses)
     origins = poses[:, :3, 3] + there.lever
     points = np.concatenate([poses[:, :3, 3], origins])
@@ -126,7 +129,10 @@ def _draw_constraint(axes: Any, label: str) -> None:
             else:
                 end = origins[sample] + length * axis
                 axes.plot(*np.stack([origins[sample], end]).T, "--", color=colours, linewidth=2.5)
-        for free, axis in zip(free_turns, there.angular_axes[sample].T, strict=True):
+        turning = there.angular_axes[sample].copy()
+        if label == "universal":
+            turning[:, 0] = (1, 0, 0)  # fixed in the ground; the other axis is fixed in the body
+        for free, axis in zip(free_turns, turning.T, strict=True):
             if free:
                 ends = origins[sample] + np.array([[-1.1], [1.1]]) * length * axis
                 axes.plot(*ends.T, "-.", color=TURNING, linewidth=1.8)
@@ -140,6 +146,12 @@ def _draw_constraint(axes: Any, label: str) -> None:
         axes.locator_params(axis=name, nbins=4)
     axes.set_box_aspect((1, 1, 1), zoom=0.88)
     axes.tick_params(labelsize=8)
+
+
+def _universal_poses(times: np.ndarray) -> np.ndarray:
+    """Poses (N, 4, 4) on two hinges: about x of the ground, then about y of the body."""
+    hinges = [JointPart("hinge", np.eye(3)[axis], np.array([0.1, 0.3, 0.1])) for axis in (0, 1)]
+    return chain_poses(hinges, np.eye(4), np.stack([0.7 * times, 0.8 * times], axis=1))
 
 
 def _draw_box(axes: Any, pose: np.ndarray, strength: float) -> None:
