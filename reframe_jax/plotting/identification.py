@@ -101,7 +101,7 @@ def _draw_amplitudes(axes: "Axes", frame: AngularFrame | LinearFrame, motion: st
     for place, size, probability in zip(places, amplitude, np.asarray(frame.free_probability), strict=True):
         chance = "" if np.isnan(probability) else f", P(free) {_format_probability(float(probability))}"
         text = f" {float(f'{size:.2g}'):g} {unit}{chance}"
-        axes.text(size, place, text, va="center", fontsize=_FONT)
+        axes.text(float(size), float(place), text, va="center", fontsize=_FONT)
     freedom = ("constrained", "free")
     axes.set_yticks(
         places, [f"axis {i}, {freedom[int(free)]}" for i, free in zip(places, frame.dof, strict=True)]

@@ -15,7 +15,8 @@ _WIDTH, _HEIGHT, _MARGIN = 340, 130, 46  # px, of a plot; the margin holds -1.2e
 _STYLE = """<style>
 #reframe-panel {
   position: fixed; top: 8px; right: 8px; z-index: 1000; width: 360px; max-height: 88vh; overflow: auto;
-  padding: 6px 10px; background: rgba(255, 255, 255, .92); border-radius: 6px; font: 12px sans-serif; color: #222;
+  padding: 6px 10px; background: rgba(255, 255, 255, .92); border-radius: 6px;
+  font: 12px sans-serif; color: #222;
 }
 #reframe-panel pre { font-size: 9px; overflow-x: auto; }
 @media (max-width: 36em) { /* below the scene, and above the controls of the playback */
