@@ -42,6 +42,7 @@ PAGES = (
     "docs/exports.md",
     "docs/uncertainty.md",
 )
+WITHOUT_OUTPUTS = {"docs/exports.md"}  # long files; its cells run
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -51,7 +52,8 @@ def test_cells_print_what_the_page_shows(page: str, plain_jax: None, monkeypatch
     monkeypatch.chdir(ROOT)
     _, outputs = cells.run_cells((ROOT / page).read_text(), page)
     assert outputs
-    differences = [line for stored, new in outputs for line in cells.output_differences(stored, new)]
+    shown = [pair for pair in outputs if pair[0] or page not in WITHOUT_OUTPUTS]
+    differences = [line for stored, new in shown for line in cells.output_differences(stored, new)]
     assert not differences, "\n".join(differences)
 
 
