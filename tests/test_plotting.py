@@ -199,7 +199,7 @@ def test_outliers_are_crosses_and_do_not_spoil_the_picture(
 
 def test_axes_have_different_colours(poses: np.ndarray) -> None:
     for dof in ((0, 0, 0), (0, 1, 1), (1, 1, 1)):
-        _, _, (linear, _) = draw(poses, identification(LinearType.GB, linear_dof=dof))
+        _, _, (linear, *_) = draw(poses, identification(LinearType.GB, linear_dof=dof))
         colours = [to_hex(line.get_color()).upper() for line in linear.lines[:3]]
         assert len(set(colours)) == 3
         assert [colour in FREE for colour in colours] == [bool(free) for free in dof]
