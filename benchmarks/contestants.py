@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 
 import reframe_jax as rf
 from benchmarks.dual_annealing import DT, anneal, six_moments
-from benchmarks.timing import in_chunks, timed, timed_once
+from benchmarks.timing import in_chunks, timed, timed_call
 from reframe_jax.constraints.located import ground_offset
 from reframe_jax.objectives.velocity import FrameObjective
 from reframe_jax.solvers import Box
@@ -149,5 +149,5 @@ def cma_es(poses: np.ndarray, runs: int, generations: int) -> Solved:
         return jnp.concatenate([turned, values], axis=-1), x[..., 3:]
 
     run = jax.jit(all_problems)
-    (values, x), seconds, compiling = timed_once(run, angular, linear)
+    (values, x), seconds, compiling = timed_call(run, angular, linear)
     return np.exp(np.asarray(values)), shift_positions(np.asarray(x), centre), seconds, compiling

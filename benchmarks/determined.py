@@ -19,12 +19,12 @@ from reframe_jax.constraints.types import POSITION_BODIES
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.motion.kinematics import velocity_components
 
-__all__ = ["Told", "determined", "distances"]
+__all__ = ["Determination", "determined", "distances"]
 
 _NOISES = 10  # that an axis goes at least to be seen free
 
 
-class Told(NamedTuple):
+class Determination(NamedTuple):
     """What the motion tells of N windows.
 
     Attributes:
@@ -44,7 +44,7 @@ def determined(
     dt: float,
     sigma: np.ndarray,
     rotation_ratio: np.ndarray,
-) -> Told:
+) -> Determination:
     """What the motion tells of the truth.
 
     Args:
@@ -69,8 +69,8 @@ def determined(
     angular = free_rotations[:, int(frame.angular_type)] == sum(entry.angular_dof)
     own = free_translations[:, int(frame.linear_type)] == number
     dof = angular & own & (np.min(free_translations, axis=1) == number)
-    alone = np.sum(free_translations == number, axis=1) == 1
-    return Told(dof, dof & (alone | (entry.linear_type is None)))
+    unique_type = np.sum(free_translations == number, axis=1) == 1
+    return Determination(dof, dof & (unique_type | (entry.linear_type is None)))
 
 
 @jax.jit

@@ -401,11 +401,11 @@ def attack(count: int, only: Sequence[str]) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         parts: dict[str, Callable[[int], Tally]] = {
-            "files": lambda n: attack_files(n, folder),
+            "files": lambda number: attack_files(number, folder),
             "windows": attack_windows,
             "arguments": attack_arguments,
-            "stores": lambda n: attack_stores(n, folder),
-            "commands": lambda n: attack_commands(n, folder),
+            "stores": lambda number: attack_stores(number, folder),
+            "commands": lambda number: attack_commands(number, folder),
         }
         for part in only:
             began = time.monotonic()
@@ -413,7 +413,7 @@ def attack(count: int, only: Sequence[str]) -> dict[str, Any]:
             seconds = time.monotonic() - began
             outcomes = dict(tally.outcomes.most_common())
             report[part] = {"outcomes": outcomes, "faults": dict(tally.faults), "seconds": seconds}
-            words = ", ".join(f"{n:,} {outcome}" for outcome, n in outcomes.items())
+            words = ", ".join(f"{number:,} {outcome}" for outcome, number in outcomes.items())
             faults = sum(tally.faults.values())
             print(
                 f"{part:10}{sum(outcomes.values()):9,}: {words}; {faults} faults; {seconds:.0f} s", flush=True

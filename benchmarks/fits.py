@@ -16,7 +16,7 @@ import numpy as np
 
 import reframe_jax as rf
 from benchmarks.bounds import Bound
-from benchmarks.determined import Told
+from benchmarks.determined import Determination
 from benchmarks.dual_annealing import rotation_matrix, sampled_velocities, solve
 from reframe_jax.geometry.rotations import rotation_log
 from reframe_jax.geometry.transforms import pose_inverse
@@ -26,7 +26,7 @@ from reframe_jax.simulation import metrics
 __all__ = ["LINE_FITS", "QUANTITIES", "Line", "Scores", "Windows", "anneal", "line_scores", "scores"]
 
 QUANTITIES = ("angular", "linear", "position")
-_SURE = 0.9  # probability of a name that is given without a doubt
+_CONFIDENT = 0.9  # probability of a name that is given without a doubt
 _THRESHOLDS = rf.Thresholds()
 
 
@@ -40,7 +40,7 @@ class Windows:
         poses, exact: (N, K+1, 4, 4), m.
         dt: s.
         bound: of every window.
-        told: what the motion tells.
+        determination: what the motion tells.
     """
 
     label: str
@@ -49,13 +49,13 @@ class Windows:
     exact: np.ndarray
     dt: float
     bound: Bound
-    told: Told
+    determination: Determination
 
     def __getitem__(self, rows: Any) -> "Windows":
         """Some of the windows."""
-        parts = self.frame, self.bound, self.told
-        frame, bound, told = jax.tree.map(lambda leaf: leaf[rows], parts)
-        return Windows(self.label, frame, self.poses[rows], self.exact[rows], self.dt, bound, told)
+        parts = self.frame, self.bound, self.determination
+        frame, bound, determination = jax.tree.map(lambda leaf: leaf[rows], parts)
+        return Windows(self.label, frame, self.poses[rows], self.exact[rows], self.dt, bound, determination)
 
 
 @dataclass(frozen=True)
@@ -100,12 +100,12 @@ def scores(found: rf.Identification, windows: Windows) -> Scores:
 
     types, body = np.array([int(kind) for kind in kinds])[linear], np.array(bodies)[angular]
     bound = jax.tree.map(np.asarray, windows.bound)
-    told, right = windows.told, np.asarray(found.name == entry.name)
+    determination, right = windows.determination, np.asarray(found.name == entry.name)
     said = {
         "types": np.asarray(metrics.types_correct(found, frame, ties=True)),
         "dof": np.asarray(metrics.dof_correct(found, frame)),
         "name": right,
-        "silent": ~right & (np.asarray(found.probability) >= _SURE),
+        "silent": ~right & (np.asarray(found.probability) >= _CONFIDENT),
     }
     return Scores(
         {
@@ -119,10 +119,10 @@ def scores(found: rf.Identification, windows: Windows) -> Scores:
             "position": bound.position[rows, types],
         },
         {
-            name: np.where(told.name if name == "name" else told.dof, values, np.nan)
+            name: np.where(determination.name if name == "name" else determination.dof, values, np.nan)
             for name, values in said.items()
         }
-        | {"told": told.dof},
+        | {"told": determination.dof},
     )
 
 

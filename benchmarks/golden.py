@@ -45,7 +45,7 @@ from benchmarks.golden_cases import CONSTRAINTS, Case
 DATA = Path(os.environ.get("REFRAME_DATA", Path(__file__).parents[2] / "shared" / "data"))
 GROUPS = ("real", *made.PLANS, "arm")
 MARKS = {True: "right", False: "WRONG", None: "not scored"}
-SURE, BINS = 0.9, (0.3, 0.5, 0.7, 0.9, 0.97, 0.99)  # probabilities; BINS are borders in the calibration
+CONFIDENT, BINS = 0.9, (0.3, 0.5, 0.7, 0.9, 0.97, 0.99)  # probabilities; BINS are borders in the calibration
 Row = dict[str, Any]
 
 HINGE, SLIDE, PINS = "Revolute joint", "Prismatic joint", (CONSTRAINTS["K"].name, CONSTRAINTS["L"].name)
@@ -121,8 +121,12 @@ def fit_axis(positions: np.ndarray, *, circle: bool) -> tuple[np.ndarray, np.nda
 # ---------- identification
 def covariance_of(found: Any, poses: np.ndarray, **timing: Any) -> dict[str, np.ndarray]:
     """Covariance matrices (N, 3, 3) of the angular axes and linear axes, rad^2, and of the position, m^2."""
-    sure = rf.covariance(found, poses, **timing)
-    parts = {"angular": sure.angular_axes, "linear": sure.linear_axes, "position": sure.position}
+    covariance = rf.covariance(found, poses, **timing)
+    parts = {
+        "angular": covariance.angular_axes,
+        "linear": covariance.linear_axes,
+        "position": covariance.position,
+    }
     return {name: np.asarray(matrix, dtype=float).reshape(-1, 3, 3) for name, matrix in parts.items()}
 
 
@@ -135,14 +139,14 @@ def run(cases: Sequence[Case]) -> tuple[dict[str, Row], dict[str, float], list[s
     rows: dict[str, Row] = {}
     seconds, notes = dict.fromkeys([case.group for case in cases], 0.0), set()
     for batch in batches.values():
-        first, alone, start = batch[0], batch[0].group == "real", time.perf_counter()
-        options: dict[str, Any] = {"times": first.times} if alone else {"dt": float(first.times[1])}
+        first, single, start = batch[0], batch[0].group == "real", time.perf_counter()
+        options: dict[str, Any] = {"times": first.times} if single else {"dt": float(first.times[1])}
         paper: dict[str, Any] = {"scales": 1, "thresholds": rf.Thresholds()} if first.paper_settings else {}
-        poses = first.poses if alone else np.array([case.poses for case in batch])
+        poses = first.poses if single else np.array([case.poses for case in batch])
         try:
             found = rf.identify(poses, **options, **paper)
         except ValueError as error:
-            if not alone:
+            if not single:
                 raise
             row = {"constraint": first.label, "name": f"No result: {error}", "strong": True}
             rows[first.key] = row | {"right": False if first.expected else None}
@@ -151,10 +155,10 @@ def run(cases: Sequence[Case]) -> tuple[dict[str, Row], dict[str, float], list[s
         spent = time.perf_counter() - start
         for case in batch:
             seconds[case.group] += spent / len(batch)
-        if not alone:
+        if not single:
             print(f"{len(batch)} recordings of {len(first.poses)} poses: {spent:.0f} s", file=sys.stderr)
         matrices: dict[str, np.ndarray] = {}
-        if not paper and (alone or len(first.poses) <= _COVERED):
+        if not paper and (single or len(first.poses) <= _COVERED):
             try:
                 matrices = covariance_of(found, poses, **options)
             except Exception as error:  # the covariance may change while names must not
@@ -236,9 +240,9 @@ def summarise(rows: Sequence[Row]) -> Row:
     """Counts, errors (median and 90 %), coverage and calibration of rows that have a right name."""
     rows = [row | {"p": row.get("p") or 0.0} for row in rows if row["right"] is not None]
     right, strong = [row for row in rows if row["right"]], [row for row in rows if row["strong"]]
-    sure, sure_strong = ([row for row in part if row["p"] >= SURE] for part in (rows, strong))
+    confident, confident_strong = ([row for row in part if row["p"] >= CONFIDENT] for part in (rows, strong))
     summary: Row = {"number": len(rows), "right": len(right)}
-    for name, part in (("strong", strong), ("sure", sure), ("sure_strong", sure_strong)):
+    for name, part in (("strong", strong), ("sure", confident), ("sure_strong", confident_strong)):
         summary |= {name: len(part), f"right_{name}": sum(row["right"] for row in part)}
     summary["wrong_sure"] = summary["sure"] - summary["right_sure"]
     for name in ("position_mm", "axis_deg"):
@@ -276,7 +280,7 @@ def table_line(name: str, rows: Sequence[Row], seconds: float | None = None) -> 
     return line + ("" if seconds is None else f"{seconds:>6.0f} s")
 
 
-def show(record: Row) -> None:
+def print_summary(record: Row) -> None:
     """Print the tables of a run: by group, by constraint, calibration, and the recordings of shared/data."""
     groups = by_group(record["cases"])
     print(f"{'':14}{'number':>7}{'right':>7}{'strong':>12}{'p >= 0.9':>12}{'and strong':>12}", end="")
@@ -292,7 +296,7 @@ def show(record: Row) -> None:
     print("\ncalibration: mean probability > share right (recordings)")
     for group, rows in groups.items():
         bins = summarise(rows)["calibration"]
-        print(f"{group:10}" + "  ".join(f"{mean:.3f} > {share:.3f} ({count})" for count, mean, share in bins))
+        print(f"{group:10}" + "  ".join(f"{mean:.3f} > {right:.3f} ({count})" for count, mean, right in bins))
     for key, row in record["cases"].items():
         if key.startswith("real/"):
             line = f"{key:33}{row['name'][:42]:43}{row.get('p') or 0:6.3f}  {MARKS[row['right']]:11}"
@@ -376,7 +380,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         summary = {group: summarise(part) for group, part in by_group(rows).items()}
         record = {"machine": machine(), "notes": skipped + notes, "seconds": seconds}
         record |= {"summary": summary, "cases": rows}
-    show(record)
+    print_summary(record)
     if options.json:
         write(options.json, record)
     if old is not None:

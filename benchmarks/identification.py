@@ -233,9 +233,9 @@ def gate(metrics: dict[str, float], baseline: Path) -> list[str]:
     """What has become worse than the baseline allows: ratios within one run, never times."""
     stored = json.loads(baseline.read_text())["metrics"]
     problems = [
-        f"{name} is {metrics[name]:.1f}, less than {share:.0%} of the baseline's {stored[name]:.1f}"
-        for name, share in GATED.items()
-        if metrics[name] < share * stored[name]
+        f"{name} is {metrics[name]:.1f}, less than {fraction:.0%} of the baseline's {stored[name]:.1f}"
+        for name, fraction in GATED.items()
+        if metrics[name] < fraction * stored[name]
     ]
     if metrics["miss_rate"] > max(1e-3, 2 * stored["miss_rate"]):
         problems.append(f"miss_rate is {metrics['miss_rate']:.2%}, the baseline's {stored['miss_rate']:.2%}")

@@ -52,7 +52,7 @@ def check(folder: Path, windows: np.ndarray, part_size: int, again: int) -> dict
     parts = -(-len(windows) // part_size)
     rows, usable = 0, 0
     picked = np.sort(np.random.default_rng(0).choice(len(windows), min(again, len(windows)), replace=False))
-    alone = rf.identify(np.array(windows[picked]), dt=DT)
+    single = rf.identify(np.array(windows[picked]), dt=DT)
     worst = 0.0
     for number in range(parts):
         found = rf.load_results(folder, parts=[number])
@@ -61,7 +61,7 @@ def check(folder: Path, windows: np.ndarray, part_size: int, again: int) -> dict
             raise AssertionError(f"part {number} holds norms that are not finite in windows without a status")
         here = np.flatnonzero(picked // part_size == number)
         stored = found.linear.norm[picked[here] - number * part_size]
-        worst = max(worst, float(np.max(np.abs(stored / alone.linear.norm[here] - 1), initial=0)))
+        worst = max(worst, float(np.max(np.abs(stored / single.linear.norm[here] - 1), initial=0)))
         rows, usable = rows + len(good), usable + int(good.sum())
     if rows != len(windows):
         raise AssertionError(f"{rows} of {len(windows)} windows have results")

@@ -101,7 +101,7 @@ class Table:
         return {name: np.concatenate(parts) for name, parts in self.columns.items()}
 
 
-def say(text: str) -> None:
+def print_progress(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
@@ -139,8 +139,8 @@ def make(plan: Plan, rate: float) -> Iterator[tuple[Windows, dict[str, np.ndarra
         bound = cramer_rao(made.truth, made.exact_poses, where["sigma"], where["ratio"])
         exact = np.asarray(made.exact_poses)
         poses = np.asarray(made.poses)
-        told = determined(label, made.truth, exact, poses, dt, where["sigma"], where["ratio"])
-        yield Windows(label, made.truth, poses, exact, dt, bound, told), where
+        determination = determined(label, made.truth, exact, poses, dt, where["sigma"], where["ratio"])
+        yield Windows(label, made.truth, poses, exact, dt, bound, determination), where
 
 
 def run(plan: Plan) -> tuple[dict[str, np.ndarray], list[dict[str, Any]]]:
@@ -149,7 +149,7 @@ def run(plan: Plan) -> tuple[dict[str, np.ndarray], list[dict[str, Any]]]:
     for rate in plan.rates:
         groups = list(make(plan, rate))
         poses = np.concatenate([windows.poses for windows, _ in groups])
-        say(f"{rate:g} Hz: {len(poses)} windows of {poses.shape[1] - 1} steps")
+        print_progress(f"{rate:g} Hz: {len(poses)} windows of {poses.shape[1] - 1} steps")
         found, seconds, compiling = timed(partial(rf.identify, poses, dt=1 / rate), 1)
         times.append(_time(rate, "identify", len(poses), seconds, compiling))
         _score(table, "identify", found, groups)
@@ -166,7 +166,9 @@ def run(plan: Plan) -> tuple[dict[str, np.ndarray], list[dict[str, Any]]]:
 
 
 def _time(rate: float, name: str, windows: int, seconds: float, compiling: float) -> dict[str, Any]:
-    say(f"{rate:g} Hz: {name}: {windows} windows in {seconds:.2f} s, compiled in {compiling:.1f} s")
+    print_progress(
+        f"{rate:g} Hz: {name}: {windows} windows in {seconds:.2f} s, compiled in {compiling:.1f} s"
+    )
     return {"rate": rate, "contestant": name, "windows": windows, "seconds": seconds, "compile_s": compiling}
 
 
@@ -221,7 +223,7 @@ def summarise(table: dict[str, np.ndarray], by: Sequence[str]) -> list[dict[str,
     return rows
 
 
-def show(rows: list[dict[str, Any]], by: str, title: str) -> None:
+def print_table(rows: list[dict[str, Any]], by: str, title: str) -> None:
     """Print a table of figures."""
     print(f"\n{title}")
     heads = [f"{name + ', ' + unit:>25}" for name, unit in zip(QUANTITIES, ("deg", "deg", "mm"), strict=True)]
@@ -259,12 +261,12 @@ def slopes(rows: list[dict[str, Any]], by: str) -> dict[str, float]:
 def report(plan: Plan, table: dict[str, np.ndarray], times: list[dict[str, Any]]) -> dict[str, Any]:
     """Print the tables; returns the record for --json."""
     by_constraint = summarise(table, ["constraint"])
-    show_constraints(by_constraint)
+    print_constraints(by_constraint)
     if len(plan.motions) > 1:
-        show(summarise(table, ["motion"]), "motion", "By motion")
+        print_table(summarise(table, ["motion"]), "motion", "By motion")
     by_sigma, by_rate = summarise(table, ["sigma"]), summarise(table, ["rate"])
-    show(by_sigma, "sigma", "By standard deviation of the position noise, m")
-    show(by_rate, "rate", "By sampling rate, Hz: the motion is the same")
+    print_table(by_sigma, "sigma", "By standard deviation of the position noise, m")
+    print_table(by_rate, "rate", "By sampling rate, Hz: the motion is the same")
     metrics = slopes(by_sigma, "sigma") | slopes(by_rate, "rate")
     print("\nSlope of log median error of identify, where the bound has 1 by noise and -0.5 by rate")
     for name, slope in metrics.items():
@@ -286,9 +288,9 @@ def report(plan: Plan, table: dict[str, np.ndarray], times: list[dict[str, Any]]
     }
 
 
-def show_constraints(rows: list[dict[str, Any]]) -> None:
+def print_constraints(rows: list[dict[str, Any]]) -> None:
     """Print the table of all constraints."""
-    show(rows, "constraint", "By constraint, over all motions, noise levels and rates")
+    print_table(rows, "constraint", "By constraint, over all motions, noise levels and rates")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -307,7 +309,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = parser.parse_args(argv)
     if parts := read_parts(options):
         print(f"windows of {DURATION:g} s; {parts[0]['machine']}")
-        show_constraints([row for part in parts for row in part["constraints"]])
+        print_constraints([row for part in parts for row in part["constraints"]])
         return 0
     plan = chosen_plan(options, Plan(), QUICK)
     jax.config.update("jax_enable_x64", True)

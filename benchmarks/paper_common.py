@@ -63,7 +63,7 @@ class Store:
         self._fresh = fresh
         self.seconds = 0.0
 
-    def say(self, text: str) -> None:
+    def print_progress(self, text: str) -> None:
         """A line of progress, with the time since the start."""
         print(f"{time.perf_counter() - _START:7.1f} s  {text}", file=sys.stderr, flush=True)
 
@@ -77,15 +77,15 @@ class Store:
         if file.exists() and not self._fresh:
             arrays, _ = read_part(file, NPZ, self._options)
             self.seconds += float(arrays.pop(_SECONDS))
-            self.say(f"{name}: as computed before")
+            self.print_progress(f"{name}: as computed before")
             return arrays
-        self.say(f"{name} ...")
+        self.print_progress(f"{name} ...")
         start = time.perf_counter()
         arrays = {key: np.asarray(value) for key, value in make().items()}
         seconds = time.perf_counter() - start
         write_part(file, NPZ, {**arrays, _SECONDS: seconds}, self._options)
         self.seconds += seconds
-        self.say(f"{name}: {seconds:.1f} s")
+        self.print_progress(f"{name}: {seconds:.1f} s")
         return arrays
 
     def picture(self, name: str, figure: Any) -> str:

@@ -163,5 +163,7 @@ def _table(found: Mapping[str, np.ndarray]) -> str:
 
 
 def _left_out(found: Mapping[str, np.ndarray]) -> str:
-    counts = [f"{task}: {int(n)}" for task, n in zip(TASKS[:3], found["redrawn"], strict=False) if n]
+    counts = [
+        f"{task}: {int(count)}" for task, count in zip(TASKS[:3], found["redrawn"], strict=False) if count
+    ]
     return f"Geometries drawn again, out of the arm's reach: {', '.join(counts)}.\n" if counts else ""

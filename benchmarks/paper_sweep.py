@@ -166,7 +166,7 @@ def section(store: Store, size: Size) -> Section:
     blocks = [_INTRODUCTION.format(windows=size.windows, demonstrations=size.demonstrations)]
     blocks += [factor_table(scores, size), ""]
     for name, (title, unit) in _MAPS.items():
-        share = unit == "share"
+        is_fraction = unit == "share"
         figure = plot_maps(
             maps[name],
             columns=[f"{1e3 * level:g}" for level in size.noise],
@@ -175,9 +175,9 @@ def section(store: Store, size: Size) -> Section:
             ylabel="compliance [mm/N]",
             unit=unit,
             title=title,
-            limits=(0, 1) if share else None,
-            log=not share,
-            form="{:.2f}" if share else "{:.2g}",
+            limits=(0, 1) if is_fraction else None,
+            log=not is_fraction,
+            form="{:.2f}" if is_fraction else "{:.2g}",
             across=len(size.lengths),
         )
         blocks += [f"### {title}\n", store.picture(f"sweep-{name}", figure), ""]

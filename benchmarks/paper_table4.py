@@ -197,8 +197,8 @@ def following(made: panda.Demonstration) -> np.ndarray:
     along, across = turned[..., free], turned[..., ~free]
     power = np.sum(along**2, axis=(1, 2))
     slope = np.linalg.norm(np.sum(along * across, axis=1), axis=-1) / power
-    share = slope * np.sqrt(power / np.maximum(np.sum(across**2, axis=(1, 2)), 1e-30))
-    return np.stack([np.degrees(np.arctan(slope)), share], axis=-1)
+    fraction = slope * np.sqrt(power / np.maximum(np.sum(across**2, axis=(1, 2)), 1e-30))
+    return np.stack([np.degrees(np.arctan(slope)), fraction], axis=-1)
 
 
 def threshold_range(rms: Mapping[str, np.ndarray], group: str) -> tuple[float, float]:

@@ -25,7 +25,7 @@ import numpy as np
 
 import reframe_jax as rf
 from benchmarks.common import add_files, machine, new_parser, write_record
-from benchmarks.segmentation_arm import arm_rows, show_arm
+from benchmarks.segmentation_arm import arm_rows, print_arm
 from benchmarks.segmentation_cases import NAMES, Sequence, move_through, simulate_sequences, simulate_single
 from benchmarks.timing import peak_above
 from reframe_jax.simulation.motions import PoseErrors
@@ -78,7 +78,7 @@ def main() -> None:
         "long": [measure_time(options.hours)] if options.hours else [],
     }
     print(record["machine"])
-    write_record(options.json, record | {"metrics": show(record)})
+    write_record(options.json, record | {"metrics": print_metrics(record)})
 
 
 def compare(truth: Sequence) -> dict[str, Any]:
@@ -160,7 +160,7 @@ def measure_time(hours: float) -> dict[str, Any]:
     return {"poses": len(poses), "s": taken, "MB": memory, "segments": len(found[0]), "changes": changes}
 
 
-def show(record: dict[str, Any]) -> dict[str, float]:
+def print_metrics(record: dict[str, Any]) -> dict[str, float]:
     """Print the figures of a record, and return them."""
     rows, metrics = record["sequences"], {}
     if rows:
@@ -178,16 +178,16 @@ def show(record: dict[str, Any]) -> dict[str, float]:
             print(f"  {name:<32} {value:8.3f}")
         for label in NAMES:
             right = [
-                n
+                named
                 for row in rows
-                for n, each in zip(row["named"], row["labels"], strict=True)
+                for named, each in zip(row["named"], row["labels"], strict=True)
                 if each == label
             ]
             wrong = {
                 name
                 for row in rows
-                for name, n, each in zip(row["names"], row["named"], row["labels"], strict=True)
-                if each == label and not n
+                for name, named, each in zip(row["names"], row["named"], row["labels"], strict=True)
+                if each == label and not named
             }
             print(f"    {label:<10} {sum(right):>3} of {len(right):>3} named right; else {sorted(wrong)}")
     if record["singles"]:
@@ -205,7 +205,7 @@ def show(record: dict[str, Any]) -> dict[str, float]:
     if record["real"]:
         metrics["real names"] = float(np.mean([row["right"] for row in record["real"]]))
     if record["arm"]:
-        metrics |= show_arm(record["arm"])
+        metrics |= print_arm(record["arm"])
     for row in record["long"]:
         print(f"  {row['poses']} poses: {row['s']:.1f} s, {row['MB']:.0f} MB, {row['segments']} segments")
         metrics |= {"long s": row["s"], "long MB": row["MB"]}

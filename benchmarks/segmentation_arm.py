@@ -7,7 +7,7 @@ import numpy as np
 
 import reframe_jax as rf
 
-__all__ = ["arm_rows", "show_arm"]
+__all__ = ["arm_rows", "print_arm"]
 
 _DT = 0.02  # s
 _DURATIONS = (4.0, 6.0, 4.0)  # s, of approach, motion under the constraint, and release
@@ -53,7 +53,7 @@ def arm_rows(count: int) -> list[dict[str, Any]]:
     return rows
 
 
-def show_arm(rows: list[dict[str, Any]]) -> dict[str, float]:
+def print_arm(rows: list[dict[str, Any]]) -> dict[str, float]:
     """Print what was found in tasks of the arm."""
     misses = np.array([miss for row in rows for miss in row["misses"]])
     metrics = {

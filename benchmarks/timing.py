@@ -11,7 +11,7 @@ from typing import Any
 import jax
 import numpy as np
 
-__all__ = ["in_chunks", "peak_above", "timed", "timed_once"]
+__all__ = ["in_chunks", "peak_above", "timed", "timed_call"]
 
 
 def timed(call: Callable[[], Any], repeats: int) -> tuple[Any, float, float]:
@@ -27,7 +27,7 @@ def timed(call: Callable[[], Any], repeats: int) -> tuple[Any, float, float]:
     return result, min(times), first - min(times)
 
 
-def timed_once(jitted: Any, *inputs: Any) -> tuple[Any, float, float]:
+def timed_call(jitted: Any, *inputs: Any) -> tuple[Any, float, float]:
     """Result of a jitted function, seconds of its only call, and those of its compilation before."""
     start = time.perf_counter()
     compiled = jitted.lower(*inputs).compile()

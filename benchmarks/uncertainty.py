@@ -31,9 +31,9 @@ from benchmarks.uncertainty_reliability import (
     Said,
     draw_reliability,
     merge_tables,
+    print_reliability,
     probabilities_of,
     reliability,
-    show_reliability,
 )
 from reframe_jax.constraints import AngularType, ConstraintFrame, lookup
 from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES
@@ -69,7 +69,7 @@ class Plan:
 QUICK = Plan(sigmas=(1e-4, 1e-3), windows=32)
 
 
-def say(text: str) -> None:
+def print_progress(text: str) -> None:
     """Report progress."""
     print(text, file=sys.stderr, flush=True)
 
@@ -174,11 +174,11 @@ def coverage_of(label: str, made: Simulation, sigma: float, plan: Plan) -> tuple
     """One row of the table, and what the reliability of probabilities needs."""
     poses = measured(made, sigma, plan.slow)
     found = rf.identify(poses, dt=DT)
-    sure = rf.covariance(found, poses, dt=DT, errors=plan.errors, method=plan.method)
+    covariance = rf.covariance(found, poses, dt=DT, errors=plan.errors, method=plan.method)
     usable = np.asarray(found.status_code) == 0
     right = usable & np.asarray(types_correct(found, made.truth) & dof_correct(found, made.truth))
-    small = np.asarray(sure.first_order)
-    scores = standard_scores(found, sure, made.truth, np.asarray(made.exact_poses[:, 0]))
+    small = np.asarray(covariance.first_order)
+    scores = standard_scores(found, covariance, made.truth, np.asarray(made.exact_poses[:, 0]))
     row: dict[str, Any] = {"constraint": label, "sigma": sigma, "windows": plan.windows}
     row |= {"right": float(np.mean(right)), "first_order": float(np.mean(small[right]))}
     row |= {"inside": _summary(scores, right & small), "outside": _summary(scores, right & ~small)}
@@ -197,15 +197,17 @@ def _summary(scores: dict[str, np.ndarray], counted: np.ndarray) -> dict[str, tu
     return summary
 
 
-def show_coverage(rows: list[dict[str, Any]]) -> None:
+def print_coverage(rows: list[dict[str, Any]]) -> None:
     """Print coverage and root mean square of scores, by constraint and noise level."""
     print("\nShare of 95 % intervals that hold the truth, and rms of error over standard deviation")
     print(f"{'':4}{'sigma, m':>10}{'right':>8}{'small':>8}" + "".join(f"{name:>18}" for name in QUANTITIES))
     for row in rows:
         first = f"{row['constraint']:4}{row['sigma']:>10.0e}{row['right']:>8.1%}"
-        for part, share in (("inside", row["first_order"]), ("outside", 1 - row["first_order"])):
+        for part, fraction in (("inside", row["first_order"]), ("outside", 1 - row["first_order"])):
             if row[part]:
-                print(first + f"{share:>8.1%}" + "".join(_cell(row[part].get(name)) for name in QUANTITIES))
+                print(
+                    first + f"{fraction:>8.1%}" + "".join(_cell(row[part].get(name)) for name in QUANTITIES)
+                )
             first = f"{'noise too large':>22}"
     covered = [row["inside"][name][0] for row in rows for name in row["inside"]]
     print(f"\ncoverage: {min(covered):.1%} to {max(covered):.1%}, mean {np.mean(covered):.1%}")
@@ -256,7 +258,7 @@ def ambiguity(plan: Plan) -> list[dict[str, Any]]:
     return rows
 
 
-def show_ambiguity(rows: list[dict[str, Any]]) -> None:
+def print_ambiguity(rows: list[dict[str, Any]]) -> None:
     """Print the table of :func:`ambiguity`."""
     print("\nShare of windows whose motion is said to determine the class, to be one path, or to be steady")
     print(f"{'':4}{'motion':15}{'determined':>12}{'one path':>10}{'steady':>10}")
@@ -271,7 +273,7 @@ def run(plan: Plan) -> dict[str, Any]:
     for label in plan.labels:
         made = recordings(label, plan.motion, plan.windows)
         for sigma in plan.sigmas:
-            say(f"{label} at {sigma:g} m")
+            print_progress(f"{label} at {sigma:g} m")
             row, probabilities = coverage_of(label, made, sigma, plan)
             rows.append(row)
             said.append(probabilities)
@@ -286,11 +288,11 @@ def joined(parts: list[dict[str, Any]]) -> dict[str, Any]:
     return {"machine": parts[0]["machine"], **both, "reliability": tables}
 
 
-def show(record: dict[str, Any], picture: Path | None) -> None:
+def print_report(record: dict[str, Any], picture: Path | None) -> None:
     """Print the tables, and draw the diagram if there is a file for it."""
-    show_coverage(sorted(record["coverage"], key=lambda row: (row["sigma"], row["constraint"])))
-    show_reliability(record["reliability"])
-    show_ambiguity(record["ambiguity"])
+    print_coverage(sorted(record["coverage"], key=lambda row: (row["sigma"], row["constraint"])))
+    print_reliability(record["reliability"])
+    print_ambiguity(record["ambiguity"])
     if picture is not None:
         draw_reliability(record["reliability"], picture)
 
@@ -312,7 +314,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     record = joined(parts) if parts else run(plan)
     how = f"{plan.errors} errors" if plan.method == "derivative" else "a bootstrap"
     print(f"{plan.motion} motion, covariance from {how}; {record['machine']}")
-    show(record, options.plot)
+    print_report(record, options.plot)
     write_record(options.json, record)
     return 0
 

@@ -36,7 +36,7 @@ class _Estimate:
     def __init__(self, recording: rf.Recording, rows: slice) -> None:
         poses, times = np.asarray(recording.poses)[rows], np.asarray(recording.times)[rows]
         self.found = rf.identify(poses, times=times, assume="hinge")
-        self.sure = rf.covariance(self.found, poses, times=times)
+        self.covariance = rf.covariance(self.found, poses, times=times)
         rotations = poses[:, :3, :3]
         u, _, v = np.linalg.svd(rotations.mean(axis=0))
         self.rotation = u @ v
@@ -77,21 +77,21 @@ def check_door(name: str) -> dict[str, float]:
     line, turn = whole.line_error(point, axis), whole.axis_error(axis)
     row: dict[str, float] = {
         "line, mm": 1e3 * float(np.linalg.norm(line)),
-        "line within, mm": 1.96e3 * float(np.sqrt(np.linalg.eigvalsh(whole.sure.position)[-1])),
-        "line holds": in_region(line, np.asarray(whole.sure.position)),
+        "line within, mm": 1.96e3 * float(np.sqrt(np.linalg.eigvalsh(whole.covariance.position)[-1])),
+        "line holds": in_region(line, np.asarray(whole.covariance.position)),
         "axis, deg": float(np.degrees(np.linalg.norm(turn))),
         "axis within, deg": 1.96
-        * float(np.degrees(np.sqrt(np.linalg.eigvalsh(whole.sure.angular_axes)[-1]))),
-        "axis holds": in_region(turn, np.asarray(whole.sure.angular_axes)),
+        * float(np.degrees(np.sqrt(np.linalg.eigvalsh(whole.covariance.angular_axes)[-1]))),
+        "axis holds": in_region(turn, np.asarray(whole.covariance.angular_axes)),
     }
     lines, axes = [], []
     for one, other in (halves, halves[::-1]):
         apart = one.line_error(other.point_in_ground(), other.in_ground)
-        lines.append(in_region(apart, np.asarray(one.sure.position)))
+        lines.append(in_region(apart, np.asarray(one.covariance.position)))
         turn = one.axis_error(other.in_ground)
         if one.body and other.body:
             turn = np.cross(other.axis, one.axis * np.sign(one.axis @ other.axis))
-        axes.append(in_region(turn, np.asarray(one.sure.angular_axes)))
+        axes.append(in_region(turn, np.asarray(one.covariance.angular_axes)))
     row |= {
         "halves hold each other's line": float(np.mean(lines)),
         "halves hold each other's axis": float(np.mean(axes)),

@@ -14,9 +14,9 @@ __all__ = [
     "Said",
     "draw_reliability",
     "merge_tables",
+    "print_reliability",
     "probabilities_of",
     "reliability",
-    "show_reliability",
 ]
 
 Said = dict[str, tuple[np.ndarray, np.ndarray]]
@@ -67,7 +67,7 @@ def merge_tables(tables: list[list[dict[str, float]]]) -> list[dict[str, float]]
     return merged
 
 
-def show_reliability(tables: dict[str, list[dict[str, float]]]) -> None:
+def print_reliability(tables: dict[str, list[dict[str, float]]]) -> None:
     """Print tables of :func:`reliability`."""
     for kind, rows in tables.items():
         print(f"\n{KINDS[kind]}, and how often that was right")

@@ -22,12 +22,12 @@ import reframe_jax as rf
 from benchmarks.common import chosen_plan, machine, plan_parser, read_parts, write_record
 from benchmarks.determined import distances
 from benchmarks.fits import Windows, scores
-from benchmarks.noise import Plan, make, say
+from benchmarks.noise import Plan, make, print_progress
 
 PLAN = Plan(labels=tuple("DEFGHIJKL"), sigmas=(1e-6, 1e-5, 1e-4, 1e-3), rates=(10, 100))
 QUICK = Plan(labels=("D", "K"), motions=("slow",), sigmas=(1e-5,), rates=(10,), windows=2)
 EDGES = 0.0, 0.01, 0.03, 0.1, 0.3, np.inf  # of shares
-SURE = 0.9
+CONFIDENT = 0.9
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Window:
     sigma: float
     way_mm: float
     noises: float
-    share: float
+    ratio: float
     right: bool
     said: str
     probability: float
@@ -72,7 +72,7 @@ def judge(windows: Windows, where: dict[str, np.ndarray]) -> list[Window]:
             str(found.name[i]),
             float(found.probability[i]),
         )
-        for i in np.flatnonzero(windows.told.dof)
+        for i in np.flatnonzero(windows.determination.dof)
     ]
 
 
@@ -81,35 +81,35 @@ def run(plan: Plan) -> list[Window]:
     rows = []
     for rate in plan.rates:
         for windows, where in make(plan, rate):
-            say(f"{rate:g} Hz: {windows.label}, {len(windows.poses)} windows")
+            print_progress(f"{rate:g} Hz: {windows.label}, {len(windows.poses)} windows")
             rows += judge(windows, where)
     return rows
 
 
-def show(rows: list[Window]) -> dict[str, float]:
+def print_table(rows: list[Window]) -> dict[str, float]:
     """Print the groups and the wrong windows; returns the metrics."""
     print("way of the weakest free axis    windows   right   wrong with 0.9 or more")
-    metrics: dict[str, float] = {"windows": len(rows), "right": _share(rows)}
+    metrics: dict[str, float] = {"windows": len(rows), "right": _fraction_right(rows)}
     for low, high in pairwise(EDGES):
-        group = [row for row in rows if low <= row.share < high]
-        sure = sum(not row.right and row.probability >= SURE for row in group)
+        group = [row for row in rows if low <= row.ratio < high]
+        confident_wrong = sum(not row.right and row.probability >= CONFIDENT for row in group)
         name = f"{low:g} to {high:g} of the body's" if np.isfinite(high) else f"from {low:g} of the body's"
-        percent = f"{100 * _share(group):.1f} %" if group else "-"
-        print(f"{name:<32}{len(group):>7}{percent:>9}{sure:>14}")
-        metrics[f"right_from_{low:g}"] = _share(group)
-    print(f"{'all':<32}{len(rows):>7}{100 * _share(rows):>7.1f} %")
+        percent = f"{100 * _fraction_right(group):.1f} %" if group else "-"
+        print(f"{name:<32}{len(group):>7}{percent:>9}{confident_wrong:>14}")
+        metrics[f"right_from_{low:g}"] = _fraction_right(group)
+    print(f"{'all':<32}{len(rows):>7}{100 * _fraction_right(rows):>7.1f} %")
     print()
-    wrong = sorted((row for row in rows if not row.right), key=lambda row: row.share)
-    metrics["sure_and_wrong"] = sum(row.probability >= SURE for row in wrong)
+    wrong = sorted((row for row in rows if not row.right), key=lambda row: row.ratio)
+    metrics["sure_and_wrong"] = sum(row.probability >= CONFIDENT for row in wrong)
     for row in wrong:
         print(
             f"{row.constraint} {row.motion}, {row.rate:g} Hz, {row.sigma:g} m: {row.way_mm:.2f} mm, "
-            f"{row.noises:.0f} noises, {row.share:.3f} of the body's way: {row.said} ({row.probability:.2f})"
+            f"{row.noises:.0f} noises, {row.ratio:.3f} of the body's way: {row.said} ({row.probability:.2f})"
         )
     return metrics
 
 
-def _share(rows: list[Window]) -> float:
+def _fraction_right(rows: list[Window]) -> float:
     return float(np.mean([row.right for row in rows])) if rows else float("nan")
 
 
@@ -121,7 +121,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     print(parts[0]["machine"] if parts else machine())
     rows = [Window(**window) for part in parts for window in part["windows"]]
     rows = rows or run(chosen_plan(options, PLAN, QUICK))
-    record: dict[str, Any] = {"machine": machine(), "metrics": show(rows)}
+    record: dict[str, Any] = {"machine": machine(), "metrics": print_table(rows)}
     write_record(options.json, record | {"windows": [asdict(row) for row in rows]})
     return 0
 

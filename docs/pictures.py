@@ -9,8 +9,12 @@ import numpy as np
 
 import reframe_jax as rf
 from reframe_jax import plotting
+from reframe_jax.constraints.catalogue import OTHER_CONSTRAINTS
+from reframe_jax.constraints.located import frame_arrays, locate_on_host
 from reframe_jax.geometry import rotations
-from reframe_jax.plotting.style import BODY, new_figure
+from reframe_jax.joints.chain import JointPart, chain_poses
+from reframe_jax.plotting.style import BODY, TURNING, axis_colours, new_figure
+from reframe_jax.simulation import synthetic
 
 ROOT = Path(__file__).parent.parent
 IMAGES = ROOT / "docs" / "images"
@@ -28,7 +32,7 @@ def pin_on_plane() -> None:
 
 def conventions() -> None:
     """The four linear frame types of one motion, at two instants."""
-    figure = new_figure(9.6, 2.5)
+    figure = new_figure(10.4, 2.7)
     poses = np.tile(np.eye(4), (2, 1, 1))
     turns = jax.jit(rotations.rotation_exp)(jnp.asarray([[0.0, 0.0, 0.2], [0.0, 0.0, 1.1]]))
     poses[:, :3, :3] = np.asarray(turns)
@@ -52,7 +56,7 @@ def conventions() -> None:
         names = {"G": "ground", "B": "body"}
         axes.set_title(
             f"{kind}: axes fixed in the {names[kind.name[0]]},\norigin in the {names[kind.name[1]]}",
-            fontsize=8,
+            fontsize=10,
         )
         axes.set_aspect("equal")
         axes.set_xlim(-0.1, 1.08)
@@ -81,10 +85,87 @@ def _arrows(
         )
     axes.plot(*origin, "o", color=colour, markersize=3, alpha=strength)
     if name:
-        axes.text(*(origin - 0.055), name, fontsize=7, alpha=strength, ha="center")
+        axes.text(*(origin - 0.055), name, fontsize=10, alpha=strength, ha="center")
+
+
+EXCITED = 0.8  # s, of the motion that a picture of the gallery shows
+MOTIONS = {"G": 0.5, "H": 0.5}  # s, where the body turns far
+
+
+def gallery() -> None:
+    """Every named constraint: the body at three instants of a simulated motion, and its frame."""
+    for label in (*rf.CONSTRAINTS, *OTHER_CONSTRAINTS):
+        figure = new_figure(3.6, 3.5)
+        figure.set_layout_engine("none")
+        _draw_constraint(figure.add_axes((0.0, 0.04, 0.94, 0.96), projection="3d"), label)
+        figure.savefig(IMAGES / f"gallery_{label}.png", dpi=110, metadata={"Software": None})
+
+
+def _draw_constraint(axes: Any, label: str) -> None:
+    made = synthetic.simulate(label, jax.random.key(0), duration=MOTIONS.get(label, EXCITED), dt=0.02)
+    poses, truth = np.asarray(made.exact_poses, float), made.truth
+    if label == "universal":
+        poses = _universal_poses(np.asarray(made.times))
+    there = locate_on_host(frame_arrays(truth), poses)
+    origins = poses[:, :3, 3] + there.lever
+    points = np.concatenate([poses[:, :3, 3], origins])
+    length = 0.13
+    axes.plot(*poses[:, :3, 3].T, color=BODY, linewidth=1.5)
+    axes.plot(*origins.T, ":", color="black", linewidth=1.5)
+    free_turns, free_slides = np.asarray(truth.angular_dof), np.asarray(truth.linear_dof)
+    for sample, strength in ((0, 0.3), (len(poses) // 2, 0.55), (-1, 1.0)):
+        _draw_box(axes, poses[sample], strength)
+        axes.plot(
+            *np.stack([poses[sample, :3, 3], origins[sample]]).T, color=BODY, linewidth=2, alpha=strength
+        )
+        axes.plot(*origins[sample][:, None], "o", color="black", markersize=4, alpha=strength)
+        if sample != -1:
+            continue
+        for free, axis, colours in zip(
+            free_slides, there.linear_axes[sample].T, axis_colours(free_slides), strict=True
+        ):
+            if free:
+                axes.quiver(*origins[sample], *(length * axis), color=colours, linewidth=2.5)
+            else:
+                end = origins[sample] + length * axis
+                axes.plot(*np.stack([origins[sample], end]).T, "--", color=colours, linewidth=2.5)
+        turning = there.angular_axes[sample].copy()
+        if label == "universal":
+            turning[:, 0] = (1, 0, 0)  # fixed in the ground; the other axis is fixed in the body
+        for free, axis in zip(free_turns, turning.T, strict=True):
+            if free:
+                ends = origins[sample] + np.array([[-1.1], [1.1]]) * length * axis
+                axes.plot(*ends.T, "-.", color=TURNING, linewidth=1.8)
+    centre, size = (
+        (points.min(axis=0) + points.max(axis=0)) / 2,
+        max(float(np.ptp(points, axis=0).max()), 0.3),
+    )
+    for i, name in enumerate("xyz"):
+        getattr(axes, f"set_{name}lim")(centre[i] - 0.6 * size, centre[i] + 0.6 * size)
+        getattr(axes, f"set_{name}label")(f"{name} [m]", fontsize=10)
+        axes.locator_params(axis=name, nbins=4)
+    axes.set_box_aspect((1, 1, 1), zoom=0.88)
+    axes.tick_params(labelsize=8)
+
+
+def _universal_poses(times: np.ndarray) -> np.ndarray:
+    """Poses (N, 4, 4) on two hinges: about x of the ground, then about y of the body."""
+    hinges = [JointPart("hinge", np.eye(3)[axis], np.array([0.1, 0.3, 0.1])) for axis in (0, 1)]
+    return chain_poses(hinges, np.eye(4), np.stack([0.7 * times, 0.8 * times], axis=1))
+
+
+def _draw_box(axes: Any, pose: np.ndarray, strength: float) -> None:
+    """The edges of the body, a box of 12 by 8 by 4 cm about the origin of {b}."""
+    corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * (0.06, 0.04, 0.02)
+    placed = corners @ pose[:3, :3].T + pose[:3, 3]
+    for first in range(8):
+        for second in range(first):
+            if np.sum(np.abs(corners[first] - corners[second]) > 0) == 1:
+                axes.plot(*placed[[first, second]].T, color=BODY, linewidth=1.2, alpha=strength)
 
 
 if __name__ == "__main__":
     IMAGES.mkdir(exist_ok=True)
     pin_on_plane()
     conventions()
+    gallery()

@@ -8,11 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-__all__ = ["BLOCK_SHARE", "in_float64", "index_leaves", "join_parts", "traced", "update_marked"]
+__all__ = ["BLOCK_DIVISOR", "in_float64", "index_leaves", "join_parts", "traced", "update_marked"]
 
-_BLOCK = 8  # marked problems are worked on by the eight
-BLOCK_SHARE = 16
-"""Or by this part of all."""
+_BLOCK = 8  # problems of the smallest block
+BLOCK_DIVISOR = 16
+"""A block holds one part of so many of all problems, if that is more."""
 
 _T = TypeVar("_T")
 
@@ -23,7 +23,7 @@ def in_float64() -> bool:
 
 
 def update_marked(
-    function: Callable[[Any], Any], marked: jax.Array, inputs: Any, outputs: Any, share: int = BLOCK_SHARE
+    function: Callable[[Any], Any], marked: jax.Array, inputs: Any, outputs: Any, divisor: int = BLOCK_DIVISOR
 ) -> Any:
     """Replace what belongs to the marked problems, gathered into full blocks; the others cost nothing.
 
@@ -32,7 +32,7 @@ def update_marked(
         marked: (N,) bool.
         inputs: pytree of arrays (..., N).
         outputs: pytree of arrays (..., N), as the function returns it.
-        share: of the problems that a block holds: one part of so many, and eight problems at least.
+        divisor: a block holds the number of problems divided by this, and eight problems at least.
 
     Returns:
         The outputs, new where marked.
@@ -40,7 +40,7 @@ def update_marked(
     problems = marked.size
     if problems == 1:
         return jax.lax.cond(marked[0], lambda new, _: function(new), lambda _, old: old, inputs, outputs)
-    size = max(min(problems, _BLOCK), problems // share)
+    size = max(min(problems, _BLOCK), problems // divisor)
     order, count = jnp.argsort(~marked), jnp.sum(marked)  # the marked first, as they come
 
     def block(i: jax.Array, outputs: Any) -> Any:

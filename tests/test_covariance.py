@@ -29,13 +29,16 @@ def errors_of(found: rf.Identification, truth: Contact) -> tuple[np.ndarray, np.
     return np.cross(true, axis * np.sign(axis @ true)), shift
 
 
-def covered(truths: list[Contact], found: rf.Identification, sure: rf.Covariance) -> float:
+def covered(truths: list[Contact], found: rf.Identification, covariances: rf.Covariance) -> float:
     """Share of 95 % regions, of axes and origins, that hold the truth."""
     inside = []
     for i, truth in enumerate(truths):
         turn, shift = errors_of(found[i], truth)
-        axes = sure.angular_axes if np.sum(found.angular.dof[i]) == 1 else sure.linear_axes
-        inside += [in_region(turn, np.asarray(axes[i])), in_region(shift, np.asarray(sure.position[i]))]
+        axes = covariances.angular_axes if np.sum(found.angular.dof[i]) == 1 else covariances.linear_axes
+        inside += [
+            in_region(turn, np.asarray(axes[i])),
+            in_region(shift, np.asarray(covariances.position[i])),
+        ]
     return float(np.mean(inside))
 
 
@@ -48,23 +51,23 @@ def windows():
 
 
 @pytest.fixture(scope="module")
-def sure(windows):
+def covariances(windows):
     _, poses, found = windows
     return rf.covariance(found, poses, dt=DT)
 
 
-def test_regions_hold_the_truth(windows, sure):
+def test_regions_hold_the_truth(windows, covariances):
     truths, poses, found = windows
     assert list(found.name) == ["Revolute joint"] * EACH + ["Pin-plane contact"] * EACH
-    assert covered(truths, found, sure) >= 0.88  # 64 regions
-    assert np.all(sure.first_order)
+    assert covered(truths, found, covariances) >= 0.88  # 64 regions
+    assert np.all(covariances.first_order)
     white = rf.covariance(found, poses, dt=DT, errors="white")
     assert covered(truths, found, white) >= 0.8
     assert np.all(np.asarray(white.inflation) == 1)
     # the largest of several distances, each 1 on average
-    assert np.median(sure.inflation) < 1.5
-    expected = np.asarray(white.position) * np.square(np.asarray(sure.inflation)[:, 2, None, None])
-    np.testing.assert_allclose(sure.position, expected, rtol=1e-6, atol=1e-15)
+    assert np.median(covariances.inflation) < 1.5
+    expected = np.asarray(white.position) * np.square(np.asarray(covariances.inflation)[:, 2, None, None])
+    np.testing.assert_allclose(covariances.position, expected, rtol=1e-6, atol=1e-15)
 
 
 def test_slow_errors_inflate():
@@ -73,63 +76,67 @@ def test_slow_errors_inflate():
     found = rf.identify(poses, dt=DT)
     right = np.flatnonzero(found.name == np.array(["Revolute joint"] * EACH + ["Pin-plane contact"] * EACH))
     assert len(right) >= 28
-    sure = rf.covariance(found, poses, dt=DT)
-    assert np.median(np.asarray(sure.inflation)[:EACH, 0]) > 1.5
-    assert covered([truths[i] for i in right], found[right], sure[right]) >= 0.8
+    covariances = rf.covariance(found, poses, dt=DT)
+    assert np.median(np.asarray(covariances.inflation)[:EACH, 0]) > 1.5
+    assert covered([truths[i] for i in right], found[right], covariances[right]) >= 0.8
 
 
-def test_leaving_out_blocks_agrees(windows, sure):
+def test_leaving_out_blocks_agrees(windows, covariances):
     truths, poses, found = windows
     second = rf.covariance(found, poses, dt=DT, method="bootstrap")
-    sizes = [np.sqrt(np.trace(of.position, axis1=1, axis2=2)) for of in (sure, second)]
+    sizes = [np.sqrt(np.trace(of.position, axis1=1, axis2=2)) for of in (covariances, second)]
     assert 0.6 < np.median(sizes[1] / sizes[0]) < 2
     assert covered(truths, found, second) >= 0.75
     free = np.einsum("nij,njk->nik", found.linear.free_position, second.position)
     assert np.max(np.abs(free)) < 1e-9 * np.max(second.position)
 
 
-def test_free_directions_have_no_variance(windows, sure):
+def test_free_directions_have_no_variance(windows, covariances):
     _, _, found = windows
-    free = np.einsum("nij,njk->nik", found.linear.free_position, sure.position)
-    assert np.max(np.abs(free)) < 1e-9 * np.max(sure.position)
+    free = np.einsum("nij,njk->nik", found.linear.free_position, covariances.position)
+    assert np.max(np.abs(free)) < 1e-9 * np.max(covariances.position)
     hinges, pins = slice(0, EACH), slice(EACH, None)
     # the linear axes of a hinge and the angular axes of a pin may be turned at will
-    assert np.all(np.asarray(sure.linear_axes)[hinges] == 0)
-    assert np.all(np.asarray(sure.angular_axes)[pins] == 0)
+    assert np.all(np.asarray(covariances.linear_axes)[hinges] == 0)
+    assert np.all(np.asarray(covariances.angular_axes)[pins] == 0)
     axis = np.asarray(found.angular.axes)[hinges, :, 2:]
-    assert np.max(np.abs(sure.angular_axes[hinges] @ axis)) < 1e-9 * np.max(sure.angular_axes)
+    assert np.max(np.abs(covariances.angular_axes[hinges] @ axis)) < 1e-9 * np.max(covariances.angular_axes)
 
 
-def test_what_is_not_determined_has_a_large_variance(windows, sure):
+def test_what_is_not_determined_has_a_large_variance(windows, covariances):
     """The point on the axis of a hinge, if nothing says that it is free."""
     _, poses, found = windows
     closed = replace(found, linear=replace(found.linear, free_position=0 * found.linear.free_position))
     of_closed = rf.covariance(closed, poses, dt=DT)
     along = np.einsum("nij,nij->n", np.asarray(found.linear.free_position), np.asarray(of_closed.position))
-    across = np.trace(sure.position, axis1=1, axis2=2)
+    across = np.trace(covariances.position, axis1=1, axis2=2)
     assert np.all(along[:EACH] > 100 * across[:EACH])
 
 
-def test_anything_computed_from_the_estimate(windows, sure):
+def test_anything_computed_from_the_estimate(windows, covariances):
     _, _, found = windows
-    np.testing.assert_allclose(sure.of(lambda one: one.linear.position, found), sure.position, atol=1e-18)
+    np.testing.assert_allclose(
+        covariances.of(lambda one: one.linear.position, found), covariances.position, atol=1e-18
+    )
     one = found[EACH]
-    normal = sure[EACH].of(lambda one: one.linear.axes[:, 0], one)
+    normal = covariances[EACH].of(lambda one: one.linear.axes[:, 0], one)
     across = np.cross(np.eye(3), np.asarray(one.linear.axes)[:, 0])
-    np.testing.assert_allclose(normal, across @ sure[EACH].linear_axes @ across.T, atol=1e-15)
+    np.testing.assert_allclose(normal, across @ covariances[EACH].linear_axes @ across.T, atol=1e-15)
 
 
-def test_one_window_is_as_in_a_batch(windows, sure):
+def test_one_window_is_as_in_a_batch(windows, covariances):
     _, poses, found = windows
     for i in (0, EACH):
         single = rf.covariance(found[i], poses[i], times=DT * np.arange(POSES))
-        scale = np.sqrt(np.diag(sure.matrix[i])) + 1e-12
-        np.testing.assert_allclose((single.matrix - sure.matrix[i]) / np.outer(scale, scale), 0, atol=1e-3)
-        np.testing.assert_allclose(single.inflation, sure.inflation[i], rtol=1e-3)
-        assert single.first_order == sure.first_order[i]
+        scale = np.sqrt(np.diag(covariances.matrix[i])) + 1e-12
+        np.testing.assert_allclose(
+            (single.matrix - covariances.matrix[i]) / np.outer(scale, scale), 0, atol=1e-3
+        )
+        np.testing.assert_allclose(single.inflation, covariances.inflation[i], rtol=1e-3)
+        assert single.first_order == covariances.first_order[i]
 
 
-def test_failed_windows_have_none(windows, sure):
+def test_failed_windows_have_none(windows, covariances):
     _, poses, _ = windows
     broken = poses.copy()
     broken[1, 3, 0, 3] = np.nan
@@ -138,7 +145,7 @@ def test_failed_windows_have_none(windows, sure):
     assert np.all(np.isnan(of_broken.matrix[1]))
     assert np.all(np.isnan(of_broken.inflation[1]))
     assert not of_broken.first_order[1]
-    np.testing.assert_allclose(of_broken.matrix[0], sure.matrix[0], rtol=1e-6, atol=1e-15)
+    np.testing.assert_allclose(of_broken.matrix[0], covariances.matrix[0], rtol=1e-6, atol=1e-15)
 
 
 def test_what_is_refused(windows):

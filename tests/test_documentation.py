@@ -2,10 +2,11 @@
 
 import importlib.util
 import inspect
+import json
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -29,25 +30,58 @@ def plain_jax() -> Iterator[None]:
         jax.config.update(name, value)
 
 
-def run_code(page: str) -> dict[str, Any]:
-    """The names that the code of a page defines."""
-    blocks = re.findall(r"^```python\n(.*?)^```", (ROOT / page).read_text(), re.MULTILINE | re.DOTALL)
-    assert blocks
-    names: dict[str, Any] = {"__name__": page}
-    exec("\n".join(blocks), names)
-    return names
+sys.path.insert(0, str(DOCS))
+import cells  # noqa: E402
+
+PAGES = (
+    "README.md",
+    "docs/tutorial.md",
+    "docs/gallery.md",
+    "docs/simulation.md",
+    "docs/large.md",
+    "docs/exports.md",
+    "docs/uncertainty.md",
+)
+WITHOUT_OUTPUTS = {"docs/exports.md"}  # long files; its cells run
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/tutorial.md", "docs/exports.md", "docs/uncertainty.md"])
+@pytest.mark.parametrize("page", PAGES)
 @pytest.mark.filterwarnings("default")
-def test_code_runs(page: str, plain_jax: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cells_print_what_the_page_shows(page: str, plain_jax: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After a change of the outputs: ``python docs/cells.py PAGE``, and read the difference."""
     monkeypatch.chdir(ROOT)
-    run_code(page)
+    _, outputs = cells.run_cells((ROOT / page).read_text(), page)
+    assert outputs
+    shown = [pair for pair in outputs if pair[0] or page not in WITHOUT_OUTPUTS]
+    differences = [line for stored, new in shown for line in cells.output_differences(stored, new)]
+    assert not differences, "\n".join(differences)
+
+
+def test_outputs_agree_to_the_printed_digits() -> None:
+    for stored, printed in (
+        ("tip 0.0999 m", "tip  0.1001 m"),
+        ("-0.001", "0.000"),
+        ("1.0e-04 m", "1.04e-04 m"),
+    ):
+        assert not cells.output_differences(stored, printed)
+    for stored, printed in (("tip 0.0999 m", "tip 0.1099 m"), ("A 1", "B 1"), ("A", "A\nB"), ("6", "9")):
+        assert cells.output_differences(stored, printed)
+
+
+def test_key_figures_are_those_of_the_stored_benchmark() -> None:
+    summary = json.loads((ROOT / "benchmarks" / "results" / "golden.json").read_text())["summary"]
+    rows = re.findall(r"^\| [^|]+\(`(\w+)`\) \|(.+)\|$", (ROOT / "README.md").read_text(), re.MULTILINE)
+    assert len(rows) == 5
+    for group, cells_of_row in rows:
+        row = summary[group]
+        errors = ["–" if row[key] is None else f"{row[key]:g}" for key in ("position_mm", "axis_deg")]
+        expected = [f"{row['right']} of {row['number']}", str(row["wrong_sure"]), *errors]
+        assert [cell.strip() for cell in cells_of_row.split("|")] == expected, group
 
 
 @pytest.mark.filterwarnings("default")
 def test_an_objective_of_ones_own_finds_its_minimum(plain_jax: None) -> None:
-    names = run_code("docs/objectives.md")
+    names, _ = cells.run_cells((DOCS / "objectives.md").read_text(), "docs/objectives.md")
     found, by_hand = names["found"], names["by_hand"]
     np.testing.assert_allclose(found.x, names["centres"], atol=1e-3)
     np.testing.assert_allclose(np.exp(found.value), 1e-3, rtol=0.2)

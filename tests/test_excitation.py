@@ -91,16 +91,16 @@ def test_steady_velocities_are_seen():
 
 def test_an_explanation_has_error_bars_and_advice(moved):
     poses, found, tested = moved["K"]
-    sure = rf.covariance(found, poses, dt=DT)[0]
-    text = found[0].explain(sure, tested[0])
+    covariance = rf.covariance(found, poses, dt=DT)[0]
+    text = found[0].explain(covariance, tested[0])
     assert text.startswith("The body moves like a pen on paper")
     # the interval is 1.96 standard deviations along the worst direction
-    size = 1.96e3 * np.sqrt(np.linalg.eigvalsh(sure.position)[-1])
+    size = 1.96e3 * np.sqrt(np.linalg.eigvalsh(covariance.position)[-1])
     assert f"{size:.2g} mm" in text
     assert "The plane is perpendicular to the direction" in text
     assert len(text.splitlines()) <= 5
-    large = replace(sure, first_order=np.array(False))
-    assert found[0].explain(large, tested[0]) != found[0].explain(sure, tested[0])
+    large = replace(covariance, first_order=np.array(False))
+    assert found[0].explain(large, tested[0]) != found[0].explain(covariance, tested[0])
     _, found, tested = moved["A"]
     assert "path" in found[0].explain(excitation=tested[0])
 

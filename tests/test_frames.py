@@ -51,8 +51,8 @@ def test_unique_axes_are_those_that_differ():
             (entry.angular_dof, entry.angular_axis),
             (entry.linear_dof, entry.linear_axis),
         ):
-            alone = [n for n in range(3) if dof.count(dof[n]) == 1]
-            assert alone == ([] if axis is None else [axis])
+            unique = [axis_number for axis_number in range(3) if dof.count(dof[axis_number]) == 1]
+            assert unique == ([] if axis is None else [axis])
 
 
 @pytest.mark.parametrize("label", CONSTRAINTS)
@@ -72,8 +72,8 @@ def test_the_order_of_axes_does_not_matter(label):
     entry = CONSTRAINTS[label]
     kind = LinearType.BB if entry.linear_type is None else entry.linear_type
     for order in ((1, 2, 0), (2, 0, 1), (1, 0, 2), (0, 2, 1), (2, 1, 0)):
-        angular = tuple(entry.angular_dof[n] for n in order)
-        linear = tuple(entry.linear_dof[n] for n in order)
+        angular = tuple(entry.angular_dof[axis_number] for axis_number in order)
+        linear = tuple(entry.linear_dof[axis_number] for axis_number in order)
         assert lookup(kind, angular, linear) is entry
 
 

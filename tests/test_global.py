@@ -75,10 +75,10 @@ def test_slow_motion_is_mostly_explained_as_well_as_by_the_truth():
 
 # the stillest axis alone (-inf) has many minima of nearly the same depth: which of them a search ends in
 # depends on rounding, and so do the misses: 1 or 2 of the 96 problems here with jax 0.10, 4 with 0.11
-STILLEST = 0.03 if jax.__version_info__ < (0, 11) else 0.06
+LARGEST_MISS = 0.03 if jax.__version_info__ < (0, 11) else 0.06
 
 
-@pytest.mark.parametrize(("exponent", "missed"), [(-np.inf, STILLEST), (-1.0, 1e-3), (1.0, 1e-3)])
+@pytest.mark.parametrize(("exponent", "missed"), [(-np.inf, LARGEST_MISS), (-1.0, 1e-3), (1.0, 1e-3)])
 def test_other_norms_reach_the_best_of_longer_searches(problems, exponent, missed):
     some = PositionObjective(problems[:, :, ::12], exponent)
     long = rf.BasinHopping(rf.ValleySteps(20), restarts=48, hops=2)

@@ -98,8 +98,8 @@ def test_errors_have_the_size_that_they_claim():
 
 def test_a_recording_is_the_same_alone_and_among_others():
     specs = [*made.PLANS["soft"]()][:20]
-    (alone,) = made.simulate(specs[7:8])
-    np.testing.assert_allclose(made.simulate(specs)[7].poses, alone.poses, atol=1e-12)
+    (single,) = made.simulate(specs[7:8])
+    np.testing.assert_allclose(made.simulate(specs)[7].poses, single.poses, atol=1e-12)
 
 
 def test_keys_are_unique_and_start_with_their_group():

@@ -93,7 +93,7 @@ def test_compilation_is_apart_from_the_call():
         traced.append(x)
         return 2 * x
 
-    result, seconds, compiling = timing.timed_once(jax.jit(double), jnp.ones(3))
+    result, seconds, compiling = timing.timed_call(jax.jit(double), jnp.ones(3))
     np.testing.assert_array_equal(result, [2, 2, 2])
     assert len(traced) == 1
     assert seconds > 0

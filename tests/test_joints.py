@@ -117,7 +117,7 @@ def test_types_that_tie_give_the_same_joint(label: str, kind: rf.LinearType) -> 
     turn, origin = START[:3, :3], START[:3, :3] @ np.asarray(frame.position) + START[:3, 3]
     axes = turn @ np.asarray(frame.linear_axes)
 
-    def told(on_body: bool) -> np.ndarray:
+    def rotvec(on_body: bool) -> np.ndarray:
         return Rotation.from_matrix(turn.T @ axes if on_body else axes).as_rotvec()
 
     other = rf.ConstraintFrame(
@@ -125,8 +125,8 @@ def test_types_that_tie_give_the_same_joint(label: str, kind: rf.LinearType) -> 
         angular_dof=frame.angular_dof,
         linear_type=kind,
         linear_dof=frame.linear_dof,
-        angular_rotvec=jnp.asarray(told(kind.name[0] == "B")),
-        linear_rotvec=jnp.asarray(told(kind.name[0] == "B")),
+        angular_rotvec=jnp.asarray(rotvec(kind.name[0] == "B")),
+        linear_rotvec=jnp.asarray(rotvec(kind.name[0] == "B")),
         position=jnp.asarray(frame.position if kind.name[1] == "B" else origin),
     )
     expected, joint = fit_joint(frame, poses), fit_joint(other, poses)

@@ -155,9 +155,9 @@ class TestMaps:
         assert maps.shape == (2, 3, 4, 8, 3, 4)
         assert rates.shape == (2, 3, 2, 8, 3)
         for index in np.ndindex(2, 3):
-            alone = velocities(poses[index], dt[index], discretization)
-            np.testing.assert_allclose(maps[index], alone[0], rtol=1e-11, atol=1e-11)
-            np.testing.assert_allclose(rates[index], alone[1], rtol=1e-11, atol=1e-11)
+            single = velocities(poses[index], dt[index], discretization)
+            np.testing.assert_allclose(maps[index], single[0], rtol=1e-11, atol=1e-11)
+            np.testing.assert_allclose(rates[index], single[1], rtol=1e-11, atol=1e-11)
         # the rotational part of a map that nothing turns is the angular velocity
         turns = np.asarray(maps[..., 1:])
         both = turns[:, :, LinearType.GG], turns[:, :, LinearType.BB]

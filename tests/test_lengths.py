@@ -37,20 +37,20 @@ def test_alone_padded_and_in_a_batch(recording, monkeypatch, poses, scales):
     """All that is made of the poses before and after the search."""
     window, options = recording[:poses], {"dt": DT, "scales": scales, "solver": MIDDLE}
     batch = rf.identify(np.stack([window, window[::-1]]), **options)[0]
-    alone, padded = alone_and_padded(window, monkeypatch, options)
+    single, padded = single_and_padded(window, monkeypatch, options)
     for other in (padded, batch):
-        for (path, x), y in zip(jax.tree.leaves_with_path(alone), jax.tree.leaves(other), strict=True):
+        for (path, x), y in zip(jax.tree.leaves_with_path(single), jax.tree.leaves(other), strict=True):
             np.testing.assert_allclose(y, x, rtol=1e-6, atol=1e-6, err_msg=jax.tree_util.keystr(path))
 
 
 def test_a_search_ends_at_the_same_place_padded(recording, monkeypatch):
-    alone, padded = alone_and_padded(recording[:300], monkeypatch, {"dt": DT})
-    assert alone.name == padded.name == "Pin-plane contact"
-    np.testing.assert_allclose(padded.linear.position, alone.linear.position, atol=1e-4)
-    np.testing.assert_allclose(padded.linear.rms, alone.linear.rms, rtol=1e-2)
+    single, padded = single_and_padded(recording[:300], monkeypatch, {"dt": DT})
+    assert single.name == padded.name == "Pin-plane contact"
+    np.testing.assert_allclose(padded.linear.position, single.linear.position, atol=1e-4)
+    np.testing.assert_allclose(padded.linear.rms, single.linear.rms, rtol=1e-2)
 
 
-def alone_and_padded(window, monkeypatch, options):
+def single_and_padded(window, monkeypatch, options):
     """Identified by a program for its length, and by one for more poses."""
     found = []
     for fewest in (1000, 0):

@@ -27,10 +27,10 @@ def test_a_cluster_finds_what_one_process_finds(tmp_path):
     assert done.returncode == 0, done.stderr
     assert "41 windows" in done.stdout
     assert sorted(line for line in done.stdout.splitlines() if "of 3" in line)[0].startswith("part 0 is done")
-    alone = rf.identify_many(
+    single = rf.identify_many(
         rf.sliding_windows(recording, 21), tmp_path / "alone", dt=0.1, part_size=16, progress=False
     )
-    ours, theirs = rf.load_results(alone), rf.load_results(tmp_path / "cluster")
+    ours, theirs = rf.load_results(single), rf.load_results(tmp_path / "cluster")
     assert len(theirs.status_code) == 41
     for x, y in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
         np.testing.assert_array_equal(x, y)

@@ -11,7 +11,7 @@ import pytest
 import reframe_jax as rf
 from benchmarks import fits, noise, weak_axes
 from benchmarks.bounds import cramer_rao
-from benchmarks.determined import Told, determined
+from benchmarks.determined import Determination, determined
 from reframe_jax.simulation.motions import PoseErrors, random_motion
 
 STEPS, DT = 50, 0.1
@@ -24,7 +24,9 @@ def windows(label: str, sigma: float, count: int = 3) -> fits.Windows:
     made = jax.vmap(of_key)(jax.random.split(jax.random.key(7), count))
     bound = cramer_rao(made.truth, made.exact_poses, sigma, 3.0)
     poses, exact = np.asarray(made.poses), np.asarray(made.exact_poses)
-    return fits.Windows(label, made.truth, poses, exact, DT, bound, Told(*np.ones((2, count), dtype=bool)))
+    return fits.Windows(
+        label, made.truth, poses, exact, DT, bound, Determination(*np.ones((2, count), dtype=bool))
+    )
 
 
 @pytest.mark.parametrize(
@@ -92,13 +94,15 @@ def test_a_motion_tells_the_constraint_if_nothing_as_tight_explains_it(label, ex
     )
     exact, measured = np.asarray(motion.exact_poses)[None], np.asarray(motion.poses)[None]
     truth = jax.tree.map(lambda leaf: leaf[None], motion.truth)
-    told = determined(label, truth, exact, measured, DT, np.array([sigma]), np.array([3.0]))
-    assert (told.dof, told.name) == ([dof], [name])
+    determination = determined(label, truth, exact, measured, DT, np.array([sigma]), np.array([3.0]))
+    assert (determination.dof, determination.name) == ([dof], [name])
 
 
 def test_what_the_motion_does_not_tell_is_not_scored():
     ours = windows("A", 1e-4)
-    some = replace(ours, told=Told(np.array([True, False, True]), np.array([True, False, False])))
+    some = replace(
+        ours, determination=Determination(np.array([True, False, True]), np.array([True, False, False]))
+    )
     right = fits.scores(rf.identify(ours.poses, dt=DT), some).right
     np.testing.assert_array_equal(right["told"], [True, False, True])
     for name in ("types", "dof", "silent"):
@@ -148,10 +152,10 @@ def test_weak_axes_are_grouped_and_the_wrong_ones_listed(tmp_path, capsys):
     record = json.loads(file.read_text())
     rows = [weak_axes.Window(**row) for row in record["windows"]]
     assert {row.constraint for row in rows} <= {"D", "K"}
-    assert all(row.noises > 10 and 0 < row.share < 2 for row in rows)  # told
+    assert all(row.noises > 10 and 0 < row.ratio < 2 for row in rows)  # told
     assert record["metrics"]["windows"] == len(rows) > 0
-    wrong = replace(rows[0], right=False, probability=0.95, share=0.005, said="Fixed")
-    metrics = weak_axes.show([*rows, wrong])
+    wrong = replace(rows[0], right=False, probability=0.95, ratio=0.005, said="Fixed")
+    metrics = weak_axes.print_table([*rows, wrong])
     assert metrics["sure_and_wrong"] == record["metrics"]["sure_and_wrong"] + 1
     assert ": Fixed (0.95)" in capsys.readouterr().out
     assert weak_axes.main(["--join", str(file), "--json", str(again)]) == 0

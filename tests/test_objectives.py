@@ -137,9 +137,9 @@ class TestNorms:
         axes = np.asarray(turned(rotvec))
         expected = np.zeros((5, 3))
         for w in range(5):
-            for n in range(3):
-                along = [axes[w, :, n] @ (m[:, 0] + m[:, 1:] @ position[w]) for m in maps[w]]
-                expected[w, n] = np.sqrt(np.mean(np.square(along)))
+            for number in range(3):
+                along = [axes[w, :, number] @ (m[:, 0] + m[:, 1:] @ position[w]) for m in maps[w]]
+                expected[w, number] = np.sqrt(np.mean(np.square(along)))
         found = rms_at(rotvec, position, maps)
         np.testing.assert_allclose(found, expected, rtol=1e-13)
         rates = maps[..., 0]
@@ -208,9 +208,9 @@ class TestObjectives:
         values, slopes = (
             np.asarray(y) for y in jax.jit(jax.vmap(jax.value_and_grad(objective.value)))(around)
         )
-        n = x.size
-        np.testing.assert_allclose(slopes[-1], (values[:n] - values[n:-1]) / (2 * step), atol=1e-9)
-        second = (slopes[:n] - slopes[n:-1]) / (2 * step)
+        number = x.size
+        np.testing.assert_allclose(slopes[-1], (values[:number] - values[number:-1]) / (2 * step), atol=1e-9)
+        second = (slopes[:number] - slopes[number:-1]) / (2 * step)
         np.testing.assert_allclose(jax.jit(jax.hessian(objective.value))(x), second, atol=1e-8)
 
     @pytest.mark.parametrize("exponent", [-1.0, 0.0, 1.0])

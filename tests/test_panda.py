@@ -227,11 +227,11 @@ def test_imperfections_one_by_one(rigid: dict[str, panda.Demonstration]) -> None
 
 def test_status_tells_of_joint_limits() -> None:
     """A prismatic joint that is pushed far out of reach."""
-    far = jax.device_get(
+    distant = jax.device_get(
         panda.demonstrate("B", KEY, batch=BATCH, guide=panda.Guide(misalignment=3.0, stiffness=100.0))
     )
-    assert np.any(far.status_code == panda.RolloutStatus.JOINT_LIMIT)
-    assert np.all((far.limit_margin < 0) <= (far.status_code >= panda.RolloutStatus.JOINT_LIMIT))
+    assert np.any(distant.status_code == panda.RolloutStatus.JOINT_LIMIT)
+    assert np.all((distant.limit_margin < 0) <= (distant.status_code >= panda.RolloutStatus.JOINT_LIMIT))
 
 
 def test_status_tells_what_is_wrong(rigid: dict[str, panda.Demonstration]) -> None:

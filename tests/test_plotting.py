@@ -143,15 +143,14 @@ def test_the_legend_names_what_is_there(
 
 def test_velocities_and_thresholds(poses: np.ndarray) -> None:
     found = identification(LinearType.GB)
-    _, _, (linear, angular) = draw(poses, found, thresholds=Thresholds(angular=0.5, linear=0.25))
+    _, _, (linear, angular, *_) = draw(poses, found, thresholds=Thresholds(angular=0.5, linear=0.25))
     path = poses[:, :3, :3] @ POSITION + poses[:, :3, 3]
     velocities = np.diff(path, axis=0) / 0.1 @ Rotation.from_rotvec([0, 0, 0.3]).as_matrix()
     for i, line in enumerate(linear.lines[:3]):
         np.testing.assert_allclose(line.get_xdata(), (TIMES[1:] + TIMES[:-1]) / 2)
         np.testing.assert_allclose(line.get_ydata(), velocities[:, i], atol=1e-9)
-        rms = np.sqrt(np.mean(velocities[:, i] ** 2))
         freedom = "free" if found.linear.dof[i] else "constrained"
-        assert line.get_label() == f"axis {i + 1}, {freedom}: rms {rms:.3g} m/s"
+        assert line.get_label() == f"axis {i + 1}, {freedom}"
     for graph, level, unit in ((linear, 0.25, "m/s"), (angular, 0.5, "rad/s")):
         assert [line.get_ydata()[0] for line in graph.lines[3:]] == [-level, level]
         assert {line.get_linestyle() for line in graph.lines[3:]} == {"--"}
@@ -159,11 +158,21 @@ def test_velocities_and_thresholds(poses: np.ndarray) -> None:
         assert f"threshold {level:g} {unit}" in [text.get_text() for text in graph.get_legend().get_texts()]
 
 
+def test_bars_are_amplitudes_with_the_probability_of_a_free_axis(poses: np.ndarray) -> None:
+    found = identification(LinearType.GB)
+    _, _, (_, _, *bars) = draw(poses, found)
+    for axes, frame, unit in zip(bars, (found.linear, found.angular), ("mm", "mrad"), strict=True):
+        ends = [bar.get_x() + bar.get_width() for bar in axes.patches]
+        np.testing.assert_allclose(ends, 1e3 * frame.amplitude)
+        assert [text.get_text() for text in axes.texts] == [f" 1000 {unit}, P(free) < 0.01"] * 3
+        assert f"[{unit}]" in axes.get_xlabel()
+
+
 def test_without_thresholds_none_are_drawn(poses: np.ndarray) -> None:
     _, _, graphs = draw(poses, identification(LinearType.GB))
-    for graph in graphs:
+    for graph in graphs[:2]:
         assert len(graph.lines) == 3
-        assert len(graph.get_legend().get_texts()) == 3
+        assert graph.get_legend() is None
 
 
 @pytest.mark.parametrize(("distance", "shown"), [(0.05, 1), (50.0, 0)])
@@ -180,7 +189,7 @@ def test_outliers_are_crosses_and_do_not_spoil_the_picture(
     (crosses,) = (line for line in space.lines if line.get_marker() == "x")
     np.testing.assert_allclose(np.transpose(crosses.get_data_3d()), jumps[[5][:shown], :3, 3].reshape(-1, 3))
     assert "poses left out" in {text.get_text() for text in space.get_legend().get_texts()}
-    for graph in graphs:
+    for graph in graphs[:2]:
         *lines, marks = graph.lines
         np.testing.assert_allclose(marks.get_xdata(), TIMES[[5]])
         # the steps to it and from it
@@ -190,7 +199,7 @@ def test_outliers_are_crosses_and_do_not_spoil_the_picture(
 
 def test_axes_have_different_colours(poses: np.ndarray) -> None:
     for dof in ((0, 0, 0), (0, 1, 1), (1, 1, 1)):
-        _, _, (linear, _) = draw(poses, identification(LinearType.GB, linear_dof=dof))
+        _, _, (linear, *_) = draw(poses, identification(LinearType.GB, linear_dof=dof))
         colours = [to_hex(line.get_color()).upper() for line in linear.lines[:3]]
         assert len(set(colours)) == 3
         assert [colour in FREE for colour in colours] == [bool(free) for free in dof]

@@ -64,9 +64,9 @@ def test_error_bars_of_half_a_recording_hold_the_other_half() -> None:
         found = [rf.identify(poses, times=times) for poses, times in halves]
         for one, other, (poses, times) in zip(found, found[::-1], halves, strict=True):
             assert one.name == "Revolute joint"
-            sure = rf.covariance(one, poses, times=times)
-            assert np.max(sure.inflation) > 2
-            assert "Slow errors of the tracker" in one.explain(sure)
+            covariance = rf.covariance(one, poses, times=times)
+            assert np.max(covariance.inflation) > 2
+            assert "Slow errors of the tracker" in one.explain(covariance)
             axis = np.asarray(one.angular.axes)[:, 2]
             its_axis = np.asarray(rotation_exp(other.candidates.angular.rotvec[int(one.angular.type_code)]))[
                 :, 2
@@ -75,7 +75,10 @@ def test_error_bars_of_half_a_recording_hold_the_other_half() -> None:
             origin = np.asarray(other.candidates.linear.position)[int(one.linear.type_code)]
             offset = origin - np.asarray(one.linear.position)
             offset = offset - np.asarray(one.linear.free_position) @ offset
-            for error, matrix in ((np.cross(axis, its_axis), sure.angular_axes), (offset, sure.position)):
+            for error, matrix in (
+                (np.cross(axis, its_axis), covariance.angular_axes),
+                (offset, covariance.position),
+            ):
                 variances, directions = np.linalg.eigh(np.asarray(matrix, float))
                 known = variances > 1e-6 * variances[-1]
                 scores += [*np.abs(error @ directions)[known] / np.sqrt(variances[known])]

@@ -110,12 +110,12 @@ def test_nothing_optional_is_imported_before() -> None:
 
 
 def test_what_a_library_raises_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError) as caught, reader.stumbling(tmp_path / "a", "a whole bag"):
+    with pytest.raises(RecordingError) as caught, reader.translate_errors(tmp_path / "a", "a whole bag"):
         raise KeyError("first\nsecond " + "x" * 1000)
     assert str(caught.value).startswith(f"{tmp_path / 'a'}: expected a whole bag; it cannot be read: ")
     assert str(caught.value).isprintable()
     assert len(str(caught.value)) < 500
-    with pytest.raises(PermissionError), reader.stumbling(tmp_path / "a", "a whole bag"):
+    with pytest.raises(PermissionError), reader.translate_errors(tmp_path / "a", "a whole bag"):
         raise PermissionError(13, "no")
 
 

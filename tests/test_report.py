@@ -179,8 +179,8 @@ def test_noise_scale_and_outliers_of_a_window_in_a_recording() -> None:
     assert noise == "Noise   0.12 mm, 0.081 deg"
     assert scale == "blocks of 12 samples (0.6 s)"
     assert out == "3 poses left out: samples 117, 141, 300"
-    alone = identification(scale=12, poses=301, outliers=(17,))
-    assert to_table(alone).splitlines()[-1].endswith("blocks of 12 samples; 1 pose left out: sample 17")
+    single = identification(scale=12, poses=301, outliers=(17,))
+    assert to_table(single).splitlines()[-1].endswith("blocks of 12 samples; 1 pose left out: sample 17")
     many = identification(poses=301, outliers=tuple(range(10, 18)))
     assert (
         to_table(many)

@@ -274,10 +274,10 @@ def test_leading_axes_and_dtype(dtype, rng):
     w = jnp.asarray(rng.normal(size=(2, 3, 3)).astype(dtype))
     together = jax.jit(everything)(w)
     one = jax.jit(everything)
-    alone = [one(w[index]) for index in np.ndindex(2, 3)]
+    single = [one(w[index]) for index in np.ndindex(2, 3)]
     for i, batch in enumerate(together):
         assert batch.dtype == dtype
-        rows = np.stack([row[i] for row in alone]).reshape(batch.shape)
+        rows = np.stack([row[i] for row in single]).reshape(batch.shape)
         np.testing.assert_allclose(batch, rows, atol=4 * np.finfo(dtype).eps)
 
 

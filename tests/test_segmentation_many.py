@@ -28,10 +28,10 @@ def test_many_recordings_give_what_each_gives(recordings: list[np.ndarray]) -> N
     times = [3 + DT * np.arange(len(poses)) for poses in recordings]
     timed = rf.segment_many(recordings, times=times)
     for one, other, poses in zip(found, timed, recordings, strict=True):
-        alone = rf.segment(poses, dt=DT)
+        single = rf.segment(poses, dt=DT)
         for many in (one, other):
-            assert [s.name for s in many.segments] == [s.name for s in alone.segments]
-            assert [b.index for b in many.boundaries] == [b.index for b in alone.boundaries]
+            assert [s.name for s in many.segments] == [s.name for s in single.segments]
+            assert [b.index for b in many.boundaries] == [b.index for b in single.boundaries]
         assert np.allclose(other.times, one.times + 3)
     assert rf.segment_many([], dt=DT) == []
 

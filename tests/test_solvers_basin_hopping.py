@@ -63,25 +63,25 @@ class TestBasinHopping:
             state = step(state)
             assert np.all(state.best_value <= before)
             assert np.all(state.best_value <= state.value)
-            met = np.stack([value_of(state.best_x[:, i]) for i in range(3)])
-            np.testing.assert_allclose(state.best_value, met, rtol=1e-10)
+            reached = np.stack([value_of(state.best_x[:, i]) for i in range(3)])
+            np.testing.assert_allclose(state.best_value, reached, rtol=1e-10)
             assert np.all(np.abs(state.x) <= 1)
         by_hand = compiled(lambda state: self.solver.finish(objective, POSITIONS, state))(state)
         gain = np.min(state.best_value, axis=0) - np.asarray(by_hand.value)
         assert np.min(gain) >= 0
         assert np.max(gain) > 0.01
         np.testing.assert_allclose(by_hand.value, value_of(by_hand.x), rtol=1e-10)
-        at_once = search_positions(self.solver, moments)
-        np.testing.assert_allclose(at_once.x, by_hand.x, atol=1e-9)
-        np.testing.assert_allclose(at_once.value, by_hand.value, atol=1e-10)
-        np.testing.assert_array_equal(at_once.agreement, by_hand.agreement)
+        in_one_call = search_positions(self.solver, moments)
+        np.testing.assert_allclose(in_one_call.x, by_hand.x, atol=1e-9)
+        np.testing.assert_allclose(in_one_call.value, by_hand.value, atol=1e-10)
+        np.testing.assert_array_equal(in_one_call.agreement, by_hand.agreement)
 
     def test_settled_problems_stop(self):
         """Where the chains met they stop after one step, and nowhere else; whatever block they are in."""
         rng = np.random.default_rng(5)
         maps = np.stack([planted(rng, FREE[i % 4])[0] for i in range(37)])
         objective = PositionObjective(velocity_moments(jnp.asarray(maps)))
-        solver = BasinHopping(slide, restarts=3, hops=2, polish=1, settled=0)
+        solver = BasinHopping(slide, restarts=3, hops=2, polish=1, tolerance=0)
         step = compiled(lambda state: solver.step(objective, POSITIONS, state))
         first = step(solver.init(objective, POSITIONS, KEY))
         last = first
@@ -89,10 +89,10 @@ class TestBasinHopping:
             last = step(last)
         spread = np.ptp(np.asarray(first.value), axis=0)
         limit = float(np.median(spread))
-        settled = spread < limit
-        assert 10 < np.sum(settled) < 27
-        found = search(dataclasses.replace(solver, settled=limit), objective.moments, KEY, POSITIONS)
-        expected = np.where(settled, np.min(first.best_value, axis=0), np.min(last.best_value, axis=0))
+        tolerance = spread < limit
+        assert 10 < np.sum(tolerance) < 27
+        found = search(dataclasses.replace(solver, tolerance=limit), objective.moments, KEY, POSITIONS)
+        expected = np.where(tolerance, np.min(first.best_value, axis=0), np.min(last.best_value, axis=0))
         np.testing.assert_allclose(found.value, expected, atol=1e-9)
         assert np.any(np.min(last.best_value, axis=0) < np.min(first.best_value, axis=0) - 1e-3)
         # nothing is settled: the same as by hand for all
@@ -110,18 +110,18 @@ class TestBasinHopping:
             rounds.init(objective, POSITIONS, KEY)
         )
         spread = np.ptp(np.asarray(first.value), axis=0)
-        rounds = dataclasses.replace(rounds, settled=float(np.median(spread)))
-        settled = spread < rounds.settled
+        rounds = dataclasses.replace(rounds, tolerance=float(np.median(spread)))
+        tolerance = spread < rounds.tolerance
         short = search(dataclasses.replace(rounds, rounds=1), moments, KEY, POSITIONS)
         found = search(rounds, moments, KEY, POSITIONS)
         gain = np.min(np.asarray(first.value), axis=0) - np.asarray(found.value)
         assert np.all(gain >= 0)
-        np.testing.assert_allclose(gain[settled], 0, atol=1e-9)
+        np.testing.assert_allclose(gain[tolerance], 0, atol=1e-9)
         assert np.max(gain) > 0.1
         assert np.max(np.asarray(short.value - found.value)) > 0.1
         for i in (0, 3, 11):
-            alone = search(rounds, moments[..., i : i + 1], KEY, POSITIONS)
-            np.testing.assert_allclose(alone.value, found.value[i : i + 1], atol=1e-6)
+            single = search(rounds, moments[..., i : i + 1], KEY, POSITIONS)
+            np.testing.assert_allclose(single.value, found.value[i : i + 1], atol=1e-6)
 
     def test_suggested_starts_are_the_stillest_origins_along_their_directions(self, moments):
         """No other origin moves less along the direction that the key draws; all lie in the box."""
@@ -150,7 +150,7 @@ class TestBasinHopping:
     def test_one_chain_meets_nobody(self, moments):
         """A single chain takes all its hops."""
         one = BasinHopping(ValleySteps(2), restarts=1, hops=0, polish=0)
-        more = dataclasses.replace(one, polish=8, settled=1e9)
+        more = dataclasses.replace(one, polish=8, tolerance=1e9)
         gain = search_positions(one, moments).value - search_positions(more, moments).value
         assert np.max(gain) > 1e-3
 
@@ -211,9 +211,9 @@ class TestBasinHopping:
         np.testing.assert_array_equal(turned.x, together.x[:, order])
         np.testing.assert_array_equal(turned.value, together.value[order])
         together = search_positions(self.solver, moments)
-        alone = search_positions(self.solver, moments[..., 2])
-        assert alone.x.shape == (3,)
-        np.testing.assert_allclose(alone.x, together.x[:, 2], atol=1e-9)
+        single = search_positions(self.solver, moments[..., 2])
+        assert single.x.shape == (3,)
+        np.testing.assert_allclose(single.x, together.x[:, 2], atol=1e-9)
         folded = search_positions(self.solver, moments.reshape(6, 10, 2, 2))
         np.testing.assert_allclose(folded.x.reshape(3, 4), together.x, atol=1e-9)
 

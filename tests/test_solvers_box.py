@@ -31,7 +31,7 @@ class TestSeeds:
         assert np.min(distance + np.eye(32)) > 0.15
 
     def test_any_prefix_and_any_key(self):
-        few, many = (quasi_random(KEY, n, 3, jnp.float32) for n in (5, 9))
+        few, many = (quasi_random(KEY, number, 3, jnp.float32) for number in (5, 9))
         assert few.dtype == jnp.float32
         np.testing.assert_array_equal(few, many[:, :5])
         other = quasi_random(jax.random.key(4), 5, 3, jnp.float32)

@@ -107,7 +107,7 @@ class TestJointSearch:
         assert np.all(np.abs(found.x) < 0.99)
         gradient = jax.grad(lambda x: jnp.sum(objective.value(x)))
         slope, bend = (np.asarray(compiled(f)(found.x)) for f in (gradient, jax.jacfwd(gradient)))
-        for n in range(4):
+        for number in range(4):
             # what a Newton step would still gain; the slope itself is steep in narrow valleys
-            gain = slope[:, n] @ np.linalg.solve(bend[:, n, :, n], slope[:, n])
+            gain = slope[:, number] @ np.linalg.solve(bend[:, number, :, number], slope[:, number])
             assert 0 <= gain < 1e-11

@@ -56,22 +56,22 @@ BOWLS = Bowls(jnp.asarray(BOTTOMS), jnp.asarray(DEPTHS))
     [(NewtonSteps(12), 1e-6), (OptaxSteps(optax.adam(0.05), 200), 0.03)],
     ids=["newton", "adam"],
 )
-def test_any_objective_is_minimised(inner, far):
+def test_any_objective_is_minimised(inner, atol):
     """Without moments, with two leaves of different rank: the deeper of two bowls, problem by problem."""
     solver = BasinHopping(inner, restarts=4, hops=1)
     with jax.numpy_dtype_promotion("standard"):  # Optax mixes types of integers
         found = compiled(solver.minimise)(BOWLS, SQUARE, KEY)
-    np.testing.assert_allclose(found.x, BOTTOMS, atol=far)
-    np.testing.assert_allclose(found.value, np.log(DEPTHS), atol=far if inner == NewtonSteps(12) else 3)
+    np.testing.assert_allclose(found.x, BOTTOMS, atol=atol)
+    np.testing.assert_allclose(found.value, np.log(DEPTHS), atol=atol if inner == NewtonSteps(12) else 3)
 
 
 def test_any_shape_of_problems():
     """One problem, and a grid of them, are found as in a row."""
     solver = BasinHopping(NewtonSteps(12), restarts=4, hops=0, polish=0)
     search = compiled(solver.minimise)
-    alone = search(jax.tree.map(lambda a: a[..., 1], BOWLS), SQUARE, KEY)
-    assert alone.x.shape == (2,)
-    np.testing.assert_allclose(alone.x, BOTTOMS[:, 1], atol=1e-6)
+    single = search(jax.tree.map(lambda a: a[..., 1], BOWLS), SQUARE, KEY)
+    assert single.x.shape == (2,)
+    np.testing.assert_allclose(single.x, BOTTOMS[:, 1], atol=1e-6)
     grid = jax.tree.map(lambda a: jnp.stack([a, a[..., ::-1]], axis=-2), BOWLS)
     found = search(grid, SQUARE, KEY)
     assert found.value.shape == (2, 3)

@@ -13,7 +13,7 @@ from reframe_jax.export.columns import to_columns
 POSES, DT, NOISE = 51, 0.1, 1e-4
 TIMES = DT * np.arange(POSES)
 PITCHES = (0.02, -0.02, 0.1, 0.005, -0.1, 0.05, 0.16, -0.01)
-SCREWS, UNIVERSAL, FAR = slice(0, 8), slice(8, 16), slice(16, 24)
+SCREWS, UNIVERSAL, DISTANT = slice(0, 8), slice(8, 16), slice(16, 24)
 DISTANCE = 4.0  # m, of the far origins from the body
 
 
@@ -52,7 +52,7 @@ def on_universal(rng):
     return poses, (outer.apply([1, 0, 0]), inner.inv().apply([0, 1, 0]))
 
 
-def on_far_plane(rng):
+def on_distant_plane(rng):
     """Poses of a body of which a point stays on a plane, and that point in the body."""
     tip = rng.normal(size=3)
     tip *= DISTANCE / np.linalg.norm(tip)
@@ -67,7 +67,7 @@ def made():
     rng = np.random.default_rng(4)
     each = [on_screw(rng, pitch) for pitch in PITCHES]
     each += [on_universal(rng) for _ in range(8)]
-    each += [on_far_plane(rng) for _ in range(8)]
+    each += [on_distant_plane(rng) for _ in range(8)]
     return np.stack([poses for poses, _ in each]), [truth for _, truth in each]
 
 
@@ -108,7 +108,7 @@ def test_a_universal_joint_is_named_with_its_axes(made, found):
     np.testing.assert_array_equal(np.sum(joints.angular.dof, axis=1), 2)
     cosine = np.abs(np.sum(joints.universal_axes * axes, axis=-1))
     assert np.degrees(np.arccos(np.minimum(cosine, 1))).max() < 0.5
-    assert np.all(np.isnan(found[FAR].universal_axes))
+    assert np.all(np.isnan(found[DISTANT].universal_axes))
     one = joints[0]
     assert "Turns   about" in rf.to_table(one)
     (window,) = json.loads(rf.to_json(one))["recordings"][0]["windows"]
@@ -117,14 +117,14 @@ def test_a_universal_joint_is_named_with_its_axes(made, found):
 
 
 def test_far_origins_are_found(made, found):
-    far, tips = found[FAR], np.array(made[1][FAR])
-    assert set(far.name) == {"Pin-plane contact"}
-    assert np.all(far.status_code == rf.Status.OK)
-    assert np.linalg.norm(far.linear.position - tips, axis=1).max() < 0.05
+    distant, tips = found[DISTANT], np.array(made[1][DISTANT])
+    assert set(distant.name) == {"Pin-plane contact"}
+    assert np.all(distant.status_code == rf.Status.OK)
+    assert np.linalg.norm(distant.linear.position - tips, axis=1).max() < 0.05
 
 
 def test_a_joint_that_is_assumed_is_certain_and_bounds_that_exclude_its_origin_are_noticed(made):
     found = rf.identify(made[0], dt=DT, assume="K", bounds=1.0)
     assert set(found.name) == {"Pin-plane contact"}
     np.testing.assert_allclose(found.probability, 1)
-    assert np.all(found.status_code[FAR] == rf.Status.ON_BOUNDS)
+    assert np.all(found.status_code[DISTANT] == rf.Status.ON_BOUNDS)

@@ -102,8 +102,8 @@ def test_left_jacobian_is_its_series():
     found = jacobian(jnp.asarray(TWISTS))
     for x, matrix in zip(TWISTS, found, strict=True):
         term, total = np.eye(6), np.zeros((6, 6))
-        for n in range(40):
-            total = total + term / factorial(n + 1)
+        for order in range(40):
+            total = total + term / factorial(order + 1)
             term = term @ ad(x)
         np.testing.assert_allclose(matrix, total, atol=4e-15)
 
@@ -153,9 +153,9 @@ def test_leading_axes(rng):
     x = jnp.asarray(rng.normal(size=(2, 3, 6)))
     together = jax.jit(everything)(x)
     one = jax.jit(everything)
-    alone = [one(x[index]) for index in np.ndindex(2, 3)]
+    single = [one(x[index]) for index in np.ndindex(2, 3)]
     for i, batch in enumerate(together):
-        rows = np.stack([row[i] for row in alone]).reshape(batch.shape)
+        rows = np.stack([row[i] for row in single]).reshape(batch.shape)
         np.testing.assert_allclose(batch, rows, atol=2e-15)
 
 

@@ -234,6 +234,22 @@ def test_the_page_shows_the_window_and_needs_no_network(browser: Any, tracks: li
         page.close()
 
 
+def test_a_narrow_page_has_the_panel_below_the_scene(browser: Any, tracks: list[WindowTrack]) -> None:
+    page = serve_page(tracks, title="door.csv", port=8190)
+    try:
+        view = browser.new_page(viewport={"width": 390, "height": 844})
+        view.goto(page.url)
+        wait_for(lambda: view.get_by_text("residuals").first.is_visible())
+        top = view.get_by_text("door.csv").first.bounding_box()["y"]
+        assert top > 844 / 2
+        colours = (BODY, CONSTRAINED[0], TURNING)
+        wait_for(lambda: all(near(picture(view)[: int(top)], colour).any() for colour in colours))
+        cut = "e => !e.children.length && e.innerText && e.clientWidth && e.scrollWidth > e.clientWidth + 1"
+        assert view.evaluate(f"[...document.querySelectorAll('*')].filter({cut}).map(e => e.innerText)") == []
+    finally:
+        page.close()
+
+
 def test_the_page_is_for_this_machine_only(tracks: list[WindowTrack]) -> None:
     """A server on all addresses would answer at 127.0.0.2 too."""
     pytest.importorskip("viser", reason="needs viser")

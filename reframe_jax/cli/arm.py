@@ -6,7 +6,7 @@ from typing import Any
 
 from reframe_jax.cli import arguments
 from reframe_jax.cli.configuring import configure_jax
-from reframe_jax.cli.speaking import say
+from reframe_jax.cli.printing import print_error
 
 __all__ = ["add_common", "prepare"]
 
@@ -55,4 +55,4 @@ def prepare(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _progress(done: int, count: int) -> None:
-    say(f"\r{done} of {count} demonstrations", end="\n" if done == count else "")
+    print_error(f"\r{done} of {count} demonstrations", end="\n" if done == count else "")

@@ -4,7 +4,7 @@ import argparse
 import sys
 from typing import Any, NoReturn
 
-from reframe_jax.cli.speaking import show
+from reframe_jax.cli.printing import print_result
 
 __all__ = ["COMMANDS", "EXAMPLES", "Parser", "add_command"]
 
@@ -39,7 +39,7 @@ class Parser(argparse.ArgumentParser):
     def _print_message(self, message: str, file: Any = None) -> None:
         """Report help and version that cannot be written, as for results; argparse would be silent."""
         if file is sys.stdout:
-            show(message, end="")
+            print_result(message, end="")
         else:
             super()._print_message(message, file)
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from reframe_jax.cli.commands import add_command
-from reframe_jax.cli.speaking import say, show
+from reframe_jax.cli.printing import print_error, print_result
 
 __all__ = ["add_completion"]
 
@@ -27,7 +27,7 @@ def _completion(options: argparse.Namespace) -> int:
     try:
         import shtab
     except ImportError:
-        say("reframe-jax: error: completion needs shtab: pip install 'reframe-jax[completion]'")
+        print_error("reframe-jax: error: completion needs shtab: pip install 'reframe-jax[completion]'")
         return 1
     from reframe_jax.cli.program import full_parser
 
@@ -35,7 +35,7 @@ def _completion(options: argparse.Namespace) -> int:
     for action in _actions(parser):
         if action.type is Path:
             action.complete = shtab.FILE  # type: ignore[attr-defined]
-    show(shtab.complete(parser, options.shell), end="")
+    print_result(shtab.complete(parser, options.shell), end="")
     return 0
 
 

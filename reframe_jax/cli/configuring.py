@@ -37,14 +37,14 @@ def _replace_unreadable(folder: Path) -> None:
 
     JAX compiles such a program again, but keeps the file that is there.
     """
-    show = warnings.showwarning
+    default_handler = warnings.showwarning
 
-    def delete_or_show(message: Warning | str, *about: Any, **more: Any) -> None:
+    def delete_or_print(message: Warning | str, *about: Any, **more: Any) -> None:
         unreadable = re.match(_UNREADABLE, str(message))
         if unreadable is None:
-            show(message, *about, **more)
+            default_handler(message, *about, **more)
             return
         for file in folder.glob(glob.escape(unreadable[1]) + "-*"):
             file.unlink(missing_ok=True)
 
-    warnings.showwarning = delete_or_show  # type: ignore[assignment]
+    warnings.showwarning = delete_or_print  # type: ignore[assignment]

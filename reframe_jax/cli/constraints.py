@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 from reframe_jax.cli.commands import COMMANDS
-from reframe_jax.cli.speaking import show
+from reframe_jax.cli.printing import print_result
 from reframe_jax.constraints.catalogue import CONSTRAINTS, OTHER_CONSTRAINTS
 
 __all__ = ["add_constraints"]
@@ -18,11 +18,11 @@ def add_constraints(commands: Any) -> None:
 def _constraints(options: argparse.Namespace) -> int:
     """The catalogue: degrees of freedom along x, y, z of the frame, and what is unique."""
     layout = "{:13} {:26} {:9} {:12} {:6} {}"
-    show(layout.format("", "name", "rotation", "translation", "frame", "position"))
+    print_result(layout.format("", "name", "rotation", "translation", "frame", "position"))
     for entry in (CONSTRAINTS | OTHER_CONSTRAINTS).values():
         free = ["".join(map(str, dof)) for dof in (entry.angular_dof, entry.linear_dof)]
         unique = "".join(axis for axis, is_unique in zip("xyz", entry.position, strict=True) if is_unique)
         frame = "any" if entry.linear_type is None else str(entry.linear_type)
-        show(layout.format(entry.label, entry.name, *free, frame, unique or "-"))
-    show("\n1 is free, 0 constrained, along x, y, z of the frame; position: its unique components.")
+        print_result(layout.format(entry.label, entry.name, *free, frame, unique or "-"))
+    print_result("\n1 is free, 0 constrained, along x, y, z of the frame; position: its unique components.")
     return 0

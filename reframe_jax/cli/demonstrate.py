@@ -13,7 +13,7 @@ import numpy as np
 from reframe_jax.cli import arguments
 from reframe_jax.cli.arm import add_common, prepare
 from reframe_jax.cli.commands import add_command
-from reframe_jax.cli.speaking import say, show
+from reframe_jax.cli.printing import print_error, print_result
 from reframe_jax.constraints.catalogue import CONSTRAINTS
 from reframe_jax.recordings.writing import save_recording
 
@@ -63,7 +63,7 @@ def _demonstrate(options: argparse.Namespace) -> int:
     try:
         common = prepare(options)
     except ImportError as error:
-        say(f"reframe-jax: error: {error}")
+        print_error(f"reframe-jax: error: {error}")
         return 1
     from reframe_jax.simulation import arm as panda
 
@@ -82,19 +82,19 @@ def _demonstrate(options: argparse.Namespace) -> int:
             panda.store_demonstrations(*arguments, options.out, chunk=_CHUNK, **common)
             written, parts = str(options.out), panda.stored_demonstrations(options.out)
     except OSError as error:
-        say(f"reframe-jax: error: {options.out}: cannot be written: {error.strerror}.")
+        print_error(f"reframe-jax: error: {options.out}: cannot be written: {error.strerror}.")
         return 1
     except ValueError as error:
-        say(f"reframe-jax: error: {error}")
+        print_error(f"reframe-jax: error: {error}")
         return 1
     first, codes = None, Counter[int]()
     for part in parts:
         first = part[0] if first is None and len(part.status_code) else first
         codes.update(part.status_code.tolist())
     assert first is not None  # there is at least one
-    show(f"{written}: {codes.total()} demonstrations of {first.times[-1]:g} s")
+    print_result(f"{written}: {codes.total()} demonstrations of {first.times[-1]:g} s")
     for code in sorted(codes.keys() - {panda.RolloutStatus.OK}):
-        show(f"{codes[code]} of them: {panda.RolloutStatus(code).message}")
+        print_result(f"{codes[code]} of them: {panda.RolloutStatus(code).message}")
     return _draw(first, options)
 
 
@@ -128,20 +128,20 @@ def _draw(first: Any, options: argparse.Namespace) -> int:
 
             title = CONSTRAINTS[options.constraint].name
             plot_demonstration(first, arm=options.robot, title=title).savefig(options.plot)
-            show(str(options.plot))
+            print_result(str(options.plot))
     except (ImportError, ValueError, OSError) as error:
         failed = True
-        say(f"reframe-jax: error: no picture: {error}")
+        print_error(f"reframe-jax: error: no picture: {error}")
     try:
         if options.render is not None:
             from reframe_jax.simulation.arm.render import film_frames, save_film
 
             pictures = film_frames(first.joint_positions, first.truth, arm=options.robot, skin=options.skin)
             save_film(options.render, pictures, rate=1 / options.dt)
-            show(str(options.render))
+            print_result(str(options.render))
     except (ValueError, OSError, RuntimeError) as error:
         failed = True
-        say(f"reframe-jax: error: no film: {error}")
+        print_error(f"reframe-jax: error: no film: {error}")
     return int(failed)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from reframe_jax.cli.outputs import check_file, path_of
-from reframe_jax.cli.speaking import say
+from reframe_jax.cli.printing import print_error
 from reframe_jax.export.columns import Columns, write_csv, write_parquet
 from reframe_jax.export.mjcf import to_mjcf
 from reframe_jax.export.robots import check_writable
@@ -76,7 +76,7 @@ def write_joint_files(recording: Recording, found: Identification, options: argp
     if robots:
         joint = found.to_joint(recording.poses, parent=options.parent, child=options.child)
         if joint.is_envelope:
-            say(f"reframe-jax: {recording.path}: {joint.gauge[0]}")
+            print_error(f"reframe-jax: {recording.path}: {joint.gauge[0]}")
         try:
             check_writable(joint, " and ".join(name.upper() for name in robots))
             texts |= {getattr(options, name): partial(_ROBOTS[name], joint) for name in robots}

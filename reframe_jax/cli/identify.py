@@ -14,8 +14,8 @@ from reframe_jax.cli.commands import add_command
 from reframe_jax.cli.configuring import configure_jax
 from reframe_jax.cli.exports import add_exports, check_exports, write_joint_files, write_tables
 from reframe_jax.cli.outputs import add_outputs, check_outputs, draw, write_document
+from reframe_jax.cli.printing import print_error, print_result
 from reframe_jax.cli.reading import add_reading, expand, read_recording
-from reframe_jax.cli.speaking import say, show
 from reframe_jax.cli.summary import summary_table
 from reframe_jax.cli.windows import add_windows, check_windows
 from reframe_jax.export.columns import Columns, to_columns
@@ -127,14 +127,14 @@ def _identify(options: argparse.Namespace) -> int:
         records.append(record)
         meter(len(records), len(options.files))
         if quiet and sys.stderr.isatty() and len(records) < len(options.files):
-            say("", end="\r")  # what is said next replaces the bar
+            print_error("", end="\r")  # what is said next replaces the bar
     failed = any(record["error"] is not None for record in records)
     several = sum(record["error"] is None for record in records) > 1
     if options.json != "-" and (several or options.summary):
-        show(summary_table(records))
+        print_result(summary_table(records))
     for problem in [*write_tables(tables, options), write_document(partial(to_document, records), options)]:
         if problem is not None:
-            say(f"reframe-jax: error: {problem}")
+            print_error(f"reframe-jax: error: {problem}")
             failed = True
     return int(failed)
 
@@ -160,11 +160,11 @@ def _identify_file(path: Path, options: argparse.Namespace, tables: list[Columns
         recording = read_recording(path, options)
         found, windows = identify_recording(recording, options)
         for warning in found.warnings if options.window is None else []:
-            say(f"reframe-jax: {path}: {warning}")
+            print_error(f"reframe-jax: {path}: {warning}")
         problem = _print_result(path, found, windows, options)
         tables.append(to_columns(found, label=str(path), windows=windows))
         if options.explain and options.json != "-" and problem is None:
-            show(_explanation(recording, found, options), end="\n\n")
+            print_result(_explanation(recording, found, options), end="\n\n")
         if options.plot is not None and problem is None:
             problem = draw(partial(_figure, recording, found, options), recording.path, options)
         if options.window is None and problem is None:
@@ -174,7 +174,7 @@ def _identify_file(path: Path, options: argparse.Namespace, tables: list[Columns
     except Exception as error:  # whatever is wrong with a file, the others keep their results
         problem = f"{path}: {type(error).__name__}: {error}"
     if problem is not None:
-        say(f"reframe-jax: error: {problem}")
+        print_error(f"reframe-jax: error: {problem}")
     notes = recording.notes if recording else ()
     return to_record(found, label=str(path), windows=windows, notes=notes, error=problem)
 
@@ -192,7 +192,7 @@ def _print_result(
     """Print the table; returns what is wrong if no window has a result."""
     statuses = [Status(int(code)) for code in np.ravel(found.status_code)]
     if options.json != "-" and not options.summary:
-        show(to_table(found, label=str(path), windows=windows), end="\n\n")
+        print_result(to_table(found, label=str(path), windows=windows), end="\n\n")
     return f"{path}: {statuses[0].message}" if all(status.failed for status in statuses) else None
 
 
@@ -238,7 +238,7 @@ def identify_recording(
         parts.append(jax.device_get(_identify_windows(poses[rows], times[rows], options)))
         if len(poses) > _CHUNK and sys.stderr.isatty():
             done = min(first + _CHUNK, len(poses))
-            say(f"\r{done} of {len(poses)} windows", end="\n" if done == len(poses) else "")
+            print_error(f"\r{done} of {len(poses)} windows", end="\n" if done == len(poses) else "")
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts), spans
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from reframe_jax.cli.speaking import show
+from reframe_jax.cli.printing import print_result
 
 __all__ = ["add_outputs", "check_file", "check_outputs", "draw", "path_of", "write_document"]
 
@@ -54,7 +54,7 @@ def path_of(out: Path, recording: Path, options: argparse.Namespace) -> Path:
 def write_document(make: Callable[[], str], options: argparse.Namespace) -> str | None:
     """Write or print the JSON document as asked; returns what is wrong if it cannot be written."""
     if options.json == "-":
-        show(make())
+        print_result(make())
     elif options.json is not None:
         try:
             Path(options.json).write_text(make() + "\n", encoding="utf-8")

@@ -10,7 +10,7 @@ import socket
 import sys
 import threading
 
-from reframe_jax.cli.speaking import say
+from reframe_jax.cli.printing import print_error
 
 __all__ = ["main"]
 
@@ -25,7 +25,7 @@ def main() -> int:
     """
     _leave_when_interrupted()
     if sys.stdout is None:
-        say("reframe-jax: error: standard output is closed.")
+        print_error("reframe-jax: error: standard output is closed.")
         return 1
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # names of files may hold any byte

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from reframe_jax.cli import arguments
-from reframe_jax.cli.speaking import say
+from reframe_jax.cli.printing import print_error
 from reframe_jax.recordings.reading import load_recording
 from reframe_jax.recordings.recording import Recording
 from reframe_jax.recordings.selection import ANGLE_UNITS, ANGLES, QUATERNIONS, TIME_UNITS, UNITS
@@ -68,5 +68,5 @@ def read_recording(path: Path, options: argparse.Namespace) -> Recording:
     """
     recording = load_recording(path, **reading_options(options))
     for note in recording.notes:
-        say(f"reframe-jax: {path}: {note}")
+        print_error(f"reframe-jax: {path}: {note}")
     return recording

@@ -9,7 +9,7 @@ import numpy as np
 from reframe_jax.cli import arguments
 from reframe_jax.cli.arm import add_common, prepare
 from reframe_jax.cli.commands import add_command
-from reframe_jax.cli.speaking import say, show
+from reframe_jax.cli.printing import print_error, print_result
 from reframe_jax.constraints.catalogue import CONSTRAINTS
 
 __all__ = ["add_reproduce"]
@@ -46,7 +46,7 @@ def _reproduce(options: argparse.Namespace) -> int:
     try:
         common = prepare(options)
     except ImportError as error:
-        say(f"reframe-jax: error: {error}")
+        print_error(f"reframe-jax: error: {error}")
         return 1
     from reframe_jax.simulation import reproduction
     from reframe_jax.simulation.arm import RolloutStatus
@@ -67,28 +67,30 @@ def _reproduce(options: argparse.Namespace) -> int:
             )
         )
     except ValueError as error:
-        say(f"reframe-jax: error: {error}")
+        print_error(f"reframe-jax: error: {error}")
         return 1
-    show(f"{CONSTRAINTS[options.constraint].name}, {options.trials} trials, {options.controller}")
-    show(_errors(comparison.errors))
+    print_result(f"{CONSTRAINTS[options.constraint].name}, {options.trials} trials, {options.controller}")
+    print_result(_errors(comparison.errors))
     if comparison.redrawn:
-        show(
+        print_result(
             f"left out, because the arm cannot reach them in the true frame either: {int(comparison.redrawn)}"
         )
-    show(f"{'frames':12}{'completed':>10}{'time, s':>9}{'peak moment, N m':>22}{'peak force, N':>20}")
+    print_result(f"{'frames':12}{'completed':>10}{'time, s':>9}{'peak moment, N m':>22}{'peak force, N':>20}")
     for name, trials in comparison.rows.items():
         cells = [
             f"{np.mean(peak):.2f} ± {np.std(peak):.2f}" for peak in (trials.peak_moment, trials.peak_force)
         ]
         time = np.median(trials.completion_time)
-        show(f"{name:12}{100 * np.mean(trials.completed):>8.0f} %{time:>9.2f}{cells[0]:>22}{cells[1]:>20}")
+        print_result(
+            f"{name:12}{100 * np.mean(trials.completed):>8.0f} %{time:>9.2f}{cells[0]:>22}{cells[1]:>20}"
+        )
     for name in ("literature", "identified"):
         excess = [f"{np.mean(e):+.2f} ± {np.std(e):.2f}" for e in comparison.excess(name)]
-        show(f"{name + ' over exact':31}{excess[0]:>22}{excess[1]:>20}")
+        print_result(f"{name + ' over exact':31}{excess[0]:>22}{excess[1]:>20}")
     if not np.all(comparison.identified.completed):
         codes = np.unique(comparison.identified.status_code[~comparison.identified.completed])
         why = " ".join(RolloutStatus(code).message for code in codes if code)
-        say(f"reframe-jax: some trials in identified frames did not reach the end-stop. {why}")
+        print_error(f"reframe-jax: some trials in identified frames did not reach the end-stop. {why}")
     return 0
 
 

@@ -9,8 +9,8 @@ from reframe_jax.cli import arguments
 from reframe_jax.cli.commands import add_command
 from reframe_jax.cli.configuring import configure_jax
 from reframe_jax.cli.outputs import add_outputs, check_outputs, draw, write_document
+from reframe_jax.cli.printing import print_error, print_result
 from reframe_jax.cli.reading import add_reading, expand, read_recording
-from reframe_jax.cli.speaking import say, show
 from reframe_jax.export.segments import segments_to_json, segments_to_record, segments_to_table
 from reframe_jax.recordings.recording import Recording, RecordingError
 from reframe_jax.segmentation.entry import segment
@@ -52,7 +52,7 @@ def _segment(options: argparse.Namespace) -> int:
     failed = any(record["error"] is not None for record in records)
     problem = write_document(partial(segments_to_json, records), options)
     if problem is not None:
-        say(f"reframe-jax: error: {problem}")
+        print_error(f"reframe-jax: error: {problem}")
         failed = True
     return int(failed)
 
@@ -64,7 +64,7 @@ def _segment_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
         recording = read_recording(path, options)
         found = segment(recording.poses, times=recording.times, reach=options.reach)
         if options.json != "-":
-            show(segments_to_table(found, label=str(path)), end="\n\n")
+            print_result(segments_to_table(found, label=str(path)), end="\n\n")
         if options.plot is not None:
             problem = draw(partial(_figure, recording, found), path, options)
     except RecordingError as error:
@@ -72,7 +72,7 @@ def _segment_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
     except ValueError as error:
         problem = f"{path}: {error}"
     if problem is not None:
-        say(f"reframe-jax: error: {problem}")
+        print_error(f"reframe-jax: error: {problem}")
     return segments_to_record(found, label=str(path), error=problem)
 
 

@@ -9,7 +9,7 @@ import jax
 from reframe_jax.cli import arguments
 from reframe_jax.cli.commands import add_command
 from reframe_jax.cli.configuring import configure_jax
-from reframe_jax.cli.speaking import say, show
+from reframe_jax.cli.printing import print_error, print_result
 from reframe_jax.constraints.catalogue import CONSTRAINTS
 from reframe_jax.motion.checks import MIN_VELOCITIES
 from reframe_jax.recordings.recording import RecordingError
@@ -74,7 +74,7 @@ def _simulate(options: argparse.Namespace) -> int:
     try:
         save_recording(options.out, simulation.times, simulation.poses)
     except RecordingError as error:
-        say(f"reframe-jax: error: {error}")
+        print_error(f"reframe-jax: error: {error}")
         return 1
-    show(f"{options.out}: {CONSTRAINTS[options.constraint].name}, {len(simulation.times)} poses")
+    print_result(f"{options.out}: {CONSTRAINTS[options.constraint].name}, {len(simulation.times)} poses")
     return 0

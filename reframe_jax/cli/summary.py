@@ -32,8 +32,8 @@ def _row(record: dict[str, Any]) -> list[str]:
     (name, number) = Counter(window["name"] for window in windows).most_common(1)[0]
     if len(record["windows"]) > 1:
         statuses = Counter(window["status"] for window in record["windows"])
-        told = ", ".join(f"{count} {status}" for status, count in statuses.most_common())
-        return [*start, f"{name} ({number} of {len(record['windows'])})", *("-",) * 5, told]
+        status_counts = ", ".join(f"{count} {status}" for status, count in statuses.most_common())
+        return [*start, f"{name} ({number} of {len(record['windows'])})", *("-",) * 5, status_counts]
     (window,) = windows
     noise = window["noise"]
     return [

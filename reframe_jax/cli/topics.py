@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from reframe_jax.cli.commands import COMMANDS
-from reframe_jax.cli.speaking import say, show
+from reframe_jax.cli.printing import print_error, print_result
 from reframe_jax.recordings.reading import list_contents
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import shown
@@ -38,16 +38,16 @@ def _topics(options: argparse.Namespace) -> int:
         try:
             kind, entries = list_contents(path)
         except RecordingError as error:
-            say(f"reframe-jax: error: {error}")
+            print_error(f"reframe-jax: error: {error}")
             failed = True
             continue
         if not entries:
             only = "a single recording" if entries is None else "nothing that can be read"
-            show(f"{path}: {kind}: {only}")
+            print_result(f"{path}: {kind}: {only}")
             continue
-        show(f"{path}: {kind}")
+        print_result(f"{path}: {kind}")
         rows = [(flag(each.option).partition("(")[2].rstrip(")"), shown(each.name)) for each in entries]
         width = max(len(f"{option} {name}") for option, name in rows)
         for (option, name), each in zip(rows, entries, strict=True):
-            show(f"  {f'{option} {name}':{width}}  {shown(each.detail)}")
+            print_result(f"  {f'{option} {name}':{width}}  {shown(each.detail)}")
     return int(failed)

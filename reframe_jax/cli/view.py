@@ -12,8 +12,8 @@ from reframe_jax.cli import arguments
 from reframe_jax.cli.commands import add_command
 from reframe_jax.cli.configuring import configure_jax
 from reframe_jax.cli.identify import identify_recording
+from reframe_jax.cli.printing import print_error, print_result
 from reframe_jax.cli.reading import add_reading, read_recording
-from reframe_jax.cli.speaking import say, show
 from reframe_jax.cli.windows import add_windows, check_windows
 from reframe_jax.motion.windows import sliding_windows
 from reframe_jax.recordings.recording import RecordingError
@@ -59,19 +59,19 @@ def _view(options: argparse.Namespace) -> int:
     try:
         tracks = _tracks(options)
     except RecordingError as error:
-        say(f"reframe-jax: error: {error}")
+        print_error(f"reframe-jax: error: {error}")
         return 1
     try:
         if options.html is None:
             _serve(tracks, options)
         else:
             write_page(options.html, tracks, title=options.file.name)
-            show(f"{options.html}: {tracks[0].name}" + (" and more" if len(tracks) > 1 else ""))
+            print_result(f"{options.html}: {tracks[0].name}" + (" and more" if len(tracks) > 1 else ""))
     except ImportError as error:
-        say(f"reframe-jax: error: {error}")
+        print_error(f"reframe-jax: error: {error}")
         return 1
     except OSError as error:
-        say(f"reframe-jax: error: {options.html}: cannot be written: {error.strerror}.")
+        print_error(f"reframe-jax: error: {options.html}: cannot be written: {error.strerror}.")
         return 1
     return 0
 
@@ -106,7 +106,7 @@ def _tracks(options: argparse.Namespace) -> list[WindowTrack]:
 
 def _serve(tracks: list[WindowTrack], options: argparse.Namespace) -> None:
     page = serve_page(tracks, title=options.file.name, port=options.port)
-    show(f"{options.file}: {page.url} (Ctrl-C ends it)")
+    print_result(f"{options.file}: {page.url} (Ctrl-C ends it)")
     if options.open:
         webbrowser.open(page.url)
     try:

@@ -10,7 +10,7 @@ from reframe_jax.joints.chain import JointPart
 from reframe_jax.joints.joint import Joint
 
 __all__ = [
-    "LINK_SHARE",
+    "LINK_MASS_FRACTION",
     "RADIUS",
     "check_mass",
     "check_writable",
@@ -25,7 +25,7 @@ __all__ = [
     "written",
 ]
 
-LINK_SHARE = 1e-3  # of the mass, in each link between two parts of a chain
+LINK_MASS_FRACTION = 1e-3  # of the mass, in each link between two parts of a chain
 RADIUS = 0.1  # m, of the sphere whose inertia stands for the unknown one
 
 

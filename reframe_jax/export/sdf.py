@@ -5,7 +5,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from reframe_jax.export.robots import (
-    LINK_SHARE,
+    LINK_MASS_FRACTION,
     check_mass,
     check_writable,
     element,
@@ -54,7 +54,7 @@ def to_sdf(joint: Joint, *, mass: float = 1.0) -> str:
         if link == joint.child:
             _add_link(model, link, place, mass)
         else:
-            _add_link(model, link, at_point, LINK_SHARE * mass)
+            _add_link(model, link, at_point, LINK_MASS_FRACTION * mass)
         kind = "continuous" if is_endless(part) else "screw" if part.pitch else _KINDS[part.kind]
         made = _add_joint(model, name, kind, last, link)
         element(made, "pose", written(at_point), relative_to=_MODEL)

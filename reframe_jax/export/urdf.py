@@ -5,7 +5,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from reframe_jax.export.robots import (
-    LINK_SHARE,
+    LINK_MASS_FRACTION,
     check_mass,
     check_writable,
     element,
@@ -57,7 +57,7 @@ def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
     last, place = joint.parent, np.zeros(3)
     for name, part in zip(part_names(joint), joint.parts, strict=True):
         _add_part(robot, name, part, last, place)
-        _add_link(robot, f"{name}_link", LINK_SHARE * mass)
+        _add_link(robot, f"{name}_link", LINK_MASS_FRACTION * mass)
         last, place = f"{name}_link", part.point
         if part.pitch:
             low, high = sorted((part.pitch * part.low, part.pitch * part.high))
@@ -65,7 +65,7 @@ def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
             thread = f"{joint.child}_slide"
             made = _add_part(robot, thread, slide, last, place)
             element(made, "mimic", joint=name, multiplier=written([part.pitch]), offset="0")
-            _add_link(robot, f"{thread}_link", LINK_SHARE * mass)
+            _add_link(robot, f"{thread}_link", LINK_MASS_FRACTION * mass)
             last = f"{thread}_link"
     mount = element(robot, "joint", name=f"{joint.child}_fixed", type="fixed")
     _add_origin(mount, joint.home[:3, 3] - place, roll_pitch_yaw(joint.home[:3, :3]))

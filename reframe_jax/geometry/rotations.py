@@ -32,9 +32,9 @@ Entries = Sequence[Sequence[jax.Array]] | jax.Array  # of a matrix, by row and c
 Vector = tuple[jax.Array, jax.Array, jax.Array]
 
 _TERMS = 10  # of each series below one radian; the first one left out is < 1e-17
-_SINC = tuple((-1) ** n / factorial(2 * n + 1) for n in range(_TERMS))
-_VERSINE = tuple((-1) ** n / factorial(2 * n + 2) for n in range(_TERMS))
-_SLACK = tuple((-1) ** n / factorial(2 * n + 3) for n in range(_TERMS))
+_SINC = tuple((-1) ** order / factorial(2 * order + 1) for order in range(_TERMS))
+_VERSINE = tuple((-1) ** order / factorial(2 * order + 2) for order in range(_TERMS))
+_SLACK = tuple((-1) ** order / factorial(2 * order + 3) for order in range(_TERMS))
 # |B_2n| / (2n)!: (1 - (x/2) cot(x/2)) / x^2, whose radius of convergence is 2 pi
 _COTANGENT = (
     1 / 12,
@@ -48,7 +48,7 @@ _COTANGENT = (
     43867 / 5109094217170944000,
     174611 / 802857662698291200000,
 )
-_ARCTANGENT = tuple((-1) ** n / (2 * n + 1) for n in range(_TERMS))
+_ARCTANGENT = tuple((-1) ** order / (2 * order + 1) for order in range(_TERMS))
 
 
 def _series(x: jax.Array, coefficients: tuple[float, ...]) -> jax.Array:

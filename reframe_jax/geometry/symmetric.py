@@ -163,11 +163,11 @@ def _eigh_jvp(primals: tuple[Symmetric], tangents: tuple[Symmetric]) -> tuple[tu
     d_values = tuple(quadratic_form(e, ds, e) for e in vectors)
     d_vectors = []
     for i in range(3):
-        shares = []
+        terms = []
         for j in range(3):
             if j != i:
                 gap = values[i] - values[j]
-                share = quadratic_form(vectors[j], ds, vectors[i])
-                shares.append((jnp.where(gap == 0, 0, share / jnp.where(gap == 0, 1, gap)), vectors[j]))
-        d_vectors.append(tuple(_sum([share * e[c] for share, e in shares]) for c in range(3)))
+                coupling = quadratic_form(vectors[j], ds, vectors[i])
+                terms.append((jnp.where(gap == 0, 0, coupling / jnp.where(gap == 0, 1, gap)), vectors[j]))
+        d_vectors.append(tuple(_sum([coupling * e[c] for coupling, e in terms]) for c in range(3)))
     return (values, vectors), (d_values, tuple(d_vectors))

@@ -142,8 +142,8 @@ def explain_finding(finding: Finding, spread: Spread | None, tested: Tested | No
     if spread is not None and where and not bool(spread.first_order):
         where[-1] += " The noise is high; the true error may exceed this interval."
     lines += [*_held(finding), *where]
-    settled = _still_open(finding, spread, tested)
-    return "\n".join([*lines, *settled])
+    open_questions = _still_open(finding, spread, tested)
+    return "\n".join([*lines, *open_questions])
 
 
 def _probability(value: float) -> str:

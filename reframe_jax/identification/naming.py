@@ -74,7 +74,7 @@ def codes_of(name: str) -> tuple[int, ...]:
     if codes:
         return codes
     known = ", ".join(
-        f"{ENTRIES[int(np.argmax(n == NAME_OF_ENTRY))].label} ({each})" for n, each in enumerate(NAMES)
+        f"{ENTRIES[int(np.argmax(code == NAME_OF_ENTRY))].label} ({each})" for code, each in enumerate(NAMES)
     )
     raise ValueError(f"No constraint {name!r}. There are: {known}; and in short {', '.join(_COMMON)}.")
 

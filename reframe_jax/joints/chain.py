@@ -17,7 +17,7 @@ __all__ = ["JointPart", "PartKind", "chain_coordinates", "chain_poses", "rotatio
 PartKind = Literal["hinge", "slide", "ball"]
 
 _STEPS = 6  # Gauss-Newton steps at most; the start is exact in the rotation
-_SETTLED = 1e-9  # rad or m, change that ends them
+_CONVERGED = 1e-9  # rad or m, change that ends them
 _DAMPING = 1e-12  # of the squares, for chains that lock
 _CHUNK = 16384  # poses at a time, which bounds the memory
 _SMALL = 1e-6  # rad or m, step of the differences
@@ -64,13 +64,13 @@ def chain_poses(parts: Sequence[JointPart], home: np.ndarray, coordinates: np.nd
     pose = np.broadcast_to(np.eye(4), (*coordinates.shape[:-1], 4, 4))
     first = 0
     for part in parts:
-        pose = pose @ _motion(part, coordinates[..., first : first + part.width])
+        pose = pose @ _part_displacement(part, coordinates[..., first : first + part.width])
         first += part.width
     moved: np.ndarray = pose @ home
     return moved
 
 
-def _motion(part: JointPart, coordinates: np.ndarray) -> np.ndarray:
+def _part_displacement(part: JointPart, coordinates: np.ndarray) -> np.ndarray:
     """Displacements (..., 4, 4) of one part, for its coordinates (..., width)."""
     moved = np.tile(np.eye(4), (*coordinates.shape[:-1], 1, 1))
     if part.kind == "slide":
@@ -126,7 +126,7 @@ def _nearest(parts: Sequence[JointPart], home: np.ndarray, poses: np.ndarray, le
         square += _DAMPING * np.trace(square, axis1=1, axis2=2)[:, None, None] * np.eye(number)
         change = np.linalg.solve(square, transposed @ now[..., None])[..., 0]
         found = found - change
-        if np.abs(change).max() < _SETTLED:
+        if np.abs(change).max() < _CONVERGED:
             break
     return found
 

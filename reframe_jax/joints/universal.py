@@ -28,14 +28,14 @@ def universal_axes(rotations: np.ndarray, normal: np.ndarray) -> tuple[np.ndarra
     for angle in np.arange(_STARTS) * np.pi / _STARTS:
         first = np.cos(angle) * across[0] + np.sin(angle) * across[1]
         for _ in range(_STEPS):
-            _, second = _stillest(np.einsum("i,kij->kj", first, moved))
-            change, first = _stillest(moved @ second)
+            _, second = _least_projection_axis(np.einsum("i,kij->kj", first, moved))
+            change, first = _least_projection_axis(moved @ second)
         if change < best[0]:
             best = change, first, second
     return best[1], best[2]
 
 
-def _stillest(rows: np.ndarray) -> tuple[float, np.ndarray]:
+def _least_projection_axis(rows: np.ndarray) -> tuple[float, np.ndarray]:
     """The unit vector (3,) on which rows (K, 3) have the smallest projections, and their sum of squares."""
     values, vectors = np.linalg.eigh(rows.T @ rows)
     return float(values[0]), vectors[:, 0]

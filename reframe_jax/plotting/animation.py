@@ -63,7 +63,7 @@ def animate_scene(
     on_body = host.linear.frame_type.position_body == AngularType.B
     length = frame_length(points)
 
-    def show(number: int) -> list[Any]:
+    def draw_sample(number: int) -> list[Any]:
         axes.clear()
         here = shown[number]
         axes.plot(*path.T, color=BODY, linewidth=0.8, alpha=0.5)
@@ -80,7 +80,7 @@ def animate_scene(
         return []
 
     pace = 1e3 * (times[-1] - times[0]) / max(frames - 1, 1)
-    return FuncAnimation(figure, show, frames=frames, interval=pace, blit=False)
+    return FuncAnimation(figure, draw_sample, frames=frames, interval=pace, blit=False)
 
 
 def gif(animation: "FuncAnimation") -> bytes:

@@ -1,4 +1,4 @@
-"""Picture of one window: its frame in space, and the velocities along the axes."""
+"""Picture of one window: its frame in space, the amplitudes of its axes, and the velocities along them."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -8,17 +8,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reframe_jax.identification.classify import Thresholds
-from reframe_jax.identification.results import Identification
+from reframe_jax.identification.results import AngularFrame, Identification, LinearFrame
 from reframe_jax.identification.velocities import frame_velocities
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.plotting.scene import check_window, draw_space
-from reframe_jax.plotting.style import LEGEND_ABOVE, OUTLIERS, axis_colours, new_figure
+from reframe_jax.plotting.style import OUTLIERS, axis_colours, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = ["plot_identification"]
+
+_FONT = 11  # points: legible at half the size
 
 
 def plot_identification(
@@ -30,21 +32,23 @@ def plot_identification(
     discretization: Discretization = "chord",
     title: str | None = None,
 ) -> "Figure":
-    """Draw one window: its linear frame in space, and the velocities along the axes.
+    """Draw one window: its linear frame in space, how far each axis moved, and the velocities along the axes.
 
-    On the left the path of the body in the ground, with the linear frame and the free axes of rotation
-    through its origin. What is fixed in the body is drawn at the first, the middle and the last pose, the
-    first one palest; an origin that is fixed there is joined to the body, and its path is dotted. Free axes
-    are arrows, constrained axes dashed lines without a head. On the right the velocities of single steps
-    along the axes of both frames over time. Outliers, which took no part, are crosses in space and along the
-    time axis; the path leaves them out.
+    The left panel shows the path of the body in the ground, with the linear frame and the free axes of
+    rotation through its origin. Parts that are fixed in the body are drawn at the first, the middle and the
+    last pose, the first one palest; a line joins the body to an origin that is fixed in it, and the path of
+    that origin is dotted. Free axes are arrows, constrained axes are dashed lines without a head.
+
+    The right panels show the amplitude of every axis (RMS displacement, logarithmic) with the probability
+    that the axis is free, and below them the velocities of single steps along the axes over time. Outliers
+    are crosses in space and along the time axis; the path leaves them out.
 
     Args:
         poses: (K+1, 4, 4), m.
         found: identification of these poses.
         times: (K+1,) s.
-        thresholds: those it was made with, drawn as lines; none by default.
-        discretization: the one it was made with.
+        thresholds: the thresholds of the identification, drawn as lines; none by default.
+        discretization: that of the identification.
         title: of the figure, by default the name of the constraint.
 
     Returns:
@@ -54,47 +58,77 @@ def plot_identification(
         ImportError: if Matplotlib is not installed.
         ValueError: for a batch, or a window without a result.
     """
-    figure = new_figure(9, 5.6)
+    figure = new_figure(10, 7.2)
+    figure.set_layout_engine("none")
     host = check_window(found)
     poses, times = np.asarray(poses), np.asarray(times)
     steps = jnp.asarray(np.diff(times))
     velocities = frame_velocities(jnp.asarray(poses), steps, found, discretization)
     angular, linear = jax.device_get(velocities)
-    grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1), wspace=0.08)
-    figure.suptitle(host.name if title is None else title, fontsize=12)
-    draw_space(figure.add_subplot(grid[:, 0], projection="3d"), poses, host)
+    figure.suptitle(host.name if title is None else title, fontsize=15)
+    draw_space(figure.add_axes((-0.02, 0.06, 0.5, 0.74), projection="3d"), poses, host)
     middle = (times[1:] + times[:-1]) / 2
-    top, bottom = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
     limits = (None, None) if thresholds is None else (float(thresholds.linear), float(thresholds.angular))
+    left, width = 0.62, 0.36
+    top, bottom = figure.add_axes((left, 0.325, width, 0.2)), figure.add_axes((left, 0.08, width, 0.2))
     _draw_velocities(top, middle, linear, host.linear.dof, limits[0], "m/s")
     _draw_velocities(bottom, middle, angular, host.angular.dof, limits[1], "rad/s")
+    top.tick_params(labelbottom=False)
+    _draw_amplitudes(figure.add_axes((left, 0.81, width, 0.11)), host.linear, "translation", "mm")
+    _draw_amplitudes(figure.add_axes((left, 0.615, width, 0.11)), host.angular, "rotation", "mrad")
     out = times[~np.asarray(host.counted)]
     if len(out):
         for graph in (top, bottom):
             along = graph.get_xaxis_transform()
             graph.plot(out, np.full(len(out), 0.03), transform=along, **OUTLIERS)
-    top.set_ylabel(f"velocity of the origin, {host.linear.frame_type} [m/s]", fontsize=8)
-    bottom.set_ylabel(f"angular velocity, {host.angular.frame_type} [rad/s]", fontsize=8)
-    bottom.set_xlabel("time [s]", fontsize=8)
+    top.set_ylabel(f"velocity of the\norigin, {host.linear.frame_type} [m/s]", fontsize=_FONT)
+    bottom.set_ylabel(f"angular velocity,\n{host.angular.frame_type} [rad/s]", fontsize=_FONT)
+    bottom.set_xlabel("time [s]", fontsize=_FONT)
     return figure
+
+
+def _draw_amplitudes(axes: "Axes", frame: AngularFrame | LinearFrame, motion: str, unit: str) -> None:
+    """A bar for every axis, with the probability that the axis is free."""
+    amplitude = np.maximum(1e3 * np.asarray(frame.amplitude, dtype=float), 1e-6)
+    start = 10 ** np.floor(np.log10(amplitude.min()) - 1)
+    places = np.arange(1, 4)
+    axes.barh(places, amplitude - start, left=start, height=0.7, color=axis_colours(frame.dof))
+    axes.set_xscale("log")
+    axes.set_xlim(start, start * (amplitude.max() / start) ** 2.3)  # space for the text beside the bars
+    decades = 10.0 ** np.arange(np.log10(start), np.log10(amplitude.max()) + 0.01)
+    axes.set_xticks(decades, [f"{decade:g}" for decade in decades], minor=False)
+    axes.minorticks_off()
+    for place, size, probability in zip(places, amplitude, np.asarray(frame.free_probability), strict=True):
+        chance = "" if np.isnan(probability) else f", P(free) {_format_probability(float(probability))}"
+        text = f" {float(f'{size:.2g}'):g} {unit}{chance}"
+        axes.text(float(size), float(place), text, va="center", fontsize=_FONT)
+    freedom = ("constrained", "free")
+    axes.set_yticks(
+        places, [f"axis {i}, {freedom[int(free)]}" for i, free in zip(places, frame.dof, strict=True)]
+    )
+    axes.invert_yaxis()
+    axes.set_xlabel(f"{motion} along the axis, RMS [{unit}]".replace("rotation along", "rotation about"))
+    axes.xaxis.label.set_fontsize(_FONT)
+    axes.tick_params(labelsize=_FONT)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def _format_probability(value: float) -> str:
+    return "< 0.01" if value < 0.01 else "> 0.99" if value > 0.99 else f"{value:.2f}"
 
 
 def _draw_velocities(
     axes: "Axes", times: np.ndarray, velocities: np.ndarray, dof: Any, threshold: float | None, unit: str
 ) -> None:
     rms = np.sqrt(np.nanmean(velocities**2, axis=0))
-    lines = []
     for i, colour in enumerate(axis_colours(dof)):
-        label = f"axis {i + 1}, {'free' if dof[i] else 'constrained'}: rms {rms[i]:.3g} {unit}"
+        label = f"axis {i + 1}, {'free' if dof[i] else 'constrained'}"
         # slower axes on top
-        lines += axes.plot(
-            times, velocities[:, i], color=colour, linewidth=1.1, label=label, zorder=2 - rms[i]
-        )
+        axes.plot(times, velocities[:, i], color=colour, linewidth=1.6, label=label, zorder=2 - rms[i])
     if threshold is not None:
         for level in (-threshold, threshold):
             limit = axes.axhline(level, color="black", linestyle="--", linewidth=0.8)
         limit.set_label(f"threshold {threshold:g} {unit}")
-        lines.append(limit)
+        axes.legend(handles=[limit], loc="upper right", fontsize=_FONT - 2, frameon=False)
     axes.margins(x=0)
-    axes.tick_params(labelsize=8)
-    axes.legend(handles=lines, **LEGEND_ABOVE)
+    axes.tick_params(labelsize=_FONT)

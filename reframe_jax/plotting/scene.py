@@ -150,10 +150,10 @@ def set_limits(axes: "Axes3D", points: np.ndarray) -> None:
     centre, size = (points.min(axis=0) + points.max(axis=0)) / 2, _size(points)
     for i, name in enumerate("xyz"):
         getattr(axes, f"set_{name}lim")(centre[i] - size / 2, centre[i] + size / 2)
-        getattr(axes, f"set_{name}label")(f"{name} [m]", fontsize=8)
-        axes.locator_params(axis=name, nbins=5)
+        getattr(axes, f"set_{name}label")(f"{name} [m]", fontsize=10)
+        axes.locator_params(axis=name, nbins=4)
     axes.set_box_aspect((1, 1, 1), zoom=1.02)
-    axes.tick_params(labelsize=7)
+    axes.tick_params(labelsize=9)
 
 
 def draw_frame(
@@ -165,11 +165,13 @@ def draw_frame(
         segment(axes, origin - 1.5 * axis, origin + 1.5 * axis, color=TURNING, linestyle="-.", alpha=alpha)
     for i, (axis, colour) in enumerate(zip(triad.T, axis_colours(dof), strict=True)):
         if dof[i]:
-            axes.quiver(*origin, *axis, arrow_length_ratio=0.25, color=colour, linewidth=1.8, alpha=alpha)
+            axes.quiver(*origin, *axis, arrow_length_ratio=0.25, color=colour, linewidth=2.4, alpha=alpha)
         else:
-            segment(axes, origin, origin + axis, linestyle="--", color=colour, linewidth=1.8, alpha=alpha)
+            segment(axes, origin, origin + axis, linestyle="--", color=colour, linewidth=2.4, alpha=alpha)
         if alpha == 1:
-            axes.text(*(origin + 1.15 * axis), str(i + 1), color=colour, ha="center", va="center")
+            axes.text(
+                *(origin + 1.15 * axis), str(i + 1), color=colour, ha="center", va="center", fontsize=12
+            )
 
 
 def _draw_legend(axes: "Axes3D", found: Identification, turns: bool) -> None:
@@ -181,7 +183,7 @@ def _draw_legend(axes: "Axes3D", found: Identification, turns: bool) -> None:
     ):
         if shown:
             axes.plot([], [], color=colour, linestyle=style, label=label)
-    axes.legend(**LEGEND_ABOVE)
+    axes.legend(**LEGEND_ABOVE | {"fontsize": 9, "bbox_to_anchor": (0.52, 1)})
 
 
 def segment(axes: "Axes3D", start: np.ndarray, end: np.ndarray, **style: Any) -> None:

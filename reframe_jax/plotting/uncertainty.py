@@ -46,21 +46,21 @@ def plot_uncertainty(
         ValueError: for a batch, or a window without a result.
     """
     host = check_window(found)
-    sure = jax.device_get(covariance)
+    covariance = jax.device_get(covariance)
     figure = new_figure(9, 8.4)
     figure.suptitle(host.name if title is None else title, fontsize=12)
     grid = figure.add_gridspec(2, 2, height_ratios=(1.25, 1))
     draw_space(figure.add_subplot(grid[0, 0], projection="3d"), np.asarray(poses), host)
-    _draw_origin(figure.add_subplot(grid[0, 1], projection="3d"), host, sure)
-    _draw_tilts(figure.add_subplot(grid[1, :]), host, sure)
+    _draw_origin(figure.add_subplot(grid[0, 1], projection="3d"), host, covariance)
+    _draw_tilts(figure.add_subplot(grid[1, :]), host, covariance)
     return figure
 
 
-def _draw_origin(axes: "Axes3D", found: Identification, sure: "Covariance") -> None:
+def _draw_origin(axes: "Axes3D", found: Identification, covariance: "Covariance") -> None:
     """The ellipsoid of the origin and the directions of the linear axes, in mm."""
     body = BODY_NAMES[found.linear.frame_type.position_body]
     axes.set_title(f"origin, in the {body} [mm]", fontsize=9, pad=30)
-    variances, directions = np.linalg.eigh(1e6 * np.asarray(sure.position))
+    variances, directions = np.linalg.eigh(1e6 * np.asarray(covariance.position))
     radii = _ELLIPSOID * np.sqrt(np.maximum(variances, 0))
     size = 1.15 * float(radii[-1])
     if not 0 < size < np.inf:
@@ -90,14 +90,14 @@ def _draw_origin(axes: "Axes3D", found: Identification, sure: "Covariance") -> N
     axes.legend(**LEGEND_ABOVE | {"ncols": 1})
 
 
-def _draw_tilts(axes: "Axes", found: Identification, sure: "Covariance") -> None:
+def _draw_tilts(axes: "Axes", found: Identification, covariance: "Covariance") -> None:
     """How far the odd axes may tilt, seen along them, in degrees: the cone that holds them, cut across."""
     angle = np.linspace(0, 2 * np.pi, 4 * _LINES)
     circle = np.sqrt(5.991) * np.stack([np.cos(angle), np.sin(angle)])  # 95 % in two dimensions
     largest = 0.0
     for name, frame, matrix, colour in (
-        ("angular", found.angular, sure.angular_axes, TURNING),
-        ("linear", found.linear, sure.linear_axes, axis_colours(found.linear.dof)[0]),
+        ("angular", found.angular, covariance.angular_axes, TURNING),
+        ("linear", found.linear, covariance.linear_axes, axis_colours(found.linear.dof)[0]),
     ):
         number = int(np.sum(frame.dof))
         if number not in (1, 2):

@@ -13,7 +13,7 @@ __all__ = ["MIN_POSES", "check_positions", "check_turns", "drop_unfinished", "ma
 
 MIN_POSES = 4  # of a tool whose tip is calibrated; a motion needs 5
 _FARTHEST = 20.0  # m from the median position, of a body that is moved by hand or by an arm
-_FEW_FAR = 0.05  # fraction of the rows that are left out if they are farther
+_DISTANT_FRACTION = 0.05  # fraction of the rows that are left out if they are farther
 _APART = 3.0  # times farther than all others
 _VEHICLE, _HAND = 20.0, 50.0  # m/s^2: what a vehicle stays below, and what a hand seldom exceeds
 _OVER = 0.5  # s, over which accelerations are taken, so that noise does not count
@@ -64,21 +64,21 @@ def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> np.ndar
     """
     positions, times = poses[:, :3, 3], rows.times
     distance = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
-    far = ~(distance <= _FARTHEST)
-    alone = far.any() and distance[far].min() > _APART * max(
-        distance[~far].max(initial=0), _FARTHEST / _APART
+    distant = ~(distance <= _FARTHEST)
+    separated = distant.any() and distance[distant].min() > _APART * max(
+        distance[~distant].max(initial=0), _FARTHEST / _APART
     )
-    if alone and far.sum() <= max(_FEW_FAR * len(far), 1):
+    if separated and distant.sum() <= max(_DISTANT_FRACTION * len(distant), 1):
         beyond = f"more than {_FARTHEST:g} m from the other positions"
         note = "; if the unit is wrong, give unit (--unit)" if rows.metres is None else ""
-        rows.keep(~far, beyond + note, "far")
-        return poses[~far]
+        rows.keep(~distant, beyond + note, "far")
+        return poses[~distant]
     change = _acceleration(positions, times) if times is not None else 0.0
     span = float(np.linalg.norm(np.ptp(positions, axis=0)))
     advice = (
         "give unit='mm' (--unit mm)" if rows.metres is None else "the file states another unit: correct it"
     )
-    if far.any():
+    if distant.any():
         if not change <= _VEHICLE:
             row = int(np.argmax(distance))
             raise rows.error(

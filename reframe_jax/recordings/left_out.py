@@ -90,10 +90,10 @@ def note_jumps(rows: Rows, poses: np.ndarray) -> None:
     late = np.maximum(spans / np.median(spans), 1)
     moved = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     turned = np.linalg.norm(np.diff(poses[:, :3, :3], axis=0), axis=(1, 2))
-    far = np.zeros(len(late), bool)
+    long_step = np.zeros(len(late), bool)
     for steps in (moved / late, turned / late):
-        far |= steps > _JUMP * np.quantile(steps, 0.95) + 1e-9
-    jumps = np.flatnonzero(far) + 1
+        long_step |= steps > _JUMP * np.quantile(steps, 0.95) + 1e-9
+    jumps = np.flatnonzero(long_step) + 1
     if not 0 < len(jumps) <= _JUMPS:
         return
     sentences, at = [], 0

@@ -18,7 +18,8 @@ Kind = Literal["missing", "origin", "identity", "constant", "frozen", "end"]
 
 _SAME = 1e-9  # m, or of an element of a rotation matrix, within which numbers are equal
 _LEAST = 1e-3  # m or rad, the shortest step that counts: quantized numbers repeat too
-_FAR, _FAR_ORIGIN = 5.0, 3.0  # steps of the path; fewer suffice for exact zeros, which nobody measures
+_JUMP_STEPS = 5.0  # usual steps of the path; a longer step is a jump
+_ORIGIN_JUMP_STEPS = 3.0  # the same for exact zeros, which no tracker measures
 _NEAR = 20  # steps whose lengths count where a run is
 _AHEAD = 4  # the same, for poses that are frozen
 _LONG = 6  # repeats that are many
@@ -173,24 +174,29 @@ class _Path:
         return found
 
     def jumps(
-        self, runs: np.ndarray, far: float, ignored: np.ndarray, usual: float, either: bool = False
+        self,
+        runs: np.ndarray,
+        limit: float,
+        ignored: np.ndarray,
+        usual: float,
+        one_side_suffices: bool = False,
     ) -> np.ndarray:
         """Whether the path jumps to runs of rows (M, 2) and away from them, or one of both at its ends.
 
         Args:
             runs: first row, and row after the last one.
-            far: steps that are a jump.
+            limit: steps that are a jump.
             ignored: (N,) bool, rows whose steps do not count.
             usual: a step of the path.
-            either: whether one of both jumps suffices for runs of several rows.
+            one_side_suffices: whether one of both jumps suffices for runs of several rows.
         """
         ends = np.concatenate([[np.nan], self.steps, [np.nan]])
         to, back = ends[runs[:, 0]], ends[runs[:, 1]]
         shorter, longer = np.fmin(to, back), np.fmax(to, back)
         several = np.diff(runs, axis=1)[:, 0] > 1
-        length = np.where(several & either, longer, shorter)
+        length = np.where(several & one_side_suffices, longer, shorter)
         step = np.maximum(np.maximum(usual, self.near_steps(runs, ignored)), _LEAST)
-        found: np.ndarray = length > far * step
+        found: np.ndarray = length > limit * step
         return found
 
 
@@ -212,7 +218,7 @@ def _at_origin(paths: tuple[_Path, _Path]) -> np.ndarray:
         if path is not position or not _is_apart(path):
             # the path may come close to the origin by chance, when tracking is lost or found again
             usual = path.usual_step(path.zero)
-            runs = runs[path.jumps(runs, _FAR_ORIGIN, path.zero, usual, either=True)]
+            runs = runs[path.jumps(runs, _ORIGIN_JUMP_STEPS, path.zero, usual, one_side_suffices=True)]
         lost = _rows_of(runs, len(kinds))
         kinds[lost] = "origin" if path is position else "identity"
         kinds[lost & position.zero & turn.zero] = "identity"
@@ -237,7 +243,7 @@ def _is_apart(path: _Path) -> bool:
     between = np.linalg.norm(others[:, None] - others, axis=2) + np.diag(np.full(len(others), np.inf))
     nearest = np.linalg.norm(others, axis=1).min()
     usual = np.quantile(between.min(axis=1), 0.9)
-    return bool(nearest > max(_APART * spread, _FAR_ORIGIN * usual) and nearest > _SAME)
+    return bool(nearest > max(_APART * spread, _ORIGIN_JUMP_STEPS * usual) and nearest > _SAME)
 
 
 def _constant(paths: tuple[_Path, _Path]) -> np.ndarray:
@@ -252,7 +258,7 @@ def _constant(paths: tuple[_Path, _Path]) -> np.ndarray:
         runs = path.runs
         runs, mine = runs[repeated[runs[:, 0]]], repeated
         for _ in range(2):  # the second time, steps from and to numbers that are poses count too
-            away = path.jumps(runs, _FAR, mine, usual)
+            away = path.jumps(runs, _JUMP_STEPS, mine, usual)
             values = path.value[runs[:, 0]]
             stays = np.zeros(len(counts), bool)
             stays[values[~away]] = True  # a number that continues the path once is a pose

@@ -144,9 +144,9 @@ def load_recording(
         recording = _load(path, reader, replace(wanted, in_body=None), dt)
         if in_body is None:
             return recording
-        alone = replace(wanted, in_body=None)
+        absolute = replace(wanted, in_body=None)
         by_topic = "topic" in reader.options
-        other = replace(alone, topic=in_body) if by_topic else replace(alone, body=in_body)
+        other = replace(absolute, topic=in_body) if by_topic else replace(absolute, body=in_body)
         return relative_poses(recording, _load(path, reader, other, dt))
     except UnicodeDecodeError as error:
         raise RecordingError(f"{path}: is not a text file; expected UTF-8.") from error

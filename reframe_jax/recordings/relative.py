@@ -81,21 +81,21 @@ def interpolate_poses(
     inside = (wanted >= times[0]) & (wanted <= times[-1])
     known = exact | (inside & (steps[after - 1] <= _GAP * np.median(steps)))
     after, wanted = after[known], wanted[known]
-    share = (wanted - times[after - 1]) / steps[after - 1]
+    fraction = (wanted - times[after - 1]) / steps[after - 1]
     found = np.empty((len(wanted), 4, 4))
     for start in range(0, len(wanted), _BLOCK):
         part = slice(start, start + _BLOCK)
-        found[part] = _between(poses[after[part] - 1], poses[after[part]], share[part])
+        found[part] = _between(poses[after[part] - 1], poses[after[part]], fraction[part])
     return found, known
 
 
-def _between(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.ndarray:
+def _between(first: np.ndarray, second: np.ndarray, fraction: np.ndarray) -> np.ndarray:
     """Poses at shares (N,) of the way from the first to the second (N, 4, 4); exact at 0 and 1."""
     turns = rotation_vectors(first[:, :3, :3].swapaxes(1, 2) @ second[:, :3, :3])
     found = first.copy()
-    found[:, :3, :3] = first[:, :3, :3] @ rotation_matrices(share[:, None] * turns)
-    found[:, :3, 3] += share[:, None] * (second[:, :3, 3] - first[:, :3, 3])
-    found[share == 0], found[share == 1] = first[share == 0], second[share == 1]
+    found[:, :3, :3] = first[:, :3, :3] @ rotation_matrices(fraction[:, None] * turns)
+    found[:, :3, 3] += fraction[:, None] * (second[:, :3, 3] - first[:, :3, 3])
+    found[fraction == 0], found[fraction == 1] = first[fraction == 0], second[fraction == 1]
     return found
 
 

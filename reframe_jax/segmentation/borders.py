@@ -27,13 +27,16 @@ def place_border(
     Returns:
         Index of that pose, the likeliest, and the two indices between which it lies with 95 %.
     """
-    n = cells.samples
+    samples = cells.samples
     near = round(C.cells) + 1
-    first, last = max(before.start, before.stop - 4 * near) * n, min(after.stop, after.start + 4 * near) * n
+    first, last = (
+        max(before.start, before.stop - 4 * near) * samples,
+        min(after.stop, after.start + 4 * near) * samples,
+    )
     # at most half of each piece, so that borders keep their order
-    low = max((before.start + before.stop) * n // 2, (before.stop - near) * n) - first
-    high = min((after.start + after.stop) * n // 2, (after.start + near) * n) - first
-    border = before.stop * n - first
+    low = max((before.start + before.stop) * samples // 2, (before.stop - near) * samples) - first
+    high = min((after.start + after.stop) * samples // 2, (after.start + near) * samples) - first
+    border = before.stop * samples - first
     z = join_features(*path_features(rotation[first:last], position[first:last]))
     gain = [np.zeros(len(z)), np.zeros(len(z))]
     for side, (piece, own) in enumerate(((before, slice(0, border)), (after, slice(border, None)))):
@@ -47,7 +50,7 @@ def place_border(
             # beyond the border a free coordinate sets out from where it was held: small residuals are no
             # evidence against it
             held = 1 + np.sum(np.isfinite(model.size))
-            gain[side] = (C.border * held - misfit(model, values[None])[0]) * cells.weight / n
+            gain[side] = (C.border * held - misfit(model, values[None])[0]) * cells.weight / samples
     evidence = np.concatenate([[0.0], np.cumsum(gain[0] - gain[1])])[low : high + 1]
     weight = np.exp(evidence - evidence.max())
     total = np.cumsum(weight) / weight.sum()

@@ -69,7 +69,7 @@ def make_cells(rotation: np.ndarray, position: np.ndarray, step: float) -> Cells
     """Cells of poses (P, 3, 3) and (P, 3) m, ``step`` seconds apart."""
     turns = rotation_vectors(np.swapaxes(rotation[:-1], 1, 2) @ rotation[1:])
     noise = _white_noise(position), _white_noise(np.cumsum(turns, axis=0))
-    time, motion, turn = _motion(rotation, position, noise, step)
+    time, motion, turn = _motion_scale(rotation, position, noise, step)
     samples = max(1, min(round(time / C.cells / step), len(position) // 8))
     linear, angular = _average_features(rotation, position, samples)
     floor = (C.floor_position, C.floor_rotation)
@@ -135,7 +135,7 @@ def _white_noise(path: np.ndarray) -> float:
     return float(min(found))
 
 
-def _motion(
+def _motion_scale(
     rotation: np.ndarray, position: np.ndarray, noise: tuple[float, float], step: float
 ) -> tuple[float, float, float]:
     """Time in which the motion gives an independent value, s, and its amplitudes, m and rad."""

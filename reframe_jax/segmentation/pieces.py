@@ -151,7 +151,7 @@ def _join_one(
             if new is not None:
                 return [*pieces[:first], new, *pieces[last + 1 :]]
     if own.still and time < C.still_time and beside:
-        return _share(pieces, i)
+        return _divide_between_neighbours(pieces, i)
     return None
 
 
@@ -171,7 +171,7 @@ def _together(cells: Cells, start: int, stop: int, models: list[Bank], reach: fl
     return Piece(start, stop, found.take(same[:1]) if len(same) else models[0])
 
 
-def _share(pieces: list[Piece], i: int) -> list[Piece]:
+def _divide_between_neighbours(pieces: list[Piece], i: int) -> list[Piece]:
     """Divide a piece between its neighbours; of two that hold nothing, make one."""
     own = pieces[i]
     before, after = pieces[:i], pieces[i + 1 :]

@@ -14,7 +14,7 @@ _LEVI = np.stack([-np.cross(e, np.eye(3)) for e in np.eye(3)])  # e_c x v = _LEV
 _RANDOM = np.random.default_rng(0).uniform(-0.4, 0.4, (2, 3))  # m, starts of the search
 _BATCH = 1000  # spans that are fitted at once
 
-_Settled = tuple[np.ndarray, np.ndarray, np.ndarray]
+_Minimum = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 class Fits(NamedTuple):
@@ -55,7 +55,7 @@ def _fit_batch(cells: Cells, spans: np.ndarray, reach: float) -> Fits:
     turn = np.sqrt(variance)
     middle = np.zeros((number, 4, 3))
     middle[:, GROUND_TYPES] = linear_mean[:, 1, None, ::4]
-    weights, size = _stillest(linear.reshape(-1, 12, 12), middle.reshape(-1, 3), reach)
+    weights, size = _least_motion_rows(linear.reshape(-1, 12, 12), middle.reshape(-1, 3), reach)
     largest = np.sqrt(np.maximum(turn[:, :, 2] ** 2 - floor_turn**2, 0)).min(axis=1)
     return Fits(
         weights=np.swapaxes(weights.reshape(3, number, 4, 3, 12), 0, 1),
@@ -85,7 +85,9 @@ def _moments(features: np.ndarray, spans: np.ndarray) -> tuple[np.ndarray, np.nd
     return mean, covariance
 
 
-def _stillest(moments: np.ndarray, middle: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+def _least_motion_rows(
+    moments: np.ndarray, middle: np.ndarray, reach: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Rows (3, P, 3, 12) of 1, 2 and 3 held translations, and their RMS (3, P, 3)."""
     form = moments.reshape(-1, 3, 4, 3, 4)
     total = np.einsum("piaib->pab", form)
@@ -98,7 +100,7 @@ def _stillest(moments: np.ndarray, middle: np.ndarray, reach: float) -> tuple[np
         z = np.concatenate([np.ones((len(x), 1)), x], axis=1)
         return x, np.linalg.eigh(np.einsum("pa,piajb,pb->pij", z, form, z, optimize=True))[1]
 
-    def lowest(starts: list[tuple[np.ndarray, np.ndarray]], held: int, steps: int) -> _Settled:
+    def lowest(starts: list[tuple[np.ndarray, np.ndarray]], held: int, steps: int) -> _Minimum:
         found = [_settle(moments, *start, held, steps, middle, reach) for start in starts]
         best = np.argmin([np.log(each[2][:, :held]).sum(axis=1) for each in found], axis=0)
         row = np.arange(len(best))
@@ -132,7 +134,7 @@ def _settle(
     steps: int,
     middle: np.ndarray,
     reach: float,
-) -> _Settled:
+) -> _Minimum:
     """Lower sum_{i < held} log w_i' G w_i with w_i = v_i (1, x), by Levenberg's steps.
 
     Args:

@@ -64,15 +64,15 @@ def hand(key: jax.Array, duration: float | jax.Array | None = None) -> Excitatio
     keys = jax.random.split(key, 5)
     few, most = _HAND_SINES
     count = jax.random.randint(keys[0], (2, 3, 1), few, most + 1)
-    share = jax.random.uniform(keys[1], (2, 3, most), minval=0.3, dtype=float)
-    share = jnp.where(jnp.arange(most)[None, None] < count, share, 0)
-    share = share / jnp.linalg.norm(share, axis=-1, keepdims=True)
+    weight = jax.random.uniform(keys[1], (2, 3, most), minval=0.3, dtype=float)
+    weight = jnp.where(jnp.arange(most)[None, None] < count, weight, 0)
+    weight = weight / jnp.linalg.norm(weight, axis=-1, keepdims=True)
     rates = 2 * jnp.pi * _uniform(keys[2], (2, 3, most), _HAND_RATE)
     phases = jax.random.uniform(keys[3], (2, 3, most), maxval=2 * jnp.pi, dtype=float)
     pace = jax.random.uniform(keys[4], (3,), dtype=float)
     low, high = jnp.asarray(_HAND_SPEED, dtype=float).T[:, :, None]
     speed = low * (high / low) ** pace[None]
-    return _sines(jnp.sqrt(2) * speed[..., None] * share, rates, phases)
+    return _sines(jnp.sqrt(2) * speed[..., None] * weight, rates, phases)
 
 
 def sine(key: jax.Array, duration: float | jax.Array | None = None) -> Excitation:
@@ -98,14 +98,14 @@ def reach(key: jax.Array, duration: float | jax.Array = 5.0) -> Excitation:
     """
     keys = jax.random.split(key, 6)
     leave, turn, back = (
-        duration * _uniform(k, (2, 3), share)
-        for k, share in zip(keys[:3], (_LEAVES, _TURNS, _RETURNS), strict=True)
+        duration * _uniform(k, (2, 3), interval)
+        for k, interval in zip(keys[:3], (_LEAVES, _TURNS, _RETURNS), strict=True)
     )
-    far = jnp.stack([_uniform(k, (3,), size) for k, size in zip(keys[3:5], _REACH, strict=True)])
-    far = far * jnp.where(jax.random.bernoulli(keys[5], shape=(2, 3)), 1, -1)
+    distance = jnp.stack([_uniform(k, (3,), size) for k, size in zip(keys[3:5], _REACH, strict=True)])
+    distance = distance * jnp.where(jax.random.bernoulli(keys[5], shape=(2, 3)), 1, -1)
 
     def velocity(t: jax.Array) -> tuple[jax.Array, jax.Array]:
-        speed = far * (_minimum_jerk(t, leave, turn) - _minimum_jerk(t, turn, back))
+        speed = distance * (_minimum_jerk(t, leave, turn) - _minimum_jerk(t, turn, back))
         return speed[0], speed[1]
 
     return velocity

@@ -181,11 +181,11 @@ def _autoregression(white: jax.Array, memory: jax.Array) -> jax.Array:
     """Noise (K, n) of unit variance, each sample of which remembers so much of the one before."""
     fresh = jnp.sqrt(1 - memory**2)
 
-    def follow(last: jax.Array, new: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def advance(last: jax.Array, new: jax.Array) -> tuple[jax.Array, jax.Array]:
         now = memory * last + fresh * new
         return now, now
 
-    return jnp.concatenate([white[:1], jax.lax.scan(follow, white[0], white[1:])[1]])
+    return jnp.concatenate([white[:1], jax.lax.scan(advance, white[0], white[1:])[1]])
 
 
 def _rounded(values: jax.Array, ratio: float | jax.Array, errors: PoseErrors) -> jax.Array:

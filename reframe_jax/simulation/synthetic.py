@@ -158,8 +158,8 @@ def _integrate(
     def twist(t: jax.Array, pose: jax.Array) -> jax.Array:
         angular, linear = velocity(t)
         linear = linear if pitch is None else pitch * angular
-        share = _eased(t, ease) * _eased(steps * dt - t, ease)
-        return _frame_twist(frame, pose, share * angular, share * linear)
+        fraction = _eased(t, ease) * _eased(steps * dt - t, ease)
+        return _frame_twist(frame, pose, fraction * angular, fraction * linear)
 
     def advance(pose: jax.Array, t: jax.Array) -> tuple[jax.Array, jax.Array]:
         if not exact:
@@ -189,10 +189,10 @@ def _runge_kutta(
 
     def stage(carry: tuple[jax.Array, jax.Array], weights: jax.Array) -> tuple[Any, None]:
         slope, total = carry
-        share, weight = weights
-        x = share * h * slope
+        fraction, weight = weights
+        x = fraction * h * slope
         # T exp(x): the twist V is dx/dt through the right Jacobian, J_r(x) = J_l(-x)
-        here = twist(t + share * h, matmul(pose, transforms.pose_exp(x)))
+        here = twist(t + fraction * h, matmul(pose, transforms.pose_exp(x)))
         slope = apply(transforms.pose_left_jacobian_inverse(-x), here)
         return (slope, total + weight * slope), None
 

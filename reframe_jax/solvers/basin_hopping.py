@@ -44,18 +44,18 @@ class BasinHopping:
 
     Every restart is a chain. It minimizes locally; then, ``hops`` times, it jumps, minimizes locally, and
     moves there if the value is lower or Metropolis' rule accepts it; finally it minimizes ``polish`` more
-    times from its best point. A problem whose chains all agree after the first minimization is settled and
+    times from its best point. A problem whose chains all agree after the first minimization has converged and
     stops hopping. All problems use the same random numbers, so the answer depends on the data of the problem
     and the key, not on its place in a batch.
 
     With ``rounds``, some chains start where the data suggest (see :func:`suggested_starts`), and a problem
-    that did not settle goes through rounds until its chains agree. Each later round goes on from the best
+    that did not converge goes through rounds until its chains agree. Each later round goes on from the best
     point with one chain; the others begin afresh where the data suggest. Slow motion, whose valleys are many
     and narrow, needs rounds.
 
     :meth:`minimise` is the whole search. To watch a search or stop it early, call ``init``, then ``step`` 1 +
     ``hops`` + ``polish`` times, then ``finish``. All three are pure functions of arrays that may be compiled;
-    every problem takes all steps, settled or not, and none goes through rounds.
+    every problem takes all steps, converged or not, and none goes through rounds.
 
     Attributes:
         inner: local minimizer, such as :class:`ValleySteps` or :class:`FrameSteps`, or your own.
@@ -65,8 +65,8 @@ class BasinHopping:
         refine: another local minimizer for the best point of all chains, or None.
         hop_size: standard deviation of a jump, as a share of the box.
         temperature: of Metropolis' rule, in log J: 0.1 accepts a 10 % larger norm once in e times.
-        settled: largest difference in log J between the chains of a settled problem after their first
-            minimization; 0 makes every problem hop.
+        tolerance: a problem has converged if the values log J of its chains differ by less than this after
+            their first minimization; 0 makes every problem hop.
         rounds: the most that a problem goes through; 0 lets its chains hop once, from where they are.
     """
 
@@ -77,7 +77,7 @@ class BasinHopping:
     refine: LocalMinimiser | None = None
     hop_size: float = 0.1
     temperature: float = 0.1
-    settled: float = 1e-4
+    tolerance: float = 1e-4
     rounds: int = 0
 
     def init(
@@ -155,7 +155,7 @@ class BasinHopping:
     ) -> Solution:
         """The whole search: :meth:`init`, :meth:`step` until every problem is done, :meth:`finish`.
 
-        Arguments as in :meth:`init`. A settled problem is done after one step, the others after
+        Arguments as in :meth:`init`. A converged problem is done after one step, the others after
         1 + ``hops`` + ``polish``, or after their rounds.
         """
         state = self.init(objective, box, key, starts)
@@ -200,7 +200,7 @@ class BasinHopping:
         """Whether chains (restarts, ...) all have about the same value, (...); never, if there is one."""
         if self.restarts == 1:
             return jnp.zeros(value.shape[1:], dtype=bool)
-        return jnp.max(value, axis=0) - jnp.min(value, axis=0) < self.settled
+        return jnp.max(value, axis=0) - jnp.min(value, axis=0) < self.tolerance
 
 
 def _lowest(state: SearchState) -> tuple[jax.Array, jax.Array]:

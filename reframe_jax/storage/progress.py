@@ -26,7 +26,7 @@ def make_meter(progress: Progress | bool | None, unit: str) -> Progress:
         return lambda done, total: None
     begin = time.perf_counter()
 
-    def show(done: int, total: int | None) -> None:
+    def print_progress(done: int, total: int | None) -> None:
         rate = done / (time.perf_counter() - begin)
         line = f"{done} {unit}, {rate:.0f}/s"
         if total:
@@ -36,4 +36,4 @@ def make_meter(progress: Progress | bool | None, unit: str) -> Progress:
             line = f"[{bar}] {done} of {total} {unit}, {rate:.0f}/s{left}"
         print(f"\r{line}  ", end="\n" if done == total else "", file=sys.stderr, flush=True)
 
-    return show
+    return print_progress

@@ -17,7 +17,7 @@ import numpy as np
 
 __all__ = ["checksum", "describe", "describe_options"]
 
-_WRITTEN_OUT = 64  # numbers of an array; of longer ones there is a checksum
+_LISTED = 64  # numbers of an array; of longer ones there is a checksum
 _ROWS = 1024  # hashed at once: windows overlap in memory, and a copy of all of them may not fit
 
 
@@ -92,7 +92,7 @@ def _describe_numbers(value: Any) -> Any:
             "data": np.asarray(jax.random.key_data(value)).tolist(),
         }
     array = np.asarray(value)
-    if array.size > _WRITTEN_OUT:
+    if array.size > _LISTED:
         return {"shape": list(array.shape), "checksum": checksum({"": array})}
     return _write_out(array.tolist())
 

@@ -27,7 +27,7 @@ Method = Literal["derivative", "bootstrap"]
 
 _FEWEST = 8  # poses of a part that is compared
 _LARGE_TURN = 0.2  # rad, standard deviation beyond which first order ends
-_FAR = 0.25  # of the half width of the box of origins, likewise
+_LARGE_SHIFT = 0.25  # of the half width of the box of origins, likewise
 
 
 @jax.tree_util.register_dataclass
@@ -172,7 +172,7 @@ def _of_windows(
     inflation = jnp.repeat(inflation[:, None], 3, axis=1)
     angles = jnp.sqrt(jnp.diagonal(matrix, axis1=1, axis2=2))
     small = jnp.max(angles[:, :6], axis=1) < _LARGE_TURN
-    near = jnp.max(angles[:, 6:], axis=1) < _FAR * window.box
+    near = jnp.max(angles[:, 6:], axis=1) < _LARGE_SHIFT * window.box
     failed = (window.status >= 10) | ~jnp.isfinite(found.position[:, 0])
     matrix = jnp.where(failed[:, None, None], jnp.nan, matrix)
     return Covariance(matrix, jnp.where(failed[:, None], jnp.nan, inflation), small & near & ~failed)

@@ -177,7 +177,7 @@ def _move(frame: Frame, start: jax.Array, speeds: jax.Array, step: float, *, num
         # the second of two axes is a quarter of a period late, so that the motion does not follow one line
         late = jnp.cumsum((speed != 0).astype(speed.dtype)) - 1
 
-        def follow(pose: jax.Array, time: jax.Array) -> tuple[jax.Array, jax.Array]:
+        def advance(pose: jax.Array, time: jax.Array) -> tuple[jax.Array, jax.Array]:
             velocity = speed * jnp.cos(_RATE * time + late * (jnp.pi / 2))
 
             def twist(pose: jax.Array) -> jax.Array:
@@ -188,6 +188,6 @@ def _move(frame: Frame, start: jax.Array, speeds: jax.Array, step: float, *, num
             return pose, pose
 
         times = (jnp.arange(number, dtype=speed.dtype) + 0.5) * step
-        return jax.lax.scan(follow, start, times)[1]
+        return jax.lax.scan(advance, start, times)[1]
 
     return jax.vmap(one)(speeds)

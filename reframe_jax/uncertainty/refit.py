@@ -49,8 +49,11 @@ class Estimate(NamedTuple):
 
 def estimate_of(found: Identification, dtype: np.dtype) -> Estimate:
     """Take what the fit starts from, in the precision of the poses."""
-    a, n = found.angular, found.linear
-    frames = a.type_code, a.axes, a.dof, n.type_code, n.axes, n.dof, n.position, n.free_position
+    angular, linear = found.angular, found.linear
+    frames = (
+        *(angular.type_code, angular.axes, angular.dof, linear.type_code, linear.axes, linear.dof),
+        *(linear.position, linear.free_position),
+    )
     values = jax.tree.map(jnp.asarray, Estimate(found.entry_code, *frames, found.pitch, found.universal_axes))
     return jax.tree.map(lambda x: x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x, values)
 
@@ -145,7 +148,7 @@ def _moments_of_blocks(window: Prepared) -> tuple[Moments, Array]:
 def _moments_of_spans(window: Prepared) -> tuple[Moments, Array]:
     """The same of halves and thirds."""
     values, count = window.features.values, window.count
-    first, end = (jnp.stack([count * (p + i) // n for p, n in _SPANS], axis=1) for i in (0, 1))
+    first, end = (jnp.stack([count * (part + i) // parts for part, parts in _SPANS], axis=1) for i in (0, 1))
     longest = -(-values.shape[1] // 2)
     place = first[:, :, None] + jnp.arange(longest, dtype=jnp.int32)
     own = place < end[:, :, None]

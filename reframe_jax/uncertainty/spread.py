@@ -55,9 +55,9 @@ def posterior(total: Array, prior: Array) -> Array:
 
 def student_factor(freedom: Array) -> Array:
     """Variance by which a normal distribution has the 95 % interval of Student's (Cornish and Fisher)."""
-    z, n = _INTERVAL, freedom
-    wider = (z**3 + z) / 4 / n + (5 * z**5 + 16 * z**3 + 3 * z) / 96 / n**2
-    wider = wider + (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384 / n**3
+    z = _INTERVAL
+    wider = (z**3 + z) / 4 / freedom + (5 * z**5 + 16 * z**3 + 3 * z) / 96 / freedom**2
+    wider = wider + (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384 / freedom**3
     return jnp.square(1 + wider / z)
 
 

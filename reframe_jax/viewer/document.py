@@ -12,6 +12,17 @@ __all__ = ["write_page"]
 
 _FRAMES = 400  # poses in a file
 _WIDTH, _HEIGHT, _MARGIN = 340, 130, 46  # px, of a plot; the margin holds -1.2e-05
+_STYLE = """<style>
+#reframe-panel {
+  position: fixed; top: 8px; right: 8px; z-index: 1000; width: 360px; max-height: 88vh; overflow: auto;
+  padding: 6px 10px; background: rgba(255, 255, 255, .92); border-radius: 6px;
+  font: 12px sans-serif; color: #222;
+}
+#reframe-panel pre { font-size: 9px; overflow-x: auto; }
+@media (max-width: 36em) { /* below the scene, and above the controls of the playback */
+  #reframe-panel { top: auto; bottom: 48px; left: 0; right: 0; width: auto; max-height: 36vh; }
+}
+</style>"""
 
 
 def write_page(path: Path | str, windows: list[WindowTrack], *, title: str = "reframe_jax") -> None:
@@ -31,14 +42,14 @@ def write_page(path: Path | str, windows: list[WindowTrack], *, title: str = "re
     try:
         drawing.draw(windows[0])
         recording = server.get_scene_serializer()
-        share = max(2, _FRAMES // len(windows))
+        samples_per_window = max(2, _FRAMES // len(windows))
         for index, window in enumerate(windows):
             if index:
                 drawing.draw(window)
-            samples = np.unique(np.linspace(0, len(window.times) - 1, share).astype(int))
+            samples = np.unique(np.linspace(0, len(window.times) - 1, samples_per_window).astype(int))
             waits = np.diff(window.times[samples], append=window.times[-1])
             for sample, wait in zip(samples, waits, strict=True):
-                drawing.show(int(sample))
+                drawing.move_to(int(sample))
                 recording.insert_sleep(float(wait))
         text = recording.as_html()
         captions = [drawing.caption(window) for window in windows]
@@ -50,10 +61,6 @@ def write_page(path: Path | str, windows: list[WindowTrack], *, title: str = "re
 
 
 def _panel(windows: list[WindowTrack], captions: list[str], title: str) -> str:
-    style = (
-        "position:fixed;top:8px;right:8px;z-index:1000;max-height:88vh;overflow:auto;padding:6px 10px;"
-        "background:rgba(255,255,255,.92);border-radius:6px;font:12px sans-serif;color:#222;width:360px"
-    )
     parts = []
     for window, caption in zip(windows, captions, strict=True):
         begin, end = window.times[0], window.times[-1]
@@ -62,12 +69,12 @@ def _panel(windows: list[WindowTrack], captions: list[str], title: str) -> str:
             f"<details{' open' if len(windows) == 1 else ''}><summary>"
             f"<b>{html.escape(window.name.rstrip('.'))}</b>, {begin:.2f} to {end:.2f} s</summary>"
             f"<div>{html.escape(caption)}</div>{plots}"
-            f"<details><summary>result</summary><pre style='font-size:9px'>{html.escape(window.text)}</pre>"
+            f"<details><summary>result</summary><pre>{html.escape(window.text)}</pre>"
             "</details></details>"
         )
     legend = f"<details><summary>legend</summary>{legend_html()}</details>"
     heading = f"<div><b>{html.escape(title)}</b></div>"
-    return f'<div id="reframe-panel" style="{style}">{heading}{"".join(parts)}{legend}</div>'
+    return f'{_STYLE}<div id="reframe-panel">{heading}{"".join(parts)}{legend}</div>'
 
 
 def _plot(name: str, rows: list[tuple[str, str, np.ndarray]], times: np.ndarray) -> str:

@@ -83,7 +83,7 @@ class Drawing:
                 self._nodes.append(scene.add_line_segments("/body/lever", lever, colour, thickness=thickness))
             self._path("/origins", window.frame.origins[window.counted], _ORIGIN, 0.003)
             self._draw_frame(window.frame)
-        self.show(0)
+        self.move_to(0)
 
     def _draw_frame(self, frame: FrameTrack) -> None:
         scene, size = self._scene, self._size
@@ -161,7 +161,7 @@ class Drawing:
             line = self._scene.add_line_segments(name, ends, _rgb(colour), thickness=width * self._size)
             self._nodes.append(line)
 
-    def show(self, sample: int) -> None:
+    def move_to(self, sample: int) -> None:
         """Move everything to where it is at a pose of the window."""
         if self._window is None:
             return

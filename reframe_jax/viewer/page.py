@@ -22,6 +22,14 @@ _HOST = "127.0.0.1"
 _TICK = 0.05  # s between two poses while it plays
 _VIEW = np.array([0.75, -1.1, 0.65])  # of the camera from the centre, in sizes of the scene
 _ASIDE = 0.4  # sizes by which it looks past the centre, which the panel on the right would hide
+_BELOW = 0.5  # the same where the page is narrow, and the panel at the bottom
+_NARROW_STYLE = """<style>
+@media (max-width: 36em) {
+  [style*="position: fixed"][style*="max-height: 60%"] { max-height: 42% !important; width: 100% !important; }
+  [style*="position: fixed"][style*="max-height: 60%"] [style*="width: 20em"] { width: 100% !important; }
+}
+</style>"""
+"""On a narrow page, viser's panel lies at the bottom: as wide as the page, and below the scene."""
 
 
 def open_server(windows: list[WindowTrack], port: int) -> tuple["viser.ViserServer", Drawing]:
@@ -44,10 +52,19 @@ def open_server(windows: list[WindowTrack], port: int) -> tuple["viser.ViserServ
     server.scene.set_up_direction("+z")
     server.scene.add_frame("/ground", axes_length=0.15 * size, axes_radius=0.003 * size)
     right = np.cross([0.0, 0.0, 1.0], _VIEW)
-    centre = centre + _ASIDE * size * right / np.linalg.norm(right)
-    server.initial_camera.look_at = tuple(centre)
-    server.initial_camera.position = tuple(centre + size * _VIEW)
+    beside = centre + _ASIDE * size * right / np.linalg.norm(right)
+    server.initial_camera.look_at = tuple(beside)
+    server.initial_camera.position = tuple(beside + size * _VIEW)
     server.initial_camera.near = 0.01 * size
+
+    @server.on_client_connect
+    def _(client: "viser.ClientHandle") -> None:
+        if client.camera.aspect < 1:
+            up = np.cross(_VIEW, right)
+            above = centre - _BELOW * size * up / np.linalg.norm(up)
+            client.camera.position = tuple(above + 1.6 * size * _VIEW)
+            client.camera.look_at = tuple(above)
+
     return server, Drawing(server.scene, size)
 
 
@@ -93,12 +110,13 @@ class Page:
             choice = gui.add_slider("window", 0, len(windows) - 1, 1, 0)
             choice.on_update(lambda _: self._select(int(choice.value)))
         self._time: Any = gui.add_slider("time [s]", 0.0, 1.0, 0.001, 0.0)
-        self._time.on_update(lambda _: self._show())
+        self._time.on_update(lambda _: self._move_to_time())
         self._playing = gui.add_checkbox("play", False)
         self._plots = gui.add_folder("velocities along the axes")
         self._table = gui.add_folder("result", expand_by_default=False)
         with gui.add_folder("legend", expand_by_default=False):
             gui.add_html(legend_html())
+        gui.add_html(_NARROW_STYLE)
         self._select(0)
 
     @property
@@ -118,7 +136,7 @@ class Page:
         times = self._current.times
         later = self._time.value + seconds
         self._time.value = float(later if later <= times[-1] else times[0])
-        self._show()
+        self._move_to_time()
 
     def close(self) -> None:
         """Stop the server."""
@@ -154,14 +172,16 @@ class Page:
                     gui.add_uplot(data, tuple(series), title=title, scales=scales, axes=axes, aspect=1.6)
                 )
         with self._table:
-            self._charts.append(gui.add_html(f"<pre style='font-size:9px'>{html.escape(window.text)}</pre>"))
+            self._charts.append(
+                gui.add_html(f"<pre style='font-size:9px;overflow-x:auto'>{html.escape(window.text)}</pre>")
+            )
 
-    def _show(self) -> None:
+    def _move_to_time(self) -> None:
         """Move everything to the pose nearest to the time of the slider."""
         with self._lock:
             sample = int(np.argmin(np.abs(self._current.times - self._time.value)))
             with self._server.atomic():
-                self._drawing.show(sample)
+                self._drawing.move_to(sample)
 
 
 def velocity_series(window: WindowTrack) -> list[tuple[str, list[tuple[str, str, np.ndarray]]]]:

@@ -12,7 +12,7 @@ from typing import IO
 
 import numpy as np
 
-from reframe_jax.recordings.readers.reader import Reader, blaming
+from reframe_jax.recordings.readers.reader import Reader, attribute_to
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import EPOCH, MOST_ROWS, Rows, shown
 from reframe_jax.recordings.selection import Selection
@@ -61,7 +61,7 @@ def read_arrays(path: Path, wanted: Selection) -> Rows:
     Raises:
         RecordingError: if these are not plain arrays of numbers of shapes that fit, whole, and not too large.
     """
-    with path.open("rb") as file, blaming(lambda _: _no_arrays(path)):
+    with path.open("rb") as file, attribute_to(lambda _: _no_arrays(path)):
         if file.read(2) != b"PK":
             single = _find(path, "poses", lambda: path.open("rb"), path.stat().st_size)
             return _rows(path, {"poses": single}, [])

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name, import_extra, stumbling
+from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name, import_extra, translate_errors
 from reframe_jax.recordings.readers.transforms import Edge, chain_rows, describe_frames
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import MOST_ROWS, Rows, shown
@@ -101,7 +101,7 @@ def _open(path: Path) -> Iterator[_Bag]:
     """Open a bag; whatever is wrong with it is a :class:`RecordingError`."""
     first = path.suffix.lower() == ".bag"
     library = import_extra(path, "rosbags.rosbag1" if first else "rosbags.rosbag2", "bags")
-    with stumbling(path, _WHOLE), library.Reader(_BoundedPath(path)) as reader:
+    with translate_errors(path, _WHOLE), library.Reader(_BoundedPath(path)) as reader:
         yield _Bag(reader, _decoder(first))
 
 

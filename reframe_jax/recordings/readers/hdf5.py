@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from reframe_jax.recordings.readers.columns import Column, column_entries, find_columns, pose_rows
-from reframe_jax.recordings.readers.reader import Entry, Reader, import_extra, stumbling
+from reframe_jax.recordings.readers.reader import Entry, Reader, import_extra, translate_errors
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import MOST_ROWS, Rows
 from reframe_jax.recordings.selection import Selection
@@ -29,7 +29,7 @@ def read_hdf5(path: Path, wanted: Selection) -> Rows:
             missing.
     """
     library = import_extra(path, "h5py", "hdf5")
-    with stumbling(path, _WHOLE), library.File(path, "r") as file:
+    with translate_errors(path, _WHOLE), library.File(path, "r") as file:
         sets = _sets(library, file)
         chosen = find_columns(path, wanted, [*sets])
         counts = {len(sets[column.name]) for columns in chosen for column in columns}
@@ -68,7 +68,7 @@ def _numbers(data: Any, column: Column) -> np.ndarray:
 
 def _contents(path: Path) -> list[Entry]:
     library = import_extra(path, "h5py", "hdf5")
-    with stumbling(path, _WHOLE), library.File(path, "r") as file:
+    with translate_errors(path, _WHOLE), library.File(path, "r") as file:
         return column_entries(
             [
                 (name, int(np.prod(data.shape[1:])), f"{data.shape} {data.dtype}")

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from reframe_jax.recordings.readers.columns import Column, column_entries, find_columns, pose_rows
-from reframe_jax.recordings.readers.reader import Entry, Reader, import_extra, stumbling
+from reframe_jax.recordings.readers.reader import Entry, Reader, import_extra, translate_errors
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import MOST_ROWS, Rows, shown
 from reframe_jax.recordings.selection import Selection, flag
@@ -32,7 +32,7 @@ def read_parquet(path: Path, wanted: Selection) -> Rows:
             missing.
     """
     library = import_extra(path, "pyarrow.parquet", "parquet")
-    with stumbling(path, _WHOLE), library.ParquetFile(path) as file:
+    with translate_errors(path, _WHOLE), library.ParquetFile(path) as file:
         names = file.schema_arrow.names
         chosen = find_columns(path, wanted, names)
         timed, numbered = _TIME.name in names, _EPISODE.name in names
@@ -89,7 +89,7 @@ def _numbers(path: Path, batch: Any, column: Column) -> np.ndarray:
 
 def _contents(path: Path) -> list[Entry]:
     library = import_extra(path, "pyarrow.parquet", "parquet")
-    with stumbling(path, _WHOLE), library.ParquetFile(path) as file:
+    with translate_errors(path, _WHOLE), library.ParquetFile(path) as file:
         rows = file.metadata.num_rows
         columns = [
             (each.name, getattr(each.type, "list_size", 1), f"{each.type}, {rows} rows")

@@ -12,7 +12,7 @@ from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, shown
 from reframe_jax.recordings.selection import Selection, flag
 
-__all__ = ["Entry", "Reader", "blaming", "choose_name", "import_extra", "stumbling"]
+__all__ = ["Entry", "Reader", "attribute_to", "choose_name", "import_extra", "translate_errors"]
 
 _LISTED = 20  # names in a message
 
@@ -69,8 +69,8 @@ def import_extra(path: Path, module: str, extra: str) -> ModuleType:
         ) from error
 
 
-def stumbling(path: Path, what: str) -> AbstractContextManager[None]:
-    """Turn whatever a library raises about the contents of a file into one line.
+def translate_errors(path: Path, what: str) -> AbstractContextManager[None]:
+    """Replace any exception of a library about the contents of a file by a RecordingError of one line.
 
     Args:
         path: the file.
@@ -79,19 +79,19 @@ def stumbling(path: Path, what: str) -> AbstractContextManager[None]:
     Raises:
         RecordingError: in the context, for everything except errors of the disk.
     """
-    return blaming(partial(_unreadable, path, what))
+    return attribute_to(partial(_unreadable, path, what))
 
 
 @contextmanager
-def blaming(blame: Callable[[Exception], RecordingError]) -> Iterator[None]:
-    """Turn whatever is raised about the bytes of a file into an error that says what they are not.
+def attribute_to(make_error: Callable[[Exception], RecordingError]) -> Iterator[None]:
+    """Replace any exception about the contents of a file by an error for the user.
 
     Args:
-        blame: makes that error.
+        make_error: returns the error for the user, given the exception.
 
     Raises:
-        RecordingError: made by ``blame``, for everything except errors of the disk; those that are raised in
-            the context are passed on.
+        RecordingError: from ``make_error``. Errors of the disk, and a RecordingError raised in the context,
+            pass unchanged.
     """
     try:
         yield
@@ -100,7 +100,7 @@ def blaming(blame: Callable[[Exception], RecordingError]) -> Iterator[None]:
     except Exception as error:
         if isinstance(error, OSError) and error.errno is not None:
             raise  # the disk's fault, not that of the bytes
-        raise blame(error) from error
+        raise make_error(error) from error
 
 
 def _unreadable(path: Path, what: str, error: Exception) -> RecordingError:

@@ -213,9 +213,9 @@ def solve_positive(matrix: jax.Array, right: jax.Array) -> jax.Array:
     Returns:
         (n, m).
     """
-    n = matrix.shape[0]
+    size = matrix.shape[0]
     lower: list[list[jax.Array]] = []
-    for i in range(n):
+    for i in range(size):
         row: list[jax.Array] = []
         for j in range(i + 1):
             value = matrix[i, j]
@@ -224,15 +224,15 @@ def solve_positive(matrix: jax.Array, right: jax.Array) -> jax.Array:
             row.append(jnp.sqrt(value) if j == i else value / lower[j][j])
         lower.append(row)
     forward: list[jax.Array] = []
-    for i in range(n):
+    for i in range(size):
         value = right[i]
         for k in range(i):
             value = value - lower[i][k] * forward[k]
         forward.append(value / lower[i][i])
-    solution: list[jax.Array] = [right[0]] * n
-    for i in reversed(range(n)):
+    solution: list[jax.Array] = [right[0]] * size
+    for i in reversed(range(size)):
         value = forward[i]
-        for k in range(i + 1, n):
+        for k in range(i + 1, size):
             value = value - lower[k][i] * solution[k]
         solution[i] = value / lower[i][i]
     return jnp.stack(solution)

@@ -173,8 +173,8 @@ def until(end: jax.Array, excitation: Excitation) -> Excitation:
 
     def velocity(t: jax.Array) -> tuple[jax.Array, jax.Array]:
         angular, linear = excitation(t)
-        share = _ease(end - t)
-        return share * angular, share * linear
+        fraction = _ease(end - t)
+        return fraction * angular, fraction * linear
 
     return velocity
 

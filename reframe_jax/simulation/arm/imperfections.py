@@ -98,11 +98,11 @@ def measure(
 def _play(angles: jax.Array, width: jax.Array) -> jax.Array:
     """The play operator: an output that follows only when the input pushes it."""
 
-    def follow(output: jax.Array, angle: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def advance(output: jax.Array, angle: jax.Array) -> tuple[jax.Array, jax.Array]:
         output = jnp.clip(output, angle - width / 2, angle + width / 2)
         return output, output
 
-    return jax.lax.scan(follow, angles[0], angles)[1]
+    return jax.lax.scan(advance, angles[0], angles)[1]
 
 
 def _round(angles: jax.Array, step: jax.Array) -> jax.Array:

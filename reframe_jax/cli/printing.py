@@ -4,16 +4,16 @@ import contextlib
 import os
 import sys
 
-__all__ = ["say", "show"]
+__all__ = ["print_error", "print_result"]
 
 
-def say(text: str, end: str = "\n") -> None:
+def print_error(text: str, end: str = "\n") -> None:
     """Print a line to standard error at once; drop it if standard error is closed."""
     with contextlib.suppress(OSError):
         print(text, end=end, file=sys.stderr, flush=True)
 
 
-def show(text: str, end: str = "\n") -> None:
+def print_result(text: str, end: str = "\n") -> None:
     """Print results to standard output at once.
 
     Raises:
@@ -25,5 +25,5 @@ def show(text: str, end: str = "\n") -> None:
         with contextlib.suppress(OSError, ValueError):  # what is left in the buffer would be tried again
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if not isinstance(error, BrokenPipeError):
-            say(f"reframe-jax: error: standard output cannot be written: {error.strerror}.")
+            print_error(f"reframe-jax: error: standard output cannot be written: {error.strerror}.")
         raise SystemExit(1) from error
