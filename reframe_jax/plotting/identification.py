@@ -12,7 +12,7 @@ from reframe_jax.identification.results import Identification
 from reframe_jax.identification.velocities import frame_velocities
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.plotting.scene import check_window, draw_space
-from reframe_jax.plotting.style import LEGEND_ABOVE, OUTLIERS, axis_colours, new_figure
+from reframe_jax.plotting.style import LEGEND_ABOVE, NOT_READ, OUTLIERS, axis_colours, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,6 +29,7 @@ def plot_identification(
     thresholds: Thresholds | None = None,
     discretization: Discretization = "chord",
     title: str | None = None,
+    left_out: ArrayLike = (),
 ) -> "Figure":
     """Draw one window: its linear frame in space, and the velocities along the axes.
 
@@ -37,7 +38,8 @@ def plot_identification(
     first one palest; an origin that is fixed there is joined to the body, and its path is dotted. Free axes
     are arrows, constrained axes dashed lines without a head. On the right the velocities of single steps
     along the axes of both frames over time. Outliers, which took no part, are crosses in space and along the
-    time axis; the path leaves them out.
+    time axis; the path leaves them out. Rows that were left out when the file was read are bars along the
+    time axis.
 
     Args:
         poses: (K+1, 4, 4), m.
@@ -46,6 +48,7 @@ def plot_identification(
         thresholds: those it was made with, drawn as lines; none by default.
         discretization: the one it was made with.
         title: of the figure, by default the name of the constraint.
+        left_out: (M,) s, when rows were that were not read: ``left_out_times`` of a recording.
 
     Returns:
         A new figure that ``pyplot`` does not know: display it in a notebook, or call ``figure.savefig(...)``.
@@ -68,11 +71,13 @@ def plot_identification(
     limits = (None, None) if thresholds is None else (float(thresholds.linear), float(thresholds.angular))
     _draw_velocities(top, middle, linear, host.linear.dof, limits[0], "m/s")
     _draw_velocities(bottom, middle, angular, host.angular.dof, limits[1], "rad/s")
-    out = times[~np.asarray(host.counted)]
-    if len(out):
-        for graph in (top, bottom):
+    for when, style in ((times[~np.asarray(host.counted)], OUTLIERS), (np.asarray(left_out), NOT_READ)):
+        for graph in (top, bottom) if len(when) else ():
             along = graph.get_xaxis_transform()
-            graph.plot(out, np.full(len(out), 0.03), transform=along, **OUTLIERS)
+            graph.plot(when, np.full(len(when), 0.03), transform=along, **style)
+    if np.size(left_out):
+        named = [line for line in top.lines if not str(line.get_label()).startswith("_")]
+        top.legend(handles=named, **LEGEND_ABOVE)
     top.set_ylabel(f"velocity of the origin, {host.linear.frame_type} [m/s]", fontsize=8)
     bottom.set_ylabel(f"angular velocity, {host.angular.frame_type} [rad/s]", fontsize=8)
     bottom.set_xlabel("time [s]", fontsize=8)
