@@ -1,5 +1,6 @@
 """The public names, which :mod:`reframe_jax` imports when the first of them is used."""
 
+from reframe_jax.calibration.tool import Calibration, calibrate
 from reframe_jax.constraints.catalogue import CONSTRAINTS, Constraint, constraint, describe, lookup
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.types import AngularType, AxisRelation, LinearType
@@ -38,6 +39,7 @@ __all__ = [
     "AxisRelation",
     "BasinHopping",
     "Boundary",
+    "Calibration",
     "Candidates",
     "Constraint",
     "ConstraintFrame",
@@ -60,6 +62,7 @@ __all__ = [
     "TaskFrame",
     "Thresholds",
     "ValleySteps",
+    "calibrate",
     "constraint",
     "covariance",
     "default_solver",

@@ -170,7 +170,8 @@ def test_outliers_are_left_out_and_told(door: Path, tmp_path: Path, capsys: Capt
     assert run(bad, "--json", tmp_path / "out.json") == 0
     out, err = capsys.readouterr()
     assert err == ""
-    assert out.rstrip().endswith("; 1 pose left out: sample 15")
+    assert "; 1 pose left out: sample 15\n" in out
+    assert out.rstrip().endswith("line 17: the pose jumps away from its neighbours and back")
     (recording,) = read_json((tmp_path / "out.json").read_text())
     (window,) = recording["windows"]
     assert (window["label"], window["outliers"]) == ("A", [15])

@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from contacts import DT, POSES, Contact, simulate_contact
+from scipy.spatial.transform import Rotation
 
 import reframe_jax as rf
 from benchmarks.uncertainty_doors import DOORS, check_door, in_region
+from reframe_jax.geometry.rotations import rotation_exp
 
 EACH = 16
 
@@ -79,6 +81,31 @@ def test_slow_errors_inflate():
     covariances = rf.covariance(found, poses, dt=DT)
     assert np.median(np.asarray(covariances.inflation)[:EACH, 0]) > 1.5
     assert covered([truths[i] for i in right], found[right], covariances[right]) >= 0.8
+
+
+def test_intervals_are_as_wide_as_halves_are_apart(rng):
+    """Of a hinge in a body that flexes: its axis moves by a degree in the ground and in the body."""
+    times = DT * np.arange(200)
+    flex = np.radians(0.5) * np.tanh((times - times[100]) / times[20])
+    turns = np.outer(0.8 * np.sin(2.0 * times), [0, 0, 1])
+    turned = Rotation.from_rotvec(np.outer(flex, [1, 0, 0])) * Rotation.from_rotvec(turns)
+    turned = turned * Rotation.from_rotvec(np.outer(flex, [0, 1, 0]) + 1e-3 * rng.normal(size=(200, 3)))
+    poses = np.tile(np.eye(4), (200, 1, 1))
+    poses[:, :3, :3] = turned.as_matrix()
+    poses[:, :3, 3] = turned.apply([0.3, 0.1, 0.05]) + 2e-4 * rng.normal(size=(200, 3))
+    whole, first, second = (
+        rf.identify(poses[part], dt=DT, assume="hinge") for part in (np.s_[:], np.s_[:100], np.s_[100:])
+    )
+    kind = int(whole.angular.type_code)
+    axes = [np.asarray(rotation_exp(half.candidates.angular.rotvec[kind]))[:, 2] for half in (first, second)]
+    apart = float(np.linalg.norm(np.cross(*axes)))
+    assert apart > np.radians(0.5)
+    widths = {
+        errors: 1.96
+        * np.sqrt(np.linalg.eigvalsh(rf.covariance(whole, poses, dt=DT, errors=errors).angular_axes)[-1])
+        for errors in ("measured", "white")
+    }
+    assert widths["measured"] > apart / 2 > widths["white"]
 
 
 def test_leaving_out_blocks_agrees(windows, covariances):

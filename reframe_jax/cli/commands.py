@@ -10,6 +10,7 @@ __all__ = ["COMMANDS", "EXAMPLES", "Parser", "add_command"]
 
 COMMANDS = {
     "identify": "identify the constraint of recordings",
+    "calibrate": "find the tip or the axis of a tool from separate poses",
     "topics": "list what can be read from files",
     "segment": "find where the constraint of recordings changes",
     "simulate": "simulate a recording",
@@ -24,6 +25,7 @@ examples:
   reframe-jax simulate --constraint A --noise 1e-4 --out door.csv
   reframe-jax identify door.csv --plot door.png
   reframe-jax identify *.csv --window 50 --stride 10 --json answers.json
+  reframe-jax calibrate touches.csv
   reframe-jax identify walk.mcap --from map --to tool
   reframe-jax identify door.csv --urdf door.urdf --parent frame --child door
 """

@@ -21,7 +21,7 @@ from reframe_jax.cli.windows import add_windows, check_windows
 from reframe_jax.export.columns import Columns, to_columns
 from reframe_jax.export.common import Window
 from reframe_jax.export.json import to_document, to_record
-from reframe_jax.export.table import to_table
+from reframe_jax.export.table import rows_to_table, to_table
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.entry import identify
 from reframe_jax.identification.results import Identification
@@ -161,7 +161,7 @@ def _identify_file(path: Path, options: argparse.Namespace, tables: list[Columns
         found, windows = identify_recording(recording, options)
         for warning in found.warnings if options.window is None else []:
             print_error(f"reframe-jax: {path}: {warning}")
-        problem = _print_result(path, found, windows, options)
+        problem = _print_result(recording, found, windows, options)
         tables.append(to_columns(found, label=str(path), windows=windows))
         if options.explain and options.json != "-" and problem is None:
             print_result(_explanation(recording, found, options), end="\n\n")
@@ -176,7 +176,7 @@ def _identify_file(path: Path, options: argparse.Namespace, tables: list[Columns
     if problem is not None:
         print_error(f"reframe-jax: error: {problem}")
     notes = recording.notes if recording else ()
-    return to_record(found, label=str(path), windows=windows, notes=notes, error=problem)
+    return to_record(found, label=str(path), windows=windows, notes=notes, recording=recording, error=problem)
 
 
 def _thresholds(options: argparse.Namespace) -> Thresholds | None:
@@ -187,12 +187,14 @@ def _thresholds(options: argparse.Namespace) -> Thresholds | None:
 
 
 def _print_result(
-    path: Path, found: Identification, windows: list[Window], options: argparse.Namespace
+    recording: Recording, found: Identification, windows: list[Window], options: argparse.Namespace
 ) -> str | None:
-    """Print the table; returns what is wrong if no window has a result."""
-    statuses = [Status(int(code)) for code in np.ravel(found.status_code)]
+    """Print the table and the rows that were left out; returns what is wrong if no window has a result."""
+    path, statuses = recording.path, [Status(int(code)) for code in np.ravel(found.status_code)]
     if options.json != "-" and not options.summary:
         print_result(to_table(found, label=str(path), windows=windows), end="\n\n")
+        if rows := rows_to_table(recording, found):
+            print_result(rows, end="\n\n")
     return f"{path}: {statuses[0].message}" if all(status.failed for status in statuses) else None
 
 
@@ -265,4 +267,5 @@ def _figure(recording: Recording, found: Identification, options: argparse.Names
         thresholds=_thresholds(options),
         discretization=options.discretization,
         title=f"{recording.path.name}: {found.name}",
+        left_out=recording.left_out_times,
     )

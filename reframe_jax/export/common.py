@@ -1,5 +1,6 @@
 """What tables and JSON both need of an identification."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 from reframe_jax.constraints.types import AngularType, LinearType
 from reframe_jax.geometry import rotations
 from reframe_jax.identification.results import Identification
+from reframe_jax.recordings.recording import LeftOut, Recording
 
 __all__ = [
     "TYPES",
@@ -19,6 +21,7 @@ __all__ = [
     "split_windows",
     "tied_names",
     "two_digits",
+    "unused_rows",
 ]
 
 TYPES = {"angular": AngularType, "linear": LinearType}
@@ -68,3 +71,9 @@ def outlier_samples(found: Identification, window: Window | None) -> list[int]:
     """Samples of the recording, or else of the window, that took no part in a window."""
     start = 0 if window is None else window.start
     return [start + int(index) for index in np.flatnonzero(~np.asarray(found.counted))]
+
+
+def unused_rows(recording: Recording, found: Sequence[Identification]) -> tuple[LeftOut, ...]:
+    """Rows of the file that were left out when it was read, and the outliers if it is one window."""
+    whole = len(found) == 1 and np.shape(found[0].counted) == recording.times.shape
+    return recording.unused(found[0].counted) if whole else recording.left_out

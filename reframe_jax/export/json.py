@@ -10,6 +10,12 @@ The document that ``to_json`` and ``reframe-jax identify --json`` write has the 
           "recording": the label, or null,
           "error":     why the recording could not be used; else null,
           "notes":     sentences about repaired or odd input,
+          "rows":      which rows of the file were used, or null: {
+            "word": what they are called (line, sample, message, frame),
+            "used": how many,
+            "left_out": [{"reason": a word of ``LeftOut``, "why": the same in words, "rows": their numbers}]
+              lost, repeated and missing rows, and outliers; of several windows, these are in "outliers"
+          },
           "windows": [
             {
               "index": position in the batch, counted through all of its axes,
@@ -71,11 +77,13 @@ from reframe_jax.export.common import (
     outlier_samples,
     split_windows,
     tied_names,
+    unused_rows,
 )
 from reframe_jax.identification.naming import constraint_of, name_of
 from reframe_jax.identification.results import Identification
 from reframe_jax.model.table import ENTRIES
 from reframe_jax.motion.checks import Status
+from reframe_jax.recordings.recording import Recording
 
 __all__ = ["SCHEMA", "to_document", "to_json", "to_record"]
 
@@ -117,6 +125,7 @@ def to_record(
     label: str | None = None,
     windows: Sequence[Window] | None = None,
     notes: Sequence[str] = (),
+    recording: Recording | None = None,
     error: str | None = None,
 ) -> dict[str, Any]:
     """One entry of "recordings" in a JSON document.
@@ -126,6 +135,7 @@ def to_record(
         label: name of the recording.
         windows: which part of the recording each window of the batch is.
         notes: sentences about its input.
+        recording: it itself, for the rows that were left out.
         error: why it could not be used.
     """
     each = [] if found is None else split_windows(jax.device_get(found))
@@ -134,11 +144,20 @@ def to_record(
         "recording": label,
         "error": error,
         "notes": list(notes),
+        "rows": None if recording is None else _rows_record(recording, each),
         "windows": [
             _window_record(index, window, span)
             for index, (window, span) in enumerate(zip(each, spans, strict=True))
         ],
     }
+
+
+def _rows_record(recording: Recording, found: Sequence[Identification]) -> dict[str, Any]:
+    """Which rows of the file were used, and why the others were not."""
+    unused = unused_rows(recording, found)
+    outliers = sum(len(each.rows) for each in unused if each.reason == "outlier")
+    left_out = [{"reason": each.reason, "why": each.why, "rows": each.rows.tolist()} for each in unused]
+    return {"word": recording.row_word, "used": len(recording.times) - outliers, "left_out": left_out}
 
 
 def _pair(axes: Any) -> dict[str, Any] | None:

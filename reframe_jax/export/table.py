@@ -16,11 +16,14 @@ from reframe_jax.export.common import (
     split_windows,
     tied_names,
     two_digits,
+    unused_rows,
 )
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
+from reframe_jax.recordings.recording import Recording
+from reframe_jax.recordings.rows import name_rows
 
-__all__ = ["to_table"]
+__all__ = ["rows_to_table", "to_table"]
 
 _UNITS = {"angular": "rad/s", "linear": "m/s"}
 _CLEAR = 0.99  # probability from which on it goes without saying
@@ -63,6 +66,23 @@ def to_table(
         ground, body = (_vector(axis, 3) for axis in host.universal_axes)
         blocks += [f"Turns   about {ground} in the ground and {body} in the body", ""]
     return "\n".join([*blocks, *_norms_block(host), _noise_line(host, window)])
+
+
+def rows_to_table(recording: Recording, found: Identification) -> str:
+    """The rows of a file that were left out, a line for each reason; empty if all were used.
+
+    Args:
+        recording: what was identified.
+        found: of the whole recording as one window, or of several windows, whose outliers are not listed.
+    """
+    unused = unused_rows(recording, split_windows(jax.device_get(found)))
+    if not unused:
+        return ""
+    outliers = sum(len(each.rows) for each in unused if each.reason == "outlier")
+    every = len(recording.times) + sum(len(each.rows) for each in recording.left_out)
+    lines = [f"Rows    {len(recording.times) - outliers} of {every} used; left out:"]
+    lines += [f"  {name_rows(recording.row_word, each.rows)}: {each.why}" for each in unused]
+    return "\n".join(lines)
 
 
 def _vector(vector: Any, digits: int, width: int = 0) -> str:

@@ -28,6 +28,8 @@ class Caution(IntFlag):
     CLOSE_LINEAR_3 = 512
     IMPROBABLE = 1024
     """Other names are together more probable than the one reported."""
+    UNORDERED = 2048
+    """The poses do not follow each other as those of a motion do."""
 
 
 def caution_codes(
@@ -75,7 +77,13 @@ def caution_sentences(
             f"The window has only {velocities} velocities: with {_FEW} or fewer, many windows are identified "
             "wrongly. Take longer windows."
         )
-    if Caution.IMPROBABLE in found:
+    if Caution.UNORDERED in found:
+        sentences.append(
+            "The poses do not follow each other as in a motion: neighbours are as far apart as any two. "
+            "This result is unreliable. For separate touches of one point use reframe-jax calibrate "
+            "(rf.calibrate), which needs no order; if rows are shuffled, sort them by time."
+        )
+    elif Caution.IMPROBABLE in found:
         sentences.append(
             f"The name is uncertain (probability {probability:.2f}). Record a motion that goes farther along "
             "every free direction."

@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import warnings
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -13,6 +14,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import ArrayLike
 
 from reframe_jax.compilation import in_float64, index_leaves, join_parts, traced
+from reframe_jax.identification.cautions import Caution
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.inputs import batch_size, pad_poses, take_poses, take_steps
 from reframe_jax.identification.options import Scales, check_bounds, check_options, take_assumed, take_scales
@@ -22,9 +24,12 @@ from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.objectives.norms import check_exponent
+from reframe_jax.recordings.continuity import is_unordered
+from reframe_jax.recordings.lost import find_lost_poses
+from reframe_jax.recordings.rows import name_rows
 from reframe_jax.solvers import Solver
 
-__all__ = ["default_solver", "identify"]
+__all__ = ["default_solver", "identify", "identify_unchecked"]
 
 _CHUNK = {"cpu": 64, "gpu": 4096}  # windows that are identified at once: what fits the cache, or the memory
 
@@ -77,12 +82,49 @@ def identify(
         key: of the solver's random numbers; by default ``jax.random.key(0)``.
 
     Returns:
-        The identification, with the leading axes of ``poses``.
+        The identification, with the leading axes of ``poses``. ``warnings`` of a single window say where the
+        poses do not follow each other, as separate touches do not; see :func:`reframe_jax.calibrate`.
+
+    Warns:
+        UserWarning: for a single window outside a trace, if tracking was lost in rows of it.
 
     Raises:
         ValueError: if types, shapes or options are not as above; for a single window outside a trace also
             if its poses or times are unusable. In a batch such windows get a ``status`` instead.
     """
+    found = identify_unchecked(
+        poses,
+        times=times,
+        dt=dt,
+        scales=scales,
+        assume=assume,
+        norm=norm,
+        discretization=discretization,
+        thresholds=thresholds,
+        bounds=bounds,
+        solver=solver,
+        key=key,
+    )
+    if np.ndim(found.status_code) or traced((poses, times, dt, thresholds, bounds, key)):
+        return found
+    return _check_rows(found, np.asarray(poses, dtype=float), times)
+
+
+def identify_unchecked(
+    poses: ArrayLike,
+    *,
+    times: ArrayLike | None = None,
+    dt: ArrayLike | None = None,
+    scales: Scales = "auto",
+    assume: str | None = None,
+    norm: float = 0.0,
+    discretization: Discretization = "chord",
+    thresholds: Thresholds | None = None,
+    bounds: ArrayLike | None = None,
+    solver: Solver | None = None,
+    key: jax.Array | None = None,
+) -> Identification:
+    """Identify as :func:`identify` does, without a look at the order of the rows and at lost tracking."""
     exponent = check_exponent(norm)
     inside_a_trace = traced((poses, times, dt, thresholds, bounds, key))
     array = take_poses(poses)
@@ -119,6 +161,21 @@ def identify(
         if status.failed:
             raise ValueError(status.message)
     return found
+
+
+def _check_rows(found: Identification, poses: np.ndarray, times: Any) -> Identification:
+    """Mark the result of poses (K+1, 4, 4) without order; warn of rows in which tracking was lost."""
+    lost = find_lost_poses(poses, None if times is None else np.asarray(times, dtype=float))
+    if lost.mask.any():
+        warnings.warn(
+            f"{name_rows('row', np.flatnonzero(lost.mask))} of poses, counted from 0: tracking seems lost "
+            f"there ({', '.join(sorted({run.kind for run in lost.runs}))}). Leave these rows out, as "
+            "load_recording does, with their times; reframe_jax.recordings.lost.find_lost_poses gives them.",
+            stacklevel=3,
+        )
+    if not is_unordered(poses[~lost.mask]):
+        return found
+    return replace(found, warning_codes=found.warning_codes | int(Caution.UNORDERED))
 
 
 def _on_host(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Identification:

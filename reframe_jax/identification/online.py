@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reframe_jax.identification.classify import Thresholds
-from reframe_jax.identification.entry import identify
+from reframe_jax.identification.entry import identify_unchecked
 from reframe_jax.identification.inputs import read_number, read_numbers
 from reframe_jax.identification.options import Scales, check_bounds, check_options, take_assumed, take_scales
 from reframe_jax.identification.results import Identification
@@ -127,7 +127,7 @@ class OnlineIdentifier:
             return None
         window = slice(slot + 1, slot + 1 + self._length)
         times = None if time is None else self._times[window]
-        return identify(self._poses[window], times=times, dt=self._dt, **self._options)
+        return identify_unchecked(self._poses[window], times=times, dt=self._dt, **self._options)
 
     def reset(self) -> None:
         """Empty the window: the next pose is the first."""

@@ -12,7 +12,7 @@ from reframe_jax.identification.results import AngularFrame, Identification, Lin
 from reframe_jax.identification.velocities import frame_velocities
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.plotting.scene import check_window, draw_space
-from reframe_jax.plotting.style import OUTLIERS, axis_colours, new_figure
+from reframe_jax.plotting.style import LEGEND_ABOVE, NOT_READ, OUTLIERS, axis_colours, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,6 +31,7 @@ def plot_identification(
     thresholds: Thresholds | None = None,
     discretization: Discretization = "chord",
     title: str | None = None,
+    left_out: ArrayLike = (),
 ) -> "Figure":
     """Draw one window: its linear frame in space, how far each axis moved, and the velocities along the axes.
 
@@ -41,7 +42,8 @@ def plot_identification(
 
     The right panels show the amplitude of every axis (RMS displacement, logarithmic) with the probability
     that the axis is free, and below them the velocities of single steps along the axes over time. Outliers
-    are crosses in space and along the time axis; the path leaves them out.
+    are crosses in space and along the time axis; the path leaves them out. Rows that were left
+    out when the file was read are bars along the time axis.
 
     Args:
         poses: (K+1, 4, 4), m.
@@ -50,6 +52,7 @@ def plot_identification(
         thresholds: the thresholds of the identification, drawn as lines; none by default.
         discretization: that of the identification.
         title: of the figure, by default the name of the constraint.
+        left_out: (M,) s, when rows were that were not read: ``left_out_times`` of a recording.
 
     Returns:
         A new figure that ``pyplot`` does not know: display it in a notebook, or call ``figure.savefig(...)``.
@@ -76,11 +79,13 @@ def plot_identification(
     top.tick_params(labelbottom=False)
     _draw_amplitudes(figure.add_axes((left, 0.81, width, 0.11)), host.linear, "translation", "mm")
     _draw_amplitudes(figure.add_axes((left, 0.615, width, 0.11)), host.angular, "rotation", "mrad")
-    out = times[~np.asarray(host.counted)]
-    if len(out):
-        for graph in (top, bottom):
+    for when, style in ((times[~np.asarray(host.counted)], OUTLIERS), (np.asarray(left_out), NOT_READ)):
+        for graph in (top, bottom) if len(when) else ():
             along = graph.get_xaxis_transform()
-            graph.plot(out, np.full(len(out), 0.03), transform=along, **OUTLIERS)
+            graph.plot(when, np.full(len(when), 0.03), transform=along, **style)
+    if np.size(left_out):
+        named = [line for line in top.lines if not str(line.get_label()).startswith("_")]
+        top.legend(handles=named, **LEGEND_ABOVE)
     top.set_ylabel(f"velocity of the\norigin, {host.linear.frame_type} [m/s]", fontsize=_FONT)
     bottom.set_ylabel(f"angular velocity,\n{host.angular.frame_type} [rad/s]", fontsize=_FONT)
     bottom.set_xlabel("time [s]", fontsize=_FONT)

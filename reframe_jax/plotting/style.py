@@ -11,6 +11,7 @@ __all__ = [
     "FREE",
     "LEGEND_ABOVE",
     "LINES",
+    "NOT_READ",
     "OUTLIERS",
     "TURNING",
     "axis_colours",
@@ -29,6 +30,13 @@ OUTLIERS: dict[str, Any] = {
     "color": "#CC79A7",
     "markersize": 5,
     "label": "poses left out",
+}
+NOT_READ: dict[str, Any] = {
+    "linestyle": "none",
+    "marker": "|",
+    "color": "black",
+    "markersize": 7,
+    "label": "rows not read",
 }
 LEGEND_ABOVE: dict[str, Any] = {
     "loc": "lower center",

@@ -4,8 +4,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 __all__ = ["LeftOut", "Recording", "RecordingError"]
+
+_OUTLIER = "the pose jumps away from its neighbours and back"
 
 
 class RecordingError(ValueError):
@@ -22,7 +25,7 @@ class LeftOut:
             "origin", "identity", "constant", "frozen" or "end" (tracking was lost, see
             :class:`reframe_jax.recordings.lost.LostRun`), "repeated" (the row before again), "equal_time"
             (another pose at the same time), "far" (farther away than a body can go), "relative" (the other
-            body was not tracked).
+            body was not tracked), "outlier" (read, but left out of an identification).
         why: the reason in words.
     """
 
@@ -60,3 +63,36 @@ class Recording:
     rows: np.ndarray | None = None
     row_word: str = "sample"
     left_out: tuple[LeftOut, ...] = ()
+
+    def unused(self, counted: ArrayLike) -> tuple[LeftOut, ...]:
+        """All rows of the file that play no part in an identification, and why; the others were used.
+
+        Args:
+            counted: (K+1,) bool, ``counted`` of the identification of these poses.
+
+        Returns:
+            ``left_out``, and the outliers. Rows are counted from 0 if the poses are from no file.
+
+        Raises:
+            ValueError: if there are not as many as poses.
+        """
+        used = np.asarray(counted, dtype=bool)
+        if used.shape != self.times.shape:
+            raise ValueError(f"Expected counted of shape {self.times.shape}, not {used.shape}.")
+        if used.all():
+            return self.left_out
+        numbers = np.arange(len(used)) if self.rows is None else self.rows
+        return (*self.left_out, LeftOut(np.sort(numbers[~used]), "outlier", _OUTLIER))
+
+    @property
+    def left_out_times(self) -> np.ndarray:
+        """(M,) s, about when the rows in ``left_out`` were: between the rows that were read."""
+        if self.rows is None or not self.left_out:
+            return np.empty(0)
+        gone = np.sort(np.concatenate([each.rows for each in self.left_out])).astype(float)
+        order = np.argsort(self.rows)
+        rows, times = self.rows[order].astype(float), self.times[order]
+        step = (times[-1] - times[0]) / max(rows[-1] - rows[0], 1)
+        beyond = np.minimum(gone - rows[0], 0) + np.maximum(gone - rows[-1], 0)
+        found: np.ndarray = np.interp(gone, rows, times) + step * beyond
+        return found

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reframe_jax.compilation import traced
-from reframe_jax.identification.entry import identify
+from reframe_jax.identification.entry import identify_unchecked
 from reframe_jax.identification.inputs import take_steps
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
@@ -112,7 +112,7 @@ def _identify(poses: np.ndarray, times: np.ndarray, reach: float) -> Identificat
     if len(poses) < _FEWEST:
         return None
     try:
-        return identify(poses, times=times, bounds=reach)
+        return identify_unchecked(poses, times=times, bounds=reach)
     except ValueError:
         return None
 

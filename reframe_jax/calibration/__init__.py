@@ -1,0 +1,1 @@
+"""Calibration of a tool from separate poses: its tip, or its axis."""

@@ -1,0 +1,298 @@
+"""The tip of a tool from touches of one point, or its axis from turns about it: NumPy only.
+
+Pivot calibration: a tip x that touches the point y at every pose (R, p) satisfies R x + p = y, six linear
+unknowns (Yaniv, "Which pivot calibration?", SPIE Medical Imaging 2015). Spin calibration: a body that turns
+about one axis keeps its direction, R a = b, and its place across it. Poses are separate measurements: their
+order plays no part. Errors of a touch count as independent, and of the same size in every direction.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from reframe_jax.calibration.robust import fit_touches, student_factor
+
+__all__ = ["Calibration", "calibrate"]
+
+_FEWEST = 4  # poses
+_RIGID = 1e-2  # error of a rotation matrix that is refused, as in files
+_TILTED = 0.02  # rad RMS, less than which a direction did not turn: many trackers have such errors
+_TURNED = 0.1  # rad RMS that a body turns about an axis at least
+_WOBBLE = 0.2  # tilt of an axis over the turn about it, beyond which it is none
+_CHARTS = 5  # times that the direction of an axis is fitted, each time close to the one before
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """The tip or the axis of a tool {b}, and where it is in the ground {g}.
+
+    Attributes:
+        tip: (3,) m, in {b}; with ``spin`` the point of the axis that is closest to the origin of {b}.
+        point: (3,) m, in {g}: the point that the tip touched; with ``spin`` the mean of where ``tip`` was.
+        covariance: (6, 6) m^2 of ``tip`` and ``point``; with ``spin`` of the place across
+            the axis.
+        axis: (3,) unit vector, in {b}, of a spin, its largest component positive; None of a pivot.
+        ground_axis: (3,) unit vector, in {g}, likewise.
+        axis_covariance: (3, 3) rad^2 of ``axis``, or None.
+        residuals: (N,) m, distance of every touch from the point, outliers included; with ``spin`` across the
+            axis.
+        axis_residuals: (N,) rad, angle of every pose between both axes, or None.
+        used: (N,) bool, rows that are no outliers.
+        turned: rad RMS by which the body turned the direction in it that it turned least; with ``spin`` the
+            direction across the axis.
+        weakest: (3,) unit vector, in {b}: that direction, along which the tip is least certain.
+        freedom: residuals beyond the unknowns: the degrees of freedom of Student's distribution.
+    """
+
+    tip: np.ndarray
+    point: np.ndarray
+    covariance: np.ndarray
+    axis: np.ndarray | None
+    ground_axis: np.ndarray | None
+    axis_covariance: np.ndarray | None
+    residuals: np.ndarray
+    axis_residuals: np.ndarray | None
+    used: np.ndarray
+    turned: float
+    weakest: np.ndarray
+    freedom: int
+
+    @property
+    def outliers(self) -> np.ndarray:
+        """(M,) int, rows that were left out, from 0."""
+        return np.flatnonzero(~self.used)
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the residuals that are used, m."""
+        return float(np.sqrt(np.mean(self.residuals[self.used] ** 2)))
+
+    @property
+    def tip_interval(self) -> np.ndarray:
+        """(3,) m, half the widths of the intervals that hold the components of ``tip`` with 95 %."""
+        return self._interval(self.covariance)[:3]
+
+    @property
+    def point_interval(self) -> np.ndarray:
+        """(3,) m, the same of ``point``."""
+        return self._interval(self.covariance)[3:]
+
+    @property
+    def axis_interval(self) -> float | None:
+        """The same of the direction of ``axis``, rad, where it is widest; None of a pivot."""
+        if self.axis_covariance is None:
+            return None
+        widest = np.linalg.eigvalsh(self.axis_covariance)[-1]
+        return float(student_factor(self.freedom) * np.sqrt(widest))
+
+    def _interval(self, covariance: np.ndarray) -> np.ndarray:
+        widths: np.ndarray = student_factor(self.freedom) * np.sqrt(np.maximum(np.diagonal(covariance), 0))
+        return widths
+
+
+def calibrate(poses: ArrayLike, *, spin: bool = False) -> Calibration:
+    """Calibrate a tool: its tip from touches of one point, or its axis from turns about itself.
+
+    Rows that do not fit the others are left out where there are five or more. The result does not depend on
+    the order of the rows.
+
+    Args:
+        poses: (N, 4, 4) poses of the tool {b} in the ground {g}, m; N >= 4. For the tip, every pose with the
+            tip at the same point, tilted in two directions or more.
+        spin: whether the tool was turned about its own axis, which is found instead.
+
+    Returns:
+        The calibration, with residuals and error bars. In a recording of a continuous motion, errors of
+        neighbours are alike: its error bars are too small, and :func:`reframe_jax.identify` with
+        ``assume="ball"`` or ``"hinge"`` is the better choice.
+
+    Raises:
+        ValueError: if the poses are too few, not rigid, or do not determine the tip or the axis; the message
+            gives the direction that is undetermined.
+    """
+    checked = _check(poses)
+    # the same numbers in the same order, whatever the order of the rows
+    order = np.lexsort(checked.reshape(len(checked), -1).T)
+    found = (_spin if spin else _pivot)(checked[order])
+    back = np.argsort(order)
+    rows = {"residuals": found.residuals[back], "used": found.used[back]}
+    if found.axis_residuals is not None:
+        rows["axis_residuals"] = found.axis_residuals[back]
+    return Calibration(**{**vars(found), **rows})
+
+
+def _pivot(poses: np.ndarray) -> Calibration:
+    turns = poses[:, :3, :3]
+    _check_tilts(turns)
+    design = np.concatenate([turns, np.broadcast_to(-np.eye(3), turns.shape)], axis=2)
+    fit = fit_touches(design, -poses[:, :3, 3])
+    turned, weakest = _check_tilts(turns[fit.used])
+    return Calibration(
+        tip=fit.solution[:3],
+        point=fit.solution[3:],
+        covariance=fit.covariance,
+        axis=None,
+        ground_axis=None,
+        axis_covariance=None,
+        residuals=np.linalg.norm(fit.residuals, axis=1),
+        axis_residuals=None,
+        used=fit.used,
+        turned=turned,
+        weakest=weakest,
+        freedom=fit.freedom,
+    )
+
+
+def _spin(poses: np.ndarray) -> Calibration:
+    turns, places = poses[:, :3, :3], poses[:, :3, 3]
+    _check_turn(turns, wobble=False)
+    axis = _principal(turns)[1][:, 0]
+    for _ in range(_CHARTS):
+        ground = np.mean(turns @ axis, axis=0)
+        ground /= np.linalg.norm(ground)
+        across, beside = _across(axis), _across(ground)
+        direction = fit_touches(_in_plane(turns, across, beside), -turns @ axis @ beside)
+        axis, ground = axis + across @ direction.solution[:2], ground + beside @ direction.solution[2:]
+        axis, ground = axis / np.linalg.norm(axis), ground / np.linalg.norm(ground)
+    kept = direction.used
+    _check_turn(turns[kept], wobble=True)
+    across, beside = _across(axis), _across(ground)
+    design, target = _in_plane(turns, across, beside), -places @ beside
+    line = fit_touches(design[kept], target[kept])
+    used = kept.copy()
+    used[kept] = line.used
+    tip = across @ line.solution[:2]
+    point = beside @ line.solution[2:] + ground * np.mean((turns[used] @ tip + places[used]) @ ground)
+    of_axis = across @ direction.covariance[:2, :2] @ across.T
+    basis = np.zeros((6, 4))
+    basis[:3, :2], basis[3:, 2:] = across, beside
+    covariance = basis @ line.covariance @ basis.T
+    covariance[:3, :3] += np.outer(axis, axis) * (tip @ of_axis @ tip)  # across the axis, wherever that is
+    values, vectors = _principal(turns[used])
+    sign = float(np.sign(axis[np.argmax(np.abs(axis))]))
+    return Calibration(
+        tip=tip,
+        point=point,
+        covariance=covariance,
+        axis=sign * axis,
+        ground_axis=sign * ground,
+        axis_covariance=of_axis,
+        residuals=np.linalg.norm(target - design @ line.solution, axis=1),
+        axis_residuals=_angles(turns @ axis, ground),
+        used=used,
+        turned=float(np.sqrt(values[1])),
+        weakest=vectors[:, 1],
+        freedom=min(line.freedom, direction.freedom),
+    )
+
+
+def _principal(turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean squares (3,), rad^2, by which rotations (N, 3, 3) move directions of the body; least first.
+
+    And the directions, as columns. Sines for angles: they count a turn of a half like one of a quarter.
+    """
+    apart = turns - turns.mean(axis=0)
+    values, vectors = np.linalg.eigh(np.einsum("nki,nkj->ij", apart, apart) / len(turns))
+    return np.maximum(values, 0), vectors
+
+
+def _check_tilts(turns: np.ndarray) -> tuple[float, np.ndarray]:
+    """The direction that turned least, and by how much.
+
+    Raises:
+        ValueError: if that determines nothing along it.
+    """
+    values, vectors = _principal(turns)
+    sizes, weakest = np.sqrt(values), vectors[:, 0]
+    if sizes[1] < _TILTED:
+        raise ValueError(
+            f"The rotations do not determine the tip: the poses turn by {np.degrees(sizes[2]):.2g} deg "
+            "(RMS) only. Tilt the tool in two directions or more, by 20 degrees or more."
+        )
+    if sizes[0] < _TILTED:
+        raise ValueError(
+            "The rotations do not determine the tip along the direction "
+            f"{_in_words(weakest)} in the body: the tool turned about this axis only, which tilted by "
+            f"{np.degrees(sizes[0]):.2g} deg (RMS). Tilt the tool in another direction too; spin=True "
+            "(--spin) finds the axis itself."
+        )
+    return float(sizes[0]), weakest
+
+
+def _check_turn(turns: np.ndarray, *, wobble: bool) -> None:
+    """Check that the body turned, and about one axis.
+
+    Raises:
+        ValueError: if it did not.
+    """
+    sizes = np.sqrt(_principal(turns)[0])
+    if sizes[1] < _TURNED:
+        raise ValueError(
+            f"The rotations do not determine the axis: the poses turn by {np.degrees(sizes[1]):.2g} deg "
+            "(RMS) only. Turn the tool about its axis by 60 degrees or more."
+        )
+    if wobble and sizes[0] > _WOBBLE * sizes[1]:
+        raise ValueError(
+            f"The poses do not turn about one axis: the best one tilts by {np.degrees(sizes[0]):.2g} deg "
+            f"(RMS), while the body turns by {np.degrees(sizes[1]):.2g} deg. For touches of one point, leave "
+            "out spin (--spin)."
+        )
+
+
+def _in_plane(turns: np.ndarray, across: np.ndarray, beside: np.ndarray) -> np.ndarray:
+    """Design (N, 2, 4) of "the same place across an axis": R x - y, of coordinates of x and y across it.
+
+    Args:
+        turns: (N, 3, 3).
+        across: (3, 2) directions in the body across the axis.
+        beside: (3, 2) the same in the ground.
+    """
+    inside = beside.T @ turns @ across
+    return np.concatenate([inside, np.broadcast_to(-np.eye(2), inside.shape)], axis=2)
+
+
+def _across(axis: np.ndarray) -> np.ndarray:
+    """Two unit vectors perpendicular to an axis, (3, 2)."""
+    basis: np.ndarray = np.linalg.svd(axis[None])[2][1:].T
+    return basis
+
+
+def _angles(directions: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Angles (N,) between directions (N, 3) and an axis (3,), rad."""
+    sine = np.linalg.norm(np.cross(directions, axis), axis=1)
+    angles: np.ndarray = np.arctan2(sine, directions @ axis)
+    return angles
+
+
+def _in_words(vector: np.ndarray) -> str:
+    vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
+    return "(" + ", ".join(f"{number:.3f}" for number in np.round(vector, 3) + 0.0) + ")"
+
+
+def _check(poses: ArrayLike) -> np.ndarray:
+    """Poses (N, 4, 4), float64.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    try:
+        array = np.asarray(poses, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"poses must be an array of numbers: {error}") from error
+    if array.ndim != 3 or array.shape[1:] != (4, 4):
+        raise ValueError(f"poses must have shape (N, 4, 4), not {array.shape}.")
+    if len(array) < _FEWEST:
+        raise ValueError(f"A calibration needs {_FEWEST} poses or more; there are {len(array)}.")
+    finite = np.isfinite(array).all(axis=(1, 2))
+    if not finite.all():
+        raise ValueError(f"Row {int(np.argmin(finite))} of poses is not finite: leave it out.")
+    turns = array[:, :3, :3]
+    inexact = np.abs(turns.swapaxes(1, 2) @ turns - np.eye(3)).max(axis=(1, 2))
+    last = np.abs(array[:, 3] - [0, 0, 0, 1]).max(axis=1)
+    rigid = (inexact < _RIGID) & (np.linalg.det(turns) > 0) & (last < _RIGID)
+    if not rigid.all():
+        raise ValueError(
+            f"Row {int(np.argmin(rigid))} of poses is no pose [R p; 0 0 0 1] with R^T R = I and det R = 1."
+        )
+    return array

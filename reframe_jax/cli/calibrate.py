@@ -1,0 +1,74 @@
+"""``reframe-jax calibrate``: the tip or the axis of a tool."""
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from reframe_jax.calibration.tool import calibrate
+from reframe_jax.cli.commands import COMMANDS
+from reframe_jax.cli.outputs import check_file, write_document
+from reframe_jax.cli.printing import print_error, print_result
+from reframe_jax.cli.reading import add_reading, expand, read_recording
+from reframe_jax.export.calibration import SCHEMA, calibration_to_record, calibration_to_table
+from reframe_jax.recordings.recording import RecordingError
+
+__all__ = ["add_calibrate"]
+
+_CALIBRATE = """\
+Calibrate a tool: find its tip from touches of one point (pivot calibration), or
+its axis from turns about itself (--spin).
+
+A file holds one pose of the tool per row, at least four, in any order; its times
+play no part. Files without times need --dt 1. Rows that do not fit the others
+are named and left out.
+"""
+
+
+def add_calibrate(commands: Any) -> None:
+    """Add the command to those of the command line."""
+    command = commands.add_parser(
+        "calibrate",
+        description=_CALIBRATE,
+        help=COMMANDS["calibrate"],
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = command.add_argument
+    add("files", nargs="+", type=Path, metavar="FILE", help="recordings")
+    add("--spin", action="store_true", help="the tool was turned about its own axis: find the axis")
+    add("--json", metavar="OUT", help="write the results as JSON; - prints them instead of tables")
+    add_reading(command)
+    command.set_defaults(run=_calibrate, usage_error=command.error)
+
+
+def _calibrate(options: argparse.Namespace) -> int:
+    options.files = expand(options.files)
+    if options.json not in (None, "-"):
+        check_file("--json", Path(options.json), options)
+    records = [_calibrate_file(path, options) for path in options.files]
+    failed = any(record["error"] is not None for record in records)
+    document = {"schema": SCHEMA, "recordings": records}
+    problem = write_document(lambda: json.dumps(document, indent=2, allow_nan=False), options)
+    if problem is not None:
+        print_error(f"reframe-jax: error: {problem}")
+    return int(failed or problem is not None)
+
+
+def _calibrate_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
+    """Calibrate and print one recording; returns its entry in the JSON document."""
+    notes: tuple[str, ...] = ()
+    try:
+        recording = read_recording(path, options)
+        notes = recording.notes
+        found = calibrate(recording.poses, spin=options.spin)
+    except RecordingError as error:
+        problem = str(error)
+    except ValueError as error:
+        problem = f"{path}: {error}"
+    else:
+        names: dict[str, Any] = {"label": str(path), "rows": recording.rows, "row_word": recording.row_word}
+        if options.json != "-":
+            print_result(calibration_to_table(found, **names), end="\n\n")
+        return calibration_to_record(found, notes=notes, **names)
+    print_error(f"reframe-jax: error: {problem}")
+    return calibration_to_record(None, label=str(path), notes=notes, error=problem)

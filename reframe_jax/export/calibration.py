@@ -1,0 +1,147 @@
+"""A calibration as a table, for people, and as JSON, for programs.
+
+The document that ``reframe-jax calibrate --json`` writes has the schema named by :data:`SCHEMA`. Numbers are
+in SI units; intervals are half widths that hold 95 %::
+
+    {
+      "schema": "reframe-jax/calibration/1",
+      "recordings": [
+        {
+          "recording": its name, "error": why there is no calibration, or null, "notes": about its input,
+          "calibration": null, or {
+            "kind": "pivot" or "spin",
+            "tip": [3] m, in the body, "tip_interval": [3] m,
+            "point": [3] m, in the ground, "point_interval": [3] m,
+            "axis": [3] in the body, "ground_axis": [3], "axis_interval": rad; null of a pivot,
+            "rms": m, of the residuals that are used,
+            "turned": rad, "weakest": [3], as in ``Calibration``,
+            "rows": numbers of the rows in the file, "row_word": what they are called,
+            "residuals": [N] m, "axis_residuals": [N] rad or null,
+            "outliers": numbers of the rows that were left out
+          }
+        }
+      ]
+    }
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from reframe_jax.calibration.tool import Calibration
+from reframe_jax.recordings.rows import name_rows
+
+__all__ = ["SCHEMA", "calibration_to_record", "calibration_to_table"]
+
+SCHEMA = "reframe-jax/calibration/1"
+
+_LISTED = 40  # residuals in a table; of more, the largest
+_WEAK = 0.09  # rad RMS: a tilt of 5 degrees, below which more tilt helps most
+
+
+def calibration_to_table(
+    found: Calibration, *, label: str | None = None, rows: np.ndarray | None = None, row_word: str = "row"
+) -> str:
+    """What a person reads: the tip or the axis, error bars, and the residual of every row.
+
+    Args:
+        found: the calibration.
+        label: heading, such as the name of the recording.
+        rows: (N,) numbers of the rows; from 0 by default.
+        row_word: what they are called.
+    """
+    numbers = np.arange(len(found.used)) if rows is None else np.asarray(rows)
+    kind = "Pivot calibration" if found.axis is None else "Spin calibration"
+    lines = [f"{label}: {kind}" if label else kind]
+    out = numbers[~found.used]
+    lines.append(f"{int(found.used.sum())} of {len(found.used)} poses used. Intervals hold 95 %.")
+    if len(out):
+        verb = "does" if len(out) == 1 else "do"
+        lines.append(f"Outlying, and left out: {name_rows(row_word, out)} {verb} not fit the other rows.")
+    lines.append("")
+    if found.axis is not None and found.ground_axis is not None and found.axis_interval is not None:
+        lines.append(
+            f"Axis      {_vector(found.axis, 5)} in the body, ± {np.degrees(found.axis_interval):.2g} deg"
+        )
+        lines.append(f"          {_vector(found.ground_axis, 5)} in the ground")
+    name = "Tip  " if found.axis is None else "Place"
+    for title, where, place, interval in (
+        (name, "body", found.tip, found.tip_interval),
+        ("Point", "ground", found.point, found.point_interval),
+    ):
+        widths = ", ".join(f"{1e3 * width:.2g}" for width in interval)
+        lines.append(f"{title}     {_vector(place, 5)} m in the {where}, ± ({widths}) mm")
+    if found.axis is not None:
+        lines.append("          Any point on this axis is equally valid.")
+    lines.append(f"Residual  {1e3 * found.rms:.2g} mm RMS")
+    if found.axis is None:
+        sentence = f"{np.degrees(found.turned):.2g} deg RMS in the direction of the least tilt"
+        if found.turned < _WEAK:
+            sentence += f". Tilt farther: the tip is uncertain along {_vector(found.weakest, 3)} in the body"
+        lines.append(f"Tilt      {sentence}")
+    else:
+        lines.append(f"Turn      {np.degrees(found.turned):.2g} deg RMS about the axis")
+    return "\n".join([*lines, "", *_residuals(found, numbers, row_word)])
+
+
+def _residuals(found: Calibration, numbers: np.ndarray, word: str) -> list[str]:
+    many = len(numbers) > _LISTED
+    shown = np.argsort(-found.residuals, kind="stable")[:_LISTED] if many else np.arange(len(numbers))
+    largest = f", the {_LISTED} largest" if many else ""
+    lines = [f"Residuals{largest}"]
+    for row in shown:
+        angle = ""
+        if found.axis_residuals is not None:
+            angle = f"  {np.degrees(found.axis_residuals[row]):8.2f} deg"
+        mark = "" if found.used[row] else "  left out"
+        lines.append(f"  {word} {numbers[row]:<6} {1e3 * found.residuals[row]:8.2f} mm{angle}{mark}")
+    return lines
+
+
+def _vector(vector: np.ndarray, digits: int) -> str:
+    return "(" + ", ".join(f"{x:.{digits}f}" for x in np.round(vector, digits) + 0.0) + ")"
+
+
+def calibration_to_record(
+    found: Calibration | None,
+    *,
+    label: str | None = None,
+    rows: np.ndarray | None = None,
+    row_word: str = "row",
+    notes: Sequence[str] = (),
+    error: str | None = None,
+) -> dict[str, Any]:
+    """An entry of the JSON document, in plain Python types.
+
+    Args:
+        found: the calibration; None if there is none.
+        label: name of the recording.
+        rows: (N,) numbers of the rows; from 0 by default.
+        row_word: what they are called.
+        notes: sentences about the input.
+        error: why there is none.
+    """
+    record: dict[str, Any] = {"recording": label, "error": error, "notes": list(notes), "calibration": None}
+    if found is None:
+        return record
+    numbers = np.arange(len(found.used)) if rows is None else np.asarray(rows)
+    arrays = {
+        "tip": found.tip,
+        "tip_interval": found.tip_interval,
+        "point": found.point,
+        "point_interval": found.point_interval,
+        "axis": found.axis,
+        "ground_axis": found.ground_axis,
+        "axis_interval": found.axis_interval,
+        "rms": found.rms,
+        "turned": found.turned,
+        "weakest": found.weakest,
+        "rows": numbers,
+        "residuals": found.residuals,
+        "axis_residuals": found.axis_residuals,
+        "outliers": numbers[~found.used],
+    }
+    plain = {name: None if value is None else np.asarray(value).tolist() for name, value in arrays.items()}
+    kind = "pivot" if found.axis is None else "spin"
+    return record | {"calibration": {"kind": kind, "row_word": row_word, **plain}}

@@ -1,0 +1,101 @@
+"""Poses without order: separate touches and shuffled rows are noticed, motions of every kind are not."""
+
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from recording_files import HEADER, poses_of, write
+from test_calibration import touches
+from test_recording_lost import hinge
+
+import reframe_jax as rf
+from reframe_jax.cli import program
+from reframe_jax.recordings.continuity import is_unordered
+from reframe_jax.simulation.synthetic import simulate
+
+DATA = Path(__file__).parents[2] / "shared" / "data"
+SHORT = (5, 8, 10, 12, 20, 40)
+
+Captured = pytest.CaptureFixture[str]
+
+
+def file_of(path: Path, poses: np.ndarray) -> Path:
+    """Touches as people send them."""
+    rf.save_recording(path, np.arange(float(len(poses))), poses)
+    return path
+
+
+@pytest.mark.parametrize("count", [14, 25, 100, 3000])
+def test_touches_have_no_order(rng: np.random.Generator, count: int) -> None:
+    noticed = [is_unordered(touches(rng, count)) for _ in range(30)]
+    assert np.mean(noticed) > 0.9
+
+
+@pytest.mark.parametrize("label", ["A", "B", "D", "K"])
+@pytest.mark.parametrize("excitation", ["paper", "exciting", "sine", "hand"])
+def test_motions_have_order_and_shuffled_rows_have_none(
+    rng: np.random.Generator, label: str, excitation: str
+) -> None:
+    made = simulate(label, jax.random.key(3), noise=1e-3, dt=0.05, excitation=excitation)
+    poses = np.asarray(made.poses)
+    assert not is_unordered(poses)
+    assert not any(is_unordered(poses[k : k + length]) for length in SHORT for k in range(0, 60, 7))
+    if np.ptp(poses[:, :3, 3], axis=0).max() > 0.1:
+        assert is_unordered(poses[rng.permutation(len(poses))])
+
+
+def test_rest_noise_and_outliers_are_no_touches(rng: np.random.Generator) -> None:
+    poses = poses_of(hinge(rng, count=200))
+    still = np.repeat(poses[:1], 200, axis=0)
+    still[:, :3, 3] += 1e-3 * rng.normal(size=(200, 3))
+    assert not is_unordered(still)
+    poses[rng.choice(200, 20, replace=False), :3, 3] += 2.0
+    assert not is_unordered(poses)
+    assert not is_unordered(np.repeat(poses[:1], 30, axis=0))
+    poses[3] = np.nan
+    assert not is_unordered(poses)
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="needs the real recordings, in ../shared/data")
+def test_no_real_recording_is_without_order() -> None:
+    paths = sorted(DATA.glob("*.csv"))
+    assert len(paths) > 10
+    for path in paths:
+        poses = rf.load_recording(path).poses
+        assert not is_unordered(poses), path
+        for length in SHORT:
+            starts = range(0, len(poses) - length, max(len(poses) // 50, 1))
+            assert not any(is_unordered(poses[k : k + length]) for k in starts), (path, length)
+
+
+def test_identify_says_that_touches_are_no_motion(
+    tmp_path: Path, capsys: Captured, rng: np.random.Generator
+) -> None:
+    poses = touches(rng, 25)
+    found = rf.identify(poses, dt=1.0)
+    (sentence,) = [each for each in found.warnings if "do not follow each other" in each]
+    assert "reframe-jax calibrate" in sentence
+    assert not any("Record a motion" in each for each in found.warnings)
+    assert program.main(["identify", "--no-cache", str(file_of(tmp_path / "touches.csv", poses))]) == 0
+    out, err = capsys.readouterr()
+    assert sentence in out
+    assert sentence in err
+    ordered = poses_of(hinge(rng, count=60))
+    assert not any("follow each other" in each for each in rf.identify(ordered, dt=0.02).warnings)
+    assert any(
+        "follow each other" in each for each in rf.identify(ordered[rng.permutation(60)], dt=0.02).warnings
+    )
+
+
+def test_lost_tracking_in_arrays_is_named_by_row(tmp_path: Path, rng: np.random.Generator) -> None:
+    rows = hinge(rng, count=60)
+    poses = poses_of(rows)
+    poses[20:28] = np.eye(4)
+    with pytest.warns(
+        UserWarning, match=r"rows 20-27 \(8 rows\) of poses, counted from 0: tracking seems lost"
+    ):
+        rf.identify(poses, dt=0.02)
+    rows[20:28, 1:] = [0, 0, 0, 0, 0, 0, 1]
+    recording = rf.load_recording(write(tmp_path / "lost.csv", HEADER, rows))
+    rf.identify(recording.poses, times=recording.times)  # without a warning
