@@ -68,8 +68,8 @@ def identify(
         scales: samples in the blocks whose means are compared, powers of two; ``"auto"`` uses all at which
             the motion stands out of the noise of the recording, and leaves out outliers. 1 is the paper's
             choice: differences of consecutive poses, each of which counts.
-        assume: the name of a constraint ("hinge", "ball", "K", "Screw joint"): only its entries of the table
-            are compared, and ``probability`` is 1.
+        assume: the name of a constraint ("hinge", "ball", "K", "Screw joint"): the result is its best frame.
+            ``probability`` says how likely the data find it among all constraints.
         norm: exponent of the power mean over the three axes, in [-inf, 2]; 0, the geometric mean, is
             the paper's. Others search single steps with ``solver``. It must be a Python number.
         discretization: ``"chord"`` for measured motion, ``"left"`` for the paper's Table 3; see

@@ -46,7 +46,7 @@ def identify_windows(
         exponent: of the power mean over axes.
         discretization: of velocities, for the paper's search.
         solver: of the paper's search; None for the search over scales.
-        assume: codes of the entries that are compared; None for all.
+        assume: codes of the entries that are fitted; None for the most probable ones.
     """
     window = prepare_windows(poses, steps, count, bounds, scales)
     fixed: Prepared = jax.lax.stop_gradient(window)

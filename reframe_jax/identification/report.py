@@ -78,17 +78,19 @@ def winner_of_window(solved: Solved, live: Data) -> Winner:
     """
     probability = jnp.exp(solved.log_probability)
     names = jax.ops.segment_sum(probability, jnp.asarray(NAME_OF_ENTRY), int(NAME_OF_ENTRY.max()) + 1)
-    mine = names[NAME_OF_ENTRY] >= jnp.max(names)
+    fitted = jnp.any(jnp.arange(len(probability))[:, None] == solved.chosen, axis=1)
+    of_name = jnp.where(fitted, names[NAME_OF_ENTRY], -1)
+    mine = fitted & (of_name >= jnp.max(of_name))
     # entries with one name that is the same in all types differ in their errors only: the lowest norm has
     # the smallest
-    alike = jnp.any(mine & jnp.asarray(SAME_IN_ALL_TYPES)) & (probability > _VARIANT * jnp.max(names))
+    alike = jnp.any(mine & jnp.asarray(SAME_IN_ALL_TYPES)) & (probability > _VARIANT * jnp.max(of_name))
     rank = jnp.where(alike, -solved.norm[jnp.asarray(_KIND)], jnp.log(probability) - _FAR)
     code = jnp.argmax(jnp.where(mine, rank, -jnp.inf)).astype(jnp.int32)
     slot = jnp.argmax(solved.chosen == code).astype(jnp.int32)
     entry = jax.tree.map(lambda leaf: jnp.asarray(leaf)[code], TABLE)
     fitted = jax.tree.map(lambda leaf: leaf[slot], solved.parameters)
     parameters = settle(fitted, live, entry, solved.tilt_scale, jnp.asarray(False))
-    return Winner(code, jnp.max(names), parameters, probability)
+    return Winner(code, jnp.max(of_name), parameters, probability)
 
 
 class _Rows(NamedTuple):

@@ -44,7 +44,7 @@ class Solved(NamedTuple):
     """What is found about N windows.
 
     Attributes:
-        log_probability: (N, E) of every entry; -inf for those that were not fitted.
+        log_probability: (N, E) of every entry, those that were not fitted as the first look found them.
         parameters: of the C entries that were fitted, with axes (N, C) in front; their tilt is free.
         origins: (N, 4, 3) m, of the lowest norm of every linear type; norm: (N, 4) F there.
         linear_axes: (N, 4, 3, 3) and angular_axes (N, 2, 3, 3): common axes, by amplitude, ascending.
@@ -112,7 +112,7 @@ def solve_windows(
         noise: (N, 2) m and rad.
         box: (N,) m, half the width of the cube in which origins lie.
         origins: (N, 4, 3) m, of every linear type, from another search; None to search over scales.
-        assume: codes of the entries that are compared; None for all.
+        assume: codes of the entries that are fitted; None for the most probable ones.
         judge: whether entries are compared; else only their starts and the optima of the types are found.
     """
     coefficients = polynomials(used.products, ROWS[_LINEAR])
@@ -201,11 +201,11 @@ def _compare(
     own = _own_noise(products, all_details, white, noise)
     turned = jnp.moveaxis(features.to_rotation[:, :, z.TURN_GROUND], 0, -1).transpose(1, 2, 0, 3)
     of = _Windows(products, spectra, mean, own[:, None], turned, _levers(features, turned, place), joint)
-    compared = np.arange(len(ENTRIES)) if assume is None else np.asarray(assume)
-    size = min(CANDIDATES, len(compared))
-    blocks = -(-len(compared) // size)
-    codes = jnp.asarray(np.resize(compared, (blocks, size)))  # what fills the last block counts once
-    counts = (np.arange(blocks * size) < len(compared))[:, None]
+    number = len(ENTRIES)
+    assumed = np.isin(np.arange(number), np.arange(number) if assume is None else assume)[:, None]
+    size = CANDIDATES if assume is None else min(CANDIDATES, len(assume))
+    blocks = -(-number // size)
+    codes = jnp.asarray(np.resize(np.arange(number), (blocks, size)))
     windows = details.shape[1]
 
     def judge_block(r: Array, codes: Array, start: Unknowns) -> _Block:
@@ -219,13 +219,14 @@ def _compare(
         amplitudes, evidence = _judge(picked, found, entries, of)
         return _Block(codes, found, amplitudes, evidence)
 
+    def posterior_of(block: _Block) -> tuple[Array, Table]:
+        entries = Table(*(leaf[..., block.codes] for leaf in _last(TABLE)))
+        return compare(block.evidence, block.amplitudes, block.found.pitch, entries, details), entries
+
     def one_round(r: Array, all_blocks: _Block) -> _Block:
         """A first look at every block of entries; then the fit of the best ones; then their last fit."""
-        looked = jax.tree.map(lambda leaf: _flat(leaf[:blocks]), all_blocks)
-        entries = Table(*(leaf[..., looked.codes] for leaf in _last(TABLE)))
-        before = compare(looked.evidence, looked.amplitudes, looked.found.pitch, entries, details)
-        best = jax.lax.top_k(jnp.where(counts, before, -jnp.inf).T, size)[1].T
-        best = jnp.take_along_axis(looked.codes, best, axis=0)
+        before, _ = posterior_of(jax.tree.map(lambda leaf: _flat(leaf[:blocks])[..., :number, :], all_blocks))
+        best = jax.lax.top_k(jnp.where(assumed, before, -jnp.inf).T, size)[1].T
         mine = jnp.where(r < blocks, codes[jnp.minimum(r, blocks - 1)][:, None], best)
         start = jax.tree.map(
             lambda leaf, fitted: jnp.where(
@@ -245,13 +246,16 @@ def _compare(
     )
     empty = jax.tree.map(lambda leaf: jnp.zeros((blocks + 2, *leaf.shape), leaf.dtype), shape)
     rounds = jax.lax.fori_loop(0, blocks + 2, one_round, empty)
+    # entries that were not fitted keep what the first look found
+    looked = jax.tree.map(lambda leaf: _flat(leaf[:blocks])[..., :number, :], rounds)
     fitted = jax.tree.map(lambda leaf: leaf[blocks], rounds)
-    last = jax.tree.map(lambda leaf: leaf[blocks + 1], rounds.found)
-    chosen = fitted.codes
-    entries = Table(*(leaf[..., chosen] for leaf in _last(TABLE)))
-    posterior = compare(fitted.evidence, fitted.amplitudes, fitted.found.pitch, entries, details)
-    code = jnp.arange(len(ENTRIES))[:, None, None] == chosen[None]
-    everywhere = jnp.max(jnp.where(code, posterior[None], -jnp.inf), axis=1)
+    same = looked.codes[:, None] == fitted.codes[None]  # (E, C, N)
+    looked = looked._replace(evidence=jnp.where(jnp.any(same, axis=1), -jnp.inf, looked.evidence))
+    both = jax.tree.map(lambda one, other: jnp.concatenate([one, other], axis=-2), looked, fitted)
+    posterior, entries = posterior_of(both)
+    everywhere = jnp.max(jnp.where(same, posterior[None, number:], posterior[:number, None]), axis=1)
+    last, chosen = jax.tree.map(lambda leaf: leaf[blocks + 1], rounds.found), fitted.codes
+    entries = Table(*(leaf[..., number:, :] for leaf in entries))
     return Solved(
         everywhere.T,
         _parameters(last, entries, of),
