@@ -295,7 +295,7 @@ def _report_window(
     directions = bodies[jnp.asarray(POSITION_BODIES)[kind]]
     free_position = (directions * any_origin) @ directions.T
     at_bound = jnp.any(jnp.abs(parameters.origin) > _AT_BOUND * window.box) & ~jnp.all(any_origin)
-    position = parameters.origin - jax.lax.stop_gradient(free_position) @ parameters.origin
+    position = parameters.origin - free_position @ parameters.origin
     offset = jnp.where(jnp.asarray(POSITION_BODIES)[kind] == int(AngularType.G), window.centre, 0)
     velocities = jnp.sum(window.counted) - 1
     tied = _tied_types(winner, kind, thresholds, types, velocities)
