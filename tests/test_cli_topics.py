@@ -48,7 +48,7 @@ def test_contents_are_listed(tmp_path: Path, capsys: Captured, rng: np.random.Ge
 
 def test_files_that_cannot_be_listed(tmp_path: Path, capsys: Captured) -> None:
     (tmp_path / "a.bag").write_text("no bag")
-    (tmp_path / "a.txt").write_text("")
+    (tmp_path / "a.txt").write_text("0 0 0 0 0 0 0 1\n")
     missing = tmp_path / "b.bag"
     assert program.main(["topics", str(tmp_path / "a.bag"), str(missing), str(tmp_path / "a.txt")]) == 1
     out, err = capsys.readouterr()

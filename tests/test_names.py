@@ -37,13 +37,6 @@ NAMES = {
     "_NOT_LESS": "what is bounded",
     "independent_after": "decorrelation_length",
 }
-# the files whose names have not been replaced yet, and the words that remain in them
-REMAINING = {
-    "reframe_jax/identification/preparation.py": {"far"},
-    "reframe_jax/identification/report.py": {"far", "n", "share"},
-    "reframe_jax/model/": {"alone", "n", "once", "share", "stillest"},
-    "reframe_jax/motion/": {"far", "n", "share"},
-}
 
 
 def defined_names(tree: ast.AST) -> Iterator[tuple[int, str]]:
@@ -71,9 +64,8 @@ def test_no_name_is_an_everyday_word() -> None:
     wrong = []
     for file in sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py")):
         place = file.relative_to(ROOT).as_posix()
-        allowed = set[str]().union(*(words for start, words in REMAINING.items() if place.startswith(start)))
         for line, name in defined_names(ast.parse(file.read_text())):
-            for word in unclear_words(name) - allowed:
+            for word in unclear_words(name):
                 wrong.append(f"{place}:{line}: {name}: instead of {word!r}: {(WORDS | NAMES)[word]}")
     assert not wrong, "\n".join(wrong)
 

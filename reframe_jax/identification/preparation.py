@@ -80,8 +80,8 @@ def prepare_windows(
     noise = jnp.stack(estimate_noise(*still, counted.T), axis=1)
     features = pose_features(rotation, position, steps, counted.T, count)
     moments = scale_moments(features.values, counted, count)
-    far = jnp.max(jnp.where(counted, jnp.sum(jnp.square(poses[:, :, :3, 3]), axis=-1), 0), axis=1)
-    box = jnp.maximum(_REACH, _REACH * jnp.sqrt(jax.lax.stop_gradient(far)))
+    square = jnp.max(jnp.where(counted, jnp.sum(jnp.square(poses[:, :, :3, 3]), axis=-1), 0), axis=1)
+    box = jnp.maximum(_REACH, _REACH * jnp.sqrt(jax.lax.stop_gradient(square)))
     box = box if bounds is None else jnp.broadcast_to(jnp.asarray(bounds, box.dtype), box.shape)
     return Prepared(status, centre, poses, counted, steps, number, noise, features, moments, box)
 

@@ -40,7 +40,7 @@ Array = jax.Array
 
 _RIVAL = 0.05  # share of the probability of the winner from which on another type counts as tied
 _VARIANT = 1e-3  # share of the probability of a name from which on an entry may be the one that is reported
-_FAR = 1e9  # log probability that puts an entry behind those that may
+_BEHIND = 1e9  # log probability that puts an entry behind those that may
 _DEVIATIONS = 3.0  # that tie two types where thresholds decide
 _AT_BOUND = 0.999  # of the box
 
@@ -84,7 +84,7 @@ def winner_of_window(solved: Solved, live: Data) -> Winner:
     # entries with one name that is the same in all types differ in their errors only: the lowest norm has
     # the smallest
     alike = jnp.any(mine & jnp.asarray(SAME_IN_ALL_TYPES)) & (probability > _VARIANT * jnp.max(of_name))
-    rank = jnp.where(alike, -solved.norm[jnp.asarray(_KIND)], jnp.log(probability) - _FAR)
+    rank = jnp.where(alike, -solved.norm[jnp.asarray(_KIND)], jnp.log(probability) - _BEHIND)
     code = jnp.argmax(jnp.where(mine, rank, -jnp.inf)).astype(jnp.int32)
     slot = jnp.argmax(solved.chosen == code).astype(jnp.int32)
     entry = jax.tree.map(lambda leaf: jnp.asarray(leaf)[code], TABLE)
@@ -257,8 +257,10 @@ def _report_window(
     """One window, without its status; whether its origin lies on the bounds; its warnings."""
     mean = window.features.mean_rotation
     data = Data(live.products, live.details, mean, window.box)
-    share = jnp.where(jnp.arange(len(live.width)) == len(live.width) - 1, 1.0, 0.25) * (live.details > 0)
-    total = jnp.einsum("s,sfg->fg", share.astype(live.products.dtype), live.products)
+    scale_weight = jnp.where(jnp.arange(len(live.width)) == len(live.width) - 1, 1.0, 0.25) * (
+        live.details > 0
+    )
+    total = jnp.einsum("s,sfg->fg", scale_weight.astype(live.products.dtype), live.products)
     fixed = jax.vmap(_fix_signs)(jnp.concatenate([types.angular_axes, types.linear_axes]))
     types = types._replace(angular_axes=fixed[:2], linear_axes=fixed[2:])
     if thresholds is None:
@@ -399,20 +401,20 @@ def _dof_by_thresholds(types: _Types, thresholds: Thresholds) -> tuple[Array, Ar
 
 def _winner_by_thresholds(types: _Types, solved: Solved, thresholds: Thresholds) -> Winner:
     """The paper's rule: types of the lowest norm, axes free where their RMS velocity is above."""
-    a, n = (jnp.argmin(norm).astype(jnp.int32) for norm in (types.angular_norm, types.linear_norm))
+    a, linear_type = (jnp.argmin(norm).astype(jnp.int32) for norm in (types.angular_norm, types.linear_norm))
     angular, linear = _dof_by_thresholds(types, thresholds)
-    r, t = jnp.sum(angular[a]), jnp.sum(linear[n])
+    r, t = jnp.sum(angular[a]), jnp.sum(linear[linear_type])
     # how the odd axes lie, in the body in which the linear frame is fixed
-    turn = types.angular_axes[jnp.asarray(ORIENTATION_BODIES)[n]]
+    turn = types.angular_axes[jnp.asarray(ORIENTATION_BODIES)[linear_type]]
     first = jnp.where(r == 1, turn[:, 2], turn[:, 0])
-    second = jnp.where(t == 1, types.linear_axes[n][:, 2], types.linear_axes[n][:, 0])
+    second = jnp.where(t == 1, types.linear_axes[linear_type][:, 2], types.linear_axes[linear_type][:, 0])
     cosine = jnp.abs(first @ second)
     relation = jnp.where(cosine > PARALLEL_COSINE, 0, jnp.where(cosine < SQUARE_COSINE, 1, 2))
-    code = jnp.asarray(CLASS_CODES)[n, r, t, relation]
+    code = jnp.asarray(CLASS_CODES)[linear_type, r, t, relation]
     # without an entry, the frame is that of an unconstrained body of the type
-    place = jnp.where(code >= 0, code, jnp.asarray(CLASS_CODES)[n, 3, 3, 0])
+    place = jnp.where(code >= 0, code, jnp.asarray(CLASS_CODES)[linear_type, 3, 3, 0])
     parameters = jax.tree.map(lambda leaf: leaf[place], solved.starts)
-    parameters = parameters._replace(origin=solved.origins[n])
+    parameters = parameters._replace(origin=solved.origins[linear_type])
     probability = jnp.full(len(ENTRIES), jnp.nan, types.linear_norm.dtype)
     return Winner(place, jnp.asarray(jnp.nan, probability.dtype), parameters, probability)._replace(
         code=place
@@ -422,7 +424,7 @@ def _winner_by_thresholds(types: _Types, solved: Solved, thresholds: Thresholds)
 def _free_probability(winner: Winner, group: int, dof: Array) -> Array:
     """Probability that each axis is free, ascending, (3,)."""
     count = jnp.asarray(_FREE[:, group])
-    above = [jnp.sum(jnp.where(count >= n, winner.probability, 0)) for n in (3, 2, 1)]
+    above = [jnp.sum(jnp.where(count >= free, winner.probability, 0)) for free in (3, 2, 1)]
     found = jnp.clip(jnp.stack(above), 0, 1)
     return jnp.where(jnp.isnan(winner.probability[0]), dof.astype(found.dtype), found)
 

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.model.small import largest, normalize, once, solve_positive, times, total
+from reframe_jax.model.small import largest, materialize, normalize, solve_positive, times, total
 
 __all__ = ["crossed_axes"]
 
@@ -42,13 +42,13 @@ def crossed_axes(
 
     def expand(a: Array, b: Array) -> _Local:
         """The logarithm's sum and its tangent about two axes, without what keeps them apart."""
-        across = once(total(forms * b[:, None, None, None], 1))  # (i, k, l)
-        half = once(total(forms * a[:, None, None, None, None], 0))  # (j, k, l)
+        across = materialize(total(forms * b[:, None, None, None], 1))  # (i, k, l)
+        half = materialize(total(forms * a[:, None, None, None, None], 0))  # (j, k, l)
         mixed, of_body = total(half * b[:, None, None, None], 0), total(half * a[:, None, None], 1)
-        of_ground, mixed = once((total(across * b[:, None], 2), mixed))  # (i, k) and (k, l)
-        size = once(total(total(mixed * a[:, None, None], 0) * b[:, None], 0) + small)
-        weight = once(details / size)
-        upper, lower, between = once(tuple(total(m * weight, 2) for m in (of_ground, of_body, mixed)))
+        of_ground, mixed = materialize((total(across * b[:, None], 2), mixed))  # (i, k) and (k, l)
+        size = materialize(total(total(mixed * a[:, None, None], 0) * b[:, None], 0) + small)
+        weight = materialize(details / size)
+        upper, lower, between = materialize(tuple(total(m * weight, 2) for m in (of_ground, of_body, mixed)))
         gradient = jnp.concatenate([times(upper, a), times(lower, b)])
         rows = [
             jnp.concatenate([upper, between], axis=1),
@@ -57,7 +57,7 @@ def crossed_axes(
         turned, back = times(mean, b), times(jnp.swapaxes(mean, 0, 1), a)
         pull, cosine = jnp.concatenate([turned, back]), total(a * turned, 0)
         value = total(details * jnp.log(size), 0)
-        return once(_Local(value, gradient, jnp.concatenate(rows), cosine, pull))
+        return materialize(_Local(value, gradient, jnp.concatenate(rows), cosine, pull))
 
     def step(i: Array, carry: tuple[Array, Array, _Local, Array]) -> tuple[Array, Array, _Local, Array]:
         a, b, here, damping = carry
@@ -67,12 +67,12 @@ def crossed_axes(
         # lengths do not count
         zero = jnp.zeros_like(a)
         both = jnp.stack([jnp.concatenate([a, zero]), jnp.concatenate([zero, b])])
-        gradient = once(gradient - total(both * total(both * gradient[None], 1)[:, None], 0))
+        gradient = materialize(gradient - total(both * total(both * gradient[None], 1)[:, None], 0))
         top = largest(total(hessian * unit, 1))
         lengths = total(both[:, :, None] * both[:, None], 0)
         lifted = hessian + unit * ((damping + 1e-9) * top + small) + 10 * top * lengths
-        change = once(-solve_positive(*once((lifted, gradient))))
-        c, d = once((normalize(a + change[:3]), normalize(b + change[3:])))
+        change = materialize(-solve_positive(*materialize((lifted, gradient))))
+        c, d = materialize((normalize(a + change[:3]), normalize(b + change[3:])))
         new = expand(c, d)
         before = here.value + push * here.cosine * here.cosine
         lower = new.value + push * new.cosine * new.cosine < before

@@ -82,7 +82,7 @@ def free_evidence(nodes: Nodes, sizes: Array, slope: Array) -> Array:
 def _spread(nodes: Nodes, axes: int) -> Nodes:
     """With axes of size 1 for the grid, behind the coordinates."""
     extra = tuple(range(1, 1 + axes - nodes.top.ndim))
-    one = tuple(n + 1 for n in extra)
+    one = tuple(axis + 1 for axis in extra)
     return Nodes(
         jnp.expand_dims(nodes.squares, one),
         jnp.expand_dims(nodes.weights, one),

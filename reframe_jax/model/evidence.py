@@ -25,7 +25,7 @@ import numpy as np
 
 from reframe_jax.model.constants import EVIDENCE as C
 from reframe_jax.model.densities import Nodes, amplitude_nodes, free_evidence, held_evidence
-from reframe_jax.model.small import cross, diagonalize, largest, once, total
+from reframe_jax.model.small import cross, diagonalize, largest, materialize, total
 from reframe_jax.model.table import Table
 
 __all__ = [
@@ -65,7 +65,7 @@ class Spectra(NamedTuple):
         products: (S, 27, 27) moments.
         details: (S,) independent details, 0 at scales that are not used.
         all_details: (S,) the same with those scales.
-        share: (S,) of a scale in the variance of the path; 0 where it is not used.
+        scale_weight: (S,) of a scale in the variance of the path; 0 where it is not used.
         white: (S,) variance at a scale of white noise of unit variance.
         to_position, to_rotation: (M, 27, 3) sensitivity of the features to a pose.
         noise: (2,) m and rad, white noise of a pose.
@@ -74,7 +74,7 @@ class Spectra(NamedTuple):
     products: Array
     details: Array
     all_details: Array
-    share: Array
+    scale_weight: Array
     white: Array
     to_position: Array | None
     to_rotation: Array | None
@@ -162,17 +162,17 @@ def amplitudes_of(of: Coordinates, entry: Table, spectra: Spectra) -> Amplitudes
         entry: rows of the table, (6, ...) and (6, 6, ...).
         spectra: with the scales first; ``products`` and sensitivities are not used.
     """
-    share, dtype = spectra.share, of.turns.dtype
+    scale_weight, dtype = spectra.scale_weight, of.turns.dtype
     together = entry.together
     both = jnp.stack([of.turns, of.shifts], axis=3)  # (3, 3, S, 2, ...)
     mixable = jnp.stack([together[:3, :3], together[3:, 3:]], axis=2)
-    whole = once(total(both * share[:, None], 2))
-    axes = once(diagonalize(whole[:, :, None], together=mixable))
-    turns, shifts = jnp.moveaxis(once(_diagonal(axes, both)), 2, 0)
+    whole = materialize(total(both * scale_weight[:, None], 2))
+    axes = materialize(diagonalize(whole[:, :, None], together=mixable))
+    turns, shifts = jnp.moveaxis(materialize(_diagonal(axes, both)), 2, 0)
     lever = jnp.moveaxis(_diagonal(axes, jnp.moveaxis(of.levers, 0, 2)[:, :, None])[:, 0], 1, 0)
     axes, lever = jnp.moveaxis(axes, 2, 0), lever.reshape(6, *lever.shape[2:])
     # a tracker's error of scale: held translations may move with the largest free rotation
-    squares = jnp.where(entry.held[:3], -1.0, total(turns * share, 1))
+    squares = jnp.where(entry.held[:3], -1.0, total(turns * scale_weight, 1))
     widest = largest(squares)
     second = (squares[1] == widest) & (squares[0] < widest)
     first = jnp.stack([squares[0] == widest, second, (squares[0] < widest) & (squares[1] < widest)])
@@ -180,17 +180,17 @@ def amplitudes_of(of: Coordinates, entry: Table, spectra: Spectra) -> Amplitudes
     along = total(total(of.turns * main[:, None, None], 0) * main[:, None], 0)
     pulled = total(of.mixed * main[:, None, None], 0)
     pulled = total(axes[1][:, :, None] * pulled[:, None], 0)
-    pull = total(pulled * share, 1) / jnp.maximum(total(along * share, 0), 1e-30)
+    pull = total(pulled * scale_weight, 1) / jnp.maximum(total(along * scale_weight, 0), 1e-30)
     most = C.scale_error * jnp.sqrt(lever[3:])
     pull = jnp.where(entry.held[3:] & (widest > 0), jnp.clip(pull, -most, most), 0)[:, None]
     shifts = shifts - 2 * pull * pulled + pull * pull * along
     each = jnp.maximum(jnp.concatenate([turns, shifts]), 0) + _TINY
-    parts = each * share
+    parts = each * scale_weight
     square = total(parts, 1)
     noise = of.gain * spectra.noise[0] ** 2 + lever * spectra.noise[1] ** 2
     # white noise cannot exceed what any scale shows
     shown = jnp.where(spectra.all_details[:-1] > 0, each[:, :-1] / spectra.white[:-1], jnp.inf)
-    noise = jnp.minimum(noise, -largest(-shown, 1)) * total(share * spectra.white, 0) + 0.1 * _TINY
+    noise = jnp.minimum(noise, -largest(-shown, 1)) * total(scale_weight * spectra.white, 0) + 0.1 * _TINY
     variance = total(2 * jnp.square(parts) / jnp.maximum(spectra.all_details, 1), 1) / square**2
     linear = jnp.arange(6).reshape(6, *[1] * (square.ndim - 1)) >= 3
     return Amplitudes(
@@ -216,7 +216,7 @@ def log_evidence(of: Amplitudes, tilt: Array, entry: Table, noise: Array) -> Arr
         entry: rows of the table.
         noise: (2, ...) m and rad, white noise, with which errors grow.
     """
-    nodes = once(amplitude_nodes(jnp.log(of.square), jnp.log(of.noise), of.variance))
+    nodes = materialize(amplitude_nodes(jnp.log(of.square), jnp.log(of.noise), of.variance))
     value = _errors(nodes, of.lever, tilt, entry.held, noise) + _moves(nodes, of, entry.held)
     return value.astype(of.square.dtype)
 
@@ -241,7 +241,7 @@ def _errors(nodes: Nodes, lever: Array, tilt: Array, held: Array, noise: Array) 
     turns = turns - 0.5 * C.held_above * jnp.log1p(jnp.square(tilt).astype(jnp.float32) / e_r)
     sizes = e_t[None] + (e_r * lever[3:])[:, :, None]
     shifts = jnp.where(held[3:, None, None], held_evidence(nodes.rows(slice(3, 6)), sizes), 0)
-    value = once(once(turns)[:, None] + (total(shifts, 0) + prior))
+    value = materialize(materialize(turns)[:, None] + (total(shifts, 0) + prior))
     value = value.reshape(-1, *value.shape[2:])
     top = jax.lax.stop_gradient(largest(value))
     # a sum over many rows is fast as a product
@@ -258,7 +258,7 @@ def _moves(nodes: Nodes, of: Amplitudes, held: Array) -> Array:
         slope = jnp.clip(jnp.sqrt(independent / 4), 0.5, 4).astype(jnp.float32)
         sizes = _grid(np.exp(2 * (grid + log(middle))), lanes)[None]
         free = jnp.where(held[rows, None], 0, free_evidence(nodes.rows(rows), sizes, slope))
-        sums.append(once(total(free, 0)))
+        sums.append(materialize(total(free, 0)))
     tops = [largest(s) for s in sums]
     a, b = (jnp.exp(s - top) for s, top in zip(sums, tops, strict=True))
     shared = jnp.tensordot(jnp.asarray(_MOTIONS, jnp.float32), b, 1)

@@ -108,8 +108,8 @@ def held_covariance(weights: Array, products: Array, entry: Table) -> Array:
     covariance = jnp.einsum("if,sfg,jg->sij", weights, products, weights)
     both = entry.together & entry.held[:, None] & entry.held[None, :]
     small = jnp.finfo(covariance.dtype).tiny ** 0.5
-    alone = jnp.where(entry.held, small, 1.0)
-    covariance = jnp.where(both, covariance, 0) + jnp.diag(alone)
+    lifted = jnp.where(entry.held, small, 1.0)
+    covariance = jnp.where(both, covariance, 0) + jnp.diag(lifted)
     return jnp.stack([covariance[:, :3, :3], covariance[:, 3:, 3:]], axis=1)
 
 

@@ -33,7 +33,7 @@ class Moments(NamedTuple):
     width: jax.Array
 
     @property
-    def share(self) -> jax.Array:
+    def scale_weight(self) -> jax.Array:
         """(N, S) weight of a scale in the variance of the path: details have it four times, per octave."""
         last = jnp.arange(self.width.shape[1]) == self.width.shape[1] - 1
         return jnp.where(last, 1.0, 0.25).astype(self.products.dtype) * (self.details > 0)

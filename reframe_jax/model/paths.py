@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.model.small import cross, once, times, total
+from reframe_jax.model.small import cross, materialize, times, total
 
 __all__ = ["turns_of", "twist_paths"]
 
@@ -53,12 +53,12 @@ def _logarithm(turn: Array) -> tuple[Array, Array]:
 
 def _steps(rotation: Array, position: Array) -> tuple[Array, Array]:
     """Logarithms of the steps as twists: rotations and translations, (3, 2, K, N) each, in {b} and {g}."""
-    w, factor = once(_logarithm(once(_relative(rotation))))
-    shift = once(times(jnp.swapaxes(rotation, 0, 1)[:, :, :-1], position[:, 1:] - position[:, :-1]))
-    across = once(cross(w, shift))
-    v = once(shift - across / 2 + factor * cross(w, across))
+    w, factor = materialize(_logarithm(materialize(_relative(rotation))))
+    shift = materialize(times(jnp.swapaxes(rotation, 0, 1)[:, :, :-1], position[:, 1:] - position[:, :-1]))
+    across = materialize(cross(w, shift))
+    v = materialize(shift - across / 2 + factor * cross(w, across))
     here = rotation[:, :, :-1]
-    turned = once(times(here, w))
+    turned = materialize(times(here, w))
     moved = times(here, v) + cross(position[:, :-1], turned)
     return jnp.stack([w, turned], axis=1), jnp.stack([v, moved], axis=1)
 
@@ -77,10 +77,10 @@ def twist_paths(rotation: Array, position: Array, steps: Array, count: Array | N
     """
     turns, shifts = _steps(rotation, position)
     h = steps.T
-    twist = once(jnp.stack([turns, shifts]) / h)  # (2, 3, 2, K, N)
-    weights = once(_derivative_weights(steps, None if count is None else count - 1))
+    twist = materialize(jnp.stack([turns, shifts]) / h)  # (2, 3, 2, K, N)
+    weights = materialize(_derivative_weights(steps, None if count is None else count - 1))
     even = jnp.max(steps, axis=1) <= _EVEN * jnp.min(steps, axis=1)
-    twist = once((twist - jnp.where(even, _brackets(twist, weights, h), 0)) * h)
+    twist = materialize((twist - jnp.where(even, _brackets(twist, weights, h), 0)) * h)
     path = jnp.pad(_running_sum(twist), ((0, 0), (0, 0), (0, 0), (1, 0), (0, 0)))
     return path[0], path[1]
 
@@ -89,7 +89,7 @@ def _running_sum(x: Array) -> Array:
     """Sums over the samples up to each one, (2, 3, 2, K, N), by doubling."""
     reach = 1
     while reach < x.shape[3]:
-        x = once(x + jnp.pad(x[:, :, :, :-reach], ((0, 0), (0, 0), (0, 0), (reach, 0), (0, 0))))
+        x = materialize(x + jnp.pad(x[:, :, :, :-reach], ((0, 0), (0, 0), (0, 0), (reach, 0), (0, 0))))
         reach *= 2
     return x
 
@@ -97,7 +97,7 @@ def _running_sum(x: Array) -> Array:
 def _bracket(a: Array, b: Array) -> Array:
     """Lie bracket of twists (2, 3, ...): (wa x wb, wa x vb - wb x va)."""
     w, v = a[0], a[1]
-    return once(jnp.stack([cross(w, b[0]), cross(w, b[1]) + cross(v, b[0])]))
+    return materialize(jnp.stack([cross(w, b[0]), cross(w, b[1]) + cross(v, b[0])]))
 
 
 def _brackets(means: Array, weights: Array, h: Array) -> Array:
@@ -116,15 +116,15 @@ def _brackets(means: Array, weights: Array, h: Array) -> Array:
     second = _derivative(weights, first)
     # from the mean to the middle of the step; steps of unequal length jump in this, so no derivative
     # may be taken of anything that still has a factor h in it
-    middle = once(means - h**2 * (1 / 24) * second + h**2 * (side / 12) * _bracket(means, first))
+    middle = materialize(means - h**2 * (1 / 24) * second + h**2 * (side / 12) * _bracket(means, first))
     a1, a2 = h * middle, h**2 * _derivative(weights, middle)
     a3, a4 = h**3 * (1 / 2) * second, h**4 * (1 / 6) * _derivative(weights, second)
-    a1, a2, a3, a4 = once((a1, a2, a3, a4))
+    a1, a2, a3, a4 = materialize((a1, a2, a3, a4))
     a12 = _bracket(a1, a2)
     # the terms above, grouped by their outer factor
-    inner = _bracket(a1, once(side / 720 * a12 + 1 / 360 * a3))
-    outer = _bracket(a1, once(inner - side / 12 * a2 - side / 80 * a4))
-    return (outer + _bracket(a2, once(side / 240 * a3 - 1 / 240 * a12))) / h
+    inner = _bracket(a1, materialize(side / 720 * a12 + 1 / 360 * a3))
+    outer = _bracket(a1, materialize(inner - side / 12 * a2 - side / 80 * a4))
+    return (outer + _bracket(a2, materialize(side / 240 * a3 - 1 / 240 * a12))) / h
 
 
 def _derivative_weights(steps: Array, count: Array | None) -> Array:
@@ -140,29 +140,31 @@ def _derivative_weights(steps: Array, count: Array | None) -> Array:
         (2 n - 1, K, N) in 1/s: weights of the nodes from n - 1 before each one to n - 1 after it.
     """
     number = steps.shape[1]
-    n = min(_STENCIL, number)
-    each, nth = np.arange(number), np.arange(n)
+    nodes = min(_STENCIL, number)
+    each, nth = np.arange(number), np.arange(nodes)
     last = jnp.full(1, number) if count is None else count
-    first = jnp.clip(each[:, None] - n // 2, 0, last - n)  # (K, N)
+    first = jnp.clip(each[:, None] - nodes // 2, 0, last - nodes)  # (K, N)
     windows = max(steps.shape[0], first.shape[1])
     first = jnp.broadcast_to(first, (number, windows))
     spans = jnp.take_along_axis(
         jnp.broadcast_to(steps.T, (number, windows)),
         (first + nth[:, None, None]).reshape(-1, windows),
         axis=0,
-    ).reshape(n, number, windows)
-    ends = jnp.tensordot(jnp.asarray(np.tril(np.ones((n, n))) - np.eye(n) / 2, steps.dtype), spans, 1)
+    ).reshape(nodes, number, windows)
+    ends = jnp.tensordot(
+        jnp.asarray(np.tril(np.ones((nodes, nodes))) - np.eye(nodes) / 2, steps.dtype), spans, 1
+    )
     # Lagrange's polynomial of node i has the derivative (c_h / c_i) / (t_h - t_i) at node h, c_i being
     # the product of t_i - t_j over the other nodes j; those of all nodes add up to zero
     gaps = ends[:, None] - ends[None]
-    eye = np.eye(n, dtype=bool)[:, :, None, None]
+    eye = np.eye(nodes, dtype=bool)[:, :, None, None]
     products = jnp.prod(jnp.where(eye, 1, gaps), axis=1)
     here = nth[:, None, None] == each[:, None] - first  # the node of this step
     gap = jnp.sum(jnp.where(here[:, None], gaps, 0), axis=0)
     own = jnp.sum(jnp.where(here, products, 0), axis=0)
     others = jnp.where(here, 0, own / (products * jnp.where(gap == 0, 1, gap)))
     weights = jnp.where(here, -jnp.sum(others, axis=0), others)
-    offset = jnp.arange(1 - n, n)[:, None, None, None]
+    offset = jnp.arange(1 - nodes, nodes)[:, None, None, None]
     at = first + nth[:, None, None] - each[:, None]
     return jnp.sum(jnp.where(at == offset, weights, 0), axis=1)
 
@@ -173,4 +175,4 @@ def _derivative(weights: Array, x: Array) -> Array:
     reach = weights.shape[0] // 2
     padded = jnp.pad(x, ((0, 0), (0, 0), (0, 0), (reach, reach), (0, 0)))
     terms = [weights[j] * padded[:, :, :, j : j + number] for j in range(2 * reach + 1)]
-    return once(sum(terms[1:], terms[0]))
+    return materialize(sum(terms[1:], terms[0]))

@@ -112,31 +112,31 @@ def lowest_origins(
     Returns:
         (N, T, 3) m and (N, T).
     """
-    n = jnp.moveaxis(details, 1, 0)[:, :, None, None]
+    counts = jnp.moveaxis(details, 1, 0)[:, :, None, None]
     box = box[:, None, None]
-    x = jnp.clip(_starts(coefficients, n, unexplained), -box, box)
-    x = jax.lax.fori_loop(0, _TANGENT_STEPS, lambda _, x: _tangent_step(coefficients, n, box, x), x)
+    x = jnp.clip(_starts(coefficients, counts, unexplained), -box, box)
+    x = jax.lax.fori_loop(0, _TANGENT_STEPS, lambda _, x: _tangent_step(coefficients, counts, box, x), x)
     _, det = _adjugate(_sigma(coefficients, _monomials(x)))
-    best = jnp.argmin(jnp.sum(n * jnp.log(det), axis=0), axis=-1)
+    best = jnp.argmin(jnp.sum(counts * jnp.log(det), axis=0), axis=-1)
     x = jnp.take_along_axis(x, best[None, ..., None], axis=-1)
-    carry = (x, *_expand(coefficients, n, x), jnp.full(x.shape[1:], _BLEND, x.dtype))
-    step = partial(_newton_step, coefficients, n, box)
+    carry = (x, *_expand(coefficients, counts, x), jnp.full(x.shape[1:], _BLEND, x.dtype))
+    step = partial(_newton_step, coefficients, counts, box)
     carry = jax.lax.fori_loop(0, _NEWTON_STEPS, lambda _, c: step(c), carry)
     return jnp.moveaxis(carry[0][..., 0], 0, -1), carry[1][..., 0]
 
 
 def norm_at(coefficients: Array, details: Array, origins: Array) -> Array:
     """F of every type at its origin, (N, T), for origins (N, T, 3) m."""
-    n = jnp.moveaxis(details, 1, 0)[:, :, None, None]
+    counts = jnp.moveaxis(details, 1, 0)[:, :, None, None]
     _, det = _adjugate(_sigma(coefficients, _monomials(jnp.moveaxis(origins, -1, 0)[..., None])))
-    return jnp.sum(n * jnp.log(det), axis=0)[..., 0]
+    return jnp.sum(counts * jnp.log(det), axis=0)[..., 0]
 
 
-def _starts(coefficients: Array, n: Array, unexplained: Array) -> Array:
+def _starts(coefficients: Array, counts: Array, unexplained: Array) -> Array:
     """Starts (3, N, T, starts): by the unexplained covariance, the origins that move least, others."""
     shape = (*coefficients.shape[:2], -1, 6, 10)
     traces = coefficients.reshape(shape)[:, :, :, (0, 3, 5)].sum(3)
-    total = jnp.einsum("nts,ntsm->ntm", jnp.moveaxis(n[..., 0] > 0, 0, -1).astype(traces.dtype), traces)
+    total = jnp.einsum("nts,ntsm->ntm", jnp.moveaxis(counts[..., 0] > 0, 0, -1).astype(traces.dtype), traces)
     first = []
     for q in (total, traces[:, :, -1]):
         q = jnp.moveaxis(q, -1, 0)
@@ -144,8 +144,8 @@ def _starts(coefficients: Array, n: Array, unexplained: Array) -> Array:
         slope = [q[MONOMIALS.index((0, a))] / 2 for a in (1, 2, 3)]
         first.append(-_solve(_lift(hessian), slope)[0])
     adjugate, det = _adjugate(jnp.stack([unexplained[..., i, j] for i, j in PAIRS])[..., None])
-    inverse = [jnp.broadcast_to(entry / det, (*n.shape[:2], *det.shape[1:])) for entry in adjugate]
-    form = _tangent(coefficients, n, inverse)
+    inverse = [jnp.broadcast_to(entry / det, (*counts.shape[:2], *det.shape[1:])) for entry in adjugate]
+    form = _tangent(coefficients, counts, inverse)
     first.append(-_solve(_lift([form[ab] for ab in _SECOND]), [form[a, 0] for a in (1, 2, 3)])[0][..., 0])
     fixed = jnp.asarray(_FIXED_STARTS, coefficients.dtype)[:, None, None]
     fixed = jnp.broadcast_to(fixed, (3, *coefficients.shape[:2], fixed.shape[-1]))
@@ -178,9 +178,9 @@ def _adjugate(s: Array) -> tuple[list[Array], Array]:
     return adjugate, jnp.maximum(det, jnp.finfo(det.dtype).tiny)
 
 
-def _tangent(coefficients: Array, n: Array, inverse: list[Array]) -> dict[tuple[int, int], Array]:
+def _tangent(coefficients: Array, counts: Array, inverse: list[Array]) -> dict[tuple[int, int], Array]:
     """sum_s n_s tr(Sigma_s^-1 Sigma_s(y)), a quadratic form in (1, y): its entries, each (N, T, K)."""
-    weight = [v * n * (1 if i == j else 2) for v, (i, j) in zip(inverse, PAIRS, strict=True)]
+    weight = [v * counts * (1 if i == j else 2) for v, (i, j) in zip(inverse, PAIRS, strict=True)]
     weights = jnp.stack(weight).transpose(2, 3, 1, 0, 4)
     weights = weights.reshape(*weights.shape[:2], -1, weights.shape[-1])
     q = jnp.einsum("ntcm,ntck->mntk", coefficients, weights, precision="highest")
@@ -209,20 +209,20 @@ def _lift(matrix: list[Array]) -> list[Array]:
     return [entry + small if k in (0, 3, 5) else entry for k, entry in enumerate(matrix)]
 
 
-def _tangent_step(coefficients: Array, n: Array, box: Array, x: Array) -> Array:
+def _tangent_step(coefficients: Array, counts: Array, box: Array, x: Array) -> Array:
     adjugate, det = _adjugate(_sigma(coefficients, _monomials(x)))
-    form, z = _tangent(coefficients, n, [entry / det for entry in adjugate]), [1.0, *x]
+    form, z = _tangent(coefficients, counts, [entry / det for entry in adjugate]), [1.0, *x]
     slope = [sum(form[a, b] * z[b] for b in range(4)) for a in (1, 2, 3)]
     return jnp.clip(x - _RELAX * _solve(_lift([form[ab] for ab in _SECOND]), slope)[0], -box, box)
 
 
-def _expand(coefficients: Array, n: Array, x: Array) -> tuple[Array, Array, Array, Array]:
+def _expand(coefficients: Array, counts: Array, x: Array) -> tuple[Array, Array, Array, Array]:
     """F, its slope (3, ...), the tangent's Hessian and the exact one (6, ...)."""
     k = x.shape[-1]
     values = _sigma(coefficients, jnp.concatenate([_monomials(x), *_slopes(x)], axis=-1))
     adjugate, det = _adjugate(values[..., :k])
     inverse = [entry / det for entry in adjugate]
-    form, z = _tangent(coefficients, n, inverse), [1.0, *x]
+    form, z = _tangent(coefficients, counts, inverse), [1.0, *x]
     whole = _full(inverse)
     products = []
     for a in (1, 2, 3):
@@ -235,22 +235,24 @@ def _expand(coefficients: Array, n: Array, x: Array) -> tuple[Array, Array, Arra
     for second, (a, b) in zip(tangent, _SECOND, strict=True):
         p, q = products[a - 1], products[b - 1]
         trace = sum(p[i][j] * q[j][i] for i in range(3) for j in range(3))
-        exact.append(second - jnp.sum(n * trace, axis=0))
+        exact.append(second - jnp.sum(counts * trace, axis=0))
     slope = jnp.stack([2 * sum(form[a, b] * z[b] for b in range(4)) for a in (1, 2, 3)])
-    return jnp.sum(n * jnp.log(det), axis=0), slope, jnp.stack(tangent), jnp.stack(exact)
+    return jnp.sum(counts * jnp.log(det), axis=0), slope, jnp.stack(tangent), jnp.stack(exact)
 
 
 def _full(s: list[Array] | Array) -> list[list[Array]]:
     return [[s[0], s[1], s[2]], [s[1], s[3], s[4]], [s[2], s[4], s[5]]]
 
 
-def _newton_step(coefficients: Array, n: Array, box: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
+def _newton_step(
+    coefficients: Array, counts: Array, box: Array, carry: tuple[Array, ...]
+) -> tuple[Array, ...]:
     x, value, slope, tangent, exact, blend = carry
     blended = _lift(list(tangent * (1 - blend) + exact * blend))
     full, positive = _solve(blended, list(slope))
     safe, _ = _solve(_lift(list(tangent)), list(slope))
     y = jnp.clip(x - jnp.where(positive, full, safe), -box, box)
-    new = _expand(coefficients, n, y)
+    new = _expand(coefficients, counts, y)
     lower = new[0] <= value
     kept = [jnp.where(lower, a, b) for a, b in zip((y, *new), (x, value, slope, tangent, exact), strict=True)]
     blend = jnp.where(lower, jnp.where(positive, 1.0, _BLEND), blend / 2)

@@ -14,8 +14,8 @@ __all__ = [
     "diagonalize",
     "inverse_and_determinant",
     "largest",
+    "materialize",
     "normalize",
-    "once",
     "rotate",
     "sandwich",
     "solve_positive",
@@ -28,7 +28,7 @@ T = TypeVar("T")
 _NO_MOMENT = -1.2345678e33  # a number that nothing here can be
 
 
-def once(values: T) -> T:
+def materialize(values: T) -> T:
     """Compute arrays once: XLA would compute them again within every operation that reads them.
 
     An ``optimization_barrier`` does this on a GPU. On a CPU it is removed before operations are joined; only
@@ -54,10 +54,10 @@ def total(array: Array, *axes: int) -> Array:
 
 def largest(array: Array, axis: int = 0) -> Array:
     """Maximum over an axis, by halves."""
-    while (n := array.shape[axis]) > 1:
-        half = (n + 1) // 2
+    while (length := array.shape[axis]) > 1:
+        half = (length + 1) // 2
         first = jax.lax.slice_in_dim(array, 0, half, axis=axis)
-        array = jnp.maximum(first, jax.lax.slice_in_dim(array, n - half, n, axis=axis))
+        array = jnp.maximum(first, jax.lax.slice_in_dim(array, length - half, length, axis=axis))
     return jax.lax.squeeze(array, (axis,))
 
 
@@ -84,14 +84,14 @@ def normalize(vector: Array) -> Array:
 
 def sandwich(outer: Array, form: Array) -> Array:
     """U' C U for U (3, 3, ...) and C (3, 3, S, ...): a form in other axes."""
-    half = once(total(outer[:, :, None, None] * form[:, None], 0))
+    half = materialize(total(outer[:, :, None, None] * form[:, None], 0))
     return total(half[:, :, None] * outer[None, :, :, None], 1)
 
 
 def rotate(vector: Array, matrix: Array) -> Array:
     """Cayley's rotation by a vector (3, ...), to the second order its exponential, times (3, n, ...)."""
     half = jnp.broadcast_to(vector[:, None] / 2, matrix.shape)
-    turned = once(cross(half, matrix))
+    turned = materialize(cross(half, matrix))
     return matrix + 2 * (turned + cross(half, turned)) / (1 + total(half * half, 0))
 
 
@@ -102,26 +102,26 @@ def inverse_and_determinant(s: Array) -> tuple[Array, Array]:
     u, v, w = a * f - c * c, b * c - a * e, a * d - b * b
     det = jnp.maximum(a * p + b * q + c * r, jnp.finfo(s.dtype).tiny)
     adjugate = jnp.stack([p, q, r, q, u, v, r, v, w]).reshape(s.shape)
-    return once(adjugate / det), det
+    return materialize(adjugate / det), det
 
 
 def solve_positive(matrix: Array, vector: Array) -> Array:
     """Solution (n, ...) of a symmetric, positive definite system (n, n, ...), by Gauss and Jordan."""
-    n = len(vector)
-    diagonal = jnp.stack([matrix[i, i] for i in range(n)])
+    length = len(vector)
+    diagonal = jnp.stack([matrix[i, i] for i in range(length)])
     floor = jnp.finfo(matrix.dtype).eps * diagonal + jnp.finfo(matrix.dtype).tiny
-    place = jnp.arange(n).reshape(n, *[1] * (vector.ndim - 1))
+    place = jnp.arange(length).reshape(length, *[1] * (vector.ndim - 1))
 
     def eliminate(k: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         matrix, vector = carry
         pivot, column = matrix[k], jnp.where(place == k, 0, matrix[:, k])
         size = jnp.maximum(pivot[k], floor[k])
-        row, value = once((pivot / size, vector[k] / size))
+        row, value = materialize((pivot / size, vector[k] / size))
         there = place == k
         matrix = jnp.where(there[:, None], row[None], matrix - column[:, None] * row[None])
         return matrix, jnp.where(there, value[None], vector - column * value[None])
 
-    return jax.lax.fori_loop(0, n, eliminate, (matrix, vector))[1]
+    return jax.lax.fori_loop(0, length, eliminate, (matrix, vector))[1]
 
 
 def diagonalize(
@@ -152,15 +152,15 @@ def diagonalize(
         gap, w = one - two, (one - two) / (one * two)
         if weights is not None:
             w = w * weights
-        apart, mixed = once((total(w * gap, 0), 2 * total(w * c[0, 1], 0)))
+        apart, mixed = materialize((total(w * gap, 0), 2 * total(w * c[0, 1], 0)))
         length = jnp.sqrt(apart * apart + mixed * mixed + jnp.finfo(forms.dtype).tiny)
         tangent = mixed / (apart + length + jnp.finfo(forms.dtype).tiny)
         tangent = jnp.where(allowed[0, 1], tangent, 0)
         cosine = 1 / jnp.sqrt(1 + tangent * tangent)
-        cosine, sine = once((cosine, tangent * cosine))
-        v = once(_turn_two(v, cosine, sine))
-        c = once(_turn_two(c, cosine[None], sine[None]))
-        c = once(jnp.swapaxes(_turn_two(jnp.swapaxes(c, 0, 1), cosine[None], sine[None]), 0, 1))
+        cosine, sine = materialize((cosine, tangent * cosine))
+        v = materialize(_turn_two(v, cosine, sine))
+        c = materialize(_turn_two(c, cosine[None], sine[None]))
+        c = materialize(jnp.swapaxes(_turn_two(jnp.swapaxes(c, 0, 1), cosine[None], sine[None]), 0, 1))
         return c, v, jnp.roll(allowed, (-1, -1), (0, 1))
 
     return jax.lax.fori_loop(0, 3 * sweeps, turn, (forms, axes, allowed))[1]

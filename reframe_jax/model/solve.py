@@ -28,8 +28,8 @@ from reframe_jax.model.rows import (
     problem_of,
 )
 from reframe_jax.model.search import lowest_origins, norm_at, polynomials, unexplained_covariance
-from reframe_jax.model.small import largest, once, sandwich, times, total
-from reframe_jax.model.starts import Axes, common_frames, entry_starts, stillest, universal_axes
+from reframe_jax.model.small import largest, materialize, sandwich, times, total
+from reframe_jax.model.starts import Axes, common_frames, entry_starts, smallest_eigenvalue, universal_axes
 from reframe_jax.model.steps import Unknowns, descend, path_of, tilted_axis
 from reframe_jax.model.table import ENTRIES, KINDS, PATHS, ROWS, TABLE, Table
 
@@ -117,7 +117,7 @@ def solve_windows(
     """
     coefficients = polynomials(used.products, ROWS[_LINEAR])
     if origins is None:
-        everything = jnp.einsum("ns,nsfg->nfg", used.share, used.products)
+        everything = jnp.einsum("ns,nsfg->nfg", used.scale_weight, used.products)
         unexplained = unexplained_covariance(everything, ROWS[_LINEAR])
         origins, norm = lowest_origins(coefficients, used.details, box, unexplained)
     else:
@@ -173,12 +173,12 @@ def _compare(
 ) -> Solved:
     products = jnp.moveaxis(used.products, 0, -1).transpose(1, 2, 0, 3)
     details, all_details = used.details.T, moments.details.T
-    share, white = used.share.T, used.white.T
+    scale_weight, white = used.scale_weight.T, used.white.T
     mean, place = jnp.moveaxis(features.mean_rotation, 0, -1), jnp.moveaxis(origins, 0, -1).swapaxes(0, 1)
     _, paths = path_of(path_moments(products), place)
     turns = jnp.stack([products[r, r] for r in (z.TURN_GROUND, z.TURN_BODY)], axis=3)
-    axes = common_frames(paths, turns, products[z.POSITION, z.POSITION], details, share)
-    whole = total(products * share, 2)
+    axes = common_frames(paths, turns, products[z.POSITION, z.POSITION], details, scale_weight)
+    whole = total(products * scale_weight, 2)
     a, b = universal_axes(axes, products, details, mean)
     joint = _joint(a, b, place, used.products, features)
     starts = entry_starts(place, axes, (a, b), whole, mean)
@@ -192,7 +192,7 @@ def _compare(
         products,
         details[:, None],
         all_details[:, None],
-        share[:, None],
+        scale_weight[:, None],
         white[:, None],
         None,
         None,
@@ -211,8 +211,8 @@ def _compare(
     def judge_block(r: Array, codes: Array, start: Unknowns) -> _Block:
         entries = Table(*(leaf[..., codes] for leaf in _last(TABLE)))
         picked = jax.vmap(gather_moments)(used.products, entries.path.T, entries.turn.T)
-        picked = EntryMoments(*once(tuple(jnp.moveaxis(leaf, (0, -1), (-1, -2)) for leaf in picked)))
-        picked = EntryMoments(*once(tuple(picked.in_main_axes(mean[:, :, None], in_body(entries)))))
+        picked = EntryMoments(*materialize(tuple(jnp.moveaxis(leaf, (0, -1), (-1, -2)) for leaf in picked)))
+        picked = EntryMoments(*materialize(tuple(picked.in_main_axes(mean[:, :, None], in_body(entries)))))
         problem = problem_of(picked, details[:, None], entries, scale, box, entries.tied & (r <= blocks))
         steps = jnp.where(r < blocks, 0, jnp.where(r == blocks, STEPS, LAST_STEPS))
         found, _ = descend(problem, start, steps)
@@ -393,5 +393,5 @@ def _tilt_scale(axes: Axes, whole: Array) -> Array:
 def _own_noise(products: Array, all_details: Array, white: Array, noise: Array) -> Array:
     """White noise, (2, N) m and rad, no more than any scale shows along its stillest axis."""
     forms = jnp.stack([products[r, r, :-1] for r in (z.POSITION, z.TURN_BODY)], axis=2)
-    shown = jnp.where(all_details[:-1] > 0, stillest(forms) / white[:-1], jnp.inf)
+    shown = jnp.where(all_details[:-1] > 0, smallest_eigenvalue(forms) / white[:-1], jnp.inf)
     return jnp.minimum(noise.T, jnp.sqrt(jnp.maximum(-largest(-shown, 1), 1e-16)))

@@ -17,7 +17,7 @@ from reframe_jax.model.small import cross, diagonalize, largest, normalize, time
 from reframe_jax.model.steps import Unknowns
 from reframe_jax.model.table import ENTRIES, TABLE
 
-__all__ = ["Axes", "common_frames", "entry_starts", "stillest", "universal_axes"]
+__all__ = ["Axes", "common_frames", "entry_starts", "smallest_eigenvalue", "universal_axes"]
 
 Array = jax.Array
 _STARTS = ("turn", "cross", "normal", "along", "path", "lift")
@@ -57,13 +57,13 @@ def _sizes(axes: Array, form: Array) -> Array:
     return total(axes * times(form, axes), 0)
 
 
-def stillest(forms: Array) -> Array:
+def smallest_eigenvalue(forms: Array) -> Array:
     """Smallest eigenvalues (...) of forms (3, 3, ...)."""
     axes = diagonalize(forms[:, :, None] + 0.0)
     return jnp.maximum(-largest(-_sizes(axes, forms)), 0)
 
 
-def common_frames(paths: Array, turns: Array, position: Array, details: Array, share: Array) -> Axes:
+def common_frames(paths: Array, turns: Array, position: Array, details: Array, scale_weight: Array) -> Axes:
     """Common axes of every window.
 
     Args:
@@ -71,16 +71,16 @@ def common_frames(paths: Array, turns: Array, position: Array, details: Array, s
         turns: (3, 3, S, 2, N) of the rotation in the ground and in the body.
         position: (3, 3, S, N) of the position.
         details: (S, N) independent details of every scale.
-        share: (S, N) of a scale in the variance of the path.
+        scale_weight: (S, N) of a scale in the variance of the path.
     """
-    whole = total(position * share, 2)
+    whole = total(position * scale_weight, 2)
     single = jnp.zeros_like(position).at[:, :, 0].set(whole)
     forms = jnp.concatenate([paths, turns, single[:, :, :, None]], axis=3)
     first = jnp.zeros_like(details).at[0].set(1)
     weights = jnp.stack([details] * 6 + [first], axis=1)
     lift = 1e-18 * jnp.eye(3, dtype=forms.dtype)[:, :, None, None, None]
     axes = diagonalize(forms + lift, weights)
-    sizes = jnp.concatenate([total(forms[:, :, :, :6] * share[:, None], 2), whole[:, :, None]], axis=2)
+    sizes = jnp.concatenate([total(forms[:, :, :, :6] * scale_weight[:, None], 2), whole[:, :, None]], axis=2)
     axes = _sorted(axes, _sizes(axes, sizes))
     return Axes(axes[:, :, :4], axes[:, :, 4:6], axes[:, :, 6])
 

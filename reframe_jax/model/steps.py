@@ -19,7 +19,7 @@ import numpy as np
 from reframe_jax.model.small import (
     inverse_and_determinant,
     largest,
-    once,
+    materialize,
     rotate,
     sandwich,
     solve_positive,
@@ -99,7 +99,7 @@ def _held(form: Array, held: Array, details: Array) -> tuple[Array, Array]:
     lifted = jnp.where(both, form, 0) + unit * jnp.where(held, small, 1)[:, None, None]
     inverse, det = inverse_and_determinant(lifted)
     count = details[:, None]
-    return once(jnp.where(both, inverse * count, 0)), total(count * jnp.log(det), 0, 1)
+    return materialize(jnp.where(both, inverse * count, 0)), total(count * jnp.log(det), 0, 1)
 
 
 def axis_row(at: Unknowns) -> Array:
@@ -110,7 +110,7 @@ def axis_row(at: Unknowns) -> Array:
 def row_size(rows: Array, row: Array) -> tuple[Array, Array]:
     """Moments (6, 6, S, ...) times a row (6, ...), and its variance (S, ...)."""
     moved = total(rows * row[None, :, None], 1)
-    moved = once(moved)
+    moved = materialize(moved)
     return moved, total(moved * row[:, None], 0)
 
 
@@ -118,8 +118,8 @@ def path_of(paths: Array, origin: Array) -> tuple[Array, Array]:
     """Moments of unit origins with an origin's path (3, 4, 3, S, ...), and of the path (3, 3, S, ...)."""
     x = origin[:, None]
     half = paths[:, :, :, 0] + total(paths[:, :, :, 1:] * x, 3)
-    half = once(half)
-    return half, once(half[:, 0] + total(half[:, 1:] * x[:, None], 1))
+    half = materialize(half)
+    return half, materialize(half[:, 0] + total(half[:, 1:] * x[:, None], 1))
 
 
 def _held_size(problem: Problem, size: Array) -> Array:
@@ -137,23 +137,23 @@ class _Local(NamedTuple):
 def _blocks(problem: Problem, frame: Array, origin: Array) -> tuple[Array, Array, Array, Array]:
     """Value, gradient and Hessian (6, ...) of the held blocks in rotation and origin."""
     half, path = path_of(problem.paths, origin)
-    forms = once(jnp.stack([problem.turns, path], axis=3))  # (3, 3, S, 2, ...)
+    forms = materialize(jnp.stack([problem.turns, path], axis=3))  # (3, 3, S, 2, ...)
     held = jnp.stack([problem.held_turns, problem.held_paths], axis=1)
     lanes = frame[:, :, None]
-    inverse, value = _held(once(sandwich(lanes, forms)), held, problem.details)
-    weight = once(sandwich(jnp.swapaxes(lanes, 0, 1), inverse))
+    inverse, value = _held(materialize(sandwich(lanes, forms)), held, problem.details)
+    weight = materialize(sandwich(jnp.swapaxes(lanes, 0, 1), inverse))
     # directions turn, the origin moves
     levi = partial(jnp.tensordot, jnp.asarray(_LEVI_CIVITA, frame.dtype), precision="highest")
-    pulled = once(total(forms[:, :, None] * weight[None], 1, 3, 4))
-    bent = once(total(weight[:, :, None, None] * forms[None, None], 4, 5))
+    pulled = materialize(total(forms[:, :, None] * weight[None], 1, 3, 4))
+    bent = materialize(total(weight[:, :, None, None] * forms[None, None], 4, 5))
     bend = jnp.asarray(_BEND, frame.dtype)
     turns = jnp.tensordot(bend, bent.reshape(81, *bent.shape[4:]), 1, precision="highest")
     on_path = weight[:, :, :, 1]
-    ahead = once(total(on_path[:, :, None, None] * half[None, :, 1:], 1, 4))  # (k, a, j)
+    ahead = materialize(total(on_path[:, :, None, None] * half[None, :, 1:], 1, 4))  # (k, a, j)
     both = levi(jnp.swapaxes(ahead, 1, 2), axes=((1, 2), (0, 1)))
-    moves = once(total(problem.paths[:, 1:, :, 1:] * on_path[:, None, :, None], 4))
+    moves = materialize(total(problem.paths[:, 1:, :, 1:] * on_path[:, None, :, None], 4))
     gradient = [-levi(pulled, axes=((1, 2), (0, 1))), ahead[0, :, 0] + ahead[1, :, 1] + ahead[2, :, 2]]
-    turns, both, moves = once((turns.reshape(3, 3, *bent.shape[4:]), both, total(moves, 0, 2)))
+    turns, both, moves = materialize((turns.reshape(3, 3, *bent.shape[4:]), both, total(moves, 0, 2)))
     top = jnp.concatenate([turns, both], axis=1)
     bottom = jnp.concatenate([jnp.swapaxes(both, 0, 1), moves], axis=1)
     return value, jnp.concatenate(gradient), top, bottom
@@ -168,11 +168,11 @@ def _row(problem: Problem, at: Unknowns) -> tuple[Array, Array, Array]:
     inverse = 1 / jnp.sqrt(1 + total(at.tilt * at.tilt, 0))
     axis = jnp.concatenate([at.tilt, jnp.ones_like(inverse)[None]]) * inverse
     along = times(frame, axis)
-    parts = once(jnp.stack([along, -at.pitch * third]))
+    parts = materialize(jnp.stack([along, -at.pitch * third]))
     row = parts.reshape(6, *inverse.shape)
     moved, size = row_size(problem.rows, row)
     size = jnp.where(problem.held_row, size + jnp.finfo(size.dtype).tiny ** 0.5, 1)
-    each = once(jnp.where(problem.held_row, problem.details / size, 0))
+    each = materialize(jnp.where(problem.held_row, problem.details / size, 0))
     levi = jnp.asarray(_LEVI_CIVITA, frame.dtype)
     spun = jnp.tensordot(levi, parts, ((1,), (1,)), precision="highest")  # (3, 3, 2, ...), e_m x v
     spun = jnp.swapaxes(spun, 1, 2).reshape(3, 6, *inverse.shape)
@@ -180,10 +180,12 @@ def _row(problem: Problem, at: Unknowns) -> tuple[Array, Array, Array]:
     tilted = jnp.where(problem.tilted, tilted, 0)
     zero = jnp.zeros_like(third)
     advance = jnp.concatenate([zero, jnp.where(problem.pitch, -third, 0)])[None]
-    slopes = once(jnp.concatenate([spun, jnp.concatenate([tilted, jnp.zeros_like(tilted)], axis=1), advance]))
-    gradient = total(slopes * once(total(each * moved, 1))[None], 1)
-    carried = once(times(slopes, once(total(problem.rows * each, 2))))
-    hessian = once(total(carried[:, None] * slopes[None], 2))
+    slopes = materialize(
+        jnp.concatenate([spun, jnp.concatenate([tilted, jnp.zeros_like(tilted)], axis=1), advance])
+    )
+    gradient = total(slopes * materialize(total(each * moved, 1))[None], 1)
+    carried = materialize(times(slopes, materialize(total(problem.rows * each, 2))))
+    hessian = materialize(total(carried[:, None] * slopes[None], 2))
     value = total(problem.details * jnp.log(size), 0)
     # ---- the cost of the tilt
     count, squared = total(problem.details, 0), total(at.tilt * at.tilt, 0)
@@ -197,7 +199,7 @@ def _row(problem: Problem, at: Unknowns) -> tuple[Array, Array, Array]:
 def _expand(problem: Problem, at: Unknowns) -> _Local:
     """The objective about a point, in rotation, origin, tilt and pitch."""
     value, first, top, bottom = _blocks(problem, at.frame, at.origin)
-    of_row, second, row = once(_row(problem, at))
+    of_row, second, row = materialize(_row(problem, at))
     zero = jnp.zeros_like(row[:3, :3])
     gradient = jnp.concatenate([first[:3] + second[:3], first[3:], second[3:]])
     rows = [
@@ -205,7 +207,7 @@ def _expand(problem: Problem, at: Unknowns) -> _Local:
         jnp.concatenate([bottom, zero], axis=1),
         jnp.concatenate([row[3:, :3], zero, row[3:, 3:]], axis=1),
     ]
-    return once(_Local(value + of_row, 2 * gradient, 2 * jnp.concatenate(rows)))
+    return materialize(_Local(value + of_row, 2 * gradient, 2 * jnp.concatenate(rows)))
 
 
 def _move(at: Unknowns, step: Array, box: Array) -> Unknowns:
@@ -228,8 +230,8 @@ def descend(problem: Problem, start: Unknowns, steps: int | Array) -> tuple[Unkn
         size = total(here.hessian * unit, 1)
         lift = damping * size + 1e-9 * largest(size) + small
         change = -solve_positive(here.hessian + unit * lift[:, None], here.gradient)
-        change = once(change * jnp.minimum(1, _LONGEST / jnp.maximum(largest(jnp.abs(change)), small)))
-        there = once(_move(at, change, problem.box))
+        change = materialize(change * jnp.minimum(1, _LONGEST / jnp.maximum(largest(jnp.abs(change)), small)))
+        there = materialize(_move(at, change, problem.box))
         new = _expand(problem, there)
         lower = new.value < here.value
         at, here = jax.tree.map(lambda a, b: jnp.where(lower, a, b), (there, new), (at, here))

@@ -216,12 +216,12 @@ class Table(NamedTuple):
 
 
 def _table(entries: tuple[Entry, ...]) -> Table:
-    rows = [[(b, c, n) for n, b in enumerate(e.blocks) for c in b.columns] for e in entries]
+    rows = [[(b, c, number) for number, b in enumerate(e.blocks) for c in b.columns] for e in entries]
     for e, row in zip(entries, rows, strict=True):
         columns = [c for _, c, _ in row]
         if len(row) != 6 or columns[3:] != [0, 1, 2] or (e.start != "cross" and columns[:3] != [0, 1, 2]):
             raise ValueError("Every constraint needs three rotations and three translations, by columns.")
-    block = np.array([[n for _, _, n in row] for row in rows])
+    block = np.array([[number for _, _, number in row] for row in rows])
     # what the blocks look like, whatever the type: variants of one family share its prior
     families = [
         (e.start, e.pitch, tuple((b.kind.startswith("turn"), b.columns, b.held) for b in e.blocks))

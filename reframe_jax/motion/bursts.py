@@ -22,7 +22,7 @@ _JUMP = 6.0  # distance of a step from those beside it, in units of their scatte
 _LATE = 3.0  # usual steps that a body may go in one
 _BRIDGE = 0.5  # of the jump, that the motion across the run may differ from the motion beside it
 _UNEVEN = 4.0  # ratio of the two jumps, from which on they are not those of one run
-_SHARE = 6  # runs are no longer than this part of the window
+_FRACTION = 6  # runs are no longer than this part of the window
 
 
 def find_runs(poses: jax.Array, count: jax.Array, unit: jax.Array) -> jax.Array:
@@ -37,7 +37,7 @@ def find_runs(poses: jax.Array, count: jax.Array, unit: jax.Array) -> jax.Array:
         (K+1,) bool, the poses of all runs.
     """
     size = poses.shape[0]
-    longest = min(LONGEST_RUN, size // _SHARE)
+    longest = min(LONGEST_RUN, size // _FRACTION)
     if longest < _SHORTEST_RUN:
         return jnp.zeros(size, bool)
     length = np.arange(longest + 1, dtype=np.int32)

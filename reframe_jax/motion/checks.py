@@ -103,7 +103,7 @@ def window_status(poses: jax.Array, steps: jax.Array) -> jax.Array:
         & (handed > 0)
         & jnp.all(jnp.abs(poses[..., 3, :] - bottom) < 1e-6, axis=-1)
     )
-    far = jnp.any(jnp.abs(poses[..., :3, 3]) > _FARTHEST * (1 + _SLACK), axis=(-2, -1))
+    outside = jnp.any(jnp.abs(poses[..., :3, 3]) > _FARTHEST * (1 + _SLACK), axis=(-2, -1))
     odd = (steps < _SHORTEST * (1 - _SLACK)) | (steps > _LONGEST * (1 + _SLACK))
     moving = jnp.any(poses != poses[..., :1, :, :], axis=(-3, -2, -1))
     codes = (
@@ -111,7 +111,7 @@ def window_status(poses: jax.Array, steps: jax.Array) -> jax.Array:
         (~jnp.all(rigid, axis=-1), Status.NOT_A_POSE),
         (~jnp.all(steps > 0, axis=-1), Status.TIMES_NOT_INCREASING),
         (~moving, Status.NO_MOTION),
-        (far | jnp.any(odd, axis=-1), Status.OUT_OF_RANGE),
+        (outside | jnp.any(odd, axis=-1), Status.OUT_OF_RANGE),
     )
     status = jnp.full(finite.shape, Status.OK, dtype=jnp.int32)
     for wrong, code in reversed(codes):

@@ -24,15 +24,15 @@ def _stencil(dt: jax.Array) -> tuple[np.ndarray, jax.Array]:
         The nodes of each derivative, (K, n), and their weights, (..., K, n) in 1/s.
     """
     steps = dt.shape[-1]
-    n = min(_STENCIL, steps)
+    count = min(_STENCIL, steps)
     each = np.arange(steps)
-    nodes = np.clip(each - n // 2, 0, steps - n)[:, None] + np.arange(n)
+    nodes = np.clip(each - count // 2, 0, steps - count)[:, None] + np.arange(count)
     spans = dt[..., nodes]
     time = jnp.cumsum(spans, axis=-1) - spans / 2
     # Lagrange's polynomial of node i has the derivative (c_h / c_i) / (t_h - t_i) at node h, c_i being
     # the product of t_i - t_j over the other nodes j; those of all nodes add up to zero
     gaps = time[..., :, None] - time[..., None, :]
-    products = jnp.prod(jnp.where(jnp.broadcast_to(np.eye(n, dtype=bool), gaps.shape), 1, gaps), axis=-1)
+    products = jnp.prod(jnp.where(jnp.broadcast_to(np.eye(count, dtype=bool), gaps.shape), 1, gaps), axis=-1)
     own = jnp.broadcast_to(nodes == each[:, None], time.shape)
     gap = jnp.sum(jnp.where(own[..., None], gaps, 0), axis=-2)
     here = jnp.sum(jnp.where(own, products, 0), axis=-1, keepdims=True)

@@ -46,8 +46,8 @@ def repair_poses(poses: jax.Array, times: jax.Array, count: jax.Array) -> tuple[
         runs = vmap(find_runs)(poses, count, unit)
         outliers = vmap(_find)(vmap(_fill)(poses, times, ~runs), times, count)
         outliers = (outliers | runs) & own
-        share = jnp.sum(outliers, axis=1, dtype=poses.dtype) / count.astype(poses.dtype)
-        return (own & ~(outliers & (share <= _MOST)[:, None])).T
+        fraction = jnp.sum(outliers, axis=1, dtype=poses.dtype) / count.astype(poses.dtype)
+        return (own & ~(outliers & (fraction <= _MOST)[:, None])).T
 
     measured = lax.stop_gradient(poses)
     inputs = jnp.moveaxis(measured, 0, -1), times.T, count, own.T  # windows last
@@ -112,10 +112,10 @@ def _strays(offsets: jax.Array, later: jax.Array, after: jax.Array, own: jax.Arr
     scatter = jnp.median(jnp.linalg.norm(level - line[:, None], axis=-1), axis=1)
     typical = jnp.nanmedian(jnp.where(own, scatter, jnp.nan))
     rounding = 64 * jnp.finfo(offsets.dtype).eps * (1 + jnp.max(jnp.abs(offsets)))
-    far = jnp.linalg.norm(line, axis=-1) > _OUTLIER * jnp.maximum(scatter, typical) + rounding
+    outlying = jnp.linalg.norm(line, axis=-1) > _OUTLIER * jnp.maximum(scatter, typical) + rounding
     sides = vmap(lambda side: jnp.nanmedian(jnp.where(side[..., None], offsets, jnp.nan), axis=1))
     ahead, behind = sides(jnp.stack([after, ~after]))
-    return far & (jnp.sum(ahead * behind, axis=-1) > 0)
+    return outlying & (jnp.sum(ahead * behind, axis=-1) > 0)
 
 
 def _unwrap(turns: jax.Array) -> jax.Array:
@@ -138,10 +138,10 @@ def _fill(poses: jax.Array, times: jax.Array, counted: jax.Array) -> jax.Array:
     after = lax.cummin(jnp.where(counted, here, len(here)), reverse=True)
     before, after = jnp.where(before < 0, after, before), jnp.where(after == len(here), before, after)
     span = times[after] - times[before]
-    share = jnp.where(span > 0, (times - times[before]) / jnp.where(span > 0, span, 1), 0)
+    fraction = jnp.where(span > 0, (times - times[before]) / jnp.where(span > 0, span, 1), 0)
     start, end = poses[before], poses[after]
     turn = rotations.rotation_log(matmul(jnp.swapaxes(start[:, :3, :3], -1, -2), end[:, :3, :3]))
-    rotation = matmul(start[:, :3, :3], rotations.rotation_exp(share[:, None] * turn))
-    position = start[:, :3, 3] + share[:, None] * (end[:, :3, 3] - start[:, :3, 3])
+    rotation = matmul(start[:, :3, :3], rotations.rotation_exp(fraction[:, None] * turn))
+    position = start[:, :3, 3] + fraction[:, None] * (end[:, :3, 3] - start[:, :3, 3])
     filled = poses.at[np.s_[:, :3, :3]].set(rotation).at[np.s_[:, :3, 3]].set(position)
     return jnp.where(counted[:, None, None], poses, filled)
