@@ -85,7 +85,7 @@ def test_an_objective_of_ones_own_finds_its_minimum(plain_jax: None) -> None:
     found, by_hand = names["found"], names["by_hand"]
     np.testing.assert_allclose(found.x, names["centres"], atol=1e-3)
     np.testing.assert_allclose(np.exp(found.value), 1e-3, rtol=0.2)
-    np.testing.assert_array_equal(found.agreement, 1)
+    np.testing.assert_array_less(0.25, found.agreement)  # more than one restart
     np.testing.assert_allclose(by_hand.x, names["centres"], atol=1e-3)
     np.testing.assert_allclose(by_hand.value, found.value, atol=1e-3)
 

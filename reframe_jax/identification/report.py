@@ -180,10 +180,11 @@ class _Types(NamedTuple):
 
 def _types_over_scales(solved: Solved, live: Moments, step: Array) -> _Types:
     angular, linear = solved.angular_axes, solved.linear_axes
-    rows = jnp.asarray(ROWS, live.products.dtype)
-    points = jnp.concatenate([jnp.ones((4, 1), rows.dtype), solved.origins], axis=1)
-    of_linear = jnp.einsum("tai,taf->tif", linear, jnp.einsum("tiaf,ta->tif", rows[_LINEAR], points))
-    of_angular = jnp.einsum("tai,taf->tif", angular, rows[_TURNS][:, :, 0])
+    dtype = live.products.dtype
+    points = jnp.concatenate([jnp.ones((4, 1), dtype), solved.origins], axis=1)
+    rows = jnp.einsum("tiaf,ta->tif", jnp.asarray(ROWS[_LINEAR], dtype), points)
+    of_linear = jnp.einsum("tai,taf->tif", linear, rows)
+    of_angular = jnp.einsum("tai,taf->tif", angular, jnp.asarray(ROWS[_TURNS][:, :, 0], dtype))
     speeds = jax.vmap(partial(_speeds, live=live, step=step))
     spread = jnp.einsum("tif,sfg,tig->tsi", of_angular, live.products, of_angular)
     value = jnp.sum(live.details[:, None] * jnp.log(spread + 1e-30), axis=(1, 2))
@@ -284,7 +285,7 @@ def _report_window(
     of_types = []
     for body in (AngularType.G, AngularType.B):
         axes = jnp.where(plain, types.angular_axes[body], bodies[body][:, entry.column[:3]])
-        rows = axes.T @ jnp.asarray(ROWS, axes.dtype)[_TURNS[body], :, 0]
+        rows = axes.T @ jnp.asarray(ROWS[_TURNS[body], :, 0], axes.dtype)
         free = jnp.where(plain, jnp.arange(3) >= 3 - jnp.sum(~held[:3]), ~held[:3])
         together = free[:, None] == free[None, :]
         of_types.append((axes, rows, together, free))

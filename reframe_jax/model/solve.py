@@ -205,7 +205,7 @@ def _compare(
     assumed = np.isin(np.arange(number), np.arange(number) if assume is None else assume)[:, None]
     size = CANDIDATES if assume is None else min(CANDIDATES, len(assume))
     blocks = -(-number // size)
-    codes = jnp.asarray(np.resize(np.arange(number), (blocks, size)))
+    codes = jnp.asarray(np.resize(np.arange(number, dtype=np.int32), (blocks, size)))
     windows = details.shape[1]
 
     def judge_block(r: Array, codes: Array, start: Unknowns) -> _Block:

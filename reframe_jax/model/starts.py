@@ -96,7 +96,7 @@ def universal_axes(axes: Axes, products: Array, details: Array, mean: Array) -> 
     """
     forms = rotation_forms(products)[:, :, :, :, :, None]
     ground, body = axes.angular[:, :, AngularType.G], axes.angular[:, :, AngularType.B]
-    a, b = ground[:, np.array([2, 1])], body[:, np.array([1, 2])]
+    a, b = ground[:, np.array([2, 1], np.int32)], body[:, np.array([1, 2], np.int32)]
     a, b, value = crossed_axes(forms, details[:, None], mean[:, :, None], a, b, _APART_STEPS, _CROSS_STEPS)
     better = value[0] <= value[1]
     a, b = (jnp.where(better, v[:, 0], v[:, 1]) for v in (a, b))
@@ -115,7 +115,7 @@ def entry_starts(
         moments: (27, 27, N) over all scales.
         mean: (3, 3, N) mean rotation.
     """
-    kinds = np.array([entry.kind for entry in ENTRIES])
+    kinds = np.array([entry.kind for entry in ENTRIES], np.int32)
     own = axes.linear[:, :, kinds]
     fixed = np.array([entry.kind.name[0] == "G" for entry in ENTRIES])[:, None]
     main = axes.angular[:, 2, AngularType.B]

@@ -228,8 +228,8 @@ def _table(entries: tuple[Entry, ...]) -> Table:
         for e in entries
     ]
     return Table(
-        kind=np.array([[KINDS.index(b.kind) for b, _, _ in row] for row in rows]),
-        column=np.array([[c for _, c, _ in row] for row in rows]),
+        kind=np.array([[KINDS.index(b.kind) for b, _, _ in row] for row in rows], np.int32),
+        column=np.array([[c for _, c, _ in row] for row in rows], np.int32),
         ground=np.array([[b.kind in _GROUND for b, _, _ in row] for row in rows]),
         held=np.array([[b.held for b, _, _ in row] for row in rows]),
         together=block[:, :, None] == block[:, None, :],
@@ -238,8 +238,8 @@ def _table(entries: tuple[Entry, ...]) -> Table:
         crossed=np.array([e.start == "cross" for e in entries]),
         parameters=np.array([e.parameters for e in entries], float),
         variants=np.array([families.count(f) for f in families], float),
-        turn=np.array([int(any(b.kind == "turn in ground" for b, _, _ in row)) for row in rows]),
-        path=np.array([PATHS.index(row[3][0].kind) for row in rows]),
+        turn=np.array([int(any(b.kind == "turn in ground" for b, _, _ in row)) for row in rows], np.int32),
+        path=np.array([PATHS.index(row[3][0].kind) for row in rows], np.int32),
         apart=np.array([row[3][0].kind != row[5][0].kind for row in rows]),
     )
 
