@@ -159,7 +159,7 @@ def test_amplitudes_tell_free_axes_from_constrained_ones(mixed):
 def test_vmap_equals_loop_and_batch(mixed):
     batch = rf.identify(mixed, dt=0.1)
     vmapped = jax.jit(jax.vmap(lambda poses: rf.identify(poses, dt=0.1)))(mixed)
-    same(batch, vmapped)
+    same(batch, vmapped, atol=1e-4)  # without padding
     for i in (0, 5, 10):
         single = rf.identify(mixed[i], dt=0.1)
         assert single.linear.frame_type is rf.LinearType(int(batch.linear.type_code[i]))

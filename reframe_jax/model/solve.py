@@ -88,7 +88,7 @@ def choose_scales(moments: Moments, noise: Array, scales: tuple[int, ...] | None
         first = jnp.where(jnp.any(above, axis=1), jnp.argmax(above, axis=1), 0)
         keep = keep & (index >= first[:, None])
     # the last details and the smooth part always count
-    details = total(moments.details[:, :-1] > 0, 1)
+    details = jnp.sum(moments.details[:, :-1] > 0, axis=1)
     keep = keep | (index >= details[:, None] - 1)
     return moments._replace(details=jnp.where(keep, moments.details, 0))
 

@@ -105,7 +105,7 @@ def next_motion(
     )
     many = replace(many, counted=np.ones(longer.shape[:2], bool))
     clock = np.concatenate([clock, late])
-    now, then = over_windows(_with_motion, many, longer, clock, None, "auto", parts=str(number))
+    now, then = over_windows(_with_motion, many, longer, clock, None, "auto", pad=False, parts=str(number))
     shrinks = _shrinks(np.asarray(now)[0], np.asarray(then))
     order = np.argsort(shrinks, kind="stable")
     return MotionAdvice(axes[order], shrinks[order])

@@ -28,6 +28,8 @@ def over_windows(
     times: ArrayLike | None,
     dt: ArrayLike | None,
     scales: Scales,
+    *,
+    pad: bool = True,
     **static: Any,
 ) -> Any:
     """Call a function of N windows for the windows of an identification, single, many or traced.
@@ -40,6 +42,7 @@ def over_windows(
         times: s, or None.
         dt: s, or None.
         scales: in samples.
+        pad: whether windows are padded to one of few lengths; not for a function that counts from the end.
         static: options of the function.
 
     Returns:
@@ -61,13 +64,13 @@ def over_windows(
         if not batch:
             steps = np.asarray(steps) if wide else steps
             one = jax.tree.map(lambda leaf: leaf[None], (array, steps, estimate))
-            result = index_leaves(_in_pieces(run, *one), 0)
+            result = index_leaves(_in_pieces(run, pad, *one), 0)
         else:
             steps = jnp.broadcast_to(steps, (*batch, array.shape[-3] - 1))
             flat = jax.tree.map(
                 lambda leaf: leaf.reshape(-1, *leaf.shape[len(batch) :]), (array, steps, estimate)
             )
-            result = jax.tree.map(lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), _in_pieces(run, *flat))
+            result = jax.tree.map(lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), _in_pieces(run, pad, *flat))
     if wide and not in_float64():
         return jax.device_put(jax.tree.map(_narrow, jax.device_get(result)))
     return result
@@ -78,12 +81,14 @@ def _run(poses: Any, steps: Any, count: Any, found: Estimate, *, function: Any, 
     return function(poses, steps, count, found, **static)
 
 
-def _in_pieces(run: Callable[..., Any], poses: Any, steps: Any, found: Estimate) -> Any:
+def _in_pieces(run: Callable[..., Any], pad: bool, poses: Any, steps: Any, found: Estimate) -> Any:
     """Windows in pieces of one of few sizes and lengths; the last piece repeats its last window."""
     if traced((poses, steps, found)):
         return run(poses, steps, None, found)
     count, length = poses.shape[:2]
-    poses, steps, padded = pad_poses(poses, steps)
+    padded = False
+    if pad:
+        poses, steps, padded = pad_poses(poses, steps)
     size = batch_size(count, _CHUNK.get(jax.default_backend(), 256))
     lengths = np.full(size, length, np.int32) if padded else None
     parts = []
