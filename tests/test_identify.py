@@ -196,7 +196,7 @@ def test_neighbours_with_larger_scales_leave_a_window_alone():
     simulate = jax.jit(jax.vmap(lambda key, noise: synthetic.simulate("K", key, noise=noise).poses))
     keys, noise = jax.random.split(jax.random.key(3), 8), np.full(8, 1e-6)
     before = rf.identify(np.asarray(simulate(keys, noise)), dt=0.1)
-    noise[2:5] = 3e-3
+    noise[2:5] = 6e-3
     after = rf.identify(np.asarray(simulate(keys, noise)), dt=0.1)
     same = np.asarray([0, 1, 5, 6, 7])
     assert np.all(before.scale == 1)

@@ -48,7 +48,7 @@ def test_a_refused_pose_is_not_added(recording):
 
 
 def test_a_time_far_in_the_future_does_not_block_the_stream(recording, monkeypatch):
-    monkeypatch.setattr(online, "identify", lambda poses, *, times, **_: np.asarray(times))
+    monkeypatch.setattr(online, "identify_unchecked", lambda poses, *, times, **_: np.asarray(times))
     stream = rf.OnlineIdentifier(5)
     pose = np.asarray(recording.poses)[0]
     for time in (0.0, 0.1, 1e9):
@@ -65,7 +65,7 @@ def test_a_time_far_in_the_future_does_not_block_the_stream(recording, monkeypat
 
 
 def test_times_refused_now_and_then_empty_no_window(recording, monkeypatch):
-    monkeypatch.setattr(online, "identify", lambda *_, **__: None)
+    monkeypatch.setattr(online, "identify_unchecked", lambda *_, **__: None)
     stream, pose = rf.OnlineIdentifier(5), np.asarray(recording.poses)[0]
     for time in range(20):
         stream.push(pose, time)
@@ -122,7 +122,7 @@ def test_options_that_there_are_not_are_refused():
 
 def test_options_reach_the_identification(recording, monkeypatch):
     seen = {}
-    monkeypatch.setattr(online, "identify", lambda poses, **options: seen.update(options))
+    monkeypatch.setattr(online, "identify_unchecked", lambda poses, **options: seen.update(options))
     thresholds, solver, key = rf.Thresholds(0.1, 0.2), rf.BasinHopping(rf.ValleySteps(1)), jax.random.key(5)
     options = {"scales": 1, "norm": 1, "thresholds": thresholds, "bounds": 0.5, "solver": solver, "key": key}
     options["assume"] = "hinge"
