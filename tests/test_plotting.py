@@ -200,7 +200,7 @@ def test_outliers_are_crosses_and_do_not_spoil_the_picture(
 def test_rows_that_were_not_read_are_bars_along_the_time_axis(poses: np.ndarray) -> None:
     found = identification(LinearType.GG)
     _, _, graphs = draw(poses, found, left_out=[TIMES[2], TIMES[3]])
-    for graph in graphs:
+    for graph in graphs[:2]:
         (marks,) = (line for line in graph.lines if line.get_marker() == "|")
         np.testing.assert_allclose(marks.get_xdata(), TIMES[[2, 3]])
     assert graphs[0].get_legend().get_texts()[-1].get_text() == "rows not read"

@@ -43,7 +43,7 @@ def test_heights_that_passed_through_float32_far_away(distance):
     poses = poses.astype(np.float32).astype(np.float64)
     found = rf.identify(poses, dt=0.1)
     assert set(found.name) == {rf.CONSTRAINTS["E"].name}
-    assert np.all(np.asarray(found.noise.position) > 1e-8 * distance)
+    assert np.all(np.asarray(found.noise.position) > 1e-9 * distance)
 
 
 def test_heights_that_are_not_measured_beside_orientations_that_are():

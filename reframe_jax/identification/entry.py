@@ -262,7 +262,8 @@ def _identify_flat(
     steps = steps if shared else steps.reshape(-1, steps.shape[-1])
 
     def of_windows(poses: jax.Array, steps: jax.Array, count: jax.Array | None) -> Identification:
-        return identify_windows(poses, steps, count, bounds, thresholds, key, **static)
+        with jax.default_matmul_precision("highest"):  # a GPU would round single precision to ten bits
+            return identify_windows(poses, steps, count, bounds, thresholds, key, **static)
 
     number, chunk = flat.shape[0], _chunk()
     if number <= chunk:

@@ -34,7 +34,7 @@ def crossed_axes(
         steps: number of all steps.
 
     Returns:
-        a (3, ...), b (3, ...), and the objective.
+        a (3, ...), b (3, ...), and the objective with what keeps them apart.
     """
     small = jnp.finfo(ground.dtype).tiny ** 0.5
     keep = _APART * total(details, 0)
@@ -86,7 +86,7 @@ def crossed_axes(
     nowhere = _Local(none + jnp.inf, start, start[None] + unit, none, start)
     damping = none + 1e-2
     a, b, here, _ = jax.lax.fori_loop(0, steps + 1, step, (ground, body, nowhere, damping))
-    return a, b, here.value
+    return a, b, here.value + keep * here.cosine * here.cosine
 
 
 class _Local(NamedTuple):

@@ -227,6 +227,7 @@ def _settle_jvp(
         return jax.grad(value)(zero)
 
     change = tangents[1].products, tangents[1].mean_rotation
-    _, rate = jax.jvp(gradient, (data.products, data.mean_rotation), change)
-    step = -solve_determined(curvature(parameters, data, entry, scale, tie), rate)
-    return parameters, jax.jvp(lambda s: move(parameters, s, data.box), (zero,), (step,))[1]
+    with jax.default_matmul_precision("highest"):
+        _, rate = jax.jvp(gradient, (data.products, data.mean_rotation), change)
+        step = -solve_determined(curvature(parameters, data, entry, scale, tie), rate)
+        return parameters, jax.jvp(lambda s: move(parameters, s, data.box), (zero,), (step,))[1]

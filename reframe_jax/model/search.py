@@ -114,7 +114,8 @@ def lowest_origins(
     """
     counts = jnp.moveaxis(details, 1, 0)[:, :, None, None]
     box = box[:, None, None]
-    x = jnp.clip(_starts(coefficients, counts, unexplained), -box, box)
+    x = _starts(coefficients, counts, unexplained)
+    x = jnp.clip(jnp.where(jnp.isfinite(x), x, 0), -box, box)
     x = jax.lax.fori_loop(0, _TANGENT_STEPS, lambda _, x: _tangent_step(coefficients, counts, box, x), x)
     _, det = _adjugate(_sigma(coefficients, _monomials(x)))
     best = jnp.argmin(jnp.sum(counts * jnp.log(det), axis=0), axis=-1)
@@ -213,7 +214,9 @@ def _tangent_step(coefficients: Array, counts: Array, box: Array, x: Array) -> A
     adjugate, det = _adjugate(_sigma(coefficients, _monomials(x)))
     form, z = _tangent(coefficients, counts, [entry / det for entry in adjugate]), [1.0, *x]
     slope = [sum(form[a, b] * z[b] for b in range(4)) for a in (1, 2, 3)]
-    return jnp.clip(x - _RELAX * _solve(_lift([form[ab] for ab in _SECOND]), slope)[0], -box, box)
+    step = _solve(_lift([form[ab] for ab in _SECOND]), slope)[0]
+    # where nothing moves, no origin is better than another
+    return jnp.clip(x - _RELAX * jnp.where(jnp.isfinite(step), step, 0), -box, box)
 
 
 def _expand(coefficients: Array, counts: Array, x: Array) -> tuple[Array, Array, Array, Array]:

@@ -217,7 +217,11 @@ def _compare(
         steps = jnp.where(r < blocks, 0, jnp.where(r == blocks, STEPS, LAST_STEPS))
         found, _ = descend(problem, start, steps)
         amplitudes, evidence = _judge(picked, found, entries, of)
-        return _Block(codes, found, amplitudes, evidence)
+        # an entry whose numbers cannot be computed, as where nothing moves, is not probable
+        unknown = jnp.isnan(evidence) | jnp.isnan(amplitudes.size)
+        amplitudes = jax.tree.map(lambda leaf: jnp.where(jnp.isnan(leaf), 1, leaf), amplitudes)
+        amplitudes = amplitudes._replace(size=jnp.where(unknown, 1e30, amplitudes.size))
+        return _Block(codes, found, amplitudes, jnp.where(unknown, -jnp.inf, evidence))
 
     def posterior_of(block: _Block) -> tuple[Array, Table]:
         entries = Table(*(leaf[..., block.codes] for leaf in _last(TABLE)))

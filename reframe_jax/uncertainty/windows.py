@@ -70,7 +70,8 @@ def over_windows(
             flat = jax.tree.map(
                 lambda leaf: leaf.reshape(-1, *leaf.shape[len(batch) :]), (array, steps, estimate)
             )
-            result = jax.tree.map(lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), _in_pieces(run, pad, *flat))
+            result = _in_pieces(run, pad, *flat)
+            result = jax.tree.map(lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), result)
     if wide and not in_float64():
         return jax.device_put(jax.tree.map(_narrow, jax.device_get(result)))
     return result
@@ -78,7 +79,8 @@ def over_windows(
 
 @partial(jax.jit, static_argnames=("function", "scales", "parts"))
 def _run(poses: Any, steps: Any, count: Any, found: Estimate, *, function: Any, **static: Any) -> Any:
-    return function(poses, steps, count, found, **static)
+    with jax.default_matmul_precision("highest"):
+        return function(poses, steps, count, found, **static)
 
 
 def _in_pieces(run: Callable[..., Any], pad: bool, poses: Any, steps: Any, found: Estimate) -> Any:
