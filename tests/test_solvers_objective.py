@@ -52,7 +52,7 @@ BOWLS = Bowls(jnp.asarray(BOTTOMS), jnp.asarray(DEPTHS))
 
 
 @pytest.mark.parametrize(
-    ("inner", "far"),
+    ("inner", "atol"),
     [(NewtonSteps(12), 1e-6), (OptaxSteps(optax.adam(0.05), 200), 0.03)],
     ids=["newton", "adam"],
 )

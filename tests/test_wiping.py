@@ -52,7 +52,7 @@ def test_it_stays_in_the_plane(tracker, spin, name):
     in_ground = np.isin(found.linear.type_code, [rf.LinearType.GB, rf.LinearType.GG])
     axes = Rotation.from_rotvec(np.array(found.linear.rotvec)).as_matrix()[:, :, 0]
     cosine = np.abs(np.sum(axes * np.array([normal for _, normal in made]), axis=1))
-    assert np.degrees(np.arccos(np.minimum(cosine, 1)))[in_ground & right].max() < 1
+    assert np.degrees(np.arccos(np.minimum(cosine, 1)))[in_ground & right].max(initial=0) < 1
 
 
 @pytest.mark.parametrize("tilt", [0.01, 0.02])
