@@ -8,10 +8,14 @@ from dataclasses import dataclass
 from itertools import combinations
 from math import comb
 from statistics import NormalDist
+from typing import Any
 
 import numpy as np
 
-__all__ = ["Fit", "fit_touches", "student_factor"]
+__all__ = ["NORMAL_FACTOR", "Fit", "fit_touches", "student_factor"]
+
+NORMAL_FACTOR = 1.96
+"""Standard deviations that hold 95 %, of a normal distribution."""
 
 _SUBSET, _SUBSETS, _JUDGED = 3, 600, 300  # touches in a first fit, first fits, touches that judge them
 _FEWEST = 5  # touches, one of which can be named an outlier: four determine the rest twice
@@ -66,15 +70,11 @@ def fit_touches(design: np.ndarray, target: np.ndarray) -> Fit:
     return fit
 
 
-def student_factor(freedom: int) -> float:
-    """Standard deviations that hold 95 %, of Student's distribution (Cornish and Fisher)."""
-    z, m = 1.96, float(freedom)
-    return (
-        z
-        + (z**3 + z) / 4 / m
-        + (5 * z**5 + 16 * z**3 + 3 * z) / 96 / m**2
-        + (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384 / m**3
-    )
+def student_factor(freedom: Any) -> Any:
+    """Standard deviations that hold 95 %, of Student's distribution (Cornish and Fisher); also of arrays."""
+    z = NORMAL_FACTOR
+    wider = (z**3 + z) / 4 / freedom + (5 * z**5 + 16 * z**3 + 3 * z) / 96 / freedom**2
+    return z + wider + (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384 / freedom**3
 
 
 def _fit(design: np.ndarray, target: np.ndarray, used: np.ndarray, floor: float) -> Fit:

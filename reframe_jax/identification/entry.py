@@ -13,10 +13,10 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import in_float64, index_leaves, join_parts, traced
+from reframe_jax.compilation import in_float64, index_leaves, traced
 from reframe_jax.identification.cautions import Caution
 from reframe_jax.identification.classify import Thresholds
-from reframe_jax.identification.inputs import batch_size, pad_poses, take_poses, take_steps
+from reframe_jax.identification.inputs import run_in_pieces, take_poses, take_steps
 from reframe_jax.identification.options import Scales, check_bounds, check_options, take_assumed, take_scales
 from reframe_jax.identification.paper import default_solver
 from reframe_jax.identification.pipeline import identify_windows
@@ -180,19 +180,16 @@ def _check_rows(found: Identification, poses: np.ndarray, times: Any) -> Identif
 
 def _on_host(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Identification:
     """Windows (N, K+1, 4, 4) in pieces of one of few sizes and lengths: new ones compile nothing."""
-    count, length = len(poses), poses.shape[1]
-    padded = False
-    if run.keywords["scales"] is None:  # velocities of single steps must not see the padding
-        poses, steps, padded = pad_poses(poses, steps)
-    size = batch_size(count, _chunk())
-    lengths = np.full(size, length, np.int32) if padded else None
-    parts = []
-    for start in range(0, count, size):
-        rows = np.minimum(np.arange(start, start + size), count - 1)
-        part = slice(start, start + size) if start + size <= count else rows
-        parts.append(run(poses[part], steps if steps.ndim == 1 else steps[part], lengths, *options))
-    found = join_parts(parts, count)
-    return replace(found, counted=found.counted[:, :length])
+    pad = run.keywords["scales"] is None  # velocities of single steps must not see the padding
+    found: Identification = run_in_pieces(
+        lambda poses, steps, lengths, _: run(poses, steps, lengths, *options),
+        poses,
+        steps,
+        None,
+        _chunk(),
+        pad,
+    )
+    return replace(found, counted=found.counted[:, : poses.shape[1]])
 
 
 def _batch(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Identification:

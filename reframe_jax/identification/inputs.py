@@ -1,22 +1,16 @@
 """Poses and times as they are given: of which types they may be, and what the pipeline makes of them."""
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.compilation import join_parts
 from reframe_jax.motion.checks import MIN_VELOCITIES
 
-__all__ = [
-    "batch_size",
-    "pad_poses",
-    "padded_size",
-    "read_number",
-    "read_numbers",
-    "take_poses",
-    "take_steps",
-]
+__all__ = ["padded_size", "read_number", "read_numbers", "run_in_pieces", "take_poses", "take_steps"]
 
 _FEWEST, _SHORT, _LONG = 8, 64, 4096  # poses that are padded at least; the smallest size; see padded_size
 _TOO_COARSE = ("float16", "bfloat16")
@@ -152,7 +146,7 @@ def padded_size(count: int) -> int:
     return size
 
 
-def pad_poses(poses: Any, steps: Any) -> tuple[Any, Any, bool]:
+def _pad_poses(poses: Any, steps: Any) -> tuple[Any, Any, bool]:
     """Windows padded to one of few lengths, so that new lengths compile nothing; whether lengths are needed.
 
     The very shortest stay as they are.
@@ -172,9 +166,32 @@ def pad_poses(poses: Any, steps: Any) -> tuple[Any, Any, bool]:
     return poses, steps, count >= _FEWEST
 
 
-def batch_size(count: int, most: int) -> int:
-    """Windows that are computed at once: 1, 8, 64, 512, ... and no more than ``most``."""
+def run_in_pieces(run: Callable[..., Any], poses: Any, steps: Any, others: Any, most: int, pad: bool) -> Any:
+    """Results for N windows, which are computed in pieces of one of few sizes and lengths.
+
+    A piece has 1, 8, 64, 512, ... windows; the last one repeats its last window.
+
+    Args:
+        run: function of poses, steps, lengths (N,) or None, and others, that compiles once for a size.
+        poses: (N, K+1, 4, 4).
+        steps: (K,) or (N, K) s.
+        others: pytree of arrays with an axis (N,) in front.
+        most: windows in a piece.
+        pad: whether windows are padded to one of few lengths; not if something counts from their end.
+    """
+    count, length = poses.shape[:2]
+    padded = False
+    if pad:
+        poses, steps, padded = _pad_poses(poses, steps)
     size = 1
     while size < min(count, most):
         size *= 8
-    return min(size, most)
+    size = min(size, most)
+    lengths = np.full(size, length, np.int32) if padded else None
+    parts = []
+    for start in range(0, count, size):
+        rows = np.minimum(np.arange(start, start + size), count - 1)
+        part = slice(start, start + size) if start + size <= count else rows
+        own = steps if steps.ndim == 1 else steps[part]
+        parts.append(run(poses[part], own, lengths, jax.tree.map(lambda leaf, part=part: leaf[part], others)))
+    return join_parts(parts, count)

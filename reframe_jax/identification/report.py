@@ -24,9 +24,9 @@ from reframe_jax.identification.naming import CLASS_CODES, NAME_OF_ENTRY, SAME_I
 from reframe_jax.identification.paper import step_moments
 from reframe_jax.identification.preparation import Prepared
 from reframe_jax.identification.results import Identification
-from reframe_jax.model.axes import common_axes
 from reframe_jax.model.fit import Data, Parameters, coordinates, ground_axes, settle
 from reframe_jax.model.moments import Moments
+from reframe_jax.model.small import diagonalize
 from reframe_jax.model.solve import Solved
 from reframe_jax.model.table import ENTRIES, KINDS, ROWS, TABLE
 from reframe_jax.motion.checks import Status
@@ -120,7 +120,7 @@ def _block_rows(axes: Array, weights: Array, together: Array, free: Array, total
 def _eigenvectors(covariance: Array, together: Array) -> Array:
     """Of a covariance (3, 3), block by block, with their first derivative."""
     fixed = jax.lax.stop_gradient(covariance)
-    turn = common_axes(fixed[None], jnp.ones(1, fixed.dtype))
+    turn = diagonalize(fixed[:, :, None])
     seen = turn.T @ covariance @ turn
     size = jax.lax.stop_gradient(jnp.diagonal(seen))
     gap = size[None, :] - size[:, None]
@@ -258,10 +258,7 @@ def _report_window(
     """One window, without its status; whether its origin lies on the bounds; its warnings."""
     mean = window.features.mean_rotation
     data = Data(live.products, live.details, mean, window.box)
-    scale_weight = jnp.where(jnp.arange(len(live.width)) == len(live.width) - 1, 1.0, 0.25) * (
-        live.details > 0
-    )
-    total = jnp.einsum("s,sfg->fg", scale_weight.astype(live.products.dtype), live.products)
+    total = jnp.einsum("s,sfg->fg", live.scale_weight, live.products)
     fixed = jax.vmap(_fix_signs)(jnp.concatenate([types.angular_axes, types.linear_axes]))
     types = types._replace(angular_axes=fixed[:2], linear_axes=fixed[2:])
     if thresholds is None:
@@ -417,9 +414,7 @@ def _winner_by_thresholds(types: _Types, solved: Solved, thresholds: Thresholds)
     parameters = jax.tree.map(lambda leaf: leaf[place], solved.starts)
     parameters = parameters._replace(origin=solved.origins[linear_type])
     probability = jnp.full(len(ENTRIES), jnp.nan, types.linear_norm.dtype)
-    return Winner(place, jnp.asarray(jnp.nan, probability.dtype), parameters, probability)._replace(
-        code=place
-    )
+    return Winner(place, jnp.asarray(jnp.nan, probability.dtype), parameters, probability)
 
 
 def _free_probability(winner: Winner, group: int, dof: Array) -> Array:

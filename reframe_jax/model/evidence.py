@@ -25,7 +25,7 @@ import numpy as np
 
 from reframe_jax.model.constants import EVIDENCE as C
 from reframe_jax.model.densities import Nodes, amplitude_nodes, free_evidence, held_evidence
-from reframe_jax.model.small import cross, diagonalize, largest, materialize, total
+from reframe_jax.model.small import diagonalize, largest, materialize, total
 from reframe_jax.model.table import Table
 
 __all__ = [
@@ -34,9 +34,7 @@ __all__ = [
     "Spectra",
     "amplitudes_of",
     "compare",
-    "entry_amplitudes",
     "log_evidence",
-    "log_posterior",
 ]
 
 Array = jax.Array
@@ -62,22 +60,17 @@ class Spectra(NamedTuple):
     """What a window gives to the evidence.
 
     Attributes:
-        products: (S, 27, 27) moments.
         details: (S,) independent details, 0 at scales that are not used.
         all_details: (S,) the same with those scales.
         scale_weight: (S,) of a scale in the variance of the path; 0 where it is not used.
         white: (S,) variance at a scale of white noise of unit variance.
-        to_position, to_rotation: (M, 27, 3) sensitivity of the features to a pose.
         noise: (2,) m and rad, white noise of a pose.
     """
 
-    products: Array
     details: Array
     all_details: Array
     scale_weight: Array
     white: Array
-    to_position: Array | None
-    to_rotation: Array | None
     noise: Array
 
 
@@ -124,30 +117,6 @@ class Coordinates(NamedTuple):
     consistency: Array
 
 
-def entry_amplitudes(weights: Array, entry: Table, spectra: Spectra) -> Amplitudes:
-    """Amplitudes of the coordinates (6, 27) of an entry."""
-    form = jnp.einsum("if,sfg,jg->ijs", weights, spectra.products, weights)
-    to_position = jnp.einsum("if,mfc->icm", weights, spectra.to_position)
-    to_rotation = jnp.einsum("if,mfc->icm", weights, spectra.to_rotation)
-    # rotations do not depend on positions: the derivative is block triangular
-    det = _determinant(to_rotation[:3]) * _determinant(to_position[3:])
-    levers = jnp.stack([jnp.mean(total(r[:, None] * r[None], 2), axis=-1) for r in jnp.split(to_rotation, 2)])
-    of = Coordinates(
-        turns=form[:3, :3],
-        shifts=form[3:, 3:],
-        mixed=form[:3, 3:],
-        levers=levers,
-        gain=jnp.mean(total(jnp.square(to_position), 1), axis=-1),
-        consistency=jnp.mean(jnp.log(jnp.abs(det) + 1e-6)),
-    )
-    return amplitudes_of(of, entry, spectra)
-
-
-def _determinant(rows: Array) -> Array:
-    """Of rows (3, 3, ...)."""
-    return total(rows[0] * cross(rows[1], rows[2]), 0)
-
-
 def _diagonal(outer: Array, form: Array) -> Array:
     """Diagonal (3, S, ...) of U' C U for U (3, 3, ...) and C (3, 3, S, ...)."""
     half = total(outer[:, :, None, None] * form[:, None], 0)
@@ -160,7 +129,7 @@ def amplitudes_of(of: Coordinates, entry: Table, spectra: Spectra) -> Amplitudes
     Args:
         of: the coordinates.
         entry: rows of the table, (6, ...) and (6, 6, ...).
-        spectra: with the scales first; ``products`` and sensitivities are not used.
+        spectra: with the scales first.
     """
     scale_weight, dtype = spectra.scale_weight, of.turns.dtype
     together = entry.together
@@ -265,23 +234,16 @@ def _moves(nodes: Nodes, of: Amplitudes, held: Array) -> Array:
     return jnp.log(total(a * shared, 0) + jnp.finfo(jnp.float32).tiny) + tops[0] + tops[1]
 
 
-def log_posterior(evidence: Array, of: Amplitudes, pitch: Array, table: Table, details: Array) -> Array:
-    """Log probability of every entry, (E,).
+def compare(evidence: Array, of: Amplitudes, pitch: Array, table: Table, details: Array) -> Array:
+    """Log probability of entries, (E, ...): components first, then entries, then problems.
 
     Args:
-        evidence: (E,) of :func:`log_evidence`.
-        of: amplitudes of all entries, with an axis (E,) in front.
-        pitch: (E,) m/rad.
+        evidence: (E, ...) of :func:`log_evidence`.
+        of: amplitudes of the entries.
+        pitch: (E, ...) m/rad.
         table: the entries.
-        details: (S,) independent details.
+        details: (S, ...) independent details.
     """
-    last = Amplitudes(*(jnp.moveaxis(leaf, 0, -1) for leaf in of))
-    rows = Table(*(jnp.moveaxis(jnp.asarray(leaf), 0, -1) for leaf in table))
-    return compare(evidence, last, pitch, rows, details)
-
-
-def compare(evidence: Array, of: Amplitudes, pitch: Array, table: Table, details: Array) -> Array:
-    """Log probability of entries, (E, ...): as :func:`log_posterior`, components first and problems last."""
     first = jnp.arange(len(evidence)).reshape(-1, *[1] * (evidence.ndim - 1))
     best = first == jnp.argmax(evidence, axis=0)
     count = total(details, 0)

@@ -34,14 +34,14 @@ class Moments(NamedTuple):
 
     @property
     def scale_weight(self) -> jax.Array:
-        """(N, S) weight of a scale in the variance of the path: details have it four times, per octave."""
-        last = jnp.arange(self.width.shape[1]) == self.width.shape[1] - 1
+        """(..., S) weight of a scale in the variance of the path: details have it four times, per octave."""
+        last = jnp.arange(self.width.shape[-1]) == self.width.shape[-1] - 1
         return jnp.where(last, 1.0, 0.25).astype(self.products.dtype) * (self.details > 0)
 
     @property
     def white(self) -> jax.Array:
-        """(N, S) variance at a scale of white noise of unit variance."""
-        last = jnp.arange(self.width.shape[1]) == self.width.shape[1] - 1
+        """(..., S) variance at a scale of white noise of unit variance."""
+        last = jnp.arange(self.width.shape[-1]) == self.width.shape[-1] - 1
         return jnp.where(last, 1.0, 2.0) / self.width
 
 

@@ -129,7 +129,6 @@ class _Windows(NamedTuple):
     """What the judgement of entries needs of N windows, with the windows last.
 
     Attributes:
-        products: (27, 27, S, N).
         spectra: with (S, 1, N).
         mean: (3, 3, N) mean rotation.
         own: (2, 1, N) m and rad, noise that errors grow with.
@@ -138,7 +137,6 @@ class _Windows(NamedTuple):
         joint: moments of the coordinates of a universal joint.
     """
 
-    products: Array
     spectra: Spectra
     mean: Array
     own: Array
@@ -188,19 +186,11 @@ def _compare(
         frames = _first(axes.linear), _first(axes.angular)
         every_start = _start_parameters(starts, mean)
         return Solved(never, None, origins, norm, *frames, every_start, None, scale)
-    spectra = Spectra(
-        products,
-        details[:, None],
-        all_details[:, None],
-        scale_weight[:, None],
-        white[:, None],
-        None,
-        None,
-        noise.T[:, None],
-    )
+    per_window = details, all_details, scale_weight, white, noise.T
+    spectra = Spectra(*(leaf[:, None] for leaf in per_window))
     own = _own_noise(products, all_details, white, noise)
     turned = jnp.moveaxis(features.to_rotation[:, :, z.TURN_GROUND], 0, -1).transpose(1, 2, 0, 3)
-    of = _Windows(products, spectra, mean, own[:, None], turned, _levers(features, turned, place), joint)
+    of = _Windows(spectra, mean, own[:, None], turned, _levers(features, turned, place), joint)
     number = len(ENTRIES)
     assumed = np.isin(np.arange(number), np.arange(number) if assume is None else assume)[:, None]
     size = CANDIDATES if assume is None else min(CANDIDATES, len(assume))

@@ -122,10 +122,6 @@ def path_of(paths: Array, origin: Array) -> tuple[Array, Array]:
     return half, materialize(half[:, 0] + total(half[:, 1:] * x[:, None], 1))
 
 
-def _held_size(problem: Problem, size: Array) -> Array:
-    return jnp.where(problem.held_row, size + jnp.finfo(size.dtype).tiny ** 0.5, 1)
-
-
 class _Local(NamedTuple):
     """The objective about a point: value (...), gradient (9, ...) and the tangent's Hessian (9, 9, ...)."""
 

@@ -14,7 +14,7 @@ from reframe_jax.geometry import rotations
 from reframe_jax.identification.options import Scales
 from reframe_jax.identification.results import Identification, Index
 from reframe_jax.uncertainty.refit import BLOCKS, HALVES, THIRDS, Estimate, Refit, refit_windows
-from reframe_jax.uncertainty.spread import distances, spread_of_fit, student_factor
+from reframe_jax.uncertainty.spread import distances, spread_of_fit, student_variance
 from reframe_jax.uncertainty.windows import over_windows
 
 __all__ = ["Covariance", "Errors", "Method", "covariance", "move"]
@@ -207,7 +207,7 @@ def _without_blocks(refit: Refit) -> tuple[jax.Array, jax.Array]:
     """One window, by the jackknife."""
     rest = refit.numbers[1:] - jnp.mean(refit.numbers[1:], axis=0)
     matrix = rest.T @ rest * (BLOCKS - 1) / BLOCKS
-    return matrix * student_factor(jnp.asarray(BLOCKS - 1.0)), jnp.ones((), matrix.dtype)
+    return matrix * student_variance(jnp.asarray(BLOCKS - 1.0)), jnp.ones((), matrix.dtype)
 
 
 _COMBINE = {"whole": _of_whole, "spans": _of_spans, "blocks": _without_blocks}

@@ -3,14 +3,14 @@
 import jax
 import jax.numpy as jnp
 
+from reframe_jax.calibration.robust import NORMAL_FACTOR, student_factor
 from reframe_jax.model.fit import Data, Parameters, coordinates, held_covariance, move
 from reframe_jax.model.table import Table
 
-__all__ = ["distances", "information", "posterior", "row_precision", "spread_of_fit", "student_factor"]
+__all__ = ["distances", "information", "posterior", "row_precision", "spread_of_fit", "student_variance"]
 
 Array = jax.Array
 
-_INTERVAL = 1.96  # standard deviations that hold 95 %
 _FEWEST = 2.0  # degrees of freedom of Student's distribution, at least
 _KNOWN = 1e-9  # share of the largest variance below which a direction has none
 
@@ -53,12 +53,9 @@ def posterior(total: Array, prior: Array) -> Array:
     return unit[:, None] * unit[None] * jnp.linalg.inv(precision * unit[:, None] * unit[None])
 
 
-def student_factor(freedom: Array) -> Array:
-    """Variance by which a normal distribution has the 95 % interval of Student's (Cornish and Fisher)."""
-    z = _INTERVAL
-    wider = (z**3 + z) / 4 / freedom + (5 * z**5 + 16 * z**3 + 3 * z) / 96 / freedom**2
-    wider = wider + (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384 / freedom**3
-    return jnp.square(1 + wider / z)
+def student_variance(freedom: Array) -> Array:
+    """Variance by which a normal distribution has the 95 % interval of Student's."""
+    return jnp.square(student_factor(freedom) / NORMAL_FACTOR)
 
 
 def spread_of_fit(
@@ -86,7 +83,7 @@ def spread_of_fit(
     part = part / (jnp.sum(part, axis=(1, 2), keepdims=True) + tiny)
     number = 1 / (jnp.sum(jnp.square(part) / jnp.maximum(data.details, 0.5)[:, None], axis=(1, 2)) + 1e-6)
     freedom = jnp.maximum(number - 1, _FEWEST)
-    factor = jnp.repeat(jnp.sqrt(student_factor(freedom) * jnp.maximum(number / freedom, 1)), 3)
+    factor = jnp.repeat(jnp.sqrt(student_variance(freedom) * jnp.maximum(number / freedom, 1)), 3)
     return slopes @ influence * factor[:, None] * factor[None], covariance[6:8, 6:8]
 
 

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import in_float64, index_leaves, join_parts, traced
-from reframe_jax.identification.inputs import batch_size, pad_poses, take_poses, take_steps
+from reframe_jax.compilation import in_float64, index_leaves, traced
+from reframe_jax.identification.inputs import run_in_pieces, take_poses, take_steps
 from reframe_jax.identification.options import Scales, take_scales
 from reframe_jax.identification.results import Identification
 from reframe_jax.uncertainty.refit import Estimate, estimate_of
@@ -84,21 +84,9 @@ def _run(poses: Any, steps: Any, count: Any, found: Estimate, *, function: Any, 
 
 
 def _in_pieces(run: Callable[..., Any], pad: bool, poses: Any, steps: Any, found: Estimate) -> Any:
-    """Windows in pieces of one of few sizes and lengths; the last piece repeats its last window."""
     if traced((poses, steps, found)):
         return run(poses, steps, None, found)
-    count, length = poses.shape[:2]
-    padded = False
-    if pad:
-        poses, steps, padded = pad_poses(poses, steps)
-    size = batch_size(count, _CHUNK.get(jax.default_backend(), 256))
-    lengths = np.full(size, length, np.int32) if padded else None
-    parts = []
-    for start in range(0, count, size):
-        rows = np.minimum(np.arange(start, start + size), count - 1)
-        piece = jax.tree.map(lambda leaf, rows=rows: leaf[rows], (poses, steps, found))
-        parts.append(run(piece[0], piece[1], lengths, piece[2]))
-    return join_parts(parts, count)
+    return run_in_pieces(run, poses, steps, found, _CHUNK.get(jax.default_backend(), 256), pad)
 
 
 def _narrow(leaf: Any) -> Any:
