@@ -79,11 +79,16 @@ def real_cases(folder: Path) -> list[Case]:
     files = sorted([*folder.glob("*.csv"), *folder.glob("cases/*.csv")])
     for file, start in [pair for pair in product(files, RECORDINGS) if pair[0].name.startswith(pair[1])]:
         label, names = RECORDINGS[start]
+        if file.parent.name == "cases":  # as users read them, without the rows in which tracking was lost
+            recording = rf.load_recording(file)
+            poses, times = np.asarray(recording.poses), np.asarray(recording.times)
         table = np.loadtxt(file, delimiter=",", skiprows=1)
         if file.read_text().split("\n", 1)[0].endswith("label"):
             table = table[table[:, -1] == _WORKING]
             table = table[table[:, 0] >= table[0, 0] + _CONTACT]
-        poses = made.make_poses(Rotation.from_quat(table[:, 4:8]).as_matrix(), table[:, 1:4])
+        if file.parent.name != "cases":
+            poses = made.make_poses(Rotation.from_quat(table[:, 4:8]).as_matrix(), table[:, 1:4])
+            times = table[:, 0]
         truth = made.no_truth()
         if start in MEASURED:
             truth = made.hinge_truth(np.array(MEASURED[start][0]), np.array(MEASURED[start][1]), poses)
@@ -92,7 +97,7 @@ def real_cases(folder: Path) -> list[Case]:
         elif label == "drawer":
             direction = made.in_both(fit_axis(table[:, 1:4], circle=False)[0], poses)
             truth = replace(truth, linear=direction)
-        cases.append(Case(f"real/{file.stem}", "real", label, poses, table[:, 0], names, truth))
+        cases.append(Case(f"real/{file.stem}", "real", label, poses, times, names, truth))
     return cases
 
 

@@ -3,12 +3,13 @@
 import jax
 import numpy as np
 
-from reframe_jax.motion.noise import estimate_noise, masked_median
+from reframe_jax.motion.noise import estimate_noise, masked_median, unit_of_rounding
 
 POSES = 400
 SIGMAS = np.array([1e-5, 1e-4, 1e-3, 4e-3])  # m, of as many windows; three times as many rad
 estimate = jax.jit(estimate_noise)
 ALL = np.ones((POSES, len(SIGMAS)), bool)
+NO_UNIT = np.zeros(len(SIGMAS))
 
 
 def smooth(amplitude=0.3, rates=(1.1, 1.7, 2.3), dt=0.02):
@@ -25,7 +26,7 @@ def white(rng):
 def test_white_noise_is_measured(rng):
     position = smooth() + SIGMAS * white(rng)
     turns = np.diff(smooth(0.5) + 3 * SIGMAS * white(rng), axis=1)
-    of_position, of_rotation = estimate(position, turns, ALL)
+    of_position, of_rotation = estimate(position, turns, ALL, NO_UNIT)
     np.testing.assert_allclose(of_position, SIGMAS, rtol=0.15)
     np.testing.assert_allclose(of_rotation, 3 * SIGMAS, rtol=0.15)
 
@@ -34,7 +35,9 @@ def test_smooth_motion_has_no_noise():
     """Nor does motion in jerks, of which there are few; but no noise is less than the rounding."""
     position, turns = smooth(), np.diff(smooth(0.5), axis=1)
     position[:, 200:] += 0.1
-    for noise, largest in zip(estimate(position, turns, ALL), (np.abs(position), np.abs(turns)), strict=True):
+    for noise, largest in zip(
+        estimate(position, turns, ALL, NO_UNIT), (np.abs(position), np.abs(turns)), strict=True
+    ):
         assert np.all(noise < 1e-9)
         assert np.all(noise >= np.finfo(float).eps * largest.max())
 
@@ -43,7 +46,7 @@ def test_rounded_positions_have_the_noise_of_their_rounding():
     """Also where the body moves so slowly that most digits stay as they are."""
     for amplitude in (0.3, 0.003):
         position = 1e-3 * np.round(1e3 * smooth(amplitude))
-        of_position, _ = estimate(position, np.diff(smooth(), axis=1), ALL)
+        of_position, _ = estimate(position, np.diff(smooth(), axis=1), ALL, unit_of_rounding(position, ALL))
         assert np.all(of_position > 0.99e-3 / np.sqrt(12))
         assert np.all(of_position < 1e-3)
 
@@ -57,7 +60,7 @@ def test_samples_that_do_not_count_play_no_part(rng):
     spoilt[:, ~lost[:, 0]] = 9 * rng.normal(size=spoilt[:, ~lost[:, 0]].shape)
     beside = ~(lost[1:, 0] & lost[:-1, 0])
     whirled[:, beside] = 9 * rng.normal(size=whirled[:, beside].shape)
-    here, there = estimate(position, turns, lost), estimate(spoilt, whirled, lost)
+    here, there = estimate(position, turns, lost, NO_UNIT), estimate(spoilt, whirled, lost, NO_UNIT)
     np.testing.assert_allclose(here, (SIGMAS, SIGMAS), rtol=0.2)
     # but for the rounding of numbers as large as these
     np.testing.assert_allclose(there, here, rtol=1e-9)

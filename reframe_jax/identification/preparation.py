@@ -10,7 +10,7 @@ from reframe_jax.model.features import Features, pose_features
 from reframe_jax.model.moments import Moments, scale_moments
 from reframe_jax.motion import kinematics
 from reframe_jax.motion.checks import window_status
-from reframe_jax.motion.noise import estimate_noise
+from reframe_jax.motion.noise import estimate_noise, unit_of_rounding
 from reframe_jax.motion.outliers import repair_poses
 
 __all__ = ["Prepared", "prepare_windows"]
@@ -26,7 +26,7 @@ class Prepared(NamedTuple):
     Attributes:
         status: (N,) codes of ``Status``.
         centre: (N, 3) m, mean position; everything else is relative to it.
-        poses: (N, P, 4, 4) m, outliers replaced.
+        poses: (N, P, 4, 4) m.
         counted: (N, P) bool, poses that are neither outliers nor padding.
         steps: (1, K) or (N, K) s.
         count: (N,) number of poses.
@@ -70,20 +70,21 @@ def prepare_windows(
     total = jnp.sum(jnp.where(own[..., None], poses[:, :, :3, 3], 0), axis=1)
     centre = jax.lax.stop_gradient(total / number.astype(poses.dtype)[:, None])
     poses = poses.at[:, :, :3, 3].add(-centre[:, None])
-    counted = own
+    rotation, position = kinematics.split_poses(poses)
+    counted = own.T
+    unit = jax.lax.stop_gradient(unit_of_rounding(position, counted))
     if scales is None:
         times = jnp.concatenate([jnp.zeros_like(steps[:, :1]), jnp.cumsum(steps, axis=1)], axis=1)
-        times = jnp.broadcast_to(times, (len(poses), times.shape[1]))
-        poses, counted = repair_poses(poses, times, number)
-    rotation, position = kinematics.split_poses(poses)
+        times = jnp.broadcast_to(times, own.shape).T
+        rotation, position, counted = repair_poses(rotation, position, times, number, unit)
     still = jax.lax.stop_gradient((position, kinematics.turns_of(rotation)))
-    noise = jnp.stack(estimate_noise(*still, counted.T), axis=1)
-    features = pose_features(rotation, position, steps, counted.T, count)
-    moments = scale_moments(features.values, counted, count)
-    square = jnp.max(jnp.where(counted, jnp.sum(jnp.square(poses[:, :, :3, 3]), axis=-1), 0), axis=1)
+    noise = jnp.stack(estimate_noise(*still, counted, unit), axis=1)
+    features = pose_features(rotation, position, steps, counted, count)
+    moments = scale_moments(features.values, counted.T, count)
+    square = jnp.max(jnp.where(counted, jnp.sum(jnp.square(position), axis=0), 0), axis=0)
     box = jnp.maximum(_REACH, _REACH * jnp.sqrt(jax.lax.stop_gradient(square)))
     box = box if bounds is None else jnp.broadcast_to(jnp.asarray(bounds, box.dtype), box.shape)
-    return Prepared(status, centre, poses, counted, steps, number, noise, features, moments, box)
+    return Prepared(status, centre, poses, counted.T, steps, number, noise, features, moments, box)
 
 
 def _harmless(poses: Array) -> Array:

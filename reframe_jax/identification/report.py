@@ -24,6 +24,7 @@ from reframe_jax.identification.naming import CLASS_CODES, NAME_OF_ENTRY, SAME_I
 from reframe_jax.identification.paper import step_moments
 from reframe_jax.identification.preparation import Prepared
 from reframe_jax.identification.results import Identification
+from reframe_jax.model import features as z
 from reframe_jax.model.fit import Data, Parameters, coordinates, ground_axes, settle
 from reframe_jax.model.moments import Moments
 from reframe_jax.model.small import diagonalize
@@ -275,9 +276,10 @@ def _report_window(
     linear_axes = bodies[jnp.asarray(ORIENTATION_BODIES)[kind]][:, entry.column[3:]]
     of_linear = linear_axes, weights[3:], entry.together[3:, 3:], ~held[3:]
     turned_in = jnp.where(jnp.asarray(_IN_GROUND)[known], int(AngularType.G), int(AngularType.B))
-    angular_type = jnp.where(jnp.sum(~held[:3]) == 2, jnp.argmin(types.angular_norm), turned_in).astype(
-        jnp.int32
-    )
+    in_plane = entry.tied & entry.apart & held[5] & _turns_less_in_ground(bodies[0], weights, total)
+    turned_in = jnp.where(in_plane, int(AngularType.G), turned_in)
+    angular_type = jnp.where(jnp.sum(~held[:3]) == 2, jnp.argmin(types.angular_norm), turned_in)
+    angular_type = angular_type.astype(jnp.int32)
     plain = entry.crossed | (jnp.sum(~held[:3]) == 3) | (jnp.sum(~held[:3]) == 0)
     of_types = []
     for body in (AngularType.G, AngularType.B):
@@ -378,6 +380,22 @@ def _report_window(
     marks = {Caution.IMPROBABLE: winner.name_probability < 0.5}
     codes = caution_codes(velocities, (angular_rms[a], linear_rms), thresholds, marks)
     return found, at_bound, codes
+
+
+def _turns_less_in_ground(axes: Array, weights: Array, total: Array) -> Array:
+    """Whether the plane of the positions fixes the one axis of both bodies better than the rotations do, ().
+
+    An axis is as uncertain as the motion across it is large, against the motion that turns about it: held rotations
+    against the free one; the position along the axis against the weaker of its amplitudes in the plane.
+    """
+    held_turns, turn, along = (
+        jnp.einsum("if,fg,ig->", w, total, w) for w in (weights[:2], weights[2:3], weights[5:])
+    )
+    plane = axes[:, :2].T @ total[z.POSITION, z.POSITION] @ axes[:, :2]
+    half = jnp.trace(plane) / 2
+    det = plane[0, 0] * plane[1, 1] - plane[0, 1] * plane[1, 0]
+    weaker = half - jnp.sqrt(jnp.maximum(half * half - det, 0))
+    return along * turn < held_turns * weaker
 
 
 def _last_free(number: Array, types: int) -> Array:

@@ -38,41 +38,47 @@ def crossed_axes(
     """
     small = jnp.finfo(ground.dtype).tiny ** 0.5
     keep = _APART * total(details, 0)
-    unit = jnp.asarray(np.eye(6), ground.dtype).reshape(6, 6, *[1] * (ground.ndim - 1))
+    unit = jnp.asarray(np.eye(4), ground.dtype).reshape(4, 4, *[1] * (ground.ndim - 1))
 
     def expand(a: Array, b: Array) -> _Local:
         """The logarithm's sum and its tangent about two axes, without what keeps them apart."""
         across = materialize(total(forms * b[:, None, None, None], 1))  # (i, k, l)
         half = materialize(total(forms * a[:, None, None, None, None], 0))  # (j, k, l)
-        mixed, of_body = total(half * b[:, None, None, None], 0), total(half * a[:, None, None], 1)
-        of_ground, mixed = materialize((total(across * b[:, None], 2), mixed))  # (i, k) and (k, l)
-        size = materialize(total(total(mixed * a[:, None, None], 0) * b[:, None], 0) + small)
+        of_ground, of_body = total(across * b[:, None], 2), total(half * a[:, None, None], 1)
+        of_ground, of_body, both = materialize((of_ground, of_body, total(across * a[:, None, None], 1)))
+        size = materialize(total(total(of_ground * a[:, None, None], 0) * a[:, None], 0) + small)
         weight = materialize(details / size)
-        upper, lower, between = materialize(tuple(total(m * weight, 2) for m in (of_ground, of_body, mixed)))
-        gradient = jnp.concatenate([times(upper, a), times(lower, b)])
+        upper, lower, between = materialize(tuple(total(m * weight, 2) for m in (of_ground, of_body, both)))
+        bases = _across(a), _across(b)  # (3, 2, ...)
+        moved = [times(form, basis) for form, basis in zip((upper, lower), bases, strict=True)]
+        gradient = [
+            total(basis * times(m, v)[:, None], 0)
+            for basis, m, v in zip(bases, (upper, lower), (a, b), strict=True)
+        ]
+        blocks = [total(basis[:, :, None] * m[:, None], 0) for basis, m in zip(bases, moved, strict=True)]
+        corner = total(bases[0][:, :, None] * times(between, bases[1])[:, None], 0)
         rows = [
-            jnp.concatenate([upper, between], axis=1),
-            jnp.concatenate([jnp.swapaxes(between, 0, 1), lower], axis=1),
+            jnp.concatenate([blocks[0], corner], axis=1),
+            jnp.concatenate([jnp.swapaxes(corner, 0, 1), blocks[1]], axis=1),
         ]
         turned, back = times(mean, b), times(jnp.swapaxes(mean, 0, 1), a)
-        pull, cosine = jnp.concatenate([turned, back]), total(a * turned, 0)
+        pull = jnp.concatenate([total(bases[0] * turned[:, None], 0), total(bases[1] * back[:, None], 0)])
         value = total(details * jnp.log(size), 0)
-        return materialize(_Local(value, gradient, jnp.concatenate(rows), cosine, pull))
+        return materialize(
+            _Local(value, jnp.concatenate(gradient), jnp.concatenate(rows), total(a * turned, 0), pull)
+        )
 
     def step(i: Array, carry: tuple[Array, Array, _Local, Array]) -> tuple[Array, Array, _Local, Array]:
         a, b, here, damping = carry
         push = jnp.where(i <= apart, keep, 0)
         gradient = here.gradient + push * here.cosine * here.pull
         hessian = here.hessian + push * here.pull[:, None] * here.pull[None]
-        # lengths do not count
-        zero = jnp.zeros_like(a)
-        both = jnp.stack([jnp.concatenate([a, zero]), jnp.concatenate([zero, b])])
-        gradient = materialize(gradient - total(both * total(both * gradient[None], 1)[:, None], 0))
-        top = largest(total(hessian * unit, 1))
-        lengths = total(both[:, :, None] * both[:, None], 0)
-        lifted = hessian + unit * ((damping + 1e-9) * top + small) + 10 * top * lengths
-        change = materialize(-solve_positive(*materialize((lifted, gradient))))
-        c, d = materialize((normalize(a + change[:3]), normalize(b + change[3:])))
+        size = total(hessian * unit, 1)
+        lift = damping * size + 1e-9 * largest(size) + small
+        change = materialize(-solve_positive(*materialize((hessian + unit * lift[:, None], gradient))))
+        c = normalize(a + times(_across(a), change[:2]))
+        d = normalize(b + times(_across(b), change[2:]))
+        c, d = materialize((c, d))
         new = expand(c, d)
         before = here.value + push * here.cosine * here.cosine
         lower = new.value + push * new.cosine * new.cosine < before
@@ -81,7 +87,7 @@ def crossed_axes(
         return *kept, damping
 
     # the first step stays at the start, and expands there
-    start = jnp.zeros((6, *ground.shape[1:]), ground.dtype)
+    start = jnp.zeros((4, *ground.shape[1:]), ground.dtype)
     none = jnp.zeros_like(start[0])
     nowhere = _Local(none + jnp.inf, start, start[None] + unit, none, start)
     damping = none + 1e-2
@@ -90,10 +96,20 @@ def crossed_axes(
 
 
 class _Local(NamedTuple):
-    """Value, gradient (6, ...) and Hessian (6, 6, ...); cosine of the mean angle, and its gradient."""
+    """Value, gradient (4, ...) and Hessian (4, 4, ...); cosine of the mean angle, and its gradient."""
 
     value: Array
     gradient: Array
     hessian: Array
     cosine: Array
     pull: Array
+
+
+def _across(axis: Array) -> Array:
+    """Two directions across unit vectors (3, ...), columns (3, 2, ...), without a division by zero (Duff et al. 2017)."""
+    x, y, z = axis
+    sign = jnp.where(z < 0, -1.0, 1.0).astype(axis.dtype)
+    p = -1 / (sign + z)
+    q = x * y * p
+    first = jnp.stack([1 + sign * x * x * p, sign * q, -sign * x])
+    return jnp.stack([first, jnp.stack([q, sign + y * y * p, -y])], axis=1)

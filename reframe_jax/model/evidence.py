@@ -41,7 +41,7 @@ Array = jax.Array
 _TINY = 1e-18  # m^2 and rad^2, added to every variance
 
 # ---- grids of the logarithms of sizes
-_ERRORS = 0.7 * np.arange(-6, 7)  # about the middle of the prior of slow errors
+_ERRORS = 0.7 * np.arange(-5, 11)  # about the middle of the prior of slow errors
 _TURNS = 0.5 * np.arange(-3, 4)  # about the usual rotation
 _SHIFTS = 0.5 * np.arange(-9, 10)  # about the usual translation
 

@@ -33,7 +33,7 @@ __all__ = [
     "solve_determined",
 ]
 
-STEPS, LAST_STEPS = 12, 6  # of Levenberg and Marquardt; the last ones leave the tilt free
+STEPS, LAST_STEPS = 6, 4  # of Levenberg and Marquardt; the last ones leave the tilt free
 _PARAMETERS = 9
 
 Array = jax.Array
@@ -142,7 +142,7 @@ def objective(parameters: Parameters, data: Data, entry: Table, scale: Array, ti
 
 
 def fit_entry(
-    start: Parameters, data: Data, entry: Table, scale: Array, tie: Array, steps: int = STEPS
+    start: Parameters, data: Data, entry: Table, scale: Array, tie: Array, steps: int = 2 * STEPS
 ) -> tuple[Parameters, Array]:
     """Fit an entry to a window, from a start.
 

@@ -21,7 +21,7 @@ __all__ = ["Axes", "common_frames", "entry_starts", "smallest_eigenvalue", "univ
 
 Array = jax.Array
 _STARTS = ("turn", "cross", "normal", "along", "path", "lift")
-_APART_STEPS, _CROSS_STEPS = 12, 48  # of the search for the axes of a universal joint
+_APART_STEPS, _CROSS_STEPS = 4, 12  # of the search for the axes of a universal joint
 _ALONG = 0.6  # sine of an angle, below which two axes are nearly along each other
 
 

@@ -242,7 +242,7 @@ def descend(problem: Problem, start: Unknowns, steps: int | Array) -> tuple[Unkn
     )
     at = start._replace(tilt=_tangents(start.tilt))
     carry = at, nowhere, jnp.full(lanes, 10 * _DAMPING, dtype)
-    at, here, _ = jax.lax.fori_loop(0, steps + 1, step, carry)
+    at, here, _ = jax.lax.fori_loop(0, jnp.where(jnp.asarray(steps) > 0, steps + 1, 0), step, carry)
     return at._replace(tilt=_angles(at.tilt)), here.value
 
 

@@ -12,7 +12,7 @@ from jax import lax
 __all__ = ["constant_components", "estimate_noise", "masked_median", "unit_of_rounding"]
 
 _ORDERS = (2, 4, 6)  # of the differences that noise is estimated from
-_GAUSSIAN = 0.6745  # median of the absolute value of a standard normal variable
+_MEDIAN_LENGTHS = (1.0, 0.6745, 1.1774, 1.5382)  # of a standard normal vector of 0, 1, 2 and 3 components
 _OFF_GRID = 0.05  # mean distance of steps from multiples of the smallest; a quarter if they are none
 _BISECTIONS, _OCTAVES = 14, 40  # of a median: to 0.2 % over twelve decades
 
@@ -45,10 +45,12 @@ def _bisect(shares: jax.Array, half: jax.Array) -> tuple[jax.Array, jax.Array]:
     return low, high
 
 
-def estimate_noise(position: jax.Array, turns: jax.Array, counted: jax.Array) -> tuple[jax.Array, jax.Array]:
+def estimate_noise(
+    position: jax.Array, turns: jax.Array, counted: jax.Array, unit: jax.Array
+) -> tuple[jax.Array, jax.Array]:
     """Estimate the standard deviation of the white noise in each component of position and orientation.
 
-    Uses the median absolute differences of order 2, 4 and 6, and returns the smallest estimate, because
+    Uses the median length of differences of order 2, 4 and 6, and returns the smallest estimate, because
     smooth motion vanishes from high differences. A few jumps do not matter. Errors that change slowly are not
     included. Components that never change, as those that a planar tracker does not measure, say nothing about
     the noise of the others. Rounded positions have at least the noise of their rounding.
@@ -57,12 +59,13 @@ def estimate_noise(position: jax.Array, turns: jax.Array, counted: jax.Array) ->
         position: (3, K+1, N) m.
         turns: (3, K, N) rad, rotation vector of every step.
         counted: (K+1, N) bool, poses that count.
+        unit: (N,) m, that positions are rounded to, or 0; see :func:`unit_of_rounding`.
 
     Returns:
         (N,) m and (N,) rad.
     """
     poses = counted.shape[0]
-    rows, masks, scales = [], [], []
+    sizes, masks, scales = [], [], []
     orders = [m for m in _ORDERS if m < poses - 1] or [2]
     changing = [
         ~constant_components(position, counted),
@@ -73,22 +76,22 @@ def estimate_noise(position: jax.Array, turns: jax.Array, counted: jax.Array) ->
         for shift in range(1, order + 1):
             whole = whole & counted[shift : shift + poses - order]
         for values, first, changes in ((position, 0, changing[0]), (turns, 1, changing[1])):
-            difference = jnp.abs(jnp.diff(values, order - first, axis=1))
-            rows.append(jnp.pad(difference, ((0, 0), (0, order), (0, 0))))
-            masks.append(jnp.pad(whole[None] & changes[:, None], ((0, 0), (0, order), (0, 0))))
-            scales.append(_GAUSSIAN * comb(2 * order, order) ** 0.5)
-    shape = (-1, len(rows), counted.shape[1])
-    stacked, mask = jnp.stack(rows, axis=2).reshape(shape), jnp.stack(masks, axis=2)
-    deviation = masked_median(stacked, mask.reshape(shape))
-    deviation = deviation / jnp.asarray(scales, position.dtype)[:, None]
-    enough = jnp.max(jnp.sum(mask, axis=1), axis=0) >= 4
+            difference = jnp.where(changes[:, None], jnp.diff(values, order - first, axis=1), 0)
+            length = jnp.sqrt(jnp.sum(jnp.square(difference), axis=0))
+            sizes.append(jnp.pad(length, ((0, order), (0, 0))))
+            masks.append(jnp.pad(whole & jnp.any(changes, axis=0), ((0, order), (0, 0))))
+            median = jnp.asarray(_MEDIAN_LENGTHS)[jnp.sum(changes, axis=0)]
+            scales.append(median * comb(2 * order, order) ** 0.5)
+    mask = jnp.stack(masks, axis=1)
+    deviation = masked_median(jnp.stack(sizes, axis=1), mask)
+    deviation = deviation / jnp.stack(scales).astype(position.dtype)
+    enough = jnp.sum(mask, axis=0) >= 4
     deviation = jnp.where(enough, deviation, jnp.inf)
     best = jnp.min(deviation.reshape(len(orders), 2, -1), axis=0)
     rounding = jnp.stack([jnp.max(jnp.abs(values), axis=(0, 1)) for values in (position, turns)])
     rounding = 4 * float(jnp.finfo(position.dtype).eps) * rounding
     spreads = jnp.maximum(jnp.where(jnp.isfinite(best), best, 0), rounding)
-    rounded = unit_of_rounding(position, counted) / 12**0.5
-    return jnp.maximum(spreads[0], rounded), spreads[1]
+    return jnp.maximum(spreads[0], unit / 12**0.5), spreads[1]
 
 
 def constant_components(values: jax.Array, counted: jax.Array, least: float = 0.0) -> jax.Array:

@@ -1,147 +1,145 @@
 """Poses that jump away and back: flips, swapped markers, lost frames.
 
-Robust lines through the neighbours find up to two in a row; :mod:`.bursts` finds longer runs. They do not
-count; paths that run across them use the motion interpolated between the poses beside them.
-"""
+A pose is predicted by interpolation between neighbours, one to five strides before and after the pose; the
+prediction is the median of the five. An outlier lies far from the prediction while the five agree, and on the same
+side of the poses before and after. Smooth motion and corners of a path are no outliers, because the five disagree
+there as much; a body that stays where it jumped to lies close to the poses after the jump.
 
-from functools import partial
+Outliers do not count; paths that run across them use the motion interpolated between the poses beside them.
+Arrays have components first, then samples, and windows last.
+"""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax, vmap
+from jax import lax
 
-from reframe_jax.compilation import update_marked
-from reframe_jax.geometry import rotations
-from reframe_jax.geometry.products import matmul
-from reframe_jax.motion.bursts import find_runs
-from reframe_jax.motion.noise import masked_median, unit_of_rounding
+from reframe_jax.model.small import cross, normalize, total
+from reframe_jax.motion.noise import masked_median
 
 __all__ = ["repair_poses"]
 
-_HALF = 3  # neighbours on each side: a majority of them outvotes outliers of up to two poses
-_OUTLIER = 6.0  # distance from the line through the neighbours, in units of their scatter
-_SUSPICIOUS = 6.0  # fourth difference over its median, above which a window is looked at
-_MOST = 0.3  # share of poses that can be outliers; beyond it nothing is left out
+Array = jax.Array
+_REACH = 5  # predictions, and neighbours on either side
+_STRIDES = 1, 2, 4  # samples between neighbours; together they find runs of up to 10 outliers
+_OUTLIER = 7.0  # distance from the prediction, in medians of all distances: five standard deviations
+_AGREE = 3.0  # the same in medians of the distances of the five from their median
+_MOST = 0.3  # fraction of poses that can be outliers; beyond it nothing is left out
+_APART = 0.5  # of the distance, that the poses on either side, continued, lie from the pose
+_PASSES = 6  # long runs shrink pass by pass
 
 
-def repair_poses(poses: jax.Array, times: jax.Array, count: jax.Array) -> tuple[jax.Array, jax.Array]:
+def repair_poses(
+    rotation: Array, position: Array, times: Array, count: Array, unit: Array
+) -> tuple[Array, Array, Array]:
     """Find outliers, and replace them by motion interpolated between the poses beside them.
 
     Args:
-        poses: (N, K+1, 4, 4) m.
-        times: (N, K+1) s.
-        count: (N,) number of poses in each window; the others are padding.
+        rotation: (3, 3, P, N).
+        position: (3, P, N) m.
+        times: (P, N) s.
+        count: (N,) number of poses in each window; the rest is padding.
+        unit: (N,) m, that positions are rounded to, or 0.
 
     Returns:
-        The poses, (N, K+1, 4, 4), and which of them count, (N, K+1) bool: neither outliers nor padding.
+        Rotations and positions, and which poses count, (P, N) bool: neither outliers nor padding.
     """
-    own = jnp.arange(poses.shape[1], dtype=jnp.int32)[None] < count[:, None]
-    if poses.shape[1] <= 2 * _HALF:
-        return poses, own
+    own = jnp.arange(position.shape[1], dtype=jnp.int32)[:, None] < count
+    if position.shape[1] <= 2 * _REACH:
+        return rotation, position, own
+    measured: Array = lax.stop_gradient(jnp.concatenate([position, rotation[:, :2].reshape(6, *own.shape)]))
+    # a jump is no unit of rounding: rounded positions have steps of one unit too
+    step = jnp.abs(jnp.diff(measured[:3], axis=1))
+    unit = jnp.minimum(unit, jnp.min(jnp.where((step > 0) & own[1:], step, jnp.inf), axis=(0, 1)))
+    strides = [stride for stride in _STRIDES if stride == 1 or position.shape[1] > 2 * _REACH * stride]
 
-    def look(block: tuple[jax.Array, ...]) -> jax.Array:
-        poses, times, count, own = (jnp.moveaxis(array, -1, 0) for array in block)
-        unit = unit_of_rounding(block[0][:, :3, 3].swapaxes(0, 1), block[3])
-        runs = vmap(find_runs)(poses, count, unit)
-        outliers = vmap(_find)(vmap(_fill)(poses, times, ~runs), times, count)
-        outliers = (outliers | runs) & own
-        fraction = jnp.sum(outliers, axis=1, dtype=poses.dtype) / count.astype(poses.dtype)
-        return (own & ~(outliers & (fraction <= _MOST)[:, None])).T
+    def search(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        counted, _, passes = carry
+        filled = _interpolate(measured, times, counted)
+        found = counted
+        for stride in strides:
+            found = found & ~_find(filled, times, own, count, unit, stride)
+        return found, jnp.any(found != counted), passes + 1
 
-    measured = lax.stop_gradient(poses)
-    inputs = jnp.moveaxis(measured, 0, -1), times.T, count, own.T  # windows last
-    counted = update_marked(look, _is_suspicious(measured, own), inputs, own.T).T
+    start = own, jnp.asarray(True), jnp.int32(0)
+    counted, _, _ = lax.while_loop(lambda c: c[1] & (c[2] < _PASSES), search, start)
+    fraction = jnp.sum(own & ~counted, axis=0, dtype=position.dtype) / count.astype(position.dtype)
+    counted = jnp.where(fraction <= _MOST, counted, own)
 
-    def fill(_: None) -> jax.Array:
-        return vmap(_fill)(poses, times, counted)
+    def fill(_: None) -> tuple[Array, Array]:
+        filled = _interpolate(jnp.concatenate([position, rotation.reshape(9, *own.shape)]), times, counted)
+        first = normalize(filled[3:6])
+        second = normalize(filled[6:9] - first * total(first * filled[6:9], 0))
+        rows = jnp.stack([first, second, cross(first, second)])
+        return jnp.where(counted, rotation, rows), jnp.where(counted, position, filled[:3])
 
-    return lax.cond(jnp.any(counted != own), fill, lambda _: poses, None), counted
-
-
-def _is_suspicious(poses: jax.Array, own: jax.Array) -> jax.Array:
-    """Whether a fourth difference stands out, (N,): a test that is cheap, and misses no jump."""
-    whole = own[:, :-4] & own[:, 4:]
-    jumps = []
-    for columns in (slice(3), slice(3, 4)):
-        x = poses[:, :, :3, columns]
-        size = jnp.sqrt(jnp.sum(jnp.square(jnp.diff(x, n=4, axis=1)), axis=(2, 3)))
-        median = masked_median(size.T, whole.T)
-        rounding = 64 * jnp.finfo(x.dtype).eps * jnp.max(jnp.abs(x), axis=(1, 2, 3))
-        level = jnp.maximum(_SUSPICIOUS * median, rounding)[:, None]
-        jumps.append(jnp.any(whole & (size > level), axis=1))
-    return jumps[0] | jumps[1]
+    fixed = lax.cond(jnp.any(counted != own), fill, lambda _: (rotation, position), None)
+    return *fixed, counted
 
 
-def _find(poses: jax.Array, times: jax.Array, count: jax.Array) -> jax.Array:
-    """Outliers of a window, (K+1,) bool.
+def _find(x: Array, times: Array, own: Array, count: Array, unit: Array, stride: int) -> Array:
+    """Outliers among poses x (9, P, N): position, and two columns of the rotation; (P, N) bool.
 
-    A line (medians of slopes and of intercepts) is drawn through the six neighbours of every pose, in the
-    tangent space there. An outlier lies further from it than six times their scatter about it, or the median
-    scatter in the window if that is larger; and the poses before and after it lie on the same side of it.
-    Fast motion, and a body that is elsewhere after lost frames, are no outliers.
+    Beyond its ends, the path continues by reflection in its first and in its last pose.
     """
-    here, width = np.arange(poses.shape[0], dtype=np.int32), 2 * _HALF
-    first = jnp.clip(here - _HALF, 0, count - width - 1)
-    near = first[:, None] + np.arange(width, dtype=np.int32)[None]
-    near = near + (near >= here[:, None]).astype(np.int32)  # not the pose itself
-    after = near > here[:, None]
-    later = times[near] - times[:, None]
-    inverse = jnp.swapaxes(poses[:, None, :3, :3], -1, -2)
-    turns = _unwrap(rotations.rotation_log(matmul(inverse, poses[near, :3, :3])))
-    shifts = poses[near, :3, 3] - poses[:, None, :3, 3]
-    inside = (here > 0) & (here < count - 1)
-    # of both groups at once, as nothing but the numbers differs
-    strays = vmap(partial(_strays, later=later, after=after, own=jnp.asarray(here < count)))
-    return jnp.any(strays(jnp.stack([turns, shifts])), axis=0) & inside
+    number, reach = x.shape[1], 2 * _REACH * stride
+    place = jnp.arange(-reach, number + reach, dtype=jnp.int32)[:, None]
+    last = count - 1
+    inside = jnp.abs(jnp.where(place > last, 2 * last - place, place))
+    inside = jnp.clip(inside, 0, number - 1)
+    whole = jnp.concatenate([x, times[None]])
+    mirrored = jnp.take_along_axis(whole, inside[None], axis=1)
+    ends = jnp.where(place > last, jnp.take_along_axis(whole, last[None, None], axis=1), whole[:, :1])
+    path = jnp.where((place < 0) | (place > last), 2 * ends - mirrored, mirrored)
+
+    def beside(samples: int) -> Array:
+        first = [reach + i * samples for i in range(1, _REACH + 1)]
+        return jnp.stack([path[:, place : place + number] for place in first])
+
+    before, after = beside(-stride), beside(stride)  # (5, 10, P, N)
+    part = (times - before[:, 9]) / (after[:, 9] - before[:, 9])
+    before, after = before[:, :9], after[:, :9]
+    guesses = before + part[:, None] * (after - before)
+    middle = _median_of_five(guesses)
+    # a body that jumped to another place goes on from the poses on one side
+    behind, ahead = (
+        _median_of_five(2 * near - beside(2 * side * stride)[:, :9])
+        for side, near in ((-1, before), (1, after))
+    )
+    lengths = _lengths(jnp.concatenate([jnp.stack([x - middle, behind - x, ahead - x]), guesses - middle]))
+    distance, spread = lengths[:, 0], _median_of_five(jnp.moveaxis(lengths[:, 3:], 1, 0))  # (2, P, N)
+    alone = jnp.minimum(lengths[:, 1], lengths[:, 2]) > _APART * distance
+    mask = jnp.broadcast_to(own[:, None], (number, 2, own.shape[1]))
+    typical = masked_median(jnp.swapaxes(distance, 0, 1), mask)[:, None]
+    typical = jnp.maximum(typical, jnp.stack([unit / 2, jnp.zeros_like(unit)])[:, None])
+    rounding = 64 * jnp.finfo(x.dtype).eps * (1 + jnp.max(jnp.abs(x), axis=(0, 1)))
+    outlying = (distance > _OUTLIER * typical + rounding) & (distance > _AGREE * spread) & alone
+    return (outlying[0] | outlying[1]) & (count > reach)
 
 
-def _strays(offsets: jax.Array, later: jax.Array, after: jax.Array, own: jax.Array) -> jax.Array:
-    """Poses (K+1,) that lie far off the line through their neighbours, and on the same side of all of them.
-
-    Args:
-        offsets: (K+1, 6, 3) of the neighbours from each pose, rad or m.
-        later: (K+1, 6) s, how much later they are.
-        after: (K+1, 6) bool, whether they are.
-        own: (K+1,) bool, poses of the window.
-    """
-    one, other = np.triu_indices(offsets.shape[1], 1)
-    slopes = (offsets[:, other] - offsets[:, one]) / (later[:, other] - later[:, one])[..., None]
-    level = offsets - jnp.median(slopes, axis=1)[:, None] * later[..., None]
-    line = jnp.median(level, axis=1)
-    scatter = jnp.median(jnp.linalg.norm(level - line[:, None], axis=-1), axis=1)
-    typical = jnp.nanmedian(jnp.where(own, scatter, jnp.nan))
-    rounding = 64 * jnp.finfo(offsets.dtype).eps * (1 + jnp.max(jnp.abs(offsets)))
-    outlying = jnp.linalg.norm(line, axis=-1) > _OUTLIER * jnp.maximum(scatter, typical) + rounding
-    sides = vmap(lambda side: jnp.nanmedian(jnp.where(side[..., None], offsets, jnp.nan), axis=1))
-    ahead, behind = sides(jnp.stack([after, ~after]))
-    return outlying & (jnp.sum(ahead * behind, axis=-1) > 0)
+def _lengths(x: Array) -> Array:
+    """Lengths of shifts and of rotations, (2, M, ...), of components (M, 9, ...)."""
+    groups = np.repeat(np.eye(2), (3, 6), axis=1)
+    # a sum over a leading axis is fast as a product
+    return jnp.sqrt(jnp.tensordot(jnp.asarray(groups, x.dtype), x * x, ((1,), (1,)), precision="highest"))
 
 
-def _unwrap(turns: jax.Array) -> jax.Array:
-    """Rotation vectors (K, M, 3), of the two for each rotation those on the side of the largest in its row.
-
-    Neighbours of a pose that is off by about a half turn are close to each other, their logarithms are not.
-    Rotations of less than a quarter turn stay as they are.
-    """
-    angles = jnp.linalg.norm(turns, axis=-1, keepdims=True)
-    largest = jnp.take_along_axis(turns, jnp.argmax(angles, axis=1)[..., None], axis=1)
-    others = turns * (1 - 2 * jnp.pi / jnp.where(angles == 0, 1, angles))
-    nearer = jnp.linalg.norm(others - largest, axis=-1) < jnp.linalg.norm(turns - largest, axis=-1)
-    return jnp.where(nearer[..., None] & (angles > jnp.pi / 2), others, turns)
+def _median_of_five(values: Array) -> Array:
+    a, b, c, d, e = values
+    low = jnp.maximum(jnp.minimum(a, b), jnp.minimum(c, d))
+    high = jnp.minimum(jnp.maximum(a, b), jnp.maximum(c, d))
+    return jnp.maximum(jnp.minimum(e, jnp.maximum(low, high)), jnp.minimum(low, high))
 
 
-def _fill(poses: jax.Array, times: jax.Array, counted: jax.Array) -> jax.Array:
-    """Poses that count as they are, others on the way between the nearest that do."""
-    here = np.arange(poses.shape[0], dtype=np.int32)
-    before = lax.cummax(jnp.where(counted, here, -1))
-    after = lax.cummin(jnp.where(counted, here, len(here)), reverse=True)
-    before, after = jnp.where(before < 0, after, before), jnp.where(after == len(here), before, after)
-    span = times[after] - times[before]
-    fraction = jnp.where(span > 0, (times - times[before]) / jnp.where(span > 0, span, 1), 0)
-    start, end = poses[before], poses[after]
-    turn = rotations.rotation_log(matmul(jnp.swapaxes(start[:, :3, :3], -1, -2), end[:, :3, :3]))
-    rotation = matmul(start[:, :3, :3], rotations.rotation_exp(fraction[:, None] * turn))
-    position = start[:, :3, 3] + fraction[:, None] * (end[:, :3, 3] - start[:, :3, 3])
-    filled = poses.at[np.s_[:, :3, :3]].set(rotation).at[np.s_[:, :3, 3]].set(position)
-    return jnp.where(counted[:, None, None], poses, filled)
+def _interpolate(x: Array, times: Array, counted: Array) -> Array:
+    """Components (C, P, N) of poses that count; others on the way between the nearest that do."""
+    number = x.shape[1]
+    here = jnp.arange(number, dtype=jnp.int32)[:, None]
+    before = lax.cummax(jnp.where(counted, here, -1), axis=0)
+    after = lax.cummin(jnp.where(counted, here, number), axis=0, reverse=True)
+    before, after = jnp.where(before < 0, after, before), jnp.where(after == number, before, after)
+    before, after = jnp.clip(before, 0, number - 1), jnp.clip(after, 0, number - 1)
+    start, end = (jnp.take_along_axis(times, place, axis=0) for place in (before, after))
+    part = jnp.where(end > start, (times - start) / jnp.where(end > start, end - start, 1), 0)
+    first, second = (jnp.take_along_axis(x, place[None], axis=1) for place in (before, after))
+    return jnp.where(counted, x, first + part * (second - first))
