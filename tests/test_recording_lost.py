@@ -165,6 +165,9 @@ def test_jumps_that_stay_are_noted(tmp_path: Path, rng: np.random.Generator) -> 
     rows[100:103, 1:4] += [0.9, 0, 0]
     (note,) = load_recording(write(tmp_path / "a.csv", HEADER, rows)).notes
     assert note.startswith("the pose jumps 0.91 m at line 102 and back at line 105; ")
+    rows[103:160, 1:4] += [0.9, 0, 0]  # while the body moves on
+    (note,) = load_recording(write(tmp_path / "a.csv", HEADER, rows)).notes
+    assert note.startswith("the pose jumps 0.91 m at line 102 and back at line 162; ")
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="needs the small inputs in ../shared/data/cases")

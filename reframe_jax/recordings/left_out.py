@@ -102,8 +102,8 @@ def note_jumps(rows: Rows, poses: np.ndarray) -> None:
         sentence = f"{_length(poses[here - 1], poses[here])} at {rows.word} {rows.where[here]}"
         if at + 1 < len(jumps):
             back = jumps[at + 1]
-            apart = [np.abs(poses[k] - poses[here - 1]).max() for k in (back, back - 1)]
-            if apart[0] < 0.5 * apart[1]:
+            to, fro = (poses[k] - poses[k - 1] for k in (here, back))
+            if np.linalg.norm(to + fro) < 0.5 * np.linalg.norm(to):
                 sentence += f" and back at {rows.word} {rows.where[back]}"
                 at += 1
         sentences.append(sentence)

@@ -10,7 +10,7 @@ import numpy as np
 
 from reframe_jax.recordings.readers.angles import angle_matrices
 from reframe_jax.recordings.readers.columns import find_columns
-from reframe_jax.recordings.readers.exports import find_delimiter, is_number, matrix_rows, split
+from reframe_jax.recordings.readers.exports import find_delimiter, is_number, matrix_rows, split, trim
 from reframe_jax.recordings.readers.lines import Collector, read_lines
 from reframe_jax.recordings.readers.reader import Reader
 from reframe_jax.recordings.readers.units import ANGLE_WORDS, LENGTH_WORDS, TIME_WORDS, split_unit
@@ -34,6 +34,7 @@ _ANGLES = {
     "y": r"(.*_)?(r_?y|rot(ation)?_(vector_|vec_)?y|(rotvec|euler|angle)_y|pitch)",
     "z": r"(.*_)?(r_?z|rot(ation)?_(vector_|vec_)?z|(rotvec|euler|angle)_z|yaw)",
 }
+_SINCE_1970 = 1e16  # ns; later times are stamps
 _NO_TIMES = "name their column t, or time [ms] in another unit, or give the sample time, dt (--dt)"
 
 
@@ -61,11 +62,16 @@ class _Header:
         """
         found = [i for i, name in enumerate(self.names) if re.fullmatch(pattern, name)]
         if self.body is not None and len(found) > 1:
-            found = [i for i in found if self.names[i].startswith(self.body)]
+            # of arrays of poses, the number is enough: 0 for field.poses0
+            word = f"[a-z]+{self.body}" if self.body.isdecimal() else re.escape(self.body)
+            part = re.compile(rf"(.*_)?{word}_.*")
+            found = [i for i in found if part.fullmatch(self.names[i])] or [
+                i for i in found if self.names[i].startswith(self.body)
+            ]
         if len(found) > 1:
             both = " and ".join(repr(shown(self.titles[i], 40)) for i in found[:2])
             raise RecordingError(
-                f"{self.path}: columns {both} mean the same; select one by the start of its name, "
+                f"{self.path}: columns {both} mean the same; select one by a part of its name, "
                 f"{flag('body')}, or rename all but one."
             )
         return found[0] if found else None
@@ -146,9 +152,9 @@ def _convert(rows: Rows, header: _Header, found: _Columns, wanted: Selection) ->
         raise RecordingError(f"{rows.path}: its header states another unit; leave out {flag('unit')}.")
     if found.time is not None:
         rows.seconds = header.unit([found.time], TIME_WORDS)
-        late = abs(float(rows.origin or 0)) > 1e16
-        if rows.seconds is None and header.names[found.time] in ("field_header_stamp", "time") and late:
-            rows.seconds = 1e-9 if any(name.startswith("field_") for name in header.names) else None
+        echoed = any(name.startswith("field_") for name in header.names)  # rostopic echo -p, in ns
+        if rows.seconds is None and echoed and abs(float(rows.origin or 0)) > _SINCE_1970:
+            rows.seconds = 1e-9
     if found.clock:
         rows.seconds = 1.0
     if found.kind == "rotation":
@@ -186,8 +192,7 @@ def _read_header(path: Path) -> tuple[list[str], Iterator[tuple[int, list[str]]]
     titles = split(text, delimiter)
     if len(titles) < 2:
         titles = split(text, find_delimiter(text))
-    while titles and not titles[-1]:
-        titles.pop()
+    titles = trim(titles)
     if not titles or is_number(titles[0]):
         raise RecordingError(
             f"{path}: line {number}: expected a header such as {HEADER}, or rows of 8 numbers (t x y z qx qy "
@@ -198,9 +203,7 @@ def _read_header(path: Path) -> tuple[list[str], Iterator[tuple[int, list[str]]]
         for line, row in chain(pending, lines):
             if row[0] in _COMMENT:
                 continue
-            cells = split(row, delimiter)
-            while len(cells) > len(titles) and not cells[-1]:
-                cells.pop()
+            cells = trim(split(row, delimiter), len(titles))
             if any(cells):
                 yield line, cells
 
@@ -211,8 +214,6 @@ def _first_row(lines: Iterator[tuple[int, str]]) -> tuple[list[tuple[int, str]],
     """The last comment at the start of a file, if any, and the line after it."""
     comments: list[tuple[int, str]] = []
     for line in lines:
-        if line[1].startswith("sep="):  # of spreadsheets
-            continue
         if line[1][0] not in _COMMENT or (not comments and "field." in line[1]):
             return comments, line
         comments = [line]
@@ -250,7 +251,7 @@ def _find_columns(header: _Header, wanted: Selection, first: list[str]) -> _Colu
     if position is not None and quaternion is not None:
         return _Columns(time, clock, position, quaternion, "quaternion")
     angles = header.all([*_ANGLES.values()])
-    if position is not None and angles is not None:
+    if position is not None and angles is not None and angles != position:  # p_RS_R_x
         if wanted.angles is None:
             listed = shown(", ".join(header.titles[i] for i in angles), 80)
             raise RecordingError(
