@@ -94,6 +94,13 @@ def test_frozen_poses_are_left_out(rng: np.random.Generator, length: int, start:
     assert set(found.reasons[start : start + length]) == {"end" if start + length == COUNT else "frozen"}
 
 
+@pytest.mark.parametrize("noise", [2e-4, 1e-3, 2e-3])
+def test_noise_does_not_hide_a_frozen_end(rng: np.random.Generator, noise: float) -> None:
+    rows = hinge(rng, noise)
+    rows[150:, 1:] = rows[149, 1:]
+    np.testing.assert_array_equal(find_lost_poses(poses_of(rows)).mask, np.arange(COUNT) >= 150)
+
+
 def test_a_frozen_orientation_is_no_pose_though_the_position_moves(rng: np.random.Generator) -> None:
     rows = hinge(rng)
     rows[100:140, 4:] = [0, 0, 0, 1]
