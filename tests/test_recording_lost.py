@@ -134,11 +134,13 @@ def test_motions_that_keep_a_number_are_poses(rng: np.random.Generator) -> None:
     ball, drawer, held = rows.copy(), rows.copy(), rows.copy()
     ball[:, 1:4], drawer[:, 4:] = 0, [0, 0, 0, 1]
     held[:, 1:] = np.repeat(rows[::4, 1:], 4, axis=0)
+    noisy = hinge(rng, 1e-3)
+    noisy[:, 1:] = np.repeat(noisy[::5, 1:], 5, axis=0)
     coarse = np.column_stack([rows[:, :1], np.round(rows[:, 1:4], 2), rows[:, 4:]])
     quantized, spikes = drawer.copy(), drawer.copy()
     quantized[rng.random(COUNT) < 0.5, 4:] = Rotation.from_rotvec([0, 0, 1e-3]).as_quat()
     spikes[5::9, 4:] = Rotation.from_rotvec(1e-6 * rng.normal(size=(len(spikes[5::9]), 3))).as_quat()
-    for motion in (ball, drawer, held, coarse, quantized, spikes):
+    for motion in (ball, drawer, held, noisy, coarse, quantized, spikes):
         assert not find_lost_poses(poses_of(motion), motion[:, 0]).mask.any()
 
 

@@ -28,6 +28,7 @@ _APART = 0.25  # distance of the origin from all positions over their spread, if
 _OTHERS = 3  # rows elsewhere, without which nothing is known of the path
 _FEW = 2000  # positions of which all distances are computed
 _REPEATS, _NOISY = 3, 0.002  # repeats at the end, and noise over a step, that make a frozen end
+_HELD = 3  # runs of repeats that are as long, of which the last one is no frozen end
 _PAST = 200  # rows that show noise and speed
 
 
@@ -275,10 +276,12 @@ def _frozen(paths: tuple[_Path, _Path]) -> np.ndarray:
     position, turn = paths
     kinds = np.full(len(position.zero), "", "U8")
     still = (position.steps == 0) & (turn.steps == 0)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))
-    for start, stop in edges.reshape(-1, 2):  # rows start + 1 to stop repeat row start
+    runs = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int))).reshape(-1, 2)
+    lengths = np.diff(runs, axis=1)[:, 0]
+    for start, stop in runs:  # rows start + 1 to stop repeat row start
         if stop == len(kinds) - 1:
-            if stop - start >= _REPEATS and any(_stops_dead(path, start) for path in paths):
+            held = np.sum(lengths >= stop - start) > _HELD  # as all samples are, written too often
+            if stop - start >= _REPEATS and not held and any(_stops_dead(path, start) for path in paths):
                 kinds[start + 1 :] = "end"
         elif any(_goes_on(path, start, stop) for path in paths):
             kinds[start + 1 : stop + 1] = "frozen"
