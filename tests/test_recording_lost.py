@@ -177,6 +177,11 @@ def test_jumps_that_stay_are_noted(tmp_path: Path, rng: np.random.Generator) -> 
     rows[103:160, 1:4] += [0.9, 0, 0]  # while the body moves on
     (note,) = load_recording(write(tmp_path / "a.csv", HEADER, rows)).notes
     assert note.startswith("the pose jumps 0.91 m at line 102 and back at line 162; ")
+    rows[160:, 1:4] += [0.9, 0, 0]
+    (note,) = load_recording(write(tmp_path / "a.csv", HEADER, rows)).notes
+    assert note.endswith(
+        "at line 102; if tracking was lost there, or a marker slipped, cut the recording there."
+    )
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="needs the small inputs in ../shared/data/cases")

@@ -96,7 +96,7 @@ def note_jumps(rows: Rows, poses: np.ndarray) -> None:
     jumps = np.flatnonzero(long_step) + 1
     if not 0 < len(jumps) <= _JUMPS:
         return
-    sentences, at = [], 0
+    sentences, at, all_return = [], 0, True
     while at < len(jumps):
         here = jumps[at]
         sentence = f"{_length(poses[here - 1], poses[here])} at {rows.word} {rows.where[here]}"
@@ -106,8 +106,8 @@ def note_jumps(rows: Rows, poses: np.ndarray) -> None:
             if np.linalg.norm(to + fro) < 0.5 * np.linalg.norm(to):
                 sentence += f" and back at {rows.word} {rows.where[back]}"
                 at += 1
+        all_return &= " and back " in sentence
         sentences.append(sentence)
         at += 1
-    rows.notes.append(
-        f"the pose jumps {', '.join(sentences)}; if tracking was lost there, remove these rows."
-    )
+    advice = "remove these rows" if all_return else "or a marker slipped, cut the recording there"
+    rows.notes.append(f"the pose jumps {', '.join(sentences)}; if tracking was lost there, {advice}.")

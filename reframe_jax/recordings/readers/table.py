@@ -264,8 +264,8 @@ def _find_columns(header: _Header, wanted: Selection, first: list[str]) -> _Colu
         *(("qx", "qy", "qz", "qw") if quaternion is None else ()),
     ]
     raise RecordingError(
-        f"{header.path}: no column for {', '.join(missing)}; expected a header such as {HEADER}, or the names "
-        f"of the columns, {flag('position')} and {flag('orientation')}; found "
+        f"{header.path}: no column for {', '.join(missing)}; expected a header such as {HEADER}, or names "
+        f"of columns, {flag('position')} and {flag('orientation')}; found "
         f"{shown(','.join(header.titles))}."
     )
 
