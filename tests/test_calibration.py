@@ -204,6 +204,22 @@ def test_the_command_finds_axes_and_says_what_is_wrong(
     assert len(err.splitlines()) == 2
 
 
+def test_the_command_says_that_a_continuous_motion_is_no_touches(
+    tmp_path: Path, capsys: Captured, rng: np.random.Generator
+) -> None:
+    angle = np.linspace(0, 9, 200)
+    turns = Rotation.from_rotvec(0.4 * np.column_stack([np.cos(angle), np.sin(1.7 * angle), 0 * angle]))
+    poses = np.tile(np.eye(4), (200, 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = turns.as_matrix(), -turns.apply(TIP)
+    file = file_of(tmp_path / "swing.csv", poses)
+    assert program.main(["calibrate", str(file)]) == 0
+    assert "intervals below are too small; compare them with reframe-jax identify --assume ball." in (
+        capsys.readouterr().err
+    )
+    assert program.main(["calibrate", str(file_of(tmp_path / "touches.csv", touches(rng, 25)))]) == 0
+    assert "continuous" not in capsys.readouterr().err
+
+
 @pytest.mark.skipif(not DATA.is_dir(), reason="needs the reported files, in ../shared/data/cases")
 def test_reported_touches() -> None:
     many, four = (rf.load_recording(DATA / f"tcp_{name}.csv").poses for name in ("touches_14", "four"))

@@ -12,6 +12,7 @@ from reframe_jax.cli.printing import print_error, print_result
 from reframe_jax.cli.reading import add_reading, expand, read_recording
 from reframe_jax.export.calibration import SCHEMA, calibration_to_record, calibration_to_table
 from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.recordings.rows import is_path
 
 __all__ = ["add_calibrate"]
 
@@ -23,6 +24,10 @@ A file holds one pose of the tool per row, at least four, in any order; its time
 play no part. Files without times need --dt 1. Rows that do not fit the others
 are named and left out.
 """
+_CONTINUOUS = (
+    "the poses are a continuous motion, in which errors of neighbours are alike: the intervals below are too "
+    "small; compare them with"
+)
 
 
 def add_calibrate(commands: Any) -> None:
@@ -66,6 +71,10 @@ def _calibrate_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
     except ValueError as error:
         problem = f"{path}: {error}"
     else:
+        if is_path(recording.poses[:, :3, 3]):
+            known = "hinge" if options.spin else "ball"
+            notes = (*notes, f"{_CONTINUOUS} reframe-jax identify --assume {known}.")
+            print_error(f"reframe-jax: {path}: {notes[-1]}")
         names: dict[str, Any] = {"label": str(path), "rows": recording.rows, "row_word": recording.row_word}
         if options.json != "-":
             print_result(calibration_to_table(found, **names), end="\n\n")
