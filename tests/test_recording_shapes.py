@@ -153,6 +153,35 @@ def test_rostopic_echo_of_several_poses(tmp_path: Path, rows: np.ndarray) -> Non
         same(load_recording(path, body=body), rows)
 
 
+def test_rows_of_units_and_headers_again(tmp_path: Path, rows: np.ndarray) -> None:
+    """As programs write units below the names, and as files that were joined repeat the header."""
+    cells = (rows * [1000, 100, 100, 100, 1, 1, 1, 1]).tolist()
+    for units in (["ms", "cm", "cm", "cm", "", "", "", ""], ["[ms]", *["[cm]"] * 3, *["[-]"] * 4]):
+        same(load_recording(text(tmp_path / "a.csv", ",".join(HEADER), [units, *cells])), rows)
+    joined = [*rows[:30].tolist(), HEADER, *rows[30:].tolist()]
+    same(load_recording(text(tmp_path / "a.csv", ",".join(HEADER), joined)), rows)
+
+
+def test_numbers_as_spreadsheets_and_typesetters_write_them(tmp_path: Path, rows: np.ndarray) -> None:
+    cells = [[f'"{value:.9f}"'.replace(".", ",") for value in row] for row in rows]
+    same(load_recording(text(tmp_path / "a.csv", ",".join(HEADER), cells)), rows)
+    cells = [[f"{value:.9f}".replace("-", "\u2212") for value in row] for row in rows]
+    same(load_recording(text(tmp_path / "b.csv", ",".join(HEADER), cells)), rows)
+
+
+def test_a_scalar_called_rw(tmp_path: Path, rows: np.ndarray) -> None:
+    for header in ("t,tx,ty,tz,rx,ry,rz,rw", "time,location_x,location_y,location_z,rx,ry,rz,rw"):
+        same(load_recording(text(tmp_path / "a.csv", header, rows)), rows)
+
+
+def test_frames_are_counted(tmp_path: Path, rows: np.ndarray) -> None:
+    cells = [[100 + k, *row[1:]] for k, row in enumerate(rows) if not 20 <= k < 30]
+    path = text(tmp_path / "a.csv", ",".join(["frame", *HEADER[1:]]), cells)
+    with pytest.raises(RecordingError, match="has no times; name their column t"):
+        load_recording(path)
+    same(load_recording(path, dt=0.02), np.delete(rows, range(20, 30), axis=0))
+
+
 def test_rostopic_echo_of_tf(tmp_path: Path, rows: np.ndarray) -> None:
     names = [f"translation.{axis}" for axis in "xyz"] + [f"rotation.{axis}" for axis in "xyzw"]
     header = ["%time", "field.transforms0.header.stamp", *(f"field.transforms0.transform.{n}" for n in names)]

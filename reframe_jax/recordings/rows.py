@@ -79,6 +79,13 @@ class Rows:
         self.left_out.append(LeftOut(np.sort(dropped), reason, why))
         self.take(mask)
 
+    def count_frames(self) -> None:
+        """Take the times as numbers of frames, which count sample times if they are whole and increase."""
+        numbers = np.empty(0) if self.times is None else self.times
+        if np.isfinite(numbers).all() and (numbers % 1 == 0).all() and (np.diff(numbers) > 0).all():
+            self.frames = numbers.astype(np.int64)
+        self.times = self.origin = None
+
     def take(self, rows: np.ndarray) -> None:
         """Keep some rows, of a mask or of indices, and their order."""
         for name in ("where", "values", "times", "wrenches", "frames"):

@@ -25,7 +25,7 @@ _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(e[-+]?\d+)?", re.IGNORECASE)
 
 
 def split(line: str, delimiter: str | None) -> list[str]:
-    """Cells of a line, stripped; decimal commas become points where commas do not separate.
+    """Cells of a line, stripped; decimal commas become points, in quotes if commas separate the cells.
 
     Args:
         line: the line.
@@ -35,7 +35,7 @@ def split(line: str, delimiter: str | None) -> list[str]:
         cells = line.split()
     else:
         cells = next(csv.reader([line], delimiter=delimiter)) if '"' in line else line.split(delimiter)
-    if delimiter != "," and "," in line:
+    if (delimiter != "," or '"' in line) and "," in line:
         cells = [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell.strip()) else cell for cell in cells]
     return [cell.strip() for cell in cells]
 

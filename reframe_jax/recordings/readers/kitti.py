@@ -5,8 +5,6 @@ KITTI-360 puts the number of the frame before them; others write all 16 numbers,
 
 from pathlib import Path
 
-import numpy as np
-
 from reframe_jax.recordings.readers.exports import find_delimiter, first_numbers, split, trim
 from reframe_jax.recordings.readers.lines import Collector, read_lines
 from reframe_jax.recordings.readers.reader import Reader
@@ -48,7 +46,7 @@ def read_kitti(path: Path, wanted: Selection) -> Rows:
     found = rows.rows()
     found.no_times = _NO_TIMES
     if found.times is not None and whole and found.origin is None:
-        found.frames, found.times = found.times.astype(np.int64), None
+        found.count_frames()
     return found
 
 

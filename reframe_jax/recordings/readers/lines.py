@@ -52,7 +52,7 @@ def read_lines(path: Path, blanks: str | None = None) -> Iterator[tuple[int, str
                     f"{path}: line {number}: is longer than {_LONGEST} characters; expected a row of numbers."
                 )
             if line.strip() and not (number == 1 and line.startswith(_SEPARATOR)):
-                yield number, line.strip(blanks)
+                yield number, line.strip(blanks).replace("\u2212", "-")  # the minus sign of typesetters
 
 
 def head_in_utf8(head: bytes) -> bytes:

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,13 @@ from reframe_jax.recordings.readers.columns import find_columns
 from reframe_jax.recordings.readers.exports import find_delimiter, is_number, matrix_rows, split, trim
 from reframe_jax.recordings.readers.lines import Collector, read_lines
 from reframe_jax.recordings.readers.reader import Reader
-from reframe_jax.recordings.readers.units import ANGLE_WORDS, LENGTH_WORDS, TIME_WORDS, split_unit
+from reframe_jax.recordings.readers.units import (
+    ANGLE_WORDS,
+    LENGTH_WORDS,
+    TIME_WORDS,
+    split_unit,
+    units_of_row,
+)
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import HEADER, Rows, shown
 from reframe_jax.recordings.selection import UNITS, Selection, flag
@@ -27,13 +33,14 @@ _TIMES = (
     r"t|times?|timestamps?|stamp|sec|secs|seconds|(elapsed_|ros_)?time",
 )
 _SECONDS, _NANOSECONDS = r"(.*_)?(stamp|timespec)_s(ecs?)?", r"(.*_)?(stamp|timespec)_n(ano)?s(ecs?)?"
-_POSITIONS = r"{axis}", r"(p_?|p_.+_|(.*_)?(pos(ition)?|translation)_){axis}"
+_POSITIONS = r"{axis}", r"(p_?|p_.+_|(.*_)?(pos(ition)?|loc(ation)?|translation)_){axis}"
 _QUATERNIONS = r"q_?{axis}", r"(q_.+_|(.*_)?(quat(ernion)?|orientation|rot(ation)?)_(q_?)?){axis}"
 _ANGLES = {
     "x": r"(.*_)?(r_?x|rot(ation)?_(vector_|vec_)?x|(rotvec|euler|angle)_x|roll)",
     "y": r"(.*_)?(r_?y|rot(ation)?_(vector_|vec_)?y|(rotvec|euler|angle)_y|pitch)",
     "z": r"(.*_)?(r_?z|rot(ation)?_(vector_|vec_)?z|(rotvec|euler|angle)_z|yaw)",
 }
+_FRAMES = r"frame(_?(number|num|no|nr|id|index|idx))?"
 _SINCE_1970 = 1e16  # ns; later times are stamps
 _NO_TIMES = "name their column t, or time [ms] in another unit, or give the sample time, dt (--dt)"
 
@@ -134,14 +141,18 @@ def read_table(path: Path, wanted: Selection) -> Rows:
     first = next(lines, (0, [""] * len(titles)))
     found = _find_columns(header, wanted, first[1])
     width = len(titles) + bool(found.clock)
-    time = len(titles) if found.clock else found.time
+    frame = header.find(_FRAMES) if found.time is None and not found.clock else None
+    time = len(titles) if found.clock else found.time if frame is None else frame
     rows = Collector(path, width, time, [*found.position, *found.orientation], _find_wrench(header))
     for number, cells in chain([first] if first[0] else [], lines):
         if found.clock and len(cells) == len(titles):
             seconds, nanoseconds = (cells[i] for i in found.clock)
             cells = [*cells, f"{seconds}.{nanoseconds.zfill(9)}" if seconds.isdecimal() else ""]
         rows.add(number, cells)
-    return _convert(rows.rows(), header, found, wanted)
+    collected = rows.rows()
+    if frame is not None:
+        collected.count_frames()
+    return _convert(collected, header, found, wanted)
 
 
 def _convert(rows: Rows, header: _Header, found: _Columns, wanted: Selection) -> Rows:
@@ -199,12 +210,19 @@ def _read_header(path: Path) -> tuple[list[str], Iterator[tuple[int, list[str]]]
             f"qz qw) or 12 (KITTI); found {len(titles)} numbers."
         )
 
+    header = [*titles]
+    units = units_of_row(trim(split(pending[0][1], delimiter)))
+    if units is not None:
+        pending.pop(0)
+        pairs = zip_longest(titles, units[: len(titles)], fillvalue="")
+        titles = [f"{title} [{unit}]" if unit else title for title, unit in pairs]
+
     def rows() -> Iterator[tuple[int, list[str]]]:
         for line, row in chain(pending, lines):
             if row[0] in _COMMENT:
                 continue
             cells = trim(split(row, delimiter), len(titles))
-            if any(cells):
+            if any(cells) and cells != header:  # which files that were joined repeat
                 yield line, cells
 
     return titles, rows()
@@ -237,7 +255,10 @@ def _find_columns(header: _Header, wanted: Selection, first: list[str]) -> _Colu
         position = _first(header, (r"(.*_)?t_?{axis}",), "xyz")
     quaternion = _first(header, _QUATERNIONS, "xyzw")
     if quaternion is None:
-        quaternion = header.all(["q_?x", "q_?y", "q_?z", "q_?[0o]"])  # NDI calls the scalar Q0
+        # NDI calls the scalar Q0; rx is a part of a quaternion where there is rw too
+        quaternion = header.all(["q_?x", "q_?y", "q_?z", "q_?[0o]"]) or header.all(
+            [f"r_?{a}" for a in "xyzw"]
+        )
     if position is not None and quaternion is None:
         quaternion = header.all([f"q(uat)?_?{i}" for i in range(4)])
         if quaternion is not None and wanted.quaternion is None:
