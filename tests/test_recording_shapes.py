@@ -184,7 +184,11 @@ def test_frames_are_counted(tmp_path: Path, rows: np.ndarray) -> None:
 
 def test_rostopic_echo_of_tf(tmp_path: Path, rows: np.ndarray) -> None:
     names = [f"translation.{axis}" for axis in "xyz"] + [f"rotation.{axis}" for axis in "xyzw"]
-    header = ["%time", "field.transforms0.header.stamp", *(f"field.transforms0.transform.{n}" for n in names)]
+    header = [
+        "%time",
+        "field.transforms0.header.stamp",
+        *(f"field.transforms0.transform.{name}" for name in names),
+    ]
     cells = [[int(stamp) + 7000, stamp, *row[1:]] for stamp, row in zip(stamps(rows), rows, strict=True)]
     same(load_recording(text(tmp_path / "a.csv", ",".join(header), cells)), rows)
 

@@ -79,7 +79,7 @@ def _length(before: np.ndarray, after: np.ndarray) -> str:
     turned = float(np.linalg.norm(rotation_vectors(after[:3, :3] @ before[:3, :3].T)))
     if moved < 0.2 * turned * 0.3 or moved == 0:  # against a body of 0.3 m
         return f"{np.degrees(turned):.2g} deg"
-    return f"{moved:.2g} m" if moved >= 0.1 else f"{1e3 * moved:.2g} mm"
+    return f"{float(f'{moved:.2g}'):g} m" if moved >= 0.1 else f"{1e3 * moved:.2g} mm"
 
 
 def note_jumps(rows: Rows, poses: np.ndarray) -> None:
