@@ -204,6 +204,17 @@ def test_the_command_finds_axes_and_says_what_is_wrong(
     assert len(err.splitlines()) == 3  # with a note that times 1 s apart may be in ms
 
 
+def test_the_command_needs_no_times(tmp_path: Path, capsys: Captured, rng: np.random.Generator) -> None:
+    poses = touches(rng, 8)
+    rows = np.column_stack([poses[:, :3, 3], Rotation.from_matrix(poses[:, :3, :3]).as_quat()])
+    for name, rows_of in (("a.csv", rows), ("b.csv", np.column_stack([np.zeros(8), rows]))):
+        file = write(tmp_path / name, HEADER[8 - rows_of.shape[1] :], rows_of)
+        assert program.main(["calibrate", str(file)]) == 0
+        out, err = capsys.readouterr()
+        assert "8 of 8 poses used" in out
+        assert "no times" not in err
+
+
 def test_the_command_says_that_a_continuous_motion_is_no_touches(
     tmp_path: Path, capsys: Captured, rng: np.random.Generator
 ) -> None:
