@@ -227,11 +227,7 @@ def _rows(path: Path, samples: _Samples, static: bool = False) -> Rows:
     rows.times = stamps
     if not static:
         rows.keep(stamps != 0, "their stamp is 0", "missing")
-    order = np.argsort(rows.times, kind="stable")
-    if late := int(np.sum(np.diff(rows.times) < 0)):
-        rows.notes.append(f"{late} messages came after later ones; all are sorted by their stamps.")
-        rows.take(order)
-    first = int(rows.times[0])
+    first = int(rows.times.min())
     rows.origin = f"{first // 10**9}.{first % 10**9:09d}" if first else None
     rows.times = 1e-9 * (rows.times - first)
     return rows

@@ -40,7 +40,7 @@ _ANGLES = {
     "y": r"(.*_)?(r_?y|rot(ation)?_(vector_|vec_)?y|(rotvec|euler|angle)_y|pitch)",
     "z": r"(.*_)?(r_?z|rot(ation)?_(vector_|vec_)?z|(rotvec|euler|angle)_z|yaw)",
 }
-_FRAMES = r"frame(_?(number|num|no|nr|id|index|idx))?"
+_FRAMES = r"frame(_?(number|num|no|nr|index|idx))?"
 _SINCE_1970 = 1e16  # ns; later times are stamps
 _NO_TIMES = "name their column t, or time [ms] in another unit, or give the sample time, dt (--dt)"
 
@@ -142,6 +142,8 @@ def read_table(path: Path, wanted: Selection) -> Rows:
     found = _find_columns(header, wanted, first[1])
     width = len(titles) + bool(found.clock)
     frame = header.find(_FRAMES) if found.time is None and not found.clock else None
+    if frame is not None and not "".join(first[1][frame : frame + 1]).isdecimal():
+        frame = None  # a name
     time = len(titles) if found.clock else found.time if frame is None else frame
     rows = Collector(path, width, time, [*found.position, *found.orientation], _find_wrench(header))
     for number, cells in chain([first] if first[0] else [], lines):
