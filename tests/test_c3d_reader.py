@@ -153,7 +153,10 @@ def test_frames_without_markers_are_dropped(tmp_path: Path, poses: np.ndarray) -
     points["rod:2"][5] = 0
     recording = load_recording(write_c3d(tmp_path / "a.c3d", points))
     np.testing.assert_allclose(recording.poses, np.delete(as_fitted(poses), 3, axis=0), atol=FINE)
-    assert recording.notes[-1] == "frame 3 left out: a number is missing or not finite."
+    assert (
+        recording.notes[-1]
+        == "frame 3 left out: fewer than three markers of the body are seen, or all of them are on a line."
+    )
 
 
 def test_markers_that_are_on_no_body(tmp_path: Path, poses: np.ndarray, rng: np.random.Generator) -> None:

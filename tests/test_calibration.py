@@ -201,7 +201,34 @@ def test_the_command_finds_axes_and_says_what_is_wrong(
     assert program.main(["calibrate", str(file), str(tmp_path / "none.csv")]) == 1
     _, err = capsys.readouterr()
     assert "spin.csv: The rotations do not determine the tip along" in err
-    assert len(err.splitlines()) == 2
+    assert len(err.splitlines()) == 3  # with a note that times 1 s apart may be in ms
+
+
+def test_the_command_needs_no_times(tmp_path: Path, capsys: Captured, rng: np.random.Generator) -> None:
+    poses = touches(rng, 8)
+    rows = np.column_stack([poses[:, :3, 3], Rotation.from_matrix(poses[:, :3, :3]).as_quat()])
+    for name, rows_of in (("a.csv", rows), ("b.csv", np.column_stack([np.zeros(8), rows]))):
+        file = write(tmp_path / name, HEADER[8 - rows_of.shape[1] :], rows_of)
+        assert program.main(["calibrate", str(file)]) == 0
+        out, err = capsys.readouterr()
+        assert "8 of 8 poses used" in out
+        assert "no times" not in err
+
+
+def test_the_command_says_that_a_continuous_motion_is_no_touches(
+    tmp_path: Path, capsys: Captured, rng: np.random.Generator
+) -> None:
+    angle = np.linspace(0, 9, 200)
+    turns = Rotation.from_rotvec(0.4 * np.column_stack([np.cos(angle), np.sin(1.7 * angle), 0 * angle]))
+    poses = np.tile(np.eye(4), (200, 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = turns.as_matrix(), -turns.apply(TIP)
+    file = file_of(tmp_path / "swing.csv", poses)
+    assert program.main(["calibrate", str(file)]) == 0
+    assert "intervals below are too small; compare them with reframe-jax identify --assume ball." in (
+        capsys.readouterr().err
+    )
+    assert program.main(["calibrate", str(file_of(tmp_path / "touches.csv", touches(rng, 25)))]) == 0
+    assert "continuous" not in capsys.readouterr().err
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="needs the reported files, in ../shared/data/cases")

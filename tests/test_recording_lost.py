@@ -94,6 +94,13 @@ def test_frozen_poses_are_left_out(rng: np.random.Generator, length: int, start:
     assert set(found.reasons[start : start + length]) == {"end" if start + length == COUNT else "frozen"}
 
 
+@pytest.mark.parametrize("noise", [2e-4, 1e-3, 2e-3])
+def test_noise_does_not_hide_a_frozen_end(rng: np.random.Generator, noise: float) -> None:
+    rows = hinge(rng, noise)
+    rows[150:, 1:] = rows[149, 1:]
+    np.testing.assert_array_equal(find_lost_poses(poses_of(rows)).mask, np.arange(COUNT) >= 150)
+
+
 def test_a_frozen_orientation_is_no_pose_though_the_position_moves(rng: np.random.Generator) -> None:
     rows = hinge(rng)
     rows[100:140, 4:] = [0, 0, 0, 1]
@@ -127,11 +134,13 @@ def test_motions_that_keep_a_number_are_poses(rng: np.random.Generator) -> None:
     ball, drawer, held = rows.copy(), rows.copy(), rows.copy()
     ball[:, 1:4], drawer[:, 4:] = 0, [0, 0, 0, 1]
     held[:, 1:] = np.repeat(rows[::4, 1:], 4, axis=0)
+    noisy = hinge(rng, 1e-3)
+    noisy[:, 1:] = np.repeat(noisy[::5, 1:], 5, axis=0)
     coarse = np.column_stack([rows[:, :1], np.round(rows[:, 1:4], 2), rows[:, 4:]])
     quantized, spikes = drawer.copy(), drawer.copy()
     quantized[rng.random(COUNT) < 0.5, 4:] = Rotation.from_rotvec([0, 0, 1e-3]).as_quat()
     spikes[5::9, 4:] = Rotation.from_rotvec(1e-6 * rng.normal(size=(len(spikes[5::9]), 3))).as_quat()
-    for motion in (ball, drawer, held, coarse, quantized, spikes):
+    for motion in (ball, drawer, held, noisy, coarse, quantized, spikes):
         assert not find_lost_poses(poses_of(motion), motion[:, 0]).mask.any()
 
 
@@ -165,6 +174,14 @@ def test_jumps_that_stay_are_noted(tmp_path: Path, rng: np.random.Generator) -> 
     rows[100:103, 1:4] += [0.9, 0, 0]
     (note,) = load_recording(write(tmp_path / "a.csv", HEADER, rows)).notes
     assert note.startswith("the pose jumps 0.91 m at line 102 and back at line 105; ")
+    rows[103:160, 1:4] += [0.9, 0, 0]  # while the body moves on
+    (note,) = load_recording(write(tmp_path / "a.csv", HEADER, rows)).notes
+    assert note.startswith("the pose jumps 0.91 m at line 102 and back at line 162; ")
+    rows[160:, 1:4] += [0.9, 0, 0]
+    (note,) = load_recording(write(tmp_path / "a.csv", HEADER, rows)).notes
+    assert note.endswith(
+        "at line 102; if tracking was lost there, or a marker slipped, cut the recording there."
+    )
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="needs the small inputs in ../shared/data/cases")

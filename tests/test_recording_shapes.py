@@ -1,5 +1,6 @@
 """Files in the shapes that trackers, robots and data sets write, and the units and orders they come in."""
 
+import datetime
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -148,7 +149,64 @@ def test_rostopic_echo_of_several_poses(tmp_path: Path, rows: np.ndarray) -> Non
     path = text(tmp_path / "a.csv", ",".join(header), cells)
     with pytest.raises(RecordingError, match=r"mean the same; select one .*body \(--body\)"):
         load_recording(path)
-    same(load_recording(path, body="field.poses0"), rows)
+    for body in ("field.poses0", "poses0", "0"):
+        same(load_recording(path, body=body), rows)
+
+
+def test_rows_of_units_and_headers_again(tmp_path: Path, rows: np.ndarray) -> None:
+    """As programs write units below the names, and as files that were joined repeat the header."""
+    cells = (rows * [1000, 100, 100, 100, 1, 1, 1, 1]).tolist()
+    for units in (["ms", "cm", "cm", "cm", "", "", "", ""], ["[ms]", *["[cm]"] * 3, *["[-]"] * 4]):
+        same(load_recording(text(tmp_path / "a.csv", ",".join(HEADER), [units, *cells])), rows)
+    joined = [*rows[:30].tolist(), HEADER, *rows[30:].tolist()]
+    same(load_recording(text(tmp_path / "a.csv", ",".join(HEADER), joined)), rows)
+
+
+def test_numbers_as_spreadsheets_and_typesetters_write_them(tmp_path: Path, rows: np.ndarray) -> None:
+    cells = [[f'"{value:.9f}"'.replace(".", ",") for value in row] for row in rows]
+    same(load_recording(text(tmp_path / "a.csv", ",".join(HEADER), cells)), rows)
+    cells = [[f"{value:.9f}".replace("-", "\u2212") for value in row] for row in rows]
+    same(load_recording(text(tmp_path / "b.csv", ",".join(HEADER), cells)), rows)
+
+
+def test_a_scalar_called_rw(tmp_path: Path, rows: np.ndarray) -> None:
+    for header in ("t,tx,ty,tz,rx,ry,rz,rw", "time,location_x,location_y,location_z,rx,ry,rz,rw"):
+        same(load_recording(text(tmp_path / "a.csv", header, rows)), rows)
+
+
+def test_frames_are_counted(tmp_path: Path, rows: np.ndarray) -> None:
+    cells = [[100 + k, *row[1:]] for k, row in enumerate(rows) if not 20 <= k < 30]
+    path = text(tmp_path / "a.csv", ",".join(["frame", *HEADER[1:]]), cells)
+    with pytest.raises(RecordingError, match="has no times; name their column t"):
+        load_recording(path)
+    same(load_recording(path, dt=0.02), np.delete(rows, range(20, 30), axis=0))
+
+
+def test_rostopic_echo_of_tf(tmp_path: Path, rows: np.ndarray) -> None:
+    names = [f"translation.{axis}" for axis in "xyz"] + [f"rotation.{axis}" for axis in "xyzw"]
+    header = [
+        "%time",
+        "field.transforms0.header.stamp",
+        *(f"field.transforms0.transform.{name}" for name in names),
+    ]
+    cells = [[int(stamp) + 7000, stamp, *row[1:]] for stamp, row in zip(stamps(rows), rows, strict=True)]
+    same(load_recording(text(tmp_path / "a.csv", ",".join(header), cells)), rows)
+
+
+def test_a_file_of_positions_alone_says_what_is_missing(tmp_path: Path, rows: np.ndarray) -> None:
+    header = "#timestamp [ns], " + ", ".join(f"p_RS_R_{axis} [m]" for axis in "xyz")
+    cells = [[stamp, *row[1:4]] for stamp, row in zip(stamps(rows), rows, strict=True)]
+    with pytest.raises(RecordingError, match="no column for qx, qy, qz, qw"):
+        load_recording(text(tmp_path / "a.csv", header, cells))
+
+
+def test_dates_as_times(tmp_path: Path, rows: np.ndarray) -> None:
+    start = datetime.datetime(2024, 2, 29, 23, 59, 59, 900_000)
+    steps = [datetime.timedelta(seconds=float(time)) for time in rows[:, 0]]
+    cells = [[str(start + step), *row[1:]] for step, row in zip(steps, rows, strict=True)]
+    recording = load_recording(text(tmp_path / "a.csv", ",".join(HEADER), cells))
+    same(recording, rows)
+    assert recording.origin == "1709251199.900000"
 
 
 def test_seconds_and_nanoseconds(tmp_path: Path, rows: np.ndarray) -> None:
@@ -166,6 +224,20 @@ def test_stamps_that_nobody_set_in_rostopic_echo(tmp_path: Path, rows: np.ndarra
     )
     cells = [[stamp, 0, *row[1:]] for stamp, row in zip(stamps(rows), rows, strict=True)]
     same(load_recording(text(tmp_path / "a.csv", header, cells)), rows)
+
+
+def test_times_that_are_all_zero_were_never_set(tmp_path: Path, rows: np.ndarray) -> None:
+    path = text(tmp_path / "a.csv", "", [[0, 0, "map", *row[1:]] for row in rows])
+    with pytest.raises(RecordingError, match=r"all of its times are 0, .* sample time, dt \(--dt\)"):
+        load_recording(path)
+    same(load_recording(path, dt=0.02), rows)
+
+
+def test_numbers_in_another_order_are_no_lost_tracking(tmp_path: Path, rows: np.ndarray) -> None:
+    by_column = poses_of(rows).swapaxes(1, 2).reshape(-1, 16)
+    with pytest.raises(RecordingError, match=r"also in 59 of the other 59 rows: .* another order") as caught:
+        load_recording(text(tmp_path / "a.txt", "", by_column, " "), dt=0.02)
+    assert "delete" not in str(caught.value)
 
 
 @pytest.mark.parametrize("frames", [["map"], ["map", "tool"]])
@@ -221,7 +293,23 @@ def test_arrays_of_poses(tmp_path: Path, rows: np.ndarray, name: str) -> None:
             ):
                 load_recording(path)
             same(load_recording(path, body="1"), np.column_stack([rows[:, :1], rows[::-1, 1:]]))
+            with pytest.raises(RecordingError, match=r"give the number of one, body \(--body\), from 0 to 1"):
+                load_recording(path, body="2")
         same(load_recording(path, body="0" if count == 2 else None), rows)
+
+
+def test_arrays_without_a_pose_are_left_out(tmp_path: Path, rows: np.ndarray) -> None:
+    messages, kind, samples = Messages("a.mcap"), "geometry_msgs/msg/PoseArray", []
+    for k, pose in enumerate(poses_of(rows)):
+        stamp = START + k * STEP
+        plain = [] if 20 <= k < 25 else [messages.pose(POSE, stamp, pose).pose]
+        header = messages.header(0 if k == 40 else stamp, "map")
+        samples.append(("/a", kind, messages.make(kind, header=header, poses=plain), stamp))
+    recording = load_recording(write_bag(tmp_path, "a.mcap", samples))
+    gone = [40, *range(20, 25)]
+    np.testing.assert_allclose(recording.poses, poses_of(np.delete(rows, gone, axis=0)), atol=1e-9)
+    assert [row for each in recording.left_out for row in each.rows] == gone
+    assert recording.left_out[0].why == "their stamp is 0"
 
 
 @pytest.mark.parametrize("name", ["a.bag", "a.mcap"])
@@ -268,10 +356,20 @@ def test_motive_from_a_spreadsheet(tmp_path: Path, rows: np.ndarray) -> None:
         wide = max(line.count(",") for line in lines)
         lines = [line + "," * (wide - line.count(",")) for line in lines]
         saved = [line.replace(",", ";").replace(".", ",") for line in lines]
-        (tmp_path / "a.csv").write_text("\ufeff" + "\r\n".join(saved))
-        recording = load_recording(tmp_path / "a.csv")
-        same(recording, np.delete(rows, 3, axis=0), atol=1e-7)
-        assert recording.left_out[0].reason == "missing"
+        saved[0] = saved[0].replace("Take 2024", "Türgriff 2024")
+        for first, encoding in (("", "utf-8-sig"), ("", "cp1252"), ("", "utf-16"), ("sep=;\r\n", "utf-8")):
+            (tmp_path / "a.csv").write_bytes((first + "\r\n".join(saved)).encode(encoding))
+            recording = load_recording(tmp_path / "a.csv")
+            same(recording, np.delete(rows, 3, axis=0), atol=1e-7)
+            assert recording.left_out[0].reason == "missing"
+
+
+def test_motive_without_markers_ends_with_a_column_without_an_axis(tmp_path: Path, rows: np.ndarray) -> None:
+    lines = motive({"Rod": poses_of(rows)}, rate=50).splitlines()
+    (tmp_path / "a.csv").write_text("\n".join(",".join(line.split(",")[:10]) for line in lines[1:]))
+    first = lines[0] + "\n"
+    (tmp_path / "a.csv").write_text(first + (tmp_path / "a.csv").read_text())
+    same(load_recording(tmp_path / "a.csv"), rows, atol=1e-7)
 
 
 def trc(points: np.ndarray, labels: list[str], unit: str = "mm", rate: float = 50) -> str:

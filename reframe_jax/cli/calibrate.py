@@ -11,7 +11,8 @@ from reframe_jax.cli.outputs import check_file, write_document
 from reframe_jax.cli.printing import print_error, print_result
 from reframe_jax.cli.reading import add_reading, expand, read_recording
 from reframe_jax.export.calibration import SCHEMA, calibration_to_record, calibration_to_table
-from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.recordings.recording import NoTimesError, RecordingError
+from reframe_jax.recordings.rows import is_path
 
 __all__ = ["add_calibrate"]
 
@@ -19,10 +20,13 @@ _CALIBRATE = """\
 Calibrate a tool: find its tip from touches of one point (pivot calibration), or
 its axis from turns about itself (--spin).
 
-A file holds one pose of the tool per row, at least four, in any order; its times
-play no part. Files without times need --dt 1. Rows that do not fit the others
-are named and left out.
+A file holds one pose of the tool per row, at least four, in any order; times are
+not needed. Rows that do not fit the others are named and left out.
 """
+_CONTINUOUS = (
+    "the poses are a continuous motion, in which errors of neighbours are alike: the intervals below are too "
+    "small; compare them with"
+)
 
 
 def add_calibrate(commands: Any) -> None:
@@ -58,7 +62,10 @@ def _calibrate_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
     """Calibrate and print one recording; returns its entry in the JSON document."""
     notes: tuple[str, ...] = ()
     try:
-        recording = read_recording(path, options)
+        try:
+            recording = read_recording(path, options)
+        except NoTimesError:  # which play no part
+            recording = read_recording(path, argparse.Namespace(**{**vars(options), "dt": 1.0}))
         notes = recording.notes
         found = calibrate(recording.poses, spin=options.spin)
     except RecordingError as error:
@@ -66,6 +73,10 @@ def _calibrate_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
     except ValueError as error:
         problem = f"{path}: {error}"
     else:
+        if is_path(recording.poses[:, :3, 3]):
+            known = "hinge" if options.spin else "ball"
+            notes = (*notes, f"{_CONTINUOUS} reframe-jax identify --assume {known}.")
+            print_error(f"reframe-jax: {path}: {notes[-1]}")
         names: dict[str, Any] = {"label": str(path), "rows": recording.rows, "row_word": recording.row_word}
         if options.json != "-":
             print_result(calibration_to_table(found, **names), end="\n\n")

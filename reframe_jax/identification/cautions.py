@@ -75,7 +75,8 @@ def caution_sentences(
     if Caution.FEW_VELOCITIES in found:
         sentences.append(
             f"The window has only {velocities} velocities: with {_FEW} or fewer, many windows are identified "
-            "wrongly. Take longer windows."
+            "wrongly. Take longer windows; for separate touches of one point, use reframe-jax calibrate "
+            "(rf.calibrate)."
         )
     if Caution.UNORDERED in found:
         sentences.append(

@@ -83,7 +83,8 @@ def take_poses(poses: Any) -> Any:
     if poses.shape[-3] <= MIN_VELOCITIES:
         raise ValueError(
             f"A window needs at least {MIN_VELOCITIES + 1} poses, that is {MIN_VELOCITIES} velocities; "
-            f"this one has {poses.shape[-3]}."
+            f"this one has {poses.shape[-3]}. Four touches of one point suffice for reframe-jax calibrate "
+            "(rf.calibrate)."
         )
     return poses
 

@@ -19,7 +19,7 @@ _VEHICLE, _HAND = 20.0, 50.0  # m/s^2: what a vehicle stays below, and what a ha
 _OVER = 0.5  # s, over which accelerations are taken, so that noise does not count
 _MANY = 30  # rows, from which on accelerations say something
 _SMALL = 3.0  # numbers in mm or cm that span less were probably metres
-_FASTEST, _FAST = 50.0, 10.0  # rad/s, of angles that are refused, and of those that are worth a note
+_FASTEST, _FAST = 30.0, 8.0  # rad/s, of angles that are refused, and of those that are worth a note
 _ROTATION_ERROR = 1e-4, 1e-2  # worth a note, since printing rounds off less; and refused
 _STALE = 0.05  # fraction of repeated poses that is worth a note
 _BLOCK = 2**14  # rows worked on at once, so that intermediate values stay small
@@ -30,7 +30,7 @@ def drop_unfinished(rows: Rows) -> None:
     finite = np.isfinite(rows.values).all(axis=1)
     if rows.times is not None:
         finite &= np.isfinite(rows.times)
-    rows.keep(finite, "a number is missing or not finite", "missing")
+    rows.keep(finite, rows.missing, "missing")
     if rows.values.shape[1] == 7:
         turned = (rows.values[:, 3:] != 0).any(axis=1)
     else:
@@ -76,7 +76,9 @@ def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> np.ndar
     change = _acceleration(positions, times) if times is not None else 0.0
     span = float(np.linalg.norm(np.ptp(positions, axis=0)))
     advice = (
-        "give unit='mm' (--unit mm)" if rows.metres is None else "the file states another unit: correct it"
+        "give unit='mm' (--unit mm), for cm unit='cm'"
+        if rows.metres is None
+        else "the file states another unit: correct it"
     )
     if distant.any():
         if not change <= _VEHICLE:
@@ -116,7 +118,7 @@ def check_turns(rows: Rows, poses: np.ndarray, wanted: Selection) -> None:
     """Refuse angles in radians if a body turns as none does.
 
     Raises:
-        RecordingError: if half of the steps are faster than 50 rad/s.
+        RecordingError: if half of the steps are faster than 30 rad/s.
     """
     if not rows.angles or wanted.angle_unit is not None or len(poses) < 3 or rows.times is None:
         return
@@ -169,7 +171,14 @@ def _judge(rows: Rows, error: np.ndarray, what: str) -> None:
     if not len(error):
         return
     row, (noted, refused) = int(np.argmax(error)), _ROTATION_ERROR
-    if not error[row] <= refused:
+    wrong = int(np.sum(~(error <= refused)))
+    if wrong > len(error) / 2:
+        raise rows.error(
+            row,
+            f"expected {what}, also in {wrong - 1} of the other {len(error) - 1} rows: the numbers are in "
+            "another order, or mean something else.",
+        )
+    if wrong:
         raise rows.error(row, f"expected {what}; delete the row if tracking was lost there.")
     if error[row] > noted:
         rows.notes.append(f"rotations were repaired: up to {error[row]:.1g} away from {what}.")

@@ -4,13 +4,13 @@ from decimal import Decimal
 
 import numpy as np
 
-from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.recordings.recording import NoTimesError, RecordingError
 from reframe_jax.recordings.rows import Rows, is_path
 from reframe_jax.recordings.selection import TIME_UNITS, Selection, flag
 
 __all__ = ["drop_equal_times", "make_times", "sort_times"]
 
-_SLOW = 1.0, 1e3  # s between samples: worth a note if they are a path, and refused
+_SLOW = 0.9, 1e3  # s between samples: worth a note if they are a path, and refused
 _SINCE_1970 = {"ns": 1e16, "us": 1e13, "ms": 1e10}  # in s, what stamps of these units look like
 _PER_STEP = {"ns": 1e5, "us": 1e2, "ms": 0.0}  # s, the shortest step that such stamps look like
 _COARSE = 0.5  # part of the rows that share their time, above which the times are rounded
@@ -31,7 +31,7 @@ def make_times(rows: Rows, dt: float | None, wanted: Selection) -> None:
         rows.times, rows.origin = count * float(dt), None
         return
     if rows.times is None:
-        raise RecordingError(f"{rows.path}: has no times; {rows.no_times}.")
+        raise NoTimesError(f"{rows.path}: has no times; {rows.no_times}.")
     if rows.seconds is not None and wanted.time_unit is not None:
         raise RecordingError(f"{rows.path}: states the unit of its times; leave out {flag('time_unit')}.")
     factor = rows.seconds or TIME_UNITS[wanted.time_unit or "s"]
@@ -119,6 +119,10 @@ def drop_equal_times(rows: Rows) -> None:
     first = np.maximum.accumulate(np.where(again, 0, np.arange(len(again))))
     same = again & (rows.values == rows.values[first]).all(axis=1)
     other = again & ~same
+    if other.any() and not rows.times.any() and rows.origin is None:
+        raise NoTimesError(
+            f"{rows.path}: all of its times are 0, so that nobody set them; give the sample time, dt (--dt)."
+        )
     if other.sum() > _COARSE * len(again):
         raise RecordingError(
             f"{rows.path}: its {len(again)} rows have only {int(np.sum(~again))} different times; the times "

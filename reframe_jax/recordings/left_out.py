@@ -79,7 +79,7 @@ def _length(before: np.ndarray, after: np.ndarray) -> str:
     turned = float(np.linalg.norm(rotation_vectors(after[:3, :3] @ before[:3, :3].T)))
     if moved < 0.2 * turned * 0.3 or moved == 0:  # against a body of 0.3 m
         return f"{np.degrees(turned):.2g} deg"
-    return f"{moved:.2g} m" if moved >= 0.1 else f"{1e3 * moved:.2g} mm"
+    return f"{float(f'{moved:.2g}'):g} m" if moved >= 0.1 else f"{1e3 * moved:.2g} mm"
 
 
 def note_jumps(rows: Rows, poses: np.ndarray) -> None:
@@ -96,18 +96,18 @@ def note_jumps(rows: Rows, poses: np.ndarray) -> None:
     jumps = np.flatnonzero(long_step) + 1
     if not 0 < len(jumps) <= _JUMPS:
         return
-    sentences, at = [], 0
+    sentences, at, all_return = [], 0, True
     while at < len(jumps):
         here = jumps[at]
         sentence = f"{_length(poses[here - 1], poses[here])} at {rows.word} {rows.where[here]}"
         if at + 1 < len(jumps):
             back = jumps[at + 1]
-            apart = [np.abs(poses[k] - poses[here - 1]).max() for k in (back, back - 1)]
-            if apart[0] < 0.5 * apart[1]:
+            to, fro = (poses[k] - poses[k - 1] for k in (here, back))
+            if np.linalg.norm(to + fro) < 0.5 * np.linalg.norm(to):
                 sentence += f" and back at {rows.word} {rows.where[back]}"
                 at += 1
+        all_return &= " and back " in sentence
         sentences.append(sentence)
         at += 1
-    rows.notes.append(
-        f"the pose jumps {', '.join(sentences)}; if tracking was lost there, remove these rows."
-    )
+    advice = "remove these rows" if all_return else "or a marker slipped, cut the recording there"
+    rows.notes.append(f"the pose jumps {', '.join(sentences)}; if tracking was lost there, {advice}.")

@@ -28,6 +28,8 @@ _APART = 0.25  # distance of the origin from all positions over their spread, if
 _OTHERS = 3  # rows elsewhere, without which nothing is known of the path
 _FEW = 2000  # positions of which all distances are computed
 _REPEATS, _NOISY = 3, 0.002  # repeats at the end, and noise over a step, that make a frozen end
+_HELD = 3  # runs of repeats that are as long, of which the last one is no frozen end
+_PAST = 200  # rows that show noise and speed
 
 
 @dataclass(frozen=True)
@@ -274,12 +276,14 @@ def _frozen(paths: tuple[_Path, _Path]) -> np.ndarray:
     position, turn = paths
     kinds = np.full(len(position.zero), "", "U8")
     still = (position.steps == 0) & (turn.steps == 0)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))
-    for start, stop in edges.reshape(-1, 2):  # rows start + 1 to stop repeat row start
+    runs = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int))).reshape(-1, 2)
+    lengths = np.diff(runs, axis=1)[:, 0]
+    for start, stop in runs:  # rows start + 1 to stop repeat row start
         if stop == len(kinds) - 1:
-            if stop - start >= _REPEATS and any(_stops_dead(path, start) for path in (position, turn)):
+            held = np.sum(lengths >= stop - start) > _HELD  # as all samples are, written too often
+            if stop - start >= _REPEATS and not held and any(_stops_dead(path, start) for path in paths):
                 kinds[start + 1 :] = "end"
-        elif any(_goes_on(path, start, stop) for path in (position, turn)):
+        elif any(_goes_on(path, start, stop) for path in paths):
             kinds[start + 1 : stop + 1] = "frozen"
     return kinds
 
@@ -299,13 +303,13 @@ def _goes_on(path: _Path, start: int, stop: int) -> bool:
 
 def _stops_dead(path: _Path, start: int) -> bool:
     """Whether a body moves up to a row, with noise, from which on its pose repeats exactly."""
-    moving = path.steps[:start]
-    moving = moving[moving > 0]
-    if len(moving) < _NEAR:
+    rows = path.numbers[max(start - _PAST, 0) : start + 1]
+    rows = rows[np.append(True, (np.diff(rows, axis=0) != 0).any(axis=1))]
+    if len(rows) < _NEAR:
         return False
-    last = float(np.median(path.steps[max(start - _AHEAD, 0) : start]))
-    rows = path.numbers[max(start - 200, 0) : start + 1]
     fifth = np.linalg.norm(np.diff(rows, n=5, axis=0), axis=1)  # of smooth motion, almost nothing
     noise = np.median(fifth) / np.sqrt(252)
-    usual = float(np.median(moving[-_NEAR // 2 :]))
-    return bool(last > 0.5 * usual and last > 5 * noise and noise > _NOISY * usual)
+    speeds = np.linalg.norm(rows[_AHEAD:] - rows[:-_AHEAD], axis=1) / _AHEAD
+    usual = float(np.median(speeds[-_NEAR // 2 :]))
+    of_noise = np.sqrt(2) / _AHEAD * noise
+    return bool(speeds[-1] > max(0.5 * usual, 5 * of_noise) and noise > _NOISY * usual)

@@ -11,8 +11,9 @@ from reframe_jax.recordings.rigid_body import fit_rigid_body
 from reframe_jax.recordings.rows import shown
 from reframe_jax.recordings.selection import flag
 
-__all__ = ["choose_markers", "fit_markers", "group_markers"]
+__all__ = ["UNSEEN", "choose_markers", "fit_markers", "group_markers"]
 
+UNSEEN = "fewer than three markers of the body are seen, or all of them are on a line"
 _LOOSE = 5e-3  # m rms, above which markers are hardly on one body
 
 

@@ -16,7 +16,7 @@ _ROWS = 400  # that are compared
 _TURN = 0.1  # rad between two poses of a velocity, at least: more than noise
 _FEWEST = 12  # rows; of so few, the difference must be twice as clear
 _FLOOR = 1e-4  # part of the largest mean square velocity that counts as none
-_CLEAR = 3.0  # difference of the summed logarithms of mean squares; 0 for free motions
+_CLEAR = 2.2  # difference of the summed logarithms of mean squares; 0 for free motions
 
 
 def reorder(quaternions: np.ndarray, stored: str, meant: str) -> np.ndarray:

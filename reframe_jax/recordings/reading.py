@@ -68,7 +68,8 @@ def load_recording(
         ``quat_x``, ``orientation.x``, ``q_RS_x``; or ``rx``, ``roll`` (``angles``). Or a pose matrix,
         ``m00`` to ``m23`` or ``m33`` (or ``t00``): row, column. A unit may follow: ``x [mm]``, ``time_ns``.
         Wrench, kept as it is: ``fx``, ``force_x``, ``wrench.force.x``; ``tx``, ``torque_x``. Lines that
-        start with ``#`` or ``%`` are comments; the last one before the numbers may be the header.
+        start with ``#`` or ``%`` are comments; the last one before the numbers may be the header. Times may
+        be dates, ``2024-05-01 10:00:00.250``; a column ``frame`` counts sample times (``dt``).
         Without a header: 8 numbers to a line are a TUM trajectory, ``t x y z qx qy qz qw``, and 12 one of
         KITTI (``dt``).
     ``.npy``, ``.npz``

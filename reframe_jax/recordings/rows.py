@@ -37,6 +37,7 @@ class Rows:
         order: order in which the file holds quaternions, which ``values`` has as x y z w.
         angles: whether the orientations come from angles whose unit the file does not state.
         no_times: what gives the times where the file has none, for a message.
+        missing: why numbers of a row are missing, for a note.
         frames: (N,) int, numbers of the frames, which count sample times; None if every row is one.
         left_out: rows that were left out.
     """
@@ -54,6 +55,7 @@ class Rows:
     order: Literal["xyzw", "wxyz"] = "xyzw"
     angles: bool = False
     no_times: str = "give the sample time, dt (--dt)"
+    missing: str = "a number is missing or not finite"
     frames: np.ndarray | None = None
     left_out: list[LeftOut] = field(default_factory=list)
 
@@ -76,6 +78,13 @@ class Rows:
         self.notes.append(note or f"{name_rows(self.word, dropped)} left out: {why}.")
         self.left_out.append(LeftOut(np.sort(dropped), reason, why))
         self.take(mask)
+
+    def count_frames(self) -> None:
+        """Take the times as numbers of frames, which count sample times if they are whole and increase."""
+        numbers = np.empty(0) if self.times is None else self.times
+        if np.isfinite(numbers).all() and (numbers % 1 == 0).all() and (np.diff(numbers) > 0).all():
+            self.frames = numbers.astype(np.int64)
+        self.times = self.origin = None
 
     def take(self, rows: np.ndarray) -> None:
         """Keep some rows, of a mask or of indices, and their order."""

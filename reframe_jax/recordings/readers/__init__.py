@@ -13,6 +13,7 @@ from reframe_jax.recordings.readers.c3d import C3D
 from reframe_jax.recordings.readers.echo import ECHO
 from reframe_jax.recordings.readers.hdf5 import HDF5
 from reframe_jax.recordings.readers.kitti import KITTI
+from reframe_jax.recordings.readers.lines import head_in_utf8
 from reframe_jax.recordings.readers.mha import MHA
 from reframe_jax.recordings.readers.motive import MOTIVE
 from reframe_jax.recordings.readers.ndi import NDI
@@ -55,7 +56,7 @@ def choose_reader(path: Path) -> Reader:
     head = b""
     if not folder or not any(reader.recognises(path, head) for reader in candidates):
         with path.open("rb") as file:  # of a folder that is no recording, an OSError says so
-            head = file.read(_HEAD)
+            head = head_in_utf8(file.read(_HEAD))
     for reader in candidates:
         if reader.recognises(path, head):
             return reader

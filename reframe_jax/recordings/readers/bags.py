@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -157,14 +158,15 @@ def _read_topic(path: Path, bag: _Bag, wanted: Selection) -> Rows:
         if connection.msgtype == _ARRAY:
             several = max(several, len(message.poses))
             number = int(wanted.body) if wanted.body and wanted.body.isdecimal() else 0
-            for pose in message.poses[number : number + 1]:
-                _keep(path, samples, (message.header.frame_id, child), message.header, logged, pose)
+            pose = message.poses[number] if number < len(message.poses) else None
+            _keep(path, samples, (message.header.frame_id, child), message.header, logged, pose)
         else:
             _take(path, samples, logged, child, message)
-    if several > 1 and not (wanted.body or "").isdecimal():
+    numbers = [str(number) for number in range(several)]
+    if several and wanted.body not in (numbers if several > 1 else [None, *numbers]):
         raise RecordingError(
-            f"{path}: {topic} holds arrays of {several} poses; give the number of one, {flag('body')}, from "
-            f"0 to {several - 1}."
+            f"{path}: {topic} holds arrays of {several} poses; give the number of one, {flag('body')}, "
+            f"from 0 to {several - 1}."
         )
     if wanted.body is not None and not several:
         raise RecordingError(f"{path}: {topic} holds no arrays of poses; leave out {flag('body')}.")
@@ -196,38 +198,39 @@ def _keep(
     logged: int,
     pose: Any,
 ) -> None:
-    """Keep the numbers of a pose or transform."""
+    """Keep the numbers of a pose or transform; NaN for one that is missing in its array."""
     kept = samples.setdefault((_plain(names[0]), _plain(names[1])), _Samples())
     if len(kept.stamps) == MOST_ROWS:
         raise RecordingError(f"{path}: has more than {MOST_ROWS} poses; cut the recording into files.")
-    if hasattr(pose, "translation"):
+    if pose is None:
+        nowhere = SimpleNamespace(**dict.fromkeys("xyzw", np.nan))
+        kept.add(header, logged, nowhere, nowhere)
+    elif hasattr(pose, "translation"):
         kept.add(header, logged, pose.translation, pose.rotation)
     else:
         kept.add(header, logged, pose.position, pose.orientation)
 
 
 def _rows(path: Path, samples: _Samples, static: bool = False) -> Rows:
-    """Rows in the order of their stamps, or of their recording if nobody set the stamps."""
+    """Rows with the times of their stamps, or of their recording if nobody set the stamps."""
     stamps = np.asarray(samples.stamps)
-    values = np.asarray(samples.values).reshape(-1, 7)
-    where, notes = np.arange(len(stamps)), []
+    rows = Rows(
+        path, "message", np.arange(len(stamps)), np.asarray(samples.values).reshape(-1, 7), None, seconds=1.0
+    )
     if not stamps.any() and not static:
         stamps = np.asarray(samples.logged)
-        notes.append("the messages have no stamps, or 0: the times are those at which they were recorded.")
-    elif (unset := int(np.sum(stamps == 0))) and not static:
-        set_ones = stamps != 0
-        notes.append(f"{unset} of {len(stamps)} messages left out: their stamp is 0.")
-        stamps, values, where = stamps[set_ones], values[set_ones], where[set_ones]
-    if late := int(np.sum(np.diff(stamps) < 0)):
-        order = np.argsort(stamps, kind="stable")
-        stamps, values, where = stamps[order], values[order], where[order]
-        notes.append(f"{late} messages came after later ones; all are sorted by their stamps.")
+        rows.notes.append(
+            "the messages have no stamps, or 0: the times are those at which they were recorded."
+        )
     if not stamps.any():
-        return Rows(path, "message", where, values, None, notes=notes)
-    seconds, rest = divmod(int(stamps[0]), 1_000_000_000)
-    origin = f"{seconds}.{rest:09d}" if stamps[0] else None
-    times = 1e-9 * (stamps - stamps[0])
-    return Rows(path, "message", where, values, times, origin, notes, seconds=1.0)
+        return rows
+    rows.times = stamps
+    if not static:
+        rows.keep(stamps != 0, "their stamp is 0", "missing")
+    first = int(rows.times.min())
+    rows.origin = f"{first // 10**9}.{first % 10**9:09d}" if first else None
+    rows.times = 1e-9 * (rows.times - first)
+    return rows
 
 
 def _read_chain(path: Path, bag: _Bag, ground: str, body: str) -> Rows:

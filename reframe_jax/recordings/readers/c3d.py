@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from reframe_jax.recordings.markers import fit_markers, group_markers
+from reframe_jax.recordings.markers import UNSEEN, fit_markers, group_markers
 from reframe_jax.recordings.readers.exports import drop_zeros
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name, import_extra
 from reframe_jax.recordings.recording import RecordingError
@@ -89,6 +89,8 @@ def read_c3d(path: Path, wanted: Selection) -> Rows:
     times = np.arange(len(poses)) / rate if 0 < rate < np.inf else None
     values = poses.reshape(-1, 16)
     rows = Rows(path, "frame", np.arange(len(poses)), values, times, notes=notes, metres=metres)
+    if name not in file.rotations:
+        rows.missing = UNSEEN
     drop_zeros(rows, values[:, :12])
     return rows
 

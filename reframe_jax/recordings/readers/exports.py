@@ -18,13 +18,14 @@ __all__ = [
     "is_number",
     "matrix_rows",
     "split",
+    "trim",
 ]
 
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(e[-+]?\d+)?", re.IGNORECASE)
 
 
 def split(line: str, delimiter: str | None) -> list[str]:
-    """Cells of a line, stripped; decimal commas become points where commas do not separate.
+    """Cells of a line, stripped; decimal commas become points, in quotes if commas separate the cells.
 
     Args:
         line: the line.
@@ -34,9 +35,17 @@ def split(line: str, delimiter: str | None) -> list[str]:
         cells = line.split()
     else:
         cells = next(csv.reader([line], delimiter=delimiter)) if '"' in line else line.split(delimiter)
-    if delimiter != "," and "," in line:
+    if (delimiter != "," or '"' in line) and "," in line:
         cells = [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell.strip()) else cell for cell in cells]
     return [cell.strip() for cell in cells]
+
+
+def trim(cells: list[str], width: int = 0) -> list[str]:
+    """Cells without the empty ones at the end, but no fewer than a width."""
+    end = len(cells)
+    while end > width and not cells[end - 1]:
+        end -= 1
+    return cells[:end]
 
 
 def find_delimiter(line: str) -> str | None:
@@ -57,9 +66,7 @@ def first_numbers(head: bytes) -> tuple[int, list[str]]:
             comment = split(text, find_delimiter(text))
         elif text:
             text = text.partition("#")[0].strip()
-            cells = split(text, find_delimiter(text))
-            while cells and not cells[-1]:
-                cells.pop()
+            cells = trim(split(text, find_delimiter(text)))
             # "0.1, 0.2" is separated by commas, "0.1 0.2" by blanks
             whole = all(is_number(cell) or not cell for cell in cells) and any(cells)
             return (len(cells) if whole else 0), comment
@@ -97,9 +104,7 @@ def collect(
     for number, cells in lines:
         if short:
             cells += [""] * (width - len(cells))
-        while len(cells) > width and not cells[-1]:
-            cells.pop()
-        rows.add(number, cells)
+        rows.add(number, trim(cells, width))
     return rows.rows()
 
 

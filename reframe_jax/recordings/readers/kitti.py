@@ -5,9 +5,7 @@ KITTI-360 puts the number of the frame before them; others write all 16 numbers,
 
 from pathlib import Path
 
-import numpy as np
-
-from reframe_jax.recordings.readers.exports import find_delimiter, first_numbers, split
+from reframe_jax.recordings.readers.exports import find_delimiter, first_numbers, split, trim
 from reframe_jax.recordings.readers.lines import Collector, read_lines
 from reframe_jax.recordings.readers.reader import Reader
 from reframe_jax.recordings.recording import RecordingError
@@ -36,9 +34,7 @@ def read_kitti(path: Path, wanted: Selection) -> Rows:
         text = line.partition("#")[0].strip()
         if not text:
             continue
-        cells = split(text, find_delimiter(text))
-        while len(cells) > width > 0 and not cells[-1]:
-            cells.pop()
+        cells = trim(split(text, find_delimiter(text)), width)
         if rows is None:
             width = len(cells)
             timed = width % 4
@@ -50,7 +46,7 @@ def read_kitti(path: Path, wanted: Selection) -> Rows:
     found = rows.rows()
     found.no_times = _NO_TIMES
     if found.times is not None and whole and found.origin is None:
-        found.frames, found.times = found.times.astype(np.int64), None
+        found.count_frames()
     return found
 
 

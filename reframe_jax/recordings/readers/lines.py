@@ -1,8 +1,12 @@
 """Shared code of the text readers: lines one at a time, numbers collected in compact arrays.
 
+Texts are UTF-8, or in the encodings in which spreadsheets save them: UTF-16, and that of Windows.
+
 A row takes 72 bytes, however long its text is; no more than a line of text is held at a time.
 """
 
+import codecs
+import datetime
 import decimal
 import math
 from array import array
@@ -14,16 +18,20 @@ import numpy as np
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import EPOCH, MOST_ROWS, Rows, shown
 
-__all__ = ["Collector", "read_lines"]
+__all__ = ["Collector", "head_in_utf8", "read_lines"]
 
 _MISSING = {"", "null", "none", "na", "n/a", "-", "--", "missing", "#n/a"}
-_LONGEST = 2**16  # characters of a line
+_LONGEST = 2**16  # characters of a line, and bytes by which an encoding is recognised
+_SEPARATOR = "sep="  # starts the first line in some files of spreadsheets
+_CONTROLS = bytes(range(9)) + b"\x0e\x0f\x7f"  # of no text
 # digits enough for nanoseconds since 1970; what is no number becomes NaN instead of an exception
 _EXACT = decimal.Context(prec=50, traps=[])
 
 
 def read_lines(path: Path, blanks: str | None = None) -> Iterator[tuple[int, str]]:
-    """Numbered lines of a UTF-8 text that are not blank, stripped, one at a time.
+    """Numbered lines of a text that are not blank, stripped, one at a time.
+
+    A first line such as ``sep=;`` is left out.
 
     Args:
         path: the file.
@@ -33,7 +41,9 @@ def read_lines(path: Path, blanks: str | None = None) -> Iterator[tuple[int, str
         RecordingError: if a line is longer than 65,536 characters.
         OSError, UnicodeDecodeError: from the file.
     """
-    with path.open(encoding="utf-8-sig") as file:
+    with path.open("rb") as start:
+        encoding = _find_encoding(start.read(_LONGEST))
+    with path.open(encoding=encoding) as file:
         number = 0
         while line := file.readline(_LONGEST + 1):
             number += 1
@@ -41,8 +51,28 @@ def read_lines(path: Path, blanks: str | None = None) -> Iterator[tuple[int, str
                 raise RecordingError(
                     f"{path}: line {number}: is longer than {_LONGEST} characters; expected a row of numbers."
                 )
-            if line.strip():
-                yield number, line.strip(blanks)
+            if line.strip() and not (number == 1 and line.startswith(_SEPARATOR)):
+                yield number, line.strip(blanks).replace("\u2212", "-")  # the minus sign of typesetters
+
+
+def head_in_utf8(head: bytes) -> bytes:
+    """The first bytes of a file as readers recognise them: a text of a spreadsheet as plain UTF-8."""
+    if (encoding := _find_encoding(head)) == "utf-16":
+        head = head.decode(encoding, errors="ignore").encode()
+    return head.partition(b"\n")[2] if head.startswith(_SEPARATOR.encode()) else head
+
+
+def _find_encoding(head: bytes) -> str:
+    """The encoding of a text, by its first bytes; UTF-8 where they are no text."""
+    zero = {codecs.BOM_UTF16_LE: 3, codecs.BOM_UTF16_BE: 2}.get(head[:2])
+    if zero is not None and head[zero : zero + 1] == b"\0":  # the first letter is a plain one
+        return "utf-16"
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(head)
+    except UnicodeDecodeError:
+        if not set(_CONTROLS) & set(head):
+            return "cp1252"
+    return "utf-8-sig"
 
 
 class Collector:
@@ -109,6 +139,8 @@ class Collector:
 
     def _seconds(self, number: int, cell: str) -> float:
         """A time, since the first one if that is late."""
+        if ":" in cell:
+            cell = _since_1970(cell)
         seconds = self._number(number, cell)
         if not math.isfinite(seconds):
             return seconds
@@ -129,6 +161,17 @@ class Collector:
 
     def _error(self, number: int, problem: str) -> RecordingError:
         return RecordingError(f"{self._path}: line {number}: {problem}")
+
+
+def _since_1970(cell: str) -> str:
+    """A date and time in s, UTC unless it says otherwise; a text that is none as it is."""
+    try:
+        moment = datetime.datetime.fromisoformat(cell.strip())
+    except ValueError:
+        return cell
+    moment = moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC)
+    since = moment - datetime.datetime.fromtimestamp(0, datetime.UTC)
+    return f"{since.days * 86400 + since.seconds}.{since.microseconds:06d}"
 
 
 def _exactly(cell: str) -> decimal.Decimal:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from reframe_jax.recordings.readers.exports import is_number
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import MOST_ROWS, Rows, shown
@@ -52,7 +53,7 @@ def read_mha(path: Path, wanted: Selection) -> Rows:
     body = choose_name(path, "body", asked, [*numbers], "transforms")
     order = sorted(frames)
     values = np.array([_numbers(path, frames[k], numbers[body].get(k, _MISSING)) for k in order])
-    seconds = [float(stamps.get(k, "nan")) if _is_number(stamps.get(k, "nan")) else np.nan for k in order]
+    seconds = [float(stamps.get(k, "nan")) if is_number(stamps.get(k, "nan")) else np.nan for k in order]
     times = np.asarray(seconds) if stamps else None
     rows = Rows(path, "frame", np.asarray(order), values.reshape(-1, 16), times)
     if times is not None and np.isfinite(times).any():
@@ -66,17 +67,9 @@ def read_mha(path: Path, wanted: Selection) -> Rows:
     return rows
 
 
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
 def _numbers(path: Path, line: int, text: str) -> list[float]:
     cells = text.split()
-    if len(cells) != 16 or not all(map(_is_number, cells)):
+    if len(cells) != 16 or not all(map(is_number, cells)):
         raise RecordingError(
             f"{path}: line {line}: expected the 16 numbers of a transform, found {shown(text, 60)!r}."
         )

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from reframe_jax.geometry.numpy_rotations import euler_matrices
-from reframe_jax.recordings.readers.exports import collect, find_delimiter, matrix_rows, split
+from reframe_jax.recordings.readers.exports import collect, find_delimiter, matrix_rows, split, trim
 from reframe_jax.recordings.readers.lines import read_lines
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name
 from reframe_jax.recordings.recording import RecordingError
@@ -111,8 +111,8 @@ def _read_header(path: Path, lines: Iterator[tuple[int, list[str]]]) -> _Header:
             f"and components, then Frame,Time (Seconds),X,...; the file says version "
             f"{shown(about.get('Format Version', ''), 20)!r}."
         )
-    while cells and not cells[-1]:
-        cells.pop()
+    # the last column may have a title and no axis, such as the error of a body
+    width = max(len(trim(row)) for row in (*headings, cells))
     types, names, parts = headings[0], headings[1], headings[-1]
     bodies: dict[str, dict[str, int]] = {}
     for column, axis in enumerate(cells):
@@ -122,7 +122,7 @@ def _read_header(path: Path, lines: Iterator[tuple[int, list[str]]]) -> _Header:
                 continue  # relative to its parent: no pose in the ground frame
             if bodies.setdefault(name, {}).setdefault(f"{part} {axis}", column) != column:
                 raise RecordingError(f"{path}: two bodies are called {shown(name, 40)!r}; rename one.")
-    return _Header(about, len(cells), 1, bodies)
+    return _Header(about, width, 1, bodies)
 
 
 def _contents(path: Path) -> list[Entry]:

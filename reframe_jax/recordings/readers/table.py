@@ -3,17 +3,23 @@
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, zip_longest
 from pathlib import Path
 
 import numpy as np
 
 from reframe_jax.recordings.readers.angles import angle_matrices
 from reframe_jax.recordings.readers.columns import find_columns
-from reframe_jax.recordings.readers.exports import find_delimiter, is_number, matrix_rows, split
+from reframe_jax.recordings.readers.exports import find_delimiter, is_number, matrix_rows, split, trim
 from reframe_jax.recordings.readers.lines import Collector, read_lines
 from reframe_jax.recordings.readers.reader import Reader
-from reframe_jax.recordings.readers.units import ANGLE_WORDS, LENGTH_WORDS, TIME_WORDS, split_unit
+from reframe_jax.recordings.readers.units import (
+    ANGLE_WORDS,
+    LENGTH_WORDS,
+    TIME_WORDS,
+    split_unit,
+    units_of_row,
+)
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import HEADER, Rows, shown
 from reframe_jax.recordings.selection import UNITS, Selection, flag
@@ -27,13 +33,15 @@ _TIMES = (
     r"t|times?|timestamps?|stamp|sec|secs|seconds|(elapsed_|ros_)?time",
 )
 _SECONDS, _NANOSECONDS = r"(.*_)?(stamp|timespec)_s(ecs?)?", r"(.*_)?(stamp|timespec)_n(ano)?s(ecs?)?"
-_POSITIONS = r"{axis}", r"(p_?|p_.+_|(.*_)?(pos(ition)?|translation)_){axis}"
+_POSITIONS = r"{axis}", r"(p_?|p_.+_|(.*_)?(pos(ition)?|loc(ation)?|translation)_){axis}"
 _QUATERNIONS = r"q_?{axis}", r"(q_.+_|(.*_)?(quat(ernion)?|orientation|rot(ation)?)_(q_?)?){axis}"
 _ANGLES = {
     "x": r"(.*_)?(r_?x|rot(ation)?_(vector_|vec_)?x|(rotvec|euler|angle)_x|roll)",
     "y": r"(.*_)?(r_?y|rot(ation)?_(vector_|vec_)?y|(rotvec|euler|angle)_y|pitch)",
     "z": r"(.*_)?(r_?z|rot(ation)?_(vector_|vec_)?z|(rotvec|euler|angle)_z|yaw)",
 }
+_FRAMES = r"frame(_?(number|num|no|nr|index|idx))?"
+_SINCE_1970 = 1e16  # ns; later times are stamps
 _NO_TIMES = "name their column t, or time [ms] in another unit, or give the sample time, dt (--dt)"
 
 
@@ -61,11 +69,16 @@ class _Header:
         """
         found = [i for i, name in enumerate(self.names) if re.fullmatch(pattern, name)]
         if self.body is not None and len(found) > 1:
-            found = [i for i in found if self.names[i].startswith(self.body)]
+            # of arrays of poses, the number is enough: 0 for field.poses0
+            word = f"[a-z]+{self.body}" if self.body.isdecimal() else re.escape(self.body)
+            part = re.compile(rf"(.*_)?{word}_.*")
+            found = [i for i in found if part.fullmatch(self.names[i])] or [
+                i for i in found if self.names[i].startswith(self.body)
+            ]
         if len(found) > 1:
             both = " and ".join(repr(shown(self.titles[i], 40)) for i in found[:2])
             raise RecordingError(
-                f"{self.path}: columns {both} mean the same; select one by the start of its name, "
+                f"{self.path}: columns {both} mean the same; select one by a part of its name, "
                 f"{flag('body')}, or rename all but one."
             )
         return found[0] if found else None
@@ -128,14 +141,20 @@ def read_table(path: Path, wanted: Selection) -> Rows:
     first = next(lines, (0, [""] * len(titles)))
     found = _find_columns(header, wanted, first[1])
     width = len(titles) + bool(found.clock)
-    time = len(titles) if found.clock else found.time
+    frame = header.find(_FRAMES) if found.time is None and not found.clock else None
+    if frame is not None and not "".join(first[1][frame : frame + 1]).isdecimal():
+        frame = None  # a name
+    time = len(titles) if found.clock else found.time if frame is None else frame
     rows = Collector(path, width, time, [*found.position, *found.orientation], _find_wrench(header))
     for number, cells in chain([first] if first[0] else [], lines):
         if found.clock and len(cells) == len(titles):
             seconds, nanoseconds = (cells[i] for i in found.clock)
             cells = [*cells, f"{seconds}.{nanoseconds.zfill(9)}" if seconds.isdecimal() else ""]
         rows.add(number, cells)
-    return _convert(rows.rows(), header, found, wanted)
+    collected = rows.rows()
+    if frame is not None:
+        collected.count_frames()
+    return _convert(collected, header, found, wanted)
 
 
 def _convert(rows: Rows, header: _Header, found: _Columns, wanted: Selection) -> Rows:
@@ -146,9 +165,9 @@ def _convert(rows: Rows, header: _Header, found: _Columns, wanted: Selection) ->
         raise RecordingError(f"{rows.path}: its header states another unit; leave out {flag('unit')}.")
     if found.time is not None:
         rows.seconds = header.unit([found.time], TIME_WORDS)
-        late = abs(float(rows.origin or 0)) > 1e16
-        if rows.seconds is None and header.names[found.time] in ("field_header_stamp", "time") and late:
-            rows.seconds = 1e-9 if any(name.startswith("field_") for name in header.names) else None
+        echoed = any(name.startswith("field_") for name in header.names)  # rostopic echo -p, in ns
+        if rows.seconds is None and echoed and abs(float(rows.origin or 0)) > _SINCE_1970:
+            rows.seconds = 1e-9
     if found.clock:
         rows.seconds = 1.0
     if found.kind == "rotation":
@@ -186,22 +205,26 @@ def _read_header(path: Path) -> tuple[list[str], Iterator[tuple[int, list[str]]]
     titles = split(text, delimiter)
     if len(titles) < 2:
         titles = split(text, find_delimiter(text))
-    while titles and not titles[-1]:
-        titles.pop()
+    titles = trim(titles)
     if not titles or is_number(titles[0]):
         raise RecordingError(
             f"{path}: line {number}: expected a header such as {HEADER}, or rows of 8 numbers (t x y z qx qy "
             f"qz qw) or 12 (KITTI); found {len(titles)} numbers."
         )
 
+    header = [*titles]
+    units = units_of_row(trim(split(pending[0][1], delimiter)))
+    if units is not None:
+        pending.pop(0)
+        pairs = zip_longest(titles, units[: len(titles)], fillvalue="")
+        titles = [f"{title} [{unit}]" if unit else title for title, unit in pairs]
+
     def rows() -> Iterator[tuple[int, list[str]]]:
         for line, row in chain(pending, lines):
             if row[0] in _COMMENT:
                 continue
-            cells = split(row, delimiter)
-            while len(cells) > len(titles) and not cells[-1]:
-                cells.pop()
-            if any(cells):
+            cells = trim(split(row, delimiter), len(titles))
+            if any(cells) and cells != header:  # which files that were joined repeat
                 yield line, cells
 
     return titles, rows()
@@ -211,8 +234,6 @@ def _first_row(lines: Iterator[tuple[int, str]]) -> tuple[list[tuple[int, str]],
     """The last comment at the start of a file, if any, and the line after it."""
     comments: list[tuple[int, str]] = []
     for line in lines:
-        if line[1].startswith("sep="):  # of spreadsheets
-            continue
         if line[1][0] not in _COMMENT or (not comments and "field." in line[1]):
             return comments, line
         comments = [line]
@@ -236,7 +257,10 @@ def _find_columns(header: _Header, wanted: Selection, first: list[str]) -> _Colu
         position = _first(header, (r"(.*_)?t_?{axis}",), "xyz")
     quaternion = _first(header, _QUATERNIONS, "xyzw")
     if quaternion is None:
-        quaternion = header.all(["q_?x", "q_?y", "q_?z", "q_?[0o]"])  # NDI calls the scalar Q0
+        # NDI calls the scalar Q0; rx is a part of a quaternion where there is rw too
+        quaternion = header.all(["q_?x", "q_?y", "q_?z", "q_?[0o]"]) or header.all(
+            [f"r_?{a}" for a in "xyzw"]
+        )
     if position is not None and quaternion is None:
         quaternion = header.all([f"q(uat)?_?{i}" for i in range(4)])
         if quaternion is not None and wanted.quaternion is None:
@@ -250,7 +274,7 @@ def _find_columns(header: _Header, wanted: Selection, first: list[str]) -> _Colu
     if position is not None and quaternion is not None:
         return _Columns(time, clock, position, quaternion, "quaternion")
     angles = header.all([*_ANGLES.values()])
-    if position is not None and angles is not None:
+    if position is not None and angles is not None and angles != position:  # p_RS_R_x
         if wanted.angles is None:
             listed = shown(", ".join(header.titles[i] for i in angles), 80)
             raise RecordingError(
@@ -263,7 +287,8 @@ def _find_columns(header: _Header, wanted: Selection, first: list[str]) -> _Colu
         *(("qx", "qy", "qz", "qw") if quaternion is None else ()),
     ]
     raise RecordingError(
-        f"{header.path}: no column for {', '.join(missing)}; expected a header such as {HEADER}, found "
+        f"{header.path}: no column for {', '.join(missing)}; expected a header such as {HEADER}, or names "
+        f"of columns, {flag('position')} and {flag('orientation')}; found "
         f"{shown(','.join(header.titles))}."
     )
 

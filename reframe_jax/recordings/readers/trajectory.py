@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from reframe_jax.recordings.readers.exports import find_delimiter, first_numbers, split
+from reframe_jax.recordings.readers.exports import find_delimiter, first_numbers, split, trim
 from reframe_jax.recordings.readers.lines import Collector, read_lines
 from reframe_jax.recordings.readers.reader import Reader
 from reframe_jax.recordings.recording import RecordingError
@@ -32,9 +32,7 @@ def read_trajectory(path: Path, wanted: Selection) -> Rows:
         text = re.split("[#%]", line)[0].strip()
         if not text:
             continue
-        cells = split(text, find_delimiter(text))
-        while len(cells) > max(width, _WITHOUT) and not cells[-1]:
-            cells.pop()
+        cells = trim(split(text, find_delimiter(text)), max(width, _WITHOUT))
         if rows is None:
             width = len(cells)
             timed = width == _WITH_TIMES

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from reframe_jax.recordings.checks import drop_unfinished, make_poses
+from reframe_jax.recordings.clock import sort_times
 from reframe_jax.recordings.left_out import leave_out_lost
 from reframe_jax.recordings.readers.exports import matrix_rows
 from reframe_jax.recordings.recording import RecordingError
@@ -127,6 +128,7 @@ def _clean(path: Path, edge: Edge, rows: Rows) -> None:
     """
     what = f"transform of {shown(edge.child, 60)} in {shown(edge.parent, 60)}"
     drop_unfinished(rows)
+    sort_times(rows)
     if not edge.static and rows.times is None:
         raise RecordingError(f"{path}: the stamps of every {what} are 0; expected times.")
     if not edge.static and rows.times is not None and len(rows.times):

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from reframe_jax.recordings.markers import choose_markers, fit_markers, group_markers
-from reframe_jax.recordings.readers.exports import find_delimiter, is_number, split
+from reframe_jax.recordings.markers import UNSEEN, choose_markers, fit_markers, group_markers
+from reframe_jax.recordings.readers.exports import find_delimiter, is_number, split, trim
 from reframe_jax.recordings.readers.lines import Collector, read_lines
 from reframe_jax.recordings.readers.reader import Entry, Reader
 from reframe_jax.recordings.readers.units import LENGTH_WORDS
@@ -47,22 +47,15 @@ def read_trc(path: Path, wanted: Selection) -> Rows:
         cells = split(line, delimiter)
         if not is_number(cells[0]):
             continue  # the row X1, Y1, Z1
-        collected.add(number, (cells + [""] * (width - len(cells)))[: max(width, len(_filled(cells)))])
+        collected.add(number, trim(cells + [""] * (width - len(cells)), width))
     rows = collected.rows()
     points = rows.values.reshape(len(rows.values), -1, 3)
     points[(points == 0).all(axis=2)] = np.nan
     poses, notes = fit_markers(path, points, {label: i for i, label in enumerate(labels)}, markers, metres)
     rows.values, rows.metres = poses.reshape(-1, 16), metres
     rows.notes += notes
+    rows.missing = UNSEEN
     return rows
-
-
-def _filled(cells: list[str]) -> list[str]:
-    """Cells without the empty ones at the end."""
-    end = len(cells)
-    while end and not cells[end - 1]:
-        end -= 1
-    return cells[:end]
 
 
 def _read_header(path: Path) -> tuple[list[str], str, str | None, Iterator[tuple[int, str]]]:

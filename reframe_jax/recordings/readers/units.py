@@ -4,7 +4,7 @@ import re
 
 from reframe_jax.recordings.selection import ANGLE_UNITS, TIME_UNITS, UNITS
 
-__all__ = ["ANGLE_WORDS", "LENGTH_WORDS", "TIME_WORDS", "split_unit"]
+__all__ = ["ANGLE_WORDS", "LENGTH_WORDS", "TIME_WORDS", "split_unit", "units_of_row"]
 
 LENGTH_WORDS = UNITS | {
     **dict.fromkeys(("meter", "meters", "metre", "metres"), 1.0),
@@ -23,6 +23,12 @@ ANGLE_WORDS = ANGLE_UNITS | {
 }
 _IN_BRACKETS = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*", re.DOTALL)
 _WORDS = {**LENGTH_WORDS, **TIME_WORDS, **ANGLE_WORDS}
+
+
+def units_of_row(cells: list[str]) -> list[str] | None:
+    """The units in a row of units, as some programs write it after the header; None for another row."""
+    units = [cell.strip("[]() -").lower() for cell in cells]
+    return units if any(units) and all(unit in _WORDS or not unit for unit in units) else None
 
 
 def split_unit(title: str) -> tuple[str, str]:
