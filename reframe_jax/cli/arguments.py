@@ -100,14 +100,14 @@ def exponent(text: str) -> float:
 
 
 def scales(text: str) -> str | tuple[int, ...]:
-    """The time scales: "auto", or numbers of samples such as "1" or "1,2,4"."""
-    if text == "auto":
+    """The time scales: "auto", "mean", or numbers of samples such as "1" or "1,2,4"."""
+    if text in ("auto", "mean"):
         return text
     try:
         return tuple(count(part.strip()) for part in text.split(","))
     except argparse.ArgumentTypeError as error:
         raise argparse.ArgumentTypeError(
-            f"expected auto, or powers of two such as 1 or 4,8,16, not {text!r}"
+            f"expected auto, mean, or powers of two such as 1 or 4,8,16, not {text!r}"
         ) from error
 
 

@@ -81,8 +81,9 @@ def caution_sentences(
     if Caution.UNORDERED in found:
         sentences.append(
             "The poses do not follow each other as in a motion: neighbours are as far apart as any two. "
-            "This result is unreliable. For separate touches of one point use reframe-jax calibrate "
-            "(rf.calibrate), which needs no order; if rows are shuffled, sort them by time."
+            "With scales='auto', displacements about the mean are used, which need no order. For separate "
+            "touches of one point, reframe-jax calibrate (rf.calibrate) finds the tip and the residual of "
+            "each; if rows are shuffled, sort them by time."
         )
     elif Caution.IMPROBABLE in found:
         sentences.append(

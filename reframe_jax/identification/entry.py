@@ -67,7 +67,9 @@ def identify(
         dt: sample time in s, a scalar or (K,) or (..., K).
         scales: samples in the blocks whose means are compared, powers of two; ``"auto"`` uses all at which
             the motion stands out of the noise of the recording, and leaves out outliers. 1 is the paper's
-            choice: differences of consecutive poses, each of which counts.
+            choice: differences of consecutive poses, each of which counts. ``"mean"`` uses displacements
+            about the mean, which need no order; so does ``"auto"`` for a single window of poses that do not
+            follow each other, such as separate touches or shuffled rows.
         assume: the name of a constraint ("hinge", "ball", "K", "Screw joint"): the result is its best frame.
             ``probability`` says how likely the data find it among all constraints.
         norm: exponent of the power mean over the three axes, in [-inf, 2]; 0, the geometric mean, is
@@ -92,8 +94,14 @@ def identify(
         ValueError: if types, shapes or options are not as above; for a single window outside a trace also
             if its poses or times are unusable. In a batch such windows get a ``status`` instead.
     """
+    array = take_poses(poses)
+    alone = array.ndim == 3 and not traced((poses, times, dt, thresholds, bounds, key))
+    unordered = alone and is_unordered(np.asarray(array, dtype=float))
+    usual = check_exponent(norm) == 0 and solver is None and discretization == "chord"
+    if unordered and usual and isinstance(scales, str) and scales == "auto":
+        scales = "mean"
     found = identify_unchecked(
-        poses,
+        array,
         times=times,
         dt=dt,
         scales=scales,
@@ -105,9 +113,12 @@ def identify(
         solver=solver,
         key=key,
     )
-    if np.ndim(found.status_code) or traced((poses, times, dt, thresholds, bounds, key)):
+    if not alone:
         return found
-    return _check_rows(found, np.asarray(poses, dtype=float), times)
+    _warn_of_lost_rows(np.asarray(array, dtype=float), times)
+    if unordered:
+        found = replace(found, warning_codes=found.warning_codes | int(Caution.UNORDERED))
+    return found
 
 
 def identify_unchecked(
@@ -163,8 +174,8 @@ def identify_unchecked(
     return found
 
 
-def _check_rows(found: Identification, poses: np.ndarray, times: Any) -> Identification:
-    """Mark the result of poses (K+1, 4, 4) without order; warn of rows in which tracking was lost."""
+def _warn_of_lost_rows(poses: np.ndarray, times: Any) -> None:
+    """Warn of rows of poses (K+1, 4, 4) in which tracking was lost."""
     lost = find_lost_poses(poses, None if times is None else np.asarray(times, dtype=float))
     if lost.mask.any():
         warnings.warn(
@@ -173,14 +184,11 @@ def _check_rows(found: Identification, poses: np.ndarray, times: Any) -> Identif
             "load_recording does, with their times; reframe_jax.recordings.lost.find_lost_poses gives them.",
             stacklevel=3,
         )
-    if not is_unordered(poses[~lost.mask]):
-        return found
-    return replace(found, warning_codes=found.warning_codes | int(Caution.UNORDERED))
 
 
 def _on_host(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Identification:
     """Windows (N, K+1, 4, 4) in pieces of one of few sizes and lengths: new ones compile nothing."""
-    pad = run.keywords["scales"] is None  # velocities of single steps must not see the padding
+    pad = not run.keywords["scales"]  # velocities of single steps must not see the padding
     found: Identification = run_in_pieces(
         lambda poses, steps, lengths, _: run(poses, steps, lengths, *options),
         poses,

@@ -1,6 +1,8 @@
 """Poses and times as they are given: of which types they may be, and what the pipeline makes of them."""
 
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import jax
@@ -189,10 +191,25 @@ def run_in_pieces(run: Callable[..., Any], poses: Any, steps: Any, others: Any, 
         size *= 8
     size = min(size, most)
     lengths = np.full(size, length, np.int32) if padded else None
-    parts = []
-    for start in range(0, count, size):
+
+    def run_piece(start: int) -> Any:
         rows = np.minimum(np.arange(start, start + size), count - 1)
         part = slice(start, start + size) if start + size <= count else rows
         own = steps if steps.ndim == 1 else steps[part]
-        parts.append(run(poses[part], own, lengths, jax.tree.map(lambda leaf, part=part: leaf[part], others)))
+        return run(poses[part], own, lengths, jax.tree.map(lambda leaf: leaf[part], others))
+
+    starts = range(0, count, size)
+    parts = [run_piece(0)]  # which compiles
+    if len(starts) > 2 and jax.default_backend() == "cpu":
+        # the operations of a piece are short: XLA gives each to one processor
+        wide = bool(jax.config.jax_enable_x64)  # a setting of the thread
+
+        def run_on_thread(start: int) -> Any:
+            with jax.enable_x64(wide):
+                return jax.block_until_ready(run_piece(start))
+
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            parts += pool.map(run_on_thread, starts[1:])
+    else:
+        parts += [run_piece(start) for start in starts[1:]]
     return join_parts(parts, count)

@@ -19,8 +19,8 @@ __all__ = ["IdentifyOptions", "Scales", "check_bounds", "check_options", "take_a
 
 _FARTHEST = 1e6  # m, of bounds: far more than any mechanism, and powers of it are finite
 
-Scales = Literal["auto"] | int | Sequence[int]
-"""Samples in the blocks of the time scales that are used."""
+Scales = Literal["auto", "mean"] | int | Sequence[int]
+"""Samples in the blocks of the time scales that are used; "mean" for the displacements about the mean."""
 
 
 class IdentifyOptions(TypedDict, total=False):
@@ -37,7 +37,7 @@ class IdentifyOptions(TypedDict, total=False):
 
 
 def take_scales(scales: Any, poses: int) -> tuple[int, ...] | None:
-    """The scales in samples, None for "auto".
+    """The scales in samples, None for "auto", none of them for "mean".
 
     Raises:
         ValueError: unless they are powers of two that fit a window of so many poses.
@@ -45,7 +45,9 @@ def take_scales(scales: Any, poses: int) -> tuple[int, ...] | None:
     if isinstance(scales, str):
         if scales == "auto":
             return None
-        raise ValueError(f"scales must be 'auto' or numbers of samples, not {scales!r}.")
+        if scales == "mean":
+            return ()
+        raise ValueError(f"scales must be 'auto', 'mean' or numbers of samples, not {scales!r}.")
     values = np.atleast_1d(read_numbers("scales", scales))
     longest = max(1, poses // 8)
     whole = values.ndim == 1 and values.size and values.dtype.kind in "iu"

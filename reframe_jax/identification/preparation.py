@@ -57,8 +57,10 @@ def prepare_windows(
         steps: (K,) or (N, K) s.
         count: (N,) number of poses in each window where the rest is padding, else None.
         bounds: () m, half the width of the box; None for a box that grows with the motion.
-        scales: that were asked for, in samples; outliers are left out for None, all that stand out.
+        scales: that were asked for, in samples; outliers are left out for None, all that stand out. None of
+            them for displacements about the mean.
     """
+    about_mean = scales == ()
     status = window_status(poses, steps)
     failed = status >= 10
     # a failed window computes with harmless numbers, so that no NaN enters a derivative
@@ -78,9 +80,15 @@ def prepare_windows(
         times = jnp.broadcast_to(times, own.shape).T
         rotation, position, counted = repair_poses(rotation, position, times, number, unit)
     still = jax.lax.stop_gradient((position, kinematics.turns_of(rotation)))
-    noise = jnp.stack(estimate_noise(*still, counted, unit), axis=1)
+    if about_mean:  # neighbours say nothing about the noise: no more of it than rounding is known
+        reach = jnp.max(jnp.where(counted, jnp.abs(still[0]), 0), axis=(0, 1))
+        noise = (
+            4 * float(jnp.finfo(poses.dtype).eps) * jnp.stack([reach, jnp.full_like(reach, np.pi)], axis=1)
+        )
+    else:
+        noise = jnp.stack(estimate_noise(*still, counted, unit), axis=1)
     features = pose_features(rotation, position, steps, counted, count)
-    moments = scale_moments(features.values, counted.T, count)
+    moments = scale_moments(features.values, counted.T, count, about_mean)
     square = jnp.max(jnp.where(counted, jnp.sum(jnp.square(position), axis=0), 0), axis=0)
     box = jnp.maximum(_REACH, _REACH * jnp.sqrt(jax.lax.stop_gradient(square)))
     box = box if bounds is None else jnp.broadcast_to(jnp.asarray(bounds, box.dtype), box.shape)

@@ -383,10 +383,11 @@ def _report_window(
 
 
 def _turns_less_in_ground(axes: Array, weights: Array, total: Array) -> Array:
-    """Whether the plane of the positions fixes the one axis of both bodies better than the rotations do, ().
+    """Whether the plane of the positions fixes the axis better than the rotations do, ().
 
-    An axis is as uncertain as the motion across it is large, against the motion that turns about it: held rotations
-    against the free one; the position along the axis against the weaker of its amplitudes in the plane.
+    An axis is as uncertain as the motion that it should not have is large against the motion that shows it:
+    held rotations against the free one; the position along the axis against the weaker of its amplitudes in
+    the plane.
     """
     held_turns, turn, along = (
         jnp.einsum("if,fg,ig->", w, total, w) for w in (weights[:2], weights[2:3], weights[5:])

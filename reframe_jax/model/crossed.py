@@ -106,7 +106,7 @@ class _Local(NamedTuple):
 
 
 def _across(axis: Array) -> Array:
-    """Two directions across unit vectors (3, ...), columns (3, 2, ...), without a division by zero (Duff et al. 2017)."""
+    """Two directions (3, 2, ...) across unit vectors (3, ...), continuous but at z = 0 (Duff et al. 2017)."""
     x, y, z = axis
     sign = jnp.where(z < 0, -1.0, 1.0).astype(axis.dtype)
     p = -1 / (sign + z)

@@ -45,13 +45,17 @@ class Moments(NamedTuple):
         return jnp.where(last, 1.0, 2.0) / self.width
 
 
-def scale_moments(values: jax.Array, counted: jax.Array, count: jax.Array | None) -> Moments:
+def scale_moments(
+    values: jax.Array, counted: jax.Array, count: jax.Array | None, about_mean: bool = False
+) -> Moments:
     """Second moments of features.
 
     Args:
         values: (N, P, F).
         counted: (N, P) bool, poses that count; a block counts if half of its poses do.
         count: (N,) number of poses if the rest is padding, else None.
+        about_mean: whether the smooth part holds all displacements about the mean, and no details are used;
+            the order of the poses then plays no part.
     """
     poses, dtype = values.shape[1], values.dtype
     number = jnp.full(len(values), poses, jnp.int32) if count is None else count
@@ -62,6 +66,16 @@ def scale_moments(values: jax.Array, counted: jax.Array, count: jax.Array | None
     spread = jnp.sum(jnp.square(total), axis=1) / jnp.maximum(jnp.sum(weight, axis=1), 1)[:, None]
     floor = _ROUNDINGS * float(jnp.finfo(dtype).eps) * jax.lax.stop_gradient(spread) + _LEAST
     floor = floor[:, None] * jnp.eye(values.shape[2], dtype=dtype)
+    if about_mean:
+        used = jnp.sum(weight, axis=1)
+        smooth = _mean_products(total, used)[:, None] + floor[:, None]
+        ones = jnp.ones_like(used)[:, None]
+        none = jnp.zeros_like(ones)
+        return Moments(
+            jnp.concatenate([floor[:, None], smooth], axis=1),
+            jnp.concatenate([none, jnp.maximum(used - 1, 0.5)[:, None]], axis=1),
+            jnp.concatenate([ones, ones], axis=1),
+        )
     products, details, widths = [], [], []
     smooth = jnp.zeros((len(values), values.shape[2], values.shape[2]), dtype)
     smooth_width = jnp.ones(len(values), dtype)

@@ -72,11 +72,12 @@ def choose_scales(moments: Moments, noise: Array, scales: tuple[int, ...] | None
     Args:
         moments: of N windows, of all scales.
         noise: (N, 2) m and rad, of every component.
-        scales: in samples; None for the smooth part and all at which the motion stands out of the noise.
+        scales: in samples; None for the smooth part and all at which the motion stands out of the noise, none
+            for the smooth part alone.
     """
     last = moments.details.shape[1] - 1
     index = jnp.arange(last + 1)
-    if scales is not None:
+    if scales:
         asked = jnp.isin(moments.width, jnp.asarray(scales, moments.width.dtype)) & (index < last)
         return moments._replace(details=jnp.where(asked, moments.details, 0))
     keep = jnp.ones_like(moments.details, bool)

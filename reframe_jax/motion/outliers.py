@@ -1,9 +1,10 @@
 """Poses that jump away and back: flips, swapped markers, lost frames.
 
 A pose is predicted by interpolation between neighbours, one to five strides before and after the pose; the
-prediction is the median of the five. An outlier lies far from the prediction while the five agree, and on the same
-side of the poses before and after. Smooth motion and corners of a path are no outliers, because the five disagree
-there as much; a body that stays where it jumped to lies close to the poses after the jump.
+prediction is the median of the five. An outlier lies far from the prediction while the five agree, and far
+from where the poses before it, and those after it, lead. Smooth motion and corners of a path are no outliers,
+because the five disagree there as much; a body that stays where it jumped to follows from the poses after the
+jump.
 
 Outliers do not count; paths that run across them use the motion interpolated between the poses beside them.
 Arrays have components first, then samples, and windows last.

@@ -123,7 +123,8 @@ def refit_windows(
     products, details = used.products[:, None], used.details[:, None]
     number = jnp.sum(window.counted, axis=1)[:, None]
     if parts != "whole":
-        moments, of_parts = _moments_of_spans(window) if parts == "spans" else _moments_of_blocks(window)
+        moments_of = _moments_of_spans if parts == "spans" else _moments_of_blocks
+        moments, of_parts = moments_of(window, scales == ())
         noise = jnp.repeat(window.noise, of_parts.shape[1], axis=0)
         moments = choose_scales(moments, noise, scales)
         # scales that a part does not have are without details
@@ -137,15 +138,16 @@ def refit_windows(
     return jax.vmap(_fit_window)(mean, box, products, details, number, entry, start, found), window
 
 
-def _moments_of_blocks(window: Prepared) -> tuple[Moments, Array]:
+def _moments_of_blocks(window: Prepared, about_mean: bool) -> tuple[Moments, Array]:
     """Moments (N * M, ...) of what is left without each of M blocks, and its number of poses (N, M)."""
     block = jnp.arange(window.counted.shape[1])[None] * BLOCKS // window.count[:, None]
     kept = window.counted[:, None] & (block[:, None] != jnp.arange(BLOCKS)[:, None])
     values, length = (jnp.repeat(x, BLOCKS, axis=0) for x in (window.features.values, window.count))
-    return scale_moments(values, kept.reshape(-1, kept.shape[2]), length), jnp.sum(kept, axis=2)
+    moments = scale_moments(values, kept.reshape(-1, kept.shape[2]), length, about_mean)
+    return moments, jnp.sum(kept, axis=2)
 
 
-def _moments_of_spans(window: Prepared) -> tuple[Moments, Array]:
+def _moments_of_spans(window: Prepared, about_mean: bool) -> tuple[Moments, Array]:
     """The same of halves and thirds."""
     values, count = window.features.values, window.count
     first, end = (jnp.stack([count * (part + i) // parts for part, parts in _SPANS], axis=1) for i in (0, 1))
@@ -155,7 +157,8 @@ def _moments_of_spans(window: Prepared) -> tuple[Moments, Array]:
     place = jnp.minimum(place, values.shape[1] - 1)
     kept = jax.vmap(lambda counted, i: counted[i])(window.counted, place) & own
     taken = jax.vmap(lambda value, i: value[i])(values, place).reshape(-1, longest, values.shape[2])
-    return scale_moments(taken, kept.reshape(-1, longest), (end - first).ravel()), jnp.sum(kept, axis=2)
+    moments = scale_moments(taken, kept.reshape(-1, longest), (end - first).ravel(), about_mean)
+    return moments, jnp.sum(kept, axis=2)
 
 
 def _fit_window(

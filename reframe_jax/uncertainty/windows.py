@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reframe_jax.compilation import in_float64, index_leaves, traced
+from reframe_jax.identification.cautions import Caution
 from reframe_jax.identification.inputs import run_in_pieces, take_poses, take_steps
 from reframe_jax.identification.options import Scales, take_scales
 from reframe_jax.identification.results import Identification
@@ -55,6 +56,9 @@ def over_windows(
     expected = (*np.shape(found.counted), 4, 4)
     if array.shape != expected:
         raise ValueError(f"poses must be those that were identified, of shape {expected}, not {array.shape}.")
+    codes = found.warning_codes
+    if np.ndim(codes) == 0 and not traced(codes) and int(codes) & Caution.UNORDERED and scales == "auto":
+        scales = "mean"  # as the identification was made
     wide = not isinstance(array, jax.Array) and array.dtype == np.float64
     with jax.enable_x64(True) if wide else contextlib.nullcontext():
         steps = take_steps(array, times, dt).astype(array.dtype)
