@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.compilation import join_parts
+from reframe_jax.compilation import in_float64, join_parts
 from reframe_jax.motion.checks import MIN_VELOCITIES
 
 __all__ = ["padded_size", "read_number", "read_numbers", "run_in_pieces", "take_poses", "take_steps"]
@@ -202,7 +202,7 @@ def run_in_pieces(run: Callable[..., Any], poses: Any, steps: Any, others: Any, 
     parts = [run_piece(0)]  # which compiles
     if len(starts) > 2 and jax.default_backend() == "cpu":
         # the operations of a piece are short: XLA gives each to one processor
-        wide = bool(jax.config.jax_enable_x64)  # a setting of the thread
+        wide = in_float64()  # a setting of the thread
 
         def run_on_thread(start: int) -> Any:
             with jax.enable_x64(wide):

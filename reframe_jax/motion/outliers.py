@@ -27,6 +27,7 @@ _OUTLIER = 7.0  # distance from the prediction, in medians of all distances: fiv
 _AGREE = 3.0  # the same in medians of the distances of the five from their median
 _MOST = 0.3  # fraction of poses that can be outliers; beyond it nothing is left out
 _APART = 0.5  # of the distance, that the poses on either side, continued, lie from the pose
+_JUMP = 4.0  # fourth difference over its median, above which outliers are looked for
 _PASSES = 6  # long runs shrink pass by pass
 
 
@@ -62,7 +63,7 @@ def repair_poses(
             found = found & ~_find(filled, times, own, count, unit, stride)
         return found, jnp.any(found != counted), passes + 1
 
-    start = own, jnp.asarray(True), jnp.int32(0)
+    start = own, _any_jumps(measured, own), jnp.int32(0)
     counted, _, _ = lax.while_loop(lambda c: c[1] & (c[2] < _PASSES), search, start)
     fraction = jnp.sum(own & ~counted, axis=0, dtype=position.dtype) / count.astype(position.dtype)
     counted = jnp.where(fraction <= _MOST, counted, own)
@@ -76,6 +77,14 @@ def repair_poses(
 
     fixed = lax.cond(jnp.any(counted != own), fill, lambda _: (rotation, position), None)
     return *fixed, counted
+
+
+def _any_jumps(x: Array, own: Array) -> Array:
+    """Whether a fourth difference of poses x (9, P, N) stands out, (): a cheap test that misses no jump."""
+    whole = jnp.broadcast_to((own[:-4] & own[4:])[:, None], (x.shape[1] - 4, 2, own.shape[1]))
+    size = jnp.swapaxes(_lengths(jnp.diff(x, n=4, axis=1)[None])[:, 0], 0, 1)
+    rounding = 64 * jnp.finfo(x.dtype).eps * (1 + jnp.max(jnp.abs(x), axis=(0, 1)))
+    return jnp.any(whole & (size > _JUMP * masked_median(size, whole) + rounding))
 
 
 def _find(x: Array, times: Array, own: Array, count: Array, unit: Array, stride: int) -> Array:
