@@ -54,10 +54,10 @@ def test_frames_fixed_in_one_body_hold_at_every_pose(label: str) -> None:
     assert same == (HOLDERS[label] is not None)
     assert here.frame_id == {"body": "tool", "ground": "map", None: "map"}[HOLDERS[label]]
     expected = {
-        "G": "Always: the frame is fixed in tool.",
-        "H": "Always: the frame is fixed in map.",
-        "K": "At one pose of tool. Fixed are: origin in tool, linear axes in map.",
-        "L": "At one pose of tool. Fixed are: origin in map, linear axes in tool.",
+        "G": "Valid at every pose: the frame is fixed in tool.",
+        "H": "Valid at every pose: the frame is fixed in map.",
+        "K": "Valid at one pose of tool only. Fixed are: origin in tool, linear axes in map.",
+        "L": "Valid at one pose of tool only. Fixed are: origin in map, linear axes in tool.",
     }
     assert here.validity == expected[label]
 

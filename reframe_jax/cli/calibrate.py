@@ -16,17 +16,18 @@ from reframe_jax.recordings.recording import RecordingError
 __all__ = ["add_calibrate"]
 
 _CALIBRATE = """\
-Calibrate a tool: find its tip from touches of one point (pivot calibration), or
-its axis from turns about itself (--spin).
+Calibrate a tool: find its tip from poses in which the tip rests on one point
+(pivot calibration), or its axis from rotations of the tool about this axis
+(--spin).
 
-A file holds one pose of the tool per row, at least four, in any order; its times
-play no part. Files without times need --dt 1. Rows that do not fit the others
-are named and left out.
+A file contains at least four poses of the tool, one per row, in any order.
+Times are ignored, but files without times need --dt 1. Outliers are listed and
+left out.
 """
 
 
 def add_calibrate(commands: Any) -> None:
-    """Add the command to those of the command line."""
+    """Add this command to the command line."""
     command = commands.add_parser(
         "calibrate",
         description=_CALIBRATE,
@@ -35,7 +36,7 @@ def add_calibrate(commands: Any) -> None:
     )
     add = command.add_argument
     add("files", nargs="+", type=Path, metavar="FILE", help="recordings")
-    add("--spin", action="store_true", help="the tool was turned about its own axis: find the axis")
+    add("--spin", action="store_true", help="find the axis of a tool that was turned about its own axis")
     add("--json", metavar="OUT", help="write the results as JSON; - prints them instead of tables")
     add_reading(command)
     command.set_defaults(run=_calibrate, usage_error=command.error)
@@ -55,7 +56,7 @@ def _calibrate(options: argparse.Namespace) -> int:
 
 
 def _calibrate_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
-    """Calibrate and print one recording; returns its entry in the JSON document."""
+    """Calibrate and print one recording; return its entry in the JSON document."""
     notes: tuple[str, ...] = ()
     try:
         recording = read_recording(path, options)

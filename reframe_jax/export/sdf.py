@@ -1,4 +1,4 @@
-"""A joint as SDF (SDFormat)."""
+"""Write a joint as SDF (SDFormat)."""
 
 from xml.etree import ElementTree
 
@@ -21,23 +21,23 @@ from reframe_jax.joints.joint import Joint
 __all__ = ["to_sdf"]
 
 _KINDS = {"hinge": "revolute", "slide": "prismatic", "ball": "ball"}
-_MODEL = "__model__"  # the frame of the model, which is the parent
+_MODEL = "__model__"  # the frame of the model, which coincides with the parent
 
 
 def to_sdf(joint: Joint, *, mass: float = 1.0) -> str:
     """Return a joint as an SDF 1.9 document with one model; a screw joint needs SDF 1.10.
 
-    The links are the parent, fixed to the world, the child, and one link between any two parts of the joint;
-    a cylindrical joint is a chain of a slide and a hinge, a planar joint of two slides and a hinge.
+    The links are the parent (fixed to the world), the child, and one link between any two parts of the joint.
+    A cylindrical joint is a chain of a slide and a hinge; a planar joint is a chain of two slides and a
+    hinge.
 
     Args:
-        joint: from :meth:`Identification.to_joint`. The limits are its recorded range, though SDF has none
-            for balls; a hinge seen to make a full turn is ``continuous``.
-        mass: kg, of the child, a solid sphere of 0.1 m radius at its origin; poses do not tell masses.
+        joint: from :meth:`Identification.to_joint`. The limits are the recorded range; SDF has no
+            limits for balls. A hinge that made a full turn in the recording is ``continuous``.
+        mass: kg, mass of the child, a solid sphere of 0.1 m radius; poses do not determine masses.
 
     Raises:
-        ValueError: for a contact that leaves every pose within reach, or a free body; or a mass that is not
-            positive.
+        ValueError: for a contact that allows every pose, for a free body, or for a mass that is not positive.
     """
     check_mass(mass)
     check_writable(joint, "SDF")
@@ -84,7 +84,7 @@ def _add_joint(
 
 
 def _add_link(model: ElementTree.Element, name: str, place: np.ndarray, mass: float) -> None:
-    """A link at a place (x, y, z, roll, pitch, yaw) of the model, with the inertial of a sphere."""
+    """Add a link at a pose (x, y, z, roll, pitch, yaw) in the model, with the inertia of a sphere."""
     link = element(model, "link", name=name)
     element(link, "pose", written(place))
     inertial = element(link, "inertial")

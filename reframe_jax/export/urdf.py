@@ -21,28 +21,28 @@ from reframe_jax.joints.joint import Joint
 
 __all__ = ["to_urdf"]
 
-_EFFORT, _VELOCITY = "1000", "10"  # N or N m, m/s or rad/s: the format demands numbers
-_NO_LENGTH = 1e-9  # m or rad, below which an offset is left out
+_EFFORT, _VELOCITY = "1000", "10"  # N or N m, m/s or rad/s: the format requires numbers
+_NO_LENGTH = 1e-9  # m or rad, smaller offsets are omitted
 
 
 def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
     """Return a joint as a URDF document.
 
     The links are the parent, the child, and one link for every part of the joint between them, with the axes
-    of the parent. A joint with several parts is a chain: a cylindrical joint is a slide and a hinge, a planar
-    joint two slides and a hinge (the type ``planar`` of URDF leaves open whether the child may turn). A screw
-    joint is a hinge and a slide that mimics it. Three
-    hinges stand for a ball, as in :meth:`Joint.without_balls`, whose coordinates are those of the file. Every
-    moving link has an inertial, which MuJoCo demands, and MuJoCo is told to keep fixed links.
+    of the parent. A cylindrical joint is a slide and a hinge. A planar joint is two slides and a hinge,
+    because the URDF type ``planar`` does not specify whether the child may turn. A screw joint is a hinge and
+    a slide that mimics the hinge. Three hinges replace a ball, as in :meth:`Joint.without_balls`, which has
+    the coordinates of the file. Every moving link has an ``inertial`` element, which MuJoCo requires; a
+    compiler flag keeps fixed links in MuJoCo.
 
     Args:
-        joint: from :meth:`Identification.to_joint`. The limits are its recorded range; a hinge seen to make
-            a full turn is ``continuous``.
-        mass: kg, of the child, a solid sphere of 0.1 m radius at its origin; poses do not tell masses.
+        joint: from :meth:`Identification.to_joint`. The limits are the recorded range; a hinge
+            that made a full turn in the recording is ``continuous``.
+        mass: kg, mass of the child, a solid sphere of 0.1 m radius; poses do not determine masses.
 
     Raises:
-        ValueError: for what URDF cannot say: balls that turn so far that three hinges lock, contacts that
-            leave every pose within reach, free bodies; or a mass that is not positive.
+        ValueError: for a ball whose rotations come near the gimbal lock of three hinges, a contact that
+            allows every pose, a free body, or a mass that is not positive.
     """
     check_mass(mass)
     check_writable(joint, "URDF")
@@ -78,7 +78,7 @@ def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
 def _add_part(
     robot: ElementTree.Element, name: str, part: JointPart, last: str, place: np.ndarray
 ) -> ElementTree.Element:
-    """A hinge or a slide from a link, whose origin is at a place in the parent."""
+    """Add a hinge or slide to a link whose origin has a given position in the parent."""
     kind = "prismatic" if part.kind == "slide" else "continuous" if is_endless(part) else "revolute"
     made = element(robot, "joint", name=name, type=kind)
     _add_origin(made, part.point - place, np.zeros(3))
@@ -91,7 +91,7 @@ def _add_part(
 
 
 def _add_link(robot: ElementTree.Element, name: str, mass: float) -> None:
-    """A link with the inertial of a sphere at its origin."""
+    """Add a link with the inertia of a sphere at its origin."""
     inertial = element(element(robot, "link", name=name), "inertial")
     element(inertial, "mass", value=written([mass]))
     moment, nothing = written([sphere_inertia(mass)]), "0"
