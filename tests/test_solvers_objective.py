@@ -126,7 +126,7 @@ def test_what_is_no_objective_is_named():
         def value(self, x):
             return jnp.sum(x**2, axis=0)
 
-    with pytest.raises(ValueError, match="Half lacks batch, dtype"):
+    with pytest.raises(ValueError, match="Half has no batch, dtype"):
         start(Half())
 
     class Whole(Half):

@@ -1,8 +1,9 @@
-"""Runs of poses that jump away together and come back: flipped orientations, swapped or covered markers.
+"""Find bursts of outliers: runs of poses that jump away together and return.
 
-A run starts with a step unlike those before it and ends with one unlike those after it; and from the pose
-before the run to the pose after it, the body moved as it did before and after. A body that stays where it
-jumped to, or that only moved fast, makes no such run.
+Typical causes are flipped orientations, and swapped or occluded markers. A run starts with a jump and ends
+with a jump back; across the run, the body moved as before and after the run. A body that stays at the place
+of a jump, or that only moves fast, makes no run.
+
 """
 
 import jax
@@ -16,25 +17,27 @@ from reframe_jax.geometry.products import matmul
 __all__ = ["LONGEST_RUN", "find_runs"]
 
 LONGEST_RUN = 24  # poses
-_SHORTEST_RUN = 3  # poses; lines through the neighbours find shorter ones
-_BESIDE = 5  # steps before and after a run that say how the body moves
-_JUMP = 6.0  # distance of a step from those beside it, in units of their scatter
-_LATE = 3.0  # usual steps that a body may go in one
-_BRIDGE = 0.5  # of the jump, that the motion across the run may differ from the motion beside it
-_UNEVEN = 4.0  # ratio of the two jumps, from which on they are not those of one run
-_FRACTION = 6  # runs are no longer than this part of the window
+_SHORTEST_RUN = 3  # poses; the test in outliers finds shorter runs
+_BESIDE = 5  # steps before and after a run that give the usual motion
+_JUMP = 6.0  # distance of a step from adjacent steps, in units of their scatter
+_LATE = 3.0  # longest regular step, in usual steps
+_BRIDGE = (
+    0.5  # largest difference of the motion across the run from the usual motion, as a fraction of the jump
+)
+_UNEVEN = 4.0  # largest ratio of the two jumps of a run
+_FRACTION = 6  # a run is at most the window length divided by this number
 
 
 def find_runs(poses: jax.Array, count: jax.Array, unit: jax.Array) -> jax.Array:
-    """Find the runs of a window: those of at least three poses that start and end within it.
+    """Find the runs of a window that have at least three poses, and start and end inside the window.
 
     Args:
         poses: (K+1, 4, 4) m.
-        count: () number of poses; the others are padding.
-        unit: () m, that positions are rounded to, or 0.
+        count: () number of poses before the padding.
+        unit: () m, rounding unit of the positions, or 0.
 
     Returns:
-        (K+1,) bool, the poses of all runs.
+        (K+1,) bool, True for poses of runs.
     """
     size = poses.shape[0]
     longest = min(LONGEST_RUN, size // _FRACTION)
@@ -42,7 +45,7 @@ def find_runs(poses: jax.Array, count: jax.Array, unit: jax.Array) -> jax.Array:
         return jnp.zeros(size, bool)
     length = np.arange(longest + 1, dtype=np.int32)
     here = np.arange(size - 1, dtype=np.int32)
-    last = np.minimum(here[:, None] + length, size - 2)  # the step that ends a run of this length
+    last = np.minimum(here[:, None] + length, size - 2)  # last step of a run with this length
     inside = (here[:, None] >= _BESIDE) & (here[:, None] + length + _BESIDE < count - 1)
     inverse = jnp.swapaxes(poses[:, :3, :3], -1, -2)
     beyond = np.minimum(last + 1, size - 1)
@@ -63,9 +66,10 @@ def find_runs(poses: jax.Array, count: jax.Array, unit: jax.Array) -> jax.Array:
 
 
 def _beside(steps: jax.Array, side: int) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Median of the steps (K, 3) before (-1) or after (1) each one, (K, 3), distances from it, and scatter.
+    """Median step (K, 3) before (-1) or after (1) each step, distance of each step from it, and scatter.
 
-    The body may be early or late on its way: distances are from the usual step up to three times its length.
+    The body may be early or late on its path. Distances are therefore relative to the segment from the usual
+    step to three times the usual step.
     """
     number = steps.shape[0]
     near = np.arange(number)[:, None] + side * np.arange(1, _BESIDE + 1)
@@ -79,7 +83,7 @@ def _beside(steps: jax.Array, side: int) -> tuple[jax.Array, jax.Array, jax.Arra
 
 
 def _excess(usual: jax.Array, distance: jax.Array, scatter: jax.Array, least: jax.Array) -> jax.Array:
-    """How far each step is from the usual one, (K,), where it is a jump; else 0."""
+    """Distance (K,) of each step from the usual step if the step is a jump; else 0."""
     typical = jnp.median(distance)
     rounding = 64 * jnp.finfo(usual.dtype).eps * (1 + jnp.max(distance))
     level = _JUMP * jnp.maximum(jnp.maximum(scatter, typical), least) + rounding
@@ -87,9 +91,9 @@ def _excess(usual: jax.Array, distance: jax.Array, scatter: jax.Array, least: ja
 
 
 def _union(returns: jax.Array) -> jax.Array:
-    """Poses of the runs (K+1,), from the steps that start one, and its length (K, longest + 1): the shortest.
+    """Poses (K+1,) of the runs, from possible starts and lengths (K, longest + 1), with the shortest length.
 
-    A run starts after the one before it has ended: the step back is no start.
+    A run can start only after the end of the previous run, because the jump back is no start.
     """
     shortest = jnp.where(jnp.any(returns[:, 1:], axis=1), jnp.argmax(returns[:, 1:], axis=1) + 1, 0)
 

@@ -1,4 +1,4 @@
-"""White noise of measured poses, as their differences show it.
+"""Estimate the white noise of measured poses from their differences.
 
 All arrays have components first, then samples, then windows.
 """
@@ -11,19 +11,21 @@ from jax import lax
 
 __all__ = ["constant_components", "estimate_noise", "masked_median", "unit_of_rounding"]
 
-_ORDERS = (2, 4, 6)  # of the differences that noise is estimated from
+_ORDERS = (2, 4, 6)  # orders of the differences for the noise estimate
 _GAUSSIAN = 0.6745  # median of the absolute value of a standard normal variable
-_OFF_GRID = 0.05  # mean distance of steps from multiples of the smallest; a quarter if they are none
-_BISECTIONS, _OCTAVES = 14, 40  # of a median: to 0.2 % over twelve decades
+_OFF_GRID = (
+    0.05  # largest mean distance of steps from multiples of the smallest step; random steps have a quarter
+)
+_BISECTIONS, _OCTAVES = 14, 40  # bisections of a median: 0.2 % accuracy over twelve decades
 
 
 def masked_median(values: jax.Array, counted: jax.Array) -> jax.Array:
-    """Return the median of the non-negative values (M, ...) that count, over the first axis; 0 if none.
+    """Median of the counted non-negative values (M, ...) over the first axis; 0 if no value counts.
 
-    Bisects the logarithm in elementwise passes, because sorting many short rows is slow.
+    The function bisects the logarithm in elementwise passes, because sorting many short rows is slow.
     """
     top = jnp.maximum(jnp.max(jnp.where(counted, values, 0), axis=0), jnp.finfo(values.dtype).tiny)
-    # as shares of the largest, float32 is exact enough: a processor compares twice as many at a time
+    # relative to the largest value, float32 is accurate enough and twice as fast to compare
     shares = jnp.where(counted, values / top[None], jnp.inf).astype(jnp.float32)
     half = jnp.sum(counted, axis=0, dtype=jnp.float32) / 2
     low, high = _bisect(shares, half)
@@ -32,7 +34,7 @@ def masked_median(values: jax.Array, counted: jax.Array) -> jax.Array:
 
 
 def _bisect(shares: jax.Array, half: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Two logarithms, (...), between which that of the value lies that ``half`` of the shares are below."""
+    """Lower and upper bounds (...) of the logarithm of the median; ``half`` of the values are below."""
 
     def halve(_: int, ends: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         low, high = ends
@@ -49,17 +51,17 @@ def estimate_noise(position: jax.Array, turns: jax.Array, counted: jax.Array) ->
     """Estimate the standard deviation of the white noise in each component of position and orientation.
 
     Uses the median absolute differences of order 2, 4 and 6, and returns the smallest estimate, because
-    smooth motion vanishes from high differences. A few jumps do not matter. Errors that change slowly are not
-    included. Components that never change, as those that a planar tracker does not measure, say nothing about
-    the noise of the others. Rounded positions have at least the noise of their rounding.
+    smooth motion vanishes from high differences. A few jumps have no effect. Slow errors (drift) are not
+    included. Components that never change, such as the components that a planar tracker does not measure, are
+    ignored. Rounded positions have at least the noise of their rounding.
 
     Args:
         position: (3, K+1, N) m.
         turns: (3, K, N) rad, rotation vector of every step.
-        counted: (K+1, N) bool, poses that count.
+        counted: (K+1, N) bool, False for poses to ignore.
 
     Returns:
-        (N,) m and (N,) rad.
+        Standard deviations (N,) m and (N,) rad.
     """
     poses = counted.shape[0]
     rows, masks, scales = [], [], []
@@ -92,12 +94,12 @@ def estimate_noise(position: jax.Array, turns: jax.Array, counted: jax.Array) ->
 
 
 def constant_components(values: jax.Array, counted: jax.Array, least: float = 0.0) -> jax.Array:
-    """Which components of values (3, M, N) stay the same to the last digit, (3, N) bool.
+    """Find components of values (3, M, N) that are constant up to rounding errors, (3, N) bool.
 
     Args:
         values: (3, M, N).
-        counted: (M, N) bool, which count.
-        least: size of the numbers that the values were computed from, at least.
+        counted: (M, N) bool, False for values to ignore.
+        least: lower bound on the size of the numbers from which the values were computed.
     """
     low = jnp.min(jnp.where(counted[None], values, jnp.inf), axis=1)
     high = jnp.max(jnp.where(counted[None], values, -jnp.inf), axis=1)
@@ -107,15 +109,15 @@ def constant_components(values: jax.Array, counted: jax.Array, least: float = 0.
 
 
 def unit_of_rounding(position: jax.Array, counted: jax.Array) -> jax.Array:
-    """The unit that positions are rounded to, (N,) m: all steps are multiples of the smallest; else zero.
+    """Rounding unit of positions, (N,) m: all steps are multiples of the smallest step; zero if they are not.
 
-    Steps of one size only are those of even motion, not of rounding. Where numbers have a fixed count of
-    digits, large coordinates are rounded more than small ones. So a coordinate that mostly repeats its value
-    while others change has a unit of its own, its smallest step.
+    Steps of a single size mean uniform motion, not rounding. Numbers with a fixed number of digits have a
+    coarser rounding in large coordinates. A coordinate that mostly repeats its value while other coordinates
+    change therefore has a separate unit, its smallest step.
 
     Args:
         position: (3, K+1, N) m.
-        counted: (K+1, N) bool, poses that count.
+        counted: (K+1, N) bool, False for poses to ignore.
     """
     steps = jnp.abs(jnp.diff(position, axis=1))
     both = (counted[1:] & counted[:-1])[None]

@@ -1,7 +1,7 @@
-"""Poses that jump away and back: flips, swapped markers, lost frames.
+"""Find outliers: poses that jump away and back because of flips, swapped markers or lost frames.
 
-Robust lines through the neighbours find up to two in a row; :mod:`.bursts` finds longer runs. They do not
-count; paths that run across them use the motion interpolated between the poses beside them.
+Robust lines through the neighbours of a pose find up to two consecutive outliers; :mod:`.bursts` finds longer
+runs. The identification ignores outliers. Paths across outliers are interpolated between the adjacent poses.
 """
 
 from functools import partial
@@ -19,22 +19,22 @@ from reframe_jax.motion.noise import masked_median, unit_of_rounding
 
 __all__ = ["repair_poses"]
 
-_HALF = 3  # neighbours on each side: a majority of them outvotes outliers of up to two poses
+_HALF = 3  # neighbours on each side, enough for a majority against two outliers
 _OUTLIER = 6.0  # distance from the line through the neighbours, in units of their scatter
-_SUSPICIOUS = 6.0  # fourth difference over its median, above which a window is looked at
-_MOST = 0.3  # share of poses that can be outliers; beyond it nothing is left out
+_SUSPICIOUS = 6.0  # ratio of a fourth difference to its median, above which a window is examined
+_MOST = 0.3  # largest fraction of outliers; beyond this fraction, no pose is left out
 
 
 def repair_poses(poses: jax.Array, times: jax.Array, count: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Find outliers, and replace them by motion interpolated between the poses beside them.
+    """Find outliers, and replace them by poses interpolated between the adjacent poses.
 
     Args:
         poses: (N, K+1, 4, 4) m.
         times: (N, K+1) s.
-        count: (N,) number of poses in each window; the others are padding.
+        count: (N,) number of poses in each window before the padding.
 
     Returns:
-        The poses, (N, K+1, 4, 4), and which of them count, (N, K+1) bool: neither outliers nor padding.
+        The poses (N, K+1, 4, 4), and (N, K+1) bool, False for outliers and padding.
     """
     own = jnp.arange(poses.shape[1], dtype=jnp.int32)[None] < count[:, None]
     if poses.shape[1] <= 2 * _HALF:
@@ -60,7 +60,7 @@ def repair_poses(poses: jax.Array, times: jax.Array, count: jax.Array) -> tuple[
 
 
 def _is_suspicious(poses: jax.Array, own: jax.Array) -> jax.Array:
-    """Whether a fourth difference stands out, (N,): a test that is cheap, and misses no jump."""
+    """Whether a window has an unusually large fourth difference, (N,): a fast test that misses no jump."""
     whole = own[:, :-4] & own[:, 4:]
     jumps = []
     for columns in (slice(3), slice(3, 4)):
@@ -76,34 +76,35 @@ def _is_suspicious(poses: jax.Array, own: jax.Array) -> jax.Array:
 def _find(poses: jax.Array, times: jax.Array, count: jax.Array) -> jax.Array:
     """Outliers of a window, (K+1,) bool.
 
-    A line (medians of slopes and of intercepts) is drawn through the six neighbours of every pose, in the
-    tangent space there. An outlier lies further from it than six times their scatter about it, or the median
-    scatter in the window if that is larger; and the poses before and after it lie on the same side of it.
-    Fast motion, and a body that is elsewhere after lost frames, are no outliers.
+    The test fits a robust line (medians of slopes and of intercepts) to the six neighbours of every pose, in
+    the tangent space at the pose. The distance of an outlier from the line exceeds six times the scatter of
+    the neighbours, or six times the median scatter of the window, whichever is larger. Also, the poses before
+    and after an outlier are on the same side. Fast motion, and a body at a new place after lost frames, are
+    no outliers.
     """
     here, width = np.arange(poses.shape[0], dtype=np.int32), 2 * _HALF
     first = jnp.clip(here - _HALF, 0, count - width - 1)
     near = first[:, None] + np.arange(width, dtype=np.int32)[None]
-    near = near + (near >= here[:, None]).astype(np.int32)  # not the pose itself
+    near = near + (near >= here[:, None]).astype(np.int32)  # skip the pose itself
     after = near > here[:, None]
     later = times[near] - times[:, None]
     inverse = jnp.swapaxes(poses[:, None, :3, :3], -1, -2)
     turns = _unwrap(rotations.rotation_log(matmul(inverse, poses[near, :3, :3])))
     shifts = poses[near, :3, 3] - poses[:, None, :3, 3]
     inside = (here > 0) & (here < count - 1)
-    # of both groups at once, as nothing but the numbers differs
+    # rotations and translations in one call, because only their numbers differ
     strays = vmap(partial(_strays, later=later, after=after, own=jnp.asarray(here < count)))
     return jnp.any(strays(jnp.stack([turns, shifts])), axis=0) & inside
 
 
 def _strays(offsets: jax.Array, later: jax.Array, after: jax.Array, own: jax.Array) -> jax.Array:
-    """Poses (K+1,) that lie far off the line through their neighbours, and on the same side of all of them.
+    """Poses (K+1,) that are distant from the line through their neighbours, with all neighbours on one side.
 
     Args:
-        offsets: (K+1, 6, 3) of the neighbours from each pose, rad or m.
-        later: (K+1, 6) s, how much later they are.
-        after: (K+1, 6) bool, whether they are.
-        own: (K+1,) bool, poses of the window.
+        offsets: (K+1, 6, 3) rad or m, offsets of the neighbours from each pose.
+        later: (K+1, 6) s, times of the neighbours relative to each pose.
+        after: (K+1, 6) bool, whether each neighbour is later than the pose.
+        own: (K+1,) bool, False for padding.
     """
     one, other = np.triu_indices(offsets.shape[1], 1)
     slopes = (offsets[:, other] - offsets[:, one]) / (later[:, other] - later[:, one])[..., None]
@@ -119,10 +120,11 @@ def _strays(offsets: jax.Array, later: jax.Array, after: jax.Array, own: jax.Arr
 
 
 def _unwrap(turns: jax.Array) -> jax.Array:
-    """Rotation vectors (K, M, 3), of the two for each rotation those on the side of the largest in its row.
+    """Choose rotation vectors (K, M, 3) on the side of the largest vector in each row.
 
-    Neighbours of a pose that is off by about a half turn are close to each other, their logarithms are not.
-    Rotations of less than a quarter turn stay as they are.
+    Every rotation has two rotation vectors. The neighbours of a pose with an error of about a half turn are
+    close to each other, but their shortest rotation vectors may have opposite directions. Rotations below a
+    quarter turn do not change.
     """
     angles = jnp.linalg.norm(turns, axis=-1, keepdims=True)
     largest = jnp.take_along_axis(turns, jnp.argmax(angles, axis=1)[..., None], axis=1)
@@ -132,7 +134,7 @@ def _unwrap(turns: jax.Array) -> jax.Array:
 
 
 def _fill(poses: jax.Array, times: jax.Array, counted: jax.Array) -> jax.Array:
-    """Poses that count as they are, others on the way between the nearest that do."""
+    """Keep the counted poses, and interpolate the other poses between the nearest counted poses."""
     here = np.arange(poses.shape[0], dtype=np.int32)
     before = lax.cummax(jnp.where(counted, here, -1))
     after = lax.cummin(jnp.where(counted, here, len(here)), reverse=True)

@@ -124,7 +124,7 @@ def save_film(path: str | Path, pictures: np.ndarray, *, rate: float = 20.0) -> 
 
 
 def _palette(pictures: np.ndarray) -> Any:
-    """Palette of 256 colours for pictures (..., 3), with some colours for the few pixels that are not grey."""
+    """Palette of 256 colours for pictures (..., 3), with some colours for the few coloured pixels."""
     from PIL import Image
 
     pixels = pictures.reshape(-1, 3)
