@@ -117,10 +117,10 @@ def test_a_record_that_is_damaged_is_named(tmp_path: Path) -> None:
     for text, message in (
         (whole[: len(whole) // 2], r"run\.json is damaged"),
         ("", r"run\.json is damaged"),
-        ("\xff", r"run\.json is damaged|something else"),
+        ("\xff", r"run\.json is damaged|does not contain"),
         (100_000 * "[", r"run\.json is damaged"),
-        ("[]", "something else than numbers"),
-        ("{}", "something else than numbers"),
+        ("[]", "does not contain numbers of this version"),
+        ("{}", "does not contain numbers of this version"),
         (whole.replace("16", "-16"), r"run\.json is damaged"),
         (whole.replace("16", '"x"'), r"run\.json is damaged"),
         (whole.replace("16", f'"{10_000 * "x"}"'), r"run\.json is damaged.{,200}$"),

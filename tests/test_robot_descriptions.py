@@ -277,7 +277,7 @@ def test_urdf_has_no_balls() -> None:
 def test_files_say_which_velocities_they_do_not_hold() -> None:
     joint, _ = recorded_joint("E")
     for write in (rf.to_urdf, rf.to_mjcf, rf.to_sdf):
-        assert "The constraint also holds one more velocity of the door at zero" in write(joint)
+        assert "the constraint also blocks one more velocity of the door at zero" in write(joint)
 
 
 def test_models_can_be_edited() -> None:

@@ -50,5 +50,5 @@ def test_the_recording_that_is_refused_is_named(recordings: list[np.ndarray]) ->
         rf.segment_many([recordings[0], broken], dt=DT)
     with pytest.raises(ValueError, match="one entry of times per recording, 3, not 1"):
         rf.segment_many(recordings, times=[np.arange(401)])
-    with pytest.raises(ValueError, match="as many dt as recordings, 3, not 2"):
+    with pytest.raises(ValueError, match="one entry of dt per recording, 3, not 2"):
         rf.segment_many(recordings, dt=[DT, DT])

@@ -88,7 +88,7 @@ def test_axes_that_nearly_agree_are_taken_to_agree() -> None:
         turn = task.transform[:3, :3]
         np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
         assert np.linalg.det(turn) == pytest.approx(1)
-    with pytest.raises(ValueError, match="lie at 40 degrees, neither parallel nor perpendicular"):
+    with pytest.raises(ValueError, match="is 40 degrees, neither parallel nor perpendicular"):
         rf.to_task_frame(turned_hinge(40), POSE)
 
 
