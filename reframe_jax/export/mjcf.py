@@ -42,8 +42,8 @@ def to_mjspec(joint: Joint, *, mass: float = 1.0) -> "mujoco.MjSpec":
     equality constraint couples; ``qpos`` has both.
 
     Args:
-        joint: from :meth:`Identification.to_joint`. The limits are the recorded range; a hinge
-            that made a full turn in the recording has no limits.
+        joint: from :meth:`Identification.to_joint`. The limits are the recorded range; a hinge that made a
+            full turn in the recording has no limits.
         mass: kg, mass of the child's sphere; poses do not determine masses.
 
     Raises:

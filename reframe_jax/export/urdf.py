@@ -36,8 +36,8 @@ def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
     compiler flag keeps fixed links in MuJoCo.
 
     Args:
-        joint: from :meth:`Identification.to_joint`. The limits are the recorded range; a hinge
-            that made a full turn in the recording is ``continuous``.
+        joint: from :meth:`Identification.to_joint`. The limits are the recorded range; a hinge that made a
+            full turn in the recording is ``continuous``.
         mass: kg, mass of the child, a solid sphere of 0.1 m radius; poses do not determine masses.
 
     Raises:

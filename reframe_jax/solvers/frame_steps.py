@@ -6,8 +6,8 @@ points distant from the optimum, two more steps:
 
 - *aligning* rotates by Jacobi's angles, each of which makes one off-diagonal entry of S = E^T Sigma E zero;
 - *majorizing* moves the origin to the minimum of sum_n q_n v_n(p) / v_n, where v_n is the variance along axis
-n and
-  q_n its weight in the power mean. This sum bounds log J from above, because J is concave in the variances.
+  n and q_n its weight in the power mean. This sum bounds log J from above, because J is concave in the
+  variances.
 
 It tries both steps together and each step by itself.
 """
