@@ -135,8 +135,8 @@ def lookup(
     single free rotation axis and the distinct axis of the linear frame, which is the single free or single
     constrained one: this angle distinguishes a cylinder joint from a planar contour. The angular type makes
     no difference. A screw joint has the degrees of freedom of a cylinder joint, with a translation
-    proportional to the rotation. A universal joint has those of a spherical joint if its second axis turned
-    by a large angle.
+    proportional to the rotation. A universal joint has the degrees of freedom of a spherical joint if its
+    second axis turned by a large angle.
 
     Args:
         linear_type: the linear frame's type.
