@@ -92,7 +92,7 @@ def seed(text: str) -> int:
 
 
 def exponent(text: str) -> float:
-    """An exponent of the power mean over the axes."""
+    """The exponent of ``--norm``: of the power mean over the three axes of a frame."""
     try:
         return check_exponent(number(text))
     except ValueError as error:

@@ -108,7 +108,7 @@ def _distinct_axis(dof: Dof) -> int | None:
 
 
 def _relation(angular: Dof, linear: Dof) -> AxisRelation | None:
-    """Relation of the distinct axes of two aligned frames; None if either frame has no distinct axis."""
+    """Relation of the distinct axes of two aligned frames (see :func:`lookup`); None without such axes."""
     a, b = _distinct_axis(angular), _distinct_axis(linear)
     if a is None or b is None:
         return None

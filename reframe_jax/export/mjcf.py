@@ -37,9 +37,9 @@ def to_mjspec(joint: Joint, *, mass: float = 1.0) -> "mujoco.MjSpec":
 
     The parent is a body at the origin of the world. The child is a body inside the parent, with all parts of
     the joint and a sphere of 0.1 m radius without collisions. ``qpos`` holds the coordinates of the joint, in
-    radians and metres. For a ball, ``qpos`` holds the quaternion of the rotation vector ``joint.home[:3,
-    :3].T @ coordinates``, in the axes of the child. A screw joint becomes a hinge and a slide, which an
-    equality constraint couples; ``qpos`` has both.
+    radians and metres. For a ball, ``qpos`` holds a quaternion in the axes of the child; its rotation vector
+    is ``joint.home[:3, :3].T @ coordinates``. A screw joint becomes a hinge and a slide, which an equality
+    constraint couples; ``qpos`` has both.
 
     Args:
         joint: from :meth:`Identification.to_joint`. The limits are the recorded range; a hinge that made a

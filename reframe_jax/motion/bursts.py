@@ -52,7 +52,7 @@ def find_runs(poses: jax.Array, count: jax.Array, unit: jax.Array) -> jax.Array:
     turns = rotations.rotation_log(matmul(poses[beyond, :3, :3], inverse[here][:, None]))
     shifts = poses[beyond, :3, 3] - poses[here, None, :3, 3]
 
-    def returning(moves: jax.Array, least: jax.Array) -> jax.Array:
+    def is_return(moves: jax.Array, least: jax.Array) -> jax.Array:
         before, after = (_beside(moves[:, 0], side) for side in (-1, 1))
         away, back = _excess(*before, least)[:, None], _excess(*after, least)[last]
         smaller, larger = jnp.minimum(away, back), jnp.maximum(away, back)
@@ -61,7 +61,7 @@ def find_runs(poses: jax.Array, count: jax.Array, unit: jax.Array) -> jax.Array:
         across = jnp.linalg.norm(moves - usual, axis=-1)
         return (jump > 0) & (across < _BRIDGE * jump)
 
-    returns = vmap(returning)(jnp.stack([turns, shifts]), jnp.stack([jnp.zeros_like(unit), unit]))
+    returns = vmap(is_return)(jnp.stack([turns, shifts]), jnp.stack([jnp.zeros_like(unit), unit]))
     return _union(jnp.any(returns, axis=0) & inside)
 
 
@@ -97,12 +97,12 @@ def _union(returns: jax.Array) -> jax.Array:
     """
     shortest = jnp.where(jnp.any(returns[:, 1:], axis=1), jnp.argmax(returns[:, 1:], axis=1) + 1, 0)
 
-    def go(end: jax.Array, step: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+    def next_end(end: jax.Array, step: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         here, length = step
         end = jnp.where((length > 0) & (here > end), here + length, end)
         return end, here < end
 
     here = jnp.arange(len(returns), dtype=jnp.int32)
     long_enough = jnp.where(shortest >= _SHORTEST_RUN, shortest, 0).astype(jnp.int32)
-    _, within = lax.scan(go, jnp.int32(-1), (here, long_enough))
+    _, within = lax.scan(next_end, jnp.int32(-1), (here, long_enough))
     return jnp.concatenate([jnp.zeros(1, bool), within])

@@ -40,7 +40,7 @@ def repair_poses(poses: jax.Array, times: jax.Array, count: jax.Array) -> tuple[
     if poses.shape[1] <= 2 * _HALF:
         return poses, own
 
-    def look(block: tuple[jax.Array, ...]) -> jax.Array:
+    def find_block(block: tuple[jax.Array, ...]) -> jax.Array:
         poses, times, count, own = (jnp.moveaxis(array, -1, 0) for array in block)
         unit = unit_of_rounding(block[0][:, :3, 3].swapaxes(0, 1), block[3])
         runs = vmap(find_runs)(poses, count, unit)
@@ -51,12 +51,12 @@ def repair_poses(poses: jax.Array, times: jax.Array, count: jax.Array) -> tuple[
 
     measured = lax.stop_gradient(poses)
     inputs = jnp.moveaxis(measured, 0, -1), times.T, count, own.T  # windows last
-    counted = update_marked(look, _is_suspicious(measured, own), inputs, own.T).T
+    counted = update_marked(find_block, _is_suspicious(measured, own), inputs, own.T).T
 
-    def fill(_: None) -> jax.Array:
+    def interpolate(_: None) -> jax.Array:
         return vmap(_fill)(poses, times, counted)
 
-    return lax.cond(jnp.any(counted != own), fill, lambda _: poses, None), counted
+    return lax.cond(jnp.any(counted != own), interpolate, lambda _: poses, None), counted
 
 
 def _is_suspicious(poses: jax.Array, own: jax.Array) -> jax.Array:
@@ -134,7 +134,7 @@ def _unwrap(turns: jax.Array) -> jax.Array:
 
 
 def _fill(poses: jax.Array, times: jax.Array, counted: jax.Array) -> jax.Array:
-    """Keep the counted poses, and interpolate the other poses between the nearest counted poses."""
+    """Keep valid poses, and replace outliers by poses interpolated between the nearest valid poses."""
     here = np.arange(poses.shape[0], dtype=np.int32)
     before = lax.cummax(jnp.where(counted, here, -1))
     after = lax.cummin(jnp.where(counted, here, len(here)), reverse=True)

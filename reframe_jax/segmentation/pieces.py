@@ -89,7 +89,7 @@ def _neighbours(edges: list[int]) -> np.ndarray:
 
 
 def stays_held(models: list[Bank], cells: Cells, union: Fits) -> bool:
-    """Whether a fit to a longer span has as many held coordinates as the models, with similar residuals."""
+    """Whether the coordinates that models hold in short spans are also held in a fit to a longer span."""
     translations, rotations = models[0].held[0]
     size = np.stack([model.size[0] for model in models])
     for count, own, fitted, floor in (

@@ -138,7 +138,7 @@ def _one_sine(key: jax.Array, rate: tuple[float, float]) -> Excitation:
 
 
 def _sines(amplitudes: jax.Array, rates: jax.Array, phases: jax.Array) -> Excitation:
-    """Sums of sines from arrays (2, 3, n), with the indices angular or linear, axis, sine."""
+    """Sums of sines from arrays (2, 3, n): angular and linear velocity, three axes, n sines."""
 
     def velocity(t: jax.Array) -> tuple[jax.Array, jax.Array]:
         speed = jnp.sum(amplitudes * jnp.sin(rates * t + phases), axis=-1)

@@ -32,14 +32,14 @@ __all__ = ["FrameSteps"]
 _Frame = tuple[jax.Array, jax.Array]  # axes (3, 3), columns of E, and origin (3,)
 
 
-def _turned(axes: jax.Array, turn: jax.Array) -> jax.Array:
+def _rotate_axes(axes: jax.Array, turn: jax.Array) -> jax.Array:
     """E times the rotation of the normalized quaternion (turn / 2, 1), which is exp(turn) to second order."""
     quaternion = jnp.concatenate([turn / 2, jnp.ones_like(turn[:1])])
     unit = quaternion / jnp.sqrt(jnp.sum(jnp.square(quaternion)))
     return matmul(axes, rotations.quaternion_to_rotation(unit))
 
 
-def _aligning(s: jax.Array) -> jax.Array:
+def _aligning_rotation(s: jax.Array) -> jax.Array:
     """Rotation angles about the axes, (3,), each of which makes one off-diagonal entry of S (3, 3) zero."""
 
     def angle(i: int, j: int) -> jax.Array:
@@ -88,7 +88,7 @@ class FrameSteps:
             return matmul(axes.T, matmul(sigma, axes))
 
         def moved(frame: _Frame, step: jax.Array) -> _Frame:
-            return _turned(frame[0], step[:3]), frame[1] + step[3:]
+            return _rotate_axes(frame[0], step[:3]), frame[1] + step[3:]
 
         def level(frame: _Frame) -> jax.Array:
             return log_power_mean(jnp.log(jnp.diagonal(along(frame))) / 2, norm.exponent)
@@ -108,7 +108,7 @@ class FrameSteps:
 
             curvature = jax.hessian(bound)(frame[1])
             shift = steps_in_box(frame[1], low[3:], high[3:], gradient[3:], curvature)[0]
-            turn, still = _aligning(s), jnp.zeros_like(here)
+            turn, still = _aligning_rotation(s), jnp.zeros_like(here)
             extra = [
                 still.at[:3].set(turn).at[3:].set(shift),
                 still.at[:3].set(turn),

@@ -1,4 +1,4 @@
-"""Local steps for the origin of a frame, with the rotation eliminated.
+"""Local steps for the origin of a frame; the best rotation at each origin is known in closed form.
 
 With f = log J as a function of the origin p (log J = log det Sigma(p) / 6 for the geometric mean), each
 iteration tries Newton's steps on powers of J, and the *majorizing* step. Because f is concave in Sigma, its

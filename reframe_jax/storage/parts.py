@@ -216,7 +216,7 @@ class Run:
         return read_part(self._file(number), self._codec, self._options, source=source)[0]
 
     def write(self, number: int, arrays: Mapping[str, Any], *, source: str = "") -> None:
-        """Write a part, after the record of the run.
+        """Write a part; before the first part, also write the record of the run, ``run.json``.
 
         Raises:
             ValueError: if another process has started a run with other options in the meantime.

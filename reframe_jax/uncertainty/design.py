@@ -120,7 +120,7 @@ def _with_motion(
     scales: tuple[int, ...] | None,
     parts: str,
 ) -> tuple[jax.Array, jax.Array]:
-    """Covariances (N, 9, 9) without and with the motion at the end of the poses."""
+    """Covariances (N, 9, 9) of the recording, and of the recording followed by each candidate motion."""
     recorded = poses.shape[1] - int(parts)
     refit, window = refit_windows(
         poses[:, :recorded], steps[:, : recorded - 1], count, found, scales, "whole"

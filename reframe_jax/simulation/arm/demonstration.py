@@ -21,7 +21,7 @@ from reframe_jax.simulation.arm.guided import Plan, at_rest, demonstration_keys,
 from reframe_jax.simulation.arm.imperfections import Imperfections
 from reframe_jax.simulation.arm.mechanism import mechanism_joints
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
-from reframe_jax.simulation.arm.redraw import draw_good
+from reframe_jax.simulation.arm.redraw import draw_usable
 from reframe_jax.simulation.arm.rollout import Steps
 from reframe_jax.simulation.arm.status import RolloutStatus
 from reframe_jax.simulation.synthetic import Excitation
@@ -332,6 +332,6 @@ def demonstrations(
         made = jax.device_get(demonstrate(constraint, key, batch=chunk, first=number * chunk, **options))
         return made, made.status_code if redraw else np.zeros_like(made.status_code)
 
-    for drawn in draw_good(draw, count, chunk, progress=progress):
+    for drawn in draw_usable(draw, count, chunk, progress=progress):
         if len(drawn.good):
             yield drawn.batch[drawn.good]

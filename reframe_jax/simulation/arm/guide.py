@@ -20,7 +20,7 @@ from reframe_jax.simulation.arm.compiled import as_numbers
 from reframe_jax.simulation.arm.dynamics import Motion
 from reframe_jax.simulation.synthetic import Excitation
 
-__all__ = ["EXCITATIONS", "Guide", "Hand", "find_excitation", "guide_drive", "make_hand", "until"]
+__all__ = ["EXCITATIONS", "Guide", "Hand", "find_excitation", "guide_drive", "make_hand", "stop_at"]
 
 _RATES = ((1.4, 4.4), (2.4, 5.4), (3.4, 6.4))  # rad/s, by axis; 5 s distinguish these rates
 _LINEAR_RATE = 1.13  # ratio of linear to angular rates
@@ -169,7 +169,7 @@ def find_excitation(excitation: str | Excitation, key: jax.Array, free: jax.Arra
     return EXCITATIONS[excitation](key, free)
 
 
-def until(end: jax.Array, excitation: Excitation) -> Excitation:
+def stop_at(end: jax.Array, excitation: Excitation) -> Excitation:
     """Slow an excitation down so that it rests from a time (s) on; unchanged for an infinite time."""
 
     def velocity(t: jax.Array) -> tuple[jax.Array, jax.Array]:

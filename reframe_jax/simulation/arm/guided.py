@@ -12,15 +12,15 @@ from reframe_jax.geometry import transforms
 from reframe_jax.geometry.products import apply
 from reframe_jax.simulation.arm.compiled import as_numbers, jit_simulation
 from reframe_jax.simulation.arm.dynamics import arm_motion, solve_positive
-from reframe_jax.simulation.arm.guide import Guide, find_excitation, guide_drive, make_hand, until
+from reframe_jax.simulation.arm.guide import Guide, find_excitation, guide_drive, make_hand, stop_at
 from reframe_jax.simulation.arm.imperfections import Imperfections, measure
 from reframe_jax.simulation.arm.mechanism import Joints, integrate_welded
 from reframe_jax.simulation.arm.model import Arm, forward_kinematics
 from reframe_jax.simulation.arm.rollout import Steps, Track, hold, integrate
-from reframe_jax.simulation.arm.status import judge
+from reframe_jax.simulation.arm.status import rollout_status
 from reframe_jax.simulation.synthetic import Excitation
 
-__all__ = ["Onset", "Plan", "at_rest", "compliance_of", "demonstration_keys", "meet", "run_guided"]
+__all__ = ["Onset", "Plan", "at_rest", "compliance_of", "demonstration_keys", "impact_velocity", "run_guided"]
 
 
 @dataclass(frozen=True)
@@ -72,11 +72,11 @@ def run_guided(
     """Simulate the fields of a demonstration except the truth, with one program for every constraint."""
     keys = demonstration_keys(key, numbers)
     dtype = onset.joints.dtype
-    roll = partial(_roll, guide, imperfections, plan, onset.end)
+    roll = partial(_simulate_one, guide, imperfections, plan, onset.end)
     track = jax.vmap(roll)(frame, keys[:, 1:3], onset.joints, onset.velocity)
     record = partial(measure, dt=plan.dt, what=imperfections, arm=plan.arm)
     poses = jax.vmap(lambda q, v, k: record(q, v, key=k))(track.joints, track.velocity, keys[:, 3])
-    margin, status = judge(track, frame.free, compliance_of(imperfections, dtype), plan.arm)
+    margin, status = rollout_status(track, frame.free, compliance_of(imperfections, dtype), plan.arm)
     return {
         "times": plan.dt * jnp.arange(plan.steps.samples + 1, dtype=dtype),
         "poses": poses,
@@ -96,7 +96,7 @@ def compliance_of(imperfections: Imperfections, dtype: Any) -> jax.Array:
     return jnp.stack([given.angular_compliance] * 3 + [given.compliance] * 3)
 
 
-def _roll(
+def _simulate_one(
     guide: Guide,
     imperfections: Imperfections,
     plan: Plan,
@@ -109,7 +109,7 @@ def _roll(
     """Simulate one demonstration."""
     dtype, step = start.dtype, plan.steps.length
     hand = make_hand(guide, keys[0], dtype)
-    excitation = until(end, find_excitation(plan.excitation, keys[1], frame.free))
+    excitation = stop_at(end, find_excitation(plan.excitation, keys[1], frame.free))
     drive = guide_drive(guide, hand, frame, excitation, step)
     pose = transforms.make_pose(*forward_kinematics(start, plan.arm))
     if plan.joints is not None:
@@ -128,7 +128,7 @@ def _roll(
 
 
 @jit_simulation(("arm",))
-def meet(frame: Frame, joints: jax.Array, velocity: jax.Array, *, arm: Arm) -> jax.Array:
+def impact_velocity(frame: Frame, joints: jax.Array, velocity: jax.Array, *, arm: Arm) -> jax.Array:
     """Joint velocities (N, 7) after a constraint becomes active: an impact without rebound.
 
     Args:

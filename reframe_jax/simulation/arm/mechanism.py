@@ -71,7 +71,7 @@ def _ignores_turning(angular: Dof, linear: Dof) -> bool:
 
 @cache
 def mechanism_model(arm: Arm, joints: Joints, timestep: float) -> mujoco.MjModel:
-    """The arm welded to a mechanism, which :func:`placement` positions; also for C MuJoCo."""
+    """Model of the arm welded to a mechanism, for MJX and C MuJoCo; see :func:`placement` for its pose."""
     parts = ""
     for number, (kind, axis) in enumerate(joints):
         direction = "" if kind == "ball" else f'axis="{" ".join(str(float(i == axis)) for i in range(3))}"'

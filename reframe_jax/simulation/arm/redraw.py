@@ -8,7 +8,7 @@ import numpy as np
 
 from reframe_jax.simulation.arm.status import RolloutStatus
 
-__all__ = ["Draw", "draw_good"]
+__all__ = ["Draw", "draw_usable"]
 
 _PATIENCE = 10  # chunks before an error, if more than 9 in 10 draws are unusable
 
@@ -30,12 +30,12 @@ class Draw(Generic[Batch]):
     first: int
 
 
-def draw_good(
+def draw_usable(
     draw: Callable[[int], tuple[Batch, np.ndarray]],
     count: int,
     chunk: int,
     *,
-    complaint: str = "demonstrations are usable",
+    failure: str = "demonstrations are usable",
     progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[Draw[Batch]]:
     """Draw chunks until enough draws are usable.
@@ -45,7 +45,7 @@ def draw_good(
             each.
         count: number of usable draws to collect.
         chunk: number of draws per chunk.
-        complaint: end of the error message "Only 3 of 40 ..." if too few draws are usable.
+        failure: end of the error message "Only 3 of 40 ..." if too few draws are usable.
         progress: function to call after every chunk, with the number of usable draws and ``count``.
 
     Yields:
@@ -61,7 +61,7 @@ def draw_good(
         first, drawn, done = drawn, drawn + chunk, done + len(good)
         if done < count and drawn >= _PATIENCE * chunk and done < drawn / 10:
             worst = f" {RolloutStatus(int(np.median(status))).message}" if np.any(status) else ""
-            raise ValueError(f"Only {done} of {drawn} {complaint}.{worst}")
+            raise ValueError(f"Only {done} of {drawn} {failure}.{worst}")
         if progress is not None:
             progress(done, count)
         yield Draw(batch, good, first)

@@ -16,7 +16,7 @@ from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import Located, frame_arrays, locate_on_host
 from reframe_jax.geometry.transforms import make_pose
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
-from reframe_jax.simulation.arm.skin import dress_arm
+from reframe_jax.simulation.arm.skin import apply_skin
 
 __all__ = ["RenderError", "film_frames", "save_film"]
 
@@ -141,7 +141,7 @@ def _palette(pictures: np.ndarray) -> Any:
 
 def _scene(arm: Arm, skin: str | Path | None) -> mujoco.MjModel:
     """The arm on a chequered floor."""
-    spec = dress_arm(arm, skin)
+    spec = apply_skin(arm, skin)
     sky, chequers = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtTexture.mjTEXTURE_2D
     if not any(texture.type == sky for texture in spec.textures):
         spec.add_texture(

@@ -25,13 +25,13 @@ from reframe_jax.simulation.arm.guided import (
     Plan,
     compliance_of,
     demonstration_keys,
-    meet,
+    impact_velocity,
     run_guided,
 )
 from reframe_jax.simulation.arm.imperfections import Imperfections, measure
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
 from reframe_jax.simulation.arm.rollout import Track
-from reframe_jax.simulation.arm.status import judge
+from reframe_jax.simulation.arm.status import rollout_status
 from reframe_jax.simulation.synthetic import Excitation
 
 __all__ = ["SequenceDemonstration", "demonstrate_sequence"]
@@ -75,12 +75,12 @@ class SequenceDemonstration:
     @property
     def exact_poses(self) -> jax.Array:
         """(N, K+1, 4, 4) m, the true poses of the whole task."""
-        return _in_a_row([stage.exact_poses for stage in self.stages], axis=-3)
+        return _join_stages([stage.exact_poses for stage in self.stages], axis=-3)
 
     @property
     def joint_positions(self) -> jax.Array:
         """(N, K+1, 7) rad, joint positions of the whole task."""
-        return _in_a_row([stage.joint_positions for stage in self.stages], axis=-2)
+        return _join_stages([stage.joint_positions for stage in self.stages], axis=-2)
 
     @property
     def status_code(self) -> jax.Array:
@@ -88,7 +88,7 @@ class SequenceDemonstration:
         return jnp.max(jnp.stack([stage.status_code for stage in self.stages]), axis=0)
 
 
-def _in_a_row(parts: Sequence[jax.Array], axis: int) -> jax.Array:
+def _join_stages(parts: Sequence[jax.Array], axis: int) -> jax.Array:
     """Concatenate the stages; the common pose of two stages appears once."""
     later = [jax.lax.slice_in_dim(part, 1, part.shape[axis], axis=axis) for part in parts[1:]]
     return jnp.concatenate([parts[0], *later], axis=axis)
@@ -163,13 +163,13 @@ def demonstrate_sequence(
         if any(spread):
             frame, arrays = scatter(frame, own, numbers, joints, spread, arm)
         end = jnp.asarray(count * dt - _SETTLE if pause else jnp.inf, dtype=joints.dtype)
-        onset = Onset(joints, meet(arrays, joints, velocity, arm=arm), end)
+        onset = Onset(joints, impact_velocity(arrays, joints, velocity, arm=arm), end)
         made = run_guided(arrays, own, numbers, onset, guide, imperfections, plan=plan)
-        stages.append(_cut(made, frame, count, imperfections, arm))
+        stages.append(_truncate_stage(made, frame, count, imperfections, arm))
         joints, velocity = stages[-1].joint_positions[:, -1], stages[-1].joint_velocities[:, -1]
     poses = _record(
-        _in_a_row([stage.joint_positions for stage in stages], axis=1),
-        _in_a_row([stage.joint_velocities for stage in stages], axis=1),
+        _join_stages([stage.joint_positions for stage in stages], axis=1),
+        _join_stages([stage.joint_velocities for stage in stages], axis=1),
         demonstration_keys(key, numbers)[:, 3],
         imperfections,
         dt=dt,
@@ -195,7 +195,7 @@ def _placed(constraint: str | ConstraintFrame, joints: jax.Array, arm: Arm) -> C
     return jax.vmap(place)(position + jnp.asarray(ORIGIN, dtype=joints.dtype)[None], rotation, position)
 
 
-def _cut(
+def _truncate_stage(
     made: dict[str, jax.Array], truth: ConstraintFrame, count: int, imperfections: Imperfections, arm: Arm
 ) -> Demonstration:
     """Truncate a stage to its first samples, and compute its status from these samples."""
@@ -205,7 +205,7 @@ def _cut(
     }
     track = Track(kept["joint_positions"], kept["joint_velocities"], kept["slip"], kept["reaction"])
     compliance = compliance_of(imperfections, track.joints.dtype)
-    margin, status = judge(track, frame_arrays(truth).free, compliance, arm)
+    margin, status = rollout_status(track, frame_arrays(truth).free, compliance, arm)
     return Demonstration(
         times=made["times"][: count + 1], truth=truth, limit_margin=margin, status_code=status, **kept
     )

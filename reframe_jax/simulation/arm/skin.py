@@ -12,14 +12,14 @@ import numpy as np
 
 from reframe_jax.simulation.arm.model import Arm, arm_xml
 
-__all__ = ["dress_arm"]
+__all__ = ["apply_skin"]
 
 _MESHES = (".stl", ".obj", ".msh")
 _PARTS = (*(f"link{number}" for number in range(8)), "hand")
 _TOLERANCE = 1e-3  # m, largest distance between the joints of a skin and of the arm
 
 
-def dress_arm(arm: Arm, skin: str | Path | None = None) -> mujoco.MjSpec:
+def apply_skin(arm: Arm, skin: str | Path | None = None) -> mujoco.MjSpec:
     """Build the model to render; its first seven joints are the joints of the arm.
 
     Args:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from reframe_jax.simulation.arm.model import Arm
 from reframe_jax.simulation.arm.rollout import Track
 
-__all__ = ["RolloutStatus", "judge"]
+__all__ = ["RolloutStatus", "rollout_status"]
 
 _SLIPPED = (5e-4, 5e-5)  # rad and m, largest slip of a rigid axis; valid rollouts reach half of it
 
@@ -42,7 +42,9 @@ _MESSAGES = {
 }
 
 
-def judge(track: Track, free: jax.Array, compliance: jax.Array, arm: Arm) -> tuple[jax.Array, jax.Array]:
+def rollout_status(
+    track: Track, free: jax.Array, compliance: jax.Array, arm: Arm
+) -> tuple[jax.Array, jax.Array]:
     """Compute the status of rollouts.
 
     Args:

@@ -11,7 +11,7 @@ import numpy as np
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.types import AngularType, Dof, LinearType
 from reframe_jax.simulation.arm.demonstration import DemonstrateOptions, Demonstration, demonstrate
-from reframe_jax.simulation.arm.redraw import draw_good
+from reframe_jax.simulation.arm.redraw import draw_usable
 from reframe_jax.simulation.arm.status import RolloutStatus
 from reframe_jax.storage.codecs import NPZ
 from reframe_jax.storage.parts import Run
@@ -90,7 +90,7 @@ def store_demonstrations(
         run.write(number, to_arrays(kept))
         return number, made.status_code if redraw else np.zeros_like(made.status_code)
 
-    for _ in draw_good(draw, count, chunk, progress=make_meter(progress, _UNIT)):
+    for _ in draw_usable(draw, count, chunk, progress=make_meter(progress, _UNIT)):
         pass
     if run.parts:
         run.finish()

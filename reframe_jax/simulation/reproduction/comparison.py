@@ -20,7 +20,7 @@ from reframe_jax.simulation.arm.compiled import check_numbers
 from reframe_jax.simulation.arm.demonstration import SPREAD, Demonstration, demonstrate
 from reframe_jax.simulation.arm.imperfections import REALISTIC, Imperfections
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
-from reframe_jax.simulation.arm.redraw import draw_good
+from reframe_jax.simulation.arm.redraw import draw_usable
 from reframe_jax.simulation.reproduction.controllers import Controller, constant_wrench
 from reframe_jax.simulation.reproduction.frames import ROOMY, control_frames, erroneous_frames
 from reframe_jax.simulation.reproduction.trials import Task, Trials, reproduce
@@ -134,8 +134,8 @@ def compare(
         return (made, exact), np.maximum(made.status_code, exact.status_code)
 
     parts: list[tuple[Demonstration, Trials]] = []
-    complaint = "tasks are within the arm's reach"
-    for drawn in draw_good(draw, trials, chunk, complaint=complaint, progress=progress):
+    failure = "tasks are within the arm's reach"
+    for drawn in draw_usable(draw, trials, chunk, failure=failure, progress=progress):
         made, exact = drawn.batch
         parts.append((made[drawn.good], exact[drawn.good]))
     times = made.times

@@ -18,7 +18,7 @@ from reframe_jax.simulation.arm.compiled import as_numbers, jit_simulation
 from reframe_jax.simulation.arm.demonstration import sampling
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
 from reframe_jax.simulation.arm.rollout import AxisLaw, Steps, hold, integrate
-from reframe_jax.simulation.arm.status import RolloutStatus, judge
+from reframe_jax.simulation.arm.status import RolloutStatus, rollout_status
 from reframe_jax.simulation.reproduction.controllers import (
     Controller,
     by_axis,
@@ -191,7 +191,7 @@ def _reproduce(
     times = dt * jnp.arange(steps.samples + 1, dtype=dtype)
     completed = jnp.any(arrived, axis=-1)
     first = times[jnp.argmax(arrived, axis=-1)]
-    _, status = judge(track, truth.free, compliance, arm)
+    _, status = rollout_status(track, truth.free, compliance, arm)
     stuck = ~completed & (jax.vmap(partial(_least_gain, arm=arm))(track.joints[:, -1]) < _SINGULAR)
     return Trials(
         times=times,
