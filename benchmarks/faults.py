@@ -140,7 +140,7 @@ def sound_windows(count: int) -> np.ndarray:
     return _windows()[:count].copy()
 
 
-def _spoil(rng: np.random.Generator, poses: np.ndarray) -> np.ndarray:
+def _mutate_window(rng: np.random.Generator, poses: np.ndarray) -> np.ndarray:
     """Apply one to three mutations to a window."""
     poses = poses.copy()
     for _ in range(rng.integers(1, 4)):
@@ -185,7 +185,7 @@ def attack_windows(count: int) -> Tally:
         spoilt = np.flatnonzero(rng.random(size) < 0.5)
         with np.errstate(all="ignore"):
             for row in spoilt:
-                batch[row] = _spoil(rng, batch[row])
+                batch[row] = _mutate_window(rng, batch[row])
         before = expected(kind)
         try:
             with _in_time():

@@ -89,7 +89,7 @@ def scores(found: rf.Identification, windows: Windows) -> Scores:
     frame, start = windows.frame, jnp.asarray(windows.exact[:, 0])
     entry = rf.CONSTRAINTS[windows.label]
     kinds = list(rf.LinearType) if entry.linear_type is None else [entry.linear_type]
-    by_type = [metrics.geometry_errors(found, _written_as(windows, kind), start=start) for kind in kinds]
+    by_type = [metrics.geometry_errors(found, _express_in_type(windows, kind), start=start) for kind in kinds]
     bodies = [int(kind.orientation_body) for kind in kinds]
     linear = _choose(np.asarray(found.linear.type_code), [int(kind) for kind in kinds])
     angular = _choose(np.asarray(found.angular.type_code), bodies)
@@ -132,7 +132,7 @@ def _choose(codes: np.ndarray, known: list[int]) -> np.ndarray:
     return np.argmax(codes[:, None] == np.array(known)[None], axis=1)
 
 
-def _written_as(windows: Windows, kind: rf.LinearType) -> rf.ConstraintFrame:
+def _express_in_type(windows: Windows, kind: rf.LinearType) -> rf.ConstraintFrame:
     """Express the true constraint in another type, with equal axes and origin at the start."""
     start = jnp.asarray(windows.exact[:, 0])
     turn, back = start[:, :3, :3], pose_inverse(start)
@@ -210,7 +210,7 @@ def _replaced(
 def line_scores(line: Line, windows: Windows) -> Scores:
     """Scores of lines: errors relative to the axis of A or C, or the direction of B."""
     entry = rf.CONSTRAINTS[windows.label]
-    truth = _written_as(windows, rf.LinearType.GG)
+    truth = _express_in_type(windows, rf.LinearType.GG)
     axes, origin = np.asarray(truth.linear_axes), np.asarray(truth.position)
     axis = entry.angular_axis if entry.angular_axis is not None else entry.linear_axis
     true = axes[:, :, axis]

@@ -15,6 +15,7 @@ __all__ = [
     "check_mass",
     "check_writable",
     "element",
+    "format_numbers",
     "is_endless",
     "part_names",
     "quaternion_wxyz",
@@ -22,7 +23,6 @@ __all__ = [
     "roll_pitch_yaw",
     "sphere_inertia",
     "to_text",
-    "written",
 ]
 
 LINK_MASS_FRACTION = 1e-3  # fraction of the mass, for each link between two parts of a chain
@@ -89,7 +89,7 @@ def remarks(joint: Joint) -> list[str]:
     ]
 
 
-def written(values: Iterable[float]) -> str:
+def format_numbers(values: Iterable[float]) -> str:
     """Format numbers with ten digits, separated by spaces, without negative zeros."""
     return " ".join(f"{value + 0.0:.10g}" for value in np.round(np.asarray(list(values), float), 12))
 

@@ -9,12 +9,12 @@ from reframe_jax.export.robots import (
     check_mass,
     check_writable,
     element,
+    format_numbers,
     is_endless,
     part_names,
     roll_pitch_yaw,
     sphere_inertia,
     to_text,
-    written,
 )
 from reframe_jax.joints.joint import Joint
 
@@ -57,16 +57,16 @@ def to_sdf(joint: Joint, *, mass: float = 1.0) -> str:
             _add_link(model, link, at_point, LINK_MASS_FRACTION * mass)
         kind = "continuous" if is_endless(part) else "screw" if part.pitch else _KINDS[part.kind]
         made = _add_joint(model, name, kind, last, link)
-        element(made, "pose", written(at_point), relative_to=_MODEL)
+        element(made, "pose", format_numbers(at_point), relative_to=_MODEL)
         if part.kind != "ball":
             axis = element(made, "axis")
-            element(axis, "xyz", written(part.axis), expressed_in=_MODEL)
+            element(axis, "xyz", format_numbers(part.axis), expressed_in=_MODEL)
             if not is_endless(part):
                 limit = element(axis, "limit")
-                element(limit, "lower", written([part.low]))
-                element(limit, "upper", written([part.high]))
+                element(limit, "lower", format_numbers([part.low]))
+                element(limit, "upper", format_numbers([part.high]))
         if part.pitch:  # m per revolution, positive if right-handed
-            element(made, "screw_thread_pitch", written([2 * np.pi * part.pitch]))
+            element(made, "screw_thread_pitch", format_numbers([2 * np.pi * part.pitch]))
         last = link
     if not names:
         _add_link(model, joint.child, place, mass)
@@ -86,11 +86,11 @@ def _add_joint(
 def _add_link(model: ElementTree.Element, name: str, place: np.ndarray, mass: float) -> None:
     """Add a link at a pose (x, y, z, roll, pitch, yaw) in the model, with the inertia of a sphere."""
     link = element(model, "link", name=name)
-    element(link, "pose", written(place))
+    element(link, "pose", format_numbers(place))
     inertial = element(link, "inertial")
-    element(inertial, "mass", written([mass]))
+    element(inertial, "mass", format_numbers([mass]))
     inertia = element(inertial, "inertia")
     for entry in ("ixx", "iyy", "izz"):
-        element(inertia, entry, written([sphere_inertia(mass)]))
+        element(inertia, entry, format_numbers([sphere_inertia(mass)]))
     for entry in ("ixy", "ixz", "iyz"):
         element(inertia, entry, "0")

@@ -9,12 +9,12 @@ from reframe_jax.export.robots import (
     check_mass,
     check_writable,
     element,
+    format_numbers,
     is_endless,
     part_names,
     roll_pitch_yaw,
     sphere_inertia,
     to_text,
-    written,
 )
 from reframe_jax.joints.chain import JointPart
 from reframe_jax.joints.joint import Joint
@@ -64,7 +64,7 @@ def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
             slide = JointPart("slide", part.axis, part.point, low, high)
             thread = f"{joint.child}_slide"
             made = _add_part(robot, thread, slide, last, place)
-            element(made, "mimic", joint=name, multiplier=written([part.pitch]), offset="0")
+            element(made, "mimic", joint=name, multiplier=format_numbers([part.pitch]), offset="0")
             _add_link(robot, f"{thread}_link", LINK_MASS_FRACTION * mass)
             last = f"{thread}_link"
     mount = element(robot, "joint", name=f"{joint.child}_fixed", type="fixed")
@@ -84,8 +84,12 @@ def _add_part(
     _add_origin(made, part.point - place, np.zeros(3))
     element(made, "parent", link=last)
     element(made, "child", link=f"{name}_link")
-    element(made, "axis", xyz=written(part.axis))
-    range_ = {} if is_endless(part) else {"lower": written([part.low]), "upper": written([part.high])}
+    element(made, "axis", xyz=format_numbers(part.axis))
+    range_ = (
+        {}
+        if is_endless(part)
+        else {"lower": format_numbers([part.low]), "upper": format_numbers([part.high])}
+    )
     element(made, "limit", effort=_EFFORT, velocity=_VELOCITY, **range_)
     return made
 
@@ -93,12 +97,12 @@ def _add_part(
 def _add_link(robot: ElementTree.Element, name: str, mass: float) -> None:
     """Add a link with the inertia of a sphere at its origin."""
     inertial = element(element(robot, "link", name=name), "inertial")
-    element(inertial, "mass", value=written([mass]))
-    moment, nothing = written([sphere_inertia(mass)]), "0"
+    element(inertial, "mass", value=format_numbers([mass]))
+    moment, nothing = format_numbers([sphere_inertia(mass)]), "0"
     moments = {"ixx": moment, "iyy": moment, "izz": moment, "ixy": nothing, "ixz": nothing, "iyz": nothing}
     element(inertial, "inertia", **moments)
 
 
 def _add_origin(joint: ElementTree.Element, place: np.ndarray, angles: np.ndarray) -> None:
     if np.abs([*place, *angles]).max() > _NO_LENGTH:
-        element(joint, "origin", xyz=written(place), rpy=written(angles))
+        element(joint, "origin", xyz=format_numbers(place), rpy=format_numbers(angles))

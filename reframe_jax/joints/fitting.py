@@ -154,7 +154,7 @@ def _parts(geometry: Geometry, plan: Plan, home: np.ndarray) -> tuple[JointPart,
     slides = [JointPart("slide", direction, origin) for direction in directions]
     if plan.type == "screw":
         slides = []  # the screw is a hinge with a pitch
-    turns = _turns(geometry, plan, home)
+    turns = _rotating_parts(geometry, plan, home)
     return (*turns, *slides) if plan.turns_first else (*slides, *turns)
 
 
@@ -176,7 +176,7 @@ def _slide_directions(geometry: Geometry, plan: Plan, home: np.ndarray) -> list[
     ]
 
 
-def _turns(geometry: Geometry, plan: Plan, home: np.ndarray) -> list[JointPart]:
+def _rotating_parts(geometry: Geometry, plan: Plan, home: np.ndarray) -> list[JointPart]:
     """The rotating parts of a chain: none, one hinge, two hinges, or a ball."""
     if plan.turns is None:
         return []

@@ -53,8 +53,8 @@ def find_runs(poses: jax.Array, count: jax.Array, unit: jax.Array) -> jax.Array:
     shifts = poses[beyond, :3, 3] - poses[here, None, :3, 3]
 
     def is_return(moves: jax.Array, least: jax.Array) -> jax.Array:
-        before, after = (_beside(moves[:, 0], side) for side in (-1, 1))
-        away, back = _excess(*before, least)[:, None], _excess(*after, least)[last]
+        before, after = (_usual_step(moves[:, 0], side) for side in (-1, 1))
+        away, back = _jump_distance(*before, least)[:, None], _jump_distance(*after, least)[last]
         smaller, larger = jnp.minimum(away, back), jnp.maximum(away, back)
         jump = jnp.where(larger < _UNEVEN * smaller, smaller, 0)
         usual = (before[0][:, None] + after[0][last]) / 2 * (length + 1)[None, :, None].astype(moves.dtype)
@@ -62,10 +62,10 @@ def find_runs(poses: jax.Array, count: jax.Array, unit: jax.Array) -> jax.Array:
         return (jump > 0) & (across < _BRIDGE * jump)
 
     returns = vmap(is_return)(jnp.stack([turns, shifts]), jnp.stack([jnp.zeros_like(unit), unit]))
-    return _union(jnp.any(returns, axis=0) & inside)
+    return _poses_of_runs(jnp.any(returns, axis=0) & inside)
 
 
-def _beside(steps: jax.Array, side: int) -> tuple[jax.Array, jax.Array, jax.Array]:
+def _usual_step(steps: jax.Array, side: int) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Median step (K, 3) before (-1) or after (1) each step, distance of each step from it, and scatter.
 
     The body may be early or late on its path. Distances are therefore relative to the segment from the usual
@@ -82,7 +82,7 @@ def _beside(steps: jax.Array, side: int) -> tuple[jax.Array, jax.Array, jax.Arra
     return usual, jnp.linalg.norm(steps - late, axis=-1), scatter
 
 
-def _excess(usual: jax.Array, distance: jax.Array, scatter: jax.Array, least: jax.Array) -> jax.Array:
+def _jump_distance(usual: jax.Array, distance: jax.Array, scatter: jax.Array, least: jax.Array) -> jax.Array:
     """Distance (K,) of each step from the usual step if the step is a jump; else 0."""
     typical = jnp.median(distance)
     rounding = 64 * jnp.finfo(usual.dtype).eps * (1 + jnp.max(distance))
@@ -90,7 +90,7 @@ def _excess(usual: jax.Array, distance: jax.Array, scatter: jax.Array, least: ja
     return jnp.where(distance > level, distance, 0)
 
 
-def _union(returns: jax.Array) -> jax.Array:
+def _poses_of_runs(returns: jax.Array) -> jax.Array:
     """Poses (K+1,) of the runs, from possible starts and lengths (K, longest + 1), with the shortest length.
 
     A run can start only after the end of the previous run, because the jump back is no start.

@@ -9,7 +9,7 @@ from reframe_jax.segmentation.bank import Bank, choose_models, join_features
 from reframe_jax.segmentation.cells import Cells
 from reframe_jax.segmentation.constants import SEGMENTS as C
 from reframe_jax.segmentation.rows import Fits, fit_spans
-from reframe_jax.segmentation.sequence import Coverage, cover, most_likely_sequence
+from reframe_jax.segmentation.sequence import Coverage, evaluate_models, most_likely_sequence
 
 __all__ = ["Piece", "find_pieces", "join_pieces", "stays_held"]
 
@@ -46,7 +46,7 @@ def find_pieces(cells: Cells, reach: float) -> list[Piece]:
     first = choose_models(cells, windows, fit_spans(cells, windows, reach))
     if not len(first.price):
         return [Piece(0, number, None)]
-    known = cover(cells, z, first, 0, C.widen)
+    known = evaluate_models(cells, z, first, 0, C.widen)
     bank, coverage, evidence = first, known, 0.0
     pieces = [Piece(0, number, None)]
     for _ in range(_ROUNDS):
@@ -63,7 +63,7 @@ def find_pieces(cells: Cells, reach: float) -> list[Piece]:
         if not len(fresh.price):
             break
         bank = first.join(fresh)
-        new = cover(cells, z, fresh, len(first.price), 1.0)
+        new = evaluate_models(cells, z, fresh, len(first.price), 1.0)
         coverage = Coverage(*(np.concatenate(each) for each in zip(known, new, strict=True)))
     return pieces
 

@@ -7,7 +7,7 @@ import numpy as np
 from reframe_jax.segmentation.bank import Bank, gains
 from reframe_jax.segmentation.cells import Cells
 
-__all__ = ["Coverage", "cover", "most_likely_sequence"]
+__all__ = ["Coverage", "evaluate_models", "most_likely_sequence"]
 
 FREE = -1
 _BATCH = 400_000  # values per batch
@@ -27,7 +27,7 @@ class Coverage(NamedTuple):
     gain: np.ndarray
 
 
-def cover(cells: Cells, z: np.ndarray, bank: Bank, first: int, widen: float) -> Coverage:
+def evaluate_models(cells: Cells, z: np.ndarray, bank: Bank, first: int, widen: float) -> Coverage:
     """Evaluate models in their spans, and up to one span length beyond on either side.
 
     Args:

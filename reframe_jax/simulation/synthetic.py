@@ -161,7 +161,7 @@ def _integrate(
     def twist(t: jax.Array, pose: jax.Array) -> jax.Array:
         angular, linear = velocity(t)
         linear = linear if pitch is None else pitch * angular
-        fraction = _eased(t, ease) * _eased(steps * dt - t, ease)
+        fraction = _ease_factor(t, ease) * _ease_factor(steps * dt - t, ease)
         return _frame_twist(frame, pose, fraction * angular, fraction * linear)
 
     def advance(pose: jax.Array, t: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -178,7 +178,7 @@ def _integrate(
     return jax.lax.scan(advance, first, dt * jnp.arange(steps + 1, dtype=first.dtype))[1]
 
 
-def _eased(t: jax.Array, ease: float | jax.Array) -> jax.Array:
+def _ease_factor(t: jax.Array, ease: float | jax.Array) -> jax.Array:
     """Factor on the velocity at a time after rest, which increases smoothly from 0 to 1."""
     rises = jnp.asarray(ease, dtype=t.dtype) > 0
     s = jnp.where(rises, jnp.clip(t / jnp.where(rises, ease, 1), 0, 1), 1)

@@ -162,7 +162,7 @@ class BasinHopping:
         state = self.init(objective, box, key, starts)
         last = 1 + self.hops + self.polish
 
-        def goes_on(carry: tuple[SearchState, jax.Array, jax.Array]) -> jax.Array:
+        def continues(carry: tuple[SearchState, jax.Array, jax.Array]) -> jax.Array:
             _, number, is_open = carry
             return (number < max(1, self.rounds)) & jnp.any(is_open)
 
@@ -181,14 +181,14 @@ class BasinHopping:
             )
             agree = self._agree(jnp.where(first, after.value, after.best_value))
             if self.rounds > 1:
-                after = lax.cond(over, lambda s: self._begin_afresh(objective, box, s), lambda s: s, after)
+                after = lax.cond(over, lambda s: self._start_round(objective, box, s), lambda s: s, after)
             return after, number + over.astype(jnp.int32), is_open & ~((first | over) & agree)
 
         every = jnp.ones(state.value.shape[1:], bool)
-        state, _, _ = lax.while_loop(goes_on, advance, (state, jnp.zeros((), jnp.int32), every))
+        state, _, _ = lax.while_loop(continues, advance, (state, jnp.zeros((), jnp.int32), every))
         return self.finish(objective, box, state)
 
-    def _begin_afresh(self, objective: Objective, box: Box, state: SearchState) -> SearchState:
+    def _start_round(self, objective: Objective, box: Box, state: SearchState) -> SearchState:
         """Start a round: one chain at the best point, the other chains at points derived from the data."""
         start_key, key = random.split(state.key)
         starts = suggested_starts(objective, box, start_key, self.restarts - 1, _CANDIDATES[1])

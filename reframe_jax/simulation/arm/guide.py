@@ -109,7 +109,7 @@ def _sines(
     rates = jnp.stack([turning_rates, _LINEAR_RATE * rates[1]])
     turning = jnp.where(one, jnp.asarray(one_turning, dtype=draws.dtype), _TURNING)
     speeds = jnp.stack([turning, jnp.full_like(turning, _MOVING)])[:, None]
-    phases = _most_even(draws, rates, free)
+    phases = _most_even_phases(draws, rates, free)
 
     def displacement(t: jax.Array) -> jax.Array:
         return _ease(t) * jnp.sum(speeds * jnp.sin(rates * t + phases) / rates, axis=-1)
@@ -121,7 +121,7 @@ def _sines(
     return velocity
 
 
-def _most_even(draws: jax.Array, rates: jax.Array, free: jax.Array) -> jax.Array:
+def _most_even_phases(draws: jax.Array, rates: jax.Array, free: jax.Array) -> jax.Array:
     """Choose the phases, out of draws (n, 2, 3, 2), whose direction of least motion moves most.
 
     Sines with equal phases along two free axes leave a direction between the axes at rest, and the window

@@ -91,7 +91,7 @@ def measure(
         return _round(_play(angles, given.backlash) + noise, given.encoder_step)
 
     links = _as_built(arm, given.calibration, given.angular_calibration, keys[1])
-    late = _at_earlier(joints, velocity, given.latency, dt)
+    late = _delayed_joints(joints, velocity, given.latency, dt)
     _, position = forward_kinematics(read(joints), arm, links=links)
     rotation, _ = forward_kinematics(read(late), arm, links=links)
     poses = transforms.make_pose(rotation, position)
@@ -125,7 +125,7 @@ def _as_built(arm: Arm, spread: jax.Array, angular: jax.Array, key: jax.Array) -
     return matmul(fixed, rotations.rotation_exp(turn)), offset + shift
 
 
-def _at_earlier(joints: jax.Array, velocity: jax.Array, age: jax.Array, dt: float) -> jax.Array:
+def _delayed_joints(joints: jax.Array, velocity: jax.Array, age: jax.Array, dt: float) -> jax.Array:
     """Joint positions at a delay before every sample, by cubic interpolation; constant before the start."""
     count = joints.shape[0]
     when = jnp.clip(jnp.arange(count, dtype=joints.dtype) - age / dt, 0, count - 1)

@@ -49,7 +49,7 @@ def mechanism_joints(frame: ConstraintFrame) -> Joints:
     slides: Joints = tuple(("slide", i) for i, free in enumerate(frame.linear_dof) if free)
     hinges: Joints = (("ball", 0),) if len(turns) == 3 else tuple(("hinge", i) for i in turns)
     if len(turns) != 2:
-        if frame.linear_type == LinearType.GB or _ignores_turning(frame.angular_dof, frame.linear_dof):
+        if frame.linear_type == LinearType.GB or _slides_ignore_rotation(frame.angular_dof, frame.linear_dof):
             return slides + hinges
         if frame.linear_type == LinearType.BG:
             return hinges + slides
@@ -59,7 +59,7 @@ def mechanism_joints(frame: ConstraintFrame) -> Joints:
     )
 
 
-def _ignores_turning(angular: Dof, linear: Dof) -> bool:
+def _slides_ignore_rotation(angular: Dof, linear: Dof) -> bool:
     """Whether rotations do not change the slides, so that all four linear types are equivalent."""
     along = [i for i in range(3) if linear[i]]
     about = [i for i in range(3) if angular[i]]
