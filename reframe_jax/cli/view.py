@@ -72,7 +72,7 @@ def _view(options: argparse.Namespace) -> int:
         else:
             write_page(options.html, tracks, title=options.file.name)
             print_result(
-                f"{options.html}: {tracks[0].name}" + (", and other constraints" if len(tracks) > 1 else "")
+                f"{options.html}: {tracks[0].name}" + (", and more windows" if len(tracks) > 1 else "")
             )
     except ImportError as error:
         print_error(f"reframe-jax: error: {error}")

@@ -35,7 +35,7 @@ def draw_usable(
     count: int,
     chunk: int,
     *,
-    failure: str = "demonstrations are usable",
+    subject: str = "demonstrations are usable",
     progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[Draw[Batch]]:
     """Draw chunks until enough draws are usable.
@@ -45,7 +45,7 @@ def draw_usable(
             each.
         count: number of usable draws to collect.
         chunk: number of draws per chunk.
-        failure: end of the error message "Only 3 of 40 ..." if too few draws are usable.
+        subject: end of the error message "Only 3 of 40 ..." if too few draws are usable.
         progress: function to call after every chunk, with the number of usable draws and ``count``.
 
     Yields:
@@ -61,7 +61,7 @@ def draw_usable(
         first, drawn, done = drawn, drawn + chunk, done + len(good)
         if done < count and drawn >= _PATIENCE * chunk and done < drawn / 10:
             worst = f" {RolloutStatus(int(np.median(status))).message}" if np.any(status) else ""
-            raise ValueError(f"Only {done} of {drawn} {failure}.{worst}")
+            raise ValueError(f"Only {done} of {drawn} {subject}.{worst}")
         if progress is not None:
             progress(done, count)
         yield Draw(batch, good, first)

@@ -134,8 +134,8 @@ def compare(
         return (made, exact), np.maximum(made.status_code, exact.status_code)
 
     parts: list[tuple[Demonstration, Trials]] = []
-    failure = "tasks are within the arm's reach"
-    for drawn in draw_usable(draw, trials, chunk, failure=failure, progress=progress):
+    subject = "tasks are within the arm's reach"
+    for drawn in draw_usable(draw, trials, chunk, subject=subject, progress=progress):
         made, exact = drawn.batch
         parts.append((made[drawn.good], exact[drawn.good]))
     times = made.times
