@@ -1,1 +1,1 @@
-"""Benchmarks: every one prints a table and writes ``{"metrics": {name: number}}`` with ``--json``."""
+"""Benchmarks: each prints a table, and writes ``{"metrics": {name: number}}`` with ``--json``."""

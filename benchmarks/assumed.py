@@ -1,19 +1,21 @@
-"""A known joint: ``identify(..., assume=...)`` beside the estimators of textbooks, in one run.
+"""Compare ``identify(..., assume=...)`` with textbook estimators for a known joint.
 
-Balls and hinges move as a person moves a joint: by small and large angles, measured with white noise and,
-optionally, with soft errors: the sensor slips on the body by millimetres and degrees as the joint turns. The
-sensor is 0.25 m from the joint. Contestants:
+The joints are balls and hinges with motions of a person, with small and large angles. The noise is white.
+With soft errors, the sensor also slips on the body by millimetres and degrees while the joint turns. The
+sensor is 0.25 m from the joint. Methods:
 
 - ``assume``: ``rf.identify`` with ``assume="ball"`` or ``"hinge"``;
 - ``SCoRE``: the symmetrical centre of rotation (Ehrig et al. 2006): least squares of R x + p = y. For the
-  motion of one body in the frame of another this is the least-squares pivot too;
-- ``SARA``: the symmetrical axis of rotation (Ehrig et al. 2007): the direction that R x - y = -p leaves open,
-  through its solution of least norm;
-- ``circle``: through the positions of the sensor; on recorded doors this is the truth;
+  motion of one body in the frame of another, SCoRE equals the least-squares pivot;
+- ``SARA``: the symmetrical axis of rotation (Ehrig et al. 2007): the direction that R x - y = -p does not
+  determine, through the solution with the smallest norm;
+- ``circle``: the axis of the circle through the positions of the sensor, which is the truth for recorded
+  doors;
 - ``calibrate``: ``rf.calibrate``, the least-squares pivot without outliers.
 
-Errors are the distance of a centre from the truth, and the angle and the distance of an axis, in the ground;
-the axis where it is closest to the sensor. Of every setting the median and the largest of the recordings.
+The error of a centre is its distance from the truth, in the ground. The errors of an axis are its angle and
+its distance, at the point closest to the sensor. The table has the median and the largest error of each
+setting.
 """
 
 import argparse
@@ -33,27 +35,27 @@ from reframe_jax.export.common import two_digits
 __all__ = ["Setting", "centre_errors", "main", "make", "sara", "score"]
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
-POSES, DT = 250, 0.04  # of a recording, s
+POSES, DT = 250, 0.04  # poses per recording; sample time, s
 LEVER = np.array([0.15, 0.1, 0.17])  # m, from the sensor to the joint, in the body
-CLUSTER = 0.1  # m, size of the marker cluster: noise of positions over that of orientations
+CLUSTER = 0.1  # m, size of the marker cluster: the ratio of position noise to orientation noise
 SOFT = 0.005, np.radians(2)  # m and rad, amplitude of soft errors
 RANGES = {
     "small": np.radians(10),
     "large": np.radians(35),
-}  # amplitude about each axis; twice that of a hinge
+}  # rad, amplitude about each axis of a ball; a hinge has twice this amplitude
 NOISES = 1e-4, 1e-3, 5e-3  # m
 RECORDINGS = 12
 DOORS = tuple(f"kitchen_door_{number}" for number in (389, 391, 403, 405, 411, 412))
 MEASURED = np.array([0.00914, -0.00131, -0.99996]), np.array([-0.03309, -0.24509, -0.00055])
-TOUCHED = np.array([0.2457, -0.8800, 0.0432])  # m, by tcp_touches_14, in the ground
+TOUCHED = np.array([0.2457, -0.8800, 0.0432])  # m, in the ground, from the recording tcp_touches_14
 
 Line = tuple[np.ndarray, np.ndarray]
-"""Direction and a point, m, in the ground."""
+"""A line in the ground: its direction and a point, m."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What is simulated: "ball" or "hinge", noise in m, "small" or "large", and whether errors are soft."""
+    """A simulated setting: "ball" or "hinge", noise in m, "small" or "large" angles, and soft errors."""
 
     joint: str
     noise: float
@@ -65,7 +67,7 @@ def make(setting: Setting, count: int, seed: int = 0) -> tuple[np.ndarray, list[
     """Simulate recordings of a joint.
 
     Returns:
-        Poses (count, K+1, 4, 4), m, and the axis of every recording; of a ball only its point counts.
+        Poses (count, K+1, 4, 4), m, and the axis of every recording; a ball uses only the point of the axis.
     """
     rng = np.random.default_rng(seed)
     times = DT * np.arange(POSES)
@@ -80,7 +82,7 @@ def make(setting: Setting, count: int, seed: int = 0) -> tuple[np.ndarray, list[
         turned = Rotation.from_rotvec(turns) * home
         places = point - turned.apply(LEVER)
         if setting.soft:
-            # the slip follows the motion, as skin does, and has a part of its own
+            # the slip depends on the motion, like skin, and has an independent component
             slip = turns / amplitude @ rng.normal(size=(3, 6)) / 2 + _wave(rng, times, 6)
             places = places + turned.apply(SOFT[0] * slip[:, :3])
             turned = turned * Rotation.from_rotvec(SOFT[1] * slip[:, 3:])
@@ -97,7 +99,7 @@ def _direction(rng: np.random.Generator) -> np.ndarray:
 
 
 def _wave(rng: np.random.Generator, times: np.ndarray, width: int) -> np.ndarray:
-    """Smooth motions (K+1, width) of amplitude about 1: three sines each, 0.1 to 0.6 Hz."""
+    """Smooth motions (K+1, width) with an amplitude of about 1: sums of three sines of 0.1 to 0.6 Hz."""
     rates, phases = 2 * np.pi * rng.uniform(0.1, 0.6, (3, width)), rng.uniform(0, 2 * np.pi, (3, width))
     weights = np.array([0.6, 0.4, 0.3])[:, None]
     return np.sum(weights * np.sin(rates * times[:, None, None] + phases), axis=1)
@@ -105,12 +107,12 @@ def _wave(rng: np.random.Generator, times: np.ndarray, width: int) -> np.ndarray
 
 # ---------- textbooks
 def score(poses: np.ndarray) -> Line:
-    """The centre by SCoRE."""
+    """Estimate the centre by SCoRE."""
     return np.full(3, np.nan), _solve(poses)[0][3:]
 
 
 def sara(poses: np.ndarray) -> Line:
-    """The axis by SARA."""
+    """Estimate the axis by SARA."""
     _, (left, sizes, right), target = _solve(poses)
     least = right[:5].T @ ((left.T[:5] @ target) / sizes[:5])
     direction = right[5, 3:]
@@ -118,7 +120,7 @@ def sara(poses: np.ndarray) -> Line:
 
 
 def circle(poses: np.ndarray) -> Line:
-    """The axis of the circle through the positions."""
+    """Estimate the axis of the circle through the positions."""
     return fit_axis(poses[:, :3, 3], circle=True)
 
 
@@ -142,18 +144,18 @@ def _line(found: rf.Identification, poses: np.ndarray) -> Line:
 
 
 def calibrated(poses: np.ndarray) -> Line:
-    """The centre by ``calibrate``."""
+    """Estimate the centre by ``calibrate``."""
     return np.full(3, np.nan), rf.calibrate(poses).point
 
 
 # ---------- errors
 def centre_errors(found: Line, truth: Line, poses: np.ndarray) -> tuple[float, float]:
-    """No angle, and the distance of two centres, mm."""
+    """NaN for the angle, and the distance of two centres, mm."""
     return float("nan"), 1e3 * float(np.linalg.norm(found[1] - truth[1]))
 
 
 def axis_errors(found: Line, truth: Line, poses: np.ndarray) -> tuple[float, float]:
-    """Angle of two axes, deg, and distance, mm, of one from the other where it is closest to the sensor."""
+    """Angle between two axes, deg, and their distance, mm, at the point closest to the sensor."""
     (axis, point), (true_axis, true_point) = found, truth
     middle = poses[:, :3, 3].mean(axis=0)
     near = point + axis * ((middle - point) @ axis)
@@ -170,7 +172,7 @@ HINGE: dict[str, Callable[[np.ndarray], Line]] = {"SARA": sara, "circle": circle
 def _rows(
     name: str, joint: str, poses: Sequence[np.ndarray], truths: Sequence[Line], ours: list[Line]
 ) -> Any:
-    """A row for every contestant in some recordings."""
+    """One row per method for a set of recordings."""
     fits, errors = (BALL, centre_errors) if joint == "ball" else (HINGE, axis_errors)
     lines = {"assume": ours} if ours else {}
     lines |= {contestant: [fit(each) for each in poses] for contestant, fit in fits.items()}
@@ -192,7 +194,7 @@ def _plain(value: Any) -> float | None:
 
 
 def run(settings: Sequence[Setting], count: int, real: bool) -> list[dict[str, Any]]:
-    """Simulated recordings, then the real ones."""
+    """Run all methods on simulated recordings, then on real recordings."""
     rows: list[dict[str, Any]] = []
     for seed, setting in enumerate(settings):
         poses, lines = make(setting, count, seed)
@@ -233,7 +235,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Command line of the benchmark."""
     parser: argparse.ArgumentParser = new_parser("assumed", __doc__)
     add = parser.add_argument
-    add("--quick", action="store_true", help="two recordings of a hinge and a ball, no real ones")
+    add("--quick", action="store_true", help="two simulated recordings of a hinge and a ball only")
     add("--json", type=Path, help="file to write all figures to")
     options = parser.parse_args(argv)
     every = [

@@ -1,26 +1,25 @@
-"""What white noise allows: Cramér-Rao bounds of the geometry of all twelve constraints.
+"""Cramér-Rao bounds of the geometry of all twelve constraints under white noise.
 
-Unknown are the constraint, as a frame X in the ground and a frame Y in the body, and all true poses. Measured
-is every pose T_k, with Gaussian noise of known covariance S. A constraint says c(X, Y, T_k) = 0. With C and J
-the derivatives of c by the frames and by the poses, the information about the frames that is left when the
-poses are eliminated is
+The unknowns are a frame X in the ground, a frame Y in the body, and all true poses. The measurements are the
+poses T_k with Gaussian noise of known covariance S. A constraint is an equation c(X, Y, T_k) = 0. Let C and J
+be the derivatives of c with respect to the frames and the poses. After elimination of the poses, the
+information about the frames is
 
     F = C' (J S J')^-1 C,
 
-a sum over samples where every equation holds one pose. These do:
+which is a sum over samples if every equation contains one pose. Such equations are:
 
-- rotation: X' R Y leaves the one free axis in place (A, C to F, I, J), or is the identity (B);
-- A to D, I, K: the body's point stays on a line or plane of the ground, or in place;
-- J, L: the ground's point stays on a line or plane of the body.
+- rotation: X' R Y does not change the single free axis (A, C to F, I, J), or is the identity (B);
+- A to D, I, K: a point of the body stays on a line, on a plane, or at a point of the ground;
+- J, L: a point of the ground stays on a line or plane of the body.
 
-Following a contour and rolling (E to H) constrain a velocity: no equation in one pose says so, and no bound
-can be read off the poses one by one. Their equations hold two consecutive poses (the chord of the point,
-along the mean axes of the step, has no constrained component), and J S J' is the full banded covariance, in
-blocks. That is the bound for what sampled poses say about the velocity; nothing is assumed of the motion
-between samples.
+Contour following and rolling (E to H) constrain a velocity, which no equation in one pose expresses. Their
+equations contain two consecutive poses: the chord of the point has no component along the constrained mean
+axis of the step. J S J' is then the full banded covariance, in blocks. The bound assumes nothing about the
+motion between samples.
 
-Directions in which the frames can move without breaking the constraint have no information. They do not
-matter, unless something is asked that depends on them: that has the bound infinity.
+Directions in which the frames can move without violating the constraint have no information. A quantity that
+depends on such a direction has an infinite bound.
 """
 
 from dataclasses import dataclass
@@ -37,22 +36,26 @@ from reframe_jax.geometry.rotations import hat, rotation_exp
 
 __all__ = ["Bound", "cramer_rao"]
 
-_ROWS = 6  # equations of a sample: three of rotation, three of translation; those that a class lacks are zero
-_UNDETERMINED = 1e-11  # of the largest eigenvalue of the information: what is below counts as none
-_DEPENDS = 1e-6  # squared share of a quantity in such directions, above which it is undetermined
+_ROWS = 6  # equations per sample: three for rotation, three for translation; unused equations are zero
+_UNDETERMINED = (
+    1e-11  # fraction of the largest eigenvalue of the information, below which there is no information
+)
+_DEPENDS = (
+    1e-6  # squared fraction of a quantity in directions without information, above which it is undetermined
+)
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Bound:
-    """RMS errors that no unbiased estimate can fall below; what they measure is in :mod:`metrics`.
+    """Lower bounds on the RMS errors of unbiased estimates, for the quantities of :mod:`metrics`.
 
-    NaN where the constraint leaves the quantity free, infinite where the motion does.
+    NaN if the constraint does not determine the quantity, infinite if the motion does not.
 
     Attributes:
-        angular: (..., 2) rad, of the unique axis of the angular frame, by ``AngularType``.
-        linear: (..., 4) rad, of the unique axis of the linear frame, by ``LinearType``.
-        position: (..., 4) m, over the unique components of the position at the point nearest to the
+        angular: (..., 2) rad, for the determined axis of the angular frame, by ``AngularType``.
+        linear: (..., 4) rad, for the determined axis of the linear frame, by ``LinearType``.
+        position: (..., 4) m, for the determined components of the position, at the point nearest to the
             centre of the motion, by ``LinearType``.
     """
 
@@ -63,13 +66,13 @@ class Bound:
 
 @dataclass(frozen=True)
 class _Class:
-    """Which equations a class has, and what of it is unique, as arrays: all classes share a compilation.
+    """Equations and determined components of a constraint, as arrays for one compiled program.
 
     Attributes:
-        angular: (3, 9), of the entries of X' R Y, row by row.
-        linear: (3, 12), of the four displacements of :func:`_equations`.
-        angular_odd, linear_odd: (3,) 1 for the axes towards which the unique one can tilt.
-        kept: (3,) 1 for the unique components of the position.
+        angular: (3, 9) coefficients of the entries of X' R Y, row by row.
+        linear: (3, 12) coefficients of the four displacements of :func:`_equations`.
+        angular_odd, linear_odd: (3,) 1 for the axes towards which the determined axis can tilt.
+        kept: (3,) 1 for the determined components of the position.
     """
 
     angular: np.ndarray
@@ -82,20 +85,22 @@ class _Class:
 def cramer_rao(
     frame: ConstraintFrame, poses: jax.Array, sigma: ArrayLike, rotation_ratio: ArrayLike
 ) -> Bound:
-    """Bounds for windows of one constraint; in float64 only.
+    """Compute the bounds for windows of one constraint, in float64 only.
 
     Args:
-        frame: the true constraint, one of the twelve as :meth:`ConstraintFrame.named` orders its axes; the
-            leaves with the batch axis of the poses.
+        frame: the true constraint, one of the twelve with the axes of :meth:`ConstraintFrame.named`; its
+            arrays have the batch axis of the poses.
         poses: (N, K+1, 4, 4) true poses, m.
-        sigma: (N,) or a number: standard deviation of every component of the position, m.
-        rotation_ratio: (N,) or a number: that of every component of rotation over ``sigma``, rad/m.
+        sigma: (N,) or a number, m, standard deviation of every component of the position.
+        rotation_ratio: (N,) or a number, rad/m, ratio of the standard deviation of every component of the
+            rotation to ``sigma``.
 
     Returns:
         Bounds, (N, ...).
 
     Raises:
-        ValueError: if the frame is none of the twelve, or its two parts are oriented in different bodies.
+        ValueError: if the frame is not one of the twelve, or its angular and linear axes are fixed in
+            different bodies.
         TypeError: for poses in float32.
     """
     if poses.dtype != jnp.float64:
@@ -132,7 +137,7 @@ def _class_of(frame: ConstraintFrame) -> _Class:
     pairs = [(1, 0), (2, 1), (0, 2)] if not free else [(i, free[0]) for i in range(3) if i != free[0]]
     for equation, (row, column) in enumerate(pairs if len(free) < 2 else []):
         angular[equation, row, column] = 1
-    # the displacement that stays zero: by type, and for A to D, which have all types, that of GB
+    # the displacement that is zero, by type; A to D, which have all types, use GB
     linear = np.zeros((3, 4, 3))
     linear[:, int(LinearType.GB if entry.linear_type is None else entry.linear_type)] = np.diag(
         1.0 - np.array(entry.linear_dof)
@@ -164,7 +169,7 @@ def _bounds(
     poses: jax.Array,
     ratio: jax.Array,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Bounds (2,) each, by body: of both axes and of the position, for a sigma of 1 m."""
+    """Bounds (2,) by body for both axes and the position, for a sigma of 1 m."""
     turn, shift = poses[0, :3, :3], poses[0, :3, 3]
     # both frames agree at the start
     in_x = jnp.where(in_ground[0], axes, turn @ axes)
@@ -176,7 +181,7 @@ def _bounds(
     spread = jnp.where(known, 1 / jnp.where(known, values, 1), 0)
 
     def rms(rows: jax.Array, wanted: jax.Array) -> jax.Array:
-        """Of linear functions (3, 12) of the frames, over those wanted."""
+        """RMS bound of linear functions (3, 12) of the frames, over the selected functions."""
         shares = jnp.square((rows * wanted[:, None]) @ vectors)
         bound = jnp.sqrt(jnp.sum(shares * spread[None]))
         undetermined = jnp.sum(jnp.where(known[None], 0, shares)) > _DEPENDS
@@ -204,7 +209,7 @@ def _equations(
     here: jax.Array,
     change: jax.Array,
 ) -> jax.Array:
-    """What is zero at a sample, (6,), after a change of the frames and of two consecutive poses, (24,)."""
+    """Residuals (6,) of the constraint at a sample, for changes (24,) of the frames and two poses."""
     in_x, x_at, in_y, y_at = frames
     xw, xv, yw, yv, *noise = jnp.split(change, 8)
     x_axes, y_axes = in_x @ rotation_exp(xw), in_y @ rotation_exp(yw)
@@ -227,12 +232,12 @@ def _equations(
 def _information(
     angular: jax.Array, linear: jax.Array, frames: _Frames, poses: jax.Array, ratio: jax.Array
 ) -> jax.Array:
-    """Information about the frames (12, 12), from the elimination of all poses in their order."""
+    """Information about the frames (12, 12) after elimination of all poses in order."""
     before = jnp.concatenate([poses[:1], poses[:-1]])
     derivative = jax.jacfwd(partial(_equations, (angular, linear), frames), argnums=2)
     both = jax.vmap(derivative, in_axes=(0, 0, None))(before, poses, jnp.zeros(24))
     holds = jnp.concatenate([jnp.any(angular != 0, axis=1), jnp.any(linear != 0, axis=1)])
-    # the first sample has no pose before it
+    # the first sample has no previous pose
     of_pairs = jnp.any(linear.reshape(3, 4, 3)[:, np.array([LinearType.BB, LinearType.GG])] != 0, axis=(1, 2))
     of_pairs = jnp.concatenate([jnp.zeros(3, dtype=bool), of_pairs])
     here = jnp.tile(holds[None], (len(poses), 1)).at[0].set(holds & ~of_pairs)

@@ -1,4 +1,4 @@
-"""What the benchmarks share: their command lines, the machine they ran on, and their metrics in a file."""
+"""Helpers of all benchmarks: command lines, a description of the machine, and files of metrics."""
 
 import argparse
 import json
@@ -29,7 +29,7 @@ _Plan = TypeVar("_Plan")
 
 
 def new_parser(name: str, doc: str | None) -> argparse.ArgumentParser:
-    """The parser of a benchmark, whose help is the docstring of its module."""
+    """Make the parser of a benchmark, with the docstring of its module as help."""
     return argparse.ArgumentParser(
         prog=f"python -m benchmarks.{name}",
         description=doc,
@@ -38,7 +38,7 @@ def new_parser(name: str, doc: str | None) -> argparse.ArgumentParser:
 
 
 def plan_parser(name: str, doc: str | None, *, quick: str) -> argparse.ArgumentParser:
-    """The parser of a benchmark with a plan; ``quick`` says what ``--quick`` covers."""
+    """Make the parser of a benchmark with a plan; ``quick`` is the help of ``--quick``."""
     parser = new_parser(name, doc)
     add = parser.add_argument
     add("--quick", action="store_true", help=quick)
@@ -48,7 +48,7 @@ def plan_parser(name: str, doc: str | None, *, quick: str) -> argparse.ArgumentP
         nargs="+",
         choices=list(reframe_jax.CONSTRAINTS),
         metavar="LABEL",
-        help="these only, A to L",
+        help="constraints to run, A to L",
     )
     add("--sigmas", nargs="+", type=float, help="standard deviations of the position noise, m")
     add_files(parser)
@@ -56,19 +56,25 @@ def plan_parser(name: str, doc: str | None, *, quick: str) -> argparse.ArgumentP
 
 
 def add_files(parser: argparse.ArgumentParser) -> None:
-    """The options of a benchmark that can run in parts: ``--json`` and ``--join``."""
+    """Add the options of a benchmark that can run in parts: ``--json`` and ``--join``."""
     add = parser.add_argument
     add("--json", type=Path, help="file to write all figures to")
-    add("--join", nargs="+", type=Path, metavar="JSON", help="run nothing: show what runs of parts wrote")
+    add(
+        "--join",
+        nargs="+",
+        type=Path,
+        metavar="JSON",
+        help="print the joined results of earlier runs, without a new run",
+    )
 
 
 def read_parts(options: argparse.Namespace) -> list[dict[str, Any]]:
-    """Records of the runs to join; none without ``--join``."""
+    """Read the records of the runs to join; an empty list without ``--join``."""
     return [json.loads(part.read_text()) for part in options.join or []]
 
 
 def chosen_plan(options: argparse.Namespace, plan: _Plan, quick: _Plan) -> _Plan:
-    """The plan, or the quick one, with the fields that options of their names set."""
+    """Choose the full or the quick plan, with fields replaced by the options of the same name."""
     start: Any = quick if options.quick else plan
     given = {name: value for name, value in vars(options).items() if value is not None}
     fields = {name: given[name] for name in given.keys() & vars(start).keys()}
@@ -76,13 +82,13 @@ def chosen_plan(options: argparse.Namespace, plan: _Plan, quick: _Plan) -> _Plan
 
 
 def write_record(file: Path | None, record: Mapping[str, Any]) -> None:
-    """Write figures as JSON, if there is a file to write them to."""
+    """Write the results as JSON if a file is given."""
     if file is not None:
         file.write_text(json.dumps(record, indent=2) + "\n")
 
 
 def machine() -> str:
-    """Processor, accelerator and versions, in one line."""
+    """Describe processor, accelerator and versions in one line."""
     model = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():
@@ -98,5 +104,5 @@ def machine() -> str:
 
 
 def write_metrics(file: Path | None, metrics: Mapping[str, float]) -> None:
-    """Write metrics as JSON, if there is a file to write them to."""
+    """Write metrics as JSON if a file is given."""
     write_record(file, {"metrics": dict(metrics)})

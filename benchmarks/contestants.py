@@ -1,4 +1,4 @@
-"""The other ways to solve the six problems of a window, each on the same moments."""
+"""Other solvers for the six problems of a window, all on the same moments."""
 
 import time
 from typing import Any
@@ -19,11 +19,11 @@ TURN = np.pi
 GENERAL = rf.BasinHopping(rf.FrameSteps(10), restarts=8, hops=3, polish=2)
 
 Solved = tuple[np.ndarray, np.ndarray, float, float]
-"""Norms (N, 6), linear positions (N, 4, 3) in m, seconds, and seconds of compilation before."""
+"""Norms (N, 6), linear positions (N, 4, 3) in m, run time in s, and compile time in s."""
 
 
 def moments_about_centre(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Angular and linear moments, windows in front; the centre that positions in the ground count from."""
+    """Angular and linear moments with windows first, and the reference point of positions in the ground."""
     centre = poses[:, :, :3, 3].mean(axis=1)
     centred = np.array(poses)
     centred[:, :, :3, 3] -= centre[:, None]
@@ -38,7 +38,7 @@ def _moments_of_chunk(poses: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def shift_positions(positions: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Positions (N, 4, 3) as ``identify`` reports them: those in the ground from its origin."""
+    """Convert positions (N, 4, 3) to the convention of ``identify``: relative to the ground's origin."""
     return np.asarray(positions + np.asarray(ground_offset(jnp.asarray(centre))))
 
 
@@ -65,14 +65,14 @@ def _value_and_gradient(moments: jax.Array | np.ndarray, x: jax.Array) -> tuple[
 
 
 def annealing(poses: np.ndarray, seeds: np.ndarray) -> Solved:
-    """SciPy's dual annealing as the paper configured it."""
+    """SciPy's dual annealing with the settings of the paper."""
     runs = [anneal(window, seed=int(seed), gradient=False) for window, seed in zip(poses, seeds, strict=True)]
     norms, positions, seconds = zip(*runs, strict=True)
     return np.stack(norms), np.stack(positions), sum(seconds), 0.0
 
 
 def lbfgs(poses: np.ndarray, starts: int) -> Solved:
-    """SciPy's L-BFGS-B from random starts; on a processor, to spare it the way to an accelerator and back."""
+    """SciPy's L-BFGS-B from random starts, on the CPU to avoid transfers to an accelerator."""
     angular, linear, centre = moments_about_centre(poses)
     with jax.default_device(jax.devices("cpu")[0]):
         return _lbfgs(angular, linear, centre, starts)
@@ -122,7 +122,7 @@ def cma_es(poses: np.ndarray, runs: int, generations: int) -> Solved:
         def generation(state: Any, key: jax.Array) -> tuple[Any, None]:
             ask, tell = jax.random.split(key)
             population, state = strategy.ask(ask, state, params)
-            # what is outside the box costs as much as it is outside
+            # points outside the box have a penalty equal to their distance from the box
             outside = jnp.sum(jnp.abs(population - jnp.clip(population, -1, 1)), axis=-1)
             state, _ = strategy.tell(tell, population, fitness(population) + outside, state, params)
             return state, None

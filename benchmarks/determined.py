@@ -1,11 +1,11 @@
-"""Which windows tell the constraint: those whose exact motion obeys no other as tight, nor a tighter one.
+"""Find windows that determine their constraint: the exact motion obeys no other constraint as restrictive.
 
-The exact motion is seen at the optimum of the norm for every frame type. The optimum is that of the measured
-poses over time scales: of exact poses it is any origin that leaves the constrained axes at zero, and among
-these the noise decides which holds the other axes best. An axis along which the frame
-goes no farther than ten times the noise of a pose counts as held there: a constraint that holds it as well
-explains the recording as well. The degrees of freedom are determined where the true type holds no more axes
-than the truth does, and no other type does; the type where no other holds as many.
+For every frame type, the exact motion is evaluated at the optimum of the norm of the measured poses over time
+scales. (With exact poses, every origin that keeps the constrained axes at zero is an optimum; the noise
+selects one of these.) An axis counts as constrained if the displacement along it is at most ten times the
+noise of a pose: a constraint that also fixes this axis fits the recording equally well. The degrees of
+freedom are determined if no frame type has more constrained axes than the truth. The type is determined if no
+other type has as many.
 """
 
 from typing import NamedTuple
@@ -21,15 +21,15 @@ from reframe_jax.motion.kinematics import velocity_components
 
 __all__ = ["Determination", "determined", "distances"]
 
-_NOISES = 10  # that an axis goes at least to be seen free
+_NOISES = 10  # smallest displacement of a free axis, in units of the noise
 
 
 class Determination(NamedTuple):
-    """What the motion tells of N windows.
+    """Whether the motion determines the constraint, for N windows.
 
     Attributes:
-        dof: (N,) bool, whether the degrees of freedom.
-        name: (N,) bool, whether the frame type as well, where it makes a difference.
+        dof: (N,) bool, whether the motion determines the degrees of freedom.
+        name: (N,) bool, whether the motion also determines the frame type, if the name depends on the type.
     """
 
     dof: np.ndarray
@@ -45,16 +45,17 @@ def determined(
     sigma: np.ndarray,
     rotation_ratio: np.ndarray,
 ) -> Determination:
-    """What the motion tells of the truth.
+    """Compute whether the motion of windows determines the true constraint.
 
     Args:
-        label: of the constraint.
-        frame: its geometry.
+        label: label of the constraint.
+        frame: true geometry of the constraint.
         exact: (N, K+1, 4, 4) true poses, m.
-        measured: (N, K+1, 4, 4) the same with noise.
+        measured: (N, K+1, 4, 4) poses with noise, m.
         dt: s.
-        sigma: (N,) standard deviation of the noise in every component of the position, m.
-        rotation_ratio: (N,) that of every component of the rotation over ``sigma``, rad/m.
+        sigma: (N,) m, standard deviation of the noise in every component of the position.
+        rotation_ratio: (N,) rad/m, ratio of the standard deviation of every component of the rotation to
+            ``sigma``.
     """
     found = rf.identify(measured, dt=dt).candidates
     position = jnp.asarray(found.linear.position)
@@ -77,15 +78,15 @@ def determined(
 def distances(
     poses: jax.Array, dt: float, rotvecs: tuple[jax.Array, jax.Array], position: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """How far frames go along their axes, (N, 2, 3) rad and (N, 4, 3) m, and their levers, (N, 4) m.
+    """Displacements of frames along their axes, (N, 2, 3) rad and (N, 4, 3) m, and their levers, (N, 4) m.
 
-    Distances are standard deviations over the window; a lever is the root of the mean square.
+    A displacement is a standard deviation over the window; a lever is an RMS distance.
 
     Args:
         poses: (N, K+1, 4, 4) m.
         dt: s.
-        rotvecs: of the axes, (N, 2, 3) and (N, 4, 3).
-        position: (N, 4, 3) m, of the origins.
+        rotvecs: rotation vectors of the axes, (N, 2, 3) and (N, 4, 3).
+        position: (N, 4, 3) m, origins.
     """
     rates, maps = velocity_components(poses, dt)  # (3, 1, K, 2, N) and (3, 4, K, 4, N)
     origin = jnp.moveaxis(position, 0, -1)  # (4, 3, N)

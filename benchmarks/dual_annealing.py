@@ -1,14 +1,14 @@
-"""``identify`` against SciPy's dual annealing as the paper configured it, on the same windows.
+"""Compare ``identify`` with SciPy's dual annealing, with the settings of the paper.
 
-Both search the six problems of every window (two angular, four linear) in one run of this script:
+Both search the six problems of the same windows (two angular, four linear):
 
 - dual annealing: ``scipy.optimize.dual_annealing`` with ``maxiter=100`` and defaults otherwise, bounds
-  of 180 degrees and 1 m, on a vectorised NumPy objective over (rotation vector, position); once
-  without a gradient, as in the paper, and once with the exact gradient for its local search;
-- ``reframe_jax.identify``, all windows in one call, compile time apart.
+  of 180 degrees and 1 m, on a vectorised NumPy objective over (rotation vector, position). It runs without a
+  gradient, as in the paper, and with the exact gradient for its local search;
+- ``reframe_jax.identify``, all windows in one call; the compile time is separate.
 
-Quality is the norm relative to the best known (the lowest of all contestants and of a search with 64
-long restarts), as the share of problems more than 0.1 % above it, and the error against the truth.
+The reference is the lowest norm of all methods and of a search with 64 long restarts. The table has the
+fraction of problems with a norm more than 0.1 % above the reference, and the error against the truth.
 """
 
 import argparse
@@ -36,7 +36,7 @@ MISS = 1.001
 
 
 def make_windows(count: int) -> tuple[np.ndarray, list[str]]:
-    """Windows of all twelve constraints in turn, sigma from 1e-6 to 1e-3 m, (count, 51, 4, 4)."""
+    """Simulate windows (count, 51, 4, 4) of all twelve constraints, with sigma from 1e-6 to 1e-3 m."""
     labels = list(rf.CONSTRAINTS)
     per_label = -(-count // len(labels))
     sigmas = jnp.logspace(-6, -3, per_label)
@@ -104,12 +104,12 @@ def _gradient(moments: jax.Array, x: jax.Array) -> jax.Array:
 
 
 def solve(poses: np.ndarray, seed: int, *, gradient: bool = False, dt: float = DT) -> tuple[list[Any], float]:
-    """Dual annealing on the six problems of one window: SciPy's results, and seconds."""
+    """Run dual annealing on the six problems of one window: SciPy's results, and the time in s."""
     problems = numpy_objectives(poses, dt)
     gradients = jax_gradients(poses, dt) if gradient else [None] * 6
     for g, (_, dim) in zip(gradients, problems, strict=True):
         if g is not None:
-            g(np.full(dim, 0.1))  # compile outside of the clock
+            g(np.full(dim, 0.1))  # compile before the time measurement
     results = []
     start = time.perf_counter()
     for (objective, dim), g in zip(problems, gradients, strict=True):
@@ -122,13 +122,13 @@ def solve(poses: np.ndarray, seed: int, *, gradient: bool = False, dt: float = D
 
 
 def anneal(poses: np.ndarray, seed: int, *, gradient: bool) -> tuple[np.ndarray, np.ndarray, float]:
-    """Dual annealing on the six problems: norms (6,), linear positions (4, 3), seconds."""
+    """Run dual annealing on the six problems: norms (6,), linear positions (4, 3), and the time in s."""
     results, seconds = solve(poses, seed, gradient=gradient)
     return np.array([r.fun for r in results]), np.array([r.x[3:] for r in results[2:]]), seconds
 
 
 _LONG = rf.BasinHopping(rf.ValleySteps(40), restarts=64, hops=0, refine=rf.ValleySteps(40))
-_HALF = 1.5  # m: positions of dual annealing are bounded about the ground's origin, ours about the motion
+_HALF = 1.5  # m, half width: dual annealing has bounds about the ground's origin, identify about the motion
 
 
 def best_known(poses: np.ndarray) -> np.ndarray:
@@ -148,7 +148,7 @@ def _best_of_chunk(poses: jax.Array) -> jax.Array:
 
 
 def errors_mm(positions: np.ndarray, labels: Sequence[str]) -> np.ndarray:
-    """Errors of the unique position components, over the windows whose type is unique."""
+    """Errors of the determined position components, for windows with a unique type."""
     errors = []
     for position, label in zip(positions, labels, strict=True):
         entry = rf.CONSTRAINTS[label]
@@ -227,8 +227,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Command line of the benchmark."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.dual_annealing", description=__doc__)
     parser.add_argument("--windows", type=int, default=600, help="windows to identify (default 600)")
-    parser.add_argument("--annealed", type=int, default=24, help="of them, by dual annealing (default 24)")
-    parser.add_argument("--quick", action="store_true", help="96 windows, 12 annealed")
+    parser.add_argument(
+        "--annealed", type=int, default=24, help="windows to solve by dual annealing (default 24)"
+    )
+    parser.add_argument("--quick", action="store_true", help="96 windows, 12 of them by dual annealing")
     parser.add_argument("--json", type=Path, help="file to write the metrics to")
     options = parser.parse_args(argv)
     jax.config.update("jax_enable_x64", True)

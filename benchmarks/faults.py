@@ -1,16 +1,17 @@
-"""Attacks on everything that takes input, counted: no crash, no hang, no NaN, nothing but refusals in words.
+"""Test the library with mutated input, and count faults: crashes, hangs, NaN, errors without a message.
 
-- *files*: mutated recordings, CSV, TUM, ``.npy`` and ``.npz``, are read, or refused with a ``RecordingError``
-  (the tests mutate those of the other formats);
+- *files*: mutated recordings, CSV, TUM, ``.npy`` and ``.npz``, are read, or raise a ``RecordingError`` (the
+  tests mutate files of the other formats);
 - *windows*: batches with NaN, infinities, huge and tiny numbers, flipped bits, repeated and swapped poses. A
-  window has a failed status, or only finite numbers, and its sound neighbours keep theirs to the last bit;
-- *arguments*: arrays of every type, shape and byte order, and options that are none, give a result or a
+  window must have a failed status or finite numbers, and the results of intact windows must not change by a
+  bit;
+- *arguments*: arrays of every type, shape and byte order, and invalid options, give a result or a
   ``ValueError``;
-- *stores*: a mutated folder of results loads as it was, or is refused with a ``ValueError``;
+- *stores*: a mutated folder of results loads with its original contents, or raises a ``ValueError``;
 - *commands*: mutated command lines and files end with exit code 0, 1 or 2, and with messages.
 
-Each part prints what came of its inputs and how many faults there were; the first of these are listed. The
-exit code is 1 if there were any. ``--count 1000000`` is the full run.
+Each part prints the number of each outcome and of faults, and lists the first faults. The exit code is 1
+after a fault. ``--count 1000000`` is the full run.
 """
 
 import contextlib
@@ -44,19 +45,19 @@ from reframe_jax.simulation import synthetic
 from reframe_jax.solvers import Box, Solution
 
 FRACTIONS = {"files": 0.2, "windows": 0.7, "arguments": 0.05, "stores": 0.04, "commands": 0.01}
-LISTED = 5  # faults printed of each part
-PATIENCE = 600.0  # s that one input may take, compilation on a busy machine included
+LISTED = 5  # most faults to print per part
+PATIENCE = 600.0  # s, time limit of one input, including compilation on a busy machine
 POSES, DT = 21, 0.1
 _LABELS, _MOST = "AEGK", 1024
 
 
 @dataclass
 class Tally:
-    """What came of the inputs of one part.
+    """Outcomes of the inputs of one part.
 
     Attributes:
-        outcomes: how many inputs came out how.
-        faults: how many there were of each, in words, with one example each.
+        outcomes: number of inputs by outcome.
+        faults: number of faults by description, with one example each.
     """
 
     outcomes: Counter[str] = field(default_factory=Counter)
@@ -71,10 +72,10 @@ class Tally:
 
 @dataclass(frozen=True)
 class Standstill:
-    """A solver that does not search: the arguments are under attack, not the search."""
+    """A solver that does not search, for tests of the arguments only."""
 
     def minimise(self, objective: Objective, box: Box, key: jax.Array) -> Solution:
-        """The middle of the box."""
+        """Return the centre of the box."""
         x = jnp.zeros((objective.dim, *objective.batch), objective.dtype)
         return Solution(x, objective.value(x), jnp.ones(objective.batch, objective.dtype))
 
@@ -100,13 +101,13 @@ def _in_time() -> Iterator[None]:
 def attempt(
     tally: Tally, name: str, act: Callable[[], str], allowed: tuple[type[Exception], ...] = (ValueError,)
 ) -> None:
-    """Do something, and count what came of it.
+    """Run a test, and count its outcome.
 
     Args:
-        tally: to count in.
-        name: of the input, to find it again.
-        act: returns the outcome; an ``AssertionError`` is a fault.
-        allowed: errors that are refusals, if they say something.
+        tally: counts of the part.
+        name: name of the input, to reproduce a fault.
+        act: function that returns the outcome; an ``AssertionError`` is a fault.
+        allowed: errors that count as a valid refusal if they have a message.
     """
     try:
         with _in_time(), warnings.catch_warnings():
@@ -135,12 +136,12 @@ def _windows() -> np.ndarray:
 
 
 def sound_windows(count: int) -> np.ndarray:
-    """(count, 21, 4, 4) poses of several constraints in turn; at most 1024 windows."""
+    """Intact poses (count, 21, 4, 4) of several constraints in turn; at most 1024 windows."""
     return _windows()[:count].copy()
 
 
-def _spoil(rng: np.random.Generator, poses: np.ndarray) -> np.ndarray:
-    """A window with one to three mutations."""
+def _mutate_window(rng: np.random.Generator, poses: np.ndarray) -> np.ndarray:
+    """Apply one to three mutations to a window."""
     poses = poses.copy()
     for _ in range(rng.integers(1, 4)):
         where = int(rng.integers(len(poses)))
@@ -168,7 +169,7 @@ def _spoil(rng: np.random.Generator, poses: np.ndarray) -> np.ndarray:
 
 
 def attack_windows(count: int) -> Tally:
-    """Batches of spoilt windows beside sound ones."""
+    """Test batches that contain mutated and intact windows."""
     tally = Tally()
     size = _MOST if count >= 1000 else 32
     sound = sound_windows(size)
@@ -184,7 +185,7 @@ def attack_windows(count: int) -> Tally:
         spoilt = np.flatnonzero(rng.random(size) < 0.5)
         with np.errstate(all="ignore"):
             for row in spoilt:
-                batch[row] = _spoil(rng, batch[row])
+                batch[row] = _mutate_window(rng, batch[row])
         before = expected(kind)
         try:
             with _in_time():
@@ -204,13 +205,13 @@ def _identify_batch(poses: np.ndarray, dt: Any) -> rf.Identification:
 
 
 def faults_of_batch(status: np.ndarray, found: Any, expected: Any, spoilt: np.ndarray) -> Iterator[str]:
-    """What is wrong with a batch.
+    """Find the faults in the results of a batch.
 
     Args:
-        status: (N,) codes.
-        found: pytree of arrays (N, ...).
-        expected: the same of sound windows.
-        spoilt: rows of windows that were not sound.
+        status: (N,) status codes.
+        found: pytree of arrays (N, ...), the results.
+        expected: the results of the intact windows.
+        spoilt: indices of the mutated windows.
     """
     good, untouched = status < 10, np.ones(len(status), bool)
     untouched[spoilt] = False
@@ -219,7 +220,7 @@ def faults_of_batch(status: np.ndarray, found: Any, expected: Any, spoilt: np.nd
         name = jax.tree_util.keystr(path)
         if np.issubdtype(leaf.dtype, np.floating):
             finite = np.isfinite(leaf).reshape(len(leaf), -1).all(axis=1)
-            # NaN where the constraint is no such joint
+            # NaN for other joints
             if np.any(good & ~finite) and name not in (".pitch", ".universal_axes"):
                 yield f"{name} is not finite in window {np.flatnonzero(good & ~finite)[0]}"
         if not np.array_equal(leaf[untouched], before[untouched], equal_nan=leaf.dtype.kind == "f"):
@@ -227,7 +228,7 @@ def faults_of_batch(status: np.ndarray, found: Any, expected: Any, spoilt: np.nd
 
 
 def attack_arguments(count: int) -> Tally:
-    """Values of every type and shape as every argument of ``identify``."""
+    """Test values of every type and shape for every argument of ``identify``."""
     tally, window = Tally(), sound_windows(1)[0]
     for seed in range(count):
         rng = np.random.default_rng([seed, 2])
@@ -247,7 +248,9 @@ def attack_arguments(count: int) -> Tally:
 
 def _identify_one(arguments: dict[str, Any]) -> str:
     found = rf.identify(arguments.pop("poses"), **arguments, solver=Standstill())
-    number = found.noise.position  # instead of NaN, where there is no screw, universal joint or probability
+    number = (
+        found.noise.position
+    )  # replaces the NaN of results without a screw, universal joint or probability
     known = replace(found, pitch=number, universal_axes=number, entry_probability=number)
     for leaf in jax.tree.leaves(known):
         finite = np.issubdtype(leaf.dtype, np.floating) and not np.all(np.isfinite(np.asarray(leaf)))
@@ -277,7 +280,7 @@ def _odd_value(rng: np.random.Generator, usual: np.ndarray) -> Any:
 
 
 def attack_files(count: int, folder: Path) -> Tally:
-    """Mutated recordings: read or refused."""
+    """Test mutated recordings: the reader must read them or raise an error."""
     tally, suffixes = Tally(), list(FORMATS)
     for seed in range(count):
         suffix = suffixes[seed % len(suffixes)]
@@ -295,7 +298,7 @@ def _read(path: Path) -> str:
 
 
 def attack_stores(count: int, folder: Path) -> Tally:
-    """Folders of results with bytes flipped, cut, repeated and replaced, and with parts moved."""
+    """Test folders of results with flipped, deleted, repeated and replaced bytes, and with moved parts."""
     tally, whole = Tally(), folder / "whole"
     rf.identify_many(sound_windows(24), whole, dt=DT, part_size=8, progress=False, solver=Standstill())
     expected = jax.tree.leaves(rf.load_results(whole))
@@ -327,7 +330,7 @@ def _load(store: Path, expected: list[Any]) -> str:
 
 
 def attack_commands(count: int, folder: Path) -> Tally:
-    """Command lines with odd words, on sound and on mutated files."""
+    """Test command lines with unusual words, on intact and on mutated files."""
     tally = Tally()
     sound = folder / "sound.csv"
     rf.save_recording(sound, DT * np.arange(POSES), sound_windows(1)[0])
@@ -396,7 +399,7 @@ def _run(words: list[str]) -> str:
 
 
 def attack(count: int, only: Sequence[str]) -> dict[str, Any]:
-    """Run the parts, print what came of each, and return it as JSON."""
+    """Run the parts, print their outcomes, and return the outcomes as JSON."""
     report: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -424,10 +427,10 @@ def attack(count: int, only: Sequence[str]) -> dict[str, Any]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the attacks; returns the exit code."""
+    """Run the tests; return the exit code."""
     parser = new_parser("faults", __doc__)
-    parser.add_argument("--count", type=int, default=5000, help="mutated inputs in all (5000)")
-    parser.add_argument("--quick", action="store_true", help="a few inputs of every part")
+    parser.add_argument("--count", type=int, default=5000, help="total number of mutated inputs (5000)")
+    parser.add_argument("--quick", action="store_true", help="a few inputs per part")
     parser.add_argument("--only", nargs="+", choices=list(FRACTIONS), help="parts to run (all)")
     parser.add_argument("--json", type=Path, help="file to write all figures to")
     options = parser.parse_args(argv)

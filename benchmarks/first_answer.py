@@ -1,9 +1,9 @@
-"""How long the first answer of a process takes, stage by stage, and every answer after it.
+"""Measure the time of the first call in a process, by stage, and of later calls.
 
-A process of its own each time: it imports the library, identifies one recording, and then the same again
-and again. The stages are those of the first answer: importing, tracing (Python builds the program), compiling
-(XLA makes it machine code, or finds it in JAX's compilation cache), and the rest, which runs it. Timed with
-nothing cached, and with the programs of such a process in the cache.
+Each measurement starts a new process that imports the library, identifies one recording, and then repeats the
+same call. The stages of the first call are: import, tracing (Python builds the program), compilation (XLA
+compiles the program, or reads it from JAX's compilation cache), and execution. The benchmark runs with an
+empty cache, and with the programs of an earlier process in the cache.
 """
 
 import json
@@ -22,7 +22,7 @@ from benchmarks.common import machine, new_parser, write_record
 __all__ = ["measure"]
 
 RECORDING = Path(__file__).parent.parent / "examples" / "pin_on_plane.csv"
-AGAIN = 30  # answers after the first
+AGAIN = 30  # calls after the first
 STAGES = "import", "trace", "compile", "run"
 
 _PROCESS = """
@@ -55,12 +55,12 @@ print(json.dumps({"stages": stages, "then": answers[1:], "name": found.name}))
 
 
 def measure(cache: str | None, recording: Path = RECORDING, again: int = AGAIN) -> dict[str, Any]:
-    """Seconds of the ``stages`` of the first answer of one process, ``then`` of those after it, the ``name``.
+    """Run one process: ``stages`` of the first call in s, ``then`` later calls in s, and the ``name``.
 
     Args:
-        cache: folder of JAX's compilation cache; None for none.
+        cache: folder of JAX's compilation cache; None for no cache.
         recording: file to identify.
-        again: number of answers after the first.
+        again: number of calls after the first.
     """
     environment = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")}
     if cache is not None:
@@ -80,7 +80,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = new_parser("first_answer", __doc__)
     add = parser.add_argument
     add("--recording", type=Path, default=RECORDING, help="file to identify (the one in examples/)")
-    add("--again", type=int, default=AGAIN, help="answers after the first")
+    add("--again", type=int, default=AGAIN, help="calls after the first")
     add("--json", type=Path, help="file to write all figures to")
     options = parser.parse_args(argv)
     print(machine())

@@ -1,9 +1,10 @@
-"""What else finds hinges, slides and frames in noisy poses, and how all of it is scored.
+"""Other estimators of hinges, slides and frames from noisy poses, and the scores of all estimators.
 
-Fits of a line in the ground, each for the constraints it is made for: a circle or a line through the
-positions, the algebraic pivot (least squares of R p + t = c over all poses, as in SARA and SCoRE), the mean
-screw axis over pairs of poses half a window apart. Frames, for all twelve: ``identify``, the same with
-``scales=1``, and SciPy's dual annealing on the paper's objective.
+Some estimators fit a line in the ground, for suitable constraints only: a circle or a line through the
+positions, the algebraic pivot (least squares of R p + t = c over all poses, as in SARA and SCoRE), and the
+mean screw axis over pairs of poses half a window apart. Other estimators fit frames, for all twelve
+constraints: ``identify``, ``identify`` with ``scales=1``, and SciPy's dual annealing on the paper's
+objective.
 """
 
 from collections.abc import Callable
@@ -26,7 +27,7 @@ from reframe_jax.simulation import metrics
 __all__ = ["LINE_FITS", "QUANTITIES", "Line", "Scores", "Windows", "anneal", "line_scores", "scores"]
 
 QUANTITIES = ("angular", "linear", "position")
-_CONFIDENT = 0.9  # probability of a name that is given without a doubt
+_CONFIDENT = 0.9  # probability from which a name counts as confident
 _THRESHOLDS = rf.Thresholds()
 
 
@@ -35,12 +36,12 @@ class Windows:
     """Windows of one constraint.
 
     Attributes:
-        label: of the constraint.
-        frame: its geometry, leaves (N, ...).
-        poses, exact: (N, K+1, 4, 4), m.
+        label: label of the constraint.
+        frame: true geometry, arrays (N, ...).
+        poses, exact: (N, K+1, 4, 4) m, measured and true poses.
         dt: s.
-        bound: of every window.
-        determination: what the motion tells.
+        bound: Cramér-Rao bounds of every window.
+        determination: whether the motion determines the constraint.
     """
 
     label: str
@@ -52,7 +53,7 @@ class Windows:
     determination: Determination
 
     def __getitem__(self, rows: Any) -> "Windows":
-        """Some of the windows."""
+        """Select windows."""
         parts = self.frame, self.bound, self.determination
         frame, bound, determination = jax.tree.map(lambda leaf: leaf[rows], parts)
         return Windows(self.label, frame, self.poses[rows], self.exact[rows], self.dt, bound, determination)
@@ -60,14 +61,14 @@ class Windows:
 
 @dataclass(frozen=True)
 class Scores:
-    """How near a contestant came in every window.
+    """Scores of one method in every window.
 
     Attributes:
-        errors: of each of ``QUANTITIES``, (N,) in rad, rad and m; NaN where nothing is said or asked.
-        bounds: what the bound allows, likewise.
-        right: by "types", "dof" and "name", (N,) 0 or 1; and "silent": another name is given, with a
-            probability of 0.9 or more. NaN where the motion does not tell; "told": whether it tells the
-            degrees of freedom. Empty for contestants that do not say.
+        errors: (N,) errors of each of ``QUANTITIES``, in rad, rad and m; NaN without an estimate or a truth.
+        bounds: (N,) Cramér-Rao bounds of the same quantities.
+        right: (N,) 0 or 1 for correct "types", "dof" and "name", and for "silent": a wrong name with a
+            probability of 0.9 or more. NaN if the motion does not determine the constraint. "told": whether
+            the motion determines the degrees of freedom. Empty for methods without a classification.
     """
 
     errors: dict[str, np.ndarray]
@@ -77,18 +78,18 @@ class Scores:
 
 @dataclass(frozen=True)
 class Line:
-    """Lines in the ground: direction (N, 3), and a point on each, (N, 3) m; NaN where a fit has none."""
+    """Lines in the ground: directions (N, 3), and a point on each, (N, 3) m; NaN if a fit has no result."""
 
     direction: np.ndarray
     point: np.ndarray
 
 
 def scores(found: rf.Identification, windows: Windows) -> Scores:
-    """Scores of frames: those that won where every type is right (A to D), else those of the true types."""
+    """Scores of frames: the winners if every type is correct (A to D), else the frames of the true types."""
     frame, start = windows.frame, jnp.asarray(windows.exact[:, 0])
     entry = rf.CONSTRAINTS[windows.label]
     kinds = list(rf.LinearType) if entry.linear_type is None else [entry.linear_type]
-    by_type = [metrics.geometry_errors(found, _written_as(windows, kind), start=start) for kind in kinds]
+    by_type = [metrics.geometry_errors(found, _express_in_type(windows, kind), start=start) for kind in kinds]
     bodies = [int(kind.orientation_body) for kind in kinds]
     linear = _choose(np.asarray(found.linear.type_code), [int(kind) for kind in kinds])
     angular = _choose(np.asarray(found.angular.type_code), bodies)
@@ -127,12 +128,12 @@ def scores(found: rf.Identification, windows: Windows) -> Scores:
 
 
 def _choose(codes: np.ndarray, known: list[int]) -> np.ndarray:
-    """Index of every code among those known; 0 for others."""
+    """Index of every code in a list of known codes; 0 for unknown codes."""
     return np.argmax(codes[:, None] == np.array(known)[None], axis=1)
 
 
-def _written_as(windows: Windows, kind: rf.LinearType) -> rf.ConstraintFrame:
-    """The true constraint, written as a type by what agrees at the start."""
+def _express_in_type(windows: Windows, kind: rf.LinearType) -> rf.ConstraintFrame:
+    """Express the true constraint in another type, with equal axes and origin at the start."""
     start = jnp.asarray(windows.exact[:, 0])
     turn, back = start[:, :3, :3], pose_inverse(start)
     axes, position = windows.frame.linear_axes, windows.frame.position
@@ -148,17 +149,17 @@ def _written_as(windows: Windows, kind: rf.LinearType) -> rf.ConstraintFrame:
 
 
 def anneal(found: rf.Identification, windows: Windows) -> tuple[rf.Identification, float]:
-    """Dual annealing as the paper configured it, in the clothes of an identification; and its seconds.
+    """Run dual annealing with the settings of the paper: its result as an identification, and the time in s.
 
     Args:
-        found: what ``identify`` says of the same windows; of it nothing stays but what is not scored.
-        windows: a few of them, as each takes a second or so.
+        found: result of ``identify`` for the same windows; all scored fields are replaced.
+        windows: a few windows, because each takes about a second.
     """
     centre = windows.poses[:, :, :3, 3].mean(axis=1)
     rows, total = [], 0.0
     for i, poses in enumerate(windows.poses):
         poses = np.array(poses)
-        poses[:, :3, 3] -= centre[i]  # the bounds of the search are about the ground's origin
+        poses[:, :3, 3] -= centre[i]  # the ground's origin is the centre of the search bounds
         results, seconds = solve(poses, seed=i, dt=windows.dt)
         total += seconds
         rates, maps = (np.asarray(v) for v in sampled_velocities(jnp.asarray(poses), windows.dt))
@@ -178,7 +179,7 @@ def anneal(found: rf.Identification, windows: Windows) -> tuple[rf.Identificatio
     limit = _THRESHOLDS
     angular, of_angular = _replaced(found.angular, found.candidates.angular, turning, limit.angular)
     linear, of_linear = _replaced(found.linear, found.candidates.linear, moving, limit.linear)
-    # both angular types express one constraint unless two axes are free
+    # both angular types express the same constraint unless two axes are free
     angular = replace(angular, tied=angular.tied | (jnp.sum(angular.dof, axis=-1) != 2)[:, None])
     of_linear = replace(of_linear, position=origins)
     every = replace(found.candidates, angular=of_angular, linear=of_linear)
@@ -197,7 +198,7 @@ def _sorted_axes(samples: np.ndarray, rotvec: np.ndarray) -> tuple[np.ndarray, n
 def _replaced(
     part: Any, candidates: Any, optima: list[jax.Array], threshold: float | jax.Array
 ) -> tuple[Any, Any]:
-    """A frame and its candidates with other optima: rotation vectors, RMS and norms of every type."""
+    """Replace the optima of a frame and its candidates: rotation vectors, RMS and norms of every type."""
     rotvec, rms, norms = optima
     winner, rows = jnp.argmin(norms, axis=1), jnp.arange(len(norms))
     dof = degrees_of_freedom(rms, threshold)
@@ -207,9 +208,9 @@ def _replaced(
 
 
 def line_scores(line: Line, windows: Windows) -> Scores:
-    """Scores of lines against the axis of A or C, or the direction of B."""
+    """Scores of lines: errors relative to the axis of A or C, or the direction of B."""
     entry = rf.CONSTRAINTS[windows.label]
-    truth = _written_as(windows, rf.LinearType.GG)
+    truth = _express_in_type(windows, rf.LinearType.GG)
     axes, origin = np.asarray(truth.linear_axes), np.asarray(truth.position)
     axis = entry.angular_axis if entry.angular_axis is not None else entry.linear_axis
     true = axes[:, :, axis]
@@ -235,7 +236,7 @@ def line_scores(line: Line, windows: Windows) -> Scores:
 
 
 def circle_fit(poses: np.ndarray) -> Line:
-    """Axis of the circle through the positions: the plane of least squares, and in it Kåsa's circle."""
+    """Axis of the circle through the positions: the least-squares plane, and Kåsa's circle in this plane."""
     mean = poses[:, :, :3, 3].mean(axis=1)
     points = poses[:, :, :3, 3] - mean[:, None]
     _, basis = np.linalg.eigh(points.mT @ points)
@@ -247,20 +248,20 @@ def circle_fit(poses: np.ndarray) -> Line:
 
 
 def line_fit(poses: np.ndarray) -> Line:
-    """The line of least squares through the positions."""
+    """Least-squares line through the positions."""
     mean = poses[:, :, :3, 3].mean(axis=1)
     points = poses[:, :, :3, 3] - mean[:, None]
     return Line(np.linalg.eigh(points.mT @ points)[1][:, :, 2], mean)
 
 
 def pivot_fit(poses: np.ndarray) -> Line:
-    """Least squares of R p + t = c over all poses; the axis is the direction in which p is free."""
+    """Least squares of R p + t = c over all poses; the axis is the direction that does not determine p."""
     turn, shift = poses[..., :3, :3].mean(axis=1), poses[..., :3, 3].mean(axis=1)
     turns, shifts = poses[..., :3, :3] - turn[:, None], poses[..., :3, 3] - shift[:, None]
     normal = np.einsum("nkij,nkil->njl", turns, turns)
     strengths, basis = np.linalg.eigh(normal)
     right = -np.einsum("nkij,nki->nj", turns, shifts)
-    # of the points on the axis, the one nearest to the body's origin
+    # the point on the axis nearest to the body's origin
     inverse = np.where(np.arange(3) == 0, 0, 1 / strengths)
     point = np.einsum("nij,nj,nkj,nk->ni", basis, inverse, basis, right)
     axis = np.einsum("nij,nj->ni", turn, basis[:, :, 0])
@@ -269,7 +270,7 @@ def pivot_fit(poses: np.ndarray) -> Line:
 
 
 def screw_fit(poses: np.ndarray) -> Line:
-    """Mean screw axis of the displacements over half a window; large turns count for more."""
+    """Mean screw axis of the displacements over half a window, weighted by the rotation angle."""
     half = poses.shape[1] // 2
     turn = poses[:, half:, :3, :3] @ poses[:, :-half, :3, :3].mT
     middle = poses[:, :, :3, 3].mean(axis=1)
@@ -292,4 +293,4 @@ LINE_FITS: dict[str, tuple[str, Callable[[np.ndarray], Line]]] = {
     "pivot": ("A", pivot_fit),
     "mean screw": ("AC", screw_fit),
 }
-"""By name: the constraints it is for, and the fit, from poses (N, K+1, 4, 4)."""
+"""Fits by name: suitable constraints, and the fit as a function of poses (N, K+1, 4, 4)."""

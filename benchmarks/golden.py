@@ -1,23 +1,25 @@
-"""The net under changes of identification: names, probabilities, errors and coverage on many recordings.
+"""Regression test of identification: names, probabilities, errors and coverage on many recordings.
 
     python -m benchmarks.golden --json NEW.json --compare benchmarks/results/golden.json
     python -m benchmarks.golden --group soft
 
 Groups of recordings (:mod:`benchmarks.golden_cases` has the simulations):
 
-- ``real``: the recordings in shared/data; circles and lines through the positions are the truth;
+- ``real``: the recordings in shared/data; circles and lines through the positions give the truth;
 - ``white``: seventeen constraints with white noise of 1 um to 3 mm, at 10 and 100 Hz, three motions;
 - ``soft``: the same constraints with slow errors of 0.1 to 3 mm and 0.5 to 10 mrad, at 20 Hz;
-- ``nothing``: unconstrained motions with either kind of error;
+- ``nothing``: unconstrained motions with white noise or slow errors;
 - ``paper``: the twelve constraints of the paper, identified with ``scales=1`` and its thresholds;
 - ``arm``: demonstrations on the simulated arm, only with ``--arm``.
 
-A name is right if it names the constraint, and the linear type is right where the constraint has only one. A
-recording is strong if each principal axis of its free rotations, and of its free translations less what is
-proportional to the rotations, has an rms of 20 slow errors, or of 10 times the white noise and 2 mm or 5
-mrad. Errors (median, 90 %) are those of right names; ``axis`` is the worse of the angular and linear axis,
-``position`` of a hinge the distance of lines at the point nearest to the motion. ``inside``: 95 % regions of
-``rf.covariance`` that contain the true position, and the true axes. Seconds are those of ``rf.identify``.
+A name is right if it is the name of the constraint, and if the linear type is correct for constraints with a
+single type. A recording is strong if its free motion is large compared with the errors: the RMS along each
+principal axis exceeds 20 times the slow errors, or both 10 times the white noise and 2 mm or 5 mrad. (The
+axes are those of the free rotations, and of the free translations without the part proportional to the
+rotations.) Errors (median, 90 %) include right names only. ``axis`` is the larger error of the angular and
+the linear axis; ``position`` of a hinge is the distance of the axes at the point nearest to the motion.
+``inside`` is the fraction of 95 % regions of ``rf.covariance`` that contain the true position, and the true
+axes. Seconds are the run time of ``rf.identify``.
 """
 
 import json
@@ -45,7 +47,10 @@ from benchmarks.golden_cases import CONSTRAINTS, Case
 DATA = Path(os.environ.get("REFRAME_DATA", Path(__file__).parents[2] / "shared" / "data"))
 GROUPS = ("real", *made.PLANS, "arm")
 MARKS = {True: "right", False: "WRONG", None: "not scored"}
-CONFIDENT, BINS = 0.9, (0.3, 0.5, 0.7, 0.9, 0.97, 0.99)  # probabilities; BINS are borders in the calibration
+CONFIDENT, BINS = (
+    0.9,
+    (0.3, 0.5, 0.7, 0.9, 0.97, 0.99),
+)  # probabilities; BINS are the bin edges of the calibration table
 Row = dict[str, Any]
 
 HINGE, SLIDE, PINS = "Revolute joint", "Prismatic joint", (CONSTRAINTS["K"].name, CONSTRAINTS["L"].name)
@@ -63,18 +68,18 @@ RECORDINGS: dict[str, tuple[str, tuple[str, ...]]] = {
     "grating": ("grating", ()),
     "tcp_touches": ("ball", (CONSTRAINTS["spherical"].name,)),
 }
-"""What moved, and the names or classes that are right, by the start of a file's name; grating has no name."""
+"""Moved object and right names or classes, by the start of the file name; grating has no name."""
 MEASURED = {
     "hinge": ((0.00914, -0.00131, -0.99996), (-0.03309, -0.24509, -0.00055)),
     "lost_": ((0.0976, 0.1952, 0.9759), (0.5, 0.3, 0.2)),
 }
 """Axes of hinges and points on them, m, in the ground."""
-_WORKING, _CONTACT = 2.0, 0.6  # label of the phase with contact; s from its start to the contact
-_COVERED = 100  # poses of the longest simulated recordings whose covariance is computed
+_WORKING, _CONTACT = 2.0, 0.6  # label of the phase with contact; time from its start to the contact, s
+_COVERED = 100  # most poses of a simulated recording for the computation of a covariance
 
 
 def real_cases(folder: Path) -> list[Case]:
-    """The recordings of a folder and of its ``cases``."""
+    """Read the recordings of a folder and of its subfolder ``cases``."""
     cases = []
     files = sorted([*folder.glob("*.csv"), *folder.glob("cases/*.csv")])
     for file, start in [pair for pair in product(files, RECORDINGS) if pair[0].name.startswith(pair[1])]:
@@ -102,7 +107,7 @@ def real_cases(folder: Path) -> list[Case]:
 
 
 def fit_axis(positions: np.ndarray, *, circle: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Direction and a point, m, of the axis of the circle, or of the line, through most of the positions."""
+    """Direction and point, m, of a robust circle axis or line through the positions."""
     middle = np.median(positions, axis=0)
     away = positions - middle
     basis = np.linalg.svd(away, full_matrices=False)[2]
@@ -119,7 +124,9 @@ def fit_axis(positions: np.ndarray, *, circle: bool) -> tuple[np.ndarray, np.nda
         return np.concatenate([along, radii - unknown[6]]) if circle else across.ravel()
 
     start = np.append(start, np.median(np.linalg.norm(away - centre, axis=1)))
-    found = least_squares(miss, start, loss="soft_l1", f_scale=3e-3).x  # 3 mm: errors beyond count less
+    found = least_squares(
+        miss, start, loss="soft_l1", f_scale=3e-3
+    ).x  # residuals above 3 mm have a lower weight
     return found[:3] / np.linalg.norm(found[:3]), middle + found[3:6]
 
 
@@ -136,7 +143,7 @@ def covariance_of(found: Any, poses: np.ndarray, **timing: Any) -> dict[str, np.
 
 
 def run(cases: Sequence[Case]) -> tuple[dict[str, Row], dict[str, float], list[str]]:
-    """Identify the recordings, those of one length together; returns rows, seconds by group, and notes."""
+    """Identify recordings, with equal lengths in one batch; return rows, seconds by group, and notes."""
     batches: dict[tuple[Any, ...], list[Case]] = {}
     for case in cases:
         alike = (case.key,) if case.group == "real" else (len(case.poses), case.times[1], case.paper_settings)
@@ -166,7 +173,7 @@ def run(cases: Sequence[Case]) -> tuple[dict[str, Row], dict[str, float], list[s
         if not paper and (single or len(first.poses) <= _COVERED):
             try:
                 matrices = covariance_of(found, poses, **options)
-            except Exception as error:  # the covariance may change while names must not
+            except Exception as error:  # an error of the covariance must not stop the comparison of names
                 notes.add(f"No coverage: rf.covariance raised {type(error).__name__}: {error}"[:200])
         for i, case in enumerate(batch):
             rows[case.key] = score(case, answers[i], {name: matrix[i] for name, matrix in matrices.items()})
@@ -175,7 +182,7 @@ def run(cases: Sequence[Case]) -> tuple[dict[str, Row], dict[str, float], list[s
 
 
 def read_answers(found: Any) -> list[Row]:
-    """What an identification says of each recording."""
+    """Extract the compared results of each recording from an identification."""
     parts = {
         "name": np.asarray(found.name, dtype=object).reshape(-1),
         "p": np.asarray(found.probability, dtype=float).reshape(-1),
@@ -188,7 +195,9 @@ def read_answers(found: Any) -> list[Row]:
         axes = np.asarray(frame.axes, dtype=float).reshape(-1, 3, 3)
         dof = np.asarray(frame.dof, dtype=int).reshape(-1, 3)
         count = parts[f"{name}_free"] = dof.sum(axis=1)
-        odd = np.argmax(dof == (count == 1)[:, None], axis=1)  # the only free axis, or the only held one
+        odd = np.argmax(
+            dof == (count == 1)[:, None], axis=1
+        )  # the single free axis, or the single constrained axis
         axis = np.take_along_axis(axes, odd[:, None, None], 2)[:, :, 0]
         parts[name] = np.where(np.isin(count, (1, 2))[:, None], axis, np.nan)
     return [dict(zip(parts, values, strict=True)) for values in zip(*parts.values(), strict=True)]
@@ -196,7 +205,7 @@ def read_answers(found: Any) -> list[Row]:
 
 # ---------- scores
 def score(case: Case, answer: Row, matrices: dict[str, np.ndarray]) -> Row:
-    """Whether the name is right, and for a right name the errors and whether the 95 % regions hold them."""
+    """Whether the name is right; for right names, the errors and whether 95 % regions contain the truth."""
     kind, name = rf.LinearType(int(answer["kind"])).name, str(answer["name"])
     free = "{} rotations, {} translation in {}".format(answer["angular_free"], answer["linear_free"], kind)
     right = (name in case.expected and made.unique_type(name) in (None, kind)) or free in case.expected
@@ -228,7 +237,7 @@ def score(case: Case, answer: Row, matrices: dict[str, np.ndarray]) -> Row:
 
 
 def is_inside(error: np.ndarray, directions: np.ndarray, matrix: np.ndarray | None) -> bool | None:
-    """Whether the 95 % region of a covariance holds an error; None where there is no variance."""
+    """Whether the 95 % region of a covariance contains an error; None without a variance."""
     if matrix is None or not np.isfinite(matrix).all():
         return None
     variances, axes = np.linalg.eigh(directions @ matrix @ directions)
@@ -242,7 +251,7 @@ def _digits(value: float, digits: int = 3) -> float | None:
 
 
 def summarise(rows: Sequence[Row]) -> Row:
-    """Counts, errors (median and 90 %), coverage and calibration of rows that have a right name."""
+    """Summarize rows: counts, errors (median and 90 %), coverage and calibration."""
     rows = [row | {"p": row.get("p") or 0.0} for row in rows if row["right"] is not None]
     right, strong = [row for row in rows if row["right"]], [row for row in rows if row["strong"]]
     confident, confident_strong = ([row for row in part if row["p"] >= CONFIDENT] for part in (rows, strong))
@@ -256,7 +265,7 @@ def summarise(rows: Sequence[Row]) -> Row:
     for name, parts in (("inside_position", ("position",)), ("inside_axis", ("angular", "linear"))):
         held = [row["inside"][part] for row in right for part in parts if part in row.get("inside", {})]
         summary |= {name: _digits(sum(held) / len(held)) if held else None, f"{name}_of": len(held)}
-    summary["calibration"] = []  # recordings, mean probability and share right of each bin
+    summary["calibration"] = []  # number, mean probability and fraction of right names of each bin
     places = np.digitize([row["p"] for row in rows], BINS)
     for place in np.unique(places):
         part = [row for row, own in zip(rows, places, strict=True) if own == place]
@@ -266,14 +275,14 @@ def summarise(rows: Sequence[Row]) -> Row:
 
 
 def by_group(rows: dict[str, Row]) -> dict[str, list[Row]]:
-    """Rows of each group, which starts the key."""
+    """Sort rows into groups; the key of a row starts with its group."""
     groups = {group: [row for key, row in rows.items() if key.startswith(group + "/")] for group in GROUPS}
     return {group: part for group, part in groups.items() if part}
 
 
 # ---------- tables
 def table_line(name: str, rows: Sequence[Row], seconds: float | None = None) -> str:
-    """A line of the table, as in its head."""
+    """Format a line of the table."""
     found = summarise(rows)
     line = f"{name:14}{found['number']:>7}{found['right']:>7}"
     for part in ("strong", "sure", "sure_strong"):
@@ -286,7 +295,7 @@ def table_line(name: str, rows: Sequence[Row], seconds: float | None = None) -> 
 
 
 def print_summary(record: Row) -> None:
-    """Print the tables of a run: by group, by constraint, calibration, and the recordings of shared/data."""
+    """Print the tables of a run: by group, by constraint, calibration, and real recordings."""
     groups = by_group(record["cases"])
     print(f"{'':14}{'number':>7}{'right':>7}{'strong':>12}{'p >= 0.9':>12}{'and strong':>12}", end="")
     print(f"{'position, mm':>18}{'axis, deg':>18}{'inside':>8}{'inside':>8}{'time':>8}")
@@ -312,7 +321,7 @@ def print_summary(record: Row) -> None:
 
 
 def compare(old: Row, new: Row, most: int = 12) -> list[str]:
-    """Lines that say what became better and worse in each group, over the recordings of both runs."""
+    """Lines that list improvements and regressions of each group, over the recordings of both runs."""
     both = [key for key in new["cases"] if key in old["cases"]]
     before, after = ({key: record["cases"][key] for key in both} for record in (old, new))
     lines = []
@@ -336,7 +345,7 @@ def compare(old: Row, new: Row, most: int = 12) -> list[str]:
 
 
 def _goodness(name: str, value: Any) -> float:
-    """A figure of a summary, the higher the better; 0 for what is neither good nor bad."""
+    """A value of a summary with the sign that makes larger better; 0 for values that are not compared."""
     if name in ("inside_position", "inside_axis"):
         return -abs(value - 0.95)
     sign = name.startswith("right") - name.startswith(("wrong", "position", "axis"))
@@ -348,14 +357,14 @@ def _name_and_mark(row: Row) -> str:
 
 
 def write(file: Path, record: Row) -> None:
-    """Write a run as JSON, a line for each recording."""
+    """Write a run as JSON, one line per recording."""
     head = json.dumps({name: value for name, value in record.items() if name != "cases"}, indent=1)
     lines = ",\n".join(f"  {json.dumps(key)}: {json.dumps(row)}" for key, row in record["cases"].items())
     file.write_text(f'{head[:-2]},\n "cases": {{\n{lines}\n }}\n}}\n')
 
 
 def collect(groups: Sequence[str], data: Path = DATA, every: int = 1) -> tuple[list[Case], list[str]]:
-    """Every n-th recording of some groups, and a note if there are no real ones."""
+    """Select every n-th recording of some groups, with a note if there are no real recordings."""
     real = real_cases(data)[::every] if "real" in groups else []
     notes = [] if real or "real" not in groups else [f"The group real was skipped: no recordings in {data}."]
     specs = [spec for group in groups if group in made.PLANS for spec in [*made.PLANS[group]()][::every]]
@@ -365,13 +374,18 @@ def collect(groups: Sequence[str], data: Path = DATA, every: int = 1) -> tuple[l
 def main(argv: Sequence[str] | None = None) -> int:
     """Command line of the benchmark."""
     add = (parser := new_parser("golden", __doc__)).add_argument
-    add("--group", nargs="+", choices=GROUPS, help="run these groups only")
-    add("--arm", action="store_true", help="run the simulated arm too")
+    add("--group", nargs="+", choices=GROUPS, help="groups to run")
+    add("--arm", action="store_true", help="also run the simulated arm")
     add("--fewer", type=int, default=1, metavar="N", help="run every N-th recording of each group")
     add("--data", type=Path, default=DATA, help="folder of recordings (REFRAME_DATA, or ../shared/data)")
     add("--json", type=Path, help="file to write all figures to")
-    add("--read", type=Path, metavar="JSON", help="run nothing: show an earlier run")
-    add("--compare", type=Path, metavar="JSON", help="print what is better and worse than in an earlier run")
+    add("--read", type=Path, metavar="JSON", help="print an earlier run, without a new run")
+    add(
+        "--compare",
+        type=Path,
+        metavar="JSON",
+        help="print improvements and regressions relative to an earlier run",
+    )
     add("--changes", type=int, default=12, help="changed names to print of each simulated group (12)")
     options = parser.parse_args(argv)
     old = json.loads(options.compare.read_text()) if options.compare else None

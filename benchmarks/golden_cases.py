@@ -61,8 +61,8 @@ CONSTRAINTS = {
 }
 TWELVE = tuple("ABCDEFGHIJKL")
 
-# The paper's velocities obey a second constraint too: its name or class is right as well, the geometry has
-# no score.
+# The paper's velocities also obey a second constraint. Its name or class counts as right, without a score
+# of the geometry.
 AMBIGUOUS = {
     "E": (CONSTRAINTS["A"].name,),
     "F": (CONSTRAINTS["A"].name,),
@@ -74,44 +74,44 @@ AMBIGUOUS = {
 
 
 def unique_type(name: str) -> str | None:
-    """The only linear type of the constraint with a name, such as "BB"; None for any other name."""
+    """The single linear type of a named constraint, such as "BB"; None for other names."""
     return next((entry.kind for entry in CONSTRAINTS.values() if entry.name == name), None)
 
 
 @dataclass(frozen=True)
 class Truth:
-    """The geometry of a constraint in {g} (index 0) and in {b} (1); NaN where the body does not fix it."""
+    """Geometry of a constraint in {g} (index 0) and in {b} (index 1); NaN if it is not fixed in the body."""
 
-    angular: np.ndarray  # (2, 3) unit vectors, the unique axis of the angular frame
-    linear: np.ndarray  # (2, 3) of the linear frame
+    angular: np.ndarray  # (2, 3) unit vectors, determined axis of the angular frame
+    linear: np.ndarray  # (2, 3) unit vectors, determined axis of the linear frame
     point: np.ndarray  # (2, 3) m, the origin
-    directions: np.ndarray  # (2, 3, 3) projectors onto the directions in which the origin is unique
-    line: bool = False  # whether any point of the line along the angular axis is right
+    directions: np.ndarray  # (2, 3, 3) projectors onto the directions in which the origin is determined
+    line: bool = False  # whether any point on the line along the angular axis is correct
 
 
 def no_truth() -> Truth:
-    """Nothing is known of the geometry."""
+    """An unknown geometry."""
     nothing = np.full((2, 3), np.nan)
     return Truth(nothing, nothing, nothing, np.full((2, 3, 3), np.nan))
 
 
 @dataclass(frozen=True)
 class Case:
-    """A recording and what identification should say of it."""
+    """A recording, and its expected identification."""
 
     key: str  # unique; starts with the group
     group: str
-    label: str  # a key of CONSTRAINTS, or what moved
+    label: str  # a key of CONSTRAINTS, or the moved object
     poses: np.ndarray  # (K, 4, 4) m
     times: np.ndarray  # (K,) s
-    expected: tuple[str, ...]  # right names or classes; none if the recording is not scored
+    expected: tuple[str, ...]  # right names or classes; empty if the recording is not scored
     truth: Truth
-    strong: bool = True  # whether the free motion is large enough for a right name to be required
-    paper_settings: bool = False  # whether to identify with the paper's own scale and thresholds
+    strong: bool = True  # whether the free motion is large enough to require a right name
+    paper_settings: bool = False  # whether to identify with the paper's scale and thresholds
 
 
 class Spec(NamedTuple):
-    """What to simulate: ``rate`` in Hz, ``white`` and ``slow`` errors in m, ``slow_turn`` in rad."""
+    """A simulated case: ``rate`` in Hz, ``white`` and ``slow`` errors in m, ``slow_turn`` in rad."""
 
     group: str
     label: str
@@ -124,21 +124,21 @@ class Spec(NamedTuple):
 
     @property
     def recording(self) -> str:
-        """Name of the recording, the same in every group that uses it."""
+        """Name of the recording, equal in all groups that use the recording."""
         errors = f"{self.slow:g} m {self.slow_turn:g} rad slow" if self.slow else f"{self.white:g} m"
         return f"{self.label}/{self.motion}/{self.rate} Hz/{errors}/{self.seed}"
 
 
 SIGMAS = (1e-6, 1e-5, 1e-4, 1e-3, 3e-3)  # m
 SLOW = ((1e-4, 5e-4), (3e-4, 1.5e-3), (1e-3, 5e-3), (3e-3, 1e-2))  # m, rad
-ENCODER = 1e-6, 3e-6  # m, rad: white noise beside slow errors
-GIVE = 2e-4, 5e-4  # m, rad: an arm gives so much; ten times that is motion
+ENCODER = 1e-6, 3e-6  # m, rad: white noise in addition to slow errors
+GIVE = 2e-4, 5e-4  # m, rad: compliance of an arm; ten times these values count as motion
 
 
 def white_specs() -> Iterator[Spec]:
     for seed, motion, rate, sigma in product(range(2), ("exciting", "slow", "paper"), (10, 100), SIGMAS):
         for label in CONSTRAINTS:
-            # rest is one motion; an unconstrained body with the paper's velocities obeys G
+            # rest is a single motion; an unconstrained body with the paper's velocities obeys G
             if (label, motion) not in {("fixed", "slow"), ("fixed", "paper"), ("unconstrained", "paper")}:
                 yield Spec("white", label, motion, rate, sigma, seed=seed)
 
@@ -165,7 +165,7 @@ def paper_specs() -> Iterator[Spec]:
 PLANS = {"white": white_specs, "soft": soft_specs, "nothing": nothing_specs, "paper": paper_specs}
 
 # ---------- simulation: the frame moves along its free axes, in closed form but for two integrals
-_STEP, _NODES, _CHUNK = 0.005, 1001, 256  # s; recordings simulated at once
+_STEP, _NODES, _CHUNK = 0.005, 1001, 256  # time step, s; integration nodes; recordings per chunk
 _TIMES = _STEP * np.arange(_NODES)
 _EXCITING = np.array([[0.9, 2.9, 4.9], [1.4, 3.4, 5.4], [1.9, 3.9, 4.4]])  # rad/s
 _PAPER = np.zeros((3, 6, 3))  # amplitude, rate (rad/s), phase
@@ -178,7 +178,7 @@ _PAPER[:, 0, 1] = 0.5, 2, 0
 
 
 def simulate(specs: Sequence[Spec]) -> list[Case]:
-    """Simulate recordings; each depends on its own :class:`Spec` alone."""
+    """Simulate recordings; each recording depends only on its :class:`Spec`."""
     return [case for i in range(0, len(specs), _CHUNK) for case in _simulate_chunk(specs[i : i + _CHUNK])]
 
 
@@ -201,7 +201,9 @@ def _simulate_chunk(specs: Sequence[Spec]) -> list[Case]:
             Rotation.from_rotvec(second * axes[i, :, 1]),
         )
         rotations[i] = outer.as_matrix() @ inner.as_matrix() @ start[i]
-    speed = np.einsum("nij,njk->nki", axes, _velocity(sines, _TIMES)[:, 3:])  # in the body of the axes
+    speed = np.einsum(
+        "nij,njk->nki", axes, _velocity(sines, _TIMES)[:, 3:]
+    )  # in the body in which the axes are fixed
     tip = np.where(
         axes_on_body, np.einsum("nkij,nkj->nki", rotations, speed), speed
     )  # a point of {b}, in {g}
@@ -231,7 +233,7 @@ def _simulate_chunk(specs: Sequence[Spec]) -> list[Case]:
 
 
 def _draw_sines(spec: Spec, rng: np.random.Generator) -> np.ndarray:
-    """(3, 6, 3) amplitude, rate and phase of three sines along the three angular and linear axes."""
+    """Amplitude, rate and phase (3, 6, 3) of three sines along the three angular and three linear axes."""
     phase, unit = rng.uniform(0, 2 * np.pi, (6, 3)), np.repeat([1.0, 0.25], 3)[:, None]
     if spec.motion == "exciting":
         sines = np.array([0.6 * unit * np.ones(3), np.concatenate([_EXCITING, 1.13 * _EXCITING]), phase])
@@ -253,13 +255,13 @@ def _draw_sines(spec: Spec, rng: np.random.Generator) -> np.ndarray:
 
 
 def _velocity(sines: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Velocities (..., 6, T) along the axes, of sines (..., 3, 6, 3)."""
+    """Velocities (..., 6, T) along the axes, from sines (..., 3, 6, 3)."""
     amplitude, rate, phase = np.moveaxis(sines, -3, 0)[..., None, :]
     return np.sum(amplitude * np.sin(rate * times[:, None] + phase), axis=-1)
 
 
 def _integrate(values: np.ndarray) -> np.ndarray:
-    """Simpson's integral (..., T, n) from the first node to every second one."""
+    """Simpson's integral (..., T, n) from the first node to every second node."""
     step = _STEP / 3 * (values[..., :-1:2, :] + 4 * values[..., 1::2, :] + values[..., 2::2, :])
     return np.concatenate([np.zeros_like(step[..., :1, :]), np.cumsum(step, axis=-2)], axis=-2)
 
@@ -267,7 +269,7 @@ def _integrate(values: np.ndarray) -> np.ndarray:
 def _integrate_rotation(
     sines: np.ndarray, axes: np.ndarray, start: np.ndarray, on_body: np.ndarray
 ) -> np.ndarray:
-    """(N, T, 3, 3) rotations of a body that turns about the frame's axes, by Magnus steps of fourth order."""
+    """Rotations (N, T, 3, 3) of a body that turns about the frame's axes, by fourth-order Magnus steps."""
     nodes = _TIMES[:-1] + _STEP / 2
     first, second = (
         np.einsum("nij,njk->nki", axes, _velocity(sines, nodes + sign * _STEP * np.sqrt(3) / 6)[:, :3])
@@ -285,7 +287,7 @@ def _integrate_rotation(
 
 
 def _disturb(spec: Spec, rotation: np.ndarray, position: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Poses (K, 4, 4) with white noise and slow errors."""
+    """Add white noise and slow errors to poses (K, 4, 4)."""
     times = np.arange(len(position)) / spec.rate
     white = rng.normal(size=(2, len(times), 3)) * spec.white
     white[1] *= ENCODER[1] / ENCODER[0] if spec.slow else 1 / LEVER
@@ -297,7 +299,7 @@ def _disturb(spec: Spec, rotation: np.ndarray, position: np.ndarray, rng: np.ran
 
 
 def _slow_error(times: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """(K, 3) three sines in random directions; the mean rms of the components is 1."""
+    """Slow error (K, 3): three sines in random directions, with a mean RMS of 1 per component."""
     direction = rng.normal(size=(3, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     rate, phase = 2 * np.pi * rng.uniform(0.1, 1.2, 3), rng.uniform(0, 2 * np.pi, 3)
@@ -306,7 +308,7 @@ def _slow_error(times: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def _weakest_axis(spec: Spec, moved: np.ndarray) -> float:
-    """Least rms of a principal axis of the free motion, in sizes of the error; as in the benchmark's help."""
+    """Smallest RMS along a principal axis of the free motion, in units of the error; see the help."""
     entry, moved = CONSTRAINTS[spec.label], moved - moved.mean(axis=0)
     free = [i for i, dof in enumerate(entry.angular + entry.linear) if dof == "1"]
     turned, slid = moved[:, [i for i in free if i < 3]], moved[:, [i for i in free if i >= 3]]
@@ -322,7 +324,7 @@ def _weakest_axis(spec: Spec, moved: np.ndarray) -> float:
 
 
 def make_poses(rotations: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """(K, 4, 4) from (K, 3, 3) and (K, 3) m."""
+    """Poses (K, 4, 4) from rotations (K, 3, 3) and positions (K, 3) m."""
     poses = np.tile(np.eye(4), (len(positions), 1, 1))
     poses[:, :3, :3], poses[:, :3, 3] = rotations, positions
     return poses
@@ -331,9 +333,9 @@ def make_poses(rotations: np.ndarray, positions: np.ndarray) -> np.ndarray:
 def truth_at_start(
     label: str, axes: np.ndarray, origin: np.ndarray, rotation: np.ndarray, positions: np.ndarray
 ) -> Truth:
-    """The geometry in both bodies: of axes (3, 3) and an origin (3,) m in {g} at the start.
+    """Geometry in both bodies, from axes (3, 3) and an origin (3,) m in {g} at the start.
 
-    ``rotation`` (3, 3) is that of {b} at the start, ``positions`` (K, 3) m are those of {b}.
+    ``rotation`` (3, 3) is the orientation of {b} at the start; ``positions`` (K, 3) m are the origins of {b}.
     """
     entry, line = CONSTRAINTS[label], label in ("A", "C", "screw")
     both = np.array([axes, rotation.T @ axes])
@@ -344,7 +346,7 @@ def truth_at_start(
     directions = both[:, :, list(entry.origin)] @ both[:, :, list(entry.origin)].mT
     if not entry.origin:
         point, directions = no_truth().point, no_truth().directions
-    if entry.kind is not None:  # only the bodies of the type fix the axis and the origin
+    if entry.kind is not None:  # the axis and the origin are fixed only in the bodies that the type names
         linear, point = linear.copy(), point.copy()
         linear["GB".index(entry.kind[0]) ^ 1] = np.nan
         point["GB".index(entry.kind[1]) ^ 1] = np.nan
@@ -352,13 +354,13 @@ def truth_at_start(
 
 
 def in_both(axis: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """(2, 3): a direction of {g}, and its median direction in {b}."""
+    """A direction (2, 3): in {g}, and its median in {b}."""
     in_body = np.median(axis @ poses[:, :3, :3], axis=0)
     return np.array([axis, in_body / np.linalg.norm(in_body)])
 
 
 def hinge_truth(axis: np.ndarray, point: np.ndarray, poses: np.ndarray) -> Truth:
-    """A hinge about a line of {g}, given by its point nearest to the positions."""
+    """Geometry of a hinge about a line in {g}, with the point nearest to the positions as origin."""
     both = in_both(axis / np.linalg.norm(axis), poses)
     point = point + both[0] * (both[0] @ (np.median(poses[:, :3, 3], axis=0) - point))
     in_body = np.median(np.einsum("kji,kj->ki", poses[:, :3, :3], point - poses[:, :3, 3]), axis=0)
@@ -367,7 +369,7 @@ def hinge_truth(axis: np.ndarray, point: np.ndarray, poses: np.ndarray) -> Truth
 
 
 def arm_cases(trials: int = 2) -> list[Case]:
-    """Demonstrations of the twelve constraints on the simulated arm, whose modules are imported here."""
+    """Demonstrations of the twelve constraints on the simulated arm; imports the modules of the arm."""
     import jax
 
     from reframe_jax.simulation import arm
@@ -385,7 +387,7 @@ def arm_cases(trials: int = 2) -> list[Case]:
             axes = rotation @ axes if kind[0] == "B" else axes
             origin = position + rotation @ origin if kind[1] == "B" else origin
             truth = truth_at_start(label, axes, origin, rotation, exact[:, :3, 3])
-            # as long as the other recordings of 20 Hz
+            # same length as the other recordings at 20 Hz
             key, times, names = (
                 f"arm/{label}/{name}/{i}",
                 np.asarray(made.times)[:-1],

@@ -1,11 +1,11 @@
-"""Every way to solve the six problems of a window, in one run, on the same windows.
+"""Compare all solvers for the six problems of a window, in one run, on the same windows.
 
-All minimise the norm of velocities between consecutive poses, which is ``scales=1`` of ``identify``; the
-stream is of its defaults. Contestants, all in float64 unless said otherwise:
+All solvers minimise the norm of velocities between consecutive poses, as ``identify`` with ``scales=1``. The
+stream test uses the defaults. Methods, in float64 unless stated:
 
 - ``identify``: the library's fast path, all windows in one call, with the poses on the device;
 - ``general search``: basin hopping over orientation and origin together, without eliminating the rotation;
-- ``dual annealing``: SciPy's, as the paper configured it (100 iterations, no gradient);
+- ``dual annealing``: SciPy's, with the settings of the paper (100 iterations, no gradient);
 
 on an accelerator also
 
@@ -13,12 +13,12 @@ on an accelerator also
 
 and, without --quick,
 
-- ``identify, float32``: in single precision; a norm 0.1 % too low is missed as well;
+- ``identify, float32``: in single precision; a norm that is 0.1 % too low also counts as missed;
 - ``L-BFGS-B x 16``: SciPy's, from 16 random starts, with the exact gradient of the log norm;
 - ``CMA-ES x 4``: evosax's, four runs of 250 generations (if evosax is installed).
 
-A problem is missed if its norm is more than 0.1 % above the best that any contestant or a search with
-64 long restarts has found. Errors are those of the origin, over windows whose type is unique.
+A problem counts as missed if its norm is more than 0.1 % above the lowest norm of all methods and of a search
+with 64 long restarts. Errors are errors of the origin, for windows with a unique type.
 """
 
 import json
@@ -40,14 +40,14 @@ from benchmarks.dual_annealing import DT, MISS, best_known, errors_mm, make_wind
 from benchmarks.timing import peak_above, timed
 
 BASELINE = Path(__file__).with_name("results") / "identification_baseline.json"
-GATED = {"speedup": 0.5, "speedup_general_search": 0.5}  # smallest share of the baseline that passes
-_DISTINCT = 6144  # windows beyond are repetitions
+GATED = {"speedup": 0.5, "speedup_general_search": 0.5}  # smallest fraction of the baseline that passes
+_DISTINCT = 6144  # number of distinct windows; more windows are repetitions
 _THRESHOLDS = rf.Thresholds()
 
 
 @dataclass
 class Size:
-    """How much of everything a run does: windows for ``identify``, and for slower contestants."""
+    """Size of a run: number of windows for ``identify``, and for slower methods."""
 
     windows: int = 12288
     judged: int = _DISTINCT
@@ -61,7 +61,7 @@ QUICK = Size(windows=1536, judged=96, general=96, slow=4, full=False)
 
 @cache
 def windows(count: int) -> tuple[np.ndarray, list[str]]:
-    """Windows of all twelve constraints, sigma from 1e-6 to 1e-3 m; repeated beyond 6144 of them."""
+    """Windows of all twelve constraints, with sigma from 1e-6 to 1e-3 m; 6144 windows are distinct."""
     distinct = min(count, _DISTINCT)
     poses, labels = make_windows(distinct)
     copies = -(-count // distinct)
@@ -70,15 +70,15 @@ def windows(count: int) -> tuple[np.ndarray, list[str]]:
 
 @dataclass
 class Row:
-    """What a contestant did.
+    """Results of one method.
 
     Attributes:
-        name: of the contestant.
-        index: (n,) windows it solved.
-        norms: (n, 6), two angular and four linear.
+        name: name of the method.
+        index: (n,) indices of the solved windows.
+        norms: (n, 6), two angular and four linear norms.
         positions: (n, 4, 3), m.
-        seconds: for all of them, warm.
-        compile_s: before that.
+        seconds: run time for all windows without compilation, s.
+        compile_s: compile time, s.
     """
 
     name: str
@@ -95,7 +95,7 @@ class Row:
 
 
 def ready(row: Row) -> Row:
-    """The row, whose speed is printed as soon as it is known."""
+    """Print the speed of a row immediately, and return the row."""
     print(
         f"{row.name:18}{len(row.index):>9}{1e3 * row.per_window:>10.4f} ms{1 / row.per_window:>11.1f}"
         f"{row.compile_s:>9.1f} s",
@@ -105,7 +105,7 @@ def ready(row: Row) -> Row:
 
 
 def run_identify(name: str, poses: jax.Array | np.ndarray, repeats: int = 3) -> Row:
-    """All windows in one call, on velocities of consecutive poses."""
+    """Identify all windows in one call, with velocities of consecutive poses."""
     found, seconds, compiling = timed(
         lambda: rf.identify(poses, dt=DT, scales=1, thresholds=_THRESHOLDS), repeats
     )
@@ -115,7 +115,7 @@ def run_identify(name: str, poses: jax.Array | np.ndarray, repeats: int = 3) -> 
 
 
 def time_defaults(poses: jax.Array) -> None:
-    """Print what the defaults take: their norms are those of other velocities, and cannot be compared."""
+    """Print the run time of the defaults; their norms use other velocities and cannot be compared."""
     _, seconds, compiling = timed(lambda: rf.identify(poses, dt=DT), 3)
     rate = len(poses) / seconds
     print(
@@ -125,7 +125,7 @@ def time_defaults(poses: jax.Array) -> None:
 
 
 def latencies(poses: np.ndarray) -> np.ndarray:
-    """Seconds of every push of a stream, once the window is full and everything compiled."""
+    """Time of every push of a stream, s, with a full window and compiled programs."""
     online, seconds = rf.OnlineIdentifier(poses.shape[1], dt=DT), []
     for pose in poses[:6].reshape(-1, 4, 4):
         start = time.perf_counter()
@@ -135,7 +135,7 @@ def latencies(poses: np.ndarray) -> np.ndarray:
 
 
 def solve(size: Size, poses: np.ndarray) -> tuple[list[Row], float]:
-    """What every contestant did, ``identify`` first, and the memory in MB that ``identify`` needed."""
+    """Run all methods, ``identify`` first; return their rows and the memory of ``identify`` in MB."""
     on_device = jnp.asarray(poses)
     middle, few = spaced(poses, size.general), spaced(poses, size.slow)
     print(f"{'':18}{'windows':>9}{'per window':>13}{'windows/s':>11}{'compile':>11}")
@@ -158,27 +158,27 @@ def solve(size: Size, poses: np.ndarray) -> tuple[list[Row], float]:
 
 
 def spaced(poses: np.ndarray, count: int) -> np.ndarray:
-    """Numbers of at most ``count`` windows, evenly spaced over the distinct ones."""
+    """Indices of at most ``count`` windows, evenly spaced over the distinct windows."""
     distinct = min(len(poses), _DISTINCT)
     return np.unique(np.linspace(0, distinct - 1, min(count, distinct)).astype(int))
 
 
 def best_norms(size: Size, poses: np.ndarray, rows: Sequence[Row]) -> np.ndarray:
-    """Best norms known, (N, 6); infinite for windows that are not judged."""
-    # those of the slower contestants among them
+    """Lowest known norms, (N, 6); infinite for windows that are not scored."""
+    # includes the windows of the slower methods
     judged = np.unique(np.concatenate([spaced(poses, size.judged), *(row.index for row in rows[1:3])]))
     best = np.full((len(poses), 6), np.inf)
     best[judged] = best_known(poses[judged])
     for row in rows:
         if "float32" in row.name:
-            continue  # rounding may have made it lower than it is
+            continue  # rounding errors of float32 may have lowered the norm
         mine = np.isin(row.index, judged)
         np.minimum.at(best, row.index[mine], row.norms[mine])
     return best
 
 
 def judge(rows: Sequence[Row], best: np.ndarray, labels: Sequence[str]) -> dict[str, float]:
-    """Print how good the contestants are; returns the metrics of all, those of the first without a name."""
+    """Print the quality of all methods; return their metrics, with no prefix for the first method."""
     slowest = next(row for row in rows if row.name == "dual annealing").per_window
     metrics: dict[str, float] = {}
     print(f"{'':18}{'x annealing':>13}{'missed':>10}{'median error':>16}{'98 %':>12}")
@@ -204,7 +204,7 @@ def judge(rows: Sequence[Row], best: np.ndarray, labels: Sequence[str]) -> dict[
 
 
 def run(size: Size) -> dict[str, float]:
-    """The whole benchmark: its metrics."""
+    """Run the whole benchmark, and return its metrics."""
     poses, labels = windows(size.windows)
     print(f"{size.windows} windows of {poses.shape[1] - 1} velocities, six problems each; {machine()}")
     rows, peak = solve(size, poses)
@@ -230,7 +230,7 @@ def run(size: Size) -> dict[str, float]:
 
 
 def gate(metrics: dict[str, float], baseline: Path) -> list[str]:
-    """What has become worse than the baseline allows: ratios within one run, never times."""
+    """Regressions relative to the baseline, in ratios within one run, not in times."""
     stored = json.loads(baseline.read_text())["metrics"]
     problems = [
         f"{name} is {metrics[name]:.1f}, less than {fraction:.0%} of the baseline's {stored[name]:.1f}"
@@ -247,10 +247,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = new_parser("identification", __doc__)
     add = parser.add_argument
     add("--windows", type=int, help="windows to identify (12288; with --quick, 1536)")
-    add("--quick", action="store_true", help="under a minute: 1536 windows, and less of the rest")
+    add("--quick", action="store_true", help="under a minute: 1536 windows, and smaller sizes of all tests")
     add("--json", type=Path, help="file to write the metrics to")
     add("--gate", action="store_true", help="exit with 1 if a ratio is worse than the committed baseline")
-    add("--baseline", type=Path, default=BASELINE, help="the baseline, the --json of a --quick run")
+    add("--baseline", type=Path, default=BASELINE, help="baseline: the --json file of a --quick run")
     options = parser.parse_args(argv)
     jax.config.update("jax_enable_x64", True)
     size = QUICK if options.quick else Size()

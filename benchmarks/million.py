@@ -1,11 +1,10 @@
-"""A million windows from one long recording, through :func:`reframe_jax.identify_many`, to disk.
+"""Identify a million windows of one long recording with :func:`reframe_jax.identify_many`.
 
-The recording is a memory-mapped file; its windows overlap and are a view of it, so that a million windows
-of 51 poses (6.5 GB, were they copied) need 128 MB on disk and none of it twice in memory. At the end the
-results are read back part by part: that every window is there, and that some, picked at random and
-identified again by themselves, are the same.
+The recording is a memory-mapped file. Its overlapping windows are a view of the file, so a million windows of
+51 poses need 128 MB on disk; copies would need 6.5 GB. At the end, the benchmark reads the results part by
+part. It checks that every window has a result, and that random windows give the same result in a single call.
 
-Start it again with the same ``--out`` after it was stopped, and it goes on.
+To resume an interrupted run, start the benchmark again with the same ``--out``.
 """
 
 import json
@@ -26,13 +25,13 @@ from reframe_jax.simulation import synthetic
 
 DT = 0.1
 LENGTH = 51
-_BLOCK = 10_000  # poses simulated at once
+_BLOCK = 10_000  # poses per simulated block
 
 
 def write_recording(file: Path, poses: int) -> None:
-    """A pin on a plane (K) with 0.1 mm of noise, as a .npy file of (poses, 4, 4).
+    """Write a recording of a pin on a plane (K) with 0.1 mm of noise, as a .npy file (poses, 4, 4).
 
-    Simulated in blocks, each from the start again: the windows over a seam see the body jump.
+    Every block starts from the same pose, so windows across two blocks contain a jump.
     """
     out = np.lib.format.open_memmap(file, mode="w+", dtype=np.float64, shape=(poses, 4, 4))
     simulate = jax.jit(lambda key: synthetic.simulate("K", key, noise=1e-4, duration=(_BLOCK - 1) * DT).poses)
@@ -44,10 +43,10 @@ def write_recording(file: Path, poses: int) -> None:
 
 
 def check(folder: Path, windows: np.ndarray, part_size: int, again: int) -> dict[str, Any]:
-    """That every window has a result, and that some are what they are by themselves.
+    """Check that every window has a result, and that some windows give the same result in a single call.
 
     Raises:
-        AssertionError: if not.
+        AssertionError: if a check fails.
     """
     parts = -(-len(windows) // part_size)
     rows, usable = 0, 0
@@ -71,7 +70,7 @@ def check(folder: Path, windows: np.ndarray, part_size: int, again: int) -> dict
 
 
 def run(count: int, part_size: int, folder: Path, again: int = 256) -> dict[str, Any]:
-    """Identify the windows, check the results, print and return the metrics."""
+    """Identify the windows, check the results, and print and return the metrics."""
     recording = folder / "recording.npy"
     if not recording.exists():
         temporary = recording.with_name(f".{recording.name}")

@@ -1,4 +1,4 @@
-"""Files as accidents leave them: recordings of every format, with bytes flipped, cut and replaced."""
+"""Make damaged files: recordings of every format with flipped, deleted and replaced bytes."""
 
 import io
 import zipfile
@@ -43,7 +43,7 @@ Mutation = Callable[[np.random.Generator, bytes], bytes]
 
 
 def motion(rng: np.random.Generator) -> np.ndarray:
-    """(12, 8): t, x, y, z, qx, qy, qz, qw of a wandering body."""
+    """Random motion of a body, (12, 8): t, x, y, z, qx, qy, qz, qw."""
     times = np.cumsum(rng.uniform(0.02, 0.1, ROWS)) + rng.choice([0.0, 1.6e9])
     return np.column_stack([times, rng.normal(size=(ROWS, 3)), Rotation.random(ROWS, rng).as_quat()])
 
@@ -84,14 +84,14 @@ def make_npy(rng: np.random.Generator, name: str = "table") -> bytes:
 
 
 def with_header(content: bytes, old: str, new: str) -> bytes:
-    """An .npy with a part of its header replaced, and the length of the header told right."""
+    """Replace a part of the header of an .npy file, and correct the length of the header."""
     length = int.from_bytes(content[8:10], "little")
     header = content[10 : 10 + length].replace(old.encode(), new.encode())
     return content[:8] + len(header).to_bytes(2, "little") + header + content[10 + length :]
 
 
 def make_npz(rng: np.random.Generator) -> bytes:
-    """An archive whose members may be mutated themselves, and packed in any way."""
+    """Make an archive whose members may be mutated, with any compression."""
     names = ["poses", "times"] if rng.random() < 0.5 else ["positions", "quaternions", "times"]
     seed = int(rng.integers(2**32))
     file = io.BytesIO()
@@ -113,7 +113,7 @@ def flip(rng: np.random.Generator, content: bytes) -> bytes:
 
 
 def span(rng: np.random.Generator, content: bytes) -> tuple[int, int]:
-    """A part of a file: of any length, or a few bytes."""
+    """Choose a part of a file, of any length or only a few bytes."""
     start = int(rng.integers(len(content)))
     longest = len(content) - start if rng.random() < 0.3 else 40
     return start, min(len(content), start + int(rng.integers(1, longest + 1)))
@@ -140,7 +140,7 @@ def insert(rng: np.random.Generator, content: bytes) -> bytes:
 
 
 def replace_cell(rng: np.random.Generator, content: bytes) -> bytes:
-    """Another token between two separators: in text a cell, elsewhere some bytes."""
+    """Replace the text between two separators, which is a cell of a text file."""
     marks = [i for i, byte in enumerate(content) if byte in b", \n:"]
     if len(marks) < 2:
         return insert(rng, content)
@@ -167,8 +167,8 @@ FORMATS: dict[str, Callable[[np.random.Generator], bytes]] = {
 def make_recording(
     rng: np.random.Generator, suffix: str, make: Callable[[np.random.Generator], bytes] | None = None
 ) -> bytes:
-    """A mutated file of a format, one of those above if no function is given that makes it."""
+    """Make a mutated file of a format, with a given function or one of the functions above."""
     content = (FORMATS[suffix] if make is None else make)(rng)
-    # most changes to an archive break a checksum: in half of them only members are mutated
+    # most changes to an archive break a checksum, so half of the archives have mutated members only
     whole = suffix == ".npz" and rng.random() < 0.5
     return content if whole else mutated(rng, content)

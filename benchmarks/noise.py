@@ -1,22 +1,23 @@
-"""Errors against noise and sampling rate: every constraint and motion, beside the Cramér-Rao bound.
+"""Errors against noise and sampling rate for every constraint and motion, compared with the Cramér-Rao bound.
 
-Windows of 5 s of all twelve constraints, with random geometry, moved in several ways and measured with white
-noise (or, by --errors, with worse), at several rates. The motion is the same at every rate and noise level,
-so that what changes is what is measured. Contestants:
+The windows last 5 s, with all twelve constraints, random geometry, several motions and several sampling
+rates. The noise is white; --errors adds other errors. The motion is the same at every rate and noise level.
+The methods are:
 
-- ``identify``, and ``scales=1``: the same on differences of consecutive poses, as the paper has them;
-- ``dual annealing``: SciPy's on the paper's objective, on a few windows of the first rate, as it takes half
-  a second or more for each;
+- ``identify``, and ``scales=1``: ``identify`` with differences of consecutive poses, as in the paper;
+- ``dual annealing``: SciPy's on the paper's objective, for a few windows of the first rate, because each
+  window takes half a second or more;
 - ``circle fit``, ``line fit``, ``pivot``, ``mean screw``: fits of a line, for A, B and C.
 
-Errors are those of the unique axes and components of the position. Each is printed as the median, the root of
-the mean square, and, with an x, the median of its ratio to the bound of the window, for which an efficient
-estimate has 0.7 (one unknown) to 0.9 (three). The bounds of E to H are those for consecutive poses; see
-:mod:`benchmarks.bounds`. What nobody can tell from a window, because its bound is above 0.2 rad or 0.1 m, is
-left out. Told is the share of windows whose motion determines the degrees of freedom (see
-:mod:`benchmarks.determined`). Of these, right are the types (ties accepted) and the numbers of degrees of
-freedom; the name, of those whose motion determines the type too. Silent is the share of the first that get
-another name with a probability of 0.9 or more.
+Errors are errors of the determined axes and components of the position. Each error has three columns: the
+median, the RMS, and, after an x, the median ratio to the bound of the window. An efficient estimate has a
+ratio of 0.7 (one unknown) to 0.9 (three unknowns). The bounds of E to H are bounds for consecutive poses; see
+:mod:`benchmarks.bounds`. Quantities with a bound above 0.2 rad or 0.1 m are left out.
+
+The column "told" is the fraction of windows whose motion determines the degrees of freedom (see
+:mod:`benchmarks.determined`). For these windows, the next columns are the fractions of right types (ties
+count as right), right degrees of freedom, and right names (only if the motion also determines the type). The
+column "silent" is the fraction of these windows with a wrong name and a probability of 0.9 or more.
 """
 
 import sys
@@ -39,8 +40,8 @@ from reframe_jax.simulation.motions import PoseErrors, random_motion
 from reframe_jax.simulation.synthetic import EXCITATIONS
 
 DURATION = 5.0  # s
-RATIOS = 1.0, 20.0  # rad/m, between which the ratio of rotation to position noise is drawn
-# by name, what their column of a table is called
+RATIOS = 1.0, 20.0  # rad/m, range of the ratio of rotation noise to position noise
+# settings by name, with the headings of their columns
 SHARES = {
     "told": "told",
     "types": "types_right",
@@ -48,7 +49,11 @@ SHARES = {
     "name": "name_right",
     "silent": "silent",
 }
-MEANINGLESS = {"angular": 0.2, "linear": 0.2, "position": 0.1}  # bounds, in rad and m
+MEANINGLESS = {
+    "angular": 0.2,
+    "linear": 0.2,
+    "position": 0.1,
+}  # rad and m: quantities with a larger bound are left out
 UNITS = {"angular": np.degrees(1.0), "linear": np.degrees(1.0), "position": 1e3}
 ERRORS = {
     "white": PoseErrors(),
@@ -60,7 +65,7 @@ ERRORS = {
 
 @dataclass(frozen=True)
 class Plan:
-    """What a run covers: ``windows`` of every constraint, motion, noise level and rate."""
+    """Size of a run: ``windows`` per constraint, motion, noise level and rate."""
 
     labels: tuple[str, ...] = tuple(rf.CONSTRAINTS)
     motions: tuple[str, ...] = tuple(EXCITATIONS)
@@ -76,12 +81,12 @@ QUICK = Plan(motions=("hand",), sigmas=(1e-4, 1e-3), rates=(10, 40), windows=2, 
 
 @dataclass
 class Table:
-    """Scores of all windows, a column of each kind; a row is what one contestant made of one window."""
+    """Scores of all windows in columns; a row is the result of one method for one window."""
 
     columns: dict[str, list[np.ndarray]] = field(default_factory=dict)
 
     def add(self, contestant: str, where: dict[str, np.ndarray], scored: Scores) -> None:
-        """Append rows: of one contestant, with the settings of every window."""
+        """Append the rows of one method, with the settings of every window."""
         count = len(where["rate"])
         blank = np.full(count, np.nan)
         row = {"contestant": np.full(count, contestant, dtype=object), **where}
@@ -97,7 +102,7 @@ class Table:
             self.columns.setdefault(name, []).append(values)
 
     def joined(self) -> dict[str, np.ndarray]:
-        """All rows, (n,) each column."""
+        """Concatenate all rows to columns (n,)."""
         return {name: np.concatenate(parts) for name, parts in self.columns.items()}
 
 
@@ -106,7 +111,7 @@ def print_progress(text: str) -> None:
 
 
 def make(plan: Plan, rate: float) -> Iterator[tuple[Windows, dict[str, np.ndarray]]]:
-    """Windows of every constraint at one rate, and the motion, noise level and so on of each."""
+    """Simulate the windows of every constraint at one rate, and list their settings."""
     samples, dt = round(DURATION * rate), 1 / rate
     keys = jax.random.split(jax.random.key(2025), plan.windows)
     ratio_keys = jax.vmap(partial(jax.random.fold_in, data=1))(keys)
@@ -144,7 +149,7 @@ def make(plan: Plan, rate: float) -> Iterator[tuple[Windows, dict[str, np.ndarra
 
 
 def run(plan: Plan) -> tuple[dict[str, np.ndarray], list[dict[str, Any]]]:
-    """All rates: the table, and the times of the contestants at every rate."""
+    """Run all rates: the table, and the run time of every method at every rate."""
     table, times = Table(), []
     for rate in plan.rates:
         groups = list(make(plan, rate))
@@ -181,7 +186,7 @@ def _score(table: Table, name: str, found: rf.Identification, groups: list[Any])
 
 
 def _anneal_some(table: Table, plan: Plan, found: rf.Identification, groups: list[Any]) -> dict[str, Any]:
-    """Dual annealing on a few windows of every constraint, spread over motions and noise levels."""
+    """Run dual annealing on a few windows per constraint, spread over motions and noise levels."""
     start, total, count = 0, 0.0, 0
     for windows, where in groups:
         size = len(windows.poses)
@@ -189,14 +194,14 @@ def _anneal_some(table: Table, plan: Plan, found: rf.Identification, groups: lis
         annealed, seconds = anneal(found[start + rows], windows[rows])
         some = {name: values[rows] for name, values in where.items()}
         scored = scores(annealed, windows[rows])
-        scored.right.pop("silent")  # it gives no probability
+        scored.right.pop("silent")  # dual annealing gives no probability
         table.add("dual annealing", some, scored)
         start, total, count = start + size, total + seconds, count + len(rows)
     return _time(float(groups[0][1]["rate"][0]), "dual annealing", count, total, 0.0)
 
 
 def summarise(table: dict[str, np.ndarray], by: Sequence[str]) -> list[dict[str, Any]]:
-    """Figures of every contestant for every combination of some columns, in their order."""
+    """Summarize every method for every combination of some columns."""
     keys = list(zip(*(table[name] for name in (*by, "contestant")), strict=True))
     ranks = [
         {value: i for i, value in enumerate(dict.fromkeys(column))} for column in zip(*keys, strict=True)
@@ -247,7 +252,7 @@ def print_table(rows: list[dict[str, Any]], by: str, title: str) -> None:
 
 
 def slopes(rows: list[dict[str, Any]], by: str) -> dict[str, float]:
-    """Slope of the logarithm of every median error of ``identify`` against that of a setting."""
+    """Slope of the log median error of ``identify`` against the log of a setting."""
     mine = [row for row in rows if row["contestant"] == "identify"]
     found = {}
     for name in QUANTITIES:
@@ -259,7 +264,7 @@ def slopes(rows: list[dict[str, Any]], by: str) -> dict[str, float]:
 
 
 def report(plan: Plan, table: dict[str, np.ndarray], times: list[dict[str, Any]]) -> dict[str, Any]:
-    """Print the tables; returns the record for --json."""
+    """Print the tables; return the record for --json."""
     by_constraint = summarise(table, ["constraint"])
     print_constraints(by_constraint)
     if len(plan.motions) > 1:
@@ -297,14 +302,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Command line of the benchmark."""
     parser = plan_parser("noise", __doc__, quick="about a minute: one motion, two noise levels, two rates")
     add = parser.add_argument
-    add("--motions", nargs="+", choices=list(EXCITATIONS), help="these only")
+    add("--motions", nargs="+", choices=list(EXCITATIONS), help="motions to run")
     add("--rates", nargs="+", type=float, help="sampling rates, Hz")
-    add("--windows", type=int, help="of every constraint, motion, noise level and rate")
-    add("--annealed", type=int, help="windows of every constraint by dual annealing; 0: none")
+    add("--windows", type=int, help="windows per constraint, motion, noise level and rate")
+    add("--annealed", type=int, help="windows per constraint to solve by dual annealing; 0: none")
     add(
         "--errors",
         choices=list(ERRORS),
-        help="what is added to the white noise; the bound knows nothing of it",
+        help="errors in addition to the white noise; the bound ignores these errors",
     )
     options = parser.parse_args(argv)
     if parts := read_parts(options):

@@ -1,15 +1,16 @@
-"""Demonstrations per second of the simulated arm, by batch size, against C MuJoCo; and what they are worth.
+"""Speed of simulated demonstrations, compared with C MuJoCo, and errors of their identification.
 
-Speed: ``panda.demonstrate`` (exact constraint, guide and recording included, steps of 10 ms) with the
-compilation apart, and C MuJoCo's threaded ``rollout`` of the same arm welded to the same mechanism
-under constant torques (steps of 5 ms, the longest at which its weld keeps the constraint as closely).
+Speed by batch size: ``panda.demonstrate`` (with exact constraint, guide and recording, steps of 10 ms,
+without compilation), and the threaded ``rollout`` of C MuJoCo. The rollout simulates the same arm, welded to
+the same mechanism, under constant torques, with steps of 5 ms: the longest steps at which the weld is equally
+accurate.
 
-Worth: all twelve constraints demonstrated and identified, in the layout of the paper's Table 4, whose
-figures for A, B, D, I and K stand beside ours; at encoder grade on a rigid set-up, with compliance, and
-with compliance and speeds matched to the rms in Table 4. "Follows" is what the give of the set-up alone
-does to the axis of a single free rotation: the part of the constrained rotations that is proportional to
-the free one, as an angle, and its share of their rms. No identification from poses can tell that part
-from a tilted axis; what does not follow the motion costs next to nothing.
+Errors: all twelve constraints, in the layout of the paper's Table 4, with the paper's values for A, B, D, I
+and K. The set-ups are a rigid one with encoder noise, a compliant one, and a compliant one with the speeds
+and RMS values of Table 4. The column "follows" is the effect of the compliance on the axis of a single free
+rotation: the part of the constrained rotations that is proportional to the free rotation, as an angle, and as
+a fraction of their RMS. Poses cannot distinguish this part from a tilted axis. Other compliant motion hardly
+affects the result.
 """
 
 import argparse
@@ -34,11 +35,11 @@ from reframe_jax.simulation.arm.mechanism import mechanism_joints, mechanism_mod
 DURATION = 5.0
 C_STEP = 0.005
 
-KEY = 20250  # not one that the arm or its guide was developed with
+KEY = 20250  # a key that was not used in the development of the arm and its guide
 
 
 def time_demonstrations(batch: int, repeats: int) -> tuple[float, float, panda.Demonstration]:
-    """Seconds of a warm call, seconds the first call took longer, and its demonstrations."""
+    """Time of a warm call, additional time of the first call, s, and the demonstrations."""
     frame = panda.frame_on_arm("K")
     first, times = 0.0, []
     for i in range(repeats + 1):
@@ -54,7 +55,7 @@ def time_demonstrations(batch: int, repeats: int) -> tuple[float, float, panda.D
 
 
 def time_c_mujoco(batch: int, threads: int) -> tuple[float, float]:
-    """Demonstrations per second of C MuJoCo on a mechanism (K), and its largest gap at the weld in um."""
+    """Demonstrations per second of C MuJoCo with a mechanism (K), and the largest gap at the weld, um."""
     frame = panda.frame_on_arm("K")
     model = mechanism_model(panda.PANDA, mechanism_joints(frame), C_STEP)
     pose = panda.forward_kinematics(jnp.asarray(panda.PANDA.home))
@@ -97,7 +98,7 @@ def time_c_mujoco(batch: int, threads: int) -> tuple[float, float]:
 
 
 def score(count: int, setup: Setup, title: str) -> dict[str, float]:
-    """Demonstrate and identify all constraints, and print them in the layout of Table 4."""
+    """Demonstrate and identify all constraints, and print the results in the layout of Table 4."""
     found = identify_all(jax.random.key(KEY), count, count, setup)
     print(f"\n{title}: {count} demonstrations each; medians, the paper's Table 4 in brackets")
     print(
@@ -130,7 +131,7 @@ def table_row(
     errors: np.ndarray,
     follows: np.ndarray,
 ) -> str:
-    """A row of the table, the paper's figures in brackets."""
+    """Format a row of the table, with the paper's values in brackets."""
     paper = PAPER.get(label)
 
     def triple(values: np.ndarray, index: int) -> str:
@@ -153,7 +154,7 @@ def table_row(
 
 
 def run(batches: Sequence[int], count: int, repeats: int) -> dict[str, float]:
-    """Run everything and print the tables."""
+    """Run both parts and print the tables."""
     threads = len(os.sched_getaffinity(0))
     print(f"{threads} cores, {jax.devices()[0].platform}, demonstrations of {DURATION:g} s")
     rates, compiling = {}, 0.0
@@ -193,11 +194,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--batch", type=int, nargs="+", help="batch sizes (1, 16, 64, 256; 4096, 16384 on a GPU)"
     )
     parser.add_argument(
-        "--count", type=int, default=64, help="demonstrations identified of each constraint (64)"
+        "--count", type=int, default=64, help="demonstrations per constraint to identify (64)"
     )
     parser.add_argument("--single", action="store_true", help="in 32 bits")
     parser.add_argument(
-        "--quick", action="store_true", help="batch 64 only, twice, and 64 of each constraint"
+        "--quick", action="store_true", help="batch size 64 only, and 64 demonstrations per constraint"
     )
     parser.add_argument("--json", type=Path, help="file to write the metrics to")
     options = parser.parse_args(argv)

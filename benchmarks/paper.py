@@ -1,8 +1,8 @@
-"""Every experiment of the paper, and what it could not do, in one report.
+"""Repeat every experiment of the paper, with additional sweeps, in one report.
 
-Writes ``report.md``, its pictures and ``report.json`` to a folder, the paper's figures and ours side by
-side. Finished pieces are kept there, so a run that was stopped goes on where it was; the results of a
-given seed are always the same, times excepted.
+The benchmark writes ``report.md``, pictures and ``report.json`` to a folder, with the values of the paper and
+of this library side by side. Finished parts are stored in the folder, so an interrupted run resumes. A seed
+always gives the same results, except for times.
 """
 
 import argparse
@@ -36,7 +36,7 @@ in {seconds:.0f} s, compilation included, on {machine}.
 
 
 def run(folder: Path, *, quick: bool, seed: int, only: Sequence[str], fresh: bool) -> Section:
-    """Compute what is missing and write the report."""
+    """Compute missing parts and write the report."""
     folder.mkdir(parents=True, exist_ok=True)
     parts, seconds = {}, 0.0
     for name in only:
@@ -68,9 +68,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         default=list(EXPERIMENTS),
         help="experiments to report on (all)",
     )
-    parser.add_argument("--seed", type=int, default=2025, help="of all random numbers (2025)")
-    parser.add_argument("--quick", action="store_true", help="a small part of everything")
-    parser.add_argument("--fresh", action="store_true", help="compute everything anew")
+    parser.add_argument("--seed", type=int, default=2025, help="random seed (2025)")
+    parser.add_argument("--quick", action="store_true", help="a small part of every experiment")
+    parser.add_argument("--fresh", action="store_true", help="ignore stored parts")
     parser.add_argument("--json", type=Path, help="file to write the metrics to")
     options = parser.parse_args(argv)
     jax.config.update("jax_enable_x64", True)

@@ -1,4 +1,4 @@
-"""SciPy's dual annealing, as the paper configures it, on a sample of the windows of Figure 4."""
+"""Run SciPy's dual annealing, with the settings of the paper, on a sample of the windows of Figure 4."""
 
 import numpy as np
 
@@ -22,17 +22,18 @@ more than 0.1 % above the norm that `identify` found, and {below:.0f} % more tha
 
 
 def anneal_sample(poses: np.ndarray, norms: np.ndarray, number: int, seed: int) -> dict[str, np.ndarray]:
-    """Anneal windows spread over labels and levels.
+    """Run dual annealing on windows spread over labels and noise levels.
 
     Args:
         poses: (labels, levels, seeds, K+1, 4, 4).
-        norms: (labels, levels, seeds, 6) of ``identify``.
-        number: of windows.
-        seed: of their choice.
+        norms: (labels, levels, seeds, 6), norms from ``identify``.
+        number: number of windows in the sample.
+        seed: seed of the random choice of windows.
 
     Returns:
-        ``indices`` (n, 3) of the windows, ``seconds`` (n,) for the six problems of each, ``ratio`` (n, 6)
-        of its norms to ours, and its errors: ``angular``, ``linear`` in deg, ``position`` in mm, (n,).
+        ``indices`` (n, 3) of the windows, ``seconds`` (n,) for the six problems of each window, ``ratio`` (n,
+        6) of its norms to the norms of ``identify``, and its errors (n,): ``angular``, ``linear`` in deg,
+        ``position`` in mm.
     """
     levels, seeds = poses.shape[1:3]
     indices = np.stack(
@@ -59,7 +60,7 @@ def anneal_sample(poses: np.ndarray, norms: np.ndarray, number: int, seed: int) 
 
 
 def _axis_error(rotvec: np.ndarray, dof: tuple[int, int, int]) -> float:
-    """Degrees between the odd axis of the truth and the nearest axis found: their order is arbitrary."""
+    """Angle, deg, between the true distinct axis and the nearest identified axis; the order is arbitrary."""
     if sum(dof) not in (1, 2):
         return float("nan")
     odd = np.eye(3)[dof.index(sum(dof) % 2)]
@@ -68,7 +69,7 @@ def _axis_error(rotvec: np.ndarray, dof: tuple[int, int, int]) -> float:
 
 
 def annealing_metrics(annealed: dict[str, np.ndarray], total: int) -> dict[str, float]:
-    """Hours for all windows, and how many problems end above and below ours."""
+    """Hours for all windows, and fractions of problems that end above and below ``identify``."""
     return {
         "dual_annealing_hours": float(np.mean(annealed["seconds"])) * total / 3600,
         "dual_annealing_above": float(np.mean(annealed["ratio"] > MISS)),
@@ -79,13 +80,13 @@ def annealing_metrics(annealed: dict[str, np.ndarray], total: int) -> dict[str, 
 def annealing_text(
     annealed: dict[str, np.ndarray], ours: dict[str, np.ndarray], total: int, seconds: float
 ) -> str:
-    """The comparison.
+    """Write the section that compares dual annealing with ``identify``.
 
     Args:
-        annealed: of :func:`anneal_sample`.
-        ours: errors (labels, levels, seeds) by quantity of the cell that the sample is of.
-        total: windows of Figure 4.
-        seconds: that ``identify`` took for them.
+        annealed: results of :func:`anneal_sample`.
+        ours: errors (labels, levels, seeds) of ``identify`` by quantity, for the windows of the sample.
+        total: number of windows of Figure 4.
+        seconds: time of ``identify`` for all windows.
     """
     at, metrics = tuple(annealed["indices"].T), annealing_metrics(annealed, total)
     text = _TEXT.format(

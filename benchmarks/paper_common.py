@@ -1,4 +1,4 @@
-"""What the sections of the report share: resumable results, demonstrations, numbers and tables."""
+"""Helpers of all sections of the report: resumable results, demonstrations, numbers and tables."""
 
 import hashlib
 import json
@@ -33,8 +33,8 @@ class Section:
 
     Attributes:
         text: Markdown.
-        metrics: numbers for the JSON document, flat.
-        data: further numbers for it.
+        metrics: flat numbers for the JSON document.
+        data: additional numbers for the JSON document.
     """
 
     text: str
@@ -43,14 +43,14 @@ class Section:
 
 
 class Store:
-    """A folder of finished pieces: what is there is not computed again.
+    """A folder of finished pieces, which are not computed again.
 
-    ``seconds`` is the time all pieces took to compute, now or before.
+    ``seconds`` is the total compute time of all pieces, in this run and earlier runs.
 
     Args:
-        folder: of the report; pieces go to ``cells`` in it.
-        options: everything the pieces depend on; other options have pieces of their own.
-        fresh: ignore the pieces that are there.
+        folder: folder of the report; its subfolder ``cells`` contains the pieces.
+        options: options that the pieces depend on; other options have separate pieces.
+        fresh: whether to ignore existing pieces.
     """
 
     def __init__(self, folder: Path, options: Any, *, fresh: bool = False) -> None:
@@ -64,14 +64,14 @@ class Store:
         self.seconds = 0.0
 
     def print_progress(self, text: str) -> None:
-        """A line of progress, with the time since the start."""
+        """Print a line of progress, with the time since the start."""
         print(f"{time.perf_counter() - _START:7.1f} s  {text}", file=sys.stderr, flush=True)
 
     def piece(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-        """The arrays of a piece, computed or read.
+        """Return the arrays of a piece, computed or read.
 
         Raises:
-            ValueError: naming the file, if it is damaged or not what its name says.
+            ValueError: if the file is damaged or renamed; the message names the file.
         """
         file = self._cells / f"{name}-{self._suffix}.npz"
         if file.exists() and not self._fresh:
@@ -89,20 +89,20 @@ class Store:
         return arrays
 
     def picture(self, name: str, figure: Any) -> str:
-        """Save a figure as PNG; returns the Markdown that shows it."""
+        """Save a figure as PNG; return the Markdown for the picture."""
         figure.savefig(self.folder / f"{name}.png", metadata={"Software": None})
         return f"![{name}]({name}.png)"
 
 
 def demonstrations(label: str, key: jax.Array, count: int, **options: Any) -> panda.Demonstration:
-    """Usable demonstrations of one constraint on the host, each with a geometry of its own."""
+    """Usable demonstrations of one constraint on the host, each with a random geometry."""
     parts = list(panda.demonstrations(label, key, count, spread=panda.SPREAD, **options))
     whole: Any = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
     return replace(whole, times=parts[0].times)
 
 
 def plain(array: Any) -> Any:
-    """Nested lists of numbers of six digits for JSON, which has no NaN: null instead."""
+    """Convert numbers to nested lists with six digits for JSON, with null for NaN."""
     values = np.asarray(array, dtype=float)
     if values.ndim:
         return [plain(row) for row in values]
@@ -110,7 +110,7 @@ def plain(array: Any) -> Any:
 
 
 def number(value: float, digits: int = 2) -> str:
-    """A number to a few significant digits, in plain notation where that is short; a dash for NaN."""
+    """Format a number with a few significant digits, in plain notation if it is short; a dash for NaN."""
     if not np.isfinite(value):
         return "–"
     if value == 0 or 1e-3 <= abs(value) < 1e4:
@@ -120,14 +120,14 @@ def number(value: float, digits: int = 2) -> str:
 
 
 def spread(values: np.ndarray, form: str = ".2f") -> str:
-    """Mean and standard deviation over trials; a dash where there is nothing to measure."""
+    """Format mean and standard deviation over trials; a dash without values."""
     if np.all(np.isnan(values)):
         return "–"
     return f"{np.mean(values):{form}} ± {np.std(values):{form.lstrip('+')}}"
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table; the first column is aligned to the left, the others to the right."""
+    """Format a Markdown table, with the first column left-aligned and the other columns right-aligned."""
     marks = [":--"] + ["--:"] * (len(head) - 1)
     lines = ["| " + " | ".join(row) + " |" for row in (head, marks, *rows)]
     return "\n".join(lines)

@@ -1,9 +1,9 @@
 """The paper's Figure 4: error against noise, for both generators, excitations and discretizations.
 
-The motions of one seed are the same at every noise level, so that curves can be compared. An entry is
-marked instead of scored where the motion does not determine it: where the best frame of the true type
-has other degrees of freedom than the truth in most windows, because the motion happens to obey a
-simpler constraint (the paper's velocities turn E and F into pure rotations about a point).
+The motions of one seed are the same at every noise level, so that curves can be compared. An entry that the
+motion does not determine is marked, not scored. In most of its windows, the best frame of the true type has
+other degrees of freedom than the truth, because the motion also obeys a simpler constraint. For example, the
+paper's velocities make E and F pure rotations about a point.
 """
 
 import time
@@ -61,13 +61,13 @@ entry of Table 2.
 
 @dataclass(frozen=True)
 class Size:
-    """How much of Figure 4 to compute.
+    """Size of the computation of Figure 4.
 
     Attributes:
-        seeds: motions of each constraint.
-        levels: of the noise.
-        annealed: windows for SciPy's dual annealing.
-        seed: of all random numbers.
+        seeds: number of motions per constraint.
+        levels: number of noise levels.
+        annealed: number of windows for SciPy's dual annealing.
+        seed: random seed.
     """
 
     seeds: int = 100
@@ -77,7 +77,7 @@ class Size:
 
     @staticmethod
     def quick(seed: int) -> "Size":
-        """A tenth of it."""
+        """A tenth of the full size."""
         return Size(seeds=10, annealed=6, seed=seed)
 
     @property
@@ -87,7 +87,7 @@ class Size:
 
     @property
     def windows(self) -> int:
-        """Windows of one cell."""
+        """Number of windows per cell."""
         return len(LABELS) * self.levels * self.seeds
 
 
@@ -109,7 +109,7 @@ def motions(generator: str, excitation: str, size: Size) -> np.ndarray:
 
 @jax.jit
 def _noisy(poses: jax.Array, key: jax.Array, noise: jax.Array) -> jax.Array:
-    """(labels, levels, seeds, K+1, 4, 4) of poses (labels, seeds, K+1, 4, 4)."""
+    """Add noise at all levels: poses (labels, seeds, K+1, 4, 4) to (labels, levels, seeds, K+1, 4, 4)."""
     labels, seeds = poses.shape[:2]
     keys = jax.random.split(key, (labels, noise.shape[0], seeds))
     add = jax.vmap(synthetic.add_pose_noise, (0, 0, None))  # seeds
@@ -159,8 +159,8 @@ class Entry:
     """One curve of Figure 4.
 
     Attributes:
-        label: of the constraint.
-        quantity: of :data:`QUANTITIES`.
+        label: label of the constraint.
+        quantity: one of :data:`QUANTITIES`.
         median: (levels,) degrees or mm.
         low, high: (levels,) 10 % and 90 % quantiles.
         slope: of log error against log noise, fitted over all levels.
@@ -177,7 +177,7 @@ class Entry:
 
 
 def entries(cell: dict[str, np.ndarray], noise: np.ndarray) -> list[Entry]:
-    """The curves of one cell: those that Table 2 has an entry for."""
+    """The curves of one cell, for quantities with an entry in Table 2."""
     curves = []
     for i, label in enumerate(LABELS):
         for quantity in QUANTITIES:
@@ -197,7 +197,7 @@ def _cell(made: Any, generator: str, excitation: str, discretization: str) -> di
 
 def section(store: Store, size: Size) -> Section:
     """Compute, or resume, and describe Figure 4."""
-    # made once for both discretizations, and only if needed
+    # simulated on first use, for both discretizations
     made = cache(lambda generator, excitation: windows(generator, excitation, size))
     cells = {}
     for name in CELLS:
@@ -221,7 +221,7 @@ def section(store: Store, size: Size) -> Section:
 
 
 def _picture(noise: np.ndarray, curves: dict[Any, list[Entry]], excitation: str, title: str) -> Any:
-    """Both discretizations of the exact motion; entries that are not determined are left out."""
+    """Draw both discretizations of the exact motion, without entries that are not determined."""
     panels: dict[str, list[Curve]] = {}
     notes: dict[str, str] = {}
     for label, row in rf.CONSTRAINTS.items():

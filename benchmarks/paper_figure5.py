@@ -43,12 +43,12 @@ _TITLES = {
 
 @dataclass(frozen=True)
 class Size:
-    """How much of Figure 5 to compute.
+    """Size of the computation of Figure 5.
 
     Attributes:
-        trials: of each task in each kind of frame.
-        setups: of ``paper_table4.SETUPS``.
-        seed: of all random numbers.
+        trials: number of trials per task and kind of frame.
+        setups: names from ``paper_table4.SETUPS``.
+        seed: random seed.
     """
 
     trials: int = 32
@@ -57,7 +57,7 @@ class Size:
 
     @staticmethod
     def quick(seed: int) -> "Size":
-        """A small part of it."""
+        """A small part of the full size."""
         return Size(trials=8, setups=("realistic",), seed=seed)
 
 
@@ -65,9 +65,9 @@ def reproduce_all(size: Size, setup: Setup) -> dict[str, np.ndarray]:
     """Reproduce the tasks in the three kinds of frames.
 
     Returns:
-        Arrays (tasks, rows, trials): ``moment`` (N m) and ``force`` (N), the peaks; ``rest_moment`` and
-        ``rest_force``, at the end; ``completed``; ``errors`` (tasks, trials, 3) of the identified
-        frames, deg, deg and mm; ``redrawn`` (tasks,), geometries out of the arm's reach.
+        Arrays (tasks, rows, trials): peaks ``moment`` (N m) and ``force`` (N); values at the end
+        ``rest_moment`` and ``rest_force``; ``completed``. Also ``errors`` (tasks, trials, 3) of the
+        identified frames in deg, deg and mm, and ``redrawn`` (tasks,), the number of geometries out of reach.
     """
     results: dict[str, list[object]] = {}
     for label in ("A", "B", "I"):
@@ -103,7 +103,7 @@ def _add(
 def _position_only(
     outcome: reproduction.Comparison, key: jax.Array, imperfections: panda.Imperfections
 ) -> dict[str, reproduction.Trials]:
-    """Task I in frames with true axes, and errors of the position alone."""
+    """Reproduce task I in frames with true axes and errors of the position only."""
     truth = outcome.demonstrations.truth
     give = float(imperfections.angular_compliance), float(imperfections.compliance)
     run = partial(reproduction.reproduce, truth, compliance=give)

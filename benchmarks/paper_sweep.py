@@ -1,6 +1,6 @@
-"""What decides whether a constraint is identified: noise, compliance, sampling rate and length, on the Panda.
+"""Effect of noise, compliance, sampling rate and window length on identification, on the simulated Panda.
 
-The arm is simulated once for every constraint and compliance; its poses are then sampled, cut and
+The arm is simulated once per constraint and compliance. Its poses are then sampled, divided into windows and
 disturbed in every combination.
 """
 
@@ -23,7 +23,7 @@ from reframe_jax.simulation.synthetic import add_pose_noise
 __all__ = ["SCORES", "Size", "factor_table", "identify_all", "section"]
 
 SCORES = ("types", "tied", "dof", "axis", "position")
-ANGULAR = 25  # rad/(N m) for every m/N of compliance, as in panda.REALISTIC
+ANGULAR = 25  # ratio of angular to linear compliance, as in panda.REALISTIC
 
 _INTRODUCTION = """\
 ## Large sweeps: noise, compliance, sampling, length
@@ -48,16 +48,16 @@ _MAPS = {
 
 @dataclass(frozen=True)
 class Size:
-    """What is varied.
+    """Values of the varied factors.
 
     Attributes:
-        demonstrations: of each constraint at each compliance, simulated at once.
-        compliance: m/N, of tool and mount.
-        noise: m, of the position; of the rotation vector 3 times as many rad.
-        periods: s, between samples; multiples of ``recorded``.
-        lengths: s, of a window.
-        recorded: s, between samples of the demonstrations.
-        seed: of all random numbers.
+        demonstrations: number of demonstrations per constraint and compliance.
+        compliance: m/N, compliance of the tool and its mount.
+        noise: m, position noise; the rotation vector has 3 rad/m times this noise.
+        periods: s, sample times; multiples of ``recorded``.
+        lengths: s, lengths of the windows.
+        recorded: s, sample time of the demonstrations.
+        seed: random seed.
     """
 
     demonstrations: int = 16
@@ -70,7 +70,7 @@ class Size:
 
     @staticmethod
     def quick(seed: int) -> "Size":
-        """A small part of it, with programs that the other experiments compile."""
+        """A small part of the full size, with programs that other experiments also compile."""
         return Size(
             demonstrations=8,
             compliance=(0.0, 1e-4, 1e-3),
@@ -83,7 +83,7 @@ class Size:
 
     @property
     def windows(self) -> int:
-        """Number of windows in all."""
+        """Total number of windows."""
         levels = len(self.compliance) * len(self.noise) * len(self.periods) * len(self.lengths)
         return len(LABELS) * self.demonstrations * levels
 
@@ -92,12 +92,11 @@ _disturbed = jax.jit(jax.vmap(add_pose_noise, (0, 0, None)))
 
 
 def identify_all(size: Size, compliance: float) -> dict[str, np.ndarray]:
-    """Simulate the arm at one compliance and identify its windows in every combination of the rest.
+    """Simulate the arm at one compliance, and identify its windows for all combinations of other factors.
 
     Returns:
         Arrays (labels, noise, periods, lengths, demonstrations) of :data:`SCORES`: ``types``, ``tied``
-        (types right or tied) and ``dof`` bool; ``axis`` in degrees and ``position`` in mm, NaN where there
-        is none.
+        (types right or tied) and ``dof`` bool; ``axis`` in degrees and ``position`` in mm, NaN if undefined.
     """
     made = [_demonstrations(size, compliance, label) for label in LABELS]
     noisy = np.stack(
@@ -202,7 +201,7 @@ def _maps(values: np.ndarray, size: Size) -> dict[str, np.ndarray]:
 
 
 def factor_table(scores: Mapping[str, np.ndarray], size: Size) -> str:
-    """What each factor does, everything else averaged over."""
+    """Effect of each factor, averaged over all other factors."""
     head = ["factor", "value", "types right", "right or tied", "degrees of freedom right"]
     head += ["axes [deg]", "position [mm]"]
     rows = []

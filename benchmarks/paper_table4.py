@@ -1,8 +1,8 @@
-"""Table 4 of the paper on a simulated Panda: demonstrations identified, in the paper's layout.
+"""Table 4 of the paper on a simulated Panda: identified demonstrations in the paper's layout.
 
-The paper's figures are transcribed from its text. Two of them need a word: the {B} norm of A is illegible
-in our copy, and D's angular error of 2.59 deg contradicts the text below the table, which says that all
-are below 1 deg.
+The values of the paper are transcribed from its text. Two values are doubtful: the {B} norm of A is illegible
+in our copy, and the angular error of D, 2.59 deg, contradicts the text below the table, which states that all
+angular errors are below 1 deg.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,9 +25,10 @@ UNKNOWN = (float("nan"), float("nan"))  # not given, or not legible
 
 
 class PaperRow(NamedTuple):
-    """A row of Table 4: (mean, standard deviation) of everything.
+    """A row of Table 4, with (mean, standard deviation) of every value.
 
-    Norms and rms of the angular frame in mrad/s, of the linear one in mm/s; errors in deg, deg and mm.
+    Norms and RMS values of the angular frame are in mrad/s, of the linear frame in mm/s; errors are in deg,
+    deg, mm.
     """
 
     angular_norms: tuple[tuple[float, float], ...]
@@ -75,11 +76,11 @@ PAPER: dict[str, PaperRow] = {
     ),
 }
 PAPER_RANGES = {"angular": (60.0, 260.0), "linear": (6.0, 68.0)}
-"""Thresholds in mrad/s and mm/s that classify the paper's five constraints, of the table's means."""
+"""Thresholds in mrad/s and mm/s that classify the paper's five constraints, from the means of the table."""
 
 
 class Setup(NamedTuple):
-    """A robot and its hand: what is imperfect, and how it is moved."""
+    """A set-up: imperfections of the robot, and the excitation by the hand."""
 
     imperfections: panda.Imperfections
     excitation: str = "exciting"
@@ -121,13 +122,13 @@ columns classifies every axis of every demonstration (the paper's: of the means)
 
 @dataclass(frozen=True)
 class Size:
-    """How much of Table 4 to compute.
+    """Size of the computation of Table 4.
 
     Attributes:
-        trials: demonstrations of each constraint.
-        chunk: demonstrations simulated at once.
-        setups: of :data:`SETUPS`.
-        seed: of all random numbers.
+        trials: number of demonstrations per constraint.
+        chunk: number of demonstrations per simulation call.
+        setups: names from :data:`SETUPS`.
+        seed: random seed.
     """
 
     trials: int = 10
@@ -137,7 +138,7 @@ class Size:
 
     @staticmethod
     def quick(seed: int) -> "Size":
-        """A small part of it."""
+        """A small part of the full size."""
         return Size(trials=4, chunk=8, setups=(SHOWN,), seed=seed)
 
 
@@ -184,11 +185,11 @@ def identify_all(key: jax.Array, trials: int, chunk: int, setup: Setup) -> dict[
 
 
 def following(made: panda.Demonstration) -> np.ndarray:
-    """What constrained rotations have in proportion to a single free one.
+    """Part of the constrained rotations that is proportional to a single free rotation.
 
     Returns:
-        (N, 2), the angle in deg by which the axis of rotation appears tilted, and the part of the rms of the
-        constrained rotations that this is, 0 to 1; NaN where not one rotation is free.
+        (N, 2): the apparent tilt of the rotation axis in deg, and its fraction (0 to 1) of the RMS of the
+        constrained rotations; NaN unless exactly one rotation is free.
     """
     free = np.array(made.truth.angular_dof, dtype=bool)
     if free.sum() != 1:
@@ -202,14 +203,14 @@ def following(made: panda.Demonstration) -> np.ndarray:
 
 
 def threshold_range(rms: Mapping[str, np.ndarray], group: str) -> tuple[float, float]:
-    """Largest rms of a constrained axis and smallest of a free one; thresholds between classify all.
+    """Largest RMS of a constrained axis and smallest RMS of a free axis, the limits of valid thresholds.
 
     Args:
-        rms: by label, (trials, 6), ascending in each group of three.
+        rms: (trials, 6) by label, in increasing order in each group of three.
         group: "angular" or "linear".
 
     Returns:
-        The two, low > high if no threshold classifies everything.
+        The two values; low > high if no threshold classifies all axes.
     """
     low, high = 0.0, float("inf")
     for label, of_label in rms.items():
@@ -240,7 +241,7 @@ def section(store: Store, size: Size) -> Section:
 
 
 def table_text(found: Mapping[str, np.ndarray]) -> str:
-    """The table in two halves, angular and linear, and what was classified correctly."""
+    """Write the angular and the linear table, and the fractions of correct classifications."""
     blocks = []
     for group, types, unit, symbols in (
         ("angular", [str(kind) for kind in rf.AngularType], "mrad/s", ["ΔR^φ [deg]"]),
@@ -261,7 +262,7 @@ def table_text(found: Mapping[str, np.ndarray]) -> str:
 
 
 def _row(found: Mapping[str, np.ndarray], index: int, label: str, group: str) -> list[str]:
-    """Norms, rms and errors of one constraint."""
+    """Norms, RMS values and errors of one constraint."""
     paper, angular = PAPER.get(label), group == "angular"
     norms = found["norms"][index][:, :2] if angular else found["norms"][index][:, 2:]
     rms = found["rms"][index][:, slice(*_COLUMNS[group])]
@@ -283,7 +284,7 @@ def _row(found: Mapping[str, np.ndarray], index: int, label: str, group: str) ->
 def _cells(
     values: np.ndarray, theirs: Sequence[tuple[float, float]] | None, marks: Sequence[str], form: str
 ) -> list[str]:
-    """Ours of every column, marked, and the paper's in brackets."""
+    """Cells with the values of this library, marked, and the paper's values in brackets."""
     cells = []
     for i, mark in enumerate(marks):
         text = spread(values[:, i], form)
@@ -317,7 +318,7 @@ def _paper_errors() -> list[str]:
 
 
 def _largest(errors: np.ndarray) -> np.ndarray:
-    """Largest over constraints of the means over trials, (3,)."""
+    """Largest mean error (3,) over all constraints."""
     largest: np.ndarray = np.nanmax(errors.mean(axis=1), axis=0)
     return largest
 

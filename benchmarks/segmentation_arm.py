@@ -11,7 +11,7 @@ __all__ = ["arm_rows", "print_arm"]
 
 _DT = 0.02  # s
 _DURATIONS = (4.0, 6.0, 4.0)  # s, of approach, motion under the constraint, and release
-_BATCH = 16  # demonstrations drawn of each constraint: the arm cannot make all of them
+_BATCH = 16  # random demonstrations per constraint, of which some are infeasible
 _CLOSE = 0.1  # s
 
 
@@ -19,11 +19,11 @@ def arm_rows(count: int) -> list[dict[str, Any]]:
     """Segment demonstrations of every constraint between two free motions.
 
     Args:
-        count: usable demonstrations of each constraint, at most 16.
+        count: number of usable demonstrations per constraint, at most 16.
     """
     if count == 0:
         return []
-    from reframe_jax.simulation import arm  # needs MuJoCo, which the rest of the benchmark does without
+    from reframe_jax.simulation import arm  # the arm needs MuJoCo; the rest of the benchmark does not
 
     rows = []
     for number, (label, entry) in enumerate(rf.CONSTRAINTS.items()):
@@ -54,7 +54,7 @@ def arm_rows(count: int) -> list[dict[str, Any]]:
 
 
 def print_arm(rows: list[dict[str, Any]]) -> dict[str, float]:
-    """Print what was found in tasks of the arm."""
+    """Print the metrics of the tasks of the arm."""
     misses = np.array([miss for row in rows for miss in row["misses"]])
     metrics = {
         "right number": float(np.mean([row["right"] for row in rows])),

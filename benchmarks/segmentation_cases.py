@@ -1,10 +1,10 @@
-"""Simulated sequences of constraints with known changes, in plain NumPy.
+"""Simulate sequences of constraints with known changes, in NumPy.
 
-A body moves under one constraint after the other. Each constraint lies in a random place, within 0.15 m of
-the body. Sums of three sines of 0.2 to 0.9 Hz drive the free coordinates: 0.35 to 0.6 rad and 50 to 100 mm
-rms. In half of the sequences every motion sets out from rest and comes to rest within 0.25 s; in the other
-half the velocity jumps. White noise of sigma m comes with sigma / 0.3 m rad; slow errors are sines of 0.1 to
-1.2 Hz, with 5 rad/m.
+A body moves under several consecutive constraints. The origin of each constraint is random, within 0.15 m of
+the body. Sums of three sines of 0.2 to 0.9 Hz drive the free coordinates, with an RMS of 0.35 to 0.6 rad and
+50 to 100 mm. In half of the sequences, every motion starts and ends at rest, with transitions of 0.25 s; in
+the other half, the velocity jumps. White noise of sigma m in positions is sigma / 0.3 m rad in orientations.
+Slow errors are sines of 0.1 to 1.2 Hz, with 5 rad/m.
 """
 
 from typing import NamedTuple
@@ -27,7 +27,7 @@ NAMES = {
     "plane": ("Plane-plane contact",),
     "lock": ("Still", "Fixed"),
 }
-"""Right names, or what a right name contains."""
+"""Right names, or a part of every right name."""
 
 ERRORS = (
     {"white": 1e-5},
@@ -40,7 +40,7 @@ ERRORS = (
 
 
 class Sequence(NamedTuple):
-    """A simulated recording: what held, from which pose on, and the poses."""
+    """A simulated recording: the constraints, the first pose of each constraint, and the poses."""
 
     labels: tuple[str, ...]
     starts: np.ndarray  # (S,) index of the first pose of each constraint
@@ -55,13 +55,13 @@ class Sequence(NamedTuple):
 
 
 def simulate_sequences(count: int, seed: int = 0) -> list[Sequence]:
-    """Sequences of three or four constraints, 4 to 8 s each, no constraint twice in a row."""
+    """Simulate sequences of three or four different consecutive constraints, 4 to 8 s each."""
     made = []
     for number in range(count):
         rng = np.random.default_rng([seed, number])
         labels: list[str] = []
         while len(labels) < 3 + number % 2:
-            # a tool is often free between two constraints
+            # a tool often moves freely between two constraints
             free = rng.random() < 0.5 and labels[-1:] not in ([], ["free"])
             label = "free" if free else str(rng.choice(list(NAMES)))
             if labels[-1:] != [label]:
@@ -72,7 +72,7 @@ def simulate_sequences(count: int, seed: int = 0) -> list[Sequence]:
 
 
 def simulate_single(label: str, number: int, seed: int = 0) -> Sequence:
-    """A recording of one constraint, 8 to 20 s long."""
+    """Simulate a recording of one constraint, 8 to 20 s long."""
     rng = np.random.default_rng([seed, 1000 + number, list(NAMES).index(label)])
     return move_through([label], rng.uniform(8, 20, 1), ERRORS[number % len(ERRORS)], rng)
 
@@ -84,14 +84,14 @@ def move_through(
     rng: np.random.Generator,
     rate: int | None = None,
 ) -> Sequence:
-    """Simulate constraints one after the other.
+    """Simulate a recording with consecutive constraints.
 
     Args:
-        labels: of the constraints, keys of :data:`NAMES`.
-        durations: of each, s.
-        errors: "white" and "soft", m.
-        rng: of places, motions and errors.
-        rate: Hz; by default 20, 50 or 100.
+        labels: labels of the constraints, keys of :data:`NAMES`.
+        durations: duration of each constraint, s.
+        errors: sizes of "white" and "soft" errors, m.
+        rng: random generator of places, motions and errors.
+        rate: Hz; by default 20, 50 or 100 at random.
     """
     drawn, ease = int(rng.choice([20, 50, 100])), float(rng.choice([0.0, 0.25]))
     rate = rate or drawn
@@ -118,7 +118,7 @@ def move_through(
 
 
 def _slow(times: np.ndarray, size: float, rng: np.random.Generator) -> np.ndarray:
-    """(N, 3) sums of three sines whose components have this rms, over the square root of two."""
+    """Sums of three sines (N, 3); the RMS of each component is a given value divided by sqrt(2)."""
     rate, phase = 2 * np.pi * rng.uniform(0.1, 1.2, (3, 3)), rng.uniform(0, 2 * np.pi, (3, 3))
     return np.asarray(size / np.sqrt(3) * np.sin(times[:, None, None] * rate + phase).sum(-1))
 
@@ -132,7 +132,7 @@ def _move(
     origin: np.ndarray,
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations (steps, 3, 3) and positions (steps, 3) after those at the start."""
+    """Integrate rotations (steps, 3, 3) and positions (steps, 3) from the start."""
     fine = 8 if label == "contour" else 1
     times = np.arange(steps * fine + 1) / (rate * fine)
     if ease:
@@ -148,7 +148,10 @@ def _move(
 
     turn = drive(rng.uniform(0.35, 0.6), _FREE_ROTATION.get(label, ""))
     shift = drive(rng.uniform(0.05, 0.1), _FREE_TRANSLATION.get(label, ""))
-    frame, on_body = Rotation.random(random_state=rng), rng.uniform(-0.15, 0.15, 3)  # of the contact
+    frame, on_body = (
+        Rotation.random(random_state=rng),
+        rng.uniform(-0.15, 0.15, 3),
+    )  # frame and point of the contact
     if label == "contour":  # a point of the body moves along an axis of the body
         moved = Rotation.from_rotvec(turn)
         turned = frame * moved * frame.inv() * Rotation.from_matrix(start)

@@ -1,4 +1,4 @@
-"""How the benchmarks take time and memory."""
+"""Measure time and memory of benchmarks."""
 
 import gc
 import resource
@@ -15,7 +15,7 @@ __all__ = ["in_chunks", "peak_above", "timed", "timed_call"]
 
 
 def timed(call: Callable[[], Any], repeats: int) -> tuple[Any, float, float]:
-    """Result, seconds of the fastest of some warm calls, and how much longer the first one took."""
+    """Return the result, the time of the fastest warm call, and the additional time of the first call, s."""
     start = time.perf_counter()
     result = jax.block_until_ready(call())
     first = time.perf_counter() - start
@@ -28,7 +28,7 @@ def timed(call: Callable[[], Any], repeats: int) -> tuple[Any, float, float]:
 
 
 def timed_call(jitted: Any, *inputs: Any) -> tuple[Any, float, float]:
-    """Result of a jitted function, seconds of its only call, and those of its compilation before."""
+    """Return the result of one call of a jitted function, its run time, and its compile time, s."""
     start = time.perf_counter()
     compiled = jitted.lower(*inputs).compile()
     compiling = time.perf_counter() - start
@@ -38,7 +38,7 @@ def timed_call(jitted: Any, *inputs: Any) -> tuple[Any, float, float]:
 
 
 def peak_above(call: Callable[[], Any]) -> tuple[Any, float]:
-    """Result, and the resident memory in MB that the call needed at most above what was there before."""
+    """Return the result, and the peak increase of resident memory during the call, MB."""
     gc.collect()
     before, peak, running = _resident_mb(), 0.0, True
 
@@ -60,9 +60,9 @@ def peak_above(call: Callable[[], Any]) -> tuple[Any, float]:
 
 
 def in_chunks(call: Callable[..., Any], *inputs: Any, size: int = 256) -> Any:
-    """Results of a function of windows, N in front, on some at a time: all share a compilation.
+    """Call a function of windows (N, ...) in chunks of one size, which need only one compilation.
 
-    The last windows are repeated to fill the last chunk.
+    The last window is repeated to fill the last chunk.
     """
     count = len(inputs[0])
     parts = []
@@ -73,6 +73,6 @@ def in_chunks(call: Callable[..., Any], *inputs: Any, size: int = 256) -> Any:
 
 
 def _resident_mb() -> float:
-    """Resident memory of this process now."""
+    """Current resident memory of this process, MB."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * resource.getpagesize() / 2**20

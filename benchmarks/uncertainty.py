@@ -1,14 +1,14 @@
-"""How well the library knows what it does not know: intervals, probabilities, and ambiguous motions.
+"""Test the reported uncertainty: coverage of intervals, reliability of probabilities, and ambiguous motions.
 
-- Coverage: the share of 95 % intervals of the covariance that hold the truth, over all directions in which
-  the axes and the origin are determined, for every constraint and noise level, and the root of the mean
-  square of error over standard deviation, without the worst one per cent. Counted are windows with the right
-  class whose noise the covariance calls small enough for it (``first_order``): in these it should be 92 to
-  98 %. A second line has the others, where there are any.
-- Reliability: of the probabilities of names, classes, types and free axes: the mean of those in a bin, and
-  how often they were right. --plot draws it.
-- Ambiguous motions: how often the motion was said not to tell, for motions that cannot, and for exciting
-  ones. One path and straight lines are never said to tell more than that path.
+- Coverage: the fraction of 95 % intervals of the covariance that contain the truth, over all determined
+  directions of axes and origin, by constraint and noise level. Also the RMS of error over standard deviation,
+  without the largest 1 %. Only windows with the right class and a valid first-order covariance
+  (``first_order``) count; their coverage should be 92 to 98 %. A second line has the windows without a valid
+  first-order covariance.
+- Reliability: the probabilities of names, classes, types and free axes, averaged in bins, and the fraction
+  that was right. --plot draws a diagram.
+- Ambiguous motions: how often ``excitation`` reports that the motion does not determine the constraint, for
+  ambiguous motions and for exciting ones.
 
 Windows of 5 s at 20 Hz with random geometry, measured with noise whose ratio of rad to m is 3. Run in parts
 by --constraints or --sigmas with --json; --join prints the tables of several parts.
@@ -46,16 +46,16 @@ from reframe_jax.uncertainty.covariance import Covariance, Errors, Method
 __all__ = ["standard_scores"]
 
 SAMPLES, DT = 100, 0.05
-INTERVAL = 1.96  # standard deviations that hold 95 %
-_LEAST = 1e-12  # share of the largest variance below which a direction has none
-_TRIMMED = 0.99  # share of the scores that the root of the mean square is taken of
-_ENOUGH = 20  # scores that make a share
+INTERVAL = 1.96  # standard deviations of a 95 % interval
+_LEAST = 1e-12  # fraction of the largest variance below which a variance counts as zero
+_TRIMMED = 0.99  # fraction of the scores in the RMS
+_ENOUGH = 20  # fewest scores for a fraction
 QUANTITIES = "angular", "linear", "position"
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a run covers: ``windows`` of every constraint and noise level."""
+    """Size of a run: ``windows`` per constraint and noise level."""
 
     labels: tuple[str, ...] = tuple(rf.CONSTRAINTS)
     motion: str = "exciting"
@@ -70,12 +70,12 @@ QUICK = Plan(sigmas=(1e-4, 1e-3), windows=32)
 
 
 def print_progress(text: str) -> None:
-    """Report progress."""
+    """Print progress to standard error."""
     print(text, file=sys.stderr, flush=True)
 
 
 def recordings(label: str, motion: str | Excitation, count: int) -> Simulation:
-    """Exact motions of a constraint: simulated once, measured at every noise level."""
+    """Exact motions of a constraint, the same for every noise level."""
 
     def of_key(key: jax.Array) -> Simulation:
         return random_motion(label, key, samples=SAMPLES, dt=DT, excitation=motion)
@@ -84,7 +84,7 @@ def recordings(label: str, motion: str | Excitation, count: int) -> Simulation:
 
 
 def measured(made: Simulation, sigma: float, slow: float) -> np.ndarray:
-    """Poses (N, K+1, 4, 4) of exact motions as a tracker measures them."""
+    """Add the errors of a tracker to the poses (N, K+1, 4, 4) of exact motions."""
     keys = jax.random.split(jax.random.key(7), len(made.exact_poses))
     return np.asarray(_disturb(made.exact_poses, keys, PoseErrors(sigma=sigma, slow=slow)))
 
@@ -97,16 +97,17 @@ def _disturb(poses: jax.Array, keys: jax.Array, errors: PoseErrors) -> jax.Array
 def standard_scores(
     found: rf.Identification, covariance: Covariance, truth: ConstraintFrame, start: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Errors of N windows over their standard deviations, along the principal axes of the covariance.
+    """Errors of N windows divided by their standard deviations, along the principal axes of the covariance.
 
     Args:
-        found: of N windows, with the right class.
-        covariance: of these.
-        truth: leaves with an axis of N; one of the twelve, as :meth:`ConstraintFrame.named` orders its axes.
-        start: (N, 4, 4) first true poses, at which both parts of the frame agree, m.
+        found: identifications of N windows, with the right class.
+        covariance: covariance of ``found``.
+        truth: true constraint with N geometries; one of the twelve, with the axes of
+            :meth:`ConstraintFrame.named`.
+        start: (N, 4, 4) m, first true poses, at which the angular and linear axes agree.
 
     Returns:
-        (N, 3) of "angular" and "linear" axes, which only a class with a unique axis has, and the "position";
+        (N, 3) scores of "angular" and "linear" axes, if the class determines an axis, and of the "position";
         NaN along directions without a variance.
     """
     matrix = np.asarray(covariance.matrix)
@@ -115,7 +116,7 @@ def standard_scores(
     turn, shift = np.asarray(start)[:, :3, :3], np.asarray(start)[:, :3, 3]
 
     def seen(axes: np.ndarray, fixed_in: int, wanted: np.ndarray) -> np.ndarray:
-        """Axes (N, 3, n) of one body in those of another, at the start."""
+        """Express axes (N, 3, n) of one body in the other body, at the start."""
         in_ground = turn @ axes if fixed_in == AngularType.B else axes
         return np.where((wanted == AngularType.B)[:, None, None], turn.mT @ in_ground, in_ground)
 
@@ -153,7 +154,7 @@ def standard_scores(
     error = np.asarray(found.linear.position) - np.where((body == AngularType.B)[:, None], in_body, point)
     projector = np.asarray(found.linear.free_position)
     free = [i for i in range(3) if not entry.position[i]]
-    if free:  # the truth moves along its own free directions, until what is left is across those found
+    if free:  # shift the truth along its free directions, so that the error is normal to the estimated ones
         along = seen(frame_axes[:, :, free], fixed_in, body)
         amount = np.linalg.pinv(projector @ along, rcond=1e-3) @ projector @ error[:, :, None]
         error = error - (along @ amount)[:, :, 0]
@@ -163,7 +164,7 @@ def standard_scores(
 
 
 def _scores(error: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Errors (N, 3) over standard deviations, along the eigenvectors of the covariance (N, 3, 3)."""
+    """Errors (N, 3) divided by standard deviations, along the eigenvectors of the covariance (N, 3, 3)."""
     variances, directions = np.linalg.eigh(covariance)
     along = (error[:, None] @ directions)[:, 0]
     known = variances > _LEAST * np.maximum(variances[:, -1:], np.finfo(float).tiny)
@@ -171,7 +172,7 @@ def _scores(error: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
 
 def coverage_of(label: str, made: Simulation, sigma: float, plan: Plan) -> tuple[dict[str, Any], Said]:
-    """One row of the table, and what the reliability of probabilities needs."""
+    """One row of the coverage table, and the data for the reliability of probabilities."""
     poses = measured(made, sigma, plan.slow)
     found = rf.identify(poses, dt=DT)
     covariance = rf.covariance(found, poses, dt=DT, errors=plan.errors, method=plan.method)
@@ -186,7 +187,7 @@ def coverage_of(label: str, made: Simulation, sigma: float, plan: Plan) -> tuple
 
 
 def _summary(scores: dict[str, np.ndarray], counted: np.ndarray) -> dict[str, tuple[float, float]]:
-    """Coverage and root mean square of the scores of some windows, where there are enough."""
+    """Coverage and RMS of the scores of some windows, if there are enough scores."""
     summary = {}
     for name, values in scores.items():
         sizes = np.abs(values[counted])
@@ -198,7 +199,7 @@ def _summary(scores: dict[str, np.ndarray], counted: np.ndarray) -> dict[str, tu
 
 
 def print_coverage(rows: list[dict[str, Any]]) -> None:
-    """Print coverage and root mean square of scores, by constraint and noise level."""
+    """Print coverage and RMS of scores, by constraint and noise level."""
     print("\nShare of 95 % intervals that hold the truth, and rms of error over standard deviation")
     print(f"{'':4}{'sigma, m':>10}{'right':>8}{'small':>8}" + "".join(f"{name:>18}" for name in QUANTITIES))
     for row in rows:
@@ -218,17 +219,17 @@ def _cell(summary: Sequence[float] | None) -> str:
 
 
 def straight(t: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Along one line, without turning."""
+    """Translation along one line, without rotation."""
     return jnp.zeros(3), jnp.asarray([0.0, 0.15, 0.0]) * jnp.sin(1.3 * t)
 
 
 def turning(t: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """About one axis, without sliding."""
+    """Rotation about one axis, without translation."""
     return jnp.asarray([0.0, 0.7, 0.0]) * jnp.sin(1.3 * t), jnp.zeros(3)
 
 
 def without_spin(t: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Two rotations and two translations; the third rotation is not tried."""
+    """Two rotations and two translations, without the third rotation."""
     rates = jnp.asarray([1.1, 1.9, 1.0])
     turn = jnp.asarray([0.6, 0.6, 0.0]) * jnp.sin(rates * t)
     return turn, 0.15 * jnp.sin(1.2 * rates * t + 1.0)
@@ -245,7 +246,7 @@ AMBIGUOUS: tuple[tuple[str, str, str | Excitation], ...] = (
 
 
 def ambiguity(plan: Plan) -> list[dict[str, Any]]:
-    """How often a motion was said to determine the class, by motion and constraint; at a noise of 0.1 mm."""
+    """How often a motion is reported to determine the class, by motion and constraint, at 0.1 mm of noise."""
     rows = []
     exciting = [(label, plan.motion, plan.motion) for label in plan.labels]
     for label, name, motion in [each for each in AMBIGUOUS if each[0] in plan.labels] + exciting:
@@ -268,7 +269,7 @@ def print_ambiguity(rows: list[dict[str, Any]]) -> None:
 
 
 def run(plan: Plan) -> dict[str, Any]:
-    """Everything that the tables show."""
+    """Compute the data of all tables."""
     rows, said = [], []
     for label in plan.labels:
         made = recordings(label, plan.motion, plan.windows)
@@ -282,14 +283,14 @@ def run(plan: Plan) -> dict[str, Any]:
 
 
 def joined(parts: list[dict[str, Any]]) -> dict[str, Any]:
-    """One record from those of several runs."""
+    """Join the records of several runs."""
     tables = {kind: merge_tables([part["reliability"][kind] for part in parts]) for kind in KINDS}
     both = {key: [row for part in parts for row in part[key]] for key in ("coverage", "ambiguity")}
     return {"machine": parts[0]["machine"], **both, "reliability": tables}
 
 
 def print_report(record: dict[str, Any], picture: Path | None) -> None:
-    """Print the tables, and draw the diagram if there is a file for it."""
+    """Print the tables, and draw the diagram if a file is given."""
     print_coverage(sorted(record["coverage"], key=lambda row: (row["sigma"], row["constraint"])))
     print_reliability(record["reliability"])
     print_ambiguity(record["ambiguity"])
@@ -301,11 +302,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Command line of the benchmark."""
     parser = plan_parser("uncertainty", __doc__, quick="a few minutes: two noise levels, few windows")
     add = parser.add_argument
-    add("--motion", choices=["exciting", "hand", "sine", "slow", "reach"], help="of the windows")
-    add("--windows", type=int, help="of every constraint and noise level")
-    add("--slow", type=float, help="m, standard deviation of an error that changes slowly")
-    add("--errors", choices=["measured", "white"], help="of the covariance; see reframe_jax.covariance")
-    add("--method", choices=["derivative", "bootstrap"], help="of the covariance, likewise")
+    add("--motion", choices=["exciting", "hand", "sine", "slow", "reach"], help="excitation of the windows")
+    add("--windows", type=int, help="windows per constraint and noise level")
+    add("--slow", type=float, help="m, standard deviation of slow errors (drift)")
+    add("--errors", choices=["measured", "white"], help="option errors of reframe_jax.covariance")
+    add("--method", choices=["derivative", "bootstrap"], help="option method of reframe_jax.covariance")
     add("--plot", type=Path, help="file of the reliability diagram")
     options = parser.parse_args(argv)
     plan = chosen_plan(options, Plan(), QUICK)

@@ -1,8 +1,9 @@
-"""Error bars where errors are slow: six kitchen doors that a camera saw, and a hinge whose axis was measured.
+"""Test error bars under slow errors: six kitchen doors, and a hinge with a measured axis.
 
-Positions of a door lie on a circle within millimetres, whose axis is the truth. Each half of a recording has
-an estimate and a 95 % region of its own. The table has the errors of the whole, the half-widths of its
-intervals in the worst direction, and the share of regions that hold the truth and the other half's estimate.
+A camera recorded the doors. The positions of a door are on a circle within millimetres; the axis of this
+circle is the truth. Each half of a recording gives an estimate and a 95 % region. The table has the errors of
+the whole recording, the half-widths of its intervals in the worst direction, and the fractions of regions
+that contain the truth and the estimate of the other half.
 """
 
 from collections.abc import Sequence
@@ -24,7 +25,7 @@ _MEASURED = {"hinge": (np.array([0.00914, -0.00131, -0.99996]), np.array([-0.033
 
 
 def in_region(error: np.ndarray, covariance: np.ndarray) -> bool:
-    """Whether the 95 % region of a covariance (3, 3) holds an error (3,)."""
+    """Whether the 95 % region of a covariance (3, 3) contains an error (3,)."""
     values, axes = np.linalg.eigh(covariance)
     known = values > 1e-9 * values[-1]
     return bool(np.sum((error @ axes)[known] ** 2 / values[known]) < chi2.ppf(0.95, known.sum()))
@@ -46,7 +47,7 @@ class _Estimate:
         self.poses = poses
 
     def line_error(self, point: np.ndarray, axis: np.ndarray) -> np.ndarray:
-        """Shift (3,) m of the origin from a line of the ground, across what is free."""
+        """Shift (3,) m of the origin from a line in the ground, without the free direction."""
         if self.found.linear.frame_type.position_body == rf.AngularType.B:
             away = point - self.poses[:, :3, 3]
             point = np.einsum("kji,kj->i", self.poses[:, :3, :3], away) / len(away)
@@ -56,19 +57,19 @@ class _Estimate:
         return shift - axis * (shift @ free @ axis) / (axis @ free @ axis)
 
     def point_in_ground(self) -> np.ndarray:
-        """The origin, (3,) m, in the ground: on average, if it is fixed in the body."""
+        """The origin, (3,) m, in the ground; the mean over all poses if it is fixed in the body."""
         at = np.asarray(self.found.linear.position)
         on_body = self.found.linear.frame_type.position_body == rf.AngularType.B
         return (self.poses[:, :3, :3] @ at + self.poses[:, :3, 3]).mean(axis=0) if on_body else at
 
     def axis_error(self, axis: np.ndarray) -> np.ndarray:
-        """Turn (3,) rad of the axis from one of the ground."""
+        """Rotation vector (3,) rad from an axis in the ground to the identified axis."""
         axis = self.rotation.T @ axis if self.body else axis
         return np.cross(axis, self.axis * np.sign(axis @ self.axis))
 
 
 def check_door(name: str) -> dict[str, float]:
-    """Errors of the whole and of its halves, and which regions hold what."""
+    """Errors of the whole recording and its halves, and whether regions contain truth and estimates."""
     recording = rf.load_recording(DOOR_DATA / f"{name}.csv")
     axis, point = _MEASURED.get(name) or fit_axis(np.asarray(recording.poses)[:, :3, 3], circle=True)
     number = len(recording.times)

@@ -1,4 +1,4 @@
-"""Reliability of stated probabilities: how often what was said with a probability was right."""
+"""Reliability of reported probabilities: the fraction of right statements, by probability."""
 
 import itertools
 from pathlib import Path
@@ -20,7 +20,7 @@ __all__ = [
 ]
 
 Said = dict[str, tuple[np.ndarray, np.ndarray]]
-"""By kind: probabilities, and whether each was right."""
+"""Probabilities by kind, and whether each statement was right."""
 
 KINDS = {
     "name": "Probability of the name",
@@ -31,7 +31,7 @@ _INTERVAL = 1.96
 
 
 def probabilities_of(found: rf.Identification, made: Simulation, true_name: str) -> Said:
-    """What N identifications said of windows of one constraint, and whether it was right."""
+    """Probabilities of N identifications of one constraint, and whether each statement was right."""
     windows = np.shape(found.status_code)[0]
     free = [np.asarray(part.free_probability).ravel() for part in (found.angular, found.linear)]
     true = [np.sort(dof) for dof in (made.truth.angular_dof, made.truth.linear_dof)]
@@ -43,7 +43,7 @@ def probabilities_of(found: rf.Identification, made: Simulation, true_name: str)
 
 
 def reliability(said: list[Said], kind: str) -> list[dict[str, float]]:
-    """By bin of probability: how many, their mean, and how often they were right."""
+    """For each bin: the number of probabilities, their mean, and the fraction of right statements."""
     parts = [each[kind] for each in said if kind in each]
     stated, right = (np.concatenate([part[i] for part in parts] or [np.zeros(0)]) for i in (0, 1))
     rows = []
@@ -56,7 +56,7 @@ def reliability(said: list[Said], kind: str) -> list[dict[str, float]]:
 
 
 def merge_tables(tables: list[list[dict[str, float]]]) -> list[dict[str, float]]:
-    """One table of :func:`reliability` from those of several runs."""
+    """Merge the tables of :func:`reliability` of several runs."""
     merged = []
     for low, high in itertools.pairwise(_BINS):
         rows = [row for table in tables for row in table if row["low"] == low]
@@ -78,7 +78,7 @@ def print_reliability(tables: dict[str, list[dict[str, float]]]) -> None:
 
 
 def draw_reliability(tables: dict[str, list[dict[str, float]]], file: Path) -> None:
-    """Draw stated probabilities against the share that was right."""
+    """Draw reported probabilities against the fraction of right statements."""
     figure = new_figure(4.4, 4.4)
     axes = figure.add_subplot()
     axes.plot([0, 1], [0, 1], color=BODY, linewidth=1, label="as stated")

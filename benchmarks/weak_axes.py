@@ -1,11 +1,12 @@
-"""Degrees of freedom against how far the free axis goes that goes least.
+"""Degrees of freedom against the displacement along the weakest free axis.
 
-Windows as in :mod:`benchmarks.noise`, of constraints with free translations, whose motion tells the
-degrees of freedom (see :mod:`benchmarks.determined`: each free axis goes ten noises at least). Errors of
-trackers that change slowly go far too: the origins of recorded hinges go up to a tenth of the way of the body
-along axes that are held. So the windows are grouped by the way of
-the weakest free axis as a share of that of the body, and the wrong ones are listed. Ways are standard
-deviations over the window; that of the body is of its measured position.
+The windows are those of :mod:`benchmarks.noise` with free translations, if the motion determines the degrees
+of freedom (see :mod:`benchmarks.determined`: the displacement along each free axis is at least ten times the
+noise). Drift of a tracker also causes displacements: the origins of recorded hinges move along constrained
+axes by up to a tenth of the displacement of the body. The windows are therefore grouped by the ratio of the
+displacement along the weakest free axis to the displacement of the body, and wrong results are listed.
+Displacements are standard deviations over the window; the displacement of the body refers to its measured
+position.
 """
 
 import sys
@@ -26,13 +27,13 @@ from benchmarks.noise import Plan, make, print_progress
 
 PLAN = Plan(labels=tuple("DEFGHIJKL"), sigmas=(1e-6, 1e-5, 1e-4, 1e-3), rates=(10, 100))
 QUICK = Plan(labels=("D", "K"), motions=("slow",), sigmas=(1e-5,), rates=(10,), windows=2)
-EDGES = 0.0, 0.01, 0.03, 0.1, 0.3, np.inf  # of shares
+EDGES = 0.0, 0.01, 0.03, 0.1, 0.3, np.inf  # edges of the groups of ratios
 CONFIDENT = 0.9
 
 
 @dataclass(frozen=True)
 class Window:
-    """A window that tells its degrees of freedom: how far its weakest free axis goes, and what was said."""
+    """A window, the displacement along its weakest free axis, and its identification."""
 
     constraint: str
     motion: str
@@ -77,7 +78,7 @@ def judge(windows: Windows, where: dict[str, np.ndarray]) -> list[Window]:
 
 
 def run(plan: Plan) -> list[Window]:
-    """All windows of a plan that tell their degrees of freedom."""
+    """Run all windows of a plan whose motion determines the degrees of freedom."""
     rows = []
     for rate in plan.rates:
         for windows, where in make(plan, rate):
@@ -87,7 +88,7 @@ def run(plan: Plan) -> list[Window]:
 
 
 def print_table(rows: list[Window]) -> dict[str, float]:
-    """Print the groups and the wrong windows; returns the metrics."""
+    """Print the groups and the wrong windows; return the metrics."""
     print("way of the weakest free axis    windows   right   wrong with 0.9 or more")
     metrics: dict[str, float] = {"windows": len(rows), "right": _fraction_right(rows)}
     for low, high in pairwise(EDGES):

@@ -1,7 +1,7 @@
-"""Runs the Python cells of a page and writes what they print: ``python docs/cells.py docs/tutorial.md``.
+"""Run the Python cells of a page and write their output: ``python docs/cells.py docs/tutorial.md``.
 
-A cell is a block marked ``python``. If the cell prints, a block marked ``text`` after it holds the output.
-The tests run the cells and compare what they print with the stored outputs (`tests/test_documentation.py`).
+A cell is a block marked ``python``. If the cell prints, the next block, marked ``text``, contains the output.
+The tests run the cells and compare the output with the stored output (`tests/test_documentation.py`).
 """
 
 import contextlib
@@ -24,11 +24,11 @@ def run_cells(text: str, name: str) -> tuple[dict[str, Any], list[tuple[str, str
     """Run the cells of a page in order.
 
     Args:
-        text: of the page.
-        name: of the page, for tracebacks.
+        text: text of the page.
+        name: name of the page, for tracebacks.
 
     Returns:
-        The names that the cells define; the stored and the new output of every cell.
+        The names that the cells define, and the stored and the new output of every cell.
     """
     names: dict[str, Any] = {"__name__": name}
     outputs = []
@@ -42,13 +42,13 @@ def run_cells(text: str, name: str) -> tuple[dict[str, Any], list[tuple[str, str
 
 
 def _strip_lines(text: str) -> str:
-    """Without blanks at the ends of lines, and without empty lines at the end."""
+    """Remove blanks at the ends of lines, and empty lines at the end."""
     lines = "\n".join(line.rstrip() for line in text.splitlines()).rstrip()
     return f"{lines}\n" if lines else ""
 
 
 def output_differences(stored: str, printed: str) -> list[str]:
-    """Lines that differ: words must be the same, numbers to 5 % or two units of the last printed digit."""
+    """Lines that differ: words must be equal, numbers within 5 % or two units of the last printed digit."""
     old, new = stored.splitlines(), printed.splitlines()
     if len(old) != len(new):
         return [f"{len(old)} lines are stored, and {len(new)} are printed:", printed]
@@ -56,7 +56,9 @@ def output_differences(stored: str, printed: str) -> list[str]:
 
 
 def _agree(stored: str, printed: str) -> bool:
-    words = ["".join(_NUMBER.sub("#", line).split()) for line in (stored, printed)]  # signs move blanks
+    words = [
+        "".join(_NUMBER.sub("#", line).split()) for line in (stored, printed)
+    ]  # a sign changes the number of blanks
     if words[0] != words[1]:
         return False
     return all(_near(a, b) for a, b in zip(_numbers(stored), _numbers(printed), strict=True))
@@ -74,7 +76,7 @@ def _near(stored: str, printed: str) -> bool:
 
 
 def write_outputs(page: Path) -> None:
-    """Replace the outputs of a page by what its cells print now."""
+    """Replace the stored outputs of a page by the current output of its cells."""
     text = page.read_text()
     outputs = iter(printed for _, printed in run_cells(text, page.name)[1])
 

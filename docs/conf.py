@@ -5,7 +5,7 @@ from pathlib import Path
 
 import reframe_jax
 
-sys.path.insert(0, str(Path(__file__).parent))  # mathml.py, beside this file
+sys.path.insert(0, str(Path(__file__).parent))  # for mathml.py in this folder
 
 project = "reframe_jax"
 copyright = "the authors of reframe_jax, Apache-2.0"

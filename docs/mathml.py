@@ -1,4 +1,4 @@
-"""Formulas as MathML, which browsers draw themselves: the site needs neither scripts nor a network."""
+"""Convert formulas to MathML, which browsers draw without scripts and without a network."""
 
 import re
 from typing import Any
@@ -13,10 +13,10 @@ _log = logging.getLogger(__name__)
 
 
 def formula(text: str, block: bool) -> str:
-    """MathML of a formula in TeX.
+    """Convert a TeX formula to MathML.
 
     Raises:
-        MathError: for what docutils does not know, and for what it reads otherwise than TeX does.
+        MathError: for TeX that docutils does not support, or reads differently from TeX.
     """
     if re.search(r"frac\s*\d|[_^]\d\d", text):
         raise MathError("put the arguments of fractions and numbers of two digits into braces")
@@ -42,6 +42,6 @@ def _block(writer: Any, node: Any) -> None:
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Register the renderer; ``html_math_renderer = "mathml"`` chooses it."""
+    """Register the renderer; ``html_math_renderer = "mathml"`` selects this renderer."""
     app.add_html_math_renderer("mathml", (_inline, None), (_block, None))
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,4 +1,4 @@
-"""Draws the pictures of the documentation and the README: ``python docs/pictures.py``."""
+"""Draw the pictures of the documentation and the README: ``python docs/pictures.py``."""
 
 from pathlib import Path
 from typing import Any
@@ -22,16 +22,16 @@ COLOURS = {"GG": "#E69F00", "GB": "#009E73", "BG": "#D55E00", "BB": "#0072B2"}
 
 
 def pin_on_plane() -> None:
-    """The recording of the README."""
+    """Draw the recording of the README."""
     recording = rf.load_recording(ROOT / "examples" / "pin_on_plane.csv")
     found = rf.identify(recording.poses, times=recording.times)
-    title = f"{recording.path.name}: {found.name}"  # as the command line draws it
+    title = f"{recording.path.name}: {found.name}"  # title of the command line
     figure = plotting.plot_identification(recording.poses, found, times=recording.times, title=title)
     figure.savefig(IMAGES / "pin_on_plane.png", metadata={"Software": None})
 
 
 def conventions() -> None:
-    """The four linear frame types of one motion, at two instants."""
+    """Draw the four linear frame types of one motion, at two instants."""
     figure = new_figure(10.4, 2.7)
     poses = np.tile(np.eye(4), (2, 1, 1))
     turns = jax.jit(rotations.rotation_exp)(jnp.asarray([[0.0, 0.0, 0.2], [0.0, 0.0, 1.1]]))
@@ -75,7 +75,7 @@ def _arrows(
     strength: float,
     width: float = 1.2,
 ) -> None:
-    """Two axes of a frame in the plane; the columns are their directions."""
+    """Draw two axes of a frame in the plane; the columns are their directions."""
     for direction in directions.T:
         axes.annotate(
             "",
@@ -88,12 +88,12 @@ def _arrows(
         axes.text(*(origin - 0.055), name, fontsize=10, alpha=strength, ha="center")
 
 
-EXCITED = 0.8  # s, of the motion that a picture of the gallery shows
-MOTIONS = {"G": 0.5, "H": 0.5}  # s, where the body turns far
+EXCITED = 0.8  # s, duration of the motion in a picture of the gallery
+MOTIONS = {"G": 0.5, "H": 0.5}  # s, shorter for constraints with large rotations
 
 
 def gallery() -> None:
-    """Every named constraint: the body at three instants of a simulated motion, and its frame."""
+    """Draw every named constraint: the body at three instants of a simulated motion, and its frame."""
     for label in (*rf.CONSTRAINTS, *OTHER_CONSTRAINTS):
         figure = new_figure(3.6, 3.5)
         figure.set_layout_engine("none")
@@ -149,13 +149,13 @@ def _draw_constraint(axes: Any, label: str) -> None:
 
 
 def _universal_poses(times: np.ndarray) -> np.ndarray:
-    """Poses (N, 4, 4) on two hinges: about x of the ground, then about y of the body."""
+    """Poses (N, 4, 4) of a body on two hinges: about x of the ground, then about y of the body."""
     hinges = [JointPart("hinge", np.eye(3)[axis], np.array([0.1, 0.3, 0.1])) for axis in (0, 1)]
     return chain_poses(hinges, np.eye(4), np.stack([0.7 * times, 0.8 * times], axis=1))
 
 
 def _draw_box(axes: Any, pose: np.ndarray, strength: float) -> None:
-    """The edges of the body, a box of 12 by 8 by 4 cm about the origin of {b}."""
+    """Draw the edges of the body, a box of 12 by 8 by 4 cm about the origin of {b}."""
     corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * (0.06, 0.04, 0.02)
     placed = corners @ pose[:3, :3].T + pose[:3, 3]
     for first in range(8):

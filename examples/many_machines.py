@@ -3,10 +3,11 @@
     python examples/many_machines.py RECORDING.npy OUT                 # two processes of this machine
     python examples/many_machines.py RECORDING.npy OUT --scheduler tcp://HOST:8786
 
-RECORDING is an array of (poses, 4, 4) poses, and OUT a folder; both on a disk that every machine sees.
-Start one Dask worker with one thread on every machine (or one for every GPU): identify spreads a part
-over the processors by itself. What travels is the number of a part, never the windows. A part whose
-worker is lost is given to another one, and a run that was stopped goes on where it was.
+RECORDING is an array of (poses, 4, 4) poses, and OUT a folder, both on a disk that every machine can read.
+
+Start one Dask worker with one thread on every machine (or one per GPU), because identify uses all processors.
+The scheduler sends only the numbers of parts, never the windows. It assigns the part of a lost worker to
+another worker. An interrupted run resumes.
 
 Dask's scheduler has no authentication: use a trusted network, or configure TLS.
 """
@@ -22,12 +23,12 @@ import reframe_jax as rf
 
 
 def open_windows(recording: Path, length: int) -> np.ndarray:
-    """Windows of (length, 4, 4), a view of the file."""
+    """Open windows (length, 4, 4) as a view of the file."""
     return rf.sliding_windows(np.load(recording, mmap_mode="r"), length)
 
 
 def identify_part(number: int, recording: Path, out: Path, length: int, part_size: int, dt: float) -> int:
-    """What a worker does; returns the number of the part."""
+    """Identify one part on a worker; return the number of the part."""
     rf.identify_many(
         open_windows(recording, length), out, dt=dt, part_size=part_size, parts=[number], progress=False
     )
@@ -46,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--window", type=int, default=51, help="poses in a window (51)")
     add("--part-size", type=int, default=8192, help="windows in a part (8192)")
     add("--scheduler", help="address of a running Dask scheduler")
-    add("--workers", type=int, default=2, help="processes of this machine, without a scheduler (2)")
+    add("--workers", type=int, default=2, help="processes on this machine, without a scheduler (2)")
     options = parser.parse_args(argv)
     recording, out = options.recording.resolve(), options.out.resolve()
     count = len(open_windows(recording, options.window))

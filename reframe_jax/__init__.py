@@ -1,7 +1,7 @@
-"""Constraint frames from measured poses, in JAX.
+"""Identify kinematic constraints from measured poses, in JAX.
 
-From the poses of a moving body alone, find the frame in which its motion is constrained: the body it
-is attached to, where it lies, and along which axes the velocity is zero (Overbeek et al. 2025).
+The input is the poses of a moving body. The result is the constraint frame (Overbeek et al. 2025): the body
+in which the frame is fixed, its location, and the axes along which the velocity is zero.
 
     import reframe_jax as rf
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 else:
 
     def __getattr__(name: str) -> Any:
-        """Import the public names with the first of them: the command line answers before JAX is there."""
+        """Import all public names on first use, so that the command line starts without JAX."""
         if not (name.startswith("__") and name != "__all__"):
             public = importlib.import_module("reframe_jax._public")
             globals().update({each: getattr(public, each) for each in public.__all__}, __all__=public.__all__)

@@ -1,4 +1,4 @@
-"""The public names, which :mod:`reframe_jax` imports when the first of them is used."""
+"""The public names, which :mod:`reframe_jax` imports on first use."""
 
 from reframe_jax.calibration.tool import Calibration, calibrate
 from reframe_jax.constraints.catalogue import CONSTRAINTS, Constraint, constraint, describe, lookup

@@ -158,7 +158,7 @@ def test_other_windows_or_options_are_not_mixed_in(windows, tmp_path):
 def test_bad_input_is_refused_in_words(windows, tmp_path):
     with pytest.raises(ValueError, match="window 1 has"):
         rf.identify_many([windows[0], windows[1, :9]], tmp_path / "a", dt=0.1)
-    with pytest.raises(ValueError, match="as many rows"):
+    with pytest.raises(ValueError, match="one row per window"):
         rf.identify_many(windows, tmp_path / "b", times=np.zeros((39, 21)))
     (tmp_path / "file").write_text("")
     with pytest.raises(ValueError, match="is a file; expected a folder"):

@@ -292,7 +292,7 @@ def test_windows_do_not_overlap_by_default(
 def test_windows_longer_than_the_recording(clip: Path, capsys: Captured) -> None:
     assert run(clip, "--window", "22") == 1
     assert capsys.readouterr().err == (
-        f"reframe-jax: error: {clip}: has 21 poses; expected at least the 22 of a window.\n"
+        f"reframe-jax: error: {clip}: has 21 poses; expected at least 22, the length of a window.\n"
     )
 
 
@@ -460,10 +460,10 @@ def test_the_catalogue_is_listed(capsys: Captured) -> None:
         (["identify", "a.csv", "--stride", "2"], "--stride needs --window"),
         (["identify", "a.csv", "--window", "4"], "--window must be at least 5"),
         (["identify", "a.csv", "--window", "9", "--stride", "0"], "--stride must be at least 1"),
-        (["identify", "a.csv", "--window", "9", "--plot", "a.png"], "leave out --window"),
+        (["identify", "a.csv", "--window", "9", "--plot", "a.png"], "remove --window"),
         (["identify", "a/a.csv", "b/a.csv", "--plot", "a.png"], "different names"),
         (["simulate", "--out", "a.csv", "--constraint", "Z"], r"A \(Revolute joint\)"),
-        (["simulate", "--out", "a.csv", "--constraint", "spherical"], "one of the twelve from A to L"),
+        (["simulate", "--out", "a.csv", "--constraint", "spherical"], "expected a constraint from A to L"),
         (["simulate", "--constraint", "A"], "required: --out"),
         (["simulate", "--constraint", "A", "--out", "a.csv", "--noise", "-1"], "0 or more, not -1"),
         (["simulate", "--constraint", "A", "--out", "a.csv", "--noise", "nan"], "0 or more, not nan"),

@@ -82,7 +82,7 @@ def test_what_a_format_cannot_say_is_one_line(recordings: Path, tmp_path: Path, 
     assert run(*files, "--urdf", out / "a.urdf", "--mjcf", out / "a.xml", "--task-frame", task) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(
-        f"reframe-jax: error: {cart}: URDF and MJCF cannot say 'Cart on a curved surface'."
+        f"reframe-jax: error: {cart}: URDF and MJCF cannot express 'Cart on a curved surface'."
     )
     assert line.count("Cart") == 1
     written = {"a-door.urdf", "a-door.xml", "a-pen.urdf", "a-pen.xml"}
@@ -96,7 +96,9 @@ def test_what_a_chain_does_not_hold_is_said(tmp_path: Path, capsys: Captured) ->
     simulate(recording, "E")
     assert run(recording, "--urdf", out, "--child", "blade") == 0
     lines = capsys.readouterr().err.splitlines()
-    assert lines[-1].startswith(f"reframe-jax: {recording}: The chain holds the plane of the motion.")
+    assert lines[-1].startswith(
+        f"reframe-jax: {recording}: The chain constrains the plane of the motion only."
+    )
     assert mujoco.MjModel.from_xml_path(str(out)).njnt == 3
 
 
@@ -163,7 +165,7 @@ def test_patterns_that_match_nothing_are_missing_files(tmp_path: Path, capsys: C
         (["--urdf", "{folder}"], "--urdf must name a file; .* is a directory"),
         (["--sdf", "{folder}/no/a.sdf"], "--sdf: there is no directory"),
         (["--csv", "{folder}/no/a.csv"], "--csv: there is no directory"),
-        (["--mjcf", "a.xml", "--window", "9"], "--mjcf describes whole recordings: leave out --window"),
+        (["--mjcf", "a.xml", "--window", "9"], "--mjcf describes whole recordings: remove --window"),
         (["b/a.csv", "--urdf", "a.urdf"], "--urdf needs recordings with different names"),
         (["--task-frame", "a.txt"], "--task-frame must end in .yaml, .yml, .json, not 'a.txt'"),
         (["--parent", "body"], "--parent and --child must be two different names"),

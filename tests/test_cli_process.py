@@ -68,7 +68,7 @@ def test_help_and_version_need_neither_jax_nor_numpy() -> None:
     out, err = process.communicate(timeout=LONG)
     assert (process.returncode, err) == (0, "")
     assert f"reframe-jax {reframe_jax.__version__}" in out
-    assert "identify the constraint of recordings" in out
+    assert "identify the constraint in recordings" in out
 
 
 @pytest.mark.parametrize("arguments", [["constraints"], ["--help"]])

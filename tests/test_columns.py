@@ -114,7 +114,7 @@ def test_csv_reads_back(batch: rf.Identification, tmp_path: Path) -> None:
 
 
 def test_windows_must_be_as_many(batch: rf.Identification) -> None:
-    with pytest.raises(ValueError, match="Expected 4 windows, as many as were identified, not 1"):
+    with pytest.raises(ValueError, match="Expected 4 windows, one per identification, not 1"):
         to_columns(batch, windows=[Window(0, 21, 0.0, 2.0)])
 
 

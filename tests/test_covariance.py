@@ -185,7 +185,7 @@ def test_what_is_refused(windows):
         rf.covariance(found[0], poses[0], dt=[DT, DT])
     with pytest.raises(ValueError, match="'derivative' or 'bootstrap'"):
         rf.covariance(found[0], poses[0], dt=DT, method="jackknife")
-    with pytest.raises(ValueError, match="leave out errors"):
+    with pytest.raises(ValueError, match="remove the option errors"):
         rf.covariance(found[0], poses[0], dt=DT, method="bootstrap", errors="white")
     with pytest.raises(ValueError, match="'measured' or 'white'"):
         rf.covariance(found[0], poses[0], dt=DT, errors="red")

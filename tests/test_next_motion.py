@@ -42,4 +42,4 @@ def test_error_bars_are_drawn(tip):
     figure = plot_uncertainty(poses, found, rf.covariance(found, poses, dt=DT))
     legends = [axes.get_legend() for axes in figure.axes if axes.get_legend()]
     labels = [text.get_text() for legend in legends for text in legend.get_texts()]
-    assert any("holds it with 95 %" in label for label in labels)
+    assert any("95 % ellipsoid" in label for label in labels)

@@ -15,7 +15,7 @@ from reframe_jax.simulation import metrics
 from reframe_jax.simulation.arm.demonstration import sampling
 from reframe_jax.simulation.arm.guide import find_excitation
 from reframe_jax.simulation.arm.rollout import Track
-from reframe_jax.simulation.arm.status import judge
+from reframe_jax.simulation.arm.status import rollout_status
 
 BATCH = 8  # one compiled program for this module
 KEY = jax.random.key(11)
@@ -250,7 +250,7 @@ def test_status_tells_what_is_wrong(rigid: dict[str, panda.Demonstration]) -> No
         changed[2, 5, index] = value
         track = Track(**jax.tree.map(jnp.asarray, {**sound, name: changed}))
         soft = jnp.asarray([compliance[0]] * 3 + [compliance[1]] * 3)
-        status = np.asarray(judge(track, free, soft, panda.PANDA)[1])
+        status = np.asarray(rollout_status(track, free, soft, panda.PANDA)[1])
         assert np.all(np.delete(status, 2) == panda.RolloutStatus.OK)
         return int(status[2])
 

@@ -140,7 +140,7 @@ def write_mesh(file: Path, half: float) -> None:
 def test_folder_of_meshes_as_a_skin(tmp_path: Path) -> None:
     for name in ("link0", "link5_0", "link5_1", "hand", "finger"):
         write_mesh(tmp_path / f"{name}.obj", half=0.05)
-    model = skin.dress_arm(panda.PANDA, tmp_path).compile()
+    model = skin.apply_skin(panda.PANDA, tmp_path).compile()
     kinds = {
         name: list(model.geom_type[model.geom_bodyid == model.body(name).id])
         for name in ("world", "link4", "link5", "hand")
@@ -168,7 +168,7 @@ def menagerie(tmp_path: Path) -> Path:
 
 
 def test_model_as_a_skin(menagerie: Path) -> None:
-    assert skin.dress_arm(panda.PANDA, menagerie).compile().njnt == 8
+    assert skin.apply_skin(panda.PANDA, menagerie).compile().njnt == 8
 
 
 @pytest.mark.usefixtures("opengl")
@@ -180,22 +180,22 @@ def test_film_of_a_model_as_a_skin(menagerie: Path) -> None:
 def test_skins_that_do_not_fit(tmp_path: Path) -> None:
     file = tmp_path / "robot.xml"
     with pytest.raises(ValueError, match="No skin at"):
-        skin.dress_arm(panda.PANDA, file)
+        skin.apply_skin(panda.PANDA, file)
     with pytest.raises(ValueError, match="No meshes in"):
-        skin.dress_arm(panda.PANDA, tmp_path)
+        skin.apply_skin(panda.PANDA, tmp_path)
     (tmp_path / "link0.obj").write_text("not a mesh")
     with pytest.raises(ValueError, match="cannot be loaded"):
-        skin.dress_arm(panda.PANDA, tmp_path)
+        skin.apply_skin(panda.PANDA, tmp_path)
     text = panda.arm_xml()
     for wrong, message in (
-        ("<mujoco><worldbody/></mujoco>", "does not begin with seven hinges"),
+        ("<mujoco><worldbody/></mujoco>", "must be hinges"),
         ("<mujoco><nonsense/></mujoco>", "cannot be loaded"),
         (text.replace('type="capsule"', 'type="mesh" mesh="gone"', 1), "cannot be loaded"),
-        (text.replace("0.316", "0.4"), "is of another robot"),
+        (text.replace("0.316", "0.4"), "is another robot"),
     ):
         file.write_text(wrong)
         with pytest.raises(ValueError, match=message):
-            skin.dress_arm(panda.PANDA, file)
+            skin.apply_skin(panda.PANDA, file)
 
 
 def test_opengl_that_is_not_installed_is_named() -> None:

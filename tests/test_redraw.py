@@ -12,7 +12,7 @@ import reframe_jax as rf
 from reframe_jax.simulation import arm as panda
 from reframe_jax.simulation import reproduction
 from reframe_jax.simulation.arm import demonstration, store
-from reframe_jax.simulation.arm.redraw import Draw, draw_good
+from reframe_jax.simulation.arm.redraw import Draw, draw_usable
 from reframe_jax.simulation.reproduction import comparison
 
 CHUNK = 4
@@ -28,7 +28,7 @@ def draw_from(statuses: list[list[int]]) -> Callable[[int], tuple[int, np.ndarra
 def test_good_ones_count_until_there_are_enough() -> None:
     seen: list[tuple[int, int]] = []
     draw = draw_from([[LIMIT, OK, LIMIT, OK], [LIMIT] * 4, [OK, LIMIT, OK, OK]])
-    chunks = list(draw_good(draw, 4, CHUNK, progress=lambda *done: seen.append(done)))
+    chunks = list(draw_usable(draw, 4, CHUNK, progress=lambda *done: seen.append(done)))
     assert [(chunk.batch, chunk.good.tolist(), chunk.first) for chunk in chunks] == [
         (0, [1, 3], 0),
         (1, [], 4),
@@ -41,7 +41,7 @@ def test_good_ones_count_until_there_are_enough() -> None:
 def test_too_few_are_refused_after_ten_chunks() -> None:
     draw = draw_from([[LIMIT] * 4] * 9 + [[LIMIT, LIMIT, LIMIT, OK]])
     with pytest.raises(ValueError, match=r"Only 1 of 40 demonstrations are usable\. A joint left its range"):
-        list(draw_good(draw, 2, CHUNK))
+        list(draw_usable(draw, 2, CHUNK))
 
 
 def rare(made: Any) -> Callable[..., Any]:

@@ -124,7 +124,7 @@ def blank(found: Identification, status: Status) -> Identification:
 
 
 @pytest.mark.parametrize(
-    ("pitch", "line"), [(0.02, "125.7 mm a turn, right"), (-0.001, "6.283 mm a turn, left")]
+    ("pitch", "line"), [(0.02, "125.7 mm per turn, right"), (-0.001, "6.283 mm per turn, left")]
 )
 def test_a_screw_has_a_pitch(pitch: float, line: str) -> None:
     found = identification(

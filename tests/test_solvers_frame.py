@@ -27,7 +27,7 @@ class TestFrameSteps:
         """In one plane the turn makes the matrix diagonal, by the smaller angle."""
         matrix = np.diag([1.0, 2.0, 4.0])
         matrix[i, j] = matrix[j, i] = 0.3
-        turn = np.asarray(frame_steps._aligning(jnp.asarray(matrix)))
+        turn = np.asarray(frame_steps._aligning_rotation(jnp.asarray(matrix)))
         assert np.count_nonzero(turn) == 1
         assert np.max(np.abs(turn)) < np.pi / 4
         axes = Rotation.from_rotvec(-turn).as_matrix()
@@ -38,7 +38,7 @@ class TestFrameSteps:
         axes = rotation_exp(jnp.asarray(rng.normal(size=3)))
         for size in (1e-3, 2.0):
             d = size * rng.normal(size=3)
-            turned = np.asarray(frame_steps._turned(axes, jnp.asarray(d)))
+            turned = np.asarray(frame_steps._rotate_axes(axes, jnp.asarray(d)))
             np.testing.assert_allclose(turned.T @ turned, np.eye(3), atol=1e-14)
             exact = np.asarray(axes @ rotation_exp(jnp.asarray(d)))
             assert np.max(np.abs(turned - exact)) < np.linalg.norm(d) ** 3

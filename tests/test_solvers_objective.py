@@ -126,7 +126,7 @@ def test_what_is_no_objective_is_named():
         def value(self, x):
             return jnp.sum(x**2, axis=0)
 
-    with pytest.raises(ValueError, match="Half lacks batch, dtype"):
+    with pytest.raises(ValueError, match="Half has no batch, dtype"):
         start(Half())
 
     class Whole(Half):
@@ -134,9 +134,9 @@ def test_what_is_no_objective_is_named():
 
     with pytest.raises(ValueError, match="register Whole"):
         start(Whole())
-    with pytest.raises(ValueError, match=r"\(3,\) here; Bowls.bottom has the shape \(2,\)"):
+    with pytest.raises(ValueError, match=r"here \(3,\); Bowls.bottom has the shape \(2,\)"):
         start(Bowls(jnp.zeros(2), jnp.zeros(3)))
-    with pytest.raises(ValueError, match=r"\(2, 3\) here; Bowls.bottom has the shape \(3,\)"):
+    with pytest.raises(ValueError, match=r"here \(2, 3\); Bowls.bottom has the shape \(3,\)"):
         start(Bowls(jnp.zeros(3), jnp.zeros((2, 3))))
 
 

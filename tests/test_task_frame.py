@@ -54,10 +54,10 @@ def test_frames_fixed_in_one_body_hold_at_every_pose(label: str) -> None:
     assert same == (HOLDERS[label] is not None)
     assert here.frame_id == {"body": "tool", "ground": "map", None: "map"}[HOLDERS[label]]
     expected = {
-        "G": "Always: the frame is fixed in tool.",
-        "H": "Always: the frame is fixed in map.",
-        "K": "At one pose of tool. Fixed are: origin in tool, linear axes in map.",
-        "L": "At one pose of tool. Fixed are: origin in map, linear axes in tool.",
+        "G": "Valid at every pose: the frame is fixed in tool.",
+        "H": "Valid at every pose: the frame is fixed in map.",
+        "K": "Valid at one pose of tool only. Fixed are: origin in tool, linear axes in map.",
+        "L": "Valid at one pose of tool only. Fixed are: origin in map, linear axes in tool.",
     }
     assert here.validity == expected[label]
 
@@ -88,7 +88,7 @@ def test_axes_that_nearly_agree_are_taken_to_agree() -> None:
         turn = task.transform[:3, :3]
         np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
         assert np.linalg.det(turn) == pytest.approx(1)
-    with pytest.raises(ValueError, match="lie at 40 degrees, neither parallel nor perpendicular"):
+    with pytest.raises(ValueError, match="is 40 degrees, neither parallel nor perpendicular"):
         rf.to_task_frame(turned_hinge(40), POSE)
 
 

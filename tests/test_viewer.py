@@ -146,7 +146,7 @@ def test_the_scene_holds_the_motion_without_outliers(tracks: list[WindowTrack]) 
 
 def test_what_cannot_be_drawn_is_refused(hinge: tuple[np.ndarray, np.ndarray, rf.Identification]) -> None:
     poses, times, found = hinge
-    with pytest.raises(ValueError, match="Expected the 21 poses that were identified and their times"):
+    with pytest.raises(ValueError, match="Expected the 21 identified poses and their times"):
         track_window(poses[1:], times, found)
     with pytest.raises(ValueError, match=r"a finite covariance of shape \(3, 3\), not one of \(2, 2\)"):
         track_window(poses, times, found, covariance=np.eye(2))

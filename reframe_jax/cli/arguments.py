@@ -21,7 +21,7 @@ __all__ = [
 ]
 
 
-_LARGEST = 1e6  # m or s: far more than any motion, and squares of it are no trouble
+_LARGEST = 1e6  # m or s: larger than any motion, and small enough for its square to be finite
 
 
 def number(text: str) -> float:
@@ -59,7 +59,7 @@ def not_negative(text: str) -> float:
 
 
 def between(low: float, high: float) -> Callable[[str], float]:
-    """A positive number from a range in which all computations are finite."""
+    """A positive number from a range in which all results are finite."""
 
     def read(text: str) -> float:
         value = number(text)
@@ -92,7 +92,7 @@ def seed(text: str) -> int:
 
 
 def exponent(text: str) -> float:
-    """An exponent of the power mean over the axes."""
+    """The exponent of ``--norm``: of the power mean over the three axes of a frame."""
     try:
         return check_exponent(number(text))
     except ValueError as error:
@@ -112,7 +112,7 @@ def scales(text: str) -> str | tuple[int, ...]:
 
 
 def assumed(text: str) -> str:
-    """The name of a constraint of the table."""
+    """The name of a constraint that ``--assume`` accepts."""
     from reframe_jax.identification.naming import codes_of
 
     try:
@@ -123,13 +123,13 @@ def assumed(text: str) -> str:
 
 
 def label(text: str) -> str:
-    """The letter of one of the twelve constraints that can be simulated, from that or its name."""
+    """The letter of one of the twelve constraints of the paper, given as a letter or a name."""
     try:
         entry = constraint(text)
     except KeyError as error:
         raise argparse.ArgumentTypeError(error.args[0]) from error
     if entry.label not in CONSTRAINTS:
-        raise argparse.ArgumentTypeError(f"expected one of the twelve from A to L, not {text!r}")
+        raise argparse.ArgumentTypeError(f"expected a constraint from A to L, not {text!r}")
     return entry.label
 
 

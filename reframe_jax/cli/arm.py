@@ -1,4 +1,4 @@
-"""Options shared by the commands that simulate the arm. MuJoCo is imported when they run."""
+"""Options of both commands that simulate the arm. MuJoCo is imported when a command runs."""
 
 import argparse
 import sys
@@ -15,27 +15,27 @@ def add_common(command: argparse.ArgumentParser) -> None:
     """Add the options of both commands."""
     add = command.add_argument
     arguments.add_constraint(command)
-    add("--robot", choices=["panda", "fr3"], default="panda", help="the arm; fr3 is the paper's (panda)")
+    add("--robot", choices=["panda", "fr3"], default="panda", help="robot arm; the paper uses fr3 (panda)")
     add(
         "--imperfections",
         choices=["none", "encoder", "realistic", "matched"],
         default="realistic" if command.prog.endswith("reproduce") else "encoder",
-        help="none; noise of the encoders; that and compliance; or the compliance of the paper's "
-        "set-up (%(default)s)",
+        help="errors of the poses: none, encoder noise, encoder noise and compliance, or the compliance of "
+        "the paper's set-up (%(default)s)",
     )
     add(
         "--excitation",
         choices=["exciting", "brisk", "paper"],
         default="exciting",
-        help="how the hand moves along the free axes: with many frequencies; likewise, hinges as fast as "
-        "in the paper's Table 4; or as in the paper's simulations (exciting)",
+        help="motion along the free axes: many frequencies; many frequencies with hinges as fast as in the "
+        "paper's Table 4; or the motion of the paper's simulations (exciting)",
     )
-    add("--fixed", action="store_true", help="use the same geometry every time instead of a random one")
+    add("--fixed", action="store_true", help="use one geometry for all demonstrations instead of random ones")
     arguments.add_seed(command)
 
 
 def prepare(options: argparse.Namespace) -> dict[str, Any]:
-    """Configure JAX, and return the options that both commands pass on."""
+    """Configure JAX, and return the options that both commands pass to the simulation."""
     configure_jax(options.cache)
     from reframe_jax.simulation import arm as panda
 

@@ -17,11 +17,12 @@ from reframe_jax.recordings.rows import is_path
 __all__ = ["add_calibrate"]
 
 _CALIBRATE = """\
-Calibrate a tool: find its tip from touches of one point (pivot calibration), or
-its axis from turns about itself (--spin).
+Calibrate a tool: find its tip from poses in which the tip rests on one point
+(pivot calibration), or its axis from rotations of the tool about this axis
+(--spin).
 
-A file holds one pose of the tool per row, at least four, in any order; times are
-not needed. Rows that do not fit the others are named and left out.
+A file contains at least four poses of the tool, one per row, in any order; times
+are not needed. Outliers are listed and left out.
 """
 _CONTINUOUS = (
     "the poses are a continuous motion, in which errors of neighbours are alike: the intervals below are too "
@@ -30,7 +31,7 @@ _CONTINUOUS = (
 
 
 def add_calibrate(commands: Any) -> None:
-    """Add the command to those of the command line."""
+    """Add this command to the command line."""
     command = commands.add_parser(
         "calibrate",
         description=_CALIBRATE,
@@ -39,7 +40,7 @@ def add_calibrate(commands: Any) -> None:
     )
     add = command.add_argument
     add("files", nargs="+", type=Path, metavar="FILE", help="recordings")
-    add("--spin", action="store_true", help="the tool was turned about its own axis: find the axis")
+    add("--spin", action="store_true", help="find the axis of a tool that was turned about its own axis")
     add("--json", metavar="OUT", help="write the results as JSON; - prints them instead of tables")
     add_reading(command)
     command.set_defaults(run=_calibrate, usage_error=command.error)
@@ -59,7 +60,7 @@ def _calibrate(options: argparse.Namespace) -> int:
 
 
 def _calibrate_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
-    """Calibrate and print one recording; returns its entry in the JSON document."""
+    """Calibrate and print one recording; return its entry in the JSON document."""
     notes: tuple[str, ...] = ()
     try:
         try:

@@ -1,4 +1,4 @@
-"""Code shared by all commands. Nothing here needs JAX."""
+"""Code for all commands, independent of JAX."""
 
 import argparse
 import sys
@@ -9,14 +9,14 @@ from reframe_jax.cli.printing import print_result
 __all__ = ["COMMANDS", "EXAMPLES", "Parser", "add_command"]
 
 COMMANDS = {
-    "identify": "identify the constraint of recordings",
+    "identify": "identify the constraint in recordings",
     "calibrate": "find the tip or the axis of a tool from separate poses",
-    "topics": "list what can be read from files",
-    "segment": "find where the constraint of recordings changes",
+    "topics": "list the topics, bodies and columns in files",
+    "segment": "find the times at which the constraint of a recording changes",
     "simulate": "simulate a recording",
     "demonstrate": "simulate demonstrations on a robot arm",
     "reproduce": "demonstrate, identify and reproduce a task",
-    "view": "look at a recording and its constraint in the browser",
+    "view": "show a recording and its constraint in the browser",
     "constraints": "list the named constraints",
     "completion": "print a script that completes the command line in a shell",
 }
@@ -32,14 +32,14 @@ examples:
 
 
 class Parser(argparse.ArgumentParser):
-    """Reports an error in one line, with a pointer to the help."""
+    """A parser that reports an error in one line and refers to the help."""
 
     def error(self, message: str) -> NoReturn:
         """Exit with code 2."""
         self.exit(2, f"{self.prog}: error: {message.rstrip('.')}; see {self.prog} --help\n")
 
     def _print_message(self, message: str, file: Any = None) -> None:
-        """Report help and version that cannot be written, as for results; argparse would be silent."""
+        """Report an error if the help or the version cannot be written; argparse ignores it."""
         if file is sys.stdout:
             print_result(message, end="")
         else:
@@ -47,7 +47,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def add_command(commands: Any, name: str, run: Any, text: str) -> argparse.ArgumentParser:
-    """Add a command with the options shared by all; ``run`` receives the parsed options."""
+    """Add a command with the options of all commands; ``run`` receives the parsed options."""
     command: argparse.ArgumentParser = commands.add_parser(
         name,
         description=text,
@@ -59,8 +59,8 @@ def add_command(commands: Any, name: str, run: Any, text: str) -> argparse.Argum
         "--no-cache",
         dest="cache",
         action="store_false",
-        help="do not keep compiled programs for later runs (likewise with REFRAME_JAX_CACHE=0); to clear "
-        "them, delete the folder reframe_jax in XDG_CACHE_HOME or ~/.cache",
+        help="do not store compiled programs for later runs (REFRAME_JAX_CACHE=0 has the same effect); to "
+        "delete stored programs, delete the folder reframe_jax in XDG_CACHE_HOME or ~/.cache",
     )
     command.set_defaults(run=run, usage_error=command.error)
     return command

@@ -18,7 +18,7 @@ For zsh:   reframe-jax completion zsh > a file _reframe-jax in a folder of $fpat
 
 
 def add_completion(commands: Any) -> None:
-    """Add the command to those of the command line."""
+    """Add this command to the command line."""
     command = add_command(commands, "completion", _completion, _COMPLETION)
     command.add_argument("shell", choices=["bash", "zsh", "tcsh"], help="shell to complete in")
 
@@ -40,7 +40,7 @@ def _completion(options: argparse.Namespace) -> int:
 
 
 def _actions(parser: argparse.ArgumentParser) -> list[argparse.Action]:
-    """All arguments of a parser and of its commands."""
+    """All arguments of a parser and of its subcommands."""
     actions = []
     for action in parser._actions:
         actions.append(action)

@@ -18,7 +18,8 @@ def configure_jax(cache: bool) -> None:
     """Enable 64-bit mode, and keep compiled programs between runs.
 
     Args:
-        cache: whether to keep them; ``REFRAME_JAX_CACHE=0`` in the environment says no as well.
+        cache: whether to store compiled programs; ``REFRAME_JAX_CACHE=0`` in the environment also prevents
+            it.
     """
     settings: dict[str, Any] = {"jax_enable_x64": True}
     if cache and os.environ.get("REFRAME_JAX_CACHE") != "0":
@@ -33,9 +34,9 @@ def configure_jax(cache: bool) -> None:
 
 
 def _replace_unreadable(folder: Path) -> None:
-    """Delete entries of the cache that JAX warns it cannot read, so that it writes them anew.
+    """Delete cache entries that JAX reports as unreadable.
 
-    JAX compiles such a program again, but keeps the file that is there.
+    JAX compiles such a program again in every run, because it does not overwrite the unreadable file.
     """
     default_handler = warnings.showwarning
 

@@ -1,4 +1,4 @@
-"""``reframe-jax constraints``: the catalogue."""
+"""``reframe-jax constraints``: list the catalogue of constraints."""
 
 import argparse
 from typing import Any
@@ -11,12 +11,12 @@ __all__ = ["add_constraints"]
 
 
 def add_constraints(commands: Any) -> None:
-    """Add the command to those of the command line."""
+    """Add this command to the command line."""
     commands.add_parser("constraints", help=COMMANDS["constraints"]).set_defaults(run=_constraints)
 
 
 def _constraints(options: argparse.Namespace) -> int:
-    """The catalogue: degrees of freedom along x, y, z of the frame, and what is unique."""
+    """Print the catalogue: degrees of freedom along x, y, z, and the determined axes and components."""
     layout = "{:13} {:26} {:9} {:12} {:6} {}"
     print_result(layout.format("", "name", "rotation", "translation", "frame", "position"))
     for entry in (CONSTRAINTS | OTHER_CONSTRAINTS).values():
@@ -24,5 +24,5 @@ def _constraints(options: argparse.Namespace) -> int:
         unique = "".join(axis for axis, is_unique in zip("xyz", entry.position, strict=True) if is_unique)
         frame = "any" if entry.linear_type is None else str(entry.linear_type)
         print_result(layout.format(entry.label, entry.name, *free, frame, unique or "-"))
-    print_result("\n1 is free, 0 constrained, along x, y, z of the frame; position: its unique components.")
+    print_result("\n1 is free, 0 constrained, along x, y, z of the frame; position: determined components.")
     return 0

@@ -1,4 +1,4 @@
-"""``reframe-jax demonstrate``: demonstrations on the simulated arm."""
+"""``reframe-jax demonstrate``: simulate demonstrations on a robot arm."""
 
 import argparse
 from collections import Counter
@@ -19,22 +19,23 @@ from reframe_jax.recordings.writing import save_recording
 
 __all__ = ["add_demonstrate"]
 
-_LONGEST = 100_000  # samples of a demonstration
-_CHUNK = 64  # demonstrations simulated at once, and drawn for a part of a folder
+_LONGEST = 100_000  # most samples in a demonstration
+_CHUNK = 64  # demonstrations simulated in one call, and stored in one part of a folder
 
 
 _DEMONSTRATE = """\
 Simulate demonstrations: a hand guides a Franka arm under a constraint.
 
-A folder stores any number of them, in parts of bounded size; repeat the
-command, or raise --count, to resume. An .npz stores all of them (times, poses,
-exact_poses, joint_positions, ..., and the true frames). A .csv stores one
-recording per demonstration (demos-000.csv and so on) for reframe-jax identify.
+A folder stores any number of demonstrations, in parts of limited size; repeat
+the command, or increase --count, to resume. An .npz stores all demonstrations
+in one file (times, poses, exact_poses, joint_positions, ..., and the true
+frames). With .csv, each demonstration becomes a recording for reframe-jax
+identify (demos-000.csv and so on).
 """
 
 
 def add_demonstrate(commands: Any) -> None:
-    """Add the command to those of the command line."""
+    """Add this command to the command line."""
     command = add_command(commands, "demonstrate", _demonstrate, _DEMONSTRATE)
     add_common(command)
     add = command.add_argument
@@ -54,7 +55,7 @@ def add_demonstrate(commands: Any) -> None:
     add(
         "--keep",
         action="store_true",
-        help="keep demonstrations that hit a limit instead of drawing them again",
+        help="keep demonstrations that reach a joint limit instead of replacing them",
     )
 
 
@@ -99,7 +100,7 @@ def _demonstrate(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> None:
-    """Refuse outputs that cannot be written, before the simulation starts."""
+    """Report outputs that cannot be written, before the simulation starts."""
     endings = {"out": ("", ".npz", ".csv"), "plot": (".png", ".pdf", ".svg"), "render": (".gif", ".mp4")}
     for name, suffixes in endings.items():
         path = getattr(options, name)
@@ -120,7 +121,7 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _draw(first: Any, options: argparse.Namespace) -> int:
-    """Draw the picture and the film of one demonstration, if requested."""
+    """Draw the requested picture and film of one demonstration."""
     failed = False
     try:
         if options.plot is not None:
@@ -146,7 +147,7 @@ def _draw(first: Any, options: argparse.Namespace) -> int:
 
 
 def _write(path: Path, parts: list[Any]) -> str:
-    """Write demonstrations; returns the names of the files."""
+    """Write demonstrations; return the names of the files."""
     from reframe_jax.simulation.arm.store import to_arrays
 
     times = parts[0].times

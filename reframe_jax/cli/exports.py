@@ -1,4 +1,4 @@
-"""Files that ``reframe-jax identify`` writes for other programs: robot descriptions, task frames, tables."""
+"""Options of ``reframe-jax identify`` that write robot descriptions, task frames and tables."""
 
 import argparse
 from collections.abc import Callable
@@ -33,7 +33,8 @@ _TABLES = {"csv": write_csv, "parquet": write_parquet}
 def add_exports(command: argparse.ArgumentParser) -> None:
     """Add the options to a command."""
     group = command.add_argument_group(
-        "files for other programs", "Of several recordings, joints and task frames go to OUT-NAME each."
+        "files for other programs",
+        "With several recordings, each joint or task frame is written to OUT-NAME.",
     )
     add = group.add_argument
     for name in _ROBOTS:
@@ -43,12 +44,14 @@ def add_exports(command: argparse.ArgumentParser) -> None:
     )
     add("--parent", default="ground", metavar="NAME", help="name of the ground in these files (ground)")
     add("--child", default="body", metavar="NAME", help="name of the body in these files (body)")
-    add("--csv", type=Path, metavar="OUT", help="write one table of all recordings, a row a window, as CSV")
+    add(
+        "--csv", type=Path, metavar="OUT", help="write one table of all recordings as CSV, one row per window"
+    )
     add("--parquet", type=Path, metavar="OUT", help="write the same table as Parquet")
 
 
 def check_exports(options: argparse.Namespace) -> None:
-    """Refuse, before anything is computed, what could not be written after it."""
+    """Report outputs that cannot be written, before the computation starts."""
     of_joints = [*_ROBOTS, "task_frame"]
     for name in (*of_joints, *_TABLES):
         out: Path | None = getattr(options, name)
@@ -58,7 +61,7 @@ def check_exports(options: argparse.Namespace) -> None:
         check_file(option, out, options)
         if name in of_joints:
             if options.window is not None:
-                options.usage_error(f"{option} describes whole recordings: leave out --window.")
+                options.usage_error(f"{option} describes whole recordings: remove --window.")
             if len({path.stem for path in options.files}) < len(options.files):
                 options.usage_error(f"{option} needs recordings with different names.")
     if options.task_frame is not None and options.task_frame.suffix not in _DOCUMENTS:
@@ -69,7 +72,7 @@ def check_exports(options: argparse.Namespace) -> None:
 
 
 def write_joint_files(recording: Recording, found: Identification, options: argparse.Namespace) -> list[str]:
-    """Write the joint and the task frame of a recording as asked; returns what went wrong."""
+    """Write the requested joint and task frame files of a recording; return the errors."""
     texts: dict[Path, Callable[[], str]] = {}
     problems = []
     robots = [name for name in _ROBOTS if getattr(options, name) is not None]
@@ -80,7 +83,7 @@ def write_joint_files(recording: Recording, found: Identification, options: argp
         try:
             check_writable(joint, " and ".join(name.upper() for name in robots))
             texts |= {getattr(options, name): partial(_ROBOTS[name], joint) for name in robots}
-        except ValueError as error:  # the same for all of them
+        except ValueError as error:  # all formats fail for the same reason
             problems.append(f"{recording.path}: {error}")
     if options.task_frame is not None:
         last = recording.poses[np.flatnonzero(found.counted)[-1]]
@@ -102,7 +105,7 @@ def _task_text(found: Identification, pose: np.ndarray, options: argparse.Namesp
 
 
 def write_tables(tables: list[Columns], options: argparse.Namespace) -> list[str]:
-    """Write the tables of all recordings as asked; returns what went wrong."""
+    """Write the requested tables of all recordings; return the errors."""
     problems = []
     for name, write in _TABLES.items():
         out = getattr(options, name)

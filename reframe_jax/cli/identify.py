@@ -1,4 +1,4 @@
-"""``reframe-jax identify``: the constraints of recordings."""
+"""``reframe-jax identify``: identify the constraint in recordings."""
 
 import argparse
 import sys
@@ -32,25 +32,25 @@ from reframe_jax.storage.progress import make_meter
 
 __all__ = ["add_identify", "identify_recording"]
 
-_CHUNK = 2048  # windows between two reports of progress
+_CHUNK = 2048  # windows per progress report
 
 
 _IDENTIFY = """\
-Identify the constraint of recordings.
+Identify the constraint in recordings.
 
-A recording is a .csv or .tsv with a header (t,x,y,z,qx,qy,qz,qw in any order), a
-TUM trajectory (.txt, .tum), an .npy or an .npz, a ROS bag, a C3D, an export of a
-motion-capture system, or a Parquet or HDF5 file; metres and seconds unless the
-file or an option says otherwise. It is taken as one window, or as sliding
-windows with --window. Patterns such as 'runs/**/*.csv' are expanded; several
-recordings end with one table of all.
-In parentheses after the name is its probability, and after an axis that it is
-free or constrained, where it is not clear.
+A recording is a .csv or .tsv with a header (t,x,y,z,qx,qy,qz,qw in any order),
+a TUM trajectory (.txt, .tum), an .npy or an .npz, a ROS bag, a C3D, an export
+of a motion-capture system, or a Parquet or HDF5 file. Units are metres and
+seconds unless the file or an option states another unit. The whole recording is
+one window; --window gives sliding windows. Patterns such as 'runs/**/*.csv' are
+expanded. After several recordings, a table lists all results. The number in
+parentheses after the name is its probability. An uncertain axis has the
+probability that it is free, or constrained, in parentheses.
 """
 
 
 def add_identify(commands: Any) -> None:
-    """Add the command to those of the command line."""
+    """Add this command to the command line."""
     command = add_command(commands, "identify", _identify, _IDENTIFY)
     defaults = Thresholds()
     add = command.add_argument
@@ -60,14 +60,14 @@ def add_identify(commands: Any) -> None:
         type=arguments.scales,
         default="auto",
         metavar="N,N",
-        help="samples in the blocks whose means are compared, powers of two; 1 is the paper's, auto uses all "
-        "at which the motion stands out of the noise (auto)",
+        help="time scales: samples per averaged block, powers of two; 1 is the paper's scale, auto uses all "
+        "scales at which the motion exceeds the noise (auto)",
     )
     add(
         "--assume",
         type=arguments.assumed,
         metavar="NAME",
-        help="name of a constraint that is known: hinge, ball, screw joint, K",
+        help="fit this constraint instead of comparing all: hinge, ball, screw joint, K",
     )
     add_windows(command)
     add(
@@ -81,29 +81,29 @@ def add_identify(commands: Any) -> None:
         "--discretization",
         choices=["chord", "left"],
         default="chord",
-        help="velocity from two poses: chord for measured motion, left as in the paper (chord)",
+        help="velocity from two poses: chord is best for measured motion, left is the paper's method (chord)",
     )
     add(
         "--angular-threshold",
         type=arguments.positive,
         metavar="W",
-        help="rad/s rms above which a rotation is free, instead of by its probability; uses both thresholds, "
-        f"the other one the paper's ({defaults.angular:g})",
+        help="rad/s RMS; decide by thresholds instead of probabilities: a rotation above this threshold is "
+        f"free. Without --linear-threshold, the paper's value holds there ({defaults.angular:g})",
     )
     add(
         "--linear-threshold",
         type=arguments.positive,
         metavar="V",
-        help=f"m/s rms above which a translation is free, likewise ({defaults.linear:g})",
+        help=f"m/s RMS; the same threshold for translations ({defaults.linear:g})",
     )
     add(
         "--bounds",
         type=arguments.metres,
         metavar="M",
-        help="half the width of the cube in which origins are searched, in m (2, or twice the extent of the "
-        "motion if that is more)",
+        help="half the width of the cube in which origins are searched, m (the larger of 2 and twice the "
+        "extent of the motion)",
     )
-    add("--summary", action="store_true", help="print the table of all recordings only")
+    add("--summary", action="store_true", help="print only the table of all recordings")
     add(
         "--explain",
         action="store_true",
@@ -127,7 +127,7 @@ def _identify(options: argparse.Namespace) -> int:
         records.append(record)
         meter(len(records), len(options.files))
         if quiet and sys.stderr.isatty() and len(records) < len(options.files):
-            print_error("", end="\r")  # what is said next replaces the bar
+            print_error("", end="\r")  # the next line overwrites the progress bar
     failed = any(record["error"] is not None for record in records)
     several = sum(record["error"] is None for record in records) > 1
     if options.json != "-" and (several or options.summary):
@@ -140,20 +140,20 @@ def _identify(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> None:
-    """Refuse options that do not go together."""
+    """Report options that cannot be combined."""
     check_exports(options)
     check_windows(options)
     if options.plot is not None and options.window is not None:
-        options.usage_error("--plot draws whole recordings: leave out --window.")
+        options.usage_error("--plot draws whole recordings: remove --window.")
     if options.explain and options.window is not None:
-        options.usage_error("--explain explains whole recordings: leave out --window.")
+        options.usage_error("--explain explains whole recordings: remove --window.")
     check_outputs(options)
 
 
 def _identify_file(path: Path, options: argparse.Namespace, tables: list[Columns]) -> dict[str, Any]:
-    """Identify, print, draw and export one recording; returns its entry in the JSON document.
+    """Identify, print, draw and export one recording; return its entry in the JSON document.
 
-    Its columns are appended to ``tables``.
+    The columns of the recording are appended to ``tables``.
     """
     recording, found, windows, problem = None, None, None, None
     try:
@@ -171,7 +171,7 @@ def _identify_file(path: Path, options: argparse.Namespace, tables: list[Columns
             problem = "; ".join(write_joint_files(recording, found, options)) or None
     except RecordingError as error:
         problem = str(error)
-    except Exception as error:  # whatever is wrong with a file, the others keep their results
+    except Exception as error:  # an error in one file must not stop the other files
         problem = f"{path}: {type(error).__name__}: {error}"
     if problem is not None:
         print_error(f"reframe-jax: error: {problem}")
@@ -180,7 +180,7 @@ def _identify_file(path: Path, options: argparse.Namespace, tables: list[Columns
 
 
 def _thresholds(options: argparse.Namespace) -> Thresholds | None:
-    """Those given, where one is missing the paper's; None if both are."""
+    """Thresholds from the options, with the paper's value for a missing one; None if both are missing."""
     given = {"angular": options.angular_threshold, "linear": options.linear_threshold}
     given = {name: value for name, value in given.items() if value is not None}
     return Thresholds(**given) if given else None
@@ -189,7 +189,7 @@ def _thresholds(options: argparse.Namespace) -> Thresholds | None:
 def _print_result(
     recording: Recording, found: Identification, windows: list[Window], options: argparse.Namespace
 ) -> str | None:
-    """Print the table and the rows that were left out; returns what is wrong if no window has a result."""
+    """Print the table and the rows that were left out; return an error if no window has a result."""
     path, statuses = recording.path, [Status(int(code)) for code in np.ravel(found.status_code)]
     if options.json != "-" and not options.summary:
         print_result(to_table(found, label=str(path), windows=windows), end="\n\n")
@@ -199,7 +199,7 @@ def _print_result(
 
 
 def _explanation(recording: Recording, found: Identification, options: argparse.Namespace) -> str:
-    """The result in plain English, with error bars where the options allow a covariance."""
+    """Explain the result in plain English, with error bars if the options allow a covariance."""
     from reframe_jax.uncertainty.covariance import covariance
     from reframe_jax.uncertainty.excitation import excitation
 
@@ -212,7 +212,7 @@ def _explanation(recording: Recording, found: Identification, options: argparse.
 def identify_recording(
     recording: Recording, options: argparse.Namespace
 ) -> tuple[Identification, list[Window]]:
-    """Identify all windows; without --window, the whole recording as a single one.
+    """Identify all windows of a recording; without ``--window``, the whole recording is one window.
 
     Raises:
         RecordingError: if the recording cannot be used.
@@ -221,7 +221,8 @@ def identify_recording(
     length = len(recording.times) if whole else options.window
     if length > len(recording.times):
         raise RecordingError(
-            f"{recording.path}: has {len(recording.times)} poses; expected at least the {length} of a window."
+            f"{recording.path}: has {len(recording.times)} poses; expected at least {length}, the length "
+            "of a window."
         )
     times = sliding_windows(recording.times, length, options.stride)
     spans = [

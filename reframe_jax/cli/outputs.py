@@ -1,4 +1,4 @@
-"""The files that a command writes of what it found in recordings: a JSON document, pictures."""
+"""Options of commands that write their results as a JSON document and pictures."""
 
 import argparse
 from collections.abc import Callable
@@ -20,12 +20,12 @@ def add_outputs(command: argparse.ArgumentParser) -> None:
         "--plot",
         type=Path,
         metavar="OUT.png",
-        help="draw the result; of several recordings, to OUT-NAME.png each",
+        help="draw the result; with several recordings, write each picture to OUT-NAME.png",
     )
 
 
 def check_outputs(options: argparse.Namespace) -> None:
-    """Refuse, before anything is computed, what could not be written or drawn after it."""
+    """Report outputs that cannot be written or drawn, before the computation starts."""
     if options.json not in (None, "-"):
         check_file("--json", Path(options.json), options)
     out: Path | None = options.plot
@@ -39,7 +39,7 @@ def check_outputs(options: argparse.Namespace) -> None:
 
 
 def check_file(option: str, out: Path, options: argparse.Namespace) -> None:
-    """Refuse a path at which no file can be made."""
+    """Report a path at which no file can be created."""
     if out.is_dir():
         options.usage_error(f"{option} must name a file; {out} is a directory.")
     if not out.parent.is_dir():
@@ -47,12 +47,12 @@ def check_file(option: str, out: Path, options: argparse.Namespace) -> None:
 
 
 def path_of(out: Path, recording: Path, options: argparse.Namespace) -> Path:
-    """Where a file of one recording goes: its name is added if there are several recordings."""
+    """Path of the output of one recording; with several recordings, it includes the recording's name."""
     return out.with_stem(f"{out.stem}-{recording.stem}") if len(options.files) > 1 else out
 
 
 def write_document(make: Callable[[], str], options: argparse.Namespace) -> str | None:
-    """Write or print the JSON document as asked; returns what is wrong if it cannot be written."""
+    """Write or print the requested JSON document; return an error if it cannot be written."""
     if options.json == "-":
         print_result(make())
     elif options.json is not None:
@@ -64,12 +64,12 @@ def write_document(make: Callable[[], str], options: argparse.Namespace) -> str 
 
 
 def draw(make: Callable[[], Any], recording: Path, options: argparse.Namespace) -> str | None:
-    """Save the figure of a recording; returns what is wrong if it cannot be drawn.
+    """Save the figure of a recording; return an error if it cannot be drawn or written.
 
     Args:
-        make: draws the figure; ImportError if a library is missing.
+        make: function that draws the figure; raises ImportError if a library is missing.
         recording: path of the recording.
-        options: of the command.
+        options: parsed options of the command.
     """
     out = path_of(options.plot, recording, options)
     try:

@@ -1,6 +1,6 @@
 """The command ``reframe-jax`` as a process: standard streams, interruptions, exit code.
 
-JAX is imported after all of this is in place.
+JAX is imported after these are set up.
 """
 
 import io
@@ -14,7 +14,7 @@ from reframe_jax.cli.printing import print_error
 
 __all__ = ["main"]
 
-_INTERRUPTED = 130  # as shells report it
+_INTERRUPTED = 130  # exit code that shells report for Ctrl-C
 
 
 def main() -> int:
@@ -28,17 +28,18 @@ def main() -> int:
         print_error("reframe-jax: error: standard output is closed.")
         return 1
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")  # names of files may hold any byte
+        sys.stdout.reconfigure(errors="backslashreplace")  # file names may contain any byte
     from reframe_jax.cli.program import main as run
 
     return run()
 
 
 def _leave_when_interrupted() -> None:
-    """Leave at once and quietly on Ctrl-C, even while a program is being compiled.
+    """Exit immediately and without a traceback on Ctrl-C, even during compilation.
 
-    Python's handlers wait until the compiler returns. But the byte that a signal writes to a socket wakes a
-    thread up meanwhile. Signals that are ignored, as in the background, stay so.
+    Python runs signal handlers only after the compiler returns. Each signal also writes a byte to a socket,
+    which wakes up a thread during compilation. Signals that are ignored, as in background jobs, remain
+    ignored.
     """
     if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         return
@@ -50,7 +51,7 @@ def _leave_when_interrupted() -> None:
 
 
 def _wait(woken: socket.socket, waker: socket.socket) -> None:
-    """Wait for an interruption; ``waker`` must stay open meanwhile."""
+    """Wait for an interruption; ``waker`` must stay open."""
     while signal.SIGINT not in woken.recv(64):
         pass
     os._exit(_INTERRUPTED)

@@ -1,6 +1,6 @@
-"""The command line: identify and simulate recordings, list the catalogue.
+"""The command line: its commands, options and exit codes.
 
-Results go to standard output; notes about the input, progress and errors to standard error. The exit
+Results go to standard output; notes on the input, progress and errors go to standard error. The exit
 code is 0 on success, 1 if a file failed, and 2 for a wrong command line. All computations use 64 bits.
 """
 
@@ -15,13 +15,13 @@ from reframe_jax.cli.commands import COMMANDS, EXAMPLES, Parser
 __all__ = ["full_parser", "main"]
 
 _DESCRIPTION = """\
-Find the frame in which a measured motion is constrained: the body it is
-attached to, its location, and the axes along which it cannot move.
+Identify the constraint of a measured motion: the body in which the constraint
+frame is fixed, the location of the frame, and its free and constrained axes.
 """
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code.
+    """Run the command line; return the exit code.
 
     Args:
         argv: arguments, by default those of the process.
@@ -35,23 +35,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         code: int = options.run(options)
     except KeyboardInterrupt:
-        return 130  # as shells report it
+        return 130  # exit code that shells report for Ctrl-C
     return code
 
 
 def full_parser() -> argparse.ArgumentParser:
-    """The parser with all commands, every one of them imported."""
+    """Build the parser and import all commands."""
     return _build(COMMANDS.keys())
 
 
 def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
-    """The parser for these arguments: only the command they name is imported, which takes a second."""
+    """Build the parser and import only the command in the arguments, because an import takes a second."""
     named = next((word for word in argv if not word.startswith("-")), None)
     return _build(COMMANDS.keys() & {named})
 
 
 def _build(imported: Set[str]) -> argparse.ArgumentParser:
-    """The parser; of commands that are not imported it knows the names only."""
+    """Build the parser; commands that are not imported have a name but no options."""
     parser = Parser(
         prog="reframe-jax",
         description=_DESCRIPTION,

@@ -1,4 +1,4 @@
-"""Which files are read, and what is read from them, the same for every command."""
+"""Options of all commands that select files, and the data to read from each file."""
 
 import argparse
 import glob
@@ -21,7 +21,7 @@ _NAMES = (
 
 def add_reading(command: argparse.ArgumentParser) -> None:
     """Add the options of :func:`reframe_jax.load_recording` to a command."""
-    add = command.add_argument_group("what to read (reframe-jax topics FILE lists it)").add_argument
+    add = command.add_argument_group("data to read (reframe-jax topics FILE lists the choices)").add_argument
     add("--dt", type=arguments.seconds, metavar="S", help="sample time in s, for files without times")
     add("--unit", choices=[*UNITS], help="unit of positions, for files that do not state it (m)")
     add("--time-unit", choices=[*TIME_UNITS], help="unit of times, for files that do not state it (s)")
@@ -32,16 +32,21 @@ def add_reading(command: argparse.ArgumentParser) -> None:
     add("--in", dest="in_body", metavar="NAME", help="body (in a bag: topic) to which the motion is relative")
     add("--position", metavar="COLUMN", help="column of positions, such as NAME or NAME[0:3]")
     add("--orientation", metavar="COLUMN", help="column of orientations, such as NAME[3:7]")
-    add("--quaternion", choices=QUATERNIONS, help="order in which the file holds quaternions")
+    add("--quaternion", choices=QUATERNIONS, help="order of the components of quaternions in the file")
     add(
         "--angles",
         choices=ANGLES,
         metavar="HOW",
-        help="what three angles mean: vector (rotation vector), XYZ etc. (turns about the moving axes, x "
-        "first), xyz etc. (about the fixed axes)",
+        help="convention of three angles: vector (rotation vector), XYZ etc. (rotations about moving axes, x "
+        "first), xyz etc. (rotations about fixed axes)",
     )
-    add("--angle-unit", choices=[*ANGLE_UNITS], help="unit of these angles (rad)")
-    add("--episode", type=arguments.whole, metavar="N", help="number of the episode in a file of several")
+    add("--angle-unit", choices=[*ANGLE_UNITS], help="unit of the three angles (rad)")
+    add(
+        "--episode",
+        type=arguments.whole,
+        metavar="N",
+        help="number of the episode in a file with several episodes",
+    )
 
 
 def reading_options(options: argparse.Namespace) -> dict[str, Any]:
@@ -50,7 +55,7 @@ def reading_options(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def expand(patterns: list[Path]) -> list[Path]:
-    """The files that patterns match, sorted; a pattern itself if there is none, or if it is a file."""
+    """Sorted files that match patterns; a pattern that matches nothing, or is a file, stands for itself."""
     return [path for pattern in patterns for path in _matches(pattern)]
 
 
@@ -61,10 +66,10 @@ def _matches(pattern: Path) -> list[Path]:
 
 
 def read_recording(path: Path, options: argparse.Namespace) -> Recording:
-    """Read a recording with the options of :func:`add_reading`, and say what was noted about it.
+    """Read a recording with the options of :func:`add_reading`, and print its notes.
 
     Raises:
-        RecordingError: if it cannot be read.
+        RecordingError: if the recording cannot be read.
     """
     recording = load_recording(path, **reading_options(options))
     for note in recording.notes:

@@ -1,4 +1,4 @@
-"""``reframe-jax reproduce``: a task in true, erroneous and identified frames."""
+"""``reframe-jax reproduce``: reproduce a task in true, erroneous and identified frames."""
 
 import argparse
 from typing import Any
@@ -17,14 +17,14 @@ __all__ = ["add_reproduce"]
 _REPRODUCE = """\
 Demonstrate, identify, and reproduce a task from end-stop to end-stop.
 
-Wrenches move the robot in the true frames of the constraint, in frames with
-the errors reported for methods with prior knowledge, and in the identified
-frames: the three rows of the paper's Figure 5.
+Wrenches move the robot in three frames, the rows of the paper's Figure 5: the
+true frame of the constraint, a frame with the errors reported for methods with
+prior knowledge, and the identified frame.
 """
 
 
 def add_reproduce(commands: Any) -> None:
-    """Add the command to those of the command line."""
+    """Add this command to the command line."""
     command = add_command(commands, "reproduce", _reproduce, _REPRODUCE)
     add_common(command)
     command.add_argument(
@@ -38,7 +38,8 @@ def add_reproduce(commands: Any) -> None:
         "--controller",
         choices=["wrench", "hybrid", "impedance"],
         default="wrench",
-        help="constant wrenches as in the paper, hybrid force/velocity, or impedance by axis (wrench)",
+        help="constant wrenches as in the paper, hybrid force/velocity control, or impedance control with a "
+        "stiffness per axis (wrench)",
     )
 
 
@@ -73,7 +74,7 @@ def _reproduce(options: argparse.Namespace) -> int:
     print_result(_errors(comparison.errors))
     if comparison.redrawn:
         print_result(
-            f"left out, because the arm cannot reach them in the true frame either: {int(comparison.redrawn)}"
+            f"left out, because the arm cannot reach them even in the true frame: {int(comparison.redrawn)}"
         )
     print_result(f"{'frames':12}{'completed':>10}{'time, s':>9}{'peak moment, N m':>22}{'peak force, N':>20}")
     for name, trials in comparison.rows.items():
@@ -95,7 +96,7 @@ def _reproduce(options: argparse.Namespace) -> int:
 
 
 def _errors(errors: np.ndarray) -> str:
-    """Medians of the geometric errors that the constraint defines."""
+    """Median errors of the axes and of the position, as far as the constraint determines them."""
     names = (("angular axis", "deg"), ("linear axis", "deg"), ("position", "mm"))
     parts = [
         f"{name} {np.median(column):.2f} {unit}"

@@ -1,4 +1,4 @@
-"""``reframe-jax segment``: the sequence of constraints in recordings."""
+"""``reframe-jax segment``: identify a sequence of constraints in recordings."""
 
 import argparse
 from functools import partial
@@ -19,17 +19,18 @@ from reframe_jax.segmentation.results import Segmentation
 __all__ = ["add_segment"]
 
 _SEGMENT = """\
-Find where the constraint of a recording changes, and identify every part.
+Find the times at which the constraint of a recording changes, and identify each
+segment.
 
-Recordings are those of reframe-jax identify. Each row is a segment, and has the
-label of its constraint: the same where the same constraint comes back. After
-"since" is when the segment may have begun, and the probability that it differs
-from the one before.
+Segments with the same label have the same constraint. After "since", a row
+shows the 95 % interval of the start of the segment, and the probability that
+its constraint differs from the previous one. All formats of reframe-jax
+identify can be read.
 """
 
 
 def add_segment(commands: Any) -> None:
-    """Add the command to those of the command line."""
+    """Add this command to the command line."""
     command = add_command(commands, "segment", _segment, _SEGMENT)
     add = command.add_argument
     add("files", nargs="+", type=Path, metavar="FILE", help="recordings")
@@ -38,7 +39,7 @@ def add_segment(commands: Any) -> None:
         type=arguments.metres,
         default=1.0,
         metavar="M",
-        help="how far from the body positions are searched, in m (%(default)s)",
+        help="half the width of the cube about the body in which origins are searched, m (%(default)s)",
     )
     add_outputs(command)
     add_reading(command)
@@ -58,7 +59,7 @@ def _segment(options: argparse.Namespace) -> int:
 
 
 def _segment_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
-    """Segment, print and draw one recording; returns its entry in the JSON document."""
+    """Segment, print and draw one recording; return its entry in the JSON document."""
     found, problem = None, None
     try:
         recording = read_recording(path, options)

@@ -1,4 +1,4 @@
-"""``reframe-jax simulate``: record a simulated motion."""
+"""``reframe-jax simulate``: write a recording of a simulated motion."""
 
 import argparse
 from pathlib import Path
@@ -20,7 +20,7 @@ __all__ = ["add_simulate"]
 
 
 def add_simulate(commands: Any) -> None:
-    """Add the command to those of the command line."""
+    """Add this command to the command line."""
     command = add_command(commands, "simulate", _simulate, "Simulate a constrained motion.")
     add = command.add_argument
     arguments.add_constraint(command)
@@ -39,13 +39,13 @@ def add_simulate(commands: Any) -> None:
         "--excitation",
         choices=["exciting", "paper"],
         default="exciting",
-        help="velocities along the free axes: with many frequencies, or the paper's (exciting)",
+        help="velocities along the free axes: many frequencies, or the velocities of the paper (exciting)",
     )
     add(
         "--generator",
         choices=["exact", "paper"],
         default="exact",
-        help="motion between the samples: exact, or one step per sample as in the paper (exact)",
+        help="integration between samples: exact, or one step per sample as in the paper (exact)",
     )
 
 

@@ -1,4 +1,4 @@
-"""One table of many recordings."""
+"""The table that summarizes several recordings."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -12,10 +12,10 @@ _COLUMNS = ("recording", "windows", "name", "prob.", "angular", "linear", "origi
 
 
 def summary_table(records: Sequence[dict[str, Any]]) -> str:
-    """A row for every recording; of several windows the name that most of them have.
+    """Format one row per recording; a recording with several windows has its most frequent name.
 
     Args:
-        records: made by :func:`reframe_jax.export.json.to_record`.
+        records: entries made by :func:`reframe_jax.export.json.to_record`.
     """
     rows = [list(_COLUMNS), *(_row(record) for record in records)]
     widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]

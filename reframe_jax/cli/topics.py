@@ -1,4 +1,4 @@
-"""``reframe-jax topics``: what can be read from files."""
+"""``reframe-jax topics``: list the data that can be read from files."""
 
 import argparse
 from pathlib import Path
@@ -14,14 +14,14 @@ from reframe_jax.recordings.selection import flag
 __all__ = ["add_topics"]
 
 _TOPICS = """\
-List what can be read from files: topics and tf frames of bags, rigid bodies and
-markers of motion capture, columns of data sets. The first word of a line is the
-option that selects it.
+List the data in files: topics and tf frames of bags, rigid bodies and markers
+of motion capture, columns of data sets. Each line starts with the option that
+selects the entry.
 """
 
 
 def add_topics(commands: Any) -> None:
-    """Add the command to those of the command line."""
+    """Add this command to the command line."""
     command = commands.add_parser(
         "topics",
         description=_TOPICS,

@@ -1,4 +1,4 @@
-"""``reframe-jax view``: a recording and its constraint in the browser."""
+"""``reframe-jax view``: show a recording and its constraint in the browser."""
 
 import argparse
 import webbrowser
@@ -24,17 +24,18 @@ from reframe_jax.viewer.tracks import WindowTrack, track_window
 __all__ = ["add_view"]
 
 _VIEW = """\
-Look at a recording and its constraint in the browser.
+Show a recording and its constraint in the browser.
 
-The page shows the body, its path, the frame with its free and constrained axes, and
-the velocities along them; a slider moves through the time. It is served on this
-machine only (127.0.0.1) until Ctrl-C, and needs no network. --html writes it as one
-file instead, which can be sent to somebody and opened without Python.
+The page shows the body, its path, the frame with its free and constrained axes,
+and the velocities along these axes; a slider selects the time. The page is
+served on this machine only (127.0.0.1) until Ctrl-C, and needs no network.
+--html writes the page as one file instead, which opens in any browser without
+Python.
 """
 
 
 def add_view(commands: Any) -> None:
-    """Add the command to those of the command line."""
+    """Add this command to the command line."""
     command = add_command(commands, "view", _view, _VIEW)
     add = command.add_argument
     add("file", type=Path, metavar="FILE", help="recording, in a format that identify reads")
@@ -42,12 +43,16 @@ def add_view(commands: Any) -> None:
     add("--assume", type=arguments.assumed, metavar="NAME", help="as for identify")
     add_windows(command)
     add(
-        "--port", type=arguments.count, default=8080, metavar="P", help="of the page, or the next free (8080)"
+        "--port",
+        type=arguments.count,
+        default=8080,
+        metavar="P",
+        help="port of the page; if it is in use, the next free port (8080)",
     )
     add("--open", action="store_true", help="open the page in the browser")
     add("--html", type=Path, metavar="OUT", help="write the page to a file instead")
     add_reading(command)
-    # those of identify that a look does not need
+    # options of identify that this command does not offer
     command.set_defaults(
         norm=0.0, discretization="chord", bounds=None, angular_threshold=None, linear_threshold=None
     )
@@ -66,7 +71,9 @@ def _view(options: argparse.Namespace) -> int:
             _serve(tracks, options)
         else:
             write_page(options.html, tracks, title=options.file.name)
-            print_result(f"{options.html}: {tracks[0].name}" + (" and more" if len(tracks) > 1 else ""))
+            print_result(
+                f"{options.html}: {tracks[0].name}" + (", and more windows" if len(tracks) > 1 else "")
+            )
     except ImportError as error:
         print_error(f"reframe-jax: error: {error}")
         return 1
@@ -77,7 +84,7 @@ def _view(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> None:
-    """Refuse options that do not go together."""
+    """Report options that cannot be combined."""
     check_windows(options)
     if options.port > 65535:
         options.usage_error(f"--port must be at most 65535, not {options.port}.")

@@ -1,4 +1,4 @@
-"""The options that cut a recording into windows."""
+"""The options that divide a recording into windows."""
 
 import argparse
 
@@ -16,7 +16,7 @@ def add_windows(command: argparse.ArgumentParser) -> None:
 
 
 def check_windows(options: argparse.Namespace) -> None:
-    """Refuse options that do not go together, and set the stride where none is given."""
+    """Report options that cannot be combined, and set the default stride."""
     if options.window is None:
         if options.stride is not None:
             options.usage_error("--stride needs --window.")

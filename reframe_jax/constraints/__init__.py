@@ -1,4 +1,4 @@
-"""Constraints: frame types, the catalogue of named classes, and frames with a geometry."""
+"""Constraints: frame types, the catalogue of named constraints, and constraint frames with a geometry."""
 
 from reframe_jax.constraints.catalogue import (
     CONSTRAINTS,

@@ -1,4 +1,4 @@
-"""The catalogue of named constraints: the twelve of the paper's Table 2, and a few with common names."""
+"""The catalogue of named constraints: twelve from the paper's Table 2, and five other common joints."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -10,17 +10,21 @@ __all__ = ["CONSTRAINTS", "OTHER_CONSTRAINTS", "Constraint", "constraint", "desc
 
 @dataclass(frozen=True)
 class Constraint:
-    """One row of the catalogue: a class of constraints and which numbers define its geometry.
+    """One row of the catalogue: a constraint class, and the frame components that its geometry determines.
 
     Attributes:
-        label: letter of the paper's Figure 2; of others a word, such as "spherical".
-        name: name of the paper's Table 2, or the usual one.
-        angular_dof, linear_dof: 1 where the axis is free, in axes common to both frames.
-        linear_type: the only type that expresses the constraint, or None if all four do. (The angular
-            type is free for all.)
-        angular_axis, linear_axis: index of the frame axis that is unique, or None if none is.
-        position: which components of the position are unique. For G the paper lists all three;
-            moving along the constrained axis z of a BB frame changes nothing, so z is not.
+        label: letter of the paper's Figure 2, or a word such as "spherical" for a constraint outside the
+            paper.
+        name: name in the paper's Table 2, or the common name of the joint.
+        angular_dof, linear_dof: 1 for each free axis, 0 for each constrained axis; both frames have the same
+            axes.
+        linear_type: the only linear frame type that expresses the constraint, or None if all four do. Both
+            angular types express every constraint.
+        angular_axis, linear_axis: index of the frame axis that the motion determines, or None if it
+            determines none.
+        position: whether the motion determines each component of the position. For G, the paper lists all
+            three components; shifting a BB frame along its constrained axis z changes nothing, so z is False
+            here.
     """
 
     label: str
@@ -80,13 +84,13 @@ OTHER_CONSTRAINTS: dict[str, Constraint] = {
         _row("unconstrained", "Unconstrained", "111", "111", "", (None, None), ""),
     )
 }
-"""Constraints with a name beyond the twelve, by label."""
+"""Named constraints that are not in the paper, by label."""
 
 _ALL = CONSTRAINTS | OTHER_CONSTRAINTS
 
 
 def constraint(label: str) -> Constraint:
-    """Return the catalogue entry of a label or a name; case does not matter.
+    """Return the catalogue entry with a given label or name, in upper or lower case.
 
     Raises:
         KeyError: for an unknown label or name; the message lists the known ones.
@@ -98,21 +102,21 @@ def constraint(label: str) -> Constraint:
     raise KeyError(f"No constraint {label!r}. There are: {known}.")
 
 
-def _odd_axis(dof: Dof) -> int | None:
-    """Index of the axis that differs from the other two, if one does."""
+def _distinct_axis(dof: Dof) -> int | None:
+    """Index of the single free or single constrained axis; None if all three axes are alike."""
     return dof.index(sum(dof) % 2) if sum(dof) in (1, 2) else None
 
 
 def _relation(angular: Dof, linear: Dof) -> AxisRelation | None:
-    """Relation of the odd axes of two aligned frames; None where a frame has no odd axis."""
-    a, b = _odd_axis(angular), _odd_axis(linear)
+    """Relation of the distinct axes of two aligned frames (see :func:`lookup`); None without such axes."""
+    a, b = _distinct_axis(angular), _distinct_axis(linear)
     if a is None or b is None:
         return None
     return AxisRelation.PARALLEL if a == b else AxisRelation.PERPENDICULAR
 
 
 def _is_cylindrical(entry: Constraint) -> bool:
-    """Whether a constraint leaves one rotation free, and one translation along its axis."""
+    """Whether a constraint leaves free one rotation and the translation along the same axis."""
     related = _relation(entry.angular_dof, entry.linear_dof) == AxisRelation.PARALLEL
     return related and (sum(entry.angular_dof), sum(entry.linear_dof)) == (1, 1)
 
@@ -125,21 +129,24 @@ def lookup(
     screw: bool = False,
     universal: bool = False,
 ) -> Constraint | None:
-    """Return the catalogue entry of a class, given its linear type and degrees of freedom.
+    """Return the catalogue entry with a given linear type and degrees of freedom.
 
-    Which axes are free does not matter, only how many, and how the single free rotation axis lies to
-    the odd axis (the single free, or single constrained one) of the linear frame: it tells a cylinder
-    joint from a planar contour. The angular type does not matter for any of them. A screw joint has the class
-    of the cylinder joint; in it, the translation is proportional to the rotation. A universal joint whose
-    second axis turned far has the class of the spherical joint.
+    The lookup compares the number of free axes, not their indices. It also compares the angle between the
+    single free rotation axis and the distinct axis of the linear frame, which is the single free or single
+    constrained one: this angle distinguishes a cylinder joint from a planar contour. The angular type makes
+    no difference. A screw joint has the degrees of freedom of a cylinder joint, with a translation
+    proportional to the rotation. A universal joint has the degrees of freedom of a spherical joint if its
+    second axis turned by a large angle.
 
     Args:
         linear_type: the linear frame's type.
-        angular_dof: 1 where a rotation axis is free.
-        linear_dof: 1 where a translation axis is free.
-        relation: angle between those axes; by default both vectors refer to the same axes, as in Table 2.
+        angular_dof: 1 for each free rotation axis, 0 for each constrained one.
+        linear_dof: 1 for each free translation axis, 0 for each constrained one.
+        relation: angle between the free rotation axis and the distinct linear axis. By default, both vectors
+            of degrees of freedom refer to the same axes, as in Table 2.
         screw: whether the translation is proportional to the rotation.
-        universal: whether three free rotations are those about two axes, one of each body.
+        universal: whether the body turns about two axes only, one fixed in each body, although all three
+            rotations of the frame are free.
 
     Returns:
         The entry, or None for a class without a name.
@@ -163,13 +170,13 @@ def lookup(
 def describe(
     linear_type: LinearType, angular_dof: Dof, linear_dof: Dof, relation: AxisRelation | None = None
 ) -> str:
-    """A class outside the catalogue in words: ``"Unnamed: 3 rotations, 1 translation in GB"``."""
+    """Describe a constraint outside the catalogue: ``"Unnamed: 3 rotations, 1 translation in GB"``."""
 
     def count(dof: Dof, what: str) -> str:
         return f"{sum(dof)} {what}{'' if sum(dof) == 1 else 's'}"
 
     text = f"{count(angular_dof, 'rotation')}, {count(linear_dof, 'translation')}"
-    # without rotation, all types say the same
+    # without rotation, the four linear types are equivalent
     where = f" in {linear_type}" if sum(linear_dof) < 3 and sum(angular_dof) > 0 else ""
     how = f", axes {relation.value}" if relation is not None else ""
     return f"Unnamed: {text}{where}{how}"

@@ -16,16 +16,18 @@ __all__ = ["ConstraintFrame"]
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class ConstraintFrame:
-    """A constraint's frames: types, degrees of freedom and geometry (paper, Table 1).
+    """The angular and linear frames of a constraint: types, degrees of freedom and geometry (paper, Table 1).
 
-    A pytree whose leaves are the geometry; types and degrees of freedom are static.
+    A JAX pytree: the geometry arrays are its leaves; the types and degrees of freedom are static.
 
     Attributes:
-        angular_type, linear_type: the bodies that the frames are attached to.
-        angular_dof, linear_dof: three integers each, along the axes of the frame; 1 is free, 0 constrained.
-        angular_rotvec: (..., 3) rad, orientation of the angular frame in the body of its type.
-        linear_rotvec: (..., 3) rad, orientation of the linear frame in the body of the first letter.
-        position: (..., 3) m, origin of the linear frame in the body of the second letter.
+        angular_type, linear_type: the bodies in which the frames are fixed, B for {b} and G for {g}.
+        angular_dof, linear_dof: one integer per axis of the frame; 1 is free, 0 is constrained.
+        angular_rotvec: (..., 3) rad, orientation of the angular frame in the body that ``angular_type``
+            names.
+        linear_rotvec: (..., 3) rad, orientation of the linear frame in the body that the first letter of
+            ``linear_type`` names.
+        position: (..., 3) m, origin of the linear frame in the body that the second letter names.
     """
 
     angular_type: AngularType = field(metadata={"static": True})
@@ -44,19 +46,18 @@ class ConstraintFrame:
         rotvec: jax.Array | np.ndarray | tuple[float, ...] = (0.0, 0.0, 0.0),
         position: jax.Array | np.ndarray | tuple[float, ...] = (0.1, 0.3, 0.1),
     ) -> "ConstraintFrame":
-        """A constraint with a name, by default with the geometry of the paper's simulations (section 5.3).
+        """Make a named constraint, by default with the geometry of the paper's simulations (section 5.3).
 
         Args:
-            label: letter or name; see :data:`CONSTRAINTS`. Also "spherical", "universal", "fixed" or
-                "unconstrained".
-            linear_type: for the constraints that every type expresses (A-D, and those four), the one to
-                use; BB by default.
+            label: letter or name in :data:`CONSTRAINTS` or :data:`OTHER_CONSTRAINTS`.
+            linear_type: linear frame type, BB by default. Only constraints that all four types express (A to
+                D and :data:`OTHER_CONSTRAINTS`) allow a choice.
             rotvec: (..., 3) rad, orientation of both frames.
             position: (..., 3) m.
 
         Raises:
             KeyError: for an unknown label.
-            ValueError: for a linear type that cannot express the constraint.
+            ValueError: if the linear type cannot express the constraint.
         """
         entry = constraint(label)
         if entry.linear_type is not None and linear_type not in (None, entry.linear_type):

@@ -1,4 +1,4 @@
-"""Frame types: the bodies that a constraint frame is attached to (paper, section 3)."""
+"""Frame types: the bodies in which a constraint frame is fixed (paper, section 3)."""
 
 from enum import Enum, IntEnum
 from math import cos, radians, sin
@@ -21,14 +21,14 @@ __all__ = [
 _ALIGNED = 15.0  # degrees within which two axes count as parallel or perpendicular
 
 PARALLEL_COSINE = cos(radians(_ALIGNED))
-"""Cosine of the angle between two axes above which they count as parallel, in names and elsewhere."""
+"""Two axes count as parallel if the cosine of the angle between them exceeds this value."""
 
 SQUARE_COSINE = sin(radians(_ALIGNED))
-"""That below which they count as perpendicular."""
+"""Two axes count as perpendicular if the cosine of the angle between them is below this value."""
 
 
 class AngularType(IntEnum):
-    """Body in which an angular frame's orientation is fixed. Values index the ``norms`` of a result."""
+    """Body in which an angular frame is fixed: G ground, B body. Values index the ``norms`` of a result."""
 
     G = 0
     B = 1
@@ -38,13 +38,14 @@ class AngularType(IntEnum):
 
 
 BODY_NAMES: dict[IntEnum, str] = {AngularType.G: "ground", AngularType.B: "body"}
-"""What the bodies are called in sentences."""
+"""Names of the two bodies for messages."""
 
 
 class LinearType(IntEnum):
-    """Bodies in which a linear frame's orientation (first letter) and position (second) are fixed.
+    """Bodies in which a linear frame's orientation (first letter) and origin (second letter) are fixed.
 
-    The order is that of the paper's Table 4; values index the ``norms`` of a result.
+    G is the ground, B the body. The order is that of the paper's Table 4; values index the ``norms`` of a
+    result.
     """
 
     BB = 0
@@ -57,24 +58,27 @@ class LinearType(IntEnum):
 
     @property
     def orientation_body(self) -> AngularType:
-        """Body whose axes ``rotvec`` refers to."""
+        """Body in which the orientation ``rotvec`` is expressed."""
         return AngularType[self.name[0]]
 
     @property
     def position_body(self) -> AngularType:
-        """Body in whose frame ``position`` is given."""
+        """Body in which the origin ``position`` is expressed."""
         return AngularType[self.name[1]]
 
 
 ORIENTATION_BODIES = np.array([kind.orientation_body for kind in LinearType], np.int32)
-"""Bodies of the axes of all linear types, (4,)."""
+"""(4,): body in which the axes are fixed, for each linear type."""
 
 POSITION_BODIES = np.array([kind.position_body for kind in LinearType], np.int32)
-"""Bodies of their origins, (4,)."""
+"""(4,): body in which the origin is fixed, for each linear type."""
 
 
 class AxisRelation(Enum):
-    """Angle between the single free rotation axis and the odd axis of the linear frame."""
+    """Relation of the single free rotation axis to the distinct axis of the linear frame.
+
+    The distinct axis is the single free or the single constrained axis.
+    """
 
     PARALLEL = "parallel"
     PERPENDICULAR = "perpendicular"
@@ -82,7 +86,7 @@ class AxisRelation(Enum):
 
 
 def relation_of_cosine(cosine: float) -> AxisRelation:
-    """How two axes lie, from the cosine of the angle between them, of either sign."""
+    """Classify the relation of two axes from the cosine of the angle between them; its sign has no effect."""
     if abs(cosine) > PARALLEL_COSINE:
         return AxisRelation.PARALLEL
     return AxisRelation.PERPENDICULAR if abs(cosine) < SQUARE_COSINE else AxisRelation.OBLIQUE

@@ -1,1 +1,1 @@
-"""Identifications for people and for other programs."""
+"""Write results as tables, JSON, data frames, robot descriptions and task frames."""

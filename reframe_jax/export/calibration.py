@@ -1,23 +1,22 @@
-"""A calibration as a table, for people, and as JSON, for programs.
+"""Write a calibration as a table for people, or as JSON for programs.
 
-The document that ``reframe-jax calibrate --json`` writes has the schema named by :data:`SCHEMA`. Numbers are
-in SI units; intervals are half widths that hold 95 %::
+``reframe-jax calibrate --json`` writes this document, with the schema named by :data:`SCHEMA`. Numbers are in
+SI units; intervals are half widths of 95 % confidence intervals::
 
     {
       "schema": "reframe-jax/calibration/1",
       "recordings": [
         {
-          "recording": its name, "error": why there is no calibration, or null, "notes": about its input,
-          "calibration": null, or {
+          "recording": its name, "error": why the calibration failed, or null, "notes": sentences on the
+          input, "calibration": null, or {
             "kind": "pivot" or "spin",
             "tip": [3] m, in the body, "tip_interval": [3] m,
             "point": [3] m, in the ground, "point_interval": [3] m,
-            "axis": [3] in the body, "ground_axis": [3], "axis_interval": rad; null of a pivot,
-            "rms": m, of the residuals that are used,
-            "turned": rad, "weakest": [3], as in ``Calibration``,
-            "rows": numbers of the rows in the file, "row_word": what they are called,
-            "residuals": [N] m, "axis_residuals": [N] rad or null,
-            "outliers": numbers of the rows that were left out
+            "axis": [3] in the body, "ground_axis": [3], "axis_interval": rad; null for a pivot, "rms": m, RMS
+            residual of the poses that were used, "turned": rad, "weakest": [3], as in ``Calibration``,
+            "rows": numbers of the rows in the file, "row_word": the word for a row, such as line or frame,
+            "residuals": [N] m, "axis_residuals": [N] rad or null, "outliers": numbers of the rows that were
+            left out
           }
         }
       ]
@@ -36,26 +35,26 @@ __all__ = ["SCHEMA", "calibration_to_record", "calibration_to_table"]
 
 SCHEMA = "reframe-jax/calibration/1"
 
-_LISTED = 40  # residuals in a table; of more, the largest
-_WEAK = 0.09  # rad RMS: a tilt of 5 degrees, below which more tilt helps most
+_LISTED = 40  # most residuals in a table; beyond this number, only the largest are listed
+_WEAK = 0.09  # rad RMS, 5 degrees: below this tilt, the table recommends to tilt more
 
 
 def calibration_to_table(
     found: Calibration, *, label: str | None = None, rows: np.ndarray | None = None, row_word: str = "row"
 ) -> str:
-    """What a person reads: the tip or the axis, error bars, and the residual of every row.
+    """Format a calibration as text: the tip or the axis, error bars, and the residual of every row.
 
     Args:
         found: the calibration.
         label: heading, such as the name of the recording.
-        rows: (N,) numbers of the rows; from 0 by default.
-        row_word: what they are called.
+        rows: (N,) numbers of the rows in the file; 0 to N - 1 by default.
+        row_word: the word for a row, such as "line" or "frame".
     """
     numbers = np.arange(len(found.used)) if rows is None else np.asarray(rows)
     kind = "Pivot calibration" if found.axis is None else "Spin calibration"
     lines = [f"{label}: {kind}" if label else kind]
     out = numbers[~found.used]
-    lines.append(f"{int(found.used.sum())} of {len(found.used)} poses used. Intervals hold 95 %.")
+    lines.append(f"{int(found.used.sum())} of {len(found.used)} poses used. Error bars are 95 % intervals.")
     if len(out):
         verb = "does" if len(out) == 1 else "do"
         lines.append(f"Outlying, and left out: {name_rows(row_word, out)} {verb} not fit the other rows.")
@@ -112,15 +111,15 @@ def calibration_to_record(
     notes: Sequence[str] = (),
     error: str | None = None,
 ) -> dict[str, Any]:
-    """An entry of the JSON document, in plain Python types.
+    """Convert a calibration to an entry of the JSON document, in plain Python types.
 
     Args:
-        found: the calibration; None if there is none.
+        found: the calibration; None if the calibration failed.
         label: name of the recording.
-        rows: (N,) numbers of the rows; from 0 by default.
-        row_word: what they are called.
-        notes: sentences about the input.
-        error: why there is none.
+        rows: (N,) numbers of the rows in the file; 0 to N - 1 by default.
+        row_word: the word for a row, such as "line" or "frame".
+        notes: sentences on the input.
+        error: why the calibration failed.
     """
     record: dict[str, Any] = {"recording": label, "error": error, "notes": list(notes), "calibration": None}
     if found is None:

@@ -1,7 +1,7 @@
-"""An identification as flat columns, one row a window: for data frames, Parquet and CSV.
+"""Write identifications as flat columns, one row per window, for data frames, Parquet and CSV.
 
-The columns are the same everywhere. Units are in the names; axes are numbered as in ``LinearFrame``, from the
-slowest. Rows of windows that failed have NaN, 0, False or an empty text.
+All three formats have the same columns, with units in the names. Axes are numbered as in ``LinearFrame``, in
+order of increasing speed. Rows of windows that failed contain NaN, 0, False or an empty text.
 """
 
 import csv
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["Columns", "to_columns", "to_frame", "write_csv", "write_parquet"]
 
 Columns = dict[str, np.ndarray]
-"""Names and values (n,) of columns; texts are arrays of objects."""
+"""Column names, each with its values (windows,); columns of text are arrays of objects."""
 
 _UNITS = {"angular": "rad_s", "linear": "m_s"}
 
@@ -30,20 +30,21 @@ _UNITS = {"angular": "rad_s", "linear": "m_s"}
 def to_frame(
     found: Identification, *, label: str | None = None, windows: Sequence[Window] | None = None
 ) -> "pandas.DataFrame":
-    """Return an identification as a pandas data frame, one row a window.
+    """Return an identification as a pandas data frame, one row per window.
 
     Columns are flat and typed, with units in their names: ``linear_position_x_m``, ``angular_rms_1_rad_s``.
-    ``frame.to_parquet`` and ``frame.to_csv`` write what ``reframe-jax identify --parquet`` and ``--csv`` do.
+    ``frame.to_parquet`` and ``frame.to_csv`` write the same content as ``reframe-jax identify --parquet`` and
+    ``--csv``.
 
     Args:
-        found: of one window, or a batch.
+        found: the identification of one window, or of a batch.
         label: name of the recording, for the column ``recording``.
-        windows: which part of the recording each window is; without them ``start`` and ``stop`` are -1, and
-            their times NaN.
+        windows: the part of the recording that each window covers. Without ``windows``, the columns ``start``
+            and ``stop`` are -1 and the times are NaN.
 
     Raises:
         ImportError: if pandas is not installed.
-        ValueError: if there are not as many ``windows`` as in ``found``.
+        ValueError: if the number of ``windows`` differs from the number in ``found``.
     """
     try:
         import pandas
@@ -55,13 +56,13 @@ def to_frame(
 def to_columns(
     found: Identification, *, label: str | None = None, windows: Sequence[Window] | None = None
 ) -> Columns:
-    """Return the columns of :func:`to_frame` as NumPy arrays; arguments and errors as there."""
+    """Return the columns of :func:`to_frame` as NumPy arrays; the arguments and errors are the same."""
     host: Identification = jax.tree.map(np.asarray, jax.device_get(found))
     batch = host.status_code.shape
     number = int(np.prod(batch, dtype=int))
     host = jax.tree.map(lambda leaf: leaf.reshape(number, *leaf.shape[len(batch) :]), host)
     if windows is not None and len(windows) != number:
-        raise ValueError(f"Expected {number} windows, as many as were identified, not {len(windows)}.")
+        raise ValueError(f"Expected {number} windows, one per identification, not {len(windows)}.")
     each = [host[index] for index in range(number)]
     failed = np.array([Status(int(code)).failed for code in host.status_code], bool)
     columns: Columns = {"recording": _texts([label or ""] * number), "window": np.arange(number)}
@@ -93,7 +94,7 @@ def to_columns(
 
 
 def write_csv(path: Path, tables: Sequence[Columns]) -> None:
-    """Write tables of the same columns below each other as CSV; numbers are written so that they read back.
+    """Append tables with the same columns and write them as CSV; numbers keep full precision.
 
     Raises:
         OSError: if the file cannot be written.
@@ -107,7 +108,7 @@ def write_csv(path: Path, tables: Sequence[Columns]) -> None:
 
 
 def write_parquet(path: Path, tables: Sequence[Columns]) -> None:
-    """Write tables of the same columns below each other as one Parquet file.
+    """Append tables with the same columns and write them as one Parquet file.
 
     Raises:
         ImportError: if pyarrow is not installed.
@@ -133,7 +134,7 @@ def _spans(windows: Sequence[Window] | None, number: int) -> Columns:
 
 
 def _frame_columns(group: str, frame: Any, failed: np.ndarray) -> Columns:
-    """Columns of the angular or the linear frame: type, ties, axes, freedom, velocities, origin."""
+    """Columns of the angular or linear frame: type, ties, axes, degrees of freedom, velocities, origin."""
     kinds: Any = TYPES[group]
     codes = [int(code) for code in frame.type_code]
     axes = np.asarray(axes_of(frame.rotvec), float)

@@ -1,4 +1,4 @@
-"""What tables and JSON both need of an identification."""
+"""Helpers that tables, columns and JSON of an identification have in common."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,10 +29,10 @@ TYPES = {"angular": AngularType, "linear": LinearType}
 
 @dataclass(frozen=True)
 class Window:
-    """Which part of a recording a window is.
+    """The part of a recording that a window covers.
 
     Attributes:
-        start, stop: samples, from start up to but not including stop.
+        start, stop: first sample, and the sample after the last one.
         start_time, stop_time: s, times of the first and the last sample.
     """
 
@@ -43,37 +43,37 @@ class Window:
 
 
 def split_windows(host: Identification) -> list[Identification]:
-    """All windows of a batch, or the one that is none."""
+    """Split a batch into its windows; an identification of one window gives a list of one."""
     return [host[index] for index in np.ndindex(np.shape(host.status_code))]
 
 
-axes_of = jax.jit(rotations.rotation_exp)  # one compilation, where calling it op by op takes forty
+axes_of = jax.jit(rotations.rotation_exp)  # one compilation instead of one for each of forty operations
 
 
 def directions(projector: np.ndarray) -> list[np.ndarray]:
-    """Unit vectors that span the range of a projector, their largest component positive."""
+    """Unit vectors that span the range of a projector, with the largest component positive."""
     values, vectors = np.linalg.eigh(projector)
     spanning = [vector for value, vector in zip(values, vectors.T, strict=True) if value > 0.5]
     return [vector * np.sign(vector[np.argmax(np.abs(vector))]) for vector in spanning]
 
 
 def two_digits(value: float) -> str:
-    """A number rounded to two digits, without an exponent where it is large: 320 and not 3.2e+02."""
+    """Format a number with two significant digits, without an exponent: 320, not 3.2e+02."""
     return f"{float(f'{value:.2g}'):g}"
 
 
 def tied_names(group: str, frame: Any) -> list[str]:
-    """Names of the types that fit equally well, the reported one included."""
+    """Names of the frame types that fit equally well, including the reported type."""
     return [str(kind) for kind in TYPES[group] if frame.tied[kind]]
 
 
 def outlier_samples(found: Identification, window: Window | None) -> list[int]:
-    """Samples of the recording, or else of the window, that took no part in a window."""
+    """Outliers of a window, as samples of the recording, or of the window if its start is unknown."""
     start = 0 if window is None else window.start
     return [start + int(index) for index in np.flatnonzero(~np.asarray(found.counted))]
 
 
 def unused_rows(recording: Recording, found: Sequence[Identification]) -> tuple[LeftOut, ...]:
-    """Rows of the file that were left out when it was read, and the outliers if it is one window."""
+    """Rows that were left out when the file was read, and the outliers if one window covers the recording."""
     whole = len(found) == 1 and np.shape(found[0].counted) == recording.times.shape
     return recording.unused(found[0].counted) if whole else recording.left_out

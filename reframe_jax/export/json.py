@@ -1,7 +1,7 @@
-"""An identification as JSON, for programs.
+"""Write an identification as JSON, for programs.
 
-The document that ``to_json`` and ``reframe-jax identify --json`` write has the schema named by
-:data:`SCHEMA`. Numbers are in SI units (m, rad, s, m/s, rad/s); NaN and infinities are written as null::
+``to_json`` and ``reframe-jax identify --json`` write this document, with the schema named by :data:`SCHEMA`.
+Numbers are in SI units (m, rad, s, m/s, rad/s); NaN and infinities are written as null::
 
     {
       "schema": "reframe-jax/identification/3",
@@ -9,12 +9,11 @@ The document that ``to_json`` and ``reframe-jax identify --json`` write has the 
         {
           "recording": the label, or null,
           "error":     why the recording could not be used; else null,
-          "notes":     sentences about repaired or odd input,
-          "rows":      which rows of the file were used, or null: {
-            "word": what they are called (line, sample, message, frame),
-            "used": how many,
-            "left_out": [{"reason": a word of ``LeftOut``, "why": the same in words, "rows": their numbers}]
-              lost, repeated and missing rows, and outliers; of several windows, these are in "outliers"
+          "notes": sentences on repaired or unusual input, "rows":      which rows of the file were used, or
+          null: {
+            "word": the word for a row (line, sample, message, frame), "used": how many, "left_out":
+            [{"reason": as in ``LeftOut``, "why": the reason as a sentence, "rows": numbers of the rows}]
+              lost, repeated and missing rows, and outliers; with several windows, each lists its "outliers"
           },
           "windows": [
             {
@@ -23,33 +22,32 @@ The document that ``to_json`` and ``reframe-jax identify --json`` write has the 
               "start_time", "stop_time": s, of the first and the last sample, or null,
               "status": name of a ``Status``, "message": its sentence,
               "notes": reasons to doubt the result, ``warnings`` of the window,
-              "name": of the constraint, "label": letter or word in the catalogue, or null outside of it,
-              "probability": of the name; see ``Identification.probability`` for what it is conditional on,
-              "alternatives": [
+              "name": of the constraint, "label": letter or word of the catalogue, or null for a constraint
+              without a name, "probability": of the name; see ``Identification.probability`` for its
+              conditions, "alternatives": [
                 {"name", "label", "type": of the linear frame, "probability"}
-                the constraints of the table with a probability above 0.01, the reported one included, the
-                most probable first; [] with thresholds
+                all constraints with a probability above 0.01, including the reported one, in order of
+                decreasing probability; [] if the degrees of freedom come from thresholds
               ],
               "pitch": m/rad of a screw joint, positive for a right-handed thread, else null,
               "universal_axes": {"ground": [3], "body": [3]; unit vectors} of a universal joint, else null,
               "noise": {"position": m, "rotation": rad; standard deviations of every component},
-              "scale": samples in the blocks of the smallest time scale that is used,
-              "outliers": samples of the recording that took no part; counted from the first pose of the
-                window where "start" is null,
+              "scale": number of samples in the blocks of the smallest time scale, "outliers": samples of the
+              recording that were not used, counted from the first pose of the
+                window if "start" is null,
               "angular": {
-                "type": "G" or "B", "tied": types that fit equally well, this one included,
-                "rotvec": [3], "axes": [3 unit vectors], "dof": [3, 1 is free],
-                "free_probability": [3], "rms": [3], "norm": number,
-                "amplitude": [3], RMS displacement in rad,
-                "free_rotation": [3 booleans, axes about which the frame can be turned],
+                "type": "G" or "B", "tied": types that fit equally well, including this type, "rotvec": [3],
+                "axes": [3 unit vectors], "dof": [3, 1 is free], "free_probability": [3], "rms": [3], "norm":
+                number, "amplitude": [3], RMS displacement in rad, "free_rotation": [3 booleans, axes about
+                which the frame can be turned],
               },
               "linear": {
-                the same with "type" and "tied" of "BB", "GB", "GG", "BG", "amplitude" in m, and
+                the same keys, with "type" and "tied" of "BB", "GB", "GG", "BG", "amplitude" in m, and
                 "position": [3], "free_position": [unit vectors along which the position is undetermined],
               },
               "candidates": {
                 "angular": {type: {"rotvec", "axes", "dof", "rms", "norm"}},
-                "linear": {type: {the same and "position"}},
+                "linear": {type: {the same keys, and "position"}},
               }
             }
           ]
@@ -57,9 +55,9 @@ The document that ``to_json`` and ``reframe-jax identify --json`` write has the 
       ]
     }
 
-Windows without a result have null for all that comes after "message", and no "notes".
-Orientations are given in the body of the type's first letter (G ground, B body), positions in that of
-the last.
+Windows without a result have null for every key after "message", and no "notes". Orientations are expressed
+in the body that the first letter of the type names (G ground, B body); positions in the body of the last
+letter.
 """
 
 import json
@@ -102,7 +100,7 @@ _RESULT = (
     "candidates",
 )
 
-_LEAST = 0.01  # probability of an alternative that is written
+_LEAST = 0.01  # smallest probability of an alternative in the document
 
 SCHEMA = "reframe-jax/identification/3"
 
@@ -110,12 +108,12 @@ SCHEMA = "reframe-jax/identification/3"
 def to_json(
     found: Identification, *, label: str | None = None, windows: Sequence[Window] | None = None
 ) -> str:
-    """A JSON document of one recording; arguments as in :func:`to_table`, schema in the module's text."""
+    """Write a JSON document of one recording; arguments as in :func:`to_table`."""
     return to_document([to_record(found, label=label, windows=windows)])
 
 
 def to_document(records: Sequence[dict[str, Any]]) -> str:
-    """A JSON document of several recordings, each made by :func:`to_record`."""
+    """Write a JSON document of several recordings from their :func:`to_record` entries."""
     return json.dumps({"schema": SCHEMA, "recordings": list(records)}, indent=2, allow_nan=False)
 
 
@@ -128,15 +126,15 @@ def to_record(
     recording: Recording | None = None,
     error: str | None = None,
 ) -> dict[str, Any]:
-    """One entry of "recordings" in a JSON document.
+    """Convert an identification to an entry of "recordings" in the JSON document.
 
     Args:
-        found: of one window or a batch; None for a recording that could not be used.
+        found: the identification of one window or a batch; None for a recording that could not be used.
         label: name of the recording.
-        windows: which part of the recording each window of the batch is.
-        notes: sentences about its input.
-        recording: it itself, for the rows that were left out.
-        error: why it could not be used.
+        windows: the part of the recording that each window of the batch covers.
+        notes: sentences on the input.
+        recording: the recording, which lists the rows that were left out.
+        error: why the recording could not be used.
     """
     each = [] if found is None else split_windows(jax.device_get(found))
     spans: Sequence[Window | None] = windows or [None] * len(each)
@@ -153,7 +151,7 @@ def to_record(
 
 
 def _rows_record(recording: Recording, found: Sequence[Identification]) -> dict[str, Any]:
-    """Which rows of the file were used, and why the others were not."""
+    """The number of rows that were used, and the rows that were left out with the reasons."""
     unused = unused_rows(recording, found)
     outliers = sum(len(each.rows) for each in unused if each.reason == "outlier")
     left_out = [{"reason": each.reason, "why": each.why, "rows": each.rows.tolist()} for each in unused]
@@ -161,7 +159,7 @@ def _rows_record(recording: Recording, found: Sequence[Identification]) -> dict[
 
 
 def _pair(axes: Any) -> dict[str, Any] | None:
-    """The axes of a universal joint by body; None where there is none."""
+    """The axes of a universal joint by body; None for other joints."""
     if not np.all(np.isfinite(axes)):
         return None
     return dict(zip(("ground", "body"), np.asarray(axes).tolist(), strict=True))
@@ -204,7 +202,7 @@ def _window_record(index: int, found: Identification, span: Window | None) -> di
 
 
 def _alternatives(found: Identification) -> list[dict[str, Any]]:
-    """The probable entries of the table, the most probable first."""
+    """The probable constraints, in order of decreasing probability."""
     probability = np.nan_to_num(np.asarray(found.entry_probability, float))
     likely = [code for code in np.argsort(-probability).tolist() if probability[code] > _LEAST]
     return [
@@ -236,7 +234,7 @@ def _frame_record(frame: Any) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """The value with null for what JSON cannot write."""
+    """Replace NaN and infinities by None, which JSON writes as null."""
     if isinstance(value, list):
         return [_plain(item) for item in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value

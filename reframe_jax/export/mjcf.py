@@ -1,4 +1,4 @@
-"""A joint as MJCF, through MuJoCo's own model editor."""
+"""Write a joint as MJCF with MuJoCo's model editor."""
 
 from typing import TYPE_CHECKING
 
@@ -24,7 +24,7 @@ _PALE = (0.5, 0.5, 0.5, 0.3)
 
 
 def to_mjcf(joint: Joint, *, mass: float = 1.0) -> str:
-    """Return a joint as an MJCF document; arguments and errors as in :func:`to_mjspec`."""
+    """Return a joint as an MJCF document; the arguments and errors are those of :func:`to_mjspec`."""
     spec = to_mjspec(joint, mass=mass)
     spec.compile()
     text: str = spec.to_xml()
@@ -33,24 +33,23 @@ def to_mjcf(joint: Joint, *, mass: float = 1.0) -> str:
 
 
 def to_mjspec(joint: Joint, *, mass: float = 1.0) -> "mujoco.MjSpec":
-    """Return a joint as a MuJoCo model to edit: attach it to a scene, or compile it.
+    """Return a joint as an editable MuJoCo model, to attach to a scene or to compile.
 
-    The parent is a body at the origin of the world, the child a body in it with all parts of the joint, and
-    a sphere of 0.1 m radius that touches nothing;
-    ``qpos`` are the joint's coordinates, but for a ball a quaternion in the axes of the child: that of the
-    rotation vector ``joint.home[:3, :3].T @ coordinates``. Angles are radians. A screw joint is a hinge and a
-    slide that an equality constraint couples to it; ``qpos`` has both.
+    The parent is a body at the origin of the world. The child is a body inside the parent, with all parts of
+    the joint and a sphere of 0.1 m radius without collisions. ``qpos`` holds the coordinates of the joint, in
+    radians and metres. For a ball, ``qpos`` holds a quaternion in the axes of the child; its rotation vector
+    is ``joint.home[:3, :3].T @ coordinates``. A screw joint becomes a hinge and a slide, which an equality
+    constraint couples; ``qpos`` has both.
 
     Args:
-        joint: from :meth:`Identification.to_joint`. The limits are its recorded range; a hinge seen to make
-            a full turn has none.
-        mass: kg, of the child's sphere; poses do not tell masses.
+        joint: from :meth:`Identification.to_joint`. The limits are the recorded range; a hinge that made a
+            full turn in the recording has no limits.
+        mass: kg, mass of the child's sphere; poses do not determine masses.
 
     Raises:
-        ValueError: for a contact that leaves every pose within reach, or a free body; or a mass that is not
-            positive.
+        ValueError: for a contact that allows every pose, for a free body, or for a mass that is not positive.
     """
-    import mujoco  # takes a third of a second
+    import mujoco  # the import takes a third of a second
 
     check_mass(mass)
     check_writable(joint, "MJCF")
@@ -82,7 +81,7 @@ def to_mjspec(joint: Joint, *, mass: float = 1.0) -> "mujoco.MjSpec":
             slide = f"{joint.child}_slide"
             child.add_joint(name=slide, type=kinds["slide"], axis=axis)
             thread = np.zeros(mujoco.mjNEQDATA)
-            thread[1] = part.pitch  # the slide is this polynomial of the turn
+            thread[1] = part.pitch  # coefficient of the polynomial that gives the slide from the hinge angle
             joints = mujoco.mjtObj.mjOBJ_JOINT
             spec.add_equality(
                 name=f"{joint.child}_thread",

@@ -1,4 +1,4 @@
-"""What the writers of robot descriptions share: names, numbers, the placeholder of a mass, refusals."""
+"""Helpers of the robot description writers: names, numbers, placeholder masses, and checks."""
 
 from collections.abc import Iterable
 from xml.etree import ElementTree
@@ -15,6 +15,7 @@ __all__ = [
     "check_mass",
     "check_writable",
     "element",
+    "format_numbers",
     "is_endless",
     "part_names",
     "quaternion_wxyz",
@@ -22,15 +23,14 @@ __all__ = [
     "roll_pitch_yaw",
     "sphere_inertia",
     "to_text",
-    "written",
 ]
 
-LINK_MASS_FRACTION = 1e-3  # of the mass, in each link between two parts of a chain
-RADIUS = 0.1  # m, of the sphere whose inertia stands for the unknown one
+LINK_MASS_FRACTION = 1e-3  # fraction of the mass, for each link between two parts of a chain
+RADIUS = 0.1  # m, radius of the sphere that gives the placeholder inertia
 
 
 def check_mass(mass: float) -> float:
-    """The mass in kg.
+    """Check a mass in kg, and return it.
 
     Raises:
         ValueError: if it is not positive and finite.
@@ -41,24 +41,24 @@ def check_mass(mass: float) -> float:
 
 
 def check_writable(joint: Joint, language: str) -> None:
-    """Refuse constraints that are no joint.
+    """Raise an error for a constraint that no joint expresses.
 
     Raises:
-        ValueError: for a contact that leaves every pose within reach, and for a free body.
+        ValueError: for a contact that allows every pose, and for a free body.
     """
     if joint.type == "floating":
-        raise ValueError(f"There is no joint to write as {language}: {joint.child} is free.")
+        raise ValueError(f"There is no joint to write as {language}: {joint.child} moves freely.")
     if not joint.is_chain:
-        raise ValueError(f"{language} cannot say {joint.name!r}. {' '.join(joint.gauge)}")
+        raise ValueError(f"{language} cannot express {joint.name!r}. {' '.join(joint.gauge)}")
 
 
 def is_endless(part: JointPart) -> bool:
-    """Whether a hinge was seen to turn by a full turn or more, so that it has no limits; a screw has some."""
+    """Whether a hinge made a full turn in the recording and so has no limits; a screw always has limits."""
     return part.kind == "hinge" and not part.pitch and part.high - part.low >= 2 * np.pi
 
 
 def part_names(joint: Joint) -> list[str]:
-    """A name for every part: the child and the kind, with a number where there are several of that kind."""
+    """Name each part after the child and its kind, with a number if several parts have the same kind."""
     kinds = [part.kind for part in joint.parts]
     names = []
     for index, kind in enumerate(kinds):
@@ -73,7 +73,7 @@ def sphere_inertia(mass: float) -> float:
 
 
 def remarks(joint: Joint) -> list[str]:
-    """Sentences for the head of a file: what the joint is, how well it fits, and what was chosen."""
+    """Sentences for the head of a file: the constraint, the fit error, and the arbitrary choices."""
     lines = [
         f"{joint.name}, identified by reframe_jax from recorded poses of {joint.child} in {joint.parent}."
     ]
@@ -82,21 +82,25 @@ def remarks(joint: Joint) -> list[str]:
         lines.append(f"RMS distance from the recording: {position:.2g} mm, {rotation:.2g} deg.")
     if joint.parts:
         lines.append("The limits are the recorded range.")
-    return [*lines, *joint.gauge, "Poses do not tell a mass: that of a sphere stands for it."]
+    return [
+        *lines,
+        *joint.gauge,
+        "Poses do not determine the mass and the inertia: a solid sphere serves as a placeholder.",
+    ]
 
 
-def written(values: Iterable[float]) -> str:
-    """Numbers separated by spaces, to ten digits; no negative zeros."""
+def format_numbers(values: Iterable[float]) -> str:
+    """Format numbers with ten digits, separated by spaces, without negative zeros."""
     return " ".join(f"{value + 0.0:.10g}" for value in np.round(np.asarray(list(values), float), 12))
 
 
 def quaternion_wxyz(rotation: np.ndarray) -> np.ndarray:
-    """Unit quaternion (4,) as w, x, y, z of a rotation matrix (3, 3)."""
+    """Unit quaternion (4,) of a rotation matrix (3, 3), in the order w, x, y, z."""
     return np.roll(matrices_to_quaternions(rotation), 1)
 
 
 def roll_pitch_yaw(rotation: np.ndarray) -> np.ndarray:
-    """Angles (3,), rad, about the fixed axes x, y, z in this order; yaw 0 at a pitch of 90 degrees."""
+    """Angles (3,), rad, about the fixed axes x, y, z in this order; yaw is 0 at a pitch of 90 degrees."""
     cosine = np.hypot(rotation[0, 0], rotation[1, 0])
     pitch = np.arctan2(-rotation[2, 0], cosine)
     if cosine < 1e-9:
@@ -108,7 +112,7 @@ def roll_pitch_yaw(rotation: np.ndarray) -> np.ndarray:
 def element(
     parent: ElementTree.Element, tag: str, text: str | None = None, **attributes: str
 ) -> ElementTree.Element:
-    """Append an element."""
+    """Append an XML element to its parent."""
     made = ElementTree.SubElement(parent, tag, attributes)
     made.text = text
     return made

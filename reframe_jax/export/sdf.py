@@ -1,4 +1,4 @@
-"""A joint as SDF (SDFormat)."""
+"""Write a joint as SDF (SDFormat)."""
 
 from xml.etree import ElementTree
 
@@ -9,35 +9,35 @@ from reframe_jax.export.robots import (
     check_mass,
     check_writable,
     element,
+    format_numbers,
     is_endless,
     part_names,
     roll_pitch_yaw,
     sphere_inertia,
     to_text,
-    written,
 )
 from reframe_jax.joints.joint import Joint
 
 __all__ = ["to_sdf"]
 
 _KINDS = {"hinge": "revolute", "slide": "prismatic", "ball": "ball"}
-_MODEL = "__model__"  # the frame of the model, which is the parent
+_MODEL = "__model__"  # the frame of the model, which coincides with the parent
 
 
 def to_sdf(joint: Joint, *, mass: float = 1.0) -> str:
     """Return a joint as an SDF 1.9 document with one model; a screw joint needs SDF 1.10.
 
-    The links are the parent, fixed to the world, the child, and one link between any two parts of the joint;
-    a cylindrical joint is a chain of a slide and a hinge, a planar joint of two slides and a hinge.
+    The links are the parent (fixed to the world), the child, and one link between any two parts of the joint.
+    A cylindrical joint is a chain of a slide and a hinge; a planar joint is a chain of two slides and a
+    hinge.
 
     Args:
-        joint: from :meth:`Identification.to_joint`. The limits are its recorded range, though SDF has none
-            for balls; a hinge seen to make a full turn is ``continuous``.
-        mass: kg, of the child, a solid sphere of 0.1 m radius at its origin; poses do not tell masses.
+        joint: from :meth:`Identification.to_joint`. The limits are the recorded range; SDF has no
+            limits for balls. A hinge that made a full turn in the recording is ``continuous``.
+        mass: kg, mass of the child, a solid sphere of 0.1 m radius; poses do not determine masses.
 
     Raises:
-        ValueError: for a contact that leaves every pose within reach, or a free body; or a mass that is not
-            positive.
+        ValueError: for a contact that allows every pose, for a free body, or for a mass that is not positive.
     """
     check_mass(mass)
     check_writable(joint, "SDF")
@@ -57,16 +57,16 @@ def to_sdf(joint: Joint, *, mass: float = 1.0) -> str:
             _add_link(model, link, at_point, LINK_MASS_FRACTION * mass)
         kind = "continuous" if is_endless(part) else "screw" if part.pitch else _KINDS[part.kind]
         made = _add_joint(model, name, kind, last, link)
-        element(made, "pose", written(at_point), relative_to=_MODEL)
+        element(made, "pose", format_numbers(at_point), relative_to=_MODEL)
         if part.kind != "ball":
             axis = element(made, "axis")
-            element(axis, "xyz", written(part.axis), expressed_in=_MODEL)
+            element(axis, "xyz", format_numbers(part.axis), expressed_in=_MODEL)
             if not is_endless(part):
                 limit = element(axis, "limit")
-                element(limit, "lower", written([part.low]))
-                element(limit, "upper", written([part.high]))
+                element(limit, "lower", format_numbers([part.low]))
+                element(limit, "upper", format_numbers([part.high]))
         if part.pitch:  # m per revolution, positive if right-handed
-            element(made, "screw_thread_pitch", written([2 * np.pi * part.pitch]))
+            element(made, "screw_thread_pitch", format_numbers([2 * np.pi * part.pitch]))
         last = link
     if not names:
         _add_link(model, joint.child, place, mass)
@@ -84,13 +84,13 @@ def _add_joint(
 
 
 def _add_link(model: ElementTree.Element, name: str, place: np.ndarray, mass: float) -> None:
-    """A link at a place (x, y, z, roll, pitch, yaw) of the model, with the inertial of a sphere."""
+    """Add a link at a pose (x, y, z, roll, pitch, yaw) in the model, with the inertia of a sphere."""
     link = element(model, "link", name=name)
-    element(link, "pose", written(place))
+    element(link, "pose", format_numbers(place))
     inertial = element(link, "inertial")
-    element(inertial, "mass", written([mass]))
+    element(inertial, "mass", format_numbers([mass]))
     inertia = element(inertial, "inertia")
     for entry in ("ixx", "iyy", "izz"):
-        element(inertia, entry, written([sphere_inertia(mass)]))
+        element(inertia, entry, format_numbers([sphere_inertia(mass)]))
     for entry in ("ixy", "ixz", "iyz"):
         element(inertia, entry, "0")

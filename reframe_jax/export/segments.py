@@ -1,26 +1,24 @@
-"""A segmentation as a table, for people, and as JSON, for programs.
+"""Write a segmentation as a table for people, or as JSON for programs.
 
-The document of :func:`segments_to_json` and ``reframe-jax segment --json`` has the schema named by
+:func:`segments_to_json` and ``reframe-jax segment --json`` write this document, with the schema named by
 :data:`SCHEMA`. Numbers are in SI units::
 
     {
       "schema": "reframe-jax/segmentation/2",
       "recordings": [
         {
-          "recording": its name, "error": why it could not be used, or null,
-          "motion_time": s, in which the motion gives one independent value,
-          "segments": [
+          "recording": its name, "error": why the recording could not be used, or null, "motion_time": s, time
+          after which values of the motion are decorrelated, "segments": [
             {
-              "start", "stop": samples, from start up to but not including stop,
-              "start_time", "stop_time": s, of the first and the last sample,
-              "label": number of the constraint, the same where it comes back; -1 where the body is still,
-              "name": of the constraint, or "Still",
-              "identification": as a window of "reframe-jax/identification/2", or null
+              "start", "stop": first sample, and the sample after the last one, "start_time", "stop_time": s,
+              of the first and the last sample, "label": number of the constraint, equal in all segments with
+              it; -1 where the body is still, "name": of the constraint, or "Still", "identification": as a
+              window of "reframe-jax/identification/2", or null
             }
           ],
           "boundaries": [
             {"index": first sample of the next segment, "time": s, "probability",
-             "earliest", "latest": samples between which it lies with a probability of 95 %}
+             "earliest", "latest": samples of the 95 % interval of the boundary}
           ]
         }
       ]
@@ -41,7 +39,7 @@ SCHEMA = "reframe-jax/segmentation/2"
 
 
 def segments_to_table(found: Segmentation, *, label: str | None = None) -> str:
-    """What a person reads: a row per segment.
+    """Format a segmentation as text, one row per segment.
 
     Args:
         found: the segmentation.
@@ -67,12 +65,12 @@ def segments_to_table(found: Segmentation, *, label: str | None = None) -> str:
 def segments_to_record(
     found: Segmentation | None, *, label: str | None = None, error: str | None = None
 ) -> dict[str, Any]:
-    """An entry of the JSON document, in plain Python types.
+    """Convert a segmentation to an entry of the JSON document, in plain Python types.
 
     Args:
-        found: the segmentation; None if there is none.
+        found: the segmentation; None if the segmentation failed.
         label: name of the recording.
-        error: why there is none.
+        error: why the segmentation failed.
     """
     record: dict[str, Any] = {"recording": label, "error": error}
     if found is None:
@@ -102,5 +100,5 @@ def _segment_record(segment: Segment, found: Segmentation) -> dict[str, Any]:
 
 
 def segments_to_json(records: list[dict[str, Any]]) -> str:
-    """The JSON document of entries from :func:`segments_to_record`."""
+    """Write the JSON document from entries of :func:`segments_to_record`."""
     return json.dumps({"schema": SCHEMA, "recordings": records}, indent=2, allow_nan=False)

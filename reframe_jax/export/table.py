@@ -1,4 +1,4 @@
-"""An identification as a table, for people."""
+"""Write an identification as a table, for people."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -26,25 +26,26 @@ from reframe_jax.recordings.rows import name_rows
 __all__ = ["rows_to_table", "to_table"]
 
 _UNITS = {"angular": "rad/s", "linear": "m/s"}
-_CLEAR = 0.99  # probability from which on it goes without saying
-_LISTED = 6  # outliers listed in a line
+_CLEAR = 0.99  # probabilities above this value are not printed
+_LISTED = 6  # most outliers listed in a line
 
 
 def to_table(
     found: Identification, *, label: str | None = None, windows: Sequence[Window] | None = None
 ) -> str:
-    """What a person reads: a paragraph for one window, a row per window for a batch.
+    """Format an identification as text: a paragraph for one window, one row per window for a batch.
 
-    In parentheses after a name is its probability (see :attr:`Identification.probability`); after "free" or
-    "constrained" that of the word, where it is below 0.99.
+    The number in parentheses after a name is its probability (see :attr:`Identification.probability`). The
+    number after "free" or "constrained" is the probability of this degree of freedom, printed if it is below
+    0.99.
 
     Args:
-        found: of one window, or a batch.
+        found: the identification of one window, or of a batch.
         label: heading, such as the name of the recording.
-        windows: which part of the recording each window is; one for a single window.
+        windows: the part of the recording that each window covers; a list of one for a single window.
 
     Raises:
-        ValueError: if there are not as many ``windows`` as in ``found``.
+        ValueError: if the number of ``windows`` differs from the number in ``found``.
     """
     host = jax.device_get(found)
     if np.ndim(host.status_code):
@@ -60,7 +61,7 @@ def to_table(
         blocks += _frame_block(group, getattr(host, group))
     if np.isfinite(host.pitch):
         hand = "right" if host.pitch > 0 else "left"
-        lead = f"{2e3 * np.pi * abs(host.pitch):.4g} mm a turn, {hand}-handed"
+        lead = f"{2e3 * np.pi * abs(host.pitch):.4g} mm per turn, {hand}-handed"
         blocks += [f"Pitch   {host.pitch:.4g} m/rad: {lead}", ""]
     if np.all(np.isfinite(host.universal_axes)):
         ground, body = (_vector(axis, 3) for axis in host.universal_axes)
@@ -69,11 +70,12 @@ def to_table(
 
 
 def rows_to_table(recording: Recording, found: Identification) -> str:
-    """The rows of a file that were left out, a line for each reason; empty if all were used.
+    """List the rows of a file that were left out, one line per reason; empty if all rows were used.
 
     Args:
-        recording: what was identified.
-        found: of the whole recording as one window, or of several windows, whose outliers are not listed.
+        recording: the recording that was identified.
+        found: the identification of the whole recording, or of several windows. The outliers of several
+            windows are not listed.
     """
     unused = unused_rows(recording, split_windows(jax.device_get(found)))
     if not unused:
@@ -86,7 +88,7 @@ def rows_to_table(recording: Recording, found: Identification) -> str:
 
 
 def _vector(vector: Any, digits: int, width: int = 0) -> str:
-    # adding zero after rounding takes the sign from a zero
+    # adding zero after rounding removes the sign of a negative zero
     return "(" + ", ".join(f"{np.round(x, digits) + 0.0:{width}.{digits}f}" for x in vector) + ")"
 
 
@@ -126,12 +128,12 @@ def _size(amplitude: float, group: str) -> str:
 
 
 def _probability(value: float) -> str:
-    """Two digits; nothing is certain."""
+    """Format a probability with two digits, never as 0 or 1."""
     return "<0.01" if value < 0.01 else ">0.99" if value > 0.99 else f"{value:.2f}"
 
 
 def _noise_line(found: Identification, window: Window | None) -> str:
-    """How noisy the poses are, the smallest time scale, and which poses took no part."""
+    """Format the noise of the poses, the smallest time scale, and the poses that were left out."""
     scale, out = int(found.scale), outlier_samples(found, window)
     position, rotation = 1e3 * found.noise.position, np.degrees(found.noise.rotation)
     over = f"blocks of {scale} sample{'' if scale == 1 else 's'}"
@@ -148,12 +150,12 @@ def _noise_line(found: Identification, window: Window | None) -> str:
 
 
 def _speed(value: float) -> str:
-    """A velocity; what is not even rounding of one is zero."""
+    """Format a velocity; values below rounding errors are printed as zero."""
     return f"{value if value > 1e-18 else 0:.3g}"
 
 
 def _choice_of_position(directions: list[np.ndarray]) -> list[str]:
-    """In words, which directions of the position the motion leaves open."""
+    """Name the directions along which the motion does not determine the position."""
     if not directions:
         return []
     if len(directions) == 3:

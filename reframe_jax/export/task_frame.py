@@ -1,4 +1,4 @@
-"""The task frame for controllers: where it is, which axes to move and which to leave to the contact."""
+"""The task frame for a controller: its pose, and which axes are motion- or force-controlled."""
 
 import json
 from dataclasses import dataclass
@@ -22,20 +22,20 @@ _UNITS = ("N/m",) * 3 + ("N m/rad",) * 3
 
 @dataclass(frozen=True, eq=False)
 class TaskFrame:
-    """One frame whose axes are those of both the angular and the linear constraint.
+    """One frame whose axes serve both the angular and the linear constraint.
 
-    Six numbers in a row are along x, y, z of this frame, then about them.
+    Arrays of six values refer to translations along x, y, z of this frame, then rotations about x, y, z.
 
     Attributes:
         constraint: name of the constraint.
-        frame_id: name of the body that ``transform`` is in: the one in which the frame is fixed, or the
-            ground where its parts are fixed in different bodies.
+        frame_id: name of the body in which ``transform`` is expressed: the body in which the frame is fixed,
+            or the ground if axes and origin are fixed in different bodies.
         task: name of this frame.
         transform: (4, 4) pose of this frame in ``frame_id``, m.
-        validity: a sentence that says for how long.
+        validity: a sentence that names the poses at which the frame is valid.
         free: (6,) bool, whether motion along or about an axis is free.
-        stiffness: (6,) N/m, N m/rad, along and about the axes of this frame.
-        turned: degrees by which the identified angular axes were turned to fit the linear ones.
+        stiffness: (6,) N/m along, then N m/rad about the axes of this frame.
+        turned: degrees by which the identified angular axes were turned to align with the linear axes.
     """
 
     constraint: str
@@ -49,28 +49,28 @@ class TaskFrame:
 
     @property
     def motion_selection(self) -> np.ndarray:
-        """(6, 6) diagonal, in the axes of this frame: 1 where the motion is controlled, the free axes."""
+        """(6, 6) diagonal, in the axes of this frame: 1 for motion-controlled axes, which are free."""
         return np.diag(self.free.astype(float))
 
     @property
     def force_selection(self) -> np.ndarray:
-        """(6, 6) diagonal, in the axes of this frame: 1 where the force is controlled, constrained axes."""
+        """(6, 6) diagonal, in the axes of this frame: 1 for force-controlled axes, which are constrained."""
         return np.diag((~self.free).astype(float))
 
     def in_frame_id(self, matrix: ArrayLike) -> np.ndarray:
-        """A (6, 6) matrix in the axes of ``frame_id``, such as a selection or ``np.diag(stiffness)``.
+        """Rotate a (6, 6) matrix, such as a selection or ``np.diag(stiffness)``, to the axes of ``frame_id``.
 
-        The reference point stays the origin of this frame.
+        The reference point remains the origin of this frame.
         """
         turn = np.kron(np.eye(2), self.transform[:3, :3])
         return turn @ np.asarray(matrix, float) @ turn.T
 
     def to_yaml(self) -> str:
-        """A YAML document with the fields of a ``geometry_msgs/TransformStamped``, and the control."""
+        """Write YAML with the fields of a ``geometry_msgs/TransformStamped``, and the stiffness."""
         return "\n".join(_yaml_lines(self._document())) + "\n"
 
     def to_json(self) -> str:
-        """The document of :meth:`to_yaml` as JSON."""
+        """Write the document of :meth:`to_yaml` as JSON."""
         return json.dumps(self._document(), indent=2)
 
     def _document(self) -> dict[str, Any]:
@@ -96,14 +96,14 @@ class TaskFrame:
 
 @dataclass(frozen=True)
 class _Part:
-    """Axes of one group, columns in the ground, and which of them are free."""
+    """The angular or the linear axes as columns in the ground, and which axes are free."""
 
     axes: np.ndarray
     free: tuple[int, ...]
 
     @property
-    def odd(self) -> int | None:
-        """Index of the axis that differs from the other two; None if all are alike."""
+    def distinct(self) -> int | None:
+        """Index of the single free or single constrained axis; None if all three axes are alike."""
         number = sum(self.free)
         return self.free.index(number % 2) if number in (1, 2) else None
 
@@ -120,23 +120,23 @@ def to_task_frame(
 ) -> TaskFrame:
     """Return the task frame of a constraint while the body is at a pose.
 
-    Where the angular and the linear frame both have an odd axis (a single free or a single constrained one),
-    these axes must be parallel or perpendicular, so that one frame serves both; up to 15 degrees are put down
-    to errors, and the linear axes are kept.
+    One frame serves both constraints if their distinct axes are parallel or perpendicular. The distinct axis
+    of a frame is its single free or single constrained axis. Deviations up to 15 degrees count as estimation
+    errors; the task frame then keeps the linear axes.
 
     Args:
-        found: of a single window.
-        pose: (4, 4) of {b} in {g}, m: where the frame is wanted. The same for all poses if the whole frame is
-            fixed in one body.
+        found: the identification of a single window.
+        pose: (4, 4) of {b} in {g}, m, the pose at which to evaluate the frame. If the whole frame is fixed in
+            one body, every pose gives the same task frame.
         ground: name of {g}.
         body: name of {b}.
         task: name of the frame.
-        stiff: N/m and N m/rad, stiffness along and about free axes, where the controller moves.
-        soft: N/m and N m/rad, stiffness along and about constrained axes, where the contact decides.
+        stiff: N/m and N m/rad, stiffness along and about free axes, which the controller moves.
+        soft: N/m and N m/rad, stiffness along and about constrained axes, which the contact holds.
 
     Raises:
-        ValueError: for a batch, a window without a result, another shape, stiffness that is negative or not
-            finite, or axes that are neither parallel nor perpendicular.
+        ValueError: for a batch; a window without a result; a pose of another shape; a stiffness that is
+            negative or not finite; distinct axes that are neither parallel nor perpendicular.
     """
     if isinstance(found, Identification):
         if np.shape(found.status_code) == () and found.status.failed:
@@ -166,10 +166,10 @@ def to_task_frame(
     placed[:3, 3] = np.asarray(frame.position, float)
     if point_on_body:
         placed[:3, 3] = rotation @ placed[:3, 3] + origin
-    # axes that are all alike are fixed in no body
+    # without a distinct axis, the orientation is arbitrary and fixed in no body
     fixed = {"origin": point_on_body}
-    fixed |= {"linear axes": linear_on_body} if linear.odd is not None else {}
-    fixed |= {"angular axes": angular_on_body} if angular.odd is not None else {}
+    fixed |= {"linear axes": linear_on_body} if linear.distinct is not None else {}
+    fixed |= {"angular axes": angular_on_body} if angular.distinct is not None else {}
     holder: Literal["ground", "body"] | None = None
     if len(set(fixed.values())) == 1:
         holder = "body" if point_on_body else "ground"
@@ -179,9 +179,9 @@ def to_task_frame(
     stiffness = np.where(free, np.repeat(both[0], 3), np.repeat(both[1], 3))
     names = {True: body, False: ground}
     validity = (
-        f"Always: the frame is fixed in {names[holder == 'body']}."
+        f"Valid at every pose: the frame is fixed in {names[holder == 'body']}."
         if holder
-        else f"At one pose of {body}. Fixed are: "
+        else f"Valid at one pose of {body} only. Fixed are: "
         + ", ".join(f"{part} in {names[on_body]}" for part, on_body in fixed.items())
         + "."
     )
@@ -195,36 +195,36 @@ def _in_ground(axes: ArrayLike, on_body: bool, rotation: np.ndarray) -> np.ndarr
 
 
 def _common_axes(angular: _Part, linear: _Part) -> tuple[np.ndarray, tuple[int, ...], float]:
-    """Axes for both groups, which rotations about them are free, and by how many degrees one was turned."""
-    if linear.odd is None:
+    """Common axes of both constraints, the free rotations about them, and the correction in degrees."""
+    if linear.distinct is None:
         return angular.axes, angular.free, 0.0
-    if angular.odd is None:
+    if angular.distinct is None:
         return linear.axes, angular.free, 0.0
-    own, other = linear.axes[:, linear.odd], angular.axes[:, angular.odd]
+    own, other = linear.axes[:, linear.distinct], angular.axes[:, angular.distinct]
     angle = float(np.degrees(np.arccos(min(1.0, abs(float(own @ other))))))
     relation = relation_of_cosine(float(own @ other))
-    place = linear.odd
+    place = linear.distinct
     axes = linear.axes
     if relation == AxisRelation.OBLIQUE:
         raise ValueError(
-            f"No frame serves both: the angular and the linear axes lie at {angle:.0f} degrees, neither "
-            "parallel nor perpendicular."
+            f"No task frame serves both constraints: the angle between the angular and the linear axes is "
+            f"{angle:.0f} degrees, neither parallel nor perpendicular."
         )
     if relation == AxisRelation.PERPENDICULAR:
-        # turned about its odd axis, the linear frame is the same
-        place = (linear.odd + 1) % 3
+        # the linear frame may be turned about its distinct axis without any change of the constraint
+        place = (linear.distinct + 1) % 3
         across = other - own * (own @ other)
         across /= np.linalg.norm(across)
         axes = np.empty((3, 3))
-        axes[:, linear.odd], axes[:, place] = own, across
-        axes[:, 3 - linear.odd - place] = np.cross(own, across)
-    kind = angular.free[angular.odd]
+        axes[:, linear.distinct], axes[:, place] = own, across
+        axes[:, 3 - linear.distinct - place] = np.cross(own, across)
+    kind = angular.free[angular.distinct]
     turns = tuple(kind if index == place else 1 - kind for index in range(3))
     return axes, turns, min(angle, 90 - angle)
 
 
 def _plain(values: np.ndarray) -> list[float]:
-    """Numbers without negative zeros, to 9 digits after the point."""
+    """Round numbers to 9 decimals, without negative zeros."""
     return [float(value) + 0.0 for value in np.round(values, 9)]
 
 
@@ -239,7 +239,7 @@ def _yaml_lines(value: dict[str, Any], indent: str = "") -> list[str]:
 
 
 def _yaml(item: Any) -> str:
-    """A list, a number or a text in one line; numbers without exponents, which YAML 1.1 takes for texts."""
+    """Format a list, number or text in one line; no exponents, because YAML 1.1 reads them as text."""
     if isinstance(item, list):
         return f"[{', '.join(map(_yaml, item))}]"
     return f"{item:.9f}" if isinstance(item, float) else json.dumps(item)

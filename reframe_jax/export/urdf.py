@@ -9,40 +9,40 @@ from reframe_jax.export.robots import (
     check_mass,
     check_writable,
     element,
+    format_numbers,
     is_endless,
     part_names,
     roll_pitch_yaw,
     sphere_inertia,
     to_text,
-    written,
 )
 from reframe_jax.joints.chain import JointPart
 from reframe_jax.joints.joint import Joint
 
 __all__ = ["to_urdf"]
 
-_EFFORT, _VELOCITY = "1000", "10"  # N or N m, m/s or rad/s: the format demands numbers
-_NO_LENGTH = 1e-9  # m or rad, below which an offset is left out
+_EFFORT, _VELOCITY = "1000", "10"  # N or N m, m/s or rad/s: the format requires numbers
+_NO_LENGTH = 1e-9  # m or rad, smaller offsets are omitted
 
 
 def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
     """Return a joint as a URDF document.
 
     The links are the parent, the child, and one link for every part of the joint between them, with the axes
-    of the parent. A joint with several parts is a chain: a cylindrical joint is a slide and a hinge, a planar
-    joint two slides and a hinge (the type ``planar`` of URDF leaves open whether the child may turn). A screw
-    joint is a hinge and a slide that mimics it. Three
-    hinges stand for a ball, as in :meth:`Joint.without_balls`, whose coordinates are those of the file. Every
-    moving link has an inertial, which MuJoCo demands, and MuJoCo is told to keep fixed links.
+    of the parent. A cylindrical joint is a slide and a hinge. A planar joint is two slides and a hinge,
+    because the URDF type ``planar`` does not specify whether the child may turn. A screw joint is a hinge and
+    a slide that mimics the hinge. Three hinges replace a ball, as in :meth:`Joint.without_balls`, which has
+    the coordinates of the file. Every moving link has an ``inertial`` element, which MuJoCo requires; a
+    compiler flag keeps fixed links in MuJoCo.
 
     Args:
-        joint: from :meth:`Identification.to_joint`. The limits are its recorded range; a hinge seen to make
-            a full turn is ``continuous``.
-        mass: kg, of the child, a solid sphere of 0.1 m radius at its origin; poses do not tell masses.
+        joint: from :meth:`Identification.to_joint`. The limits are the recorded range; a hinge that made a
+            full turn in the recording is ``continuous``.
+        mass: kg, mass of the child, a solid sphere of 0.1 m radius; poses do not determine masses.
 
     Raises:
-        ValueError: for what URDF cannot say: balls that turn so far that three hinges lock, contacts that
-            leave every pose within reach, free bodies; or a mass that is not positive.
+        ValueError: for a ball whose rotations come near the gimbal lock of three hinges, a contact that
+            allows every pose, a free body, or a mass that is not positive.
     """
     check_mass(mass)
     check_writable(joint, "URDF")
@@ -64,7 +64,7 @@ def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
             slide = JointPart("slide", part.axis, part.point, low, high)
             thread = f"{joint.child}_slide"
             made = _add_part(robot, thread, slide, last, place)
-            element(made, "mimic", joint=name, multiplier=written([part.pitch]), offset="0")
+            element(made, "mimic", joint=name, multiplier=format_numbers([part.pitch]), offset="0")
             _add_link(robot, f"{thread}_link", LINK_MASS_FRACTION * mass)
             last = f"{thread}_link"
     mount = element(robot, "joint", name=f"{joint.child}_fixed", type="fixed")
@@ -78,27 +78,31 @@ def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
 def _add_part(
     robot: ElementTree.Element, name: str, part: JointPart, last: str, place: np.ndarray
 ) -> ElementTree.Element:
-    """A hinge or a slide from a link, whose origin is at a place in the parent."""
+    """Add a hinge or slide to a link whose origin has a given position in the parent."""
     kind = "prismatic" if part.kind == "slide" else "continuous" if is_endless(part) else "revolute"
     made = element(robot, "joint", name=name, type=kind)
     _add_origin(made, part.point - place, np.zeros(3))
     element(made, "parent", link=last)
     element(made, "child", link=f"{name}_link")
-    element(made, "axis", xyz=written(part.axis))
-    range_ = {} if is_endless(part) else {"lower": written([part.low]), "upper": written([part.high])}
+    element(made, "axis", xyz=format_numbers(part.axis))
+    range_ = (
+        {}
+        if is_endless(part)
+        else {"lower": format_numbers([part.low]), "upper": format_numbers([part.high])}
+    )
     element(made, "limit", effort=_EFFORT, velocity=_VELOCITY, **range_)
     return made
 
 
 def _add_link(robot: ElementTree.Element, name: str, mass: float) -> None:
-    """A link with the inertial of a sphere at its origin."""
+    """Add a link with the inertia of a sphere at its origin."""
     inertial = element(element(robot, "link", name=name), "inertial")
-    element(inertial, "mass", value=written([mass]))
-    moment, nothing = written([sphere_inertia(mass)]), "0"
+    element(inertial, "mass", value=format_numbers([mass]))
+    moment, nothing = format_numbers([sphere_inertia(mass)]), "0"
     moments = {"ixx": moment, "iyy": moment, "izz": moment, "ixy": nothing, "ixz": nothing, "iyz": nothing}
     element(inertial, "inertia", **moments)
 
 
 def _add_origin(joint: ElementTree.Element, place: np.ndarray, angles: np.ndarray) -> None:
     if np.abs([*place, *angles]).max() > _NO_LENGTH:
-        element(joint, "origin", xyz=written(place), rpy=written(angles))
+        element(joint, "origin", xyz=format_numbers(place), rpy=format_numbers(angles))

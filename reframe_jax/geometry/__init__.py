@@ -1,1 +1,1 @@
-"""Rotations, rigid transforms, symmetric 3x3 matrices and products: the algebra everything else uses."""
+"""Algebra of rotations, rigid transforms, symmetric 3x3 matrices and matrix products."""

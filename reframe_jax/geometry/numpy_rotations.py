@@ -1,7 +1,7 @@
-"""Rotations in plain NumPy, for what never meets JAX: files, cleaning, descriptions of an arm.
+"""Rotations in NumPy, for code without JAX: reading files, cleaning recordings, describing an arm.
 
-Always in double precision, whatever JAX's 64-bit switch says; nothing here is traced or differentiated. Use
-:mod:`reframe_jax.geometry.rotations` for everything else. Quaternions are (x, y, z, w).
+All functions use double precision, independent of JAX's 64-bit setting, and cannot be traced or
+differentiated. Use :mod:`reframe_jax.geometry.rotations` for code with JAX. Quaternions are (x, y, z, w).
 """
 
 import numpy as np
@@ -16,16 +16,17 @@ __all__ = [
 
 
 def quaternions_to_matrices(quaternions: np.ndarray) -> np.ndarray:
-    """Rotation matrices (..., 3, 3) of unit quaternions (..., 4)."""
+    """Convert unit quaternions (..., 4) to rotation matrices (..., 3, 3)."""
     cross = np.cross(quaternions[..., None, :3], np.eye(3)).swapaxes(-1, -2)
     turned: np.ndarray = np.eye(3) + 2 * quaternions[..., 3, None, None] * cross + 2 * cross @ cross
     return turned
 
 
 def matrices_to_quaternions(matrices: np.ndarray) -> np.ndarray:
-    """Unit quaternions (..., 4) with w >= 0 of rotation matrices (..., 3, 3).
+    """Convert rotation matrices (..., 3, 3) to unit quaternions (..., 4) with w >= 0.
 
-    They are the eigenvectors of 4 q q^T, which is linear in the matrix; half turns need no special case.
+    A quaternion q is an eigenvector of 4 q q^T, which is linear in the rotation matrix. Half turns therefore
+    need no special case.
     """
     transposed = matrices.swapaxes(-1, -2)
     outer, trace = np.empty((*matrices.shape[:-2], 4, 4)), np.trace(matrices, axis1=-2, axis2=-1)
@@ -39,7 +40,7 @@ def matrices_to_quaternions(matrices: np.ndarray) -> np.ndarray:
 
 
 def rotation_vectors(matrices: np.ndarray) -> np.ndarray:
-    """Rotation vectors (..., 3), rad, of rotation matrices (..., 3, 3), half turns included."""
+    """Convert rotation matrices (..., 3, 3), including half turns, to rotation vectors (..., 3), rad."""
     quaternions = matrices_to_quaternions(matrices)
     sine = np.linalg.norm(quaternions[..., :3], axis=-1)
     factor = 2 * np.arctan2(sine, quaternions[..., 3]) / np.where(sine == 0, 1, sine)
@@ -48,18 +49,18 @@ def rotation_vectors(matrices: np.ndarray) -> np.ndarray:
 
 
 def rotation_matrices(vectors: np.ndarray) -> np.ndarray:
-    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), rad."""
+    """Convert rotation vectors (..., 3), rad, to rotation matrices (..., 3, 3)."""
     angle = np.linalg.norm(vectors, axis=-1, keepdims=True)
     sine = 0.5 * np.sinc(angle / (2 * np.pi))  # sin(angle / 2) / angle, 1/2 at 0
     return quaternions_to_matrices(np.concatenate([sine * vectors, np.cos(angle / 2)], axis=-1))
 
 
 def euler_matrices(order: str, angles: np.ndarray) -> np.ndarray:
-    """Rotation matrices (..., 3, 3) of three turns.
+    """Convert three Euler angles to rotation matrices (..., 3, 3).
 
     Args:
-        order: three letters. "XYZ" turns about the moving axes, about x first: Rx Ry Rz; "xyz" about the
-            fixed axes, about x first: Rz Ry Rx.
+        order: three letters. "XYZ" means rotations about the moving axes, x first: Rx Ry Rz. "xyz" means
+            rotations about the fixed axes, x first: Rz Ry Rx.
         angles: (..., 3) rad, in the order of the letters.
     """
     turns = [

@@ -1,7 +1,7 @@
-"""Products of matrices in full precision.
+"""Matrix products in full precision.
 
-GPUs multiply float32 matrices with 10 bits of mantissa unless told otherwise: JAX's default there. An
-orientation is then good to a milliradian.
+By default, JAX multiplies float32 matrices on GPUs with a mantissa of 10 bits, which limits the accuracy of
+an orientation to a milliradian.
 """
 
 import jax
@@ -17,5 +17,5 @@ def matmul(a: jax.Array, b: jax.Array) -> jax.Array:
 
 
 def apply(matrix: jax.Array, vector: jax.Array) -> jax.Array:
-    """Matrices (..., m, n) times vectors (..., n)."""
+    """Multiply matrices (..., m, n) by vectors (..., n)."""
     return matmul(matrix, vector[..., None])[..., 0]

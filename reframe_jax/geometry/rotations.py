@@ -1,10 +1,10 @@
 """Rotations: the group SO(3) as rotation vectors, matrices and quaternions.
 
-Every function takes any leading batch axes, keeps the dtype of its input, and has finite, accurate
-values *and* derivatives everywhere, the zero rotation and half turns included. The functions of the
-angle that are 0/0 at zero are even, hence analytic in the squared angle: below one radian they are
-summed as series in it, above they are evaluated in closed form. Both branches of a ``where`` are
-differentiated, so each is fed a harmless angle where the other one is used.
+Every function accepts any leading batch axes, keeps the dtype of its input, and has finite, accurate values
+*and* derivatives everywhere, including the zero rotation and half turns. Functions of the angle that are 0/0
+at zero are even, and therefore analytic in the squared angle. Below one radian, a series in the squared angle
+gives their value; above, the closed form does. JAX differentiates both branches of a ``where``, so the unused
+branch gets an angle at which its derivative is finite.
 
 Conventions: rotation vectors are axis times angle, in radians; quaternions are (x, y, z, w).
 """
@@ -28,10 +28,10 @@ __all__ = [
     "vee",
 ]
 
-Entries = Sequence[Sequence[jax.Array]] | jax.Array  # of a matrix, by row and column
+Entries = Sequence[Sequence[jax.Array]] | jax.Array  # entries of a matrix, by row and column
 Vector = tuple[jax.Array, jax.Array, jax.Array]
 
-_TERMS = 10  # of each series below one radian; the first one left out is < 1e-17
+_TERMS = 10  # terms of each series below one radian; the first omitted term is < 1e-17
 _SINC = tuple((-1) ** order / factorial(2 * order + 1) for order in range(_TERMS))
 _VERSINE = tuple((-1) ** order / factorial(2 * order + 2) for order in range(_TERMS))
 _SLACK = tuple((-1) ** order / factorial(2 * order + 3) for order in range(_TERMS))
@@ -59,13 +59,13 @@ def _series(x: jax.Array, coefficients: tuple[float, ...]) -> jax.Array:
 
 
 def _squared_length(vector: jax.Array) -> jax.Array:
-    """(..., n) to (...), term by term: GPUs have no fast reduction over three numbers."""
+    """Squared length (...) of vectors (..., n), term by term, because GPUs reduce three numbers slowly."""
     terms = [vector[..., i] * vector[..., i] for i in range(vector.shape[-1])]
     return sum(terms[1:], terms[0])
 
 
 def _angle(rotvec: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Squared angle for the series, whether it is small, and the angle for the closed form."""
+    """Squared angle for the series, whether the angle is small, and the angle for the closed form."""
     squared = _squared_length(rotvec)
     small = squared < 1.0
     return jnp.where(small, squared, 0.0), small, jnp.sqrt(jnp.where(small, 1.0, squared))
@@ -95,7 +95,7 @@ def hat(vector: jax.Array) -> jax.Array:
 
 
 def _hat_squared(vector: jax.Array) -> jax.Array:
-    """``hat(w) @ hat(w)``; products of many small matrices are slow, on GPUs above all."""
+    """``hat(w) @ hat(w)`` by components, because products of many small matrices are slow."""
     x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
     xx, yy, zz = x * x, y * y, z * z
     rows = ((-yy - zz, x * y, x * z), (x * y, -xx - zz, y * z), (x * z, y * z, -xx - yy))
@@ -106,7 +106,7 @@ def vee(matrix: jax.Array) -> jax.Array:
     """Vector of a skew-symmetric matrix; the inverse of :func:`hat`.
 
     Args:
-        matrix: (..., 3, 3); only its skew-symmetric part counts.
+        matrix: (..., 3, 3); only its skew-symmetric part is used.
 
     Returns:
         (..., 3).
@@ -134,7 +134,8 @@ def rotation_exp(rotvec: jax.Array) -> jax.Array:
 def rotation_log(rotation: jax.Array) -> jax.Array:
     """Rotation vector of a rotation matrix, of length at most pi: the logarithm of SO(3).
 
-    At a half turn the axis has two signs; one of them is returned, with finite derivatives.
+    At a half turn, both signs of the axis are correct; the function returns one of them, with finite
+    derivatives.
 
     Args:
         rotation: (..., 3, 3).
@@ -147,7 +148,7 @@ def rotation_log(rotation: jax.Array) -> jax.Array:
 
 
 def log_by_component(entries: Entries) -> Vector:
-    """:func:`rotation_log` of rotations given by their entries, arrays of one shape: faster on a CPU."""
+    """:func:`rotation_log` of rotations given as nine arrays of one shape, which is faster on a CPU."""
     x, y, z, w = _quaternion(entries)
     squared = x * x + y * y + z * z
     small = squared < 1e-2
@@ -221,8 +222,8 @@ def quaternion_to_rotation(quaternion: jax.Array) -> jax.Array:
 def rotation_to_quaternion(rotation: jax.Array) -> jax.Array:
     """Unit quaternion of a rotation matrix, with w >= 0.
 
-    ``4 q q^T`` is linear in the rotation matrix; its row with the largest diagonal entry, which is
-    at least 1, is normalized (Shepperd's choice), so nothing is divided by a small number.
+    ``4 q q^T`` is linear in the rotation matrix. The function normalizes its row with the largest diagonal
+    entry, which is at least 1 (Shepperd's method), and thus never divides by a small number.
 
     Args:
         rotation: (..., 3, 3).

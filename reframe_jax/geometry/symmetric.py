@@ -1,8 +1,8 @@
-"""Symmetric 3x3 matrices as six arrays: algebra for very many of them at once.
+"""Algebra for large batches of symmetric 3x3 matrices, stored as six arrays.
 
-A matrix is a tuple (xx, xy, xz, yy, yz, zz) of arrays over any batch of problems. Written out by
-component every operation is a handful of elementwise array operations, which compilers fuse and
-vectorize over the batch; batched 3x3 kernels (einsum, solve, eigh) are 5-10 times slower.
+A matrix is a tuple (xx, xy, xz, yy, yz, zz) of arrays over any batch of problems. By components, every
+function is a few elementwise array operations, which compilers fuse and vectorize over the batch. Batched 3x3
+kernels (einsum, solve, eigh) are 5-10 times slower.
 """
 
 import jax
@@ -28,23 +28,23 @@ Vector = tuple[jax.Array, jax.Array, jax.Array]
 INDEX_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 PACKED = ((0, 1, 2), (1, 3, 4), (2, 4, 5))
 
-_JACOBI_SWEEPS = 5  # quadratic convergence: 4 reach float64 rounding from the worst case, 2 spare
+_JACOBI_SWEEPS = 5  # quadratic convergence: in the worst case, 4 sweeps reach float64 rounding
 
 
 def from_matrix(matrix: jax.Array) -> Symmetric:
-    """Components of the symmetric matrices (..., 3, 3)."""
+    """Extract the components of symmetric matrices (..., 3, 3)."""
     xx, xy, xz, yy, yz, zz = (matrix[..., i, j] for i, j in INDEX_PAIRS)
     return xx, xy, xz, yy, yz, zz
 
 
 def to_matrix(s: Symmetric) -> jax.Array:
-    """Matrices (..., 3, 3) from components."""
+    """Build matrices (..., 3, 3) from components."""
     rows = [jnp.stack([s[PACKED[i][j]] for j in range(3)], axis=-1) for i in range(3)]
     return jnp.stack(rows, axis=-2)
 
 
 def _reciprocal(x: jax.Array) -> jax.Array:
-    """1/x, and 0 for 0: a zero pivot of a semidefinite matrix has a zero column below it."""
+    """1/x, and 0 for x = 0: a zero pivot of a semidefinite matrix has a zero column below."""
     zero = x == 0
     return jnp.where(zero, 0, 1 / jnp.where(zero, 1, x))
 
@@ -52,8 +52,8 @@ def _reciprocal(x: jax.Array) -> jax.Array:
 def pivots(s: Symmetric) -> Vector:
     """The diagonal D of S = L D L^T, for a positive semidefinite matrix.
 
-    Its product is the determinant. Eliminating is backward stable. Expanding the determinant by cofactors is
-    not: where one axis moves freely and two are constrained it loses twice the digits, and all of them in
+    The product of D is the determinant. Elimination is backward stable. An expansion of the determinant by
+    cofactors is not: with one free and two constrained axes, it loses twice as many digits, and all digits in
     float32.
     """
     xx, xy, xz, yy, yz, zz = s
@@ -65,7 +65,7 @@ def pivots(s: Symmetric) -> Vector:
 
 
 def solve(s: Symmetric, v: Vector) -> Vector:
-    """S^-1 v by cofactors, S definite or not; infinite or NaN where it is singular."""
+    """S^-1 v by cofactors, for definite or indefinite S; infinite or NaN if S is singular."""
     xx, xy, xz, yy, yz, zz = s
     a, b, c = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     d, e, f = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
@@ -77,13 +77,13 @@ def solve(s: Symmetric, v: Vector) -> Vector:
 def _rotate(
     values: list[jax.Array], off: dict[tuple[int, int], jax.Array], axes: list[Vector], i: int, j: int
 ) -> None:
-    """One Jacobi rotation in the plane (i, j), in place: makes off[i, j] zero."""
+    """Apply one Jacobi rotation in the plane (i, j), in place, which makes off[i, j] zero."""
     k = 3 - i - j
     ij = (i, j)
     ik, jk = (min(i, k), max(i, k)), (min(j, k), max(j, k))
     b = off[ij]
     half = (values[j] - values[i]) / 2
-    # t = tan of the smaller rotation angle, written so that nothing overflows or is divided by zero
+    # t = tan of the smaller rotation angle, in a form without overflow and division by zero
     root = jnp.abs(half) + jnp.hypot(half, b)
     t = jnp.where(b == 0, 0, jnp.where(half < 0, -b, b) / jnp.where(b == 0, 1, root))
     c = 1 / jnp.sqrt(1 + t * t)
@@ -105,12 +105,12 @@ def _choose(condition: jax.Array, a: Vector, b: Vector) -> Vector:
 def eigh(s: Symmetric) -> tuple[Vector, tuple[Vector, Vector, Vector]]:
     """Eigenvalues in ascending order and their unit eigenvectors, by cyclic Jacobi rotations.
 
-    A fixed number of sweeps, so every matrix costs the same and none waits for another. Jacobi keeps
-    small eigenvalues of graded matrices accurate, which is what constrained axes are. Differentiable;
-    equal eigenvalues, whose vectors have no derivative, contribute nothing to it.
+    The number of sweeps is fixed, so every matrix of a batch has the same cost. Jacobi's method keeps the
+    small eigenvalues of graded matrices accurate; constrained axes have such small eigenvalues. The function
+    is differentiable. The eigenvectors of equal eigenvalues have no derivative and contribute zero.
 
     Returns:
-        ``(values, vectors)``: three arrays, and three vectors of three arrays.
+        ``(values, vectors)``: three arrays, and three vectors with three arrays each.
     """
     return _jacobi(s)
 

@@ -2,10 +2,10 @@
 
 A pose ``T`` of frame {b} in frame {g} maps coordinates in {b} to coordinates in {g}. A twist (or any
 tangent vector) is (angular, linear) = (w, v), in that order, as in Lynch & Park's *Modern Robotics*
-and the paper's section 2. Every function takes leading batch axes.
+and the paper's section 2. Every function accepts leading batch axes.
 
-The 6x6 left Jacobian needs no formula of its own: SE(3) is SO(3) over dual numbers, so the block that
-couples v to w is the derivative of the 3x3 Jacobian at w in the direction v.
+The 6x6 left Jacobian follows from the 3x3 left Jacobian, because SE(3) is SO(3) over dual numbers: the block
+that couples v to w is the derivative of the 3x3 Jacobian at w in the direction v.
 """
 
 import jax
@@ -47,7 +47,7 @@ def pose_inverse(pose: jax.Array) -> jax.Array:
 
 
 def pose_exp(twist: jax.Array) -> jax.Array:
-    """Pose reached by following a constant twist for unit time: the exponential map of SE(3).
+    """Pose after a motion with a constant twist for unit time: the exponential map of SE(3).
 
     Args:
         twist: (..., 6) as (w, v); rad, m.
@@ -78,10 +78,10 @@ def _blocks(diagonal: jax.Array, lower_left: jax.Array) -> jax.Array:
 
 
 def adjoint(pose: jax.Array) -> jax.Array:
-    """Matrix that takes a twist in {b} to the same twist in {g}; Eq. 2 of the paper.
+    """Matrix that maps a twist in {b} to the same twist in {g}; Eq. 2 of the paper.
 
     Args:
-        pose: (..., 4, 4), of {b} in {g}.
+        pose: (..., 4, 4) of {b} in {g}.
 
     Returns:
         (..., 6, 6).

@@ -1,4 +1,4 @@
-"""Joints: an identified constraint as robot descriptions have it, with zero, range and errors."""
+"""Joints: an identified constraint in the form of a robot description, with zero, range and errors."""
 
 from reframe_jax.joints.chain import JointPart, PartKind
 from reframe_jax.joints.fitting import fit_joint

@@ -1,4 +1,4 @@
-"""Three hinges in place of a ball, for robot descriptions that have no balls."""
+"""Replace a ball joint by three hinges, for robot description formats without ball joints."""
 
 from itertools import permutations
 
@@ -9,28 +9,30 @@ from reframe_jax.joints.chain import JointPart
 
 __all__ = ["ball_hinges"]
 
-_LOCKED = np.radians(80.0)  # of the second hinge; at 90 degrees the first and the third are one
+_LOCKED = np.radians(
+    80.0
+)  # largest angle of the second hinge; at 90 degrees the first and third axes coincide
 
 
 def ball_hinges(point: np.ndarray, vectors: np.ndarray) -> tuple[JointPart, ...]:
-    """Return three hinges that turn as a ball did, perpendicular to each other where all are at zero.
+    """Return three hinges that reproduce the recorded rotations of a ball joint.
 
-    Their axes are those along which the rotations vary most and least, in the order that keeps the second
-    hinge farthest from where it locks.
+    The axes are perpendicular where all angles are zero. They are the principal axes of the recorded rotation
+    vectors, in the order that keeps the second hinge farthest from gimbal lock.
 
     Args:
-        point: (3,) m, the centre.
-        vectors: (K, 3) rad, coordinates of the ball.
+        point: (3,) m, the centre of the ball joint.
+        vectors: (K, 3) rad, recorded rotation vectors of the ball joint.
 
     Returns:
-        Three hinges with the range of the rotations, or none if they come near to locking.
+        Three hinges with their recorded ranges, or none if the second hinge comes near gimbal lock.
     """
     turns = rotation_matrices(vectors)
     main = np.linalg.eigh(vectors.T @ vectors)[1].T
     bases = [main[list(order)] for order in permutations(range(3))]
     for basis in bases:
         basis[2] = np.cross(basis[0], basis[1])
-    # how far the second hinge turns: the third axis leaves the plane across the first by that angle
+    # angle of the second hinge: the third axis leaves the plane normal to the first by this angle
     leaning = [np.abs(turns @ basis[2] @ basis[0]).max() for basis in bases]
     best = int(np.argmin(leaning))
     if leaning[best] > np.sin(_LOCKED):

@@ -16,11 +16,11 @@ __all__ = ["JointPart", "PartKind", "chain_coordinates", "chain_poses", "rotatio
 
 PartKind = Literal["hinge", "slide", "ball"]
 
-_STEPS = 6  # Gauss-Newton steps at most; the start is exact in the rotation
-_CONVERGED = 1e-9  # rad or m, change that ends them
-_DAMPING = 1e-12  # of the squares, for chains that lock
-_CHUNK = 16384  # poses at a time, which bounds the memory
-_SMALL = 1e-6  # rad or m, step of the differences
+_STEPS = 6  # largest number of Gauss-Newton steps; the initial guess has exact rotations
+_CONVERGED = 1e-9  # rad or m, step size below which the iteration stops
+_DAMPING = 1e-12  # added to the diagonal of the normal equations, which are singular at gimbal lock
+_CHUNK = 16384  # poses per chunk; limits the memory
+_SMALL = 1e-6  # rad or m, step of the finite differences
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,13 +29,14 @@ class JointPart:
 
     Attributes:
         kind: "hinge" and "slide" have one coordinate (rad, m), "ball" has three (a rotation vector, rad).
-        axis: (3,) unit vector in the parent, where all coordinates are zero; of a ball zeros.
-        point: (3,) m in the parent, where all coordinates are zero: on the axis of a hinge, the centre of
-            a ball. The point of a slide means nothing.
-        low, high: the range that the recording covers, rad or m; of a ball 0 and the largest angle from zero.
-        hinges: of a ball three hinges in its place, with their recorded ranges; none if they would lock.
-        pitch: m/rad, of a hinge that is a screw: it slides along its axis for each radian that it turns about
-            it, positive for a right-handed thread. 0 for any other part.
+        axis: (3,) unit vector in the parent, at zero coordinates; zeros for a ball.
+        point: (3,) m in the parent, at zero coordinates: a point on the axis of a hinge, or the centre of a
+            ball. Unused for a slide.
+        low, high: recorded range, rad or m; for a ball 0 and the largest angle from zero.
+        hinges: three hinges that can replace a ball, with their recorded ranges; empty if they come near
+            gimbal lock, and for hinges and slides.
+        pitch: m/rad, translation of a screw along its axis per radian of rotation, positive for a
+            right-handed thread; 0 for parts that are not screws.
     """
 
     kind: PartKind
@@ -60,7 +61,7 @@ def rotation_about(vectors: np.ndarray) -> np.ndarray:
 
 
 def chain_poses(parts: Sequence[JointPart], home: np.ndarray, coordinates: np.ndarray) -> np.ndarray:
-    """Poses (..., 4, 4) of the child in the parent, for coordinates (..., n)."""
+    """Compute poses (..., 4, 4) of the child in the parent from coordinates (..., n)."""
     pose = np.broadcast_to(np.eye(4), (*coordinates.shape[:-1], 4, 4))
     first = 0
     for part in parts:
@@ -71,7 +72,7 @@ def chain_poses(parts: Sequence[JointPart], home: np.ndarray, coordinates: np.nd
 
 
 def _part_displacement(part: JointPart, coordinates: np.ndarray) -> np.ndarray:
-    """Displacements (..., 4, 4) of one part, for its coordinates (..., width)."""
+    """Compute the displacements (..., 4, 4) of one part from its coordinates (..., width)."""
     moved = np.tile(np.eye(4), (*coordinates.shape[:-1], 1, 1))
     if part.kind == "slide":
         moved[..., :3, 3] = coordinates * part.axis
@@ -87,13 +88,13 @@ def _part_displacement(part: JointPart, coordinates: np.ndarray) -> np.ndarray:
 def chain_coordinates(
     parts: Sequence[JointPart], home: np.ndarray, poses: np.ndarray, length: float
 ) -> np.ndarray:
-    """Coordinates (K, n) at which a chain is nearest to poses, hinges unwrapped over time.
+    """Compute the coordinates (K, n) at which a chain is nearest to poses, with unwrapped hinge angles.
 
     Args:
-        parts: of the chain, at most one ball.
+        parts: the parts of the chain, with at most one ball.
         home: (4, 4), pose of the child with all coordinates at zero.
-        poses: (K, 4, 4), m.
-        length: m that weigh as much as one radian.
+        poses: (K, 4, 4) of the child in the parent, m.
+        length: m, position error that has the same weight as an orientation error of 1 rad.
     """
     found = np.concatenate(
         [
@@ -110,7 +111,7 @@ def chain_coordinates(
 
 
 def _nearest(parts: Sequence[JointPart], home: np.ndarray, poses: np.ndarray, length: float) -> np.ndarray:
-    """Coordinates of a chunk of poses, by Gauss and Newton."""
+    """Compute the coordinates of a chunk of poses with the Gauss-Newton method."""
     found = _first_guess(parts, home, poses)
     number = found.shape[-1]
     for _ in range(_STEPS if number else 0):
@@ -132,7 +133,7 @@ def _nearest(parts: Sequence[JointPart], home: np.ndarray, poses: np.ndarray, le
 
 
 def _first_guess(parts: Sequence[JointPart], home: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """Coordinates whose rotations are those of the poses, one part after the other; slides are at zero."""
+    """Initial coordinates: hinge and ball angles from the orientations, part by part; slides at zero."""
     turned = poses[:, :3, :3] @ home[:3, :3].T
     hinges = [part for part in parts if part.kind == "hinge"]
     found = []
@@ -152,7 +153,7 @@ def _first_guess(parts: Sequence[JointPart], home: np.ndarray, poses: np.ndarray
 
 
 def _with_full_turns(part: JointPart, angle: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """Angles (K,) of a screw, up to full turns, with those that the slide tells, from shifts (K, 3) m."""
+    """Add full turns to the unwrapped angles (K,) of a screw, so that they agree with shifts (K, 3), m."""
     angle = np.unwrap(angle)
     missing = np.median(shift @ part.axis / part.pitch - angle)
     full: np.ndarray = angle + 2 * np.pi * np.round(missing / (2 * np.pi))
@@ -160,9 +161,13 @@ def _with_full_turns(part: JointPart, angle: np.ndarray, shift: np.ndarray) -> n
 
 
 def _angle_about(axis: np.ndarray, turned: np.ndarray, later: np.ndarray | None) -> np.ndarray:
-    """Angles (K,) about an axis: of whole rotations, or those that turn the axis of the last hinge after it.
+    """Angles (K,) about an axis, from rotations (K, 3, 3).
 
-    A hinge between them is perpendicular to both.
+    Args:
+        axis: (3,) unit vector of the hinge.
+        turned: (K, 3, 3), rotations of this hinge and all later ones.
+        later: (3,) axis of the last hinge of the chain; None if this hinge is the last one. A hinge between
+            the two is perpendicular to both.
     """
     if later is not None:
         seen = turned @ later
@@ -183,7 +188,7 @@ def _angle_about(axis: np.ndarray, turned: np.ndarray, later: np.ndarray | None)
 def _residuals(
     parts: Sequence[JointPart], home: np.ndarray, poses: np.ndarray, coordinates: np.ndarray, length: float
 ) -> np.ndarray:
-    """(K, 6): what the chain is away from the poses, m; rotations times the length."""
+    """Residuals (K, 6) of the chain, m: three orientation errors times ``length``, three position errors."""
     model = chain_poses(parts, home, coordinates)
     turn = poses[:, :3, :3].swapaxes(-1, -2) @ model[:, :3, :3]
     skew = (turn - turn.swapaxes(-1, -2)) / 2

@@ -1,7 +1,7 @@
-"""From a constraint frame and the poses it was identified from to a joint.
+"""Fit a joint to a constraint frame and the poses from which it was identified.
 
-The frame fixes the axes and the point; the poses fix what a frame does not say: the home pose, by averaging
-over them, the range of the coordinates, and how well the joint fits.
+The frame determines the axes and the point of the joint. The poses determine the home pose (an average over
+all poses), the range of each coordinate, and the fit error.
 """
 
 from collections.abc import Sequence
@@ -19,9 +19,9 @@ from reframe_jax.joints.plans import Geometry, Plan, frame_geometry, joint_plans
 
 __all__ = ["fit_joint"]
 
-_ROUNDS = 3  # in which the home pose settles
-_AVERAGED = 2000  # poses over which it is averaged: of many every few
-_UNIVERSAL = np.radians(5.0)  # error above which two axes do not explain the rotations
+_ROUNDS = 3  # rounds of averaging, until the home pose converges
+_AVERAGED = 2000  # largest number of poses in the average; longer recordings are subsampled
+_UNIVERSAL = np.radians(5.0)  # orientation error above which no universal joint fits
 
 
 def fit_joint(
@@ -34,34 +34,36 @@ def fit_joint(
     pitch: float | None = None,
     universal: ArrayLike | None = None,
 ) -> Joint:
-    """Return the joint that a constraint is, given poses that obey it.
+    """Fit a joint to poses that obey a constraint.
 
     Args:
-        frame: of a single window.
+        frame: constraint frame of a single window.
         poses: (K+1, 4, 4) of {b} in {g}, m, without outliers.
         parent: name of {g}.
         child: name of {b}.
-        length: m that weigh as much as one radian: the noise of positions over that of orientations.
-        pitch: m/rad of a screw joint, positive for a right-handed thread; None for all others.
-        universal: (2, 3) axes of a universal joint, the first in {g} and the second in {b}; None for all
-            others, and for a frame about one axis of which the body does not turn, where they are found.
+        length: m, position error that has the same weight as an orientation error of 1 rad: the ratio of the
+            position noise to the orientation noise.
+        pitch: m/rad of a screw joint, positive for a right-handed thread; None for other joints.
+        universal: (2, 3) axes of a universal joint, the first in {g} and the second in {b}. None for other
+            joints, and for a frame with one constrained rotation: the fit then estimates the axes.
 
     Returns:
-        The joint. A class that no chain of hinges, slides and balls makes has the type "general", no
-        parts, and a sentence in ``gauge`` that says so. Where a chain reaches the poses of the constraint but
-        holds fewer of its velocities, ``is_envelope`` is True, and a sentence says what is not held.
+        The joint. If no chain of hinges, slides and balls reproduces the constraint, the joint has the type
+        "general", no parts, and a sentence in ``gauge`` with the reason. If a chain reaches the poses of the
+        constraint but constrains fewer velocities, ``is_envelope`` is True, and a sentence in ``gauge`` names
+        the velocities that the chain leaves free.
 
     Raises:
-        ValueError: for a batch, poses of another shape or that are not finite, equal or empty names, a length
-            that is not positive, a pitch that is 0 or not finite, or of a constraint other than one free
-            rotation and one free translation along its axis, or two axes that are no unit vectors, or of a
+        ValueError: for a batch; poses of another shape or not finite; equal or empty names; a length that is
+            not positive; a pitch that is 0 or not finite; a pitch for a constraint other than one rotation
+            and the translation along its axis; universal axes that are not unit vectors; universal axes for a
             constraint with a free translation.
     """
     values = np.asarray(poses, dtype=float)
     if values.ndim != 3 or values.shape[1:] != (4, 4) or len(values) == 0:
         raise ValueError(f"Expected poses of shape (K+1, 4, 4), not {values.shape}.")
     if not np.isfinite(values).all():
-        raise ValueError("Expected finite poses; leave out those that are not.")
+        raise ValueError("Expected finite poses; leave out the poses with NaN or infinite values.")
     if np.shape(frame.position) != (3,):
         raise ValueError(f"Expected a single frame, not a batch of shape {np.shape(frame.position)[:-1]}.")
     if not parent or not child or parent == child:
@@ -74,7 +76,10 @@ def fit_joint(
         if axes.shape != (2, 3) or not np.allclose(np.linalg.norm(axes, axis=1), 1, atol=1e-3):
             raise ValueError("Expected two unit vectors as the axes of a universal joint.")
         if len(geometry.turning) < 2 or len(geometry.sliding):
-            raise ValueError("Only a body that turns about a point is on a universal joint.")
+            raise ValueError(
+                "Universal axes need a constraint without free translation: the body turns about a fixed "
+                "point."
+            )
     if pitch is not None:
         if not (np.isfinite(pitch) and pitch != 0):
             raise ValueError(f"Expected a pitch in m/rad other than 0, not {pitch}.")
@@ -127,27 +132,29 @@ def _fit(geometry: Geometry, plan: Plan, parent: str, child: str, length: float)
 def _without_chain(
     geometry: Geometry, kind: JointType, name: str, parent: str, child: str, length: float
 ) -> Joint:
-    """A joint without coordinates: the child is free, or no chain makes its motion."""
+    """A joint without coordinates: the child is free, or no chain reproduces the constraint."""
     why = (
-        "No chain of hinges, slides and balls makes this constraint: it restricts velocities only, as a "
-        "wheel does, and leaves every pose within reach. Simulate the contact."
+        "No chain of hinges, slides and balls makes this constraint: like a wheel, it restricts velocities "
+        "only, and every pose can be reached. Simulate the contact."
     )
     if kind == "floating":
         why = "There is no constraint: the pose is free."
     elif len(geometry.turning) == 2 and not only_velocities(geometry):
-        why = "No chain of hinges, slides and balls makes this constraint: two hinges do not turn as it does."
+        why = (
+            "No chain of hinges, slides and balls makes this constraint: two hinges do not fit its rotations."
+        )
     home, nothing = geometry.poses[0], float("nan")
     return Joint(kind, name, parent, child, None, home[:3, 3], home, (), (why,), nothing, nothing, length)
 
 
 def _parts(geometry: Geometry, plan: Plan, home: np.ndarray) -> tuple[JointPart, ...]:
-    """The chain, with the child at a home pose."""
+    """Parts of the chain at zero coordinates, with the child at its home pose."""
     origin = home[:3, 3]
     directions = _slide_directions(geometry, plan, home)
     slides = [JointPart("slide", direction, origin) for direction in directions]
     if plan.type == "screw":
-        slides = []  # that of the hinge
-    turns = _turns(geometry, plan, home)
+        slides = []  # the screw is a hinge with a pitch
+    turns = _rotating_parts(geometry, plan, home)
     return (*turns, *slides) if plan.turns_first else (*slides, *turns)
 
 
@@ -169,8 +176,8 @@ def _slide_directions(geometry: Geometry, plan: Plan, home: np.ndarray) -> list[
     ]
 
 
-def _turns(geometry: Geometry, plan: Plan, home: np.ndarray) -> list[JointPart]:
-    """The rotation of a chain: nothing, a hinge, two, or a ball."""
+def _rotating_parts(geometry: Geometry, plan: Plan, home: np.ndarray) -> list[JointPart]:
+    """The rotating parts of a chain: none, one hinge, two hinges, or a ball."""
     if plan.turns is None:
         return []
     point, origin = _anchor(geometry, plan, home), home[:3, 3]
@@ -178,56 +185,60 @@ def _turns(geometry: Geometry, plan: Plan, home: np.ndarray) -> list[JointPart]:
         return [JointPart("ball", np.zeros(3), point)]
     axes = [plan.axis] if plan.second is None else [plan.axis, home[:3, :3] @ plan.second]
     axes = [_positive(axis) for axis in axes]
-    if plan.second is None:  # the point of the axis nearest to the origin of the child
+    if plan.second is None:  # the point on the axis nearest to the origin of the child
         point = point + axes[0] * (axes[0] @ (origin - point))
     pitch = geometry.pitch if plan.type == "screw" else None
     return [JointPart("hinge", axis, point, pitch=pitch or 0.0) for axis in axes]
 
 
 def _anchor(geometry: Geometry, plan: Plan, home: np.ndarray) -> np.ndarray:
-    """A point of the axis, or the centre, in the ground with the child at its home pose."""
+    """A point on the axis, or the centre, in the ground with the child at its home pose."""
     if plan.slides in ("plane", "space") or len(geometry.sliding) == 3:
         return home[:3, 3]
     moved = len(geometry.sliding) and plan.slides == "free" and not plan.turns_first
-    if moved:  # a point of the child that slides take along
+    if moved:  # the point is fixed in the child, and the slides move it
         return home[:3, :3] @ geometry.position + home[:3, 3]
     return geometry.centre()
 
 
 def _gauge(geometry: Geometry, plan: Plan, parts: Sequence[JointPart], child: str) -> tuple[str, ...]:
-    """What the motion leaves open, what was chosen, and what the chain does not hold."""
+    """Sentences on free choices, the values chosen, and velocities that the chain does not constrain."""
     kinds = [part.kind for part in parts]
     said = []
     if plan.is_envelope:
         held = "the plane of the motion" if plan.slides == "plane" else "the axis of rotation"
         lost = "one more velocity" if len(parts) - len(geometry.sliding) == 2 else "two more velocities"
         said.append(
-            f"The chain holds {held}. The constraint also holds {lost} of the {child} at zero, as a wheel "
-            "does, and no chain of joints says that."
+            f"The chain constrains {held} only. Like a wheel, the constraint also blocks {lost} of the "
+            f"{child} at zero, which no chain of joints expresses."
         )
     if kinds:
-        said.append("Any pose may be zero; it is where the recording starts, averaged over the poses.")
+        said.append(
+            "The zero of the coordinates is arbitrary; it is the start of the recording, averaged over "
+            "the poses."
+        )
     if "hinge" in kinds or "slide" in kinds:
-        said.append("An axis and its negative are the same; the largest component is positive.")
+        said.append("The sign of an axis is arbitrary; its largest component is positive.")
     if plan.slides == "plane":
         said.append(
-            "The two slides may be turned within the plane, and the hinge may be anywhere: the first slide "
-            f"is the fastest identified axis, and the hinge is at the origin of the {child}."
+            "The directions of the slides within the plane and the place of the hinge are arbitrary: the "
+            f"first slide is the fastest identified axis, and the hinge is at the origin of the {child}."
         )
     elif kinds.count("slide") == 3 and kinds.count("hinge"):
-        said.append(f"A hinge may be anywhere; it is at the origin of the {child} at zero.")
+        said.append(f"The place of the hinge is arbitrary; it is at the origin of the {child} at zero.")
     elif kinds.count("hinge") == 1:
         said.append(
-            f"The point may slide along the axis; it is the one nearest to the origin of the {child} at zero."
+            "Any point on this axis is equally valid; the given one is nearest to the origin of the "
+            f"{child} at zero."
         )
     if plan.type == "screw" and geometry.pitch is not None:
         hand = "right" if geometry.pitch > 0 else "left"
         lead = 2e3 * np.pi * abs(geometry.pitch)
-        said.append(f"The {child} slides {lead:.4g} mm along the axis a turn; the thread is {hand}-handed.")
+        said.append(f"The {child} slides {lead:.4g} mm along the axis per turn; the thread is {hand}-handed.")
     if kinds and set(kinds) == {"slide"}:
-        said.append(f"The point may be anywhere; it is the origin of the {child} at zero.")
+        said.append(f"Any point is equally valid; the origin of the {child} at zero is given.")
     if not kinds:
-        said.append("Nothing moves; the home pose is the mean of the recorded poses.")
+        said.append("The joint is fixed; its home pose is the mean of the recorded poses.")
     return tuple(said)
 
 
@@ -252,7 +263,7 @@ def _name(geometry: Geometry) -> str:
 
 
 def _mean_pose(poses: np.ndarray) -> np.ndarray:
-    """The pose nearest to all: the mean position, and the rotation nearest to the mean matrix."""
+    """Mean of poses: the mean position, and the rotation nearest to the mean rotation matrix."""
     mean = poses.mean(axis=0)
     left, _, right = np.linalg.svd(mean[:3, :3])
     left[:, 2] *= np.linalg.det(left @ right)
@@ -261,7 +272,7 @@ def _mean_pose(poses: np.ndarray) -> np.ndarray:
 
 
 def _angles(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Angles (K,) between rotations (K, 3, 3), rad; precise where they are small."""
+    """Angles (K,) between rotations (K, 3, 3), rad; accurate for small angles."""
     chord = np.linalg.norm(first - second, axis=(-2, -1)) / np.sqrt(8)
     return 2 * np.arcsin(np.minimum(chord, 1))
 
@@ -276,6 +287,6 @@ def _unit(vector: np.ndarray) -> np.ndarray:
 
 
 def _positive(axis: np.ndarray) -> np.ndarray:
-    """The axis or its negative: the one whose largest component is positive."""
+    """The axis with the sign that makes its largest component positive."""
     signed: np.ndarray = axis * np.sign(axis[np.argmax(np.abs(axis))])
     return signed

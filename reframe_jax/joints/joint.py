@@ -1,4 +1,4 @@
-"""A joint between two bodies, as robot descriptions have it."""
+"""A joint between two bodies, in the form of a robot description."""
 
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -27,30 +27,35 @@ JointType = Literal[
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """The joint that an identified constraint is: type, place, range, and how well it fits the recording.
+    """A joint made from an identified constraint: type, place, recorded range and fit error.
 
-    Make it with :meth:`Identification.to_joint`; write it with :func:`to_urdf`, :func:`to_mjcf` or
-    :func:`to_sdf`. All vectors are in the parent, in the directions and places they have where all
-    coordinates are zero.
+    Make a joint with :meth:`Identification.to_joint`; write it with :func:`to_urdf`, :func:`to_mjcf` or
+    :func:`to_sdf`. All vectors are in the parent, at zero coordinates.
 
     Attributes:
-        type: of the joint. "continuous" is a revolute joint that was seen to turn by a full turn or more;
+        type: type of the joint. "continuous" is a revolute joint whose recording covers a full turn or more;
             a "screw" has one part, a hinge with a pitch; "floating" has no constraint; "general" is any other
-            class.
-        name: of the constraint, as in :attr:`Identification.name`.
+            constraint.
+        name: name of the constraint, as in :attr:`Identification.name`.
         parent, child: names of the two bodies, {g} and {b} of the recording.
-        axis: (3,) unit vector: of the rotation, or of the translation if nothing turns; the normal of a
-            planar joint, the first axis of a universal joint. None where there is no such axis.
-        point: (3,) m, on the axis or the centre of the rotation; the origin of the child where there is none.
-        home: (4, 4) pose of the child in the parent where all coordinates are zero.
-        parts: hinges, slides and balls from parent to child; their coordinates in this order are those of
-            the joint. Empty for fixed and floating joints, and for a constraint that no chain of them makes.
-        gauge: sentences that say what the motion leaves open, and what was chosen.
-        position_error: m, root mean square distance of the recorded origins of the child from the joint's.
-        rotation_error: rad, root mean square angle between the recorded orientations and the joint's.
-        length: m that weighed as much as one radian when coordinates were found from poses.
-        is_envelope: whether the parts reach the poses of the constraint but hold fewer velocities than it
-            does: they keep a wheel that rolls on its plane, but not from moving sideways.
+        axis: (3,) unit vector: the rotation axis, or the translation direction of a joint without rotation;
+            for a planar joint the normal, for a universal joint its first axis. None for joints without a
+            single axis.
+        point: (3,) m, a point on the rotation axis, or the centre of rotation; for joints without either, the
+            origin of the child.
+        home: (4, 4) pose of the child in the parent at zero coordinates.
+        parts: hinges, slides and balls from parent to child. The coordinates of the joint are the coordinates
+            of its parts, in this order. Empty for fixed and floating joints, and for a constraint that no
+            chain reproduces.
+        gauge: sentences that name each choice that the motion does not determine, and the value chosen.
+        position_error: m, RMS distance between the recorded origin of the child and the origin that the joint
+            gives.
+        rotation_error: rad, RMS angle between the recorded orientation and the orientation that the joint
+            gives.
+        length: m, position error that has the same weight as an orientation error of 1 rad when coordinates
+            are computed from poses.
+        is_envelope: whether the parts reach the poses of the constraint but constrain fewer velocities. For
+            example, the parts keep a rolling wheel on its plane but let it move sideways.
     """
 
     type: JointType
@@ -69,25 +74,25 @@ class Joint:
 
     @property
     def is_chain(self) -> bool:
-        """Whether the joint has coordinates that determine the pose: a chain of parts, or fixed."""
+        """Whether coordinates determine the pose: true for a chain of parts and for a fixed joint."""
         return bool(self.parts) or self.type == "fixed"
 
     @property
     def range(self) -> tuple[float, float] | None:
-        """Lowest and highest recorded coordinate of a joint with a single one, rad or m; else None."""
+        """Lowest and highest recorded coordinate, rad or m; None for joints with several coordinates."""
         if len(self.parts) != 1 or self.parts[0].kind == "ball":
             return None
         return self.parts[0].low, self.parts[0].high
 
     def poses(self, coordinates: ArrayLike) -> np.ndarray:
-        """Poses (..., 4, 4) of the child in the parent, m, for coordinates (..., n).
+        """Compute poses (..., 4, 4) of the child in the parent, m, from coordinates (..., n).
 
         Args:
             coordinates: rad for hinges, m for slides, a rotation vector in rad for a ball, in the order of
                 ``parts``.
 
         Raises:
-            ValueError: if the joint is not a chain, or for another number of coordinates.
+            ValueError: if the joint is not a chain, or if the number of coordinates is wrong.
         """
         self._check_chain()
         values = np.asarray(coordinates, dtype=float)
@@ -97,13 +102,13 @@ class Joint:
         return chain_poses(self.parts, self.home, values)
 
     def coordinates(self, poses: ArrayLike) -> np.ndarray:
-        """Coordinates (K, n) at which the joint is nearest to poses; hinges do not jump between them.
+        """Compute the coordinates (K, n) at which the joint is nearest to poses; hinge angles are unwrapped.
 
         Args:
             poses: (K, 4, 4) of the child in the parent, m.
 
         Raises:
-            ValueError: if the joint is not a chain, or for another shape.
+            ValueError: if the joint is not a chain, or if the poses have another shape.
         """
         self._check_chain()
         values = np.asarray(poses, dtype=float)
@@ -112,19 +117,22 @@ class Joint:
         return chain_coordinates(self.parts, self.home, values, self.length)
 
     def without_balls(self) -> "Joint":
-        """The same joint with three hinges in place of every ball, for formats that have none.
+        """Return the joint with three hinges in place of every ball, for formats without ball joints.
 
         Raises:
-            ValueError: if the recorded rotations come near to where three hinges lock.
+            ValueError: if the recorded rotations come near the gimbal lock of the three hinges.
         """
         if all(part.kind != "ball" for part in self.parts):
             return self
         if any(part.kind == "ball" and not part.hinges for part in self.parts):
             raise ValueError(
-                f"{self.name}: three hinges cannot stand for its ball; on the recorded rotations they lock."
+                f"{self.name}: three hinges cannot replace the ball; the recorded rotations reach their "
+                "gimbal lock."
             )
         parts = tuple(hinge for part in self.parts for hinge in (part.hinges or (part,)))
-        said = "Three hinges through its centre stand for the ball. They lock farther out than recorded."
+        said = (
+            "Three hinges through the centre replace the ball. The recorded range excludes their gimbal lock."
+        )
         return replace(self, parts=parts, gauge=(*self.gauge, said))
 
     def _check_chain(self) -> None:
@@ -132,7 +140,7 @@ class Joint:
             raise ValueError(f"{self.name}: no coordinates determine the pose of a {self.type} joint.")
 
     def __str__(self) -> str:
-        """The joint in a few lines."""
+        """Summary of the joint in a few lines."""
         lines = [f"{self.name}: {self.type} joint from {self.parent} to {self.child}"]
         if self.axis is not None:
             lines.append(f"  axis   {_vector(self.axis, 4)}")
@@ -144,7 +152,7 @@ class Joint:
             low, high = np.round([scale * part.low, scale * part.high], 1) + 0.0  # no negative zeros
             lines.append(f"  {what:5}  {low:.1f} to {high:.1f} {unit}")
             if part.pitch:
-                lines.append(f"  pitch  {2e3 * np.pi * part.pitch:.4g} mm a turn")
+                lines.append(f"  pitch  {2e3 * np.pi * part.pitch:.4g} mm per turn")
         if self.is_chain:
             error = f"{1e3 * self.position_error:.2g} mm, {np.degrees(self.rotation_error):.2g} deg"
             lines.append(f"  error  {error}, rms")

@@ -1,4 +1,4 @@
-"""Which chain of hinges, slides and balls a constraint frame is, before it is fitted to poses."""
+"""Choose the chains of hinges, slides and balls that may reproduce a constraint, before fitting to poses."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -17,19 +17,26 @@ __all__ = ["Geometry", "Plan", "frame_geometry", "joint_plans", "only_velocities
 
 @dataclass(frozen=True)
 class Geometry:
-    """A constraint frame in NumPy, and poses.
+    """A constraint frame as NumPy arrays, with the recorded poses.
 
-    ``pitch`` is that of a screw in m/rad; ``universal`` are the axes of a universal joint, in {g} and in {b}.
-
-    ``turning`` and ``sliding`` are the free axes, rows in the body of their type; ``odd`` is the axis of the
-    linear frame that differs from the other two, or None.
+    Attributes:
+        frame: the constraint frame.
+        poses: (K+1, 4, 4) of {b} in {g}, m.
+        turning: (n, 3), free rotation axes as rows, in the body that they are fixed in.
+        sliding: (n, 3), free translation axes as rows, in the body that they are fixed in.
+        distinct: (3,), the single free or single constrained axis of the linear frame; None if all are alike.
+        position: (3,) m, origin of the linear frame, in the body that it is fixed in.
+        angular_on_body, linear_on_body, point_on_body: whether the angular axes, the linear axes and the
+            origin are fixed in {b}; otherwise they are fixed in {g}.
+        pitch: m/rad of a screw joint, else None.
+        universal: (2, 3), axes of a universal joint, the first in {g} and the second in {b}; else None.
     """
 
     frame: ConstraintFrame
     poses: np.ndarray
     turning: np.ndarray
     sliding: np.ndarray
-    odd: np.ndarray | None
+    distinct: np.ndarray | None
     position: np.ndarray
     angular_on_body: bool
     linear_on_body: bool
@@ -38,14 +45,14 @@ class Geometry:
     universal: np.ndarray | None = None
 
     def in_ground(self, direction: np.ndarray, on_body: bool) -> np.ndarray:
-        """A direction that is fixed in both bodies, in the ground: the mean over all poses."""
+        """Express a direction in the ground, as the mean over all poses if it is fixed in {b}."""
         if not on_body:
             return direction
         mean: np.ndarray = np.mean(self.poses[:, :3, :3] @ direction, axis=0)
         return mean / np.linalg.norm(mean)
 
     def hinge(self) -> np.ndarray:
-        """The only free axis of rotation, which is fixed in both bodies, in the ground."""
+        """The single free rotation axis, which is fixed in both bodies, expressed in the ground."""
         return self.in_ground(self.turning[0], self.angular_on_body)
 
     def centre(self) -> np.ndarray:
@@ -61,12 +68,18 @@ class Geometry:
 
 @dataclass(frozen=True)
 class Plan:
-    """What kind of chain a constraint is.
+    """A chain that may reproduce a constraint.
 
-    ``is_chain`` is False where any pose can be reached, or two hinges do not make the rotations. ``axis`` is
-    the direction of a hinge, and ``second`` the second axis of two hinges in the child. ``slides`` are the
-    free axes of the frame, the axis of the hinge, the plane across it, or all of space. Where the chain
-    reaches what the constraint reaches, but holds fewer velocities, ``is_envelope`` is True.
+    Attributes:
+        type: type of the joint.
+        is_chain: False if every pose can be reached, or if two hinges do not fit the rotations.
+        turns: kind of the rotating part, or None.
+        turns_first: whether the rotating parts precede the slides in the chain.
+        axis: (3,) in the ground, direction of the hinge, or of the first of two hinges.
+        second: (3,) in the child, direction of the second hinge.
+        slides: directions of the slides: the free axes of the frame, along the hinge, in the plane normal to
+            the hinge, or all of space.
+        is_envelope: whether the chain reaches the poses of the constraint but constrains fewer velocities.
     """
 
     type: JointType
@@ -82,31 +95,31 @@ class Plan:
 def frame_geometry(
     frame: ConstraintFrame, poses: np.ndarray, pitch: float | None = None, universal: np.ndarray | None = None
 ) -> Geometry:
-    """The geometry of a single frame and of poses (K+1, 4, 4); the rest as in :class:`Geometry`."""
+    """Make the :class:`Geometry` of a single frame and poses (K+1, 4, 4)."""
     angular, linear = np.asarray(frame.angular_axes, float).T, np.asarray(frame.linear_axes, float).T
     free = np.asarray(frame.linear_dof, bool)
     count = int(free.sum())
-    odd = linear[free if count == 1 else ~free][0] if count in (1, 2) else None
+    distinct = linear[free if count == 1 else ~free][0] if count in (1, 2) else None
     on_body = np.asarray(parts_on_body(frame.angular_type, frame.linear_type))
     turning = angular[np.asarray(frame.angular_dof, bool)]
     position = np.asarray(frame.position, float)
     angular_on_body, linear_on_body, point_on_body = map(bool, on_body)
-    moving = turning, linear[free], odd, position
+    moving = turning, linear[free], distinct, position
     return Geometry(frame, poses, *moving, angular_on_body, linear_on_body, point_on_body, pitch, universal)
 
 
 def relate_axes(geometry: Geometry) -> AxisRelation | None:
-    """Angle between the odd axes of the two frames; None where a frame has no odd axis."""
+    """Relation of the distinct axes of the two frames; None if either frame has no distinct axis."""
     turns = len(geometry.turning)
-    if turns not in (1, 2) or geometry.odd is None:
+    if turns not in (1, 2) or geometry.distinct is None:
         return None
     angular = geometry.turning[0] if turns == 1 else np.cross(*geometry.turning)
     turned = geometry.in_ground(angular, geometry.angular_on_body)
-    return relation_of_cosine(float(turned @ geometry.in_ground(geometry.odd, geometry.linear_on_body)))
+    return relation_of_cosine(float(turned @ geometry.in_ground(geometry.distinct, geometry.linear_on_body)))
 
 
 def joint_plans(geometry: Geometry) -> list[Plan]:
-    """The chains to try; of several, the one that fits best is the joint."""
+    """Chains to fit to the poses; the one with the best fit becomes the joint."""
     turns, slides = len(geometry.turning), len(geometry.sliding)
     if turns == 0:
         kinds: tuple[JointType, ...] = ("fixed", "prismatic", "general", "general")
@@ -121,7 +134,7 @@ def joint_plans(geometry: Geometry) -> list[Plan]:
         kind = "universal" if turns == 2 else "spherical"
     if slides == 3 and turns == 3:
         return [Plan("floating", is_chain=False)]
-    if only_velocities(geometry):  # together the free axes reach every pose
+    if only_velocities(geometry):  # combinations of the free motions reach every pose
         return [Plan("general", is_chain=False)]
     last = _slides_last(geometry)
     if turns == 3:
@@ -135,9 +148,9 @@ def _hinge_plans(geometry: Geometry) -> list[Plan]:
     """The chains of a constraint with one free rotation."""
     axis, slides = geometry.hinge(), len(geometry.sliding)
     relation = relate_axes(geometry)
-    if relation == AxisRelation.PARALLEL and geometry.odd is not None:
-        # the axis was found twice, from the rotations and from the translations
-        other = geometry.in_ground(geometry.odd, geometry.linear_on_body)
+    if relation == AxisRelation.PARALLEL and geometry.distinct is not None:
+        # the identification has two estimates of the axis: from the rotations and from the translations
+        other = geometry.in_ground(geometry.distinct, geometry.linear_on_body)
         both = axis, other
         if slides == 1 and geometry.pitch is not None:
             return [Plan("screw", turns="hinge", axis=axis, slides="along")]
@@ -145,7 +158,7 @@ def _hinge_plans(geometry: Geometry) -> list[Plan]:
             return [Plan("cylindrical", turns="hinge", axis=each, slides="along") for each in both]
         return [Plan("planar", turns="hinge", axis=each, slides="plane") for each in both]
     if only_velocities(geometry):
-        # turned with the hinge, one direction across it becomes the plane, and any other all of space
+        # a free translation that turns with the hinge covers a plane if it is normal to it, else all of space
         reached: Literal["plane", "space"] = "space"
         if slides == 1 and relation == AxisRelation.PERPENDICULAR:
             reached = "plane"
@@ -157,13 +170,13 @@ def _hinge_plans(geometry: Geometry) -> list[Plan]:
 def only_velocities(geometry: Geometry) -> bool:
     """Whether the constraint restricts velocities, as a wheel does, and reaches poses beyond its free axes.
 
-    In BB and GG the origin is fixed in the body of the axes, so the slides turn along. Turning and sliding by
-    turns then reaches what neither of them reaches.
+    In BB and GG, the axes and the origin are fixed in the same body, so the free translations turn with the
+    body. Alternating rotations and translations then reach poses that neither reaches by itself.
     """
     some = len(geometry.sliding) in (1, 2)
     return some and geometry.frame.linear_type in (LinearType.BB, LinearType.GG)
 
 
 def _slides_last(geometry: Geometry) -> bool:
-    """Whether the slides follow the rotations in a chain: they move past a point that is fixed in {g}."""
+    """Whether the slides come after the rotations in the chain: axes fixed in {b}, origin fixed in {g}."""
     return len(geometry.sliding) in (1, 2) and geometry.frame.linear_type == LinearType.BG

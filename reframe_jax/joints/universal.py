@@ -1,4 +1,4 @@
-"""The two axes of a universal joint, one fixed in each body, from rotations."""
+"""Estimate the two axes of a universal joint, one fixed in each body, from rotations."""
 
 import numpy as np
 
@@ -9,15 +9,16 @@ _STEPS = 40
 
 
 def universal_axes(rotations: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the axes between which the angle changes least.
+    """Return the pair of axes, one in each body, whose mutual angle varies least over the motion.
 
-    A frame holds the direction about which nothing turns fixed in one body. In a universal joint that
-    direction is perpendicular to both axes and fixed in neither body, so the axes are found here:
-    a^T R(k) b is constant for an axis a of the ground and an axis b of the body.
+    A constraint frame has its constrained rotation axis fixed in one body. In a universal joint, the
+    direction of the constrained rotation is perpendicular to both joint axes and fixed in neither body. This
+    function therefore estimates the joint axes: for an axis a of the ground and an axis b of the body, a^T
+    R(k) b is constant.
 
     Args:
-        rotations: (K, 3, 3), of {b} in {g}.
-        normal: (3,) in {g}, about which nothing turns at the mean pose.
+        rotations: (K, 3, 3), orientations of {b} in {g}.
+        normal: (3,) in {g}, direction of the constrained rotation at the mean pose.
 
     Returns:
         (3,) unit vectors: the first axis in {g}, the second in {b}.

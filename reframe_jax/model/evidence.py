@@ -136,7 +136,7 @@ def amplitudes_of(of: Coordinates, entry: Table, spectra: Spectra) -> Amplitudes
     both = jnp.stack([of.turns, of.shifts], axis=3)  # (3, 3, S, 2, ...)
     mixable = jnp.stack([together[:3, :3], together[3:, 3:]], axis=2)
     whole = materialize(total(both * scale_weight[:, None], 2))
-    axes = materialize(diagonalize(whole[:, :, None], together=mixable))
+    axes = materialize(diagonalize(whole[:, :, None], together=mixable, sweeps=3))
     turns, shifts = jnp.moveaxis(materialize(_diagonal(axes, both)), 2, 0)
     lever = jnp.moveaxis(_diagonal(axes, jnp.moveaxis(of.levers, 0, 2)[:, :, None])[:, 0], 1, 0)
     axes, lever = jnp.moveaxis(axes, 2, 0), lever.reshape(6, *lever.shape[2:])

@@ -1,1 +1,1 @@
-"""From poses to velocities: noise, outliers, chords, twists; windows and their checks."""
+"""Process poses before identification: checks, windows, noise, outliers and velocities."""

@@ -1,4 +1,4 @@
-"""Checks of windows: status codes inside a batch, sentences outside."""
+"""Check windows: a status code for each window of a batch, and a message for each code."""
 
 from enum import IntEnum
 
@@ -8,18 +8,18 @@ import jax.numpy as jnp
 __all__ = ["MIN_VELOCITIES", "ROTATION_TOLERANCE", "Status", "check_step", "window_status"]
 
 MIN_VELOCITIES = 4
-"""Fewest velocities in a window: three leave every covariance singular at some origin."""
+"""Fewest velocities in a window; with three, every covariance is singular at some origin."""
 
 ROTATION_TOLERANCE = 1e-3
-"""Largest entry of R^T R - I in a pose."""
+"""Largest allowed entry of R^T R - I in a pose."""
 
-_FARTHEST = 1e9  # m, of positions; coordinates of maps reach 1e7
-_SHORTEST, _LONGEST = 1e-9, 1e6  # s, of steps
-_SLACK = 1e-3  # of these limits, for rounding
+_FARTHEST = 1e9  # m, largest position; map coordinates reach 1e7
+_SHORTEST, _LONGEST = 1e-9, 1e6  # s, shortest and longest step
+_SLACK = 1e-3  # relative tolerance of these limits, for rounding errors
 
 
 class Status(IntEnum):
-    """Outcome of one window. Codes of 10 and above mean that it has no result: all its numbers are NaN."""
+    """Outcome of one window. A window with a code of 10 or more has no result, and its numbers are NaN."""
 
     OK = 0
     ON_BOUNDS = 1
@@ -37,19 +37,19 @@ class Status(IntEnum):
 
     @property
     def message(self) -> str:
-        """Explanation: what happened, and what was expected."""
+        """Explanation of the outcome, and the expected input."""
         return _MESSAGES[self]
 
 
 _MESSAGES = {
     Status.OK: "A frame was identified.",
     Status.ON_BOUNDS: (
-        "The position lies on the bounds of the search: the true one may lie outside (widen `bounds`), "
-        "or the motion does not determine it."
+        "The position is on the boundary of the search: the true position may be outside (widen `bounds`), "
+        "or the motion does not determine the position."
     ),
     Status.NOT_EXCITED: (
-        "No axis is free: the body was held, or its motion is too small against the noise (with "
-        "`thresholds`: too slow) to tell constrained axes from free ones."
+        "No axis is free: the body was held, or its motion is too small compared with the noise (with "
+        "`thresholds`: too slow) to distinguish free from constrained axes."
     ),
     Status.NOT_FINITE: "The window contains NaN or infinite numbers; expected finite poses and times.",
     Status.NOT_A_POSE: (
@@ -57,26 +57,26 @@ _MESSAGES = {
         f"(R^T R = I to {ROTATION_TOLERANCE:g}, det R = +1)."
     ),
     Status.TIMES_NOT_INCREASING: "Sample times do not increase; expected every step dt > 0.",
-    Status.NO_MOTION: "All poses of the window are equal; expected a window in which something moves.",
+    Status.NO_MOTION: "All poses of the window are equal; expected a window with motion.",
     Status.OUT_OF_RANGE: (
-        f"Numbers are too large or too small to compute with; expected positions within {_FARTHEST:g} m, "
-        f"steps from {_SHORTEST:g} to {_LONGEST:g} s, and motion of ordinary size."
+        f"Numbers are too large or too small; expected positions within {_FARTHEST:g} m, "
+        f"steps from {_SHORTEST:g} to {_LONGEST:g} s, and no extremely large or small motion."
     ),
 }
 
 
 def check_step(step: float) -> None:
-    """Refuse a sample time, s, with which nothing can be computed.
+    """Check a sample time, s.
 
     Raises:
-        ValueError: with the words of the status that a window would get.
+        ValueError: for an unusable sample time, with the message of the window status.
     """
     if not _SHORTEST * (1 - _SLACK) <= step <= _LONGEST * (1 + _SLACK):
         raise ValueError(Status.OUT_OF_RANGE.message)
 
 
 def window_status(poses: jax.Array, steps: jax.Array) -> jax.Array:
-    """Status code of every window, from its input alone.
+    """Compute the status code of every window from its input.
 
     Args:
         poses: (..., K+1, 4, 4).
@@ -86,14 +86,14 @@ def window_status(poses: jax.Array, steps: jax.Array) -> jax.Array:
         (...) int32.
     """
     finite = jnp.all(jnp.isfinite(poses), axis=(-3, -2, -1)) & jnp.all(jnp.isfinite(steps), axis=-1)
-    # entry by entry: products of many small matrices are slow
+    # by components, because products of many small matrices are slow
     columns = [[poses[..., i, j] for i in range(3)] for j in range(3)]
     skewed = jnp.zeros_like(poses[..., 0, 0])
     for a in range(3):
         for b in range(a, 3):
             dot = sum(x * y for x, y in zip(columns[a], columns[b], strict=True))
             skewed = jnp.maximum(skewed, jnp.abs(dot - (1 if a == b else 0)))
-    # for an orthogonal matrix the third column is the cross product of the first two, or minus it
+    # the third column of an orthogonal matrix is plus or minus the cross product of the first two
     (x, y, z), (u, v, w), third = columns
     cross = (y * w - z * v, z * u - x * w, x * v - y * u)
     handed = sum(c * t for c, t in zip(cross, third, strict=True))

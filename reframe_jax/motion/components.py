@@ -1,6 +1,6 @@
 """Algebra of small vectors and matrices with components first: (3, ...), (6, ...), (3, 3, ...).
 
-Every operation is elementwise on long rows of samples and windows, and needs no kernels for small matrices,
+Every operation is elementwise on long rows of samples and windows. It needs no kernels for small matrices,
 which are slow in XLA.
 """
 
@@ -11,7 +11,7 @@ __all__ = ["bracket", "components_first", "components_last", "cross", "product",
 
 
 def components_first(array: jax.Array, components: int) -> jax.Array:
-    """(..., K, components) to (components, K, ...), for a number of component axes."""
+    """Move the component axes to the front: (..., K, components) to (components, K, ...)."""
     axes = range(-components, 0)
     return jnp.moveaxis(array, (*axes, -components - 1), tuple(range(components + 1)))
 

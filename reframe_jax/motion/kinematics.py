@@ -1,4 +1,4 @@
-"""From poses to velocities: twists, and the affine velocity maps in which frames are searched.
+"""Compute velocities from poses: twists, and affine velocity maps for the search of frames.
 
 The velocity of a constraint frame's origin is affine in the unknown position p of that origin,
 
@@ -7,8 +7,8 @@ The velocity of a constraint frame's origin is affine in the unknown position p 
 for each of the four linear frame types (section 4 and Table 3 of the paper, with p the *location* of
 the origin, so v + w x p). This module computes (a, B).
 
-Inside, arrays are laid out components first, then samples, then windows: a rotation is (3, 3, K, ...), see
-:mod:`.components`. The public functions take and return samples and components last.
+Internal arrays have components first, then samples, then windows: a rotation is (3, 3, K, ...), see
+:mod:`.components`. Arguments and results of the public functions have samples and components last.
 """
 
 from typing import Literal
@@ -35,20 +35,20 @@ Discretization = Literal["chord", "left"]
 
 
 def _step_times(dt: jax.Array | float, poses: jax.Array) -> jax.Array:
-    """Sample time of every step, (..., K): of size 1 along axes in which the windows do not differ."""
+    """Sample time of every step, (..., K), with size 1 along axes in which all windows have equal times."""
     dt = jnp.asarray(dt, dtype=poses.dtype)
     dt = dt.reshape((1,) * (poses.ndim - 2 - dt.ndim) + dt.shape)
     return jnp.broadcast_to(dt, (*dt.shape[:-1], poses.shape[-3] - 1))
 
 
 def split_poses(poses: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Rotations (3, 3, K+1, ...) and positions (3, K+1, ...) of poses (..., K+1, 4, 4)."""
+    """Split poses (..., K+1, 4, 4) into rotations (3, 3, K+1, ...) and positions (3, K+1, ...)."""
     top = components_first(poses[..., :3, :], 2)
     return top[:, :3], top[:, 3]
 
 
 def _rotation_vectors(rotation: jax.Array) -> jax.Array:
-    """(3, ...) rad, of rotations (3, 3, ...)."""
+    """Convert rotations (3, 3, ...) to rotation vectors (3, ...), rad."""
     return jnp.stack(rotations.log_by_component(rotation))
 
 
@@ -56,7 +56,7 @@ def _body_twists(rotation: jax.Array, position: jax.Array, step: jax.Array) -> j
     """(6, K, ...)."""
     back = transpose(rotation[:, :, :-1])
     turn, shift = product(back, rotation[:, :, 1:]), product(back, jnp.diff(position, axis=1))
-    # the twist whose exponential is the step: J_l(w)^-1 takes the shift to its linear part
+    # the twist whose exponential is the step: J_l(w)^-1 maps the shift to the linear part
     w = _rotation_vectors(turn)
     across = cross(w, shift)
     factor = rotations.cotangent_factor(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
@@ -64,7 +64,7 @@ def _body_twists(rotation: jax.Array, position: jax.Array, step: jax.Array) -> j
 
 
 def _spatial_twists(rotation: jax.Array, position: jax.Array, body: jax.Array) -> jax.Array:
-    """Body twists taken to {g}, (6, K, ...)."""
+    """Express body twists (6, K, ...) in {g}."""
     rotation, position = rotation[:, :, :-1], position[:, :-1]
     w = product(rotation, body[:3])
     return jnp.concatenate([w, product(rotation, body[3:]) + cross(position, w)])
@@ -73,8 +73,8 @@ def _spatial_twists(rotation: jax.Array, position: jax.Array, body: jax.Array) -
 def body_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
     """Mean body twist over every step: ``log(T(k)^-1 T(k+1)) / dt``.
 
-    This is Eq. 9 of the paper solved for the twist, with the product in the order that makes it a
-    twist in the body frame.
+    This is Eq. 9 of the paper, solved for the twist. The order of the product gives a twist in the body
+    frame.
 
     Args:
         poses: (..., K+1, 4, 4), of {b} in {g}; m.
@@ -87,7 +87,7 @@ def body_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
 
 
 def spatial_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
-    """Mean spatial twist over every step: the body twist taken to {g} by the adjoint (Eq. 2).
+    """Mean spatial twist over every step: the body twist, mapped to {g} by the adjoint (Eq. 2).
 
     Arguments and shapes as in :func:`body_twists`; the result is in {g}.
     """
@@ -103,13 +103,13 @@ def _mean_twists(rotation: jax.Array, position: jax.Array, steps: jax.Array) -> 
 def velocity_components(
     poses: jax.Array, dt: jax.Array | float, discretization: Discretization = "chord"
 ) -> tuple[jax.Array, jax.Array]:
-    """Angular velocities and linear velocity maps, components first: what moments are made of.
+    """Angular velocities and linear velocity maps with components first, for the computation of moments.
 
     Arguments as in :func:`linear_velocity_maps`.
 
     Returns:
-        (3, 1, K, 2, ...) rad/s and (3, 4, K, 4, ...) m/s and 1/s; the axis after the samples is over
-        frame types, the order within as in :func:`angular_velocities` and :func:`linear_velocity_maps`.
+        (3, 1, K, 2, ...) rad/s and (3, 4, K, 4, ...) m/s and 1/s; the axis after the samples lists the frame
+        types, in the order of :func:`angular_velocities` and :func:`linear_velocity_maps`.
 
     Raises:
         ValueError: for an unknown discretization.
@@ -139,7 +139,7 @@ def turns_of(rotation: jax.Array) -> jax.Array:
 
 
 def _twist_map(twist: jax.Array) -> jax.Array:
-    """(3, 4, ...): velocity v + w x p of a point p, for twists (6, ...)."""
+    """Map (3, 4, ...) from a point p to its velocity v + w x p, for twists (6, ...)."""
     (x, y, z), v = twist[:3], twist[3:]
     zero = jnp.zeros_like(x)
     rows = v[0], zero, -z, y, v[1], z, zero, -x, v[2], -y, x, zero
@@ -147,10 +147,10 @@ def _twist_map(twist: jax.Array) -> jax.Array:
 
 
 def _point_maps(rotation: jax.Array, position: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Where points of the body are in the ground, and points of the ground in the body: (3, 4, K+1, ...)."""
+    """Maps (3, 4, K+1, ...) of points of the body to the ground, and of points of the ground to the body."""
     inverse = transpose(rotation)
     in_ground = jnp.concatenate([position[:, None], rotation], axis=1)
-    # a point p of the ground is R^T (p - x) in the body; the body moves against it
+    # a point p of the ground is R^T (p - x) in the body; relative to the body, it moves the opposite way
     return in_ground, jnp.concatenate([product(inverse, position)[:, None], -inverse], axis=1)
 
 
@@ -179,21 +179,19 @@ def linear_velocity_maps(
 ) -> jax.Array:
     """Affine maps (a | B) of the four linear frame types: u(k; p) = a(k) + B(k) p.
 
-    ``u`` is the velocity of the frame's origin, in the axes of the body named by the type's first
-    letter; ``p`` is where that origin lies, in the body named by the second.
+    ``u`` is the velocity of the frame's origin, in the axes of the body that the type's first letter names;
+    ``p`` is the position of this origin, in the body that the second letter names.
 
     Args:
         poses: (..., K+1, 4, 4), of {b} in {g}; m.
         dt: sample time in s: a scalar, or (..., K) for irregular sampling.
-        discretization: how velocity is taken from two poses.
-
-            ``"chord"``: for measured motion. GB and BG use the chord of the origin's path, which is
-            (x(k+1) - x(k)) / dt exactly; BB and GG the twist averaged over the step, which is the
-            logarithm of the step less the brackets of the Magnus expansion (the error is of sixth
-            order in dt, of third where sample times jitter).
-
-            ``"left"``: the paper's Table 3, the mean twist seen from the pose at the start of the
-            step. Exact for poses generated by the paper's Eq. 9.
+        discretization: method to compute a velocity from two poses.
+            ``"chord"`` is for measured motion. GB and BG use the chord of the origin's path, which is exactly
+            (x(k+1) - x(k)) / dt. BB and GG use the mean twist over the step, which is the logarithm of the
+            step without the brackets of the Magnus expansion. The error is of sixth order in dt, or third
+            order if sample times jitter. ``"left"`` is the method of the paper's Table 3: the mean twist,
+            expressed at the pose at the start of the step. It is exact for poses that the paper's Eq. 9
+            generates.
 
     Returns:
         (..., 4, K, 3, 4) in m/s and 1/s, in the order BB, GB, GG, BG of ``LinearType``.

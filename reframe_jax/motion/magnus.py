@@ -1,4 +1,4 @@
-"""Mean twists from the logarithms of steps: the Magnus expansion without its brackets."""
+"""Compute mean twists from the logarithms of steps, by removing the brackets of the Magnus expansion."""
 
 from collections.abc import Callable
 from functools import partial
@@ -12,13 +12,13 @@ from reframe_jax.motion.components import bracket, components_first
 __all__ = ["without_brackets"]
 
 _STENCIL = 7  # samples in the derivative of the twist
-_EVEN = 5  # longest over shortest step, above which derivatives across them amplify noise
+_EVEN = 5  # largest ratio of two steps; beyond this ratio, derivatives amplify the noise
 
 
 def _stencil(dt: jax.Array) -> tuple[np.ndarray, jax.Array]:
     """Finite-difference weights on irregular nodes: exact for polynomials of degree 6.
 
-    The nodes are the middles of the steps, (..., K) s; each derivative uses the seven nearest.
+    The nodes are the midpoints of the steps, (..., K) s; each derivative uses the seven nearest nodes.
 
     Returns:
         The nodes of each derivative, (K, n), and their weights, (..., K, n) in 1/s.
@@ -29,8 +29,8 @@ def _stencil(dt: jax.Array) -> tuple[np.ndarray, jax.Array]:
     nodes = np.clip(each - count // 2, 0, steps - count)[:, None] + np.arange(count)
     spans = dt[..., nodes]
     time = jnp.cumsum(spans, axis=-1) - spans / 2
-    # Lagrange's polynomial of node i has the derivative (c_h / c_i) / (t_h - t_i) at node h, c_i being
-    # the product of t_i - t_j over the other nodes j; those of all nodes add up to zero
+    # Lagrange's polynomial of node i has the derivative (c_h / c_i) / (t_h - t_i) at node h, where c_i is
+    # the product of t_i - t_j over the other nodes j; the derivatives of all polynomials sum to zero
     gaps = time[..., :, None] - time[..., None, :]
     products = jnp.prod(jnp.where(jnp.broadcast_to(np.eye(count, dtype=bool), gaps.shape), 1, gaps), axis=-1)
     own = jnp.broadcast_to(nodes == each[:, None], time.shape)
@@ -55,19 +55,20 @@ def without_brackets(body: jax.Array, spatial: jax.Array, dt: jax.Array) -> tupl
         a1 + a3/12 - [a1,a2]/12 - [a1,a4]/80 + [a2,a3]/240 + [a1,[a1,a3]]/360 - [a2,[a1,a2]]/240
            + [a1,[a1,[a1,a2]]]/720,
 
-    and for the body twist the same with every bracket turned round. The terms without brackets average
-    V over the step: a component that is always zero stays zero. The brackets mix components: left in,
-    they are an error along constrained axes that no amount of data removes (0.1 degrees and 0.3 mm for
-    lively motion at dt = 0.1 s). In a window whose steps differ widely, as across a gap in the recording,
-    they are left in: the derivatives would make far more of the noise.
+    and for the body twist the same with the opposite sign of every bracket. The sum of the terms without
+    brackets is the mean of V over the step, in which a component that is always zero stays zero. The brackets
+    mix components. Without their removal, constrained axes have an error that more data does not reduce (0.1
+    degrees and 0.3 mm for fast motion at dt = 0.1 s). The brackets are not removed in a window with very
+    different steps, for example across a gap in the recording, because the derivatives would amplify the
+    noise.
 
     Args:
-        body: (6, K, ...) mean body twists.
-        spatial: the same in {g}.
+        body: (6, K, ...) logarithms of the steps over dt, as body twists.
+        spatial: (6, K, ...) the same twists in {g}.
         dt: (..., K) s.
 
     Returns:
-        Both, of the same shapes.
+        Mean body twists and mean spatial twists, with the shapes of the input.
     """
     nodes, weights = _stencil(dt)
     weights, h = components_first(weights, 1).swapaxes(0, 1), components_first(dt, 0)[None]
@@ -82,16 +83,16 @@ def without_brackets(body: jax.Array, spatial: jax.Array, dt: jax.Array) -> tupl
 def _brackets(
     means: jax.Array, slope: Callable[[jax.Array], jax.Array], h: jax.Array, turn: float
 ) -> jax.Array:
-    """The brackets, which turn round for body twists (-1)."""
+    """Sum of the brackets, with the opposite sign (-1) for body twists."""
     first = slope(means)
     second = slope(first)
-    # from the mean to the middle of the step; steps of unequal length jump in this, so no derivative
-    # may be taken of anything that still has a factor h in it
+    # from the mean to the midpoint of the step; unequal steps make the correction discontinuous, so
+    # derivatives apply only to terms without a factor h
     middle = means - h**2 / 24 * second + h**2 * (turn / 12) * bracket(means, first)
     a1, a2 = h * middle, h**2 * slope(middle)
     a3, a4 = h**3 / 2 * second, h**4 / 6 * slope(second)
     a12 = bracket(a1, a2)
-    # the terms above, grouped by their outer factor
+    # the terms of the docstring, grouped by their outer factor
     in_first = (turn / 720) * a12 + a3 / 360
     first_bracket = bracket(a1, bracket(a1, in_first) - (turn / 12) * a2 - (turn / 80) * a4)
     second_bracket = bracket(a2, (turn / 240) * a3 - a12 / 240)

@@ -1,4 +1,4 @@
-"""Windows of a recording."""
+"""Divide a recording into sliding windows."""
 
 import numpy as np
 
@@ -6,11 +6,11 @@ __all__ = ["sliding_windows"]
 
 
 def sliding_windows(samples: np.ndarray, length: int, stride: int = 1) -> np.ndarray:
-    """Return windows over the first axis of a recording as a read-only view; nothing is copied.
+    """Return windows over the first axis of a recording as a read-only view, without a copy.
 
     Args:
         samples: (N, ...), poses or times.
-        length: samples in a window; a window of K steps has K + 1 poses.
+        length: number of samples per window; a window of K steps has K + 1 poses.
         stride: samples between the starts of two windows.
 
     Returns:

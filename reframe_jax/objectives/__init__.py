@@ -1,4 +1,4 @@
-"""The norms that a constraint frame minimizes, from samples and from moments, and their solver protocol."""
+"""The norms that a constraint frame minimizes, from samples or moments, and the objective protocol."""
 
 from reframe_jax.objectives.norms import (
     axis_rms,

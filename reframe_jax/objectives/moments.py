@@ -1,11 +1,11 @@
-"""Exact compression of a window: the second moments of its affine velocity maps.
+"""Second moments of the affine velocity maps of a window, an exact compression of the window.
 
 Every objective depends on the samples only through the velocity covariance
 
     Sigma(p) = mean_k u(k; p) u(k; p)^T,      u(k; p) = a(k) + B(k) p,
 
-whose six components are quadratic polynomials in p: 6 x 10 coefficients per window and frame type,
-whatever the number of samples. They are stored coefficients first, problems last, so that searching
+whose six components are quadratic polynomials in p. A window needs 6 x 10 coefficients per frame type,
+independent of the number of samples. Arrays have coefficients first and problems last, so that a search over
 many problems is elementwise arithmetic on contiguous arrays.
 """
 
@@ -18,26 +18,26 @@ from reframe_jax.geometry.symmetric import INDEX_PAIRS, Symmetric, Vector
 __all__ = ["MONOMIALS", "add_variance", "component_moments", "covariance_at", "velocity_moments"]
 
 MONOMIALS = tuple((a, b) for a in range(4) for b in range(a, 4))
-"""Pairs (a, b) whose product of (1, px, py, pz) is the monomial of each of the ten coefficients."""
+"""Index pairs (a, b) into (1, px, py, pz), whose products are the monomials of the ten coefficients."""
 
 
 def velocity_moments(maps: jax.Array, weights: jax.Array | None = None) -> jax.Array:
-    """Moments of affine velocity maps.
+    """Compute the moments of affine velocity maps.
 
     Args:
         maps: (..., K, 3, 4), the matrix (a | B) of every sample: u = a + B p.
         weights: (..., K), >= 0, for a weighted mean over the samples; equal by default.
 
     Returns:
-        (6, 10, ...), coefficients of Sigma(p). For maps of shape (..., K, 3, 1), which have no
-        position, (6, 1, ...).
+        (6, 10, ...), coefficients of Sigma(p); (6, 1, ...) for maps (..., K, 3, 1), which do not depend on a
+        position.
     """
     components = jnp.moveaxis(maps, (-2, -1, -3), (0, 1, 2))
     return component_moments(components, None if weights is None else jnp.moveaxis(weights, -1, 0))
 
 
 def component_moments(maps: jax.Array, weights: jax.Array | None = None) -> jax.Array:
-    """Moments of maps with components first, as :func:`kinematics.velocity_components` returns them.
+    """Compute the moments of maps with components first, from :func:`kinematics.velocity_components`.
 
     Args:
         maps: (3, 4, K, ...) or (3, 1, K, ...).
@@ -56,15 +56,15 @@ def component_moments(maps: jax.Array, weights: jax.Array | None = None) -> jax.
 
 
 def add_variance(moments: jax.Array, variance: jax.Array) -> jax.Array:
-    """Moments (6, columns, ...) of a covariance with a variance (...) more in every direction."""
+    """Add a variance (...) in every direction to moments (6, columns, ...)."""
     return moments.at[np.array([0, 3, 5]), 0].add(variance)
 
 
 def covariance_at(moments: jax.Array, position: Vector) -> Symmetric:
-    """Sigma(p), by Horner's rule.
+    """Evaluate Sigma(p) by Horner's rule.
 
     Args:
-        moments: (6, 10, ...), or (6, 1, ...) for velocities that have no position.
+        moments: (6, 10, ...), or (6, 1, ...) for velocities that do not depend on a position.
         position: (px, py, pz), arrays over the problems.
     """
     q = [moments[:, m] for m in range(moments.shape[1])]

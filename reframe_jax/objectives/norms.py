@@ -1,11 +1,11 @@
 """The norms that a constraint frame minimizes: Eqs. 6-8 of the paper as pure functions.
 
-For axes of orientation E (columns in the body of the frame's first letter) and an origin p,
+For axes E (columns, in the body that the type's first letter names) and an origin p,
 
     lambda_n = rms over k of (E^T u(k; p))_n,        J = power mean over n of lambda_n.
 
-E = exp(rotvec) is the frame's *orientation*; the paper's R^psi, which takes velocities into the frame,
-is its transpose. The power mean of exponent 0, the geometric mean, is the paper's choice.
+E = exp(rotvec) is the orientation of the frame. The paper's R^psi is its transpose, which maps velocities to
+the frame. The paper uses the power mean with exponent 0, which is the geometric mean.
 """
 
 import math
@@ -28,13 +28,13 @@ __all__ = [
 
 
 def check_exponent(exponent: float) -> float:
-    """Return the exponent of a power mean over the axes as a float.
+    """Check the exponent of a power mean over the axes, and return it as a float.
 
     Raises:
-        ValueError: unless -inf <= exponent <= 2. Above 2 the norm favours even axes, not small ones.
+        ValueError: unless -inf <= exponent <= 2. Above 2, the norm prefers equal axes to small axes.
     """
     real = isinstance(exponent, (int, float, np.integer, np.floating))
-    if not real or isinstance(exponent, (bool, np.timedelta64)):  # which NumPy counts among the integers
+    if not real or isinstance(exponent, (bool, np.timedelta64)):  # NumPy treats timedelta64 as an integer
         raise ValueError(f"The exponent of the norm must be a plain number, not {exponent!r}.")
     try:
         value = float(exponent)
@@ -46,13 +46,13 @@ def check_exponent(exponent: float) -> float:
 
 
 def log_power_mean(log_values: jax.Array, exponent: float) -> jax.Array:
-    """Logarithm of the power mean, from logarithms; stable for every exponent.
+    """Logarithm of the power mean from logarithms, numerically stable for every exponent.
 
     ``log1p(mean(expm1(p x))) / p`` has the geometric mean as its limit p -> 0 without cancellation.
 
     Args:
         log_values: (3, ...) logarithms of positive numbers.
-        exponent: p in [-inf, 2]; a Python number.
+        exponent: p in [-inf, 2], a Python number.
 
     Returns:
         (...).
@@ -77,7 +77,7 @@ def power_mean(values: jax.Array, exponent: float = 0.0) -> jax.Array:
 
     Returns:
         (...). If a value is zero and the exponent is not positive, the mean is zero, and its derivative is
-        set to zero (the true one is infinite).
+        set to zero, because the true derivative is infinite.
     """
     exponent = check_exponent(exponent)
     positive = values > 0
@@ -102,7 +102,7 @@ def axis_rms(rotvec: jax.Array, position: jax.Array | None, maps: jax.Array) -> 
 
     Args:
         rotvec: (..., 3) rad, orientation of the frame.
-        position: (..., 3) m, its origin; None for angular velocities.
+        position: (..., 3) m, origin of the frame; None for angular velocities.
         maps: (..., K, 3, 4) affine velocity maps, or (..., K, 3) velocities if position is None.
 
     Returns:
@@ -119,7 +119,7 @@ def axis_rms(rotvec: jax.Array, position: jax.Array | None, maps: jax.Array) -> 
 def frame_norm(
     rotvec: jax.Array, position: jax.Array | None, maps: jax.Array, exponent: float = 0.0
 ) -> jax.Array:
-    """The objective: Eq. 7 for angular velocities (``position=None``), Eq. 8 for linear ones.
+    """The objective: Eq. 7 for angular velocities (``position=None``), Eq. 8 for linear velocities.
 
     Arguments as in :func:`axis_rms` and :func:`power_mean`; returns (...).
     """

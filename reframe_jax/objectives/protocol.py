@@ -1,4 +1,4 @@
-"""The protocol of objectives: what a solver needs to know."""
+"""The protocol of objectives: the members that a solver uses."""
 
 from typing import Any, Literal, Protocol, runtime_checkable
 
@@ -10,29 +10,28 @@ __all__ = ["MomentsObjective", "Objective", "check_objective"]
 
 @runtime_checkable
 class Objective(Protocol):
-    """A function to minimize, for many problems at once.
+    """A function to minimize, for a batch of problems.
 
     An objective is a pytree, for example a class registered with ``jax.tree_util.register_dataclass``. Its
-    arrays hold the data of the problems, which are the trailing axes of each array. Data that all problems
-    share go into a static field. Solvers select, repeat and flatten problems with ``jax.tree.map`` and
-    rebuild the objective. Therefore ``batch`` and ``dtype`` must follow from the arrays, not from stored
-    values, and ``value`` must treat the problems independently, for any number of problem axes, including
-    none.
+    arrays contain the data of the problems, with the problems as trailing axes. Data common to all problems
+    must be static fields. Solvers select, repeat and flatten problems with ``jax.tree.map``, and rebuild the
+    objective. Therefore ``batch`` and ``dtype`` must follow from the arrays, not from stored values.
+    ``value`` must evaluate each problem independently, for any number of problem axes, including none.
     """
 
     @property
     def dim(self) -> int:
-        """Number of unknowns of a problem."""
+        """Number of unknowns per problem."""
         ...
 
     @property
     def batch(self) -> tuple[int, ...]:
-        """Shape of the problems; () for a single one."""
+        """Shape of the batch of problems; () for a single problem."""
         ...
 
     @property
     def dtype(self) -> np.dtype:
-        """Type of the unknowns and the values."""
+        """Dtype of the unknowns and the values."""
         ...
 
     def value(self, x: jax.Array) -> jax.Array:
@@ -46,10 +45,10 @@ class Objective(Protocol):
 
 @runtime_checkable
 class MomentsObjective(Objective, Protocol):
-    """A norm of velocities that is a function of their moments alone.
+    """A norm of velocities that depends only on their moments.
 
-    ``ValleySteps`` and ``FrameSteps`` minimize it in closed form: they read the moments and the exponent,
-    and call ``value`` for the result only.
+    ``ValleySteps`` and ``FrameSteps`` minimize such a norm with closed-form steps: they read the moments and
+    the exponent, and call ``value`` for the result only.
     """
 
     @property
@@ -64,7 +63,7 @@ class MomentsObjective(Objective, Protocol):
 
     @property
     def unknowns(self) -> Literal["frame", "position"]:
-        """A frame's orientation and origin, or its origin alone, with the best axes there."""
+        """Either the orientation and origin of a frame, or its origin, with the best axes at each origin."""
         ...
 
 
@@ -77,17 +76,19 @@ def check_objective(objective: Any) -> None:
     name = type(objective).__name__
     missing = [member for member in ("dim", "batch", "dtype", "value") if not hasattr(objective, member)]
     if missing:
-        raise ValueError(f"An objective has dim, batch, dtype and value; {name} lacks {', '.join(missing)}.")
+        raise ValueError(
+            f"An objective needs dim, batch, dtype and value; {name} has no {', '.join(missing)}."
+        )
     batch = tuple(objective.batch)
     for path, leaf in jax.tree_util.tree_leaves_with_path(objective):
         if leaf is objective:
             raise ValueError(
-                f"An objective is a pytree; register {name} with jax.tree_util.register_dataclass."
+                f"An objective must be a pytree; register {name} with jax.tree_util.register_dataclass."
             )
         shape = np.shape(leaf)
         if len(shape) < len(batch) or shape[len(shape) - len(batch) :] != batch:
             raise ValueError(
-                f"Every array of an objective ends with the axes of its problems, {batch} here; "
-                f"{name}{jax.tree_util.keystr(path)} has the shape {shape}. Make what all problems share "
-                "a static field."
+                f"Every array of an objective must end with the axes of its problems, here {batch}; "
+                f"{name}{jax.tree_util.keystr(path)} has the shape {shape}. Use a static field for data that "
+                "is common to all problems."
             )

@@ -1,4 +1,4 @@
-"""What a solver minimizes: log J of many problems at once, as a function of an array of unknowns."""
+"""Objectives for the solvers: log J of a batch of problems, as a function of an array of unknowns."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -15,8 +15,8 @@ __all__ = ["FrameObjective", "PositionObjective", "log_norm"]
 
 
 def log_norm(covariance: symmetric.Symmetric, exponent: float) -> jax.Array:
-    """Logarithm of J, (...), along the best axes; infinite where a covariance is not positive definite."""
-    # the geometric mean needs the product of the variances only, which the pivots have too
+    """Logarithm of J, (...), along the best axes; infinite if a covariance is not positive definite."""
+    # the geometric mean needs only the product of the variances, which equals the product of the pivots
     variances = symmetric.pivots(covariance) if exponent == 0 else symmetric.eigh(covariance)[0]
     squares = jnp.stack(variances)
     positive = jnp.all(squares > 0, axis=0)
@@ -27,11 +27,11 @@ def log_norm(covariance: symmetric.Symmetric, exponent: float) -> jax.Array:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class _Moments:
-    """What objectives that are functions of moments have in common.
+    """Base class of objectives that depend on moments.
 
     Attributes:
         moments: (6, 10, ...), or (6, 1, ...) for angular velocities; the trailing axes are problems.
-        exponent: of the power mean over axes.
+        exponent: exponent of the power mean over the axes.
     """
 
     moments: jax.Array
@@ -44,7 +44,7 @@ class _Moments:
 
     @property
     def dtype(self) -> np.dtype:
-        """Of the unknowns and the values."""
+        """Dtype of the unknowns and the values."""
         return self.moments.dtype
 
 
@@ -53,12 +53,12 @@ class _Moments:
 class FrameObjective(_Moments):
     """log J over orientation and origin, for any exponent.
 
-    The unknowns are the rotation vector and, unless the velocities have no position, the origin.
+    The unknowns are the rotation vector and, for linear velocities, the origin.
     """
 
     @property
     def dim(self) -> int:
-        """Number of unknowns: 6, or 3 without a position."""
+        """Number of unknowns: 6 for linear velocities, 3 for angular velocities."""
         return 6 if self.moments.shape[1] > 1 else 3
 
     @property
@@ -77,12 +77,12 @@ class FrameObjective(_Moments):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class PositionObjective(_Moments):
-    """log J over the origin alone: the best orientation is eliminated in closed form.
+    """log J over the origin; the best orientation at each origin is eliminated in closed form.
 
-    The variances along orthogonal axes are the diagonal of E^T Sigma E, which the eigenvalues of
-    Sigma majorize (Schur-Horn). A power mean of the RMS values with exponent p <= 2 is a symmetric
-    concave function of the variances, hence smallest at the eigenvalues: for every such norm the best
-    axes are the eigenvectors of Sigma. For the geometric mean J is det(Sigma)^(1/6).
+    The variances along orthogonal axes are the diagonal of E^T Sigma E, which the eigenvalues of Sigma
+    majorize (Schur-Horn). A power mean of the RMS values with exponent p <= 2 is a symmetric concave function
+    of the variances, so its minimum is at the eigenvalues. For every such norm, the best axes are therefore
+    the eigenvectors of Sigma. For the geometric mean, J is det(Sigma)^(1/6).
     """
 
     @property
@@ -92,7 +92,7 @@ class PositionObjective(_Moments):
 
     @property
     def unknowns(self) -> Literal["position"]:
-        """The origin alone."""
+        """The unknowns are the origin."""
         return "position"
 
     def covariance(self, x: jax.Array) -> symmetric.Symmetric:
@@ -100,5 +100,5 @@ class PositionObjective(_Moments):
         return covariance_at(self.moments, (x[0], x[1], x[2]))
 
     def value(self, x: jax.Array) -> jax.Array:
-        """Logarithm of J, (...), of the origin (3, ...); infinite where Sigma is not positive definite."""
+        """Logarithm of J, (...), at the origin (3, ...); infinite if Sigma is not positive definite."""
         return log_norm(self.covariance(x), self.exponent)

@@ -1,7 +1,7 @@
-"""Pictures: identifications, segmentations, scenes, error curves, objectives, maps.
+"""Pictures of identifications, segmentations, scenes, error curves, objectives and maps.
 
-Needs Matplotlib: ``pip install "reframe-jax[plot]"``. Every function returns a new figure that ``pyplot``
-does not know: display it in a notebook, or call ``figure.savefig(...)``.
+Needs Matplotlib: ``pip install "reframe-jax[plot]"``. Every function returns a new figure that is not
+registered with ``pyplot``: display the figure in a notebook, or call ``figure.savefig(...)``.
 """
 
 from reframe_jax.plotting.animation import animate_scene, gif

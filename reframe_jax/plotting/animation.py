@@ -1,4 +1,4 @@
-"""A demonstration in motion: the body runs along its path, and the frame with it."""
+"""Animate a recording: the body moves along its path, with its constraint frame."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -30,9 +30,10 @@ __all__ = ["animate_scene", "gif"]
 def animate_scene(
     poses: ArrayLike, found: Identification, *, times: ArrayLike, frames: int = 40, title: str | None = None
 ) -> "FuncAnimation":
-    """Animate one window: ``.save("out.gif", writer="pillow")``, or :func:`gif` for a notebook.
+    """Animate one window.
 
-    The body does not visit poses that the identification left out as outliers.
+    Save the animation with ``.save("out.gif", writer="pillow")``, or use :func:`gif` in a notebook. The
+    animation leaves out poses that the identification left out as outliers.
 
     Args:
         poses: (K+1, 4, 4), m.
@@ -75,7 +76,7 @@ def animate_scene(
         origin, triad, turning = (part[number] for part in every)
         draw_frame(axes, origin, length * triad, length * turning, host.linear.dof, 1.0)
         set_limits(axes, points)
-        axes.set_box_aspect((1, 1, 1), zoom=0.9)  # the label of z is cut off otherwise
+        axes.set_box_aspect((1, 1, 1), zoom=0.9)  # a larger zoom cuts off the label of z
         axes.set_title(f"{host.name if title is None else title}, t = {times[here]:.2f} s", fontsize=9)
         return []
 

@@ -1,4 +1,4 @@
-"""Pictures of the simulated arm: demonstrations, and reactions of reproductions."""
+"""Pictures of the simulated arm: demonstrations, and reaction forces of reproductions."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
@@ -28,10 +28,10 @@ _ROWS = {"exact": "exact frame", "literature": "literature's errors", "identifie
 def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: str | None = None) -> "Figure":
     """Draw one demonstration: the arm, its constraint, the motion of the tool, and the reactions.
 
-    The left panel shows the arm at the first, middle and last sample (palest at the first), the path of the
-    TCP, and the true constraint frame: free axes are solid, constrained ones dashed, axes of free rotation
-    green. The right panels show the motion along the frame's free axes, and the moments and forces of the
-    constraint on the tool along the constrained ones.
+    The left panel shows the arm at the first, middle and last sample (the first one palest), the path of the
+    TCP, and the true constraint frame. Free axes are solid, constrained axes dashed, and axes of free
+    rotation green. The right panels show the motion along the free axes, and the moments and forces of the
+    constraint on the tool along the constrained axes.
 
     Args:
         made: one demonstration, ``made[i]`` of a batch.
@@ -43,7 +43,7 @@ def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: st
         ValueError: for a batch.
     """
     if np.ndim(made.status_code):
-        raise ValueError("A batch has many demonstrations: index one first, made[i].")
+        raise ValueError("A batch has several demonstrations: index one first, made[i].")
     made = jax.device_get(made)
     figure = new_figure(9.5, 5.4)
     grid = figure.add_gridspec(3, 2, width_ratios=(1.15, 1))
@@ -53,7 +53,7 @@ def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: st
     free = np.array((*made.truth.angular_dof, *made.truth.linear_dof), dtype=bool)
     motion, moments, forces = (figure.add_subplot(grid[i, 1]) for i in range(3))
     for i in np.flatnonzero(free):
-        # one scale for both: 1 rad moves a point at 0.1 m by 100 mm
+        # one scale for rotations and translations: 1 rad moves a point at 0.1 m by 100 mm
         factor, kind, unit, style = (1, "turn", "rad", "-") if i < 3 else (10, "shift", "0.1 m", "--")
         motion.plot(
             made.times,
@@ -156,12 +156,12 @@ def _draw_scene(axes: "Axes3D", made: Demonstration, arm: Arm) -> None:
 
 
 def plot_comparison(comparisons: Mapping[str, Comparison], *, title: str | None = None) -> "Figure":
-    """Draw peak reaction moments and forces of reproductions, the paper's Figure 5.
+    """Draw peak reaction moments and forces of reproductions, like the paper's Figure 5.
 
-    Bars are means, with one standard deviation; dots are the trials.
+    Bars are means, whiskers are one standard deviation, and dots are single trials.
 
     Args:
-        comparisons: comparisons by the label of the task.
+        comparisons: comparisons of frames, with the name of the task as key.
         title: title of the figure.
 
     Raises:
@@ -184,7 +184,7 @@ def plot_reactions(comparison: Comparison, index: int = 0, *, title: str | None 
     """Draw the reactions of one task over time, in exact, inexact and identified frames.
 
     Args:
-        comparison: comparison with any number of trials.
+        comparison: comparison of frames with any number of trials.
         index: number of the trial.
         title: title of the figure.
 

@@ -1,4 +1,4 @@
-"""Curves over noise, time or anything else, as small multiples with shared axes."""
+"""Panels of curves with common axes, such as errors over the noise."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,9 +20,9 @@ class Curve:
     """One line of a panel.
 
     Attributes:
-        name: entry in the legend, which lists every name once.
+        name: entry in the legend; curves with equal names have one entry.
         values: (N,), in the unit of the panels' y axis.
-        low, high: (N,) each, edges of a band about the values; None draws no band.
+        low, high: (N,) each, edges of a band around the values; None draws no band.
         colour: index into the colour cycle.
         dashed: whether the line is dashed.
     """
@@ -46,17 +46,17 @@ def plot_curves(
     log: bool = True,
     notes: Mapping[str, str] | None = None,
 ) -> "Figure":
-    """Draw small multiples: one panel per entry, with a shared legend above.
+    """Draw one panel per entry, with common axes and a common legend above the panels.
 
     Args:
-        x: (N,), shared by all curves.
-        panels: curves by the panel's title.
-        xlabel: label of the shared x axis, with the unit.
-        ylabel: label of the shared y axis, with the unit.
+        x: (N,) x values of all curves.
+        panels: curves of each panel, with the title of the panel as key.
+        xlabel: label of the common x axis, with the unit.
+        ylabel: label of the common y axis, with the unit.
         title: title of the figure.
         columns: number of panels per row.
         log: whether the axes are logarithmic.
-        notes: a line of text inside some panels, by their title.
+        notes: a line of text inside a panel, with the title of the panel as key.
 
     Raises:
         ImportError: if Matplotlib is not installed.

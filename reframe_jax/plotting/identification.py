@@ -1,4 +1,4 @@
-"""Picture of one window: its frame in space, the amplitudes of its axes, and the velocities along them."""
+"""Picture of one window: its frame in space, and the amplitudes and velocities along its axes."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["plot_identification"]
 
-_FONT = 11  # points: legible at half the size
+_FONT = 11  # points, legible at half the size
 
 
 def plot_identification(
@@ -33,29 +33,30 @@ def plot_identification(
     title: str | None = None,
     left_out: ArrayLike = (),
 ) -> "Figure":
-    """Draw one window: its linear frame in space, how far each axis moved, and the velocities along the axes.
+    """Draw one window: its linear frame in space, and the amplitudes and velocities along the axes.
 
     The left panel shows the path of the body in the ground, with the linear frame and the free axes of
-    rotation through its origin. Parts that are fixed in the body are drawn at the first, the middle and the
-    last pose, the first one palest; a line joins the body to an origin that is fixed in it, and the path of
-    that origin is dotted. Free axes are arrows, constrained axes are dashed lines without a head.
+    rotation through its origin. Axes and origins that are fixed in the body are drawn at the first, middle
+    and last pose, palest at the first. A line connects the body with an origin that is fixed in the body; the
+    path of this origin is dotted. Free axes are arrows, constrained axes are dashed lines without a head.
 
     The right panels show the amplitude of every axis (RMS displacement, logarithmic) with the probability
-    that the axis is free, and below them the velocities of single steps along the axes over time. Outliers
-    are crosses in space and along the time axis; the path leaves them out. Rows that were left
-    out when the file was read are bars along the time axis.
+    that the axis is free, and below the velocities along the axes over time, from pairs of consecutive poses.
+    Outliers are crosses in space and along the time axis, and not part of the path. Rows that were left out
+    when the file was read are bars along the time axis.
 
     Args:
         poses: (K+1, 4, 4), m.
         found: identification of these poses.
         times: (K+1,) s.
         thresholds: the thresholds of the identification, drawn as lines; none by default.
-        discretization: that of the identification.
-        title: of the figure, by default the name of the constraint.
-        left_out: (M,) s, when rows were that were not read: ``left_out_times`` of a recording.
+        discretization: the discretization of the identification.
+        title: title of the figure, by default the name of the constraint.
+        left_out: (M,) s, times of rows that were left out when the file was read: ``left_out_times`` of a
+            recording.
 
     Returns:
-        A new figure that ``pyplot`` does not know: display it in a notebook, or call ``figure.savefig(...)``.
+        A new figure: display it in a notebook, or call ``figure.savefig(...)``.
 
     Raises:
         ImportError: if Matplotlib is not installed.
@@ -93,7 +94,7 @@ def plot_identification(
 
 
 def _draw_amplitudes(axes: "Axes", frame: AngularFrame | LinearFrame, motion: str, unit: str) -> None:
-    """A bar for every axis, with the probability that the axis is free."""
+    """Draw a bar for every axis, with the probability that the axis is free."""
     amplitude = np.maximum(1e3 * np.asarray(frame.amplitude, dtype=float), 1e-6)
     start = 10 ** np.floor(np.log10(amplitude.min()) - 1)
     places = np.arange(1, 4)

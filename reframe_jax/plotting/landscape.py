@@ -1,4 +1,4 @@
-"""The objective over a plane of positions, as the search for a frame's origin sees it."""
+"""Draw the objective of the search for a frame's origin over planes of positions."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -39,11 +39,11 @@ def landscape(
         poses: (K+1, 4, 4), m.
         positions: (..., 3) m, origins in the body of the type's second letter.
         times: (K+1,) s.
-        linear_type: of the frame.
-        scales: those of the identification, see :func:`reframe_jax.identify`.
+        linear_type: type of the linear frame.
+        scales: time scales of the identification, see :func:`reframe_jax.identify`.
 
     Returns:
-        (...) the norm: ``found.linear.norms`` at the identified origins.
+        (...) the norm, m/s; at an identified origin, it equals ``found.linear.norms``.
 
     Raises:
         ValueError: if the scales do not fit the window.
@@ -63,7 +63,7 @@ def _norms(
     one = polynomials(used.products, rows)[:, kind][:, None]
     points = positions.reshape(-1, 3) - ground_offset(window.centre[0])[kind]
     value = jax.lax.map(lambda x: norm_at(one, used.details, x[None, None])[0, 0], points)
-    # F is the sum of log det Sigma: half of it a third per axis, as displacements over their spans
+    # the objective is a sum of log det(Sigma): one sixth is the mean log RMS displacement per axis
     details = used.details[0]
     spans = jnp.sum(details * jnp.log(used.width[0] * jnp.mean(steps)))
     return jnp.exp((value / 6 - spans) / jnp.sum(details)).reshape(positions.shape[:-1])
@@ -82,18 +82,18 @@ def plot_landscape(
 ) -> "Figure":
     """Draw the norm over planes through the identified position, one row per frame type.
 
-    The identified origin is that of the fitted constraint, close to the lowest point. The planes are those of
-    the axes x-y, x-z and y-z of the body that the type's second letter names.
+    The identified origin belongs to the fitted constraint and is close to the minimum. The planes are the
+    x-y, x-z and y-z planes of the body that the type's second letter names.
 
     Args:
         poses: (K+1, 4, 4), m.
         found: identification of these poses.
         times: (K+1,) s.
-        linear_types: types to draw; by default the identified one.
-        span: m, from the optimum to the edge.
+        linear_types: types to draw; by default the identified type.
+        span: m, distance from the identified position to the edge.
         points: number of points along each side.
-        scales: those of the identification.
-        title: of the figure.
+        scales: time scales of the identification.
+        title: title of the figure.
 
     Raises:
         ImportError: if Matplotlib is not installed.

@@ -1,4 +1,4 @@
-"""Maps of a quantity over two others, and grouped bars with their spread."""
+"""Maps of a quantity over two variables, and grouped bars with standard deviations."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -28,17 +28,17 @@ def plot_maps(
     form: str = "{:.2g}",
     across: int = 3,
 ) -> "Figure":
-    """Draw maps side by side on one colour scale, with the number in every cell.
+    """Draw maps side by side with one colour scale, and print the value in every cell.
 
     Args:
-        maps: (len(rows), len(columns)) values by the map's title; NaN stays empty.
+        maps: values (len(rows), len(columns)), with the title of the map as key; NaN leaves a cell empty.
         columns: labels of the columns, from the left.
         rows: labels of the rows, the first one at the bottom.
-        xlabel: label of the shared x axis.
-        ylabel: label of the shared y axis.
+        xlabel: label of the common x axis.
+        ylabel: label of the common y axis.
         unit: label of the colour scale.
         title: title of the figure.
-        limits: range of the colour scale; by default that of the values.
+        limits: range of the colour scale; by default the range of the values.
         log: whether the colour scale is logarithmic.
         form: format specification of the numbers.
         across: number of maps per row.
@@ -98,7 +98,7 @@ def plot_bars(
 
     Args:
         groups: names of the groups along the axis of every panel.
-        bars: by the panel's title, then by the bar's name: one array (N,) of samples for every group.
+        bars: panels by title; each panel has bars by name; each bar has one array (N,) of samples per group.
         ylabels: label of the y axis of every panel, with the unit.
         title: title of the figure.
 

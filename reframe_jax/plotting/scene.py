@@ -42,9 +42,10 @@ __all__ = [
 def plot_scene(poses: ArrayLike, found: Identification, *, title: str | None = None) -> "Figure":
     """Draw one window in space: the path of the body, the linear frame, and the free axes of rotation.
 
-    What is fixed in the body is drawn at the first, the middle and the last pose, the first one palest;
-    an origin that is fixed there is joined to the body, and its path is dotted. Free axes are arrows,
-    constrained axes dashed lines without a head. The path leaves out outliers, which are crosses.
+    Axes and origins that are fixed in the body are drawn at the first, middle and last pose, palest at the
+    first. A line connects the body with an origin that is fixed in the body; the path of this origin is
+    dotted. Free axes are arrows, constrained axes dashed lines. Outliers are crosses and not part of the
+    path.
 
     Args:
         poses: (K+1, 4, 4), m.
@@ -63,20 +64,20 @@ def plot_scene(poses: ArrayLike, found: Identification, *, title: str | None = N
 
 
 def check_window(found: Identification) -> Identification:
-    """A single window with a result, on the host.
+    """Return a single window with a result, on the host.
 
     Raises:
-        ValueError: for anything else.
+        ValueError: for a batch, and for a window without a result.
     """
     if np.shape(found.status_code):
-        raise ValueError("A batch has many frames: index one window first, found[i].")
+        raise ValueError("A batch has several frames: index one window first, found[i].")
     if found.status.failed:
         raise ValueError(f"There is nothing to draw: {found.status.message}")
     return jax.device_get(found)
 
 
 def draw_space(axes: "Axes3D", poses: np.ndarray, found: Identification) -> None:
-    """Path and axes of the body, the frame, and a legend; of outliers those within the picture."""
+    """Draw path and axes of the body, the frame, a legend, and the outliers inside the picture."""
     counted = np.asarray(found.counted)
     out, poses = poses[~counted, :3, 3], poses[counted]
     path = poses[:, :3, 3]
@@ -102,19 +103,19 @@ def draw_space(axes: "Axes3D", poses: np.ndarray, found: Identification) -> None
 
 
 def draw_arm(axes: "Axes3D", path: np.ndarray, origins: np.ndarray, samples: np.ndarray) -> None:
-    """The path (K+1, 3) of an origin that is fixed in the body, and a line to it from the body."""
+    """Draw the path (K+1, 3) of an origin that is fixed in the body, and a line from the body."""
     axes.plot(*origins.T, ":", color="black", linewidth=1.0, label="path of the frame's origin")
     for sample in samples:
         segment(axes, path[sample], origins[sample], color=BODY, linewidth=2.2, alpha=0.45)
 
 
 def track(poses: np.ndarray, found: Identification) -> np.ndarray:
-    """The origin of the linear frame in the ground, (K+1, 3) m."""
+    """Compute the path of the linear frame's origin in the ground, (K+1, 3) m."""
     return poses[:, :3, 3] + _locate(poses, found).lever
 
 
 def _locate(poses: np.ndarray, found: Identification) -> Located:
-    """The frames of a window at every pose (K+1, 4, 4)."""
+    """Locate the frames of a window at every pose (K+1, 4, 4)."""
     with jax.enable_x64(True):
         frame = assemble_frame(
             found.angular.type_code,
@@ -129,7 +130,7 @@ def _locate(poses: np.ndarray, found: Identification) -> Located:
 
 
 def frame_samples(poses: np.ndarray, found: Identification) -> np.ndarray:
-    """Poses at which the frame is drawn: one where all of it is fixed in the ground, else three."""
+    """Indices of poses at which the frame is drawn: one if the frame is fixed in the ground, else three."""
     kind = found.linear.frame_type
     in_ground = kind.orientation_body == kind.position_body == AngularType.G
     middle = len(poses) // 2
@@ -141,12 +142,12 @@ def _size(points: np.ndarray) -> float:
 
 
 def frame_length(points: np.ndarray) -> float:
-    """Length in m of the axes of a frame, in a scene of these points (N, 3)."""
+    """Length in m of the drawn axes of a frame, in a scene of points (N, 3)."""
     return 0.22 * _size(points)
 
 
 def set_limits(axes: "Axes3D", points: np.ndarray) -> None:
-    """Equal scales along all axes, and all of the points (N, 3) in sight."""
+    """Set equal scales along all axes, with limits that contain the points (N, 3)."""
     centre, size = (points.min(axis=0) + points.max(axis=0)) / 2, _size(points)
     for i, name in enumerate("xyz"):
         getattr(axes, f"set_{name}lim")(centre[i] - size / 2, centre[i] + size / 2)
@@ -159,7 +160,7 @@ def set_limits(axes: "Axes3D", points: np.ndarray) -> None:
 def draw_frame(
     axes: "Axes3D", origin: np.ndarray, triad: np.ndarray, turning: np.ndarray, dof: Any, alpha: float
 ) -> None:
-    """The linear frame at one pose, and the free axes of rotation through its origin."""
+    """Draw the linear frame at one pose, and the free axes of rotation through its origin."""
     axes.plot(*origin[:, None], "o", color="black", markersize=3, alpha=alpha)
     for axis in turning:
         segment(axes, origin - 1.5 * axis, origin + 1.5 * axis, color=TURNING, linestyle="-.", alpha=alpha)
@@ -187,23 +188,24 @@ def _draw_legend(axes: "Axes3D", found: Identification, turns: bool) -> None:
 
 
 def segment(axes: "Axes3D", start: np.ndarray, end: np.ndarray, **style: Any) -> None:
-    """A straight line between two points (3,)."""
+    """Draw a straight line between two points (3,)."""
     axes.plot(*np.stack([start, end], axis=1), **style)
 
 
 def frames_in_ground(
     poses: np.ndarray, found: Identification, samples: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The frames in the ground, by default at one pose if the linear one is fixed there, else at three.
+    """Compute the frames of one window in the ground.
 
     Args:
         poses: (K+1, 4, 4), m.
-        found: of one window.
-        samples: (n,) poses to take.
+        found: the identification of one window.
+        samples: (n,) indices of poses; by default one pose if the linear frame is fixed in the ground, else
+            three.
 
     Returns:
         Origins (n, 3); axes of the linear frame (n, 3, 3), as columns; directions (n, m, 3) of the m free
-        axes of rotation, none of them if all three are free.
+        rotation axes, with m = 0 if all three rotations are free.
     """
     samples = frame_samples(poses, found) if samples is None else samples
     there = jax.tree.map(lambda leaf: leaf[samples], _locate(poses, found))

@@ -1,4 +1,4 @@
-"""Picture of a sequence of constraints: which holds when, and the velocities in its frame."""
+"""Picture of a sequence of constraints: a time line, and the velocities in the frame of each segment."""
 
 from typing import TYPE_CHECKING
 
@@ -18,23 +18,22 @@ if TYPE_CHECKING:
 __all__ = ["plot_segmentation", "segment_velocities"]
 
 _STILL = "#DDDDDD"
-_STEPS = 8  # of a motion time, over which velocities are taken
+_STEPS = 8  # velocities are differences over the motion time divided by this number
 
 
 def plot_segmentation(poses: ArrayLike, found: Segmentation, *, title: str | None = None) -> "Figure":
-    """Draw a time line of constraints, and below it the velocities along the axes of each one's frames.
+    """Draw a time line of constraints, and the velocities along the axes of the frame of each segment.
 
-    A constraint that comes back has the same colour; where the body is still, the line is grey. A band about
-    each boundary shows where the boundary could also be. Velocities along free axes are blue, along
-    constrained axes orange.
+    Segments with the same constraint have the same colour; a still body is grey. A band around each boundary
+    is its 95 % interval. Velocities along free axes are blue, along constrained axes orange.
 
     Args:
-        poses: (N, 4, 4), those that were segmented; m.
-        found: their segmentation.
-        title: of the figure; none by default.
+        poses: (N, 4, 4) m, the segmented poses.
+        found: the segmentation of these poses.
+        title: title of the figure; none by default.
 
     Returns:
-        A new figure that ``pyplot`` does not know: display it in a notebook, or call ``figure.savefig(...)``.
+        A new figure: display it in a notebook, or call ``figure.savefig(...)``.
 
     Raises:
         ImportError: if Matplotlib is not installed.
@@ -65,7 +64,7 @@ def _draw_line(axes: "Axes", found: Segmentation) -> None:
         start, stop = times[segment.start], times[min(segment.stop, len(times) - 1)]
         colour = _STILL if segment.resting else LINES[segment.label % len(LINES)]
         axes.barh(0, stop - start, left=start, color=colour, alpha=0.6, height=0.8)
-        # names of neighbours at different heights, so that short segments stay readable
+        # names of adjacent segments are at different heights, so that they do not overlap
         axes.text((start + stop) / 2, 0.55 + 0.35 * (number % 2), segment.name, ha="center", fontsize=7)
     for boundary in found.boundaries:
         axes.axvspan(times[boundary.earliest], times[boundary.latest], color="black", alpha=0.25, linewidth=0)
@@ -87,11 +86,11 @@ def _draw_velocities(axes: "Axes", found: Segmentation, velocities: np.ndarray, 
 
 
 def segment_velocities(poses: np.ndarray, found: Segmentation) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the velocities along the axes of the frames that hold at each time.
+    """Compute the velocities along the axes of the frame that is valid at each time.
 
     Args:
-        poses: (N, 4, 4), those that were segmented; m.
-        found: their segmentation.
+        poses: (N, 4, 4) m, the segmented poses.
+        found: the segmentation of these poses.
 
     Returns:
         Angular velocities, (N, 3) rad/s, and linear velocities of the frame's origin, (N, 3) m/s, over an
@@ -119,7 +118,7 @@ def segment_velocities(poses: np.ndarray, found: Segmentation) -> tuple[np.ndarr
 def _along_axes(
     linear: np.ndarray, angular: np.ndarray, found: Identification, centre: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Paths (P, 3) along the axes of one identification, about whose ground origin positions are not."""
+    """Paths (P, 3) along the axes of the frames of one identification."""
     kind, position = int(found.linear.type_code), np.asarray(found.linear.position)
     origin = np.append(1.0, position - centre * (kind in GROUND_TYPES))
     ground = int(found.angular.type_code) == AngularType.G

@@ -1,4 +1,4 @@
-"""Colours and small helpers that all pictures share. Matplotlib is imported when a figure is made."""
+"""Colours and helper functions of all pictures. Matplotlib is imported when a figure is created."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,7 @@ __all__ = [
     "new_figure",
 ]
 
-# colours of Okabe & Ito, distinct for every kind of colour vision; the first axis of a kind is darkest
+# colours of Okabe & Ito, safe for colour-blind readers; the first axis of each group is darkest
 FREE = ("#0072B2", "#56B4E9", "#00415F")
 CONSTRAINED = ("#D55E00", "#E69F00", "#7F3800")
 TURNING = "#009E73"
@@ -49,7 +49,7 @@ LEGEND_ABOVE: dict[str, Any] = {
 
 
 def new_figure(width: float, height: float) -> "Figure":
-    """A figure of its own, unknown to ``pyplot``; sizes in inches, at 150 dots per inch.
+    """Create a figure that is not registered with ``pyplot``; sizes in inches, at 150 dots per inch.
 
     Raises:
         ImportError: if Matplotlib is not installed.
@@ -62,6 +62,6 @@ def new_figure(width: float, height: float) -> "Figure":
 
 
 def axis_colours(dof: Any) -> list[str]:
-    """A colour for each axis of a frame, of one family for free and one for constrained axes."""
+    """Colour of each axis of a frame; free and constrained axes have separate colour families."""
     families = {0: iter(CONSTRAINED), 1: iter(FREE)}
     return [next(families[int(free)]) for free in dof]

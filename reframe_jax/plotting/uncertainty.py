@@ -21,24 +21,25 @@ if TYPE_CHECKING:
 
 __all__ = ["plot_uncertainty"]
 
-_INTERVAL = 1.96  # standard deviations that hold 95 %
-_ELLIPSOID = 2.795  # standard deviations of the ellipsoid that holds 95 % in three dimensions
+_INTERVAL = 1.96  # standard deviations of a 95 % interval
+_ELLIPSOID = 2.795  # standard deviations of a 95 % ellipsoid in three dimensions
 _LINES = 25  # points of a circle
 
 
 def plot_uncertainty(
     poses: ArrayLike, found: Identification, covariance: "Covariance", *, title: str | None = None
 ) -> "Figure":
-    """Draw how sure a frame is: the scene, its origin close up, and its axes.
+    """Draw the uncertainty of a frame: the scene, the origin enlarged, and the tilts of the axes.
 
-    Beside the scene of :func:`plot_scene` is the origin, enlarged. The ellipsoid holds it with a probability
-    of 95 %, and is flat along directions in which the origin is free. Below are the tilts of the odd axes:
-    the cones that hold them with 95 %, cut across.
+    The first panel is the scene of :func:`plot_scene`. The second panel shows the 95 % ellipsoid of the
+    origin, which is flat along directions in which the origin is arbitrary. The panels below show 95 % cones
+    of the distinct axes in cross section. The distinct axis of a frame is its single free or single
+    constrained axis.
 
     Args:
         poses: (K+1, 4, 4), m.
         found: identification of these poses.
-        covariance: of ``found``.
+        covariance: the covariance of ``found``.
         title: title of the figure, by default the name of the constraint.
 
     Raises:
@@ -57,23 +58,21 @@ def plot_uncertainty(
 
 
 def _draw_origin(axes: "Axes3D", found: Identification, covariance: "Covariance") -> None:
-    """The ellipsoid of the origin and the directions of the linear axes, in mm."""
+    """Draw the ellipsoid of the origin and the directions of the linear axes, in mm."""
     body = BODY_NAMES[found.linear.frame_type.position_body]
     axes.set_title(f"origin, in the {body} [mm]", fontsize=9, pad=30)
     variances, directions = np.linalg.eigh(1e6 * np.asarray(covariance.position))
     radii = _ELLIPSOID * np.sqrt(np.maximum(variances, 0))
     size = 1.15 * float(radii[-1])
     if not 0 < size < np.inf:
-        axes.text2D(0.5, 0.5, "the origin is free", transform=axes.transAxes, ha="center")
+        axes.text2D(0.5, 0.5, "any origin is equally valid", transform=axes.transAxes, ha="center")
         axes.set_axis_off()
         return
     u, v = np.meshgrid(np.linspace(0, 2 * np.pi, _LINES), np.linspace(0, np.pi, _LINES), indexing="ij")
     ball = np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)])
     surface = np.einsum("ij,jkl->ikl", directions * radii, ball)
     axes.plot_surface(*surface, color=TURNING, alpha=0.25, linewidth=0)
-    axes.plot_wireframe(
-        *surface, color=TURNING, linewidth=0.4, rstride=4, cstride=4, label="holds it with 95 %"
-    )
+    axes.plot_wireframe(*surface, color=TURNING, linewidth=0.4, rstride=4, cstride=4, label="95 % ellipsoid")
     for direction, radius in zip(directions.T, radii, strict=True):
         if radius > 0.01 * size:
             ends = np.outer([-1, 1], radius * direction)
@@ -91,7 +90,7 @@ def _draw_origin(axes: "Axes3D", found: Identification, covariance: "Covariance"
 
 
 def _draw_tilts(axes: "Axes", found: Identification, covariance: "Covariance") -> None:
-    """How far the odd axes may tilt, seen along them, in degrees: the cone that holds them, cut across."""
+    """Draw the 95 % cones of the distinct axes in cross section: the tilts of each axis in degrees."""
     angle = np.linspace(0, 2 * np.pi, 4 * _LINES)
     circle = np.sqrt(5.991) * np.stack([np.cos(angle), np.sin(angle)])  # 95 % in two dimensions
     largest = 0.0
@@ -106,7 +105,9 @@ def _draw_tilts(axes: "Axes", found: Identification, covariance: "Covariance") -
         triad = np.asarray(axes_of(frame.rotvec))
         across = np.delete(triad, odd, axis=1)
         turns = across.T @ np.asarray(matrix) @ across
-        quarter = np.array([[0.0, 1.0], [-1.0, 0.0]])  # a turn about one moves the tip along the other
+        quarter = np.array(
+            [[0.0, 1.0], [-1.0, 0.0]]
+        )  # a rotation about one normal moves the tip along the other normal
         variances, directions = np.linalg.eigh(quarter @ turns @ quarter.T)
         tip = np.degrees((directions * np.sqrt(np.maximum(variances, 0))) @ circle)
         what = "free" if number == 1 else "constrained"
@@ -115,12 +116,12 @@ def _draw_tilts(axes: "Axes", found: Identification, covariance: "Covariance") -
         largest = max(largest, float(np.max(np.abs(tip))))
     axes.axhline(0, color="black", linewidth=0.5)
     axes.axvline(0, color="black", linewidth=0.5)
-    axes.set_title("tilt of the axis that differs from the other two [degrees]", fontsize=9, pad=22)
+    axes.set_title("tilt of the single free or constrained axis [degrees], 95 %", fontsize=9, pad=22)
     if largest > 0:
         axes.set_xlim(-1.2 * largest, 1.2 * largest)
         axes.set_ylim(-1.2 * largest, 1.2 * largest)
         axes.legend(**LEGEND_ABOVE)
     else:
-        axes.text(0.5, 0.6, "no axis differs", transform=axes.transAxes, ha="center")
+        axes.text(0.5, 0.6, "all axes are alike", transform=axes.transAxes, ha="center")
     axes.set_aspect("equal")
     axes.tick_params(labelsize=8)

@@ -1,4 +1,7 @@
-"""A bank of models: what may be held, fitted to spans, and how well each model explains every cell."""
+"""A bank of constraint models, fitted to spans of a recording, and their likelihood in every cell.
+
+A model states which coordinates of the motion are constrained; the names in this package call them held.
+"""
 
 from typing import NamedTuple
 
@@ -10,24 +13,24 @@ from reframe_jax.segmentation.rows import Fits
 
 __all__ = ["Bank", "choose_models", "gains", "join_features", "misfit"]
 
-_KEPT = 4  # models of a span
+_KEPT = 4  # most models per span
 _PARAMETERS = np.array([[0, 0, 0, 0], [5, 5, 3, 2], [5, 5, 4, 2], [3, 3, 2, 0]])
-"""Parameters of held translations, by their number and that of held rotations: directions and origins."""
+"""Number of parameters (directions and origins) for 0 to 3 held translations and 0 to 3 held rotations."""
 _ANGULAR_PARAMETERS = np.array([0, 2, 2, 0])
 
 
 class Bank(NamedTuple):
-    """Models; H of them.
+    """A set of H constraint models.
 
     Attributes:
-        span: (H, 2) cells to which they were fitted.
-        held: (H, 2) number of held translations and rotations.
-        rows: (H, 6, 54) weights of the held coordinates, of all features.
-        middle: (H, 6) their values.
-        size: (H, 6) m or rad, RMS about them; inf for coordinates that are not held.
-        price: (H,) log evidence that using the model costs.
-        score: (H,) log evidence for the model in its own span, less the price.
-        motion: (H,) m, largest motion of the span.
+        span: (H, 2) first cell and end cell of the span to which each model was fitted.
+        held: (H, 2) number of held translations and of held rotations.
+        rows: (H, 6, 54) weights that give each held coordinate as a sum of the features.
+        middle: (H, 6) m or rad, mean value of each held coordinate.
+        size: (H, 6) m or rad, RMS deviation from the mean; inf for coordinates that are not held.
+        price: (H,) log evidence that is subtracted for each use of the model.
+        score: (H,) log evidence of the model in its own span, minus the price.
+        motion: (H,) m, largest motion in the span.
     """
 
     span: np.ndarray
@@ -40,21 +43,24 @@ class Bank(NamedTuple):
     motion: np.ndarray
 
     def take(self, index: np.ndarray | list[int]) -> "Bank":
-        """Some of the models."""
+        """Select models by index."""
         return Bank(*(leaf[index] for leaf in self))
 
     def join(self, *others: "Bank") -> "Bank":
-        """These models and others."""
+        """Concatenate these models with other models."""
         return Bank(*(np.concatenate(leaves) for leaves in zip(self, *others, strict=True)))
 
 
 def join_features(linear: np.ndarray, angular: np.ndarray) -> np.ndarray:
-    """All features in a row, (N, 54)."""
+    """Concatenate the features of all frame types, (N, 54)."""
     return np.concatenate([*linear, *angular], axis=1)
 
 
 def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
-    """The best models of each span (P, 2) whose evidence exceeds their price, or would in a longer span."""
+    """Choose the best models of each span (P, 2) whose evidence exceeds, or almost exceeds, their price.
+
+    A model may lack ``slack`` log evidence, because its segment may be longer than the span.
+    """
     count = (spans[:, 1] - spans[:, 0]) * cells.weight
     own = fits.motion[:, None] / C.gap
     most = [
@@ -65,7 +71,7 @@ def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
     every = np.where(np.arange(3) < np.arange(1, 4)[:, None, None], fits.turn[:, None], np.inf)
     angular, angular_type = _log_ratios(every, cells.reference[1], most[1])
     both = linear[:, :, None] + angular[:, None]
-    # of a body that is still nothing moves, for longer than at a turning point
+    # a still body moves along no coordinate, for longer than at a turning point of a motion
     both[:, 3, 3] = np.where(count >= C.still_time, 0, -np.inf)
     for size, reference, bound in zip((fits.size, every), cells.reference, cells.still_bound, strict=True):
         both[:, 3, 3] += _log_ratios(size, reference, np.full_like(own, bound))[0][:, 3]
@@ -96,12 +102,13 @@ def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
 
 
 def _log_ratios(size: np.ndarray, reference: float, most: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sum of log reference / size of 0 to 3 held coordinates in the best type, (P, 4), and that type.
+    """Sum of log(reference / size) over 0 to 3 held coordinates, (P, 4), and the best frame type.
 
     Args:
-        size: (P, 3, T, 3) of 1, 2 and 3 held coordinates, inf beyond these.
-        reference: of a free coordinate.
-        most: (P, 1) that a held coordinate moves.
+        size: (P, 3, T, 3) RMS deviation of 1, 2 and 3 held coordinates; inf for coordinates that are not
+            held.
+        reference: amplitude of a free coordinate.
+        most: (P, 1) largest RMS deviation of a held coordinate.
     """
     counted = np.isfinite(size)
     held = np.all((size < most[:, None, None]) | ~counted, axis=-1)
@@ -116,7 +123,7 @@ def _log_ratios(size: np.ndarray, reference: float, most: np.ndarray) -> tuple[n
 def _held_rows(
     fits: Fits, span: np.ndarray, held: np.ndarray, kinds: tuple[np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows (H, 6, 54), their values (H, 6) and their RMS (H, 6) of chosen models."""
+    """Weights (H, 6, 54), mean values (H, 6) and RMS deviations (H, 6) of the held coordinates of models."""
     number = len(span)
     h, three = np.arange(number)[:, None, None], np.arange(3)
     rows, size = np.zeros((number, 6, 54)), np.full((number, 6), np.inf)
@@ -140,13 +147,13 @@ def _held_rows(
 
 
 def gains(bank: Bank, values: np.ndarray, reference: tuple[float, float], widen: float = 1.0) -> np.ndarray:
-    """Log evidence (H, N) of values (H, N, 6) of the held coordinates under each model, against free ones."""
+    """Log evidence (H, N) that the coordinates with values (H, N, 6) are held rather than free."""
     ratio = np.log(np.maximum(np.repeat(reference, 3) / (widen * bank.size), 1))
     return np.sum(ratio, axis=1)[:, None] - misfit(bank, values, widen)
 
 
 def misfit(bank: Bank, values: np.ndarray, widen: float = 1.0) -> np.ndarray:
-    """Negative log likelihood (H, N) of values (H, N, 6) under each model, about 0 where the model holds."""
+    """Negative log likelihood (H, N) of values (H, N, 6); about 0 in cells where the model is valid."""
     residual = (values - bank.middle[:, None]) / (widen * bank.size[:, None])
     each = (C.tail + 1) / 2 * np.log1p(residual**2 / C.tail) - 0.5
     return np.sum(np.where(np.isfinite(bank.size)[:, None], each, 0), axis=-1)

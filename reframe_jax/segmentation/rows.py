@@ -1,4 +1,7 @@
-"""Held rows of spans: along which directions, and about which origin, a span of a recording moves least."""
+"""Fit held coordinates to spans: the directions and origins along which a span of a recording moves least.
+
+A row is a vector of weights. Its product with the features of a pose is one coordinate of the motion.
+"""
 
 from typing import NamedTuple
 
@@ -11,21 +14,22 @@ from reframe_jax.segmentation.constants import SEGMENTS as C
 __all__ = ["Fits", "fit_spans"]
 
 _LEVI = np.stack([-np.cross(e, np.eye(3)) for e in np.eye(3)])  # e_c x v = _LEVI[c] @ v
-_RANDOM = np.random.default_rng(0).uniform(-0.4, 0.4, (2, 3))  # m, starts of the search
-_BATCH = 1000  # spans that are fitted at once
+_RANDOM = np.random.default_rng(0).uniform(-0.4, 0.4, (2, 3))  # m, initial origins of the search
+_BATCH = 1000  # spans per batch of the fit
 
 _Minimum = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 class Fits(NamedTuple):
-    """The stillest rows of P spans, for each of the four linear and two angular types.
+    """The coordinates with the least motion in P spans, for the four linear and two angular types.
 
     Attributes:
-        weights: (P, 3, 4, 3, 12) rows w of 1, 2 and 3 held translations, of every linear type.
-        size: (P, 3, 4, 3) m, RMS of w'z about its mean; inf beyond the held ones.
-        axes: (P, 2, 3, 3) rows of every angular type, by amplitude, ascending.
-        turn: (P, 2, 3) rad, RMS of the rotation about them.
-        linear_mean: (P, 4, 12) and angular_mean (P, 2, 3) of the features.
+        weights: (P, 3, 4, 3, 12) rows w for 1, 2 and 3 held translations, of every linear type.
+        size: (P, 3, 4, 3) m, RMS of w'z about its mean; inf for translations that are not held.
+        axes: (P, 2, 3, 3) rotation axes as rows, of every angular type, in order of increasing amplitude.
+        turn: (P, 2, 3) rad, RMS rotation about these axes.
+        linear_mean: (P, 4, 12) mean of the linear features.
+        angular_mean: (P, 2, 3) mean of the angular features.
         motion: (P,) m, largest motion of the span.
     """
 
@@ -39,7 +43,7 @@ class Fits(NamedTuple):
 
 
 def fit_spans(cells: Cells, spans: np.ndarray, reach: float) -> Fits:
-    """Fit spans (P, 2) of cells [start, stop)."""
+    """Fit held coordinates to spans (P, 2) of cells [start, stop)."""
     parts = [_fit_batch(cells, spans[i : i + _BATCH], reach) for i in range(0, len(spans), _BATCH)]
     return Fits(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
@@ -75,7 +79,7 @@ def _moments(features: np.ndarray, spans: np.ndarray) -> tuple[np.ndarray, np.nd
     lengths = spans[:, 1] - spans[:, 0]
     for length in np.unique(lengths):
         own = np.flatnonzero(lengths == length)
-        # bounded memory
+        # chunks limit the memory
         for part in np.array_split(own, -(-len(own) * length // 50_000)):
             z = features[:, spans[part, :1] + np.arange(length)]
             middle = z.mean(axis=2)
@@ -88,7 +92,7 @@ def _moments(features: np.ndarray, spans: np.ndarray) -> tuple[np.ndarray, np.nd
 def _least_motion_rows(
     moments: np.ndarray, middle: np.ndarray, reach: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rows (3, P, 3, 12) of 1, 2 and 3 held translations, and their RMS (3, P, 3)."""
+    """Rows (3, P, 3, 12) for 1, 2 and 3 held translations, and their RMS (3, P, 3)."""
     form = moments.reshape(-1, 3, 4, 3, 4)
     total = np.einsum("piaib->pab", form)
     ridge = 1e-9 + 1e-4 * np.einsum("pii->p", total[:, 1:, 1:])[:, None, None] / 3
@@ -101,7 +105,7 @@ def _least_motion_rows(
         return x, np.linalg.eigh(np.einsum("pa,piajb,pb->pij", z, form, z, optimize=True))[1]
 
     def lowest(starts: list[tuple[np.ndarray, np.ndarray]], held: int, steps: int) -> _Minimum:
-        found = [_settle(moments, *start, held, steps, middle, reach) for start in starts]
+        found = [_minimize_rows(moments, *start, held, steps, middle, reach) for start in starts]
         best = np.argmin([np.log(each[2][:, :held]).sum(axis=1) for each in found], axis=0)
         row = np.arange(len(best))
         x, axes, square = (np.stack([each[k] for each in found])[best, row] for k in range(3))
@@ -120,13 +124,13 @@ def _least_motion_rows(
 
 
 def _squares(moments: np.ndarray, x: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    """Mean squares w'Gw of all rows, (P, 3)."""
+    """Mean squares w'Gw of the three rows, (P, 3)."""
     z = np.concatenate([np.ones((len(x), 1)), x], axis=1)
     rows = (np.swapaxes(axes, 1, 2)[..., None] * z[:, None, None]).reshape(-1, 3, 12)
     return np.maximum(np.sum((rows @ moments) * rows, axis=-1), 1e-30)
 
 
-def _settle(
+def _minimize_rows(
     moments: np.ndarray,
     x: np.ndarray,
     axes: np.ndarray,
@@ -135,19 +139,19 @@ def _settle(
     middle: np.ndarray,
     reach: float,
 ) -> _Minimum:
-    """Lower sum_{i < held} log w_i' G w_i with w_i = v_i (1, x), by Levenberg's steps.
+    """Minimize sum_{i < held} log w_i' G w_i with w_i = v_i (1, x), by Levenberg's method.
 
     Args:
-        moments: (P, 12, 12) G.
-        x: (P, 3) m, where to start.
-        axes: (P, 3, 3), whose columns are v.
-        held: number of rows.
+        moments: (P, 12, 12), second moments G of the features.
+        x: (P, 3) m, initial origins.
+        axes: (P, 3, 3), initial directions v as columns.
+        held: number of held translations.
         steps: number of steps.
-        middle: (P, 3) m, of the cube that holds x.
+        middle: (P, 3) m, centre of the cube that bounds x.
         reach: m, half the width of the cube.
 
     Returns:
-        x, axes, and w' G w of all rows, (P, 3).
+        x, axes, and the mean squares w' G w of all rows, (P, 3).
     """
     number = len(x)
     damping = np.full(number, 1e-3)

@@ -1,4 +1,4 @@
-"""The likeliest sequence of models: Viterbi's algorithm, in which each model reaches only so far."""
+"""Find the most likely sequence of models by Viterbi's algorithm; each model has a limited range of cells."""
 
 from typing import NamedTuple
 
@@ -7,19 +7,19 @@ import numpy as np
 from reframe_jax.segmentation.bank import Bank, gains
 from reframe_jax.segmentation.cells import Cells
 
-__all__ = ["Coverage", "cover", "likeliest"]
+__all__ = ["Coverage", "evaluate_models", "most_likely_sequence"]
 
 FREE = -1
-_BATCH = 400_000  # values that are computed at once
+_BATCH = 400_000  # values per batch
 
 
 class Coverage(NamedTuple):
-    """Log evidence of models in the cells that they reach.
+    """Log evidence of models in the cells of their range.
 
     Attributes:
         model: (E,) number of the model.
-        cell: (E,).
-        gain: (E,).
+        cell: (E,) number of the cell.
+        gain: (E,) log evidence of the model in the cell.
     """
 
     model: np.ndarray
@@ -27,15 +27,15 @@ class Coverage(NamedTuple):
     gain: np.ndarray
 
 
-def cover(cells: Cells, z: np.ndarray, bank: Bank, first: int, widen: float) -> Coverage:
-    """Evaluate models in their spans and as far again on either side.
+def evaluate_models(cells: Cells, z: np.ndarray, bank: Bank, first: int, widen: float) -> Coverage:
+    """Evaluate models in their spans, and up to one span length beyond on either side.
 
     Args:
-        cells: of the recording.
-        z: (N, 54) all features.
+        cells: cells of the recording.
+        z: (N, 54) features of all types.
         bank: the models.
-        first: number of the first of them.
-        widen: their residuals by so much.
+        first: number of the first model.
+        widen: factor on the residuals of the models.
     """
     start, stop = bank.span.T
     length = stop - start
@@ -53,19 +53,19 @@ def cover(cells: Cells, z: np.ndarray, bank: Bank, first: int, widen: float) -> 
     return Coverage(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
-def likeliest(coverage: Coverage, price: np.ndarray, number: int) -> tuple[np.ndarray, float]:
-    """The sequence of models with the largest log evidence.
+def most_likely_sequence(coverage: Coverage, price: np.ndarray, number: int) -> tuple[np.ndarray, float]:
+    """Find the sequence of models with the largest log evidence.
 
     Args:
-        coverage: of all models.
-        price: (H,) of using a model.
-        number: of cells.
+        coverage: log evidence of all models.
+        price: (H,) log evidence that is subtracted for each use of a model.
+        number: number of cells.
 
     Returns:
-        (N,) model of every cell, -1 where none holds, and the log evidence.
+        (N,) number of the model in every cell, -1 for free motion, and the log evidence of the sequence.
     """
     models = len(price)
-    # the last model is free motion: no evidence, no price
+    # the last model is free motion, with zero evidence and zero price
     price = np.append(price, 0.0)
     order = np.argsort(coverage.cell * (models + 1) + coverage.model, kind="stable")
     model, gain = coverage.model[order], coverage.gain[order]

@@ -1,1 +1,1 @@
-"""Motions with known truth, error metrics, the simulated arm, and tasks in identified frames."""
+"""Simulate motions with a known constraint: recordings, errors of results, a robot arm, and tasks."""

@@ -1,7 +1,8 @@
-"""Excitations: velocities over time along the free axes of a simulated constraint, by name.
+"""Named excitations: velocities over time along the free axes of a simulated constraint.
 
-``"paper"`` and ``"exciting"`` are for comparisons: the first is the paper's; the second makes the truth the
-only optimum. The others imitate hands: slower, seldom along all axes at once, often with a rest.
+``"paper"`` and ``"exciting"`` are for comparisons: ``"paper"`` has the velocities of the paper, and
+``"exciting"`` makes the true constraint the only optimum. The other excitations imitate hands: they are
+slower, rarely move along all axes at the same time, and often rest.
 """
 
 from collections.abc import Callable
@@ -12,19 +13,19 @@ import jax.numpy as jnp
 __all__ = ["EXCITATIONS", "Excitation", "exciting", "hand", "paper_excitation", "reach", "sine", "slow"]
 
 Excitation = Callable[[jax.Array], tuple[jax.Array, jax.Array]]
-"""Time (s) to angular and linear velocity, (3,) each, in rad/s and m/s, along the frames' axes."""
+"""Function of time (s) that returns angular and linear velocities, (3,) each, along the frames' axes."""
 
 _RATES = ((0.9, 2.9, 4.9), (1.4, 3.4, 5.4), (1.9, 3.9, 4.4))  # rad/s, by axis
-_LINEAR_RATE = 1.13  # ratio of the rates of linear to those of angular velocity
-_ANGULAR_AMPLITUDE = 0.6  # rad/s, of each sine
-_LINEAR_AMPLITUDE = 0.15  # m/s, of each sine
-_HAND_SINES = 2, 4  # fewest and most along an axis
+_LINEAR_RATE = 1.13  # ratio of linear to angular rates
+_ANGULAR_AMPLITUDE = 0.6  # rad/s, amplitude of each sine
+_LINEAR_AMPLITUDE = 0.15  # m/s, amplitude of each sine
+_HAND_SINES = 2, 4  # smallest and largest number of sines per axis
 _HAND_RATE = 0.1, 1.0  # Hz
-_HAND_SPEED = (0.1, 1.0), (0.02, 0.3)  # rms, rad/s and m/s
+_HAND_SPEED = (0.1, 1.0), (0.02, 0.3)  # RMS, rad/s and m/s
 _SINE_RATE, _SLOW_RATE = (1.0, 4.0), (0.2, 0.6)  # rad/s
 _SINE_SPEED = (0.35, 0.85), (0.0875, 0.2125)  # amplitude, rad/s and m/s
-_REACH = (0.3, 1.2), (0.08, 0.35)  # how far, rad and m
-_LEAVES, _TURNS, _RETURNS = (0.05, 0.25), (0.4, 0.6), (0.75, 0.95)  # when, as shares of the duration
+_REACH = (0.3, 1.2), (0.08, 0.35)  # displacement, rad and m
+_LEAVES, _TURNS, _RETURNS = (0.05, 0.25), (0.4, 0.6), (0.75, 0.95)  # times, as fractions of the duration
 
 
 def paper_excitation(key: jax.Array, duration: float | jax.Array | None = None) -> Excitation:
@@ -41,7 +42,7 @@ def paper_excitation(key: jax.Array, duration: float | jax.Array | None = None) 
 
 
 def exciting(key: jax.Array, duration: float | jax.Array | None = None) -> Excitation:
-    """Three incommensurate sines along every axis, with random phases: 0.7 rad/s and 0.18 m/s rms."""
+    """Three incommensurate sines along every axis, with random phases: 0.7 rad/s and 0.18 m/s RMS."""
     del duration
     phases = jax.random.uniform(key, (2, 3, 3), maxval=2 * jnp.pi, dtype=float)
 
@@ -55,10 +56,10 @@ def exciting(key: jax.Array, duration: float | jax.Array | None = None) -> Excit
 
 
 def hand(key: jax.Array, duration: float | jax.Array | None = None) -> Excitation:
-    """Smooth motion: two to four sines of 0.1 to 1 Hz along every axis, of random shares and phases.
+    """Smooth motion: two to four sines of 0.1 to 1 Hz along every axis, with random amplitudes and phases.
 
-    Over long times the rms speed along each axis is 0.1 to 1 rad/s and 0.02 to 0.3 m/s, drawn evenly in
-    the logarithm; an axis that turns fast also slides fast.
+    The long-term RMS velocity along each axis has a log-uniform distribution from 0.1 to 1 rad/s and 0.02 to
+    0.3 m/s. An axis with a fast rotation also has a fast translation.
     """
     del duration
     keys = jax.random.split(key, 5)
@@ -76,25 +77,26 @@ def hand(key: jax.Array, duration: float | jax.Array | None = None) -> Excitatio
 
 
 def sine(key: jax.Array, duration: float | jax.Array | None = None) -> Excitation:
-    """One sine of 1 to 4 rad/s along every axis, of 0.35 to 0.85 rad/s, and a quarter of that in m/s."""
+    """One sine of 1 to 4 rad/s along every axis, with amplitudes of 0.35 to 0.85 rad/s, 0.09 to 0.21 m/s."""
     del duration
     return _one_sine(key, _SINE_RATE)
 
 
 def slow(key: jax.Array, duration: float | jax.Array | None = None) -> Excitation:
-    """One sine of 0.2 to 0.6 rad/s along every axis, with the amplitudes of :func:`sine`."""
+    """One sine with a rate of 0.2 to 0.6 rad/s along every axis, with the amplitudes of :func:`sine`."""
     del duration
     return _one_sine(key, _SLOW_RATE)
 
 
 def reach(key: jax.Array, duration: float | jax.Array = 5.0) -> Excitation:
-    """Move out and back along minimum-jerk profiles, with rest at both ends.
+    """Move out and back along minimum-jerk profiles, with rests at both ends.
 
-    Every axis leaves, reverses and returns at its own times, over 0.3 to 1.2 rad and 0.08 to 0.35 m.
+    Each axis has random times of departure, reversal and return, and moves by 0.3 to 1.2 rad or 0.08 to 0.35
+    m.
 
     Args:
         key: JAX random key of the times and distances.
-        duration: s, of the whole, rests included.
+        duration: s, duration of the motion including the rests.
     """
     keys = jax.random.split(key, 6)
     leave, turn, back = (
@@ -119,7 +121,7 @@ EXCITATIONS: dict[str, Callable[[jax.Array, float | jax.Array], Excitation]] = {
     "slow": slow,
     "reach": reach,
 }
-"""By name: from a key and the duration (s) of the motion to its velocities."""
+"""Excitations by name: functions of a key and the duration (s) that return the velocities."""
 
 
 def _uniform(key: jax.Array, shape: tuple[int, ...], interval: tuple[float, float]) -> jax.Array:
@@ -136,7 +138,7 @@ def _one_sine(key: jax.Array, rate: tuple[float, float]) -> Excitation:
 
 
 def _sines(amplitudes: jax.Array, rates: jax.Array, phases: jax.Array) -> Excitation:
-    """Sums of sines from arrays (2, 3, n): angular and linear, axis, sine."""
+    """Sums of sines from arrays (2, 3, n): angular and linear velocity, three axes, n sines."""
 
     def velocity(t: jax.Array) -> tuple[jax.Array, jax.Array]:
         speed = jnp.sum(amplitudes * jnp.sin(rates * t + phases), axis=-1)

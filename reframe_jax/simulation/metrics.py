@@ -1,4 +1,4 @@
-"""Errors of an identification against the truth, with the redundancies of the paper's section 5.3."""
+"""Errors of an identification relative to the truth, without the redundancies of the paper's section 5.3."""
 
 from dataclasses import dataclass
 
@@ -18,12 +18,12 @@ __all__ = ["GeometryErrors", "dof_correct", "geometry_errors", "types_correct"]
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class GeometryErrors:
-    """Geometric errors; NaN where the constraint leaves the quantity free.
+    """Geometric errors; NaN for quantities that the constraint does not determine.
 
     Attributes:
-        angular: (...) rad, between the unique axis of the angular frame and the truth.
-        linear: (...) rad, between the unique axis of the linear frame and the truth.
-        position: (...) m, over the unique components of the position.
+        angular: (...) rad, angle between the identified and the true determined axis of the angular frame.
+        linear: (...) rad, angle between the identified and the true determined axis of the linear frame.
+        position: (...) m, distance along the determined components of the position.
     """
 
     angular: jax.Array
@@ -31,19 +31,19 @@ class GeometryErrors:
     position: jax.Array
 
 
-def _odd(dof: tuple[int, int, int]) -> int | None:
-    """Index of the axis unlike the other two."""
+def _distinct_axis(dof: tuple[int, int, int]) -> int | None:
+    """Index of the single free or single constrained axis."""
     return dof.index(sum(dof) % 2) if sum(dof) in (1, 2) else None
 
 
 def _axis_error(rotvec: jax.Array, truth: jax.Array, dof: tuple[int, int, int]) -> jax.Array:
-    """Angle between lines: of the true odd axis and the frame's, which is its first or last by rms."""
-    odd = _odd(dof)
+    """Angle between the true distinct axis and the frame's, which is its slowest or fastest axis."""
+    odd = _distinct_axis(dof)
     if odd is None:
         return jnp.full(rotvec.shape[:-1], jnp.nan, dtype=rotvec.dtype)
     found = rotation_exp(rotvec)[..., :, 2 if sum(dof) == 1 else 0]
     true = jnp.broadcast_to(truth[..., :, odd].astype(found.dtype), found.shape)
-    # atan2 of sine and cosine: the arc cosine has no precision for small angles
+    # atan2 of sine and cosine, because the arc cosine is inaccurate for small angles
     sine = jnp.linalg.norm(jnp.cross(found, true), axis=-1)
     return jnp.arctan2(sine, jnp.abs(jnp.sum(found * true, axis=-1)))
 
@@ -51,18 +51,18 @@ def _axis_error(rotvec: jax.Array, truth: jax.Array, dof: tuple[int, int, int]) 
 def geometry_errors(
     found: Identification, truth: ConstraintFrame, *, start: jax.Array | None = None
 ) -> GeometryErrors:
-    """Compute geometric errors of the frames of the true types, whichever types won.
+    """Compute the geometric errors of the identified frames with the true types.
 
-    As in the paper's simulations the types are taken as known (see :func:`types_correct` for those).
-    Positions are compared along the unique components of the catalogue (Table 2) for the twelve
-    constraints, whose angular and linear axes agree at the start of the motion; for other classes,
-    along all components.
+    As in the paper's simulations, the types are assumed to be known; see :func:`types_correct` for errors of
+    the types. For the twelve constraints of the paper, positions are compared along the determined components
+    of the catalogue (Table 2); the angular and linear axes must agree at the start of the motion. For other
+    constraints, positions are compared along all components.
 
     Args:
-        found: of any batch shape.
-        truth: geometry that broadcasts against it.
-        start: (..., 4, 4), the first pose; needed if the axes of body and ground differ there, to relate the
-            axes of a GB or BG frame to the body of its position.
+        found: identifications of any batch shape.
+        truth: the true constraint, with geometry that broadcasts against ``found``.
+        start: (..., 4, 4), the first pose. It is needed if the axes of body and ground differ at the start,
+            to express the axes of a GB or BG frame in the body of its position.
     """
     angular = found.candidates.angular.rotvec[..., int(truth.angular_type), :]
     linear = found.candidates.linear.rotvec[..., int(truth.linear_type), :]
@@ -72,7 +72,7 @@ def geometry_errors(
     unique = (True, True, True) if entry is None else entry.position
     kept = [i for i in range(3) if unique[i]]
     if entry is not None:
-        # the catalogue's components refer to its own order of the axes
+        # the components of the catalogue refer to the order of axes in the catalogue
         order = _matching_axes(entry.angular_dof, entry.linear_dof, truth)
         kept = [order[i] for i in kept]
     miss = position - jnp.broadcast_to(truth.position.astype(position.dtype), position.shape)
@@ -95,7 +95,7 @@ def geometry_errors(
 def _matching_axes(
     angular: tuple[int, int, int], linear: tuple[int, int, int], truth: ConstraintFrame
 ) -> tuple[int, ...]:
-    """For every axis of a catalogue entry, one of the truth with the same degrees of freedom."""
+    """For every axis of a catalogue entry, the index of a true axis with the same degrees of freedom."""
     pairs = list(zip(truth.angular_dof, truth.linear_dof, strict=True))
     order: list[int] = []
     for wanted in zip(angular, linear, strict=True):
@@ -107,13 +107,13 @@ def _matching_axes(
 def types_correct(found: Identification, truth: ConstraintFrame, *, ties: bool = False) -> jax.Array:
     """Whether the identified types express the true constraint, (...) bool.
 
-    Both angular types do unless two rotations are free; all linear types do for the constraints that
-    the catalogue gives no type.
+    Both angular types express every constraint, except constraints with two free rotations. All linear types
+    express the constraints for which the catalogue names no type.
 
     Args:
-        found: of any batch shape.
+        found: identifications of any batch shape.
         truth: the true constraint.
-        ties: also accept a winner that is tied with the true type.
+        ties: whether to accept an identified type that fits equally well as (is tied with) the true type.
     """
     entry = lookup(truth.linear_type, truth.angular_dof, truth.linear_dof)
     any_angular = sum(truth.angular_dof) != 2
@@ -127,6 +127,6 @@ def types_correct(found: Identification, truth: ConstraintFrame, *, ties: bool =
 
 
 def dof_correct(found: Identification, truth: ConstraintFrame) -> jax.Array:
-    """Whether both frames have the true number of degrees of freedom, (...) bool."""
+    """Whether both frames have the correct number of degrees of freedom, (...) bool."""
     angular = jnp.sum(found.angular.dof, axis=-1) == sum(truth.angular_dof)
     return angular & (jnp.sum(found.linear.dof, axis=-1) == sum(truth.linear_dof))

@@ -1,7 +1,7 @@
-"""Hand-like motions with random geometry, and the errors that trackers make.
+"""Simulate motions with random geometry and the errors of a tracker.
 
-Everything works under ``vmap`` and ``jit`` with explicit keys. The integrator compiles once per number of
-samples and excitation, whatever the constraint, its geometry, the sample time and the errors.
+All functions work under ``vmap`` and ``jit`` with explicit keys. The integrator compiles once per number of
+samples and excitation, independent of the constraint, its geometry, the sample time and the errors.
 """
 
 from dataclasses import dataclass
@@ -24,18 +24,17 @@ _REACH = 0.5  # m, half the width of the cubes in which positions are drawn
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class PoseErrors:
-    """Errors of a tracker. All are numbers or scalar arrays, so you can batch them.
+    """Errors of a tracker, as numbers or scalar arrays, so that errors can be batched.
 
     Attributes:
         sigma: m, standard deviation of white noise in each component of the position.
-        rotation_ratio: rad/m, from each size in m, here and below, to that of the same error in each
-            component of the rotation vector.
-        outliers: share of the poses that jump away, for one sample.
-        jump: m, standard deviation of each component of such a jump.
-        slow: m, standard deviation of an error that changes slowly, a first-order autoregression.
-        slow_time: s, after which the correlation of that error has fallen to 1/e.
-        rounding: m, of the last digit that positions are written with, 0 for none; quaternions are written
-            to ``rotation_ratio`` / 2 times that, which turns by as much as ``rotation_ratio`` says.
+        rotation_ratio: rad/m, ratio of orientation errors to position errors, for every error of this class.
+        outliers: fraction of poses that are outliers, each for one sample.
+        jump: m, standard deviation of an outlier in each component of the position.
+        slow: m, standard deviation of drift, a first-order autoregressive process.
+        slow_time: s, time after which the correlation of the drift has decreased to 1/e.
+        rounding: m, rounding of positions, 0 for none. Quaternions are rounded to ``rotation_ratio`` / 2
+            times this value, which gives orientation errors in the ratio ``rotation_ratio``.
     """
 
     sigma: float | jax.Array = 0.0
@@ -49,19 +48,19 @@ class PoseErrors:
 
 @jax.jit
 def disturb(poses: jax.Array, key: jax.Array, errors: PoseErrors, dt: float | jax.Array) -> jax.Array:
-    """Return poses as a tracker would measure them.
+    """Add the errors of a tracker to poses.
 
-    Errors of rotation turn about the axes of the ground: R becomes exp(e) R. The noise depends on the key
-    alone: other error sizes scale the same noise.
+    Orientation errors are rotations about the axes of the ground: R becomes exp(e) R. The noise depends on
+    the key only; other error sizes scale the same noise.
 
     Args:
         poses: (K+1, 4, 4), m.
-        key: of the errors.
-        errors: their kinds and sizes.
+        key: JAX random key of the errors.
+        errors: sizes of the errors.
         dt: sample time, s.
 
     Returns:
-        (K+1, 4, 4), m.
+        Measured poses (K+1, 4, 4), m.
     """
     errors = jax.tree.map(lambda size: jnp.asarray(size, dtype=poses.dtype), errors)
     white_key, which_key, jump_key, slow_key = jax.random.split(key, 4)
@@ -83,16 +82,17 @@ def disturb(poses: jax.Array, key: jax.Array, errors: PoseErrors, dt: float | ja
 def random_constraint(
     label: str, key: jax.Array, *, linear_type: LinearType | None = None
 ) -> tuple[ConstraintFrame, jax.Array]:
-    """Draw a constraint of random geometry, and the first pose of the body.
+    """Draw a constraint with random geometry, and a random first pose of the body.
 
-    The frame is turned at random; its origin lies anywhere within 0.5 m of that of the body, along each
-    axis, at the start. So does the body's from the ground's, turned at random too. Both parts of the frame
-    are oriented in the same body, so every start keeps the class.
+    The frame has a random orientation, and its origin is within 0.5 m of the body's origin along each axis at
+    the start. The body has a random orientation, and its origin is within 0.5 m of the ground's origin. The
+    angular and the linear axes are fixed in the same body, so the constraint is the same for every first
+    pose.
 
     Args:
         label: label or name of a constraint.
-        key: JAX random key of the geometry, which is the same for all labels, up to the body that it is given
-            in.
+        key: JAX random key of the geometry. All labels have the same geometry for a key, but may express it
+            in another body.
         linear_type: as in :meth:`ConstraintFrame.named`.
 
     Returns:
@@ -122,23 +122,24 @@ def random_motion(
     linear_type: LinearType | None = None,
     pitch: float | jax.Array | None = None,
 ) -> Simulation:
-    """Draw a motion under a constraint of random geometry, with the errors of a tracker.
+    """Simulate a motion under a constraint with random geometry, with the errors of a tracker.
 
-    One key gives the same geometry and motion at every sample time, as long as ``samples * dt`` is the same,
-    and whatever the errors are.
+    For a given key and a given ``samples * dt``, the geometry and the motion are the same at every sample
+    time and for all errors.
 
     Args:
         label: label or name of a constraint.
         key: JAX random key of the geometry, the excitation and the errors.
         samples: K, number of steps.
-        dt: sample time, s; a plain number.
+        dt: sample time, s; not an array.
         excitation: a name of :data:`reframe_jax.simulation.synthetic.EXCITATIONS`, or a function of time.
-        errors: of the tracker; none by default.
+        errors: errors of the tracker; none by default.
         linear_type: as in :func:`random_constraint`.
-        pitch: m/rad of a screw; 0.05 by default for the label "screw", see :func:`.synthetic.simulate`.
+        pitch: m/rad, pitch of a screw; 0.05 by default for the label "screw", see
+            :func:`.synthetic.simulate`.
 
     Returns:
-        The recording, of K + 1 poses; the first of ``exact_poses`` is the start.
+        The recording with K + 1 poses; the first of its ``exact_poses`` is the first pose.
 
     Raises:
         KeyError: for an unknown label.
@@ -172,13 +173,13 @@ def _geometry(key: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Arra
 
 
 def _random_quaternion(key: jax.Array) -> jax.Array:
-    """(4,), every rotation as likely as any other."""
+    """Quaternion (4,) with a uniform distribution over all rotations."""
     four = jax.random.normal(key, (4,), dtype=float)
     return four / jnp.linalg.norm(four)
 
 
 def _autoregression(white: jax.Array, memory: jax.Array) -> jax.Array:
-    """Noise (K, n) of unit variance, each sample of which remembers so much of the one before."""
+    """Autoregressive noise (K, n) of unit variance, with a given correlation of consecutive samples."""
     fresh = jnp.sqrt(1 - memory**2)
 
     def advance(last: jax.Array, new: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -189,7 +190,7 @@ def _autoregression(white: jax.Array, memory: jax.Array) -> jax.Array:
 
 
 def _rounded(values: jax.Array, ratio: float | jax.Array, errors: PoseErrors) -> jax.Array:
-    """Values to the nearest multiple of the rounding times a ratio; as they are if that is zero."""
+    """Round values to the nearest multiple of the rounding times a ratio; zero means no rounding."""
     digit = jnp.asarray(errors.rounding * ratio)
     unit = jnp.where(digit > 0, digit, 1)
     return jnp.where(digit > 0, unit * jnp.round(values / unit), values)

@@ -1,4 +1,4 @@
-"""A hand-held pointer whose tip dwells at points: spherical joints with free motion between."""
+"""Simulate a hand-held pointer whose tip dwells at points: spherical joints with free motion between them."""
 
 from dataclasses import dataclass
 
@@ -14,10 +14,10 @@ from reframe_jax.simulation.motions import PoseErrors, disturb
 __all__ = ["PointerSimulation", "simulate_pointer"]
 
 _OPTICAL = PoseErrors(sigma=2e-4, rotation_ratio=5.0)  # 0.2 mm, 1 mrad
-_DETOUR = 0.05  # m by which the tip leaves the straight line between two points, along each axis
-_SWING = 0.35, 0.35, 0.6  # rad, about the axes of the pointer, the last along it
-_RATES = 0.25, 0.9  # Hz, lowest and highest of the hand
-_WAVES = 4  # sines of each rotation
+_DETOUR = 0.05  # m, detour of the tip from the straight line between two points, along each axis
+_SWING = 0.35, 0.35, 0.6  # rad, amplitudes about the axes of the pointer; the last axis is along the pointer
+_RATES = 0.25, 0.9  # Hz, lowest and highest frequency of the hand
+_WAVES = 4  # number of sines per rotation
 
 
 @jax.tree_util.register_dataclass
@@ -29,9 +29,9 @@ class PointerSimulation:
         times: (N,) s.
         poses: (N, 4, 4) measured poses; m.
         exact_poses: (N, 4, 4) poses without errors.
-        points: (P, 3) m, where the tip dwelt, in the ground.
-        tip: (3,) m, in the body.
-        dwells: (P, 2) indices of the first pose of each dwell, and of the first behind it.
+        points: (P, 3) m, dwell points of the tip, in the ground.
+        tip: (3,) m, position of the tip in the body.
+        dwells: (P, 2) index of the first pose of each dwell, and of the first pose after it.
     """
 
     times: jax.Array
@@ -52,22 +52,22 @@ def simulate_pointer(
     tip: ArrayLike | tuple[float, float, float] = (0.02, -0.01, -0.18),
     errors: PoseErrors = _OPTICAL,
 ) -> PointerSimulation:
-    """Simulate a pointer that pivots about one point after the other, and moves freely between.
+    """Simulate a pointer that pivots about several points, and moves freely between them.
 
-    The recording begins and ends with free motion. The hand swings all the time by a sum of sines of
-    0.25 to 0.9 Hz. The tip goes from point to point at minimum jerk, on a detour of about 5 cm.
+    The recording starts and ends with free motion. The orientation is a sum of sines of 0.25 to 0.9 Hz. The
+    tip moves between points along minimum-jerk profiles, with a detour of about 5 cm.
 
     Args:
-        points: (P, 3) m, in the ground.
-        key: of the motion and the errors.
-        dwell: s, at each point.
-        travel: s, from one point to the next, to the first and from the last.
+        points: (P, 3) m, dwell points in the ground.
+        key: JAX random key of the motion and the errors.
+        dwell: s, duration of each dwell.
+        travel: s, duration of each motion between two points, to the first point and from the last.
         dt: sample time, s.
-        tip: (3,) m, in the body.
-        errors: of the tracker; by default 0.2 mm and 1 mrad.
+        tip: (3,) m, position of the tip in the body.
+        errors: errors of the tracker; by default 0.2 mm and 1 mrad.
 
     Raises:
-        ValueError: if the points or the tip are not of these shapes, or a time is not positive.
+        ValueError: if the points or the tip have other shapes, or a time is not positive.
     """
     points, tip = jnp.asarray(points, dtype=float), jnp.asarray(tip, dtype=float)
     if points.ndim != 2 or points.shape[0] < 1 or points.shape[1] != 3 or tip.shape != (3,):
@@ -100,7 +100,7 @@ def simulate_pointer(
 
 
 def _path(stops: jax.Array, detours: jax.Array, stay: int, go: int) -> jax.Array:
-    """Path of the tip, (N, 3) m: it stays at all stops but the first and the last."""
+    """Path of the tip, (N, 3) m; the tip dwells at all stops except the first and the last."""
     s = jnp.arange(1, go + 1, dtype=stops.dtype)[:, None] / go
     gone = s**3 * (10 - 15 * s + 6 * s**2)
     aside = jnp.sin(np.pi * gone) ** 2

@@ -1,4 +1,4 @@
-"""Sequences of constraints with known truth: one constraint after the other, each where the body then is."""
+"""Simulate recordings with several consecutive constraints and known truth."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -28,9 +28,9 @@ class SequenceSimulation:
         times: (N,) s.
         poses: (N, 4, 4) measured poses, errors included; m.
         exact_poses: (N, 4, 4) poses without errors.
-        truths: the constraints, in the order in which they held.
-        boundaries: index of the pose at which each constraint but the first takes over. That pose satisfies
-            both constraints.
+        truths: the constraints in order of time.
+        boundaries: index of the first pose of each constraint after the first. This pose obeys both
+            constraints.
     """
 
     times: jax.Array
@@ -50,32 +50,32 @@ def simulate_sequence(
     ease: float = 0.25,
     errors: PoseErrors = _NO_ERRORS,
 ) -> SequenceSimulation:
-    """Simulate a body that moves under one constraint after the other.
+    """Simulate a body that moves under several consecutive constraints.
 
-    The poses are continuous, and so is the velocity: each motion sets out from rest and comes to rest.
+    The poses and velocities are continuous: each motion starts from rest and ends at rest.
 
     Args:
-        constraints: labels or names of the catalogue, such as "A" or "unconstrained", in random places
-            within reach of the body; or frames, which stay where they are.
-        key: of the geometry, the motions and the errors.
-        durations: s, of every constraint, or of each.
+        constraints: labels or names of the catalogue, such as "A" or "unconstrained", which get a random
+            geometry near the body; or frames, which are used without change.
+        key: JAX random key of the geometry, the motions and the errors.
+        durations: s, one duration for all constraints, or one per constraint.
         dt: sample time, s.
         excitation: as in :func:`reframe_jax.simulation.synthetic.simulate`.
-        ease: s, in which each motion sets out and comes to rest; 0 for sudden changes of velocity.
-        errors: of the tracker; none by default.
+        ease: s, duration of the start and of the end of each motion; 0 gives sudden changes of velocity.
+        errors: errors of the tracker; none by default.
 
     Returns:
-        The recording; each constraint holds for round(duration / dt) steps.
+        The recording; each constraint is active for round(duration / dt) steps.
 
     Raises:
-        ValueError: if there are no constraints, or not as many durations.
+        ValueError: without constraints, or for a wrong number of durations.
         KeyError: for an unknown constraint.
     """
     each = [durations] * len(constraints) if isinstance(durations, int | float) else list(durations)
     if not constraints or len(each) != len(constraints):
         raise ValueError(
-            f"simulate_sequence needs constraints, and one duration or as many; got {len(constraints)} "
-            f"constraints and {len(each)} durations."
+            "simulate_sequence needs constraints, and one duration or one per constraint; got "
+            f"{len(constraints)} constraints and {len(each)} durations."
         )
     *keys, error_key = jax.random.split(key, len(constraints) + 1)
     pose = jnp.eye(4, dtype=float)
@@ -101,7 +101,7 @@ def simulate_sequence(
 
 
 def _place(label: str, key: jax.Array, pose: jax.Array) -> ConstraintFrame:
-    """A constraint with a name, turned at random, its origin within reach of the body."""
+    """Place a named constraint with a random orientation, and a random origin near the body."""
     turn_key, shift_key = jax.random.split(key)
     shift = jax.random.uniform(shift_key, (3,), minval=-_REACH, maxval=_REACH, dtype=pose.dtype)
     quaternion = jax.random.normal(turn_key, (4,), dtype=pose.dtype)

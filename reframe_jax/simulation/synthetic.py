@@ -1,11 +1,11 @@
-"""Constrained motions with known truth: the simulations of the paper's section 5.1, and exact ones.
+"""Simulate constrained motions with known truth, exactly or as in the paper's section 5.1.
 
-Two choices matter. The *generator*: the paper takes one Euler step of Eq. 9 per sample, which obeys the
-constraint in the ``"left"`` discretization only; the exact one integrates the motion between samples,
-as a real mechanism does. The *excitation*: the paper's velocities leave some constraints ambiguous
-(for E and F the motion is a pure rotation about a point 0.2 m away; I and J tie with other types);
-three incommensurate sines along every free axis make the truth the only optimum. Motions of hands, with
-random geometry and the errors of trackers, are in :mod:`reframe_jax.simulation.motions`.
+Two options matter. The *generator*: the paper takes one Euler step of Eq. 9 per sample, which obeys the
+constraint in the ``"left"`` discretization only. The exact generator integrates the motion between samples,
+as a real mechanism moves. The *excitation*: the paper's velocities make some constraints ambiguous. For E and
+F, the motion is a pure rotation about a point 0.2 m away; for I and J, other types fit equally well. Three
+incommensurate sines along every free axis make the true constraint the only optimum. The module
+:mod:`reframe_jax.simulation.motions` has hand-like motions with random geometry and the errors of trackers.
 """
 
 from collections.abc import Callable
@@ -36,7 +36,7 @@ __all__ = [
     "simulate",
 ]
 
-_PITCH = 0.05  # m/rad, of a screw by default
+_PITCH = 0.05  # m/rad, default pitch of a screw
 _SUBSTEPS = 4  # Runge-Kutta steps per sample; the error is below 1e-9 m at dt = 0.1 s
 
 
@@ -59,16 +59,16 @@ class Simulation:
 
 
 def body_twist(frame: ConstraintFrame, pose: jax.Array, angular: jax.Array, linear: jax.Array) -> jax.Array:
-    """Body twist at a pose that moves a constraint frame with the given velocities.
+    """Body twist at a pose for given velocities along the axes of a constraint frame.
 
     Args:
-        frame: the constraint; velocities along its constrained axes (degree of freedom 0) are dropped.
+        frame: the constraint; velocities along its constrained axes (degree of freedom 0) are set to zero.
         pose: (4, 4) of {b} in {g}.
         angular: (3,) rad/s, along the axes of the angular frame.
         linear: (3,) m/s, velocity of the linear frame's origin along its axes.
 
     Returns:
-        (6,) as (w, v) in {b}.
+        (6,) angular velocity, then linear velocity, in {b}.
     """
     return _frame_twist(located.frame_arrays(frame), pose, angular, linear)
 
@@ -93,25 +93,28 @@ def simulate(
 ) -> Simulation:
     """Simulate a body that moves under a constraint.
 
-    Works under ``jit`` and ``vmap``; batch it over keys, noise levels or the frame's geometry.
+    The function works under ``jit`` and ``vmap``, with batches of keys, noise levels or geometries of the
+    frame.
 
     Args:
         constraint: label or name of a constraint, with the geometry of the paper, or any frame.
-        key: of the excitation and of the noise.
+        key: JAX random key of the excitation and of the noise.
         noise: standard deviation sigma of the position noise in m; see :func:`add_pose_noise`.
         duration: s.
         dt: sample time, s.
         excitation: a name of :data:`EXCITATIONS` or a function of time.
-        exact: integrate the motion between samples; False takes the paper's one step per sample.
-        start: (4, 4) first pose; the identity by default. A frame whose angular and linear parts are
-            fixed in different bodies keeps its class only if its axes agree at the start.
-        ease: s, in which the motion sets out from rest, and comes to rest at the end.
-        pitch: m/rad of a screw: the velocity along each linear axis is that much of the velocity about the
-            angular axis of the same number, and the excitation's is not used. By default 0.05 for the
-            constraint "screw", and None, no screw, for all others.
+        exact: whether to integrate the motion between samples; False takes one step per sample, as in the
+            paper.
+        start: (4, 4) first pose; the identity by default. If the angular and the linear axes are fixed in
+            different bodies, they must agree at the first pose, otherwise the motion obeys another
+            constraint.
+        ease: s, duration of the smooth start from rest, and of the smooth end.
+        pitch: m/rad, pitch of a screw: the velocity along each linear axis is the pitch times the velocity
+            about the same angular axis, instead of the linear velocity of the excitation. By default 0.05 for
+            the constraint "screw", and None (no screw) for other constraints.
 
     Returns:
-        The recording, of round(duration / dt) + 1 poses.
+        The recording with round(duration / dt) + 1 poses.
 
     Raises:
         KeyError: for an unknown constraint.
@@ -135,7 +138,7 @@ def simulate(
 
 
 def pitch_of(label: str) -> float | None:
-    """Pitch of a simulated constraint by default: m/rad for a screw, None for all others."""
+    """Default pitch of a simulated constraint: m/rad for a screw, None for other constraints."""
     return _PITCH if named(label).label == "screw" else None
 
 
@@ -152,13 +155,13 @@ def _integrate(
     exact: bool,
     steps: int,
 ) -> jax.Array:
-    """Poses (steps + 1, 4, 4) from the first one on."""
+    """Integrate poses (steps + 1, 4, 4) from the first pose."""
     velocity = EXCITATIONS[excitation](key, steps * dt) if isinstance(excitation, str) else excitation
 
     def twist(t: jax.Array, pose: jax.Array) -> jax.Array:
         angular, linear = velocity(t)
         linear = linear if pitch is None else pitch * angular
-        fraction = _eased(t, ease) * _eased(steps * dt - t, ease)
+        fraction = _ease_factor(t, ease) * _ease_factor(steps * dt - t, ease)
         return _frame_twist(frame, pose, fraction * angular, fraction * linear)
 
     def advance(pose: jax.Array, t: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -175,8 +178,8 @@ def _integrate(
     return jax.lax.scan(advance, first, dt * jnp.arange(steps + 1, dtype=first.dtype))[1]
 
 
-def _eased(t: jax.Array, ease: float | jax.Array) -> jax.Array:
-    """Share of the speed at a time after rest: from 0 to 1, smoothly."""
+def _ease_factor(t: jax.Array, ease: float | jax.Array) -> jax.Array:
+    """Factor on the velocity at a time after rest, which increases smoothly from 0 to 1."""
     rises = jnp.asarray(ease, dtype=t.dtype) > 0
     s = jnp.where(rises, jnp.clip(t / jnp.where(rises, ease, 1), 0, 1), 1)
     return s * s * (3 - 2 * s)
@@ -206,13 +209,13 @@ def _runge_kutta(
 def add_pose_noise(
     poses: jax.Array, key: jax.Array, sigma: float | jax.Array, *, rotation_ratio: float = 3.0
 ) -> jax.Array:
-    """Gaussian noise on positions and rotation vectors (paper, section 5.1).
+    """Add Gaussian noise to positions and rotation vectors (paper, section 5.1).
 
     Args:
         poses: (..., 4, 4).
-        key: of the noise.
+        key: JAX random key of the noise.
         sigma: standard deviation of each position component, m.
-        rotation_ratio: standard deviation of each rotation vector component over sigma, rad/m; the
+        rotation_ratio: rad/m, ratio of the standard deviation of each rotation vector component to sigma; the
             paper measured 3.
 
     Returns:

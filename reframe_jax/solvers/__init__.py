@@ -1,9 +1,10 @@
-"""Global minimization of objectives, for many problems at once.
+"""Minimize objectives globally, for batches of problems.
 
-``BasinHopping`` is the outer loop: ``minimise``, or ``init``, ``step`` and ``finish`` by hand.
-``JointSearch`` applies it to norms of negative exponent. Inside is a local minimizer: ``ValleySteps``
-(origins, with the rotation eliminated), ``FrameSteps`` (orientation and origin together), ``NewtonSteps``
-(any ``Objective``) or ``OptaxSteps`` (any ``Objective``, any Optax gradient transformation).
+``BasinHopping`` is the global search: call ``minimise``, or control it with ``init``, ``step`` and
+``finish``. ``JointSearch`` applies it to norms with a negative exponent. The global search calls a local
+minimizer: ``ValleySteps`` (origins, with the rotation eliminated), ``FrameSteps`` (orientation and origin
+together), ``NewtonSteps`` (any ``Objective``) or ``OptaxSteps`` (any ``Objective``, any Optax gradient
+transformation).
 """
 
 from reframe_jax.objectives.protocol import Objective

@@ -1,4 +1,4 @@
-"""The global search: basin hopping from many starts, for many problems at once."""
+"""Basin hopping: a global search from many starts, for a batch of problems."""
 
 from dataclasses import dataclass, replace
 
@@ -14,20 +14,20 @@ from reframe_jax.solvers.seeds import even_starts, suggested_starts
 
 __all__ = ["BasinHopping", "SearchState"]
 
-_SUGGESTED = 0.4  # part of the chains that start where the data suggest, with rounds
-_CANDIDATES = 4, 64  # of every such start, and of every chain that begins a round afresh
+_SUGGESTED = 0.4  # fraction of the chains with a start from the data, if there are rounds
+_CANDIDATES = 4, 64  # candidates per start from the data: in the first round, and in later rounds
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class SearchState:
-    """What :meth:`BasinHopping.step` carries from hop to hop.
+    """State of a search between two calls of :meth:`BasinHopping.step`.
 
     Attributes:
-        hop: steps made; see :meth:`BasinHopping.step`.
-        key: of the random numbers to come.
-        x, value: (dim, restarts, ...) and (restarts, ...): where each chain is.
-        best_x, best_value: (dim, restarts, ...) and (restarts, ...): the best each chain has met.
+        hop: number of completed steps.
+        key: JAX random key of the next steps.
+        x, value: (dim, restarts, ...) and (restarts, ...), current point of each chain and its value.
+        best_x, best_value: (dim, restarts, ...) and (restarts, ...), best point of each chain and its value.
     """
 
     hop: jax.Array
@@ -42,32 +42,33 @@ class SearchState:
 class BasinHopping:
     """Basin hopping (Wales & Doye 1997) from quasi-random restarts.
 
-    Every restart is a chain. It minimizes locally; then, ``hops`` times, it jumps, minimizes locally, and
-    moves there if the value is lower or Metropolis' rule accepts it; finally it minimizes ``polish`` more
-    times from its best point. A problem whose chains all agree after the first minimization has converged and
-    stops hopping. All problems use the same random numbers, so the answer depends on the data of the problem
-    and the key, not on its place in a batch.
+    Every restart is a chain. A chain first minimizes locally. Then, ``hops`` times, the chain jumps,
+    minimizes locally, and accepts the new point if the value is lower or Metropolis' rule accepts the value.
+    Finally, the chain minimizes ``polish`` more times from its best point. A problem has converged if all its
+    chains agree after the first minimization; converged problems do not hop. All problems use the same random
+    numbers, so the result depends on the data of the problem and the key, not on the position in a batch.
 
-    With ``rounds``, some chains start where the data suggest (see :func:`suggested_starts`), and a problem
-    that did not converge goes through rounds until its chains agree. Each later round goes on from the best
-    point with one chain; the others begin afresh where the data suggest. Slow motion, whose valleys are many
-    and narrow, needs rounds.
+    With ``rounds``, some chains start at points derived from the data (see :func:`suggested_starts`). A
+    problem that has not converged repeats rounds until its chains agree. In each later round, one chain
+    continues from the best point, and the other chains start at new points derived from the data. Slow motion
+    needs rounds, because its objective has many narrow valleys.
 
-    :meth:`minimise` is the whole search. To watch a search or stop it early, call ``init``, then ``step`` 1 +
-    ``hops`` + ``polish`` times, then ``finish``. All three are pure functions of arrays that may be compiled;
-    every problem takes all steps, converged or not, and none goes through rounds.
+    :meth:`minimise` runs the whole search. To observe a search or stop it early, call ``init``, then ``step``
+    1 + ``hops`` + ``polish`` times, then ``finish``. All three are pure functions of arrays and can be
+    compiled. Every problem then takes all steps, converged or not, and there are no rounds.
 
     Attributes:
-        inner: local minimizer, such as :class:`ValleySteps` or :class:`FrameSteps`, or your own.
+        inner: local minimizer, such as :class:`ValleySteps`, :class:`FrameSteps`, or a callable of the user.
         restarts: number of chains.
-        hops: jumps of each chain.
-        polish: final minimizations of each chain, without a jump.
-        refine: another local minimizer for the best point of all chains, or None.
-        hop_size: standard deviation of a jump, as a share of the box.
-        temperature: of Metropolis' rule, in log J: 0.1 accepts a 10 % larger norm once in e times.
-        tolerance: a problem has converged if the values log J of its chains differ by less than this after
-            their first minimization; 0 makes every problem hop.
-        rounds: the most that a problem goes through; 0 lets its chains hop once, from where they are.
+        hops: number of jumps per chain.
+        polish: number of final minimizations per chain, without a jump.
+        refine: additional local minimizer for the best point of all chains, or None.
+        hop_size: standard deviation of a jump, as a fraction of the box.
+        temperature: temperature of Metropolis' rule, in log J: 0.1 accepts a 10 % larger norm with
+            probability 1/e.
+        tolerance: largest difference of log J between the chains of a converged problem, after the first
+            minimization; with 0, every problem hops.
+        rounds: largest number of rounds per problem; with 0, the chains hop without rounds.
     """
 
     inner: LocalMinimiser
@@ -83,14 +84,14 @@ class BasinHopping:
     def init(
         self, objective: Objective, box: Box, key: jax.Array, starts: jax.Array | None = None
     ) -> SearchState:
-        """Return the starts before any minimization; their values are infinite.
+        """Return the initial state, with the starts of all chains and infinite values.
 
         Args:
             objective: the problems.
-            box: where to search.
-            key: of the random numbers.
-            starts: (dim, restarts, ...); by default quasi-random points, the same for all problems, and
-                those that the data suggest.
+            box: bounds of the search.
+            key: JAX random key.
+            starts: (dim, restarts, ...) starts of the chains. By default, quasi-random points, equal for all
+                problems, and points derived from the data.
 
         Raises:
             ValueError: if the objective is not an :class:`Objective`.
@@ -109,10 +110,10 @@ class BasinHopping:
         return SearchState(jnp.zeros((), jnp.int32), key, x, value, x, value)
 
     def step(self, objective: Objective, box: Box, state: SearchState) -> SearchState:
-        """One step of every chain: jump, minimize, and accept or stay.
+        """Advance every chain by one step: jump, minimize, and accept or reject the new point.
 
-        The first step minimizes the starts without a jump; steps after the last hop minimize the best points.
-        A chain moves if its value rises by less than Metropolis' rule allows; NaN counts as infinite.
+        The first step minimizes the starts without a jump. Steps after the last hop minimize the best points.
+        A chain accepts an increase of its value that Metropolis' rule allows; NaN counts as infinite.
         """
         key, dtype = state.key, state.x.dtype
         jump, rise = jnp.zeros((objective.dim, self.restarts), dtype), jnp.zeros(self.restarts, dtype)
@@ -140,7 +141,7 @@ class BasinHopping:
         )
 
     def finish(self, objective: Objective, box: Box, state: SearchState) -> Solution:
-        """Refine the best point of all chains."""
+        """Refine the best point of all chains, and return the solution."""
         lowest, lowest_value = _lowest(state)
         x, value = lowest[:, 0], lowest_value[0]
         if self.refine is not None:
@@ -153,15 +154,15 @@ class BasinHopping:
     def minimise(
         self, objective: Objective, box: Box, key: jax.Array, starts: jax.Array | None = None
     ) -> Solution:
-        """The whole search: :meth:`init`, :meth:`step` until every problem is done, :meth:`finish`.
+        """Run the whole search: :meth:`init`, :meth:`step` until every problem is done, and :meth:`finish`.
 
-        Arguments as in :meth:`init`. A converged problem is done after one step, the others after
-        1 + ``hops`` + ``polish``, or after their rounds.
+        Arguments as in :meth:`init`. A converged problem is done after one step, other problems after 1 +
+        ``hops`` + ``polish`` steps, or after their rounds.
         """
         state = self.init(objective, box, key, starts)
         last = 1 + self.hops + self.polish
 
-        def goes_on(carry: tuple[SearchState, jax.Array, jax.Array]) -> jax.Array:
+        def continues(carry: tuple[SearchState, jax.Array, jax.Array]) -> jax.Array:
             _, number, is_open = carry
             return (number < max(1, self.rounds)) & jnp.any(is_open)
 
@@ -180,15 +181,15 @@ class BasinHopping:
             )
             agree = self._agree(jnp.where(first, after.value, after.best_value))
             if self.rounds > 1:
-                after = lax.cond(over, lambda s: self._begin_afresh(objective, box, s), lambda s: s, after)
+                after = lax.cond(over, lambda s: self._start_round(objective, box, s), lambda s: s, after)
             return after, number + over.astype(jnp.int32), is_open & ~((first | over) & agree)
 
         every = jnp.ones(state.value.shape[1:], bool)
-        state, _, _ = lax.while_loop(goes_on, advance, (state, jnp.zeros((), jnp.int32), every))
+        state, _, _ = lax.while_loop(continues, advance, (state, jnp.zeros((), jnp.int32), every))
         return self.finish(objective, box, state)
 
-    def _begin_afresh(self, objective: Objective, box: Box, state: SearchState) -> SearchState:
-        """One chain at the best point, the others where the data suggest."""
+    def _start_round(self, objective: Objective, box: Box, state: SearchState) -> SearchState:
+        """Start a round: one chain at the best point, the other chains at points derived from the data."""
         start_key, key = random.split(state.key)
         starts = suggested_starts(objective, box, start_key, self.restarts - 1, _CANDIDATES[1])
         x, value = _lowest(state)
@@ -197,14 +198,14 @@ class BasinHopping:
         return replace(state, hop=jnp.zeros_like(state.hop), key=key, x=x, value=value)
 
     def _agree(self, value: jax.Array) -> jax.Array:
-        """Whether chains (restarts, ...) all have about the same value, (...); never, if there is one."""
+        """Whether all chains (restarts, ...) have similar values, (...); False for a single chain."""
         if self.restarts == 1:
             return jnp.zeros(value.shape[1:], dtype=bool)
         return jnp.max(value, axis=0) - jnp.min(value, axis=0) < self.tolerance
 
 
 def _lowest(state: SearchState) -> tuple[jax.Array, jax.Array]:
-    """The best point that any chain has met, (dim, 1, ...), and the value there, (1, ...)."""
+    """Best point of all chains, (dim, 1, ...), and its value, (1, ...)."""
     best = jnp.argmin(state.best_value, axis=0)[None]
     x = jnp.take_along_axis(state.best_x, best[None], axis=1)
     return x, jnp.take_along_axis(state.best_value, best, axis=0)

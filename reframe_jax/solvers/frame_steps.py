@@ -1,11 +1,15 @@
 """Local steps for the orientation and the origin of a frame together.
 
-The general route: nothing is eliminated. A step turns the frame about its own axes and shifts its origin, so
-no chart of the rotations is ever singular. Besides Newton's steps on powers of J, each step tries *aligning
-and majorizing*, for far from the optimum: turns by Jacobi's angles, which would each make an off-diagonal
-entry of S = E^T Sigma E zero, and the least origin of sum_n q_n v_n(p) / v_n, with v_n the variance along
-axis n and q_n its part in the power mean, which bounds log J from above because J is concave in the
-variances. Together, and one without the other.
+This general method eliminates no unknowns. A step rotates the frame about its axes and shifts its origin,
+which avoids singular charts of the rotations. Each iteration tries Newton's steps on powers of J and, for
+points distant from the optimum, two more steps:
+
+- *aligning* rotates by Jacobi's angles, each of which makes one off-diagonal entry of S = E^T Sigma E zero;
+- *majorizing* moves the origin to the minimum of sum_n q_n v_n(p) / v_n, where v_n is the variance along axis
+  n and q_n its weight in the power mean. This sum bounds log J from above, because J is concave in the
+  variances.
+
+It tries both steps together and each step by itself.
 """
 
 from dataclasses import dataclass
@@ -28,15 +32,15 @@ __all__ = ["FrameSteps"]
 _Frame = tuple[jax.Array, jax.Array]  # axes (3, 3), columns of E, and origin (3,)
 
 
-def _turned(axes: jax.Array, turn: jax.Array) -> jax.Array:
-    """E times the rotation of the unit quaternion along (turn / 2, 1), which is exp(turn) to second order."""
+def _rotate_axes(axes: jax.Array, turn: jax.Array) -> jax.Array:
+    """E times the rotation of the normalized quaternion (turn / 2, 1), which is exp(turn) to second order."""
     quaternion = jnp.concatenate([turn / 2, jnp.ones_like(turn[:1])])
     unit = quaternion / jnp.sqrt(jnp.sum(jnp.square(quaternion)))
     return matmul(axes, rotations.quaternion_to_rotation(unit))
 
 
-def _aligning(s: jax.Array) -> jax.Array:
-    """Turns about the axes, (3,), each of which by itself makes an off-diagonal entry of S (3, 3) zero."""
+def _aligning_rotation(s: jax.Array) -> jax.Array:
+    """Rotation angles about the axes, (3,), each of which makes one off-diagonal entry of S (3, 3) zero."""
 
     def angle(i: int, j: int) -> jax.Array:
         half, off = (s[j, j] - s[i, i]) / 2, s[i, j]
@@ -50,22 +54,22 @@ def _aligning(s: jax.Array) -> jax.Array:
 class FrameSteps:
     """Local minimizer of a :class:`FrameObjective`: orientation and origin together, any power mean.
 
-    The origin stays in the box. Orientations are unbounded: the box bounds only their starts.
+    The origin stays in the box. The orientation is unbounded; the box bounds only its start.
 
     Attributes:
-        steps: number of steps; fixed, so that no problem waits for another.
+        steps: number of steps, equal for all problems of a batch.
     """
 
     steps: int = 10
 
     def __call__(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Improve the unknowns x, (dim, ...): rotation vectors, and origins unless there are none.
+        """Improve the unknowns x, (dim, ...): rotation vectors and, for linear velocities, origins.
 
         Returns:
             The new unknowns and their values, (...).
 
         Raises:
-            ValueError: for another objective.
+            ValueError: for an objective of another class.
         """
         known = self.check(objective)
         norm = FrameObjective(known.moments, known.exponent)
@@ -84,7 +88,7 @@ class FrameSteps:
             return matmul(axes.T, matmul(sigma, axes))
 
         def moved(frame: _Frame, step: jax.Array) -> _Frame:
-            return _turned(frame[0], step[:3]), frame[1] + step[3:]
+            return _rotate_axes(frame[0], step[:3]), frame[1] + step[3:]
 
         def level(frame: _Frame) -> jax.Array:
             return log_power_mean(jnp.log(jnp.diagonal(along(frame))) / 2, norm.exponent)
@@ -104,7 +108,7 @@ class FrameSteps:
 
             curvature = jax.hessian(bound)(frame[1])
             shift = steps_in_box(frame[1], low[3:], high[3:], gradient[3:], curvature)[0]
-            turn, still = _aligning(s), jnp.zeros_like(here)
+            turn, still = _aligning_rotation(s), jnp.zeros_like(here)
             extra = [
                 still.at[:3].set(turn).at[3:].set(shift),
                 still.at[:3].set(turn),
@@ -123,14 +127,14 @@ class FrameSteps:
 
     @staticmethod
     def check(objective: Objective) -> MomentsObjective:
-        """The objective, if these steps can minimize it.
+        """Return the objective if these steps can minimize it.
 
         Raises:
-            ValueError: unless it is a :class:`MomentsObjective` whose unknowns are the frame.
+            ValueError: unless the objective is a :class:`MomentsObjective` whose unknowns are the frame.
         """
         if isinstance(objective, MomentsObjective) and objective.unknowns == "frame":
             return objective
         raise ValueError(
             "FrameSteps minimize norms given by moments over orientation and origin (a FrameObjective), "
-            f"not a {type(objective).__name__}; use ValleySteps, NewtonSteps or OptaxSteps for others."
+            f"not a {type(objective).__name__}; use ValleySteps, NewtonSteps or OptaxSteps."
         )

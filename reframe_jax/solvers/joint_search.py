@@ -1,4 +1,4 @@
-"""Origins found by searching whole frames."""
+"""Search origins by a search over whole frames."""
 
 from dataclasses import dataclass
 
@@ -17,15 +17,15 @@ __all__ = ["JointSearch"]
 
 @dataclass(frozen=True)
 class JointSearch:
-    """Search of a :class:`PositionObjective` by way of the :class:`FrameObjective` behind it.
+    """Search of a :class:`PositionObjective` through the :class:`FrameObjective` with the same moments.
 
-    With a negative exponent J is nearly that of its stillest axis, and with the rotation eliminated each
-    chain falls into the nearest of many narrow minima, where any axis is still. Chains that start with their
-    own axes follow different minima, and miss fewer optima in less time.
+    With a negative exponent, the axis with the least motion dominates J. If the rotation is eliminated, each
+    chain falls into the nearest of many narrow minima, where some axis does not move. Chains over whole
+    frames start with different axes, reach different minima, and miss fewer optima in less time.
 
     Attributes:
-        search: solver over orientation and origin together, with :class:`FrameSteps` inside.
-        refine: local minimizer of the origin found, with the best axes at every point.
+        search: solver over orientation and origin together, with :class:`FrameSteps` as local minimizer.
+        refine: local minimizer for the origin of the best frame, with the best axes at every point.
     """
 
     search: BasinHopping
@@ -35,7 +35,7 @@ class JointSearch:
         """Search every problem of the objective.
 
         Raises:
-            ValueError: unless it is a norm of positions that :class:`ValleySteps` can minimize.
+            ValueError: unless :class:`ValleySteps` can minimize the objective.
         """
         known = self.refine.check(objective)
         turn = jnp.full_like(box.low, jnp.pi)

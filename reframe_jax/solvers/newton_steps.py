@@ -1,4 +1,4 @@
-"""Second-order local steps on any objective, with derivatives by automatic differentiation."""
+"""Newton steps on any objective, with derivatives by automatic differentiation."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,19 +13,20 @@ from reframe_jax.solvers.problems import minimise_each
 
 __all__ = ["NewtonSteps", "derivatives", "newton_steps", "steps_in_box", "take_best_steps"]
 
-_POWERS = (0.0, 1.0, 2.0, 3.0, 6.0)  # s of the Newton steps on J^s
-_PARTS = (1.0, 0.25, 0.05)  # of the step that descends where the Hessian is indefinite
-_RIDGE = 1e-11  # on the diagonal, of the sum of its row: keeps a free direction solvable
+_POWERS = (0.0, 1.0, 2.0, 3.0, 6.0)  # exponents s of the Newton steps on J^s
+_PARTS = (1.0, 0.25, 0.05)  # fractions of the descent step for an indefinite Hessian
+_RIDGE = 1e-11  # added to the diagonal, as a fraction of the row sum, for directions without curvature
 
 _Point = TypeVar("_Point")
 
 
 def newton_steps(gradient: jax.Array, hessian: jax.Array) -> jax.Array:
-    """Steps (8, dim) that may lower f = log J, to be taken away from the unknowns.
+    """Steps (8, dim) that may lower f = log J; subtract a step from the unknowns.
 
-    With H and g of f, the Newton step on J^s is H^-1 g / (1 + s g.H^-1 g), one direction for every s; s = 6,
-    3 and 2 are exact where one, two or three axes of the geometric mean are constrained, s = 1 where a single
-    axis dominates. Far from the optimum H = L D L^T is indefinite, and the step of L |D| L^T descends.
+    With the Hessian H and the gradient g of f, the Newton step on J^s is H^-1 g / (1 + s g.H^-1 g). Its
+    direction is the same for every s. The steps with s = 6, 3 and 2 are exact if one, two or three axes of
+    the geometric mean are constrained; the step with s = 1 is exact if a single axis dominates. Distant from
+    the optimum, H = L D L^T is indefinite, and the step with L |D| L^T descends.
     """
     dim = gradient.shape[0]
     ridge = _RIDGE * jnp.sum(jnp.abs(hessian), axis=1)
@@ -45,7 +46,7 @@ def newton_steps(gradient: jax.Array, hessian: jax.Array) -> jax.Array:
 
 
 def derivatives(value: Callable[[jax.Array], jax.Array], x: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Gradient and Hessian; zero where they are not finite."""
+    """Gradient and Hessian, with zero in place of values that are not finite."""
     gradient, hessian = jax.grad(value)(x), jax.hessian(value)(x)
     finite = jnp.all(jnp.isfinite(hessian)) & jnp.all(jnp.isfinite(gradient))
     return jnp.where(finite, gradient, 0), jnp.where(finite, hessian, 0)
@@ -54,9 +55,10 @@ def derivatives(value: Callable[[jax.Array], jax.Array], x: jax.Array) -> tuple[
 def steps_in_box(
     x: jax.Array, low: jax.Array, high: jax.Array, gradient: jax.Array, hessian: jax.Array
 ) -> jax.Array:
-    """:func:`newton_steps` with the coordinates held that would leave the box.
+    """:func:`newton_steps` that keep coordinates constant which would leave the box.
 
-    Those are held whose gradient points out of the box, then those that Newton's step would take out of it.
+    Coordinates whose descent direction points out of the box stay constant, and then coordinates that
+    Newton's step would move out of the box.
     """
     unit = jnp.eye(len(x), dtype=x.dtype)
     out = gradient
@@ -76,14 +78,14 @@ def take_best_steps(
     move: Callable[[_Point, jax.Array], tuple[_Point, jax.Array]],
     count: int,
 ) -> tuple[_Point, jax.Array]:
-    """Take the best of some steps, again and again; stay where none is lower.
+    """Take the best of several steps repeatedly; stay at a point if no step lowers the value.
 
     Args:
-        start: a pytree.
-        value: there.
-        steps_at: steps (n, dim) to try from a point.
-        move: from a point by a step to another point, and the value there.
-        count: number of times; fixed, so that no problem waits for another.
+        start: initial point, a pytree.
+        value: value at the initial point.
+        steps_at: function from a point to candidate steps (n, dim).
+        move: function from a point and a step to the next point and its value.
+        count: number of iterations, equal for all problems of a batch.
 
     Returns:
         The last point, and its value.
@@ -103,16 +105,16 @@ def take_best_steps(
 
 @dataclass(frozen=True)
 class NewtonSteps:
-    """Local minimizer by Newton steps on powers of the norm, all unknowns together.
+    """Local minimizer with Newton steps on powers of the norm, over all unknowns together.
 
     Attributes:
-        steps: number of steps; fixed, so that no problem waits for another.
+        steps: number of steps, equal for all problems of a batch.
     """
 
     steps: int = 30
 
     def __call__(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Improve the unknowns x, (dim, ...), every problem by itself.
+        """Improve the unknowns x, (dim, ...), separately for every problem.
 
         Returns:
             The new unknowns and their values, (...).

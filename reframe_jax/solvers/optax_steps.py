@@ -1,4 +1,4 @@
-"""Local minimization with any Optax gradient transformation."""
+"""Local minimizer with any Optax gradient transformation."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -16,22 +16,22 @@ __all__ = ["OptaxSteps"]
 
 @dataclass(frozen=True)
 class OptaxSteps:
-    """Local minimizer that follows an Optax gradient transformation inside the box.
+    """Local minimizer with the updates of an Optax gradient transformation, inside the box.
 
     Attributes:
-        transformation: any ``optax.GradientTransformation``; those that need the value and a value function
-            (L-BFGS, line searches) receive them. Reuse one instance: a new one compiles again.
-        steps: number of updates; fixed, so that no problem waits for another.
+        transformation: any ``optax.GradientTransformation``; L-BFGS and line searches receive the value and
+            the value function. Reuse one instance, because a new instance is compiled again.
+        steps: number of updates, equal for all problems of a batch.
     """
 
     transformation: optax.GradientTransformation
     steps: int = 60
 
     def __call__(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Improve the unknowns x, (dim, ...), every problem by itself.
+        """Improve the unknowns x, (dim, ...), separately for every problem.
 
         Returns:
-            The best unknowns met, and their values, (...).
+            The best unknowns of all updates, and their values, (...).
         """
         return minimise_each(self._minimise_one, objective, box, x)
 

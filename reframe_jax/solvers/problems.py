@@ -1,4 +1,4 @@
-"""Operations on arrays whose trailing axes are problems: flatten, repeat, take one by one."""
+"""Operations on arrays whose trailing axes are problems: flatten, repeat, and apply to each problem."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -15,7 +15,7 @@ _T = TypeVar("_T")
 
 
 def flatten_problems(tree: _T, axes: int) -> _T:
-    """Replace the last ``axes`` axes of a tree, possibly none, by a single axis of problems."""
+    """Replace the last ``axes`` axes of a tree (0 is allowed) by a single axis of problems."""
     return jax.tree.map(lambda a: a.reshape(*a.shape[: a.ndim - axes], -1), tree)
 
 
@@ -39,10 +39,11 @@ def minimise_each(
     """Apply a minimizer of one problem to all problems.
 
     Args:
-        minimise_one: from an objective of one problem, the box and x, (dim,), to the new x and its value.
+        minimise_one: function of the objective of one problem, the box and x, (dim,), that returns the new x
+            and its value.
         objective: the problems.
-        box: where to search, the same for all problems.
-        x: (dim, ...) where to start.
+        box: bounds of the search, the same for all problems.
+        x: (dim, ...) starts.
 
     Returns:
         The new unknowns, (dim, ...), and their values, (...).

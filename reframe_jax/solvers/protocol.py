@@ -12,7 +12,7 @@ from reframe_jax.solvers.box import Box
 __all__ = ["LocalMinimiser", "Solution", "Solver"]
 
 LocalMinimiser = Callable[[Objective, Box, jax.Array], tuple[jax.Array, jax.Array]]
-"""(objective, box, x (dim, ...)) -> (x, value): an improvement of every problem by itself."""
+"""(objective, box, x (dim, ...)) -> (x, value): a local minimizer that treats problems independently."""
 
 
 @jax.tree_util.register_dataclass
@@ -22,8 +22,9 @@ class Solution:
 
     Attributes:
         x: (dim, ...) best unknowns of every problem.
-        value: (...) objective there; for a norm, log J.
-        agreement: (...) share of the restarts that ended within 0.1 % of the best norm, 0.001 of its value.
+        value: (...) objective at ``x``; for a norm, log J.
+        agreement: (...) fraction of the restarts that ended within 0.001 of the best value (0.1 % of the
+            norm).
     """
 
     x: jax.Array
@@ -32,10 +33,10 @@ class Solution:
 
 
 class Solver(Protocol):
-    """The protocol that ``identify`` expects of a solver. Solvers are static arguments: make them hashable.
+    """The protocol of solvers for ``identify``. Solvers are static arguments and must be hashable.
 
-    You can step the search of :class:`BasinHopping` by hand: ``init`` makes a state, ``step`` advances it,
-    and ``finish`` turns it into a :class:`Solution`.
+    :class:`BasinHopping` also offers single steps: ``init`` makes a state, ``step`` advances the state, and
+    ``finish`` converts the state to a :class:`Solution`.
     """
 
     def minimise(self, objective: Objective, box: Box, key: jax.Array) -> Solution:
@@ -43,7 +44,7 @@ class Solver(Protocol):
 
         Args:
             objective: the problems.
-            box: where to search.
+            box: bounds of the search.
             key: JAX random key.
         """
         ...

@@ -1,4 +1,4 @@
-"""Starting points: some that fill a box evenly, and some that the data suggest."""
+"""Starts of a search: points that fill a box evenly, and points derived from the data."""
 
 from functools import partial
 
@@ -15,14 +15,16 @@ from reframe_jax.solvers.problems import repeat_problems
 
 __all__ = ["even_starts", "quasi_random", "suggested_starts"]
 
-_RIDGE = 1e-9  # of the curvature, relative to its trace: where an origin is free, the nearest to zero
+_RIDGE = (
+    1e-9  # added curvature, relative to its trace: chooses the origin nearest to zero along free directions
+)
 
 
 def quasi_random(key: jax.Array, count: int, dim: int, dtype: jnp.dtype) -> jax.Array:
-    """Points of the unit cube: Roberts' additive recurrence R_d, shifted at random.
+    """Points of the unit cube by Roberts' additive recurrence R_d, with a random shift.
 
-    Any prefix of the sequence covers the cube evenly, so ``count`` can change freely. Its increments
-    are powers of the real root of x^(d+1) = x + 1, the generalized golden ratio.
+    Any prefix of the sequence covers the cube evenly, so any ``count`` is suitable. The increments are powers
+    of the real root of x^(d+1) = x + 1, the generalized golden ratio.
 
     Args:
         key: JAX random key of the shift.
@@ -42,7 +44,7 @@ def quasi_random(key: jax.Array, count: int, dim: int, dtype: jnp.dtype) -> jax.
 
 
 def even_starts(objective: Objective, box: Box, key: jax.Array, count: int) -> jax.Array:
-    """Points that fill the box evenly, the same for all problems, (dim, count, ...): see quasi_random."""
+    """Points (dim, count, ...) that fill the box evenly, equal for all problems; see quasi_random."""
     points = box.scale(quasi_random(key, count, objective.dim, objective.dtype))
     points = points.reshape(objective.dim, count, *([1] * len(objective.batch)))
     return jnp.broadcast_to(points, (objective.dim, count, *objective.batch))
@@ -51,18 +53,18 @@ def even_starts(objective: Objective, box: Box, key: jax.Array, count: int) -> j
 def suggested_starts(
     objective: Objective, box: Box, key: jax.Array, count: int, candidates: int
 ) -> jax.Array:
-    """Points at which a search may begin, as the data of every problem suggest them.
+    """Starts of a search that are derived from the data of every problem.
 
-    Of a norm of velocities over positions: origins that move least along random directions. The origin of a
-    constraint is one of them, for the direction that it constrains. Every point is the best of some such
-    candidates. Of other objectives: quasi-random points.
+    For a norm of velocities over positions, the starts are origins with the least motion along random
+    directions. Along a constrained direction, the origin of the constraint is such a point. Each start is the
+    best of several candidates. For other objectives, the starts are quasi-random points.
 
     Args:
         objective: the problems.
-        box: that holds the points.
+        box: bounds of the points.
         key: JAX random key.
         count: number of points.
-        candidates: directions that are tried for every point.
+        candidates: number of random directions per point.
 
     Returns:
         (dim, count, ...), in the unit of the unknowns.
@@ -72,7 +74,7 @@ def suggested_starts(
         return even_starts(objective, box, key, count)
     d = partial(random.normal, shape=(3, candidates * count), dtype=dtype)(key)
     d = d.reshape(3, candidates * count, *([1] * len(batch)))
-    # coefficients of d^T Sigma(p) d; its gradient vanishes where it is least
+    # coefficients of d^T Sigma(p) d; its gradient is zero at the minimum
     q = jnp.zeros((10, candidates * count, *batch), dtype)
     for (a, b), row in zip(INDEX_PAIRS, objective.moments, strict=True):
         q = q + (1 if a == b else 2) * (d[a] * d[b])[None] * row[:, None]

@@ -1,9 +1,10 @@
-"""Local steps for the origin of a frame, with the rotation eliminated.
+"""Local steps for the origin of a frame; the best rotation at each origin is known in closed form.
 
-With f = log J as a function of the origin p (log J = log det Sigma(p) / 6 for the geometric mean), each step
-tries, besides Newton's steps on powers of J, the *majorizing* step: f is concave in Sigma, so its tangent
-tr(W(p0) Sigma(p)), W = df/dSigma, bounds it from above; the bound is quadratic and its minimum one 3x3 solve.
-It is best far from the optimum and where all three axes are constrained.
+With f = log J as a function of the origin p (log J = log det Sigma(p) / 6 for the geometric mean), each
+iteration tries Newton's steps on powers of J, and the *majorizing* step. Because f is concave in Sigma, its
+tangent tr(W(p0) Sigma(p)) with W = df/dSigma bounds f from above. The bound is quadratic in p, and a 3x3
+solve gives its minimum. The majorizing step is best for points distant from the optimum, and if all three
+axes are constrained.
 """
 
 from dataclasses import dataclass
@@ -25,7 +26,7 @@ class ValleySteps:
     """Local minimizer of a :class:`PositionObjective`.
 
     Attributes:
-        steps: number of steps; fixed, so that no problem waits for another.
+        steps: number of steps, equal for all problems of a batch.
     """
 
     steps: int = 12
@@ -37,7 +38,7 @@ class ValleySteps:
             The new origins and their values, (...).
 
         Raises:
-            ValueError: for another objective.
+            ValueError: for an objective of another class.
         """
         known = self.check(objective)
         norm = PositionObjective(known.moments, known.exponent)
@@ -55,7 +56,7 @@ class ValleySteps:
 
             down = steps_in_box(x, box.low, box.high, gradient, jax.hessian(bound)(x))[:1]
             steps = jnp.concatenate([steps_in_box(x, box.low, box.high, gradient, hessian), down])
-            # as far as the box allows, so that no step leaves a narrow valley, and the last one projected
+            # shorten each step at the box, so that it stays in a narrow valley, and project the last step
             room = jnp.where(steps > 0, (x - box.low)[None], (x - box.high)[None])
             part = jnp.min(jnp.where(steps == 0, 1, room / jnp.where(steps == 0, 1, steps)), axis=1)
             return jnp.concatenate([jnp.minimum(part, 1)[:, None] * steps, down])
@@ -68,14 +69,14 @@ class ValleySteps:
 
     @staticmethod
     def check(objective: Objective) -> MomentsObjective:
-        """The objective, if these steps can minimize it.
+        """Return the objective if these steps can minimize it.
 
         Raises:
-            ValueError: unless it is a :class:`MomentsObjective` whose unknowns are the position.
+            ValueError: unless the objective is a :class:`MomentsObjective` whose unknowns are the position.
         """
         if isinstance(objective, MomentsObjective) and objective.unknowns == "position":
             return objective
         raise ValueError(
-            f"ValleySteps minimize norms given by moments over positions alone (a PositionObjective), not a "
-            f"{type(objective).__name__}; use FrameSteps, NewtonSteps or OptaxSteps for others."
+            f"ValleySteps minimize norms given by moments over positions (a PositionObjective), not a "
+            f"{type(objective).__name__}; use FrameSteps, NewtonSteps or OptaxSteps."
         )

@@ -1,1 +1,1 @@
-"""Results on disk, in parts that an interrupted run resumes."""
+"""Store results on disk in parts, so that an interrupted run can resume."""

@@ -1,4 +1,4 @@
-"""Named arrays and a line of text in one file: NumPy's archive, and Parquet."""
+"""File formats of a part: named arrays and a line of text, as a NumPy archive or as Parquet."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,15 +12,15 @@ _HEADER = "reframe_jax"
 
 
 class Codec(Protocol):
-    """How a part is written; ``suffix`` is that of its file."""
+    """A file format of parts; ``suffix`` is the suffix of its files."""
 
     suffix: str
 
     def write(self, file: Path, arrays: Mapping[str, np.ndarray], header: str) -> None:
-        """Write a file."""
+        """Write arrays and a header to a file."""
 
     def read(self, stream: BinaryIO) -> tuple[dict[str, Any], str]:
-        """Return arrays and header. Errors of a damaged file propagate."""
+        """Read arrays and header from a file; raises the errors of the format for a damaged file."""
 
 
 class _Npz:
@@ -38,14 +38,14 @@ class _Npz:
 
 
 class _Parquet:
-    """A column for each array, whose first axis are the rows; lists of lists for the other axes."""
+    """One column per array: the first axis gives the rows, the other axes give nested lists."""
 
     suffix = ".parquet"
 
     def write(self, file: Path, arrays: Mapping[str, np.ndarray], header: str) -> None:
         arrow = self.library()
         table = arrow.table({name: _to_arrow(arrow, np.asarray(array)) for name, array in arrays.items()})
-        # dictionaries would make one of numbers that compare equal and differ in their bits
+        # dictionary encoding merges numbers that compare equal but differ in their bits, such as 0 and -0
         arrow.parquet.write_table(
             table.replace_schema_metadata({_HEADER: header}), file, use_dictionary=False
         )
@@ -57,10 +57,10 @@ class _Parquet:
 
     @staticmethod
     def library() -> Any:
-        """PyArrow.
+        """Import PyArrow.
 
         Raises:
-            ImportError: saying which extra has it.
+            ImportError: if PyArrow is missing, with the extra that installs it.
         """
         try:
             import pyarrow
@@ -77,7 +77,7 @@ PARQUET = _Parquet()
 
 
 def _to_arrow(arrow: Any, values: np.ndarray) -> Any:
-    """(N, a, b, ...) as a column of N fixed-size lists of lists."""
+    """Convert an array (N, a, b, ...) to a column of N nested lists of fixed size."""
     column = arrow.array(np.ascontiguousarray(values).reshape(-1))
     for size in reversed(values.shape[1:]):
         column = arrow.FixedSizeListArray.from_arrays(column, size)
@@ -85,7 +85,7 @@ def _to_arrow(arrow: Any, values: np.ndarray) -> Any:
 
 
 def _from_arrow(column: Any) -> np.ndarray:
-    """The array that :func:`_to_arrow` made a column of."""
+    """Convert a column of :func:`_to_arrow` back to an array."""
     values, shape = column.combine_chunks(), [len(column)]
     while hasattr(values.type, "list_size"):
         shape.append(values.type.list_size)

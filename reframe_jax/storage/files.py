@@ -1,4 +1,4 @@
-"""Files that exist completely or not at all."""
+"""Write files atomically, so that a file is complete or does not exist."""
 
 import errno
 import os
@@ -12,21 +12,25 @@ from typing import Any
 __all__ = ["check_place", "remove_leftovers", "write_whole"]
 
 _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{16}")
-_ABANDONED = 3600.0  # s after which a temporary file has no writer any more; machines' clocks differ by less
+_ABANDONED = (
+    3600.0  # s, age of an abandoned temporary file; larger than the clock differences between machines
+)
 
 
 def write_whole(file: Path, write: Callable[[Path], Any]) -> None:
-    """Write a temporary file and rename it: readers see the old file or the complete new one.
+    """Write a temporary file and rename it, so that readers see the old file or the complete new file.
 
     Args:
-        file: to write.
-        write: writes the file whose path it is given.
+        file: path of the file.
+        write: function that writes to the path in its argument.
     """
-    # process numbers repeat on machines that share a disk
+    # several machines with a common disk may have equal process numbers
     temporary = file.with_name(f".{file.name}.{secrets.token_hex(8)}")
     try:
         write(temporary)
-        with temporary.open("rb+") as written:  # on the disk before its name is, should the power fail
+        with temporary.open(
+            "rb+"
+        ) as written:  # the content must be on the disk before the rename, in case of a power failure
             os.fsync(written.fileno())
         os.replace(temporary, file)
     finally:
@@ -37,7 +41,7 @@ def check_place(folder: Path) -> None:
     """Check, before a long computation, that a missing folder can be created.
 
     Raises:
-        OSError: if it cannot.
+        OSError: if the folder cannot be created.
     """
     if folder.exists():
         return
@@ -50,9 +54,9 @@ def check_place(folder: Path) -> None:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove leftovers of killed writers: temporary files that have not changed for an hour.
+    """Remove temporary files that have not changed for an hour; their writers were killed.
 
-    Another machine may still be writing younger files.
+    Another machine may still be writing newer files.
     """
     for file in folder.glob(".*"):
         if not _TEMPORARY.fullmatch(file.name):
@@ -60,5 +64,5 @@ def remove_leftovers(folder: Path) -> None:
         try:
             if time.time() - file.stat().st_mtime > _ABANDONED:
                 file.unlink()
-        except FileNotFoundError:  # another machine has removed it, or its writer has renamed it
+        except FileNotFoundError:  # another machine removed the file, or its writer renamed it
             continue

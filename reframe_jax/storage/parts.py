@@ -1,9 +1,9 @@
-"""Runs in parts: existing parts are verified and not computed again.
+"""Runs in parts: a run verifies existing parts and computes only missing parts.
 
-A run is a folder of numbered parts and ``run.json``, the options that all of them depend on. A part is on
-disk completely or not at all. It carries its name, the options, and checksums of its source and its contents,
-so every read detects a part that was damaged, copied or made with other options. Nothing is written before
-the first part has been computed: refused options leave no trace.
+A run is a folder with numbered parts and ``run.json``, which records the options of all parts. A part on disk
+is always complete. Each part contains its name, the options, and checksums of its input and its contents, so
+every read detects a part that is damaged, copied or made with other options. A run writes nothing before the
+first part is computed; invalid options therefore leave no files.
 """
 
 import json
@@ -23,7 +23,7 @@ from reframe_jax.storage.records import checksum
 __all__ = ["Run", "read_part", "write_part"]
 
 _FORMAT = 4
-_LISTED, _LONGEST = 8, 40  # names of options in a message, and letters of each
+_LISTED, _LONGEST = 8, 40  # most option names in a message, and longest name
 _RUN = "run.json"
 _PART = re.compile(r"part-(\d{8,})")
 
@@ -33,14 +33,14 @@ Record = dict[str, Any]
 def write_part(
     file: Path, codec: Codec, arrays: Mapping[str, Any], options: Record, *, source: str = ""
 ) -> None:
-    """Write a part, completely or not at all.
+    """Write a part atomically.
 
     Args:
-        file: path of the file; its name is recorded in the part.
-        codec: the format.
+        file: path of the file; the part records its name.
+        codec: the file format.
         arrays: contents of the part.
         options: options that the part depends on, as JSON.
-        source: checksum of the source of the part.
+        source: checksum of the input of the part.
     """
     values = {name: np.asarray(array) for name, array in arrays.items()}
     header: Record = {"name": file.stem, "source": source, "options": options}
@@ -55,14 +55,14 @@ def read_part(
     """Read the arrays and the options of a part.
 
     Args:
-        file: written by :func:`write_part`.
-        codec: the format.
-        options: required options; None for any.
-        source: required checksum of the source; None for any.
+        file: path of a file written by :func:`write_part`.
+        codec: the file format.
+        options: required options; None accepts any options.
+        source: required checksum of the input; None accepts any input.
 
     Raises:
-        ValueError: if the file is damaged or renamed, or was made with other options or from another source;
-            the message names the file.
+        ValueError: if the file is damaged or renamed, or was made with other options or from another input.
+            The message names the file.
     """
     if file.is_dir():
         raise _damaged(file, "it is a folder")
@@ -74,20 +74,21 @@ def read_part(
             name, made_from, made_with = (header[entry] for entry in ("name", "source", "options"))
         except (MemoryError, ImportError):
             raise
-        except Exception as error:  # what a format makes of damage is not in its documentation
+        except Exception as error:  # the errors of a format for damaged files are not documented
             raise _damaged(file, f"{type(error).__name__}: {error}") from error
     if not sound:
         raise _damaged(file, "its checksum does not match its contents")
     if name != file.stem:
-        raise ValueError(f"{file} is a copy of {name}: delete it, and it will be made again.")
+        raise ValueError(f"{file} is a copy of {name}: delete the copy, and run again to compute this part.")
     if options is not None and made_with != options:
         raise ValueError(
-            f"{file} was made with other options than those of its run ({_difference(made_with, options)}). "
-            "Give the options that it was made with, or another folder."
+            f"{file} was made with options that differ from its run ({_difference(made_with, options)}). "
+            "Use the options of the file, or another folder."
         )
     if source is not None and made_from != source:
         raise ValueError(
-            f"{file} holds results of other windows or times. Give the same to resume, or another folder."
+            f"{file} contains results of other windows or times. Use the same input to resume, or another "
+            "folder."
         )
     return arrays, made_with
 
@@ -97,11 +98,11 @@ def _checksum(arrays: Mapping[str, Any], header: Record) -> str:
 
 
 def _damaged(file: Path, why: str) -> ValueError:
-    return ValueError(f"{file} is damaged: delete it, and it will be made again. ({why})")
+    return ValueError(f"{file} is damaged: delete the file, and run again to compute this part. ({why})")
 
 
 def _difference(one: Record, other: Record) -> str:
-    """Names of what differs; a damaged record may have names of any length."""
+    """Names of the options that differ, shortened, because a damaged record may have long names."""
     names = [*one, *(name for name in other if name not in one)]
     differ = [name for name in names if one.get(name) != other.get(name)]
     more = [f"and {len(differ) - _LISTED} more"] if len(differ) > _LISTED else []
@@ -113,12 +114,12 @@ class Run:
     """A folder of numbered parts that depend on the same options.
 
     Args:
-        folder: made when the first part is written.
-        codec: format of the parts.
-        kind: what the parts hold, in words: ``"results of identify_many"``.
-        unit: what is counted, in the plural.
-        options: options that all parts depend on, as :func:`reframe_jax.storage.records.describe` writes
-            them.
+        folder: path of the folder, which is created with the first part.
+        codec: file format of the parts.
+        kind: description of the contents for messages, such as ``"results of identify_many"``.
+        unit: word for the counted items, in the plural, such as ``"windows"``.
+        options: options that all parts depend on, in the format of
+            :func:`reframe_jax.storage.records.describe`.
 
     Raises:
         ValueError: if the folder is a file.
@@ -138,15 +139,15 @@ class Run:
 
     @staticmethod
     def open(folder: Path, codec: Codec, kind: str, unit: str) -> "Run":
-        """The run in a folder, to be read.
+        """Open the run in a folder for reading.
 
         Raises:
-            ValueError: if there is none, or its record is damaged.
+            ValueError: if the folder contains no run, or its record is damaged.
         """
         run = Run(folder, codec, kind, unit, {})
         files = run.parts
         if not files:
-            raise ValueError(f"{folder} holds no {kind} (part-*{codec.suffix}).")
+            raise ValueError(f"{folder} contains no {kind} (part-*{codec.suffix}).")
         stored = run._read_record()
         if stored is None:
             _, run._options = read_part(files[min(files)], codec)
@@ -157,7 +158,7 @@ class Run:
 
     @property
     def parts(self) -> dict[int, Path]:
-        """Files of the parts that are there, by number, in order."""
+        """Files of the existing parts by number, in order."""
         found = {}
         for file in self.folder.glob(f"part-*{self._codec.suffix}"):
             if match := _PART.fullmatch(file.stem):
@@ -166,23 +167,23 @@ class Run:
 
     @property
     def total(self) -> int | None:
-        """How many there are in all, if the run is known to be complete or was given a length."""
+        """Total number of items; None if the run is incomplete and has no given length."""
         return self._total
 
     @property
     def options(self) -> Record:
-        """What all parts depend on."""
+        """Options that all parts depend on."""
         return self._options
 
     def resume(self, total: int | None = None) -> None:
-        """Compare with the existing parts, and remove leftovers of killed writers. Writes nothing.
+        """Check the existing parts, and remove temporary files of killed writers. Writes nothing.
 
         Args:
-            total: how many there are in all, if known.
+            total: total number of items, if known.
 
         Raises:
-            ValueError: if the folder holds other data, results with other options, or a damaged record.
-            OSError: if the folder is not there and cannot be made.
+            ValueError: if the folder contains other data, results with other options, or a damaged record.
+            OSError: if the folder does not exist and cannot be created.
         """
         check_place(self.folder)
         remove_leftovers(self.folder)
@@ -190,35 +191,35 @@ class Run:
         if self._read_record() is not None:
             self._compare()
             return
-        for file in self.parts.values():  # without a record every part has to speak for itself
+        for file in self.parts.values():  # without a record, compare the options in every part
             read_part(file, self._codec, self._options)
 
     def finish(self, total: int | None = None) -> None:
-        """Write the record if it is missing, for example because no part had to be made.
+        """Write the record if it is missing, for example because every part existed.
 
         Args:
-            total: how many there were in all, where that is known at the end only.
+            total: total number of items, if it is known only at the end.
 
         Raises:
-            ValueError: if an earlier run met another number.
+            ValueError: if an earlier run recorded another total.
         """
         self._total = self._total if total is None else total
         self._compare()
         self._record()
 
     def has(self, number: int) -> bool:
-        """Whether a part is there."""
+        """Whether a part exists."""
         return self._file(number).exists()
 
     def read(self, number: int, *, source: str | None = None) -> dict[str, Any]:
-        """The arrays of a part, checked; see :func:`read_part`."""
+        """Read the arrays of a part and check them; see :func:`read_part`."""
         return read_part(self._file(number), self._codec, self._options, source=source)[0]
 
     def write(self, number: int, arrays: Mapping[str, Any], *, source: str = "") -> None:
-        """Write a part, after the record of the run.
+        """Write a part; before the first part, also write the record of the run, ``run.json``.
 
         Raises:
-            ValueError: if another process has begun a run with other options in the meantime.
+            ValueError: if another process has started a run with other options in the meantime.
         """
         if not self._recorded:
             self._compare()
@@ -229,7 +230,7 @@ class Run:
         return self.folder / f"part-{number:08d}{self._codec.suffix}"
 
     def _read_record(self) -> Record | None:
-        """What ``run.json`` says; None if there is none."""
+        """Read ``run.json``; None if the file does not exist."""
         file = self.folder / _RUN
         try:
             record = json.loads(file.read_bytes())
@@ -239,8 +240,8 @@ class Run:
             raise _damaged(file, str(error)) from error
         if not isinstance(record, dict) or record.get("kind") != self._kind:
             raise ValueError(
-                f"{self.folder} holds something else than {self._kind}, or those of an earlier version: "
-                f"see {file}. Give another folder."
+                f"{self.folder} does not contain {self._kind} of this version: see {file}. Use another "
+                "folder."
             )
         total = record.get(self._unit)
         if total is not None and (not isinstance(total, int) or total < 0):
@@ -248,7 +249,7 @@ class Run:
         return record
 
     def _compare(self) -> None:
-        """Refuse to go on with a run of other options; one that has no part yet is in nobody's way."""
+        """Raise an error if the run has other options; a run without parts is ignored."""
         stored = self._read_record()
         if stored is None or not self.parts:
             return
@@ -259,12 +260,12 @@ class Run:
             other = ", ".join(filter(None, (self._unit, other)))
         if other:
             raise ValueError(
-                f"{self.folder} holds {self._kind} with other options ({other}). Give the options of that "
+                f"{self.folder} contains {self._kind} with other options ({other}). Use the options of that "
                 "run to resume it, or another folder."
             )
 
     def _record(self) -> None:
-        """Write ``run.json``, unless it says the same."""
+        """Write ``run.json`` unless it has the same content."""
         self.folder.mkdir(parents=True, exist_ok=True)
         total = {} if self._total is None else {self._unit: self._total}
         text = json.dumps({**self._options, **total}, indent=1) + "\n"

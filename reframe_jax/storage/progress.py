@@ -1,4 +1,4 @@
-"""Progress of long runs."""
+"""Show the progress of long runs."""
 
 import sys
 import time
@@ -7,18 +7,18 @@ from collections.abc import Callable
 __all__ = ["Progress", "make_meter"]
 
 Progress = Callable[[int, int | None], None]
-"""Called with how many are done, and how many there are in all (None if unknown)."""
+"""Function of the number of completed items and the total number (None if unknown)."""
 
-_BAR = 20  # characters
+_BAR = 20  # width in characters
 
 
 def make_meter(progress: Progress | bool | None, unit: str) -> Progress:
-    """Return a function to call after every part.
+    """Return a progress function to call after every part.
 
     Args:
-        progress: a function, used unchanged; True for a bar on standard error, False for none; None for a bar
-            if standard error is a terminal.
-        unit: what is counted, in the plural.
+        progress: a progress function, returned unchanged; True for a progress bar on standard error; False
+            for no progress; None for a progress bar if standard error is a terminal.
+        unit: word for the counted items, in the plural.
     """
     if callable(progress):
         return progress

@@ -1,4 +1,4 @@
-"""Options as JSON: equal for equal options, in every process and on every machine."""
+"""Describe options as JSON, with equal text for equal options in every process and on every machine."""
 
 import dataclasses
 import hashlib
@@ -17,22 +17,22 @@ import numpy as np
 
 __all__ = ["checksum", "describe", "describe_options"]
 
-_LISTED = 64  # numbers of an array; of longer ones there is a checksum
-_ROWS = 1024  # hashed at once: windows overlap in memory, and a copy of all of them may not fit
+_LISTED = 64  # longest array that is described by its numbers; longer arrays get a checksum
+_ROWS = 1024  # rows per hash step: windows overlap in memory, and a full copy may not fit
 
 
 def describe_options(
     function: Callable[..., Any], given: Mapping[str, Any], *, without: Collection[str] = ()
 ) -> dict[str, Any]:
-    """Return every keyword-only option of a function, as given or by default.
+    """Return every keyword-only option of a function, with the given or the default value.
 
     Args:
-        function: whose signature says which options there are.
+        function: function whose signature defines the options.
         given: options of a call.
-        without: names that are left out and must not be given.
+        without: names of options to leave out; they must not be given.
 
     Raises:
-        TypeError: for an option that the function does not have, listing those it has.
+        TypeError: for an option that the function does not have; the message lists its options.
     """
     parameters = inspect.signature(function).parameters.values()
     defaults = {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY and p.name not in without}
@@ -47,14 +47,14 @@ def describe_options(
 def describe(value: Any) -> Any:
     """Convert a value to JSON types.
 
-    Numbers and arrays are described by value, dataclasses by their fields, functions by their name, bound
-    arguments and closure. Long arrays become a checksum.
+    The description of numbers and arrays is their value, of dataclasses their fields, and of functions their
+    name, bound arguments and closure. Long arrays are described by a checksum.
     """
     return _describe(value, ())
 
 
 def _describe(value: Any, within: tuple[int, ...]) -> Any:
-    """See :func:`describe`; ``within`` are the objects that this value is a part of."""
+    """Convert a value to JSON types; ``within`` lists the objects that contain the value."""
     if value is None or isinstance(value, (bool, str)):
         return value
     if id(value) in within:
@@ -98,7 +98,7 @@ def _describe_numbers(value: Any) -> Any:
 
 
 def _write_out(value: Any) -> Any:
-    """Numbers, or nested lists of them, without what JSON has no number for."""
+    """Convert numbers, or nested lists of numbers, to JSON; NaN and infinities become texts."""
     if isinstance(value, list):
         return [_write_out(item) for item in value]
     return value if isinstance(value, (int, float)) and math.isfinite(value) else str(value)
@@ -106,7 +106,7 @@ def _write_out(value: Any) -> Any:
 
 def _describe_function(function: FunctionType, inner: Callable[[Any], Any]) -> dict[str, Any]:
     record: dict[str, Any] = {"function": f"{function.__module__}.{function.__qualname__}"}
-    if function.__name__ == "<lambda>":  # many have this name
+    if function.__name__ == "<lambda>":  # many functions have this name
         code = function.__code__
         parts = (
             code.co_code,
@@ -118,7 +118,7 @@ def _describe_function(function: FunctionType, inner: Callable[[Any], Any]) -> d
     for cell in function.__closure__ or ():
         try:
             cells.append(inner(cell.cell_contents))
-        except ValueError:  # not filled
+        except ValueError:  # the closure cell is empty
             cells.append(None)
     defaults = inner([function.__defaults__ or (), function.__kwdefaults__ or {}])
     return {**record, "closure": cells, "defaults": defaults}
@@ -128,8 +128,8 @@ def checksum(arrays: Mapping[str, Any], *, start: str = "") -> str:
     """SHA-256 of named arrays: their names, types, shapes and bytes.
 
     Args:
-        arrays: anything NumPy makes an array of.
-        start: text to include.
+        arrays: arrays, or values that NumPy converts to arrays.
+        start: text to include in the checksum.
     """
     total = hashlib.sha256(start.encode())
     for name in sorted(arrays):

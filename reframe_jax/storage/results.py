@@ -1,8 +1,8 @@
-"""Identification of any number of windows, from disk to disk: bounded memory, resumable, distributed.
+"""Identify any number of windows with bounded memory, resumable and on several machines.
 
-:func:`identify_many` cuts the windows into parts, identifies one after the other and writes each as one
-Parquet file; :mod:`reframe_jax.storage.parts` says what that file promises. A killed run resumes where it
-stopped, and machines that share a disk can share the parts.
+:func:`identify_many` divides the windows into parts, identifies each part and writes it as one Parquet file,
+with the guarantees of :mod:`reframe_jax.storage.parts`. A killed run resumes with the first missing part.
+Machines with a common disk can compute different parts.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -29,7 +29,7 @@ __all__ = ["identify_many", "load_results"]
 
 _KIND = "results of identify_many"
 _UNIT = "windows"
-_LISTED = 8  # missing parts in a message
+_LISTED = 8  # most missing parts in a message
 
 
 def identify_many(
@@ -45,30 +45,31 @@ def identify_many(
 ) -> Path:
     """Identify any number of windows, write the results to a folder, and resume an interrupted run.
 
-    The part size bounds the memory: some 200 MB above the input at 8192 windows of 51 poses. Results equal
-    those of :func:`identify`, whatever the part size; a window identified by itself differs by rounding, up
-    to about 1e-7, because another program computes it. A killed run loses only the part it was working on;
-    call again with the same arguments to resume.
+    The part size limits the memory: about 200 MB in addition to the input for 8192 windows of 51 poses. The
+    results equal those of :func:`identify` for any part size. The result of a single window differs by
+    rounding errors up to about 1e-7, because another compiled program computes it. A killed run loses only
+    the current part; call the function again with the same arguments to resume.
 
     Args:
-        windows: (N, K+1, 4, 4) poses: an array, a memory-mapped one (``np.load(file, mmap_mode="r")``),
-            a view by :func:`sliding_windows`; or any iterable of (K+1, 4, 4) windows.
-        out: folder for the results, made if missing: one Parquet file per part and ``run.json``, the
-            options. Read it with :func:`load_results`, or any Parquet reader.
-        times: (K+1,) s, or (N, K+1) where the windows are an array.
-        dt: sample time in s, a scalar, (K,), or (N, K) where the windows are an array.
-        part_size: windows in a part.
-        parts: numbers of the parts to compute, all by default; use it to give every machine its share.
-        progress: called with the windows done by this call and their number (None if unknown), after
-            every part; True for a bar on standard error, the default where that is a terminal.
-        **options: of :func:`identify`.
+        windows: (N, K+1, 4, 4) poses: an array, a memory-mapped array (``np.load(file, mmap_mode="r")``), a
+            view from :func:`sliding_windows`, or any iterable of windows (K+1, 4, 4).
+        out: folder for the results, created if missing. It gets one Parquet file per part, and ``run.json``
+            with the options. Read the results with :func:`load_results`, or with any Parquet reader.
+        times: (K+1,) s, or (N, K+1) if the windows are an array.
+        dt: sample time in s, a scalar, (K,), or (N, K) if the windows are an array.
+        part_size: number of windows per part.
+        parts: numbers of the parts to compute, by default all parts. Give each machine different numbers.
+        progress: function to call after every part, with the number of windows that this call has completed
+            and their total number (None if unknown). True shows a progress bar on standard error; this is the
+            default if standard error is a terminal.
+        **options: options of :func:`identify`.
 
     Returns:
-        The folder.
+        The path of the folder.
 
     Raises:
-        ValueError: if the folder holds results of other windows or options, or damaged results, or if the
-            input is unusable. Nothing is written in that case.
+        ValueError: if the folder contains damaged results or results of other windows or options, or if the
+            input is unusable. Nothing is written then.
         TypeError: for an option that :func:`identify` does not have.
         ImportError: if pyarrow is missing (the extra ``parquet``).
     """
@@ -87,7 +88,7 @@ def identify_many(
     run = Run(Path(out), PARQUET, _KIND, _UNIT, {"part_size": part_size, **depends_on})
     run.resume(total)
     report, rows, done, seen = make_meter(progress, _UNIT), _row_count(total, part_size, wanted), 0, 0
-    # one thread computes and writes a part while this one reads the next: no more than one is ever lost
+    # one thread computes and writes a part while this thread reads the next, so a kill loses one part at most
     with ThreadPoolExecutor(1) as worker:
         pending: Future[int] | None = None
         for number, poses in _parts(windows, part_size, wanted):
@@ -113,13 +114,14 @@ def load_results(folder: str | Path, parts: Iterable[int] | None = None) -> Iden
     """Load the results in a folder written by :func:`identify_many`, as one batch of NumPy arrays.
 
     Args:
-        folder: as given to :func:`identify_many`.
-        parts: numbers of the parts to load, all by default; load a few if the results do not fit in memory.
+        folder: the folder given to :func:`identify_many`.
+        parts: numbers of the parts to load, by default all parts. Load a few parts at a time if the results
+            do not fit in memory.
 
     Raises:
-        ValueError: if the folder holds no results, those of another version, or lacks requested parts; or if
-            a file, named in the message, is damaged, a copy of another, or made with other options than the
-            rest.
+        ValueError: if the folder contains no results or results of another version, or if requested parts are
+            missing; or if a file is damaged, a copy of another file, or made with other options. The message
+            names the file.
         ImportError: if pyarrow is missing.
     """
     PARQUET.library()
@@ -143,17 +145,17 @@ def load_results(folder: str | Path, parts: Iterable[int] | None = None) -> Iden
         found: Identification = _build(Identification, "", columns)
     except KeyError as error:
         raise ValueError(
-            f"{folder} holds results of another version of reframe_jax (without {error}): identify the "
+            f"{folder} contains results of another version of reframe_jax (without {error}): identify the "
             "windows again, in another folder."
         ) from error
     return found
 
 
 def _build(kind: Any, prefix: str, columns: dict[str, Any]) -> Any:
-    """A result of the columns that are named after its fields; fields that are results are built alike.
+    """Build a result from the columns with the names of its fields; nested results are built recursively.
 
     Raises:
-        KeyError: naming a column that is missing.
+        KeyError: for a missing column, with its name.
     """
     types, values = get_type_hints(kind), {}
     for field in fields(kind):
@@ -166,7 +168,7 @@ def _build(kind: Any, prefix: str, columns: dict[str, Any]) -> Any:
 
 
 def _all_parts(run: Run) -> range:
-    """Numbers of the parts of a whole run; of an iterator that did not end, up to the last there is."""
+    """Numbers of all parts of a run; for an unfinished iterator, up to the last existing part."""
     size = run.options.get("part_size")
     if run.total is None or not isinstance(size, int) or size < 1:
         return range(max(run.parts) + 1)
@@ -174,7 +176,7 @@ def _all_parts(run: Run) -> range:
 
 
 def _missing(wanted: range | list[int], stored: Mapping[int, Path]) -> tuple[int, list[int]]:
-    """How many parts are missing, and the first of them; a range may be longer than any list."""
+    """The number of missing parts, and the first few; a range may be too long for a list."""
     if isinstance(wanted, range):
         number = wanted.stop - sum(part in wanted for part in stored)
     else:
@@ -190,18 +192,18 @@ def _part_numbers(parts: Iterable[int]) -> list[int]:
 
 
 def _check_numbers(wanted: set[int] | None, total: int | None, size: int) -> None:
-    """Refuse numbers of parts that there are not; those too large, once the number of windows is known."""
+    """Raise an error for part numbers that do not exist; large numbers need a known number of windows."""
     if wanted is None:
         return
     stop = None if total is None else -(-total // size)
     wrong = sorted(number for number in wanted if number < 0 or (stop is not None and number >= stop))
     if wrong:
         there = "" if stop is None else f": {total} windows make {stop} parts of {size}"
-        raise ValueError(f"There are no parts {wrong[:8]}{there}; the first is number 0.")
+        raise ValueError(f"There are no parts {wrong[:8]}{there}; numbers start at 0.")
 
 
 def _row_count(total: int | None, size: int, wanted: set[int] | None) -> int | None:
-    """Windows in the wanted parts; None if unknown."""
+    """Number of windows in the requested parts; None if unknown."""
     if total is None or wanted is None:
         return total
     return sum(min(size, total - number * size) for number in wanted)
@@ -210,7 +212,7 @@ def _row_count(total: int | None, size: int, wanted: set[int] | None) -> int | N
 def _do_part(
     run: Run, number: int, poses: np.ndarray, timing: dict[str, Any], options: Mapping[str, Any], source: str
 ) -> int:
-    """Identify and write a part, or check the one that is there; returns its number of windows."""
+    """Identify and write a part, or check an existing part; return its number of windows."""
     if run.has(number):
         run.read(number, source=source)
     else:
@@ -222,7 +224,7 @@ def _do_part(
 
 
 def _identify(poses: Any, timing: dict[str, Any], options: Mapping[str, Any]) -> Identification:
-    """Results on the host, in the precision of the poses whatever JAX is set to."""
+    """Identify windows and return the results on the host, in the precision of the poses."""
     precise = np.asarray(poses[:0]).dtype != np.float32
     with jax.enable_x64(precise):
         return jax.device_get(identify(poses, **timing, **options))
@@ -233,9 +235,9 @@ def _is_array(windows: Any) -> bool:
 
 
 def _parts(windows: Any, size: int, wanted: set[int] | None) -> Iterator[tuple[int, np.ndarray]]:
-    """Number and windows, (size, K+1, 4, 4), of every part; the last one may be smaller.
+    """Yield the number and the windows (size, K+1, 4, 4) of every part; the last part may be smaller.
 
-    Of an array only the wanted parts.
+    For an array, only the requested parts are yielded.
     """
     if _is_array(windows):
         for number in range(-(-len(windows) // size)):
@@ -262,12 +264,12 @@ def _parts(windows: Any, size: int, wanted: set[int] | None) -> Iterator[tuple[i
 
 
 def _rows(values: Any, rows: slice, total: int | None) -> Any:
-    """The part's rows of times or dt, where every window has its own."""
+    """Rows of ``times`` or ``dt`` that belong to a part, if every window has a separate row."""
     if values is None or np.ndim(values) < 2:
         return values
     if total is None or len(values) != total:
         raise ValueError(
-            "times and dt of every window need the windows as an array, and as many rows as it has; "
-            f"they have shape {np.shape(values)}."
+            "Separate times or dt for every window need windows as an array, and one row per window; "
+            f"the given shape is {np.shape(values)}."
         )
     return values[rows]

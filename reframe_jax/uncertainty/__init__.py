@@ -1,1 +1,1 @@
-"""How sure an identification is, what the motion tested, and which motion would help most."""
+"""Uncertainty of an identification: its covariance, the excitation by the motion, and the next motion."""

@@ -1,4 +1,4 @@
-"""The covariance of an identification, on request."""
+"""Compute the covariance of an identification."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -20,34 +20,38 @@ from reframe_jax.uncertainty.windows import over_windows
 __all__ = ["Covariance", "Errors", "Method", "covariance", "move"]
 
 Errors = Literal["measured", "white"]
-"""Whether what parts of the recording disagree by inflates a covariance, or errors count as white."""
+"""Whether disagreement between parts of the recording inflates a covariance, or errors count as white."""
 
 Method = Literal["derivative", "bootstrap"]
-"""By the curvature of the fit, or by fits without a part of the recording."""
+"""Covariance from the curvature of the fit, or from fits that leave out a part of the recording."""
 
-_FEWEST = 8  # poses of a part that is compared
-_LARGE_TURN = 0.2  # rad, standard deviation beyond which first order ends
-_LARGE_SHIFT = 0.25  # of the half width of the box of origins, likewise
+_FEWEST = 8  # fewest poses of a part
+_LARGE_TURN = 0.2  # rad, largest standard deviation of a first-order covariance
+_LARGE_SHIFT = (
+    0.25  # largest standard deviation of the origin, as a fraction of the half width of the search box
+)
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Covariance:
-    """How sure an identification is, to first order.
+    """First-order covariance of an identification.
 
-    Small changes of the estimate are nine numbers: the turn of the angular axes and of the linear axes as
-    rotation vectors in the bodies of their types (rad; axes become exp(turn) axes), and the shift of the
-    origin (m). What is free has no variance: the matrix is zero there (``found.linear.free_position`` and
-    ``free_rotation``). What is neither free nor determined by the motion has a large one: a standard
-    deviation of 1 rad, or of half the width of the box in which origins are searched (2 m or more).
+    The nine components are a small rotation of the angular axes (rad), a small rotation of the linear axes
+    (rad), and a shift of the origin (m). A rotation is a rotation vector in the body of the frame type; axes
+    become exp(rotation vector) axes. Components without effect on the constraint, given by
+    ``found.linear.free_position`` and ``free_rotation``, have zero variance. Components with an effect that
+    the motion does not determine have a large standard deviation: 1 rad, or half the width of the box in
+    which origins are searched (2 m or more).
 
     Attributes:
-        matrix: (..., 9, 9) covariance of those numbers. NaN where the window failed.
+        matrix: (..., 9, 9) covariance of the nine components. NaN if the window failed.
         inflation: (..., 3) factor on the standard deviations of the angular axes, the linear axes and the
-            origin that slow errors require: 1 where parts of the recording agree within white errors. All
-            three are the same: the largest disagreement of any of them counts.
-        first_order: (...) bool, whether standard deviations are small enough for a covariance: axes within
-            0.2 rad, the origin within a quarter of the box. If not, errors may be larger.
+            origin, because of slow errors such as tracker drift. The factor is 1 if parts of the recording
+            agree within white errors. All three values are equal to the largest one.
+        first_order: (...) bool, whether a first-order covariance is valid: standard deviations of the axes
+            below 0.2 rad, and of the origin below a quarter of the half width of the box. If False, errors
+            may be larger.
     """
 
     matrix: jax.Array
@@ -60,29 +64,29 @@ class Covariance:
 
     @property
     def angular_axes(self) -> jax.Array:
-        """(..., 3, 3) rad^2, of the turn of the angular axes: a rotation vector in the body of their type."""
+        """(..., 3, 3) rad^2, covariance of the rotation of the angular axes, in the body of their type."""
         return self.matrix[..., :3, :3]
 
     @property
     def linear_axes(self) -> jax.Array:
-        """(..., 3, 3) rad^2, of the turn of the linear axes, likewise."""
+        """(..., 3, 3) rad^2, covariance of the rotation of the linear axes, in the body of their type."""
         return self.matrix[..., 3:6, 3:6]
 
     @property
     def position(self) -> jax.Array:
-        """(..., 3, 3) m^2, of the origin, in the body of its type's second letter."""
+        """(..., 3, 3) m^2, covariance of the origin, in the body that the type's second letter names."""
         return self.matrix[..., 6:, 6:]
 
     def of(self, function: Callable[[Identification], jax.Array], found: Identification) -> jax.Array:
-        """Covariance of anything computed from the estimate: the delta method.
+        """Propagate the covariance to a function of the identification, by the delta method.
 
         Args:
-            function: of an identification of one window, differentiable, to an array (...) of n numbers. It
-                may read the rotation vectors and axes of both frames, the position, and the types.
-            found: what this is the covariance of; a batch is mapped over.
+            function: differentiable function from an identification of one window to an array of n numbers.
+                It may read the rotation vectors and axes of both frames, the position, and the types.
+            found: the identification to which this covariance belongs, of one window or a batch.
 
         Returns:
-            (n, n), with the leading axes of ``found``.
+            Covariance (n, n) of the n numbers, with the leading axes of ``found``.
         """
 
         def changed(change: jax.Array, one: Identification) -> jax.Array:
@@ -98,7 +102,7 @@ class Covariance:
 
 
 def move(found: Identification, change: jax.Array) -> Identification:
-    """An identification with its estimate changed by the numbers (9,) of :class:`Covariance`."""
+    """Change an identification by the nine components (9,) of :class:`Covariance`."""
 
     def turned(rotvec: jax.Array, by: jax.Array) -> jax.Array:
         return rotations.rotation_log(rotations.rotation_exp(by) @ rotations.rotation_exp(rotvec))
@@ -123,42 +127,45 @@ def covariance(
     errors: Errors = "measured",
     method: Method = "derivative",
 ) -> Covariance:
-    """Compute the covariance of an identification: of the axes and the origin.
+    """Compute the covariance of the axes and the origin of an identification.
 
-    The entry of the table that was found is fitted again. Its objective is a likelihood in which every held
-    coordinate has a variance of its own at every time scale. Its curvature gives the covariance, and the
-    number of independent details the width of Student's distribution. Trackers have slow errors besides. By
-    default, halves and thirds of the recording are fitted too, and the covariance is inflated by their
-    disagreement, and by that of redundant coordinates: the axis from positions and that from rotations. The
-    covariance holds for the types and degrees of freedom that were found: if these are wrong, so is it.
+    The function fits the identified constraint again, with a likelihood in which every constrained coordinate
+    has a separate variance at every time scale. The curvature of the likelihood gives the covariance; the
+    number of independent values gives the width of Student's distribution. Trackers also have slow errors
+    (drift), which the likelihood does not contain. By default, the function therefore also fits halves and
+    thirds of the recording, and inflates the covariance by their disagreement. It also compares redundant
+    estimates: the axis from positions with the axis from rotations. The covariance assumes that the
+    identified types and degrees of freedom are correct.
 
     Args:
-        found: by :func:`reframe_jax.identify` from these poses, with the default norm and solver.
-        poses: (..., K+1, 4, 4), as given to it.
-        times: (K+1,) or (..., K+1) s, as given to it.
-        dt: s, as given to it.
-        scales: as given to it.
-        errors: ``"measured"`` inflates by the disagreement of parts; ``"white"`` does not.
-        method: ``"bootstrap"`` is a second way, without the likelihood: the entry is fitted without each of
-            six blocks of the recording in turn (the grouped jackknife).
+        found: the identification of these poses by :func:`reframe_jax.identify`, with the default norm and
+            solver.
+        poses: (..., K+1, 4, 4) m, the same as for the identification.
+        times: (K+1,) or (..., K+1) s, the same as for the identification.
+        dt: s, the same as for the identification.
+        scales: the same as for the identification.
+        errors: ``"measured"`` inflates the covariance by the disagreement of parts; ``"white"`` does not.
+        method: ``"derivative"`` uses the curvature of the likelihood. ``"bootstrap"`` works without a
+            likelihood: it fits the constraint six times, each time without one of six blocks of the recording
+            (the grouped jackknife).
 
     Returns:
         The covariance, with the leading axes of ``found``.
 
     Raises:
-        ValueError: if the poses are not those of ``found``, or the options do not go together.
+        ValueError: if the poses differ from the poses of ``found``, or if options cannot be combined.
     """
     if errors not in get_args(Errors):
         raise ValueError(f"errors must be 'measured' or 'white', not {errors!r}.")
     if method not in get_args(Method):
         raise ValueError(f"method must be 'derivative' or 'bootstrap', not {method!r}.")
     if method == "bootstrap" and errors != "measured":
-        raise ValueError("method='bootstrap' has no model of the errors: leave out errors.")
+        raise ValueError("method='bootstrap' has no model of the errors: remove the option errors.")
     parts = "blocks" if method == "bootstrap" else "spans" if errors == "measured" else "whole"
-    return over_windows(_of_windows, found, poses, times, dt, scales, parts=parts)
+    return over_windows(_window_covariances, found, poses, times, dt, scales, parts=parts)
 
 
-def _of_windows(
+def _window_covariances(
     poses: jax.Array,
     steps: jax.Array,
     count: jax.Array | None,
@@ -178,8 +185,8 @@ def _of_windows(
     return Covariance(matrix, jnp.where(failed[:, None], jnp.nan, inflation), small & near & ~failed)
 
 
-def _of_whole(refit: Refit) -> tuple[jax.Array, jax.Array]:
-    """One window, with white errors."""
+def _white_covariance(refit: Refit) -> tuple[jax.Array, jax.Array]:
+    """Covariance of one window, for white errors."""
     matrix, _ = _spreads(refit)
     return matrix[0], jnp.ones((), matrix.dtype)
 
@@ -189,8 +196,8 @@ def _spreads(refit: Refit) -> tuple[jax.Array, jax.Array]:
     return of_parts(refit.parameters, refit.data, refit.slopes, refit.entry, refit.prior)
 
 
-def _of_spans(refit: Refit) -> tuple[jax.Array, jax.Array]:
-    """One window, inflated by what its halves and thirds disagree by, and by the tilt between two axes."""
+def _inflated_covariance(refit: Refit) -> tuple[jax.Array, jax.Array]:
+    """Covariance of one window, inflated by the disagreement of halves and thirds and of redundant axes."""
     matrix, tilts = _spreads(refit)
     tilt = refit.parameters.tilt[0]
     disagreement = jnp.where(refit.entry.tied, tilt @ jnp.linalg.solve(tilts[0], tilt) / 2, 0)
@@ -203,11 +210,11 @@ def _of_spans(refit: Refit) -> tuple[jax.Array, jax.Array]:
     return matrix[0] * jnp.square(inflation), inflation
 
 
-def _without_blocks(refit: Refit) -> tuple[jax.Array, jax.Array]:
-    """One window, by the jackknife."""
+def _jackknife_covariance(refit: Refit) -> tuple[jax.Array, jax.Array]:
+    """Covariance of one window, by the jackknife."""
     rest = refit.numbers[1:] - jnp.mean(refit.numbers[1:], axis=0)
     matrix = rest.T @ rest * (BLOCKS - 1) / BLOCKS
     return matrix * student_variance(jnp.asarray(BLOCKS - 1.0)), jnp.ones((), matrix.dtype)
 
 
-_COMBINE = {"whole": _of_whole, "spans": _of_spans, "blocks": _without_blocks}
+_COMBINE = {"whole": _white_covariance, "spans": _inflated_covariance, "blocks": _jackknife_covariance}

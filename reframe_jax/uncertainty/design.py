@@ -1,4 +1,4 @@
-"""Which motion to make next: the one that the covariance says would help most."""
+"""Choose the next motion: the motion that would reduce the covariance most."""
 
 from dataclasses import dataclass, replace
 from functools import partial
@@ -22,33 +22,33 @@ from reframe_jax.uncertainty.windows import over_windows
 
 __all__ = ["MotionAdvice", "next_motion"]
 
-_SPEED = np.repeat([0.5, 0.1], 3)  # rad/s and m/s, amplitude of a trial motion along an axis
-_RATE = 2 * np.pi  # rad/s: there and back in a second
-_LEAST = 1e-9  # share of the largest variance, of each kind, below which a direction has none
+_SPEED = np.repeat([0.5, 0.1], 3)  # rad/s and m/s, amplitude of a candidate motion along an axis
+_RATE = 2 * np.pi  # rad/s, one period per second
+_LEAST = 1e-9  # fraction of the largest variance of axes or origin, below which a variance counts as zero
 
 
 @dataclass(frozen=True)
 class MotionAdvice:
-    """Small motions that the constraint allows, the most useful one first.
+    """Small motions that the constraint allows, in order of decreasing usefulness.
 
     Attributes:
-        axes: (M, 6) bool, which of the three angular and three linear axes each of them moves.
-        shrinks: (M,) what each makes of the standard deviations, on average over all that is determined (the
-            geometric mean): 0.5 halves them, 1 changes nothing.
+        axes: (M, 6) bool, the axes (three angular, three linear) along which each motion moves.
+        shrinks: (M,) factor by which each motion reduces the standard deviations, as the geometric mean over
+            all determined components: 0.5 halves them, 1 changes nothing.
     """
 
     axes: np.ndarray
     shrinks: np.ndarray
 
     def __str__(self) -> str:
-        """In words, a line for each motion."""
+        """Describe the motions, one line per motion."""
         return "\n".join(
-            f"{_in_words(axes)}: standard deviations times {shrink:.2f}"
+            f"{_describe_motion(axes)}: standard deviations times {shrink:.2f}"
             for axes, shrink in zip(self.axes, self.shrinks, strict=True)
         )
 
 
-def _in_words(axes: np.ndarray) -> str:
+def _describe_motion(axes: np.ndarray) -> str:
     turns, slides = ([str(i + 1) for i in np.flatnonzero(part)] for part in (axes[:3], axes[3:]))
     parts = [f"turn about angular axis {' and '.join(turns)}"] if turns else []
     parts += [f"slide along linear axis {' and '.join(slides)}"] if slides else []
@@ -62,31 +62,31 @@ def next_motion(
     times: ArrayLike,
     duration: float = 2.0,
 ) -> MotionAdvice:
-    """Rank small motions by how much the covariance shrinks when they are added to the recording (D-optimal).
+    """Rank small motions by the reduction of the covariance if the recording contained them (D-optimality).
 
-    The motions start from the last pose and go along one or two of the free axes, back and forth each second,
-    at up to 0.5 rad/s and 0.1 m/s. The criterion is the determinant of the covariance of the axes and the
-    origin, with errors as large as in the recording.
+    Each motion starts from the last pose and oscillates along one or two free axes, with a period of one
+    second and amplitudes of 0.5 rad/s and 0.1 m/s. The criterion is the determinant of the covariance of the
+    axes and the origin, for errors as large as in the recording.
 
     Args:
-        found: of one window, by :func:`reframe_jax.identify` from these poses; it counts as right.
+        found: the identification of these poses by :func:`reframe_jax.identify`, of one window; its
+            constraint is assumed to be correct.
         poses: (K+1, 4, 4) m.
         times: (K+1,) s.
-        duration: of each motion, s.
+        duration: s, duration of each motion.
 
     Returns:
-        The motions, the most useful one first.
+        The motions, in order of decreasing usefulness.
 
     Raises:
-        ValueError: for a batch, a constraint without free axes, or poses that are not those of ``found``.
+        ValueError: for a batch, for a constraint without free axes, or if the poses differ from the poses of
+            ``found``.
     """
     if np.shape(found.status_code):
-        raise ValueError("A batch has many constraints: index one window first, found[i].")
+        raise ValueError("A batch has several constraints: index one window first, found[i].")
     free = np.flatnonzero(np.concatenate([found.angular.dof, found.linear.dof]))
     if not len(free):
-        raise ValueError(
-            "The constraint that was found has no free axis, so that there is no motion to make."
-        )
+        raise ValueError("The identified constraint has no free axis, so no motion is possible.")
     recorded, clock = np.asarray(poses, float), np.asarray(times, float)
     step = float(np.median(np.diff(clock)))
     number = max(round(duration / step), 8)
@@ -120,7 +120,7 @@ def _with_motion(
     scales: tuple[int, ...] | None,
     parts: str,
 ) -> tuple[jax.Array, jax.Array]:
-    """Covariances (N, 9, 9) without and with the motion that the last so many poses make."""
+    """Covariances (N, 9, 9) of the recording, and of the recording followed by each candidate motion."""
     recorded = poses.shape[1] - int(parts)
     refit, window = refit_windows(
         poses[:, :recorded], steps[:, : recorded - 1], count, found, scales, "whole"
@@ -130,7 +130,7 @@ def _with_motion(
     counted = jnp.ones(made.shape[:2], bool)
     features = pose_features(rotation, position, steps[:, recorded:], counted.T, None)
     moments = scale_moments(features.values, counted, None)
-    # the errors of a scale are those that the recording shows there; the smooth part is the last one
+    # errors at each time scale as large as in the recording; the smooth part is the last scale
     size = refit.data.details.shape[2] - moments.details.shape[1]
     products, details = moments.products, moments.details
     if size > 0:
@@ -158,7 +158,7 @@ def _shrink(refit: Refit, products: jax.Array, details: jax.Array) -> tuple[jax.
 
 
 def _shrinks(now: np.ndarray, then: np.ndarray) -> np.ndarray:
-    """Geometric mean of the factors of standard deviations, (M,), where there is a variance now."""
+    """Geometric mean of the factors on the standard deviations, (M,), over components with a variance."""
     now, then = now.astype(float), then.astype(float)
     kinds = np.repeat(np.sqrt([max(np.trace(now[i : i + 3, i : i + 3]), 1e-30) for i in (0, 3, 6)]), 3)
     unit = np.outer(kinds, kinds)
@@ -171,10 +171,10 @@ def _shrinks(now: np.ndarray, then: np.ndarray) -> np.ndarray:
 
 @partial(jax.jit, static_argnames="number")
 def _move(frame: Frame, start: jax.Array, speeds: jax.Array, step: float, *, number: int) -> jax.Array:
-    """Poses (M, number, 4, 4) after a start, along the axes of a frame at the speeds (M, 6)."""
+    """Poses (M, number, 4, 4) from a start pose, along frame axes with velocity amplitudes (M, 6)."""
 
     def one(speed: jax.Array) -> jax.Array:
-        # the second of two axes is a quarter of a period late, so that the motion does not follow one line
+        # the second of two axes has a phase lag of a quarter period, so that the path is no line
         late = jnp.cumsum((speed != 0).astype(speed.dtype)) - 1
 
         def advance(pose: jax.Array, time: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -1,12 +1,13 @@
-"""What a motion could tell: constraints that moved too simply look simpler than they are.
+"""Check the excitation: whether a motion was rich enough to determine the constraint.
 
-A constraint is read off the motions that did not occur. Those that nobody tried do not occur either, and two
-that keep one ratio cancel somewhere: at that point the body seems to have one freedom less. Three kinds of
-motion therefore say less than their frames show:
+An identification infers constrained axes from motions that did not occur. A motion that nobody tried does not
+occur either. Two motions with a fixed velocity ratio cancel at some point, so the body seems to have one
+degree of freedom less there. Three kinds of motion therefore determine less than the identified frames
+suggest:
 
-- the body followed a single path, back and forth: nothing but that path was tested;
-- a velocity never changed: with any other steady velocity it keeps one ratio;
-- velocities of free axes were proportional, so that fewer motions were made than axes are free.
+- the body followed a single path: the motion tested this path only;
+- a velocity was constant: its ratio to any other constant velocity is fixed;
+- velocities along free axes were proportional: there were fewer independent motions than free axes.
 """
 
 from dataclasses import dataclass
@@ -27,23 +28,25 @@ from reframe_jax.uncertainty.windows import over_windows
 
 __all__ = ["Excitation", "excitation"]
 
-_STEADY = 0.03  # share of a constant that no velocity explains, below which one of them is constant
-_PROPORTIONAL = 1e-3  # share of a free velocity that the others do not explain, below which it is no motion
-_NOISES = 3.0  # noises that a motion has at least
-_ENDS = 8  # of a window are compared for its mean velocity: the first and the last eighth
+_STEADY = (
+    0.03  # residual fraction of a constant, fitted by the velocities, below which a velocity is constant
+)
+_PROPORTIONAL = 1e-3  # residual fraction of a velocity, fitted by the others, below which it is dependent
+_NOISES = 3.0  # smallest ratio of a motion to its noise
+_ENDS = 8  # the mean velocity compares the mean poses of the first and the last eighth of a window
 _NAMED = np.array([constraint_of(code) is not None for code in range(len(ENTRIES))])
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Excitation:
-    """How much of a constraint a motion tested.
+    """The degrees of freedom that a motion tested.
 
     Attributes:
-        free: (...) int, degrees of freedom of the constraint that was found.
-        motions: (...) int, how many of them moved independently of each other.
-        steady: (...) bool, whether a velocity, or a sum of velocities, was constant throughout.
-        named: (...) bool, whether the constraint has a name; if not, an axis was probably not tried.
+        free: (...) int, degrees of freedom of the identified constraint.
+        motions: (...) int, number of independent motions along these degrees of freedom.
+        steady: (...) bool, whether a velocity, or a sum of velocities, was constant in the whole recording.
+        named: (...) bool, whether the constraint has a name; if not, the motion probably missed a free axis.
     """
 
     free: jax.Array
@@ -62,9 +65,9 @@ class Excitation:
 
     @property
     def determined(self) -> jax.Array:
-        """(...) bool, whether the motion tells the constraint: two or more independent, changing motions.
+        """(...) bool, whether the motion determines the constraint: two or more independent, varying motions.
 
-        If not, what was found is what moved; the mechanism may have more freedom.
+        If False, the identification describes the recorded motion; the mechanism may allow more.
         """
         return (self.motions > 1) & (self.motions == self.free) & ~self.steady & self.named
 
@@ -77,25 +80,25 @@ def excitation(
     dt: ArrayLike | None = None,
     scales: Scales = "auto",
 ) -> Excitation:
-    """Say how much of the constraint a motion tested.
+    """Compute the degrees of freedom of a constraint that a motion tested.
 
     Args:
-        found: by :func:`reframe_jax.identify` from these poses.
-        poses: (..., K+1, 4, 4), as given to it.
-        times: (K+1,) or (..., K+1) s, as given to it.
-        dt: s, as given to it.
-        scales: as given to it.
+        found: the identification of these poses by :func:`reframe_jax.identify`.
+        poses: (..., K+1, 4, 4) m, the same as for the identification.
+        times: (K+1,) or (..., K+1) s, the same as for the identification.
+        dt: s, the same as for the identification.
+        scales: the same as for the identification.
 
     Returns:
         The excitation, with the leading axes of ``found``.
 
     Raises:
-        ValueError: if the poses are not those of ``found``.
+        ValueError: if the poses differ from the poses of ``found``.
     """
-    return over_windows(_of_windows, found, poses, times, dt, scales, parts="whole")
+    return over_windows(_window_excitations, found, poses, times, dt, scales, parts="whole")
 
 
-def _of_windows(
+def _window_excitations(
     poses: jax.Array,
     steps: jax.Array,
     count: jax.Array | None,
@@ -107,7 +110,7 @@ def _of_windows(
     window, used, mean_rotation, entry, parameters = prepare(poses, steps, count, found, scales)
     straight = parameters._replace(pitch=jnp.zeros_like(parameters.pitch))
     weights = jax.vmap(coordinates)(straight, mean_rotation, entry)
-    # block differences over their width are velocities, m or rad per sample
+    # differences of block means, divided by the block length, are velocities in m or rad per sample
     first = jnp.argmax(used.details > 0, axis=1)
     width = jnp.take_along_axis(window.moments.width, first[:, None], axis=1)
     products = jnp.take_along_axis(used.products, first[:, None, None, None], axis=1)[:, 0]
@@ -126,7 +129,7 @@ def _of_windows(
     noise = 2 * noise / width**3
     coupled = entry.pitch[:, None] & (jnp.arange(6) == 5)
     free = ~jnp.asarray(entry.held) | coupled
-    motions, steady = jax.vmap(_tested)(gram, mean, noise, free)
+    motions, steady = jax.vmap(_independent_motions)(gram, mean, noise, free)
     failed = window.status >= 10
     number = jnp.sum(found.angular_dof, axis=1) + jnp.sum(found.linear_dof, axis=1)
     return Excitation(
@@ -137,27 +140,29 @@ def _of_windows(
     )
 
 
-def _tested(
+def _independent_motions(
     gram: jax.Array, mean: jax.Array, noise: jax.Array, free: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Number of independent motions of one window, and whether some sum of free velocities is constant.
+    """Number of independent motions of one window, and whether a sum of free velocities is constant.
 
     Args:
         gram: (6, 6) mean squares and products of velocities.
-        mean: (6,) of the velocities.
-        noise: (6,) what noise makes of the diagonal.
-        free: (6,) bool.
+        mean: (6,) mean velocities.
+        noise: (6,) contribution of the noise to the diagonal of ``gram``.
+        free: (6,) bool, whether each axis is free.
     """
     tiny = jnp.finfo(gram.dtype).tiny ** 0.5
     unit = jnp.where(free, 1 / jnp.sqrt(jnp.maximum(jnp.diagonal(gram), tiny)), 0)
     rest = gram * unit[:, None] * unit[None]
     level = noise * jnp.square(unit)
-    # of the motions that show the constant, noise keeps differences of proportional ones from doing so
+    # the noise term excludes differences of proportional velocities, which contain no signal
     lifted = rest + jnp.diag(jnp.where(free, level + 1e-9, 1))
     constant = (mean * unit) @ jnp.linalg.solve(lifted, mean * unit)
     least = jnp.maximum(_NOISES**2 * level, _PROPORTIONAL)
     number = jnp.zeros((), jnp.int32)
-    for _ in range(6):  # pivoted elimination: each motion leaves what it does not explain of the others
+    for _ in range(
+        6
+    ):  # pivoted elimination: each step subtracts the projection on one motion from the others
         left = jnp.diagonal(rest)
         margin = jnp.where(free, left - least, -1)
         best = jnp.argmax(margin)

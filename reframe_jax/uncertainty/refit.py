@@ -1,7 +1,7 @@
-"""The identified entry of the table, fitted again to a recording and to parts of it.
+"""Fit the identified constraint again, to a recording and to parts of the recording.
 
-A covariance is about nine numbers: the turn of the angular axes and of the linear axes, as rotation vectors
-in the bodies of their types (rad), and the shift of the origin (m).
+A covariance has nine components: a rotation of the angular axes and of the linear axes, as rotation vectors
+in the bodies of their types (rad), and a shift of the origin (m).
 """
 
 from typing import NamedTuple
@@ -23,16 +23,16 @@ __all__ = ["BLOCKS", "HALVES", "THIRDS", "Estimate", "Refit", "estimate_of", "pr
 
 Array = jax.Array
 
-_SPANS = ((0, 2), (1, 2), (0, 3), (1, 3), (2, 3))  # part i of n
+_SPANS = ((0, 2), (1, 2), (0, 3), (1, 3), (2, 3))  # part i of n equal parts, as (i, n)
 HALVES, THIRDS = ((1, 2),), ((3, 4), (3, 5), (4, 5))
-"""Pairs of parts that are spans; 0 is the whole."""
+"""Pairs of disjoint spans to compare; span 0 is the whole window."""
 BLOCKS = 6
-"""Blocks that are left out in turn."""
-_PRIOR_ANGLE, _PRIOR_PITCH = 1.0, 1.0  # rad and m/rad, standard deviation of what nothing determines
+"""Number of blocks, of which each fit leaves out one."""
+_PRIOR_ANGLE, _PRIOR_PITCH = 1.0, 1.0  # rad and m/rad, prior standard deviations
 
 
 class Estimate(NamedTuple):
-    """What was identified about N windows; fields as in :class:`Identification`, axes (N, 3, 3)."""
+    """The identified frames of N windows; fields as in :class:`Identification`, axes (N, 3, 3)."""
 
     code: Array
     angular_type: Array
@@ -48,7 +48,7 @@ class Estimate(NamedTuple):
 
 
 def estimate_of(found: Identification, dtype: np.dtype) -> Estimate:
-    """Take what the fit starts from, in the precision of the poses."""
+    """Extract the start of the fit from an identification, in the precision of the poses."""
     angular, linear = found.angular, found.linear
     frames = (
         *(angular.type_code, angular.axes, angular.dof, linear.type_code, linear.axes, linear.dof),
@@ -59,15 +59,15 @@ def estimate_of(found: Identification, dtype: np.dtype) -> Estimate:
 
 
 class Refit(NamedTuple):
-    """Entries, fitted to N windows and to M parts of each; the first of the parts is the whole.
+    """Constraints fitted to M parts of each of N windows; the first part is the whole window.
 
     Attributes:
-        parameters, data: with axes (N, M) in front.
-        poses: (N, M) number of poses in each.
-        entry: rows of the table, (N,).
-        numbers: (N, M, 9) of each fit, against those of the whole window.
-        slopes: (N, M, 9, 9) of the numbers by a step of the parameters.
-        prior: (N, 9) standard deviations of the parameters where nothing determines them.
+        parameters, data: fitted parameters, and the statistics of the parts, with leading axes (N, M).
+        poses: (N, M) number of poses in each part.
+        entry: (N,) rows of the table of constraints.
+        numbers: (N, M, 9) components of each fit, relative to the fit of the whole window.
+        slopes: (N, M, 9, 9) derivative of the components with respect to a step of the parameters.
+        prior: (N, 9) prior standard deviations of the parameters.
     """
 
     parameters: Parameters
@@ -82,18 +82,18 @@ class Refit(NamedTuple):
 def prepare(
     poses: Array, steps: Array, count: Array | None, found: Estimate, scales: tuple[int, ...] | None
 ) -> tuple[Prepared, Moments, Array, Table, Parameters]:
-    """Prepared windows, moments of the scales that are used, mean rotations, entries, and what was found.
+    """Prepare windows for the fit: moments of the used scales, mean rotations, entries and initial frames.
 
     Args:
         poses: (N, P, 4, 4) m.
         steps: (K,) or (N, K) s.
-        count: (N,) number of poses where the rest is padding, else None.
-        found: of the windows.
-        scales: in samples; None for all that stand out of the noise.
+        count: (N,) number of poses before the padding; None without padding.
+        found: identified frames of the windows.
+        scales: time scales in samples; None for all scales at which the motion exceeds the noise.
     """
     window = jax.lax.stop_gradient(prepare_windows(poses, steps, count, None, scales))
     used = choose_scales(window.moments, window.noise, scales)
-    # that of the features is damped, by up to a milliradian
+    # the mean rotation of the features is damped, by up to a milliradian
     weight = window.counted.astype(window.poses.dtype)[:, :, None, None]
     u, _, v = jnp.linalg.svd(jnp.sum(weight * window.poses[:, :, :3, :3], axis=1))
     mean = (u * jnp.where(jnp.arange(3) == 2, jnp.linalg.det(u @ v)[:, None], 1)[:, None]) @ v
@@ -109,15 +109,16 @@ def refit_windows(
     scales: tuple[int, ...] | None,
     parts: str,
 ) -> tuple[Refit, Prepared]:
-    """Fit the entries that were found to N windows and to their parts.
+    """Fit the identified constraints to N windows and to parts of the windows.
 
     Args:
-        poses: this and the next four as in :func:`prepare`.
-        steps: s.
-        count: of poses.
-        found: of the windows.
-        scales: in samples.
-        parts: "whole", "spans" for halves and thirds too, "blocks" for the rest without each of six blocks.
+        poses: (N, P, 4, 4) m.
+        steps: (K,) or (N, K) s.
+        count: (N,) number of poses before the padding; None without padding.
+        found: identified frames of the windows.
+        scales: time scales in samples; None for all scales at which the motion exceeds the noise.
+        parts: "whole"; "spans" adds halves and thirds; "blocks" adds six parts, each without one of six
+            blocks.
     """
     window, used, mean, entry, start = prepare(poses, steps, count, found, scales)
     products, details = used.products[:, None], used.details[:, None]
@@ -127,7 +128,7 @@ def refit_windows(
         moments, of_parts = moments_of(window, scales == ())
         noise = jnp.repeat(window.noise, of_parts.shape[1], axis=0)
         moments = choose_scales(moments, noise, scales)
-        # scales that a part does not have are without details
+        # scales longer than a part have no independent values
         fill = details.shape[2] - moments.details.shape[1]
         more = jnp.concatenate([moments.products, *[moments.products[:, -1:]] * fill], axis=1)
         products = jnp.concatenate([products, more.reshape(len(poses), -1, *more.shape[1:])], axis=1)
@@ -139,7 +140,7 @@ def refit_windows(
 
 
 def _moments_of_blocks(window: Prepared, about_mean: bool) -> tuple[Moments, Array]:
-    """Moments (N * M, ...) of what is left without each of M blocks, and its number of poses (N, M)."""
+    """Moments (N * M, ...) of the window without each of M blocks, and the number of poses left (N, M)."""
     block = jnp.arange(window.counted.shape[1])[None] * BLOCKS // window.count[:, None]
     kept = window.counted[:, None] & (block[:, None] != jnp.arange(BLOCKS)[:, None])
     values, length = (jnp.repeat(x, BLOCKS, axis=0) for x in (window.features.values, window.count))
@@ -148,7 +149,7 @@ def _moments_of_blocks(window: Prepared, about_mean: bool) -> tuple[Moments, Arr
 
 
 def _moments_of_spans(window: Prepared, about_mean: bool) -> tuple[Moments, Array]:
-    """The same of halves and thirds."""
+    """Moments (N * M, ...) of the window, its halves and thirds, and the number of poses (N, M)."""
     values, count = window.features.values, window.count
     first, end = (jnp.stack([count * (part + i) // parts for part, parts in _SPANS], axis=1) for i in (0, 1))
     longest = -(-values.shape[1] // 2)
@@ -171,7 +172,7 @@ def _fit_window(
     start: Parameters,
     found: Estimate,
 ) -> Refit:
-    """One window, with products and details of its parts (M, ...)."""
+    """Fit the parts (M, ...) of one window."""
     data = jax.vmap(lambda p, d: Data(p, d, mean, box))(products, details)
     one = jnp.ones((), products.dtype)
 
@@ -201,17 +202,17 @@ def _fit_window(
 
 
 def _start(found: Estimate, centre: Array, mean: Array, entry: Table) -> Parameters:
-    """Parameters of the frames that were found; the tilt, which frames do not show, is 0."""
+    """Initial parameters from the identified frames; the tilt is not part of the frames and starts at 0."""
 
     def in_body(axes: Array, body: Array) -> Array:
         return jnp.where(body == int(AngularType.G), mean.T @ axes, axes)
 
-    found = jax.tree.map(lambda x: jnp.nan_to_num(x), found)  # of failed windows
+    found = jax.tree.map(lambda x: jnp.nan_to_num(x), found)  # failed windows contain NaN
     angular = in_body(found.angular_axes, found.angular_type)
     linear = in_body(found.linear_axes, jnp.asarray(ORIENTATION_BODIES)[found.linear_type])
     turns, slides = jnp.sum(found.angular_dof), jnp.sum(found.linear_dof)
     axis = jnp.where(turns == 1, angular[:, 2], jnp.where(slides == 1, linear[:, 2], linear[:, 0]))
-    # the free direction of a slot is the second column; else any linear axis across will do
+    # the free direction of a pin in a slot is the second column; otherwise any normal linear axis is valid
     cosines = jnp.abs(linear.T @ axis)
     across = linear[:, jnp.where(cosines[2] < 0.7, 2, jnp.argmin(cosines))]
     ground, body = mean.T @ found.universal_axes[0], found.universal_axes[1]
@@ -226,9 +227,9 @@ def _start(found: Estimate, centre: Array, mean: Array, entry: Table) -> Paramet
 
 
 def _frames(parameters: Parameters, mean: Array, found: Estimate, entry: Table) -> tuple[Array, Array]:
-    """Angular and linear axes (2, 3, 3) in the bodies of their types, and the origin."""
+    """Angular and linear axes (2, 3, 3) and the origin (3,), each in the body of its type."""
     bodies = jnp.stack([ground_axes(parameters, mean), parameters.axes])
-    # a universal joint does not turn about what is across both of its axes
+    # a universal joint does not turn about the normal of its two axes
     to_ground = jnp.where(found.angular_type == int(AngularType.G), mean, jnp.eye(3, dtype=mean.dtype))
     second = to_ground @ bodies[1][:, 0]
     odd = jnp.cross(to_ground @ mean.T @ bodies[0][:, 2], second)
@@ -240,11 +241,11 @@ def _frames(parameters: Parameters, mean: Array, found: Estimate, entry: Table) 
 
 
 def _small_turns(rotations: Array) -> Array:
-    """Rotation vectors (2, 3) of small rotations: axis times sine."""
+    """Rotation vectors (2, 3) of small rotations: axis times sine of the angle."""
     twice = rotations - jnp.swapaxes(rotations, 1, 2)
     return jnp.stack([twice[:, 2, 1], twice[:, 0, 2], twice[:, 1, 0]], axis=1) / 2
 
 
 def _distinct(axes: Array, dof: Array) -> Array:
-    """Projector onto the turns of a frame that matter, (3, 3)."""
+    """Projector (3, 3) onto the rotations of a frame that change the constraint."""
     return (axes * ~free_rotations(dof)) @ axes.T

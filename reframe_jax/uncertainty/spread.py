@@ -1,4 +1,4 @@
-"""How wide the likelihood of a fit is, and how far two fits are apart in units of that."""
+"""Covariance of a fit from its likelihood, and normalized distances between two fits."""
 
 import jax
 import jax.numpy as jnp
@@ -11,12 +11,12 @@ __all__ = ["distances", "information", "posterior", "row_precision", "spread_of_
 
 Array = jax.Array
 
-_FEWEST = 2.0  # degrees of freedom of Student's distribution, at least
-_KNOWN = 1e-9  # share of the largest variance below which a direction has none
+_FEWEST = 2.0  # fewest degrees of freedom of Student's distribution
+_KNOWN = 1e-9  # fraction of the largest variance below which a variance counts as zero
 
 
 def row_precision(parameters: Parameters, data: Data, entry: Table) -> Array:
-    """Inverse covariance of held coordinates at every scale, of rotations and translations, (S, 2, 6, 6)."""
+    """Inverse covariance (S, 2, 6, 6) of constrained coordinates by scale, for rotations and translations."""
     weights = coordinates(parameters, data.mean_rotation, entry)
     covariance = held_covariance(weights, data.products, entry)
     unit = jnp.sqrt(jnp.diagonal(covariance, axis1=2, axis2=3))
@@ -28,13 +28,13 @@ def row_precision(parameters: Parameters, data: Data, entry: Table) -> Array:
 
 
 def information(parameters: Parameters, precision: Array, motion: Data, entry: Table) -> Array:
-    """Fisher information of the parameters, by scale, from rotations and from translations, (S, 2, 9, 9).
+    """Fisher information (S, 2, 9, 9) of the parameters by scale, from rotations and from translations.
 
     Args:
-        parameters: of the entry.
-        precision: (S, 2, 6, 6) of :func:`row_precision`.
-        motion: that informs.
-        entry: row of the table.
+        parameters: parameters of the constraint.
+        precision: (S, 2, 6, 6) inverse covariances of :func:`row_precision`.
+        motion: statistics of the motion.
+        entry: row of the table of constraints.
     """
 
     def weights_after(step: Array) -> Array:
@@ -47,31 +47,32 @@ def information(parameters: Parameters, precision: Array, motion: Data, entry: T
 
 
 def posterior(total: Array, prior: Array) -> Array:
-    """Covariance (9, 9) of parameters with an information (9, 9) and standard deviations (9,) before it."""
+    """Covariance (9, 9) of parameters from their information (9, 9) and prior standard deviations (9,)."""
     precision = total + jnp.diag(1 / jnp.square(prior))
     unit = 1 / jnp.sqrt(jnp.diagonal(precision))
     return unit[:, None] * unit[None] * jnp.linalg.inv(precision * unit[:, None] * unit[None])
 
 
 def student_variance(freedom: Array) -> Array:
-    """Variance by which a normal distribution has the 95 % interval of Student's."""
+    """Variance of the normal distribution with the same 95 % interval as Student's distribution."""
     return jnp.square(student_factor(freedom) / NORMAL_FACTOR)
 
 
 def spread_of_fit(
     parameters: Parameters, data: Data, slopes: Array, entry: Table, prior: Array
 ) -> tuple[Array, Array]:
-    """Covariance of the nine numbers, (9, 9), and that of the tilt, (2, 2).
+    """Covariance of the nine components, (9, 9), and of the tilt, (2, 2).
 
-    The variances of held coordinates are estimated too, from the independent details of their scales. Each
-    scale weighs as much as it informs, which gives the degrees of freedom (Welch and Satterthwaite).
+    The variances of constrained coordinates are estimates from the independent values of each scale. The
+    degrees of freedom follow from Welch and Satterthwaite; each scale has a weight proportional to its
+    information.
 
     Args:
-        parameters: fitted.
-        data: that they were fitted to.
-        slopes: (9, 9) of the numbers by a step of the parameters.
-        entry: row of the table.
-        prior: (9,) standard deviations of parameters that nothing determines.
+        parameters: fitted parameters.
+        data: statistics to which the parameters were fitted.
+        slopes: (9, 9) derivative of the components with respect to a step of the parameters.
+        entry: row of the table of constraints.
+        prior: (9,) prior standard deviations of the parameters.
     """
     each = information(parameters, row_precision(parameters, data, entry), data, entry)
     covariance = posterior(jnp.sum(each, axis=(0, 1)), prior)
@@ -88,9 +89,9 @@ def spread_of_fit(
 
 
 def distances(apart: Array, covariance: Array) -> Array:
-    """Squared distances (3,) of numbers (9,) in units of their covariance (9, 9), for each dimension.
+    """Squared Mahalanobis distances (3,) per dimension, of components (9,) with covariance (9, 9).
 
-    They are 1 on average for normal errors; 1 too for what has no dimension.
+    Their mean is 1 for normal errors; a group without dimensions has the value 1.
     """
     found = []
     for i in (0, 3, 6):

@@ -1,4 +1,4 @@
-"""From what a user gives to windows: checks of poses and times, padding, and pieces of one size."""
+"""Convert the arguments of a user to windows: check poses and times, pad, and divide into chunks."""
 
 import contextlib
 from collections.abc import Callable
@@ -19,7 +19,7 @@ from reframe_jax.uncertainty.refit import Estimate, estimate_of
 
 __all__ = ["over_windows"]
 
-_CHUNK = {"cpu": 8, "gpu": 1024}  # windows at once: moments of all parts fit the memory
+_CHUNK = {"cpu": 8, "gpu": 1024}  # windows per chunk, so that the moments of all parts fit into memory
 
 
 def over_windows(
@@ -36,26 +36,27 @@ def over_windows(
     """Call a function of N windows for the windows of an identification, single, many or traced.
 
     Args:
-        function: of poses (N, K+1, 4, 4), steps (N, K), lengths (N,) or None, an :class:`Estimate` and, by
-            name, ``scales`` and the other options; defined in a module, so that it compiles once.
+        function: function of poses (N, K+1, 4, 4), steps (N, K), lengths (N,) or None, an :class:`Estimate`,
+            and the keywords ``scales`` and ``static``. It must be defined at module level, so that it
+            compiles only once.
         found: identification of one window or a batch.
-        poses: of these windows, as the user gave them; ``times``, ``dt`` and ``scales`` likewise.
-        times: s, or None.
-        dt: s, or None.
-        scales: in samples.
-        pad: whether windows are padded to one of few lengths; not for a function that counts from the end.
-        static: options of the function.
+        poses: poses of these windows, as given by the user.
+        times: s, or None, as given by the user.
+        dt: s, or None, as given by the user.
+        scales: time scales in samples, as given by the user.
+        pad: whether to pad windows to one of few lengths; False for a function that uses the last poses.
+        static: other options of the function.
 
     Returns:
-        What the function returns, with the leading axes of ``found`` in place of that of the windows.
+        The result of the function, with the leading axes of ``found`` in place of the axis of windows.
 
     Raises:
-        ValueError: if the poses cannot be those of ``found``, or their times do not fit.
+        ValueError: if the poses or times do not match ``found``.
     """
     array = take_poses(poses)
     expected = (*np.shape(found.counted), 4, 4)
     if array.shape != expected:
-        raise ValueError(f"poses must be those that were identified, of shape {expected}, not {array.shape}.")
+        raise ValueError(f"poses must be the identified poses, of shape {expected}, not {array.shape}.")
     codes = found.warning_codes
     if np.ndim(codes) == 0 and not traced(codes) and int(codes) & Caution.UNORDERED and scales == "auto":
         scales = "mean"  # as the identification was made

@@ -1,4 +1,4 @@
-"""A page in the browser: a body, its path and the constraint frame over time; extra ``viewer``."""
+"""Show a body, its path and the constraint frame over time in a browser; needs the extra ``viewer``."""
 
 from reframe_jax.viewer.document import write_page
 from reframe_jax.viewer.page import Page, serve_page

@@ -1,4 +1,4 @@
-"""The page as one static file, to look at without Python and without a network."""
+"""Write the page as one static file, which opens without Python and without a network."""
 
 import html
 from pathlib import Path
@@ -10,8 +10,8 @@ from reframe_jax.viewer.tracks import WindowTrack
 
 __all__ = ["write_page"]
 
-_FRAMES = 400  # poses in a file
-_WIDTH, _HEIGHT, _MARGIN = 340, 130, 46  # px, of a plot; the margin holds -1.2e-05
+_FRAMES = 400  # most poses in a file
+_WIDTH, _HEIGHT, _MARGIN = 340, 130, 46  # px, size of a plot; the margin fits the label -1.2e-05
 _STYLE = """<style>
 #reframe-panel {
   position: fixed; top: 8px; right: 8px; z-index: 1000; width: 360px; max-height: 88vh; overflow: auto;
@@ -29,8 +29,8 @@ def write_page(path: Path | str, windows: list[WindowTrack], *, title: str = "re
     """Write a page as one HTML file that plays through the windows, with the velocities along the axes.
 
     Args:
-        path: of the file.
-        windows: of one recording, from :func:`track_window`.
+        path: path of the file.
+        windows: windows of one recording, from :func:`track_window`.
         title: heading of the page.
 
     Raises:
@@ -55,7 +55,7 @@ def write_page(path: Path | str, windows: list[WindowTrack], *, title: str = "re
         captions = [drawing.caption(window) for window in windows]
     finally:
         close_server(server)
-    # the page of viser fills the window; ours lies in a corner of it
+    # the page of viser fills the window; the panel of this library lies in a corner
     place = text.rindex("</body>")
     Path(path).write_text(text[:place] + _panel(windows, captions, title) + text[place:], encoding="utf-8")
 
@@ -78,7 +78,7 @@ def _panel(windows: list[WindowTrack], captions: list[str], title: str) -> str:
 
 
 def _plot(name: str, rows: list[tuple[str, str, np.ndarray]], times: np.ndarray) -> str:
-    """Velocities over time as an SVG."""
+    """Draw velocities over time as an SVG."""
     values = np.concatenate([row for _, _, row in rows])
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
@@ -112,6 +112,6 @@ def _plot(name: str, rows: list[tuple[str, str, np.ndarray]], times: np.ndarray)
 
 
 def _starts(row: np.ndarray) -> np.ndarray:
-    """Where a line begins: at the first value, and after every gap."""
+    """Indices at which a line starts: the first value, and the first value after every gap."""
     finite = np.isfinite(row)
     return finite & ~np.concatenate([[False], finite[:-1]])

@@ -1,4 +1,4 @@
-"""Draws windows in a viser scene."""
+"""Draw windows in a viser scene."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -13,28 +13,28 @@ if TYPE_CHECKING:
 
 __all__ = ["LEGEND", "Drawing", "scene_box"]
 
-_DASHES = 7  # of a constrained axis
-_MOST = 2000  # points of a path
-_DEVIATIONS = 2.0  # of the ellipsoid
-_SEEN = 0.03  # of the size of the scene: an ellipsoid whose longest half-axis is shorter is enlarged
-_THIN = 0.002  # of that size: half-axis along directions without a variance
-_NOTHING = 1e-9  # m, of a standard deviation
+_DASHES = 7  # dashes per constrained axis
+_MOST = 2000  # most points of a path
+_DEVIATIONS = 2.0  # standard deviations of the ellipsoid
+_SEEN = 0.03  # an ellipsoid is enlarged if its longest half-axis is below this fraction of the scene size
+_THIN = 0.002  # half-axis along directions without variance, as a fraction of the scene size
+_NOTHING = 1e-9  # m, standard deviations below this value count as zero
 _ORIGIN, _SPREAD = "#222222", "#CC79A7"
 
 LEGEND = (
-    (BODY, "path of the body, and its lever to the origin of the linear frame"),
-    (_ORIGIN, "that origin, and its path"),
+    (BODY, "path of the body, and the line from the body to the origin of the linear frame"),
+    (_ORIGIN, "origin of the linear frame, and its path"),
     (FREE[0], "free axis of the linear frame (arrow)"),
     (CONSTRAINED[0], "constrained axis of the linear frame (dashes)"),
     (TURNING, "free axis of rotation"),
     (OUTLIERS["color"], "poses left out"),
-    (_SPREAD, "uncertainty of the origin: two standard deviations, enlarged as the heading says"),
+    (_SPREAD, "uncertainty of the origin: two standard deviations, enlarged by the factor in the heading"),
 )
-"""Colours, and what is drawn in them."""
+"""Legend: each colour with its meaning."""
 
 
 def scene_box(windows: list[WindowTrack]) -> tuple[np.ndarray, float]:
-    """Centre (3,) and size, m, of all that is drawn."""
+    """Centre (3,) and size, m, of the whole scene."""
     points = [window.poses[window.counted, :3, 3] for window in windows]
     points += [window.frame.origins[window.counted] for window in windows if window.frame is not None]
     together = np.concatenate(points)
@@ -46,10 +46,10 @@ def scene_box(windows: list[WindowTrack]) -> tuple[np.ndarray, float]:
 
 
 class Drawing:
-    """Windows in a scene, one at a time, at one pose at a time."""
+    """A scene that shows one window at one pose."""
 
     def __init__(self, scene: "viser.SceneApi", size: float) -> None:
-        """Draw into a scene, for windows of a size in m."""
+        """Prepare a scene for windows with a given size in m."""
         self._scene = scene
         self._size = size
         self._nodes: list[Any] = []
@@ -57,8 +57,8 @@ class Drawing:
         self._window: WindowTrack | None = None
 
     def draw(self, window: WindowTrack) -> None:
-        """Replace what is drawn by another window, at its first pose."""
-        for node in reversed(self._nodes):  # what hangs on a node comes after it
+        """Replace the scene by another window, at its first pose."""
+        for node in reversed(self._nodes):  # the children of a node come after the node
             node.remove()
         self._nodes, self._moving, self._window = [], {}, window
         scene, size = self._scene, self._size
@@ -117,7 +117,7 @@ class Drawing:
             self._draw_spread(frame.spread)
 
     def caption(self, window: WindowTrack) -> str:
-        """The uncertainty of the origin in words, and how much larger it is drawn; "" if it is unknown."""
+        """Text with the uncertainty of the origin and the enlargement of its ellipsoid; "" if unknown."""
         if window.frame is None or window.frame.spread is None:
             return ""
         halves = _DEVIATIONS * np.linalg.eigvalsh(window.frame.spread)[::-1]
@@ -130,13 +130,13 @@ class Drawing:
         return f"origin ± {numbers} mm (two standard deviations){drawn}"
 
     def _enlargement(self, longest: float) -> int:
-        """A power of ten by which an ellipsoid with a longest half-axis in m is enlarged to be seen."""
+        """Power of ten by which an ellipsoid with a given longest half-axis, m, is enlarged to be visible."""
         if longest <= _NOTHING:
             return 1
         return 10 ** max(0, int(np.ceil(np.log10(_SEEN * self._size / longest))))
 
     def _draw_spread(self, root: np.ndarray) -> None:
-        """An ellipsoid of two standard deviations, enlarged to be seen."""
+        """Draw an ellipsoid of two standard deviations, enlarged to be visible."""
         values, vectors = np.linalg.eigh(root)
         vectors = vectors * np.array([1, 1, np.sign(np.linalg.det(vectors))])
         halves = _DEVIATIONS * values
@@ -153,7 +153,7 @@ class Drawing:
         self._nodes.append(ellipsoid)
 
     def _path(self, name: str, points: np.ndarray, colour: str, width: float) -> None:
-        """A line through points (n, 3); of many every few."""
+        """Draw a line through points (n, 3); long paths are subsampled."""
         points = points[np.isfinite(points).all(axis=1)]
         points = points[:: max(1, len(points) // _MOST)]
         if len(points) > 1 and np.ptp(points, axis=0).max() > 0:
@@ -162,11 +162,11 @@ class Drawing:
             self._nodes.append(line)
 
     def move_to(self, sample: int) -> None:
-        """Move everything to where it is at a pose of the window."""
+        """Move the body and the frames to a pose of the window."""
         if self._window is None:
             return
         pose, frame = self._window.poses[sample], self._window.frame
-        if not np.isfinite(pose).all():  # of a window without a result
+        if not np.isfinite(pose).all():  # a window without a result has no frame
             return
         _move(self._moving["body"], pose[:3, 3], pose[:3, :3])
         if frame is None:

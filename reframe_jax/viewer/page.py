@@ -1,4 +1,4 @@
-"""The page that is served to a browser on this machine."""
+"""Serve the page to a browser on this machine."""
 
 import contextlib
 import html
@@ -19,26 +19,26 @@ if TYPE_CHECKING:
 __all__ = ["Page", "close_server", "legend_html", "open_server", "serve_page", "velocity_series"]
 
 _HOST = "127.0.0.1"
-_TICK = 0.05  # s between two poses while it plays
-_VIEW = np.array([0.75, -1.1, 0.65])  # of the camera from the centre, in sizes of the scene
-_ASIDE = 0.4  # sizes by which it looks past the centre, which the panel on the right would hide
-_BELOW = 0.5  # the same where the page is narrow, and the panel at the bottom
+_TICK = 0.05  # s between two poses during playback
+_VIEW = np.array([0.75, -1.1, 0.65])  # position of the camera relative to the centre, in scene sizes
+_ASIDE = 0.4  # lateral offset of the view, in scene sizes, because the panel on the right covers a part
+_BELOW = 0.5  # vertical offset on a narrow page, with the panel at the bottom
 _NARROW_STYLE = """<style>
 @media (max-width: 36em) {
   [style*="position: fixed"][style*="max-height: 60%"] { max-height: 42% !important; width: 100% !important; }
   [style*="position: fixed"][style*="max-height: 60%"] [style*="width: 20em"] { width: 100% !important; }
 }
 </style>"""
-"""On a narrow page, viser's panel lies at the bottom: as wide as the page, and below the scene."""
+"""On a narrow page, the panel of viser is below the scene and as wide as the page."""
 
 
 def open_server(windows: list[WindowTrack], port: int) -> tuple["viser.ViserServer", Drawing]:
-    """A server on this machine only, with its camera at the scene.
+    """Start a server on this machine only, with the camera at the scene.
 
     Raises:
         ImportError: if viser is not installed.
         ValueError: without windows.
-        OSError: if the port is taken.
+        OSError: if the port is in use.
     """
     try:
         import viser
@@ -47,7 +47,7 @@ def open_server(windows: list[WindowTrack], port: int) -> tuple["viser.ViserServ
     if not windows:
         raise ValueError("Expected at least one window.")
     centre, size = scene_box(windows)
-    with contextlib.redirect_stdout(io.StringIO()):  # its banner
+    with contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
         server = viser.ViserServer(host=_HOST, port=port, verbose=False)
     server.scene.set_up_direction("+z")
     server.scene.add_frame("/ground", axes_length=0.15 * size, axes_radius=0.003 * size)
@@ -69,21 +69,21 @@ def open_server(windows: list[WindowTrack], port: int) -> tuple["viser.ViserServ
 
 
 def close_server(server: "viser.ViserServer") -> None:
-    """Stop a server, silently."""
+    """Stop a server without output."""
     with contextlib.redirect_stdout(io.StringIO()):
         server.stop()
 
 
 def serve_page(windows: list[WindowTrack], *, title: str = "reframe_jax", port: int = 8080) -> "Page":
-    """Serve a page with a window of a recording, a slider of the time, and the velocities along the axes.
+    """Serve a page with a window of a recording, a time slider, and the velocities along the axes.
 
-    The server listens on 127.0.0.1 only, in a thread of its own; the page needs no network. With several
+    The server listens on 127.0.0.1 only, in a separate thread; the page needs no network. With several
     windows, a second slider selects one.
 
     Args:
-        windows: of one recording, from :func:`track_window`.
+        windows: windows of one recording, from :func:`track_window`.
         title: heading of the page.
-        port: of the server; if it is taken the next free one.
+        port: port of the server; if it is in use, the next free port.
 
     Raises:
         ImportError: if viser is not installed.
@@ -93,7 +93,7 @@ def serve_page(windows: list[WindowTrack], *, title: str = "reframe_jax", port: 
 
 
 class Page:
-    """A page that is being served; keep it, and close it at the end."""
+    """A served page. Keep a reference to this object, and close the page at the end."""
 
     def __init__(self, windows: list[WindowTrack], title: str, port: int) -> None:
         """Start the server; arguments as in :func:`serve_page`."""
@@ -125,14 +125,14 @@ class Page:
         return f"http://{_HOST}:{self._server.get_port()}"
 
     def run(self) -> None:
-        """Play while the checkbox is set; does not return."""
+        """Play while the checkbox is set; this method does not return."""
         while True:
             time.sleep(_TICK)
             if self._playing.value:
                 self.advance(_TICK)
 
     def advance(self, seconds: float) -> None:
-        """Move the time on, at the end of the window back to its beginning."""
+        """Advance the time by one step; after the end of the window, continue at its start."""
         times = self._current.times
         later = self._time.value + seconds
         self._time.value = float(later if later <= times[-1] else times[0])
@@ -143,7 +143,7 @@ class Page:
         close_server(self._server)
 
     def _select(self, index: int) -> None:
-        """Show another window, from its beginning."""
+        """Show another window from its start."""
         with self._lock:
             window = self._current = self._windows[index]
             with self._server.atomic():
@@ -177,7 +177,7 @@ class Page:
             )
 
     def _move_to_time(self) -> None:
-        """Move everything to the pose nearest to the time of the slider."""
+        """Move the scene to the pose nearest to the time of the slider."""
         with self._lock:
             sample = int(np.argmin(np.abs(self._current.times - self._time.value)))
             with self._server.atomic():
@@ -185,10 +185,10 @@ class Page:
 
 
 def velocity_series(window: WindowTrack) -> list[tuple[str, list[tuple[str, str, np.ndarray]]]]:
-    """Plots of a window: their titles, and of every axis a label, a colour and values (K,).
+    """Plots of a window: a title, and a label, colour and values (K,) for every axis.
 
-    The first plot shows the residuals: what is left along the constrained axes, where the velocity should be
-    zero. The others show all axes.
+    The first plot shows the residuals: the velocities along the constrained axes, which are zero for an ideal
+    constraint. The next plots show all axes.
     """
     if window.frame is None or not len(window.velocity_times):
         return []
@@ -208,7 +208,7 @@ def velocity_series(window: WindowTrack) -> list[tuple[str, list[tuple[str, str,
 
 
 def legend_html() -> str:
-    """Colours and what is drawn in them."""
+    """Legend of the page as HTML: each colour with its meaning."""
     rows = (
         f'<div><span style="color:{colour}">&#9632;</span> {html.escape(text)}</div>'
         for colour, text in LEGEND

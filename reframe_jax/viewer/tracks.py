@@ -1,4 +1,4 @@
-"""What is drawn of a window: the frame at every pose, and the velocities along its axes, in NumPy."""
+"""Data of the page for a window: the frame at every pose, and the velocities along its axes."""
 
 from dataclasses import dataclass
 
@@ -22,15 +22,16 @@ class FrameTrack:
     """A constraint frame at every pose of a window, in the axes of the ground.
 
     Attributes:
-        origins: (K+1, 3) m, of the linear frame.
-        in_body: (3,) m, that origin in the body; None if it is fixed in the ground.
+        origins: (K+1, 3) m, origins of the linear frame.
+        in_body: (3,) m, origin of the linear frame in the body; None if it is fixed in the ground.
         linear_axes: (K+1, 3, 3), columns are axes.
         angular_axes: (K+1, 3, 3), columns are axes.
-        linear_free: (3,) bool, which of them are free.
-        angular_free: (3,) bool, likewise.
-        spread: (3, 3) square root of the origin's covariance in the body it is fixed in, m; None if unknown.
-        spread_axes: (K+1, 3, 3), columns are the axes of that body.
-        velocities: (K, 6) rad/s along the angular axes, m/s along the linear ones; NaN where there is none.
+        linear_free: (3,) bool, whether each linear axis is free.
+        angular_free: (3,) bool, whether each angular axis is free.
+        spread: (3, 3) m, square root of the covariance of the origin, in the body that the origin is fixed
+            in; None if unknown.
+        spread_axes: (K+1, 3, 3), columns are the axes of this body.
+        velocities: (K, 6) rad/s along the angular axes, then m/s along the linear axes; NaN where undefined.
     """
 
     origins: np.ndarray
@@ -49,13 +50,13 @@ class WindowTrack:
     """One window of a recording.
 
     Attributes:
-        name: of the constraint, or why there is none.
+        name: name of the constraint, or the reason why there is no result.
         text: the table of the result.
         times: (K+1,) s.
         poses: (K+1, 4, 4) m.
-        counted: (K+1,) bool, poses that are no outliers.
-        frame: None for a window without a result.
-        velocity_times: (K,) s, at which ``frame.velocities`` are.
+        counted: (K+1,) bool, False for outliers.
+        frame: the constraint frame; None for a window without a result.
+        velocity_times: (K,) s, times of ``frame.velocities``.
     """
 
     name: str
@@ -75,26 +76,26 @@ def track_window(
     discretization: Discretization = "chord",
     covariance: ArrayLike | None = None,
 ) -> WindowTrack:
-    """Compute what is drawn of a window.
+    """Compute the data of the page for a window.
 
     Args:
         poses: (K+1, 4, 4), m.
         times: (K+1,) s.
         found: identification of these poses.
-        discretization: the one it was made with.
-        covariance: (3, 3) m^2, of the linear frame's origin in the body that it is fixed in, to be drawn as
-            an ellipsoid; none is drawn by default.
+        discretization: the discretization of the identification.
+        covariance: (3, 3) m^2, covariance of the linear frame's origin, in the body that the origin is fixed
+            in. It is drawn as an ellipsoid; by default, no ellipsoid is drawn.
 
     Raises:
-        ValueError: for a batch, other poses than were identified, or a covariance that is none.
+        ValueError: for a batch; poses that were not identified; a matrix that is not a covariance.
     """
     if np.shape(found.status_code):
-        raise ValueError("A batch has many frames: index one window first, found[i].")
+        raise ValueError("A batch has several frames: index one window first, found[i].")
     host = jax.device_get(found)
     places, instants = np.asarray(poses, float), np.asarray(times, float)
     if places.shape != (*host.counted.shape, 4, 4) or instants.shape != host.counted.shape:
         raise ValueError(
-            f"Expected the {len(host.counted)} poses that were identified and their times, not "
+            f"Expected the {len(host.counted)} identified poses and their times, not "
             f"{places.shape} and {instants.shape}."
         )
     spread = None if covariance is None else _square_root(np.asarray(covariance, float))
@@ -132,7 +133,7 @@ def _square_root(covariance: np.ndarray) -> np.ndarray:
     """The symmetric square root of a covariance (3, 3).
 
     Raises:
-        ValueError: if it is not symmetric, not finite, or has a negative eigenvalue.
+        ValueError: if the matrix is not symmetric, not finite, or has a negative eigenvalue.
     """
     if covariance.shape != (3, 3) or not np.isfinite(covariance).all():
         raise ValueError(f"Expected a finite covariance of shape (3, 3), not one of {covariance.shape}.")

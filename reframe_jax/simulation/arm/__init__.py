@@ -1,4 +1,4 @@
-"""A Franka arm under constraints, in MJX: demonstrations in bulk.
+"""Simulate demonstrations: a hand guides a Franka arm under a constraint, in large batches with MJX.
 
 from reframe_jax.simulation import arm
 
@@ -15,7 +15,7 @@ except (ImportError, AttributeError, RuntimeError, OSError) as error:
         raise
     raise ImportError(
         f"MuJoCo cannot be loaded with MUJOCO_GL={os.environ['MUJOCO_GL']} ({error}). "
-        "Install what that needs, set MUJOCO_GL to another of egl, osmesa and glfw, or unset it."
+        "Install the libraries of this backend, set MUJOCO_GL to egl, osmesa or glfw, or unset it."
     ) from error
 
 from reframe_jax.simulation.arm.demonstration import (

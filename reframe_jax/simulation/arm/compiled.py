@@ -1,4 +1,4 @@
-"""Compilation of simulations, and checks of their numbers."""
+"""Compile simulations, and check their numeric options."""
 
 from collections.abc import Callable, Sequence
 from functools import wraps
@@ -12,18 +12,18 @@ from reframe_jax.compilation import traced
 
 __all__ = ["as_numbers", "check_numbers", "jit_simulation"]
 
-# the older code generator takes two thirds of the time to compile, and its code is as fast; jax 0.11 has
-# one only
+# the older code generator compiles in two thirds of the time to equally fast code; jax 0.11 has only
+# one generator
 _CPU_OPTIONS: dict[str, Any] | None = (
     {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else None
 )
 
 
 def jit_simulation(static: Sequence[str]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """``jax.jit`` with static arguments by name, and the options that suit the processor.
+    """``jax.jit`` with named static arguments and compiler options for the processor.
 
-    Options are for the outermost ``jit`` only; within a trace there are none. The products of MJX are in
-    full precision too: see :mod:`reframe_jax.geometry.products`.
+    Only the outermost ``jit`` has compiler options. Matrix products of MJX have full precision, as in
+    :mod:`reframe_jax.geometry.products`.
     """
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -42,19 +42,19 @@ def jit_simulation(static: Sequence[str]) -> Callable[[Callable[..., Any]], Call
 
 
 def as_numbers(tree: Any, dtype: Any) -> Any:
-    """Every number of a pytree as an array of a dtype."""
+    """Convert every number of a pytree to an array of a dtype."""
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=dtype), tree)
 
 
 def check_numbers(given: Any, kind: type) -> None:
-    """Refuse anything but a dataclass of non-negative numbers; within a trace, check what is known.
+    """Check that an argument is a dataclass of non-negative numbers; traced values are not checked.
 
     Args:
-        given: what was given.
-        kind: the dataclass that was expected.
+        given: the argument.
+        kind: the expected dataclass.
 
     Raises:
-        ValueError: saying which number is wrong.
+        ValueError: for another type, or for a negative number or NaN, with the name of the field.
     """
     if not isinstance(given, kind):
         raise ValueError(f"Expected {kind.__name__}(...), not {given!r}.")

@@ -1,4 +1,4 @@
-"""Demonstrations: a hand guides the arm under a constraint, any number at once."""
+"""Simulate batches of demonstrations: a hand guides the arm under a constraint."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -21,7 +21,7 @@ from reframe_jax.simulation.arm.guided import Plan, at_rest, demonstration_keys,
 from reframe_jax.simulation.arm.imperfections import Imperfections
 from reframe_jax.simulation.arm.mechanism import mechanism_joints
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
-from reframe_jax.simulation.arm.redraw import draw_good
+from reframe_jax.simulation.arm.redraw import draw_usable
 from reframe_jax.simulation.arm.rollout import Steps
 from reframe_jax.simulation.arm.status import RolloutStatus
 from reframe_jax.simulation.synthetic import Excitation
@@ -40,16 +40,19 @@ __all__ = [
 ]
 
 SPREAD = (0.4, 0.02)
-"""rad and m, standard deviations of a geometry drawn at random, per component."""
+"""rad and m, standard deviations per component of a random geometry."""
 
 ORIGIN = (0.05, 0.02, -0.12)
-"""m, from the TCP at the start to the origin of a named constraint's frame, along the axes of the base."""
+"""m, vector from the TCP at the start to the origin of a named constraint, in the axes of the base."""
 
-_LONGEST = {"exact": 0.01, "mechanism": 0.0025}  # s, longest step at which a constraint is kept
+_LONGEST = {
+    "exact": 0.01,
+    "mechanism": 0.0025,
+}  # s, longest step at which the simulation keeps the constraint
 
 
 class DemonstrateOptions(TypedDict, total=False):
-    """Keyword arguments of :func:`demonstrate` that functions which call it hand on."""
+    """Keyword arguments of :func:`demonstrate`, for functions that pass them on."""
 
     duration: float
     dt: float
@@ -70,17 +73,17 @@ class Demonstration:
 
     Attributes:
         times: (K+1,) s.
-        poses: (N, K+1, 4, 4) m, of {b} in {g} as the robot records them.
+        poses: (N, K+1, 4, 4) m, recorded poses of {b} in {g}, with the errors of the robot.
         exact_poses: (N, K+1, 4, 4) m, the true poses.
         joint_positions: (N, K+1, 7) rad.
         joint_velocities: (N, K+1, 7) rad/s.
-        truth: the true constraint, with geometry (N, 3) each.
-        reaction: (N, K+1, 6) N m and N, moments and forces of the constraint on the tool along the axes
-            of the angular and linear frame, the forces acting at its origin; zero along free axes.
-        slip: (N, K+1, 6) rad and m, motion made along the frames' axes, the integral of the velocity.
-            Along constrained axes, it measures how far the constraint gave way; see ``violation``.
-        limit_margin: (N,) rad, least distance of a joint from the end of its range.
-        status_code: (N,) int; read it as ``status``.
+        truth: the true constraint, with one geometry (N, 3) per demonstration.
+        reaction: (N, K+1, 6) N m and N, moments of the constraint on the tool along the angular axes, and
+            forces along the linear axes at the frame's origin; zero along free axes.
+        slip: (N, K+1, 6) rad and m, displacement along the axes of the frame, the integral of the velocity.
+            Along constrained axes, the slip is the violation of the constraint; see ``violation``.
+        limit_margin: (N,) rad, smallest distance of a joint from the end of its range.
+        status_code: (N,) int, code of ``status``.
     """
 
     times: jax.Array
@@ -95,7 +98,7 @@ class Demonstration:
     status_code: jax.Array
 
     def __getitem__(self, index: int | slice | np.ndarray | jax.Array) -> "Demonstration":
-        """Some of the demonstrations; a single index leaves no batch axis."""
+        """Select demonstrations; a single index removes the batch axis."""
         parts = {name: value for name, value in vars(self).items() if name != "times"}
         return Demonstration(self.times, **index_leaves(parts, index))
 
@@ -118,10 +121,10 @@ class Demonstration:
 def frame_on_arm(
     constraint: str | ConstraintFrame, arm: str | Arm = PANDA, *, start: ArrayLike | None = None
 ) -> ConstraintFrame:
-    """Place a named constraint where the arm can move under it; return a frame unchanged.
+    """Place a named constraint so that the arm can move under the constraint; return a frame unchanged.
 
-    Its axes are those of the robot's base at the start. Its origin is 0.13 m below and in front of the TCP,
-    like the tip of a tool or the axis of a joint with that lever.
+    The axes of the frame are parallel to the robot's base at the start. The origin is 0.13 m below and in
+    front of the TCP, like the tip of a tool or the axis of a joint at this distance.
 
     Args:
         constraint: label or name of one of the twelve, or a frame.
@@ -163,36 +166,36 @@ def demonstrate(
 ) -> Demonstration:
     """Simulate a hand that guides the arm under a constraint.
 
-    Works under ``jit`` (with the shapes and names static) and ``grad``, with respect to the constraint's
-    geometry and the guide. One compiled program serves all constraints. For a given key, demonstration number
-    i is the same in every batch, up to rounding.
+    The function works under ``jit`` (with static shapes and names). It also works under ``grad`` with respect
+    to the geometry of the constraint and the guide. One compiled program serves all constraints. For a given
+    key, demonstration i is the same in every batch, up to rounding errors.
 
     Args:
-        constraint: label or name of one of the twelve, placed by :func:`frame_on_arm`, or any frame,
-            its geometry in the robot's base and on the TCP. Geometry (N, 3) gives every demonstration
-            its own.
+        constraint: label or name of one of the twelve constraints of the paper, placed by
+            :func:`frame_on_arm`, or any frame, with its geometry in the robot's base and the TCP frame. A
+            geometry (N, 3) gives each demonstration a separate geometry.
         key: JAX random key.
         batch: number N of demonstrations.
-        first: number of the first one, to continue an earlier batch.
+        first: number of the first demonstration, to continue an earlier batch.
         duration: s.
-        dt: s, between recorded samples.
-        step: s, of the simulation; it divides ``dt``. By default the longest up to 0.01 s that does, at
-            which a rigid constraint is kept to a few um.
-        excitation: how the hand moves along the free axes: ``"exciting"``, ``"brisk"``, ``"paper"``, or a
-            function of time that returns angular and linear velocities (3,), in rad/s and m/s.
-        form: how the constraint is enforced: exactly, or by a rigid mechanism welded to the tool, which
-            exists for some constraints and needs its own program, more time, and by default steps of 0.0025
-            s. The weld is a stiff spring, softer at longer steps. If it gives way by more than 50 um or 0.5
-            mrad, the status says so.
-        spread: rad and m, standard deviations of a random turn and shift of the geometry of every
-            demonstration; :data:`SPREAD` is a reasonable one.
-        guide: how the hand holds the tool.
+        dt: s, time between recorded samples.
+        step: s, time step of the simulation, which must divide ``dt``. The default is the longest step up to
+            0.01 s; the error of a rigid constraint is then a few um.
+        excitation: motion along the free axes: ``"exciting"``, ``"brisk"``, ``"paper"``, or a function of
+            time that returns angular and linear velocities (3,), in rad/s and m/s.
+        form: ``"exact"`` solves the constraint exactly. ``"mechanism"`` welds the tool to a rigid mechanism,
+            which exists for some constraints only, needs a separate program and more time, and has a default
+            step of 0.0025 s. The weld is a stiff spring, softer at longer steps. The status reports a slip
+            above 50 um or 0.5 mrad.
+        spread: rad and m, standard deviations of a random rotation and shift of the geometry of each
+            demonstration, for example :data:`SPREAD`.
+        guide: stiffness, misalignment and tremor of the hand.
         imperfections: errors of the robot and its sensors.
         arm: ``"panda"``, ``"fr3"``, or an arm.
-        start: (7,) or (N, 7) rad, configurations to start from, at rest; the arm's home by default.
+        start: (7,) or (N, 7) rad, initial joint positions, at rest; the arm's home by default.
 
     Returns:
-        The demonstrations. Check ``status_code``: nothing stops the arm at its joint limits.
+        The demonstrations. Check ``status_code``, because the simulation does not enforce joint limits.
 
     Raises:
         KeyError: for an unknown constraint.
@@ -232,7 +235,7 @@ def check_demonstration(
     imperfections: Imperfections,
     start: ArrayLike | None,
 ) -> None:
-    """Refuse options that no demonstration can be made with, by a ValueError."""
+    """Raise a ValueError for options that no demonstration can have."""
     if not callable(excitation) and excitation not in EXCITATIONS:
         raise ValueError(f"No excitation {excitation!r}. There are: {', '.join(EXCITATIONS)}.")
     if batch < 1:
@@ -253,7 +256,7 @@ def _rigid(imperfections: Imperfections) -> bool:
 
 
 def sampling(duration: float, dt: float, step: float | None, longest: float = 0.01) -> Steps:
-    """The steps of a duration, all in s; without a ``step`` the longest that divides ``dt``."""
+    """Divide a duration into samples and steps (s); the default step is the longest that divides ``dt``."""
     if not (0 < dt <= duration < math.inf):
         raise ValueError(f"Expected 0 < dt <= duration; found a dt of {dt:g} s in {duration:g} s.")
     if step is None:
@@ -274,7 +277,7 @@ def scatter(
     spread: tuple[float, float],
     arm: Arm,
 ) -> tuple[ConstraintFrame, Frame]:
-    """Turn and shift the geometry (N, 3) of each demonstration at random, about the TCP at its joints."""
+    """Rotate and shift the geometry (N, 3) of each demonstration at random, about the TCP."""
     size = jnp.asarray(spread, dtype=joints.dtype)
     arrays, angular, linear = _place(frame_arrays(frame), key, numbers, joints, size, arm)
     return replace(frame, angular_rotvec=angular, linear_rotvec=linear, position=arrays.position), arrays
@@ -284,7 +287,7 @@ def scatter(
 def _place(
     frame: Frame, key: jax.Array, numbers: jax.Array, start: jax.Array, spread: jax.Array, arm: Arm
 ) -> tuple[Frame, jax.Array, jax.Array]:
-    """Frames at random about the given ones, and the rotation vectors (N, 3) of their two parts."""
+    """Frames with a random rotation and shift, and the rotation vectors (N, 3) of both frames."""
 
     def place(frame: Frame, key: jax.Array, start: jax.Array) -> Frame:
         turn, shift = spread[:, None] * jax.random.normal(key, (2, 3), start.dtype)
@@ -308,16 +311,18 @@ def demonstrations(
     """Generate any number of demonstrations, in chunks that are compiled once.
 
     Args:
-        constraint: as for :func:`demonstrate`; one geometry (3,) for all, before ``spread``.
+        constraint: as in :func:`demonstrate`, with one geometry (3,) for all demonstrations, before
+            ``spread``.
         key: JAX random key.
         count: number of demonstrations.
-        chunk: number of demonstrations simulated at once.
-        redraw: replace demonstrations whose status is not OK by new ones.
-        progress: called with the number of demonstrations so far and ``count``, after every chunk.
-        options: for :func:`demonstrate`.
+        chunk: number of demonstrations per simulation call.
+        redraw: whether to replace demonstrations whose status is not OK.
+        progress: function to call after every chunk, with the number of completed demonstrations and
+            ``count``.
+        options: options of :func:`demonstrate`.
 
     Yields:
-        Demonstrations on the host, ``count`` in all.
+        Batches of demonstrations on the host, with ``count`` demonstrations in total.
 
     Raises:
         ValueError: if more than 9 in 10 demonstrations are unusable.
@@ -327,6 +332,6 @@ def demonstrations(
         made = jax.device_get(demonstrate(constraint, key, batch=chunk, first=number * chunk, **options))
         return made, made.status_code if redraw else np.zeros_like(made.status_code)
 
-    for drawn in draw_good(draw, count, chunk, progress=progress):
+    for drawn in draw_usable(draw, count, chunk, progress=progress):
         if len(drawn.good):
             yield drawn.batch[drawn.good]

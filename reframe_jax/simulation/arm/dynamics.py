@@ -1,9 +1,9 @@
-"""The arm's equations of motion, from MJX's smooth terms.
+"""The arm's equations of motion, from the smooth dynamics of MJX.
 
-MJX supplies the mass matrix and the Coriolis and centrifugal torques; everything a constraint, a hand
-or a controller adds is ours. Gravity and the robot's compensation of it cancel, so neither is computed
-unless asked for. The terms are what a step of :func:`mujoco.mjx.step` computes before its solver, of
-which nothing is needed here: the constraint of a demonstration is solved exactly (see ``rollout``).
+MJX computes the mass matrix and the Coriolis and centrifugal torques, as in a step of :func:`mujoco.mjx.step`
+before its solver. This package adds the forces of constraints, hands and controllers, and solves the
+constraint of a demonstration exactly (see ``rollout``). Gravity and the gravity compensation of the robot
+cancel, so neither is computed by default.
 """
 
 import contextlib
@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-with contextlib.redirect_stdout(io.StringIO()):  # it prints which optional packages it lacks
+with contextlib.redirect_stdout(io.StringIO()):  # MJX prints the names of missing optional packages
     from mujoco import mjx
     from mujoco.mjx._src import scan as mjx_scan
 
@@ -31,17 +31,17 @@ __all__ = ["Motion", "arm_motion", "fence_levels", "inverse_dynamics", "jacobian
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Motion:
-    """The arm at an instant, in base axes.
+    """The state of the arm at an instant, in the axes of its base.
 
     Attributes:
         joints: (7,) rad.
         velocity: (7,) rad/s.
-        rotation: (3, 3), of {b} in {g}.
-        position: (3,) m, of {b} in {g}.
-        jacobian: (6, 7) from joint velocities to the twist of {b}: angular velocity (rad/s), then
+        rotation: (3, 3), orientation of {b} in {g}.
+        position: (3,) m, origin of {b} in {g}.
+        jacobian: (6, 7) from joint velocities to the twist of {b}: its angular velocity (rad/s), then the
             velocity of its origin (m/s), both in the axes of {g}.
-        mass: (7, 7) kg m^2, the mass matrix, armature included.
-        bias: (7,) N m, Coriolis and centrifugal torques (and gravity, if it was asked for).
+        mass: (7, 7) kg m^2, the mass matrix, including the armature.
+        bias: (7,) N m, Coriolis and centrifugal torques, and gravity if requested.
     """
 
     joints: jax.Array
@@ -60,12 +60,12 @@ class Motion:
 
 @contextlib.contextmanager
 def fence_levels() -> Iterator[None]:
-    """Keep XLA from recomputing the kinematic chain at every link while MJX is traced.
+    """Prevent XLA from recomputing the kinematic chain at every link while MJX is traced.
 
-    On the CPU, XLA's fusion emitters (jax 0.7 to 0.10) inline each level of MJX's scan over the tree into
-    the next, so that the work grows with the square of the depth or worse: 10 ms a step in place of
-    0.05 (google-deepmind/mujoco#2957). A barrier around the value handed from link to link prevents
-    it, and costs nothing on other devices. There is no public hook for it.
+    On the CPU, XLA's fusion emitters (jax 0.7 to 0.10) inline each level of MJX's scan over the tree into the
+    next level. The work then grows at least with the square of the depth: 10 ms per step instead of 0.05
+    (google-deepmind/mujoco#2957). A barrier around the value that each link passes to the next prevents the
+    inlining, and costs nothing on other devices. MJX has no public hook for this barrier.
     """
     body_tree = mjx_scan.body_tree
 
@@ -84,7 +84,7 @@ def fence_levels() -> Iterator[None]:
 
 @contextlib.contextmanager
 def allow_mixing() -> Iterator[None]:
-    """MJX mixes dtypes and ranks, whatever the user's settings say."""
+    """Allow MJX to mix dtypes and ranks, independent of the user's JAX settings."""
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         yield
 
@@ -101,14 +101,14 @@ def _mjx_parts(arm: Arm, gravity: bool) -> tuple[Any, Any]:
 
 
 def mjx_parts(model: mujoco.MjModel) -> tuple[Any, Any]:
-    """MJX model and data in double precision, as NumPy arrays: constants of any trace."""
+    """MJX model and data in double precision, as NumPy arrays that any trace can use as constants."""
     with jax.ensure_compile_time_eval(), jax.enable_x64(True), allow_mixing():
         parts = mjx.put_model(model, impl="jax"), mjx.make_data(model, impl="jax")
         return jax.tree.map(np.asarray, parts)
 
 
 def in_dtype(tree: Any, dtype: Any) -> Any:
-    """The floating-point leaves of a tree in a dtype."""
+    """Convert the floating-point leaves of a tree to a dtype."""
 
     def cast(leaf: Any) -> Any:
         return jnp.asarray(leaf, dtype=dtype if np.issubdtype(leaf.dtype, np.floating) else None)
@@ -123,7 +123,7 @@ def arm_motion(joints: jax.Array, velocity: jax.Array, arm: Arm = PANDA, *, grav
         joints: (7,) rad.
         velocity: (7,) rad/s.
         arm: the robot.
-        gravity: leave gravity in ``bias``, uncompensated.
+        gravity: whether to include uncompensated gravity in ``bias``.
     """
     model, data = in_dtype(_mjx_parts(arm, gravity), joints.dtype)
     data = smooth_terms(model, data.replace(qpos=joints, qvel=velocity))
@@ -139,18 +139,18 @@ def smooth_terms(model: Any, data: Any) -> Any:
 
 
 def full_step(model: Any, data: Any) -> Any:
-    """MJX's own step, constraint solver included."""
+    """A full step of MJX, including its constraint solver."""
     with fence_levels(), allow_mixing():
         return mjx.step(model, data)
 
 
 def motion_of(model: Any, data: Any, tcp: int) -> Motion:
-    """The arm's part of MJX data after :func:`smooth_terms`; its seven joints come first.
+    """Extract the motion of the arm from MJX data after :func:`smooth_terms`; its joints are the first seven.
 
     Args:
         model: MJX model.
         data: MJX data.
-        tcp: number of the site that is the TCP.
+        tcp: index of the TCP site.
     """
     with allow_mixing():
         mass = mjx.full_m(model, data)[:7, :7]
@@ -165,7 +165,7 @@ def motion_of(model: Any, data: Any, tcp: int) -> Motion:
         mass=mass,
         bias=data.qfrc_bias[:7],
     )
-    # constants within MJX are of the default precision, whatever the input's
+    # constants inside MJX have the default precision, not the precision of the input
     return jax.tree.map(lambda leaf: leaf.astype(data.qvel.dtype), motion)
 
 
@@ -177,7 +177,8 @@ def jacobian(joints: jax.Array, arm: Arm = PANDA) -> jax.Array:
         arm: the robot.
 
     Returns:
-        (6, 7): angular velocity and velocity of the origin of {b}, in base axes, per joint velocity.
+        (6, 7) from joint velocities to the angular velocity and the velocity of the origin of {b}, in the
+        axes of the base.
     """
     return arm_motion(joints, jnp.zeros_like(joints), arm).jacobian
 
@@ -185,7 +186,7 @@ def jacobian(joints: jax.Array, arm: Arm = PANDA) -> jax.Array:
 def inverse_dynamics(
     joints: jax.Array, velocity: jax.Array, acceleration: jax.Array, arm: Arm = PANDA
 ) -> jax.Array:
-    """Joint torques of a motion of the free arm, without friction: M(q) a + c(q, v) + g(q).
+    """Compute the joint torques of a motion of the free arm without friction: M(q) a + c(q, v) + g(q).
 
     Args:
         joints: (7,) rad.
@@ -201,13 +202,13 @@ def inverse_dynamics(
 
 
 def solve_positive(matrix: jax.Array, right: jax.Array) -> jax.Array:
-    """Solve A X = B for a small symmetric positive definite A, by Cholesky's factorization, unrolled.
+    """Solve A X = B for a small symmetric positive definite A with an unrolled Cholesky factorization.
 
-    A library call for every lane of a batch costs more than the arithmetic; written out, the lanes run
-    side by side.
+    For a batch of small matrices, library calls cost more than the arithmetic. The unrolled form is
+    vectorized over the batch.
 
     Args:
-        matrix: (n, n), n up to 7 or so.
+        matrix: (n, n), with n up to about 7.
         right: (n, m).
 
     Returns:

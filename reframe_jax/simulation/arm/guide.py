@@ -1,8 +1,8 @@
-"""The hand that guides the arm, and how it moves.
+"""The simulated hand that guides the arm, and its excitations.
 
 The hand pulls the tool towards a moving pose that obeys the constraint, through a spring and a damper, with a
-small misalignment and a tremor. Everything is a smooth function of time, so a demonstration does not depend
-on the step of its simulation.
+small misalignment and a tremor. All inputs are smooth functions of time, so a demonstration does not depend
+on the time step of its simulation.
 """
 
 from collections.abc import Callable
@@ -20,34 +20,34 @@ from reframe_jax.simulation.arm.compiled import as_numbers
 from reframe_jax.simulation.arm.dynamics import Motion
 from reframe_jax.simulation.synthetic import Excitation
 
-__all__ = ["EXCITATIONS", "Guide", "Hand", "find_excitation", "guide_drive", "make_hand", "until"]
+__all__ = ["EXCITATIONS", "Guide", "Hand", "find_excitation", "guide_drive", "make_hand", "stop_at"]
 
-_RATES = ((1.4, 4.4), (2.4, 5.4), (3.4, 6.4))  # rad/s, by axis: apart, so that 5 s tell the axes apart
-_LINEAR_RATE = 1.13  # ratio of the rates of linear to those of angular motion
+_RATES = ((1.4, 4.4), (2.4, 5.4), (3.4, 6.4))  # rad/s, by axis; 5 s distinguish these rates
+_LINEAR_RATE = 1.13  # ratio of linear to angular rates
 _TURNING = 0.4  # rad/s, amplitude of each sine
 _MOVING = 0.1  # m/s, amplitude of each sine
-_ONE_TURN = ((1.4, 4.4), (0.48, 0.48))  # rad/s, rates and amplitudes where one rotation is free
+_ONE_TURN = ((1.4, 4.4), (0.48, 0.48))  # rad/s, rates and amplitudes for a single free rotation
 _BRISK_TURN = ((1.6, 2.5), (0.9, 0.4))
-_DRAWS, _EVEN_OVER = 4, 5.0  # draws of the phases, and the s over which the most even is chosen
-_EASE = 0.6  # s, in which a motion starts
-_TREMOR_RATES = (7.0, 17.0, 31.0, 47.0)  # rad/s: the hand's corrections, and its shaking
+_DRAWS, _EVEN_OVER = 4, 5.0  # number of phase draws, and the time (s) over which the most even draw is chosen
+_EASE = 0.6  # s, duration of the start of a motion
+_TREMOR_RATES = (7.0, 17.0, 31.0, 47.0)  # rad/s, rates of corrections and of shaking of the hand
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Guide:
-    """How the hand holds the tool. Numbers, or arrays to differentiate with respect to.
+    """Parameters of the hand that holds the tool: numbers, or arrays for differentiation.
 
     Attributes:
-        stiffness: N/m, of the spring to the hand.
-        angular_stiffness: N m/rad.
+        stiffness: N/m, stiffness of the spring between hand and tool.
+        angular_stiffness: N m/rad, angular stiffness of this spring.
         damping: N s/m.
         angular_damping: N m s/rad.
-        misalignment: m, standard deviation per component of the error in where the hand holds the tool;
-            constant over a demonstration.
-        angular_misalignment: rad, the same for its orientation.
-        tremor: N, root mean square of each component of a shaking force.
-        angular_tremor: N m, of a shaking moment.
+        misalignment: m, standard deviation per component of the position error of the grip, which is constant
+            in a demonstration.
+        angular_misalignment: rad, standard deviation per component of the orientation error of the grip.
+        tremor: N, RMS of each component of the shaking force.
+        angular_tremor: N m, RMS of each component of the shaking moment.
     """
 
     stiffness: float | jax.Array = 400.0
@@ -61,21 +61,22 @@ class Guide:
 
 
 def _ease(t: jax.Array) -> jax.Array:
-    """Smooth from 0 to 1 in the first moments."""
+    """Smooth transition from 0 to 1 at the start of the motion."""
     s = jnp.clip(t / _EASE, 0, 1)
     return s**3 * (10 - 15 * s + 6 * s**2)
 
 
 def exciting(key: jax.Array, free: jax.Array) -> Excitation:
-    """Two sines along every free axis, all of different rates, with random phases, in reach of the arm.
+    """Two sines along every free axis, with different rates and random phases, within reach of the arm.
 
-    0.4 rad/s rms with three free rotations and 0.5 with one, 0.1 m/s; at most 0.45 rad and 0.1 m from
-    the start. Fewer free axes give less data, so they turn further: only the curvature of its path reveals
-    the position of a pin. The most even of four draws of the phases is taken.
+    The RMS velocity is 0.4 rad/s with three free rotations, 0.5 rad/s with one, and 0.1 m/s. The displacement
+    is at most 0.45 rad and 0.1 m from the start. A single free rotation turns further, because only the
+    curvature of its path reveals the position of a pin. The function takes the most even of four draws of the
+    phases.
 
     Args:
-        key: of the phases.
-        free: (6,), 1 where an axis is free: angular, then linear.
+        key: JAX random key of the phases.
+        free: (6,), 1 for free axes and 0 for constrained axes; three angular axes, then three linear axes.
     """
     return _sines(key, free, *_ONE_TURN)
 
@@ -83,13 +84,13 @@ def exciting(key: jax.Array, free: jax.Array) -> Excitation:
 def brisk(key: jax.Array, free: jax.Array) -> Excitation:
     """Like ``exciting``, but a single free rotation turns as fast as in the paper's Table 4.
 
-    0.75 to 0.9 rad/s rms, up to 0.7 rad from the start, and at rates no higher than the 2 and 3 rad/s that
-    the paper's experimenter followed. A hinge then often takes the arm to its limits, as the status of the
-    demonstration says.
+    The RMS velocity is 0.75 to 0.9 rad/s and the rotation up to 0.7 rad from the start. The rates are at most
+    the 2 and 3 rad/s of the paper's experimenter. A hinge then often takes the arm to its limits, which the
+    status of the demonstration reports.
 
     Args:
-        key: of the phases.
-        free: (6,), 1 where an axis is free: angular, then linear.
+        key: JAX random key of the phases.
+        free: (6,), 1 for free axes and 0 for constrained axes; three angular axes, then three linear axes.
     """
     return _sines(key, free, *_BRISK_TURN)
 
@@ -97,10 +98,10 @@ def brisk(key: jax.Array, free: jax.Array) -> Excitation:
 def _sines(
     key: jax.Array, free: jax.Array, one_rates: tuple[float, float], one_turning: tuple[float, float]
 ) -> Excitation:
-    """Two sines along every free axis; rates and amplitudes (rad/s) of a single free rotation are given."""
+    """Two sines along every free axis, with given rates and amplitudes (rad/s) for a single free rotation."""
     draws = jax.random.uniform(key, (_DRAWS, 2, 3, 2), free.dtype, maxval=2 * jnp.pi)
     free = free.reshape(2, 3)
-    # the first free axis of a kind moves slowest and furthest
+    # the first free axis, angular or linear, has the lowest rate and the largest displacement
     order = jnp.cumsum(free, axis=1).astype(jnp.int32) - 1
     rates = jnp.asarray(_RATES, dtype=draws.dtype)[jnp.maximum(order, 0)]
     one = jnp.sum(free[0]) == 1
@@ -108,7 +109,7 @@ def _sines(
     rates = jnp.stack([turning_rates, _LINEAR_RATE * rates[1]])
     turning = jnp.where(one, jnp.asarray(one_turning, dtype=draws.dtype), _TURNING)
     speeds = jnp.stack([turning, jnp.full_like(turning, _MOVING)])[:, None]
-    phases = _most_even(draws, rates, free)
+    phases = _most_even_phases(draws, rates, free)
 
     def displacement(t: jax.Array) -> jax.Array:
         return _ease(t) * jnp.sum(speeds * jnp.sin(rates * t + phases) / rates, axis=-1)
@@ -120,11 +121,11 @@ def _sines(
     return velocity
 
 
-def _most_even(draws: jax.Array, rates: jax.Array, free: jax.Array) -> jax.Array:
-    """Of several draws of the phases, (n, 2, 3, 2), the one whose slowest direction moves most, by kind.
+def _most_even_phases(draws: jax.Array, rates: jax.Array, free: jax.Array) -> jax.Array:
+    """Choose the phases, out of draws (n, 2, 3, 2), whose direction of least motion moves most.
 
-    Sines that happen to run together along two free axes leave a direction between them at rest: the
-    window would not show that it is free.
+    Sines with equal phases along two free axes leave a direction between the axes at rest, and the window
+    would not show that this direction is free. Rotations and translations are chosen separately.
     """
     t = jnp.linspace(0, _EVEN_OVER, 64, dtype=draws.dtype)
     velocity = jnp.sum(
@@ -132,17 +133,17 @@ def _most_even(draws: jax.Array, rates: jax.Array, free: jax.Array) -> jax.Array
     )
     velocity = velocity * free[None, :, :, None]
     covariance = jnp.mean(velocity[:, :, :, None] * velocity[:, :, None], axis=-1)
-    still = (1 - free)[:, :, None] * jnp.eye(3, dtype=free.dtype)[None]  # axes that are not free do not count
+    still = (1 - free)[:, :, None] * jnp.eye(3, dtype=free.dtype)[None]  # constrained axes do not count
     slowest = symmetric.eigh(symmetric.from_matrix(covariance + still[None]))[0][0]
     best = jnp.argmax(slowest, axis=0)
     return jnp.take_along_axis(draws, best[None, :, None, None], axis=0)[0]
 
 
 def paper(key: jax.Array, free: jax.Array) -> Excitation:
-    """The velocities of the paper's section 5.1, eased in.
+    """The velocities of the paper's section 5.1, with a smooth start.
 
-    They turn by 2.5 rad about y and shift by 0.5 m along x in 5 s: further than the arm reaches under
-    most constraints, which the status of the demonstration then says.
+    They rotate by 2.5 rad about y and shift by 0.5 m along x in 5 s. Under most constraints, this motion
+    exceeds the reach of the arm, which the status of the demonstration reports.
     """
     del free
     velocity = synthetic.paper_excitation(key)
@@ -162,14 +163,14 @@ EXCITATIONS: dict[str, Callable[[jax.Array, jax.Array], Excitation]] = {
 
 
 def find_excitation(excitation: str | Excitation, key: jax.Array, free: jax.Array) -> Excitation:
-    """Return the excitation of a name, for a key and the free axes (6,), or a function unchanged."""
+    """Return a named excitation for a key and the free axes (6,); return a function unchanged."""
     if not isinstance(excitation, str):
         return excitation
     return EXCITATIONS[excitation](key, free)
 
 
-def until(end: jax.Array, excitation: Excitation) -> Excitation:
-    """An excitation that slows down and rests from a time (s) on; unchanged if that is infinite."""
+def stop_at(end: jax.Array, excitation: Excitation) -> Excitation:
+    """Slow an excitation down so that it rests from a time (s) on; unchanged for an infinite time."""
 
     def velocity(t: jax.Array) -> tuple[jax.Array, jax.Array]:
         angular, linear = excitation(t)
@@ -182,11 +183,11 @@ def until(end: jax.Array, excitation: Excitation) -> Excitation:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Hand:
-    """One hand, drawn at random.
+    """A random hand.
 
     Attributes:
-        offset: (6,) rad and m, twist from the correct pose of the tool to the pose that the hand aims at.
-        phases: (6, n) rad, of the tremor.
+        offset: (6,) rad and m, twist from the correct pose of the tool to the target pose of the hand.
+        phases: (6, n) rad, phases of the tremor.
     """
 
     offset: jax.Array
@@ -194,7 +195,7 @@ class Hand:
 
 
 def make_hand(guide: Guide, key: jax.Array, dtype: Any) -> Hand:
-    """Draw a hand."""
+    """Draw a random hand."""
     offset_key, phase_key = jax.random.split(key)
     guide = as_numbers(guide, dtype)
     offset = jnp.stack([guide.angular_misalignment] * 3 + [guide.misalignment] * 3)
@@ -205,12 +206,12 @@ def make_hand(guide: Guide, key: jax.Array, dtype: Any) -> Hand:
 def guide_drive(
     guide: Guide, hand: Hand, frame: Frame, excitation: Excitation, step: float
 ) -> Callable[[jax.Array, jax.Array, Motion, Any], tuple[jax.Array, jax.Array]]:
-    """The drive of a guided demonstration; its state is the pose (4, 4) the tool should have."""
+    """The drive of a guided demonstration; its state is the target pose (4, 4) of the tool."""
     dtype = hand.offset.dtype
     guide = as_numbers(guide, dtype)
     rates = jnp.asarray(_TREMOR_RATES, dtype=dtype)
     size = jnp.stack([guide.angular_tremor] * 3 + [guide.tremor] * 3)
-    size = size * (2 / len(_TREMOR_RATES)) ** 0.5  # the sum of the sines has the given rms
+    size = size * (2 / len(_TREMOR_RATES)) ** 0.5  # scale the sum of sines to the given RMS
     aside = transforms.pose_exp(hand.offset)
 
     def drive(pose: jax.Array, t: jax.Array, motion: Motion, located: Any) -> tuple[jax.Array, jax.Array]:
@@ -224,7 +225,7 @@ def guide_drive(
         force = guide.stiffness * (goal[:3, 3] - motion.position) + guide.damping * lag[3:]
         tremor = size * jnp.sum(jnp.sin((rates * t)[None] + hand.phases), axis=-1)
         wrench = jnp.concatenate([moment, force]) + _ease(t) * tremor
-        # body axes: the exponential is that of the body twist
+        # in body axes, because the exponential map takes a body twist
         turned = jnp.concatenate([apply(rotation.T, twist[:3]), apply(rotation.T, twist[3:])])
         moved = matmul(pose, transforms.pose_exp(step * turned))
         return moved, jnp.sum(motion.jacobian * wrench[:, None], axis=0)

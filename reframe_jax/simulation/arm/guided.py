@@ -1,4 +1,4 @@
-"""The compiled program of a demonstration: a hand guides the arm under a constraint, a robot records."""
+"""The compiled program of a demonstration: a hand guides the arm, and the robot records its poses."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -12,20 +12,20 @@ from reframe_jax.geometry import transforms
 from reframe_jax.geometry.products import apply
 from reframe_jax.simulation.arm.compiled import as_numbers, jit_simulation
 from reframe_jax.simulation.arm.dynamics import arm_motion, solve_positive
-from reframe_jax.simulation.arm.guide import Guide, find_excitation, guide_drive, make_hand, until
+from reframe_jax.simulation.arm.guide import Guide, find_excitation, guide_drive, make_hand, stop_at
 from reframe_jax.simulation.arm.imperfections import Imperfections, measure
 from reframe_jax.simulation.arm.mechanism import Joints, integrate_welded
 from reframe_jax.simulation.arm.model import Arm, forward_kinematics
 from reframe_jax.simulation.arm.rollout import Steps, Track, hold, integrate
-from reframe_jax.simulation.arm.status import judge
+from reframe_jax.simulation.arm.status import rollout_status
 from reframe_jax.simulation.synthetic import Excitation
 
-__all__ = ["Onset", "Plan", "at_rest", "compliance_of", "demonstration_keys", "meet", "run_guided"]
+__all__ = ["Onset", "Plan", "at_rest", "compliance_of", "demonstration_keys", "impact_velocity", "run_guided"]
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What one compiled program is for: when, who, and how."""
+    """Static options of one compiled program."""
 
     steps: Steps
     dt: float
@@ -35,12 +35,12 @@ class Plan:
 
 
 class Onset(NamedTuple):
-    """How N demonstrations begin, and when they end.
+    """Initial states of N demonstrations, and the time at which they end.
 
     Attributes:
-        joints: (N, 7) rad.
-        velocity: (N, 7) rad/s, which obeys the constraint. A mechanism starts at rest.
-        end: s, at which the hand has come to rest; infinite if it does not.
+        joints: (N, 7) rad, initial joint positions.
+        velocity: (N, 7) rad/s, initial joint velocities, which obey the constraint; zero for a mechanism.
+        end: s, time at which the hand has come to rest; infinite for a hand that keeps moving.
     """
 
     joints: jax.Array
@@ -49,12 +49,12 @@ class Onset(NamedTuple):
 
 
 def at_rest(joints: jax.Array) -> Onset:
-    """Begin at rest at joint positions (N, 7) rad, and do not end."""
+    """Start at rest at joint positions (N, 7) rad, and keep moving until the end of the recording."""
     return Onset(joints, jnp.zeros_like(joints), jnp.asarray(jnp.inf, dtype=joints.dtype))
 
 
 def demonstration_keys(key: jax.Array, numbers: jax.Array) -> jax.Array:
-    """Keys (N, 4) of the demonstrations of these numbers: geometry, hand, excitation, sensors."""
+    """Random keys (N, 4) of numbered demonstrations, for geometry, hand, excitation and sensors."""
     return jax.vmap(lambda number: jax.random.split(jax.random.fold_in(key, number), 4))(numbers)
 
 
@@ -69,14 +69,14 @@ def run_guided(
     *,
     plan: Plan,
 ) -> dict[str, jax.Array]:
-    """What a demonstration holds besides the truth; one program for every class of constraint."""
+    """Simulate the fields of a demonstration except the truth, with one program for every constraint."""
     keys = demonstration_keys(key, numbers)
     dtype = onset.joints.dtype
-    roll = partial(_roll, guide, imperfections, plan, onset.end)
+    roll = partial(_simulate_one, guide, imperfections, plan, onset.end)
     track = jax.vmap(roll)(frame, keys[:, 1:3], onset.joints, onset.velocity)
     record = partial(measure, dt=plan.dt, what=imperfections, arm=plan.arm)
     poses = jax.vmap(lambda q, v, k: record(q, v, key=k))(track.joints, track.velocity, keys[:, 3])
-    margin, status = judge(track, frame.free, compliance_of(imperfections, dtype), plan.arm)
+    margin, status = rollout_status(track, frame.free, compliance_of(imperfections, dtype), plan.arm)
     return {
         "times": plan.dt * jnp.arange(plan.steps.samples + 1, dtype=dtype),
         "poses": poses,
@@ -91,12 +91,12 @@ def run_guided(
 
 
 def compliance_of(imperfections: Imperfections, dtype: Any) -> jax.Array:
-    """(6,) rad/(N m) and m/N, along the axes of a constraint."""
+    """Compliance (6,) rad/(N m) and m/N along the axes of a constraint."""
     given = as_numbers(imperfections, dtype)
     return jnp.stack([given.angular_compliance] * 3 + [given.compliance] * 3)
 
 
-def _roll(
+def _simulate_one(
     guide: Guide,
     imperfections: Imperfections,
     plan: Plan,
@@ -106,10 +106,10 @@ def _roll(
     start: jax.Array,
     velocity: jax.Array,
 ) -> Track:
-    """One demonstration."""
+    """Simulate one demonstration."""
     dtype, step = start.dtype, plan.steps.length
     hand = make_hand(guide, keys[0], dtype)
-    excitation = until(end, find_excitation(plan.excitation, keys[1], frame.free))
+    excitation = stop_at(end, find_excitation(plan.excitation, keys[1], frame.free))
     drive = guide_drive(guide, hand, frame, excitation, step)
     pose = transforms.make_pose(*forward_kinematics(start, plan.arm))
     if plan.joints is not None:
@@ -128,13 +128,13 @@ def _roll(
 
 
 @jit_simulation(("arm",))
-def meet(frame: Frame, joints: jax.Array, velocity: jax.Array, *, arm: Arm) -> jax.Array:
-    """Velocities (N, 7) of arms just after they met a constraint: an impact without rebound.
+def impact_velocity(frame: Frame, joints: jax.Array, velocity: jax.Array, *, arm: Arm) -> jax.Array:
+    """Joint velocities (N, 7) after a constraint becomes active: an impact without rebound.
 
     Args:
-        frame: the constraints, of N rollouts.
+        frame: the constraints of N rollouts.
         joints: (N, 7) rad.
-        velocity: (N, 7) rad/s, just before.
+        velocity: (N, 7) rad/s, joint velocities before the impact.
         arm: the robot.
     """
 
@@ -144,7 +144,7 @@ def meet(frame: Frame, joints: jax.Array, velocity: jax.Array, *, arm: Arm) -> j
         held = 1 - frame.free
         rows = held[:, None] * multiply(twist_map(located), motion.jacobian)
         response = solve_positive(motion.mass, rows.T)
-        # free axes have empty rows: a one on their diagonal leaves them without an impulse
+        # free axes have zero rows; a one on their diagonal gives a zero impulse
         impulse = solve_positive(
             multiply(rows, response) + jnp.diag(frame.free), multiply(rows, velocity)[:, None]
         )

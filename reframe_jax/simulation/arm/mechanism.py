@@ -1,9 +1,9 @@
-"""The same constraints built as mechanisms: joints of a second body, welded to the tool.
+"""Constraints as mechanisms: a second body with joints, welded to the tool.
 
-An independent form of the constraint, with MuJoCo's own soft constraint solver: what a robot bolted to
-a hinge or a slide is to a simulator. It exists where the constraint is a chain of slides and hinges:
-for A-D and I-L of the catalogue. It is slower than the exact form and serves as a check of it. Its model also
-runs in C MuJoCo.
+This form of a constraint is independent of the exact form and serves to verify the exact form. It uses
+MuJoCo's soft constraint solver, as a simulator does for a robot that is bolted to a hinge or a slide. It
+exists for constraints that are chains of slides and hinges: A to D and I to L of the catalogue. It is slower
+than the exact form, and its model also runs in C MuJoCo.
 """
 
 from functools import cache
@@ -34,22 +34,22 @@ __all__ = ["Joints", "integrate_welded", "mechanism_joints", "mechanism_model"]
 Joints = tuple[tuple[str, int], ...]
 """Joints of a mechanism in order from the ground: "slide", "hinge" or "ball", and the axis, 0-2."""
 
-_MASS = 0.2  # kg, of the mechanism's moving part
+_MASS = 0.2  # kg, mass of the moving part of the mechanism
 _INERTIA = 1e-3  # kg m^2
 _WELD = 'solref="0.004 1" solimp="0.999 0.9999 0.001"'  # stiff: 15 um and 0.3 mrad at steps of 5 ms
 
 
 def mechanism_joints(frame: ConstraintFrame) -> Joints:
-    """Return the chain of joints that makes a constraint, along the axes of its frame.
+    """Return the chain of joints that reproduces a constraint, along the axes of its frame.
 
     Raises:
-        ValueError: for a constraint that no chain of slides and hinges makes.
+        ValueError: for a constraint that no chain of slides and hinges reproduces.
     """
     turns = [i for i, free in enumerate(frame.angular_dof) if free]
     slides: Joints = tuple(("slide", i) for i, free in enumerate(frame.linear_dof) if free)
     hinges: Joints = (("ball", 0),) if len(turns) == 3 else tuple(("hinge", i) for i in turns)
     if len(turns) != 2:
-        if frame.linear_type == LinearType.GB or _ignores_turning(frame.angular_dof, frame.linear_dof):
+        if frame.linear_type == LinearType.GB or _slides_ignore_rotation(frame.angular_dof, frame.linear_dof):
             return slides + hinges
         if frame.linear_type == LinearType.BG:
             return hinges + slides
@@ -59,8 +59,8 @@ def mechanism_joints(frame: ConstraintFrame) -> Joints:
     )
 
 
-def _ignores_turning(angular: Dof, linear: Dof) -> bool:
-    """Whether the slides do not care that the body turns: all four types are then one."""
+def _slides_ignore_rotation(angular: Dof, linear: Dof) -> bool:
+    """Whether rotations do not change the slides, so that all four linear types are equivalent."""
     along = [i for i in range(3) if linear[i]]
     about = [i for i in range(3) if angular[i]]
     if not along or not about or len(along) == 3:
@@ -71,12 +71,12 @@ def _ignores_turning(angular: Dof, linear: Dof) -> bool:
 
 @cache
 def mechanism_model(arm: Arm, joints: Joints, timestep: float) -> mujoco.MjModel:
-    """The arm welded to a mechanism, whose place :func:`placement` gives; for C MuJoCo too."""
+    """Model of the arm welded to a mechanism, for MJX and C MuJoCo; see :func:`placement` for its pose."""
     parts = ""
     for number, (kind, axis) in enumerate(joints):
         direction = "" if kind == "ball" else f'axis="{" ".join(str(float(i == axis)) for i in range(3))}"'
         parts += f'<joint name="mechanism{number}" type="{kind}" {direction}/>'
-    # positions that placement overwrites; at zero, C MuJoCo would take them for the body's own
+    # placement overwrites these positions; C MuJoCo replaces zero positions by the body's frame
     body = (
         f'<body name="mechanism"><inertial pos=".1 .1 .1" mass="{_MASS}" '
         f'diaginertia="{_INERTIA} {_INERTIA} {_INERTIA}"/>{parts}'
@@ -95,21 +95,21 @@ def mechanism_model(arm: Arm, joints: Joints, timestep: float) -> mujoco.MjModel
 
 
 def _quaternion(rotation: jax.Array) -> jax.Array:
-    """(w, x, y, z), MuJoCo's order."""
+    """Quaternion in MuJoCo's order (w, x, y, z)."""
     return jnp.roll(rotations.rotation_to_quaternion(rotation), 1)
 
 
 def placement(frame: Frame, rotation: jax.Array, position: jax.Array) -> dict[str, jax.Array]:
-    """Where the mechanism's body stands, and its grip on the tool, for the tool's pose at the start.
+    """Compute the pose of the mechanism and its grip on the tool from the tool's initial pose.
 
     Args:
-        frame: the constraint, of one rollout.
-        rotation: (3, 3), of {b} in {g}.
+        frame: the constraint of one rollout.
+        rotation: (3, 3), orientation of {b} in {g}.
         position: (3,) m.
 
     Returns:
-        ``body_pos`` (3,), ``body_quat`` (4,) of the mechanism; ``site_pos``, ``site_quat`` of the grip in
-        it. The mechanism's axes are those of the angular frame.
+        ``body_pos`` (3,) and ``body_quat`` (4,) of the mechanism; ``site_pos`` and ``site_quat`` of the grip
+        in the mechanism. The axes of the mechanism are the axes of the angular frame.
     """
     located = locate(frame, rotation, position)
     axes = located.angular_axes
@@ -130,16 +130,18 @@ def integrate_welded(
     state: Any,
     steps: Steps,
 ) -> Track:
-    """The motion of the arm welded to a mechanism; as :func:`reframe_jax.simulation.arm.rollout.integrate`.
+    """Integrate the motion of the arm welded to a mechanism.
+
+    The result has the format of :func:`reframe_jax.simulation.arm.rollout.integrate`.
 
     Args:
         arm: the robot.
-        joints: of the mechanism.
-        frame: the constraint, of one rollout, its angular and linear axes aligned at the start.
-        start: (7,) rad.
-        drive: who moves the arm.
-        state: of the drive at the start.
-        steps: samples, and steps of at most 0.005 s between them, for the weld to hold.
+        joints: joints of the mechanism.
+        frame: the constraint of one rollout, with aligned angular and linear axes at the start.
+        start: (7,) rad, initial joint positions.
+        drive: the drive that moves the arm.
+        state: initial state of the drive.
+        steps: samples, and steps between samples; steps up to 0.005 s keep the weld stiff.
     """
     dtype, step = start.dtype, steps.length
     host = mechanism_model(arm, joints, step)
@@ -163,7 +165,7 @@ def integrate_welded(
         slipped = slipped + slip(before, now)
         state, torque = drive(state, (count.astype(dtype) + 0.5) * step, motion, now)
         data = full_step(model, data.replace(qfrc_applied=data.qfrc_applied.at[:7].set(torque)))
-        # the wrench whose joint torques the solver found: J J^T W = J J^T_weld f
+        # the wrench W that gives the joint torques of the solver: J J^T W = J J^T_weld f
         jacobian, found = motion.jacobian, data.qfrc_constraint[:7]
         wrench = solve_positive(matmul(jacobian, jacobian.T), apply(jacobian, found)[:, None])[:, 0]
         back = jax.vmap(lambda axis: ground_twist(now, axis))(jnp.eye(6, dtype=dtype))

@@ -1,9 +1,9 @@
-"""The arm: Franka's Panda and FR3 as numbers, as MJCF, and as forward kinematics.
+"""Models of the Franka Panda and FR3 arms: parameters, MJCF and forward kinematics.
 
-Both robots share their link frames. The Panda's inertial parameters are those identified by Gaz et al.
-(2019), "Dynamic Identification of the Franka Emika Panda Robot With Retrieval of Feasible Parameters
-Using Penalty-Based Optimization"; the FR3's are the manufacturer's. Shapes are primitives and nothing
-collides: the arm is moved by hands and mechanisms only.
+Both robots have the same link frames. The inertial parameters of the Panda are from Gaz et al. (2019),
+"Dynamic Identification of the Franka Emika Panda Robot With Retrieval of Feasible Parameters Using
+Penalty-Based Optimization"; the parameters of the FR3 are from the manufacturer. The shapes are primitives
+without collisions, because only hands and mechanisms move the arm.
 
 Frames: {g} is the robot's base, x forward, z up; {b} is the tool centre point (TCP) between the
 fingertips, z out of the hand. Metres, kilograms, radians.
@@ -28,20 +28,20 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Link:
-    """A rigid link and the joint that carries it; the joint turns about the link's z axis.
+    """A rigid link and its joint, which turns about the link's z axis.
 
     Attributes:
-        position: m, origin in the frame of the link before.
-        quaternion: (w, x, y, z), orientation in the frame of the link before; of any length.
+        position: m, origin in the frame of the previous link.
+        quaternion: (w, x, y, z), orientation in the frame of the previous link; normalization is not needed.
         mass: kg.
         centre: m, centre of mass in the link's frame.
-        inertia: kg m^2 about the centre of mass: Ixx, Iyy, Izz, Ixy, Ixz, Iyz.
+        inertia: kg m^2, about the centre of mass: Ixx, Iyy, Izz, Ixy, Ixz, Iyz.
         limits: rad, range of the joint.
         speed: rad/s, highest joint velocity.
         torque: N m, highest joint torque.
         armature: kg m^2, rotor inertia seen at the joint.
-        damping: N m s/rad, viscous friction of the joint while the robot is guided.
-        capsule: m, ends and radius of the shape that is drawn.
+        damping: N m s/rad, viscous friction of the joint in guiding mode.
+        capsule: m, ends and radius of the drawn shape.
     """
 
     position: Vector
@@ -61,15 +61,15 @@ class Link:
 class Arm:
     """A robot arm of seven revolute joints with a tool fixed to its last link.
 
-    Hashable, so that it can be a static argument; change it with ``dataclasses.replace``.
+    An arm is hashable, so it can be a static argument. Change a field with ``dataclasses.replace``.
 
     Attributes:
-        name: of the robot.
+        name: name of the robot.
         links: the seven moving links, base to flange.
         hand: the hand and the tool, fixed to the last link.
         tcp: m, the tool centre point {b} in the hand's frame.
-        home: (7,) rad, a configuration with room around it: the tool points down, and the TCP can be
-            moved by 0.15 m and turned by 0.5 rad with 0.29 rad left to every joint limit.
+        home: (7,) rad, a configuration far from joint limits: the tool points down, and the TCP can move by
+            0.15 m and turn by 0.5 rad with a margin of 0.29 rad to every joint limit.
     """
 
     name: str
@@ -94,7 +94,7 @@ class Arm:
         return np.array([link.speed for link in self.links])
 
     def start(self, joints: ArrayLike | None, dtype: DTypeLike) -> jax.Array:
-        """Joint positions (..., 7), rad, as an array; home where there are none."""
+        """Convert joint positions (..., 7), rad, to an array; None gives the home configuration."""
         return jnp.asarray(self.home if joints is None else joints, dtype=dtype)
 
 
@@ -219,7 +219,7 @@ _FR3_LIMITS = (
 
 
 def _matrix(quaternion: Sequence[float]) -> np.ndarray:
-    """(3, 3) from a quaternion (w, x, y, z) of any length, as MJCF writes them."""
+    """Rotation matrix (3, 3) from a quaternion (w, x, y, z), which need not be normalized."""
     unit = np.asarray(quaternion, dtype=float) / np.linalg.norm(quaternion)
     return quaternions_to_matrices(np.roll(unit, -1))
 
@@ -254,7 +254,7 @@ def _links(
 
 
 PANDA = Arm("panda", _links(_PANDA_INERTIALS, _PANDA_LIMITS, [0.1] * 7, 0.5), _HAND)
-"""The Panda, with an armature and a damping as light as a hand feels in guiding mode."""
+"""The Franka Panda, with the low armature and damping of guiding mode."""
 
 FR3 = Arm(
     "fr3",
@@ -272,7 +272,7 @@ ROBOTS: dict[str, Arm] = {arm.name: arm for arm in (PANDA, FR3)}
 
 
 def find_arm(arm: str | Arm) -> Arm:
-    """Return the arm of a name, or an :class:`Arm` unchanged.
+    """Return the arm with a given name; return an :class:`Arm` unchanged.
 
     Raises:
         ValueError: for an unknown name; the message lists the known ones.
@@ -298,18 +298,18 @@ def arm_xml(
     options: str = "",
     flags: str = "",
 ) -> str:
-    """The arm as an MJCF document, for MuJoCo and MJX.
+    """Write the arm as an MJCF document, for MuJoCo and MJX.
 
-    Bodies link1 to link7 and hand, joints joint1 to joint7, sites flange and tcp.
+    The bodies are link1 to link7 and hand; the joints are joint1 to joint7; the sites are flange and tcp.
 
     Args:
         arm: the robot.
         timestep: s.
-        gravity: whether gravity pulls; it is compensated by the robot while it is guided.
-        bodies: MJCF of further bodies of the world, after the arm.
+        gravity: whether gravity acts; in guiding mode, the robot compensates gravity.
+        bodies: MJCF of additional bodies in the world, after the arm.
         equality: MJCF of equality constraints.
-        options: further attributes of ``<option>``.
-        flags: further attributes of its ``<flag>``.
+        options: additional attributes of ``<option>``.
+        flags: additional attributes of ``<flag>``.
     """
     ghost = 'contype="0" conaffinity="0" mass="0"'
     opening = ""
@@ -358,13 +358,13 @@ def forward_kinematics(
     *,
     links: tuple[jax.Array, jax.Array] | None = None,
 ) -> tuple[jax.Array, jax.Array]:
-    """Pose of the TCP, as the product of link transforms and joint rotations.
+    """Compute the pose of the TCP as the product of link transforms and joint rotations.
 
     Args:
         joints: (..., 7) rad.
         arm: the robot.
-        links: rotations (..., 8, 3, 3) and positions (..., 8, 3), m, of the links in their parents, instead
-            of the arm's: a robot as built, not as designed.
+        links: rotations (..., 8, 3, 3) and positions (..., 8, 3), m, of the links in their parents. They
+            replace the links of the arm, for example by the links of a robot as built.
 
     Returns:
         Rotation (..., 3, 3) and position (..., 3), m, of {b} in {g}.
@@ -377,11 +377,11 @@ def forward_kinematics(
     joints = jnp.broadcast_to(joints, (*batch, 7))
     rotation, position = fixed[..., 0, :, :], offset[..., 0, :]
     for i in range(7):
-        # a turn about z mixes the first two columns
+        # a rotation about z combines the first two columns
         c, s = jnp.cos(joints[..., i, None]), jnp.sin(joints[..., i, None])
         x, y, z = rotation[..., :, 0], rotation[..., :, 1], rotation[..., :, 2]
         rotation = jnp.stack([c * x + s * y, c * y - s * x, z], axis=-1)
         position = position + jnp.sum(rotation * offset[..., i + 1, None, :], axis=-1)
-        # elementwise, as a library call for every matrix of a batch costs more than the product
+        # elementwise, because a library call per matrix of a batch costs more than the product
         rotation = jnp.sum(rotation[..., :, :, None] * fixed[..., i + 1, None, :, :], axis=-2)
     return rotation, position

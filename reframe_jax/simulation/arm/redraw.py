@@ -1,4 +1,4 @@
-"""Repeated draws until enough of them are feasible for the robot."""
+"""Draw random demonstrations repeatedly, until enough of them are feasible for the robot."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -8,21 +8,21 @@ import numpy as np
 
 from reframe_jax.simulation.arm.status import RolloutStatus
 
-__all__ = ["Draw", "draw_good"]
+__all__ = ["Draw", "draw_usable"]
 
-_PATIENCE = 10  # chunks drawn before giving up, if more than 9 in 10 draws are of no use
+_PATIENCE = 10  # chunks before an error, if more than 9 in 10 draws are unusable
 
 Batch = TypeVar("Batch")
 
 
 @dataclass(frozen=True)
 class Draw(Generic[Batch]):
-    """One chunk, and what of it counts.
+    """One chunk of draws, and its usable draws.
 
     Attributes:
-        batch: what was drawn.
-        good: indices of the usable ones in it; of the last chunk, no more than are wanted.
-        first: number of its first draw, over all chunks.
+        batch: the draws.
+        good: indices of the usable draws in ``batch``; the last chunk has only as many as needed.
+        first: number of the first draw of the chunk, counted over all chunks.
     """
 
     batch: Batch
@@ -30,25 +30,26 @@ class Draw(Generic[Batch]):
     first: int
 
 
-def draw_good(
+def draw_usable(
     draw: Callable[[int], tuple[Batch, np.ndarray]],
     count: int,
     chunk: int,
     *,
-    complaint: str = "demonstrations are usable",
+    subject: str = "demonstrations are usable",
     progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[Draw[Batch]]:
-    """Draw chunks until enough draws are good.
+    """Draw chunks until enough draws are usable.
 
     Args:
-        draw: given the number of a chunk, what is in it and the :class:`RolloutStatus` (n,) of each.
-        count: number of good ones wanted.
-        chunk: number drawn at once.
-        complaint: what of so many draws, if too few are good.
-        progress: called with the number of good ones so far and ``count``, after every chunk.
+        draw: function of the number of a chunk that returns the draws and the :class:`RolloutStatus` (n,) of
+            each.
+        count: number of usable draws to collect.
+        chunk: number of draws per chunk.
+        subject: end of the error message "Only 3 of 40 ..." if too few draws are usable.
+        progress: function to call after every chunk, with the number of usable draws and ``count``.
 
     Yields:
-        Every chunk, those without a good one too.
+        Every chunk, including chunks without usable draws.
 
     Raises:
         ValueError: if more than 9 in 10 draws are unusable and more are still needed.
@@ -60,7 +61,7 @@ def draw_good(
         first, drawn, done = drawn, drawn + chunk, done + len(good)
         if done < count and drawn >= _PATIENCE * chunk and done < drawn / 10:
             worst = f" {RolloutStatus(int(np.median(status))).message}" if np.any(status) else ""
-            raise ValueError(f"Only {done} of {drawn} {complaint}.{worst}")
+            raise ValueError(f"Only {done} of {drawn} {subject}.{worst}")
         if progress is not None:
             progress(done, count)
         yield Draw(batch, good, first)

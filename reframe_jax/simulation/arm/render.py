@@ -1,4 +1,4 @@
-"""Films of the arm, drawn offscreen by MuJoCo. Needs the extra ``render`` and OpenGL (EGL or OSMesa)."""
+"""Render films of the arm offscreen with MuJoCo; needs the extra ``render`` and OpenGL (EGL or OSMesa)."""
 
 import importlib
 import os
@@ -16,7 +16,7 @@ from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import Located, frame_arrays, locate_on_host
 from reframe_jax.geometry.transforms import make_pose
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
-from reframe_jax.simulation.arm.skin import dress_arm
+from reframe_jax.simulation.arm.skin import apply_skin
 
 __all__ = ["RenderError", "film_frames", "save_film"]
 
@@ -24,11 +24,11 @@ _FREE = (0.0, 0.45, 0.70, 1.0)
 _CONSTRAINED = (0.84, 0.37, 0.0, 1.0)
 _TOOL = (0.35, 0.35, 0.35, 1.0)
 _PATH = (0.0, 0.62, 0.45, 0.8)
-_LENGTH = 0.14  # m, of the drawn axes
+_LENGTH = 0.14  # m, length of the drawn axes
 
 
 class RenderError(RuntimeError):
-    """Drawing is impossible on this machine; the message says what is missing."""
+    """Rendering is impossible on this machine; the message names the missing software."""
 
 
 def film_frames(
@@ -39,17 +39,17 @@ def film_frames(
     skin: str | Path | None = None,
     size: tuple[int, int] = (480, 368),
 ) -> np.ndarray:
-    """Draw pictures of the arm at joint positions, with the constraint frame and the path of the TCP.
+    """Render pictures of the arm at joint positions, with the constraint frame and the path of the TCP.
 
     Free axes of the frame are blue, constrained axes orange: short bars for the linear frame, a disc for
     a free rotation. A grey rod leads from the hand to the origin of the frame.
 
     Args:
         joints: (K, 7) rad, such as the ``joint_positions`` of one demonstration.
-        truth: the constraint, with geometry (3,) each; None draws the arm alone.
+        truth: the constraint, with geometry (3,); None draws only the arm.
         arm: the robot.
-        skin: a MuJoCo model of the robot to look at in place of primitive shapes, such as MuJoCo
-            Menagerie's ``panda.xml``, or a folder of meshes: ``link0.stl`` to ``link7.stl``, ``hand.stl``.
+        skin: appearance of the robot instead of primitive shapes: a MuJoCo model, such as MuJoCo Menagerie's
+            ``panda.xml``, or a folder of meshes, ``link0.stl`` to ``link7.stl`` and ``hand.stl``.
         size: width and height in pixels, up to 1920 x 1080; multiples of 16 for MP4.
 
     Returns:
@@ -91,7 +91,7 @@ def save_film(path: str | Path, pictures: np.ndarray, *, rate: float = 20.0) -> 
     """Write pictures as an animated GIF, or as MP4.
 
     Args:
-        path: of the film; its suffix is ``.gif`` or ``.mp4``.
+        path: path of the film, with the suffix ``.gif`` or ``.mp4``.
         pictures: (K, height, width, 3) uint8.
         rate: pictures per second.
 
@@ -106,7 +106,7 @@ def save_film(path: str | Path, pictures: np.ndarray, *, rate: float = 20.0) -> 
         if path.suffix == ".gif":
             from PIL import Image
 
-            # one palette for all and no dithering, so that what stands still does not flicker
+            # one palette for all pictures and no dithering, so that static parts do not flicker
             palette = _palette(pictures[:: max(1, len(pictures) // 4)])
             first, *rest = [
                 Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
@@ -124,7 +124,7 @@ def save_film(path: str | Path, pictures: np.ndarray, *, rate: float = 20.0) -> 
 
 
 def _palette(pictures: np.ndarray) -> Any:
-    """An image with 256 colours for pictures (..., 3): some for the few pixels that are not grey."""
+    """Palette of 256 colours for pictures (..., 3), with some colours for the few coloured pixels."""
     from PIL import Image
 
     pixels = pictures.reshape(-1, 3)
@@ -141,7 +141,7 @@ def _palette(pictures: np.ndarray) -> Any:
 
 def _scene(arm: Arm, skin: str | Path | None) -> mujoco.MjModel:
     """The arm on a chequered floor."""
-    spec = dress_arm(arm, skin)
+    spec = apply_skin(arm, skin)
     sky, chequers = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtTexture.mjTEXTURE_2D
     if not any(texture.type == sky for texture in spec.textures):
         spec.add_texture(
@@ -178,13 +178,13 @@ def _scene(arm: Arm, skin: str | Path | None) -> mujoco.MjModel:
 
 
 def _renderer(model: mujoco.MjModel, size: tuple[int, int]) -> Any:
-    """An offscreen renderer; through EGL where nothing else was asked for and there is no display."""
+    """Create an offscreen renderer, with EGL if there is no display and no other backend is set."""
     from mujoco.rendering.classic import gl_context
 
     if sys.platform == "linux" and not {"MUJOCO_GL", "DISPLAY"} & os.environ.keys():
         os.environ["MUJOCO_GL"] = "egl"
         try:
-            importlib.reload(gl_context)  # it chose at its first import
+            importlib.reload(gl_context)  # the module chooses its backend at the first import
         except (ImportError, AttributeError, RuntimeError, OSError) as error:
             raise RenderError(_NO_OPENGL.format(error)) from error
         finally:
@@ -201,7 +201,7 @@ _NO_OPENGL = (
 
 
 def _locate(truth: ConstraintFrame, poses: np.ndarray) -> Located:
-    """The frame at every pose (K, 4, 4), in the ground, on the host."""
+    """Locate the frame at every pose (K, 4, 4), in the ground, on the host."""
     return locate_on_host(frame_arrays(jax.tree.map(jnp.asarray, truth)), poses)
 
 

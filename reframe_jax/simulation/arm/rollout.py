@@ -1,4 +1,4 @@
-"""Constrained motion of the arm: one integrator for demonstrations and reproductions.
+"""Integrate constrained motions of the arm, for demonstrations and reproductions.
 
 The constraint is solved exactly at every step. With the equations of motion M dv/dt + c = tau + J_c^T f,
 J_c = A(T) J, the axial velocities u = J_c v at the end of a step h obey, axis by axis,
@@ -7,12 +7,12 @@ J_c = A(T) J, the axial velocities u = J_c v at the end of a step h obey, axis b
     u = -f / d                    a free axis with viscous friction d,
     f = 0                         a free axis,
 
-where x is how far the axis has slipped: the integral of its velocity along the motion made. A rigid
-axis so returns to x = 0 with the time constant T, and no constraint drifts, integrable or not. All three
-are linear, so a step is one solve with a 6x6 matrix for the reaction f.
+where x is the slip of the axis, the integral of its velocity over the motion. A rigid axis thus returns to x
+= 0 with the time constant T, and no constraint drifts, integrable or not. All three laws are linear, so each
+step solves one linear system with a 6x6 matrix for the reaction f.
 
-The dynamics are evaluated at the middle of the step, q + h v / 2, which makes the motion obey a
-constraint whose axes turn to second order in h; the friction of the joints is implicit.
+The dynamics are evaluated at the middle of the step, q + h v / 2. A constraint with turning axes is then
+accurate to second order in h. The friction of the joints is implicit.
 """
 
 from collections.abc import Callable
@@ -29,13 +29,13 @@ from reframe_jax.simulation.arm.model import Arm, forward_kinematics
 __all__ = ["AxisLaw", "Steps", "Track", "hold", "integrate", "run_samples"]
 
 RELAXATION = 0.03
-"""s, time constant with which a held axis returns; also the ratio of damping to stiffness of a spring."""
+"""s, time constant with which a constrained axis returns; also the ratio of damping to stiffness."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class AxisLaw:
-    """What acts along each of the six axes: u = -(offset + softness f) where ``acts`` is 1, f = 0 elsewhere.
+    """The law along each of the six axes: u = -(offset + softness f) where ``acts`` is 1, f = 0 elsewhere.
 
     Attributes:
         acts: (6,) 0 or 1.
@@ -49,11 +49,11 @@ class AxisLaw:
 
 
 def hold(free: jax.Array, slipped: jax.Array, step: float, compliance: jax.Array) -> AxisLaw:
-    """Hold the constrained axes by springs or rigidly, and leave the free ones free.
+    """Axis laws that hold the constrained axes rigidly or by springs, and leave the other axes free.
 
     Args:
-        free: (6,), 1 where an axis is free.
-        slipped: (6,) rad and m, how far each axis has slipped.
+        free: (6,), 1 for free axes, 0 for constrained axes.
+        slipped: (6,) rad and m, slip of each axis.
         step: s.
         compliance: (6,) rad/(N m) and m/N; zero is rigid.
     """
@@ -70,8 +70,8 @@ class Track:
         joints: (K+1, 7) rad.
         velocity: (K+1, 7) rad/s.
         slip: (K+1, 6) rad and m, displacement along the frame's axes since the start.
-        force: (K+1, 6) N m and N, of the environment on the tool along the frame's axes, forces at the
-            frame's origin; over the step before the sample.
+        force: (K+1, 6) N m and N, moments and forces of the environment on the tool along the frame's axes,
+            with forces at the frame's origin, in the step before each sample.
     """
 
     joints: jax.Array
@@ -86,7 +86,7 @@ class Steps(NamedTuple):
     Attributes:
         samples: number K of samples after the first.
         substeps: steps from one sample to the next.
-        length: s, of a step.
+        length: s, length of a step.
     """
 
     samples: int
@@ -95,7 +95,7 @@ class Steps(NamedTuple):
 
 
 Drive = Callable[[Any, jax.Array, Motion, Located], tuple[Any, jax.Array]]
-"""(state, time in s, arm, frame) to (next state, joint torques (7,) in N m)."""
+"""Function of (state, time in s, arm, frame) that returns (next state, joint torques (7,) in N m)."""
 
 
 def integrate(
@@ -113,13 +113,13 @@ def integrate(
 
     Args:
         arm: the robot.
-        frame: the constraint, of one rollout.
-        start: (7,) rad.
-        drive: torques that move the arm; called once per step, at its middle.
-        state: of the drive at the start.
-        law: what acts along the axes, as a function of their slip.
-        steps: samples, and steps between them.
-        velocity: (7,) rad/s at the start, which obeys the constraint; by default at rest.
+        frame: the constraint of one rollout.
+        start: (7,) rad, initial joint positions.
+        drive: function that returns the joint torques; called once per step, at the middle of the step.
+        state: initial state of the drive.
+        law: function from the slip of the axes to their laws.
+        steps: samples, and steps between samples.
+        velocity: (7,) rad/s, initial joint velocities, which must obey the constraint; zero by default.
     """
     dtype, step = start.dtype, steps.length
     damping = jnp.asarray(arm.damping, dtype=dtype)
@@ -158,13 +158,13 @@ def run_samples(
     observe: Callable[[Any], Track],
     steps: Steps,
 ) -> Track:
-    """Observe the start and every sample after it.
+    """Integrate, and observe the start and every later sample.
 
     Args:
-        advance: one step, given the carry and its number.
-        carry: at the start.
-        observe: from the carry to the contents of a sample.
-        steps: samples, and steps between them.
+        advance: function of the carry and the number of a step that returns the next carry.
+        carry: initial carry.
+        observe: function from the carry to the contents of a sample.
+        steps: samples, and steps between samples.
     """
 
     def sample(carry: Any, index: jax.Array) -> tuple[Any, Track]:

@@ -1,4 +1,4 @@
-"""Demonstrations of tasks that change constraints: approach, contact, motion, release."""
+"""Simulate demonstrations of tasks with several constraints: approach, contact, motion, release."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -25,30 +25,30 @@ from reframe_jax.simulation.arm.guided import (
     Plan,
     compliance_of,
     demonstration_keys,
-    meet,
+    impact_velocity,
     run_guided,
 )
 from reframe_jax.simulation.arm.imperfections import Imperfections, measure
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
 from reframe_jax.simulation.arm.rollout import Track
-from reframe_jax.simulation.arm.status import judge
+from reframe_jax.simulation.arm.status import rollout_status
 from reframe_jax.simulation.synthetic import Excitation
 
 __all__ = ["SequenceDemonstration", "demonstrate_sequence"]
 
-_SETTLE = 0.4  # s, after which the tool has followed a hand that rests
+_SETTLE = 0.4  # s, time that the tool needs to come to rest after the hand
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class SequenceDemonstration:
-    """A batch of demonstrations of a task that changes constraints; slice it like an array.
+    """A batch of demonstrations of a task with several constraints; slice it like an array.
 
     Attributes:
-        times: (K+1,) s, of the whole task.
-        poses: (N, K+1, 4, 4) m, of {b} in {g} as the robot records them.
-        stages: the demonstration under each constraint. The first pose of a stage is the last one of the
-            stage before it. ``times`` begin at 0 in each.
+        times: (K+1,) s, times of the whole task.
+        poses: (N, K+1, 4, 4) m, recorded poses of {b} in {g}, with the errors of the robot.
+        stages: one demonstration per constraint. The first pose of a stage equals the last pose of the
+            previous stage. The ``times`` of each stage start at 0.
     """
 
     times: jax.Array
@@ -56,14 +56,14 @@ class SequenceDemonstration:
     stages: tuple[Demonstration, ...]
 
     def __getitem__(self, index: int | slice | np.ndarray | jax.Array) -> "SequenceDemonstration":
-        """Some of the demonstrations; a single index leaves no batch axis."""
+        """Select demonstrations; a single index removes the batch axis."""
         return SequenceDemonstration(
             self.times, self.poses[index], tuple(stage[index] for stage in self.stages)
         )
 
     @property
     def boundaries(self) -> tuple[int, ...]:
-        """Index of the pose at which each constraint but the first takes over; it obeys both."""
+        """Index of the first pose of each stage after the first; this pose obeys both constraints."""
         ends = np.cumsum([len(stage.times) - 1 for stage in self.stages])
         return tuple(int(end) for end in ends[:-1])
 
@@ -75,21 +75,21 @@ class SequenceDemonstration:
     @property
     def exact_poses(self) -> jax.Array:
         """(N, K+1, 4, 4) m, the true poses of the whole task."""
-        return _in_a_row([stage.exact_poses for stage in self.stages], axis=-3)
+        return _join_stages([stage.exact_poses for stage in self.stages], axis=-3)
 
     @property
     def joint_positions(self) -> jax.Array:
-        """(N, K+1, 7) rad, of the whole task."""
-        return _in_a_row([stage.joint_positions for stage in self.stages], axis=-2)
+        """(N, K+1, 7) rad, joint positions of the whole task."""
+        return _join_stages([stage.joint_positions for stage in self.stages], axis=-2)
 
     @property
     def status_code(self) -> jax.Array:
-        """(N,) int: the worst :class:`RolloutStatus` of the stages."""
+        """(N,) int, the worst :class:`RolloutStatus` of all stages."""
         return jnp.max(jnp.stack([stage.status_code for stage in self.stages]), axis=0)
 
 
-def _in_a_row(parts: Sequence[jax.Array], axis: int) -> jax.Array:
-    """Join the stages; the pose of each hand-over comes once."""
+def _join_stages(parts: Sequence[jax.Array], axis: int) -> jax.Array:
+    """Concatenate the stages; the common pose of two stages appears once."""
     later = [jax.lax.slice_in_dim(part, 1, part.shape[axis], axis=axis) for part in parts[1:]]
     return jnp.concatenate([parts[0], *later], axis=axis)
 
@@ -111,44 +111,43 @@ def demonstrate_sequence(
     arm: str | Arm = PANDA,
     start: ArrayLike | None = None,
 ) -> SequenceDemonstration:
-    """Simulate a hand that guides the arm under one constraint after the other.
+    """Simulate a hand that guides the arm under several constraints, one after the other.
 
-    Each constraint takes hold of the tool where the one before has left it. What the tool then moves along
-    constrained axes stops at once, as where it hits a surface. All stages run in the program of
-    :func:`reframe_jax.simulation.arm.demonstrate`, of as many samples as the longest one has.
+    Each constraint becomes active at the last pose of the previous stage. Velocities along its constrained
+    axes then stop, as in an impact with a surface. All stages use the program of
+    :func:`reframe_jax.simulation.arm.demonstrate`, with the number of samples of the longest stage.
 
     Args:
-        constraints: labels or names of the catalogue, "unconstrained" for an approach or a release, which are
-            placed about the TCP as in :func:`frame_on_arm`; or frames, which stay where they are.
+        constraints: labels or names of the catalogue, placed near the TCP as in :func:`frame_on_arm`, with
+            "unconstrained" for an approach or a release; or frames, which are used without change.
         key: JAX random key.
         batch: number N of demonstrations.
-        first: number of the first one, to continue an earlier batch.
-        durations: s, of every stage, or of each.
-        dt: s, between recorded samples.
+        first: number of the first demonstration, to continue an earlier batch.
+        durations: s, one duration for all stages, or one per stage.
+        dt: s, time between recorded samples.
         step: as in :func:`demonstrate`.
-        excitation: as in :func:`demonstrate`; each stage draws its own.
-        pause: whether the hand comes to rest before each change, and at the end. Otherwise it meets the next
-            constraint in motion.
-        spread: rad and m, standard deviations of a random turn and shift of each stage's geometry.
-        guide: how the hand holds the tool, anew in each stage.
+        excitation: as in :func:`demonstrate`, with separate random phases for each stage.
+        pause: whether the hand comes to rest before each change of constraint, and at the end.
+        spread: rad and m, standard deviations of a random rotation and shift of each stage's geometry.
+        guide: stiffness, misalignment and tremor of the hand, with a new grip in each stage.
         imperfections: errors of the robot and its sensors.
         arm: ``"panda"``, ``"fr3"``, or an arm.
-        start: (7,) or (N, 7) rad, configurations to start from, at rest; the arm's home by default.
+        start: (7,) or (N, 7) rad, initial joint positions, at rest; the arm's home by default.
 
     Returns:
-        The demonstrations. Check ``status_code``: nothing stops the arm at its joint limits.
+        The demonstrations. Check ``status_code``, because the simulation does not enforce joint limits.
 
     Raises:
         KeyError: for an unknown constraint.
-        ValueError: for an unknown name, unusable numbers or shapes, no constraints, or another number of
+        ValueError: for an unknown name, unusable numbers or shapes, no constraints, or a wrong number of
             durations.
     """
     arm = find_arm(arm)
     each = [durations] * len(constraints) if isinstance(durations, int | float) else list(durations)
     if not constraints or len(each) != len(constraints):
         raise ValueError(
-            f"demonstrate_sequence needs constraints, and one duration or as many; got {len(constraints)} "
-            f"constraints and {len(each)} durations."
+            "demonstrate_sequence needs constraints, and one duration or one per constraint; got "
+            f"{len(constraints)} constraints and {len(each)} durations."
         )
     check_demonstration(batch, first, excitation, spread, guide, imperfections, start)
     counts = [sampling(duration, dt, step).samples for duration in each]
@@ -164,13 +163,13 @@ def demonstrate_sequence(
         if any(spread):
             frame, arrays = scatter(frame, own, numbers, joints, spread, arm)
         end = jnp.asarray(count * dt - _SETTLE if pause else jnp.inf, dtype=joints.dtype)
-        onset = Onset(joints, meet(arrays, joints, velocity, arm=arm), end)
+        onset = Onset(joints, impact_velocity(arrays, joints, velocity, arm=arm), end)
         made = run_guided(arrays, own, numbers, onset, guide, imperfections, plan=plan)
-        stages.append(_cut(made, frame, count, imperfections, arm))
+        stages.append(_truncate_stage(made, frame, count, imperfections, arm))
         joints, velocity = stages[-1].joint_positions[:, -1], stages[-1].joint_velocities[:, -1]
     poses = _record(
-        _in_a_row([stage.joint_positions for stage in stages], axis=1),
-        _in_a_row([stage.joint_velocities for stage in stages], axis=1),
+        _join_stages([stage.joint_positions for stage in stages], axis=1),
+        _join_stages([stage.joint_velocities for stage in stages], axis=1),
         demonstration_keys(key, numbers)[:, 3],
         imperfections,
         dt=dt,
@@ -185,7 +184,7 @@ def demonstrate_sequence(
 
 
 def _placed(constraint: str | ConstraintFrame, joints: jax.Array, arm: Arm) -> ConstraintFrame:
-    """A constraint with geometry (N, 3), one with a name about the TCP of each arm at its joints (N, 7)."""
+    """A constraint with geometry (N, 3); a named constraint is placed near the TCP of each arm."""
     if isinstance(constraint, ConstraintFrame):
         return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (len(joints), 3)), constraint)
     if not isinstance(constraint, str):
@@ -196,17 +195,17 @@ def _placed(constraint: str | ConstraintFrame, joints: jax.Array, arm: Arm) -> C
     return jax.vmap(place)(position + jnp.asarray(ORIGIN, dtype=joints.dtype)[None], rotation, position)
 
 
-def _cut(
+def _truncate_stage(
     made: dict[str, jax.Array], truth: ConstraintFrame, count: int, imperfections: Imperfections, arm: Arm
 ) -> Demonstration:
-    """The first samples of a stage that was simulated for longer, judged by them alone."""
+    """Truncate a stage to its first samples, and compute its status from these samples."""
     kept = {
         name: made[name][:, : count + 1]
         for name in ("poses", "exact_poses", "joint_positions", "joint_velocities", "reaction", "slip")
     }
     track = Track(kept["joint_positions"], kept["joint_velocities"], kept["slip"], kept["reaction"])
     compliance = compliance_of(imperfections, track.joints.dtype)
-    margin, status = judge(track, frame_arrays(truth).free, compliance, arm)
+    margin, status = rollout_status(track, frame_arrays(truth).free, compliance, arm)
     return Demonstration(
         times=made["times"][: count + 1], truth=truth, limit_margin=margin, status_code=status, **kept
     )
@@ -216,5 +215,5 @@ def _cut(
 def _record(
     joints: jax.Array, velocity: jax.Array, keys: jax.Array, what: Imperfections, *, dt: float, arm: Arm
 ) -> jax.Array:
-    """Poses (N, K+1, 4, 4) as the robot records them over the whole task."""
+    """Simulate the recorded poses (N, K+1, 4, 4) of the whole task."""
     return jax.vmap(lambda q, v, key: measure(q, v, dt, what, key, arm))(joints, velocity, keys)

@@ -1,8 +1,8 @@
-"""Appearance of the arm in a film: primitive shapes, or the user's own meshes.
+"""Appearance of the arm in a film: primitive shapes, or meshes of the user.
 
-The library carries no meshes. A skin is a MuJoCo model that the user has, such as MuJoCo Menagerie's
-``panda.xml`` or ``fr3.xml``, or a folder of meshes with names like ``link0.stl`` and ``hand_1.obj``. It is
-for looking at only: the simulation never sees it.
+The library contains no meshes. A skin is a MuJoCo model of the user, such as MuJoCo Menagerie's ``panda.xml``
+or ``fr3.xml``, or a folder of meshes with names such as ``link0.stl`` and ``hand_1.obj``. A skin changes the
+film only, not the simulation.
 """
 
 from pathlib import Path
@@ -12,24 +12,24 @@ import numpy as np
 
 from reframe_jax.simulation.arm.model import Arm, arm_xml
 
-__all__ = ["dress_arm"]
+__all__ = ["apply_skin"]
 
 _MESHES = (".stl", ".obj", ".msh")
 _PARTS = (*(f"link{number}" for number in range(8)), "hand")
-_TOLERANCE = 1e-3  # m, to which the joints of a skin must be where the arm's are
+_TOLERANCE = 1e-3  # m, largest distance between the joints of a skin and of the arm
 
 
-def dress_arm(arm: Arm, skin: str | Path | None = None) -> mujoco.MjSpec:
-    """The arm to be drawn; its first seven joints are the arm's.
+def apply_skin(arm: Arm, skin: str | Path | None = None) -> mujoco.MjSpec:
+    """Build the model to render; its first seven joints are the joints of the arm.
 
     Args:
         arm: the robot.
         skin: an MJCF file of the same robot, or a folder of meshes in metres, each in the frame of its
-            link: ``link0`` to ``link7`` and ``hand``, or several for each (``link0_1``), as .stl, .obj or
-            .msh. Links without a mesh keep their primitive shapes.
+            link: ``link0`` to ``link7`` and ``hand``, or several meshes per link (``link0_1``), as .stl, .obj
+                or .msh. Links without a mesh keep their primitive shapes.
 
     Raises:
-        ValueError: if there is no such file, it is not a model, a mesh is missing, or it is another robot.
+        ValueError: if the file does not exist or is not a model, if a mesh is missing, or for another robot.
     """
     if skin is None:
         return mujoco.MjSpec.from_string(arm_xml(arm))
@@ -48,7 +48,7 @@ def dress_arm(arm: Arm, skin: str | Path | None = None) -> mujoco.MjSpec:
 
 
 def _with_meshes(arm: Arm, folder: Path) -> mujoco.MjSpec:
-    """The arm with its primitive shapes replaced by meshes."""
+    """Replace the primitive shapes of the arm by meshes."""
     spec = mujoco.MjSpec.from_string(arm_xml(arm))
     files = sorted(file for file in folder.iterdir() if file.suffix.lower() in _MESHES)
     used = 0
@@ -82,10 +82,10 @@ def _with_meshes(arm: Arm, folder: Path) -> mujoco.MjSpec:
 
 
 def _check(arm: Arm, model: mujoco.MjModel, skin: Path) -> None:
-    """That the first seven joints are where the arm's are."""
+    """Check that the first seven joints of the skin coincide with the joints of the arm."""
     hinge = int(mujoco.mjtJoint.mjJNT_HINGE)
     if model.njnt < 7 or np.any(model.jnt_type[:7] != hinge):
-        raise ValueError(f"The skin {skin} does not begin with seven hinges, as the {arm.name} does.")
+        raise ValueError(f"The first seven joints of the skin {skin} must be hinges, as in the {arm.name}.")
     own = mujoco.MjModel.from_xml_string(arm_xml(arm))
     for joints in (np.zeros(7), np.asarray(arm.home)):
         anchors = []
@@ -97,6 +97,6 @@ def _check(arm: Arm, model: mujoco.MjModel, skin: Path) -> None:
         away = np.linalg.norm(anchors[0] - anchors[1], axis=-1)
         if away.max() > _TOLERANCE:
             raise ValueError(
-                f"The skin {skin} is of another robot, or stands elsewhere: joint {away.argmax() + 1} is "
-                f"{1e3 * away.max():.0f} mm from that of the {arm.name}."
+                f"The skin {skin} is another robot, or has another pose: its joint {away.argmax() + 1} is "
+                f"{1e3 * away.max():.0f} mm from the joint of the {arm.name}."
             )

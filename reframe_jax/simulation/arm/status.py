@@ -1,4 +1,4 @@
-"""Status of rollouts: whether the robot could have made them."""
+"""Status of rollouts: whether the real robot could execute the motion."""
 
 from enum import IntEnum
 
@@ -8,9 +8,9 @@ import jax.numpy as jnp
 from reframe_jax.simulation.arm.model import Arm
 from reframe_jax.simulation.arm.rollout import Track
 
-__all__ = ["RolloutStatus", "judge"]
+__all__ = ["RolloutStatus", "rollout_status"]
 
-_SLIPPED = (5e-4, 5e-5)  # rad and m by which a rigid axis must not slip; a sound rollout stays at half of it
+_SLIPPED = (5e-4, 5e-5)  # rad and m, largest slip of a rigid axis; valid rollouts reach half of it
 
 
 class RolloutStatus(IntEnum):
@@ -30,29 +30,31 @@ class RolloutStatus(IntEnum):
 
 
 _MESSAGES = {
-    RolloutStatus.OK: "The motion is one the robot can make.",
-    RolloutStatus.SPEED_LIMIT: "A joint moved faster than the robot's can.",
-    RolloutStatus.JOINT_LIMIT: "A joint left its range: move the constraint, or move less.",
+    RolloutStatus.OK: "The robot can execute the motion.",
+    RolloutStatus.SPEED_LIMIT: "A joint exceeded its speed limit.",
+    RolloutStatus.JOINT_LIMIT: "A joint left its range: move the constraint, or reduce the motion.",
     RolloutStatus.SLIPPED: (
-        "The rigid constraint was not kept: the arm came near a singular configuration, or moved too fast "
-        "for the step."
+        "The rigid constraint was violated: the arm came near a singular configuration, or moved too fast "
+        "for the time step."
     ),
-    RolloutStatus.SINGULAR: "The arm stopped in a singular configuration: the goal is out of its reach.",
-    RolloutStatus.DIVERGED: "The simulation diverged: take a shorter step, or a softer hand.",
+    RolloutStatus.SINGULAR: "The arm stopped in a singular configuration: the goal is out of reach.",
+    RolloutStatus.DIVERGED: "The simulation diverged: use a shorter time step, or a softer hand.",
 }
 
 
-def judge(track: Track, free: jax.Array, compliance: jax.Array, arm: Arm) -> tuple[jax.Array, jax.Array]:
-    """Judge whether rollouts can be trusted.
+def rollout_status(
+    track: Track, free: jax.Array, compliance: jax.Array, arm: Arm
+) -> tuple[jax.Array, jax.Array]:
+    """Compute the status of rollouts.
 
     Args:
         track: tracks of N rollouts.
         free: (N, 6), 1 where an axis is free.
-        compliance: (6,) rad/(N m) and m/N, of the constrained axes; zero is rigid.
+        compliance: (6,) rad/(N m) and m/N, compliance of the constrained axes; zero is rigid.
         arm: the robot.
 
     Returns:
-        Least margin to a joint limit (N,), rad, and status (N,).
+        Smallest margin to a joint limit (N,), rad, and status (N,).
     """
     dtype = track.joints.dtype
     lower, upper = jnp.asarray(arm.limits, dtype=dtype)[:, None, None]

@@ -1,4 +1,4 @@
-"""Demonstrations on disk: numbered parts, written completely or not at all, that a later run resumes."""
+"""Store demonstrations on disk in numbered parts, so that an interrupted run can resume."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -11,7 +11,7 @@ import numpy as np
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.types import AngularType, Dof, LinearType
 from reframe_jax.simulation.arm.demonstration import DemonstrateOptions, Demonstration, demonstrate
-from reframe_jax.simulation.arm.redraw import draw_good
+from reframe_jax.simulation.arm.redraw import draw_usable
 from reframe_jax.simulation.arm.status import RolloutStatus
 from reframe_jax.storage.codecs import NPZ
 from reframe_jax.storage.parts import Run
@@ -27,7 +27,7 @@ _FIELDS = tuple(name for name in Demonstration.__dataclass_fields__ if name not 
 
 
 def to_arrays(made: Demonstration) -> dict[str, Any]:
-    """A batch of demonstrations as named arrays, as in the files; the truth's names begin with true_."""
+    """Convert a batch of demonstrations to named arrays; the names of the true frames start with true_."""
     truth = made.truth
     return {
         "times": made.times,
@@ -51,29 +51,31 @@ def store_demonstrations(
     progress: Progress | bool | None = None,
     **options: Unpack[DemonstrateOptions],
 ) -> Path:
-    """Simulate usable demonstrations into a folder, and resume from the parts already there.
+    """Simulate usable demonstrations, store them in a folder, and resume from existing parts.
 
-    Repeat the call with the same ``count`` or a larger one to add what is missing. The chunk bounds the
-    memory.
+    Repeat the call with the same or a larger ``count`` to add missing demonstrations. The chunk size limits
+    the memory.
 
     Args:
         constraint: as for :func:`reframe_jax.simulation.arm.demonstrate`.
         key: JAX random key.
         count: number of demonstrations.
-        folder: made if missing; read it with :func:`load_demonstrations`, or part by part with
-            :func:`stored_demonstrations`.
-        chunk: number simulated at once, and in a part before those with a status are left out.
-        redraw: replace demonstrations whose status is not OK by new ones.
-        progress: called with the number of demonstrations so far and ``count``, after every part; True for a
-            bar on standard error, the default where that is a terminal.
-        **options: of :func:`reframe_jax.simulation.arm.demonstrate`.
+        folder: path of the folder, created if missing. Read it with :func:`load_demonstrations`, or part by
+            part with :func:`stored_demonstrations`.
+        chunk: number of demonstrations per simulation call and per part; unusable demonstrations are then
+            removed.
+        redraw: whether to replace demonstrations whose status is not OK.
+        progress: function to call after every part, with the number of completed demonstrations and
+            ``count``. True shows a progress bar on standard error; this is the default if standard error is a
+            terminal.
+        **options: options of :func:`reframe_jax.simulation.arm.demonstrate`.
 
     Returns:
-        The folder.
+        The path of the folder.
 
     Raises:
-        ValueError: if the folder holds other data, demonstrations with other options, or a damaged part; or
-            if more than 9 in 10 demonstrations are unusable.
+        ValueError: if the folder contains other data, demonstrations with other options, or a damaged part;
+            or if more than 9 in 10 demonstrations are unusable.
         TypeError: for an option that :func:`reframe_jax.simulation.arm.demonstrate` does not have.
     """
     run = Run(Path(folder), NPZ, _KIND, _UNIT, _describe_run(constraint, key, chunk, redraw, options))
@@ -88,7 +90,7 @@ def store_demonstrations(
         run.write(number, to_arrays(kept))
         return number, made.status_code if redraw else np.zeros_like(made.status_code)
 
-    for _ in draw_good(draw, count, chunk, progress=make_meter(progress, _UNIT)):
+    for _ in draw_usable(draw, count, chunk, progress=make_meter(progress, _UNIT)):
         pass
     if run.parts:
         run.finish()
@@ -96,16 +98,16 @@ def store_demonstrations(
 
 
 def stored_demonstrations(folder: str | Path) -> Iterator[Demonstration]:
-    """Iterate over the parts of a folder, as batches of NumPy arrays; one part bounds the memory.
+    """Iterate over the parts of a folder as batches of NumPy arrays, with one part in memory at a time.
 
     ``rf.identify_many((poses for part in stored_demonstrations(folder) for poses in part.poses), ...)``
-    identifies all of them.
+    identifies all demonstrations.
 
     Args:
-        folder: written by :func:`store_demonstrations`.
+        folder: folder written by :func:`store_demonstrations`.
 
     Raises:
-        ValueError: if there are no parts, a part between others is missing, or a file is damaged.
+        ValueError: if the folder has no parts, if a part is missing, or if a file is damaged.
     """
     run = Run.open(Path(folder), NPZ, _KIND, _UNIT)
     numbers = list(run.parts)
@@ -133,11 +135,12 @@ def load_demonstrations(folder: str | Path, count: int | None = None) -> Demonst
     """Load the demonstrations of a folder as one batch of NumPy arrays.
 
     Args:
-        folder: written by :func:`store_demonstrations`.
-        count: number to load, from the first; all by default, which may exceed the number requested.
+        folder: folder written by :func:`store_demonstrations`.
+        count: number of demonstrations to load. The default loads all, which may exceed the ``count`` of
+            :func:`store_demonstrations`.
 
     Raises:
-        ValueError: if there are none, or fewer than ``count``.
+        ValueError: if the folder contains no demonstrations, or fewer than ``count``.
     """
     parts: list[Demonstration] = []
     total = 0
@@ -147,7 +150,7 @@ def load_demonstrations(folder: str | Path, count: int | None = None) -> Demonst
         if count is not None and total >= count:
             break
     if count is not None and total < count:
-        raise ValueError(f"{folder} holds {total} demonstrations, fewer than {count}.")
+        raise ValueError(f"{folder} contains {total} demonstrations, fewer than {count}.")
     made: Demonstration = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
     return replace(made, times=parts[0].times)[:count]
 
@@ -160,7 +163,7 @@ def _dof(values: np.ndarray) -> Dof:
 def _describe_run(
     constraint: str | ConstraintFrame, key: jax.Array, chunk: int, redraw: bool, options: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """What the demonstrations depend on."""
+    """Options that the demonstrations depend on."""
     return {
         "constraint": describe(constraint),
         "key": describe(key),

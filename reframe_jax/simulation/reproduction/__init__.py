@@ -1,9 +1,9 @@
-"""Tasks reproduced with control in constraint frames (paper, section 6).
+"""Reproduce tasks with a controller in a constraint frame (paper, section 6).
 
-The arm starts at one end-stop of a constraint and moves to the other under wrenches along the axes of a
-control frame: the true frame, one with errors, or an identified one. An inexact frame causes reactions along
-the true constrained axes. The exact frame causes some too, from the inertia and friction of the arm, and is
-the baseline.
+The arm moves along the free axes of a constraint, from one end-stop (mechanical limit of travel) to the
+other. Wrenches act along the axes of a control frame, which is the true frame, a frame with errors, or an
+identified frame. An inexact frame causes reaction forces along the true constrained axes. The exact frame is
+the baseline: its reaction forces come from the inertia and friction of the arm only.
 """
 
 from reframe_jax.simulation.reproduction.comparison import Comparison, compare, matched_choices

@@ -1,4 +1,4 @@
-"""From demonstration to reproduction: the paper's Figure 5."""
+"""Compare reproductions in true, erroneous and identified frames: the paper's Figure 5."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -20,7 +20,7 @@ from reframe_jax.simulation.arm.compiled import check_numbers
 from reframe_jax.simulation.arm.demonstration import SPREAD, Demonstration, demonstrate
 from reframe_jax.simulation.arm.imperfections import REALISTIC, Imperfections
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
-from reframe_jax.simulation.arm.redraw import draw_good
+from reframe_jax.simulation.arm.redraw import draw_usable
 from reframe_jax.simulation.reproduction.controllers import Controller, constant_wrench
 from reframe_jax.simulation.reproduction.frames import ROOMY, control_frames, erroneous_frames
 from reframe_jax.simulation.reproduction.trials import Task, Trials, reproduce
@@ -38,12 +38,12 @@ class Comparison:
         demonstrations: the demonstrations from which the frames were identified.
         found: the identifications.
         exact: trials in the true frames, the baseline.
-        literature: trials in frames with the errors of methods that have prior knowledge.
+        literature: trials in frames with the errors that are reported for methods with prior knowledge.
         identified: trials in the identified frames.
-        redrawn: number of geometries left out because the arm could not be guided there, or could not reach
-            the end-stop even in the true frame (see ``RolloutStatus``).
-        errors: (N, 3) of the identified frames: deg of the angular and of the linear axis, and mm; NaN
-            where the constraint leaves them free.
+        redrawn: number of geometries that were left out, because the demonstration was infeasible or the
+            end-stop was out of reach even in the true frame (see ``RolloutStatus``).
+        errors: (N, 3) errors of the identified frames: angular axis and linear axis in degrees, position in
+            mm; NaN for quantities that the constraint does not determine.
     """
 
     demonstrations: Demonstration
@@ -55,7 +55,7 @@ class Comparison:
     redrawn: jax.Array
 
     def excess(self, name: str) -> tuple[jax.Array, jax.Array]:
-        """Peak reaction moments (N m) and forces (N) over those in the exact frame, (N,) each."""
+        """Peak reaction moments (N m) and forces (N), minus the peaks in the exact frame, (N,) each."""
         trials = self.rows[name]
         return (
             trials.peak_moment - self.exact.peak_moment,
@@ -64,7 +64,7 @@ class Comparison:
 
     @property
     def rows(self) -> dict[str, Trials]:
-        """The trials by name."""
+        """The three kinds of trials by name."""
         return {"exact": self.exact, "literature": self.literature, "identified": self.identified}
 
 
@@ -83,24 +83,24 @@ def compare(
 ) -> Comparison:
     """Demonstrate, identify, and reproduce a task in three kinds of frames.
 
-    Geometries under which the arm reaches a limit, or under which the end-stop is out of its reach even
-    with the true frame, are left out and counted.
+    The comparison leaves out, and counts, geometries for which the arm reaches a limit, or for which the
+    end-stop is out of reach even with the true frame.
 
-    If a constraint leaves the origin of its frame free, the identified origin moves to the true one, where
-    forces along the axes act. If all rotations are free, moments act along the true axes. Any choice is
-    correct, but only the baseline's is comparable with it.
+    A constraint may not determine the origin of its frame. The comparison then moves the identified origin to
+    the true origin, where the forces act. If all rotations are free, moments act along the true axes. Other
+    choices are equally correct, but their trials could not be compared with the baseline.
 
     Args:
-        constraint: label or name of one of the twelve, or a frame.
+        constraint: label or name of one of the twelve constraints of the paper, or a frame.
         key: JAX random key.
-        trials: number of demonstrations, each with its own geometry, and of reproductions.
-        controller: the wrenches.
-        task: the end-stops, and the start of the arm, also for the demonstrations.
-        imperfections: of the demonstrations; the reproductions share their compliance.
-        excitation: of the demonstrations; see :func:`reframe_jax.simulation.arm.demonstrate`.
-        spread: rad and m, of the geometry; see :func:`reframe_jax.simulation.arm.demonstrate`.
+        trials: number of demonstrations, each with a random geometry, and of reproductions in each frame.
+        controller: the controller, which computes the wrenches.
+        task: the end-stops, and the initial joint positions of demonstrations and reproductions.
+        imperfections: imperfections of the demonstrations; the reproductions have the same compliance.
+        excitation: excitation of the demonstrations; see :func:`reframe_jax.simulation.arm.demonstrate`.
+        spread: rad and m, spread of the geometry; see :func:`reframe_jax.simulation.arm.demonstrate`.
         arm: the robot.
-        progress: called with the number of trials prepared so far and ``trials``.
+        progress: function to call with the number of prepared trials and ``trials``.
 
     Raises:
         ValueError: for unusable numbers or names, or if more than 9 in 10 geometries are unusable.
@@ -134,14 +134,14 @@ def compare(
         return (made, exact), np.maximum(made.status_code, exact.status_code)
 
     parts: list[tuple[Demonstration, Trials]] = []
-    complaint = "tasks are within the arm's reach"
-    for drawn in draw_good(draw, trials, chunk, complaint=complaint, progress=progress):
+    subject = "tasks are within the arm's reach"
+    for drawn in draw_usable(draw, trials, chunk, subject=subject, progress=progress):
         made, exact = drawn.batch
         parts.append((made[drawn.good], exact[drawn.good]))
     times = made.times
     made, exact = jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)), *parts)
     made, exact = (replace(part, times=jnp.asarray(times)) for part in (made, exact))
-    found = identify(made.poses, times=made.times, scales=1, thresholds=Thresholds())  # the paper's
+    found = identify(made.poses, times=made.times, scales=1, thresholds=Thresholds())  # settings of the paper
     errors = metrics.geometry_errors(found, made.truth, start=made.exact_poses[:, 0])
     return Comparison(
         demonstrations=made,
@@ -159,13 +159,13 @@ def compare(
 def matched_choices(
     found: Identification, truth: ConstraintFrame, *, arm: str | Arm = PANDA, start: ArrayLike = ROOMY
 ) -> Frame:
-    """Return the identified frames, with the choices of the true frames where the constraint leaves one.
+    """Return the identified frames, with arbitrary origins and axes replaced by the true ones.
 
     Args:
         found: N identifications.
-        truth: geometry (N, 3) each.
+        truth: the true constraint, with geometry (N, 3).
         arm: the robot.
-        start: (7,) rad, configuration at which the choices agree.
+        start: (7,) rad, joint positions at which the replaced origins and axes agree with the truth.
     """
     arm = find_arm(arm)
     frames = control_frames(found)

@@ -1,4 +1,4 @@
-"""Wrenches along the axes of a control frame, as a function of their travel."""
+"""Controllers: wrenches along the axes of a control frame, as a function of the travel along the axes."""
 
 import math
 from collections.abc import Callable
@@ -20,16 +20,16 @@ Pair = tuple[float | jax.Array, float | jax.Array]
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Controller:
-    """Wrenches along the axes of a control frame; every field is (rotations, translations).
+    """A controller of wrenches along the axes of a control frame; every field is (rotations, translations).
 
-    Along free axes: a constant push, and a spring and a damper to a point that travels at ``speed`` as far as
-    ``reach``. Along constrained axes: a spring and a damper to the start. Special cases:
-    :func:`constant_wrench`, :func:`hybrid`, :func:`axis_impedance`.
+    Along free axes, the controller applies a constant push, and a spring and a damper to a set point that
+    moves with ``speed`` up to the distance ``reach``. Along constrained axes, it applies a spring and a
+    damper to the start. Special cases: :func:`constant_wrench`, :func:`hybrid`, :func:`axis_impedance`.
 
     Attributes:
         push: N m, N, along free axes, towards the goal.
-        speed: rad/s, m/s, of the travelling point.
-        reach: rad, m, how far it travels.
+        speed: rad/s, m/s, speed of the set point.
+        reach: rad, m, distance that the set point moves.
         stiffness: N m/rad, N/m, along free axes.
         damping: N m s/rad, N s/m, along free axes.
         held_stiffness: N m/rad, N/m, along constrained axes.
@@ -46,12 +46,12 @@ class Controller:
 
 
 def constant_wrench(moment: float = 3.5, force: float = 7.0) -> Controller:
-    """The paper's control: constant moments (N m) and forces (N) along free axes, nothing else."""
+    """The paper's controller: constant moments (N m) and forces (N) along free axes only."""
     return Controller(push=(moment, force))
 
 
 def hybrid(speed: Pair = (0.3, 0.08)) -> Controller:
-    """Hybrid force/velocity control: velocities along free axes, zero force along constrained ones.
+    """Hybrid control: given velocities along free axes, zero force along constrained axes.
 
     Args:
         speed: rad/s and m/s.
@@ -60,11 +60,11 @@ def hybrid(speed: Pair = (0.3, 0.08)) -> Controller:
 
 
 def axis_impedance(speed: Pair = (0.3, 0.08), reach: Pair = (0.5, 0.15)) -> Controller:
-    """Impedance by axis: stiff along free axes towards a travelling point, soft along constrained ones.
+    """Impedance per axis: stiff along free axes towards a moving set point, soft along constrained axes.
 
     Args:
         speed: rad/s and m/s.
-        reach: rad and m; beyond the end-stop, to press against it.
+        reach: rad and m; a set point beyond the end-stop presses against the end-stop.
     """
     return Controller(
         speed=speed,
@@ -77,14 +77,14 @@ def axis_impedance(speed: Pair = (0.3, 0.08), reach: Pair = (0.5, 0.15)) -> Cont
 
 
 def by_axis(pair: tuple[jax.Array, jax.Array]) -> jax.Array:
-    """(6,) from a value for rotations and one for translations."""
+    """Expand (rotations, translations) to six axes, (6,)."""
     return jnp.stack([pair[0]] * 3 + [pair[1]] * 3)
 
 
 def control_drive(
     controller: Controller, frame: Frame, goal: jax.Array
 ) -> Callable[[Any, jax.Array, Motion, Located], tuple[Any, jax.Array]]:
-    """The drive of a controller; its state is the control frame's place and how far its axes have moved."""
+    """The drive of a controller; its state is the pose of the control frame and the travel of its axes."""
     wanted = {name: by_axis(pair) for name, pair in vars(controller).items()}
 
     def drive(

@@ -1,4 +1,4 @@
-"""Control frames: true, deliberately wrong, or identified."""
+"""Control frames: true frames, frames with deliberate errors, and identified frames."""
 
 import math
 
@@ -15,17 +15,17 @@ from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinem
 __all__ = ["LITERATURE_ERRORS", "ROOMY", "control_frames", "erroneous_frames"]
 
 ROOMY = (0.0, -0.7, 0.0, -2.35, 0.0, 1.65, 0.785)
-"""rad, where tasks start: nearer to the base than the arm's home, so that none stretches the arm out."""
+"""rad, initial joint positions of tasks: closer to the base than home, so that no task stretches the arm."""
 
 LITERATURE_ERRORS = ((0.5, 5.0), (1.0, 7.5))
-"""Ranges of the errors that methods with prior knowledge report, in degrees and mm (paper, section 7.2)."""
+"""Ranges of the errors reported for methods with prior knowledge, degrees and mm (paper, section 7.2)."""
 
 
 def control_frames(found: Identification | ConstraintFrame | Frame) -> Frame:
-    """Return frames to control in, with the batch axes of ``found``.
+    """Return control frames with the batch axes of ``found``.
 
     Args:
-        found: identifications, whose types may differ from one to the next, or constraint frames.
+        found: identifications, whose types may vary in a batch, or constraint frames.
     """
     if isinstance(found, Frame):
         return found
@@ -51,15 +51,15 @@ def erroneous_frames(
     arm: str | Arm = PANDA,
     start: ArrayLike = ROOMY,
 ) -> Frame:
-    """Turn and shift frames by errors of random direction and uniform size.
+    """Rotate and shift frames by errors with random directions and uniformly distributed sizes.
 
     Args:
-        truth: geometry (N, 3) each.
-        key: of the errors.
-        angles: degrees, smallest and largest turn.
+        truth: the true constraint, with geometry (N, 3).
+        key: JAX random key of the errors.
+        angles: degrees, smallest and largest rotation.
         distances: mm, smallest and largest shift.
         arm: the robot.
-        start: (7,) rad, configuration at which the errors apply.
+        start: (7,) rad, joint positions at which the errors apply.
     """
     dtype, count, arm = truth.position.dtype, truth.position.shape[0], find_arm(arm)
     pose = forward_kinematics(arm.start(start, dtype), arm)

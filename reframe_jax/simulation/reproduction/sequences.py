@@ -1,4 +1,4 @@
-"""Tasks of several constraints: one stage after the other, each in its own frame."""
+"""Reproduce tasks with several constraints: consecutive stages, each in a separate control frame."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,12 +22,13 @@ _TASK = Task()
 
 @dataclass(frozen=True)
 class SequenceTrial:
-    """A task of several constraints, reproduced.
+    """A reproduced task with several constraints.
 
     Attributes:
-        stages: the trial of each constraint, without batch axis. They end with the first that did not arrive.
-        completed: whether all stages arrived.
-        hand_overs: (S-1,) N, the largest reaction force in the first tenth of each stage but the first.
+        stages: the trial of each stage, without batch axis, up to the first stage that did not reach its
+            end-stop.
+        completed: whether all stages reached their end-stops.
+        hand_overs: (S-1,) N, largest reaction force in the first tenth of each stage after the first.
     """
 
     stages: tuple[Trials, ...]
@@ -36,14 +37,14 @@ class SequenceTrial:
 
     @property
     def times(self) -> np.ndarray:
-        """(N,) s, of all stages in a row; the pose of each hand-over comes once."""
+        """(N,) s, times of all stages; the common pose of two stages appears once."""
         ends = np.cumsum([0.0, *(float(stage.times[-1]) for stage in self.stages)])
         each = [np.asarray(s.times)[i > 0 :] + ends[i] for i, s in enumerate(self.stages)]
         return np.concatenate(each)
 
     @property
     def poses(self) -> np.ndarray:
-        """(N, 4, 4) m, of all stages in a row."""
+        """(N, 4, 4) m, poses of all stages; the common pose of two stages appears once."""
         return np.concatenate([np.asarray(s.poses)[i > 0 :] for i, s in enumerate(self.stages)])
 
 
@@ -56,24 +57,24 @@ def reproduce_sequence(
     arm: str | Arm = PANDA,
     compliance: tuple[float, float] = (0.0, 0.0),
 ) -> SequenceTrial:
-    """Play a task of several constraints: each stage in its frame, from where the one before ended.
+    """Reproduce a task with several constraints; each stage starts at the end of the previous stage.
 
-    A stage moves from end-stop to end-stop, see
-    :func:`reframe_jax.simulation.reproduction.reproduce`. The hand-over is at rest: the next constraint takes
-    hold of the tool where it is, and the control frame is located at that pose. A stage that does not arrive
-    ends the task.
+    A stage moves from end-stop to end-stop, see :func:`reframe_jax.simulation.reproduction.reproduce`. Each
+    stage starts at rest: the next constraint becomes active at the current pose of the tool, and the control
+    frame is located at this pose. A stage that does not reach its end-stop ends the task.
 
     Args:
         truths: the true constraint of each stage, with geometry (3,).
-        frames: the frames to control in: a segmentation, whose moving segments are the stages, or as many
-            identifications or constraint frames, with geometry (3,).
-        controller: the wrenches of all stages.
-        task: the end-stops and the duration of each stage; its start is that of the first.
+        frames: the control frame of each stage: a segmentation, whose moving segments are the stages, or one
+            identification or constraint frame per stage, with geometry (3,).
+        controller: the controller of all stages.
+        task: the end-stops and the duration of each stage, and the initial joint positions of the first
+            stage.
         arm: the robot.
-        compliance: rad/(N m) and m/N, of tool and mount.
+        compliance: rad/(N m) and m/N, compliance of the tool and its mount.
 
     Raises:
-        ValueError: for an unknown robot, no stages, numbers of stages that differ, or a segment without
+        ValueError: for an unknown robot, no stages, different numbers of stages, or a segment without
             identification.
     """
     control = _identified(frames) if isinstance(frames, Segmentation) else list(frames)
@@ -109,7 +110,7 @@ def _identified(found: Segmentation) -> list[Identification]:
     """Identifications of the moving segments."""
     each = [segment.identification for segment in found.moving]
     if any(one is None for one in each):
-        raise ValueError("A segment is too short to identify: there is no frame to control in.")
+        raise ValueError("A segment is too short to identify, so it has no control frame.")
     return [one for one in each if one is not None]
 
 

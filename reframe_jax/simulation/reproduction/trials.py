@@ -1,4 +1,4 @@
-"""Tasks from end-stop to end-stop, and their trials."""
+"""Reproduce tasks from end-stop to end-stop."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -18,7 +18,7 @@ from reframe_jax.simulation.arm.compiled import as_numbers, jit_simulation
 from reframe_jax.simulation.arm.demonstration import sampling
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
 from reframe_jax.simulation.arm.rollout import AxisLaw, Steps, hold, integrate
-from reframe_jax.simulation.arm.status import RolloutStatus, judge
+from reframe_jax.simulation.arm.status import RolloutStatus, rollout_status
 from reframe_jax.simulation.reproduction.controllers import (
     Controller,
     by_axis,
@@ -29,23 +29,23 @@ from reframe_jax.simulation.reproduction.frames import ROOMY, control_frames
 
 __all__ = ["Task", "Trials", "reproduce"]
 
-_ARRIVED = 2e-3  # rad or m from the stop, or beyond
-_SINGULAR = 0.01  # least singular value of the Jacobian, in rad and m, of an arm that cannot go on
-_REBOUND = 1e-4  # rad or m behind the start at which the first stop holds
+_ARRIVED = 2e-3  # rad or m, largest distance from the end-stop of an axis that has arrived
+_SINGULAR = 0.01  # smallest singular value of the Jacobian, in rad and m, below which the arm is singular
+_REBOUND = 1e-4  # rad or m, distance behind the start at which the first end-stop acts
 
 
 @dataclass(frozen=True)
 class Task:
-    """From one end-stop of every free axis to the other.
+    """A task: move every free axis from its first end-stop to its second end-stop.
 
     Attributes:
-        start: (7,) rad, configuration of the arm at the first stops.
-        travel: rad and m between the stops.
-        friction: N m s/rad and N s/m, of the mechanism along its free axes.
-        stop_compliance: rad/(N m) and m/N, of the second stop, a damped spring.
+        start: (7,) rad, joint positions of the arm at the first end-stops.
+        travel: rad and m, distance between the end-stops.
+        friction: N m s/rad and N s/m, friction of the mechanism along its free axes.
+        stop_compliance: rad/(N m) and m/N, compliance of the second end-stop, a damped spring.
         duration: s.
-        dt: s, between samples.
-        step: s, of the simulation.
+        dt: s, time between samples.
+        step: s, time step of the simulation.
     """
 
     start: tuple[float, ...] = ROOMY
@@ -64,15 +64,16 @@ class Trials:
 
     Attributes:
         times: (K+1,) s.
-        poses: (N, K+1, 4, 4) m, of {b} in {g}.
+        poses: (N, K+1, 4, 4) m, poses of {b} in {g}.
         joint_positions: (N, K+1, 7) rad.
-        travelled: (N, K+1, 6) rad and m, motion along the axes of the true frame since the start.
-        reaction: (N, K+1, 6) N m and N, of the constraint on the tool along its constrained axes.
-        completed: (N,) bool, whether every free axis arrived at its stop.
-        completion_time: (N,) s, when the last axis arrived; infinite if one did not.
-        peak_moment: (N,) N m, largest norm of the reaction moment over a trial (paper, section 6.2).
-        peak_force: (N,) N, largest norm of the reaction force.
-        status_code: (N,) int, a ``RolloutStatus``; SINGULAR if the stop was out of the arm's reach.
+        travelled: (N, K+1, 6) rad and m, displacement along the axes of the true frame since the start.
+        reaction: (N, K+1, 6) N m and N, reaction of the constraint on the tool along the constrained axes.
+        completed: (N,) bool, whether every free axis reached its end-stop.
+        completion_time: (N,) s, time at which the last axis reached its end-stop; infinite if an axis did
+            not.
+        peak_moment: (N,) N m, largest norm of the reaction moment in a trial (paper, section 6.2).
+        peak_force: (N,) N, largest norm of the reaction force in a trial.
+        status_code: (N,) int, a ``RolloutStatus``; SINGULAR if the end-stop was out of reach.
     """
 
     times: jax.Array
@@ -87,7 +88,7 @@ class Trials:
     status_code: jax.Array
 
     def __getitem__(self, index: int | slice | np.ndarray | jax.Array) -> "Trials":
-        """Some of the trials; a single index leaves no batch axis."""
+        """Select trials; a single index removes the batch axis."""
         parts = {name: value for name, value in vars(self).items() if name != "times"}
         return Trials(self.times, **index_leaves(parts, index))
 
@@ -101,29 +102,29 @@ def reproduce(
     arm: str | Arm = PANDA,
     compliance: tuple[float, float] = (0.0, 0.0),
 ) -> Trials:
-    """Move the arm from end-stop to end-stop by control in given frames, gravity compensated.
+    """Move the arm from end-stop to end-stop with a controller in given frames, with gravity compensation.
 
-    The torques are tau = J^T W, where W holds the controller's moments and forces along the axes of the
-    control frame, the forces at its origin, and the frame moves with the robot as its type says. The
-    goal is given as a direction in the world at the start, the sum of the true free axes; the control
-    frame decides what part of it is free and how it moves on.
+    The torques are tau = J^T W. The wrench W contains the controller's moments and forces along the axes of
+    the control frame, with forces at its origin. The type of the control frame determines its motion with the
+    robot. The goal is a direction in the ground at the start, the sum of the true free axes; the control
+    frame determines the free part of this direction and its later motion.
 
     Args:
-        truth: the true constraint, with geometry (N, 3) each.
-        frames: the frames to control in, N of them.
-        controller: the wrenches.
+        truth: the true constraint, with geometry (N, 3).
+        frames: N control frames.
+        controller: the controller, which computes the wrenches.
         task: the end-stops and the duration.
         arm: the robot.
-        compliance: rad/(N m) and m/N, of tool and mount.
+        compliance: rad/(N m) and m/N, compliance of the tool and its mount.
 
     Raises:
-        ValueError: for an unknown robot, or batches that differ.
+        ValueError: for an unknown robot, or batches of different sizes.
     """
     arm = find_arm(arm)
     control = control_frames(frames)
     if truth.position.ndim != 2 or control.position.shape != truth.position.shape:
         raise ValueError(
-            f"Expected as many control frames as constraints, geometry (N, 3) each; found "
+            f"Expected one control frame per constraint, with geometry (N, 3); found "
             f"{control.position.shape} and {truth.position.shape}."
         )
     steps = sampling(task.duration, task.dt, task.step)
@@ -161,7 +162,7 @@ def _reproduce(
 
     def trial(truth: Frame, control: Frame) -> Any:
         here, there = locate(truth, *pose), locate(control, *pose)
-        # the goal in the world, and what the control frame makes of it
+        # the goal in the ground, and its projection on the axes of the control frame
         turn = apply(there.angular_axes.T, apply(here.angular_axes, truth.free[:3]))
         shift = apply(there.linear_axes.T, apply(here.linear_axes, truth.free[3:]))
         goal = control.free * jnp.concatenate([turn, shift])
@@ -190,7 +191,7 @@ def _reproduce(
     times = dt * jnp.arange(steps.samples + 1, dtype=dtype)
     completed = jnp.any(arrived, axis=-1)
     first = times[jnp.argmax(arrived, axis=-1)]
-    _, status = judge(track, truth.free, compliance, arm)
+    _, status = rollout_status(track, truth.free, compliance, arm)
     stuck = ~completed & (jax.vmap(partial(_least_gain, arm=arm))(track.joints[:, -1]) < _SINGULAR)
     return Trials(
         times=times,
