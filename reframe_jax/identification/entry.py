@@ -95,8 +95,8 @@ def identify(
             if its poses or times are unusable. In a batch such windows get a ``status`` instead.
     """
     array = take_poses(poses)
-    alone = array.ndim == 3 and not traced((poses, times, dt, thresholds, bounds, key))
-    unordered = alone and is_unordered(np.asarray(array, dtype=float))
+    single_window = array.ndim == 3 and not traced((poses, times, dt, thresholds, bounds, key))
+    unordered = single_window and is_unordered(np.asarray(array, dtype=float))
     usual = check_exponent(norm) == 0 and solver is None and discretization == "chord"
     if unordered and usual and isinstance(scales, str) and scales == "auto":
         scales = "mean"
@@ -113,7 +113,7 @@ def identify(
         solver=solver,
         key=key,
     )
-    if not alone:
+    if not single_window:
         return found
     _warn_of_lost_rows(np.asarray(array, dtype=float), times)
     if unordered:
@@ -220,7 +220,7 @@ def _on_mesh(run: Any, poses: jax.Array, steps: Any, options: tuple[Any, ...]) -
     sharding = poses.sharding
     if not isinstance(sharding, NamedSharding) or any(axis is not None for axis in sharding.spec[1:]):
         raise ValueError(
-            "Windows on several devices must be spread along their first axis alone, by a NamedSharding; "
+            "Windows on several devices must be spread along their first axis single_window, by a NamedSharding; "
             f"these have {sharding}."
         )
     axis = (*sharding.spec, None)[0]

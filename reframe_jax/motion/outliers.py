@@ -118,12 +118,12 @@ def _find(x: Array, times: Array, own: Array, count: Array, unit: Array, stride:
     )
     lengths = _lengths(jnp.concatenate([jnp.stack([x - middle, behind - x, ahead - x]), guesses - middle]))
     distance, spread = lengths[:, 0], _median_of_five(jnp.moveaxis(lengths[:, 3:], 1, 0))  # (2, P, N)
-    alone = jnp.minimum(lengths[:, 1], lengths[:, 2]) > _APART * distance
+    apart = jnp.minimum(lengths[:, 1], lengths[:, 2]) > _APART * distance
     mask = jnp.broadcast_to(own[:, None], (number, 2, own.shape[1]))
     typical = masked_median(jnp.swapaxes(distance, 0, 1), mask)[:, None]
     typical = jnp.maximum(typical, jnp.stack([unit / 2, jnp.zeros_like(unit)])[:, None])
     rounding = 64 * jnp.finfo(x.dtype).eps * (1 + jnp.max(jnp.abs(x), axis=(0, 1)))
-    outlying = (distance > _OUTLIER * typical + rounding) & (distance > _AGREE * spread) & alone
+    outlying = (distance > _OUTLIER * typical + rounding) & (distance > _AGREE * spread) & apart
     return (outlying[0] | outlying[1]) & (count > reach)
 
 
