@@ -220,7 +220,7 @@ def _on_mesh(run: Any, poses: jax.Array, steps: Any, options: tuple[Any, ...]) -
     sharding = poses.sharding
     if not isinstance(sharding, NamedSharding) or any(axis is not None for axis in sharding.spec[1:]):
         raise ValueError(
-            "Windows on several devices must be spread along their first axis single_window, by a NamedSharding; "
+            "Windows on several devices must be spread along their first axis alone, by a NamedSharding; "
             f"these have {sharding}."
         )
     axis = (*sharding.spec, None)[0]

@@ -17,6 +17,7 @@ from reframe_jax.constraints.types import (
     LinearType,
 )
 from reframe_jax.geometry.rotations import rotation_log
+from reframe_jax.geometry.small import diagonalize
 from reframe_jax.identification.cautions import Caution, caution_codes
 from reframe_jax.identification.classify import Thresholds, degrees_of_freedom, free_rotations
 from reframe_jax.identification.frames import AllCandidates, AngularFrame, Candidates, LinearFrame, PoseNoise
@@ -27,7 +28,6 @@ from reframe_jax.identification.results import Identification
 from reframe_jax.model import features as z
 from reframe_jax.model.fit import Data, Parameters, coordinates, ground_axes, settle
 from reframe_jax.model.moments import Moments
-from reframe_jax.model.small import diagonalize
 from reframe_jax.model.solve import Solved
 from reframe_jax.model.table import ENTRIES, KINDS, ROWS, TABLE
 from reframe_jax.motion.checks import Status

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.model.small import largest, materialize, normalize, solve_positive, times, total
+from reframe_jax.geometry.small import largest, materialize, normalize, solve_positive, times, total
 
 __all__ = ["crossed_axes"]
 

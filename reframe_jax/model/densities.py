@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.geometry.small import total as add
 from reframe_jax.model.constants import EVIDENCE as C
-from reframe_jax.model.small import total as add
 
 __all__ = ["Nodes", "amplitude_nodes", "free_evidence", "held_evidence"]
 

@@ -23,9 +23,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.geometry.small import diagonalize, largest, materialize, total
 from reframe_jax.model.constants import EVIDENCE as C
 from reframe_jax.model.densities import Nodes, amplitude_nodes, free_evidence, held_evidence
-from reframe_jax.model.small import diagonalize, largest, materialize, total
 from reframe_jax.model.table import Table
 
 __all__ = [

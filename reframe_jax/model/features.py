@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.geometry.small import times
 from reframe_jax.model.paths import twist_paths
-from reframe_jax.model.small import times
 
 __all__ = ["COUNT", "Features", "pose_features"]
 

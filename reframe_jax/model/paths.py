@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.model.small import cross, materialize, times, total
+from reframe_jax.geometry.small import cross, materialize, times, total
 
 __all__ = ["turns_of", "twist_paths"]
 

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.geometry.small import cross, normalize, sandwich, times, total
 from reframe_jax.model import features as z
-from reframe_jax.model.small import cross, normalize, sandwich, times, total
 from reframe_jax.model.steps import Problem, Unknowns, axis_row, path_of, row_size
 from reframe_jax.model.table import KINDS, PATHS, ROWS, Table
 

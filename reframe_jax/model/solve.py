@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.types import LinearType
+from reframe_jax.geometry.small import largest, materialize, sandwich, times, total
 from reframe_jax.model import features as z
 from reframe_jax.model.constants import SCALES
 from reframe_jax.model.evidence import Amplitudes, Coordinates, Spectra, amplitudes_of, compare, log_evidence
@@ -28,7 +29,6 @@ from reframe_jax.model.rows import (
     problem_of,
 )
 from reframe_jax.model.search import lowest_origins, norm_at, polynomials, unexplained_covariance
-from reframe_jax.model.small import largest, materialize, sandwich, times, total
 from reframe_jax.model.starts import Axes, common_frames, entry_starts, smallest_eigenvalue, universal_axes
 from reframe_jax.model.steps import Unknowns, descend, path_of, tilted_axis
 from reframe_jax.model.table import ENTRIES, KINDS, PATHS, ROWS, TABLE, Table

@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.types import AngularType
+from reframe_jax.geometry.small import cross, diagonalize, largest, normalize, times, total
 from reframe_jax.model import features as z
 from reframe_jax.model.crossed import crossed_axes
 from reframe_jax.model.rows import rotation_forms
-from reframe_jax.model.small import cross, diagonalize, largest, normalize, times, total
 from reframe_jax.model.steps import Unknowns
 from reframe_jax.model.table import ENTRIES, TABLE
 

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.model.small import (
+from reframe_jax.geometry.small import (
     inverse_and_determinant,
     largest,
     materialize,

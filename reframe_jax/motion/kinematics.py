@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax.geometry import rotations
-from reframe_jax.motion.components import components_first, components_last, cross, product, transpose
+from reframe_jax.geometry.small import components_first, components_last, cross, times
 from reframe_jax.motion.magnus import without_brackets
 
 __all__ = [
@@ -54,8 +54,8 @@ def _rotation_vectors(rotation: jax.Array) -> jax.Array:
 
 def _body_twists(rotation: jax.Array, position: jax.Array, step: jax.Array) -> jax.Array:
     """(6, K, ...)."""
-    back = transpose(rotation[:, :, :-1])
-    turn, shift = product(back, rotation[:, :, 1:]), product(back, jnp.diff(position, axis=1))
+    back = jnp.swapaxes(rotation[:, :, :-1], 0, 1)
+    turn, shift = times(back, rotation[:, :, 1:]), times(back, jnp.diff(position, axis=1))
     # the twist whose exponential is the step: J_l(w)^-1 maps the shift to the linear part
     w = _rotation_vectors(turn)
     across = cross(w, shift)
@@ -66,8 +66,8 @@ def _body_twists(rotation: jax.Array, position: jax.Array, step: jax.Array) -> j
 def _spatial_twists(rotation: jax.Array, position: jax.Array, body: jax.Array) -> jax.Array:
     """Express body twists (6, K, ...) in {g}."""
     rotation, position = rotation[:, :, :-1], position[:, :-1]
-    w = product(rotation, body[:3])
-    return jnp.concatenate([w, product(rotation, body[3:]) + cross(position, w)])
+    w = times(rotation, body[:3])
+    return jnp.concatenate([w, times(rotation, body[3:]) + cross(position, w)])
 
 
 def body_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
@@ -124,7 +124,7 @@ def velocity_components(
         body, spatial = without_brackets(body, spatial, steps)
     bb, gg = (_twist_map(twist) for twist in (body, spatial))
     if discretization == "left":
-        gb, bg = product(rotation[:, :, :-1], bb), product(transpose(rotation)[:, :, :-1], gg)
+        gb, bg = times(rotation[:, :, :-1], bb), times(jnp.swapaxes(rotation, 0, 1)[:, :, :-1], gg)
     else:
         in_ground, in_body = _point_maps(rotation, position)
         gb, bg = jnp.diff(in_ground, axis=2) / step, jnp.diff(in_body, axis=2) / step
@@ -134,7 +134,7 @@ def velocity_components(
 
 def turns_of(rotation: jax.Array) -> jax.Array:
     """Axis times sine of the angle of every step, (3, K, ...), from rotations (3, 3, K+1, ...)."""
-    turn = product(transpose(rotation[:, :, :-1]), rotation[:, :, 1:])
+    turn = times(jnp.swapaxes(rotation[:, :, :-1], 0, 1), rotation[:, :, 1:])
     return jnp.stack([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
 
 
@@ -148,10 +148,10 @@ def _twist_map(twist: jax.Array) -> jax.Array:
 
 def _point_maps(rotation: jax.Array, position: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Maps (3, 4, K+1, ...) of points of the body to the ground, and of points of the ground to the body."""
-    inverse = transpose(rotation)
+    inverse = jnp.swapaxes(rotation, 0, 1)
     in_ground = jnp.concatenate([position[:, None], rotation], axis=1)
     # a point p of the ground is R^T (p - x) in the body; relative to the body, it moves the opposite way
-    return in_ground, jnp.concatenate([product(inverse, position)[:, None], -inverse], axis=1)
+    return in_ground, jnp.concatenate([times(inverse, position)[:, None], -inverse], axis=1)
 
 
 def angular_velocities(

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.motion.components import bracket, components_first
+from reframe_jax.geometry.small import components_first, cross
 
 __all__ = ["without_brackets"]
 
@@ -88,12 +88,18 @@ def _brackets(
     second = slope(first)
     # from the mean to the midpoint of the step; unequal steps make the correction discontinuous, so
     # derivatives apply only to terms without a factor h
-    middle = means - h**2 / 24 * second + h**2 * (turn / 12) * bracket(means, first)
+    middle = means - h**2 / 24 * second + h**2 * (turn / 12) * _bracket(means, first)
     a1, a2 = h * middle, h**2 * slope(middle)
     a3, a4 = h**3 / 2 * second, h**4 / 6 * slope(second)
-    a12 = bracket(a1, a2)
+    a12 = _bracket(a1, a2)
     # the terms of the docstring, grouped by their outer factor
     in_first = (turn / 720) * a12 + a3 / 360
-    first_bracket = bracket(a1, bracket(a1, in_first) - (turn / 12) * a2 - (turn / 80) * a4)
-    second_bracket = bracket(a2, (turn / 240) * a3 - a12 / 240)
+    first_bracket = _bracket(a1, _bracket(a1, in_first) - (turn / 12) * a2 - (turn / 80) * a4)
+    second_bracket = _bracket(a2, (turn / 240) * a3 - a12 / 240)
     return (first_bracket + second_bracket) / h
+
+
+def _bracket(a: jax.Array, b: jax.Array) -> jax.Array:
+    """Lie bracket of twists (w, v), (6, ...): (wa x wb, wa x vb - wb x va)."""
+    wa, va, wb, vb = a[:3], a[3:], b[:3], b[3:]
+    return jnp.concatenate([cross(wa, wb), cross(wa, vb) - cross(wb, va)])

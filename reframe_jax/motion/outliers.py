@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from reframe_jax.model.small import cross, normalize, total
+from reframe_jax.geometry.small import cross, normalize, total
 from reframe_jax.motion.noise import masked_median
 
 __all__ = ["repair_poses"]

@@ -10,6 +10,8 @@ import jax
 import jax.numpy as jnp
 
 __all__ = [
+    "components_first",
+    "components_last",
     "cross",
     "diagonalize",
     "inverse_and_determinant",
@@ -66,6 +68,18 @@ def times(matrix: Array, vector: Array) -> Array:
     if matrix.ndim == vector.ndim:
         return total(matrix[:, :, None] * vector[None], 1)
     return total(matrix * vector[None], 1)
+
+
+def components_first(array: Array, components: int) -> Array:
+    """Move the component axes to the front: (..., K, components) to (components, K, ...)."""
+    axes = range(-components, 0)
+    return jnp.moveaxis(array, (*axes, -components - 1), tuple(range(components + 1)))
+
+
+def components_last(array: Array, components: int) -> Array:
+    """Inverse of :func:`components_first`."""
+    axes = range(-components, 0)
+    return jnp.moveaxis(array, tuple(range(components + 1)), (*axes, -components - 1))
 
 
 def _after(a: Array) -> Array:
