@@ -33,7 +33,7 @@ __all__ = [
     "solve_determined",
 ]
 
-STEPS, LAST_STEPS = 6, 4  # of Levenberg and Marquardt; the last ones leave the tilt free
+STEPS, LAST_STEPS = 5, 3  # of Levenberg and Marquardt; the last ones leave the tilt free
 _PARAMETERS = 9
 
 Array = jax.Array
