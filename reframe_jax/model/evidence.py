@@ -253,6 +253,9 @@ def compare(evidence: Array, of: Amplitudes, pitch: Array, table: Table, details
     value = evidence - 0.5 * worth / count * (of.size + largest(-of.size)) + worth * of.consistency
     value = value - jnp.log(table.variants) - C.per_parameter * table.parameters
     value = value + jnp.where(table.pitch, _screw(of, pitch, worth), 0)
+    # a motion in which nothing is held is free in the coordinates of every type: the stillest ones decide
+    nothing = ~jnp.any(table.held, axis=0) & jnp.isfinite(value)
+    value = jnp.where(nothing, -largest(jnp.where(nothing, -value, -jnp.inf)), value)
     return value - jax.nn.logsumexp(value, axis=0)
 
 
