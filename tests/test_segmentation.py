@@ -11,7 +11,7 @@ from benchmarks.segmentation_cases import Sequence, move_through, simulate_singl
 from reframe_jax.segmentation.bank import Bank
 from reframe_jax.segmentation.cells import Cells, make_cells
 from reframe_jax.segmentation.pieces import Piece, find_pieces, join_pieces
-from reframe_jax.segmentation.sequence import Coverage, likeliest
+from reframe_jax.segmentation.sequence import Coverage, columns_of, likeliest
 from reframe_jax.simulation.motions import PoseErrors, disturb
 from reframe_jax.simulation.sequences import simulate_sequence
 
@@ -120,11 +120,17 @@ def test_a_constraint_that_comes_back_has_the_same_label() -> None:
 @pytest.mark.parametrize("seed", range(10))
 def test_the_sequence_is_the_likeliest_of_all(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    models, cells = 3, 5
+    models, cells = 4, 6
     gain, price = rng.normal(0, 3, (models, cells)), rng.uniform(0, 4, models)
-    inside = rng.random((models, cells)) < 0.8
-    model, cell = np.nonzero(inside)
-    path, value = likeliest(Coverage(model, cell, gain[inside]), price, cells)
+    # two models that do not overlap share a column
+    first = rng.integers(0, 4, models)
+    last = first + rng.integers(0, 3, models)
+    inside = (np.arange(cells) >= first[:, None]) & (np.arange(cells) <= last[:, None])
+    columns = columns_of(first, last + 1)
+    dense = np.full((cells, columns.max() + 1), -np.inf)
+    for model, column in enumerate(columns):
+        dense[inside[model], column] = gain[model, inside[model]]
+    path, value = likeliest(Coverage(dense, columns, first), price)
 
     def total(sequence: np.ndarray) -> float:
         if any(m >= 0 and not inside[m, k] for k, m in enumerate(sequence)):

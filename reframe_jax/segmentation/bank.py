@@ -6,11 +6,12 @@ import numpy as np
 
 from reframe_jax.segmentation.cells import Cells
 from reframe_jax.segmentation.constants import SEGMENTS as C
-from reframe_jax.segmentation.rows import Fits
+from reframe_jax.segmentation.rows import Fits, fit_spans
 
-__all__ = ["Bank", "choose_models", "gains", "join_features", "misfit"]
+__all__ = ["Bank", "choose_models", "fit_models", "gains", "misfit"]
 
 _KEPT = 4  # models of a span
+_BATCH = 2000  # spans
 _PARAMETERS = np.array([[0, 0, 0, 0], [5, 5, 3, 2], [5, 5, 4, 2], [3, 3, 2, 0]])
 """Parameters of held translations, by their number and that of held rotations: directions and origins."""
 _ANGULAR_PARAMETERS = np.array([0, 2, 2, 0])
@@ -22,8 +23,9 @@ class Bank(NamedTuple):
     Attributes:
         span: (H, 2) cells to which they were fitted.
         held: (H, 2) number of held translations and rotations.
-        rows: (H, 6, 54) weights of the held coordinates, of all features.
-        middle: (H, 6) their values.
+        kind: (H, 2) linear and angular type, whose features the held coordinates weight.
+        shifts: (H, 3, 12) and turns: (H, 3, 3) the weights; 0 where fewer coordinates are held.
+        middle: (H, 6) values of the held coordinates, translations first.
         size: (H, 6) m or rad, RMS about them; inf for coordinates that are not held.
         price: (H,) log evidence that using the model costs.
         score: (H,) log evidence for the model in its own span, less the price.
@@ -32,7 +34,9 @@ class Bank(NamedTuple):
 
     span: np.ndarray
     held: np.ndarray
-    rows: np.ndarray
+    kind: np.ndarray
+    shifts: np.ndarray
+    turns: np.ndarray
     middle: np.ndarray
     size: np.ndarray
     price: np.ndarray
@@ -47,10 +51,18 @@ class Bank(NamedTuple):
         """These models and others."""
         return Bank(*(np.concatenate(leaves) for leaves in zip(self, *others, strict=True)))
 
+    def coordinates(self, linear: np.ndarray, angular: np.ndarray, at: np.ndarray) -> np.ndarray:
+        """Values (H, E, 6) of the coordinates in features (4, N, 12) and (2, N, 3) at indices (H, E)."""
+        shifts = linear[self.kind[:, :1], at] @ np.swapaxes(self.shifts, 1, 2)
+        turns = angular[self.kind[:, 1:], at] @ np.swapaxes(self.turns, 1, 2)
+        return np.concatenate([shifts, turns], axis=2)
 
-def join_features(linear: np.ndarray, angular: np.ndarray) -> np.ndarray:
-    """All features in a row, (N, 54)."""
-    return np.concatenate([*linear, *angular], axis=1)
+
+def fit_models(cells: Cells, spans: np.ndarray, reach: float) -> Bank:
+    """The best models of each span (P, 2), fitted in parts of bounded memory."""
+    parts = np.array_split(spans, -(-len(spans) // _BATCH))
+    first, *others = (choose_models(cells, part, fit_spans(cells, part, reach)) for part in parts)
+    return first.join(*others)
 
 
 def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
@@ -81,17 +93,23 @@ def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
     span, rank = np.nonzero(np.take_along_axis(score, order, axis=1) > -C.slack)
     chosen = order[span, rank]
     held = np.stack([chosen // 4, chosen % 4], axis=1)
-    kinds = linear_type[span, held[:, 0]], angular_type[span, held[:, 1]]
-    rows, middle, size = _held_rows(fits, span, held, kinds)
+    kind = np.stack([linear_type[span, held[:, 0]], angular_type[span, held[:, 1]]], axis=1)
+    which = span, np.maximum(held[:, 0] - 1, 0), kind[:, 0]
+    mean = fits.linear_mean[span, kind[:, 0]], fits.angular_mean[span, kind[:, 1]]
+    shifts, shift, rms = _held_rows(fits.weights[which], fits.size[which], mean[0], held[:, 0])
+    which = span, kind[:, 1]
+    turns, turn, rms_turn = _held_rows(fits.axes[which], fits.turn[which], mean[1], held[:, 1])
     return Bank(
-        spans[span],
-        held,
-        rows,
-        middle,
-        size,
-        price.reshape(-1, 16)[span, chosen],
-        score[span, chosen],
-        fits.motion[span],
+        span=spans[span],
+        held=held,
+        kind=kind,
+        shifts=shifts,
+        turns=turns,
+        middle=np.concatenate([shift, turn], axis=1),
+        size=np.concatenate([rms, rms_turn], axis=1),
+        price=price.reshape(-1, 16)[span, chosen],
+        score=score[span, chosen],
+        motion=fits.motion[span],
     )
 
 
@@ -114,29 +132,12 @@ def _log_ratios(size: np.ndarray, reference: float, most: np.ndarray) -> tuple[n
 
 
 def _held_rows(
-    fits: Fits, span: np.ndarray, held: np.ndarray, kinds: tuple[np.ndarray, np.ndarray]
+    weights: np.ndarray, rms: np.ndarray, mean: np.ndarray, count: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows (H, 6, 54), their values (H, 6) and their RMS (H, 6) of chosen models."""
-    number = len(span)
-    h, three = np.arange(number)[:, None, None], np.arange(3)
-    rows, size = np.zeros((number, 6, 54)), np.full((number, 6), np.inf)
-    middle = np.zeros((number, 6))
-    for group, (width, first) in enumerate(((12, 0), (3, 48))):
-        kind, count = kinds[group], held[:, group]
-        used = three < count[:, None]
-        if group == 0:
-            which = np.maximum(count - 1, 0)
-            weights, rms = fits.weights[span, which, kind], fits.size[span, which, kind]
-            mean = fits.linear_mean[span, kind]
-        else:
-            weights, rms = fits.axes[span, kind], fits.turn[span, kind]
-            mean = fits.angular_mean[span, kind]
-        own = slice(3 * group, 3 * group + 3)
-        columns = first + width * kind[:, None, None] + np.arange(width)
-        rows[h, own.start + three[None, :, None], columns] = np.where(used[:, :, None], weights, 0)
-        size[:, own] = np.where(used, rms, np.inf)
-        middle[:, own] = np.where(used, np.einsum("hrf,hf->hr", weights, mean), 0)
-    return rows, middle, size
+    """The first ``count`` (H,) of rows (H, 3, F), their values for mean features (H, F), and their RMS."""
+    used = np.arange(3) < count[:, None]
+    weights = np.where(used[:, :, None], weights, 0)
+    return weights, np.einsum("hrf,hf->hr", weights, mean), np.where(used, rms, np.inf)
 
 
 def gains(bank: Bank, values: np.ndarray, reference: tuple[float, float], widen: float = 1.0) -> np.ndarray:
@@ -148,5 +149,5 @@ def gains(bank: Bank, values: np.ndarray, reference: tuple[float, float], widen:
 def misfit(bank: Bank, values: np.ndarray, widen: float = 1.0) -> np.ndarray:
     """Negative log likelihood (H, N) of values (H, N, 6) under each model, about 0 where the model holds."""
     residual = (values - bank.middle[:, None]) / (widen * bank.size[:, None])
-    each = (C.tail + 1) / 2 * np.log1p(residual**2 / C.tail) - 0.5
-    return np.sum(np.where(np.isfinite(bank.size)[:, None], each, 0), axis=-1)
+    each = np.prod(1 + residual**2 / C.tail, axis=-1)  # 1 for a coordinate that is not held
+    return (C.tail + 1) / 2 * np.log(each) - np.sum(bank.held, axis=1)[:, None] / 2

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from reframe_jax.segmentation.bank import join_features, misfit
+from reframe_jax.segmentation.bank import misfit
 from reframe_jax.segmentation.cells import Cells, path_features
 from reframe_jax.segmentation.constants import SEGMENTS as C
 from reframe_jax.segmentation.pieces import Piece
@@ -37,11 +37,11 @@ def place_border(
     low = max((before.start + before.stop) * samples // 2, (before.stop - near) * samples) - first
     high = min((after.start + after.stop) * samples // 2, (after.start + near) * samples) - first
     border = before.stop * samples - first
-    z = join_features(*path_features(rotation[first:last], position[first:last]))
-    gain = [np.zeros(len(z)), np.zeros(len(z))]
+    linear, angular = path_features(rotation[first:last], position[first:last])
+    gain = [np.zeros(last - first), np.zeros(last - first)]
     for side, (piece, own) in enumerate(((before, slice(0, border)), (after, slice(border, None)))):
         if piece.model is not None:
-            values = z @ piece.model.rows[0].T
+            values = piece.model.coordinates(linear, angular, np.arange(last - first)[None])[0]
             # summed paths begin anew here; the values are those away from the border
             inner = values[own]
             cut = len(inner) // 4

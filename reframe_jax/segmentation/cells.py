@@ -67,8 +67,7 @@ class Cells:
 
 def make_cells(rotation: np.ndarray, position: np.ndarray, step: float) -> Cells:
     """Cells of poses (P, 3, 3) and (P, 3) m, ``step`` seconds apart."""
-    turns = rotation_vectors(np.swapaxes(rotation[:-1], 1, 2) @ rotation[1:])
-    noise = _white_noise(position), _white_noise(np.cumsum(turns, axis=0))
+    noise = _white_noise(position), _white_noise(np.cumsum(_turns(rotation), axis=0))
     time, motion, turn = _motion_scale(rotation, position, noise, step)
     samples = max(1, min(round(time / C.cells / step), len(position) // 8))
     linear, angular = _average_features(rotation, position, samples)
@@ -102,7 +101,7 @@ def _average_features(
 def path_features(rotation: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Features of the linear types (4, N, 12) and of the angular types (2, N, 3) of poses."""
     back = np.swapaxes(rotation, 1, 2)
-    turn = rotation_vectors(back[:-1] @ rotation[1:])
+    turn = _turns(rotation)
     hat = -np.cross(turn[:, None], np.eye(3))
     angle = np.maximum(np.linalg.norm(turn, axis=1), 1e-6)[:, None, None]
     series = 1 / angle**2 - (1 + np.cos(angle)) / (2 * angle * np.sin(angle))
@@ -123,6 +122,17 @@ def path_features(rotation: np.ndarray, position: np.ndarray) -> tuple[np.ndarra
     start = np.zeros((1, 3))
     angular = [np.concatenate([start, np.cumsum(each, axis=0)]) for each in (turn_ground, turn)]
     return np.stack([each.reshape(-1, 12) for each in linear]), np.stack(angular)
+
+
+def _turns(rotation: np.ndarray) -> np.ndarray:
+    """Rotations (P - 1, 3) in the body from each of P poses to the next, rad."""
+    between = np.swapaxes(rotation[:-1], 1, 2) @ rotation[1:]
+    cosine = (np.einsum("kii->k", between) - 1) / 2
+    if np.any(cosine < -0.9):  # near half turns the skew part does not determine the axis
+        return rotation_vectors(between)
+    skew = (between - np.swapaxes(between, 1, 2))[:, [2, 0, 1], [1, 2, 0]] / 2
+    sine = np.sqrt(np.sum(skew**2, axis=1))
+    return np.where(sine > 0, np.arctan2(sine, cosine) / np.where(sine > 0, sine, 1), 1)[:, None] * skew
 
 
 def _white_noise(path: np.ndarray) -> float:

@@ -11,13 +11,12 @@ from reframe_jax.identification.entry import identify_unchecked
 from reframe_jax.identification.inputs import take_steps
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
-from reframe_jax.segmentation.bank import choose_models
+from reframe_jax.segmentation.bank import fit_models
 from reframe_jax.segmentation.borders import place_border
 from reframe_jax.segmentation.cells import Cells, make_cells
 from reframe_jax.segmentation.labels import label_pieces
 from reframe_jax.segmentation.pieces import Piece, find_pieces, join_pieces
 from reframe_jax.segmentation.results import Boundary, Segment, Segmentation
-from reframe_jax.segmentation.rows import fit_spans
 
 __all__ = ["find_segments", "segment"]
 
@@ -97,7 +96,7 @@ def _probabilities(cells: Cells, pieces: list[Piece], reach: float) -> list[floa
     spans = [(piece.start, piece.stop) for piece in pieces]
     pairs = [(a, d) for (a, _), (_, d) in pairwise(spans)]
     every = np.array(spans + pairs)
-    bank = choose_models(cells, every, fit_spans(cells, every, reach))
+    bank = fit_models(cells, every, reach)
     evidence = {tuple(span): 0.0 for span in every.tolist()}
     for span, score in zip(bank.span.tolist(), bank.score, strict=True):
         evidence[tuple(span)] = max(evidence[tuple(span)], float(score))

@@ -5,11 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from reframe_jax.segmentation.bank import Bank, choose_models, join_features
+from reframe_jax.segmentation.bank import Bank, choose_models, fit_models
 from reframe_jax.segmentation.cells import Cells
 from reframe_jax.segmentation.constants import SEGMENTS as C
 from reframe_jax.segmentation.rows import Fits, fit_spans
-from reframe_jax.segmentation.sequence import Coverage, cover, likeliest
+from reframe_jax.segmentation.sequence import cover, likeliest
 
 __all__ = ["Piece", "find_pieces", "join_pieces", "stays_held"]
 
@@ -38,30 +38,26 @@ class Piece(NamedTuple):
 def find_pieces(cells: Cells, reach: float) -> list[Piece]:
     """The likeliest sequence of models: fitted to windows of many lengths, then to what they cover."""
     number = cells.linear.shape[1]
-    z = join_features(cells.linear, cells.angular)
-    windows = _windows(number)
-    first = choose_models(cells, windows, fit_spans(cells, windows, reach))
+    first = fit_models(cells, _windows(number), reach)
     if not len(first.price):
         return [Piece(0, number, None)]
-    known = cover(cells, z, first, 0, C.widen)
+    known = cover(cells, first, C.widen)
     bank, coverage, evidence = first, known, 0.0
     pieces = [Piece(0, number, None)]
     for _ in range(_ROUNDS):
-        path, now = likeliest(coverage, bank.price, number)
+        path, now = likeliest(coverage, bank.price)
         if now <= evidence + 0.1:
             break
         evidence = now
         edges = [0, *(np.flatnonzero(np.diff(path)) + 1).tolist(), number]
         pieces = [Piece(a, b, bank.take([path[a]]) if path[a] >= 0 else None) for a, b in pairwise(edges)]
-        spans = _neighbours(edges)
-        again = choose_models(cells, spans, fit_spans(cells, spans, reach))
+        again = fit_models(cells, _neighbours(edges), reach)
         kept = [piece.model for piece in pieces if piece.model is not None]
         fresh = again.join(*kept)
         if not len(fresh.price):
             break
         bank = first.join(fresh)
-        new = cover(cells, z, fresh, len(first.price), 1.0)
-        coverage = Coverage(*(np.concatenate(each) for each in zip(known, new, strict=True)))
+        coverage = known.join(cover(cells, fresh, 1.0))
     return pieces
 
 
