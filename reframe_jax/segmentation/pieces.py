@@ -62,10 +62,10 @@ def find_pieces(cells: Cells, reach: float) -> list[Piece]:
 
 
 def _windows(number: int) -> np.ndarray:
-    """Spans of 8, 16, 32, ... cells, of which four begin in the length of one, and the whole."""
+    """Spans of 8, 16, 32, ... cells, that begin every four cells or quarter of their length, and the whole."""
     length, spans = _SHORTEST, [np.array([[0, number]])]
     while length < min(number, _LONGEST + 1):
-        start = np.arange(0, number - length + 1, length // 4)
+        start = np.arange(0, number - length + 1, max(_SHORTEST, length // 2) // 2)
         spans.append(np.stack([start, start + length], axis=1))
         length *= 2
     return np.concatenate(spans)

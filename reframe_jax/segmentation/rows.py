@@ -11,6 +11,7 @@ __all__ = ["Fits", "fit_spans"]
 
 _BATCH = 400  # spans that are fitted at once: their moments fit a processor's cache
 _STEPS = 4, 5, 6  # of the fits of 3, 2 and 1 held translations, each from the one before
+_HAT = np.cross(np.eye(3)[:, None], np.eye(3))  # (_HAT @ v)[:, c] = e_c x v
 _LENGTH = 1.6  # of a step: the tangent of a logarithm is too steep by up to two
 
 
@@ -212,7 +213,7 @@ def _levenberg(
     hessian, slope = np.zeros((6, 6, number)), np.zeros((6, number))
     for i in range(held):
         v = axes[:, i]
-        turned = _cross(np.eye(3)[:, :, None], v[:, None])  # column c is e_c x v
+        turned = _HAT @ v  # (3, 3, P), column c is e_c x v
         part = np.einsum("iajp,ip->ajp", half[:, 1:], v)
         inner = np.einsum("iajbp,ip->ajbp", form[:, 1:, :, 1:], v)
         along = np.einsum("ijp,jp->ip", covariance, v)
