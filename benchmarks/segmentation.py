@@ -4,6 +4,7 @@
 
 - sequences of free motion, pin on plane, contour, ball, hinge, slide, plane and lock with white noise of
   10 um to 1 mm and with soft contacts that give 0.3 to 1 mm (:mod:`benchmarks.segmentation_cases`);
+- the same with splines through random places for motion, slower and with fewer independent values;
 - recordings of one constraint, in which no change may be found;
 - a pointer that pivots about eight points, with 0.1, 0.3 and 1 mm of noise;
 - real recordings in ``../shared/data``, if they are there;
@@ -67,6 +68,9 @@ def main() -> None:
     record: dict[str, Any] = {
         "machine": machine(),
         "sequences": [compare(each) for each in simulate_sequences(options.sequences, options.seed)],
+        "splines": [
+            compare(each) for each in simulate_sequences(options.sequences, options.seed, splines=True)
+        ],
         "singles": [
             compare(simulate_single(label, number, options.seed))
             for number in range(options.singles)
@@ -160,36 +164,44 @@ def measure_time(hours: float) -> dict[str, Any]:
     return {"poses": len(poses), "s": taken, "MB": memory, "segments": len(found[0]), "changes": changes}
 
 
+def print_sequences(title: str, rows: list[dict[str, Any]]) -> dict[str, float]:
+    """Print the figures of simulated sequences, and return them."""
+    if not rows:
+        return {}
+        misses = np.array([miss for row in rows for miss in row["misses"]])
+    named = [name for row in rows for name in row["named"]]
+    metrics = {
+        "changes found": float(np.mean(misses <= CLOSE)),
+        "false cuts for 100 changes": 100 * sum(row["false"] for row in rows) / len(misses),
+        "constraints named right": float(np.mean(named)),
+        "median error of borders s": float(np.median(misses[misses <= CLOSE])),
+        "intervals that hold the change": float(np.mean([h for row in rows for h in row["held"]])),
+    }
+    print(f"\n{len(rows)} {title}, {len(misses)} changes")
+    for name, value in metrics.items():
+        print(f"  {name:<32} {value:8.3f}")
+    for label in NAMES:
+        right = [
+            named
+            for row in rows
+            for named, each in zip(row["named"], row["labels"], strict=True)
+            if each == label
+        ]
+        wrong = {
+            name
+            for row in rows
+            for name, named, each in zip(row["names"], row["named"], row["labels"], strict=True)
+            if each == label and not named
+        }
+        print(f"    {label:<10} {sum(right):>3} of {len(right):>3} named right; else {sorted(wrong)}")
+    return metrics
+
+
 def print_metrics(record: dict[str, Any]) -> dict[str, float]:
     """Print the figures of a record, and return them."""
-    rows, metrics = record["sequences"], {}
-    if rows:
-        misses = np.array([miss for row in rows for miss in row["misses"]])
-        named = [name for row in rows for name in row["named"]]
-        metrics = {
-            "changes found": float(np.mean(misses <= CLOSE)),
-            "false cuts for 100 changes": 100 * sum(row["false"] for row in rows) / len(misses),
-            "constraints named right": float(np.mean(named)),
-            "median error of borders s": float(np.median(misses[misses <= CLOSE])),
-            "intervals that hold the change": float(np.mean([h for row in rows for h in row["held"]])),
-        }
-        print(f"\n{len(rows)} sequences, {len(misses)} changes")
-        for name, value in metrics.items():
-            print(f"  {name:<32} {value:8.3f}")
-        for label in NAMES:
-            right = [
-                named
-                for row in rows
-                for named, each in zip(row["named"], row["labels"], strict=True)
-                if each == label
-            ]
-            wrong = {
-                name
-                for row in rows
-                for name, named, each in zip(row["names"], row["named"], row["labels"], strict=True)
-                if each == label and not named
-            }
-            print(f"    {label:<10} {sum(right):>3} of {len(right):>3} named right; else {sorted(wrong)}")
+    metrics = print_sequences("sequences", record["sequences"])
+    slow = print_sequences("sequences of splines", record["splines"])
+    metrics |= {f"splines: {name}": value for name, value in slow.items()}
     if record["singles"]:
         metrics["single constraints whole"] = float(np.mean([row["whole"] for row in record["singles"]]))
         print(

@@ -1,15 +1,16 @@
 """Simulated sequences of constraints with known changes, in plain NumPy.
 
 A body moves under one constraint after the other. Each constraint lies in a random place, within 0.15 m of
-the body. Sums of three sines of 0.2 to 0.9 Hz drive the free coordinates: 0.35 to 0.6 rad and 50 to 100 mm
-rms. In half of the sequences every motion sets out from rest and comes to rest within 0.25 s; in the other
-half the velocity jumps. White noise of sigma m comes with sigma / 0.3 m rad; slow errors are sines of 0.1 to
-1.2 Hz, with 5 rad/m.
+the body. Sums of three sines of 0.2 to 0.9 Hz drive the free coordinates, or splines through random values
+0.7 to 3 s apart: 0.35 to 0.6 rad and 50 to 100 mm rms. In half of the sequences every motion sets out from
+rest and comes to rest within 0.25 s; in the other half the velocity jumps. White noise of sigma m comes with
+sigma / 0.3 m rad; slow errors are sines of 0.1 to 1.2 Hz, with 5 rad/m.
 """
 
 from typing import NamedTuple
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 __all__ = ["ERRORS", "NAMES", "Sequence", "move_through", "simulate_sequences", "simulate_single"]
@@ -54,8 +55,14 @@ class Sequence(NamedTuple):
         return np.asarray(self.times[self.starts[1:]])
 
 
-def simulate_sequences(count: int, seed: int = 0) -> list[Sequence]:
-    """Sequences of three or four constraints, 4 to 8 s each, no constraint twice in a row."""
+def simulate_sequences(count: int, seed: int = 0, splines: bool = False) -> list[Sequence]:
+    """Sequences of three or four constraints, 4 to 8 s each, no constraint twice in a row.
+
+    Args:
+        count: of sequences.
+        seed: of everything.
+        splines: whether the motion is drawn through random places, and slower; else it is a sum of sines.
+    """
     made = []
     for number in range(count):
         rng = np.random.default_rng([seed, number])
@@ -67,7 +74,12 @@ def simulate_sequences(count: int, seed: int = 0) -> list[Sequence]:
             if labels[-1:] != [label]:
                 labels.append(label)
         durations = rng.uniform(4, 8, len(labels))
-        made.append(move_through(labels, durations, ERRORS[number % len(ERRORS)], rng))
+        apart = (0.7, 1.8) if number % 2 else (1.5, 3.0)
+        made.append(
+            move_through(
+                labels, durations, ERRORS[number % len(ERRORS)], rng, apart=apart if splines else None
+            )
+        )
     return made
 
 
@@ -83,6 +95,7 @@ def move_through(
     errors: dict[str, float],
     rng: np.random.Generator,
     rate: int | None = None,
+    apart: tuple[float, float] | None = None,
 ) -> Sequence:
     """Simulate constraints one after the other.
 
@@ -92,6 +105,7 @@ def move_through(
         errors: "white" and "soft", m.
         rng: of places, motions and errors.
         rate: Hz; by default 20, 50 or 100.
+        apart: s, of the places of splines; None for sines.
     """
     drawn, ease = int(rng.choice([20, 50, 100])), float(rng.choice([0.0, 0.25]))
     rate = rate or drawn
@@ -100,7 +114,7 @@ def move_through(
     starts = [0]
     for label, duration in zip(labels, durations, strict=True):
         steps = round(duration * rate)
-        turned, moved = _move(label, steps, rate, ease, rotation[-1][-1], position[-1][-1], rng)
+        turned, moved = _move(label, steps, rate, ease, rotation[-1][-1], position[-1][-1], rng, apart)
         rotation.append(turned)
         position.append(moved)
         starts.append(starts[-1] + steps)
@@ -131,6 +145,7 @@ def _move(
     start: np.ndarray,
     origin: np.ndarray,
     rng: np.random.Generator,
+    apart: tuple[float, float] | None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rotations (steps, 3, 3) and positions (steps, 3) after those at the start."""
     fine = 8 if label == "contour" else 1
@@ -141,6 +156,10 @@ def _move(
         times = np.concatenate([[0], np.cumsum((ramp[1:] + ramp[:-1]) / 2 * np.diff(times))])
 
     def drive(size: float, free: str) -> np.ndarray:
+        if apart is not None:
+            knots = np.cumsum(rng.uniform(*apart, size=int(times[-1] / apart[0]) + 4)) - apart[1]
+            path = CubicSpline(knots, rng.normal(0, size, (len(knots), 3)))(times)
+            return np.asarray((path - path[0]) * [axis in free for axis in "xyz"])
         amplitude, f, phase = (rng.uniform(a, b, (3, 3)) for a, b in ((0.5, 1), (0.2, 0.9), (0, 2 * np.pi)))
         amplitude *= size * np.sqrt(2 / np.sum(amplitude**2, axis=1, keepdims=True))
         path = np.sum(amplitude * np.sin(2 * np.pi * f * times[:, None, None] + phase), axis=-1)

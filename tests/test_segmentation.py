@@ -10,6 +10,7 @@ import reframe_jax as rf
 from benchmarks.segmentation_cases import Sequence, move_through, simulate_single
 from reframe_jax.segmentation.bank import Bank
 from reframe_jax.segmentation.cells import Cells, make_cells
+from reframe_jax.segmentation.chance import with_chance
 from reframe_jax.segmentation.pieces import Piece, find_pieces, join_pieces
 from reframe_jax.segmentation.sequence import Coverage, columns_of, likeliest
 from reframe_jax.simulation.motions import PoseErrors, disturb
@@ -31,7 +32,7 @@ def sequence(labels: tuple[str, ...], errors: str, seed: int = 0) -> Sequence:
 
 def pieces_of(made: Sequence) -> tuple[Cells, list[Piece]]:
     position = made.poses[:, :3, 3] - made.poses[:, :3, 3].mean(axis=0)
-    cells = make_cells(made.poses[:, :3, :3], position, float(made.times[1]))
+    cells = with_chance(make_cells(made.poses[:, :3, :3], position, float(made.times[1])), 1.0)
     return cells, join_pieces(cells, find_pieces(cells, 1.0), 1.0)
 
 

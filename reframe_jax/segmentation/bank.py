@@ -12,9 +12,7 @@ __all__ = ["Bank", "choose_models", "fit_models", "gains", "misfit"]
 
 _KEPT = 4  # models of a span
 _BATCH = 2000  # spans
-_PARAMETERS = np.array([[0, 0, 0, 0], [5, 5, 3, 2], [5, 5, 4, 2], [3, 3, 2, 0]])
-"""Parameters of held translations, by their number and that of held rotations: directions and origins."""
-_ANGULAR_PARAMETERS = np.array([0, 2, 2, 0])
+_ANGULAR_PARAMETERS = np.array([0, 2, 2, 0])  # directions of 0 to 3 held rotations
 
 
 class Bank(NamedTuple):
@@ -29,6 +27,7 @@ class Bank(NamedTuple):
         size: (H, 6) m or rad, RMS about them; inf for coordinates that are not held.
         price: (H,) log evidence that using the model costs.
         score: (H,) log evidence for the model in its own span, less the price.
+        reference: (H,) m, amplitude of a free translation.
         motion: (H,) m, largest motion of the span.
     """
 
@@ -41,6 +40,7 @@ class Bank(NamedTuple):
     size: np.ndarray
     price: np.ndarray
     score: np.ndarray
+    reference: np.ndarray
     motion: np.ndarray
 
     def take(self, index: np.ndarray | list[int]) -> "Bank":
@@ -73,7 +73,8 @@ def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
         np.minimum(bound, np.maximum(3 * floor, own / lever))
         for bound, floor, lever in zip(cells.bound, cells.floor, (1, C.lever), strict=True)
     ]
-    linear, linear_type = _log_ratios(fits.size, cells.reference[0], most[0])
+    references = cells.references(spans[:, 1] - spans[:, 0])
+    linear, linear_type = _log_ratios(fits.size, references[:, :, None, None], most[0])
     every = np.where(np.arange(3) < np.arange(1, 4)[:, None, None], fits.turn[:, None], np.inf)
     angular, angular_type = _log_ratios(every, cells.reference[1], most[1])
     both = linear[:, :, None] + angular[:, None]
@@ -81,11 +82,8 @@ def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
     both[:, 3, 3] = np.where(count >= C.still_time, 0, -np.inf)
     for size, reference, bound in zip((fits.size, every), cells.reference, cells.still_bound, strict=True):
         both[:, 3, 3] += _log_ratios(size, reference, np.full_like(own, bound))[0][:, 3]
-    linear, angular = (
-        np.where(np.isfinite(each), each, 0) / np.maximum(np.arange(4), 1) for each in (linear, angular)
-    )
-    price = C.price + _PARAMETERS * linear[:, :, None] + (_ANGULAR_PARAMETERS * angular)[:, None]
-    price[:, 3, 3] = C.price
+    each = np.where(np.isfinite(angular), angular, 0) / np.maximum(np.arange(4), 1)
+    price = np.repeat(C.price + (_ANGULAR_PARAMETERS * each)[:, None], 4, axis=1)
     score = count[:, None, None] * both - price
     score[:, 0, 0] = -np.inf
     score = score.reshape(-1, 16)
@@ -94,11 +92,11 @@ def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
     chosen = order[span, rank]
     held = np.stack([chosen // 4, chosen % 4], axis=1)
     kind = np.stack([linear_type[span, held[:, 0]], angular_type[span, held[:, 1]]], axis=1)
-    which = span, np.maximum(held[:, 0] - 1, 0), kind[:, 0]
-    mean = fits.linear_mean[span, kind[:, 0]], fits.angular_mean[span, kind[:, 1]]
+    number, linear_kind, angular_kind = np.maximum(held[:, 0] - 1, 0), *kind.T
+    which, which_turn = (span, number, linear_kind), (span, angular_kind)
+    mean = fits.linear_mean[span, linear_kind], fits.angular_mean[which_turn]
     shifts, shift, rms = _held_rows(fits.weights[which], fits.size[which], mean[0], held[:, 0])
-    which = span, kind[:, 1]
-    turns, turn, rms_turn = _held_rows(fits.axes[which], fits.turn[which], mean[1], held[:, 1])
+    turns, turn, rms_turn = _held_rows(fits.axes[which_turn], fits.turn[which_turn], mean[1], held[:, 1])
     return Bank(
         span=spans[span],
         held=held,
@@ -109,11 +107,14 @@ def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
         size=np.concatenate([rms, rms_turn], axis=1),
         price=price.reshape(-1, 16)[span, chosen],
         score=score[span, chosen],
+        reference=np.where(chosen == 15, cells.reference[0], references[span, number]),
         motion=fits.motion[span],
     )
 
 
-def _log_ratios(size: np.ndarray, reference: float, most: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _log_ratios(
+    size: np.ndarray, reference: float | np.ndarray, most: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Sum of log reference / size of 0 to 3 held coordinates in the best type, (P, 4), and that type.
 
     Args:
@@ -140,9 +141,13 @@ def _held_rows(
     return weights, np.einsum("hrf,hf->hr", weights, mean), np.where(used, rms, np.inf)
 
 
-def gains(bank: Bank, values: np.ndarray, reference: tuple[float, float], widen: float = 1.0) -> np.ndarray:
-    """Log evidence (H, N) of values (H, N, 6) of the held coordinates under each model, against free ones."""
-    ratio = np.log(np.maximum(np.repeat(reference, 3) / (widen * bank.size), 1))
+def gains(bank: Bank, values: np.ndarray, turn: float, widen: float = 1.0) -> np.ndarray:
+    """Log evidence (H, N) of values (H, N, 6) of held coordinates against free ones.
+
+    Free rotations have an amplitude of ``turn`` rad.
+    """
+    free = np.stack([bank.reference, np.full_like(bank.reference, turn)], axis=1).repeat(3, axis=1)
+    ratio = np.log(np.maximum(free / (widen * bank.size), 1))
     return np.sum(ratio, axis=1)[:, None] - misfit(bank, values, widen)
 
 

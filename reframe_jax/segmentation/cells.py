@@ -30,7 +30,9 @@ class Cells:
         duration: s, of a cell.
         motion_time: s, in which the motion gives one independent value.
         motion: (2,) m and rad, amplitudes of a coordinate and of a rotation.
-        floor: (2,) m and rad, below which residuals are not told from zero.
+        floor: (2,) m and rad, below which residuals are not distinguished from zero.
+        chance: (L,) log lengths of spans in cells, and (L, 3) log m, sizes of 1, 2 and 3 rows that are fitted
+            where nothing is held; None before they are known.
     """
 
     linear: np.ndarray
@@ -40,6 +42,14 @@ class Cells:
     motion_time: float
     motion: tuple[float, float]
     floor: tuple[float, float]
+    chance: tuple[np.ndarray, np.ndarray] | None = None
+
+    def references(self, lengths: np.ndarray) -> np.ndarray:
+        """Amplitudes (P, 3), m, of free translations where 1, 2 and 3 rows are fitted to so many cells."""
+        if self.chance is None:
+            return np.full((len(lengths), 3), self.reference[0])
+        logs = [np.interp(np.log(lengths), self.chance[0], size) for size in self.chance[1].T]
+        return np.minimum(np.exp(logs).T, self.reference[0])
 
     @property
     def weight(self) -> float:

@@ -1,7 +1,7 @@
 """Every tuned constant of segmentation, with where it comes from.
 
-The figures behind them: sequences and single constraints of :mod:`benchmarks.segmentation_cases` with seeds
-that the benchmark does not use, and the recordings of ``../shared/data``.
+The figures behind them: sequences and single constraints of :mod:`benchmarks.segmentation_cases`, with both
+kinds of motion and seeds that the benchmark does not use, and the recordings of ``../shared/data``.
 """
 
 from typing import NamedTuple
@@ -17,14 +17,15 @@ class SegmentConstants(NamedTuple):
             errors of a robot or a tracker.
         lever: m, at which a rotation counts as a translation.
         motion_time: of the lag at which the speed of displacements has halved, the time of one independent
-            value; 1 / (2 B) for motion of bandwidth B.
+            value. 1 / (2 B) for motion of bandwidth B would be half; path details beyond B count a little.
         cells: cells in a motion time.
         held: of the motion of the recording, the most that a held coordinate may move.
         still: the same of a body that is still.
         gap: largest motion of a span over that of a coordinate which is held in it.
         reference: of the motion of the recording, the amplitude of a free coordinate that happens to move
             little: divides between held and free.
-        price: log evidence that a segment costs, beside its parameters.
+        chance: quantile of the sizes that rows reach by chance, from which evidence counts.
+        price: log evidence that a segment costs, for one of many spans and models has the largest.
         slack: log evidence that a model of a window may lack: the segment may be longer.
         border: log evidence, beside a border, of a pose that a model explains, and the same for every row:
             of one row, residuals of 2.6 times their RMS are taken for motion.
@@ -39,13 +40,14 @@ class SegmentConstants(NamedTuple):
     floor_position: float = 3e-4
     floor_rotation: float = 1.5e-3
     lever: float = 0.2
-    motion_time: float = 0.5
+    motion_time: float = 0.4
     cells: float = 5.0
-    held: float = 1 / 20
+    held: float = 1 / 30
     still: float = 1 / 50
     gap: float = 4.0
     reference: float = 1 / 2
-    price: float = 7.0
+    chance: float = 0.2
+    price: float = 13.0
     slack: float = 10.0
     border: float = 1.0
     tail: float = 4.0

@@ -14,6 +14,7 @@ from reframe_jax.motion.checks import Status
 from reframe_jax.segmentation.bank import fit_models
 from reframe_jax.segmentation.borders import place_border
 from reframe_jax.segmentation.cells import Cells, make_cells
+from reframe_jax.segmentation.chance import with_chance
 from reframe_jax.segmentation.labels import label_pieces
 from reframe_jax.segmentation.pieces import Piece, find_pieces, join_pieces
 from reframe_jax.segmentation.results import Boundary, Segment, Segmentation
@@ -70,6 +71,7 @@ def find_segments(
     """Segments (start, stop, label) without names, their boundaries, and the motion time in s."""
     rotation, position = poses[:, :3, :3], poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0)
     cells = make_cells(rotation, position, float(np.median(np.diff(times))))
+    cells = with_chance(cells, reach)
     pieces = join_pieces(cells, find_pieces(cells, reach), reach)
     places = [place_border(cells, rotation, position, *pair) for pair in pairwise(pieces)]
     edges = [0, *(place[0] for place in places), len(poses)]

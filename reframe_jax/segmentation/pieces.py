@@ -62,7 +62,7 @@ def find_pieces(cells: Cells, reach: float) -> list[Piece]:
 
 
 def _windows(number: int) -> np.ndarray:
-    """Spans of 8, 16, 32, ... cells, that begin every four cells or quarter of their length, and the whole."""
+    """Spans of 8, 16, 32, ... cells, every four cells or quarter of their length, and the whole."""
     length, spans = _SHORTEST, [np.array([[0, number]])]
     while length < min(number, _LONGEST + 1):
         start = np.arange(0, number - length + 1, max(_SHORTEST, length // 2) // 2)

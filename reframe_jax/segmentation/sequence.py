@@ -36,7 +36,7 @@ class Coverage(NamedTuple):
 
 
 def cover(cells: Cells, bank: Bank, widen: float) -> Coverage:
-    """Evaluate models in their spans and as far again on either side, with residuals ``widen`` times as large."""
+    """Evaluate models in their spans and as far again on either side, residuals widened."""
     number = cells.linear.shape[1]
     start, stop = bank.span.T
     low, high = np.maximum(2 * start - stop, 0), np.minimum(2 * stop - start, number)
@@ -47,12 +47,12 @@ def cover(cells: Cells, bank: Bank, widen: float) -> Coverage:
         for part in np.array_split(own, -(-len(own) * extent // _BATCH)):
             at, some = low[part, None] + np.arange(extent), bank.take(part)
             values = some.coordinates(cells.linear, cells.angular, at)
-            gain[at, column[part, None]] = cells.weight * gains(some, values, cells.reference, widen)
+            gain[at, column[part, None]] = cells.weight * gains(some, values, cells.reference[1], widen)
     return Coverage(gain, column, low)
 
 
 def columns_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Columns of intervals [low, high), so that intervals of one column do not overlap; as few as possible."""
+    """Columns of intervals [low, high), so that those of one column do not overlap; as few as possible."""
     column = np.zeros(len(low), int)
     ends: list[tuple[int, int]] = []
     for k in np.argsort(low, kind="stable"):
