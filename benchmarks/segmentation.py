@@ -168,7 +168,7 @@ def print_sequences(title: str, rows: list[dict[str, Any]]) -> dict[str, float]:
     """Print the figures of simulated sequences, and return them."""
     if not rows:
         return {}
-        misses = np.array([miss for row in rows for miss in row["misses"]])
+    misses = np.array([miss for row in rows for miss in row["misses"]])
     named = [name for row in rows for name in row["named"]]
     metrics = {
         "changes found": float(np.mean(misses <= CLOSE)),

@@ -17,7 +17,7 @@ class SegmentConstants(NamedTuple):
             errors of a robot or a tracker.
         lever: m, at which a rotation counts as a translation.
         motion_time: of the lag at which the speed of displacements has halved, the time of one independent
-            value. 1 / (2 B) for motion of bandwidth B would be half; path details beyond B count a little.
+            value; 1 / (2 B) for motion of bandwidth B.
         cells: cells in a motion time.
         held: of the motion of the recording, the most that a held coordinate may move.
         still: the same of a body that is still.
@@ -40,14 +40,14 @@ class SegmentConstants(NamedTuple):
     floor_position: float = 3e-4
     floor_rotation: float = 1.5e-3
     lever: float = 0.2
-    motion_time: float = 0.4
+    motion_time: float = 0.5
     cells: float = 5.0
     held: float = 1 / 30
     still: float = 1 / 50
     gap: float = 4.0
     reference: float = 1 / 2
     chance: float = 0.2
-    price: float = 13.0
+    price: float = 10.0
     slack: float = 10.0
     border: float = 1.0
     tail: float = 4.0
