@@ -118,6 +118,18 @@ def test_a_constraint_that_comes_back_has_the_same_label() -> None:
     assert [int(segmentation.labels[i]) for i in (100, 450, 750, 1050)] == [0, 1, 0, 2]
 
 
+@pytest.mark.parametrize("label", ["free", "hinge", "plane"])
+def test_rows_are_still_by_chance_in_short_spans_only(label: str) -> None:
+    """The reference motion holds nothing, even if all of the recording is under one constraint."""
+    cells, _ = pieces_of(sequence((label,), "encoder", 3))
+    short, medium, long = cells.references(np.array([4, 16, 64]))
+    assert np.all(short < medium)
+    assert np.all(medium <= long)
+    assert short[0] < short[1] < short[2]  # one row of five parameters follows four cells
+    assert short[0] < 2 * cells.floor[0]
+    assert long[2] > 20 * short[0]
+
+
 @pytest.mark.parametrize("seed", range(10))
 def test_the_sequence_is_the_likeliest_of_all(seed: int) -> None:
     rng = np.random.default_rng(seed)
