@@ -10,7 +10,7 @@ from reframe_jax.segmentation.constants import SEGMENTS as C
 __all__ = ["Fits", "fit_spans"]
 
 _BATCH = 400  # spans that are fitted at once: their moments fit a processor's cache
-_STEPS = 4, 5, 6  # of the fits of 3, 2 and 1 held translations, each from the one before
+_STEPS = 3, 3, 4  # of the fits of 3, 2 and 1 held translations, each from the one before
 _HAT = np.cross(np.eye(3)[:, None], np.eye(3))  # (_HAT @ v)[:, c] = e_c x v
 _LENGTH = 1.6  # of a step: the tangent of a logarithm is too steep by up to two
 
