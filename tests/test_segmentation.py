@@ -10,8 +10,9 @@ import reframe_jax as rf
 from benchmarks.segmentation_cases import Sequence, move_through, simulate_single
 from reframe_jax.segmentation.bank import Bank
 from reframe_jax.segmentation.cells import Cells, make_cells
+from reframe_jax.segmentation.chance import with_chance
 from reframe_jax.segmentation.pieces import Piece, find_pieces, join_pieces
-from reframe_jax.segmentation.sequence import Coverage, most_likely_sequence
+from reframe_jax.segmentation.sequence import Coverage, columns_of, likeliest
 from reframe_jax.simulation.motions import PoseErrors, disturb
 from reframe_jax.simulation.sequences import simulate_sequence
 
@@ -31,7 +32,7 @@ def sequence(labels: tuple[str, ...], errors: str, seed: int = 0) -> Sequence:
 
 def pieces_of(made: Sequence) -> tuple[Cells, list[Piece]]:
     position = made.poses[:, :3, 3] - made.poses[:, :3, 3].mean(axis=0)
-    cells = make_cells(made.poses[:, :3, :3], position, float(made.times[1]))
+    cells = with_chance(make_cells(made.poses[:, :3, :3], position, float(made.times[1])), 1.0)
     return cells, join_pieces(cells, find_pieces(cells, 1.0), 1.0)
 
 
@@ -117,14 +118,32 @@ def test_a_constraint_that_comes_back_has_the_same_label() -> None:
     assert [int(segmentation.labels[i]) for i in (100, 450, 750, 1050)] == [0, 1, 0, 2]
 
 
+@pytest.mark.parametrize("label", ["free", "hinge", "plane"])
+def test_rows_are_still_by_chance_in_short_spans_only(label: str) -> None:
+    """The reference motion holds nothing, even if all of the recording is under one constraint."""
+    cells, _ = pieces_of(sequence((label,), "encoder", 3))
+    short, medium, long = cells.references(np.array([4, 16, 64]))
+    assert np.all(short < medium)
+    assert np.all(medium <= long)
+    assert short[0] < short[1] < short[2]  # one row of five parameters follows four cells
+    assert short[0] < 2 * cells.floor[0]
+    assert long[2] > 20 * short[0]
+
+
 @pytest.mark.parametrize("seed", range(10))
-def test_the_sequence_is_the_most_likely_of_all(seed: int) -> None:
+def test_the_sequence_is_the_likeliest_of_all(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    models, cells = 3, 5
+    models, cells = 4, 6
     gain, price = rng.normal(0, 3, (models, cells)), rng.uniform(0, 4, models)
-    inside = rng.random((models, cells)) < 0.8
-    model, cell = np.nonzero(inside)
-    path, value = most_likely_sequence(Coverage(model, cell, gain[inside]), price, cells)
+    # two models that do not overlap share a column
+    first = rng.integers(0, 4, models)
+    last = first + rng.integers(0, 3, models)
+    inside = (np.arange(cells) >= first[:, None]) & (np.arange(cells) <= last[:, None])
+    columns = columns_of(first, last + 1)
+    dense = np.full((cells, columns.max() + 1), -np.inf)
+    for model, column in enumerate(columns):
+        dense[inside[model], column] = gain[model, inside[model]]
+    path, value = likeliest(Coverage(dense, columns, first), price)
 
     def total(sequence: np.ndarray) -> float:
         if any(m >= 0 and not inside[m, k] for k, m in enumerate(sequence)):

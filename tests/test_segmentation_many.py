@@ -48,7 +48,7 @@ def test_the_recording_that_is_refused_is_named(recordings: list[np.ndarray]) ->
     broken[7, 0, 0] = np.nan
     with pytest.raises(ValueError, match=r"Recording 1: .*NaN"):
         rf.segment_many([recordings[0], broken], dt=DT)
-    with pytest.raises(ValueError, match="one entry of times per recording, 3, not 1"):
+    with pytest.raises(ValueError, match="as many times as recordings, 3, not 1"):
         rf.segment_many(recordings, times=[np.arange(401)])
-    with pytest.raises(ValueError, match="one entry of dt per recording, 3, not 2"):
+    with pytest.raises(ValueError, match="as many dt as recordings, 3, not 2"):
         rf.segment_many(recordings, dt=[DT, DT])

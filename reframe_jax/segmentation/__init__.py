@@ -1,1 +1,1 @@
-"""Segmentation: find the times at which the constraint of a recording changes, and name each segment."""
+"""Sequences of constraints: where the constraint of a recording changes, and which holds between."""

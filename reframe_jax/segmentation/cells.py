@@ -1,4 +1,4 @@
-"""Divide a recording into cells: mean poses over a fraction of the decorrelation time of the motion."""
+"""A recording in cells: mean poses of a fraction of the time in which the motion becomes independent."""
 
 from dataclasses import dataclass
 from math import comb
@@ -10,27 +10,29 @@ from reframe_jax.segmentation.constants import SEGMENTS as C
 
 __all__ = ["GROUND_TYPES", "Cells", "make_cells", "path_features"]
 
-GROUND_TYPES = [2, 3]  # GG and BG: origins fixed in the ground
+GROUND_TYPES = [2, 3]  # GG and BG: origins in the ground
 
-_CHUNK = 20_000  # poses per chunk of the feature computation
-_FEWEST = 6  # smallest number of independent values in a recording
-_LEAST_TURN = 3  # ratio of the motion to the smallest amplitude of a free rotation
-_PAIRS = 4000  # pairs of poses for the estimate of a structure function
+_CHUNK = 20_000  # poses whose features are computed at once
+_FEWEST = 6  # independent values that a recording has at least
+_LEAST_TURN = 3  # of the motion, over a rotation that counts as free
+_PAIRS = 4000  # pairs of poses from which a structure function is estimated
 
 
 @dataclass(frozen=True)
 class Cells:
-    """The cells of a recording, and its time and amplitude scales.
+    """The cells of a recording and the sizes that belong to it.
 
     Attributes:
-        linear: (4, N, 12) features of the linear types BB, GB, GG, BG. The path of an origin x along a
-            direction n is the dot product of the feature with the flattened outer product of n and (1, x).
-        angular: (2, N, 3) rad, cumulative rotation in the axes of the ground and of the body.
-        samples: number of poses per cell.
-        duration: s, duration of a cell.
-        motion_time: s, time after which values of the motion are decorrelated.
+        linear: (4, N, 12) features of the linear types BB, GB, GG, BG: the path of an origin x along n is the
+            product of the feature with n (1, x), row by row.
+        angular: (2, N, 3) rotation that has been summed up in the ground and in the body, rad.
+        samples: poses in a cell.
+        duration: s, of a cell.
+        motion_time: s, in which the motion gives one independent value.
         motion: (2,) m and rad, amplitudes of a coordinate and of a rotation.
-        floor: (2,) m and rad, residuals below these values cannot be distinguished from zero.
+        floor: (2,) m and rad, below which residuals are not distinguished from zero.
+        chance: (L,) log lengths of spans in cells, and (L, 3) log m, sizes of 1, 2 and 3 rows that are fitted
+            where nothing is held; None before they are known.
     """
 
     linear: np.ndarray
@@ -40,25 +42,33 @@ class Cells:
     motion_time: float
     motion: tuple[float, float]
     floor: tuple[float, float]
+    chance: tuple[np.ndarray, np.ndarray] | None = None
+
+    def references(self, lengths: np.ndarray) -> np.ndarray:
+        """Amplitudes (P, 3), m, of free translations where 1, 2 and 3 rows are fitted to so many cells."""
+        if self.chance is None:
+            return np.full((len(lengths), 3), self.reference[0])
+        logs = [np.interp(np.log(lengths), self.chance[0], size) for size in self.chance[1].T]
+        return np.minimum(np.exp(logs).T, self.reference[0])
 
     @property
     def weight(self) -> float:
-        """Number of independent values per cell."""
+        """Independent values in a cell."""
         return self.duration / self.motion_time
 
     @property
     def reference(self) -> tuple[float, float]:
-        """Reference amplitude of a free coordinate, m and rad."""
+        """Amplitude of a free coordinate, m and rad."""
         return self.motion[0] * C.reference, self.motion[1] * C.reference
 
     @property
     def bound(self) -> tuple[float, float]:
-        """Largest amplitude of a held coordinate, m and rad."""
+        """What a held coordinate moves at most, m and rad."""
         return self._above_floor(C.held)
 
     @property
     def still_bound(self) -> tuple[float, float]:
-        """Largest amplitude of a coordinate of a still body, m and rad."""
+        """What a coordinate of a still body moves at most, m and rad."""
         return self._above_floor(C.still)
 
     def _above_floor(self, part: float) -> tuple[float, float]:
@@ -66,9 +76,8 @@ class Cells:
 
 
 def make_cells(rotation: np.ndarray, position: np.ndarray, step: float) -> Cells:
-    """Divide poses, (P, 3, 3) and (P, 3) m with a sample time of ``step`` seconds, into cells."""
-    turns = rotation_vectors(np.swapaxes(rotation[:-1], 1, 2) @ rotation[1:])
-    noise = _white_noise(position), _white_noise(np.cumsum(turns, axis=0))
+    """Cells of poses (P, 3, 3) and (P, 3) m, ``step`` seconds apart."""
+    noise = _white_noise(position), _white_noise(np.cumsum(_turns(rotation), axis=0))
     time, motion, turn = _motion_scale(rotation, position, noise, step)
     samples = max(1, min(round(time / C.cells / step), len(position) // 8))
     linear, angular = _average_features(rotation, position, samples)
@@ -80,10 +89,10 @@ def make_cells(rotation: np.ndarray, position: np.ndarray, step: float) -> Cells
 def _average_features(
     rotation: np.ndarray, position: np.ndarray, samples: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Means of the features over cells of ``samples`` poses; an incomplete last cell is left out."""
+    """Means of the features over cells of so many poses; a last cell that is not full is left out."""
     number = len(position) // samples
     linear, angular = np.empty((4, number, 12)), np.empty((2, number, 3))
-    # cumulative paths continue from the end of the last chunk; pose features need no such offset
+    # paths that have been summed up go on where the last chunk ended; poses have nothing to go on from
     summed = np.array([[[1.0]], [[0.0]], [[1.0]], [[0.0]]]), np.ones((2, 1, 1))
     ends = [np.zeros((4, 1, 12)), np.zeros((2, 1, 3))]
     chunk = max(1, _CHUNK // samples)
@@ -100,9 +109,9 @@ def _average_features(
 
 
 def path_features(rotation: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Features of poses for the linear types (4, N, 12) and the angular types (2, N, 3)."""
+    """Features of the linear types (4, N, 12) and of the angular types (2, N, 3) of poses."""
     back = np.swapaxes(rotation, 1, 2)
-    turn = rotation_vectors(back[:-1] @ rotation[1:])
+    turn = _turns(rotation)
     hat = -np.cross(turn[:, None], np.eye(3))
     angle = np.maximum(np.linalg.norm(turn, axis=1), 1e-6)[:, None, None]
     series = 1 / angle**2 - (1 + np.cos(angle)) / (2 * angle * np.sin(angle))
@@ -125,8 +134,19 @@ def path_features(rotation: np.ndarray, position: np.ndarray) -> tuple[np.ndarra
     return np.stack([each.reshape(-1, 12) for each in linear]), np.stack(angular)
 
 
+def _turns(rotation: np.ndarray) -> np.ndarray:
+    """Rotations (P - 1, 3) in the body from each of P poses to the next, rad."""
+    between = np.swapaxes(rotation[:-1], 1, 2) @ rotation[1:]
+    cosine = (np.einsum("kii->k", between) - 1) / 2
+    if np.any(cosine < -0.9):  # near half turns the skew part does not determine the axis
+        return rotation_vectors(between)
+    skew = (between - np.swapaxes(between, 1, 2))[:, [2, 0, 1], [1, 2, 0]] / 2
+    sine = np.sqrt(np.sum(skew**2, axis=1))
+    return np.where(sine > 0, np.arctan2(sine, cosine) / np.where(sine > 0, sine, 1), 1)[:, None] * skew
+
+
 def _white_noise(path: np.ndarray) -> float:
-    """White noise per component of a path (P, 3): the least estimate from differences of several orders."""
+    """White noise of each component of a path (P, 3): the least that differences of several orders show."""
     found = []
     for order in (2, 3, 4, 6):
         if len(path) >= order + 8:
@@ -138,14 +158,14 @@ def _white_noise(path: np.ndarray) -> float:
 def _motion_scale(
     rotation: np.ndarray, position: np.ndarray, noise: tuple[float, float], step: float
 ) -> tuple[float, float, float]:
-    """Decorrelation time of the motion, s, and its amplitudes, m and rad."""
+    """Time in which the motion gives an independent value, s, and its amplitudes, m and rad."""
     number = len(position)
     lags = np.unique(np.round(2 ** np.arange(0, np.log2(max(2, number / 3)), 0.5)).astype(int))
     scale = np.array([1, C.lever])
     still = 6 * float(np.sum(np.square(scale * noise)))
 
     def displacements(lag: int) -> np.ndarray:
-        """Squared translations and rotations (times the lever) over a lag, (pairs, 2) m^2."""
+        """Squares of translations and rotations, (pairs, 2) m^2."""
         first = np.unique(np.linspace(0, number - 1 - lag, _PAIRS).astype(int))
         chord = np.sum((rotation[first + lag] - rotation[first]) ** 2, axis=(1, 2)) / 8
         turn = 2 * np.arcsin(np.clip(np.sqrt(chord), 0, 1))
@@ -153,7 +173,7 @@ def _motion_scale(
         return np.square(scale * np.stack([shift, turn], axis=1))
 
     def size(lag: int) -> float:
-        """Mean displacement over a lag, without the noise; a still body contributes zero."""
+        """Mean displacement; where the body is still, it adds nothing at any lag."""
         return float(np.mean(np.sqrt(np.maximum(displacements(lag).sum(axis=1) - 4 * still, 0))))
 
     sizes = np.array([size(lag) for lag in lags])

@@ -1,4 +1,4 @@
-"""The public function of segmentation: from a recording to the sequence of its constraints."""
+"""The entry to segmentation: a recording in, the sequence of its constraints out."""
 
 from itertools import pairwise
 from typing import Any
@@ -11,46 +11,46 @@ from reframe_jax.identification.entry import identify_unchecked
 from reframe_jax.identification.inputs import take_steps
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
-from reframe_jax.segmentation.bank import choose_models
+from reframe_jax.segmentation.bank import fit_models
 from reframe_jax.segmentation.borders import place_border
 from reframe_jax.segmentation.cells import Cells, make_cells
+from reframe_jax.segmentation.chance import with_chance
 from reframe_jax.segmentation.labels import label_pieces
 from reframe_jax.segmentation.pieces import Piece, find_pieces, join_pieces
 from reframe_jax.segmentation.results import Boundary, Segment, Segmentation
-from reframe_jax.segmentation.rows import fit_spans
 
 __all__ = ["find_segments", "segment"]
 
-_FEWEST = 8  # fewest poses of a segment that can be identified
+_FEWEST = 8  # poses that can be identified in a segment
 
 
 def segment(
     poses: ArrayLike, *, times: ArrayLike | None = None, dt: ArrayLike | None = None, reach: float = 1.0
 ) -> Segmentation:
-    """Find the times at which the constraint of a recording changes, and identify each segment.
+    """Find where the constraint of a recording changes, and identify each part.
 
-    A constraint keeps some coordinates of the motion constant, such as the height of a tool's tip above a
-    plane. The function fits models, each with a set of constant coordinates, to windows of many lengths. A
-    model gains evidence in every cell of the recording in which its coordinates vary much less than the
-    motion. It loses the evidence that its parameters can gain by chance. The result is the sequence of models
-    with the largest total evidence; each model is then fitted again to its segment. A change of a free motion
-    does not change the evidence, so it creates no boundary. A pause within a constraint does not divide its
-    segment. A pause between different constraints, at the start or at the end, is a segment by itself.
+    A constraint holds some coordinates of the motion, such as the height of a tool's tip above a plane.
+    Models of what may be held are fitted to windows of many lengths. A model gains evidence with every cell
+    of the recording in which its coordinates stay much stiller than the motion, and costs as much as its
+    parameters can achieve by chance. The sequence of models with the largest evidence is the result, fitted
+    again to what the models cover. Free coordinates cost nothing, so a change of a free motion is no change
+    of the constraint. A pause within one constraint does not divide the segment; between different
+    constraints, at the start and at the end, stillness is a segment of its own.
 
-    The computation uses float64 and NumPy. It is not differentiable, because boundaries are integers. To
+    Computed in float64 with NumPy. Boundaries are whole numbers, so the function is not differentiable. To
     differentiate a frame, identify the poses of its segment with :func:`reframe_jax.identify`.
 
     Args:
         poses: (N, 4, 4) poses of the moving body {b} in the ground {g}, m; N >= 16.
         times: (N,) sample times in s, increasing. Give either ``times`` or ``dt``.
         dt: sample time in s, a scalar or (N-1,).
-        reach: m, half the width of the cube about the body in which origins of frames are searched.
+        reach: m, half the width of the cube in which origins of frames are searched, about the body.
 
     Returns:
-        The segments in order of time, and the boundaries between them.
+        The segments, in order of time, and the boundaries between them.
 
     Raises:
-        ValueError: for poses, times or options with wrong shapes or values.
+        ValueError: if shapes or options are not as above, or poses or times are unusable.
     """
     if traced((poses, times, dt)):
         raise ValueError("segment needs poses, not tracers: call it outside jit, vmap and grad.")
@@ -68,9 +68,10 @@ def segment(
 def find_segments(
     poses: np.ndarray, times: np.ndarray, reach: float
 ) -> tuple[list[tuple[int, int, int]], tuple[Boundary, ...], float]:
-    """Find the segments (start, stop, label) without names, their boundaries, and the motion time in s."""
+    """Segments (start, stop, label) without names, their boundaries, and the motion time in s."""
     rotation, position = poses[:, :3, :3], poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0)
     cells = make_cells(rotation, position, float(np.median(np.diff(times))))
+    cells = with_chance(cells, reach)
     pieces = join_pieces(cells, find_pieces(cells, reach), reach)
     places = [place_border(cells, rotation, position, *pair) for pair in pairwise(pieces)]
     edges = [0, *(place[0] for place in places), len(poses)]
@@ -80,24 +81,24 @@ def find_segments(
         for (index, earliest, latest), probability in zip(places, probabilities, strict=True)
     )
     spans = list(pairwise(edges))
-    inner = [_cells_between(piece, *span, cells.samples) for piece, span in zip(pieces, spans, strict=True)]
+    inner = [_inner(piece, *span, cells.samples) for piece, span in zip(pieces, spans, strict=True)]
     labels = label_pieces(cells, inner, reach)
     parts = [(*span, label) for span, label in zip(spans, labels, strict=True)]
     return parts, boundaries, cells.motion_time
 
 
-def _cells_between(piece: Piece, start: int, stop: int, samples: int) -> Piece:
-    """The cells of a piece between two poses, at least one."""
+def _inner(piece: Piece, start: int, stop: int, samples: int) -> Piece:
+    """The cells of a piece that lie between two poses, at least one."""
     first = min(-(-start // samples), piece.stop - 1)
     return piece._replace(start=first, stop=max(min(stop // samples, piece.stop), first + 1))
 
 
 def _probabilities(cells: Cells, pieces: list[Piece], reach: float) -> list[float]:
-    """Probability of each boundary: that the pieces before and after it have different constraints."""
+    """Probability that each piece and the next do not belong together."""
     spans = [(piece.start, piece.stop) for piece in pieces]
     pairs = [(a, d) for (a, _), (_, d) in pairwise(spans)]
     every = np.array(spans + pairs)
-    bank = choose_models(cells, every, fit_spans(cells, every, reach))
+    bank = fit_models(cells, every, reach)
     evidence = {tuple(span): 0.0 for span in every.tolist()}
     for span, score in zip(bank.span.tolist(), bank.score, strict=True):
         evidence[tuple(span)] = max(evidence[tuple(span)], float(score))
@@ -108,7 +109,7 @@ def _probabilities(cells: Cells, pieces: list[Piece], reach: float) -> list[floa
 
 
 def _identify(poses: np.ndarray, times: np.ndarray, reach: float) -> Identification | None:
-    """Identify a segment; None for a segment that is too short, does not move, or has no result."""
+    """Identify a segment; None where it is too short, does not move, or has no result."""
     if len(poses) < _FEWEST:
         return None
     try:
@@ -118,7 +119,7 @@ def _identify(poses: np.ndarray, times: np.ndarray, reach: float) -> Identificat
 
 
 def _checked(poses: Any, times: Any, dt: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Check poses and times, and convert them to float64."""
+    """Poses and times in float64."""
     poses = np.asarray(poses, float)
     if poses.ndim != 3 or poses.shape[1:] != (4, 4) or len(poses) < 2 * _FEWEST:
         raise ValueError(f"poses must have shape (N, 4, 4) with N >= {2 * _FEWEST}, not {poses.shape}.")

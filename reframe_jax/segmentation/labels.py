@@ -1,4 +1,4 @@
-"""Label pieces: pieces with the same constraint get the same number."""
+"""Which pieces have the same constraint."""
 
 import numpy as np
 
@@ -13,13 +13,13 @@ __all__ = ["label_pieces"]
 def label_pieces(cells: Cells, pieces: list[Piece], reach: float) -> list[int]:
     """Number the constraints in order of appearance; -1 for a still body.
 
-    Two pieces have the same constraint if they have the same number of held coordinates, and the held
-    coordinates of one piece hardly vary in the other. Their mean values may differ, because the frame may be
-    fixed in the body. All pieces of free motion get the same number. Adjacent pieces get different numbers.
+    A constraint has come back if as many coordinates are held, and those of the one piece hardly move in the
+    other, wherever they stay: the frame may be fixed in the body. All free motion is the same, and neighbours
+    differ.
 
     Args:
-        cells: cells of the recording.
-        pieces: pieces in order of time, without overlap.
+        cells: of the recording.
+        pieces: in order of time, without cells that belong to two of them.
         reach: m, half the width of the cube in which origins are searched.
     """
     fits = fit_spans(cells, np.array([(piece.start, piece.stop) for piece in pieces]), reach)
@@ -32,7 +32,7 @@ def label_pieces(cells: Cells, pieces: list[Piece], reach: float) -> list[int]:
         alike = [
             number
             for number, group in enumerate(groups)
-            if labels[-1:] != [number] and any(_same_constraint(cells, pieces, fits, i, j) for j in group)
+            if labels[-1:] != [number] and any(_same(cells, pieces, fits, i, j) for j in group)
         ]
         labels.append(alike[0] if alike else len(groups))
         if not alike:
@@ -41,7 +41,7 @@ def label_pieces(cells: Cells, pieces: list[Piece], reach: float) -> list[int]:
     return labels
 
 
-def _same_constraint(cells: Cells, pieces: list[Piece], fits: Fits, i: int, j: int) -> bool:
+def _same(cells: Cells, pieces: list[Piece], fits: Fits, i: int, j: int) -> bool:
     """Whether two pieces have the same constraint."""
     if pieces[i].held != pieces[j].held:
         return False
@@ -49,20 +49,15 @@ def _same_constraint(cells: Cells, pieces: list[Piece], fits: Fits, i: int, j: i
     for a, b in ((i, j), (j, i)):
         spans = [slice(pieces[k].start, pieces[k].stop) for k in (a, b)]
         weights = fits.weights[a, max(translations - 1, 0)]
-        if _stays_constrained(
-            cells.linear, weights, translations, cells.floor[0], spans
-        ) and _stays_constrained(cells.angular, fits.axes[a], rotations, cells.floor[1], spans):
+        if _holds(cells.linear, weights, translations, cells.floor[0], spans) and _holds(
+            cells.angular, fits.axes[a], rotations, cells.floor[1], spans
+        ):
             return True
     return False
 
 
-def _stays_constrained(
-    features: np.ndarray, rows: np.ndarray, count: int, floor: float, spans: list[slice]
-) -> bool:
-    """Whether ``count`` coordinates with weights (T, 3, F), held in the first span, are held in the second.
-
-    One frame type out of the T types is enough.
-    """
+def _holds(features: np.ndarray, rows: np.ndarray, count: int, floor: float, spans: list[slice]) -> bool:
+    """Whether ``count`` rows of some type in (T, 3, F), held in the first span, stay held in the second."""
     if count == 0:
         return True
     own, other = (

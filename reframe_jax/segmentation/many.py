@@ -1,4 +1,4 @@
-"""Segment several recordings in parallel."""
+"""Segmentation of several recordings, of any lengths."""
 
 import os
 from collections.abc import Sequence
@@ -20,28 +20,28 @@ def segment_many(
     dt: float | Sequence[ArrayLike] | jax.Array | None = None,
     reach: float = 1.0,
 ) -> list[Segmentation]:
-    """Segment several recordings on all processor cores; each result equals the result of :func:`segment`.
+    """Segment several recordings, on all processor cores; each result is that of :func:`segment`.
 
     Args:
-        recordings: poses (N, 4, 4) of {b} in {g}, m, of each recording: an array (R, N, 4, 4), or a list of
-            arrays of any lengths.
-        times: sample times (N,) of each recording, s. Give either ``times`` or ``dt``.
-        dt: s, one sample time for all recordings, or one per recording.
+        recordings: of each (N, 4, 4) poses of {b} in {g}, m; an array (R, N, 4, 4), or a list of arrays of
+            any lengths.
+        times: of each recording (N,) s. Give either ``times`` or ``dt``.
+        dt: sample time of all recordings, or of each, s.
         reach: as in :func:`segment`.
 
     Returns:
-        The segmentations, in the order of the recordings.
+        The segmentations, in the same order.
 
     Raises:
-        ValueError: if :func:`segment` raises an error for a recording, with the index of the recording; or if
-            the number of ``times`` or ``dt`` differs from the number of recordings.
+        ValueError: for the first recording that :func:`segment` refuses, which it names; or unless there are
+            as many ``times`` or ``dt`` as recordings.
     """
     number = len(recordings)
     each_dt = [dt] * number if dt is None or isinstance(dt, int | float) else list(dt)
     each_times = [None] * number if times is None else list(times)
     for name, values in (("times", each_times), ("dt", each_dt)):
         if len(values) != number:
-            raise ValueError(f"Expected one entry of {name} per recording, {number}, not {len(values)}.")
+            raise ValueError(f"There must be as many {name} as recordings, {number}, not {len(values)}.")
 
     def segment_one(index: int) -> Segmentation:
         try:
@@ -49,8 +49,6 @@ def segment_many(
         except ValueError as error:
             raise ValueError(f"Recording {index}: {error}") from error
 
-    first = [
-        segment_one(index) for index in range(min(number, 1))
-    ]  # otherwise several threads compile the same program
+    first = [segment_one(index) for index in range(min(number, 1))]  # two threads would both compile
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         return first + list(pool.map(segment_one, range(1, number)))

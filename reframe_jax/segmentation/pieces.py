@@ -1,24 +1,24 @@
-"""Find the pieces of a recording in which one model is valid, fit them again, and join them across pauses."""
+"""Pieces of a recording in which one model holds: found, fitted again, and joined across pauses."""
 
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from reframe_jax.segmentation.bank import Bank, choose_models, join_features
+from reframe_jax.segmentation.bank import Bank, choose_models, fit_models
 from reframe_jax.segmentation.cells import Cells
 from reframe_jax.segmentation.constants import SEGMENTS as C
 from reframe_jax.segmentation.rows import Fits, fit_spans
-from reframe_jax.segmentation.sequence import Coverage, evaluate_models, most_likely_sequence
+from reframe_jax.segmentation.sequence import cover, likeliest
 
 __all__ = ["Piece", "find_pieces", "join_pieces", "stays_held"]
 
-_SHORTEST, _LONGEST = 8, 512  # cells per window
+_SHORTEST, _LONGEST = 8, 512  # cells in a window
 _ROUNDS = 4
 
 
 class Piece(NamedTuple):
-    """Cells [start, stop) and their model, a bank of one; None if no coordinate is held."""
+    """Cells [start, stop) and the model that holds there, a bank of one; None if nothing is held."""
 
     start: int
     stop: int
@@ -31,55 +31,48 @@ class Piece(NamedTuple):
 
     @property
     def still(self) -> bool:
-        """Whether the body is still: all coordinates are held."""
+        """Whether nothing moves."""
         return self.held == (3, 3)
 
 
 def find_pieces(cells: Cells, reach: float) -> list[Piece]:
-    """Find the most likely sequence of models.
-
-    Models are fitted to windows of many lengths first, and then to the pieces of the current sequence.
-    """
+    """The likeliest sequence of models: fitted to windows of many lengths, then to what they cover."""
     number = cells.linear.shape[1]
-    z = join_features(cells.linear, cells.angular)
-    windows = _windows(number)
-    first = choose_models(cells, windows, fit_spans(cells, windows, reach))
+    first = fit_models(cells, _windows(number), reach)
     if not len(first.price):
         return [Piece(0, number, None)]
-    known = evaluate_models(cells, z, first, 0, C.widen)
+    known = cover(cells, first, C.widen)
     bank, coverage, evidence = first, known, 0.0
     pieces = [Piece(0, number, None)]
     for _ in range(_ROUNDS):
-        path, now = most_likely_sequence(coverage, bank.price, number)
+        path, now = likeliest(coverage, bank.price)
         if now <= evidence + 0.1:
             break
         evidence = now
         edges = [0, *(np.flatnonzero(np.diff(path)) + 1).tolist(), number]
         pieces = [Piece(a, b, bank.take([path[a]]) if path[a] >= 0 else None) for a, b in pairwise(edges)]
-        spans = _neighbours(edges)
-        again = choose_models(cells, spans, fit_spans(cells, spans, reach))
+        again = fit_models(cells, _neighbours(edges), reach)
         kept = [piece.model for piece in pieces if piece.model is not None]
         fresh = again.join(*kept)
         if not len(fresh.price):
             break
         bank = first.join(fresh)
-        new = evaluate_models(cells, z, fresh, len(first.price), 1.0)
-        coverage = Coverage(*(np.concatenate(each) for each in zip(known, new, strict=True)))
+        coverage = known.join(cover(cells, fresh, 1.0))
     return pieces
 
 
 def _windows(number: int) -> np.ndarray:
-    """Spans of 8, 16, 32, ... cells with a stride of a quarter of their length, and the whole recording."""
+    """Spans of 8, 16, 32, ... cells, every four cells or quarter of their length, and the whole."""
     length, spans = _SHORTEST, [np.array([[0, number]])]
     while length < min(number, _LONGEST + 1):
-        start = np.arange(0, number - length + 1, length // 4)
+        start = np.arange(0, number - length + 1, max(_SHORTEST, length // 2) // 2)
         spans.append(np.stack([start, start + length], axis=1))
         length *= 2
     return np.concatenate(spans)
 
 
 def _neighbours(edges: list[int]) -> np.ndarray:
-    """Spans of single pieces, of pieces without their ends, and of two and three adjacent pieces."""
+    """Pieces, pieces without their ends, and two and three pieces together."""
     spans = set()
     for count in (1, 2, 3):
         for a, b in zip(edges, edges[count:], strict=False):
@@ -89,23 +82,23 @@ def _neighbours(edges: list[int]) -> np.ndarray:
 
 
 def stays_held(models: list[Bank], cells: Cells, union: Fits) -> bool:
-    """Whether the coordinates that models hold in short spans are also held in a fit to a longer span."""
+    """Whether as many rows as the models hold stay held, hardly wider, in a fit to more of the recording."""
     translations, rotations = models[0].held[0]
     size = np.stack([model.size[0] for model in models])
     for count, own, fitted, floor in (
         (translations, size[:, :3], union.size[0, translations - 1], cells.floor[0]),
         (rotations, size[:, 3:], union.turn[0], cells.floor[1]),
     ):
-        # tracker drift may affect different coordinates in each fit: compare the largest residuals
+        # slow errors of a tracker are in one row here and in another there: the widest row counts
         if count and fitted[:, :count].max(axis=1).min() > max(C.same * own[:, :count].max(), 2 * floor):
             return False
     return True
 
 
 def join_pieces(cells: Cells, pieces: list[Piece], reach: float) -> list[Piece]:
-    """Join pieces with the same constraint, across a pause or where two models describe one constraint.
+    """Join pieces of one constraint: across a pause, or where it has been fitted twice.
 
-    A long pause between different constraints, or at either end of the recording, remains a piece.
+    A pause between different constraints, or at an end of the recording, remains a piece if it is long.
     """
     pieces = list(pieces)
     tried: dict[tuple[float, ...], Piece | None] = {}
@@ -122,7 +115,7 @@ def join_pieces(cells: Cells, pieces: list[Piece], reach: float) -> list[Piece]:
 def _join_one(
     cells: Cells, pieces: list[Piece], i: int, reach: float, tried: dict[tuple[float, ...], Piece | None]
 ) -> list[Piece] | None:
-    """Join piece i with its neighbours; None if it cannot be joined."""
+    """Join piece i with its neighbours; None if it stays."""
     own = pieces[i]
     beside = [j for j in (i - 1, i + 1) if 0 <= j < len(pieces)]
     time = (own.stop - own.start) * cells.weight
@@ -142,16 +135,14 @@ def _join_one(
             if own.held == one.held:
                 trials.append((min(i, j), max(i, j), [own.model, one.model]))
             slow = own.still or own.model.motion[0] <= one.model.motion[0] / C.pause
-            state = own.still and (
-                time >= C.still_time if len(beside) == 1 else _opposite_neighbour(pieces, i, j).still
-            )
+            state = own.still and (time >= C.still_time if len(beside) == 1 else _other(pieces, i, j).still)
             if slow and not state:
                 trials.append((min(i, *beside), max(i, *beside), [one.model]))
         for first, last, models in trials:
             span = pieces[first].start, pieces[last].stop
             key = (*span, *(float(value) for model in models for value in (*model.held[0], model.score[0])))
             if key not in tried:
-                tried[key] = _fit_joined(cells, *span, models, reach)
+                tried[key] = _together(cells, *span, models, reach)
             new = tried[key]
             if new is not None:
                 return [*pieces[:first], new, *pieces[last + 1 :]]
@@ -160,13 +151,13 @@ def _join_one(
     return None
 
 
-def _opposite_neighbour(pieces: list[Piece], i: int, j: int) -> Piece:
-    """The neighbour of piece i on the side opposite to piece j."""
+def _other(pieces: list[Piece], i: int, j: int) -> Piece:
+    """The other neighbour of piece i than piece j."""
     return pieces[2 * i - j]
 
 
-def _fit_joined(cells: Cells, start: int, stop: int, models: list[Bank], reach: float) -> Piece | None:
-    """Fit one piece to a span; None if the held coordinates of the models are not held in the whole span."""
+def _together(cells: Cells, start: int, stop: int, models: list[Bank], reach: float) -> Piece | None:
+    """One piece, if what the models hold stays held in all of it."""
     span = np.array([[start, stop]])
     fits = fit_spans(cells, span, reach)
     found = choose_models(cells, span, fits)
@@ -177,7 +168,7 @@ def _fit_joined(cells: Cells, start: int, stop: int, models: list[Bank], reach: 
 
 
 def _divide_between_neighbours(pieces: list[Piece], i: int) -> list[Piece]:
-    """Divide a piece between its neighbours; join two neighbours that are free motion."""
+    """Divide a piece between its neighbours; of two that hold nothing, make one."""
     own = pieces[i]
     before, after = pieces[:i], pieces[i + 1 :]
     if not before:

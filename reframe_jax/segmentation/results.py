@@ -1,4 +1,4 @@
-"""Result types of segmentation."""
+"""What segmentation returns."""
 
 from dataclasses import dataclass
 
@@ -12,13 +12,14 @@ __all__ = ["Boundary", "Segment", "Segmentation"]
 
 @dataclass(frozen=True)
 class Boundary:
-    """The boundary between two segments.
+    """Where one segment ends and the next begins.
 
     Attributes:
-        index: index of the first pose of the next segment.
-        time: s, time of this pose.
-        probability: probability that the two segments have different constraints.
-        earliest, latest: indices of poses, bounds of the 95 % interval of the boundary.
+        index: of the first pose of the next segment.
+        time: s, of that pose.
+        probability: that the two segments do not belong together.
+        earliest, latest: between the poses of these indices the constraint changes with a probability of
+            95 %.
     """
 
     index: int
@@ -34,12 +35,11 @@ class Segment:
     """Part of a recording in which one constraint holds, or the body is still.
 
     Attributes:
-        start: index of the first pose.
-        stop: index after the last pose.
-        label: number of the constraint, from 0 in order of appearance. Segments with the same constraint have
-            the same number; -1 where the body is still.
-        identification: identification of the poses of the segment; None where the body is still, and for a
-            segment that is too short.
+        start: index of its first pose.
+        stop: index behind its last pose.
+        label: number of its constraint, counted in order of appearance from 0; the same number where the same
+            constraint comes back. -1 where the body is still.
+        identification: of its poses; None where the body is still, and for parts too short to identify.
     """
 
     start: int
@@ -54,7 +54,7 @@ class Segment:
 
     @property
     def name(self) -> str:
-        """Name of the constraint, or "Still", or "Too short to identify"."""
+        """Name of the constraint; "Still", or "Too short to identify"."""
         if self.identification is None:
             return "Still" if self.resting else "Too short to identify"
         return str(self.identification.name)
@@ -65,11 +65,11 @@ class Segmentation:
     """The sequence of constraints in a recording.
 
     Attributes:
-        segments: segments in order of time; every pose of the recording is in exactly one segment.
-        boundaries: boundaries between each segment and the next.
-        times: (N,) s, times of the poses.
-        motion_time: s, time after which values of the motion are decorrelated. A segment must last six motion
-            times to distinguish a constrained axis from free motion, two for a spherical joint.
+        segments: in order of time; together they hold every pose of the recording once.
+        boundaries: between each segment and the next.
+        times: (N,) s, of the poses.
+        motion_time: s, in which the motion gives one independent value. A held axis needs six of them to be
+            distinguished from free motion, a spherical joint two.
     """
 
     segments: tuple[Segment, ...]

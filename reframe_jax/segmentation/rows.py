@@ -1,35 +1,29 @@
-"""Fit held coordinates to spans: the directions and origins along which a span of a recording moves least.
-
-A row is a vector of weights. Its product with the features of a pose is one coordinate of the motion.
-"""
+"""Held rows of spans: along which directions, and about which origin, a span of a recording moves least."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from reframe_jax.geometry.numpy_rotations import rotation_matrices
 from reframe_jax.segmentation.cells import GROUND_TYPES, Cells
 from reframe_jax.segmentation.constants import SEGMENTS as C
 
 __all__ = ["Fits", "fit_spans"]
 
-_LEVI = np.stack([-np.cross(e, np.eye(3)) for e in np.eye(3)])  # e_c x v = _LEVI[c] @ v
-_RANDOM = np.random.default_rng(0).uniform(-0.4, 0.4, (2, 3))  # m, initial origins of the search
-_BATCH = 1000  # spans per batch of the fit
-
-_Minimum = tuple[np.ndarray, np.ndarray, np.ndarray]
+_BATCH = 400  # spans that are fitted at once: their moments fit a processor's cache
+_STEPS = 3, 3, 4  # of the fits of 3, 2 and 1 held translations, each from the one before
+_HAT = np.cross(np.eye(3)[:, None], np.eye(3))  # (_HAT @ v)[:, c] = e_c x v
+_LENGTH = 1.6  # of a step: the tangent of a logarithm is too steep by up to two
 
 
 class Fits(NamedTuple):
-    """The coordinates with the least motion in P spans, for the four linear and two angular types.
+    """The stillest rows of P spans, for each of the four linear and two angular types.
 
     Attributes:
-        weights: (P, 3, 4, 3, 12) rows w for 1, 2 and 3 held translations, of every linear type.
-        size: (P, 3, 4, 3) m, RMS of w'z about its mean; inf for translations that are not held.
-        axes: (P, 2, 3, 3) rotation axes as rows, of every angular type, in order of increasing amplitude.
-        turn: (P, 2, 3) rad, RMS rotation about these axes.
-        linear_mean: (P, 4, 12) mean of the linear features.
-        angular_mean: (P, 2, 3) mean of the angular features.
+        weights: (P, 3, 4, 3, 12) rows w of 1, 2 and 3 held translations, of every linear type.
+        size: (P, 3, 4, 3) m, RMS of w'z about its mean; inf beyond the held ones.
+        axes: (P, 2, 3, 3) rows of every angular type, by amplitude, ascending.
+        turn: (P, 2, 3) rad, RMS of the rotation about them.
+        linear_mean: (P, 4, 12) and angular_mean (P, 2, 3) of the features.
         motion: (P,) m, largest motion of the span.
     """
 
@@ -43,7 +37,7 @@ class Fits(NamedTuple):
 
 
 def fit_spans(cells: Cells, spans: np.ndarray, reach: float) -> Fits:
-    """Fit held coordinates to spans (P, 2) of cells [start, stop)."""
+    """Fit spans (P, 2) of cells [start, stop)."""
     parts = [_fit_batch(cells, spans[i : i + _BATCH], reach) for i in range(0, len(spans), _BATCH)]
     return Fits(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
@@ -59,11 +53,12 @@ def _fit_batch(cells: Cells, spans: np.ndarray, reach: float) -> Fits:
     turn = np.sqrt(variance)
     middle = np.zeros((number, 4, 3))
     middle[:, GROUND_TYPES] = linear_mean[:, 1, None, ::4]
-    weights, size = _least_motion_rows(linear.reshape(-1, 12, 12), middle.reshape(-1, 3), reach)
+    form = np.ascontiguousarray(linear.reshape(-1, 144).T).reshape(3, 4, 3, 4, -1)
+    weights, size = _least_motion_rows(form, middle.reshape(-1, 3).T, reach)
     largest = np.sqrt(np.maximum(turn[:, :, 2] ** 2 - floor_turn**2, 0)).min(axis=1)
     return Fits(
-        weights=np.swapaxes(weights.reshape(3, number, 4, 3, 12), 0, 1),
-        size=np.swapaxes(size.reshape(3, number, 4, 3), 0, 1),
+        weights=weights.reshape(3, 3, 12, number, 4).transpose(3, 0, 4, 1, 2),
+        size=size.reshape(3, 3, number, 4).transpose(2, 0, 3, 1),
         axes=np.swapaxes(axes, -1, -2),
         turn=turn,
         linear_mean=linear_mean,
@@ -79,7 +74,7 @@ def _moments(features: np.ndarray, spans: np.ndarray) -> tuple[np.ndarray, np.nd
     lengths = spans[:, 1] - spans[:, 0]
     for length in np.unique(lengths):
         own = np.flatnonzero(lengths == length)
-        # chunks limit the memory
+        # bounded memory
         for part in np.array_split(own, -(-len(own) * length // 50_000)):
             z = features[:, spans[part, :1] + np.arange(length)]
             middle = z.mean(axis=2)
@@ -89,107 +84,148 @@ def _moments(features: np.ndarray, spans: np.ndarray) -> tuple[np.ndarray, np.nd
     return mean, covariance
 
 
-def _least_motion_rows(
-    moments: np.ndarray, middle: np.ndarray, reach: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Rows (3, P, 3, 12) for 1, 2 and 3 held translations, and their RMS (3, P, 3)."""
-    form = moments.reshape(-1, 3, 4, 3, 4)
-    total = np.einsum("piaib->pab", form)
-    ridge = 1e-9 + 1e-4 * np.einsum("pii->p", total[:, 1:, 1:])[:, None, None] / 3
-    away = total[:, 1:, :1] + total[:, 1:, 1:] @ middle[..., None]
-    least = middle - np.linalg.solve(total[:, 1:, 1:] + ridge * np.eye(3), away)[..., 0]
+def _least_motion_rows(form: np.ndarray, middle: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rows (3, 3, 12, P) of 1, 2 and 3 held translations, by their number, and their RMS (3, 3, P).
+
+    Args:
+        form: (3, 4, 3, 4, P) moments; the problems come last, so that every operation runs along them.
+        middle: (3, P) m, of the cube that holds the origins.
+        reach: m, half the width of the cube.
+    """
+    total = np.einsum("iaibp->abp", form)
+    ridge = 1e-9 + 1e-4 * np.einsum("aap->p", total[1:, 1:]) / 3
+    away = total[1:, 0] + np.einsum("abp,bp->ap", total[1:, 1:], middle)
+    least = middle - _solve(total[1:, 1:] + ridge * np.eye(3)[:, :, None], away)
     least = np.clip(least, middle - reach, middle + reach)
 
-    def with_axes(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        z = np.concatenate([np.ones((len(x), 1)), x], axis=1)
-        return x, np.linalg.eigh(np.einsum("pa,piajb,pb->pij", z, form, z, optimize=True))[1]
-
-    def lowest(starts: list[tuple[np.ndarray, np.ndarray]], held: int, steps: int) -> _Minimum:
-        found = [_minimize_rows(moments, *start, held, steps, middle, reach) for start in starts]
-        best = np.argmin([np.log(each[2][:, :held]).sum(axis=1) for each in found], axis=0)
-        row = np.arange(len(best))
-        x, axes, square = (np.stack([each[k] for each in found])[best, row] for k in range(3))
-        return x, axes, square
-
-    random = [with_axes(middle + shift) for shift in _RANDOM]
-    three = lowest([with_axes(least), random[0]], 3, 6)
-    two = lowest([three[:2], random[1]], 2, 8)
-    one = lowest([two[:2], three[:2]], 1, 8)
+    x, axes = least, _axes(_covariance(form, least)[1])
+    found = []
+    for held, steps in zip((3, 2, 1), _STEPS, strict=True):
+        x, axes, squares = _descend(form, x, axes, held, steps, middle, reach)
+        found.append((x, axes, squares))
     weights, size = [], []
-    for held, (x, axes, square) in enumerate((one, two, three), 1):
-        z = np.concatenate([np.ones((len(x), 1)), x], axis=1)
-        weights.append((np.swapaxes(axes, 1, 2)[..., None] * z[:, None, None]).reshape(-1, 3, 12))
-        size.append(np.where(np.arange(3) < held, np.sqrt(square), np.inf))
+    for held, (x, axes, squares) in enumerate(reversed(found), 1):
+        rows = np.swapaxes(axes, 0, 1)[:, :, None] * _with_one(x)
+        weights.append(rows.reshape(3, 12, -1))
+        size.append(np.where(np.arange(3)[:, None] < held, np.sqrt(squares), np.inf))
     return np.stack(weights), np.stack(size)
 
 
-def _squares(moments: np.ndarray, x: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    """Mean squares w'Gw of the three rows, (P, 3)."""
-    z = np.concatenate([np.ones((len(x), 1)), x], axis=1)
-    rows = (np.swapaxes(axes, 1, 2)[..., None] * z[:, None, None]).reshape(-1, 3, 12)
-    return np.maximum(np.sum((rows @ moments) * rows, axis=-1), 1e-30)
+def _with_one(x: np.ndarray) -> np.ndarray:
+    """(1, x), (4, P)."""
+    return np.concatenate([np.ones_like(x[:1]), x])
 
 
-def _minimize_rows(
-    moments: np.ndarray,
+def _covariance(form: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Moments times (1, x), (3, 4, 3, P), and the covariance of the path of x, (3, 3, P)."""
+    z = _with_one(x)
+    half = np.einsum("iajbp,bp->iajp", form, z)
+    return half, np.einsum("iajp,ap->ijp", half, z)
+
+
+def _axes(covariance: np.ndarray) -> np.ndarray:
+    """Eigenvectors (3, 3, P) of covariances, by variance, ascending; they are the columns."""
+    return np.moveaxis(np.linalg.eigh(np.moveaxis(covariance, -1, 0))[1], 0, -1)
+
+
+def _squares(covariance: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """Mean squares (3, P) of the path along axes."""
+    along = np.einsum("ijp,jkp->ikp", covariance, axes)
+    return np.maximum(np.einsum("ikp,ikp->kp", along, axes), 1e-30)
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Cross products of vectors (3, ..., P)."""
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def _solve(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Solve positive definite systems (n, n, P) for vectors (n, P) by elimination."""
+    a = np.concatenate([matrix, vector[:, None]], axis=1)
+    number = len(a)
+    for k in range(number):
+        a[k, k + 1 :] /= a[k, k]
+        a[k + 1 :, k + 1 :] -= a[k + 1 :, k, None] * a[k, k + 1 :]
+    solution = a[:, number]
+    for k in range(number - 1, 0, -1):
+        solution[:k] -= a[:k, k] * solution[k]
+    return solution
+
+
+def _descend(
+    form: np.ndarray,
     x: np.ndarray,
     axes: np.ndarray,
     held: int,
     steps: int,
     middle: np.ndarray,
     reach: float,
-) -> _Minimum:
-    """Minimize sum_{i < held} log w_i' G w_i with w_i = v_i (1, x), by Levenberg's method.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lower sum_{i < held} log w_i' G w_i with w_i = v_i (1, x), by Levenberg's steps.
 
     Args:
-        moments: (P, 12, 12), second moments G of the features.
-        x: (P, 3) m, initial origins.
-        axes: (P, 3, 3), initial directions v as columns.
-        held: number of held translations.
+        form: (3, 4, 3, 4, P) G.
+        x: (3, P) m, where to start.
+        axes: (3, 3, P), whose columns are v.
+        held: number of rows.
         steps: number of steps.
-        middle: (P, 3) m, centre of the cube that bounds x.
+        middle: (3, P) m, of the cube that holds x.
         reach: m, half the width of the cube.
 
     Returns:
-        x, axes, and the mean squares w' G w of all rows, (P, 3).
+        x, axes, and w' G w of all rows, (3, P).
     """
-    number = len(x)
-    damping = np.full(number, 1e-3)
-    square = _squares(moments, x, axes)
-    value = np.log(square[:, :held]).sum(axis=1)
-    shift = np.concatenate([np.zeros((3, 1)), np.eye(3)], axis=1)
+    damping = np.full(x.shape[1], 1e-3)
+    half, covariance = _covariance(form, x)
+    square = _squares(covariance, axes)
+    value = np.log(square[:held]).sum(axis=0)
     for _ in range(steps):
-        z = np.concatenate([np.ones((number, 1)), x], axis=1)
-        hessian, slope = np.zeros((number, 6, 6)), np.zeros((number, 6))
-        for i in range(held):
-            v = axes[:, :, i]
-            turned = v @ np.swapaxes(_LEVI, 1, 2)  # (3, P, 3)
-            parts = np.empty((number, 7, 3, 4))
-            parts[:, :3] = np.swapaxes(turned, 0, 1)[..., None] * z[:, None, None]
-            parts[:, 3:6] = v[:, None, :, None] * shift[None, :, None]
-            parts[:, 6] = v[:, :, None] * z[:, None]
-            row = parts.reshape(number, 7, 12)
-            form = row @ moments @ np.swapaxes(row, 1, 2)
-            form /= form[:, 6:, 6:]
-            hessian += form[:, :6, :6]
-            slope += form[:, :6, 6]
-        scale = np.einsum("pii->pi", hessian)
-        ridge = damping[:, None] * scale + 1e-10 * scale.max(axis=1, keepdims=True) + 1e-30
-        step = -np.linalg.solve(hessian + ridge[:, None] * np.eye(6), slope[..., None])[..., 0]
-        better = np.zeros(number, bool)
-        from_x, from_axes = x, axes
-        for length in (1.0, 1.9):
-            there = np.clip(from_x + length * step[:, 3:], middle - reach, middle + reach)
-            turn = length * step[:, :3]
-            turn /= np.maximum(np.linalg.norm(turn, axis=1, keepdims=True) / 0.5, 1)
-            turned_axes = rotation_matrices(turn) @ from_axes
-            squares = _squares(moments, there, turned_axes)
-            lower = np.log(squares[:, :held]).sum(axis=1)
-            good = lower < value
-            better |= good
-            x = np.where(good[:, None], there, x)
-            axes = np.where(good[:, None, None], turned_axes, axes)
-            square = np.where(good[:, None], squares, square)
-            value = np.where(good, lower, value)
-        damping = np.clip(np.where(better, damping / 10, damping * 30), 1e-8, 1e3)
+        step = _LENGTH * _levenberg(form, half, covariance, axes, square, held, damping)
+        there = np.clip(x - step[3:], middle - reach, middle + reach)
+        turn = -0.5 * step[:3, None]
+        turn /= np.maximum(np.linalg.norm(turn, axis=0) / 0.25, 1)
+        once = _cross(turn, axes)
+        turned = axes + 2 * (once + _cross(turn, once)) / (1 + np.sum(turn**2, axis=0))
+        new_half, new_covariance = _covariance(form, there)
+        new_square = _squares(new_covariance, turned)
+        lower = np.log(new_square[:held]).sum(axis=0)
+        good = lower < value
+        old = x, axes, half, covariance, square, value
+        new = there, turned, new_half, new_covariance, new_square, lower
+        x, axes, half, covariance, square, value = (
+            np.where(good, b, a) for a, b in zip(old, new, strict=True)
+        )
+        damping = np.clip(np.where(good, damping / 10, damping * 30), 1e-8, 1e3)
     return x, axes, square
+
+
+def _levenberg(
+    form: np.ndarray,
+    half: np.ndarray,
+    covariance: np.ndarray,
+    axes: np.ndarray,
+    square: np.ndarray,
+    held: int,
+    damping: np.ndarray,
+) -> np.ndarray:
+    """Step (6, P) of Levenberg for the tangent of the logarithms: of the rotation of the axes, and of x."""
+    number = axes.shape[-1]
+    hessian, slope = np.zeros((6, 6, number)), np.zeros((6, number))
+    for i in range(held):
+        v = axes[:, i]
+        turned = _HAT @ v  # (3, 3, P), column c is e_c x v
+        part = np.einsum("iajp,ip->ajp", half[:, 1:], v)
+        inner = np.einsum("iajbp,ip->ajbp", form[:, 1:, :, 1:], v)
+        along = np.einsum("ijp,jp->ip", covariance, v)
+        across = np.einsum("ijp,jcp->icp", covariance, turned)
+        block = np.empty_like(hessian)
+        block[:3, :3] = np.einsum("icp,idp->cdp", turned, across)
+        block[3:, :3] = np.einsum("ajp,jcp->acp", part, turned)
+        block[:3, 3:] = np.swapaxes(block[3:, :3], 0, 1)
+        block[3:, 3:] = np.einsum("ajbp,jp->abp", inner, v)
+        hessian += block / square[i]
+        slope[:3] += _cross(v, along) / square[i]
+        slope[3:] += np.einsum("ajp,jp->ap", part, v) / square[i]
+    diagonal = np.einsum("iip->ip", hessian)  # a view
+    diagonal += damping * diagonal + 1e-10 * diagonal.max(axis=0) + 1e-30
+    return _solve(hessian, slope)

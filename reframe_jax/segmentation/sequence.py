@@ -1,5 +1,7 @@
-"""Find the most likely sequence of models by Viterbi's algorithm; each model has a limited range of cells."""
+"""The likeliest sequence of models: Viterbi's algorithm, in which each model reaches only so far."""
 
+from bisect import bisect_right
+from heapq import heappush, heapreplace
 from typing import NamedTuple
 
 import numpy as np
@@ -7,91 +9,100 @@ import numpy as np
 from reframe_jax.segmentation.bank import Bank, gains
 from reframe_jax.segmentation.cells import Cells
 
-__all__ = ["Coverage", "evaluate_models", "most_likely_sequence"]
+__all__ = ["Coverage", "columns_of", "cover", "likeliest"]
 
 FREE = -1
-_BATCH = 400_000  # values per batch
+_BATCH = 50_000  # values that are computed at once
 
 
 class Coverage(NamedTuple):
-    """Log evidence of models in the cells of their range.
+    """Log evidence of models in the cells that they reach, in columns that several models share.
 
     Attributes:
-        model: (E,) number of the model.
-        cell: (E,) number of the cell.
-        gain: (E,) log evidence of the model in the cell.
+        gain: (N, W) log evidence of the model in a column; -inf where there is none.
+        column: (H,) of every model.
+        first: (H,) the first cell that it reaches.
     """
 
-    model: np.ndarray
-    cell: np.ndarray
     gain: np.ndarray
+    column: np.ndarray
+    first: np.ndarray
+
+    def join(self, other: "Coverage") -> "Coverage":
+        """These models, and others behind them."""
+        gain = np.concatenate([self.gain, other.gain], axis=1)
+        column = np.concatenate([self.column, other.column + self.gain.shape[1]])
+        return Coverage(gain, column, np.concatenate([self.first, other.first]))
 
 
-def evaluate_models(cells: Cells, z: np.ndarray, bank: Bank, first: int, widen: float) -> Coverage:
-    """Evaluate models in their spans, and up to one span length beyond on either side.
-
-    Args:
-        cells: cells of the recording.
-        z: (N, 54) features of all types.
-        bank: the models.
-        first: number of the first model.
-        widen: factor on the residuals of the models.
-    """
+def cover(cells: Cells, bank: Bank, widen: float) -> Coverage:
+    """Evaluate models in their spans and as far again on either side, residuals widened."""
+    number = cells.linear.shape[1]
     start, stop = bank.span.T
-    length = stop - start
-    low, high = np.maximum(start - length, 0), np.minimum(stop + length, len(z))
-    parts: list[Coverage] = []
+    low, high = np.maximum(2 * start - stop, 0), np.minimum(2 * stop - start, number)
+    column = columns_of(low, high)
+    gain = np.full((number, column.max() + 1), -np.inf)
     for extent in np.unique(high - low):
         own = np.flatnonzero(high - low == extent)
         for part in np.array_split(own, -(-len(own) * extent // _BATCH)):
-            cell = low[part, None] + np.arange(extent)
-            some = bank.take(part)
-            values = z[cell] @ np.swapaxes(some.rows, 1, 2)
-            gain = cells.weight * gains(some, values, cells.reference, widen)
-            model = np.broadcast_to(first + part[:, None], cell.shape)
-            parts.append(Coverage(model.ravel(), cell.ravel(), gain.ravel()))
-    return Coverage(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+            at, some = low[part, None] + np.arange(extent), bank.take(part)
+            values = some.coordinates(cells.linear, cells.angular, at)
+            gain[at, column[part, None]] = cells.weight * gains(some, values, cells.reference[1], widen)
+    return Coverage(gain, column, low)
 
 
-def most_likely_sequence(coverage: Coverage, price: np.ndarray, number: int) -> tuple[np.ndarray, float]:
-    """Find the sequence of models with the largest log evidence.
+def columns_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Columns of intervals [low, high), so that those of one column do not overlap; as few as possible."""
+    column = np.zeros(len(low), int)
+    ends: list[tuple[int, int]] = []
+    for k in np.argsort(low, kind="stable"):
+        if ends and ends[0][0] <= low[k]:
+            column[k] = ends[0][1]
+            heapreplace(ends, (int(high[k]), int(column[k])))
+        else:
+            column[k] = len(ends)
+            heappush(ends, (int(high[k]), int(column[k])))
+    return column
+
+
+def likeliest(coverage: Coverage, price: np.ndarray) -> tuple[np.ndarray, float]:
+    """The sequence of models with the largest log evidence; of free motion it is 0.
 
     Args:
-        coverage: log evidence of all models.
-        price: (H,) log evidence that is subtracted for each use of a model.
-        number: number of cells.
+        coverage: of all models.
+        price: (H,) of using a model.
 
     Returns:
-        (N,) number of the model in every cell, -1 for free motion, and the log evidence of the sequence.
+        (N,) model of every cell, -1 where none holds, and the log evidence.
     """
-    models = len(price)
-    # the last model is free motion, with zero evidence and zero price
-    price = np.append(price, 0.0)
-    order = np.argsort(coverage.cell * (models + 1) + coverage.model, kind="stable")
-    model, gain = coverage.model[order], coverage.gain[order]
-    edges = np.searchsorted(coverage.cell[order], np.arange(number + 1))
-    value = np.full(models + 1, -np.inf)
-    best, best_value = models, 0.0
-    before, stayed = np.full(number, models), []
+    gain, column, first = coverage
+    number, width = gain.shape
+    order = np.lexsort((column, first))
+    begins = np.searchsorted(first[order], np.arange(number + 1))
+    value, cost = np.full(width, -np.inf), np.zeros(width)
+    best, best_column = 0.0, np.full(number, FREE)
+    stayed = np.empty((number, width), bool)
     for k in range(number):
-        own = np.append(model[edges[k] : edges[k + 1]], models)
-        switch = best_value - price[own]
-        stay = value[own] >= switch
-        stayed.append(stay)
-        before[k] = best
-        now = np.where(stay, value[own], switch)
-        now[:-1] += gain[edges[k] : edges[k + 1]]
-        value = np.full(models + 1, -np.inf)
-        value[own] = now
-        best = int(own[now.argmax()])
-        best_value = float(now.max())
-    path = np.empty(number, int)
-    here = best
+        if begins[k] < begins[k + 1]:
+            new = order[begins[k] : begins[k + 1]]
+            value[column[new]], cost[column[new]] = -np.inf, price[new]
+        enter = best - cost
+        np.greater_equal(value, enter, out=stayed[k])
+        np.maximum(value, enter, out=value)
+        value += gain[k]
+        top = int(value.argmax())
+        if value[top] > best:
+            best, best_column[k] = float(value[top]), top
+    path = np.full(number, FREE)
+    order = np.lexsort((first, column))
+    edges = np.searchsorted(column[order], np.arange(width + 1))
+    here = FREE
     for k in range(number - 1, -1, -1):
-        path[k] = here
-        place = (
-            len(stayed[k]) - 1 if here == models else np.searchsorted(model[edges[k] : edges[k + 1]], here)
-        )
-        if not stayed[k][place]:
-            here = int(before[k])
-    return np.where(path == models, FREE, path), best_value
+        if here == FREE:
+            here = best_column[k]
+        if here != FREE:
+            own = order[edges[here] : edges[here + 1]]
+            path[k] = own[bisect_right(first[own], k) - 1]
+            if not stayed[k, here]:
+                here = FREE
+    return path, best
