@@ -184,8 +184,8 @@ def _descend(
         there = np.clip(x - step[3:], middle - reach, middle + reach)
         turn = -0.5 * step[:3, None]
         turn /= np.maximum(np.linalg.norm(turn, axis=0) / 0.25, 1)
-        once = _cross(turn, axes)
-        turned = axes + 2 * (once + _cross(turn, once)) / (1 + np.sum(turn**2, axis=0))
+        materialized = _cross(turn, axes)
+        turned = axes + 2 * (materialized + _cross(turn, materialized)) / (1 + np.sum(turn**2, axis=0))
         new_half, new_covariance = _covariance(form, there)
         new_square = _squares(new_covariance, turned)
         lower = np.log(new_square[:held]).sum(axis=0)
