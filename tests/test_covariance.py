@@ -8,7 +8,7 @@ from contacts import DT, POSES, Contact, simulate_contact
 from scipy.spatial.transform import Rotation
 
 import reframe_jax as rf
-from benchmarks.uncertainty_doors import DOORS, check_door, in_region
+from benchmarks.uncertainty_doors import DOOR_DATA, DOORS, check_door, in_region
 from reframe_jax.geometry.rotations import rotation_exp
 
 EACH = 16
@@ -191,6 +191,10 @@ def test_what_is_refused(windows):
         rf.covariance(found[0], poses[0], dt=DT, errors="red")
 
 
+needs_recordings = pytest.mark.skipif(not DOOR_DATA.is_dir(), reason="needs the recordings of ../shared/data")
+
+
+@needs_recordings
 def test_error_bars_of_doors_hold():
     """Of a camera, whose errors are slow: regions hold the circle's axis, and each half the other's line."""
     rows = [check_door(name) for name in DOORS]
@@ -198,6 +202,7 @@ def test_error_bars_of_doors_hold():
         assert np.mean([row[key] for row in rows]) >= 0.8, key
 
 
+@needs_recordings
 def test_error_bars_hold_a_measured_axis():
     row = check_door("hinge")
     assert row["axis holds"]

@@ -133,7 +133,7 @@ def test_a_run_in_miniature(tmp_path, capsys):
 def test_a_hinge_is_scored_in_the_body_its_winner_is_in(kind):
     ours = windows("A", 1e-6)
     here = rf.LinearType.BB if kind.position_body == rf.AngularType.B else rf.LinearType.GG
-    truth, found = fits._written_as(ours, here), rf.identify(ours.poses, dt=DT)
+    truth, found = fits._express_in_type(ours, here), rf.identify(ours.poses, dt=DT)
     shift = 0.01 * truth.linear_axes[:, :, 0]
     shifted = found.candidates.linear.position.at[:, int(kind)].set(truth.position + shift)
     linear = replace(found.candidates.linear, position=shifted)

@@ -1,8 +1,9 @@
-"""Two axes that keep their angle, one in each body: the cross of a universal joint.
+"""Two axes that keep a right angle, one in each body: the cross of a universal joint.
 
 The angle of an axis a of the ground and an axis b of the body is held: a'R b is a coordinate of variance
-c_s(a, b), bilinear in the moments of R. The fit minimises sum_s n_s log c_s by Levenberg and Marquardt's
-steps.
+c_s(a, b), bilinear in the moments of R. The fit minimises sum_s n_s log c_s by steps of Gauss and Newton,
+damped as by Levenberg and Marquardt. The mean angle is kept near a right angle: axes at any other angle may fit
+a short motion by chance, and axes along each other fit every motion.
 """
 
 from typing import NamedTuple
@@ -16,11 +17,11 @@ from reframe_jax.geometry.small import largest, materialize, normalize, solve_po
 __all__ = ["crossed_axes"]
 
 Array = jax.Array
-_APART = 30.0  # weight of the squared cosine of the mean angle: axes along each other hold it in any motion
+_APART = 3.0  # weight of the squared cosine of the mean angle, in independent details
 
 
 def crossed_axes(
-    forms: Array, details: Array, mean: Array, ground: Array, body: Array, apart: int, steps: int
+    forms: Array, details: Array, mean: Array, ground: Array, body: Array, steps: int
 ) -> tuple[Array, Array, Array]:
     """Axes after a number of steps.
 
@@ -30,18 +31,17 @@ def crossed_axes(
         mean: (3, 3, ...) mean rotation.
         ground: (3, ...) axis a to start from.
         body: (3, ...) axis b to start from.
-        apart: number of first steps in which the mean axes are kept apart.
-        steps: number of all steps.
+        steps: number of steps.
 
     Returns:
-        a (3, ...), b (3, ...), and the objective with what keeps them apart.
+        a (3, ...), b (3, ...), and the objective.
     """
     small = jnp.finfo(ground.dtype).tiny ** 0.5
     keep = _APART * total(details, 0)
     unit = jnp.asarray(np.eye(4), ground.dtype).reshape(4, 4, *[1] * (ground.ndim - 1))
 
     def expand(a: Array, b: Array) -> _Local:
-        """The logarithm's sum and its tangent about two axes, without what keeps them apart."""
+        """The objective about two axes."""
         across = materialize(total(forms * b[:, None, None, None], 1))  # (i, k, l)
         half = materialize(total(forms * a[:, None, None, None, None], 0))  # (j, k, l)
         of_ground, of_body = total(across * b[:, None], 2), total(half * a[:, None, None], 1)
@@ -63,25 +63,25 @@ def crossed_axes(
         ]
         turned, back = times(mean, b), times(jnp.swapaxes(mean, 0, 1), a)
         pull = jnp.concatenate([total(bases[0] * turned[:, None], 0), total(bases[1] * back[:, None], 0)])
-        value = total(details * jnp.log(size), 0)
+        cosine = total(a * turned, 0)
+        value = total(details * jnp.log(size), 0) + keep * cosine * cosine
+        gradients = jnp.concatenate(gradient) + keep * cosine * pull
         return materialize(
-            _Local(value, jnp.concatenate(gradient), jnp.concatenate(rows), total(a * turned, 0), pull)
+            _Local(value, gradients, jnp.concatenate(rows) + keep * pull[:, None] * pull[None])
         )
 
-    def step(i: Array, carry: tuple[Array, Array, _Local, Array]) -> tuple[Array, Array, _Local, Array]:
+    def step(_: Array, carry: tuple[Array, Array, _Local, Array]) -> tuple[Array, Array, _Local, Array]:
         a, b, here, damping = carry
-        push = jnp.where(i <= apart, keep, 0)
-        gradient = here.gradient + push * here.cosine * here.pull
-        hessian = here.hessian + push * here.pull[:, None] * here.pull[None]
-        size = total(hessian * unit, 1)
+        size = total(here.hessian * unit, 1)
         lift = damping * size + 1e-9 * largest(size) + small
-        change = materialize(-solve_positive(*materialize((hessian + unit * lift[:, None], gradient))))
+        change = materialize(
+            -solve_positive(*materialize((here.hessian + unit * lift[:, None], here.gradient)))
+        )
         c = normalize(a + times(_across(a), change[:2]))
         d = normalize(b + times(_across(b), change[2:]))
         c, d = materialize((c, d))
         new = expand(c, d)
-        before = here.value + push * here.cosine * here.cosine
-        lower = new.value + push * new.cosine * new.cosine < before
+        lower = new.value < here.value
         kept = jax.tree.map(lambda x, y: jnp.where(lower, x, y), (c, d, new), (a, b, here))
         damping = jnp.clip(jnp.where(lower, damping * 0.1, damping * 10), 1e-7, 1e4)
         return *kept, damping
@@ -89,20 +89,18 @@ def crossed_axes(
     # the first step stays at the start, and expands there
     start = jnp.zeros((4, *ground.shape[1:]), ground.dtype)
     none = jnp.zeros_like(start[0])
-    nowhere = _Local(none + jnp.inf, start, start[None] + unit, none, start)
+    nowhere = _Local(none + jnp.inf, start, start[None] + unit)
     damping = none + 1e-2
     a, b, here, _ = jax.lax.fori_loop(0, steps + 1, step, (ground, body, nowhere, damping))
-    return a, b, here.value + keep * here.cosine * here.cosine
+    return a, b, here.value
 
 
 class _Local(NamedTuple):
-    """Value, gradient (4, ...) and Hessian (4, 4, ...); cosine of the mean angle, and its gradient."""
+    """Value, half the gradient (4, ...) and half the Hessian (4, 4, ...)."""
 
     value: Array
     gradient: Array
     hessian: Array
-    cosine: Array
-    pull: Array
 
 
 def _across(axis: Array) -> Array:

@@ -168,7 +168,7 @@ def fit_entry(
     axes = jnp.where(body, found.frame, data.mean_rotation.T @ found.frame)
     forms = rotation_forms(jnp.moveaxis(data.products, 0, -1))
     a, b = ground_axes(start, data.mean_rotation)[:, 2], start.axes[:, 0]
-    a, b, _ = crossed_axes(forms, data.details, data.mean_rotation, a, b, 0, steps)
+    a, b, _ = crossed_axes(forms, data.details, data.mean_rotation, a, b, steps)
     cross_axes, cross_tilt = crossed_frame(a, b, data.mean_rotation)
     fitted = Parameters(
         jnp.where(entry.crossed, cross_axes, axes),

@@ -21,7 +21,7 @@ __all__ = ["Axes", "common_frames", "entry_starts", "smallest_eigenvalue", "univ
 
 Array = jax.Array
 _STARTS = ("turn", "cross", "normal", "along", "path", "lift")
-_APART_STEPS, _CROSS_STEPS = 4, 12  # of the search for the axes of a universal joint
+_CROSS_STEPS = 12  # of the search for the axes of a universal joint
 _ALONG = 0.6  # sine of an angle, below which two axes are nearly along each other
 
 
@@ -97,7 +97,7 @@ def universal_axes(axes: Axes, products: Array, details: Array, mean: Array) -> 
     forms = rotation_forms(products)[:, :, :, :, :, None]
     ground, body = axes.angular[:, :, AngularType.G], axes.angular[:, :, AngularType.B]
     a, b = ground[:, np.array([2, 1], np.int32)], body[:, np.array([1, 2], np.int32)]
-    a, b, value = crossed_axes(forms, details[:, None], mean[:, :, None], a, b, _APART_STEPS, _CROSS_STEPS)
+    a, b, value = crossed_axes(forms, details[:, None], mean[:, :, None], a, b, _CROSS_STEPS)
     better = value[0] <= value[1]
     a, b = (jnp.where(better, v[:, 0], v[:, 1]) for v in (a, b))
     return a, b

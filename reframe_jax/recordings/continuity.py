@@ -14,6 +14,7 @@ _CLOSER = 0.75  # part of the steps below the median distance: about 1 in a moti
 _STEP = 0.5  # median step over the median distance: 1 without order
 _SQUARES = 0.6  # mean square of the steps over that of the distances: 1 without order
 _MOVED = 0.02, 0.1  # m and rad, median distance of poses that is more than the noise of a body at rest
+_FARTHEST = 1e9  # m, of poses that are compared
 _PAIRS = 2000  # distances that count
 
 
@@ -21,9 +22,9 @@ def is_unordered(poses: np.ndarray) -> bool:
     """Whether neither positions nor orientations are closer to those of the row before than to any other.
 
     Args:
-        poses: (K+1, 4, 4), m; those that are not finite play no part.
+        poses: (K+1, 4, 4), m; those that are not finite, or farther away than 1e9 m, play no part.
     """
-    poses = poses[np.isfinite(poses).all(axis=(1, 2))]
+    poses = poses[np.all(np.abs(poses) < _FARTHEST, axis=(1, 2))]
     count = len(poses)
     if count < _FEWEST:
         return False
