@@ -2,8 +2,8 @@
 
 The angle of an axis a of the ground and an axis b of the body is held: a'R b is a coordinate of variance
 c_s(a, b), bilinear in the moments of R. The fit minimises sum_s n_s log c_s by steps of Gauss and Newton,
-damped as by Levenberg and Marquardt. The mean angle is kept near a right angle: axes at any other angle may fit
-a short motion by chance, and axes along each other fit every motion.
+damped as by Levenberg and Marquardt. The mean angle is kept near a right angle: axes at any other angle may
+fit a short motion by chance, and axes along each other fit every motion.
 """
 
 from typing import NamedTuple
