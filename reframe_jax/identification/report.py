@@ -49,7 +49,7 @@ _KIND = np.array([entry.kind for entry in ENTRIES], np.int32)
 _FREE = np.array([entry.dof for entry in ENTRIES], np.int32)
 _ANY_ORIGIN = np.array([[c in entry.any_origin for c in range(3)] for entry in ENTRIES])
 _CROSSED = TABLE.crossed
-_IN_GROUND = TABLE.ground[:, 0] & ~_CROSSED
+_IN_GROUND = TABLE.ground[:, 0] & ~_CROSSED & (_FREE[:, 0] % 3 > 0)  # all or no rotations: in either body
 _LINEAR = np.array([KINDS.index(t.name) for t in LinearType])
 _TURNS = np.array([KINDS.index("turn in ground"), KINDS.index("turn in body")])
 

@@ -18,7 +18,7 @@ class Evidence(NamedTuple):
         error_position, error_rotation: m and rad, usual slow errors of a tracker or a robot, and
             error_of_noise: their usual share of the white noise, added in squares.
         error_spread: of the logarithm of slow errors: a factor 5, the one that matters most.
-        held_above: steepness of the density of held amplitudes above the size of errors.
+        tilt_above: power of the variance ratio by which tilts above the size of errors are improbable.
         turn, turn_spread: rad, usual free rotation, and the spread of its logarithm.
         lever, lever_spread: m/rad, usual free translation over free rotation, and its spread.
         free_above: steepness of the density of free amplitudes above the size of the motion.
@@ -34,7 +34,7 @@ class Evidence(NamedTuple):
     error_rotation: float = 1e-4
     error_of_noise: float = 0.3
     error_spread: float = log(5.0)
-    held_above: float = 6.0
+    tilt_above: int = 3
     turn: float = 1.5
     turn_spread: float = 0.25
     lever: float = 0.2

@@ -1,13 +1,12 @@
 """Densities of log amplitudes about a size, and their overlap with what a measured amplitude says.
 
 A density is e^(B u) / (1 + e^(2 u))^((B + G) / 2) of u = log a - log size: slopes B below the size and -G
-above.
-The likelihood of a is Gaussian in the logarithm of a^2 + noise^2. Where a is far below the noise, the
-likelihood
-is constant, and the density is integrated in closed form; above, by the trapezoidal rule on a few nodes.
+above. The likelihood of a is Gaussian in the logarithm of a^2 + noise^2. Where a is far below the noise, the
+likelihood is constant, and so is the density's integral but for a factor that is known at both ends; above,
+the trapezoidal rule takes a few nodes.
 """
 
-from math import gamma, log
+from math import gamma, log, pi
 from typing import NamedTuple
 
 import jax
@@ -17,13 +16,13 @@ import numpy as np
 from reframe_jax.geometry.small import total as add
 from reframe_jax.model.constants import EVIDENCE as C
 
-__all__ = ["Nodes", "amplitude_nodes", "free_evidence", "held_evidence"]
+__all__ = ["Nodes", "amplitude_nodes", "free_evidence", "held_likelihood"]
 
 Array = jax.Array
 _NODES = 4  # of the likelihood of an amplitude: a Gaussian's integral to 3 %
 _WIDTH = 3.5  # standard deviations of log a^2 to either side
 _FLAT = 0.05  # a^2 over noise^2 below which the likelihood does not change
-_HELD_TOTAL = 8 / 15  # integral of the density with slopes 1 and -6
+_HELD_TOTAL = 5 * pi / 32  # integral of the density with slopes 1 and -7
 
 
 class Nodes(NamedTuple):
@@ -46,18 +45,19 @@ class Nodes(NamedTuple):
         return Nodes(self.squares[:, rows], self.weights[:, rows], self.below[rows], self.top[rows])
 
 
-def held_evidence(nodes: Nodes, sizes: Array) -> Array:
-    """Log evidence (k, g, ...) of k coordinates that are held with squared sizes (k, g, ...).
+def held_likelihood(nodes: Nodes, sizes: Array) -> Array:
+    """Likelihood (k, g, ...) of k coordinates that are held with squared sizes (k, g, ...), over exp(top).
 
     The grid may have several axes.
     """
-    squares, weights, below, top = _spread(nodes, sizes.ndim)
+    squares, weights, below, _ = _spread(nodes, sizes.ndim)
+    # slopes 1 and -7: sqrt(a^2 / s) / (1 + a^2 / s)^4, one division a node
+    root = jnp.sqrt(squares)
     inverse = 1 / (sizes + squares)
-    under = sizes * inverse
-    total = add(weights * (under * under * under * jnp.sqrt(squares * inverse)), 0)
-    first = squares[0] / (sizes + squares[0])
-    total = total + below * jnp.sqrt(first) * (1 - first * (2 / 3 - first / 5))
-    return jnp.log(total / _HELD_TOTAL + jnp.finfo(jnp.float32).tiny) + top
+    power = jnp.square(jnp.square(inverse * sizes))
+    first = squares[0] / sizes
+    rest = below * jnp.sqrt(first / (1 + first / _HELD_TOTAL**2))
+    return (add(weights * root * power, 0) / jnp.sqrt(sizes) + rest) / _HELD_TOTAL
 
 
 def free_evidence(nodes: Nodes, sizes: Array, slope: Array) -> Array:

@@ -3,7 +3,7 @@
 A coordinate is its amplitude a, the RMS over the recording of all scales that are used, known up to its
 sampling error and its white noise. Two densities of log a are compared:
 
-- *held*: slope 1 below and -6 above the size e of slow errors of the tracker, the robot or the contact,
+- *held*: slope 1 below and -7 above the size e of slow errors of the tracker, the robot or the contact,
   where e^2 = n_p e_t^2 + n_r e_r^2: a translation of e_t and a rotation of e_r that reaches the coordinate
   through its lever;
 - *free*: slope B below and -3 above the size m of the motion, one m for rotations and one for translations.
@@ -25,7 +25,7 @@ import numpy as np
 
 from reframe_jax.geometry.small import diagonalize, largest, materialize, total
 from reframe_jax.model.constants import EVIDENCE as C
-from reframe_jax.model.densities import Nodes, amplitude_nodes, free_evidence, held_evidence
+from reframe_jax.model.densities import Nodes, amplitude_nodes, free_evidence, held_likelihood
 from reframe_jax.model.table import Table
 
 __all__ = [
@@ -41,9 +41,9 @@ Array = jax.Array
 _TINY = 1e-18  # m^2 and rad^2, added to every variance
 
 # ---- grids of the logarithms of sizes
-_ERRORS = 0.7 * np.arange(-5, 11)  # about the middle of the prior of slow errors
-_TURNS = 0.5 * np.arange(-3, 4)  # about the usual rotation
-_SHIFTS = 0.5 * np.arange(-9, 10)  # about the usual translation
+_ERRORS = 1.0 * np.arange(-3, 8)  # about the middle of the prior of slow errors
+_TURNS = 0.5 * np.arange(-2, 3)  # about the usual rotation
+_SHIFTS = 0.75 * np.arange(-5, 6)  # about the usual translation
 
 
 def _motions() -> np.ndarray:
@@ -82,7 +82,6 @@ class Amplitudes(NamedTuple):
         noise: (6,) what white noise has of it.
         variance: (6,) of the logarithm of ``square``.
         independent: (6,) number of independent values.
-        linear: (6,) whether a coordinate is in m.
         lever: (6,) squared sensitivity to a rotation, m^2 or 1.
         size: () sum over coordinates and scales of n log variance, of all coordinates.
         consistency: () mean log |det| of the derivative of the coordinates with respect to the pose.
@@ -92,7 +91,6 @@ class Amplitudes(NamedTuple):
     noise: Array
     variance: Array
     independent: Array
-    linear: Array
     lever: Array
     size: Array
     consistency: Array
@@ -161,13 +159,11 @@ def amplitudes_of(of: Coordinates, entry: Table, spectra: Spectra) -> Amplitudes
     shown = jnp.where(spectra.all_details[:-1] > 0, each[:, :-1] / spectra.white[:-1], jnp.inf)
     noise = jnp.minimum(noise, -largest(-shown, 1)) * total(scale_weight * spectra.white, 0) + 0.1 * _TINY
     variance = total(2 * jnp.square(parts) / jnp.maximum(spectra.all_details, 1), 1) / square**2
-    linear = jnp.arange(6).reshape(6, *[1] * (square.ndim - 1)) >= 3
     return Amplitudes(
         square=square,
         noise=noise,
         variance=jnp.minimum(variance, 1) + C.amplitude_variance,
         independent=2 / jnp.maximum(variance, 0.01),
-        linear=jnp.broadcast_to(linear, square.shape),
         lever=lever,
         size=total(jnp.log(each) * spectra.details, 0, 1).astype(dtype),
         consistency=of.consistency,
@@ -199,22 +195,22 @@ def _errors(nodes: Nodes, lever: Array, tilt: Array, held: Array, noise: Array) 
     lanes = held.ndim - 1
     least = jnp.asarray([C.error_position, C.error_rotation], noise.dtype).reshape(2, *[1] * (noise.ndim - 1))
     middle = (least**2 + jnp.square(C.error_of_noise * noise)).astype(jnp.float32)
-    prior = -0.5 * np.square(_ERRORS / C.error_spread)
-    prior[[0, -1]] -= log(2)  # ends of the trapezoidal rule
-    prior = prior - np.log(np.sum(np.exp(prior)))
-    steps, prior = _grid(np.exp(2 * _ERRORS), lanes), _grid(prior, lanes)
-    e_t, e_r = middle[0] * steps, middle[1] * steps  # squares, (13, ...)
+    prior = np.exp(-0.5 * np.square(_ERRORS / C.error_spread))
+    prior[[0, -1]] /= 2  # ends of the trapezoidal rule
+    prior = prior / prior.sum()
+    steps = _grid(np.exp(2 * _ERRORS), lanes)
+    e_t, e_r = middle[0] * steps, middle[1] * steps  # squares, (G, ...)
     lever = lever.astype(jnp.float32)[:, None]
-    turns = jnp.where(held[:3, None], held_evidence(nodes.rows(slice(0, 3)), e_r * lever[:3]), 0)
-    turns = total(turns, 0) + prior
-    turns = turns - 0.5 * C.held_above * jnp.log1p(jnp.square(tilt).astype(jnp.float32) / e_r)
-    sizes = e_t[None] + (e_r * lever[3:])[:, :, None]
-    shifts = jnp.where(held[3:, None, None], held_evidence(nodes.rows(slice(3, 6)), sizes), 0)
-    value = materialize(materialize(turns)[:, None] + (total(shifts, 0) + prior))
-    value = value.reshape(-1, *value.shape[2:])
-    top = jax.lax.stop_gradient(largest(value))
+    turns = jnp.where(held[:3, None], held_likelihood(nodes.rows(slice(0, 3)), e_r * lever[:3]), 1)
+    ratio = e_r / (e_r + jnp.square(tilt).astype(jnp.float32))
+    turns = materialize(turns[0] * turns[1] * turns[2] * ratio**C.tilt_above * _grid(prior, lanes))
+    sizes = e_t[None, :, None] + (e_r * lever[3:])[:, None]
+    shifts = jnp.where(held[3:, None, None], held_likelihood(nodes.rows(slice(3, 6)), sizes), 1)
+    value = materialize(turns * shifts[0] * shifts[1] * shifts[2]).reshape(-1, *tilt.shape)
     # a sum over many rows is fast as a product
-    return jnp.log(jnp.tensordot(jnp.ones(len(value), jnp.float32), jnp.exp(value - top), 1)) + top
+    weights = jnp.asarray(np.repeat(prior, len(prior)), jnp.float32)
+    whole = jnp.tensordot(weights, value, 1, precision="highest")
+    return jnp.log(whole + jnp.finfo(jnp.float32).tiny) + total(jnp.where(held, nodes.top, 0), 0)
 
 
 def _moves(nodes: Nodes, of: Amplitudes, held: Array) -> Array:

@@ -15,7 +15,14 @@ import jax.numpy as jnp
 
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.model.crossed import crossed_axes
-from reframe_jax.model.rows import crossed_frame, gather_moments, in_body, problem_of, rotation_forms
+from reframe_jax.model.rows import (
+    EntryMoments,
+    crossed_frame,
+    entry_moments,
+    in_body,
+    problem_of,
+    rotation_forms,
+)
 from reframe_jax.model.steps import Unknowns, descend
 from reframe_jax.model.table import KINDS, ROWS, Table
 
@@ -158,13 +165,13 @@ def fit_entry(
         The parameters and the objective there.
     """
     body = in_body(entry)
-    moments = gather_moments(data.products, entry.path, entry.turn).in_main_axes(data.mean_rotation, body)
+    moments = entry_moments(jnp.moveaxis(data.products, 0, -1), data.mean_rotation).pick(entry.path[None])
+    moments = EntryMoments(*(leaf[..., 0] for leaf in moments))
     problem = problem_of(moments, data.details, entry, scale, data.box, tie)
     inside = jnp.where(body, start.axes, ground_axes(start, data.mean_rotation))
     tilt = jnp.where(body, start.tilt, 0)
-    found, _ = descend(
-        problem, Unknowns(inside, start.origin, tilt, jnp.where(entry.pitch, start.pitch, 0)), steps
-    )
+    pitch = jnp.where(entry.pitch, start.pitch, 0)
+    found, _, _ = descend(problem, Unknowns(inside, start.origin, tilt, pitch), steps)
     axes = jnp.where(body, found.frame, data.mean_rotation.T @ found.frame)
     forms = rotation_forms(jnp.moveaxis(data.products, 0, -1))
     a, b = ground_axes(start, data.mean_rotation)[:, 2], start.axes[:, 0]

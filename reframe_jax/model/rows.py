@@ -6,18 +6,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.geometry.small import cross, normalize, sandwich, times, total
+from reframe_jax.geometry.small import cross, materialize, normalize, sandwich, times, total
 from reframe_jax.model import features as z
 from reframe_jax.model.steps import Problem, Unknowns, axis_row, path_of, row_size
 from reframe_jax.model.table import KINDS, PATHS, ROWS, Table
 
 __all__ = [
     "EntryMoments",
+    "Forms",
     "coordinates_at",
     "crossed_frame",
-    "gather_moments",
+    "entry_moments",
     "in_body",
-    "path_moments",
     "problem_of",
     "rotation_forms",
 ]
@@ -26,31 +26,42 @@ Array = jax.Array
 
 
 def _picks() -> tuple[np.ndarray, np.ndarray]:
-    """Places in (27, 27) and signs, (paths, turns, 252), of the moments of :class:`EntryMoments`."""
+    """Places in (27, 27) and signs, (252, paths), of the moments of :class:`EntryMoments`."""
     places, signs = [], []
     for path in PATHS:
         rows = ROWS[KINDS.index(path)].reshape(12, z.COUNT)
         feature, sign = np.abs(rows).argmax(-1), rows.sum(-1)
-        for turns in (z.TURN_BODY, z.TURN_GROUND):
-            six = np.r_[z.POSITION, turns]
-            pairs = (feature, feature), (six, six), (feature, six)
-            place = [one[:, None] * z.COUNT + other for one, other in pairs]
-            places.append(np.concatenate([p.ravel() for p in place]))
-            signs.append(np.concatenate([np.outer(sign, sign).ravel(), np.ones(36), np.repeat(sign, 6)]))
-    shape = len(PATHS), 2, -1
-    return np.stack(places).reshape(shape).astype(np.int32), np.stack(signs).reshape(shape)
+        six = np.r_[z.POSITION, z.TURN_BODY if path[0] == "B" else z.TURN_GROUND]
+        pairs = (feature, feature), (six, six), (feature, six)
+        places.append(np.concatenate([(one[:, None] * z.COUNT + other).ravel() for one, other in pairs]))
+        signs.append(np.concatenate([np.outer(sign, sign).ravel(), np.ones(36), np.repeat(sign, 6)]))
+    return np.stack(places, 1).astype(np.int32), np.stack(signs, 1)
 
 
 _PLACES, _SIGNS = _picks()
 _IN_BODY = np.array([path[0] == "B" for path in PATHS])
 
 
+class Forms(NamedTuple):
+    """Moments of the vectors whose coordinates are held or free, in axes of the main body.
+
+    Attributes:
+        path: (3, 3, S, ...) of the path of the origin.
+        rows: (6, 6, S, ...) of the position of the body, and of the rotation.
+        mixed: (3, 6, S, ...) of the path with those.
+    """
+
+    path: Array
+    rows: Array
+    mixed: Array
+
+
 class EntryMoments(NamedTuple):
-    """Moments that an entry needs; a translation is a direction times (1, origin).
+    """Moments that entries need; a translation is a direction times (1, origin). Axes are the main body's.
 
     Attributes:
         paths: (3, 4, 3, 4, S, ...) of the translation.
-        rows: (6, 6, S, ...) of the position of the body, in the ground, and of the rotation.
+        rows: (6, 6, S, ...) of the position of the body, and of the rotation.
         mixed: (3, 4, 6, S, ...) of the translation with those.
     """
 
@@ -58,15 +69,45 @@ class EntryMoments(NamedTuple):
     rows: Array
     mixed: Array
 
-    def in_main_axes(self, mean: Array, body: Array) -> "EntryMoments":
-        """The position in axes of the main body, where that is the moving one."""
-        unit = jnp.eye(3, dtype=mean.dtype).reshape(3, 3, *[1] * (mean.ndim - 2))
-        turned = jnp.where(body, mean, unit)
-        zero = jnp.zeros_like(turned)
-        halves = [jnp.concatenate([turned, zero], axis=1), jnp.concatenate([zero, zero + unit], axis=1)]
-        outer = jnp.concatenate(halves)
-        mixed = total(self.mixed[:, :, :, None] * outer[None, None, :, :, None], 2)
-        return EntryMoments(self.paths, sandwich(outer, self.rows), mixed)
+    def pick(self, path: Array) -> "EntryMoments":
+        """Those of some entries, (..., S, C, ...), by the kinds of their translations (C, ...)."""
+
+        def of(leaf: Array) -> Array:
+            axis = leaf.ndim - path.ndim
+            return jnp.take_along_axis(leaf, path.reshape(*[1] * axis, *path.shape), axis=axis)
+
+        return EntryMoments(*(of(leaf) for leaf in self))
+
+    def at(self, origin: Array) -> Forms:
+        """Moments about origins (3, ...)."""
+        _, path = path_of(self.paths, origin)
+        x = origin[:, None, None]
+        return Forms(path, self.rows, self.mixed[:, 0] + total(self.mixed[:, 1:] * x, 1))
+
+
+def entry_moments(products: Array, mean: Array) -> EntryMoments:
+    """Moments of every kind of translation, (..., S, 5, ...), picked out of those of all features.
+
+    Args:
+        products: (27, 27, S, ...).
+        mean: (3, 3, ...) mean rotation.
+    """
+    lanes = products.ndim - 3
+    signs = jnp.asarray(_SIGNS, products.dtype).reshape(*_SIGNS.shape, *[1] * (lanes + 1))
+    picked = jnp.moveaxis(products.reshape(-1, *products.shape[2:])[_PLACES] * signs, 1, 2)
+    rest = picked.shape[1:]
+    paths, rows, mixed = picked[:144], picked[144:180], picked[180:]
+    # the position in axes of the main body, where that is the moving one
+    unit = jnp.eye(3, dtype=mean.dtype).reshape(3, 3, *[1] * (lanes + 1))
+    turned = jnp.where(_IN_BODY.reshape(-1, *[1] * lanes), mean[:, :, None], unit)
+    zero = jnp.zeros_like(turned)
+    halves = [jnp.concatenate([turned, zero], axis=1), jnp.concatenate([zero, zero + unit], axis=1)]
+    outer = jnp.concatenate(halves)
+    mixed = mixed.reshape(3, 4, 6, *rest)
+    mixed = total(mixed[:, :, :, None] * outer[None, None, :, :, None], 2)
+    return EntryMoments(
+        *materialize((paths.reshape(3, 4, 3, 4, *rest), sandwich(outer, rows.reshape(6, 6, *rest)), mixed))
+    )
 
 
 def in_body(entry: Table) -> Array:
@@ -74,41 +115,10 @@ def in_body(entry: Table) -> Array:
     return jnp.asarray(_IN_BODY)[entry.path]
 
 
-def gather_moments(products: Array, path: Array, turn: Array) -> EntryMoments:
-    """Moments of an entry, of its kinds of translations and rotations.
-
-    Args:
-        products: (S, 27, 27) of a window.
-        path: (...) int, as in the table.
-        turn: (...) int, as in the table.
-    """
-    places, signs = jnp.asarray(_PLACES)[path, turn], jnp.asarray(_SIGNS, products.dtype)[path, turn]
-    flat = products.reshape(products.shape[0], -1)
-    return _split_moments(jnp.moveaxis(flat[:, places] * signs, -1, 0))
-
-
-def path_moments(products: Array) -> Array:
-    """Moments (3, 4, 3, 4, S, 4, ...) of the paths of the linear types, of moments (27, 27, S, ...)."""
-    places, signs = _PLACES[:4, 0, :144].T, jnp.asarray(_SIGNS[:4, 0, :144].T, products.dtype)
-    picked = products.reshape(-1, *products.shape[2:])[places]
-    picked = picked * signs.reshape(*signs.shape, *[1] * (picked.ndim - 2))
-    return jnp.moveaxis(picked, 1, 2).reshape(3, 4, 3, 4, *products.shape[2:3], 4, *products.shape[3:])
-
-
-def _split_moments(picked: Array) -> EntryMoments:
-    """Moments by group, of all of them (252, S, ...)."""
-    rest = picked.shape[1:]
-    return EntryMoments(
-        picked[:144].reshape(3, 4, 3, 4, *rest),
-        picked[144:180].reshape(6, 6, *rest),
-        picked[180:].reshape(3, 4, 6, *rest),
-    )
-
-
 def problem_of(
     moments: EntryMoments, details: Array, entry: Table, scale: Array, box: Array, tie: Array
 ) -> Problem:
-    """The fit of entries, of moments in axes of their main body; components of all arguments come first."""
+    """The fit of entries; components of all arguments come first."""
     held = entry.held
     row = entry.apart & held[5]
     return Problem(
@@ -127,22 +137,19 @@ def problem_of(
     )
 
 
-def coordinates_at(moments: EntryMoments, at: Unknowns, apart: Array) -> tuple[Array, Array, Array]:
+def coordinates_at(forms: Forms, at: Unknowns, apart: Array) -> tuple[Array, Array, Array]:
     """Moments of the coordinates of entries: rotations, translations, and both, (3, 3, S, ...) each.
 
     Args:
-        moments: in axes of the main body.
+        forms: about the origins.
         at: frame, origin, tilt and pitch.
         apart: (...) bool, as in the table.
     """
-    _, path = path_of(moments.paths, at.origin)
-    x = at.origin[:, None, None]
-    cross = moments.mixed[:, 0] + total(moments.mixed[:, 1:] * x, 1)
     frame = at.frame
-    turns, shifts = sandwich(frame, moments.rows[3:, 3:]), sandwich(frame, path)
-    half = total(cross[:, None, 3:] * frame[:, :, None, None], 0)
+    turns, shifts = sandwich(frame, forms.rows[3:, 3:]), sandwich(frame, forms.path)
+    half = total(forms.mixed[:, None, 3:] * frame[:, :, None, None], 0)
     mixed = total(half[None] * jnp.swapaxes(frame, 0, 1)[:, None, :, None], 2)
-    moved, size = row_size(moments.rows, axis_row(at))
+    moved, size = row_size(forms.rows, axis_row(at))
     along = total(moved[3:, None] * frame[:, :, None], 0)
     third = (np.arange(3) == 2).reshape(3, *[1] * (along.ndim - 1))
     mixed = jnp.where(apart & third[None], along[:, None], mixed)

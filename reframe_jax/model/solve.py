@@ -1,8 +1,7 @@
 """From features to the probability of every entry of the table, for windows that have been checked.
 
 A first look judges all entries at their starts; those that look best are fitted and judged again. Within,
-arrays
-have components first, then scales, entries and windows.
+arrays have components first, then scales, entries and windows.
 """
 
 from typing import NamedTuple
@@ -20,17 +19,16 @@ from reframe_jax.model.features import Features
 from reframe_jax.model.fit import LAST_STEPS, STEPS, Parameters
 from reframe_jax.model.moments import Moments
 from reframe_jax.model.rows import (
-    EntryMoments,
+    Forms,
     coordinates_at,
     crossed_frame,
-    gather_moments,
+    entry_moments,
     in_body,
-    path_moments,
     problem_of,
 )
 from reframe_jax.model.search import lowest_origins, norm_at, polynomials, unexplained_covariance
 from reframe_jax.model.starts import Axes, common_frames, entry_starts, smallest_eigenvalue, universal_axes
-from reframe_jax.model.steps import Unknowns, descend, path_of, tilted_axis
+from reframe_jax.model.steps import Unknowns, descend, tilted_axis
 from reframe_jax.model.table import ENTRIES, KINDS, PATHS, ROWS, TABLE, Table
 
 __all__ = ["Solved", "choose_scales", "solve_windows"]
@@ -159,6 +157,11 @@ def _last(tree: Table) -> Table:
     return Table(*(jnp.moveaxis(jnp.asarray(leaf), 0, -1) for leaf in tree))
 
 
+def _rows_of(codes: Array) -> Table:
+    """Rows of the table of entries (C, N), with (C, N) last."""
+    return Table(*(leaf[..., codes] for leaf in _last(TABLE)))
+
+
 def _compare(
     features: Features,
     moments: Moments,
@@ -174,7 +177,9 @@ def _compare(
     details, all_details = used.details.T, moments.details.T
     scale_weight, white = used.scale_weight.T, used.white.T
     mean, place = jnp.moveaxis(features.mean_rotation, 0, -1), jnp.moveaxis(origins, 0, -1).swapaxes(0, 1)
-    _, paths = path_of(path_moments(products), place)
+    each = entry_moments(products, mean)
+    about = each.at(jnp.pad(place, ((0, 0), (0, 1), (0, 0))))  # the position has no origin
+    paths = about.path[:, :, :, : len(LinearType)]
     turns = jnp.stack([products[r, r] for r in (z.TURN_GROUND, z.TURN_BODY)], axis=3)
     axes = common_frames(paths, turns, products[z.POSITION, z.POSITION], details, scale_weight)
     whole = total(products * scale_weight, 2)
@@ -197,50 +202,51 @@ def _compare(
     size = CANDIDATES if assume is None else min(CANDIDATES, len(assume))
     blocks = -(-number // size)
     codes = jnp.asarray(np.resize(np.arange(number, dtype=np.int32), (blocks, size)))
-    windows = details.shape[1]
 
-    def judge_block(r: Array, codes: Array, start: Unknowns) -> _Block:
-        entries = Table(*(leaf[..., codes] for leaf in _last(TABLE)))
-        picked = jax.vmap(gather_moments)(used.products, entries.path.T, entries.turn.T)
-        picked = EntryMoments(*materialize(tuple(jnp.moveaxis(leaf, (0, -1), (-1, -2)) for leaf in picked)))
-        picked = EntryMoments(*materialize(tuple(picked.in_main_axes(mean[:, :, None], in_body(entries)))))
-        problem = problem_of(picked, details[:, None], entries, scale, box, entries.tied & (r <= blocks))
-        steps = jnp.where(r < blocks, 0, jnp.where(r == blocks, STEPS, LAST_STEPS))
-        found, _ = descend(problem, start, steps)
-        amplitudes, evidence = _judge(picked, found, entries, of)
+    def look(r: Array, _: _Block) -> tuple[Array, Forms, Unknowns, Unknowns]:
+        """The next entries, at their starts."""
+        mine = codes[r]
+        kinds = jnp.asarray(TABLE.path)[mine]
+        start = jax.tree.map(lambda leaf: jnp.take(leaf, mine, axis=-2), starts)
+        forms = jax.tree.map(lambda leaf: jnp.take(leaf, kinds, axis=-2), about)
+        return jnp.broadcast_to(mine[:, None], (size, details.shape[1])), forms, start, start
+
+    def fit(_: Array, rounds: _Block) -> tuple[Array, Forms, Unknowns, Unknowns]:
+        """The entries that look best, fitted; then with the tilt free."""
+        before, _ = posterior_of(jax.tree.map(lambda leaf: _flat(leaf[:blocks])[..., :number, :], rounds))
+        best = jax.lax.top_k(jnp.where(assumed, before, -jnp.inf).T, size)[1].T
+        entries = _rows_of(best)
+        start = jax.tree.map(
+            lambda leaf: jnp.take_along_axis(leaf, best[(None,) * (leaf.ndim - 2)], axis=-2), starts
+        )
+        picked = each.pick(entries.path)
+        problem = problem_of(picked, details[:, None], entries, scale, box, entries.tied)
+        tied, loose, _ = descend(problem, start, STEPS, LAST_STEPS)
+        return best, picked.at(tied.origin), tied, loose
+
+    def posterior_of(block: _Block) -> tuple[Array, Table]:
+        entries = _rows_of(block.codes)
+        return compare(block.evidence, block.amplitudes, block.at.pitch, entries, details), entries
+
+    def judge_round(r: Array, rounds: _Block) -> _Block:
+        """A first look at every block of entries; then the fit of the best ones."""
+        mine, forms, at, loose = jax.lax.cond(r < blocks, look, fit, r, rounds)
+        amplitudes, evidence = _judge(forms, at, _rows_of(mine), of)
         # an entry whose numbers cannot be computed, as where nothing moves, is not probable
         unknown = jnp.isnan(evidence) | jnp.isnan(amplitudes.size)
         amplitudes = jax.tree.map(lambda leaf: jnp.where(jnp.isnan(leaf), 1, leaf), amplitudes)
         amplitudes = amplitudes._replace(size=jnp.where(unknown, 1e30, amplitudes.size))
-        return _Block(codes, found, amplitudes, jnp.where(unknown, -jnp.inf, evidence))
+        found = _Block(mine, at, loose, amplitudes, jnp.where(unknown, -jnp.inf, evidence))
+        return jax.tree.map(lambda whole, new: whole.at[r].set(new), rounds, found)
 
-    def posterior_of(block: _Block) -> tuple[Array, Table]:
-        entries = Table(*(leaf[..., block.codes] for leaf in _last(TABLE)))
-        return compare(block.evidence, block.amplitudes, block.found.pitch, entries, details), entries
+    def shape_of_round() -> _Block:
+        mine, forms, at, loose = look(jnp.int32(0), None)  # type: ignore[arg-type]
+        return _Block(mine, at, loose, *_judge(forms, at, _rows_of(mine), of))
 
-    def one_round(r: Array, all_blocks: _Block) -> _Block:
-        """A first look at every block of entries; then the fit of the best ones; then their last fit."""
-        before, _ = posterior_of(jax.tree.map(lambda leaf: _flat(leaf[:blocks])[..., :number, :], all_blocks))
-        best = jax.lax.top_k(jnp.where(assumed, before, -jnp.inf).T, size)[1].T
-        mine = jnp.where(r < blocks, codes[jnp.minimum(r, blocks - 1)][:, None], best)
-        start = jax.tree.map(
-            lambda leaf, fitted: jnp.where(
-                r > blocks, fitted, jnp.take_along_axis(leaf, mine[(None,) * (leaf.ndim - 2)], axis=-2)
-            ),
-            starts,
-            jax.tree.map(lambda leaf: leaf[blocks], all_blocks.found),
-        )
-        found = judge_block(r, mine, start)
-        return jax.tree.map(lambda whole, new: whole.at[r].set(new), all_blocks, found)
-
-    shape = jax.eval_shape(
-        judge_block,
-        jnp.int32(0),
-        jnp.zeros((size, windows), codes.dtype),
-        jax.tree.map(lambda x: x[..., :size, :], starts),
+    empty = jax.tree.map(
+        lambda leaf: jnp.zeros((blocks + 1, *leaf.shape), leaf.dtype), jax.eval_shape(shape_of_round)
     )
-    empty = jax.tree.map(lambda leaf: jnp.zeros((blocks + 2, *leaf.shape), leaf.dtype), shape)
-    rounds = jax.lax.fori_loop(0, blocks + 2, one_round, empty)
+    rounds = jax.lax.fori_loop(0, blocks + 1, judge_round, empty)
     # entries that were not fitted keep what the first look found
     looked = jax.tree.map(lambda leaf: _flat(leaf[:blocks])[..., :number, :], rounds)
     fitted = jax.tree.map(lambda leaf: leaf[blocks], rounds)
@@ -249,26 +255,26 @@ def _compare(
     both = jax.tree.map(lambda one, other: jnp.concatenate([one, other], axis=-2), looked, fitted)
     posterior, entries = posterior_of(both)
     everywhere = jnp.max(jnp.where(same, posterior[None, number:], posterior[:number, None]), axis=1)
-    last, chosen = jax.tree.map(lambda leaf: leaf[blocks + 1], rounds.found), fitted.codes
     entries = Table(*(leaf[..., number:, :] for leaf in entries))
     return Solved(
         everywhere.T,
-        _parameters(last, entries, of),
+        _parameters(fitted.loose, entries, of),
         origins,
         norm,
         _first(axes.linear),
         _first(axes.angular),
         _start_parameters(starts, mean),
-        chosen.T,
+        fitted.codes.T,
         scale,
     )
 
 
 class _Block(NamedTuple):
-    """Some entries of every window: codes (C, N), unknowns, amplitudes and evidence (C, N)."""
+    """Some entries of every window: codes (C, N), unknowns, those with a free tilt, amplitudes, evidence."""
 
     codes: Array
-    found: Unknowns
+    at: Unknowns
+    loose: Unknowns
     amplitudes: Amplitudes
     evidence: Array
 
@@ -302,9 +308,9 @@ def _parameters(at: Unknowns, entries: Table, of: _Windows) -> Parameters:
     return Parameters(*(_first(leaf) for leaf in (axes, at.origin, tilt, at.pitch)))
 
 
-def _judge(moments: EntryMoments, at: Unknowns, entries: Table, of: _Windows) -> tuple[Amplitudes, Array]:
+def _judge(forms: Forms, at: Unknowns, entries: Table, of: _Windows) -> tuple[Amplitudes, Array]:
     """Amplitudes and log evidence of entries, with (entries, N) last."""
-    turns, shifts, mixed = coordinates_at(moments, at, entries.apart)
+    turns, shifts, mixed = coordinates_at(forms, at, entries.apart)
     joint, crossed = of.joint, entries.crossed
     # ---- the rotations of a universal joint are others
     turns = jnp.where(crossed, joint.form[:3, :3, :, None], turns)
@@ -333,7 +339,7 @@ def _judge(moments: EntryMoments, at: Unknowns, entries: Table, of: _Windows) ->
     gain = jnp.asarray([0.0, 0, 0, 1, 1, 1], turns.dtype)[:, None, None]
     consistency = total(jnp.log(det + 1e-6), 0) / len(det)
     coordinates = Coordinates(turns, shifts, mixed, jnp.stack([of_turns, lever]), gain, consistency)
-    amplitudes = amplitudes_of(coordinates, entries, of.spectra)
+    amplitudes = materialize(amplitudes_of(coordinates, entries, of.spectra))
     tilt = jnp.where(entries.tied, jnp.sqrt(total(at.tilt**2, 0) + jnp.finfo(turns.dtype).tiny), 0)
     return amplitudes, log_evidence(amplitudes, tilt, entries, of.own)
 

@@ -215,35 +215,47 @@ def _move(at: Unknowns, step: Array, box: Array) -> Unknowns:
     )
 
 
-def descend(problem: Problem, start: Unknowns, steps: int | Array) -> tuple[Unknowns, Array]:
-    """Unknowns after a number of Levenberg and Marquardt's steps for the tangent, and the objective there."""
+def descend(
+    problem: Problem, start: Unknowns, steps: int, free_steps: int = 0
+) -> tuple[Unknowns, Unknowns, Array]:
+    """Levenberg and Marquardt's steps for the tangent; then some in which no tilt costs anything.
+
+    Returns:
+        The unknowns after ``steps``; those after ``free_steps`` more; and the objective there.
+    """
     dtype, lanes = start.frame.dtype, start.pitch.shape
     small = jnp.finfo(dtype).tiny ** 0.5
     unit = jnp.eye(9, dtype=dtype).reshape(9, 9, *[1] * len(lanes))
 
-    def step(_: Array, carry: tuple[Unknowns, _Local, Array]) -> tuple[Unknowns, _Local, Array]:
-        at, here, damping = carry
+    def step(
+        k: Array, carry: tuple[Unknowns, Unknowns, _Local, Array]
+    ) -> tuple[Unknowns, Unknowns, _Local, Array]:
+        tied, at, here, damping = carry
+        # the first step of either part stays where it is, and expands the objective there
+        stays = (k == 0) | (k == steps + 1)
+        tied = jax.tree.map(lambda a, b: jnp.where(k <= steps, b, a), tied, at)
         size = total(here.hessian * unit, 1)
         lift = damping * size + 1e-9 * largest(size) + small
         change = -solve_positive(here.hessian + unit * lift[:, None], here.gradient)
-        change = materialize(change * jnp.minimum(1, _LONGEST / jnp.maximum(largest(jnp.abs(change)), small)))
-        there = materialize(_move(at, change, problem.box))
-        new = _expand(problem, there)
-        lower = new.value < here.value
+        change = change * jnp.minimum(1, _LONGEST / jnp.maximum(largest(jnp.abs(change)), small))
+        there = materialize(_move(at, materialize(jnp.where(stays, 0, change)), problem.box))
+        new = _expand(problem._replace(tie=problem.tie & (k <= steps)), there)
+        lower = stays | (new.value < here.value)
         at, here = jax.tree.map(lambda a, b: jnp.where(lower, a, b), (there, new), (at, here))
         damping = jnp.clip(jnp.where(lower, damping * 0.1, damping * 10), 1e-7, 1e4)
-        return at, here, damping
+        return tied, at, here, jnp.where(stays, _DAMPING, damping)
 
-    # the first step stays at the start, and expands the objective there
     nowhere = _Local(
         jnp.full(lanes, jnp.inf, dtype),
         jnp.zeros((9, *lanes), dtype),
         jnp.zeros((9, 9, *lanes), dtype) + unit,
     )
     at = start._replace(tilt=_tangents(start.tilt))
-    carry = at, nowhere, jnp.full(lanes, 10 * _DAMPING, dtype)
-    at, here, _ = jax.lax.fori_loop(0, jnp.where(jnp.asarray(steps) > 0, steps + 1, 0), step, carry)
-    return at._replace(tilt=_angles(at.tilt)), here.value
+    carry = at, at, nowhere, jnp.full(lanes, _DAMPING, dtype)
+    count = steps + 1 + (free_steps + 1 if free_steps else 0)
+    tied, at, here, _ = jax.lax.fori_loop(0, count, step, carry)
+    tied = at if not free_steps else tied
+    return tied._replace(tilt=_angles(tied.tilt)), at._replace(tilt=_angles(at.tilt)), here.value
 
 
 def _tangents(tilt: Array) -> Array:

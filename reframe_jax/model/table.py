@@ -119,9 +119,14 @@ def _turn(kind: LinearType) -> str:
     return "turn in body" if kind.name[0] == "B" else "turn in ground"
 
 
+def turning(kind: LinearType) -> Block:
+    """All rotations, free."""
+    return free(_turn(kind), 0, 1, 2)
+
+
 def _entries() -> tuple[Entry, ...]:
     bb, gb, gg, bg = LinearType.BB, LinearType.GB, LinearType.GG, LinearType.BG
-    still, turning = held("turn in body", 0, 1, 2), free("turn in body", 0, 1, 2)
+    still = held("turn in ground", 0, 1, 2)
     slots = {bb: "E", gg: "F", gb: "I", bg: "J"}
     surfaces = {bb: "G", gb: "K", bg: "L", gg: "3 rotations, 2 translations"}
     curves = {gg: "H", bb: "3 rotations, 1 translation", gb: "3 rotations, 1 translation"}
@@ -144,13 +149,13 @@ def _entries() -> tuple[Entry, ...]:
             Entry(
                 surfaces[t],
                 t,
-                (turning, free(t.name, 0, 1), held(t.name, 2)),
+                (turning(t), free(t.name, 0, 1), held(t.name, 2)),
                 "normal",
                 (2,) if t == bb else (),
                 3,
             ),
-            Entry(curves[t], t, (turning, held(t.name, 0, 1), free(t.name, 2)), "along", (), 4),
-            Entry("unconstrained", t, (turning, free(t.name, 0, 1, 2)), "turn", (0, 1, 2), 0),
+            Entry(curves[t], t, (turning(t), held(t.name, 0, 1), free(t.name, 2)), "along", (), 4),
+            Entry("unconstrained", t, (turning(t), free(t.name, 0, 1, 2)), "turn", (0, 1, 2), 0),
         ]
     anywhere = (0, 1, 2)
     found += [
@@ -170,7 +175,7 @@ def _entries() -> tuple[Entry, ...]:
         point = held(t.name, 0, 1, 2)
         cross = held("angle between", 2), free("turn in ground", 2), free("turn in body", 0)
         found += [
-            Entry("spherical", t, (turning, point), "turn", (), 3),
+            Entry("spherical", t, (turning(t), point), "turn", (), 3),
             Entry("universal", t, (*cross, point), "cross", (), 6),
         ]
     return tuple(found)
@@ -191,8 +196,8 @@ class Table(NamedTuple):
         pitch, tied, crossed: (E,) bool.
         parameters: (E,).
         variants: (E,) entries with the same label family, this one included.
-        turn: (E,) int, 1 if the rotations are those in the ground, 0 in the body.
-        path: (E,) int, kind of the translations along columns 0 and 1, among :data:`PATHS`.
+        path: (E,) int, kind of the translations along columns 0 and 1, among :data:`PATHS`; the rotations
+            are those in the body that the kind's first letter names, in the ground for the position.
         apart: (E,) bool, whether the translation along column 2 is that of the position, of another kind.
     """
 
@@ -206,7 +211,6 @@ class Table(NamedTuple):
     crossed: Any
     parameters: Any
     variants: Any
-    turn: Any
     path: Any
     apart: Any
 
@@ -238,7 +242,6 @@ def _table(entries: tuple[Entry, ...]) -> Table:
         crossed=np.array([e.start == "cross" for e in entries]),
         parameters=np.array([e.parameters for e in entries], float),
         variants=np.array([families.count(f) for f in families], float),
-        turn=np.array([int(any(b.kind == "turn in ground" for b, _, _ in row)) for row in rows], np.int32),
         path=np.array([PATHS.index(row[3][0].kind) for row in rows], np.int32),
         apart=np.array([row[3][0].kind != row[5][0].kind for row in rows]),
     )
