@@ -99,6 +99,7 @@ def amplitude_nodes(log_square: Array, log_noise: Array, variance: Array) -> Nod
         log_noise: (6, ...) log of what noise has of it.
         variance: (6, ...) of ``log_square``.
     """
+    log_square, log_noise, variance = (x.astype(jnp.float32) for x in (log_square, log_noise, variance))
     ratio, deviation = log_square - log_noise, jnp.sqrt(variance)
     low, high = ratio - _WIDTH * deviation, ratio + _WIDTH * deviation
     # log (a / noise)^2 of the first and of the last node
@@ -113,10 +114,10 @@ def amplitude_nodes(log_square: Array, log_noise: Array, variance: Array) -> Nod
     width = (high - low) / (2 * (_NODES - 1))  # of log a
     weights = jnp.exp(-0.5 * (misfit - penalty)) * width * jnp.asarray(ends, ratio.dtype).reshape(steps.shape)
     return Nodes(
-        jnp.exp(place + log_noise).astype(jnp.float32),
-        weights.astype(jnp.float32),
-        jnp.exp(-0.5 * (jnp.square(ratio) / variance - penalty)).astype(jnp.float32),
-        (-0.5 * penalty - 0.5 * jnp.log(variance)).astype(jnp.float32),
+        jnp.exp(place + log_noise),
+        weights,
+        jnp.exp(-0.5 * (jnp.square(ratio) / variance - penalty)),
+        -0.5 * penalty - 0.5 * jnp.log(variance),
     )
 
 

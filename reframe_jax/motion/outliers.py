@@ -53,14 +53,13 @@ def repair_poses(
     # a jump is no unit of rounding: rounded positions have steps of one unit too
     step = jnp.abs(jnp.diff(measured[:3], axis=1))
     unit = jnp.minimum(unit, jnp.min(jnp.where((step > 0) & own[1:], step, jnp.inf), axis=(0, 1)))
-    strides = [stride for stride in _STRIDES if stride == 1 or position.shape[1] > 2 * _REACH * stride]
+    strides = jnp.asarray([stride for stride in _STRIDES if stride == 1 or len(own) > 2 * _REACH * stride])
 
     def search(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         counted, _, passes = carry
         filled = _interpolate(measured, times, counted)
-        found = counted
-        for stride in strides:
-            found = found & ~_find(filled, times, own, count, unit, stride)
+        found = lax.map(lambda stride: _find(filled, times, own, count, unit, stride), strides)
+        found = counted & ~jnp.any(found, axis=0)
         return found, jnp.any(found != counted), passes + 1
 
     start = own, _any_jumps(measured, own), jnp.int32(0)
@@ -87,26 +86,25 @@ def _any_jumps(x: Array, own: Array) -> Array:
     return jnp.any(whole & (size > _JUMP * masked_median(size, whole) + rounding))
 
 
-def _find(x: Array, times: Array, own: Array, count: Array, unit: Array, stride: int) -> Array:
+def _find(x: Array, times: Array, own: Array, count: Array, unit: Array, stride: Array) -> Array:
     """Outliers among poses x (9, P, N): position, and two columns of the rotation; (P, N) bool.
 
     Beyond its ends, the path continues by reflection in its first and in its last pose.
     """
-    number, reach = x.shape[1], 2 * _REACH * stride
-    place = jnp.arange(-reach, number + reach, dtype=jnp.int32)[:, None]
-    last = count - 1
-    inside = jnp.abs(jnp.where(place > last, 2 * last - place, place))
-    inside = jnp.clip(inside, 0, number - 1)
+    number, last = x.shape[1], count - 1
     whole = jnp.concatenate([x, times[None]])
-    mirrored = jnp.take_along_axis(whole, inside[None], axis=1)
-    ends = jnp.where(place > last, jnp.take_along_axis(whole, last[None, None], axis=1), whole[:, :1])
-    path = jnp.where((place < 0) | (place > last), 2 * ends - mirrored, mirrored)
+    ends = whole[:, :1], jnp.take_along_axis(whole, last[None, None], axis=1)
 
-    def beside(samples: int) -> Array:
-        first = [reach + i * samples for i in range(1, _REACH + 1)]
-        return jnp.stack([path[:, place : place + number] for place in first])
+    def beside(samples: Array) -> Array:
+        """Poses at one to five times so many samples from every pose, (5, 10, P, N)."""
+        each = jnp.arange(1, _REACH + 1)[:, None, None] * samples + jnp.arange(number)[:, None]
+        inside = jnp.abs(jnp.where(each > last, 2 * last - each, each))
+        inside = jnp.clip(inside, 0, number - 1).reshape(-1, own.shape[1])
+        path = jnp.take_along_axis(whole, inside[None], axis=1).reshape(10, _REACH, number, -1)
+        path = jnp.where(each < 0, 2 * ends[0][:, None] - path, path)
+        return jnp.swapaxes(jnp.where(each > last, 2 * ends[1][:, None] - path, path), 0, 1)
 
-    before, after = beside(-stride), beside(stride)  # (5, 10, P, N)
+    before, after = beside(-stride), beside(stride)
     part = (times - before[:, 9]) / (after[:, 9] - before[:, 9])
     before, after = before[:, :9], after[:, :9]
     guesses = before + part[:, None] * (after - before)
@@ -124,7 +122,7 @@ def _find(x: Array, times: Array, own: Array, count: Array, unit: Array, stride:
     typical = jnp.maximum(typical, jnp.stack([unit / 2, jnp.zeros_like(unit)])[:, None])
     rounding = 64 * jnp.finfo(x.dtype).eps * (1 + jnp.max(jnp.abs(x), axis=(0, 1)))
     outlying = (distance > _OUTLIER * typical + rounding) & (distance > _AGREE * spread) & apart
-    return (outlying[0] | outlying[1]) & (count > reach)
+    return (outlying[0] | outlying[1]) & (count > 2 * _REACH * stride)
 
 
 def _lengths(x: Array) -> Array:
