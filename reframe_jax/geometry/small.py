@@ -4,10 +4,12 @@ A vector is (3, ...), a matrix (3, 3, ...), and the last axes run over problems.
 elementwise on long rows: there are no kernels for small matrices, and none of LAPACK.
 """
 
+from collections.abc import Sequence
 from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 __all__ = [
     "components_first",
@@ -15,6 +17,7 @@ __all__ = [
     "cross",
     "diagonalize",
     "inverse_and_determinant",
+    "invert_symmetric",
     "largest",
     "materialize",
     "normalize",
@@ -109,14 +112,32 @@ def rotate(vector: Array, matrix: Array) -> Array:
     return matrix + 2 * (turned + cross(half, turned)) / (1 + total(half * half, 0))
 
 
-def inverse_and_determinant(s: Array) -> tuple[Array, Array]:
-    """Inverse and determinant of symmetric, positive definite matrices (3, 3, ...)."""
-    a, b, c, d, e, f = s[0, 0], s[0, 1], s[0, 2], s[1, 1], s[1, 2], s[2, 2]
-    p, q, r = d * f - e * e, c * e - b * f, b * e - c * d
-    u, v, w = a * f - c * c, b * c - a * e, a * d - b * b
-    det = jnp.maximum(a * p + b * q + c * r, jnp.finfo(s.dtype).tiny)
-    adjugate = jnp.stack([p, q, r, q, u, v, r, v, w]).reshape(s.shape)
-    return materialize(adjugate / det), det
+def invert_symmetric(s: Sequence[Array], positive: bool = True) -> tuple[Array, Array]:
+    """Inverse (6, ...) and determinant of symmetric 3 x 3 matrices: components 11, 12, 13, 22, 23, 33.
+
+    By L D L', whose pivots are accurate to the rounding of the diagonal however small they are; a sum of
+    cofactors loses them. Pivots of matrices that should be positive definite are at least that rounding.
+    """
+    a, b, c, d, e, f = s
+
+    def pivot(value: Array, diagonal: Array) -> Array:
+        least = jnp.finfo(value.dtype).eps * diagonal + jnp.finfo(value.dtype).tiny
+        return jnp.maximum(value, least) if positive else value
+
+    a = pivot(a, a)
+    l2, l3 = b / a, c / a
+    d2, u = pivot(d - l2 * b, d), e - l3 * b
+    l4 = u / d2
+    d3 = pivot(f - l3 * c - l4 * u, f)
+    i2, i3, k = 1 / d2, 1 / d3, l2 * l4 - l3
+    inverse = [1 / a + l2 * l2 * i2 + k * k * i3, -l2 * i2 - k * l4 * i3, k * i3]
+    return materialize(jnp.stack([*inverse, i2 + l4 * l4 * i3, -l4 * i3, i3])), a * d2 * d3
+
+
+def inverse_and_determinant(s: Array, positive: bool = True) -> tuple[Array, Array]:
+    """Inverse (3, 3, ...) and determinant of symmetric matrices (3, 3, ...); see :func:`invert_symmetric`."""
+    inverse, det = invert_symmetric([s[i, j] for i in range(3) for j in range(i, 3)], positive)
+    return inverse[np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]], np.int32)], det
 
 
 def solve_positive(matrix: Array, vector: Array) -> Array:

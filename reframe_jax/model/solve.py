@@ -114,14 +114,15 @@ def solve_windows(
         assume: codes of the entries that are fitted; None for the most probable ones.
         judge: whether entries are compared; else only their starts and the optima of the types are found.
     """
-    coefficients = polynomials(used.products, ROWS[_LINEAR])
+    products = materialize(jnp.moveaxis(used.products, (0, 1), (3, 2)))
+    coefficients = polynomials(products, ROWS[_LINEAR])
     if origins is None:
-        everything = jnp.einsum("ns,nsfg->nfg", used.scale_weight, used.products)
-        unexplained = unexplained_covariance(everything, ROWS[_LINEAR])
-        origins, norm = lowest_origins(coefficients, used.details, box, unexplained)
+        unexplained = unexplained_covariance(total(products * used.scale_weight.T, 2), ROWS[_LINEAR])
+        place, norm = lowest_origins(coefficients, used.details.T, box, unexplained)
     else:
-        norm = norm_at(coefficients, used.details, origins)
-    return _compare(features, moments, used, noise, box, origins, norm, assume, judge)
+        place = jnp.moveaxis(origins, (0, 1), (2, 1))
+        norm = norm_at(coefficients, used.details.T, place)
+    return _compare(features, moments, used, products, noise, box, place, norm, assume, judge)
 
 
 class _Windows(NamedTuple):
@@ -166,17 +167,18 @@ def _compare(
     features: Features,
     moments: Moments,
     used: Moments,
+    products: Array,
     noise: Array,
     box: Array,
-    origins: Array,
+    place: Array,
     norm: Array,
     assume: tuple[int, ...] | None,
     judge: bool,
 ) -> Solved:
-    products = jnp.moveaxis(used.products, 0, -1).transpose(1, 2, 0, 3)
     details, all_details = used.details.T, moments.details.T
     scale_weight, white = used.scale_weight.T, used.white.T
-    mean, place = jnp.moveaxis(features.mean_rotation, 0, -1), jnp.moveaxis(origins, 0, -1).swapaxes(0, 1)
+    mean = jnp.moveaxis(features.mean_rotation, 0, -1)
+    origins, norm = _first(place), norm.T
     each = entry_moments(products, mean)
     about = each.at(jnp.pad(place, ((0, 0), (0, 1), (0, 0))))  # the position has no origin
     paths = about.path[:, :, :, : len(LinearType)]

@@ -60,9 +60,10 @@ def _norms(
     window = prepare_windows(poses[None], steps, None, None, scales)
     used = choose_scales(window.moments, window.noise, scales)
     rows = np.stack([ROWS[KINDS.index(each.name)] for each in LinearType])
-    one = polynomials(used.products, rows)[:, kind][:, None]
+    products = jnp.moveaxis(used.products, (0, 1), (3, 2))
+    one = polynomials(products, rows)[:, :, :, kind][:, :, :, None]
     points = positions.reshape(-1, 3) - ground_offset(window.centre[0])[kind]
-    value = jax.lax.map(lambda x: norm_at(one, used.details, x[None, None])[0, 0], points)
+    value = norm_at(one, used.details.T, points.T[:, None])[0]
     # the objective is a sum of log det(Sigma): one sixth is the mean log RMS displacement per axis
     details = used.details[0]
     spans = jnp.sum(details * jnp.log(used.width[0] * jnp.mean(steps)))
