@@ -45,6 +45,8 @@ def leave_out_lost(rows: Rows, poses: np.ndarray) -> np.ndarray:
             continue
         if kind == "identity" and not (poses[mine, :3, 3] == 0).all():
             why = "the orientation is the identity"
+        if kind in ("frozen", "end"):
+            why = why.replace("pose", _repeated(poses[mine], poses[np.flatnonzero(mine) - 1]), 1)
         runs = [run for run in lost.runs if run.kind == kind]
         note = f"{name_rows(rows.word, where[mine])} left out, as tracking was lost: {why}"
         if jump := _jump_in_words(rows.word, poses, where, runs):
@@ -56,6 +58,13 @@ def leave_out_lost(rows: Rows, poses: np.ndarray) -> np.ndarray:
             f"{rows.path}: only {left} of {len(poses)} poses are left; " + " ".join(rows.notes[-2:])
         )
     return poses[kept]
+
+
+def _repeated(poses: np.ndarray, before: np.ndarray) -> str:
+    """The part of poses (N, 4, 4) that is the same in those before."""
+    same = np.isclose(poses, before, rtol=0, atol=1e-9)
+    parts = {"position": same[:, :3, 3].all(), "orientation": same[:, :3, :3].all()}
+    return "pose" if sum(parts.values()) != 1 else next(part for part, repeats in parts.items() if repeats)
 
 
 def _jump_in_words(word: str, poses: np.ndarray, where: np.ndarray, runs: list[LostRun]) -> str:

@@ -28,7 +28,7 @@ _APART = 0.25  # distance of the origin from all positions over their spread, if
 _OTHERS = 3  # rows elsewhere, without which nothing is known of the path
 _FEW = 2000  # positions of which all distances are computed
 _REPEATS, _NOISY = 3, 0.002  # repeats at the end, and noise over a step, that make a frozen end
-_HELD = 3  # runs of repeats that are as long, of which the last one is no frozen end
+_HELD = 3  # runs of repeats that are half as long, of which the last one is no frozen end
 _PAST = 200  # rows that show noise and speed
 
 
@@ -272,19 +272,23 @@ def _constant(paths: tuple[_Path, _Path]) -> np.ndarray:
 
 
 def _frozen(paths: tuple[_Path, _Path]) -> np.ndarray:
-    """Rows that repeat the pose before while the body went on; the first of every run is a pose."""
-    position, turn = paths
-    kinds = np.full(len(position.zero), "", "U8")
-    still = (position.steps == 0) & (turn.steps == 0)
-    runs = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int))).reshape(-1, 2)
-    lengths = np.diff(runs, axis=1)[:, 0]
-    for start, stop in runs:  # rows start + 1 to stop repeat row start
-        if stop == len(kinds) - 1:
-            held = np.sum(lengths >= stop - start) > _HELD  # as all samples are, written too often
-            if stop - start >= _REPEATS and not held and any(_stops_dead(path, start) for path in paths):
-                kinds[start + 1 :] = "end"
-        elif any(_goes_on(path, start, stop) for path in paths):
-            kinds[start + 1 : stop + 1] = "frozen"
+    """Rows that repeat the position or the orientation before while the body went on.
+
+    The first row of every run is a pose.
+    """
+    kinds = np.full(len(paths[0].zero), "", "U8")
+    for path in paths:
+        runs = path.runs
+        runs = runs[np.diff(runs, axis=1)[:, 0] > 1]
+        lengths = np.diff(runs, axis=1)[:, 0]
+        for start, stop in runs:
+            if stop < len(kinds):
+                if _goes_on(path, start, stop - 1):
+                    kinds[start + 1 : stop] = "frozen"
+            elif stop - start > _REPEATS:
+                held = np.sum(2 * lengths >= stop - start) > _HELD  # as all samples are, written too often
+                if not held and _stops_dead(path, start):
+                    kinds[start + 1 :] = "end"
     return kinds
 
 
@@ -298,7 +302,7 @@ def _goes_on(path: _Path, start: int, stop: int) -> bool:
     # a few repeats count only if no step nearby is as long as the one after them
     longest = np.max if stop - start < _LONG else np.median
     usual = max(*(float(longest(each)) for each in near), float(np.median(steps[steps > 0])))
-    return bool(steps[stop] > min(1 + 0.5 * (stop - start), _FROZEN) * usual + _SAME)
+    return bool(steps[stop] > min(1 + 0.5 * (stop - start), _FROZEN) * usual + _LEAST)
 
 
 def _stops_dead(path: _Path, start: int) -> bool:
