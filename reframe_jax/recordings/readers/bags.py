@@ -217,11 +217,13 @@ def _rows(path: Path, samples: _Samples, static: bool = False) -> Rows:
     rows = Rows(
         path, "message", np.arange(len(stamps)), np.asarray(samples.values).reshape(-1, 7), None, seconds=1.0
     )
-    if not stamps.any() and not static:
-        stamps = np.asarray(samples.logged)
+    never_set = not stamps.any() or (len(stamps) > 1 and not np.ptp(stamps))
+    if never_set and not static:
         rows.notes.append(
-            "the messages have no stamps, or 0: the times are those at which they were recorded."
+            f"the messages have no stamps, or {'0' if not stamps.any() else 'all the same'}: the times are "
+            "those at which they were recorded."
         )
+        stamps = np.asarray(samples.logged)
     if not stamps.any():
         return rows
     rows.times = stamps
