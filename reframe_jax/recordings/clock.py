@@ -4,7 +4,7 @@ from decimal import Decimal
 
 import numpy as np
 
-from reframe_jax.recordings.recording import NoTimesError, RecordingError
+from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, is_path
 from reframe_jax.recordings.selection import TIME_UNITS, Selection, flag
 
@@ -25,13 +25,11 @@ def make_times(rows: Rows, dt: float | None, wanted: Selection) -> None:
         RecordingError: if there is neither, or the units contradict each other.
     """
     if dt is not None:
-        if rows.times is not None:
-            rows.notes.append(f"the times in the file are ignored, for the sample time of {dt:g} s given.")
         count = np.arange(len(rows.values)) if rows.frames is None else rows.frames - rows.frames[:1]
         rows.times, rows.origin = count * float(dt), None
         return
     if rows.times is None:
-        raise NoTimesError(f"{rows.path}: has no times; {rows.no_times}.")
+        raise RecordingError(f"{rows.path}: has no times; {rows.no_times}.")
     if rows.seconds is not None and wanted.time_unit is not None:
         raise RecordingError(f"{rows.path}: states the unit of its times; leave out {flag('time_unit')}.")
     factor = rows.seconds or TIME_UNITS[wanted.time_unit or "s"]
@@ -120,7 +118,7 @@ def drop_equal_times(rows: Rows) -> None:
     same = again & (rows.values == rows.values[first]).all(axis=1)
     other = again & ~same
     if other.any() and not rows.times.any() and rows.origin is None:
-        raise NoTimesError(
+        raise RecordingError(
             f"{rows.path}: all of its times are 0, so that nobody set them; give the sample time, dt (--dt)."
         )
     if other.sum() > _COARSE * len(again):

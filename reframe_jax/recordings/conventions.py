@@ -1,22 +1,58 @@
-"""In which order a file holds the numbers of its quaternions, as the motion shows it: NumPy only.
+"""What the numbers of orientations mean: their order, their unit, and which of two readings fits the motion.
 
-Read in the wrong order, a rotation becomes its inverse between two constant rotations, so it is as smooth as
-before and turns by the same angles. But it no longer fits the positions: a body that is constrained moves
-with few independent velocities, and with more of them if its orientations are wrong. That distinguishes the
-orders. A motion without a constraint does not.
+Read in another order, quaternions become their inverses between two constant rotations, so the motion is as
+smooth as before and turns by the same angles. But it no longer fits the positions: a body that is constrained
+moves with few independent velocities, and with more of them if its orientations are wrong. That distinguishes
+the orders, and degrees from radians. A motion without a constraint does not.
 """
+
+from pathlib import Path
 
 import numpy as np
 
-from reframe_jax.geometry.numpy_rotations import quaternions_to_matrices, rotation_vectors
+from reframe_jax.geometry.numpy_rotations import euler_matrices, rotation_matrices, rotation_vectors
+from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.recordings.selection import ANGLE_UNITS, Selection, flag
 
-__all__ = ["reorder", "shows_other_order"]
+__all__ = ["angle_matrices", "fits_better", "keeps_a_point_better", "reorder", "sample_rows"]
 
+_FULL_TURN = 2 * np.pi * 1.001
 _ROWS = 400  # that are compared
 _TURN = 0.1  # rad between two poses of a velocity, at least: more than noise
 _FEWEST = 12  # rows; of so few, the difference must be twice as clear
 _FLOOR = 1e-4  # part of the largest mean square velocity that counts as none
+_LITTLE = 0.05  # part of the mean square of positions that is missed where a point is kept
 _CLEAR = 2.2  # difference of the summed logarithms of mean squares; 0 for free motions
+
+
+def angle_matrices(
+    path: Path, angles: np.ndarray, wanted: Selection, stated: float | None = None
+) -> np.ndarray:
+    """Rotation matrices (N, 3, 3) of rotation vectors or Euler angles (N, 3).
+
+    Args:
+        path: the file.
+        angles: in the order of the letters of the option ``angles``, or a rotation vector.
+        wanted: what they mean, and their unit.
+        stated: their unit in rad, if the file states it.
+
+    Raises:
+        RecordingError: if the unit is given twice, or not at all while angles exceed a turn in radians.
+    """
+    if stated is not None and wanted.angle_unit is not None:
+        raise RecordingError(f"{path}: states the unit of its angles; leave out {flag('angle_unit')}.")
+    vector = wanted.angles == "vector"
+    if stated is None and wanted.angle_unit is None:
+        sizes = np.linalg.norm(angles, axis=1) if vector else np.abs(angles)
+        largest = np.max(sizes[np.isfinite(sizes)], initial=0.0)
+        if largest > _FULL_TURN:
+            what = "rotation vectors have a length of" if vector else "angles are"
+            raise RecordingError(
+                f"{path}: its {what} up to {largest:.4g}, more than the 6.28 rad of a turn; if they are in "
+                "degrees, give angle_unit='deg' (--angle-unit deg), else angle_unit='rad' (--angle-unit rad)."
+            )
+    radians = angles * (stated or ANGLE_UNITS[wanted.angle_unit or "rad"])
+    return rotation_matrices(radians) if vector else euler_matrices(str(wanted.angles), radians)
 
 
 def reorder(quaternions: np.ndarray, stored: str, meant: str) -> np.ndarray:
@@ -27,25 +63,42 @@ def reorder(quaternions: np.ndarray, stored: str, meant: str) -> np.ndarray:
     return quaternions[:, [1, 2, 3, 0]] if meant == "wxyz" else quaternions[:, [3, 0, 1, 2]]
 
 
-def shows_other_order(positions: np.ndarray, quaternions: np.ndarray, other: np.ndarray) -> bool:
-    """Whether the motion is constrained with quaternions in the other order, and not in this one.
+def sample_rows(count: int) -> np.ndarray:
+    """Some of so many rows, (M,) int, for :func:`fits_better`."""
+    return np.linspace(0, count - 1, min(count, _ROWS)).astype(int)
+
+
+def fits_better(positions: np.ndarray, own: np.ndarray, other: np.ndarray) -> bool:
+    """Whether the motion is constrained with other orientations, and not with its own.
 
     Args:
         positions: (N, 3).
-        quaternions: (N, 4) x y z w, of length 1.
-        other: (N, 4) the same numbers in the other order.
+        own: (N, 3, 3) rotations.
+        other: (N, 3, 3) the same numbers in another order or unit.
     """
-    rows = np.linspace(0, len(positions) - 1, min(len(positions), _ROWS)).astype(int)
-    places = positions[rows] - positions[rows].mean(axis=0)
+    places = positions - positions.mean(axis=0)
     spread = np.sqrt(np.mean(np.sum(places**2, axis=1)))
-    if len(rows) < _FEWEST or not spread > 0:
+    lag = _lag(own)
+    if len(places) < _FEWEST or not spread > 0 or lag is None:
         return False
-    here, there = (quaternions_to_matrices(each[rows]) for each in (quaternions, other))
-    lag = _lag(here)
-    if lag is None:
+    free, other_free = (_freedom(places / spread, turned, lag) for turned in (own, other))
+    return free - other_free > _CLEAR * (1 + _FEWEST / (len(places) - lag))
+
+
+def keeps_a_point_better(positions: np.ndarray, own: np.ndarray, other: np.ndarray) -> bool:
+    """Whether the body turns about a point with other rotations, and about none with its own.
+
+    Unlike :func:`fits_better`, whose arguments these are, this compares rotations of different sizes.
+    """
+    if len(positions) < _FEWEST or not np.ptp(positions, axis=0).any():
         return False
-    own, others = (_freedom(places / spread, turned, lag) for turned in (here, there))
-    return own - others > _CLEAR * (1 + _FEWEST / (len(rows) - lag))
+    places = positions - positions.mean(axis=0)
+    missed = []
+    for turned in (own, other):
+        design = np.concatenate([turned, np.broadcast_to(-np.eye(3), turned.shape)], axis=2).reshape(-1, 6)
+        fitted = design @ np.linalg.lstsq(design, places.ravel(), rcond=None)[0]
+        missed.append(np.sum((places.ravel() - fitted) ** 2) / np.sum(places**2))
+    return bool(missed[1] < _LITTLE and missed[1] < np.exp(-_CLEAR) * missed[0])
 
 
 def _lag(turned: np.ndarray) -> int | None:

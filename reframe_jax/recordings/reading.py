@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from reframe_jax.geometry.numpy_rotations import quaternions_to_matrices
 from reframe_jax.recordings.checks import (
     MIN_POSES,
     check_positions,
@@ -18,8 +19,8 @@ from reframe_jax.recordings.checks import (
     note_repeats,
 )
 from reframe_jax.recordings.clock import drop_equal_times, make_times, sort_times
+from reframe_jax.recordings.conventions import fits_better, reorder, sample_rows
 from reframe_jax.recordings.left_out import leave_out_lost, note_jumps
-from reframe_jax.recordings.quaternion_order import reorder, shows_other_order
 from reframe_jax.recordings.readers import check_options, choose_reader
 from reframe_jax.recordings.readers.reader import Entry, Reader
 from reframe_jax.recordings.recording import Recording, RecordingError
@@ -36,7 +37,9 @@ from reframe_jax.recordings.selection import (
     flag,
 )
 
-__all__ = ["list_contents", "load_recording"]
+__all__ = ["TIMES_IGNORED", "list_contents", "load_recording"]
+
+TIMES_IGNORED = "the times in the file are ignored"
 
 
 def load_recording(
@@ -188,6 +191,7 @@ def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Re
     with np.errstate(all="ignore"):  # numbers too large to be squared: what comes of them is refused below
         rows = reader.read(path, wanted)
         _apply_order(rows, wanted)
+        ignored = dt is not None and rows.times is not None
         make_times(rows, dt, wanted)
         drop_unfinished(rows)
         sort_times(rows)
@@ -202,6 +206,8 @@ def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Re
         _check_order(rows, reader)
         note_jumps(rows, poses)
         note_repeats(rows, poses)
+    if ignored:
+        rows.notes.append(f"{TIMES_IGNORED}, for the sample time of {dt:g} s given.")
     return Recording(
         np.asarray(rows.times),
         poses,
@@ -239,8 +245,13 @@ def _check_order(rows: Rows, reader: Reader) -> None:
     if rows.values.shape[1] != 7 or "quaternion" not in reader.options:
         return
     other: Quaternion = "wxyz" if rows.order == "xyzw" else "xyzw"
-    quaternions = rows.values[:, 3:] / np.linalg.norm(rows.values[:, 3:], axis=1, keepdims=True)
-    if shows_other_order(rows.values[:, :3], quaternions, reorder(quaternions, rows.order, other)):
+    some = sample_rows(len(rows.values))
+    positions, numbers = rows.values[some, :3], rows.values[some, 3:]
+    numbers = numbers / np.linalg.norm(numbers, axis=1, keepdims=True)
+    read, else_read = (
+        quaternions_to_matrices(each) for each in (numbers, reorder(numbers, rows.order, other))
+    )
+    if fits_better(positions, read, else_read):
         rows.notes.append(
             f"with quaternions in the order {other} the orientations fit the positions, and in the order "
             f"{rows.order} they do not: if the file holds {other}, give quaternion={other!r} "

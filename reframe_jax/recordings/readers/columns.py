@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from reframe_jax.recordings.readers.angles import angle_matrices
+from reframe_jax.recordings.conventions import angle_matrices
 from reframe_jax.recordings.readers.exports import matrix_rows
 from reframe_jax.recordings.readers.reader import Entry
 from reframe_jax.recordings.recording import RecordingError
@@ -110,7 +110,7 @@ def pose_rows(
         np.arange(len(values)),
         values,
         times,
-        angles=width == 3,
+        angles=orientations if width == 3 else None,
         no_times=no_times,
     )
 

@@ -4,12 +4,12 @@ They are seconds and nanoseconds of the stamp, the names of one or two frames, a
 covariances and velocities may follow. So are PoseStamped, PoseWithCovarianceStamped and Odometry.
 """
 
+from itertools import chain
 from pathlib import Path
 
-from reframe_jax.recordings.readers.exports import is_number, split
-from reframe_jax.recordings.readers.lines import Collector, read_lines
+from reframe_jax.recordings.readers.exports import collect, is_number, split
+from reframe_jax.recordings.readers.lines import read_lines
 from reframe_jax.recordings.readers.reader import Reader
-from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows
 from reframe_jax.recordings.selection import Selection
 
@@ -17,27 +17,12 @@ __all__ = ["ECHO", "read_echo"]
 
 
 def read_echo(path: Path, wanted: Selection) -> Rows:
-    """Read rows of ``sec,nanosec,frame_id,x,y,z,qx,qy,qz,qw``, perhaps with a child frame before ``x``.
-
-    Args:
-        path: the file.
-        wanted: nothing of it is used here.
-
-    Raises:
-        RecordingError: if a row has other fields than the first.
-    """
-    rows: Collector | None = None
-    for number, line in read_lines(path):
-        cells = split(line, ",")
-        if rows is None:
-            first = _first_number(cells)
-            rows = Collector(path, len(cells) + 1, len(cells), range(first, first + 7))
-        rows.add(number, [*cells, f"{cells[0]}.{cells[1].zfill(9)}" if len(cells) > 1 else ""])
-    if rows is None:
-        raise RecordingError(f"{path}: is empty; expected rows of a stamp, a frame and a pose.")
-    found = rows.rows()
-    found.seconds = 1.0
-    return found
+    """Read rows of ``sec,nanosec,frame_id,x,y,z,qx,qy,qz,qw``, perhaps with a child frame before ``x``."""
+    lines = ((number, split(line, ",")) for number, line in read_lines(path))
+    number, cells = next(lines)
+    start = _first_number(cells)
+    rows = chain([(number, cells)], lines)
+    return collect(path, rows, len(cells), range(start, start + 7), (0, 1))
 
 
 def _first_number(cells: list[str]) -> int:

@@ -3,15 +3,17 @@
 import csv
 import re
 from collections.abc import Iterable, Sequence
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
-from reframe_jax.recordings.readers.lines import Collector
+from reframe_jax.recordings.readers.lines import Collector, read_lines
 from reframe_jax.recordings.rows import Rows
 
 __all__ = [
     "collect",
+    "collect_plain",
     "drop_zeros",
     "find_delimiter",
     "first_numbers",
@@ -32,7 +34,7 @@ def split(line: str, delimiter: str | None) -> list[str]:
         delimiter: between the cells; blanks by default.
     """
     if delimiter is None:
-        cells = line.split()
+        cells = re.sub(r"\s+(?=[\[(])", "", line).split()  # a unit belongs to the name before it
     else:
         cells = next(csv.reader([line], delimiter=delimiter)) if '"' in line else line.split(delimiter)
     if (delimiter != "," or '"' in line) and "," in line:
@@ -87,7 +89,8 @@ def collect(
     lines: Iterable[tuple[int, list[str]]],
     width: int,
     columns: Sequence[int],
-    time: int | None = None,
+    time: int | tuple[int, int] | None = None,
+    wrench: Sequence[int] = (),
     short: bool = False,
 ) -> Rows:
     """Numbers in some columns of a table; NaN for empty cells.
@@ -97,15 +100,32 @@ def collect(
         lines: their numbers and cells; empty cells beyond the width are dropped.
         width: cells of every row.
         columns: indices of those that are kept, in this order.
-        time: index of the time.
+        time: index of the time, or of its seconds and nanoseconds.
+        wrench: indices of a wrench, or none.
         short: whether rows may end early, where nothing was seen.
     """
-    rows = Collector(path, width, time, columns)
+    rows = Collector(path, width, time, columns, wrench)
     for number, cells in lines:
         if short:
             cells += [""] * (width - len(cells))
         rows.add(number, trim(cells, width))
     return rows.rows()
+
+
+def collect_plain(path: Path, starts: dict[int, int]) -> Rows:
+    """All numbers of lines without a header; ``#`` and ``%`` start a comment.
+
+    Args:
+        path: the file.
+        starts: the column of the first number of a pose, 1 where the time is before it, by the numbers in
+            the first row.
+    """
+    texts = ((number, re.split("[#%]", line)[0].strip()) for number, line in read_lines(path))
+    rows = ((number, split(text, find_delimiter(text))) for number, text in texts if text)
+    number, cells = next(rows)
+    width = len(trim(cells))
+    first = starts[width]
+    return collect(path, chain([(number, cells)], rows), width, range(first, width), 0 if first else None)
 
 
 def drop_zeros(rows: Rows, values: np.ndarray) -> None:

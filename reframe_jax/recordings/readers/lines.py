@@ -84,7 +84,7 @@ class Collector:
     Args:
         path: the file.
         width: cells of every row.
-        time: index of the cell with the time, or None.
+        time: index of the cell with the time, or of two with seconds and nanoseconds, or None.
         columns: indices of the cells with the numbers of a pose.
         wrench: indices of the six cells with a wrench, or none.
     """
@@ -93,7 +93,7 @@ class Collector:
         self,
         path: Path,
         width: int,
-        time: int | None,
+        time: int | tuple[int, int] | None,
         columns: Sequence[int],
         wrench: Sequence[int] = (),
     ) -> None:
@@ -121,8 +121,12 @@ class Collector:
             self._values.extend([float(cells[column]) for column in self._columns])
         except ValueError:
             self._values.extend([self._number(number, cells[column]) for column in self._columns])
-        if self._time is not None:
+        if isinstance(self._time, int):
             self._times.append(self._seconds(number, cells[self._time].strip()))
+        elif self._time is not None:
+            seconds, nanoseconds = (cells[column].strip() for column in self._time)
+            stamp = f"{seconds}.{nanoseconds.zfill(9)}" if seconds.isdecimal() else ""
+            self._times.append(self._seconds(number, stamp))
 
     def rows(self) -> Rows:
         """All rows that were added."""
@@ -135,6 +139,7 @@ class Collector:
             None if self._time is None else np.asarray(self._times),
             str(self._origin) if self._origin else None,
             wrenches=values[:, self._pose :] if self._pose < len(self._columns) else None,
+            seconds=1.0 if isinstance(self._time, tuple) else None,
         )
 
     def _seconds(self, number: int, cell: str) -> float:
