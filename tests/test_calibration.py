@@ -159,9 +159,9 @@ def test_what_are_no_poses_is_refused(rng: np.random.Generator) -> None:
         (poses[:3], "needs 4 poses or more; there are 3"),
         (poses[0], r"shape \(N, 4, 4\), not \(4, 4\)"),
         ("touches", "array of numbers"),
-        (missing, "Row 2 of poses is not finite"),
-        (skewed, "Row 3 of poses is no pose"),
-        (reflected, "Row 4 of poses is no pose"),
+        (missing, "poses: row 2: is not finite"),
+        (skewed, r"poses: row 3: expected a pose matrix \[R p; 0 0 0 1\]"),
+        (reflected, "poses: row 4: expected a pose matrix"),
     ):
         with pytest.raises(ValueError, match=message):
             rf.calibrate(wrong)

@@ -26,6 +26,7 @@ _MANY = 30  # rows, from which on accelerations say something
 _SMALL = 3.0  # numbers that span less are metres, rather than mm or cm
 _FASTEST, _FAST = 30.0, 8.0  # rad/s, of angles that are refused, and of those that are worth a note
 _ROTATION_ERROR = 1e-4, 1e-2  # worth a note, since printing rounds off less; and refused
+_ROUNDED = 1e-6  # error of the last row of a matrix that is no more than rounding
 _STALE = 0.05  # fraction of repeated poses that is worth a note
 _BLOCK = 2**14  # rows worked on at once, so that intermediate values stay small
 
@@ -178,8 +179,10 @@ def make_poses(rows: Rows) -> np.ndarray:
     for block in _blocks(len(values)):
         rotations = poses[block, :3, :3]
         inexact = np.abs(rotations.swapaxes(1, 2) @ rotations - np.eye(3)).max(axis=(1, 2))
-        rigid = (poses[block, 3] == [0, 0, 0, 1]).all(axis=1) & (np.linalg.det(rotations) > 0)
+        last = np.abs(poses[block, 3] - [0, 0, 0, 1]).max(axis=1)
+        rigid = (last < _ROUNDED) & (np.linalg.det(rotations) > 0)
         error[block] = np.where(rigid, inexact, np.inf)
+    poses[:, 3] = [0, 0, 0, 1]
     _judge(rows, error, "a pose matrix [R p; 0 0 0 1] with R^T R = I and det R = 1")
     for block in _blocks(len(values)):
         repaired = np.flatnonzero(error[block] > 1e-12) + block.start  # others stay as they are, bit by bit

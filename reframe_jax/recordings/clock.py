@@ -43,11 +43,7 @@ def make_times(rows: Rows, dt: float | None, wanted: Selection) -> None:
 
 
 def _check_unit(rows: Rows, wanted: Selection) -> None:
-    """Refuse times that are not in the unit they are read in.
-
-    Raises:
-        RecordingError: if samples are more than 1000 s apart, or count from before there were trackers.
-    """
+    """Refuse times that are not in the unit they are read in."""
     times = rows.times if rows.times is not None else np.empty(0)
     steps = np.diff(times[np.isfinite(times)])
     step = float(np.median(np.abs(steps))) if len(steps) else 0.0

@@ -34,28 +34,23 @@ def leave_out_lost(rows: Rows, poses: np.ndarray) -> np.ndarray:
         RecordingError: if they are too few.
     """
     lost = find_lost_poses(poses, rows.times)
-    if not lost.mask.any():
-        return poses
-    reasons, where = lost.reasons, rows.where
-    left = int(np.sum(~lost.mask))
-    kept = np.ones(len(poses), bool)
+    reasons, where, kept = lost.reasons, rows.where, ~lost.mask
     for kind, why in _WHY.items():
         mine = reasons == kind
         if not mine.any():
             continue
-        if kind == "identity" and not (poses[mine, :3, 3] == 0).all():
+        if kind == "identity" and (poses[mine, :3, 3] != 0).any():
             why = "the orientation is the identity"
         if kind in ("frozen", "end"):
             why = why.replace("pose", _repeated(poses[mine], poses[np.flatnonzero(mine) - 1]), 1)
-        runs = [run for run in lost.runs if run.kind == kind]
         note = f"{name_rows(rows.word, where[mine])} left out, as tracking was lost: {why}"
-        if jump := _jump_in_words(rows.word, poses, where, runs):
-            note += f"; {jump}"
-        rows.keep(~mine[kept], why, kind, f"{note}.")
-        kept &= ~mine
-    if left < _FEW and left < _MOST * len(poses):
+        longest = max((run for run in lost.runs if run.kind == kind), key=lambda run: run.stop - run.start)
+        rows.keep(
+            ~np.isin(rows.where, where[mine]), why, kind, f"{note}{_jump(rows.word, poses, where, longest)}."
+        )
+    if kept.sum() < _FEW and kept.sum() < _MOST * len(poses):
         raise RecordingError(
-            f"{rows.path}: only {left} of {len(poses)} poses are left; " + " ".join(rows.notes[-2:])
+            f"{rows.path}: only {kept.sum()} of {len(poses)} poses are left; " + " ".join(rows.notes[-2:])
         )
     return poses[kept]
 
@@ -67,19 +62,13 @@ def _repeated(poses: np.ndarray, before: np.ndarray) -> str:
     return "pose" if sum(parts.values()) != 1 else next(part for part, repeats in parts.items() if repeats)
 
 
-def _jump_in_words(word: str, poses: np.ndarray, where: np.ndarray, runs: list[LostRun]) -> str:
-    """The jump to the longest run and back."""
-    run = max(runs, key=lambda each: each.stop - each.start)
-    to = None if run.before is None else _length(poses[run.before], poses[run.start])
-    back = None if run.after is None else _length(poses[run.stop - 1], poses[run.after])
-    if run.kind == "end":
-        return ""
-    if run.kind == "frozen":
-        return "" if run.after is None else f"the pose jumps {back} at {word} {where[run.after]}"
-    if to is None:
-        return "" if run.after is None else f"the pose jumps {back} at {word} {where[run.after]}"
-    sentence = f"the pose jumps {to} at {word} {where[run.start]}"
-    return sentence if run.after is None else f"{sentence} and back at {word} {where[run.after]}"
+def _jump(word: str, poses: np.ndarray, where: np.ndarray, run: LostRun) -> str:
+    """The jump to a run and back, as the end of a sentence."""
+    back = "" if run.after is None else f" at {word} {where[run.after]}"
+    if run.before is not None and run.kind not in ("frozen", "end"):
+        to = f"{_length(poses[run.before], poses[run.start])} at {word} {where[run.start]}"
+        return f"; the pose jumps {to}" + (back and f" and back{back}")
+    return back and f"; the pose jumps {_length(poses[run.stop - 1], poses[run.after])}{back}"
 
 
 def _length(before: np.ndarray, after: np.ndarray) -> str:

@@ -52,15 +52,7 @@ class _Array:
 
 
 def read_arrays(path: Path, wanted: Selection) -> Rows:
-    """Read ``poses``, or ``positions`` and ``quaternions``, ``times`` and ``wrenches``, from an .npy or .npz.
-
-    Args:
-        path: the file. An .npy holds ``poses``. Other arrays of an .npz are not read.
-        wanted: nothing of it is used here.
-
-    Raises:
-        RecordingError: if these are not plain arrays of numbers of shapes that fit, whole, and not too large.
-    """
+    """Read ``poses``, or ``positions`` and ``quaternions``, ``times`` and ``wrenches``."""
     with path.open("rb") as file, attribute_to(lambda _: _no_arrays(path)):
         if file.read(2) != b"PK":
             single = _find(path, "poses", lambda: path.open("rb"), path.stat().st_size)

@@ -107,16 +107,7 @@ def _open(path: Path) -> Iterator[_Bag]:
 
 
 def read_bag(path: Path, wanted: Selection) -> Rows:
-    """Read a topic, or the motion of one tf frame in another.
-
-    Args:
-        path: the file, or the folder of a ROS 2 bag.
-        wanted: the topic, needed if there are several; or both frames. Of a topic of transforms, ``to_frame``
-            selects the child frame; of arrays of poses, ``body`` the number.
-
-    Raises:
-        RecordingError: if the bag is damaged or holds no such topic or frames, or rosbags is missing.
-    """
+    """Read a topic, or the motion of one tf frame in another."""
     frames = wanted.from_frame, wanted.to_frame
     with _open(path) as bag:
         if wanted.topic is None and frames != (None, None):

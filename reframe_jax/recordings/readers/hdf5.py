@@ -18,16 +18,7 @@ _NO_TIMES = "HDF5 files are read without: give the sample time, dt (--dt)"
 
 
 def read_hdf5(path: Path, wanted: Selection) -> Rows:
-    """Read positions and orientations; these files have no times.
-
-    Args:
-        path: the file.
-        wanted: the paths of the data sets, and how the orientations are meant.
-
-    Raises:
-        RecordingError: if the file is damaged, or the data sets are not in it or do not fit, or h5py is
-            missing.
-    """
+    """Read positions and orientations; these files have no times."""
     library = import_extra(path, "h5py", "hdf5")
     with translate_errors(path, _WHOLE), library.File(path, "r") as file:
         sets = _sets(library, file)

@@ -26,15 +26,7 @@ _MISSING = " ".join(["nan"] * 16)
 
 
 def read_mha(path: Path, wanted: Selection) -> Rows:
-    """Read a transform, such as ProbeToTracker: the pose of the probe in the tracker.
-
-    Args:
-        path: the file.
-        wanted: the transform, needed if there are several; the unit, if it is not mm.
-
-    Raises:
-        RecordingError: if the file holds no such transform, or a line of it is damaged.
-    """
+    """Read a transform, such as ProbeToTracker: the pose of the probe in the tracker."""
     numbers: dict[str, dict[int, str]] = {}
     status: dict[str, dict[int, str]] = {}
     stamps: dict[int, str] = {}

@@ -44,15 +44,7 @@ class _Header:
 
 
 def read_motive(path: Path, wanted: Selection) -> Rows:
-    """Read a rigid body or bone.
-
-    Args:
-        path: the file.
-        wanted: the body; needed if there are several.
-
-    Raises:
-        RecordingError: if the header is not that of such an export, or the body is not in it.
-    """
+    """Read a rigid body or bone."""
     lines = _lines(path)
     header = _read_header(path, lines)
     body = header.bodies[choose_name(path, "body", wanted.body, [*header.bodies], "rigid bodies")]
@@ -91,11 +83,7 @@ def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
 
 
 def _read_header(path: Path, lines: Iterator[tuple[int, list[str]]]) -> _Header:
-    """Take the lines down to the row of axes.
-
-    Raises:
-        RecordingError: if they are not as expected.
-    """
+    """Take the lines down to the row of axes."""
     first = next(lines)[1]
     about = dict(pairwise(first))  # names of takes may hold commas
     headings: list[list[str]] = []

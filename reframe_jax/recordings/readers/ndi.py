@@ -53,15 +53,7 @@ class _Header:
 
 
 def read_ndi(path: Path, wanted: Selection) -> Rows:
-    """Read a tool.
-
-    Args:
-        path: the file.
-        wanted: the tool, needed if there are several; the unit, if it is not mm.
-
-    Raises:
-        RecordingError: if there is no such tool, or a row is damaged.
-    """
+    """Read a tool."""
     header, lines = _read_header(path)
     name = choose_name(path, "body", wanted.body, [*header.tools], "tools")
     tool = header.tools[name]
@@ -104,11 +96,7 @@ def read_ndi(path: Path, wanted: Selection) -> Rows:
 
 
 def _read_header(path: Path) -> tuple[_Header, Iterator[tuple[int, list[str]]]]:
-    """The header, and the rows of cells after it.
-
-    Raises:
-        RecordingError: if it names no tool.
-    """
+    """The header, and the rows of cells after it."""
     lines = read_lines(path)
     for _, line in lines:
         delimiter = find_delimiter(line)

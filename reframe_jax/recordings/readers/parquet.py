@@ -21,16 +21,7 @@ _LISTED = 10  # episodes in a message
 
 
 def read_parquet(path: Path, wanted: Selection) -> Rows:
-    """Read positions and orientations, and times from the column ``timestamp``, in s.
-
-    Args:
-        path: the file.
-        wanted: the columns, how the orientations are meant, and the episode; needed if the file has several.
-
-    Raises:
-        RecordingError: if the file is damaged, or the columns or the episode are not in it, or pyarrow is
-            missing.
-    """
+    """Read positions and orientations, and times from the column ``timestamp``, in s."""
     library = import_extra(path, "pyarrow.parquet", "parquet")
     with translate_errors(path, _WHOLE), library.ParquetFile(path) as file:
         names = file.schema_arrow.names
@@ -66,11 +57,7 @@ def read_parquet(path: Path, wanted: Selection) -> Rows:
 
 
 def _numbers(path: Path, batch: Any, column: Column) -> np.ndarray:
-    """Some numbers of each row of a batch, (N, k); NaN where one is missing.
-
-    Raises:
-        RecordingError: if the column holds something else, or lists of different lengths.
-    """
+    """Some numbers of each row of a batch, (N, k); NaN where one is missing."""
     cells = batch.column(column.name)
     kind = str(cells.type)
     if "list<" in kind:

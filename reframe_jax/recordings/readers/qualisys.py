@@ -42,16 +42,7 @@ class _Header:
 
 
 def read_qualisys(path: Path, wanted: Selection) -> Rows:
-    """Read a rigid body.
-
-    Args:
-        path: the file.
-        wanted: the body; needed if there are several.
-
-    Raises:
-        RecordingError: if the header is not that of such an export, the body is not in it, or the angles are
-            of an unknown convention and there are no matrices.
-    """
+    """Read a rigid body."""
     header, lines = _read_header(path)
     first = header.start[choose_name(path, "body", wanted.body, [*header.start], "rigid bodies")]
     rows = collect(path, lines, header.width, range(first, first + header.size), header.time)
@@ -96,11 +87,7 @@ def _ordered(rows: Rows, elements: np.ndarray, turned: np.ndarray) -> np.ndarray
 
 
 def _read_header(path: Path) -> tuple[_Header, _Lines]:
-    """The header, and the rows of numbers.
-
-    Raises:
-        RecordingError: if it is not as expected.
-    """
+    """The header, and the rows of numbers."""
     lines: _Lines = ((number, split(line, "\t")) for number, line in read_lines(path, "\r\n"))
     about: dict[str, list[str]] = {}
     for number, cells in lines:  # noqa: B007

@@ -121,11 +121,7 @@ def chain_rows(path: Path, chain: Sequence[tuple[Edge, bool, Rows]]) -> Rows:
 
 
 def _clean(path: Path, edge: Edge, rows: Rows) -> None:
-    """Leave out transforms that cannot be used, or were written though tracking was lost.
-
-    Raises:
-        RecordingError: if none is left, or those of a moving edge have no stamps.
-    """
+    """Leave out transforms that cannot be used, or were written though tracking was lost."""
     what = f"transform of {shown(edge.child, 60)} in {shown(edge.parent, 60)}"
     drop_unfinished(rows)
     sort_times(rows)

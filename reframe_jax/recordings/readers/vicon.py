@@ -44,15 +44,7 @@ class _Body:
 
 
 def read_vicon(path: Path, wanted: Selection) -> Rows:
-    """Read an object or segment.
-
-    Args:
-        path: the file.
-        wanted: the body, needed if there are several, and what three angles mean.
-
-    Raises:
-        RecordingError: if there is no section of objects or segments, or the header of it is not as expected.
-    """
+    """Read an object or segment."""
     lines = _lines(path)
     rate, width, bodies, rest = _read_header(path, lines)
     body = bodies[choose_name(path, "body", wanted.body, [*bodies], "objects and segments")]
@@ -92,11 +84,7 @@ def _lines(path: Path) -> _Lines:
 
 
 def _read_header(path: Path, lines: _Lines) -> tuple[float, int, dict[str, _Body], _Lines]:
-    """The rate, the width and the bodies of the first section with poses, and its rows of numbers.
-
-    Raises:
-        RecordingError: if there is no such section, or its header is not as expected.
-    """
+    """The rate, the width and the bodies of the first section with poses, and its rows of numbers."""
     found = []
     for _, cells in lines:
         title = cells[0].lower()
