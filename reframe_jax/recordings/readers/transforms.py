@@ -56,23 +56,19 @@ class Edge:
                 )
         if ground == body:
             raise RecordingError(f"{path}: expected two frames, found {shown(ground, 60)!r} twice.")
-        before: dict[str, tuple[str, Edge, bool]] = {}
-        waiting = deque([ground])
-        while waiting and body not in before:
-            frame = waiting.popleft()
+        waiting: deque[tuple[str, list[tuple[Edge, bool]]]] = deque([(ground, [])])
+        seen = {ground}
+        while waiting:
+            frame, found = waiting.popleft()
+            if frame == body:
+                return found
             for other, edge, along in near[frame]:
-                if other not in before and other != ground:
-                    before[other] = (frame, edge, along)
-                    waiting.append(other)
-        if body not in before:
-            raise RecordingError(
-                f"{path}: no transforms connect {shown(ground, 60)} with {shown(body, 60)}; frames: {listed}."
-            )
-        found, frame = [], body
-        while frame != ground:
-            frame, edge, along = before[frame]
-            found.append((edge, along))
-        return found[::-1]
+                if other not in seen:
+                    seen.add(other)
+                    waiting.append((other, [*found, (edge, along)]))
+        raise RecordingError(
+            f"{path}: no transforms connect {shown(ground, 60)} with {shown(body, 60)}; frames: {listed}."
+        )
 
 
 def chain_rows(path: Path, chain: Sequence[tuple[Edge, bool, Rows]]) -> Rows:
