@@ -160,8 +160,8 @@ def _read_topic(path: Path, bag: _Bag, wanted: Selection) -> Rows:
             several = max(several, len(message.poses))
             number = int(wanted.body) if wanted.body and wanted.body.isdecimal() else 0
             pose = message.poses[number] if number < len(message.poses) else None
-        names = _plain(getattr(header, "frame_id", "")), child
-        samples.setdefault(names, _Samples()).add(path, header, logged, pose)
+        pair = _plain(getattr(header, "frame_id", "")), child
+        samples.setdefault(pair, _Samples()).add(path, header, logged, pose)
     numbers = [str(number) for number in range(several)]
     if several and wanted.body not in (numbers if several > 1 else [None, *numbers]):
         raise RecordingError(
