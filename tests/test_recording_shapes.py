@@ -271,7 +271,7 @@ def test_columns_of_a_table_that_the_user_names(tmp_path: Path, rows: np.ndarray
     with pytest.raises(RecordingError, match="no column for x, y, z, qx"):
         load_recording(path)
     options: dict[str, Any] = {"position": "tcp.a,tcp.b,tcp.c", "orientation": "s,i,j,k"}
-    with pytest.raises(RecordingError, match=r"how the columns s, i, j, k are meant; give quaternion"):
+    with pytest.raises(RecordingError, match=r"how its 4 numbers are meant; give quaternion"):
         load_recording(path, **options)
     same(load_recording(path, **options, quaternion="wxyz"), rows)
     angles = Rotation.from_quat(rows[:, 4:]).as_euler("ZYX", degrees=True)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from reframe_jax.recordings.readers.columns import Column, column_entries, find_columns, pose_rows
+from reframe_jax.recordings.readers.columns import Column, column_entries, find_columns, set_poses
 from reframe_jax.recordings.readers.reader import Entry, Reader, import_extra, translate_errors
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import MOST_ROWS, Rows
@@ -32,7 +32,9 @@ def read_hdf5(path: Path, wanted: Selection) -> Rows:
         positions, orientations = (
             np.hstack([_numbers(sets[column.name], column) for column in columns]) for columns in chosen
         )
-    return pose_rows(path, positions, orientations, None, wanted, _NO_TIMES)
+    rows = Rows(path, "sample", np.arange(len(positions)), positions, None, no_times=_NO_TIMES)
+    set_poses(rows, positions, orientations, wanted)
+    return rows
 
 
 def _sets(library: Any, file: Any) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from reframe_jax.recordings.readers.columns import Column, column_entries, find_columns, pose_rows
+from reframe_jax.recordings.readers.columns import Column, column_entries, find_columns, set_poses
 from reframe_jax.recordings.readers.reader import Entry, Reader, import_extra, translate_errors
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import MOST_ROWS, Rows, shown
@@ -53,7 +53,10 @@ def read_parquet(path: Path, wanted: Selection) -> Rows:
     if not count:
         raise RecordingError(f"{path}: has no rows.")
     arrays = [np.concatenate(part) for part in parts]
-    return pose_rows(path, arrays[0], arrays[1], arrays[2][:, 0] if timed else None, wanted, _NO_TIMES)
+    times = arrays[2][:, 0] if timed else None
+    rows = Rows(path, "sample", np.arange(count), arrays[0], times, no_times=_NO_TIMES)
+    set_poses(rows, arrays[0], arrays[1], wanted)
+    return rows
 
 
 def _numbers(path: Path, batch: Any, column: Column) -> np.ndarray:

@@ -8,13 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from reframe_jax.recordings.conventions import angle_matrices
-from reframe_jax.recordings.readers.columns import find_columns
+from reframe_jax.recordings.readers.columns import find_columns, set_poses
 from reframe_jax.recordings.readers.exports import (
     collect,
     find_delimiter,
     is_number,
-    matrix_rows,
     split,
     trim,
 )
@@ -117,22 +115,15 @@ class _Header:
         return words[stated.pop()]
 
 
-@dataclass(frozen=True)
-class _Columns:
-    """Where the numbers of a pose are, and what they mean."""
-
-    position: list[int]
-    orientation: list[int]
-    kind: str  # "quaternion", "angles", "rotation" (a matrix), or "matrix", of which the position is a part
-    named: bool = False  # by the user
-
-
 def read_table(path: Path, wanted: Selection) -> Rows:
     """Read a table whose header is the first line, or the last comment before the numbers."""
     titles, lines = _read_header(path)
     header = _Header.of(path, titles, wanted.body)
     number, first = next(lines, (0, []))
-    found = _find_columns(header, wanted)
+    named = wanted.position is not None or wanted.orientation is not None
+    position, orientation = (_named_columns if named else _find_columns)(header, wanted)
+    if len(orientation) == 3 and wanted.angles != "vector" and not named:
+        orientation = [orientation["xyz".index(axis)] for axis in str(wanted.angles).lower()]
     time = header.clock or _find_time(header, first)
     frame = header.find(_FRAMES) if time is None else None
     if frame is not None and not "".join(first[frame : frame + 1]).isdecimal():
@@ -141,7 +132,7 @@ def read_table(path: Path, wanted: Selection) -> Rows:
         path,
         chain([(number, first)] if first else [], lines),
         len(titles),
-        [*found.position, *found.orientation],
+        [*position, *orientation],
         time if frame is None else frame,
         _find_wrench(header),
     )
@@ -153,31 +144,15 @@ def read_table(path: Path, wanted: Selection) -> Rows:
         echoed = any(name.startswith("field_") for name in header.names)  # rostopic echo -p, in ns
         if rows.seconds is None and echoed and abs(float(rows.origin or 0)) > _SINCE_1970:
             rows.seconds = 1e-9
-    rows.metres = header.unit(found.position, LENGTH_WORDS) if found.position else None
+    rows.metres = header.unit(position, LENGTH_WORDS) if position else None
     if rows.metres not in (None, UNITS.get(wanted.unit or "", rows.metres)):
         raise RecordingError(f"{rows.path}: its header states another unit; leave out {flag('unit')}.")
-    _convert(rows, header, found, wanted)
+    if not named and len(orientation) == 4 and orientation[3] == min(orientation):
+        rows.order = "wxyz"
+    stated = header.unit(orientation, ANGLE_WORDS) if len(orientation) == 3 else None
+    numbers = np.split(rows.values, [len(position)], axis=1)
+    set_poses(rows, numbers[0], numbers[1], wanted, stated, named)
     return rows
-
-
-def _convert(rows: Rows, header: _Header, found: _Columns, wanted: Selection) -> None:
-    """Make rotations of angles and matrices, and set the order of quaternions."""
-    for option in ("angles", "angle_unit"):
-        if found.kind != "angles" and getattr(wanted, option) is not None:
-            raise RecordingError(
-                f"{rows.path}: holds no angles, but a {found.kind}; leave out {flag(option)}."
-            )
-    positions, orientations = rows.values[:, :3], rows.values[:, 3:]
-    if found.kind == "rotation":
-        rows.values = matrix_rows(orientations.reshape(-1, 3, 3), positions)
-    elif found.kind == "quaternion" and not found.named:
-        rows.order = "wxyz" if np.argmin(found.orientation) == 3 else "xyzw"
-    elif found.kind == "angles":
-        if wanted.angles != "vector" and not found.named:
-            orientations = orientations[:, ["xyz".index(axis) for axis in str(wanted.angles).lower()]]
-        stated = header.unit(found.orientation, ANGLE_WORDS)
-        rows.angles = orientations if stated is None else None
-        rows.values = matrix_rows(angle_matrices(rows.path, orientations, wanted, stated), positions)
 
 
 def _read_header(path: Path) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
@@ -239,14 +214,12 @@ def _find_time(header: _Header, first: list[str]) -> int | None:
     return next(iter(set_ones or times[-1:]), None)  # a stamp of 0 was never set
 
 
-def _find_columns(header: _Header, wanted: Selection) -> _Columns:
-    """Columns of the numbers of a pose."""
-    if wanted.position is not None or wanted.orientation is not None:
-        return _named_columns(header, wanted)
+def _find_columns(header: _Header, wanted: Selection) -> tuple[list[int], list[int]]:
+    """Columns of the position and of the orientation; of a matrix of both, none and all."""
     matrix = [header.find(f"[mt]_?{i // 4}_?{i % 4}") for i in range(16)]
     for size in (16, 12):
         if None not in matrix[:size]:
-            return _Columns([], [i for i in matrix[:size] if i is not None], "matrix")
+            return [], [i for i in matrix[:size] if i is not None]
     position = _first(header, _POSITIONS, "xyz")
     if position is None and "fx" not in header.names:
         position = _first(header, (r"(.*_)?t_?{axis}",), "xyz")
@@ -268,9 +241,9 @@ def _find_columns(header: _Header, wanted: Selection) -> _Columns:
     if quaternion is None and rotation is None:
         position, quaternion = _with_prefix(header) or (position, quaternion)
     if position is not None and quaternion is not None:
-        return _Columns(position, quaternion, "quaternion")
+        return position, quaternion
     if position is not None and rotation is not None:
-        return _Columns(position, rotation, "rotation")
+        return position, rotation
     angles = header.all([*_ANGLES.values()])
     if position is not None and angles is not None and angles != position:  # p_RS_R_x
         if wanted.angles is None:
@@ -279,7 +252,7 @@ def _find_columns(header: _Header, wanted: Selection) -> _Columns:
                 f"{header.path}: does not say what the angles {listed} mean; give {flag('angles')}: vector "
                 "for a rotation vector, xyz for turns about the fixed axes, x (roll) first, and so on."
             )
-        return _Columns(position, angles, "angles")
+        return position, angles
     missing = [*("xyz" if position is None else ""), *(["qx", "qy", "qz", "qw"] if not quaternion else [])]
     raise RecordingError(
         f"{header.path}: no column for {', '.join(missing)}; expected a header such as {HEADER}, or names "
@@ -288,24 +261,13 @@ def _find_columns(header: _Header, wanted: Selection) -> _Columns:
     )
 
 
-def _named_columns(header: _Header, wanted: Selection) -> _Columns:
+def _named_columns(header: _Header, wanted: Selection) -> tuple[list[int], list[int]]:
     """Columns that the user named, separated by commas."""
-    position, orientation = (
-        [column.name for column in columns] for columns in find_columns(header.path, wanted, header.titles)
+    position, orientation = find_columns(header.path, wanted, header.titles)
+    return (
+        [header.titles.index(column.name) for column in position],
+        [header.titles.index(column.name) for column in orientation],
     )
-    kind = {4: "quaternion", 3: "angles", 9: "rotation"}.get(len(orientation))
-    if len(position) != 3 or kind is None:
-        raise RecordingError(
-            f"{header.path}: expected 3 columns of a position, and 4 (quaternion), 3 (angles) or 9 (matrix) "
-            f"of an orientation, with commas between them; found {len(position)} and {len(orientation)}."
-        )
-    if kind in ("quaternion", "angles") and getattr(wanted, kind) is None:
-        raise RecordingError(
-            f"{header.path}: does not say how the columns {', '.join(orientation)} are meant; give "
-            f"{flag(kind)}."
-        )
-    places, turns = ([header.titles.index(name) for name in names] for names in (position, orientation))
-    return _Columns(places, turns, kind, named=True)
 
 
 def _with_prefix(header: _Header) -> tuple[list[int], list[int]] | None:
