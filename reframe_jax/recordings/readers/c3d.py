@@ -22,7 +22,7 @@ from reframe_jax.recordings.markers import (
     group_markers,
     marker_entries,
 )
-from reframe_jax.recordings.readers.exports import drop_zeros
+from reframe_jax.recordings.readers.collecting import drop_zeros
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name, import_extra
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import MOST_ROWS, Rows, shown

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from reframe_jax.recordings.conventions import angle_matrices
-from reframe_jax.recordings.readers.exports import matrix_rows
+from reframe_jax.recordings.readers.collecting import matrix_rows
 from reframe_jax.recordings.readers.reader import Entry
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, shown

@@ -7,8 +7,8 @@ covariances and velocities may follow. So are PoseStamped, PoseWithCovarianceSta
 from itertools import chain
 from pathlib import Path
 
-from reframe_jax.recordings.readers.exports import collect, is_number, split
-from reframe_jax.recordings.readers.lines import read_lines
+from reframe_jax.recordings.readers.collecting import collect
+from reframe_jax.recordings.readers.lines import is_number, read_lines, split
 from reframe_jax.recordings.readers.reader import Reader
 from reframe_jax.recordings.rows import Rows
 from reframe_jax.recordings.selection import Selection

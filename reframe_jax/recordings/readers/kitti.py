@@ -5,7 +5,8 @@ KITTI-360 puts the number of the frame before them; others write all 16 numbers,
 
 from pathlib import Path
 
-from reframe_jax.recordings.readers.exports import collect_plain, first_numbers
+from reframe_jax.recordings.readers.collecting import collect_plain
+from reframe_jax.recordings.readers.lines import first_numbers
 from reframe_jax.recordings.readers.reader import Reader
 from reframe_jax.recordings.rows import Rows
 from reframe_jax.recordings.selection import Selection

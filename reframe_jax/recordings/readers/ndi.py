@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from reframe_jax.recordings.readers.exports import collect, find_delimiter, is_number, split
-from reframe_jax.recordings.readers.lines import read_lines
+from reframe_jax.recordings.readers.collecting import collect
+from reframe_jax.recordings.readers.lines import find_delimiter, is_number, read_lines, split
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows

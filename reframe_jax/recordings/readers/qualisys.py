@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from reframe_jax.geometry.numpy_rotations import euler_matrices
-from reframe_jax.recordings.readers.exports import collect, drop_zeros, is_number, matrix_rows, split
-from reframe_jax.recordings.readers.lines import read_lines
+from reframe_jax.recordings.readers.collecting import collect, drop_zeros, matrix_rows
+from reframe_jax.recordings.readers.lines import is_number, read_lines, split
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, shown

@@ -8,15 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from reframe_jax.recordings.readers.collecting import collect
 from reframe_jax.recordings.readers.columns import find_columns, set_poses
-from reframe_jax.recordings.readers.exports import (
-    collect,
-    find_delimiter,
-    is_number,
-    split,
-    trim,
-)
-from reframe_jax.recordings.readers.lines import read_lines
+from reframe_jax.recordings.readers.lines import find_delimiter, is_number, read_lines, split, trim
 from reframe_jax.recordings.readers.reader import Reader
 from reframe_jax.recordings.readers.units import (
     ANGLE_WORDS,

@@ -3,7 +3,8 @@
 import re
 from pathlib import Path
 
-from reframe_jax.recordings.readers.exports import collect_plain, first_numbers
+from reframe_jax.recordings.readers.collecting import collect_plain
+from reframe_jax.recordings.readers.lines import first_numbers
 from reframe_jax.recordings.readers.reader import Reader
 from reframe_jax.recordings.rows import Rows
 from reframe_jax.recordings.selection import Selection

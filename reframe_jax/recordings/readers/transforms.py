@@ -10,7 +10,7 @@ import numpy as np
 from reframe_jax.recordings.checks import drop_unfinished, make_poses
 from reframe_jax.recordings.clock import sort_times
 from reframe_jax.recordings.left_out import leave_out_lost
-from reframe_jax.recordings.readers.exports import matrix_rows
+from reframe_jax.recordings.readers.collecting import matrix_rows
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.relative import interpolate_poses, invert_poses
 from reframe_jax.recordings.rows import Rows, shown

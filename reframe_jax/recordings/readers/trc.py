@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from reframe_jax.recordings.markers import UNSEEN, choose_markers, fit_markers, marker_entries
-from reframe_jax.recordings.readers.exports import collect, find_delimiter, is_number, split
-from reframe_jax.recordings.readers.lines import read_lines
+from reframe_jax.recordings.readers.collecting import collect
+from reframe_jax.recordings.readers.lines import find_delimiter, is_number, read_lines, split
 from reframe_jax.recordings.readers.reader import Entry, Reader
 from reframe_jax.recordings.readers.units import LENGTH_WORDS
 from reframe_jax.recordings.recording import RecordingError

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from reframe_jax.geometry.numpy_rotations import euler_matrices, rotation_matrices
-from reframe_jax.recordings.readers.exports import collect, drop_zeros, is_number, matrix_rows, split
-from reframe_jax.recordings.readers.lines import read_lines
+from reframe_jax.recordings.readers.collecting import collect, drop_zeros
+from reframe_jax.recordings.readers.columns import set_poses
+from reframe_jax.recordings.readers.lines import is_number, read_lines, split
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, shown
@@ -48,28 +48,23 @@ def read_vicon(path: Path, wanted: Selection) -> Rows:
     lines = _lines(path)
     rate, width, bodies, rest = _read_header(path, lines)
     body = bodies[choose_name(path, "body", wanted.body, [*bodies], "objects and segments")]
-    three = len(body.rotation) == 3
-    if three and wanted.angles is None:
+    rotation = body.rotation
+    if len(rotation) == 3 and wanted.angles is None:
         raise RecordingError(
             f"{path}: does not say what RX, RY, RZ mean; give {flag('angles')}: vector if they were exported "
             "as helical, XYZ if as Euler XYZ."
         )
-    if not three and wanted.angles is not None:
-        raise RecordingError(f"{path}: holds quaternions; leave out {flag('angles')}.")
-    rows = collect(path, rest, width, [*body.position, *body.rotation, 0, 1], short=True)
+    if len(rotation) == 3 and wanted.angles not in (None, "vector"):
+        rotation = [rotation["xyz".index(axis)] for axis in str(wanted.angles).lower()]
+    rows = collect(path, rest, width, [*body.position, *rotation, 0, 1], short=True)
     if np.any(rows.values[:, -1] != 0):
         raise RecordingError(
             f"{path}: has sub frames; expected one row a frame, export it at the frame rate."
         )
-    rows.times = (rows.values[:, -2] - rows.values[0, -2]) / rate if len(rows.values) else np.empty(0)
+    rows.times = (rows.values[:, -2] - rows.values[:1, -2]) / rate
     rows.values, rows.metres = rows.values[:, :-2], body.metres
     drop_zeros(rows, rows.values[:, :6])
-    positions, rotations = rows.values[:, :3], body.radians * rows.values[:, 3:]
-    if wanted.angles == "vector":
-        rows.values = matrix_rows(rotation_matrices(rotations), positions)
-    elif wanted.angles is not None:
-        in_order = rotations[:, ["xyz".index(axis) for axis in wanted.angles.lower()]]
-        rows.values = matrix_rows(euler_matrices(wanted.angles, in_order), positions)
+    set_poses(rows, rows.values[:, :3], rows.values[:, 3:], wanted, body.radians, named=False)
     return rows
 
 
