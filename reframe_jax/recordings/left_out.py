@@ -46,7 +46,10 @@ def leave_out_lost(rows: Rows, poses: np.ndarray) -> np.ndarray:
         note = f"{name_rows(rows.word, where[mine])} left out, as tracking was lost: {why}"
         longest = max((run for run in lost.runs if run.kind == kind), key=lambda run: run.stop - run.start)
         rows.keep(
-            ~np.isin(rows.where, where[mine]), why, kind, f"{note}{_jump(rows.word, poses, where, longest)}."
+            ~np.isin(rows.where, where[mine]),
+            why,
+            kind,
+            f"{note}{_jump(rows.word, poses, where, lost.mask, longest)}.",
         )
     if kept.sum() < _FEW and kept.sum() < _MOST * len(poses):
         raise RecordingError(
@@ -62,13 +65,14 @@ def _repeated(poses: np.ndarray, before: np.ndarray) -> str:
     return "pose" if sum(parts.values()) != 1 else next(part for part, repeats in parts.items() if repeats)
 
 
-def _jump(word: str, poses: np.ndarray, where: np.ndarray, run: LostRun) -> str:
-    """The jump to a run and back, as the end of a sentence."""
-    back = "" if run.after is None else f" at {word} {where[run.after]}"
-    if run.before is not None and run.kind not in ("frozen", "end"):
-        to = f"{_length(poses[run.before], poses[run.start])} at {word} {where[run.start]}"
+def _jump(word: str, poses: np.ndarray, where: np.ndarray, lost: np.ndarray, run: LostRun) -> str:
+    """The jump to a run of lost rows and back, as the end of a sentence."""
+    before, after = np.flatnonzero(~lost[: run.start]), np.flatnonzero(~lost[run.stop :]) + run.stop
+    back = f" at {word} {where[after[0]]}" if len(after) else ""
+    if len(before) and run.kind not in ("frozen", "end"):
+        to = f"{_length(poses[before[-1]], poses[run.start])} at {word} {where[run.start]}"
         return f"; the pose jumps {to}" + (back and f" and back{back}")
-    return back and f"; the pose jumps {_length(poses[run.stop - 1], poses[run.after])}{back}"
+    return back and f"; the pose jumps {_length(poses[run.stop - 1], poses[after[0]])}{back}"
 
 
 def _length(before: np.ndarray, after: np.ndarray) -> str:

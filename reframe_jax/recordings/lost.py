@@ -6,16 +6,13 @@ where its path leads. Therefore exact repeats count as lost where they are far f
 them, in units of the steps of that path. Repeats that continue the path are a body at rest, and stay.
 """
 
-from bisect import bisect_left
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
+from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["Kind", "LostPoses", "LostRun", "find_lost_poses"]
-
-Kind = Literal["missing", "origin", "identity", "constant", "frozen", "end"]
+__all__ = ["LostPoses", "LostRun", "find_lost_poses"]
 
 _SAME = 1e-9  # m, or of an element of a rotation matrix, within which numbers are equal
 _LEAST = 1e-3  # m or rad, the shortest step that counts: quantized numbers repeat too
@@ -33,8 +30,7 @@ _HELD = 3  # runs of repeats that are half as long, of which the last one is no 
 _PAST = 200  # rows that show noise and speed
 
 
-@dataclass(frozen=True)
-class LostRun:
+class LostRun(NamedTuple):
     """Consecutive rows that are no poses.
 
     Attributes:
@@ -43,15 +39,11 @@ class LostRun:
         kind: "missing" (not finite), "origin" (position 0, 0, 0), "identity" (the orientation is the
             identity, perhaps with a position of 0, 0, 0), "constant" (another number that repeats), "frozen"
             (repeats the pose before), "end" (the same, to the end of the recording).
-        before: row of the last pose before the run, or None.
-        after: row of the first pose after the run, or None.
     """
 
     start: int
     stop: int
-    kind: Kind
-    before: int | None = None
-    after: int | None = None
+    kind: str
 
 
 @dataclass(frozen=True)
@@ -72,17 +64,14 @@ class LostPoses:
 
     @property
     def runs(self) -> tuple[LostRun, ...]:
-        """Runs of rows of the same kind, with the poses around them."""
-        kinds, kept = self.reasons, np.flatnonzero(~self.mask).tolist()
+        """Runs of rows of the same kind."""
+        kinds = self.reasons
         edges = [0, *(np.flatnonzero(kinds[1:] != kinds[:-1]) + 1).tolist(), len(kinds)]
-        found = []
-        for start, stop in pairwise(edges):
-            if stop > start and kinds[start] != "":
-                place = bisect_left(kept, start)
-                before = kept[place - 1] if place else None
-                after = kept[place] if place < len(kept) else None
-                found.append(LostRun(start, stop, str(kinds[start]), before, after))  # type: ignore[arg-type]
-        return tuple(found)
+        return tuple(
+            LostRun(start, stop, str(kinds[start]))
+            for start, stop in pairwise(edges)
+            if stop > start and kinds[start] != ""
+        )
 
 
 def find_lost_poses(poses: np.ndarray, times: np.ndarray | None = None) -> LostPoses:

@@ -66,7 +66,7 @@ class _Header:
         Raises:
             RecordingError: if there are several.
         """
-        found = [i for i, name in enumerate(self.names) if re.fullmatch(pattern, name)]
+        found = _matches(pattern, self.names)
         if self.body is not None and len(found) > 1:
             # of arrays of poses, the number is enough: 0 for field.poses0
             word = f"[a-z]+{self.body}" if self.body.isdecimal() else re.escape(self.body)
@@ -86,7 +86,7 @@ class _Header:
     def clock(self) -> tuple[int, int] | None:
         """The two columns of seconds and nanoseconds of a stamp, if there are such."""
         plain = [re.sub(r"[^a-z0-9]+", "_", title.lower()).strip("_") for title in self.titles]
-        found = [[i for i, name in enumerate(plain) if re.fullmatch(each, name)] for each in _CLOCK]
+        found = [_matches(pattern, plain) for pattern in _CLOCK]
         return (found[0][0], found[1][0]) if all(len(each) == 1 for each in found) else None
 
     def all(self, patterns: Sequence[str]) -> list[int] | None:
@@ -210,10 +210,9 @@ def _find_time(header: _Header, first: list[str]) -> int | None:
 
 def _find_columns(header: _Header, wanted: Selection) -> tuple[list[int], list[int]]:
     """Columns of the position and of the orientation; of a matrix of both, none and all."""
-    matrix = [header.find(f"[mt]_?{i // 4}_?{i % 4}") for i in range(16)]
     for size in (16, 12):
-        if None not in matrix[:size]:
-            return [], [i for i in matrix[:size] if i is not None]
+        if matrix := header.all([f"[mt]_?{i // 4}_?{i % 4}" for i in range(size)]):
+            return [], matrix
     position = _first(header, _POSITIONS, "xyz")
     if position is None and "fx" not in header.names:
         position = _first(header, (r"(.*_)?t_?{axis}",), "xyz")
@@ -257,11 +256,11 @@ def _find_columns(header: _Header, wanted: Selection) -> tuple[list[int], list[i
 
 def _named_columns(header: _Header, wanted: Selection) -> tuple[list[int], list[int]]:
     """Columns that the user named, separated by commas."""
-    position, orientation = find_columns(header.path, wanted, header.titles)
-    return (
-        [header.titles.index(column.name) for column in position],
-        [header.titles.index(column.name) for column in orientation],
+    position, orientation = (
+        [header.titles.index(column.name) for column in columns]
+        for columns in find_columns(header.path, wanted, header.titles)
     )
+    return position, orientation
 
 
 def _with_prefix(header: _Header) -> tuple[list[int], list[int]] | None:
@@ -293,12 +292,15 @@ def _first(header: _Header, patterns: Sequence[str], axes: str) -> list[int] | N
 
 def _find_wrench(header: _Header) -> list[int]:
     """Columns of force and torque, all six or none: fx, force_x, wrench.force.x and the like."""
-    found = []
-    for letter, word, unit in (("f", "force", "n"), ("t", "torque", "nm")):
-        for axis in "xyz":
-            pattern = rf"({letter}_?|(.*_)?{word}_){axis}(_{unit})?"
-            found.append([i for i, name in enumerate(header.names) if re.fullmatch(pattern, name)])
+    words = (("f", "force", "n"), ("t", "torque", "nm"))
+    patterns = [rf"({f}_?|(.*_)?{word}_){axis}(_{unit})?" for f, word, unit in words for axis in "xyz"]
+    found = [_matches(pattern, header.names) for pattern in patterns]
     return [columns[0] for columns in found] if all(len(columns) == 1 for columns in found) else []
+
+
+def _matches(pattern: str, names: list[str]) -> list[int]:
+    """The columns whose names match a pattern."""
+    return [i for i, name in enumerate(names) if re.fullmatch(pattern, name)]
 
 
 TABLE = Reader(

@@ -12,7 +12,7 @@ from reframe_jax.recordings.clock import sort_times
 from reframe_jax.recordings.left_out import leave_out_lost
 from reframe_jax.recordings.readers.collecting import matrix_rows
 from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.relative import interpolate_poses, invert_poses
+from reframe_jax.recordings.relative import interpolate_poses, invert_poses, origin_shift
 from reframe_jax.recordings.rows import Rows, shown
 
 __all__ = ["Edge", "chain_rows", "describe_frames"]
@@ -95,14 +95,14 @@ def chain_rows(path: Path, chain: Sequence[tuple[Edge, bool, Rows]]) -> Rows:
     if not moving:
         raise RecordingError(f"{path}: all transforms between the two frames are static: nothing moves.")
     own = min(moving, key=lambda rows: len(rows.values))
-    times = _seconds(own, own)
+    times = np.asarray(own.times)
     poses, known = np.tile(np.eye(4), (len(times), 1, 1)), np.ones(len(times), bool)
     for edge, along, rows in chain:
         here = make_poses(rows)
         if edge.static:
             here = here[-1:]
-        elif rows is not own:
-            found, seen = interpolate_poses(_seconds(rows, own), here, times)
+        elif rows is not own and rows.times is not None:
+            found, seen = interpolate_poses(rows.times + origin_shift(rows.origin, own.origin), here, times)
             here = np.tile(np.eye(4), (len(times), 1, 1))
             here[seen], known = found, known & seen
         poses = poses @ (here if along else invert_poses(here))
@@ -142,10 +142,3 @@ def describe_frames(edges: Sequence[Edge]) -> list[tuple[str, str, str]]:
         kind = "static" if edge.static else f"{edge.count} transforms"
         found.append(("to_frame", edge.child, f"tf frame in {edge.parent}, {kind}"))
     return found
-
-
-def _seconds(rows: Rows, other: Rows) -> np.ndarray:
-    """Times (N,) s of rows, on the clock of others; both count from their origins."""
-    times = np.zeros(len(rows.values)) if rows.times is None else rows.times
-    whole, part = ([int(each or 0) for each in (rows.origin or "0.0").split(".")] for rows in (rows, other))
-    return times + (whole[0] - part[0]) + 1e-9 * (whole[1] - part[1])
