@@ -99,6 +99,19 @@ def test_outlying_touches_are_named(rng: np.random.Generator, count: int, wrong:
 
 
 @pytest.mark.parametrize("spin", [False, True])
+def test_poses_that_repeat_count_once(rng: np.random.Generator, spin: bool) -> None:
+    """As of an arm that rests at every touch while its poses are written."""
+    poses = spins(rng, 9) if spin else touches(rng, 9)
+    times = rng.integers(1, 60, 9)
+    once, held = rf.calibrate(poses, spin=spin), rf.calibrate(np.repeat(poses, times, axis=0), spin=spin)
+    np.testing.assert_array_equal(held.tip, once.tip)
+    np.testing.assert_array_equal(held.tip_interval, once.tip_interval)
+    np.testing.assert_array_equal(held.residuals, np.repeat(once.residuals, times))
+    with pytest.raises(ValueError, match="needs 4 different poses or more; there are 3"):
+        rf.calibrate(np.repeat(poses[:3], 20, axis=0), spin=spin)
+
+
+@pytest.mark.parametrize("spin", [False, True])
 def test_the_order_of_the_rows_plays_no_part(rng: np.random.Generator, spin: bool) -> None:
     poses = spins(rng, 30) if spin else touches(rng, 30)
     poses[3, :3, 3] += 0.02

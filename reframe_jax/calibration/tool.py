@@ -95,7 +95,7 @@ def calibrate(poses: ArrayLike, *, spin: bool = False) -> Calibration:
     """Calibrate a tool: its tip from touches of one point, or its axis from turns about itself.
 
     Rows that do not fit the others are left out where there are five or more. The result does not depend on
-    the order of the rows.
+    the order of the rows. A pose that repeats exactly, as of an arm at rest, counts once.
 
     Args:
         poses: (N, 4, 4) poses of the tool {b} in the ground {g}, m; N >= 4. For the tip, every pose with the
@@ -112,16 +112,19 @@ def calibrate(poses: ArrayLike, *, spin: bool = False) -> Calibration:
             gives the direction that is undetermined.
     """
     checked = _check(poses)
-    # the same numbers in the same order, whatever the order of the rows
-    order = np.lexsort(checked.reshape(len(checked), -1).T)
-    found = (_spin if spin else _pivot)(checked[order])
-    back = np.argsort(order)
+    # sorted, so that the order of the rows makes no difference
+    numbers, rows = np.unique(checked.reshape(-1, 16), axis=0, return_inverse=True)
+    if len(numbers) < MIN_POSES:
+        raise ValueError(
+            f"A calibration needs {MIN_POSES} different poses or more; there are {len(numbers)}."
+        )
+    found, rows = (_spin if spin else _pivot)(numbers.reshape(-1, 4, 4)), rows.ravel()
     angles = found.axis_residuals
     return replace(
         found,
-        residuals=found.residuals[back],
-        used=found.used[back],
-        axis_residuals=None if angles is None else angles[back],
+        residuals=found.residuals[rows],
+        used=found.used[rows],
+        axis_residuals=None if angles is None else angles[rows],
     )
 
 

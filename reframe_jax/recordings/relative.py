@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from decimal import Decimal, InvalidOperation
+from pathlib import Path
 
 import numpy as np
 
@@ -36,7 +37,7 @@ def relative_poses(a: Recording, b: Recording) -> Recording:
     """
     if len(b.times) < 2:
         raise RecordingError(f"{b.path}: expected two poses or more of the other body, found {len(b.times)}.")
-    times = a.times + origin_shift(a.origin, b.origin)
+    times = a.times + origin_shift(a.path, a.origin, b.origin)
     poses, known = interpolate_poses(b.times, b.poses, times)
     if known.sum() < MIN_POSES:
         raise RecordingError(
@@ -108,7 +109,7 @@ def invert_poses(poses: np.ndarray) -> np.ndarray:
     return found
 
 
-def origin_shift(origin: str | None, other: str | None) -> float:
+def origin_shift(path: Path, origin: str | None, other: str | None) -> float:
     """What to add to times that count from an origin, s, so that they count from another one.
 
     Raises:
@@ -118,5 +119,5 @@ def origin_shift(origin: str | None, other: str | None) -> float:
         return float(Decimal(origin or 0) - Decimal(other or 0))
     except InvalidOperation as error:
         raise RecordingError(
-            f"expected origins that are numbers of seconds, not {origin!r} and {other!r}."
+            f"{path}: expected origins that are numbers of seconds, not {origin!r} and {other!r}."
         ) from error

@@ -102,7 +102,9 @@ def chain_rows(path: Path, chain: Sequence[tuple[Edge, bool, Rows]]) -> Rows:
         if edge.static:
             here = here[-1:]
         elif rows is not own and rows.times is not None:
-            found, seen = interpolate_poses(rows.times + origin_shift(rows.origin, own.origin), here, times)
+            found, seen = interpolate_poses(
+                rows.times + origin_shift(path, rows.origin, own.origin), here, times
+            )
             here = np.tile(np.eye(4), (len(times), 1, 1))
             here[seen], known = found, known & seen
         poses = poses @ (here if along else invert_poses(here))
