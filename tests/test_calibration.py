@@ -229,6 +229,8 @@ def test_the_command_needs_no_times(tmp_path: Path, capsys: Captured, rng: np.ra
         out, err = capsys.readouterr()
         assert "8 of 8 poses used" in out
         assert not err
+    with pytest.raises(rf.RecordingError, match=r"no times; .* touches .* no times: reframe-jax calibrate"):
+        rf.load_recording(write(tmp_path / "a.csv", HEADER[1:], rows))
 
 
 def test_touches_in_millimetres_are_noticed(

@@ -29,7 +29,9 @@ def make_times(rows: Rows, dt: float | None, wanted: Selection) -> None:
         rows.times, rows.origin = count * float(dt), None
         return
     if rows.times is None:
-        raise RecordingError(f"{rows.path}: has no times; {rows.no_times}.")
+        touches = " Separate touches of a point need no times: reframe-jax calibrate."
+        hint = "" if is_path(rows.positions) else touches
+        raise RecordingError(f"{rows.path}: has no times; {rows.no_times}.{hint}")
     if rows.seconds is not None and wanted.time_unit is not None:
         raise RecordingError(f"{rows.path}: states the unit of its times; leave out {flag('time_unit')}.")
     factor = rows.seconds or TIME_UNITS[wanted.time_unit or "s"]
@@ -58,8 +60,7 @@ def _check_unit(rows: Rows, wanted: Selection) -> None:
             f"{rows.path}: read in s, its times are {step:.3g} s apart; they look like {looks}: give "
             f"time_unit={looks!r} (--time-unit {looks}), or the sample time, dt (--dt)."
         )
-    places = rows.values[:, :3] if rows.values.shape[1] == 7 else rows.values[:, [3, 7, 11]]
-    if wanted.time_unit is None and step > _SLOW[0] and is_path(places):
+    if wanted.time_unit is None and step > _SLOW[0] and is_path(rows.positions):
         rows.notes.append(
             f"times are {step:g} s apart, though the body moves little from one to the next; if they are in "
             f"{looks}, give time_unit={looks!r} (--time-unit {looks})."
@@ -130,7 +131,7 @@ def drop_equal_times(rows: Rows) -> None:
             raise rows.error(
                 int(np.flatnonzero(other)[0]),
                 f"another pose at the same time, {rows.times[other][0]:g} s, as in {other.sum()} rows, far "
-                "from the first: the file holds several bodies; select one of them.",
+                "from the first: the file holds several bodies; keep the rows of one.",
             )
     rows.keep(~same, "the row before is repeated", "repeated")
     other = other[~same]

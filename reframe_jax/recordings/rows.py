@@ -59,6 +59,11 @@ class Rows:
     frames: np.ndarray | None = None
     left_out: list[LeftOut] = field(default_factory=list)
 
+    @property
+    def positions(self) -> np.ndarray:
+        """(N, 3), in the unit of the file."""
+        return self.values[:, :3] if self.values.shape[1] == 7 else self.values[:, [3, 7, 11]]
+
     def error(self, row: int, problem: str) -> RecordingError:
         """What is wrong with a row."""
         return RecordingError(f"{self.path}: {self.word} {self.where[row]}: {problem}")

@@ -102,8 +102,10 @@ def collect_plain(path: Path, starts: dict[int, int]) -> Rows:
     """
     texts = ((number, re.split("[#%]", line)[0].strip()) for number, line in read_lines(path))
     rows = ((number, split(text, find_delimiter(text))) for number, text in texts if text)
-    number, cells = next(rows)
+    number, cells = next(rows, (0, []))
     width = len(trim(cells))
+    if width not in starts:
+        raise _error(path, number, f"expected {' or '.join(map(str, starts))} numbers, found {width}.")
     first = starts[width]
     return collect(path, chain([(number, cells)], rows), width, range(first, width), 0 if first else None)
 

@@ -76,7 +76,8 @@ def set_poses(
             matrices, row by row; (N, 12) or (N, 16) whole matrices.
         wanted: the meaning of angles, and their unit.
         stated: the unit of angles in rad, if the file states it.
-        named: whether the user named the columns, whose names do not give the order of quaternions.
+        named: whether the user named the columns, in the order that is meant. Others give the order of a
+            quaternion by their names, and have three angles as x, y, z.
 
     Raises:
         RecordingError: if the widths do not fit, or the order or meaning is not given.
@@ -99,6 +100,8 @@ def set_poses(
                 f"{rows.path}: has {width} numbers of an orientation; leave out {flag(option)}."
             )
     if width == 3:
+        if not named and wanted.angles != "vector":
+            orientations = orientations[:, ["xyz".index(axis) for axis in str(wanted.angles).lower()]]
         rows.angles = orientations if stated is None else None
         orientations = angle_matrices(rows.path, orientations, wanted, stated)
     if width in (3, 9):

@@ -19,7 +19,7 @@ __all__ = ["ECHO", "read_echo"]
 def read_echo(path: Path, wanted: Selection) -> Rows:
     """Read rows of ``sec,nanosec,frame_id,x,y,z,qx,qy,qz,qw``, perhaps with a child frame before ``x``."""
     lines = ((number, split(line, ",")) for number, line in read_lines(path))
-    number, cells = next(lines)
+    number, cells = next(lines, (0, [""]))
     start = _first_number(cells)
     rows = chain([(number, cells)], lines)
     return collect(path, rows, len(cells), range(start, start + 7), (0, 1))

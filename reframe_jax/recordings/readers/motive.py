@@ -53,7 +53,7 @@ def read_motive(path: Path, wanted: Selection) -> Rows:
             f"{shown(rotation, 40)!r}."
         )
     names = [f"Position {axis}" for axis in "XYZ"]
-    names += [f"Rotation {axis}" for axis in ("XYZW" if quaternion else rotation)]
+    names += [f"Rotation {axis}" for axis in ("XYZW" if quaternion else "XYZ")]
     if missing := [name for name in names if name not in body]:
         raise RecordingError(f"{path}: no column for {', '.join(missing)} of the body; export both.")
     rows = collect(path, lines, width, [body[name] for name in names], _TIME)

@@ -116,8 +116,6 @@ def read_table(path: Path, wanted: Selection) -> Rows:
     number, first = next(lines, (0, []))
     named = wanted.position is not None or wanted.orientation is not None
     position, orientation = (_named_columns if named else _find_columns)(header, wanted)
-    if len(orientation) == 3 and wanted.angles != "vector" and not named:
-        orientation = [orientation["xyz".index(axis)] for axis in str(wanted.angles).lower()]
     time = header.clock or _find_time(header, first)
     frame = header.find(_FRAMES) if time is None else None
     if frame is not None and not "".join(first[frame : frame + 1]).isdecimal():

@@ -48,15 +48,12 @@ def read_vicon(path: Path, wanted: Selection) -> Rows:
     lines = _lines(path)
     rate, width, bodies, rest = _read_header(path, lines)
     body = bodies[choose_name(path, "body", wanted.body, [*bodies], "objects and segments")]
-    rotation = body.rotation
-    if len(rotation) == 3 and wanted.angles is None:
+    if len(body.rotation) == 3 and wanted.angles is None:
         raise RecordingError(
             f"{path}: does not say what RX, RY, RZ mean; give {flag('angles')}: vector if they were exported "
             "as helical, XYZ if as Euler XYZ."
         )
-    if len(rotation) == 3 and wanted.angles not in (None, "vector"):
-        rotation = [rotation["xyz".index(axis)] for axis in str(wanted.angles).lower()]
-    rows = collect(path, rest, width, [*body.position, *rotation, 0, 1], short=True)
+    rows = collect(path, rest, width, [*body.position, *body.rotation, 0, 1], short=True)
     if np.any(rows.values[:, -1] != 0):
         raise RecordingError(
             f"{path}: has sub frames; expected one row a frame, export it at the frame rate."
