@@ -1,5 +1,6 @@
 """Lost tracking that a file writes as numbers: left out, with rows and reason; a body at rest is not."""
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -92,6 +93,14 @@ def test_frozen_poses_are_left_out(rng: np.random.Generator, length: int, start:
     found = find_lost_poses(poses_of(rows), rows[:, 0])
     np.testing.assert_array_equal(np.flatnonzero(found.mask), np.arange(start, start + length))
     assert set(found.reasons[start : start + length]) == {"end" if start + length == COUNT else "frozen"}
+
+
+def test_long_recordings_of_held_samples_take_no_longer_than_others(rng: np.random.Generator) -> None:
+    rows = hinge(rng, count=200_000)
+    rows[:, 1:] = np.repeat(rows[::2, 1:], 2, axis=0)
+    start = time.perf_counter()
+    assert not find_lost_poses(poses_of(rows), rows[:, 0]).mask.any()
+    assert time.perf_counter() - start < 20  # s; 1 here
 
 
 @pytest.mark.parametrize("noise", [2e-4, 1e-3, 2e-3])

@@ -238,33 +238,45 @@ def _frozen(paths: tuple[_Path, _Path]) -> np.ndarray:
 
     The first row of every run is a pose.
     """
-    kinds = np.full(len(paths[0].zero), "", "U8")
+    count = len(paths[0].zero)
+    kinds = np.full(count, "", "U8")
     for path in paths:
-        runs = path.runs
-        runs = runs[np.diff(runs, axis=1)[:, 0] > 1]
-        lengths = np.diff(runs, axis=1)[:, 0]
-        for start, stop in runs:
-            if stop < len(kinds):
-                if _goes_on(path, start, stop - 1):
-                    kinds[start + 1 : stop] = "frozen"
-            elif stop - start > _REPEATS:
-                held = np.sum(2 * lengths >= stop - start) > _HELD  # as all samples are, written too often
-                if not held and _stops_dead(path, start):
-                    kinds[start + 1 :] = "end"
+        moving = np.flatnonzero(path.steps)
+        if not len(moving):
+            continue
+        repeats = np.diff(moving, prepend=-1) - 1  # before every step of the path
+        late = np.flatnonzero(repeats)
+        late = late[_goes_on(path.steps[moving], repeats, late)]
+        runs = np.column_stack([moving[late] - repeats[late], moving[late]]) + 1
+        kinds[_rows_of(runs, count)] = "frozen"
+        start = moving[-1] + 1
+        last = count - start
+        held = np.sum(2 * (repeats[repeats > 0] + 1) >= last) >= _HELD  # as all samples, written too often
+        if last > _REPEATS and not held and _stops_dead(path, start):
+            kinds[start + 1 :] = "end"
     return kinds
 
 
-def _goes_on(path: _Path, start: int, stop: int) -> bool:
-    """Whether the step after a run is as long as those that were missed, and not the usual one."""
-    steps = path.steps
-    before, after = steps[:start], steps[stop + 1 :]
-    near = [each for each in (before[before > 0][-_AHEAD:], after[after > 0][:_AHEAD]) if len(each)]
-    if not near:
-        return False
+def _goes_on(steps: np.ndarray, repeats: np.ndarray, late: np.ndarray) -> np.ndarray:
+    """Whether steps after repeats are as long as those that were missed, and not the usual ones.
+
+    Args:
+        steps: (M,) of the path, none of them 0.
+        repeats: (M,) int, rows before every step that repeat.
+        late: (L,) int, steps after repeats.
+    """
+    unknown = np.full(_AHEAD, np.nan)
+    nearby = np.lib.stride_tricks.sliding_window_view(np.concatenate([unknown, steps, unknown]), _AHEAD)
+    near = np.sort(np.stack([nearby[late], nearby[late + _AHEAD + 1]]), axis=2)  # unknown ones last
+    known = np.isfinite(near).sum(axis=2, keepdims=True)
+    longest, low, high = (
+        np.take_along_axis(near, each, axis=2)[..., 0] for each in (known - 1, (known - 1) // 2, known // 2)
+    )
     # a few repeats count only if no step nearby is as long as the one after them
-    longest = np.max if stop - start < _LONG else np.median
-    usual = max(*(float(longest(each)) for each in near), float(np.median(steps[steps > 0])))
-    return bool(steps[stop] > min(1 + 0.5 * (stop - start), _FROZEN) * usual + _LEAST)
+    usual = np.where(repeats[late] < _LONG, longest, (low + high) / 2)
+    usual = np.fmax(np.fmax(*usual), np.median(steps))
+    found: np.ndarray = steps[late] > np.minimum(1 + 0.5 * repeats[late], _FROZEN) * usual + _LEAST
+    return found
 
 
 def _stops_dead(path: _Path, start: int) -> bool:
