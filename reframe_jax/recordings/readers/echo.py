@@ -10,6 +10,7 @@ from pathlib import Path
 from reframe_jax.recordings.readers.collecting import collect
 from reframe_jax.recordings.readers.lines import is_number, read_lines, split
 from reframe_jax.recordings.readers.reader import Reader
+from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows
 from reframe_jax.recordings.selection import Selection
 
@@ -21,6 +22,8 @@ def read_echo(path: Path, wanted: Selection) -> Rows:
     lines = ((number, split(line, ",")) for number, line in read_lines(path))
     number, cells = next(lines, (0, [""]))
     start = _first_number(cells)
+    if not start:
+        raise RecordingError(f"{path}: line {number}: expected a stamp, a frame and the 7 numbers of a pose.")
     rows = chain([(number, cells)], lines)
     return collect(path, rows, len(cells), range(start, start + 7), (0, 1))
 

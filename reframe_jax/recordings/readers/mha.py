@@ -22,7 +22,7 @@ from reframe_jax.recordings.selection import UNITS, Selection
 __all__ = ["MHA", "read_mha"]
 
 _LONGEST = 2**16  # bytes of a line
-_FIELD = re.compile(r"Seq_Frame(\d+)_(\w+)\s*:?=\s*(.*)")
+_FIELD = re.compile(r"Seq_Frame(\d{1,18})_(\w+)\s*:?=\s*(.*)")
 _TRANSFORM, _STATUS = re.compile(r"(\w+?)(?:Transform)"), re.compile(r"(\w+?)TransformStatus")
 _WIDTH = 16  # numbers of a transform
 

@@ -1,11 +1,10 @@
 """Rigid bodies in a CSV export of OptiTrack Motive, format version 1.2 and later.
 
 The first line holds pairs of names and values: units, rotation type, coordinate space. Rows of types, names
-and components of all columns follow, down to the row ``Frame, Time (Seconds), X, Y, Z, ...``. Quaternions
-are told by their axis names. Euler angles are in degrees, about the moving axes, in the order of the header.
-Cells are empty where a body was not seen. Spreadsheets
-save the export with semicolons and decimal commas. The ground frame is that of the export, y up unless
-changed.
+and components of all columns follow, down to the row ``Frame, Time (Seconds), X, Y, Z, ...``. The names of
+the axes distinguish the numbers of quaternions. Euler angles are in degrees, about the moving axes, in the
+order of the header. Cells are empty where a body was not seen. Spreadsheets save the export with semicolons
+and decimal commas. The ground frame is that of the export, y up unless changed.
 """
 
 import re
