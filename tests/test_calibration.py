@@ -103,10 +103,10 @@ def test_poses_that_repeat_count_once(rng: np.random.Generator, spin: bool) -> N
     """As of an arm that rests at every touch while its poses are written."""
     poses = spins(rng, 9) if spin else touches(rng, 9)
     times = rng.integers(1, 60, 9)
-    once, held = rf.calibrate(poses, spin=spin), rf.calibrate(np.repeat(poses, times, axis=0), spin=spin)
-    np.testing.assert_array_equal(held.tip, once.tip)
-    np.testing.assert_array_equal(held.tip_interval, once.tip_interval)
-    np.testing.assert_array_equal(held.residuals, np.repeat(once.residuals, times))
+    single, held = rf.calibrate(poses, spin=spin), rf.calibrate(np.repeat(poses, times, axis=0), spin=spin)
+    np.testing.assert_array_equal(held.tip, single.tip)
+    np.testing.assert_array_equal(held.tip_interval, single.tip_interval)
+    np.testing.assert_array_equal(held.residuals, np.repeat(single.residuals, times))
     with pytest.raises(ValueError, match="needs 4 different poses or more; there are 3"):
         rf.calibrate(np.repeat(poses[:3], 20, axis=0), spin=spin)
 

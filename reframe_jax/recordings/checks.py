@@ -68,7 +68,7 @@ def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> np.ndar
     Raises:
         RecordingError: if the body moves as none does.
     """
-    kept = _leave_out_far(rows, poses[:, :3, 3])
+    kept = _leave_out_distant(rows, poses[:, :3, 3])
     poses = poses if kept is None else poses[kept]
     positions, count = poses[:, :3, 3], len(poses)
     span = float(np.linalg.norm(np.ptp(positions, axis=0)))
@@ -101,7 +101,7 @@ def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> np.ndar
     return poses
 
 
-def _leave_out_far(rows: Rows, positions: np.ndarray) -> np.ndarray | None:
+def _leave_out_distant(rows: Rows, positions: np.ndarray) -> np.ndarray | None:
     """Leave out a few rows that are much farther away than all others; the rows (N,) that are left."""
     distance = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
     ranked = np.sort(distance)
