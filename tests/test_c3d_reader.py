@@ -168,7 +168,7 @@ def test_markers_that_are_on_no_body(tmp_path: Path, poses: np.ndarray, rng: np.
 @pytest.mark.parametrize(
     ("name", "problem"),
     [
-        (None, r"name the markers of a body, body \(--body\), with commas between them: hip, knee, foot"),
+        (None, r"does not say which .* commas between them, body \(--body\); markers: hip, knee, foot, head"),
         ("hip,knee,nose", "has no marker nose; markers: hip, knee, foot"),
         ("hip,knee", "expected three markers or more of a body, found 2"),
         ("hip,knee,foot", "no rigid body fits, as no frame has all markers; .*: hip 6, knee 12, foot 6"),
@@ -177,7 +177,7 @@ def test_markers_that_are_on_no_body(tmp_path: Path, poses: np.ndarray, rng: np.
 def test_bodies_that_cannot_be_read(
     tmp_path: Path, rng: np.random.Generator, name: str | None, problem: str
 ) -> None:
-    points = {label: rng.normal(size=(12, 3)) for label in ("hip", "knee", "foot")}
+    points = {label: rng.normal(size=(12, 3)) for label in ("hip", "knee", "foot", "head")}
     points["hip"][:6] = points["foot"][6:] = np.nan
     with pytest.raises(RecordingError, match=problem):
         load_recording(write_c3d(tmp_path / "a.c3d", points), body=name)

@@ -30,7 +30,7 @@ def test_units(tmp_path: Path, table: np.ndarray, unit: str, scale: float) -> No
 
 def test_millimetres_are_not_taken_for_metres(tmp_path: Path, table: np.ndarray) -> None:
     path = write(tmp_path / "a.csv", HEADER, table * [1, 1000, 1000, 1000, 1, 1, 1, 1])
-    with pytest.raises(RecordingError, match=r"line \d+: lies .* more than that of a vehicle.*--unit mm"):
+    with pytest.raises(RecordingError, match=r"line \d+: lies .* m from the median position; .*--unit mm"):
         load_recording(path)
 
 

@@ -216,6 +216,23 @@ def test_seconds_and_nanoseconds(tmp_path: Path, rows: np.ndarray) -> None:
         for stamp, row in zip(stamps(rows), rows, strict=True)
     ]
     same(load_recording(text(tmp_path / "a.csv", header, cells)), rows)
+    header = "#sec nsec " + " ".join(HEADER[1:])
+    same(load_recording(text(tmp_path / "a.txt", header, cells, " ")), rows)
+
+
+def test_units_after_blanks(tmp_path: Path, rows: np.ndarray) -> None:
+    header = "#timestamp [ns] p_RS_R_x [m] p_RS_R_y [m] p_RS_R_z [m] q_RS_w [] q_RS_x [] q_RS_y [] q_RS_z []"
+    cells = [[stamp, *row[[1, 2, 3, 7, 4, 5, 6]]] for stamp, row in zip(stamps(rows), rows, strict=True)]
+    same(load_recording(text(tmp_path / "a.txt", header, cells, " ")), rows)
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_rotations_by_their_elements(tmp_path: Path, rows: np.ndarray, first: int) -> None:
+    numbers = np.column_stack([rows[:, 0], poses_of(rows)[:, :3].reshape(-1, 12)])
+    header = "t," + ",".join(
+        f"r{first + i}{first + j}" if j < 3 else f"t{'xyz'[i]}" for i in range(3) for j in range(4)
+    )
+    same(load_recording(text(tmp_path / "a.csv", header, numbers)), rows)
 
 
 def test_stamps_that_nobody_set_in_rostopic_echo(tmp_path: Path, rows: np.ndarray) -> None:
@@ -254,7 +271,7 @@ def test_columns_of_a_table_that_the_user_names(tmp_path: Path, rows: np.ndarray
     with pytest.raises(RecordingError, match="no column for x, y, z, qx"):
         load_recording(path)
     options: dict[str, Any] = {"position": "tcp.a,tcp.b,tcp.c", "orientation": "s,i,j,k"}
-    with pytest.raises(RecordingError, match=r"how the columns s, i, j, k are meant; give quaternion"):
+    with pytest.raises(RecordingError, match=r"how its 4 numbers are meant; give quaternion"):
         load_recording(path, **options)
     same(load_recording(path, **options, quaternion="wxyz"), rows)
     angles = Rotation.from_quat(rows[:, 4:]).as_euler("ZYX", degrees=True)
@@ -313,19 +330,19 @@ def test_arrays_without_a_pose_are_left_out(tmp_path: Path, rows: np.ndarray) ->
 
 
 @pytest.mark.parametrize("name", ["a.bag", "a.mcap"])
-@pytest.mark.parametrize("stamped", [True, False])
+@pytest.mark.parametrize(("stamp", "words"), [(None, "or 0"), (0, "or 0"), (START, "or all the same")])
 def test_poses_without_stamps_have_the_time_of_their_recording(
-    tmp_path: Path, rows: np.ndarray, name: str, stamped: bool
+    tmp_path: Path, rows: np.ndarray, name: str, stamp: int | None, words: str
 ) -> None:
     messages = Messages(name)
     samples = []
     for k, pose in enumerate(poses_of(rows)):
-        message = messages.pose(POSE, 0, pose)
-        kind = POSE if stamped else "geometry_msgs/msg/Pose"
-        samples.append(("/a", kind, message if stamped else message.pose, START + k * STEP))
+        message = messages.pose(POSE, stamp or 0, pose)
+        kind = "geometry_msgs/msg/Pose" if stamp is None else POSE
+        samples.append(("/a", kind, message.pose if stamp is None else message, START + k * STEP))
     recording = load_recording(write_bag(tmp_path, name, samples))
     same(recording, rows)
-    assert "no stamps, or 0: the times are those at which they were recorded" in recording.notes[0]
+    assert f"no stamps, {words}: the times are those at which they were recorded" in recording.notes[0]
 
 
 def test_a_tf_frame_that_was_lost(tmp_path: Path, rows: np.ndarray) -> None:
@@ -512,6 +529,10 @@ def test_a_scalar_called_q0(tmp_path: Path, rows: np.ndarray) -> None:
     with pytest.raises(RecordingError, match=r"in which order q0, q1, q2, q3 are; give quaternion"):
         load_recording(path)
     same(load_recording(path, quaternion="wxyz"), rows)
+    path = text(tmp_path / "b.csv", "t,q1,q2,q3,q4,x,y,z", numbers)
+    with pytest.raises(RecordingError, match=r"in which order q1, q2, q3, q4 are; give quaternion"):
+        load_recording(path)
+    same(load_recording(path, quaternion="wxyz"), rows)
 
 
 # units
@@ -552,6 +573,9 @@ def test_millimetres_are_noticed_and_vehicles_are_not_refused(tmp_path: Path, ro
     drive = load_recording(write(path, HEADER, np.column_stack([times, places, turned])))
     assert len(drive.times) == 600
     assert any("span 226 m, as those of a vehicle" in note for note in drive.notes)
+    places[300] = [1e6, 0, 0]
+    outlier = load_recording(write(path, HEADER, np.column_stack([times, places, turned])))
+    assert outlier.left_out[0].rows.tolist() == [302]
 
 
 def test_a_row_that_is_far_away_is_left_out(tmp_path: Path, rows: np.ndarray) -> None:
@@ -599,6 +623,25 @@ def test_small_angles_in_degrees_turn_too_fast(tmp_path: Path, rng: np.random.Ge
     lerobot(tmp_path / "a.parquet", rows, angles)
     with pytest.raises(RecordingError, match=r"faster than any hand; .*\(--angle-unit deg\)"):
         load_recording(tmp_path / "a.parquet", **options)
+
+
+@pytest.mark.parametrize("size", [0.01, 0.05])
+def test_small_angles_in_degrees_are_noticed_by_the_positions(
+    tmp_path: Path, rng: np.random.Generator, size: float
+) -> None:
+    """Of a body that turns about a point by less than a few degrees."""
+    times = 0.02 * np.arange(300)
+    turned = Rotation.from_rotvec(size * np.sin(np.outer(times, [1.3, 0.7, 2.1])))
+    places = [0.5, 0.3, 0.2] + turned.apply([0.4, 0.05, 0.1]) + 5e-5 * rng.normal(size=(300, 3))
+    rows = np.column_stack([times, places, turned.as_quat()])
+    options = {**lerobot(tmp_path / "a.parquet", rows, turned.as_euler("xyz", degrees=True)), "angles": "xyz"}
+    (note,) = load_recording(tmp_path / "a.parquet", **options).notes
+    assert note.startswith("in degrees its angles turn the body about a point, and in rad about none; ")
+    assert "angle_unit='deg' (--angle-unit deg)" in note
+    for unit in ("deg", "rad"):
+        assert not load_recording(tmp_path / "a.parquet", **options, angle_unit=unit).notes
+    lerobot(tmp_path / "a.parquet", rows, turned.as_euler("xyz"))
+    assert not load_recording(tmp_path / "a.parquet", **options).notes
 
 
 @pytest.mark.parametrize("unit", ["deg", "rad"])

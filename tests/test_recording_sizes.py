@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from recording_files import HEADER, check, poses_of
 
-from reframe_jax.recordings.readers import lines
+from reframe_jax.recordings.readers import collecting
 from reframe_jax.recordings.reading import load_recording
 from reframe_jax.recordings.recording import RecordingError
 
@@ -52,7 +52,7 @@ def test_recordings_of_too_many_samples_are_refused(tmp_path: Path, monkeypatch:
         archive.writestr("poses.npy", npy("|u1", (count, 7), bytes(7 * count)))
     with pytest.raises(RecordingError, match="has 8388609 samples; expected at most 8388608"):
         load_recording(tmp_path / "a.npz", dt=0.1)
-    monkeypatch.setattr(lines, "MOST_ROWS", 8)
+    monkeypatch.setattr(collecting, "MOST_ROWS", 8)
     (tmp_path / "a.txt").write_text("0 0 0 0 0 0 0 1\n" * 9)
     with pytest.raises(RecordingError, match="line 9: expected at most 8 rows"):
         load_recording(tmp_path / "a.txt")

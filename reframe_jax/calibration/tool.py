@@ -6,17 +6,19 @@ about one axis keeps its direction, R a = b, and its place across it. Poses are 
 order plays no part. Errors of a touch count as independent, and of the same size in every direction.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from reframe_jax.calibration.robust import fit_touches, student_factor
+from reframe_jax.recordings.checks import MIN_POSES, make_poses
+from reframe_jax.recordings.rows import Rows
 
 __all__ = ["Calibration", "calibrate"]
 
-_FEWEST = 4  # poses
-_RIGID = 1e-2  # error of a rotation matrix that is refused, as in files
 _TILTED = 0.02  # rad RMS, less than which a direction did not turn: many trackers have such errors
 _TURNED = 0.1  # rad RMS that a body turns about an axis at least
 _WOBBLE = 0.2  # tilt of an axis over the turn about it, beyond which it is none
@@ -32,31 +34,31 @@ class Calibration:
         point: (3,) m, in {g}: the point that the tip touched; with ``spin`` the mean of where ``tip`` was.
         covariance: (6, 6) m^2 of ``tip`` and ``point``; with ``spin`` of the place across
             the axis.
-        axis: (3,) unit vector, in {b}, of a spin, its largest component positive; None of a pivot.
-        ground_axis: (3,) unit vector, in {g}, likewise.
-        axis_covariance: (3, 3) rad^2 of ``axis``, or None.
         residuals: (N,) m, distance of every touch from the point, outliers included; with ``spin`` across the
             axis.
-        axis_residuals: (N,) rad, angle of every pose between both axes, or None.
         used: (N,) bool, rows that are no outliers.
         turned: rad RMS by which the body turned the direction in it that it turned least; with ``spin`` the
             direction across the axis.
         weakest: (3,) unit vector, in {b}: that direction, along which the tip is least certain.
         freedom: residuals beyond the unknowns: the degrees of freedom of Student's distribution.
+        axis: (3,) unit vector, in {b}, of a spin, its largest component positive; None of a pivot.
+        ground_axis: (3,) unit vector, in {g}, likewise.
+        axis_covariance: (3, 3) rad^2 of ``axis``, or None.
+        axis_residuals: (N,) rad, angle of every pose between both axes, or None.
     """
 
     tip: np.ndarray
     point: np.ndarray
     covariance: np.ndarray
-    axis: np.ndarray | None
-    ground_axis: np.ndarray | None
-    axis_covariance: np.ndarray | None
     residuals: np.ndarray
-    axis_residuals: np.ndarray | None
     used: np.ndarray
     turned: float
     weakest: np.ndarray
     freedom: int
+    axis: np.ndarray | None = None
+    ground_axis: np.ndarray | None = None
+    axis_covariance: np.ndarray | None = None
+    axis_residuals: np.ndarray | None = None
 
     @property
     def outliers(self) -> np.ndarray:
@@ -71,31 +73,29 @@ class Calibration:
     @property
     def tip_interval(self) -> np.ndarray:
         """(3,) m, half the widths of the intervals that hold the components of ``tip`` with 95 %."""
-        return self._interval(self.covariance)[:3]
+        return self._interval(np.diagonal(self.covariance)[:3])
 
     @property
     def point_interval(self) -> np.ndarray:
         """(3,) m, the same of ``point``."""
-        return self._interval(self.covariance)[3:]
+        return self._interval(np.diagonal(self.covariance)[3:])
 
     @property
     def axis_interval(self) -> float | None:
         """The same of the direction of ``axis``, rad, where it is widest; None of a pivot."""
         if self.axis_covariance is None:
             return None
-        widest = np.linalg.eigvalsh(self.axis_covariance)[-1]
-        return float(student_factor(self.freedom) * np.sqrt(widest))
+        return float(self._interval(np.linalg.eigvalsh(self.axis_covariance)[-1]))
 
-    def _interval(self, covariance: np.ndarray) -> np.ndarray:
-        widths: np.ndarray = student_factor(self.freedom) * np.sqrt(np.maximum(np.diagonal(covariance), 0))
-        return widths
+    def _interval(self, variances: Any) -> Any:
+        return student_factor(self.freedom) * np.sqrt(np.maximum(variances, 0))
 
 
 def calibrate(poses: ArrayLike, *, spin: bool = False) -> Calibration:
     """Calibrate a tool: its tip from touches of one point, or its axis from turns about itself.
 
     Rows that do not fit the others are left out where there are five or more. The result does not depend on
-    the order of the rows.
+    the order of the rows. A pose that repeats exactly, as of an arm at rest, counts once.
 
     Args:
         poses: (N, 4, 4) poses of the tool {b} in the ground {g}, m; N >= 4. For the tip, every pose with the
@@ -112,31 +112,32 @@ def calibrate(poses: ArrayLike, *, spin: bool = False) -> Calibration:
             gives the direction that is undetermined.
     """
     checked = _check(poses)
-    # the same numbers in the same order, whatever the order of the rows
-    order = np.lexsort(checked.reshape(len(checked), -1).T)
-    found = (_spin if spin else _pivot)(checked[order])
-    back = np.argsort(order)
-    rows = {"residuals": found.residuals[back], "used": found.used[back]}
-    if found.axis_residuals is not None:
-        rows["axis_residuals"] = found.axis_residuals[back]
-    return Calibration(**{**vars(found), **rows})
+    # sorted, so that the order of the rows makes no difference
+    numbers, rows = np.unique(checked.reshape(-1, 16), axis=0, return_inverse=True)
+    if len(numbers) < MIN_POSES:
+        raise ValueError(
+            f"A calibration needs {MIN_POSES} different poses or more; there are {len(numbers)}."
+        )
+    found, rows = (_spin if spin else _pivot)(numbers.reshape(-1, 4, 4)), rows.ravel()
+    angles = found.axis_residuals
+    return replace(
+        found,
+        residuals=found.residuals[rows],
+        used=found.used[rows],
+        axis_residuals=None if angles is None else angles[rows],
+    )
 
 
 def _pivot(poses: np.ndarray) -> Calibration:
     turns = poses[:, :3, :3]
     _check_tilts(turns)
-    design = np.concatenate([turns, np.broadcast_to(-np.eye(3), turns.shape)], axis=2)
-    fit = fit_touches(design, -poses[:, :3, 3])
+    fit = fit_touches(_design(turns, np.eye(3), np.eye(3)), -poses[:, :3, 3])
     turned, weakest = _check_tilts(turns[fit.used])
     return Calibration(
         tip=fit.solution[:3],
         point=fit.solution[3:],
         covariance=fit.covariance,
-        axis=None,
-        ground_axis=None,
-        axis_covariance=None,
         residuals=np.linalg.norm(fit.residuals, axis=1),
-        axis_residuals=None,
         used=fit.used,
         turned=turned,
         weakest=weakest,
@@ -152,13 +153,13 @@ def _spin(poses: np.ndarray) -> Calibration:
         ground = np.mean(turns @ axis, axis=0)
         ground /= np.linalg.norm(ground)
         across, beside = _across(axis), _across(ground)
-        direction = fit_touches(_in_plane(turns, across, beside), -turns @ axis @ beside)
+        direction = fit_touches(_design(turns, across, beside), -turns @ axis @ beside)
         axis, ground = axis + across @ direction.solution[:2], ground + beside @ direction.solution[2:]
         axis, ground = axis / np.linalg.norm(axis), ground / np.linalg.norm(ground)
     kept = direction.used
     _check_turn(turns[kept], wobble=True)
     across, beside = _across(axis), _across(ground)
-    design, target = _in_plane(turns, across, beside), -places @ beside
+    design, target = _design(turns, across, beside), -places @ beside
     line = fit_touches(design[kept], target[kept])
     used = kept.copy()
     used[kept] = line.used
@@ -198,11 +199,7 @@ def _principal(turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _check_tilts(turns: np.ndarray) -> tuple[float, np.ndarray]:
-    """The direction that turned least, and by how much.
-
-    Raises:
-        ValueError: if that determines nothing along it.
-    """
+    """The direction that turned least, and by how much."""
     values, vectors = _principal(turns)
     sizes, weakest = np.sqrt(values), vectors[:, 0]
     if sizes[1] < _TILTED:
@@ -221,11 +218,7 @@ def _check_tilts(turns: np.ndarray) -> tuple[float, np.ndarray]:
 
 
 def _check_turn(turns: np.ndarray, *, wobble: bool) -> None:
-    """Check that the body turned, and about one axis.
-
-    Raises:
-        ValueError: if it did not.
-    """
+    """Check that the body turned, and about one axis."""
     sizes = np.sqrt(_principal(turns)[0])
     if sizes[1] < _TURNED:
         raise ValueError(
@@ -240,16 +233,16 @@ def _check_turn(turns: np.ndarray, *, wobble: bool) -> None:
         )
 
 
-def _in_plane(turns: np.ndarray, across: np.ndarray, beside: np.ndarray) -> np.ndarray:
-    """Design (N, 2, 4) of "the same place across an axis": R x - y, of coordinates of x and y across it.
+def _design(turns: np.ndarray, across: np.ndarray, beside: np.ndarray) -> np.ndarray:
+    """Design (N, k, 2k) of "the same place": R x - y, of coordinates of x and y along some directions.
 
     Args:
         turns: (N, 3, 3).
-        across: (3, 2) directions in the body across the axis.
-        beside: (3, 2) the same in the ground.
+        across: (3, k) directions in the body.
+        beside: (3, k) directions in the ground.
     """
     inside = beside.T @ turns @ across
-    return np.concatenate([inside, np.broadcast_to(-np.eye(2), inside.shape)], axis=2)
+    return np.concatenate([inside, np.broadcast_to(-np.eye(inside.shape[1]), inside.shape)], axis=2)
 
 
 def _across(axis: np.ndarray) -> np.ndarray:
@@ -260,9 +253,7 @@ def _across(axis: np.ndarray) -> np.ndarray:
 
 def _angles(directions: np.ndarray, axis: np.ndarray) -> np.ndarray:
     """Angles (N,) between directions (N, 3) and an axis (3,), rad."""
-    sine = np.linalg.norm(np.cross(directions, axis), axis=1)
-    angles: np.ndarray = np.arctan2(sine, directions @ axis)
-    return angles
+    return np.arctan2(np.linalg.norm(np.cross(directions, axis), axis=1), directions @ axis)
 
 
 def _in_words(vector: np.ndarray) -> str:
@@ -271,28 +262,17 @@ def _in_words(vector: np.ndarray) -> str:
 
 
 def _check(poses: ArrayLike) -> np.ndarray:
-    """Poses (N, 4, 4), float64.
-
-    Raises:
-        ValueError: for anything else.
-    """
+    """Poses (N, 4, 4), float64, with proper rotations."""
     try:
         array = np.asarray(poses, dtype=float)
     except (TypeError, ValueError) as error:
         raise ValueError(f"poses must be an array of numbers: {error}") from error
     if array.ndim != 3 or array.shape[1:] != (4, 4):
         raise ValueError(f"poses must have shape (N, 4, 4), not {array.shape}.")
-    if len(array) < _FEWEST:
-        raise ValueError(f"A calibration needs {_FEWEST} poses or more; there are {len(array)}.")
-    finite = np.isfinite(array).all(axis=(1, 2))
+    if len(array) < MIN_POSES:
+        raise ValueError(f"A calibration needs {MIN_POSES} poses or more; there are {len(array)}.")
+    rows = Rows(Path("poses"), "row", np.arange(len(array)), array.reshape(-1, 16), None)
+    finite = np.isfinite(rows.values).all(axis=1)
     if not finite.all():
-        raise ValueError(f"Row {int(np.argmin(finite))} of poses is not finite: leave it out.")
-    turns = array[:, :3, :3]
-    inexact = np.abs(turns.swapaxes(1, 2) @ turns - np.eye(3)).max(axis=(1, 2))
-    last = np.abs(array[:, 3] - [0, 0, 0, 1]).max(axis=1)
-    rigid = (inexact < _RIGID) & (np.linalg.det(turns) > 0) & (last < _RIGID)
-    if not rigid.all():
-        raise ValueError(
-            f"Row {int(np.argmin(rigid))} of poses is no pose [R p; 0 0 0 1] with R^T R = I and det R = 1."
-        )
-    return array
+        raise rows.error(int(np.argmin(finite)), "is not finite: leave it out.")
+    return make_poses(rows)

@@ -11,7 +11,7 @@ from reframe_jax.cli.outputs import check_file, write_document
 from reframe_jax.cli.printing import print_error, print_result
 from reframe_jax.cli.reading import add_reading, expand, read_recording
 from reframe_jax.export.calibration import SCHEMA, calibration_to_record, calibration_to_table
-from reframe_jax.recordings.recording import NoTimesError, RecordingError
+from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import is_path
 
 __all__ = ["add_calibrate"]
@@ -63,10 +63,7 @@ def _calibrate_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
     """Calibrate and print one recording; return its entry in the JSON document."""
     notes: tuple[str, ...] = ()
     try:
-        try:
-            recording = read_recording(path, options)
-        except NoTimesError:  # which play no part
-            recording = read_recording(path, argparse.Namespace(**{**vars(options), "dt": 1.0}))
+        recording = read_recording(path, options, timed=False)
         notes = recording.notes
         found = calibrate(recording.poses, spin=options.spin)
     except RecordingError as error:

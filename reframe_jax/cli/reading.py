@@ -2,12 +2,13 @@
 
 import argparse
 import glob
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from reframe_jax.cli import arguments
 from reframe_jax.cli.printing import print_error
-from reframe_jax.recordings.reading import load_recording
+from reframe_jax.recordings.reading import TIMES_IGNORED, load_recording
 from reframe_jax.recordings.recording import Recording
 from reframe_jax.recordings.selection import ANGLE_UNITS, ANGLES, QUATERNIONS, TIME_UNITS, UNITS
 
@@ -65,13 +66,24 @@ def _matches(pattern: Path) -> list[Path]:
     return [Path(name) for name in sorted(glob.glob(str(pattern), recursive=True))] or [pattern]
 
 
-def read_recording(path: Path, options: argparse.Namespace) -> Recording:
+def read_recording(path: Path, options: argparse.Namespace, *, timed: bool = True) -> Recording:
     """Read a recording with the options of :func:`add_reading`, and print its notes.
+
+    Args:
+        path: the file.
+        options: the options.
+        timed: whether times matter; without, every row is read, whatever its time.
 
     Raises:
         RecordingError: if the recording cannot be read.
     """
-    recording = load_recording(path, **reading_options(options))
+    chosen = reading_options(options)
+    if timed or chosen["dt"] is not None or chosen["in_body"] is not None:
+        recording = load_recording(path, **chosen)
+    else:
+        recording = load_recording(path, **(chosen | {"dt": 1.0, "time_unit": None}))
+        notes = tuple(note for note in recording.notes if not note.startswith(TIMES_IGNORED))
+        recording = replace(recording, notes=notes)
     for note in recording.notes:
         print_error(f"reframe-jax: {path}: {note}")
     return recording

@@ -1,13 +1,16 @@
 """From rows of numbers to poses: repairs, rows that are left out, and refusals."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from reframe_jax.geometry.numpy_rotations import quaternions_to_matrices, rotation_vectors
+from reframe_jax.recordings.continuity import is_unordered
+from reframe_jax.recordings.conventions import angle_matrices, keeps_a_point_better, sample_rows
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, is_path
-from reframe_jax.recordings.selection import Selection
+from reframe_jax.recordings.selection import UNITS, Selection
 
 __all__ = ["MIN_POSES", "check_positions", "check_turns", "drop_unfinished", "make_poses", "note_repeats"]
 
@@ -17,10 +20,13 @@ _DISTANT_FRACTION = 0.05  # fraction of the rows that are left out if they are f
 _APART = 3.0  # times farther than all others
 _VEHICLE, _HAND = 20.0, 50.0  # m/s^2: what a vehicle stays below, and what a hand seldom exceeds
 _OVER = 0.5  # s, over which accelerations are taken, so that noise does not count
+_FEWEST = 10  # rows; fewer are taken for separate touches
+_ROOM = 10.0  # m: separate touches seldom span more
 _MANY = 30  # rows, from which on accelerations say something
-_SMALL = 3.0  # numbers in mm or cm that span less were probably metres
+_SMALL = 3.0  # numbers that span less are metres, rather than mm or cm
 _FASTEST, _FAST = 30.0, 8.0  # rad/s, of angles that are refused, and of those that are worth a note
 _ROTATION_ERROR = 1e-4, 1e-2  # worth a note, since printing rounds off less; and refused
+_ROUNDED = 1e-6  # error of the last row of a matrix that is no more than rounding
 _STALE = 0.05  # fraction of repeated poses that is worth a note
 _BLOCK = 2**14  # rows worked on at once, so that intermediate values stay small
 
@@ -49,7 +55,7 @@ def note_repeats(rows: Rows, poses: np.ndarray) -> None:
 
 
 def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> np.ndarray:
-    """Check that positions are in the unit they are read in.
+    """Leave out rows that are far from all others, and check the unit of the positions.
 
     Args:
         rows: the rows, with times.
@@ -62,44 +68,54 @@ def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> np.ndar
     Raises:
         RecordingError: if the body moves as none does.
     """
-    positions, times = poses[:, :3, 3], rows.times
-    distance = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
-    distant = ~(distance <= _FARTHEST)
-    separated = distant.any() and distance[distant].min() > _APART * max(
-        distance[~distant].max(initial=0), _FARTHEST / _APART
-    )
-    if separated and distant.sum() <= max(_DISTANT_FRACTION * len(distant), 1):
-        beyond = f"more than {_FARTHEST:g} m from the other positions"
-        note = "; if the unit is wrong, give unit (--unit)" if rows.metres is None else ""
-        rows.keep(~distant, beyond + note, "far")
-        return poses[~distant]
-    change = _acceleration(positions, times) if times is not None else 0.0
+    kept = _leave_out_distant(rows, poses[:, :3, 3])
+    poses = poses if kept is None else poses[kept]
+    positions, count = poses[:, :3, 3], len(poses)
     span = float(np.linalg.norm(np.ptp(positions, axis=0)))
-    advice = (
+    distance = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
+    touches = count < _FEWEST or is_unordered(poses)
+    change = _acceleration(positions, rows.times) if rows.times is not None else 0.0
+    too_fast = f"the velocity changes by {change:.2g} m/s^2, more than"
+    advice = "if the positions are in mm, " + (
         "give unit='mm' (--unit mm), for cm unit='cm'"
         if rows.metres is None
         else "the file states another unit: correct it"
     )
-    if distant.any():
+    if distance.max(initial=0) > _FARTHEST:
+        row = int(np.argmax(distance))
+        where = f"lies {distance[row]:.3g} m from the median position"
+        if touches:
+            raise rows.error(row, f"{where}; {advice}.")
         if not change <= _VEHICLE:
-            row = int(np.argmax(distance))
-            raise rows.error(
-                row,
-                f"lies {distance[row]:.3g} m from the median position, and the velocity changes by "
-                f"{change:.2g} m/s^2, more than that of a vehicle; if the positions are in mm, {advice}.",
-            )
-        rows.notes.append(f"positions span {span:.3g} m, as those of a vehicle; if they are in mm, {advice}.")
-    elif change > _HAND and len(poses) >= _MANY and span > 1 and is_path(positions):
-        rows.notes.append(
-            f"the velocity changes by {change:.2g} m/s^2, more than a hand moves a body; if the positions "
-            f"are in mm, {advice}."
-        )
-    factor = 1.0 if wanted.unit in (None, "m") else {"cm": 100.0, "mm": 1000.0}[wanted.unit]
-    if factor > 1 and rows.metres is None and span * factor < _SMALL and len(poses) >= _MANY:
+            raise rows.error(row, f"{where}, and {too_fast} that of a vehicle; {advice}.")
+        rows.notes.append(f"positions span {span:.3g} m, as those of a vehicle; {advice}.")
+    elif touches and span > _ROOM:
+        rows.notes.append(f"positions span {span:.3g} m; {advice}.")
+    elif change > _HAND and count >= _MANY and span > 1 and is_path(positions):
+        rows.notes.append(f"{too_fast} a hand moves a body; {advice}.")
+    unit = UNITS[wanted.unit or "m"]
+    if unit < 1 and rows.metres is None and span < _SMALL * unit and count >= _MANY:
         rows.notes.append(
             f"positions span {1e3 * span:.2g} mm; if the file has them in m, leave out unit (--unit)."
         )
     return poses
+
+
+def _leave_out_distant(rows: Rows, positions: np.ndarray) -> np.ndarray | None:
+    """Leave out a few rows that are much farther away than all others; the rows (N,) that are left."""
+    distance = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
+    ranked = np.sort(distance)
+    limits = np.maximum(_APART * ranked[:-1], _FARTHEST)
+    most = max(int(_DISTANT_FRACTION * len(ranked)), 1)
+    gaps = np.flatnonzero(~(ranked[1:] <= limits))
+    gaps = gaps[gaps + 1 >= len(ranked) - most]
+    if not len(gaps):
+        return None
+    limit = limits[gaps[0]]
+    note = "; if the unit is wrong, give unit (--unit)" if rows.metres is None else ""
+    kept: np.ndarray = distance <= limit
+    rows.keep(kept, f"more than {limit:.3g} m from the other positions{note}", "far")
+    return kept
 
 
 def _acceleration(positions: np.ndarray, times: np.ndarray) -> float:
@@ -115,24 +131,31 @@ def _acceleration(positions: np.ndarray, times: np.ndarray) -> float:
 
 
 def check_turns(rows: Rows, poses: np.ndarray, wanted: Selection) -> None:
-    """Refuse angles in radians if a body turns as none does.
+    """Refuse angles in radians if a body turns as none does; note angles that are degrees rather.
 
     Raises:
         RecordingError: if half of the steps are faster than 30 rad/s.
     """
-    if not rows.angles or wanted.angle_unit is not None or len(poses) < 3 or rows.times is None:
+    if rows.angles is None or wanted.angle_unit is not None or len(poses) < 3 or rows.times is None:
         return
     steps = poses[1:, :3, :3] @ poses[:-1, :3, :3].swapaxes(1, 2)
     rate = float(np.median(np.linalg.norm(rotation_vectors(steps), axis=1) / np.diff(rows.times)))
     sentence = f"read in rad, its angles turn the body by {rate:.2g} rad/s"
-    advice = "give angle_unit='deg' (--angle-unit deg)"
+    advice = "if they are in degrees, give angle_unit='deg' (--angle-unit deg)"
     if rate > _FASTEST:
         raise RecordingError(
-            f"{rows.path}: {sentence}, faster than any hand; if they are in degrees, {advice}, else "
+            f"{rows.path}: {sentence}, faster than any hand; {advice}, else angle_unit='rad' "
+            "(--angle-unit rad)."
+        )
+    some = sample_rows(len(poses))
+    degrees = angle_matrices(rows.path, rows.angles[some], replace(wanted, angle_unit="deg"))
+    if rate > _FAST:
+        rows.notes.append(f"{sentence}; {advice}.")
+    elif keeps_a_point_better(poses[some, :3, 3], poses[some, :3, :3], degrees):
+        rows.notes.append(
+            f"in degrees its angles turn the body about a point, and in rad about none; {advice}, else "
             "angle_unit='rad' (--angle-unit rad)."
         )
-    if rate > _FAST:
-        rows.notes.append(f"{sentence}; if they are in degrees, {advice}.")
 
 
 def make_poses(rows: Rows) -> np.ndarray:
@@ -156,8 +179,10 @@ def make_poses(rows: Rows) -> np.ndarray:
     for block in _blocks(len(values)):
         rotations = poses[block, :3, :3]
         inexact = np.abs(rotations.swapaxes(1, 2) @ rotations - np.eye(3)).max(axis=(1, 2))
-        rigid = (poses[block, 3] == [0, 0, 0, 1]).all(axis=1) & (np.linalg.det(rotations) > 0)
+        last = np.abs(poses[block, 3] - [0, 0, 0, 1]).max(axis=1)
+        rigid = (last < _ROUNDED) & (np.linalg.det(rotations) > 0)
         error[block] = np.where(rigid, inexact, np.inf)
+    poses[:, 3] = [0, 0, 0, 1]
     _judge(rows, error, "a pose matrix [R p; 0 0 0 1] with R^T R = I and det R = 1")
     for block in _blocks(len(values)):
         repaired = np.flatnonzero(error[block] > 1e-12) + block.start  # others stay as they are, bit by bit

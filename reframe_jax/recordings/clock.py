@@ -4,7 +4,7 @@ from decimal import Decimal
 
 import numpy as np
 
-from reframe_jax.recordings.recording import NoTimesError, RecordingError
+from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, is_path
 from reframe_jax.recordings.selection import TIME_UNITS, Selection, flag
 
@@ -25,13 +25,13 @@ def make_times(rows: Rows, dt: float | None, wanted: Selection) -> None:
         RecordingError: if there is neither, or the units contradict each other.
     """
     if dt is not None:
-        if rows.times is not None:
-            rows.notes.append(f"the times in the file are ignored, for the sample time of {dt:g} s given.")
         count = np.arange(len(rows.values)) if rows.frames is None else rows.frames - rows.frames[:1]
         rows.times, rows.origin = count * float(dt), None
         return
     if rows.times is None:
-        raise NoTimesError(f"{rows.path}: has no times; {rows.no_times}.")
+        touches = " Separate touches of a point need no times: reframe-jax calibrate."
+        hint = "" if is_path(rows.positions) else touches
+        raise RecordingError(f"{rows.path}: has no times; {rows.no_times}.{hint}")
     if rows.seconds is not None and wanted.time_unit is not None:
         raise RecordingError(f"{rows.path}: states the unit of its times; leave out {flag('time_unit')}.")
     factor = rows.seconds or TIME_UNITS[wanted.time_unit or "s"]
@@ -45,11 +45,7 @@ def make_times(rows: Rows, dt: float | None, wanted: Selection) -> None:
 
 
 def _check_unit(rows: Rows, wanted: Selection) -> None:
-    """Refuse times that are not in the unit they are read in.
-
-    Raises:
-        RecordingError: if samples are more than 1000 s apart, or count from before there were trackers.
-    """
+    """Refuse times that are not in the unit they are read in."""
     times = rows.times if rows.times is not None else np.empty(0)
     steps = np.diff(times[np.isfinite(times)])
     step = float(np.median(np.abs(steps))) if len(steps) else 0.0
@@ -64,8 +60,7 @@ def _check_unit(rows: Rows, wanted: Selection) -> None:
             f"{rows.path}: read in s, its times are {step:.3g} s apart; they look like {looks}: give "
             f"time_unit={looks!r} (--time-unit {looks}), or the sample time, dt (--dt)."
         )
-    places = rows.values[:, :3] if rows.values.shape[1] == 7 else rows.values[:, [3, 7, 11]]
-    if wanted.time_unit is None and step > _SLOW[0] and is_path(places):
+    if wanted.time_unit is None and step > _SLOW[0] and is_path(rows.positions):
         rows.notes.append(
             f"times are {step:g} s apart, though the body moves little from one to the next; if they are in "
             f"{looks}, give time_unit={looks!r} (--time-unit {looks})."
@@ -120,7 +115,7 @@ def drop_equal_times(rows: Rows) -> None:
     same = again & (rows.values == rows.values[first]).all(axis=1)
     other = again & ~same
     if other.any() and not rows.times.any() and rows.origin is None:
-        raise NoTimesError(
+        raise RecordingError(
             f"{rows.path}: all of its times are 0, so that nobody set them; give the sample time, dt (--dt)."
         )
     if other.sum() > _COARSE * len(again):
@@ -136,7 +131,7 @@ def drop_equal_times(rows: Rows) -> None:
             raise rows.error(
                 int(np.flatnonzero(other)[0]),
                 f"another pose at the same time, {rows.times[other][0]:g} s, as in {other.sum()} rows, far "
-                "from the first: the file holds several bodies; select one of them.",
+                "from the first: the file holds several bodies; keep the rows of one.",
             )
     rows.keep(~same, "the row before is repeated", "repeated")
     other = other[~same]

@@ -34,43 +34,45 @@ def leave_out_lost(rows: Rows, poses: np.ndarray) -> np.ndarray:
         RecordingError: if they are too few.
     """
     lost = find_lost_poses(poses, rows.times)
-    if not lost.mask.any():
-        return poses
-    reasons, where = lost.reasons, rows.where
-    left = int(np.sum(~lost.mask))
-    kept = np.ones(len(poses), bool)
+    reasons, where, kept = lost.reasons, rows.where, ~lost.mask
     for kind, why in _WHY.items():
         mine = reasons == kind
         if not mine.any():
             continue
-        if kind == "identity" and not (poses[mine, :3, 3] == 0).all():
+        if kind == "identity" and (poses[mine, :3, 3] != 0).any():
             why = "the orientation is the identity"
-        runs = [run for run in lost.runs if run.kind == kind]
+        if kind in ("frozen", "end"):
+            why = why.replace("pose", _repeated(poses[mine], poses[np.flatnonzero(mine) - 1]), 1)
         note = f"{name_rows(rows.word, where[mine])} left out, as tracking was lost: {why}"
-        if jump := _jump_in_words(rows.word, poses, where, runs):
-            note += f"; {jump}"
-        rows.keep(~mine[kept], why, kind, f"{note}.")
-        kept &= ~mine
-    if left < _FEW and left < _MOST * len(poses):
+        longest = max((run for run in lost.runs if run.kind == kind), key=lambda run: run.stop - run.start)
+        rows.keep(
+            ~np.isin(rows.where, where[mine]),
+            why,
+            kind,
+            f"{note}{_jump(rows.word, poses, where, lost.mask, longest)}.",
+        )
+    if kept.sum() < _FEW and kept.sum() < _MOST * len(poses):
         raise RecordingError(
-            f"{rows.path}: only {left} of {len(poses)} poses are left; " + " ".join(rows.notes[-2:])
+            f"{rows.path}: only {kept.sum()} of {len(poses)} poses are left; " + " ".join(rows.notes[-2:])
         )
     return poses[kept]
 
 
-def _jump_in_words(word: str, poses: np.ndarray, where: np.ndarray, runs: list[LostRun]) -> str:
-    """The jump to the longest run and back."""
-    run = max(runs, key=lambda each: each.stop - each.start)
-    to = None if run.before is None else _length(poses[run.before], poses[run.start])
-    back = None if run.after is None else _length(poses[run.stop - 1], poses[run.after])
-    if run.kind == "end":
-        return ""
-    if run.kind == "frozen":
-        return "" if run.after is None else f"the pose jumps {back} at {word} {where[run.after]}"
-    if to is None:
-        return "" if run.after is None else f"the pose jumps {back} at {word} {where[run.after]}"
-    sentence = f"the pose jumps {to} at {word} {where[run.start]}"
-    return sentence if run.after is None else f"{sentence} and back at {word} {where[run.after]}"
+def _repeated(poses: np.ndarray, before: np.ndarray) -> str:
+    """The part of poses (N, 4, 4) that is the same in those before."""
+    same = np.isclose(poses, before, rtol=0, atol=1e-9)
+    parts = {"position": same[:, :3, 3].all(), "orientation": same[:, :3, :3].all()}
+    return "pose" if sum(parts.values()) != 1 else next(part for part, repeats in parts.items() if repeats)
+
+
+def _jump(word: str, poses: np.ndarray, where: np.ndarray, lost: np.ndarray, run: LostRun) -> str:
+    """The jump to a run of lost rows and back, as the end of a sentence."""
+    before, after = np.flatnonzero(~lost[: run.start]), np.flatnonzero(~lost[run.stop :]) + run.stop
+    back = f" at {word} {where[after[0]]}" if len(after) else ""
+    if len(before) and run.kind not in ("frozen", "end"):
+        to = f"{_length(poses[before[-1]], poses[run.start])} at {word} {where[run.start]}"
+        return f"; the pose jumps {to}" + (back and f" and back{back}")
+    return back and f"; the pose jumps {_length(poses[run.stop - 1], poses[after[0]])}{back}"
 
 
 def _length(before: np.ndarray, after: np.ndarray) -> str:

@@ -6,15 +6,13 @@ where its path leads. Therefore exact repeats count as lost where they are far f
 them, in units of the steps of that path. Repeats that continue the path are a body at rest, and stay.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["Kind", "LostPoses", "LostRun", "find_lost_poses"]
-
-Kind = Literal["missing", "origin", "identity", "constant", "frozen", "end"]
+__all__ = ["LostPoses", "LostRun", "find_lost_poses"]
 
 _SAME = 1e-9  # m, or of an element of a rotation matrix, within which numbers are equal
 _LEAST = 1e-3  # m or rad, the shortest step that counts: quantized numbers repeat too
@@ -28,12 +26,11 @@ _APART = 0.25  # distance of the origin from all positions over their spread, if
 _OTHERS = 3  # rows elsewhere, without which nothing is known of the path
 _FEW = 2000  # positions of which all distances are computed
 _REPEATS, _NOISY = 3, 0.002  # repeats at the end, and noise over a step, that make a frozen end
-_HELD = 3  # runs of repeats that are as long, of which the last one is no frozen end
+_HELD = 3  # runs of repeats that are half as long, of which the last one is no frozen end
 _PAST = 200  # rows that show noise and speed
 
 
-@dataclass(frozen=True)
-class LostRun:
+class LostRun(NamedTuple):
     """Consecutive rows that are no poses.
 
     Attributes:
@@ -42,15 +39,11 @@ class LostRun:
         kind: "missing" (not finite), "origin" (position 0, 0, 0), "identity" (the orientation is the
             identity, perhaps with a position of 0, 0, 0), "constant" (another number that repeats), "frozen"
             (repeats the pose before), "end" (the same, to the end of the recording).
-        before: row of the last pose before the run, or None.
-        after: row of the first pose after the run, or None.
     """
 
     start: int
     stop: int
-    kind: Kind
-    before: int | None = None
-    after: int | None = None
+    kind: str
 
 
 @dataclass(frozen=True)
@@ -58,20 +51,27 @@ class LostPoses:
     """Rows of (K, 4, 4) that are no poses.
 
     Attributes:
-        mask: (K,) bool, whether a row is no pose.
-        runs: runs of these rows.
+        reasons: (K,) str, the kind of :class:`LostRun` of every row; empty for poses.
     """
 
-    mask: np.ndarray
-    runs: tuple[LostRun, ...]
+    reasons: np.ndarray
 
     @property
-    def reasons(self) -> np.ndarray:
-        """(K,) str, the kind of :class:`LostRun` of every row; empty for poses."""
-        found = np.full(len(self.mask), "", dtype="U8")
-        for run in self.runs:
-            found[run.start : run.stop] = run.kind
+    def mask(self) -> np.ndarray:
+        """(K,) bool, whether a row is no pose."""
+        found: np.ndarray = self.reasons != ""
         return found
+
+    @property
+    def runs(self) -> tuple[LostRun, ...]:
+        """Runs of rows of the same kind."""
+        kinds = self.reasons
+        edges = [0, *(np.flatnonzero(kinds[1:] != kinds[:-1]) + 1).tolist(), len(kinds)]
+        return tuple(
+            LostRun(start, stop, str(kinds[start]))
+            for start, stop in pairwise(edges)
+            if stop > start and kinds[start] != ""
+        )
 
 
 def find_lost_poses(poses: np.ndarray, times: np.ndarray | None = None) -> LostPoses:
@@ -85,38 +85,24 @@ def find_lost_poses(poses: np.ndarray, times: np.ndarray | None = None) -> LostP
         The rows, and why.
     """
     poses = np.asarray(poses, float)
-    finite = np.isfinite(poses).all(axis=(1, 2))
-    kinds = np.where(finite, "", "missing").astype("U8")
-    rows = np.flatnonzero(finite)
     clock = np.arange(len(poses), dtype=float) if times is None else np.asarray(times, float)
-    paths = _paths(poses if finite.all() else poses[rows], clock[rows]) if len(rows) > 2 else None
+    kinds = np.where(np.isfinite(poses).all(axis=(1, 2)), "", "missing").astype("U8")
+    paths = None
     for search in (_at_origin, _constant, _frozen):
         if paths is None:
-            break
-        found = search(paths)
-        kinds[rows] = found
-        if (found != "").any():
-            rows = rows[found == ""]
-            paths = _paths(poses[rows], clock[rows]) if len(rows) > 2 else None
-    mask = kinds != ""
-    return LostPoses(mask, tuple(_describe(kinds, mask)))
-
-
-def _describe(kinds: np.ndarray, mask: np.ndarray) -> Iterator[LostRun]:
-    """Runs of rows of the same kind, with the poses around them."""
-    kept = np.flatnonzero(~mask)
-    edges = np.flatnonzero(np.append(True, kinds[1:] != kinds[:-1])[: len(kinds)])
-    for start, stop in zip(edges, np.append(edges[1:], len(kinds)), strict=True):
-        if not mask[start]:
-            continue
-        place = int(np.searchsorted(kept, start))
-        yield LostRun(
-            start=int(start),
-            stop=int(stop),
-            kind=str(kinds[start]),  # type: ignore[arg-type]
-            before=int(kept[place - 1]) if place else None,
-            after=int(kept[place]) if place < len(kept) else None,
-        )
+            rows = np.flatnonzero(kinds == "")
+            if len(rows) < _OTHERS:
+                break
+            turns = poses[rows, :3, :3].reshape(-1, 9) / np.sqrt(2)
+            identity = np.eye(3).ravel() / np.sqrt(2)
+            paths = (
+                _Path.of(poses[rows, :3, 3], np.zeros(3), clock[rows]),
+                _Path.of(turns, identity, clock[rows]),
+            )
+        kinds[rows] = search(paths)
+        if (kinds[rows] != "").any():
+            paths = None
+    return LostPoses(kinds)
 
 
 @dataclass(frozen=True)
@@ -159,53 +145,30 @@ class _Path:
         steps = steps[steps > 0]
         return float(np.quantile(steps, 0.9)) if len(steps) else 0.0
 
-    def near_steps(self, runs: np.ndarray, ignored: np.ndarray) -> np.ndarray:
-        """The same around every run of rows (M, 2): of four steps nearby, the longest."""
-        if not len(self.steps):
-            return np.zeros(len(runs))
-        count = -(-len(self.steps) // _NEAR)
-        blocks = np.full(count * _NEAR, np.inf)
-        blocks[: len(self.steps)] = np.where(
-            ignored[1:] | ignored[:-1] | (self.steps == 0), np.inf, self.steps
-        )
-        blocks = np.sort(blocks.reshape(count, _NEAR), axis=1)
-        known = np.isfinite(blocks).sum(axis=1)
-        long = np.where(known > 0, blocks[np.arange(count), (3 * np.maximum(known - 1, 0)) // 4], 0.0)
-        before, after = (np.clip(each // _NEAR, 0, count - 1) for each in (runs[:, 0] - 1, runs[:, 1]))
-        found: np.ndarray = np.maximum(long[before], long[after])
-        return found
+    def jumps(self, runs: np.ndarray, limit: float, ignored: np.ndarray, usual: float) -> np.ndarray:
+        """The shorter and the longer jump to and from runs of rows, as bool (M, 2): whether it is one.
 
-    def jumps(
-        self,
-        runs: np.ndarray,
-        limit: float,
-        ignored: np.ndarray,
-        usual: float,
-        one_side_suffices: bool = False,
-    ) -> np.ndarray:
-        """Whether the path jumps to runs of rows (M, 2) and away from them, or one of both at its ends.
+        A run at an end of the path has one jump, which is both.
 
         Args:
-            runs: first row, and row after the last one.
+            runs: (M, 2) first row, and row after the last one.
             limit: steps that are a jump.
             ignored: (N,) bool, rows whose steps do not count.
-            usual: a step of the path.
-            one_side_suffices: whether one of both jumps suffices for runs of several rows.
+            usual: a step of the path. Of four steps nearby, the longest counts if that is longer.
         """
-        ends = np.concatenate([[np.nan], self.steps, [np.nan]])
-        to, back = ends[runs[:, 0]], ends[runs[:, 1]]
-        shorter, longer = np.fmin(to, back), np.fmax(to, back)
-        several = np.diff(runs, axis=1)[:, 0] > 1
-        length = np.where(several & one_side_suffices, longer, shorter)
-        step = np.maximum(np.maximum(usual, self.near_steps(runs, ignored)), _LEAST)
-        found: np.ndarray = length > limit * step
+        count = -(-len(self.steps) // _NEAR)
+        blocks = np.full(count * _NEAR, np.inf)
+        unknown = ignored[1:] | ignored[:-1] | (self.steps == 0)
+        blocks[: len(self.steps)] = np.where(unknown, np.inf, self.steps)
+        blocks = np.sort(blocks.reshape(count, _NEAR), axis=1)
+        known = np.isfinite(blocks).sum(axis=1)
+        long = np.where(known > 0, blocks[np.arange(count), 3 * np.maximum(known - 1, 0) // 4], 0.0)
+        near = long[np.clip(np.column_stack([runs[:, 0] - 1, runs[:, 1]]) // _NEAR, 0, count - 1)]
+        step = np.maximum(near.max(axis=1), max(usual, _LEAST))
+        ends = np.concatenate([[np.nan], self.steps, [np.nan]])[runs]
+        both = np.column_stack([np.fmin(*ends.T), np.fmax(*ends.T)])
+        found: np.ndarray = both > limit * step[:, None]
         return found
-
-
-def _paths(poses: np.ndarray, times: np.ndarray) -> tuple[_Path, _Path]:
-    turns = poses[:, :3, :3].reshape(-1, 9) / np.sqrt(2)
-    position = _Path.of(poses[:, :3, 3], np.zeros(3), times)
-    return position, _Path.of(turns, np.eye(3).ravel() / np.sqrt(2), times)
 
 
 def _at_origin(paths: tuple[_Path, _Path]) -> np.ndarray:
@@ -215,12 +178,12 @@ def _at_origin(paths: tuple[_Path, _Path]) -> np.ndarray:
     for path in paths:
         if np.sum(~path.zero) < _OTHERS or not path.zero.any():
             continue
-        runs = path.runs
-        runs = runs[path.zero[runs[:, 0]]]
+        runs = path.runs[path.zero[path.runs[:, 0]]]
         if path is not position or not _is_apart(path):
             # the path may come close to the origin by chance, when tracking is lost or found again
-            usual = path.usual_step(path.zero)
-            runs = runs[path.jumps(runs, _ORIGIN_JUMP_STEPS, path.zero, usual, one_side_suffices=True)]
+            jumps = path.jumps(runs, _ORIGIN_JUMP_STEPS, path.zero, path.usual_step(path.zero))
+            several = np.diff(runs, axis=1)[:, 0] > 1
+            runs = runs[np.where(several, jumps[:, 1], jumps[:, 0])]
         lost = _rows_of(runs, len(kinds))
         kinds[lost] = "origin" if path is position else "identity"
         kinds[lost & position.zero & turn.zero] = "identity"
@@ -257,10 +220,9 @@ def _constant(paths: tuple[_Path, _Path]) -> np.ndarray:
         if not repeated.any():
             continue
         usual = path.usual_step(repeated) or path.usual_step(np.zeros(len(kinds), bool))
-        runs = path.runs
-        runs, mine = runs[repeated[runs[:, 0]]], repeated
+        runs, mine = path.runs[repeated[path.runs[:, 0]]], repeated
         for _ in range(2):  # the second time, steps from and to numbers that are poses count too
-            away = path.jumps(runs, _JUMP_STEPS, mine, usual)
+            away = path.jumps(runs, _JUMP_STEPS, mine, usual)[:, 0]
             values = path.value[runs[:, 0]]
             stays = np.zeros(len(counts), bool)
             stays[values[~away]] = True  # a number that continues the path once is a pose
@@ -272,33 +234,49 @@ def _constant(paths: tuple[_Path, _Path]) -> np.ndarray:
 
 
 def _frozen(paths: tuple[_Path, _Path]) -> np.ndarray:
-    """Rows that repeat the pose before while the body went on; the first of every run is a pose."""
-    position, turn = paths
-    kinds = np.full(len(position.zero), "", "U8")
-    still = (position.steps == 0) & (turn.steps == 0)
-    runs = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int))).reshape(-1, 2)
-    lengths = np.diff(runs, axis=1)[:, 0]
-    for start, stop in runs:  # rows start + 1 to stop repeat row start
-        if stop == len(kinds) - 1:
-            held = np.sum(lengths >= stop - start) > _HELD  # as all samples are, written too often
-            if stop - start >= _REPEATS and not held and any(_stops_dead(path, start) for path in paths):
-                kinds[start + 1 :] = "end"
-        elif any(_goes_on(path, start, stop) for path in paths):
-            kinds[start + 1 : stop + 1] = "frozen"
+    """Rows that repeat the position or the orientation before while the body went on.
+
+    The first row of every run is a pose.
+    """
+    count = len(paths[0].zero)
+    kinds = np.full(count, "", "U8")
+    for path in paths:
+        moving = np.flatnonzero(path.steps)
+        if not len(moving):
+            continue
+        repeats = np.diff(moving, prepend=-1) - 1  # before every step of the path
+        late = np.flatnonzero(repeats)
+        late = late[_goes_on(path.steps[moving], repeats, late)]
+        runs = np.column_stack([moving[late] - repeats[late], moving[late]]) + 1
+        kinds[_rows_of(runs, count)] = "frozen"
+        start = moving[-1] + 1
+        last = count - start
+        held = np.sum(2 * (repeats[repeats > 0] + 1) >= last) >= _HELD  # as all samples, written too often
+        if last > _REPEATS and not held and _stops_dead(path, start):
+            kinds[start + 1 :] = "end"
     return kinds
 
 
-def _goes_on(path: _Path, start: int, stop: int) -> bool:
-    """Whether the step after a run is as long as those that were missed, and not the usual one."""
-    steps = path.steps
-    before, after = steps[:start], steps[stop + 1 :]
-    near = [each for each in (before[before > 0][-_AHEAD:], after[after > 0][:_AHEAD]) if len(each)]
-    if not near:
-        return False
+def _goes_on(steps: np.ndarray, repeats: np.ndarray, late: np.ndarray) -> np.ndarray:
+    """Whether steps after repeats are as long as those that were missed, and not the usual ones.
+
+    Args:
+        steps: (M,) of the path, none of them 0.
+        repeats: (M,) int, rows before every step that repeat.
+        late: (L,) int, steps after repeats.
+    """
+    unknown = np.full(_AHEAD, np.nan)
+    nearby = np.lib.stride_tricks.sliding_window_view(np.concatenate([unknown, steps, unknown]), _AHEAD)
+    near = np.sort(np.stack([nearby[late], nearby[late + _AHEAD + 1]]), axis=2)  # unknown ones last
+    known = np.isfinite(near).sum(axis=2, keepdims=True)
+    longest, low, high = (
+        np.take_along_axis(near, each, axis=2)[..., 0] for each in (known - 1, (known - 1) // 2, known // 2)
+    )
     # a few repeats count only if no step nearby is as long as the one after them
-    longest = np.max if stop - start < _LONG else np.median
-    usual = max(*(float(longest(each)) for each in near), float(np.median(steps[steps > 0])))
-    return bool(steps[stop] > min(1 + 0.5 * (stop - start), _FROZEN) * usual + _SAME)
+    usual = np.where(repeats[late] < _LONG, longest, (low + high) / 2)
+    usual = np.fmax(np.fmax(*usual), np.median(steps))
+    found: np.ndarray = steps[late] > np.minimum(1 + 0.5 * repeats[late], _FROZEN) * usual + _LEAST
+    return found
 
 
 def _stops_dead(path: _Path, start: int) -> bool:

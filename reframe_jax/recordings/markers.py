@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
+from reframe_jax.recordings.readers.reader import Entry
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rigid_body import fit_rigid_body
 from reframe_jax.recordings.rows import shown
 from reframe_jax.recordings.selection import flag
 
-__all__ = ["UNSEEN", "choose_markers", "fit_markers", "group_markers"]
+__all__ = ["UNSEEN", "choose_markers", "fit_markers", "group_markers", "marker_entries"]
 
 UNSEEN = "fewer than three markers of the body are seen, or all of them are on a line"
 _LOOSE = 5e-3  # m rms, above which markers are hardly on one body
@@ -54,15 +55,25 @@ def choose_markers(path: Path, body: str | None, labels: list[str]) -> list[str]
     )
 
 
+def marker_entries(labels: list[str], detail: str) -> list[Entry]:
+    """Bodies of markers as options of reading, and the markers that are on none."""
+    groups = group_markers(labels)
+    found = [Entry("body", name, f"{len(each)} markers: {', '.join(each)}") for name, each in groups.items()]
+    grouped = {label for each in groups.values() for label in each}
+    if rest := [label for label in labels if label not in grouped]:
+        found.append(Entry("body", ",".join(rest), detail))
+    return found
+
+
 def fit_markers(
-    path: Path, points: np.ndarray, known: dict[str, int], labels: list[str], metres: float
+    path: Path, points: np.ndarray, known: list[str], labels: list[str], metres: float
 ) -> tuple[np.ndarray, list[str]]:
     """Poses (N, 4, 4) of a body with some markers, in the unit of the points, and a note on their fit.
 
     Args:
         path: the file.
         points: (N, M, 3), NaN where a marker is not seen.
-        known: their indices, by label.
+        known: the labels of all markers.
         labels: of the markers of the body.
         metres: length of the unit.
 
@@ -76,7 +87,7 @@ def fit_markers(
         )
     if len(set(labels)) < 3:
         raise RecordingError(f"{path}: expected three markers or more of a body, found {len(set(labels))}.")
-    points = points[:, [known[label] for label in dict.fromkeys(labels)]]
+    points = points[:, [known.index(label) for label in dict.fromkeys(labels)]]
     try:
         poses, residuals = fit_rigid_body(points)
     except ValueError as error:

@@ -4,11 +4,14 @@ NumPy only. ``Recording.notes`` lists rows that were dropped, repaired or look o
 wrong raises a :class:`RecordingError` that says where, what was expected, and what to do.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from reframe_jax.geometry.numpy_rotations import quaternions_to_matrices
 from reframe_jax.recordings.checks import (
     MIN_POSES,
     check_positions,
@@ -18,8 +21,8 @@ from reframe_jax.recordings.checks import (
     note_repeats,
 )
 from reframe_jax.recordings.clock import drop_equal_times, make_times, sort_times
+from reframe_jax.recordings.conventions import fits_better, reorder, sample_rows
 from reframe_jax.recordings.left_out import leave_out_lost, note_jumps
-from reframe_jax.recordings.quaternion_order import reorder, shows_other_order
 from reframe_jax.recordings.readers import check_options, choose_reader
 from reframe_jax.recordings.readers.reader import Entry, Reader
 from reframe_jax.recordings.recording import Recording, RecordingError
@@ -36,7 +39,9 @@ from reframe_jax.recordings.selection import (
     flag,
 )
 
-__all__ = ["list_contents", "load_recording"]
+__all__ = ["TIMES_IGNORED", "list_contents", "load_recording"]
+
+TIMES_IGNORED = "the times in the file are ignored"
 
 
 def load_recording(
@@ -59,37 +64,11 @@ def load_recording(
 ) -> Recording:
     """Read a recording of poses.
 
-    Formats, by suffix:
-
-    ``.csv``, ``.tsv``, ``.txt``, ``.tum``
-        Columns named by a header, in any order; others are ignored. Time: ``t``, ``time``,
-        ``timestamp``, ``stamp``. Position: ``x``, ``px``, ``pos_x``, ``position.x``, ``p_RS_R_x``; also
-        ``tx``, unless there is an ``fx`` or another position, as it is a torque then. Orientation: ``qx``,
-        ``quat_x``, ``orientation.x``, ``q_RS_x``; or ``rx``, ``roll`` (``angles``). Or a pose matrix,
-        ``m00`` to ``m23`` or ``m33`` (or ``t00``): row, column. A unit may follow: ``x [mm]``, ``time_ns``.
-        Wrench, kept as it is: ``fx``, ``force_x``, ``wrench.force.x``; ``tx``, ``torque_x``. Lines that
-        start with ``#`` or ``%`` are comments; the last one before the numbers may be the header. Times may
-        be dates, ``2024-05-01 10:00:00.250``; a column ``frame`` counts sample times (``dt``).
-        Without a header: 8 numbers to a line are a TUM trajectory, ``t x y z qx qy qz qw``, and 12 one of
-        KITTI (``dt``).
-    ``.npy``, ``.npz``
-        ``poses``: (N, 4, 4), or (N, 7) as ``x y z qx qy qz qw``, or (N, 8) with the time first. An .npz
-        may hold ``positions`` (N, 3) and ``quaternions`` (N, 4) instead, ``times`` (N,), and ``wrenches``
-        (N, 6). Its other arrays are not read.
-
-    ``.csv`` and ``.tsv`` of motion capture
-        Exports of OptiTrack Motive, Vicon Tracker and Nexus (``angles``), Qualisys, and NDI, by their first
-        lines. ``body`` names a rigid body.
-    ``.trc``, ``.mha``
-        Markers as OpenSim has them, and transforms as Plus has them (``body``).
-    ``.bag``, ``.mcap``, ``.db3``, or the folder of a ROS 2 bag
-        ``topic``, or ``from_frame`` and ``to_frame``. Needs the extra ``bags``.
-    ``.c3d``
-        ``body``. Needs the extra ``c3d``.
-    ``.parquet``, ``.hdf5``, ``.h5``
-        ``position`` and ``orientation`` name columns. Need the extras ``parquet`` and ``hdf5``.
-
-    The page Files of the documentation says what is read of each, and how.
+    The suffix and the first bytes of a file select its format: tables with named columns (``.csv``,
+    ``.tsv``, ``.txt``, ``.tum``), trajectories of TUM and KITTI, arrays of NumPy (``.npy``, ``.npz``),
+    exports of motion capture (``.csv``, ``.tsv``, ``.trc``, ``.c3d``, ``.mha``), ROS bags (``.bag``,
+    ``.mcap``, ``.db3``, or a folder) and data sets (``.parquet``, ``.hdf5``). The page Files of the
+    documentation lists the options of each format, and the names of columns and arrays.
 
     A recording has at most 8,388,608 poses. A million of them need about 450 MB while they are read, twice
     that for a chain of tf frames.
@@ -123,38 +102,21 @@ def load_recording(
     """
     path = Path(path)
     wanted = Selection(
-        unit=unit,
-        time_unit=time_unit,
-        topic=topic,
-        from_frame=from_frame,
-        to_frame=to_frame,
-        body=body,
-        in_body=in_body,
-        position=position,
-        orientation=orientation,
-        quaternion=quaternion,
-        angles=angles,
-        angle_unit=angle_unit,
-        episode=episode,
+        *(unit, time_unit, topic, from_frame, to_frame, body, in_body),
+        *(position, orientation, quaternion, angles, angle_unit, episode),
     )
     if dt is not None and not 0 < dt < np.inf:
         raise RecordingError(f"dt must be a positive number of seconds, not {dt!r}.")
-    try:
+    with _one_line(path):
         reader = choose_reader(path)
         check_options(path, reader, wanted)
-        recording = _load(path, reader, replace(wanted, in_body=None), dt)
+        absolute = replace(wanted, in_body=None)
+        recording = _load(path, reader, absolute, dt)
         if in_body is None:
             return recording
-        absolute = replace(wanted, in_body=None)
         by_topic = "topic" in reader.options
         other = replace(absolute, topic=in_body) if by_topic else replace(absolute, body=in_body)
         return relative_poses(recording, _load(path, reader, other, dt))
-    except UnicodeDecodeError as error:
-        raise RecordingError(f"{path}: is not a text file; expected UTF-8.") from error
-    except RecordingError:
-        raise
-    except (OSError, ValueError) as error:  # the latter of a path that holds a zero byte
-        raise _closed(path, error) from error
 
 
 def list_contents(path: str | Path) -> tuple[str, list[Entry] | None]:
@@ -170,17 +132,23 @@ def list_contents(path: str | Path) -> tuple[str, list[Entry] | None]:
         RecordingError: if the file cannot be read.
     """
     path = Path(path)
-    try:
+    with _one_line(path):
         reader = choose_reader(path)
         return reader.name, reader.contents(path) if reader.contents else None
+
+
+@contextmanager
+def _one_line(path: Path) -> Iterator[None]:
+    """Replace errors of the disk and of the encoding by a :class:`RecordingError`."""
+    try:
+        yield
     except RecordingError:
         raise
-    except (OSError, ValueError) as error:
-        raise _closed(path, error) from error
-
-
-def _closed(path: Path, error: Exception) -> RecordingError:
-    return RecordingError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}.")
+    except UnicodeDecodeError as error:
+        raise RecordingError(f"{path}: is not a text file; expected UTF-8.") from error
+    except (OSError, ValueError) as error:  # the latter of a path that holds a zero byte
+        why = getattr(error, "strerror", None) or error
+        raise RecordingError(f"{path}: cannot be read: {why}.") from error
 
 
 def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Recording:
@@ -188,6 +156,7 @@ def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Re
     with np.errstate(all="ignore"):  # numbers too large to be squared: what comes of them is refused below
         rows = reader.read(path, wanted)
         _apply_order(rows, wanted)
+        ignored = dt is not None and rows.times is not None
         make_times(rows, dt, wanted)
         drop_unfinished(rows)
         sort_times(rows)
@@ -202,6 +171,8 @@ def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Re
         _check_order(rows, reader)
         note_jumps(rows, poses)
         note_repeats(rows, poses)
+    if ignored:
+        rows.notes.append(f"{TIMES_IGNORED}, for the sample time of {dt:g} s given.")
     return Recording(
         np.asarray(rows.times),
         poses,
@@ -239,8 +210,13 @@ def _check_order(rows: Rows, reader: Reader) -> None:
     if rows.values.shape[1] != 7 or "quaternion" not in reader.options:
         return
     other: Quaternion = "wxyz" if rows.order == "xyzw" else "xyzw"
-    quaternions = rows.values[:, 3:] / np.linalg.norm(rows.values[:, 3:], axis=1, keepdims=True)
-    if shows_other_order(rows.values[:, :3], quaternions, reorder(quaternions, rows.order, other)):
+    some = sample_rows(len(rows.values))
+    positions, numbers = rows.values[some, :3], rows.values[some, 3:]
+    numbers = numbers / np.linalg.norm(numbers, axis=1, keepdims=True)
+    read, else_read = (
+        quaternions_to_matrices(each) for each in (numbers, reorder(numbers, rows.order, other))
+    )
+    if fits_better(positions, read, else_read):
         rows.notes.append(
             f"with quaternions in the order {other} the orientations fit the positions, and in the order "
             f"{rows.order} they do not: if the file holds {other}, give quaternion={other!r} "

@@ -6,17 +6,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-__all__ = ["LeftOut", "NoTimesError", "Recording", "RecordingError"]
+__all__ = ["LeftOut", "Recording", "RecordingError"]
 
 _OUTLIER = "the pose jumps away from its neighbours and back"
 
 
 class RecordingError(ValueError):
     """A file that cannot be used as a recording."""
-
-
-class NoTimesError(RecordingError):
-    """A file without times, of which a motion needs the sample time."""
 
 
 @dataclass(frozen=True, eq=False)

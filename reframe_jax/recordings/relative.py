@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from decimal import Decimal, InvalidOperation
+from pathlib import Path
 
 import numpy as np
 
@@ -9,7 +10,7 @@ from reframe_jax.geometry.numpy_rotations import rotation_matrices, rotation_vec
 from reframe_jax.recordings.checks import MIN_POSES
 from reframe_jax.recordings.recording import LeftOut, Recording, RecordingError
 
-__all__ = ["interpolate_poses", "invert_poses", "relative_poses"]
+__all__ = ["interpolate_poses", "invert_poses", "origin_shift", "relative_poses"]
 
 _GAP = 5.0  # median steps, after which a body counts as lost
 _BLOCK = 2**14  # poses worked on at once
@@ -36,7 +37,7 @@ def relative_poses(a: Recording, b: Recording) -> Recording:
     """
     if len(b.times) < 2:
         raise RecordingError(f"{b.path}: expected two poses or more of the other body, found {len(b.times)}.")
-    times = a.times + _shift(a, b)
+    times = a.times + origin_shift(a.path, a.origin, b.origin)
     poses, known = interpolate_poses(b.times, b.poses, times)
     if known.sum() < MIN_POSES:
         raise RecordingError(
@@ -108,11 +109,15 @@ def invert_poses(poses: np.ndarray) -> np.ndarray:
     return found
 
 
-def _shift(a: Recording, b: Recording) -> float:
-    """What to add to times of ``a``, s, to have them on the clock of ``b``."""
+def origin_shift(path: Path, origin: str | None, other: str | None) -> float:
+    """What to add to times that count from an origin, s, so that they count from another one.
+
+    Raises:
+        RecordingError: if the origins are no numbers.
+    """
     try:
-        return float(Decimal(a.origin or 0) - Decimal(b.origin or 0))
+        return float(Decimal(origin or 0) - Decimal(other or 0))
     except InvalidOperation as error:
         raise RecordingError(
-            f"{a.path}: expected origins that are numbers of seconds, not {a.origin!r} and {b.origin!r}."
+            f"{path}: expected origins that are numbers of seconds, not {origin!r} and {other!r}."
         ) from error

@@ -35,7 +35,7 @@ class Rows:
         metres: length of the unit of the positions if the file states it, else None.
         seconds: length of the unit of the times if the file states it, else None.
         order: order in which the file holds quaternions, which ``values`` has as x y z w.
-        angles: whether the orientations come from angles whose unit the file does not state.
+        angles: (N, 3) angles of the orientations, if the file does not state their unit, else None.
         no_times: what gives the times where the file has none, for a message.
         missing: why numbers of a row are missing, for a note.
         frames: (N,) int, numbers of the frames, which count sample times; None if every row is one.
@@ -53,11 +53,16 @@ class Rows:
     metres: float | None = None
     seconds: float | None = None
     order: Literal["xyzw", "wxyz"] = "xyzw"
-    angles: bool = False
+    angles: np.ndarray | None = None
     no_times: str = "give the sample time, dt (--dt)"
     missing: str = "a number is missing or not finite"
     frames: np.ndarray | None = None
     left_out: list[LeftOut] = field(default_factory=list)
+
+    @property
+    def positions(self) -> np.ndarray:
+        """(N, 3), in the unit of the file."""
+        return self.values[:, :3] if self.values.shape[1] == 7 else self.values[:, [3, 7, 11]]
 
     def error(self, row: int, problem: str) -> RecordingError:
         """What is wrong with a row."""
@@ -88,7 +93,7 @@ class Rows:
 
     def take(self, rows: np.ndarray) -> None:
         """Keep some rows, of a mask or of indices, and their order."""
-        for name in ("where", "values", "times", "wrenches", "frames"):
+        for name in ("where", "values", "times", "wrenches", "frames", "angles"):
             numbers = getattr(self, name)
             setattr(self, name, None if numbers is None else numbers[rows])
 

@@ -44,24 +44,7 @@ _FLAGS = {"from_frame": "--from", "to_frame": "--to", "in_body": "--in"}
 
 @dataclass(frozen=True)
 class Selection:
-    """Options of reading; None where the user says nothing.
-
-    Attributes:
-        unit: unit of the positions in the file.
-        time_unit: unit of the times in the file.
-        topic: topic of a bag.
-        from_frame: tf frame that serves as the ground.
-        to_frame: tf frame whose pose is read.
-        body: name of a rigid body; in a C3D, a prefix of marker names or a list of them with commas.
-        in_body: body in whose frame the poses are expressed, named like ``body``; in a bag, a topic.
-        position: column of the positions.
-        orientation: column of the orientations.
-        quaternion: order in which the file holds the numbers of a quaternion.
-        angles: what three angles mean: a rotation vector, or turns about the moving axes (XYZ) or the
-            fixed axes (xyz), the first letter first.
-        angle_unit: unit of these angles.
-        episode: number of the episode.
-    """
+    """Options of :func:`reframe_jax.load_recording`, which describes them; None where nothing is given."""
 
     unit: Unit | None = None
     time_unit: TimeUnit | None = None

@@ -22,7 +22,6 @@ __all__ = ["ARRAYS", "read_arrays"]
 _NAMES = ("poses", "positions", "quaternions", "times", "wrenches")
 _NO_TIMES = "add an array times (N,) to an .npz, or give the sample time, dt (--dt)"
 _LONGEST_HEADER = 10_000  # bytes; NumPy writes 128 for an array of numbers
-_PIECE = 2**18  # bytes read at a time
 _LISTED = 8  # arrays listed in a message
 
 
@@ -38,29 +37,18 @@ class _Array:
 
     def read(self) -> np.ndarray:
         """The numbers."""
-        numbers = np.empty(math.prod(self.shape), self.dtype)
-        left = numbers.view(np.uint8)
+        size = math.prod(self.shape) * self.dtype.itemsize
         with self.open() as stream:
             stream.seek(self.start)
-            while len(left):
-                piece = stream.read(min(len(left), _PIECE))
-                if not piece:
-                    raise EOFError
-                left[: len(piece)] = np.frombuffer(piece, np.uint8)
-                left = left[len(piece) :]
-        return numbers.reshape(self.shape, order="F" if self.by_column else "C")
+            content = stream.read(size)
+        if len(content) < size:
+            raise EOFError
+        numbers = np.frombuffer(content, self.dtype)
+        return numbers.reshape(self.shape, order="F" if self.by_column else "C").copy()
 
 
 def read_arrays(path: Path, wanted: Selection) -> Rows:
-    """Read ``poses``, or ``positions`` and ``quaternions``, ``times`` and ``wrenches``, from an .npy or .npz.
-
-    Args:
-        path: the file. An .npy holds ``poses``. Other arrays of an .npz are not read.
-        wanted: nothing of it is used here.
-
-    Raises:
-        RecordingError: if these are not plain arrays of numbers of shapes that fit, whole, and not too large.
-    """
+    """Read ``poses``, or ``positions`` and ``quaternions``, ``times`` and ``wrenches``."""
     with path.open("rb") as file, attribute_to(lambda _: _no_arrays(path)):
         if file.read(2) != b"PK":
             single = _find(path, "poses", lambda: path.open("rb"), path.stat().st_size)
@@ -110,16 +98,12 @@ def _find(path: Path, name: str, open: Callable[[], IO[bytes]], size: int) -> _A
 def _rows(path: Path, arrays: dict[str, _Array], others: list[str]) -> Rows:
     """The rows of arrays whose shapes fit each other."""
     shapes = {name: array.shape for name, array in arrays.items()}
-    first = shapes.get("poses") or shapes.get("positions") or (0,)
-    count = first[0]
+    count = (shapes.get("poses") or shapes.get("positions") or (0,))[0]
     pair = (shapes.get("positions"), shapes.get("quaternions")) == ((count, 3), (count, 4))
     timed = shapes.get("poses") == (count, 8) and "times" not in shapes
     fits = pair or timed or shapes.get("poses") in ((count, 7), (count, 4, 4))
-    others_fit = shapes.get("times", (count,)) == (count,) and shapes.get("wrenches", (count, 6)) == (
-        count,
-        6,
-    )
-    if not (fits and count and others_fit) or any(array.dtype.kind not in "fiu" for array in arrays.values()):
+    fits &= shapes.get("times", (count,)) == (count,) and shapes.get("wrenches", (count, 6)) == (count, 6)
+    if not (fits and count) or any(array.dtype.kind not in "fiu" for array in arrays.values()):
         found = [f"{name} {array.shape} of {array.dtype}" for name, array in arrays.items()] + others
         more = ", ..." if len(found) > _LISTED else ""
         raise RecordingError(
@@ -131,14 +115,15 @@ def _rows(path: Path, arrays: dict[str, _Array], others: list[str]) -> Rows:
         raise RecordingError(
             f"{path}: has {count} samples; expected at most {MOST_ROWS}; cut the recording into files."
         )
-    names = ("positions", "quaternions") if pair else ("poses",)
     with np.errstate(all="ignore"):  # numbers that no double holds become infinite, and are dropped
-        parts = [arrays[name].read().reshape(count, -1) for name in names]
-        times = parts[0][:, 0] if timed else arrays["times"].read() if "times" in arrays else None
-        parts[0] = parts[0][:, timed:]
-        values = (np.hstack(parts) if pair else parts[0]).astype(float, copy=False)
-        seconds, origin = (None, None) if times is None else _since_first(times)
-        wrenches = arrays["wrenches"].read().astype(float, copy=False) if "wrenches" in arrays else None
+        names = {"times", "wrenches", *(("positions", "quaternions") if pair else ("poses",))}
+        parts = {name: arrays[name].read().reshape(count, -1) for name in names & arrays.keys()}
+        if timed:
+            parts |= {"times": parts["poses"][:, :1], "poses": parts["poses"][:, 1:]}
+        values = np.hstack([parts["positions"], parts["quaternions"]]) if pair else parts["poses"]
+        seconds, origin = _since_first(parts["times"][:, 0]) if "times" in parts else (None, None)
+        wrenches = parts["wrenches"].astype(float, copy=False) if "wrenches" in parts else None
+        values = values.astype(float, copy=False)
     return Rows(
         path, "sample", np.arange(count), values, seconds, origin, wrenches=wrenches, no_times=_NO_TIMES
     )

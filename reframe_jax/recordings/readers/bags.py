@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -45,11 +44,21 @@ class _Samples:
         self.stamps, self.logged = array("q"), array("q")  # ns
         self.values = array("d")  # x y z qx qy qz qw
 
-    def add(self, header: Any, logged: int, position: Any, orientation: Any) -> None:
+    def add(self, path: Path, header: Any, logged: int, pose: Any) -> None:
+        """Add a pose or transform, or None where it is missing."""
+        if len(self.stamps) == MOST_ROWS:
+            raise RecordingError(f"{path}: has more than {MOST_ROWS} poses; cut the recording into files.")
         self.stamps.append(0 if header is None else 1_000_000_000 * header.stamp.sec + header.stamp.nanosec)
         self.logged.append(logged)
-        self.values.extend((position.x, position.y, position.z))
-        self.values.extend((orientation.x, orientation.y, orientation.z, orientation.w))
+        if pose is None:
+            self.values.extend([np.nan] * 7)
+            return
+        while hasattr(pose, "pose"):  # with a covariance, the pose of a pose
+            pose = pose.pose
+        pose = getattr(pose, "transform", pose)
+        moved = hasattr(pose, "translation")
+        place, turn = (pose.translation, pose.rotation) if moved else (pose.position, pose.orientation)
+        self.values.extend((place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w))
 
 
 class _Bag:
@@ -107,16 +116,7 @@ def _open(path: Path) -> Iterator[_Bag]:
 
 
 def read_bag(path: Path, wanted: Selection) -> Rows:
-    """Read a topic, or the motion of one tf frame in another.
-
-    Args:
-        path: the file, or the folder of a ROS 2 bag.
-        wanted: the topic, needed if there are several; or both frames. Of a topic of transforms, ``to_frame``
-            selects the child frame; of arrays of poses, ``body`` the number.
-
-    Raises:
-        RecordingError: if the bag is damaged or holds no such topic or frames, or rosbags is missing.
-    """
+    """Read a topic, or the motion of one tf frame in another."""
     frames = wanted.from_frame, wanted.to_frame
     with _open(path) as bag:
         if wanted.topic is None and frames != (None, None):
@@ -152,16 +152,16 @@ def _read_topic(path: Path, bag: _Bag, wanted: Selection) -> Rows:
     samples: dict[tuple[str, str], _Samples] = {}
     several = 0
     for connection, logged, message in bag.messages(chosen):
-        child = getattr(message, "child_frame_id", "")
-        if wanted.to_frame is not None and _plain(child) != _plain(wanted.to_frame):
+        header, child = getattr(message, "header", None), _plain(getattr(message, "child_frame_id", ""))
+        if wanted.to_frame is not None and child != _plain(wanted.to_frame):
             continue
+        pose = message
         if connection.msgtype == _ARRAY:
             several = max(several, len(message.poses))
             number = int(wanted.body) if wanted.body and wanted.body.isdecimal() else 0
             pose = message.poses[number] if number < len(message.poses) else None
-            _keep(path, samples, (message.header.frame_id, child), message.header, logged, pose)
-        else:
-            _take(path, samples, logged, child, message)
+        pair = _plain(getattr(header, "frame_id", "")), child
+        samples.setdefault(pair, _Samples()).add(path, header, logged, pose)
     numbers = [str(number) for number in range(several)]
     if several and wanted.body not in (numbers if several > 1 else [None, *numbers]):
         raise RecordingError(
@@ -181,47 +181,19 @@ def _read_topic(path: Path, bag: _Bag, wanted: Selection) -> Rows:
     return _rows(path, next(iter(samples.values())))
 
 
-def _take(path: Path, samples: dict[Any, _Samples], logged: int, child: str, message: Any) -> None:
-    """Keep the numbers of a message of a single pose."""
-    header = getattr(message, "header", None)
-    names = getattr(header, "frame_id", ""), child
-    while hasattr(message, "pose"):  # with a covariance, the pose of a pose
-        message = message.pose
-    _keep(path, samples, names, header, logged, getattr(message, "transform", message))
-
-
-def _keep(
-    path: Path,
-    samples: dict[Any, _Samples],
-    names: tuple[str, str],
-    header: Any,
-    logged: int,
-    pose: Any,
-) -> None:
-    """Keep the numbers of a pose or transform; NaN for one that is missing in its array."""
-    kept = samples.setdefault((_plain(names[0]), _plain(names[1])), _Samples())
-    if len(kept.stamps) == MOST_ROWS:
-        raise RecordingError(f"{path}: has more than {MOST_ROWS} poses; cut the recording into files.")
-    if pose is None:
-        nowhere = SimpleNamespace(**dict.fromkeys("xyzw", np.nan))
-        kept.add(header, logged, nowhere, nowhere)
-    elif hasattr(pose, "translation"):
-        kept.add(header, logged, pose.translation, pose.rotation)
-    else:
-        kept.add(header, logged, pose.position, pose.orientation)
-
-
 def _rows(path: Path, samples: _Samples, static: bool = False) -> Rows:
     """Rows with the times of their stamps, or of their recording if nobody set the stamps."""
     stamps = np.asarray(samples.stamps)
     rows = Rows(
         path, "message", np.arange(len(stamps)), np.asarray(samples.values).reshape(-1, 7), None, seconds=1.0
     )
-    if not stamps.any() and not static:
-        stamps = np.asarray(samples.logged)
+    never_set = not stamps.any() or (len(stamps) > 1 and not np.ptp(stamps))
+    if never_set and not static:
         rows.notes.append(
-            "the messages have no stamps, or 0: the times are those at which they were recorded."
+            f"the messages have no stamps, or {'0' if not stamps.any() else 'all the same'}: the times are "
+            "those at which they were recorded."
         )
+        stamps = np.asarray(samples.logged)
     if not stamps.any():
         return rows
     rows.times = stamps
@@ -237,14 +209,13 @@ def _read_chain(path: Path, bag: _Bag, ground: str, body: str) -> Rows:
     """Poses of a tf frame in another; reads the bag twice, so that only the edges between are kept."""
     edges = _edges(bag)
     chain = Edge.chain(path, edges, _plain(ground), _plain(body))
-    samples: dict[tuple[str, str], _Samples] = {}
-    wanted = {(edge.parent, edge.child): edge for edge, _ in chain}
+    samples = {(edge.parent, edge.child): (edge.static, _Samples()) for edge, _ in chain}
     for connection, logged, message in bag.messages(bag.connections(_TF)):
         for each in message.transforms:
-            edge = wanted.get((_plain(each.header.frame_id), _plain(each.child_frame_id)))
-            if edge is not None and edge.static == _is_static(connection):
-                _take(path, samples, logged, each.child_frame_id, each)
-    rows = {key: _rows(path, kept, wanted[key].static) for key, kept in samples.items()}
+            static, kept = samples.get(_pair(each), (None, None))
+            if kept is not None and static == _is_static(connection):
+                kept.add(path, each.header, logged, each)
+    rows = {pair: _rows(path, kept, static) for pair, (static, kept) in samples.items()}
     return chain_rows(path, [(edge, along, rows[edge.parent, edge.child]) for edge, along in chain])
 
 
@@ -254,12 +225,16 @@ def _edges(bag: _Bag) -> list[Edge]:
     for connection, _, message in bag.messages(bag.connections(_TF)):
         static = _is_static(connection)
         for each in message.transforms:
-            key = _plain(each.header.frame_id), _plain(each.child_frame_id)
-            counts.setdefault(key, [0, 0])[static] += 1
+            counts.setdefault(_pair(each), [0, 0])[static] += 1
     return [
         Edge(parent, child, static=not moving, count=moving or still)
         for (parent, child), (moving, still) in counts.items()
     ]
+
+
+def _pair(transform: Any) -> tuple[str, str]:
+    """The names of the parent and the child of a transform."""
+    return _plain(transform.header.frame_id), _plain(transform.child_frame_id)
 
 
 def _is_static(connection: Any) -> bool:

@@ -15,8 +15,14 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from reframe_jax.recordings.markers import UNSEEN, fit_markers, group_markers
-from reframe_jax.recordings.readers.exports import drop_zeros
+from reframe_jax.recordings.markers import (
+    UNSEEN,
+    choose_markers,
+    fit_markers,
+    group_markers,
+    marker_entries,
+)
+from reframe_jax.recordings.readers.collecting import drop_zeros
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name, import_extra
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import MOST_ROWS, Rows, shown
@@ -37,51 +43,30 @@ _PATIENCE, _SLOWEST = 30.0, 1e6  # s, and bytes a second, after which reading is
 class _File:
     """What is needed of a C3D file."""
 
-    markers: dict[str, int]  # label -> index
+    markers: list[str]
     points: np.ndarray  # (N, M, 3), NaN where a marker is missing
     rate: float
-    rotations: dict[str, int]
+    rotations: list[str]
     poses: np.ndarray  # (N', R, 4, 4)
     rotation_rate: float
     unit: str
 
-    @property
-    def groups(self) -> dict[str, list[str]]:
-        """Prefixes that three or more markers share: ``rod`` of ``rod:a`` or ``rod1``."""
-        return group_markers(self.markers)
-
 
 def read_c3d(path: Path, wanted: Selection) -> Rows:
-    """Read a rotation, or fit a rigid body to markers.
-
-    Args:
-        path: the file.
-        wanted: the body: a label of a rotation, a prefix of three markers or more, or labels of markers with
-            commas between them. The unit, if the file states none.
-
-    Raises:
-        RecordingError: if the file is damaged, the body is not in it, no frame has all of its markers, or
-            ezc3d is missing.
-    """
+    """Read a rotation, or fit a rigid body to markers."""
     file = _open(path)
     metres = _metres(path, file.unit, wanted)
-    bodies = [*file.rotations, *(name for name in file.groups if name not in file.rotations)]
-    if wanted.body is not None and "," in wanted.body:
-        name, markers = wanted.body, [label.strip() for label in wanted.body.split(",")]
-    elif not bodies:
-        listed = shown(", ".join(file.markers), 1000) or "none"
-        raise RecordingError(
-            f"{path}: has no rotations, and no three markers with the same prefix; name the markers of a "
-            f"body, {flag('body')}, with commas between them: {listed}."
-        )
-    else:
-        name = choose_name(path, "body", wanted.body, bodies, "bodies")
-        markers = file.groups.get(name, [])
+    name = wanted.body
     notes: list[str] = []
-    if name in file.rotations:
-        poses, rate = file.poses[:, file.rotations[name]], file.rotation_rate
-    else:
+    bodies = list(dict.fromkeys([*file.rotations, *group_markers(file.markers)]))
+    if bodies and "," not in (name or ""):
+        name = choose_name(path, "body", name, bodies, "bodies")
+    of_markers = name not in file.rotations
+    if of_markers:
+        markers = choose_markers(path, name, file.markers)
         (poses, notes), rate = fit_markers(path, file.points, file.markers, markers, metres), file.rate
+    else:
+        poses, rate = file.poses[:, file.rotations.index(str(name))], file.rotation_rate
     if len(poses) > MOST_ROWS:
         raise RecordingError(
             f"{path}: has {len(poses)} frames; expected at most {MOST_ROWS}; cut the recording into files."
@@ -89,7 +74,7 @@ def read_c3d(path: Path, wanted: Selection) -> Rows:
     times = np.arange(len(poses)) / rate if 0 < rate < np.inf else None
     values = poses.reshape(-1, 16)
     rows = Rows(path, "frame", np.arange(len(poses)), values, times, notes=notes, metres=metres)
-    if name not in file.rotations:
+    if of_markers:
         rows.missing = UNSEEN
     drop_zeros(rows, values[:, :12])
     return rows
@@ -136,10 +121,10 @@ def _open(path: Path) -> _File:
         with np.load(out) as arrays:
             labels, rotations = ([str(label) for label in arrays[name]] for name in ("markers", "rotations"))
             return _File(
-                markers={label: i for i, label in enumerate(labels)},
+                markers=labels,
                 points=arrays["points"],
                 rate=float(arrays["rates"][0]),
-                rotations={label: i for i, label in enumerate(rotations[: arrays["poses"].shape[1]])},
+                rotations=rotations[: arrays["poses"].shape[1]],
                 poses=arrays["poses"],
                 rotation_rate=float(arrays["rates"][1]),
                 unit=str(arrays["unit"]),
@@ -147,11 +132,7 @@ def _open(path: Path) -> _File:
 
 
 def _check_structure(path: Path) -> None:
-    """Check that header, parameters and data are where they are said to be.
-
-    Raises:
-        RecordingError: if one of them is not.
-    """
+    """Check that header, parameters and data are where they are said to be."""
     there = path.stat().st_size
     with path.open("rb") as file:
         content = file.read(_MOST_PARAMETERS)
@@ -202,14 +183,7 @@ def _damaged(path: Path, why: str) -> RecordingError:
 def _contents(path: Path) -> list[Entry]:
     file = _open(path)
     found = [Entry("body", label, f"rotation, {file.rotation_rate:g} Hz") for label in file.rotations]
-    found += [
-        Entry("body", prefix, f"{len(labels)} markers: {', '.join(labels)}")
-        for prefix, labels in file.groups.items()
-    ]
-    grouped = {label for labels in file.groups.values() for label in labels}
-    if rest := [label for label in file.markers if label not in grouped]:
-        found.append(Entry("body", ",".join(rest), f"other markers, {file.rate:g} Hz"))
-    return found
+    return found + marker_entries(file.markers, f"other markers, {file.rate:g} Hz")
 
 
 C3D = Reader(

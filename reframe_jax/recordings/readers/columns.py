@@ -7,15 +7,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from reframe_jax.recordings.readers.angles import angle_matrices
-from reframe_jax.recordings.readers.exports import matrix_rows
+from reframe_jax.recordings.conventions import angle_matrices
+from reframe_jax.recordings.readers.collecting import matrix_rows
 from reframe_jax.recordings.readers.reader import Entry
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, shown
 from reframe_jax.recordings.selection import Selection, flag
 
-__all__ = ["Column", "column_entries", "find_columns", "pose_rows"]
+__all__ = ["Column", "column_entries", "find_columns", "set_poses"]
 
+_WIDTHS = (3, 3), (3, 4), (3, 9), (0, 12), (0, 16)  # numbers of a position and of an orientation
 _LISTED = 30  # columns in a message
 _MOST = 200  # columns that are listed on request
 
@@ -58,61 +59,55 @@ def find_columns(path: Path, wanted: Selection, names: Sequence[str]) -> tuple[l
     return found
 
 
-def pose_rows(
-    path: Path,
+def set_poses(
+    rows: Rows,
     positions: np.ndarray,
     orientations: np.ndarray,
-    times: np.ndarray | None,
     wanted: Selection,
-    no_times: str,
-) -> Rows:
-    """Poses of columns.
+    stated: float | None = None,
+    named: bool = True,
+) -> None:
+    """Set the values of rows to poses of columns.
 
     Args:
-        path: the file.
-        positions: (N, 3).
-        orientations: (N, 4) quaternions, (N, 3) angles, or (N, 9) matrices, row by row.
-        times: (N,) s, or None.
-        wanted: the order of quaternions and the meaning of angles, needed for these; the unit of angles.
-        no_times: what gives the times if there are none.
+        rows: the rows.
+        positions: (N, 3); (N, 0) of whole matrices.
+        orientations: (N, 4) quaternions, whose order is applied by reading, (N, 3) angles, or (N, 9)
+            matrices, row by row; (N, 12) or (N, 16) whole matrices.
+        wanted: the meaning of angles, and their unit.
+        stated: the unit of angles in rad, if the file states it.
+        named: whether the user named the columns, in the order that is meant. Others give the order of a
+            quaternion by their names, and have three angles as x, y, z.
 
     Raises:
         RecordingError: if the widths do not fit, or the order or meaning is not given.
     """
     width = orientations.shape[1]
-    if positions.shape[1] != 3 or width not in (3, 4, 9):
+    if (positions.shape[1], width) not in _WIDTHS:
         raise RecordingError(
-            f"{path}: expected 3 numbers of a position, and 4 (quaternion), 3 (angles) or 9 (matrix) of an "
-            f"orientation; found {positions.shape[1]} and {width}; select some, such as NAME[0:3]."
+            f"{rows.path}: expected 3 numbers of a position, and 4 (quaternion), 3 (angles) or 9 (matrix) of "
+            f"an orientation; found {positions.shape[1]} and {width}; select some, such as NAME[0:3] or "
+            "A,B,C."
         )
     needed = {4: "quaternion", 3: "angles"}.get(width)
-    if wanted.angle_unit is not None and width != 3:
+    if named and needed is not None and getattr(wanted, needed) is None:
         raise RecordingError(
-            f"{path}: has {width} numbers of an orientation; leave out {flag('angle_unit')}."
+            f"{rows.path}: does not say how its {width} numbers are meant; give {flag(needed)}."
         )
-    for option in ("quaternion", "angles"):
-        given = getattr(wanted, option) is not None
-        if option == needed and not given:
+    for option, its_width in (("quaternion", 4), ("angles", 3), ("angle_unit", 3)):
+        if width != its_width and getattr(wanted, option) is not None:
             raise RecordingError(
-                f"{path}: does not say how its {width} numbers are meant; give {flag(option)}."
+                f"{rows.path}: has {width} numbers of an orientation; leave out {flag(option)}."
             )
-        if option != needed and given:
-            raise RecordingError(f"{path}: has {width} numbers of an orientation; leave out {flag(option)}.")
-    if width == 4:
-        values = np.column_stack([positions, orientations])  # whose order is applied by reading
-    elif width == 3:
-        values = matrix_rows(angle_matrices(path, orientations, wanted), positions)
+    if width == 3:
+        if not named and wanted.angles != "vector":
+            orientations = orientations[:, ["xyz".index(axis) for axis in str(wanted.angles).lower()]]
+        rows.angles = orientations if stated is None else None
+        orientations = angle_matrices(rows.path, orientations, wanted, stated)
+    if width in (3, 9):
+        rows.values = matrix_rows(orientations.reshape(-1, 3, 3), positions)
     else:
-        values = matrix_rows(orientations.reshape(-1, 3, 3), positions)
-    return Rows(
-        path,
-        "sample",
-        np.arange(len(values)),
-        values,
-        times,
-        angles=width == 3,
-        no_times=no_times,
-    )
+        rows.values = np.hstack([positions, orientations])
 
 
 def column_entries(columns: Sequence[tuple[str, int, str]]) -> list[Entry]:

@@ -4,10 +4,11 @@ They are seconds and nanoseconds of the stamp, the names of one or two frames, a
 covariances and velocities may follow. So are PoseStamped, PoseWithCovarianceStamped and Odometry.
 """
 
+from itertools import chain
 from pathlib import Path
 
-from reframe_jax.recordings.readers.exports import is_number, split
-from reframe_jax.recordings.readers.lines import Collector, read_lines
+from reframe_jax.recordings.readers.collecting import collect
+from reframe_jax.recordings.readers.lines import is_number, read_lines, split
 from reframe_jax.recordings.readers.reader import Reader
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows
@@ -17,27 +18,14 @@ __all__ = ["ECHO", "read_echo"]
 
 
 def read_echo(path: Path, wanted: Selection) -> Rows:
-    """Read rows of ``sec,nanosec,frame_id,x,y,z,qx,qy,qz,qw``, perhaps with a child frame before ``x``.
-
-    Args:
-        path: the file.
-        wanted: nothing of it is used here.
-
-    Raises:
-        RecordingError: if a row has other fields than the first.
-    """
-    rows: Collector | None = None
-    for number, line in read_lines(path):
-        cells = split(line, ",")
-        if rows is None:
-            first = _first_number(cells)
-            rows = Collector(path, len(cells) + 1, len(cells), range(first, first + 7))
-        rows.add(number, [*cells, f"{cells[0]}.{cells[1].zfill(9)}" if len(cells) > 1 else ""])
-    if rows is None:
-        raise RecordingError(f"{path}: is empty; expected rows of a stamp, a frame and a pose.")
-    found = rows.rows()
-    found.seconds = 1.0
-    return found
+    """Read rows of ``sec,nanosec,frame_id,x,y,z,qx,qy,qz,qw``, perhaps with a child frame before ``x``."""
+    lines = ((number, split(line, ",")) for number, line in read_lines(path))
+    number, cells = next(lines, (0, [""]))
+    start = _first_number(cells)
+    if not start:
+        raise RecordingError(f"{path}: line {number}: expected a stamp, a frame and the 7 numbers of a pose.")
+    rows = chain([(number, cells)], lines)
+    return collect(path, rows, len(cells), range(start, start + 7), (0, 1))
 
 
 def _first_number(cells: list[str]) -> int:

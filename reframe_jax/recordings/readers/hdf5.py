@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from reframe_jax.recordings.readers.columns import Column, column_entries, find_columns, pose_rows
+from reframe_jax.recordings.readers.columns import Column, column_entries, find_columns, set_poses
 from reframe_jax.recordings.readers.reader import Entry, Reader, import_extra, translate_errors
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import MOST_ROWS, Rows
@@ -18,16 +18,7 @@ _NO_TIMES = "HDF5 files are read without: give the sample time, dt (--dt)"
 
 
 def read_hdf5(path: Path, wanted: Selection) -> Rows:
-    """Read positions and orientations; these files have no times.
-
-    Args:
-        path: the file.
-        wanted: the paths of the data sets, and how the orientations are meant.
-
-    Raises:
-        RecordingError: if the file is damaged, or the data sets are not in it or do not fit, or h5py is
-            missing.
-    """
+    """Read positions and orientations; these files have no times."""
     library = import_extra(path, "h5py", "hdf5")
     with translate_errors(path, _WHOLE), library.File(path, "r") as file:
         sets = _sets(library, file)
@@ -41,7 +32,9 @@ def read_hdf5(path: Path, wanted: Selection) -> Rows:
         positions, orientations = (
             np.hstack([_numbers(sets[column.name], column) for column in columns]) for columns in chosen
         )
-    return pose_rows(path, positions, orientations, None, wanted, _NO_TIMES)
+    rows = Rows(path, "sample", np.arange(len(positions)), positions, None, no_times=_NO_TIMES)
+    set_poses(rows, positions, orientations, wanted)
+    return rows
 
 
 def _sets(library: Any, file: Any) -> dict[str, Any]:

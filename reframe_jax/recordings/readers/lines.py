@@ -1,31 +1,23 @@
-"""Shared code of the text readers: lines one at a time, numbers collected in compact arrays.
+"""Shared code of the text readers: lines one at a time, and the cells in them.
 
-Texts are UTF-8, or in the encodings in which spreadsheets save them: UTF-16, and that of Windows.
-
-A row takes 72 bytes, however long its text is; no more than a line of text is held at a time.
+Texts are UTF-8, or in the encodings in which spreadsheets save them: UTF-16, and that of Windows. No more
+than a line of text is held at a time.
 """
 
 import codecs
-import datetime
-import decimal
-import math
-from array import array
-from collections.abc import Iterator, Sequence
+import csv
+import re
+from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
-
 from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import EPOCH, MOST_ROWS, Rows, shown
 
-__all__ = ["Collector", "head_in_utf8", "read_lines"]
+__all__ = ["find_delimiter", "first_numbers", "head_in_utf8", "is_number", "read_lines", "split", "trim"]
 
-_MISSING = {"", "null", "none", "na", "n/a", "-", "--", "missing", "#n/a"}
 _LONGEST = 2**16  # characters of a line, and bytes by which an encoding is recognised
 _SEPARATOR = "sep="  # starts the first line in some files of spreadsheets
 _CONTROLS = bytes(range(9)) + b"\x0e\x0f\x7f"  # of no text
-# digits enough for nanoseconds since 1970; what is no number becomes NaN instead of an exception
-_EXACT = decimal.Context(prec=50, traps=[])
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(e[-+]?\d+)?", re.IGNORECASE)
 
 
 def read_lines(path: Path, blanks: str | None = None) -> Iterator[tuple[int, str]]:
@@ -75,105 +67,59 @@ def _find_encoding(head: bytes) -> str:
     return "utf-8-sig"
 
 
-class Collector:
-    """Turns rows of text into :class:`Rows`.
-
-    Times whose first is later than 1e6 s, such as those since 1970, count from it. They are subtracted as
-    they are written, before rounding: floats resolve the time since 1970 to no better than 0.2 us.
+def split(line: str, delimiter: str | None) -> list[str]:
+    """Cells of a line, stripped; decimal commas become points, in quotes if commas separate the cells.
 
     Args:
-        path: the file.
-        width: cells of every row.
-        time: index of the cell with the time, or None.
-        columns: indices of the cells with the numbers of a pose.
-        wrench: indices of the six cells with a wrench, or none.
+        line: the line.
+        delimiter: between the cells; blanks by default.
     """
-
-    def __init__(
-        self,
-        path: Path,
-        width: int,
-        time: int | None,
-        columns: Sequence[int],
-        wrench: Sequence[int] = (),
-    ) -> None:
-        self._path, self._width, self._time = path, width, time
-        self._columns, self._pose = [*columns, *wrench], len(columns)
-        self._where, self._values, self._times = array("q"), array("d"), array("d")
-        self._started, self._origin = False, decimal.Decimal(0)
-
-    def add(self, number: int, cells: list[str]) -> None:
-        """Add the row in a line.
-
-        Raises:
-            RecordingError: if a cell is missing or not a number, or if there are too many rows.
-        """
-        if len(cells) != self._width:
-            raise self._error(
-                number,
-                f"expected {self._width} columns, found {len(cells)}; delete the line if the recording was "
-                "cut off there.",
-            )
-        if len(self._where) == MOST_ROWS:
-            raise self._error(number, f"expected at most {MOST_ROWS} rows; cut the recording into files.")
-        self._where.append(number)
-        try:
-            self._values.extend([float(cells[column]) for column in self._columns])
-        except ValueError:
-            self._values.extend([self._number(number, cells[column]) for column in self._columns])
-        if self._time is not None:
-            self._times.append(self._seconds(number, cells[self._time].strip()))
-
-    def rows(self) -> Rows:
-        """All rows that were added."""
-        values = np.asarray(self._values).reshape(-1, len(self._columns))
-        return Rows(
-            self._path,
-            "line",
-            np.asarray(self._where),
-            values[:, : self._pose],
-            None if self._time is None else np.asarray(self._times),
-            str(self._origin) if self._origin else None,
-            wrenches=values[:, self._pose :] if self._pose < len(self._columns) else None,
-        )
-
-    def _seconds(self, number: int, cell: str) -> float:
-        """A time, since the first one if that is late."""
-        if ":" in cell:
-            cell = _since_1970(cell)
-        seconds = self._number(number, cell)
-        if not math.isfinite(seconds):
-            return seconds
-        if not self._started:
-            self._started = True
-            if abs(seconds) >= EPOCH:
-                self._origin = _exactly(cell)
-        if not self._origin:
-            return seconds
-        return float(_EXACT.subtract(_exactly(cell), self._origin))
-
-    def _number(self, number: int, cell: str) -> float:
-        """A number, NaN for an empty cell or a word for it."""
-        try:
-            return float("nan" if cell.strip().lower() in _MISSING else cell)
-        except ValueError:
-            raise self._error(number, f"expected numbers: found '{shown(cell.strip(), 40)}'.") from None
-
-    def _error(self, number: int, problem: str) -> RecordingError:
-        return RecordingError(f"{self._path}: line {number}: {problem}")
+    if delimiter is None:
+        cells = re.sub(r"\s+(?=[\[(])", "", line).split()  # a unit belongs to the name before it
+    else:
+        cells = next(csv.reader([line], delimiter=delimiter)) if '"' in line else line.split(delimiter)
+    if (delimiter != "," or '"' in line) and "," in line:
+        cells = [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell.strip()) else cell for cell in cells]
+    return [cell.strip() for cell in cells]
 
 
-def _since_1970(cell: str) -> str:
-    """A date and time in s, UTC unless it says otherwise; a text that is none as it is."""
+def trim(cells: list[str], width: int = 0) -> list[str]:
+    """Cells without the empty ones at the end, but no fewer than a width."""
+    end = len(cells)
+    while end > width and not cells[end - 1]:
+        end -= 1
+    return cells[:end]
+
+
+def find_delimiter(line: str) -> str | None:
+    """The character between the cells of a header or of a row of numbers; None for blanks."""
+    return next((mark for mark in "\t;," if mark in line), None)
+
+
+def first_numbers(head: bytes) -> tuple[int, list[str]]:
+    """Of the first bytes of a text: the numbers in the first row, and the cells of the comment before it.
+
+    0 if the first row that is no comment does not consist of numbers.
+    """
+    comment: list[str] = []
+    for line in head.decode("utf-8-sig", errors="replace").splitlines():
+        text = line.strip()
+        if text.startswith(("#", "%")):
+            text = text.lstrip("#% ")
+            comment = split(text, find_delimiter(text))
+        elif text:
+            text = text.partition("#")[0].strip()
+            cells = trim(split(text, find_delimiter(text)))
+            # "0.1, 0.2" is separated by commas, "0.1 0.2" by blanks
+            whole = all(is_number(cell) or not cell for cell in cells) and any(cells)
+            return (len(cells) if whole else 0), comment
+    return 0, comment
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell holds a number."""
     try:
-        moment = datetime.datetime.fromisoformat(cell.strip())
+        float(cell)
     except ValueError:
-        return cell
-    moment = moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC)
-    since = moment - datetime.datetime.fromtimestamp(0, datetime.UTC)
-    return f"{since.days * 86400 + since.seconds}.{since.microseconds:06d}"
-
-
-def _exactly(cell: str) -> decimal.Decimal:
-    """What ``float`` rounds, underscores between digits included."""
-    return _EXACT.create_decimal(cell.replace("_", ""))
+        return False
+    return True

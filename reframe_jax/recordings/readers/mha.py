@@ -6,74 +6,56 @@ read.
 """
 
 import re
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from reframe_jax.recordings.readers.exports import is_number
+from reframe_jax.recordings.readers.collecting import collect
+from reframe_jax.recordings.readers.lines import is_number
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name
 from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import MOST_ROWS, Rows, shown
+from reframe_jax.recordings.rows import Rows, shown
 from reframe_jax.recordings.selection import UNITS, Selection
 
 __all__ = ["MHA", "read_mha"]
 
 _LONGEST = 2**16  # bytes of a line
-_FIELD = re.compile(r"Seq_Frame(\d+)_(\w+)\s*:?=\s*(.*)")
+_FIELD = re.compile(r"Seq_Frame(\d{1,18})_(\w+)\s*:?=\s*(.*)")
 _TRANSFORM, _STATUS = re.compile(r"(\w+?)(?:Transform)"), re.compile(r"(\w+?)TransformStatus")
-_MISSING = " ".join(["nan"] * 16)
+_WIDTH = 16  # numbers of a transform
 
 
 def read_mha(path: Path, wanted: Selection) -> Rows:
-    """Read a transform, such as ProbeToTracker: the pose of the probe in the tracker.
-
-    Args:
-        path: the file.
-        wanted: the transform, needed if there are several; the unit, if it is not mm.
-
-    Raises:
-        RecordingError: if the file holds no such transform, or a line of it is damaged.
-    """
-    numbers: dict[str, dict[int, str]] = {}
+    """Read a transform, such as ProbeToTracker: the pose of the probe in the tracker."""
+    numbers: dict[str, dict[int, list[str]]] = {}
     status: dict[str, dict[int, str]] = {}
     stamps: dict[int, str] = {}
-    frames: dict[int, int] = {}
+    frames: set[int] = set()
     for line, frame, name, value in _fields(path):
-        frames.setdefault(frame, line)
+        frames.add(frame)
         if match := _STATUS.fullmatch(name):
             status.setdefault(match[1], {})[frame] = value
         elif match := _TRANSFORM.fullmatch(name):
-            numbers.setdefault(match[1], {})[frame] = value
+            cells = value.split()
+            if len(cells) != _WIDTH or not all(map(is_number, cells)):
+                raise RecordingError(
+                    f"{path}: line {line}: expected the 16 numbers of a transform, found "
+                    f"{shown(value, 60)!r}."
+                )
+            numbers.setdefault(match[1], {})[frame] = cells
         elif name == "Timestamp" or (name == "UnfilteredTimestamp" and frame not in stamps):
-            stamps[frame] = value
-    if len(frames) > MOST_ROWS:
-        raise RecordingError(f"{path}: has more than {MOST_ROWS} frames; cut the recording into files.")
+            stamps[frame] = value if is_number(value) else ""
     asked = None if wanted.body is None else wanted.body.removesuffix("Transform")
     body = choose_name(path, "body", asked, [*numbers], "transforms")
-    order = sorted(frames)
-    values = np.array([_numbers(path, frames[k], numbers[body].get(k, _MISSING)) for k in order])
-    seconds = [float(stamps.get(k, "nan")) if is_number(stamps.get(k, "nan")) else np.nan for k in order]
-    times = np.asarray(seconds) if stamps else None
-    rows = Rows(path, "frame", np.asarray(order), values.reshape(-1, 16), times)
-    if times is not None and np.isfinite(times).any():
-        first = times[np.isfinite(times)][0]
-        if abs(first) > 1e6:
-            rows.times, rows.origin = times - first, stamps[order[int(np.flatnonzero(times == first)[0])]]
-    rows.seconds = 1.0 if stamps else None
-    rows.metres = UNITS[wanted.unit or "mm"]
-    good = np.array([status.get(body, {}).get(k, "OK").upper() == "OK" for k in order])
+    missing = [""] * _WIDTH
+    cells_of = ((k, [stamps.get(k, ""), *numbers[body].get(k, missing)]) for k in sorted(frames))
+    rows = collect(path, cells_of, 1 + _WIDTH, range(1, 1 + _WIDTH), 0 if stamps else None)
+    rows.word, rows.seconds, rows.metres = "frame", 1.0, UNITS[wanted.unit or "mm"]
+    good = np.array([status.get(body, {}).get(k, "OK").upper() == "OK" for k in rows.where])
     rows.keep(good, f"the file says that {shown(body, 60)} was not tracked", "untracked")
     return rows
-
-
-def _numbers(path: Path, line: int, text: str) -> list[float]:
-    cells = text.split()
-    if len(cells) != 16 or not all(map(is_number, cells)):
-        raise RecordingError(
-            f"{path}: line {line}: expected the 16 numbers of a transform, found {shown(text, 60)!r}."
-        )
-    return [float(cell) for cell in cells]
 
 
 def _fields(path: Path) -> Iterator[tuple[int, int, str, str]]:
@@ -90,10 +72,8 @@ def _fields(path: Path) -> Iterator[tuple[int, int, str, str]]:
 
 
 def _contents(path: Path) -> list[Entry]:
-    counts: dict[str, int] = {}
-    for _, _, name, _ in _fields(path):
-        if match := _TRANSFORM.fullmatch(name):
-            counts[match[1]] = counts.get(match[1], 0) + 1
+    matches = (_TRANSFORM.fullmatch(name) for _, _, name, _ in _fields(path))
+    counts = Counter(match[1] for match in matches if match)
     return [Entry("body", name, f"transform, {count} frames") for name, count in counts.items()]
 
 

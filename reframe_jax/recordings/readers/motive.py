@@ -1,63 +1,46 @@
 """Rigid bodies in a CSV export of OptiTrack Motive, format version 1.2 and later.
 
 The first line holds pairs of names and values: units, rotation type, coordinate space. Rows of types, names
-and components of all columns follow, down to the row ``Frame, Time (Seconds), X, Y, Z, ...``. Quaternions
-are told by their axis names. Euler angles are in degrees, about the moving axes, in the order of the header.
-Cells are empty where a body was not seen. Spreadsheets
-save the export with semicolons and decimal commas. The ground frame is that of the export, y up unless
-changed.
+and components of all columns follow, down to the row ``Frame, Time (Seconds), X, Y, Z, ...``. The names of
+the axes distinguish the numbers of quaternions. Euler angles are in degrees, about the moving axes, in the
+order of the header. Cells are empty where a body was not seen. Spreadsheets save the export with semicolons
+and decimal commas. The ground frame is that of the export, y up unless changed.
 """
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import cast
 
-import numpy as np
-
-from reframe_jax.geometry.numpy_rotations import euler_matrices
-from reframe_jax.recordings.readers.exports import collect, find_delimiter, matrix_rows, split, trim
-from reframe_jax.recordings.readers.lines import read_lines
+from reframe_jax.recordings.readers.collecting import collect
+from reframe_jax.recordings.readers.columns import set_poses
+from reframe_jax.recordings.readers.lines import find_delimiter, read_lines, split, trim
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name
+from reframe_jax.recordings.readers.units import LENGTH_WORDS
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, shown
-from reframe_jax.recordings.selection import ANGLES, Selection
+from reframe_jax.recordings.selection import ANGLE_UNITS, ANGLES, Angles, Selection
 
 __all__ = ["MOTIVE", "read_motive"]
 
 _FIRST = "Format Version"
-_METRES = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3}
 _ORDERS = [order for order in ANGLES if order.isupper()]
 _BODIES = ("Rigid Body", "Bone")
+_TIME = 1  # column
 _MOST_HEADINGS = 12  # rows between the first line and the row of axes
 
-
-@dataclass(frozen=True)
-class _Header:
-    """What the rows before the numbers say."""
-
-    about: dict[str, str]
-    width: int
-    time: int
-    bodies: dict[str, dict[str, int]]  # name -> "Rotation X" and the like -> column
+_Lines = Iterator[tuple[int, list[str]]]
 
 
 def read_motive(path: Path, wanted: Selection) -> Rows:
-    """Read a rigid body or bone.
-
-    Args:
-        path: the file.
-        wanted: the body; needed if there are several.
-
-    Raises:
-        RecordingError: if the header is not that of such an export, or the body is not in it.
-    """
+    """Read a rigid body or bone."""
     lines = _lines(path)
-    header = _read_header(path, lines)
-    body = header.bodies[choose_name(path, "body", wanted.body, [*header.bodies], "rigid bodies")]
-    rotation, metres = header.about.get("Rotation Type", ""), header.about.get("Length Units", "")
-    if metres.lower() not in _METRES:
+    about, width, bodies = _read_header(path, lines)
+    body = bodies[choose_name(path, "body", wanted.body, [*bodies], "rigid bodies")]
+    rotation, metres = about.get("Rotation Type", ""), about.get("Length Units", "")
+    if metres.lower() not in LENGTH_WORDS:
         raise RecordingError(
             f"{path}: line 1: expected Length Units of Meters, Centimeters or Millimeters, found "
             f"{shown(metres, 40)!r}."
@@ -69,18 +52,17 @@ def read_motive(path: Path, wanted: Selection) -> Rows:
             f"{shown(rotation, 40)!r}."
         )
     names = [f"Position {axis}" for axis in "XYZ"]
-    names += [f"Rotation {axis}" for axis in ("XYZW" if quaternion else rotation)]
+    names += [f"Rotation {axis}" for axis in ("XYZW" if quaternion else "XYZ")]
     if missing := [name for name in names if name not in body]:
         raise RecordingError(f"{path}: no column for {', '.join(missing)} of the body; export both.")
-    rows = collect(path, lines, header.width, [body[name] for name in names], header.time)
-    rows.metres = _METRES[metres.lower()]
-    if not quaternion:
-        turned = euler_matrices(rotation, np.radians(rows.values[:, 3:]))
-        rows.values = matrix_rows(turned, rows.values[:, :3])
+    rows = collect(path, lines, width, [body[name] for name in names], _TIME)
+    rows.metres = LENGTH_WORDS[metres.lower()]
+    meant = wanted if quaternion else replace(wanted, angles=cast(Angles, rotation))
+    set_poses(rows, rows.values[:, :3], rows.values[:, 3:], meant, ANGLE_UNITS["deg"], named=False)
     return rows
 
 
-def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
+def _lines(path: Path) -> _Lines:
     delimiter = ","
     for number, line in read_lines(path, "\r\n"):
         if line.lstrip('"').startswith(_FIRST):
@@ -90,11 +72,12 @@ def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
             yield number, cells
 
 
-def _read_header(path: Path, lines: Iterator[tuple[int, list[str]]]) -> _Header:
+def _read_header(path: Path, lines: _Lines) -> tuple[dict[str, str], int, dict[str, dict[str, int]]]:
     """Take the lines down to the row of axes.
 
-    Raises:
-        RecordingError: if they are not as expected.
+    Returns:
+        What the first line says, the width of the rows, and the columns of every body by their names, such as
+        "Rotation X".
     """
     first = next(lines)[1]
     about = dict(pairwise(first))  # names of takes may hold commas
@@ -122,12 +105,11 @@ def _read_header(path: Path, lines: Iterator[tuple[int, list[str]]]) -> _Header:
                 continue  # relative to its parent: no pose in the ground frame
             if bodies.setdefault(name, {}).setdefault(f"{part} {axis}", column) != column:
                 raise RecordingError(f"{path}: two bodies are called {shown(name, 40)!r}; rename one.")
-    return _Header(about, width, 1, bodies)
+    return about, width, bodies
 
 
 def _contents(path: Path) -> list[Entry]:
-    header = _read_header(path, _lines(path))
-    return [Entry("body", name, "rigid body") for name in header.bodies]
+    return [Entry("body", name, "rigid body") for name in _read_header(path, _lines(path))[2]]
 
 
 MOTIVE = Reader(

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from reframe_jax.recordings.readers.columns import Column, column_entries, find_columns, pose_rows
+from reframe_jax.recordings.readers.columns import Column, column_entries, find_columns, set_poses
 from reframe_jax.recordings.readers.reader import Entry, Reader, import_extra, translate_errors
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import MOST_ROWS, Rows, shown
@@ -21,16 +21,7 @@ _LISTED = 10  # episodes in a message
 
 
 def read_parquet(path: Path, wanted: Selection) -> Rows:
-    """Read positions and orientations, and times from the column ``timestamp``, in s.
-
-    Args:
-        path: the file.
-        wanted: the columns, how the orientations are meant, and the episode; needed if the file has several.
-
-    Raises:
-        RecordingError: if the file is damaged, or the columns or the episode are not in it, or pyarrow is
-            missing.
-    """
+    """Read positions and orientations, and times from the column ``timestamp``, in s."""
     library = import_extra(path, "pyarrow.parquet", "parquet")
     with translate_errors(path, _WHOLE), library.ParquetFile(path) as file:
         names = file.schema_arrow.names
@@ -62,15 +53,14 @@ def read_parquet(path: Path, wanted: Selection) -> Rows:
     if not count:
         raise RecordingError(f"{path}: has no rows.")
     arrays = [np.concatenate(part) for part in parts]
-    return pose_rows(path, arrays[0], arrays[1], arrays[2][:, 0] if timed else None, wanted, _NO_TIMES)
+    times = arrays[2][:, 0] if timed else None
+    rows = Rows(path, "sample", np.arange(count), arrays[0], times, no_times=_NO_TIMES)
+    set_poses(rows, arrays[0], arrays[1], wanted)
+    return rows
 
 
 def _numbers(path: Path, batch: Any, column: Column) -> np.ndarray:
-    """Some numbers of each row of a batch, (N, k); NaN where one is missing.
-
-    Raises:
-        RecordingError: if the column holds something else, or lists of different lengths.
-    """
+    """Some numbers of each row of a batch, (N, k); NaN where one is missing."""
     cells = batch.column(column.name)
     kind = str(cells.type)
     if "list<" in kind:

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from reframe_jax.geometry.numpy_rotations import euler_matrices
-from reframe_jax.recordings.readers.exports import collect, drop_zeros, is_number, matrix_rows, split
-from reframe_jax.recordings.readers.lines import read_lines
+from reframe_jax.recordings.readers.collecting import collect, drop_zeros, matrix_rows
+from reframe_jax.recordings.readers.lines import is_number, read_lines, split
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, shown
@@ -42,16 +42,7 @@ class _Header:
 
 
 def read_qualisys(path: Path, wanted: Selection) -> Rows:
-    """Read a rigid body.
-
-    Args:
-        path: the file.
-        wanted: the body; needed if there are several.
-
-    Raises:
-        RecordingError: if the header is not that of such an export, the body is not in it, or the angles are
-            of an unknown convention and there are no matrices.
-    """
+    """Read a rigid body."""
     header, lines = _read_header(path)
     first = header.start[choose_name(path, "body", wanted.body, [*header.start], "rigid bodies")]
     rows = collect(path, lines, header.width, range(first, first + header.size), header.time)
@@ -96,11 +87,7 @@ def _ordered(rows: Rows, elements: np.ndarray, turned: np.ndarray) -> np.ndarray
 
 
 def _read_header(path: Path) -> tuple[_Header, _Lines]:
-    """The header, and the rows of numbers.
-
-    Raises:
-        RecordingError: if it is not as expected.
-    """
+    """The header, and the rows of numbers."""
     lines: _Lines = ((number, split(line, "\t")) for number, line in read_lines(path, "\r\n"))
     about: dict[str, list[str]] = {}
     for number, cells in lines:  # noqa: B007

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from reframe_jax.recordings.readers.angles import angle_matrices
-from reframe_jax.recordings.readers.columns import find_columns
-from reframe_jax.recordings.readers.exports import find_delimiter, is_number, matrix_rows, split, trim
-from reframe_jax.recordings.readers.lines import Collector, read_lines
+from reframe_jax.recordings.readers.collecting import collect
+from reframe_jax.recordings.readers.columns import find_columns, set_poses
+from reframe_jax.recordings.readers.lines import find_delimiter, is_number, read_lines, split, trim
 from reframe_jax.recordings.readers.reader import Reader
 from reframe_jax.recordings.readers.units import (
     ANGLE_WORDS,
@@ -32,7 +31,7 @@ _TIMES = (
     r"(.*_)?header_stamp",  # rostopic echo -p: the stamp of the message, rather than when it came
     r"t|times?|timestamps?|stamp|sec|secs|seconds|(elapsed_|ros_)?time",
 )
-_SECONDS, _NANOSECONDS = r"(.*_)?(stamp|timespec)_s(ecs?)?", r"(.*_)?(stamp|timespec)_n(ano)?s(ecs?)?"
+_CLOCK = r"(.*_)?(stamp|timespec)_s(ecs?)?|secs?", r"(.*_)?(stamp|timespec)_n(ano)?s(ecs?)?|n(ano)?secs?"
 _POSITIONS = r"{axis}", r"(p_?|p_.+_|(.*_)?(pos(ition)?|loc(ation)?|translation)_){axis}"
 _QUATERNIONS = r"q_?{axis}", r"(q_.+_|(.*_)?(quat(ernion)?|orientation|rot(ation)?)_(q_?)?){axis}"
 _ANGLES = {
@@ -67,7 +66,7 @@ class _Header:
         Raises:
             RecordingError: if there are several.
         """
-        found = [i for i, name in enumerate(self.names) if re.fullmatch(pattern, name)]
+        found = _matches(pattern, self.names)
         if self.body is not None and len(found) > 1:
             # of arrays of poses, the number is enough: 0 for field.poses0
             word = f"[a-z]+{self.body}" if self.body.isdecimal() else re.escape(self.body)
@@ -84,14 +83,11 @@ class _Header:
         return found[0] if found else None
 
     @property
-    def clock(self) -> list[int] | None:
+    def clock(self) -> tuple[int, int] | None:
         """The two columns of seconds and nanoseconds of a stamp, if there are such."""
         plain = [re.sub(r"[^a-z0-9]+", "_", title.lower()).strip("_") for title in self.titles]
-        found = [
-            [i for i, name in enumerate(plain) if re.fullmatch(pattern, name)]
-            for pattern in (_SECONDS, _NANOSECONDS)
-        ]
-        return [found[0][0], found[1][0]] if all(len(each) == 1 for each in found) else None
+        found = [_matches(pattern, plain) for pattern in _CLOCK]
+        return (found[0][0], found[1][0]) if all(len(each) == 1 for each in found) else None
 
     def all(self, patterns: Sequence[str]) -> list[int] | None:
         """The columns of several names, or None if one is missing."""
@@ -113,78 +109,41 @@ class _Header:
         return words[stated.pop()]
 
 
-@dataclass(frozen=True)
-class _Columns:
-    """Where the numbers of a pose are, and what they mean."""
-
-    time: int | None
-    clock: list[int] | None  # seconds and nanoseconds
-    position: list[int]
-    orientation: list[int]
-    kind: str  # "quaternion", "angles", "rotation" (a matrix), or "matrix", of which the position is a part
-    named: bool = False  # by the user
-
-
 def read_table(path: Path, wanted: Selection) -> Rows:
-    """Read a table whose header is the first line, or the last comment before the numbers.
-
-    Args:
-        path: the file.
-        wanted: units that the header does not state, what angles mean, and how the names of the columns
-            start if there are several poses in a row.
-
-    Raises:
-        RecordingError: if a column is missing or named twice, or a row does not fit the header.
-    """
+    """Read a table whose header is the first line, or the last comment before the numbers."""
     titles, lines = _read_header(path)
     header = _Header.of(path, titles, wanted.body)
-    first = next(lines, (0, [""] * len(titles)))
-    found = _find_columns(header, wanted, first[1])
-    width = len(titles) + bool(found.clock)
-    frame = header.find(_FRAMES) if found.time is None and not found.clock else None
-    if frame is not None and not "".join(first[1][frame : frame + 1]).isdecimal():
+    number, first = next(lines, (0, []))
+    named = wanted.position is not None or wanted.orientation is not None
+    position, orientation = (_named_columns if named else _find_columns)(header, wanted)
+    time = header.clock or _find_time(header, first)
+    frame = header.find(_FRAMES) if time is None else None
+    if frame is not None and not "".join(first[frame : frame + 1]).isdecimal():
         frame = None  # a name
-    time = len(titles) if found.clock else found.time if frame is None else frame
-    rows = Collector(path, width, time, [*found.position, *found.orientation], _find_wrench(header))
-    for number, cells in chain([first] if first[0] else [], lines):
-        if found.clock and len(cells) == len(titles):
-            seconds, nanoseconds = (cells[i] for i in found.clock)
-            cells = [*cells, f"{seconds}.{nanoseconds.zfill(9)}" if seconds.isdecimal() else ""]
-        rows.add(number, cells)
-    collected = rows.rows()
-    if frame is not None:
-        collected.count_frames()
-    return _convert(collected, header, found, wanted)
-
-
-def _convert(rows: Rows, header: _Header, found: _Columns, wanted: Selection) -> Rows:
-    """Give the rows their units, and make rotations of angles."""
+    rows = collect(
+        path,
+        chain([(number, first)] if first else [], lines),
+        len(titles),
+        [*position, *orientation],
+        time if frame is None else frame,
+        _find_wrench(header),
+    )
     rows.no_times = _NO_TIMES
-    rows.metres = header.unit(found.position, LENGTH_WORDS) if found.position else None
-    if rows.metres not in (None, UNITS.get(wanted.unit or "", rows.metres)):
-        raise RecordingError(f"{rows.path}: its header states another unit; leave out {flag('unit')}.")
-    if found.time is not None:
-        rows.seconds = header.unit([found.time], TIME_WORDS)
+    if frame is not None:
+        rows.count_frames()
+    elif isinstance(time, int):
+        rows.seconds = header.unit([time], TIME_WORDS)
         echoed = any(name.startswith("field_") for name in header.names)  # rostopic echo -p, in ns
         if rows.seconds is None and echoed and abs(float(rows.origin or 0)) > _SINCE_1970:
             rows.seconds = 1e-9
-    if found.clock:
-        rows.seconds = 1.0
-    if found.kind == "rotation":
-        rows.values = matrix_rows(rows.values[:, 3:].reshape(-1, 3, 3), rows.values[:, :3])
-    if found.kind == "quaternion" and not found.named:
-        first = np.argmin(found.orientation)
-        rows.order = "wxyz" if first == 3 else "xyzw"
-    if found.kind == "angles":
-        angles = rows.values[:, 3:]
-        if wanted.angles != "vector" and not found.named:
-            angles = angles[:, ["xyz".index(axis) for axis in str(wanted.angles).lower()]]
-        stated = header.unit(found.orientation, ANGLE_WORDS)
-        rows.angles = stated is None
-        rows.values = matrix_rows(angle_matrices(rows.path, angles, wanted, stated), rows.values[:, :3])
-    elif wanted.angles is not None or wanted.angle_unit is not None:
-        given = "angles" if wanted.angles is not None else "angle_unit"
-        raise RecordingError(f"{rows.path}: holds no angles, but a {found.kind}; leave out {flag(given)}.")
+    rows.metres = header.unit(position, LENGTH_WORDS) if position else None
+    if rows.metres not in (None, UNITS.get(wanted.unit or "", rows.metres)):
+        raise RecordingError(f"{rows.path}: its header states another unit; leave out {flag('unit')}.")
+    if not named and len(orientation) == 4 and orientation[3] == min(orientation):
+        rows.order = "wxyz"
+    stated = header.unit(orientation, ANGLE_WORDS) if len(orientation) == 3 else None
+    numbers = np.split(rows.values, [len(position)], axis=1)
+    set_poses(rows, numbers[0], numbers[1], wanted, stated, named)
     return rows
 
 
@@ -240,39 +199,42 @@ def _first_row(lines: Iterator[tuple[int, str]]) -> tuple[list[tuple[int, str]],
     return comments, None
 
 
-def _find_columns(header: _Header, wanted: Selection, first: list[str]) -> _Columns:
-    """Columns of time and of the numbers of a pose; ``first`` is the first row."""
-    clock = header.clock
-    times = [] if clock else [i for i in map(header.find, _TIMES) if i is not None]
+def _find_time(header: _Header, first: list[str]) -> int | None:
+    """The column of the time; ``first`` is the first row."""
+    times = [i for i in map(header.find, _TIMES) if i is not None]
     set_ones = [i for i in times if i < len(first) and first[i].strip("0.")]
-    time = next(iter(set_ones or times[-1:]), None)  # a stamp of 0 was never set
-    if wanted.position is not None or wanted.orientation is not None:
-        return _named_columns(header, wanted, time, clock)
-    matrix = [header.find(f"[mt]_?{i // 4}_?{i % 4}") for i in range(16)]
+    return next(iter(set_ones or times[-1:]), None)  # a stamp of 0 was never set
+
+
+def _find_columns(header: _Header, wanted: Selection) -> tuple[list[int], list[int]]:
+    """Columns of the position and of the orientation; of a matrix of both, none and all."""
     for size in (16, 12):
-        if None not in matrix[:size]:
-            return _Columns(time, clock, [], [i for i in matrix[:size] if i is not None], "matrix")
+        if matrix := header.all([f"[mt]_?{i // 4}_?{i % 4}" for i in range(size)]):
+            return [], matrix
     position = _first(header, _POSITIONS, "xyz")
     if position is None and "fx" not in header.names:
         position = _first(header, (r"(.*_)?t_?{axis}",), "xyz")
-    quaternion = _first(header, _QUATERNIONS, "xyzw")
-    if quaternion is None:
-        # NDI calls the scalar Q0; rx is a part of a quaternion where there is rw too
-        quaternion = header.all(["q_?x", "q_?y", "q_?z", "q_?[0o]"]) or header.all(
-            [f"r_?{a}" for a in "xyzw"]
-        )
-    if position is not None and quaternion is None:
-        quaternion = header.all([f"q(uat)?_?{i}" for i in range(4)])
+    # NDI calls the scalar Q0; rx is a part of a quaternion where there is rw too
+    quaternion = (
+        _first(header, _QUATERNIONS, "xyzw")
+        or header.all(["q_?x", "q_?y", "q_?z", "q_?[0o]"])
+        or header.all([f"r_?{axis}" for axis in "xyzw"])
+    )
+    rotation = None
+    for first in (0, 1) if position is not None and quaternion is None else ():
+        quaternion = quaternion or header.all([f"q(uat)?_?{first + i}" for i in range(4)])
         if quaternion is not None and wanted.quaternion is None:
+            listed = ", ".join(header.titles[i] for i in quaternion)
             raise RecordingError(
-                f"{header.path}: does not say in which order q0, q1, q2, q3 are; give {flag('quaternion')}."
+                f"{header.path}: does not say in which order {listed} are; give {flag('quaternion')}."
             )
-    if position is not None and quaternion is not None:
-        return _Columns(time, clock, position, quaternion, "quaternion")
-    if quaternion is None:
+        rotation = rotation or header.all([f"r(ot)?_?{first + i // 3}_?{first + i % 3}" for i in range(9)])
+    if quaternion is None and rotation is None:
         position, quaternion = _with_prefix(header) or (position, quaternion)
     if position is not None and quaternion is not None:
-        return _Columns(time, clock, position, quaternion, "quaternion")
+        return position, quaternion
+    if position is not None and rotation is not None:
+        return position, rotation
     angles = header.all([*_ANGLES.values()])
     if position is not None and angles is not None and angles != position:  # p_RS_R_x
         if wanted.angles is None:
@@ -281,11 +243,8 @@ def _find_columns(header: _Header, wanted: Selection, first: list[str]) -> _Colu
                 f"{header.path}: does not say what the angles {listed} mean; give {flag('angles')}: vector "
                 "for a rotation vector, xyz for turns about the fixed axes, x (roll) first, and so on."
             )
-        return _Columns(time, clock, position, angles, "angles")
-    missing = [
-        *("xyz" if position is None else ""),
-        *(("qx", "qy", "qz", "qw") if quaternion is None else ()),
-    ]
+        return position, angles
+    missing = [*("xyz" if position is None else ""), *(["qx", "qy", "qz", "qw"] if not quaternion else [])]
     raise RecordingError(
         f"{header.path}: no column for {', '.join(missing)}; expected a header such as {HEADER}, or names "
         f"of columns, {flag('position')} and {flag('orientation')}; found "
@@ -293,25 +252,13 @@ def _find_columns(header: _Header, wanted: Selection, first: list[str]) -> _Colu
     )
 
 
-def _named_columns(header: _Header, wanted: Selection, time: int | None, clock: list[int] | None) -> _Columns:
+def _named_columns(header: _Header, wanted: Selection) -> tuple[list[int], list[int]]:
     """Columns that the user named, separated by commas."""
     position, orientation = (
-        [column.name for column in columns] for columns in find_columns(header.path, wanted, header.titles)
+        [header.titles.index(column.name) for column in columns]
+        for columns in find_columns(header.path, wanted, header.titles)
     )
-    kind = {4: "quaternion", 3: "angles", 9: "rotation"}.get(len(orientation))
-    if len(position) != 3 or kind is None:
-        raise RecordingError(
-            f"{header.path}: expected 3 columns of a position, and 4 (quaternion), 3 (angles) or 9 (matrix) "
-            f"of an orientation, with commas between them; found {len(position)} and {len(orientation)}."
-        )
-    for needed in ("quaternion", "angles"):
-        if kind == needed and getattr(wanted, needed) is None:
-            raise RecordingError(
-                f"{header.path}: does not say how the columns {', '.join(orientation)} are meant; give "
-                f"{flag(needed)}."
-            )
-    places, turns = ([header.titles.index(name) for name in names] for names in (position, orientation))
-    return _Columns(time, clock, places, turns, kind, named=True)
+    return position, orientation
 
 
 def _with_prefix(header: _Header) -> tuple[list[int], list[int]] | None:
@@ -343,12 +290,15 @@ def _first(header: _Header, patterns: Sequence[str], axes: str) -> list[int] | N
 
 def _find_wrench(header: _Header) -> list[int]:
     """Columns of force and torque, all six or none: fx, force_x, wrench.force.x and the like."""
-    found = []
-    for letter, word, unit in (("f", "force", "n"), ("t", "torque", "nm")):
-        for axis in "xyz":
-            pattern = rf"({letter}_?|(.*_)?{word}_){axis}(_{unit})?"
-            found.append([i for i, name in enumerate(header.names) if re.fullmatch(pattern, name)])
+    words = (("f", "force", "n"), ("t", "torque", "nm"))
+    patterns = [rf"({f}_?|(.*_)?{word}_){axis}(_{unit})?" for f, word, unit in words for axis in "xyz"]
+    found = [_matches(pattern, header.names) for pattern in patterns]
     return [columns[0] for columns in found] if all(len(columns) == 1 for columns in found) else []
+
+
+def _matches(pattern: str, names: list[str]) -> list[int]:
+    """The columns whose names match a pattern."""
+    return [i for i, name in enumerate(names) if re.fullmatch(pattern, name)]
 
 
 TABLE = Reader(

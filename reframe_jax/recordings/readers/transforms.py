@@ -10,9 +10,9 @@ import numpy as np
 from reframe_jax.recordings.checks import drop_unfinished, make_poses
 from reframe_jax.recordings.clock import sort_times
 from reframe_jax.recordings.left_out import leave_out_lost
-from reframe_jax.recordings.readers.exports import matrix_rows
+from reframe_jax.recordings.readers.collecting import matrix_rows
 from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.relative import interpolate_poses, invert_poses
+from reframe_jax.recordings.relative import interpolate_poses, invert_poses, origin_shift
 from reframe_jax.recordings.rows import Rows, shown
 
 __all__ = ["Edge", "chain_rows", "describe_frames"]
@@ -56,23 +56,19 @@ class Edge:
                 )
         if ground == body:
             raise RecordingError(f"{path}: expected two frames, found {shown(ground, 60)!r} twice.")
-        before: dict[str, tuple[str, Edge, bool]] = {}
-        waiting = deque([ground])
-        while waiting and body not in before:
-            frame = waiting.popleft()
+        waiting: deque[tuple[str, list[tuple[Edge, bool]]]] = deque([(ground, [])])
+        seen = {ground}
+        while waiting:
+            frame, found = waiting.popleft()
+            if frame == body:
+                return found
             for other, edge, along in near[frame]:
-                if other not in before and other != ground:
-                    before[other] = (frame, edge, along)
-                    waiting.append(other)
-        if body not in before:
-            raise RecordingError(
-                f"{path}: no transforms connect {shown(ground, 60)} with {shown(body, 60)}; frames: {listed}."
-            )
-        found, frame = [], body
-        while frame != ground:
-            frame, edge, along = before[frame]
-            found.append((edge, along))
-        return found[::-1]
+                if other not in seen:
+                    seen.add(other)
+                    waiting.append((other, [*found, (edge, along)]))
+        raise RecordingError(
+            f"{path}: no transforms connect {shown(ground, 60)} with {shown(body, 60)}; frames: {listed}."
+        )
 
 
 def chain_rows(path: Path, chain: Sequence[tuple[Edge, bool, Rows]]) -> Rows:
@@ -99,14 +95,16 @@ def chain_rows(path: Path, chain: Sequence[tuple[Edge, bool, Rows]]) -> Rows:
     if not moving:
         raise RecordingError(f"{path}: all transforms between the two frames are static: nothing moves.")
     own = min(moving, key=lambda rows: len(rows.values))
-    times = _seconds(own, own)
+    times = np.asarray(own.times)
     poses, known = np.tile(np.eye(4), (len(times), 1, 1)), np.ones(len(times), bool)
     for edge, along, rows in chain:
         here = make_poses(rows)
         if edge.static:
             here = here[-1:]
-        elif rows is not own:
-            found, seen = interpolate_poses(_seconds(rows, own), here, times)
+        elif rows is not own and rows.times is not None:
+            found, seen = interpolate_poses(
+                rows.times + origin_shift(path, rows.origin, own.origin), here, times
+            )
             here = np.tile(np.eye(4), (len(times), 1, 1))
             here[seen], known = found, known & seen
         poses = poses @ (here if along else invert_poses(here))
@@ -121,11 +119,7 @@ def chain_rows(path: Path, chain: Sequence[tuple[Edge, bool, Rows]]) -> Rows:
 
 
 def _clean(path: Path, edge: Edge, rows: Rows) -> None:
-    """Leave out transforms that cannot be used, or were written though tracking was lost.
-
-    Raises:
-        RecordingError: if none is left, or those of a moving edge have no stamps.
-    """
+    """Leave out transforms that cannot be used, or were written though tracking was lost."""
     what = f"transform of {shown(edge.child, 60)} in {shown(edge.parent, 60)}"
     drop_unfinished(rows)
     sort_times(rows)
@@ -150,10 +144,3 @@ def describe_frames(edges: Sequence[Edge]) -> list[tuple[str, str, str]]:
         kind = "static" if edge.static else f"{edge.count} transforms"
         found.append(("to_frame", edge.child, f"tf frame in {edge.parent}, {kind}"))
     return found
-
-
-def _seconds(rows: Rows, other: Rows) -> np.ndarray:
-    """Times (N,) s of rows, on the clock of others; both count from their origins."""
-    times = np.zeros(len(rows.values)) if rows.times is None else rows.times
-    whole, part = ([int(each or 0) for each in (rows.origin or "0.0").split(".")] for rows in (rows, other))
-    return times + (whole[0] - part[0]) + 1e-9 * (whole[1] - part[1])

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from reframe_jax.recordings.markers import UNSEEN, choose_markers, fit_markers, group_markers
-from reframe_jax.recordings.readers.exports import find_delimiter, is_number, split, trim
-from reframe_jax.recordings.readers.lines import Collector, read_lines
+from reframe_jax.recordings.markers import UNSEEN, choose_markers, fit_markers, marker_entries
+from reframe_jax.recordings.readers.collecting import collect
+from reframe_jax.recordings.readers.lines import find_delimiter, is_number, read_lines, split
 from reframe_jax.recordings.readers.reader import Entry, Reader
 from reframe_jax.recordings.readers.units import LENGTH_WORDS
 from reframe_jax.recordings.recording import RecordingError
@@ -25,16 +25,7 @@ _HEADINGS = 3  # lines before the names of the markers
 
 
 def read_trc(path: Path, wanted: Selection) -> Rows:
-    """Fit a rigid body to markers.
-
-    Args:
-        path: the file.
-        wanted: the body: a prefix of three markers or more, or markers with commas between them. The unit, if
-            the file states none.
-
-    Raises:
-        RecordingError: if the header is not that of such a file, or no body fits.
-    """
+    """Fit a rigid body to markers."""
     labels, unit, delimiter, lines = _read_header(path)
     stated = LENGTH_WORDS.get(unit.lower())
     if stated is None and wanted.unit is None:
@@ -42,16 +33,12 @@ def read_trc(path: Path, wanted: Selection) -> Rows:
     metres = stated or UNITS[str(wanted.unit)]
     markers = choose_markers(path, wanted.body, labels)
     width = 2 + 3 * len(labels)
-    collected = Collector(path, width, 1, range(2, width))
-    for number, line in lines:
-        cells = split(line, delimiter)
-        if not is_number(cells[0]):
-            continue  # the row X1, Y1, Z1
-        collected.add(number, trim(cells + [""] * (width - len(cells)), width))
-    rows = collected.rows()
+    cells = ((number, split(line, delimiter)) for number, line in lines)
+    numbers = (row for row in cells if is_number(row[1][0]))  # not the row X1, Y1, Z1
+    rows = collect(path, numbers, width, range(2, width), 1, short=True)
     points = rows.values.reshape(len(rows.values), -1, 3)
     points[(points == 0).all(axis=2)] = np.nan
-    poses, notes = fit_markers(path, points, {label: i for i, label in enumerate(labels)}, markers, metres)
+    poses, notes = fit_markers(path, points, labels, markers, metres)
     rows.values, rows.metres = poses.reshape(-1, 16), metres
     rows.notes += notes
     rows.missing = UNSEEN
@@ -59,11 +46,7 @@ def read_trc(path: Path, wanted: Selection) -> Rows:
 
 
 def _read_header(path: Path) -> tuple[list[str], str, str | None, Iterator[tuple[int, str]]]:
-    """Names of the markers, the unit, the delimiter, and the lines after the names.
-
-    Raises:
-        RecordingError: if the header is not as expected.
-    """
+    """Names of the markers, the unit, the delimiter, and the lines after the names."""
     lines = read_lines(path, "\r\n")
     head = [line for _, line in zip(range(_HEADINGS), (line for _, line in lines), strict=False)]
     number, titles = next(lines, (0, ""))
@@ -87,15 +70,7 @@ def _read_header(path: Path) -> tuple[list[str], str, str | None, Iterator[tuple
 
 
 def _contents(path: Path) -> list[Entry]:
-    labels = _read_header(path)[0]
-    groups = group_markers(labels)
-    found = [
-        Entry("body", name, f"{len(group)} markers: {', '.join(group)}") for name, group in groups.items()
-    ]
-    grouped = {label for group in groups.values() for label in group}
-    if rest := [label for label in labels if label not in grouped]:
-        found.append(Entry("body", ",".join(rest), "other markers"))
-    return found
+    return marker_entries(_read_header(path)[0], "other markers")
 
 
 TRC = Reader(

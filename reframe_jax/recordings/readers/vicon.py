@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from reframe_jax.geometry.numpy_rotations import euler_matrices, rotation_matrices
-from reframe_jax.recordings.readers.exports import collect, drop_zeros, is_number, matrix_rows, split
-from reframe_jax.recordings.readers.lines import read_lines
+from reframe_jax.recordings.readers.collecting import collect, drop_zeros
+from reframe_jax.recordings.readers.columns import set_poses
+from reframe_jax.recordings.readers.lines import is_number, read_lines, split
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, shown
@@ -44,40 +44,24 @@ class _Body:
 
 
 def read_vicon(path: Path, wanted: Selection) -> Rows:
-    """Read an object or segment.
-
-    Args:
-        path: the file.
-        wanted: the body, needed if there are several, and what three angles mean.
-
-    Raises:
-        RecordingError: if there is no section of objects or segments, or the header of it is not as expected.
-    """
+    """Read an object or segment."""
     lines = _lines(path)
     rate, width, bodies, rest = _read_header(path, lines)
     body = bodies[choose_name(path, "body", wanted.body, [*bodies], "objects and segments")]
-    three = len(body.rotation) == 3
-    if three and wanted.angles is None:
+    if len(body.rotation) == 3 and wanted.angles is None:
         raise RecordingError(
             f"{path}: does not say what RX, RY, RZ mean; give {flag('angles')}: vector if they were exported "
             "as helical, XYZ if as Euler XYZ."
         )
-    if not three and wanted.angles is not None:
-        raise RecordingError(f"{path}: holds quaternions; leave out {flag('angles')}.")
     rows = collect(path, rest, width, [*body.position, *body.rotation, 0, 1], short=True)
     if np.any(rows.values[:, -1] != 0):
         raise RecordingError(
             f"{path}: has sub frames; expected one row a frame, export it at the frame rate."
         )
-    rows.times = (rows.values[:, -2] - rows.values[0, -2]) / rate if len(rows.values) else np.empty(0)
+    rows.times = (rows.values[:, -2] - rows.values[:1, -2]) / rate
     rows.values, rows.metres = rows.values[:, :-2], body.metres
     drop_zeros(rows, rows.values[:, :6])
-    positions, rotations = rows.values[:, :3], body.radians * rows.values[:, 3:]
-    if wanted.angles == "vector":
-        rows.values = matrix_rows(rotation_matrices(rotations), positions)
-    elif wanted.angles is not None:
-        in_order = rotations[:, ["xyz".index(axis) for axis in wanted.angles.lower()]]
-        rows.values = matrix_rows(euler_matrices(wanted.angles, in_order), positions)
+    set_poses(rows, rows.values[:, :3], rows.values[:, 3:], wanted, body.radians, named=False)
     return rows
 
 
@@ -92,11 +76,7 @@ def _lines(path: Path) -> _Lines:
 
 
 def _read_header(path: Path, lines: _Lines) -> tuple[float, int, dict[str, _Body], _Lines]:
-    """The rate, the width and the bodies of the first section with poses, and its rows of numbers.
-
-    Raises:
-        RecordingError: if there is no such section, or its header is not as expected.
-    """
+    """The rate, the width and the bodies of the first section with poses, and its rows of numbers."""
     found = []
     for _, cells in lines:
         title = cells[0].lower()
