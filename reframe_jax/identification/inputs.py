@@ -14,6 +14,7 @@ from reframe_jax.motion.checks import MIN_VELOCITIES
 
 __all__ = ["padded_size", "read_number", "read_numbers", "run_in_pieces", "take_poses", "take_steps"]
 
+_SINGLE = 8  # windows up to which a program for many is not worth compiling
 _FEWEST, _SHORT, _LONG = 8, 64, 4096  # poses that are padded at least; the smallest size; see padded_size
 _TOO_COARSE = ("float16", "bfloat16")
 _REMEDIES = {
@@ -172,7 +173,7 @@ def _pad_poses(poses: Any, steps: Any) -> tuple[Any, Any, bool]:
 def run_in_pieces(run: Callable[..., Any], poses: Any, steps: Any, others: Any, most: int, pad: bool) -> Any:
     """Results for N windows, which are computed in pieces of one of few sizes and lengths.
 
-    A piece has 1, 8, 64, 512, ... windows; the last one repeats its last window.
+    A piece has ``most`` windows, the last one repeats its last window. Up to eight are computed one by one.
 
     Args:
         run: function of poses, steps, lengths (N,) or None, and others, that compiles once for a size.
@@ -186,17 +187,16 @@ def run_in_pieces(run: Callable[..., Any], poses: Any, steps: Any, others: Any, 
     padded = False
     if pad:
         poses, steps, padded = _pad_poses(poses, steps)
-    size = 1
-    while size < min(count, most):
-        size *= 8
-    size = min(size, most)
+    size = most if count > _SINGLE else 1
+    # one program, whether windows share their times or not
+    xp = jnp if isinstance(steps, jax.Array) else np
+    steps = xp.broadcast_to(steps, (count, steps.shape[-1]))
     lengths = np.full(size, length, np.int32) if padded else None
 
     def run_piece(start: int) -> Any:
         rows = np.minimum(np.arange(start, start + size), count - 1)
         part = slice(start, start + size) if start + size <= count else rows
-        own = steps if steps.ndim == 1 else steps[part]
-        return run(poses[part], own, lengths, jax.tree.map(lambda leaf: leaf[part], others))
+        return run(poses[part], steps[part], lengths, jax.tree.map(lambda leaf: leaf[part], others))
 
     starts = range(0, count, size)
     parts = [run_piece(0)]  # which compiles

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.types import AngularType
-from reframe_jax.geometry.small import cross, diagonalize, largest, normalize, times, total
+from reframe_jax.geometry.small import cross, diagonalize, materialize, normalize, times, total
 from reframe_jax.model import features as z
 from reframe_jax.model.crossed import crossed_axes
 from reframe_jax.model.rows import rotation_forms
@@ -58,9 +58,13 @@ def _sizes(axes: Array, form: Array) -> Array:
 
 
 def smallest_eigenvalue(forms: Array) -> Array:
-    """Smallest eigenvalues (...) of forms (3, 3, ...)."""
-    axes = diagonalize(forms[:, :, None] + 0.0)
-    return jnp.maximum(-largest(-_sizes(axes, forms)), 0)
+    """Smallest eigenvalues (...) of symmetric forms (3, 3, ...), by the cosine formula of the cubic."""
+    middle = (forms[0, 0] + forms[1, 1] + forms[2, 2]) / 3
+    away = forms - middle * np.eye(3).reshape(3, 3, *[1] * middle.ndim)
+    size = jnp.sqrt(total(total(away * away, 0), 0) / 6) + jnp.finfo(forms.dtype).tiny
+    det = total(away[0] * cross(away[1], away[2]), 0)
+    angle = jnp.arccos(jnp.clip(det / (2 * size**3), -1, 1)) / 3
+    return jnp.maximum(middle + 2 * size * jnp.cos(angle + 2 * np.pi / 3), 0)
 
 
 def common_frames(paths: Array, turns: Array, position: Array, details: Array, scale_weight: Array) -> Axes:
@@ -131,7 +135,8 @@ def entry_starts(
     cosine = total(axis[:, None] * own, 0)
     good = 1 - cosine * cosine > _ALONG**2
     across = jnp.where(good[0], own[:, 0], jnp.where(good[1], own[:, 1], own[:, 2]))
-    first = normalize(across - axis * total(axis * across, 0))
+    axis = materialize(axis)
+    first = materialize(normalize(across - axis * total(axis * across, 0)))
     frame = jnp.stack([first, cross(axis, first), axis], axis=1)
     pair = moments[z.POSITION, z.TURN_BODY], moments[z.TURN_BODY, z.TURN_BODY]
     moving = total(times(mean, main) * times(pair[0], main), 0)
