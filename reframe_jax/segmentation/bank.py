@@ -144,18 +144,18 @@ def _held_rows(
     return weights, np.einsum("hrf,hf->hr", weights, mean), np.where(used, rms, np.inf)
 
 
-def gains(bank: Bank, values: np.ndarray, turn: float) -> np.ndarray:
+def gains(bank: Bank, values: np.ndarray, turn: float, widen: float = 1.0) -> np.ndarray:
     """Log evidence (H, N) of values (H, N, 6) of held coordinates against free ones.
 
     Free rotations have an amplitude of ``turn`` rad.
     """
     free = np.stack([bank.reference, np.full_like(bank.reference, turn)], axis=1).repeat(3, axis=1)
-    ratio = np.log(np.maximum(free / bank.size, 1))
-    return np.sum(ratio, axis=1)[:, None] - misfit(bank, values)
+    ratio = np.log(np.maximum(free / (widen * bank.size), 1))
+    return np.sum(ratio, axis=1)[:, None] - misfit(bank, values, widen)
 
 
-def misfit(bank: Bank, values: np.ndarray) -> np.ndarray:
+def misfit(bank: Bank, values: np.ndarray, widen: float = 1.0) -> np.ndarray:
     """Negative log likelihood (H, N) of values (H, N, 6) under each model, about 0 where the model holds."""
-    residual = (values - bank.middle[:, None]) / bank.size[:, None]
+    residual = (values - bank.middle[:, None]) / (widen * bank.size[:, None])
     each = np.prod(1 + residual**2 / C.tail, axis=-1)  # 1 for a coordinate that is not held
     return (C.tail + 1) / 2 * np.log(each) - np.sum(bank.held, axis=1)[:, None] / 2

@@ -13,8 +13,8 @@ class SegmentConstants(NamedTuple):
     """Constants of segmentation.
 
     Attributes:
-        floor_position, floor_rotation: m and rad; residuals below are not told from zero: the usual slow
-            errors of a robot or a tracker.
+        floor_position, floor_rotation: m and rad; residuals below are not distinguished from zero: the usual
+            slow errors of a robot or a tracker.
         lever: m, at which a rotation counts as a translation.
         motion_time: of the lag at which the speed of displacements has halved, the time of one independent
             value; 1 / (2 B) for motion of bandwidth B.
@@ -30,6 +30,8 @@ class SegmentConstants(NamedTuple):
         border: log evidence, beside a border, of a pose that a model explains, and the same for every row:
             of one row, residuals of 2.6 times their RMS are taken for motion.
         tail: degrees of freedom of the distribution of residuals.
+        widen: times that residuals of models from windows are larger: a fit to few values makes them
+            too small.
         same: times that held coordinates may move more where a constraint comes back or goes on.
         pause: times that the body moves less in a pause than in the motion beside it.
         still_time: motion times that stillness takes at least to be a state; a gap within a constraint is
@@ -46,9 +48,10 @@ class SegmentConstants(NamedTuple):
     reference: float = 1 / 2
     chance: float = 0.2
     usual: float = 0.4
-    price: float = 10.0
+    price: float = 12.0
     border: float = 1.0
     tail: float = 4.0
+    widen: float = 1.5
     same: float = 3.5
     pause: float = 3.0
     still_time: float = 1.5

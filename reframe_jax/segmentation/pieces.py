@@ -41,7 +41,7 @@ def find_pieces(cells: Cells, reach: float) -> list[Piece]:
     first = fit_models(cells, _windows(number), reach)
     if not len(first.price):
         return [Piece(0, number, None)]
-    known = cover(cells, first)
+    known = cover(cells, first, C.widen)
     bank, coverage, evidence = first, known, 0.0
     pieces = [Piece(0, number, None)]
     for _ in range(_ROUNDS):
