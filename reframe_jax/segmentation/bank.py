@@ -69,21 +69,21 @@ def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
     """The best models of each span (P, 2) whose evidence exceeds their price, or would in a longer span."""
     count = (spans[:, 1] - spans[:, 0]) * cells.weight
     own = fits.motion[:, None] / C.gap
-    most = [
+    most, most_turn = (
         np.minimum(bound, np.maximum(3 * floor, own / lever))
-        for bound, floor, lever in zip(cells.bound, cells.floor, (1, C.lever), strict=True)
-    ]
+        for bound, floor, lever in zip(cells.bound(C.held), cells.floor, (1, C.lever), strict=True)
+    )
     references = cells.references(spans)
     # beside held rows, further rows are as still by chance as one row is
-    further = np.minimum(most[0], np.maximum(3 * cells.floor[0], C.reference * references[:, :1]))
-    limits = np.stack([most[0], further, further], axis=1)
+    further = np.minimum(most, np.maximum(3 * cells.floor[0], C.reference * references[:, :1]))
+    limits = np.stack([most, further, further], axis=1)
     linear, linear_type = _log_ratios(fits.size, references[:, :, None, None], limits)
     every = np.where(np.arange(3) < np.arange(1, 4)[:, None, None], fits.turn[:, None], np.inf)
-    angular, angular_type = _log_ratios(every, cells.reference[1], most[1][:, None])
+    angular, angular_type = _log_ratios(every, cells.reference[1], most_turn[:, None])
     both = linear[:, :, None] + angular[:, None]
     # of a body that is still nothing moves, for longer than at a turning point
     both[:, 3, 3] = np.where(count >= C.still_time, 0, -np.inf)
-    for size, reference, bound in zip((fits.size, every), cells.reference, cells.bound, strict=True):
+    for size, reference, bound in zip((fits.size, every), cells.reference, cells.bound(C.still), strict=True):
         both[:, 3, 3] += _log_ratios(size, reference, bound)[0][:, 3]
     each = np.where(np.isfinite(angular), angular, 0) / np.maximum(np.arange(4), 1)
     price = np.repeat(C.price + (_ANGULAR_PARAMETERS * each)[:, None], 4, axis=1)

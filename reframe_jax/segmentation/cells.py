@@ -65,12 +65,9 @@ class Cells:
         """Amplitude of a free coordinate, m and rad."""
         return self.motion[0] * C.reference, self.motion[1] * C.reference
 
-    @property
-    def bound(self) -> tuple[float, float]:
-        """What a held coordinate moves at most, m and rad."""
-        a, b = (
-            max(C.held * motion, 3 * floor) for motion, floor in zip(self.motion, self.floor, strict=True)
-        )
+    def bound(self, part: float) -> tuple[float, float]:
+        """Most that a coordinate moves, m and rad: a part of the motion of the recording, or its noise."""
+        a, b = (max(part * motion, 3 * floor) for motion, floor in zip(self.motion, self.floor, strict=True))
         return a, b
 
 

@@ -20,6 +20,7 @@ class SegmentConstants(NamedTuple):
             value; 1 / (2 B) for motion of bandwidth B.
         cells: cells in a motion time.
         held: of the motion of the recording, the most that a held coordinate may move.
+        still: the same of a body that is still.
         gap: largest motion of a span over that of a coordinate which is held in it.
         reference: of the motion of the recording, the amplitude of a free coordinate that happens to move
             little: divides between held and free.
@@ -44,6 +45,7 @@ class SegmentConstants(NamedTuple):
     motion_time: float = 0.5
     cells: float = 5.0
     held: float = 1 / 30
+    still: float = 1 / 50
     gap: float = 4.0
     reference: float = 1 / 2
     chance: float = 0.2
