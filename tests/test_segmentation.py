@@ -8,6 +8,7 @@ import pytest
 
 import reframe_jax as rf
 from benchmarks.segmentation_cases import Sequence, move_through, simulate_single
+from reframe_jax.geometry.numpy_rotations import rotation_matrices
 from reframe_jax.segmentation.bank import Bank
 from reframe_jax.segmentation.cells import Cells, make_cells
 from reframe_jax.segmentation.chance import with_chance
@@ -122,12 +123,26 @@ def test_a_constraint_that_comes_back_has_the_same_label() -> None:
 def test_rows_are_still_by_chance_in_short_spans_only(label: str) -> None:
     """The reference motion holds nothing, even if all of the recording is under one constraint."""
     cells, _ = pieces_of(sequence((label,), "encoder", 3))
-    short, medium, long = cells.references(np.array([4, 16, 64]))
+    short, medium, long = cells.references(np.array([[0, 4], [0, 16], [0, 64]]))
     assert np.all(short < medium)
     assert np.all(medium <= long)
     assert short[0] < short[1] < short[2]  # one row of five parameters follows four cells
     assert short[0] < 2 * cells.floor[0]
     assert long[2] > 20 * short[0]
+
+
+def test_a_slow_motion_counts_as_a_shorter_one() -> None:
+    steps = np.concatenate([np.full(2400, 0.02), np.full(600, 0.004)])
+    phase = np.cumsum(steps)[:, None] * np.array([1.0, 1.9, 2.7])
+    poses = np.tile(np.eye(4), (len(phase), 1, 1))
+    poses[:, :3, 3] = 0.1 * np.sin(3 * phase)
+    poses[:, :3, :3] = rotation_matrices(0.4 * np.cos(3 * phase[:, ::-1]))
+    cells = with_chance(make_cells(poses[:, :3, :3], poses[:, :3, 3], 0.02), 1.0)
+    assert cells.progress is not None
+    change = 2400 // cells.samples
+    per_cell = np.diff(cells.progress)
+    assert np.mean(per_cell[: change - 10]) > 0.8
+    assert np.mean(per_cell[change + 10 :]) < 0.6
 
 
 @pytest.mark.parametrize("seed", range(10))

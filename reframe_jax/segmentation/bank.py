@@ -69,26 +69,29 @@ def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
     """The best models of each span (P, 2) whose evidence exceeds their price, or would in a longer span."""
     count = (spans[:, 1] - spans[:, 0]) * cells.weight
     own = fits.motion[:, None] / C.gap
-    most = [
+    most, most_turn = (
         np.minimum(bound, np.maximum(3 * floor, own / lever))
-        for bound, floor, lever in zip(cells.bound, cells.floor, (1, C.lever), strict=True)
-    ]
-    references = cells.references(spans[:, 1] - spans[:, 0])
-    linear, linear_type = _log_ratios(fits.size, references[:, :, None, None], most[0])
+        for bound, floor, lever in zip(cells.bound(C.held), cells.floor, (1, C.lever), strict=True)
+    )
+    references = cells.references(spans)
+    # beside held rows, further rows are as still by chance as one row is
+    further = np.minimum(most, np.maximum(3 * cells.floor[0], C.reference * references[:, :1]))
+    limits = np.stack([most, further, further], axis=1)
+    linear, linear_type = _log_ratios(fits.size, references[:, :, None, None], limits)
     every = np.where(np.arange(3) < np.arange(1, 4)[:, None, None], fits.turn[:, None], np.inf)
-    angular, angular_type = _log_ratios(every, cells.reference[1], most[1])
+    angular, angular_type = _log_ratios(every, cells.reference[1], most_turn[:, None])
     both = linear[:, :, None] + angular[:, None]
     # of a body that is still nothing moves, for longer than at a turning point
     both[:, 3, 3] = np.where(count >= C.still_time, 0, -np.inf)
-    for size, reference, bound in zip((fits.size, every), cells.reference, cells.still_bound, strict=True):
-        both[:, 3, 3] += _log_ratios(size, reference, np.full_like(own, bound))[0][:, 3]
+    for size, reference, bound in zip((fits.size, every), cells.reference, cells.bound(C.still), strict=True):
+        both[:, 3, 3] += _log_ratios(size, reference, bound)[0][:, 3]
     each = np.where(np.isfinite(angular), angular, 0) / np.maximum(np.arange(4), 1)
     price = np.repeat(C.price + (_ANGULAR_PARAMETERS * each)[:, None], 4, axis=1)
     score = count[:, None, None] * both - price
     score[:, 0, 0] = -np.inf
     score = score.reshape(-1, 16)
     order = np.argsort(-score, axis=1)[:, :_KEPT]
-    span, rank = np.nonzero(np.take_along_axis(score, order, axis=1) > -C.slack)
+    span, rank = np.nonzero(np.take_along_axis(score, order, axis=1) > -C.price)
     chosen = order[span, rank]
     held = np.stack([chosen // 4, chosen % 4], axis=1)
     kind = np.stack([linear_type[span, held[:, 0]], angular_type[span, held[:, 1]]], axis=1)
@@ -113,17 +116,17 @@ def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
 
 
 def _log_ratios(
-    size: np.ndarray, reference: float | np.ndarray, most: np.ndarray
+    size: np.ndarray, reference: float | np.ndarray, most: float | np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Sum of log reference / size of 0 to 3 held coordinates in the best type, (P, 4), and that type.
 
     Args:
         size: (P, 3, T, 3) of 1, 2 and 3 held coordinates, inf beyond these.
         reference: of a free coordinate.
-        most: (P, 1) that a held coordinate moves.
+        most: that a held coordinate moves; (P, 3, 1) by their number.
     """
     counted = np.isfinite(size)
-    held = np.all((size < most[:, None, None]) | ~counted, axis=-1)
+    held = np.all((size < np.asarray(most)[..., None]) | ~counted, axis=-1)
     value = np.sum(np.where(counted, np.log(np.maximum(reference / size, 1)), 0), axis=-1)
     value = np.where(held, value, -np.inf)
     best = value.argmax(axis=-1)

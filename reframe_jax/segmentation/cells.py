@@ -33,6 +33,8 @@ class Cells:
         floor: (2,) m and rad, below which residuals are not distinguished from zero.
         chance: (L,) log lengths of spans in cells, and (L, 3) log m, sizes of 1, 2 and 3 rows that are fitted
             where nothing is held; None before they are known.
+        progress: (N + 1,) cells in which the usual motion would have come as far as the motion up to each;
+            None before it is known.
     """
 
     linear: np.ndarray
@@ -43,11 +45,13 @@ class Cells:
     motion: tuple[float, float]
     floor: tuple[float, float]
     chance: tuple[np.ndarray, np.ndarray] | None = None
+    progress: np.ndarray | None = None
 
-    def references(self, lengths: np.ndarray) -> np.ndarray:
-        """Amplitudes (P, 3), m, of free translations where 1, 2 and 3 rows are fitted to so many cells."""
-        if self.chance is None:
-            return np.full((len(lengths), 3), self.reference[0])
+    def references(self, spans: np.ndarray) -> np.ndarray:
+        """Amplitudes (P, 3), m, of free translations where 1, 2 and 3 rows are fitted to spans (P, 2)."""
+        if self.chance is None or self.progress is None:
+            return np.full((len(spans), 3), self.reference[0])
+        lengths = np.maximum(self.progress[spans[:, 1]] - self.progress[spans[:, 0]], 1)
         logs = [np.interp(np.log(lengths), self.chance[0], size) for size in self.chance[1].T]
         return np.minimum(np.exp(logs).T, self.reference[0])
 
@@ -61,18 +65,10 @@ class Cells:
         """Amplitude of a free coordinate, m and rad."""
         return self.motion[0] * C.reference, self.motion[1] * C.reference
 
-    @property
-    def bound(self) -> tuple[float, float]:
-        """What a held coordinate moves at most, m and rad."""
-        return self._above_floor(C.held)
-
-    @property
-    def still_bound(self) -> tuple[float, float]:
-        """What a coordinate of a still body moves at most, m and rad."""
-        return self._above_floor(C.still)
-
-    def _above_floor(self, part: float) -> tuple[float, float]:
-        return max(part * self.motion[0], 3 * self.floor[0]), max(part * self.motion[1], 3 * self.floor[1])
+    def bound(self, part: float) -> tuple[float, float]:
+        """Most that a coordinate moves, m and rad: a part of the motion of the recording, or its noise."""
+        a, b = (max(part * motion, 3 * floor) for motion, floor in zip(self.motion, self.floor, strict=True))
+        return a, b
 
 
 def make_cells(rotation: np.ndarray, position: np.ndarray, step: float) -> Cells:

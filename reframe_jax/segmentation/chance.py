@@ -11,6 +11,7 @@ from reframe_jax.segmentation.rows import fit_spans
 __all__ = ["with_chance"]
 
 _SPANS = 64  # of a length
+_WINDOWS = 2, 4, 8, 16  # cells, in which motions are compared
 _TURNED = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3, 3)))[0]
 
 
@@ -35,4 +36,29 @@ def with_chance(cells: Cells, reach: float) -> Cells:
         logs = np.log(np.where(np.isfinite(size), size, 1))
         mean = np.sum(logs, axis=-1) / np.arange(1, 4)[:, None]
         chance.append(np.quantile(mean.min(axis=-1), C.chance, axis=0))
-    return dataclasses.replace(cells, chance=(np.log(lengths), np.stack(chance)))
+    return dataclasses.replace(cells, chance=(np.log(lengths), np.stack(chance)), progress=_progress(cells))
+
+
+def _progress(cells: Cells) -> np.ndarray:
+    """Cells (N + 1,) in which the usual motion would have come as far as the motion up to each cell.
+
+    In a motion that is slower than usual, rows are still by chance for longer. The path in a window over the
+    amplitude there is compared with the usual one in shorter windows.
+    """
+    z = np.concatenate([cells.linear[1, :, ::4], C.lever * cells.angular[1]], axis=1)
+    z = z - z.mean(axis=0)
+    noise = 6 * float(np.sum(np.square([cells.floor[0], C.lever * cells.floor[1]])))
+    step = np.sqrt(np.maximum(np.sum(np.diff(z, axis=0) ** 2, axis=1) - noise, 0))
+    path = np.concatenate([[0], np.cumsum(step)])
+    sums = [np.concatenate([np.zeros((1, 6)), np.cumsum(each, axis=0)]) for each in (z, z**2)]
+
+    def travel(length: int) -> np.ndarray:
+        mean, square = ((total[length:] - total[:-length]) / length for total in sums)
+        amplitude = np.sqrt(np.maximum(np.sum(square - mean**2, axis=1), noise))
+        return np.asarray((path[length - 1 :] - path[: len(z) - length + 1]) / amplitude)
+
+    lengths = [length for length in _WINDOWS if length <= len(z)]
+    usual = np.maximum.accumulate([np.quantile(travel(length), C.usual) for length in lengths])
+    longest = lengths[-1]
+    here = np.pad(travel(longest), (longest // 2, (longest - 1) // 2), mode="edge")
+    return np.concatenate([[0], np.cumsum(np.interp(here, usual, np.array(lengths) / longest))])

@@ -57,7 +57,7 @@ def find_pieces(cells: Cells, reach: float) -> list[Piece]:
         if not len(fresh.price):
             break
         bank = first.join(fresh)
-        coverage = known.join(cover(cells, fresh, 1.0))
+        coverage = known.join(cover(cells, fresh))
     return pieces
 
 
@@ -135,7 +135,7 @@ def _join_one(
             if own.held == one.held:
                 trials.append((min(i, j), max(i, j), [own.model, one.model]))
             slow = own.still or own.model.motion[0] <= one.model.motion[0] / C.pause
-            state = own.still and (time >= C.still_time if len(beside) == 1 else _other(pieces, i, j).still)
+            state = own.still and (time >= C.still_time if len(beside) == 1 else pieces[2 * i - j].still)
             if slow and not state:
                 trials.append((min(i, *beside), max(i, *beside), [one.model]))
         for first, last, models in trials:
@@ -149,11 +149,6 @@ def _join_one(
     if own.still and time < C.still_time and beside:
         return _divide_between_neighbours(pieces, i)
     return None
-
-
-def _other(pieces: list[Piece], i: int, j: int) -> Piece:
-    """The other neighbour of piece i than piece j."""
-    return pieces[2 * i - j]
 
 
 def _together(cells: Cells, start: int, stop: int, models: list[Bank], reach: float) -> Piece | None:

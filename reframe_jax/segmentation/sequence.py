@@ -35,7 +35,7 @@ class Coverage(NamedTuple):
         return Coverage(gain, column, np.concatenate([self.first, other.first]))
 
 
-def cover(cells: Cells, bank: Bank, widen: float) -> Coverage:
+def cover(cells: Cells, bank: Bank, widen: float = 1.0) -> Coverage:
     """Evaluate models in their spans and as far again on either side, residuals widened."""
     number = cells.linear.shape[1]
     start, stop = bank.span.T
