@@ -112,7 +112,7 @@ def rotate(vector: Array, matrix: Array) -> Array:
     return matrix + 2 * (turned + cross(half, turned)) / (1 + total(half * half, 0))
 
 
-def invert_symmetric(s: Sequence[Array], positive: bool = True) -> tuple[Array, Array]:
+def invert_symmetric(s: Array | Sequence[Array], positive: bool = True) -> tuple[Array, Array]:
     """Inverse (6, ...) and determinant of symmetric 3 x 3 matrices: components 11, 12, 13, 22, 23, 33.
 
     By L D L', whose pivots are accurate to the rounding of the diagonal however small they are; a sum of

@@ -123,7 +123,7 @@ def lowest_origins(
     _, det = invert_symmetric(_sigma(coefficients, _monomials(x)))
     best = jnp.argmin(total(counts * jnp.log(det), 0), axis=1)
     x = jnp.take_along_axis(x, best[None, :, None], axis=2)
-    start = _Expansion(x, *_expand(coefficients, counts, x), jnp.full(x.shape[1:], _BLEND, x.dtype))
+    start = _expand(coefficients, counts, x, jnp.full(x.shape[1:], _BLEND, x.dtype))
     step = partial(_newton_step, coefficients, counts, box)
     found = jax.lax.fori_loop(0, _NEWTON_STEPS, lambda _, at: step(at), start)
     return found.x[:, :, 0], found.value[:, 0]
@@ -217,8 +217,8 @@ class _Expansion(NamedTuple):
     blend: Array
 
 
-def _expand(coefficients: Array, counts: Array, x: Array) -> tuple[Array, Array, Array, Array]:
-    """F, its slope, the tangent's Hessian and the exact one."""
+def _expand(coefficients: Array, counts: Array, x: Array, blend: Array) -> "_Expansion":
+    """Expand F about origins."""
     inverse, det = invert_symmetric(_sigma(coefficients, _monomials(x)))
     form = _tangent(coefficients, counts, inverse)
     change = total(coefficients[:, :, None] * _slopes(x)[None, :, :, None], 1)  # (6, 3, S, ...)
@@ -227,7 +227,8 @@ def _expand(coefficients: Array, counts: Array, x: Array) -> tuple[Array, Array,
     trace = total(product[:, :, :, None] * jnp.swapaxes(product, 0, 1)[:, :, None], 0, 1)
     exact = 2 * form[1:, 1:] - total(trace * counts, 2)
     value = total(counts * jnp.log(det), 0)
-    return materialize((value, 2 * (form[1:, 0] + times(form[1:, 1:], x)), 2 * form[1:, 1:], exact))
+    slope = 2 * (form[1:, 0] + times(form[1:, 1:], x))
+    return materialize(_Expansion(x, value, slope, 2 * form[1:, 1:], exact, blend))
 
 
 def _newton_step(coefficients: Array, counts: Array, box: Array, at: _Expansion) -> _Expansion:
@@ -235,9 +236,9 @@ def _newton_step(coefficients: Array, counts: Array, box: Array, at: _Expansion)
     positive = _positive(blended)
     step = _solve(jnp.where(positive, blended, _lift(at.tangent)), at.slope)
     x = materialize(jnp.clip(at.x - step, -box, box))
-    value, *rest = _expand(coefficients, counts, x)
-    lower = value <= at.value
-    blend = jnp.where(lower, jnp.where(positive, 1.0, _BLEND), at.blend / 2).astype(x.dtype)
-    moved = _Expansion(x, value, *rest, blend)
-    kept = jax.tree.map(lambda new, old: jnp.where(lower, new, old), moved, at)
-    return kept._replace(blend=blend)
+    moved = _expand(coefficients, counts, x, jnp.where(positive, 1.0, _BLEND).astype(x.dtype))
+    lower = moved.value <= at.value
+    kept: _Expansion = jax.tree.map(
+        lambda new, old: jnp.where(lower, new, old), moved, at._replace(blend=at.blend / 2)
+    )
+    return kept

@@ -215,14 +215,14 @@ def _compare(
 
     def fit(_: Array, rounds: _Block) -> tuple[Array, Forms, Unknowns, Unknowns]:
         """The entries that look best, fitted; then with the tilt free."""
-        before, _ = posterior_of(jax.tree.map(lambda leaf: _flat(leaf[:blocks])[..., :number, :], rounds))
-        best = jax.lax.top_k(jnp.where(assumed, before, -jnp.inf).T, size)[1].T
-        entries = _rows_of(best)
+        looks: _Block = jax.tree.map(lambda leaf: _flat(leaf[:blocks])[..., :number, :], rounds)
+        best = jax.lax.top_k(jnp.where(assumed, posterior_of(looks)[0], -jnp.inf).T, size)[1].T
+        mine = _rows_of(best)
         start = jax.tree.map(
             lambda leaf: jnp.take_along_axis(leaf, best[(None,) * (leaf.ndim - 2)], axis=-2), starts
         )
-        picked = each.pick(entries.path)
-        problem = problem_of(picked, details[:, None], entries, scale, box, entries.tied)
+        picked = each.pick(mine.path)
+        problem = problem_of(picked, details[:, None], mine, scale, box, mine.tied)
         tied, loose, _ = descend(problem, start, STEPS, LAST_STEPS)
         return best, picked.at(tied.origin), tied, loose
 
