@@ -92,7 +92,7 @@ def unexplained_covariance(moments: Array, rows: np.ndarray) -> Array:
         own, others = (np.stack([used[t][k] for t in alike], -1) for k in (0, 1))
         path, turns = moments[own[:, None], own[None]], moments[others[:, None], others[None]]
         both = moments[others[:, None], own[None]]  # (others, 3, types, N)
-        unit, eye = (np.eye(n).reshape(n, n, 1, 1) for n in (size, 3))
+        unit, eye = (jnp.eye(n, dtype=moments.dtype)[:, :, None, None] for n in (size, 3))
         ridge = _RIDGE * total(total(turns * unit, 0), 0)
         solved = solve_positive((turns + ridge * unit)[:, :, None], both)
         rest = path - total(both[:, :, None] * solved[:, None], 0)
@@ -139,10 +139,11 @@ def _starts(coefficients: Array, counts: Array, unexplained: Array) -> Array:
     """Starts (3, T, starts, N): by the unexplained covariance, the origins that move least, others."""
     traces = coefficients[0] + coefficients[3] + coefficients[5]
     inverse, _ = invert_symmetric([unexplained[i, j] for i, j in _PAIRS])
+    halves = jnp.asarray(_HALVES, traces.dtype)
     forms = (
         _tangent(coefficients, counts, jnp.broadcast_to(inverse[:, None], (6, *traces.shape[1:]))),
-        total(traces * (counts > 0), 1)[_FORM] * _HALVES,
-        traces[:, -1][_FORM] * _HALVES,
+        total(traces * (counts > 0), 1)[_FORM] * halves,
+        traces[:, -1][_FORM] * halves,
     )
     found = [-_solve(_lift(form[1:, 1:]), form[1:, 0]) for form in forms]
     fixed = jnp.asarray(_FIXED_STARTS, coefficients.dtype)[:, None, :, None]
@@ -163,7 +164,7 @@ def _monomials(x: Array) -> Array:
 def _slopes(x: Array) -> Array:
     """Derivatives of the monomials, (10, 3, ...)."""
     z = jnp.concatenate([jnp.ones_like(x[:1]), x])[:, None]
-    unit = np.eye(4)[:, 1:].reshape(4, 3, *[1] * (x.ndim - 1))
+    unit = jnp.eye(4, dtype=x.dtype)[:, 1:].reshape(4, 3, *[1] * (x.ndim - 1))
     return z[_FIRST] * unit[_SECOND] + z[_SECOND] * unit[_FIRST]
 
 
@@ -174,11 +175,11 @@ def _sigma(coefficients: Array, monomials: Array) -> Array:
 
 def _tangent(coefficients: Array, counts: Array, inverse: Array) -> Array:
     """sum_s n_s tr(Sigma_s^-1 Sigma_s(y)): the matrix of a quadratic form in (1, y), (4, 4, T, K, N)."""
-    twice = np.array([1.0 if i == j else 2.0 for i, j in _PAIRS]).reshape(6, *[1] * counts.ndim)
-    weights = materialize(inverse * (twice * counts))
+    twice = jnp.asarray([1.0 if i == j else 2.0 for i, j in _PAIRS], counts.dtype)
+    weights = materialize(inverse * (twice.reshape(6, *[1] * counts.ndim) * counts))
     # component by component, so that what is read stays in the cache
     q = total(materialize(total(coefficients * weights[:, None], 0)), 1)
-    return materialize(q[_FORM] * _HALVES)
+    return materialize(q[_FORM] * jnp.asarray(_HALVES, q.dtype))
 
 
 def _solve(matrix: Array, vector: Array) -> Array:
@@ -188,7 +189,7 @@ def _solve(matrix: Array, vector: Array) -> Array:
 
 def _lift(matrix: Array) -> Array:
     trace = matrix[0, 0] + matrix[1, 1] + matrix[2, 2]
-    unit = np.eye(3).reshape(3, 3, *[1] * trace.ndim)
+    unit = jnp.eye(3, dtype=trace.dtype).reshape(3, 3, *[1] * trace.ndim)
     return matrix + (1e-9 * trace + jnp.finfo(matrix.dtype).tiny) * unit
 
 

@@ -60,7 +60,7 @@ def _sizes(axes: Array, form: Array) -> Array:
 def smallest_eigenvalue(forms: Array) -> Array:
     """Smallest eigenvalues (...) of symmetric forms (3, 3, ...), by the cosine formula of the cubic."""
     middle = (forms[0, 0] + forms[1, 1] + forms[2, 2]) / 3
-    away = forms - middle * np.eye(3).reshape(3, 3, *[1] * middle.ndim)
+    away = forms - middle * jnp.eye(3, dtype=middle.dtype).reshape(3, 3, *[1] * middle.ndim)
     size = jnp.sqrt(total(total(away * away, 0), 0) / 6) + jnp.finfo(forms.dtype).tiny
     det = total(away[0] * cross(away[1], away[2]), 0)
     angle = jnp.arccos(jnp.clip(det / (2 * size**3), -1, 1)) / 3

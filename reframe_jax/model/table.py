@@ -240,8 +240,8 @@ def _table(entries: tuple[Entry, ...]) -> Table:
         pitch=np.array([e.pitch for e in entries]),
         tied=np.array([e.tied for e in entries]),
         crossed=np.array([e.start == "cross" for e in entries]),
-        parameters=np.array([e.parameters for e in entries], float),
-        variants=np.array([families.count(f) for f in families], float),
+        parameters=np.array([e.parameters for e in entries], np.float32),
+        variants=np.array([families.count(f) for f in families], np.float32),
         path=np.array([PATHS.index(row[3][0].kind) for row in rows], np.int32),
         apart=np.array([row[3][0].kind != row[5][0].kind for row in rows]),
     )
