@@ -39,7 +39,7 @@ def record(label: str, seed: int = 0) -> tuple[np.ndarray, np.ndarray, rf.Identi
     """Poses with one outlier, their times, and their identification."""
     simulation = synthetic.simulate(label, jax.random.key(seed), noise=1e-4)
     poses = np.array(simulation.poses[:POSES])
-    poses[7, :3, 3] += 0.15
+    poses[7, :3, 3] += 0.5
     return poses, np.asarray(simulation.times[:POSES]), rf.identify(poses, dt=0.1)
 
 

@@ -121,7 +121,7 @@ def invert_symmetric(s: Array | Sequence[Array], positive: bool = True) -> tuple
     a, b, c, d, e, f = s
 
     def pivot(value: Array, diagonal: Array) -> Array:
-        least = jnp.finfo(value.dtype).eps * diagonal + jnp.finfo(value.dtype).tiny
+        least = jnp.finfo(value.dtype).eps * diagonal + jnp.finfo(value.dtype).tiny ** 0.5
         return jnp.maximum(value, least) if positive else value
 
     a = pivot(a, a)

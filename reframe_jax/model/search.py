@@ -92,7 +92,7 @@ def unexplained_covariance(moments: Array, rows: np.ndarray) -> Array:
         own, others = (np.stack([used[t][k] for t in alike], -1) for k in (0, 1))
         path, turns = moments[own[:, None], own[None]], moments[others[:, None], others[None]]
         both = moments[others[:, None], own[None]]  # (others, 3, types, N)
-        unit, eye = (jnp.eye(n, dtype=moments.dtype)[:, :, None, None] for n in (size, 3))
+        unit, eye = (jnp.eye(width, dtype=moments.dtype)[:, :, None, None] for width in (size, 3))
         ridge = _RIDGE * total(total(turns * unit, 0), 0)
         solved = solve_positive((turns + ridge * unit)[:, :, None], both)
         rest = path - total(both[:, :, None] * solved[:, None], 0)

@@ -61,9 +61,13 @@ def smallest_eigenvalue(forms: Array) -> Array:
     """Smallest eigenvalues (...) of symmetric forms (3, 3, ...), by the cosine formula of the cubic."""
     middle = (forms[0, 0] + forms[1, 1] + forms[2, 2]) / 3
     away = forms - middle * jnp.eye(3, dtype=middle.dtype).reshape(3, 3, *[1] * middle.ndim)
-    size = jnp.sqrt(total(total(away * away, 0), 0) / 6) + jnp.finfo(forms.dtype).tiny
-    det = total(away[0] * cross(away[1], away[2]), 0)
+    # divided before they are squared, so that small numbers do not vanish
+    largest_one = jnp.max(jnp.abs(away), axis=(0, 1)) + jnp.finfo(forms.dtype).tiny
+    unit = away / largest_one
+    size = jnp.sqrt(total(total(unit * unit, 0), 0) / 6) + jnp.finfo(forms.dtype).eps
+    det = total(unit[0] * cross(unit[1], unit[2]), 0)
     angle = jnp.arccos(jnp.clip(det / (2 * size**3), -1, 1)) / 3
+    size = size * largest_one
     return jnp.maximum(middle + 2 * size * jnp.cos(angle + 2 * np.pi / 3), 0)
 
 
