@@ -196,13 +196,3 @@ def test_skins_that_do_not_fit(tmp_path: Path) -> None:
         file.write_text(wrong)
         with pytest.raises(ValueError, match=message):
             skin.apply_skin(panda.PANDA, file)
-
-
-def test_opengl_that_is_not_installed_is_named() -> None:
-    """MuJoCo itself fails to load then, with a traceback from within PyOpenGL."""
-    command = [sys.executable, "-c", "import reframe_jax.simulation.arm"]
-    run = subprocess.run(
-        command, env={**os.environ, "MUJOCO_GL": "nonsense"}, capture_output=True, text=True, check=False
-    )
-    assert run.returncode == 1
-    assert "cannot be loaded with MUJOCO_GL=nonsense" in run.stderr

@@ -98,7 +98,6 @@ def test_of_objectives(rng):
 
 
 def test_of_the_robot():
-    pytest.importorskip("mujoco")
     from reframe_jax.simulation import arm as panda
     from reframe_jax.simulation import reproduction
 
@@ -106,13 +105,6 @@ def test_of_the_robot():
         return panda.demonstrate("A", key, duration=0.2, dt=0.1, imperfections=panda.REALISTIC).poses
 
     assert check(demonstrate, jax.random.key(0)) > 0
-    assert (
-        check(
-            lambda key: panda.demonstrate("D", key, form="mechanism", duration=0.2, dt=0.1).poses,
-            jax.random.key(0),
-        )
-        > 0
-    )
     truth = panda.demonstrate("A", jax.random.key(0), duration=0.2, dt=0.1).truth
     assert (
         check(

@@ -1,22 +1,10 @@
-"""Simulate demonstrations: a hand guides a Franka arm under a constraint, in large batches with MJX.
+"""Simulate demonstrations: a hand guides a Franka arm under a constraint, in large batches.
 
 from reframe_jax.simulation import arm
 
 made = arm.demonstrate("K", jax.random.key(0), batch=64)
 found = rf.identify(made.poses, times=made.times)
 """
-
-try:
-    import mujoco  # noqa: F401
-except (ImportError, AttributeError, RuntimeError, OSError) as error:
-    import os
-
-    if "MUJOCO_GL" not in os.environ:
-        raise
-    raise ImportError(
-        f"MuJoCo cannot be loaded with MUJOCO_GL={os.environ['MUJOCO_GL']} ({error}). "
-        "Install the libraries of this backend, set MUJOCO_GL to egl, osmesa or glfw, or unset it."
-    ) from error
 
 from reframe_jax.simulation.arm.demonstration import (
     SPREAD,
@@ -25,7 +13,7 @@ from reframe_jax.simulation.arm.demonstration import (
     demonstrations,
     frame_on_arm,
 )
-from reframe_jax.simulation.arm.dynamics import Motion, arm_motion, inverse_dynamics, jacobian
+from reframe_jax.simulation.arm.dynamics import Motion, arm_motion
 from reframe_jax.simulation.arm.guide import EXCITATIONS, Guide
 from reframe_jax.simulation.arm.imperfections import ENCODER_GRADE, MATCHED, REALISTIC, Imperfections
 from reframe_jax.simulation.arm.model import FR3, PANDA, ROBOTS, Arm, Link, arm_xml, forward_kinematics
@@ -57,8 +45,6 @@ __all__ = [
     "demonstrations",
     "forward_kinematics",
     "frame_on_arm",
-    "inverse_dynamics",
-    "jacobian",
     "load_demonstrations",
     "store_demonstrations",
     "stored_demonstrations",

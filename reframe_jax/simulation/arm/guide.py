@@ -16,7 +16,7 @@ from reframe_jax.constraints.located import Frame, ground_twist, locate
 from reframe_jax.geometry import rotations, symmetric, transforms
 from reframe_jax.geometry.products import apply, matmul
 from reframe_jax.simulation import synthetic
-from reframe_jax.simulation.arm.compiled import as_numbers
+from reframe_jax.simulation.arm.checks import as_numbers
 from reframe_jax.simulation.arm.dynamics import Motion
 from reframe_jax.simulation.synthetic import Excitation
 

@@ -26,7 +26,7 @@ from reframe_jax.constraints.located import Frame, Located, locate, multiply, sl
 from reframe_jax.simulation.arm.dynamics import Motion, arm_motion, solve_positive
 from reframe_jax.simulation.arm.model import Arm, forward_kinematics
 
-__all__ = ["AxisLaw", "Steps", "Track", "hold", "integrate", "run_samples"]
+__all__ = ["AxisLaw", "Steps", "Track", "hold", "integrate"]
 
 RELAXATION = 0.03
 """s, time constant with which a constrained axis returns; also the ratio of damping to stiffness."""
@@ -142,6 +142,10 @@ def integrate(
         velocity = unheld + step * multiply(response, force)
         return (joints + step * velocity, velocity, slipped, now, state, force), None
 
+    def sample(carry: Any, index: jax.Array) -> tuple[Any, Track]:
+        carry, _ = jax.lax.scan(advance, carry, index * steps.substeps + jnp.arange(steps.substeps))
+        return carry, observe(carry)
+
     def observe(carry: Any) -> Track:
         joints, velocity, slipped, _, _, force = carry
         return Track(joints, velocity, slipped, force)
@@ -149,27 +153,5 @@ def integrate(
     zero = jnp.zeros(6, dtype=dtype)
     velocity = jnp.zeros_like(start) if velocity is None else velocity
     carry = (start, velocity, zero, locate(frame, *forward_kinematics(start, arm)), state, zero)
-    return run_samples(advance, carry, observe, steps)
-
-
-def run_samples(
-    advance: Callable[[Any, jax.Array], tuple[Any, None]],
-    carry: Any,
-    observe: Callable[[Any], Track],
-    steps: Steps,
-) -> Track:
-    """Integrate, and observe the start and every later sample.
-
-    Args:
-        advance: function of the carry and the number of a step that returns the next carry.
-        carry: initial carry.
-        observe: function from the carry to the contents of a sample.
-        steps: samples, and steps between samples.
-    """
-
-    def sample(carry: Any, index: jax.Array) -> tuple[Any, Track]:
-        carry, _ = jax.lax.scan(advance, carry, index * steps.substeps + jnp.arange(steps.substeps))
-        return carry, observe(carry)
-
     _, track = jax.lax.scan(sample, carry, jnp.arange(steps.samples))
     return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), observe(carry), track)

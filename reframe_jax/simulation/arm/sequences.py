@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import frame_arrays, place_frame
-from reframe_jax.simulation.arm.compiled import jit_simulation
 from reframe_jax.simulation.arm.demonstration import (
     ORIGIN,
     Demonstration,
@@ -151,7 +150,7 @@ def demonstrate_sequence(
         )
     check_demonstration(batch, first, excitation, spread, guide, imperfections, start)
     counts = [sampling(duration, dt, step).samples for duration in each]
-    plan = Plan(sampling(max(each), dt, step), dt, excitation, arm, None)
+    plan = Plan(sampling(max(each), dt, step), dt, excitation, arm)
     joints = jnp.broadcast_to(arm.start(start, float), (batch, 7))
     velocity = jnp.zeros_like(joints)
     numbers = jnp.asarray(first + np.arange(batch), dtype=jnp.uint32)
@@ -167,14 +166,8 @@ def demonstrate_sequence(
         made = run_guided(arrays, own, numbers, onset, guide, imperfections, plan=plan)
         stages.append(_truncate_stage(made, frame, count, imperfections, arm))
         joints, velocity = stages[-1].joint_positions[:, -1], stages[-1].joint_velocities[:, -1]
-    poses = _record(
-        _join_stages([stage.joint_positions for stage in stages], axis=1),
-        _join_stages([stage.joint_velocities for stage in stages], axis=1),
-        demonstration_keys(key, numbers)[:, 3],
-        imperfections,
-        dt=dt,
-        arm=arm,
-    )
+    joints = _join_stages([stage.joint_positions for stage in stages], axis=1)
+    poses = _record(joints, demonstration_keys(key, numbers)[:, 3], imperfections, arm=arm)
     edges = np.cumsum([0, *counts])
     stages = [
         replace(stage, poses=poses[:, a : b + 1])
@@ -211,9 +204,7 @@ def _truncate_stage(
     )
 
 
-@jit_simulation(("dt", "arm"))
-def _record(
-    joints: jax.Array, velocity: jax.Array, keys: jax.Array, what: Imperfections, *, dt: float, arm: Arm
-) -> jax.Array:
+@partial(jax.jit, static_argnames="arm")
+def _record(joints: jax.Array, keys: jax.Array, what: Imperfections, *, arm: Arm) -> jax.Array:
     """Simulate the recorded poses (N, K+1, 4, 4) of the whole task."""
-    return jax.vmap(lambda q, v, key: measure(q, v, dt, what, key, arm))(joints, velocity, keys)
+    return jax.vmap(lambda q, key: measure(q, what, key, arm))(joints, keys)

@@ -16,7 +16,7 @@ from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.entry import identify
 from reframe_jax.identification.results import Identification
 from reframe_jax.simulation import metrics
-from reframe_jax.simulation.arm.compiled import check_numbers
+from reframe_jax.simulation.arm.checks import check_numbers
 from reframe_jax.simulation.arm.demonstration import SPREAD, Demonstration, demonstrate
 from reframe_jax.simulation.arm.imperfections import REALISTIC, Imperfections
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
