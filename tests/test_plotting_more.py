@@ -1,16 +1,15 @@
-"""Curves, maps, bars, landscapes and animations: what is in them. How they look was judged by eye."""
+"""Curves, maps, bars and animations: what is in them. How they look was judged by eye."""
 
 import io
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import reframe_jax as rf
+from benchmarks import charts
 from reframe_jax import plotting
-from reframe_jax.plotting.landscape import landscape
 from reframe_jax.simulation import synthetic
 
 
@@ -18,35 +17,6 @@ from reframe_jax.simulation import synthetic
 def window() -> tuple[Any, Any, rf.Identification]:
     made = synthetic.simulate("K", jax.random.key(0), noise=1e-4)
     return made.poses, made.times, rf.identify(made.poses, times=made.times)
-
-
-def test_the_landscape_is_the_objective(window: tuple[Any, Any, rf.Identification]) -> None:
-    poses, times, found = window
-    best = found.candidates.linear
-    for kind in (rf.LinearType.BB, rf.LinearType.GG, rf.LinearType.BG):
-        value = landscape(poses, best.position[int(kind)], times=times, linear_type=kind)
-        np.testing.assert_allclose(value, best.norm[int(kind)], rtol=1e-6)
-    # nothing near the optimum is lower
-    near = found.linear.position[None] + 0.05 * jax.random.normal(jax.random.key(1), (50, 3))
-    values = landscape(poses, near, times=times, linear_type=rf.LinearType.GB)
-    assert values.shape == (50,)
-    assert jnp.all(values > found.linear.norm)
-
-
-def test_the_landscape_is_drawn_about_the_optimum(window: tuple[Any, Any, rf.Identification]) -> None:
-    poses, times, found = window
-    figure = plotting.plot_landscape(poses, found, times=times, span=0.2, points=11, title="K")
-    *planes, bar = figure.axes
-    assert [(a.get_xlabel(), a.get_ylabel()) for a in planes] == [
-        ("x [m]", "y [m]"),
-        ("x [m]", "z [m]"),
-        ("y [m]", "z [m]"),
-    ]
-    assert bar.get_ylabel() == "norm [m/s]"
-    position = np.asarray(found.linear.position)
-    np.testing.assert_allclose(planes[0].get_xlim(), position[0] + [-0.2, 0.2])
-    np.testing.assert_allclose(planes[1].get_ylim(), position[2] + [-0.2, 0.2])
-    assert figure.get_suptitle() == "K"
 
 
 def test_scene_and_animation(window: tuple[Any, Any, rf.Identification], tmp_path: Any) -> None:
@@ -67,11 +37,11 @@ def test_scene_and_animation(window: tuple[Any, Any, rf.Identification], tmp_pat
 def test_curves() -> None:
     x = np.array([1.0, 10.0, 100.0])
     panels = {
-        "one": [plotting.Curve("a", x, 0.5 * x, 2 * x), plotting.Curve("b", x**2, colour=1, dashed=True)],
-        "two": [plotting.Curve("a", 3 * x)],
+        "one": [charts.Curve("a", x, 0.5 * x, 2 * x), charts.Curve("b", x**2, colour=1, dashed=True)],
+        "two": [charts.Curve("a", 3 * x)],
         "three": [],
     }
-    figure = plotting.plot_curves(
+    figure = charts.plot_curves(
         x, panels, xlabel="s", ylabel="m", title="t", columns=2, notes={"three": "nothing"}
     )
     shown = [axes for axes in figure.axes if axes.get_visible()]
@@ -83,14 +53,14 @@ def test_curves() -> None:
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == ["a", "b"]
     assert legend.get_title().get_text() == "t"
-    single = plotting.plot_curves(x, {"one": panels["two"]}, xlabel="", ylabel="", title="t", log=False)
+    single = charts.plot_curves(x, {"one": panels["two"]}, xlabel="", ylabel="", title="t", log=False)
     assert single.get_suptitle() == "t"
     assert single.axes[0].get_yscale() == "linear"
 
 
 def test_maps_show_every_number() -> None:
     maps = {"left": [[1.0, 2.0], [np.nan, 4.0]], "right": [[5.0, 6.0], [7.0, 8.0]]}
-    figure = plotting.plot_maps(
+    figure = charts.plot_maps(
         maps, columns=["a", "b"], rows=["c", "d"], xlabel="x", ylabel="y", unit="mm", log=True
     )
     left, right, bar = figure.axes
@@ -102,7 +72,7 @@ def test_maps_show_every_number() -> None:
 
 def test_bars_show_means_and_samples() -> None:
     bars = {"force": {"exact": [np.array([1.0, 3.0])], "found": [np.array([2.0, 2.0])]}}
-    figure = plotting.plot_bars(["A"], bars, ylabels={"force": "N"})
+    figure = charts.plot_bars(["A"], bars, ylabels={"force": "N"})
     (axes,) = figure.axes
     assert [patch.get_height() for patch in axes.patches] == [2.0, 2.0]
     assert axes.get_ylabel() == "N"

@@ -1,6 +1,5 @@
-"""Pictures of the simulated arm: demonstrations, and reaction forces of reproductions."""
+"""Picture of a demonstration on the simulated arm."""
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import jax
@@ -8,21 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.located import frame_arrays, locate_on_host
-from reframe_jax.plotting.maps import plot_bars
 from reframe_jax.plotting.scene import segment, set_limits
-from reframe_jax.plotting.style import BODY, CONSTRAINED, FREE, LINES, TURNING, new_figure
+from reframe_jax.plotting.style import BODY, CONSTRAINED, FREE, TURNING, new_figure
 from reframe_jax.simulation.arm.demonstration import Demonstration
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, link_transforms
-from reframe_jax.simulation.reproduction.comparison import Comparison
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-__all__ = ["plot_comparison", "plot_demonstration", "plot_reactions"]
-
-_ROWS = {"exact": "exact frame", "literature": "literature's errors", "identified": "identified"}
+__all__ = ["plot_demonstration"]
 
 
 def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: str | None = None) -> "Figure":
@@ -153,62 +148,3 @@ def _draw_scene(axes: "Axes3D", made: Demonstration, arm: Arm) -> None:
     axes.legend(loc="upper left", bbox_to_anchor=(0, 1.08), fontsize=7, frameon=False)
     set_limits(axes, np.concatenate(extent))
     axes.view_init(elev=18, azim=-60)
-
-
-def plot_comparison(comparisons: Mapping[str, Comparison], *, title: str | None = None) -> "Figure":
-    """Draw peak reaction moments and forces of reproductions, like the paper's Figure 5.
-
-    Bars are means, whiskers are one standard deviation, and dots are single trials.
-
-    Args:
-        comparisons: comparisons of frames, with the name of the task as key.
-        title: title of the figure.
-
-    Raises:
-        ImportError: if Matplotlib is not installed.
-    """
-    peaks = {"peak reaction moment": ("peak_moment", "N m"), "peak reaction force": ("peak_force", "N")}
-    bars = {
-        panel: {
-            name: [np.asarray(getattr(task.rows[row], part)) for task in comparisons.values()]
-            for row, name in _ROWS.items()
-        }
-        for panel, (part, _) in peaks.items()
-    }
-    return plot_bars(
-        list(comparisons), bars, ylabels={panel: unit for panel, (_, unit) in peaks.items()}, title=title
-    )
-
-
-def plot_reactions(comparison: Comparison, index: int = 0, *, title: str | None = None) -> "Figure":
-    """Draw the reactions of one task over time, in exact, inexact and identified frames.
-
-    Args:
-        comparison: comparison of frames with any number of trials.
-        index: number of the trial.
-        title: title of the figure.
-
-    Raises:
-        ImportError: if Matplotlib is not installed.
-    """
-    figure = new_figure(8, 3.2)
-    panels = figure.subplots(1, 2)
-    for axes, part, name in (
-        (panels[0], slice(0, 3), "reaction moment [N m]"),
-        (panels[1], slice(3, 6), "reaction force [N]"),
-    ):
-        for (row, name_of_row), colour, style in zip(_ROWS.items(), LINES, ("-", "--", ":"), strict=False):
-            trials = comparison.rows[row]
-            size = np.linalg.norm(np.asarray(trials.reaction)[index, 1:, part], axis=-1)
-            axes.plot(
-                np.asarray(trials.times)[1:], size, style, color=colour, linewidth=1.6, label=name_of_row
-            )
-        axes.set_ylabel(f"norm of the {name}", fontsize=8)
-        axes.set_xlabel("time [s]", fontsize=8)
-        axes.set_ylim(bottom=0)
-        axes.margins(x=0)
-        axes.tick_params(labelsize=8)
-    panels[0].legend(fontsize=8, frameon=False)
-    if title is not None:
-        figure.suptitle(title, fontsize=11)
-    return figure
