@@ -62,6 +62,8 @@ def _calibrate(options: argparse.Namespace) -> int:
 def _calibrate_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
     """Calibrate and print one recording; return its entry in the JSON document."""
     notes: tuple[str, ...] = ()
+    record: dict[str, Any] | None = None
+    problem: str | None = None
     try:
         try:
             recording = read_recording(path, options)
@@ -78,9 +80,9 @@ def _calibrate_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
             known = "hinge" if options.spin else "ball"
             notes = (*notes, f"{_CONTINUOUS} reframe-jax identify --assume {known}.")
             print_error(f"reframe-jax: {path}: {notes[-1]}")
-        names: dict[str, Any] = {"label": str(path), "rows": recording.rows, "row_word": recording.row_word}
         if options.json != "-":
-            print_result(calibration_to_table(found, **names), end="\n\n")
-        return calibration_to_record(found, notes=notes, **names)
-    print_error(f"reframe-jax: error: {problem}")
-    return calibration_to_record(None, label=str(path), notes=notes, error=problem)
+            print_result(calibration_to_table(found, recording), end="\n\n")
+        record = calibration_to_record(found, recording)
+    if problem is not None:
+        print_error(f"reframe-jax: error: {problem}")
+    return {"recording": str(path), "error": problem, "notes": list(notes), "calibration": record}

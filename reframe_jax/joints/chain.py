@@ -10,9 +10,9 @@ from typing import Literal
 
 import numpy as np
 
-from reframe_jax.geometry.numpy_rotations import quaternions_to_matrices, rotation_vectors
+from reframe_jax.geometry.numpy_rotations import rotation_matrices, rotation_vectors
 
-__all__ = ["JointPart", "PartKind", "chain_coordinates", "chain_poses", "rotation_about"]
+__all__ = ["JointPart", "PartKind", "chain_coordinates", "chain_poses"]
 
 PartKind = Literal["hinge", "slide", "ball"]
 
@@ -53,13 +53,6 @@ class JointPart:
         return 3 if self.kind == "ball" else 1
 
 
-def rotation_about(vectors: np.ndarray) -> np.ndarray:
-    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), rad."""
-    half = np.linalg.norm(vectors, axis=-1, keepdims=True) / 2
-    quaternions = np.concatenate([np.sinc(half / np.pi) * vectors / 2, np.cos(half)], axis=-1)
-    return quaternions_to_matrices(quaternions)
-
-
 def chain_poses(parts: Sequence[JointPart], home: np.ndarray, coordinates: np.ndarray) -> np.ndarray:
     """Compute poses (..., 4, 4) of the child in the parent from coordinates (..., n)."""
     pose = np.broadcast_to(np.eye(4), (*coordinates.shape[:-1], 4, 4))
@@ -77,7 +70,7 @@ def _part_displacement(part: JointPart, coordinates: np.ndarray) -> np.ndarray:
     if part.kind == "slide":
         moved[..., :3, 3] = coordinates * part.axis
         return moved
-    turn = rotation_about(coordinates if part.kind == "ball" else coordinates * part.axis)
+    turn = rotation_matrices(coordinates if part.kind == "ball" else coordinates * part.axis)
     moved[..., :3, :3] = turn
     moved[..., :3, 3] = part.point - turn @ part.point
     if part.pitch:
@@ -145,7 +138,7 @@ def _first_guess(parts: Sequence[JointPart], home: np.ndarray, poses: np.ndarray
         else:
             later = hinges[hinges.index(part) + 1 :]
             angle = _angle_about(part.axis, turned, later[-1].axis if later else None)
-            turned = rotation_about(-angle[:, None] * part.axis) @ turned
+            turned = rotation_matrices(-angle[:, None] * part.axis) @ turned
             if part.pitch:
                 angle = _with_full_turns(part, angle, poses[:, :3, 3] - home[:3, 3])
             found.append(angle[:, None])

@@ -43,7 +43,6 @@ def animate_scene(
         title: title of the figure, by default the name of the constraint.
 
     Raises:
-        ImportError: if Matplotlib is not installed.
         ValueError: for a batch, or a window without a result.
     """
     figure = new_figure(4.4, 4.4)

@@ -10,7 +10,7 @@ from reframe_jax.constraints.located import frame_arrays, locate_on_host
 from reframe_jax.plotting.scene import segment, set_limits
 from reframe_jax.plotting.style import BODY, CONSTRAINED, FREE, TURNING, new_figure
 from reframe_jax.simulation.arm.demonstration import Demonstration
-from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, link_transforms
+from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, link_poses
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,7 +34,6 @@ def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: st
         title: title of the figure.
 
     Raises:
-        ImportError: if Matplotlib is not installed.
         ValueError: for a batch.
     """
     if np.ndim(made.status_code):
@@ -95,18 +94,9 @@ def _finish(axes: "Axes") -> None:
 
 
 def _joint_points(joints: np.ndarray, arm: Arm) -> np.ndarray:
-    """Base, origins of the links, and TCP, (10, 3) m, for joint positions (7,)."""
-    fixed, offset = link_transforms(arm)
-    rotation, position = np.eye(3), np.zeros(3)
-    points = [position]
-    for i in range(8):
-        position = position + rotation @ offset[i]
-        rotation = rotation @ fixed[i]
-        points.append(position)
-        if i < 7:
-            c, s = np.cos(joints[i]), np.sin(joints[i])
-            rotation = rotation @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    return np.stack(points)
+    """Base, origins of the links, and TCP, (9, 3) m, for joint positions (7,)."""
+    _, origins, _, tip = link_poses(jnp.asarray(joints), arm)
+    return np.concatenate([np.zeros((1, 3)), origins, tip[None]])
 
 
 def _draw_scene(axes: "Axes3D", made: Demonstration, arm: Arm) -> None:

@@ -53,7 +53,6 @@ def plot_scene(poses: ArrayLike, found: Identification, *, title: str | None = N
         title: title of the figure, by default the name of the constraint.
 
     Raises:
-        ImportError: if Matplotlib is not installed.
         ValueError: for a batch, or a window without a result.
     """
     host = check_window(found)

@@ -31,12 +31,6 @@ def plot_segmentation(poses: ArrayLike, found: Segmentation, *, title: str | Non
         poses: (N, 4, 4) m, the segmented poses.
         found: the segmentation of these poses.
         title: title of the figure; none by default.
-
-    Returns:
-        A new figure: display it in a notebook, or call ``figure.savefig(...)``.
-
-    Raises:
-        ImportError: if Matplotlib is not installed.
     """
     figure = new_figure(10, 5)
     line, top, bottom = figure.subplots(3, 1, sharex=True, height_ratios=(0.7, 1, 1))

@@ -43,7 +43,6 @@ def plot_uncertainty(
         title: title of the figure, by default the name of the constraint.
 
     Raises:
-        ImportError: if Matplotlib is not installed.
         ValueError: for a batch, or a window without a result.
     """
     host = check_window(found)

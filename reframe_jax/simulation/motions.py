@@ -5,6 +5,7 @@ samples and excitation, independent of the constraint, its geometry, the sample 
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -119,8 +120,6 @@ def random_motion(
     dt: float,
     excitation: str | Excitation = "hand",
     errors: PoseErrors = PoseErrors(),
-    linear_type: LinearType | None = None,
-    pitch: float | jax.Array | None = None,
 ) -> Simulation:
     """Simulate a motion under a constraint with random geometry, with the errors of a tracker.
 
@@ -134,28 +133,18 @@ def random_motion(
         dt: sample time, s; not an array.
         excitation: a name of :data:`reframe_jax.simulation.synthetic.EXCITATIONS`, or a function of time.
         errors: errors of the tracker; none by default.
-        linear_type: as in :func:`random_constraint`.
-        pitch: m/rad, pitch of a screw; 0.05 by default for the label "screw", see
-            :func:`.synthetic.simulate`.
 
     Returns:
         The recording with K + 1 poses; the first of its ``exact_poses`` is the first pose.
 
     Raises:
         KeyError: for an unknown label.
-        ValueError: for an unknown excitation, or a linear type that cannot express the constraint.
+        ValueError: for an unknown excitation.
     """
     geometry_key, motion_key, error_key = jax.random.split(key, 3)
-    frame, start = random_constraint(label, geometry_key, linear_type=linear_type)
-    exact = simulate(
-        frame,
-        motion_key,
-        duration=samples * dt,
-        dt=dt,
-        excitation=excitation,
-        start=start,
-        pitch=pitch_of(label) if pitch is None else pitch,
-    ).exact_poses
+    frame, start = random_constraint(label, geometry_key)
+    options: Any = {"duration": samples * dt, "dt": dt, "excitation": excitation, "pitch": pitch_of(label)}
+    exact = simulate(frame, motion_key, start=start, **options).exact_poses
     times = dt * jnp.arange(samples + 1, dtype=exact.dtype)
     return Simulation(times, disturb(exact, error_key, errors, dt), exact, frame)
 
