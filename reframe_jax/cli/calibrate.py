@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from reframe_jax.calibration.tool import calibrate
-from reframe_jax.cli.commands import COMMANDS
+from reframe_jax.cli.commands import add_command
 from reframe_jax.cli.outputs import check_file, write_document
 from reframe_jax.cli.printing import print_error, print_result
 from reframe_jax.cli.reading import add_reading, expand, read_recording
@@ -32,18 +32,12 @@ _CONTINUOUS = (
 
 def add_calibrate(commands: Any) -> None:
     """Add this command to the command line."""
-    command = commands.add_parser(
-        "calibrate",
-        description=_CALIBRATE,
-        help=COMMANDS["calibrate"],
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    command = add_command(commands, "calibrate", _calibrate, _CALIBRATE, compiles=False)
     add = command.add_argument
     add("files", nargs="+", type=Path, metavar="FILE", help="recordings")
     add("--spin", action="store_true", help="find the axis of a tool that was turned about its own axis")
     add("--json", metavar="OUT", help="write the results as JSON; - prints them instead of tables")
     add_reading(command)
-    command.set_defaults(run=_calibrate, usage_error=command.error)
 
 
 def _calibrate(options: argparse.Namespace) -> int:

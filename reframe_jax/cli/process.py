@@ -18,11 +18,7 @@ _INTERRUPTED = 130  # exit code that shells report for Ctrl-C
 
 
 def main() -> int:
-    """Run the command line with the arguments of the process; returns the exit code.
-
-    Raises:
-        SystemExit: as :func:`reframe_jax.cli.program.main` does.
-    """
+    """Run the command line with the arguments of the process; returns the exit code."""
     _leave_when_interrupted()
     if sys.stdout is None:
         print_error("reframe-jax: error: standard output is closed.")

@@ -66,11 +66,7 @@ def _matches(pattern: Path) -> list[Path]:
 
 
 def read_recording(path: Path, options: argparse.Namespace) -> Recording:
-    """Read a recording with the options of :func:`add_reading`, and print its notes.
-
-    Raises:
-        RecordingError: if the recording cannot be read.
-    """
+    """Read a recording with the options of :func:`add_reading`, and print its notes."""
     recording = load_recording(path, **reading_options(options))
     for note in recording.notes:
         print_error(f"reframe-jax: {path}: {note}")

@@ -83,11 +83,8 @@ def chain_coordinates(
 ) -> np.ndarray:
     """Compute the coordinates (K, n) at which a chain is nearest to poses, with unwrapped hinge angles.
 
-    Args:
-        parts: the parts of the chain, with at most one ball.
-        home: (4, 4), pose of the child with all coordinates at zero.
-        poses: (K, 4, 4) of the child in the parent, m.
-        length: m, position error that has the same weight as an orientation error of 1 rad.
+    The chain has at most one ball. A position error of ``length`` has the weight of an orientation error of
+    1 rad.
     """
     found = np.concatenate(
         [
@@ -154,13 +151,10 @@ def _with_full_turns(part: JointPart, angle: np.ndarray, shift: np.ndarray) -> n
 
 
 def _angle_about(axis: np.ndarray, turned: np.ndarray, later: np.ndarray | None) -> np.ndarray:
-    """Angles (K,) about an axis, from rotations (K, 3, 3).
+    """Angles (K,) about the axis of a hinge, from rotations (K, 3, 3) of this hinge and all later ones.
 
-    Args:
-        axis: (3,) unit vector of the hinge.
-        turned: (K, 3, 3), rotations of this hinge and all later ones.
-        later: (3,) axis of the last hinge of the chain; None if this hinge is the last one. A hinge between
-            the two is perpendicular to both.
+    ``later`` is the axis of the last hinge of the chain, or None if this hinge is the last one. A hinge
+    between the two is perpendicular to both.
     """
     if later is not None:
         seen = turned @ later

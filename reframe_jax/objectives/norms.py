@@ -37,16 +37,9 @@ def check_exponent(exponent: float) -> float:
 
 
 def log_power_mean(log_values: jax.Array, exponent: float) -> jax.Array:
-    """Logarithm of the power mean from logarithms, numerically stable for every exponent.
+    """Logarithm (...) of the power mean from logarithms (3, ...), numerically stable for every exponent.
 
     ``log1p(mean(expm1(p x))) / p`` has the geometric mean as its limit p -> 0 without cancellation.
-
-    Args:
-        log_values: (3, ...) logarithms of positive numbers.
-        exponent: p in [-inf, 2], a Python number.
-
-    Returns:
-        (...).
     """
     exponent = check_exponent(exponent)
     if exponent == -math.inf:

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.located import frame_arrays, locate_on_host
-from reframe_jax.plotting.scene import segment, set_limits
-from reframe_jax.plotting.style import BODY, CONSTRAINED, FREE, TURNING, new_figure
+from reframe_jax.plotting.scene import draw_frame, draw_legend, segment, set_limits
+from reframe_jax.plotting.style import BODY, CONSTRAINED, FREE, new_figure
 from reframe_jax.simulation.arm.demonstration import Demonstration
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, link_poses
 
@@ -100,41 +100,23 @@ def _joint_points(joints: np.ndarray, arm: Arm) -> np.ndarray:
 
 
 def _draw_scene(axes: "Axes3D", made: Demonstration, arm: Arm) -> None:
-    shown = [0, len(made.times) // 2, len(made.times) - 1]
+    truth, shown = made.truth, [0, len(made.times) // 2, len(made.times) - 1]
     path = np.asarray(made.exact_poses)[:, :3, 3]
-    frame = frame_arrays(jax.tree.map(jnp.asarray, made.truth))
+    frame = frame_arrays(jax.tree.map(jnp.asarray, truth))
     there = locate_on_host(frame, np.asarray(made.exact_poses)[shown])
-    extent = [path]
+    triads, rotation_axes = np.asarray(there.linear_axes), np.asarray(there.angular_axes)
+    turns = np.array(truth.angular_dof, bool) & (sum(truth.angular_dof) < 3)
+    extent = [path, path[shown] + there.lever]
     for row, (index, alpha) in enumerate(zip(shown, (0.25, 0.5, 1.0), strict=True)):
-        points = _joint_points(np.asarray(made.joint_positions[index]), arm)
+        points, origin = _joint_points(np.asarray(made.joint_positions[index]), arm), extent[1][row]
         extent.append(points)
         axes.plot(
             *points.T, "o-", color=BODY, linewidth=3.5, markersize=4, alpha=alpha, solid_capstyle="round"
         )
-        here = jax.tree.map(lambda leaf, row=row: leaf[row], there)
-        origin = path[index] + here.lever
-        extent.append(origin[None])
         segment(axes, path[index], origin, linestyle=":", color="black", linewidth=1, alpha=alpha)
-        for i, free in enumerate(made.truth.linear_dof):
-            ends = origin + 0.13 * np.outer((-1, 1), here.linear_axes[:, i])
-            colour, style = (FREE[0], "-") if free else (CONSTRAINED[0], "--")
-            axes.plot(*ends.T, style, color=colour, linewidth=1.8, alpha=alpha)
-        if sum(made.truth.angular_dof) < 3:
-            for i in (i for i, free in enumerate(made.truth.angular_dof) if free):
-                ends = origin + 0.17 * np.outer((-1, 1), here.angular_axes[:, i])
-                axes.plot(*ends.T, "-.", color=TURNING, linewidth=1.8, alpha=alpha)
-    axes.plot(*path.T, color="black", linewidth=1.5)
-    turns, shifts = sum(made.truth.angular_dof), sum(made.truth.linear_dof)
-    for shown_here, label, colour, style in (
-        (True, "arm", BODY, "o-"),
-        (True, "path of the TCP", "black", "-"),
-        (shifts > 0, "free translation", FREE[0], "-"),
-        (shifts < 3, "constrained translation", CONSTRAINED[0], "--"),
-        (0 < turns < 3, "free rotation about", TURNING, "-."),
-    ):
-        if not shown_here:
-            continue
-        axes.plot([], [], [], style, color=colour, label=label)
-    axes.legend(loc="upper left", bbox_to_anchor=(0, 1.08), fontsize=7, frameon=False)
+        turning = 0.12 * rotation_axes[row].T[turns]
+        draw_frame(axes, origin, 0.13 * triads[row], turning, truth.linear_dof, alpha)
+    axes.plot(*path.T, color="black", linewidth=1.5, label="path of the TCP")
+    draw_legend(axes, truth.linear_type, truth.linear_dof, bool(turns.any()))
     set_limits(axes, np.concatenate(extent))
     axes.view_init(elev=18, azim=-60)

@@ -80,11 +80,7 @@ def _draw_velocities(axes: "Axes", found: Segmentation, velocities: np.ndarray, 
 
 
 def segment_velocities(poses: np.ndarray, found: Segmentation) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the velocities along the axes of the frame that is valid at each time.
-
-    Args:
-        poses: (N, 4, 4) m, the segmented poses.
-        found: the segmentation of these poses.
+    """Compute velocities along the axes of the frame that is valid at each time, from segmented poses.
 
     Returns:
         Angular velocities, (N, 3) rad/s, and linear velocities of the frame's origin, (N, 3) m/s, over an

@@ -60,16 +60,10 @@ class Simulation:
 
 
 def body_twist(frame: ConstraintFrame, pose: jax.Array, angular: jax.Array, linear: jax.Array) -> jax.Array:
-    """Body twist at a pose for given velocities along the axes of a constraint frame.
+    """Body twist (6,) at a pose (4, 4), for velocities along the axes of a constraint frame.
 
-    Args:
-        frame: the constraint; velocities along its constrained axes (degree of freedom 0) are set to zero.
-        pose: (4, 4) of {b} in {g}.
-        angular: (3,) rad/s, along the axes of the angular frame.
-        linear: (3,) m/s, velocity of the linear frame's origin along its axes.
-
-    Returns:
-        (6,) angular velocity, then linear velocity, in {b}.
+    Velocities along constrained axes are set to zero. ``angular`` (3,) is in rad/s along the angular axes,
+    ``linear`` (3,) the velocity of the origin along the linear axes, m/s.
     """
     return _frame_twist(located.frame_arrays(frame), pose, angular, linear)
 

@@ -31,18 +31,7 @@ def minimise_each(
     box: Box,
     x: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
-    """Apply a minimizer of one problem to all problems.
-
-    Args:
-        minimise_one: function of the objective of one problem, the box and x, (dim,), that returns the new x
-            and its value.
-        objective: the problems.
-        box: bounds of the search, the same for all problems.
-        x: (dim, ...) starts.
-
-    Returns:
-        The new unknowns, (dim, ...), and their values, (...).
-    """
+    """Apply a minimizer of one problem, (objective, box, x (dim,)) -> (x, value), to starts x (dim, ...)."""
     batch = x.shape[1:]
     flat = jax.tree.map(lambda a: a.reshape(*a.shape[: a.ndim - len(batch)], -1), (objective, x))
     found, values = jax.vmap(minimise_one, in_axes=(-1, None, -1), out_axes=-1)(flat[0], box, flat[1])

@@ -33,13 +33,7 @@ _NARROW_STYLE = """<style>
 
 
 def open_server(windows: list[WindowTrack], port: int) -> tuple["viser.ViserServer", Drawing]:
-    """Start a server on this machine only, with the camera at the scene.
-
-    Raises:
-        ImportError: if viser is not installed.
-        ValueError: without windows.
-        OSError: if the port is in use.
-    """
+    """Start a server on this machine only, with the camera at the scene."""
     try:
         import viser
     except ImportError as error:

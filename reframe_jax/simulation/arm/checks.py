@@ -19,10 +19,6 @@ def as_numbers(tree: Any, dtype: Any) -> Any:
 def check_numbers(given: Any, kind: type) -> None:
     """Check that an argument is a dataclass of non-negative numbers; traced values are not checked.
 
-    Args:
-        given: the argument.
-        kind: the expected dataclass.
-
     Raises:
         ValueError: for another type, or for a negative number or NaN, with the name of the field.
     """

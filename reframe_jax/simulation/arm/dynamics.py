@@ -109,17 +109,10 @@ def _backwards(values: jax.Array) -> jax.Array:
 
 
 def solve_positive(matrix: jax.Array, right: jax.Array) -> jax.Array:
-    """Solve A X = B for a small symmetric positive definite A with an unrolled Cholesky factorization.
+    """Solve A X = B, (n, m), for a symmetric positive definite A (n, n), with n up to about 7.
 
-    For a batch of small matrices, library calls cost more than the arithmetic. The unrolled form is
-    vectorized over the batch.
-
-    Args:
-        matrix: (n, n), with n up to about 7.
-        right: (n, m).
-
-    Returns:
-        (n, m).
+    For a batch of small matrices, library calls cost more than the arithmetic. This unrolled Cholesky
+    factorization is vectorized over the batch.
     """
     size = matrix.shape[0]
     lower: list[list[jax.Array]] = []

@@ -124,14 +124,7 @@ def _simulate_one(
 
 @partial(jax.jit, static_argnames="arm")
 def impact_velocity(frame: Frame, joints: jax.Array, velocity: jax.Array, *, arm: Arm) -> jax.Array:
-    """Joint velocities (N, 7) after a constraint becomes active: an impact without rebound.
-
-    Args:
-        frame: the constraints of N rollouts.
-        joints: (N, 7) rad.
-        velocity: (N, 7) rad/s, joint velocities before the impact.
-        arm: the robot.
-    """
+    """Joint velocities (N, 7), rad/s, after constraints become active: an impact without rebound."""
 
     def one(frame: Frame, joints: jax.Array, velocity: jax.Array) -> jax.Array:
         motion = arm_motion(joints, velocity, arm)

@@ -204,11 +204,7 @@ ROBOTS: dict[str, Arm] = {arm.name: arm for arm in (PANDA, FR3)}
 
 
 def find_arm(arm: str | Arm) -> Arm:
-    """Return the arm with a given name; return an :class:`Arm` unchanged.
-
-    Raises:
-        ValueError: for an unknown name; the message lists the known ones.
-    """
+    """Return the arm with a given name; return an :class:`Arm` unchanged."""
     if isinstance(arm, Arm):
         return arm
     if arm not in ROBOTS:

@@ -51,11 +51,8 @@ class AxisLaw:
 def hold(free: jax.Array, slipped: jax.Array, step: float, compliance: jax.Array) -> AxisLaw:
     """Axis laws that hold the constrained axes rigidly or by springs, and leave the other axes free.
 
-    Args:
-        free: (6,), 1 for free axes, 0 for constrained axes.
-        slipped: (6,) rad and m, slip of each axis.
-        step: s.
-        compliance: (6,) rad/(N m) and m/N; zero is rigid.
+    ``free`` (6,) is 1 for free axes, ``slipped`` (6,) the slip of each axis in rad and m, and ``compliance``
+    (6,) in rad/(N m) and m/N, zero for a rigid axis.
     """
     rate = 1 / (RELAXATION + step)
     return AxisLaw(acts=1 - free, offset=rate * slipped, softness=rate * compliance)

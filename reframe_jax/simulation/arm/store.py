@@ -131,28 +131,11 @@ def _from_arrays(part: dict[str, Any]) -> Demonstration:
     return Demonstration(times=part["times"], truth=truth, **{name: part[name] for name in _FIELDS})
 
 
-def load_demonstrations(folder: str | Path, count: int | None = None) -> Demonstration:
-    """Load the demonstrations of a folder as one batch of NumPy arrays.
-
-    Args:
-        folder: folder written by :func:`store_demonstrations`.
-        count: number of demonstrations to load. The default loads all, which may exceed the ``count`` of
-            :func:`store_demonstrations`.
-
-    Raises:
-        ValueError: if the folder contains no demonstrations, or fewer than ``count``.
-    """
-    parts: list[Demonstration] = []
-    total = 0
-    for part in stored_demonstrations(folder):
-        parts.append(part)
-        total += len(part.status_code)
-        if count is not None and total >= count:
-            break
-    if count is not None and total < count:
-        raise ValueError(f"{folder} contains {total} demonstrations, fewer than {count}.")
+def load_demonstrations(folder: str | Path) -> Demonstration:
+    """Load all demonstrations of a folder, which may be more than were asked for, as one batch of arrays."""
+    parts = list(stored_demonstrations(folder))
     made: Demonstration = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
-    return replace(made, times=parts[0].times)[:count]
+    return replace(made, times=parts[0].times)
 
 
 def _dof(values: np.ndarray) -> Dof:

@@ -159,13 +159,9 @@ def compare(
 def matched_choices(
     found: Identification, truth: ConstraintFrame, *, arm: str | Arm = PANDA, start: ArrayLike = ROOMY
 ) -> Frame:
-    """Return the identified frames, with arbitrary origins and axes replaced by the true ones.
+    """Return the identified frames (N), with arbitrary origins and axes replaced by those of the truth.
 
-    Args:
-        found: N identifications.
-        truth: the true constraint, with geometry (N, 3).
-        arm: the robot.
-        start: (7,) rad, joint positions at which the replaced origins and axes agree with the truth.
+    The replaced origins and axes agree with the truth at the joint positions ``start`` (7,), rad.
     """
     arm = find_arm(arm)
     frames = control_frames(found)

@@ -22,11 +22,7 @@ LITERATURE_ERRORS = ((0.5, 5.0), (1.0, 7.5))
 
 
 def control_frames(found: Identification | ConstraintFrame | Frame) -> Frame:
-    """Return control frames with the batch axes of ``found``.
-
-    Args:
-        found: identifications, whose types may vary in a batch, or constraint frames.
-    """
+    """Return control frames with the batch axes of ``found``; types may vary in a batch of results."""
     if isinstance(found, Frame):
         return found
     if isinstance(found, ConstraintFrame):

@@ -1,37 +1,10 @@
-"""Curves, maps, bars and animations: what is in them. How they look was judged by eye."""
+"""Curves, maps and bars: what is in them. How they look was judged by eye."""
 
 import io
-from typing import Any
 
-import jax
 import numpy as np
-import pytest
 
-import reframe_jax as rf
 from benchmarks import charts
-from reframe_jax import plotting
-from reframe_jax.simulation import synthetic
-
-
-@pytest.fixture(scope="module")
-def window() -> tuple[Any, Any, rf.Identification]:
-    made = synthetic.simulate("K", jax.random.key(0), noise=1e-4)
-    return made.poses, made.times, rf.identify(made.poses, times=made.times)
-
-
-def test_scene_and_animation(window: tuple[Any, Any, rf.Identification], tmp_path: Any) -> None:
-    poses, times, found = window
-    figure = plotting.plot_scene(poses, found)
-    assert figure.get_suptitle() == "Pin-plane contact"
-    (space,) = figure.axes
-    limits = np.array([space.get_xlim(), space.get_ylim(), space.get_zlim()])
-    np.testing.assert_allclose(np.ptp(limits, axis=1), np.ptp(limits[0]))
-    animation = plotting.animate_scene(poses, found, times=times, frames=3)
-    animation.save(tmp_path / "a.gif", writer="pillow", dpi=40)
-    assert (tmp_path / "a.gif").read_bytes().startswith(b"GIF")
-    assert plotting.gif(animation).startswith(b"GIF")
-    with pytest.raises(ValueError, match="index one window first"):
-        plotting.plot_scene(poses, jax.tree.map(lambda leaf: leaf[None], found))
 
 
 def test_curves() -> None:
