@@ -26,15 +26,7 @@ def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: st
     The left panel shows the arm at the first, middle and last sample (the first one palest), the path of the
     TCP, and the true constraint frame. Free axes are solid, constrained axes dashed, and axes of free
     rotation green. The right panels show the motion along the free axes, and the moments and forces of the
-    constraint on the tool along the constrained axes.
-
-    Args:
-        made: one demonstration, ``made[i]`` of a batch.
-        arm: the robot of the demonstration.
-        title: title of the figure.
-
-    Raises:
-        ValueError: for a batch.
+    constraint on the tool along the constrained axes. A batch raises a ValueError.
     """
     if np.ndim(made.status_code):
         raise ValueError("A batch has several demonstrations: index one first, made[i].")

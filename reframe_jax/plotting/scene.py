@@ -37,11 +37,7 @@ __all__ = [
 
 
 def check_window(found: Identification) -> Identification:
-    """Return a single window with a result, on the host.
-
-    Raises:
-        ValueError: for a batch, and for a window without a result.
-    """
+    """Return a single window with a result, on the host; a ValueError otherwise."""
     if np.shape(found.status_code):
         raise ValueError("A batch has several frames: index one window first, found[i].")
     if found.status.failed:

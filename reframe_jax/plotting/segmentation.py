@@ -26,11 +26,6 @@ def plot_segmentation(poses: ArrayLike, found: Segmentation, *, title: str | Non
 
     Segments with the same constraint have the same colour; a still body is grey. A band around each boundary
     is its 95 % interval. Velocities along free axes are blue, along constrained axes orange.
-
-    Args:
-        poses: (N, 4, 4) m, the segmented poses.
-        found: the segmentation of these poses.
-        title: title of the figure; none by default.
     """
     figure = new_figure(10, 5)
     line, top, bottom = figure.subplots(3, 1, sharex=True, height_ratios=(0.7, 1, 1))

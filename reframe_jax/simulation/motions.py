@@ -49,19 +49,10 @@ class PoseErrors:
 
 @jax.jit
 def disturb(poses: jax.Array, key: jax.Array, errors: PoseErrors, dt: float | jax.Array) -> jax.Array:
-    """Add the errors of a tracker to poses.
+    """Add the errors of a tracker to poses (K+1, 4, 4), m, with a sample time, s.
 
     Orientation errors are rotations about the axes of the ground: R becomes exp(e) R. The noise depends on
     the key only; other error sizes scale the same noise.
-
-    Args:
-        poses: (K+1, 4, 4), m.
-        key: JAX random key of the errors.
-        errors: sizes of the errors.
-        dt: sample time, s.
-
-    Returns:
-        Measured poses (K+1, 4, 4), m.
     """
     errors = jax.tree.map(lambda size: jnp.asarray(size, dtype=poses.dtype), errors)
     white_key, which_key, jump_key, slow_key = jax.random.split(key, 4)
@@ -83,25 +74,13 @@ def disturb(poses: jax.Array, key: jax.Array, errors: PoseErrors, dt: float | ja
 def random_constraint(
     label: str, key: jax.Array, *, linear_type: LinearType | None = None
 ) -> tuple[ConstraintFrame, jax.Array]:
-    """Draw a constraint with random geometry, and a random first pose of the body.
+    """Draw a constraint with random geometry, and a random first pose (4, 4) of the body, m.
 
     The frame has a random orientation, and its origin is within 0.5 m of the body's origin along each axis at
     the start. The body has a random orientation, and its origin is within 0.5 m of the ground's origin. The
     angular and the linear axes are fixed in the same body, so the constraint is the same for every first
-    pose.
-
-    Args:
-        label: label or name of a constraint.
-        key: JAX random key of the geometry. All labels have the same geometry for a key, but may express it
-            in another body.
-        linear_type: as in :meth:`ConstraintFrame.named`.
-
-    Returns:
-        The frame, and the pose (4, 4) in m.
-
-    Raises:
-        KeyError: for an unknown label.
-        ValueError: for a linear type that cannot express the constraint.
+    pose. All labels have the same geometry for a key, but may express it in another body. ``linear_type`` is
+    as in :meth:`ConstraintFrame.named`.
     """
     entry = constraint(label)
     kind = entry.linear_type if linear_type is None else linear_type

@@ -289,7 +289,7 @@ def demonstrations(
     progress: Callable[[int, int], None] | None = None,
     **options: Unpack[DemonstrateOptions],
 ) -> Iterator[Demonstration]:
-    """Generate any number of demonstrations, in chunks that are compiled once.
+    """Generate any number of demonstrations on the host, in chunks that are compiled once.
 
     Args:
         constraint: as in :func:`demonstrate`, with one geometry (3,) for all demonstrations, before
@@ -301,9 +301,6 @@ def demonstrations(
         progress: function to call after every chunk, with the number of completed demonstrations and
             ``count``.
         options: options of :func:`demonstrate`.
-
-    Yields:
-        Batches of demonstrations on the host, with ``count`` demonstrations in total.
 
     Raises:
         ValueError: if more than 9 in 10 demonstrations are unusable.

@@ -93,12 +93,7 @@ def film_frames(
 
 
 def save_film(path: str | Path, pictures: np.ndarray, *, rate: float = 20.0) -> None:
-    """Write pictures as an animated GIF, or as MP4.
-
-    Args:
-        path: path of the film, with the suffix ``.gif`` or ``.mp4``.
-        pictures: (K, height, width, 3) uint8.
-        rate: pictures per second.
+    """Write pictures (K, height, width, 3), uint8, as an animated GIF or as MP4, with a rate per second.
 
     Raises:
         ValueError: for another suffix.

@@ -112,29 +112,14 @@ def demonstrate_sequence(
 ) -> SequenceDemonstration:
     """Simulate a hand that guides the arm under several constraints, one after the other.
 
-    Each constraint becomes active at the last pose of the previous stage. Velocities along its constrained
-    axes then stop, as in an impact with a surface. All stages use the program of
-    :func:`reframe_jax.simulation.arm.demonstrate`, with the number of samples of the longest stage.
+    Constraints are labels or names of the catalogue, placed near the TCP as in :func:`frame_on_arm`, with
+    "unconstrained" for an approach or a release; or frames, which are used without change. Each constraint
+    becomes active at the last pose of the previous stage. Velocities along its constrained axes then stop, as
+    in an impact with a surface. With ``pause``, the hand comes to rest before each change, and at the end.
 
-    Args:
-        constraints: labels or names of the catalogue, placed near the TCP as in :func:`frame_on_arm`, with
-            "unconstrained" for an approach or a release; or frames, which are used without change.
-        key: JAX random key.
-        batch: number N of demonstrations.
-        first: number of the first demonstration, to continue an earlier batch.
-        durations: s, one duration for all stages, or one per stage.
-        dt: s, time between recorded samples.
-        step: as in :func:`demonstrate`.
-        excitation: as in :func:`demonstrate`, with separate random phases for each stage.
-        pause: whether the hand comes to rest before each change of constraint, and at the end.
-        spread: rad and m, standard deviations of a random rotation and shift of each stage's geometry.
-        guide: stiffness, misalignment and tremor of the hand, with a new grip in each stage.
-        imperfections: errors of the robot and its sensors.
-        arm: ``"panda"``, ``"fr3"``, or an arm.
-        start: (7,) or (N, 7) rad, initial joint positions, at rest; the arm's home by default.
-
-    Returns:
-        The demonstrations. Check ``status_code``, because the simulation does not enforce joint limits.
+    All stages use the program of :func:`reframe_jax.simulation.arm.demonstrate`, with the number of samples
+    of the longest stage. Its options apply to every stage, with another grip and other phases. ``durations``
+    (s) is one number, or one per stage.
 
     Raises:
         KeyError: for an unknown constraint.

@@ -54,24 +54,9 @@ def store_demonstrations(
     """Simulate usable demonstrations, store them in a folder, and resume from existing parts.
 
     Repeat the call with the same or a larger ``count`` to add missing demonstrations. The chunk size limits
-    the memory.
-
-    Args:
-        constraint: as for :func:`reframe_jax.simulation.arm.demonstrate`.
-        key: JAX random key.
-        count: number of demonstrations.
-        folder: path of the folder, created if missing. Read it with :func:`load_demonstrations`, or part by
-            part with :func:`stored_demonstrations`.
-        chunk: number of demonstrations per simulation call and per part; unusable demonstrations are then
-            removed.
-        redraw: whether to replace demonstrations whose status is not OK.
-        progress: function to call after every part, with the number of completed demonstrations and
-            ``count``. True shows a progress bar on standard error; this is the default if standard error is a
-            terminal.
-        **options: options of :func:`reframe_jax.simulation.arm.demonstrate`.
-
-    Returns:
-        The path of the folder.
+    the memory: each part has the usable demonstrations of one chunk. Read them with
+    :func:`load_demonstrations`, or part by part with :func:`stored_demonstrations`. Arguments as for
+    :func:`reframe_jax.simulation.arm.demonstrations`; ``progress=True`` shows a bar on standard error.
 
     Raises:
         ValueError: if the folder contains other data, demonstrations with other options, or a damaged part;

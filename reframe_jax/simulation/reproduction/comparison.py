@@ -83,24 +83,15 @@ def compare(
 ) -> Comparison:
     """Demonstrate, identify, and reproduce a task in three kinds of frames.
 
-    The comparison leaves out, and counts, geometries for which the arm reaches a limit, or for which the
-    end-stop is out of reach even with the true frame.
+    Each of the ``trials`` has a random geometry. Options are those of
+    :func:`reframe_jax.simulation.arm.demonstrate` and :func:`reproduce`; the reproductions have the
+    compliance of the demonstrations, and both start at the start of the task. ``progress`` receives the
+    number of prepared trials and ``trials``. The comparison leaves out, and counts, geometries for which the
+    arm reaches a limit, or for which the end-stop is out of reach even with the true frame.
 
     A constraint may not determine the origin of its frame. The comparison then moves the identified origin to
     the true origin, where the forces act. If all rotations are free, moments act along the true axes. Other
     choices are equally correct, but their trials could not be compared with the baseline.
-
-    Args:
-        constraint: label or name of one of the twelve constraints of the paper, or a frame.
-        key: JAX random key.
-        trials: number of demonstrations, each with a random geometry, and of reproductions in each frame.
-        controller: the controller, which computes the wrenches.
-        task: the end-stops, and the initial joint positions of demonstrations and reproductions.
-        imperfections: imperfections of the demonstrations; the reproductions have the same compliance.
-        excitation: excitation of the demonstrations; see :func:`reframe_jax.simulation.arm.demonstrate`.
-        spread: rad and m, spread of the geometry; see :func:`reframe_jax.simulation.arm.demonstrate`.
-        arm: the robot.
-        progress: function to call with the number of prepared trials and ``trials``.
 
     Raises:
         ValueError: for unusable numbers or names, or if more than 9 in 10 geometries are unusable.

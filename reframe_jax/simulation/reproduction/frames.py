@@ -47,15 +47,10 @@ def erroneous_frames(
     arm: str | Arm = PANDA,
     start: ArrayLike = ROOMY,
 ) -> Frame:
-    """Rotate and shift frames by errors with random directions and uniformly distributed sizes.
+    """Rotate and shift frames (N) by errors with random directions and uniformly distributed sizes.
 
-    Args:
-        truth: the true constraint, with geometry (N, 3).
-        key: JAX random key of the errors.
-        angles: degrees, smallest and largest rotation.
-        distances: mm, smallest and largest shift.
-        arm: the robot.
-        start: (7,) rad, joint positions at which the errors apply.
+    The ranges of ``angles`` are in degrees, of ``distances`` in mm. The errors apply at the joint positions
+    ``start`` (7,), rad.
     """
     dtype, count, arm = truth.position.dtype, truth.position.shape[0], find_arm(arm)
     pose = forward_kinematics(arm.start(start, dtype), arm)
