@@ -89,11 +89,9 @@ def _damaged(file: Path, why: str) -> ValueError:
 
 def _difference(one: Record, other: Record) -> str:
     """Names of the options that differ, shortened, because a damaged record may have long names."""
-    names = [*one, *(name for name in other if name not in one)]
-    differ = [name for name in names if one.get(name) != other.get(name)]
+    differ = [name for name in {**one, **other} if one.get(name) != other.get(name)]
     more = [f"and {len(differ) - _LISTED} more"] if len(differ) > _LISTED else []
-    short = [name if len(name) <= _LONGEST else name[:_LONGEST] + "…" for name in differ[:_LISTED]]
-    return ", ".join(short + more)
+    return ", ".join([name[:_LONGEST] for name in differ[:_LISTED]] + more)
 
 
 class Run:
