@@ -127,3 +127,13 @@ def test_command_writes_a_picture_and_says_why_there_is_no_film(
     assert Path(files["demo.png"]).stat().st_size > 10_000
     assert Path(files["demos.npz"]).exists()
     assert not Path(files["demo.gif"]).exists()
+
+
+def test_opengl_that_is_not_installed_is_named() -> None:
+    """MuJoCo itself fails to load then, with a traceback from within PyOpenGL."""
+    command = [sys.executable, "-c", "import reframe_jax.simulation.arm"]
+    run = subprocess.run(
+        command, env={**os.environ, "MUJOCO_GL": "nonsense"}, capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 1
+    assert "cannot be loaded with MUJOCO_GL=nonsense" in run.stderr

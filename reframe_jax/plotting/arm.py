@@ -87,7 +87,7 @@ def _finish(axes: "Axes") -> None:
 
 def _joint_points(joints: np.ndarray, arm: Arm) -> np.ndarray:
     """Base, origins of the links, and TCP, (9, 3) m, for joint positions (7,)."""
-    _, origins, _, tip = link_poses(jnp.asarray(joints), arm)
+    origins, _, tip = link_poses(jnp.asarray(joints), arm)
     return np.concatenate([np.zeros((1, 3)), origins, tip[None]])
 
 

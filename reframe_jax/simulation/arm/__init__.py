@@ -1,10 +1,22 @@
-"""Simulate demonstrations: a hand guides a Franka arm under a constraint, in large batches.
+"""Simulate demonstrations: a hand guides a Franka arm under a constraint, in large batches with MJX.
 
 from reframe_jax.simulation import arm
 
 made = arm.demonstrate("K", jax.random.key(0), batch=64)
 found = rf.identify(made.poses, times=made.times)
 """
+
+try:
+    import mujoco  # noqa: F401
+except (ImportError, AttributeError, RuntimeError, OSError) as error:
+    import os
+
+    if "MUJOCO_GL" not in os.environ:
+        raise
+    raise ImportError(
+        f"MuJoCo cannot be loaded with MUJOCO_GL={os.environ['MUJOCO_GL']} ({error}). "
+        "Install the libraries of this backend, set MUJOCO_GL to egl, osmesa or glfw, or unset it."
+    ) from error
 
 from reframe_jax.simulation.arm.demonstration import (
     SPREAD,

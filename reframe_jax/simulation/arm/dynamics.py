@@ -1,17 +1,33 @@
-"""The arm's equations of motion: kinematics, mass matrix, and Coriolis and centrifugal torques.
+"""The arm's equations of motion, from the smooth dynamics of MJX.
 
-The joints form a chain, so sums along the chain replace the recursions of a general simulator. This package
-adds the forces of constraints, hands and controllers, and solves the constraint of a demonstration exactly
-(see ``rollout``). Gravity and the gravity compensation of the robot cancel, so neither is computed.
+MJX computes the kinematics, the mass matrix, and the Coriolis and centrifugal torques, as in a step of
+:func:`mujoco.mjx.step` before its solver. This package adds the forces of constraints, hands and controllers,
+and solves the constraint of a demonstration exactly (see ``rollout``). Gravity and the gravity compensation
+of the robot cancel, so neither is computed.
 """
 
+import contextlib
+import io
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+with contextlib.redirect_stdout(io.StringIO()):  # MJX prints the names of missing optional packages
+    from mujoco import mjx
+
+    try:
+        from mujoco.mjx._src import scan as mjx_scan  # private, see fence_levels
+    except ImportError:
+        mjx_scan = None
 
 from reframe_jax.constraints.located import multiply
-from reframe_jax.simulation.arm.model import PANDA, Arm, link_inertias, link_poses
+from reframe_jax.simulation.arm.model import PANDA, Arm, arm_xml
 
 __all__ = ["Motion", "arm_motion", "solve_positive"]
 
@@ -46,6 +62,55 @@ class Motion:
         return multiply(self.jacobian, self.velocity)
 
 
+@contextlib.contextmanager
+def fence_levels() -> Iterator[None]:
+    """Prevent XLA from recomputing the kinematic chain at every link while ``mjx.kinematics`` is traced.
+
+    On the CPU, XLA's fusion emitters (jax 0.7 to 0.10) inline each level of MJX's scan over the tree into the
+    next level: a step of 64 arms takes 1.4 s instead of 0.6 ms (google-deepmind/mujoco#2957). A barrier
+    around the value that each link passes to the next prevents the inlining, and costs nothing on other
+    devices. MJX has no public hook for it, and a barrier around the public function does not help. An MJX
+    without this private scan runs unfenced: the results are the same.
+    """
+    body_tree = getattr(mjx_scan, "body_tree", None)
+    if body_tree is None:
+        yield
+        return
+
+    def with_barriers(model: Any, function: Any, *args: Any, **options: Any) -> Any:
+        def run_barred(carry: Any, *rest: Any) -> Any:
+            return function(carry if carry is None else jax.lax.optimization_barrier(carry), *rest)
+
+        return body_tree(model, run_barred, *args, **options)
+
+    mjx_scan.body_tree = with_barriers
+    try:
+        yield
+    finally:
+        mjx_scan.body_tree = body_tree
+
+
+@cache
+def _mjx_parts(arm: Arm) -> tuple[Any, Any, int]:
+    """MJX model and data in double precision, as NumPy arrays for any trace, and the index of the TCP."""
+    model = mujoco.MjModel.from_xml_string(arm_xml(arm))
+    model.opt.gravity[:] = 0
+    with jax.ensure_compile_time_eval(), jax.enable_x64(True), _allow_mixing():
+        parts = mjx.put_model(model, impl="jax"), mjx.make_data(model, impl="jax")
+        return *jax.tree.map(np.asarray, parts), model.site("tcp").id
+
+
+@contextlib.contextmanager
+def _allow_mixing() -> Iterator[None]:
+    """Let MJX mix dtypes and ranks, with precise matrix products, whatever the user's settings."""
+    with (
+        jax.numpy_dtype_promotion("standard"),
+        jax.numpy_rank_promotion("allow"),
+        jax.default_matmul_precision("highest"),
+    ):
+        yield
+
+
 def arm_motion(joints: jax.Array, velocity: jax.Array, arm: Arm = PANDA) -> Motion:
     """Kinematics and dynamics of the arm.
 
@@ -54,58 +119,32 @@ def arm_motion(joints: jax.Array, velocity: jax.Array, arm: Arm = PANDA) -> Moti
         velocity: (7,) rad/s.
         arm: the robot.
     """
-    masses, centres, inertias = (jnp.asarray(part, dtype=joints.dtype) for part in link_inertias(arm))
-    turns, anchors, rotation, position = link_poses(joints, arm)
-    # all vectors in the axes of the base, all moments and velocities at its origin: an axis has the twist
-    # (axes, shifts), a link the mass, the first moment and the inertia
-    axes = turns[:, :, 2]
-    shifts = jnp.cross(anchors, axes)
-    places = anchors + _times(turns, centres)
-    first = masses[:, None] * places
-    about = jnp.sum(turns[:, :, :, None] * inertias[:, None, :, :], axis=2)
-    about = jnp.sum(about[:, :, None, :] * turns[:, None, :, :], axis=-1)
-    lengths = jnp.sum(places * first, axis=-1)[:, None, None] * jnp.eye(3, dtype=joints.dtype)[None]
-    inertia = about + lengths - first[:, :, None] * places[:, None, :]
-    # a joint accelerates its own link and the later ones
-    later = _backwards(masses), _backwards(first), _backwards(inertia)
-    every = _momentum(*later, axes, shifts)
-    upper = jnp.triu(jnp.sum(axes[:, None] * every[0][None] + shifts[:, None] * every[1][None], axis=-1))
-    # velocities, and accelerations while the joints do not accelerate
-    own = velocity[:, None] * axes, velocity[:, None] * shifts
-    spin, drift = (jnp.cumsum(part, axis=0) for part in own)
-    twisting = jnp.cumsum(jnp.cross(spin, own[0]), axis=0)
-    pulling = jnp.cumsum(jnp.cross(spin, own[1]) + jnp.cross(drift, own[0]), axis=0)
-    angular, linear = _momentum(masses, first, inertia, spin, drift)
-    moment, force = _momentum(masses, first, inertia, twisting, pulling)
-    moment = _backwards(moment + jnp.cross(spin, angular) + jnp.cross(drift, linear))
-    force = _backwards(force + jnp.cross(spin, linear))
-    armature = jnp.diag(jnp.asarray(arm.armature, dtype=joints.dtype))
-    return Motion(
+    dtype = joints.dtype
+
+    def cast(leaf: Any) -> jax.Array:
+        return jnp.asarray(leaf, dtype=dtype if np.issubdtype(leaf.dtype, np.floating) else None)
+
+    *parts, tcp = _mjx_parts(arm)
+    model, data = jax.tree.map(cast, parts)
+    data = data.replace(qpos=joints, qvel=velocity)
+    with _allow_mixing():
+        with fence_levels():
+            data = mjx.kinematics(model, data)
+        for stage in (mjx.com_pos, mjx.crb, mjx.com_vel, mjx.rne):
+            data = stage(model, data)
+        mass = mjx.full_m(model, data)
+        linear = jnp.cross(data.xaxis, data.site_xpos[tcp] - data.xanchor)
+    motion = Motion(
         joints=joints,
         velocity=velocity,
-        rotation=rotation,
-        position=position,
-        jacobian=jnp.concatenate([axes.T, jnp.cross(axes, position[None] - anchors).T]),
-        mass=upper + jnp.triu(upper, 1).T + armature,
-        bias=jnp.sum(axes * moment + shifts * force, axis=-1),
+        rotation=data.site_xmat[tcp],
+        position=data.site_xpos[tcp],
+        jacobian=jnp.concatenate([data.xaxis.T, linear.T]),
+        mass=mass,
+        bias=data.qfrc_bias,
     )
-
-
-def _times(matrices: jax.Array, vectors: jax.Array) -> jax.Array:
-    """Products (n, 3) of matrices (n, 3, 3) and vectors (n, 3), elementwise."""
-    return jnp.sum(matrices * vectors[:, None, :], axis=-1)
-
-
-def _momentum(
-    mass: jax.Array, first: jax.Array, inertia: jax.Array, spin: jax.Array, drift: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """Angular and linear momentum (n, 3) of n bodies with twists (n, 3) each, at the origin."""
-    return _times(inertia, spin) + jnp.cross(first, drift), mass[:, None] * drift + jnp.cross(spin, first)
-
-
-def _backwards(values: jax.Array) -> jax.Array:
-    """Sums over each link and the later ones."""
-    return jnp.flip(jnp.cumsum(jnp.flip(values, 0), axis=0), 0)
+    # constants inside MJX have the default precision, not the precision of the input
+    return jax.tree.map(lambda leaf: leaf.astype(dtype), motion)
 
 
 def solve_positive(matrix: jax.Array, right: jax.Array) -> jax.Array:

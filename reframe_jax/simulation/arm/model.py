@@ -88,11 +88,6 @@ class Arm:
         return np.array([link.damping for link in self.links])
 
     @property
-    def armature(self) -> np.ndarray:
-        """(7,) kg m^2."""
-        return np.array([link.armature for link in self.links])
-
-    @property
     def speed(self) -> np.ndarray:
         """(7,) rad/s, highest joint velocities."""
         return np.array([link.speed for link in self.links])
@@ -259,59 +254,25 @@ def link_transforms(arm: Arm) -> tuple[np.ndarray, np.ndarray]:
     return rotations, positions
 
 
-@cache
-def link_inertias(arm: Arm) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Masses (7,), centres of mass (7, 3) and inertias about them (7, 3, 3); the hand is part of link 7."""
-    turn, hand = _matrix(arm.hand.quaternion), arm.hand
-    masses = np.array([link.mass for link in arm.links])
-    centres = np.array([link.centre for link in arm.links])
-    inertias = np.stack([_inertia(link) for link in arm.links])
-    there = hand.position + turn @ hand.centre
-    total = masses[6] + hand.mass
-    apart = there - centres[6]
-    reduced = masses[6] * hand.mass / total  # of two bodies, for the theorem of parallel axes
-    inertias[6] += turn @ _inertia(hand) @ turn.T + reduced * (
-        apart @ apart * np.eye(3) - np.outer(apart, apart)
-    )
-    centres[6] += hand.mass / total * apart
-    masses[6] = total
-    return masses, centres, inertias
-
-
-def _inertia(link: Link) -> np.ndarray:
-    xx, yy, zz, xy, xz, yz = link.inertia
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-
-
-def link_poses(joints: jax.Array, arm: Arm) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Compute the poses of all links, as products of link transforms and joint rotations.
-
-    Args:
-        joints: (..., 7) rad.
-        arm: the robot.
-
-    Returns:
-        Rotations (..., 7, 3, 3) and origins (..., 7, 3), m, of the links, and rotation (..., 3, 3) and
-        position (..., 3), m, of {b}, all in {g}. A link turns about its z axis.
-    """
+def link_poses(joints: jax.Array, arm: Arm) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Origins (..., 7, 3), m, of the links, and rotation and position of {b} in {g} (forward_kinematics)."""
     fixed, offset = (jnp.asarray(part, dtype=joints.dtype) for part in link_transforms(arm))
     batch = joints.shape[:-1]
     fixed, offset = (jnp.broadcast_to(part, (*batch, *part.shape)) for part in (fixed, offset))
     rotation, position = fixed[..., 0, :, :], offset[..., 0, :]
-    turns, origins = [], []
+    origins = []
     for i in range(7):
         # a rotation about z combines the first two columns
         c, s = jnp.cos(joints[..., i, None]), jnp.sin(joints[..., i, None])
         x, y, z = rotation[..., :, 0], rotation[..., :, 1], rotation[..., :, 2]
-        turn = jnp.stack([c * x + s * y, c * y - s * x, z], axis=-1)
-        turns.append(turn)
+        rotation = jnp.stack([c * x + s * y, c * y - s * x, z], axis=-1)
         origins.append(position)
         # elementwise, because a library call per matrix of a batch costs more than the product
-        position = position + jnp.sum(turn * offset[..., i + 1, None, :], axis=-1)
-        rotation = jnp.sum(turn[..., :, :, None] * fixed[..., i + 1, None, :, :], axis=-2)
-    return jnp.stack(turns, axis=-3), jnp.stack(origins, axis=-2), rotation, position
+        position = position + jnp.sum(rotation * offset[..., i + 1, None, :], axis=-1)
+        rotation = jnp.sum(rotation[..., :, :, None] * fixed[..., i + 1, None, :, :], axis=-2)
+    return jnp.stack(origins, axis=-2), rotation, position
 
 
 def forward_kinematics(joints: jax.Array, arm: Arm = PANDA) -> tuple[jax.Array, jax.Array]:
     """Rotation (..., 3, 3) and position (..., 3), m, of {b} in {g}, for joint positions (..., 7), rad."""
-    return link_poses(joints, arm)[2:]
+    return link_poses(joints, arm)[1:]
