@@ -1,11 +1,13 @@
 # make demo: set up and identify the recording in examples/. make test: set up and run the tests.
+# make decisions: names and segments once more, with other machine instructions, which round differently.
 # make lint, make docs, make benchmark. make paper: the paper's experiments, to out/paper; make paper-quick: a
 # small part of them, in a minute or two.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+DECISIONS := $(addprefix tests/test_,naming.py special_joints.py segmentation.py segmentation_recordings.py real_recordings.py wiping.py)
 
-.PHONY: demo test lint benchmark paper paper-quick docs clean
+.PHONY: demo test decisions lint benchmark paper paper-quick docs clean
 
 # the stamp names the Python version, so that another interpreter makes a new environment
 STAMP := $(VENV)/.installed-$(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])')
@@ -16,6 +18,10 @@ demo: $(STAMP)
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+
+decisions: $(STAMP)
+	XLA_FLAGS="--xla_backend_optimization_level=0 --xla_cpu_max_isa=SSE4_2" OPENBLAS_CORETYPE=Nehalem \
+	  $(BIN)/python -m pytest -n 2 --dist loadfile $(DECISIONS)
 
 lint: $(STAMP)
 	$(BIN)/ruff format --check .

@@ -26,11 +26,10 @@ import mujoco.rollout
 import numpy as np
 
 from benchmarks.common import write_metrics
+from benchmarks.mechanism import mechanism_joints, mechanism_model, weld
 from benchmarks.paper_common import LABELS
 from benchmarks.paper_table4 import PAPER, SETUPS, Setup, identify_all
-from reframe_jax.constraints.located import frame_arrays
 from reframe_jax.simulation import arm as panda
-from reframe_jax.simulation.arm.mechanism import mechanism_joints, mechanism_model, placement
 
 DURATION = 5.0
 C_STEP = 0.005
@@ -58,17 +57,8 @@ def time_c_mujoco(batch: int, threads: int) -> tuple[float, float]:
     """Demonstrations per second of C MuJoCo with a mechanism (K), and the largest gap at the weld, um."""
     frame = panda.frame_on_arm("K")
     model = mechanism_model(panda.PANDA, mechanism_joints(frame), C_STEP)
-    pose = panda.forward_kinematics(jnp.asarray(panda.PANDA.home))
-    place = jax.tree.map(np.asarray, placement(frame_arrays(frame), *pose))
-    body, grip, tcp = model.body("mechanism").id, model.site("grip").id, model.site("tcp").id
-    model.body_pos[body], model.body_quat[body] = place["body_pos"], place["body_quat"]
-    model.body_ipos[body] = place["site_pos"]
-    model.site_pos[grip], model.site_quat[grip] = place["site_pos"], place["site_quat"]
-    data = mujoco.MjData(model)
-    mujoco.mj_setConst(model, data)
-    mujoco.mj_resetData(model, data)
-    data.qpos[:7] = panda.PANDA.home
-    mujoco.mj_forward(model, data)
+    data = weld(model, frame, jnp.asarray(panda.PANDA.home), panda.PANDA)
+    grip, tcp = model.site("grip").id, model.site("tcp").id
     state = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
     mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
     steps = round(DURATION / C_STEP)

@@ -16,9 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import reframe_jax as rf
+from benchmarks.charts import Curve, plot_curves
 from benchmarks.paper_annealing import SYMBOLS, anneal_sample, annealing_metrics, annealing_text
 from benchmarks.paper_common import LABELS, Section, Store, number, plain, table
-from reframe_jax.plotting import Curve, plot_curves
 from reframe_jax.simulation import metrics, synthetic
 
 __all__ = ["CELLS", "Entry", "Size", "entries", "identify_cell", "section", "windows"]

@@ -8,10 +8,10 @@ import jax
 import numpy as np
 
 import reframe_jax as rf
+from benchmarks.charts import plot_bars
 from benchmarks.paper_common import Section, Store, plain, spread, table
 from benchmarks.paper_table4 import SETUPS, Setup
 from reframe_jax.constraints.located import frame_arrays
-from reframe_jax.plotting import plot_bars
 from reframe_jax.simulation import arm as panda
 from reframe_jax.simulation import reproduction
 

@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import reframe_jax as rf
+from benchmarks.charts import plot_maps
 from benchmarks.paper_common import LABELS, Section, Store, demonstrations, number, plain, table
-from reframe_jax.plotting import plot_maps
 from reframe_jax.simulation import arm as panda
 from reframe_jax.simulation import metrics
 from reframe_jax.simulation.synthetic import add_pose_noise

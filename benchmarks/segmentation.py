@@ -26,11 +26,11 @@ import numpy as np
 
 import reframe_jax as rf
 from benchmarks.common import add_files, machine, new_parser, write_record
+from benchmarks.pointer import simulate_pointer
 from benchmarks.segmentation_arm import arm_rows, print_arm
 from benchmarks.segmentation_cases import NAMES, Sequence, move_through, simulate_sequences, simulate_single
 from benchmarks.timing import peak_above
 from reframe_jax.simulation.motions import PoseErrors
-from reframe_jax.simulation.pointer import simulate_pointer
 
 CLOSE = 0.3  # s
 _SEED = 2026  # others served to choose constants

@@ -10,7 +10,6 @@ machine code that users run. Variables set by the caller win.
 """
 
 import builtins
-import contextlib
 import ctypes
 import gc
 import os
@@ -43,6 +42,8 @@ from scipy.spatial.transform import Rotation
 
 jax.config.update("jax_enable_x64", True)
 
+_MOST_MEMORY = 1.8e9  # bytes that a process may hold after a module; a module adds up to a gigabyte
+
 hypothesis.settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
 hypothesis.settings.load_profile("repeatable")
 
@@ -56,22 +57,21 @@ gc.set_threshold(100_000, 50, 1000)
 
 @pytest.fixture(scope="module", autouse=True)
 def _free_programs(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Programs of the library are kept for the modules that follow, until they fill gigabytes.
+    """Programs of the library are kept for the modules that follow, until they fill the memory.
 
     Then all but those that identify are dropped, which nearly every module needs, and if need be these too.
     What a module compiled for itself goes with it.
     """
     yield
     _drop_programs(request.module)
-    most = _most_memory()
-    if _resident_memory() > most:
+    if _resident_memory() > _MOST_MEMORY:
         _trim_memory()  # compiling leaves a quarter of it behind, free but not given back
-    if _resident_memory() > most:
+    if _resident_memory() > _MOST_MEMORY:
         for name, module in list(sys.modules.items()):
             if name.startswith("reframe_jax.") and name != "reframe_jax.identification.entry":
                 _drop_programs(module)
         _trim_memory()
-    if _resident_memory() > most:
+    if _resident_memory() > _MOST_MEMORY:
         jax.clear_caches()
         gc.collect()
         _trim_memory()
@@ -89,18 +89,6 @@ def _trim_memory() -> None:
     libc = ctypes.CDLL(None)
     if hasattr(libc, "malloc_trim"):
         libc.malloc_trim(0)
-
-
-def _most_memory() -> float:
-    """Bytes that this process may hold after a module: its share of half the machine, 3 to 6 GB."""
-    try:
-        machine = float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-    except (OSError, ValueError):
-        machine = 0.0
-    with contextlib.suppress(OSError, ValueError):  # that of a container; "max" if it has no limit
-        machine = min(machine, float(Path("/sys/fs/cgroup/memory.max").read_text()))
-    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
-    return min(max(machine / 2 / workers, 3e9), 6e9)
 
 
 def _resident_memory() -> float:

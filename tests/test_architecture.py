@@ -177,7 +177,12 @@ def mentions_any(annotation: Any) -> bool:
 
 def test_public_arguments_have_types() -> None:
     callables = public_callables()
-    methods = {"Demonstration.__getitem__", "BasinHopping.minimise", "ValleySteps.__call__", "Curve.__init__"}
+    methods = {
+        "Demonstration.__getitem__",
+        "BasinHopping.minimise",
+        "ValleySteps.__call__",
+        "Joint.__init__",
+    }
     assert {"simulate", *methods} <= set(callables)
     untyped = {
         f"{name}({parameter.name})"

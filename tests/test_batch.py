@@ -18,7 +18,7 @@ pytest.importorskip("pyarrow")
 
 @pytest.fixture(scope="module")
 def windows():
-    """(40, 21, 4, 4): enough for three parts, the last one smaller."""
+    """(40, 21, 4, 4): enough for three parts, the last one smaller, which all fill the same program."""
     keys = jax.random.split(jax.random.key(0), 40)
     simulate = jax.vmap(lambda key: synthetic.simulate("K", key, noise=1e-4, duration=2.0).poses)
     return np.asarray(jax.jit(simulate)(keys))
@@ -38,9 +38,9 @@ def equal(a, b):
 def test_parts_hold_what_identify_returns(windows, expected, tmp_path):
     seen = []
     folder = rf.identify_many(
-        windows, tmp_path / "out", dt=0.1, part_size=16, progress=lambda *counts: seen.append(counts)
+        windows, tmp_path / "out", dt=0.1, part_size=15, progress=lambda *counts: seen.append(counts)
     )
-    assert seen == [(16, 40), (32, 40), (40, 40)]
+    assert seen == [(15, 40), (30, 40), (40, 40)]
     found = rf.load_results(folder)
     assert jax.tree.structure(found) == jax.tree.structure(expected)
     np.testing.assert_array_equal(found.name, expected.name)
@@ -49,18 +49,18 @@ def test_parts_hold_what_identify_returns(windows, expected, tmp_path):
 
 
 def test_an_interrupted_run_resumes_and_ends_with_the_same_bytes(windows, tmp_path):
-    whole = rf.identify_many(windows, tmp_path / "whole", dt=0.1, part_size=16)
+    whole = rf.identify_many(windows, tmp_path / "whole", dt=0.1, part_size=15)
 
     def killed(done, total):
-        if done == 16:
+        if done == 15:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        rf.identify_many(windows, tmp_path / "resumed", dt=0.1, part_size=16, progress=killed)
+        rf.identify_many(windows, tmp_path / "resumed", dt=0.1, part_size=15, progress=killed)
     first = tmp_path / "resumed" / "part-00000000.parquet"
     before = first.stat().st_mtime_ns
     # from another kind of source
-    resumed = rf.identify_many(iter(windows), tmp_path / "resumed", dt=0.1, part_size=16)
+    resumed = rf.identify_many(iter(windows), tmp_path / "resumed", dt=0.1, part_size=15)
     assert first.stat().st_mtime_ns == before
     equal(rf.load_results(whole), rf.load_results(resumed))
 
@@ -71,22 +71,22 @@ def test_an_iterator_is_known_to_be_complete_once_it_ended(windows, tmp_path):
         raise OSError("the disk is gone")
 
     with pytest.raises(OSError, match="gone"):
-        rf.identify_many(broken(), tmp_path / "out", dt=0.1, part_size=16)
+        rf.identify_many(broken(), tmp_path / "out", dt=0.1, part_size=15)
     assert "windows" not in json.loads((tmp_path / "out" / "run.json").read_text())
-    assert len(rf.load_results(tmp_path / "out").status_code) == 16
-    rf.identify_many(iter(windows[:20]), tmp_path / "out", dt=0.1, part_size=16)
-    assert json.loads((tmp_path / "out" / "run.json").read_text())["windows"] == 20
+    assert len(rf.load_results(tmp_path / "out").status_code) == 15
+    rf.identify_many(iter(windows[:25]), tmp_path / "out", dt=0.1, part_size=15)
+    assert json.loads((tmp_path / "out" / "run.json").read_text())["windows"] == 25
     with pytest.raises(ValueError, match=r"other options \(windows\)"):
-        rf.identify_many(windows, tmp_path / "out", dt=0.1, part_size=16)
+        rf.identify_many(windows, tmp_path / "out", dt=0.1, part_size=15)
     (tmp_path / "out" / "part-00000001.parquet").unlink()
     with pytest.raises(ValueError, match="incomplete"):
         rf.load_results(tmp_path / "out")
 
 
 def test_parts_can_be_loaded_one_by_one(windows, tmp_path):
-    folder = rf.identify_many(windows, tmp_path / "out", dt=0.1, part_size=16)
+    folder = rf.identify_many(windows, tmp_path / "out", dt=0.1, part_size=15)
     whole, last = rf.load_results(folder), rf.load_results(folder, parts=[2])
-    equal(jax.tree.map(lambda leaf: leaf[32:], whole), last)
+    equal(jax.tree.map(lambda leaf: leaf[30:], whole), last)
     with pytest.raises(ValueError, match=r"\[3\] among them"):
         rf.load_results(folder, parts=[0, 3])
 
@@ -102,13 +102,13 @@ def test_the_next_part_is_read_while_one_is_computed(windows, tmp_path, monkeypa
         return identify(poses, timing, options)
 
     def source():
-        for i, window in enumerate(windows[:32]):
-            if i == 31:
+        for i, window in enumerate(windows[:30]):
+            if i == 29:
                 read.set()
             yield window
 
     monkeypatch.setattr(batch, "_identify", patient)
-    rf.identify_many(source(), tmp_path / "out", dt=0.1, part_size=16)
+    rf.identify_many(source(), tmp_path / "out", dt=0.1, part_size=15)
 
 
 def test_the_bar_shows_the_share_done(windows, tmp_path, capsys):
@@ -120,11 +120,11 @@ def test_the_bar_shows_the_share_done(windows, tmp_path, capsys):
 
 
 def test_machines_can_share_the_parts(windows, tmp_path):
-    whole = rf.identify_many(windows, tmp_path / "whole", dt=0.1, part_size=16)
-    rf.identify_many(windows, tmp_path / "shared", dt=0.1, part_size=16, parts=[0, 2])
+    whole = rf.identify_many(windows, tmp_path / "whole", dt=0.1, part_size=15)
+    rf.identify_many(windows, tmp_path / "shared", dt=0.1, part_size=15, parts=[0, 2])
     with pytest.raises(ValueError, match=r"1 parts are missing, \[1\]"):
         rf.load_results(tmp_path / "shared")
-    rf.identify_many(windows, tmp_path / "shared", dt=0.1, part_size=16, parts=[1])
+    rf.identify_many(windows, tmp_path / "shared", dt=0.1, part_size=15, parts=[1])
     equal(rf.load_results(whole), rf.load_results(tmp_path / "shared"))
 
 
@@ -132,7 +132,7 @@ def test_memory_mapped_windows_and_times_of_every_window(windows, expected, tmp_
     np.save(tmp_path / "windows.npy", windows)
     mapped = np.load(tmp_path / "windows.npy", mmap_mode="r")
     times = np.tile(0.1 * np.arange(21), (40, 1))
-    found = rf.load_results(rf.identify_many(mapped, tmp_path / "out", times=times, part_size=16))
+    found = rf.load_results(rf.identify_many(mapped, tmp_path / "out", times=times, part_size=20))
     np.testing.assert_allclose(found.linear.norm, expected.linear.norm, rtol=1e-6)
 
 

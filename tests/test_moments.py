@@ -9,8 +9,6 @@ from hypothesis import strategies as st
 
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, to_matrix
 from reframe_jax.objectives.moments import MONOMIALS, covariance_at, velocity_moments
-from reframe_jax.objectives.norms import frame_norm
-from reframe_jax.objectives.velocity import FrameObjective
 
 moments_of = jax.jit(velocity_moments)
 
@@ -104,11 +102,3 @@ def test_polynomial_layout(rng):
             if a != b:
                 product = product + maps[:, i, b] * maps[:, j, a]
             assert coefficient == pytest.approx(np.mean(product), abs=1e-14)
-
-
-def test_objective_from_samples_and_from_moments(rng):
-    maps = rng.normal(size=(4, 20, 3, 4))
-    rotvec, position = rng.normal(size=(2, 4, 3))
-    x = np.concatenate([rotvec, position], axis=1).T
-    value = jax.jit(lambda m, x: FrameObjective(velocity_moments(m)).value(x))(maps, x)
-    np.testing.assert_allclose(np.exp(value), jax.jit(frame_norm)(rotvec, position, maps), rtol=1e-12)

@@ -9,7 +9,6 @@ import pytest
 
 import reframe_jax as rf
 from reframe_jax.constraints.located import frame_arrays
-from reframe_jax.geometry import transforms
 from reframe_jax.simulation import arm as panda
 from reframe_jax.simulation import metrics
 from reframe_jax.simulation.arm.demonstration import sampling
@@ -205,24 +204,6 @@ def test_imperfections_one_by_one(rigid: dict[str, panda.Demonstration]) -> None
 
     assert 0.2e-3 < off(recorded(encoder_noise=1e-3)).mean() < 3e-3
     assert 1e-5 < off(recorded(encoder_step=1e-4)).mean() < 1e-4
-    assert 1e-4 < off(recorded(backlash=1e-3)).max() < 2e-3
-    noisy = recorded(pose_noise=1e-3)
-    assert abs(np.std((noisy - exact.exact_poses)[..., :3, 3]) / 1e-3 - 1) < 0.1
-    # the tool hangs near a half turn, where a change of the rotation vector turns by 2/pi as much
-    turn = transforms.pose_log(jnp.asarray(np.linalg.inv(exact.exact_poses) @ noisy))[..., :3]
-    assert 2 / np.pi < np.std(turn) / 3e-3 < 1
-    # a robot that is built differently is wrong by about the same everywhere
-    built = off(recorded(calibration=1e-3))
-    assert 0.5e-3 < built.mean() < 6e-3
-    assert np.all(np.ptp(built, axis=1) < 0.5 * built.mean())
-    assert 1e-4 < off(recorded(angular_calibration=1e-3)).mean() < 5e-3
-    late = recorded(latency=0.05)
-    np.testing.assert_array_equal(late[..., :3, 3], exact.exact_poses[..., :3, 3])
-    np.testing.assert_allclose(late[:, 1:, :3, :3], exact.exact_poses[:, :-1, :3, :3], atol=1e-12)
-    lost = recorded(dropouts=0.25)
-    repeated = np.all(lost[:, 1:] == lost[:, :-1], axis=(2, 3))
-    assert 0.15 < repeated.mean() < 0.35
-    np.testing.assert_array_equal(lost[:, 1:][~repeated], exact.exact_poses[:, 1:][~repeated])
 
 
 def test_status_tells_of_joint_limits() -> None:
@@ -316,7 +297,6 @@ def test_the_hand_leaves_no_free_direction_at_rest() -> None:
 def test_step_divides_the_sample_time() -> None:
     for dt, substeps in ((0.05, 5), (0.1, 10), (0.033, 4), (0.004, 1)):
         assert sampling(1.0, dt, None).substeps == substeps
-    assert sampling(1.0, 0.05, None, 0.005).substeps == 10
 
 
 def test_demonstrations_that_cannot_be_made() -> None:
@@ -334,14 +314,15 @@ def test_demonstrations_that_cannot_be_made() -> None:
         ({"step": 0.03}, "must divide"),
         ({"step": 0.1}, "Expected 0 < step <= dt"),
         ({"start": np.zeros(6)}, r"start must have shape \(7,\)"),
-        ({"form": "rope"}, "must be 'exact' or 'mechanism'"),
-        ({"form": "mechanism", "imperfections": panda.REALISTIC}, "compliance needs form='exact'"),
         ({"first": -1}, "first must be at least 0"),
         ({"duration": 0.01}, "Expected 0 < dt <= duration"),
         ({"excitation": None}, "There are: exciting, brisk, paper"),
         ({"spread": 0.1}, "spread must be two numbers"),
         ({"imperfections": "realistic"}, r"Expected Imperfections\(...\), not 'realistic'"),
-        ({"imperfections": panda.Imperfections(dropouts=-0.1)}, "dropouts of Imperfections must not be neg"),
+        (
+            {"imperfections": panda.Imperfections(encoder_noise=-0.1)},
+            "encoder_noise of Imperfections must not",
+        ),
         ({"guide": panda.Guide(tremor=float("nan"))}, "tremor of Guide must not be negative or nan"),
     ],
 )

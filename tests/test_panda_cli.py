@@ -87,7 +87,6 @@ def test_reproduction(capsys: pytest.CaptureFixture[str]) -> None:
         (["--constraint", "A", "--out", "nowhere/x.npz"], "there is no directory nowhere"),
         (["--constraint", "A", "--out", "x.npz", "--plot", "nowhere/x.png"], "there is no directory nowhere"),
         (["--constraint", "A", "--out", "x.npz", "--plot", "x.txt"], "--plot must end in .png or"),
-        (["--constraint", "A", "--out", "x.npz", "--skin", "x.xml"], "--skin needs --render"),
         (["--constraint", "A", "--out", "x.npz", "--duration", "0.01"], "--dt must not be longer"),
     ],
 )

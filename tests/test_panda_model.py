@@ -12,7 +12,6 @@ import pytest
 
 from reframe_jax.simulation import arm as panda
 from reframe_jax.simulation.arm import dynamics
-from reframe_jax.simulation.arm.compiled import jit_simulation
 
 ARMS = list(panda.ROBOTS.values())
 
@@ -40,10 +39,10 @@ def denavit_hartenberg(joints: np.ndarray) -> np.ndarray:
 
 
 def newton_euler(arm: panda.Arm, q: np.ndarray, v: np.ndarray, acc: np.ndarray) -> np.ndarray:
-    """Joint torques by the recursive algorithm in link frames (Luh, Walker, Paul 1980)."""
+    """Joint torques without gravity by the recursive algorithm in link frames (Luh, Walker, Paul 1980)."""
     parts = (*arm.links, arm.hand)
     z = np.array([0, 0, 1.0])
-    w, dw, a = np.zeros(3), np.zeros(3), np.array([0, 0, 9.81])
+    w, dw, a = np.zeros(3), np.zeros(3), np.zeros(3)
     outward = []
     for i, part in enumerate(parts):
         qw, qx, qy, qz = np.array(part.quaternion) / np.linalg.norm(part.quaternion)
@@ -97,17 +96,18 @@ def test_home_has_room() -> None:
 
 @pytest.fixture(scope="module", params=ARMS, ids=lambda arm: arm.name)
 def motions(request: pytest.FixtureRequest) -> tuple[panda.Arm, np.ndarray, np.ndarray, panda.Motion]:
-    """Motions of a few states, gravity included: one compilation for each robot."""
+    """Motions of a few states: one compilation for each robot."""
     rng = np.random.default_rng(7)
     arm = request.param
     q, v = configurations(rng, arm, 6), rng.normal(size=(6, 7))
-    compute = jit_simulation(())(jax.vmap(lambda q, v: panda.arm_motion(q, v, arm, gravity=True)))
+    compute = jax.jit(jax.vmap(lambda q, v: panda.arm_motion(q, v, arm)))
     return arm, q, v, compute(jnp.asarray(q), jnp.asarray(v))
 
 
 def test_motion_is_that_of_c_mujoco(motions: tuple) -> None:
     arm, joints, velocities, motion = motions
     model = mujoco.MjModel.from_xml_string(panda.arm_xml(arm))
+    model.opt.gravity[:] = 0
     data = mujoco.MjData(model)
     for i, (q, v) in enumerate(zip(joints, velocities, strict=True)):
         data.qpos, data.qvel = q, v
@@ -139,17 +139,6 @@ def test_jacobian_is_the_derivative_of_forward_kinematics(motions: tuple) -> Non
     np.testing.assert_allclose(motion.jacobian[:, 3:], slopes, atol=1e-12)
 
 
-@pytest.mark.slow
-def test_inverse_dynamics_and_jacobian_alone() -> None:
-    q, v, a = jnp.asarray(panda.PANDA.home), 0.3 * jnp.ones(7), -jnp.ones(7)
-    torque = jax.jit(panda.inverse_dynamics)(q, v, a)
-    np.testing.assert_allclose(
-        torque, newton_euler(panda.PANDA, np.array(q), np.array(v), np.array(a)), atol=1e-9
-    )
-    slope = jax.jacfwd(lambda q: panda.forward_kinematics(q)[1])(q)
-    np.testing.assert_allclose(jax.jit(panda.jacobian)(q)[3:], slope, atol=1e-12)
-
-
 def test_solve_positive(rng: np.random.Generator) -> None:
     root = rng.normal(size=(7, 7))
     matrix, right = root @ root.T + np.eye(7), rng.normal(size=(7, 3))
@@ -165,19 +154,25 @@ def test_library_does_not_import_mujoco() -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(jax.__version_info__ >= (0, 11), reason="its XLA does not repeat the chain (1.3 times)")
 def test_the_fence_is_still_needed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Drop ``fence_levels``, and the pin on mujoco-mjx, with the support of jax 0.10."""
+    """Drop ``fence_levels`` with the support of jax 0.10; without the private scan, results are the same."""
 
-    def seconds() -> float:
-        step = jax.jit(lambda q: panda.arm_motion(q, 0.1 * q).bias)
+    def run() -> tuple[jax.Array, float]:
+        def advance(state: tuple, _: None) -> tuple:
+            q, v = state
+            motion = panda.arm_motion(q, v)
+            v = v - 0.01 * dynamics.solve_positive(motion.mass, (motion.bias + v)[:, None])[:, 0]
+            return (q + 0.01 * v, v), motion.position
+
         q = jnp.asarray(panda.PANDA.home)
-        step(q).block_until_ready()
-        times = []
-        for _ in range(20):
-            start = time.perf_counter()
-            step(q).block_until_ready()
-            times.append(time.perf_counter() - start)
-        return min(times)
+        roll = jax.jit(lambda q: jax.lax.scan(advance, (q, 0.1 * q), None, length=3)[1]).lower(q)
+        compiled = roll.compile(compiler_options={"xla_cpu_use_fusion_emitters": True})
+        compiled(q).block_until_ready()
+        start = time.perf_counter()
+        path = compiled(q).block_until_ready()
+        return path, time.perf_counter() - start
 
-    fenced = seconds()
-    monkeypatch.setattr(jax.lax, "optimization_barrier", lambda x: x)
-    assert seconds() > 3 * fenced
+    path, fenced = run()
+    monkeypatch.setattr(dynamics, "mjx_scan", None)
+    unfenced_path, unfenced = run()
+    np.testing.assert_allclose(unfenced_path, path, atol=1e-12)
+    assert unfenced > 3 * fenced, f"{unfenced:.4f} s without the fence, {fenced:.4f} s with it"

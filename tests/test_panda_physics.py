@@ -1,20 +1,21 @@
-"""The arm's motion under a constraint: against mechanisms, wrenches, energy, steps and derivatives."""
+"""The arm's motion under a constraint: against C MuJoCo, wrenches, energy, steps and derivatives."""
 
 from itertools import pairwise
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
 import reframe_jax as rf
+from benchmarks.mechanism import mechanism_joints, mechanism_model, weld
 from reframe_jax.constraints.located import frame_arrays, ground_twist, locate, slip, twist_map
 from reframe_jax.geometry import transforms
 from reframe_jax.simulation import arm as panda
-from reframe_jax.simulation.arm.compiled import jit_simulation
-from reframe_jax.simulation.arm.guide import guide_drive, make_hand
-from reframe_jax.simulation.arm.mechanism import mechanism_joints
+from reframe_jax.simulation.arm.guide import find_excitation, guide_drive, make_hand
+from reframe_jax.simulation.arm.guided import demonstration_keys
 from reframe_jax.simulation.arm.rollout import Steps, hold, integrate
 
 KEY = jax.random.key(11)
@@ -93,7 +94,7 @@ def test_mechanisms(label: str, kinds: str) -> None:
 @pytest.mark.parametrize("label", list("EFGH"))
 def test_contours_have_no_mechanism(label: str) -> None:
     with pytest.raises(ValueError, match="No mechanism makes"):
-        panda.demonstrate(label, KEY, form="mechanism")
+        mechanism_joints(rf.ConstraintFrame.named(label))
 
 
 def test_wrench_returns_and_energy_is_kept() -> None:
@@ -106,7 +107,7 @@ def test_wrench_returns_and_energy_is_kept() -> None:
         rise = jnp.minimum(t / 0.3, 1)
         return wrench, motion.jacobian.T @ (twist_map(located).T @ (rise * wrench))
 
-    @jit_simulation(())
+    @jax.jit
     @jax.vmap
     def run(wrench: jax.Array) -> tuple[Any, jax.Array]:
         track = integrate(
@@ -136,17 +137,32 @@ def test_wrench_returns_and_energy_is_kept() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("label", list("ABCDIJKL"))
 def test_mechanism_and_exact_form_agree(label: str) -> None:
-    options = {"batch": 4, "step": 0.005, "spread": panda.SPREAD, "duration": 2.0}
-    exact = panda.demonstrate(label, KEY, **options)
-    welded = panda.demonstrate(label, KEY, form="mechanism", **options)
-    np.testing.assert_allclose(welded.exact_poses, exact.exact_poses, atol=5e-3)
-    # a weld is a stiff spring: it may give way by a little more than what counts as kept
-    assert np.all(np.asarray(welded.violation) < [0.5e-3, 100e-6])
-    # along free axes the weld carries the mechanism's own 0.2 kg, which the exact form does not have
-    free = np.array((*exact.truth.angular_dof, *exact.truth.linear_dof), dtype=bool)
-    apart, expected = (np.asarray(part)[..., ~free] for part in (welded.reaction, exact.reaction))
-    assert np.sqrt(np.mean((apart - expected) ** 2)) < 0.05 * np.sqrt(np.mean(expected**2)) + 0.02
-    assert np.all(np.sqrt(np.mean(np.asarray(welded.reaction)[..., free] ** 2, axis=(0, 1))) < 0.2)
+    """The same hand guides the arm in C MuJoCo, where the tool is welded to joints."""
+    step, count = 0.0025, 800
+    exact = panda.demonstrate(label, KEY, step=step, spread=panda.SPREAD, duration=step * count)
+    truth = jax.tree.map(lambda leaf: leaf[0], exact.truth)
+    frame, home = frame_arrays(truth), jnp.asarray(panda.PANDA.home)
+    _, hand_key, excitation_key, _ = demonstration_keys(KEY, jnp.zeros(1, jnp.uint32))[0]
+    guide = panda.Guide()
+    excitation = find_excitation("exciting", excitation_key, frame.free)
+    drive = guide_drive(guide, make_hand(guide, hand_key, float), frame, excitation, step)
+
+    @jax.jit
+    def advance(pose: jax.Array, t: float, joints: jax.Array, velocity: jax.Array) -> Any:
+        return drive(pose, t, panda.arm_motion(joints, velocity), None)
+
+    model = mechanism_model(panda.PANDA, mechanism_joints(truth), step)
+    data = weld(model, truth, home, panda.PANDA)
+    pose, poses, gap = exact.exact_poses[0, 0], [], 0.0
+    for number in range(count):
+        pose, torque = advance(pose, (number + 0.5) * step, data.qpos[:7], data.qvel[:7])
+        data.qfrc_applied[:7] = torque
+        mujoco.mj_step(model, data)
+        gap = max(gap, np.linalg.norm(data.site("tcp").xpos - data.site("grip").xpos))
+        poses.append(data.qpos[:7].copy())
+    welded = transforms.make_pose(*panda.forward_kinematics(jnp.asarray(poses[19::20])))
+    np.testing.assert_allclose(welded, exact.exact_poses[0, 1:], atol=5e-3)
+    assert gap < 100e-6
 
 
 @pytest.mark.slow

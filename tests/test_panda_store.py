@@ -34,7 +34,7 @@ def test_stored_demonstrations_go_on_where_they_stopped(tmp_path: Path) -> None:
     written = first.stat().st_mtime_ns
     panda.store_demonstrations("K", KEY, 12, folder, **options)
     assert first.stat().st_mtime_ns == written
-    made = panda.load_demonstrations(folder, 12)
+    made = panda.load_demonstrations(folder)[:12]
     drawn = list(panda.demonstrations("K", KEY, 12, **options))
     np.testing.assert_array_equal(made.poses, np.concatenate([part.poses for part in drawn]))
     assert made.truth.linear_type == rf.LinearType.GB
@@ -47,8 +47,6 @@ def test_stored_demonstrations_go_on_where_they_stopped(tmp_path: Path) -> None:
         panda.store_demonstrations("I", KEY, 12, folder, **options)
     with pytest.raises(ValueError, match="no demonstrations"):
         panda.load_demonstrations(tmp_path)
-    with pytest.raises(ValueError, match="fewer than 99"):
-        panda.load_demonstrations(folder, 99)
 
 
 def test_what_a_folder_depends_on() -> None:

@@ -11,11 +11,12 @@ import mujoco
 import numpy as np
 import pytest
 
+from benchmarks import charts
 from reframe_jax.cli import program
 from reframe_jax.plotting import arm as pictures_of
 from reframe_jax.simulation import arm as panda
 from reframe_jax.simulation import reproduction
-from reframe_jax.simulation.arm import render, skin
+from reframe_jax.simulation.arm import render
 
 KEY = jax.random.key(11)
 BATCH = 8  # the shape that other tests compile
@@ -48,12 +49,12 @@ def test_the_drawn_arm_ends_at_the_tcp(made: panda.Demonstration) -> None:
 
 def test_reactions() -> None:
     compared = jax.device_get(reproduction.compare("A", KEY, BATCH))
-    figure = pictures_of.plot_comparison({"A": compared}, title="Figure 5")
+    figure = charts.plot_comparison({"A": compared}, title="Figure 5")
     assert [axes.get_title() for axes in figure.axes] == ["peak reaction moment", "peak reaction force"]
     heights = [bars[0].get_height() for bars in figure.axes[0].containers if hasattr(bars, "patches")]
     trials = compared.rows.values()
     np.testing.assert_allclose(heights, [np.mean(row.peak_moment) for row in trials])
-    figure = pictures_of.plot_reactions(compared, 2)
+    figure = charts.plot_reactions(compared, 2)
     drawn = figure.axes[0].get_lines()[0].get_ydata()
     np.testing.assert_allclose(np.max(drawn), compared.exact.peak_moment[2])
 
@@ -126,76 +127,6 @@ def test_command_writes_a_picture_and_says_why_there_is_no_film(
     assert Path(files["demo.png"]).stat().st_size > 10_000
     assert Path(files["demos.npz"]).exists()
     assert not Path(files["demo.gif"]).exists()
-
-
-def write_mesh(file: Path, half: float) -> None:
-    """A cube as .obj, in metres."""
-    corners = [(x, y, z) for x in (-half, half) for y in (-half, half) for z in (-half, half)]
-    faces = [(1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4)]
-    lines = [f"v {x} {y} {z}" for x, y, z in corners]
-    lines += [f"f {a} {b} {c}\nf {a} {c} {d}" for a, b, c, d in faces]
-    file.write_text("\n".join(lines) + "\n")
-
-
-def test_folder_of_meshes_as_a_skin(tmp_path: Path) -> None:
-    for name in ("link0", "link5_0", "link5_1", "hand", "finger"):
-        write_mesh(tmp_path / f"{name}.obj", half=0.05)
-    model = skin.apply_skin(panda.PANDA, tmp_path).compile()
-    kinds = {
-        name: list(model.geom_type[model.geom_bodyid == model.body(name).id])
-        for name in ("world", "link4", "link5", "hand")
-    }
-    mesh, capsule = mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_CAPSULE
-    assert kinds["world"] == [mesh]
-    assert kinds["link5"] == [mesh, mesh]
-    assert kinds["hand"] == [mesh]
-    assert kinds["link4"] == [capsule]
-    np.testing.assert_allclose(model.body_mass[model.body("link5").id], panda.PANDA.links[4].mass)
-
-
-@pytest.fixture
-def menagerie(tmp_path: Path) -> Path:
-    """A file laid out as MuJoCo Menagerie's: meshes in a folder of their own, and fingers that slide."""
-    (tmp_path / "assets").mkdir()
-    write_mesh(tmp_path / "assets" / "finger.obj", half=0.01)
-    finger = '<body name="finger"><joint type="slide"/><geom type="mesh" mesh="finger"/></body></body>'
-    text = panda.arm_xml().replace('<site name="flange"/>', "", 1)
-    text = text.replace("</body>", finger, 1).replace("<compiler ", '<compiler meshdir="assets" ', 1)
-    text = text.replace("<worldbody>", '<asset><mesh file="finger.obj"/></asset><worldbody>', 1)
-    file = tmp_path / "panda.xml"
-    file.write_text(text)
-    return file
-
-
-def test_model_as_a_skin(menagerie: Path) -> None:
-    assert skin.apply_skin(panda.PANDA, menagerie).compile().njnt == 8
-
-
-@pytest.mark.usefixtures("opengl")
-def test_film_of_a_model_as_a_skin(menagerie: Path) -> None:
-    pictures = render.film_frames(np.zeros((1, 7)), skin=menagerie, size=(96, 64))
-    assert pictures.shape == (1, 64, 96, 3)
-
-
-def test_skins_that_do_not_fit(tmp_path: Path) -> None:
-    file = tmp_path / "robot.xml"
-    with pytest.raises(ValueError, match="No skin at"):
-        skin.apply_skin(panda.PANDA, file)
-    with pytest.raises(ValueError, match="No meshes in"):
-        skin.apply_skin(panda.PANDA, tmp_path)
-    (tmp_path / "link0.obj").write_text("not a mesh")
-    with pytest.raises(ValueError, match="cannot be loaded"):
-        skin.apply_skin(panda.PANDA, tmp_path)
-    text = panda.arm_xml()
-    for wrong, message in (
-        ("<mujoco><worldbody/></mujoco>", "must be hinges"),
-        ("<mujoco><nonsense/></mujoco>", "cannot be loaded"),
-        (text.replace('type="capsule"', 'type="mesh" mesh="gone"', 1), "cannot be loaded"),
-        (text.replace("0.316", "0.4"), "is another robot"),
-    ):
-        file.write_text(wrong)
-        with pytest.raises(ValueError, match=message):
-            skin.apply_skin(panda.PANDA, file)
 
 
 def test_opengl_that_is_not_installed_is_named() -> None:

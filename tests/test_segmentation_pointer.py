@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
+from benchmarks.pointer import PointerSimulation, simulate_pointer
 from reframe_jax.simulation.motions import PoseErrors
-from reframe_jax.simulation.pointer import PointerSimulation, simulate_pointer
 
 POINTS = np.random.default_rng(2).uniform(-0.2, 0.2, (8, 3))
 

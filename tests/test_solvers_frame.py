@@ -43,7 +43,7 @@ class TestFrameSteps:
             exact = np.asarray(axes @ rotation_exp(jnp.asarray(d)))
             assert np.max(np.abs(turned - exact)) < np.linalg.norm(d) ** 3
 
-    @pytest.mark.parametrize("exponent", [0.0, 1.0, -1.0])
+    @pytest.mark.parametrize("exponent", [0.0, -1.0])
     def test_agrees_with_the_elimination_of_the_rotation(self, moments, exponent):
         """Six unknowns and three: the same optimum; and angular velocities, whose optimum is closed form."""
         solver = BasinHopping(FrameSteps(10), restarts=8, hops=2)

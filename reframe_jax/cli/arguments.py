@@ -3,8 +3,6 @@
 import argparse
 from collections.abc import Callable
 
-import numpy as np
-
 from reframe_jax.constraints.catalogue import CONSTRAINTS, constraint
 from reframe_jax.objectives.norms import check_exponent
 
@@ -40,38 +38,20 @@ def whole(text: str) -> int:
         raise argparse.ArgumentTypeError(f"expected a whole number, not {text!r}") from error
 
 
-def positive(text: str) -> float:
-    """A finite number above 0."""
-    value = number(text)
-    if not 0 < value < np.inf:
-        raise argparse.ArgumentTypeError(f"expected a positive number, not {text}")
-    return value
-
-
-def not_negative(text: str) -> float:
-    """A finite number, 0 or more."""
-    value = number(text)
-    if not 0 <= value < np.inf:
-        raise argparse.ArgumentTypeError(f"expected a number that is 0 or more, not {text}")
-    if value > _LARGEST:
-        raise argparse.ArgumentTypeError(f"expected a number up to {_LARGEST:g}, not {text}")
-    return value
-
-
-def between(low: float, high: float) -> Callable[[str], float]:
-    """A positive number from a range in which all results are finite."""
+def between(low: float, high: float, kind: str = "positive number") -> Callable[[str], float]:
+    """A number from a range in which all results are finite."""
 
     def read(text: str) -> float:
         value = number(text)
         if not low <= value <= high:
-            raise argparse.ArgumentTypeError(
-                f"expected a positive number from {low:g} to {high:g}, not {text}"
-            )
+            raise argparse.ArgumentTypeError(f"expected a {kind} from {low:g} to {high:g}, not {text}")
         return value
 
     return read
 
 
+positive = between(1e-300, 1e300)
+not_negative = between(0.0, _LARGEST, "number")
 seconds = between(1e-9, _LARGEST)
 metres = between(1e-6, _LARGEST)
 

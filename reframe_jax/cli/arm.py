@@ -1,12 +1,11 @@
 """Options of both commands that simulate the arm. MuJoCo is imported when a command runs."""
 
 import argparse
-import sys
 from typing import Any
 
 from reframe_jax.cli import arguments
 from reframe_jax.cli.configuring import configure_jax
-from reframe_jax.cli.printing import print_error
+from reframe_jax.storage.progress import make_meter
 
 __all__ = ["add_common", "prepare"]
 
@@ -50,9 +49,5 @@ def prepare(options: argparse.Namespace) -> dict[str, Any]:
         "excitation": options.excitation,
         "spread": (0.0, 0.0) if options.fixed else panda.SPREAD,
         "arm": options.robot,
-        "progress": _progress if sys.stderr.isatty() else None,
+        "progress": make_meter(None, "demonstrations"),
     }
-
-
-def _progress(done: int, count: int) -> None:
-    print_error(f"\r{done} of {count} demonstrations", end="\n" if done == count else "")

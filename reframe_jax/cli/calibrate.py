@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from reframe_jax.calibration.tool import calibrate
-from reframe_jax.cli.commands import COMMANDS
+from reframe_jax.cli.commands import add_command
 from reframe_jax.cli.outputs import check_file, write_document
 from reframe_jax.cli.printing import print_error, print_result
 from reframe_jax.cli.reading import add_reading, expand, read_recording
@@ -32,18 +32,12 @@ _CONTINUOUS = (
 
 def add_calibrate(commands: Any) -> None:
     """Add this command to the command line."""
-    command = commands.add_parser(
-        "calibrate",
-        description=_CALIBRATE,
-        help=COMMANDS["calibrate"],
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    command = add_command(commands, "calibrate", _calibrate, _CALIBRATE, compiles=False)
     add = command.add_argument
     add("files", nargs="+", type=Path, metavar="FILE", help="recordings")
     add("--spin", action="store_true", help="find the axis of a tool that was turned about its own axis")
     add("--json", metavar="OUT", help="write the results as JSON; - prints them instead of tables")
     add_reading(command)
-    command.set_defaults(run=_calibrate, usage_error=command.error)
 
 
 def _calibrate(options: argparse.Namespace) -> int:
@@ -62,6 +56,8 @@ def _calibrate(options: argparse.Namespace) -> int:
 def _calibrate_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
     """Calibrate and print one recording; return its entry in the JSON document."""
     notes: tuple[str, ...] = ()
+    record: dict[str, Any] | None = None
+    problem: str | None = None
     try:
         recording = read_recording(path, options, timed=False)
         notes = recording.notes
@@ -75,9 +71,9 @@ def _calibrate_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
             known = "hinge" if options.spin else "ball"
             notes = (*notes, f"{_CONTINUOUS} reframe-jax identify --assume {known}.")
             print_error(f"reframe-jax: {path}: {notes[-1]}")
-        names: dict[str, Any] = {"label": str(path), "rows": recording.rows, "row_word": recording.row_word}
         if options.json != "-":
-            print_result(calibration_to_table(found, **names), end="\n\n")
-        return calibration_to_record(found, notes=notes, **names)
-    print_error(f"reframe-jax: error: {problem}")
-    return calibration_to_record(None, label=str(path), notes=notes, error=problem)
+            print_result(calibration_to_table(found, recording), end="\n\n")
+        record = calibration_to_record(found, recording)
+    if problem is not None:
+        print_error(f"reframe-jax: error: {problem}")
+    return {"recording": str(path), "error": problem, "notes": list(notes), "calibration": record}

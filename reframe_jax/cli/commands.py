@@ -46,8 +46,10 @@ class Parser(argparse.ArgumentParser):
             super()._print_message(message, file)
 
 
-def add_command(commands: Any, name: str, run: Any, text: str) -> argparse.ArgumentParser:
-    """Add a command with the options of all commands; ``run`` receives the parsed options."""
+def add_command(
+    commands: Any, name: str, run: Any, text: str, *, compiles: bool = True
+) -> argparse.ArgumentParser:
+    """Add a command with a function of the parsed options; commands that compile have ``--no-cache``."""
     command: argparse.ArgumentParser = commands.add_parser(
         name,
         description=text,
@@ -55,12 +57,13 @@ def add_command(commands: Any, name: str, run: Any, text: str) -> argparse.Argum
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    command.add_argument(
-        "--no-cache",
-        dest="cache",
-        action="store_false",
-        help="do not store compiled programs for later runs (REFRAME_JAX_CACHE=0 has the same effect); to "
-        "delete stored programs, delete the folder reframe_jax in XDG_CACHE_HOME or ~/.cache",
-    )
+    if compiles:
+        command.add_argument(
+            "--no-cache",
+            dest="cache",
+            action="store_false",
+            help="do not store compiled programs for later runs (REFRAME_JAX_CACHE=0 has the same effect); "
+            "to delete stored programs, delete the folder reframe_jax in XDG_CACHE_HOME or ~/.cache",
+        )
     command.set_defaults(run=run, usage_error=command.error)
     return command

@@ -15,12 +15,7 @@ _UNREADABLE = r"Error reading persistent compilation cache entry for '([^']+)'"
 
 
 def configure_jax(cache: bool) -> None:
-    """Enable 64-bit mode, and keep compiled programs between runs.
-
-    Args:
-        cache: whether to store compiled programs; ``REFRAME_JAX_CACHE=0`` in the environment also prevents
-            it.
-    """
+    """Enable 64-bit mode, and keep compiled programs between runs, unless ``REFRAME_JAX_CACHE=0``."""
     settings: dict[str, Any] = {"jax_enable_x64": True}
     if cache and os.environ.get("REFRAME_JAX_CACHE") != "0":
         home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"

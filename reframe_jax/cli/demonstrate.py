@@ -46,13 +46,6 @@ def add_demonstrate(commands: Any) -> None:
     add("--plot", type=Path, metavar="FILE", help="draw the first demonstration, .png or .pdf")
     add("--render", type=Path, metavar="FILM", help="film the first demonstration, .gif or .mp4")
     add(
-        "--skin",
-        type=Path,
-        metavar="PATH",
-        help="appearance in the film: an MJCF file of the robot, such as panda.xml of MuJoCo Menagerie, "
-        "or a folder of meshes, link0.stl to link7.stl and hand.stl (plain shapes)",
-    )
-    add(
         "--keep",
         action="store_true",
         help="keep demonstrations that reach a joint limit instead of replacing them",
@@ -61,11 +54,7 @@ def add_demonstrate(commands: Any) -> None:
 
 def _demonstrate(options: argparse.Namespace) -> int:
     _check(options)
-    try:
-        common = prepare(options)
-    except ImportError as error:
-        print_error(f"reframe-jax: error: {error}")
-        return 1
+    common = prepare(options)
     from reframe_jax.simulation import arm as panda
 
     parts: Iterable[Any]
@@ -112,8 +101,6 @@ def _check(options: argparse.Namespace) -> None:
             options.usage_error(f"--{name} must {folder}end in {ends}, not {path.name!r}.")
         if path.suffix and not path.parent.is_dir():
             options.usage_error(f"--{name}: there is no directory {path.parent}.")
-    if options.skin is not None and options.render is None:
-        options.usage_error("--skin needs --render.")
     if options.dt > options.duration:
         options.usage_error("--dt must not be longer than --duration.")
     if options.duration > _LONGEST * options.dt:
@@ -137,10 +124,10 @@ def _draw(first: Any, options: argparse.Namespace) -> int:
         if options.render is not None:
             from reframe_jax.simulation.arm.render import film_frames, save_film
 
-            pictures = film_frames(first.joint_positions, first.truth, arm=options.robot, skin=options.skin)
+            pictures = film_frames(first.joint_positions, first.truth, arm=options.robot)
             save_film(options.render, pictures, rate=1 / options.dt)
             print_result(str(options.render))
-    except (ValueError, OSError, RuntimeError) as error:
+    except (ImportError, AttributeError, ValueError, OSError, RuntimeError) as error:  # MuJoCo without OpenGL
         failed = True
         print_error(f"reframe-jax: error: no film: {error}")
     return int(failed)

@@ -212,11 +212,7 @@ def _explanation(recording: Recording, found: Identification, options: argparse.
 def identify_recording(
     recording: Recording, options: argparse.Namespace
 ) -> tuple[Identification, list[Window]]:
-    """Identify all windows of a recording; without ``--window``, the whole recording is one window.
-
-    Raises:
-        RecordingError: if the recording cannot be used.
-    """
+    """Identify all windows of a recording; without ``--window``, the whole recording is one window."""
     whole = options.window is None
     length = len(recording.times) if whole else options.window
     if length > len(recording.times):
@@ -235,13 +231,11 @@ def identify_recording(
         except ValueError as error:
             raise RecordingError(f"{recording.path}: {error}") from error
     poses = sliding_windows(recording.poses, length, options.stride)
-    parts = []
+    parts, meter = [], make_meter(None if len(poses) > _CHUNK else False, "windows")
     for first in range(0, len(poses), _CHUNK):
         rows = slice(first, first + _CHUNK)
         parts.append(jax.device_get(_identify_windows(poses[rows], times[rows], options)))
-        if len(poses) > _CHUNK and sys.stderr.isatty():
-            done = min(first + _CHUNK, len(poses))
-            print_error(f"\r{done} of {len(poses)} windows", end="\n" if done == len(poses) else "")
+        meter(min(first + _CHUNK, len(poses)), len(poses))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts), spans
 
 

@@ -64,13 +64,7 @@ def write_document(make: Callable[[], str], options: argparse.Namespace) -> str 
 
 
 def draw(make: Callable[[], Any], recording: Path, options: argparse.Namespace) -> str | None:
-    """Save the figure of a recording; return an error if it cannot be drawn or written.
-
-    Args:
-        make: function that draws the figure; raises ImportError if a library is missing.
-        recording: path of the recording.
-        options: parsed options of the command.
-    """
+    """Save the figure that a function draws; return an error if it cannot be drawn or written."""
     out = path_of(options.plot, recording, options)
     try:
         figure = make()

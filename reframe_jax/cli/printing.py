@@ -14,11 +14,7 @@ def print_error(text: str, end: str = "\n") -> None:
 
 
 def print_result(text: str, end: str = "\n") -> None:
-    """Print results to standard output and flush them.
-
-    Raises:
-        SystemExit: with code 1 if standard output cannot be written; without a message if its pipe is closed.
-    """
+    """Print results to standard output and flush them; exit with code 1 if that fails."""
     try:
         print(text, end=end, flush=True)
     except OSError as error:

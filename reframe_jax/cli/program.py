@@ -21,10 +21,7 @@ frame is fixed, the location of the frame, and its free and constrained axes.
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; return the exit code.
-
-    Args:
-        argv: arguments, by default those of the process.
+    """Run the command line with arguments, by default those of the process; return the exit code.
 
     Raises:
         SystemExit: with code 2 for a wrong command line, 1 if standard output cannot be written, 0 after

@@ -44,11 +44,7 @@ def add_reproduce(commands: Any) -> None:
 
 
 def _reproduce(options: argparse.Namespace) -> int:
-    try:
-        common = prepare(options)
-    except ImportError as error:
-        print_error(f"reframe-jax: error: {error}")
-        return 1
+    common = prepare(options)
     from reframe_jax.simulation import reproduction
     from reframe_jax.simulation.arm import RolloutStatus
 

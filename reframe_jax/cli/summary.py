@@ -12,11 +12,7 @@ _COLUMNS = ("recording", "windows", "name", "prob.", "angular", "linear", "origi
 
 
 def summary_table(records: Sequence[dict[str, Any]]) -> str:
-    """Format one row per recording; a recording with several windows has its most frequent name.
-
-    Args:
-        records: entries made by :func:`reframe_jax.export.json.to_record`.
-    """
+    """Format one row per record of :func:`.to_record`; several windows have their most frequent name."""
     rows = [list(_COLUMNS), *(_row(record) for record in records)]
     widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
     return "\n".join(

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from reframe_jax.cli.commands import COMMANDS
+from reframe_jax.cli.commands import add_command
 from reframe_jax.cli.printing import print_error, print_result
 from reframe_jax.recordings.reading import list_contents
 from reframe_jax.recordings.recording import RecordingError
@@ -22,14 +22,8 @@ selects the entry.
 
 def add_topics(commands: Any) -> None:
     """Add this command to the command line."""
-    command = commands.add_parser(
-        "topics",
-        description=_TOPICS,
-        help=COMMANDS["topics"],
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    command = add_command(commands, "topics", _topics, _TOPICS, compiles=False)
     command.add_argument("files", nargs="+", type=Path, metavar="FILE", help="recordings")
-    command.set_defaults(run=_topics)
 
 
 def _topics(options: argparse.Namespace) -> int:

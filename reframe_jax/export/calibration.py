@@ -23,36 +23,31 @@ SI units; intervals are half widths of 95 % confidence intervals::
     }
 """
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from reframe_jax.calibration.tool import Calibration
+from reframe_jax.recordings.recording import Recording
 from reframe_jax.recordings.rows import name_rows
 
 __all__ = ["SCHEMA", "calibration_to_record", "calibration_to_table"]
 
 SCHEMA = "reframe-jax/calibration/1"
 
+_FIELDS = (
+    *("tip", "tip_interval", "point", "point_interval", "axis", "ground_axis", "axis_interval"),
+    *("rms", "turned", "weakest", "residuals", "axis_residuals"),
+)
 _LISTED = 40  # most residuals in a table; beyond this number, only the largest are listed
 _WEAK = 0.09  # rad RMS, 5 degrees: below this tilt, the table recommends to tilt more
 
 
-def calibration_to_table(
-    found: Calibration, *, label: str | None = None, rows: np.ndarray | None = None, row_word: str = "row"
-) -> str:
-    """Format a calibration as text: the tip or the axis, error bars, and the residual of every row.
-
-    Args:
-        found: the calibration.
-        label: heading, such as the name of the recording.
-        rows: (N,) numbers of the rows in the file; 0 to N - 1 by default.
-        row_word: the word for a row, such as "line" or "frame".
-    """
-    numbers = np.arange(len(found.used)) if rows is None else np.asarray(rows)
+def calibration_to_table(found: Calibration, recording: Recording) -> str:
+    """Format a calibration as text: the tip or the axis, error bars, and the residual of every row."""
+    numbers, row_word = _row_numbers(found, recording), recording.row_word
     kind = "Pivot calibration" if found.axis is None else "Spin calibration"
-    lines = [f"{label}: {kind}" if label else kind]
+    lines = [f"{recording.path}: {kind}"]
     out = numbers[~found.used]
     lines.append(f"{int(found.used.sum())} of {len(found.used)} poses used. Error bars are 95 % intervals.")
     if len(out):
@@ -84,6 +79,10 @@ def calibration_to_table(
     return "\n".join([*lines, "", *_residuals(found, numbers, row_word)])
 
 
+def _row_numbers(found: Calibration, recording: Recording) -> np.ndarray:
+    return np.arange(len(found.used)) if recording.rows is None else recording.rows
+
+
 def _residuals(found: Calibration, numbers: np.ndarray, word: str) -> list[str]:
     many = len(numbers) > _LISTED
     shown = np.argsort(-found.residuals, kind="stable")[:_LISTED] if many else np.arange(len(numbers))
@@ -102,45 +101,11 @@ def _vector(vector: np.ndarray, digits: int) -> str:
     return "(" + ", ".join(f"{x:.{digits}f}" for x in np.round(vector, digits) + 0.0) + ")"
 
 
-def calibration_to_record(
-    found: Calibration | None,
-    *,
-    label: str | None = None,
-    rows: np.ndarray | None = None,
-    row_word: str = "row",
-    notes: Sequence[str] = (),
-    error: str | None = None,
-) -> dict[str, Any]:
-    """Convert a calibration to an entry of the JSON document, in plain Python types.
-
-    Args:
-        found: the calibration; None if the calibration failed.
-        label: name of the recording.
-        rows: (N,) numbers of the rows in the file; 0 to N - 1 by default.
-        row_word: the word for a row, such as "line" or "frame".
-        notes: sentences on the input.
-        error: why the calibration failed.
-    """
-    record: dict[str, Any] = {"recording": label, "error": error, "notes": list(notes), "calibration": None}
-    if found is None:
-        return record
-    numbers = np.arange(len(found.used)) if rows is None else np.asarray(rows)
-    arrays = {
-        "tip": found.tip,
-        "tip_interval": found.tip_interval,
-        "point": found.point,
-        "point_interval": found.point_interval,
-        "axis": found.axis,
-        "ground_axis": found.ground_axis,
-        "axis_interval": found.axis_interval,
-        "rms": found.rms,
-        "turned": found.turned,
-        "weakest": found.weakest,
-        "rows": numbers,
-        "residuals": found.residuals,
-        "axis_residuals": found.axis_residuals,
-        "outliers": numbers[~found.used],
-    }
+def calibration_to_record(found: Calibration, recording: Recording) -> dict[str, Any]:
+    """Convert a calibration to "calibration" in the JSON document, in plain Python types."""
+    arrays = {name: getattr(found, name) for name in _FIELDS}
+    rows = _row_numbers(found, recording)
+    arrays |= {"rows": rows, "outliers": rows[~found.used]}
     plain = {name: None if value is None else np.asarray(value).tolist() for name, value in arrays.items()}
     kind = "pivot" if found.axis is None else "spin"
-    return record | {"calibration": {"kind": kind, "row_word": row_word, **plain}}
+    return {"kind": kind, "row_word": recording.row_word, **plain}

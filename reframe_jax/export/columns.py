@@ -94,11 +94,7 @@ def to_columns(
 
 
 def write_csv(path: Path, tables: Sequence[Columns]) -> None:
-    """Append tables with the same columns and write them as CSV; numbers keep full precision.
-
-    Raises:
-        OSError: if the file cannot be written.
-    """
+    """Append tables with the same columns and write them as CSV; numbers keep full precision."""
     with path.open("w", newline="", encoding="utf-8", errors="backslashreplace") as file:
         writer = csv.writer(file)
         for index, columns in enumerate(tables):
@@ -108,12 +104,7 @@ def write_csv(path: Path, tables: Sequence[Columns]) -> None:
 
 
 def write_parquet(path: Path, tables: Sequence[Columns]) -> None:
-    """Append tables with the same columns and write them as one Parquet file.
-
-    Raises:
-        ImportError: if pyarrow is not installed.
-        OSError: if the file cannot be written.
-    """
+    """Append tables with the same columns and write them as one Parquet file."""
     try:
         import pyarrow
         import pyarrow.parquet

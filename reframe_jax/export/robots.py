@@ -30,22 +30,14 @@ RADIUS = 0.1  # m, radius of the sphere that gives the placeholder inertia
 
 
 def check_mass(mass: float) -> float:
-    """Check a mass in kg, and return it.
-
-    Raises:
-        ValueError: if it is not positive and finite.
-    """
+    """Return a positive mass in kg."""
     if not 0 < mass < np.inf:
         raise ValueError(f"Expected a positive mass in kg, not {mass}.")
     return float(mass)
 
 
 def check_writable(joint: Joint, language: str) -> None:
-    """Raise an error for a constraint that no joint expresses.
-
-    Raises:
-        ValueError: for a contact that allows every pose, and for a free body.
-    """
+    """Raise a ValueError for a constraint that no joint expresses: a contact or a free body."""
     if joint.type == "floating":
         raise ValueError(f"There is no joint to write as {language}: {joint.child} moves freely.")
     if not joint.is_chain:

@@ -29,15 +29,7 @@ def to_sdf(joint: Joint, *, mass: float = 1.0) -> str:
 
     The links are the parent (fixed to the world), the child, and one link between any two parts of the joint.
     A cylindrical joint is a chain of a slide and a hinge; a planar joint is a chain of two slides and a
-    hinge.
-
-    Args:
-        joint: from :meth:`Identification.to_joint`. The limits are the recorded range; SDF has no
-            limits for balls. A hinge that made a full turn in the recording is ``continuous``.
-        mass: kg, mass of the child, a solid sphere of 0.1 m radius; poses do not determine masses.
-
-    Raises:
-        ValueError: for a contact that allows every pose, for a free body, or for a mass that is not positive.
+    hinge. SDF has no limits for balls. Arguments and errors as in :func:`to_mjspec`.
     """
     check_mass(mass)
     check_writable(joint, "SDF")

@@ -39,12 +39,7 @@ SCHEMA = "reframe-jax/segmentation/2"
 
 
 def segments_to_table(found: Segmentation, *, label: str | None = None) -> str:
-    """Format a segmentation as text, one row per segment.
-
-    Args:
-        found: the segmentation.
-        label: heading, such as the name of the recording.
-    """
+    """Format a segmentation as text, one row per segment."""
     plural = "" if len(found) == 1 else "s"
     rows = [f"{label}: {len(found)} segment{plural}" if label else f"{len(found)} segment{plural}"]
     rows.append(f"{'from':>9} {'to':>9}  {'label':>5}  constraint")
@@ -65,13 +60,7 @@ def segments_to_table(found: Segmentation, *, label: str | None = None) -> str:
 def segments_to_record(
     found: Segmentation | None, *, label: str | None = None, error: str | None = None
 ) -> dict[str, Any]:
-    """Convert a segmentation to an entry of the JSON document, in plain Python types.
-
-    Args:
-        found: the segmentation; None if the segmentation failed.
-        label: name of the recording.
-        error: why the segmentation failed.
-    """
+    """Convert a segmentation, or None if it failed, to an entry of the JSON document."""
     record: dict[str, Any] = {"recording": label, "error": error}
     if found is None:
         return record

@@ -70,13 +70,7 @@ def to_table(
 
 
 def rows_to_table(recording: Recording, found: Identification) -> str:
-    """List the rows of a file that were left out, one line per reason; empty if all rows were used.
-
-    Args:
-        recording: the recording that was identified.
-        found: the identification of the whole recording, or of several windows. The outliers of several
-            windows are not listed.
-    """
+    """List the rows of a file that were left out, one line per reason; empty if all rows were used."""
     unused = unused_rows(recording, split_windows(jax.device_get(found)))
     if not unused:
         return ""

@@ -15,17 +15,11 @@ _LOCKED = np.radians(
 
 
 def ball_hinges(point: np.ndarray, vectors: np.ndarray) -> tuple[JointPart, ...]:
-    """Return three hinges that reproduce the recorded rotations of a ball joint.
+    """Return three hinges that reproduce the rotation vectors (K, 3), rad, of a ball joint.
 
     The axes are perpendicular where all angles are zero. They are the principal axes of the recorded rotation
-    vectors, in the order that keeps the second hinge farthest from gimbal lock.
-
-    Args:
-        point: (3,) m, the centre of the ball joint.
-        vectors: (K, 3) rad, recorded rotation vectors of the ball joint.
-
-    Returns:
-        Three hinges with their recorded ranges, or none if the second hinge comes near gimbal lock.
+    vectors, in the order that keeps the second hinge farthest from gimbal lock. If the second hinge comes
+    near gimbal lock, there are none.
     """
     turns = rotation_matrices(vectors)
     main = np.linalg.eigh(vectors.T @ vectors)[1].T

@@ -10,9 +10,9 @@ from typing import Literal
 
 import numpy as np
 
-from reframe_jax.geometry.numpy_rotations import quaternions_to_matrices, rotation_vectors
+from reframe_jax.geometry.numpy_rotations import rotation_matrices, rotation_vectors
 
-__all__ = ["JointPart", "PartKind", "chain_coordinates", "chain_poses", "rotation_about"]
+__all__ = ["JointPart", "PartKind", "chain_coordinates", "chain_poses"]
 
 PartKind = Literal["hinge", "slide", "ball"]
 
@@ -53,13 +53,6 @@ class JointPart:
         return 3 if self.kind == "ball" else 1
 
 
-def rotation_about(vectors: np.ndarray) -> np.ndarray:
-    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), rad."""
-    half = np.linalg.norm(vectors, axis=-1, keepdims=True) / 2
-    quaternions = np.concatenate([np.sinc(half / np.pi) * vectors / 2, np.cos(half)], axis=-1)
-    return quaternions_to_matrices(quaternions)
-
-
 def chain_poses(parts: Sequence[JointPart], home: np.ndarray, coordinates: np.ndarray) -> np.ndarray:
     """Compute poses (..., 4, 4) of the child in the parent from coordinates (..., n)."""
     pose = np.broadcast_to(np.eye(4), (*coordinates.shape[:-1], 4, 4))
@@ -77,7 +70,7 @@ def _part_displacement(part: JointPart, coordinates: np.ndarray) -> np.ndarray:
     if part.kind == "slide":
         moved[..., :3, 3] = coordinates * part.axis
         return moved
-    turn = rotation_about(coordinates if part.kind == "ball" else coordinates * part.axis)
+    turn = rotation_matrices(coordinates if part.kind == "ball" else coordinates * part.axis)
     moved[..., :3, :3] = turn
     moved[..., :3, 3] = part.point - turn @ part.point
     if part.pitch:
@@ -90,11 +83,8 @@ def chain_coordinates(
 ) -> np.ndarray:
     """Compute the coordinates (K, n) at which a chain is nearest to poses, with unwrapped hinge angles.
 
-    Args:
-        parts: the parts of the chain, with at most one ball.
-        home: (4, 4), pose of the child with all coordinates at zero.
-        poses: (K, 4, 4) of the child in the parent, m.
-        length: m, position error that has the same weight as an orientation error of 1 rad.
+    The chain has at most one ball. A position error of ``length`` has the weight of an orientation error of
+    1 rad.
     """
     found = np.concatenate(
         [
@@ -145,7 +135,7 @@ def _first_guess(parts: Sequence[JointPart], home: np.ndarray, poses: np.ndarray
         else:
             later = hinges[hinges.index(part) + 1 :]
             angle = _angle_about(part.axis, turned, later[-1].axis if later else None)
-            turned = rotation_about(-angle[:, None] * part.axis) @ turned
+            turned = rotation_matrices(-angle[:, None] * part.axis) @ turned
             if part.pitch:
                 angle = _with_full_turns(part, angle, poses[:, :3, 3] - home[:3, 3])
             found.append(angle[:, None])
@@ -161,13 +151,10 @@ def _with_full_turns(part: JointPart, angle: np.ndarray, shift: np.ndarray) -> n
 
 
 def _angle_about(axis: np.ndarray, turned: np.ndarray, later: np.ndarray | None) -> np.ndarray:
-    """Angles (K,) about an axis, from rotations (K, 3, 3).
+    """Angles (K,) about the axis of a hinge, from rotations (K, 3, 3) of this hinge and all later ones.
 
-    Args:
-        axis: (3,) unit vector of the hinge.
-        turned: (K, 3, 3), rotations of this hinge and all later ones.
-        later: (3,) axis of the last hinge of the chain; None if this hinge is the last one. A hinge between
-            the two is perpendicular to both.
+    ``later`` is the axis of the last hinge of the chain, or None if this hinge is the last one. A hinge
+    between the two is perpendicular to both.
     """
     if later is not None:
         seen = turned @ later

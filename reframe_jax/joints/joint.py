@@ -87,12 +87,8 @@ class Joint:
     def poses(self, coordinates: ArrayLike) -> np.ndarray:
         """Compute poses (..., 4, 4) of the child in the parent, m, from coordinates (..., n).
 
-        Args:
-            coordinates: rad for hinges, m for slides, a rotation vector in rad for a ball, in the order of
-                ``parts``.
-
-        Raises:
-            ValueError: if the joint is not a chain, or if the number of coordinates is wrong.
+        Coordinates are rad for hinges, m for slides, and a rotation vector in rad for a ball, in the order of
+        ``parts``. A ValueError is raised for a joint that is not a chain, or another number of coordinates.
         """
         self._check_chain()
         values = np.asarray(coordinates, dtype=float)
@@ -102,13 +98,9 @@ class Joint:
         return chain_poses(self.parts, self.home, values)
 
     def coordinates(self, poses: ArrayLike) -> np.ndarray:
-        """Compute the coordinates (K, n) at which the joint is nearest to poses; hinge angles are unwrapped.
+        """Compute the coordinates (K, n) at which the joint is nearest to poses (K, 4, 4), m.
 
-        Args:
-            poses: (K, 4, 4) of the child in the parent, m.
-
-        Raises:
-            ValueError: if the joint is not a chain, or if the poses have another shape.
+        Hinge angles are unwrapped. A ValueError is raised for a joint that is not a chain, or other shapes.
         """
         self._check_chain()
         values = np.asarray(poses, dtype=float)

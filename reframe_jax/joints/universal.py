@@ -9,19 +9,13 @@ _STEPS = 40
 
 
 def universal_axes(rotations: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pair of axes, one in each body, whose mutual angle varies least over the motion.
+    """Return the pair of axes (3,), one in each body, whose mutual angle varies least over the motion.
 
     A constraint frame has its constrained rotation axis fixed in one body. In a universal joint, the
     direction of the constrained rotation is perpendicular to both joint axes and fixed in neither body. This
     function therefore estimates the joint axes: for an axis a of the ground and an axis b of the body, a^T
-    R(k) b is constant.
-
-    Args:
-        rotations: (K, 3, 3), orientations of {b} in {g}.
-        normal: (3,) in {g}, direction of the constrained rotation at the mean pose.
-
-    Returns:
-        (3,) unit vectors: the first axis in {g}, the second in {b}.
+    R(k) b is constant over the rotations (K, 3, 3). ``normal`` (3,) is the direction of the constrained
+    rotation in the ground at the mean pose.
     """
     moved = rotations - rotations.mean(axis=0)
     across = np.linalg.svd(normal[None])[2][1:]

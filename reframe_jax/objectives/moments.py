@@ -37,15 +37,7 @@ def velocity_moments(maps: jax.Array, weights: jax.Array | None = None) -> jax.A
 
 
 def component_moments(maps: jax.Array, weights: jax.Array | None = None) -> jax.Array:
-    """Compute the moments of maps with components first, from :func:`kinematics.velocity_components`.
-
-    Args:
-        maps: (3, 4, K, ...) or (3, 1, K, ...).
-        weights: (K, ...), >= 0; equal by default.
-
-    Returns:
-        (6, 10, ...) or (6, 1, ...).
-    """
+    """Moments (6, 10, ...) of maps (3, 4, K, ...), or (6, 1, ...) of (3, 1, K, ...), components first."""
     weights = jnp.ones_like(maps[0, 0]) if weights is None else weights
     weighted = maps * (weights / jnp.sum(weights, axis=0, keepdims=True))[None, None]
     means = jnp.einsum("iak...,jbk...->iajb...", weighted, maps, precision="highest")
@@ -61,12 +53,7 @@ def add_variance(moments: jax.Array, variance: jax.Array) -> jax.Array:
 
 
 def covariance_at(moments: jax.Array, position: Vector) -> Symmetric:
-    """Evaluate Sigma(p) by Horner's rule.
-
-    Args:
-        moments: (6, 10, ...), or (6, 1, ...) for velocities that do not depend on a position.
-        position: (px, py, pz), arrays over the problems.
-    """
+    """Evaluate Sigma(p) from moments (6, 10, ...), or (6, 1, ...) without a position, by Horner's rule."""
     q = [moments[:, m] for m in range(moments.shape[1])]
     total = q[0]
     if len(q) > 1:

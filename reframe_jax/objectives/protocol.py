@@ -5,7 +5,7 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import jax
 import numpy as np
 
-__all__ = ["MomentsObjective", "Objective", "check_objective"]
+__all__ = ["MomentsObjective", "Objective", "check_objective", "require_moments"]
 
 
 @runtime_checkable
@@ -68,11 +68,7 @@ class MomentsObjective(Objective, Protocol):
 
 
 def check_objective(objective: Any) -> None:
-    """Check the members of an objective and the shapes of its arrays, without evaluating it.
-
-    Raises:
-        ValueError: if it is not an :class:`Objective`.
-    """
+    """Check the members of an objective and the shapes of its arrays, without evaluating it."""
     name = type(objective).__name__
     missing = [member for member in ("dim", "batch", "dtype", "value") if not hasattr(objective, member)]
     if missing:
@@ -92,3 +88,13 @@ def check_objective(objective: Any) -> None:
                 f"{name}{jax.tree_util.keystr(path)} has the shape {shape}. Use a static field for data that "
                 "is common to all problems."
             )
+
+
+def require_moments(objective: Any, unknowns: str, solver: str) -> MomentsObjective:
+    """Return a :class:`MomentsObjective` over given unknowns; a ValueError names the objective otherwise."""
+    if isinstance(objective, MomentsObjective) and objective.unknowns == unknowns:
+        return objective
+    raise ValueError(
+        f"{solver} minimize norms given by moments (a {unknowns.capitalize()}Objective), not a "
+        f"{type(objective).__name__}; NewtonSteps and OptaxSteps minimize any objective."
+    )

@@ -1,6 +1,5 @@
-"""Pictures of the simulated arm: demonstrations, and reaction forces of reproductions."""
+"""Picture of a demonstration on the simulated arm."""
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import jax
@@ -8,21 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.located import frame_arrays, locate_on_host
-from reframe_jax.plotting.maps import plot_bars
-from reframe_jax.plotting.scene import segment, set_limits
-from reframe_jax.plotting.style import BODY, CONSTRAINED, FREE, LINES, TURNING, new_figure
+from reframe_jax.plotting.scene import draw_frame, draw_legend, segment, set_limits
+from reframe_jax.plotting.style import BODY, CONSTRAINED, FREE, new_figure
 from reframe_jax.simulation.arm.demonstration import Demonstration
-from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, link_transforms
-from reframe_jax.simulation.reproduction.comparison import Comparison
+from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, link_poses
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-__all__ = ["plot_comparison", "plot_demonstration", "plot_reactions"]
-
-_ROWS = {"exact": "exact frame", "literature": "literature's errors", "identified": "identified"}
+__all__ = ["plot_demonstration"]
 
 
 def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: str | None = None) -> "Figure":
@@ -31,16 +26,7 @@ def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: st
     The left panel shows the arm at the first, middle and last sample (the first one palest), the path of the
     TCP, and the true constraint frame. Free axes are solid, constrained axes dashed, and axes of free
     rotation green. The right panels show the motion along the free axes, and the moments and forces of the
-    constraint on the tool along the constrained axes.
-
-    Args:
-        made: one demonstration, ``made[i]`` of a batch.
-        arm: the robot of the demonstration.
-        title: title of the figure.
-
-    Raises:
-        ImportError: if Matplotlib is not installed.
-        ValueError: for a batch.
+    constraint on the tool along the constrained axes. A batch raises a ValueError.
     """
     if np.ndim(made.status_code):
         raise ValueError("A batch has several demonstrations: index one first, made[i].")
@@ -100,115 +86,29 @@ def _finish(axes: "Axes") -> None:
 
 
 def _joint_points(joints: np.ndarray, arm: Arm) -> np.ndarray:
-    """Base, origins of the links, and TCP, (10, 3) m, for joint positions (7,)."""
-    fixed, offset = link_transforms(arm)
-    rotation, position = np.eye(3), np.zeros(3)
-    points = [position]
-    for i in range(8):
-        position = position + rotation @ offset[i]
-        rotation = rotation @ fixed[i]
-        points.append(position)
-        if i < 7:
-            c, s = np.cos(joints[i]), np.sin(joints[i])
-            rotation = rotation @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    return np.stack(points)
+    """Base, origins of the links, and TCP, (9, 3) m, for joint positions (7,)."""
+    origins, _, tip = link_poses(jnp.asarray(joints), arm)
+    return np.concatenate([np.zeros((1, 3)), origins, tip[None]])
 
 
 def _draw_scene(axes: "Axes3D", made: Demonstration, arm: Arm) -> None:
-    shown = [0, len(made.times) // 2, len(made.times) - 1]
+    truth, shown = made.truth, [0, len(made.times) // 2, len(made.times) - 1]
     path = np.asarray(made.exact_poses)[:, :3, 3]
-    frame = frame_arrays(jax.tree.map(jnp.asarray, made.truth))
+    frame = frame_arrays(jax.tree.map(jnp.asarray, truth))
     there = locate_on_host(frame, np.asarray(made.exact_poses)[shown])
-    extent = [path]
+    triads, rotation_axes = np.asarray(there.linear_axes), np.asarray(there.angular_axes)
+    turns = np.array(truth.angular_dof, bool) & (sum(truth.angular_dof) < 3)
+    extent = [path, path[shown] + there.lever]
     for row, (index, alpha) in enumerate(zip(shown, (0.25, 0.5, 1.0), strict=True)):
-        points = _joint_points(np.asarray(made.joint_positions[index]), arm)
+        points, origin = _joint_points(np.asarray(made.joint_positions[index]), arm), extent[1][row]
         extent.append(points)
         axes.plot(
             *points.T, "o-", color=BODY, linewidth=3.5, markersize=4, alpha=alpha, solid_capstyle="round"
         )
-        here = jax.tree.map(lambda leaf, row=row: leaf[row], there)
-        origin = path[index] + here.lever
-        extent.append(origin[None])
         segment(axes, path[index], origin, linestyle=":", color="black", linewidth=1, alpha=alpha)
-        for i, free in enumerate(made.truth.linear_dof):
-            ends = origin + 0.13 * np.outer((-1, 1), here.linear_axes[:, i])
-            colour, style = (FREE[0], "-") if free else (CONSTRAINED[0], "--")
-            axes.plot(*ends.T, style, color=colour, linewidth=1.8, alpha=alpha)
-        if sum(made.truth.angular_dof) < 3:
-            for i in (i for i, free in enumerate(made.truth.angular_dof) if free):
-                ends = origin + 0.17 * np.outer((-1, 1), here.angular_axes[:, i])
-                axes.plot(*ends.T, "-.", color=TURNING, linewidth=1.8, alpha=alpha)
-    axes.plot(*path.T, color="black", linewidth=1.5)
-    turns, shifts = sum(made.truth.angular_dof), sum(made.truth.linear_dof)
-    for shown_here, label, colour, style in (
-        (True, "arm", BODY, "o-"),
-        (True, "path of the TCP", "black", "-"),
-        (shifts > 0, "free translation", FREE[0], "-"),
-        (shifts < 3, "constrained translation", CONSTRAINED[0], "--"),
-        (0 < turns < 3, "free rotation about", TURNING, "-."),
-    ):
-        if not shown_here:
-            continue
-        axes.plot([], [], [], style, color=colour, label=label)
-    axes.legend(loc="upper left", bbox_to_anchor=(0, 1.08), fontsize=7, frameon=False)
+        turning = 0.12 * rotation_axes[row].T[turns]
+        draw_frame(axes, origin, 0.13 * triads[row], turning, truth.linear_dof, alpha)
+    axes.plot(*path.T, color="black", linewidth=1.5, label="path of the TCP")
+    draw_legend(axes, truth.linear_type, truth.linear_dof, bool(turns.any()))
     set_limits(axes, np.concatenate(extent))
     axes.view_init(elev=18, azim=-60)
-
-
-def plot_comparison(comparisons: Mapping[str, Comparison], *, title: str | None = None) -> "Figure":
-    """Draw peak reaction moments and forces of reproductions, like the paper's Figure 5.
-
-    Bars are means, whiskers are one standard deviation, and dots are single trials.
-
-    Args:
-        comparisons: comparisons of frames, with the name of the task as key.
-        title: title of the figure.
-
-    Raises:
-        ImportError: if Matplotlib is not installed.
-    """
-    peaks = {"peak reaction moment": ("peak_moment", "N m"), "peak reaction force": ("peak_force", "N")}
-    bars = {
-        panel: {
-            name: [np.asarray(getattr(task.rows[row], part)) for task in comparisons.values()]
-            for row, name in _ROWS.items()
-        }
-        for panel, (part, _) in peaks.items()
-    }
-    return plot_bars(
-        list(comparisons), bars, ylabels={panel: unit for panel, (_, unit) in peaks.items()}, title=title
-    )
-
-
-def plot_reactions(comparison: Comparison, index: int = 0, *, title: str | None = None) -> "Figure":
-    """Draw the reactions of one task over time, in exact, inexact and identified frames.
-
-    Args:
-        comparison: comparison of frames with any number of trials.
-        index: number of the trial.
-        title: title of the figure.
-
-    Raises:
-        ImportError: if Matplotlib is not installed.
-    """
-    figure = new_figure(8, 3.2)
-    panels = figure.subplots(1, 2)
-    for axes, part, name in (
-        (panels[0], slice(0, 3), "reaction moment [N m]"),
-        (panels[1], slice(3, 6), "reaction force [N]"),
-    ):
-        for (row, name_of_row), colour, style in zip(_ROWS.items(), LINES, ("-", "--", ":"), strict=False):
-            trials = comparison.rows[row]
-            size = np.linalg.norm(np.asarray(trials.reaction)[index, 1:, part], axis=-1)
-            axes.plot(
-                np.asarray(trials.times)[1:], size, style, color=colour, linewidth=1.6, label=name_of_row
-            )
-        axes.set_ylabel(f"norm of the {name}", fontsize=8)
-        axes.set_xlabel("time [s]", fontsize=8)
-        axes.set_ylim(bottom=0)
-        axes.margins(x=0)
-        axes.tick_params(labelsize=8)
-    panels[0].legend(fontsize=8, frameon=False)
-    if title is not None:
-        figure.suptitle(title, fontsize=11)
-    return figure

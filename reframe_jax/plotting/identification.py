@@ -55,11 +55,7 @@ def plot_identification(
         left_out: (M,) s, times of rows that were left out when the file was read: ``left_out_times`` of a
             recording.
 
-    Returns:
-        A new figure: display it in a notebook, or call ``figure.savefig(...)``.
-
     Raises:
-        ImportError: if Matplotlib is not installed.
         ValueError: for a batch, or a window without a result.
     """
     figure = new_figure(10, 7.2)

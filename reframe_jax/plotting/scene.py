@@ -4,10 +4,9 @@ from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
-from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.located import Located, assemble_frame, locate_on_host
-from reframe_jax.constraints.types import AngularType
+from reframe_jax.constraints.types import AngularType, LinearType
 from reframe_jax.export.common import axes_of
 from reframe_jax.identification.results import Identification
 from reframe_jax.plotting.style import (
@@ -18,57 +17,27 @@ from reframe_jax.plotting.style import (
     OUTLIERS,
     TURNING,
     axis_colours,
-    new_figure,
 )
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 __all__ = [
     "check_window",
     "draw_arm",
     "draw_frame",
+    "draw_legend",
     "draw_space",
     "frame_length",
     "frames_in_ground",
-    "plot_scene",
     "segment",
     "set_limits",
     "track",
 ]
 
 
-def plot_scene(poses: ArrayLike, found: Identification, *, title: str | None = None) -> "Figure":
-    """Draw one window in space: the path of the body, the linear frame, and the free axes of rotation.
-
-    Axes and origins that are fixed in the body are drawn at the first, middle and last pose, palest at the
-    first. A line connects the body with an origin that is fixed in the body; the path of this origin is
-    dotted. Free axes are arrows, constrained axes dashed lines. Outliers are crosses and not part of the
-    path.
-
-    Args:
-        poses: (K+1, 4, 4), m.
-        found: identification of these poses.
-        title: title of the figure, by default the name of the constraint.
-
-    Raises:
-        ImportError: if Matplotlib is not installed.
-        ValueError: for a batch, or a window without a result.
-    """
-    host = check_window(found)
-    figure = new_figure(5.2, 5.4)
-    figure.suptitle(host.name if title is None else title, fontsize=12)
-    draw_space(figure.add_subplot(projection="3d"), np.asarray(poses), host)
-    return figure
-
-
 def check_window(found: Identification) -> Identification:
-    """Return a single window with a result, on the host.
-
-    Raises:
-        ValueError: for a batch, and for a window without a result.
-    """
+    """Return a single window with a result, on the host; a ValueError otherwise."""
     if np.shape(found.status_code):
         raise ValueError("A batch has several frames: index one window first, found[i].")
     if found.status.failed:
@@ -98,7 +67,7 @@ def draw_space(axes: "Axes3D", poses: np.ndarray, found: Identification) -> None
     near = out[(np.abs(out - centre) < _size(points) / 2).all(axis=1)]
     if len(out):
         axes.plot(*near.T, **OUTLIERS)
-    _draw_legend(axes, found, bool(len(rotation_axes[0])))
+    draw_legend(axes, found.linear.frame_type, found.linear.dof, bool(len(rotation_axes[0])))
     set_limits(axes, points)
 
 
@@ -175,8 +144,9 @@ def draw_frame(
             )
 
 
-def _draw_legend(axes: "Axes3D", found: Identification, turns: bool) -> None:
-    kind, dof = found.linear.frame_type, np.asarray(found.linear.dof)
+def draw_legend(axes: "Axes3D", kind: LinearType, dof: Any, turns: bool) -> None:
+    """Add a legend with the kinds of axes that a linear frame has; ``turns`` adds the axis of rotation."""
+    dof = np.asarray(dof)
     for shown, colour, style, label in (
         (turns, TURNING, "-.", "free axis of rotation"),
         ((dof == 1).any(), FREE[0], "-", f"free axis of linear frame {kind}"),
@@ -195,13 +165,7 @@ def segment(axes: "Axes3D", start: np.ndarray, end: np.ndarray, **style: Any) ->
 def frames_in_ground(
     poses: np.ndarray, found: Identification, samples: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute the frames of one window in the ground.
-
-    Args:
-        poses: (K+1, 4, 4), m.
-        found: the identification of one window.
-        samples: (n,) indices of poses; by default one pose if the linear frame is fixed in the ground, else
-            three.
+    """Compute the frames of one window in the ground, at samples of its poses (see ``frame_samples``).
 
     Returns:
         Origins (n, 3); axes of the linear frame (n, 3, 3), as columns; directions (n, m, 3) of the m free

@@ -26,17 +26,6 @@ def plot_segmentation(poses: ArrayLike, found: Segmentation, *, title: str | Non
 
     Segments with the same constraint have the same colour; a still body is grey. A band around each boundary
     is its 95 % interval. Velocities along free axes are blue, along constrained axes orange.
-
-    Args:
-        poses: (N, 4, 4) m, the segmented poses.
-        found: the segmentation of these poses.
-        title: title of the figure; none by default.
-
-    Returns:
-        A new figure: display it in a notebook, or call ``figure.savefig(...)``.
-
-    Raises:
-        ImportError: if Matplotlib is not installed.
     """
     figure = new_figure(10, 5)
     line, top, bottom = figure.subplots(3, 1, sharex=True, height_ratios=(0.7, 1, 1))
@@ -86,11 +75,7 @@ def _draw_velocities(axes: "Axes", found: Segmentation, velocities: np.ndarray, 
 
 
 def segment_velocities(poses: np.ndarray, found: Segmentation) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the velocities along the axes of the frame that is valid at each time.
-
-    Args:
-        poses: (N, 4, 4) m, the segmented poses.
-        found: the segmentation of these poses.
+    """Compute velocities along the axes of the frame that is valid at each time, from segmented poses.
 
     Returns:
         Angular velocities, (N, 3) rad/s, and linear velocities of the frame's origin, (N, 3) m/s, over an

@@ -49,11 +49,7 @@ LEGEND_ABOVE: dict[str, Any] = {
 
 
 def new_figure(width: float, height: float) -> "Figure":
-    """Create a figure that is not registered with ``pyplot``; sizes in inches, at 150 dots per inch.
-
-    Raises:
-        ImportError: if Matplotlib is not installed.
-    """
+    """Create a figure that is not registered with ``pyplot``; sizes in inches, at 150 dots per inch."""
     try:
         from matplotlib.figure import Figure
     except ImportError as error:

@@ -31,9 +31,9 @@ def plot_uncertainty(
 ) -> "Figure":
     """Draw the uncertainty of a frame: the scene, the origin enlarged, and the tilts of the axes.
 
-    The first panel is the scene of :func:`plot_scene`. The second panel shows the 95 % ellipsoid of the
-    origin, which is flat along directions in which the origin is arbitrary. The panels below show 95 % cones
-    of the distinct axes in cross section. The distinct axis of a frame is its single free or single
+    The first panel is the scene of :func:`plot_identification`. The second panel shows the 95 % ellipsoid of
+    the origin, which is flat along directions in which the origin is arbitrary. The panels below show 95 %
+    cones of the distinct axes in cross section. The distinct axis of a frame is its single free or single
     constrained axis.
 
     Args:
@@ -43,7 +43,6 @@ def plot_uncertainty(
         title: title of the figure, by default the name of the constraint.
 
     Raises:
-        ImportError: if Matplotlib is not installed.
         ValueError: for a batch, or a window without a result.
     """
     host = check_window(found)

@@ -89,14 +89,10 @@ def slow(key: jax.Array, duration: float | jax.Array | None = None) -> Excitatio
 
 
 def reach(key: jax.Array, duration: float | jax.Array = 5.0) -> Excitation:
-    """Move out and back along minimum-jerk profiles, with rests at both ends.
+    """Move out and back along minimum-jerk profiles within a duration (s), with rests at both ends.
 
     Each axis has random times of departure, reversal and return, and moves by 0.3 to 1.2 rad or 0.08 to 0.35
     m.
-
-    Args:
-        key: JAX random key of the times and distances.
-        duration: s, duration of the motion including the rests.
     """
     keys = jax.random.split(key, 6)
     leave, turn, back = (

@@ -5,6 +5,7 @@ samples and excitation, independent of the constraint, its geometry, the sample 
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -48,19 +49,10 @@ class PoseErrors:
 
 @jax.jit
 def disturb(poses: jax.Array, key: jax.Array, errors: PoseErrors, dt: float | jax.Array) -> jax.Array:
-    """Add the errors of a tracker to poses.
+    """Add the errors of a tracker to poses (K+1, 4, 4), m, with a sample time, s.
 
     Orientation errors are rotations about the axes of the ground: R becomes exp(e) R. The noise depends on
     the key only; other error sizes scale the same noise.
-
-    Args:
-        poses: (K+1, 4, 4), m.
-        key: JAX random key of the errors.
-        errors: sizes of the errors.
-        dt: sample time, s.
-
-    Returns:
-        Measured poses (K+1, 4, 4), m.
     """
     errors = jax.tree.map(lambda size: jnp.asarray(size, dtype=poses.dtype), errors)
     white_key, which_key, jump_key, slow_key = jax.random.split(key, 4)
@@ -82,25 +74,13 @@ def disturb(poses: jax.Array, key: jax.Array, errors: PoseErrors, dt: float | ja
 def random_constraint(
     label: str, key: jax.Array, *, linear_type: LinearType | None = None
 ) -> tuple[ConstraintFrame, jax.Array]:
-    """Draw a constraint with random geometry, and a random first pose of the body.
+    """Draw a constraint with random geometry, and a random first pose (4, 4) of the body, m.
 
     The frame has a random orientation, and its origin is within 0.5 m of the body's origin along each axis at
     the start. The body has a random orientation, and its origin is within 0.5 m of the ground's origin. The
     angular and the linear axes are fixed in the same body, so the constraint is the same for every first
-    pose.
-
-    Args:
-        label: label or name of a constraint.
-        key: JAX random key of the geometry. All labels have the same geometry for a key, but may express it
-            in another body.
-        linear_type: as in :meth:`ConstraintFrame.named`.
-
-    Returns:
-        The frame, and the pose (4, 4) in m.
-
-    Raises:
-        KeyError: for an unknown label.
-        ValueError: for a linear type that cannot express the constraint.
+    pose. All labels have the same geometry for a key, but may express it in another body. ``linear_type`` is
+    as in :meth:`ConstraintFrame.named`.
     """
     entry = constraint(label)
     kind = entry.linear_type if linear_type is None else linear_type
@@ -119,8 +99,6 @@ def random_motion(
     dt: float,
     excitation: str | Excitation = "hand",
     errors: PoseErrors = PoseErrors(),
-    linear_type: LinearType | None = None,
-    pitch: float | jax.Array | None = None,
 ) -> Simulation:
     """Simulate a motion under a constraint with random geometry, with the errors of a tracker.
 
@@ -134,28 +112,18 @@ def random_motion(
         dt: sample time, s; not an array.
         excitation: a name of :data:`reframe_jax.simulation.synthetic.EXCITATIONS`, or a function of time.
         errors: errors of the tracker; none by default.
-        linear_type: as in :func:`random_constraint`.
-        pitch: m/rad, pitch of a screw; 0.05 by default for the label "screw", see
-            :func:`.synthetic.simulate`.
 
     Returns:
         The recording with K + 1 poses; the first of its ``exact_poses`` is the first pose.
 
     Raises:
         KeyError: for an unknown label.
-        ValueError: for an unknown excitation, or a linear type that cannot express the constraint.
+        ValueError: for an unknown excitation.
     """
     geometry_key, motion_key, error_key = jax.random.split(key, 3)
-    frame, start = random_constraint(label, geometry_key, linear_type=linear_type)
-    exact = simulate(
-        frame,
-        motion_key,
-        duration=samples * dt,
-        dt=dt,
-        excitation=excitation,
-        start=start,
-        pitch=pitch_of(label) if pitch is None else pitch,
-    ).exact_poses
+    frame, start = random_constraint(label, geometry_key)
+    options: Any = {"duration": samples * dt, "dt": dt, "excitation": excitation, "pitch": pitch_of(label)}
+    exact = simulate(frame, motion_key, start=start, **options).exact_poses
     times = dt * jnp.arange(samples + 1, dtype=exact.dtype)
     return Simulation(times, disturb(exact, error_key, errors, dt), exact, frame)
 

@@ -52,7 +52,8 @@ def simulate_sequence(
 ) -> SequenceSimulation:
     """Simulate a body that moves under several consecutive constraints.
 
-    The poses and velocities are continuous: each motion starts from rest and ends at rest.
+    The poses and velocities are continuous: each motion starts from rest and ends at rest. Each constraint is
+    active for round(duration / dt) steps.
 
     Args:
         constraints: labels or names of the catalogue, such as "A" or "unconstrained", which get a random
@@ -63,9 +64,6 @@ def simulate_sequence(
         excitation: as in :func:`reframe_jax.simulation.synthetic.simulate`.
         ease: s, duration of the start and of the end of each motion; 0 gives sudden changes of velocity.
         errors: errors of the tracker; none by default.
-
-    Returns:
-        The recording; each constraint is active for round(duration / dt) steps.
 
     Raises:
         ValueError: without constraints, or for a wrong number of durations.

@@ -37,6 +37,7 @@ __all__ = [
 ]
 
 _PITCH = 0.05  # m/rad, default pitch of a screw
+_ROTATION_RATIO = 3.0  # rad/m, standard deviation of orientations to that of positions in the paper
 _SUBSTEPS = 4  # Runge-Kutta steps per sample; the error is below 1e-9 m at dt = 0.1 s
 
 
@@ -59,16 +60,10 @@ class Simulation:
 
 
 def body_twist(frame: ConstraintFrame, pose: jax.Array, angular: jax.Array, linear: jax.Array) -> jax.Array:
-    """Body twist at a pose for given velocities along the axes of a constraint frame.
+    """Body twist (6,) at a pose (4, 4), for velocities along the axes of a constraint frame.
 
-    Args:
-        frame: the constraint; velocities along its constrained axes (degree of freedom 0) are set to zero.
-        pose: (4, 4) of {b} in {g}.
-        angular: (3,) rad/s, along the axes of the angular frame.
-        linear: (3,) m/s, velocity of the linear frame's origin along its axes.
-
-    Returns:
-        (6,) angular velocity, then linear velocity, in {b}.
+    Velocities along constrained axes are set to zero. ``angular`` (3,) is in rad/s along the angular axes,
+    ``linear`` (3,) the velocity of the origin along the linear axes, m/s.
     """
     return _frame_twist(located.frame_arrays(frame), pose, angular, linear)
 
@@ -205,18 +200,15 @@ def _runge_kutta(
     return matmul(pose, transforms.pose_exp(h * slope))
 
 
-@partial(jax.jit, static_argnames="rotation_ratio")
-def add_pose_noise(
-    poses: jax.Array, key: jax.Array, sigma: float | jax.Array, *, rotation_ratio: float = 3.0
-) -> jax.Array:
+@jax.jit
+def add_pose_noise(poses: jax.Array, key: jax.Array, sigma: float | jax.Array) -> jax.Array:
     """Add Gaussian noise to positions and rotation vectors (paper, section 5.1).
 
     Args:
         poses: (..., 4, 4).
         key: JAX random key of the noise.
-        sigma: standard deviation of each position component, m.
-        rotation_ratio: rad/m, ratio of the standard deviation of each rotation vector component to sigma; the
-            paper measured 3.
+        sigma: standard deviation of each position component, m; in rad and times 3 of each component of the
+            rotation vector.
 
     Returns:
         (..., 4, 4).
@@ -225,6 +217,6 @@ def add_pose_noise(
     shape, dtype = (*poses.shape[:-2], 3), poses.dtype
     sigma = jnp.asarray(sigma, dtype=dtype)
     position = poses[..., :3, 3] + sigma * jax.random.normal(position_key, shape, dtype)
-    turn = rotation_ratio * sigma * jax.random.normal(rotation_key, shape, dtype)
+    turn = _ROTATION_RATIO * sigma * jax.random.normal(rotation_key, shape, dtype)
     rotvec = rotations.rotation_log(poses[..., :3, :3]) + turn
     return transforms.make_pose(rotations.rotation_exp(rotvec), position)

@@ -21,7 +21,7 @@ from reframe_jax.geometry import rotations, symmetric
 from reframe_jax.geometry.products import matmul
 from reframe_jax.objectives.moments import covariance_at
 from reframe_jax.objectives.norms import log_power_mean
-from reframe_jax.objectives.protocol import MomentsObjective, Objective
+from reframe_jax.objectives.protocol import MomentsObjective, Objective, require_moments
 from reframe_jax.objectives.velocity import FrameObjective
 from reframe_jax.solvers.box import Box
 from reframe_jax.solvers.newton_steps import derivatives, steps_in_box, take_best_steps
@@ -127,14 +127,5 @@ class FrameSteps:
 
     @staticmethod
     def check(objective: Objective) -> MomentsObjective:
-        """Return the objective if these steps can minimize it.
-
-        Raises:
-            ValueError: unless the objective is a :class:`MomentsObjective` whose unknowns are the frame.
-        """
-        if isinstance(objective, MomentsObjective) and objective.unknowns == "frame":
-            return objective
-        raise ValueError(
-            "FrameSteps minimize norms given by moments over orientation and origin (a FrameObjective), "
-            f"not a {type(objective).__name__}; use ValleySteps, NewtonSteps or OptaxSteps."
-        )
+        """Return the objective if these steps can minimize it; a ValueError otherwise."""
+        return require_moments(objective, "frame", "FrameSteps")

@@ -80,15 +80,7 @@ def take_best_steps(
 ) -> tuple[_Point, jax.Array]:
     """Take the best of several steps repeatedly; stay at a point if no step lowers the value.
 
-    Args:
-        start: initial point, a pytree.
-        value: value at the initial point.
-        steps_at: function from a point to candidate steps (n, dim).
-        move: function from a point and a step to the next point and its value.
-        count: number of iterations, equal for all problems of a batch.
-
-    Returns:
-        The last point, and its value.
+    ``steps_at`` gives candidate steps (n, dim) at a point (a pytree), ``move`` the next point and its value.
     """
 
     def advance(_: int, carry: tuple[_Point, jax.Array]) -> tuple[_Point, jax.Array]:
@@ -114,11 +106,7 @@ class NewtonSteps:
     steps: int = 30
 
     def __call__(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Improve the unknowns x, (dim, ...), separately for every problem.
-
-        Returns:
-            The new unknowns and their values, (...).
-        """
+        """Improve the unknowns x, (dim, ...), of every problem; return them and their values, (...)."""
         return minimise_each(self._minimise_one, objective, box, x)
 
     def _minimise_one(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -28,11 +28,7 @@ class OptaxSteps:
     steps: int = 60
 
     def __call__(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Improve the unknowns x, (dim, ...), separately for every problem.
-
-        Returns:
-            The best unknowns of all updates, and their values, (...).
-        """
+        """Return the best unknowns (dim, ...) of all updates from x, and their values, (...)."""
         return minimise_each(self._minimise_one, objective, box, x)
 
     def _minimise_one(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -1,4 +1,4 @@
-"""Operations on arrays whose trailing axes are problems: flatten, repeat, and apply to each problem."""
+"""Operations on arrays whose trailing axes are problems: repeat, and apply to each problem."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -9,14 +9,9 @@ import jax.numpy as jnp
 from reframe_jax.objectives.protocol import Objective
 from reframe_jax.solvers.box import Box
 
-__all__ = ["flatten_problems", "minimise_each", "repeat_problems"]
+__all__ = ["minimise_each", "repeat_problems"]
 
 _T = TypeVar("_T")
-
-
-def flatten_problems(tree: _T, axes: int) -> _T:
-    """Replace the last ``axes`` axes of a tree (0 is allowed) by a single axis of problems."""
-    return jax.tree.map(lambda a: a.reshape(*a.shape[: a.ndim - axes], -1), tree)
 
 
 def repeat_problems(tree: _T, axes: int, count: int) -> _T:
@@ -36,19 +31,8 @@ def minimise_each(
     box: Box,
     x: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
-    """Apply a minimizer of one problem to all problems.
-
-    Args:
-        minimise_one: function of the objective of one problem, the box and x, (dim,), that returns the new x
-            and its value.
-        objective: the problems.
-        box: bounds of the search, the same for all problems.
-        x: (dim, ...) starts.
-
-    Returns:
-        The new unknowns, (dim, ...), and their values, (...).
-    """
+    """Apply a minimizer of one problem, (objective, box, x (dim,)) -> (x, value), to starts x (dim, ...)."""
     batch = x.shape[1:]
-    flat_objective, flat_x = flatten_problems((objective, x), len(batch))
-    found, values = jax.vmap(minimise_one, in_axes=(-1, None, -1), out_axes=-1)(flat_objective, box, flat_x)
+    flat = jax.tree.map(lambda a: a.reshape(*a.shape[: a.ndim - len(batch)], -1), (objective, x))
+    found, values = jax.vmap(minimise_one, in_axes=(-1, None, -1), out_axes=-1)(flat[0], box, flat[1])
     return found.reshape(x.shape), values.reshape(batch)

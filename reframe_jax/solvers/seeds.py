@@ -21,19 +21,10 @@ _RIDGE = (
 
 
 def quasi_random(key: jax.Array, count: int, dim: int, dtype: jnp.dtype) -> jax.Array:
-    """Points of the unit cube by Roberts' additive recurrence R_d, with a random shift.
+    """Points (dim, count) of the unit cube by Roberts' additive recurrence R_d, with a random shift.
 
     Any prefix of the sequence covers the cube evenly, so any ``count`` is suitable. The increments are powers
     of the real root of x^(d+1) = x + 1, the generalized golden ratio.
-
-    Args:
-        key: JAX random key of the shift.
-        count: number of points.
-        dim: dimension of the cube.
-        dtype: type of the result.
-
-    Returns:
-        (dim, count) in [0, 1).
     """
     root = 2.0
     for _ in range(64):
@@ -53,21 +44,11 @@ def even_starts(objective: Objective, box: Box, key: jax.Array, count: int) -> j
 def suggested_starts(
     objective: Objective, box: Box, key: jax.Array, count: int, candidates: int
 ) -> jax.Array:
-    """Starts of a search that are derived from the data of every problem.
+    """Starts of a search, (dim, count, ...), that are derived from the data of every problem.
 
     For a norm of velocities over positions, the starts are origins with the least motion along random
     directions. Along a constrained direction, the origin of the constraint is such a point. Each start is the
     best of several candidates. For other objectives, the starts are quasi-random points.
-
-    Args:
-        objective: the problems.
-        box: bounds of the points.
-        key: JAX random key.
-        count: number of points.
-        candidates: number of random directions per point.
-
-    Returns:
-        (dim, count, ...), in the unit of the unknowns.
     """
     batch, dtype = objective.batch, objective.dtype
     if not (isinstance(objective, MomentsObjective) and objective.unknowns == "position"):

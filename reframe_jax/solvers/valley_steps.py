@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.objectives.protocol import MomentsObjective, Objective
+from reframe_jax.objectives.protocol import MomentsObjective, Objective, require_moments
 from reframe_jax.objectives.velocity import PositionObjective, log_norm
 from reframe_jax.solvers.box import Box
 from reframe_jax.solvers.newton_steps import derivatives, steps_in_box, take_best_steps
@@ -69,14 +69,5 @@ class ValleySteps:
 
     @staticmethod
     def check(objective: Objective) -> MomentsObjective:
-        """Return the objective if these steps can minimize it.
-
-        Raises:
-            ValueError: unless the objective is a :class:`MomentsObjective` whose unknowns are the position.
-        """
-        if isinstance(objective, MomentsObjective) and objective.unknowns == "position":
-            return objective
-        raise ValueError(
-            f"ValleySteps minimize norms given by moments over positions (a PositionObjective), not a "
-            f"{type(objective).__name__}; use FrameSteps, NewtonSteps or OptaxSteps."
-        )
+        """Return the objective if these steps can minimize it; a ValueError otherwise."""
+        return require_moments(objective, "position", "ValleySteps")

@@ -57,11 +57,7 @@ class _Parquet:
 
     @staticmethod
     def library() -> Any:
-        """Import PyArrow.
-
-        Raises:
-            ImportError: if PyArrow is missing, with the extra that installs it.
-        """
+        """Import PyArrow, or raise an ImportError that names the extra."""
         try:
             import pyarrow
             import pyarrow.parquet

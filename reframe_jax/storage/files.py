@@ -18,12 +18,7 @@ _ABANDONED = (
 
 
 def write_whole(file: Path, write: Callable[[Path], Any]) -> None:
-    """Write a temporary file and rename it, so that readers see the old file or the complete new file.
-
-    Args:
-        file: path of the file.
-        write: function that writes to the path in its argument.
-    """
+    """Write a temporary file and rename it, so that readers see the old file or the complete new file."""
     # several machines with a common disk may have equal process numbers
     temporary = file.with_name(f".{file.name}.{secrets.token_hex(8)}")
     try:
@@ -38,11 +33,7 @@ def write_whole(file: Path, write: Callable[[Path], Any]) -> None:
 
 
 def check_place(folder: Path) -> None:
-    """Check, before a long computation, that a missing folder can be created.
-
-    Raises:
-        OSError: if the folder cannot be created.
-    """
+    """Raise an OSError if a missing folder cannot be created, before a long computation."""
     if folder.exists():
         return
     place = folder.absolute().parent

@@ -33,15 +33,7 @@ Record = dict[str, Any]
 def write_part(
     file: Path, codec: Codec, arrays: Mapping[str, Any], options: Record, *, source: str = ""
 ) -> None:
-    """Write a part atomically.
-
-    Args:
-        file: path of the file; the part records its name.
-        codec: the file format.
-        arrays: contents of the part.
-        options: options that the part depends on, as JSON.
-        source: checksum of the input of the part.
-    """
+    """Write a part atomically; the part records its name, its options, and the checksum of its input."""
     values = {name: np.asarray(array) for name, array in arrays.items()}
     header: Record = {"name": file.stem, "source": source, "options": options}
     header["checksum"] = _checksum(values, header)
@@ -54,15 +46,9 @@ def read_part(
 ) -> tuple[dict[str, Any], Record]:
     """Read the arrays and the options of a part.
 
-    Args:
-        file: path of a file written by :func:`write_part`.
-        codec: the file format.
-        options: required options; None accepts any options.
-        source: required checksum of the input; None accepts any input.
-
     Raises:
-        ValueError: if the file is damaged or renamed, or was made with other options or from another input.
-            The message names the file.
+        ValueError: if the file is damaged or renamed, or was made with other options than the given ones, or
+            from an input with another checksum. The message names the file.
     """
     if file.is_dir():
         raise _damaged(file, "it is a folder")
@@ -103,11 +89,9 @@ def _damaged(file: Path, why: str) -> ValueError:
 
 def _difference(one: Record, other: Record) -> str:
     """Names of the options that differ, shortened, because a damaged record may have long names."""
-    names = [*one, *(name for name in other if name not in one)]
-    differ = [name for name in names if one.get(name) != other.get(name)]
+    differ = [name for name in {**one, **other} if one.get(name) != other.get(name)]
     more = [f"and {len(differ) - _LISTED} more"] if len(differ) > _LISTED else []
-    short = [name if len(name) <= _LONGEST else name[:_LONGEST] + "…" for name in differ[:_LISTED]]
-    return ", ".join(short + more)
+    return ", ".join([name[:_LONGEST] for name in differ[:_LISTED]] + more)
 
 
 class Run:
@@ -139,11 +123,7 @@ class Run:
 
     @staticmethod
     def open(folder: Path, codec: Codec, kind: str, unit: str) -> "Run":
-        """Open the run in a folder for reading.
-
-        Raises:
-            ValueError: if the folder contains no run, or its record is damaged.
-        """
+        """Open the run in a folder for reading; a ValueError says if there is none."""
         run = Run(folder, codec, kind, unit, {})
         files = run.parts
         if not files:
@@ -178,9 +158,6 @@ class Run:
     def resume(self, total: int | None = None) -> None:
         """Check the existing parts, and remove temporary files of killed writers. Writes nothing.
 
-        Args:
-            total: total number of items, if known.
-
         Raises:
             ValueError: if the folder contains other data, results with other options, or a damaged record.
             OSError: if the folder does not exist and cannot be created.
@@ -195,14 +172,7 @@ class Run:
             read_part(file, self._codec, self._options)
 
     def finish(self, total: int | None = None) -> None:
-        """Write the record if it is missing, for example because every part existed.
-
-        Args:
-            total: total number of items, if it is known only at the end.
-
-        Raises:
-            ValueError: if an earlier run recorded another total.
-        """
+        """Write the record if it is missing, for example because every part existed."""
         self._total = self._total if total is None else total
         self._compare()
         self._record()
@@ -216,11 +186,7 @@ class Run:
         return read_part(self._file(number), self._codec, self._options, source=source)[0]
 
     def write(self, number: int, arrays: Mapping[str, Any], *, source: str = "") -> None:
-        """Write a part; before the first part, also write the record of the run, ``run.json``.
-
-        Raises:
-            ValueError: if another process has started a run with other options in the meantime.
-        """
+        """Write a part; before the first part, also write the record of the run, ``run.json``."""
         if not self._recorded:
             self._compare()
             self._record()

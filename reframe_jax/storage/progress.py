@@ -13,12 +13,10 @@ _BAR = 20  # width in characters
 
 
 def make_meter(progress: Progress | bool | None, unit: str) -> Progress:
-    """Return a progress function to call after every part.
+    """Return a progress function to call after every part: the given one, or a bar on standard error.
 
-    Args:
-        progress: a progress function, returned unchanged; True for a progress bar on standard error; False
-            for no progress; None for a progress bar if standard error is a terminal.
-        unit: word for the counted items, in the plural.
+    False shows nothing; None shows the bar if standard error is a terminal. ``unit`` is the word for the
+    counted items, in the plural.
     """
     if callable(progress):
         return progress

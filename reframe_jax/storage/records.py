@@ -26,11 +26,6 @@ def describe_options(
 ) -> dict[str, Any]:
     """Return every keyword-only option of a function, with the given or the default value.
 
-    Args:
-        function: function whose signature defines the options.
-        given: options of a call.
-        without: names of options to leave out; they must not be given.
-
     Raises:
         TypeError: for an option that the function does not have; the message lists its options.
     """
@@ -125,12 +120,7 @@ def _describe_function(function: FunctionType, inner: Callable[[Any], Any]) -> d
 
 
 def checksum(arrays: Mapping[str, Any], *, start: str = "") -> str:
-    """SHA-256 of named arrays: their names, types, shapes and bytes.
-
-    Args:
-        arrays: arrays, or values that NumPy converts to arrays.
-        start: text to include in the checksum.
-    """
+    """SHA-256 of a text and of named arrays: their names, types, shapes and bytes."""
     total = hashlib.sha256(start.encode())
     for name in sorted(arrays):
         array = np.asarray(arrays[name])

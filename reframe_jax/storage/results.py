@@ -152,11 +152,7 @@ def load_results(folder: str | Path, parts: Iterable[int] | None = None) -> Iden
 
 
 def _build(kind: Any, prefix: str, columns: dict[str, Any]) -> Any:
-    """Build a result from the columns with the names of its fields; nested results are built recursively.
-
-    Raises:
-        KeyError: for a missing column, with its name.
-    """
+    """Build a result from the columns with the names of its fields, and nested results recursively."""
     types, values = get_type_hints(kind), {}
     for field in fields(kind):
         name = prefix + field.name

@@ -26,12 +26,7 @@ _STYLE = """<style>
 
 
 def write_page(path: Path | str, windows: list[WindowTrack], *, title: str = "reframe_jax") -> None:
-    """Write a page as one HTML file that plays through the windows, with the velocities along the axes.
-
-    Args:
-        path: path of the file.
-        windows: windows of one recording, from :func:`track_window`.
-        title: heading of the page.
+    """Write a page as one HTML file that plays through windows, with the velocities along the axes.
 
     Raises:
         ImportError: if viser is not installed.

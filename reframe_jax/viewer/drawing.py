@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from reframe_jax.geometry.numpy_rotations import matrices_to_quaternions
+from reframe_jax.export.robots import quaternion_wxyz
 from reframe_jax.plotting.style import BODY, CONSTRAINED, FREE, OUTLIERS, TURNING, axis_colours
 from reframe_jax.viewer.tracks import FrameTrack, WindowTrack
 
@@ -146,7 +146,7 @@ class Drawing:
             1.0,
             _rgb(_SPREAD),
             scale=tuple(halves),
-            wxyz=_wxyz(vectors),
+            wxyz=quaternion_wxyz(vectors),
             opacity=0.35,
             cast_shadow=False,
         )
@@ -178,11 +178,7 @@ class Drawing:
 
 
 def _move(node: Any, position: np.ndarray, rotation: np.ndarray) -> None:
-    node.position, node.wxyz = position, _wxyz(rotation)
-
-
-def _wxyz(rotation: np.ndarray) -> np.ndarray:
-    return np.roll(matrices_to_quaternions(rotation), 1)
+    node.position, node.wxyz = position, quaternion_wxyz(rotation)
 
 
 def _rgb(colour: str) -> tuple[int, int, int]:

@@ -33,13 +33,7 @@ _NARROW_STYLE = """<style>
 
 
 def open_server(windows: list[WindowTrack], port: int) -> tuple["viser.ViserServer", Drawing]:
-    """Start a server on this machine only, with the camera at the scene.
-
-    Raises:
-        ImportError: if viser is not installed.
-        ValueError: without windows.
-        OSError: if the port is in use.
-    """
+    """Start a server on this machine only, with the camera at the scene."""
     try:
         import viser
     except ImportError as error:
@@ -78,12 +72,7 @@ def serve_page(windows: list[WindowTrack], *, title: str = "reframe_jax", port: 
     """Serve a page with a window of a recording, a time slider, and the velocities along the axes.
 
     The server listens on 127.0.0.1 only, in a separate thread; the page needs no network. With several
-    windows, a second slider selects one.
-
-    Args:
-        windows: windows of one recording, from :func:`track_window`.
-        title: heading of the page.
-        port: port of the server; if it is in use, the next free port.
+    windows, a second slider selects one. A port that is in use is replaced by the next free port.
 
     Raises:
         ImportError: if viser is not installed.

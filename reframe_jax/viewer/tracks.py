@@ -130,11 +130,7 @@ def _track_frame(
 
 
 def _square_root(covariance: np.ndarray) -> np.ndarray:
-    """The symmetric square root of a covariance (3, 3).
-
-    Raises:
-        ValueError: if the matrix is not symmetric, not finite, or has a negative eigenvalue.
-    """
+    """The symmetric square root of a covariance (3, 3)."""
     if covariance.shape != (3, 3) or not np.isfinite(covariance).all():
         raise ValueError(f"Expected a finite covariance of shape (3, 3), not one of {covariance.shape}.")
     values, vectors = np.linalg.eigh(covariance)

@@ -25,7 +25,7 @@ from reframe_jax.simulation.arm.demonstration import (
     demonstrations,
     frame_on_arm,
 )
-from reframe_jax.simulation.arm.dynamics import Motion, arm_motion, inverse_dynamics, jacobian
+from reframe_jax.simulation.arm.dynamics import Motion, arm_motion
 from reframe_jax.simulation.arm.guide import EXCITATIONS, Guide
 from reframe_jax.simulation.arm.imperfections import ENCODER_GRADE, MATCHED, REALISTIC, Imperfections
 from reframe_jax.simulation.arm.model import FR3, PANDA, ROBOTS, Arm, Link, arm_xml, forward_kinematics
@@ -57,8 +57,6 @@ __all__ = [
     "demonstrations",
     "forward_kinematics",
     "frame_on_arm",
-    "inverse_dynamics",
-    "jacobian",
     "load_demonstrations",
     "store_demonstrations",
     "stored_demonstrations",

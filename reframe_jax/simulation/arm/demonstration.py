@@ -4,22 +4,21 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Literal, TypedDict, Unpack
+from typing import Any, TypedDict, Unpack
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import index_leaves, traced
+from reframe_jax.compilation import index_leaves
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import Frame, frame_arrays, move_frame, place_frame
 from reframe_jax.geometry import rotations
-from reframe_jax.simulation.arm.compiled import check_numbers
+from reframe_jax.simulation.arm.checks import check_numbers
 from reframe_jax.simulation.arm.guide import EXCITATIONS, Guide
 from reframe_jax.simulation.arm.guided import Plan, at_rest, demonstration_keys, run_guided
 from reframe_jax.simulation.arm.imperfections import Imperfections
-from reframe_jax.simulation.arm.mechanism import mechanism_joints
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
 from reframe_jax.simulation.arm.redraw import draw_usable
 from reframe_jax.simulation.arm.rollout import Steps
@@ -45,10 +44,7 @@ SPREAD = (0.4, 0.02)
 ORIGIN = (0.05, 0.02, -0.12)
 """m, vector from the TCP at the start to the origin of a named constraint, in the axes of the base."""
 
-_LONGEST = {
-    "exact": 0.01,
-    "mechanism": 0.0025,
-}  # s, longest step at which the simulation keeps the constraint
+_LONGEST = 0.01  # s, longest step at which the simulation keeps the constraint
 
 
 class DemonstrateOptions(TypedDict, total=False):
@@ -58,7 +54,6 @@ class DemonstrateOptions(TypedDict, total=False):
     dt: float
     step: float | None
     excitation: str | Excitation
-    form: Literal["exact", "mechanism"]
     spread: tuple[float, float]
     guide: Guide
     imperfections: Imperfections
@@ -157,7 +152,6 @@ def demonstrate(
     dt: float = 0.05,
     step: float | None = None,
     excitation: str | Excitation = "exciting",
-    form: Literal["exact", "mechanism"] = "exact",
     spread: tuple[float, float] = (0.0, 0.0),
     guide: Guide = Guide(),  # noqa: B008
     imperfections: Imperfections = Imperfections(),  # noqa: B008
@@ -183,10 +177,6 @@ def demonstrate(
             0.01 s; the error of a rigid constraint is then a few um.
         excitation: motion along the free axes: ``"exciting"``, ``"brisk"``, ``"paper"``, or a function of
             time that returns angular and linear velocities (3,), in rad/s and m/s.
-        form: ``"exact"`` solves the constraint exactly. ``"mechanism"`` welds the tool to a rigid mechanism,
-            which exists for some constraints only, needs a separate program and more time, and has a default
-            step of 0.0025 s. The weld is a stiff spring, softer at longer steps. The status reports a slip
-            above 50 um or 0.5 mrad.
         spread: rad and m, standard deviations of a random rotation and shift of the geometry of each
             demonstration, for example :data:`SPREAD`.
         guide: stiffness, misalignment and tremor of the hand.
@@ -203,11 +193,7 @@ def demonstrate(
     """
     arm = find_arm(arm)
     check_demonstration(batch, first, excitation, spread, guide, imperfections, start)
-    if form not in _LONGEST:
-        raise ValueError(f"form must be 'exact' or 'mechanism', not {form!r}.")
-    if form == "mechanism" and not _rigid(imperfections):
-        raise ValueError("A mechanism is rigid: compliance needs form='exact'.")
-    steps = sampling(duration, dt, step, _LONGEST[form])
+    steps = sampling(duration, dt, step)
     frame = frame_on_arm(constraint, arm, start=None if start is None or np.ndim(start) == 2 else start)
     dtype = frame.position.dtype
     joints = arm.start(start, dtype)
@@ -221,7 +207,7 @@ def demonstrate(
     arrays = frame_arrays(frame)
     if any(np.ravel(spread)):
         frame, arrays = scatter(frame, key, numbers, joints, spread, arm)
-    plan = Plan(steps, dt, excitation, arm, mechanism_joints(frame) if form == "mechanism" else None)
+    plan = Plan(steps, dt, excitation, arm)
     made = run_guided(arrays, key, numbers, at_rest(joints), guide, imperfections, plan=plan)
     return Demonstration(truth=frame, **made)
 
@@ -250,17 +236,12 @@ def check_demonstration(
         raise ValueError(f"start must have shape (7,) or ({batch}, 7), not {np.shape(start)}.")
 
 
-def _rigid(imperfections: Imperfections) -> bool:
-    given = imperfections.compliance, imperfections.angular_compliance
-    return not traced(given) and not any(np.any(np.asarray(value)) for value in given)
-
-
-def sampling(duration: float, dt: float, step: float | None, longest: float = 0.01) -> Steps:
+def sampling(duration: float, dt: float, step: float | None) -> Steps:
     """Divide a duration into samples and steps (s); the default step is the longest that divides ``dt``."""
     if not (0 < dt <= duration < math.inf):
         raise ValueError(f"Expected 0 < dt <= duration; found a dt of {dt:g} s in {duration:g} s.")
     if step is None:
-        step = dt / math.ceil(dt / longest - 1e-6)
+        step = dt / math.ceil(dt / _LONGEST - 1e-6)
     if not (0 < step <= dt):
         raise ValueError(f"Expected 0 < step <= dt; found a step of {step:g} s and a dt of {dt:g} s.")
     substeps = round(dt / step)
@@ -308,7 +289,7 @@ def demonstrations(
     progress: Callable[[int, int], None] | None = None,
     **options: Unpack[DemonstrateOptions],
 ) -> Iterator[Demonstration]:
-    """Generate any number of demonstrations, in chunks that are compiled once.
+    """Generate any number of demonstrations on the host, in chunks that are compiled once.
 
     Args:
         constraint: as in :func:`demonstrate`, with one geometry (3,) for all demonstrations, before
@@ -320,9 +301,6 @@ def demonstrations(
         progress: function to call after every chunk, with the number of completed demonstrations and
             ``count``.
         options: options of :func:`demonstrate`.
-
-    Yields:
-        Batches of demonstrations on the host, with ``count`` demonstrations in total.
 
     Raises:
         ValueError: if more than 9 in 10 demonstrations are unusable.

@@ -16,7 +16,7 @@ from reframe_jax.constraints.located import Frame, ground_twist, locate
 from reframe_jax.geometry import rotations, symmetric, transforms
 from reframe_jax.geometry.products import apply, matmul
 from reframe_jax.simulation import synthetic
-from reframe_jax.simulation.arm.compiled import as_numbers
+from reframe_jax.simulation.arm.checks import as_numbers
 from reframe_jax.simulation.arm.dynamics import Motion
 from reframe_jax.simulation.synthetic import Excitation
 
@@ -72,11 +72,7 @@ def exciting(key: jax.Array, free: jax.Array) -> Excitation:
     The RMS velocity is 0.4 rad/s with three free rotations, 0.5 rad/s with one, and 0.1 m/s. The displacement
     is at most 0.45 rad and 0.1 m from the start. A single free rotation turns further, because only the
     curvature of its path reveals the position of a pin. The function takes the most even of four draws of the
-    phases.
-
-    Args:
-        key: JAX random key of the phases.
-        free: (6,), 1 for free axes and 0 for constrained axes; three angular axes, then three linear axes.
+    phases. ``free`` (6,) is 1 for free axes: three angular axes, then three linear axes.
     """
     return _sines(key, free, *_ONE_TURN)
 
@@ -87,10 +83,6 @@ def brisk(key: jax.Array, free: jax.Array) -> Excitation:
     The RMS velocity is 0.75 to 0.9 rad/s and the rotation up to 0.7 rad from the start. The rates are at most
     the 2 and 3 rad/s of the paper's experimenter. A hinge then often takes the arm to its limits, which the
     status of the demonstration reports.
-
-    Args:
-        key: JAX random key of the phases.
-        free: (6,), 1 for free axes and 0 for constrained axes; three angular axes, then three linear axes.
     """
     return _sines(key, free, *_BRISK_TURN)
 

@@ -10,11 +10,10 @@ import jax.numpy as jnp
 from reframe_jax.constraints.located import Frame, locate, multiply, twist_map
 from reframe_jax.geometry import transforms
 from reframe_jax.geometry.products import apply
-from reframe_jax.simulation.arm.compiled import as_numbers, jit_simulation
+from reframe_jax.simulation.arm.checks import as_numbers
 from reframe_jax.simulation.arm.dynamics import arm_motion, solve_positive
 from reframe_jax.simulation.arm.guide import Guide, find_excitation, guide_drive, make_hand, stop_at
 from reframe_jax.simulation.arm.imperfections import Imperfections, measure
-from reframe_jax.simulation.arm.mechanism import Joints, integrate_welded
 from reframe_jax.simulation.arm.model import Arm, forward_kinematics
 from reframe_jax.simulation.arm.rollout import Steps, Track, hold, integrate
 from reframe_jax.simulation.arm.status import rollout_status
@@ -31,7 +30,6 @@ class Plan:
     dt: float
     excitation: str | Excitation
     arm: Arm
-    joints: Joints | None
 
 
 class Onset(NamedTuple):
@@ -39,7 +37,7 @@ class Onset(NamedTuple):
 
     Attributes:
         joints: (N, 7) rad, initial joint positions.
-        velocity: (N, 7) rad/s, initial joint velocities, which obey the constraint; zero for a mechanism.
+        velocity: (N, 7) rad/s, initial joint velocities, which obey the constraint.
         end: s, time at which the hand has come to rest; infinite for a hand that keeps moving.
     """
 
@@ -58,7 +56,7 @@ def demonstration_keys(key: jax.Array, numbers: jax.Array) -> jax.Array:
     return jax.vmap(lambda number: jax.random.split(jax.random.fold_in(key, number), 4))(numbers)
 
 
-@jit_simulation(("plan",))
+@partial(jax.jit, static_argnames="plan")
 def run_guided(
     frame: Frame,
     key: jax.Array,
@@ -74,8 +72,7 @@ def run_guided(
     dtype = onset.joints.dtype
     roll = partial(_simulate_one, guide, imperfections, plan, onset.end)
     track = jax.vmap(roll)(frame, keys[:, 1:3], onset.joints, onset.velocity)
-    record = partial(measure, dt=plan.dt, what=imperfections, arm=plan.arm)
-    poses = jax.vmap(lambda q, v, k: record(q, v, key=k))(track.joints, track.velocity, keys[:, 3])
+    poses = jax.vmap(lambda q, k: measure(q, imperfections, k, plan.arm))(track.joints, keys[:, 3])
     margin, status = rollout_status(track, frame.free, compliance_of(imperfections, dtype), plan.arm)
     return {
         "times": plan.dt * jnp.arange(plan.steps.samples + 1, dtype=dtype),
@@ -112,8 +109,6 @@ def _simulate_one(
     excitation = stop_at(end, find_excitation(plan.excitation, keys[1], frame.free))
     drive = guide_drive(guide, hand, frame, excitation, step)
     pose = transforms.make_pose(*forward_kinematics(start, plan.arm))
-    if plan.joints is not None:
-        return integrate_welded(plan.arm, plan.joints, frame, start, drive, pose, plan.steps)
     compliance = compliance_of(imperfections, dtype)
     return integrate(
         plan.arm,
@@ -127,16 +122,9 @@ def _simulate_one(
     )
 
 
-@jit_simulation(("arm",))
+@partial(jax.jit, static_argnames="arm")
 def impact_velocity(frame: Frame, joints: jax.Array, velocity: jax.Array, *, arm: Arm) -> jax.Array:
-    """Joint velocities (N, 7) after a constraint becomes active: an impact without rebound.
-
-    Args:
-        frame: the constraints of N rollouts.
-        joints: (N, 7) rad.
-        velocity: (N, 7) rad/s, joint velocities before the impact.
-        arm: the robot.
-    """
+    """Joint velocities (N, 7), rad/s, after constraints become active: an impact without rebound."""
 
     def one(frame: Frame, joints: jax.Array, velocity: jax.Array) -> jax.Array:
         motion = arm_motion(joints, velocity, arm)

@@ -12,6 +12,7 @@ fingertips, z out of the hand. Metres, kilograms, radians.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -38,7 +39,6 @@ class Link:
         inertia: kg m^2, about the centre of mass: Ixx, Iyy, Izz, Ixy, Ixz, Iyz.
         limits: rad, range of the joint.
         speed: rad/s, highest joint velocity.
-        torque: N m, highest joint torque.
         armature: kg m^2, rotor inertia seen at the joint.
         damping: N m s/rad, viscous friction of the joint in guiding mode.
         capsule: m, ends and radius of the drawn shape.
@@ -51,7 +51,6 @@ class Link:
     inertia: tuple[float, float, float, float, float, float]
     limits: tuple[float, float] = (0.0, 0.0)
     speed: float = 0.0
-    torque: float = 0.0
     armature: float = 0.0
     damping: float = 0.0
     capsule: tuple[float, ...] = ()
@@ -98,26 +97,17 @@ class Arm:
         return jnp.asarray(self.home if joints is None else joints, dtype=dtype)
 
 
-_FRAMES: tuple[tuple[Vector, tuple[float, float, float, float]], ...] = (
-    ((0, 0, 0.333), (1, 0, 0, 0)),
-    ((0, 0, 0), (1, -1, 0, 0)),
-    ((0, -0.316, 0), (1, 1, 0, 0)),
-    ((0.0825, 0, 0), (1, 1, 0, 0)),
-    ((-0.0825, 0.384, 0), (1, -1, 0, 0)),
-    ((0, 0, 0), (1, 1, 0, 0)),
-    ((0.088, 0, 0), (1, 1, 0, 0)),
-)
-_CAPSULES = (
-    (0, 0, -0.19, 0, 0, 0, 0.06),
-    (0, 0, 0, 0, -0.2, 0, 0.06),
-    (0, 0, -0.1, 0.0825, 0, 0, 0.055),
-    (0, 0, 0, -0.0825, 0.1, 0, 0.055),
-    (0, 0, -0.26, 0, 0.05, 0, 0.05),
-    (0, 0, 0, 0.088, 0, 0, 0.045),
-    (0, 0, 0.03, 0, 0, 0.107, 0.04),
-)
+# rows: origin of a link in the previous one, quaternion (w, x, y, z), ends and radius of the drawn capsule
+_FRAMES = """
+0       0      0.333  1  0 0 0  0 0 -0.19  0       0    0     0.06
+0       0      0      1 -1 0 0  0 0  0     0      -0.2  0     0.06
+0      -0.316  0      1  1 0 0  0 0 -0.1   0.0825  0    0     0.055
+0.0825  0      0      1  1 0 0  0 0  0    -0.0825  0.1  0     0.055
+-0.0825 0.384  0      1 -1 0 0  0 0 -0.26  0       0.05 0     0.05
+0       0      0      1  1 0 0  0 0  0     0.088   0    0     0.045
+0.088   0      0      1  1 0 0  0 0  0.03  0       0    0.107 0.04
+"""
 _SPEEDS = (2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61)
-_TORQUES = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
 _HAND = Link(
     position=(0, 0, 0.107),
     quaternion=(np.cos(np.pi / 8), 0, 0, -np.sin(np.pi / 8)),
@@ -126,96 +116,45 @@ _HAND = Link(
     inertia=(0.001, 0.0025, 0.0017, 0, 0, 0),
 )
 
-# mass, centre of mass, Ixx Iyy Izz Ixy Ixz Iyz
-_PANDA_INERTIALS = (
-    (4.970684, (0.003875, 0.002081, -0.04762), (0.70337, 0.70661, 0.009117, -0.000139, 0.006772, 0.019169)),
-    (0.646926, (-0.003141, -0.02872, 0.003495), (0.007962, 0.02811, 0.025995, -0.003925, 0.010254, 0.000704)),
-    (
-        3.228604,
-        (0.027518, 0.039252, -0.066502),
-        (0.037242, 0.036155, 0.01083, -0.004761, -0.011396, -0.012805),
-    ),
-    (3.587895, (-0.05317, 0.104419, 0.027454), (0.025853, 0.019552, 0.028323, 0.007796, -0.001332, 0.008641)),
-    (
-        1.225946,
-        (-0.011953, 0.041065, -0.038437),
-        (0.035549, 0.029474, 0.008627, -0.002117, -0.004037, 0.000229),
-    ),
-    (
-        1.666555,
-        (0.060149, -0.014117, -0.010517),
-        (0.001964, 0.004354, 0.005433, 0.000109, -0.001158, 0.000341),
-    ),
-    (
-        0.735522,
-        (0.010517, -0.004252, 0.061597),
-        (0.012516, 0.010027, 0.004815, -0.000428, -0.001196, -0.000741),
-    ),
-)
-_PANDA_LIMITS = (
-    (-2.8973, 2.8973),
-    (-1.7628, 1.7628),
-    (-2.8973, 2.8973),
-    (-3.0718, -0.0698),
-    (-2.8973, 2.8973),
-    (-0.0175, 3.7525),
-    (-2.8973, 2.8973),
-)
+# rows: mass, centre of mass, joint limits; and Ixx Iyy Izz Ixy Ixz Iyz about the centre of mass
+_PANDA_BODIES = """
+4.970684 0.003875 0.002081 -0.04762 -2.8973 2.8973
+0.646926 -0.003141 -0.02872 0.003495 -1.7628 1.7628
+3.228604 0.027518 0.039252 -0.066502 -2.8973 2.8973
+3.587895 -0.05317 0.104419 0.027454 -3.0718 -0.0698
+1.225946 -0.011953 0.041065 -0.038437 -2.8973 2.8973
+1.666555 0.060149 -0.014117 -0.010517 -0.0175 3.7525
+0.735522 0.010517 -0.004252 0.061597 -2.8973 2.8973
+"""
+_PANDA_INERTIAS = """
+0.70337 0.70661 0.009117 -0.000139 0.006772 0.019169
+0.007962 0.02811 0.025995 -0.003925 0.010254 0.000704
+0.037242 0.036155 0.01083 -0.004761 -0.011396 -0.012805
+0.025853 0.019552 0.028323 0.007796 -0.001332 0.008641
+0.035549 0.029474 0.008627 -0.002117 -0.004037 0.000229
+0.001964 0.004354 0.005433 0.000109 -0.001158 0.000341
+0.012516 0.010027 0.004815 -0.000428 -0.001196 -0.000741
+"""
 
-# mass, centre of mass, principal moments, their axes as a quaternion (w, x, y, z)
-_FR3_INERTIALS = (
-    (
-        2.92747,
-        (4.128e-7, -0.0181251, -0.0386036),
-        (0.0239286, 0.0227246, 0.00610634),
-        (0.998098, -0.0605364, 0.00380499, 0.0110109),
-    ),
-    (
-        2.93554,
-        (0.00318289, -0.0743222, 0.00881461),
-        (0.0629567, 0.0411924, 0.0246371),
-        (0.502599, 0.584437, -0.465998, 0.434366),
-    ),
-    (
-        2.2449,
-        (0.0407016, -0.00482006, -0.0289731),
-        (0.0267409, 0.0189869, 0.0171587),
-        (0.921025, -0.244161, 0.155272, 0.260745),
-    ),
-    (
-        2.6156,
-        (-0.0459101, 0.0630493, -0.00851879),
-        (0.05139, 0.0372717, 0.0160047),
-        (0.438018, 0.803311, 0.00937812, 0.403414),
-    ),
-    (
-        2.32712,
-        (-0.00160396, 0.0292536, -0.0972966),
-        (0.0579335, 0.0449144, 0.0130634),
-        (0.919031, 0.125604, 0.0751531, -0.366003),
-    ),
-    (
-        1.81704,
-        (0.0597131, -0.0410295, -0.0101693),
-        (0.0175039, 0.0161123, 0.00193529),
-        (0.621301, 0.552665, 0.510011, 0.220081),
-    ),
-    (
-        0.627143,
-        (0.00452258, 0.00862619, -0.0161633),
-        (0.000223836, 0.000223642, 5.64132e-7),
-        (0.727579, 0.0978688, -0.24906, 0.63168),
-    ),
-)
-_FR3_LIMITS = (
-    (-2.9007, 2.9007),
-    (-1.8361, 1.8361),
-    (-2.9007, 2.9007),
-    (-3.077, -0.1169),
-    (-2.8763, 2.8763),
-    (0.4398, 4.6216),
-    (-3.0508, 3.0508),
-)
+# rows: mass, centre of mass, joint limits; and principal moments, their axes as a quaternion (w, x, y, z)
+_FR3_BODIES = """
+2.92747 4.128e-7 -0.0181251 -0.0386036 -2.9007 2.9007
+2.93554 0.00318289 -0.0743222 0.00881461 -1.8361 1.8361
+2.2449 0.0407016 -0.00482006 -0.0289731 -2.9007 2.9007
+2.6156 -0.0459101 0.0630493 -0.00851879 -3.077 -0.1169
+2.32712 -0.00160396 0.0292536 -0.0972966 -2.8763 2.8763
+1.81704 0.0597131 -0.0410295 -0.0101693 0.4398 4.6216
+0.627143 0.00452258 0.00862619 -0.0161633 -3.0508 3.0508
+"""
+_FR3_INERTIAS = """
+0.0239286 0.0227246 0.00610634 0.998098 -0.0605364 0.00380499 0.0110109
+0.0629567 0.0411924 0.0246371 0.502599 0.584437 -0.465998 0.434366
+0.0267409 0.0189869 0.0171587 0.921025 -0.244161 0.155272 0.260745
+0.05139 0.0372717 0.0160047 0.438018 0.803311 0.00937812 0.403414
+0.0579335 0.0449144 0.0130634 0.919031 0.125604 0.0751531 -0.366003
+0.0175039 0.0161123 0.00193529 0.621301 0.552665 0.510011 0.220081
+0.000223836 0.000223642 5.64132e-7 0.727579 0.0978688 -0.24906 0.63168
+"""
 
 
 def _matrix(quaternion: Sequence[float]) -> np.ndarray:
@@ -224,59 +163,43 @@ def _matrix(quaternion: Sequence[float]) -> np.ndarray:
     return quaternions_to_matrices(np.roll(unit, -1))
 
 
-def _full_inertia(principal: Sequence[float], quaternion: Sequence[float]) -> tuple[float, ...]:
-    axes = _matrix(quaternion)
-    full = axes @ np.diag(principal) @ axes.T
-    return tuple(float(full[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
+def _rows(text: str) -> np.ndarray:
+    """The numbers of a table with a row per link."""
+    return np.array(text.split(), dtype=float).reshape(7, -1)
 
 
-def _links(
-    inertials: Sequence[tuple[float, Vector, tuple[float, ...]]],
-    limits: Sequence[tuple[float, float]],
-    armature: Sequence[float],
-    damping: float,
-) -> tuple[Link, ...]:
-    return tuple(
-        Link(
-            *_FRAMES[i],
-            mass=mass,
-            centre=centre,
-            inertia=inertia,  # type: ignore[arg-type]
-            limits=limits[i],
-            speed=_SPEEDS[i],
-            torque=_TORQUES[i],
-            armature=armature[i],
-            damping=damping,
-            capsule=_CAPSULES[i],
-        )
-        for i, (mass, centre, inertia) in enumerate(inertials)
-    )
+def _links(bodies: str, inertias: str, armature: Sequence[float], damping: float) -> tuple[Link, ...]:
+    links = []
+    tables = (_rows(_FRAMES), _rows(bodies), _rows(inertias))
+    for frame, body, inertia, speed, rotor in zip(*tables, _SPEEDS, armature, strict=True):
+        if len(inertia) == 7:  # principal moments and their axes
+            axes = _matrix(inertia[3:])
+            full = axes @ np.diag(inertia[:3]) @ axes.T
+            inertia = full[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        position, quaternion, capsule = _tuples(frame, 3, 7)
+        (mass,), centre, limits = _tuples(body, 1, 4)
+        (moments,) = _tuples(inertia)
+        link = Link(position, quaternion, mass, centre, moments, limits, speed, rotor, damping, capsule)
+        links.append(link)
+    return tuple(links)
 
 
-PANDA = Arm("panda", _links(_PANDA_INERTIALS, _PANDA_LIMITS, [0.1] * 7, 0.5), _HAND)
+def _tuples(row: np.ndarray, *places: int) -> list[Any]:
+    """Split a row at places, into tuples of numbers."""
+    return [tuple(part.tolist()) for part in np.split(row, places)]
+
+
+PANDA = Arm("panda", _links(_PANDA_BODIES, _PANDA_INERTIAS, [0.1] * 7, 0.5), _HAND)
 """The Franka Panda, with the low armature and damping of guiding mode."""
 
-FR3 = Arm(
-    "fr3",
-    _links(
-        [(m, c, _full_inertia(principal, axes)) for m, c, principal, axes in _FR3_INERTIALS],
-        _FR3_LIMITS,
-        [0.195] * 4 + [0.074] * 3,
-        0.21,
-    ),
-    _HAND,
-)
+FR3 = Arm("fr3", _links(_FR3_BODIES, _FR3_INERTIAS, [0.195] * 4 + [0.074] * 3, 0.21), _HAND)
 """The Franka Research 3, the robot of the paper."""
 
 ROBOTS: dict[str, Arm] = {arm.name: arm for arm in (PANDA, FR3)}
 
 
 def find_arm(arm: str | Arm) -> Arm:
-    """Return the arm with a given name; return an :class:`Arm` unchanged.
-
-    Raises:
-        ValueError: for an unknown name; the message lists the known ones.
-    """
+    """Return the arm with a given name; return an :class:`Arm` unchanged."""
     if isinstance(arm, Arm):
         return arm
     if arm not in ROBOTS:
@@ -288,28 +211,10 @@ def _text(values: Sequence[float]) -> str:
     return " ".join(f"{float(value):.17g}" for value in values)
 
 
-def arm_xml(
-    arm: Arm = PANDA,
-    *,
-    timestep: float = 0.01,
-    gravity: bool = True,
-    bodies: str = "",
-    equality: str = "",
-    options: str = "",
-    flags: str = "",
-) -> str:
-    """Write the arm as an MJCF document, for MuJoCo and MJX.
+def arm_xml(arm: Arm = PANDA) -> str:
+    """Write the arm as an MJCF document.
 
     The bodies are link1 to link7 and hand; the joints are joint1 to joint7; the sites are flange and tcp.
-
-    Args:
-        arm: the robot.
-        timestep: s.
-        gravity: whether gravity acts; in guiding mode, the robot compensates gravity.
-        bodies: MJCF of additional bodies in the world, after the arm.
-        equality: MJCF of equality constraints.
-        options: additional attributes of ``<option>``.
-        flags: additional attributes of ``<flag>``.
     """
     ghost = 'contype="0" conaffinity="0" mass="0"'
     opening = ""
@@ -330,15 +235,12 @@ def arm_xml(
         f'<geom type="box" size=".02 .1 .03" pos="0 0 .03" rgba=".3 .3 .3 1" {ghost}/>'
         f'<site name="flange"/><site name="tcp" pos="{_text(arm.tcp)}"/></body>'
     )
-    pull = "0 0 -9.81" if gravity else "0 0 0"
     return (
         f'<mujoco model="{arm.name}"><compiler angle="radian" autolimits="true"/>'
-        f'<option timestep="{timestep!r}" gravity="{pull}" integrator="Euler" jacobian="dense" {options}>'
-        f'<flag contact="disable" limit="disable" {flags}/></option><worldbody>'
-        f'<light pos="1 -1 2" dir="-1 1 -2"/>'
+        f'<option timestep="0.01" integrator="Euler"><flag contact="disable" limit="disable"/></option>'
+        f'<worldbody><light pos="1 -1 2" dir="-1 1 -2"/>'
         f'<geom type="cylinder" size=".07 .07" pos="0 0 .07" rgba=".9 .9 .9 1" {ghost}/>'
-        f"{opening}{'</body>' * len(arm.links)}{bodies}</worldbody>"
-        f"<equality>{equality}</equality></mujoco>"
+        f"{opening}{'</body>' * len(arm.links)}</worldbody></mujoco>"
     )
 
 
@@ -352,36 +254,25 @@ def link_transforms(arm: Arm) -> tuple[np.ndarray, np.ndarray]:
     return rotations, positions
 
 
-def forward_kinematics(
-    joints: jax.Array,
-    arm: Arm = PANDA,
-    *,
-    links: tuple[jax.Array, jax.Array] | None = None,
-) -> tuple[jax.Array, jax.Array]:
-    """Compute the pose of the TCP as the product of link transforms and joint rotations.
-
-    Args:
-        joints: (..., 7) rad.
-        arm: the robot.
-        links: rotations (..., 8, 3, 3) and positions (..., 8, 3), m, of the links in their parents. They
-            replace the links of the arm, for example by the links of a robot as built.
-
-    Returns:
-        Rotation (..., 3, 3) and position (..., 3), m, of {b} in {g}.
-    """
-    parts = link_transforms(arm) if links is None else links
-    fixed, offset = (jnp.asarray(part, dtype=joints.dtype) for part in parts)
-    batch = jnp.broadcast_shapes(joints.shape[:-1], fixed.shape[:-3])
-    fixed = jnp.broadcast_to(fixed, (*batch, *fixed.shape[-3:]))
-    offset = jnp.broadcast_to(offset, (*batch, *offset.shape[-2:]))
-    joints = jnp.broadcast_to(joints, (*batch, 7))
+def link_poses(joints: jax.Array, arm: Arm) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Origins (..., 7, 3), m, of the links, and rotation and position of {b} in {g} (forward_kinematics)."""
+    fixed, offset = (jnp.asarray(part, dtype=joints.dtype) for part in link_transforms(arm))
+    batch = joints.shape[:-1]
+    fixed, offset = (jnp.broadcast_to(part, (*batch, *part.shape)) for part in (fixed, offset))
     rotation, position = fixed[..., 0, :, :], offset[..., 0, :]
+    origins = []
     for i in range(7):
         # a rotation about z combines the first two columns
         c, s = jnp.cos(joints[..., i, None]), jnp.sin(joints[..., i, None])
         x, y, z = rotation[..., :, 0], rotation[..., :, 1], rotation[..., :, 2]
         rotation = jnp.stack([c * x + s * y, c * y - s * x, z], axis=-1)
-        position = position + jnp.sum(rotation * offset[..., i + 1, None, :], axis=-1)
+        origins.append(position)
         # elementwise, because a library call per matrix of a batch costs more than the product
+        position = position + jnp.sum(rotation * offset[..., i + 1, None, :], axis=-1)
         rotation = jnp.sum(rotation[..., :, :, None] * fixed[..., i + 1, None, :, :], axis=-2)
-    return rotation, position
+    return jnp.stack(origins, axis=-2), rotation, position
+
+
+def forward_kinematics(joints: jax.Array, arm: Arm = PANDA) -> tuple[jax.Array, jax.Array]:
+    """Rotation (..., 3, 3) and position (..., 3), m, of {b} in {g}, for joint positions (..., 7), rad."""
+    return link_poses(joints, arm)[1:]

@@ -38,7 +38,7 @@ def draw_usable(
     subject: str = "demonstrations are usable",
     progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[Draw[Batch]]:
-    """Draw chunks until enough draws are usable.
+    """Draw chunks until enough draws are usable; yields every chunk, including chunks without usable draws.
 
     Args:
         draw: function of the number of a chunk that returns the draws and the :class:`RolloutStatus` (n,) of
@@ -47,9 +47,6 @@ def draw_usable(
         chunk: number of draws per chunk.
         subject: end of the error message "Only 3 of 40 ..." if too few draws are usable.
         progress: function to call after every chunk, with the number of usable draws and ``count``.
-
-    Yields:
-        Every chunk, including chunks without usable draws.
 
     Raises:
         ValueError: if more than 9 in 10 draws are unusable and more are still needed.

@@ -15,8 +15,7 @@ import numpy as np
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import Located, frame_arrays, locate_on_host
 from reframe_jax.geometry.transforms import make_pose
-from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
-from reframe_jax.simulation.arm.skin import apply_skin
+from reframe_jax.simulation.arm.model import PANDA, Arm, arm_xml, find_arm, forward_kinematics
 
 __all__ = ["RenderError", "film_frames", "save_film"]
 
@@ -25,6 +24,16 @@ _CONSTRAINED = (0.84, 0.37, 0.0, 1.0)
 _TOOL = (0.35, 0.35, 0.35, 1.0)
 _PATH = (0.0, 0.62, 0.45, 0.8)
 _LENGTH = 0.14  # m, length of the drawn axes
+_SCENE = """<asset>
+<texture type="skybox" builtin="gradient" rgb1="1 1 1" rgb2=".8 .86 .92" width="32" height="192"/>
+<texture name="floor" type="2d" builtin="checker" rgb1=".92 .92 .92" rgb2=".86 .86 .86"
+  width="256" height="256"/>
+<material name="floor" texture="floor" texrepeat="8 8"/>
+</asset><visual>
+<headlight ambient=".35 .35 .35" diffuse=".25 .25 .25" specular="0 0 0"/>
+<global offwidth="1920" offheight="1080"/>
+</visual><worldbody>
+<geom type="plane" size="2 2 .1" material="floor" contype="0" conaffinity="0"/>"""
 
 
 class RenderError(RuntimeError):
@@ -36,7 +45,6 @@ def film_frames(
     truth: ConstraintFrame | None = None,
     *,
     arm: str | Arm = PANDA,
-    skin: str | Path | None = None,
     size: tuple[int, int] = (480, 368),
 ) -> np.ndarray:
     """Render pictures of the arm at joint positions, with the constraint frame and the path of the TCP.
@@ -48,20 +56,17 @@ def film_frames(
         joints: (K, 7) rad, such as the ``joint_positions`` of one demonstration.
         truth: the constraint, with geometry (3,); None draws only the arm.
         arm: the robot.
-        skin: appearance of the robot instead of primitive shapes: a MuJoCo model, such as MuJoCo Menagerie's
-            ``panda.xml``, or a folder of meshes, ``link0.stl`` to ``link7.stl`` and ``hand.stl``.
         size: width and height in pixels, up to 1920 x 1080; multiples of 16 for MP4.
 
     Returns:
         (K, height, width, 3) uint8.
 
     Raises:
-        ValueError: if the skin cannot be loaded or belongs to another robot.
         RenderError: if OpenGL is not available.
     """
     arm = find_arm(arm)
     joints = np.asarray(joints, dtype=float)
-    model = _scene(arm, skin)
+    model = mujoco.MjModel.from_xml_string(arm_xml(arm).replace("<worldbody>", _SCENE))
     data = mujoco.MjData(model)
     camera = mujoco.MjvCamera()
     camera.lookat[:], camera.distance, camera.azimuth, camera.elevation = (0.25, 0, 0.36), 1.35, 135, -18
@@ -88,12 +93,7 @@ def film_frames(
 
 
 def save_film(path: str | Path, pictures: np.ndarray, *, rate: float = 20.0) -> None:
-    """Write pictures as an animated GIF, or as MP4.
-
-    Args:
-        path: path of the film, with the suffix ``.gif`` or ``.mp4``.
-        pictures: (K, height, width, 3) uint8.
-        rate: pictures per second.
+    """Write pictures (K, height, width, 3), uint8, as an animated GIF or as MP4, with a rate per second.
 
     Raises:
         ValueError: for another suffix.
@@ -137,44 +137,6 @@ def _palette(pictures: np.ndarray) -> Any:
     palette = Image.new("P", (1, 1))
     palette.putpalette(colours)
     return palette
-
-
-def _scene(arm: Arm, skin: str | Path | None) -> mujoco.MjModel:
-    """The arm on a chequered floor."""
-    spec = apply_skin(arm, skin)
-    sky, chequers = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtTexture.mjTEXTURE_2D
-    if not any(texture.type == sky for texture in spec.textures):
-        spec.add_texture(
-            type=sky,
-            builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-            rgb1=[1, 1, 1],
-            rgb2=[0.8, 0.86, 0.92],
-            width=32,
-            height=192,
-        )
-    spec.add_texture(
-        name="film floor",
-        type=chequers,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        rgb1=[0.92] * 3,
-        rgb2=[0.86] * 3,
-        width=256,
-        height=256,
-    )
-    floor = spec.add_material(name="film floor", texrepeat=[8, 8])
-    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "film floor"
-    spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[2, 2, 0.1],
-        material="film floor",
-        contype=0,
-        conaffinity=0,
-    )
-    visual = spec.visual
-    visual.headlight.ambient, visual.headlight.diffuse = [0.35] * 3, [0.25] * 3
-    visual.headlight.specular = [0] * 3
-    visual.global_.offwidth, visual.global_.offheight = 1920, 1080
-    return spec.compile()
 
 
 def _renderer(model: mujoco.MjModel, size: tuple[int, int]) -> Any:

@@ -26,7 +26,7 @@ from reframe_jax.constraints.located import Frame, Located, locate, multiply, sl
 from reframe_jax.simulation.arm.dynamics import Motion, arm_motion, solve_positive
 from reframe_jax.simulation.arm.model import Arm, forward_kinematics
 
-__all__ = ["AxisLaw", "Steps", "Track", "hold", "integrate", "run_samples"]
+__all__ = ["AxisLaw", "Steps", "Track", "hold", "integrate"]
 
 RELAXATION = 0.03
 """s, time constant with which a constrained axis returns; also the ratio of damping to stiffness."""
@@ -51,11 +51,8 @@ class AxisLaw:
 def hold(free: jax.Array, slipped: jax.Array, step: float, compliance: jax.Array) -> AxisLaw:
     """Axis laws that hold the constrained axes rigidly or by springs, and leave the other axes free.
 
-    Args:
-        free: (6,), 1 for free axes, 0 for constrained axes.
-        slipped: (6,) rad and m, slip of each axis.
-        step: s.
-        compliance: (6,) rad/(N m) and m/N; zero is rigid.
+    ``free`` (6,) is 1 for free axes, ``slipped`` (6,) the slip of each axis in rad and m, and ``compliance``
+    (6,) in rad/(N m) and m/N, zero for a rigid axis.
     """
     rate = 1 / (RELAXATION + step)
     return AxisLaw(acts=1 - free, offset=rate * slipped, softness=rate * compliance)
@@ -142,6 +139,10 @@ def integrate(
         velocity = unheld + step * multiply(response, force)
         return (joints + step * velocity, velocity, slipped, now, state, force), None
 
+    def sample(carry: Any, index: jax.Array) -> tuple[Any, Track]:
+        carry, _ = jax.lax.scan(advance, carry, index * steps.substeps + jnp.arange(steps.substeps))
+        return carry, observe(carry)
+
     def observe(carry: Any) -> Track:
         joints, velocity, slipped, _, _, force = carry
         return Track(joints, velocity, slipped, force)
@@ -149,27 +150,5 @@ def integrate(
     zero = jnp.zeros(6, dtype=dtype)
     velocity = jnp.zeros_like(start) if velocity is None else velocity
     carry = (start, velocity, zero, locate(frame, *forward_kinematics(start, arm)), state, zero)
-    return run_samples(advance, carry, observe, steps)
-
-
-def run_samples(
-    advance: Callable[[Any, jax.Array], tuple[Any, None]],
-    carry: Any,
-    observe: Callable[[Any], Track],
-    steps: Steps,
-) -> Track:
-    """Integrate, and observe the start and every later sample.
-
-    Args:
-        advance: function of the carry and the number of a step that returns the next carry.
-        carry: initial carry.
-        observe: function from the carry to the contents of a sample.
-        steps: samples, and steps between samples.
-    """
-
-    def sample(carry: Any, index: jax.Array) -> tuple[Any, Track]:
-        carry, _ = jax.lax.scan(advance, carry, index * steps.substeps + jnp.arange(steps.substeps))
-        return carry, observe(carry)
-
     _, track = jax.lax.scan(sample, carry, jnp.arange(steps.samples))
     return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), observe(carry), track)

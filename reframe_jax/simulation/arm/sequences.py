@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import frame_arrays, place_frame
-from reframe_jax.simulation.arm.compiled import jit_simulation
 from reframe_jax.simulation.arm.demonstration import (
     ORIGIN,
     Demonstration,
@@ -113,29 +112,14 @@ def demonstrate_sequence(
 ) -> SequenceDemonstration:
     """Simulate a hand that guides the arm under several constraints, one after the other.
 
-    Each constraint becomes active at the last pose of the previous stage. Velocities along its constrained
-    axes then stop, as in an impact with a surface. All stages use the program of
-    :func:`reframe_jax.simulation.arm.demonstrate`, with the number of samples of the longest stage.
+    Constraints are labels or names of the catalogue, placed near the TCP as in :func:`frame_on_arm`, with
+    "unconstrained" for an approach or a release; or frames, which are used without change. Each constraint
+    becomes active at the last pose of the previous stage. Velocities along its constrained axes then stop, as
+    in an impact with a surface. With ``pause``, the hand comes to rest before each change, and at the end.
 
-    Args:
-        constraints: labels or names of the catalogue, placed near the TCP as in :func:`frame_on_arm`, with
-            "unconstrained" for an approach or a release; or frames, which are used without change.
-        key: JAX random key.
-        batch: number N of demonstrations.
-        first: number of the first demonstration, to continue an earlier batch.
-        durations: s, one duration for all stages, or one per stage.
-        dt: s, time between recorded samples.
-        step: as in :func:`demonstrate`.
-        excitation: as in :func:`demonstrate`, with separate random phases for each stage.
-        pause: whether the hand comes to rest before each change of constraint, and at the end.
-        spread: rad and m, standard deviations of a random rotation and shift of each stage's geometry.
-        guide: stiffness, misalignment and tremor of the hand, with a new grip in each stage.
-        imperfections: errors of the robot and its sensors.
-        arm: ``"panda"``, ``"fr3"``, or an arm.
-        start: (7,) or (N, 7) rad, initial joint positions, at rest; the arm's home by default.
-
-    Returns:
-        The demonstrations. Check ``status_code``, because the simulation does not enforce joint limits.
+    All stages use the program of :func:`reframe_jax.simulation.arm.demonstrate`, with the number of samples
+    of the longest stage. Its options apply to every stage, with another grip and other phases. ``durations``
+    (s) is one number, or one per stage.
 
     Raises:
         KeyError: for an unknown constraint.
@@ -151,7 +135,7 @@ def demonstrate_sequence(
         )
     check_demonstration(batch, first, excitation, spread, guide, imperfections, start)
     counts = [sampling(duration, dt, step).samples for duration in each]
-    plan = Plan(sampling(max(each), dt, step), dt, excitation, arm, None)
+    plan = Plan(sampling(max(each), dt, step), dt, excitation, arm)
     joints = jnp.broadcast_to(arm.start(start, float), (batch, 7))
     velocity = jnp.zeros_like(joints)
     numbers = jnp.asarray(first + np.arange(batch), dtype=jnp.uint32)
@@ -167,14 +151,8 @@ def demonstrate_sequence(
         made = run_guided(arrays, own, numbers, onset, guide, imperfections, plan=plan)
         stages.append(_truncate_stage(made, frame, count, imperfections, arm))
         joints, velocity = stages[-1].joint_positions[:, -1], stages[-1].joint_velocities[:, -1]
-    poses = _record(
-        _join_stages([stage.joint_positions for stage in stages], axis=1),
-        _join_stages([stage.joint_velocities for stage in stages], axis=1),
-        demonstration_keys(key, numbers)[:, 3],
-        imperfections,
-        dt=dt,
-        arm=arm,
-    )
+    joints = _join_stages([stage.joint_positions for stage in stages], axis=1)
+    poses = _record(joints, demonstration_keys(key, numbers)[:, 3], imperfections, arm=arm)
     edges = np.cumsum([0, *counts])
     stages = [
         replace(stage, poses=poses[:, a : b + 1])
@@ -211,9 +189,7 @@ def _truncate_stage(
     )
 
 
-@jit_simulation(("dt", "arm"))
-def _record(
-    joints: jax.Array, velocity: jax.Array, keys: jax.Array, what: Imperfections, *, dt: float, arm: Arm
-) -> jax.Array:
+@partial(jax.jit, static_argnames="arm")
+def _record(joints: jax.Array, keys: jax.Array, what: Imperfections, *, arm: Arm) -> jax.Array:
     """Simulate the recorded poses (N, K+1, 4, 4) of the whole task."""
-    return jax.vmap(lambda q, v, key: measure(q, v, dt, what, key, arm))(joints, velocity, keys)
+    return jax.vmap(lambda q, key: measure(q, what, key, arm))(joints, keys)

@@ -54,24 +54,9 @@ def store_demonstrations(
     """Simulate usable demonstrations, store them in a folder, and resume from existing parts.
 
     Repeat the call with the same or a larger ``count`` to add missing demonstrations. The chunk size limits
-    the memory.
-
-    Args:
-        constraint: as for :func:`reframe_jax.simulation.arm.demonstrate`.
-        key: JAX random key.
-        count: number of demonstrations.
-        folder: path of the folder, created if missing. Read it with :func:`load_demonstrations`, or part by
-            part with :func:`stored_demonstrations`.
-        chunk: number of demonstrations per simulation call and per part; unusable demonstrations are then
-            removed.
-        redraw: whether to replace demonstrations whose status is not OK.
-        progress: function to call after every part, with the number of completed demonstrations and
-            ``count``. True shows a progress bar on standard error; this is the default if standard error is a
-            terminal.
-        **options: options of :func:`reframe_jax.simulation.arm.demonstrate`.
-
-    Returns:
-        The path of the folder.
+    the memory: each part has the usable demonstrations of one chunk. Read them with
+    :func:`load_demonstrations`, or part by part with :func:`stored_demonstrations`. Arguments as for
+    :func:`reframe_jax.simulation.arm.demonstrations`; ``progress=True`` shows a bar on standard error.
 
     Raises:
         ValueError: if the folder contains other data, demonstrations with other options, or a damaged part;
@@ -131,28 +116,11 @@ def _from_arrays(part: dict[str, Any]) -> Demonstration:
     return Demonstration(times=part["times"], truth=truth, **{name: part[name] for name in _FIELDS})
 
 
-def load_demonstrations(folder: str | Path, count: int | None = None) -> Demonstration:
-    """Load the demonstrations of a folder as one batch of NumPy arrays.
-
-    Args:
-        folder: folder written by :func:`store_demonstrations`.
-        count: number of demonstrations to load. The default loads all, which may exceed the ``count`` of
-            :func:`store_demonstrations`.
-
-    Raises:
-        ValueError: if the folder contains no demonstrations, or fewer than ``count``.
-    """
-    parts: list[Demonstration] = []
-    total = 0
-    for part in stored_demonstrations(folder):
-        parts.append(part)
-        total += len(part.status_code)
-        if count is not None and total >= count:
-            break
-    if count is not None and total < count:
-        raise ValueError(f"{folder} contains {total} demonstrations, fewer than {count}.")
+def load_demonstrations(folder: str | Path) -> Demonstration:
+    """Load all demonstrations of a folder, which may be more than were asked for, as one batch of arrays."""
+    parts = list(stored_demonstrations(folder))
     made: Demonstration = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
-    return replace(made, times=parts[0].times)[:count]
+    return replace(made, times=parts[0].times)
 
 
 def _dof(values: np.ndarray) -> Dof:

@@ -16,7 +16,7 @@ from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.entry import identify
 from reframe_jax.identification.results import Identification
 from reframe_jax.simulation import metrics
-from reframe_jax.simulation.arm.compiled import check_numbers
+from reframe_jax.simulation.arm.checks import check_numbers
 from reframe_jax.simulation.arm.demonstration import SPREAD, Demonstration, demonstrate
 from reframe_jax.simulation.arm.imperfections import REALISTIC, Imperfections
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
@@ -83,24 +83,15 @@ def compare(
 ) -> Comparison:
     """Demonstrate, identify, and reproduce a task in three kinds of frames.
 
-    The comparison leaves out, and counts, geometries for which the arm reaches a limit, or for which the
-    end-stop is out of reach even with the true frame.
+    Each of the ``trials`` has a random geometry. Options are those of
+    :func:`reframe_jax.simulation.arm.demonstrate` and :func:`reproduce`; the reproductions have the
+    compliance of the demonstrations, and both start at the start of the task. ``progress`` receives the
+    number of prepared trials and ``trials``. The comparison leaves out, and counts, geometries for which the
+    arm reaches a limit, or for which the end-stop is out of reach even with the true frame.
 
     A constraint may not determine the origin of its frame. The comparison then moves the identified origin to
     the true origin, where the forces act. If all rotations are free, moments act along the true axes. Other
     choices are equally correct, but their trials could not be compared with the baseline.
-
-    Args:
-        constraint: label or name of one of the twelve constraints of the paper, or a frame.
-        key: JAX random key.
-        trials: number of demonstrations, each with a random geometry, and of reproductions in each frame.
-        controller: the controller, which computes the wrenches.
-        task: the end-stops, and the initial joint positions of demonstrations and reproductions.
-        imperfections: imperfections of the demonstrations; the reproductions have the same compliance.
-        excitation: excitation of the demonstrations; see :func:`reframe_jax.simulation.arm.demonstrate`.
-        spread: rad and m, spread of the geometry; see :func:`reframe_jax.simulation.arm.demonstrate`.
-        arm: the robot.
-        progress: function to call with the number of prepared trials and ``trials``.
 
     Raises:
         ValueError: for unusable numbers or names, or if more than 9 in 10 geometries are unusable.
@@ -159,13 +150,9 @@ def compare(
 def matched_choices(
     found: Identification, truth: ConstraintFrame, *, arm: str | Arm = PANDA, start: ArrayLike = ROOMY
 ) -> Frame:
-    """Return the identified frames, with arbitrary origins and axes replaced by the true ones.
+    """Return the identified frames (N), with arbitrary origins and axes replaced by those of the truth.
 
-    Args:
-        found: N identifications.
-        truth: the true constraint, with geometry (N, 3).
-        arm: the robot.
-        start: (7,) rad, joint positions at which the replaced origins and axes agree with the truth.
+    The replaced origins and axes agree with the truth at the joint positions ``start`` (7,), rad.
     """
     arm = find_arm(arm)
     frames = control_frames(found)

@@ -51,20 +51,15 @@ def constant_wrench(moment: float = 3.5, force: float = 7.0) -> Controller:
 
 
 def hybrid(speed: Pair = (0.3, 0.08)) -> Controller:
-    """Hybrid control: given velocities along free axes, zero force along constrained axes.
-
-    Args:
-        speed: rad/s and m/s.
-    """
+    """Hybrid control: given velocities (rad/s, m/s) along free axes, zero force along constrained axes."""
     return Controller(speed=speed, damping=(5.0, 120.0))
 
 
 def axis_impedance(speed: Pair = (0.3, 0.08), reach: Pair = (0.5, 0.15)) -> Controller:
     """Impedance per axis: stiff along free axes towards a moving set point, soft along constrained axes.
 
-    Args:
-        speed: rad/s and m/s.
-        reach: rad and m; a set point beyond the end-stop presses against the end-stop.
+    The set point moves with ``speed`` (rad/s, m/s) up to ``reach`` (rad, m); beyond the end-stop, it presses
+    against the end-stop.
     """
     return Controller(
         speed=speed,

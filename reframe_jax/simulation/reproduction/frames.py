@@ -22,11 +22,7 @@ LITERATURE_ERRORS = ((0.5, 5.0), (1.0, 7.5))
 
 
 def control_frames(found: Identification | ConstraintFrame | Frame) -> Frame:
-    """Return control frames with the batch axes of ``found``.
-
-    Args:
-        found: identifications, whose types may vary in a batch, or constraint frames.
-    """
+    """Return control frames with the batch axes of ``found``; types may vary in a batch of results."""
     if isinstance(found, Frame):
         return found
     if isinstance(found, ConstraintFrame):
@@ -51,15 +47,10 @@ def erroneous_frames(
     arm: str | Arm = PANDA,
     start: ArrayLike = ROOMY,
 ) -> Frame:
-    """Rotate and shift frames by errors with random directions and uniformly distributed sizes.
+    """Rotate and shift frames (N) by errors with random directions and uniformly distributed sizes.
 
-    Args:
-        truth: the true constraint, with geometry (N, 3).
-        key: JAX random key of the errors.
-        angles: degrees, smallest and largest rotation.
-        distances: mm, smallest and largest shift.
-        arm: the robot.
-        start: (7,) rad, joint positions at which the errors apply.
+    The ranges of ``angles`` are in degrees, of ``distances`` in mm. The errors apply at the joint positions
+    ``start`` (7,), rad.
     """
     dtype, count, arm = truth.position.dtype, truth.position.shape[0], find_arm(arm)
     pose = forward_kinematics(arm.start(start, dtype), arm)

@@ -59,19 +59,11 @@ def reproduce_sequence(
 ) -> SequenceTrial:
     """Reproduce a task with several constraints; each stage starts at the end of the previous stage.
 
-    A stage moves from end-stop to end-stop, see :func:`reframe_jax.simulation.reproduction.reproduce`. Each
-    stage starts at rest: the next constraint becomes active at the current pose of the tool, and the control
-    frame is located at this pose. A stage that does not reach its end-stop ends the task.
-
-    Args:
-        truths: the true constraint of each stage, with geometry (3,).
-        frames: the control frame of each stage: a segmentation, whose moving segments are the stages, or one
-            identification or constraint frame per stage, with geometry (3,).
-        controller: the controller of all stages.
-        task: the end-stops and the duration of each stage, and the initial joint positions of the first
-            stage.
-        arm: the robot.
-        compliance: rad/(N m) and m/N, compliance of the tool and its mount.
+    A stage moves from end-stop to end-stop, see :func:`reframe_jax.simulation.reproduction.reproduce`, whose
+    options apply. Each stage starts at rest: the next true constraint, with geometry (3,), becomes active at
+    the current pose of the tool, and the control frame is located at this pose. A stage that does not reach
+    its end-stop ends the task. ``frames`` is a segmentation, whose moving segments are the stages, or one
+    identification or constraint frame per stage, with geometry (3,).
 
     Raises:
         ValueError: for an unknown robot, no stages, different numbers of stages, or a segment without

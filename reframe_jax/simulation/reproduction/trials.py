@@ -14,7 +14,7 @@ from reframe_jax.constraints.located import Frame, frame_arrays, locate
 from reframe_jax.geometry import rotations, transforms
 from reframe_jax.geometry.products import apply, matmul
 from reframe_jax.identification.results import Identification
-from reframe_jax.simulation.arm.compiled import as_numbers, jit_simulation
+from reframe_jax.simulation.arm.checks import as_numbers
 from reframe_jax.simulation.arm.demonstration import sampling
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
 from reframe_jax.simulation.arm.rollout import AxisLaw, Steps, hold, integrate
@@ -142,7 +142,7 @@ def reproduce(
     )
 
 
-@jit_simulation(("steps", "dt", "arm"))
+@partial(jax.jit, static_argnames=("steps", "dt", "arm"))
 def _reproduce(
     truth: Frame,
     control: Frame,
