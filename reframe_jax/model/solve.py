@@ -34,7 +34,7 @@ from reframe_jax.model.table import ENTRIES, KINDS, PATHS, ROWS, TABLE, Table
 __all__ = ["Solved", "choose_scales", "solve_windows"]
 
 Array = jax.Array
-CANDIDATES = 4
+CANDIDATES = 6
 _LINEAR = np.array([KINDS.index(t.name) for t in LinearType])
 
 
@@ -146,11 +146,20 @@ class _Windows(NamedTuple):
 
 
 class _Joint(NamedTuple):
-    """Coordinates of universal joints: a (3, N), b (3, N), moments (9, 9, S, N), and 1 - cos^2 (M, N)."""
+    """Rotations of universal joints: their angle, and the turns about the axes a (3, N) and b (3, N).
+
+    Attributes:
+        ground: a.
+        body: b.
+        form: (3, 3, S, N) moments.
+        mixed: (3, 3, 4, 2, S, N) moments with the paths of GB and BG, directions times (1, origin).
+        sine: (M, N) 1 - cos^2 of the angle.
+    """
 
     ground: Array
     body: Array
     form: Array
+    mixed: Array
     sine: Array
 
 
@@ -186,7 +195,7 @@ def _compare(
     axes = common_frames(paths, turns, products[z.POSITION, z.POSITION], details, scale_weight)
     whole = total(products * scale_weight, 2)
     a, b = universal_axes(axes, products, details, mean)
-    joint = _joint(a, b, place, used.products, features)
+    joint = _joint(a, b, used.products, features)
     starts = entry_starts(place, axes, (a, b), whole, mean)
     scale = _tilt_scale(axes, whole)
     if not judge:
@@ -315,12 +324,13 @@ def _judge(forms: Forms, at: Unknowns, entries: Table, of: _Windows) -> tuple[Am
     turns, shifts, mixed = coordinates_at(forms, at, entries.apart)
     joint, crossed = of.joint, entries.crossed
     # ---- the rotations of a universal joint are others
-    turns = jnp.where(crossed, joint.form[:3, :3, :, None], turns)
-    path_first = jnp.where(
-        entries.path == PATHS.index("GB"), joint.form[:3, 3:6, :, None], joint.form[:3, 6:, :, None]
+    turns = jnp.where(crossed, joint.form[:, :, :, None], turns)
+    of_path = jnp.where(
+        entries.path == PATHS.index("GB"), joint.mixed[:, :, :, 0, :, None], joint.mixed[:, :, :, 1, :, None]
     )
-    path_first = total(path_first[:, :, None] * at.frame[None, :, :, None], 1)
-    mixed = jnp.where(crossed, path_first, mixed)
+    of_path = of_path[:, :, 0] + total(of_path[:, :, 1:] * at.origin[:, None], 2)
+    of_path = total(of_path[:, :, None] * at.frame[None, :, :, None], 1)
+    mixed = jnp.where(crossed, of_path, mixed)
     # ---- sensitivity to a rotation
     unit = jnp.eye(3, dtype=turns.dtype)[:, :, None, None] + jnp.zeros_like(at.frame)
     sine = total(joint.sine, 0) / len(joint.sine)
@@ -346,24 +356,24 @@ def _judge(forms: Forms, at: Unknowns, entries: Table, of: _Windows) -> tuple[Am
     return amplitudes, log_evidence(amplitudes, tilt, entries, of.own)
 
 
-def _joint(a: Array, b: Array, place: Array, products: Array, features: Features) -> _Joint:
-    """Moments of a'R b, of the rotations about a and b, and of the path of either linear type's origin."""
+def _joint(a: Array, b: Array, products: Array, features: Features) -> _Joint:
+    """Moments of a'R b and of the rotations about a and b; see :class:`_Joint`."""
     rows = jnp.asarray(ROWS, products.dtype)
     angle = jnp.einsum("in,jn,ijf->nf", a, b, rows[KINDS.index("angle between"), :, 1:])
     turns = [
         jnp.einsum("in,if->nf", v, rows[KINDS.index(f"turn in {where}"), :, 0])
         for v, where in ((a, "ground"), (b, "body"))
     ]
-    point = jnp.concatenate([jnp.ones_like(place[:1]), place])
-    paths = [
-        jnp.einsum("an,iaf->inf", point[:, t], rows[KINDS.index(t.name)])
-        for t in (LinearType.GB, LinearType.BG)
-    ]
-    weights = jnp.concatenate([jnp.stack([angle, *turns]), *paths]).swapaxes(0, 1)
-    form = jnp.einsum("nif,nsfg,njg->ijsn", weights, products, weights, precision="highest")
+    weights = jnp.stack([angle, *turns])
+    half = jnp.einsum("inf,nsfg->nsig", weights, products, precision="highest")
+    form = jnp.einsum("nsif,jnf->ijsn", half, weights, precision="highest")
+    paths = ROWS[[KINDS.index(t.name) for t in (LinearType.GB, LinearType.BG)]]
+    sign = jnp.asarray(paths.sum(-1), products.dtype)
+    mixed = half[..., np.abs(paths).argmax(-1)] * sign  # (N, S, 3, 2, 3, 4)
+    mixed = mixed.transpose(2, 4, 5, 3, 1, 0)
     turned = features.to_rotation[:, :, z.TURN_GROUND]
     cosine = jnp.einsum("in,nmij,jn->mn", a, turned, b)
-    return _Joint(a, b, form, 1 - cosine * cosine)
+    return _Joint(a, b, form, mixed, 1 - cosine * cosine)
 
 
 def _levers(features: Features, turned: Array, place: Array) -> Array:
