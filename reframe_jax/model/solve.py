@@ -34,7 +34,7 @@ from reframe_jax.model.table import ENTRIES, KINDS, PATHS, ROWS, TABLE, Table
 __all__ = ["Solved", "choose_scales", "solve_windows"]
 
 Array = jax.Array
-CANDIDATES = 6
+CANDIDATES = 8  # entries that are fitted: a contact whose start is poor may look only the seventh best
 _LINEAR = np.array([KINDS.index(t.name) for t in LinearType])
 
 
