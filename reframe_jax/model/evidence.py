@@ -9,11 +9,9 @@ sampling error and its white noise. Two densities of log a are compared:
 - *free*: slope B below and -3 above the size m of the motion, one m for rotations and one for translations.
 
 The four sizes belong to the recording and are integrated out on grids: densities of a logarithm that are
-smooth
-over half a unit are summed exactly by the trapezoidal rule with coarse steps. To this come how well the held
-coordinates are held against those of other entries, as a likelihood tempered to the few independent values
-that
-a motion has, and a unit of log evidence for every parameter.
+smooth over half a unit are summed exactly by the trapezoidal rule with coarse steps. To this come how well
+the held coordinates are held against those of other entries, as a likelihood tempered to the few independent
+values that a motion has, and a unit of log evidence for every parameter.
 """
 
 from math import log

@@ -1,11 +1,10 @@
 """The fit of an entry of the table: its frame, origin, tilt and pitch.
 
 Held blocks of coordinates are normal with a covariance that is not known, one at each scale. The fit
-minimises
-sum_s n_s log det (W G_s W') over the held blocks, with W(parameters) the weights of the coordinates and G_s
-the moments of the features. An axis that goes through both bodies is the same in both up to a tilt; tilt and
-held rotations have one size. The steps are those of Levenberg and Marquardt for the tangent of the logarithm,
-a sum of squares.
+minimises sum_s n_s log det (W G_s W') over the held blocks, with W(parameters) the weights of the coordinates
+and G_s the moments of the features. An axis that goes through both bodies is the same in both up to a tilt;
+tilt and held rotations have one size. The steps are those of Levenberg and Marquardt for the tangent of the
+logarithm, a sum of squares.
 """
 
 from typing import NamedTuple

@@ -1,9 +1,8 @@
 """Integrated twists of a measured motion, seen in the body and in the ground.
 
 Between two poses, the logarithm of the step is the integral of the twist plus brackets that mix its
-components
-(the expansion of Magnus). The brackets are computed from derivatives of the twist and taken out, to the sixth
-order in the sample time: a component of the twist that is always zero stays zero.
+components (the expansion of Magnus). The brackets are computed from derivatives of the twist and taken out,
+to the sixth order in the sample time: a component of the twist that is always zero stays zero.
 
 Arrays have components first, then twists in {b} and in {g}, then samples, and windows last.
 """

@@ -1,12 +1,9 @@
 """Steps of the fit, for many problems at a time: components first, problems last.
 
 The unknowns of a problem are a frame V in its main body, an origin x, the tilt t of the axis between the
-bodies
-and a pitch h. Three blocks of coordinates can be held: rotations along columns of V, translations of the
-origin
-along columns of V, and the position of the body along the tilted axis, less h times the rotation about the
-axis.
-The objective is sum_s n_s log det of the held covariances; see :mod:`.fit`.
+bodies and a pitch h. Three blocks of coordinates can be held: rotations along columns of V, translations of
+the origin along columns of V, and the position of the body along the tilted axis, less h times the rotation
+about the axis. The objective is sum_s n_s log det of the held covariances; see :mod:`.fit`.
 """
 
 from functools import partial

@@ -20,8 +20,8 @@ __all__ = ["ENTRIES", "KINDS", "PATHS", "ROWS", "TABLE", "Entry"]
 
 KINDS = ("BB", "GB", "GG", "BG", "turn in body", "turn in ground", "position", "angle between")
 """Vectors whose coordinates are held or free: the path of an origin as the four linear types see it, the
-summed
-rotation in either body, the position of the body in the ground, and the direction of an axis of the body."""
+summed rotation in either body, the position of the body in the ground, and the direction of an axis of the
+body."""
 
 PATHS = ("BB", "GB", "GG", "BG", "position")
 """Kinds of translations."""
