@@ -1,11 +1,11 @@
 # make demo: set up and identify the recording in examples/. make test: set up and run the tests.
-# make decisions: names and segments once more, with other machine instructions, which round differently.
+# make decisions: names once more, with other machine instructions, which round differently.
 # make lint, make docs, make benchmark. make paper: the paper's experiments, to out/paper; make paper-quick: a
 # small part of them, in a minute or two.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-DECISIONS := $(addprefix tests/test_,naming.py special_joints.py segmentation.py segmentation_recordings.py real_recordings.py wiping.py)
+DECISIONS := $(addprefix tests/test_,naming.py special_joints.py wiping.py)
 
 .PHONY: demo test decisions lint benchmark paper paper-quick docs clean
 
