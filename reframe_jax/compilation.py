@@ -1,6 +1,5 @@
 """Helpers for JAX's transformations and compiled programs."""
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any, TypeVar
 
@@ -8,11 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-__all__ = ["BLOCK_DIVISOR", "in_float64", "index_leaves", "join_parts", "traced", "update_marked"]
-
-_BLOCK = 8  # smallest number of problems per block
-BLOCK_DIVISOR = 16
-"""A block contains all problems divided by this number, or ``_BLOCK`` problems if that is more."""
+__all__ = ["in_float64", "index_leaves", "join_parts", "traced"]
 
 _T = TypeVar("_T")
 
@@ -20,39 +15,6 @@ _T = TypeVar("_T")
 def in_float64() -> bool:
     """Whether JAX computes in float64 in this thread."""
     return bool(jax.dtypes.canonicalize_dtype(np.float64) == np.float64)
-
-
-def update_marked(
-    function: Callable[[Any], Any], marked: jax.Array, inputs: Any, outputs: Any, divisor: int = BLOCK_DIVISOR
-) -> Any:
-    """Recompute the outputs of marked problems in full blocks; unmarked problems cost no time.
-
-    Args:
-        function: function from the inputs of a block of problems to their outputs.
-        marked: (N,) bool.
-        inputs: pytree of arrays (..., N).
-        outputs: pytree of arrays (..., N), in the format of ``function``.
-        divisor: a block contains the number of problems divided by this number, and at least eight problems.
-
-    Returns:
-        The outputs, with new values for the marked problems.
-    """
-    problems = marked.size
-    if problems == 1:
-        return jax.lax.cond(marked[0], lambda new, _: function(new), lambda _, old: old, inputs, outputs)
-    size = max(min(problems, _BLOCK), problems // divisor)
-    order, count = jnp.argsort(~marked), jnp.sum(marked)  # marked problems first, in their order
-
-    def block(i: jax.Array, outputs: Any) -> Any:
-        # depends on i: for a single problem, XLA would detect equal blocks and compute them unconditionally
-        i, of_all = jax.lax.optimization_barrier((i, inputs))
-        place = i * size + jnp.arange(size)
-        rows = order[jnp.minimum(place, problems - 1)]
-        found = function(jax.tree.map(lambda a: jnp.take(a, rows, axis=-1), of_all))
-        target = jnp.where(place < count, rows, problems)  # drops the rows of unmarked problems
-        return jax.tree.map(lambda old, new: old.at[..., target].set(new, mode="drop"), outputs, found)
-
-    return jax.lax.fori_loop(0, (count + size - 1) // size, block, outputs)
 
 
 def traced(tree: Any) -> bool:
