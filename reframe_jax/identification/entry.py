@@ -13,7 +13,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import in_float64, index_leaves, traced
+from reframe_jax.compilation import COMPILER_OPTIONS, in_float64, index_leaves, traced
 from reframe_jax.identification.cautions import Caution
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.inputs import run_in_pieces, take_poses, take_steps
@@ -151,7 +151,7 @@ def identify_unchecked(
         reach = check_bounds(bounds)
         options = None if reach is None else jnp.asarray(reach, dtype), level, key
         run = partial(
-            _identify_flat,
+            _program_in_trace if inside_a_trace else _program,
             scales=samples,
             exponent=exponent,
             discretization=discretization,
@@ -242,14 +242,13 @@ def _program_for_mesh(mesh: Mesh, axis: Any, own_steps: bool, *static: tuple[str
         out_specs=part,
         check_vma=False,
     )
-    return jax.jit(run)
+    return jax.jit(run, compiler_options=COMPILER_OPTIONS)
 
 
 def _chunk() -> int:
     return _CHUNK.get(jax.default_backend(), 1024)
 
 
-@partial(jax.jit, static_argnames=("scales", "exponent", "discretization", "solver", "assume"))
 def _identify_flat(
     poses: jax.Array,
     steps: jax.Array,
@@ -282,6 +281,11 @@ def _identify_flat(
         found = jax.lax.map(lambda part: of_windows(part[0], steps if shared else part[1], None), split)
         found = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:number], found)
     return jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), found)
+
+
+_STATIC = "scales", "exponent", "discretization", "solver", "assume"
+_program_in_trace = jax.jit(_identify_flat, static_argnames=_STATIC)
+_program = jax.jit(_identify_flat, static_argnames=_STATIC, compiler_options=COMPILER_OPTIONS)
 
 
 def _narrow(leaf: np.ndarray) -> np.ndarray:
