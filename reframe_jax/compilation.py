@@ -12,9 +12,12 @@ __all__ = ["COMPILER_OPTIONS", "in_float64", "index_leaves", "join_parts", "trac
 _T = TypeVar("_T")
 
 COMPILER_OPTIONS = {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else None
-"""For ``jax.jit`` of large programs, not inside another ``jit``: a CPU's compiler takes half the time, and the
-program is no slower (``python -m benchmarks.first_answer``). jax 0.11 has no such option for a program;
-``XLA_FLAGS=--xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters`` does the same there."""
+"""Options of ``jax.jit`` for large programs that are not inside another ``jit``.
+
+On a CPU, compilation takes half the time, and the program is no slower (``python -m benchmarks.first_answer``).
+jax 0.11 has no such option for a single program; the environment variable
+``XLA_FLAGS=--xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters`` does the same for all of them.
+"""
 
 
 def in_float64() -> bool:

@@ -2,10 +2,13 @@
 
 from typing import Any
 
+import jax
+import jax.extend
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import reframe_jax as rf
 from reframe_jax.compilation import _take_row, _take_rows, index_leaves
 
 
@@ -43,3 +46,24 @@ def test_numpy_arrays_stay_what_they_are() -> None:
     assert isinstance(index_leaves({"one": np.ones((2, 2))}, 0)["one"], np.ndarray)
     with pytest.raises(IndexError):  # of a single window there is no first one
         index_leaves({"one": jnp.ones(())}, 0)
+
+
+def count_equations(jaxpr: jax.extend.core.Jaxpr) -> int:
+    """Equations of a program and of the programs in it."""
+    inner = [
+        getattr(value, "jaxpr", value)
+        for equation in jaxpr.eqns
+        for values in equation.params.values()
+        for value in (values if isinstance(values, list | tuple) else [values])
+    ]
+    programs = [value for value in inner if isinstance(value, jax.extend.core.Jaxpr)]
+    return len(jaxpr.eqns) + sum(map(count_equations, programs))
+
+
+@pytest.mark.parametrize("poses", [51, 256])
+def test_the_program_stays_small(poses: int) -> None:
+    """The time of the compiler grows with the number of equations."""
+    shape = jax.ShapeDtypeStruct((poses, 4, 4), jnp.float64)
+    with jax.enable_x64(True):
+        program = jax.make_jaxpr(lambda window: rf.identify(window, dt=0.1))(shape)
+    assert 1_000 < count_equations(program.jaxpr) <= 12_000

@@ -42,14 +42,15 @@ def materialize(values: T) -> T:
     if jax.default_backend() != "cpu":
         return jax.lax.optimization_barrier(values)
     first = next(leaf for leaf in jax.tree.leaves(values) if jnp.issubdtype(leaf.dtype, jnp.floating))
-    always = jax.lax.index_in_dim(first.reshape(-1), 0, keepdims=False) != _NO_MOMENT
+    corner = jax.lax.slice(first, (0,) * first.ndim, (1,) * first.ndim)
+    always = jax.lax.reshape(corner, ()) != _NO_MOMENT
     return jax.lax.cond(always, lambda x: x, lambda x: jax.tree.map(jnp.zeros_like, x), values)
 
 
 def total(array: Array, *axes: int) -> Array:
     """Sum over short axes, term by term: on a CPU, reductions over leading axes take forty times as long."""
     for axis in sorted(axes, reverse=True):
-        terms = [jax.lax.slice_in_dim(array, i, i + 1, axis=axis) for i in range(array.shape[axis])]
+        terms = jax.lax.split(array, (1,) * array.shape[axis], axis)
         summed = terms[0]
         for term in terms[1:]:
             summed = summed + term
@@ -85,13 +86,10 @@ def components_last(array: Array, components: int) -> Array:
     return jnp.moveaxis(array, tuple(range(components + 1)), (*axes, -components - 1))
 
 
-def _after(a: Array) -> Array:
-    return jnp.concatenate([a[1:], a[:1]])
-
-
 def cross(a: Array, b: Array) -> Array:
     """Cross product of vectors (3, ...)."""
-    return _after(a * _after(b) - _after(a) * b)
+    (x, y, z), (u, v, w) = jax.lax.split(a, (1, 1, 1)), jax.lax.split(b, (1, 1, 1))
+    return jnp.concatenate([y * w - z * v, z * u - x * w, x * v - y * u])
 
 
 def normalize(vector: Array) -> Array:
@@ -145,18 +143,23 @@ def solve_positive(matrix: Array, vector: Array) -> Array:
     length = len(vector)
     diagonal = jnp.stack([matrix[i, i] for i in range(length)])
     floor = jnp.finfo(matrix.dtype).eps * diagonal + jnp.finfo(matrix.dtype).tiny
-    place = jnp.arange(length).reshape(length, *[1] * (vector.ndim - 1))
 
-    def eliminate(k: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        matrix, vector = carry
-        pivot, column = matrix[k], jnp.where(place == k, 0, matrix[:, k])
-        size = jnp.maximum(pivot[k], floor[k])
-        row, value = materialize((pivot / size, vector[k] / size))
-        there = place == k
-        matrix = jnp.where(there[:, None], row[None], matrix - column[:, None] * row[None])
-        return matrix, jnp.where(there, value[None], vector - column * value[None])
+    def eliminate(_: int, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        """Eliminate the first unknown, then put it last."""
+        matrix, vector, floor = carry
+        size = jnp.maximum(matrix[0, 0], floor[0])
+        row, value = materialize((matrix[0] / size, vector[0] / size))
+        column = matrix[1:, 0]
+        matrix = jnp.concatenate([matrix[1:] - column[:, None] * row[None], row[None]])
+        vector = jnp.concatenate([vector[1:] - column * value[None], value[None]])
+        return _first_last(matrix, 1), vector, _first_last(floor, 0)
 
-    return jax.lax.fori_loop(0, length, eliminate, (matrix, vector))[1]
+    return jax.lax.fori_loop(0, length, eliminate, (matrix, vector, floor))[1]
+
+
+def _first_last(array: Array, axis: int) -> Array:
+    first, rest = jax.lax.split(array, (1, array.shape[axis] - 1), axis)
+    return jnp.concatenate([rest, first], axis)
 
 
 def diagonalize(

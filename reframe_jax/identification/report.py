@@ -29,7 +29,7 @@ from reframe_jax.model import features as z
 from reframe_jax.model.fit import Data, Parameters, coordinates, ground_axes, settle
 from reframe_jax.model.moments import Moments
 from reframe_jax.model.solve import Solved
-from reframe_jax.model.table import ENTRIES, KINDS, ROWS, TABLE
+from reframe_jax.model.table import ENTRIES, KINDS, ROWS, TABLE, entries_at
 from reframe_jax.motion.checks import Status
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.objectives.moments import covariance_at
@@ -88,9 +88,8 @@ def winner_of_window(solved: Solved, live: Data) -> Winner:
     rank = jnp.where(alike, -solved.norm[jnp.asarray(_KIND)], jnp.log(probability) - _BEHIND)
     code = jnp.argmax(jnp.where(mine, rank, -jnp.inf)).astype(jnp.int32)
     slot = jnp.argmax(solved.chosen == code).astype(jnp.int32)
-    entry = jax.tree.map(lambda leaf: jnp.asarray(leaf)[code], TABLE)
     fitted = jax.tree.map(lambda leaf: leaf[slot], solved.parameters)
-    parameters = settle(fitted, live, entry, solved.tilt_scale, jnp.asarray(False))
+    parameters = settle(fitted, live, entries_at(code), solved.tilt_scale, jnp.asarray(False))
     return Winner(code, jnp.max(of_name), parameters, probability)
 
 
@@ -270,7 +269,7 @@ def _report_window(
     known = jnp.maximum(code, 0)
     kind = jnp.asarray(_KIND)[known]
     bodies = jnp.stack([ground_axes(parameters, mean), parameters.axes])  # by AngularType
-    entry = jax.tree.map(lambda leaf: jnp.asarray(leaf)[known], TABLE)
+    entry = entries_at(known)
     weights = coordinates(parameters._replace(pitch=jnp.zeros_like(parameters.pitch)), mean, entry)
     held = entry.held & ~(entry.pitch & (jnp.arange(6) == 5))
     linear_axes = bodies[jnp.asarray(ORIENTATION_BODIES)[kind]][:, entry.column[3:]]
@@ -478,12 +477,16 @@ def _with_status(
     outcome = jnp.where(window.status >= 10, window.status, outcome)
     failed = outcome >= 10
 
-    def blank(leaf: Array) -> Array:
-        wrong = failed.reshape(failed.shape + (1,) * (leaf.ndim - 1))
-        empty = jnp.nan if jnp.issubdtype(leaf.dtype, jnp.floating) else 0
-        return jnp.where(wrong, jnp.asarray(empty, leaf.dtype), leaf)
-
-    result = jax.tree.map(blank, result)
+    leaves, tree = jax.tree.flatten(result)
+    for dtype in {leaf.dtype for leaf in leaves}:
+        # all numbers of one kind in one array: an operation for every leaf takes long to compile
+        mine = [i for i, leaf in enumerate(leaves) if leaf.dtype == dtype]
+        flat = [leaves[i].reshape(len(failed), -1) for i in mine]
+        empty = jnp.nan if jnp.issubdtype(dtype, jnp.floating) else 0
+        whole = jnp.where(failed[:, None], jnp.asarray(empty, dtype), jnp.concatenate(flat, axis=1))
+        for i, part in zip(mine, jax.lax.split(whole, [x.shape[1] for x in flat], 1), strict=True):
+            leaves[i] = part.reshape(leaves[i].shape)
+    result = jax.tree.unflatten(tree, leaves)
     return replace(result, status_code=outcome, warning_codes=jnp.where(failed, 0, codes))
 
 

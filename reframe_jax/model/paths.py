@@ -172,6 +172,7 @@ def _derivative(weights: Array, x: Array) -> Array:
     """Derivative of samples (2, 3, 2, K, N) with weights of :func:`_derivative_weights`."""
     number = x.shape[3]
     reach = weights.shape[0] // 2
-    padded = jnp.pad(x, ((0, 0), (0, 0), (0, 0), (reach, reach), (0, 0)))
-    terms = [weights[j] * padded[:, :, :, j : j + number] for j in range(2 * reach + 1)]
-    return materialize(sum(terms[1:], terms[0]))
+    padded = jnp.pad(x[None], ((0, 0), (0, 0), (0, 0), (0, 0), (reach, reach), (0, 0)))
+    each = jax.lax.split(weights[:, None, None, None], (1,) * len(weights))
+    terms = [weight * padded[:, :, :, :, j : j + number] for j, weight in enumerate(each)]
+    return materialize(sum(terms[1:], terms[0])[0])

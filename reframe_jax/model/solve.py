@@ -29,7 +29,7 @@ from reframe_jax.model.rows import (
 from reframe_jax.model.search import lowest_origins, norm_at, polynomials, unexplained_covariance
 from reframe_jax.model.starts import Axes, common_frames, entry_starts, smallest_eigenvalue, universal_axes
 from reframe_jax.model.steps import Unknowns, descend, tilted_axis
-from reframe_jax.model.table import ENTRIES, KINDS, PATHS, ROWS, TABLE, Table
+from reframe_jax.model.table import ENTRIES, KINDS, PATHS, ROWS, TABLE, Table, entries_at
 
 __all__ = ["Solved", "choose_scales", "solve_windows"]
 
@@ -163,15 +163,6 @@ class _Joint(NamedTuple):
     sine: Array
 
 
-def _last(tree: Table) -> Table:
-    return Table(*(jnp.moveaxis(jnp.asarray(leaf), 0, -1) for leaf in tree))
-
-
-def _rows_of(codes: Array) -> Table:
-    """Rows of the table of entries (C, N), with (C, N) last."""
-    return Table(*(leaf[..., codes] for leaf in _last(TABLE)))
-
-
 def _compare(
     features: Features,
     moments: Moments,
@@ -226,7 +217,7 @@ def _compare(
         """The entries that look best, fitted; then with the tilt free."""
         looks: _Block = jax.tree.map(lambda leaf: _flat(leaf[:blocks])[..., :number, :], rounds)
         best = jax.lax.top_k(jnp.where(assumed, posterior_of(looks)[0], -jnp.inf).T, size)[1].T
-        mine = _rows_of(best)
+        mine = entries_at(best)
         start = jax.tree.map(
             lambda leaf: jnp.take_along_axis(leaf, best[(None,) * (leaf.ndim - 2)], axis=-2), starts
         )
@@ -236,13 +227,13 @@ def _compare(
         return best, picked.at(tied.origin), tied, loose
 
     def posterior_of(block: _Block) -> tuple[Array, Table]:
-        entries = _rows_of(block.codes)
+        entries = entries_at(block.codes)
         return compare(block.evidence, block.amplitudes, block.at.pitch, entries, details), entries
 
     def judge_round(r: Array, rounds: _Block) -> _Block:
         """A first look at every block of entries; then the fit of the best ones."""
         mine, forms, at, loose = jax.lax.cond(r < blocks, look, fit, r, rounds)
-        amplitudes, evidence = _judge(forms, at, _rows_of(mine), of)
+        amplitudes, evidence = _judge(forms, at, entries_at(mine), of)
         # an entry whose numbers cannot be computed, as where nothing moves, is not probable
         unknown = jnp.isnan(evidence) | jnp.isnan(amplitudes.size)
         amplitudes = jax.tree.map(lambda leaf: jnp.where(jnp.isnan(leaf), 1, leaf), amplitudes)
@@ -252,7 +243,7 @@ def _compare(
 
     def shape_of_round() -> _Block:
         mine, forms, at, loose = look(jnp.int32(0), None)  # type: ignore[arg-type]
-        return _Block(mine, at, loose, *_judge(forms, at, _rows_of(mine), of))
+        return _Block(mine, at, loose, *_judge(forms, at, entries_at(mine), of))
 
     empty = jax.tree.map(
         lambda leaf: jnp.zeros((blocks + 1, *leaf.shape), leaf.dtype), jax.eval_shape(shape_of_round)
@@ -303,9 +294,8 @@ def _first(leaf: Array) -> Array:
 
 def _start_parameters(at: Unknowns, mean: Array) -> Parameters:
     """Parameters (N, E, ...) of the starts of all entries but universal joints."""
-    table = Table(*(leaf[..., None] for leaf in _last(TABLE)))
     turned = times(jnp.swapaxes(mean[:, :, None], 0, 1), at.frame)
-    axes = jnp.where(in_body(table), at.frame, turned)
+    axes = jnp.where(in_body(TABLE)[:, None], at.frame, turned)
     return Parameters(*(_first(leaf) for leaf in (axes, at.origin, at.tilt, at.pitch)))
 
 

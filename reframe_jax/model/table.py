@@ -11,12 +11,14 @@ their columns.
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.types import LinearType
 from reframe_jax.model import features as z
 
-__all__ = ["ENTRIES", "KINDS", "PATHS", "ROWS", "TABLE", "Entry"]
+__all__ = ["ENTRIES", "KINDS", "PATHS", "ROWS", "TABLE", "Entry", "entries_at"]
 
 KINDS = ("BB", "GB", "GG", "BG", "turn in body", "turn in ground", "position", "angle between")
 """Vectors whose coordinates are held or free: the path of an origin as the four linear types see it, the
@@ -214,10 +216,6 @@ class Table(NamedTuple):
     path: Any
     apart: Any
 
-    def row(self, code: int) -> "Table":
-        """One entry."""
-        return Table(*(leaf[code] for leaf in self))
-
 
 def _table(entries: tuple[Entry, ...]) -> Table:
     rows = [[(b, c, number) for number, b in enumerate(e.blocks) for c in b.columns] for e in entries]
@@ -248,3 +246,16 @@ def _table(entries: tuple[Entry, ...]) -> Table:
 
 
 TABLE = _table(ENTRIES)
+_COLUMNS = np.concatenate([leaf.reshape(len(ENTRIES), -1) for leaf in TABLE], axis=1).T.astype(np.int32)
+
+
+def entries_at(codes: jax.Array) -> Table:
+    """Rows of the table, with the axes of ``codes`` last."""
+    columns = jnp.asarray(_COLUMNS)[:, codes]
+    parts = jax.lax.split(columns, [leaf[0].size for leaf in TABLE])
+    return Table(
+        *(
+            part.reshape(*leaf.shape[1:], *codes.shape).astype(leaf.dtype)
+            for part, leaf in zip(parts, TABLE, strict=True)
+        )
+    )

@@ -71,13 +71,14 @@ def estimate_noise(
         ~constant_components(position, counted),
         ~constant_components(turns, counted[1:] & counted[:-1], 1),
     ]
+    # the steps are differences of order 1
+    whole, differences, before = counted[1:] & counted[:-1], [jnp.diff(position, axis=1), turns], 1
     for order in orders:
-        whole = counted[: poses - order]
-        for shift in range(1, order + 1):
-            whole = whole & counted[shift : shift + poses - order]
-        for values, first, changes in ((position, 0, changing[0]), (turns, 1, changing[1])):
-            difference = jnp.where(changes[:, None], jnp.diff(values, order - first, axis=1), 0)
-            length = jnp.sqrt(jnp.sum(jnp.square(difference), axis=0))
+        more, before = order - before, order
+        whole = whole[more:] & whole[:-more]
+        differences = [jnp.diff(values, more, axis=1) for values in differences]
+        for values, changes in zip(differences, changing, strict=True):
+            length = jnp.sqrt(jnp.sum(jnp.square(jnp.where(changes[:, None], values, 0)), axis=0))
             sizes.append(jnp.pad(length, ((0, order), (0, 0))))
             masks.append(jnp.pad(whole & jnp.any(changes, axis=0), ((0, order), (0, 0))))
             median = jnp.asarray(_MEDIAN_LENGTHS)[jnp.sum(changes, axis=0)]

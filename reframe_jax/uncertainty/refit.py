@@ -17,7 +17,7 @@ from reframe_jax.identification.results import Identification
 from reframe_jax.model.fit import Data, Parameters, fit_entry, ground_axes, move
 from reframe_jax.model.moments import Moments, scale_moments
 from reframe_jax.model.solve import choose_scales
-from reframe_jax.model.table import TABLE, Table
+from reframe_jax.model.table import Table, entries_at
 
 __all__ = ["BLOCKS", "HALVES", "THIRDS", "Estimate", "Refit", "estimate_of", "prepare", "refit_windows"]
 
@@ -97,7 +97,7 @@ def prepare(
     weight = window.counted.astype(window.poses.dtype)[:, :, None, None]
     u, _, v = jnp.linalg.svd(jnp.sum(weight * window.poses[:, :, :3, :3], axis=1))
     mean = (u * jnp.where(jnp.arange(3) == 2, jnp.linalg.det(u @ v)[:, None], 1)[:, None]) @ v
-    entry = jax.tree.map(lambda leaf: jnp.asarray(leaf)[jnp.maximum(found.code, 0)], TABLE)
+    entry = entries_at(jnp.maximum(found.code, 0))
     return window, used, mean, entry, jax.vmap(_start)(found, window.centre, mean, entry)
 
 
