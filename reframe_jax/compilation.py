@@ -14,9 +14,9 @@ _T = TypeVar("_T")
 COMPILER_OPTIONS = {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else None
 """Options of ``jax.jit`` for large programs that are not inside another ``jit``.
 
-On a CPU, compilation takes half the time, and the program is no slower (``python -m benchmarks.first_answer``).
+On a CPU, compilation takes half the time (``python -m benchmarks.first_answer``), and programs are no slower.
 jax 0.11 has no such option for a single program; the environment variable
-``XLA_FLAGS=--xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters`` does the same for all of them.
+``XLA_FLAGS=--xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters`` does the same for all programs.
 """
 
 
