@@ -7,7 +7,8 @@ origin x, 6 x 10 coefficients.
 
 Two kinds of steps lead to the minimum. The logarithm is concave, so that the tangent of log det lies above
 it: a *tangent step* to the minimum of that quadratic never goes up. *Newton steps* with the exact Hessian,
-blended with the tangent's where it is not positive, finish.
+whose negative curvatures change sign, finish: valleys of F are narrow, curved and often concave along their
+bottom, where the tangent is up to a thousand times too steep.
 
 Arrays have components first, then scales, types, starts and windows: every operation is elementwise over the
 last three.
@@ -21,8 +22,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.geometry.small import (
+    diagonalize,
     inverse_and_determinant,
     invert_symmetric,
+    largest,
     materialize,
     solve_positive,
     times,
@@ -39,9 +42,10 @@ _FIRST, _SECOND = (np.array(ends, np.int32) for ends in zip(*_MONOMIALS, strict=
 _PLACE = np.array([[_PAIRS.index((min(i, j), max(i, j))) for j in range(3)] for i in range(3)], np.int32)
 _FORM = np.array([[_MONOMIALS.index((min(a, b), max(a, b))) for b in range(4)] for a in range(4)], np.int32)
 
-_TANGENT_STEPS, _NEWTON_STEPS = 12, 10
+_TANGENT_STEPS, _NEWTON_STEPS = 8, 20
 _RELAX = 1.6  # of tangent steps, over-relaxed: takes about half as many
-_BLEND = 0.9  # part of the exact Hessian in the first Newton step
+_DAMPING, _LEAST_DAMPING = 0.03, 1e-4  # of Newton's steps: first and least part of the tangent's curvature
+_DAMP = 5.0  # factor of the damping after a step that does not lower F, and its inverse after one that does
 _FIXED_STARTS = np.array([[0, 0.2, -0.5], [0, -0.2, -0.4], [0, 0.1, 0.5]])
 """(3, starts) m."""
 _RIDGE = 1e-9  # of the trace, in the regression on rotation features
@@ -123,7 +127,7 @@ def lowest_origins(
     _, det = invert_symmetric(_sigma(coefficients, _monomials(x)))
     best = jnp.argmin(total(counts * jnp.log(det), 0), axis=1)
     x = jnp.take_along_axis(x, best[None, :, None], axis=2)
-    start = _expand(coefficients, counts, x, jnp.full(x.shape[1:], _BLEND, x.dtype))
+    start = _expand(coefficients, counts, x, jnp.full(x.shape[1:], _DAMPING, x.dtype))
     step = partial(_newton_step, coefficients, counts, box)
     found = jax.lax.fori_loop(0, _NEWTON_STEPS, lambda _, at: step(at), start)
     return found.x[:, :, 0], found.value[:, 0]
@@ -193,12 +197,6 @@ def _lift(matrix: Array) -> Array:
     return matrix + (1e-9 * trace + jnp.finfo(matrix.dtype).tiny) * unit
 
 
-def _positive(matrix: Array) -> Array:
-    """Whether matrices (3, 3, ...) are positive definite."""
-    minor = matrix[0, 0] * matrix[1, 1] - jnp.square(matrix[0, 1])
-    return (matrix[0, 0] > 0) & (minor > 0) & (inverse_and_determinant(matrix, positive=False)[1] > 0)
-
-
 def _tangent_step(coefficients: Array, counts: Array, box: Array, x: Array) -> Array:
     inverse, _ = invert_symmetric(_sigma(coefficients, _monomials(x)))
     form = _tangent(coefficients, counts, inverse)
@@ -215,10 +213,10 @@ class _Expansion(NamedTuple):
     slope: Array
     tangent: Array
     exact: Array
-    blend: Array
+    damping: Array
 
 
-def _expand(coefficients: Array, counts: Array, x: Array, blend: Array) -> "_Expansion":
+def _expand(coefficients: Array, counts: Array, x: Array, damping: Array) -> "_Expansion":
     """Expand F about origins."""
     inverse, det = invert_symmetric(_sigma(coefficients, _monomials(x)))
     form = _tangent(coefficients, counts, inverse)
@@ -229,17 +227,25 @@ def _expand(coefficients: Array, counts: Array, x: Array, blend: Array) -> "_Exp
     exact = 2 * form[1:, 1:] - total(trace * counts, 2)
     value = total(counts * jnp.log(det), 0)
     slope = 2 * (form[1:, 0] + times(form[1:, 1:], x))
-    return materialize(_Expansion(x, value, slope, 2 * form[1:, 1:], exact, blend))
+    return materialize(_Expansion(x, value, slope, 2 * form[1:, 1:], exact, damping))
 
 
 def _newton_step(coefficients: Array, counts: Array, box: Array, at: _Expansion) -> _Expansion:
-    blended = materialize(_lift(at.tangent * (1 - at.blend) + at.exact * at.blend))
-    positive = _positive(blended)
-    step = _solve(jnp.where(positive, blended, _lift(at.tangent)), at.slope)
+    """Newton's step along the principal axes of the exact Hessian, with its curvatures made positive.
+
+    A curvature is at least the damping times that of the tangent, which is an upper bound.
+    """
+    size = jnp.sqrt(total(total(at.exact * at.exact, 0), 0)) + jnp.finfo(at.x.dtype).tiny
+    unit = jnp.eye(3, dtype=size.dtype).reshape(3, 3, *[1] * size.ndim)
+    axes = diagonalize((at.exact / size + 2 * unit)[:, :, None], sweeps=3)
+    most = total(axes * times(at.tangent, axes), 0)
+    curvature = jnp.maximum(jnp.abs(total(axes * times(at.exact, axes), 0)), at.damping * most)
+    curvature = curvature + jnp.finfo(most.dtype).eps * largest(most) + jnp.finfo(most.dtype).tiny
+    step = times(axes, total(axes * at.slope[:, None], 0) / curvature)
     x = materialize(jnp.clip(at.x - step, -box, box))
-    moved = _expand(coefficients, counts, x, jnp.where(positive, 1.0, _BLEND).astype(x.dtype))
+    moved = _expand(coefficients, counts, x, jnp.maximum(at.damping / _DAMP, _LEAST_DAMPING))
     lower = moved.value <= at.value
     kept: _Expansion = jax.tree.map(
-        lambda new, old: jnp.where(lower, new, old), moved, at._replace(blend=at.blend / 2)
+        lambda new, old: jnp.where(lower, new, old), moved, at._replace(damping=at.damping * _DAMP)
     )
     return kept
