@@ -74,7 +74,8 @@ MEASURED = {
     "lost_": ((0.0976, 0.1952, 0.9759), (0.5, 0.3, 0.2)),
 }
 """Axes of hinges and points on them, m, in the ground."""
-_WORKING, _CONTACT = 2.0, 0.6  # label of the phase with contact; time from its start to the contact, s
+_WORKING = 2.0  # label of the phase with contact
+_BEFORE, _AFTER = 0.6, 0.5  # s of that phase without contact: the tool comes down, and leaves
 _COVERED = 100  # most poses of a simulated recording for the computation of a covariance
 
 
@@ -90,7 +91,8 @@ def real_cases(folder: Path) -> list[Case]:
         table = np.loadtxt(file, delimiter=",", skiprows=1)
         if file.read_text().split("\n", 1)[0].endswith("label"):
             table = table[table[:, -1] == _WORKING]
-            table = table[table[:, 0] >= table[0, 0] + _CONTACT]
+            inside = table[:, 0] >= table[0, 0] + _BEFORE
+            table = table[inside & (table[:, 0] <= table[-1, 0] - _AFTER)]
         if file.parent.name != "cases":
             poses = made.make_poses(Rotation.from_quat(table[:, 4:8]).as_matrix(), table[:, 1:4])
             times = table[:, 0]

@@ -10,87 +10,52 @@ import numpy as np
 
 from reframe_jax.constraints.types import (
     ORIENTATION_BODIES,
-    PARALLEL_COSINE,
     POSITION_BODIES,
-    SQUARE_COSINE,
     AngularType,
-    LinearType,
 )
 from reframe_jax.geometry.rotations import rotation_log
 from reframe_jax.geometry.small import diagonalize
 from reframe_jax.identification.cautions import Caution, caution_codes
-from reframe_jax.identification.classify import Thresholds, degrees_of_freedom, free_rotations
+from reframe_jax.identification.classify import Thresholds, free_rotations
 from reframe_jax.identification.frames import AllCandidates, AngularFrame, Candidates, LinearFrame, PoseNoise
-from reframe_jax.identification.naming import CLASS_CODES, NAME_OF_ENTRY, SAME_IN_ALL_TYPES
-from reframe_jax.identification.paper import step_moments
+from reframe_jax.identification.naming import SAME_IN_ALL_TYPES
+from reframe_jax.identification.optima import (
+    TURN_KINDS,
+    Types,
+    rms_velocities,
+    smallest_scale,
+    types_of_steps,
+    types_over_scales,
+)
 from reframe_jax.identification.preparation import Prepared
 from reframe_jax.identification.results import Identification
+from reframe_jax.identification.winner import (
+    KIND_OF_ENTRY,
+    Winner,
+    dof_by_thresholds,
+    winner_by_thresholds,
+    winner_of_window,
+)
 from reframe_jax.model import features as z
-from reframe_jax.model.fit import Data, Parameters, coordinates, ground_axes, settle
+from reframe_jax.model.fit import Data, coordinates, ground_axes
 from reframe_jax.model.moments import Moments
 from reframe_jax.model.solve import Solved
-from reframe_jax.model.table import ENTRIES, KINDS, ROWS, TABLE, entries_at
+from reframe_jax.model.table import ENTRIES, ROWS, TABLE, entries_at
 from reframe_jax.motion.checks import Status
 from reframe_jax.motion.kinematics import Discretization
-from reframe_jax.objectives.moments import covariance_at
-from reframe_jax.objectives.norms import log_power_mean
 
-__all__ = ["Winner", "report_windows", "winner_of_window"]
+__all__ = ["report_windows"]
 
 Array = jax.Array
 
 _RIVAL = 0.05  # share of the probability of the winner from which on another type counts as tied
-_VARIANT = 1e-3  # share of the probability of a name from which on an entry may be the one that is reported
-_BEHIND = 1e9  # log probability that puts an entry behind those that may
 _DEVIATIONS = 3.0  # that tie two types where thresholds decide
 _AT_BOUND = 0.999  # of the box
 
-_KIND = np.array([entry.kind for entry in ENTRIES], np.int32)
 _FREE = np.array([entry.dof for entry in ENTRIES], np.int32)
 _ANY_ORIGIN = np.array([[c in entry.any_origin for c in range(3)] for entry in ENTRIES])
 _CROSSED = TABLE.crossed
 _IN_GROUND = TABLE.ground[:, 0] & ~_CROSSED & (_FREE[:, 0] % 3 > 0)  # all or no rotations: in either body
-_LINEAR = np.array([KINDS.index(t.name) for t in LinearType])
-_TURNS = np.array([KINDS.index("turn in ground"), KINDS.index("turn in body")])
-
-
-class Winner(NamedTuple):
-    """The entry that is reported of a window.
-
-    Attributes:
-        code: () of the entry, or ``NO_ENTRY``.
-        name_probability: () of its name, NaN with thresholds.
-        parameters: fitted, with the tilt free; functions of the moments.
-        probability: (E,) of every entry.
-    """
-
-    code: Array
-    name_probability: Array
-    parameters: Parameters
-    probability: Array
-
-
-def winner_of_window(solved: Solved, live: Data) -> Winner:
-    """The most probable name, its most probable entry, and its fit.
-
-    Args:
-        solved: of one window.
-        live: moments that derivatives follow.
-    """
-    probability = jnp.exp(solved.log_probability)
-    names = jax.ops.segment_sum(probability, jnp.asarray(NAME_OF_ENTRY), int(NAME_OF_ENTRY.max()) + 1)
-    fitted = jnp.any(jnp.arange(len(probability))[:, None] == solved.chosen, axis=1)
-    of_name = jnp.where(fitted, names[NAME_OF_ENTRY], -1)
-    mine = fitted & (of_name >= jnp.max(of_name))
-    # entries with one name that is the same in all types differ in their errors only: the lowest norm has
-    # the smallest
-    alike = jnp.any(mine & jnp.asarray(SAME_IN_ALL_TYPES)) & (probability > _VARIANT * jnp.max(of_name))
-    rank = jnp.where(alike, -solved.norm[jnp.asarray(_KIND)], jnp.log(probability) - _BEHIND)
-    code = jnp.argmax(jnp.where(mine, rank, -jnp.inf)).astype(jnp.int32)
-    slot = jnp.argmax(solved.chosen == code).astype(jnp.int32)
-    fitted = jax.tree.map(lambda leaf: leaf[slot], solved.parameters)
-    parameters = settle(fitted, live, entries_at(code), solved.tilt_scale, jnp.asarray(False))
-    return Winner(code, jnp.max(of_name), parameters, probability)
 
 
 class _Rows(NamedTuple):
@@ -136,28 +101,6 @@ def _sign(axis: Array) -> Array:
     return jnp.where(axis[jnp.argmax(jnp.abs(axis)).astype(jnp.int32)] < 0, -1, 1)
 
 
-def _smallest(live: Moments) -> Array:
-    """The smallest scale of a window that is used, (S,) bool."""
-    used = live.details > 0
-    return used & (jnp.cumsum(used) == 1)
-
-
-def _speeds(weights: Array, live: Moments, step: Array) -> Array:
-    """RMS velocity along coordinates (3, 27), at the smallest scale that is used."""
-    smallest = _smallest(live)
-    products = jnp.sum(jnp.where(smallest[:, None, None], live.products, 0), axis=0)
-    square = jnp.einsum("if,fg,ig->i", weights, products, weights)
-    span = step * jnp.sum(jnp.where(smallest, live.width, 0))
-    return jnp.sqrt(jnp.maximum(square, 1e-30)) / span
-
-
-def _log_speed_norm(value: Array, live: Moments, step: Array) -> Array:
-    """Geometric mean of the RMS velocities over axes and scales, from F or its like (...)."""
-    count = jnp.sum(live.details)
-    spans = jnp.sum(live.details * jnp.log(live.width * step))
-    return jnp.exp((value / 2 / 3 - spans) / count)
-
-
 def _rotvec(axes: Array, dof: Array) -> Array:
     """Rotation vector of axes; turning axes of one kind into each other contributes no derivative."""
     fixed = jax.lax.stop_gradient(axes)
@@ -165,53 +108,6 @@ def _rotvec(axes: Array, dof: Array) -> Array:
     at_rest = jax.lax.stop_gradient(turn)
     distinct = (dof[:, None] != dof[None, :]).astype(axes.dtype)
     return rotation_log(fixed @ (at_rest + distinct * (turn - at_rest)))
-
-
-class _Types(NamedTuple):
-    """Optima of all types, as the paper has them."""
-
-    angular_axes: Array  # (2, 3, 3)
-    linear_axes: Array  # (4, 3, 3)
-    angular_rms: Array  # (2, 3)
-    linear_rms: Array  # (4, 3)
-    angular_norm: Array  # (2,)
-    linear_norm: Array  # (4,)
-
-
-def _types_over_scales(solved: Solved, live: Moments, step: Array) -> _Types:
-    angular, linear = solved.angular_axes, solved.linear_axes
-    dtype = live.products.dtype
-    points = jnp.concatenate([jnp.ones((4, 1), dtype), solved.origins], axis=1)
-    rows = jnp.einsum("tiaf,ta->tif", jnp.asarray(ROWS[_LINEAR], dtype), points)
-    of_linear = jnp.einsum("tai,taf->tif", linear, rows)
-    of_angular = jnp.einsum("tai,taf->tif", angular, jnp.asarray(ROWS[_TURNS][:, :, 0], dtype))
-    speeds = jax.vmap(partial(_speeds, live=live, step=step))
-    spread = jnp.einsum("tif,sfg,tig->tsi", of_angular, live.products, of_angular)
-    value = jnp.sum(live.details[:, None] * jnp.log(spread + 1e-30), axis=(1, 2))
-    norm = partial(_log_speed_norm, live=live, step=step)
-    return _Types(angular, linear, speeds(of_angular), speeds(of_linear), norm(value), norm(solved.norm))
-
-
-def _types_of_steps(
-    window: Prepared, solved: Solved, exponent: float, discretization: Discretization
-) -> _Types:
-    """The paper's: velocities of single steps, of N windows."""
-    angular, linear = step_moments(window.poses, window.steps, discretization)
-    zero = jnp.zeros_like(angular[0, 0])
-    x = jnp.moveaxis(solved.origins, -1, 0)
-
-    def optimum(sigma: tuple[Array, ...]) -> tuple[Array, Array, Array]:
-        a, b, c, d, e, f = sigma
-        matrix = jnp.stack([a, b, c, b, d, e, c, e, f], axis=-1).reshape(*a.shape, 3, 3)
-        values, axes = jnp.linalg.eigh(matrix)
-        rms = jnp.sqrt(jnp.maximum(values, jnp.finfo(values.dtype).tiny))
-        turned = jnp.linalg.det(axes)[..., None, None] < 0
-        axes = jnp.where(turned & (jnp.arange(3) == 0), -axes, axes)
-        return axes, rms, jnp.exp(log_power_mean(jnp.moveaxis(jnp.log(rms), -1, 0), exponent))
-
-    of_angular = optimum(covariance_at(angular, (zero, zero, zero)))
-    of_linear = optimum(covariance_at(linear, (x[0], x[1], x[2])))
-    return _Types(*(part for pair in zip(of_angular, of_linear, strict=True) for part in pair))
 
 
 def report_windows(
@@ -237,9 +133,9 @@ def report_windows(
     window = window._replace(steps=jnp.broadcast_to(window.steps, (len(window.poses), window.steps.shape[1])))
     step = jnp.mean(window.steps, axis=1)
     if single_steps:
-        types = _types_of_steps(window, solved, exponent, discretization)
+        types = types_of_steps(window, solved, exponent, discretization)
     else:
-        types = jax.vmap(_types_over_scales)(solved, live, step)
+        types = jax.vmap(types_over_scales)(solved, live, step)
     of_window = partial(_report_window, thresholds=thresholds, single_steps=single_steps)
     found = jax.vmap(of_window)(window, live, solved, types, step)
     return _with_status(found, window, thresholds)
@@ -249,7 +145,7 @@ def _report_window(
     window: Prepared,
     live: Moments,
     solved: Solved,
-    types: _Types,
+    types: Types,
     step: Array,
     *,
     thresholds: Thresholds | None,
@@ -264,10 +160,10 @@ def _report_window(
     if thresholds is None:
         winner = winner_of_window(solved, data)
     else:
-        winner = _winner_by_thresholds(types, solved, thresholds)
+        winner = winner_by_thresholds(types, solved, thresholds)
     code, parameters = winner.code, winner.parameters
     known = jnp.maximum(code, 0)
-    kind = jnp.asarray(_KIND)[known]
+    kind = jnp.asarray(KIND_OF_ENTRY)[known]
     bodies = jnp.stack([ground_axes(parameters, mean), parameters.axes])  # by AngularType
     entry = entries_at(known)
     weights = coordinates(parameters._replace(pitch=jnp.zeros_like(parameters.pitch)), mean, entry)
@@ -283,14 +179,14 @@ def _report_window(
     of_types = []
     for body in (AngularType.G, AngularType.B):
         axes = jnp.where(plain, types.angular_axes[body], bodies[body][:, entry.column[:3]])
-        rows = axes.T @ jnp.asarray(ROWS[_TURNS[body], :, 0], axes.dtype)
+        rows = axes.T @ jnp.asarray(ROWS[TURN_KINDS[body], :, 0], axes.dtype)
         free = jnp.where(plain, jnp.arange(3) >= 3 - jnp.sum(~held[:3]), ~held[:3])
         together = free[:, None] == free[None, :]
         of_types.append((axes, rows, together, free))
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), of_linear, *of_types)
     every: _Rows = jax.vmap(partial(_block_rows, total=total))(*stacked)
     linear, angular_all = _Rows(*(leaf[0] for leaf in every)), _Rows(*(leaf[1:] for leaf in every))
-    speeds = partial(_speeds, live=live, step=step)
+    speeds = partial(rms_velocities, live=live, step=step)
     angular_rms, linear_rms = jax.vmap(speeds)(angular_all.weights), speeds(linear.weights)
     any_origin = jnp.asarray(_ANY_ORIGIN)[known]
     directions = bodies[jnp.asarray(POSITION_BODIES)[kind]]
@@ -310,7 +206,7 @@ def _report_window(
             angular_dof_all = _last_free(jnp.sum(angular_all.dof[0]), 2)
             linear_dof_all = _last_free(jnp.sum(linear.dof), 4)
         else:
-            angular_dof_all, linear_dof_all = _dof_by_thresholds(types, thresholds)
+            angular_dof_all, linear_dof_all = dof_by_thresholds(types, thresholds)
             angular_type = jnp.argmin(types.angular_norm).astype(jnp.int32)
         angular_all = angular_all._replace(dof=angular_dof_all)
         linear = linear._replace(dof=linear_dof_all[kind])
@@ -371,7 +267,7 @@ def _report_window(
         pitch=jnp.where(entry.pitch & (code >= 0), parameters.pitch, jnp.nan),
         universal_axes=jnp.where(crossed, jnp.stack([bodies[0][:, 2], bodies[1][:, 0]]), jnp.nan),
         noise=PoseNoise(position=window.noise[0], rotation=window.noise[1]),
-        scale=jnp.sum(jnp.where(_smallest(live), live.width, 0)).astype(jnp.int32),
+        scale=jnp.sum(jnp.where(smallest_scale(live), live.width, 0)).astype(jnp.int32),
         counted=window.counted,
         status_code=jnp.zeros((), jnp.int32),
         warning_codes=jnp.zeros((), jnp.int32),
@@ -408,33 +304,6 @@ def _fix_signs(axes: Array) -> Array:
     return jnp.stack([first, jnp.cross(third, first), third], axis=1)
 
 
-def _dof_by_thresholds(types: _Types, thresholds: Thresholds) -> tuple[Array, Array]:
-    return (
-        degrees_of_freedom(types.angular_rms, thresholds.angular),
-        degrees_of_freedom(types.linear_rms, thresholds.linear),
-    )
-
-
-def _winner_by_thresholds(types: _Types, solved: Solved, thresholds: Thresholds) -> Winner:
-    """The paper's rule: types of the lowest norm, axes free where their RMS velocity is above."""
-    a, linear_type = (jnp.argmin(norm).astype(jnp.int32) for norm in (types.angular_norm, types.linear_norm))
-    angular, linear = _dof_by_thresholds(types, thresholds)
-    r, t = jnp.sum(angular[a]), jnp.sum(linear[linear_type])
-    # how the odd axes lie, in the body in which the linear frame is fixed
-    turn = types.angular_axes[jnp.asarray(ORIENTATION_BODIES)[linear_type]]
-    first = jnp.where(r == 1, turn[:, 2], turn[:, 0])
-    second = jnp.where(t == 1, types.linear_axes[linear_type][:, 2], types.linear_axes[linear_type][:, 0])
-    cosine = jnp.abs(first @ second)
-    relation = jnp.where(cosine > PARALLEL_COSINE, 0, jnp.where(cosine < SQUARE_COSINE, 1, 2))
-    code = jnp.asarray(CLASS_CODES)[linear_type, r, t, relation]
-    # without an entry, the frame is that of an unconstrained body of the type
-    place = jnp.where(code >= 0, code, jnp.asarray(CLASS_CODES)[linear_type, 3, 3, 0])
-    parameters = jax.tree.map(lambda leaf: leaf[place], solved.starts)
-    parameters = parameters._replace(origin=solved.origins[linear_type])
-    probability = jnp.full(len(ENTRIES), jnp.nan, types.linear_norm.dtype)
-    return Winner(place, jnp.asarray(jnp.nan, probability.dtype), parameters, probability)
-
-
 def _free_probability(winner: Winner, group: int, dof: Array) -> Array:
     """Probability that each axis is free, ascending, (3,)."""
     count = jnp.asarray(_FREE[:, group])
@@ -444,7 +313,7 @@ def _free_probability(winner: Winner, group: int, dof: Array) -> Array:
 
 
 def _tied_types(
-    winner: Winner, kind: Array, thresholds: Thresholds | None, types: _Types, velocities: Array
+    winner: Winner, kind: Array, thresholds: Thresholds | None, types: Types, velocities: Array
 ) -> Array:
     """Linear types that fit equally well, (4,) bool.
 
@@ -461,7 +330,7 @@ def _tied_types(
         margin = _DEVIATIONS / jnp.sqrt(jnp.maximum(count, 1) * velocities / 1.5)
         return own | (excess < margin) | (count == 0)
     same = jnp.all(jnp.asarray(_FREE) == jnp.asarray(_FREE)[winner.code], axis=1)
-    of_types = jax.ops.segment_sum(jnp.where(same, winner.probability, 0), jnp.asarray(_KIND), 4)
+    of_types = jax.ops.segment_sum(jnp.where(same, winner.probability, 0), jnp.asarray(KIND_OF_ENTRY), 4)
     return own | (of_types >= _RIVAL * of_types[kind]) | jnp.asarray(SAME_IN_ALL_TYPES)[winner.code]
 
 

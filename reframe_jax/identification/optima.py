@@ -1,0 +1,95 @@
+"""The optimum of every frame type: its axes, its RMS velocities along them, and its norm."""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reframe_jax.constraints.types import LinearType
+from reframe_jax.identification.paper import step_moments
+from reframe_jax.identification.preparation import Prepared
+from reframe_jax.model.moments import Moments
+from reframe_jax.model.solve import Solved
+from reframe_jax.model.table import KINDS, ROWS
+from reframe_jax.motion.kinematics import Discretization
+from reframe_jax.objectives.moments import covariance_at
+from reframe_jax.objectives.norms import log_power_mean
+
+__all__ = ["TURN_KINDS", "Types", "rms_velocities", "smallest_scale", "types_of_steps", "types_over_scales"]
+
+Array = jax.Array
+_LINEAR = np.array([KINDS.index(t.name) for t in LinearType])
+TURN_KINDS = np.array([KINDS.index("turn in ground"), KINDS.index("turn in body")])
+"""Codes of the kinds of rotations, by ``AngularType``."""
+
+
+class Types(NamedTuple):
+    """Optima of all types, as the paper has them."""
+
+    angular_axes: Array  # (2, 3, 3)
+    linear_axes: Array  # (4, 3, 3)
+    angular_rms: Array  # (2, 3)
+    linear_rms: Array  # (4, 3)
+    angular_norm: Array  # (2,)
+    linear_norm: Array  # (4,)
+
+
+def smallest_scale(live: Moments) -> Array:
+    """The smallest scale of a window that is used, (S,) bool."""
+    used = live.details > 0
+    return used & (jnp.cumsum(used) == 1)
+
+
+def rms_velocities(weights: Array, live: Moments, step: Array) -> Array:
+    """RMS velocity along coordinates (3, 27), at the smallest scale that is used."""
+    smallest = smallest_scale(live)
+    products = jnp.sum(jnp.where(smallest[:, None, None], live.products, 0), axis=0)
+    square = jnp.einsum("if,fg,ig->i", weights, products, weights)
+    span = step * jnp.sum(jnp.where(smallest, live.width, 0))
+    return jnp.sqrt(jnp.maximum(square, 1e-30)) / span
+
+
+def _log_speed_norm(value: Array, live: Moments, step: Array) -> Array:
+    """Geometric mean of the RMS velocities over axes and scales, from F or its like (...)."""
+    count = jnp.sum(live.details)
+    spans = jnp.sum(live.details * jnp.log(live.width * step))
+    return jnp.exp((value / 2 / 3 - spans) / count)
+
+
+def types_over_scales(solved: Solved, live: Moments, step: Array) -> Types:
+    """Optima over scales, of one window with the mean sample time ``step``, s."""
+    angular, linear = solved.angular_axes, solved.linear_axes
+    dtype = live.products.dtype
+    points = jnp.concatenate([jnp.ones((4, 1), dtype), solved.origins], axis=1)
+    rows = jnp.einsum("tiaf,ta->tif", jnp.asarray(ROWS[_LINEAR], dtype), points)
+    of_linear = jnp.einsum("tai,taf->tif", linear, rows)
+    of_angular = jnp.einsum("tai,taf->tif", angular, jnp.asarray(ROWS[TURN_KINDS][:, :, 0], dtype))
+    speeds = jax.vmap(partial(rms_velocities, live=live, step=step))
+    spread = jnp.einsum("tif,sfg,tig->tsi", of_angular, live.products, of_angular)
+    value = jnp.sum(live.details[:, None] * jnp.log(spread + 1e-30), axis=(1, 2))
+    norm = partial(_log_speed_norm, live=live, step=step)
+    return Types(angular, linear, speeds(of_angular), speeds(of_linear), norm(value), norm(solved.norm))
+
+
+def types_of_steps(
+    window: Prepared, solved: Solved, exponent: float, discretization: Discretization
+) -> Types:
+    """Optima of the paper, for the velocities of single steps of N windows."""
+    angular, linear = step_moments(window.poses, window.steps, discretization)
+    zero = jnp.zeros_like(angular[0, 0])
+    x = jnp.moveaxis(solved.origins, -1, 0)
+
+    def optimum(sigma: tuple[Array, ...]) -> tuple[Array, Array, Array]:
+        a, b, c, d, e, f = sigma
+        matrix = jnp.stack([a, b, c, b, d, e, c, e, f], axis=-1).reshape(*a.shape, 3, 3)
+        values, axes = jnp.linalg.eigh(matrix)
+        rms = jnp.sqrt(jnp.maximum(values, jnp.finfo(values.dtype).tiny))
+        turned = jnp.linalg.det(axes)[..., None, None] < 0
+        axes = jnp.where(turned & (jnp.arange(3) == 0), -axes, axes)
+        return axes, rms, jnp.exp(log_power_mean(jnp.moveaxis(jnp.log(rms), -1, 0), exponent))
+
+    of_angular = optimum(covariance_at(angular, (zero, zero, zero)))
+    of_linear = optimum(covariance_at(linear, (x[0], x[1], x[2])))
+    return Types(*(part for pair in zip(of_angular, of_linear, strict=True) for part in pair))

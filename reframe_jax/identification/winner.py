@@ -1,0 +1,89 @@
+"""The entry that is reported of a window: the most probable one, or that of the paper's thresholds."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reframe_jax.constraints.types import ORIENTATION_BODIES, PARALLEL_COSINE, SQUARE_COSINE
+from reframe_jax.identification.classify import Thresholds, degrees_of_freedom
+from reframe_jax.identification.naming import CLASS_CODES, NAME_OF_ENTRY, SAME_IN_ALL_TYPES
+from reframe_jax.identification.optima import Types
+from reframe_jax.model.fit import Data, Parameters, settle
+from reframe_jax.model.solve import Solved
+from reframe_jax.model.table import ENTRIES, entries_at
+
+__all__ = ["KIND_OF_ENTRY", "Winner", "dof_by_thresholds", "winner_by_thresholds", "winner_of_window"]
+
+Array = jax.Array
+_VARIANT = 1e-3  # share of the probability of a name from which on an entry may be the one that is reported
+_BEHIND = 1e9  # log probability that puts an entry behind those that may
+KIND_OF_ENTRY = np.array([entry.kind for entry in ENTRIES], np.int32)
+
+
+class Winner(NamedTuple):
+    """The entry that is reported of a window.
+
+    Attributes:
+        code: () of the entry, or ``NO_ENTRY``.
+        name_probability: () of its name, NaN with thresholds.
+        parameters: fitted, with the tilt free; functions of the moments.
+        probability: (E,) of every entry.
+    """
+
+    code: Array
+    name_probability: Array
+    parameters: Parameters
+    probability: Array
+
+
+def winner_of_window(solved: Solved, live: Data) -> Winner:
+    """The most probable name, its most probable entry, and its fit.
+
+    Args:
+        solved: of one window.
+        live: moments that derivatives follow.
+    """
+    probability = jnp.exp(solved.log_probability)
+    names = jax.ops.segment_sum(probability, jnp.asarray(NAME_OF_ENTRY), int(NAME_OF_ENTRY.max()) + 1)
+    fitted = jnp.any(jnp.arange(len(probability))[:, None] == solved.chosen, axis=1)
+    of_name = jnp.where(fitted, names[NAME_OF_ENTRY], -1)
+    mine = fitted & (of_name >= jnp.max(of_name))
+    # entries with one name that is the same in all types differ in their errors only: the lowest norm has
+    # the smallest
+    alike = jnp.any(mine & jnp.asarray(SAME_IN_ALL_TYPES)) & (probability > _VARIANT * jnp.max(of_name))
+    rank = jnp.where(alike, -solved.norm[jnp.asarray(KIND_OF_ENTRY)], jnp.log(probability) - _BEHIND)
+    code = jnp.argmax(jnp.where(mine, rank, -jnp.inf)).astype(jnp.int32)
+    slot = jnp.argmax(solved.chosen == code).astype(jnp.int32)
+    fitted = jax.tree.map(lambda leaf: leaf[slot], solved.parameters)
+    parameters = settle(fitted, live, entries_at(code), solved.tilt_scale, jnp.asarray(False))
+    return Winner(code, jnp.max(of_name), parameters, probability)
+
+
+def dof_by_thresholds(types: Types, thresholds: Thresholds) -> tuple[Array, Array]:
+    """Degrees of freedom (2, 3) and (4, 3) of all types: axes are free above the thresholds."""
+    return (
+        degrees_of_freedom(types.angular_rms, thresholds.angular),
+        degrees_of_freedom(types.linear_rms, thresholds.linear),
+    )
+
+
+def winner_by_thresholds(types: Types, solved: Solved, thresholds: Thresholds) -> Winner:
+    """The paper's rule: types of the lowest norm, axes free where their RMS velocity is above."""
+    a, linear_type = (jnp.argmin(norm).astype(jnp.int32) for norm in (types.angular_norm, types.linear_norm))
+    angular, linear = dof_by_thresholds(types, thresholds)
+    r, t = jnp.sum(angular[a]), jnp.sum(linear[linear_type])
+    # how the odd axes lie, in the body in which the linear frame is fixed
+    turn = types.angular_axes[jnp.asarray(ORIENTATION_BODIES)[linear_type]]
+    first = jnp.where(r == 1, turn[:, 2], turn[:, 0])
+    second = jnp.where(t == 1, types.linear_axes[linear_type][:, 2], types.linear_axes[linear_type][:, 0])
+    cosine = jnp.abs(first @ second)
+    relation = jnp.where(cosine > PARALLEL_COSINE, 0, jnp.where(cosine < SQUARE_COSINE, 1, 2))
+    code = jnp.asarray(CLASS_CODES)[linear_type, r, t, relation]
+    # without an entry, the frame is that of an unconstrained body of the type
+    place = jnp.where(code >= 0, code, jnp.asarray(CLASS_CODES)[linear_type, 3, 3, 0])
+    parameters = jax.tree.map(lambda leaf: leaf[place], solved.starts)
+    parameters = parameters._replace(origin=solved.origins[linear_type])
+    probability = jnp.full(len(ENTRIES), jnp.nan, types.linear_norm.dtype)
+    return Winner(place, jnp.asarray(jnp.nan, probability.dtype), parameters, probability)
