@@ -41,7 +41,7 @@ _TINY = 1e-18  # m^2 and rad^2, added to every variance
 # ---- grids of the logarithms of sizes
 _ERRORS = 1.4 * np.arange(-2, 6)  # about the middle of the prior of slow errors
 _TURNS = 0.5 * np.arange(-2, 3)  # about the usual rotation
-_SHIFTS = 0.75 * np.arange(-5, 6)  # about the usual translation
+_SHIFTS = 1.0 * np.arange(-3, 4)  # about the usual translation
 
 
 def _motions() -> np.ndarray:
