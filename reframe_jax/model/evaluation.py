@@ -1,0 +1,190 @@
+"""Evaluate entries of the table at given parameters: their amplitudes and their evidence.
+
+Arrays have components first, then scales, entries and windows.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from reframe_jax.constraints.types import LinearType
+from reframe_jax.geometry.small import largest, materialize, sandwich, times, total
+from reframe_jax.model import features as z
+from reframe_jax.model.evidence import Amplitudes, Coordinates, Spectra, amplitudes_of, log_evidence
+from reframe_jax.model.features import Features
+from reframe_jax.model.moments import Moments
+from reframe_jax.model.rows import Forms, coordinates_at, in_body
+from reframe_jax.model.starts import smallest_eigenvalue
+from reframe_jax.model.steps import Unknowns, tilted_axis
+from reframe_jax.model.table import KINDS, PATHS, ROWS, Table
+
+__all__ = ["UniversalMoments", "WindowStatistics", "evaluate_entries", "window_statistics"]
+
+Array = jax.Array
+
+
+class WindowStatistics(NamedTuple):
+    """Statistics of N windows that the evaluation of entries needs.
+
+    Attributes:
+        spectra: (S, 1, N) of the scales.
+        mean: (3, 3, N) mean rotation.
+        noise: (2, 1, N) m and rad, white noise with which slow errors grow.
+        rotations: (3, 3, M, N) of M poses of the window.
+        levers: (3, 3, 5, N) m^2, squared sensitivity of the translation of every path to a rotation.
+        universal: moments of the coordinates of a universal joint.
+    """
+
+    spectra: Spectra
+    mean: Array
+    noise: Array
+    rotations: Array
+    levers: Array
+    universal: "UniversalMoments"
+
+
+class UniversalMoments(NamedTuple):
+    """Rotations of a universal joint: the angle between its axes, and the rotations about each axis.
+
+    Attributes:
+        ground: (3, N) axis a, fixed in the ground.
+        body: (3, N) axis b, fixed in the body.
+        form: (3, 3, S, N) moments of the three coordinates.
+        mixed: (3, 3, 4, 2, S, N) moments with the paths GB and BG, directions times (1, origin).
+        sine: (M, N) squared sine of the angle at M poses.
+    """
+
+    ground: Array
+    body: Array
+    form: Array
+    mixed: Array
+    sine: Array
+
+
+def window_statistics(
+    features: Features,
+    moments: Moments,
+    used: Moments,
+    products: Array,
+    noise: Array,
+    origins: Array,
+    universal_axes: tuple[Array, Array],
+) -> WindowStatistics:
+    """Collect the statistics of N windows.
+
+    Args:
+        features: of the windows.
+        moments: of all scales.
+        used: with details only at the scales that are used.
+        products: (27, 27, S, N) of ``used``.
+        noise: (N, 2) m and rad.
+        origins: (3, 4, N) m, of every linear type.
+        universal_axes: axes a and b of the universal joint, (3, N) each.
+    """
+    details, all_details, white = used.details.T, moments.details.T, used.white.T
+    per_scale = details, all_details, used.scale_weight.T, white, noise.T
+    rotations = jnp.moveaxis(features.to_rotation[:, :, z.TURN_GROUND], 0, -1).transpose(1, 2, 0, 3)
+    return WindowStatistics(
+        spectra=Spectra(*(leaf[:, None] for leaf in per_scale)),
+        mean=jnp.moveaxis(features.mean_rotation, 0, -1),
+        noise=_limited_noise(products, all_details, white, noise)[:, None],
+        rotations=rotations,
+        levers=_squared_levers(features, rotations, origins),
+        universal=_universal_moments(*universal_axes, used.products, features),
+    )
+
+
+def evaluate_entries(
+    forms: Forms, at: Unknowns, entries: Table, windows: WindowStatistics
+) -> tuple[Amplitudes, Array]:
+    """Amplitudes and log evidence of entries, with the axes (entries, N) last.
+
+    Args:
+        forms: moments of the coordinates about the origins.
+        at: frames, origins, tilts and pitches.
+        entries: rows of the table.
+        windows: statistics of the windows.
+    """
+    turns, shifts, mixed = coordinates_at(forms, at, entries.apart)
+    universal, crossed = windows.universal, entries.crossed
+    # ---- the rotations of a universal joint are others
+    turns = jnp.where(crossed, universal.form[:, :, :, None], turns)
+    of_path = jnp.where(
+        entries.path == PATHS.index("GB"),
+        universal.mixed[:, :, :, 0, :, None],
+        universal.mixed[:, :, :, 1, :, None],
+    )
+    of_path = of_path[:, :, 0] + total(of_path[:, :, 1:] * at.origin[:, None], 2)
+    of_path = total(of_path[:, :, None] * at.frame[None, :, :, None], 1)
+    mixed = jnp.where(crossed, of_path, mixed)
+    # ---- sensitivity to a rotation
+    unit = jnp.eye(3, dtype=turns.dtype)[:, :, None, None] + jnp.zeros_like(at.frame)
+    sine = total(universal.sine, 0) / len(universal.sine)
+    corner = (np.arange(9) == 0).reshape(3, 3, 1, 1)
+    of_turns = jnp.where(crossed & corner, sine, unit)
+    kinds = jnp.arange(len(PATHS)).reshape(-1, 1, 1) == entries.path[None]
+    lever = total(windows.levers[:, :, :, None] * kinds, 2)
+    lever = sandwich(at.frame, lever[:, :, None])[:, :, 0]
+    third = (np.arange(3) == 2)[:, None, None]
+    row = entries.apart & (third[:, None] | third[None])
+    lever = jnp.where(row, jnp.where(third[:, None] & third[None], at.pitch**2, 0), lever)
+    # ---- derivative of the coordinates with respect to the pose
+    axis = times(windows.mean[:, :, None], times(at.frame, tilted_axis(at.tilt)))
+    along = total(windows.rotations[:, :, :, None] * at.frame[None, :, 2, None], 1)
+    cosine = total(along * axis[:, None], 0)
+    det = jnp.where(entries.apart & in_body(entries), jnp.abs(cosine), 1.0)
+    det = jnp.where(crossed, universal.sine[:, None], det)
+    gain = jnp.asarray([0.0, 0, 0, 1, 1, 1], turns.dtype)[:, None, None]
+    consistency = total(jnp.log(det + 1e-6), 0) / len(det)
+    coordinates = Coordinates(turns, shifts, mixed, jnp.stack([of_turns, lever]), gain, consistency)
+    amplitudes = materialize(amplitudes_of(coordinates, entries, windows.spectra))
+    tilt = jnp.where(entries.tied, jnp.sqrt(total(at.tilt**2, 0) + jnp.finfo(turns.dtype).tiny), 0)
+    return amplitudes, log_evidence(amplitudes, tilt, entries, windows.noise)
+
+
+def _universal_moments(a: Array, b: Array, products: Array, features: Features) -> UniversalMoments:
+    """Moments of a'R b and of the rotations about a and b; see :class:`UniversalMoments`."""
+    rows = jnp.asarray(ROWS, products.dtype)
+    angle = jnp.einsum("in,jn,ijf->nf", a, b, rows[KINDS.index("angle between"), :, 1:])
+    turns = [
+        jnp.einsum("in,if->nf", v, rows[KINDS.index(f"turn in {where}"), :, 0])
+        for v, where in ((a, "ground"), (b, "body"))
+    ]
+    weights = jnp.stack([angle, *turns])
+    half = jnp.einsum("inf,nsfg->nsig", weights, products, precision="highest")
+    form = jnp.einsum("nsif,jnf->ijsn", half, weights, precision="highest")
+    paths = ROWS[[KINDS.index(t.name) for t in (LinearType.GB, LinearType.BG)]]
+    sign = jnp.asarray(paths.sum(-1), products.dtype)
+    mixed = half[..., np.abs(paths).argmax(-1)] * sign  # (N, S, 3, 2, 3, 4)
+    mixed = mixed.transpose(2, 4, 5, 3, 1, 0)
+    turned = features.to_rotation[:, :, z.TURN_GROUND]
+    cosine = jnp.einsum("in,nmij,jn->mn", a, turned, b)
+    return UniversalMoments(a, b, form, mixed, 1 - cosine * cosine)
+
+
+def _squared_levers(features: Features, rotations: Array, origins: Array) -> Array:
+    """Squared sensitivity of the translation of every path to a rotation, (3, 3, 5, N) m^2."""
+    sensitive = jnp.moveaxis(features.to_rotation[:, :, z.IN_BODY], 0, -1)
+    inside = jnp.stack([sensitive[:, 2, 1], sensitive[:, 0, 2], sensitive[:, 1, 0]])  # R'p, (3, M, N)
+    position = times(rotations, inside)
+    x = origins[:, :, None]
+    moved = [
+        jnp.broadcast_to(x[:, LinearType.BB], inside.shape),
+        times(rotations, jnp.broadcast_to(x[:, LinearType.GB], inside.shape)),
+        x[:, LinearType.GG] - position,
+        times(rotations.swapaxes(0, 1), jnp.broadcast_to(x[:, LinearType.BG], inside.shape)) - inside,
+        jnp.zeros_like(inside),
+    ]
+    arms = jnp.stack(moved, axis=2)  # (3, M, 5, N)
+    squares = total(arms[:, None] * arms[None], 2) / arms.shape[1]
+    unit = jnp.eye(3, dtype=arms.dtype)[:, :, None, None]
+    return unit * (squares[0, 0] + squares[1, 1] + squares[2, 2]) - squares
+
+
+def _limited_noise(products: Array, all_details: Array, white: Array, noise: Array) -> Array:
+    """White noise (2, N), m and rad: at most the variance of any scale along its axis of least motion."""
+    forms = jnp.stack([products[r, r, :-1] for r in (z.POSITION, z.TURN_BODY)], axis=2)
+    shown = jnp.where(all_details[:-1] > 0, smallest_eigenvalue(forms) / white[:-1], jnp.inf)
+    return jnp.minimum(noise.T, jnp.sqrt(jnp.maximum(-largest(-shown, 1), 1e-16)))
