@@ -1,4 +1,4 @@
-"""Densities of log amplitudes about a size, and their overlap with what a measured amplitude says.
+"""Densities of log amplitudes about a size, and their overlap with the likelihood of a measured amplitude.
 
 A density is e^(B u) / (1 + e^(2 u))^((B + G) / 2) of u = log a - log size: slopes B below the size and -G
 above. The likelihood of a is Gaussian in the logarithm of a^2 + noise^2. Where a is far below the noise, the
@@ -32,7 +32,7 @@ class Nodes(NamedTuple):
         squares: (_NODES, 6, ...) a^2 of the nodes, ascending.
         weights: (_NODES, 6, ...) of the nodes.
         below: (6, ...) likelihood of amplitudes below the first node.
-        top: (6, ...) logarithm of what all weights are multiplied with.
+        top: (6, ...) logarithm of a common factor of all weights.
     """
 
     squares: Array
@@ -41,7 +41,7 @@ class Nodes(NamedTuple):
     top: Array
 
     def rows(self, rows: slice) -> "Nodes":
-        """Those of some coordinates."""
+        """Select the nodes of some coordinates."""
         return Nodes(self.squares[:, rows], self.weights[:, rows], self.below[rows], self.top[rows])
 
 
@@ -96,7 +96,7 @@ def amplitude_nodes(log_square: Array, log_noise: Array, variance: Array) -> Nod
 
     Args:
         log_square: (6, ...) log of the measured mean square.
-        log_noise: (6, ...) log of what noise has of it.
+        log_noise: (6, ...) log of the part of it that is noise.
         variance: (6, ...) of ``log_square``.
     """
     log_square, log_noise, variance = (x.astype(jnp.float32) for x in (log_square, log_noise, variance))

@@ -1,17 +1,18 @@
-"""The evidence for an entry of the table: is what it holds held, and what it frees free?
+"""The evidence for an entry of the table: how probable the measured amplitudes of its coordinates are.
 
-A coordinate is its amplitude a, the RMS over the recording of all scales that are used, known up to its
-sampling error and its white noise. Two densities of log a are compared:
+The amplitude a of a coordinate is its RMS over the recording, summed over all used scales. It is known up to
+its sampling error and its white noise. The density of log a depends on whether the coordinate is held:
 
 - *held*: slope 1 below and -7 above the size e of slow errors of the tracker, the robot or the contact,
   where e^2 = n_p e_t^2 + n_r e_r^2: a translation of e_t and a rotation of e_r that reaches the coordinate
   through its lever;
 - *free*: slope B below and -3 above the size m of the motion, one m for rotations and one for translations.
 
-The four sizes belong to the recording and are integrated out on grids: densities of a logarithm that are
-smooth over half a unit are summed exactly by the trapezoidal rule with coarse steps. To this come how well
-the held coordinates are held against those of other entries, as a likelihood tempered to the few independent
-values that a motion has, and a unit of log evidence for every parameter.
+The four sizes are the same for all coordinates of a recording, and are integrated out on grids. The
+densities are smooth functions of the logarithm, for which the trapezoidal rule is exact with coarse steps.
+Two terms are added. The first compares the size of the held coordinates with those of other entries: a
+likelihood that counts only the few independent values of a motion. The second is a cost of one unit of log
+evidence per parameter.
 """
 
 from math import log
@@ -55,12 +56,12 @@ _MOTIONS = _motions()
 
 
 class Spectra(NamedTuple):
-    """What a window gives to the evidence.
+    """Statistics of the scales of a window.
 
     Attributes:
         details: (S,) independent details, 0 at scales that are not used.
-        all_details: (S,) the same with those scales.
-        scale_weight: (S,) of a scale in the variance of the path; 0 where it is not used.
+        all_details: (S,) independent details of all scales.
+        scale_weight: (S,) weight of a scale in the variance of the path; 0 at scales that are not used.
         white: (S,) variance at a scale of white noise of unit variance.
         noise: (2,) m and rad, white noise of a pose.
     """
@@ -77,7 +78,7 @@ class Amplitudes(NamedTuple):
 
     Attributes:
         square: (6,) mean square over the recording, m^2 or rad^2.
-        noise: (6,) what white noise has of it.
+        noise: (6,) part of ``square`` that is white noise.
         variance: (6,) of the logarithm of ``square``.
         independent: (6,) number of independent values.
         lever: (6,) squared sensitivity to a rotation, m^2 or 1.
@@ -119,31 +120,31 @@ def _diagonal(outer: Array, form: Array) -> Array:
     return total(half * jnp.swapaxes(outer, 0, 1)[:, :, None], 1)
 
 
-def amplitudes_of(of: Coordinates, entry: Table, spectra: Spectra) -> Amplitudes:
+def amplitudes_of(coordinates: Coordinates, entry: Table, spectra: Spectra) -> Amplitudes:
     """Amplitudes of the coordinates of entries, components first and problems last.
 
     Args:
-        of: the coordinates.
+        coordinates: moments of the coordinates.
         entry: rows of the table, (6, ...) and (6, 6, ...).
         spectra: with the scales first.
     """
-    scale_weight, dtype = spectra.scale_weight, of.turns.dtype
+    scale_weight, dtype = spectra.scale_weight, coordinates.turns.dtype
     together = entry.together
-    both = jnp.stack([of.turns, of.shifts], axis=3)  # (3, 3, S, 2, ...)
+    both = jnp.stack([coordinates.turns, coordinates.shifts], axis=3)  # (3, 3, S, 2, ...)
     mixable = jnp.stack([together[:3, :3], together[3:, 3:]], axis=2)
     whole = materialize(total(both * scale_weight[:, None], 2))
     axes = materialize(diagonalize(whole[:, :, None], together=mixable, sweeps=3))
     turns, shifts = jnp.moveaxis(materialize(_diagonal(axes, both)), 2, 0)
-    lever = jnp.moveaxis(_diagonal(axes, jnp.moveaxis(of.levers, 0, 2)[:, :, None])[:, 0], 1, 0)
+    lever = jnp.moveaxis(_diagonal(axes, jnp.moveaxis(coordinates.levers, 0, 2)[:, :, None])[:, 0], 1, 0)
     axes, lever = jnp.moveaxis(axes, 2, 0), lever.reshape(6, *lever.shape[2:])
-    # a tracker's error of scale: held translations may move with the largest free rotation
+    # error of scale of a tracker: held translations may be proportional to the largest free rotation
     squares = jnp.where(entry.held[:3], -1.0, total(turns * scale_weight, 1))
     widest = largest(squares)
     second = (squares[1] == widest) & (squares[0] < widest)
     first = jnp.stack([squares[0] == widest, second, (squares[0] < widest) & (squares[1] < widest)])
     main = total(axes[0] * first[None], 1)
-    along = total(total(of.turns * main[:, None, None], 0) * main[:, None], 0)
-    pulled = total(of.mixed * main[:, None, None], 0)
+    along = total(total(coordinates.turns * main[:, None, None], 0) * main[:, None], 0)
+    pulled = total(coordinates.mixed * main[:, None, None], 0)
     pulled = total(axes[1][:, :, None] * pulled[:, None], 0)
     pull = total(pulled * scale_weight, 1) / jnp.maximum(total(along * scale_weight, 0), 1e-30)
     most = C.scale_error * jnp.sqrt(lever[3:])
@@ -152,8 +153,8 @@ def amplitudes_of(of: Coordinates, entry: Table, spectra: Spectra) -> Amplitudes
     each = jnp.maximum(jnp.concatenate([turns, shifts]), 0) + _TINY
     parts = each * scale_weight
     square = total(parts, 1)
-    noise = of.gain * spectra.noise[0] ** 2 + lever * spectra.noise[1] ** 2
-    # white noise cannot exceed what any scale shows
+    noise = coordinates.gain * spectra.noise[0] ** 2 + lever * spectra.noise[1] ** 2
+    # the white noise is at most the variance at any scale
     shown = jnp.where(spectra.all_details[:-1] > 0, each[:, :-1] / spectra.white[:-1], jnp.inf)
     noise = jnp.minimum(noise, -largest(-shown, 1)) * total(scale_weight * spectra.white, 0) + 0.1 * _TINY
     variance = total(2 * jnp.square(parts) / jnp.maximum(spectra.all_details, 1), 1) / square**2
@@ -164,24 +165,26 @@ def amplitudes_of(of: Coordinates, entry: Table, spectra: Spectra) -> Amplitudes
         independent=2 / jnp.maximum(variance, 0.01),
         lever=lever,
         size=total(jnp.log(each) * spectra.details, 0, 1).astype(dtype),
-        consistency=of.consistency,
+        consistency=coordinates.consistency,
     )
 
 
-def log_evidence(of: Amplitudes, tilt: Array, entry: Table, noise: Array) -> Array:
+def log_evidence(amplitudes: Amplitudes, tilt: Array, entry: Table, noise: Array) -> Array:
     """Log evidence of what is held and free, with the sizes of errors and motions integrated out.
 
     Components come first, problems last.
 
     Args:
-        of: the coordinates.
+        amplitudes: of the coordinates.
         tilt: (...) rad, of the axis between the bodies; 0 for entries without one.
         entry: rows of the table.
         noise: (2, ...) m and rad, white noise, with which errors grow.
     """
-    nodes = materialize(amplitude_nodes(jnp.log(of.square), jnp.log(of.noise), of.variance))
-    value = _errors(nodes, of.lever, tilt, entry.held, noise) + _moves(nodes, of, entry.held)
-    return value.astype(of.square.dtype)
+    nodes = materialize(
+        amplitude_nodes(jnp.log(amplitudes.square), jnp.log(amplitudes.noise), amplitudes.variance)
+    )
+    value = _errors(nodes, amplitudes.lever, tilt, entry.held, noise) + _moves(nodes, amplitudes, entry.held)
+    return value.astype(amplitudes.square.dtype)
 
 
 def _grid(values: np.ndarray, axes: int) -> Array:
@@ -211,13 +214,13 @@ def _errors(nodes: Nodes, lever: Array, tilt: Array, held: Array, noise: Array) 
     return jnp.log(whole + jnp.finfo(jnp.float32).tiny) + total(jnp.where(held, nodes.top, 0), 0)
 
 
-def _moves(nodes: Nodes, of: Amplitudes, held: Array) -> Array:
+def _moves(nodes: Nodes, amplitudes: Amplitudes, held: Array) -> Array:
     """Log evidence of the free coordinates: sizes m_r of rotations and m_t of translations."""
     lanes, sums = held.ndim - 1, []
     for first, grid, middle in ((0, _TURNS, C.turn), (3, _SHIFTS, C.turn * C.lever)):
         rows = slice(first, first + 3)
-        squares = jnp.where(held[rows], -1, of.square[rows])
-        independent = largest(jnp.where(squares == largest(squares), of.independent[rows], 0))
+        squares = jnp.where(held[rows], -1, amplitudes.square[rows])
+        independent = largest(jnp.where(squares == largest(squares), amplitudes.independent[rows], 0))
         slope = jnp.clip(jnp.sqrt(independent / 4), 0.5, 4).astype(jnp.float32)
         sizes = _grid(np.exp(2 * (grid + log(middle))), lanes)[None]
         free = jnp.where(held[rows, None], 0, free_evidence(nodes.rows(rows), sizes, slope))
@@ -228,12 +231,12 @@ def _moves(nodes: Nodes, of: Amplitudes, held: Array) -> Array:
     return jnp.log(total(a * shared, 0) + jnp.finfo(jnp.float32).tiny) + tops[0] + tops[1]
 
 
-def compare(evidence: Array, of: Amplitudes, pitch: Array, table: Table, details: Array) -> Array:
+def compare(evidence: Array, amplitudes: Amplitudes, pitch: Array, table: Table, details: Array) -> Array:
     """Log probability of entries, (E, ...): components first, then entries, then problems.
 
     Args:
         evidence: (E, ...) of :func:`log_evidence`.
-        of: amplitudes of the entries.
+        amplitudes: of the entries.
         pitch: (E, ...) m/rad.
         table: the entries.
         details: (S, ...) independent details.
@@ -241,22 +244,27 @@ def compare(evidence: Array, of: Amplitudes, pitch: Array, table: Table, details
     first = jnp.arange(len(evidence)).reshape(-1, *[1] * (evidence.ndim - 1))
     best = first == jnp.argmax(evidence, axis=0)
     count = total(details, 0)
-    independent = -largest(jnp.where(table.held, -jnp.inf, -of.independent))
+    independent = -largest(jnp.where(table.held, -jnp.inf, -amplitudes.independent))
     independent = largest(jnp.where(best, independent, 0))
     worth = jnp.minimum(jnp.where(jnp.isfinite(independent), independent, 1.0), C.worth)
-    value = evidence - 0.5 * worth / count * (of.size + largest(-of.size)) + worth * of.consistency
+    value = (
+        evidence
+        - 0.5 * worth / count * (amplitudes.size + largest(-amplitudes.size))
+        + worth * amplitudes.consistency
+    )
     value = value - jnp.log(table.variants) - C.per_parameter * table.parameters
-    value = value + jnp.where(table.pitch, _screw(of, pitch, worth), 0)
-    # a motion in which nothing is held is free in the coordinates of every type: the stillest ones decide
+    value = value + jnp.where(table.pitch, _screw(amplitudes, pitch, worth), 0)
+    # entries without held coordinates describe the same motion in the coordinates of different types: all of
+    # them get the lowest value
     nothing = ~jnp.any(table.held, axis=0) & jnp.isfinite(value)
     value = jnp.where(nothing, -largest(jnp.where(nothing, -value, -jnp.inf)), value)
     return value - jax.nn.logsumexp(value, axis=0)
 
 
-def _screw(of: Amplitudes, pitch: Array, worth: Array) -> Array:
-    """What a screw gains because two motions agree, and what the range of pitches costs, (E, ...)."""
-    turn, row = of.square[2], of.square[5]
+def _screw(amplitudes: Amplitudes, pitch: Array, worth: Array) -> Array:
+    """Gain of a screw joint because turn and slide agree, less the cost of its range of pitches, (E, ...)."""
+    turn, row = amplitudes.square[2], amplitudes.square[5]
     travel = jnp.square(pitch) * turn
-    values = jnp.maximum(jnp.minimum(of.independent[2], C.screw_worth) - 1 - worth, 0)
+    values = jnp.maximum(jnp.minimum(amplitudes.independent[2], C.screw_worth) - 1 - worth, 0)
     gain = values * jnp.maximum(0, 0.5 * jnp.log((row + travel) / row))
     return gain + jnp.minimum(0, 0.5 * jnp.log(row / (travel + 1e-24))) - C.pitch_range
