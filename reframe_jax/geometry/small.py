@@ -1,7 +1,7 @@
 """Algebra of small vectors and matrices with components first and problems last.
 
 A vector is (3, ...), a matrix (3, 3, ...), and the last axes run over problems. So every operation is
-elementwise on long rows: there are no kernels for small matrices, and none of LAPACK.
+elementwise on long rows, without LAPACK and without kernels for small matrices.
 """
 
 from collections.abc import Sequence
@@ -30,11 +30,11 @@ __all__ = [
 
 Array = jax.Array
 T = TypeVar("T")
-_NO_MOMENT = -1.2345678e33  # a number that nothing here can be
+_NO_MOMENT = -1.2345678e33  # a number that no array contains
 
 
 def materialize(values: T) -> T:
-    """Compute arrays once: XLA would compute them again within every operation that reads them.
+    """Compute arrays once: otherwise XLA computes them again in every operation that reads them.
 
     An ``optimization_barrier`` does this on a GPU. On a CPU it is removed before operations are joined; only
     the boundary of a conditional stays, whose predicate is always true, which the compiler cannot know.

@@ -95,7 +95,7 @@ class Tested(Protocol):
 
 @dataclass(frozen=True)
 class Finding:
-    """One window, on the host.
+    """Result of one window, in NumPy arrays.
 
     Attributes:
         name: of the constraint, and ``probability``: of the name.
@@ -129,7 +129,7 @@ class Finding:
 
 
 def explain_finding(finding: Finding, spread: Spread | None, tested: Tested | None) -> str:
-    """Up to six lines: the constraint, its play, its origin, its axis, what is open, what would settle it.
+    """Up to six lines: the constraint, its play, its origin, its axis, what is uncertain, what to record.
 
     Args:
         finding: of one window.

@@ -23,7 +23,7 @@ def member(kind: type[IntEnum], code: jax.Array) -> Any:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class PoseNoise:
-    """Standard deviation of the white noise in the poses, as the poses themselves show it.
+    """Standard deviation of the white noise in the poses, estimated from the poses.
 
     Attributes:
         position: (...) m, of every component of the position.
@@ -131,7 +131,7 @@ class LinearFrame:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Candidates:
-    """The frame of every type at its lowest norm, and that of the winner; one more axis T, over the types.
+    """Frames of all types at their lowest norm, and of the reported type; one more axis T, over the types.
 
     Attributes:
         rotvec: (..., T, 3) rad.

@@ -1,4 +1,4 @@
-"""Poses and times as they are given: of which types they may be, and what the pipeline makes of them."""
+"""Check poses and times, and convert them to the arrays of the pipeline."""
 
 import os
 from collections.abc import Callable
@@ -24,7 +24,7 @@ _REMEDIES = {
 
 
 def read_numbers(name: str, value: Any) -> Any:
-    """An array of real numbers that JAX computes with: float32 or float64 of this machine, or integers.
+    """Convert to an array of real numbers that JAX can use: float32, float64, or integers.
 
     Arrays of JAX stay as they are. Others become NumPy arrays in the byte order of the machine; those of more
     than 64 bits are rounded to float64.
@@ -61,7 +61,7 @@ def read_numbers(name: str, value: Any) -> Any:
 
 
 def read_number(name: str, value: Any) -> float:
-    """A single real number.
+    """Convert to a single real number.
 
     Raises:
         ValueError: for anything else.
@@ -73,7 +73,7 @@ def read_number(name: str, value: Any) -> float:
 
 
 def take_poses(poses: Any) -> Any:
-    """Poses (..., K+1, 4, 4) of float32 or float64, checked for type and shape; integers become float64.
+    """Check the type and shape of poses (..., K+1, 4, 4); integers become float64.
 
     Raises:
         ValueError: if they are of a wrong type or shape, or too few.
@@ -93,7 +93,7 @@ def take_poses(poses: Any) -> Any:
 
 
 def take_steps(poses: Any, times: Any, dt: Any) -> Any:
-    """Sample time of every step, (K,) or (..., K) in s, from times or dt.
+    """Compute the sample time of every step, (K,) or (..., K) in s, from times or dt.
 
     Args:
         poses: as :func:`take_poses` returns them.
@@ -138,7 +138,7 @@ def _differences(times: Any) -> Any:
 
 
 def padded_size(count: int) -> int:
-    """Poses that a window is padded to: 64, 256, 1024 or 4096, then powers of 2.
+    """Padded length of a window: 64, 256, 1024 or 4096 poses, then powers of 2.
 
     A program for a size takes longer to compile than thousands of poses that do not count take to run.
     """
@@ -151,7 +151,7 @@ def padded_size(count: int) -> int:
 
 
 def _pad_poses(poses: Any, steps: Any) -> tuple[Any, Any, bool]:
-    """Windows padded to one of few lengths, so that new lengths compile nothing; whether lengths are needed.
+    """Pad windows to one of few lengths, so that few programs are compiled; also say if lengths are needed.
 
     The very shortest stay as they are.
 
@@ -171,7 +171,7 @@ def _pad_poses(poses: Any, steps: Any) -> tuple[Any, Any, bool]:
 
 
 def run_in_pieces(run: Callable[..., Any], poses: Any, steps: Any, others: Any, most: int, pad: bool) -> Any:
-    """Results for N windows, which are computed in pieces of one of few sizes and lengths.
+    """Compute results for N windows in pieces of one of few sizes and lengths.
 
     A piece has ``most`` windows, the last one repeats its last window. Up to eight are computed one by one.
 

@@ -97,7 +97,7 @@ _COMMON = {
 
 
 def _class_codes() -> np.ndarray:
-    """(4, 4, 4, 3): entry of a linear type, free rotations, free translations, and how the odd axes lie.
+    """Entry codes (4, 4, 4, 3) by linear type, free rotations, free translations, and relation of the axes.
 
     The odd axes are parallel (0), perpendicular (1) or neither (2).
     """

@@ -134,7 +134,7 @@ class OnlineIdentifier:
         self._count, self._early = 0, []
 
     def _refuse(self, time: float, last: float) -> None:
-        """Refuse a time that comes too early, unless so many did that the last one must have been wrong.
+        """Refuse a time that is too early, unless many times were: then the last accepted time was wrong.
 
         Otherwise a single time stamp far in the future would block the stream for ever.
         """
@@ -149,7 +149,7 @@ class OnlineIdentifier:
 
 
 def _check_rigid(pose: np.ndarray) -> None:
-    """Refuse what would spoil every window that it is in."""
+    """Refuse a pose that would make every window that contains it unusable."""
     rotation = pose[:3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
         skewed = not np.abs(rotation.T @ rotation - np.eye(3)).max() < ROTATION_TOLERANCE

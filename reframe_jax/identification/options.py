@@ -1,4 +1,4 @@
-"""Options of the main entry: what they may be, and what the pipeline makes of them."""
+"""Check the options of the main entry, and convert them for the pipeline."""
 
 from collections.abc import Sequence
 from typing import Any, Literal, TypedDict, get_args
@@ -37,7 +37,7 @@ class IdentifyOptions(TypedDict, total=False):
 
 
 def take_scales(scales: Any, poses: int) -> tuple[int, ...] | None:
-    """The scales in samples, None for "auto", none of them for "mean".
+    """Check scales: samples, None for "auto", or an empty tuple for "mean".
 
     Raises:
         ValueError: unless they are powers of two that fit a window of so many poses.
@@ -60,7 +60,7 @@ def take_scales(scales: Any, poses: int) -> tuple[int, ...] | None:
 
 
 def take_assumed(assume: Any) -> tuple[int, ...] | None:
-    """Codes of the entries of a constraint that is assumed, None for all.
+    """Codes of the entries of an assumed constraint; None for all entries.
 
     Raises:
         ValueError: for an unknown name.
@@ -78,7 +78,7 @@ def check_options(
     discretization: Discretization,
     key: jax.Array | None = None,
 ) -> None:
-    """Refuse thresholds, solvers, discretizations and keys that are none.
+    """Check the types of thresholds, solver, discretization and key.
 
     Raises:
         ValueError: saying what was expected.
@@ -107,7 +107,7 @@ def _is_key(key: Any) -> bool:
 
 
 def check_bounds(bounds: Any) -> Any:
-    """Half the width of the cube in which origins are searched, m; None by default.
+    """Check the half width of the cube in which origins are searched, m; None by default.
 
     Raises:
         ValueError: unless it is one positive length.

@@ -1,4 +1,4 @@
-"""Identification of windows that have been checked: pure functions of arrays.
+"""Identify checked windows, with pure functions of arrays.
 
 poses -> features, moments (:mod:`reframe_jax.model`) -> the most probable entry of the table -> its frames.
 """

@@ -1,4 +1,4 @@
-"""What windows give to the model: poses without outliers, their noise, features and moments."""
+"""Prepare windows for the model: poses without outliers, their noise, features and moments."""
 
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ Array = jax.Array
 
 
 class Prepared(NamedTuple):
-    """What N windows give to the model.
+    """N windows, prepared for the model.
 
     Attributes:
         status: (N,) codes of ``Status``.
@@ -63,7 +63,7 @@ def prepare_windows(
     about_mean = scales == ()
     status = window_status(poses, steps)
     failed = status >= 10
-    # a failed window computes with harmless numbers, so that no NaN enters a derivative
+    # a failed window gets valid numbers, so that no NaN enters a derivative
     poses = jnp.where(failed[:, None, None, None], _harmless(poses), poses)
     steps = jnp.where(jnp.isfinite(steps) & (steps > 0), steps, 1)
     steps = steps[None] if steps.ndim == 1 else steps
@@ -80,7 +80,7 @@ def prepare_windows(
         times = jnp.broadcast_to(times, own.shape).T
         rotation, position, counted = repair_poses(rotation, position, times, number, unit)
     still = jax.lax.stop_gradient((position, kinematics.turns_of(rotation)))
-    if about_mean:  # neighbours say nothing about the noise: no more of it than rounding is known
+    if about_mean:  # without an order of the poses, only rounding is known of the noise
         reach = jnp.max(jnp.where(counted, jnp.abs(still[0]), 0), axis=(0, 1))
         noise = (
             4 * float(jnp.finfo(poses.dtype).eps) * jnp.stack([reach, jnp.full_like(reach, np.pi)], axis=1)

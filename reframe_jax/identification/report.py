@@ -1,4 +1,4 @@
-"""From the most probable entry of the table to the frames that are reported."""
+"""Report frames: from the most probable entry of the table to an identification."""
 
 from dataclasses import replace
 from functools import partial
@@ -68,7 +68,7 @@ class _Rows(NamedTuple):
 
 
 def _block_rows(axes: Array, weights: Array, together: Array, free: Array, total: Array) -> _Rows:
-    """Principal axes of each block, held ones first, then by amplitude; right-handed, with signs fixed."""
+    """Principal axes of each block: held axes first, then by amplitude; right-handed, with fixed signs."""
     covariance = jnp.where(together, weights @ total @ weights.T, 0)
     turn = _eigenvectors(covariance, together)
     axes, weights = axes @ turn, turn.T @ weights
@@ -83,7 +83,7 @@ def _block_rows(axes: Array, weights: Array, together: Array, free: Array, total
 
 
 def _eigenvectors(covariance: Array, together: Array) -> Array:
-    """Of a covariance (3, 3), block by block, with their first derivative."""
+    """Eigenvectors of a covariance (3, 3), block by block, with their first derivative."""
     fixed = jax.lax.stop_gradient(covariance)
     turn = diagonalize(fixed[:, :, None])
     seen = turn.T @ covariance @ turn
@@ -96,7 +96,7 @@ def _eigenvectors(covariance: Array, together: Array) -> Array:
 
 
 def _sign(axis: Array) -> Array:
-    """That makes the largest component positive."""
+    """Sign that makes the largest component positive."""
     axis = jax.lax.stop_gradient(axis)
     return jnp.where(axis[jnp.argmax(jnp.abs(axis)).astype(jnp.int32)] < 0, -1, 1)
 
@@ -119,12 +119,12 @@ def report_windows(
     discretization: Discretization,
     single_steps: bool,
 ) -> Identification:
-    """The identification of N windows.
+    """Build the identification of N windows.
 
     Args:
         window: prepared windows; derivatives follow its features and moments.
         live: moments with details at the scales that are used.
-        solved: what the model found, without derivatives.
+        solved: result of the model, without derivatives.
         thresholds: above which an axis is free, or None.
         exponent: of the power mean, for the norms.
         discretization: of velocities.
@@ -151,7 +151,7 @@ def _report_window(
     thresholds: Thresholds | None,
     single_steps: bool,
 ) -> tuple[Identification, Array, Array]:
-    """One window, without its status; whether its origin lies on the bounds; its warnings."""
+    """Report one window without its status, whether its origin is on the bounds, and its warnings."""
     mean = window.features.mean_rotation
     data = Data(live.products, live.details, mean, window.box)
     total = jnp.einsum("s,sfg->fg", live.scale_weight, live.products)
@@ -337,7 +337,7 @@ def _tied_types(
 def _with_status(
     found: tuple[Identification, Array, Array], window: Prepared, thresholds: Thresholds | None
 ) -> Identification:
-    """The results with their status; NaN and zeros where a window failed."""
+    """Set the status of the results, and NaN and zeros where a window failed."""
     result, at_bound, codes = found
     still = jnp.sum(result.angular.dof, axis=-1) + jnp.sum(result.linear.dof, axis=-1) == 0
     outcome = jnp.where(at_bound, Status.ON_BOUNDS, Status.OK)

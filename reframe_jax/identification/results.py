@@ -1,4 +1,4 @@
-"""What an identification says: frames, what did not win, what the data leave open, and how it went.
+"""Results of an identification: frames, other frame types, open directions, and status.
 
 Everything is a pytree that survives jit, vmap and slicing. Codes (types, status) are integer arrays
 inside; read as ``frame_type`` and ``status`` they are enum members for a single window and integer

@@ -1,4 +1,4 @@
-"""The entry that is reported of a window: the most probable one, or that of the paper's thresholds."""
+"""Choose the entry that is reported for a window: the most probable one, or that of the thresholds."""
 
 from typing import NamedTuple
 
@@ -23,7 +23,7 @@ KIND_OF_ENTRY = np.array([entry.kind for entry in ENTRIES], np.int32)
 
 
 class Winner(NamedTuple):
-    """The entry that is reported of a window.
+    """The entry that is reported for a window.
 
     Attributes:
         code: () of the entry, or ``NO_ENTRY``.
@@ -39,7 +39,7 @@ class Winner(NamedTuple):
 
 
 def winner_of_window(solved: Solved, live: Data) -> Winner:
-    """The most probable name, its most probable entry, and its fit.
+    """Find the most probable name, its most probable entry, and the fit of this entry.
 
     Args:
         solved: of one window.
@@ -50,8 +50,8 @@ def winner_of_window(solved: Solved, live: Data) -> Winner:
     fitted = jnp.any(jnp.arange(len(probability))[:, None] == solved.chosen, axis=1)
     of_name = jnp.where(fitted, names[NAME_OF_ENTRY], -1)
     mine = fitted & (of_name >= jnp.max(of_name))
-    # entries with one name that is the same in all types differ in their errors only: the lowest norm has
-    # the smallest
+    # entries with one name that is the same in all types differ only in their errors: the type with the
+    # lowest norm has the smallest
     alike = jnp.any(mine & jnp.asarray(SAME_IN_ALL_TYPES)) & (probability > _VARIANT * jnp.max(of_name))
     rank = jnp.where(alike, -solved.norm[jnp.asarray(KIND_OF_ENTRY)], jnp.log(probability) - _BEHIND)
     code = jnp.argmax(jnp.where(mine, rank, -jnp.inf)).astype(jnp.int32)
@@ -74,7 +74,7 @@ def winner_by_thresholds(types: Types, solved: Solved, thresholds: Thresholds) -
     a, linear_type = (jnp.argmin(norm).astype(jnp.int32) for norm in (types.angular_norm, types.linear_norm))
     angular, linear = dof_by_thresholds(types, thresholds)
     r, t = jnp.sum(angular[a]), jnp.sum(linear[linear_type])
-    # how the odd axes lie, in the body in which the linear frame is fixed
+    # angle between the single free or held axes, in the body in which the linear frame is fixed
     turn = types.angular_axes[jnp.asarray(ORIENTATION_BODIES)[linear_type]]
     first = jnp.where(r == 1, turn[:, 2], turn[:, 0])
     second = jnp.where(t == 1, types.linear_axes[linear_type][:, 2], types.linear_axes[linear_type][:, 0])

@@ -1,4 +1,4 @@
-"""Two axes that keep a right angle, one in each body: the cross of a universal joint.
+"""Find the two axes of a universal joint: one in each body, at a constant right angle.
 
 The angle of an axis a of the ground and an axis b of the body is held: a'R b is a coordinate of variance
 c_s(a, b), bilinear in the moments of R. The fit minimises sum_s n_s log c_s by steps of Gauss and Newton,
@@ -23,7 +23,7 @@ _APART = 3.0  # weight of the squared cosine of the mean angle, in independent d
 def crossed_axes(
     forms: Array, details: Array, mean: Array, ground: Array, body: Array, steps: int
 ) -> tuple[Array, Array, Array]:
-    """Axes after a number of steps.
+    """Fit the axes by a number of steps.
 
     Args:
         forms: (3, 3, 3, 3, S, ...) moments of R, entry by entry.
@@ -86,7 +86,7 @@ def crossed_axes(
         damping = jnp.clip(jnp.where(lower, damping * 0.1, damping * 10), 1e-7, 1e4)
         return *kept, damping
 
-    # the first step stays at the start, and expands there
+    # the first step does not move: it only expands the objective
     start = jnp.zeros((4, *ground.shape[1:]), ground.dtype)
     none = jnp.zeros_like(start[0])
     nowhere = _Local(none + jnp.inf, start, start[None] + unit)

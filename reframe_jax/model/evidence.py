@@ -170,7 +170,7 @@ def amplitudes_of(coordinates: Coordinates, entry: Table, spectra: Spectra) -> A
 
 
 def log_evidence(amplitudes: Amplitudes, tilt: Array, entry: Table, noise: Array) -> Array:
-    """Log evidence of what is held and free, with the sizes of errors and motions integrated out.
+    """Log evidence of the held and free coordinates, with the sizes of errors and motions integrated out.
 
     Components come first, problems last.
 

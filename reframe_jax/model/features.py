@@ -1,4 +1,4 @@
-"""Features of a pose: every condition that a constraint puts on a motion is linear in them.
+"""Features of a pose: every condition of a constraint on a motion is linear in them.
 
 A coordinate of a constraint is w'z with constant weights w and 27 features z of a pose:
 

@@ -1,4 +1,4 @@
-"""The fit of an entry of the table: its frame, origin, tilt and pitch.
+"""Fit an entry of the table: its frame, origin, tilt and pitch.
 
 Held blocks of coordinates are normal with a covariance that is not known, one at each scale. The fit
 minimises sum_s n_s log det (W G_s W') over the held blocks, with W(parameters) the weights of the coordinates
@@ -62,7 +62,7 @@ class Parameters(NamedTuple):
 
 
 class Data(NamedTuple):
-    """What a window gives to the fit.
+    """Data of a window for the fit.
 
     Attributes:
         products: (S, 27, 27) moments of the features.
@@ -140,7 +140,7 @@ def _tilt_cost(tilt: Array, data: Data, scale: Array, tie: Array) -> Array:
 
 
 def objective(parameters: Parameters, data: Data, entry: Table, scale: Array, tie: Array) -> Array:
-    """What the fit minimises; see the module."""
+    """Objective of the fit; see the module."""
     weights = coordinates(parameters, data.mean_rotation, entry)
     covariance = held_covariance(weights, data.products, entry)
     value = jnp.sum(data.details * _log_determinants(covariance))
@@ -157,8 +157,8 @@ def fit_entry(
         data: of the window.
         entry: one row of the table.
         scale: () rad, size of the tilt.
-        tie: () bool, whether the tilt counts; else it is free.
-        steps: of Levenberg and Marquardt.
+        tie: () bool, whether the tilt has a cost; otherwise it is free.
+        steps: number of Levenberg-Marquardt steps.
 
     Returns:
         The parameters and the objective there.

@@ -1,8 +1,8 @@
-"""Second moments of the features, time scale by time scale.
+"""Second moments of the features at every time scale.
 
 At the scale h, a detail is the difference of the means of two neighbouring blocks of h poses, at every shift
-(Haar's wavelet, not decimated). Block means average white noise; differences of neighbours forget drift. What
-the largest scale leaves is the smooth part: block means about their mean. For h = 1 the details are those of
+(Haar's wavelet, not decimated). Block means average white noise; differences of neighbours remove drift. The
+largest scale leaves the smooth part: block means about their mean. For h = 1 the details are those of
 consecutive poses, and the norm made of them is the paper's.
 """
 

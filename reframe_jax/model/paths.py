@@ -1,4 +1,4 @@
-"""Integrated twists of a measured motion, seen in the body and in the ground.
+"""Integrate the twist of a measured motion, in the axes of the body and of the ground.
 
 Between two poses, the logarithm of the step is the integral of the twist plus brackets that mix its
 components (the expansion of Magnus). The brackets are computed from derivatives of the twist and taken out,
@@ -63,7 +63,7 @@ def _steps(rotation: Array, position: Array) -> tuple[Array, Array]:
 
 
 def twist_paths(rotation: Array, position: Array, steps: Array, count: Array | None) -> tuple[Array, Array]:
-    """Integrals of the twist from the first pose on.
+    """Integrate the twist from the first pose to every pose.
 
     Args:
         rotation: (3, 3, P, N).

@@ -1,4 +1,4 @@
-"""The moments that an entry of the table needs, picked out of those of all features."""
+"""Select the moments that an entry of the table needs from the moments of all features."""
 
 from typing import NamedTuple
 
@@ -43,12 +43,12 @@ _IN_BODY = np.array([path[0] == "B" for path in PATHS])
 
 
 class Forms(NamedTuple):
-    """Moments of the vectors whose coordinates are held or free, in axes of the main body.
+    """Moments of the vectors whose coordinates are held or free, in the axes of the main body.
 
     Attributes:
         path: (3, 3, S, ...) of the path of the origin.
         rows: (6, 6, S, ...) of the position of the body, and of the rotation.
-        mixed: (3, 6, S, ...) of the path with those.
+        mixed: (3, 6, S, ...) of the path with the six components of ``rows``.
     """
 
     path: Array
@@ -57,12 +57,12 @@ class Forms(NamedTuple):
 
 
 class EntryMoments(NamedTuple):
-    """Moments that entries need; a translation is a direction times (1, origin). Axes are the main body's.
+    """Moments that entries need, in axes of the main body; a translation is a direction times (1, origin).
 
     Attributes:
         paths: (3, 4, 3, 4, S, ...) of the translation.
         rows: (6, 6, S, ...) of the position of the body, and of the rotation.
-        mixed: (3, 4, 6, S, ...) of the translation with those.
+        mixed: (3, 4, 6, S, ...) of the translation with the six components of ``rows``.
     """
 
     paths: Array
@@ -70,7 +70,7 @@ class EntryMoments(NamedTuple):
     mixed: Array
 
     def pick(self, path: Array) -> "EntryMoments":
-        """Those of some entries, (..., S, C, ...), by the kinds of their translations (C, ...)."""
+        """Select the moments (..., S, C, ...) of entries by the kinds of their translations (C, ...)."""
 
         def of(leaf: Array) -> Array:
             axis = leaf.ndim - path.ndim
@@ -79,14 +79,14 @@ class EntryMoments(NamedTuple):
         return EntryMoments(*(of(leaf) for leaf in self))
 
     def at(self, origin: Array) -> Forms:
-        """Moments about origins (3, ...)."""
+        """Shift the moments to origins (3, ...)."""
         _, path = path_of(self.paths, origin)
         x = origin[:, None, None]
         return Forms(path, self.rows, self.mixed[:, 0] + total(self.mixed[:, 1:] * x, 1))
 
 
 def entry_moments(products: Array, mean: Array) -> EntryMoments:
-    """Moments of every kind of translation, (..., S, 5, ...), picked out of those of all features.
+    """Select the moments of every kind of translation, (..., S, 5, ...), from the moments of all features.
 
     Args:
         products: (27, 27, S, ...).
@@ -111,14 +111,14 @@ def entry_moments(products: Array, mean: Array) -> EntryMoments:
 
 
 def in_body(entry: Table) -> Array:
-    """Whether the axes of an entry's translations belong to the body."""
+    """Whether the translations of an entry are along axes of the body."""
     return jnp.asarray(_IN_BODY)[entry.path]
 
 
 def problem_of(
     moments: EntryMoments, details: Array, entry: Table, scale: Array, box: Array, tie: Array
 ) -> Problem:
-    """The fit of entries; components of all arguments come first."""
+    """Set up the fit of entries; components of all arguments come first."""
     held = entry.held
     row = entry.apart & held[5]
     return Problem(
@@ -138,7 +138,7 @@ def problem_of(
 
 
 def coordinates_at(forms: Forms, at: Unknowns, apart: Array) -> tuple[Array, Array, Array]:
-    """Moments of the coordinates of entries: rotations, translations, and both, (3, 3, S, ...) each.
+    """Moments (3, 3, S, ...) of the rotations of entries, of the translations, and of both together.
 
     Args:
         forms: about the origins.

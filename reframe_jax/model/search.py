@@ -1,4 +1,4 @@
-"""The origin of every linear frame type: the lowest norm over time scales.
+"""Search for the origin with the lowest norm over time scales, for every linear frame type.
 
 The norm of the paper is the geometric mean of the RMS velocities along three axes; its logarithm is that of
 det Sigma. Over scales it is F(x) = sum_s n_s log det Sigma_s(x), with n_s independent details: the Gaussian
@@ -76,7 +76,7 @@ def polynomials(products: Array, rows: np.ndarray) -> Array:
 
 
 def unexplained_covariance(moments: Array, rows: np.ndarray) -> Array:
-    """What no origin explains of the path of every type, (3, 3, T, 1, N) m^2: least that its covariance is.
+    """Covariance (3, 3, T, 1, N) m^2 of the part of the path that no origin explains: a lower bound.
 
     The path of an origin is affine in it with the rotation features as coefficients. The residuals of a
     linear regression of the rest on these features are smaller than those of any origin, and small exactly
@@ -109,7 +109,7 @@ def unexplained_covariance(moments: Array, rows: np.ndarray) -> Array:
 def lowest_origins(
     coefficients: Array, details: Array, box: Array, unexplained: Array
 ) -> tuple[Array, Array]:
-    """The lowest F of every type, and where.
+    """Find the lowest F of every type, and its origin.
 
     Args:
         coefficients: (6, 10, S, T, 1, N).
@@ -140,7 +140,7 @@ def norm_at(coefficients: Array, details: Array, origins: Array) -> Array:
 
 
 def _starts(coefficients: Array, counts: Array, unexplained: Array) -> Array:
-    """Starts (3, T, starts, N): by the unexplained covariance, the origins that move least, others."""
+    """Starting origins (3, T, starts, N): of the unexplained covariance, of least motion, and fixed."""
     traces = coefficients[0] + coefficients[3] + coefficients[5]
     inverse, _ = invert_symmetric([unexplained[i, j] for i, j in _PAIRS])
     halves = jnp.asarray(_HALVES, traces.dtype)

@@ -1,4 +1,4 @@
-"""Where the fit of every entry starts: common axes of the windows, and a frame for every entry.
+"""Starting parameters of the fit of every entry: common axes of a window, and a frame for every entry.
 
 Components come first and windows last.
 """
@@ -26,7 +26,7 @@ _ALONG = 0.6  # sine of an angle, below which two axes are nearly along each oth
 
 
 class Axes(NamedTuple):
-    """Common axes over scales, by amplitude, ascending and right-handed; their columns.
+    """Common axes over all scales, as columns: ascending by amplitude, and right-handed.
 
     Attributes:
         linear: (3, 3, 4, N) of the path of the lowest origin of every linear type.
@@ -72,7 +72,7 @@ def smallest_eigenvalue(forms: Array) -> Array:
 
 
 def common_frames(paths: Array, turns: Array, position: Array, details: Array, scale_weight: Array) -> Axes:
-    """Common axes of every window.
+    """Compute the common axes of every window.
 
     Args:
         paths: (3, 3, S, 4, N) moments of the path of every linear type.
@@ -94,7 +94,7 @@ def common_frames(paths: Array, turns: Array, position: Array, details: Array, s
 
 
 def universal_axes(axes: Axes, products: Array, details: Array, mean: Array) -> tuple[Array, Array]:
-    """Axes a of the ground and b of the body, (3, N), whose angle changes least.
+    """Find the axes a of the ground and b of the body, (3, N), whose angle changes least.
 
     Args:
         axes: common axes.
@@ -114,7 +114,7 @@ def universal_axes(axes: Axes, products: Array, details: Array, mean: Array) -> 
 def entry_starts(
     origins: Array, axes: Axes, universal: tuple[Array, Array], moments: Array, mean: Array
 ) -> Unknowns:
-    """Unknowns of every entry, in axes of its main body, with (E, N) last.
+    """Starting unknowns of every entry, in the axes of its main body, with (E, N) last.
 
     Args:
         origins: (3, 4, N) m, of the lowest norm of every linear type.
@@ -135,7 +135,7 @@ def entry_starts(
     axis = turn
     for number, name in enumerate(_STARTS):
         axis = jnp.where(which == number, choices[name], axis)
-    # of the axes of the type, the stillest that is not nearly along the axis
+    # the axis of least motion of the type that is not nearly parallel to the axis
     cosine = total(axis[:, None] * own, 0)
     good = 1 - cosine * cosine > _ALONG**2
     across = jnp.where(good[0], own[:, 0], jnp.where(good[1], own[:, 1], own[:, 2]))

@@ -1,4 +1,4 @@
-"""Steps of the fit, for many problems at a time: components first, problems last.
+"""Steps of the fit for many problems at once. Arrays have components first and problems last.
 
 The unknowns of a problem are a frame V in its main body, an origin x, the tilt t of the axis between the
 bodies and a pitch h. Three blocks of coordinates can be held: rotations along columns of V, translations of
@@ -47,7 +47,7 @@ class Unknowns(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """What is given, in axes of the main body.
+    """Data of a fit, in the axes of the main body.
 
     Attributes:
         turns: (3, 3, S, ...) moments of the rotation.
@@ -83,7 +83,7 @@ def tilted_axis(tilt: Array) -> Array:
 
 
 def _held(form: Array, held: Array, details: Array) -> tuple[Array, Array]:
-    """Weights n_s C_s^-1 of held columns (3, 3, S, B, ...), zero elsewhere, and the sum of n_s log det C_s.
+    """Compute n_s C_s^-1 of held columns (3, 3, S, B, ...), zero elsewhere, and the sum of n_s log det C_s.
 
     Args:
         form: (3, 3, S, B, ...) of B blocks.
@@ -120,7 +120,7 @@ def path_of(paths: Array, origin: Array) -> tuple[Array, Array]:
 
 
 class _Local(NamedTuple):
-    """The objective about a point: value (...), gradient (9, ...) and the tangent's Hessian (9, 9, ...)."""
+    """Objective at a point: value (...), gradient (9, ...) and Hessian of the tangent (9, 9, ...)."""
 
     value: Array
     gradient: Array
@@ -153,7 +153,7 @@ def _blocks(problem: Problem, frame: Array, origin: Array) -> tuple[Array, Array
 
 
 def _row(problem: Problem, at: Unknowns) -> tuple[Array, Array, Array]:
-    """Value, gradient and Hessian (6, ...) of the row along the axis in rotation, tilt and pitch.
+    """Value, gradient and Hessian (6, ...) of the position along the axis, in rotation, tilt and pitch.
 
     The tilt is given by tangents (t_0, t_1): the axis lies along (t_0, t_1, 1) in the frame.
     """
@@ -215,7 +215,7 @@ def _move(at: Unknowns, step: Array, box: Array) -> Unknowns:
 def descend(
     problem: Problem, start: Unknowns, steps: int, free_steps: int = 0
 ) -> tuple[Unknowns, Unknowns, Array]:
-    """Levenberg and Marquardt's steps for the tangent; then some in which no tilt costs anything.
+    """Take Levenberg-Marquardt steps, first with the cost of the tilt, then without it.
 
     Returns:
         The unknowns after ``steps``; those after ``free_steps`` more; and the objective there.
@@ -228,7 +228,7 @@ def descend(
         k: Array, carry: tuple[Unknowns, Unknowns, _Local, Array]
     ) -> tuple[Unknowns, Unknowns, _Local, Array]:
         tied, at, here, damping = carry
-        # the first step of either part stays where it is, and expands the objective there
+        # the first step of each part does not move: it only expands the objective
         stays = (k == 0) | (k == steps + 1)
         tied = jax.tree.map(lambda a, b: jnp.where(k <= steps, b, a), tied, at)
         size = total(here.hessian * unit, 1)

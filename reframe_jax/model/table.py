@@ -21,7 +21,7 @@ from reframe_jax.model import features as z
 __all__ = ["ENTRIES", "KINDS", "PATHS", "ROWS", "TABLE", "Entry", "entries_at"]
 
 KINDS = ("BB", "GB", "GG", "BG", "turn in body", "turn in ground", "position", "angle between")
-"""Vectors whose coordinates are held or free: the path of an origin as the four linear types see it, the
+"""Vectors whose coordinates are held or free: the path of an origin in the four linear types, the
 summed rotation in either body, the position of the body in the ground, and the direction of an axis of the
 body."""
 
@@ -79,15 +79,16 @@ def free(kind: str, *columns: int) -> Block:
 
 @dataclass(frozen=True)
 class Entry:
-    """A constraint, in one of the ways in which it can be written.
+    """A constraint, in one of its representations.
 
     Attributes:
         label: of the catalogue (:mod:`reframe_jax.constraints.catalogue`), or a description.
         kind: linear type whose frame is reported.
         blocks: six coordinates: three of rotation, then three of translation.
-        start: what the axis of the frame starts from: "turn", the axis of the largest rotation; "normal" and
-            "along", the directions in which the origin moves least and most; "path" and "lift", the same of
-            the body's position; "cross", a pair of axes of a universal joint.
+        start: where the axis of the frame starts: "turn", at the axis of the largest rotation; "normal" and
+            "along", at the directions in which the origin moves least and most; "lift" and "path", at those
+            in which the position of the body moves least and most; "cross", at a pair of axes of a universal
+            joint.
         any_origin: columns along which the origin can move without a change.
         pitch: whether the last coordinate is coupled with the rotation about the axis.
         tied: whether the frame has one axis through both bodies.

@@ -1,4 +1,4 @@
-"""Poses that jump away and back: flips, swapped markers, lost frames.
+"""Find outliers: poses that jump away and back, after flips, swapped markers or lost frames.
 
 A pose is predicted by interpolation between neighbours, one to five strides before and after the pose; the
 prediction is the median of the five. An outlier lies far from the prediction while the five agree, and far
@@ -50,7 +50,7 @@ def repair_poses(
     if position.shape[1] <= 2 * _REACH:
         return rotation, position, own
     measured: Array = lax.stop_gradient(jnp.concatenate([position, rotation[:, :2].reshape(6, *own.shape)]))
-    # a jump is no unit of rounding: rounded positions have steps of one unit too
+    # the size of a jump is not a unit of rounding: rounded positions also have steps of one unit
     step = jnp.abs(jnp.diff(measured[:3], axis=1))
     unit = jnp.minimum(unit, jnp.min(jnp.where((step > 0) & own[1:], step, jnp.inf), axis=(0, 1)))
     strides = jnp.asarray([stride for stride in _STRIDES if stride == 1 or len(own) > 2 * _REACH * stride])
@@ -109,7 +109,7 @@ def _find(x: Array, times: Array, own: Array, count: Array, unit: Array, stride:
     before, after = before[:, :9], after[:, :9]
     guesses = before + part[:, None] * (after - before)
     middle = _median_of_five(guesses)
-    # a body that jumped to another place goes on from the poses on one side
+    # after a jump to another place, the path continues from the poses on one side
     behind, ahead = (
         _median_of_five(2 * near - beside(2 * side * stride)[:, :9])
         for side, near in ((-1, before), (1, after))
