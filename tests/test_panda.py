@@ -13,8 +13,7 @@ from reframe_jax.simulation import arm as panda
 from reframe_jax.simulation import metrics
 from reframe_jax.simulation.arm.demonstration import sampling
 from reframe_jax.simulation.arm.guide import find_excitation
-from reframe_jax.simulation.arm.rollout import Track
-from reframe_jax.simulation.arm.status import rollout_status
+from reframe_jax.simulation.arm.rollout import Track, rollout_status
 
 BATCH = 8  # one compiled program for this module
 KEY = jax.random.key(11)

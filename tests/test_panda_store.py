@@ -12,7 +12,7 @@ import pytest
 
 import reframe_jax as rf
 from reframe_jax.simulation import arm as panda
-from reframe_jax.simulation.arm import store
+from reframe_jax.simulation.arm import collection
 
 BATCH = 8  # the shape that other tests compile
 KEY = jax.random.key(11)
@@ -56,7 +56,7 @@ def test_what_a_folder_depends_on() -> None:
     moved[250, 3] = 1e-3
     guides = panda.Guide(stiffness=jnp.asarray(300.0)), panda.Guide(stiffness=300.0), panda.Guide()
     records = [
-        store._describe_run("K", KEY, 64, True, options)
+        collection._describe_run("K", KEY, 64, True, options)
         for options in (
             *({"excitation": pushed(0.1)} for _ in range(2)),
             *({"start": values} for values in (start, start.copy(), moved)),

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.catalogue import describe, lookup
 from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.located import parts_on_body
+from reframe_jax.constraints.located import fixed_on_body
 from reframe_jax.constraints.types import AxisRelation, relation_of_cosine
 from reframe_jax.geometry.numpy_rotations import matrices_to_quaternions
 from reframe_jax.identification.results import Identification
@@ -154,9 +154,7 @@ def to_task_frame(
     both = np.array([stiff, soft], float)
     if both.shape != (2, 2) or not ((both >= 0) & np.isfinite(both)).all():
         raise ValueError(f"Expected two stiffnesses that are 0 or more, not {stiff} and {soft}.")
-    angular_on_body, linear_on_body, point_on_body = np.asarray(
-        parts_on_body(frame.angular_type, frame.linear_type)
-    ).tolist()
+    angular_on_body, linear_on_body, point_on_body = fixed_on_body(frame)
     rotation, origin = there[:3, :3], there[:3, 3]
     angular = _Part(_in_ground(frame.angular_axes, angular_on_body, rotation), frame.angular_dof)
     linear = _Part(_in_ground(frame.linear_axes, linear_on_body, rotation), frame.linear_dof)

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.located import parts_on_body
+from reframe_jax.constraints.located import fixed_on_body
 from reframe_jax.constraints.types import AxisRelation, LinearType, relation_of_cosine
 from reframe_jax.joints.chain import PartKind
 from reframe_jax.joints.joint import JointType
@@ -100,12 +100,10 @@ def frame_geometry(
     free = np.asarray(frame.linear_dof, bool)
     count = int(free.sum())
     distinct = linear[free if count == 1 else ~free][0] if count in (1, 2) else None
-    on_body = np.asarray(parts_on_body(frame.angular_type, frame.linear_type))
     turning = angular[np.asarray(frame.angular_dof, bool)]
     position = np.asarray(frame.position, float)
-    angular_on_body, linear_on_body, point_on_body = map(bool, on_body)
     moving = turning, linear[free], distinct, position
-    return Geometry(frame, poses, *moving, angular_on_body, linear_on_body, point_on_body, pitch, universal)
+    return Geometry(frame, poses, *moving, *fixed_on_body(frame), pitch, universal)
 
 
 def relate_axes(geometry: Geometry) -> AxisRelation | None:

@@ -5,7 +5,7 @@ constraint in the ``"left"`` discretization only. The exact generator integrates
 as a real mechanism moves. The *excitation*: the paper's velocities make some constraints ambiguous. For E and
 F, the motion is a pure rotation about a point 0.2 m away; for I and J, other types fit equally well. Three
 incommensurate sines along every free axis make the true constraint the only optimum. The module
-:mod:`reframe_jax.simulation.motions` has hand-like motions with random geometry and the errors of trackers.
+:mod:`reframe_jax.simulation.motions` has the errors of trackers.
 """
 
 from collections.abc import Callable
@@ -22,7 +22,6 @@ from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import Frame
 from reframe_jax.geometry import rotations, transforms
 from reframe_jax.geometry.products import apply, matmul
-from reframe_jax.simulation.excitations import EXCITATIONS, Excitation, exciting, paper_excitation
 
 __all__ = [
     "EXCITATIONS",
@@ -36,6 +35,13 @@ __all__ = [
     "simulate",
 ]
 
+Excitation = Callable[[jax.Array], tuple[jax.Array, jax.Array]]
+"""Function of time (s) that returns angular and linear velocities, (3,) each, along the frames' axes."""
+
+_RATES = ((0.9, 2.9, 4.9), (1.4, 3.4, 5.4), (1.9, 3.9, 4.4))  # rad/s, by axis
+_LINEAR_RATE = 1.13  # ratio of linear to angular rates
+_ANGULAR_AMPLITUDE = 0.6  # rad/s, amplitude of each sine
+_LINEAR_AMPLITUDE = 0.15  # m/s, amplitude of each sine
 _PITCH = 0.05  # m/rad, default pitch of a screw
 _ROTATION_RATIO = 3.0  # rad/m, standard deviation of orientations to that of positions in the paper
 _SUBSTEPS = 4  # Runge-Kutta steps per sample; the error is below 1e-9 m at dt = 0.1 s
@@ -57,6 +63,40 @@ class Simulation:
     poses: jax.Array
     exact_poses: jax.Array
     truth: ConstraintFrame
+
+
+def paper_excitation(key: jax.Array, duration: float | jax.Array | None = None) -> Excitation:
+    """The velocities of the paper's section 5.1; ignores the key and the duration."""
+    del key, duration
+
+    def velocity(t: jax.Array) -> tuple[jax.Array, jax.Array]:
+        one = jnp.ones_like(t)
+        angular = jnp.stack([1 + jnp.sin(2 * t), -one, jnp.cos(3 * t)])
+        linear = jnp.stack([-one, jnp.cos(2 * t), jnp.sin(3 * t)])
+        return 0.5 * angular, 0.1 * linear
+
+    return velocity
+
+
+def exciting(key: jax.Array, duration: float | jax.Array | None = None) -> Excitation:
+    """Three incommensurate sines along every axis, with random phases: 0.7 rad/s and 0.18 m/s RMS."""
+    del duration
+    phases = jax.random.uniform(key, (2, 3, 3), maxval=2 * jnp.pi, dtype=float)
+
+    def velocity(t: jax.Array) -> tuple[jax.Array, jax.Array]:
+        rates = jnp.asarray(_RATES, dtype=phases.dtype)
+        angular = jnp.sum(jnp.sin(rates * t + phases[0]), axis=-1)
+        linear = jnp.sum(jnp.sin(_LINEAR_RATE * rates * t + phases[1]), axis=-1)
+        return _ANGULAR_AMPLITUDE * angular, _LINEAR_AMPLITUDE * linear
+
+    return velocity
+
+
+EXCITATIONS: dict[str, Callable[[jax.Array, float | jax.Array], Excitation]] = {
+    "exciting": exciting,
+    "paper": paper_excitation,
+}
+"""Excitations by name: functions of a key and the duration (s) that return the velocities."""
 
 
 def body_twist(frame: ConstraintFrame, pose: jax.Array, angular: jax.Array, linear: jax.Array) -> jax.Array:

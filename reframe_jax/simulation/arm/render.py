@@ -15,7 +15,7 @@ import numpy as np
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import Located, frame_arrays, locate_on_host
 from reframe_jax.geometry.transforms import make_pose
-from reframe_jax.simulation.arm.model import PANDA, Arm, arm_xml, find_arm, forward_kinematics
+from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
 
 __all__ = ["RenderError", "film_frames", "save_film"]
 
@@ -66,7 +66,7 @@ def film_frames(
     """
     arm = find_arm(arm)
     joints = np.asarray(joints, dtype=float)
-    model = mujoco.MjModel.from_xml_string(arm_xml(arm).replace("<worldbody>", _SCENE))
+    model = mujoco.MjModel.from_xml_string(arm.xml.replace("<worldbody>", _SCENE))
     data = mujoco.MjData(model)
     camera = mujoco.MjvCamera()
     camera.lookat[:], camera.distance, camera.azimuth, camera.elevation = (0.25, 0, 0.36), 1.35, 135, -18

@@ -1,9 +1,9 @@
-"""Store demonstrations on disk in numbered parts, so that an interrupted run can resume."""
+"""Collect any number of feasible demonstrations, in memory or on disk; an interrupted run can resume."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any, TypeVar, Unpack
 
 import jax
 import numpy as np
@@ -11,19 +11,100 @@ import numpy as np
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.types import AngularType, Dof, LinearType
 from reframe_jax.simulation.arm.demonstration import DemonstrateOptions, Demonstration, demonstrate
-from reframe_jax.simulation.arm.redraw import draw_usable
-from reframe_jax.simulation.arm.status import RolloutStatus
+from reframe_jax.simulation.arm.rollout import RolloutStatus
 from reframe_jax.storage.codecs import NPZ
 from reframe_jax.storage.parts import Run
 from reframe_jax.storage.progress import Progress, make_meter
 from reframe_jax.storage.records import describe, describe_options
 
-__all__ = ["load_demonstrations", "store_demonstrations", "stored_demonstrations", "to_arrays"]
+__all__ = [
+    "demonstrations",
+    "draw_usable",
+    "load_demonstrations",
+    "store_demonstrations",
+    "stored_demonstrations",
+    "to_arrays",
+]
 
+_PATIENCE = 10  # chunks before an error, if more than 9 in 10 draws are unusable
 _KIND = "demonstrations"
 _UNIT = "demonstrations"
 _GEOMETRY = ("angular_rotvec", "linear_rotvec", "position")
 _FIELDS = tuple(name for name in Demonstration.__dataclass_fields__ if name not in ("times", "truth"))
+
+Batch = TypeVar("Batch")
+
+
+def draw_usable(
+    draw: Callable[[int], tuple[Batch, np.ndarray]],
+    count: int,
+    chunk: int,
+    *,
+    subject: str = "demonstrations are usable",
+    progress: Callable[[int, int], None] | None = None,
+) -> Iterator[tuple[Batch, np.ndarray]]:
+    """Draw chunks until enough draws are usable; yield every chunk with the indices of its usable draws.
+
+    A chunk may have no usable draws; the last chunk has only as many as are needed.
+
+    Args:
+        draw: function of the number of a chunk that returns the draws and the :class:`RolloutStatus` (n,) of
+            each.
+        count: number of usable draws to collect.
+        chunk: number of draws per chunk.
+        subject: end of the error message "Only 3 of 40 ..." if too few draws are usable.
+        progress: function to call after every chunk, with the number of usable draws and ``count``.
+
+    Raises:
+        ValueError: if more than 9 in 10 draws are unusable and more are still needed.
+    """
+    done, drawn = 0, 0
+    while done < count:
+        batch, status = draw(drawn // chunk)
+        good = np.flatnonzero(status == RolloutStatus.OK)[: count - done]
+        drawn, done = drawn + chunk, done + len(good)
+        if done < count and drawn >= _PATIENCE * chunk and done < drawn / 10:
+            worst = f" {RolloutStatus(int(np.median(status))).message}" if np.any(status) else ""
+            raise ValueError(f"Only {done} of {drawn} {subject}.{worst}")
+        if progress is not None:
+            progress(done, count)
+        yield batch, good
+
+
+def demonstrations(
+    constraint: str | ConstraintFrame,
+    key: jax.Array,
+    count: int,
+    *,
+    chunk: int = 64,
+    redraw: bool = True,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Unpack[DemonstrateOptions],
+) -> Iterator[Demonstration]:
+    """Generate any number of demonstrations on the host, in chunks that are compiled once.
+
+    Args:
+        constraint: as in :func:`demonstrate`, with one geometry (3,) for all demonstrations, before
+            ``spread``.
+        key: JAX random key.
+        count: number of demonstrations.
+        chunk: number of demonstrations per simulation call.
+        redraw: whether to replace demonstrations whose status is not OK.
+        progress: function to call after every chunk, with the number of completed demonstrations and
+            ``count``.
+        options: options of :func:`demonstrate`.
+
+    Raises:
+        ValueError: if more than 9 in 10 demonstrations are unusable.
+    """
+
+    def draw(number: int) -> tuple[Demonstration, np.ndarray]:
+        made = jax.device_get(demonstrate(constraint, key, batch=chunk, first=number * chunk, **options))
+        return made, made.status_code if redraw else np.zeros_like(made.status_code)
+
+    for made, good in draw_usable(draw, count, chunk, progress=progress):
+        if len(good):
+            yield made[good]
 
 
 def to_arrays(made: Demonstration) -> dict[str, Any]:
