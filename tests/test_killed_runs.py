@@ -107,7 +107,11 @@ def test_what_killed_writers_left_goes_when_it_is_old(uninterrupted):
     stored, out = uninterrupted
     old, young, other = (
         out / name
-        for name in (".part-00000007.parquet.0123456789abcdef", ".run.json.fedcba9876543210", ".notes.txt")
+        for name in (
+            ".part-00000007.parquet.0123456789abcdef",
+            ".part-00000008.parquet.fedcba9876543210",
+            ".notes.txt",
+        )
     )
     for file in (old, young, other):
         file.write_bytes(b"half")
@@ -121,7 +125,7 @@ def test_what_killed_writers_left_goes_when_it_is_old(uninterrupted):
 
 def test_a_file_that_goes_while_it_is_looked_at(tmp_path):
     """Two machines may clean up the same folder."""
-    ghost = tmp_path / ".run.json.0123456789abcdef"
+    ghost = tmp_path / ".part-00000007.parquet.0123456789abcdef"
     ghost.symlink_to(tmp_path / "nowhere")
     remove_leftovers(tmp_path)
     remove_leftovers(tmp_path / "no folder")

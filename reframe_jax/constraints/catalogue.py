@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from reframe_jax.constraints.types import AxisRelation, Dof, LinearType
+from reframe_jax.constraints.types import AxisRelation, Dof, LinearType, distinct_axis
 
 __all__ = ["CONSTRAINTS", "OTHER_CONSTRAINTS", "Constraint", "constraint", "describe", "lookup"]
 
@@ -102,14 +102,9 @@ def constraint(label: str) -> Constraint:
     raise KeyError(f"No constraint {label!r}. There are: {known}.")
 
 
-def _distinct_axis(dof: Dof) -> int | None:
-    """Index of the single free or single constrained axis; None if all three axes are alike."""
-    return dof.index(sum(dof) % 2) if sum(dof) in (1, 2) else None
-
-
 def _relation(angular: Dof, linear: Dof) -> AxisRelation | None:
     """Relation of the distinct axes of two aligned frames (see :func:`lookup`); None without such axes."""
-    a, b = _distinct_axis(angular), _distinct_axis(linear)
+    a, b = distinct_axis(angular), distinct_axis(linear)
     if a is None or b is None:
         return None
     return AxisRelation.PARALLEL if a == b else AxisRelation.PERPENDICULAR

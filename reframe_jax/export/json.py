@@ -86,20 +86,9 @@ from reframe_jax.recordings.recording import Recording
 __all__ = ["SCHEMA", "to_document", "to_json", "to_record"]
 
 _RESULT = (
-    "name",
-    "label",
-    "probability",
-    "alternatives",
-    "pitch",
-    "universal_axes",
-    "noise",
-    "scale",
-    "outliers",
-    "angular",
-    "linear",
-    "candidates",
+    *("name", "label", "probability", "alternatives", "pitch", "universal_axes", "noise", "scale"),
+    *("outliers", "angular", "linear", "candidates"),
 )
-
 _LEAST = 0.01  # smallest probability of an alternative in the document
 
 SCHEMA = "reframe-jax/identification/3"
@@ -158,13 +147,6 @@ def _rows_record(recording: Recording, found: Sequence[Identification]) -> dict[
     return {"word": recording.row_word, "used": len(recording.times) - outliers, "left_out": left_out}
 
 
-def _pair(axes: Any) -> dict[str, Any] | None:
-    """The axes of a universal joint by body; None for other joints."""
-    if not np.all(np.isfinite(axes)):
-        return None
-    return dict(zip(("ground", "body"), np.asarray(axes).tolist(), strict=True))
-
-
 def _window_record(index: int, found: Identification, span: Window | None) -> dict[str, Any]:
     status = Status(int(found.status_code))
     record: dict[str, Any] = {"index": index}
@@ -172,7 +154,7 @@ def _window_record(index: int, found: Identification, span: Window | None) -> di
     record |= {"status": status.name, "message": status.message}
     if status.failed:
         return record | {"notes": []} | dict.fromkeys(_RESULT)
-    entry = found.entry
+    entry, axes = found.entry, np.asarray(found.universal_axes).tolist()
     record |= {
         "notes": found.warnings,
         "name": found.name,
@@ -180,7 +162,7 @@ def _window_record(index: int, found: Identification, span: Window | None) -> di
         "probability": _plain(found.probability),
         "alternatives": _alternatives(found),
         "pitch": _plain(float(found.pitch)),
-        "universal_axes": _pair(found.universal_axes),
+        "universal_axes": {"ground": axes[0], "body": axes[1]} if np.isfinite(axes).all() else None,
         "noise": {"position": float(found.noise.position), "rotation": float(found.noise.rotation)},
         "scale": int(found.scale),
         "outliers": outlier_samples(found, span),
@@ -189,13 +171,12 @@ def _window_record(index: int, found: Identification, span: Window | None) -> di
         frame = getattr(found, group)
         named = {"type": str(types(int(frame.type_code))), "tied": tied_names(group, frame)}
         record[group] = named | _frame_record(frame)
-        record[group]["free_probability"] = _plain(np.asarray(frame.free_probability).tolist())
-        record[group]["amplitude"] = _plain(np.asarray(frame.amplitude).tolist())
-        record[group]["free_rotation"] = np.asarray(frame.free_rotation).tolist()
+        for name in ("free_probability", "amplitude", "free_rotation"):
+            record[group][name] = _plain(np.asarray(getattr(frame, name)).tolist())
     free = directions(np.asarray(found.linear.free_position))
     record["linear"]["free_position"] = np.reshape(free, (-1, 3)).tolist()
     record["candidates"] = {
-        group: {str(kind): _frame_record(_of_type(found, group, kind)) for kind in types}
+        group: {str(kind): _frame_record(getattr(found.candidates, group), kind) for kind in types}
         for group, types in TYPES.items()
     }
     return record
@@ -216,12 +197,9 @@ def _alternatives(found: Identification) -> list[dict[str, Any]]:
     ]
 
 
-def _of_type(found: Identification, group: str, kind: int) -> Any:
-    return jax.tree.map(lambda leaf: leaf[kind], getattr(found.candidates, group))
-
-
-def _frame_record(frame: Any) -> dict[str, Any]:
-    """Geometry of an angular or linear frame, or of a candidate."""
+def _frame_record(frame: Any, kind: int | None = None) -> dict[str, Any]:
+    """Geometry of an angular or linear frame, or of the candidate of a type."""
+    frame = frame if kind is None else jax.tree.map(lambda leaf: leaf[kind], frame)
     numbers = {
         "rotvec": frame.rotvec,
         "axes": np.asarray(axes_of(frame.rotvec)).T,

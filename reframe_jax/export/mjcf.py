@@ -6,7 +6,6 @@ import numpy as np
 
 from reframe_jax.export.robots import (
     RADIUS,
-    check_mass,
     check_writable,
     is_endless,
     part_names,
@@ -51,8 +50,7 @@ def to_mjspec(joint: Joint, *, mass: float = 1.0) -> "mujoco.MjSpec":
     """
     import mujoco  # the import takes a third of a second
 
-    check_mass(mass)
-    check_writable(joint, "MJCF")
+    check_writable(joint, "MJCF", mass)
     kinds = {
         "hinge": mujoco.mjtJoint.mjJNT_HINGE,
         "slide": mujoco.mjtJoint.mjJNT_SLIDE,

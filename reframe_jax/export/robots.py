@@ -12,7 +12,6 @@ from reframe_jax.joints.joint import Joint
 __all__ = [
     "LINK_MASS_FRACTION",
     "RADIUS",
-    "check_mass",
     "check_writable",
     "element",
     "format_numbers",
@@ -29,15 +28,10 @@ LINK_MASS_FRACTION = 1e-3  # fraction of the mass, for each link between two par
 RADIUS = 0.1  # m, radius of the sphere that gives the placeholder inertia
 
 
-def check_mass(mass: float) -> float:
-    """Return a positive mass in kg."""
+def check_writable(joint: Joint, language: str, mass: float = 1.0) -> None:
+    """Raise a ValueError for a contact or a free body, which no joint expresses, or a wrong mass, kg."""
     if not 0 < mass < np.inf:
         raise ValueError(f"Expected a positive mass in kg, not {mass}.")
-    return float(mass)
-
-
-def check_writable(joint: Joint, language: str) -> None:
-    """Raise a ValueError for a constraint that no joint expresses: a contact or a free body."""
     if joint.type == "floating":
         raise ValueError(f"There is no joint to write as {language}: {joint.child} moves freely.")
     if not joint.is_chain:

@@ -6,7 +6,6 @@ import numpy as np
 
 from reframe_jax.export.robots import (
     LINK_MASS_FRACTION,
-    check_mass,
     check_writable,
     element,
     format_numbers,
@@ -31,8 +30,7 @@ def to_sdf(joint: Joint, *, mass: float = 1.0) -> str:
     A cylindrical joint is a chain of a slide and a hinge; a planar joint is a chain of two slides and a
     hinge. SDF has no limits for balls. Arguments and errors as in :func:`to_mjspec`.
     """
-    check_mass(mass)
-    check_writable(joint, "SDF")
+    check_writable(joint, "SDF", mass)
     root = ElementTree.Element("sdf", version="1.10" if joint.type == "screw" else "1.9")
     model = element(root, "model", name=f"{joint.parent}_{joint.child}")
     _add_link(model, joint.parent, np.zeros(6), mass)

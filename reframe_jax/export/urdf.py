@@ -6,7 +6,6 @@ import numpy as np
 
 from reframe_jax.export.robots import (
     LINK_MASS_FRACTION,
-    check_mass,
     check_writable,
     element,
     format_numbers,
@@ -44,8 +43,7 @@ def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
         ValueError: for a ball whose rotations come near the gimbal lock of three hinges, a contact that
             allows every pose, a free body, or a mass that is not positive.
     """
-    check_mass(mass)
-    check_writable(joint, "URDF")
+    check_writable(joint, "URDF", mass)
     try:
         joint = joint.without_balls()
     except ValueError as error:

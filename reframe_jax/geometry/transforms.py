@@ -18,54 +18,28 @@ __all__ = ["make_pose", "pose_exp", "pose_left_jacobian_inverse", "pose_log"]
 
 
 def make_pose(rotation: jax.Array, position: jax.Array) -> jax.Array:
-    """Pose matrix from a rotation matrix and a position.
-
-    Args:
-        rotation: (..., 3, 3).
-        position: (..., 3), m.
-
-    Returns:
-        (..., 4, 4).
-    """
+    """Pose matrices (..., 4, 4) from rotation matrices (..., 3, 3) and positions (..., 3), m."""
     top = jnp.concatenate([rotation, position[..., None]], axis=-1)
     bottom = jnp.broadcast_to(jnp.asarray([0, 0, 0, 1], dtype=top.dtype), (*top.shape[:-2], 1, 4))
     return jnp.concatenate([top, bottom], axis=-2)
 
 
 def pose_exp(twist: jax.Array) -> jax.Array:
-    """Pose after a motion with a constant twist for unit time: the exponential map of SE(3).
-
-    Args:
-        twist: (..., 6) as (w, v); rad, m.
-
-    Returns:
-        (..., 4, 4).
-    """
+    """Poses (..., 4, 4) after motions with constant twists (..., 6) for unit time: exponentials of SE(3)."""
     w, v = twist[..., :3], twist[..., 3:]
     return make_pose(rotations.rotation_exp(w), apply(rotations.left_jacobian(w), v))
 
 
 def pose_log(pose: jax.Array) -> jax.Array:
-    """Twist whose exponential is the pose: the logarithm of SE(3).
-
-    Args:
-        pose: (..., 4, 4).
-
-    Returns:
-        (..., 6) as (w, v); rad, m.
-    """
+    """Twists (..., 6), rad and m, whose exponentials are the poses (..., 4, 4): logarithms of SE(3)."""
     w = rotations.rotation_log(pose[..., :3, :3])
     return jnp.concatenate([w, apply(rotations.left_jacobian_inverse(w), pose[..., :3, 3])], axis=-1)
 
 
 def pose_left_jacobian_inverse(twist: jax.Array) -> jax.Array:
-    """Inverse of the left Jacobian J_l of SE(3): ``exp(x + dx) ~ exp(J_l(x) dx) exp(x)``.
+    """Inverses (..., 6, 6) of the left Jacobians of SE(3): ``exp(x + dx) ~ exp(J_l(x) dx) exp(x)``.
 
-    Args:
-        twist: (..., 6) as (w, v); rad, m; with a rotation angle below 2 pi.
-
-    Returns:
-        (..., 6, 6).
+    The twists x (..., 6), rad and m, have rotation angles below 2 pi.
     """
     diagonal, lower = jax.jvp(rotations.left_jacobian_inverse, (twist[..., :3],), (twist[..., 3:],))
     top = jnp.concatenate([diagonal, jnp.zeros_like(diagonal)], axis=-1)

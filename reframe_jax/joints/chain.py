@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from reframe_jax.geometry.numpy_rotations import rotation_matrices, rotation_vectors
+from reframe_jax.geometry.numpy_rotations import rotation_matrices, rotation_vectors, skew_vectors
 
 __all__ = ["JointPart", "PartKind", "chain_coordinates", "chain_poses"]
 
@@ -159,16 +159,8 @@ def _angle_about(axis: np.ndarray, turned: np.ndarray, later: np.ndarray | None)
     if later is not None:
         seen = turned @ later
         return np.arctan2(seen @ np.cross(axis, later), seen @ later - (seen @ axis) * (axis @ later))
-    skew = np.stack(
-        [
-            turned[:, 2, 1] - turned[:, 1, 2],
-            turned[:, 0, 2] - turned[:, 2, 0],
-            turned[:, 1, 0] - turned[:, 0, 1],
-        ],
-        axis=-1,
-    )
     along = np.einsum("i,kij,j->k", axis, turned, axis)
-    angles: np.ndarray = np.arctan2(skew @ axis, np.trace(turned, axis1=1, axis2=2) - along)
+    angles: np.ndarray = np.arctan2(skew_vectors(turned) @ axis, np.trace(turned, axis1=1, axis2=2) - along)
     return angles
 
 
@@ -178,6 +170,4 @@ def _residuals(
     """Residuals (K, 6) of the chain, m: three orientation errors times ``length``, three position errors."""
     model = chain_poses(parts, home, coordinates)
     turn = poses[:, :3, :3].swapaxes(-1, -2) @ model[:, :3, :3]
-    skew = (turn - turn.swapaxes(-1, -2)) / 2
-    vector = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=-1)
-    return np.concatenate([length * vector, model[:, :3, 3] - poses[:, :3, 3]], axis=-1)
+    return np.concatenate([length / 2 * skew_vectors(turn), model[:, :3, 3] - poses[:, :3, 3]], axis=-1)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from reframe_jax.constraints.catalogue import lookup
 from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.types import LinearType
+from reframe_jax.constraints.types import LinearType, distinct_axis
 from reframe_jax.geometry.products import apply, matmul
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification.results import Identification
@@ -31,14 +31,9 @@ class GeometryErrors:
     position: jax.Array
 
 
-def _distinct_axis(dof: tuple[int, int, int]) -> int | None:
-    """Index of the single free or single constrained axis."""
-    return dof.index(sum(dof) % 2) if sum(dof) in (1, 2) else None
-
-
 def _axis_error(rotvec: jax.Array, truth: jax.Array, dof: tuple[int, int, int]) -> jax.Array:
     """Angle between the true distinct axis and the frame's, which is its slowest or fastest axis."""
-    odd = _distinct_axis(dof)
+    odd = distinct_axis(dof)
     if odd is None:
         return jnp.full(rotvec.shape[:-1], jnp.nan, dtype=rotvec.dtype)
     found = rotation_exp(rotvec)[..., :, 2 if sum(dof) == 1 else 0]

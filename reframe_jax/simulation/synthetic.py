@@ -16,10 +16,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.constraints import located
 from reframe_jax.constraints.catalogue import constraint as named
 from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.located import Frame
+from reframe_jax.constraints.located import Frame, body_twist, frame_arrays
 from reframe_jax.geometry import rotations, transforms
 from reframe_jax.geometry.products import apply, matmul
 
@@ -28,7 +27,6 @@ __all__ = [
     "Excitation",
     "Simulation",
     "add_pose_noise",
-    "body_twist",
     "exciting",
     "paper_excitation",
     "pitch_of",
@@ -99,20 +97,6 @@ EXCITATIONS: dict[str, Callable[[jax.Array, float | jax.Array], Excitation]] = {
 """Excitations by name: functions of a key and the duration (s) that return the velocities."""
 
 
-def body_twist(frame: ConstraintFrame, pose: jax.Array, angular: jax.Array, linear: jax.Array) -> jax.Array:
-    """Body twist (6,) at a pose (4, 4), for velocities along the axes of a constraint frame.
-
-    Velocities along constrained axes are set to zero. ``angular`` (3,) is in rad/s along the angular axes,
-    ``linear`` (3,) the velocity of the origin along the linear axes, m/s.
-    """
-    return _frame_twist(located.frame_arrays(frame), pose, angular, linear)
-
-
-def _frame_twist(frame: Frame, pose: jax.Array, angular: jax.Array, linear: jax.Array) -> jax.Array:
-    wanted = frame.free * jnp.concatenate([angular, linear])
-    return located.body_twist(frame, pose[:3, :3], pose[:3, 3], wanted)
-
-
 def simulate(
     constraint: str | ConstraintFrame,
     key: jax.Array,
@@ -164,7 +148,7 @@ def simulate(
         raise ValueError(f"No excitation {excitation!r}. There are: {', '.join(EXCITATIONS)}.")
     first = jnp.eye(4, dtype=frame.position.dtype) if start is None else start
     phase_key, noise_key = jax.random.split(key)
-    arrays, steps = located.frame_arrays(frame), round(duration / dt)
+    arrays, steps = frame_arrays(frame), round(duration / dt)
     pitch = None if pitch is None else jnp.asarray(pitch, dtype=first.dtype)
     options = {"excitation": excitation, "exact": exact, "steps": steps}
     poses = _integrate(arrays, phase_key, first, dt, ease, pitch, **options)
@@ -197,7 +181,8 @@ def _integrate(
         angular, linear = velocity(t)
         linear = linear if pitch is None else pitch * angular
         fraction = _ease_factor(t, ease) * _ease_factor(steps * dt - t, ease)
-        return _frame_twist(frame, pose, fraction * angular, fraction * linear)
+        wanted = frame.free * fraction * jnp.concatenate([angular, linear])
+        return body_twist(frame, pose[:3, :3], pose[:3, 3], wanted)
 
     def advance(pose: jax.Array, t: jax.Array) -> tuple[jax.Array, jax.Array]:
         if not exact:

@@ -28,7 +28,6 @@ __all__ = [
 
 _PATIENCE = 10  # chunks before an error, if more than 9 in 10 draws are unusable
 _KIND = "demonstrations"
-_UNIT = "demonstrations"
 _GEOMETRY = ("angular_rotvec", "linear_rotvec", "position")
 _FIELDS = tuple(name for name in Demonstration.__dataclass_fields__ if name not in ("times", "truth"))
 
@@ -144,7 +143,7 @@ def store_demonstrations(
             or if more than 9 in 10 demonstrations are unusable.
         TypeError: for an option that :func:`reframe_jax.simulation.arm.demonstrate` does not have.
     """
-    run = Run(Path(folder), NPZ, _KIND, _UNIT, _describe_run(constraint, key, chunk, redraw, options))
+    run = Run(Path(folder), NPZ, _KIND, _describe_run(constraint, key, chunk, redraw, options))
     run.resume()
 
     def draw(number: int) -> tuple[int, np.ndarray]:
@@ -156,10 +155,8 @@ def store_demonstrations(
         run.write(number, to_arrays(kept))
         return number, made.status_code if redraw else np.zeros_like(made.status_code)
 
-    for _ in draw_usable(draw, count, chunk, progress=make_meter(progress, _UNIT)):
+    for _ in draw_usable(draw, count, chunk, progress=make_meter(progress, _KIND)):
         pass
-    if run.parts:
-        run.finish()
     return run.folder
 
 
@@ -175,7 +172,7 @@ def stored_demonstrations(folder: str | Path) -> Iterator[Demonstration]:
     Raises:
         ValueError: if the folder has no parts, if a part is missing, or if a file is damaged.
     """
-    run = Run.open(Path(folder), NPZ, _KIND, _UNIT)
+    run = Run.open(Path(folder), NPZ, _KIND)
     numbers = list(run.parts)
     missing = sorted(set(range(numbers[-1])) - set(numbers))
     if missing:

@@ -45,18 +45,10 @@ def run_guided(
     *,
     plan: Plan,
 ) -> Track:
-    """Simulate N demonstrations, with one program for every constraint.
+    """Simulate N demonstrations with given numbers (N,), with one program for every constraint.
 
-    Args:
-        frame: N constraints.
-        key: JAX random key.
-        numbers: (N,) numbers of the demonstrations.
-        joints: (N, 7) rad, initial joint positions.
-        velocity: (N, 7) rad/s, initial joint velocities, which obey the constraint.
-        end: s, time at which the hand has come to rest; infinite for a hand that keeps moving.
-        guide: parameters of the hand.
-        imperfections: compliance of the tool and its mount.
-        plan: the static options.
+    They start at joint positions and velocities (N, 7), rad and rad/s, which obey the constraints. At the
+    time ``end`` (s), the hand has come to rest; an infinite time means that the hand keeps moving.
     """
     step, compliance = plan.steps.length, compliance_of(imperfections, joints.dtype)
 
