@@ -5,8 +5,6 @@ from typing import Literal
 
 from reframe_jax.constraints.types import AxisRelation, Dof, LinearType, distinct_axis
 
-__all__ = ["CONSTRAINTS", "OTHER_CONSTRAINTS", "Constraint", "constraint", "describe", "lookup"]
-
 
 @dataclass(frozen=True)
 class Constraint:

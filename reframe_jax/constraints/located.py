@@ -19,23 +19,6 @@ from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, A
 from reframe_jax.geometry import rotations
 from reframe_jax.geometry.products import apply, matmul
 
-__all__ = [
-    "Frame",
-    "Located",
-    "assemble_frame",
-    "body_twist",
-    "fixed_on_body",
-    "frame_arrays",
-    "ground_twist",
-    "locate",
-    "locate_on_host",
-    "move_frame",
-    "multiply",
-    "place_frame",
-    "slip",
-    "twist_map",
-]
-
 _LINEAR_ON_BODY = np.stack([ORIENTATION_BODIES, POSITION_BODIES], axis=1) == AngularType.B
 """(4, 2) bool: whether the axes, and the origin, of each linear type are fixed in {b}."""
 

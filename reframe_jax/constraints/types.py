@@ -5,20 +5,6 @@ from math import cos, radians, sin
 
 import numpy as np
 
-__all__ = [
-    "BODY_NAMES",
-    "ORIENTATION_BODIES",
-    "PARALLEL_COSINE",
-    "POSITION_BODIES",
-    "SQUARE_COSINE",
-    "AngularType",
-    "AxisRelation",
-    "Dof",
-    "LinearType",
-    "distinct_axis",
-    "relation_of_cosine",
-]
-
 Dof = tuple[int, int, int]
 """Degrees of freedom of three axes: 1 is free, 0 is constrained."""
 

@@ -19,8 +19,6 @@ from reframe_jax.motion.checks import Status
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["Columns", "to_columns", "to_frame", "write_csv", "write_parquet"]
-
 Columns = dict[str, np.ndarray]
 """Column names, each with its values (windows,); columns of text are arrays of objects."""
 

@@ -83,8 +83,6 @@ from reframe_jax.model.table import ENTRIES
 from reframe_jax.motion.checks import Status
 from reframe_jax.recordings.recording import Recording
 
-__all__ = ["SCHEMA", "to_document", "to_json", "to_record"]
-
 _RESULT = (
     *("name", "label", "probability", "alternatives", "pitch", "universal_axes", "noise", "scale"),
     *("outliers", "angular", "linear", "candidates"),

@@ -17,8 +17,6 @@ from reframe_jax.joints.joint import Joint
 if TYPE_CHECKING:
     import mujoco
 
-__all__ = ["to_mjcf", "to_mjspec"]
-
 _PALE = (0.5, 0.5, 0.5, 0.3)
 
 

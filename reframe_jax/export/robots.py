@@ -9,21 +9,6 @@ from reframe_jax.geometry.numpy_rotations import matrices_to_quaternions
 from reframe_jax.joints.chain import JointPart
 from reframe_jax.joints.joint import Joint
 
-__all__ = [
-    "LINK_MASS_FRACTION",
-    "RADIUS",
-    "check_writable",
-    "element",
-    "format_numbers",
-    "is_endless",
-    "part_names",
-    "quaternion_wxyz",
-    "remarks",
-    "roll_pitch_yaw",
-    "sphere_inertia",
-    "to_text",
-]
-
 LINK_MASS_FRACTION = 1e-3  # fraction of the mass, for each link between two parts of a chain
 RADIUS = 0.1  # m, radius of the sphere that gives the placeholder inertia
 

@@ -17,8 +17,6 @@ from reframe_jax.export.robots import (
 )
 from reframe_jax.joints.joint import Joint
 
-__all__ = ["to_sdf"]
-
 _KINDS = {"hinge": "revolute", "slide": "prismatic", "ball": "ball"}
 _MODEL = "__model__"  # the frame of the model, which coincides with the parent
 

@@ -23,8 +23,6 @@ from reframe_jax.motion.checks import Status
 from reframe_jax.recordings.recording import Recording
 from reframe_jax.recordings.rows import name_rows
 
-__all__ = ["rows_to_table", "to_table"]
-
 _UNITS = {"angular": "rad/s", "linear": "m/s"}
 _CLEAR = 0.99  # probabilities above this value are not printed
 _LISTED = 6  # most outliers listed in a line

@@ -14,8 +14,6 @@ from reframe_jax.constraints.types import AxisRelation, distinct_axis, relation_
 from reframe_jax.geometry.numpy_rotations import matrices_to_quaternions
 from reframe_jax.identification.results import Identification
 
-__all__ = ["TaskFrame", "to_task_frame"]
-
 _ORDER = ("x", "y", "z", "rx", "ry", "rz")
 _UNITS = ("N/m",) * 3 + ("N m/rad",) * 3
 

@@ -18,8 +18,6 @@ from reframe_jax.export.robots import (
 from reframe_jax.joints.chain import JointPart
 from reframe_jax.joints.joint import Joint
 
-__all__ = ["to_urdf"]
-
 _EFFORT, _VELOCITY = "1000", "10"  # N or N m, m/s or rad/s: the format requires numbers
 _NO_LENGTH = 1e-9  # m or rad, smaller offsets are omitted
 

@@ -6,15 +6,6 @@ differentiated. Use :mod:`reframe_jax.geometry.rotations` for code with JAX. Qua
 
 import numpy as np
 
-__all__ = [
-    "euler_matrices",
-    "matrices_to_quaternions",
-    "quaternions_to_matrices",
-    "rotation_matrices",
-    "rotation_vectors",
-    "skew_vectors",
-]
-
 
 def skew_vectors(matrices: np.ndarray) -> np.ndarray:
     """Vectors (..., 3) w of the skew-symmetric matrices M - M^T = [w]x, for matrices (..., 3, 3)."""

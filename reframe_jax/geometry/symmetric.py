@@ -9,19 +9,6 @@ import jax
 import jax.numpy as jnp
 from jax import custom_jvp, lax
 
-__all__ = [
-    "INDEX_PAIRS",
-    "PACKED",
-    "Symmetric",
-    "Vector",
-    "eigh",
-    "from_matrix",
-    "pivots",
-    "quadratic_form",
-    "solve",
-    "to_matrix",
-]
-
 Symmetric = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]
 Vector = tuple[jax.Array, jax.Array, jax.Array]
 

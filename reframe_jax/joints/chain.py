@@ -12,8 +12,6 @@ import numpy as np
 
 from reframe_jax.geometry.numpy_rotations import rotation_matrices, rotation_vectors, skew_vectors
 
-__all__ = ["JointPart", "PartKind", "chain_coordinates", "chain_poses"]
-
 PartKind = Literal["hinge", "slide", "ball"]
 
 _STEPS = 6  # largest number of Gauss-Newton steps; the initial guess has exact rotations

@@ -12,8 +12,6 @@ from reframe_jax.joints.chain import PartKind
 from reframe_jax.joints.joint import JointType
 from reframe_jax.joints.universal import universal_axes
 
-__all__ = ["Geometry", "Plan", "frame_geometry", "joint_plans", "only_velocities", "relate_axes"]
-
 
 @dataclass(frozen=True)
 class Geometry:

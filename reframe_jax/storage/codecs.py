@@ -6,8 +6,6 @@ from typing import Any, BinaryIO, Protocol
 
 import numpy as np
 
-__all__ = ["NPZ", "PARQUET", "Codec"]
-
 _HEADER = "reframe_jax"
 
 

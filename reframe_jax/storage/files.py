@@ -9,8 +9,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-__all__ = ["check_place", "remove_leftovers", "write_whole"]
-
 _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{16}")
 _ABANDONED = (
     3600.0  # s, age of an abandoned temporary file; larger than the clock differences between machines

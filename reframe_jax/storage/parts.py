@@ -19,8 +19,6 @@ from reframe_jax.storage.codecs import Codec
 from reframe_jax.storage.files import check_place, remove_leftovers, write_whole
 from reframe_jax.storage.records import checksum
 
-__all__ = ["Run", "read_part", "write_part"]
-
 _FORMAT = 5
 _LISTED, _LONGEST = 8, 40  # most option names in a message, and longest name
 _PART = re.compile(r"part-(\d{8,})")

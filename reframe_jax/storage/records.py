@@ -15,8 +15,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-__all__ = ["checksum", "describe", "describe_options"]
-
 _LISTED = 64  # longest array that is described by its numbers; longer arrays get a checksum
 _ROWS = 1024  # rows per hash step: windows overlap in memory, and a full copy may not fit
 

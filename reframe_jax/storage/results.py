@@ -25,8 +25,6 @@ from reframe_jax.storage.parts import Run
 from reframe_jax.storage.progress import Progress, make_meter
 from reframe_jax.storage.records import checksum, describe_options
 
-__all__ = ["identify_many", "load_results"]
-
 _KIND = "results of identify_many"
 _UNIT = "windows"
 _LISTED = 8  # most missing parts in a message

@@ -17,15 +17,6 @@ from reframe_jax.storage.parts import Run
 from reframe_jax.storage.progress import Progress, make_meter
 from reframe_jax.storage.records import describe, describe_options
 
-__all__ = [
-    "demonstrations",
-    "draw_usable",
-    "load_demonstrations",
-    "store_demonstrations",
-    "stored_demonstrations",
-    "to_arrays",
-]
-
 _PATIENCE = 10  # chunks before an error, if more than 9 in 10 draws are unusable
 _KIND = "demonstrations"
 _GEOMETRY = ("angular_rotvec", "linear_rotvec", "position")

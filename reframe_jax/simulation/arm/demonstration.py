@@ -20,18 +20,6 @@ from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinem
 from reframe_jax.simulation.arm.rollout import RolloutStatus, Steps, Track, rollout_status
 from reframe_jax.simulation.synthetic import Excitation
 
-__all__ = [
-    "SPREAD",
-    "DemonstrateOptions",
-    "Demonstration",
-    "assemble",
-    "check_demonstration",
-    "demonstrate",
-    "frame_on_arm",
-    "sampling",
-    "scatter",
-]
-
 SPREAD = (0.4, 0.02)
 """rad and m, standard deviations per component of a random geometry."""
 

@@ -28,8 +28,6 @@ with contextlib.redirect_stdout(io.StringIO()):  # MJX prints the names of missi
 from reframe_jax.constraints.located import multiply
 from reframe_jax.simulation.arm.model import PANDA, Arm
 
-__all__ = ["Motion", "arm_motion", "solve_positive"]
-
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)

@@ -21,8 +21,6 @@ from reframe_jax.simulation.arm.dynamics import Motion
 from reframe_jax.simulation.arm.imperfections import as_numbers
 from reframe_jax.simulation.synthetic import Excitation
 
-__all__ = ["EXCITATIONS", "Guide", "find_excitation", "guide_drive", "stop_at"]
-
 _RATES = ((1.4, 4.4), (2.4, 5.4), (3.4, 6.4))  # rad/s, by axis; 5 s distinguish these rates
 _LINEAR_RATE = 1.13  # ratio of linear to angular rates
 _TURNING = 0.4  # rad/s, amplitude of each sine

@@ -15,8 +15,6 @@ from reframe_jax.simulation.arm.model import Arm, forward_kinematics
 from reframe_jax.simulation.arm.rollout import AxisLaw, Steps, Track, hold, integrate
 from reframe_jax.simulation.synthetic import Excitation
 
-__all__ = ["Plan", "demonstration_keys", "impact_velocity", "record", "run_guided"]
-
 
 @dataclass(frozen=True)
 class Plan:

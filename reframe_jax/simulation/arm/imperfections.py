@@ -11,17 +11,6 @@ from reframe_jax.compilation import traced
 from reframe_jax.geometry import transforms
 from reframe_jax.simulation.arm.model import Arm, forward_kinematics
 
-__all__ = [
-    "ENCODER_GRADE",
-    "MATCHED",
-    "REALISTIC",
-    "Imperfections",
-    "as_numbers",
-    "check_numbers",
-    "compliance_of",
-    "measure",
-]
-
 
 def as_numbers(tree: Any, dtype: Any) -> Any:
     """Convert every number of a pytree to an array of a dtype."""

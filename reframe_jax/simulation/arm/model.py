@@ -21,8 +21,6 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.geometry.numpy_rotations import quaternions_to_matrices
 
-__all__ = ["FR3", "PANDA", "ROBOTS", "Arm", "find_arm", "forward_kinematics", "link_poses"]
-
 
 @dataclass(frozen=True)
 class Arm:

@@ -17,8 +17,6 @@ from reframe_jax.constraints.located import frame_arrays, locate_on_host
 from reframe_jax.geometry.transforms import make_pose
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
 
-__all__ = ["RenderError", "film_frames", "save_film"]
-
 _FREE = (0.0, 0.45, 0.70, 1.0)
 _CONSTRAINED = (0.84, 0.37, 0.0, 1.0)
 _TOOL = (0.35, 0.35, 0.35, 1.0)
@@ -111,7 +109,7 @@ def save_film(path: str | Path, pictures: np.ndarray, *, rate: float = 20.0) -> 
             palette = Image.fromarray(some).quantize(256, Image.Quantize.MAXCOVERAGE)
             no_dither = Image.Dither.NONE
             frames = [Image.fromarray(each).quantize(palette=palette, dither=no_dither) for each in pictures]
-            options = {"append_images": frames[1:], "duration": round(1000 / rate), "loop": 0}
+            options: dict[str, Any] = {"append_images": frames[1:], "duration": round(1000 / rate), "loop": 0}
             frames[0].save(path, save_all=True, **options)
         else:
             import imageio

@@ -28,8 +28,6 @@ from reframe_jax.constraints.located import Frame, Located, locate, multiply, sl
 from reframe_jax.simulation.arm.dynamics import Motion, arm_motion, solve_positive
 from reframe_jax.simulation.arm.model import Arm, forward_kinematics
 
-__all__ = ["AxisLaw", "RolloutStatus", "Steps", "Track", "hold", "integrate", "rollout_status"]
-
 RELAXATION = 0.03
 """s, time constant with which a constrained axis returns; also the ratio of damping to stiffness."""
 

@@ -26,8 +26,6 @@ from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm
 from reframe_jax.simulation.sequences import each_duration
 from reframe_jax.simulation.synthetic import Excitation
 
-__all__ = ["SequenceDemonstration", "demonstrate_sequence"]
-
 _SETTLE = 0.4  # s, time that the tool needs to come to rest after the hand
 
 

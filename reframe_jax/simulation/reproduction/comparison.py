@@ -26,8 +26,6 @@ from reframe_jax.simulation.reproduction.controllers import Controller, constant
 from reframe_jax.simulation.reproduction.trials import ROOMY, Task, Trials, control_frames, reproduce
 from reframe_jax.simulation.synthetic import Excitation
 
-__all__ = ["LITERATURE_ERRORS", "Comparison", "compare", "erroneous_frames", "matched_choices"]
-
 LITERATURE_ERRORS = ((0.5, 5.0), (1.0, 7.5))
 """Ranges of the errors reported for methods with prior knowledge, degrees and mm (paper, section 7.2)."""
 

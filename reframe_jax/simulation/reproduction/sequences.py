@@ -13,8 +13,6 @@ from reframe_jax.simulation.arm.model import PANDA, Arm
 from reframe_jax.simulation.reproduction.controllers import Controller, constant_wrench
 from reframe_jax.simulation.reproduction.trials import Task, Trials, reproduce
 
-__all__ = ["SequenceTrial", "reproduce_sequence"]
-
 _TASK = Task()
 
 

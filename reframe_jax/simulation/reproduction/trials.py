@@ -33,8 +33,6 @@ from reframe_jax.simulation.reproduction.controllers import (
     control_drive,
 )
 
-__all__ = ["ROOMY", "Task", "Trials", "control_frames", "reproduce"]
-
 ROOMY = (0.0, -0.7, 0.0, -2.35, 0.0, 1.65, 0.785)
 """rad, initial joint positions of tasks: closer to the base than home, so that no task stretches the arm."""
 
