@@ -84,12 +84,8 @@ def chain_coordinates(
     The chain has at most one ball. A position error of ``length`` has the weight of an orientation error of
     1 rad.
     """
-    found = np.concatenate(
-        [
-            _nearest(parts, home, poses[first : first + _CHUNK], length)
-            for first in range(0, len(poses), _CHUNK)
-        ]
-    )
+    chunks = (poses[first : first + _CHUNK] for first in range(0, len(poses), _CHUNK))
+    found = np.concatenate([_nearest(parts, home, chunk, length) for chunk in chunks])
     first = 0
     for part in parts:
         if part.kind == "hinge":

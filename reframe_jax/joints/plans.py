@@ -77,7 +77,7 @@ class Plan:
         second: (3,) in the child, direction of the second hinge.
         slides: directions of the slides: the free axes of the frame, along the hinge, in the plane normal to
             the hinge, or all of space.
-        is_envelope: whether the chain reaches the poses of the constraint but constrains fewer velocities.
+        is_envelope: as in :class:`Joint`.
     """
 
     type: JointType

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.types import AngularType, Dof, LinearType
+from reframe_jax.constraints.types import AngularType, LinearType
 from reframe_jax.simulation.arm.demonstration import DemonstrateOptions, Demonstration, demonstrate
 from reframe_jax.simulation.arm.rollout import RolloutStatus
 from reframe_jax.storage.codecs import NPZ
@@ -19,8 +19,7 @@ from reframe_jax.storage.records import describe, describe_options
 
 _PATIENCE = 10  # chunks before an error, if more than 9 in 10 draws are unusable
 _KIND = "demonstrations"
-_GEOMETRY = ("angular_rotvec", "linear_rotvec", "position")
-_FIELDS = tuple(name for name in Demonstration.__dataclass_fields__ if name not in ("times", "truth"))
+_TYPES: dict[str, Any] = {"angular_type": AngularType, "linear_type": LinearType}
 
 Batch = TypeVar("Batch")
 
@@ -99,16 +98,10 @@ def demonstrations(
 
 def to_arrays(made: Demonstration) -> dict[str, Any]:
     """Convert a batch of demonstrations to named arrays; the names of the true frames start with true_."""
-    truth = made.truth
-    return {
-        "times": made.times,
-        **{name: getattr(made, name) for name in _FIELDS},
-        **{f"true_{name}": getattr(truth, name) for name in _GEOMETRY},
-        "true_angular_type": str(truth.angular_type),
-        "true_linear_type": str(truth.linear_type),
-        "true_angular_dof": np.array(truth.angular_dof),
-        "true_linear_dof": np.array(truth.linear_dof),
-    }
+    arrays = {name: value for name, value in vars(made).items() if name != "truth"}
+    for name, value in vars(made.truth).items():
+        arrays[f"true_{name}"] = str(value) if name in _TYPES else np.asarray(value)
+    return arrays
 
 
 def store_demonstrations(
@@ -175,14 +168,10 @@ def stored_demonstrations(folder: str | Path) -> Iterator[Demonstration]:
 
 
 def _from_arrays(part: dict[str, Any]) -> Demonstration:
-    truth = ConstraintFrame(
-        angular_type=AngularType[str(part["true_angular_type"])],
-        angular_dof=_dof(part["true_angular_dof"]),
-        linear_type=LinearType[str(part["true_linear_type"])],
-        linear_dof=_dof(part["true_linear_dof"]),
-        **{name: part[f"true_{name}"] for name in _GEOMETRY},
-    )
-    return Demonstration(times=part["times"], truth=truth, **{name: part[name] for name in _FIELDS})
+    truth = {name: part.pop(f"true_{name}") for name in ConstraintFrame.__dataclass_fields__}
+    truth |= {name: kind[str(truth[name])] for name, kind in _TYPES.items()}
+    truth |= {name: tuple(truth[name].tolist()) for name in ("angular_dof", "linear_dof")}
+    return Demonstration(truth=ConstraintFrame(**truth), **part)
 
 
 def load_demonstrations(folder: str | Path) -> Demonstration:
@@ -190,11 +179,6 @@ def load_demonstrations(folder: str | Path) -> Demonstration:
     parts = list(stored_demonstrations(folder))
     made: Demonstration = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
     return replace(made, times=parts[0].times)
-
-
-def _dof(values: np.ndarray) -> Dof:
-    x, y, z = (int(value) for value in values)
-    return x, y, z
 
 
 def _describe_run(

@@ -39,10 +39,7 @@ _SLIPPED = (5e-4, 5e-5)  # rad and m, largest slip of a rigid axis; valid rollou
 class AxisLaw:
     """The law along each of the six axes: u = -(offset + softness f) where ``acts`` is 1, f = 0 elsewhere.
 
-    Attributes:
-        acts: (6,) 0 or 1.
-        offset: (6,) rad/s or m/s.
-        softness: (6,) rad/s per N m, or m/s per N; zero or positive.
+    All arrays are (6,): ``offset`` in rad/s or m/s, ``softness`` in rad/s per N m or m/s per N.
     """
 
     acts: jax.Array
@@ -80,13 +77,7 @@ class Track:
 
 
 class Steps(NamedTuple):
-    """Samples of a rollout, and the steps between them.
-
-    Attributes:
-        samples: number K of samples after the first.
-        substeps: steps from one sample to the next.
-        length: s, length of a step.
-    """
+    """Number K of samples after the first, steps from one sample to the next, and length of a step, s."""
 
     samples: int
     substeps: int
@@ -108,17 +99,11 @@ def integrate(
     *,
     velocity: jax.Array | None = None,
 ) -> Track:
-    """Integrate the motion of the arm under a constraint.
+    """Integrate the motion of the arm under the constraint of one rollout.
 
-    Args:
-        arm: the robot.
-        frame: the constraint of one rollout.
-        start: (7,) rad, initial joint positions.
-        drive: function that returns the joint torques; called once per step, at the middle of the step.
-        state: initial state of the drive.
-        law: function from the slip of the axes to their laws.
-        steps: samples, and steps between samples.
-        velocity: (7,) rad/s, initial joint velocities, which must obey the constraint; zero by default.
+    The drive, with an initial state, returns the joint torques once per step, at the middle of the step.
+    ``law`` is a function from the slip (6,) of the axes to their laws. The motion starts at joint positions
+    (7,), rad, with joint velocities (7,), rad/s, which must obey the constraint; zero by default.
     """
     dtype, step = start.dtype, steps.length
     damping = jnp.asarray(arm.damping, dtype=dtype)
@@ -189,16 +174,9 @@ _MESSAGES = {
 def rollout_status(
     track: Track, free: jax.Array, compliance: jax.Array, arm: Arm
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute the status of rollouts.
+    """Compute the smallest margins to a joint limit (N,), rad, and the status (N,) of N rollouts.
 
-    Args:
-        track: tracks of N rollouts.
-        free: (6,) or (N, 6), 1 where an axis is free.
-        compliance: (6,) rad/(N m) and m/N, compliance of the constrained axes; zero is rigid.
-        arm: the robot.
-
-    Returns:
-        Smallest margin to a joint limit (N,), rad, and status (N,).
+    ``free`` (6,) or (N, 6) is 1 for free axes, ``compliance`` (6,), rad/(N m) and m/N, is 0 for rigid axes.
     """
     dtype = track.joints.dtype
     lower, upper = jnp.asarray(arm.limits, dtype=dtype)[:, None, None]
