@@ -32,8 +32,7 @@ class Frame:
         angular_axes: (..., 3, 3), columns are the angular frame's axes, in the body that they are fixed in.
         linear_axes: (..., 3, 3), columns are the linear frame's axes, in the body that they are fixed in.
         position: (..., 3) m, origin of the linear frame, in the body that it is fixed in.
-        free: (..., 6), 1 for free axes and 0 for constrained axes; three angular axes, then three linear
-            ones.
+        free: (..., 6), 1 for free axes and 0 for constrained axes; angular axes, then linear axes.
         on_body: (..., 3) bool, whether the angular axes, the linear axes and the origin are fixed in {b}.
     """
 

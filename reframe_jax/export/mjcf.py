@@ -21,7 +21,7 @@ _PALE = (0.5, 0.5, 0.5, 0.3)
 
 
 def to_mjcf(joint: Joint, *, mass: float = 1.0) -> str:
-    """Return a joint as an MJCF document; the arguments and errors are those of :func:`to_mjspec`."""
+    """Return a joint as an MJCF document; arguments and errors as in :func:`to_mjspec`."""
     spec = to_mjspec(joint, mass=mass)
     spec.compile()
     text: str = spec.to_xml()

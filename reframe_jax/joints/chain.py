@@ -145,7 +145,7 @@ def _with_full_turns(part: JointPart, angle: np.ndarray, shift: np.ndarray) -> n
 
 
 def _angle_about(axis: np.ndarray, turned: np.ndarray, later: np.ndarray | None) -> np.ndarray:
-    """Angles (K,) about the axis of a hinge, from rotations (K, 3, 3) of this hinge and all later ones.
+    """Angles (K,) about the axis of a hinge, from rotations (K, 3, 3) of this hinge and all later hinges.
 
     ``later`` is the axis of the last hinge of the chain, or None if this hinge is the last one. A hinge
     between the two is perpendicular to both.

@@ -219,7 +219,7 @@ def _gauge(geometry: Geometry, plan: Plan, parts: Sequence[JointPart], child: st
         sentences.append(f"The place of the hinge is arbitrary; it is at the origin of the {child} at zero.")
     elif kinds.count("hinge") == 1:
         sentences.append(
-            "Any point on this axis is equally valid; the given one is nearest to the origin of the "
+            "Any point on this axis is equally valid; the given point is nearest to the origin of the "
             f"{child} at zero."
         )
     if plan.type == "screw" and geometry.pitch is not None:

@@ -115,7 +115,7 @@ def relate_axes(geometry: Geometry) -> AxisRelation | None:
 
 
 def joint_plans(geometry: Geometry) -> list[Plan]:
-    """Chains to fit to the poses; the one with the best fit becomes the joint."""
+    """Chains to fit to the poses; the chain with the best fit becomes the joint."""
     turns, slides = len(geometry.turning), len(geometry.sliding)
     if turns == 0:
         kinds: tuple[JointType, ...] = ("fixed", "prismatic", "general", "general")

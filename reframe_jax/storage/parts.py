@@ -115,7 +115,7 @@ class Run:
 
     @staticmethod
     def open(folder: Path, codec: Codec, kind: str) -> "Run":
-        """Open the run in a folder for reading; a ValueError says if there is none."""
+        """Open the run in a folder for reading; raises a ValueError if there is none."""
         run = Run(folder, codec, kind, {})
         files = run.parts
         if not files:
@@ -155,7 +155,7 @@ class Run:
         return read_part(self._file(number), self._codec, self.options, source=source)[0]
 
     def write(self, number: int, arrays: Mapping[str, Any], *, source: str = "") -> None:
-        """Write a part; before the first one, check that no other run has begun in the folder."""
+        """Write a part; before the first part, check that no other run has begun in the folder."""
         if not self._written:
             self.resume()
             self.folder.mkdir(parents=True, exist_ok=True)

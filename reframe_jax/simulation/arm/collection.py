@@ -175,7 +175,7 @@ def _from_arrays(part: dict[str, Any]) -> Demonstration:
 
 
 def load_demonstrations(folder: str | Path) -> Demonstration:
-    """Load all demonstrations of a folder, which may be more than were asked for, as one batch of arrays."""
+    """Load all demonstrations of a folder, which may exceed ``count``, as one batch of arrays."""
     parts = list(stored_demonstrations(folder))
     made: Demonstration = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
     return replace(made, times=parts[0].times)

@@ -182,7 +182,7 @@ def erroneous_frames(
 def matched_choices(
     found: Identification, truth: ConstraintFrame, *, arm: str | Arm = PANDA, start: ArrayLike = ROOMY
 ) -> Frame:
-    """Return the identified frames (N), with arbitrary origins and axes replaced by those of the truth.
+    """Return the identified frames (N), with true origins and axes in place of arbitrary origins and axes.
 
     The replaced origins and axes agree with the truth at the joint positions ``start`` (7,), rad.
     """
