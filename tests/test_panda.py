@@ -337,6 +337,16 @@ def test_unknown_constraint() -> None:
         panda.demonstrate(3, KEY)  # type: ignore[arg-type]
 
 
+def test_a_named_constraint_is_placed_at_each_start(rng: np.random.Generator) -> None:
+    starts = np.asarray(panda.PANDA.home) + 0.1 * rng.normal(size=(3, 7))
+    for label in "KL":
+        together = panda.frame_on_arm(label, start=starts)
+        for i, start in enumerate(starts):
+            single = panda.frame_on_arm(label, start=start)
+            for got, want in zip(jax.tree.leaves(together), jax.tree.leaves(single), strict=True):
+                np.testing.assert_allclose(np.broadcast_to(got, (3, 3))[i], want, atol=1e-14)
+
+
 def test_geometry_of_another_batch() -> None:
     frame = rf.ConstraintFrame.named("A", position=np.zeros((3, 3)), rotvec=np.zeros((3, 3)))
     with pytest.raises(ValueError, match=r"must have shape \(3,\) or \(2, 3\)"):

@@ -79,7 +79,7 @@ def identify_many(
     if part_size < 1:
         raise ValueError(f"part_size must be at least 1, not {part_size}.")
     source: Any = windows
-    total = len(source) if _is_array(source) else None
+    total = len(source) if hasattr(source, "shape") else None
     wanted = None if parts is None else set(_part_numbers(parts))
     _check_numbers(wanted, total, part_size)
     depends_on = describe_options(identify, options, without=("times", "dt"))
@@ -204,16 +204,12 @@ def _identify(poses: Any, timing: dict[str, Any], options: Mapping[str, Any]) ->
         return jax.device_get(identify(poses, **timing, **options))
 
 
-def _is_array(windows: Any) -> bool:
-    return hasattr(windows, "shape")
-
-
 def _parts(windows: Any, size: int, wanted: set[int] | None) -> Iterator[tuple[int, np.ndarray]]:
     """Yield the number and the windows (size, K+1, 4, 4) of every part; the last part may be smaller.
 
     For an array, only the requested parts are yielded.
     """
-    if _is_array(windows):
+    if hasattr(windows, "shape"):
         for number in range(-(-len(windows) // size)):
             if wanted is None or number in wanted:
                 yield number, windows[number * size : (number + 1) * size]

@@ -117,9 +117,9 @@ def frame_on_arm(
     arm = find_arm(arm)
     joints = arm.start(start, float)
     rotation, position = forward_kinematics(joints, arm)
-    origin = position + jnp.asarray(_ORIGIN, dtype=joints.dtype)
-    axes = jnp.broadcast_to(jnp.eye(3, dtype=joints.dtype), rotation.shape)
-    return place_frame(ConstraintFrame.named(constraint), axes, origin, rotation, position)
+    axes, offset = (jnp.asarray(part, dtype=joints.dtype) for part in (np.eye(3), _ORIGIN))
+    axes, offset = jnp.broadcast_to(axes, rotation.shape), jnp.broadcast_to(offset, position.shape)
+    return place_frame(ConstraintFrame.named(constraint), axes, position + offset, rotation, position)
 
 
 def demonstrate(
@@ -259,7 +259,7 @@ def scatter(
     spread: tuple[float, float],
     arm: Arm,
 ) -> ConstraintFrame:
-    """Give each demonstration a geometry (N, 3): rotate and shift it at random, about the TCP.
+    """Give each demonstration a geometry (N, 3), with randomly turned axes and a randomly shifted origin.
 
     Raises:
         ValueError: for a geometry that is neither (3,) nor (N, 3).
@@ -274,5 +274,5 @@ def scatter(
         return frame
     keys, dtype = demonstration_keys(key, numbers)[:, 0], joints.dtype
     random = jax.vmap(lambda key: jax.random.normal(key, (2, 3), dtype))(keys)
-    turn, shift = (size * random[:, i] for i, size in enumerate(spread))
+    turn, shift = jnp.moveaxis(jnp.asarray(spread, dtype=dtype)[None, :, None] * random, 1, 0)
     return move_frame(frame, rotations.rotation_exp(turn), shift, forward_kinematics(joints, arm)[0])

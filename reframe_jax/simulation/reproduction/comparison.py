@@ -176,7 +176,7 @@ def erroneous_frames(
     turn_key, shift_key = jax.random.split(key)
     turns = rotations.rotation_exp(draw(turn_key, *(math.radians(angle) for angle in angles)))
     shifts = draw(shift_key, *(distance / 1e3 for distance in distances))
-    return move_frame(truth, turns, shifts, rotation)
+    return move_frame(truth, turns, shifts, jnp.broadcast_to(rotation, turns.shape))
 
 
 def matched_choices(
