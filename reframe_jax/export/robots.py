@@ -38,9 +38,10 @@ def part_names(joint: Joint) -> list[str]:
     return names
 
 
-def sphere_inertia(mass: float) -> float:
-    """Moment of inertia in kg m^2 of a solid sphere of 0.1 m radius."""
-    return 0.4 * mass * RADIUS**2
+def sphere_inertia(mass: float) -> dict[str, str]:
+    """Moments and products of inertia in kg m^2 of a solid sphere of 0.1 m radius, by name."""
+    moment = format_numbers([0.4 * mass * RADIUS**2])
+    return {"ixx": moment, "iyy": moment, "izz": moment, "ixy": "0", "ixz": "0", "iyz": "0"}
 
 
 def remarks(joint: Joint) -> list[str]:

@@ -78,7 +78,5 @@ def _add_link(model: ElementTree.Element, name: str, place: np.ndarray, mass: fl
     inertial = element(link, "inertial")
     element(inertial, "mass", format_numbers([mass]))
     inertia = element(inertial, "inertia")
-    for entry in ("ixx", "iyy", "izz"):
-        element(inertia, entry, format_numbers([sphere_inertia(mass)]))
-    for entry in ("ixy", "ixz", "iyz"):
-        element(inertia, entry, "0")
+    for entry, value in sphere_inertia(mass).items():
+        element(inertia, entry, value)

@@ -81,12 +81,8 @@ def _add_part(
     element(made, "parent", link=last)
     element(made, "child", link=f"{name}_link")
     element(made, "axis", xyz=format_numbers(part.axis))
-    range_ = (
-        {}
-        if is_endless(part)
-        else {"lower": format_numbers([part.low]), "upper": format_numbers([part.high])}
-    )
-    element(made, "limit", effort=_EFFORT, velocity=_VELOCITY, **range_)
+    limits = {"lower": format_numbers([part.low]), "upper": format_numbers([part.high])}
+    element(made, "limit", effort=_EFFORT, velocity=_VELOCITY, **({} if is_endless(part) else limits))
     return made
 
 
@@ -94,9 +90,7 @@ def _add_link(robot: ElementTree.Element, name: str, mass: float) -> None:
     """Add a link with the inertia of a sphere at its origin."""
     inertial = element(element(robot, "link", name=name), "inertial")
     element(inertial, "mass", value=format_numbers([mass]))
-    moment, nothing = format_numbers([sphere_inertia(mass)]), "0"
-    moments = {"ixx": moment, "iyy": moment, "izz": moment, "ixy": nothing, "ixz": nothing, "iyz": nothing}
-    element(inertial, "inertia", **moments)
+    element(inertial, "inertia", **sphere_inertia(mass))
 
 
 def _add_origin(joint: ElementTree.Element, place: np.ndarray, angles: np.ndarray) -> None:

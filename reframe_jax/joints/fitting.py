@@ -169,7 +169,7 @@ def _slide_directions(geometry: Geometry, plan: Plan, home: np.ndarray) -> list[
 
 def _rotating_parts(geometry: Geometry, plan: Plan, home: np.ndarray) -> list[JointPart]:
     """The rotating parts of a chain: none, one hinge, two hinges, or a ball."""
-    if plan.turns is None:
+    if len(geometry.turning) == 0:
         return []
     point, origin = _anchor(geometry, plan, home), home[:3, 3]
     if plan.axis is None:
