@@ -98,6 +98,8 @@ def test_folders_of_something_else(tmp_path: Path) -> None:
     ):
         with pytest.raises(ValueError, match=r"part-00000001\.npz is a copy of part-00000000"):
             use()
+    (folder / "part-00000001.npz").unlink()
+    panda.store_demonstrations("K", KEY, 12, folder, **options)
     part.unlink()
     with pytest.raises(ValueError, match=r"incomplete: parts \[0\] are missing"):
         panda.load_demonstrations(folder)
