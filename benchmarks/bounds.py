@@ -30,8 +30,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from reframe_jax.constraints import AngularType, ConstraintFrame, LinearType, lookup
-from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES
+from reframe_jax.constraints.catalogue import lookup
+from reframe_jax.constraints.frame import ConstraintFrame
+from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, AngularType, LinearType
 from reframe_jax.geometry.rotations import hat, rotation_exp
 
 __all__ = ["Bound", "cramer_rao"]

@@ -20,7 +20,6 @@ from benchmarks.bounds import Bound
 from benchmarks.determined import Determination
 from benchmarks.dual_annealing import rotation_matrix, sampled_velocities, solve
 from reframe_jax.geometry.rotations import rotation_log
-from reframe_jax.geometry.transforms import pose_inverse
 from reframe_jax.identification.classify import degrees_of_freedom
 from reframe_jax.simulation import metrics
 
@@ -135,7 +134,7 @@ def _choose(codes: np.ndarray, known: list[int]) -> np.ndarray:
 def _express_in_type(windows: Windows, kind: rf.LinearType) -> rf.ConstraintFrame:
     """Express the true constraint in another type, with equal axes and origin at the start."""
     start = jnp.asarray(windows.exact[:, 0])
-    turn, back = start[:, :3, :3], pose_inverse(start)
+    turn, back = start[:, :3, :3], jnp.linalg.inv(start)
     axes, position = windows.frame.linear_axes, windows.frame.position
     old = windows.frame.linear_type
     if old.orientation_body != kind.orientation_body:

@@ -14,7 +14,7 @@ from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import frame_arrays, locate
 from reframe_jax.constraints.types import Dof, LinearType
 from reframe_jax.geometry.numpy_rotations import matrices_to_quaternions
-from reframe_jax.simulation.arm.model import Arm, arm_xml, forward_kinematics
+from reframe_jax.simulation.arm.model import Arm, forward_kinematics
 
 __all__ = ["Joints", "mechanism_joints", "mechanism_model", "weld"]
 
@@ -71,7 +71,7 @@ def mechanism_model(arm: Arm, joints: Joints, timestep: float) -> mujoco.MjModel
         f'<equality><weld site1="tcp" site2="grip" {_WELD}/></equality>'
     )
     options = 'gravity="0 0 0" jacobian="dense" solver="Newton" iterations="1" ls_iterations="4" '
-    text = arm_xml(arm).replace("</worldbody>", body).replace('timestep="0.01" ', options)
+    text = arm.xml.replace("</worldbody>", body).replace('timestep="0.01" ', options)
     model = mujoco.MjModel.from_xml_string(text.replace("<flag ", '<flag eulerdamp="disable" '))
     model.opt.timestep = timestep
     return model

@@ -35,8 +35,9 @@ from benchmarks.bounds import cramer_rao
 from benchmarks.common import chosen_plan, machine, plan_parser, read_parts, write_record
 from benchmarks.determined import determined
 from benchmarks.fits import LINE_FITS, QUANTITIES, Scores, Windows, anneal, line_scores, scores
+from benchmarks.motions import random_motion
 from benchmarks.timing import timed
-from reframe_jax.simulation.motions import PoseErrors, random_motion
+from reframe_jax.simulation.motions import PoseErrors
 from reframe_jax.simulation.synthetic import EXCITATIONS
 
 DURATION = 5.0  # s

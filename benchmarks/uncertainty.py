@@ -26,6 +26,7 @@ import numpy as np
 
 import reframe_jax as rf
 from benchmarks.common import chosen_plan, machine, plan_parser, read_parts, write_record
+from benchmarks.motions import random_motion
 from benchmarks.uncertainty_reliability import (
     KINDS,
     Said,
@@ -35,11 +36,12 @@ from benchmarks.uncertainty_reliability import (
     probabilities_of,
     reliability,
 )
-from reframe_jax.constraints import AngularType, ConstraintFrame, lookup
-from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES
+from reframe_jax.constraints.catalogue import lookup
+from reframe_jax.constraints.frame import ConstraintFrame
+from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, AngularType
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.simulation.metrics import dof_correct, types_correct
-from reframe_jax.simulation.motions import PoseErrors, disturb, random_motion
+from reframe_jax.simulation.motions import PoseErrors, disturb
 from reframe_jax.simulation.synthetic import Excitation, Simulation
 from reframe_jax.uncertainty.covariance import Covariance, Errors, Method
 

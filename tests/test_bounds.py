@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmarks.bounds import cramer_rao
-from reframe_jax.constraints import CONSTRAINTS, AngularType, ConstraintFrame, LinearType
+from benchmarks.motions import random_motion
+from reframe_jax import CONSTRAINTS, AngularType, ConstraintFrame, LinearType
 from reframe_jax.geometry.rotations import rotation_exp
-from reframe_jax.simulation.motions import random_motion
 from reframe_jax.simulation.synthetic import Simulation
 
 STEPS, DT = 20, 0.1

@@ -9,6 +9,7 @@ from recording_files import HEADER, poses_of, write
 from test_calibration import touches
 from test_recording_lost import hinge
 
+import benchmarks.motions  # noqa: F401, adds the excitations "sine" and "hand"
 import reframe_jax as rf
 from reframe_jax.cli import program
 from reframe_jax.recordings.continuity import is_unordered

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import benchmarks.motions  # noqa: F401, adds the excitation "slow"
 import reframe_jax as rf
 from benchmarks.dual_annealing import six_moments
 from reframe_jax.identification.entry import default_solver

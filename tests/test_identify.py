@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
+from benchmarks.motions import random_motion
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification import entry
 from reframe_jax.simulation import metrics, synthetic
-from reframe_jax.simulation.motions import random_motion
 from reframe_jax.solvers import Solution
 
 NOISES = np.logspace(-6, -4, 5)

@@ -22,8 +22,8 @@ SOLVER = rf.BasinHopping(rf.ValleySteps(2), restarts=1, hops=0, polish=0)
 
 @pytest.fixture(scope="module")
 def windows():
-    """(40, 21, 4, 4): enough for three parts, the last one smaller."""
-    keys = jax.random.split(jax.random.key(0), 40)
+    """(24, 21, 4, 4): enough for three parts of eight, with the programs of test_parts.py."""
+    keys = jax.random.split(jax.random.key(0), 24)
     simulate = jax.vmap(lambda key: synthetic.simulate("K", key, noise=1e-4, duration=2.0).poses)
     return np.asarray(jax.jit(simulate)(keys))
 
@@ -57,7 +57,7 @@ CHILD = """
         )
     elif moment == "renaming":
         os.replace = lambda old, new: (die if second(new) else rename)(old, new)
-    rf.identify_many(np.load(sys.argv[1], mmap_mode="r"), sys.argv[2], dt=0.1, part_size=16,
+    rf.identify_many(np.load(sys.argv[1], mmap_mode="r"), sys.argv[2], dt=0.1, part_size=8,
         solver=rf.BasinHopping(rf.ValleySteps(2), restarts=1, hops=0, polish=0))
 """
 
@@ -71,7 +71,7 @@ def run_killed(stored, out, moment):
 def run_whole(stored, out):
     """The same run, to its end and with JAX's own settings, in this process: it is traced once."""
     with jax.enable_x64(False), jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-        rf.identify_many(np.load(stored, mmap_mode="r"), out, dt=0.1, part_size=16, solver=SOLVER)
+        rf.identify_many(np.load(stored, mmap_mode="r"), out, dt=0.1, part_size=8, solver=SOLVER)
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +107,11 @@ def test_what_killed_writers_left_goes_when_it_is_old(uninterrupted):
     stored, out = uninterrupted
     old, young, other = (
         out / name
-        for name in (".part-00000007.parquet.0123456789abcdef", ".run.json.fedcba9876543210", ".notes.txt")
+        for name in (
+            ".part-00000007.parquet.0123456789abcdef",
+            ".part-00000008.parquet.fedcba9876543210",
+            ".notes.txt",
+        )
     )
     for file in (old, young, other):
         file.write_bytes(b"half")
@@ -121,7 +125,7 @@ def test_what_killed_writers_left_goes_when_it_is_old(uninterrupted):
 
 def test_a_file_that_goes_while_it_is_looked_at(tmp_path):
     """Two machines may clean up the same folder."""
-    ghost = tmp_path / ".run.json.0123456789abcdef"
+    ghost = tmp_path / ".part-00000007.parquet.0123456789abcdef"
     ghost.symlink_to(tmp_path / "nowhere")
     remove_leftovers(tmp_path)
     remove_leftovers(tmp_path / "no folder")

@@ -1,5 +1,7 @@
 """A frame between two bodies: which part hangs on which, and the velocities that follow."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,13 +12,12 @@ from reframe_jax.constraints.located import (
     Frame,
     assemble_frame,
     body_twist,
+    fixed_on_body,
     frame_arrays,
-    ground_offset,
     ground_twist,
     locate,
     locate_on_host,
     move_frame,
-    parts_on_body,
     place_frame,
 )
 from reframe_jax.geometry import transforms
@@ -34,17 +35,9 @@ def test_letters_say_what_hangs_on_what() -> None:
     for angular in rf.AngularType:
         for linear in rf.LinearType:
             expected = [LETTERS[letter] for letter in (angular.name, *linear.name)]
-            assert parts_on_body(angular, linear).tolist() == expected
-    codes = jnp.asarray([0, 1]), jnp.asarray([int(rf.LinearType.GB), int(rf.LinearType.BG)])
-    assert parts_on_body(*codes).tolist() == [[False, False, True], [True, True, False]]
-
-
-def test_origins_in_the_ground_move_with_its_origin() -> None:
-    centre = jnp.asarray([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
-    for kind in rf.LinearType:
-        expected = np.where(kind.name[1] == "G", centre, 0)
-        np.testing.assert_array_equal(ground_offset(centre)[:, int(kind)], expected)
-    np.testing.assert_array_equal(ground_offset(centre[0]), ground_offset(centre)[0])
+            frame = replace(rf.ConstraintFrame.named("K"), angular_type=angular, linear_type=linear)
+            assert list(fixed_on_body(frame)) == expected
+            assert frame_arrays(frame).on_body.tolist() == expected
 
 
 @pytest.mark.parametrize("label", ["K", "L", "G", "H"])  # GB, BG, BB, GG
@@ -78,12 +71,12 @@ def test_frames_of_a_batch_may_differ_in_type(rng: np.random.Generator) -> None:
 def test_a_frame_is_where_it_was_placed_or_moved_to(label: str, rng: np.random.Generator) -> None:
     axes = transforms.pose_exp(jnp.asarray(rng.normal(size=6)))[:3, :3]
     origin, shift = jnp.asarray(rng.normal(size=(2, 3)))
-    put = frame_arrays(place_frame(frame_of(label, rng), axes, origin, ROTATION, POSITION))
-    there = locate(put, ROTATION, POSITION)
+    put = place_frame(frame_of(label, rng), axes, origin, ROTATION, POSITION)
+    there = locate(frame_arrays(put), ROTATION, POSITION)
     for found in (there.angular_axes, there.linear_axes):
         np.testing.assert_allclose(found, axes, atol=1e-14)
     np.testing.assert_allclose(POSITION + there.lever, origin, atol=1e-14)
-    moved = locate(move_frame(put, axes, shift, ROTATION, POSITION), ROTATION, POSITION)
+    moved = locate(frame_arrays(move_frame(put, axes, shift, ROTATION)), ROTATION, POSITION)
     np.testing.assert_allclose(moved.linear_axes, axes @ axes, atol=1e-14)
     np.testing.assert_allclose(moved.angular_axes, axes @ axes, atol=1e-14)
     np.testing.assert_allclose(POSITION + moved.lever, origin + shift, atol=1e-14)

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from reframe_jax.constraints import CONSTRAINTS, AngularType, LinearType
+from benchmarks.motions import random_constraint, random_motion
+from reframe_jax import CONSTRAINTS, AngularType, LinearType
 from reframe_jax.motion import kinematics
 from reframe_jax.simulation import synthetic
-from reframe_jax.simulation.motions import PoseErrors, disturb, random_constraint, random_motion
+from reframe_jax.simulation.motions import PoseErrors, disturb
 
 KEYS = jax.random.split(jax.random.key(0), 64)
 STEPS, DT = 40, 0.05

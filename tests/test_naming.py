@@ -5,19 +5,20 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
+from benchmarks.motions import random_motion
 from reframe_jax.identification.cautions import Caution
-from reframe_jax.simulation import motions
+from reframe_jax.simulation.motions import PoseErrors
 
 
 @pytest.fixture(scope="module")
 def windows():
     """Poses (40, 51, 4, 4) of hand-like motions of five constraints with 3 mm of noise."""
-    errors = motions.PoseErrors(sigma=3e-3)
+    errors = PoseErrors(sigma=3e-3)
     keys = jax.random.split(jax.random.key(8), 8)
 
     def batch(label):
         def make(key):
-            return motions.random_motion(label, key, samples=50, dt=0.1, errors=errors).poses
+            return random_motion(label, key, samples=50, dt=0.1, errors=errors).poses
 
         return np.asarray(jax.jit(jax.vmap(make))(keys))
 

@@ -12,7 +12,8 @@ import reframe_jax as rf
 from benchmarks import fits, noise, weak_axes
 from benchmarks.bounds import cramer_rao
 from benchmarks.determined import Determination, determined
-from reframe_jax.simulation.motions import PoseErrors, random_motion
+from benchmarks.motions import random_motion
+from reframe_jax.simulation.motions import PoseErrors
 
 STEPS, DT = 50, 0.1
 

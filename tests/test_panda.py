@@ -13,8 +13,7 @@ from reframe_jax.simulation import arm as panda
 from reframe_jax.simulation import metrics
 from reframe_jax.simulation.arm.demonstration import sampling
 from reframe_jax.simulation.arm.guide import find_excitation
-from reframe_jax.simulation.arm.rollout import Track
-from reframe_jax.simulation.arm.status import rollout_status
+from reframe_jax.simulation.arm.rollout import Track, rollout_status
 
 BATCH = 8  # one compiled program for this module
 KEY = jax.random.key(11)
@@ -336,6 +335,16 @@ def test_unknown_constraint() -> None:
         panda.demonstrate("Z", KEY)
     with pytest.raises(ValueError, match="a label, a name or a ConstraintFrame, not 3"):
         panda.demonstrate(3, KEY)  # type: ignore[arg-type]
+
+
+def test_a_named_constraint_is_placed_at_each_start(rng: np.random.Generator) -> None:
+    starts = np.asarray(panda.PANDA.home) + 0.1 * rng.normal(size=(3, 7))
+    for label in "KL":
+        together = panda.frame_on_arm(label, start=starts)
+        for i, start in enumerate(starts):
+            single = panda.frame_on_arm(label, start=start)
+            for got, want in zip(jax.tree.leaves(together), jax.tree.leaves(single), strict=True):
+                np.testing.assert_allclose(np.broadcast_to(got, (3, 3))[i], want, atol=1e-14)
 
 
 def test_geometry_of_another_batch() -> None:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from reframe_jax.simulation import arm as panda
 from reframe_jax.simulation.arm import dynamics
@@ -38,28 +39,30 @@ def denavit_hartenberg(joints: np.ndarray) -> np.ndarray:
     return pose
 
 
+def rotation_of(quaternion: np.ndarray) -> np.ndarray:
+    """Rotation matrix of a quaternion (w, x, y, z)."""
+    return Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
+
+
 def newton_euler(arm: panda.Arm, q: np.ndarray, v: np.ndarray, acc: np.ndarray) -> np.ndarray:
     """Joint torques without gravity by the recursive algorithm in link frames (Luh, Walker, Paul 1980)."""
-    parts = (*arm.links, arm.hand)
+    model = arm.model
     z = np.array([0, 0, 1.0])
     w, dw, a = np.zeros(3), np.zeros(3), np.zeros(3)
     outward = []
-    for i, part in enumerate(parts):
-        qw, qx, qy, qz = np.array(part.quaternion) / np.linalg.norm(part.quaternion)
-        k = np.array([[0, -qz, qy], [qz, 0, -qx], [-qy, qx, 0]])
-        turn = np.eye(3) + 2 * qw * k + 2 * k @ k
+    for i in range(8):
+        turn = rotation_of(model.body_quat[i + 1])
         angle, rate, speedup = (q[i], v[i], acc[i]) if i < 7 else (0.0, 0.0, 0.0)
         c, s = np.cos(angle), np.sin(angle)
         turn = turn @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-        p = np.array(part.position)
+        p = model.body_pos[i + 1]
         a = turn.T @ (a + np.cross(dw, p) + np.cross(w, np.cross(w, p)))
         w_parent = turn.T @ w
         dw = turn.T @ dw + np.cross(w_parent, z * rate) + z * speedup
         w = w_parent + z * rate
-        centre = np.array(part.centre)
-        xx, yy, zz, xy, xz, yz = part.inertia
-        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        force = part.mass * (a + np.cross(dw, centre) + np.cross(w, np.cross(w, centre)))
+        centre, principal = model.body_ipos[i + 1], rotation_of(model.body_iquat[i + 1])
+        inertia = principal @ np.diag(model.body_inertia[i + 1]) @ principal.T
+        force = model.body_mass[i + 1] * (a + np.cross(dw, centre) + np.cross(w, np.cross(w, centre)))
         moment = inertia @ dw + np.cross(w, inertia @ w) + np.cross(centre, force)
         outward.append((turn, p, force, moment))
     force, moment, torques = np.zeros(3), np.zeros(3), []
@@ -69,8 +72,7 @@ def newton_euler(arm: panda.Arm, q: np.ndarray, v: np.ndarray, acc: np.ndarray) 
         torques.append(moment[2])
         force = turn @ force
         moment = turn @ moment + np.cross(p, force)
-    armature = np.array([link.armature for link in arm.links])
-    return np.array(torques[::-1][:7]) + armature * acc
+    return np.array(torques[::-1][:7]) + model.dof_armature * acc
 
 
 def test_ready_pose() -> None:
@@ -106,7 +108,7 @@ def motions(request: pytest.FixtureRequest) -> tuple[panda.Arm, np.ndarray, np.n
 
 def test_motion_is_that_of_c_mujoco(motions: tuple) -> None:
     arm, joints, velocities, motion = motions
-    model = mujoco.MjModel.from_xml_string(panda.arm_xml(arm))
+    model = mujoco.MjModel.from_xml_string(arm.xml)
     model.opt.gravity[:] = 0
     data = mujoco.MjData(model)
     for i, (q, v) in enumerate(zip(joints, velocities, strict=True)):

@@ -14,7 +14,7 @@ from benchmarks.mechanism import mechanism_joints, mechanism_model, weld
 from reframe_jax.constraints.located import frame_arrays, ground_twist, locate, slip, twist_map
 from reframe_jax.geometry import transforms
 from reframe_jax.simulation import arm as panda
-from reframe_jax.simulation.arm.guide import find_excitation, guide_drive, make_hand
+from reframe_jax.simulation.arm.guide import find_excitation, guide_drive
 from reframe_jax.simulation.arm.guided import demonstration_keys
 from reframe_jax.simulation.arm.rollout import Steps, hold, integrate
 
@@ -65,8 +65,7 @@ def test_hand_pulls_beside_the_place_and_shakes() -> None:
 
     def wrenches(guide: panda.Guide) -> np.ndarray:
         def felt(key: jax.Array) -> jax.Array:
-            hand = make_hand(guide, key, float)
-            drive = guide_drive(guide, hand, frame, lambda t: (0 * t * jnp.ones(3),) * 2, 0.01)
+            drive = guide_drive(guide, key, frame, lambda t: (0 * t * jnp.ones(3),) * 2, 0.01)
             return jax.vmap(lambda t: drive(pose, t, still, None)[1])(times)
 
         return np.asarray(jax.jit(jax.vmap(felt))(jax.random.split(KEY, 400)))
@@ -145,7 +144,7 @@ def test_mechanism_and_exact_form_agree(label: str) -> None:
     _, hand_key, excitation_key, _ = demonstration_keys(KEY, jnp.zeros(1, jnp.uint32))[0]
     guide = panda.Guide()
     excitation = find_excitation("exciting", excitation_key, frame.free)
-    drive = guide_drive(guide, make_hand(guide, hand_key, float), frame, excitation, step)
+    drive = guide_drive(guide, hand_key, frame, excitation, step)
 
     @jax.jit
     def advance(pose: jax.Array, t: float, joints: jax.Array, velocity: jax.Array) -> Any:

@@ -11,8 +11,8 @@ import pytest
 import reframe_jax as rf
 from reframe_jax.simulation import arm as panda
 from reframe_jax.simulation import reproduction
-from reframe_jax.simulation.arm import demonstration, store
-from reframe_jax.simulation.arm.redraw import Draw, draw_usable
+from reframe_jax.simulation.arm import collection
+from reframe_jax.simulation.arm.collection import draw_usable
 from reframe_jax.simulation.reproduction import comparison
 
 CHUNK = 4
@@ -29,13 +29,8 @@ def test_good_ones_count_until_there_are_enough() -> None:
     seen: list[tuple[int, int]] = []
     draw = draw_from([[LIMIT, OK, LIMIT, OK], [LIMIT] * 4, [OK, LIMIT, OK, OK]])
     chunks = list(draw_usable(draw, 4, CHUNK, progress=lambda *done: seen.append(done)))
-    assert [(chunk.batch, chunk.good.tolist(), chunk.first) for chunk in chunks] == [
-        (0, [1, 3], 0),
-        (1, [], 4),
-        (2, [0, 2], 8),
-    ]
+    assert [(batch, good.tolist()) for batch, good in chunks] == [(0, [1, 3]), (1, []), (2, [0, 2])]
     assert seen == [(2, 4), (2, 4), (4, 4)]
-    assert isinstance(chunks[0], Draw)
 
 
 def test_too_few_are_refused_after_ten_chunks() -> None:
@@ -75,8 +70,7 @@ def test_reaching_the_count_late_is_no_error(
     made: panda.Demonstration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In memory and on disk alike: one in forty is enough where one is asked for, and not where two are."""
-    monkeypatch.setattr(demonstration, "demonstrate", rare(made))
-    monkeypatch.setattr(store, "demonstrate", rare(made))
+    monkeypatch.setattr(collection, "demonstrate", rare(made))
     (drawn,) = panda.demonstrations("A", KEY, 1, chunk=CHUNK)
     folder = panda.store_demonstrations("A", KEY, 1, tmp_path / "demos", chunk=CHUNK)
     stored = panda.load_demonstrations(folder)

@@ -109,7 +109,7 @@ def test_errors_have_the_size_asked_for() -> None:
         return there.linear_axes, there.lever
 
     axes, origin = jax.vmap(located)(right)
-    wrong_axes, wrong_origin = jax.vmap(located)(wrong)
+    wrong_axes, wrong_origin = jax.vmap(located)(frame_arrays(wrong))
     np.testing.assert_allclose(jnp.linalg.norm(wrong_origin - origin, axis=-1), 4e-3, rtol=1e-9)
     trace = jnp.trace(jnp.swapaxes(axes, -1, -2) @ wrong_axes, axis1=-2, axis2=-1)
     np.testing.assert_allclose(jnp.degrees(jnp.arccos((trace - 1) / 2)), 2.0, rtol=1e-6)

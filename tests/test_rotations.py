@@ -162,14 +162,6 @@ def test_log_inverts_exp(dtype):
             np.testing.assert_allclose(found, w, rtol=8 * np.finfo(dtype).eps, atol=0)
 
 
-def test_log_against_scipy():
-    matrices = Rotation.from_rotvec(ROTVECS).as_matrix()
-    expected = Rotation.from_matrix(matrices).as_rotvec()
-    logs = np.asarray(log(jnp.asarray(matrices)))
-    for found, w in zip(logs, expected, strict=True):
-        assert same_rotvec(found, w, np.linalg.norm(w), np.float64) < 8
-
-
 @pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
 def test_derivative_of_log(mode, dtype):

@@ -135,7 +135,7 @@ def _draw(first: Any, options: argparse.Namespace) -> int:
 
 def _write(path: Path, parts: list[Any]) -> str:
     """Write demonstrations; return the names of the files."""
-    from reframe_jax.simulation.arm.store import to_arrays
+    from reframe_jax.simulation.arm.collection import to_arrays
 
     times = parts[0].times
     if path.suffix == ".csv":

@@ -3,9 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from reframe_jax.constraints.types import AxisRelation, Dof, LinearType
-
-__all__ = ["CONSTRAINTS", "OTHER_CONSTRAINTS", "Constraint", "constraint", "describe", "lookup"]
+from reframe_jax.constraints.types import AxisRelation, Dof, LinearType, distinct_axis
 
 
 @dataclass(frozen=True)
@@ -93,7 +91,7 @@ def constraint(label: str) -> Constraint:
     """Return the catalogue entry with a given label or name, in upper or lower case.
 
     Raises:
-        KeyError: for an unknown label or name; the message lists the known ones.
+        KeyError: for an unknown label or name; the message lists all labels and names.
     """
     for entry in _ALL.values():
         if label.casefold() in (entry.label.casefold(), entry.name.casefold()):
@@ -102,14 +100,9 @@ def constraint(label: str) -> Constraint:
     raise KeyError(f"No constraint {label!r}. There are: {known}.")
 
 
-def _distinct_axis(dof: Dof) -> int | None:
-    """Index of the single free or single constrained axis; None if all three axes are alike."""
-    return dof.index(sum(dof) % 2) if sum(dof) in (1, 2) else None
-
-
 def _relation(angular: Dof, linear: Dof) -> AxisRelation | None:
     """Relation of the distinct axes of two aligned frames (see :func:`lookup`); None without such axes."""
-    a, b = _distinct_axis(angular), _distinct_axis(linear)
+    a, b = distinct_axis(angular), distinct_axis(linear)
     if a is None or b is None:
         return None
     return AxisRelation.PARALLEL if a == b else AxisRelation.PERPENDICULAR
@@ -132,16 +125,16 @@ def lookup(
     """Return the catalogue entry with a given linear type and degrees of freedom.
 
     The lookup compares the number of free axes, not their indices. It also compares the angle between the
-    single free rotation axis and the distinct axis of the linear frame, which is the single free or single
-    constrained one: this angle distinguishes a cylinder joint from a planar contour. The angular type makes
+    single free rotation axis and the distinct axis of the linear frame, which is its single free or single
+    constrained axis: this angle distinguishes a cylinder joint from a planar contour. The angular type makes
     no difference. A screw joint has the degrees of freedom of a cylinder joint, with a translation
     proportional to the rotation. A universal joint has the degrees of freedom of a spherical joint if its
     second axis turned by a large angle.
 
     Args:
         linear_type: the linear frame's type.
-        angular_dof: 1 for each free rotation axis, 0 for each constrained one.
-        linear_dof: 1 for each free translation axis, 0 for each constrained one.
+        angular_dof: 1 for each free, 0 for each constrained rotation axis.
+        linear_dof: 1 for each free, 0 for each constrained translation axis.
         relation: angle between the free rotation axis and the distinct linear axis. By default, both vectors
             of degrees of freedom refer to the same axes, as in Table 2.
         screw: whether the translation is proportional to the rotation.

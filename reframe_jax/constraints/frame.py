@@ -10,8 +10,6 @@ from reframe_jax.constraints.catalogue import constraint
 from reframe_jax.constraints.types import AngularType, Dof, LinearType
 from reframe_jax.geometry import rotations
 
-__all__ = ["ConstraintFrame"]
-
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)

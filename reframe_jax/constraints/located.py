@@ -19,25 +19,6 @@ from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, A
 from reframe_jax.geometry import rotations
 from reframe_jax.geometry.products import apply, matmul
 
-__all__ = [
-    "Frame",
-    "Located",
-    "assemble_frame",
-    "body_twist",
-    "frame_arrays",
-    "ground_offset",
-    "ground_twist",
-    "locate",
-    "locate_on_host",
-    "move_frame",
-    "multiply",
-    "parts_on_body",
-    "place_frame",
-    "slip",
-    "to_fixed_body",
-    "twist_map",
-]
-
 _LINEAR_ON_BODY = np.stack([ORIENTATION_BODIES, POSITION_BODIES], axis=1) == AngularType.B
 """(4, 2) bool: whether the axes, and the origin, of each linear type are fixed in {b}."""
 
@@ -51,8 +32,7 @@ class Frame:
         angular_axes: (..., 3, 3), columns are the angular frame's axes, in the body that they are fixed in.
         linear_axes: (..., 3, 3), columns are the linear frame's axes, in the body that they are fixed in.
         position: (..., 3) m, origin of the linear frame, in the body that it is fixed in.
-        free: (..., 6), 1 for free axes and 0 for constrained axes; three angular axes, then three linear
-            ones.
+        free: (..., 6), 1 for free axes and 0 for constrained axes; angular axes, then linear axes.
         on_body: (..., 3) bool, whether the angular axes, the linear axes and the origin are fixed in {b}.
     """
 
@@ -87,19 +67,12 @@ class Located:
     path_axes: jax.Array
 
 
-def parts_on_body(angular_type: ArrayLike, linear_type: ArrayLike) -> jax.Array:
-    """Whether the angular axes, the linear axes and the origin of frames are fixed in {b}.
-
-    Args:
-        angular_type: (...) :class:`AngularType` or its values.
-        linear_type: (...) :class:`LinearType` or its values.
-
-    Returns:
-        (..., 3) bool; False means fixed in {g}.
-    """
-    turns = jnp.asarray(angular_type) == int(AngularType.B)
-    linear = jnp.asarray(_LINEAR_ON_BODY)[jnp.asarray(linear_type)]
-    return jnp.concatenate([turns[..., None], linear], axis=-1)
+def fixed_on_body(frame: ConstraintFrame) -> tuple[bool, bool, bool]:
+    """Whether the angular axes, the linear axes and the origin are fixed in {b}; otherwise in {g}."""
+    kind = frame.linear_type
+    bodies = frame.angular_type, kind.orientation_body, kind.position_body
+    angular, linear, origin = (body == AngularType.B for body in bodies)
+    return angular, linear, origin
 
 
 def assemble_frame(
@@ -112,25 +85,18 @@ def assemble_frame(
     angular_dof: ArrayLike | tuple[int, ...],
     linear_dof: ArrayLike | tuple[int, ...],
 ) -> Frame:
-    """Assemble frames from their types, axes, origins and degrees of freedom; types may vary in a batch.
-
-    Args:
-        angular_type: (...) :class:`AngularType` or its values.
-        linear_type: (...) :class:`LinearType` or its values.
-        angular_axes: (..., 3, 3), columns are axes in the body that the angular type names.
-        linear_axes: (..., 3, 3), columns are axes in the body that the first letter of the linear type names.
-        position: (..., 3) m, origin in the body that the second letter of the linear type names.
-        angular_dof: (..., 3), 1 for each free rotation axis.
-        linear_dof: (..., 3), 1 for each free translation axis.
-    """
+    """Assemble frames; types and degrees of freedom (..., 3) may vary in a batch. See ``Frame``."""
     batch = position.shape[:-1]
     free = jnp.concatenate([jnp.asarray(angular_dof), jnp.asarray(linear_dof)], axis=-1)
+    turning = jnp.asarray(angular_type) == int(AngularType.B)
+    linear = jnp.asarray(_LINEAR_ON_BODY)[jnp.asarray(linear_type)]
+    fixed = jnp.concatenate([turning[..., None], linear], axis=-1)
     return Frame(
         angular_axes=angular_axes,
         linear_axes=linear_axes,
         position=position,
         free=jnp.broadcast_to(free.astype(position.dtype), (*batch, 6)),
-        on_body=jnp.broadcast_to(parts_on_body(angular_type, linear_type), (*batch, 3)),
+        on_body=jnp.broadcast_to(fixed, (*batch, 3)),
     )
 
 
@@ -147,20 +113,6 @@ def frame_arrays(frame: ConstraintFrame) -> Frame:
     )
 
 
-def ground_offset(centre: jax.Array) -> jax.Array:
-    """Return the offsets to add to origins that were estimated with the origin of {g} moved to a point.
-
-    Args:
-        centre: (..., 3) m, the point in {g} that served as the origin.
-
-    Returns:
-        (..., 4, 3) m, in the order of :class:`LinearType`: ``centre`` for the types whose origin is fixed in
-        {g}, zero for the types whose origin is fixed in {b}.
-    """
-    in_ground = jnp.asarray(~_LINEAR_ON_BODY[:, 1]).reshape(*([1] * (centre.ndim - 1)), -1, 1)
-    return jnp.where(in_ground, centre[..., None, :], 0)
-
-
 def multiply(matrix: jax.Array, right: jax.Array) -> jax.Array:
     """Multiply (m, n) by (n,) or (n, k) with elementwise operations, which XLA fuses over a batch."""
     if right.ndim == 1:
@@ -168,25 +120,8 @@ def multiply(matrix: jax.Array, right: jax.Array) -> jax.Array:
     return jnp.sum(matrix[:, :, None] * right[None, :, :], axis=1)
 
 
-def to_fixed_body(part: jax.Array, on_body: jax.Array, rotation: jax.Array) -> jax.Array:
-    """Express a direction, or a set of axes, in the body in which it is fixed.
-
-    Args:
-        part: (3,) direction or (3, 3) axes as columns, in the axes of {g}.
-        on_body: () bool, True if the direction is fixed in {b}, False if it is fixed in {g}.
-        rotation: (3, 3), orientation of {b} in {g}.
-    """
-    return jnp.where(on_body, multiply(rotation.T, part), part)
-
-
 def locate(frame: Frame, rotation: jax.Array, position: jax.Array) -> Located:
-    """Locate a frame while the body {b} is at a given pose.
-
-    Args:
-        frame: a single frame.
-        rotation: (3, 3), orientation of {b} in {g}.
-        position: (3,) m, origin of {b} in {g}.
-    """
+    """Locate a single frame while {b} has the orientation (3, 3) and the origin (3,), m, in {g}."""
     angular = jnp.where(frame.on_body[0], multiply(rotation, frame.angular_axes), frame.angular_axes)
     linear = jnp.where(frame.on_body[1], multiply(rotation, frame.linear_axes), frame.linear_axes)
     with_body = multiply(rotation, frame.position)
@@ -201,14 +136,9 @@ _locate_all = jax.jit(jax.vmap(locate, in_axes=(None, 0, 0)))
 
 
 def locate_on_host(frame: Frame, poses: np.ndarray) -> Located:
-    """Locate a frame at every pose with NumPy, in float64 independent of the settings of JAX.
+    """Locate a single frame at every pose (K, 4, 4), m, in float64 independent of the settings of JAX.
 
-    Args:
-        frame: a single frame.
-        poses: (K, 4, 4) of {b} in {g}, m.
-
-    Returns:
-        The located frame; each array has a leading axis of length K.
+    Each array of the located frame is a NumPy array with a leading axis of length K.
     """
 
     def widen(leaf: Any) -> np.ndarray:
@@ -222,16 +152,12 @@ def locate_on_host(frame: Frame, poses: np.ndarray) -> Located:
 
 
 def twist_map(located: Located) -> jax.Array:
-    """Return the matrix from the twist of {b} to the velocities along the frame's axes.
+    """Return the matrix (6, 6) from the twist of {b} to the velocities along the frame's axes.
 
-    Args:
-        located: the frame at the pose of {b}.
-
-    Returns:
-        (6, 6). Its input is the angular velocity, and the velocity of the origin of {b}, in the axes of {g}.
-        Its output is the angular velocity along the angular axes, and the velocity of the frame's origin
-        along the linear axes. The rows of the constrained axes are A(T). The transpose maps moments (N m) and
-        forces (N) along the axes, which act at the frame's origin, to a wrench at the origin of {b}.
+    Its input is the angular velocity, and the velocity of the origin of {b}, in the axes of {g}. Its output
+    is the angular velocity along the angular axes, and the velocity of the frame's origin along the linear
+    axes. The rows of the constrained axes are A(T). The transpose maps moments (N m) and forces (N) along the
+    axes, which act at the frame's origin, to a wrench at the origin of {b}.
     """
     angular, linear = located.angular_axes.T, located.linear_axes.T
     # a . (w x r) = (r x a) . w
@@ -241,50 +167,23 @@ def twist_map(located: Located) -> jax.Array:
 
 
 def ground_twist(located: Located, velocities: jax.Array) -> jax.Array:
-    """Return the twist of {b} for given velocities along the frame's axes; inverts :func:`twist_map`.
-
-    Args:
-        located: the frame at the pose of {b}.
-        velocities: (6,) rad/s along the angular axes, then m/s along the linear axes.
-
-    Returns:
-        (6,) angular velocity and velocity of the origin of {b}, in the axes of {g}.
-    """
+    """Return the twist (6,) of {b} in {g} for velocities (6,) along the axes; inverts :func:`twist_map`."""
     w = multiply(located.angular_axes, velocities[:3])
     u = multiply(located.linear_axes, velocities[3:])
     return jnp.concatenate([w, u - jnp.cross(w, located.lever)])
 
 
 def body_twist(frame: Frame, rotation: jax.Array, position: jax.Array, velocities: jax.Array) -> jax.Array:
-    """Return the twist of {b} in its own axes for given velocities along the axes of a frame.
-
-    Args:
-        frame: a single frame.
-        rotation: (3, 3), orientation of {b} in {g}.
-        position: (3,) m, origin of {b} in {g}.
-        velocities: (6,) rad/s along the angular axes, then m/s along the linear axes.
-
-    Returns:
-        (6,) angular velocity and velocity of the origin of {b}, in the axes of {b}.
-    """
-
-    def to_body(vector: jax.Array, on_body: jax.Array) -> jax.Array:
-        return jnp.where(on_body, vector, multiply(rotation.T, vector))
-
-    w = to_body(multiply(frame.angular_axes, velocities[:3]), frame.on_body[0])
-    u = to_body(multiply(frame.linear_axes, velocities[3:]), frame.on_body[1])
-    from_body = jnp.where(frame.on_body[2], frame.position, frame.position - position)
-    return jnp.concatenate([w, u - jnp.cross(w, to_body(from_body, frame.on_body[2]))])
+    """Return the twist (6,) of {b} in its own axes; see :func:`locate` and :func:`ground_twist`."""
+    w, v = jnp.split(ground_twist(locate(frame, rotation, position), velocities), 2)
+    return jnp.concatenate([multiply(rotation.T, w), multiply(rotation.T, v)])
 
 
 def slip(before: Located, now: Located) -> jax.Array:
-    """Return the displacement along the frame's axes between two nearby instants.
+    """Return the displacement (6,), rad and m, along the frame's axes between two nearby instants.
 
     The displacement is the integral of the velocity along each axis, by the trapezoidal rule. It is exact for
     the types GB and BG, where the axes do not turn relative to the body in which the origin moves.
-
-    Returns:
-        (6,) rad along the angular axes, then m along the linear axes.
     """
     turn = rotations.vee(multiply(now.rotation, before.rotation.T))
     step = now.path - before.path
@@ -293,52 +192,39 @@ def slip(before: Located, now: Located) -> jax.Array:
 
 
 def move_frame(
-    frame: Frame, turn: jax.Array, shift: jax.Array, rotation: jax.Array, position: jax.Array
-) -> Frame:
-    """Rotate and shift a constraint frame in the ground while the body is at a given pose.
+    frame: ConstraintFrame, turn: jax.Array, shift: jax.Array, rotation: jax.Array
+) -> ConstraintFrame:
+    """Rotate and shift constraint frames in the ground while the body is at given poses.
 
-    The angular and the linear axes turn by the same rotation.
-
-    Args:
-        frame: a single frame.
-        turn: (3, 3), rotation matrix in {g}.
-        shift: (3,) m, displacement of the linear frame's origin in {g}.
-        rotation: (3, 3), orientation of {b} in {g}.
-        position: (3,) m, origin of {b} in {g}.
+    ``turn`` (..., 3, 3) is a rotation in {g} of both the angular and the linear axes, ``shift`` (..., 3), m,
+    a displacement in {g} of the origin, and ``rotation`` (..., 3, 3) the orientation of {b} in {g}.
     """
-    located = locate(frame, rotation, position)
-    lever = located.lever + shift
-    to_body = multiply(rotation.T, turn)
-
-    def axes(world: jax.Array, on_body: jax.Array) -> jax.Array:
-        return jnp.where(on_body, multiply(to_body, world), multiply(turn, world))
-
+    angular, linear, point = fixed_on_body(frame)
+    inverse = jnp.swapaxes(rotation, -1, -2)
+    in_body = matmul(inverse, matmul(turn, rotation))
     return replace(
         frame,
-        angular_axes=axes(located.angular_axes, frame.on_body[0]),
-        linear_axes=axes(located.linear_axes, frame.on_body[1]),
-        position=jnp.where(frame.on_body[2], multiply(rotation.T, lever), position + lever),
+        angular_rotvec=rotations.rotation_log(matmul(in_body if angular else turn, frame.angular_axes)),
+        linear_rotvec=rotations.rotation_log(matmul(in_body if linear else turn, frame.linear_axes)),
+        position=frame.position + (apply(inverse, shift) if point else shift),
     )
 
 
 def place_frame(
     frame: ConstraintFrame, axes: jax.Array, origin: jax.Array, rotation: jax.Array, position: jax.Array
 ) -> ConstraintFrame:
-    """Give a constraint frame new axes and a new origin in the ground while the body is at a given pose.
+    """Give constraint frames new axes and new origins in the ground while the body is at given poses.
 
-    Args:
-        frame: a single frame, whose types and degrees of freedom are kept.
-        axes: (3, 3), columns are the new axes in {g}, of both the angular and the linear frame.
-        origin: (3,) m, the new origin of the linear frame in {g}.
-        rotation: (3, 3), orientation of {b} in {g}.
-        position: (3,) m, origin of {b} in {g}.
+    The columns of ``axes`` (..., 3, 3) are the new axes in {g} of both the angular and the linear frame,
+    ``origin`` (..., 3), m, is the new origin in {g}; ``rotation`` (..., 3, 3) and ``position`` (..., 3), m,
+    are the orientation and the origin of {b} in {g}.
     """
-    with jax.ensure_compile_time_eval():  # the types are static even where the geometry is traced
-        angular, linear, point = np.asarray(parts_on_body(frame.angular_type, frame.linear_type))
-    in_body = matmul(rotation.T, axes)
+    angular, linear, point = fixed_on_body(frame)
+    inverse = jnp.swapaxes(rotation, -1, -2)
+    in_body = matmul(inverse, axes)
     return replace(
         frame,
         angular_rotvec=rotations.rotation_log(in_body if angular else axes),
         linear_rotvec=rotations.rotation_log(in_body if linear else axes),
-        position=apply(rotation.T, origin - position) if point else origin,
+        position=apply(inverse, origin - position) if point else origin,
     )

@@ -5,18 +5,8 @@ from math import cos, radians, sin
 
 import numpy as np
 
-__all__ = [
-    "BODY_NAMES",
-    "ORIENTATION_BODIES",
-    "PARALLEL_COSINE",
-    "POSITION_BODIES",
-    "SQUARE_COSINE",
-    "AngularType",
-    "AxisRelation",
-    "Dof",
-    "LinearType",
-    "relation_of_cosine",
-]
+Dof = tuple[int, int, int]
+"""Degrees of freedom of three axes: 1 is free, 0 is constrained."""
 
 _ALIGNED = 15.0  # degrees within which two axes count as parallel or perpendicular
 
@@ -92,4 +82,6 @@ def relation_of_cosine(cosine: float) -> AxisRelation:
     return AxisRelation.PERPENDICULAR if abs(cosine) < SQUARE_COSINE else AxisRelation.OBLIQUE
 
 
-Dof = tuple[int, int, int]
+def distinct_axis(dof: tuple[int, ...]) -> int | None:
+    """Index of the single free or single constrained axis; None if all three axes are alike."""
+    return dof.index(sum(dof) % 2) if sum(dof) in (1, 2) else None

@@ -31,8 +31,6 @@ from reframe_jax.calibration.tool import Calibration
 from reframe_jax.recordings.recording import Recording
 from reframe_jax.recordings.rows import name_rows
 
-__all__ = ["SCHEMA", "calibration_to_record", "calibration_to_table"]
-
 SCHEMA = "reframe-jax/calibration/1"
 
 _FIELDS = (

@@ -6,6 +6,7 @@ order of increasing speed. Rows of windows that failed contain NaN, 0, False or 
 
 import csv
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,11 +20,11 @@ from reframe_jax.motion.checks import Status
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["Columns", "to_columns", "to_frame", "write_csv", "write_parquet"]
-
 Columns = dict[str, np.ndarray]
 """Column names, each with its values (windows,); columns of text are arrays of objects."""
 
+_texts = partial(np.array, dtype=object)
+_floats = partial(np.asarray, dtype=np.float64)
 _UNITS = {"angular": "rad_s", "linear": "m_s"}
 
 
@@ -65,17 +66,13 @@ def to_columns(
         raise ValueError(f"Expected {number} windows, one per identification, not {len(windows)}.")
     each = [host[index] for index in range(number)]
     failed = np.array([Status(int(code)).failed for code in host.status_code], bool)
+    entries = [None if bad else one.entry for bad, one in zip(failed, each, strict=True)]
     columns: Columns = {"recording": _texts([label or ""] * number), "window": np.arange(number)}
     columns |= _spans(windows, number)
     columns |= {
         "status": _texts([Status(int(code)).name for code in host.status_code]),
         "name": _texts(["" if bad else one.name for bad, one in zip(failed, each, strict=True)]),
-        "label": _texts(
-            [
-                "" if bad or one.entry is None else one.entry.label
-                for bad, one in zip(failed, each, strict=True)
-            ]
-        ),
+        "label": _texts([entry.label if entry else "" for entry in entries]),
         "probability": np.asarray(host.probability, float),
         "pitch_m_rad": _floats(host.pitch),
         **{
@@ -148,13 +145,3 @@ def _frame_columns(group: str, frame: Any, failed: np.ndarray) -> Columns:
         directions = np.trace(frame.free_position, axis1=-2, axis2=-1)
         columns["open_directions"] = np.where(failed, 0, np.round(np.nan_to_num(directions))).astype(np.int64)
     return {f"{group}_{name}": column for name, column in columns.items()}
-
-
-def _floats(values: Any) -> np.ndarray:
-    return np.asarray(values, np.float64)
-
-
-def _texts(values: Sequence[str]) -> np.ndarray:
-    texts = np.empty(len(values), object)
-    texts[:] = values
-    return texts

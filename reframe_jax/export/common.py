@@ -12,18 +12,6 @@ from reframe_jax.geometry import rotations
 from reframe_jax.identification.results import Identification
 from reframe_jax.recordings.recording import LeftOut, Recording
 
-__all__ = [
-    "TYPES",
-    "Window",
-    "axes_of",
-    "directions",
-    "outlier_samples",
-    "split_windows",
-    "tied_names",
-    "two_digits",
-    "unused_rows",
-]
-
 TYPES = {"angular": AngularType, "linear": LinearType}
 
 

@@ -5,54 +5,49 @@ Numbers are in SI units (m, rad, s, m/s, rad/s); NaN and infinities are written 
 
     {
       "schema": "reframe-jax/identification/3",
-      "recordings": [
-        {
-          "recording": the label, or null,
-          "error":     why the recording could not be used; else null,
-          "notes": sentences on repaired or unusual input, "rows":      which rows of the file were used, or
-          null: {
-            "word": the word for a row (line, sample, message, frame), "used": how many, "left_out":
+      "recordings": [{
+        "recording": the label, or null,
+        "error": why the recording could not be used, or null,
+        "notes": sentences on repaired or unusual input,
+        "rows": null, or which rows of the file were used: {
+          "word": the word for a row (line, sample, message, frame), "used": how many,
+          "left_out": lost, repeated and missing rows, and outliers of a single window:
             [{"reason": as in ``LeftOut``, "why": the reason as a sentence, "rows": numbers of the rows}]
-              lost, repeated and missing rows, and outliers; with several windows, each lists its "outliers"
+        },
+        "windows": [{
+          "index": position in the batch, counted through all of its axes,
+          "start", "stop": samples of the recording, from start up to but not including stop, or null,
+          "start_time", "stop_time": s, of the first and the last sample, or null,
+          "status": name of a ``Status``, "message": its sentence,
+          "notes": reasons to doubt the result, ``warnings`` of the window,
+          "name": of the constraint,
+          "label": letter or word of the catalogue, or null for a constraint without a name,
+          "probability": of the name; see ``Identification.probability`` for its conditions,
+          "alternatives": [{"name", "label", "type": of the linear frame, "probability"}], all constraints
+            with a probability above 0.01, including the reported constraint, in order of decreasing
+            probability; [] if the degrees of freedom come from thresholds,
+          "pitch": m/rad of a screw joint, positive for a right-handed thread, else null,
+          "universal_axes": {"ground": [3], "body": [3]; unit vectors} of a universal joint, else null,
+          "noise": {"position": m, "rotation": rad; standard deviations of every component},
+          "scale": number of samples in the blocks of the smallest time scale,
+          "outliers": samples of the recording that were not used, counted from the first pose of the window
+            if "start" is null,
+          "angular": {
+            "type": "G" or "B", "tied": types that fit equally well, including this type,
+            "rotvec": [3], "axes": [3 unit vectors], "dof": [3, 1 is free], "free_probability": [3],
+            "rms": [3], "norm": number, "amplitude": [3], RMS displacement in rad,
+            "free_rotation": [3 booleans, axes about which the frame can be turned]
           },
-          "windows": [
-            {
-              "index": position in the batch, counted through all of its axes,
-              "start", "stop": samples of the recording, from start up to but not including stop, or null,
-              "start_time", "stop_time": s, of the first and the last sample, or null,
-              "status": name of a ``Status``, "message": its sentence,
-              "notes": reasons to doubt the result, ``warnings`` of the window,
-              "name": of the constraint, "label": letter or word of the catalogue, or null for a constraint
-              without a name, "probability": of the name; see ``Identification.probability`` for its
-              conditions, "alternatives": [
-                {"name", "label", "type": of the linear frame, "probability"}
-                all constraints with a probability above 0.01, including the reported one, in order of
-                decreasing probability; [] if the degrees of freedom come from thresholds
-              ],
-              "pitch": m/rad of a screw joint, positive for a right-handed thread, else null,
-              "universal_axes": {"ground": [3], "body": [3]; unit vectors} of a universal joint, else null,
-              "noise": {"position": m, "rotation": rad; standard deviations of every component},
-              "scale": number of samples in the blocks of the smallest time scale, "outliers": samples of the
-              recording that were not used, counted from the first pose of the
-                window if "start" is null,
-              "angular": {
-                "type": "G" or "B", "tied": types that fit equally well, including this type, "rotvec": [3],
-                "axes": [3 unit vectors], "dof": [3, 1 is free], "free_probability": [3], "rms": [3], "norm":
-                number, "amplitude": [3], RMS displacement in rad, "free_rotation": [3 booleans, axes about
-                which the frame can be turned],
-              },
-              "linear": {
-                the same keys, with "type" and "tied" of "BB", "GB", "GG", "BG", "amplitude" in m, and
-                "position": [3], "free_position": [unit vectors along which the position is undetermined],
-              },
-              "candidates": {
-                "angular": {type: {"rotvec", "axes", "dof", "rms", "norm"}},
-                "linear": {type: {the same keys, and "position"}},
-              }
-            }
-          ]
-        }
-      ]
+          "linear": {
+            the same keys, with "type" and "tied" of "BB", "GB", "GG", "BG", "amplitude" in m, and
+            "position": [3], "free_position": [unit vectors along which the position is undetermined]
+          },
+          "candidates": {
+            "angular": {type: {"rotvec", "axes", "dof", "rms", "norm"}},
+            "linear": {type: {the same keys, and "position"}}
+          }
+        }]
+      }]
     }
 
 Windows without a result have null for every key after "message", and no "notes". Orientations are expressed
@@ -83,23 +78,10 @@ from reframe_jax.model.table import ENTRIES
 from reframe_jax.motion.checks import Status
 from reframe_jax.recordings.recording import Recording
 
-__all__ = ["SCHEMA", "to_document", "to_json", "to_record"]
-
 _RESULT = (
-    "name",
-    "label",
-    "probability",
-    "alternatives",
-    "pitch",
-    "universal_axes",
-    "noise",
-    "scale",
-    "outliers",
-    "angular",
-    "linear",
-    "candidates",
+    *("name", "label", "probability", "alternatives", "pitch", "universal_axes", "noise", "scale"),
+    *("outliers", "angular", "linear", "candidates"),
 )
-
 _LEAST = 0.01  # smallest probability of an alternative in the document
 
 SCHEMA = "reframe-jax/identification/3"
@@ -158,13 +140,6 @@ def _rows_record(recording: Recording, found: Sequence[Identification]) -> dict[
     return {"word": recording.row_word, "used": len(recording.times) - outliers, "left_out": left_out}
 
 
-def _pair(axes: Any) -> dict[str, Any] | None:
-    """The axes of a universal joint by body; None for other joints."""
-    if not np.all(np.isfinite(axes)):
-        return None
-    return dict(zip(("ground", "body"), np.asarray(axes).tolist(), strict=True))
-
-
 def _window_record(index: int, found: Identification, span: Window | None) -> dict[str, Any]:
     status = Status(int(found.status_code))
     record: dict[str, Any] = {"index": index}
@@ -172,7 +147,7 @@ def _window_record(index: int, found: Identification, span: Window | None) -> di
     record |= {"status": status.name, "message": status.message}
     if status.failed:
         return record | {"notes": []} | dict.fromkeys(_RESULT)
-    entry = found.entry
+    entry, axes = found.entry, np.asarray(found.universal_axes).tolist()
     record |= {
         "notes": found.warnings,
         "name": found.name,
@@ -180,7 +155,7 @@ def _window_record(index: int, found: Identification, span: Window | None) -> di
         "probability": _plain(found.probability),
         "alternatives": _alternatives(found),
         "pitch": _plain(float(found.pitch)),
-        "universal_axes": _pair(found.universal_axes),
+        "universal_axes": {"ground": axes[0], "body": axes[1]} if np.isfinite(axes).all() else None,
         "noise": {"position": float(found.noise.position), "rotation": float(found.noise.rotation)},
         "scale": int(found.scale),
         "outliers": outlier_samples(found, span),
@@ -189,13 +164,12 @@ def _window_record(index: int, found: Identification, span: Window | None) -> di
         frame = getattr(found, group)
         named = {"type": str(types(int(frame.type_code))), "tied": tied_names(group, frame)}
         record[group] = named | _frame_record(frame)
-        record[group]["free_probability"] = _plain(np.asarray(frame.free_probability).tolist())
-        record[group]["amplitude"] = _plain(np.asarray(frame.amplitude).tolist())
-        record[group]["free_rotation"] = np.asarray(frame.free_rotation).tolist()
+        for name in ("free_probability", "amplitude", "free_rotation"):
+            record[group][name] = _plain(np.asarray(getattr(frame, name)).tolist())
     free = directions(np.asarray(found.linear.free_position))
     record["linear"]["free_position"] = np.reshape(free, (-1, 3)).tolist()
     record["candidates"] = {
-        group: {str(kind): _frame_record(_of_type(found, group, kind)) for kind in types}
+        group: {str(kind): _frame_record(getattr(found.candidates, group), kind) for kind in types}
         for group, types in TYPES.items()
     }
     return record
@@ -216,12 +190,9 @@ def _alternatives(found: Identification) -> list[dict[str, Any]]:
     ]
 
 
-def _of_type(found: Identification, group: str, kind: int) -> Any:
-    return jax.tree.map(lambda leaf: leaf[kind], getattr(found.candidates, group))
-
-
-def _frame_record(frame: Any) -> dict[str, Any]:
-    """Geometry of an angular or linear frame, or of a candidate."""
+def _frame_record(frame: Any, kind: int | None = None) -> dict[str, Any]:
+    """Geometry of an angular or linear frame, or of the candidate of a type."""
+    frame = frame if kind is None else jax.tree.map(lambda leaf: leaf[kind], frame)
     numbers = {
         "rotvec": frame.rotvec,
         "axes": np.asarray(axes_of(frame.rotvec)).T,

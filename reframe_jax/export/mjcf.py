@@ -6,7 +6,6 @@ import numpy as np
 
 from reframe_jax.export.robots import (
     RADIUS,
-    check_mass,
     check_writable,
     is_endless,
     part_names,
@@ -18,13 +17,11 @@ from reframe_jax.joints.joint import Joint
 if TYPE_CHECKING:
     import mujoco
 
-__all__ = ["to_mjcf", "to_mjspec"]
-
 _PALE = (0.5, 0.5, 0.5, 0.3)
 
 
 def to_mjcf(joint: Joint, *, mass: float = 1.0) -> str:
-    """Return a joint as an MJCF document; the arguments and errors are those of :func:`to_mjspec`."""
+    """Return a joint as an MJCF document; arguments and errors as in :func:`to_mjspec`."""
     spec = to_mjspec(joint, mass=mass)
     spec.compile()
     text: str = spec.to_xml()
@@ -51,8 +48,7 @@ def to_mjspec(joint: Joint, *, mass: float = 1.0) -> "mujoco.MjSpec":
     """
     import mujoco  # the import takes a third of a second
 
-    check_mass(mass)
-    check_writable(joint, "MJCF")
+    check_writable(joint, "MJCF", mass)
     kinds = {
         "hinge": mujoco.mjtJoint.mjJNT_HINGE,
         "slide": mujoco.mjtJoint.mjJNT_SLIDE,

@@ -9,35 +9,14 @@ from reframe_jax.geometry.numpy_rotations import matrices_to_quaternions
 from reframe_jax.joints.chain import JointPart
 from reframe_jax.joints.joint import Joint
 
-__all__ = [
-    "LINK_MASS_FRACTION",
-    "RADIUS",
-    "check_mass",
-    "check_writable",
-    "element",
-    "format_numbers",
-    "is_endless",
-    "part_names",
-    "quaternion_wxyz",
-    "remarks",
-    "roll_pitch_yaw",
-    "sphere_inertia",
-    "to_text",
-]
-
 LINK_MASS_FRACTION = 1e-3  # fraction of the mass, for each link between two parts of a chain
 RADIUS = 0.1  # m, radius of the sphere that gives the placeholder inertia
 
 
-def check_mass(mass: float) -> float:
-    """Return a positive mass in kg."""
+def check_writable(joint: Joint, language: str, mass: float = 1.0) -> None:
+    """Raise a ValueError for a contact or a free body, which no joint expresses, or a wrong mass, kg."""
     if not 0 < mass < np.inf:
         raise ValueError(f"Expected a positive mass in kg, not {mass}.")
-    return float(mass)
-
-
-def check_writable(joint: Joint, language: str) -> None:
-    """Raise a ValueError for a constraint that no joint expresses: a contact or a free body."""
     if joint.type == "floating":
         raise ValueError(f"There is no joint to write as {language}: {joint.child} moves freely.")
     if not joint.is_chain:
@@ -59,9 +38,10 @@ def part_names(joint: Joint) -> list[str]:
     return names
 
 
-def sphere_inertia(mass: float) -> float:
-    """Moment of inertia in kg m^2 of a solid sphere of 0.1 m radius."""
-    return 0.4 * mass * RADIUS**2
+def sphere_inertia(mass: float) -> dict[str, str]:
+    """Moments and products of inertia in kg m^2 of a solid sphere of 0.1 m radius, by name."""
+    moment = format_numbers([0.4 * mass * RADIUS**2])
+    return {"ixx": moment, "iyy": moment, "izz": moment, "ixy": "0", "ixz": "0", "iyz": "0"}
 
 
 def remarks(joint: Joint) -> list[str]:

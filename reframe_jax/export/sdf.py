@@ -6,7 +6,6 @@ import numpy as np
 
 from reframe_jax.export.robots import (
     LINK_MASS_FRACTION,
-    check_mass,
     check_writable,
     element,
     format_numbers,
@@ -17,8 +16,6 @@ from reframe_jax.export.robots import (
     to_text,
 )
 from reframe_jax.joints.joint import Joint
-
-__all__ = ["to_sdf"]
 
 _KINDS = {"hinge": "revolute", "slide": "prismatic", "ball": "ball"}
 _MODEL = "__model__"  # the frame of the model, which coincides with the parent
@@ -31,8 +28,7 @@ def to_sdf(joint: Joint, *, mass: float = 1.0) -> str:
     A cylindrical joint is a chain of a slide and a hinge; a planar joint is a chain of two slides and a
     hinge. SDF has no limits for balls. Arguments and errors as in :func:`to_mjspec`.
     """
-    check_mass(mass)
-    check_writable(joint, "SDF")
+    check_writable(joint, "SDF", mass)
     root = ElementTree.Element("sdf", version="1.10" if joint.type == "screw" else "1.9")
     model = element(root, "model", name=f"{joint.parent}_{joint.child}")
     _add_link(model, joint.parent, np.zeros(6), mass)
@@ -82,7 +78,5 @@ def _add_link(model: ElementTree.Element, name: str, place: np.ndarray, mass: fl
     inertial = element(link, "inertial")
     element(inertial, "mass", format_numbers([mass]))
     inertia = element(inertial, "inertia")
-    for entry in ("ixx", "iyy", "izz"):
-        element(inertia, entry, format_numbers([sphere_inertia(mass)]))
-    for entry in ("ixy", "ixz", "iyz"):
-        element(inertia, entry, "0")
+    for entry, value in sphere_inertia(mass).items():
+        element(inertia, entry, value)

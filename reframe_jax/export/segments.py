@@ -33,8 +33,6 @@ from reframe_jax.export.common import Window
 from reframe_jax.export.json import to_record
 from reframe_jax.segmentation.results import Segment, Segmentation
 
-__all__ = ["SCHEMA", "segments_to_json", "segments_to_record", "segments_to_table"]
-
 SCHEMA = "reframe-jax/segmentation/2"
 
 

@@ -23,8 +23,6 @@ from reframe_jax.motion.checks import Status
 from reframe_jax.recordings.recording import Recording
 from reframe_jax.recordings.rows import name_rows
 
-__all__ = ["rows_to_table", "to_table"]
-
 _UNITS = {"angular": "rad/s", "linear": "m/s"}
 _CLEAR = 0.99  # probabilities above this value are not printed
 _LISTED = 6  # most outliers listed in a line
@@ -154,11 +152,8 @@ def _choice_of_position(directions: list[np.ndarray]) -> list[str]:
         return []
     if len(directions) == 3:
         return ["          not determined: the origin closest to the motion is given"]
-    return [f"          not determined along {_along(directions)}"]
-
-
-def _along(directions: list[np.ndarray]) -> str:
-    return " and ".join(_vector(direction, 3) for direction in directions)
+    along = " and ".join(_vector(direction, 3) for direction in directions)
+    return [f"          not determined along {along}"]
 
 
 def _norms_block(found: Identification) -> list[str]:
@@ -197,7 +192,9 @@ def _batch_table(
     statuses = sorted({Status(int(found.status_code)) for found in each} - {Status.OK})
     legend = [f"{status.name}: {status.message}" for status in statuses]
     ties = any("~" in cell for row in rows for cell in row)
-    notes = {note: None for found in each if not _failed(found) for note in found.warnings}
+    notes = {
+        note: None for found in each if not Status(int(found.status_code)).failed for note in found.warnings
+    }
     return [
         f"{label}: {count}" if label else count,
         *lines,
@@ -218,7 +215,3 @@ def _batch_row(index: int, found: Identification) -> list[str]:
         kinds.append("~".join([kind, *(name for name in tied_names(group, frame) if name != kind)]))
     origin = _vector(found.linear.position, 3, 6)
     return [str(index), found.name, _probability(found.probability), *kinds, origin, status.name]
-
-
-def _failed(found: Identification) -> bool:
-    return Status(int(found.status_code)).failed

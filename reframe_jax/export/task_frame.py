@@ -2,19 +2,17 @@
 
 import json
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.catalogue import describe, lookup
 from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.located import parts_on_body
-from reframe_jax.constraints.types import AxisRelation, relation_of_cosine
+from reframe_jax.constraints.located import fixed_on_body, frame_arrays, locate_on_host
+from reframe_jax.constraints.types import AxisRelation, distinct_axis, relation_of_cosine
 from reframe_jax.geometry.numpy_rotations import matrices_to_quaternions
 from reframe_jax.identification.results import Identification
-
-__all__ = ["TaskFrame", "to_task_frame"]
 
 _ORDER = ("x", "y", "z", "rx", "ry", "rz")
 _UNITS = ("N/m",) * 3 + ("N m/rad",) * 3
@@ -94,20 +92,6 @@ class TaskFrame:
         }
 
 
-@dataclass(frozen=True)
-class _Part:
-    """The angular or the linear axes as columns in the ground, and which axes are free."""
-
-    axes: np.ndarray
-    free: tuple[int, ...]
-
-    @property
-    def distinct(self) -> int | None:
-        """Index of the single free or single constrained axis; None if all three axes are alike."""
-        number = sum(self.free)
-        return self.free.index(number % 2) if number in (1, 2) else None
-
-
 def to_task_frame(
     found: Identification | ConstraintFrame,
     pose: ArrayLike,
@@ -154,57 +138,44 @@ def to_task_frame(
     both = np.array([stiff, soft], float)
     if both.shape != (2, 2) or not ((both >= 0) & np.isfinite(both)).all():
         raise ValueError(f"Expected two stiffnesses that are 0 or more, not {stiff} and {soft}.")
-    angular_on_body, linear_on_body, point_on_body = np.asarray(
-        parts_on_body(frame.angular_type, frame.linear_type)
-    ).tolist()
-    rotation, origin = there[:3, :3], there[:3, 3]
-    angular = _Part(_in_ground(frame.angular_axes, angular_on_body, rotation), frame.angular_dof)
-    linear = _Part(_in_ground(frame.linear_axes, linear_on_body, rotation), frame.linear_dof)
-    axes, turns, turned = _common_axes(angular, linear)
+    located = locate_on_host(frame_arrays(frame), there[None])
+    angular, linear = (np.asarray(axes[0]) for axes in (located.angular_axes, located.linear_axes))
+    axes, turns, turned = _common_axes(frame, angular, linear)
     placed = np.eye(4)
-    placed[:3, :3] = axes
-    placed[:3, 3] = np.asarray(frame.position, float)
-    if point_on_body:
-        placed[:3, 3] = rotation @ placed[:3, 3] + origin
+    placed[:3, :3], placed[:3, 3] = axes, there[:3, 3] + located.lever[0]
+    angular_on_body, linear_on_body, point_on_body = fixed_on_body(frame)
     # without a distinct axis, the orientation is arbitrary and fixed in no body
     fixed = {"origin": point_on_body}
-    fixed |= {"linear axes": linear_on_body} if linear.distinct is not None else {}
-    fixed |= {"angular axes": angular_on_body} if angular.distinct is not None else {}
-    holder: Literal["ground", "body"] | None = None
+    fixed |= {"linear axes": linear_on_body} if distinct_axis(frame.linear_dof) is not None else {}
+    fixed |= {"angular axes": angular_on_body} if distinct_axis(frame.angular_dof) is not None else {}
+    names = {True: body, False: ground}
     if len(set(fixed.values())) == 1:
-        holder = "body" if point_on_body else "ground"
-    if holder == "body":
-        placed = np.linalg.inv(there) @ placed
+        frame_id = names[point_on_body]
+        placed = np.linalg.inv(there) @ placed if point_on_body else placed
+        validity = f"Valid at every pose: the frame is fixed in {frame_id}."
+    else:
+        frame_id = ground
+        parts = ", ".join(f"{part} in {names[on_body]}" for part, on_body in fixed.items())
+        validity = f"Valid at one pose of {body} only. Fixed are: {parts}."
     free = np.array([*frame.linear_dof, *turns], bool)
     stiffness = np.where(free, np.repeat(both[0], 3), np.repeat(both[1], 3))
-    names = {True: body, False: ground}
-    validity = (
-        f"Valid at every pose: the frame is fixed in {names[holder == 'body']}."
-        if holder
-        else f"Valid at one pose of {body} only. Fixed are: "
-        + ", ".join(f"{part} in {names[on_body]}" for part, on_body in fixed.items())
-        + "."
-    )
-    frame_id = names[holder == "body"]
     return TaskFrame(name, frame_id, task, placed, validity, free, stiffness, turned)
 
 
-def _in_ground(axes: ArrayLike, on_body: bool, rotation: np.ndarray) -> np.ndarray:
-    values = np.asarray(axes, float)
-    return rotation @ values if on_body else values
+def _common_axes(
+    frame: ConstraintFrame, angular: np.ndarray, linear: np.ndarray
+) -> tuple[np.ndarray, tuple[int, ...], float]:
+    """Common axes of both constraints, the free rotations about them, and the correction in degrees.
 
-
-def _common_axes(angular: _Part, linear: _Part) -> tuple[np.ndarray, tuple[int, ...], float]:
-    """Common axes of both constraints, the free rotations about them, and the correction in degrees."""
-    if linear.distinct is None:
-        return angular.axes, angular.free, 0.0
-    if angular.distinct is None:
-        return linear.axes, angular.free, 0.0
-    own, other = linear.axes[:, linear.distinct], angular.axes[:, angular.distinct]
-    angle = float(np.degrees(np.arccos(min(1.0, abs(float(own @ other))))))
-    relation = relation_of_cosine(float(own @ other))
-    place = linear.distinct
-    axes = linear.axes
+    The columns of ``angular`` and ``linear`` (3, 3) are the axes of the frame in the ground.
+    """
+    place, turning = distinct_axis(frame.linear_dof), distinct_axis(frame.angular_dof)
+    if place is None or turning is None:
+        return angular if place is None else linear, frame.angular_dof, 0.0
+    own, other = linear[:, place], angular[:, turning]
+    cosine = float(own @ other)
+    angle = float(np.degrees(np.arccos(min(1.0, abs(cosine)))))
+    relation = relation_of_cosine(cosine)
     if relation == AxisRelation.OBLIQUE:
         raise ValueError(
             f"No task frame serves both constraints: the angle between the angular and the linear axes is "
@@ -212,15 +183,13 @@ def _common_axes(angular: _Part, linear: _Part) -> tuple[np.ndarray, tuple[int, 
         )
     if relation == AxisRelation.PERPENDICULAR:
         # the linear frame may be turned about its distinct axis without any change of the constraint
-        place = (linear.distinct + 1) % 3
-        across = other - own * (own @ other)
+        across = other - own * cosine
         across /= np.linalg.norm(across)
-        axes = np.empty((3, 3))
-        axes[:, linear.distinct], axes[:, place] = own, across
-        axes[:, 3 - linear.distinct - place] = np.cross(own, across)
-    kind = angular.free[angular.distinct]
+        linear = np.roll(np.stack([own, across, np.cross(own, across)], axis=1), place, axis=1)
+        place = (place + 1) % 3
+    kind = frame.angular_dof[turning]
     turns = tuple(kind if index == place else 1 - kind for index in range(3))
-    return axes, turns, min(angle, 90 - angle)
+    return linear, turns, min(angle, 90 - angle)
 
 
 def _plain(values: np.ndarray) -> list[float]:

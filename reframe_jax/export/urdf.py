@@ -6,7 +6,6 @@ import numpy as np
 
 from reframe_jax.export.robots import (
     LINK_MASS_FRACTION,
-    check_mass,
     check_writable,
     element,
     format_numbers,
@@ -18,8 +17,6 @@ from reframe_jax.export.robots import (
 )
 from reframe_jax.joints.chain import JointPart
 from reframe_jax.joints.joint import Joint
-
-__all__ = ["to_urdf"]
 
 _EFFORT, _VELOCITY = "1000", "10"  # N or N m, m/s or rad/s: the format requires numbers
 _NO_LENGTH = 1e-9  # m or rad, smaller offsets are omitted
@@ -44,8 +41,7 @@ def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
         ValueError: for a ball whose rotations come near the gimbal lock of three hinges, a contact that
             allows every pose, a free body, or a mass that is not positive.
     """
-    check_mass(mass)
-    check_writable(joint, "URDF")
+    check_writable(joint, "URDF", mass)
     try:
         joint = joint.without_balls()
     except ValueError as error:
@@ -85,12 +81,8 @@ def _add_part(
     element(made, "parent", link=last)
     element(made, "child", link=f"{name}_link")
     element(made, "axis", xyz=format_numbers(part.axis))
-    range_ = (
-        {}
-        if is_endless(part)
-        else {"lower": format_numbers([part.low]), "upper": format_numbers([part.high])}
-    )
-    element(made, "limit", effort=_EFFORT, velocity=_VELOCITY, **range_)
+    limits = {"lower": format_numbers([part.low]), "upper": format_numbers([part.high])}
+    element(made, "limit", effort=_EFFORT, velocity=_VELOCITY, **({} if is_endless(part) else limits))
     return made
 
 
@@ -98,9 +90,7 @@ def _add_link(robot: ElementTree.Element, name: str, mass: float) -> None:
     """Add a link with the inertia of a sphere at its origin."""
     inertial = element(element(robot, "link", name=name), "inertial")
     element(inertial, "mass", value=format_numbers([mass]))
-    moment, nothing = format_numbers([sphere_inertia(mass)]), "0"
-    moments = {"ixx": moment, "iyy": moment, "izz": moment, "ixy": nothing, "ixz": nothing, "iyz": nothing}
-    element(inertial, "inertia", **moments)
+    element(inertial, "inertia", **sphere_inertia(mass))
 
 
 def _add_origin(joint: ElementTree.Element, place: np.ndarray, angles: np.ndarray) -> None:

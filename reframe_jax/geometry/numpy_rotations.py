@@ -6,13 +6,11 @@ differentiated. Use :mod:`reframe_jax.geometry.rotations` for code with JAX. Qua
 
 import numpy as np
 
-__all__ = [
-    "euler_matrices",
-    "matrices_to_quaternions",
-    "quaternions_to_matrices",
-    "rotation_matrices",
-    "rotation_vectors",
-]
+
+def skew_vectors(matrices: np.ndarray) -> np.ndarray:
+    """Vectors (..., 3) w of the skew-symmetric matrices M - M^T = [w]x, for matrices (..., 3, 3)."""
+    skew = matrices - matrices.swapaxes(-1, -2)
+    return np.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1)
 
 
 def quaternions_to_matrices(quaternions: np.ndarray) -> np.ndarray:
@@ -30,10 +28,8 @@ def matrices_to_quaternions(matrices: np.ndarray) -> np.ndarray:
     """
     transposed = matrices.swapaxes(-1, -2)
     outer, trace = np.empty((*matrices.shape[:-2], 4, 4)), np.trace(matrices, axis1=-2, axis2=-1)
-    skew = matrices - transposed
     outer[..., :3, :3] = matrices + transposed + (1 - trace)[..., None, None] * np.eye(3)
-    vector = np.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1)
-    outer[..., 3, :3] = outer[..., :3, 3] = vector
+    outer[..., 3, :3] = outer[..., :3, 3] = skew_vectors(matrices)
     outer[..., 3, 3] = 1 + trace
     found = np.linalg.eigh(outer)[1][..., -1]
     return np.where(found[..., 3:] < 0, -found, found)

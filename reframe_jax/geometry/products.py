@@ -8,8 +8,6 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-__all__ = ["apply", "matmul"]
-
 
 def matmul(a: jax.Array, b: jax.Array) -> jax.Array:
     """``a @ b``."""

@@ -80,14 +80,7 @@ def _identity_like(matrix: jax.Array) -> jax.Array:
 
 
 def hat(vector: jax.Array) -> jax.Array:
-    """Skew-symmetric matrix [w]x of a vector, so that ``hat(w) @ x == cross(w, x)``.
-
-    Args:
-        vector: (..., 3).
-
-    Returns:
-        (..., 3, 3).
-    """
+    """Skew-symmetric matrices [w]x, (..., 3, 3), of vectors (..., 3): ``hat(w) @ x == cross(w, x)``."""
     x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
     zero = jnp.zeros_like(x)
     rows = ((zero, -z, y), (z, zero, -x), (-y, x, zero))
@@ -103,27 +96,13 @@ def _hat_squared(vector: jax.Array) -> jax.Array:
 
 
 def vee(matrix: jax.Array) -> jax.Array:
-    """Vector of a skew-symmetric matrix; the inverse of :func:`hat`.
-
-    Args:
-        matrix: (..., 3, 3); only its skew-symmetric part is used.
-
-    Returns:
-        (..., 3).
-    """
+    """Vectors (..., 3) of the skew-symmetric parts of matrices (..., 3, 3); the inverse of :func:`hat`."""
     skew = (matrix - jnp.swapaxes(matrix, -1, -2)) / 2
     return jnp.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1)
 
 
 def rotation_exp(rotvec: jax.Array) -> jax.Array:
-    """Rotation matrix of a rotation vector: the exponential map of SO(3) (Rodrigues' formula).
-
-    Args:
-        rotvec: (..., 3), rad.
-
-    Returns:
-        (..., 3, 3).
-    """
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), rad: the exponential map of SO(3)."""
     squared, small, angle = _angle(rotvec)
     sinc = jnp.where(small, _series(squared, _SINC), jnp.sin(angle) / angle)
     versine = jnp.where(small, _series(squared, _VERSINE), (1 - jnp.cos(angle)) / angle**2)
@@ -132,16 +111,10 @@ def rotation_exp(rotvec: jax.Array) -> jax.Array:
 
 
 def rotation_log(rotation: jax.Array) -> jax.Array:
-    """Rotation vector of a rotation matrix, of length at most pi: the logarithm of SO(3).
+    """Rotation vectors (..., 3), rad, of rotation matrices (..., 3, 3): the logarithm of SO(3).
 
-    At a half turn, both signs of the axis are correct; the function returns one of them, with finite
-    derivatives.
-
-    Args:
-        rotation: (..., 3, 3).
-
-    Returns:
-        (..., 3), rad.
+    The length is at most pi. At a half turn, both signs of the axis are correct; the function returns one of
+    them, with finite derivatives.
     """
     vector = log_by_component([[rotation[..., i, j] for j in range(3)] for i in range(3)])
     return jnp.stack(vector, axis=-1)
@@ -161,14 +134,7 @@ def log_by_component(entries: Entries) -> Vector:
 
 
 def left_jacobian(rotvec: jax.Array) -> jax.Array:
-    """Left Jacobian of SO(3): ``exp(w + dw) ~ exp(J_l(w) dw) exp(w)``.
-
-    Args:
-        rotvec: (..., 3), rad.
-
-    Returns:
-        (..., 3, 3).
-    """
+    """Left Jacobians (..., 3, 3) of SO(3) at (..., 3), rad: ``exp(w + dw) ~ exp(J_l(w) dw) exp(w)``."""
     squared, small, angle = _angle(rotvec)
     versine = jnp.where(small, _series(squared, _VERSINE), (1 - jnp.cos(angle)) / angle**2)
     slack = jnp.where(small, _series(squared, _SLACK), (angle - jnp.sin(angle)) / angle**3)
@@ -177,14 +143,7 @@ def left_jacobian(rotvec: jax.Array) -> jax.Array:
 
 
 def left_jacobian_inverse(rotvec: jax.Array) -> jax.Array:
-    """Inverse of :func:`left_jacobian`, for angles below 2 pi.
-
-    Args:
-        rotvec: (..., 3), rad.
-
-    Returns:
-        (..., 3, 3).
-    """
+    """Inverses (..., 3, 3) of :func:`left_jacobian` at rotation vectors (..., 3) below 2 pi rad."""
     w = hat(rotvec)
     cotangent = cotangent_factor(_squared_length(rotvec))
     return _identity_like(w) - w / 2 + _matrix(cotangent) * _hat_squared(rotvec)
@@ -202,14 +161,7 @@ def cotangent_factor(squared: jax.Array) -> jax.Array:
 
 
 def quaternion_to_rotation(quaternion: jax.Array) -> jax.Array:
-    """Rotation matrix of a unit quaternion.
-
-    Args:
-        quaternion: (..., 4) as (x, y, z, w), of unit length.
-
-    Returns:
-        (..., 3, 3).
-    """
+    """Rotation matrices (..., 3, 3) of unit quaternions (..., 4) as (x, y, z, w)."""
     x, y, z, w = (quaternion[..., i] for i in range(4))
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
@@ -220,16 +172,10 @@ def quaternion_to_rotation(quaternion: jax.Array) -> jax.Array:
 
 
 def rotation_to_quaternion(rotation: jax.Array) -> jax.Array:
-    """Unit quaternion of a rotation matrix, with w >= 0.
+    """Unit quaternions (..., 4) as (x, y, z, w), with w >= 0, of rotation matrices (..., 3, 3).
 
     ``4 q q^T`` is linear in the rotation matrix. The function normalizes its row with the largest diagonal
     entry, which is at least 1 (Shepperd's method), and thus never divides by a small number.
-
-    Args:
-        rotation: (..., 3, 3).
-
-    Returns:
-        (..., 4) as (x, y, z, w).
     """
     return jnp.stack(_quaternion([[rotation[..., i, j] for j in range(3)] for i in range(3)]), axis=-1)
 

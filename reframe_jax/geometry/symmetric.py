@@ -9,19 +9,6 @@ import jax
 import jax.numpy as jnp
 from jax import custom_jvp, lax
 
-__all__ = [
-    "INDEX_PAIRS",
-    "PACKED",
-    "Symmetric",
-    "Vector",
-    "eigh",
-    "from_matrix",
-    "pivots",
-    "quadratic_form",
-    "solve",
-    "to_matrix",
-]
-
 Symmetric = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]
 Vector = tuple[jax.Array, jax.Array, jax.Array]
 
@@ -96,14 +83,9 @@ def _rotate(
     axes[j] = (s * x[0] + c * y[0], s * x[1] + c * y[1], s * x[2] + c * y[2])
 
 
-def _choose(condition: jax.Array, a: Vector, b: Vector) -> Vector:
-    x, y, z = (jnp.where(condition, a[i], b[i]) for i in range(3))
-    return x, y, z
-
-
 @custom_jvp
 def eigh(s: Symmetric) -> tuple[Vector, tuple[Vector, Vector, Vector]]:
-    """Eigenvalues in ascending order and their unit eigenvectors, by cyclic Jacobi rotations.
+    """Eigenvalues in any order and their unit eigenvectors, by cyclic Jacobi rotations.
 
     The number of sweeps is fixed, so every matrix of a batch has the same cost. Jacobi's method keeps the
     small eigenvalues of graded matrices accurate; constrained axes have such small eigenvalues. The function
@@ -112,10 +94,6 @@ def eigh(s: Symmetric) -> tuple[Vector, tuple[Vector, Vector, Vector]]:
     Returns:
         ``(values, vectors)``: three arrays, and three vectors with three arrays each.
     """
-    return _jacobi(s)
-
-
-def _jacobi(s: Symmetric) -> tuple[Vector, tuple[Vector, Vector, Vector]]:
     zero, one = jnp.zeros_like(s[0]), jnp.ones_like(s[0])
 
     def sweep(carry: tuple, _: None) -> tuple[tuple, None]:  # type: ignore[type-arg]
@@ -127,32 +105,13 @@ def _jacobi(s: Symmetric) -> tuple[Vector, tuple[Vector, Vector, Vector]]:
 
     axes = ((one, zero, zero), (zero, one, zero), (zero, zero, one))
     start = ((s[0], s[3], s[5]), (s[1], s[2], s[4]), axes)
-    (found, _, axes), _ = lax.scan(sweep, start, length=_JACOBI_SWEEPS)
-    values: list[jax.Array] = list(found)
-    vectors: list[Vector] = list(axes)
-    for i, j in ((0, 1), (1, 2), (0, 1)):
-        swap = values[i] > values[j]
-        values[i], values[j] = (
-            jnp.where(swap, values[j], values[i]),
-            jnp.where(swap, values[i], values[j]),
-        )
-        vectors[i], vectors[j] = (
-            _choose(swap, vectors[j], vectors[i]),
-            _choose(swap, vectors[i], vectors[j]),
-        )
-    return (values[0], values[1], values[2]), (vectors[0], vectors[1], vectors[2])
-
-
-def _sum(terms: list[jax.Array]) -> jax.Array:
-    total = terms[0]
-    for term in terms[1:]:
-        total = total + term
-    return total
+    (values, _, vectors), _ = lax.scan(sweep, start, length=_JACOBI_SWEEPS)
+    return values, vectors
 
 
 def quadratic_form(a: Vector, s: Symmetric, b: Vector) -> jax.Array:
     """a^T S b."""
-    return _sum([a[i] * s[PACKED[i][j]] * b[j] for i in range(3) for j in range(3)])
+    return sum(a[i] * s[PACKED[i][j]] * b[j] for i in range(3) for j in range(3))  # type: ignore[return-value]
 
 
 @eigh.defjvp
@@ -169,5 +128,5 @@ def _eigh_jvp(primals: tuple[Symmetric], tangents: tuple[Symmetric]) -> tuple[tu
                 gap = values[i] - values[j]
                 coupling = quadratic_form(vectors[j], ds, vectors[i])
                 terms.append((jnp.where(gap == 0, 0, coupling / jnp.where(gap == 0, 1, gap)), vectors[j]))
-        d_vectors.append(tuple(_sum([coupling * e[c] for coupling, e in terms]) for c in range(3)))
+        d_vectors.append(tuple(sum(coupling * e[c] for coupling, e in terms) for c in range(3)))
     return (values, vectors), (d_values, tuple(d_vectors))

@@ -12,96 +12,35 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax.geometry import rotations
-from reframe_jax.geometry.products import apply, matmul
+from reframe_jax.geometry.products import apply
 
-__all__ = [
-    "adjoint",
-    "make_pose",
-    "pose_exp",
-    "pose_inverse",
-    "pose_left_jacobian",
-    "pose_left_jacobian_inverse",
-    "pose_log",
-]
+__all__ = ["make_pose", "pose_exp", "pose_left_jacobian_inverse", "pose_log"]
 
 
 def make_pose(rotation: jax.Array, position: jax.Array) -> jax.Array:
-    """Pose matrix from a rotation matrix and a position.
-
-    Args:
-        rotation: (..., 3, 3).
-        position: (..., 3), m.
-
-    Returns:
-        (..., 4, 4).
-    """
+    """Pose matrices (..., 4, 4) from rotation matrices (..., 3, 3) and positions (..., 3), m."""
     top = jnp.concatenate([rotation, position[..., None]], axis=-1)
     bottom = jnp.broadcast_to(jnp.asarray([0, 0, 0, 1], dtype=top.dtype), (*top.shape[:-2], 1, 4))
     return jnp.concatenate([top, bottom], axis=-2)
 
 
-def pose_inverse(pose: jax.Array) -> jax.Array:
-    """Inverse of a pose, (..., 4, 4) to (..., 4, 4)."""
-    rotation = jnp.swapaxes(pose[..., :3, :3], -1, -2)
-    return make_pose(rotation, -apply(rotation, pose[..., :3, 3]))
-
-
 def pose_exp(twist: jax.Array) -> jax.Array:
-    """Pose after a motion with a constant twist for unit time: the exponential map of SE(3).
-
-    Args:
-        twist: (..., 6) as (w, v); rad, m.
-
-    Returns:
-        (..., 4, 4).
-    """
+    """Poses (..., 4, 4) after motions with constant twists (..., 6) for unit time: exponentials of SE(3)."""
     w, v = twist[..., :3], twist[..., 3:]
     return make_pose(rotations.rotation_exp(w), apply(rotations.left_jacobian(w), v))
 
 
 def pose_log(pose: jax.Array) -> jax.Array:
-    """Twist whose exponential is the pose: the logarithm of SE(3).
-
-    Args:
-        pose: (..., 4, 4).
-
-    Returns:
-        (..., 6) as (w, v); rad, m.
-    """
+    """Twists (..., 6), rad and m, whose exponentials are the poses (..., 4, 4): logarithms of SE(3)."""
     w = rotations.rotation_log(pose[..., :3, :3])
     return jnp.concatenate([w, apply(rotations.left_jacobian_inverse(w), pose[..., :3, 3])], axis=-1)
 
 
-def _blocks(diagonal: jax.Array, lower_left: jax.Array) -> jax.Array:
-    top = jnp.concatenate([diagonal, jnp.zeros_like(diagonal)], axis=-1)
-    return jnp.concatenate([top, jnp.concatenate([lower_left, diagonal], axis=-1)], axis=-2)
-
-
-def adjoint(pose: jax.Array) -> jax.Array:
-    """Matrix that maps a twist in {b} to the same twist in {g}; Eq. 2 of the paper.
-
-    Args:
-        pose: (..., 4, 4) of {b} in {g}.
-
-    Returns:
-        (..., 6, 6).
-    """
-    rotation = pose[..., :3, :3]
-    return _blocks(rotation, matmul(rotations.hat(pose[..., :3, 3]), rotation))
-
-
-def pose_left_jacobian(twist: jax.Array) -> jax.Array:
-    """Left Jacobian of SE(3): ``exp(x + dx) ~ exp(J_l(x) dx) exp(x)``.
-
-    Args:
-        twist: (..., 6) as (w, v); rad, m.
-
-    Returns:
-        (..., 6, 6).
-    """
-    return _blocks(*jax.jvp(rotations.left_jacobian, (twist[..., :3],), (twist[..., 3:],)))
-
-
 def pose_left_jacobian_inverse(twist: jax.Array) -> jax.Array:
-    """Inverse of :func:`pose_left_jacobian`, for rotation angles below 2 pi."""
-    return _blocks(*jax.jvp(rotations.left_jacobian_inverse, (twist[..., :3],), (twist[..., 3:],)))
+    """Inverses (..., 6, 6) of the left Jacobians of SE(3): ``exp(x + dx) ~ exp(J_l(x) dx) exp(x)``.
+
+    The twists x (..., 6), rad and m, have rotation angles below 2 pi.
+    """
+    diagonal, lower = jax.jvp(rotations.left_jacobian_inverse, (twist[..., :3],), (twist[..., 3:],))
+    top = jnp.concatenate([diagonal, jnp.zeros_like(diagonal)], axis=-1)
+    return jnp.concatenate([top, jnp.concatenate([lower, diagonal], axis=-1)], axis=-2)

@@ -7,11 +7,7 @@ import numpy as np
 from reframe_jax.geometry.numpy_rotations import rotation_matrices
 from reframe_jax.joints.chain import JointPart
 
-__all__ = ["ball_hinges"]
-
-_LOCKED = np.radians(
-    80.0
-)  # largest angle of the second hinge; at 90 degrees the first and third axes coincide
+_LOCKED = np.radians(80.0)  # largest angle of the second hinge; at 90 degrees two axes coincide
 
 
 def ball_hinges(point: np.ndarray, vectors: np.ndarray) -> tuple[JointPart, ...]:

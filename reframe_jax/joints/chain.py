@@ -10,9 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from reframe_jax.geometry.numpy_rotations import rotation_matrices, rotation_vectors
-
-__all__ = ["JointPart", "PartKind", "chain_coordinates", "chain_poses"]
+from reframe_jax.geometry.numpy_rotations import rotation_matrices, rotation_vectors, skew_vectors
 
 PartKind = Literal["hinge", "slide", "ball"]
 
@@ -86,12 +84,8 @@ def chain_coordinates(
     The chain has at most one ball. A position error of ``length`` has the weight of an orientation error of
     1 rad.
     """
-    found = np.concatenate(
-        [
-            _nearest(parts, home, poses[first : first + _CHUNK], length)
-            for first in range(0, len(poses), _CHUNK)
-        ]
-    )
+    chunks = (poses[first : first + _CHUNK] for first in range(0, len(poses), _CHUNK))
+    found = np.concatenate([_nearest(parts, home, chunk, length) for chunk in chunks])
     first = 0
     for part in parts:
         if part.kind == "hinge":
@@ -151,7 +145,7 @@ def _with_full_turns(part: JointPart, angle: np.ndarray, shift: np.ndarray) -> n
 
 
 def _angle_about(axis: np.ndarray, turned: np.ndarray, later: np.ndarray | None) -> np.ndarray:
-    """Angles (K,) about the axis of a hinge, from rotations (K, 3, 3) of this hinge and all later ones.
+    """Angles (K,) about the axis of a hinge, from rotations (K, 3, 3) of this hinge and all later hinges.
 
     ``later`` is the axis of the last hinge of the chain, or None if this hinge is the last one. A hinge
     between the two is perpendicular to both.
@@ -159,16 +153,8 @@ def _angle_about(axis: np.ndarray, turned: np.ndarray, later: np.ndarray | None)
     if later is not None:
         seen = turned @ later
         return np.arctan2(seen @ np.cross(axis, later), seen @ later - (seen @ axis) * (axis @ later))
-    skew = np.stack(
-        [
-            turned[:, 2, 1] - turned[:, 1, 2],
-            turned[:, 0, 2] - turned[:, 2, 0],
-            turned[:, 1, 0] - turned[:, 0, 1],
-        ],
-        axis=-1,
-    )
     along = np.einsum("i,kij,j->k", axis, turned, axis)
-    angles: np.ndarray = np.arctan2(skew @ axis, np.trace(turned, axis1=1, axis2=2) - along)
+    angles: np.ndarray = np.arctan2(skew_vectors(turned) @ axis, np.trace(turned, axis1=1, axis2=2) - along)
     return angles
 
 
@@ -178,6 +164,4 @@ def _residuals(
     """Residuals (K, 6) of the chain, m: three orientation errors times ``length``, three position errors."""
     model = chain_poses(parts, home, coordinates)
     turn = poses[:, :3, :3].swapaxes(-1, -2) @ model[:, :3, :3]
-    skew = (turn - turn.swapaxes(-1, -2)) / 2
-    vector = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=-1)
-    return np.concatenate([length * vector, model[:, :3, 3] - poses[:, :3, 3]], axis=-1)
+    return np.concatenate([length / 2 * skew_vectors(turn), model[:, :3, 3] - poses[:, :3, 3]], axis=-1)

@@ -6,6 +6,7 @@ all poses), the range of each coordinate, and the fit error.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,8 +17,6 @@ from reframe_jax.joints.cardan import ball_hinges
 from reframe_jax.joints.chain import JointPart, chain_coordinates, chain_poses
 from reframe_jax.joints.joint import Joint, JointType
 from reframe_jax.joints.plans import Geometry, Plan, frame_geometry, joint_plans, only_velocities, relate_axes
-
-__all__ = ["fit_joint"]
 
 _ROUNDS = 3  # rounds of averaging, until the home pose converges
 _AVERAGED = 2000  # largest number of poses in the average; longer recordings are subsampled
@@ -87,15 +86,16 @@ def fit_joint(
             raise ValueError(
                 "Only a body with one free rotation and a translation along its axis has a pitch."
             )
-    joints = [_fit(geometry, plan, parent, child, length) for plan in joint_plans(geometry)]
+    names = {"name": _name(geometry), "parent": parent, "child": child, "length": length}
+    joints = [_fit(geometry, plan, names) for plan in joint_plans(geometry)]
     return min(joints, key=lambda joint: joint.position_error)
 
 
-def _fit(geometry: Geometry, plan: Plan, parent: str, child: str, length: float) -> Joint:
-    poses, home = geometry.poses, geometry.poses[0]
-    name = _name(geometry)
+def _fit(geometry: Geometry, plan: Plan, names: dict[str, Any]) -> Joint:
+    """Fit the chain of a plan; ``names`` are the fields of the joint that the fit does not change."""
+    poses, home, length = geometry.poses, geometry.poses[0], names["length"]
     if not plan.is_chain:
-        return _without_chain(geometry, plan.type, name, parent, child, length)
+        return _without_chain(geometry, plan.type, names)
     some = poses[:: max(1, len(poses) // _AVERAGED)]
     for _ in range(_ROUNDS):
         parts = _parts(geometry, plan, home)
@@ -104,34 +104,28 @@ def _fit(geometry: Geometry, plan: Plan, parent: str, child: str, length: float)
     parts = _parts(geometry, plan, home)
     coordinates = chain_coordinates(parts, home, poses, length)
     model = chain_poses(parts, home, coordinates)
-    position_error = _rms(np.linalg.norm(model[:, :3, 3] - poses[:, :3, 3], axis=-1))
     rotation_error = _rms(_angles(model[:, :3, :3], poses[:, :3, :3]))
     if plan.second is not None and rotation_error > _UNIVERSAL:
-        return _without_chain(geometry, "general", name, parent, child, length)
+        return _without_chain(geometry, "general", names)
     parts = _with_ranges(parts, coordinates)
     turning = [part for part in parts if part.kind != "slide"]
     full_turn = plan.type == "revolute" and parts[0].high - parts[0].low >= 2 * np.pi
     first = next((part for part in (*turning, *parts) if part.kind != "ball"), None)
     return Joint(
         type="continuous" if full_turn else plan.type,
-        name=name,
-        parent=parent,
-        child=child,
         axis=None if first is None or plan.type == "general" else first.axis,
         point=turning[0].point if turning else home[:3, 3],
         home=home,
         parts=parts,
-        gauge=_gauge(geometry, plan, parts, child),
+        gauge=_gauge(geometry, plan, parts, names["child"]),
         is_envelope=plan.is_envelope,
-        position_error=position_error,
+        position_error=_rms(np.linalg.norm(model[:, :3, 3] - poses[:, :3, 3], axis=-1)),
         rotation_error=rotation_error,
-        length=length,
+        **names,
     )
 
 
-def _without_chain(
-    geometry: Geometry, kind: JointType, name: str, parent: str, child: str, length: float
-) -> Joint:
+def _without_chain(geometry: Geometry, kind: JointType, names: dict[str, Any]) -> Joint:
     """A joint without coordinates: the child is free, or no chain reproduces the constraint."""
     why = (
         "No chain of hinges, slides and balls makes this constraint: like a wheel, it restricts velocities "
@@ -143,17 +137,16 @@ def _without_chain(
         why = (
             "No chain of hinges, slides and balls makes this constraint: two hinges do not fit its rotations."
         )
-    home, nothing = geometry.poses[0], float("nan")
-    return Joint(kind, name, parent, child, None, home[:3, 3], home, (), (why,), nothing, nothing, length)
+    names = {**names, "position_error": np.nan, "rotation_error": np.nan}
+    home = geometry.poses[0]
+    return Joint(kind, axis=None, point=home[:3, 3], home=home, parts=(), gauge=(why,), **names)
 
 
 def _parts(geometry: Geometry, plan: Plan, home: np.ndarray) -> tuple[JointPart, ...]:
     """Parts of the chain at zero coordinates, with the child at its home pose."""
-    origin = home[:3, 3]
-    directions = _slide_directions(geometry, plan, home)
-    slides = [JointPart("slide", direction, origin) for direction in directions]
-    if plan.type == "screw":
-        slides = []  # the screw is a hinge with a pitch
+    # a screw is a hinge with a pitch
+    directions = [] if plan.type == "screw" else _slide_directions(geometry, plan, home)
+    slides = [JointPart("slide", direction, home[:3, 3]) for direction in directions]
     turns = _rotating_parts(geometry, plan, home)
     return (*turns, *slides) if plan.turns_first else (*slides, *turns)
 
@@ -171,14 +164,12 @@ def _slide_directions(geometry: Geometry, plan: Plan, home: np.ndarray) -> list[
         return list(np.eye(3))
     if len(geometry.turning):
         return [_positive(direction) for direction in geometry.slides(home)]
-    return [
-        _positive(geometry.in_ground(direction, geometry.linear_on_body)) for direction in geometry.sliding
-    ]
+    return [_positive(geometry.in_ground(axis, geometry.linear_on_body)) for axis in geometry.sliding]
 
 
 def _rotating_parts(geometry: Geometry, plan: Plan, home: np.ndarray) -> list[JointPart]:
     """The rotating parts of a chain: none, one hinge, two hinges, or a ball."""
-    if plan.turns is None:
+    if len(geometry.turning) == 0:
         return []
     point, origin = _anchor(geometry, plan, home), home[:3, 3]
     if plan.axis is None:
@@ -204,42 +195,44 @@ def _anchor(geometry: Geometry, plan: Plan, home: np.ndarray) -> np.ndarray:
 def _gauge(geometry: Geometry, plan: Plan, parts: Sequence[JointPart], child: str) -> tuple[str, ...]:
     """Sentences on free choices, the values chosen, and velocities that the chain does not constrain."""
     kinds = [part.kind for part in parts]
-    said = []
+    sentences = []
     if plan.is_envelope:
         held = "the plane of the motion" if plan.slides == "plane" else "the axis of rotation"
         lost = "one more velocity" if len(parts) - len(geometry.sliding) == 2 else "two more velocities"
-        said.append(
+        sentences.append(
             f"The chain constrains {held} only. Like a wheel, the constraint also blocks {lost} of the "
             f"{child} at zero, which no chain of joints expresses."
         )
     if kinds:
-        said.append(
+        sentences.append(
             "The zero of the coordinates is arbitrary; it is the start of the recording, averaged over "
             "the poses."
         )
     if "hinge" in kinds or "slide" in kinds:
-        said.append("The sign of an axis is arbitrary; its largest component is positive.")
+        sentences.append("The sign of an axis is arbitrary; its largest component is positive.")
     if plan.slides == "plane":
-        said.append(
+        sentences.append(
             "The directions of the slides within the plane and the place of the hinge are arbitrary: the "
             f"first slide is the fastest identified axis, and the hinge is at the origin of the {child}."
         )
     elif kinds.count("slide") == 3 and kinds.count("hinge"):
-        said.append(f"The place of the hinge is arbitrary; it is at the origin of the {child} at zero.")
+        sentences.append(f"The place of the hinge is arbitrary; it is at the origin of the {child} at zero.")
     elif kinds.count("hinge") == 1:
-        said.append(
-            "Any point on this axis is equally valid; the given one is nearest to the origin of the "
+        sentences.append(
+            "Any point on this axis is equally valid; the given point is nearest to the origin of the "
             f"{child} at zero."
         )
     if plan.type == "screw" and geometry.pitch is not None:
         hand = "right" if geometry.pitch > 0 else "left"
         lead = 2e3 * np.pi * abs(geometry.pitch)
-        said.append(f"The {child} slides {lead:.4g} mm along the axis per turn; the thread is {hand}-handed.")
+        sentences.append(
+            f"The {child} slides {lead:.4g} mm along the axis per turn; the thread is {hand}-handed."
+        )
     if kinds and set(kinds) == {"slide"}:
-        said.append(f"Any point is equally valid; the origin of the {child} at zero is given.")
+        sentences.append(f"Any point is equally valid; the origin of the {child} at zero is given.")
     if not kinds:
-        said.append("The joint is fixed; its home pose is the mean of the recorded poses.")
-    return tuple(said)
+        sentences.append("The joint is fixed; its home pose is the mean of the recorded poses.")
+    return tuple(sentences)
 
 
 def _with_ranges(parts: Sequence[JointPart], coordinates: np.ndarray) -> tuple[JointPart, ...]:

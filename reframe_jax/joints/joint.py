@@ -8,8 +8,6 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.joints.chain import JointPart, chain_coordinates, chain_poses
 
-__all__ = ["Joint", "JointType"]
-
 JointType = Literal[
     "revolute",
     "continuous",
@@ -122,10 +120,10 @@ class Joint:
                 "gimbal lock."
             )
         parts = tuple(hinge for part in self.parts for hinge in (part.hinges or (part,)))
-        said = (
+        why = (
             "Three hinges through the centre replace the ball. The recorded range excludes their gimbal lock."
         )
-        return replace(self, parts=parts, gauge=(*self.gauge, said))
+        return replace(self, parts=parts, gauge=(*self.gauge, why))
 
     def _check_chain(self) -> None:
         if not self.is_chain:
@@ -138,11 +136,9 @@ class Joint:
             lines.append(f"  axis   {_vector(self.axis, 4)}")
         lines.append(f"  point  {_vector(self.point, 4)} m")
         for part in self.parts:
-            what, scale, unit = (
-                (part.kind, 1e3, "mm") if part.kind == "slide" else (part.kind, 57.29578, "deg")
-            )
+            scale, unit = (1e3, "mm") if part.kind == "slide" else (np.degrees(1.0), "deg")
             low, high = np.round([scale * part.low, scale * part.high], 1) + 0.0  # no negative zeros
-            lines.append(f"  {what:5}  {low:.1f} to {high:.1f} {unit}")
+            lines.append(f"  {part.kind:5}  {low:.1f} to {high:.1f} {unit}")
             if part.pitch:
                 lines.append(f"  pitch  {2e3 * np.pi * part.pitch:.4g} mm per turn")
         if self.is_chain:

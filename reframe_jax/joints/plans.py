@@ -6,13 +6,10 @@ from typing import Literal
 import numpy as np
 
 from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.located import parts_on_body
-from reframe_jax.constraints.types import AxisRelation, LinearType, relation_of_cosine
-from reframe_jax.joints.chain import PartKind
+from reframe_jax.constraints.located import fixed_on_body
+from reframe_jax.constraints.types import AxisRelation, LinearType, distinct_axis, relation_of_cosine
 from reframe_jax.joints.joint import JointType
 from reframe_jax.joints.universal import universal_axes
-
-__all__ = ["Geometry", "Plan", "frame_geometry", "joint_plans", "only_velocities", "relate_axes"]
 
 
 @dataclass(frozen=True)
@@ -51,10 +48,6 @@ class Geometry:
         mean: np.ndarray = np.mean(self.poses[:, :3, :3] @ direction, axis=0)
         return mean / np.linalg.norm(mean)
 
-    def hinge(self) -> np.ndarray:
-        """The single free rotation axis, which is fixed in both bodies, expressed in the ground."""
-        return self.in_ground(self.turning[0], self.angular_on_body)
-
     def centre(self) -> np.ndarray:
         """The origin of the linear frame in the ground, m: the mean over all poses if it is fixed in {b}."""
         if not self.point_on_body:
@@ -73,18 +66,16 @@ class Plan:
     Attributes:
         type: type of the joint.
         is_chain: False if every pose can be reached, or if two hinges do not fit the rotations.
-        turns: kind of the rotating part, or None.
         turns_first: whether the rotating parts precede the slides in the chain.
-        axis: (3,) in the ground, direction of the hinge, or of the first of two hinges.
+        axis: (3,) in the ground, direction of the hinge, or of the first of two hinges; None for a ball.
         second: (3,) in the child, direction of the second hinge.
         slides: directions of the slides: the free axes of the frame, along the hinge, in the plane normal to
             the hinge, or all of space.
-        is_envelope: whether the chain reaches the poses of the constraint but constrains fewer velocities.
+        is_envelope: as in :class:`Joint`.
     """
 
     type: JointType
     is_chain: bool = True
-    turns: PartKind | None = None
     turns_first: bool = False
     axis: np.ndarray | None = None
     second: np.ndarray | None = None
@@ -97,15 +88,11 @@ def frame_geometry(
 ) -> Geometry:
     """Make the :class:`Geometry` of a single frame and poses (K+1, 4, 4)."""
     angular, linear = np.asarray(frame.angular_axes, float).T, np.asarray(frame.linear_axes, float).T
-    free = np.asarray(frame.linear_dof, bool)
-    count = int(free.sum())
-    distinct = linear[free if count == 1 else ~free][0] if count in (1, 2) else None
-    on_body = np.asarray(parts_on_body(frame.angular_type, frame.linear_type))
-    turning = angular[np.asarray(frame.angular_dof, bool)]
-    position = np.asarray(frame.position, float)
-    angular_on_body, linear_on_body, point_on_body = map(bool, on_body)
-    moving = turning, linear[free], distinct, position
-    return Geometry(frame, poses, *moving, angular_on_body, linear_on_body, point_on_body, pitch, universal)
+    turning, sliding = angular[np.asarray(frame.angular_dof) == 1], linear[np.asarray(frame.linear_dof) == 1]
+    place = distinct_axis(frame.linear_dof)
+    distinct, position = None if place is None else linear[place], np.asarray(frame.position, float)
+    moving = turning, sliding, distinct, position
+    return Geometry(frame, poses, *moving, *fixed_on_body(frame), pitch, universal)
 
 
 def relate_axes(geometry: Geometry) -> AxisRelation | None:
@@ -119,52 +106,45 @@ def relate_axes(geometry: Geometry) -> AxisRelation | None:
 
 
 def joint_plans(geometry: Geometry) -> list[Plan]:
-    """Chains to fit to the poses; the one with the best fit becomes the joint."""
+    """Chains to fit to the poses; the chain with the best fit becomes the joint."""
     turns, slides = len(geometry.turning), len(geometry.sliding)
+    # slides come after the rotations if their axes are fixed in {b} and the origin is fixed in {g}
+    last = slides in (1, 2) and geometry.frame.linear_type == LinearType.BG
     if turns == 0:
         kinds: tuple[JointType, ...] = ("fixed", "prismatic", "general", "general")
         return [Plan(kinds[slides])]
     if turns == 1:
-        return _hinge_plans(geometry)
+        return _hinge_plans(geometry, last)
     if geometry.universal is not None:
-        first, second = geometry.universal
-        return [Plan("universal", turns="hinge", axis=first, second=second)]
-    kind: JointType = "general"
-    if slides == 0:
-        kind = "universal" if turns == 2 else "spherical"
+        return [Plan("universal", axis=geometry.universal[0], second=geometry.universal[1])]
     if slides == 3 and turns == 3:
         return [Plan("floating", is_chain=False)]
     if only_velocities(geometry):  # combinations of the free motions reach every pose
         return [Plan("general", is_chain=False)]
-    last = _slides_last(geometry)
     if turns == 3:
-        return [Plan(kind, turns="ball", turns_first=last)]
+        return [Plan("general" if slides else "spherical", turns_first=last)]
     normal = geometry.in_ground(np.cross(*geometry.turning), geometry.angular_on_body)
     first, second = universal_axes(geometry.poses[:, :3, :3], normal)
-    return [Plan(kind, turns="hinge", turns_first=last, axis=first, second=second)]
+    return [Plan("general" if slides else "universal", turns_first=last, axis=first, second=second)]
 
 
-def _hinge_plans(geometry: Geometry) -> list[Plan]:
-    """The chains of a constraint with one free rotation."""
-    axis, slides = geometry.hinge(), len(geometry.sliding)
+def _hinge_plans(geometry: Geometry, last: bool) -> list[Plan]:
+    """The chains of a constraint with one free rotation, whose axis is fixed in both bodies."""
+    axis, slides = geometry.in_ground(geometry.turning[0], geometry.angular_on_body), len(geometry.sliding)
     relation = relate_axes(geometry)
     if relation == AxisRelation.PARALLEL and geometry.distinct is not None:
-        # the identification has two estimates of the axis: from the rotations and from the translations
-        other = geometry.in_ground(geometry.distinct, geometry.linear_on_body)
-        both = axis, other
         if slides == 1 and geometry.pitch is not None:
-            return [Plan("screw", turns="hinge", axis=axis, slides="along")]
+            return [Plan("screw", axis=axis, slides="along")]
+        # the identification has two estimates of the axis: from the rotations and from the translations
+        both = axis, geometry.in_ground(geometry.distinct, geometry.linear_on_body)
         if slides == 1:
-            return [Plan("cylindrical", turns="hinge", axis=each, slides="along") for each in both]
-        return [Plan("planar", turns="hinge", axis=each, slides="plane") for each in both]
+            return [Plan("cylindrical", axis=each, slides="along") for each in both]
+        return [Plan("planar", axis=each, slides="plane") for each in both]
     if only_velocities(geometry):
         # a free translation that turns with the hinge covers a plane if it is normal to it, else all of space
-        reached: Literal["plane", "space"] = "space"
-        if slides == 1 and relation == AxisRelation.PERPENDICULAR:
-            reached = "plane"
-        return [Plan("general", turns="hinge", axis=axis, slides=reached, is_envelope=True)]
-    kind: JointType = "revolute" if slides == 0 else "general"
-    return [Plan(kind, turns="hinge", turns_first=_slides_last(geometry), axis=axis)]
+        plane = slides == 1 and relation == AxisRelation.PERPENDICULAR
+        return [Plan("general", axis=axis, slides="plane" if plane else "space", is_envelope=True)]
+    return [Plan("general" if slides else "revolute", turns_first=last, axis=axis)]
 
 
 def only_velocities(geometry: Geometry) -> bool:
@@ -175,8 +155,3 @@ def only_velocities(geometry: Geometry) -> bool:
     """
     some = len(geometry.sliding) in (1, 2)
     return some and geometry.frame.linear_type in (LinearType.BB, LinearType.GG)
-
-
-def _slides_last(geometry: Geometry) -> bool:
-    """Whether the slides come after the rotations in the chain: axes fixed in {b}, origin fixed in {g}."""
-    return len(geometry.sliding) in (1, 2) and geometry.frame.linear_type == LinearType.BG

@@ -2,8 +2,6 @@
 
 import numpy as np
 
-__all__ = ["universal_axes"]
-
 _STARTS = 8
 _STEPS = 40
 

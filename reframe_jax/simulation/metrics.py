@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.constraints.catalogue import lookup
+from reframe_jax.constraints.catalogue import Constraint, lookup
 from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.types import LinearType
+from reframe_jax.constraints.types import LinearType, distinct_axis
 from reframe_jax.geometry.products import apply, matmul
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification.results import Identification
@@ -31,14 +31,9 @@ class GeometryErrors:
     position: jax.Array
 
 
-def _distinct_axis(dof: tuple[int, int, int]) -> int | None:
-    """Index of the single free or single constrained axis."""
-    return dof.index(sum(dof) % 2) if sum(dof) in (1, 2) else None
-
-
 def _axis_error(rotvec: jax.Array, truth: jax.Array, dof: tuple[int, int, int]) -> jax.Array:
     """Angle between the true distinct axis and the frame's, which is its slowest or fastest axis."""
-    odd = _distinct_axis(dof)
+    odd = distinct_axis(dof)
     if odd is None:
         return jnp.full(rotvec.shape[:-1], jnp.nan, dtype=rotvec.dtype)
     found = rotation_exp(rotvec)[..., :, 2 if sum(dof) == 1 else 0]
@@ -71,10 +66,9 @@ def geometry_errors(
     entry = lookup(truth.linear_type, truth.angular_dof, truth.linear_dof)
     unique = (True, True, True) if entry is None else entry.position
     kept = [i for i in range(3) if unique[i]]
-    if entry is not None:
-        # the components of the catalogue refer to the order of axes in the catalogue
-        order = _matching_axes(entry.angular_dof, entry.linear_dof, truth)
-        kept = [order[i] for i in kept]
+    if entry is not None:  # find the true axis with the degrees of freedom of each axis of the catalogue
+        listed, true = _sorted_axes(entry), _sorted_axes(truth)
+        kept = [true[listed.index(i)] for i in kept]
     miss = position - jnp.broadcast_to(truth.position.astype(position.dtype), position.shape)
     axes = truth.linear_axes.astype(position.dtype)
     if start is not None:
@@ -92,16 +86,9 @@ def geometry_errors(
     )
 
 
-def _matching_axes(
-    angular: tuple[int, int, int], linear: tuple[int, int, int], truth: ConstraintFrame
-) -> tuple[int, ...]:
-    """For every axis of a catalogue entry, the index of a true axis with the same degrees of freedom."""
-    pairs = list(zip(truth.angular_dof, truth.linear_dof, strict=True))
-    order: list[int] = []
-    for wanted in zip(angular, linear, strict=True):
-        same = [i for i, pair in enumerate(pairs) if pair == wanted and i not in order]
-        order.append(same[0])
-    return tuple(order)
+def _sorted_axes(of: Constraint | ConstraintFrame) -> list[int]:
+    """Indices of the axes, sorted by their degrees of freedom."""
+    return sorted(range(3), key=lambda i: (of.angular_dof[i], of.linear_dof[i]))
 
 
 def types_correct(found: Identification, truth: ConstraintFrame, *, ties: bool = False) -> jax.Array:

@@ -13,7 +13,7 @@ from reframe_jax.geometry import rotations
 from reframe_jax.simulation.motions import PoseErrors, disturb
 from reframe_jax.simulation.synthetic import Excitation, simulate
 
-__all__ = ["SequenceSimulation", "simulate_sequence"]
+__all__ = ["SequenceSimulation", "each_duration", "simulate_sequence"]
 
 _REACH = 0.3  # m, half the width of the cube about the body in which origins of frames are drawn
 _NO_ERRORS = PoseErrors()
@@ -69,12 +69,7 @@ def simulate_sequence(
         ValueError: without constraints, or for a wrong number of durations.
         KeyError: for an unknown constraint.
     """
-    each = [durations] * len(constraints) if isinstance(durations, int | float) else list(durations)
-    if not constraints or len(each) != len(constraints):
-        raise ValueError(
-            "simulate_sequence needs constraints, and one duration or one per constraint; got "
-            f"{len(constraints)} constraints and {len(each)} durations."
-        )
+    each = each_duration(constraints, durations)
     *keys, error_key = jax.random.split(key, len(constraints) + 1)
     pose = jnp.eye(4, dtype=float)
     pieces, truths, boundaries = [pose[None]], [], [0]
@@ -96,6 +91,19 @@ def simulate_sequence(
         truths=tuple(truths),
         boundaries=tuple(boundaries[1:-1]),
     )
+
+
+def each_duration(
+    constraints: Sequence[str | ConstraintFrame], durations: float | Sequence[float]
+) -> list[float]:
+    """Return one duration per constraint; raise a ValueError without constraints, or for another number."""
+    each = [durations] * len(constraints) if isinstance(durations, int | float) else list(durations)
+    if not constraints or len(each) != len(constraints):
+        raise ValueError(
+            "A sequence needs constraints, and one duration or one per constraint; found "
+            f"{len(constraints)} constraints and {len(each)} durations."
+        )
+    return each
 
 
 def _place(label: str, key: jax.Array, pose: jax.Array) -> ConstraintFrame:

@@ -5,7 +5,7 @@ constraint in the ``"left"`` discretization only. The exact generator integrates
 as a real mechanism moves. The *excitation*: the paper's velocities make some constraints ambiguous. For E and
 F, the motion is a pure rotation about a point 0.2 m away; for I and J, other types fit equally well. Three
 incommensurate sines along every free axis make the true constraint the only optimum. The module
-:mod:`reframe_jax.simulation.motions` has hand-like motions with random geometry and the errors of trackers.
+:mod:`reframe_jax.simulation.motions` has the errors of trackers.
 """
 
 from collections.abc import Callable
@@ -16,26 +16,30 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.constraints import located
 from reframe_jax.constraints.catalogue import constraint as named
 from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.located import Frame
+from reframe_jax.constraints.located import Frame, body_twist, frame_arrays
 from reframe_jax.geometry import rotations, transforms
 from reframe_jax.geometry.products import apply, matmul
-from reframe_jax.simulation.excitations import EXCITATIONS, Excitation, exciting, paper_excitation
 
 __all__ = [
     "EXCITATIONS",
     "Excitation",
     "Simulation",
     "add_pose_noise",
-    "body_twist",
     "exciting",
     "paper_excitation",
     "pitch_of",
     "simulate",
 ]
 
+Excitation = Callable[[jax.Array], tuple[jax.Array, jax.Array]]
+"""Function of time (s) that returns angular and linear velocities, (3,) each, along the frames' axes."""
+
+_RATES = ((0.9, 2.9, 4.9), (1.4, 3.4, 5.4), (1.9, 3.9, 4.4))  # rad/s, by axis
+_LINEAR_RATE = 1.13  # ratio of linear to angular rates
+_ANGULAR_AMPLITUDE = 0.6  # rad/s, amplitude of each sine
+_LINEAR_AMPLITUDE = 0.15  # m/s, amplitude of each sine
 _PITCH = 0.05  # m/rad, default pitch of a screw
 _ROTATION_RATIO = 3.0  # rad/m, standard deviation of orientations to that of positions in the paper
 _SUBSTEPS = 4  # Runge-Kutta steps per sample; the error is below 1e-9 m at dt = 0.1 s
@@ -59,18 +63,38 @@ class Simulation:
     truth: ConstraintFrame
 
 
-def body_twist(frame: ConstraintFrame, pose: jax.Array, angular: jax.Array, linear: jax.Array) -> jax.Array:
-    """Body twist (6,) at a pose (4, 4), for velocities along the axes of a constraint frame.
+def paper_excitation(key: jax.Array, duration: float | jax.Array | None = None) -> Excitation:
+    """The velocities of the paper's section 5.1; ignores the key and the duration."""
+    del key, duration
 
-    Velocities along constrained axes are set to zero. ``angular`` (3,) is in rad/s along the angular axes,
-    ``linear`` (3,) the velocity of the origin along the linear axes, m/s.
-    """
-    return _frame_twist(located.frame_arrays(frame), pose, angular, linear)
+    def velocity(t: jax.Array) -> tuple[jax.Array, jax.Array]:
+        one = jnp.ones_like(t)
+        angular = jnp.stack([1 + jnp.sin(2 * t), -one, jnp.cos(3 * t)])
+        linear = jnp.stack([-one, jnp.cos(2 * t), jnp.sin(3 * t)])
+        return 0.5 * angular, 0.1 * linear
+
+    return velocity
 
 
-def _frame_twist(frame: Frame, pose: jax.Array, angular: jax.Array, linear: jax.Array) -> jax.Array:
-    wanted = frame.free * jnp.concatenate([angular, linear])
-    return located.body_twist(frame, pose[:3, :3], pose[:3, 3], wanted)
+def exciting(key: jax.Array, duration: float | jax.Array | None = None) -> Excitation:
+    """Three incommensurate sines along every axis, with random phases: 0.7 rad/s and 0.18 m/s RMS."""
+    del duration
+    phases = jax.random.uniform(key, (2, 3, 3), maxval=2 * jnp.pi, dtype=float)
+
+    def velocity(t: jax.Array) -> tuple[jax.Array, jax.Array]:
+        rates = jnp.asarray(_RATES, dtype=phases.dtype)
+        angular = jnp.sum(jnp.sin(rates * t + phases[0]), axis=-1)
+        linear = jnp.sum(jnp.sin(_LINEAR_RATE * rates * t + phases[1]), axis=-1)
+        return _ANGULAR_AMPLITUDE * angular, _LINEAR_AMPLITUDE * linear
+
+    return velocity
+
+
+EXCITATIONS: dict[str, Callable[[jax.Array, float | jax.Array], Excitation]] = {
+    "exciting": exciting,
+    "paper": paper_excitation,
+}
+"""Excitations by name: functions of a key and the duration (s) that return the velocities."""
 
 
 def simulate(
@@ -124,7 +148,7 @@ def simulate(
         raise ValueError(f"No excitation {excitation!r}. There are: {', '.join(EXCITATIONS)}.")
     first = jnp.eye(4, dtype=frame.position.dtype) if start is None else start
     phase_key, noise_key = jax.random.split(key)
-    arrays, steps = located.frame_arrays(frame), round(duration / dt)
+    arrays, steps = frame_arrays(frame), round(duration / dt)
     pitch = None if pitch is None else jnp.asarray(pitch, dtype=first.dtype)
     options = {"excitation": excitation, "exact": exact, "steps": steps}
     poses = _integrate(arrays, phase_key, first, dt, ease, pitch, **options)
@@ -157,7 +181,8 @@ def _integrate(
         angular, linear = velocity(t)
         linear = linear if pitch is None else pitch * angular
         fraction = _ease_factor(t, ease) * _ease_factor(steps * dt - t, ease)
-        return _frame_twist(frame, pose, fraction * angular, fraction * linear)
+        wanted = frame.free * fraction * jnp.concatenate([angular, linear])
+        return body_twist(frame, pose[:3, :3], pose[:3, 3], wanted)
 
     def advance(pose: jax.Array, t: jax.Array) -> tuple[jax.Array, jax.Array]:
         if not exact:

@@ -2,28 +2,16 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol
+from typing import Any, BinaryIO
 
 import numpy as np
-
-__all__ = ["NPZ", "PARQUET", "Codec"]
 
 _HEADER = "reframe_jax"
 
 
-class Codec(Protocol):
-    """A file format of parts; ``suffix`` is the suffix of its files."""
-
-    suffix: str
-
-    def write(self, file: Path, arrays: Mapping[str, np.ndarray], header: str) -> None:
-        """Write arrays and a header to a file."""
-
-    def read(self, stream: BinaryIO) -> tuple[dict[str, Any], str]:
-        """Read arrays and header from a file; raises the errors of the format for a damaged file."""
-
-
 class _Npz:
+    """One array of the archive per array, and one for the text."""
+
     suffix = ".npz"
 
     def write(self, file: Path, arrays: Mapping[str, np.ndarray], header: str) -> None:
@@ -70,6 +58,8 @@ class _Parquet:
 
 NPZ = _Npz()
 PARQUET = _Parquet()
+Codec = _Npz | _Parquet
+"""A file format of parts; reading raises the errors of the format for a damaged file."""
 
 
 def _to_arrow(arrow: Any, values: np.ndarray) -> Any:

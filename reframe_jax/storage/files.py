@@ -9,12 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-__all__ = ["check_place", "remove_leftovers", "write_whole"]
-
 _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{16}")
-_ABANDONED = (
-    3600.0  # s, age of an abandoned temporary file; larger than the clock differences between machines
-)
+_ABANDONED = 3600.0  # s, age of an abandoned file; larger than the clock differences between machines
 
 
 def write_whole(file: Path, write: Callable[[Path], Any]) -> None:
@@ -23,10 +19,10 @@ def write_whole(file: Path, write: Callable[[Path], Any]) -> None:
     temporary = file.with_name(f".{file.name}.{secrets.token_hex(8)}")
     try:
         write(temporary)
-        with temporary.open(
-            "rb+"
-        ) as written:  # the content must be on the disk before the rename, in case of a power failure
-            os.fsync(written.fileno())
+        with temporary.open("rb+") as written:
+            os.fsync(
+                written.fileno()
+            )  # the content must be on the disk before a power failure after the rename
         os.replace(temporary, file)
     finally:
         temporary.unlink(missing_ok=True)

@@ -4,8 +4,6 @@ import sys
 import time
 from collections.abc import Callable
 
-__all__ = ["Progress", "make_meter"]
-
 Progress = Callable[[int, int | None], None]
 """Function of the number of completed items and the total number (None if unknown)."""
 

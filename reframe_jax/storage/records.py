@@ -15,8 +15,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-__all__ = ["checksum", "describe", "describe_options"]
-
 _LISTED = 64  # longest array that is described by its numbers; longer arrays get a checksum
 _ROWS = 1024  # rows per hash step: windows overlap in memory, and a full copy may not fit
 
@@ -82,10 +80,8 @@ def _describe(value: Any, within: tuple[int, ...]) -> Any:
 
 def _describe_numbers(value: Any) -> Any:
     if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
-        return {
-            "key": str(jax.random.key_impl(value)),
-            "data": np.asarray(jax.random.key_data(value)).tolist(),
-        }
+        data = np.asarray(jax.random.key_data(value)).tolist()
+        return {"key": str(jax.random.key_impl(value)), "data": data}
     array = np.asarray(value)
     if array.size > _LISTED:
         return {"shape": list(array.shape), "checksum": checksum({"": array})}
@@ -103,12 +99,9 @@ def _describe_function(function: FunctionType, inner: Callable[[Any], Any]) -> d
     record: dict[str, Any] = {"function": f"{function.__module__}.{function.__qualname__}"}
     if function.__name__ == "<lambda>":  # many functions have this name
         code = function.__code__
-        parts = (
-            code.co_code,
-            repr(code.co_names),
-            repr([c for c in code.co_consts if not inspect.iscode(c)]),
-        )
-        record["code"] = hashlib.sha256(repr(parts).encode()).hexdigest()
+        constants = [constant for constant in code.co_consts if not inspect.iscode(constant)]
+        text = repr((code.co_code, code.co_names, constants))
+        record["code"] = hashlib.sha256(text.encode()).hexdigest()
     cells = []
     for cell in function.__closure__ or ():
         try:

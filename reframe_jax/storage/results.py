@@ -25,8 +25,6 @@ from reframe_jax.storage.parts import Run
 from reframe_jax.storage.progress import Progress, make_meter
 from reframe_jax.storage.records import checksum, describe_options
 
-__all__ = ["identify_many", "load_results"]
-
 _KIND = "results of identify_many"
 _UNIT = "windows"
 _LISTED = 8  # most missing parts in a message
@@ -53,8 +51,8 @@ def identify_many(
     Args:
         windows: (N, K+1, 4, 4) poses: an array, a memory-mapped array (``np.load(file, mmap_mode="r")``), a
             view from :func:`sliding_windows`, or any iterable of windows (K+1, 4, 4).
-        out: folder for the results, created if missing. It gets one Parquet file per part, and ``run.json``
-            with the options. Read the results with :func:`load_results`, or with any Parquet reader.
+        out: folder for the results, created if missing. It gets one Parquet file per part, which also records
+            the options. Read the results with :func:`load_results`, or with any Parquet reader.
         times: (K+1,) s, or (N, K+1) if the windows are an array.
         dt: sample time in s, a scalar, (K,), or (N, K) if the windows are an array.
         part_size: number of windows per part.
@@ -81,12 +79,12 @@ def identify_many(
     if part_size < 1:
         raise ValueError(f"part_size must be at least 1, not {part_size}.")
     source: Any = windows
-    total = len(source) if _is_array(source) else None
+    total = len(source) if hasattr(source, "shape") else None
     wanted = None if parts is None else set(_part_numbers(parts))
     _check_numbers(wanted, total, part_size)
     depends_on = describe_options(identify, options, without=("times", "dt"))
-    run = Run(Path(out), PARQUET, _KIND, _UNIT, {"part_size": part_size, **depends_on})
-    run.resume(total)
+    run = Run(Path(out), PARQUET, _KIND, {_UNIT: total, "part_size": part_size, **depends_on})
+    run.resume()
     report, rows, done, seen = make_meter(progress, _UNIT), _row_count(total, part_size, wanted), 0, 0
     # one thread computes and writes a part while this thread reads the next, so a kill loses one part at most
     with ThreadPoolExecutor(1) as worker:
@@ -105,8 +103,6 @@ def identify_many(
         if pending is not None:
             report(done + pending.result(), rows)
     _check_numbers(wanted, seen if total is None else total, part_size)
-    if run.parts:
-        run.finish(seen if total is None else total)
     return run.folder
 
 
@@ -115,8 +111,9 @@ def load_results(folder: str | Path, parts: Iterable[int] | None = None) -> Iden
 
     Args:
         folder: the folder given to :func:`identify_many`.
-        parts: numbers of the parts to load, by default all parts. Load a few parts at a time if the results
-            do not fit in memory.
+        parts: numbers of the parts to load, by default all parts; if the windows came from an iterator, whose
+            length is unknown, all parts in the folder. Load a few parts at a time if the results do not fit
+            in memory.
 
     Raises:
         ValueError: if the folder contains no results or results of another version, or if requested parts are
@@ -125,22 +122,20 @@ def load_results(folder: str | Path, parts: Iterable[int] | None = None) -> Iden
         ImportError: if pyarrow is missing.
     """
     PARQUET.library()
-    run = Run.open(Path(folder), PARQUET, _KIND, _UNIT)
-    stored = run.parts
-    wanted = _all_parts(run) if parts is None else _part_numbers(parts)
+    run = Run.open(Path(folder), PARQUET, _KIND)
+    stored, total = run.parts, run.options.get(_UNIT)
+    count = max(stored) + 1 if total is None else -(-total // run.options["part_size"])
+    wanted = list(range(count)) if parts is None else _part_numbers(parts)
     if not wanted:
         raise ValueError("parts must name at least one part to load.")
-    number, missing = _missing(wanted, stored)
-    if number:
+    missing = [number for number in wanted if number not in stored]
+    if missing:
         raise ValueError(
-            f"{folder} is incomplete: {number} parts are missing, {missing} among them. "
+            f"{folder} is incomplete: {len(missing)} parts are missing, {missing[:_LISTED]} among them. "
             "Run identify_many again."
         )
     loaded = [run.read(number) for number in wanted]
     columns: dict[str, Any] = {name: np.concatenate([part[name] for part in loaded]) for name in loaded[0]}
-    count = len(columns["status_code"])
-    if parts is None and run.total not in (None, count):
-        raise ValueError(f"{folder} has results of {count} windows; run.json says {run.total}.")
     try:
         found: Identification = _build(Identification, "", columns)
     except KeyError as error:
@@ -161,23 +156,6 @@ def _build(kind: Any, prefix: str, columns: dict[str, Any]) -> Any:
         elif name in columns or field.default is MISSING:
             values[field.name] = columns[name]
     return kind(**values)
-
-
-def _all_parts(run: Run) -> range:
-    """Numbers of all parts of a run; for an unfinished iterator, up to the last existing part."""
-    size = run.options.get("part_size")
-    if run.total is None or not isinstance(size, int) or size < 1:
-        return range(max(run.parts) + 1)
-    return range(-(-run.total // size))
-
-
-def _missing(wanted: range | list[int], stored: Mapping[int, Path]) -> tuple[int, list[int]]:
-    """The number of missing parts, and the first few; a range may be too long for a list."""
-    if isinstance(wanted, range):
-        number = wanted.stop - sum(part in wanted for part in stored)
-    else:
-        number = sum(part not in stored for part in wanted)
-    return number, list(islice((part for part in wanted if part not in stored), _LISTED))
 
 
 def _part_numbers(parts: Iterable[int]) -> list[int]:
@@ -226,16 +204,12 @@ def _identify(poses: Any, timing: dict[str, Any], options: Mapping[str, Any]) ->
         return jax.device_get(identify(poses, **timing, **options))
 
 
-def _is_array(windows: Any) -> bool:
-    return hasattr(windows, "shape")
-
-
 def _parts(windows: Any, size: int, wanted: set[int] | None) -> Iterator[tuple[int, np.ndarray]]:
     """Yield the number and the windows (size, K+1, 4, 4) of every part; the last part may be smaller.
 
     For an array, only the requested parts are yielded.
     """
-    if _is_array(windows):
+    if hasattr(windows, "shape"):
         for number in range(-(-len(windows) // size)):
             if wanted is None or number in wanted:
                 yield number, windows[number * size : (number + 1) * size]

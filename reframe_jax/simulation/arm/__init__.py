@@ -18,20 +18,19 @@ except (ImportError, AttributeError, RuntimeError, OSError) as error:
         "Install the libraries of this backend, set MUJOCO_GL to egl, osmesa or glfw, or unset it."
     ) from error
 
-from reframe_jax.simulation.arm.demonstration import (
-    SPREAD,
-    Demonstration,
-    demonstrate,
+from reframe_jax.simulation.arm.collection import (
     demonstrations,
-    frame_on_arm,
+    load_demonstrations,
+    store_demonstrations,
+    stored_demonstrations,
 )
+from reframe_jax.simulation.arm.demonstration import SPREAD, Demonstration, demonstrate, frame_on_arm
 from reframe_jax.simulation.arm.dynamics import Motion, arm_motion
 from reframe_jax.simulation.arm.guide import EXCITATIONS, Guide
 from reframe_jax.simulation.arm.imperfections import ENCODER_GRADE, MATCHED, REALISTIC, Imperfections
-from reframe_jax.simulation.arm.model import FR3, PANDA, ROBOTS, Arm, Link, arm_xml, forward_kinematics
+from reframe_jax.simulation.arm.model import FR3, PANDA, ROBOTS, Arm, forward_kinematics
+from reframe_jax.simulation.arm.rollout import RolloutStatus
 from reframe_jax.simulation.arm.sequences import SequenceDemonstration, demonstrate_sequence
-from reframe_jax.simulation.arm.status import RolloutStatus
-from reframe_jax.simulation.arm.store import load_demonstrations, store_demonstrations, stored_demonstrations
 
 __all__ = [
     "ENCODER_GRADE",
@@ -46,12 +45,10 @@ __all__ = [
     "Demonstration",
     "Guide",
     "Imperfections",
-    "Link",
     "Motion",
     "RolloutStatus",
     "SequenceDemonstration",
     "arm_motion",
-    "arm_xml",
     "demonstrate",
     "demonstrate_sequence",
     "demonstrations",

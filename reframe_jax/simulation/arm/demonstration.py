@@ -1,10 +1,8 @@
 """Simulate batches of demonstrations: a hand guides the arm under a constraint."""
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any, TypedDict, Unpack
+from dataclasses import dataclass
+from typing import Any, TypedDict
 
 import jax
 import jax.numpy as jnp
@@ -13,37 +11,19 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.compilation import index_leaves
 from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.located import Frame, frame_arrays, move_frame, place_frame
+from reframe_jax.constraints.located import frame_arrays, move_frame, place_frame
 from reframe_jax.geometry import rotations
-from reframe_jax.simulation.arm.checks import check_numbers
 from reframe_jax.simulation.arm.guide import EXCITATIONS, Guide
-from reframe_jax.simulation.arm.guided import Plan, at_rest, demonstration_keys, run_guided
-from reframe_jax.simulation.arm.imperfections import Imperfections
+from reframe_jax.simulation.arm.guided import Plan, demonstration_keys, record, run_guided
+from reframe_jax.simulation.arm.imperfections import Imperfections, check_numbers, compliance_of
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
-from reframe_jax.simulation.arm.redraw import draw_usable
-from reframe_jax.simulation.arm.rollout import Steps
-from reframe_jax.simulation.arm.status import RolloutStatus
+from reframe_jax.simulation.arm.rollout import RolloutStatus, Steps, Track, rollout_status
 from reframe_jax.simulation.synthetic import Excitation
-
-__all__ = [
-    "ORIGIN",
-    "SPREAD",
-    "DemonstrateOptions",
-    "Demonstration",
-    "check_demonstration",
-    "demonstrate",
-    "demonstrations",
-    "frame_on_arm",
-    "sampling",
-    "scatter",
-]
 
 SPREAD = (0.4, 0.02)
 """rad and m, standard deviations per component of a random geometry."""
 
-ORIGIN = (0.05, 0.02, -0.12)
-"""m, vector from the TCP at the start to the origin of a named constraint, in the axes of the base."""
-
+_ORIGIN = (0.05, 0.02, -0.12)  # m, from the TCP to the origin of a named constraint, in the axes of the base
 _LONGEST = 0.01  # s, longest step at which the simulation keeps the constraint
 
 
@@ -122,9 +102,9 @@ def frame_on_arm(
     front of the TCP, like the tip of a tool or the axis of a joint at this distance.
 
     Args:
-        constraint: label or name of one of the twelve, or a frame.
+        constraint: label or name of the catalogue, or a frame.
         arm: the robot.
-        start: (7,) rad; the arm's home by default.
+        start: (..., 7) rad; the arm's home by default.
 
     Raises:
         KeyError: for an unknown constraint.
@@ -133,13 +113,13 @@ def frame_on_arm(
     if isinstance(constraint, ConstraintFrame):
         return constraint
     if not isinstance(constraint, str):
-        raise ValueError(f"constraint must be a label, a name or a ConstraintFrame, not {constraint!r}.")
+        raise ValueError(f"A constraint must be a label, a name or a ConstraintFrame, not {constraint!r}.")
     arm = find_arm(arm)
     joints = arm.start(start, float)
     rotation, position = forward_kinematics(joints, arm)
-    frame = ConstraintFrame.named(constraint)
-    axes = jnp.eye(3, dtype=joints.dtype)
-    return place_frame(frame, axes, position + jnp.asarray(ORIGIN, dtype=joints.dtype), rotation, position)
+    axes, offset = (jnp.asarray(part, dtype=joints.dtype) for part in (np.eye(3), _ORIGIN))
+    axes, offset = jnp.broadcast_to(axes, rotation.shape), jnp.broadcast_to(offset, position.shape)
+    return place_frame(ConstraintFrame.named(constraint), axes, position + offset, rotation, position)
 
 
 def demonstrate(
@@ -194,22 +174,43 @@ def demonstrate(
     arm = find_arm(arm)
     check_demonstration(batch, first, excitation, spread, guide, imperfections, start)
     steps = sampling(duration, dt, step)
-    frame = frame_on_arm(constraint, arm, start=None if start is None or np.ndim(start) == 2 else start)
-    dtype = frame.position.dtype
-    joints = arm.start(start, dtype)
-    for name in ("angular_rotvec", "linear_rotvec", "position"):
-        if getattr(frame, name).shape not in ((3,), (batch, 3)):
-            shape = getattr(frame, name).shape
-            raise ValueError(f"{name} of the constraint must have shape (3,) or ({batch}, 3), not {shape}.")
+    frame = frame_on_arm(constraint, arm, start=start)
+    joints = jnp.broadcast_to(arm.start(start, frame.position.dtype), (batch, 7))
     numbers = jnp.asarray(first + np.arange(batch), dtype=jnp.uint32)
-    joints = jnp.broadcast_to(joints, (batch, 7))
-    frame = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (batch, 3)), frame)
-    arrays = frame_arrays(frame)
-    if any(np.ravel(spread)):
-        frame, arrays = scatter(frame, key, numbers, joints, spread, arm)
-    plan = Plan(steps, dt, excitation, arm)
-    made = run_guided(arrays, key, numbers, at_rest(joints), guide, imperfections, plan=plan)
-    return Demonstration(truth=frame, **made)
+    frame = scatter(frame, key, numbers, joints, spread, arm)
+    endless, at_rest = jnp.asarray(jnp.inf, dtype=joints.dtype), jnp.zeros_like(joints)
+    options = guide, imperfections
+    plan = Plan(steps, excitation, arm)
+    track = run_guided(frame_arrays(frame), key, numbers, joints, at_rest, endless, *options, plan=plan)
+    poses, exact = record(track.joints, key, numbers, imperfections, arm=arm)
+    times = dt * jnp.arange(steps.samples + 1, dtype=joints.dtype)
+    return assemble(track, frame, times, poses, exact, imperfections, arm)
+
+
+def assemble(
+    track: Track,
+    truth: ConstraintFrame,
+    times: jax.Array,
+    poses: jax.Array,
+    exact: jax.Array,
+    imperfections: Imperfections,
+    arm: Arm,
+) -> Demonstration:
+    """Assemble a batch of demonstrations, and compute their status."""
+    compliance = compliance_of(imperfections, track.joints.dtype)
+    margin, status = rollout_status(track, frame_arrays(truth).free, compliance, arm)
+    return Demonstration(
+        times=times,
+        poses=poses,
+        exact_poses=exact,
+        joint_positions=track.joints,
+        joint_velocities=track.velocity,
+        truth=truth,
+        reaction=track.force,
+        slip=track.slip,
+        limit_margin=margin,
+        status_code=status,
+    )
 
 
 def check_demonstration(
@@ -257,59 +258,21 @@ def scatter(
     joints: jax.Array,
     spread: tuple[float, float],
     arm: Arm,
-) -> tuple[ConstraintFrame, Frame]:
-    """Rotate and shift the geometry (N, 3) of each demonstration at random, about the TCP."""
-    size = jnp.asarray(spread, dtype=joints.dtype)
-    arrays, angular, linear = _place(frame_arrays(frame), key, numbers, joints, size, arm)
-    return replace(frame, angular_rotvec=angular, linear_rotvec=linear, position=arrays.position), arrays
-
-
-@partial(jax.jit, static_argnames="arm")
-def _place(
-    frame: Frame, key: jax.Array, numbers: jax.Array, start: jax.Array, spread: jax.Array, arm: Arm
-) -> tuple[Frame, jax.Array, jax.Array]:
-    """Frames with a random rotation and shift, and the rotation vectors (N, 3) of both frames."""
-
-    def place(frame: Frame, key: jax.Array, start: jax.Array) -> Frame:
-        turn, shift = spread[:, None] * jax.random.normal(key, (2, 3), start.dtype)
-        return move_frame(frame, rotations.rotation_exp(turn), shift, *forward_kinematics(start, arm))
-
-    there = jax.vmap(place)(frame, demonstration_keys(key, numbers)[:, 0], start)
-    rotvecs = rotations.rotation_log(jnp.stack([there.angular_axes, there.linear_axes]))
-    return there, rotvecs[0], rotvecs[1]
-
-
-def demonstrations(
-    constraint: str | ConstraintFrame,
-    key: jax.Array,
-    count: int,
-    *,
-    chunk: int = 64,
-    redraw: bool = True,
-    progress: Callable[[int, int], None] | None = None,
-    **options: Unpack[DemonstrateOptions],
-) -> Iterator[Demonstration]:
-    """Generate any number of demonstrations on the host, in chunks that are compiled once.
-
-    Args:
-        constraint: as in :func:`demonstrate`, with one geometry (3,) for all demonstrations, before
-            ``spread``.
-        key: JAX random key.
-        count: number of demonstrations.
-        chunk: number of demonstrations per simulation call.
-        redraw: whether to replace demonstrations whose status is not OK.
-        progress: function to call after every chunk, with the number of completed demonstrations and
-            ``count``.
-        options: options of :func:`demonstrate`.
+) -> ConstraintFrame:
+    """Give each demonstration a geometry (N, 3), with randomly turned axes and a randomly shifted origin.
 
     Raises:
-        ValueError: if more than 9 in 10 demonstrations are unusable.
+        ValueError: for a geometry that is neither (3,) nor (N, 3).
     """
-
-    def draw(number: int) -> tuple[Demonstration, np.ndarray]:
-        made = jax.device_get(demonstrate(constraint, key, batch=chunk, first=number * chunk, **options))
-        return made, made.status_code if redraw else np.zeros_like(made.status_code)
-
-    for drawn in draw_usable(draw, count, chunk, progress=progress):
-        if len(drawn.good):
-            yield drawn.batch[drawn.good]
+    batch = len(numbers)
+    for name in ("angular_rotvec", "linear_rotvec", "position"):
+        shape = getattr(frame, name).shape
+        if shape not in ((3,), (batch, 3)):
+            raise ValueError(f"{name} of the constraint must have shape (3,) or ({batch}, 3), not {shape}.")
+    frame = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (batch, 3)), frame)
+    if not any(np.ravel(spread)):
+        return frame
+    keys, dtype = demonstration_keys(key, numbers)[:, 0], joints.dtype
+    random = jax.vmap(lambda key: jax.random.normal(key, (2, 3), dtype))(keys)
+    turn, shift = jnp.moveaxis(jnp.asarray(spread, dtype=dtype)[None, :, None] * random, 1, 0)
+    return move_frame(frame, rotations.rotation_exp(turn), shift, forward_kinematics(joints, arm)[0])

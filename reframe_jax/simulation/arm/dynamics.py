@@ -15,7 +15,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 
 with contextlib.redirect_stdout(io.StringIO()):  # MJX prints the names of missing optional packages
@@ -27,9 +26,7 @@ with contextlib.redirect_stdout(io.StringIO()):  # MJX prints the names of missi
         mjx_scan = None
 
 from reframe_jax.constraints.located import multiply
-from reframe_jax.simulation.arm.model import PANDA, Arm, arm_xml
-
-__all__ = ["Motion", "arm_motion", "solve_positive"]
+from reframe_jax.simulation.arm.model import PANDA, Arm
 
 
 @jax.tree_util.register_dataclass
@@ -93,8 +90,7 @@ def fence_levels() -> Iterator[None]:
 @cache
 def _mjx_parts(arm: Arm) -> tuple[Any, Any, int]:
     """MJX model and data in double precision, as NumPy arrays for any trace, and the index of the TCP."""
-    model = mujoco.MjModel.from_xml_string(arm_xml(arm))
-    model.opt.gravity[:] = 0
+    model = arm.model
     with jax.ensure_compile_time_eval(), jax.enable_x64(True), _allow_mixing():
         parts = mjx.put_model(model, impl="jax"), mjx.make_data(model, impl="jax")
         return *jax.tree.map(np.asarray, parts), model.site("tcp").id
@@ -148,31 +144,13 @@ def arm_motion(joints: jax.Array, velocity: jax.Array, arm: Arm = PANDA) -> Moti
 
 
 def solve_positive(matrix: jax.Array, right: jax.Array) -> jax.Array:
-    """Solve A X = B, (n, m), for a symmetric positive definite A (n, n), with n up to about 7.
+    """Solve A X = B, (n, m), for a symmetric positive definite A (n, n), by Gauss and Jordan.
 
-    For a batch of small matrices, library calls cost more than the arithmetic. This unrolled Cholesky
-    factorization is vectorized over the batch.
+    For a batch of small matrices, library calls cost more than the arithmetic; these elementwise operations
+    are vectorized over the batch.
     """
-    size = matrix.shape[0]
-    lower: list[list[jax.Array]] = []
-    for i in range(size):
-        row: list[jax.Array] = []
-        for j in range(i + 1):
-            value = matrix[i, j]
-            for k in range(j):
-                value = value - row[k] * (row[k] if j == i else lower[j][k])
-            row.append(jnp.sqrt(value) if j == i else value / lower[j][j])
-        lower.append(row)
-    forward: list[jax.Array] = []
-    for i in range(size):
-        value = right[i]
-        for k in range(i):
-            value = value - lower[i][k] * forward[k]
-        forward.append(value / lower[i][i])
-    solution: list[jax.Array] = [right[0]] * size
-    for i in reversed(range(size)):
-        value = forward[i]
-        for k in range(i + 1, size):
-            value = value - lower[k][i] * solution[k]
-        solution[i] = value / lower[i][i]
-    return jnp.stack(solution)
+    both = jnp.concatenate([matrix, right], axis=1)
+    for i in range(len(matrix)):
+        row = both[i] / both[i, i]
+        both = (both - both[:, i, None] * row[None]).at[i].set(row)
+    return both[:, len(matrix) :]

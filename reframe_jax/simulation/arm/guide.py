@@ -7,20 +7,19 @@ on the time step of its simulation.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from reframe_jax.constraints.located import Frame, ground_twist, locate
-from reframe_jax.geometry import rotations, symmetric, transforms
+from reframe_jax.geometry import rotations, transforms
 from reframe_jax.geometry.products import apply, matmul
 from reframe_jax.simulation import synthetic
-from reframe_jax.simulation.arm.checks import as_numbers
 from reframe_jax.simulation.arm.dynamics import Motion
+from reframe_jax.simulation.arm.imperfections import as_numbers
 from reframe_jax.simulation.synthetic import Excitation
-
-__all__ = ["EXCITATIONS", "Guide", "Hand", "find_excitation", "guide_drive", "make_hand", "stop_at"]
 
 _RATES = ((1.4, 4.4), (2.4, 5.4), (3.4, 6.4))  # rad/s, by axis; 5 s distinguish these rates
 _LINEAR_RATE = 1.13  # ratio of linear to angular rates
@@ -66,31 +65,14 @@ def _ease(t: jax.Array) -> jax.Array:
     return s**3 * (10 - 15 * s + 6 * s**2)
 
 
-def exciting(key: jax.Array, free: jax.Array) -> Excitation:
-    """Two sines along every free axis, with different rates and random phases, within reach of the arm.
-
-    The RMS velocity is 0.4 rad/s with three free rotations, 0.5 rad/s with one, and 0.1 m/s. The displacement
-    is at most 0.45 rad and 0.1 m from the start. A single free rotation turns further, because only the
-    curvature of its path reveals the position of a pin. The function takes the most even of four draws of the
-    phases. ``free`` (6,) is 1 for free axes: three angular axes, then three linear axes.
-    """
-    return _sines(key, free, *_ONE_TURN)
-
-
-def brisk(key: jax.Array, free: jax.Array) -> Excitation:
-    """Like ``exciting``, but a single free rotation turns as fast as in the paper's Table 4.
-
-    The RMS velocity is 0.75 to 0.9 rad/s and the rotation up to 0.7 rad from the start. The rates are at most
-    the 2 and 3 rad/s of the paper's experimenter. A hinge then often takes the arm to its limits, which the
-    status of the demonstration reports.
-    """
-    return _sines(key, free, *_BRISK_TURN)
-
-
 def _sines(
     key: jax.Array, free: jax.Array, one_rates: tuple[float, float], one_turning: tuple[float, float]
 ) -> Excitation:
-    """Two sines along every free axis, with given rates and amplitudes (rad/s) for a single free rotation."""
+    """Two sines along every free axis, with different rates and random phases, within reach of the arm.
+
+    ``one_rates`` and ``one_turning`` are the rates and amplitudes (rad/s) of a single free rotation. The
+    function takes the most even of four draws of the phases.
+    """
     draws = jax.random.uniform(key, (_DRAWS, 2, 3, 2), free.dtype, maxval=2 * jnp.pi)
     free = free.reshape(2, 3)
     # the first free axis, angular or linear, has the lowest rate and the largest displacement
@@ -126,17 +108,12 @@ def _most_even_phases(draws: jax.Array, rates: jax.Array, free: jax.Array) -> ja
     velocity = velocity * free[None, :, :, None]
     covariance = jnp.mean(velocity[:, :, :, None] * velocity[:, :, None], axis=-1)
     still = (1 - free)[:, :, None] * jnp.eye(3, dtype=free.dtype)[None]  # constrained axes do not count
-    slowest = symmetric.eigh(symmetric.from_matrix(covariance + still[None]))[0][0]
+    slowest = jnp.linalg.eigvalsh(covariance + still[None])[..., 0]
     best = jnp.argmax(slowest, axis=0)
     return jnp.take_along_axis(draws, best[None, :, None, None], axis=0)[0]
 
 
-def paper(key: jax.Array, free: jax.Array) -> Excitation:
-    """The velocities of the paper's section 5.1, with a smooth start.
-
-    They rotate by 2.5 rad about y and shift by 0.5 m along x in 5 s. Under most constraints, this motion
-    exceeds the reach of the arm, which the status of the demonstration reports.
-    """
+def _paper(key: jax.Array, free: jax.Array) -> Excitation:
     del free
     velocity = synthetic.paper_excitation(key)
 
@@ -148,17 +125,25 @@ def paper(key: jax.Array, free: jax.Array) -> Excitation:
 
 
 EXCITATIONS: dict[str, Callable[[jax.Array, jax.Array], Excitation]] = {
-    "exciting": exciting,
-    "brisk": brisk,
-    "paper": paper,
+    "exciting": partial(_sines, one_rates=_ONE_TURN[0], one_turning=_ONE_TURN[1]),
+    "brisk": partial(_sines, one_rates=_BRISK_TURN[0], one_turning=_BRISK_TURN[1]),
+    "paper": _paper,
 }
+"""Excitations by name: functions of a key and the free axes (6,), which are 1 for free axes.
+
+``"exciting"`` moves with an RMS velocity of 0.1 m/s, 0.4 rad/s with three free rotations and 0.5 rad/s with
+one, up to 0.1 m and 0.45 rad from the start. A single free rotation turns further, because only the curvature
+of its path reveals the position of a pin. ``"brisk"`` turns a single free rotation as fast as in the paper's
+Table 4: 0.75 to 0.9 rad/s RMS, up to 0.7 rad, with rates up to the 2 and 3 rad/s of the paper's experimenter.
+A hinge then often takes the arm to its limits, which the status reports. ``"paper"`` has the velocities of
+the paper's section 5.1, with a smooth start: it turns by 2.5 rad about y and shifts by 0.5 m along x in 5 s,
+which exceeds the reach of the arm under most constraints.
+"""
 
 
 def find_excitation(excitation: str | Excitation, key: jax.Array, free: jax.Array) -> Excitation:
     """Return a named excitation for a key and the free axes (6,); return a function unchanged."""
-    if not isinstance(excitation, str):
-        return excitation
-    return EXCITATIONS[excitation](key, free)
+    return EXCITATIONS[excitation](key, free) if isinstance(excitation, str) else excitation
 
 
 def stop_at(end: jax.Array, excitation: Excitation) -> Excitation:
@@ -172,39 +157,19 @@ def stop_at(end: jax.Array, excitation: Excitation) -> Excitation:
     return velocity
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Hand:
-    """A random hand.
-
-    Attributes:
-        offset: (6,) rad and m, twist from the correct pose of the tool to the target pose of the hand.
-        phases: (6, n) rad, phases of the tremor.
-    """
-
-    offset: jax.Array
-    phases: jax.Array
-
-
-def make_hand(guide: Guide, key: jax.Array, dtype: Any) -> Hand:
-    """Draw a random hand."""
-    offset_key, phase_key = jax.random.split(key)
-    guide = as_numbers(guide, dtype)
-    offset = jnp.stack([guide.angular_misalignment] * 3 + [guide.misalignment] * 3)
-    phases = jax.random.uniform(phase_key, (6, len(_TREMOR_RATES)), dtype, maxval=2 * jnp.pi)
-    return Hand(offset * jax.random.normal(offset_key, (6,), dtype), phases)
-
-
 def guide_drive(
-    guide: Guide, hand: Hand, frame: Frame, excitation: Excitation, step: float
+    guide: Guide, key: jax.Array, frame: Frame, excitation: Excitation, step: float
 ) -> Callable[[jax.Array, jax.Array, Motion, Any], tuple[jax.Array, jax.Array]]:
-    """The drive of a guided demonstration; its state is the target pose (4, 4) of the tool."""
-    dtype = hand.offset.dtype
+    """The drive of a demonstration by a random hand; its state is the target pose (4, 4) of the tool."""
+    dtype = frame.position.dtype
     guide = as_numbers(guide, dtype)
+    offset_key, phase_key = jax.random.split(key)
+    offset = jnp.stack([guide.angular_misalignment] * 3 + [guide.misalignment] * 3)
+    aside = transforms.pose_exp(offset * jax.random.normal(offset_key, (6,), dtype))
     rates = jnp.asarray(_TREMOR_RATES, dtype=dtype)
+    phases = jax.random.uniform(phase_key, (6, len(_TREMOR_RATES)), dtype, maxval=2 * jnp.pi)
     size = jnp.stack([guide.angular_tremor] * 3 + [guide.tremor] * 3)
     size = size * (2 / len(_TREMOR_RATES)) ** 0.5  # scale the sum of sines to the given RMS
-    aside = transforms.pose_exp(hand.offset)
 
     def drive(pose: jax.Array, t: jax.Array, motion: Motion, located: Any) -> tuple[jax.Array, jax.Array]:
         rotation, position = pose[:3, :3], pose[:3, 3]
@@ -215,7 +180,7 @@ def guide_drive(
         lag = twist - motion.twist
         moment = guide.angular_stiffness * rotations.vee(apart) + guide.angular_damping * lag[:3]
         force = guide.stiffness * (goal[:3, 3] - motion.position) + guide.damping * lag[3:]
-        tremor = size * jnp.sum(jnp.sin((rates * t)[None] + hand.phases), axis=-1)
+        tremor = size * jnp.sum(jnp.sin((rates * t)[None] + phases), axis=-1)
         wrench = jnp.concatenate([moment, force]) + _ease(t) * tremor
         # in body axes, because the exponential map takes a body twist
         turned = jnp.concatenate([apply(rotation.T, twist[:3]), apply(rotation.T, twist[3:])])

@@ -1,15 +1,33 @@
 """Errors of the robot and its sensors: the differences between a recording and the true motion."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from reframe_jax.compilation import traced
 from reframe_jax.geometry import transforms
-from reframe_jax.simulation.arm.checks import as_numbers
 from reframe_jax.simulation.arm.model import Arm, forward_kinematics
 
-__all__ = ["ENCODER_GRADE", "MATCHED", "REALISTIC", "Imperfections", "measure"]
+
+def as_numbers(tree: Any, dtype: Any) -> Any:
+    """Convert every number of a pytree to an array of a dtype."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=dtype), tree)
+
+
+def check_numbers(given: Any, kind: type) -> None:
+    """Check that an argument is a dataclass of non-negative numbers; traced values are not checked.
+
+    Raises:
+        ValueError: for another type, or for a negative number or NaN, with the name of the field.
+    """
+    if not isinstance(given, kind):
+        raise ValueError(f"Expected {kind.__name__}(...), not {given!r}.")
+    for name, value in vars(given).items():
+        if not traced(value) and not np.all(np.asarray(value) >= 0):
+            raise ValueError(f"{name} of {kind.__name__} must not be negative or nan; found {value}.")
 
 
 @jax.tree_util.register_dataclass
@@ -49,15 +67,14 @@ the Panda or up to 75 mrad/s on the FR3.
 """
 
 
-def measure(joints: jax.Array, what: Imperfections, key: jax.Array, arm: Arm) -> jax.Array:
-    """Simulate the poses (K+1, 4, 4), m, that the robot records.
+def compliance_of(imperfections: Imperfections, dtype: Any) -> jax.Array:
+    """Compliance (6,) rad/(N m) and m/N along the axes of a constraint."""
+    given = as_numbers(imperfections, dtype)
+    return jnp.stack([given.angular_compliance] * 3 + [given.compliance] * 3)
 
-    Args:
-        joints: (K+1, 7) rad, true joint positions.
-        what: the imperfections.
-        key: JAX random key of the noise.
-        arm: the robot.
-    """
+
+def measure(joints: jax.Array, what: Imperfections, key: jax.Array, arm: Arm) -> jax.Array:
+    """Simulate the poses (K+1, 4, 4), m, that the robot records at true joint positions (K+1, 7), rad."""
     given = as_numbers(what, joints.dtype)
     noise = jax.random.normal(jax.random.split(key)[0], joints.shape, joints.dtype)
     read = joints + given.encoder_noise * noise

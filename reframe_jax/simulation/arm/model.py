@@ -9,51 +9,17 @@ Frames: {g} is the robot's base, x forward, z up; {b} is the tool centre point (
 fingertips, z out of the hand. Metres, kilograms, radians.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 from jax.typing import DTypeLike
 from numpy.typing import ArrayLike
 
 from reframe_jax.geometry.numpy_rotations import quaternions_to_matrices
-
-__all__ = ["FR3", "PANDA", "ROBOTS", "Arm", "Link", "arm_xml", "find_arm", "forward_kinematics"]
-
-Vector = tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class Link:
-    """A rigid link and its joint, which turns about the link's z axis.
-
-    Attributes:
-        position: m, origin in the frame of the previous link.
-        quaternion: (w, x, y, z), orientation in the frame of the previous link; normalization is not needed.
-        mass: kg.
-        centre: m, centre of mass in the link's frame.
-        inertia: kg m^2, about the centre of mass: Ixx, Iyy, Izz, Ixy, Ixz, Iyz.
-        limits: rad, range of the joint.
-        speed: rad/s, highest joint velocity.
-        armature: kg m^2, rotor inertia seen at the joint.
-        damping: N m s/rad, viscous friction of the joint in guiding mode.
-        capsule: m, ends and radius of the drawn shape.
-    """
-
-    position: Vector
-    quaternion: tuple[float, float, float, float]
-    mass: float
-    centre: Vector
-    inertia: tuple[float, float, float, float, float, float]
-    limits: tuple[float, float] = (0.0, 0.0)
-    speed: float = 0.0
-    armature: float = 0.0
-    damping: float = 0.0
-    capsule: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -64,37 +30,43 @@ class Arm:
 
     Attributes:
         name: name of the robot.
-        links: the seven moving links, base to flange.
-        hand: the hand and the tool, fixed to the last link.
-        tcp: m, the tool centre point {b} in the hand's frame.
+        xml: MJCF document. The bodies are link1 to link7 and hand; the joints are joint1 to joint7, about the
+            z axes of the links; the sites are flange and tcp.
         home: (7,) rad, a configuration far from joint limits: the tool points down, and the TCP can move by
             0.15 m and turn by 0.5 rad with a margin of 0.29 rad to every joint limit.
+        speed: (7,) rad/s, highest joint velocities.
     """
 
     name: str
-    links: tuple[Link, ...]
-    hand: Link
-    tcp: Vector = (0.0, 0.0, 0.1034)
+    xml: str
     home: tuple[float, ...] = (0.0, -0.55, 0.0, -2.15, 0.0, 1.6, 0.785)
+    speed: tuple[float, ...] = (2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61)
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The compiled model, without gravity; do not change it."""
+        return _compile_model(self)
 
     @property
     def limits(self) -> np.ndarray:
         """(2, 7) rad, lower and upper joint limits."""
-        return np.array([link.limits for link in self.links]).T
+        return self.model.jnt_range.T
 
     @property
     def damping(self) -> np.ndarray:
-        """(7,) N m s/rad."""
-        return np.array([link.damping for link in self.links])
-
-    @property
-    def speed(self) -> np.ndarray:
-        """(7,) rad/s, highest joint velocities."""
-        return np.array([link.speed for link in self.links])
+        """(7,) N m s/rad, viscous friction of the joints in guiding mode."""
+        return self.model.dof_damping
 
     def start(self, joints: ArrayLike | None, dtype: DTypeLike) -> jax.Array:
         """Convert joint positions (..., 7), rad, to an array; None gives the home configuration."""
         return jnp.asarray(self.home if joints is None else joints, dtype=dtype)
+
+
+@cache
+def _compile_model(arm: Arm) -> mujoco.MjModel:
+    model = mujoco.MjModel.from_xml_string(arm.xml)
+    model.opt.gravity[:] = 0
+    return model
 
 
 # rows: origin of a link in the previous one, quaternion (w, x, y, z), ends and radius of the drawn capsule
@@ -107,15 +79,6 @@ _FRAMES = """
 0       0      0      1  1 0 0  0 0  0     0.088   0    0     0.045
 0.088   0      0      1  1 0 0  0 0  0.03  0       0    0.107 0.04
 """
-_SPEEDS = (2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61)
-_HAND = Link(
-    position=(0, 0, 0.107),
-    quaternion=(np.cos(np.pi / 8), 0, 0, -np.sin(np.pi / 8)),
-    mass=0.73,
-    centre=(-0.01, 0, 0.03),
-    inertia=(0.001, 0.0025, 0.0017, 0, 0, 0),
-)
-
 # rows: mass, centre of mass, joint limits; and Ixx Iyy Izz Ixy Ixz Iyz about the centre of mass
 _PANDA_BODIES = """
 4.970684 0.003875 0.002081 -0.04762 -2.8973 2.8973
@@ -157,42 +120,44 @@ _FR3_INERTIAS = """
 """
 
 
-def _matrix(quaternion: Sequence[float]) -> np.ndarray:
-    """Rotation matrix (3, 3) from a quaternion (w, x, y, z), which need not be normalized."""
-    unit = np.asarray(quaternion, dtype=float) / np.linalg.norm(quaternion)
-    return quaternions_to_matrices(np.roll(unit, -1))
+_GHOST = 'contype="0" conaffinity="0" mass="0"'
 
 
-def _rows(text: str) -> np.ndarray:
-    """The numbers of a table with a row per link."""
-    return np.array(text.split(), dtype=float).reshape(7, -1)
-
-
-def _links(bodies: str, inertias: str, armature: Sequence[float], damping: float) -> tuple[Link, ...]:
-    links = []
-    tables = (_rows(_FRAMES), _rows(bodies), _rows(inertias))
-    for frame, body, inertia, speed, rotor in zip(*tables, _SPEEDS, armature, strict=True):
+def _make_xml(name: str, bodies: str, inertias: str, armature: list[float], damping: float) -> str:
+    """Write the MJCF document of an arm from tables with one row per link."""
+    opening = ""
+    tables = (table.strip().splitlines() for table in (_FRAMES, bodies, inertias))
+    for number, (*rows, rotor) in enumerate(zip(*tables, armature, strict=True), start=1):
+        frame, body, inertia = (row.split() for row in rows)
+        texts = (frame[:3], frame[3:7], frame[7:13], body[1:4], body[4:])
+        origin, turn, ends, centre, limits = map(" ".join, texts)
+        moments = f'fullinertia="{" ".join(inertia)}"'
         if len(inertia) == 7:  # principal moments and their axes
-            axes = _matrix(inertia[3:])
-            full = axes @ np.diag(inertia[:3]) @ axes.T
-            inertia = full[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-        position, quaternion, capsule = _tuples(frame, 3, 7)
-        (mass,), centre, limits = _tuples(body, 1, 4)
-        (moments,) = _tuples(inertia)
-        link = Link(position, quaternion, mass, centre, moments, limits, speed, rotor, damping, capsule)
-        links.append(link)
-    return tuple(links)
+            moments = f'diaginertia="{" ".join(inertia[:3])}" quat="{" ".join(inertia[3:])}"'
+        opening += (
+            f'<body name="link{number}" pos="{origin}" quat="{turn}">'
+            f'<inertial mass="{body[0]}" pos="{centre}" {moments}/>'
+            f'<joint name="joint{number}" axis="0 0 1" range="{limits}" damping="{damping}" '
+            f'armature="{rotor}"/>'
+            f'<geom type="capsule" fromto="{ends}" size="{frame[13]}" rgba=".9 .9 .9 1" {_GHOST}/>'
+        )
+    return (
+        f'<mujoco model="{name}"><compiler angle="radian" autolimits="true"/>'
+        f'<option timestep="0.01" integrator="Euler"><flag contact="disable" limit="disable"/></option>'
+        f'<worldbody><light pos="1 -1 2" dir="-1 1 -2"/>'
+        f'<geom type="cylinder" size=".07 .07" pos="0 0 .07" rgba=".9 .9 .9 1" {_GHOST}/>{opening}'
+        f'<body name="hand" pos="0 0 0.107" euler="0 0 {-np.pi / 4}">'
+        f'<inertial mass="0.73" pos="-0.01 0 0.03" diaginertia="0.001 0.0025 0.0017"/>'
+        f'<geom type="box" size=".02 .1 .03" pos="0 0 .03" rgba=".3 .3 .3 1" {_GHOST}/>'
+        f'<site name="flange"/><site name="tcp" pos="0 0 0.1034"/></body>'
+        f"{'</body>' * 7}</worldbody></mujoco>"
+    )
 
 
-def _tuples(row: np.ndarray, *places: int) -> list[Any]:
-    """Split a row at places, into tuples of numbers."""
-    return [tuple(part.tolist()) for part in np.split(row, places)]
-
-
-PANDA = Arm("panda", _links(_PANDA_BODIES, _PANDA_INERTIAS, [0.1] * 7, 0.5), _HAND)
+PANDA = Arm("panda", _make_xml("panda", _PANDA_BODIES, _PANDA_INERTIAS, [0.1] * 7, 0.5))
 """The Franka Panda, with the low armature and damping of guiding mode."""
 
-FR3 = Arm("fr3", _links(_FR3_BODIES, _FR3_INERTIAS, [0.195] * 4 + [0.074] * 3, 0.21), _HAND)
+FR3 = Arm("fr3", _make_xml("fr3", _FR3_BODIES, _FR3_INERTIAS, [0.195] * 4 + [0.074] * 3, 0.21))
 """The Franka Research 3, the robot of the paper."""
 
 ROBOTS: dict[str, Arm] = {arm.name: arm for arm in (PANDA, FR3)}
@@ -207,56 +172,18 @@ def find_arm(arm: str | Arm) -> Arm:
     return ROBOTS[arm]
 
 
-def _text(values: Sequence[float]) -> str:
-    return " ".join(f"{float(value):.17g}" for value in values)
-
-
-def arm_xml(arm: Arm = PANDA) -> str:
-    """Write the arm as an MJCF document.
-
-    The bodies are link1 to link7 and hand; the joints are joint1 to joint7; the sites are flange and tcp.
-    """
-    ghost = 'contype="0" conaffinity="0" mass="0"'
-    opening = ""
-    for number, link in enumerate(arm.links, start=1):
-        opening += (
-            f'<body name="link{number}" pos="{_text(link.position)}" quat="{_text(link.quaternion)}">'
-            f'<inertial mass="{link.mass}" pos="{_text(link.centre)}" fullinertia="{_text(link.inertia)}"/>'
-            f'<joint name="joint{number}" axis="0 0 1" range="{_text(link.limits)}" '
-            f'damping="{link.damping}" armature="{link.armature}"/>'
-        )
-        if link.capsule:
-            ends, radius = _text(link.capsule[:6]), link.capsule[6]
-            opening += f'<geom type="capsule" fromto="{ends}" size="{radius}" rgba=".9 .9 .9 1" {ghost}/>'
-    hand = arm.hand
-    opening += (
-        f'<body name="hand" pos="{_text(hand.position)}" quat="{_text(hand.quaternion)}">'
-        f'<inertial mass="{hand.mass}" pos="{_text(hand.centre)}" fullinertia="{_text(hand.inertia)}"/>'
-        f'<geom type="box" size=".02 .1 .03" pos="0 0 .03" rgba=".3 .3 .3 1" {ghost}/>'
-        f'<site name="flange"/><site name="tcp" pos="{_text(arm.tcp)}"/></body>'
-    )
-    return (
-        f'<mujoco model="{arm.name}"><compiler angle="radian" autolimits="true"/>'
-        f'<option timestep="0.01" integrator="Euler"><flag contact="disable" limit="disable"/></option>'
-        f'<worldbody><light pos="1 -1 2" dir="-1 1 -2"/>'
-        f'<geom type="cylinder" size=".07 .07" pos="0 0 .07" rgba=".9 .9 .9 1" {ghost}/>'
-        f"{opening}{'</body>' * len(arm.links)}</worldbody></mujoco>"
-    )
-
-
 @cache
-def link_transforms(arm: Arm) -> tuple[np.ndarray, np.ndarray]:
+def _link_transforms(arm: Arm) -> tuple[np.ndarray, np.ndarray]:
     """Rotations (8, 3, 3) and positions (8, 3), m, of the links and of {b} in their parents."""
-    parts = (*arm.links, arm.hand)
-    rotations = np.stack([_matrix(part.quaternion) for part in parts])
-    positions = np.array([part.position for part in parts], dtype=float)
-    positions[-1] += rotations[-1] @ np.asarray(arm.tcp)
+    rotations = quaternions_to_matrices(np.roll(arm.model.body_quat[1:], -1, axis=1))
+    positions = arm.model.body_pos[1:].copy()
+    positions[-1] += rotations[-1] @ arm.model.site("tcp").pos
     return rotations, positions
 
 
 def link_poses(joints: jax.Array, arm: Arm) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Origins (..., 7, 3), m, of the links, and rotation and position of {b} in {g} (forward_kinematics)."""
-    fixed, offset = (jnp.asarray(part, dtype=joints.dtype) for part in link_transforms(arm))
+    fixed, offset = (jnp.asarray(part, dtype=joints.dtype) for part in _link_transforms(arm))
     batch = joints.shape[:-1]
     fixed, offset = (jnp.broadcast_to(part, (*batch, *part.shape)) for part in (fixed, offset))
     rotation, position = fixed[..., 0, :, :], offset[..., 0, :]

@@ -13,11 +13,9 @@ import mujoco
 import numpy as np
 
 from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.located import Located, frame_arrays, locate_on_host
+from reframe_jax.constraints.located import frame_arrays, locate_on_host
 from reframe_jax.geometry.transforms import make_pose
-from reframe_jax.simulation.arm.model import PANDA, Arm, arm_xml, find_arm, forward_kinematics
-
-__all__ = ["RenderError", "film_frames", "save_film"]
+from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
 
 _FREE = (0.0, 0.45, 0.70, 1.0)
 _CONSTRAINED = (0.84, 0.37, 0.0, 1.0)
@@ -66,13 +64,14 @@ def film_frames(
     """
     arm = find_arm(arm)
     joints = np.asarray(joints, dtype=float)
-    model = mujoco.MjModel.from_xml_string(arm_xml(arm).replace("<worldbody>", _SCENE))
+    model = mujoco.MjModel.from_xml_string(arm.xml.replace("<worldbody>", _SCENE))
     data = mujoco.MjData(model)
     camera = mujoco.MjvCamera()
     camera.lookat[:], camera.distance, camera.azimuth, camera.elevation = (0.25, 0, 0.36), 1.35, 135, -18
     rotations, positions = forward_kinematics(jnp.asarray(joints), arm)
-    poses = list(zip(np.asarray(rotations), np.asarray(positions), strict=True))
-    located = None if truth is None else _locate(truth, np.asarray(make_pose(rotations, positions)))
+    path = np.asarray(positions)
+    frame = None if truth is None else frame_arrays(jax.tree.map(jnp.asarray, truth))
+    located = None if frame is None else locate_on_host(frame, np.asarray(make_pose(rotations, positions)))
     renderer = _renderer(model, size)
     pictures = []
     try:
@@ -80,12 +79,11 @@ def film_frames(
             data.qpos[:7] = row
             mujoco.mj_forward(model, data)
             renderer.update_scene(data, camera)
-            for before, after in pairwise(poses[: number + 1]):
-                _bar(renderer.scene, before[1], after[1], 0.003, _PATH)
-            if truth is not None and located is not None:
-                _draw_frame(
-                    renderer.scene, truth, jax.tree.map(lambda a, i=number: a[i], located), poses[number]
-                )
+            for before, after in pairwise(path[: number + 1]):
+                _bar(renderer.scene, before, after, 0.003, _PATH)
+            if truth is not None:
+                there = jax.tree.map(lambda leaf, i=number: leaf[i], located)
+                _draw_frame(renderer.scene, truth, there, path[number])
             pictures.append(renderer.render())
     finally:
         renderer.close()
@@ -107,12 +105,12 @@ def save_film(path: str | Path, pictures: np.ndarray, *, rate: float = 20.0) -> 
             from PIL import Image
 
             # one palette for all pictures and no dithering, so that static parts do not flicker
-            palette = _palette(pictures[:: max(1, len(pictures) // 4)])
-            first, *rest = [
-                Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
-                for picture in pictures
-            ]
-            first.save(path, save_all=True, append_images=rest, duration=round(1000 / rate), loop=0)
+            some = np.concatenate(pictures[:: max(1, len(pictures) // 4)])
+            palette = Image.fromarray(some).quantize(256, Image.Quantize.MAXCOVERAGE)
+            no_dither = Image.Dither.NONE
+            frames = [Image.fromarray(each).quantize(palette=palette, dither=no_dither) for each in pictures]
+            options: dict[str, Any] = {"append_images": frames[1:], "duration": round(1000 / rate), "loop": 0}
+            frames[0].save(path, save_all=True, **options)
         else:
             import imageio
 
@@ -121,22 +119,6 @@ def save_film(path: str | Path, pictures: np.ndarray, *, rate: float = 20.0) -> 
         raise RenderError(
             f"{path.suffix} films need: pip install 'reframe-jax[render]' ({error})."
         ) from error
-
-
-def _palette(pictures: np.ndarray) -> Any:
-    """Palette of 256 colours for pictures (..., 3), with some colours for the few coloured pixels."""
-    from PIL import Image
-
-    pixels = pictures.reshape(-1, 3)
-    coloured = np.ptp(pixels, axis=-1) > 40
-    colours: list[int] = []
-    for some, count in ((pixels[coloured], 96), (pixels[~coloured], 160)):
-        if len(some):
-            image = Image.fromarray(some[None]).quantize(count, method=Image.Quantize.MEDIANCUT)
-            colours += (image.getpalette() or [])[: 3 * count]
-    palette = Image.new("P", (1, 1))
-    palette.putpalette(colours)
-    return palette
 
 
 def _renderer(model: mujoco.MjModel, size: tuple[int, int]) -> Any:
@@ -162,23 +144,16 @@ _NO_OPENGL = (
 )
 
 
-def _locate(truth: ConstraintFrame, poses: np.ndarray) -> Located:
-    """Locate the frame at every pose (K, 4, 4), in the ground, on the host."""
-    return locate_on_host(frame_arrays(jax.tree.map(jnp.asarray, truth)), poses)
-
-
-def _draw_frame(scene: Any, truth: ConstraintFrame, located: Any, pose: Any) -> None:
-    origin = pose[1] + located.lever
-    _bar(scene, pose[1], origin, 0.006, _TOOL)
-    for i, free in enumerate(truth.linear_dof):
-        axis = _LENGTH * located.linear_axes[:, i]
+def _draw_frame(scene: Any, truth: ConstraintFrame, located: Any, place: np.ndarray) -> None:
+    """Draw a frame, located while the TCP is at a place (3,), and a rod from the TCP to its origin."""
+    origin = place + located.lever
+    _bar(scene, place, origin, 0.006, _TOOL)
+    for axis, free in zip(_LENGTH * located.linear_axes.T, truth.linear_dof, strict=True):
         _bar(scene, origin - axis, origin + axis, 0.004, _FREE if free else _CONSTRAINED)
-    for i, free in enumerate(truth.angular_dof):
+    for axis, free in zip(0.002 * located.angular_axes.T, truth.angular_dof, strict=True):
         if free:
-            axis = 0.002 * located.angular_axes[:, i]
-            _bar(
-                scene, origin - axis, origin + axis, 0.045, (*_FREE[:3], 0.35), mujoco.mjtGeom.mjGEOM_CYLINDER
-            )
+            disc = mujoco.mjtGeom.mjGEOM_CYLINDER
+            _bar(scene, origin - axis, origin + axis, 0.045, (*_FREE[:3], 0.35), disc)
 
 
 def _bar(

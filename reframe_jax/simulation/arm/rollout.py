@@ -1,4 +1,4 @@
-"""Integrate constrained motions of the arm, for demonstrations and reproductions.
+"""Integrate constrained motions of the arm, and check whether the real robot could execute them.
 
 The constraint is solved exactly at every step. With the equations of motion M dv/dt + c = tau + J_c^T f,
 J_c = A(T) J, the axial velocities u = J_c v at the end of a step h obey, axis by axis,
@@ -17,6 +17,8 @@ accurate to second order in h. The friction of the joints is implicit.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import IntEnum
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -26,10 +28,10 @@ from reframe_jax.constraints.located import Frame, Located, locate, multiply, sl
 from reframe_jax.simulation.arm.dynamics import Motion, arm_motion, solve_positive
 from reframe_jax.simulation.arm.model import Arm, forward_kinematics
 
-__all__ = ["AxisLaw", "Steps", "Track", "hold", "integrate"]
-
 RELAXATION = 0.03
 """s, time constant with which a constrained axis returns; also the ratio of damping to stiffness."""
+
+_SLIPPED = (5e-4, 5e-5)  # rad and m, largest slip of a rigid axis; valid rollouts reach half of it
 
 
 @jax.tree_util.register_dataclass
@@ -37,10 +39,7 @@ RELAXATION = 0.03
 class AxisLaw:
     """The law along each of the six axes: u = -(offset + softness f) where ``acts`` is 1, f = 0 elsewhere.
 
-    Attributes:
-        acts: (6,) 0 or 1.
-        offset: (6,) rad/s or m/s.
-        softness: (6,) rad/s per N m, or m/s per N; zero or positive.
+    All arrays are (6,): ``offset`` in rad/s or m/s, ``softness`` in rad/s per N m or m/s per N.
     """
 
     acts: jax.Array
@@ -78,13 +77,7 @@ class Track:
 
 
 class Steps(NamedTuple):
-    """Samples of a rollout, and the steps between them.
-
-    Attributes:
-        samples: number K of samples after the first.
-        substeps: steps from one sample to the next.
-        length: s, length of a step.
-    """
+    """Number K of samples after the first, steps from one sample to the next, and length of a step, s."""
 
     samples: int
     substeps: int
@@ -106,17 +99,11 @@ def integrate(
     *,
     velocity: jax.Array | None = None,
 ) -> Track:
-    """Integrate the motion of the arm under a constraint.
+    """Integrate the motion of the arm under the constraint of one rollout.
 
-    Args:
-        arm: the robot.
-        frame: the constraint of one rollout.
-        start: (7,) rad, initial joint positions.
-        drive: function that returns the joint torques; called once per step, at the middle of the step.
-        state: initial state of the drive.
-        law: function from the slip of the axes to their laws.
-        steps: samples, and steps between samples.
-        velocity: (7,) rad/s, initial joint velocities, which must obey the constraint; zero by default.
+    The drive, with an initial state, returns the joint torques once per step, at the middle of the step.
+    ``law`` is a function from the slip (6,) of the axes to their laws. The motion starts at joint positions
+    (7,), rad, with joint velocities (7,), rad/s, which must obey the constraint; zero by default.
     """
     dtype, step = start.dtype, steps.length
     damping = jnp.asarray(arm.damping, dtype=dtype)
@@ -152,3 +139,59 @@ def integrate(
     carry = (start, velocity, zero, locate(frame, *forward_kinematics(start, arm)), state, zero)
     _, track = jax.lax.scan(sample, carry, jnp.arange(steps.samples))
     return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), observe(carry), track)
+
+
+class RolloutStatus(IntEnum):
+    """Outcome of a rollout."""
+
+    OK = 0
+    SPEED_LIMIT = 1
+    JOINT_LIMIT = 2
+    SLIPPED = 3
+    SINGULAR = 4
+    DIVERGED = 10
+
+    @property
+    def message(self) -> str:
+        """Explanation of the outcome."""
+        return _MESSAGES[self]
+
+
+_MESSAGES = {
+    RolloutStatus.OK: "The robot can execute the motion.",
+    RolloutStatus.SPEED_LIMIT: "A joint exceeded its speed limit.",
+    RolloutStatus.JOINT_LIMIT: "A joint left its range: move the constraint, or reduce the motion.",
+    RolloutStatus.SLIPPED: (
+        "The rigid constraint was violated: the arm came near a singular configuration, or moved too fast "
+        "for the time step."
+    ),
+    RolloutStatus.SINGULAR: "The arm stopped in a singular configuration: the goal is out of reach.",
+    RolloutStatus.DIVERGED: "The simulation diverged: use a shorter time step, or a softer hand.",
+}
+
+
+@partial(jax.jit, static_argnames="arm")
+def rollout_status(
+    track: Track, free: jax.Array, compliance: jax.Array, arm: Arm
+) -> tuple[jax.Array, jax.Array]:
+    """Compute the smallest margins to a joint limit (N,), rad, and the status (N,) of N rollouts.
+
+    ``free`` (6,) or (N, 6) is 1 for free axes, ``compliance`` (6,), rad/(N m) and m/N, is 0 for rigid axes.
+    """
+    dtype = track.joints.dtype
+    lower, upper = jnp.asarray(arm.limits, dtype=dtype)[:, None, None]
+    margin = jnp.min(jnp.minimum(track.joints - lower, upper - track.joints), axis=(1, 2))
+    fast = jnp.any(jnp.abs(track.velocity) > jnp.asarray(arm.speed, dtype=dtype)[None, None], axis=(1, 2))
+    held = jnp.max(jnp.abs(track.slip), axis=1) * (1 - free)
+    bound = jnp.asarray([_SLIPPED[0]] * 3 + [_SLIPPED[1]] * 3, dtype=dtype)
+    slipped = jnp.any(held > jnp.where(compliance > 0, jnp.inf, bound)[None], axis=1)
+    finite = jnp.all(jnp.isfinite(track.joints), axis=(1, 2))
+    status = jnp.full(margin.shape, RolloutStatus.OK, dtype=jnp.int32)
+    for wrong, code in (
+        (fast, RolloutStatus.SPEED_LIMIT),
+        (margin < 0, RolloutStatus.JOINT_LIMIT),
+        (slipped, RolloutStatus.SLIPPED),
+        (~finite, RolloutStatus.DIVERGED),
+    ):
+        status = jnp.where(wrong, jnp.int32(code), status)
+    return margin, status

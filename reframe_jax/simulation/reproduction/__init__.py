@@ -6,21 +6,21 @@ identified frame. An inexact frame causes reaction forces along the true constra
 the baseline: its reaction forces come from the inertia and friction of the arm only.
 """
 
-from reframe_jax.simulation.reproduction.comparison import Comparison, compare, matched_choices
+from reframe_jax.simulation.reproduction.comparison import (
+    LITERATURE_ERRORS,
+    Comparison,
+    compare,
+    erroneous_frames,
+    matched_choices,
+)
 from reframe_jax.simulation.reproduction.controllers import (
     Controller,
     axis_impedance,
     constant_wrench,
     hybrid,
 )
-from reframe_jax.simulation.reproduction.frames import (
-    LITERATURE_ERRORS,
-    ROOMY,
-    control_frames,
-    erroneous_frames,
-)
 from reframe_jax.simulation.reproduction.sequences import SequenceTrial, reproduce_sequence
-from reframe_jax.simulation.reproduction.trials import Task, Trials, reproduce
+from reframe_jax.simulation.reproduction.trials import ROOMY, Task, Trials, control_frames, reproduce
 
 __all__ = [
     "LITERATURE_ERRORS",

@@ -1,5 +1,6 @@
 """Compare reproductions in true, erroneous and identified frames: the paper's Figure 5."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -10,23 +11,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.located import Frame, frame_arrays, locate, to_fixed_body
+from reframe_jax.constraints.located import Frame, frame_arrays, locate, move_frame
+from reframe_jax.geometry import rotations
 from reframe_jax.geometry.products import apply
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.entry import identify
 from reframe_jax.identification.results import Identification
 from reframe_jax.simulation import metrics
-from reframe_jax.simulation.arm.checks import check_numbers
+from reframe_jax.simulation.arm.collection import draw_usable
 from reframe_jax.simulation.arm.demonstration import SPREAD, Demonstration, demonstrate
-from reframe_jax.simulation.arm.imperfections import REALISTIC, Imperfections
+from reframe_jax.simulation.arm.imperfections import REALISTIC, Imperfections, check_numbers
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
-from reframe_jax.simulation.arm.redraw import draw_usable
 from reframe_jax.simulation.reproduction.controllers import Controller, constant_wrench
-from reframe_jax.simulation.reproduction.frames import ROOMY, control_frames, erroneous_frames
-from reframe_jax.simulation.reproduction.trials import Task, Trials, reproduce
+from reframe_jax.simulation.reproduction.trials import ROOMY, Task, Trials, control_frames, reproduce
 from reframe_jax.simulation.synthetic import Excitation
 
-__all__ = ["Comparison", "compare", "matched_choices"]
+LITERATURE_ERRORS = ((0.5, 5.0), (1.0, 7.5))
+"""Ranges of the errors reported for methods with prior knowledge, degrees and mm (paper, section 7.2)."""
 
 
 @jax.tree_util.register_dataclass
@@ -125,10 +126,12 @@ def compare(
         return (made, exact), np.maximum(made.status_code, exact.status_code)
 
     parts: list[tuple[Demonstration, Trials]] = []
+    drawn = 0
     subject = "tasks are within the arm's reach"
-    for drawn in draw_usable(draw, trials, chunk, subject=subject, progress=progress):
-        made, exact = drawn.batch
-        parts.append((made[drawn.good], exact[drawn.good]))
+    for (made, exact), good in draw_usable(draw, trials, chunk, subject=subject, progress=progress):
+        parts.append((made[good], exact[good]))
+        drawn += chunk
+    drawn += int(good[-1]) + 1 - chunk  # without the draws after the last one that was needed
     times = made.times
     made, exact = jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)), *parts)
     made, exact = (replace(part, times=jnp.asarray(times)) for part in (made, exact))
@@ -140,17 +143,46 @@ def compare(
         exact=exact,
         literature=run(made.truth, erroneous_frames(made.truth, error_key, arm=arm, start=task.start)),
         identified=run(made.truth, matched_choices(found, made.truth, arm=arm, start=task.start)),
-        redrawn=jnp.asarray(drawn.first + int(drawn.good[-1]) + 1 - trials),
+        redrawn=jnp.asarray(drawn - trials),
         errors=jnp.stack(
             [jnp.degrees(errors.angular), jnp.degrees(errors.linear), 1e3 * errors.position], axis=-1
         ),
     )
 
 
+def erroneous_frames(
+    truth: ConstraintFrame,
+    key: jax.Array,
+    *,
+    angles: tuple[float, float] = LITERATURE_ERRORS[0],
+    distances: tuple[float, float] = LITERATURE_ERRORS[1],
+    arm: str | Arm = PANDA,
+    start: ArrayLike = ROOMY,
+) -> ConstraintFrame:
+    """Rotate and shift frames (N) by errors with random directions and uniformly distributed sizes.
+
+    The ranges of ``angles`` are in degrees, of ``distances`` in mm. The errors apply at the joint positions
+    ``start`` (7,), rad.
+    """
+    dtype, count, arm = truth.position.dtype, truth.position.shape[0], find_arm(arm)
+    rotation = forward_kinematics(arm.start(start, dtype), arm)[0]
+
+    def draw(key: jax.Array, low: float, high: float) -> jax.Array:
+        way, size = jax.random.split(key)
+        direction = jax.random.normal(way, (count, 3), dtype)
+        length = jax.random.uniform(size, (count, 1), dtype, low, high)
+        return length * direction / jnp.linalg.norm(direction, axis=-1, keepdims=True)
+
+    turn_key, shift_key = jax.random.split(key)
+    turns = rotations.rotation_exp(draw(turn_key, *(math.radians(angle) for angle in angles)))
+    shifts = draw(shift_key, *(distance / 1e3 for distance in distances))
+    return move_frame(truth, turns, shifts, jnp.broadcast_to(rotation, turns.shape))
+
+
 def matched_choices(
     found: Identification, truth: ConstraintFrame, *, arm: str | Arm = PANDA, start: ArrayLike = ROOMY
 ) -> Frame:
-    """Return the identified frames (N), with arbitrary origins and axes replaced by those of the truth.
+    """Return the identified frames (N), with true origins and axes in place of arbitrary origins and axes.
 
     The replaced origins and axes agree with the truth at the joint positions ``start`` (7,), rad.
     """
@@ -161,7 +193,7 @@ def matched_choices(
 
     def move(frame: Frame, true: Frame, free: jax.Array) -> Frame:
         away = locate(true, *pose).lever - locate(frame, *pose).lever
-        away = to_fixed_body(away, frame.on_body[2], pose[0])
+        away = jnp.where(frame.on_body[2], apply(pose[0].T, away), away)
         turns = jnp.all(frame.free[:3] > 0)
         return replace(
             frame,

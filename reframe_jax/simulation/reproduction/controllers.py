@@ -12,8 +12,6 @@ from reframe_jax.constraints.located import Frame, Located, locate, slip, twist_
 from reframe_jax.geometry.products import apply
 from reframe_jax.simulation.arm.dynamics import Motion
 
-__all__ = ["Controller", "Pair", "axis_impedance", "by_axis", "constant_wrench", "control_drive", "hybrid"]
-
 Pair = tuple[float | jax.Array, float | jax.Array]
 
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import jax
 import numpy as np
@@ -14,9 +13,6 @@ from reframe_jax.simulation.arm.model import PANDA, Arm
 from reframe_jax.simulation.reproduction.controllers import Controller, constant_wrench
 from reframe_jax.simulation.reproduction.trials import Task, Trials, reproduce
 
-__all__ = ["SequenceTrial", "reproduce_sequence"]
-
-_Frame = TypeVar("_Frame", bound=Identification | ConstraintFrame)
 _TASK = Task()
 
 
@@ -79,14 +75,8 @@ def reproduce_sequence(
     for truth, frame in zip(truths, control, strict=True):
         if stages:
             task = replace(task, start=tuple(float(q) for q in stages[-1].joint_positions[-1]))
-        one = reproduce(
-            _batch_of_one(truth),
-            _batch_of_one(frame),
-            controller=controller,
-            task=task,
-            arm=arm,
-            compliance=compliance,
-        )
+        pair = jax.tree.map(lambda leaf: leaf[None], (truth, frame))
+        one = reproduce(*pair, controller=controller, task=task, arm=arm, compliance=compliance)
         stages.append(one[0])
         if not bool(stages[-1].completed):
             break
@@ -104,8 +94,3 @@ def _identified(found: Segmentation) -> list[Identification]:
     if any(one is None for one in each):
         raise ValueError("A segment is too short to identify, so it has no control frame.")
     return [one for one in each if one is not None]
-
-
-def _batch_of_one(frame: _Frame) -> _Frame:
-    batch: _Frame = jax.tree.map(lambda leaf: leaf[None], frame)
-    return batch

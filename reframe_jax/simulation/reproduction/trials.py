@@ -10,24 +10,32 @@ import numpy as np
 
 from reframe_jax.compilation import index_leaves
 from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.located import Frame, frame_arrays, locate
-from reframe_jax.geometry import rotations, transforms
-from reframe_jax.geometry.products import apply, matmul
+from reframe_jax.constraints.located import Frame, assemble_frame, frame_arrays, locate
+from reframe_jax.geometry import transforms
+from reframe_jax.geometry.products import apply
 from reframe_jax.identification.results import Identification
-from reframe_jax.simulation.arm.checks import as_numbers
 from reframe_jax.simulation.arm.demonstration import sampling
+from reframe_jax.simulation.arm.dynamics import arm_motion
+from reframe_jax.simulation.arm.imperfections import as_numbers
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
-from reframe_jax.simulation.arm.rollout import AxisLaw, Steps, hold, integrate
-from reframe_jax.simulation.arm.status import RolloutStatus, rollout_status
+from reframe_jax.simulation.arm.rollout import (
+    AxisLaw,
+    RolloutStatus,
+    Steps,
+    hold,
+    integrate,
+    rollout_status,
+)
 from reframe_jax.simulation.reproduction.controllers import (
     Controller,
     by_axis,
     constant_wrench,
     control_drive,
 )
-from reframe_jax.simulation.reproduction.frames import ROOMY, control_frames
 
-__all__ = ["Task", "Trials", "reproduce"]
+ROOMY = (0.0, -0.7, 0.0, -2.35, 0.0, 1.65, 0.785)
+"""rad, initial joint positions of tasks: closer to the base than home, so that no task stretches the arm."""
+
 
 _ARRIVED = 2e-3  # rad or m, largest distance from the end-stop of an axis that has arrived
 _SINGULAR = 0.01  # smallest singular value of the Jacobian, in rad and m, below which the arm is singular
@@ -91,6 +99,23 @@ class Trials:
         """Select trials; a single index removes the batch axis."""
         parts = {name: value for name, value in vars(self).items() if name != "times"}
         return Trials(self.times, **index_leaves(parts, index))
+
+
+def control_frames(found: Identification | ConstraintFrame | Frame) -> Frame:
+    """Return control frames with the batch axes of ``found``; types may vary in a batch of results."""
+    if isinstance(found, Frame):
+        return found
+    if isinstance(found, ConstraintFrame):
+        return frame_arrays(found)
+    return assemble_frame(
+        found.angular.type_code,
+        found.linear.type_code,
+        angular_axes=found.angular.axes,
+        linear_axes=found.linear.axes,
+        position=found.linear.position,
+        angular_dof=found.angular.dof,
+        linear_dof=found.linear.dof,
+    )
 
 
 def reproduce(
@@ -209,8 +234,5 @@ def _reproduce(
 
 def _least_gain(joints: jax.Array, arm: Arm) -> jax.Array:
     """Smallest singular value of the Jacobian from joint velocities to the twist of {b}."""
-    rotation, _ = forward_kinematics(joints, arm)
-    turning, moving = jax.jacfwd(partial(forward_kinematics, arm=arm))(joints)
-    turning = matmul(jnp.moveaxis(turning, -1, 0), rotation.T)
-    spin = rotations.vee(turning).T
-    return jnp.linalg.svd(jnp.concatenate([spin, moving]), compute_uv=False)[-1]
+    jacobian = arm_motion(joints, jnp.zeros_like(joints), arm).jacobian
+    return jnp.linalg.svd(jacobian, compute_uv=False)[-1]
