@@ -41,6 +41,11 @@ def run_cells(text: str, name: str) -> tuple[dict[str, Any], list[tuple[str, str
     return names, outputs
 
 
+def stored_outputs(text: str) -> list[str]:
+    """Output that a page stores for each of its cells; empty for a cell without output."""
+    return [stored for _, stored in _CELL.findall(text)]
+
+
 def _strip_lines(text: str) -> str:
     """Remove blanks at the ends of lines, and empty lines at the end."""
     lines = "\n".join(line.rstrip() for line in text.splitlines()).rstrip()

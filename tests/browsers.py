@@ -36,7 +36,9 @@ def headless_browser() -> Iterator[Any]:
 def picture(page: Any) -> np.ndarray:
     """What a page shows, (height, width, 3), 0 to 255."""
     image = pytest.importorskip("PIL.Image", reason="needs pillow")
-    return np.asarray(image.open(io.BytesIO(page.screenshot())).convert("RGB")).astype(int)
+    return np.asarray(image.open(io.BytesIO(page.screenshot(timeout=1000 * _LONG))).convert("RGB")).astype(
+        int
+    )
 
 
 def near(seen: np.ndarray, colour: str, tolerance: int = 24) -> np.ndarray:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import reframe_jax
+from reframe_jax.constraints.catalogue import CONSTRAINTS, OTHER_CONSTRAINTS, Constraint
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -42,7 +43,6 @@ PAGES = (
     "docs/exports.md",
     "docs/uncertainty.md",
 )
-WITHOUT_OUTPUTS = {"docs/exports.md"}  # long files; its cells run
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -52,9 +52,54 @@ def test_cells_print_what_the_page_shows(page: str, plain_jax: None, monkeypatch
     monkeypatch.chdir(ROOT)
     _, outputs = cells.run_cells((ROOT / page).read_text(), page)
     assert outputs
-    shown = [pair for pair in outputs if pair[0] or page not in WITHOUT_OUTPUTS]
-    differences = [line for stored, new in shown for line in cells.output_differences(stored, new)]
+    differences = [line for stored, new in outputs for line in cells.output_differences(stored, new)]
     assert not differences, "\n".join(differences)
+
+
+def test_every_cell_of_the_tutorial_shows_its_output() -> None:
+    text = (DOCS / "tutorial.md").read_text()
+    outputs = cells.stored_outputs(text)
+    assert len(outputs) == text.count("```python") > 10
+    assert all(outputs)
+
+
+@pytest.mark.parametrize(
+    "entry", [*CONSTRAINTS.values(), *OTHER_CONSTRAINTS.values()], ids=lambda row: row.label
+)
+def test_the_gallery_shows_every_named_constraint(entry: Constraint) -> None:
+    heading = f"{entry.label}: {entry.name}" if entry.label in CONSTRAINTS else entry.name
+    (section,) = re.findall(
+        rf"^## {heading}\n(.*?)(?=^## |\Z)", (DOCS / "gallery.md").read_text(), re.M | re.S
+    )
+    assert f"(images/gallery_{entry.label}.png)" in section
+    for word in ("- Example: ", "- Try it: ", f'simulate("{entry.label}"'):
+        assert word in section
+    (freedom,) = re.findall(r"^- Degrees of freedom: (.*)$", section, re.MULTILINE)
+    turns, slides = sum(entry.angular_dof), sum(entry.linear_dof)
+    together = turns if entry.label == "screw" else turns + slides
+    assert freedom.startswith(f"{together} (")
+    if entry.label not in ("screw", "universal"):
+        words = [
+            f"{count} {noun}{'s' * (count != 1)}"
+            for count, noun in ((turns, "rotation"), (slides, "translation"))
+        ]
+        assert freedom.startswith(f"{together} ({', '.join(words)})")
+    assert ("; type" in freedom) == (entry.linear_type is not None)
+    assert entry.linear_type is None or freedom.endswith(f"; type {entry.linear_type.name}.")
+
+
+def test_the_first_paragraph_names_the_readers() -> None:
+    """Every page says what it is for, and who reads it or when."""
+    for page in sorted(DOCS.glob("*.md")):
+        if page.name in ("changelog.md", "contributing.md"):  # these include a file
+            continue
+        title, paragraph = page.read_text().split("\n\n")[:2]
+        assert title.startswith("# "), page.name
+        assert re.match(r"This (page|site) ", paragraph), page.name
+        assert re.search(
+            r"\b(Read|Search|Most readers|for (people|readers|developers|programs))\b", paragraph
+        ), page.name
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 120
 
 
 def test_outputs_agree_to_the_printed_digits() -> None:
@@ -81,7 +126,9 @@ def test_key_figures_are_those_of_the_stored_benchmark() -> None:
 
 @pytest.mark.filterwarnings("default")
 def test_an_objective_of_ones_own_finds_its_minimum(plain_jax: None) -> None:
-    names, _ = cells.run_cells((DOCS / "objectives.md").read_text(), "docs/objectives.md")
+    names, outputs = cells.run_cells((DOCS / "objectives.md").read_text(), "docs/objectives.md")
+    differences = [line for stored, new in outputs for line in cells.output_differences(stored, new)]
+    assert not differences, "\n".join(differences)
     found, by_hand = names["found"], names["by_hand"]
     np.testing.assert_allclose(found.x, names["centres"], atol=1e-3)
     np.testing.assert_allclose(np.exp(found.value), 1e-3, rtol=0.2)

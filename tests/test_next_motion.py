@@ -4,6 +4,7 @@ import jax
 import numpy as np
 import pytest
 from contacts import DT, POSES, simulate_contact
+from legible import check_legible
 
 import reframe_jax as rf
 from reframe_jax.plotting import plot_uncertainty
@@ -43,3 +44,4 @@ def test_error_bars_are_drawn(tip):
     legends = [axes.get_legend() for axes in figure.axes if axes.get_legend()]
     labels = [text.get_text() for legend in legends for text in legend.get_texts()]
     assert any("95 % ellipsoid" in label for label in labels)
+    check_legible(figure)

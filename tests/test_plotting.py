@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+from legible import check_legible
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
@@ -125,6 +126,18 @@ def test_lengths_are_equal_and_everything_fits(poses: np.ndarray) -> None:
     assert [space.get_xlabel(), space.get_ylabel(), space.get_zlabel()] == ["x [m]", "y [m]", "z [m]"]
 
 
+def test_text_is_legible_at_half_the_size_and_axes_have_units(poses: np.ndarray) -> None:
+    found = identification(LinearType.GB, outliers=(3,))
+    limits = Thresholds(angular=0.3, linear=0.2)
+    figure = plotting.plot_identification(
+        poses, found, times=TIMES, thresholds=limits, left_out=[0.05], title="door.csv"
+    )
+    check_legible(figure)
+    figure.axes[1].set_ylabel("velocity")
+    with pytest.raises(AssertionError):
+        check_legible(figure)
+
+
 @pytest.mark.parametrize(
     ("angular_dof", "linear_dof", "labels"),
     [
@@ -188,7 +201,7 @@ def test_outliers_are_crosses_and_do_not_spoil_the_picture(
     assert space.get_xlim() == before.get_xlim()
     (crosses,) = (line for line in space.lines if line.get_marker() == "x")
     np.testing.assert_allclose(np.transpose(crosses.get_data_3d()), jumps[[5][:shown], :3, 3].reshape(-1, 3))
-    assert "poses left out" in {text.get_text() for text in space.get_legend().get_texts()}
+    assert "outliers" in {text.get_text() for text in space.get_legend().get_texts()}
     for graph in graphs[:2]:
         *lines, marks = graph.lines
         np.testing.assert_allclose(marks.get_xdata(), TIMES[[5]])

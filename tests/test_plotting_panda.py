@@ -10,6 +10,7 @@ import jax
 import mujoco
 import numpy as np
 import pytest
+from legible import check_legible
 
 from benchmarks import charts
 from reframe_jax.cli import program
@@ -37,6 +38,7 @@ def test_demonstration(made: panda.Demonstration) -> None:
     assert labels[0] == ["turn y [rad]", "shift x [0.1 m]"]
     assert labels[1] == ["moment x [N m]", "moment z [N m]"]
     assert labels[2] == ["force y [N]", "force z [N]"]
+    check_legible(figure)
     with pytest.raises(ValueError, match="index one first"):
         pictures_of.plot_demonstration(made)
 

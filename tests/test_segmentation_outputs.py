@@ -6,6 +6,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from legible import check_legible
 
 import reframe_jax as rf
 from reframe_jax.cli import program
@@ -110,7 +111,10 @@ def test_the_picture_shows_every_segment(truth: SequenceSimulation, found: rf.Se
     assert [text.get_text() for text in line.texts] == [segment.name for segment in found.segments]
     widths = [patch.get_width() for patch in line.patches[: len(found)]]
     assert sum(widths) == pytest.approx(found.times[-1] - found.times[0])
-    assert len(top.lines) == len(bottom.lines) == 3 * len(found) + len(found.boundaries)
+    curves = 3 * len(found) + len(found.boundaries)
+    assert len(top.lines) - 2 == len(bottom.lines) == curves  # two empty lines for the legend
+    assert [text.get_text() for text in top.get_legend().get_texts()] == ["free axis", "constrained axis"]
+    check_legible(figure)
     _, linear = segment_velocities(np.asarray(truth.poses), found)
     drawn = np.concatenate([curve.get_ydata() for curve in top.lines[:3]])
     own = linear[: found.segments[0].stop]

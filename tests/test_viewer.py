@@ -104,7 +104,7 @@ def test_residuals_are_the_velocities_of_constrained_axes(tracks: list[WindowTra
     first, failed = tracks
     assert first.frame is not None
     (title, rows), (_, linear), (_, angular) = velocity_series(first)
-    assert title == "residuals"
+    assert title == "residuals [mm/s, mrad/s]"
     assert [label for label, _, _ in rows] == [
         *(f"linear {i} [mm/s]" for i in (1, 2, 3)),
         *(f"angular {i} [mrad/s]" for i in (1, 2)),
@@ -116,7 +116,7 @@ def test_residuals_are_the_velocities_of_constrained_axes(tracks: list[WindowTra
     assert velocity_series(failed) == []
 
 
-def test_small_uncertainty_is_enlarged_and_said(
+def test_the_heading_has_the_length_of_the_axes_and_the_uncertainty(
     hinge: tuple[np.ndarray, np.ndarray, rf.Identification],
 ) -> None:
     """Two standard deviations of 6 mm are seen in a scene of 0.2 m, 60 micrometres are not."""
@@ -128,10 +128,16 @@ def test_small_uncertainty_is_enlarged_and_said(
         track = track_window(poses, times, found, covariance=scale * covariance)
         return Drawing(scene, 0.2).caption(track)
 
-    assert caption(1) == "origin ± 6, 4 mm (two standard deviations)"
-    assert caption(1e-4) == "origin ± 0.06, 0.04 mm (two standard deviations), drawn 100 times larger"
-    assert caption(0) == ""
-    assert Drawing(scene, 0.2).caption(track_window(poses, times, found)) == ""
+    length = "axes 1 to 3: 50 mm long"
+    assert caption(1) == f"origin ± 6, 4 mm (two standard deviations); {length}"
+    assert (
+        caption(1e-4) == f"origin ± 0.06, 0.04 mm (two standard deviations), drawn 100 times larger; {length}"
+    )
+    assert caption(0) == length
+    track = track_window(poses, times, found)
+    for size, millimetres in ((0.2, 50), (0.35, 100), (1.0, 200), (9.0, 2000)):
+        assert Drawing(scene, size).caption(track) == f"axes 1 to 3: {millimetres} mm long"
+    assert Drawing(scene, 0.2).caption(replace(track, frame=None)) == ""
 
 
 def test_the_scene_holds_the_motion_without_outliers(tracks: list[WindowTrack]) -> None:
@@ -234,20 +240,60 @@ def test_the_page_shows_the_window_and_needs_no_network(browser: Any, tracks: li
         page.close()
 
 
-def test_a_narrow_page_has_the_panel_below_the_scene(browser: Any, tracks: list[WindowTrack]) -> None:
+SIZES = [(WIDTH, HEIGHT), (390, 844)]  # a desktop and a telephone
+_PLACES = """() => {
+  const scene = [...document.querySelectorAll("canvas")].map(e => e.getBoundingClientRect())
+    .sort((a, b) => b.width * b.height - a.width * a.height)[0];
+  return [scene.left, scene.top, scene.right, scene.bottom];
+}"""
+_CUT_OFF = """() => [...document.querySelectorAll("*")].filter(
+  e => !e.children.length && e.innerText && e.clientWidth && e.scrollWidth > e.clientWidth + 1
+).map(e => e.innerText)"""
+
+
+def check_layout(view: Any, width: int, height: int, heading: Any) -> None:
+    """Check that the whole hinge is seen beside or above the panel, and that no text is cut off."""
+    wait_for(lambda: view.evaluate(_PLACES)[2 if width > height else 3] < max(width, height) - 100)
+    left, top, right, bottom = view.evaluate(_PLACES)
+    assert (right - left) * (bottom - top) > 0.4 * width * height
+    place = heading.bounding_box()
+    assert place["x"] >= right or place["y"] >= bottom  # right of the scene or below it
+    scene = slice(int(top), int(bottom)), slice(int(left), int(right))
+    for colour in (BODY, CONSTRAINED[0], TURNING):
+        wait_for(lambda colour=colour: near(picture(view)[scene], colour).any())
+    seen = near(picture(view)[scene], TURNING)  # the longest line of the scene
+    assert not np.concatenate(
+        [seen[:3].ravel(), seen[-3:].ravel(), seen[:, :3].ravel(), seen[:, -3:].ravel()]
+    ).any()
+    assert view.evaluate(_CUT_OFF) == []
+    assert view.evaluate("document.documentElement.scrollWidth") <= width
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_the_panel_does_not_cover_the_scene(
+    browser: Any, tracks: list[WindowTrack], width: int, height: int
+) -> None:
     page = serve_page(tracks, title="door.csv", port=8190)
     try:
-        view = browser.new_page(viewport={"width": 390, "height": 844})
+        view = browser.new_page(viewport={"width": width, "height": height})
         view.goto(page.url)
         wait_for(lambda: view.get_by_text("residuals").first.is_visible())
-        top = view.get_by_text("door.csv").first.bounding_box()["y"]
-        assert top > 844 / 2
-        colours = (BODY, CONSTRAINED[0], TURNING)
-        wait_for(lambda: all(near(picture(view)[: int(top)], colour).any() for colour in colours))
-        cut = "e => !e.children.length && e.innerText && e.clientWidth && e.scrollWidth > e.clientWidth + 1"
-        assert view.evaluate(f"[...document.querySelectorAll('*')].filter({cut}).map(e => e.innerText)") == []
+        check_layout(view, width, height, view.get_by_text("door.csv").first)
     finally:
         page.close()
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_the_panel_of_a_file_does_not_cover_the_scene(
+    browser: Any, tracks: list[WindowTrack], tmp_path: Path, width: int, height: int
+) -> None:
+    write_page(tmp_path / "page.html", tracks[:1], title="door.csv")
+    view = browser.new_page(viewport={"width": width, "height": height})
+    view.goto((tmp_path / "page.html").as_uri())
+    panel = view.locator("#reframe-panel")
+    wait_for(lambda: panel.get_by_text("residuals").first.is_visible())
+    check_layout(view, width, height, panel)
+    view.close()
 
 
 def test_the_page_is_for_this_machine_only(tracks: list[WindowTrack]) -> None:

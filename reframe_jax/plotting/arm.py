@@ -8,7 +8,7 @@ import numpy as np
 
 from reframe_jax.constraints.located import frame_arrays, locate_on_host
 from reframe_jax.plotting.scene import draw_frame, draw_legend, segment, set_limits
-from reframe_jax.plotting.style import BODY, CONSTRAINED, FREE, new_figure
+from reframe_jax.plotting.style import BODY, CONSTRAINED, FONT, FREE, new_figure
 from reframe_jax.simulation.arm.demonstration import Demonstration
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, link_poses
 
@@ -26,20 +26,28 @@ def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: st
     The left panel shows the arm at the first, middle and last sample (the first one palest), the path of the
     TCP, and the true constraint frame. Free axes are solid, constrained axes dashed, and axes of free
     rotation green. The right panels show the motion along the free axes, and the moments and forces of the
-    constraint on the tool along the constrained axes. A batch raises a ValueError.
+    constraint on the tool along the constrained axes.
+
+    Args:
+        made: a single demonstration.
+        arm: the arm of the demonstration, or its name.
+        title: title of the figure; none by default.
+
+    Raises:
+        ValueError: for a batch.
     """
     if np.ndim(made.status_code):
         raise ValueError("A batch has several demonstrations: index one first, made[i].")
     made = jax.device_get(made)
-    figure = new_figure(9.5, 5.4)
+    figure = new_figure(11, 6.6)
     grid = figure.add_gridspec(3, 2, width_ratios=(1.15, 1))
     if title is not None:
-        figure.suptitle(title, fontsize=12)
+        figure.suptitle(title, fontsize=14)
     _draw_scene(figure.add_subplot(grid[:, 0], projection="3d"), made, find_arm(arm))
     free = np.array((*made.truth.angular_dof, *made.truth.linear_dof), dtype=bool)
     motion, moments, forces = (figure.add_subplot(grid[i, 1]) for i in range(3))
     for i in np.flatnonzero(free):
-        # one scale for rotations and translations: 1 rad moves a point at 0.1 m by 100 mm
+        # a common scale for rotations and translations: 1 rad moves a point at 0.1 m by 0.1 m
         factor, kind, unit, style = (1, "turn", "rad", "-") if i < 3 else (10, "shift", "0.1 m", "--")
         motion.plot(
             made.times,
@@ -49,7 +57,7 @@ def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: st
             linewidth=1.2,
             label=f"{kind} {'xyz'[i % 3]} [{unit}]",
         )
-    motion.set_ylabel("free axes", fontsize=8)
+    motion.set_ylabel("free motion\n[rad, 0.1 m]", fontsize=FONT)
     for axes, part, unit, name in (
         (moments, slice(0, 3), "N m", "moment"),
         (forces, slice(3, 6), "N", "force"),
@@ -63,25 +71,26 @@ def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: st
                 linewidth=1.0,
                 label=f"{name} {'xyz'[i]} [{unit}]",
             )
-        axes.set_ylabel(f"reaction {name} [{unit}]", fontsize=8)
+        axes.set_ylabel(f"reaction\n{name} [{unit}]", fontsize=FONT)
         if free[part].all():
             axes.set_axis_off()
             axes.text(
                 0.5, 0.5, f"no reaction {name}s: all axes are free", transform=axes.transAxes, ha="center"
             )
-    forces.set_xlabel("time [s]", fontsize=8)
+    forces.set_xlabel("time [s]", fontsize=FONT)
     for axes in (motion, moments, forces):
         _finish(axes)
+        axes.tick_params(labelbottom=axes is forces)
         axes.set_xlim(0, float(made.times[-1]))
     return figure
 
 
 def _finish(axes: "Axes") -> None:
-    axes.tick_params(labelsize=7)
+    axes.tick_params(labelsize=FONT)
     if axes.get_legend_handles_labels()[0]:
         axes.axhline(0, color="black", linewidth=0.5)
         axes.legend(
-            loc="lower left", bbox_to_anchor=(0, 1), ncols=3, fontsize=7, frameon=False, borderpad=0.1
+            loc="lower left", bbox_to_anchor=(0, 1), ncols=3, fontsize=FONT, frameon=False, borderpad=0.1
         )
 
 
@@ -95,10 +104,10 @@ def _draw_scene(axes: "Axes3D", made: Demonstration, arm: Arm) -> None:
     truth, shown = made.truth, [0, len(made.times) // 2, len(made.times) - 1]
     path = np.asarray(made.exact_poses)[:, :3, 3]
     frame = frame_arrays(jax.tree.map(jnp.asarray, truth))
-    there = locate_on_host(frame, np.asarray(made.exact_poses)[shown])
-    triads, rotation_axes = np.asarray(there.linear_axes), np.asarray(there.angular_axes)
+    located = locate_on_host(frame, np.asarray(made.exact_poses)[shown])
+    triads, rotation_axes = np.asarray(located.linear_axes), np.asarray(located.angular_axes)
     turns = np.array(truth.angular_dof, bool) & (sum(truth.angular_dof) < 3)
-    extent = [path, path[shown] + there.lever]
+    extent = [path, path[shown] + located.lever]
     for row, (index, alpha) in enumerate(zip(shown, (0.25, 0.5, 1.0), strict=True)):
         points, origin = _joint_points(np.asarray(made.joint_positions[index]), arm), extent[1][row]
         extent.append(points)

@@ -12,15 +12,13 @@ from reframe_jax.identification.results import AngularFrame, Identification, Lin
 from reframe_jax.identification.velocities import frame_velocities
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.plotting.scene import check_window, draw_space
-from reframe_jax.plotting.style import LEGEND_ABOVE, NOT_READ, OUTLIERS, axis_colours, new_figure
+from reframe_jax.plotting.style import FONT, LEGEND_ABOVE, NOT_READ, OUTLIERS, axis_colours, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = ["plot_identification"]
-
-_FONT = 11  # points, legible at half the size
 
 
 def plot_identification(
@@ -41,9 +39,9 @@ def plot_identification(
     path of this origin is dotted. Free axes are arrows, constrained axes are dashed lines without a head.
 
     The right panels show the amplitude of every axis (RMS displacement, logarithmic) with the probability
-    that the axis is free, and below the velocities along the axes over time, from pairs of consecutive poses.
-    Outliers are crosses in space and along the time axis, and not part of the path. Rows that were left out
-    when the file was read are bars along the time axis.
+    that the axis is free. Below are the velocities along the axes over time, from pairs of consecutive poses,
+    in the colours of the bars. Outliers are crosses in space and along the time axis, and not part of the
+    path. Rows that were left out when the file was read are short lines along the time axis.
 
     Args:
         poses: (K+1, 4, 4), m.
@@ -83,9 +81,9 @@ def plot_identification(
     if np.size(left_out):
         named = [line for line in top.lines if not str(line.get_label()).startswith("_")]
         top.legend(handles=named, **LEGEND_ABOVE)
-    top.set_ylabel(f"velocity of the\norigin, {host.linear.frame_type} [m/s]", fontsize=_FONT)
-    bottom.set_ylabel(f"angular velocity,\n{host.angular.frame_type} [rad/s]", fontsize=_FONT)
-    bottom.set_xlabel("time [s]", fontsize=_FONT)
+    top.set_ylabel(f"velocity of the\norigin, {host.linear.frame_type} [m/s]", fontsize=FONT)
+    bottom.set_ylabel(f"angular velocity,\n{host.angular.frame_type} [rad/s]", fontsize=FONT)
+    bottom.set_xlabel("time [s]", fontsize=FONT)
     return figure
 
 
@@ -103,15 +101,15 @@ def _draw_amplitudes(axes: "Axes", frame: AngularFrame | LinearFrame, motion: st
     for place, size, probability in zip(places, amplitude, np.asarray(frame.free_probability), strict=True):
         chance = "" if np.isnan(probability) else f", P(free) {_format_probability(float(probability))}"
         text = f" {float(f'{size:.2g}'):g} {unit}{chance}"
-        axes.text(float(size), float(place), text, va="center", fontsize=_FONT)
+        axes.text(float(size), float(place), text, va="center", fontsize=FONT)
     freedom = ("constrained", "free")
     axes.set_yticks(
         places, [f"axis {i}, {freedom[int(free)]}" for i, free in zip(places, frame.dof, strict=True)]
     )
     axes.invert_yaxis()
     axes.set_xlabel(f"{motion} along the axis, RMS [{unit}]".replace("rotation along", "rotation about"))
-    axes.xaxis.label.set_fontsize(_FONT)
-    axes.tick_params(labelsize=_FONT)
+    axes.xaxis.label.set_fontsize(FONT)
+    axes.tick_params(labelsize=FONT)
     axes.spines[["top", "right"]].set_visible(False)
 
 
@@ -131,6 +129,6 @@ def _draw_velocities(
         for level in (-threshold, threshold):
             limit = axes.axhline(level, color="black", linestyle="--", linewidth=0.8)
         limit.set_label(f"threshold {threshold:g} {unit}")
-        axes.legend(handles=[limit], loc="upper right", fontsize=_FONT - 2, frameon=False)
+        axes.legend(handles=[limit], loc="upper right", fontsize=FONT, frameon=False)
     axes.margins(x=0)
-    axes.tick_params(labelsize=_FONT)
+    axes.tick_params(labelsize=FONT)

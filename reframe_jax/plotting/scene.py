@@ -12,6 +12,7 @@ from reframe_jax.identification.results import Identification
 from reframe_jax.plotting.style import (
     BODY,
     CONSTRAINED,
+    FONT,
     FREE,
     LEGEND_ABOVE,
     OUTLIERS,
@@ -120,10 +121,10 @@ def set_limits(axes: "Axes3D", points: np.ndarray) -> None:
     centre, size = (points.min(axis=0) + points.max(axis=0)) / 2, _size(points)
     for i, name in enumerate("xyz"):
         getattr(axes, f"set_{name}lim")(centre[i] - size / 2, centre[i] + size / 2)
-        getattr(axes, f"set_{name}label")(f"{name} [m]", fontsize=10)
+        getattr(axes, f"set_{name}label")(f"{name} [m]", fontsize=FONT)
         axes.locator_params(axis=name, nbins=4)
     axes.set_box_aspect((1, 1, 1), zoom=1.02)
-    axes.tick_params(labelsize=9)
+    axes.tick_params(labelsize=FONT)
 
 
 def draw_frame(
@@ -154,7 +155,7 @@ def draw_legend(axes: "Axes3D", kind: LinearType, dof: Any, turns: bool) -> None
     ):
         if shown:
             axes.plot([], [], color=colour, linestyle=style, label=label)
-    axes.legend(**LEGEND_ABOVE | {"fontsize": 9, "bbox_to_anchor": (0.52, 1)})
+    axes.legend(**LEGEND_ABOVE | {"bbox_to_anchor": (0.52, 1)})
 
 
 def segment(axes: "Axes3D", start: np.ndarray, end: np.ndarray, **style: Any) -> None:
@@ -172,7 +173,7 @@ def frames_in_ground(
         rotation axes, with m = 0 if all three rotations are free.
     """
     samples = frame_samples(poses, found) if samples is None else samples
-    there = jax.tree.map(lambda leaf: leaf[samples], _locate(poses, found))
+    located = jax.tree.map(lambda leaf: leaf[samples], _locate(poses, found))
     free = np.asarray(found.angular.dof, dtype=bool) & (np.sum(found.angular.dof) < 3)
-    turning = there.angular_axes.swapaxes(1, 2)[:, free]
-    return poses[samples, :3, 3] + there.lever, there.linear_axes, turning
+    turning = located.angular_axes.swapaxes(1, 2)[:, free]
+    return poses[samples, :3, 3] + located.lever, located.linear_axes, turning

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.types import AngularType
 from reframe_jax.identification.results import Identification
-from reframe_jax.plotting.style import CONSTRAINED, FREE, LINES, new_figure
+from reframe_jax.plotting.style import CONSTRAINED, FONT, FREE, LEGEND_ABOVE, LINES, new_figure
 from reframe_jax.segmentation.cells import GROUND_TYPES, path_features
 from reframe_jax.segmentation.results import Segmentation
 
@@ -17,32 +17,40 @@ if TYPE_CHECKING:
 
 __all__ = ["plot_segmentation", "segment_velocities"]
 
-_STILL = "#DDDDDD"
+_AT_REST = "#DDDDDD"
 _STEPS = 8  # velocities are differences over the motion time divided by this number
 
 
 def plot_segmentation(poses: ArrayLike, found: Segmentation, *, title: str | None = None) -> "Figure":
     """Draw a time line of constraints, and the velocities along the axes of the frame of each segment.
 
-    Segments with the same constraint have the same colour; a still body is grey. A band around each boundary
-    is its 95 % interval. Velocities along free axes are blue, along constrained axes orange.
+    Segments with the same constraint have the same colour; a body at rest is grey. A dark band around each
+    boundary is its 95 % interval. Velocities along free axes are blue, along constrained axes orange.
+
+    Args:
+        poses: (N, 4, 4) m, the segmented poses.
+        found: segmentation of these poses.
+        title: title of the figure; none by default.
     """
-    figure = new_figure(10, 5)
+    figure = new_figure(10, 6)
     line, top, bottom = figure.subplots(3, 1, sharex=True, height_ratios=(0.7, 1, 1))
     if title is not None:
-        figure.suptitle(title, fontsize=12)
+        figure.suptitle(title, fontsize=14)
     _draw_line(line, found)
     angular, linear = segment_velocities(np.asarray(poses), found)
     for axes, velocities, group, label in (
-        (top, linear, "linear", "velocity of the origin [m/s]"),
-        (bottom, angular, "angular", "angular velocity [rad/s]"),
+        (top, linear, "linear", "velocity of the\norigin [m/s]"),
+        (bottom, angular, "angular", "angular velocity\n[rad/s]"),
     ):
         _draw_velocities(axes, found, velocities, group)
-        axes.set_ylabel(label, fontsize=8)
-        axes.tick_params(labelsize=8)
+        axes.set_ylabel(label, fontsize=FONT)
+        axes.tick_params(labelsize=FONT)
         for boundary in found.boundaries:
             axes.axvline(boundary.time, color="black", linewidth=0.6)
-    bottom.set_xlabel("time [s]", fontsize=8)
+    for name, colour in (("free axis", FREE[0]), ("constrained axis", CONSTRAINED[0])):
+        top.plot([], [], color=colour, label=name)
+    top.legend(**LEGEND_ABOVE)
+    bottom.set_xlabel("time [s]", fontsize=FONT)
     bottom.set_xlim(found.times[0], found.times[-1])
     return figure
 
@@ -51,15 +59,15 @@ def _draw_line(axes: "Axes", found: Segmentation) -> None:
     times = found.times
     for number, segment in enumerate(found.segments):
         start, stop = times[segment.start], times[min(segment.stop, len(times) - 1)]
-        colour = _STILL if segment.resting else LINES[segment.label % len(LINES)]
+        colour = _AT_REST if segment.resting else LINES[segment.label % len(LINES)]
         axes.barh(0, stop - start, left=start, color=colour, alpha=0.6, height=0.8)
         # names of adjacent segments are at different heights, so that they do not overlap
-        axes.text((start + stop) / 2, 0.55 + 0.35 * (number % 2), segment.name, ha="center", fontsize=7)
+        axes.text((start + stop) / 2, 0.55 + 0.35 * (number % 2), segment.name, ha="center", fontsize=FONT)
     for boundary in found.boundaries:
         axes.axvspan(times[boundary.earliest], times[boundary.latest], color="black", alpha=0.25, linewidth=0)
     axes.set_ylim(-0.5, 1.3)
     axes.set_yticks([])
-    axes.tick_params(labelsize=8)
+    axes.tick_params(labelsize=FONT)
 
 
 def _draw_velocities(axes: "Axes", found: Segmentation, velocities: np.ndarray, group: str) -> None:

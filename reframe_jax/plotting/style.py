@@ -8,6 +8,7 @@ if TYPE_CHECKING:
 __all__ = [
     "BODY",
     "CONSTRAINED",
+    "FONT",
     "FREE",
     "LEGEND_ABOVE",
     "LINES",
@@ -23,13 +24,14 @@ FREE = ("#0072B2", "#56B4E9", "#00415F")
 CONSTRAINED = ("#D55E00", "#E69F00", "#7F3800")
 TURNING = "#009E73"
 BODY = "#999999"
+FONT = 10  # points; at half the size of a picture, the text is still legible
 LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 OUTLIERS: dict[str, Any] = {
     "linestyle": "none",
     "marker": "x",
     "color": "#CC79A7",
     "markersize": 5,
-    "label": "poses left out",
+    "label": "outliers",
 }
 NOT_READ: dict[str, Any] = {
     "linestyle": "none",
@@ -42,7 +44,7 @@ LEGEND_ABOVE: dict[str, Any] = {
     "loc": "lower center",
     "bbox_to_anchor": (0.46, 1),
     "ncols": 2,
-    "fontsize": 7,
+    "fontsize": FONT,
     "frameon": False,
     "columnspacing": 1,
 }

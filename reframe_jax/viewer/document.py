@@ -11,7 +11,7 @@ from reframe_jax.viewer.tracks import WindowTrack
 __all__ = ["write_page"]
 
 _FRAMES = 400  # most poses in a file
-_WIDTH, _HEIGHT, _MARGIN = 340, 130, 46  # px, size of a plot; the margin fits the label -1.2e-05
+_WIDTH, _HEIGHT, _MARGIN = 340, 130, 54  # px, size of a plot; the margin fits the label -1.2e-05
 _STYLE = """<style>
 #reframe-panel {
   position: fixed; top: 8px; right: 8px; z-index: 1000; width: 360px; max-height: 88vh; overflow: auto;
@@ -19,14 +19,25 @@ _STYLE = """<style>
   font: 12px sans-serif; color: #222;
 }
 #reframe-panel pre { font-size: 9px; overflow-x: auto; }
-@media (max-width: 36em) { /* below the scene, and above the controls of the playback */
-  #reframe-panel { top: auto; bottom: 48px; left: 0; right: 0; width: auto; max-height: 36vh; }
+#reframe-panel span { white-space: nowrap; }
+/* the scene is left of the panel */
+[style*="flex-grow: 1"]:has(> canvas) { position: relative; margin-right: 390px; }
+@media (max-width: 36em) { /* the panel is below the scene, and above the controls of the playback */
+  #reframe-panel { top: auto; bottom: 48px; left: 0; right: 0; width: auto; height: 36vh; }
+  [style*="flex-grow: 1"]:has(> canvas) { margin-right: 0; height: calc(100% - 36vh - 24px) !important; }
 }
 </style>"""
 
 
 def write_page(path: Path | str, windows: list[WindowTrack], *, title: str = "reframe_jax") -> None:
-    """Write a page as one HTML file that plays through windows, with the velocities along the axes.
+    """Write a page as one HTML file that plays all windows in a loop, with the velocities along the axes.
+
+    The file needs neither Python nor a network. It contains at most 400 poses; more are subsampled.
+
+    Args:
+        path: file to write.
+        windows: windows of one recording, in the order of time.
+        title: heading of the page.
 
     Raises:
         ImportError: if viser is not installed.
@@ -50,7 +61,7 @@ def write_page(path: Path | str, windows: list[WindowTrack], *, title: str = "re
         captions = [drawing.caption(window) for window in windows]
     finally:
         close_server(server)
-    # the page of viser fills the window; the panel of this library lies in a corner
+    # viser has no panel in a file: this library adds its own
     place = text.rindex("</body>")
     Path(path).write_text(text[:place] + _panel(windows, captions, title) + text[place:], encoding="utf-8")
 
@@ -94,7 +105,7 @@ def _plot(name: str, rows: list[tuple[str, str, np.ndarray]], times: np.ndarray)
         f'<span style="color:{colour}">&#9632; {html.escape(label)}</span>' for label, colour, _ in rows
     )
     ticks = "".join(
-        f'<text x="{x}" y="{y}" font-size="9" text-anchor="{anchor}">{text}</text>'
+        f'<text x="{x}" y="{y}" font-size="11" text-anchor="{anchor}">{text}</text>'
         for x, y, anchor, text in (
             (_MARGIN - 3, 10, "end", f"{high:.2g}"),
             (_MARGIN - 3, _HEIGHT - 12, "end", f"{low:.2g}"),

@@ -14,11 +14,11 @@ if TYPE_CHECKING:
 __all__ = ["LEGEND", "Drawing", "scene_box"]
 
 _DASHES = 7  # dashes per constrained axis
-_MOST = 2000  # most points of a path
+_MAX_POINTS = 2000  # most points of a path
 _DEVIATIONS = 2.0  # standard deviations of the ellipsoid
-_SEEN = 0.03  # an ellipsoid is enlarged if its longest half-axis is below this fraction of the scene size
-_THIN = 0.002  # half-axis along directions without variance, as a fraction of the scene size
-_NOTHING = 1e-9  # m, standard deviations below this value count as zero
+_VISIBLE = 0.03  # an ellipsoid is enlarged if its longest half-axis is below this fraction of the scene size
+_MIN_HALF_AXIS = 0.002  # half-axis along directions without variance, as a fraction of the scene size
+_NEGLIGIBLE = 1e-9  # m, standard deviations below this value count as zero
 _ORIGIN, _SPREAD = "#222222", "#CC79A7"
 
 LEGEND = (
@@ -27,7 +27,7 @@ LEGEND = (
     (FREE[0], "free axis of the linear frame (arrow)"),
     (CONSTRAINED[0], "constrained axis of the linear frame (dashes)"),
     (TURNING, "free axis of rotation"),
-    (OUTLIERS["color"], "poses left out"),
+    (OUTLIERS["color"], "outliers, which the identification does not use"),
     (_SPREAD, "uncertainty of the origin: two standard deviations, enlarged by the factor in the heading"),
 )
 """Legend: each colour with its meaning."""
@@ -52,6 +52,7 @@ class Drawing:
         """Prepare a scene for windows with a given size in m."""
         self._scene = scene
         self._size = size
+        self._axis_length = _round_down(0.3 * size)
         self._nodes: list[Any] = []
         self._moving: dict[str, Any] = {}
         self._window: WindowTrack | None = None
@@ -93,7 +94,7 @@ class Drawing:
             self._moving[name] = node
         self._nodes.append(scene.add_icosphere("/linear/origin", 0.012 * size, _rgb(_ORIGIN)))
         for i, colour in enumerate(axis_colours(frame.linear_free)):
-            axis = 0.22 * size * np.eye(3)[i]
+            axis = self._axis_length * np.eye(3)[i]
             name = f"/linear/axis_{i + 1}"
             if frame.linear_free[i]:
                 radii: dict[str, Any] = {
@@ -117,11 +118,19 @@ class Drawing:
             self._draw_spread(frame.spread)
 
     def caption(self, window: WindowTrack) -> str:
-        """Text with the uncertainty of the origin and the enlargement of its ellipsoid; "" if unknown."""
-        if window.frame is None or window.frame.spread is None:
+        """Describe the length of the drawn axes, and the uncertainty of the origin if it is known."""
+        if window.frame is None:
             return ""
-        halves = _DEVIATIONS * np.linalg.eigvalsh(window.frame.spread)[::-1]
-        halves = halves[halves > _NOTHING]
+        length = f"axes 1 to 3: {1e3 * self._axis_length:g} mm long"
+        spread = self._describe_spread(window.frame)
+        return f"{spread}; {length}" if spread else length
+
+    def _describe_spread(self, frame: FrameTrack) -> str:
+        """Describe the uncertainty of the origin and the enlargement of its ellipsoid; "" if unknown."""
+        if frame.spread is None:
+            return ""
+        halves = _DEVIATIONS * np.linalg.eigvalsh(frame.spread)[::-1]
+        halves = halves[halves > _NEGLIGIBLE]
         if not len(halves):
             return ""
         numbers = ", ".join(f"{1e3 * half:.2g}" for half in halves)
@@ -131,16 +140,16 @@ class Drawing:
 
     def _enlargement(self, longest: float) -> int:
         """Power of ten by which an ellipsoid with a given longest half-axis, m, is enlarged to be visible."""
-        if longest <= _NOTHING:
+        if longest <= _NEGLIGIBLE:
             return 1
-        return 10 ** max(0, int(np.ceil(np.log10(_SEEN * self._size / longest))))
+        return 10 ** max(0, int(np.ceil(np.log10(_VISIBLE * self._size / longest))))
 
     def _draw_spread(self, root: np.ndarray) -> None:
         """Draw an ellipsoid of two standard deviations, enlarged to be visible."""
         values, vectors = np.linalg.eigh(root)
         vectors = vectors * np.array([1, 1, np.sign(np.linalg.det(vectors))])
         halves = _DEVIATIONS * values
-        halves = np.maximum(halves * self._enlargement(halves[2]), _THIN * self._size)
+        halves = np.maximum(halves * self._enlargement(halves[2]), _MIN_HALF_AXIS * self._size)
         ellipsoid = self._scene.add_icosphere(
             "/spread/ellipsoid",
             1.0,
@@ -155,7 +164,7 @@ class Drawing:
     def _path(self, name: str, points: np.ndarray, colour: str, width: float) -> None:
         """Draw a line through points (n, 3); long paths are subsampled."""
         points = points[np.isfinite(points).all(axis=1)]
-        points = points[:: max(1, len(points) // _MOST)]
+        points = points[:: max(1, len(points) // _MAX_POINTS)]
         if len(points) > 1 and np.ptp(points, axis=0).max() > 0:
             ends = np.stack([points[:-1], points[1:]], axis=1)
             line = self._scene.add_line_segments(name, ends, _rgb(colour), thickness=width * self._size)
@@ -175,6 +184,12 @@ class Drawing:
         _move(self._moving["linear"], origin, frame.linear_axes[sample])
         _move(self._moving["angular"], origin, frame.angular_axes[sample])
         _move(self._moving["spread"], origin, frame.spread_axes[sample])
+
+
+def _round_down(length: float) -> float:
+    """Largest of 1, 2 or 5 times a power of ten that does not exceed a length, m."""
+    power = 10.0 ** np.floor(np.log10(length))
+    return float(power * max(step for step in (1, 2, 5) if step * power <= length))
 
 
 def _move(node: Any, position: np.ndarray, rotation: np.ndarray) -> None:

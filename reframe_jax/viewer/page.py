@@ -20,16 +20,16 @@ __all__ = ["Page", "close_server", "legend_html", "open_server", "serve_page", "
 
 _HOST = "127.0.0.1"
 _TICK = 0.05  # s between two poses during playback
-_VIEW = np.array([0.75, -1.1, 0.65])  # position of the camera relative to the centre, in scene sizes
-_ASIDE = 0.4  # lateral offset of the view, in scene sizes, because the panel on the right covers a part
-_BELOW = 0.5  # vertical offset on a narrow page, with the panel at the bottom
-_NARROW_STYLE = """<style>
-@media (max-width: 36em) {
+_VIEW = np.array([0.6, -0.88, 0.52])  # position of the camera relative to the centre, in scene sizes
+_SCENE_STYLE = """<style>
+[style*="inset"]:has(> canvas) { right: 400px !important; } /* left of the panel */
+@media (max-width: 36em) { /* above the panel */
+  [style*="inset"]:has(> canvas) { right: 0 !important; bottom: 42% !important; }
   [style*="position: fixed"][style*="max-height: 60%"] { max-height: 42% !important; width: 100% !important; }
   [style*="position: fixed"][style*="max-height: 60%"] [style*="width: 20em"] { width: 100% !important; }
 }
 </style>"""
-"""On a narrow page, the panel of viser is below the scene and as wide as the page."""
+"""The panel covers no part of the scene: it is on the right, or at the bottom of a narrow page."""
 
 
 def open_server(windows: list[WindowTrack], port: int) -> tuple["viser.ViserServer", Drawing]:
@@ -45,20 +45,9 @@ def open_server(windows: list[WindowTrack], port: int) -> tuple["viser.ViserServ
         server = viser.ViserServer(host=_HOST, port=port, verbose=False)
     server.scene.set_up_direction("+z")
     server.scene.add_frame("/ground", axes_length=0.15 * size, axes_radius=0.003 * size)
-    right = np.cross([0.0, 0.0, 1.0], _VIEW)
-    beside = centre + _ASIDE * size * right / np.linalg.norm(right)
-    server.initial_camera.look_at = tuple(beside)
-    server.initial_camera.position = tuple(beside + size * _VIEW)
+    server.initial_camera.look_at = tuple(centre)
+    server.initial_camera.position = tuple(centre + size * _VIEW)
     server.initial_camera.near = 0.01 * size
-
-    @server.on_client_connect
-    def _(client: "viser.ClientHandle") -> None:
-        if client.camera.aspect < 1:
-            up = np.cross(_VIEW, right)
-            above = centre - _BELOW * size * up / np.linalg.norm(up)
-            client.camera.position = tuple(above + 1.6 * size * _VIEW)
-            client.camera.look_at = tuple(above)
-
     return server, Drawing(server.scene, size)
 
 
@@ -105,7 +94,7 @@ class Page:
         self._table = gui.add_folder("result", expand_by_default=False)
         with gui.add_folder("legend", expand_by_default=False):
             gui.add_html(legend_html())
-        gui.add_html(_NARROW_STYLE)
+        gui.add_html(_SCENE_STYLE)
         self._select(0)
 
     @property
@@ -153,7 +142,7 @@ class Page:
         with self._plots:
             for title, rows in velocity_series(window):
                 data = (window.velocity_times, *(values for _, _, values in rows))
-                series: list[Any] = [{"label": "s"}]
+                series: list[Any] = [{"label": "time [s]"}]
                 series += [{"label": label, "stroke": colour, "width": 1.5} for label, colour, _ in rows]
                 scales: dict[str, Any] = {"x": {"time": False}}
                 axes: Any = ({"label": "time [s]"}, {})
@@ -177,23 +166,24 @@ def velocity_series(window: WindowTrack) -> list[tuple[str, list[tuple[str, str,
     """Plots of a window: a title, and a label, colour and values (K,) for every axis.
 
     The first plot shows the residuals: the velocities along the constrained axes, which are zero for an ideal
-    constraint. The next plots show all axes.
+    constraint. The next plots show all axes. The titles contain the units.
     """
     if window.frame is None or not len(window.velocity_times):
         return []
     residuals, plots = [], []
-    for group, free, columns, unit, fine in (
-        ("linear", window.frame.linear_free, slice(3, 6), "m/s", "mm/s"),
-        ("angular", window.frame.angular_free, slice(0, 3), "rad/s", "mrad/s"),
+    frame = window.frame
+    for group, title, unit, free, columns in (
+        ("linear", "velocity of the origin", "m/s", frame.linear_free, slice(3, 6)),
+        ("angular", "angular velocity", "rad/s", frame.angular_free, slice(0, 3)),
     ):
-        values = window.frame.velocities[:, columns].T
+        values = frame.velocities[:, columns].T
         rows = []
         for i, colour in enumerate(axis_colours(free)):
             rows.append((f"{i + 1} {'free' if free[i] else 'constrained'}", colour, values[i]))
             if not free[i]:
-                residuals.append((f"{group} {i + 1} [{fine}]", colour, 1e3 * values[i]))
-        plots.append((f"{group} [{unit}]", rows))
-    return [("residuals", residuals), *plots] if residuals else plots
+                residuals.append((f"{group} {i + 1} [m{unit}]", colour, 1e3 * values[i]))
+        plots.append((f"{title} [{unit}]", rows))
+    return [("residuals [mm/s, mrad/s]", residuals), *plots] if residuals else plots
 
 
 def legend_html() -> str:

@@ -114,13 +114,13 @@ def _track_frame(
 ) -> FrameTrack:
     with jax.enable_x64(True):
         frame = frame_arrays(found.constraint_frame)
-    there = locate_on_host(frame, poses)
+    located = locate_on_host(frame, poses)
     on_body = LinearType(int(found.linear.type_code)).position_body == AngularType.B
     return FrameTrack(
-        origins=poses[:, :3, 3] + there.lever,
+        origins=poses[:, :3, 3] + located.lever,
         in_body=np.asarray(found.linear.position, float) if on_body else None,
-        linear_axes=np.asarray(there.linear_axes),
-        angular_axes=np.asarray(there.angular_axes),
+        linear_axes=np.asarray(located.linear_axes),
+        angular_axes=np.asarray(located.angular_axes),
         linear_free=np.asarray(found.linear.dof, bool),
         angular_free=np.asarray(found.angular.dof, bool),
         spread=spread,
