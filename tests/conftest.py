@@ -22,8 +22,11 @@ from typing import Any
 
 # LLVM gets a program whole: splitting it for threads saves nothing where workers fill the processors
 _FLAGS = "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
-if version("jax").startswith("0.10."):  # jax 0.11 has one code generator, and refuses to start with the flag
+# as reframe_jax.compilation.COMPILER_OPTIONS and the command line
+if version("jax").startswith("0.10."):
     _FLAGS += " --xla_cpu_use_fusion_emitters=false"
+else:
+    _FLAGS += " --xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters"
 
 # JAX reads these when it is imported; child processes inherit them
 for _name, _value in {
