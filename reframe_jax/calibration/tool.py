@@ -199,8 +199,8 @@ def _check_tilts(turns: np.ndarray) -> tuple[float, np.ndarray]:
         raise ValueError(
             f"The rotations do not determine the tip along ({axis[0]:.3f}, {axis[1]:.3f}, {axis[2]:.3f}) in "
             "the body: the tool turned only about this axis, which tilted by "
-            f"{np.degrees(sizes[0]):.2g} deg (RMS). Tilt the tool in another direction too; spin=True (--spin) "
-            "finds the axis itself."
+            f"{np.degrees(sizes[0]):.2g} deg (RMS). Tilt the tool in another direction too; spin=True "
+            "(--spin) finds the axis itself."
         )
     return float(sizes[0]), weakest
 

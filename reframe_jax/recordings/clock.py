@@ -51,7 +51,11 @@ def _check_seconds(rows: Rows, times: np.ndarray) -> None:
     step = float(np.median(np.abs(steps))) if len(steps) else 0.0
     low, high = _SINCE_1970
     start = abs(float(rows.origin or 0))
-    since = [unit for unit, factor in TIME_UNITS.items() if unit != "s" and low < start * factor < high]
+    since = [
+        unit
+        for unit, factor in TIME_UNITS.items()
+        if unit != "s" and low < start * factor < high and step * factor < _SLOWEST
+    ]
     if step <= _SLOW and not since:
         return
     by_step = min(TIME_UNITS, key=lambda unit: abs(math.log(max(step, 1e-9) * TIME_UNITS[unit] / _USUAL)))

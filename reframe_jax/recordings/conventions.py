@@ -24,7 +24,7 @@ _FEWEST_TOUCHES = 8  # rows for a comparison of fixed points, which has six unkn
 _FLOOR = 1e-4  # mean square velocity that counts as zero, as a fraction of the total
 _LITTLE = 0.05  # fraction of the mean square of positions that may remain for a fixed point
 _CLEAR = 2.2  # difference of the summed logarithms of mean squares of the whole motion
-_REPEATED = 3.0  # the same difference, with directions from one half and mean squares from the other half
+_REPEATED = 4.0  # the same difference, with directions from one half and mean squares from the other half
 
 
 def angle_matrices(

@@ -30,8 +30,8 @@ _COMMENT = "#%"
 _PREAMBLE = 1000  # most lines before the numbers
 _TIMES = (
     r"(.*_)?header_stamp",  # rostopic echo -p: the stamp of the message, not the time of its arrival
+    r"(elapsed|ros)_time",
     r"t|times?|time_?stamps?|stamp|sec|secs|seconds|zeit|temps?|tiempo|tempo",
-    r"(elapsed_|ros_)time",
 )
 _CLOCK = r"(.*_)?(stamp|timespec)_s(ecs?)?|secs?", r"(.*_)?(stamp|timespec)_n(ano)?s(ecs?)?|n(ano)?secs?"
 _POSITIONS = r"{axis}", r"(p_?|p_.+_|(.*_)?(pos(ition)?|loc(ation)?|translation)_){axis}"
@@ -110,10 +110,8 @@ class _Header:
         if not stated - {""}:
             return None
         if len(stated) > 1 or not stated <= words.keys():
-            titles = shown(", ".join(self.titles[i] for i in columns))
-            raise RecordingError(
-                f"{self.path}: expected one of the units {', '.join([*words][:4])}: {titles}."
-            )
+            names, titles = ", ".join([*words][:4]), shown(", ".join(self.titles[i] for i in columns))
+            raise RecordingError(f"{self.path}: expected one of the units {names} in all of: {titles}.")
         return words[stated.pop()]
 
 

@@ -12,8 +12,9 @@ def _spelled(units: dict[str, float], **words: str) -> dict[str, float]:
     return units | {word: units[unit] for unit, others in words.items() for word in others.split()}
 
 
-LENGTH_WORDS = {"um": 1e-6, "\u00b5m": 1e-6, "\u03bcm": 1e-6} | _spelled(
-    UNITS,
+LENGTH_WORDS = _spelled(
+    UNITS | {"um": 1e-6},
+    um="\u00b5m \u03bcm micrometer micrometers micrometre micrometres",
     m="meter meters metre metres",
     cm="centimeter centimeters centimetre centimetres",
     mm="millimeter millimeters millimetre millimetres",
