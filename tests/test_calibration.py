@@ -149,9 +149,7 @@ def test_a_pose_that_turned_about_another_axis_is_left_out_of_a_spin(rng: np.ran
 
 
 def test_what_determines_nothing_is_refused(rng: np.random.Generator) -> None:
-    with pytest.raises(
-        ValueError, match=r"tip along \(0\.10\d, 0\.20\d, 0\.97\d\) in the body"
-    ):
+    with pytest.raises(ValueError, match=r"tip along \(0\.10\d, 0\.20\d, 0\.97\d\) in the body"):
         rf.calibrate(spins(rng, 12))
     still = place(Rotation.from_rotvec(1e-3 * rng.normal(size=(8, 3))))
     with pytest.raises(ValueError, match="do not determine the tip: the poses turn by 0"):
@@ -229,7 +227,9 @@ def test_the_command_needs_no_times(tmp_path: Path, capsys: Captured, rng: np.ra
         out, err = capsys.readouterr()
         assert "8 of 8 poses used" in out
         assert not err
-    with pytest.raises(rf.RecordingError, match=r"no times; .* touches .* no times: use reframe-jax calibrate"):
+    with pytest.raises(
+        rf.RecordingError, match=r"no times; .* touches .* no times: use reframe-jax calibrate"
+    ):
         rf.load_recording(write(tmp_path / "a.csv", HEADER[1:], rows))
 
 

@@ -4,11 +4,10 @@ import math
 import warnings
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
 from pathlib import Path
-from typing import IO
+from typing import IO, NamedTuple
 
 import numpy as np
 
@@ -25,23 +24,12 @@ _PLAIN = "plain arrays of numbers, as np.save or np.savez writes them"
 _LONGEST_HEADER = 10_000  # bytes; NumPy writes 128 for an array of numbers
 
 
-@dataclass(frozen=True)
-class _Array:
-    """The header of an array in a file."""
+class _Array(NamedTuple):
+    """An array in a file, whose numbers are not yet read."""
 
-    open: Callable[[], IO[bytes]]
-    start: int  # of the numbers, in bytes
     shape: tuple[int, ...]
-    by_column: bool
     dtype: np.dtype
-
-    def read(self) -> np.ndarray:
-        """Read the numbers."""
-        with self.open() as stream:
-            stream.seek(self.start)
-            content = stream.read(math.prod(self.shape) * self.dtype.itemsize)
-        numbers = np.frombuffer(content, self.dtype)
-        return numbers.reshape(self.shape, order="F" if self.by_column else "C").copy()
+    read: Callable[[], np.ndarray]
 
 
 def read_arrays(path: Path, wanted: Selection) -> Rows:
@@ -67,17 +55,22 @@ def _find(name: str, open: Callable[[], IO[bytes]], size: int) -> _Array:
         head = BytesIO(stream.read(_LONGEST_HEADER))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # headers of Python 2, and damaged headers
-        read = {
-            (1, 0): np.lib.format.read_array_header_1_0,
-            (2, 0): np.lib.format.read_array_header_2_0,
-        }[np.lib.format.read_magic(head)]
+        version, _ = np.lib.format.read_magic(head)
+        read = getattr(np.lib.format, f"read_array_header_{version}_0")
         shape, by_column, dtype = read(head)
     if dtype.hasobject or dtype.itemsize == 0:
         raise ValueError(f"{name} contains objects")
     claimed, held = math.prod(shape) * dtype.itemsize, size - head.tell()
     if min(shape, default=0) < 0 or claimed > held:
         raise ValueError(f"{name} has the shape {shape} and should take {claimed} bytes, but has {held}")
-    return _Array(open, head.tell(), shape, by_column, dtype)
+
+    def numbers() -> np.ndarray:
+        with open() as stream:
+            stream.seek(head.tell())
+            content = np.frombuffer(stream.read(claimed), dtype)
+        return content.reshape(shape, order="F" if by_column else "C").copy()
+
+    return _Array(shape, dtype, numbers)
 
 
 def _rows(path: Path, arrays: dict[str, _Array], others: list[str]) -> Rows:

@@ -73,8 +73,9 @@ def read_ndi(path: Path, wanted: Selection) -> Rows:
     found = collect(path, rows(), len(names), [*pose[4:], *pose[1:4], pose[0], *frame], time)
     frames, found.values = found.values[:, 7:], found.values[:, :7]
     found.no_times, found.order = _NO_TIMES, "wxyz"
-    if time is None and frames.size and np.isfinite(frames).all() and (np.diff(frames[:, 0]) > 0).all():
-        found.frames = frames[:, 0].astype(int)
+    if time is None and frames.size:
+        found.times = frames[:, 0]
+        found.count_frames()
     found.values[np.abs(found.values).max(axis=1, initial=0) > _LOST] = np.nan
     found.metres = LENGTH_WORDS.get(split_unit(names[tool.first + 4])[1])
     if wanted.unit is None and found.metres is None:
