@@ -54,6 +54,12 @@ def test_lines_before_the_header(tmp_path: Path, rows: np.ndarray, preamble: str
     np.testing.assert_allclose(recording.times, rows[gaps:, 0], atol=1e-9)
 
 
+def test_lines_between_the_header_and_the_numbers(tmp_path: Path, rows: np.ndarray) -> None:
+    units = "# in the ground frame\nms,mm,mm,mm,,,,\n--------"
+    cells = rows * [1e3, 1e3, 1e3, 1e3, 1, 1, 1, 1]
+    same(load_recording(text(tmp_path / "a.csv", f"{','.join(HEADER)}\n{units}", cells)), rows)
+
+
 @pytest.mark.parametrize(
     "header",
     [

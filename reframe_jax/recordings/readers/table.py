@@ -183,11 +183,13 @@ def _read_header(path: Path) -> tuple[list[str], Iterator[tuple[int, list[str]]]
     start, titles = (plain or headers)[-1 if units is None else -2]
     header = [*titles]
     if units is not None:
+        start = plain[-1][0]
         pairs = zip_longest(titles, units[: len(titles)], fillvalue="")
         titles = [f"{title} [{unit}]" if unit else title for title, unit in pairs]
 
     def rows() -> Iterator[tuple[int, list[str]]]:
-        for line, row in chain(before[start + (1 if units is None else 2) :], [(number, text)], lines):
+        late = [line for line in before[start + 1 :] if any(map(is_number, split(line[1], delimiter)))]
+        for line, row in chain(late, [(number, text)], lines):
             if row[0] not in _COMMENT:
                 cells = trim(split(row, delimiter), len(titles))
                 if any(cells) and cells != header:  # joined files repeat the header
