@@ -436,6 +436,8 @@ def test_trc(tmp_path: Path, rows: np.ndarray, unit: str, scale: float) -> None:
         RecordingError, match=r"has no body 'leg'; name a prefix .*\(--body\); prefixes: rod; "
     ):
         load_recording(path, body="leg")
+    path.write_text(trc(points[:, 4:], labels[4:], unit).replace("\t", "  "))  # between blanks
+    assert load_recording(path, body="LASI,RASI,SACR").poses.shape == (60, 4, 4)
     path.write_text(trc(points[:, 4:], labels[4:], unit).replace("Units", "Unit"))
     with pytest.raises(RecordingError, match="expected the header of a TRC file"):
         load_recording(path)

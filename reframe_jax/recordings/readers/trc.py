@@ -13,7 +13,7 @@ import numpy as np
 
 from reframe_jax.recordings.markers import UNSEEN, choose_markers, fit_markers, marker_entries
 from reframe_jax.recordings.readers.collecting import collect
-from reframe_jax.recordings.readers.lines import is_number, read_cells
+from reframe_jax.recordings.readers.lines import find_delimiter, is_number, read_lines, split
 from reframe_jax.recordings.readers.reader import Entry, Reader
 from reframe_jax.recordings.readers.units import LENGTH_WORDS
 from reframe_jax.recordings.recording import RecordingError
@@ -43,7 +43,7 @@ def read_trc(path: Path, wanted: Selection) -> Rows:
 
 def _read_header(path: Path) -> tuple[list[str], str, Iterator[tuple[int, list[str]]]]:
     """Return the names of the markers, the unit, and the rows after the names."""
-    lines = read_cells(path)
+    lines = ((number, split(line, find_delimiter(line))) for number, line in read_lines(path, "\r\n"))
     head = [cells for _, cells in islice(lines, 3)]
     number, titles = next(lines, (0, [""]))
     about = dict(zip(*(filter(None, cells) for cells in head[1:]), strict=False)) if len(head) == 3 else {}
