@@ -82,7 +82,8 @@ def add_identify(commands: Any) -> None:
     linear = f"m/s RMS; the same threshold for translations ({defaults.linear:g})"
     add("--linear-threshold", type=arguments.positive, metavar="V", help=linear)
     bounds = (
-        "half the width of the cube in which origins are searched, m (2, or twice the extent of the motion)"
+        "half the width of the cube in which origins are searched, m (the larger of 2 and twice the extent "
+        "of the motion)"
     )
     add("--bounds", type=arguments.metres, metavar="M", help=bounds)
     add("--summary", action="store_true", help="print only the table of all recordings")
