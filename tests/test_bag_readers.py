@@ -9,7 +9,7 @@ import pytest
 from bag_files import COVARIANCE, KINDS, ODOMETRY, POSE, START, TF, TRANSFORM, Messages, Sample, write_bag
 from export_files import motion
 
-from reframe_jax.recordings.readers import bags
+from reframe_jax.recordings import rows
 from reframe_jax.recordings.reading import list_contents, load_recording
 from reframe_jax.recordings.recording import Recording, RecordingError
 from reframe_jax.recordings.relative import interpolate_poses
@@ -88,7 +88,7 @@ def test_messages_that_came_late_are_sorted_by_their_stamps(tmp_path: Path, pose
     timed = [(*sample[:3], START + k * STEP) for k, sample in enumerate(swapped)]
     recording = load_recording(write_bag(tmp_path, "a.mcap", timed))
     np.testing.assert_allclose(recording.poses, poses, atol=1e-12)
-    assert "message 5 is earlier than the message before; all are sorted by time." in recording.notes
+    assert "message 5 is earlier than the previous message; the rows are sorted by time." in recording.notes
 
 
 def test_stamps_that_nobody_set(tmp_path: Path, poses: np.ndarray) -> None:
@@ -114,7 +114,7 @@ def test_a_topic_of_several_transforms(tmp_path: Path, poses: np.ndarray) -> Non
     path = write_bag(tmp_path, "a.mcap", sorted(samples, key=lambda sample: sample[3]))
     same(load_recording(path, topic="/pose", to_frame="hand"), poses[::-1])
     with pytest.raises(
-        RecordingError, match=r"found tool in map, hand in map; of transforms, name .*\(--to\)"
+        RecordingError, match=r"found tool in map, hand in map; for transforms, name .*\(--to\)"
     ):
         load_recording(path)
     with pytest.raises(RecordingError, match="found none"):
@@ -204,7 +204,7 @@ def test_frames_are_listed(tree: tuple[Make, dict[tuple[str, str], np.ndarray]])
         ),
         ({"from_frame": "map", "to_frame": "map"}, "expected two frames, found 'map' twice"),
         ({"from_frame": "map", "to_frame": "table"}, "between the two frames are static: nothing moves"),
-        ({"topic": "/tf"}, r"/tf holds tf frames; name two"),
+        ({"topic": "/tf"}, r"/tf contains tf frames; name two"),
         ({"topic": "/pose", "from_frame": "map"}, r"expected either topic \(--topic\) or from_frame"),
     ],
 )
@@ -260,8 +260,8 @@ def test_bags_without_poses(tmp_path: Path) -> None:
 
 
 def test_bags_of_too_many_poses(tmp_path: Path, poses: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bags, "MOST_ROWS", 8)
-    with pytest.raises(RecordingError, match="has more than 8 poses; cut the recording into files"):
+    monkeypatch.setattr(rows, "MOST_ROWS", 8)
+    with pytest.raises(RecordingError, match="has more than 8 rows; divide the recording into files"):
         load_recording(write_bag(tmp_path, "a.mcap", topic("a.mcap", POSE, poses)))
 
 

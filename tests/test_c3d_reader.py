@@ -94,7 +94,7 @@ def test_markers(tmp_path: Path, poses: np.ndarray, unit: str, scale: float) -> 
     np.testing.assert_allclose(recording.times, 0.01 * np.arange(12))
     (note,) = recording.notes
     assert note.startswith("4 markers are ")
-    assert note.endswith(" mm in the worst frame.")
+    assert note.endswith(" mm at most.")
     with pytest.raises(RecordingError, match=rf"states its unit, {unit}; leave out unit \(--unit\)"):
         load_recording(path, unit="m")
 
@@ -162,16 +162,19 @@ def test_frames_without_markers_are_dropped(tmp_path: Path, poses: np.ndarray) -
 def test_markers_that_are_on_no_body(tmp_path: Path, poses: np.ndarray, rng: np.random.Generator) -> None:
     points = {f"m{i}": 1000 * rng.normal(size=(12, 3)) for i in range(4)}
     recording = load_recording(write_c3d(tmp_path / "a.c3d", points))
-    assert recording.notes[0].endswith("; are all on the same body?")
+    assert recording.notes[0].endswith("; check that all are on the same body.")
 
 
 @pytest.mark.parametrize(
     ("name", "problem"),
     [
-        (None, r"does not say which .* commas between them, body \(--body\); markers: hip, knee, foot, head"),
+        (
+            None,
+            r"does not state which .* commas between them, body \(--body\); markers: hip, knee, foot, head",
+        ),
         ("hip,knee,nose", "has no marker nose; markers: hip, knee, foot"),
         ("hip,knee", "expected three markers or more of a body, found 2"),
-        ("hip,knee,foot", "no rigid body fits, as no frame has all markers; .*: hip 6, knee 12, foot 6"),
+        ("hip,knee,foot", "no rigid body fits, because no frame has all markers; .*: hip 6, knee 12, foot 6"),
     ],
 )
 def test_bodies_that_cannot_be_read(
@@ -195,8 +198,8 @@ def test_damaged_files(tmp_path: Path, poses: np.ndarray) -> None:
     whole = path.read_bytes()
     used = whole.index(b"USED") + 4
     for content, problem in (
-        (b"", "expected a C3D file; the content is of another kind"),
-        (b"\x02\x51" + whole[2:], "expected a C3D file; the content is of another kind"),
+        (b"", "expected a C3D file; the content has another format"),
+        (b"\x02\x51" + whole[2:], "expected a C3D file; the content has another format"),
         (whole[:400], "it ends before its parameters"),
         (whole[:1100], "it ends within its parameters"),
         (b"\xff" + whole[1:], "it ends before its parameters"),
@@ -223,5 +226,5 @@ def test_files_that_ezc3d_never_finishes(
 ) -> None:
     path = write_c3d(tmp_path / "a.c3d", body("rod", poses))
     monkeypatch.setattr(c3d, "_PATIENCE", 1e-3)
-    with pytest.raises(RecordingError, match="ezc3d does not come to an end with it"):
+    with pytest.raises(RecordingError, match="ezc3d does not finish reading it"):
         load_recording(path)

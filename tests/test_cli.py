@@ -158,8 +158,8 @@ def test_repaired_input_is_noted(clip: Path, capsys: Captured) -> None:
     clip.write_text("\n".join(lines))
     assert run(clip, "--json", "-") == 0
     out, err = capsys.readouterr()
-    assert err == f"reframe-jax: {clip}: line 5 left out: the row before is repeated.\n"
-    assert read_json(out)[0]["notes"] == ["line 5 left out: the row before is repeated."]
+    assert err == f"reframe-jax: {clip}: line 5 left out: the previous row is repeated.\n"
+    assert read_json(out)[0]["notes"] == ["line 5 left out: the previous row is repeated."]
 
 
 def test_outliers_are_left_out_and_told(door: Path, tmp_path: Path, capsys: Captured) -> None:

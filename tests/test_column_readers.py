@@ -82,9 +82,7 @@ def test_episodes_are_named(tmp_path: Path, poses: np.ndarray) -> None:
     same(load_recording(path, **STATE, episode=1), poses[::-1])
     same(load_recording(path, **STATE, episode=2), poses[2:])
     for episode in (None, 3):
-        with pytest.raises(
-            RecordingError, match=r"holds the episodes 0, 1, 2; name one of them, episode \(--ep"
-        ):
+        with pytest.raises(RecordingError, match=r"contains the episodes 0, 1, 2; name one, episode \(--ep"):
             load_recording(path, **STATE, episode=episode)
 
 
@@ -127,12 +125,12 @@ def test_rows_with_missing_numbers_are_dropped(tmp_path: Path, poses: np.ndarray
         ({**STATE, "position": "pos"}, "has no column 'pos'; columns: observation.state, timestamp, "),
         (
             {**STATE, "quaternion": None},
-            r"does not say how its 4 numbers are meant; give quaternion \(--quat",
+            r"does not state the meaning of the 4 numbers of an orientation; give quaternion \(--quat",
         ),
         ({**STATE, "angles": "XYZ"}, r"has 4 numbers of an orientation; leave out angles"),
         ({**STATE, "position": "observation.state"}, "expected 3 numbers of a position, .*; found 8 and 4"),
         ({**STATE, "position": "task"}, "expected numbers in task, found string"),
-        ({**STATE, "position": "ragged"}, "the lists of ragged are not of the same length"),
+        ({**STATE, "position": "ragged"}, "the lists of ragged have different lengths"),
         ({**STATE, "topic": "/pose"}, "is a Parquet file, which does not use topic"),
     ],
 )
@@ -165,7 +163,7 @@ def test_robomimic(tmp_path: Path, poses: np.ndarray) -> None:
     same(load_recording(path, **EEF, quaternion="xyzw", dt=0.05), poses, 0.05)
     with pytest.raises(RecordingError, match=r"has no times; .*dt \(--dt\)"):
         load_recording(path, **EEF, quaternion="xyzw")
-    with pytest.raises(RecordingError, match=r"of the same length, .*; found 3, 12"):
+    with pytest.raises(RecordingError, match=r"of the same length; found 3, 12"):
         load_recording(path, **{**EEF, "position": "data/demo_1/obs/robot0_eef_pos"}, quaternion="xyzw", dt=1)
     with pytest.raises(
         RecordingError, match="has no column 'data/demo_0'; columns: data/demo_0/obs/object, "
@@ -217,5 +215,5 @@ def test_damaged_files(tmp_path: Path, poses: np.ndarray, name: str, what: str) 
         assert message.isprintable()
         assert len(message) < 500
     path.write_bytes(b"")
-    with pytest.raises(RecordingError, match=f"expected an? {what} file; the content is of another kind"):
+    with pytest.raises(RecordingError, match=f"expected an? {what} file; the content has another format"):
         load_recording(path, **options)

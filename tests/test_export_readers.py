@@ -124,10 +124,10 @@ def test_bones_of_motive(tmp_path: Path, bodies: Poses) -> None:
         (
             "\r\nFrame,",
             "\r\nPicture,",
-            "expected the header of a Motive export .*; the file says version '1.23'",
+            "expected the header of a Motive export .*; the file states version '1.23'",
         ),
         ("Rigid Body,", "Marker,", "has no rigid bodies"),
-        ("Door 1", "Rod", "two bodies are called 'Rod'"),
+        ("Door 1", "Rod", "two bodies have the name 'Rod'"),
         ("\r\n3,", "\r\n3,0,", "line 11: expected 24 columns, found 25"),
         ("\r\n3,0.03", "\r\n3,noon", "line 11: expected numbers: found 'noon"),
     ],
@@ -158,7 +158,9 @@ def test_vicon(tmp_path: Path, bodies: Poses, angles: str, unit: str) -> None:
 
 
 def test_vicon_does_not_say_what_its_angles_are(tmp_path: Path, bodies: Poses) -> None:
-    with pytest.raises(RecordingError, match=r"does not say what RX, RY, RZ mean; give angles \(--angles\)"):
+    with pytest.raises(
+        RecordingError, match=r"does not state the meaning of RX, RY, RZ; give angles \(--angles\)"
+    ):
         load_recording(save(tmp_path / "a.csv", vicon(bodies)), body="Rod")
     path = save(tmp_path / "b.csv", vicon(bodies, angles="quaternion"))
     same(load_recording(path, body="Rod"), bodies["Rod"])
@@ -207,8 +209,8 @@ def test_bodies_that_vicon_lost(tmp_path: Path, bodies: Poses) -> None:
             "expected the units rad or deg, and mm, cm or m, of Rod; found 'rad, rad, turns, mm",
         ),
         ("mm", "inch", "expected the units rad or deg, and mm, cm or m, of Rod; found 'rad, rad, rad, inch"),
-        ("Door 1", "Rod", "expected a name of its own for every body, found 'Rod'"),
-        ("\n4,0,", "\n4,1,", "has sub frames; expected one row a frame"),
+        ("Door 1", "Rod", "expected different names of all bodies, found 'Rod'"),
+        ("\n4,0,", "\n4,1,", "has sub frames; export one row per frame"),
         ("\n4,0,", "\n4,0,low,", "line 9: expected 14 columns, found 15"),
     ],
 )
@@ -265,11 +267,11 @@ def test_headers_of_older_versions_of_qualisys(tmp_path: Path) -> None:
 def test_the_order_of_matrices_is_checked_against_the_angles(tmp_path: Path, bodies: Poses) -> None:
     recording = load_recording(save(tmp_path / "a.tsv", qualisys(bodies, by_row=True)), body="Rod")
     same(recording, bodies["Rod"])
-    assert recording.notes == ("the matrices are stored row by row, as the angles show, and are read so.",)
+    assert recording.notes == ("the matrices are read row by row, because the angles show this order.",)
     recording = load_recording(save(tmp_path / "b.tsv", qualisys(bodies, order="zyx")), body="Rod")
     same(recording, bodies["Rod"])
     (note,) = recording.notes
-    assert note.startswith("the angles are of another convention than Qualisys standard")
+    assert note.startswith("the angles do not have the convention Qualisys standard")
 
 
 def test_angles_of_qualisys_without_matrices(tmp_path: Path, bodies: Poses) -> None:

@@ -30,7 +30,7 @@ def test_units(tmp_path: Path, table: np.ndarray, unit: str, scale: float) -> No
 
 def test_millimetres_are_not_taken_for_metres(tmp_path: Path, table: np.ndarray) -> None:
     path = write(tmp_path / "a.csv", HEADER, table * [1, 1000, 1000, 1000, 1, 1, 1, 1])
-    with pytest.raises(RecordingError, match=r"line \d+: lies .* m from the median position; .*--unit mm"):
+    with pytest.raises(RecordingError, match=r"line \d+: .* m from the median position; .*--unit mm"):
         load_recording(path)
 
 
@@ -78,7 +78,7 @@ def test_sample_times_are_needed_exactly_where_there_are_none(tmp_path: Path, ta
     np.testing.assert_allclose(load_recording(path, dt=0.25).times, 0.25 * np.arange(9))
     recording = load_recording(write(tmp_path / "b.csv", HEADER, table), dt=0.25)
     np.testing.assert_allclose(recording.times, 0.25 * np.arange(9))
-    assert recording.notes == ("the times in the file are ignored, for the sample time of 0.25 s given.",)
+    assert recording.notes == ("the times in the file are ignored; the sample time is 0.25 s.",)
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,9 @@ def test_whole_times_that_go_back_are_sorted(tmp_path: Path, table: np.ndarray) 
     np.testing.assert_array_equal(recording.times, [-3, 0, 1, 2, 4, 5, 6, 7, 8])
     assert recording.rows is not None
     assert recording.rows.tolist() == [3, 0, 1, 2, 4, 5, 6, 7, 8]
-    assert recording.notes[1:] == ("sample 3 is earlier than the sample before; all are sorted by time.",)
+    assert recording.notes[1:] == (
+        "sample 3 is earlier than the previous sample; the rows are sorted by time.",
+    )
 
 
 # Repairs
@@ -127,7 +129,7 @@ def test_duplicates_are_dropped(tmp_path: Path, table: np.ndarray) -> None:
     rows = table[[0, 1, 1, 1, 2, 3, 4, 5, 6, 7, 8]]
     recording = load_recording(write(tmp_path / "a.csv", HEADER, rows))
     np.testing.assert_allclose(recording.times, table[:, 0], atol=1e-12)
-    assert recording.notes == ("lines 4-5 left out: the row before is repeated.",)
+    assert recording.notes == ("lines 4-5 left out: the previous row is repeated.",)
 
 
 def test_standstill_is_kept_and_noted_where_it_is_frequent(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -140,7 +142,7 @@ def test_standstill_is_kept_and_noted_where_it_is_frequent(tmp_path: Path, rng: 
     recording = load_recording(write(tmp_path / "a.csv", HEADER, rows))
     assert len(recording.times) == 40
     (note,) = recording.notes
-    assert note.startswith("20 of 40 poses repeat the one before exactly: the body rested, or")
+    assert note.startswith("20 of 40 poses repeat the previous pose exactly: the body rested, or")
 
 
 def test_quaternions_are_normalised_within_a_hundredth(tmp_path: Path, table: np.ndarray) -> None:
@@ -191,7 +193,7 @@ def test_matrices_are_made_orthonormal_or_refused(tmp_path: Path, table: np.ndar
         (lambda rows: rows[3].__setitem__(0, "12:30"), "line 5: expected numbers: .*'12:30'"),
         (lambda rows: rows[8].pop(), "line 10: expected 8 columns, found 7; delete the line"),
         (lambda rows: rows.__delitem__(slice(3, None)), "has 3 usable poses; expected 4"),
-        (lambda rows: rows.clear(), "has no more than one line of text; expected a header such as t,x,y,z"),
+        (lambda rows: rows.clear(), "has no rows of numbers; expected a header such as t,x,y,z"),
     ],
 )
 def test_rows_that_are_refused(

@@ -121,7 +121,7 @@ def test_half_a_pose_that_is_frozen_is_none(
     recording = load_recording(write(tmp_path / "a.csv", HEADER, rows))
     (left_out,) = recording.left_out
     np.testing.assert_array_equal(left_out.rows, np.arange(start, start + 40) + 2)
-    assert f"tracking was lost: the {'last ' if start > 100 else ''}{part} " in recording.notes[0]
+    assert f"tracking was lost: the {'last' if start > 100 else 'previous'} {part} " in recording.notes[0]
     rows[start : start + 40, 4:] = [0, 0, 0, 1]
     found = find_lost_poses(poses_of(rows), rows[:, 0]).mask
     assert found[start : start + 40].all()

@@ -114,14 +114,22 @@ def test_arrays(tmp_path: Path, table: np.ndarray) -> None:
         ("a.csv", "", "is empty"),
         ("a.csv", "0,0,0,0,0,0\n1,0,0,0,0,0\n", "line 1: expected a header .*, or rows of 8 numbers"),
         ("a.csv", "t,x,y,z\n0,0,0,0\n", "no column for qx, qy, qz, qw"),
-        ("a.csv", "t,time,x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,0,1\n", "columns 't' and 'time' mean the same"),
-        ("a.csv", "t,x,px,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,0,1\n", "columns 'x' and 'px' mean the same"),
+        (
+            "a.csv",
+            "t,time,x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,0,1\n",
+            "columns 't' and 'time' have the same meaning",
+        ),
+        (
+            "a.csv",
+            "t,x,px,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,0,1\n",
+            "columns 'x' and 'px' have the same meaning",
+        ),
         ("a.csv", "when,x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,1\n", "has no times; name their column t, or"),
         ("a.csv", "time [h],x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,1\n", "one of the units s, ms, .*: time .h."),
         ("a.txt", "", "is empty"),
         ("a.txt", "t x y z\n0 0 0 0\n", "no column for qx, qy, qz, qw"),
-        ("a.npy", "no array", "does not hold plain arrays"),
-        ("a.npz", "PK\x03\x04cut off", "does not hold plain arrays"),
+        ("a.npy", "no array", "expected plain arrays"),
+        ("a.npz", "PK\x03\x04cut off", "expected plain arrays"),
         ("a.xyz", "", "expected one of .csv, .tsv, .txt, .tum, "),
     ],
 )
@@ -163,7 +171,7 @@ def test_pickles_are_never_opened(tmp_path: Path) -> None:
     np.save(tmp_path / "b.npy", np.array([_Trap()], dtype=object))
     np.savez(tmp_path / "b.npz", poses=np.array([_Trap()], dtype=object))
     for name in ("b.npy", "b.npz"):
-        with pytest.raises(RecordingError, match="does not hold plain arrays"):
+        with pytest.raises(RecordingError, match="expected plain arrays"):
             load_recording(tmp_path / name)
 
 

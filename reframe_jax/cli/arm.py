@@ -1,4 +1,4 @@
-"""Options of both commands that simulate the arm. MuJoCo is imported when a command runs."""
+"""Options of the commands that simulate the arm. A command imports MuJoCo when it runs."""
 
 import argparse
 from typing import Any
@@ -9,15 +9,17 @@ from reframe_jax.storage.progress import make_meter
 
 __all__ = ["add_common", "prepare"]
 
+_IMPERFECTIONS = {"none": None, "encoder": "ENCODER_GRADE", "realistic": "REALISTIC", "matched": "MATCHED"}
+
 
 def add_common(command: argparse.ArgumentParser) -> None:
-    """Add the options of both commands."""
+    """Add the common options."""
     add = command.add_argument
     arguments.add_constraint(command)
     add("--robot", choices=["panda", "fr3"], default="panda", help="robot arm; the paper uses fr3 (panda)")
     add(
         "--imperfections",
-        choices=["none", "encoder", "realistic", "matched"],
+        choices=[*_IMPERFECTIONS],
         default="realistic" if command.prog.endswith("reproduce") else "encoder",
         help="errors of the poses: none, encoder noise, encoder noise and compliance, or the compliance of "
         "the paper's set-up (%(default)s)",
@@ -34,20 +36,15 @@ def add_common(command: argparse.ArgumentParser) -> None:
 
 
 def prepare(options: argparse.Namespace) -> dict[str, Any]:
-    """Configure JAX, and return the options that both commands pass to the simulation."""
+    """Configure JAX, and return the common options as arguments of a simulation."""
     configure_jax(options.cache)
-    from reframe_jax.simulation import arm as panda
+    from reframe_jax.simulation import arm
 
-    kinds = {
-        "none": panda.Imperfections(),
-        "encoder": panda.ENCODER_GRADE,
-        "realistic": panda.REALISTIC,
-        "matched": panda.MATCHED,
-    }
+    name = _IMPERFECTIONS[options.imperfections]
     return {
-        "imperfections": kinds[options.imperfections],
+        "imperfections": arm.Imperfections() if name is None else getattr(arm, name),
         "excitation": options.excitation,
-        "spread": (0.0, 0.0) if options.fixed else panda.SPREAD,
+        "spread": (0.0, 0.0) if options.fixed else arm.SPREAD,
         "arm": options.robot,
         "progress": make_meter(None, "demonstrations"),
     }

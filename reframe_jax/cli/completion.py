@@ -1,11 +1,12 @@
 """``reframe-jax completion``: completion of the command line in a shell."""
 
 import argparse
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from reframe_jax.cli.commands import add_command
-from reframe_jax.cli.printing import print_error, print_result
+from reframe_jax.cli.printing import fail, print_result
 
 __all__ = ["add_completion"]
 
@@ -27,8 +28,7 @@ def _completion(options: argparse.Namespace) -> int:
     try:
         import shtab
     except ImportError:
-        print_error("reframe-jax: error: completion needs shtab: pip install 'reframe-jax[completion]'")
-        return 1
+        return fail("completion needs shtab: pip install 'reframe-jax[completion]'")
     from reframe_jax.cli.program import full_parser
 
     parser = full_parser()
@@ -39,12 +39,10 @@ def _completion(options: argparse.Namespace) -> int:
     return 0
 
 
-def _actions(parser: argparse.ArgumentParser) -> list[argparse.Action]:
-    """All arguments of a parser and of its subcommands."""
-    actions = []
+def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+    """Yield all arguments of a parser and of its subcommands."""
     for action in parser._actions:
-        actions.append(action)
+        yield action
         if isinstance(action.choices, dict):
             for command in action.choices.values():
-                actions += _actions(command)
-    return actions
+                yield from _actions(command)

@@ -23,8 +23,7 @@ def configure_jax(cache: bool) -> None:
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_FAST_COMPILATION}".strip()
     settings: dict[str, Any] = {"jax_enable_x64": True}
     if cache and os.environ.get("REFRAME_JAX_CACHE") != "0":
-        home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        folder = Path(home) / "reframe_jax"
+        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "reframe_jax"
         _replace_unreadable(folder)
         settings["jax_compilation_cache_dir"] = str(folder)
         settings["jax_persistent_cache_min_compile_time_secs"] = 0.0
@@ -34,10 +33,7 @@ def configure_jax(cache: bool) -> None:
 
 
 def _replace_unreadable(folder: Path) -> None:
-    """Delete cache entries that JAX reports as unreadable.
-
-    JAX compiles such a program again in every run, because it does not overwrite the unreadable file.
-    """
+    """Delete cache entries that JAX reports as unreadable, because JAX does not overwrite them."""
     default_handler = warnings.showwarning
 
     def delete_or_print(message: Warning | str, *about: Any, **more: Any) -> None:

@@ -13,7 +13,8 @@ import numpy as np
 from reframe_jax.cli import arguments
 from reframe_jax.cli.arm import add_common, prepare
 from reframe_jax.cli.commands import add_command
-from reframe_jax.cli.printing import print_error, print_result
+from reframe_jax.cli.outputs import check_file
+from reframe_jax.cli.printing import fail, print_result
 from reframe_jax.constraints.catalogue import CONSTRAINTS
 from reframe_jax.recordings.writing import save_recording
 
@@ -21,7 +22,7 @@ __all__ = ["add_demonstrate"]
 
 _LONGEST = 100_000  # most samples in a demonstration
 _CHUNK = 64  # demonstrations simulated in one call, and stored in one part of a folder
-
+_ENDINGS = {"out": ("", ".npz", ".csv"), "plot": (".png", ".pdf", ".svg"), "render": (".gif", ".mp4")}
 
 _DEMONSTRATE = """\
 Simulate demonstrations: a hand guides a Franka arm under a constraint.
@@ -45,53 +46,42 @@ def add_demonstrate(commands: Any) -> None:
     add("--dt", type=arguments.seconds, default=0.05, metavar="S", help="sample time, s (0.05)")
     add("--plot", type=Path, metavar="FILE", help="draw the first demonstration, .png or .pdf")
     add("--render", type=Path, metavar="FILM", help="film the first demonstration, .gif or .mp4")
-    add(
-        "--keep",
-        action="store_true",
-        help="keep demonstrations that reach a joint limit instead of replacing them",
-    )
+    add("--keep", action="store_true", help="keep demonstrations that reach a joint limit")
 
 
 def _demonstrate(options: argparse.Namespace) -> int:
     _check(options)
     common = prepare(options)
-    from reframe_jax.simulation import arm as panda
+    from reframe_jax.simulation import arm
 
+    common |= {"redraw": not options.keep, "duration": options.duration, "dt": options.dt}
+    given = options.constraint, jax.random.key(options.seed), options.count
     parts: Iterable[Any]
     try:
-        arguments = options.constraint, jax.random.key(options.seed), options.count
-        common |= {
-            "redraw": not options.keep,
-            "duration": options.duration,
-            "dt": options.dt,
-        }
         if options.out.suffix:
-            drawn = list(panda.demonstrations(*arguments, chunk=min(options.count, _CHUNK), **common))
+            drawn = list(arm.demonstrations(*given, chunk=min(options.count, _CHUNK), **common))
             written, parts = _write(options.out, drawn), drawn
         else:
-            panda.store_demonstrations(*arguments, options.out, chunk=_CHUNK, **common)
-            written, parts = str(options.out), panda.stored_demonstrations(options.out)
+            arm.store_demonstrations(*given, options.out, chunk=_CHUNK, **common)
+            written, parts = str(options.out), arm.stored_demonstrations(options.out)
     except OSError as error:
-        print_error(f"reframe-jax: error: {options.out}: cannot be written: {error.strerror}.")
-        return 1
+        return fail(f"{options.out}: cannot be written: {error.strerror}.")
     except ValueError as error:
-        print_error(f"reframe-jax: error: {error}")
-        return 1
+        return fail(error)
     first, codes = None, Counter[int]()
     for part in parts:
         first = part[0] if first is None and len(part.status_code) else first
         codes.update(part.status_code.tolist())
-    assert first is not None  # there is at least one
+    assert first is not None  # --count is positive
     print_result(f"{written}: {codes.total()} demonstrations of {first.times[-1]:g} s")
-    for code in sorted(codes.keys() - {panda.RolloutStatus.OK}):
-        print_result(f"{codes[code]} of them: {panda.RolloutStatus(code).message}")
+    for code in sorted(codes.keys() - {arm.RolloutStatus.OK}):
+        print_result(f"{codes[code]} of them: {arm.RolloutStatus(code).message}")
     return _draw(first, options)
 
 
 def _check(options: argparse.Namespace) -> None:
     """Report outputs that cannot be written, before the simulation starts."""
-    endings = {"out": ("", ".npz", ".csv"), "plot": (".png", ".pdf", ".svg"), "render": (".gif", ".mp4")}
-    for name, suffixes in endings.items():
+    for name, suffixes in _ENDINGS.items():
         path = getattr(options, name)
         if path is None:
             continue
@@ -99,8 +89,8 @@ def _check(options: argparse.Namespace) -> None:
             folder = "be a folder, or " if "" in suffixes else ""
             ends = " or ".join(filter(None, suffixes))
             options.usage_error(f"--{name} must {folder}end in {ends}, not {path.name!r}.")
-        if path.suffix and not path.parent.is_dir():
-            options.usage_error(f"--{name}: there is no directory {path.parent}.")
+        if path.suffix:
+            check_file(f"--{name}", path, options)
     if options.dt > options.duration:
         options.usage_error("--dt must not be longer than --duration.")
     if options.duration > _LONGEST * options.dt:
@@ -109,7 +99,7 @@ def _check(options: argparse.Namespace) -> None:
 
 def _draw(first: Any, options: argparse.Namespace) -> int:
     """Draw the requested picture and film of one demonstration."""
-    failed = False
+    failed = 0
     try:
         if options.plot is not None:
             from reframe_jax.plotting.arm import plot_demonstration
@@ -118,8 +108,7 @@ def _draw(first: Any, options: argparse.Namespace) -> int:
             plot_demonstration(first, arm=options.robot, title=title).savefig(options.plot)
             print_result(str(options.plot))
     except (ImportError, ValueError, OSError) as error:
-        failed = True
-        print_error(f"reframe-jax: error: no picture: {error}")
+        failed = fail(f"no picture: {error}")
     try:
         if options.render is not None:
             from reframe_jax.simulation.arm.render import film_frames, save_film
@@ -128,9 +117,8 @@ def _draw(first: Any, options: argparse.Namespace) -> int:
             save_film(options.render, pictures, rate=1 / options.dt)
             print_result(str(options.render))
     except (ImportError, AttributeError, ValueError, OSError, RuntimeError) as error:  # MuJoCo without OpenGL
-        failed = True
-        print_error(f"reframe-jax: error: no film: {error}")
-    return int(failed)
+        failed = fail(f"no film: {error}")
+    return failed
 
 
 def _write(path: Path, parts: list[Any]) -> str:

@@ -22,31 +22,24 @@ from reframe_jax.recordings.recording import Recording
 __all__ = ["add_exports", "check_exports", "write_joint_files", "write_tables"]
 
 _ROBOTS: dict[str, Callable[[Joint], str]] = {"urdf": to_urdf, "mjcf": to_mjcf, "sdf": to_sdf}
-_DOCUMENTS: dict[str, Callable[[TaskFrame], str]] = {
-    ".yaml": TaskFrame.to_yaml,
-    ".yml": TaskFrame.to_yaml,
-    ".json": TaskFrame.to_json,
-}
+_YAML, _JSON = TaskFrame.to_yaml, TaskFrame.to_json
+_DOCUMENTS: dict[str, Callable[[TaskFrame], str]] = {".yaml": _YAML, ".yml": _YAML, ".json": _JSON}
 _TABLES = {"csv": write_csv, "parquet": write_parquet}
 
 
 def add_exports(command: argparse.ArgumentParser) -> None:
     """Add the options to a command."""
-    group = command.add_argument_group(
+    add = command.add_argument_group(
         "files for other programs",
         "With several recordings, each joint or task frame is written to OUT-NAME.",
-    )
-    add = group.add_argument
+    ).add_argument
     for name in _ROBOTS:
         add(f"--{name}", type=Path, metavar="OUT", help=f"write the joint as {name.upper()}")
-    add(
-        "--task-frame", type=Path, metavar="OUT", help="write the task frame at the last pose, .yaml or .json"
-    )
+    frame = "write the task frame at the last pose, .yaml or .json"
+    add("--task-frame", type=Path, metavar="OUT", help=frame)
     add("--parent", default="ground", metavar="NAME", help="name of the ground in these files (ground)")
     add("--child", default="body", metavar="NAME", help="name of the body in these files (body)")
-    add(
-        "--csv", type=Path, metavar="OUT", help="write one table of all recordings as CSV, one row per window"
-    )
+    add("--csv", type=Path, metavar="OUT", help="write a table of all recordings as CSV, one row per window")
     add("--parquet", type=Path, metavar="OUT", help="write the same table as Parquet")
 
 
@@ -59,11 +52,10 @@ def check_exports(options: argparse.Namespace) -> None:
         if out is None:
             continue
         check_file(option, out, options)
-        if name in of_joints:
-            if options.window is not None:
-                options.usage_error(f"{option} describes whole recordings: remove --window.")
-            if len({path.stem for path in options.files}) < len(options.files):
-                options.usage_error(f"{option} needs recordings with different names.")
+        if name in of_joints and options.window is not None:
+            options.usage_error(f"{option} describes whole recordings: remove --window.")
+        if name in of_joints and len({path.stem for path in options.files}) < len(options.files):
+            options.usage_error(f"{option} needs recordings with different names.")
     if options.task_frame is not None and options.task_frame.suffix not in _DOCUMENTS:
         expected = ", ".join(_DOCUMENTS)
         options.usage_error(f"--task-frame must end in {expected}, not {options.task_frame.name!r}.")
@@ -87,7 +79,9 @@ def write_joint_files(recording: Recording, found: Identification, options: argp
             problems.append(f"{recording.path}: {error}")
     if options.task_frame is not None:
         last = recording.poses[np.flatnonzero(found.counted)[-1]]
-        texts[options.task_frame] = partial(_task_text, found, last, options)
+        texts[options.task_frame] = lambda: _DOCUMENTS[options.task_frame.suffix](
+            to_task_frame(found, last, ground=options.parent, body=options.child)
+        )
     for out, make in texts.items():
         out = path_of(out, recording.path, options)
         try:
@@ -97,11 +91,6 @@ def write_joint_files(recording: Recording, found: Identification, options: argp
         except OSError as error:
             problems.append(f"{out}: cannot be written: {error.strerror}.")
     return problems
-
-
-def _task_text(found: Identification, pose: np.ndarray, options: argparse.Namespace) -> str:
-    task = to_task_frame(found, pose, ground=options.parent, body=options.child)
-    return _DOCUMENTS[options.task_frame.suffix](task)
 
 
 def write_tables(tables: list[Columns], options: argparse.Namespace) -> list[str]:

@@ -14,10 +14,9 @@ from reframe_jax.cli.commands import add_command
 from reframe_jax.cli.configuring import configure_jax
 from reframe_jax.cli.exports import add_exports, check_exports, write_joint_files, write_tables
 from reframe_jax.cli.outputs import add_outputs, check_outputs, draw, write_document
-from reframe_jax.cli.printing import print_error, print_result
+from reframe_jax.cli.printing import fail, print_error, print_result
 from reframe_jax.cli.reading import add_reading, expand, read_recording
 from reframe_jax.cli.summary import summary_table
-from reframe_jax.cli.windows import add_windows, check_windows
 from reframe_jax.export.columns import Columns, to_columns
 from reframe_jax.export.common import Window
 from reframe_jax.export.json import to_document, to_record
@@ -25,15 +24,14 @@ from reframe_jax.export.table import rows_to_table, to_table
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.entry import identify
 from reframe_jax.identification.results import Identification
-from reframe_jax.motion.checks import Status
+from reframe_jax.motion.checks import MIN_VELOCITIES, Status
 from reframe_jax.motion.windows import sliding_windows
 from reframe_jax.recordings.recording import Recording, RecordingError
 from reframe_jax.storage.progress import make_meter
 
-__all__ = ["add_identify", "identify_recording"]
+__all__ = ["add_identify", "add_windows", "check_windows", "identify_recording"]
 
 _CHUNK = 2048  # windows per progress report
-
 
 _IDENTIFY = """\
 Identify the constraint in recordings.
@@ -61,22 +59,13 @@ def add_identify(commands: Any) -> None:
         default="auto",
         metavar="N,N",
         help="time scales: samples per averaged block, powers of two; 1 is the paper's scale, auto uses all "
-        "scales at which the motion exceeds the noise (auto)",
+        "scales at which the motion exceeds the noise, mean uses displacements about the mean (auto)",
     )
-    add(
-        "--assume",
-        type=arguments.assumed,
-        metavar="NAME",
-        help="fit this constraint instead of comparing all: hinge, ball, screw joint, K",
-    )
+    assume = "fit this constraint instead of comparing all: hinge, ball, screw joint, K"
+    add("--assume", type=arguments.assumed, metavar="NAME", help=assume)
     add_windows(command)
-    add(
-        "--norm",
-        type=arguments.exponent,
-        default=0.0,
-        metavar="P",
-        help="exponent of the power mean over the axes, up to 2; --norm=-inf for the minimum (0)",
-    )
+    norm = "exponent of the power mean over the axes, up to 2; --norm=-inf for the minimum (0)"
+    add("--norm", type=arguments.exponent, default=0.0, metavar="P", help=norm)
     add(
         "--discretization",
         choices=["chord", "left"],
@@ -90,64 +79,67 @@ def add_identify(commands: Any) -> None:
         help="rad/s RMS; decide by thresholds instead of probabilities: a rotation above this threshold is "
         f"free. Without --linear-threshold, the paper's value holds there ({defaults.angular:g})",
     )
-    add(
-        "--linear-threshold",
-        type=arguments.positive,
-        metavar="V",
-        help=f"m/s RMS; the same threshold for translations ({defaults.linear:g})",
+    linear = f"m/s RMS; the same threshold for translations ({defaults.linear:g})"
+    add("--linear-threshold", type=arguments.positive, metavar="V", help=linear)
+    bounds = (
+        "half the width of the cube in which origins are searched, m (the larger of 2 and twice the extent "
+        "of the motion)"
     )
-    add(
-        "--bounds",
-        type=arguments.metres,
-        metavar="M",
-        help="half the width of the cube in which origins are searched, m (the larger of 2 and twice the "
-        "extent of the motion)",
-    )
+    add("--bounds", type=arguments.metres, metavar="M", help=bounds)
     add("--summary", action="store_true", help="print only the table of all recordings")
-    add(
-        "--explain",
-        action="store_true",
-        help="explain the result in plain English, with error bars (95 %%) and what to record next",
-    )
+    explain = "explain the result in plain English, with error bars (95 %%) and what to record next"
+    add("--explain", action="store_true", help=explain)
     add_outputs(command)
     add_reading(command)
     add_exports(command)
 
 
+def add_windows(command: argparse.ArgumentParser) -> None:
+    """Add the options ``--window`` and ``--stride`` to a command."""
+    add = command.add_argument
+    add("--window", type=arguments.whole, metavar="N", help="poses per window (all)")
+    add("--stride", type=arguments.whole, metavar="M", help="poses between the starts of two windows (N)")
+
+
+def check_windows(options: argparse.Namespace) -> None:
+    """Report options that cannot be combined, and set the default stride."""
+    if options.window is None:
+        if options.stride is not None:
+            options.usage_error("--stride needs --window.")
+        options.stride = 1
+    elif options.window < MIN_VELOCITIES + 1:
+        options.usage_error(f"--window must be at least {MIN_VELOCITIES + 1} poses.")
+    options.stride = options.window if options.stride is None else options.stride
+    if options.stride < 1:
+        options.usage_error("--stride must be at least 1.")
+
+
 def _identify(options: argparse.Namespace) -> int:
     options.files = expand(options.files)
-    _check(options)
+    check_exports(options)
+    check_windows(options)
+    for name in ("plot", "explain"):
+        if getattr(options, name) and options.window is not None:
+            options.usage_error(f"--{name} needs a whole recording: remove --window.")
+    check_outputs(options)
     configure_jax(options.cache)
     records: list[dict[str, Any]] = []
     tables: list[Columns] = []
     quiet = options.summary or options.json == "-" or not sys.stdout.isatty()
     meter = make_meter(None if quiet and len(options.files) > 1 else False, "recordings")
     for path in options.files:
-        record = _identify_file(path, options, tables)
-        records.append(record)
+        records.append(_identify_file(path, options, tables))
         meter(len(records), len(options.files))
         if quiet and sys.stderr.isatty() and len(records) < len(options.files):
             print_error("", end="\r")  # the next line overwrites the progress bar
-    failed = any(record["error"] is not None for record in records)
-    several = sum(record["error"] is None for record in records) > 1
-    if options.json != "-" and (several or options.summary):
+    good = sum(record["error"] is None for record in records)
+    if options.json != "-" and (good > 1 or options.summary):
         print_result(summary_table(records))
-    for problem in [*write_tables(tables, options), write_document(partial(to_document, records), options)]:
-        if problem is not None:
-            print_error(f"reframe-jax: error: {problem}")
-            failed = True
-    return int(failed)
-
-
-def _check(options: argparse.Namespace) -> None:
-    """Report options that cannot be combined."""
-    check_exports(options)
-    check_windows(options)
-    if options.plot is not None and options.window is not None:
-        options.usage_error("--plot draws whole recordings: remove --window.")
-    if options.explain and options.window is not None:
-        options.usage_error("--explain explains whole recordings: remove --window.")
-    check_outputs(options)
+    problems = write_tables(tables, options)
+    for problem in problems:
+        fail(problem)
+    written = write_document(partial(to_document, records), options)
+    return int(good < len(records) or bool(problems) or not written)
 
 
 def _identify_file(path: Path, options: argparse.Namespace, tables: list[Columns]) -> dict[str, Any]:
@@ -174,13 +166,13 @@ def _identify_file(path: Path, options: argparse.Namespace, tables: list[Columns
     except Exception as error:  # an error in one file must not stop the other files
         problem = f"{path}: {type(error).__name__}: {error}"
     if problem is not None:
-        print_error(f"reframe-jax: error: {problem}")
+        fail(problem)
     notes = recording.notes if recording else ()
     return to_record(found, label=str(path), windows=windows, notes=notes, recording=recording, error=problem)
 
 
 def _thresholds(options: argparse.Namespace) -> Thresholds | None:
-    """Thresholds from the options, with the paper's value for a missing one; None if both are missing."""
+    """Return thresholds with the paper's value for a missing one; None if both are missing."""
     given = {"angular": options.angular_threshold, "linear": options.linear_threshold}
     given = {name: value for name, value in given.items() if value is not None}
     return Thresholds(**given) if given else None
@@ -240,16 +232,8 @@ def identify_recording(
 
 
 def _identify_windows(poses: np.ndarray, times: np.ndarray, options: argparse.Namespace) -> Identification:
-    return identify(
-        poses,
-        times=times,
-        scales=options.scales,
-        assume=options.assume,
-        norm=options.norm,
-        discretization=options.discretization,
-        thresholds=_thresholds(options),
-        bounds=options.bounds,
-    )
+    same = {name: getattr(options, name) for name in ("scales", "assume", "norm", "discretization", "bounds")}
+    return identify(poses, times=times, thresholds=_thresholds(options), **same)
 
 
 def _figure(recording: Recording, found: Identification, options: argparse.Namespace) -> Any:

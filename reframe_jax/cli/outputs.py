@@ -1,27 +1,24 @@
-"""Options of commands that write their results as a JSON document and pictures."""
+"""JSON documents and pictures, and the loop over recordings of a command."""
 
 import argparse
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from reframe_jax.cli.printing import print_result
+from reframe_jax.cli.printing import fail, print_result
 
 __all__ = ["add_outputs", "check_file", "check_outputs", "draw", "path_of", "write_document"]
 
 _PICTURES = (".png", ".pdf", ".svg", ".jpg", ".webp")
 
 
-def add_outputs(command: argparse.ArgumentParser) -> None:
+def add_outputs(command: argparse.ArgumentParser, *, plot: bool = True) -> None:
     """Add the options ``--json`` and ``--plot`` to a command with ``files``."""
     add = command.add_argument
     add("--json", metavar="OUT", help="write the results as JSON; - prints them instead of tables")
-    add(
-        "--plot",
-        type=Path,
-        metavar="OUT.png",
-        help="draw the result; with several recordings, write each picture to OUT-NAME.png",
-    )
+    if plot:
+        add("--plot", type=Path, metavar="OUT.png", help="draw the result; of several files, to OUT-NAME.png")
+    command.set_defaults(plot=None)
 
 
 def check_outputs(options: argparse.Namespace) -> None:
@@ -47,20 +44,20 @@ def check_file(option: str, out: Path, options: argparse.Namespace) -> None:
 
 
 def path_of(out: Path, recording: Path, options: argparse.Namespace) -> Path:
-    """Path of the output of one recording; with several recordings, it includes the recording's name."""
+    """Return the path of the output of one recording; with several recordings, with the recording's name."""
     return out.with_stem(f"{out.stem}-{recording.stem}") if len(options.files) > 1 else out
 
 
-def write_document(make: Callable[[], str], options: argparse.Namespace) -> str | None:
-    """Write or print the requested JSON document; return an error if it cannot be written."""
+def write_document(make: Callable[[], str], options: argparse.Namespace) -> bool:
+    """Write or print the requested JSON document; print an error and return False if that fails."""
     if options.json == "-":
         print_result(make())
     elif options.json is not None:
         try:
             Path(options.json).write_text(make() + "\n", encoding="utf-8")
         except OSError as error:
-            return f"{options.json}: cannot be written: {error.strerror}."
-    return None
+            return not fail(f"{options.json}: cannot be written: {error.strerror}.")
+    return True
 
 
 def draw(make: Callable[[], Any], recording: Path, options: argparse.Namespace) -> str | None:

@@ -4,7 +4,7 @@ import contextlib
 import os
 import sys
 
-__all__ = ["print_error", "print_result"]
+__all__ = ["fail", "print_error", "print_result"]
 
 
 def print_error(text: str, end: str = "\n") -> None:
@@ -13,15 +13,19 @@ def print_error(text: str, end: str = "\n") -> None:
         print(text, end=end, file=sys.stderr, flush=True)
 
 
+def fail(problem: object) -> int:
+    """Print an error in one line, and return the exit code 1."""
+    print_error(f"reframe-jax: error: {problem}")
+    return 1
+
+
 def print_result(text: str, end: str = "\n") -> None:
     """Print results to standard output and flush them; exit with code 1 if that fails."""
     try:
         print(text, end=end, flush=True)
     except OSError as error:
-        with contextlib.suppress(
-            OSError, ValueError
-        ):  # otherwise Python tries to write the buffer again on exit
+        with contextlib.suppress(OSError, ValueError):  # otherwise Python writes the buffer again on exit
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if not isinstance(error, BrokenPipeError):
-            print_error(f"reframe-jax: error: standard output cannot be written: {error.strerror}.")
+            fail(f"standard output cannot be written: {error.strerror}.")
         raise SystemExit(1) from error

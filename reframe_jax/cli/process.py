@@ -1,27 +1,26 @@
 """The command ``reframe-jax`` as a process: standard streams, interruptions, exit code.
 
-JAX is imported after these are set up.
+JAX is imported after the streams are set up.
 """
 
 import io
 import signal
 import sys
 
-from reframe_jax.cli.printing import print_error
+from reframe_jax.cli.printing import fail
 
 __all__ = ["main"]
 
 
 def main() -> int:
-    """Run the command line with the arguments of the process; returns the exit code."""
-    # Python's own handler waits for the compiler; background jobs ignore the signal, and keep doing so
+    """Run the command line with the arguments of the process, and return the exit code."""
+    # Python's handler of Ctrl-C waits for the compiler; background jobs continue to ignore the signal
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     if sys.stdout is None:
-        print_error("reframe-jax: error: standard output is closed.")
-        return 1
+        return fail("standard output is closed.")
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")  # file names may contain any byte
+        sys.stdout.reconfigure(errors="backslashreplace")  # file names can contain any byte
     from reframe_jax.cli.program import main as run
 
     return run()

@@ -1,8 +1,8 @@
-"""Options of all commands that select files, and the data to read from each file."""
+"""Options that select files, and the data to read from each file."""
 
 import argparse
 import glob
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +10,9 @@ from reframe_jax.cli import arguments
 from reframe_jax.cli.printing import print_error
 from reframe_jax.recordings.reading import TIMES_IGNORED, load_recording
 from reframe_jax.recordings.recording import Recording
-from reframe_jax.recordings.selection import ANGLE_UNITS, ANGLES, QUATERNIONS, TIME_UNITS, UNITS
+from reframe_jax.recordings.selection import ANGLE_UNITS, ANGLES, QUATERNIONS, TIME_UNITS, UNITS, Selection
 
 __all__ = ["add_reading", "expand", "read_recording", "reading_options"]
-
-_NAMES = (
-    *("unit", "time_unit", "dt", "topic", "from_frame", "to_frame", "body", "in_body"),
-    *("position", "orientation", "quaternion", "angles", "angle_unit", "episode"),
-)
 
 
 def add_reading(command: argparse.ArgumentParser) -> None:
@@ -29,41 +24,30 @@ def add_reading(command: argparse.ArgumentParser) -> None:
     add("--topic", metavar="NAME", help="topic of a bag")
     add("--from", dest="from_frame", metavar="FRAME", help="tf frame of a bag that serves as the ground")
     add("--to", dest="to_frame", metavar="FRAME", help="tf frame of a bag whose motion is read")
-    add("--body", metavar="NAME", help="rigid body; in a C3D, a prefix of markers, or markers A,B,C")
+    add("--body", metavar="NAME", help="rigid body; for markers, a prefix of their names, or names A,B,C")
     add("--in", dest="in_body", metavar="NAME", help="body (in a bag: topic) to which the motion is relative")
-    add("--position", metavar="COLUMN", help="column of positions, such as NAME or NAME[0:3]")
+    add("--position", metavar="COLUMN", help="column of positions, such as NAME or NAME[0:3], or A,B,C")
     add("--orientation", metavar="COLUMN", help="column of orientations, such as NAME[3:7]")
-    add("--quaternion", choices=QUATERNIONS, help="order of the components of quaternions in the file")
-    add(
-        "--angles",
-        choices=ANGLES,
-        metavar="HOW",
-        help="convention of three angles: vector (rotation vector), XYZ etc. (rotations about moving axes, x "
-        "first), xyz etc. (rotations about fixed axes)",
-    )
+    add("--quaternion", choices=QUATERNIONS, help="order of the numbers of a quaternion in the file")
+    how = "vector (rotation vector), XYZ etc. (about moving axes, x first), xyz etc. (about fixed axes)"
+    add("--angles", choices=ANGLES, metavar="HOW", help=f"convention of three angles: {how}")
     add("--angle-unit", choices=[*ANGLE_UNITS], help="unit of the three angles (rad)")
-    add(
-        "--episode",
-        type=arguments.whole,
-        metavar="N",
-        help="number of the episode in a file with several episodes",
-    )
+    add("--episode", type=arguments.whole, metavar="N", help="number of the episode in a file with several")
 
 
 def reading_options(options: argparse.Namespace) -> dict[str, Any]:
-    """Keyword arguments of :func:`reframe_jax.load_recording`."""
-    return {name: getattr(options, name) for name in _NAMES}
+    """Return the keyword arguments of :func:`reframe_jax.load_recording`."""
+    return {name: getattr(options, name) for name in ("dt", *(field.name for field in fields(Selection)))}
 
 
 def expand(patterns: list[Path]) -> list[Path]:
-    """Sorted files that match patterns; a pattern that matches nothing, or is a file, stands for itself."""
-    return [path for pattern in patterns for path in _matches(pattern)]
-
-
-def _matches(pattern: Path) -> list[Path]:
-    if not glob.has_magic(str(pattern)) or pattern.exists():
-        return [pattern]
-    return [Path(name) for name in sorted(glob.glob(str(pattern), recursive=True))] or [pattern]
+    """Return the sorted files that match patterns; a pattern that matches nothing, or is a file, is kept."""
+    found: list[Path] = []
+    for pattern in patterns:
+        magic = glob.has_magic(str(pattern)) and not pattern.exists()
+        names = sorted(glob.glob(str(pattern), recursive=True)) if magic else []
+        found += [Path(name) for name in names] or [pattern]
+    return found
 
 
 def read_recording(path: Path, options: argparse.Namespace, *, timed: bool = True) -> Recording:
@@ -72,7 +56,7 @@ def read_recording(path: Path, options: argparse.Namespace, *, timed: bool = Tru
     Args:
         path: the file.
         options: the options.
-        timed: whether times matter; without, every row is read, whatever its time.
+        timed: whether times are needed; if not, rows with any times are read.
 
     Raises:
         RecordingError: if the recording cannot be read.

@@ -9,7 +9,7 @@ import numpy as np
 from reframe_jax.cli import arguments
 from reframe_jax.cli.arm import add_common, prepare
 from reframe_jax.cli.commands import add_command
-from reframe_jax.cli.printing import print_error, print_result
+from reframe_jax.cli.printing import fail, print_error, print_result
 from reframe_jax.constraints.catalogue import CONSTRAINTS
 
 __all__ = ["add_reproduce"]
@@ -27,13 +27,8 @@ def add_reproduce(commands: Any) -> None:
     """Add this command to the command line."""
     command = add_command(commands, "reproduce", _reproduce, _REPRODUCE)
     add_common(command)
-    command.add_argument(
-        "--trials",
-        type=arguments.count,
-        default=30,
-        metavar="N",
-        help="number of demonstrations and reproductions (30)",
-    )
+    trials = "number of demonstrations and reproductions (30)"
+    command.add_argument("--trials", type=arguments.count, default=30, metavar="N", help=trials)
     command.add_argument(
         "--controller",
         choices=["wrench", "hybrid", "impedance"],
@@ -64,14 +59,11 @@ def _reproduce(options: argparse.Namespace) -> int:
             )
         )
     except ValueError as error:
-        print_error(f"reframe-jax: error: {error}")
-        return 1
+        return fail(error)
     print_result(f"{CONSTRAINTS[options.constraint].name}, {options.trials} trials, {options.controller}")
     print_result(_errors(comparison.errors))
     if comparison.redrawn:
-        print_result(
-            f"left out, because the arm cannot reach them even in the true frame: {int(comparison.redrawn)}"
-        )
+        print_result(f"left out, out of reach of the arm even in the true frame: {int(comparison.redrawn)}")
     print_result(f"{'frames':12}{'completed':>10}{'time, s':>9}{'peak moment, N m':>22}{'peak force, N':>20}")
     for name, trials in comparison.rows.items():
         cells = [

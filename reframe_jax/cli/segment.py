@@ -9,7 +9,7 @@ from reframe_jax.cli import arguments
 from reframe_jax.cli.commands import add_command
 from reframe_jax.cli.configuring import configure_jax
 from reframe_jax.cli.outputs import add_outputs, check_outputs, draw, write_document
-from reframe_jax.cli.printing import print_error, print_result
+from reframe_jax.cli.printing import fail, print_result
 from reframe_jax.cli.reading import add_reading, expand, read_recording
 from reframe_jax.export.segments import segments_to_json, segments_to_record, segments_to_table
 from reframe_jax.recordings.recording import Recording, RecordingError
@@ -34,13 +34,8 @@ def add_segment(commands: Any) -> None:
     command = add_command(commands, "segment", _segment, _SEGMENT)
     add = command.add_argument
     add("files", nargs="+", type=Path, metavar="FILE", help="recordings")
-    add(
-        "--reach",
-        type=arguments.metres,
-        default=1.0,
-        metavar="M",
-        help="half the width of the cube about the body in which origins are searched, m (%(default)s)",
-    )
+    reach = "half the width of the cube about the body in which origins are searched, m (%(default)s)"
+    add("--reach", type=arguments.metres, default=1.0, metavar="M", help=reach)
     add_outputs(command)
     add_reading(command)
 
@@ -50,12 +45,8 @@ def _segment(options: argparse.Namespace) -> int:
     check_outputs(options)
     configure_jax(options.cache)
     records = [_segment_file(path, options) for path in options.files]
-    failed = any(record["error"] is not None for record in records)
-    problem = write_document(partial(segments_to_json, records), options)
-    if problem is not None:
-        print_error(f"reframe-jax: error: {problem}")
-        failed = True
-    return int(failed)
+    written = write_document(partial(segments_to_json, records), options)
+    return int(not written or any(record["error"] is not None for record in records))
 
 
 def _segment_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
@@ -68,12 +59,10 @@ def _segment_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
             print_result(segments_to_table(found, label=str(path)), end="\n\n")
         if options.plot is not None:
             problem = draw(partial(_figure, recording, found), path, options)
-    except RecordingError as error:
-        problem = str(error)
     except ValueError as error:
-        problem = f"{path}: {error}"
+        problem = str(error) if isinstance(error, RecordingError) else f"{path}: {error}"
     if problem is not None:
-        print_error(f"reframe-jax: error: {problem}")
+        fail(problem)
     return segments_to_record(found, label=str(path), error=problem)
 
 

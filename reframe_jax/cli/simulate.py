@@ -9,7 +9,7 @@ import jax
 from reframe_jax.cli import arguments
 from reframe_jax.cli.commands import add_command
 from reframe_jax.cli.configuring import configure_jax
-from reframe_jax.cli.printing import print_error, print_result
+from reframe_jax.cli.printing import fail, print_result
 from reframe_jax.constraints.catalogue import CONSTRAINTS
 from reframe_jax.motion.checks import MIN_VELOCITIES
 from reframe_jax.recordings.recording import RecordingError
@@ -18,6 +18,11 @@ from reframe_jax.recordings.writing import save_recording
 
 __all__ = ["add_simulate"]
 
+_CHOICES = {
+    "excitation": (["exciting", "paper"], "velocities along the free axes: many frequencies, or the paper's"),
+    "generator": (["exact", "paper"], "integration between samples: exact, or one step as in the paper"),
+}
+
 
 def add_simulate(commands: Any) -> None:
     """Add this command to the command line."""
@@ -25,28 +30,13 @@ def add_simulate(commands: Any) -> None:
     add = command.add_argument
     arguments.add_constraint(command)
     add("--out", type=Path, required=True, metavar="FILE", help="recording to write, .csv or .npz")
-    add(
-        "--noise",
-        type=arguments.not_negative,
-        default=0.0,
-        metavar="M",
-        help="standard deviation of the position noise, m (0)",
-    )
+    noise = "standard deviation of the position noise, m (0)"
+    add("--noise", type=arguments.not_negative, default=0.0, metavar="M", help=noise)
     arguments.add_seed(command)
     add("--duration", type=arguments.seconds, default=5.0, metavar="S", help="duration, s (5)")
     add("--dt", type=arguments.seconds, default=0.1, metavar="S", help="sample time, s (0.1)")
-    add(
-        "--excitation",
-        choices=["exciting", "paper"],
-        default="exciting",
-        help="velocities along the free axes: many frequencies, or the velocities of the paper (exciting)",
-    )
-    add(
-        "--generator",
-        choices=["exact", "paper"],
-        default="exact",
-        help="integration between samples: exact, or one step per sample as in the paper (exact)",
-    )
+    for name, (choices, text) in _CHOICES.items():
+        add(f"--{name}", choices=choices, default=choices[0], help=f"{text} (%(default)s)")
 
 
 def _simulate(options: argparse.Namespace) -> int:
@@ -74,7 +64,6 @@ def _simulate(options: argparse.Namespace) -> int:
     try:
         save_recording(options.out, simulation.times, simulation.poses)
     except RecordingError as error:
-        print_error(f"reframe-jax: error: {error}")
-        return 1
+        return fail(error)
     print_result(f"{options.out}: {CONSTRAINTS[options.constraint].name}, {len(simulation.times)} poses")
     return 0

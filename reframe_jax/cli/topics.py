@@ -1,11 +1,11 @@
-"""``reframe-jax topics``: list the data that can be read from files."""
+"""``reframe-jax topics``: list the data in files."""
 
 import argparse
 from pathlib import Path
 from typing import Any
 
 from reframe_jax.cli.commands import add_command
-from reframe_jax.cli.printing import print_error, print_result
+from reframe_jax.cli.printing import fail, print_result
 from reframe_jax.recordings.reading import list_contents
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import shown
@@ -27,21 +27,20 @@ def add_topics(commands: Any) -> None:
 
 
 def _topics(options: argparse.Namespace) -> int:
-    failed = False
+    failed = 0
     for path in options.files:
         try:
             kind, entries = list_contents(path)
         except RecordingError as error:
-            print_error(f"reframe-jax: error: {error}")
-            failed = True
+            failed = fail(error)
             continue
-        if not entries:
-            only = "a single recording" if entries is None else "nothing that can be read"
-            print_result(f"{path}: {kind}: {only}")
-            continue
-        print_result(f"{path}: {kind}")
-        rows = [(flag(each.option).partition("(")[2].rstrip(")"), shown(each.name)) for each in entries]
-        width = max(len(f"{option} {name}") for option, name in rows)
-        for (option, name), each in zip(rows, entries, strict=True):
-            print_result(f"  {f'{option} {name}':{width}}  {shown(each.detail)}")
-    return int(failed)
+        only = ": a single recording" if entries is None else "" if entries else ": nothing that can be read"
+        print_result(f"{path}: {kind}{only}")
+        rows = [
+            (f"{flag(each.option).partition('(')[2].rstrip(')')} {shown(each.name)}", shown(each.detail))
+            for each in entries or []
+        ]
+        width = max((len(choice) for choice, _ in rows), default=0)
+        for choice, detail in rows:
+            print_result(f"  {choice:{width}}  {detail}")
+    return failed

@@ -11,10 +11,9 @@ import numpy as np
 from reframe_jax.cli import arguments
 from reframe_jax.cli.commands import add_command
 from reframe_jax.cli.configuring import configure_jax
-from reframe_jax.cli.identify import identify_recording
-from reframe_jax.cli.printing import print_error, print_result
+from reframe_jax.cli.identify import add_windows, check_windows, identify_recording
+from reframe_jax.cli.printing import fail, print_result
 from reframe_jax.cli.reading import add_reading, read_recording
-from reframe_jax.cli.windows import add_windows, check_windows
 from reframe_jax.motion.windows import sliding_windows
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.viewer.document import write_page
@@ -42,13 +41,8 @@ def add_view(commands: Any) -> None:
     add("--scales", type=arguments.scales, default="auto", metavar="N,N", help="as for identify (auto)")
     add("--assume", type=arguments.assumed, metavar="NAME", help="as for identify")
     add_windows(command)
-    add(
-        "--port",
-        type=arguments.count,
-        default=8080,
-        metavar="P",
-        help="port of the page; if it is in use, the next free port (8080)",
-    )
+    port = "port of the page; if it is in use, the next free port (8080)"
+    add("--port", type=arguments.count, default=8080, metavar="P", help=port)
     add("--open", action="store_true", help="open the page in the browser")
     add("--html", type=Path, metavar="OUT", help="write the page to a file instead")
     add_reading(command)
@@ -59,35 +53,23 @@ def add_view(commands: Any) -> None:
 
 
 def _view(options: argparse.Namespace) -> int:
-    _check(options)
+    check_windows(options)
+    if options.port > 65535:
+        options.usage_error(f"--port must be at most 65535, not {options.port}.")
     configure_jax(options.cache)
     try:
         tracks = _tracks(options)
-    except RecordingError as error:
-        print_error(f"reframe-jax: error: {error}")
-        return 1
-    try:
         if options.html is None:
             _serve(tracks, options)
         else:
             write_page(options.html, tracks, title=options.file.name)
-            print_result(
-                f"{options.html}: {tracks[0].name}" + (", and more windows" if len(tracks) > 1 else "")
-            )
-    except ImportError as error:
-        print_error(f"reframe-jax: error: {error}")
-        return 1
+            more = ", and more windows" if len(tracks) > 1 else ""
+            print_result(f"{options.html}: {tracks[0].name}{more}")
+    except (RecordingError, ImportError) as error:
+        return fail(error)
     except OSError as error:
-        print_error(f"reframe-jax: error: {options.html}: cannot be written: {error.strerror}.")
-        return 1
+        return fail(f"{options.html}: cannot be written: {error.strerror}.")
     return 0
-
-
-def _check(options: argparse.Namespace) -> None:
-    """Report options that cannot be combined."""
-    check_windows(options)
-    if options.port > 65535:
-        options.usage_error(f"--port must be at most 65535, not {options.port}.")
 
 
 def _tracks(options: argparse.Namespace) -> list[WindowTrack]:

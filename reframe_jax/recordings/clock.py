@@ -1,5 +1,6 @@
-"""Times of the rows of a file: their unit, their order, and stamps that occur twice."""
+"""Times of the rows of a file: unit, order, and stamps that occur twice."""
 
+import math
 from decimal import Decimal
 
 import numpy as np
@@ -10,26 +11,26 @@ from reframe_jax.recordings.selection import TIME_UNITS, Selection, flag
 
 __all__ = ["drop_equal_times", "make_times", "sort_times"]
 
-_SLOW = 0.9, 1e3  # s between samples: worth a note if they are a path, and refused
-_SINCE_1970 = {"ns": 1e16, "us": 1e13, "ms": 1e10}  # in s, what stamps of these units look like
-_PER_STEP = {"ns": 1e5, "us": 1e2, "ms": 0.0}  # s, the shortest step that such stamps look like
-_COARSE = 0.5  # part of the rows that share their time, above which the times are rounded
-_OTHER_BODY, _OFTEN = 5.0, 0.2  # distance of two poses at a time in steps, and how often, of several bodies
-_RESTART = 3.0  # length of the path sorted by time over that in the file, if these are two recordings
+_SLOW, _SLOWEST = 0.9, 1e3  # s between samples: noted for a path; refused
+_USUAL = 0.02  # s between samples of a usual recording
+_SINCE_1970 = 3e8, 5e9  # s, clock times of recordings
+_COARSE = 0.5  # fraction of rows with the time of another row, above which the times are rounded
+_BODIES, _OFTEN = 5.0, 0.2  # distance of poses at equal times in steps, and fraction of rows: several bodies
+_RESTART = 3.0  # length of the path sorted by time over its length in the file: several recordings
 
 
 def make_times(rows: Rows, dt: float | None, wanted: Selection) -> None:
-    """Set the times of the rows, s: those of the file, or multiples of the sample time.
+    """Set the times of the rows in s: those of the file, or multiples of the sample time.
 
     Raises:
-        RecordingError: if there is neither, or the units contradict each other.
+        RecordingError: if the file has no times and there is no sample time, or if the unit is wrong.
     """
     if dt is not None:
         count = np.arange(len(rows.values)) if rows.frames is None else rows.frames - rows.frames[:1]
         rows.times, rows.origin = count * float(dt), None
         return
     if rows.times is None:
-        touches = " Separate touches of a point need no times: reframe-jax calibrate."
+        touches = " Separate touches of a point need no times: use reframe-jax calibrate."
         hint = "" if is_path(rows.positions) else touches
         raise RecordingError(f"{rows.path}: has no times; {rows.no_times}.{hint}")
     if rows.seconds is not None and wanted.time_unit is not None:
@@ -40,38 +41,43 @@ def make_times(rows: Rows, dt: float | None, wanted: Selection) -> None:
         if factor != 1:
             rows.origin = f"{Decimal(rows.origin) * Decimal(f'{factor:.0e}'):f}"
         rows.notes.append(f"times count from the first sample, at {rows.origin} s.")
-    if rows.seconds is None:
-        _check_unit(rows, wanted)
+    if rows.seconds is None and wanted.time_unit is None:
+        _check_seconds(rows, rows.times)
 
 
-def _check_unit(rows: Rows, wanted: Selection) -> None:
-    """Refuse times that are not in the unit they are read in."""
-    times = rows.times if rows.times is not None else np.empty(0)
+def _check_seconds(rows: Rows, times: np.ndarray) -> None:
+    """Refuse or note times that are hardly in seconds."""
     steps = np.diff(times[np.isfinite(times)])
     step = float(np.median(np.abs(steps))) if len(steps) else 0.0
-    try:
-        start = abs(float(rows.origin or 0))
-    except ValueError:
-        start = 0.0
-    since = next((unit for unit, least in _SINCE_1970.items() if start >= least), None)
-    looks = since or next(unit for unit, least in _PER_STEP.items() if step >= least)
-    if wanted.time_unit is None and (step > _SLOW[1] or since):
+    low, high = _SINCE_1970
+    start = abs(float(rows.origin or 0))
+    since = [
+        unit
+        for unit, factor in TIME_UNITS.items()
+        if unit != "s" and low < start * factor < high and step * factor < _SLOWEST
+    ]
+    if step <= _SLOW and not since:
+        return
+    by_step = min(TIME_UNITS, key=lambda unit: abs(math.log(max(step, 1e-9) * TIME_UNITS[unit] / _USUAL)))
+    unit = since[0] if since else by_step
+    advice = f"give time_unit={unit!r} (--time-unit {unit})"
+    if step > _SLOWEST or since:
         raise RecordingError(
-            f"{rows.path}: read in s, its times are {step:.3g} s apart; they look like {looks}: give "
-            f"time_unit={looks!r} (--time-unit {looks}), or the sample time, dt (--dt)."
+            f"{rows.path}: read in s, the times are {step:.3g} s apart; they look like {unit}: {advice}, or "
+            "the sample time, dt (--dt)."
         )
-    if wanted.time_unit is None and step > _SLOW[0] and is_path(rows.positions):
+    if is_path(rows.positions):
         rows.notes.append(
-            f"times are {step:g} s apart, though the body moves little from one to the next; if they are in "
-            f"{looks}, give time_unit={looks!r} (--time-unit {looks})."
+            f"times are {step:g} s apart, although the body moves little between them; if they are in "
+            f"{unit}, {advice}."
         )
 
 
 def sort_times(rows: Rows) -> None:
-    """Sort rows by their times, which are set, and say how many came late.
+    """Sort rows by their times, with a note.
 
     Raises:
-        RecordingError: if the file holds several recordings, one after the other.
+        RecordingError: if the file contains several recordings, one after the other.
     """
     if rows.times is None:
         return
@@ -81,30 +87,30 @@ def sort_times(rows: Rows) -> None:
         return
     order = np.argsort(rows.times, kind="stable")
     if len(late) < len(steps) / 10 and _length(rows.values[order]) > _RESTART * _length(rows.values):
-        now = late[0] + 1
+        now = int(late[0]) + 1
         raise rows.error(
-            int(now),
-            f"the time goes back from {rows.times[now - 1]:g} s to {rows.times[now]:g} s, and sorted by time "
-            "the poses are no path: the file holds several recordings; cut it there, or give dt (--dt).",
+            now,
+            f"the time goes back from {rows.times[now - 1]:g} s to {rows.times[now]:g} s, and the poses "
+            "sorted by time are no path: the file contains several recordings; divide it there, or give dt "
+            "(--dt).",
         )
     what = f"{rows.word} {rows.where[late[0] + 1]} is" if len(late) == 1 else f"{len(late)} {rows.word}s are"
-    rows.notes.append(f"{what} earlier than the {rows.word} before; all are sorted by time.")
+    rows.notes.append(f"{what} earlier than the previous {rows.word}; the rows are sorted by time.")
     rows.take(order)
 
 
 def _length(values: np.ndarray) -> float:
-    """Length of a path in all of its numbers, in units of their spread."""
+    """Length of a path in all its numbers, in units of their standard deviations."""
     spread = values.std(axis=0)
-    moved = np.abs(np.diff(values, axis=0)) / np.where(spread > 0, spread, 1)
-    return float(np.sum(moved))
+    return float(np.sum(np.abs(np.diff(values, axis=0)) / np.where(spread > 0, spread, 1)))
 
 
 def drop_equal_times(rows: Rows) -> None:
-    """Keep the first row of every time, and say how many others there are.
+    """Keep the first row of every time, with a note.
 
     Raises:
-        RecordingError: if the times are rounded so much that most rows share theirs, or if rows at the same
-            time belong to different bodies.
+        RecordingError: if most rows share their time with another row, or if rows with equal times belong to
+            different bodies.
     """
     if rows.times is None or len(rows.times) < 2:
         return
@@ -115,31 +121,27 @@ def drop_equal_times(rows: Rows) -> None:
     same = again & (rows.values == rows.values[first]).all(axis=1)
     other = again & ~same
     if other.any() and not rows.times.any() and rows.origin is None:
-        raise RecordingError(
-            f"{rows.path}: all of its times are 0, so that nobody set them; give the sample time, dt (--dt)."
-        )
+        raise RecordingError(f"{rows.path}: all times are 0 (never set); give the sample time, dt (--dt).")
     if other.sum() > _COARSE * len(again):
         raise RecordingError(
             f"{rows.path}: its {len(again)} rows have only {int(np.sum(~again))} different times; the times "
-            "are rounded, or several bodies share the file: select one of them, or give the sample time, "
-            "dt (--dt)."
+            "are rounded, or the file contains several bodies: select one, or give the sample time, dt "
+            "(--dt)."
         )
     if other.sum() > _OFTEN * len(again):
         apart = np.median(np.linalg.norm((rows.values - rows.values[first])[other], axis=1))
         step = np.median(np.linalg.norm(np.diff(rows.values[~again], axis=0), axis=1))
-        if apart > _OTHER_BODY * step:
+        if apart > _BODIES * step:
             raise rows.error(
                 int(np.flatnonzero(other)[0]),
-                f"another pose at the same time, {rows.times[other][0]:g} s, as in {other.sum()} rows, far "
-                "from the first: the file holds several bodies; keep the rows of one.",
+                f"another pose at the same time, {rows.times[other][0]:g} s, as in {other.sum()} rows, "
+                "distant from the first: the file contains several bodies; keep the rows of one.",
             )
-    rows.keep(~same, "the row before is repeated", "repeated")
+    rows.keep(~same, "the previous row is repeated", "repeated")
     other = other[~same]
     if other.any():
-        rows.keep(
-            ~other,
-            "another pose at the same time",
-            "equal_time",
-            f"{other.sum()} of {len(again)} rows left out, from {rows.word} {rows.where[other][0]} on: they "
-            "have the time of the row before and another pose.",
+        note = (
+            f"{other.sum()} of {len(again)} rows left out, from {rows.word} {rows.where[other][0]} on: each "
+            "has the time of the previous row and another pose."
         )
+        rows.keep(~other, "another pose at the same time", "equal_time", note)

@@ -1,9 +1,9 @@
-"""What the numbers of orientations mean: their order, their unit, and which of two readings fits the motion.
+"""Meaning of the numbers of an orientation: the order of a quaternion and the unit of angles.
 
-Read in another order, quaternions become their inverses between two constant rotations, so the motion is as
-smooth as before and turns by the same angles. But it no longer fits the positions: a body that is constrained
-moves with few independent velocities, and with more of them if its orientations are wrong. That distinguishes
-the orders, and degrees from radians. A motion without a constraint does not.
+Quaternions in the wrong order are inverse rotations between two constant rotations. The motion is as smooth
+as before and turns by the same angles, but the rotations do not fit the positions: a constrained body moves
+with few independent velocities, and with more of them if its orientations are wrong. This difference shows
+the order, and distinguishes degrees from radians. A free motion does not show the order.
 """
 
 from pathlib import Path
@@ -17,27 +17,30 @@ from reframe_jax.recordings.selection import ANGLE_UNITS, Selection, flag
 __all__ = ["angle_matrices", "fits_better", "keeps_a_point_better", "reorder", "sample_rows"]
 
 _FULL_TURN = 2 * np.pi * 1.001
-_ROWS = 400  # that are compared
-_TURN = 0.1  # rad between two poses of a velocity, at least: more than noise
-_FEWEST = 12  # rows; of so few, the difference must be twice as clear
-_FLOOR = 1e-4  # part of the largest mean square velocity that counts as none
-_LITTLE = 0.05  # part of the mean square of positions that is missed where a point is kept
-_CLEAR = 2.2  # difference of the summed logarithms of mean squares; 0 for free motions
+_ROWS = 400  # most rows that are compared
+_TURN = 0.1  # rad between the two poses of a velocity: above the noise
+_FEWEST = 12  # rows for a comparison of velocities
+_FEWEST_TOUCHES = 8  # rows for a comparison of fixed points, which has six unknowns
+_FLOOR = 1e-4  # mean square velocity that counts as zero, as a fraction of the total
+_LITTLE = 0.05  # fraction of the mean square of positions that may remain for a fixed point
+_CLEAR = 2.2  # difference of the summed logarithms of mean squares of the whole motion
+_REPEATED = 4.0  # the same difference, with directions from one half and mean squares from the other half
 
 
 def angle_matrices(
     path: Path, angles: np.ndarray, wanted: Selection, stated: float | None = None
 ) -> np.ndarray:
-    """Rotation matrices (N, 3, 3) of rotation vectors or Euler angles (N, 3).
+    """Convert rotation vectors or Euler angles (N, 3) to rotation matrices (N, 3, 3).
 
     Args:
         path: the file.
-        angles: in the order of the letters of the option ``angles``, or a rotation vector.
-        wanted: what they mean, and their unit.
-        stated: their unit in rad, if the file states it.
+        angles: rotation vectors, or angles in the order of the letters of the option ``angles``.
+        wanted: the options, with the convention and the unit.
+        stated: unit in rad, if the file states it.
 
     Raises:
-        RecordingError: if the unit is given twice, or not at all while angles exceed a turn in radians.
+        RecordingError: if the file and the options both state the unit, or if neither does and angles exceed
+            a full turn in radians.
     """
     if stated is not None and wanted.angle_unit is not None:
         raise RecordingError(f"{path}: states the unit of its angles; leave out {flag('angle_unit')}.")
@@ -56,41 +59,44 @@ def angle_matrices(
 
 
 def reorder(quaternions: np.ndarray, stored: str, meant: str) -> np.ndarray:
-    """Quaternions (N, 4), x y z w, of numbers that were read in the order ``stored`` and are ``meant``."""
+    """Convert quaternions (N, 4) x y z w, read in the order ``stored``, to the order ``meant``."""
     if stored == meant:
         return quaternions
-    # the numbers as the file has them, then the other order
     return quaternions[:, [1, 2, 3, 0]] if meant == "wxyz" else quaternions[:, [3, 0, 1, 2]]
 
 
 def sample_rows(count: int) -> np.ndarray:
-    """Some of so many rows, (M,) int, for :func:`fits_better`."""
+    """Select rows (M,) out of ``count``, evenly, for :func:`fits_better`."""
     return np.linspace(0, count - 1, min(count, _ROWS)).astype(int)
 
 
 def fits_better(positions: np.ndarray, own: np.ndarray, other: np.ndarray) -> bool:
-    """Whether the motion is constrained with other orientations, and not with its own.
+    """Return whether the motion is constrained with other orientations, but not with its own.
+
+    Short free motions have few independent velocities by chance. Therefore the constrained directions of each
+    half of the motion must also be constrained in the other half.
 
     Args:
         positions: (N, 3).
         own: (N, 3, 3) rotations.
-        other: (N, 3, 3) the same numbers in another order or unit.
+        other: (N, 3, 3) rotations of the same numbers in another order.
     """
     places = positions - positions.mean(axis=0)
     spread = np.sqrt(np.mean(np.sum(places**2, axis=1)))
     lag = _lag(own)
     if len(places) < _FEWEST or not spread > 0 or lag is None:
         return False
-    free, other_free = (_freedom(places / spread, turned, lag) for turned in (own, other))
-    return free - other_free > _CLEAR * (1 + _FEWEST / (len(places) - lag))
+    whole, halves = _freedom(places / spread, own, lag) - _freedom(places / spread, other, lag)
+    return bool(whole > _CLEAR * (1 + _FEWEST / (len(places) - lag)) and halves > _REPEATED)
 
 
 def keeps_a_point_better(positions: np.ndarray, own: np.ndarray, other: np.ndarray) -> bool:
-    """Whether the body turns about a point with other rotations, and about none with its own.
+    """Return whether the body turns about a fixed point with other rotations, but not with its own.
 
-    Unlike :func:`fits_better`, whose arguments these are, this compares rotations of different sizes.
+    Unlike :func:`fits_better`, which has the same arguments, this function compares rotations with different
+    angles.
     """
-    if len(positions) < _FEWEST or not np.ptp(positions, axis=0).any():
+    if len(positions) < _FEWEST_TOUCHES or not np.ptp(positions, axis=0).any():
         return False
     places = positions - positions.mean(axis=0)
     missed = []
@@ -102,7 +108,7 @@ def keeps_a_point_better(positions: np.ndarray, own: np.ndarray, other: np.ndarr
 
 
 def _lag(turned: np.ndarray) -> int | None:
-    """Rows between two poses of a velocity, so that most turn enough; None if the body hardly turns."""
+    """Rows between the two poses of a velocity, so that most turn enough; None if the body hardly turns."""
     lag = 1
     while 2 * lag < len(turned):
         between = turned[lag:] @ turned[:-lag].swapaxes(1, 2)
@@ -112,21 +118,31 @@ def _lag(turned: np.ndarray) -> int | None:
     return None
 
 
-def _freedom(places: np.ndarray, turned: np.ndarray, lag: int) -> float:
-    """Sum of the logarithms of the principal mean squares of velocities, in the ground or in the body.
+def _freedom(places: np.ndarray, turned: np.ndarray, lag: int) -> np.ndarray:
+    """Sums of the logarithms of mean square velocities (2,): of the whole motion, and across its halves.
 
-    The smaller one of both: a constraint is constant in one of them.
+    Each sum is the smaller one of the velocities in the ground and in the body, because a constraint is
+    constant in one of them.
     """
     before, after = turned[:-lag], turned[lag:]
     moved, middle = places[lag:] - places[:-lag], (places[lag:] + places[:-lag]) / 2
     spatial = rotation_vectors(after @ before.swapaxes(1, 2))
     body = rotation_vectors(before.swapaxes(1, 2) @ after)
-    sums = []
-    half = (before + after) / 2  # close to the rotation halfway
-    for velocities in (
+    velocities = (
         np.hstack([spatial, moved + np.cross(middle, spatial)]),
-        np.hstack([body, np.einsum("nji,nj->ni", half, moved)]),
-    ):
-        squares = np.linalg.svd(velocities, compute_uv=False) ** 2
-        sums.append(float(np.sum(np.log(squares / squares.sum() + _FLOOR))))
-    return min(sums)
+        np.hstack([body, np.einsum("nji,nj->ni", (before + after) / 2, moved)]),
+    )
+    sums = [(_log_squares(each, each), _across_halves(each)) for each in velocities]
+    return np.min(sums, axis=0)
+
+
+def _across_halves(velocities: np.ndarray) -> float:
+    one, other = np.array_split(velocities, 2)
+    return (_log_squares(one, other) + _log_squares(other, one)) / 2
+
+
+def _log_squares(velocities: np.ndarray, others: np.ndarray) -> float:
+    """Sum of the logarithms of the mean squares of other velocities along the principal directions."""
+    directions = np.linalg.eigh(velocities.T @ velocities)[1]
+    squares = np.sum((others @ directions) ** 2, axis=0)
+    return float(np.sum(np.log(squares / squares.sum() + _FLOOR)))

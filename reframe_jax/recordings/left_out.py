@@ -1,9 +1,9 @@
-"""Rows that are left out as tracking was lost there, and jumps that stay, in words."""
+"""Notes about lost tracking and about jumps of the pose."""
 
 import numpy as np
 
 from reframe_jax.geometry.numpy_rotations import rotation_vectors
-from reframe_jax.recordings.lost import LostRun, find_lost_poses
+from reframe_jax.recordings.lost import find_lost_poses
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, name_rows
 
@@ -12,45 +12,53 @@ __all__ = ["leave_out_lost", "note_jumps"]
 _WHY = {
     "origin": "the position is 0, 0, 0",
     "identity": "the pose is the identity",
-    "constant": "the pose is a constant far from the others",
-    "frozen": "the pose before is repeated while the body moved on",
+    "constant": "the pose is a constant distant from the others",
+    "frozen": "the previous pose is repeated while the body moved on",
     "end": "the last pose is repeated exactly while the body was moving",
 }
-_FEW, _MOST = 10, 0.5  # poses that are left, and fraction that was lost, of a recording that is refused
-_JUMP, _JUMPS = 10.0, 8  # a jump over the longest of 20 steps, and jumps that are worth a sentence
+_FEW, _MOST = 10, 0.5  # fewest poses, and fewest fraction of poses, of which one must remain
+_JUMP, _JUMPS = 10.0, 8  # length of a jump over the longest of 20 steps, and most jumps in a note
+_SIZE = 0.3  # m, of a body; converts an angle to a length
+_TURN = 0.2  # length of a jump over its angle times the size, below which the angle is given
 
 
 def leave_out_lost(rows: Rows, poses: np.ndarray) -> np.ndarray:
-    """Leave out the rows in which tracking was lost, with a note of where and why.
+    """Leave out the rows in which tracking was lost, with notes.
 
     Args:
         rows: the rows, with times.
         poses: (N, 4, 4), m.
 
     Returns:
-        The poses that are left.
+        The remaining poses.
 
     Raises:
-        RecordingError: if they are too few.
+        RecordingError: if too few poses remain.
     """
     lost = find_lost_poses(poses, rows.times)
-    reasons, where, kept = lost.reasons, rows.where, ~lost.mask
+    where, kept = rows.where, ~lost.mask
     for kind, why in _WHY.items():
-        mine = reasons == kind
+        mine = lost.reasons == kind
         if not mine.any():
             continue
         if kind == "identity" and (poses[mine, :3, 3] != 0).any():
             why = "the orientation is the identity"
         if kind in ("frozen", "end"):
             why = why.replace("pose", _repeated(poses[mine], poses[np.flatnonzero(mine) - 1]), 1)
-        note = f"{name_rows(rows.word, where[mine])} left out, as tracking was lost: {why}"
         longest = max((run for run in lost.runs if run.kind == kind), key=lambda run: run.stop - run.start)
-        rows.keep(
-            ~np.isin(rows.where, where[mine]),
-            why,
-            kind,
-            f"{note}{_jump(rows.word, poses, where, lost.mask, longest)}.",
-        )
+        before = np.flatnonzero(kept[: longest.start])
+        after = np.flatnonzero(kept[longest.stop :]) + longest.stop
+        back = f" at {rows.word} {where[after[0]]}" if len(after) else ""
+        jump = ""
+        if len(before) and kind not in ("frozen", "end"):
+            there = (
+                f"{_distance(poses[before[-1]], poses[longest.start])} at {rows.word} {where[longest.start]}"
+            )
+            jump = f"; the pose jumps {there}{back and ' and back' + back}"
+        elif back:
+            jump = f"; the pose jumps {_distance(poses[longest.stop - 1], poses[after[0]])}{back}"
+        note = f"{name_rows(rows.word, where[mine])} left out, as tracking was lost: {why}{jump}."
+        rows.keep(~np.isin(rows.where, where[mine]), why, kind, note)
     if kept.sum() < _FEW and kept.sum() < _MOST * len(poses):
         raise RecordingError(
             f"{rows.path}: only {kept.sum()} of {len(poses)} poses are left; " + " ".join(rows.notes[-2:])
@@ -59,57 +67,45 @@ def leave_out_lost(rows: Rows, poses: np.ndarray) -> np.ndarray:
 
 
 def _repeated(poses: np.ndarray, before: np.ndarray) -> str:
-    """The part of poses (N, 4, 4) that is the same in those before."""
+    """Name the part of poses (N, 4, 4) that equals the previous poses."""
     same = np.isclose(poses, before, rtol=0, atol=1e-9)
-    parts = {"position": same[:, :3, 3].all(), "orientation": same[:, :3, :3].all()}
-    return "pose" if sum(parts.values()) != 1 else next(part for part, repeats in parts.items() if repeats)
+    position, orientation = same[:, :3, 3].all(), same[:, :3, :3].all()
+    return "pose" if position == orientation else "position" if position else "orientation"
 
 
-def _jump(word: str, poses: np.ndarray, where: np.ndarray, lost: np.ndarray, run: LostRun) -> str:
-    """The jump to a run of lost rows and back, as the end of a sentence."""
-    before, after = np.flatnonzero(~lost[: run.start]), np.flatnonzero(~lost[run.stop :]) + run.stop
-    back = f" at {word} {where[after[0]]}" if len(after) else ""
-    if len(before) and run.kind not in ("frozen", "end"):
-        to = f"{_length(poses[before[-1]], poses[run.start])} at {word} {where[run.start]}"
-        return f"; the pose jumps {to}" + (back and f" and back{back}")
-    return back and f"; the pose jumps {_length(poses[run.stop - 1], poses[after[0]])}{back}"
-
-
-def _length(before: np.ndarray, after: np.ndarray) -> str:
-    """The distance of two poses in words: a length, or an angle if the body stays where it is."""
+def _distance(before: np.ndarray, after: np.ndarray) -> str:
+    """Distance of two poses in words: a length, or an angle if the body hardly changes its position."""
     moved = float(np.linalg.norm(after[:3, 3] - before[:3, 3]))
     turned = float(np.linalg.norm(rotation_vectors(after[:3, :3] @ before[:3, :3].T)))
-    if moved < 0.2 * turned * 0.3 or moved == 0:  # against a body of 0.3 m
+    if moved < _TURN * _SIZE * turned or moved == 0:
         return f"{np.degrees(turned):.2g} deg"
     return f"{float(f'{moved:.2g}'):g} m" if moved >= 0.1 else f"{1e3 * moved:.2g} mm"
 
 
 def note_jumps(rows: Rows, poses: np.ndarray) -> None:
-    """Note steps that are much longer than all others, which may be lost tracking that no rule finds."""
+    """Note steps that are much longer than all others: undetected lost tracking, or a marker that slipped."""
     if rows.times is None or len(poses) < 20:
         return
     spans = np.diff(rows.times)
     late = np.maximum(spans / np.median(spans), 1)
     moved = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     turned = np.linalg.norm(np.diff(poses[:, :3, :3], axis=0), axis=(1, 2))
-    long_step = np.zeros(len(late), bool)
+    jumps = np.zeros(len(late), bool)
     for steps in (moved / late, turned / late):
-        long_step |= steps > _JUMP * np.quantile(steps, 0.95) + 1e-9
-    jumps = np.flatnonzero(long_step) + 1
-    if not 0 < len(jumps) <= _JUMPS:
+        jumps |= steps > _JUMP * np.quantile(steps, 0.95) + 1e-9
+    waiting = (np.flatnonzero(jumps) + 1).tolist()
+    if not 0 < len(waiting) <= _JUMPS:
         return
-    sentences, at, all_return = [], 0, True
-    while at < len(jumps):
-        here = jumps[at]
-        sentence = f"{_length(poses[here - 1], poses[here])} at {rows.word} {rows.where[here]}"
-        if at + 1 < len(jumps):
-            back = jumps[at + 1]
-            to, fro = (poses[k] - poses[k - 1] for k in (here, back))
-            if np.linalg.norm(to + fro) < 0.5 * np.linalg.norm(to):
-                sentence += f" and back at {rows.word} {rows.where[back]}"
-                at += 1
-        all_return &= " and back " in sentence
+    sentences, all_return = [], True
+    while waiting:
+        here = waiting.pop(0)
+        sentence = f"{_distance(poses[here - 1], poses[here])} at {rows.word} {rows.where[here]}"
+        there = poses[here] - poses[here - 1]
+        back = poses[waiting[0]] - poses[waiting[0] - 1] if waiting else there
+        returns = np.linalg.norm(there + back) < 0.5 * np.linalg.norm(there)
+        if returns:
+            sentence += f" and back at {rows.word} {rows.where[waiting.pop(0)]}"
+        all_return &= bool(returns)
         sentences.append(sentence)
-        at += 1
     advice = "remove these rows" if all_return else "or a marker slipped, cut the recording there"
     rows.notes.append(f"the pose jumps {', '.join(sentences)}; if tracking was lost there, {advice}.")

@@ -1,9 +1,9 @@
-"""Rows of a recording that are no poses, as tracking was lost: NumPy only.
+"""Rows of a recording that are no poses, because tracking was lost.
 
-Systems that lose a body write a number all the same: the origin, the identity, some constant, or the last
-pose again and again. Measured poses have noise, so they do not repeat exactly; and a body that rests stays
-where its path leads. Therefore exact repeats count as lost where they are far from the path before and after
-them, in units of the steps of that path. Repeats that continue the path are a body at rest, and stay.
+Systems that lose a body write a number nevertheless: the origin, the identity, another constant, or the last
+pose again and again. Measured poses have noise and do not repeat exactly, and a body at rest stays on its
+path. Therefore, exact repeats are lost poses if they are distant from the path before and after them, in
+units of the steps of the path. Repeats that continue the path are a body at rest, and are kept. NumPy only.
 """
 
 from dataclasses import dataclass
@@ -14,20 +14,20 @@ import numpy as np
 
 __all__ = ["LostPoses", "LostRun", "find_lost_poses"]
 
-_SAME = 1e-9  # m, or of an element of a rotation matrix, within which numbers are equal
-_LEAST = 1e-3  # m or rad, the shortest step that counts: quantized numbers repeat too
-_JUMP_STEPS = 5.0  # usual steps of the path; a longer step is a jump
+_SAME = 1e-9  # m, or difference of elements of rotation matrices, within which numbers are equal
+_LEAST = 1e-3  # m or rad, shortest step that counts, because quantized numbers repeat too
+_JUMP_STEPS = 5.0  # length of a jump in usual steps of the path
 _ORIGIN_JUMP_STEPS = 3.0  # the same for exact zeros, which no tracker measures
-_NEAR = 20  # steps whose lengths count where a run is
-_AHEAD = 4  # the same, for poses that are frozen
-_LONG = 6  # repeats that are many
-_FROZEN = 4.0  # steps that a body must have made while the pose was frozen for long
-_APART = 0.25  # distance of the origin from all positions over their spread, if they are no path
-_OTHERS = 3  # rows elsewhere, without which nothing is known of the path
-_FEW = 2000  # positions of which all distances are computed
-_REPEATS, _NOISY = 3, 0.002  # repeats at the end, and noise over a step, that make a frozen end
-_HELD = 3  # runs of repeats that are half as long, of which the last one is no frozen end
-_PAST = 200  # rows that show noise and speed
+_NEAR = 20  # steps in the neighbourhood of a run
+_AHEAD = 4  # steps before and after a frozen run
+_LONG = 6  # repeats in a long frozen run
+_FROZEN = 4.0  # usual steps that a body makes during a long frozen run
+_APART = 0.25  # distance of the origin from all positions over their spread, for poses that are no path
+_OTHERS = 3  # other rows needed to know the path
+_FEW = 2000  # most positions for which all distances are computed
+_REPEATS, _NOISY = 3, 0.002  # repeats, and noise over a step, of a frozen end
+_HELD = 3  # other runs of at least half the length, which show that samples are written too often
+_PAST = 200  # rows from which noise and speed are estimated
 
 
 class LostRun(NamedTuple):
@@ -35,10 +35,10 @@ class LostRun(NamedTuple):
 
     Attributes:
         start: first row.
-        stop: row after the last one.
+        stop: row after the last row.
         kind: "missing" (not finite), "origin" (position 0, 0, 0), "identity" (the orientation is the
-            identity, perhaps with a position of 0, 0, 0), "constant" (another number that repeats), "frozen"
-            (repeats the pose before), "end" (the same, to the end of the recording).
+            identity), "constant" (another number that repeats), "frozen" (repeats the previous pose), or
+            "end" (repeats the previous pose to the end of the recording).
     """
 
     start: int
@@ -79,10 +79,10 @@ def find_lost_poses(poses: np.ndarray, times: np.ndarray | None = None) -> LostP
 
     Args:
         poses: (K, 4, 4), m.
-        times: (K,) s, increasing; rows are evenly spaced by default.
+        times: (K,) s, increasing; by default, rows are evenly spaced.
 
     Returns:
-        The rows, and why.
+        The rows, with the reasons.
     """
     poses = np.asarray(poses, float)
     clock = np.arange(len(poses), dtype=float) if times is None else np.asarray(times, float)
@@ -107,10 +107,10 @@ def find_lost_poses(poses: np.ndarray, times: np.ndarray | None = None) -> LostP
 
 @dataclass(frozen=True)
 class _Path:
-    """Positions or rotations (N, k) as a path: which rows repeat which, and how long the steps are."""
+    """Positions or rotations (N, k) as a path."""
 
     numbers: np.ndarray
-    steps: np.ndarray  # (N-1,), over the time they took in median steps, if that is more than one
+    steps: np.ndarray  # (N-1,) per median time step, if the step took longer
     value: np.ndarray  # (N,) int, equal for equal rows
     zero: np.ndarray  # (N,) bool: the numbers are those of the origin
 
@@ -118,8 +118,7 @@ class _Path:
     def of(numbers: np.ndarray, origin: np.ndarray, times: np.ndarray) -> "_Path":
         spans = np.diff(times)
         usual = float(np.median(spans[spans > 0])) if (spans > 0).any() else 1.0
-        # rows are compared by one number each, a sum with weights that no other row shares by chance; column
-        # by column, so that equal rows have equal sums, and little memory is needed
+        # a weighted sum represents a row; computed by column, equal rows have equal sums, with little memory
         squares, keys = np.zeros(len(numbers) - 1), np.zeros(len(numbers))
         zero = np.ones(len(numbers), bool)
         for k, column in enumerate(numbers.T):
@@ -133,28 +132,28 @@ class _Path:
 
     @property
     def runs(self) -> np.ndarray:
-        """(M, 2) first row, and row after the last one, of rows that repeat each other."""
+        """(M, 2) first row, and row after the last row, of runs of equal rows."""
         edges = np.flatnonzero(np.diff(self.value)) + 1
         return np.column_stack([np.append(0, edges), np.append(edges, len(self.value))])
 
     def usual_step(self, ignored: np.ndarray) -> float:
-        """A long step of the path: of ten, the longest. Steps from and to ignored rows (N,) do not count."""
+        """Ninth decile of the steps, without steps from and to ignored rows (N,)."""
         steps = self.steps[~(ignored[1:] | ignored[:-1])]
-        if not (steps > 0).any():  # no two rows follow each other
+        if not (steps > 0).any():  # no two consecutive rows remain
             steps = np.linalg.norm(np.diff(self.numbers[~ignored], axis=0), axis=1)
         steps = steps[steps > 0]
         return float(np.quantile(steps, 0.9)) if len(steps) else 0.0
 
     def jumps(self, runs: np.ndarray, limit: float, ignored: np.ndarray, usual: float) -> np.ndarray:
-        """The shorter and the longer jump to and from runs of rows, as bool (M, 2): whether it is one.
+        """Return whether the shorter and the longer step to and from each run are jumps, bool (M, 2).
 
-        A run at an end of the path has one jump, which is both.
+        A run at an end of the path has one step, which counts for both.
 
         Args:
-            runs: (M, 2) first row, and row after the last one.
-            limit: steps that are a jump.
+            runs: (M, 2) first row, and row after the last row.
+            limit: length of a jump in steps.
             ignored: (N,) bool, rows whose steps do not count.
-            usual: a step of the path. Of four steps nearby, the longest counts if that is longer.
+            usual: a step of the path; the upper quartile of the steps nearby counts if it is longer.
         """
         count = -(-len(self.steps) // _NEAR)
         blocks = np.full(count * _NEAR, np.inf)
@@ -172,7 +171,7 @@ class _Path:
 
 
 def _at_origin(paths: tuple[_Path, _Path]) -> np.ndarray:
-    """Rows whose position is 0, 0, 0, or whose orientation is the identity, far from the path."""
+    """Kinds (N,) of rows with position 0, 0, 0, or with orientation identity, distant from the path."""
     position, turn = paths
     kinds = np.full(len(position.zero), "", "U8")
     for path in paths:
@@ -180,7 +179,7 @@ def _at_origin(paths: tuple[_Path, _Path]) -> np.ndarray:
             continue
         runs = path.runs[path.zero[path.runs[:, 0]]]
         if path is not position or not _is_apart(path):
-            # the path may come close to the origin by chance, when tracking is lost or found again
+            # at one end of a run, the path may be close to the origin by chance
             jumps = path.jumps(runs, _ORIGIN_JUMP_STEPS, path.zero, path.usual_step(path.zero))
             several = np.diff(runs, axis=1)[:, 0] > 1
             runs = runs[np.where(several, jumps[:, 1], jumps[:, 0])]
@@ -191,7 +190,7 @@ def _at_origin(paths: tuple[_Path, _Path]) -> np.ndarray:
 
 
 def _rows_of(runs: np.ndarray, count: int) -> np.ndarray:
-    """Whether each of so many rows is in a run (M, 2)."""
+    """Mask (N,) of the rows in runs (M, 2)."""
     ends = np.zeros(count + 1, int)
     np.add.at(ends, runs[:, 0], 1)
     np.add.at(ends, runs[:, 1], -1)
@@ -200,7 +199,7 @@ def _rows_of(runs: np.ndarray, count: int) -> np.ndarray:
 
 
 def _is_apart(path: _Path) -> bool:
-    """Whether the origin is far from all positions, where these are few or no path."""
+    """Return whether the origin is distant from all positions; False for many positions."""
     others = path.numbers[~path.zero]
     if not _OTHERS <= len(others) <= _FEW:
         return False
@@ -208,11 +207,11 @@ def _is_apart(path: _Path) -> bool:
     between = np.linalg.norm(others[:, None] - others, axis=2) + np.diag(np.full(len(others), np.inf))
     nearest = np.linalg.norm(others, axis=1).min()
     usual = np.quantile(between.min(axis=1), 0.9)
-    return bool(nearest > max(_APART * spread, _ORIGIN_JUMP_STEPS * usual) and nearest > _SAME)
+    return bool(nearest > max(_APART * spread, _ORIGIN_JUMP_STEPS * usual, _SAME))
 
 
 def _constant(paths: tuple[_Path, _Path]) -> np.ndarray:
-    """Rows that repeat other numbers, wherever these occur far from the path."""
+    """Kinds (N,) of rows with another number that occurs repeatedly, and always distant from the path."""
     kinds = np.full(len(paths[0].zero), "", "U8")
     for path in paths:
         counts = np.bincount(path.value)
@@ -221,12 +220,11 @@ def _constant(paths: tuple[_Path, _Path]) -> np.ndarray:
             continue
         usual = path.usual_step(repeated) or path.usual_step(np.zeros(len(kinds), bool))
         runs, mine = path.runs[repeated[path.runs[:, 0]]], repeated
-        for _ in range(2):  # the second time, steps from and to numbers that are poses count too
+        for _ in range(2):  # the second time, steps from and to repeated poses count too
             away = path.jumps(runs, _JUMP_STEPS, mine, usual)[:, 0]
             values = path.value[runs[:, 0]]
-            stays = np.zeros(len(counts), bool)
-            stays[values[~away]] = True  # a number that continues the path once is a pose
-            stays |= len(kinds) - counts < _OTHERS
+            stays = len(kinds) - counts < _OTHERS
+            stays[values[~away]] = True  # a number that continues the path anywhere is a pose
             runs = runs[~stays[values]]
             mine = _rows_of(runs, len(kinds))
         kinds[mine] = "constant"
@@ -234,7 +232,7 @@ def _constant(paths: tuple[_Path, _Path]) -> np.ndarray:
 
 
 def _frozen(paths: tuple[_Path, _Path]) -> np.ndarray:
-    """Rows that repeat the position or the orientation before while the body went on.
+    """Kinds (N,) of rows that repeat a position or an orientation while the body moved on.
 
     The first row of every run is a pose.
     """
@@ -244,35 +242,35 @@ def _frozen(paths: tuple[_Path, _Path]) -> np.ndarray:
         moving = np.flatnonzero(path.steps)
         if not len(moving):
             continue
-        repeats = np.diff(moving, prepend=-1) - 1  # before every step of the path
+        repeats = np.diff(moving, prepend=-1) - 1  # before every step
         late = np.flatnonzero(repeats)
         late = late[_goes_on(path.steps[moving], repeats, late)]
         runs = np.column_stack([moving[late] - repeats[late], moving[late]]) + 1
         kinds[_rows_of(runs, count)] = "frozen"
         start = moving[-1] + 1
         last = count - start
-        held = np.sum(2 * (repeats[repeats > 0] + 1) >= last) >= _HELD  # as all samples, written too often
+        held = np.sum(2 * (repeats[repeats > 0] + 1) >= last) >= _HELD
         if last > _REPEATS and not held and _stops_dead(path, start):
             kinds[start + 1 :] = "end"
     return kinds
 
 
 def _goes_on(steps: np.ndarray, repeats: np.ndarray, late: np.ndarray) -> np.ndarray:
-    """Whether steps after repeats are as long as those that were missed, and not the usual ones.
+    """Return whether steps after repeats are as long as the missed steps together, bool (L,).
 
     Args:
-        steps: (M,) of the path, none of them 0.
+        steps: (M,) of the path, without zeros.
         repeats: (M,) int, rows before every step that repeat.
-        late: (L,) int, steps after repeats.
+        late: (L,) int, indices of steps after repeats.
     """
     unknown = np.full(_AHEAD, np.nan)
     nearby = np.lib.stride_tricks.sliding_window_view(np.concatenate([unknown, steps, unknown]), _AHEAD)
-    near = np.sort(np.stack([nearby[late], nearby[late + _AHEAD + 1]]), axis=2)  # unknown ones last
+    near = np.sort(np.stack([nearby[late], nearby[late + _AHEAD + 1]]), axis=2)  # NaN last
     known = np.isfinite(near).sum(axis=2, keepdims=True)
     longest, low, high = (
         np.take_along_axis(near, each, axis=2)[..., 0] for each in (known - 1, (known - 1) // 2, known // 2)
     )
-    # a few repeats count only if no step nearby is as long as the one after them
+    # after few repeats, the step must be longer than all steps nearby
     usual = np.where(repeats[late] < _LONG, longest, (low + high) / 2)
     usual = np.fmax(np.fmax(*usual), np.median(steps))
     found: np.ndarray = steps[late] > np.minimum(1 + 0.5 * repeats[late], _FROZEN) * usual + _LEAST
@@ -280,14 +278,13 @@ def _goes_on(steps: np.ndarray, repeats: np.ndarray, late: np.ndarray) -> np.nda
 
 
 def _stops_dead(path: _Path, start: int) -> bool:
-    """Whether a body moves up to a row, with noise, from which on its pose repeats exactly."""
+    """Return whether the body moves, with noise, up to a row from which the pose repeats exactly."""
     rows = path.numbers[max(start - _PAST, 0) : start + 1]
     rows = rows[np.append(True, (np.diff(rows, axis=0) != 0).any(axis=1))]
     if len(rows) < _NEAR:
         return False
-    fifth = np.linalg.norm(np.diff(rows, n=5, axis=0), axis=1)  # of smooth motion, almost nothing
+    fifth = np.linalg.norm(np.diff(rows, n=5, axis=0), axis=1)  # almost zero for smooth motion
     noise = np.median(fifth) / np.sqrt(252)
     speeds = np.linalg.norm(rows[_AHEAD:] - rows[:-_AHEAD], axis=1) / _AHEAD
     usual = float(np.median(speeds[-_NEAR // 2 :]))
-    of_noise = np.sqrt(2) / _AHEAD * noise
-    return bool(speeds[-1] > max(0.5 * usual, 5 * of_noise) and noise > _NOISY * usual)
+    return bool(speeds[-1] > max(0.5 * usual, 5 * np.sqrt(2) / _AHEAD * noise) and noise > _NOISY * usual)

@@ -1,4 +1,4 @@
-"""Bodies of markers, as files of marker positions have them: which there are, and their poses."""
+"""Rigid bodies in files of marker positions: their markers and their poses."""
 
 import re
 from collections.abc import Iterable
@@ -9,17 +9,18 @@ import numpy as np
 from reframe_jax.recordings.readers.reader import Entry
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rigid_body import fit_rigid_body
-from reframe_jax.recordings.rows import shown
+from reframe_jax.recordings.rows import listed, shown
 from reframe_jax.recordings.selection import flag
 
 __all__ = ["UNSEEN", "choose_markers", "fit_markers", "group_markers", "marker_entries"]
 
 UNSEEN = "fewer than three markers of the body are seen, or all of them are on a line"
-_LOOSE = 5e-3  # m rms, above which markers are hardly on one body
+_LOOSE = 5e-3  # m RMS, above which markers are probably not on one body
+_MOST = 60  # markers in a message
 
 
 def group_markers(labels: Iterable[str]) -> dict[str, list[str]]:
-    """Prefixes that three or more markers share: ``rod`` of ``rod:a`` or ``rod1``."""
+    """Group markers by prefixes that three or more markers share: ``rod`` of ``rod:a`` or ``rod1``."""
     found: dict[str, list[str]] = {}
     for label in labels:
         prefix = label.partition(":")[0] if ":" in label else re.sub(r"[\W_]*\d+$", "", label)
@@ -28,15 +29,15 @@ def group_markers(labels: Iterable[str]) -> dict[str, list[str]]:
 
 
 def choose_markers(path: Path, body: str | None, labels: list[str]) -> list[str]:
-    """The markers of the body that the user named, or of the only one.
+    """Return the markers of the body that the user named, or of the only body.
 
     Args:
         path: the file.
         body: a prefix, or labels with commas between them.
-        labels: of all markers.
+        labels: labels of all markers.
 
     Raises:
-        RecordingError: if there is no such body, or several and none was named.
+        RecordingError: if the body is unknown, or if there are several bodies and none was named.
     """
     groups = group_markers(labels)
     if body is not None and "," in body:
@@ -47,16 +48,16 @@ def choose_markers(path: Path, body: str | None, labels: list[str]) -> list[str]
         return next(iter(groups.values()))
     if body is None and not groups and len(labels) == 3:
         return labels
-    why = f"has no body {shown(body, 60)!r}" if body else "does not say which markers are on a body"
-    bodies = f"prefixes: {shown(', '.join(groups), 400)}; " if groups else ""
+    why = f"has no body {shown(body, 60)!r}" if body else "does not state which markers are on a body"
+    bodies = f"prefixes: {listed(groups)}; " if groups else ""
     raise RecordingError(
         f"{path}: {why}; name a prefix of markers, or three markers or more with commas between them, "
-        f"{flag('body')}; {bodies}markers: {shown(', '.join(labels), 1000) or 'none'}."
+        f"{flag('body')}; {bodies}markers: {listed(labels, _MOST)}."
     )
 
 
 def marker_entries(labels: list[str], detail: str) -> list[Entry]:
-    """Bodies of markers as options of reading, and the markers that are on none."""
+    """Make entries from the bodies of markers, and from the remaining markers."""
     groups = group_markers(labels)
     found = [Entry("body", name, f"{len(each)} markers: {', '.join(each)}") for name, each in groups.items()]
     grouped = {label for each in groups.values() for label in each}
@@ -68,23 +69,20 @@ def marker_entries(labels: list[str], detail: str) -> list[Entry]:
 def fit_markers(
     path: Path, points: np.ndarray, known: list[str], labels: list[str], metres: float
 ) -> tuple[np.ndarray, list[str]]:
-    """Poses (N, 4, 4) of a body with some markers, in the unit of the points, and a note on their fit.
+    """Fit a body to some markers: poses (N, 4, 4) in the unit of the points, and a note about the fit.
 
     Args:
         path: the file.
         points: (N, M, 3), NaN where a marker is not seen.
-        known: the labels of all markers.
-        labels: of the markers of the body.
-        metres: length of the unit.
+        known: labels of all markers.
+        labels: labels of the markers of the body.
+        metres: unit of the points in m.
 
     Raises:
-        RecordingError: if a marker is not in the file, or no rigid body fits.
+        RecordingError: if a marker is not in the file, or if no rigid body fits.
     """
     if missing := [label for label in labels if label not in known]:
-        raise RecordingError(
-            f"{path}: has no marker {shown(', '.join(missing), 200)}; markers: "
-            f"{shown(', '.join(known), 1000)}."
-        )
+        raise RecordingError(f"{path}: has no marker {listed(missing)}; markers: {listed(known, _MOST)}.")
     if len(set(labels)) < 3:
         raise RecordingError(f"{path}: expected three markers or more of a body, found {len(set(labels))}.")
     points = points[:, [known.index(label) for label in dict.fromkeys(labels)]]
@@ -92,17 +90,14 @@ def fit_markers(
         poses, residuals = fit_rigid_body(points)
     except ValueError as error:
         counts = np.isfinite(points).all(axis=2).sum(axis=0)
-        seen = ", ".join(f"{label} {count}" for label, count in zip(labels, counts, strict=False))
+        seen = listed(f"{label} {count}" for label, count in zip(labels, counts, strict=False))
         raise RecordingError(
-            f"{path}: no rigid body fits, as {error}; name others, {flag('body')}. Frames in which each is "
-            f"seen, of {len(points)}: {shown(seen, 500)}."
+            f"{path}: no rigid body fits, because {error}; name other markers, {flag('body')}. Count of "
+            f"frames, of {len(points)}, in which each marker is seen: {seen}."
         ) from error
     fitted = residuals[np.isfinite(residuals)] * metres
     if not len(fitted):
         raise RecordingError(f"{path}: no pose of the markers is finite; expected positions in metres or mm.")
     rms, worst = np.sqrt(np.mean(fitted**2)), fitted.max()
-    note = (
-        f"{len(labels)} markers are {1e3 * rms:.2g} mm rms from a rigid body, {1e3 * worst:.2g} mm in the "
-        "worst frame"
-    )
-    return poses, [note + ("; are all on the same body?" if rms > _LOOSE else ".")]
+    note = f"{len(labels)} markers are {1e3 * rms:.2g} mm RMS from a rigid body, {1e3 * worst:.2g} mm at most"
+    return poses, [note + ("; check that all are on the same body." if rms > _LOOSE else ".")]

@@ -1,7 +1,7 @@
-"""Reading of recordings.
+"""Reading of recordings, with NumPy only.
 
-NumPy only. ``Recording.notes`` lists rows that were dropped, repaired or look odd. Everything else that is
-wrong raises a :class:`RecordingError` that says where, what was expected, and what to do.
+``Recording.notes`` lists rows that were left out, repairs and doubts. Every other problem raises a
+:class:`RecordingError` with the place, the expected content and the remedy.
 """
 
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ from reframe_jax.recordings.checks import (
 from reframe_jax.recordings.clock import drop_equal_times, make_times, sort_times
 from reframe_jax.recordings.conventions import fits_better, reorder, sample_rows
 from reframe_jax.recordings.left_out import leave_out_lost, note_jumps
-from reframe_jax.recordings.readers import check_options, choose_reader
+from reframe_jax.recordings.readers import choose_reader
 from reframe_jax.recordings.readers.reader import Entry, Reader
 from reframe_jax.recordings.recording import Recording, RecordingError
 from reframe_jax.recordings.relative import relative_poses
@@ -68,37 +68,36 @@ def load_recording(
     ``.tsv``, ``.txt``, ``.tum``), trajectories of TUM and KITTI, arrays of NumPy (``.npy``, ``.npz``),
     exports of motion capture (``.csv``, ``.tsv``, ``.trc``, ``.c3d``, ``.mha``), ROS bags (``.bag``,
     ``.mcap``, ``.db3``, or a folder) and data sets (``.parquet``, ``.hdf5``). The page Files of the
-    documentation lists the options of each format, and the names of columns and arrays.
+    documentation lists the options of each format, and the names of columns and arrays. An option that a
+    format does not use is an error.
 
-    A recording has at most 8,388,608 poses. A million of them need about 450 MB while they are read, twice
-    that for a chain of tf frames.
-    Options that a format does not use are refused.
+    A recording has at most 8,388,608 poses. Reading a million poses needs about 450 MB, and twice as much for
+    a chain of tf frames.
 
     Args:
         path: the file or folder.
-        unit: unit of the positions, for files that do not state it; m by default.
-        time_unit: unit of the times, for files that do not state it; s by default.
-        dt: sample time in s, for files without times; times in the file are then ignored.
+        unit: unit of positions, for files that do not state it; m by default.
+        time_unit: unit of times, for files that do not state it; s by default.
+        dt: sample time in s, for files without times; times in the file are ignored.
         topic: topic of a bag.
         from_frame: tf frame of a bag that serves as the ground.
         to_frame: tf frame of a bag whose pose is read.
-        body: rigid body; in a C3D, a prefix of marker names, or names of markers separated by commas.
+        body: rigid body; for markers, a prefix of their names, or names with commas between them.
         in_body: body in whose frame the poses are expressed, see :func:`relative_poses`; in a bag, its topic.
-        position: column of the positions, (N, 3).
-        orientation: column of the orientations, (N, 4), (N, 3) or (N, 3, 3).
-        quaternion: order in which the file holds the numbers of a quaternion, whatever their names.
-        angles: what three angles mean: "vector", a rotation vector; "XYZ" and the like, turns about the
-            moving axes, that about x first; "xyz" and the like, turns about the fixed axes.
-        angle_unit: unit of these angles, "rad" or "deg", for files that do not state it; rad by default.
-        episode: number of the episode in a file of several.
+        position: columns of the positions, with 3 numbers.
+        orientation: columns of the orientations, with 4 numbers (quaternion), 3 (angles) or 9 (matrix).
+        quaternion: order of the numbers of a quaternion in the file, independent of their names.
+        angles: convention of three angles: "vector" for a rotation vector, "XYZ" and so on for rotations
+            about the moving axes (x first), "xyz" and so on for rotations about the fixed axes.
+        angle_unit: unit of these angles, for files that do not state it; rad by default.
+        episode: number of the episode in a file with several.
 
     Returns:
-        The recording, in metres and seconds. Rows in which tracking was lost are left out; ``left_out`` and
-        ``notes`` say which and why.
+        The recording, in m and s, without the rows in which tracking was lost.
 
     Raises:
-        RecordingError: if the file or one of its rows cannot be used, an option is wrong for it, or a library
-            that it needs is not installed.
+        RecordingError: if the file or one of its rows cannot be used, if an option is wrong, or if a needed
+            library is not installed.
     """
     path = Path(path)
     wanted = Selection(
@@ -107,9 +106,8 @@ def load_recording(
     )
     if dt is not None and not 0 < dt < np.inf:
         raise RecordingError(f"dt must be a positive number of seconds, not {dt!r}.")
-    with _one_line(path):
-        reader = choose_reader(path)
-        check_options(path, reader, wanted)
+    with _in_one_line(path):
+        reader = choose_reader(path, wanted)
         absolute = replace(wanted, in_body=None)
         recording = _load(path, reader, absolute, dt)
         if in_body is None:
@@ -120,25 +118,25 @@ def load_recording(
 
 
 def list_contents(path: str | Path) -> tuple[str, list[Entry] | None]:
-    """List what can be read from a file: topics, frames, bodies, markers or columns.
+    """List the data in a file: topics, frames, bodies, markers or columns.
 
     Args:
         path: the file or folder.
 
     Returns:
-        What the file is, and what it holds; None for formats of a single recording.
+        The name of the format, and the data; None for formats with a single recording.
 
     Raises:
         RecordingError: if the file cannot be read.
     """
     path = Path(path)
-    with _one_line(path):
-        reader = choose_reader(path)
+    with _in_one_line(path):
+        reader = choose_reader(path, Selection())
         return reader.name, reader.contents(path) if reader.contents else None
 
 
 @contextmanager
-def _one_line(path: Path) -> Iterator[None]:
+def _in_one_line(path: Path) -> Iterator[None]:
     """Replace errors of the disk and of the encoding by a :class:`RecordingError`."""
     try:
         yield
@@ -146,14 +144,14 @@ def _one_line(path: Path) -> Iterator[None]:
         raise
     except UnicodeDecodeError as error:
         raise RecordingError(f"{path}: is not a text file; expected UTF-8.") from error
-    except (OSError, ValueError) as error:  # the latter of a path that holds a zero byte
-        why = getattr(error, "strerror", None) or error
-        raise RecordingError(f"{path}: cannot be read: {why}.") from error
+    except (OSError, ValueError) as error:  # ValueError: the path contains a zero byte
+        reason = getattr(error, "strerror", None) or error
+        raise RecordingError(f"{path}: cannot be read: {reason}.") from error
 
 
 def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Recording:
-    """Read one body and check it."""
-    with np.errstate(all="ignore"):  # numbers too large to be squared: what comes of them is refused below
+    """Read and check one body."""
+    with np.errstate(all="ignore"):  # the checks refuse numbers whose squares are infinite
         rows = reader.read(path, wanted)
         _apply_order(rows, wanted)
         ignored = dt is not None and rows.times is not None
@@ -172,17 +170,10 @@ def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Re
         note_jumps(rows, poses)
         note_repeats(rows, poses)
     if ignored:
-        rows.notes.append(f"{TIMES_IGNORED}, for the sample time of {dt:g} s given.")
+        rows.notes.append(f"{TIMES_IGNORED}; the sample time is {dt:g} s.")
     return Recording(
-        np.asarray(rows.times),
-        poses,
-        path,
-        tuple(rows.notes),
-        rows.origin,
-        rows.wrenches,
-        rows.where,
-        rows.word,
-        tuple(rows.left_out),
+        *(np.asarray(rows.times), poses, path, tuple(rows.notes), rows.origin),
+        *(rows.wrenches, rows.where, rows.word, tuple(rows.left_out)),
     )
 
 
@@ -195,30 +186,28 @@ def _check_count(rows: Rows) -> None:
 
 
 def _apply_order(rows: Rows, wanted: Selection) -> None:
-    """Read quaternions in the order that the user gave."""
+    """Convert quaternions to the order that the user gave."""
     if wanted.quaternion is None:
         return
     if rows.values.shape[1] != 7:
-        raise RecordingError(f"{rows.path}: holds no quaternions there; leave out {flag('quaternion')}.")
+        raise RecordingError(f"{rows.path}: contains no quaternions; leave out {flag('quaternion')}.")
     rows.values = rows.values.copy()
     rows.values[:, 3:] = reorder(rows.values[:, 3:], rows.order, wanted.quaternion)
     rows.order = wanted.quaternion
 
 
 def _check_order(rows: Rows, reader: Reader) -> None:
-    """Note that the other order of quaternions makes the motion a constrained one, if it does."""
+    """Note that the motion is constrained only with the other order of quaternions."""
     if rows.values.shape[1] != 7 or "quaternion" not in reader.options:
         return
     other: Quaternion = "wxyz" if rows.order == "xyzw" else "xyzw"
     some = sample_rows(len(rows.values))
-    positions, numbers = rows.values[some, :3], rows.values[some, 3:]
+    numbers = rows.values[some, 3:]
     numbers = numbers / np.linalg.norm(numbers, axis=1, keepdims=True)
-    read, else_read = (
-        quaternions_to_matrices(each) for each in (numbers, reorder(numbers, rows.order, other))
-    )
-    if fits_better(positions, read, else_read):
+    own, alternative = map(quaternions_to_matrices, (numbers, reorder(numbers, rows.order, other)))
+    if fits_better(rows.values[some, :3], own, alternative):
         rows.notes.append(
-            f"with quaternions in the order {other} the orientations fit the positions, and in the order "
-            f"{rows.order} they do not: if the file holds {other}, give quaternion={other!r} "
+            f"the quaternions are read in the order {rows.order}, but the motion is constrained only in the "
+            f"order {other}: check the order in the file; if it is {other}, give quaternion={other!r} "
             f"(--quaternion {other})."
         )

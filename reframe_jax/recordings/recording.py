@@ -1,4 +1,4 @@
-"""The recording, and the error of an unusable file."""
+"""Recordings, the rows that readers left out, and the error for unusable files."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +12,7 @@ _OUTLIER = "the pose jumps away from its neighbours and back"
 
 
 class RecordingError(ValueError):
-    """A file that cannot be used as a recording."""
+    """A file cannot be used as a recording."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,12 +20,12 @@ class LeftOut:
     """Rows of a file that are not in the recording.
 
     Attributes:
-        rows: (N,) int, their numbers, as :attr:`Recording.rows` counts them.
-        reason: one word: "missing" (a number is missing), "untracked" (the system says so, or writes zeros),
-            "origin", "identity", "constant", "frozen" or "end" (tracking was lost, see
-            :class:`reframe_jax.recordings.lost.LostRun`), "repeated" (the row before again), "equal_time"
-            (another pose at the same time), "far" (farther away than a body can go), "relative" (the other
-            body was not tracked), "outlier" (read, but left out of an identification).
+        rows: (N,) int, numbers of the rows, counted as in :attr:`Recording.rows`.
+        reason: one word: "missing" (a number is missing), "untracked" (the system reports it, or writes
+            zeros), "origin", "identity", "constant", "frozen" or "end" (tracking was lost, see
+            :class:`reframe_jax.recordings.lost.LostRun`), "repeated" (equals the previous row), "equal_time"
+            (another pose at the same time), "far" (too distant from the other positions), "relative" (the
+            other body was not tracked), "outlier" (read, but left out of an identification).
         why: the reason in words.
     """
 
@@ -39,19 +39,18 @@ class Recording:
     """Poses of a body {b} in the ground {g} over time.
 
     Attributes:
-        times: (K+1,) s, increasing, not necessarily evenly.
+        times: (K+1,) s, increasing; steps may differ.
         poses: (K+1, 4, 4), m.
-        path: file that it was read from.
-        notes: sentences about what was left out, repaired or looks odd.
-        origin: time at which ``times`` are 0, in s, as the file writes it; None if the file says 0. Times
-            that start late, such as those since 1970, count from their first sample.
-        wrenches: (K+1, 6) force in N, then torque in Nm, if the file has them, else None. They are the
-            numbers of the file, in the frame of the sensor and about its origin: nothing is transformed.
-            NaN where a number is missing.
-        rows: (K+1,) int, where the poses are in the file: numbers of lines from 1, of samples and messages
-            from 0; None if they are from no file.
-        row_word: what the rows are called: line, sample, message or frame.
-        left_out: rows of the file that were left out, and why.
+        path: the file.
+        notes: sentences about rows that were left out, repairs and doubts.
+        origin: clock time in s at which ``times`` are 0, as written in the file; None if it is 0. Times since
+            1970 and other late times count from the first sample.
+        wrenches: (K+1, 6) force in N, then torque in Nm, in the frame of the sensor and about its origin, as
+            in the file. NaN where a number is missing. None if the file has no wrenches.
+        rows: (K+1,) int, row of each pose in the file: lines count from 1, samples and messages from 0. None
+            if the poses are from no file.
+        row_word: name of a row: line, sample, message or frame.
+        left_out: rows of the file that were left out, with the reasons.
     """
 
     times: np.ndarray
@@ -65,16 +64,16 @@ class Recording:
     left_out: tuple[LeftOut, ...] = ()
 
     def unused(self, counted: ArrayLike) -> tuple[LeftOut, ...]:
-        """All rows of the file that play no part in an identification, and why; the others were used.
+        """List all rows of the file that an identification did not use, with the reasons.
 
         Args:
             counted: (K+1,) bool, ``counted`` of the identification of these poses.
 
         Returns:
-            ``left_out``, and the outliers. Rows are counted from 0 if the poses are from no file.
+            ``left_out`` and the outliers. Rows count from 0 if the poses are from no file.
 
         Raises:
-            ValueError: if there are not as many as poses.
+            ValueError: if the shape of ``counted`` differs from the shape of ``times``.
         """
         used = np.asarray(counted, dtype=bool)
         if used.shape != self.times.shape:
@@ -86,7 +85,7 @@ class Recording:
 
     @property
     def left_out_times(self) -> np.ndarray:
-        """(M,) s, about when the rows in ``left_out`` were: between the rows that were read."""
+        """(M,) s, times of the rows in ``left_out``, interpolated between the rows that were read."""
         if self.rows is None or not self.left_out:
             return np.empty(0)
         gone = np.sort(np.concatenate([each.rows for each in self.left_out])).astype(float)

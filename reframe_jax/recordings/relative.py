@@ -12,28 +12,28 @@ from reframe_jax.recordings.recording import LeftOut, Recording, RecordingError
 
 __all__ = ["interpolate_poses", "invert_poses", "origin_shift", "relative_poses"]
 
-_GAP = 5.0  # median steps, after which a body counts as lost
-_BLOCK = 2**14  # poses worked on at once
+_GAP = 5.0  # median steps; in a longer gap, the body counts as lost
+_BLOCK = 2**14  # poses per block, so that intermediate arrays stay small
 
 
 def relative_poses(a: Recording, b: Recording) -> Recording:
-    """Poses of one body in the frame of another: ``inv(B) A``, at the times of ``a``.
+    """Express the poses of one body in the frame of another: ``inv(B) A``, at the times of ``a``.
 
-    Where ``b`` has no pose at that time, it is interpolated between its neighbours: the position linearly,
-    the orientation by turning at a constant rate about one axis. Times before or after ``b``, and in gaps of
-    ``b`` longer than five of its median steps, are left out with a note.
+    The pose of ``b`` is interpolated: the position linearly, the orientation by a rotation about one axis at
+    a constant rate. Times before or after ``b``, and times in gaps of ``b`` longer than five of its median
+    steps, are left out with a note.
 
     Args:
         a: the body whose motion is wanted.
-        b: the body in whose frame it is expressed, in the same ground frame and on the same clock. Times
-            that count from different origins are compared by their origins.
+        b: the body in whose frame the motion is expressed. Both recordings must have the same ground frame
+            and the same clock; their origins may differ.
 
     Returns:
-        The recording of ``a``, its poses those in the frame of ``b``; wrenches are kept as they are. Notes
-        about ``b`` say so.
+        The recording of ``a`` with poses in the frame of ``b``, and with the notes of both. Wrenches are
+        unchanged.
 
     Raises:
-        RecordingError: if they have too few times in common.
+        RecordingError: if the recordings have fewer than four times in common.
     """
     if len(b.times) < 2:
         raise RecordingError(f"{b.path}: expected two poses or more of the other body, found {len(b.times)}.")
@@ -65,7 +65,7 @@ def relative_poses(a: Recording, b: Recording) -> Recording:
 def interpolate_poses(
     times: np.ndarray, poses: np.ndarray, wanted: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Interpolate poses: positions linearly, orientations along the shortest turn at a constant rate.
+    """Interpolate poses: positions linearly, orientations along the shortest rotation at a constant rate.
 
     Args:
         times: (N,) s, increasing.
@@ -73,8 +73,8 @@ def interpolate_poses(
         wanted: (M,) s.
 
     Returns:
-        Poses (L, 4, 4) at those wanted times that are ``known`` (M,) bool: within the times, and not in a gap
-        longer than five median steps.
+        Poses (L, 4, 4) at the wanted times that are known, and ``known`` (M,) bool: whether a time is between
+        the first and the last one, and in no gap longer than five median steps.
     """
     after = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
     steps = np.diff(times)
@@ -91,7 +91,7 @@ def interpolate_poses(
 
 
 def _between(first: np.ndarray, second: np.ndarray, fraction: np.ndarray) -> np.ndarray:
-    """Poses at shares (N,) of the way from the first to the second (N, 4, 4); exact at 0 and 1."""
+    """Poses at fractions (N,) of the way from the first to the second (N, 4, 4); exact at 0 and 1."""
     turns = rotation_vectors(first[:, :3, :3].swapaxes(1, 2) @ second[:, :3, :3])
     found = first.copy()
     found[:, :3, :3] = first[:, :3, :3] @ rotation_matrices(fraction[:, None] * turns)
@@ -101,7 +101,7 @@ def _between(first: np.ndarray, second: np.ndarray, fraction: np.ndarray) -> np.
 
 
 def invert_poses(poses: np.ndarray) -> np.ndarray:
-    """Inverse poses (N, 4, 4)."""
+    """Invert poses (N, 4, 4)."""
     found = np.zeros_like(poses)
     found[:, :3, :3] = poses[:, :3, :3].swapaxes(1, 2)
     found[:, :3, 3] = -np.einsum("nij,nj->ni", found[:, :3, :3], poses[:, :3, 3])
@@ -110,10 +110,10 @@ def invert_poses(poses: np.ndarray) -> np.ndarray:
 
 
 def origin_shift(path: Path, origin: str | None, other: str | None) -> float:
-    """What to add to times that count from an origin, s, so that they count from another one.
+    """Return the difference of two origins in s, which converts times from the first to the second.
 
     Raises:
-        RecordingError: if the origins are no numbers.
+        RecordingError: if an origin is not a number.
     """
     try:
         return float(Decimal(origin or 0) - Decimal(other or 0))

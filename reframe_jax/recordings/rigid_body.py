@@ -4,26 +4,26 @@ import numpy as np
 
 __all__ = ["fit_rigid_body"]
 
-_REFERENCE = 1000  # frames from which the shape of the body is averaged
+_REFERENCE = 1000  # most frames in the mean shape of the body
 _PASSES = 3
-_THIN = 0.05  # second extent of the markers over the first, below which they are as good as on a line
+_THIN = 0.05  # second extent of the markers over the first, below which they are nearly on a line
 
 
 def fit_rigid_body(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Fit a rigid body to its markers, frame by frame (Kabsch).
+    """Fit a rigid body to its markers in each frame (Kabsch).
 
-    The shape of the body is the mean over frames with all markers. Its frame lies in the centroid of the
-    markers, with the axes of the ground in the first of these frames.
+    The shape of the body is the mean over frames with all markers. The origin of the body is the centroid of
+    the markers, and its axes are parallel to the ground in the first of these frames.
 
     Args:
         points: (N, M, 3), NaN where a marker is not seen.
 
     Returns:
-        Poses (N, 4, 4), in the unit of the points, and the root mean square distance of the seen markers from
-        the body (N,). NaN where fewer than three markers are seen, or all are on a line.
+        Poses (N, 4, 4) in the unit of the points, and RMS distances (N,) of the seen markers from the body.
+        NaN where fewer than three markers are seen, or where all are on a line.
 
     Raises:
-        ValueError: if no frame has all markers, or they are on a line.
+        ValueError: if no frame has all markers, or if they are on a line.
     """
     seen = np.isfinite(points).all(axis=2)
     whole = np.flatnonzero(seen.all(axis=1))
@@ -52,15 +52,15 @@ def fit_rigid_body(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _align(points: np.ndarray, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations (N, 3, 3) and positions (N, 3) that bring a shape (M, 3) closest to points (N, M, 3)."""
+    """Rotations (N, 3, 3) and positions (N, 3) that align a shape (M, 3) with points (N, M, 3)."""
     centres, centre = points.mean(axis=1), shape.mean(axis=0)
     left, _, right = np.linalg.svd(np.einsum("nki,kj->nij", points - centres[:, None], shape - centre))
-    left[..., -1] *= np.linalg.det(left @ right)[:, None]  # a mirrored body is none
+    left[..., -1] *= np.linalg.det(left @ right)[:, None]  # no reflections
     turned = left @ right
     return turned, centres - np.einsum("nij,j->ni", turned, centre)
 
 
 def _spans(shape: np.ndarray) -> bool:
-    """Whether points (M, 3) determine an orientation."""
+    """Return whether points (M, 3) determine an orientation."""
     extents = np.linalg.svd(shape - shape.mean(axis=0), compute_uv=False)
     return bool(extents[1] > _THIN * extents[0])

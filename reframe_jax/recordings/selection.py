@@ -1,24 +1,14 @@
-"""What a user chooses to read from a file: the same words in Python and on the command line."""
+"""The options that select data of a file, with the same names in Python and on the command line."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Literal, get_args
 
 from reframe_jax.recordings.recording import RecordingError
 
 __all__ = [
-    "ANGLES",
-    "ANGLE_UNITS",
-    "QUATERNIONS",
-    "TIME_UNITS",
-    "UNITS",
-    "AngleUnit",
-    "Angles",
-    "Quaternion",
-    "Selection",
-    "TimeUnit",
-    "Unit",
-    "flag",
+    *("ANGLES", "ANGLE_UNITS", "QUATERNIONS", "TIME_UNITS", "UNITS"),
+    *("AngleUnit", "Angles", "Quaternion", "Selection", "TimeUnit", "Unit", "flag"),
 ]
 
 Unit = Literal["m", "cm", "mm"]
@@ -44,7 +34,7 @@ _FLAGS = {"from_frame": "--from", "to_frame": "--to", "in_body": "--in"}
 
 @dataclass(frozen=True)
 class Selection:
-    """Options of :func:`reframe_jax.load_recording`, which describes them; None where nothing is given."""
+    """Options of :func:`reframe_jax.load_recording`; None for an option that is not given."""
 
     unit: Unit | None = None
     time_unit: TimeUnit | None = None
@@ -61,24 +51,20 @@ class Selection:
     episode: int | None = None
 
     def __post_init__(self) -> None:
-        for name, choices in _CHOICES.items():
-            value = getattr(self, name)
-            if value is not None and value not in choices:
-                raise RecordingError(f"{name} must be one of {', '.join(choices)}, not {value!r}.")
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name == "episode":
-                if value is not None and (not isinstance(value, int) or value < 0):
-                    raise RecordingError(f"episode must be a number from 0, not {value!r}.")
-            elif value is not None and (not isinstance(value, str) or not value):
-                raise RecordingError(f"{field.name} must be a name, not {value!r}.")
+        for name, value in self.given.items():
+            if name in _CHOICES and value not in _CHOICES[name]:
+                raise RecordingError(f"{name} must be one of {', '.join(_CHOICES[name])}, not {value!r}.")
+            if name == "episode" and (not isinstance(value, int) or value < 0):
+                raise RecordingError(f"episode must be a number from 0, not {value!r}.")
+            if name != "episode" and (not isinstance(value, str) or not value):
+                raise RecordingError(f"{name} must be a name, not {value!r}.")
 
     @property
-    def given(self) -> list[str]:
-        """Names of the options that are set."""
-        return [field.name for field in fields(self) if getattr(self, field.name) is not None]
+    def given(self) -> dict[str, object]:
+        """The options that are given, by name."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 def flag(name: str) -> str:
-    """An option as messages call it, in Python and on the command line: ``in_body (--in)``."""
+    """Name an option in Python and on the command line, for a message: ``in_body (--in)``."""
     return f"{name} ({_FLAGS.get(name, '--' + name.replace('_', '-'))})"

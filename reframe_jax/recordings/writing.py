@@ -9,9 +9,11 @@ from numpy.typing import ArrayLike
 from reframe_jax.geometry.numpy_rotations import matrices_to_quaternions
 from reframe_jax.recordings.checks import make_poses
 from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import HEADER, WRENCH_HEADER, Rows
+from reframe_jax.recordings.rows import HEADER, Rows
 
 __all__ = ["save_recording"]
+
+_WRENCH_HEADER = "fx,fy,fz,tx,ty,tz"
 
 
 def save_recording(
@@ -19,17 +21,17 @@ def save_recording(
 ) -> None:
     """Write a recording: a ``.csv`` of ``t,x,y,z,qx,qy,qz,qw``, or an ``.npz`` of ``times`` and ``poses``.
 
-    Both formats hold wrenches: as further columns ``fx,fy,fz,tx,ty,tz``, and as an array ``wrenches``.
+    Both formats can contain wrenches: columns ``fx,fy,fz,tx,ty,tz``, or an array ``wrenches``.
 
     Args:
-        path: the file; its suffix selects the format.
+        path: the file; the suffix selects the format.
         times: (K+1,) s.
         poses: (K+1, 4, 4), m.
-        wrenches: (K+1, 6) force in N, then torque in Nm, written as they are; NaN where a number is missing.
+        wrenches: (K+1, 6) force in N, then torque in Nm, written unchanged; NaN where a number is missing.
 
     Raises:
-        RecordingError: if the shapes do not fit, a pose is not a rigid transform, a wrench is infinite, or
-            the file cannot be written.
+        RecordingError: if the shapes do not fit each other, a number is not finite, a pose is not a rigid
+            transform, or the file cannot be written.
     """
     path, times, poses = Path(path), np.asarray(times, dtype=float), np.asarray(poses, dtype=float)
     if not times.size or times.ndim != 1 or poses.shape != (len(times), 4, 4):
@@ -37,13 +39,13 @@ def save_recording(
             f"{path}: expected times (N,) and poses (N, 4, 4), N > 0, not {times.shape} and {poses.shape}."
         )
     if not (np.isfinite(times).all() and np.isfinite(poses).all()):
-        raise RecordingError(f"{path}: expected finite times and poses; remove the samples that are not.")
+        raise RecordingError(f"{path}: expected finite times and poses; remove the other samples.")
     forces = np.empty((len(times), 0)) if wrenches is None else np.asarray(wrenches, dtype=float)
     if wrenches is not None and forces.shape != (len(times), 6):
         raise RecordingError(f"{path}: expected wrenches of shape ({len(times)}, 6), not {forces.shape}.")
     if np.isinf(forces).any():
         raise RecordingError(f"{path}: expected finite wrenches, or NaN where a number is missing.")
-    with np.errstate(all="ignore"):  # rotations too large to be squared are refused
+    with np.errstate(all="ignore"):  # make_poses refuses rotations whose squares are infinite
         poses = make_poses(Rows(path, "sample", np.arange(len(times)), poses.reshape(-1, 16), times))
     try:
         if path.suffix.lower() == ".npz":
@@ -52,7 +54,7 @@ def save_recording(
         elif path.suffix.lower() == ".csv":
             quaternions = matrices_to_quaternions(poses[:, :3, :3])
             table = np.column_stack([times, poses[:, :3, 3], quaternions, forces])
-            header = HEADER if wrenches is None else f"{HEADER},{WRENCH_HEADER}"
+            header = HEADER if wrenches is None else f"{HEADER},{_WRENCH_HEADER}"
             with path.open("w", newline="", encoding="utf-8") as file:
                 csv.writer(file, lineterminator="\n").writerows([header.split(","), *table.tolist()])
         else:

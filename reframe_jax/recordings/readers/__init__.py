@@ -1,8 +1,7 @@
-"""The registry of readers: suffix and content select one.
+"""All readers. The suffix and the first bytes of a file select a reader.
 
-To add a format, copy ``trajectory.py`` and add its :class:`Reader` here. Of the readers with the suffix of a
-file, the first one that recognises its first bytes reads it. Optional libraries are imported when a file
-needs them.
+To add a format, copy ``trajectory.py`` and add its :class:`Reader` to ``READERS``. The first reader with the
+suffix of a file that recognises its first bytes reads the file. Readers import optional libraries on use.
 """
 
 from pathlib import Path
@@ -27,52 +26,50 @@ from reframe_jax.recordings.readers.vicon import VICON
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.selection import Selection, flag
 
-__all__ = ["READERS", "check_options", "choose_reader"]
+__all__ = ["READERS", "choose_reader"]
 
 READERS: tuple[Reader, ...] = (
     *(MOTIVE, VICON, QUALISYS, NDI, ECHO, KITTI, TRAJECTORY, TABLE),
     *(ARRAYS, BAG, C3D, TRC, MHA, PARQUET, HDF5),
 )
 
-_HEAD = 4096  # bytes by which a format is recognised
+_HEAD = 4096  # first bytes, by which a reader recognises its format
 _FOLDER = "/"
+_REMEDIES = {
+    **dict.fromkeys((".pkl", ".pickle"), "pickles can run code when they are read; save arrays as .npz"),
+    **dict.fromkeys((".gz", ".zip", ".xz", ".bz2", ".zst"), "decompress the file first"),
+    **dict.fromkeys((".xls", ".xlsx", ".ods"), "save the sheet as .csv"),
+    ".mat": "save the arrays as .npz, with scipy.io.loadmat and np.savez",
+}
 
 
-def choose_reader(path: Path) -> Reader:
-    """The reader of a file or folder.
+def choose_reader(path: Path, wanted: Selection) -> Reader:
+    """Return the reader of a file or folder that uses the given options.
 
     Raises:
-        RecordingError: if there is none for its suffix, or its content is not of these formats.
+        RecordingError: if no reader has the suffix or recognises the content, or if the reader does not use
+            an option.
         OSError: from the file.
     """
     folder = path.is_dir()
     suffix = _FOLDER if folder else path.suffix.lower()
-    if suffix in (".pkl", ".pickle"):
-        raise RecordingError(f"{path}: pickles can run code when they are read; save arrays as .npz instead.")
+    if suffix in _REMEDIES:
+        raise RecordingError(f"{path}: {suffix} files are not read; {_REMEDIES[suffix]}.")
     candidates = [reader for reader in READERS if suffix in reader.suffixes]
     if not candidates and not folder:
         suffixes = dict.fromkeys(each for reader in READERS for each in reader.suffixes if each != _FOLDER)
         raise RecordingError(f"{path}: expected one of {', '.join(suffixes)}, not the suffix {suffix!r}.")
     head = b""
     if not folder or not any(reader.recognises(path, head) for reader in candidates):
-        with path.open("rb") as file:  # of a folder that is no recording, an OSError says so
+        with path.open("rb") as file:  # for a folder without a recording, this raises an OSError
             head = head_in_utf8(file.read(_HEAD))
     for reader in candidates:
         if reader.recognises(path, head):
+            if other := [name for name in wanted.given if name not in reader.options]:
+                used = ", ".join(map(flag, sorted(reader.options))) or "none"
+                raise RecordingError(
+                    f"{path}: is {reader.name}, which does not use {flag(other[0])}; its options: {used}."
+                )
             return reader
     names = " or ".join(reader.name for reader in candidates)
-    raise RecordingError(f"{path}: expected {names}; the content is of another kind.")
-
-
-def check_options(path: Path, reader: Reader, wanted: Selection) -> None:
-    """Refuse options that the format does not use.
-
-    Raises:
-        RecordingError: that names the option and those that may be used instead.
-    """
-    for name in wanted.given:
-        if name not in reader.options:
-            used = ", ".join(flag(each) for each in sorted(reader.options)) or "none of them"
-            raise RecordingError(
-                f"{path}: is {reader.name}, which does not use {flag(name)}; options for it: {used}."
-            )
+    raise RecordingError(f"{path}: expected {names}; the content has another format.")

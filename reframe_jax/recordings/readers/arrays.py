@@ -1,102 +1,80 @@
-"""Arrays as NumPy writes them. Sizes are checked before anything is allocated; nothing is unpickled."""
+"""Arrays of NumPy. Sizes are checked before memory is allocated; pickles are refused."""
 
 import math
 import warnings
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
 from pathlib import Path
-from typing import IO
+from typing import IO, NamedTuple
 
 import numpy as np
 
-from reframe_jax.recordings.readers.reader import Reader, attribute_to
+from reframe_jax.recordings.readers.reader import Reader, translate_errors
 from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import EPOCH, MOST_ROWS, Rows, shown
+from reframe_jax.recordings.rows import EPOCH, Rows, check_size, listed
 from reframe_jax.recordings.selection import Selection
 
 __all__ = ["ARRAYS", "read_arrays"]
 
 _NAMES = ("poses", "positions", "quaternions", "times", "wrenches")
 _NO_TIMES = "add an array times (N,) to an .npz, or give the sample time, dt (--dt)"
+_PLAIN = "plain arrays of numbers, as np.save or np.savez writes them"
 _LONGEST_HEADER = 10_000  # bytes; NumPy writes 128 for an array of numbers
-_LISTED = 8  # arrays listed in a message
 
 
-@dataclass(frozen=True)
-class _Array:
-    """An array in a file of which the header, but no number, has been read."""
+class _Array(NamedTuple):
+    """An array in a file, whose numbers are not yet read."""
 
-    open: Callable[[], IO[bytes]]
-    start: int  # of the numbers, in bytes
     shape: tuple[int, ...]
-    by_column: bool
     dtype: np.dtype
-
-    def read(self) -> np.ndarray:
-        """The numbers."""
-        size = math.prod(self.shape) * self.dtype.itemsize
-        with self.open() as stream:
-            stream.seek(self.start)
-            content = stream.read(size)
-        if len(content) < size:
-            raise EOFError
-        numbers = np.frombuffer(content, self.dtype)
-        return numbers.reshape(self.shape, order="F" if self.by_column else "C").copy()
+    read: Callable[[], np.ndarray]
 
 
 def read_arrays(path: Path, wanted: Selection) -> Rows:
     """Read ``poses``, or ``positions`` and ``quaternions``, ``times`` and ``wrenches``."""
-    with path.open("rb") as file, attribute_to(lambda _: _no_arrays(path)):
+    with path.open("rb") as file, translate_errors(path, _PLAIN):
         if file.read(2) != b"PK":
-            single = _find(path, "poses", lambda: path.open("rb"), path.stat().st_size)
-            return _rows(path, {"poses": single}, [])
+            return _rows(path, {"poses": _find("poses", lambda: path.open("rb"), path.stat().st_size)}, [])
         with zipfile.ZipFile(file) as archive:
             members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-            for name in members.keys() & set(_NAMES):
-                # other methods unpack a few bytes to any number at once
-                if members[name].compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-                    raise _no_arrays(path, f"; {name} is compressed by another method than theirs")
-            arrays = {
-                name: _find(path, name, partial(archive.open, members[name]), members[name].file_size)
-                for name in _NAMES
-                if name in members
-            }
+            arrays = {}
+            for name in _NAMES:
+                if info := members.get(name):
+                    # other methods can expand a few bytes to any size at once
+                    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                        raise ValueError(f"{name} is compressed by another method")
+                    arrays[name] = _find(name, partial(archive.open, info), info.file_size)
             return _rows(path, arrays, sorted(members.keys() - set(_NAMES)))
 
 
-def _no_arrays(path: Path, why: str = "") -> RecordingError:
-    return RecordingError(
-        f"{path}: does not hold plain arrays; expected numbers as np.save or np.savez writes them, "
-        f"whole{why}."
-    )
-
-
-def _find(path: Path, name: str, open: Callable[[], IO[bytes]], size: int) -> _Array:
-    """Read the header of an array in a stream of ``size`` bytes, and compare it with the size."""
+def _find(name: str, open: Callable[[], IO[bytes]], size: int) -> _Array:
+    """Read the header of an array in a stream of ``size`` bytes."""
     with open() as stream:
         head = BytesIO(stream.read(_LONGEST_HEADER))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of headers that Python 2 wrote, and of bytes that are none
-        read = {
-            (1, 0): np.lib.format.read_array_header_1_0,
-            (2, 0): np.lib.format.read_array_header_2_0,
-        }[np.lib.format.read_magic(head)]
+        warnings.simplefilter("ignore")  # headers of Python 2, and damaged headers
+        version, _ = np.lib.format.read_magic(head)
+        read = getattr(np.lib.format, f"read_array_header_{version}_0")
         shape, by_column, dtype = read(head)
     if dtype.hasobject or dtype.itemsize == 0:
-        raise _no_arrays(path, f"; {name} holds objects")
-    if min(shape, default=0) < 0:
-        raise _no_arrays(path, f"; {name} has the shape {shape}")
+        raise ValueError(f"{name} contains objects")
     claimed, held = math.prod(shape) * dtype.itemsize, size - head.tell()
-    if claimed > held:
-        raise _no_arrays(path, f"; {name} should take {claimed} bytes, but {held} are there")
-    return _Array(open, head.tell(), shape, by_column, dtype)
+    if min(shape, default=0) < 0 or claimed > held:
+        raise ValueError(f"{name} has the shape {shape} and should take {claimed} bytes, but has {held}")
+
+    def numbers() -> np.ndarray:
+        with open() as stream:
+            stream.seek(head.tell())
+            content = np.frombuffer(stream.read(claimed), dtype)
+        return content.reshape(shape, order="F" if by_column else "C").copy()
+
+    return _Array(shape, dtype, numbers)
 
 
 def _rows(path: Path, arrays: dict[str, _Array], others: list[str]) -> Rows:
-    """The rows of arrays whose shapes fit each other."""
+    """Make rows from arrays, if their shapes fit each other."""
     shapes = {name: array.shape for name, array in arrays.items()}
     count = (shapes.get("poses") or shapes.get("positions") or (0,))[0]
     pair = (shapes.get("positions"), shapes.get("quaternions")) == ((count, 3), (count, 4))
@@ -105,17 +83,12 @@ def _rows(path: Path, arrays: dict[str, _Array], others: list[str]) -> Rows:
     fits &= shapes.get("times", (count,)) == (count,) and shapes.get("wrenches", (count, 6)) == (count, 6)
     if not (fits and count) or any(array.dtype.kind not in "fiu" for array in arrays.values()):
         found = [f"{name} {array.shape} of {array.dtype}" for name, array in arrays.items()] + others
-        more = ", ..." if len(found) > _LISTED else ""
         raise RecordingError(
             f"{path}: expected numbers: poses (N, 4, 4), or positions (N, 3) and quaternions (N, 4), and "
-            "times (N,), perhaps wrenches (N, 6); "
-            f"found {shown(', '.join(found[:_LISTED]), 400) or 'nothing'}{more}."
+            f"times (N,), perhaps wrenches (N, 6); found {listed(found, 8)}."
         )
-    if count > MOST_ROWS:
-        raise RecordingError(
-            f"{path}: has {count} samples; expected at most {MOST_ROWS}; cut the recording into files."
-        )
-    with np.errstate(all="ignore"):  # numbers that no double holds become infinite, and are dropped
+    check_size(path, count)
+    with np.errstate(all="ignore"):  # numbers beyond double precision become infinite, and are left out
         names = {"times", "wrenches", *(("positions", "quaternions") if pair else ("poses",))}
         parts = {name: arrays[name].read().reshape(count, -1) for name in names & arrays.keys()}
         if timed:
@@ -130,9 +103,9 @@ def _rows(path: Path, arrays: dict[str, _Array], others: list[str]) -> Rows:
 
 
 def _since_first(times: np.ndarray) -> tuple[np.ndarray, str | None]:
-    """Times (N,) in double precision, and the first of them if they count from it, as it is late.
+    """Convert times (N,) to floats; late times count from the first one, which is the second result.
 
-    Subtracted before they are rounded, and integers without overflow.
+    The subtraction is before the rounding; integers do not overflow.
     """
     seconds = times.astype(float)
     finite = np.flatnonzero(np.isfinite(seconds))

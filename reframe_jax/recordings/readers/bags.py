@@ -1,8 +1,8 @@
-"""Poses in ROS 1 and ROS 2 bags: topics of poses, or a chain of tf frames.
+"""Poses in ROS 1 and ROS 2 bags: topics of poses, or chains of tf frames.
 
-Bags are read with the library rosbags, message by message; only numbers are kept. Messages are decoded by
-the standard definitions of their types, whether or not the bag holds any. Times are the stamps of the
-headers; where messages have none, or nobody set them, the times at which they were recorded.
+The library rosbags reads one message at a time, and only the numbers are kept. The standard definitions of
+message types decode messages, even if the bag contains none. Times are the stamps of the headers; if messages
+have no stamps, or nobody set them, times are those of the recording.
 """
 
 import importlib
@@ -20,21 +20,18 @@ import numpy as np
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name, import_extra, translate_errors
 from reframe_jax.recordings.readers.transforms import Edge, chain_rows, describe_frames
 from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import MOST_ROWS, Rows, shown
+from reframe_jax.recordings.rows import Rows, check_size, listed
 from reframe_jax.recordings.selection import Selection, flag
 
 __all__ = ["BAG", "read_bag"]
 
-_POSE = "geometry_msgs/msg/PoseStamped"
-_TRANSFORM = "geometry_msgs/msg/TransformStamped"
-_PLAIN_POSE, _PLAIN_TRANSFORM = "geometry_msgs/msg/Pose", "geometry_msgs/msg/Transform"  # without stamps
-_ARRAY = "geometry_msgs/msg/PoseArray"
+_TRANSFORM, _ARRAY = "geometry_msgs/msg/TransformStamped", "geometry_msgs/msg/PoseArray"
 _TOPICS = (
-    *(_POSE, "geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Odometry", _TRANSFORM),
-    *(_ARRAY, _PLAIN_POSE, _PLAIN_TRANSFORM, "geometry_msgs/msg/PoseWithCovariance"),
+    *(_TRANSFORM, _ARRAY, "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"),
+    *("geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PoseWithCovariance"),
+    *("geometry_msgs/msg/Pose", "geometry_msgs/msg/Transform"),
 )
 _TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-_WHOLE = "a whole ROS bag"
 
 
 class _Samples:
@@ -45,41 +42,68 @@ class _Samples:
         self.values = array("d")  # x y z qx qy qz qw
 
     def add(self, path: Path, header: Any, logged: int, pose: Any) -> None:
-        """Add a pose or transform, or None where it is missing."""
-        if len(self.stamps) == MOST_ROWS:
-            raise RecordingError(f"{path}: has more than {MOST_ROWS} poses; cut the recording into files.")
+        """Add a pose or transform, or None for a missing pose."""
         self.stamps.append(0 if header is None else 1_000_000_000 * header.stamp.sec + header.stamp.nanosec)
+        check_size(path, len(self.stamps))
         self.logged.append(logged)
         if pose is None:
             self.values.extend([np.nan] * 7)
             return
-        while hasattr(pose, "pose"):  # with a covariance, the pose of a pose
+        while hasattr(pose, "pose"):  # a pose with covariance contains a pose
             pose = pose.pose
         pose = getattr(pose, "transform", pose)
         moved = hasattr(pose, "translation")
         place, turn = (pose.translation, pose.rotation) if moved else (pose.position, pose.orientation)
         self.values.extend((place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w))
 
+    def rows(self, path: Path, static: bool = False) -> Rows:
+        """Make rows with the times of their stamps, or of their recording if nobody set the stamps."""
+        stamps = np.asarray(self.stamps)
+        values = np.asarray(self.values).reshape(-1, 7)
+        rows = Rows(path, "message", np.arange(len(stamps)), values, None, seconds=1.0)
+        never_set = not stamps.any() or (len(stamps) > 1 and not np.ptp(stamps))
+        if never_set and not static:
+            rows.notes.append(
+                f"the messages have no stamps, or {'all the same' if stamps.any() else '0'}: the times are "
+                "those at which they were recorded."
+            )
+            stamps = np.asarray(self.logged)
+        if stamps.any():
+            rows.times = stamps
+            if not static:
+                rows.keep(stamps != 0, "their stamp is 0", "missing")
+            first = int(rows.times.min())
+            rows.origin = f"{first // 10**9}.{first % 10**9:09d}" if first else None
+            rows.times = 1e-9 * (rows.times - first)
+        return rows
+
 
 class _Bag:
-    """An open bag: its connections of known types, and their decoded messages."""
+    """An open bag: its connections with known types, and their decoded messages."""
 
     def __init__(self, reader: Any, decode: Callable[[bytes, str], Any]) -> None:
         self._reader, self._decode = reader, decode
 
     def connections(self, types: tuple[str, ...]) -> list[Any]:
-        """Connections of these types that hold messages."""
+        """Return the connections with these types that contain messages."""
         return [each for each in self._reader.connections if each.msgtype in types and each.msgcount]
 
     def messages(self, connections: list[Any]) -> Iterator[tuple[Any, int, Any]]:
-        """Connection, time of recording in ns, and message, in the order of recording."""
+        """Yield connection, time of recording in ns, and message, in the order of recording."""
         for connection, logged, data in self._reader.messages(connections=connections) if connections else ():
             known = _TF[0] if connection.msgtype in _TF else connection.msgtype
             yield connection, logged, self._decode(data, known)
 
+    def transforms(self) -> Iterator[tuple[tuple[str, str], bool, int, Any]]:
+        """Yield parent and child, whether the transform is static, time of recording in ns, and transform."""
+        for connection, logged, message in self.messages(self.connections(_TF)):
+            for each in message.transforms:
+                pair = _plain(each.header.frame_id), _plain(each.child_frame_id)
+                yield pair, connection.topic.endswith("tf_static"), logged, each
+
 
 class _Stream(io.BufferedReader):
-    """A file of which no more is read than there is: a damaged bag may claim any length."""
+    """A file that is read only to its end, because a damaged bag can claim any length."""
 
     def read(self, size: int | None = -1, /) -> bytes:
         left = os.fstat(self.fileno()).st_size - self.tell()
@@ -87,7 +111,7 @@ class _Stream(io.BufferedReader):
 
 
 class _BoundedPath(type(Path())):  # type: ignore[misc]
-    """A path whose files open as such streams."""
+    """A path that opens such streams."""
 
     def open(self, mode: str = "r", *options: Any, **more: Any) -> Any:
         if mode == "rb":
@@ -97,7 +121,7 @@ class _BoundedPath(type(Path())):  # type: ignore[misc]
 
 @cache
 def _decoder(first: bool) -> Callable[[bytes, str], Any]:
-    """Decodes messages of ROS 1, or of ROS 2, by the standard definitions of their types."""
+    """Return the decoder of messages of ROS 1 or of ROS 2, with the standard definitions of their types."""
     types = importlib.import_module("rosbags.typesys")
     store = types.get_typestore(types.Stores.ROS1_NOETIC if first else types.Stores.LATEST)
     if _TF[0] not in store.fielddefs:
@@ -108,10 +132,10 @@ def _decoder(first: bool) -> Callable[[bytes, str], Any]:
 
 @contextmanager
 def _open(path: Path) -> Iterator[_Bag]:
-    """Open a bag; whatever is wrong with it is a :class:`RecordingError`."""
+    """Open a bag, with errors of the bag as :class:`RecordingError`."""
     first = path.suffix.lower() == ".bag"
     library = import_extra(path, "rosbags.rosbag1" if first else "rosbags.rosbag2", "bags")
-    with translate_errors(path, _WHOLE), library.Reader(_BoundedPath(path)) as reader:
+    with translate_errors(path, "a whole ROS bag"), library.Reader(_BoundedPath(path)) as reader:
         yield _Bag(reader, _decoder(first))
 
 
@@ -132,23 +156,20 @@ def read_bag(path: Path, wanted: Selection) -> Rows:
 
 
 def _read_topic(path: Path, bag: _Bag, wanted: Selection) -> Rows:
-    """All poses of a topic."""
-    known = bag.connections(_TOPICS)
+    """Read all poses of a topic."""
+    known, tf = bag.connections(_TOPICS), {each.topic for each in bag.connections(_TF)}
     names = sorted({each.topic for each in known})
-    if wanted.topic in {each.topic for each in bag.connections(_TF)}:
+    two = f"name two, {flag('from_frame')} and {flag('to_frame')}"
+    if wanted.topic in tf:
+        raise RecordingError(f"{path}: {wanted.topic} contains tf frames; {two}, instead of {flag('topic')}.")
+    if tf and not names:
         raise RecordingError(
-            f"{path}: {wanted.topic} holds tf frames; name two, {flag('from_frame')} and {flag('to_frame')}, "
-            f"instead of {flag('topic')}."
-        )
-    if not names and bag.connections(_TF):
-        raise RecordingError(
-            f"{path}: has no topics of poses, but tf frames; name two, {flag('from_frame')} and "
-            f"{flag('to_frame')}; reframe-jax topics lists them."
+            f"{path}: has no topics of poses, but tf frames; {two}; reframe-jax topics lists them."
         )
     topic = choose_name(path, "topic", wanted.topic, names, "topics of poses")
     chosen = [each for each in known if each.topic == topic]
     if wanted.to_frame is not None and any(each.msgtype != _TRANSFORM for each in chosen):
-        raise RecordingError(f"{path}: {flag('to_frame')} selects among transforms; {topic} holds poses.")
+        raise RecordingError(f"{path}: {flag('to_frame')} selects transforms, but {topic} contains poses.")
     samples: dict[tuple[str, str], _Samples] = {}
     several = 0
     for connection, logged, message in bag.messages(chosen):
@@ -165,84 +186,42 @@ def _read_topic(path: Path, bag: _Bag, wanted: Selection) -> Rows:
     numbers = [str(number) for number in range(several)]
     if several and wanted.body not in (numbers if several > 1 else [None, *numbers]):
         raise RecordingError(
-            f"{path}: {topic} holds arrays of {several} poses; give the number of one, {flag('body')}, "
+            f"{path}: {topic} contains arrays of {several} poses; give the number of one, {flag('body')}, "
             f"from 0 to {several - 1}."
         )
     if wanted.body is not None and not several:
-        raise RecordingError(f"{path}: {topic} holds no arrays of poses; leave out {flag('body')}.")
+        raise RecordingError(f"{path}: {topic} contains no arrays of poses; leave out {flag('body')}.")
     if len(samples) != 1:
-        pairs = shown(
-            ", ".join(f"{child or 'a body'} in {parent or 'no frame'}" for parent, child in samples)
-        )
+        pairs = listed(f"{child or 'a body'} in {parent or 'no frame'}" for parent, child in samples)
         raise RecordingError(
-            f"{path}: expected the poses of one frame in one other on {topic}, found {pairs or 'none'}; of "
+            f"{path}: expected the poses of one frame in one other on {topic}, found {pairs}; for "
             f"transforms, name the frame, {flag('to_frame')}."
         )
-    return _rows(path, next(iter(samples.values())))
-
-
-def _rows(path: Path, samples: _Samples, static: bool = False) -> Rows:
-    """Rows with the times of their stamps, or of their recording if nobody set the stamps."""
-    stamps = np.asarray(samples.stamps)
-    rows = Rows(
-        path, "message", np.arange(len(stamps)), np.asarray(samples.values).reshape(-1, 7), None, seconds=1.0
-    )
-    never_set = not stamps.any() or (len(stamps) > 1 and not np.ptp(stamps))
-    if never_set and not static:
-        rows.notes.append(
-            f"the messages have no stamps, or {'0' if not stamps.any() else 'all the same'}: the times are "
-            "those at which they were recorded."
-        )
-        stamps = np.asarray(samples.logged)
-    if not stamps.any():
-        return rows
-    rows.times = stamps
-    if not static:
-        rows.keep(stamps != 0, "their stamp is 0", "missing")
-    first = int(rows.times.min())
-    rows.origin = f"{first // 10**9}.{first % 10**9:09d}" if first else None
-    rows.times = 1e-9 * (rows.times - first)
-    return rows
+    return next(iter(samples.values())).rows(path)
 
 
 def _read_chain(path: Path, bag: _Bag, ground: str, body: str) -> Rows:
-    """Poses of a tf frame in another; reads the bag twice, so that only the edges between are kept."""
-    edges = _edges(bag)
-    chain = Edge.chain(path, edges, _plain(ground), _plain(body))
+    """Read the poses of a tf frame in another, in two passes, so that only edges of the chain are kept."""
+    chain = Edge.chain(path, _edges(bag), _plain(ground), _plain(body))
     samples = {(edge.parent, edge.child): (edge.static, _Samples()) for edge, _ in chain}
-    for connection, logged, message in bag.messages(bag.connections(_TF)):
-        for each in message.transforms:
-            static, kept = samples.get(_pair(each), (None, None))
-            if kept is not None and static == _is_static(connection):
-                kept.add(path, each.header, logged, each)
-    rows = {pair: _rows(path, kept, static) for pair, (static, kept) in samples.items()}
+    for pair, is_static, logged, each in bag.transforms():
+        static, kept = samples.get(pair, (None, None))
+        if kept is not None and static == is_static:
+            kept.add(path, each.header, logged, each)
+    rows = {pair: kept.rows(path, static) for pair, (static, kept) in samples.items()}
     return chain_rows(path, [(edge, along, rows[edge.parent, edge.child]) for edge, along in chain])
 
 
 def _edges(bag: _Bag) -> list[Edge]:
-    """All pairs of frames; those that are published as static and moving are moving."""
+    """Return all pairs of frames; a pair with static and moving transforms is moving."""
     counts: dict[tuple[str, str], list[int]] = {}
-    for connection, _, message in bag.messages(bag.connections(_TF)):
-        static = _is_static(connection)
-        for each in message.transforms:
-            counts.setdefault(_pair(each), [0, 0])[static] += 1
-    return [
-        Edge(parent, child, static=not moving, count=moving or still)
-        for (parent, child), (moving, still) in counts.items()
-    ]
-
-
-def _pair(transform: Any) -> tuple[str, str]:
-    """The names of the parent and the child of a transform."""
-    return _plain(transform.header.frame_id), _plain(transform.child_frame_id)
-
-
-def _is_static(connection: Any) -> bool:
-    return bool(connection.topic.endswith("tf_static"))
+    for pair, static, _, _ in bag.transforms():
+        counts.setdefault(pair, [0, 0])[static] += 1
+    return [Edge(*pair, static=not moving, count=moving or still) for pair, (moving, still) in counts.items()]
 
 
 def _plain(frame: str) -> str:
-    """The name of a frame; tf once wrote a slash before it."""
+    """Return the name of a frame, without the slash that tf once wrote before it."""
     return frame.removeprefix("/")
 
 
@@ -252,10 +231,8 @@ def _contents(path: Path) -> list[Entry]:
         for each in bag.connections(_TOPICS):
             key = each.topic, each.msgtype.replace("/msg/", "/")
             counts[key] = counts.get(key, 0) + each.msgcount
-        found = [
-            Entry("topic", topic, f"{kind}, {count} messages") for (topic, kind), count in counts.items()
-        ]
-        return found + [Entry(*each) for each in describe_frames(_edges(bag))]
+        topics = [Entry("topic", name, f"{kind}, {count} messages") for (name, kind), count in counts.items()]
+        return topics + describe_frames(_edges(bag))
 
 
 def _recognises(path: Path, head: bytes) -> bool:

@@ -1,6 +1,6 @@
-"""Reads a C3D file in a process of its own: damaged files make ezc3d end the process, or run for ever.
+"""Reader of a C3D file in a separate process, because damaged files can crash or block ezc3d.
 
-Run as a script with the path of the file and that of an .npz to write.
+Run as a script with the path of the file and the path of the .npz to write.
 """
 
 import re
@@ -12,7 +12,7 @@ __all__ = ["extract"]
 
 
 def extract(path: str, out: str) -> None:
-    """Write what :mod:`reframe_jax.recordings.readers.c3d` needs of a file.
+    """Write the arrays that :mod:`reframe_jax.recordings.readers.c3d` needs.
 
     Args:
         path: the C3D file.
@@ -40,9 +40,9 @@ def extract(path: str, out: str) -> None:
 
 
 def _labels(group: Mapping[str, Any]) -> list[str]:
-    """Labels of a group, of which there are 255 to a parameter."""
+    """Return the labels of a group; each parameter LABELS, LABELS2, ... contains up to 255."""
     names = sorted(
-        (name for name in group if re.fullmatch(r"LABELS\d*", name)), key=lambda name: (len(name), name)
+        (name for name in group if re.fullmatch(r"LABELS\d*", name)), key=lambda name: name[6:].zfill(9)
     )
     return [label.strip() for name in names for label in group[name]["value"]]
 

@@ -1,7 +1,4 @@
-"""Shared code of the text readers: numbers of cells, collected in compact arrays.
-
-A row takes 72 bytes, however long its text is.
-"""
+"""Numbers of the cells of a text, in compact arrays: a row takes 72 bytes."""
 
 import datetime
 import decimal
@@ -16,13 +13,15 @@ import numpy as np
 
 from reframe_jax.recordings.readers.lines import find_delimiter, read_lines, split, trim
 from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import EPOCH, MOST_ROWS, Rows, shown
+from reframe_jax.recordings.rows import EPOCH, Rows, check_size, shown
 
-__all__ = ["collect", "collect_plain", "drop_zeros", "matrix_rows"]
+__all__ = ["assume_millimetres", "collect", "collect_plain", "drop_zeros", "matrix_rows"]
 
-_MISSING = {"", "null", "none", "na", "n/a", "-", "--", "missing", "#n/a"}
-# digits enough for nanoseconds since 1970; what is no number becomes NaN instead of an exception
+_MISSING = re.compile(r"|null|none|na|n/a|--?|missing|lost|#.*|[-+]?(1\.#.*|nan\(.*\))", re.IGNORECASE)
+_CLOCK = re.compile(r"(\d+):([0-5]\d):([0-5]\d(?:\.\d+)?)")  # hours, minutes, seconds
+# enough digits for nanoseconds since 1970; cells that are no numbers become NaN, without exceptions
 _EXACT = decimal.Context(prec=50, traps=[])
+_NEAREST = 3.0  # mm from a tracker, within which no body is measured; m beyond which few are
 
 
 def collect(
@@ -34,22 +33,22 @@ def collect(
     wrench: Sequence[int] = (),
     short: bool = False,
 ) -> Rows:
-    """Numbers in some columns of a table; NaN for empty cells.
+    """Collect the numbers in some columns of a table; NaN for empty cells.
 
-    Times whose first is later than 1e6 s, such as those since 1970, count from it. They are subtracted as
-    they are written, before rounding: floats resolve the time since 1970 to no better than 0.2 us.
+    If the first time is later than 1e6 s, times count from it. They are subtracted as decimal numbers,
+    because floats resolve the time since 1970 only to 0.2 us.
 
     Args:
         path: the file.
-        lines: their numbers and cells; empty cells beyond the width are dropped.
-        width: cells of every row.
-        columns: indices of those that are kept, in this order.
-        time: index of the time, or of its seconds and nanoseconds.
-        wrench: indices of a wrench, or none.
-        short: whether rows may end early, where nothing was seen.
+        lines: numbers and cells of the lines; empty cells beyond the width are ignored.
+        width: count of cells in a row.
+        columns: indices of the columns, in the order of the result.
+        time: index of the time, or indices of seconds and nanoseconds.
+        wrench: indices of a wrench.
+        short: whether rows may be shorter, with missing numbers at the end.
 
     Raises:
-        RecordingError: if a cell is missing or not a number, or if there are too many rows.
+        RecordingError: if a cell is absent or not a number, or if there are too many rows.
     """
     where, values, times, every = array("q"), array("d"), array("d"), [*columns, *wrench]
     origin: decimal.Decimal | None = None
@@ -58,15 +57,10 @@ def collect(
             cells = cells + [""] * (width - len(cells))
         cells = trim(cells, width)
         if len(cells) != width:
-            raise _error(
-                path,
-                number,
-                f"expected {width} columns, found {len(cells)}; delete the line if the recording was cut off "
-                "there.",
-            )
-        if len(where) == MOST_ROWS:
-            raise _error(path, number, f"expected at most {MOST_ROWS} rows; cut the recording into files.")
+            found = f"expected {width} columns, found {len(cells)}"
+            raise _error(path, number, f"{found}; delete the line if the recording ended there.")
         where.append(number)
+        check_size(path, len(where))
         try:
             values.extend([float(cells[column]) for column in every])
         except ValueError:
@@ -93,12 +87,12 @@ def collect(
 
 
 def collect_plain(path: Path, starts: dict[int, int]) -> Rows:
-    """All numbers of lines without a header; ``#`` and ``%`` start a comment.
+    """Collect all numbers of lines without a header; ``#`` and ``%`` start a comment.
 
     Args:
         path: the file.
-        starts: the column of the first number of a pose, 1 where the time is before it, by the numbers in
-            the first row.
+        starts: column of the first number of a pose, by the count of numbers in the first row; 1 if the time
+            is before the pose.
     """
     texts = ((number, re.split("[#%]", line)[0].strip()) for number, line in read_lines(path))
     rows = ((number, split(text, find_delimiter(text))) for number, text in texts if text)
@@ -115,21 +109,27 @@ def _error(path: Path, number: int, problem: str) -> RecordingError:
 
 
 def _number(path: Path, number: int, cell: str) -> float:
-    """A number, NaN for an empty cell or a word for it."""
+    """Convert a cell to a number; NaN if the number is missing."""
     try:
-        return float("nan" if cell.strip().lower() in _MISSING else cell)
+        return float("nan" if _MISSING.fullmatch(cell) else cell)
     except ValueError:
-        raise _error(path, number, f"expected numbers: found '{shown(cell.strip(), 40)}'.") from None
+        date = re.search(r"\d[:/.]\d+[:/.]\d", cell)
+        hint = "; write times in seconds, or as 2024-05-01 10:00:00.250" if date else ""
+        raise _error(path, number, f"expected numbers: found '{shown(cell, 40)}'{hint}.") from None
 
 
 def _stamp(cells: list[str], time: int | tuple[int, int]) -> str:
-    """A time as it is written: seconds, of dates since 1970 UTC unless they say otherwise."""
+    """Return a time in seconds, as text; for a date, the seconds since 1970 (UTC by default)."""
     if isinstance(time, tuple):
-        seconds, nanoseconds = (cells[column].strip() for column in time)
+        seconds, nanoseconds = (cells[column] for column in time)
         return f"{seconds}.{nanoseconds.zfill(9)}" if seconds.isdecimal() else ""
-    cell = cells[time].strip()
+    cell = cells[time]
+    if ":" not in cell:
+        return cell
+    if match := _CLOCK.fullmatch(cell):
+        return str(3600 * int(match[1]) + 60 * int(match[2]) + decimal.Decimal(match[3]))
     try:
-        moment = datetime.datetime.fromisoformat(cell if ":" in cell else "")
+        moment = datetime.datetime.fromisoformat(cell)
     except ValueError:
         return cell
     moment = moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC)
@@ -138,15 +138,29 @@ def _stamp(cells: list[str], time: int | tuple[int, int]) -> str:
 
 
 def _exactly(cell: str) -> decimal.Decimal:
-    """What ``float`` rounds, underscores between digits included."""
+    """Convert a cell to a decimal number, with all its digits."""
     return _EXACT.create_decimal(cell.replace("_", ""))
 
 
 def drop_zeros(rows: Rows, values: np.ndarray) -> None:
-    """Drop the rows in which all values (N, M) are 0: so some systems write that a body was not seen."""
+    """Leave out the rows in which all values (N, M) are 0, which mean that the body was not seen."""
     rows.keep(~(values == 0).all(axis=1), "all numbers are 0, as the body was not seen", "untracked")
 
 
+def assume_millimetres(rows: Rows, writer: str) -> None:
+    """Set the unit of positions that a program usually writes in mm: m for small positions, with a note."""
+    distance = np.linalg.norm(rows.positions, axis=1)
+    distance = distance[np.isfinite(distance)]
+    near = len(distance) > 0 and bool(np.median(distance) < _NEAREST)
+    rows.metres = 1.0 if near else 1e-3
+    rows.notes.append(
+        f"positions are read in m, because in mm they would be less than {_NEAREST:g} mm from the origin; if "
+        "they are in mm, give unit='mm' (--unit mm)."
+        if near
+        else f"positions are read in mm, as {writer} writes them."
+    )
+
+
 def matrix_rows(matrices: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Matrices (N, 3, 3) and positions (N, 3) as the values (N, 12) of :class:`Rows`."""
+    """Join matrices (N, 3, 3) and positions (N, 3) to the values (N, 12) of :class:`Rows`."""
     return np.concatenate([matrices, positions[..., None]], axis=-1).reshape(-1, 12)

@@ -1,14 +1,14 @@
-"""Poses that ``ros2 topic echo --csv`` prints: the fields of every message in a row, without a header.
+"""Output of ``ros2 topic echo --csv``: the fields of a message in each row, without a header.
 
-They are seconds and nanoseconds of the stamp, the names of one or two frames, and the 7 numbers of a pose;
-covariances and velocities may follow. So are PoseStamped, PoseWithCovarianceStamped and Odometry.
+The fields are seconds and nanoseconds of the stamp, the names of one or two frames, the 7 numbers of a pose,
+and perhaps covariances and velocities. PoseStamped, PoseWithCovarianceStamped and Odometry have this layout.
 """
 
 from itertools import chain
 from pathlib import Path
 
 from reframe_jax.recordings.readers.collecting import collect
-from reframe_jax.recordings.readers.lines import is_number, read_lines, split
+from reframe_jax.recordings.readers.lines import is_number, read_cells, split
 from reframe_jax.recordings.readers.reader import Reader
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows
@@ -19,7 +19,7 @@ __all__ = ["ECHO", "read_echo"]
 
 def read_echo(path: Path, wanted: Selection) -> Rows:
     """Read rows of ``sec,nanosec,frame_id,x,y,z,qx,qy,qz,qw``, perhaps with a child frame before ``x``."""
-    lines = ((number, split(line, ",")) for number, line in read_lines(path))
+    lines = read_cells(path, ",")
     number, cells = next(lines, (0, [""]))
     start = _first_number(cells)
     if not start:
@@ -29,7 +29,7 @@ def read_echo(path: Path, wanted: Selection) -> Rows:
 
 
 def _first_number(cells: list[str]) -> int:
-    """The column of the first number after the frames; 0 if the row is not that of a pose."""
+    """Column of the first number after the frames; 0 if the row contains no pose."""
     if len(cells) < 10 or not (cells[0].isdecimal() and cells[1].isdecimal()) or is_number(cells[2]):
         return 0
     first = 3 if is_number(cells[3]) else 4
@@ -39,9 +39,7 @@ def _first_number(cells: list[str]) -> int:
 ECHO = Reader(
     name="an output of ros2 topic echo --csv",
     suffixes=(".csv", ".txt"),
-    recognises=lambda path, head: (
-        _first_number(split(head.decode("utf-8-sig", "replace").split("\n")[0], ",")) > 0
-    ),
+    recognises=lambda path, head: _first_number(split(head.decode(errors="replace").split("\n")[0], ",")) > 0,
     read=read_echo,
     options=frozenset({"unit", "quaternion"}),
 )

@@ -5,30 +5,29 @@ from typing import Any
 
 import numpy as np
 
-from reframe_jax.recordings.readers.columns import Column, column_entries, find_columns, set_poses
+from reframe_jax.recordings.readers.columns import OPTIONS, Column, column_entries, find_columns, set_poses
 from reframe_jax.recordings.readers.reader import Entry, Reader, import_extra, translate_errors
 from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import MOST_ROWS, Rows
+from reframe_jax.recordings.rows import Rows, check_size
 from reframe_jax.recordings.selection import Selection
 
 __all__ = ["HDF5", "read_hdf5"]
 
 _WHOLE = "a whole HDF5 file"
-_NO_TIMES = "HDF5 files are read without: give the sample time, dt (--dt)"
+_NO_TIMES = "times in HDF5 files are not read: give the sample time, dt (--dt)"
 
 
 def read_hdf5(path: Path, wanted: Selection) -> Rows:
-    """Read positions and orientations; these files have no times."""
+    """Read positions and orientations, without times."""
     library = import_extra(path, "h5py", "hdf5")
     with translate_errors(path, _WHOLE), library.File(path, "r") as file:
         sets = _sets(library, file)
         chosen = find_columns(path, wanted, [*sets])
         counts = {len(sets[column.name]) for columns in chosen for column in columns}
-        if len(counts) > 1 or max(counts) > MOST_ROWS:
-            raise RecordingError(
-                f"{path}: expected data sets of the same length, up to {MOST_ROWS}; found "
-                f"{', '.join(map(str, sorted(counts)))}."
-            )
+        if len(counts) > 1:
+            lengths = ", ".join(map(str, sorted(counts)))
+            raise RecordingError(f"{path}: expected data sets of the same length; found {lengths}.")
+        check_size(path, *counts)
         positions, orientations = (
             np.hstack([_numbers(sets[column.name], column) for column in columns]) for columns in chosen
         )
@@ -38,7 +37,7 @@ def read_hdf5(path: Path, wanted: Selection) -> Rows:
 
 
 def _sets(library: Any, file: Any) -> dict[str, Any]:
-    """Data sets of numbers, a few for each row, by their paths."""
+    """Return the data sets of numbers by their paths."""
     found: dict[str, Any] = {}
 
     def visit(name: str, thing: Any) -> None:
@@ -50,7 +49,7 @@ def _sets(library: Any, file: Any) -> dict[str, Any]:
 
 
 def _numbers(data: Any, column: Column) -> np.ndarray:
-    """Some numbers of all rows, (N, k); only these are read, few as those of a pose are."""
+    """Read some numbers of all rows, (N, k); of large rows, only the count of numbers."""
     if data.ndim != 2:
         matrices = data.ndim == 3 and data.shape[1:] == (3, 3)
         shape = len(data), 9 if matrices else int(data.ndim == 1)
@@ -76,6 +75,6 @@ HDF5 = Reader(
     suffixes=(".hdf5", ".h5"),
     recognises=lambda path, head: head.startswith(b"\x89HDF\r\n\x1a\n"),
     read=read_hdf5,
-    options=frozenset({"position", "orientation", "quaternion", "angles", "angle_unit", "unit"}),
+    options=OPTIONS,
     contents=_contents,
 )

@@ -1,6 +1,6 @@
-"""KITTI trajectories: the 12 numbers of a pose matrix to a line, row by row, without times or a header.
+"""KITTI trajectories: the 12 numbers of a pose matrix in each line, row by row, without times or a header.
 
-KITTI-360 puts the number of the frame before them; others write all 16 numbers, or a time first.
+KITTI-360 writes the frame number first; other programs write all 16 numbers, or a time first.
 """
 
 from pathlib import Path
@@ -13,12 +13,12 @@ from reframe_jax.recordings.selection import Selection
 
 __all__ = ["KITTI", "read_kitti"]
 
-_STARTS = {12: 0, 13: 1, 16: 0, 17: 1}  # column of the matrix, by the numbers in a line
-_NO_TIMES = "KITTI trajectories are written without: give the sample time, dt (--dt), 0.1 s for KITTI itself"
+_STARTS = {12: 0, 13: 1, 16: 0, 17: 1}  # column of the matrix, by the count of numbers in a line
+_NO_TIMES = "KITTI trajectories contain none: give the sample time, dt (--dt), 0.1 s for KITTI itself"
 
 
 def read_kitti(path: Path, wanted: Selection) -> Rows:
-    """Read lines of 12 or 16 numbers, perhaps with the number of the frame or the time before them."""
+    """Read lines of 12 or 16 numbers, perhaps with a frame number or a time first."""
     rows = collect_plain(path, _STARTS)
     rows.no_times = _NO_TIMES
     if rows.times is not None and (rows.times % 1 == 0).all() and rows.origin is None:

@@ -1,7 +1,6 @@
-"""Shared code of the text readers: lines one at a time, and the cells in them.
+"""Lines of texts and their cells, for all readers of texts.
 
-Texts are UTF-8, or in the encodings in which spreadsheets save them: UTF-16, and that of Windows. No more
-than a line of text is held at a time.
+Texts are UTF-8, or in the encodings of spreadsheets: UTF-16 and Windows-1252. Only one line is in memory.
 """
 
 import codecs
@@ -12,18 +11,19 @@ from pathlib import Path
 
 from reframe_jax.recordings.recording import RecordingError
 
-__all__ = ["find_delimiter", "first_numbers", "head_in_utf8", "is_number", "read_lines", "split", "trim"]
+__all__ = [
+    *("find_delimiter", "first_numbers", "head_in_utf8", "is_number", "read_cells", "read_lines"),
+    *("split", "trim"),
+]
 
-_LONGEST = 2**16  # characters of a line, and bytes by which an encoding is recognised
-_SEPARATOR = "sep="  # starts the first line in some files of spreadsheets
-_CONTROLS = bytes(range(9)) + b"\x0e\x0f\x7f"  # of no text
+_LONGEST = 2**16  # characters of a line, and bytes that show the encoding
+_SEPARATOR = "sep="  # start of the first line in some files of spreadsheets
+_CONTROLS = bytes(range(9)) + b"\x0e\x0f\x7f"  # not in texts
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(e[-+]?\d+)?", re.IGNORECASE)
 
 
 def read_lines(path: Path, blanks: str | None = None) -> Iterator[tuple[int, str]]:
-    """Numbered lines of a text that are not blank, stripped, one at a time.
-
-    A first line such as ``sep=;`` is left out.
+    """Yield the numbers and the stripped text of all lines that are not blank, without ``sep=;``.
 
     Args:
         path: the file.
@@ -44,20 +44,34 @@ def read_lines(path: Path, blanks: str | None = None) -> Iterator[tuple[int, str
                     f"{path}: line {number}: is longer than {_LONGEST} characters; expected a row of numbers."
                 )
             if line.strip() and not (number == 1 and line.startswith(_SEPARATOR)):
-                yield number, line.strip(blanks).replace("\u2212", "-")  # the minus sign of typesetters
+                yield number, line.strip(blanks).replace("\u2212", "-")  # typographic minus sign
+
+
+def read_cells(path: Path, delimiter: str | None = None) -> Iterator[tuple[int, list[str]]]:
+    """Yield the numbers and the cells of all lines of an export that are not blank.
+
+    By default, the first tab, semicolon or comma of a line is its delimiter, because later cells may be names
+    or decimal numbers with other marks.
+    """
+    for number, line in read_lines(path, "\r\n"):
+        mark = delimiter or next((letter for letter in line if letter in "\t;,"), ",")
+        cells = split(line, mark)
+        if any(cells):  # spreadsheets fill blank lines with delimiters
+            yield number, cells
 
 
 def head_in_utf8(head: bytes) -> bytes:
-    """The first bytes of a file as readers recognise them: a text of a spreadsheet as plain UTF-8."""
+    """Convert the first bytes of a file: UTF-16 to UTF-8, without a byte order mark and ``sep=;``."""
     if (encoding := _find_encoding(head)) == "utf-16":
         head = head.decode(encoding, errors="ignore").encode()
+    head = head.removeprefix(codecs.BOM_UTF8)
     return head.partition(b"\n")[2] if head.startswith(_SEPARATOR.encode()) else head
 
 
 def _find_encoding(head: bytes) -> str:
-    """The encoding of a text, by its first bytes; UTF-8 where they are no text."""
+    """Return the encoding of a text by its first bytes; UTF-8 if the bytes are no text."""
     zero = {codecs.BOM_UTF16_LE: 3, codecs.BOM_UTF16_BE: 2}.get(head[:2])
-    if zero is not None and head[zero : zero + 1] == b"\0":  # the first letter is a plain one
+    if zero is not None and head[zero : zero + 1] == b"\0":  # the first letter is in ASCII
         return "utf-16"
     try:
         codecs.getincrementaldecoder("utf-8")().decode(head)
@@ -68,23 +82,24 @@ def _find_encoding(head: bytes) -> str:
 
 
 def split(line: str, delimiter: str | None) -> list[str]:
-    """Cells of a line, stripped; decimal commas become points, in quotes if commas separate the cells.
+    """Divide a line into stripped cells, and convert decimal commas to points.
 
     Args:
-        line: the line.
-        delimiter: between the cells; blanks by default.
+        line: the line. If commas separate the cells, numbers with decimal commas are in quotes.
+        delimiter: character between the cells; None for blanks.
     """
     if delimiter is None:
         cells = re.sub(r"\s+(?=[\[(])", "", line).split()  # a unit belongs to the name before it
     else:
         cells = next(csv.reader([line], delimiter=delimiter)) if '"' in line else line.split(delimiter)
+    cells = [cell.strip() for cell in cells]
     if (delimiter != "," or '"' in line) and "," in line:
-        cells = [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell.strip()) else cell for cell in cells]
-    return [cell.strip() for cell in cells]
+        cells = [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells]
+    return cells
 
 
 def trim(cells: list[str], width: int = 0) -> list[str]:
-    """Cells without the empty ones at the end, but no fewer than a width."""
+    """Remove empty cells at the end, down to a width."""
     end = len(cells)
     while end > width and not cells[end - 1]:
         end -= 1
@@ -92,17 +107,18 @@ def trim(cells: list[str], width: int = 0) -> list[str]:
 
 
 def find_delimiter(line: str) -> str | None:
-    """The character between the cells of a header or of a row of numbers; None for blanks."""
-    return next((mark for mark in "\t;," if mark in line), None)
+    """Return the character between the cells of a header or of a row of numbers; None for blanks."""
+    marks = re.sub(r"([;,|])\s+", r"\1", line)  # a tab after a comma is a blank
+    return next((mark for mark in "\t;,|" if mark in marks), None)
 
 
 def first_numbers(head: bytes) -> tuple[int, list[str]]:
-    """Of the first bytes of a text: the numbers in the first row, and the cells of the comment before it.
+    """Return the count of numbers in the first row of a text, and the cells of the comment before the row.
 
-    0 if the first row that is no comment does not consist of numbers.
+    The count is 0 if the first row that is no comment contains other cells than numbers.
     """
     comment: list[str] = []
-    for line in head.decode("utf-8-sig", errors="replace").splitlines():
+    for line in head.decode("utf-8", errors="replace").splitlines():
         text = line.strip()
         if text.startswith(("#", "%")):
             text = text.lstrip("#% ")
@@ -110,14 +126,13 @@ def first_numbers(head: bytes) -> tuple[int, list[str]]:
         elif text:
             text = text.partition("#")[0].strip()
             cells = trim(split(text, find_delimiter(text)))
-            # "0.1, 0.2" is separated by commas, "0.1 0.2" by blanks
-            whole = all(is_number(cell) or not cell for cell in cells) and any(cells)
-            return (len(cells) if whole else 0), comment
+            numbers = any(cells) and all(is_number(cell) or not cell for cell in cells)
+            return (len(cells) if numbers else 0), comment
     return 0, comment
 
 
 def is_number(cell: str) -> bool:
-    """Whether a cell holds a number."""
+    """Return whether a cell contains a number."""
     try:
         float(cell)
     except ValueError:

@@ -1,9 +1,9 @@
-"""Tools in a CSV of the trackers of NDI (Polaris, Vega, Aurora), as its programs and examples write it.
+"""Tools in a CSV of the NDI trackers Polaris, Vega and Aurora.
 
-Each row is a frame, or a tool in a frame. Each tool has columns ``Q0, Qx, Qy, Qz, Tx, Ty, Tz``, of which Q0
-is the scalar, in mm, after its number (``PortHandle`` or the like), ``Frame#`` and ``State`` or
+Each row is a frame, or a tool in a frame. Each tool has columns ``Q0, Qx, Qy, Qz, Tx, Ty, Tz`` with Q0 as the
+scalar, usually in mm, after its name (``PortHandle`` or the like), ``Frame#`` and ``State`` or
 ``TransformStatus``. A tool that was not tracked has another state than OK or Enabled, no numbers, or numbers
-as large as -3.7e28.
+such as -3.7e28.
 """
 
 import re
@@ -14,26 +14,26 @@ from pathlib import Path
 
 import numpy as np
 
-from reframe_jax.recordings.readers.collecting import collect
+from reframe_jax.recordings.readers.collecting import assume_millimetres, collect
 from reframe_jax.recordings.readers.lines import find_delimiter, is_number, read_lines, split
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name
+from reframe_jax.recordings.readers.units import LENGTH_WORDS, plain_name, split_unit
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows
-from reframe_jax.recordings.selection import UNITS, Selection
+from reframe_jax.recordings.selection import Selection
 
 __all__ = ["NDI", "read_ndi"]
 
 _NUMBERS = ["q0", "qx", "qy", "qz", "tx", "ty", "tz"]
-_STATES = ("state", "status", "transformstatus", "transform_status", "tool_status")
-_NAMES = ("porthandle", "port_handle", "toolhandle", "tool_handle", "tool_id", "toolid", "tool", "handle")
+_STATES = ("state", "status", "transform_status", "tool_status")
+_NAMES = ("port_handle", "tool_handle", "tool_id", "tool", "handle", "porthandle", "toolhandle", "toolid")
 _FRAMES = ("frame", "frame_number", "framenumber")
 _TIMES = ("timestamp", "time", "t", "time_s", "timestamp_s")
 _CLOCK = ("timespec_s", "timespec_ns")
 _TRACKED = re.compile(r"ok|enabled|valid|tracked|visible|0x0+|0+|")
-_NO_TIMES = "frames are counted: give the sample time, dt (--dt), 1/60 s for a Polaris at 60 Hz"
+_NO_TIMES = "it counts frames: give the sample time, dt (--dt), 1/60 s for a Polaris at 60 Hz"
 _MOST = 100  # tools
-_LOST = 1e20  # mm: numbers that mean that there is none
-_NEAREST = 10.0  # mm, from the origin of a tracker, within which no tool is measured
+_LOST = 1e20  # larger numbers are no measurements
 
 _Lines = Iterator[tuple[int, list[str]]]
 
@@ -45,7 +45,7 @@ class _Tool:
     first: int  # of seven
     state: int | None
     frame: int | None
-    row: int | None = None  # where every tool has a row of its own: the column of its name
+    row: int | None = None  # column of the name, if every tool has separate rows
 
 
 def read_ndi(path: Path, wanted: Selection) -> Rows:
@@ -73,37 +73,28 @@ def read_ndi(path: Path, wanted: Selection) -> Rows:
     found = collect(path, rows(), len(names), [*pose[4:], *pose[1:4], pose[0], *frame], time)
     frames, found.values = found.values[:, 7:], found.values[:, :7]
     found.no_times, found.order = _NO_TIMES, "wxyz"
-    if time is None and frames.size and np.isfinite(frames).all() and (np.diff(frames[:, 0]) > 0).all():
-        found.frames = frames[:, 0].astype(int)
+    if time is None and frames.size:
+        found.times = frames[:, 0]
+        found.count_frames()
     found.values[np.abs(found.values).max(axis=1, initial=0) > _LOST] = np.nan
-    if wanted.unit is None:
-        distance = np.linalg.norm(found.values[:, :3], axis=1)
-        distance = distance[np.isfinite(distance)]
-        in_mm = not len(distance) or np.median(distance) > _NEAREST
-        found.metres = UNITS["mm" if in_mm else "m"]
-        found.notes.append(
-            "positions are read in mm, as NDI writes them."
-            if in_mm
-            else "positions are read in m: in mm, the tool would be less than 10 mm from the tracker."
-        )
-    found.keep(np.asarray(tracked, bool), "the file says that the tool was not tracked", "untracked")
+    found.metres = LENGTH_WORDS.get(split_unit(names[tool.first + 4])[1])
+    if wanted.unit is None and found.metres is None:
+        assume_millimetres(found, "NDI")
+    found.keep(np.asarray(tracked, bool), "the file states that the tool was not tracked", "untracked")
     return found
 
 
 def _read_header(path: Path) -> tuple[list[str], dict[str, _Tool], _Lines]:
-    """Names of the columns, the tools, and the rows of cells after the header."""
+    """Return the names of the columns, the tools, and the rows of cells after the header."""
     lines = read_lines(path)
-    for _, line in lines:
-        delimiter = find_delimiter(line)
-        names = _plain(line)
-        if "q0" in names:
-            break
-    else:
+    header, line = next(((number, line) for number, line in lines if _starts(_names(line))), (0, ""))
+    if not header:
         raise RecordingError(f"{path}: expected a header with Q0,Qx,Qy,Qz,Tx,Ty,Tz.")
+    names, delimiter = _names(line), find_delimiter(line)
+    starts = _starts(names)
     rest = ((number, split(row, delimiter)) for number, row in lines)
     head = list(islice(rest, 1))
     cells = head[0][1] if head else []
-    starts = [i for i in range(len(names)) if names[i : i + 7] == _NUMBERS]
     tools: dict[str, _Tool] = {}
     before = 0
     for start in starts:
@@ -116,8 +107,9 @@ def _read_header(path: Path) -> tuple[list[str], dict[str, _Tool], _Lines]:
         before = start + 7
     at = _first(names, range(len(names)), _NAMES)
     if len(starts) == 1 and at is not None:
-        every = dict.fromkeys("".join(split(row, delimiter)[at : at + 1]) for _, row in read_lines(path))
-        found = [name for name in every if name][1 : _MOST + 1]
+        below = (row for number, row in read_lines(path) if number > header)
+        every = dict.fromkeys("".join(split(row, delimiter)[at : at + 1]) for row in below)
+        found = [name for name in every if name][:_MOST]
         if len(found) > 1:
             (one,) = tools.values()
             tools = {name: replace(one, row=at) for name in found}
@@ -125,14 +117,19 @@ def _read_header(path: Path) -> tuple[list[str], dict[str, _Tool], _Lines]:
 
 
 def _first(names: list[str], columns: Iterable[int], known: tuple[str, ...]) -> int | None:
-    """The first of some columns that has one of the known names."""
+    """Return the first of some columns with a known name."""
     return next((i for i in columns if names[i] in known), None)
 
 
-def _plain(line: str) -> list[str]:
-    """The names in a header in plain letters."""
-    cells = split(line.lower(), find_delimiter(line))
-    return [re.sub(r"[^a-z0-9]+", "_", cell).strip("_") for cell in cells]
+def _names(line: str) -> list[str]:
+    """Plain names of the columns in a header."""
+    return [plain_name(cell) for cell in split(line, find_delimiter(line))]
+
+
+def _starts(names: list[str]) -> list[int]:
+    """First columns of the tools."""
+    plain = [split_unit(name)[0] for name in names]
+    return [i for i in range(len(plain)) if plain[i : i + 7] == _NUMBERS]
 
 
 def _contents(path: Path) -> list[Entry]:
@@ -140,9 +137,9 @@ def _contents(path: Path) -> list[Entry]:
 
 
 def _recognises(path: Path, head: bytes) -> bool:
-    names = _plain(head.decode("utf-8-sig", errors="replace").split("\n")[0])
-    known = {*_STATES, *_NAMES, *_FRAMES, "tools", "toolcount", "error", "markers"}
-    return any(names[i : i + 7] == _NUMBERS for i in range(len(names))) and bool(known & {*names})
+    known = {*_STATES, *_NAMES, *_FRAMES, "tools", "tool_count", "toolcount", "error", "markers"}
+    headers = [_names(line) for line in head.decode(errors="replace").splitlines()[:20]]
+    return any(_starts(names) and known & {*names} for names in headers)
 
 
 NDI = Reader(

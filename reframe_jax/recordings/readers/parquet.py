@@ -5,19 +5,18 @@ from typing import Any
 
 import numpy as np
 
-from reframe_jax.recordings.readers.columns import Column, column_entries, find_columns, set_poses
+from reframe_jax.recordings.readers.columns import OPTIONS, Column, column_entries, find_columns, set_poses
 from reframe_jax.recordings.readers.reader import Entry, Reader, import_extra, translate_errors
 from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import MOST_ROWS, Rows, shown
+from reframe_jax.recordings.rows import Rows, check_size, listed, shown
 from reframe_jax.recordings.selection import Selection, flag
 
 __all__ = ["PARQUET", "read_parquet"]
 
 _WHOLE = "a whole Parquet file"
-_TIME, _EPISODE = Column("timestamp"), Column("episode_index")  # as LeRobot calls them
-_NO_TIMES = "call the column of times timestamp, or give the sample time, dt (--dt)"
+_TIME, _EPISODE = Column("timestamp"), Column("episode_index")  # names in LeRobot
+_NO_TIMES = "name the column of times timestamp, or give the sample time, dt (--dt)"
 _BATCH = 2**14  # rows
-_LISTED = 10  # episodes in a message
 
 
 def read_parquet(path: Path, wanted: Selection) -> Rows:
@@ -41,15 +40,12 @@ def read_parquet(path: Path, wanted: Selection) -> Rows:
                 episodes |= set(number.astype(int).tolist())
                 kept = kept if wanted.episode is None else number == wanted.episode
             count += int(kept.sum())
-            if count > MOST_ROWS:
-                raise RecordingError(f"{path}: has more than {MOST_ROWS} rows; cut the recording into files.")
+            check_size(path, count)
             for group, part in zip(groups, parts, strict=True):
                 part.append(np.hstack([_numbers(path, batch, column)[kept] for column in group]))
     if (wanted.episode is None and len(episodes) > 1) or (wanted.episode not in (None, *episodes)):
-        listed = ", ".join(map(str, sorted(episodes)[:_LISTED])) + (
-            ", ..." if len(episodes) > _LISTED else ""
-        )
-        raise RecordingError(f"{path}: holds the episodes {listed}; name one of them, {flag('episode')}.")
+        numbers = listed(map(str, sorted(episodes)), 10)
+        raise RecordingError(f"{path}: contains the episodes {numbers}; name one, {flag('episode')}.")
     if not count:
         raise RecordingError(f"{path}: has no rows.")
     arrays = [np.concatenate(part) for part in parts]
@@ -60,15 +56,13 @@ def read_parquet(path: Path, wanted: Selection) -> Rows:
 
 
 def _numbers(path: Path, batch: Any, column: Column) -> np.ndarray:
-    """Some numbers of each row of a batch, (N, k); NaN where one is missing."""
+    """Return some numbers of each row of a batch, (N, k); NaN where a number is missing."""
     cells = batch.column(column.name)
-    kind = str(cells.type)
+    kind, flat = str(cells.type), cells
     if "list<" in kind:
         flat = cells.flatten()
         if cells.null_count or len(flat) % max(len(cells), 1):
-            raise RecordingError(f"{path}: the lists of {shown(column.name, 80)} are not of the same length.")
-    else:
-        flat = cells
+            raise RecordingError(f"{path}: the lists of {shown(column.name, 80)} have different lengths.")
     if not any(word in str(flat.type) for word in ("float", "double", "int")) or "list<" in str(flat.type):
         raise RecordingError(
             f"{path}: expected numbers in {shown(column.name, 80)}, found {shown(kind, 80)}."
@@ -94,8 +88,6 @@ PARQUET = Reader(
     suffixes=(".parquet",),
     recognises=lambda path, head: head.startswith(b"PAR1"),
     read=read_parquet,
-    options=frozenset(
-        {"position", "orientation", "quaternion", "angles", "angle_unit", "episode", "unit", "time_unit"}
-    ),
+    options=OPTIONS | {"episode", "time_unit"},
     contents=_contents,
 )

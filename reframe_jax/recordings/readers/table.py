@@ -1,4 +1,4 @@
-"""Tables with a header: columns are found by their names, in the units that the header states."""
+"""Tables with a header: the names of the columns select them, and the header may state units."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -9,39 +9,39 @@ from pathlib import Path
 import numpy as np
 
 from reframe_jax.recordings.readers.collecting import collect
-from reframe_jax.recordings.readers.columns import find_columns, set_poses
+from reframe_jax.recordings.readers.columns import OPTIONS, find_columns, set_poses
 from reframe_jax.recordings.readers.lines import find_delimiter, is_number, read_lines, split, trim
 from reframe_jax.recordings.readers.reader import Reader
 from reframe_jax.recordings.readers.units import (
     ANGLE_WORDS,
     LENGTH_WORDS,
     TIME_WORDS,
+    plain_name,
     split_unit,
     units_of_row,
 )
 from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import HEADER, Rows, shown
+from reframe_jax.recordings.rows import HEADER, Rows, listed, shown
 from reframe_jax.recordings.selection import UNITS, Selection, flag
 
 __all__ = ["TABLE", "read_table"]
 
 _COMMENT = "#%"
-_COLUMNS = "position", "orientation"
+_PREAMBLE = 1000  # most lines before the numbers
 _TIMES = (
-    r"(.*_)?header_stamp",  # rostopic echo -p: the stamp of the message, rather than when it came
-    r"t|times?|timestamps?|stamp|sec|secs|seconds|(elapsed_|ros_)?time",
+    r"(.*_)?header_stamp",  # rostopic echo -p: the stamp of the message, not the time of its arrival
+    r"(elapsed|ros)_time",
+    r"t|times?|time_?stamps?|stamp|sec|secs|seconds|zeit|temps?|tiempo|tempo",
 )
 _CLOCK = r"(.*_)?(stamp|timespec)_s(ecs?)?|secs?", r"(.*_)?(stamp|timespec)_n(ano)?s(ecs?)?|n(ano)?secs?"
 _POSITIONS = r"{axis}", r"(p_?|p_.+_|(.*_)?(pos(ition)?|loc(ation)?|translation)_){axis}"
 _QUATERNIONS = r"q_?{axis}", r"(q_.+_|(.*_)?(quat(ernion)?|orientation|rot(ation)?)_(q_?)?){axis}"
-_ANGLES = {
-    "x": r"(.*_)?(r_?x|rot(ation)?_(vector_|vec_)?x|(rotvec|euler|angle)_x|roll)",
-    "y": r"(.*_)?(r_?y|rot(ation)?_(vector_|vec_)?y|(rotvec|euler|angle)_y|pitch)",
-    "z": r"(.*_)?(r_?z|rot(ation)?_(vector_|vec_)?z|(rotvec|euler|angle)_z|yaw)",
-}
+_ANGLES = [
+    rf"(.*_)?(r_?{axis}|rot(ation)?_(vector_|vec_)?{axis}|(rotvec|euler|angle)_{axis}|{word})"
+    for axis, word in (("x", "roll"), ("y", "pitch"), ("z", "yaw"))
+]
 _FRAMES = r"frame(_?(number|num|no|nr|index|idx))?"
 _SINCE_1970 = 1e16  # ns; later times are stamps
-_NO_TIMES = "name their column t, or time [ms] in another unit, or give the sample time, dt (--dt)"
 
 
 @dataclass(frozen=True)
@@ -57,18 +57,17 @@ class _Header:
     @staticmethod
     def of(path: Path, titles: list[str], body: str | None) -> "_Header":
         names, units = zip(*(split_unit(title) for title in titles), strict=True)
-        plain = None if body is None else split_unit(body)[0]
-        return _Header(path, titles, [*names], [*units], plain)
+        return _Header(path, titles, [*names], [*units], None if body is None else split_unit(body)[0])
 
     def find(self, pattern: str) -> int | None:
-        """The column of a name, if there is one.
+        """Return the column of a name, or None.
 
         Raises:
             RecordingError: if there are several.
         """
         found = _matches(pattern, self.names)
         if self.body is not None and len(found) > 1:
-            # of arrays of poses, the number is enough: 0 for field.poses0
+            # in arrays of poses, the number is sufficient: 0 for field.poses0
             word = f"[a-z]+{self.body}" if self.body.isdecimal() else re.escape(self.body)
             part = re.compile(rf"(.*_)?{word}_.*")
             found = [i for i in found if part.fullmatch(self.names[i])] or [
@@ -77,40 +76,47 @@ class _Header:
         if len(found) > 1:
             both = " and ".join(repr(shown(self.titles[i], 40)) for i in found[:2])
             raise RecordingError(
-                f"{self.path}: columns {both} mean the same; select one by a part of its name, "
+                f"{self.path}: columns {both} have the same meaning; select one by a part of its name, "
                 f"{flag('body')}, or rename all but one."
             )
         return found[0] if found else None
 
     @property
     def clock(self) -> tuple[int, int] | None:
-        """The two columns of seconds and nanoseconds of a stamp, if there are such."""
-        plain = [re.sub(r"[^a-z0-9]+", "_", title.lower()).strip("_") for title in self.titles]
+        """The columns of seconds and nanoseconds of a stamp, or None."""
+        plain = [plain_name(title) for title in self.titles]
         found = [_matches(pattern, plain) for pattern in _CLOCK]
         return (found[0][0], found[1][0]) if all(len(each) == 1 for each in found) else None
 
     def all(self, patterns: Sequence[str]) -> list[int] | None:
-        """The columns of several names, or None if one is missing."""
+        """Return the columns of several names, or None if a name is missing."""
         found = [self.find(pattern) for pattern in patterns]
         return None if None in found else [i for i in found if i is not None]
 
+    def axes(self, patterns: Sequence[str], axes: str) -> list[int] | None:
+        """Return the columns of all axes for the first of some patterns, or None."""
+        for pattern in ("|".join(patterns),) if self.body is None else patterns[::-1]:
+            if found := self.all([pattern.replace("{axis}", axis) for axis in axes]):
+                return found
+        return None
+
     def unit(self, columns: Sequence[int], words: dict[str, float]) -> float | None:
-        """The unit that some columns state, in m, s or rad; None if they state none.
+        """Return the unit of some columns in m, s or rad; None if they state none.
 
         Raises:
-            RecordingError: if it is unknown, or not the same for all.
+            RecordingError: if the unit is unknown, or not equal in all columns.
         """
         stated = {self.units[i] for i in columns}
-        if stated == {""}:
+        if not stated - {""}:
             return None
         if len(stated) > 1 or not stated <= words.keys():
-            listed = shown(", ".join(self.titles[i] for i in columns))
-            raise RecordingError(f"{self.path}: expected one of the units {', '.join(words)}: {listed}.")
+            names, titles = ", ".join([*words][:4]), shown(", ".join(self.titles[i] for i in columns))
+            raise RecordingError(f"{self.path}: expected one of the units {names} in all of: {titles}.")
         return words[stated.pop()]
 
 
 def read_table(path: Path, wanted: Selection) -> Rows:
-    """Read a table whose header is the first line, or the last comment before the numbers."""
+    """Read a table whose header is the last line before the numbers, or the last comment before them."""
     titles, lines = _read_header(path)
     header = _Header.of(path, titles, wanted.body)
     number, first = next(lines, (0, []))
@@ -128,7 +134,10 @@ def read_table(path: Path, wanted: Selection) -> Rows:
         time if frame is None else frame,
         _find_wrench(header),
     )
-    rows.no_times = _NO_TIMES
+    rows.no_times = (
+        f"name their column t, or time [ms] in another unit (columns: {listed(titles, 10)}), or give the "
+        "sample time, dt (--dt)"
+    )
     if frame is not None:
         rows.count_frames()
     elif isinstance(time, int):
@@ -136,7 +145,7 @@ def read_table(path: Path, wanted: Selection) -> Rows:
         echoed = any(name.startswith("field_") for name in header.names)  # rostopic echo -p, in ns
         if rows.seconds is None and echoed and abs(float(rows.origin or 0)) > _SINCE_1970:
             rows.seconds = 1e-9
-    rows.metres = header.unit(position, LENGTH_WORDS) if position else None
+    rows.metres = header.unit(position, LENGTH_WORDS)
     if rows.metres not in (None, UNITS.get(wanted.unit or "", rows.metres)):
         raise RecordingError(f"{rows.path}: its header states another unit; leave out {flag('unit')}.")
     if not named and len(orientation) == 4 and orientation[3] == min(orientation):
@@ -148,75 +157,72 @@ def read_table(path: Path, wanted: Selection) -> Rows:
 
 
 def _read_header(path: Path) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
-    """The titles of the header, and the rows of cells after it."""
+    """Return the titles of the header, and the rows of cells below."""
     lines = read_lines(path)
-    comments, first = _first_row(lines)
-    following = next(lines, None)
-    if first is None or following is None:
-        what = "has no more than one line of text" if first or comments else "is empty"
+    before: list[tuple[int, str]] = []  # comments, lines of text, and rows without a pose
+    for number, text in lines:
+        cells = split(text, find_delimiter(text))
+        if text[0] not in _COMMENT and sum(map(is_number, cells)) > 2:
+            break
+        before.append((number, text))
+        if len(before) == _PREAMBLE:
+            raise RecordingError(f"{path}: has no numbers in its first {_PREAMBLE} lines.")
+    else:
+        what = "has no rows of numbers" if before else "is empty"
         raise RecordingError(f"{path}: {what}; expected a header such as {HEADER}, and rows of numbers.")
-    (number, text), pending = first, [following]
-    cells = split(text, find_delimiter(text))
-    if comments and is_number(cells[0]):
-        (number, text), pending = comments[-1], [first, following]
-    text = text.lstrip(_COMMENT + " ")
-    delimiter = find_delimiter(pending[0][1])  # a comment may have other marks between its words
-    titles = split(text, delimiter)
-    if len(titles) < 2:
-        titles = split(text, find_delimiter(text))
-    titles = trim(titles)
-    if not titles or is_number(titles[0]):
+    delimiter = find_delimiter(text)
+    headers = [(i, _titles(line, delimiter)) for i, (_, line) in enumerate(before)]
+    headers = [(i, titles) for i, titles in headers if len(titles) > 1 and not any(map(is_number, titles))]
+    plain = [header for header in headers if before[header[0]][1][0] not in _COMMENT]
+    units = units_of_row(plain[-1][1]) if len(plain) > 1 else None
+    if not headers:
         raise RecordingError(
             f"{path}: line {number}: expected a header such as {HEADER}, or rows of 8 numbers (t x y z qx qy "
-            f"qz qw) or 12 (KITTI); found {len(titles)} numbers."
+            f"qz qw) or 12 (KITTI); found {len(trim(cells))} numbers. Add a header."
         )
-
+    start, titles = (plain or headers)[-1 if units is None else -2]
     header = [*titles]
-    units = units_of_row(trim(split(pending[0][1], delimiter)))
     if units is not None:
-        pending.pop(0)
+        start = plain[-1][0]
         pairs = zip_longest(titles, units[: len(titles)], fillvalue="")
         titles = [f"{title} [{unit}]" if unit else title for title, unit in pairs]
 
     def rows() -> Iterator[tuple[int, list[str]]]:
-        for line, row in chain(pending, lines):
-            if row[0] in _COMMENT:
-                continue
-            cells = trim(split(row, delimiter), len(titles))
-            if any(cells) and cells != header:  # which files that were joined repeat
-                yield line, cells
+        late = [line for line in before[start + 1 :] if any(map(is_number, split(line[1], delimiter)))]
+        for line, row in chain(late, [(number, text)], lines):
+            if row[0] not in _COMMENT:
+                cells = trim(split(row, delimiter), len(titles))
+                if any(cells) and cells != header:  # joined files repeat the header
+                    yield line, cells
 
     return titles, rows()
 
 
-def _first_row(lines: Iterator[tuple[int, str]]) -> tuple[list[tuple[int, str]], tuple[int, str] | None]:
-    """The last comment at the start of a file, if any, and the line after it."""
-    comments: list[tuple[int, str]] = []
-    for line in lines:
-        if line[1][0] not in _COMMENT or (not comments and "field." in line[1]):
-            return comments, line
-        comments = [line]
-    return comments, None
+def _titles(line: str, delimiter: str | None) -> list[str]:
+    """Titles in a header, whose delimiter may differ from that of the rows."""
+    text = line.lstrip(_COMMENT + " ")
+    titles = trim(split(text, delimiter))
+    return titles if len(titles) > 1 else trim(split(text, find_delimiter(text)))
 
 
 def _find_time(header: _Header, first: list[str]) -> int | None:
-    """The column of the time; ``first`` is the first row."""
+    """Return the column of the time; ``first`` is the first row."""
     times = [i for i in map(header.find, _TIMES) if i is not None]
-    set_ones = [i for i in times if i < len(first) and first[i].strip("0.")]
-    return next(iter(set_ones or times[-1:]), None)  # a stamp of 0 was never set
+    filled = [i for i in times if i < len(first) and first[i].strip("0.")]
+    return next(iter(filled or times[-1:]), None)  # stamps of 0 were never set
 
 
 def _find_columns(header: _Header, wanted: Selection) -> tuple[list[int], list[int]]:
-    """Columns of the position and of the orientation; of a matrix of both, none and all."""
+    """Return the columns of the position and of the orientation; for a matrix of both, none and all."""
     for size in (16, 12):
         if matrix := header.all([f"[mt]_?{i // 4}_?{i % 4}" for i in range(size)]):
             return [], matrix
-    position = _first(header, _POSITIONS, "xyz")
+    position = header.axes(_POSITIONS, "xyz")
     if position is None and "fx" not in header.names:
-        position = _first(header, (r"(.*_)?t_?{axis}",), "xyz")
-    # NDI calls the scalar Q0; rx is a part of a quaternion where there is rw too
+        position = header.axes((r"(.*_)?t_?{axis}",), "xyz")
+    # NDI names the scalar Q0; rx belongs to a quaternion if there is rw
     quaternion = (
-        _first(header, _QUATERNIONS, "xyzw")
+        header.axes(_QUATERNIONS, "xyzw")
         or header.all(["q_?x", "q_?y", "q_?z", "q_?[0o]"])
         or header.all([f"r_?{axis}" for axis in "xyzw"])
     )
@@ -224,36 +230,34 @@ def _find_columns(header: _Header, wanted: Selection) -> tuple[list[int], list[i
     for first in (0, 1) if position is not None and quaternion is None else ():
         quaternion = quaternion or header.all([f"q(uat)?_?{first + i}" for i in range(4)])
         if quaternion is not None and wanted.quaternion is None:
-            listed = ", ".join(header.titles[i] for i in quaternion)
+            titles = ", ".join(header.titles[i] for i in quaternion)
             raise RecordingError(
-                f"{header.path}: does not say in which order {listed} are; give {flag('quaternion')}."
+                f"{header.path}: does not state the order of {titles}; give {flag('quaternion')}."
             )
         rotation = rotation or header.all([f"r(ot)?_?{first + i // 3}_?{first + i % 3}" for i in range(9)])
     if quaternion is None and rotation is None:
         position, quaternion = _with_prefix(header) or (position, quaternion)
-    if position is not None and quaternion is not None:
-        return position, quaternion
-    if position is not None and rotation is not None:
-        return position, rotation
-    angles = header.all([*_ANGLES.values()])
-    if position is not None and angles is not None and angles != position:  # p_RS_R_x
-        if wanted.angles is None:
-            listed = shown(", ".join(header.titles[i] for i in angles), 80)
-            raise RecordingError(
-                f"{header.path}: does not say what the angles {listed} mean; give {flag('angles')}: vector "
-                "for a rotation vector, xyz for turns about the fixed axes, x (roll) first, and so on."
-            )
-        return position, angles
-    missing = [*("xyz" if position is None else ""), *(["qx", "qy", "qz", "qw"] if not quaternion else [])]
+    angles = header.all(_ANGLES) if quaternion is None and rotation is None else None
+    if angles == position:  # p_RS_R_x
+        angles = None
+    if angles is not None and position is not None and wanted.angles is None:
+        titles = shown(", ".join(header.titles[i] for i in angles), 80)
+        raise RecordingError(
+            f"{header.path}: does not state the meaning of the angles {titles}; give {flag('angles')}: "
+            "vector for a rotation vector, xyz for rotations about the fixed axes, x (roll) first, and so on."
+        )
+    orientation = quaternion or rotation or angles
+    if position is not None and orientation is not None:
+        return position, orientation
+    missing = [*("xyz" if position is None else ""), *(["qx", "qy", "qz", "qw"] if not orientation else [])]
     raise RecordingError(
-        f"{header.path}: no column for {', '.join(missing)}; expected a header such as {HEADER}, or names "
-        f"of columns, {flag('position')} and {flag('orientation')}; found "
-        f"{shown(','.join(header.titles))}."
+        f"{header.path}: no column for {', '.join(missing)}; expected a header such as {HEADER}, or names of "
+        f"columns, {flag('position')} and {flag('orientation')}; found {shown(','.join(header.titles))}."
     )
 
 
 def _named_columns(header: _Header, wanted: Selection) -> tuple[list[int], list[int]]:
-    """Columns that the user named, separated by commas."""
+    """Return the columns that the user named."""
     position, orientation = (
         [header.titles.index(column.name) for column in columns]
         for columns in find_columns(header.path, wanted, header.titles)
@@ -262,14 +266,13 @@ def _named_columns(header: _Header, wanted: Selection) -> tuple[list[int], list[
 
 
 def _with_prefix(header: _Header) -> tuple[list[int], list[int]] | None:
-    """Columns such as tool_x and tool_qx, of the only prefix there is, or that of the body."""
+    """Return columns such as tool_x and tool_qx, with the only prefix or the prefix of the body."""
     found = {re.sub("_q_?[xyzw]$", "", name) for name in header.names if re.fullmatch(r".+_q_?[xyzw]", name)}
     if header.body is not None:
         found = {prefix for prefix in found if prefix.startswith(header.body)}
     if len(found) > 1:
         raise RecordingError(
-            f"{header.path}: has several poses in a row; select one, {flag('body')}: "
-            f"{shown(', '.join(sorted(found)), 300)}."
+            f"{header.path}: has several poses in a row; select one, {flag('body')}: {listed(sorted(found))}."
         )
     for prefix in found:
         quaternion = header.all([f"{prefix}_q_?{axis}" for axis in "xyzw"])
@@ -279,17 +282,8 @@ def _with_prefix(header: _Header) -> tuple[list[int], list[int]] | None:
     return None
 
 
-def _first(header: _Header, patterns: Sequence[str], axes: str) -> list[int] | None:
-    """Columns of the first pattern that all axes have: x, or else position_x."""
-    for pattern in ("|".join(patterns),) if header.body is None else patterns[::-1]:
-        found = header.all([pattern.replace("{axis}", axis) for axis in axes])
-        if found is not None:
-            return found
-    return None
-
-
 def _find_wrench(header: _Header) -> list[int]:
-    """Columns of force and torque, all six or none: fx, force_x, wrench.force.x and the like."""
+    """Return six columns of force and torque, such as fx or wrench.force.x; none if one is missing."""
     words = (("f", "force", "n"), ("t", "torque", "nm"))
     patterns = [rf"({f}_?|(.*_)?{word}_){axis}(_{unit})?" for f, word, unit in words for axis in "xyz"]
     found = [_matches(pattern, header.names) for pattern in patterns]
@@ -297,7 +291,7 @@ def _find_wrench(header: _Header) -> list[int]:
 
 
 def _matches(pattern: str, names: list[str]) -> list[int]:
-    """The columns whose names match a pattern."""
+    """Return the columns whose names match a pattern."""
     return [i for i, name in enumerate(names) if re.fullmatch(pattern, name)]
 
 
@@ -306,5 +300,5 @@ TABLE = Reader(
     suffixes=(".csv", ".tsv", ".txt", ".tum"),
     recognises=lambda path, head: True,
     read=read_table,
-    options=frozenset({"unit", "time_unit", "quaternion", "angles", "angle_unit", "body", *_COLUMNS}),
+    options=OPTIONS | {"time_unit", "body"},
 )

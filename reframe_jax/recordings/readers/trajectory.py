@@ -1,4 +1,4 @@
-"""TUM trajectories: 8 numbers to a line, without a header, between blanks, commas or semicolons."""
+"""TUM trajectories: 8 numbers in each line, without a header, separated by blanks, commas or semicolons."""
 
 import re
 from pathlib import Path
@@ -11,8 +11,8 @@ from reframe_jax.recordings.selection import Selection
 
 __all__ = ["TRAJECTORY", "read_trajectory"]
 
-_STARTS = {8: 1, 7: 0}  # column of x, by the numbers in a line
-_NO_TIMES = "of 7 numbers to a line none is a time: give the sample time, dt (--dt)"
+_STARTS = {8: 1, 7: 0}  # column of x, by the count of numbers in a line
+_NO_TIMES = "a line of 7 numbers contains none: give the sample time, dt (--dt)"
 
 
 def read_trajectory(path: Path, wanted: Selection) -> Rows:

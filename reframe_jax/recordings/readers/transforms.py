@@ -1,4 +1,4 @@
-"""Chains of transforms between frames, as tf has them: a tree of edges, some of which move."""
+"""Chains of transforms between frames: a tree of static and moving edges, as in tf."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -11,24 +11,23 @@ from reframe_jax.recordings.checks import drop_unfinished, make_poses
 from reframe_jax.recordings.clock import sort_times
 from reframe_jax.recordings.left_out import leave_out_lost
 from reframe_jax.recordings.readers.collecting import matrix_rows
+from reframe_jax.recordings.readers.reader import Entry
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.relative import interpolate_poses, invert_poses, origin_shift
-from reframe_jax.recordings.rows import Rows, shown
+from reframe_jax.recordings.rows import Rows, listed, shown
 
 __all__ = ["Edge", "chain_rows", "describe_frames"]
-
-_LISTED = 20  # frames in a message
 
 
 @dataclass(frozen=True)
 class Edge:
-    """The pose of a child frame in its parent.
+    """The pose of a child frame in its parent frame.
 
     Attributes:
-        parent: frame.
-        child: frame.
-        static: whether the pose holds for all times.
-        count: number of transforms.
+        parent: name of the parent frame.
+        child: name of the child frame.
+        static: whether the pose is constant.
+        count: count of transforms.
     """
 
     parent: str
@@ -38,22 +37,19 @@ class Edge:
 
     @staticmethod
     def chain(path: Path, edges: Sequence["Edge"], ground: str, body: str) -> list[tuple["Edge", bool]]:
-        """The edges from one frame to another, each with whether it leads from parent to child.
+        """Return the edges from one frame to another, each with whether it leads from parent to child.
 
         Raises:
-            RecordingError: if a frame is unknown, or no edges connect them.
+            RecordingError: if a frame is unknown, or if no edges connect the frames.
         """
         near: dict[str, list[tuple[str, Edge, bool]]] = {}
         for edge in edges:
             near.setdefault(edge.parent, []).append((edge.child, edge, True))
             near.setdefault(edge.child, []).append((edge.parent, edge, False))
-        names = sorted(near)
-        listed = shown(", ".join(names[:_LISTED]), 1000) + (", ..." if names[_LISTED:] else "")
+        frames = f"frames: {listed(sorted(near))}"
         for frame in (ground, body):
             if frame not in near:
-                raise RecordingError(
-                    f"{path}: has no tf frame {shown(frame, 60)!r}; frames: {listed or 'none'}."
-                )
+                raise RecordingError(f"{path}: has no tf frame {shown(frame, 60)!r}; {frames}.")
         if ground == body:
             raise RecordingError(f"{path}: expected two frames, found {shown(ground, 60)!r} twice.")
         waiting: deque[tuple[str, list[tuple[Edge, bool]]]] = deque([(ground, [])])
@@ -67,17 +63,17 @@ class Edge:
                     seen.add(other)
                     waiting.append((other, [*found, (edge, along)]))
         raise RecordingError(
-            f"{path}: no transforms connect {shown(ground, 60)} with {shown(body, 60)}; frames: {listed}."
+            f"{path}: no transforms connect {shown(ground, 60)} with {shown(body, 60)}; {frames}."
         )
 
 
 def chain_rows(path: Path, chain: Sequence[tuple[Edge, bool, Rows]]) -> Rows:
-    """Poses along a chain, at the stamps of its moving edge.
+    """Compute the poses along a chain, at the stamps of its moving edge.
 
-    Where several edges move, the one with the fewest stamps gives them, and the others are interpolated:
-    positions linearly, orientations along the shortest turn. Stamps at which another edge is unknown, as they
-    are before its first transform, after its last, or in a gap of five of its median steps, are left out. Of
-    a static edge, the last transform counts.
+    If several edges move, the edge with the fewest stamps gives the times, and the poses of the other edges
+    are interpolated: positions linearly, orientations along the shortest rotation. Stamps at which another
+    edge is unknown are left out: before its first transform, after its last, or in a gap longer than five of
+    its median steps. For a static edge, the last transform counts.
 
     Args:
         path: the file.
@@ -87,7 +83,7 @@ def chain_rows(path: Path, chain: Sequence[tuple[Edge, bool, Rows]]) -> Rows:
         Rows of matrices, in the unit of the file.
 
     Raises:
-        RecordingError: if no edge moves, or the edges have no times in common.
+        RecordingError: if no edge moves, or if the edges have no times in common.
     """
     for edge, _, rows in chain:
         _clean(path, edge, rows)
@@ -102,9 +98,8 @@ def chain_rows(path: Path, chain: Sequence[tuple[Edge, bool, Rows]]) -> Rows:
         if edge.static:
             here = here[-1:]
         elif rows is not own and rows.times is not None:
-            found, seen = interpolate_poses(
-                rows.times + origin_shift(path, rows.origin, own.origin), here, times
-            )
+            shifted = rows.times + origin_shift(path, rows.origin, own.origin)
+            found, seen = interpolate_poses(shifted, here, times)
             here = np.tile(np.eye(4), (len(times), 1, 1))
             here[seen], known = found, known & seen
         poses = poses @ (here if along else invert_poses(here))
@@ -119,28 +114,27 @@ def chain_rows(path: Path, chain: Sequence[tuple[Edge, bool, Rows]]) -> Rows:
 
 
 def _clean(path: Path, edge: Edge, rows: Rows) -> None:
-    """Leave out transforms that cannot be used, or were written though tracking was lost."""
+    """Leave out transforms that are incomplete, repeated, or written while tracking was lost."""
     what = f"transform of {shown(edge.child, 60)} in {shown(edge.parent, 60)}"
     drop_unfinished(rows)
     sort_times(rows)
     if not edge.static and rows.times is None:
         raise RecordingError(f"{path}: the stamps of every {what} are 0; expected times.")
     if not edge.static and rows.times is not None and len(rows.times):
-        rows.keep(
-            np.append(True, np.diff(rows.times) > 0), f"the stamp of a {what} is repeated", "equal_time"
-        )
+        new = np.append(True, np.diff(rows.times) > 0)
+        rows.keep(new, f"the stamp of a {what} is repeated", "equal_time")
         leave_out_lost(rows, make_poses(rows))
     fewest = 1 if edge.static else 2
     if len(rows.values) < fewest:
         raise RecordingError(f"{path}: has {len(rows.values)} usable {what}; expected {fewest} or more.")
 
 
-def describe_frames(edges: Sequence[Edge]) -> list[tuple[str, str, str]]:
-    """Frames as options of reading: option, name, and what is known of the frame."""
+def describe_frames(edges: Sequence[Edge]) -> list[Entry]:
+    """Make entries from frames."""
     children = {edge.child for edge in edges}
     roots = dict.fromkeys(edge.parent for edge in edges if edge.parent not in children)
-    found = [("from_frame", root, "tf frame without a parent") for root in roots]
+    found = [Entry("from_frame", root, "tf frame without a parent") for root in roots]
     for edge in edges:
         kind = "static" if edge.static else f"{edge.count} transforms"
-        found.append(("to_frame", edge.child, f"tf frame in {edge.parent}, {kind}"))
+        found.append(Entry("to_frame", edge.child, f"tf frame in {edge.parent}, {kind}"))
     return found

@@ -1,45 +1,52 @@
-"""Units that the header of a table states: ``x [mm]``, ``time (ns)``, ``yaw_deg``."""
+"""Units in the header of a table: ``x [mm]``, ``time (ns)``, ``yaw_deg``."""
 
 import re
 
 from reframe_jax.recordings.selection import ANGLE_UNITS, TIME_UNITS, UNITS
 
-__all__ = ["ANGLE_WORDS", "LENGTH_WORDS", "TIME_WORDS", "split_unit", "units_of_row"]
+__all__ = ["ANGLE_WORDS", "LENGTH_WORDS", "TIME_WORDS", "plain_name", "split_unit", "units_of_row"]
 
-LENGTH_WORDS = UNITS | {
-    **dict.fromkeys(("meter", "meters", "metre", "metres"), 1.0),
-    **dict.fromkeys(("centimeter", "centimeters", "centimetre", "centimetres"), 1e-2),
-    **dict.fromkeys(("millimeter", "millimeters", "millimetre", "millimetres"), 1e-3),
-}
-TIME_WORDS = TIME_UNITS | {
-    **dict.fromkeys(("sec", "secs", "second", "seconds"), 1.0),
-    **dict.fromkeys(("msec", "msecs", "millisecond", "milliseconds", "millis"), 1e-3),
-    **dict.fromkeys(("usec", "usecs", "\u00b5s", "\u03bcs", "microsecond", "microseconds", "micros"), 1e-6),
-    **dict.fromkeys(("nsec", "nsecs", "nanosec", "nanosecs", "nanosecond", "nanoseconds", "nanos"), 1e-9),
-}
-ANGLE_WORDS = ANGLE_UNITS | {
-    **dict.fromkeys(("degree", "degrees", "\u00b0"), ANGLE_UNITS["deg"]),
-    **dict.fromkeys(("radian", "radians"), 1.0),
-}
+
+def _spelled(units: dict[str, float], **words: str) -> dict[str, float]:
+    """Units, and other words for them."""
+    return units | {word: units[unit] for unit, others in words.items() for word in others.split()}
+
+
+LENGTH_WORDS = _spelled(
+    UNITS | {"um": 1e-6},
+    um="\u00b5m \u03bcm micrometer micrometers micrometre micrometres",
+    m="meter meters metre metres",
+    cm="centimeter centimeters centimetre centimetres",
+    mm="millimeter millimeters millimetre millimetres",
+)
+TIME_WORDS = _spelled(
+    TIME_UNITS,
+    s="sec secs second seconds",
+    ms="msec msecs millisecond milliseconds millis",
+    us="usec usecs \u00b5s \u03bcs microsecond microseconds micros",
+    ns="nsec nsecs nanosec nanosecs nanosecond nanoseconds nanos",
+)
+ANGLE_WORDS = _spelled(ANGLE_UNITS, deg="degree degrees \u00b0", rad="radian radians")
 _IN_BRACKETS = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*", re.DOTALL)
 _WORDS = {**LENGTH_WORDS, **TIME_WORDS, **ANGLE_WORDS}
 
 
 def units_of_row(cells: list[str]) -> list[str] | None:
-    """The units in a row of units, as some programs write it after the header; None for another row."""
+    """Return the units in a row of units below a header; None for another row."""
     units = [cell.strip("[]() -").lower() for cell in cells]
     return units if any(units) and all(unit in _WORDS or not unit for unit in units) else None
 
 
-def split_unit(title: str) -> tuple[str, str]:
-    """The name of a column in plain letters, and its unit; empty if the title states none.
+def plain_name(title: str) -> str:
+    """Convert a title to lower case, with single underscores between words: ``PosX`` to ``pos_x``."""
+    words = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", title)
+    return re.sub(r"[^a-z0-9]+", "_", words.lower()).strip("_")
 
-    The name is in lower case, with single underscores for all other characters.
-    """
+
+def split_unit(title: str) -> tuple[str, str]:
+    """Return the plain name and the unit of a column; the unit is empty if the title states none."""
     match = _IN_BRACKETS.fullmatch(title)
     name, unit = (match[1], match[2].lower()) if match else (title, "")
-    plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+    plain = plain_name(name)
     first, _, last = plain.rpartition("_")
-    if not unit and first and last in _WORDS:
-        return first, last
-    return plain, unit
+    return (first, last) if not unit and first and last in _WORDS else (plain, unit)
