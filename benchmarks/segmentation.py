@@ -28,7 +28,14 @@ import reframe_jax as rf
 from benchmarks.common import add_files, machine, new_parser, write_record
 from benchmarks.pointer import simulate_pointer
 from benchmarks.segmentation_arm import arm_rows, print_arm
-from benchmarks.segmentation_cases import NAMES, Sequence, move_through, simulate_sequences, simulate_single
+from benchmarks.segmentation_cases import (
+    MOTIONS,
+    NAMES,
+    Sequence,
+    move_through,
+    simulate_sequences,
+    simulate_single,
+)
 from benchmarks.timing import peak_above
 from reframe_jax.simulation.motions import PoseErrors
 
@@ -67,10 +74,12 @@ def main() -> None:
     jax.config.update("jax_enable_x64", True)
     record: dict[str, Any] = {
         "machine": machine(),
-        "sequences": [compare(each) for each in simulate_sequences(options.sequences, options.seed)],
-        "splines": [
-            compare(each) for each in simulate_sequences(options.sequences, options.seed, splines=True)
-        ],
+        **{
+            motion: [
+                compare(each) for each in simulate_sequences(options.sequences, options.seed, motion=motion)
+            ]
+            for motion in MOTIONS
+        },
         "singles": [
             compare(simulate_single(label, number, options.seed))
             for number in range(options.singles)
@@ -199,9 +208,10 @@ def print_sequences(title: str, rows: list[dict[str, Any]]) -> dict[str, float]:
 
 def print_metrics(record: dict[str, Any]) -> dict[str, float]:
     """Print the figures of a record, and return them."""
-    metrics = print_sequences("sequences", record["sequences"])
-    slow = print_sequences("sequences of splines", record["splines"])
-    metrics |= {f"splines: {name}": value for name, value in slow.items()}
+    metrics: dict[str, float] = {}
+    for motion in MOTIONS:
+        found = print_sequences(f"sequences of {motion}", record[motion])
+        metrics |= {f"{motion}: {name}": value for name, value in found.items()}
     if record["singles"]:
         metrics["single constraints whole"] = float(np.mean([row["whole"] for row in record["singles"]]))
         print(

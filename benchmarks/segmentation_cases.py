@@ -1,10 +1,17 @@
 """Simulated sequences of constraints with known changes, in plain NumPy.
 
 A body moves under one constraint after the other. Each constraint lies in a random place, within 0.15 m of
-the body. Sums of three sines of 0.2 to 0.9 Hz drive the free coordinates, or splines through random values
-0.7 to 3 s apart: 0.35 to 0.6 rad and 50 to 100 mm rms. In half of the sequences every motion sets out from
-rest and comes to rest within 0.25 s; in the other half the velocity jumps. White noise of sigma m comes with
-sigma / 0.3 m rad; slow errors are sines of 0.1 to 1.2 Hz, with 5 rad/m.
+the body. The free coordinates follow one of three motions (:data:`MOTIONS`), with 0.35 to 0.6 rad and 50 to
+100 mm RMS:
+
+- "sines": sums of three sines of 0.2 to 0.9 Hz;
+- "splines": cubic splines through random values, 0.7 to 3 s apart;
+- "jerks": minimum-jerk movements of 0.6 to 1.2 s between random values, with all coordinates at rest at each
+  value.
+
+In half of the sequences, every motion starts and ends at rest within 0.25 s; in the other half, the velocity
+jumps. White noise of sigma m has sigma / 0.3 m rad of orientation noise; slow errors are sines of 0.1 to
+1.2 Hz, with 5 rad/m.
 """
 
 from typing import NamedTuple
@@ -13,7 +20,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-__all__ = ["ERRORS", "NAMES", "Sequence", "move_through", "simulate_sequences", "simulate_single"]
+__all__ = ["ERRORS", "MOTIONS", "NAMES", "Sequence", "move_through", "simulate_sequences", "simulate_single"]
 
 _FREE_ROTATION = {"free": "xyz", "pin": "xyz", "contour": "xyz", "ball": "xyz", "hinge": "z", "plane": "z"}
 _FREE_TRANSLATION = {"free": "xyz", "pin": "xy", "contour": "x", "slide": "x", "plane": "xy"}
@@ -29,6 +36,9 @@ NAMES = {
     "lock": ("Still", "Fixed"),
 }
 """Right names, or what a right name contains."""
+
+MOTIONS = "sines", "splines", "jerks"
+_MOVEMENT = 0.6, 1.2  # s, shortest and longest minimum-jerk movement
 
 ERRORS = (
     {"white": 1e-5},
@@ -55,13 +65,13 @@ class Sequence(NamedTuple):
         return np.asarray(self.times[self.starts[1:]])
 
 
-def simulate_sequences(count: int, seed: int = 0, splines: bool = False) -> list[Sequence]:
-    """Sequences of three or four constraints, 4 to 8 s each, no constraint twice in a row.
+def simulate_sequences(count: int, seed: int = 0, motion: str = "sines") -> list[Sequence]:
+    """Simulate sequences of three or four constraints, 4 to 8 s each, with no constraint twice in a row.
 
     Args:
-        count: of sequences.
-        seed: of everything.
-        splines: whether the motion is drawn through random places, and slower; else it is a sum of sines.
+        count: number of sequences.
+        seed: seed of all random numbers.
+        motion: one of :data:`MOTIONS`.
     """
     made = []
     for number in range(count):
@@ -74,19 +84,17 @@ def simulate_sequences(count: int, seed: int = 0, splines: bool = False) -> list
             if labels[-1:] != [label]:
                 labels.append(label)
         durations = rng.uniform(4, 8, len(labels))
-        apart = (0.7, 1.8) if number % 2 else (1.5, 3.0)
+        apart = _MOVEMENT if motion == "jerks" else (0.7, 1.8) if number % 2 else (1.5, 3.0)
         made.append(
-            move_through(
-                labels, durations, ERRORS[number % len(ERRORS)], rng, apart=apart if splines else None
-            )
+            move_through(labels, durations, ERRORS[number % len(ERRORS)], rng, motion=motion, apart=apart)
         )
     return made
 
 
-def simulate_single(label: str, number: int, seed: int = 0) -> Sequence:
-    """A recording of one constraint, 8 to 20 s long."""
+def simulate_single(label: str, number: int, seed: int = 0, motion: str = "sines") -> Sequence:
+    """Simulate a recording of one constraint, 8 to 20 s long."""
     rng = np.random.default_rng([seed, 1000 + number, list(NAMES).index(label)])
-    return move_through([label], rng.uniform(8, 20, 1), ERRORS[number % len(ERRORS)], rng)
+    return move_through([label], rng.uniform(8, 20, 1), ERRORS[number % len(ERRORS)], rng, motion=motion)
 
 
 def move_through(
@@ -95,17 +103,19 @@ def move_through(
     errors: dict[str, float],
     rng: np.random.Generator,
     rate: int | None = None,
-    apart: tuple[float, float] | None = None,
+    motion: str = "sines",
+    apart: tuple[float, float] = (0.7, 1.8),
 ) -> Sequence:
     """Simulate constraints one after the other.
 
     Args:
-        labels: of the constraints, keys of :data:`NAMES`.
-        durations: of each, s.
-        errors: "white" and "soft", m.
-        rng: of places, motions and errors.
-        rate: Hz; by default 20, 50 or 100.
-        apart: s, of the places of splines; None for sines.
+        labels: constraints, keys of :data:`NAMES`.
+        durations: duration of each constraint, s.
+        errors: sizes of the errors "white" and "soft", m.
+        rng: generator of places, motions and errors.
+        rate: sampling rate, Hz; by default 20, 50 or 100.
+        motion: one of :data:`MOTIONS`.
+        apart: shortest and longest time between the values of splines and minimum-jerk movements, s.
     """
     drawn, ease = int(rng.choice([20, 50, 100])), float(rng.choice([0.0, 0.25]))
     rate = rate or drawn
@@ -114,7 +124,9 @@ def move_through(
     starts = [0]
     for label, duration in zip(labels, durations, strict=True):
         steps = round(duration * rate)
-        turned, moved = _move(label, steps, rate, ease, rotation[-1][-1], position[-1][-1], rng, apart)
+        turned, moved = _move(
+            label, steps, rate, ease, rotation[-1][-1], position[-1][-1], rng, motion, apart
+        )
         rotation.append(turned)
         position.append(moved)
         starts.append(starts[-1] + steps)
@@ -145,9 +157,10 @@ def _move(
     start: np.ndarray,
     origin: np.ndarray,
     rng: np.random.Generator,
-    apart: tuple[float, float] | None,
+    motion: str,
+    apart: tuple[float, float],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations (steps, 3, 3) and positions (steps, 3) after those at the start."""
+    """Compute rotations (steps, 3, 3) and positions (steps, 3) m after the pose at the start."""
     fine = 8 if label == "contour" else 1
     times = np.arange(steps * fine + 1) / (rate * fine)
     if ease:
@@ -155,8 +168,18 @@ def _move(
         ramp = ramp**2 * (3 - 2 * ramp)
         times = np.concatenate([[0], np.cumsum((ramp[1:] + ramp[:-1]) / 2 * np.diff(times))])
 
+    stops = np.cumsum(rng.uniform(*apart, size=int(times[-1] / apart[0]) + 4)) if motion == "jerks" else None
+
     def drive(size: float, free: str) -> np.ndarray:
-        if apart is not None:
+        if stops is not None:
+            knot = np.searchsorted(stops, times, side="right")
+            before, after = np.append(0, stops)[knot], stops[knot]
+            part = ((times - before) / (after - before))[:, None]
+            values = rng.normal(0, size, (len(stops) + 1, 3))
+            progress = part**3 * (10 - 15 * part + 6 * part**2)
+            path = values[knot] + progress * (values[knot + 1] - values[knot])
+            return np.asarray((path - path[0]) * [axis in free for axis in "xyz"])
+        if motion == "splines":
             knots = np.cumsum(rng.uniform(*apart, size=int(times[-1] / apart[0]) + 4)) - apart[1]
             path = CubicSpline(knots, rng.normal(0, size, (len(knots), 3)))(times)
             return np.asarray((path - path[0]) * [axis in free for axis in "xyz"])

@@ -2,8 +2,9 @@
 
 A camera recorded the doors. The positions of a door are on a circle within millimetres; the axis of this
 circle is the truth. Each half of a recording gives an estimate and a 95 % region. The table has the errors of
-the whole recording, the half-widths of its intervals in the worst direction, and the fractions of regions
-that contain the truth and the estimate of the other half.
+the whole recording, the half-widths of its intervals in the worst direction, the distances between the
+estimates of both halves, and the fractions of regions that contain the truth and the estimate of the other
+half. The last rows have every second, fourth and tenth pose of the hinge, that is, lower sampling rates.
 """
 
 from collections.abc import Sequence
@@ -29,6 +30,9 @@ def in_region(error: np.ndarray, covariance: np.ndarray) -> bool:
     values, axes = np.linalg.eigh(covariance)
     known = values > 1e-9 * values[-1]
     return bool(np.sum((error @ axes)[known] ** 2 / values[known]) < chi2.ppf(0.95, known.sum()))
+
+
+_EVERY = 2, 4, 10  # of the poses of the hinge, recorded at 20 Hz
 
 
 class _Estimate:
@@ -68,6 +72,28 @@ class _Estimate:
         return np.cross(axis, self.axis * np.sign(axis @ self.axis))
 
 
+def _errors_of_whole(whole: _Estimate, axis: np.ndarray, point: np.ndarray) -> dict[str, float]:
+    """Errors of an estimate, widths of its 95 % intervals, and whether its 95 % regions contain the truth."""
+    line, turn = whole.line_error(point, axis), whole.axis_error(axis)
+    of_line, of_axis = (
+        np.asarray(part) for part in (whole.covariance.position, whole.covariance.angular_axes)
+    )
+    return {
+        "line, mm": 1e3 * float(np.linalg.norm(line)),
+        "line within, mm": 1.96e3 * float(np.sqrt(np.linalg.eigvalsh(of_line)[-1])),
+        "line holds": in_region(line, of_line),
+        "axis, deg": float(np.degrees(np.linalg.norm(turn))),
+        "axis within, deg": 1.96 * float(np.degrees(np.sqrt(np.linalg.eigvalsh(of_axis)[-1]))),
+        "axis holds": in_region(turn, of_axis),
+    }
+
+
+def check_rate(every: int) -> dict[str, float]:
+    """Errors of the hinge with the measured axis, from every so many poses."""
+    recording = rf.load_recording(DOOR_DATA / "hinge.csv")
+    return _errors_of_whole(_Estimate(recording, slice(None, None, every)), *_MEASURED["hinge"])
+
+
 def check_door(name: str) -> dict[str, float]:
     """Errors of the whole recording and its halves, and whether regions contain truth and estimates."""
     recording = rf.load_recording(DOOR_DATA / f"{name}.csv")
@@ -75,25 +101,18 @@ def check_door(name: str) -> dict[str, float]:
     number = len(recording.times)
     spans = slice(None), slice(number // 2), slice(number // 2, None)
     whole, *halves = (_Estimate(recording, rows) for rows in spans)
-    line, turn = whole.line_error(point, axis), whole.axis_error(axis)
-    row: dict[str, float] = {
-        "line, mm": 1e3 * float(np.linalg.norm(line)),
-        "line within, mm": 1.96e3 * float(np.sqrt(np.linalg.eigvalsh(whole.covariance.position)[-1])),
-        "line holds": in_region(line, np.asarray(whole.covariance.position)),
-        "axis, deg": float(np.degrees(np.linalg.norm(turn))),
-        "axis within, deg": 1.96
-        * float(np.degrees(np.sqrt(np.linalg.eigvalsh(whole.covariance.angular_axes)[-1]))),
-        "axis holds": in_region(turn, np.asarray(whole.covariance.angular_axes)),
-    }
-    lines, axes = [], []
+    row = _errors_of_whole(whole, axis, point)
+    lines, axes, apart_by = [], [], []
     for one, other in (halves, halves[::-1]):
         apart = one.line_error(other.point_in_ground(), other.in_ground)
         lines.append(in_region(apart, np.asarray(one.covariance.position)))
+        apart_by.append(1e3 * float(np.linalg.norm(apart)))
         turn = one.axis_error(other.in_ground)
         if one.body and other.body:
             turn = np.cross(other.axis, one.axis * np.sign(one.axis @ other.axis))
         axes.append(in_region(turn, np.asarray(one.covariance.angular_axes)))
     row |= {
+        "lines of halves apart, mm": max(apart_by),
         "halves hold each other's line": float(np.mean(lines)),
         "halves hold each other's axis": float(np.mean(axes)),
     }
@@ -105,7 +124,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     new_parser("uncertainty_doors", __doc__).parse_args(argv)
     jax.config.update("jax_enable_x64", True)
     rows = {name: check_door(name) for name in (*DOORS, *_MEASURED)}
-    for name, row in rows.items():
+    slower = {f"hinge, 1 of {every} poses": check_rate(every) for every in _EVERY}
+    for name, row in (rows | slower).items():
         print(f"{name}: {'; '.join(f'{key} {value:.2f}' for key, value in row.items())}")
     for key in next(iter(rows.values())):
         if "hold" in key:

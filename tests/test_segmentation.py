@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 import reframe_jax as rf
-from benchmarks.segmentation_cases import Sequence, move_through, simulate_single
+from benchmarks.segmentation_cases import Sequence, move_through, simulate_sequences, simulate_single
 from reframe_jax.geometry.numpy_rotations import rotation_matrices
 from reframe_jax.segmentation.bank import Bank
+from reframe_jax.segmentation.borders import place_border
 from reframe_jax.segmentation.cells import Cells, make_cells
 from reframe_jax.segmentation.chance import with_chance
 from reframe_jax.segmentation.pieces import Piece, find_pieces, join_pieces
@@ -18,6 +19,7 @@ from reframe_jax.simulation.motions import PoseErrors, disturb
 from reframe_jax.simulation.sequences import simulate_sequence
 
 ENCODER, MARKERS, SOFT = {"white": 1e-5}, {"white": 3e-4}, {"white": 1e-6, "soft": 5e-4}
+BALL = 27  # a sequence in which a ball is followed by free motion, with 1 mm of noise
 HELD = {"free": (0, 0), "pin": (1, 0), "contour": (2, 0), "ball": (3, 0), "hinge": (3, 2)} | {
     "slide": (2, 3),
     "plane": (1, 2),
@@ -117,6 +119,16 @@ def test_a_constraint_that_comes_back_has_the_same_label() -> None:
     segmentation = rf.segment(poses, dt=0.02)
     assert [segment.label for segment in segmentation.moving] == [0, 1, 0, 2]
     assert [int(segmentation.labels[i]) for i in (100, 450, 750, 1050)] == [0, 1, 0, 2]
+
+
+def test_noise_of_single_poses_moves_no_border() -> None:
+    """A cell has less noise than a pose: of that size, most poses of a ball would be no ball."""
+    made = simulate_sequences(BALL + 1, 5, motion="splines")[BALL]
+    assert made.labels[:2] == ("ball", "free")
+    cells, pieces = pieces_of(made)
+    position = made.poses[:, :3, 3] - made.poses[:, :3, 3].mean(axis=0)
+    index, _, _ = place_border(cells, made.poses[:, :3, :3], position, *pieces[:2])
+    assert abs(made.times[index] - made.changes[0]) < 0.3
 
 
 @pytest.mark.parametrize("label", ["free", "hinge", "plane"])

@@ -31,16 +31,14 @@ from reframe_jax.geometry.small import (
     times,
     total,
 )
+from reframe_jax.geometry.symmetric import INDEX_PAIRS, PACKED
+from reframe_jax.objectives.moments import MONOMIALS
 
 __all__ = ["lowest_origins", "norm_at", "polynomials", "unexplained_covariance"]
 
-_PAIRS = tuple((i, j) for i in range(3) for j in range(i, 3))
-"""Components of Sigma."""
-_MONOMIALS = tuple((a, b) for a in range(4) for b in range(a, 4))
-"""Products of (1, x) that a component of Sigma is a sum of."""
-_FIRST, _SECOND = (np.array(ends, np.int32) for ends in zip(*_MONOMIALS, strict=True))
-_PLACE = np.array([[_PAIRS.index((min(i, j), max(i, j))) for j in range(3)] for i in range(3)], np.int32)
-_FORM = np.array([[_MONOMIALS.index((min(a, b), max(a, b))) for b in range(4)] for a in range(4)], np.int32)
+_FIRST, _SECOND = (np.array(ends, np.int32) for ends in zip(*MONOMIALS, strict=True))
+_PLACE = np.array(PACKED, np.int32)
+_FORM = np.array([[MONOMIALS.index((min(a, b), max(a, b))) for b in range(4)] for a in range(4)], np.int32)
 
 _TANGENT_STEPS, _NEWTON_STEPS = 8, 20
 _RELAX = 1.6  # of tangent steps, over-relaxed: takes about half as many
@@ -62,7 +60,7 @@ def polynomials(products: Array, rows: np.ndarray) -> Array:
     """
     # every entry of `rows` is 0, 1 or -1 and has one feature: moments are picked, not multiplied
     feature, sign = np.abs(rows).argmax(-1), rows.sum(-1)
-    i, j = np.array(_PAIRS).T[:, :, None, None]
+    i, j = np.array(INDEX_PAIRS).T[:, :, None, None]
     a, b = np.stack([_FIRST, _SECOND])[:, None, :, None]
     t = np.arange(len(rows))
     flat, width = products.reshape(-1, *products.shape[2:]), products.shape[0]
@@ -142,7 +140,7 @@ def norm_at(coefficients: Array, details: Array, origins: Array) -> Array:
 def _starts(coefficients: Array, counts: Array, unexplained: Array) -> Array:
     """Starting origins (3, T, starts, N): of the unexplained covariance, of least motion, and fixed."""
     traces = coefficients[0] + coefficients[3] + coefficients[5]
-    inverse, _ = invert_symmetric([unexplained[i, j] for i, j in _PAIRS])
+    inverse, _ = invert_symmetric([unexplained[i, j] for i, j in INDEX_PAIRS])
     halves = jnp.asarray(_HALVES, traces.dtype)
     forms = (
         _tangent(coefficients, counts, jnp.broadcast_to(inverse[:, None], (6, *traces.shape[1:]))),
@@ -179,7 +177,7 @@ def _sigma(coefficients: Array, monomials: Array) -> Array:
 
 def _tangent(coefficients: Array, counts: Array, inverse: Array) -> Array:
     """sum_s n_s tr(Sigma_s^-1 Sigma_s(y)): the matrix of a quadratic form in (1, y), (4, 4, T, K, N)."""
-    twice = jnp.asarray([1.0 if i == j else 2.0 for i, j in _PAIRS], counts.dtype)
+    twice = jnp.asarray([1.0 if i == j else 2.0 for i, j in INDEX_PAIRS], counts.dtype)
     weights = materialize(inverse * (twice.reshape(6, *[1] * counts.ndim) * counts))
     # component by component, so that what is read stays in the cache
     q = total(materialize(total(coefficients * weights[:, None], 0)), 1)

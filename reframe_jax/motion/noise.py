@@ -1,4 +1,4 @@
-"""White noise of measured poses, as their differences show it.
+"""Estimate the white noise of measured poses from their differences.
 
 All arrays have components first, then samples, then windows.
 """
@@ -11,33 +11,33 @@ from jax import lax
 
 __all__ = ["constant_components", "estimate_noise", "masked_median", "unit_of_rounding"]
 
-_ORDERS = (2, 4, 6)  # of the differences that noise is estimated from
-_MEDIAN_LENGTHS = (1.0, 0.6745, 1.1774, 1.5382)  # of a standard normal vector of 0, 1, 2 and 3 components
-_OFF_GRID = 0.05  # mean distance of steps from multiples of the smallest; a quarter if they are none
-_BISECTIONS, _OCTAVES = 14, 40  # of a median: to 0.2 % over twelve decades
+_ORDERS = (2, 4, 6)  # orders of the differences
+_MEDIAN_LENGTHS = (1.0, 0.6745, 1.1774, 1.5382)  # of standard normal vectors with 0, 1, 2 and 3 components
+_OFF_GRID = 0.05  # mean distance of steps from multiples of the smallest step; 0.25 without rounding
+_BISECTIONS, _OCTAVES = 14, 40  # steps and range of the bisection of a median: 0.2 % over twelve decades
 
 
 def masked_median(values: jax.Array, counted: jax.Array) -> jax.Array:
-    """Return the median of the non-negative values (M, ...) that count, over the first axis; 0 if none.
+    """Median of the counted, non-negative values (M, ...) over the first axis; 0 without counted values.
 
-    Bisects the logarithm in elementwise passes, because sorting many short rows is slow.
+    The function bisects the logarithm in elementwise passes, because sorting many short rows is slow.
     """
     top = jnp.maximum(jnp.max(jnp.where(counted, values, 0), axis=0), jnp.finfo(values.dtype).tiny)
-    # as shares of the largest, float32 is exact enough: a processor compares twice as many at a time
-    shares = jnp.where(counted, values / top[None], jnp.inf).astype(jnp.float32)
+    # relative to the largest value, float32 is exact enough, and comparisons are twice as fast
+    fractions = jnp.where(counted, values / top[None], jnp.inf).astype(jnp.float32)
     half = jnp.sum(counted, axis=0, dtype=jnp.float32) / 2
-    low, high = _bisect(shares, half)
+    low, high = _bisect(fractions, half)
     median = top * jnp.exp2(high.astype(top.dtype))
     return jnp.where((half > 0) & (low > -_OCTAVES), median, 0)
 
 
-def _bisect(shares: jax.Array, half: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Two logarithms, (...), between which that of the value lies that ``half`` of the shares are below."""
+def _bisect(fractions: jax.Array, half: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Bounds (...) of the binary logarithm of the value that exceeds ``half`` (...) of the fractions."""
 
     def halve(_: int, ends: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         low, high = ends
         middle = (low + high) / 2
-        enough = jnp.sum(shares <= jnp.exp2(middle)[None], axis=0, dtype=jnp.float32) >= half
+        enough = jnp.sum(fractions <= jnp.exp2(middle)[None], axis=0, dtype=jnp.float32) >= half
         return jnp.where(enough, low, middle), jnp.where(enough, middle, high)
 
     end = jnp.zeros(half.shape, jnp.float32)
@@ -50,19 +50,19 @@ def estimate_noise(
 ) -> tuple[jax.Array, jax.Array]:
     """Estimate the standard deviation of the white noise in each component of position and orientation.
 
-    Uses the median length of differences of order 2, 4 and 6, and returns the smallest estimate, because
-    smooth motion vanishes from high differences. A few jumps do not matter. Errors that change slowly are not
-    included. Components that never change, as those that a planar tracker does not measure, say nothing about
-    the noise of the others. Rounded positions have at least the noise of their rounding.
+    The function uses the median length of differences of order 2, 4 and 6, and returns the smallest estimate,
+    The function uses the median length of differences of order 2, 4 and 6, and returns the least estimate,
+    Constant components, for example those that a planar tracker does not measure, do not count. Rounded
+    positions have at least the noise of their rounding.
 
     Args:
         position: (3, K+1, N) m.
         turns: (3, K, N) rad, rotation vector of every step.
-        counted: (K+1, N) bool, poses that count.
-        unit: (N,) m, that positions are rounded to, or 0; see :func:`unit_of_rounding`.
+        counted: (K+1, N) bool, counted poses.
+        unit: (N,) m, unit of rounding of the positions, or 0; see :func:`unit_of_rounding`.
 
     Returns:
-        (N,) m and (N,) rad.
+        Standard deviations of position, (N,) m, and of orientation, (N,) rad.
     """
     poses = counted.shape[0]
     sizes, masks, scales = [], [], []
@@ -96,12 +96,12 @@ def estimate_noise(
 
 
 def constant_components(values: jax.Array, counted: jax.Array, least: float = 0.0) -> jax.Array:
-    """Which components of values (3, M, N) stay the same to the last digit, (3, N) bool.
+    """Whether components of values (3, M, N) are constant up to rounding errors, (3, N) bool.
 
     Args:
-        values: (3, M, N).
-        counted: (M, N) bool, which count.
-        least: size of the numbers that the values were computed from, at least.
+        values: (3, M, N) in any unit.
+        counted: (M, N) bool, counted values.
+        least: lower bound on the size of the numbers from which the values were computed.
     """
     low = jnp.min(jnp.where(counted[None], values, jnp.inf), axis=1)
     high = jnp.max(jnp.where(counted[None], values, -jnp.inf), axis=1)
@@ -111,15 +111,15 @@ def constant_components(values: jax.Array, counted: jax.Array, least: float = 0.
 
 
 def unit_of_rounding(position: jax.Array, counted: jax.Array) -> jax.Array:
-    """The unit that positions are rounded to, (N,) m: all steps are multiples of the smallest; else zero.
+    """Unit of rounding of the positions, (N,) m; zero if steps are not multiples of the smallest step.
 
-    Steps of one size only are those of even motion, not of rounding. Where numbers have a fixed count of
-    digits, large coordinates are rounded more than small ones. So a coordinate that mostly repeats its value
-    while others change has a unit of its own, its smallest step.
+    Steps of a single size come from uniform motion, not from rounding. In numbers with a fixed number of
+    digits, large coordinates have a larger unit than small coordinates. Therefore, a coordinate that mostly
+    repeats its value while other coordinates change has a separate unit, its smallest step.
 
     Args:
         position: (3, K+1, N) m.
-        counted: (K+1, N) bool, poses that count.
+        counted: (K+1, N) bool, counted poses.
     """
     steps = jnp.abs(jnp.diff(position, axis=1))
     both = (counted[1:] & counted[:-1])[None]

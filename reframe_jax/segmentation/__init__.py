@@ -1,1 +1,1 @@
-"""Sequences of constraints: where the constraint of a recording changes, and which holds between."""
+"""Segmentation: find the changes of the constraint in a recording, and identify each segment."""

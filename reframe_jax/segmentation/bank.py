@@ -1,4 +1,4 @@
-"""A bank of models: what may be held, fitted to spans, and how well each model explains every cell."""
+"""A bank of models: sets of held coordinates, fitted to spans, and the evidence for them in every cell."""
 
 from typing import NamedTuple
 
@@ -16,17 +16,18 @@ _ANGULAR_PARAMETERS = np.array([0, 2, 2, 0])  # directions of 0 to 3 held rotati
 
 
 class Bank(NamedTuple):
-    """Models; H of them.
+    """H models of held coordinates.
 
     Attributes:
-        span: (H, 2) cells to which they were fitted.
-        held: (H, 2) number of held translations and rotations.
-        kind: (H, 2) linear and angular type, whose features the held coordinates weight.
-        shifts: (H, 3, 12) and turns: (H, 3, 3) the weights; 0 where fewer coordinates are held.
-        middle: (H, 6) values of the held coordinates, translations first.
-        size: (H, 6) m or rad, RMS about them; inf for coordinates that are not held.
-        price: (H,) log evidence that using the model costs.
-        score: (H,) log evidence for the model in its own span, less the price.
+        span: (H, 2) first cell, and the cell after the last, of the span to which a model was fitted.
+        held: (H, 2) numbers of held translations and held rotations.
+        kind: (H, 2) codes of the linear and the angular type.
+        shifts, turns: (H, 3, 12) and (H, 3, 3) weights of the features of these types, one row for each held
+            translation or rotation; unused rows are 0.
+        middle: (H, 6) m and rad, mean values of the held coordinates, translations first.
+        size: (H, 6) m and rad, RMS deviations from ``middle``; infinite for unused rows.
+        price: (H,) log evidence that one use of the model costs.
+        score: (H,) log evidence for the model in its own span, minus the price.
         reference: (H,) m, amplitude of a free translation.
         motion: (H,) m, largest motion of the span.
     """
@@ -44,29 +45,33 @@ class Bank(NamedTuple):
     motion: np.ndarray
 
     def take(self, index: np.ndarray | list[int]) -> "Bank":
-        """Some of the models."""
+        """Select models by index."""
         return Bank(*(leaf[index] for leaf in self))
 
     def join(self, *others: "Bank") -> "Bank":
-        """These models and others."""
+        """Append other banks."""
         return Bank(*(np.concatenate(leaves) for leaves in zip(self, *others, strict=True)))
 
     def coordinates(self, linear: np.ndarray, angular: np.ndarray, at: np.ndarray) -> np.ndarray:
-        """Values (H, E, 6) of the coordinates in features (4, N, 12) and (2, N, 3) at indices (H, E)."""
+        """Evaluate coordinates (H, E, 6) of features (4, N, 12) and (2, N, 3) at indices (H, E)."""
         shifts = linear[self.kind[:, :1], at] @ np.swapaxes(self.shifts, 1, 2)
         turns = angular[self.kind[:, 1:], at] @ np.swapaxes(self.turns, 1, 2)
         return np.concatenate([shifts, turns], axis=2)
 
 
 def fit_models(cells: Cells, spans: np.ndarray, reach: float) -> Bank:
-    """The best models of each span (P, 2), fitted in parts of bounded memory."""
+    """Fit the best models of spans (P, 2), in parts of bounded memory."""
     parts = np.array_split(spans, -(-len(spans) // _BATCH))
     first, *others = (choose_models(cells, part, fit_spans(cells, part, reach)) for part in parts)
     return first.join(*others)
 
 
 def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
-    """The best models of each span (P, 2) whose evidence exceeds their price, or would in a longer span."""
+    """Choose the best models of spans (P, 2) among fits.
+
+    A model needs evidence above its price; a model that lacks less than the price of a segment is also kept,
+    because a longer span may supply the missing evidence.
+    """
     count = (spans[:, 1] - spans[:, 0]) * cells.weight
     own = fits.motion[:, None] / C.gap
     most, most_turn = (
@@ -74,14 +79,14 @@ def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
         for bound, floor, lever in zip(cells.bound(C.held), cells.floor, (1, C.lever), strict=True)
     )
     references = cells.references(spans)
-    # beside held rows, further rows are as still by chance as one row is
+    # once one row is held, further rows are by chance as small as a single row
     further = np.minimum(most, np.maximum(3 * cells.floor[0], C.reference * references[:, :1]))
     limits = np.stack([most, further, further], axis=1)
     linear, linear_type = _log_ratios(fits.size, references[:, :, None, None], limits)
     every = np.where(np.arange(3) < np.arange(1, 4)[:, None, None], fits.turn[:, None], np.inf)
     angular, angular_type = _log_ratios(every, cells.reference[1], most_turn[:, None])
     both = linear[:, :, None] + angular[:, None]
-    # of a body that is still nothing moves, for longer than at a turning point
+    # stillness: no coordinate moves, for a longer time than at a turning point
     both[:, 3, 3] = np.where(count >= C.still_time, 0, -np.inf)
     for size, reference, bound in zip((fits.size, every), cells.reference, cells.bound(C.still), strict=True):
         both[:, 3, 3] += _log_ratios(size, reference, bound)[0][:, 3]
@@ -118,12 +123,12 @@ def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
 def _log_ratios(
     size: np.ndarray, reference: float | np.ndarray, most: float | np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sum of log reference / size of 0 to 3 held coordinates in the best type, (P, 4), and that type.
+    """Sum log(reference / size) over 0 to 3 held coordinates, (P, 4), for the best type, and find this type.
 
     Args:
-        size: (P, 3, T, 3) of 1, 2 and 3 held coordinates, inf beyond these.
-        reference: of a free coordinate.
-        most: that a held coordinate moves; (P, 3, 1) by their number.
+        size: (P, 3, T, 3) RMS of 1, 2 and 3 held coordinates in T types; infinite for unused coordinates.
+        reference: amplitude of a free coordinate.
+        most: largest RMS of a held coordinate; (P, 3, 1) if the bound depends on the number of coordinates.
     """
     counted = np.isfinite(size)
     held = np.all((size < np.asarray(most)[..., None]) | ~counted, axis=-1)
@@ -138,16 +143,23 @@ def _log_ratios(
 def _held_rows(
     weights: np.ndarray, rms: np.ndarray, mean: np.ndarray, count: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The first ``count`` (H,) of rows (H, 3, F), their values for mean features (H, F), and their RMS."""
+    """Keep the first ``count`` (H,) of rows (H, 3, F); return the rows, their mean values, and their RMS.
+
+    ``mean`` (H, F) contains the mean features.
+    """
     used = np.arange(3) < count[:, None]
     weights = np.where(used[:, :, None], weights, 0)
     return weights, np.einsum("hrf,hf->hr", weights, mean), np.where(used, rms, np.inf)
 
 
 def gains(bank: Bank, values: np.ndarray, turn: float, widen: float = 1.0) -> np.ndarray:
-    """Log evidence (H, N) of values (H, N, 6) of held coordinates against free ones.
+    """Log evidence (H, N) that coordinates with values (H, N, 6) are held and not free.
 
-    Free rotations have an amplitude of ``turn`` rad.
+    Args:
+        bank: the models.
+        values: (H, N, 6) m and rad, coordinates of the models.
+        turn: amplitude of a free rotation, rad.
+        widen: factor on the sizes of the models.
     """
     free = np.stack([bank.reference, np.full_like(bank.reference, turn)], axis=1).repeat(3, axis=1)
     ratio = np.log(np.maximum(free / (widen * bank.size), 1))
@@ -155,7 +167,7 @@ def gains(bank: Bank, values: np.ndarray, turn: float, widen: float = 1.0) -> np
 
 
 def misfit(bank: Bank, values: np.ndarray, widen: float = 1.0) -> np.ndarray:
-    """Negative log likelihood (H, N) of values (H, N, 6) under each model, about 0 where the model holds."""
+    """Negative log likelihood (H, N) of values (H, N, 6) under each model; about 0 where the model holds."""
     residual = (values - bank.middle[:, None]) / (widen * bank.size[:, None])
     each = np.prod(1 + residual**2 / C.tail, axis=-1)  # 1 for a coordinate that is not held
     return (C.tail + 1) / 2 * np.log(each) - np.sum(bank.held, axis=1)[:, None] / 2

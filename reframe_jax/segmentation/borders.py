@@ -1,4 +1,4 @@
-"""Borders to the sample: where the one model explains the poses better, and where the other."""
+"""Place borders between pieces: each pose belongs to the model that explains the pose better."""
 
 import numpy as np
 
@@ -15,17 +15,17 @@ _INTERVAL = 0.025, 0.975
 def place_border(
     cells: Cells, rotation: np.ndarray, position: np.ndarray, before: Piece, after: Piece
 ) -> tuple[int, int, int]:
-    """The pose at which the second piece begins.
+    """Find the pose at which the second piece begins.
 
     Args:
-        cells: of the recording.
-        rotation: (P, 3, 3) of all poses.
-        position: (P, 3) m, of all poses.
-        before: the piece that ends there.
-        after: the piece that begins.
+        cells: cells of the recording.
+        rotation: (P, 3, 3) rotations of all poses.
+        position: (P, 3) m, positions of all poses.
+        before: piece that ends at the border.
+        after: piece that begins at the border.
 
     Returns:
-        Index of that pose, the likeliest, and the two indices between which it lies with 95 %.
+        The most probable index, and the first and the last index of the 95 % interval.
     """
     samples = cells.samples
     near = round(C.cells) + 1
@@ -33,7 +33,7 @@ def place_border(
         max(before.start, before.stop - 4 * near) * samples,
         min(after.stop, after.start + 4 * near) * samples,
     )
-    # at most half of each piece, so that borders keep their order
+    # a border moves by at most half of each piece, so that borders keep their order
     low = max((before.start + before.stop) * samples // 2, (before.stop - near) * samples) - first
     high = min((after.start + after.stop) * samples // 2, (after.start + near) * samples) - first
     border = before.stop * samples - first
@@ -42,13 +42,16 @@ def place_border(
     for side, (piece, own) in enumerate(((before, slice(0, border)), (after, slice(border, None)))):
         if piece.model is not None:
             values = piece.model.coordinates(linear, angular, np.arange(last - first)[None])[0]
-            # summed paths begin anew here; the values are those away from the border
+            # integrated paths have another start here, so the mean is computed again, away from the border
             inner = values[own]
             cut = len(inner) // 4
             inner = inner[: len(inner) - cut] if side == 0 else inner[cut:]
-            model = piece.model._replace(middle=np.median(inner, axis=0)[None])
-            # beyond the border a free coordinate sets out from where it was held: small residuals are no
-            # evidence against it
+            middle = np.median(inner, axis=0)[None]
+            # a single pose has more noise than the mean pose of a cell
+            spread = np.sqrt(np.mean((inner - middle) ** 2, axis=0))[None]
+            model = piece.model._replace(middle=middle, size=np.maximum(piece.model.size, spread))
+            # beyond the border, a free coordinate starts at its held value: small residuals are no evidence
+            # against free motion
             held = 1 + np.sum(np.isfinite(model.size))
             gain[side] = (C.border * held - misfit(model, values[None])[0]) * cells.weight / samples
     evidence = np.concatenate([[0.0], np.cumsum(gain[0] - gain[1])])[low : high + 1]

@@ -1,4 +1,7 @@
-"""A recording in cells: mean poses of a fraction of the time in which the motion becomes independent."""
+"""Cells: mean features of short, equal parts of a recording.
+
+A cell is a fraction of the time in which the motion gives one independent value.
+"""
 
 from dataclasses import dataclass
 from math import comb
@@ -12,29 +15,29 @@ __all__ = ["GROUND_TYPES", "Cells", "make_cells", "path_features"]
 
 GROUND_TYPES = [2, 3]  # GG and BG: origins in the ground
 
-_CHUNK = 20_000  # poses whose features are computed at once
-_FEWEST = 6  # independent values that a recording has at least
-_LEAST_TURN = 3  # of the motion, over a rotation that counts as free
-_PAIRS = 4000  # pairs of poses from which a structure function is estimated
+_CHUNK = 20_000  # poses per chunk, which bounds the memory
+_FEWEST = 6  # smallest number of independent values in a recording
+_LEAST_TURN = 3  # largest ratio of the motion to the reference motion of rotations
+_SAMPLES = 4000  # pairs of poses in one value of the structure function
 
 
 @dataclass(frozen=True)
 class Cells:
-    """The cells of a recording and the sizes that belong to it.
+    """Cells of a recording, and the sizes of its motion and noise.
 
     Attributes:
-        linear: (4, N, 12) features of the linear types BB, GB, GG, BG: the path of an origin x along n is the
-            product of the feature with n (1, x), row by row.
-        angular: (2, N, 3) rotation that has been summed up in the ground and in the body, rad.
-        samples: poses in a cell.
-        duration: s, of a cell.
-        motion_time: s, in which the motion gives one independent value.
-        motion: (2,) m and rad, amplitudes of a coordinate and of a rotation.
-        floor: (2,) m and rad, below which residuals are not distinguished from zero.
-        chance: (L,) log lengths of spans in cells, and (L, 3) log m, sizes of 1, 2 and 3 rows that are fitted
-            where nothing is held; None before they are known.
-        progress: (N + 1,) cells in which the usual motion would have come as far as the motion up to each;
-            None before it is known.
+        linear: (4, N, 12) features of the linear types BB, GB, GG, BG. The coordinate of an origin x along
+            a direction n is the scalar product of a feature with the matrix n (1, x), row by row.
+        angular: (2, N, 3) rad, integral of the angular velocity in the ground and in the body.
+        samples: poses per cell.
+        duration: duration of a cell, s.
+        motion_time: time in which the motion gives one independent value, s.
+        motion: (2,) m and rad, amplitudes of a translation and of a rotation.
+        floor: (2,) m and rad, residuals below this size count as zero.
+        chance: (L,) logarithms of span lengths in cells, and (L, 3) logarithms of the sizes in m of 1, 2 and
+            3 rows fitted to motion without any held coordinate; None before :func:`with_chance`.
+        progress: (N + 1,) number of cells of usual motion that equals the motion before each cell; None
+            before :func:`with_chance`.
     """
 
     linear: np.ndarray
@@ -48,7 +51,7 @@ class Cells:
     progress: np.ndarray | None = None
 
     def references(self, spans: np.ndarray) -> np.ndarray:
-        """Amplitudes (P, 3), m, of free translations where 1, 2 and 3 rows are fitted to spans (P, 2)."""
+        """Amplitudes (P, 3) m of free translations, if 1, 2 and 3 rows are fitted to spans (P, 2)."""
         if self.chance is None or self.progress is None:
             return np.full((len(spans), 3), self.reference[0])
         lengths = np.maximum(self.progress[spans[:, 1]] - self.progress[spans[:, 0]], 1)
@@ -57,7 +60,7 @@ class Cells:
 
     @property
     def weight(self) -> float:
-        """Independent values in a cell."""
+        """Number of independent values per cell."""
         return self.duration / self.motion_time
 
     @property
@@ -66,13 +69,13 @@ class Cells:
         return self.motion[0] * C.reference, self.motion[1] * C.reference
 
     def bound(self, part: float) -> tuple[float, float]:
-        """Most that a coordinate moves, m and rad: a part of the motion of the recording, or its noise."""
+        """Largest size of a held coordinate, m and rad: a part of the motion, or three times the floor."""
         a, b = (max(part * motion, 3 * floor) for motion, floor in zip(self.motion, self.floor, strict=True))
         return a, b
 
 
 def make_cells(rotation: np.ndarray, position: np.ndarray, step: float) -> Cells:
-    """Cells of poses (P, 3, 3) and (P, 3) m, ``step`` seconds apart."""
+    """Compute the cells of rotations (P, 3, 3) and positions (P, 3) m with a sample time ``step``, s."""
     noise = _white_noise(position), _white_noise(np.cumsum(_turns(rotation), axis=0))
     time, motion, turn = _motion_scale(rotation, position, noise, step)
     samples = max(1, min(round(time / C.cells / step), len(position) // 8))
@@ -85,10 +88,10 @@ def make_cells(rotation: np.ndarray, position: np.ndarray, step: float) -> Cells
 def _average_features(
     rotation: np.ndarray, position: np.ndarray, samples: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Means of the features over cells of so many poses; a last cell that is not full is left out."""
+    """Mean features of cells with ``samples`` poses; poses after the last full cell are left out."""
     number = len(position) // samples
     linear, angular = np.empty((4, number, 12)), np.empty((2, number, 3))
-    # paths that have been summed up go on where the last chunk ended; poses have nothing to go on from
+    # integrated paths continue at the end of the previous chunk; features of poses need no offset
     summed = np.array([[[1.0]], [[0.0]], [[1.0]], [[0.0]]]), np.ones((2, 1, 1))
     ends = [np.zeros((4, 1, 12)), np.zeros((2, 1, 3))]
     chunk = max(1, _CHUNK // samples)
@@ -105,7 +108,7 @@ def _average_features(
 
 
 def path_features(rotation: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Features of the linear types (4, N, 12) and of the angular types (2, N, 3) of poses."""
+    """Features of poses: (4, P, 12) for the linear types and (2, P, 3) rad for the angular types."""
     back = np.swapaxes(rotation, 1, 2)
     turn = _turns(rotation)
     hat = -np.cross(turn[:, None], np.eye(3))
@@ -131,7 +134,7 @@ def path_features(rotation: np.ndarray, position: np.ndarray) -> tuple[np.ndarra
 
 
 def _turns(rotation: np.ndarray) -> np.ndarray:
-    """Rotations (P - 1, 3) in the body from each of P poses to the next, rad."""
+    """Rotation vectors (P - 1, 3), rad, in the body, from each of P poses to the next."""
     between = np.swapaxes(rotation[:-1], 1, 2) @ rotation[1:]
     cosine = (np.einsum("kii->k", between) - 1) / 2
     if np.any(cosine < -0.9):  # near half turns the skew part does not determine the axis
@@ -142,7 +145,7 @@ def _turns(rotation: np.ndarray) -> np.ndarray:
 
 
 def _white_noise(path: np.ndarray) -> float:
-    """White noise of each component of a path (P, 3): the least that differences of several orders show."""
+    """White noise of a component of paths (P, 3): the least estimate from differences of several orders."""
     found = []
     for order in (2, 3, 4, 6):
         if len(path) >= order + 8:
@@ -154,22 +157,22 @@ def _white_noise(path: np.ndarray) -> float:
 def _motion_scale(
     rotation: np.ndarray, position: np.ndarray, noise: tuple[float, float], step: float
 ) -> tuple[float, float, float]:
-    """Time in which the motion gives an independent value, s, and its amplitudes, m and rad."""
+    """Time of one independent value of the motion, s, and amplitudes of the motion, m and rad."""
     number = len(position)
     lags = np.unique(np.round(2 ** np.arange(0, np.log2(max(2, number / 3)), 0.5)).astype(int))
     scale = np.array([1, C.lever])
     still = 6 * float(np.sum(np.square(scale * noise)))
 
     def displacements(lag: int) -> np.ndarray:
-        """Squares of translations and rotations, (pairs, 2) m^2."""
-        first = np.unique(np.linspace(0, number - 1 - lag, _PAIRS).astype(int))
+        """Squared translations and rotations, (pairs, 2) m^2; the lever converts rotations."""
+        first = np.unique(np.linspace(0, number - 1 - lag, _SAMPLES).astype(int))
         chord = np.sum((rotation[first + lag] - rotation[first]) ** 2, axis=(1, 2)) / 8
         turn = 2 * np.arcsin(np.clip(np.sqrt(chord), 0, 1))
         shift = np.linalg.norm(position[first + lag] - position[first], axis=1)
         return np.square(scale * np.stack([shift, turn], axis=1))
 
     def size(lag: int) -> float:
-        """Mean displacement; where the body is still, it adds nothing at any lag."""
+        """Mean displacement, m, without the noise: a still body contributes zero at every lag."""
         return float(np.mean(np.sqrt(np.maximum(displacements(lag).sum(axis=1) - 4 * still, 0))))
 
     sizes = np.array([size(lag) for lag in lags])
@@ -180,7 +183,7 @@ def _motion_scale(
         slow = np.flatnonzero(speed[fastest:] < speed[fastest] / 2)
         lag = lags[fastest + slow[0]] if len(slow) else lags[-1]
         time = float(np.clip(C.motion_time * lag * step, step, time))
-    # displacements of independent poses have twice the variance
+    # a displacement between independent poses has twice the variance of a pose
     square = displacements(max(1, min(round(2 * time / step), number - 2)))
     motion = max(float(np.sqrt(np.quantile(square.sum(axis=1), 0.8) / 6)), 1e-6)
     turn = float(np.sqrt(np.quantile(square[:, 1], 0.8) / 6))

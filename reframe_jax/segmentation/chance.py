@@ -1,4 +1,4 @@
-"""How still a coordinate becomes by chance: what the best of all rows achieves where nothing is held."""
+"""Sizes of rows by chance: how small the best row becomes in a motion without any held coordinate."""
 
 import dataclasses
 
@@ -10,16 +10,17 @@ from reframe_jax.segmentation.rows import fit_spans
 
 __all__ = ["with_chance"]
 
-_SPANS = 64  # of a length
-_WINDOWS = 2, 4, 8, 16  # cells, in which motions are compared
+_SPANS = 64  # spans per length
+_WINDOWS = 2, 4, 8, 16  # cells, lengths of the windows in which motions are compared
 _TURNED = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3, 3)))[0]
 
 
 def with_chance(cells: Cells, reach: float) -> Cells:
-    """Cells with the sizes of rows that are fitted to spans of a motion in which nothing is held.
+    """Add the sizes of rows by chance, and the progress of the motion, to cells.
 
-    The motion has the times and speeds of the recording: positions are the sum of three copies of its path,
-    a third of the recording apart and turned each, and rotations are those of the recording in reverse order.
+    The rows are fitted to a surrogate motion with the times and speeds of the recording, in which no
+    coordinate is held: positions are the sum of three copies of the path, delayed by thirds of the recording
+    and rotated; rotations are the rotations of the recording in reverse order.
     """
     number = cells.linear.shape[1]
     poses = cells.linear[1].reshape(-1, 3, 4)  # position and rotation
@@ -40,10 +41,10 @@ def with_chance(cells: Cells, reach: float) -> Cells:
 
 
 def _progress(cells: Cells) -> np.ndarray:
-    """Cells (N + 1,) in which the usual motion would have come as far as the motion up to each cell.
+    """Number of cells of usual motion that equals the motion before each cell, (N + 1,).
 
-    In a motion that is slower than usual, rows are still by chance for longer. The path in a window over the
-    amplitude there is compared with the usual one in shorter windows.
+    In slower motion, rows stay small by chance for a longer time. The ratio of path length to amplitude in a
+    window is compared with its usual value in shorter windows.
     """
     z = np.concatenate([cells.linear[1, :, ::4], C.lever * cells.angular[1]], axis=1)
     z = z - z.mean(axis=0)

@@ -1,7 +1,7 @@
-"""Every tuned constant of segmentation, with where it comes from.
+"""All tuned constants of segmentation, with their meaning.
 
-The figures behind them: sequences and single constraints of :mod:`benchmarks.segmentation_cases`, with both
-kinds of motion and seeds that the benchmark does not use, and the recordings of ``../shared/data``.
+The constants were chosen on the sequences and single constraints of :mod:`benchmarks.segmentation_cases`,
+with seeds that the benchmark does not use, and on the recordings of ``../shared/data``.
 """
 
 from typing import NamedTuple
@@ -13,30 +13,28 @@ class SegmentConstants(NamedTuple):
     """Constants of segmentation.
 
     Attributes:
-        floor_position, floor_rotation: m and rad; residuals below are not distinguished from zero: the usual
-            slow errors of a robot or a tracker.
-        lever: m, at which a rotation counts as a translation.
-        motion_time: of the lag at which the speed of displacements has halved, the time of one independent
-            value; 1 / (2 B) for motion of bandwidth B.
-        cells: cells in a motion time.
-        held: of the motion of the recording, the most that a held coordinate may move.
-        still: the same of a body that is still.
-        gap: largest motion of a span over that of a coordinate which is held in it.
-        reference: of the motion of the recording, the amplitude of a free coordinate that happens to move
-            little: divides between held and free.
-        chance: quantile of the sizes that rows reach by chance, from which evidence counts.
-        usual: quantile of the paths in windows of the recording, below which a motion is slow: two in five.
-        price: log evidence that a segment costs, for one of many spans and models has the largest; a model
-            that lacks no more is tried, as the segment may be longer.
-        border: log evidence, beside a border, of a pose that a model explains, and the same for every row:
-            of one row, residuals of 2.6 times their RMS are taken for motion.
-        tail: degrees of freedom of the distribution of residuals.
-        widen: times that residuals of models from windows are larger: a fit to few values makes them
-            too small.
-        same: times that held coordinates may move more where a constraint comes back or goes on.
-        pause: times that the body moves less in a pause than in the motion beside it.
-        still_time: motion times that stillness takes at least to be a state; a gap within a constraint is
-            shorter.
+        floor_position, floor_rotation: m and rad, residuals below this size count as zero: the usual slow
+            errors of a robot or a tracker.
+        lever: distance that converts rotations to translations, m.
+        motion_time: time of one independent value, as a fraction of the lag at which the speed of
+            displacements has halved; 1 / (2 B) for motion of bandwidth B.
+        cells: number of cells per motion time.
+        held: largest size of a held coordinate, as a fraction of the motion of the recording.
+        still: largest size of every coordinate of a still body, as the same fraction.
+        gap: smallest ratio of the largest motion of a span to a coordinate held in this span.
+        reference: amplitude of a free coordinate with little motion, as a fraction of the motion of the
+            recording.
+        chance: quantile of the sizes of rows by chance, below which a row has evidence.
+        usual: quantile of the path lengths in windows of the recording, below which a motion is slow.
+        price: log evidence that a segment costs, because the best of many spans and models is chosen. A
+            model that lacks at most this evidence is kept, because the segment may be longer.
+        border: log evidence, near a border, of a pose that a model explains, and in addition for each row.
+            With one row, residuals above 2.6 times their RMS count as motion.
+        tail: degrees of freedom of Student's distribution of residuals.
+        widen: factor on residuals of models fitted to windows: fits to few values have too small residuals.
+        same: largest ratio of the sizes of held coordinates in two pieces of one constraint.
+        pause: smallest ratio of the motion beside a pause to the motion in the pause.
+        still_time: shortest stillness that is a segment, in motion times.
     """
 
     floor_position: float = 3e-4

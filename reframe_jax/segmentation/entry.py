@@ -1,4 +1,4 @@
-"""The entry to segmentation: a recording in, the sequence of its constraints out."""
+"""Entry to segmentation: from a recording to the sequence of its constraints."""
 
 from itertools import pairwise
 from typing import Any
@@ -21,7 +21,7 @@ from reframe_jax.segmentation.results import Boundary, Segment, Segmentation
 
 __all__ = ["find_segments", "segment"]
 
-_FEWEST = 8  # poses that can be identified in a segment
+_FEWEST = 8  # fewest poses of a segment that can be identified
 
 
 def segment(
@@ -29,28 +29,29 @@ def segment(
 ) -> Segmentation:
     """Find where the constraint of a recording changes, and identify each part.
 
-    A constraint holds some coordinates of the motion, such as the height of a tool's tip above a plane.
-    Models of what may be held are fitted to windows of many lengths. A model gains evidence with every cell
-    of the recording in which its coordinates stay much stiller than the motion, and costs as much as its
-    parameters can achieve by chance. The sequence of models with the largest evidence is the result, fitted
-    again to what the models cover. Free coordinates cost nothing, so a change of a free motion is no change
-    of the constraint. A pause within one constraint does not divide the segment; between different
-    constraints, at the start and at the end, stillness is a segment of its own.
+    A constraint holds some coordinates of the motion, for example the height of the tip of a tool above a
+    plane. Models of held coordinates are fitted to windows of many lengths. A model gains evidence in each
+    part of the recording in which its coordinates move much less than the body, and has a cost for its
+    parameters. The result is the sequence of models with the largest evidence, fitted again to its segments.
+    Free coordinates give no evidence, so a change of a free motion is not a change of the constraint. A pause
+    within a constraint does not divide a segment; between different constraints, at the start and at the end,
+    stillness is a separate segment.
 
-    Computed in float64 with NumPy. Boundaries are whole numbers, so the function is not differentiable. To
-    differentiate a frame, identify the poses of its segment with :func:`reframe_jax.identify`.
+    The function computes in float64 with NumPy. Boundaries are integers, so the function is not
+    differentiable. To differentiate a frame, identify the poses of its segment with
+    :func:`reframe_jax.identify`.
 
     Args:
         poses: (N, 4, 4) poses of the moving body {b} in the ground {g}, m; N >= 16.
         times: (N,) sample times in s, increasing. Give either ``times`` or ``dt``.
-        dt: sample time in s, a scalar or (N-1,).
-        reach: m, half the width of the cube in which origins of frames are searched, about the body.
+        dt: sample time, s, a scalar or (N-1,).
+        reach: half the width of the cube in which origins of frames are searched, about the body, m.
 
     Returns:
         The segments, in order of time, and the boundaries between them.
 
     Raises:
-        ValueError: if shapes or options are not as above, or poses or times are unusable.
+        ValueError: for tracers, for other shapes or options, or for unusable poses or times.
     """
     if traced((poses, times, dt)):
         raise ValueError("segment needs poses, not tracers: call it outside jit, vmap and grad.")
@@ -68,7 +69,7 @@ def segment(
 def find_segments(
     poses: np.ndarray, times: np.ndarray, reach: float
 ) -> tuple[list[tuple[int, int, int]], tuple[Boundary, ...], float]:
-    """Segments (start, stop, label) without names, their boundaries, and the motion time in s."""
+    """Find segments (start, stop, label) without names, boundaries, and the motion time, s."""
     rotation, position = poses[:, :3, :3], poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0)
     cells = make_cells(rotation, position, float(np.median(np.diff(times))))
     cells = with_chance(cells, reach)
@@ -88,13 +89,13 @@ def find_segments(
 
 
 def _inner(piece: Piece, start: int, stop: int, samples: int) -> Piece:
-    """The cells of a piece that lie between two poses, at least one."""
+    """Shorten a piece to its cells between two poses, but to at least one cell."""
     first = min(-(-start // samples), piece.stop - 1)
     return piece._replace(start=first, stop=max(min(stop // samples, piece.stop), first + 1))
 
 
 def _probabilities(cells: Cells, pieces: list[Piece], reach: float) -> list[float]:
-    """Probability that each piece and the next do not belong together."""
+    """Probability that a piece and the next piece have different constraints, for each boundary."""
     spans = [(piece.start, piece.stop) for piece in pieces]
     pairs = [(a, d) for (a, _), (_, d) in pairwise(spans)]
     every = np.array(spans + pairs)
@@ -109,7 +110,7 @@ def _probabilities(cells: Cells, pieces: list[Piece], reach: float) -> list[floa
 
 
 def _identify(poses: np.ndarray, times: np.ndarray, reach: float) -> Identification | None:
-    """Identify a segment; None where it is too short, does not move, or has no result."""
+    """Identify a segment; None if the segment is too short, has no motion, or has no result."""
     if len(poses) < _FEWEST:
         return None
     try:
@@ -119,7 +120,7 @@ def _identify(poses: np.ndarray, times: np.ndarray, reach: float) -> Identificat
 
 
 def _checked(poses: Any, times: Any, dt: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Poses and times in float64."""
+    """Check poses and times, and convert them to float64."""
     poses = np.asarray(poses, float)
     if poses.ndim != 3 or poses.shape[1:] != (4, 4) or len(poses) < 2 * _FEWEST:
         raise ValueError(f"poses must have shape (N, 4, 4) with N >= {2 * _FEWEST}, not {poses.shape}.")

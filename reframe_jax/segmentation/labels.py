@@ -1,4 +1,4 @@
-"""Which pieces have the same constraint."""
+"""Labels: find the pieces with the same constraint."""
 
 import numpy as np
 
@@ -13,14 +13,14 @@ __all__ = ["label_pieces"]
 def label_pieces(cells: Cells, pieces: list[Piece], reach: float) -> list[int]:
     """Number the constraints in order of appearance; -1 for a still body.
 
-    A constraint has come back if as many coordinates are held, and those of the one piece hardly move in the
-    other, wherever they stay: the frame may be fixed in the body. All free motion is the same, and neighbours
-    differ.
+    Two pieces have the same constraint if they hold the same numbers of coordinates, and the held coordinates
+    of one piece hardly move in the other piece. Their mean values may differ, because the frame may be fixed
+    in the body. All free motion has one label. Neighbours have different labels.
 
     Args:
-        cells: of the recording.
-        pieces: in order of time, without cells that belong to two of them.
-        reach: m, half the width of the cube in which origins are searched.
+        cells: cells of the recording.
+        pieces: pieces in order of time, without common cells.
+        reach: half the width of the cube in which origins are searched, m.
     """
     fits = fit_spans(cells, np.array([(piece.start, piece.stop) for piece in pieces]), reach)
     labels: list[int] = []
@@ -57,7 +57,7 @@ def _same(cells: Cells, pieces: list[Piece], fits: Fits, i: int, j: int) -> bool
 
 
 def _holds(features: np.ndarray, rows: np.ndarray, count: int, floor: float, spans: list[slice]) -> bool:
-    """Whether ``count`` rows of some type in (T, 3, F), held in the first span, stay held in the second."""
+    """Whether ``count`` rows (T, 3, F) of any type are held in the first span and in the second span."""
     if count == 0:
         return True
     own, other = (

@@ -20,21 +20,20 @@ def segment_many(
     dt: float | Sequence[ArrayLike] | jax.Array | None = None,
     reach: float = 1.0,
 ) -> list[Segmentation]:
-    """Segment several recordings, on all processor cores; each result is that of :func:`segment`.
+    """Segment several recordings with :func:`segment`, on all processor cores.
 
     Args:
-        recordings: of each (N, 4, 4) poses of {b} in {g}, m; an array (R, N, 4, 4), or a list of arrays of
-            any lengths.
-        times: of each recording (N,) s. Give either ``times`` or ``dt``.
-        dt: sample time of all recordings, or of each, s.
+        recordings: poses of {b} in {g}, m: an array (R, N, 4, 4), or R arrays (N, 4, 4) of any lengths.
+        times: R arrays (N,) of sample times, s. Give either ``times`` or ``dt``.
+        dt: sample time of all recordings, or R sample times, s.
         reach: as in :func:`segment`.
 
     Returns:
         The segmentations, in the same order.
 
     Raises:
-        ValueError: for the first recording that :func:`segment` refuses, which it names; or unless there are
-            as many ``times`` or ``dt`` as recordings.
+        ValueError: if the number of ``times`` or ``dt`` differs from the number of recordings, or for the
+            first recording that :func:`segment` refuses; the message names the recording.
     """
     number = len(recordings)
     each_dt = [dt] * number if dt is None or isinstance(dt, int | float) else list(dt)
@@ -49,6 +48,6 @@ def segment_many(
         except ValueError as error:
             raise ValueError(f"Recording {index}: {error}") from error
 
-    first = [segment_one(index) for index in range(min(number, 1))]  # two threads would both compile
+    first = [segment_one(index) for index in range(min(number, 1))]  # compile before the threads start
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         return first + list(pool.map(segment_one, range(1, number)))

@@ -1,4 +1,4 @@
-"""Pieces of a recording in which one model holds: found, fitted again, and joined across pauses."""
+"""Pieces: parts of a recording in which one model holds, fitted again and joined across pauses."""
 
 from itertools import pairwise
 from typing import NamedTuple
@@ -18,7 +18,7 @@ _ROUNDS = 4
 
 
 class Piece(NamedTuple):
-    """Cells [start, stop) and the model that holds there, a bank of one; None if nothing is held."""
+    """Cells [start, stop), and their model, a bank of one model; None if no coordinate is held."""
 
     start: int
     stop: int
@@ -26,17 +26,20 @@ class Piece(NamedTuple):
 
     @property
     def held(self) -> tuple[int, int]:
-        """Number of held translations and rotations."""
+        """Numbers of held translations and held rotations."""
         return (0, 0) if self.model is None else (int(self.model.held[0, 0]), int(self.model.held[0, 1]))
 
     @property
     def still(self) -> bool:
-        """Whether nothing moves."""
+        """Whether the body is still."""
         return self.held == (3, 3)
 
 
 def find_pieces(cells: Cells, reach: float) -> list[Piece]:
-    """The likeliest sequence of models: fitted to windows of many lengths, then to what they cover."""
+    """Find the most probable sequence of models.
+
+    The models are fitted to windows of many lengths, then to the pieces of the best sequence.
+    """
     number = cells.linear.shape[1]
     first = fit_models(cells, _windows(number), reach)
     if not len(first.price):
@@ -62,7 +65,7 @@ def find_pieces(cells: Cells, reach: float) -> list[Piece]:
 
 
 def _windows(number: int) -> np.ndarray:
-    """Spans of 8, 16, 32, ... cells, every four cells or quarter of their length, and the whole."""
+    """Spans of 8, 16, 32, ... cells, at steps of four cells or a quarter of their length, and the whole."""
     length, spans = _SHORTEST, [np.array([[0, number]])]
     while length < min(number, _LONGEST + 1):
         start = np.arange(0, number - length + 1, max(_SHORTEST, length // 2) // 2)
@@ -72,7 +75,7 @@ def _windows(number: int) -> np.ndarray:
 
 
 def _neighbours(edges: list[int]) -> np.ndarray:
-    """Pieces, pieces without their ends, and two and three pieces together."""
+    """Spans of pieces, of pieces without their ends, and of two and three consecutive pieces."""
     spans = set()
     for count in (1, 2, 3):
         for a, b in zip(edges, edges[count:], strict=False):
@@ -82,23 +85,29 @@ def _neighbours(edges: list[int]) -> np.ndarray:
 
 
 def stays_held(models: list[Bank], cells: Cells, union: Fits) -> bool:
-    """Whether as many rows as the models hold stay held, hardly wider, in a fit to more of the recording."""
+    """Whether the rows of models stay held in a fit to a longer span.
+
+    Args:
+        models: banks of one model each, with equal numbers of held rows.
+        cells: cells of the recording.
+        union: fit to the longer span.
+    """
     translations, rotations = models[0].held[0]
     size = np.stack([model.size[0] for model in models])
     for count, own, fitted, floor in (
         (translations, size[:, :3], union.size[0, translations - 1], cells.floor[0]),
         (rotations, size[:, 3:], union.turn[0], cells.floor[1]),
     ):
-        # slow errors of a tracker are in one row here and in another there: the widest row counts
+        # slow errors of a tracker affect different rows in different spans: the largest row decides
         if count and fitted[:, :count].max(axis=1).min() > max(C.same * own[:, :count].max(), 2 * floor):
             return False
     return True
 
 
 def join_pieces(cells: Cells, pieces: list[Piece], reach: float) -> list[Piece]:
-    """Join pieces of one constraint: across a pause, or where it has been fitted twice.
+    """Join pieces of one constraint, across a pause or next to each other.
 
-    A pause between different constraints, or at an end of the recording, remains a piece if it is long.
+    A long pause between different constraints, or at an end of the recording, remains a piece.
     """
     pieces = list(pieces)
     tried: dict[tuple[float, ...], Piece | None] = {}
@@ -115,7 +124,7 @@ def join_pieces(cells: Cells, pieces: list[Piece], reach: float) -> list[Piece]:
 def _join_one(
     cells: Cells, pieces: list[Piece], i: int, reach: float, tried: dict[tuple[float, ...], Piece | None]
 ) -> list[Piece] | None:
-    """Join piece i with its neighbours; None if it stays."""
+    """Join piece i with its neighbours; None if the piece stays separate."""
     own = pieces[i]
     beside = [j for j in (i - 1, i + 1) if 0 <= j < len(pieces)]
     time = (own.stop - own.start) * cells.weight
@@ -152,7 +161,7 @@ def _join_one(
 
 
 def _together(cells: Cells, start: int, stop: int, models: list[Bank], reach: float) -> Piece | None:
-    """One piece, if what the models hold stays held in all of it."""
+    """Make one piece of a span if the rows of the models stay held in the whole span."""
     span = np.array([[start, stop]])
     fits = fit_spans(cells, span, reach)
     found = choose_models(cells, span, fits)
@@ -163,7 +172,7 @@ def _together(cells: Cells, start: int, stop: int, models: list[Bank], reach: fl
 
 
 def _divide_between_neighbours(pieces: list[Piece], i: int) -> list[Piece]:
-    """Divide a piece between its neighbours; of two that hold nothing, make one."""
+    """Divide a piece between its neighbours; join the neighbours if both are free motion."""
     own = pieces[i]
     before, after = pieces[:i], pieces[i + 1 :]
     if not before:

@@ -1,4 +1,4 @@
-"""What segmentation returns."""
+"""Results of a segmentation."""
 
 from dataclasses import dataclass
 
@@ -12,14 +12,13 @@ __all__ = ["Boundary", "Segment", "Segmentation"]
 
 @dataclass(frozen=True)
 class Boundary:
-    """Where one segment ends and the next begins.
+    """Boundary between a segment and the next segment.
 
     Attributes:
-        index: of the first pose of the next segment.
-        time: s, of that pose.
-        probability: that the two segments do not belong together.
-        earliest, latest: between the poses of these indices the constraint changes with a probability of
-            95 %.
+        index: index of the first pose of the next segment.
+        time: sample time of this pose, s.
+        probability: probability that the two segments have different constraints.
+        earliest, latest: indices of the first and the last pose of the 95 % interval of the change.
     """
 
     index: int
@@ -32,14 +31,15 @@ class Boundary:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Segment:
-    """Part of a recording in which one constraint holds, or the body is still.
+    """Part of a recording with one constraint, or with a still body.
 
     Attributes:
-        start: index of its first pose.
-        stop: index behind its last pose.
-        label: number of its constraint, counted in order of appearance from 0; the same number where the same
-            constraint comes back. -1 where the body is still.
-        identification: of its poses; None where the body is still, and for parts too short to identify.
+        start: index of the first pose.
+        stop: index after the last pose.
+        label: number of the constraint, from 0 in order of appearance. Segments with the same constraint have
+            the same label; a still body has the label -1.
+        identification: identification of the poses; None for a still body, and for segments that are too
+            short.
     """
 
     start: int
@@ -65,11 +65,11 @@ class Segmentation:
     """The sequence of constraints in a recording.
 
     Attributes:
-        segments: in order of time; together they hold every pose of the recording once.
-        boundaries: between each segment and the next.
-        times: (N,) s, of the poses.
-        motion_time: s, in which the motion gives one independent value. A held axis needs six of them to be
-            distinguished from free motion, a spherical joint two.
+        segments: segments in order of time; each pose belongs to one segment.
+        boundaries: boundaries between consecutive segments.
+        times: (N,) sample times of the poses, s.
+        motion_time: time in which the motion gives one independent value, s. To distinguish one held axis
+            from free motion, a segment must last about six motion times; a spherical joint needs about two.
     """
 
     segments: tuple[Segment, ...]
@@ -88,5 +88,5 @@ class Segmentation:
 
     @property
     def labels(self) -> np.ndarray:
-        """(N,) label of each pose, -1 where the body is still."""
+        """(N,) label of each pose; -1 for a still body."""
         return np.repeat([s.label for s in self.segments], [s.stop - s.start for s in self.segments])

@@ -1,4 +1,4 @@
-"""Held rows of spans: along which directions, and about which origin, a span of a recording moves least."""
+"""Rows of spans: the directions and the origin with the least motion in a span of a recording."""
 
 from typing import NamedTuple
 
@@ -9,21 +9,21 @@ from reframe_jax.segmentation.constants import SEGMENTS as C
 
 __all__ = ["Fits", "fit_spans"]
 
-_BATCH = 400  # spans that are fitted at once: their moments fit a processor's cache
-_STEPS = 3, 3, 4  # of the fits of 3, 2 and 1 held translations, each from the one before
+_BATCH = 400  # spans per batch: their moments fit the cache of a processor
+_STEPS = 3, 3, 4  # steps of the fits of 3, 2 and 1 held translations; each fit starts at the previous one
 _HAT = np.cross(np.eye(3)[:, None], np.eye(3))  # (_HAT @ v)[:, c] = e_c x v
-_LENGTH = 1.6  # of a step: the tangent of a logarithm is too steep by up to two
+_LENGTH = 1.6  # factor on steps: the curvature of the bound is up to twice the curvature of the logarithm
 
 
 class Fits(NamedTuple):
-    """The stillest rows of P spans, for each of the four linear and two angular types.
+    """Rows with the least motion in P spans, for the four linear and the two angular types.
 
     Attributes:
-        weights: (P, 3, 4, 3, 12) rows w of 1, 2 and 3 held translations, of every linear type.
-        size: (P, 3, 4, 3) m, RMS of w'z about its mean; inf beyond the held ones.
-        axes: (P, 2, 3, 3) rows of every angular type, by amplitude, ascending.
-        turn: (P, 2, 3) rad, RMS of the rotation about them.
-        linear_mean: (P, 4, 12) and angular_mean (P, 2, 3) of the features.
+        weights: (P, 3, 4, 3, 12) rows w for 1, 2 and 3 held translations of each linear type.
+        size: (P, 3, 4, 3) m, RMS of w'z about its mean; infinite for unused rows.
+        axes: (P, 2, 3, 3) rows of each angular type, in ascending order of amplitude.
+        turn: (P, 2, 3) rad, RMS of the rotations about these axes.
+        linear_mean, angular_mean: (P, 4, 12) and (P, 2, 3) mean features.
         motion: (P,) m, largest motion of the span.
     """
 
@@ -37,7 +37,7 @@ class Fits(NamedTuple):
 
 
 def fit_spans(cells: Cells, spans: np.ndarray, reach: float) -> Fits:
-    """Fit spans (P, 2) of cells [start, stop)."""
+    """Fit rows to spans (P, 2) of cells [start, stop)."""
     parts = [_fit_batch(cells, spans[i : i + _BATCH], reach) for i in range(0, len(spans), _BATCH)]
     return Fits(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
@@ -74,7 +74,7 @@ def _moments(features: np.ndarray, spans: np.ndarray) -> tuple[np.ndarray, np.nd
     lengths = spans[:, 1] - spans[:, 0]
     for length in np.unique(lengths):
         own = np.flatnonzero(lengths == length)
-        # bounded memory
+        # parts of bounded memory
         for part in np.array_split(own, -(-len(own) * length // 50_000)):
             z = features[:, spans[part, :1] + np.arange(length)]
             middle = z.mean(axis=2)
@@ -85,12 +85,12 @@ def _moments(features: np.ndarray, spans: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _least_motion_rows(form: np.ndarray, middle: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rows (3, 3, 12, P) of 1, 2 and 3 held translations, by their number, and their RMS (3, 3, P).
+    """Fit rows (3, 3, 12, P) for 1, 2 and 3 held translations, with RMS (3, 3, P).
 
     Args:
         form: (3, 4, 3, 4, P) moments; the problems come last, so that every operation runs along them.
-        middle: (3, P) m, of the cube that holds the origins.
-        reach: m, half the width of the cube.
+        middle: (3, P) m, centre of the cube of origins.
+        reach: half the width of the cube, m.
     """
     total = np.einsum("iaibp->abp", form)
     ridge = 1e-9 + 1e-4 * np.einsum("aap->p", total[1:, 1:]) / 3
@@ -112,19 +112,19 @@ def _least_motion_rows(form: np.ndarray, middle: np.ndarray, reach: float) -> tu
 
 
 def _with_one(x: np.ndarray) -> np.ndarray:
-    """(1, x), (4, P)."""
+    """Prepend a row of ones to vectors x (3, P)."""
     return np.concatenate([np.ones_like(x[:1]), x])
 
 
 def _covariance(form: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Moments times (1, x), (3, 4, 3, P), and the covariance of the path of x, (3, 3, P)."""
+    """Moments multiplied by (1, x), (3, 4, 3, P), and the covariance of the path of x, (3, 3, P)."""
     z = _with_one(x)
     half = np.einsum("iajbp,bp->iajp", form, z)
     return half, np.einsum("iajp,ap->ijp", half, z)
 
 
 def _axes(covariance: np.ndarray) -> np.ndarray:
-    """Eigenvectors (3, 3, P) of covariances, by variance, ascending; they are the columns."""
+    """Eigenvectors (3, 3, P) of covariances as columns, in ascending order of variance."""
     return np.moveaxis(np.linalg.eigh(np.moveaxis(covariance, -1, 0))[1], 0, -1)
 
 
@@ -161,19 +161,19 @@ def _descend(
     middle: np.ndarray,
     reach: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Lower sum_{i < held} log w_i' G w_i with w_i = v_i (1, x), by Levenberg's steps.
+    """Minimize sum_{i < held} log w_i' G w_i with w_i = v_i (1, x), by Levenberg's steps.
 
     Args:
-        form: (3, 4, 3, 4, P) G.
-        x: (3, P) m, where to start.
-        axes: (3, 3, P), whose columns are v.
+        form: (3, 4, 3, 4, P) moments G.
+        x: (3, P) m, initial origins.
+        axes: (3, 3, P), initial directions v as columns.
         held: number of rows.
         steps: number of steps.
-        middle: (3, P) m, of the cube that holds x.
-        reach: m, half the width of the cube.
+        middle: (3, P) m, centre of the cube of origins.
+        reach: half the width of the cube, m.
 
     Returns:
-        x, axes, and w' G w of all rows, (3, P).
+        Origins, axes, and w' G w of all rows, (3, P).
     """
     damping = np.full(x.shape[1], 1e-3)
     half, covariance = _covariance(form, x)
@@ -208,7 +208,7 @@ def _levenberg(
     held: int,
     damping: np.ndarray,
 ) -> np.ndarray:
-    """Step (6, P) of Levenberg for the tangent of the logarithms: of the rotation of the axes, and of x."""
+    """Levenberg's step (6, P) of the rotation of the axes and of x, for the tangent of the logarithms."""
     number = axes.shape[-1]
     hessian, slope = np.zeros((6, 6, number)), np.zeros((6, number))
     for i in range(held):

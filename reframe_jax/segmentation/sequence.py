@@ -1,4 +1,4 @@
-"""The likeliest sequence of models: Viterbi's algorithm, in which each model reaches only so far."""
+"""The most probable sequence of models, by Viterbi's algorithm; each model has a limited range of cells."""
 
 from bisect import bisect_right
 from heapq import heappush, heapreplace
@@ -12,16 +12,16 @@ from reframe_jax.segmentation.cells import Cells
 __all__ = ["Coverage", "columns_of", "cover", "likeliest"]
 
 FREE = -1
-_BATCH = 50_000  # values that are computed at once
+_BATCH = 50_000  # values per batch
 
 
 class Coverage(NamedTuple):
-    """Log evidence of models in the cells that they reach, in columns that several models share.
+    """Log evidence of models in the cells of their ranges; models with disjoint ranges use one column.
 
     Attributes:
-        gain: (N, W) log evidence of the model in a column; -inf where there is none.
-        column: (H,) of every model.
-        first: (H,) the first cell that it reaches.
+        gain: (N, W) log evidence of the model in a column; -inf in cells without a model.
+        column: (H,) column of each model.
+        first: (H,) first cell in the range of each model.
     """
 
     gain: np.ndarray
@@ -29,14 +29,20 @@ class Coverage(NamedTuple):
     first: np.ndarray
 
     def join(self, other: "Coverage") -> "Coverage":
-        """These models, and others behind them."""
+        """Append the models of another coverage."""
         gain = np.concatenate([self.gain, other.gain], axis=1)
         column = np.concatenate([self.column, other.column + self.gain.shape[1]])
         return Coverage(gain, column, np.concatenate([self.first, other.first]))
 
 
 def cover(cells: Cells, bank: Bank, widen: float = 1.0) -> Coverage:
-    """Evaluate models in their spans and as far again on either side, residuals widened."""
+    """Evaluate models in their spans, and in one span length on either side.
+
+    Args:
+        cells: cells of the recording.
+        bank: the models.
+        widen: factor on the sizes of the models.
+    """
     number = cells.linear.shape[1]
     start, stop = bank.span.T
     low, high = np.maximum(2 * start - stop, 0), np.minimum(2 * stop - start, number)
@@ -52,7 +58,7 @@ def cover(cells: Cells, bank: Bank, widen: float = 1.0) -> Coverage:
 
 
 def columns_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Columns of intervals [low, high), so that those of one column do not overlap; as few as possible."""
+    """Assign intervals [low, high) to the fewest columns without overlaps, (H,)."""
     column = np.zeros(len(low), int)
     ends: list[tuple[int, int]] = []
     for k in np.argsort(low, kind="stable"):
@@ -66,14 +72,14 @@ def columns_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 
 def likeliest(coverage: Coverage, price: np.ndarray) -> tuple[np.ndarray, float]:
-    """The sequence of models with the largest log evidence; of free motion it is 0.
+    """Find the sequence of models with the largest log evidence; free motion has the evidence 0.
 
     Args:
-        coverage: of all models.
-        price: (H,) of using a model.
+        coverage: coverage of all models.
+        price: (H,) log evidence that each use of a model costs.
 
     Returns:
-        (N,) model of every cell, -1 where none holds, and the log evidence.
+        (N,) model of each cell, -1 for free motion, and the log evidence.
     """
     gain, column, first = coverage
     number, width = gain.shape

@@ -97,7 +97,7 @@ def prepare(
     weight = window.counted.astype(window.poses.dtype)[:, :, None, None]
     u, _, v = jnp.linalg.svd(jnp.sum(weight * window.poses[:, :, :3, :3], axis=1))
     mean = (u * jnp.where(jnp.arange(3) == 2, jnp.linalg.det(u @ v)[:, None], 1)[:, None]) @ v
-    entry = entries_at(jnp.maximum(found.code, 0))
+    entry = jax.vmap(entries_at)(jnp.maximum(found.code, 0))
     return window, used, mean, entry, jax.vmap(_start)(found, window.centre, mean, entry)
 
 
