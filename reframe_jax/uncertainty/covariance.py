@@ -14,7 +14,7 @@ from reframe_jax.geometry import rotations
 from reframe_jax.identification.options import Scales
 from reframe_jax.identification.results import Identification, Index
 from reframe_jax.uncertainty.refit import BLOCKS, HALVES, THIRDS, Estimate, Refit, refit_windows
-from reframe_jax.uncertainty.spread import distances, spread_of_fit, student_variance
+from reframe_jax.uncertainty.spread import distances, slow_error, spread_of_fit, student_variance
 from reframe_jax.uncertainty.windows import over_windows
 
 __all__ = ["Covariance", "Errors", "Method", "covariance", "move"]
@@ -129,13 +129,14 @@ def covariance(
 ) -> Covariance:
     """Compute the covariance of the axes and the origin of an identification.
 
-    The function fits the identified constraint again, with a likelihood in which every constrained coordinate
-    has a separate variance at every time scale. The curvature of the likelihood gives the covariance; the
-    number of independent values gives the width of Student's distribution. Trackers also have slow errors
-    (drift), which the likelihood does not contain. By default, the function therefore also fits halves and
-    thirds of the recording, and inflates the covariance by their disagreement. It also compares redundant
-    estimates: the axis from positions with the axis from rotations. The covariance assumes that the
-    identified types and degrees of freedom are correct.
+    The function fits the identified constraint again, with a likelihood in which every constrained
+    coordinate has a separate variance at every time scale. The curvature of the likelihood gives the
+    covariance; the number of independent values gives the width of Student's distribution. Trackers also
+    have slow errors (drift), which the likelihood does not contain. By default, the function therefore
+    also fits halves and thirds of the recording, and inflates the covariance by their disagreement, most
+    along the difference of the halves. It also compares redundant estimates: the axis from positions with
+    the axis from rotations. The covariance assumes that the identified types and degrees of freedom are
+    correct.
 
     Args:
         found: the identification of these poses by :func:`reframe_jax.identify`, with the default norm and
@@ -207,7 +208,12 @@ def _inflated_covariance(refit: Refit) -> tuple[jax.Array, jax.Array]:
         compared = jnp.all(refit.poses[np.array(pairs).ravel()] >= _FEWEST)
         disagreement = jnp.maximum(disagreement, jnp.where(compared, jnp.max(jnp.mean(apart, axis=0)), 0))
     inflation = jnp.sqrt(jnp.maximum(1, disagreement))
-    return matrix[0] * jnp.square(inflation), inflation
+    inflated = matrix[0] * jnp.square(inflation)
+    # the mean of two halves is half their difference away from each of them
+    first, second = HALVES[0]
+    compared = jnp.all(refit.poses[np.array(HALVES[0])] >= _FEWEST)
+    apart = slow_error(refit.numbers[first] - refit.numbers[second], 4 * inflated) / 2
+    return inflated + jnp.where(compared, jnp.outer(apart, apart), 0), inflation
 
 
 def _jackknife_covariance(refit: Refit) -> tuple[jax.Array, jax.Array]:

@@ -11,6 +11,7 @@ __all__ = ["distances", "information", "posterior", "row_precision", "spread_of_
 
 Array = jax.Array
 
+_GROUPS = slice(0, 3), slice(3, 6), slice(6, 9)  # angular axes, linear axes, origin
 _FEWEST = 2.0  # fewest degrees of freedom of Student's distribution
 _KNOWN = 1e-9  # fraction of the largest variance below which a variance counts as zero
 
@@ -94,11 +95,28 @@ def distances(apart: Array, covariance: Array) -> Array:
     Their mean is 1 for normal errors; a group without dimensions has the value 1.
     """
     found = []
-    for i in (0, 3, 6):
-        rows = slice(i, i + 3)
-        values, axes = jnp.linalg.eigh(covariance[rows, rows])
-        known = values > _KNOWN * values[-1]
-        along = axes.T @ apart[rows]
-        square = jnp.sum(jnp.where(known, jnp.square(along) / jnp.where(known, values, 1), 0))
-        found.append(jnp.where(jnp.any(known), square / jnp.maximum(jnp.sum(known), 1), 1))
+    for rows in _GROUPS:
+        square, number, _ = _distance(apart[rows], covariance[rows, rows])
+        found.append(jnp.where(number > 0, square / jnp.maximum(number, 1), 1))
     return jnp.stack(found)
+
+
+def slow_error(apart: Array, covariance: Array) -> Array:
+    """Part (9,) of the difference (9,) of two estimates that their covariance (9, 9) does not explain.
+
+    Squared Mahalanobis distances up to 2 d in the d dimensions of a group count as explained.
+    """
+    found = []
+    for rows in _GROUPS:
+        square, number, known = _distance(apart[rows], covariance[rows, rows])
+        beyond = jnp.maximum(0, 1 - 2 * number / jnp.maximum(square, jnp.finfo(square.dtype).tiny))
+        found.append(jnp.sqrt(beyond) * known)
+    return jnp.concatenate(found)
+
+
+def _distance(apart: Array, covariance: Array) -> tuple[Array, Array, Array]:
+    """Squared Mahalanobis distance, number of dimensions with a variance, and components in these."""
+    values, axes = jnp.linalg.eigh(covariance)
+    known = values > _KNOWN * values[-1]
+    along = jnp.where(known, axes.T @ apart, 0)
+    return jnp.sum(jnp.square(along) / jnp.where(known, values, 1)), jnp.sum(known), axes @ along
