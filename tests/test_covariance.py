@@ -72,7 +72,8 @@ def test_regions_hold_the_truth(windows, covariances):
     # the rest lies along the difference of the halves
     rest = np.linalg.eigvalsh(np.asarray(covariances.position) - expected)
     tolerance = 1e-6 * np.trace(expected, axis1=1, axis2=2)[:, None]
-    assert np.all(np.abs(rest[:, :2]) < tolerance) and np.all(rest[:, 2:] > -tolerance)
+    assert np.all(np.abs(rest[:, :2]) < tolerance)
+    assert np.all(rest[:, 2:] > -tolerance)
     assert np.mean(rest[:, 2:] > tolerance) < 0.5
 
 
