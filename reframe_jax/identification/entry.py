@@ -53,7 +53,7 @@ def identify(
     The norm of the paper (Eqs. 7 and 8), taken over time scales too, gives the origin of every linear frame
     type. From there every entry of the table of constraints is fitted to the second moments of the motion,
     and the evidence decides which one is reported: the held and free axes, and their frame. The options
-    ``scales=1`` and ``thresholds=Thresholds()`` are the paper's method.
+    ``scales=1``, ``discretization="left"`` and ``thresholds=Thresholds()`` select the paper's method.
 
     Works under ``jit``, ``vmap`` and differentiation with respect to the poses; windows on several devices (a
     ``NamedSharding`` along their first axis) are identified where they are. Precision is that of the input;
