@@ -258,12 +258,12 @@ def _still_open(finding: Finding, spread: Spread | None, tested: Tested | None) 
             "it may allow more."
         )
         advice.append("try to turn the body about other axes and to push it in other directions")
-    elif tested is not None and bool(tested.steady):
+    if tested is not None and bool(tested.steady):
         doubts.append("a velocity was constant throughout, so that the mechanism may allow more")
         advice.append(
             "move back and forth along every free axis, with a different, changing speed along each"
         )
-    elif tested is not None and int(tested.motions) < int(tested.free):
+    elif tested is not None and not path and int(tested.motions) < int(tested.free):
         number = int(tested.motions)
         doubts.append(f"of {int(tested.free)} free axes only {number} moved independently")
         advice.append("move along one axis after the other")
