@@ -152,9 +152,9 @@ def test_what_determines_nothing_is_refused(rng: np.random.Generator) -> None:
     with pytest.raises(ValueError, match=r"tip along \(0\.10\d, 0\.20\d, 0\.97\d\) in the body"):
         rf.calibrate(spins(rng, 12))
     still = place(Rotation.from_rotvec(1e-3 * rng.normal(size=(8, 3))))
-    with pytest.raises(ValueError, match="do not determine the tip: the poses turn by only 0"):
+    with pytest.raises(ValueError, match="do not determine the tip: the tool turned by only 0"):
         rf.calibrate(still)
-    with pytest.raises(ValueError, match="do not determine the axis: the poses turn by only 0"):
+    with pytest.raises(ValueError, match="do not determine the axis: the tool turned by only 0"):
         rf.calibrate(still, spin=True)
     with pytest.raises(ValueError, match="do not turn about one axis"):
         rf.calibrate(touches(rng, 12), spin=True)

@@ -79,12 +79,12 @@ def test_explains_in_plain_words(tmp_path: Path, capsys: Captured) -> None:
     lines = capsys.readouterr().out.strip().splitlines()
     words = lines[next(i for i, line in enumerate(lines) if line.startswith("The body moves")) :]
     assert words[0].startswith("The body moves like a door on its hinge")
-    assert words[1].startswith("The constrained axes are held within ")
+    assert words[1].startswith("Along the constrained axes the RMS displacement is at most ")
     assert "give or take" in words[2]
     assert words[2].endswith("Any point on this axis is equally valid.")
     assert words[3].startswith("It turns about the direction")
-    assert "the motion covered a single path" in words[4]
-    assert words[5].startswith("To settle it,")
+    assert words[4].startswith("The motion covered a single path;")
+    assert words[5].startswith("To check, try to turn the body")
     assert len(words) == 6
 
 
@@ -490,20 +490,20 @@ def test_a_window_that_any_motion_fits_is_noted(clip: Path, tmp_path: Path, caps
     save_recording(clip, recording.times[:6], recording.poses[:6])
     assert run(clip, "--json", tmp_path / "out.json") == 0
     (note,) = read_json((tmp_path / "out.json").read_text())[0]["windows"][0]["notes"]
-    assert note.startswith("The window has only 5 velocities")
+    assert note.startswith("Only 6 poses count (5 steps)")
     assert note in capsys.readouterr().out.splitlines()
 
 
 def test_axes_close_to_a_threshold_are_noted(clip: Path, capsys: Captured) -> None:
     assert run(clip, "--angular-threshold", "1e-9", "--linear-threshold", "1e-9") == 0
-    assert "nearly the threshold" not in capsys.readouterr().err
+    assert "close to the threshold" not in capsys.readouterr().err
     rms = identify(load_recording(clip).poses, times=load_recording(clip).times).angular.rms
     fast = float(rms[2])
     assert run(clip, "--angular-threshold", f"{1.2 * fast}", "--json", "-") == 0
     captured = capsys.readouterr()
-    assert f"uncertain: angular axis 3 ({fast:.3g} rad/s" in captured.err
+    assert f"close to the threshold: angular axis 3 ({fast:.3g} rad/s" in captured.err
     (window,) = read_json(captured.out)[0]["windows"]
-    assert any("nearly the threshold" in note for note in window["notes"])
+    assert any("close to the threshold" in note for note in window["notes"])
 
 
 def test_a_compiled_program_that_cannot_be_read_is_replaced(tmp_path: Path) -> None:

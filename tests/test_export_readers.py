@@ -280,7 +280,10 @@ def test_angles_of_qualisys_without_matrices(tmp_path: Path, bodies: Poses) -> N
     same(load_recording(path, body="Door 1"), bodies["Door 1"])
     for more, named in (("", "unknown"), ("ROTATION_CONVENTION\tCustom", "Custom")):
         path = save(tmp_path / "b.tsv", qualisys(bodies, matrices=False, more=more))
-        with pytest.raises(RecordingError, match=f"has no rotation matrices, .*convention '{named}'; export"):
+        expected = (
+            f"has no rotation matrices, .*convention '{named}'; .* only 'Qualisys standard' can be read"
+        )
+        with pytest.raises(RecordingError, match=expected):
             load_recording(path, body="Rod")
 
 

@@ -156,7 +156,9 @@ def test_units_of_length(tmp_path: Path, rng: np.random.Generator, unit: str, sc
         "if the positions are in mm, give unit='mm' (--unit mm), for cm unit='cm'" in note for note in notes
     )
     mixed = header.replace(f"z [{unit}]", "z [m]")
-    with pytest.raises(RecordingError, match="expected one of the units m, cm, mm, um in all of: x"):
+    with pytest.raises(
+        RecordingError, match=r"expected the same known unit \(such as m, cm, mm, um\) in all columns: x"
+    ):
         load_recording(text(tmp_path / "c.csv", mixed, cells))
 
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -14,7 +15,7 @@ from reframe_jax.constraints.types import AngularType, LinearType
 from reframe_jax.export.common import Window
 from reframe_jax.export.json import to_document, to_json, to_record
 from reframe_jax.export.table import to_table
-from reframe_jax.identification.cautions import caution_codes
+from reframe_jax.identification.cautions import Caution, caution_codes, caution_sentences
 from reframe_jax.identification.naming import CLASS_CODES, codes_of, name_of
 from reframe_jax.identification.results import (
     AllCandidates,
@@ -147,18 +148,14 @@ def test_a_window_in_words() -> None:
     assert "Angular frame B: axes fixed in the body; tied with G" in lines
     assert "Linear frame GB: axes in the ground, origin fixed in the body; tied with BB and BG" in lines
     # the columns of the rotation, not its rows
-    assert "  axis 1  ( 0.000,  1.000,  0.000)      0.01 rad/s  constrained, held within 1 mrad" in lines
-    assert (
-        "  axis 2  (-1.000,  0.000,  0.000)      0.02 rad/s  constrained (0.90), held within 2 mrad" in lines
-    )
-    assert "  axis 3  ( 0.000,  0.000,  1.000)       0.3 rad/s  free, moved 400 mrad" in lines
-    assert (
-        "  axis 3  ( 0.000,  0.000,  1.000)      0.25 m/s    constrained (0.97), held within 320 mm" in lines
-    )
-    assert "          axes 1 and 2 can be turned about axis 3" in lines
+    assert "  axis 1  ( 0.000,  1.000,  0.000)      0.01 rad/s  constrained, RMS 1 mrad" in lines
+    assert "  axis 2  (-1.000,  0.000,  0.000)      0.02 rad/s  constrained (0.90), RMS 2 mrad" in lines
+    assert "  axis 3  ( 0.000,  0.000,  1.000)       0.3 rad/s  free, RMS 400 mrad" in lines
+    assert "  axis 3  ( 0.000,  0.000,  1.000)      0.25 m/s    constrained (0.97), RMS 320 mm" in lines
+    assert "          axes 1 and 2 are arbitrary within their plane" in lines
     assert "  origin  (0.1000, -0.2500, 0.0000) m in the body" in lines
     assert "          not determined along (0.000, 0.000, 1.000)" in lines
-    assert "          the orientation is not determined" in lines
+    assert "          all directions are equal, so these axes are arbitrary" in lines
     assert "Norms   angular  G 0.04~  B 0.0391*  rad/s" in lines
     assert "Norms   linear   BB 0.5~  GB 0.25*  GG 0.125   BG 0.0625~  m/s" in lines
     assert lines[-1] == "Noise   0.12 mm, 0.081 deg; blocks of 1 sample"
@@ -194,7 +191,7 @@ def test_few_velocities_are_pointed_out(poses: int) -> None:
     found = identification(poses=poses)
     (window,) = strict(to_json(found))["recordings"][0]["windows"]
     (note,) = window["notes"]
-    assert note.startswith(f"The window has only {poses - 1} velocities")
+    assert note.startswith(f"Only {poses} poses count ({poses - 1} steps)")
     assert note in to_table(found).splitlines()
     assert to_table(batch(found, found)).splitlines()[-1] == note  # once
     assert identification(poses=14).warnings == []
@@ -220,14 +217,14 @@ def test_bodies_of_the_frame(kind: LinearType, where: str, body: str) -> None:
     ("projector", "words"),
     [
         (np.zeros((3, 3)), None),
-        (np.eye(3), "not determined: the origin closest to the motion is given"),
+        (np.eye(3), "any position is valid; the one closest to the motion is given"),
         (np.diag([1.0, 0, 0]), r"not determined along \(1\.000, 0\.000, 0\.000\)"),
         (np.diag([1.0, 0, 1]), r"not determined along \(.*\) and \(.*\)"),
     ],
 )
 def test_directions_of_the_position(projector: np.ndarray, words: str | None) -> None:
     table = to_table(identification(free_position=projector))
-    found = re.search(r"m in the body\n +(not determined.*)\n", table)
+    found = re.search(r"m in the body\n +(not determined.*|any position.*)\n", table)
     assert bool(found) == (words is not None)
     if found and words:
         assert re.fullmatch(words, found[1])
@@ -429,5 +426,68 @@ def test_velocities_at_outliers_are_unknown() -> None:
 def test_an_explanation_says_how_far_axes_give() -> None:
     lines = identification(linear_dof=(0, 0, 1)).explain().splitlines()
     assert lines[0].startswith("The body moves like a sleeve on a rod")
-    assert "The constrained axes are held within 1.1 mm and 2 mrad" in lines[1]
-    assert "while the free axes move 320 mm and 400 mrad" in lines[1]
+    assert lines[1] == (
+        "Along the constrained axes the RMS displacement is at most 1.1 mm and 2 mrad; "
+        "along the free axes it is up to 320 mm and 400 mrad."
+    )
+    assert lines[2].startswith("The axis passes through")
+    assert lines[2].endswith("Any point on this axis is equally valid.")
+
+
+@pytest.mark.parametrize(
+    ("projector", "sentence"),
+    [
+        (np.diag([0.0, 1, 0]), "Others on the line through it along (0.00, 1.00, 0.00) are equally valid."),
+        (
+            np.diag([0.0, 1, 1]),
+            "Others in the plane through it perpendicular to (1.00, 0.00, 0.00) are equally valid.",
+        ),
+    ],
+)
+def test_an_explanation_names_the_points_that_are_equally_valid(projector: np.ndarray, sentence: str) -> None:
+    found = identification(
+        LinearType.GB,
+        linear_dof=(0, 0, 1),
+        free_position=projector,
+        entries={int(CLASS_CODES[LinearType.GB, 1, 1, 0]): 0.75},
+    )
+    found = replace(found, entry_code=np.int32(-1))
+    line = next(line for line in found.explain().splitlines() if line.startswith("A point of the contact is"))
+    assert line.endswith(sentence)
+
+
+@pytest.mark.parametrize(
+    ("kind", "tied", "words"),
+    [
+        (LinearType.GB, LinearType.BB, "the axes of translation are fixed"),
+        (LinearType.GB, LinearType.GG, "the point is fixed"),
+        (LinearType.GB, LinearType.BG, "the axes of translation and the point are fixed"),
+    ],
+)
+def test_an_explanation_says_which_part_of_the_frame_is_unclear(
+    kind: LinearType, tied: LinearType, words: str
+) -> None:
+    found = replace(identification(kind, linear_dof=(0, 0, 1), tied=(tied,)), entry_code=np.int32(-1))
+    text = found.explain()
+    assert text.startswith(
+        "This combination of free axes has no common name: 1 rotation, 1 translation in GB"
+    )
+    assert f"it is not clear whether {words} in the ground or in the body" in text
+    assert f"(types {kind} and {tied} fit equally well)" in text
+
+
+@pytest.mark.parametrize(
+    ("code", "sentence"),
+    [
+        (Caution.IMPROBABLE, "The name is uncertain (probability 0.30). Record a motion that goes farther"),
+        (Caution.IMPROBABLE | Caution.FEW_VELOCITIES, "The name is uncertain (probability 0.30)."),
+        (
+            Caution.IMPROBABLE_ASSUMED | Caution.FEW_VELOCITIES,
+            "Other constraints fit better than the assumed one (probability 0.30).",
+        ),
+    ],
+)
+def test_advice_on_an_improbable_name_depends_on_the_recording(code: Caution, sentence: str) -> None:
+    last = caution_sentences(int(code), 5, ([0.0] * 3, [0.0] * 3), 0.3)[-1]
+    assert last.startswith(sentence)
+    assert ("farther" in last) == (code == Caution.IMPROBABLE)

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import reframe_jax as rf
 from reframe_jax.export.columns import to_columns
+from reframe_jax.identification.cautions import Caution
 
 POSES, DT, NOISE = 51, 0.1, 1e-4
 TIMES = DT * np.arange(POSES)
@@ -129,4 +130,6 @@ def test_an_assumed_joint_is_reported_and_bounds_that_exclude_its_origin_are_not
     found = rf.identify(made[0], dt=DT, assume="K", bounds=1.0)
     assert set(found.name) == {"Pin-plane contact"}
     assert np.all((found.probability >= 0) & (found.probability < 0.1))  # no window is of this kind
+    assert np.all(found.warning_codes & Caution.IMPROBABLE_ASSUMED)
+    assert not np.any(found.warning_codes & Caution.IMPROBABLE)  # it asks for another recording
     assert np.all(found.status_code[DISTANT] == rf.Status.ON_BOUNDS)

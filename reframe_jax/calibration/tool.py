@@ -191,7 +191,7 @@ def _check_tilts(turns: np.ndarray) -> tuple[float, np.ndarray]:
     sizes, weakest = np.sqrt(values), vectors[:, 0]
     if sizes[1] < _TILTED:
         raise ValueError(
-            f"The rotations do not determine the tip: the poses turn by only {np.degrees(sizes[2]):.2g} deg "
+            f"The rotations do not determine the tip: the tool turned by only {np.degrees(sizes[2]):.2g} deg "
             "(RMS). Tilt the tool in two directions or more, by 20 degrees or more."
         )
     if sizes[0] < _TILTED:
@@ -210,8 +210,8 @@ def _check_rotation(turns: np.ndarray, *, wobble: bool) -> None:
     sizes = np.sqrt(_principal(turns)[0])
     if sizes[1] < _TURNED:
         raise ValueError(
-            f"The rotations do not determine the axis: the poses turn by only {np.degrees(sizes[1]):.2g} deg "
-            "(RMS). Turn the tool about its axis by 60 degrees or more."
+            "The rotations do not determine the axis: the tool turned by only "
+            f"{np.degrees(sizes[1]):.2g} deg (RMS). Turn the tool about its axis by 60 degrees or more."
         )
     if wobble and sizes[0] > _WOBBLE * sizes[1]:
         raise ValueError(

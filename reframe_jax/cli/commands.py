@@ -35,7 +35,7 @@ class Parser(argparse.ArgumentParser):
     """A parser that reports an error in one line and refers to the help."""
 
     def error(self, message: str) -> NoReturn:
-        """Exit with code 2."""
+        """Print the error in one line and exit with code 2."""
         self.exit(2, f"{self.prog}: error: {message.rstrip('.')}; see {self.prog} --help\n")
 
     def _print_message(self, message: str, file: Any = None) -> None:

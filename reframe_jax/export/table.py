@@ -99,7 +99,7 @@ def _frame_block(group: str, frame: Any) -> list[str]:
         likely = frame.free_probability[i] if frame.dof[i] else 1 - frame.free_probability[i]
         if likely < _CLEAR:
             freedom += f" ({_probability(likely)})"
-        size = f"{'moved' if frame.dof[i] else 'held within'} {_size(frame.amplitude[i], group)}"
+        size = f"RMS {_size(frame.amplitude[i], group)}"
         speed = f"{_speed(frame.rms[i]):>8} {_UNITS[group]:5}"
         lines.append(f"  axis {i + 1}  {_vector(axis, 3, 6)}  {speed}  {freedom}, {size}")
     if isinstance(kind, LinearType):
@@ -107,10 +107,10 @@ def _frame_block(group: str, frame: Any) -> list[str]:
         lines += _choice_of_position(directions(frame.free_position))
     turns = [i for i in range(3) if frame.free_rotation[i]]
     if len(turns) == 3:
-        lines.append("          the orientation is not determined")
+        lines.append("          all directions are equal, so these axes are arbitrary")
     elif turns:
         first, second = (i + 1 for i in range(3) if i not in turns)
-        lines.append(f"          axes {first} and {second} can be turned about axis {turns[0] + 1}")
+        lines.append(f"          axes {first} and {second} are arbitrary within their plane")
     return [*lines, ""]
 
 
@@ -151,7 +151,7 @@ def _choice_of_position(directions: list[np.ndarray]) -> list[str]:
     if not directions:
         return []
     if len(directions) == 3:
-        return ["          not determined: the origin closest to the motion is given"]
+        return ["          any position is valid; the one closest to the motion is given"]
     along = " and ".join(_vector(direction, 3) for direction in directions)
     return [f"          not determined along {along}"]
 

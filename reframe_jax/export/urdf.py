@@ -28,8 +28,8 @@ def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
     The links are the parent, the child, and one link for every part of the joint between them, with the axes
     of the parent. A cylindrical joint is a slide and a hinge. A planar joint is two slides and a hinge,
     because the URDF type ``planar`` does not specify whether the child may turn. A screw joint is a hinge and
-    a slide that mimics the hinge. Three hinges replace a ball, as in :meth:`Joint.without_balls`, which has
-    the coordinates of the file. Every moving link has an ``inertial`` element, which MuJoCo requires; a
+    a slide that mimics the hinge. Three hinges replace a ball; ``joint.without_balls()`` has the same
+    coordinates as the file. Every moving link has an ``inertial`` element, which MuJoCo requires; a
     compiler flag keeps fixed links in MuJoCo.
 
     Args:

@@ -28,6 +28,8 @@ class Caution(IntFlag):
     CLOSE_LINEAR_3 = 512
     IMPROBABLE = 1024
     """Other names are together more probable than the one reported."""
+    IMPROBABLE_ASSUMED = 4096
+    """The same of a constraint that the caller assumes."""
     UNORDERED = 2048
     """The poses do not follow each other as those of a motion do."""
 
@@ -71,25 +73,27 @@ def caution_sentences(
         probability: of the name.
     """
     found = Caution(code)
+    stated = f"probability {'below 0.01' if probability < 0.01 else f'{probability:.2f}'}"
     sentences = []
     if Caution.FEW_VELOCITIES in found:
         sentences.append(
-            f"The window has only {velocities} velocities: with {_FEW} or fewer, many windows are identified "
-            "wrongly. Take longer windows; for separate touches of one point, use reframe-jax calibrate "
-            "(rf.calibrate)."
+            f"Only {velocities + 1} poses count ({velocities} steps): with {_FEW} steps or fewer, many "
+            "windows are identified wrongly. Take longer windows; for separate touches of one point, use "
+            "reframe-jax calibrate (rf.calibrate)."
         )
     if Caution.UNORDERED in found:
         sentences.append(
-            "The poses do not follow each other as in a motion: neighbours are as far apart as any two. "
-            "With scales='auto', displacements about the mean are used, which need no order. For separate "
-            "touches of one point, reframe-jax calibrate (rf.calibrate) finds the tip and the residual of "
-            "each; if rows are shuffled, sort them by time."
+            "The poses do not follow each other as in a motion: consecutive poses are as far apart as any "
+            "two poses. With scales='auto', displacements about the mean are used, which need no order. For "
+            "separate touches of one point, reframe-jax calibrate (rf.calibrate) finds the tip and the "
+            "residual of each; if rows are shuffled, sort them by time."
         )
+    elif Caution.IMPROBABLE_ASSUMED in found:
+        sentences.append(f"Other constraints fit better than the assumed one ({stated}).")
     elif Caution.IMPROBABLE in found:
-        sentences.append(
-            f"The name is uncertain (probability {probability:.2f}). Record a motion that goes farther along "
-            "every free direction."
-        )
+        uncertain = f"The name is uncertain ({stated})."
+        remedy = " Record a motion that goes farther along every free direction."
+        sentences.append(uncertain + ("" if Caution.FEW_VELOCITIES in found else remedy))
     close = [
         f"{group} axis {axis + 1} ({speeds[i][axis]:.3g} {unit})"
         for i, (group, unit) in enumerate((("angular", "rad/s"), ("linear", "m/s")))
@@ -98,7 +102,7 @@ def caution_sentences(
     ]
     if close:
         sentences.append(
-            f"These axes move at nearly the threshold, so that free or constrained is uncertain: "
-            f"{', '.join(close)}. Choose thresholds in a gap between the velocities."
+            f"The velocities along these axes are close to the threshold: {', '.join(close)}. Whether these "
+            "axes are free is uncertain. Choose a threshold between the slow and the fast axes."
         )
     return sentences

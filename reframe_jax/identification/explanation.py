@@ -19,15 +19,20 @@ _LIKE = {
     "Screw joint": "The body moves like a nut on a screw: as it turns about one axis, it slides along it",
     "Plane-plane contact": "The body moves like a box on a table: it slides on a plane and turns within it",
     "Planar contour following": (
-        "The body moves in a plane like a skate: one point of it goes only where the body points"
+        "The body moves in a plane like a skate: one point moves only along a direction fixed in the body"
     ),
     "Planar contour rolling": (
-        "The body moves in a plane like a wheel on a fixed rail: at a fixed place it passes in one direction"
+        "The body moves in a plane like a wheel on a fixed rail: "
+        "the part of the body at one fixed place always moves along the same line"
     ),
     "Cart on a curved surface": (
-        "The body moves like a cart on a curved floor: one point of it never leaves the plane of the cart"
+        "The body moves like a cart on a curved floor: "
+        "one point of it moves only parallel to the base of the cart"
     ),
-    "Contour rolling": "The body passes a fixed place in one direction only, like a contour that rolls there",
+    "Contour rolling": (
+        "The body moves like a pipe that rolls over a fixed edge: "
+        "the part of the body at one fixed place always moves along the same line"
+    ),
     "Planar pin-plane contact": (
         "The body moves in a plane like a pin in a slot: one point of it stays on a straight line"
     ),
@@ -89,7 +94,7 @@ class Tested(Protocol):
 
     @property
     def steady(self) -> Any:
-        """Whether a velocity never changed."""
+        """Whether a velocity was constant throughout."""
         ...
 
 
@@ -136,7 +141,8 @@ def explain_finding(finding: Finding, spread: Spread | None, tested: Tested | No
         spread: its covariance, for the error bars; None if there is none.
         tested: what the motion tested; None if that is not known.
     """
-    like = _LIKE.get(finding.name, f"The body has the freedom of no common mechanism. {finding.name}")
+    freedom = finding.name.removeprefix("Unnamed: ")
+    like = _LIKE.get(finding.name, f"This combination of free axes has no common name: {freedom}")
     lines = [f"{like} (probability {_probability(finding.probability)})."]
     where = [line for line in (_where(finding, spread), _direction(finding, spread)) if line]
     if spread is not None and where and not bool(spread.first_order):
@@ -151,7 +157,7 @@ def _probability(value: float) -> str:
 
 
 def _held(finding: Finding) -> list[str]:
-    """How far the constrained axes give, and the free ones moved."""
+    """RMS displacements along the constrained and the free axes: the largest of each unit."""
     sizes = []
     for free in (0, 1):
         moved = [
@@ -166,7 +172,10 @@ def _held(finding: Finding) -> list[str]:
     held, free_motion = sizes
     if not held or not free_motion or finding.universal is not None:
         return []
-    return [f"The constrained axes are held within {held}, while the free axes move {free_motion} (RMS)."]
+    return [
+        f"Along the constrained axes the RMS displacement is at most {held}; "
+        f"along the free axes it is up to {free_motion}."
+    ]
 
 
 def _vector(vector: np.ndarray, digits: int) -> str:
@@ -192,20 +201,26 @@ def _where(finding: Finding, spread: Spread | None) -> str:
     free = round(float(np.trace(finding.free_position)))
     if free == 3 or finding.linear_dof.sum() == 3:
         return ""
-    if free == 1 and (finding.linear_dof.sum() == 0 or np.isfinite(finding.pitch)):
-        what = "The axis passes through"
+    what, others = "The point is", ""
+    if free == 1 and (finding.linear_dof.sum() == 0 or finding.name in ("Cylinder joint", "Screw joint")):
+        what, others = "The axis passes through", "Any point on this axis is equally valid."
     elif free:
-        what = "A point of the contact is"
-    else:
-        what = "The point is"
+        what, others = "A point of the contact is", _equal_points(finding.free_position, free)
     body = BODY_NAMES[finding.linear_type.position_body]
     size = "" if spread is None else _within(1e3 * _largest(spread.position), "mm")
     line = f"{what} {_vector(finding.position, 4)} m in the {body}{size}."
-    if what.startswith("The axis"):
-        line += " Any point on this axis is equally valid."
     if spread is not None and float(np.max(np.asarray(spread.inflation))) > _SLOW:
-        line += " Tracker drift, rather than noise, sets this limit."
-    return line
+        line += " This error comes mainly from slow errors, such as tracker drift."
+    return f"{line} {others}".rstrip()
+
+
+def _equal_points(projector: np.ndarray, free: int) -> str:
+    """Name the line, for 1 free direction, or the plane, for 2, whose points are equally valid."""
+    axis = np.linalg.eigh(projector)[1][:, 2 if free == 1 else 0]
+    direction = _vector(axis * np.sign(axis[np.argmax(np.abs(axis))]), 2)
+    if free == 1:
+        return f"Others on the line through it along {direction} are equally valid."
+    return f"Others in the plane through it perpendicular to {direction} are equally valid."
 
 
 def _direction(finding: Finding, spread: Spread | None) -> str:
@@ -229,21 +244,26 @@ def _direction(finding: Finding, spread: Spread | None) -> str:
     line = f"{what} the direction {_vector(axes[:, index], 3)} in the {BODY_NAMES[body]}{size}."
     if np.isfinite(finding.pitch):
         lead, hand = 2e3 * np.pi * abs(finding.pitch), "right" if finding.pitch > 0 else "left"
-        line += f" A full turn takes it {lead:.3g} mm along; the thread is {hand}-handed."
+        line += f" One turn moves the body {lead:.3g} mm along the axis; the thread is {hand}-handed."
     return line
 
 
 def _still_open(finding: Finding, spread: Spread | None, tested: Tested | None) -> list[str]:
     """What the motion does not determine, and which motion would; at most two lines."""
-    doubts, advice = [], []
+    doubts, advice, path = [], [], ""
     turns, slides = int(finding.angular_dof.sum()), int(finding.linear_dof.sum())
     if tested is not None and int(tested.motions) == 1:
-        doubts.append("the motion covered a single path, and the mechanism may allow more")
+        path = (
+            "The motion covered a single path; if the mechanism is not a hinge, drawer or screw, "
+            "it may allow more."
+        )
         advice.append("try to turn the body about other axes and to push it in other directions")
-    elif tested is not None and bool(tested.steady):
-        doubts.append("a velocity never changed, so that the mechanism may allow more")
-        advice.append("move back and forth along every axis, each at its own changing speed")
-    elif tested is not None and int(tested.motions) < int(tested.free):
+    if tested is not None and bool(tested.steady):
+        doubts.append("a velocity was constant throughout, so that the mechanism may allow more")
+        advice.append(
+            "move back and forth along every free axis, with a different, changing speed along each"
+        )
+    elif tested is not None and not path and int(tested.motions) < int(tested.free):
         number = int(tested.motions)
         doubts.append(f"of {int(tested.free)} free axes only {number} moved independently")
         advice.append("move along one axis after the other")
@@ -257,9 +277,24 @@ def _still_open(finding: Finding, spread: Spread | None, tested: Tested | None) 
         doubts.append(f"it did not slide along {axis} of the {body}")
         advice.append("push the body along that axis as well, if it gives way")
     if finding.rivals:
-        doubts.append(f"frames of type {' and '.join(finding.rivals)} fit equally well (tied)")
+        doubts.append(_unclear_bodies(finding))
         advice.append("turn the body further while it moves")
-    if not doubts:
+    if not advice:
         return []
-    listed = list(dict.fromkeys(advice))[:2]
-    return [f"Not determined: {'; '.join(doubts[:2])}.", f"To settle it, {', and '.join(listed)}."]
+    listed = ", and ".join(list(dict.fromkeys(advice))[:2])
+    if not doubts:
+        return [path, f"To check, {listed}."]
+    return [f"{path} Not determined: {'; '.join(doubts[:2])}.".lstrip(), f"To settle it, {listed}."]
+
+
+def _unclear_bodies(finding: Finding) -> str:
+    """What is fixed in the ground in one of the tied linear types, and in the body in another."""
+    kinds = [finding.linear_type, *(LinearType[name] for name in finding.rivals)]
+    unclear = [("the axes of translation", {kind.orientation_body for kind in kinds})]
+    unclear.append(("the point", {kind.position_body for kind in kinds}))
+    parts = [part for part, bodies in unclear if len(bodies) > 1]
+    verb = "is" if parts == ["the point"] else "are"
+    return (
+        f"it is not clear whether {' and '.join(parts)} {verb} fixed in the ground or in the body "
+        f"(types {' and '.join(map(str, kinds))} fit equally well)"
+    )

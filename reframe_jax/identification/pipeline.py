@@ -59,4 +59,5 @@ def identify_windows(
     )
     live = window.moments._replace(details=used.details)
     steps_only = scales == (1,)
-    return report_windows(window, live, solved, thresholds, exponent, discretization, steps_only)
+    assumed = assume is not None
+    return report_windows(window, live, solved, thresholds, exponent, discretization, steps_only, assumed)

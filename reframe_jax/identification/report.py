@@ -118,6 +118,7 @@ def report_windows(
     exponent: float,
     discretization: Discretization,
     single_steps: bool,
+    assumed: bool,
 ) -> Identification:
     """Build the identification of N windows.
 
@@ -129,6 +130,7 @@ def report_windows(
         exponent: of the power mean, for the norms.
         discretization: of velocities.
         single_steps: whether RMS velocities are those of single steps.
+        assumed: whether the caller gave the constraint.
     """
     window = window._replace(steps=jnp.broadcast_to(window.steps, (len(window.poses), window.steps.shape[1])))
     step = jnp.mean(window.steps, axis=1)
@@ -136,7 +138,7 @@ def report_windows(
         types = types_of_steps(window, solved, exponent, discretization)
     else:
         types = jax.vmap(types_over_scales)(solved, live, step)
-    of_window = partial(_report_window, thresholds=thresholds, single_steps=single_steps)
+    of_window = partial(_report_window, thresholds=thresholds, single_steps=single_steps, assumed=assumed)
     found = jax.vmap(of_window)(window, live, solved, types, step)
     return _with_status(found, window, thresholds)
 
@@ -150,6 +152,7 @@ def _report_window(
     *,
     thresholds: Thresholds | None,
     single_steps: bool,
+    assumed: bool,
 ) -> tuple[Identification, Array, Array]:
     """Report one window without its status, whether its origin is on the bounds, and its warnings."""
     mean = window.features.mean_rotation
@@ -272,7 +275,8 @@ def _report_window(
         status_code=jnp.zeros((), jnp.int32),
         warning_codes=jnp.zeros((), jnp.int32),
     )
-    marks = {Caution.IMPROBABLE: winner.name_probability < 0.5}
+    improbable = Caution.IMPROBABLE_ASSUMED if assumed else Caution.IMPROBABLE
+    marks = {improbable: winner.name_probability < 0.5}
     codes = caution_codes(velocities, (angular_rms[a], linear_rms), thresholds, marks)
     return found, at_bound, codes
 

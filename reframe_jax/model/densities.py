@@ -46,9 +46,9 @@ class Nodes(NamedTuple):
 
 
 def held_likelihood(nodes: Nodes, sizes: Array) -> Array:
-    """Likelihood (k, g, ...) of k coordinates that are held with squared sizes (k, g, ...), over exp(top).
+    """Likelihood, divided by exp(top), of k held coordinates for a grid g of squared error sizes.
 
-    The grid may have several axes.
+    The sizes and the result have the shape (k, g, ...). The grid may have several axes.
     """
     squares, weights, below, _ = _spread(nodes, sizes.ndim)
     # slopes 1 and -7: sqrt(a^2 / s) / (1 + a^2 / s)^4, one division a node

@@ -32,7 +32,7 @@ def masked_median(values: jax.Array, counted: jax.Array) -> jax.Array:
 
 
 def _bisect(fractions: jax.Array, half: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Bounds (...) of the binary logarithm of the value that exceeds ``half`` (...) of the fractions."""
+    """Bracket of the median: lower and upper log2 of the value below which ``half`` of the fractions lie."""
 
     def halve(_: int, ends: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         low, high = ends
@@ -50,8 +50,7 @@ def estimate_noise(
 ) -> tuple[jax.Array, jax.Array]:
     """Estimate the standard deviation of the white noise in each component of position and orientation.
 
-    The function uses the median length of differences of order 2, 4 and 6, and returns the smallest estimate,
-    The function uses the median length of differences of order 2, 4 and 6, and returns the least estimate,
+    The function uses the median length of differences of order 2, 4 and 6, and returns the least estimate.
     Constant components, for example those that a planar tracker does not measure, do not count. Rounded
     positions have at least the noise of their rounding.
 

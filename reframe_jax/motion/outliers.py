@@ -96,7 +96,10 @@ def _find(x: Array, times: Array, own: Array, count: Array, unit: Array, stride:
     ends = whole[:, :1], jnp.take_along_axis(whole, last[None, None], axis=1)
 
     def beside(samples: Array) -> Array:
-        """Poses at one to five times so many samples from every pose, (5, 10, P, N)."""
+        """Poses and times, 1 to 5 strides of ``samples`` away from every pose (negative: before it).
+
+        (5, 10, P, N): 9 components and the time.
+        """
         each = jnp.arange(1, _REACH + 1)[:, None, None] * samples + jnp.arange(number)[:, None]
         inside = jnp.abs(jnp.where(each > last, 2 * last - each, each))
         inside = jnp.clip(inside, 0, number - 1).reshape(-1, own.shape[1])

@@ -10,10 +10,10 @@ _THIN = 0.05  # second extent of the markers over the first, below which they ar
 
 
 def fit_rigid_body(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Fit a rigid body to its markers in each frame (Kabsch).
+    """Fit a rigid body to its markers in each sample (Kabsch).
 
-    The shape of the body is the mean over frames with all markers. The origin of the body is the centroid of
-    the markers, and its axes are parallel to the ground in the first of these frames.
+    The shape of the body is the mean over samples with all markers. The origin of the body is the centroid of
+    the markers, and its axes are parallel to the ground in the first sample with all markers.
 
     Args:
         points: (N, M, 3), NaN where a marker is not seen.

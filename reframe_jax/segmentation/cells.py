@@ -157,7 +157,10 @@ def _white_noise(path: np.ndarray) -> float:
 def _motion_scale(
     rotation: np.ndarray, position: np.ndarray, noise: tuple[float, float], step: float
 ) -> tuple[float, float, float]:
-    """Time of one independent value of the motion, s, and amplitudes of the motion, m and rad."""
+    """Correlation time, s; size of the motion, m; size of the rotation, rad.
+
+    The size of the motion is that of translation and lever times rotation together.
+    """
     number = len(position)
     lags = np.unique(np.round(2 ** np.arange(0, np.log2(max(2, number / 3)), 0.5)).astype(int))
     scale = np.array([1, C.lever])

@@ -89,7 +89,7 @@ def _describe_numbers(value: Any) -> Any:
 
 
 def _write_out(value: Any) -> Any:
-    """Convert numbers, or nested lists of numbers, to JSON; NaN and infinities become texts."""
+    """Convert numbers, or nested lists of numbers, to JSON; NaN and infinities become strings."""
     if isinstance(value, list):
         return [_write_out(item) for item in value]
     return value if isinstance(value, (int, float)) and math.isfinite(value) else str(value)

@@ -36,7 +36,9 @@ def read_arrays(path: Path, wanted: Selection) -> Rows:
     """Read ``poses``, or ``positions`` and ``quaternions``, ``times`` and ``wrenches``."""
     with path.open("rb") as file, translate_errors(path, _PLAIN):
         if file.read(2) != b"PK":
-            return _rows(path, {"poses": _find("poses", lambda: path.open("rb"), path.stat().st_size)}, [])
+            return _rows(
+                path, {"poses": _check_array("poses", lambda: path.open("rb"), path.stat().st_size)}, []
+            )
         with zipfile.ZipFile(file) as archive:
             members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
             arrays = {}
@@ -45,12 +47,12 @@ def read_arrays(path: Path, wanted: Selection) -> Rows:
                     # other methods can expand a few bytes to any size at once
                     if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                         raise ValueError(f"{name} is compressed by another method")
-                    arrays[name] = _find(name, partial(archive.open, info), info.file_size)
+                    arrays[name] = _check_array(name, partial(archive.open, info), info.file_size)
             return _rows(path, arrays, sorted(members.keys() - set(_NAMES)))
 
 
-def _find(name: str, open: Callable[[], IO[bytes]], size: int) -> _Array:
-    """Read the header of an array in a stream of ``size`` bytes."""
+def _check_array(name: str, open: Callable[[], IO[bytes]], size: int) -> _Array:
+    """Check the header of an array in a stream of ``size`` bytes; the numbers are read when asked for."""
     with open() as stream:
         head = BytesIO(stream.read(_LONGEST_HEADER))
     with warnings.catch_warnings():

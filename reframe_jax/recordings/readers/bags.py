@@ -213,7 +213,10 @@ def _read_chain(path: Path, bag: _Bag, ground: str, body: str) -> Rows:
 
 
 def _edges(bag: _Bag) -> list[Edge]:
-    """Return all pairs of frames; a pair with static and moving transforms is moving."""
+    """One edge for every parent and child frame that a transform connects, with its number of transforms.
+
+    An edge is static only if all its transforms are static; otherwise the static ones do not count.
+    """
     counts: dict[tuple[str, str], list[int]] = {}
     for pair, static, _, _ in bag.transforms():
         counts.setdefault(pair, [0, 0])[static] += 1

@@ -49,7 +49,11 @@ def _sets(library: Any, file: Any) -> dict[str, Any]:
 
 
 def _numbers(data: Any, column: Column) -> np.ndarray:
-    """Read some numbers of all rows, (N, k); of large rows, only the count of numbers."""
+    """Read some columns of all rows, (N, k).
+
+    Of more than nine columns nothing is read: the result is an empty array of that shape, and the later check
+    reports its width.
+    """
     if data.ndim != 2:
         matrices = data.ndim == 3 and data.shape[1:] == (3, 3)
         shape = len(data), 9 if matrices else int(data.ndim == 1)

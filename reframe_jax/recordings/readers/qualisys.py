@@ -58,7 +58,8 @@ def read_qualisys(path: Path, wanted: Selection) -> Rows:
     elif convention.lower() != _STANDARD:
         raise RecordingError(
             f"{path}: has no rotation matrices, and angles of the convention "
-            f"{shown(convention, 40) or 'unknown'!r}; export the matrices too."
+            f"{shown(convention, 40) or 'unknown'!r}; without matrices only 'Qualisys standard' can be read. "
+            "Export the matrices too."
         )
     rows.values = matrix_rows(turned, positions)
     return rows

@@ -111,7 +111,9 @@ class _Header:
             return None
         if len(stated) > 1 or not stated <= words.keys():
             names, titles = ", ".join([*words][:4]), shown(", ".join(self.titles[i] for i in columns))
-            raise RecordingError(f"{self.path}: expected one of the units {names} in all of: {titles}.")
+            raise RecordingError(
+                f"{self.path}: expected the same known unit (such as {names}) in all columns: {titles}."
+            )
         return words[stated.pop()]
 
 

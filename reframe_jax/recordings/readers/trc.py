@@ -28,7 +28,7 @@ def read_trc(path: Path, wanted: Selection) -> Rows:
     labels, unit, lines = _read_header(path)
     stated = LENGTH_WORDS.get(unit.lower())
     if stated is None and wanted.unit is None:
-        raise RecordingError(f"{path}: states the unit {shown(unit, 20)!r}; give {flag('unit')}.")
+        raise RecordingError(f"{path}: states an unknown unit {shown(unit, 20)!r}; give {flag('unit')}.")
     metres = stated or UNITS[str(wanted.unit)]
     width = 2 + 3 * len(labels)
     numbers = (row for row in lines if is_number(row[1][0]))  # without the row X1, Y1, Z1
