@@ -53,9 +53,10 @@ def test_the_version_comes_from_one_place(built: Path) -> None:
     assert f"## {reframe_jax.__version__}" in (ROOT / "CHANGELOG.md").read_text()
 
 
-def test_the_readme_names_every_extra() -> None:
+def test_the_start_page_names_every_extra() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    (line,) = re.findall(r"^Extras: .*?\n\n", (ROOT / "README.md").read_text(), re.MULTILINE | re.DOTALL)
+    page = (ROOT / "docs" / "index.md").read_text()
+    (line,) = re.findall(r"^Extras of .*?\n\n", page, re.MULTILINE | re.DOTALL)
     missing = [name for name in project["optional-dependencies"] if f"`{name}`" not in line]
     assert not missing
 

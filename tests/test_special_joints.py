@@ -96,7 +96,7 @@ def test_outputs_give_the_pitch(found):
     lines = one.explain().splitlines()
     assert lines[0].startswith("The body moves like a nut on a screw")
     assert lines[2].startswith("The axis passes through")
-    assert "mm along; the thread is left-handed." in lines[3]
+    assert "mm along the axis; the thread is left-handed." in lines[3]
     assert "mm per turn, left-handed" in rf.to_table(one)
     (window,) = json.loads(rf.to_json(one))["recordings"][0]["windows"]
     assert (window["name"], window["label"], window["pitch"]) == ("Screw joint", "screw", float(one.pitch))
