@@ -135,7 +135,7 @@ def compare(
     times = made.times
     made, exact = jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)), *parts)
     made, exact = (replace(part, times=jnp.asarray(times)) for part in (made, exact))
-    found = identify(made.poses, times=made.times, scales=1, thresholds=Thresholds())  # settings of the paper
+    found = identify(made.poses, times=made.times, scales=1, thresholds=Thresholds())
     errors = metrics.geometry_errors(found, made.truth, start=made.exact_poses[:, 0])
     return Comparison(
         demonstrations=made,
