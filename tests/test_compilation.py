@@ -1,5 +1,8 @@
 """Programs that take windows out of a batch."""
 
+import os
+import subprocess
+import sys
 from typing import Any
 
 import jax
@@ -67,3 +70,23 @@ def test_the_program_stays_small(poses: int) -> None:
     with jax.enable_x64(True):
         program = jax.make_jaxpr(lambda window: rf.identify(window, dt=0.1))(shape)
     assert 1_000 < count_equations(program.jaxpr) <= 12_000
+
+
+PRINT_HASH = """
+import hashlib, jax, jax.numpy as jnp, reframe_jax as rf
+jax.config.update("jax_enable_x64", True)
+window = jax.ShapeDtypeStruct((51, 4, 4), jnp.float64)
+program = str(jax.make_jaxpr(lambda poses: rf.identify(poses, dt=0.1))(window))
+print(hashlib.sha256(program.encode()).hexdigest())
+"""
+
+
+def test_every_process_builds_the_same_program() -> None:
+    """Otherwise a later process does not find the program in the compilation cache."""
+    hashes = set()
+    for seed in ("1", "2", "3"):
+        environment = os.environ | {"PYTHONHASHSEED": seed}
+        run = [sys.executable, "-c", PRINT_HASH]
+        done = subprocess.run(run, env=environment, check=True, capture_output=True, text=True)
+        hashes.add(done.stdout.strip())
+    assert len(hashes) == 1

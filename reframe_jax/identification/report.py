@@ -351,7 +351,7 @@ def _with_status(
     failed = outcome >= 10
 
     leaves, tree = jax.tree.flatten(result)
-    for dtype in {leaf.dtype for leaf in leaves}:
+    for dtype in dict.fromkeys(leaf.dtype for leaf in leaves):  # in one order, for the cache of programs
         # all numbers of one kind in one array: an operation for every leaf takes long to compile
         mine = [i for i, leaf in enumerate(leaves) if leaf.dtype == dtype]
         flat = [leaves[i].reshape(len(failed), -1) for i in mine]

@@ -89,7 +89,7 @@ def unexplained_covariance(moments: Array, rows: np.ndarray) -> Array:
         for of in rows
     ]
     found: list[Array] = [moments] * len(rows)
-    for size in {len(others) for _, others in used}:
+    for size in sorted({len(others) for _, others in used}):
         alike = [t for t, (_, others) in enumerate(used) if len(others) == size]
         own, others = (np.stack([used[t][k] for t in alike], -1) for k in (0, 1))
         path, turns = moments[own[:, None], own[None]], moments[others[:, None], others[None]]
