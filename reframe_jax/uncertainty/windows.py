@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import in_float64, index_leaves, traced
+from reframe_jax.compilation import COMPILER_OPTIONS, in_float64, index_leaves, traced
 from reframe_jax.identification.cautions import Caution
 from reframe_jax.identification.inputs import run_in_pieces, take_poses, take_steps
 from reframe_jax.identification.options import Scales, take_scales
@@ -64,7 +64,8 @@ def over_windows(
     with jax.enable_x64(True) if wide else contextlib.nullcontext():
         steps = take_steps(array, times, dt).astype(array.dtype)
         estimate = estimate_of(found, array.dtype)
-        run = partial(_run, function=function, scales=take_scales(scales, array.shape[-3]), **static)
+        program = _program_in_trace if traced((array, steps, estimate)) else _program
+        run = partial(program, function=function, scales=take_scales(scales, array.shape[-3]), **static)
         batch = array.shape[:-3]
         if not batch:
             steps = np.asarray(steps) if wide else steps
@@ -82,10 +83,14 @@ def over_windows(
     return result
 
 
-@partial(jax.jit, static_argnames=("function", "scales", "parts"))
 def _run(poses: Any, steps: Any, count: Any, found: Estimate, *, function: Any, **static: Any) -> Any:
     with jax.default_matmul_precision("highest"):
         return function(poses, steps, count, found, **static)
+
+
+_STATIC = "function", "scales", "parts"
+_program_in_trace = jax.jit(_run, static_argnames=_STATIC)
+_program = jax.jit(_run, static_argnames=_STATIC, compiler_options=COMPILER_OPTIONS)
 
 
 def _in_pieces(run: Callable[..., Any], pad: bool, poses: Any, steps: Any, found: Estimate) -> Any:
