@@ -1,5 +1,6 @@
 """Helpers for JAX's transformations and compiled programs."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, TypeVar
 
@@ -7,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-__all__ = ["COMPILER_OPTIONS", "in_float64", "index_leaves", "join_parts", "traced"]
+__all__ = ["COMPILER_OPTIONS", "in_float64", "index_leaves", "jit_pair", "join_parts", "traced"]
 
 _T = TypeVar("_T")
 
@@ -18,6 +19,12 @@ On a CPU, compilation takes half the time (``python -m benchmarks.first_answer``
 jax 0.11 has no such option for a single program; the environment variable
 ``XLA_FLAGS=--xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters`` does the same for all programs.
 """
+
+
+def jit_pair(function: Callable[..., Any], static: tuple[str, ...]) -> tuple[Any, Any]:
+    """Compile a large function twice: for calls outside of a trace, with the options, and inside of one."""
+    outside = jax.jit(function, static_argnames=static, compiler_options=COMPILER_OPTIONS)
+    return outside, jax.jit(function, static_argnames=static)
 
 
 def in_float64() -> bool:

@@ -19,8 +19,10 @@ _UNREADABLE = r"Error reading persistent compilation cache entry for '([^']+)'"
 
 def configure_jax(cache: bool) -> None:
     """Enable 64-bit mode, and keep compiled programs between runs, unless ``REFRAME_JAX_CACHE=0``."""
-    if COMPILER_OPTIONS is None:  # the same option for all programs; the compiler reads it when it starts
-        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_FAST_COMPILATION}".strip()
+    flags = os.environ.get("XLA_FLAGS", "")
+    if COMPILER_OPTIONS is None and "xla_backend_extra_options" not in flags:
+        # the same option for all programs; the compiler reads it when it starts
+        os.environ["XLA_FLAGS"] = f"{flags} {_FAST_COMPILATION}".strip()
     settings: dict[str, Any] = {"jax_enable_x64": True}
     if cache and os.environ.get("REFRAME_JAX_CACHE") != "0":
         folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "reframe_jax"

@@ -13,7 +13,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import COMPILER_OPTIONS, in_float64, index_leaves, traced
+from reframe_jax.compilation import COMPILER_OPTIONS, in_float64, index_leaves, jit_pair, traced
 from reframe_jax.identification.cautions import Caution
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.inputs import run_in_pieces, take_poses, take_steps
@@ -283,9 +283,9 @@ def _identify_flat(
     return jax.tree.map(lambda a: a.reshape(*batch, *a.shape[1:]), found)
 
 
-_STATIC = "scales", "exponent", "discretization", "solver", "assume"
-_program_in_trace = jax.jit(_identify_flat, static_argnames=_STATIC)
-_program = jax.jit(_identify_flat, static_argnames=_STATIC, compiler_options=COMPILER_OPTIONS)
+_program, _program_in_trace = jit_pair(
+    _identify_flat, ("scales", "exponent", "discretization", "solver", "assume")
+)
 
 
 def _narrow(leaf: np.ndarray) -> np.ndarray:

@@ -205,15 +205,20 @@ def _inflated_covariance(refit: Refit) -> tuple[jax.Array, jax.Array]:
     for pairs in (HALVES, THIRDS):
         i, j = np.array(pairs).T
         apart = jax.vmap(distances)(refit.numbers[i] - refit.numbers[j], matrix[i] + matrix[j])
-        compared = jnp.all(refit.poses[np.array(pairs).ravel()] >= _FEWEST)
-        disagreement = jnp.maximum(disagreement, jnp.where(compared, jnp.max(jnp.mean(apart, axis=0)), 0))
+        disagreement = jnp.maximum(
+            disagreement, jnp.where(_long_enough(refit, pairs), jnp.max(jnp.mean(apart, axis=0)), 0)
+        )
     inflation = jnp.sqrt(jnp.maximum(1, disagreement))
     inflated = matrix[0] * jnp.square(inflation)
     # the mean of two halves is half their difference away from each of them
     first, second = HALVES[0]
-    compared = jnp.all(refit.poses[np.array(HALVES[0])] >= _FEWEST)
     apart = slow_error(refit.numbers[first] - refit.numbers[second], 4 * inflated) / 2
-    return inflated + jnp.where(compared, jnp.outer(apart, apart), 0), inflation
+    return inflated + jnp.where(_long_enough(refit, HALVES), jnp.outer(apart, apart), 0), inflation
+
+
+def _long_enough(refit: Refit, pairs: tuple[tuple[int, int], ...]) -> jax.Array:
+    """Whether all parts in the pairs have enough poses to be compared, ()."""
+    return jnp.all(refit.poses[np.array(pairs).ravel()] >= _FEWEST)
 
 
 def _jackknife_covariance(refit: Refit) -> tuple[jax.Array, jax.Array]:

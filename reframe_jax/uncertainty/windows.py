@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import COMPILER_OPTIONS, in_float64, index_leaves, traced
+from reframe_jax.compilation import in_float64, index_leaves, jit_pair, traced
 from reframe_jax.identification.cautions import Caution
 from reframe_jax.identification.inputs import run_in_pieces, take_poses, take_steps
 from reframe_jax.identification.options import Scales, take_scales
@@ -88,9 +88,7 @@ def _run(poses: Any, steps: Any, count: Any, found: Estimate, *, function: Any, 
         return function(poses, steps, count, found, **static)
 
 
-_STATIC = "function", "scales", "parts"
-_program_in_trace = jax.jit(_run, static_argnames=_STATIC)
-_program = jax.jit(_run, static_argnames=_STATIC, compiler_options=COMPILER_OPTIONS)
+_program, _program_in_trace = jit_pair(_run, ("function", "scales", "parts"))
 
 
 def _in_pieces(run: Callable[..., Any], pad: bool, poses: Any, steps: Any, found: Estimate) -> Any:
