@@ -32,6 +32,8 @@ import jax
 import numpy as np
 import reframe_jax as rf
 rf.identify
+if sys.argv[3]:
+    rf.cache_programs(sys.argv[3])
 stages = {"import": time.perf_counter() - start, "trace": 0.0, "compile": 0.0}
 KINDS = {
     "/jax/core/compile/jaxpr_trace_duration": "trace",
@@ -58,18 +60,12 @@ def measure(cache: str | None, recording: Path = RECORDING, again: int = AGAIN) 
     """Run one process: ``stages`` of the first call in s, ``then`` later calls in s, and the ``name``.
 
     Args:
-        cache: folder of JAX's compilation cache; None for no cache.
+        cache: folder for :func:`reframe_jax.cache_programs`; None for no cache.
         recording: file to identify.
         again: number of calls after the first.
     """
     environment = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")}
-    if cache is not None:
-        environment |= {
-            "JAX_COMPILATION_CACHE_DIR": cache,
-            "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
-            "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
-        }
-    command = [sys.executable, "-c", _PROCESS, str(recording), str(again)]
+    command = [sys.executable, "-c", _PROCESS, str(recording), str(again), cache or ""]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     answer: dict[str, Any] = json.loads(done.stdout)
     return answer

@@ -19,6 +19,7 @@ from reframe_jax.identification.velocities import frame_velocities
 from reframe_jax.joints.joint import Joint
 from reframe_jax.motion.checks import Status
 from reframe_jax.motion.windows import sliding_windows
+from reframe_jax.program_cache import cache_programs
 from reframe_jax.recordings.reading import load_recording
 from reframe_jax.recordings.recording import Recording, RecordingError
 from reframe_jax.recordings.relative import relative_poses
@@ -62,6 +63,7 @@ __all__ = [
     "TaskFrame",
     "Thresholds",
     "ValleySteps",
+    "cache_programs",
     "calibrate",
     "constraint",
     "covariance",

@@ -8,7 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-__all__ = ["COMPILER_OPTIONS", "in_float64", "index_leaves", "jit_pair", "join_parts", "traced"]
+from reframe_jax.program_cache import can_keep, load_or_export
+
+__all__ = ["COMPILER_OPTIONS", "Program", "in_float64", "index_leaves", "jit_pair", "join_parts", "traced"]
 
 _T = TypeVar("_T")
 
@@ -21,10 +23,33 @@ jax 0.11 has no such option for a single program; the environment variable
 """
 
 
-def jit_pair(function: Callable[..., Any], static: tuple[str, ...]) -> tuple[Any, Any]:
-    """Compile a large function twice: for calls outside of a trace, with the options, and inside of one."""
-    outside = jax.jit(function, static_argnames=static, compiler_options=COMPILER_OPTIONS)
-    return outside, jax.jit(function, static_argnames=static)
+class Program:
+    """A large function, compiled for calls outside of a trace, with the options above.
+
+    It is kept between processes, see :func:`reframe_jax.cache_programs`. Static arguments are given by name.
+    """
+
+    def __init__(self, function: Callable[..., Any], static: tuple[str, ...]) -> None:
+        self.function = function
+        self.jitted = jax.jit(function, static_argnames=static, compiler_options=COMPILER_OPTIONS)
+        self._kept: dict[Any, tuple[Callable[..., Any], Any]] = {}
+
+    def __call__(self, *arguments: Any, **static: Any) -> Any:
+        """Call the program for these shapes, compiled before or now."""
+        if not can_keep(static):
+            return self.jitted(*arguments, **static)
+        leaves, tree = jax.tree.flatten(arguments)
+        key = tree, tuple((leaf.shape, leaf.dtype) for leaf in leaves), tuple(sorted(static.items()))
+        if key not in self._kept:
+            call, result = load_or_export(self.function, arguments, static)
+            self._kept[key] = jax.jit(call, compiler_options=COMPILER_OPTIONS), jax.tree.structure(result)
+        call, structure = self._kept[key]
+        return jax.tree.unflatten(structure, call(*leaves))
+
+
+def jit_pair(function: Callable[..., Any], static: tuple[str, ...]) -> tuple[Program, Any]:
+    """Compile a large function twice: for calls outside of a trace, and inside of one."""
+    return Program(function, static), jax.jit(function, static_argnames=static)
 
 
 def in_float64() -> bool:

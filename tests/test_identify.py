@@ -237,7 +237,7 @@ class Middle:
 
 
 def test_one_trace_per_shape(mixed):
-    program, solver = entry._program, Middle()
+    program, solver = entry._program.jitted, Middle()
     rf.identify(mixed, dt=0.1, thresholds=rf.Thresholds(), solver=solver)
     before = program._cache_size()
     rf.identify(mixed + 0, dt=0.2, thresholds=rf.Thresholds(0.1, 0.02), solver=solver)

@@ -15,7 +15,6 @@ last three.
 """
 
 from functools import partial
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -40,10 +39,10 @@ _FIRST, _SECOND = (np.array(ends, np.int32) for ends in zip(*MONOMIALS, strict=T
 _PLACE = np.array(PACKED, np.int32)
 _FORM = np.array([[MONOMIALS.index((min(a, b), max(a, b))) for b in range(4)] for a in range(4)], np.int32)
 
-_TANGENT_STEPS, _NEWTON_STEPS = 8, 20
+_TANGENT_STEPS, _NEWTON_STEPS = 8, 14
 _RELAX = 1.6  # of tangent steps, over-relaxed: takes about half as many
-_DAMPING, _LEAST_DAMPING = 0.03, 1e-4  # of Newton's steps: first and least part of the tangent's curvature
-_DAMP = 5.0  # factor of the damping after a step that does not lower F, and its inverse after one that does
+_DAMPING, _LEAST_DAMPING = 0.03, 1e-6  # of Newton's steps: first and least part of the tangent's curvature
+_TRIALS = (0.04, 0.2, 1.0, 5.0)  # factors of the last damping that every step tries
 _FIXED_STARTS = np.array([[0, 0.2, -0.5], [0, -0.2, -0.4], [0, 0.1, 0.5]])
 """(3, starts) m."""
 _RIDGE = 1e-9  # of the trace, in the regression on rotation features
@@ -122,19 +121,23 @@ def lowest_origins(
     x = _starts(coefficients, counts, unexplained)
     x = jnp.clip(jnp.where(jnp.isfinite(x), x, 0), -box, box)
     x = jax.lax.fori_loop(0, _TANGENT_STEPS, lambda _, x: _tangent_step(coefficients, counts, box, x), x)
-    _, det = invert_symmetric(_sigma(coefficients, _monomials(x)))
-    best = jnp.argmin(total(counts * jnp.log(det), 0), axis=1)
+    best = jnp.argmin(_norm(coefficients, counts, x), axis=1)
     x = jnp.take_along_axis(x, best[None, :, None], axis=2)
-    start = _expand(coefficients, counts, x, jnp.full(x.shape[1:], _DAMPING, x.dtype))
     step = partial(_newton_step, coefficients, counts, box)
-    found = jax.lax.fori_loop(0, _NEWTON_STEPS, lambda _, at: step(at), start)
-    return found.x[:, :, 0], found.value[:, 0]
+    start = x, jnp.full(x.shape[1:], _DAMPING, x.dtype)
+    x, _ = jax.lax.fori_loop(0, _NEWTON_STEPS, lambda _, at: step(at), start)
+    return x[:, :, 0], norm_at(coefficients, details, x[:, :, 0])
 
 
 def norm_at(coefficients: Array, details: Array, origins: Array) -> Array:
     """F of every type at its origin, (T, N), for origins (3, T, N) m."""
-    _, det = invert_symmetric(_sigma(coefficients, _monomials(origins[:, :, None])))
-    return total(details[:, None, None] * jnp.log(det), 0)[:, 0]
+    return _norm(coefficients, details[:, None, None], origins[:, :, None])[:, 0]
+
+
+def _norm(coefficients: Array, counts: Array, x: Array) -> Array:
+    """F at origins (3, T, K, N), (T, K, N)."""
+    _, det = invert_symmetric(_sigma(coefficients, _monomials(x)))
+    return total(counts * jnp.log(det), 0)
 
 
 def _starts(coefficients: Array, counts: Array, unexplained: Array) -> Array:
@@ -203,19 +206,8 @@ def _tangent_step(coefficients: Array, counts: Array, box: Array, x: Array) -> A
     return materialize(jnp.clip(x - _RELAX * jnp.where(jnp.isfinite(step), step, 0), -box, box))
 
 
-class _Expansion(NamedTuple):
-    """F about origins: x (3, ...), value, slope (3, ...), the tangent's and the exact Hessian (3, 3, ...)."""
-
-    x: Array
-    value: Array
-    slope: Array
-    tangent: Array
-    exact: Array
-    damping: Array
-
-
-def _expand(coefficients: Array, counts: Array, x: Array, damping: Array) -> "_Expansion":
-    """Expand F about origins."""
+def _expand(coefficients: Array, counts: Array, x: Array) -> tuple[Array, Array, Array, Array]:
+    """F about origins (3, ...): value, slope (3, ...), Hessians (3, 3, ...) of the tangent and exact."""
     inverse, det = invert_symmetric(_sigma(coefficients, _monomials(x)))
     form = _tangent(coefficients, counts, inverse)
     change = total(coefficients[:, :, None] * _slopes(x)[None, :, :, None], 1)  # (6, 3, S, ...)
@@ -225,25 +217,32 @@ def _expand(coefficients: Array, counts: Array, x: Array, damping: Array) -> "_E
     exact = 2 * form[1:, 1:] - total(trace * counts, 2)
     value = total(counts * jnp.log(det), 0)
     slope = 2 * (form[1:, 0] + times(form[1:, 1:], x))
-    return materialize(_Expansion(x, value, slope, 2 * form[1:, 1:], exact, damping))
+    return materialize((value, slope, 2 * form[1:, 1:], exact))
 
 
-def _newton_step(coefficients: Array, counts: Array, box: Array, at: _Expansion) -> _Expansion:
+def _newton_step(
+    coefficients: Array, counts: Array, box: Array, at: tuple[Array, Array]
+) -> tuple[Array, Array]:
     """Newton's step along the principal axes of the exact Hessian, with its curvatures made positive.
 
-    A curvature is at least the damping times that of the tangent, which is an upper bound.
+    A curvature is at least the damping times that of the tangent, which is an upper bound. Of steps with
+    several dampings, the one to the lowest F is taken.
     """
-    size = jnp.sqrt(total(total(at.exact * at.exact, 0), 0)) + jnp.finfo(at.x.dtype).tiny
+    x, damping = at  # (3, T, 1, N), (T, 1, N)
+    value, slope, tangent, exact = _expand(coefficients, counts, x)
+    size = jnp.sqrt(total(total(exact * exact, 0), 0)) + jnp.finfo(x.dtype).tiny
     unit = jnp.eye(3, dtype=size.dtype).reshape(3, 3, *[1] * size.ndim)
-    axes = diagonalize((at.exact / size + 2 * unit)[:, :, None], sweeps=3)
-    most = total(axes * times(at.tangent, axes), 0)
-    curvature = jnp.maximum(jnp.abs(total(axes * times(at.exact, axes), 0)), at.damping * most)
-    curvature = curvature + jnp.finfo(most.dtype).eps * largest(most) + jnp.finfo(most.dtype).tiny
-    step = times(axes, total(axes * at.slope[:, None], 0) / curvature)
-    x = materialize(jnp.clip(at.x - step, -box, box))
-    moved = _expand(coefficients, counts, x, jnp.maximum(at.damping / _DAMP, _LEAST_DAMPING))
-    lower = moved.value <= at.value
-    kept: _Expansion = jax.tree.map(
-        lambda new, old: jnp.where(lower, new, old), moved, at._replace(damping=at.damping * _DAMP)
-    )
-    return kept
+    axes = diagonalize((exact / size + 2 * unit)[:, :, None], sweeps=3)
+    most = total(axes * times(tangent, axes), 0)
+    least = jnp.finfo(most.dtype).eps * largest(most) + jnp.finfo(most.dtype).tiny
+    dampings = damping * jnp.asarray(_TRIALS, x.dtype)[:, None]
+    curvature = jnp.abs(total(axes * times(exact, axes), 0))
+    curvature = jnp.maximum(curvature, dampings * most) + least
+    steps = times(axes, total(axes * slope[:, None], 0) / curvature)
+    tried = materialize(jnp.clip(x - steps, -box, box))
+    values = _norm(coefficients, counts, tried)
+    best = jnp.argmin(values, axis=1)[:, None]
+    lower = jnp.take_along_axis(values, best, axis=1) <= value
+    x = jnp.where(lower, jnp.take_along_axis(tried, best[None], axis=2), x)
+    taken = jnp.where(lower, jnp.take_along_axis(dampings, best, axis=1), _TRIALS[-1] * dampings[:, -1:])
+    return materialize((x, jnp.maximum(taken, _LEAST_DAMPING)))

@@ -1,0 +1,179 @@
+"""Keep large programs between processes.
+
+JAX's compilation cache keeps machine code, but finds it only after Python has traced the function, which
+takes longer than to load the code. The functions of :func:`reframe_jax.compilation.jit_pair` are therefore
+also kept before compilation, by :mod:`jax.export`: a later process does not trace them.
+"""
+
+import glob
+import hashlib
+import importlib.util
+import inspect
+import os
+import pickle
+import re
+import warnings
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import jax
+
+__all__ = ["cache_programs", "can_keep", "load_or_export"]
+
+_UNREADABLE = r"Error reading persistent compilation cache entry for '([^']+)'"
+_folder: Path | None = None
+
+
+def cache_programs(folder: str | os.PathLike[str] | None = None) -> Path:
+    """Keep compiled programs in a folder, so that the first answer of later processes takes seconds less.
+
+    Call it once, before the first computation. It sets JAX's compilation cache to the folder, for all
+    programs of the process. With the package flatbuffers (``pip install reframe-jax[cache]``), the programs
+    of :func:`reframe_jax.identify` and of error bars are kept before compilation too, and need no tracing. A
+    change of the library, of JAX or of the compiler leads to new files; delete the folder to delete all.
+
+    Args:
+        folder: is made if it does not exist. By default ``reframe_jax`` in the folder of the environment
+            variable ``XDG_CACHE_HOME``, or in ``~/.cache``.
+
+    Returns:
+        The folder.
+    """
+    global _folder
+    default = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "reframe_jax"
+    chosen = default if folder is None else Path(folder)
+    _replace_unreadable(chosen)
+    settings: dict[str, Any] = {
+        "jax_compilation_cache_dir": str(chosen),
+        "jax_persistent_cache_min_compile_time_secs": 0.0,
+        "jax_persistent_cache_min_entry_size_bytes": -1,
+    }
+    for name, value in settings.items():
+        jax.config.update(name, value)  # type: ignore[no-untyped-call]
+    _folder = chosen
+    return chosen
+
+
+def can_keep(static: dict[str, Any]) -> bool:
+    """Whether the program of a function with these static arguments is kept before compilation.
+
+    Code that is not part of the library, such as that of a user's solver, may change without a change of its
+    name: its programs are not kept.
+    """
+    return _folder is not None and _flatbuffers() and all(map(_is_plain, static.values()))
+
+
+@cache
+def _flatbuffers() -> bool:
+    return importlib.util.find_spec("flatbuffers") is not None
+
+
+def _is_plain(value: Any) -> bool:
+    if isinstance(value, tuple):
+        return all(map(_is_plain, value))
+    if inspect.isfunction(value):
+        return value.__module__.startswith("reframe_jax.") and "<" not in value.__qualname__
+    return value is None or isinstance(value, bool | int | float | str)
+
+
+def load_or_export(
+    function: Callable[..., Any], arguments: tuple[Any, ...], static: dict[str, Any]
+) -> tuple[Callable[..., Any], Any]:
+    """A program of a function of arrays: from the folder, or traced and written there.
+
+    Args:
+        function: of ``arguments`` and ``static``.
+        arguments: pytrees of arrays.
+        static: other arguments, for which :func:`can_keep` holds.
+
+    Returns:
+        A function of the leaves of ``arguments``, and the tree of its result with integers as leaves.
+    """
+    leaves, tree = jax.tree.flatten(arguments)
+    platform = _platform(leaves)
+    shapes = [(leaf.shape, str(leaf.dtype), getattr(leaf, "weak_type", False)) for leaf in leaves]
+    what = (
+        _version(),
+        platform,
+        function.__module__,
+        function.__qualname__,
+        shapes,
+        str(tree),
+        _names(static),
+    )
+    assert _folder is not None
+    file = _folder / "programs" / hashlib.sha256(repr(what).encode()).hexdigest()
+    kept = _read(file)
+    if kept is None:
+        shape_of: list[Any] = []
+
+        def of_leaves(*leaves: Any) -> list[Any]:
+            out = function(*jax.tree.unflatten(tree, leaves), **static)
+            found, structure = jax.tree.flatten(out)
+            shape_of.append(jax.tree.unflatten(structure, range(len(found))))
+            return found
+
+        exported = jax.export.export(jax.jit(of_leaves), platforms=[platform])(*leaves)
+        kept = bytes(exported.serialize()), shape_of[-1]
+        _write(file, kept)
+    return jax.export.deserialize(bytearray(kept[0])).call, kept[1]
+
+
+def _platform(leaves: list[Any]) -> str:
+    """Platform on which JAX computes with arrays: theirs, or the default one."""
+    devices = {d.platform for leaf in leaves if isinstance(leaf, jax.Array) for d in leaf.devices()}
+    platform = devices.pop() if len(devices) == 1 else jax.default_backend()
+    return "cuda" if platform == "gpu" else platform
+
+
+@cache
+def _version() -> str:
+    """Digest of the sources of the library, with the version of JAX."""
+    digest = hashlib.sha256(jax.__version__.encode())
+    for file in sorted(Path(__file__).parent.rglob("*.py")):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def _names(static: dict[str, Any]) -> str:
+    functions = {k: f"{v.__module__}.{v.__qualname__}" for k, v in static.items() if inspect.isfunction(v)}
+    return repr(sorted({**static, **functions}.items()))
+
+
+def _read(file: Path) -> tuple[bytes, Any] | None:
+    """What :func:`_write` wrote, or None if the file is missing or damaged."""
+    try:
+        content = file.read_bytes()
+    except OSError:
+        return None
+    digest, content = content[:32], content[32:]
+    return pickle.loads(content) if hashlib.sha256(content).digest() == digest else None
+
+
+def _write(file: Path, kept: tuple[bytes, Any]) -> None:
+    """Write a file in one step; a folder in which nothing can be written only costs time later."""
+    content = pickle.dumps(kept)
+    part = file.with_name(f"{file.name}.{os.getpid()}")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        part.write_bytes(hashlib.sha256(content).digest() + content)
+        part.replace(file)
+    except OSError:
+        return
+
+
+def _replace_unreadable(folder: Path) -> None:
+    """Delete cache entries that JAX reports as unreadable, because JAX does not overwrite them."""
+    default_handler = warnings.showwarning
+
+    def delete_or_print(message: Warning | str, *about: Any, **more: Any) -> None:
+        unreadable = re.match(_UNREADABLE, str(message))
+        if unreadable is None:
+            default_handler(message, *about, **more)
+            return
+        for file in folder.glob(glob.escape(unreadable[1]) + "-*"):
+            file.unlink(missing_ok=True)
+
+    warnings.showwarning = delete_or_print  # type: ignore[assignment]
