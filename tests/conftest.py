@@ -4,7 +4,8 @@ A test of single precision asks for it by dtype; nothing in the library reads th
 
 Most of the time of a run goes into compiling. Every program, however small, is therefore kept in
 ``.jax_cache`` of the checkout, which workers, child processes (notebooks, scripts) and later runs share;
-``make clean`` deletes it. XLA takes the faster of its code generators, and LLVM optimises nothing: programs
+``make clean`` deletes it. The largest are not even traced again: do not replace a function or a constant that
+a traced function uses. XLA takes the faster of its code generators, and LLVM optimises nothing: programs
 compile in a third of the time, and the tests run each of them few times. ``XLA_FLAGS= make test`` tests the
 machine code that users run. Variables set by the caller win.
 """
@@ -13,11 +14,9 @@ import builtins
 import ctypes
 import gc
 import os
-import sys
 from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 # LLVM gets a program whole: splitting it for threads saves nothing where workers fill the processors
@@ -43,7 +42,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import reframe_jax as rf
+
 jax.config.update("jax_enable_x64", True)
+rf.cache_programs(os.environ["JAX_COMPILATION_CACHE_DIR"])
 
 _MOST_MEMORY = 1.8e9  # bytes that a process may hold after a module; a module adds up to a gigabyte
 
@@ -60,31 +62,20 @@ gc.set_threshold(100_000, 50, 1000)
 
 @pytest.fixture(scope="module", autouse=True)
 def _free_programs(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Programs of the library are kept for the modules that follow, until they fill the memory.
+    """Programs are kept for the modules that follow, until they fill the memory.
 
-    Then all but those that identify are dropped, which nearly every module needs, and if need be these too.
     What a module compiled for itself goes with it.
     """
     yield
-    _drop_programs(request.module)
+    for value in vars(request.module).values():
+        if hasattr(value, "clear_cache") and getattr(value, "__module__", None) == request.module.__name__:
+            value.clear_cache()
     if _resident_memory() > _MOST_MEMORY:
         _trim_memory()  # compiling leaves a quarter of it behind, free but not given back
-    if _resident_memory() > _MOST_MEMORY:
-        for name, module in list(sys.modules.items()):
-            if name.startswith("reframe_jax.") and name != "reframe_jax.identification.entry":
-                _drop_programs(module)
-        _trim_memory()
     if _resident_memory() > _MOST_MEMORY:
         jax.clear_caches()
         gc.collect()
         _trim_memory()
-
-
-def _drop_programs(module: ModuleType) -> None:
-    """Drop what is compiled of the functions that a module defines."""
-    for value in vars(module).values():
-        if hasattr(value, "clear_cache") and getattr(value, "__module__", None) == module.__name__:
-            value.clear_cache()
 
 
 def _trim_memory() -> None:
