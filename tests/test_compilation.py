@@ -63,7 +63,7 @@ def count_equations(jaxpr: jax.extend.core.Jaxpr) -> int:
     return len(jaxpr.eqns) + sum(map(count_equations, programs))
 
 
-@pytest.mark.parametrize("poses", [51, 256])
+@pytest.mark.parametrize("poses", [51, 256, 1024])
 def test_the_program_stays_small(poses: int) -> None:
     """The time of the compiler grows with the number of equations."""
     shape = jax.ShapeDtypeStruct((poses, 4, 4), jnp.float64)

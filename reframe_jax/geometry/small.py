@@ -99,14 +99,14 @@ def normalize(vector: Array) -> Array:
 
 def sandwich(outer: Array, form: Array) -> Array:
     """U' C U for U (3, 3, ...) and C (3, 3, S, ...): a form in other axes."""
-    half = materialize(total(outer[:, :, None, None] * form[:, None], 0))
+    half = total(outer[:, :, None, None] * form[:, None], 0)
     return total(half[:, :, None] * outer[None, :, :, None], 1)
 
 
 def rotate(vector: Array, matrix: Array) -> Array:
     """Cayley's rotation by a vector (3, ...), to the second order its exponential, times (3, n, ...)."""
     half = jnp.broadcast_to(vector[:, None] / 2, matrix.shape)
-    turned = materialize(cross(half, matrix))
+    turned = cross(half, matrix)
     return matrix + 2 * (turned + cross(half, turned)) / (1 + total(half * half, 0))
 
 
@@ -129,7 +129,7 @@ def invert_symmetric(s: Array | Sequence[Array], positive: bool = True) -> tuple
     d3 = pivot(f - l3 * c - l4 * u, f)
     i2, i3, k = 1 / d2, 1 / d3, l2 * l4 - l3
     inverse = [1 / a + l2 * l2 * i2 + k * k * i3, -l2 * i2 - k * l4 * i3, k * i3]
-    return materialize(jnp.stack([*inverse, i2 + l4 * l4 * i3, -l4 * i3, i3])), a * d2 * d3
+    return jnp.stack([*inverse, i2 + l4 * l4 * i3, -l4 * i3, i3]), a * d2 * d3
 
 
 def inverse_and_determinant(s: Array, positive: bool = True) -> tuple[Array, Array]:
@@ -148,7 +148,7 @@ def solve_positive(matrix: Array, vector: Array) -> Array:
         """Eliminate the first unknown, then put it last."""
         matrix, vector, floor = carry
         size = jnp.maximum(matrix[0, 0], floor[0])
-        row, value = materialize((matrix[0] / size, vector[0] / size))
+        row, value = matrix[0] / size, vector[0] / size
         column = matrix[1:, 0]
         matrix = jnp.concatenate([matrix[1:] - column[:, None] * row[None], row[None]])
         vector = jnp.concatenate([vector[1:] - column * value[None], value[None]])
@@ -190,15 +190,15 @@ def diagonalize(
         gap, w = one - two, (one - two) / (one * two)
         if weights is not None:
             w = w * weights
-        apart, mixed = materialize((total(w * gap, 0), 2 * total(w * c[0, 1], 0)))
+        apart, mixed = total(w * gap, 0), 2 * total(w * c[0, 1], 0)
         length = jnp.sqrt(apart * apart + mixed * mixed + jnp.finfo(forms.dtype).tiny)
         tangent = mixed / (apart + length + jnp.finfo(forms.dtype).tiny)
         tangent = jnp.where(allowed[0, 1], tangent, 0)
         cosine = 1 / jnp.sqrt(1 + tangent * tangent)
-        cosine, sine = materialize((cosine, tangent * cosine))
-        v = materialize(_turn_two(v, cosine, sine))
-        c = materialize(_turn_two(c, cosine[None], sine[None]))
-        c = materialize(jnp.swapaxes(_turn_two(jnp.swapaxes(c, 0, 1), cosine[None], sine[None]), 0, 1))
+        sine = tangent * cosine
+        v = _turn_two(v, cosine, sine)
+        c = _turn_two(c, cosine[None], sine[None])
+        c = jnp.swapaxes(_turn_two(jnp.swapaxes(c, 0, 1), cosine[None], sine[None]), 0, 1)
         return c, v, jnp.roll(allowed, (-1, -1), (0, 1))
 
     return jax.lax.fori_loop(0, 3 * sweeps, turn, (forms, axes, allowed))[1]

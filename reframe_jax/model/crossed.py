@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.geometry.small import largest, materialize, normalize, solve_positive, times, total
+from reframe_jax.geometry.small import largest, normalize, solve_positive, times, total
 
 __all__ = ["crossed_axes"]
 
@@ -42,13 +42,13 @@ def crossed_axes(
 
     def expand(a: Array, b: Array) -> _Local:
         """The objective about two axes."""
-        across = materialize(total(forms * b[:, None, None, None], 1))  # (i, k, l)
-        half = materialize(total(forms * a[:, None, None, None, None], 0))  # (j, k, l)
+        across = total(forms * b[:, None, None, None], 1)  # (i, k, l)
+        half = total(forms * a[:, None, None, None, None], 0)  # (j, k, l)
         of_ground, of_body = total(across * b[:, None], 2), total(half * a[:, None, None], 1)
-        of_ground, of_body, both = materialize((of_ground, of_body, total(across * a[:, None, None], 1)))
-        size = materialize(total(total(of_ground * a[:, None, None], 0) * a[:, None], 0) + small)
-        weight = materialize(details / size)
-        upper, lower, between = materialize(tuple(total(m * weight, 2) for m in (of_ground, of_body, both)))
+        both = total(across * a[:, None, None], 1)
+        size = total(total(of_ground * a[:, None, None], 0) * a[:, None], 0) + small
+        weight = details / size
+        upper, lower, between = (total(m * weight, 2) for m in (of_ground, of_body, both))
         bases = _across(a), _across(b)  # (3, 2, ...)
         moved = [times(form, basis) for form, basis in zip((upper, lower), bases, strict=True)]
         gradient = [
@@ -66,20 +66,15 @@ def crossed_axes(
         cosine = total(a * turned, 0)
         value = total(details * jnp.log(size), 0) + keep * cosine * cosine
         gradients = jnp.concatenate(gradient) + keep * cosine * pull
-        return materialize(
-            _Local(value, gradients, jnp.concatenate(rows) + keep * pull[:, None] * pull[None])
-        )
+        return _Local(value, gradients, jnp.concatenate(rows) + keep * pull[:, None] * pull[None])
 
     def step(_: Array, carry: tuple[Array, Array, _Local, Array]) -> tuple[Array, Array, _Local, Array]:
         a, b, here, damping = carry
         size = total(here.hessian * unit, 1)
         lift = damping * size + 1e-9 * largest(size) + small
-        change = materialize(
-            -solve_positive(*materialize((here.hessian + unit * lift[:, None], here.gradient)))
-        )
+        change = -solve_positive(here.hessian + unit * lift[:, None], here.gradient)
         c = normalize(a + times(_across(a), change[:2]))
         d = normalize(b + times(_across(b), change[2:]))
-        c, d = materialize((c, d))
         new = expand(c, d)
         lower = new.value < here.value
         kept = jax.tree.map(lambda x, y: jnp.where(lower, x, y), (c, d, new), (a, b, here))

@@ -52,12 +52,12 @@ def _logarithm(turn: Array) -> tuple[Array, Array]:
 
 def _steps(rotation: Array, position: Array) -> tuple[Array, Array]:
     """Logarithms of the steps as twists: rotations and translations, (3, 2, K, N) each, in {b} and {g}."""
-    w, factor = materialize(_logarithm(materialize(_relative(rotation))))
-    shift = materialize(times(jnp.swapaxes(rotation, 0, 1)[:, :, :-1], position[:, 1:] - position[:, :-1]))
-    across = materialize(cross(w, shift))
-    v = materialize(shift - across / 2 + factor * cross(w, across))
+    w, factor = _logarithm(_relative(rotation))
+    shift = times(jnp.swapaxes(rotation, 0, 1)[:, :, :-1], position[:, 1:] - position[:, :-1])
+    across = cross(w, shift)
+    v = shift - across / 2 + factor * cross(w, across)
     here = rotation[:, :, :-1]
-    turned = materialize(times(here, w))
+    turned = times(here, w)
     moved = times(here, v) + cross(position[:, :-1], turned)
     return jnp.stack([w, turned], axis=1), jnp.stack([v, moved], axis=1)
 
@@ -76,10 +76,10 @@ def twist_paths(rotation: Array, position: Array, steps: Array, count: Array | N
     """
     turns, shifts = _steps(rotation, position)
     h = steps.T
-    twist = materialize(jnp.stack([turns, shifts]) / h)  # (2, 3, 2, K, N)
-    weights = materialize(_derivative_weights(steps, None if count is None else count - 1))
+    twist = jnp.stack([turns, shifts]) / h  # (2, 3, 2, K, N)
+    weights = _derivative_weights(steps, None if count is None else count - 1)
     even = jnp.max(steps, axis=1) <= _EVEN * jnp.min(steps, axis=1)
-    twist = materialize((twist - jnp.where(even, _brackets(twist, weights, h), 0)) * h)
+    twist = (twist - jnp.where(even, _brackets(twist, weights, h), 0)) * h
     path = jnp.pad(_running_sum(twist), ((0, 0), (0, 0), (0, 0), (1, 0), (0, 0)))
     return path[0], path[1]
 
@@ -96,7 +96,7 @@ def _running_sum(x: Array) -> Array:
 def _bracket(a: Array, b: Array) -> Array:
     """Lie bracket of twists (2, 3, ...): (wa x wb, wa x vb - wb x va)."""
     w, v = a[0], a[1]
-    return materialize(jnp.stack([cross(w, b[0]), cross(w, b[1]) + cross(v, b[0])]))
+    return jnp.stack([cross(w, b[0]), cross(w, b[1]) + cross(v, b[0])])
 
 
 def _brackets(means: Array, weights: Array, h: Array) -> Array:
@@ -115,15 +115,14 @@ def _brackets(means: Array, weights: Array, h: Array) -> Array:
     second = _derivative(weights, first)
     # from the mean to the middle of the step; steps of unequal length jump in this, so no derivative
     # may be taken of anything that still has a factor h in it
-    middle = materialize(means - h**2 * (1 / 24) * second + h**2 * (side / 12) * _bracket(means, first))
+    middle = means - h**2 * (1 / 24) * second + h**2 * (side / 12) * _bracket(means, first)
     a1, a2 = h * middle, h**2 * _derivative(weights, middle)
     a3, a4 = h**3 * (1 / 2) * second, h**4 * (1 / 6) * _derivative(weights, second)
-    a1, a2, a3, a4 = materialize((a1, a2, a3, a4))
     a12 = _bracket(a1, a2)
     # the terms above, grouped by their outer factor
-    inner = _bracket(a1, materialize(side / 720 * a12 + 1 / 360 * a3))
-    outer = _bracket(a1, materialize(inner - side / 12 * a2 - side / 80 * a4))
-    return (outer + _bracket(a2, materialize(side / 240 * a3 - 1 / 240 * a12))) / h
+    inner = _bracket(a1, side / 720 * a12 + 1 / 360 * a3)
+    outer = _bracket(a1, inner - side / 12 * a2 - side / 80 * a4)
+    return (outer + _bracket(a2, side / 240 * a3 - 1 / 240 * a12)) / h
 
 
 def _derivative_weights(steps: Array, count: Array | None) -> Array:
@@ -175,4 +174,4 @@ def _derivative(weights: Array, x: Array) -> Array:
     padded = jnp.pad(x[None], ((0, 0), (0, 0), (0, 0), (0, 0), (reach, reach), (0, 0)))
     each = jax.lax.split(weights[:, None, None, None], (1,) * len(weights))
     terms = [weight * padded[:, :, :, :, j : j + number] for j, weight in enumerate(each)]
-    return materialize(sum(terms[1:], terms[0])[0])
+    return sum(terms[1:], terms[0])[0]

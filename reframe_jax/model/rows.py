@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.geometry.small import cross, materialize, normalize, sandwich, times, total
+from reframe_jax.geometry.small import cross, normalize, sandwich, times, total
 from reframe_jax.model import features as z
 from reframe_jax.model.steps import Problem, Unknowns, axis_row, path_of, row_size
 from reframe_jax.model.table import KINDS, PATHS, ROWS, Table
@@ -105,9 +105,8 @@ def entry_moments(products: Array, mean: Array) -> EntryMoments:
     outer = jnp.concatenate(halves)
     mixed = mixed.reshape(3, 4, 6, *rest)
     mixed = total(mixed[:, :, :, None] * outer[None, None, :, :, None], 2)
-    return EntryMoments(
-        *materialize((paths.reshape(3, 4, 3, 4, *rest), sandwich(outer, rows.reshape(6, 6, *rest)), mixed))
-    )
+    rows = sandwich(outer, rows.reshape(6, 6, *rest))
+    return EntryMoments(paths.reshape(3, 4, 3, 4, *rest), rows, mixed)
 
 
 def in_body(entry: Table) -> Array:

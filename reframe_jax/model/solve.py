@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.types import LinearType
-from reframe_jax.geometry.small import materialize, sandwich, times, total
+from reframe_jax.geometry.small import sandwich, times, total
 from reframe_jax.model import features as z
 from reframe_jax.model.constants import SCALES
 from reframe_jax.model.evaluation import WindowStatistics, evaluate_entries, window_statistics
@@ -112,7 +112,7 @@ def solve_windows(
         compare_entries: whether entries are compared; otherwise only the starting parameters and the optima
             of the frame types are found.
     """
-    products = materialize(jnp.moveaxis(used.products, (0, 1), (3, 2)))
+    products = jnp.moveaxis(used.products, (0, 1), (3, 2))
     coefficients = polynomials(products, ROWS[_LINEAR])
     if origins is None:
         unexplained = unexplained_covariance(total(products * used.scale_weight.T, 2), ROWS[_LINEAR])

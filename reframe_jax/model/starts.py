@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.types import AngularType
-from reframe_jax.geometry.small import cross, diagonalize, materialize, normalize, times, total
+from reframe_jax.geometry.small import cross, diagonalize, normalize, times, total
 from reframe_jax.model import features as z
 from reframe_jax.model.crossed import crossed_axes
 from reframe_jax.model.rows import rotation_forms
@@ -139,8 +139,7 @@ def entry_starts(
     cosine = total(axis[:, None] * own, 0)
     good = 1 - cosine * cosine > _ALONG**2
     across = jnp.where(good[0], own[:, 0], jnp.where(good[1], own[:, 1], own[:, 2]))
-    axis = materialize(axis)
-    first = materialize(normalize(across - axis * total(axis * across, 0)))
+    first = normalize(across - axis * total(axis * across, 0))
     frame = jnp.stack([first, cross(axis, first), axis], axis=1)
     pair = moments[z.POSITION, z.TURN_BODY], moments[z.TURN_BODY, z.TURN_BODY]
     moving = total(times(mean, main) * times(pair[0], main), 0)
