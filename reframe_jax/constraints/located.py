@@ -193,9 +193,10 @@ def body_twist(frame: Frame, rotation: jax.Array, position: jax.Array, velocitie
 def slip(before: Located, now: Located) -> jax.Array:
     """Return how far the body rotated and moved along the frame's axes between two nearby instants.
 
-    The displacement along an axis is the integral of the velocity along this axis, by the trapezoidal rule.
-    For the types GB and BG, the translations are exact: the axes are fixed in the body relative to which the
-    origin moves.
+    The translation along an axis is the integral of the velocity of the origin along this axis, by the
+    trapezoidal rule. It is exact for the types GB and BG, whose axes are fixed in the body relative to which
+    the origin moves. The rotation about an axis is a component of the rotation between the instants, for
+    small angles.
 
     Returns:
         (6,): rotations about the angular axes, rad; then displacements of the frame's origin along the linear

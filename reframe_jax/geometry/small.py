@@ -49,7 +49,12 @@ def materialize(values: T) -> T:
 
 
 def total(array: Array, *axes: int) -> Array:
-    """Sum over short axes, term by term, because XLA's reductions over leading axes are slow on a CPU."""
+    """Sum over axes with few entries, term by term: XLA's reductions over leading axes are slow on a CPU.
+
+    Args:
+        array: an array of any shape.
+        axes: indices of the axes, non-negative.
+    """
     for axis in sorted(axes, reverse=True):
         terms = jax.lax.split(array, (1,) * array.shape[axis], axis)
         summed = terms[0]

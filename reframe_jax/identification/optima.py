@@ -85,7 +85,17 @@ def types_over_scales(solved: Solved, live: Moments, step: Array) -> Types:
 def types_of_steps(
     window: Prepared, solved: Solved, exponent: float, discretization: Discretization
 ) -> Types:
-    """Compute the best frames of N windows by the paper's norm of the velocities of single steps."""
+    """Compute the best frames of N windows by the paper's norm of the velocities of single steps.
+
+    Args:
+        window: N prepared windows.
+        solved: result of the model; only its origins are used.
+        exponent: exponent of the power mean over the axes.
+        discretization: method to compute a velocity from two poses.
+
+    Returns:
+        The frames, with a leading axis (N,).
+    """
     angular, linear = step_moments(window.poses, window.steps, discretization)
     zero = jnp.zeros_like(angular[0, 0])
     x = jnp.moveaxis(solved.origins, -1, 0)
