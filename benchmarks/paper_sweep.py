@@ -203,7 +203,7 @@ def _maps(values: np.ndarray, size: Size) -> dict[str, np.ndarray]:
 
 def factor_table(scores: Mapping[str, np.ndarray], size: Size) -> str:
     """Effect of each factor, averaged over all other factors."""
-    head = ["factor", "value", "types right", "right or tied", "degrees of freedom right"]
+    head = ["factor", "value", "right types", "right or tied", "right degrees of freedom"]
     head += ["axes [deg]", "position [mm]"]
     rows = []
     for axis, (factor, values) in enumerate(

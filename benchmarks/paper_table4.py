@@ -254,8 +254,8 @@ def table_text(found: Mapping[str, np.ndarray]) -> str:
     shares = [
         [text, *(f"{100 * np.mean(of_label):.0f}" for of_label in found[name])]
         for name, text in (
-            ("types", "types right, %"),
-            ("tied", "types right or tied, %"),
+            ("types", "right types, %"),
+            ("tied", "right or tied types, %"),
             ("dof", "right degrees of freedom, %"),
         )
     ]
@@ -299,7 +299,7 @@ def _cells(
 
 
 def _comparison(found: Mapping[str, Mapping[str, np.ndarray]]) -> str:
-    head = ["set-up", "constraints", "types right", "degrees of freedom right", "ΔR^φ [deg]", "ΔR^ψ [deg]"]
+    head = ["set-up", "constraints", "right types", "right degrees of freedom", "ΔR^φ [deg]", "ΔR^ψ [deg]"]
     head += ["Δp^ψ [mm]", "thresholds φ [mrad/s]", "thresholds ψ [mm/s]"]
     theirs = ["{:g} to {:g}".format(*pair) for pair in PAPER_RANGES.values()]
     rows = [["the paper's", " ".join(PAPER), "100 %", "100 %", *_paper_errors(), *theirs]]
