@@ -81,21 +81,21 @@ def times(matrix: Array, vector: Array) -> Array:
 
 
 def components_first(array: Array, components: int) -> Array:
-    """Move the last axes and the sample axis to the front.
+    """Move the component axes and the sample axis to the front.
 
     Args:
-        array: (..., K, *c), where K counts samples and c is the shape of the components.
-        components: number of axes of c: 0 for scalars, 1 for vectors, 2 for matrices.
+        array: (..., K, c...), where K counts samples, and c are the axes of the components.
+        components: number of component axes: 0 for scalars, 1 for vectors, 2 for matrices.
 
     Returns:
-        (*c, K, ...).
+        (c..., K, ...).
     """
     axes = range(-components, 0)
     return jnp.moveaxis(array, (*axes, -components - 1), tuple(range(components + 1)))
 
 
 def components_last(array: Array, components: int) -> Array:
-    """Invert :func:`components_first`: (*c, K, ...) becomes (..., K, *c)."""
+    """Invert :func:`components_first`: (c..., K, ...) becomes (..., K, c...)."""
     axes = range(-components, 0)
     return jnp.moveaxis(array, tuple(range(components + 1)), (*axes, -components - 1))
 

@@ -41,8 +41,7 @@ class Box:
         """Map any vector z (dim,) to a point of the box, by a sine per component.
 
         A minimizer without bounds can search over z: the map is smooth and reaches every point of the box,
-            also
-        on its faces, where the slope is zero.
+        also on its faces, where the slope is zero.
         """
         return (self.high + self.low) / 2 + (self.high - self.low) / 2 * jnp.sin(z)
 
