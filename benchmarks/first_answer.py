@@ -76,7 +76,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = new_parser("first_answer", __doc__)
     add = parser.add_argument
     add("--recording", type=Path, default=RECORDING, help="file to identify (the one in examples/)")
-    add("--again", type=int, default=AGAIN, help="calls after the first")
+    add("--again", type=int, default=AGAIN, help="number of later calls")
     add("--json", type=Path, help="file to write all figures to")
     options = parser.parse_args(argv)
     print(machine())

@@ -65,9 +65,9 @@ class Scores:
     Attributes:
         errors: (N,) errors of each of ``QUANTITIES``, in rad, rad and m; NaN without an estimate or a truth.
         bounds: (N,) Cramér-Rao bounds of the same quantities.
-        right: (N,) 0 or 1 for correct "types", "dof" and "name", and for "silent": a wrong name with a
-            probability of 0.9 or more. NaN if the motion does not determine the constraint. "told": whether
-            the motion determines the degrees of freedom. Empty for methods without a classification.
+        right: (N,) 0 or 1 for correct "types", "dof" and "name", and for "confident_wrong": a wrong name with
+            a probability of 0.9 or more. NaN if the motion does not determine the constraint. "determined":
+            whether the motion determines the degrees of freedom. Empty for methods without a classification.
     """
 
     errors: dict[str, np.ndarray]
@@ -105,7 +105,7 @@ def scores(found: rf.Identification, windows: Windows) -> Scores:
         "types": np.asarray(metrics.types_correct(found, frame, ties=True)),
         "dof": np.asarray(metrics.dof_correct(found, frame)),
         "name": right,
-        "silent": ~right & (np.asarray(found.probability) >= _CONFIDENT),
+        "confident_wrong": ~right & (np.asarray(found.probability) >= _CONFIDENT),
     }
     return Scores(
         {
@@ -122,7 +122,7 @@ def scores(found: rf.Identification, windows: Windows) -> Scores:
             name: np.where(determination.name if name == "name" else determination.dof, values, np.nan)
             for name, values in said.items()
         }
-        | {"told": determination.dof},
+        | {"determined": determination.dof},
     )
 
 

@@ -309,7 +309,7 @@ def print_summary(record: Row) -> None:
             rows = [row for row in groups[group] if row["constraint"] == label]
             wrong = Counter(row["name"].split(":")[0] for row in rows if not row["right"]).most_common(2)
             print(table_line(label, rows), "  " + ", ".join(f"{name} {count}" for name, count in wrong))
-    print("\ncalibration: mean probability > share right (recordings)")
+    print("\ncalibration: mean probability > fraction of right names (recordings)")
     for group, rows in groups.items():
         bins = summarise(rows)["calibration"]
         print(f"{group:10}" + "  ".join(f"{mean:.3f} > {right:.3f} ({count})" for count, mean, right in bins))

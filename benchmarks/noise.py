@@ -14,10 +14,10 @@ median, the RMS, and, after an x, the median ratio to the bound of the window. A
 ratio of 0.7 (one unknown) to 0.9 (three unknowns). The bounds of E to H are bounds for consecutive poses; see
 :mod:`benchmarks.bounds`. Quantities with a bound above 0.2 rad or 0.1 m are left out.
 
-The column "told" is the fraction of windows whose motion determines the degrees of freedom (see
+The column "known" is the fraction of windows whose motion determines the degrees of freedom (see
 :mod:`benchmarks.determined`). For these windows, the next columns are the fractions of right types (ties
 count as right), right degrees of freedom, and right names (only if the motion also determines the type). The
-column "silent" is the fraction of these windows with a wrong name and a probability of 0.9 or more.
+column "wrong" is the fraction of these windows with a wrong name and a probability of 0.9 or more.
 """
 
 import sys
@@ -44,11 +44,11 @@ DURATION = 5.0  # s
 RATIOS = 1.0, 20.0  # rad/m, range of the ratio of rotation noise to position noise
 # settings by name, with the headings of their columns
 SHARES = {
-    "told": "told",
+    "determined": "determined",
     "types": "types_right",
     "dof": "dof_right",
     "name": "name_right",
-    "silent": "silent",
+    "confident_wrong": "confident_wrong",
 }
 MEANINGLESS = {
     "angular": 0.2,
@@ -195,7 +195,7 @@ def _anneal_some(table: Table, plan: Plan, found: rf.Identification, groups: lis
         annealed, seconds = anneal(found[start + rows], windows[rows])
         some = {name: values[rows] for name, values in where.items()}
         scored = scores(annealed, windows[rows])
-        scored.right.pop("silent")  # dual annealing gives no probability
+        scored.right.pop("confident_wrong")  # dual annealing gives no probability
         table.add("dual annealing", some, scored)
         start, total, count = start + size, total + seconds, count + len(rows)
     return _time(float(groups[0][1]["rate"][0]), "dual annealing", count, total, 0.0)
@@ -233,7 +233,7 @@ def print_table(rows: list[dict[str, Any]], by: str, title: str) -> None:
     """Print a table of figures."""
     print(f"\n{title}")
     heads = [f"{name + ', ' + unit:>25}" for name, unit in zip(QUANTITIES, ("deg", "deg", "mm"), strict=True)]
-    print(f"{'':8}{'':15}{''.join(heads)}{'told':>8}{'types':>7}{'dof':>6}{'name':>6}{'silent':>8}")
+    print(f"{'':8}{'':15}{''.join(heads)}{'known':>8}{'types':>7}{'dof':>6}{'name':>6}{'wrong':>8}")
     last: Any = None
     for row in rows:
         value = row[by] if isinstance(row[by], str) else f"{row[by]:g}"

@@ -31,7 +31,7 @@ Overbeek, Dresscher, van der Kooij and Vlutters (2025), computed by
 
     {command}
 
-in {seconds:.0f} s, compilation included, on {machine}.
+in {seconds:.0f} s, with compilation, on {machine}.
 """
 
 

@@ -13,10 +13,10 @@ SYMBOLS = {"angular": "ΔR^φ, deg", "linear": "ΔR^ψ, deg", "position": "Δp^�
 _TEXT = """\
 ### Against dual annealing
 
-SciPy's dual annealing as the paper configures it (100 iterations, six problems a window) on {number} of
-these windows took {seconds:.2f} s a window: **{hours:.1f} hours** for all {total:,}. `identify` took
-{ours:.0f} s for all of them, compilation included. Of the {problems} problems annealed, {above:.0f} % ended
-more than 0.1 % above the norm that `identify` found, and {below:.0f} % more than 0.1 % below.
+SciPy's dual annealing with the settings of the paper (100 iterations, six problems per window) took
+{seconds:.2f} s per window on {number} of these windows, or **{hours:.1f} hours** for all {total:,}.
+`identify` took {ours:.0f} s for all windows, with compilation. Of the {problems} annealed problems,
+{above:.0f} % ended more than 0.1 % above the norm of `identify`, and {below:.0f} % more than 0.1 % below.
 
 """
 

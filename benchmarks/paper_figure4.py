@@ -37,25 +37,27 @@ OURS = {excitation: ("exact", excitation, "chord") for excitation in EXCITATIONS
 _INTRODUCTION = """\
 ## Figure 4: error against noise
 
-All twelve constraints at {levels} noise levels from 1e-6 to 1e-4 m, {seeds} seeds each, identified in
-{windows:,} windows of 50 velocities: motion that is exact between the samples and the paper's generator
-(one Euler step a sample), the paper's velocities and exciting ones (three sines along every free axis),
-the discretization of the paper's Table 3 (`left`) and ours (`chord`). As in the paper the frame type is
-taken as known for the errors; how often the identified types and degrees of freedom are right is below.
+This section identifies all twelve constraints at {levels} noise levels from 1e-6 to 1e-4 m, with {seeds}
+seeds each: {windows:,} windows of 50 velocities. It varies the generator of the motion (exact between the
+samples, or the paper's generator with one Euler step per sample), the velocities (those of the paper, or
+exciting velocities: three sines along every free axis), and the discretization (`left`, of the paper's Table
+3, or `chord`, the default). As in the paper, errors are those of the frame of the true type. The last table
+shows how often the identified types and degrees of freedom are right.
 
-ΔR^φ and ΔR^ψ are the angles between identified and true axes of the angular and the linear frame, Δp^ψ is
-the distance of their origins, each along what Table 2 of the paper calls unique. The paper shows Figure 4 as
-a picture without numbers, and reports slopes of about 1, but constant ΔR^ψ and Δp^ψ for I, J, K and L. With
-its velocities, its discretization and exact motion (the first columns of the next table) both are constant
-for K and L here as well; for I and J the axis is, the position is not.
+ΔR^φ and ΔR^ψ are the angles between the identified and the true axes of the angular and the linear frame.
+Δp^ψ is the distance of their origins. Both include only the axes and components that are unique in Table 2 of
+the paper. The paper shows Figure 4 as a picture without numbers. It reports slopes of about 1, except for I,
+J, K and L, whose ΔR^ψ and Δp^ψ are constant. With the paper's velocities, its discretization and exact motion
+(the first columns of the next table), both errors are constant for K and L here as well; for I and J, the
+error of the axis is constant, and that of the position is not.
 
-Slopes are of log median error against log noise: 1 means that the error is proportional to the noise, 0
-a plateau. Entries in brackets are **not determined by the motion** and are not scored: in most of
-their windows the best frame of the true type has other degrees of freedom than the truth, because the
-paper's velocities happen to obey a simpler constraint (E and F turn about a fixed point, G has a second
-point with one axis less). H has a second point of the same class, 0.2 m away, whose norm is nearly the
-same: it wins in some windows, hence the wide band of its panel. The exciting motion determines every
-entry of Table 2.
+A slope is the slope of the log median error against the log noise: with 1, the error is proportional to the
+noise; with 0, it is constant. Entries in brackets are **not determined by the motion** and are not scored. In
+most of their windows, the best frame of the true type has other degrees of freedom than the truth, because
+the paper's velocities also obey a simpler constraint: E and F turn about a fixed point, and G has a second
+point with one free axis fewer. H has a second point with the same degrees of freedom, 0.2 m away, whose norm
+is nearly equal. This point wins in some windows and causes the wide band in the panel of H. The exciting
+motion determines every entry of Table 2.
 """
 
 
@@ -272,7 +274,7 @@ def _slopes(curves: dict[Any, list[Entry]], excitation: str) -> str:
 
 
 def _rates(cells: dict[Any, dict[str, np.ndarray]]) -> str:
-    head = ["generator", "velocities", "discretization", "types right or tied", "degrees of freedom right"]
+    head = ["generator", "velocities", "discretization", "right or tied types", "right degrees of freedom"]
     rows = [
         [
             *name,
@@ -282,8 +284,8 @@ def _rates(cells: dict[Any, dict[str, np.ndarray]]) -> str:
         for name, cell in cells.items()
     ]
     text = (
-        "### Classification\n\nShare of all windows; a type counts as right if the result reports it as "
-        "tied with the winner. Wrong degrees of freedom are those of the entries in brackets.\n\n"
+        "### Classification\n\nFraction of all windows. A type counts as right if it is reported or tied. "
+        "The entries in brackets cause the wrong degrees of freedom.\n\n"
     )
     return text + table(head, rows)
 

@@ -23,21 +23,22 @@ ROWS = ("exact", "literature", "identified")
 _INTRODUCTION = """\
 ## Figure 5: reproduction
 
-Tasks A, B and I from end-stop to end-stop on the simulated arm, moved by constant wrenches (3.5 N m, 7 N)
-along the free axes of a control frame: the exact one, one with the errors that methods with prior
-knowledge report (0.5-5 degrees, 1-7.5 mm), and the one identified from a demonstration. {trials} trials
-in every cell, each with a geometry of its own, mean ± standard deviation of the peak reaction along the
-true constrained axes. The exact frame has reactions too, from the inertia and friction of the arm itself:
-*excess* is the difference to them in the same trial, what the errors of the frame cost. *At rest* is the
-reaction after 5 s, pressed against the end-stop, where the arm's inertia plays no part. *I, position
-only* is task I as the paper controlled it, with true axes. Where all four types are valid (A, B) the
-identified one may be another than the exact one's. (The paper shows its reactions in a picture without
-numbers; it reports that all end-stops were reached, and that larger errors of the frame did not
-necessarily cost more.)
+In this section, the simulated arm repeats the tasks A, B and I from end-stop to end-stop. Constant wrenches
+(3.5 N m, 7 N) move the arm along the free axes of a control frame. There are three control frames: the
+*exact* frame, an *inexact* frame with the errors that methods with prior knowledge report (0.5-5 degrees,
+1-7.5 mm), and the frame *identified* from a demonstration. Every cell has {trials} trials with different
+geometries, and shows the mean ± standard deviation of the peak reaction along the true constrained axes. The
+exact frame also causes reactions, from the inertia and friction of the arm. *Excess* is the difference from
+the reaction of the exact frame in the same trial: the effect of the errors of the frame. *At rest* is the
+reaction after 5 s, when the arm pushes against the end-stop and its inertia has no effect. *I, position only*
+is task I as the paper controlled it, with true axes. For A and B, which all four types express, the
+identified type may differ from the exact type. (The paper shows its reactions in a picture without numbers.
+It reports that the arm reached all end-stops, and that larger errors of the frame did not always increase the
+reactions.)
 """
 _TITLES = {
-    "realistic": "A mount that gives way by 0.1 mm/N and 2.5 mrad/(N m)",
-    "matched": "A mount that gives way by 0.1 mm/N and 8 mrad/(N m), demonstrations as fast as the paper's",
+    "realistic": "A mount with a compliance of 0.1 mm/N and 2.5 mrad/(N m)",
+    "matched": "A mount with a compliance of 0.1 mm/N and 8 mrad/(N m), at the speed of the paper",
 }
 
 
@@ -166,4 +167,8 @@ def _left_out(found: Mapping[str, np.ndarray]) -> str:
     counts = [
         f"{task}: {int(count)}" for task, count in zip(TASKS[:3], found["redrawn"], strict=False) if count
     ]
-    return f"Geometries drawn again, out of the arm's reach: {', '.join(counts)}.\n" if counts else ""
+    return (
+        f"Geometries that the arm could not reach, and that were replaced: {', '.join(counts)}.\n"
+        if counts
+        else ""
+    )

@@ -28,19 +28,20 @@ ANGULAR = 25  # ratio of angular to linear compliance, as in panda.REALISTIC
 _INTRODUCTION = """\
 ## Large sweeps: noise, compliance, sampling, length
 
-What real demonstrations cannot do: {windows:,} windows of the simulated arm, {demonstrations}
-demonstrations of each of the twelve constraints at every compliance of the mount (the angular one is 25
-times as many rad/(N m)), with pose noise (3 times as many rad), at several sampling times and window
-lengths; windows begin at a moment drawn at random. Thresholds and options are the defaults, for every
-cell: where differencing amplifies the noise beyond the thresholds, every axis counts as free, and in a
-short window a free axis may happen to stay below them. Each cell of a map is over all constraints: shares
-of windows whose type (a tie counts as wrong) and whose degrees of freedom are right, medians of the
-errors.
+This section varies four factors, which needs more demonstrations than a person can record: {windows:,}
+windows of the simulated arm, from {demonstrations} demonstrations of each of the twelve constraints. The
+factors are the compliance of the mount (its angular compliance in rad/(N m) is 25 times the linear one in
+m/N), the pose noise (its orientation noise in rad is 3 times the position noise in m), the sampling time and
+the window length. Windows begin at random times. All windows are identified with the thresholds of the paper.
+If differences amplify the noise beyond the thresholds, every axis counts as free; in a short window, a free
+axis may stay below its threshold by chance. Each cell of a map summarizes all constraints: the fractions of
+windows with the right type (a tie counts as wrong) and with the right degrees of freedom, and the medians of
+the errors.
 
 """
 _MAPS = {
-    "types": ("Share of windows with the right type", "share"),
-    "dof": ("Share of windows with the right degrees of freedom", "share"),
+    "types": ("Fraction of windows with the right type", "fraction"),
+    "dof": ("Fraction of windows with the right degrees of freedom", "fraction"),
     "axis": ("Median error of the axes, the larger of the two", "deg"),
     "position": ("Median error of the position", "mm"),
 }
@@ -165,7 +166,7 @@ def section(store: Store, size: Size) -> Section:
     blocks = [_INTRODUCTION.format(windows=size.windows, demonstrations=size.demonstrations)]
     blocks += [factor_table(scores, size), ""]
     for name, (title, unit) in _MAPS.items():
-        is_fraction = unit == "share"
+        is_fraction = unit == "fraction"
         figure = plot_maps(
             maps[name],
             columns=[f"{1e3 * level:g}" for level in size.noise],
@@ -190,7 +191,7 @@ def section(store: Store, size: Size) -> Section:
 
 
 def _maps(values: np.ndarray, size: Size) -> dict[str, np.ndarray]:
-    """Means of shares and medians of errors, (compliance, noise) by sampling time and length."""
+    """Means of fractions and medians of errors, (compliance, noise) by sampling time and length."""
     grids = {}
     for j, period in enumerate(size.periods):
         for k, length in enumerate(size.lengths):
@@ -202,7 +203,7 @@ def _maps(values: np.ndarray, size: Size) -> dict[str, np.ndarray]:
 
 def factor_table(scores: Mapping[str, np.ndarray], size: Size) -> str:
     """Effect of each factor, averaged over all other factors."""
-    head = ["factor", "value", "types right", "right or tied", "degrees of freedom right"]
+    head = ["factor", "value", "right types", "right or tied", "right degrees of freedom"]
     head += ["axes [deg]", "position [mm]"]
     rows = []
     for axis, (factor, values) in enumerate(

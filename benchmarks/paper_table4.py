@@ -96,15 +96,16 @@ SHOWN = "realistic"
 _INTRODUCTION = """\
 ## Table 4: demonstrations on a robot
 
-{trials} demonstrations of every constraint (5 s at 0.05 s) on a simulated Panda arm that a simulated hand
-guides, each with a geometry of its own; geometries that take the arm to a joint limit are drawn again.
-The mount gives way by 0.1 mm/N and 2.5 mrad/(N m), the encoders have noise. Mean ± standard deviation
-over trials, and **the paper's, measured on a real robot, in round brackets** for the five constraints it
-measured. The two rows that its table has for a constraint are in two tables here: the angular frame, then
-the linear one, each with its norms, the rms velocities λ along its axes and the errors of its geometry.
-*Italics*: a free axis of the true constraint; **bold**: the lowest norm, that of the identified type. One
-number is illegible in our copy of the paper; the 2.59 deg of D contradict its text, which says that all are
-below 1 deg. Degrees of freedom by the paper's thresholds of 160 mrad/s and 37 mm/s.
+In this section, a simulated hand guides a simulated Panda arm through {trials} demonstrations of every
+constraint (5 s, one sample every 0.05 s). Each demonstration has a different random geometry; geometries that
+take the arm to a joint limit are replaced. The mount of the tool has a compliance of 0.1 mm/N and 2.5 mrad/(N
+m), and the encoders have noise. The tables show the mean ± standard deviation over trials, and, **in round
+brackets, the values of the paper**, which measured five constraints on a real robot. The first table has the
+angular frames, the second the linear frames: their norms, the RMS velocities λ along their axes, and the
+errors of their geometry. *Italics* mark a free axis of the true constraint; **bold** marks the lowest norm,
+which is that of the identified type. One number is illegible in our copy of the paper. The 2.59 deg of D
+contradict the text of the paper, which states that all angular errors are below 1 deg. The degrees of freedom
+follow from the paper's thresholds of 160 mrad/s and 37 mm/s.
 
 """
 
@@ -112,10 +113,10 @@ _SETUPS = """\
 
 ### Set-ups and thresholds
 
-*realistic* is the set-up above, *rigid* one that does not give way, and *matched* one that gives way to
-rotation by 8 mrad/(N m) and is moved faster where one rotation is free, so that the rms velocities are
-those of the paper's robot. Errors are the largest of the means over trials; any threshold in the last two
-columns classifies every axis of every demonstration (the paper's: of the means).
+*realistic* is the set-up above, and *rigid* has no compliance. *matched* has an angular compliance of 8
+mrad/(N m), and moves faster if one rotation is free, so that the RMS velocities are those of the paper's
+robot. Errors are the largest means over trials. Any threshold between the limits in the last two columns
+classifies every axis of every demonstration correctly (for the paper: every axis of the means).
 
 """
 
@@ -253,9 +254,9 @@ def table_text(found: Mapping[str, np.ndarray]) -> str:
     shares = [
         [text, *(f"{100 * np.mean(of_label):.0f}" for of_label in found[name])]
         for name, text in (
-            ("types", "types right, %"),
-            ("tied", "types right or tied, %"),
-            ("dof", "degrees of freedom right, %"),
+            ("types", "right types, %"),
+            ("tied", "right or tied types, %"),
+            ("dof", "right degrees of freedom, %"),
         )
     ]
     return "\n\n".join([*blocks, table(["", *LABELS], shares)]) + "\n"
@@ -298,7 +299,7 @@ def _cells(
 
 
 def _comparison(found: Mapping[str, Mapping[str, np.ndarray]]) -> str:
-    head = ["set-up", "constraints", "types right", "degrees of freedom right", "ΔR^φ [deg]", "ΔR^ψ [deg]"]
+    head = ["set-up", "constraints", "right types", "right degrees of freedom", "ΔR^φ [deg]", "ΔR^ψ [deg]"]
     head += ["Δp^ψ [mm]", "thresholds φ [mrad/s]", "thresholds ψ [mm/s]"]
     theirs = ["{:g} to {:g}".format(*pair) for pair in PAPER_RANGES.values()]
     rows = [["the paper's", " ".join(PAPER), "100 %", "100 %", *_paper_errors(), *theirs]]

@@ -62,11 +62,11 @@ def main() -> None:
     parser = new_parser("segmentation", __doc__)
     add = parser.add_argument
     add("--quick", action="store_true", help="a quarter of the recordings, and no long one")
-    add("--sequences", type=int, default=40, help="(%(default)s)")
+    add("--sequences", type=int, default=40, help="simulated sequences of each motion (%(default)s)")
     add("--singles", type=int, default=5, help="recordings of each constraint by itself (%(default)s)")
     add("--arm", type=int, default=0, help="tasks of the arm with each constraint (%(default)s)")
     add("--hours", type=float, default=0.1, help="length of the long recording; 0: none (%(default)s)")
-    add("--seed", type=int, default=_SEED, help="of the simulated sequences (%(default)s)")
+    add("--seed", type=int, default=_SEED, help="seed of the simulated sequences (%(default)s)")
     add_files(parser)
     options = parser.parse_args()
     if options.quick:
@@ -202,7 +202,7 @@ def print_sequences(title: str, rows: list[dict[str, Any]]) -> dict[str, float]:
             for name, named, each in zip(row["names"], row["named"], row["labels"], strict=True)
             if each == label and not named
         }
-        print(f"    {label:<10} {sum(right):>3} of {len(right):>3} named right; else {sorted(wrong)}")
+        print(f"    {label:<10} {sum(right):>3} of {len(right):>3} right; wrong names: {sorted(wrong)}")
     return metrics
 
 

@@ -51,7 +51,7 @@ ERRORS = (
 
 
 class Sequence(NamedTuple):
-    """A simulated recording: what held, from which pose on, and the poses."""
+    """A simulated recording: its constraints, the first pose of each constraint, and the poses."""
 
     labels: tuple[str, ...]
     starts: np.ndarray  # (S,) index of the first pose of each constraint

@@ -202,7 +202,7 @@ def _summary(scores: dict[str, np.ndarray], counted: np.ndarray) -> dict[str, tu
 
 def print_coverage(rows: list[dict[str, Any]]) -> None:
     """Print coverage and RMS of scores, by constraint and noise level."""
-    print("\nShare of 95 % intervals that hold the truth, and rms of error over standard deviation")
+    print("\nFraction of 95 % intervals that contain the truth, and RMS of error over standard deviation")
     print(f"{'':4}{'sigma, m':>10}{'right':>8}{'small':>8}" + "".join(f"{name:>18}" for name in QUANTITIES))
     for row in rows:
         first = f"{row['constraint']:4}{row['sigma']:>10.0e}{row['right']:>8.1%}"
@@ -263,7 +263,7 @@ def ambiguity(plan: Plan) -> list[dict[str, Any]]:
 
 def print_ambiguity(rows: list[dict[str, Any]]) -> None:
     """Print the table of :func:`ambiguity`."""
-    print("\nShare of windows whose motion is said to determine the class, to be one path, or to be steady")
+    print("\nFraction of motions reported to determine the constraint, to be one path, or to be steady")
     print(f"{'':4}{'motion':15}{'determined':>12}{'one path':>10}{'steady':>10}")
     for row in rows:
         shares = f"{row['determined']:>12.1%}{row['one_path']:>10.1%}{row['steady']:>10.1%}"

@@ -81,14 +81,14 @@ def draw_reliability(tables: dict[str, list[dict[str, float]]], file: Path) -> N
     """Draw reported probabilities against the fraction of right statements."""
     figure = new_figure(4.4, 4.4)
     axes = figure.add_subplot()
-    axes.plot([0, 1], [0, 1], color=BODY, linewidth=1, label="as stated")
+    axes.plot([0, 1], [0, 1], color=BODY, linewidth=1, label="exact")
     for (name, rows), colour in zip(tables.items(), (*LINES, BODY), strict=False):
         right = np.array([row["right"] for row in rows])
         width = _INTERVAL * np.sqrt(right * (1 - right) / [row["count"] for row in rows])
         stated = [row["stated"] for row in rows]
         axes.errorbar(stated, right, yerr=width, marker="o", color=colour, label=name, capsize=2)
-    axes.set_xlabel("probability stated")
-    axes.set_ylabel("share that was right")
+    axes.set_xlabel("reported probability")
+    axes.set_ylabel("fraction of right statements")
     axes.set_aspect("equal")
     axes.legend(frameon=False)
     figure.savefig(file)

@@ -39,11 +39,11 @@ class Window:
     motion: str
     rate: float
     sigma: float
-    way_mm: float
+    displacement_mm: float
     noises: float
     ratio: float
     right: bool
-    said: str
+    name: str
     probability: float
 
 
@@ -56,7 +56,7 @@ def judge(windows: Windows, where: dict[str, np.ndarray]) -> list[Window]:
     exact = jnp.asarray(windows.exact)
     _, moves, levers = distances(exact, windows.dt, rotvecs, jnp.asarray(candidates.linear.position))
     free = sum(rf.CONSTRAINTS[windows.label].linear_dof)
-    way = np.sort(np.asarray(moves)[:, kind], axis=1)[:, 3 - free]
+    weakest = np.sort(np.asarray(moves)[:, kind], axis=1)[:, 3 - free]
     noise = where["sigma"] * np.hypot(1, where["ratio"] * np.asarray(levers)[:, kind])
     body = np.sqrt(np.sum(np.var(windows.exact[:, :, :3, 3], axis=1), axis=1))
     right = scores(found, windows).right["dof"]
@@ -66,9 +66,9 @@ def judge(windows: Windows, where: dict[str, np.ndarray]) -> list[Window]:
             str(where["motion"][i]),
             float(where["rate"][i]),
             float(where["sigma"][i]),
-            1e3 * float(way[i]),
-            float(way[i] / noise[i]),
-            float(way[i] / body[i]),
+            1e3 * float(weakest[i]),
+            float(weakest[i] / noise[i]),
+            float(weakest[i] / body[i]),
             bool(right[i]),
             str(found.name[i]),
             float(found.probability[i]),
@@ -89,12 +89,12 @@ def run(plan: Plan) -> list[Window]:
 
 def print_table(rows: list[Window]) -> dict[str, float]:
     """Print the groups and the wrong windows; return the metrics."""
-    print("way of the weakest free axis    windows   right   wrong with 0.9 or more")
+    print("weakest free axis over body      windows   right   wrong with p >= 0.9")
     metrics: dict[str, float] = {"windows": len(rows), "right": _fraction_right(rows)}
     for low, high in pairwise(EDGES):
         group = [row for row in rows if low <= row.ratio < high]
         confident_wrong = sum(not row.right and row.probability >= CONFIDENT for row in group)
-        name = f"{low:g} to {high:g} of the body's" if np.isfinite(high) else f"from {low:g} of the body's"
+        name = f"{low:g} to {high:g}" if np.isfinite(high) else f"from {low:g}"
         percent = f"{100 * _fraction_right(group):.1f} %" if group else "-"
         print(f"{name:<32}{len(group):>7}{percent:>9}{confident_wrong:>14}")
         metrics[f"right_from_{low:g}"] = _fraction_right(group)
@@ -104,8 +104,8 @@ def print_table(rows: list[Window]) -> dict[str, float]:
     metrics["sure_and_wrong"] = sum(row.probability >= CONFIDENT for row in wrong)
     for row in wrong:
         print(
-            f"{row.constraint} {row.motion}, {row.rate:g} Hz, {row.sigma:g} m: {row.way_mm:.2f} mm, "
-            f"{row.noises:.0f} noises, {row.ratio:.3f} of the body's way: {row.said} ({row.probability:.2f})"
+            f"{row.constraint} {row.motion}, {row.rate:g} Hz, {row.sigma:g} m: {row.displacement_mm:.2f} mm, "
+            f"{row.noises:.0f} x noise, {row.ratio:.3f} x body: {row.name} ({row.probability:.2f})"
         )
     return metrics
 

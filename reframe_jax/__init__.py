@@ -1,7 +1,8 @@
 """Identify kinematic constraints from measured poses, in JAX.
 
-The input is the poses of a moving body. The result is the constraint frame (Overbeek et al. 2025): the body
-in which the frame is fixed, its location, and the axes along which the velocity is zero.
+The input is the poses of a moving body. The result is the name of the constraint with its probability, and
+the constraint frame (Overbeek et al. 2025): its location, its axes, which of these axes are constrained, and
+whether the frame is fixed in the ground or in the moving body.
 
     import reframe_jax as rf
 

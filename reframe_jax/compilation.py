@@ -48,7 +48,16 @@ class Program:
 
 
 def jit_pair(function: Callable[..., Any], static: tuple[str, ...]) -> tuple[Program, Any]:
-    """Compile a large function twice: for calls outside of a trace, and inside of one."""
+    """Compile a large function in two variants.
+
+    Args:
+        function: the function.
+        static: names of its static arguments.
+
+    Returns:
+        The program for calls outside of a trace, and the function for calls inside of a trace, where JAX does
+        not allow :data:`COMPILER_OPTIONS`.
+    """
     return Program(function, static), jax.jit(function, static_argnames=static)
 
 
@@ -58,15 +67,15 @@ def in_float64() -> bool:
 
 
 def traced(tree: Any) -> bool:
-    """Whether any array of a pytree is a tracer: the caller is under a JAX transformation."""
+    """Return whether any array of a pytree is a tracer: the caller is under ``jit``, ``vmap`` or ``grad``."""
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
 
 
 def index_leaves(tree: _T, index: Any) -> _T:
-    """Index every leaf of a pytree like an array.
+    """Apply an index to the first axes of every array of a pytree.
 
-    One program takes a row, or consecutive rows, from all JAX arrays. Separate indexing would compile one
-    program per shape and dtype.
+    For a single row or consecutive rows, one program indexes all JAX arrays. Separate indexing would compile
+    one program per shape and dtype.
     """
     leaves = jax.tree.leaves(tree)
     together = all(isinstance(leaf, jax.Array) and leaf.ndim for leaf in leaves)
@@ -82,7 +91,7 @@ def index_leaves(tree: _T, index: Any) -> _T:
 
 
 def join_parts(parts: list[_T], count: int) -> _T:
-    """Concatenate parts along the first axis of their leaves, and keep the first ``count`` rows."""
+    """Concatenate the arrays of several pytrees along the first axis, and keep the first ``count`` rows."""
     if len(parts) == 1:
         return (
             parts[0] if len(jax.tree.leaves(parts[0])[0]) == count else index_leaves(parts[0], slice(count))

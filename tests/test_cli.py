@@ -488,7 +488,7 @@ def test_a_window_that_any_motion_fits_is_noted(clip: Path, tmp_path: Path, caps
     save_recording(clip, recording.times[:6], recording.poses[:6])
     assert run(clip, "--json", tmp_path / "out.json") == 0
     (note,) = read_json((tmp_path / "out.json").read_text())[0]["windows"][0]["notes"]
-    assert note.startswith("Only 6 poses count (5 steps)")
+    assert note.startswith("The window has only 6 poses (5 steps)")
     assert note in capsys.readouterr().out.splitlines()
 
 

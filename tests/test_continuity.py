@@ -80,7 +80,7 @@ def test_identify_says_that_touches_are_no_motion(
     known = {rf.AngularType.G: fitted.point, rf.AngularType.B: fitted.tip}
     position_body = found.linear.frame_type.position_body
     np.testing.assert_allclose(found.linear.position, known[position_body], atol=1e-3)
-    (sentence,) = [each for each in found.warnings if "do not follow each other" in each]
+    (sentence,) = [each for each in found.warnings if "not in the order of a motion" in each]
     assert "reframe-jax calibrate" in sentence
     assert not any("Record a motion" in each for each in found.warnings)
     assert program.main(["identify", "--no-cache", str(file_of(tmp_path / "touches.csv", poses))]) == 0
@@ -88,10 +88,10 @@ def test_identify_says_that_touches_are_no_motion(
     assert sentence in out
     assert sentence in err
     ordered = poses_of(hinge(rng, count=60))
-    assert not any("follow each other" in each for each in rf.identify(ordered, dt=0.02).warnings)
+    assert not any("order of a motion" in each for each in rf.identify(ordered, dt=0.02).warnings)
     shuffled = rf.identify(ordered[rng.permutation(60)], dt=0.02)
     assert shuffled.name == "Revolute joint"
-    assert any("follow each other" in each for each in shuffled.warnings)
+    assert any("order of a motion" in each for each in shuffled.warnings)
 
 
 def test_lost_tracking_in_arrays_is_named_by_row(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -99,7 +99,7 @@ def test_lost_tracking_in_arrays_is_named_by_row(tmp_path: Path, rng: np.random.
     poses = poses_of(rows)
     poses[20:28] = np.eye(4)
     with pytest.warns(
-        UserWarning, match=r"rows 20-27 \(8 rows\) of poses, counted from 0: tracking seems lost"
+        UserWarning, match=r"Tracking seems lost in rows 20-27 \(8 rows\) of poses, counted from 0"
     ):
         rf.identify(poses, dt=0.02)
     rows[20:28, 1:] = [0, 0, 0, 0, 0, 0, 1]

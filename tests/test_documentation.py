@@ -42,6 +42,7 @@ PAGES = (
     "docs/large.md",
     "docs/exports.md",
     "docs/uncertainty.md",
+    "docs/sequences.md",
 )
 
 

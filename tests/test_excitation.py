@@ -86,7 +86,7 @@ def test_steady_velocities_are_seen():
     tested = rf.excitation(found, poses, dt=DT)
     assert tested.steady
     assert not tested.determined
-    assert "Not determined: a velocity was constant throughout" in found.explain(excitation=tested)
+    assert "Not determined: one velocity was constant" in found.explain(excitation=tested)
 
 
 def test_an_explanation_has_error_bars_and_advice(moved):

@@ -99,14 +99,14 @@ def test_a_motion_tells_the_constraint_if_nothing_as_tight_explains_it(label, ex
     assert (determination.dof, determination.name) == ([dof], [name])
 
 
-def test_what_the_motion_does_not_tell_is_not_scored():
+def test_windows_that_the_motion_does_not_determine_are_not_scored():
     ours = windows("A", 1e-4)
     some = replace(
         ours, determination=Determination(np.array([True, False, True]), np.array([True, False, False]))
     )
     right = fits.scores(rf.identify(ours.poses, dt=DT), some).right
-    np.testing.assert_array_equal(right["told"], [True, False, True])
-    for name in ("types", "dof", "silent"):
+    np.testing.assert_array_equal(right["determined"], [True, False, True])
+    for name in ("types", "dof", "confident_wrong"):
         np.testing.assert_array_equal(np.isnan(right[name]), [False, True, False])
     np.testing.assert_array_equal(np.isnan(right["name"]), [False, True, True])
 
@@ -153,9 +153,9 @@ def test_weak_axes_are_grouped_and_the_wrong_ones_listed(tmp_path, capsys):
     record = json.loads(file.read_text())
     rows = [weak_axes.Window(**row) for row in record["windows"]]
     assert {row.constraint for row in rows} <= {"D", "K"}
-    assert all(row.noises > 10 and 0 < row.ratio < 2 for row in rows)  # told
+    assert all(row.noises > 10 and 0 < row.ratio < 2 for row in rows)  # determined
     assert record["metrics"]["windows"] == len(rows) > 0
-    wrong = replace(rows[0], right=False, probability=0.95, ratio=0.005, said="Fixed")
+    wrong = replace(rows[0], right=False, probability=0.95, ratio=0.005, name="Fixed")
     metrics = weak_axes.print_table([*rows, wrong])
     assert metrics["sure_and_wrong"] == record["metrics"]["sure_and_wrong"] + 1
     assert ": Fixed (0.95)" in capsys.readouterr().out

@@ -105,7 +105,7 @@ def test_a_window_too_short_is_refused():
         ({"norm": 3.0}, "must lie in"),
         ({"thresholds": 0.1}, "thresholds must be Thresholds"),
         ({"thresholds": rf.Thresholds(-1.0, 0.1)}, "thresholds must be 0 or more"),
-        ({"bounds": -1.0}, "bounds must be a length"),
+        ({"bounds": -1.0}, "bounds must be positive"),
         ({"bounds": np.ones(2)}, "bounds must be one length"),
         ({"solver": "best"}, "solver must be a search"),
     ],

@@ -191,7 +191,7 @@ def test_few_velocities_are_pointed_out(poses: int) -> None:
     found = identification(poses=poses)
     (window,) = strict(to_json(found))["recordings"][0]["windows"]
     (note,) = window["notes"]
-    assert note.startswith(f"Only {poses} poses count ({poses - 1} steps)")
+    assert note.startswith(f"The window has only {poses} poses ({poses - 1} steps)")
     assert note in to_table(found).splitlines()
     assert to_table(batch(found, found)).splitlines()[-1] == note  # once
     assert identification(poses=14).warnings == []
@@ -437,10 +437,10 @@ def test_an_explanation_says_how_far_axes_give() -> None:
 @pytest.mark.parametrize(
     ("projector", "sentence"),
     [
-        (np.diag([0.0, 1, 0]), "Others on the line through it along (0.00, 1.00, 0.00) are equally valid."),
+        (np.diag([0.0, 1, 0]), "Any point on the line through it along (0.00, 1.00, 0.00) is equally valid."),
         (
             np.diag([0.0, 1, 1]),
-            "Others in the plane through it perpendicular to (1.00, 0.00, 0.00) are equally valid.",
+            "Any point of the plane through it perpendicular to (1.00, 0.00, 0.00) is equally valid.",
         ),
     ],
 )
@@ -479,7 +479,7 @@ def test_an_explanation_says_which_part_of_the_frame_is_unclear(
 @pytest.mark.parametrize(
     ("code", "sentence"),
     [
-        (Caution.IMPROBABLE, "The name is uncertain (probability 0.30). Record a motion that goes farther"),
+        (Caution.IMPROBABLE, "The name is uncertain (probability 0.30). Record a larger motion"),
         (Caution.IMPROBABLE | Caution.FEW_VELOCITIES, "The name is uncertain (probability 0.30)."),
         (
             Caution.IMPROBABLE_ASSUMED | Caution.FEW_VELOCITIES,
@@ -490,4 +490,4 @@ def test_an_explanation_says_which_part_of_the_frame_is_unclear(
 def test_advice_on_an_improbable_name_depends_on_the_recording(code: Caution, sentence: str) -> None:
     last = caution_sentences(int(code), 5, ([0.0] * 3, [0.0] * 3), 0.3)[-1]
     assert last.startswith(sentence)
-    assert ("farther" in last) == (code == Caution.IMPROBABLE)
+    assert ("larger motion" in last) == (code == Caution.IMPROBABLE)

@@ -8,7 +8,7 @@ from reframe_jax.constraints.types import AxisRelation, Dof, LinearType, distinc
 
 @dataclass(frozen=True)
 class Constraint:
-    """One row of the catalogue: a constraint class, and the frame components that its geometry determines.
+    """One named constraint: its degrees of freedom, and the frame components that a motion can determine.
 
     Attributes:
         label: letter of the paper's Figure 2, or a word such as "spherical" for a constraint outside the
@@ -16,13 +16,13 @@ class Constraint:
         name: name in the paper's Table 2, or the common name of the joint.
         angular_dof, linear_dof: 1 for each free axis, 0 for each constrained axis; both frames have the same
             axes.
-        linear_type: the only linear frame type that expresses the constraint, or None if all four do. Both
-            angular types express every constraint.
-        angular_axis, linear_axis: index of the frame axis that the motion determines, or None if it
-            determines none.
-        position: whether the motion determines each component of the position. For G, the paper lists all
-            three components; shifting a BB frame along its constrained axis z changes nothing, so z is False
-            here.
+        linear_type: the only linear frame type that can express the constraint, or None if all four can. Both
+            angular types can express every constraint.
+        angular_axis, linear_axis: index of the frame axis whose direction a motion determines; None if a
+            motion determines no axis.
+        position: whether a motion determines each component of the position. For G, the paper lists all three
+            components; a shift of a BB frame along its constrained axis z does not change the constraint, so
+            z is False here.
     """
 
     label: str
@@ -122,27 +122,27 @@ def lookup(
     screw: bool = False,
     universal: bool = False,
 ) -> Constraint | None:
-    """Return the catalogue entry with a given linear type and degrees of freedom.
+    """Find the named constraint with a given linear type and given degrees of freedom.
 
-    The lookup compares the number of free axes, not their indices. It also compares the angle between the
-    single free rotation axis and the distinct axis of the linear frame, which is its single free or single
-    constrained axis: this angle distinguishes a cylinder joint from a planar contour. The angular type makes
-    no difference. A screw joint has the degrees of freedom of a cylinder joint, with a translation
-    proportional to the rotation. A universal joint has the degrees of freedom of a spherical joint if its
-    second axis turned by a large angle.
+    The lookup compares the number of free axes, not their indices, and the relation of two axes: the single
+    free rotation axis, and the distinct axis of the linear frame (its single free or single constrained
+    axis). They are parallel in a cylinder joint, and perpendicular on a planar contour. The angular type has
+    no effect. A screw joint has the degrees of freedom of a cylinder joint; its translation is proportional
+    to its rotation. A universal joint has the degrees of freedom of a spherical joint if its second axis
+    turned by a large angle.
 
     Args:
         linear_type: the linear frame's type.
         angular_dof: 1 for each free, 0 for each constrained rotation axis.
         linear_dof: 1 for each free, 0 for each constrained translation axis.
-        relation: angle between the free rotation axis and the distinct linear axis. By default, both vectors
-            of degrees of freedom refer to the same axes, as in Table 2.
+        relation: relation of these two axes, or None if one of them does not exist. By default, both frames
+            have the same axes, as in the paper's Table 2, and the degrees of freedom determine the relation.
         screw: whether the translation is proportional to the rotation.
         universal: whether the body turns about two axes only, one fixed in each body, although all three
             rotations of the frame are free.
 
     Returns:
-        The entry, or None for a class without a name.
+        The constraint, or None if no named constraint has these degrees of freedom.
     """
     if relation == "aligned":
         relation = _relation(angular_dof, linear_dof)
@@ -163,7 +163,14 @@ def lookup(
 def describe(
     linear_type: LinearType, angular_dof: Dof, linear_dof: Dof, relation: AxisRelation | None = None
 ) -> str:
-    """Describe a constraint outside the catalogue: ``"Unnamed: 3 rotations, 1 translation in GB"``."""
+    """Describe a constraint without a name: ``"Unnamed: 3 rotations, 1 translation in GB"``.
+
+    Args:
+        linear_type: the linear frame's type.
+        angular_dof: 1 for each free, 0 for each constrained rotation axis.
+        linear_dof: 1 for each free, 0 for each constrained translation axis.
+        relation: relation of the free rotation axis to the distinct linear axis; None if one does not exist.
+    """
 
     def count(dof: Dof, what: str) -> str:
         return f"{sum(dof)} {what}{'' if sum(dof) == 1 else 's'}"

@@ -1,9 +1,9 @@
-"""A constraint frame between two bodies: its location at a pose, and the velocities along its axes.
+"""Locate a constraint frame at a pose of the body, and map between twists and velocities along its axes.
 
-A linear frame has its orientation fixed in one body and its origin fixed in the same or the other body, {b}
-or {g}. A :class:`ConstraintFrame` stores these bodies and the degrees of freedom as static values. This
-module stores them as arrays, so that one compiled program serves every constraint. The velocities along the
-axes are the Pfaffian form of the paper's Eq. 3, A(T) V = 0, with one row for every constrained axis.
+A linear frame has its axes fixed in one body, {b} or {g}, and its origin fixed in the same or the other body.
+A :class:`ConstraintFrame` stores these bodies and the degrees of freedom as static values. :class:`Frame`
+stores them as arrays, so that one compiled program serves every constraint. A constraint is the condition
+A(T) V = 0 on the twist V at the pose T (the paper's Eq. 3), with one row of A for every constrained axis.
 """
 
 from dataclasses import dataclass, replace
@@ -52,11 +52,12 @@ class Located:
         rotation: (3, 3), orientation of {b} in {g}.
         angular_axes: (3, 3), columns are the angular frame's axes.
         linear_axes: (3, 3), columns are the linear frame's axes.
-        lever: (3,) m, from the origin of {b} to the linear frame's origin.
-        path: (3,) m, the linear frame's origin expressed in the body that it is *not* fixed in; it moves
-            there.
-        path_axes: (3, 3), columns are the linear axes in that body. The velocity along each axis is its dot
-            product with the derivative of ``path``.
+        lever: (3,) m, vector from the origin of {b} to the linear frame's origin.
+        path: (3,) m, position of the linear frame's origin relative to the other body: the body in which the
+            origin is *not* fixed, and in which it moves. If the origin is fixed in {g}, the position is
+            negated, so that its derivative is the velocity of the body relative to the ground.
+        path_axes: (3, 3), columns are the linear axes in the other body. The velocity along each axis is the
+            dot product of the axis and the derivative of ``path``.
     """
 
     rotation: jax.Array
@@ -68,7 +69,7 @@ class Located:
 
 
 def fixed_on_body(frame: ConstraintFrame) -> tuple[bool, bool, bool]:
-    """Whether the angular axes, the linear axes and the origin are fixed in {b}; otherwise in {g}."""
+    """Return whether the angular axes, the linear axes and the origin are fixed in {b}, not in {g}."""
     kind = frame.linear_type
     bodies = frame.angular_type, kind.orientation_body, kind.position_body
     angular, linear, origin = (body == AngularType.B for body in bodies)
@@ -85,7 +86,17 @@ def assemble_frame(
     angular_dof: ArrayLike | tuple[int, ...],
     linear_dof: ArrayLike | tuple[int, ...],
 ) -> Frame:
-    """Assemble frames; types and degrees of freedom (..., 3) may vary in a batch. See ``Frame``."""
+    """Build frames whose types and degrees of freedom may vary in a batch.
+
+    Args:
+        angular_type: (...) codes of ``AngularType``.
+        linear_type: (...) codes of ``LinearType``.
+        angular_axes: (..., 3, 3), columns are the axes, in the body of the angular type.
+        linear_axes: (..., 3, 3), columns are the axes, in the body of the linear type's first letter.
+        position: (..., 3) m, origin, in the body of the linear type's second letter.
+        angular_dof: (..., 3), 1 for each free rotation axis, 0 for each constrained axis.
+        linear_dof: (..., 3), the same for translations.
+    """
     batch = position.shape[:-1]
     free = jnp.concatenate([jnp.asarray(angular_dof), jnp.asarray(linear_dof)], axis=-1)
     turning = jnp.asarray(angular_type) == int(AngularType.B)
@@ -121,7 +132,7 @@ def multiply(matrix: jax.Array, right: jax.Array) -> jax.Array:
 
 
 def locate(frame: Frame, rotation: jax.Array, position: jax.Array) -> Located:
-    """Locate a single frame while {b} has the orientation (3, 3) and the origin (3,), m, in {g}."""
+    """Locate a single frame when {b} has the orientation (3, 3) and the origin (3,), m, in {g}."""
     angular = jnp.where(frame.on_body[0], multiply(rotation, frame.angular_axes), frame.angular_axes)
     linear = jnp.where(frame.on_body[1], multiply(rotation, frame.linear_axes), frame.linear_axes)
     with_body = multiply(rotation, frame.position)
@@ -152,12 +163,12 @@ def locate_on_host(frame: Frame, poses: np.ndarray) -> Located:
 
 
 def twist_map(located: Located) -> jax.Array:
-    """Return the matrix (6, 6) from the twist of {b} to the velocities along the frame's axes.
+    """Return the matrix (6, 6) that maps the twist of {b} to the velocities along the frame's axes.
 
-    Its input is the angular velocity, and the velocity of the origin of {b}, in the axes of {g}. Its output
-    is the angular velocity along the angular axes, and the velocity of the frame's origin along the linear
-    axes. The rows of the constrained axes are A(T). The transpose maps moments (N m) and forces (N) along the
-    axes, which act at the frame's origin, to a wrench at the origin of {b}.
+    The twist is the angular velocity, rad/s, and the velocity of the origin of {b}, m/s, in the axes of {g}.
+    The result is the angular velocity along the angular axes, and the velocity of the frame's origin along
+    the linear axes. The rows of the constrained axes are A(T). The transpose maps moments (N m) and forces
+    (N) along the axes, which act at the frame's origin, to a wrench at the origin of {b}.
     """
     angular, linear = located.angular_axes.T, located.linear_axes.T
     # a . (w x r) = (r x a) . w
@@ -180,10 +191,16 @@ def body_twist(frame: Frame, rotation: jax.Array, position: jax.Array, velocitie
 
 
 def slip(before: Located, now: Located) -> jax.Array:
-    """Return the displacement (6,), rad and m, along the frame's axes between two nearby instants.
+    """Return how far the body rotated and moved along the frame's axes between two nearby instants.
 
-    The displacement is the integral of the velocity along each axis, by the trapezoidal rule. It is exact for
-    the types GB and BG, where the axes do not turn relative to the body in which the origin moves.
+    The translation along an axis is the integral of the velocity of the origin along this axis, by the
+    trapezoidal rule. It is exact for the types GB and BG, whose axes are fixed in the body relative to which
+    the origin moves. The rotation about an axis is a component of the rotation between the instants, for
+    small angles.
+
+    Returns:
+        (6,): rotations about the angular axes, rad; then displacements of the frame's origin along the linear
+        axes, m.
     """
     turn = rotations.vee(multiply(now.rotation, before.rotation.T))
     step = now.path - before.path
@@ -194,10 +211,13 @@ def slip(before: Located, now: Located) -> jax.Array:
 def move_frame(
     frame: ConstraintFrame, turn: jax.Array, shift: jax.Array, rotation: jax.Array
 ) -> ConstraintFrame:
-    """Rotate and shift constraint frames in the ground while the body is at given poses.
+    """Rotate and shift constraint frames, by a rotation and a shift in {g} at one pose of the body.
 
-    ``turn`` (..., 3, 3) is a rotation in {g} of both the angular and the linear axes, ``shift`` (..., 3), m,
-    a displacement in {g} of the origin, and ``rotation`` (..., 3, 3) the orientation of {b} in {g}.
+    Args:
+        frame: the frames.
+        turn: (..., 3, 3) rotation of the angular and the linear axes, in {g}.
+        shift: (..., 3) m, displacement of the origin, in {g}.
+        rotation: (..., 3, 3) orientation of {b} in {g}.
     """
     angular, linear, point = fixed_on_body(frame)
     inverse = jnp.swapaxes(rotation, -1, -2)
@@ -213,11 +233,14 @@ def move_frame(
 def place_frame(
     frame: ConstraintFrame, axes: jax.Array, origin: jax.Array, rotation: jax.Array, position: jax.Array
 ) -> ConstraintFrame:
-    """Give constraint frames new axes and new origins in the ground while the body is at given poses.
+    """Replace the axes and the origins of constraint frames, by values in {g} at one pose of the body.
 
-    The columns of ``axes`` (..., 3, 3) are the new axes in {g} of both the angular and the linear frame,
-    ``origin`` (..., 3), m, is the new origin in {g}; ``rotation`` (..., 3, 3) and ``position`` (..., 3), m,
-    are the orientation and the origin of {b} in {g}.
+    Args:
+        frame: the frames.
+        axes: (..., 3, 3), columns are the new axes of the angular and the linear frame, in {g}.
+        origin: (..., 3) m, new origin, in {g}.
+        rotation: (..., 3, 3) orientation of {b} in {g}.
+        position: (..., 3) m, origin of {b} in {g}.
     """
     angular, linear, point = fixed_on_body(frame)
     inverse = jnp.swapaxes(rotation, -1, -2)

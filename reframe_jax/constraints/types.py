@@ -67,7 +67,8 @@ POSITION_BODIES = np.array([kind.position_body for kind in LinearType], np.int32
 class AxisRelation(Enum):
     """Relation of the single free rotation axis to the distinct axis of the linear frame.
 
-    The distinct axis is the single free or the single constrained axis.
+    The distinct axis of a frame with one or two free axes is its single free axis or its single constrained
+    axis. Axes within 15 degrees of parallel or of perpendicular count as such; other axes are oblique.
     """
 
     PARALLEL = "parallel"
@@ -83,5 +84,5 @@ def relation_of_cosine(cosine: float) -> AxisRelation:
 
 
 def distinct_axis(dof: tuple[int, ...]) -> int | None:
-    """Index of the single free or single constrained axis; None if all three axes are alike."""
+    """Return the index of the single free or single constrained axis; None if all three axes are alike."""
     return dof.index(sum(dof) % 2) if sum(dof) in (1, 2) else None

@@ -1,4 +1,4 @@
-"""Rotations in NumPy, for code without JAX: reading files, cleaning recordings, describing an arm.
+"""Rotations in NumPy, for code that does not use JAX, such as the readers of files.
 
 All functions use double precision, independent of JAX's 64-bit setting, and cannot be traced or
 differentiated. Use :mod:`reframe_jax.geometry.rotations` for code with JAX. Quaternions are (x, y, z, w).
@@ -8,7 +8,7 @@ import numpy as np
 
 
 def skew_vectors(matrices: np.ndarray) -> np.ndarray:
-    """Vectors (..., 3) w of the skew-symmetric matrices M - M^T = [w]x, for matrices (..., 3, 3)."""
+    """Return the vectors w (..., 3) with [w]x = M - M^T, for matrices M (..., 3, 3)."""
     skew = matrices - matrices.swapaxes(-1, -2)
     return np.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1)
 

@@ -10,7 +10,7 @@ from jax import lax
 
 
 def matmul(a: jax.Array, b: jax.Array) -> jax.Array:
-    """``a @ b``."""
+    """Multiply matrices (..., m, n) by matrices (..., n, k), as ``a @ b`` does."""
     return jnp.matmul(a, b, precision=lax.Precision.HIGHEST)
 
 

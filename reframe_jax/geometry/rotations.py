@@ -1,10 +1,10 @@
 """Rotations: the group SO(3) as rotation vectors, matrices and quaternions.
 
 Every function accepts any leading batch axes, keeps the dtype of its input, and has finite, accurate values
-*and* derivatives everywhere, including the zero rotation and half turns. Functions of the angle that are 0/0
-at zero are even, and therefore analytic in the squared angle. Below one radian, a series in the squared angle
-gives their value; above, the closed form does. JAX differentiates both branches of a ``where``, so the unused
-branch gets an angle at which its derivative is finite.
+*and* derivatives everywhere, including the zero rotation and half turns. Functions such as sin(x)/x, which
+are 0/0 at zero, are computed by a power series in the squared angle below one radian, and by the closed form
+above. JAX differentiates both branches of a ``where``, so the unused branch gets an angle at which its
+derivative is finite.
 
 Conventions: rotation vectors are axis times angle, in radians; quaternions are (x, y, z, w).
 """
@@ -80,7 +80,7 @@ def _identity_like(matrix: jax.Array) -> jax.Array:
 
 
 def hat(vector: jax.Array) -> jax.Array:
-    """Skew-symmetric matrices [w]x, (..., 3, 3), of vectors (..., 3): ``hat(w) @ x == cross(w, x)``."""
+    """Return the matrices [w]x (..., 3, 3) of vectors w (..., 3), such that ``hat(w) @ x == cross(w, x)``."""
     x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
     zero = jnp.zeros_like(x)
     rows = ((zero, -z, y), (z, zero, -x), (-y, x, zero))
@@ -96,13 +96,13 @@ def _hat_squared(vector: jax.Array) -> jax.Array:
 
 
 def vee(matrix: jax.Array) -> jax.Array:
-    """Vectors (..., 3) of the skew-symmetric parts of matrices (..., 3, 3); the inverse of :func:`hat`."""
+    """Invert :func:`hat`: vectors (..., 3) of the skew-symmetric parts of matrices (..., 3, 3)."""
     skew = (matrix - jnp.swapaxes(matrix, -1, -2)) / 2
     return jnp.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1)
 
 
 def rotation_exp(rotvec: jax.Array) -> jax.Array:
-    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), rad: the exponential map of SO(3)."""
+    """Convert rotation vectors (..., 3), rad, to rotation matrices (..., 3, 3): the exponential of SO(3)."""
     squared, small, angle = _angle(rotvec)
     sinc = jnp.where(small, _series(squared, _SINC), jnp.sin(angle) / angle)
     versine = jnp.where(small, _series(squared, _VERSINE), (1 - jnp.cos(angle)) / angle**2)
@@ -111,10 +111,10 @@ def rotation_exp(rotvec: jax.Array) -> jax.Array:
 
 
 def rotation_log(rotation: jax.Array) -> jax.Array:
-    """Rotation vectors (..., 3), rad, of rotation matrices (..., 3, 3): the logarithm of SO(3).
+    """Convert rotation matrices (..., 3, 3) to rotation vectors (..., 3), rad: the logarithm of SO(3).
 
-    The length is at most pi. At a half turn, both signs of the axis are correct; the function returns one of
-    them, with finite derivatives.
+    The length of a vector is at most pi. A half turn has two vectors, with opposite signs; the function
+    returns one of them, with finite derivatives.
     """
     vector = log_by_component([[rotation[..., i, j] for j in range(3)] for i in range(3)])
     return jnp.stack(vector, axis=-1)
@@ -134,7 +134,10 @@ def log_by_component(entries: Entries) -> Vector:
 
 
 def left_jacobian(rotvec: jax.Array) -> jax.Array:
-    """Left Jacobians (..., 3, 3) of SO(3) at (..., 3), rad: ``exp(w + dw) ~ exp(J_l(w) dw) exp(w)``."""
+    """Return the left Jacobians J_l (..., 3, 3) of SO(3) at rotation vectors w (..., 3), rad.
+
+    They map a small change of the vector to a small rotation: ``exp(w + dw) ~ exp(J_l(w) dw) exp(w)``.
+    """
     squared, small, angle = _angle(rotvec)
     versine = jnp.where(small, _series(squared, _VERSINE), (1 - jnp.cos(angle)) / angle**2)
     slack = jnp.where(small, _series(squared, _SLACK), (angle - jnp.sin(angle)) / angle**3)
@@ -143,16 +146,16 @@ def left_jacobian(rotvec: jax.Array) -> jax.Array:
 
 
 def left_jacobian_inverse(rotvec: jax.Array) -> jax.Array:
-    """Inverses (..., 3, 3) of :func:`left_jacobian` at rotation vectors (..., 3) below 2 pi rad."""
+    """Invert :func:`left_jacobian`: matrices (..., 3, 3) at rotation vectors (..., 3) below 2 pi rad."""
     w = hat(rotvec)
     cotangent = cotangent_factor(_squared_length(rotvec))
     return _identity_like(w) - w / 2 + _matrix(cotangent) * _hat_squared(rotvec)
 
 
 def cotangent_factor(squared: jax.Array) -> jax.Array:
-    """(1 - (x / 2) cot(x / 2)) / x^2 of squared angles x^2.
+    """Return c = (1 - (x / 2) cot(x / 2)) / x^2 for squared angles x^2, rad^2.
 
-    :func:`left_jacobian_inverse` is 1 - [w]x / 2 + factor [w]x [w]x.
+    This is the coefficient in the inverse left Jacobian of a rotation vector w: 1 - [w]x / 2 + c [w]x [w]x.
     """
     small, angle = squared < 1.0, jnp.sqrt(jnp.where(squared < 1.0, 1.0, squared))
     half = angle / 2
@@ -161,7 +164,7 @@ def cotangent_factor(squared: jax.Array) -> jax.Array:
 
 
 def quaternion_to_rotation(quaternion: jax.Array) -> jax.Array:
-    """Rotation matrices (..., 3, 3) of unit quaternions (..., 4) as (x, y, z, w)."""
+    """Convert unit quaternions (..., 4), as (x, y, z, w), to rotation matrices (..., 3, 3)."""
     x, y, z, w = (quaternion[..., i] for i in range(4))
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
@@ -172,10 +175,10 @@ def quaternion_to_rotation(quaternion: jax.Array) -> jax.Array:
 
 
 def rotation_to_quaternion(rotation: jax.Array) -> jax.Array:
-    """Unit quaternions (..., 4) as (x, y, z, w), with w >= 0, of rotation matrices (..., 3, 3).
+    """Convert rotation matrices (..., 3, 3) to unit quaternions (..., 4), as (x, y, z, w), with w >= 0.
 
-    ``4 q q^T`` is linear in the rotation matrix. The function normalizes its row with the largest diagonal
-    entry, which is at least 1 (Shepperd's method), and thus never divides by a small number.
+    The matrix ``4 q q^T`` is linear in the rotation matrix. The function normalizes its row with the largest
+    diagonal entry, which is at least 1 (Shepperd's method), so it never divides by a small number.
     """
     return jnp.stack(_quaternion([[rotation[..., i, j] for j in range(3)] for i in range(3)]), axis=-1)
 

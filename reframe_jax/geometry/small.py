@@ -1,7 +1,7 @@
 """Algebra of small vectors and matrices with components first and problems last.
 
-A vector is (3, ...), a matrix (3, 3, ...), and the last axes run over problems. So every operation is
-elementwise on long rows, without LAPACK and without kernels for small matrices.
+A vector is (3, ...) and a matrix (3, 3, ...); the trailing axes are problems. Every operation is elementwise
+on long arrays. Compiled libraries handle many small matrices one by one, which is slower.
 """
 
 from collections.abc import Sequence
@@ -30,14 +30,15 @@ __all__ = [
 
 Array = jax.Array
 T = TypeVar("T")
-_NO_MOMENT = -1.2345678e33  # a number that no array contains
+_NO_MOMENT = -1.2345678e33  # a number that no array of moments contains
 
 
 def materialize(values: T) -> T:
-    """Compute arrays once: otherwise XLA computes them again in every operation that reads them.
+    """Store arrays in memory at this point of a program. The values do not change.
 
-    An ``optimization_barrier`` does this on a GPU. On a CPU it is removed before operations are joined; only
-    the boundary of a conditional stays, whose predicate is always true, which the compiler cannot know.
+    Without this function, XLA may compute the arrays again in every operation that reads them. On a GPU, the
+    function is an ``optimization_barrier``. On a CPU, XLA removes this barrier too early, so the function
+    uses a conditional instead, whose predicate is always true but unknown to the compiler.
     """
     if jax.default_backend() != "cpu":
         return jax.lax.optimization_barrier(values)
@@ -48,7 +49,12 @@ def materialize(values: T) -> T:
 
 
 def total(array: Array, *axes: int) -> Array:
-    """Sum over short axes, term by term: on a CPU, reductions over leading axes take forty times as long."""
+    """Sum over axes with few entries, term by term: XLA's reductions over leading axes are slow on a CPU.
+
+    Args:
+        array: an array of any shape.
+        axes: indices of the axes, non-negative.
+    """
     for axis in sorted(axes, reverse=True):
         terms = jax.lax.split(array, (1,) * array.shape[axis], axis)
         summed = terms[0]
@@ -59,7 +65,7 @@ def total(array: Array, *axes: int) -> Array:
 
 
 def largest(array: Array, axis: int = 0) -> Array:
-    """Maximum over an axis, by halves."""
+    """Return the maximum over an axis, by repeated comparison of the two halves of the axis."""
     while (length := array.shape[axis]) > 1:
         half = (length + 1) // 2
         first = jax.lax.slice_in_dim(array, 0, half, axis=axis)
@@ -68,53 +74,78 @@ def largest(array: Array, axis: int = 0) -> Array:
 
 
 def times(matrix: Array, vector: Array) -> Array:
-    """Product of (m, n, ...) and (n, ...), or of (m, n, ...) and (n, k, ...)."""
+    """Multiply matrices (m, n, ...) by vectors (n, ...) or by matrices (n, k, ...)."""
     if matrix.ndim == vector.ndim:
         return total(matrix[:, :, None] * vector[None], 1)
     return total(matrix * vector[None], 1)
 
 
 def components_first(array: Array, components: int) -> Array:
-    """Move the component axes to the front: (..., K, components) to (components, K, ...)."""
+    """Move the component axes and the sample axis to the front.
+
+    Args:
+        array: (..., K, c...), where K counts samples, and c are the axes of the components.
+        components: number of component axes: 0 for scalars, 1 for vectors, 2 for matrices.
+
+    Returns:
+        (c..., K, ...).
+    """
     axes = range(-components, 0)
     return jnp.moveaxis(array, (*axes, -components - 1), tuple(range(components + 1)))
 
 
 def components_last(array: Array, components: int) -> Array:
-    """Inverse of :func:`components_first`."""
+    """Invert :func:`components_first`: (c..., K, ...) becomes (..., K, c...)."""
     axes = range(-components, 0)
     return jnp.moveaxis(array, tuple(range(components + 1)), (*axes, -components - 1))
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Cross product of vectors (3, ...)."""
+    """Return the cross products of vectors (3, ...)."""
     (x, y, z), (u, v, w) = jax.lax.split(a, (1, 1, 1)), jax.lax.split(b, (1, 1, 1))
     return jnp.concatenate([y * w - z * v, z * u - x * w, x * v - y * u])
 
 
 def normalize(vector: Array) -> Array:
-    """Vectors (3, ...) divided by their length; zero stays zero."""
+    """Divide vectors (3, ...) by their length; zero stays zero."""
     return vector / jnp.sqrt(total(vector * vector, 0) + jnp.finfo(vector.dtype).tiny)
 
 
 def sandwich(outer: Array, form: Array) -> Array:
-    """U' C U for U (3, 3, ...) and C (3, 3, S, ...): a form in other axes."""
+    """Express quadratic forms in other axes: U' C U.
+
+    Args:
+        outer: (3, 3, ...) matrices U, whose columns are the axes.
+        form: (3, 3, S, ...) symmetric matrices C.
+    """
     half = total(outer[:, :, None, None] * form[:, None], 0)
     return total(half[:, :, None] * outer[None, :, :, None], 1)
 
 
 def rotate(vector: Array, matrix: Array) -> Array:
-    """Cayley's rotation by a vector (3, ...), to the second order its exponential, times (3, n, ...)."""
+    """Rotate the columns of a matrix by a small vector.
+
+    Cayley's formula gives the rotation, which equals the exponential of the vector to second order.
+
+    Args:
+        vector: (3, ...) rad.
+        matrix: (3, n, ...).
+    """
     half = jnp.broadcast_to(vector[:, None] / 2, matrix.shape)
     turned = cross(half, matrix)
     return matrix + 2 * (turned + cross(half, turned)) / (1 + total(half * half, 0))
 
 
 def invert_symmetric(s: Array | Sequence[Array], positive: bool = True) -> tuple[Array, Array]:
-    """Inverse (6, ...) and determinant of symmetric 3 x 3 matrices: components 11, 12, 13, 22, 23, 33.
+    """Invert symmetric 3x3 matrices, by the decomposition L D L', which is accurate for very small pivots.
 
-    By L D L', whose pivots are accurate to the rounding of the diagonal however small they are; a sum of
-    cofactors loses them. Pivots of matrices that should be positive definite are at least that rounding.
+    Args:
+        s: six components (...): 11, 12, 13, 22, 23, 33.
+        positive: whether the matrices should be positive definite; pivots D below the rounding error of the
+            diagonal are then raised to this error.
+
+    Returns:
+        The components (6, ...) of the inverses, and the determinants (...).
     """
     a, b, c, d, e, f = s
 
@@ -133,13 +164,21 @@ def invert_symmetric(s: Array | Sequence[Array], positive: bool = True) -> tuple
 
 
 def inverse_and_determinant(s: Array, positive: bool = True) -> tuple[Array, Array]:
-    """Inverse (3, 3, ...) and determinant of symmetric matrices (3, 3, ...); see :func:`invert_symmetric`."""
+    """Invert symmetric matrices (3, 3, ...) and compute their determinants, as :func:`invert_symmetric`."""
     inverse, det = invert_symmetric([s[i, j] for i in range(3) for j in range(i, 3)], positive)
     return inverse[np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]], np.int32)], det
 
 
 def solve_positive(matrix: Array, vector: Array) -> Array:
-    """Solution (n, ...) of a symmetric, positive definite system (n, n, ...), by Gauss and Jordan."""
+    """Solve symmetric, positive definite systems by Gauss-Jordan elimination.
+
+    Args:
+        matrix: (n, n, ...).
+        vector: (n, ...) right-hand sides.
+
+    Returns:
+        (n, ...) solutions.
+    """
     length = len(vector)
     diagonal = jnp.stack([matrix[i, i] for i in range(length)])
     floor = jnp.finfo(matrix.dtype).eps * diagonal + jnp.finfo(matrix.dtype).tiny
@@ -165,17 +204,19 @@ def _first_last(array: Array, axis: int) -> Array:
 def diagonalize(
     forms: Array, weights: Array | None = None, together: Array | None = None, sweeps: int = 5
 ) -> Array:
-    """Axes (3, 3, ...) in which forms (3, 3, S, ...) are as diagonal as possible, by Jacobi's rotations.
+    """Find the common principal axes of several covariances, by Jacobi rotations.
 
-    They make sum_s w_s sum_i log (V' C_s V)_ii smallest (Flury & Gautschi 1986): principal axes that several
-    covariances have in common, and the eigenvectors of a single one. Axes that are not correlated stay as
-    they are, and are not sorted.
+    The axes V minimize sum_s w_s sum_i log (V' C_s V)_ii (Flury & Gautschi 1986). For a single covariance,
+    they are its eigenvectors. The function starts at the coordinate axes and does not sort the result.
 
     Args:
-        forms: positive definite.
-        weights: (S, ...), or None for 1.
-        together: (3, 3, ...) bool, pairs of axes that may be mixed; all by default.
-        sweeps: number of rounds over the three pairs.
+        forms: (3, 3, S, ...) positive definite matrices C_s.
+        weights: (S, ...) weights w_s; 1 by default.
+        together: (3, 3, ...) bool, pairs of axes that may be rotated into each other; all by default.
+        sweeps: number of rounds over the three pairs of axes.
+
+    Returns:
+        (3, 3, ...), columns are the axes.
     """
     tiny = jnp.finfo(forms.dtype).tiny ** 0.5
     lanes = forms.ndim - 3

@@ -1,8 +1,8 @@
 """Algebra for large batches of symmetric 3x3 matrices, stored as six arrays.
 
-A matrix is a tuple (xx, xy, xz, yy, yz, zz) of arrays over any batch of problems. By components, every
-function is a few elementwise array operations, which compilers fuse and vectorize over the batch. Batched 3x3
-kernels (einsum, solve, eigh) are 5-10 times slower.
+A batch of matrices is a tuple (xx, xy, xz, yy, yz, zz) of arrays (...) with one shape. Every function
+consists of elementwise operations, which XLA fuses and vectorizes over the batch; general functions for small
+matrices (einsum, solve, eigh) are slower.
 """
 
 import jax
@@ -19,13 +19,13 @@ _JACOBI_SWEEPS = 5  # quadratic convergence: in the worst case, 4 sweeps reach f
 
 
 def from_matrix(matrix: jax.Array) -> Symmetric:
-    """Extract the components of symmetric matrices (..., 3, 3)."""
+    """Return the six components (...): xx, xy, xz, yy, yz, zz, of symmetric matrices (..., 3, 3)."""
     xx, xy, xz, yy, yz, zz = (matrix[..., i, j] for i, j in INDEX_PAIRS)
     return xx, xy, xz, yy, yz, zz
 
 
 def to_matrix(s: Symmetric) -> jax.Array:
-    """Build matrices (..., 3, 3) from components."""
+    """Build symmetric matrices (..., 3, 3) from six arrays (...): xx, xy, xz, yy, yz, zz."""
     rows = [jnp.stack([s[PACKED[i][j]] for j in range(3)], axis=-1) for i in range(3)]
     return jnp.stack(rows, axis=-2)
 
@@ -37,11 +37,17 @@ def _reciprocal(x: jax.Array) -> jax.Array:
 
 
 def pivots(s: Symmetric) -> Vector:
-    """The diagonal D of S = L D L^T, for a positive semidefinite matrix.
+    """Return the diagonal D of S = L D L^T, for positive semidefinite matrices S.
 
-    The product of D is the determinant. Elimination is backward stable. An expansion of the determinant by
-    cofactors is not: with one free and two constrained axes, it loses twice as many digits, and all digits in
-    float32.
+    The product of the three numbers is the determinant. This elimination is backward stable. An expansion of
+    the determinant by cofactors is not: with one free and two constrained axes, it loses twice as many
+    digits, and all digits in float32.
+
+    Args:
+        s: six arrays (...), components of S.
+
+    Returns:
+        Three arrays (...).
     """
     xx, xy, xz, yy, yz, zz = s
     inverse = _reciprocal(xx)
@@ -52,7 +58,15 @@ def pivots(s: Symmetric) -> Vector:
 
 
 def solve(s: Symmetric, v: Vector) -> Vector:
-    """S^-1 v by cofactors, for definite or indefinite S; infinite or NaN if S is singular."""
+    """Solve S x = v by cofactors, for definite or indefinite S.
+
+    Args:
+        s: six arrays (...), components of S.
+        v: three arrays (...), components of v.
+
+    Returns:
+        Three arrays (...); infinite or NaN where S is singular.
+    """
     xx, xy, xz, yy, yz, zz = s
     a, b, c = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     d, e, f = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
@@ -85,11 +99,14 @@ def _rotate(
 
 @custom_jvp
 def eigh(s: Symmetric) -> tuple[Vector, tuple[Vector, Vector, Vector]]:
-    """Eigenvalues in any order and their unit eigenvectors, by cyclic Jacobi rotations.
+    """Compute the eigenvalues, in any order, and the unit eigenvectors, by cyclic Jacobi rotations.
 
-    The number of sweeps is fixed, so every matrix of a batch has the same cost. Jacobi's method keeps the
-    small eigenvalues of graded matrices accurate; constrained axes have such small eigenvalues. The function
-    is differentiable. The eigenvectors of equal eigenvalues have no derivative and contribute zero.
+    Jacobi's method computes small eigenvalues accurately beside large ones, as constrained axes need. The
+    function is differentiable; the derivative of eigenvectors with equal eigenvalues is undefined and set to
+    zero.
+
+    Args:
+        s: six arrays (...), components of the matrices.
 
     Returns:
         ``(values, vectors)``: three arrays, and three vectors with three arrays each.
@@ -110,7 +127,7 @@ def eigh(s: Symmetric) -> tuple[Vector, tuple[Vector, Vector, Vector]]:
 
 
 def quadratic_form(a: Vector, s: Symmetric, b: Vector) -> jax.Array:
-    """a^T S b."""
+    """Return a^T S b (...), for vectors of three arrays (...) and S of six arrays (...)."""
     return sum(a[i] * s[PACKED[i][j]] * b[j] for i in range(3) for j in range(3))  # type: ignore[return-value]
 
 

@@ -1,4 +1,4 @@
-"""Reasons to doubt a result that has a good status: codes in a batch, sentences for one window."""
+"""Warnings: reasons to doubt the result of a window, as codes for a batch and sentences for one window."""
 
 from enum import IntFlag
 
@@ -9,29 +9,29 @@ from reframe_jax.identification.classify import Thresholds
 
 __all__ = ["Caution", "caution_codes", "caution_sentences"]
 
-_FEW = 12  # velocities up to which many windows are identified wrongly
-_CLOSE = 1.5  # factor from a threshold within which an axis is neither clearly free nor constrained
+_FEW = 12  # largest number of velocities at which many windows are identified wrongly
+_CLOSE = 1.5  # largest ratio of a velocity to a threshold, or its inverse, at which they count as close
 
 
 class Caution(IntFlag):
     """Reasons to doubt a result, as bits of ``Identification.warning_codes``."""
 
     FEW_VELOCITIES = 1
-    """So few velocities that many motions fit."""
+    """The window has so few velocities that several constraints fit them."""
     CLOSE_ANGULAR_1 = 16
-    """The velocity along this axis of the angular frame is close to the threshold."""
+    """The angular velocity about the first axis of the angular frame is close to its threshold."""
     CLOSE_ANGULAR_2 = 32
     CLOSE_ANGULAR_3 = 64
     CLOSE_LINEAR_1 = 128
-    """The same of the linear frame."""
+    """The velocity along the first axis of the linear frame is close to its threshold."""
     CLOSE_LINEAR_2 = 256
     CLOSE_LINEAR_3 = 512
     IMPROBABLE = 1024
-    """Other names are together more probable than the one reported."""
+    """The probability of the reported name is below 1/2."""
     IMPROBABLE_ASSUMED = 4096
-    """The same of a constraint that the caller assumes."""
+    """The probability of the constraint that the caller assumes is below 1/2."""
     UNORDERED = 2048
-    """The poses do not follow each other as those of a motion do."""
+    """The poses are not in the order of a motion, such as separate touches or shuffled rows."""
 
 
 def caution_codes(
@@ -40,13 +40,16 @@ def caution_codes(
     thresholds: Thresholds | None,
     marks: dict[Caution, jax.Array],
 ) -> jax.Array:
-    """The code of a window, () int32.
+    """Collect the warnings of a window in one code.
 
     Args:
-        velocities: () number of steps between poses that count.
-        rms: (3,) rad/s and (3,) m/s, along the axes of both frames.
-        thresholds: above which an axis is free, or None.
-        marks: () bool, other reasons.
+        velocities: () number of steps between the poses of the window without outliers.
+        rms: (3,) rad/s and (3,) m/s, RMS velocities along the axes of the angular and the linear frame.
+        thresholds: the thresholds that decide which axes are free; None if probabilities decide.
+        marks: () bool, whether other warnings apply.
+
+    Returns:
+        () int32, bits of :class:`Caution`.
     """
     marked = {Caution.FEW_VELOCITIES: velocities <= _FEW, **marks}
     if thresholds is not None:
@@ -64,35 +67,35 @@ def caution_codes(
 def caution_sentences(
     code: int, velocities: int, speeds: tuple[list[float], list[float]], probability: float
 ) -> list[str]:
-    """The sentences of one window.
+    """Return the warnings of one window as sentences.
 
     Args:
         code: bits of :class:`Caution`.
-        velocities: number of steps between poses that count.
-        speeds: rad/s and m/s, RMS along the axes of both frames.
-        probability: of the name.
+        velocities: number of steps between the poses of the window without outliers.
+        speeds: RMS velocities along the three axes of the angular frame, rad/s, and of the linear frame, m/s.
+        probability: probability of the name.
     """
     found = Caution(code)
     stated = f"probability {'below 0.01' if probability < 0.01 else f'{probability:.2f}'}"
     sentences = []
     if Caution.FEW_VELOCITIES in found:
         sentences.append(
-            f"Only {velocities + 1} poses count ({velocities} steps): with {_FEW} steps or fewer, many "
-            "windows are identified wrongly. Take longer windows; for separate touches of one point, use "
+            f"The window has only {velocities + 1} poses ({velocities} steps): with {_FEW} steps or fewer, "
+            "many windows are identified wrongly. Use longer windows. For separate touches of one point, use "
             "reframe-jax calibrate (rf.calibrate)."
         )
     if Caution.UNORDERED in found:
         sentences.append(
-            "The poses do not follow each other as in a motion: consecutive poses are as far apart as any "
-            "two poses. With scales='auto', displacements about the mean are used, which need no order. For "
-            "separate touches of one point, reframe-jax calibrate (rf.calibrate) finds the tip and the "
-            "residual of each; if rows are shuffled, sort them by time."
+            "The poses are not in the order of a motion: consecutive poses are as far apart as any two "
+            "poses. With scales='auto', identify compares all poses with their mean, which needs no order. "
+            "For separate touches of one point, use reframe-jax calibrate (rf.calibrate), which estimates "
+            "the tip and the residual of each touch. If rows are shuffled, sort them by time."
         )
     elif Caution.IMPROBABLE_ASSUMED in found:
         sentences.append(f"Other constraints fit better than the assumed one ({stated}).")
     elif Caution.IMPROBABLE in found:
         uncertain = f"The name is uncertain ({stated})."
-        remedy = " Record a motion that goes farther along every free direction."
+        remedy = " Record a larger motion along every free direction."
         sentences.append(uncertain + ("" if Caution.FEW_VELOCITIES in found else remedy))
     close = [
         f"{group} axis {axis + 1} ({speeds[i][axis]:.3g} {unit})"
@@ -102,7 +105,7 @@ def caution_sentences(
     ]
     if close:
         sentences.append(
-            f"The velocities along these axes are close to the threshold: {', '.join(close)}. Whether these "
-            "axes are free is uncertain. Choose a threshold between the slow and the fast axes."
+            f"The velocities along these axes are close to the threshold: {', '.join(close)}. It is "
+            "uncertain whether these axes are free. Choose a threshold between the slow and the fast axes."
         )
     return sentences

@@ -11,13 +11,13 @@ __all__ = ["Thresholds", "degrees_of_freedom", "free_rotations"]
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Thresholds:
-    """RMS velocities above which an axis counts as free.
+    """The paper's rule for free axes: an axis is free if its RMS velocity exceeds a threshold.
 
-    The defaults are the midpoints of the ranges that classify the paper's robot data (section 5.6).
+    The defaults are the midpoints of the ranges that classify the paper's robot data correctly (section 5.6).
 
     Attributes:
-        angular: rad/s.
-        linear: m/s.
+        angular: threshold of rotations, rad/s.
+        linear: threshold of translations, m/s.
     """
 
     angular: float | jax.Array = 0.160
@@ -25,10 +25,19 @@ class Thresholds:
 
 
 def degrees_of_freedom(rms: jax.Array, threshold: jax.Array | float) -> jax.Array:
-    """1 where an axis is free, (..., 3) int32; a constrained axis has an RMS below the threshold."""
+    """Return 1 for each axis whose RMS velocity exceeds the threshold, else 0; (..., 3) int32."""
     return (rms > threshold).astype(jnp.int32)
 
 
 def free_rotations(dof: jax.Array) -> jax.Array:
-    """Axes about which a frame can turn freely, (..., 3) bool: the other two are of one kind."""
+    """Return the axes about which a frame can be turned without a change of its constraint.
+
+    These are the axes whose two other axes are both free or both constrained.
+
+    Args:
+        dof: (..., 3), 1 for each free, 0 for each constrained axis.
+
+    Returns:
+        (..., 3) bool.
+    """
     return jnp.roll(dof, 1, axis=-1) == jnp.roll(dof, -1, axis=-1)

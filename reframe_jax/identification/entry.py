@@ -1,4 +1,4 @@
-"""The main entry: poses in, identifications out."""
+"""The main function, ``identify``: check poses and options, run compiled programs, and return the results."""
 
 import contextlib
 import functools
@@ -31,7 +31,7 @@ from reframe_jax.solvers import Solver
 
 __all__ = ["default_solver", "identify", "identify_unchecked"]
 
-_CHUNK = {"cpu": 64, "gpu": 4096}  # windows that are identified at once: what fits the cache, or the memory
+_CHUNK = {"cpu": 64, "gpu": 4096}  # windows per program: their arrays fit the cache, or the memory
 
 
 def identify(
@@ -48,51 +48,54 @@ def identify(
     solver: Solver | None = None,
     key: jax.Array | None = None,
 ) -> Identification:
-    """Identify the constraint frame of one window of poses, or of every window of a batch.
+    """Identify the constraint of a moving body from its poses, for one window or for every window of a batch.
 
-    The norm of the paper (Eqs. 7 and 8), taken over time scales too, gives the origin of every linear frame
-    type. From there every entry of the table of constraints is fitted to the second moments of the motion,
-    and the evidence decides which one is reported: the held and free axes, and their frame. The options
-    ``scales=1``, ``discretization="left"`` and ``thresholds=Thresholds()`` select the paper's method.
+    First, the norm of the paper (Eqs. 7 and 8), extended to several time scales, gives the best origin for
+    every linear frame type. From these origins, every constraint of a table is fitted to the second moments
+    of the motion. The result is the most probable constraint: its frame, and which axes are constrained or
+    free. The options ``scales=1``, ``discretization="left"`` and ``thresholds=Thresholds()`` select the
+    paper's method.
 
-    Works under ``jit``, ``vmap`` and differentiation with respect to the poses; windows on several devices (a
-    ``NamedSharding`` along their first axis) are identified where they are. Precision is that of the input;
-    NumPy float64 arrays are computed in float64 even where JAX's ``jax_enable_x64`` is off (the result is
-    then rounded to float32).
+    The function works under ``jit`` and ``vmap``, and is differentiable with respect to the poses. It
+    computes in the precision of the input; NumPy float64 arrays are computed in float64 also if JAX's
+    ``jax_enable_x64`` is off, and the result is then rounded to float32. Windows that a ``NamedSharding``
+    distributes over several devices along their first axis are identified on these devices.
 
     Args:
-        poses: (..., K+1, 4, 4) poses of the moving body {b} in the ground {g}, in metres; K >= 4. float64 or
-            float32; integers become float64.
-        times: (K+1,) or (..., K+1) sample times in s, increasing. Give either ``times`` or ``dt``.
-        dt: sample time in s, a scalar or (K,) or (..., K).
-        scales: samples in the blocks whose means are compared, powers of two; ``"auto"`` uses all at which
-            the motion stands out of the noise of the recording, and leaves out outliers. 1 is the paper's
-            choice: differences of consecutive poses, each of which counts. ``"mean"`` uses displacements
-            about the mean, which need no order; so does ``"auto"`` for a single window of poses that do not
-            follow each other, such as separate touches or shuffled rows.
-        assume: the name of a constraint ("hinge", "ball", "K", "Screw joint"): the result is its best frame.
-            ``probability`` says how likely the data find it among all constraints.
-        norm: exponent of the power mean over the three axes, in [-inf, 2]; 0, the geometric mean, is
-            the paper's. Others search single steps with ``solver``. It must be a Python number.
+        poses: (..., K+1, 4, 4) poses of the moving body {b} in the ground {g}, m; K >= 4. float64 or float32;
+            integers become float64.
+        times: (K+1,) or (..., K+1) increasing sample times, s. Give either ``times`` or ``dt``.
+        dt: time between two poses, s: a scalar, (K,) or (..., K).
+        scales: time scales as numbers of samples, powers of two. At each scale, the means of consecutive
+            blocks of this number of samples are compared. ``"auto"`` uses all scales at which the motion
+            exceeds the noise, and leaves out outliers. 1 is the paper's choice: differences of consecutive
+            poses, outliers included. ``"mean"`` compares all poses with their mean and needs no order;
+            ``"auto"`` does the same for a single window of poses without order, such as separate touches or
+            shuffled rows.
+        assume: name of a known constraint ("hinge", "ball", "K", "Screw joint"). The result is the best frame
+            of this constraint; ``probability`` is still its probability among all constraints.
+        norm: exponent of the power mean over the three axes, in [-inf, 2], a Python number. 0 is the
+            geometric mean, as in the paper. With another exponent, ``solver`` searches the origins with
+            ``scales=1``.
         discretization: ``"chord"`` for measured motion, ``"left"`` for the paper's Table 3; see
             :func:`reframe_jax.motion.kinematics.linear_velocity_maps`.
-        thresholds: RMS velocities above which an axis is free, instead of the evidence.
+        thresholds: RMS velocities above which an axis is free. By default, probabilities decide.
         bounds: half the width of the cube in which origins are searched, m. By default 2 m, or twice the
-            extent of the motion if that is more. The cube is centred on the mean position of {b} for frames
-            fixed in the ground, and on the origin of {b} for frames fixed in the body.
-        solver: another search for the origin, such as ``BasinHopping``, of single steps.
-        key: of the solver's random numbers; by default ``jax.random.key(0)``.
+            extent of the motion if that is more. The cube is centred on the mean position of {b} for origins
+            fixed in the ground, and on the origin of {b} for origins fixed in the body.
+        solver: search for the origins with ``scales=1``, such as :class:`BasinHopping`.
+        key: JAX random key of the solver; ``jax.random.key(0)`` by default.
 
     Returns:
-        The identification, with the leading axes of ``poses``. ``warnings`` of a single window say where the
-        poses do not follow each other, as separate touches do not; see :func:`reframe_jax.calibrate`.
+        The identification, with the leading axes of ``poses``. For a single window, ``warnings`` lists
+        reasons to doubt the result, for example that the poses have no order.
 
     Warns:
-        UserWarning: for a single window outside a trace, if tracking was lost in rows of it.
+        UserWarning: if tracking seems lost in some poses of a single window (not inside a trace).
 
     Raises:
-        ValueError: if types, shapes or options are not as above; for a single window outside a trace also
-            if its poses or times are unusable. In a batch such windows get a ``status`` instead.
+        ValueError: for a wrong type, shape or option. Also for a single window outside a trace whose poses or
+            times are unusable; in a batch, such a window gets a ``status`` instead.
     """
     array = take_poses(poses)
     single_window = array.ndim == 3 and not traced((poses, times, dt, thresholds, bounds, key))
@@ -135,7 +138,7 @@ def identify_unchecked(
     solver: Solver | None = None,
     key: jax.Array | None = None,
 ) -> Identification:
-    """Identify as :func:`identify` does, without a look at the order of the rows and at lost tracking."""
+    """Identify as :func:`identify` does, without the checks for poses without order and for lost tracking."""
     exponent = check_exponent(norm)
     inside_a_trace = traced((poses, times, dt, thresholds, bounds, key))
     array = take_poses(poses)
@@ -179,15 +182,15 @@ def _warn_of_lost_rows(poses: np.ndarray, times: Any) -> None:
     lost = find_lost_poses(poses, None if times is None else np.asarray(times, dtype=float))
     if lost.mask.any():
         warnings.warn(
-            f"{name_rows('row', np.flatnonzero(lost.mask))} of poses, counted from 0: tracking seems lost "
-            f"there ({', '.join(sorted({run.kind for run in lost.runs}))}). Leave these rows out, as "
-            "load_recording does, with their times; reframe_jax.recordings.lost.find_lost_poses gives them.",
+            f"Tracking seems lost in {name_rows('row', np.flatnonzero(lost.mask))} of poses, counted from 0 "
+            f"({', '.join(sorted({run.kind for run in lost.runs}))}). Remove these rows and their times, as "
+            "load_recording does; reframe_jax.recordings.lost.find_lost_poses returns them.",
             stacklevel=3,
         )
 
 
 def _on_host(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Identification:
-    """Windows (N, K+1, 4, 4) in pieces of one of few sizes and lengths: new ones compile nothing."""
+    """Identify windows (N, K+1, 4, 4) in pieces of few shapes, so that few programs are compiled."""
     pad = not run.keywords["scales"]  # velocities of single steps must not see the padding
     found: Identification = run_in_pieces(
         lambda poses, steps, lengths, _: run(poses, steps, lengths, *options),
@@ -201,7 +204,7 @@ def _on_host(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Iden
 
 
 def _batch(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Identification:
-    """Windows with any leading axes, on the host or spread over devices."""
+    """Identify windows with any leading axes, on the host or on several devices."""
     if isinstance(poses, jax.Array) and (len(poses.sharding.device_set) > 1 or _is_spread(poses.sharding)):
         return _on_mesh(run, poses, steps, options)
     batch = poses.shape[:-3]
@@ -211,17 +214,17 @@ def _batch(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Identi
 
 
 def _is_spread(sharding: Any) -> bool:
-    """Whether an axis of an array is spread over a mesh, be it one of a single device."""
+    """Whether an axis of an array is distributed over a mesh of devices, also over a mesh of one device."""
     return isinstance(sharding, NamedSharding) and any(axis is not None for axis in sharding.spec)
 
 
 def _on_mesh(run: Any, poses: jax.Array, steps: Any, options: tuple[Any, ...]) -> Identification:
-    """Every device identifies the windows that it holds; nothing travels between them."""
+    """Identify windows on the devices that hold them, without communication between devices."""
     sharding = poses.sharding
     if not isinstance(sharding, NamedSharding) or any(axis is not None for axis in sharding.spec[1:]):
         raise ValueError(
-            "Windows on several devices must be spread along their first axis alone, by a NamedSharding; "
-            f"these have {sharding}."
+            "Windows on several devices must be distributed by a NamedSharding along their first axis only, "
+            f"not by {sharding}."
         )
     axis = (*sharding.spec, None)[0]
     own = steps.ndim > 1
@@ -233,7 +236,7 @@ def _on_mesh(run: Any, poses: jax.Array, steps: Any, options: tuple[Any, ...]) -
 
 @functools.cache
 def _program_for_mesh(mesh: Mesh, axis: Any, own_steps: bool, *static: tuple[str, Any]) -> Any:
-    """The program of :func:`_identify_flat` for windows that are spread over a mesh."""
+    """Compile :func:`_identify_flat` for windows that are distributed over a mesh of devices."""
     whole, part = PartitionSpec(), PartitionSpec(axis)
     run = jax.shard_map(
         partial(_identify_flat, **dict(static)),
@@ -258,7 +261,7 @@ def _identify_flat(
     key: jax.Array | None,
     **static: Any,
 ) -> Identification:
-    """Identify (..., K+1, 4, 4) poses, chunk by chunk."""
+    """Identify windows (..., K+1, 4, 4), one chunk after another."""
     key = jax.random.key(0) if key is None else key
     batch, shared = poses.shape[:-3], steps.ndim == 1
     flat = poses.reshape(-1, *poses.shape[-3:])

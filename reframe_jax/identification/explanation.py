@@ -1,4 +1,4 @@
-"""An identification in plain English: the constraint, its probability, its location, and what stays open."""
+"""Explain an identification in plain English."""
 
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -9,8 +9,8 @@ from reframe_jax.constraints.types import BODY_NAMES, AngularType, LinearType
 
 __all__ = ["Finding", "Spread", "Tested", "explain_finding"]
 
-_INTERVAL = 1.96  # standard deviations that hold 95 %
-_SLOW = 2.0  # inflation from which on slow errors are worth a word
+_INTERVAL = 1.96  # half-width of a 95 % interval, in standard deviations
+_SLOW = 2.0  # inflation of error bars above which the text mentions slow errors
 
 _LIKE = {
     "Revolute joint": "The body moves like a door on its hinge: it turns about one axis and does not slide",
@@ -65,12 +65,12 @@ class Spread(Protocol):
 
     @property
     def position(self) -> Any:
-        """(3, 3) m^2."""
+        """(3, 3) m^2, covariance of the origin."""
         ...
 
     @property
     def inflation(self) -> Any:
-        """(3,) by slow errors."""
+        """(3,) factors by which slow errors increase the standard deviations."""
         ...
 
     @property
@@ -80,16 +80,16 @@ class Spread(Protocol):
 
 
 class Tested(Protocol):
-    """What the motion of one window tested; see :class:`reframe_jax.Excitation`."""
+    """Degrees of freedom that the motion of one window tested; see :class:`reframe_jax.Excitation`."""
 
     @property
     def free(self) -> Any:
-        """Free axes."""
+        """Number of free axes."""
         ...
 
     @property
     def motions(self) -> Any:
-        """Independent motions."""
+        """Number of independent motions."""
         ...
 
     @property
@@ -100,19 +100,22 @@ class Tested(Protocol):
 
 @dataclass(frozen=True)
 class Finding:
-    """Result of one window, in NumPy arrays.
+    """The result of one window, as NumPy arrays.
 
     Attributes:
-        name: of the constraint, and ``probability``: of the name.
-        named: whether the name is one of the catalogue.
-        angular_type, linear_type: of the frames.
-        angular_dof, linear_dof: (3,) 1 where an axis is free.
-        angular_axes, linear_axes: (3, 3) columns.
+        name: name of the constraint.
+        probability: probability of the name.
+        named: whether the catalogue contains the name.
+        angular_type, linear_type: types of the frames.
+        angular_dof, linear_dof: (3,) 1 for free axes, 0 for constrained axes.
+        angular_axes, linear_axes: (3, 3), columns are the axes.
         angular_amplitude, linear_amplitude: (3,) rad and m, RMS displacement along the axes.
-        position: (3,) m, and ``free_position``: (3, 3) projector onto what is free of it.
-        rivals: names of the other linear types that fit equally well, if the type matters.
-        pitch: m/rad of a screw joint, else NaN.
-        universal: (2, 3) the axes of a universal joint, in {g} and in {b}, else None.
+        position: (3,) m, origin of the linear frame.
+        free_position: (3, 3) projector onto the directions along which the origin can be shifted without
+            changing the constraint.
+        rivals: names of other linear types that fit equally well; empty if all types express the constraint.
+        pitch: pitch of a screw joint, m/rad; else NaN.
+        universal: (2, 3) axes of a universal joint, in {g} and in {b}; else None.
     """
 
     name: str
@@ -134,12 +137,15 @@ class Finding:
 
 
 def explain_finding(finding: Finding, spread: Spread | None, tested: Tested | None) -> str:
-    """Up to six lines: the constraint, its play, its origin, its axis, what is uncertain, what to record.
+    """Explain a result in up to six lines.
+
+    The lines state the constraint, its probability, the displacements along constrained and free axes, the
+    origin, the axis, what the motion does not determine, and which motion to record.
 
     Args:
-        finding: of one window.
-        spread: its covariance, for the error bars; None if there is none.
-        tested: what the motion tested; None if that is not known.
+        finding: result of one window.
+        spread: covariance of this result, for error bars; None for a text without error bars.
+        tested: degrees of freedom that the motion tested; None if they are not known.
     """
     freedom = finding.name.removeprefix("Unnamed: ")
     like = _LIKE.get(finding.name, f"This combination of free axes has no common name: {freedom}")
@@ -157,7 +163,7 @@ def _probability(value: float) -> str:
 
 
 def _held(finding: Finding) -> list[str]:
-    """RMS displacements along the constrained and the free axes: the largest of each unit."""
+    """State the largest RMS displacement along constrained and along free axes, in mm and in mrad."""
     sizes = []
     for free in (0, 1):
         moved = [
@@ -183,12 +189,12 @@ def _vector(vector: np.ndarray, digits: int) -> str:
 
 
 def _largest(covariance: Any) -> float:
-    """Half the width of the 95 % interval along the worst direction."""
+    """Return half the width of the 95 % interval along the direction with the largest variance."""
     return _INTERVAL * float(np.sqrt(max(np.linalg.eigvalsh(np.asarray(covariance, float))[-1], 0)))
 
 
 def _two_digits(value: float) -> str:
-    """Without an exponent where the number is large: 320 and not 3.2e+02."""
+    """Format a number with two digits and without an exponent: 320, not 3.2e+02."""
     return f"{float(f'{value:.2g}'):g}"
 
 
@@ -197,7 +203,7 @@ def _within(size: float, unit: str) -> str:
 
 
 def _where(finding: Finding, spread: Spread | None) -> str:
-    """Where the origin lies, if it lies anywhere."""
+    """State the position of the origin; an empty text if every position is equally valid."""
     free = round(float(np.trace(finding.free_position)))
     if free == 3 or finding.linear_dof.sum() == 3:
         return ""
@@ -215,16 +221,16 @@ def _where(finding: Finding, spread: Spread | None) -> str:
 
 
 def _equal_points(projector: np.ndarray, free: int) -> str:
-    """Name the line, for 1 free direction, or the plane, for 2, whose points are equally valid."""
+    """State on which line (1 free direction) or plane (2 free directions) all points are equally valid."""
     axis = np.linalg.eigh(projector)[1][:, 2 if free == 1 else 0]
     direction = _vector(axis * np.sign(axis[np.argmax(np.abs(axis))]), 2)
     if free == 1:
-        return f"Others on the line through it along {direction} are equally valid."
-    return f"Others in the plane through it perpendicular to {direction} are equally valid."
+        return f"Any point on the line through it along {direction} is equally valid."
+    return f"Any point of the plane through it perpendicular to {direction} is equally valid."
 
 
 def _direction(finding: Finding, spread: Spread | None) -> str:
-    """The axis that is unlike the other two: of rotation if there is one, else of translation."""
+    """State the direction of the single free or single constrained axis: of rotation, else of translation."""
     turns, slides = int(finding.angular_dof.sum()), int(finding.linear_dof.sum())
     if finding.universal is not None:
         first, second = (_vector(axis, 3) for axis in finding.universal)
@@ -249,33 +255,34 @@ def _direction(finding: Finding, spread: Spread | None) -> str:
 
 
 def _still_open(finding: Finding, spread: Spread | None, tested: Tested | None) -> list[str]:
-    """What the motion does not determine, and which motion would; at most two lines."""
+    """State what the motion does not determine, and which motion to record; at most two lines."""
     doubts, advice, path = [], [], ""
     turns, slides = int(finding.angular_dof.sum()), int(finding.linear_dof.sum())
     if tested is not None and int(tested.motions) == 1:
         path = (
             "The motion covered a single path; if the mechanism is not a hinge, drawer or screw, "
-            "it may allow more."
+            "it may allow more motion."
         )
-        advice.append("try to turn the body about other axes and to push it in other directions")
+        advice.append("try to turn the body about other axes, and to push it in other directions")
     if tested is not None and bool(tested.steady):
-        doubts.append("a velocity was constant throughout, so that the mechanism may allow more")
+        doubts.append("one velocity was constant, so the mechanism may allow more motion")
         advice.append(
             "move back and forth along every free axis, with a different, changing speed along each"
         )
     elif tested is not None and not path and int(tested.motions) < int(tested.free):
         number = int(tested.motions)
-        doubts.append(f"of {int(tested.free)} free axes only {number} moved independently")
+        doubts.append(f"only {number} of {int(tested.free)} free axes moved independently")
         advice.append("move along one axis after the other")
     if not finding.named and 0 < turns < 3:
         axis = _vector(finding.angular_axes[:, 0], 2)
-        doubts.append(f"it did not turn about {axis} of the {BODY_NAMES[finding.angular_type]}")
-        advice.append("turn the body about that axis as well, if it can")
+        body = BODY_NAMES[finding.angular_type]
+        doubts.append(f"the body did not turn about the direction {axis} in the {body}")
+        advice.append("try to turn the body about this direction")
     elif not finding.named and 0 < slides < 3:
         axis = _vector(finding.linear_axes[:, 0], 2)
         body = BODY_NAMES[finding.linear_type.orientation_body]
-        doubts.append(f"it did not slide along {axis} of the {body}")
-        advice.append("push the body along that axis as well, if it gives way")
+        doubts.append(f"the body did not slide along the direction {axis} in the {body}")
+        advice.append("try to push the body along this direction")
     if finding.rivals:
         doubts.append(_unclear_bodies(finding))
         advice.append("turn the body further while it moves")
@@ -284,11 +291,11 @@ def _still_open(finding: Finding, spread: Spread | None, tested: Tested | None) 
     listed = ", and ".join(list(dict.fromkeys(advice))[:2])
     if not doubts:
         return [path, f"To check, {listed}."]
-    return [f"{path} Not determined: {'; '.join(doubts[:2])}.".lstrip(), f"To settle it, {listed}."]
+    return [f"{path} Not determined: {'; '.join(doubts[:2])}.".lstrip(), f"To decide, {listed}."]
 
 
 def _unclear_bodies(finding: Finding) -> str:
-    """What is fixed in the ground in one of the tied linear types, and in the body in another."""
+    """State whether the tied linear types disagree on the body of the axes or of the origin."""
     kinds = [finding.linear_type, *(LinearType[name] for name in finding.rivals)]
     unclear = [("the axes of translation", {kind.orientation_body for kind in kinds})]
     unclear.append(("the point", {kind.position_body for kind in kinds}))

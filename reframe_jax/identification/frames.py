@@ -1,4 +1,4 @@
-"""The frames of an identification, and the candidates among which they won."""
+"""The frames of an identification, and the candidate frames of every type."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -14,7 +14,7 @@ __all__ = ["AllCandidates", "AngularFrame", "Candidates", "LinearFrame", "PoseNo
 
 
 def member(kind: type[IntEnum], code: jax.Array) -> Any:
-    """The enum member of a concrete scalar; anything else as it is."""
+    """Return the enum member of a single code; return tracers and arrays of codes unchanged."""
     if isinstance(code, jax.core.Tracer) or np.ndim(code):
         return code
     return kind(int(code))
@@ -37,24 +37,23 @@ class PoseNoise:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class AngularFrame:
-    """The identified frame of the angular velocity.
+    """The identified angular frame: the axes of free and constrained rotations.
 
     Attributes:
         type_code: (...) int, ``AngularType`` of the frame; read it as ``frame_type``.
         rotvec: (..., 3) rad, orientation of the frame in the body of its type. Constrained axes come first,
-            then free ones, each sorted by ``amplitude``, ascending; the axes are right-handed, and the first
-            and the third have a positive largest component.
-        dof: (..., 3) int, 1 where the axis is free.
-        free_probability: (..., 3) probability that the axis is free, ascending.
-        rms: (..., 3) rad/s, RMS angular velocity along each axis (lambda in the paper), at the smallest time
+            then free axes, both in ascending order of ``amplitude``. The axes are right-handed; the largest
+            component of the first and of the third axis is positive.
+        dof: (..., 3) int, 1 for free axes, 0 for constrained axes.
+        free_probability: (..., 3) probability that the axis is free, in ascending order.
+        rms: (..., 3) rad/s, RMS angular velocity about each axis (lambda in the paper), at the smallest time
             scale that is used.
-        amplitude: (..., 3) rad, RMS displacement along each axis over the recording: how far free axes moved,
-            and how far constrained axes give.
-        norm: (...) rad/s, the minimised norm: the geometric mean of the RMS velocities over axes and scales.
+        amplitude: (..., 3) rad, RMS rotation about each axis over the recording.
+        norm: (...) rad/s, the minimized norm: the geometric mean of the RMS velocities over axes and scales.
         norms: (..., 2) rad/s, the norms of types G and B.
-        tied: (..., 2) bool, types that fit equally well, this one included.
+        tied: (..., 2) bool, types that fit equally well, including the reported type.
         free_rotation: (..., 3) bool, axes about which the frame can be turned without changing the
-            constraint: those whose two other axes are both free or both constrained.
+            constraint: axes whose two other axes are both free or both constrained.
     """
 
     type_code: jax.Array
@@ -82,26 +81,26 @@ class AngularFrame:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class LinearFrame:
-    """The identified frame of the linear velocity.
+    """The identified linear frame: the origin, and the axes of its free and constrained translations.
 
     Attributes:
         type_code: (...) int, ``LinearType`` of the frame; read it as ``frame_type``.
-        rotvec: (..., 3) rad, orientation of the frame in the body of the type's first letter; axes in
-            the order and handedness of :class:`AngularFrame`.
-        position: (..., 3) m, origin of the frame in the body of the type's second letter. Where
-            ``free_position`` leaves a choice it is the point closest to the recorded motion: to the
-            mean position of {b} for GG and BG, to the origin of {b} for BB and GB.
-        dof: (..., 3) int, 1 where the axis is free.
+        rotvec: (..., 3) rad, orientation of the frame in the body of the type's first letter. The order and
+            the signs of the axes are those of :class:`AngularFrame`.
+        position: (..., 3) m, origin of the frame in the body of the type's second letter. If several
+            positions are equally valid (``free_position``), this is the position closest to the mean position
+            of {b} for GG and BG, and closest to the origin of {b} for BB and GB.
+        dof: (..., 3) int, 1 for free axes, 0 for constrained axes.
         free_probability: (..., 3) as in :class:`AngularFrame`.
         rms: (..., 3) m/s, RMS velocity along each axis (lambda in the paper), at the smallest time scale that
             is used.
         amplitude: (..., 3) m, RMS displacement along each axis, as in :class:`AngularFrame`.
-        norm: (...) m/s, the minimised norm, as in :class:`AngularFrame`.
+        norm: (...) m/s, the minimized norm, as in :class:`AngularFrame`.
         norms: (..., 4) m/s, the norms of types BB, GB, GG and BG.
-        tied: (..., 4) bool, types that fit equally well, this one included.
+        tied: (..., 4) bool, types that fit equally well, including the reported type.
         free_rotation: (..., 3) bool, as in :class:`AngularFrame`.
-        free_position: (..., 3, 3) projector onto the directions in which the origin can be moved
-            without changing the constraint (the "-" of the paper's Table 2); its trace is their number.
+        free_position: (..., 3, 3) projector onto the directions along which the origin can be shifted without
+            changing the constraint (the "-" of the paper's Table 2). Its trace is the number of directions.
     """
 
     type_code: jax.Array
@@ -131,14 +130,16 @@ class LinearFrame:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Candidates:
-    """Frames of all types at their lowest norm, and of the reported type; one more axis T, over the types.
+    """The best frame of every type, along an axis T. The frame of the reported type is the reported frame.
 
     Attributes:
-        rotvec: (..., T, 3) rad.
-        dof: (..., T, 3) int; of types that lost, as many axes as the winner has free.
-        rms: (..., T, 3) rad/s or m/s.
-        norm: (..., T) rad/s or m/s.
-        position: (..., T, 3) m; None for angular frames.
+        rotvec: (..., T, 3) rad, orientation of the frame, as in :class:`AngularFrame` and
+            :class:`LinearFrame`.
+        dof: (..., T, 3) int, 1 for free axes, 0 for constrained axes. Every type has the number of free axes
+            of the reported type; with thresholds, each type has its own number.
+        rms: (..., T, 3) rad/s or m/s, RMS velocity along each axis.
+        norm: (..., T) rad/s or m/s, the lowest norm of the type.
+        position: (..., T, 3) m, origin of the frame; None for angular frames.
     """
 
     rotvec: jax.Array
@@ -151,11 +152,11 @@ class Candidates:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class AllCandidates:
-    """Candidates of both groups.
+    """The best frames of all types.
 
     Attributes:
-        angular: types G and B.
-        linear: types BB, GB, GG and BG.
+        angular: frames of the types G and B.
+        linear: frames of the types BB, GB, GG and BG.
     """
 
     angular: Candidates

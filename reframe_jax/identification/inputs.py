@@ -1,4 +1,4 @@
-"""Check poses and times, and convert them to the arrays of the pipeline."""
+"""Check poses and times, convert them to arrays, and divide batches into pieces."""
 
 import os
 from collections.abc import Callable
@@ -14,8 +14,8 @@ from reframe_jax.motion.checks import MIN_VELOCITIES
 
 __all__ = ["padded_size", "read_number", "read_numbers", "run_in_pieces", "take_poses", "take_steps"]
 
-_SINGLE = 8  # windows up to which a program for many is not worth compiling
-_FEWEST, _SHORT, _LONG = 8, 64, 4096  # poses that are padded at least; the smallest size; see padded_size
+_SINGLE = 8  # largest number of windows that are computed one by one, without a program for a batch
+_FEWEST, _SHORT, _LONG = 8, 64, 4096  # fewest poses that are padded, and padded lengths; see padded_size
 _TOO_COARSE = ("float16", "bfloat16")
 _REMEDIES = {
     "M": ": give seconds, (times - times[0]) / np.timedelta64(1, 's')",
@@ -24,31 +24,33 @@ _REMEDIES = {
 
 
 def read_numbers(name: str, value: Any) -> Any:
-    """Convert to an array of real numbers that JAX can use: float32, float64, or integers.
+    """Convert an argument to an array of float32, float64 or integers.
 
-    Arrays of JAX stay as they are. Others become NumPy arrays in the byte order of the machine; those of more
-    than 64 bits are rounded to float64.
+    JAX arrays are returned unchanged. Other arguments become NumPy arrays in the byte order of the machine;
+    floats with more than 64 bits are rounded to float64.
 
     Args:
-        name: of the argument, for messages.
-        value: an array, or what NumPy makes one of.
+        name: name of the argument, for messages.
+        value: an array, a number, or nested lists of numbers.
 
     Raises:
-        ValueError: for anything but real numbers, or for floats of 16 bits and less.
+        ValueError: for anything but real numbers, for a masked array, or for floats of 16 bits or fewer.
     """
     if not isinstance(value, jax.Array):
         if np.ma.is_masked(value):
-            raise ValueError(f"{name} must not be masked: leave those entries out, or make them NaN.")
+            raise ValueError(
+                f"{name} must not be a masked array: remove the masked entries, or replace them with NaN."
+            )
         try:
             value = np.asarray(value)
         except (TypeError, ValueError) as error:
             raise ValueError(f"{name} must be an array of numbers: {error}") from error
     dtype = value.dtype
-    kind = getattr(dtype, "kind", "V")  # keys of random numbers have none
+    kind = getattr(dtype, "kind", "V")  # random keys have no kind
     if dtype.name in _TOO_COARSE or (kind == "f" and dtype.itemsize < 4):
         raise ValueError(
-            f"{name} must be float64, float32 or integers, not {dtype.name}, which keeps three digits: "
-            "motion drowns in its rounding. Converting it brings nothing back."
+            f"{name} must be float64, float32 or integers, not {dtype.name}: with three digits, the rounding "
+            "error hides the motion. Read the numbers again in a wider type; a conversion restores no digits."
         )
     if kind not in "iuf":
         remedy = _REMEDIES.get(kind, "")
@@ -61,10 +63,14 @@ def read_numbers(name: str, value: Any) -> Any:
 
 
 def read_number(name: str, value: Any) -> float:
-    """Convert to a single real number.
+    """Convert an argument to a single real number.
+
+    Args:
+        name: name of the argument, for messages.
+        value: the argument.
 
     Raises:
-        ValueError: for anything else.
+        ValueError: for an array, or for anything but a real number.
     """
     number = read_numbers(name, value)
     if number.ndim:
@@ -76,7 +82,7 @@ def take_poses(poses: Any) -> Any:
     """Check the type and shape of poses (..., K+1, 4, 4); integers become float64.
 
     Raises:
-        ValueError: if they are of a wrong type or shape, or too few.
+        ValueError: for a wrong type or shape, or for fewer than five poses.
     """
     poses = read_numbers("poses", poses)
     if poses.dtype.kind != "f":
@@ -93,15 +99,19 @@ def take_poses(poses: Any) -> Any:
 
 
 def take_steps(poses: Any, times: Any, dt: Any) -> Any:
-    """Compute the sample time of every step, (K,) or (..., K) in s, from times or dt.
+    """Compute the durations of the steps between consecutive poses, from times or dt.
 
     Args:
-        poses: as :func:`take_poses` returns them.
-        times: (K+1,) or (..., K+1) s, or None.
-        dt: a scalar, (K,) or (..., K) s, or None.
+        poses: (..., K+1, 4, 4), as :func:`take_poses` returns them.
+        times: (K+1,) or (..., K+1) sample times, s, or None.
+        dt: durations, s: a scalar, (K,) or (..., K), or None.
+
+    Returns:
+        (K,) or (..., K) s.
 
     Raises:
-        ValueError: unless exactly one of the two is given, in such a shape and of real numbers.
+        ValueError: unless exactly one of ``times`` and ``dt`` is given, with real numbers in one of these
+            shapes.
     """
     samples, batch = poses.shape[-3] - 1, poses.shape[:-3]
     if (times is None) == (dt is None):
@@ -125,7 +135,7 @@ def take_steps(poses: Any, times: Any, dt: Any) -> Any:
 
 
 def _differences(times: Any) -> Any:
-    """Differences of neighbours as floats; also of unsigned integers that fall, and of any that overflow."""
+    """Return differences of consecutive times as floats, also of unsigned or very large integers."""
     later, earlier = times[..., 1:], times[..., :-1]
     if times.dtype.kind == "f":
         return later - earlier
@@ -138,9 +148,10 @@ def _differences(times: Any) -> Any:
 
 
 def padded_size(count: int) -> int:
-    """Padded length of a window: 64, 256, 1024 or 4096 poses, then powers of 2.
+    """Return the padded length of a window of ``count`` poses: 64, 256, 1024, 4096, or a larger power of 2.
 
-    A program for a size takes longer to compile than thousands of poses that do not count take to run.
+    Windows are padded because the compilation of a program for a new length takes longer than the computation
+    with thousands of additional poses. Windows of fewer than eight poses are not padded.
     """
     if count < _FEWEST:
         return count
@@ -151,13 +162,14 @@ def padded_size(count: int) -> int:
 
 
 def _pad_poses(poses: Any, steps: Any) -> tuple[Any, Any, bool]:
-    """Pad windows to one of few lengths, so that few programs are compiled; also say if lengths are needed.
-
-    The very shortest stay as they are.
+    """Pad windows to :func:`padded_size` with copies of their last pose and step.
 
     Args:
         poses: (..., K+1, 4, 4).
         steps: (K,) or (..., K) s.
+
+    Returns:
+        Poses, steps, and whether the program needs the number of poses before the padding.
     """
     count = poses.shape[-3]
     fill = padded_size(count) - count
@@ -166,29 +178,34 @@ def _pad_poses(poses: Any, steps: Any) -> tuple[Any, Any, bool]:
         poses = xp.concatenate([poses, xp.repeat(poses[..., -1:, :, :], fill, axis=-3)], axis=-3)
         xp = jnp if isinstance(steps, jax.Array) else np
         steps = xp.concatenate([steps, xp.repeat(steps[..., -1:], fill, axis=-1)], axis=-1)
-    # one program for a size, whether there is something to fill or not
+    # a window that needs no padding uses the same program as windows that do
     return poses, steps, count >= _FEWEST
 
 
 def run_in_pieces(run: Callable[..., Any], poses: Any, steps: Any, others: Any, most: int, pad: bool) -> Any:
-    """Compute results for N windows in pieces of one of few sizes and lengths.
+    """Compute results for N windows in pieces of equal size, so that few programs are compiled.
 
-    A piece has ``most`` windows, the last one repeats its last window. Up to eight are computed one by one.
+    A piece has ``most`` windows; the last piece repeats its last window. Up to eight windows are computed one
+    by one.
 
     Args:
-        run: function of poses, steps, lengths (N,) or None, and others, that compiles once for a size.
+        run: function of poses, steps, numbers of poses (N,) or None, and ``others``. JAX compiles it once for
+            each shape of the poses.
         poses: (N, K+1, 4, 4).
         steps: (K,) or (N, K) s.
-        others: pytree of arrays with an axis (N,) in front.
-        most: windows in a piece.
-        pad: whether windows are padded to one of few lengths; not if something counts from their end.
+        others: pytree of arrays with a leading axis (N,).
+        most: number of windows in a piece.
+        pad: whether to pad windows to :func:`padded_size`.
+
+    Returns:
+        The results of ``run`` for all windows, concatenated.
     """
     count, length = poses.shape[:2]
     padded = False
     if pad:
         poses, steps, padded = _pad_poses(poses, steps)
     size = most if count > _SINGLE else 1
-    # one program, whether windows share their times or not
+    # windows with equal times and windows with different times use the same program
     xp = jnp if isinstance(steps, jax.Array) else np
     steps = xp.broadcast_to(steps, (count, steps.shape[-1]))
     lengths = np.full(size, length, np.int32) if padded else None
@@ -199,10 +216,10 @@ def run_in_pieces(run: Callable[..., Any], poses: Any, steps: Any, others: Any, 
         return run(poses[part], steps[part], lengths, jax.tree.map(lambda leaf: leaf[part], others))
 
     starts = range(0, count, size)
-    parts = [run_piece(0)]  # which compiles
+    parts = [run_piece(0)]  # compiles the program
     if len(starts) > 2 and jax.default_backend() == "cpu":
-        # the operations of a piece are short: XLA gives each to one processor
-        wide = in_float64()  # a setting of the thread
+        # XLA runs the short operations of a piece on one processor, so threads run several pieces
+        wide = in_float64()  # each thread has its own setting
 
         def run_on_thread(start: int) -> Any:
             with jax.enable_x64(wide):

@@ -1,4 +1,4 @@
-"""Names of the entries of the table, and the entry of a class."""
+"""Names of the entries of the table of constraints, and the entry with given degrees of freedom."""
 
 import numpy as np
 
@@ -18,18 +18,18 @@ __all__ = [
 ]
 
 NO_ENTRY = -1
-"""Code of a class that has no entry."""
+"""Code for degrees of freedom without an entry in the table."""
 
 _CATALOGUE = CONSTRAINTS | OTHER_CONSTRAINTS
 
 
 def constraint_of(code: int) -> Constraint | None:
-    """The catalogue's constraint of an entry, or None."""
+    """Return the named constraint of an entry of the table, or None if the entry has no name."""
     return _CATALOGUE.get(ENTRIES[code].label)
 
 
 def name_of(code: int) -> str:
-    """Name of an entry, of the catalogue or in words."""
+    """Return the name of an entry, or a description such as "Unnamed: 1 rotation, 2 translations in GB"."""
     known = constraint_of(code)
     if known is not None:
         return known.name
@@ -37,16 +37,16 @@ def name_of(code: int) -> str:
 
 
 def _describe(entry: Entry) -> str:
-    """A class without a name: the type matters where something turns and something is held."""
+    """Describe an entry without a name; the type has no effect without rotations or without constraints."""
     where = f" in {entry.kind}" if entry.dof[0] and entry.dof[1] < 3 else ""
     return f"Unnamed: {entry.label}{where}"
 
 
 NAMES = tuple(dict.fromkeys(name_of(code) for code in range(len(ENTRIES))))
-"""All names, without repetition."""
+"""The names of all entries, without repetition."""
 
 NAME_OF_ENTRY = np.array([NAMES.index(name_of(code)) for code in range(len(ENTRIES))], np.int32)
-"""(E,) index of every entry's name."""
+"""(E,) index in ``NAMES`` of the name of every entry."""
 
 SAME_IN_ALL_TYPES = np.array(
     [
@@ -56,14 +56,17 @@ SAME_IN_ALL_TYPES = np.array(
         for code in range(len(ENTRIES))
     ]
 )
-"""(E,) whether the constraint is the same in frames of every linear type."""
+"""(E,) whether frames of every linear type can express the constraint of an entry."""
 
 
 def codes_of(name: str) -> tuple[int, ...]:
-    """Codes of the entries with a name, a label of the catalogue, or a common word for it.
+    """Return the codes of all entries of a constraint.
+
+    Args:
+        name: a name, a label of the catalogue, or a common word such as "hinge", in upper or lower case.
 
     Raises:
-        ValueError: for an unknown name; the message lists the known ones.
+        ValueError: for an unknown name; the message lists all names.
     """
     wanted = _COMMON.get(name.casefold(), name).casefold()
     codes = tuple(
@@ -76,7 +79,7 @@ def codes_of(name: str) -> tuple[int, ...]:
     known = ", ".join(
         f"{ENTRIES[int(np.argmax(code == NAME_OF_ENTRY))].label} ({each})" for code, each in enumerate(NAMES)
     )
-    raise ValueError(f"No constraint {name!r}. There are: {known}; and in short {', '.join(_COMMON)}.")
+    raise ValueError(f"No constraint {name!r}. There are: {known}; common words: {', '.join(_COMMON)}.")
 
 
 _COMMON = {
@@ -97,9 +100,11 @@ _COMMON = {
 
 
 def _class_codes() -> np.ndarray:
-    """Entry codes (4, 4, 4, 3) by linear type, free rotations, free translations, and relation of the axes.
+    """Return the entry for each linear type, number of free rotations and translations, and axis relation.
 
-    The odd axes are parallel (0), perpendicular (1) or neither (2).
+    Returns:
+        (4, 4, 4, 3) codes. The last index is the relation of the distinct axes (see ``AxisRelation``):
+        parallel (0), perpendicular (1) or oblique (2).
     """
     codes = np.full((4, 4, 4, 3), NO_ENTRY, np.int32)
     for code in reversed(range(len(ENTRIES))):
@@ -116,4 +121,4 @@ def _class_codes() -> np.ndarray:
 
 
 CLASS_CODES = _class_codes()
-"""Entry of every class, see :func:`_class_codes`."""
+"""(4, 4, 4, 3) entries by degrees of freedom; see :func:`_class_codes`."""

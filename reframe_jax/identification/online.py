@@ -1,4 +1,4 @@
-"""Identification while the robot moves: push a pose, get the current frame."""
+"""Identify the constraint of a stream of poses while the robot moves."""
 
 from operator import index
 from typing import Any
@@ -19,30 +19,30 @@ from reframe_jax.solvers import Solver
 
 __all__ = ["OnlineIdentifier"]
 
-_PATIENCE = 3  # times in a row that come too early, after which the window begins anew
+_PATIENCE = 3  # number of consecutive times before the last accepted time, after which a new window begins
 
 
 class OnlineIdentifier:
-    """The constraint frame of the last poses of a stream.
+    """Identify the last poses of a stream after every new pose.
 
-    Every push identifies the whole window anew (``python -m benchmarks.identification`` prints the time).
-    Updating moments instead would drift: the moments along constrained axes are 1e-6 to 1e-10 of the largest
-    ones, and every update leaves a rounding of these behind.
+    Every :meth:`push` identifies the whole window again (``python -m benchmarks.identification`` prints the
+    time). An update of the moments would accumulate rounding errors: the moments along constrained axes are
+    1e-6 to 1e-10 of the largest moments.
 
     Args:
-        length: poses in the window, K + 1; at least 5.
-        dt: sample time in s, for streams without times.
-        scales: this and the next ones are options of :func:`reframe_jax.identify`.
-        assume: name of a constraint.
-        norm: exponent of the power mean.
-        discretization: how velocity is taken from two poses.
+        length: number of poses in the window, K + 1; at least 5.
+        dt: time between two poses, s, for streams without times.
+        scales: time scales, as in :func:`reframe_jax.identify`; so are the following arguments.
+        assume: name of a known constraint.
+        norm: exponent of the power mean over the axes.
+        discretization: method to compute a velocity from two poses.
         thresholds: RMS velocities above which an axis is free.
         bounds: half the width of the cube in which origins are searched, m.
-        solver: another search for the origin.
-        key: of the solver's random numbers.
+        solver: search for the origins with ``scales=1``.
+        key: JAX random key of the solver.
 
     Raises:
-        ValueError: if the window is too short, the sample time not positive, or another option invalid.
+        ValueError: if the window is too short, if ``dt`` is not positive, or for another invalid option.
     """
 
     def __init__(
@@ -88,23 +88,25 @@ class OnlineIdentifier:
         self._poses = np.zeros((2 * length, 4, 4))
         self._times = np.zeros(2 * length)
         self._length, self._count = length, 0
-        self._early: list[float] = []  # times refused one after the other
+        self._early: list[float] = []  # consecutive times that were refused
 
     def push(self, pose: ArrayLike, time: float | None = None) -> Identification | None:
-        """Add a pose.
+        """Add a pose to the window, and identify the window if it is full.
+
+        A time must be later than the time before it. However, the third of three consecutive, increasing
+        times that are too early begins a new window: the last accepted time was wrong, or the clock was set
+        back.
 
         Args:
-            pose: (4, 4), of {b} in {g}; m.
-            time: s; needed unless ``dt`` was given.
+            pose: (4, 4) pose of {b} in {g}, m.
+            time: sample time, s; required unless ``dt`` was given.
 
         Returns:
-            The identification of the last ``length`` poses; None until there are as many.
+            The identification of the last ``length`` poses; None while the window has fewer poses.
 
         Raises:
-            ValueError: if the pose or time is missing, of a wrong shape, or unusable: it is not added.
-                Also if the window as a whole has no motion; the pose is then kept. Of three times in a row
-                that increase among themselves and come too early, the third begins a new window: the time
-                before them was wrong, or the clock was set back.
+            ValueError: for a missing, invalid or too early pose or time, which is not added. Also if the full
+                window has no motion; its last pose remains in the window.
         """
         pose = np.asarray(read_numbers("pose", pose), dtype=float)
         if pose.shape != (4, 4) or not np.all(np.isfinite(pose)):
@@ -130,13 +132,13 @@ class OnlineIdentifier:
         return identify_unchecked(self._poses[window], times=times, dt=self._dt, **self._options)
 
     def reset(self) -> None:
-        """Empty the window: the next pose is the first."""
+        """Remove all poses from the window."""
         self._count, self._early = 0, []
 
     def _refuse(self, time: float, last: float) -> None:
-        """Refuse a time that is too early, unless many times were: then the last accepted time was wrong.
+        """Refuse a time that is too early; empty the window at the third such time.
 
-        Otherwise a single time stamp far in the future would block the stream for ever.
+        Otherwise, a single wrong time stamp far in the future would block the stream forever.
         """
         self._early = [*self._early, time] if not self._early or time > self._early[-1] else [time]
         if len(self._early) < _PATIENCE:
@@ -144,12 +146,12 @@ class OnlineIdentifier:
         self.reset()
 
     def __len__(self) -> int:
-        """Poses in the window so far."""
+        """Number of poses in the window."""
         return min(self._count, self._length)
 
 
 def _check_rigid(pose: np.ndarray) -> None:
-    """Refuse a pose that would make every window that contains it unusable."""
+    """Raise a ValueError for a pose that is not a rigid transform."""
     rotation = pose[:3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
         skewed = not np.abs(rotation.T @ rotation - np.eye(3)).max() < ROTATION_TOLERANCE

@@ -1,4 +1,4 @@
-"""The optimum of every frame type: its axes, its RMS velocities along them, and its norm."""
+"""Compute, for the best frame of every type, its axes, the RMS velocities along them, and its norm."""
 
 from functools import partial
 from typing import NamedTuple
@@ -22,28 +22,37 @@ __all__ = ["TURN_KINDS", "Types", "rms_velocities", "smallest_scale", "types_of_
 Array = jax.Array
 _LINEAR = np.array([KINDS.index(t.name) for t in LinearType])
 TURN_KINDS = np.array([KINDS.index("turn in ground"), KINDS.index("turn in body")])
-"""Codes of the kinds of rotations, by ``AngularType``."""
+"""(2,) codes in ``KINDS`` of rotations about axes fixed in the ground and in the body, by ``AngularType``."""
 
 
 class Types(NamedTuple):
-    """Optima of all types, as the paper has them."""
+    """The best frames of all types; angular types are G and B, linear types are BB, GB, GG and BG."""
 
-    angular_axes: Array  # (2, 3, 3)
-    linear_axes: Array  # (4, 3, 3)
-    angular_rms: Array  # (2, 3)
-    linear_rms: Array  # (4, 3)
-    angular_norm: Array  # (2,)
-    linear_norm: Array  # (4,)
+    angular_axes: Array  # (2, 3, 3), columns are the axes
+    linear_axes: Array  # (4, 3, 3), columns are the axes
+    angular_rms: Array  # (2, 3) rad/s
+    linear_rms: Array  # (4, 3) m/s
+    angular_norm: Array  # (2,) rad/s
+    linear_norm: Array  # (4,) m/s
 
 
 def smallest_scale(live: Moments) -> Array:
-    """The smallest scale of a window that is used, (S,) bool."""
+    """Return which of the S scales is the smallest scale that a window uses, (S,) bool."""
     used = live.details > 0
     return used & (jnp.cumsum(used) == 1)
 
 
 def rms_velocities(weights: Array, live: Moments, step: Array) -> Array:
-    """RMS velocity along coordinates (3, 27), at the smallest scale that is used."""
+    """Compute the RMS velocities of three coordinates, at the smallest scale that the window uses.
+
+    Args:
+        weights: (3, 27) weights of the features in each coordinate.
+        live: moments of the window.
+        step: mean time between two poses, s.
+
+    Returns:
+        (3,) m/s or rad/s.
+    """
     smallest = smallest_scale(live)
     products = jnp.sum(jnp.where(smallest[:, None, None], live.products, 0), axis=0)
     square = jnp.einsum("if,fg,ig->i", weights, products, weights)
@@ -52,14 +61,14 @@ def rms_velocities(weights: Array, live: Moments, step: Array) -> Array:
 
 
 def _log_speed_norm(value: Array, live: Moments, step: Array) -> Array:
-    """Geometric mean of the RMS velocities over axes and scales, from F or its like (...)."""
+    """Convert sums (...) of log variances over axes and scales to geometric means of RMS velocities."""
     count = jnp.sum(live.details)
     spans = jnp.sum(live.details * jnp.log(live.width * step))
     return jnp.exp((value / 2 / 3 - spans) / count)
 
 
 def types_over_scales(solved: Solved, live: Moments, step: Array) -> Types:
-    """Optima over scales, of one window with the mean sample time ``step``, s."""
+    """Compute the best frames of one window over its time scales; ``step`` is the mean step, s."""
     angular, linear = solved.angular_axes, solved.linear_axes
     dtype = live.products.dtype
     points = jnp.concatenate([jnp.ones((4, 1), dtype), solved.origins], axis=1)
@@ -76,7 +85,17 @@ def types_over_scales(solved: Solved, live: Moments, step: Array) -> Types:
 def types_of_steps(
     window: Prepared, solved: Solved, exponent: float, discretization: Discretization
 ) -> Types:
-    """Optima of the paper, for the velocities of single steps of N windows."""
+    """Compute the best frames of N windows by the paper's norm of the velocities of single steps.
+
+    Args:
+        window: N prepared windows.
+        solved: result of the model; only its origins are used.
+        exponent: exponent of the power mean over the axes.
+        discretization: method to compute a velocity from two poses.
+
+    Returns:
+        The frames, with a leading axis (N,).
+    """
     angular, linear = step_moments(window.poses, window.steps, discretization)
     zero = jnp.zeros_like(angular[0, 0])
     x = jnp.moveaxis(solved.origins, -1, 0)

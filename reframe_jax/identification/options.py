@@ -1,4 +1,4 @@
-"""Check the options of the main entry, and convert them for the pipeline."""
+"""Check the options of ``identify``, and convert them to the form that compiled programs use."""
 
 from collections.abc import Sequence
 from typing import Any, Literal, TypedDict, get_args
@@ -17,14 +17,14 @@ from reframe_jax.solvers import Solver
 
 __all__ = ["IdentifyOptions", "Scales", "check_bounds", "check_options", "take_assumed", "take_scales"]
 
-_FARTHEST = 1e6  # m, of bounds: far more than any mechanism, and powers of it are finite
+_FARTHEST = 1e6  # m, largest bounds: larger than any mechanism, and its powers are finite in float32
 
 Scales = Literal["auto", "mean"] | int | Sequence[int]
-"""Samples in the blocks of the time scales that are used; "mean" for the displacements about the mean."""
+"""Time scales in samples; "auto" for all useful scales, "mean" to compare poses with their mean."""
 
 
 class IdentifyOptions(TypedDict, total=False):
-    """Keyword arguments of :func:`reframe_jax.identify` that functions which call it hand on."""
+    """Keyword arguments that other functions pass on to :func:`reframe_jax.identify`."""
 
     scales: Scales
     norm: float
@@ -37,10 +37,17 @@ class IdentifyOptions(TypedDict, total=False):
 
 
 def take_scales(scales: Any, poses: int) -> tuple[int, ...] | None:
-    """Check scales: samples, None for "auto", or an empty tuple for "mean".
+    """Check the time scales.
+
+    Args:
+        scales: "auto", "mean", a number of samples, or several numbers.
+        poses: number of poses in a window.
+
+    Returns:
+        None for "auto", an empty tuple for "mean", otherwise the numbers in ascending order.
 
     Raises:
-        ValueError: unless they are powers of two that fit a window of so many poses.
+        ValueError: unless the numbers are powers of two, at most an eighth of the number of poses.
     """
     if isinstance(scales, str):
         if scales == "auto":
@@ -60,10 +67,10 @@ def take_scales(scales: Any, poses: int) -> tuple[int, ...] | None:
 
 
 def take_assumed(assume: Any) -> tuple[int, ...] | None:
-    """Codes of the entries of an assumed constraint; None for all entries.
+    """Return the codes of the entries of the table with an assumed name; None if no name is assumed.
 
     Raises:
-        ValueError: for an unknown name.
+        ValueError: for an unknown name, or for anything but text.
     """
     if assume is None:
         return None
@@ -81,7 +88,7 @@ def check_options(
     """Check the types of thresholds, solver, discretization and key.
 
     Raises:
-        ValueError: saying what was expected.
+        ValueError: for an invalid option; the message states what is expected.
     """
     if thresholds is not None:
         if not isinstance(thresholds, Thresholds):
@@ -107,18 +114,18 @@ def _is_key(key: Any) -> bool:
 
 
 def check_bounds(bounds: Any) -> Any:
-    """Check the half width of the cube in which origins are searched, m; None by default.
+    """Check half the width of the cube in which origins are searched, m; None for the default.
 
     Raises:
-        ValueError: unless it is one positive length.
+        ValueError: unless it is one positive length of at most 1e6 m.
     """
     if bounds is None:
         return None
     value = read_numbers("bounds", bounds)
     if value.ndim:
         raise ValueError(
-            f"bounds must be one length in m, half the width of a cube, not of shape {value.shape}."
+            f"bounds must be one length in m, half the width of a cube, not an array of shape {value.shape}."
         )
     if not traced(value) and not 0 < float(value) <= _FARTHEST:
-        raise ValueError(f"bounds must be a length from 0 to {_FARTHEST:g} m, not {float(value):g}.")
+        raise ValueError(f"bounds must be positive and at most {_FARTHEST:g} m, not {float(value):g}.")
     return value

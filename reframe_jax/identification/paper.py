@@ -1,4 +1,4 @@
-"""The paper's own search: velocities of single steps, any power mean over axes, any solver."""
+"""The search of the paper: norms of the velocities of single steps, for any exponent and any solver."""
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ from reframe_jax.solvers import BasinHopping, Box, FrameSteps, JointSearch, Solv
 
 __all__ = ["default_solver", "paper_origins", "step_moments"]
 
-_FLOOR = 16  # roundings that are added to a covariance, so that windows without noise stay positive definite
+_FLOOR = 16  # rounding errors added to a covariance, so that it is positive definite without noise
 
 _VALLEY = BasinHopping(ValleySteps(6), restarts=7, hops=2, polish=1, rounds=8)
 _POSITIVE = BasinHopping(ValleySteps(8), restarts=8, hops=4, polish=2)
@@ -20,17 +20,25 @@ _NEGATIVE = JointSearch(BasinHopping(FrameSteps(10), restarts=16, hops=3, polish
 
 
 def default_solver(norm: float = 0.0) -> BasinHopping | JointSearch:
-    """The solver for an exponent of the norm where the search over scales does not apply."""
+    """Return the solver that ``identify`` uses for a norm with ``scales=1``.
+
+    Args:
+        norm: exponent of the power mean over the axes, in [-inf, 2].
+    """
     return _VALLEY if norm == 0 else _POSITIVE if norm > 0 else _NEGATIVE
 
 
 def step_moments(poses: jax.Array, steps: jax.Array, discretization: Discretization) -> tuple[jax.Array, ...]:
-    """Moments of the velocities of single steps: angular (6, 1, N, 2) and linear (6, 10, N, 4).
+    """Compute the second moments of the velocities of single steps.
 
     Args:
-        poses: (N, P, 4, 4) m.
-        steps: (1, K) or (N, K) s.
-        discretization: of velocities.
+        poses: (N, K+1, 4, 4) m.
+        steps: (1, K) or (N, K) durations of the steps, s.
+        discretization: method to compute a velocity from two poses.
+
+    Returns:
+        (6, 1, N, 2) moments of angular velocities, and (6, 10, N, 4) moments of linear velocities; the last
+        axis lists the frame types.
     """
     found = []
     for maps in kinematics.velocity_components(poses, steps, discretization):
@@ -50,7 +58,18 @@ def paper_origins(
     solver: Solver | None,
     key: jax.Array,
 ) -> jax.Array:
-    """The origin of every linear type by the paper's norm, (N, 4, 3) m."""
+    """Find the origin with the lowest norm of the paper, for every linear type.
+
+    Args:
+        window: N prepared windows.
+        exponent: exponent of the power mean over the axes.
+        discretization: method to compute a velocity from two poses.
+        solver: search for the origins; None for :func:`default_solver`.
+        key: JAX random key of the solver.
+
+    Returns:
+        (N, 4, 3) m.
+    """
     _, linear = step_moments(window.poses, window.steps, discretization)
     solver = default_solver(exponent) if solver is None else solver
     half = jnp.broadcast_to(jnp.max(window.box), (3,))

@@ -1,4 +1,4 @@
-"""Identify checked windows, with pure functions of arrays.
+"""The steps of an identification, as pure functions of arrays.
 
 poses -> features, moments (:mod:`reframe_jax.model`) -> the most probable entry of the table -> its frames.
 """
@@ -33,20 +33,20 @@ def identify_windows(
     solver: Solver | None,
     assume: tuple[int, ...] | None,
 ) -> Identification:
-    """Identify N windows.
+    """Identify N windows of checked poses.
 
     Args:
-        poses: this and the next three as in :func:`prepare_windows`.
-        steps: s.
-        count: of poses.
-        bounds: m.
-        thresholds: above which an axis is free; None to let the evidence decide.
-        key: of the solver's random numbers.
-        scales: in samples; None for all that stand out of the noise.
-        exponent: of the power mean over axes.
-        discretization: of velocities, for the paper's search.
-        solver: of the paper's search; None for the search over scales.
-        assume: codes of the entries that are fitted; None for the most probable ones.
+        poses: (N, P, 4, 4) m.
+        steps: (K,) or (N, K) durations of the steps, s.
+        count: (N,) number of poses in each window, if the poses after them are padding; else None.
+        bounds: () m, half the width of the cube of origins; None for the default.
+        thresholds: RMS velocities above which an axis is free; None if probabilities decide.
+        key: JAX random key of the solver.
+        scales: numbers of samples; None for all scales at which the motion exceeds the noise.
+        exponent: exponent of the power mean over the axes.
+        discretization: method to compute a velocity from two poses, in the paper's search.
+        solver: solver of the paper's search; None for the search over time scales.
+        assume: codes of the entries to fit; None for the most probable entries.
     """
     window = prepare_windows(poses, steps, count, bounds, scales)
     fixed: Prepared = jax.lax.stop_gradient(window)

@@ -15,7 +15,7 @@ from reframe_jax.motion.outliers import repair_poses
 
 __all__ = ["Prepared", "prepare_windows"]
 
-_REACH = 2.0  # m, half the width of the box by default, or so many times the extent of the motion
+_REACH = 2.0  # half the width of the cube of origins: 2 m, or twice the extent of the motion if that is more
 
 Array = jax.Array
 
@@ -25,13 +25,14 @@ class Prepared(NamedTuple):
 
     Attributes:
         status: (N,) codes of ``Status``.
-        centre: (N, 3) m, mean position; everything else is relative to it.
-        poses: (N, P, 4, 4) m.
+        centre: (N, 3) m, mean position of the recorded poses, which is subtracted from all positions.
+        poses: (N, P, 4, 4) m, relative to ``centre``.
         counted: (N, P) bool, poses that are neither outliers nor padding.
-        steps: (1, K) or (N, K) s.
-        count: (N,) number of poses.
-        noise: (N, 2) m and rad, white noise of every component.
-        features, moments: see :mod:`reframe_jax.model`; of all scales.
+        steps: (1, K) or (N, K) durations of the steps, s.
+        count: (N,) number of poses before the padding.
+        noise: (N, 2) m and rad, standard deviation of the white noise of every component.
+        features, moments: features of the poses and their second moments at all scales; see
+            :mod:`reframe_jax.model`.
         box: (N,) m, half the width of the cube of origins.
     """
 
@@ -50,15 +51,15 @@ class Prepared(NamedTuple):
 def prepare_windows(
     poses: Array, steps: Array, count: Array | None, bounds: Array | None, scales: tuple[int, ...] | None
 ) -> Prepared:
-    """Reduce windows to the moments of their features.
+    """Check windows, leave out outliers, estimate the noise, and compute the moments of the features.
 
     Args:
         poses: (N, P, 4, 4) m.
-        steps: (K,) or (N, K) s.
-        count: (N,) number of poses in each window where the rest is padding, else None.
-        bounds: () m, half the width of the box; None for a box that grows with the motion.
-        scales: that were asked for, in samples; outliers are left out for None, all that stand out. None of
-            them for displacements about the mean.
+        steps: (K,) or (N, K) durations of the steps, s.
+        count: (N,) number of poses in each window, if the poses after them are padding; else None.
+        bounds: () m, half the width of the cube of origins; None for the default.
+        scales: numbers of samples; None for all scales, without outliers; an empty tuple to compare poses
+            with their mean.
     """
     about_mean = scales == ()
     status = window_status(poses, steps)
@@ -80,7 +81,7 @@ def prepare_windows(
         times = jnp.broadcast_to(times, own.shape).T
         rotation, position, counted = repair_poses(rotation, position, times, number, unit)
     still = jax.lax.stop_gradient((position, kinematics.turns_of(rotation)))
-    if about_mean:  # without an order of the poses, only rounding is known of the noise
+    if about_mean:  # poses without order give no estimate of the noise except the rounding error
         reach = jnp.max(jnp.where(counted, jnp.abs(still[0]), 0), axis=(0, 1))
         noise = (
             4 * float(jnp.finfo(poses.dtype).eps) * jnp.stack([reach, jnp.full_like(reach, np.pi)], axis=1)
@@ -96,7 +97,7 @@ def prepare_windows(
 
 
 def _harmless(poses: Array) -> Array:
-    """A body that turns a little about one axis and slides along another, (P, 4, 4)."""
+    """Return valid poses (P, 4, 4) for failed windows: a body that turns and slides."""
     phase = np.linspace(0, 6, poses.shape[1])
     window = np.tile(np.eye(4), (poses.shape[1], 1, 1))
     cos, sin = np.cos(0.3 * np.sin(phase)), np.sin(0.3 * np.sin(phase))

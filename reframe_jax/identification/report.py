@@ -1,4 +1,4 @@
-"""Report frames: from the most probable entry of the table to an identification."""
+"""Build the identification of a window from the most probable entry of the table of constraints."""
 
 from dataclasses import replace
 from functools import partial
@@ -48,9 +48,9 @@ __all__ = ["report_windows"]
 
 Array = jax.Array
 
-_RIVAL = 0.05  # share of the probability of the winner from which on another type counts as tied
-_DEVIATIONS = 3.0  # that tie two types where thresholds decide
-_AT_BOUND = 0.999  # of the box
+_RIVAL = 0.05  # smallest ratio of the probability of a tied type to that of the reported type
+_DEVIATIONS = 3.0  # largest difference of tied types with thresholds, in standard deviations
+_AT_BOUND = 0.999  # smallest coordinate of an origin on the boundary, as a fraction of the box
 
 _FREE = np.array([entry.dof for entry in ENTRIES], np.int32)
 _ANY_ORIGIN = np.array([[c in entry.any_origin for c in range(3)] for entry in ENTRIES])
@@ -59,16 +59,20 @@ _IN_GROUND = TABLE.ground[:, 0] & ~_CROSSED & (_FREE[:, 0] % 3 > 0)  # all or no
 
 
 class _Rows(NamedTuple):
-    """Three coordinates of one group along the axes that are reported."""
+    """Three rotations, or three translations, along the reported axes."""
 
-    axes: Array  # (3, 3) columns
-    weights: Array  # (3, 27)
-    square: Array  # (3,) mean square over the recording
-    dof: Array  # (3,) int
+    axes: Array  # (3, 3), columns are the axes
+    weights: Array  # (3, 27) weights of the features in each coordinate
+    square: Array  # (3,) mean square of each coordinate over the recording, m^2 or rad^2
+    dof: Array  # (3,) int, 1 for free axes
 
 
 def _block_rows(axes: Array, weights: Array, together: Array, free: Array, total: Array) -> _Rows:
-    """Principal axes of each block: held axes first, then by amplitude; right-handed, with fixed signs."""
+    """Rotate axes to the principal axes of their block, sort them, and fix their signs.
+
+    Constrained axes come first, then free axes, both in ascending order of amplitude. A block is a set of
+    axes that may be rotated into each other without a change of the constraint.
+    """
     covariance = jnp.where(together, weights @ total @ weights.T, 0)
     turn = _eigenvectors(covariance, together)
     axes, weights = axes @ turn, turn.T @ weights
@@ -83,26 +87,26 @@ def _block_rows(axes: Array, weights: Array, together: Array, free: Array, total
 
 
 def _eigenvectors(covariance: Array, together: Array) -> Array:
-    """Eigenvectors of a covariance (3, 3), block by block, with their first derivative."""
+    """Return the eigenvectors of the blocks of a covariance (3, 3), with their first derivative."""
     fixed = jax.lax.stop_gradient(covariance)
     turn = diagonalize(fixed[:, :, None])
     seen = turn.T @ covariance @ turn
     size = jax.lax.stop_gradient(jnp.diagonal(seen))
     gap = size[None, :] - size[:, None]
     apart = together & (jnp.abs(gap) > 1e-9 * jnp.max(size))
-    # the value of these is zero, their derivative is not
+    # the change is zero, but its derivative is not
     change = jnp.where(apart, (seen - jax.lax.stop_gradient(seen)) / jnp.where(apart, gap, 1), 0)
     return turn + turn @ change
 
 
 def _sign(axis: Array) -> Array:
-    """Sign that makes the largest component positive."""
+    """Return the sign that makes the largest component of an axis positive."""
     axis = jax.lax.stop_gradient(axis)
     return jnp.where(axis[jnp.argmax(jnp.abs(axis)).astype(jnp.int32)] < 0, -1, 1)
 
 
 def _rotvec(axes: Array, dof: Array) -> Array:
-    """Rotation vector of axes; turning axes of one kind into each other contributes no derivative."""
+    """Return the rotation vector of axes; rotations among free or constrained axes have no derivative."""
     fixed = jax.lax.stop_gradient(axes)
     turn = fixed.T @ axes
     at_rest = jax.lax.stop_gradient(turn)
@@ -123,14 +127,14 @@ def report_windows(
     """Build the identification of N windows.
 
     Args:
-        window: prepared windows; derivatives follow its features and moments.
-        live: moments with details at the scales that are used.
+        window: prepared windows; the result is differentiable with respect to their features and moments.
+        live: moments of the windows at the scales that are used.
         solved: result of the model, without derivatives.
-        thresholds: above which an axis is free, or None.
-        exponent: of the power mean, for the norms.
-        discretization: of velocities.
+        thresholds: RMS velocities above which an axis is free; None if probabilities decide.
+        exponent: exponent of the power mean over the axes, for the norms.
+        discretization: method to compute a velocity from two poses.
         single_steps: whether RMS velocities are those of single steps.
-        assumed: whether the caller gave the constraint.
+        assumed: whether the caller assumes a constraint.
     """
     window = window._replace(steps=jnp.broadcast_to(window.steps, (len(window.poses), window.steps.shape[1])))
     step = jnp.mean(window.steps, axis=1)
@@ -154,7 +158,7 @@ def _report_window(
     single_steps: bool,
     assumed: bool,
 ) -> tuple[Identification, Array, Array]:
-    """Report one window without its status, whether its origin is on the bounds, and its warnings."""
+    """Return the identification of one window, whether its origin is on the bounds, and its warning codes."""
     mean = window.features.mean_rotation
     data = Data(live.products, live.details, mean, window.box)
     total = jnp.einsum("s,sfg->fg", live.scale_weight, live.products)
@@ -200,7 +204,7 @@ def _report_window(
     velocities = jnp.sum(window.counted) - 1
     tied = _tied_types(winner, kind, thresholds, types, velocities)
     if thresholds is not None or single_steps:
-        # the paper reports the optimum of a type
+        # as in the paper, the reported frame is the best frame of its type
         angular_all = angular_all._replace(axes=types.angular_axes)
         angular_rms = types.angular_rms
         linear = linear._replace(axes=types.linear_axes[kind])
@@ -282,11 +286,11 @@ def _report_window(
 
 
 def _turns_less_in_ground(axes: Array, weights: Array, total: Array) -> Array:
-    """Whether the plane of the positions fixes the axis better than the rotations do, ().
+    """Whether the positions determine the axis of a planar motion better than the rotations do, ().
 
-    An axis is as uncertain as the motion that it should not have is large against the motion that shows it:
-    held rotations against the free one; the position along the axis against the weaker of its amplitudes in
-    the plane.
+    The uncertainty of an axis is the ratio of a residual to the motion that determines the axis. For
+    rotations, this is the constrained rotation over the free rotation. For positions, it is the displacement
+    along the axis over the smaller amplitude in the plane.
     """
     held_turns, turn, along = (
         jnp.einsum("if,fg,ig->", w, total, w) for w in (weights[:2], weights[2:3], weights[5:])
@@ -299,7 +303,7 @@ def _turns_less_in_ground(axes: Array, weights: Array, total: Array) -> Array:
 
 
 def _last_free(number: Array, types: int) -> Array:
-    """Degrees of freedom (types, 3) where the last axes of every type are free."""
+    """Return degrees of freedom (types, 3) in which the last ``number`` axes of every type are free."""
     return jnp.broadcast_to(jnp.arange(3) >= 3 - number, (types, 3)).astype(jnp.int32)
 
 
@@ -309,7 +313,7 @@ def _fix_signs(axes: Array) -> Array:
 
 
 def _free_probability(winner: Winner, group: int, dof: Array) -> Array:
-    """Probability that each axis is free, ascending, (3,)."""
+    """Return the probability that each axis is free, in ascending order, (3,)."""
     count = jnp.asarray(_FREE[:, group])
     above = [jnp.sum(jnp.where(count >= free, winner.probability, 0)) for free in (3, 2, 1)]
     found = jnp.clip(jnp.stack(above), 0, 1)
@@ -319,11 +323,12 @@ def _free_probability(winner: Winner, group: int, dof: Array) -> Array:
 def _tied_types(
     winner: Winner, kind: Array, thresholds: Thresholds | None, types: Types, velocities: Array
 ) -> Array:
-    """Linear types that fit equally well, (4,) bool.
+    """Return which linear types fit equally well, (4,) bool.
 
-    With thresholds, those whose constrained axes are as still as the winner's within three standard
-    deviations of the geometric mean; differences of neighbours make 1.5 velocities worth one. Else those
-    whose entries of the same freedom are nearly as probable.
+    By default, these are the types whose entries, with the same degrees of freedom, are nearly as probable as
+    the reported entry. With thresholds, these are the types whose geometric mean of the RMS velocities along
+    the constrained axes is within three standard deviations of that of the reported type. (Velocities of
+    consecutive steps are correlated: 1.5 velocities count as one.)
     """
     own = jnp.arange(4) == kind
     if thresholds is not None:
@@ -341,7 +346,7 @@ def _tied_types(
 def _with_status(
     found: tuple[Identification, Array, Array], window: Prepared, thresholds: Thresholds | None
 ) -> Identification:
-    """Set the status of the results, and NaN and zeros where a window failed."""
+    """Set the status of the windows, and set the numbers of failed windows to NaN or zero."""
     result, at_bound, codes = found
     still = jnp.sum(result.angular.dof, axis=-1) + jnp.sum(result.linear.dof, axis=-1) == 0
     outcome = jnp.where(at_bound, Status.ON_BOUNDS, Status.OK)
@@ -352,7 +357,7 @@ def _with_status(
 
     leaves, tree = jax.tree.flatten(result)
     for dtype in dict.fromkeys(leaf.dtype for leaf in leaves):  # in one order, for the cache of programs
-        # all numbers of one kind in one array: an operation for every leaf takes long to compile
+        # one operation for all numbers of a dtype: an operation for every leaf takes long to compile
         mine = [i for i, leaf in enumerate(leaves) if leaf.dtype == dtype]
         flat = [leaves[i].reshape(len(failed), -1) for i in mine]
         empty = jnp.nan if jnp.issubdtype(dtype, jnp.floating) else 0
@@ -364,7 +369,7 @@ def _with_status(
 
 
 def _is_finite(found: Identification) -> Array:
-    """Whether the frames of a window are finite, (N,)."""
+    """Return whether all numbers of the frames of each window are finite, (N,) bool."""
     numbers = (found.angular, found.linear, found.noise)
     leaves = [x for x in jax.tree.leaves(numbers) if jnp.issubdtype(x.dtype, jnp.floating)]
     flat = jnp.concatenate([x.reshape(len(x), -1) for x in leaves], axis=1)

@@ -1,8 +1,8 @@
-"""Results of an identification: frames, other frame types, open directions, and status.
+"""The result of an identification.
 
-Everything is a pytree that survives jit, vmap and slicing. Codes (types, status) are integer arrays
-inside; read as ``frame_type`` and ``status`` they are enum members for a single window and integer
-arrays, which compare equal to the members, for a batch.
+All results are pytrees, which ``jit``, ``vmap`` and indexing accept. Types and status are stored as integer
+codes. The properties ``frame_type`` and ``status`` are enum members for a single window, and arrays of codes
+for a batch; a code compares equal to its enum member.
 """
 
 from dataclasses import dataclass
@@ -45,10 +45,10 @@ __all__ = [
 
 _Item = int | slice | EllipsisType | None | np.ndarray | jax.Array
 Index = _Item | tuple[_Item, ...] | list[int]
-"""What indexes an array."""
+"""An index of an array."""
 
-_LEVERS = 0.03, 3.0  # m, between which the noise of positions over that of orientations is believed
-_USUAL_LEVER = 0.3  # m, where neither noise is known
+_LEVERS = 0.03, 3.0  # m, limits of the lever: the ratio of the position noise to the orientation noise
+_USUAL_LEVER = 0.3  # m, lever if the noise is unknown
 
 
 _axes = jax.jit(rotations.rotation_exp)
@@ -57,23 +57,22 @@ _axes = jax.jit(rotations.rotation_exp)
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Identification:
-    """The constraint frame of a window, or of every window of a batch.
+    """The identified constraint of a window, or of every window of a batch.
 
     Attributes:
-        angular: frame of the angular velocity.
-        linear: frame of the linear velocity.
-        candidates: the frames of every type at its lowest norm.
-        entry_code: (...) int, the entry of :data:`reframe_jax.model.table.ENTRIES` that fits best.
+        angular: angular frame: axes of free and constrained rotations.
+        linear: linear frame: origin, and axes of its free and constrained translations.
+        candidates: the best frame of every type.
+        entry_code: (...) int, index of the reported constraint in :data:`reframe_jax.model.table.ENTRIES`.
         entry_probability: (..., E) probability of every entry of the table; NaN with thresholds.
-        pitch: (...) m/rad of a screw joint: translation of the body along the axis for each radian that it
-            turns about it, positive for a right-handed thread; times 2 pi it is the lead, in m per turn. NaN
-            where the constraint is no screw joint.
+        pitch: (...) m/rad, translation of a screw joint along its axis per radian of rotation, positive for a
+            right-handed thread. Multiply by 2 pi for the lead in m per turn. NaN for other constraints.
         universal_axes: (..., 2, 3) unit vectors of a universal joint: its axis in {g} and its axis in {b}.
-            NaN where the constraint is none.
-        noise: of the poses.
-        scale: (...) int, samples in the blocks of the smallest time scale that is used; 1 for single steps.
-        counted: (..., K+1) bool, poses that took part: outliers did not.
-        status_code: (...) int; read it as ``status``. Windows that failed hold NaN and zeros.
+            NaN for other constraints.
+        noise: estimated white noise of the poses.
+        scale: (...) int, smallest time scale that is used, in samples; 1 for single steps.
+        counted: (..., K+1) bool, poses that were used; False for outliers.
+        status_code: (...) int; read it as ``status``. The numbers of failed windows are NaN or zero.
         warning_codes: (...) int, bits of :class:`reframe_jax.identification.cautions.Caution`; read them as
             ``warnings``.
     """
@@ -92,7 +91,7 @@ class Identification:
     warning_codes: jax.Array
 
     def __getitem__(self, index: Index) -> "Identification":
-        """Windows of a batch, indexed like an array."""
+        """Select windows of a batch by an index, as in an array."""
         return index_leaves(self, index)
 
     @property
@@ -102,9 +101,9 @@ class Identification:
 
     @property
     def warnings(self) -> Any:
-        """Reasons to doubt the result of a single window, a list of sentences; the codes of a batch.
+        """Reasons to doubt the result: a list of sentences for a single window, codes for a batch.
 
-        Tables, JSON documents and the command line say the same.
+        Tables, JSON documents and the command line contain the same sentences.
         """
         if isinstance(self.warning_codes, jax.core.Tracer) or np.ndim(self.warning_codes):
             return self.warning_codes
@@ -114,7 +113,7 @@ class Identification:
 
     @property
     def entry(self) -> Constraint | None:
-        """Catalogue entry of a single window; None for a class without a name."""
+        """Named constraint of a single window; None if the constraint has no name."""
         code = int(self.entry_code)
         return constraint_of(code) if code >= 0 else None
 
@@ -122,8 +121,8 @@ class Identification:
     def name(self) -> Any:
         """Name of the constraint; an array of names for a batch.
 
-        Classes outside the catalogue are described ("Unnamed: 3 rotations, 1 translation in GB"), and
-        a window that failed is named after its status.
+        A constraint outside the catalogue has a description ("Unnamed: 3 rotations, 1 translation in GB").
+        The name of a failed window is "No result: " and the message of its status.
         """
         codes, statuses = np.asarray(self.entry_code), np.asarray(self.status_code)
         if codes.ndim:
@@ -145,12 +144,12 @@ class Identification:
 
     @property
     def probability(self) -> Any:
-        """Probability of ``name``, a float; an array for a batch, NaN where a window failed.
+        """Probability of ``name``: a float, or an array for a batch; NaN for failed windows.
 
-        The sum of ``entry_probability`` over all entries with the name. It is conditional on the model of
-        :mod:`reframe_jax.model.evidence`: that one constraint of the table held throughout the window. Motion
-        that did not use a free axis leaves it constrained, with a probability that may be high. NaN with
-        thresholds, which have no probabilities.
+        The probability is the sum of ``entry_probability`` over all entries with this name. It assumes that
+        one constraint of the table applied during the whole window (:mod:`reframe_jax.model.evidence`). A
+        free axis that the motion did not use is reported as constrained, possibly with a high probability.
+        With thresholds, the probability is NaN.
         """
         every, codes = np.asarray(self.entry_probability, float), np.asarray(self.entry_code)
         same = NAME_OF_ENTRY[np.maximum(codes, 0)][..., None] == NAME_OF_ENTRY
@@ -163,8 +162,12 @@ class Identification:
     def constraint_frame(self) -> ConstraintFrame:
         """Types, degrees of freedom and geometry of a single window, for simulation or control.
 
-        That of a screw joint is that of a cylinder joint; ``pitch`` says the rest. That of a universal joint
-        may be that of a spherical joint, if the second axis turned far; ``universal_axes`` are its axes.
+        A screw joint has the frame of a cylinder joint; ``pitch`` contains the coupling. A universal joint
+        whose second axis turned by a large angle has the frame of a spherical joint; ``universal_axes``
+        contains its axes.
+
+        Raises:
+            ValueError: for a batch.
         """
         if np.shape(self.status_code):
             raise ValueError("A batch has many constraint frames: index one window first, found[i].")
@@ -179,15 +182,16 @@ class Identification:
         )
 
     def to_joint(self, poses: ArrayLike, *, parent: str = "ground", child: str = "body") -> Joint:
-        """The joint of a single window, for robot descriptions: see :class:`Joint`.
+        """Convert the constraint of a single window to a joint for robot descriptions; see :class:`Joint`.
 
         Args:
-            poses: (K+1, 4, 4), m, those that were identified; outliers take no part.
+            poses: (K+1, 4, 4) m, the identified poses; outliers are ignored.
             parent: name of the ground {g} in the joint.
             child: name of the body {b} in the joint.
 
         Raises:
-            ValueError: for a batch, a window without a result, or other poses than were identified.
+            ValueError: for a batch, for a failed window, or if the number of poses is not the identified
+                number.
         """
         if np.shape(self.status_code):
             raise ValueError("A batch has many joints: index one window first, found[i].")
@@ -211,14 +215,15 @@ class Identification:
         )
 
     def explain(self, covariance: Spread | None = None, excitation: Tested | None = None) -> str:
-        """Explain a single window in up to six lines of plain English.
+        """Explain the result of a single window in up to six lines of plain English.
 
-        They describe the constraint, the probability of its name, how far constrained and free axes move, its
-        origin, its axis, what the motion does not determine, and which motion would.
+        The lines state the constraint, its probability, the displacements along constrained and free axes,
+        the origin, the axis, what the motion does not determine, and which motion to record.
 
         Args:
-            covariance: of this window, from :func:`reframe_jax.covariance`, for the error bars (95 %).
-            excitation: of this window, from :func:`reframe_jax.excitation`, for what the motion did not test.
+            covariance: covariance of this window, from :func:`reframe_jax.covariance`, for 95 % error bars.
+            excitation: excitation of this window, from :func:`reframe_jax.excitation`, for the degrees of
+                freedom that the motion did not test.
 
         Raises:
             ValueError: for a batch.
@@ -252,11 +257,11 @@ class Identification:
         return explain_finding(finding, covariance, excitation)
 
     def _is_screw(self) -> bool:
-        """Whether a single window shows a screw joint."""
+        """Whether the constraint of a single window is a screw joint."""
         return bool(np.isfinite(self.pitch))
 
     def _is_universal(self) -> bool:
-        """Whether a single window shows a universal joint."""
+        """Whether the constraint of a single window is a universal joint."""
         return bool(np.all(np.isfinite(self.universal_axes)))
 
 

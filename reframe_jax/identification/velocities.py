@@ -17,19 +17,20 @@ __all__ = ["frame_velocities"]
 def frame_velocities(
     poses: jax.Array, steps: jax.Array, found: Identification, discretization: Discretization = "chord"
 ) -> tuple[jax.Array, jax.Array]:
-    """Compute the velocities along the axes of the identified frames: near zero along constrained axes.
+    """Compute the velocities along the axes of identified frames; constrained axes have small velocities.
 
-    For one window; use ``jax.vmap`` for many.
+    The function takes one window; use ``jax.vmap`` for a batch.
 
     Args:
-        poses: (K+1, 4, 4), m.
-        steps: (K,) sample times, s.
+        poses: (K+1, 4, 4) m.
+        steps: (K,) times between consecutive poses, s.
         found: identification of these poses.
-        discretization: the one that it was made with.
+        discretization: method to compute a velocity from two poses, as in :func:`identify`.
 
     Returns:
-        Angular velocities (K, 3), rad/s, and linear velocities of the origin (K, 3), m/s. Row k is the step
-        between the poses k and k + 1; it is NaN where one of them is an outlier.
+        Angular velocities about the axes of the angular frame, (K, 3) rad/s, and velocities of the origin
+        along the axes of the linear frame, (K, 3) m/s. Row k belongs to the step from pose k to pose k + 1;
+        it is NaN if one of these poses is an outlier.
     """
     rates = kinematics.angular_velocities(poses, steps, discretization)[found.angular.type_code]
     maps = kinematics.linear_velocity_maps(poses, steps, discretization)[found.linear.type_code]

@@ -1,4 +1,4 @@
-"""Choose the entry that is reported for a window: the most probable one, or that of the thresholds."""
+"""Choose the entry of the table to report for a window, by probability or by thresholds."""
 
 from typing import NamedTuple
 
@@ -17,19 +17,19 @@ from reframe_jax.model.table import ENTRIES, entries_at
 __all__ = ["KIND_OF_ENTRY", "Winner", "dof_by_thresholds", "winner_by_thresholds", "winner_of_window"]
 
 Array = jax.Array
-_VARIANT = 1e-3  # share of the probability of a name from which on an entry may be the one that is reported
-_BEHIND = 1e9  # log probability that puts an entry behind those that may
+_VARIANT = 1e-3  # smallest probability of a reported entry, as a fraction of the probability of its name
+_BEHIND = 1e9  # log probability that is subtracted from entries below this limit, which rank last
 KIND_OF_ENTRY = np.array([entry.kind for entry in ENTRIES], np.int32)
 
 
 class Winner(NamedTuple):
-    """The entry that is reported for a window.
+    """The reported entry of the table for a window.
 
     Attributes:
-        code: () of the entry, or ``NO_ENTRY``.
-        name_probability: () of its name, NaN with thresholds.
-        parameters: fitted, with the tilt free; functions of the moments.
-        probability: (E,) of every entry.
+        code: () code of the entry, or ``NO_ENTRY``.
+        name_probability: () probability of its name; NaN with thresholds.
+        parameters: fitted parameters of the entry, differentiable with respect to the moments.
+        probability: (E,) probability of every entry.
     """
 
     code: Array
@@ -42,16 +42,16 @@ def winner_of_window(solved: Solved, live: Data) -> Winner:
     """Find the most probable name, its most probable entry, and the fit of this entry.
 
     Args:
-        solved: of one window.
-        live: moments that derivatives follow.
+        solved: result of the model for one window.
+        live: moments of the window, with respect to which the result is differentiable.
     """
     probability = jnp.exp(solved.log_probability)
     names = jax.ops.segment_sum(probability, jnp.asarray(NAME_OF_ENTRY), int(NAME_OF_ENTRY.max()) + 1)
     fitted = jnp.any(jnp.arange(len(probability))[:, None] == solved.chosen, axis=1)
     of_name = jnp.where(fitted, names[NAME_OF_ENTRY], -1)
     mine = fitted & (of_name >= jnp.max(of_name))
-    # entries with one name that is the same in all types differ only in their errors: the type with the
-    # lowest norm has the smallest
+    # if all types express a constraint, its entries differ only in their errors: the type with the lowest
+    # norm has the smallest error
     alike = jnp.any(mine & jnp.asarray(SAME_IN_ALL_TYPES)) & (probability > _VARIANT * jnp.max(of_name))
     rank = jnp.where(alike, -solved.norm[jnp.asarray(KIND_OF_ENTRY)], jnp.log(probability) - _BEHIND)
     code = jnp.argmax(jnp.where(mine, rank, -jnp.inf)).astype(jnp.int32)
@@ -62,7 +62,7 @@ def winner_of_window(solved: Solved, live: Data) -> Winner:
 
 
 def dof_by_thresholds(types: Types, thresholds: Thresholds) -> tuple[Array, Array]:
-    """Degrees of freedom (2, 3) and (4, 3) of all types: axes are free above the thresholds."""
+    """Return the degrees of freedom (2, 3) and (4, 3) of all types, by thresholds of RMS velocities."""
     return (
         degrees_of_freedom(types.angular_rms, thresholds.angular),
         degrees_of_freedom(types.linear_rms, thresholds.linear),
@@ -70,7 +70,7 @@ def dof_by_thresholds(types: Types, thresholds: Thresholds) -> tuple[Array, Arra
 
 
 def winner_by_thresholds(types: Types, solved: Solved, thresholds: Thresholds) -> Winner:
-    """The paper's rule: types of the lowest norm, axes free where their RMS velocity is above."""
+    """Choose by the paper's rule: the types with the lowest norms, and free axes by thresholds."""
     a, linear_type = (jnp.argmin(norm).astype(jnp.int32) for norm in (types.angular_norm, types.linear_norm))
     angular, linear = dof_by_thresholds(types, thresholds)
     r, t = jnp.sum(angular[a]), jnp.sum(linear[linear_type])

@@ -1,4 +1,4 @@
-"""Check windows: a status code for each window of a batch, and a message for each code."""
+"""Check the poses and times of windows: a status code for each window, and a message for each code."""
 
 from enum import IntEnum
 
@@ -8,10 +8,10 @@ import jax.numpy as jnp
 __all__ = ["MIN_VELOCITIES", "ROTATION_TOLERANCE", "Status", "check_step", "window_status"]
 
 MIN_VELOCITIES = 4
-"""Fewest velocities in a window; with three, every covariance is singular at some origin."""
+"""Fewest velocities in a window: for three velocities, some origin does not move along some axis."""
 
 ROTATION_TOLERANCE = 1e-3
-"""Largest allowed entry of R^T R - I in a pose."""
+"""Largest allowed entry of R^T R - I, where R is the rotation matrix of a pose."""
 
 _FARTHEST = 1e9  # m, largest position; map coordinates reach 1e7
 _SHORTEST, _LONGEST = 1e-9, 1e6  # s, shortest and longest step
@@ -19,7 +19,7 @@ _SLACK = 1e-3  # relative tolerance of these limits, for rounding errors
 
 
 class Status(IntEnum):
-    """Outcome of one window. A window with a code of 10 or more has no result, and its numbers are NaN."""
+    """Outcome of one window. A window with a code of 10 or more has no result; its numbers are NaN."""
 
     OK = 0
     ON_BOUNDS = 1
@@ -32,7 +32,7 @@ class Status(IntEnum):
 
     @property
     def failed(self) -> bool:
-        """Whether the window has no result."""
+        """Whether the window has no result: the code is 10 or more."""
         return self >= 10
 
     @property
@@ -66,24 +66,24 @@ _MESSAGES = {
 
 
 def check_step(step: float) -> None:
-    """Check a sample time, s.
+    """Check the time between two poses, s.
 
     Raises:
-        ValueError: for an unusable sample time, with the message of the window status.
+        ValueError: for a time below 1e-9 s or above 1e6 s.
     """
     if not _SHORTEST * (1 - _SLACK) <= step <= _LONGEST * (1 + _SLACK):
         raise ValueError(Status.OUT_OF_RANGE.message)
 
 
 def window_status(poses: jax.Array, steps: jax.Array) -> jax.Array:
-    """Compute the status code of every window from its input.
+    """Check every window, and return a status code for each.
 
     Args:
-        poses: (..., K+1, 4, 4).
-        steps: (K,) or (..., K) sample times, s.
+        poses: (..., K+1, 4, 4) m.
+        steps: (K,) or (..., K) times between consecutive poses, s.
 
     Returns:
-        (...) int32.
+        (...) int32, codes of :class:`Status`: ``OK``, or the first error that applies.
     """
     finite = jnp.all(jnp.isfinite(poses), axis=(-3, -2, -1)) & jnp.all(jnp.isfinite(steps), axis=-1)
     # by components, because products of many small matrices are slow

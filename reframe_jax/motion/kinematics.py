@@ -1,14 +1,16 @@
-"""Compute velocities from poses: twists, and affine velocity maps for the search of frames.
+"""Compute velocities from poses: twists, and the velocity of every possible origin of a frame.
 
-The velocity of a constraint frame's origin is affine in the unknown position p of that origin,
+The velocity of the origin of a frame is affine in the unknown position p of this origin,
 
     u(k; p) = a(k) + B(k) p,
 
-for each of the four linear frame types (section 4 and Table 3 of the paper, with p the *location* of
-the origin, so v + w x p). This module computes (a, B).
+for each step k and each of the four linear frame types (section 4 and Table 3 of the paper). This module
+computes a and B. Here p is the position of the origin, so that its velocity is v + w x p; the paper's p is
+minus this position.
 
-Internal arrays have components first, then samples, then windows: a rotation is (3, 3, K, ...), see
-:mod:`.components`. Arguments and results of the public functions have samples and components last.
+Internal arrays have components first, then samples, then windows: rotations are (3, 3, K, ...). The public
+functions take and return arrays with the components last, except :func:`split_poses`,
+:func:`velocity_components` and :func:`turns_of`.
 """
 
 from typing import Literal
@@ -35,7 +37,7 @@ Discretization = Literal["chord", "left"]
 
 
 def _step_times(dt: jax.Array | float, poses: jax.Array) -> jax.Array:
-    """Sample time of every step, (..., K), with size 1 along axes in which all windows have equal times."""
+    """Return the duration of each step, (..., K) s; batch axes with equal durations have size 1."""
     dt = jnp.asarray(dt, dtype=poses.dtype)
     dt = dt.reshape((1,) * (poses.ndim - 2 - dt.ndim) + dt.shape)
     return jnp.broadcast_to(dt, (*dt.shape[:-1], poses.shape[-3] - 1))
@@ -53,7 +55,7 @@ def _rotation_vectors(rotation: jax.Array) -> jax.Array:
 
 
 def _body_twists(rotation: jax.Array, position: jax.Array, step: jax.Array) -> jax.Array:
-    """(6, K, ...)."""
+    """Return body twists (6, K, ...) for steps of durations (K, ...) s."""
     back = jnp.swapaxes(rotation[:, :, :-1], 0, 1)
     turn, shift = times(back, rotation[:, :, 1:]), times(back, jnp.diff(position, axis=1))
     # the twist whose exponential is the step: J_l(w)^-1 maps the shift to the linear part
@@ -71,31 +73,37 @@ def _spatial_twists(rotation: jax.Array, position: jax.Array, body: jax.Array) -
 
 
 def body_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
-    """Mean body twist over every step: ``log(T(k)^-1 T(k+1)) / dt``.
+    """Compute the constant body twist that moves each pose to the next: ``log(T(k)^-1 T(k+1)) / dt``.
 
-    This is Eq. 9 of the paper, solved for the twist. The order of the product gives a twist in the body
-    frame.
+    This is Eq. 9 of the paper, solved for the twist, with the product in the order that gives a body twist.
 
     Args:
-        poses: (..., K+1, 4, 4), of {b} in {g}; m.
-        dt: sample time in s: a scalar, or (..., K) for irregular sampling.
+        poses: (..., K+1, 4, 4) of {b} in {g}, m.
+        dt: time between two poses, s: a scalar, or (..., K) for irregular sampling.
 
     Returns:
-        (..., K, 6) as (w, v) in {b}; rad/s, m/s.
+        (..., K, 6) twists (w, v): the angular velocity, rad/s, and the velocity of the origin of {b}, m/s,
+        both in the axes of {b}.
     """
     return components_last(_mean_twists(*split_poses(poses), _step_times(dt, poses))[0], 1)
 
 
 def spatial_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
-    """Mean spatial twist over every step: the body twist, mapped to {g} by the adjoint (Eq. 2).
+    """Compute the constant spatial twist that moves each pose to the next (Eq. 2 of the paper).
 
-    Arguments and shapes as in :func:`body_twists`; the result is in {g}.
+    Args:
+        poses: (..., K+1, 4, 4) of {b} in {g}, m.
+        dt: time between two poses, s: a scalar, or (..., K) for irregular sampling.
+
+    Returns:
+        (..., K, 6) twists (w, v): the angular velocity, rad/s, and the velocity of the point of the body that
+        is at the origin of {g}, m/s, both in the axes of {g}.
     """
     return components_last(_mean_twists(*split_poses(poses), _step_times(dt, poses))[1], 1)
 
 
 def _mean_twists(rotation: jax.Array, position: jax.Array, steps: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Body and spatial twists, (6, K, ...); the sample times are (..., K)."""
+    """Return body and spatial twists, (6, K, ...), for steps of durations (..., K) s."""
     body = _body_twists(rotation, position, components_first(steps, 0))
     return body, _spatial_twists(rotation, position, body)
 
@@ -103,13 +111,13 @@ def _mean_twists(rotation: jax.Array, position: jax.Array, steps: jax.Array) -> 
 def velocity_components(
     poses: jax.Array, dt: jax.Array | float, discretization: Discretization = "chord"
 ) -> tuple[jax.Array, jax.Array]:
-    """Angular velocities and linear velocity maps with components first, for the computation of moments.
+    """Compute angular velocities and linear velocity maps with components first, as moments need them.
 
     Arguments as in :func:`linear_velocity_maps`.
 
     Returns:
-        (3, 1, K, 2, ...) rad/s and (3, 4, K, 4, ...) m/s and 1/s; the axis after the samples lists the frame
-        types, in the order of :func:`angular_velocities` and :func:`linear_velocity_maps`.
+        Angular velocities (3, 1, K, 2, ...), rad/s, for the types G and B; and maps (3, 4, K, 4, ...), m/s
+        and 1/s, for the types BB, GB, GG and BG.
 
     Raises:
         ValueError: for an unknown discretization.
@@ -133,7 +141,7 @@ def velocity_components(
 
 
 def turns_of(rotation: jax.Array) -> jax.Array:
-    """Axis times sine of the angle of every step, (3, K, ...), from rotations (3, 3, K+1, ...)."""
+    """Return axis times sine of the angle, (3, K, ...), of the steps between rotations (3, 3, K+1, ...)."""
     turn = times(jnp.swapaxes(rotation[:, :, :-1], 0, 1), rotation[:, :, 1:])
     return jnp.stack([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
 
@@ -157,15 +165,15 @@ def _point_maps(rotation: jax.Array, position: jax.Array) -> tuple[jax.Array, ja
 def angular_velocities(
     poses: jax.Array, dt: jax.Array | float, discretization: Discretization = "chord"
 ) -> jax.Array:
-    """Angular velocity in the two angular frame types.
+    """Compute the angular velocity of {b} in the axes of the two angular frame types.
 
     Args:
-        poses: (..., K+1, 4, 4).
-        dt: s; a scalar or (..., K).
+        poses: (..., K+1, 4, 4) of {b} in {g}, m.
+        dt: time between two poses, s: a scalar, or (..., K) for irregular sampling.
         discretization: see :func:`linear_velocity_maps`.
 
     Returns:
-        (..., 2, K, 3) in rad/s: expressed in {g} and in {b}, the order of ``AngularType``.
+        (..., 2, K, 3) rad/s: in the axes of {g}, then in the axes of {b} (the order of ``AngularType``).
 
     Raises:
         ValueError: for an unknown discretization.
@@ -177,24 +185,24 @@ def angular_velocities(
 def linear_velocity_maps(
     poses: jax.Array, dt: jax.Array | float, discretization: Discretization = "chord"
 ) -> jax.Array:
-    """Affine maps (a | B) of the four linear frame types: u(k; p) = a(k) + B(k) p.
+    """Compute, for the four linear frame types, the map from the position of an origin to its velocity.
 
-    ``u`` is the velocity of the frame's origin, in the axes of the body that the type's first letter names;
-    ``p`` is the position of this origin, in the body that the second letter names.
+    The velocity of the origin of a frame in step k is u(k; p) = a(k) + B(k) p. Its axes are those of the body
+    that the first letter of the type names. The position p is in the body that the second letter names.
 
     Args:
-        poses: (..., K+1, 4, 4), of {b} in {g}; m.
-        dt: sample time in s: a scalar, or (..., K) for irregular sampling.
-        discretization: method to compute a velocity from two poses.
-            ``"chord"`` is for measured motion. GB and BG use the chord of the origin's path, which is exactly
-            (x(k+1) - x(k)) / dt. BB and GG use the mean twist over the step, which is the logarithm of the
-            step without the brackets of the Magnus expansion. The error is of sixth order in dt, or third
-            order if sample times jitter. ``"left"`` is the method of the paper's Table 3: the mean twist,
-            expressed at the pose at the start of the step. It is exact for poses that the paper's Eq. 9
-            generates.
+        poses: (..., K+1, 4, 4) of {b} in {g}, m.
+        dt: time between two poses, s: a scalar, or (..., K) for irregular sampling.
+        discretization: method to compute a velocity from two poses. ``"chord"`` is for measured motion. For
+            GB and BG, the velocity is the displacement of the origin divided by dt. For BB and GG, it follows
+            from the mean of the twist over the step: the logarithm of the step without the brackets of the
+            Magnus expansion. The error is of sixth order in dt, or of third order if the sample times jitter.
+            ``"left"`` is the method of the paper's Table 3: the logarithm of the step, expressed at the pose
+            at the start of the step. It is exact for poses that the paper's Eq. 9 generates.
 
     Returns:
-        (..., 4, K, 3, 4) in m/s and 1/s, in the order BB, GB, GG, BG of ``LinearType``.
+        (..., 4, K, 3, 4) matrices (a | B), m/s and 1/s, for the types BB, GB, GG and BG (the order of
+        ``LinearType``).
 
     Raises:
         ValueError: for an unknown discretization.

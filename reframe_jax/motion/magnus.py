@@ -1,4 +1,4 @@
-"""Compute mean twists from the logarithms of steps, by removing the brackets of the Magnus expansion."""
+"""Compute the mean of the twist over each step from the logarithm of the step (Magnus expansion)."""
 
 from collections.abc import Callable
 from functools import partial
@@ -47,25 +47,26 @@ def _derivative(nodes: np.ndarray, weights: jax.Array, x: jax.Array) -> jax.Arra
 
 
 def without_brackets(body: jax.Array, spatial: jax.Array, dt: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Mean twists of the steps with the brackets of the Magnus expansion removed, to sixth order in dt.
+    """Compute the mean of the twist over each step, to sixth order in dt.
 
-    With a1 = h V, a2 = h^2 V', a3 = h^3 V''/2, a4 = h^4 V'''/6 at the middle of a step of length h, the
-    logarithm of the step is, for the spatial twist V (Blanes, Casas, Oteo & Ros 2009),
+    The logarithm of a step is the mean of the twist only if the twist is constant. Otherwise it contains Lie
+    brackets, which mix the components: constrained axes get an error that more data does not reduce (0.1
+    degrees and 0.3 mm for fast motion at dt = 0.1 s). With a1 = h V, a2 = h^2 V', a3 = h^3 V''/2 and a4 = h^4
+    V'''/6 at the middle of a step of length h, the logarithm of the step is, for the spatial twist V (Blanes,
+    Casas, Oteo & Ros 2009),
 
         a1 + a3/12 - [a1,a2]/12 - [a1,a4]/80 + [a2,a3]/240 + [a1,[a1,a3]]/360 - [a2,[a1,a2]]/240
            + [a1,[a1,[a1,a2]]]/720,
 
-    and for the body twist the same with the opposite sign of every bracket. The sum of the terms without
-    brackets is the mean of V over the step, in which a component that is always zero stays zero. The brackets
-    mix components. Without their removal, constrained axes have an error that more data does not reduce (0.1
-    degrees and 0.3 mm for fast motion at dt = 0.1 s). The brackets are not removed in a window with very
-    different steps, for example across a gap in the recording, because the derivatives would amplify the
-    noise.
+    and for the body twist the same with the opposite sign of every bracket. The terms without brackets are
+    the mean of V over the step, in which a component that is always zero stays zero. The function subtracts
+    the brackets. It does not do so in a window whose longest step exceeds five times the shortest, for
+    example at a gap in the recording, because the derivatives of V would amplify the noise.
 
     Args:
-        body: (6, K, ...) logarithms of the steps over dt, as body twists.
+        body: (6, K, ...) logarithms of the steps divided by dt, as body twists (w, v), rad/s and m/s.
         spatial: (6, K, ...) the same twists in {g}.
-        dt: (..., K) s.
+        dt: (..., K) durations of the steps, s.
 
     Returns:
         Mean body twists and mean spatial twists, with the shapes of the input.

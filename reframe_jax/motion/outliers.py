@@ -1,12 +1,13 @@
-"""Find outliers: poses that jump away and back, after flips, swapped markers or lost frames.
+"""Find outliers: poses that jump away and return, for example when a tracker flips an axis or swaps markers.
 
-A pose is predicted by interpolation between neighbours, one to five strides before and after the pose; the
-prediction is the median of the five. An outlier lies far from the prediction while the five agree, and far
-from where the poses before it, and those after it, lead. Smooth motion and corners of a path are no outliers,
-because the five disagree there as much; a body that stays where it jumped to follows from the poses after the
-jump.
+The search predicts each pose five times, by interpolation between a pose one to five strides before and the
+pose as many strides after. A pose is an outlier under three conditions: its distance from the median
+prediction is large compared with usual distances; the five predictions agree with each other; and the pose
+also lies far from the extrapolated motion before it and from the extrapolated motion after it. In fast smooth
+motion and at corners, the predictions do not agree, so these poses are no outliers. A body that jumps and
+stays at its new place agrees with the motion after the jump.
 
-Outliers do not count; paths that run across them use the motion interpolated between the poses beside them.
+An outlier does not enter the moments. The motion between the poses beside it is interpolated.
 Arrays have components first, then samples, and windows last.
 """
 
@@ -21,30 +22,31 @@ from reframe_jax.motion.noise import masked_median
 __all__ = ["repair_poses"]
 
 Array = jax.Array
-_REACH = 5  # predictions, and neighbours on either side
+_REACH = 5  # number of predictions, and of neighbours on either side
 _STRIDES = 1, 2, 4  # samples between neighbours; together they find runs of up to 10 outliers
-_OUTLIER = 7.0  # distance from the prediction, in medians of all distances: five standard deviations
-_AGREE = 3.0  # the same in medians of the distances of the five from their median
-_MOST = 0.3  # fraction of poses that can be outliers; beyond it nothing is left out
-_APART = 0.5  # of the distance, that the poses on either side, continued, lie from the pose
-_JUMP = 4.0  # fourth difference over its median, above which outliers are looked for
-_PASSES = 6  # long runs shrink pass by pass
+_OUTLIER = 7.0  # smallest distance from the prediction, in medians of all distances: five standard deviations
+_AGREE = 3.0  # the same, in medians of the distances of the five predictions from their median
+_MOST = 0.3  # largest fraction of outliers; with more, no pose is an outlier
+_APART = 0.5  # smallest distance from the extrapolated motion, as a fraction of that from the prediction
+_JUMP = 4.0  # ratio of a fourth difference to the median, above which the search for outliers starts
+_PASSES = 6  # largest number of searches: each search shortens long runs of outliers from their ends
 
 
 def repair_poses(
     rotation: Array, position: Array, times: Array, count: Array, unit: Array
 ) -> tuple[Array, Array, Array]:
-    """Find outliers, and replace them by motion interpolated between the poses beside them.
+    """Find outliers, and replace them by interpolation between the poses beside them.
 
     Args:
         rotation: (3, 3, P, N).
         position: (3, P, N) m.
         times: (P, N) s.
-        count: (N,) number of poses in each window; the rest is padding.
-        unit: (N,) m, that positions are rounded to, or 0.
+        count: (N,) number of poses in each window; the poses after them are padding.
+        unit: (N,) m, unit to which the positions are rounded, or 0.
 
     Returns:
-        Rotations and positions, and which poses count, (P, N) bool: neither outliers nor padding.
+        Rotations and positions with the shapes of the input, and (P, N) bool: which poses are measured, that
+        is, neither outliers nor padding.
     """
     own = jnp.arange(position.shape[1], dtype=jnp.int32)[:, None] < count
     if position.shape[1] <= 2 * _REACH:
@@ -79,7 +81,7 @@ def repair_poses(
 
 
 def _any_jumps(x: Array, own: Array) -> Array:
-    """Whether a fourth difference of poses x (9, P, N) stands out, (): a cheap test that misses no jump."""
+    """Whether any fourth difference of poses x (9, P, N) is large, (): a fast test before the search."""
     whole = jnp.broadcast_to((own[:-4] & own[4:])[:, None], (x.shape[1] - 4, 2, own.shape[1]))
     size = jnp.swapaxes(_lengths(jnp.diff(x, n=4, axis=1)[None])[:, 0], 0, 1)
     rounding = 64 * jnp.finfo(x.dtype).eps * (1 + jnp.max(jnp.abs(x), axis=(0, 1)))
@@ -87,18 +89,18 @@ def _any_jumps(x: Array, own: Array) -> Array:
 
 
 def _find(x: Array, times: Array, own: Array, count: Array, unit: Array, stride: Array) -> Array:
-    """Outliers among poses x (9, P, N): position, and two columns of the rotation; (P, N) bool.
+    """Return which poses x (9, P, N), position and two columns of the rotation, are outliers, (P, N) bool.
 
-    Beyond its ends, the path continues by reflection in its first and in its last pose.
+    The path is extended at both ends by reflection in its first and in its last pose.
     """
     number, last = x.shape[1], count - 1
     whole = jnp.concatenate([x, times[None]])
     ends = whole[:, :1], jnp.take_along_axis(whole, last[None, None], axis=1)
 
     def beside(samples: Array) -> Array:
-        """Poses and times, 1 to 5 strides of ``samples`` away from every pose (negative: before it).
+        """Return the poses and times at 1 to 5 times ``samples`` after every pose, or before it if negative.
 
-        (5, 10, P, N): 9 components and the time.
+        The result is (5, 10, P, N): 9 components and the time.
         """
         each = jnp.arange(1, _REACH + 1)[:, None, None] * samples + jnp.arange(number)[:, None]
         inside = jnp.abs(jnp.where(each > last, 2 * last - each, each))
@@ -129,7 +131,7 @@ def _find(x: Array, times: Array, own: Array, count: Array, unit: Array, stride:
 
 
 def _lengths(x: Array) -> Array:
-    """Lengths of shifts and of rotations, (2, M, ...), of components (M, 9, ...)."""
+    """Return the lengths (2, M, ...) of the position part and the rotation part of components (M, 9, ...)."""
     groups = np.repeat(np.eye(2), (3, 6), axis=1)
     # a sum over a leading axis is fast as a product
     return jnp.sqrt(jnp.tensordot(jnp.asarray(groups, x.dtype), x * x, ((1,), (1,)), precision="highest"))
@@ -143,7 +145,7 @@ def _median_of_five(values: Array) -> Array:
 
 
 def _interpolate(x: Array, times: Array, counted: Array) -> Array:
-    """Components (C, P, N) of poses that count; others on the way between the nearest that do."""
+    """Replace components (C, P, N) of poses that are not counted by interpolation between counted poses."""
     number = x.shape[1]
     here = jnp.arange(number, dtype=jnp.int32)[:, None]
     before = lax.cummax(jnp.where(counted, here, -1), axis=0)

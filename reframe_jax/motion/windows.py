@@ -6,15 +6,15 @@ __all__ = ["sliding_windows"]
 
 
 def sliding_windows(samples: np.ndarray, length: int, stride: int = 1) -> np.ndarray:
-    """Return windows over the first axis of a recording as a read-only view, without a copy.
+    """Divide a recording into overlapping windows of equal length, as a read-only view without a copy.
 
     Args:
-        samples: (N, ...), poses or times.
+        samples: (N, ...), for example poses (N, 4, 4) or times (N,).
         length: number of samples per window; a window of K steps has K + 1 poses.
-        stride: samples between the starts of two windows.
+        stride: number of samples between the starts of two consecutive windows.
 
     Returns:
-        (windows, length, ...); the samples after the last full window are left out.
+        (W, length, ...) for W windows; samples after the last full window are left out.
 
     Raises:
         ValueError: if the recording is shorter than one window, or a size is not positive.

@@ -1,4 +1,8 @@
-"""The norms that a constraint frame minimizes, from moments, and the objective protocol."""
+"""Objectives: the functions that solvers minimize.
+
+The objectives of the library are the paper's norms of the velocity of a frame, computed from second moments.
+A user may minimize any function that has the members of ``Objective``.
+"""
 
 from reframe_jax.objectives.norms import check_exponent, log_power_mean
 from reframe_jax.objectives.protocol import MomentsObjective, Objective

@@ -1,12 +1,13 @@
-"""Second moments of the affine velocity maps of a window, an exact compression of the window.
+"""Reduce the velocities of a window to second moments, which determine every norm exactly.
 
-Every objective depends on the samples only through the velocity covariance
+The velocity of the origin p of a frame, in sample k, is u(k; p) = a(k) + B(k) p. The norms depend on the
+samples only through the velocity covariance
 
-    Sigma(p) = mean_k u(k; p) u(k; p)^T,      u(k; p) = a(k) + B(k) p,
+    Sigma(p) = mean_k u(k; p) u(k; p)^T,
 
-whose six components are quadratic polynomials in p. A window needs 6 x 10 coefficients per frame type,
-independent of the number of samples. Arrays have coefficients first and problems last, so that a search over
-many problems is elementwise arithmetic on contiguous arrays.
+whose six components are quadratic polynomials in p. A window therefore needs 6 x 10 coefficients per frame
+type for any number of samples. Arrays have coefficients first and problems last, so that a search over many
+problems is elementwise arithmetic on contiguous arrays.
 """
 
 import jax
@@ -18,26 +19,31 @@ from reframe_jax.geometry.symmetric import INDEX_PAIRS, Symmetric, Vector
 __all__ = ["MONOMIALS", "add_variance", "component_moments", "covariance_at", "velocity_moments"]
 
 MONOMIALS = tuple((a, b) for a in range(4) for b in range(a, 4))
-"""Index pairs (a, b) into (1, px, py, pz), whose products are the monomials of the ten coefficients."""
+"""The ten monomials of a quadratic polynomial in p: pairs of indices into (1, px, py, pz), to multiply."""
 
 
 def velocity_moments(maps: jax.Array, weights: jax.Array | None = None) -> jax.Array:
-    """Compute the moments of affine velocity maps.
+    """Compute the coefficients of Sigma(p) from affine velocity maps.
 
     Args:
-        maps: (..., K, 3, 4), the matrix (a | B) of every sample: u = a + B p.
-        weights: (..., K), >= 0, for a weighted mean over the samples; equal by default.
+        maps: (..., K, 3, 4) matrices (a | B) of the samples, with velocity u = a + B p. Angular velocities,
+            which have no origin, are maps (..., K, 3, 1).
+        weights: (..., K) non-negative weights of the samples in the mean; equal by default.
 
     Returns:
-        (6, 10, ...), coefficients of Sigma(p); (6, 1, ...) for maps (..., K, 3, 1), which do not depend on a
-        position.
+        (6, 10, ...) coefficients; (6, 1, ...) for angular velocities.
     """
     components = jnp.moveaxis(maps, (-2, -1, -3), (0, 1, 2))
     return component_moments(components, None if weights is None else jnp.moveaxis(weights, -1, 0))
 
 
 def component_moments(maps: jax.Array, weights: jax.Array | None = None) -> jax.Array:
-    """Moments (6, 10, ...) of maps (3, 4, K, ...), or (6, 1, ...) of (3, 1, K, ...), components first."""
+    """Compute :func:`velocity_moments` of arrays with components first.
+
+    Args:
+        maps: (3, 4, K, ...) matrices (a | B), or (3, 1, K, ...) for angular velocities.
+        weights: (K, ...) non-negative weights of the samples; equal by default.
+    """
     weights = jnp.ones_like(maps[0, 0]) if weights is None else weights
     weighted = maps * (weights / jnp.sum(weights, axis=0, keepdims=True))[None, None]
     means = jnp.einsum("iak...,jbk...->iajb...", weighted, maps, precision="highest")
@@ -48,12 +54,20 @@ def component_moments(maps: jax.Array, weights: jax.Array | None = None) -> jax.
 
 
 def add_variance(moments: jax.Array, variance: jax.Array) -> jax.Array:
-    """Add a variance (...) in every direction to moments (6, columns, ...)."""
+    """Add a variance (...), equal in all directions, to moments (6, 10, ...) or (6, 1, ...)."""
     return moments.at[np.array([0, 3, 5]), 0].add(variance)
 
 
 def covariance_at(moments: jax.Array, position: Vector) -> Symmetric:
-    """Evaluate Sigma(p) from moments (6, 10, ...), or (6, 1, ...) without a position, by Horner's rule."""
+    """Evaluate the velocity covariance Sigma(p) by Horner's rule.
+
+    Args:
+        moments: (6, 10, ...) coefficients, or (6, 1, ...) for angular velocities.
+        position: three arrays (...), m, components of p; ignored for angular velocities.
+
+    Returns:
+        Six arrays (...): the components xx, xy, xz, yy, yz, zz.
+    """
     q = [moments[:, m] for m in range(moments.shape[1])]
     total = q[0]
     if len(q) > 1:

@@ -1,11 +1,12 @@
-"""The norms that a constraint frame minimizes: Eqs. 6-8 of the paper.
+"""The norms of the paper, Eqs. 6-8: a constraint frame is the frame with the lowest norm of velocities.
 
-For axes E (columns, in the body that the type's first letter names) and an origin p,
+A frame has axes E (columns, fixed in the body that the type's first letter names) and an origin p, whose
+velocity in sample k is u(k; p). Its norm J combines the RMS velocities lambda_n along the three axes:
 
     lambda_n = rms over k of (E^T u(k; p))_n,        J = power mean over n of lambda_n.
 
-E = exp(rotvec) is the orientation of the frame. The paper's R^psi is its transpose, which maps velocities to
-the frame. The paper uses the power mean with exponent 0, which is the geometric mean.
+The paper uses the exponent 0, the geometric mean. The paper's matrix R^psi, which maps velocities to the
+frame, is the transpose of E.
 """
 
 import math
@@ -22,7 +23,8 @@ def check_exponent(exponent: float) -> float:
     """Check the exponent of a power mean over the axes, and return it as a float.
 
     Raises:
-        ValueError: unless -inf <= exponent <= 2. Above 2, the norm prefers equal axes to small axes.
+        ValueError: unless -inf <= exponent <= 2. With an exponent above 2, frames with three equal RMS
+            velocities have the lowest norm, not frames with constrained axes.
     """
     real = isinstance(exponent, (int, float, np.integer, np.floating))
     if not real or isinstance(exponent, (bool, np.timedelta64)):  # NumPy treats timedelta64 as an integer
@@ -37,9 +39,17 @@ def check_exponent(exponent: float) -> float:
 
 
 def log_power_mean(log_values: jax.Array, exponent: float) -> jax.Array:
-    """Logarithm (...) of the power mean from logarithms (3, ...), numerically stable for every exponent.
+    """Return the logarithm (...) of the power mean of three positive numbers.
 
-    ``log1p(mean(expm1(p x))) / p`` has the geometric mean as its limit p -> 0 without cancellation.
+    The function computes ``log1p(mean(expm1(p x))) / p``, which tends to the geometric mean for p -> 0
+    without cancellation.
+
+    Args:
+        log_values: (3, ...) logarithms of the numbers.
+        exponent: exponent p of the mean, in [-inf, 2].
+
+    Raises:
+        ValueError: for another exponent.
     """
     exponent = check_exponent(exponent)
     if exponent == -math.inf:

@@ -1,4 +1,4 @@
-"""The protocol of objectives: the members that a solver uses."""
+"""What an objective is: the members that solvers use, and checks of these members."""
 
 from typing import Any, Literal, Protocol, runtime_checkable
 
@@ -10,13 +10,13 @@ __all__ = ["MomentsObjective", "Objective", "check_objective", "require_moments"
 
 @runtime_checkable
 class Objective(Protocol):
-    """A function to minimize, for a batch of problems.
+    """A function to minimize, for a batch of problems with different data.
 
     An objective is a pytree, for example a class registered with ``jax.tree_util.register_dataclass``. Its
-    arrays contain the data of the problems, with the problems as trailing axes. Data common to all problems
-    must be static fields. Solvers select, repeat and flatten problems with ``jax.tree.map``, and rebuild the
-    objective. Therefore ``batch`` and ``dtype`` must follow from the arrays, not from stored values.
-    ``value`` must evaluate each problem independently, for any number of problem axes, including none.
+    arrays contain the data of the problems; their trailing axes are the problems. Data that is common to all
+    problems must be static fields. Solvers select, repeat and flatten problems with ``jax.tree.map``, and
+    rebuild the objective. Therefore compute ``batch`` and ``dtype`` from the arrays, and let ``value``
+    evaluate each problem independently, for any number of problem axes, including none.
     """
 
     @property
@@ -35,25 +35,25 @@ class Objective(Protocol):
         ...
 
     def value(self, x: jax.Array) -> jax.Array:
-        """The objective, (...), at unknowns (dim, ...); infinite or NaN where it is undefined.
+        """Return the values (...) at unknowns (dim, ...); infinite or NaN where the function is undefined.
 
-        Solvers expect the logarithm of a quantity whose relative changes matter: the temperature of
-        :class:`BasinHopping` and its bounds for chains that agree are differences of values.
+        For a positive quantity such as a norm, return its logarithm: solvers compare differences of values
+        with fixed limits (the temperature and the tolerance of :class:`BasinHopping`).
         """
         ...
 
 
 @runtime_checkable
 class MomentsObjective(Objective, Protocol):
-    """A norm of velocities that depends only on their moments.
+    """A norm of velocities that is computed from their second moments.
 
-    ``ValleySteps`` and ``FrameSteps`` minimize such a norm with closed-form steps: they read the moments and
-    the exponent, and call ``value`` for the result only.
+    ``ValleySteps`` and ``FrameSteps`` minimize such a norm. They compute their steps from the moments and the
+    exponent, and call ``value`` for the result only.
     """
 
     @property
     def moments(self) -> jax.Array:
-        """(6, 10, ...), or (6, 1, ...) for angular velocities; the trailing axes are problems."""
+        """Coefficients (6, 10, ...) of the velocity covariance, or (6, 1, ...) for angular velocities."""
         ...
 
     @property
@@ -63,12 +63,16 @@ class MomentsObjective(Objective, Protocol):
 
     @property
     def unknowns(self) -> Literal["frame", "position"]:
-        """Either the orientation and origin of a frame, or its origin, with the best axes at each origin."""
+        """What the solver varies: "frame" (orientation and origin) or "position" (origin, best axes)."""
         ...
 
 
 def check_objective(objective: Any) -> None:
-    """Check the members of an objective and the shapes of its arrays, without evaluating it."""
+    """Check the members of an objective and the shapes of its arrays, without a call of ``value``.
+
+    Raises:
+        ValueError: for a missing member, an object that is not a pytree, or an array without problem axes.
+    """
     name = type(objective).__name__
     missing = [member for member in ("dim", "batch", "dtype", "value") if not hasattr(objective, member)]
     if missing:
@@ -91,7 +95,16 @@ def check_objective(objective: Any) -> None:
 
 
 def require_moments(objective: Any, unknowns: str, solver: str) -> MomentsObjective:
-    """Return a :class:`MomentsObjective` over given unknowns; a ValueError names the objective otherwise."""
+    """Return the objective if it is a :class:`MomentsObjective` over the given unknowns.
+
+    Args:
+        objective: the problems.
+        unknowns: "frame" or "position".
+        solver: name of the local minimizer, for the message.
+
+    Raises:
+        ValueError: for another objective.
+    """
     if isinstance(objective, MomentsObjective) and objective.unknowns == unknowns:
         return objective
     raise ValueError(

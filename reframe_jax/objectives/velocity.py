@@ -1,4 +1,4 @@
-"""Objectives for the solvers: log J of a batch of problems, as a function of an array of unknowns."""
+"""The paper's norms as objectives: the value is log J, over frames or over origins."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -15,7 +15,15 @@ __all__ = ["FrameObjective", "PositionObjective", "log_norm"]
 
 
 def log_norm(covariance: symmetric.Symmetric, exponent: float) -> jax.Array:
-    """Logarithm of J, (...), along the best axes; infinite if a covariance is not positive definite."""
+    """Return the lowest log J (...) of all axes, for given velocity covariances.
+
+    Args:
+        covariance: six arrays (...), components of the velocity covariance.
+        exponent: exponent of the power mean over the axes.
+
+    Returns:
+        (...) log J; infinite where the covariance is not positive definite.
+    """
     # the geometric mean needs only the product of the variances, which equals the product of the pivots
     variances = symmetric.pivots(covariance) if exponent == 0 else symmetric.eigh(covariance)[0]
     squares = jnp.stack(variances)
@@ -51,9 +59,9 @@ class _Moments:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class FrameObjective(_Moments):
-    """log J over orientation and origin, for any exponent.
+    """log J as a function of the orientation and the origin of a frame.
 
-    The unknowns are the rotation vector and, for linear velocities, the origin.
+    The unknowns are a rotation vector (3 numbers, rad) and, for linear velocities, an origin (3 numbers, m).
     """
 
     @property
@@ -63,11 +71,11 @@ class FrameObjective(_Moments):
 
     @property
     def unknowns(self) -> Literal["frame"]:
-        """Orientation and origin."""
+        """What the solver varies: the orientation and the origin of a frame."""
         return "frame"
 
     def value(self, x: jax.Array) -> jax.Array:
-        """Logarithm of J, (...), of the unknowns (dim, ...)."""
+        """Return log J (...) of the frames with unknowns x, (dim, ...)."""
         axes = jnp.moveaxis(rotations.rotation_exp(jnp.moveaxis(x[:3], 0, -1)), (-2, -1), (0, 1))
         sigma = covariance_at(self.moments, (x[-3], x[-2], x[-1]))
         squares = [symmetric.quadratic_form(axis, sigma, axis) for axis in axes.swapaxes(0, 1)]
@@ -77,12 +85,12 @@ class FrameObjective(_Moments):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class PositionObjective(_Moments):
-    """log J over the origin; the best orientation at each origin is eliminated in closed form.
+    """log J as a function of the origin of a frame, with the best axes at each origin.
 
-    The variances along orthogonal axes are the diagonal of E^T Sigma E, which the eigenvalues of Sigma
-    majorize (Schur-Horn). A power mean of the RMS values with exponent p <= 2 is a symmetric concave function
-    of the variances, so its minimum is at the eigenvalues. For every such norm, the best axes are therefore
-    the eigenvectors of Sigma. For the geometric mean, J is det(Sigma)^(1/6).
+    The best axes are the eigenvectors of the velocity covariance Sigma. Proof: the variances along orthogonal
+    axes E are the diagonal of E^T Sigma E, which the eigenvalues of Sigma majorize (Schur-Horn). A power mean
+    of the RMS values with exponent p <= 2 is a symmetric concave function of the variances, so its minimum is
+    at the eigenvalues. For the geometric mean, J is det(Sigma)^(1/6).
     """
 
     @property
@@ -92,13 +100,13 @@ class PositionObjective(_Moments):
 
     @property
     def unknowns(self) -> Literal["position"]:
-        """The unknowns are the origin."""
+        """What the solver varies: the origin of a frame, (3, ...) m."""
         return "position"
 
     def covariance(self, x: jax.Array) -> symmetric.Symmetric:
-        """Covariance of the velocity of the origin ``x``, (3, ...)."""
+        """Return the velocity covariance at origins x, (3, ...) m, as six arrays (...)."""
         return covariance_at(self.moments, (x[0], x[1], x[2]))
 
     def value(self, x: jax.Array) -> jax.Array:
-        """Logarithm of J, (...), at the origin (3, ...); infinite if Sigma is not positive definite."""
+        """Return log J (...) at origins x, (3, ...) m; infinite if Sigma is not positive definite."""
         return log_norm(self.covariance(x), self.exponent)

@@ -1,4 +1,9 @@
-"""A bank of models: sets of held coordinates, fitted to spans, and the evidence for them in every cell."""
+"""A bank of models of constraints, fitted to spans of a recording, and the evidence for each model.
+
+A model is a set of held coordinates: scalars, such as the height of a tip above a plane, that hardly change
+in the span. A span is a range of cells (:mod:`reframe_jax.segmentation.cells`). A row contains the weights
+with which one coordinate is the sum of the features of a cell.
+"""
 
 from typing import NamedTuple
 
@@ -16,7 +21,7 @@ _ANGULAR_PARAMETERS = np.array([0, 2, 2, 0])  # directions of 0 to 3 held rotati
 
 
 class Bank(NamedTuple):
-    """H models of held coordinates.
+    """H models, each with up to three held translations and up to three held rotations.
 
     Attributes:
         span: (H, 2) first cell, and the cell after the last, of the span to which a model was fitted.
@@ -26,10 +31,10 @@ class Bank(NamedTuple):
             translation or rotation; unused rows are 0.
         middle: (H, 6) m and rad, mean values of the held coordinates, translations first.
         size: (H, 6) m and rad, RMS deviations from ``middle``; infinite for unused rows.
-        price: (H,) log evidence that one use of the model costs.
+        price: (H,) log evidence that is subtracted for each segment that uses the model.
         score: (H,) log evidence for the model in its own span, minus the price.
-        reference: (H,) m, amplitude of a free translation.
-        motion: (H,) m, largest motion of the span.
+        reference: (H,) m, amplitude of a free translation, with which held translations are compared.
+        motion: (H,) m, largest motion of the span; rotations are converted to m by the lever.
     """
 
     span: np.ndarray
@@ -53,24 +58,44 @@ class Bank(NamedTuple):
         return Bank(*(np.concatenate(leaves) for leaves in zip(self, *others, strict=True)))
 
     def coordinates(self, linear: np.ndarray, angular: np.ndarray, at: np.ndarray) -> np.ndarray:
-        """Evaluate coordinates (H, E, 6) of features (4, N, 12) and (2, N, 3) at indices (H, E)."""
+        """Evaluate the coordinates of the models in chosen cells.
+
+        Args:
+            linear: (4, N, 12) features of all cells, for the linear types.
+            angular: (2, N, 3) rad, features of all cells, for the angular types.
+            at: (H, E) indices of cells, for each model.
+
+        Returns:
+            (H, E, 6) translations in m, then rotations in rad; 0 for unused rows.
+        """
         shifts = linear[self.kind[:, :1], at] @ np.swapaxes(self.shifts, 1, 2)
         turns = angular[self.kind[:, 1:], at] @ np.swapaxes(self.turns, 1, 2)
         return np.concatenate([shifts, turns], axis=2)
 
 
 def fit_models(cells: Cells, spans: np.ndarray, reach: float) -> Bank:
-    """Fit the best models of spans (P, 2), in parts of bounded memory."""
+    """Fit models to spans, in parts of bounded memory, and keep the best models of each span.
+
+    Args:
+        cells: cells of the recording.
+        spans: (P, 2) first cell, and the cell after the last, of each span.
+        reach: half the width of the cube in which origins are searched, m.
+    """
     parts = np.array_split(spans, -(-len(spans) // _BATCH))
     first, *others = (choose_models(cells, part, fit_spans(cells, part, reach)) for part in parts)
     return first.join(*others)
 
 
 def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
-    """Choose the best models of spans (P, 2) among fits.
+    """Choose the best models, at most four, of each span.
 
-    A model needs evidence above its price; a model that lacks less than the price of a segment is also kept,
-    because a longer span may supply the missing evidence.
+    The evidence for a model must exceed its price. A model with slightly less evidence is also kept, because
+    a longer span may supply the rest; the deficit must be less than the price of a segment.
+
+    Args:
+        cells: cells of the recording.
+        spans: (P, 2) first cell, and the cell after the last, of each span.
+        fits: rows with the least motion, fitted to these spans.
     """
     count = (spans[:, 1] - spans[:, 0]) * cells.weight
     own = fits.motion[:, None] / C.gap
@@ -153,13 +178,13 @@ def _held_rows(
 
 
 def gains(bank: Bank, values: np.ndarray, turn: float, widen: float = 1.0) -> np.ndarray:
-    """Log evidence (H, N) that coordinates with values (H, N, 6) are held and not free.
+    """Return the log evidence (H, N) that the coordinates of H models are held, and not free, in N cells.
 
     Args:
         bank: the models.
-        values: (H, N, 6) m and rad, coordinates of the models.
+        values: (H, N, 6) m and rad, coordinates of the models in the cells.
         turn: amplitude of a free rotation, rad.
-        widen: factor on the sizes of the models.
+        widen: factor on the RMS deviations of the models.
     """
     free = np.stack([bank.reference, np.full_like(bank.reference, turn)], axis=1).repeat(3, axis=1)
     ratio = np.log(np.maximum(free / (widen * bank.size), 1))
@@ -167,7 +192,15 @@ def gains(bank: Bank, values: np.ndarray, turn: float, widen: float = 1.0) -> np
 
 
 def misfit(bank: Bank, values: np.ndarray, widen: float = 1.0) -> np.ndarray:
-    """Negative log likelihood (H, N) of values (H, N, 6) under each model; about 0 where the model holds."""
+    """Return the negative log likelihood (H, N) of coordinates under each model.
+
+    The value is about 0 in a cell where the model holds, and grows with the residuals.
+
+    Args:
+        bank: the models.
+        values: (H, N, 6) m and rad, coordinates of the models in the cells.
+        widen: factor on the RMS deviations of the models.
+    """
     residual = (values - bank.middle[:, None]) / (widen * bank.size[:, None])
     each = np.prod(1 + residual**2 / C.tail, axis=-1)  # 1 for a coordinate that is not held
     return (C.tail + 1) / 2 * np.log(each) - np.sum(bank.held, axis=1)[:, None] / 2

@@ -1,4 +1,4 @@
-"""Place borders between pieces: each pose belongs to the model that explains the pose better."""
+"""Place the border between two pieces: each pose goes to the piece whose model fits the pose better."""
 
 import numpy as np
 

@@ -1,6 +1,7 @@
-"""Cells: mean features of short, equal parts of a recording.
+"""Cells: mean features of short parts of a recording, all with the same number of poses.
 
-A cell is a fraction of the time in which the motion gives one independent value.
+Features are numbers computed from a pose, such that every coordinate in every frame is a weighted sum of
+them. A cell is a fraction of the motion time: the time after which displacements are decorrelated.
 """
 
 from dataclasses import dataclass
@@ -29,14 +30,14 @@ class Cells:
         linear: (4, N, 12) features of the linear types BB, GB, GG, BG. The coordinate of an origin x along
             a direction n is the scalar product of a feature with the matrix n (1, x), row by row.
         angular: (2, N, 3) rad, integral of the angular velocity in the ground and in the body.
-        samples: poses per cell.
+        samples: number of poses per cell.
         duration: duration of a cell, s.
         motion_time: time in which the motion gives one independent value, s.
-        motion: (2,) m and rad, amplitudes of a translation and of a rotation.
-        floor: (2,) m and rad, residuals below this size count as zero.
-        chance: (L,) logarithms of span lengths in cells, and (L, 3) logarithms of the sizes in m of 1, 2 and
-            3 rows fitted to motion without any held coordinate; None before :func:`with_chance`.
-        progress: (N + 1,) number of cells of usual motion that equals the motion before each cell; None
+        motion: (2,) m and rad, amplitudes of the translations and of the rotations of the recording.
+        floor: (2,) m and rad, size of the noise and of usual slow errors; smaller residuals count as zero.
+        chance: (L,) logarithms of span lengths in cells, and (L, 3) logarithms of the RMS in m of 1, 2 and 3
+            rows that were fitted to a motion without constraints; None before :func:`with_chance`.
+        progress: (N + 1,) path length before each cell, as a number of cells with the usual speed; None
             before :func:`with_chance`.
     """
 
@@ -51,7 +52,16 @@ class Cells:
     progress: np.ndarray | None = None
 
     def references(self, spans: np.ndarray) -> np.ndarray:
-        """Amplitudes (P, 3) m of free translations, if 1, 2 and 3 rows are fitted to spans (P, 2)."""
+        """Return the amplitude in m of free translations in each span, with which held ones are compared.
+
+        In a short span, some coordinate of a free motion is small by chance; the amplitude is then lower.
+
+        Args:
+            spans: (P, 2) first cell, and the cell after the last, of each span.
+
+        Returns:
+            (P, 3) m, for 1, 2 and 3 fitted rows.
+        """
         if self.chance is None or self.progress is None:
             return np.full((len(spans), 3), self.reference[0])
         lengths = np.maximum(self.progress[spans[:, 1]] - self.progress[spans[:, 0]], 1)
@@ -65,17 +75,26 @@ class Cells:
 
     @property
     def reference(self) -> tuple[float, float]:
-        """Amplitude of a free coordinate, m and rad."""
+        """Amplitude of a free coordinate in a long span, m and rad: a fraction of the motion."""
         return self.motion[0] * C.reference, self.motion[1] * C.reference
 
     def bound(self, part: float) -> tuple[float, float]:
-        """Largest size of a held coordinate, m and rad: a part of the motion, or three times the floor."""
+        """Return the largest RMS of a held coordinate, m and rad.
+
+        The bound is the given part of the motion of the recording, or three times the floor if that is more.
+        """
         a, b = (max(part * motion, 3 * floor) for motion, floor in zip(self.motion, self.floor, strict=True))
         return a, b
 
 
 def make_cells(rotation: np.ndarray, position: np.ndarray, step: float) -> Cells:
-    """Compute the cells of rotations (P, 3, 3) and positions (P, 3) m with a sample time ``step``, s."""
+    """Divide a recording into cells, and measure its motion and its noise.
+
+    Args:
+        rotation: (P, 3, 3) rotations of the body.
+        position: (P, 3) m, positions of the body.
+        step: time between two poses, s.
+    """
     noise = _white_noise(position), _white_noise(np.cumsum(_turns(rotation), axis=0))
     time, motion, turn = _motion_scale(rotation, position, noise, step)
     samples = max(1, min(round(time / C.cells / step), len(position) // 8))
@@ -108,7 +127,15 @@ def _average_features(
 
 
 def path_features(rotation: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Features of poses: (4, P, 12) for the linear types and (2, P, 3) rad for the angular types."""
+    """Compute the features of poses, as in :class:`Cells`, before they are averaged.
+
+    Args:
+        rotation: (P, 3, 3) rotations of the body.
+        position: (P, 3) m, positions of the body.
+
+    Returns:
+        (4, P, 12) features of the linear types, and (2, P, 3) rad, features of the angular types.
+    """
     back = np.swapaxes(rotation, 1, 2)
     turn = _turns(rotation)
     hat = -np.cross(turn[:, None], np.eye(3))

@@ -1,4 +1,8 @@
-"""Sizes of rows by chance: how small the best row becomes in a motion without any held coordinate."""
+"""How little a fitted row moves by chance.
+
+In a short span, the best of all rows hardly moves even in a motion without constraints. Such a row is no
+evidence.
+"""
 
 import dataclasses
 
@@ -16,11 +20,15 @@ _TURNED = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3, 3)))[0]
 
 
 def with_chance(cells: Cells, reach: float) -> Cells:
-    """Add the sizes of rows by chance, and the progress of the motion, to cells.
+    """Return cells with the fields ``chance`` and ``progress``.
 
-    The rows are fitted to a surrogate motion with the times and speeds of the recording, in which no
-    coordinate is held: positions are the sum of three copies of the path, delayed by thirds of the recording
-    and rotated; rotations are the rotations of the recording in reverse order.
+    For ``chance``, rows are fitted to a surrogate motion, which has the times and speeds of the recording,
+    but no constraint. Its positions are the sum of three copies of the path, delayed by thirds of the
+    recording and rotated; its rotations are those of the recording in reverse order.
+
+    Args:
+        cells: cells of the recording.
+        reach: half the width of the cube in which origins are searched, m.
     """
     number = cells.linear.shape[1]
     poses = cells.linear[1].reshape(-1, 3, 4)  # position and rotation
@@ -41,10 +49,10 @@ def with_chance(cells: Cells, reach: float) -> Cells:
 
 
 def _progress(cells: Cells) -> np.ndarray:
-    """Number of cells of usual motion that equals the motion before each cell, (N + 1,).
+    """Return the path length before each cell, as a number (N + 1,) of cells with the usual speed.
 
-    In slower motion, rows stay small by chance for a longer time. The ratio of path length to amplitude in a
-    window is compared with its usual value in shorter windows.
+    In slower motion, rows stay small by chance for a longer time. The speed is the ratio of path length to
+    amplitude in a window; the same ratio in shorter windows of the recording is the comparison.
     """
     z = np.concatenate([cells.linear[1, :, ::4], C.lever * cells.angular[1]], axis=1)
     z = z - z.mean(axis=0)

@@ -30,12 +30,11 @@ def segment(
     """Find where the constraint of a recording changes, and identify each part.
 
     A constraint holds some coordinates of the motion, for example the height of the tip of a tool above a
-    plane. Models of held coordinates are fitted to windows of many lengths. A model gains evidence in each
-    part of the recording in which its coordinates move much less than the body, and has a cost for its
-    parameters. The result is the sequence of models with the largest evidence, fitted again to its segments.
-    Free coordinates give no evidence, so a change of a free motion is not a change of the constraint. A pause
-    within a constraint does not divide a segment; between different constraints, at the start and at the end,
-    stillness is a separate segment.
+    plane. Models of held coordinates are fitted to windows of many lengths. A model gains evidence wherever
+    its coordinates move much less than the body, and pays a price for its parameters. The result is the
+    sequence of models with the largest evidence, fitted again to its segments. A change of speed or direction
+    of a free motion does not end a segment. Neither does a pause within one constraint. A pause between
+    different constraints, at the start or at the end is a separate segment, named "Still".
 
     The function computes in float64 with NumPy. Boundaries are integers, so the function is not
     differentiable. To differentiate a frame, identify the poses of its segment with
@@ -44,14 +43,15 @@ def segment(
     Args:
         poses: (N, 4, 4) poses of the moving body {b} in the ground {g}, m; N >= 16.
         times: (N,) sample times in s, increasing. Give either ``times`` or ``dt``.
-        dt: sample time, s, a scalar or (N-1,).
-        reach: half the width of the cube in which origins of frames are searched, about the body, m.
+        dt: time between two poses, s, a scalar or (N-1,).
+        reach: half the width of the cube, around the recorded positions, in which origins are searched, m.
 
     Returns:
         The segments, in order of time, and the boundaries between them.
 
     Raises:
-        ValueError: for tracers, for other shapes or options, or for unusable poses or times.
+        ValueError: under ``jit``, ``vmap`` or ``grad``; for another shape or option; for poses that are not
+            rigid, not finite or all equal; or for times that do not increase.
     """
     if traced((poses, times, dt)):
         raise ValueError("segment needs poses, not tracers: call it outside jit, vmap and grad.")
@@ -69,7 +69,16 @@ def segment(
 def find_segments(
     poses: np.ndarray, times: np.ndarray, reach: float
 ) -> tuple[list[tuple[int, int, int]], tuple[Boundary, ...], float]:
-    """Find segments (start, stop, label) without names, boundaries, and the motion time, s."""
+    """Divide a recording, without identification of the segments.
+
+    Args:
+        poses: (N, 4, 4) checked poses, m.
+        times: (N,) sample times, s.
+        reach: half the width of the cube in which origins are searched, m.
+
+    Returns:
+        The segments as (first pose, pose after the last, label), the boundaries, and the motion time, s.
+    """
     rotation, position = poses[:, :3, :3], poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0)
     cells = make_cells(rotation, position, float(np.median(np.diff(times))))
     cells = with_chance(cells, reach)

@@ -11,11 +11,12 @@ __all__ = ["label_pieces"]
 
 
 def label_pieces(cells: Cells, pieces: list[Piece], reach: float) -> list[int]:
-    """Number the constraints in order of appearance; -1 for a still body.
+    """Number the constraints of pieces in order of appearance; a still body has the label -1.
 
-    Two pieces have the same constraint if they hold the same numbers of coordinates, and the held coordinates
-    of one piece hardly move in the other piece. Their mean values may differ, because the frame may be fixed
-    in the body. All free motion has one label. Neighbours have different labels.
+    Two pieces have the same constraint if they hold equal numbers of translations and rotations, and if the
+    held coordinates of one piece hardly move in the other piece. The mean values of these coordinates may
+    differ, because the frame may be fixed in the body. All free motion has one label. Neighbours have
+    different labels.
 
     Args:
         cells: cells of the recording.

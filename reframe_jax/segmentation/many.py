@@ -25,7 +25,7 @@ def segment_many(
     Args:
         recordings: poses of {b} in {g}, m: an array (R, N, 4, 4), or R arrays (N, 4, 4) of any lengths.
         times: R arrays (N,) of sample times, s. Give either ``times`` or ``dt``.
-        dt: sample time of all recordings, or R sample times, s.
+        dt: time between two poses, s: one number for all recordings, or R values.
         reach: as in :func:`segment`.
 
     Returns:

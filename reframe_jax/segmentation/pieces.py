@@ -18,7 +18,10 @@ _ROUNDS = 4
 
 
 class Piece(NamedTuple):
-    """Cells [start, stop), and their model, a bank of one model; None if no coordinate is held."""
+    """A part of a recording: the cells [start, stop), and their model.
+
+    The model is a bank of one model, or None if no coordinate is held (free motion).
+    """
 
     start: int
     stop: int
@@ -36,9 +39,14 @@ class Piece(NamedTuple):
 
 
 def find_pieces(cells: Cells, reach: float) -> list[Piece]:
-    """Find the most probable sequence of models.
+    """Divide a recording into the most probable sequence of models.
 
-    The models are fitted to windows of many lengths, then to the pieces of the best sequence.
+    The models are first fitted to windows of many lengths, then to the pieces of the best sequence, until the
+    evidence stops increasing.
+
+    Args:
+        cells: cells of the recording, with ``chance`` and ``progress``.
+        reach: half the width of the cube in which origins are searched, m.
     """
     number = cells.linear.shape[1]
     first = fit_models(cells, _windows(number), reach)
@@ -85,12 +93,12 @@ def _neighbours(edges: list[int]) -> np.ndarray:
 
 
 def stays_held(models: list[Bank], cells: Cells, union: Fits) -> bool:
-    """Whether the rows of models stay held in a fit to a longer span.
+    """Whether the coordinates that are held in several pieces can also be held in their union.
 
     Args:
-        models: banks of one model each, with equal numbers of held rows.
+        models: the models of the pieces, with equal numbers of held translations and of held rotations.
         cells: cells of the recording.
-        union: fit to the longer span.
+        union: rows with the least motion in the union of the pieces.
     """
     translations, rotations = models[0].held[0]
     size = np.stack([model.size[0] for model in models])
@@ -105,9 +113,14 @@ def stays_held(models: list[Bank], cells: Cells, union: Fits) -> bool:
 
 
 def join_pieces(cells: Cells, pieces: list[Piece], reach: float) -> list[Piece]:
-    """Join pieces of one constraint, across a pause or next to each other.
+    """Join consecutive pieces of one constraint, also across a pause.
 
     A long pause between different constraints, or at an end of the recording, remains a piece.
+
+    Args:
+        cells: cells of the recording, with ``chance`` and ``progress``.
+        pieces: pieces in order of time.
+        reach: half the width of the cube in which origins are searched, m.
     """
     pieces = list(pieces)
     tried: dict[tuple[float, ...], Piece | None] = {}

@@ -15,7 +15,7 @@ class Boundary:
     """Boundary between a segment and the next segment.
 
     Attributes:
-        index: index of the first pose of the next segment.
+        index: index of the first pose of the second segment.
         time: sample time of this pose, s.
         probability: probability that the two segments have different constraints.
         earliest, latest: indices of the first and the last pose of the 95 % interval of the change.
@@ -68,7 +68,7 @@ class Segmentation:
         segments: segments in order of time; each pose belongs to one segment.
         boundaries: boundaries between consecutive segments.
         times: (N,) sample times of the poses, s.
-        motion_time: time in which the motion gives one independent value, s. To distinguish one held axis
+        motion_time: time after which displacements are decorrelated, s. To distinguish one constrained axis
             from free motion, a segment must last about six motion times; a spherical joint needs about two.
     """
 

@@ -1,4 +1,7 @@
-"""Rows of spans: the directions and the origin with the least motion in a span of a recording."""
+"""Fit rows to spans: find the directions, and the origin, along which the body moves least.
+
+A row w contains the weights that turn the features z of a cell into one coordinate w'z.
+"""
 
 from typing import NamedTuple
 
@@ -16,13 +19,13 @@ _LENGTH = 1.6  # factor on steps: the curvature of the bound is up to twice the 
 
 
 class Fits(NamedTuple):
-    """Rows with the least motion in P spans, for the four linear and the two angular types.
+    """The rows with the least motion in each of P spans, for the four linear and the two angular types.
 
     Attributes:
-        weights: (P, 3, 4, 3, 12) rows w for 1, 2 and 3 held translations of each linear type.
-        size: (P, 3, 4, 3) m, RMS of w'z about its mean; infinite for unused rows.
-        axes: (P, 2, 3, 3) rows of each angular type, in ascending order of amplitude.
-        turn: (P, 2, 3) rad, RMS of the rotations about these axes.
+        weights: (P, 3, 4, 3, 12) rows for 1, 2 and 3 held translations, for each linear type.
+        size: (P, 3, 4, 3) m, RMS of each coordinate about its mean; infinite for unused rows.
+        axes: (P, 2, 3, 3) unit axes as rows, for each angular type, in ascending order of rotation.
+        turn: (P, 2, 3) rad, RMS of the rotation about each of these axes.
         linear_mean, angular_mean: (P, 4, 12) and (P, 2, 3) mean features.
         motion: (P,) m, largest motion of the span.
     """
@@ -37,7 +40,13 @@ class Fits(NamedTuple):
 
 
 def fit_spans(cells: Cells, spans: np.ndarray, reach: float) -> Fits:
-    """Fit rows to spans (P, 2) of cells [start, stop)."""
+    """Fit rows to spans.
+
+    Args:
+        cells: cells of the recording.
+        spans: (P, 2) first cell, and the cell after the last, of each span.
+        reach: half the width of the cube in which origins are searched, m.
+    """
     parts = [_fit_batch(cells, spans[i : i + _BATCH], reach) for i in range(0, len(spans), _BATCH)]
     return Fits(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 

@@ -1,4 +1,7 @@
-"""The most probable sequence of models, by Viterbi's algorithm; each model has a limited range of cells."""
+"""Find the most probable sequence of models by Viterbi's algorithm.
+
+Each model is evaluated near its span only, so the cost is linear in the length of the recording.
+"""
 
 from bisect import bisect_right
 from heapq import heappush, heapreplace
@@ -16,10 +19,10 @@ _BATCH = 50_000  # values per batch
 
 
 class Coverage(NamedTuple):
-    """Log evidence of models in the cells of their ranges; models with disjoint ranges use one column.
+    """Log evidence of each model in the cells near its span. Models without common cells share a column.
 
     Attributes:
-        gain: (N, W) log evidence of the model in a column; -inf in cells without a model.
+        gain: (N, W) log evidence, in each cell, of the model that occupies a column there; -inf if none does.
         column: (H,) column of each model.
         first: (H,) first cell in the range of each model.
     """
@@ -36,7 +39,7 @@ class Coverage(NamedTuple):
 
 
 def cover(cells: Cells, bank: Bank, widen: float = 1.0) -> Coverage:
-    """Evaluate models in their spans, and in one span length on either side.
+    """Evaluate each model in its span, and in one length of the span on either side.
 
     Args:
         cells: cells of the recording.
@@ -58,7 +61,15 @@ def cover(cells: Cells, bank: Bank, widen: float = 1.0) -> Coverage:
 
 
 def columns_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Assign intervals [low, high) to the fewest columns without overlaps, (H,)."""
+    """Assign intervals to the fewest columns, so that no two intervals of a column overlap.
+
+    Args:
+        low: (H,) first cell of each interval.
+        high: (H,) cell after the last of each interval.
+
+    Returns:
+        (H,) column of each interval.
+    """
     column = np.zeros(len(low), int)
     ends: list[tuple[int, int]] = []
     for k in np.argsort(low, kind="stable"):
@@ -72,14 +83,14 @@ def columns_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 
 def likeliest(coverage: Coverage, price: np.ndarray) -> tuple[np.ndarray, float]:
-    """Find the sequence of models with the largest log evidence; free motion has the evidence 0.
+    """Find the sequence of models with the largest total log evidence. Free motion has the evidence 0.
 
     Args:
         coverage: coverage of all models.
-        price: (H,) log evidence that each use of a model costs.
+        price: (H,) log evidence that is subtracted for each segment that uses the model.
 
     Returns:
-        (N,) model of each cell, -1 for free motion, and the log evidence.
+        (N,) index of the model of each cell, -1 for free motion; and the total log evidence.
     """
     gain, column, first = coverage
     number, width = gain.shape

@@ -1,10 +1,10 @@
-"""Minimize objectives globally, for batches of problems.
+"""Solvers: find the global minimum of an objective, for many problems at once.
 
-``BasinHopping`` is the global search: call ``minimise``, or control it with ``init``, ``step`` and
-``finish``. ``JointSearch`` applies it to norms with a negative exponent. The global search calls a local
-minimizer: ``ValleySteps`` (origins, with the rotation eliminated), ``FrameSteps`` (orientation and origin
-together), ``NewtonSteps`` (any ``Objective``) or ``OptaxSteps`` (any ``Objective``, any Optax gradient
-transformation).
+``BasinHopping`` is the global search: call ``minimise``, or run single steps with ``init``, ``step`` and
+``finish``. ``JointSearch`` is a variant for norms with a negative exponent. The global search calls a local
+minimizer, which the user chooses: ``ValleySteps`` (origins of frames), ``FrameSteps`` (orientations and
+origins together), ``NewtonSteps`` (any ``Objective``) or ``OptaxSteps`` (any ``Objective``, with any Optax
+gradient transformation).
 """
 
 from reframe_jax.objectives.protocol import Objective

@@ -1,4 +1,4 @@
-"""Basin hopping: a global search from many starts, for a batch of problems."""
+"""Basin hopping: a global search from many starts, for many problems at once."""
 
 from dataclasses import dataclass, replace
 
@@ -40,35 +40,37 @@ class SearchState:
 
 @dataclass(frozen=True)
 class BasinHopping:
-    """Basin hopping (Wales & Doye 1997) from quasi-random restarts.
+    """Basin hopping (Wales & Doye 1997) from quasi-random starts.
 
-    Every restart is a chain. A chain first minimizes locally. Then, ``hops`` times, the chain jumps,
-    minimizes locally, and accepts the new point if the value is lower or Metropolis' rule accepts the value.
-    Finally, the chain minimizes ``polish`` more times from its best point. A problem has converged if all its
-    chains agree after the first minimization; converged problems do not hop. All problems use the same random
-    numbers, so the result depends on the data of the problem and the key, not on the position in a batch.
+    A chain is a sequence of points from one start. Each chain first minimizes locally. Then, ``hops`` times,
+    it jumps, minimizes locally, and accepts the new point if the value is lower or Metropolis' rule accepts
+    it. Finally, the chain minimizes ``polish`` more times from its best point. A problem has converged if the
+    values of all its chains agree after the first minimization; a converged problem does not hop. All
+    problems use the same random numbers, so a result depends on the data and on the key, not on the position
+    in a batch.
 
-    With ``rounds``, some chains start at points derived from the data (see :func:`suggested_starts`). A
-    problem that has not converged repeats rounds until its chains agree. In each later round, one chain
-    continues from the best point, and the other chains start at new points derived from the data. Slow motion
-    needs rounds, because its objective has many narrow valleys.
+    With ``rounds``, some chains start at points derived from the data (:func:`suggested_starts`). A problem
+    whose chains do not agree starts another round: one chain continues from the best point, and the other
+    chains start at new points derived from the data. Slow motion needs rounds, because its objective has many
+    narrow valleys.
 
-    :meth:`minimise` runs the whole search. To observe a search or stop it early, call ``init``, then ``step``
-    1 + ``hops`` + ``polish`` times, then ``finish``. All three are pure functions of arrays and can be
-    compiled. Every problem then takes all steps, converged or not, and there are no rounds.
+    :meth:`minimise` runs the whole search. To observe a search or to stop it early, call ``init``, then
+    ``step`` 1 + ``hops`` + ``polish`` times, then ``finish``. These three methods are pure functions of
+    arrays and can be compiled. They have no rounds, and converged problems take all steps too.
 
     Attributes:
-        inner: local minimizer, such as :class:`ValleySteps`, :class:`FrameSteps`, or a callable of the user.
-        restarts: number of chains.
+        inner: local minimizer: :class:`ValleySteps`, :class:`FrameSteps`, or any :data:`LocalMinimiser`.
+        restarts: number of chains per problem.
         hops: number of jumps per chain.
         polish: number of final minimizations per chain, without a jump.
-        refine: additional local minimizer for the best point of all chains, or None.
-        hop_size: standard deviation of a jump, as a fraction of the box.
-        temperature: temperature of Metropolis' rule, in log J: 0.1 accepts a 10 % larger norm with
-            probability 1/e.
-        tolerance: largest difference of log J between the chains of a converged problem, after the first
-            minimization; with 0, every problem hops.
-        rounds: largest number of rounds per problem; with 0, the chains hop without rounds.
+        refine: another local minimizer, for the best point of all chains; None for no refinement.
+        hop_size: standard deviation of a jump, as a fraction of the width of the box.
+        temperature: temperature of Metropolis' rule, in units of the value. For a norm J, the value is log J:
+            a temperature of 0.1 accepts a norm that is 10 % larger with probability 1/e.
+        tolerance: largest difference between the values of the chains of a converged problem; with 0, every
+            problem hops.
+        rounds: largest number of rounds per problem; with 0, there is one round, and all its starts are
+            quasi-random.
     """
 
     inner: LocalMinimiser
@@ -91,7 +93,7 @@ class BasinHopping:
             box: bounds of the search.
             key: JAX random key.
             starts: (dim, restarts, ...) starts of the chains. By default, quasi-random points, equal for all
-                problems, and points derived from the data.
+                problems; with ``rounds``, also points derived from the data.
 
         Raises:
             ValueError: if the objective is not an :class:`Objective`.
@@ -113,7 +115,7 @@ class BasinHopping:
         """Advance every chain by one step: jump, minimize, and accept or reject the new point.
 
         The first step minimizes the starts without a jump. Steps after the last hop minimize the best points.
-        A chain accepts an increase of its value that Metropolis' rule allows; NaN counts as infinite.
+        A value of NaN counts as infinite. Arguments as in :meth:`init`, and the state before the step.
         """
         key, dtype = state.key, state.x.dtype
         jump, rise = jnp.zeros((objective.dim, self.restarts), dtype), jnp.zeros(self.restarts, dtype)
@@ -141,7 +143,7 @@ class BasinHopping:
         )
 
     def finish(self, objective: Objective, box: Box, state: SearchState) -> Solution:
-        """Refine the best point of all chains, and return the solution."""
+        """Refine the best point of the chains of every problem, and return the solution."""
         lowest, lowest_value = _lowest(state)
         x, value = lowest[:, 0], lowest_value[0]
         if self.refine is not None:
@@ -156,8 +158,8 @@ class BasinHopping:
     ) -> Solution:
         """Run the whole search: :meth:`init`, :meth:`step` until every problem is done, and :meth:`finish`.
 
-        Arguments as in :meth:`init`. A converged problem is done after one step, other problems after 1 +
-        ``hops`` + ``polish`` steps, or after their rounds.
+        Arguments and errors as in :meth:`init`. A converged problem is done after one step; the others after
+        1 + ``hops`` + ``polish`` steps, in each of their rounds.
         """
         state = self.init(objective, box, key, starts)
         last = 1 + self.hops + self.polish

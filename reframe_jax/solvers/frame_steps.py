@@ -1,15 +1,15 @@
-"""Local steps for the orientation and the origin of a frame together.
+"""A local minimizer over the orientation and the origin of a frame together.
 
-This general method eliminates no unknowns. A step rotates the frame about its axes and shifts its origin,
-which avoids singular charts of the rotations. Each iteration tries Newton's steps on powers of J and, for
-points distant from the optimum, two more steps:
+A step rotates the frame about its axes and shifts its origin, so rotation vectors cause no singularities.
+Each iteration tries Newton steps on powers of the norm J, and two steps that also work at points distant from
+the optimum. With the axes E, the velocity covariance Sigma at the origin and S = E^T Sigma E, these are:
 
-- *aligning* rotates by Jacobi's angles, each of which makes one off-diagonal entry of S = E^T Sigma E zero;
-- *majorizing* moves the origin to the minimum of sum_n q_n v_n(p) / v_n, where v_n is the variance along axis
+- *aligning*: rotate by Jacobi's angles, each of which makes one off-diagonal entry of S zero;
+- *majorizing*: move the origin to the minimum of sum_n q_n v_n(p) / v_n, where v_n is the variance along axis
   n and q_n its weight in the power mean. This sum bounds log J from above, because J is concave in the
   variances.
 
-It tries both steps together and each step by itself.
+Each iteration tries the two steps together and separately, and takes the step with the lowest value.
 """
 
 from dataclasses import dataclass
@@ -63,13 +63,18 @@ class FrameSteps:
     steps: int = 10
 
     def __call__(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Improve the unknowns x, (dim, ...): rotation vectors and, for linear velocities, origins.
+        """Minimize every problem locally, from given unknowns.
+
+        Args:
+            objective: the problems, a :class:`MomentsObjective` over frames.
+            box: bounds of the search.
+            x: (dim, ...) starts: rotation vectors, rad, and, for linear velocities, origins, m.
 
         Returns:
-            The new unknowns and their values, (...).
+            The best unknowns (dim, ...) and their values (...).
 
         Raises:
-            ValueError: for an objective of another class.
+            ValueError: for another objective.
         """
         known = self.check(objective)
         norm = FrameObjective(known.moments, known.exponent)
@@ -127,5 +132,9 @@ class FrameSteps:
 
     @staticmethod
     def check(objective: Objective) -> MomentsObjective:
-        """Return the objective if these steps can minimize it; a ValueError otherwise."""
+        """Return the objective if these steps can minimize it.
+
+        Raises:
+            ValueError: for another objective; the message names a minimizer that works.
+        """
         return require_moments(objective, "frame", "FrameSteps")

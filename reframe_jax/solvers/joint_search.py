@@ -1,4 +1,4 @@
-"""Search origins by a search over whole frames."""
+"""Find the origin of a frame by a search over orientation and origin together."""
 
 from dataclasses import dataclass
 
@@ -17,15 +17,15 @@ __all__ = ["JointSearch"]
 
 @dataclass(frozen=True)
 class JointSearch:
-    """Search of a :class:`PositionObjective` through the :class:`FrameObjective` with the same moments.
+    """Global search of a :class:`PositionObjective`, over the :class:`FrameObjective` with the same moments.
 
-    With a negative exponent, the axis with the least motion dominates J. If the rotation is eliminated, each
-    chain falls into the nearest of many narrow minima, where some axis does not move. Chains over whole
-    frames start with different axes, reach different minima, and miss fewer optima in less time.
+    With a negative exponent, the axis with the least motion dominates the norm. The norm then has many narrow
+    minima over the origin, and a chain over origins ends in the nearest minimum. Chains over orientation and
+    origin start with different axes and reach different minima, so they miss fewer optima in less time.
 
     Attributes:
-        search: solver over orientation and origin together, with :class:`FrameSteps` as local minimizer.
-        refine: local minimizer for the origin of the best frame, with the best axes at every point.
+        search: global search over orientation and origin, with :class:`FrameSteps` as local minimizer.
+        refine: local minimizer for the origin of the best frame.
     """
 
     search: BasinHopping

@@ -1,4 +1,4 @@
-"""Newton steps on any objective, with derivatives by automatic differentiation."""
+"""A local minimizer of any objective by Newton steps, with derivatives by automatic differentiation."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,12 +21,16 @@ _Point = TypeVar("_Point")
 
 
 def newton_steps(gradient: jax.Array, hessian: jax.Array) -> jax.Array:
-    """Steps (8, dim) that may lower f = log J; subtract a step from the unknowns.
+    """Return eight candidate steps (8, dim) to lower f = log J; subtract a step from the unknowns.
 
-    With the Hessian H and the gradient g of f, the Newton step on J^s is H^-1 g / (1 + s g.H^-1 g). Its
-    direction is the same for every s. The steps with s = 6, 3 and 2 are exact if one, two or three axes of
-    the geometric mean are constrained; the step with s = 1 is exact if a single axis dominates. Distant from
-    the optimum, H = L D L^T is indefinite, and the step with L |D| L^T descends.
+    With the gradient g and the Hessian H of f, the Newton step on J^s is H^-1 g / (1 + s g.H^-1 g); only its
+    length depends on s. The steps with s = 6, 3 and 2 are exact if one, two or three axes of the geometric
+    mean are constrained; the step with s = 1 is exact if a single axis dominates. Far from the optimum, H = L
+    D L^T is indefinite; the last three candidates descend with L |D| L^T instead.
+
+    Args:
+        gradient: (dim,) gradient of f.
+        hessian: (dim, dim) Hessian of f.
     """
     dim = gradient.shape[0]
     ridge = _RIDGE * jnp.sum(jnp.abs(hessian), axis=1)
@@ -46,7 +50,7 @@ def newton_steps(gradient: jax.Array, hessian: jax.Array) -> jax.Array:
 
 
 def derivatives(value: Callable[[jax.Array], jax.Array], x: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Gradient and Hessian, with zero in place of values that are not finite."""
+    """Return the gradient (dim,) and the Hessian (dim, dim) at x, (dim,); zero if any entry is not finite."""
     gradient, hessian = jax.grad(value)(x), jax.hessian(value)(x)
     finite = jnp.all(jnp.isfinite(hessian)) & jnp.all(jnp.isfinite(gradient))
     return jnp.where(finite, gradient, 0), jnp.where(finite, hessian, 0)
@@ -55,10 +59,19 @@ def derivatives(value: Callable[[jax.Array], jax.Array], x: jax.Array) -> tuple[
 def steps_in_box(
     x: jax.Array, low: jax.Array, high: jax.Array, gradient: jax.Array, hessian: jax.Array
 ) -> jax.Array:
-    """:func:`newton_steps` that keep coordinates constant which would leave the box.
+    """Return :func:`newton_steps` in which a coordinate on a face of the box does not leave the box.
 
-    Coordinates whose descent direction points out of the box stay constant, and then coordinates that
-    Newton's step would move out of the box.
+    Such a coordinate is held constant if the gradient points out of the box, or if the Newton step does.
+
+    Args:
+        x: (dim,) unknowns.
+        low: (dim,) lower bounds.
+        high: (dim,) upper bounds.
+        gradient: (dim,) gradient of f = log J.
+        hessian: (dim, dim) Hessian of f.
+
+    Returns:
+        (8, dim) candidate steps.
     """
     unit = jnp.eye(len(x), dtype=x.dtype)
     out = gradient
@@ -78,9 +91,17 @@ def take_best_steps(
     move: Callable[[_Point, jax.Array], tuple[_Point, jax.Array]],
     count: int,
 ) -> tuple[_Point, jax.Array]:
-    """Take the best of several steps repeatedly; stay at a point if no step lowers the value.
+    """Repeat: try candidate steps, and take the step with the lowest value; stay if no step lowers the value.
 
-    ``steps_at`` gives candidate steps (n, dim) at a point (a pytree), ``move`` the next point and its value.
+    Args:
+        start: first point, a pytree.
+        value: value of the first point.
+        steps_at: function from a point to candidate steps (C, dim).
+        move: function from a point and a step (dim,) to the next point and its value.
+        count: number of repetitions.
+
+    Returns:
+        The last point and its value.
     """
 
     def advance(_: int, carry: tuple[_Point, jax.Array]) -> tuple[_Point, jax.Array]:
@@ -97,7 +118,7 @@ def take_best_steps(
 
 @dataclass(frozen=True)
 class NewtonSteps:
-    """Local minimizer with Newton steps on powers of the norm, over all unknowns together.
+    """Local minimizer of any :class:`Objective`, by Newton steps over all unknowns together.
 
     Attributes:
         steps: number of steps, equal for all problems of a batch.
@@ -106,7 +127,16 @@ class NewtonSteps:
     steps: int = 30
 
     def __call__(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Improve the unknowns x, (dim, ...), of every problem; return them and their values, (...)."""
+        """Minimize every problem locally, from given unknowns.
+
+        Args:
+            objective: the problems.
+            box: bounds of the search.
+            x: (dim, ...) starts.
+
+        Returns:
+            The best unknowns (dim, ...) and their values (...).
+        """
         return minimise_each(self._minimise_one, objective, box, x)
 
     def _minimise_one(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -1,4 +1,4 @@
-"""Local minimizer with any Optax gradient transformation."""
+"""A local minimizer of any objective by an Optax gradient transformation."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -16,11 +16,13 @@ __all__ = ["OptaxSteps"]
 
 @dataclass(frozen=True)
 class OptaxSteps:
-    """Local minimizer with the updates of an Optax gradient transformation, inside the box.
+    """Local minimizer of any :class:`Objective`, by the updates of an Optax gradient transformation.
+
+    The unknowns stay in the box, because the updates act on :meth:`Box.unfold` of the unknowns.
 
     Attributes:
-        transformation: any ``optax.GradientTransformation``; L-BFGS and line searches receive the value and
-            the value function. Reuse one instance, because a new instance is compiled again.
+        transformation: any ``optax.GradientTransformation``. L-BFGS and line searches receive the value and
+            the value function. Reuse one instance: JAX compiles a program for every new instance.
         steps: number of updates, equal for all problems of a batch.
     """
 
@@ -28,7 +30,16 @@ class OptaxSteps:
     steps: int = 60
 
     def __call__(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return the best unknowns (dim, ...) of all updates from x, and their values, (...)."""
+        """Minimize every problem locally, from given unknowns.
+
+        Args:
+            objective: the problems.
+            box: bounds of the search.
+            x: (dim, ...) starts.
+
+        Returns:
+            The best unknowns (dim, ...) of all updates, and their values (...).
+        """
         return minimise_each(self._minimise_one, objective, box, x)
 
     def _minimise_one(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -1,4 +1,4 @@
-"""Operations on arrays whose trailing axes are problems: repeat, and apply to each problem."""
+"""Repeat problems, and apply a function to each problem, where the trailing axes of arrays are problems."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -15,7 +15,13 @@ _T = TypeVar("_T")
 
 
 def repeat_problems(tree: _T, axes: int, count: int) -> _T:
-    """Repeat every problem ``count`` times along a new axis before the last ``axes`` axes."""
+    """Repeat every problem along a new axis before the axes of the problems.
+
+    Args:
+        tree: pytree of arrays whose last ``axes`` axes are problems.
+        axes: number of problem axes.
+        count: number of repetitions.
+    """
 
     def repeat(a: jax.Array) -> jax.Array:
         place = a.ndim - axes
@@ -31,7 +37,17 @@ def minimise_each(
     box: Box,
     x: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
-    """Apply a minimizer of one problem, (objective, box, x (dim,)) -> (x, value), to starts x (dim, ...)."""
+    """Apply a minimizer of one problem to every problem of a batch.
+
+    Args:
+        minimise_one: function from an objective, a box and a start (dim,) to unknowns (dim,) and their value.
+        objective: the problems.
+        box: bounds of the search.
+        x: (dim, ...) starts.
+
+    Returns:
+        Unknowns (dim, ...) and their values (...).
+    """
     batch = x.shape[1:]
     flat = jax.tree.map(lambda a: a.reshape(*a.shape[: a.ndim - len(batch)], -1), (objective, x))
     found, values = jax.vmap(minimise_one, in_axes=(-1, None, -1), out_axes=-1)(flat[0], box, flat[1])

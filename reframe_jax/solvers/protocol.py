@@ -1,4 +1,4 @@
-"""The protocols of solvers, and their result."""
+"""What a solver is for ``identify``: its methods, and the result that it returns."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,7 +12,10 @@ from reframe_jax.solvers.box import Box
 __all__ = ["LocalMinimiser", "Solution", "Solver"]
 
 LocalMinimiser = Callable[[Objective, Box, jax.Array], tuple[jax.Array, jax.Array]]
-"""(objective, box, x (dim, ...)) -> (x, value): a local minimizer that treats problems independently."""
+"""A local minimizer: a function from an objective, a box and starts (dim, ...) to unknowns and their values.
+
+It returns the best unknowns (dim, ...) and their values (...), and must treat the problems independently.
+"""
 
 
 @jax.tree_util.register_dataclass
@@ -23,8 +26,8 @@ class Solution:
     Attributes:
         x: (dim, ...) best unknowns of every problem.
         value: (...) objective at ``x``; for a norm, log J.
-        agreement: (...) fraction of the restarts that ended within 0.001 of the best value (0.1 % of the
-            norm).
+        agreement: (...) fraction of the chains that ended within 0.001 of the best value (0.1 % of the norm).
+            A low fraction means that the search may have missed the optimum.
     """
 
     x: jax.Array
@@ -33,14 +36,10 @@ class Solution:
 
 
 class Solver(Protocol):
-    """The protocol of solvers for ``identify``. Solvers are static arguments and must be hashable.
-
-    :class:`BasinHopping` also offers single steps: ``init`` makes a state, ``step`` advances the state, and
-    ``finish`` converts the state to a :class:`Solution`.
-    """
+    """The method that ``identify`` calls. Solvers must be hashable: they are static in compiled programs."""
 
     def minimise(self, objective: Objective, box: Box, key: jax.Array) -> Solution:
-        """Search every problem of the objective.
+        """Find the global minimum of every problem in the box.
 
         Args:
             objective: the problems.

@@ -21,10 +21,16 @@ _RIDGE = (
 
 
 def quasi_random(key: jax.Array, count: int, dim: int, dtype: jnp.dtype) -> jax.Array:
-    """Points (dim, count) of the unit cube by Roberts' additive recurrence R_d, with a random shift.
+    """Return points (dim, count) that cover the unit cube evenly: Roberts' sequence R_d, randomly shifted.
 
     Any prefix of the sequence covers the cube evenly, so any ``count`` is suitable. The increments are powers
     of the real root of x^(d+1) = x + 1, the generalized golden ratio.
+
+    Args:
+        key: JAX random key of the shift.
+        count: number of points.
+        dim: number of dimensions.
+        dtype: dtype of the points.
     """
     root = 2.0
     for _ in range(64):
@@ -35,7 +41,7 @@ def quasi_random(key: jax.Array, count: int, dim: int, dtype: jnp.dtype) -> jax.
 
 
 def even_starts(objective: Objective, box: Box, key: jax.Array, count: int) -> jax.Array:
-    """Points (dim, count, ...) that fill the box evenly, equal for all problems; see quasi_random."""
+    """Return starts (dim, count, ...) that cover the box evenly; all problems have equal starts."""
     points = box.scale(quasi_random(key, count, objective.dim, objective.dtype))
     points = points.reshape(objective.dim, count, *([1] * len(objective.batch)))
     return jnp.broadcast_to(points, (objective.dim, count, *objective.batch))
@@ -44,11 +50,18 @@ def even_starts(objective: Objective, box: Box, key: jax.Array, count: int) -> j
 def suggested_starts(
     objective: Objective, box: Box, key: jax.Array, count: int, candidates: int
 ) -> jax.Array:
-    """Starts of a search, (dim, count, ...), that are derived from the data of every problem.
+    """Return starts (dim, count, ...) that are derived from the data of every problem.
 
-    For a norm of velocities over positions, the starts are origins with the least motion along random
-    directions. Along a constrained direction, the origin of the constraint is such a point. Each start is the
-    best of several candidates. For other objectives, the starts are quasi-random points.
+    For a norm of velocities over origins, a candidate is the origin with the least motion along a random
+    direction. The origin of the constraint is such a point for its constrained directions. Each start is the
+    best of several candidates. For other objectives, the starts cover the box evenly.
+
+    Args:
+        objective: the problems.
+        box: bounds of the search.
+        key: JAX random key.
+        count: number of starts per problem.
+        candidates: number of candidates per start.
     """
     batch, dtype = objective.batch, objective.dtype
     if not (isinstance(objective, MomentsObjective) and objective.unknowns == "position"):

@@ -1,10 +1,10 @@
-"""Local steps for the origin of a frame; the best rotation at each origin is known in closed form.
+"""A local minimizer over the origin of a frame; the best axes at each origin have a closed form.
 
-With f = log J as a function of the origin p (log J = log det Sigma(p) / 6 for the geometric mean), each
-iteration tries Newton's steps on powers of J, and the *majorizing* step. Because f is concave in Sigma, its
-tangent tr(W(p0) Sigma(p)) with W = df/dSigma bounds f from above. The bound is quadratic in p, and a 3x3
-solve gives its minimum. The majorizing step is best for points distant from the optimum, and if all three
-axes are constrained.
+The value is f = log J as a function of the origin p, with the velocity covariance Sigma(p); for the geometric
+mean, f = log det Sigma(p) / 6. Each iteration tries Newton steps on powers of J, and the *majorizing* step.
+Because f is concave in Sigma, its tangent tr(W(p0) Sigma(p)) with W = df/dSigma bounds f from above. The
+bound is quadratic in p, so a 3x3 system gives its minimum. The majorizing step is the best step at points
+distant from the optimum, and if all three axes are constrained.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ __all__ = ["ValleySteps"]
 
 @dataclass(frozen=True)
 class ValleySteps:
-    """Local minimizer of a :class:`PositionObjective`.
+    """Local minimizer of a :class:`PositionObjective`: the origin of a frame.
 
     Attributes:
         steps: number of steps, equal for all problems of a batch.
@@ -32,13 +32,18 @@ class ValleySteps:
     steps: int = 12
 
     def __call__(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Improve the origins x, (3, ...).
+        """Minimize every problem locally, from given origins.
+
+        Args:
+            objective: the problems, a :class:`MomentsObjective` over origins.
+            box: bounds of the search.
+            x: (3, ...) m, starts.
 
         Returns:
-            The new origins and their values, (...).
+            The best origins (3, ...), m, and their values (...).
 
         Raises:
-            ValueError: for an objective of another class.
+            ValueError: for another objective.
         """
         known = self.check(objective)
         norm = PositionObjective(known.moments, known.exponent)
@@ -69,5 +74,9 @@ class ValleySteps:
 
     @staticmethod
     def check(objective: Objective) -> MomentsObjective:
-        """Return the objective if these steps can minimize it; a ValueError otherwise."""
+        """Return the objective if these steps can minimize it.
+
+        Raises:
+            ValueError: for another objective; the message names a minimizer that works.
+        """
         return require_moments(objective, "position", "ValleySteps")
