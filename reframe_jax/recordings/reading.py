@@ -29,7 +29,6 @@ from reframe_jax.recordings.recording import Recording, RecordingError
 from reframe_jax.recordings.relative import relative_poses
 from reframe_jax.recordings.rows import Rows
 from reframe_jax.recordings.selection import (
-    UNITS,
     Angles,
     AngleUnit,
     Quaternion,
@@ -37,6 +36,7 @@ from reframe_jax.recordings.selection import (
     TimeUnit,
     Unit,
     flag,
+    unit_of,
 )
 
 __all__ = ["TIMES_IGNORED", "list_contents", "load_recording"]
@@ -161,7 +161,7 @@ def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Re
         drop_equal_times(rows)
         _check_count(rows)
         poses = make_poses(rows)
-        poses[:, :3, 3] *= UNITS[wanted.unit or "m"] if rows.metres is None else rows.metres
+        poses[:, :3, 3] *= unit_of(path, wanted, "unit", rows.metres)
         poses = leave_out_lost(rows, poses)
         poses = check_positions(rows, poses, wanted)
         _check_count(rows)
@@ -179,10 +179,8 @@ def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Re
 
 def _check_count(rows: Rows) -> None:
     if len(rows.values) < MIN_POSES:
-        left = "; ".join(rows.notes[-3:])
-        raise RecordingError(
-            f"{rows.path}: has {len(rows.values)} usable poses; expected {MIN_POSES} or more. {left}".rstrip()
-        )
+        problem = f"has {len(rows.values)} usable poses; expected {MIN_POSES} or more."
+        raise RecordingError(f"{rows.path}: " + " ".join([problem, *rows.notes[-3:]]))
 
 
 def _apply_order(rows: Rows, wanted: Selection) -> None:
