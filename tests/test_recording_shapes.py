@@ -213,6 +213,14 @@ def test_dates_as_times(tmp_path: Path, rows: np.ndarray) -> None:
     recording = load_recording(text(tmp_path / "a.csv", ",".join(HEADER), cells))
     same(recording, rows)
     assert recording.origin == "1709251199.900000"
+    for name in ("date", "DateTime"):
+        same(load_recording(text(tmp_path / "a.csv", ",".join([name, *HEADER[1:]]), cells)), rows)
+    days = [["2024-02-29", *row] for row in rows]
+    same(load_recording(text(tmp_path / "a.csv", ",".join(["Date", "Seconds", *HEADER[1:]]), days)), rows)
+    with pytest.raises(RecordingError, match="found '2024-02-29'; write times in seconds, or as 2024-05-01"):
+        load_recording(
+            text(tmp_path / "a.csv", ",".join(["Date", *HEADER[1:]]), [day[:1] + day[2:] for day in days])
+        )
 
 
 def test_seconds_and_nanoseconds(tmp_path: Path, rows: np.ndarray) -> None:

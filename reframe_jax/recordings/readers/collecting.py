@@ -116,7 +116,7 @@ def _number(path: Path, number: int, cell: str) -> float:
     try:
         return float("nan" if _MISSING.fullmatch(cell) else cell)
     except ValueError:
-        date = re.search(r"\d[:/.]\d+[:/.]\d", cell)
+        date = re.search(r"\d[-:/.]\d+[-:/.]\d", cell)
         hint = "; write times in seconds, or as 2024-05-01 10:00:00.250" if date else ""
         raise _error(path, number, f"expected numbers: found '{shown(cell, 40)}'{hint}.") from None
 

@@ -33,6 +33,7 @@ _TIMES = (
     r"(elapsed|ros)_time",
     r"t|times?|time_?stamps?|stamp|sec|secs|seconds|zeit|temps?|tiempo|tempo",
 )
+_DATE = r"date|date_?time"  # the day alone, if there is another time
 _CLOCK = r"(.*_)?(stamp|timespec)_s(ecs?)?|secs?", r"(.*_)?(stamp|timespec)_n(ano)?s(ecs?)?|n(ano)?secs?"
 _POSITIONS = r"{axis}", r"(p_?|p_.+_|(.*_)?(pos(ition)?|loc(ation)?|translation)_){axis}"
 _QUATERNIONS = r"q_?{axis}", r"(q_.+_|(.*_)?(quat(ernion)?|orientation|rot(ation)?)_(q_?)?){axis}"
@@ -209,6 +210,8 @@ def _titles(line: str, delimiter: str | None) -> list[str]:
 def _find_time(header: _Header, first: list[str]) -> int | None:
     """Return the column of the time; ``first`` is the first row."""
     times = [i for i in map(header.find, _TIMES) if i is not None]
+    if not times:
+        return header.find(_DATE)
     filled = [i for i in times if i < len(first) and first[i].strip("0.")]
     return next(iter(filled or times[-1:]), None)  # stamps of 0 were never set
 
