@@ -92,7 +92,7 @@ def keeps_a_point_better(positions: np.ndarray, own: np.ndarray, other: np.ndarr
     """Return whether the body turns about a fixed point with other rotations, but not with its own.
 
     Unlike :func:`fits_better`, which has the same arguments, this function compares rotations with different
-    angles.
+    angles, and needs no path.
     """
     if len(positions) < _FEWEST_TOUCHES or not np.ptp(positions, axis=0).any():
         return False

@@ -21,7 +21,8 @@ from reframe_jax.recordings.checks import (
     note_repeats,
 )
 from reframe_jax.recordings.clock import drop_equal_times, make_times, sort_times
-from reframe_jax.recordings.conventions import fits_better, reorder, sample_rows
+from reframe_jax.recordings.continuity import is_unordered
+from reframe_jax.recordings.conventions import fits_better, keeps_a_point_better, reorder, sample_rows
 from reframe_jax.recordings.left_out import leave_out_lost, note_jumps
 from reframe_jax.recordings.readers import choose_reader
 from reframe_jax.recordings.readers.reader import Entry, Reader
@@ -166,7 +167,7 @@ def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Re
         poses = check_positions(rows, poses, wanted)
         _check_count(rows)
         check_turns(rows, poses, wanted)
-        _check_order(rows, reader)
+        _check_order(rows, poses, reader)
         note_jumps(rows, poses)
         note_repeats(rows, poses)
     if ignored:
@@ -194,7 +195,7 @@ def _apply_order(rows: Rows, wanted: Selection) -> None:
     rows.order = wanted.quaternion
 
 
-def _check_order(rows: Rows, reader: Reader) -> None:
+def _check_order(rows: Rows, poses: np.ndarray, reader: Reader) -> None:
     """Note that the motion is constrained only with the other order of quaternions."""
     if rows.values.shape[1] != 7 or "quaternion" not in reader.options:
         return
@@ -203,7 +204,8 @@ def _check_order(rows: Rows, reader: Reader) -> None:
     numbers = rows.values[some, 3:]
     numbers = numbers / np.linalg.norm(numbers, axis=1, keepdims=True)
     own, alternative = map(quaternions_to_matrices, (numbers, reorder(numbers, rows.order, other)))
-    if fits_better(rows.values[some, :3], own, alternative):
+    judges = [fits_better, *([keeps_a_point_better] if is_unordered(poses) else [])]
+    if any(judge(rows.values[some, :3], own, alternative) for judge in judges):
         rows.notes.append(
             f"the quaternions are read in the order {rows.order}, but the motion is constrained only in the "
             f"order {other}: check the order in the file; if it is {other}, give quaternion={other!r} "
