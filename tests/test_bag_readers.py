@@ -97,8 +97,11 @@ def test_stamps_that_nobody_set(tmp_path: Path, poses: np.ndarray) -> None:
     path = write_bag(tmp_path, "a.mcap", samples)
     recording = load_recording(path)
     np.testing.assert_allclose(recording.times, 1e-9 * np.arange(12))
-    assert recording.notes[0].endswith("the times are those at which they were recorded.")
+    assert recording.notes[0].endswith("the times are those at which the messages were recorded.")
     np.testing.assert_allclose(load_recording(path, dt=0.01).times, 0.01 * np.arange(12))
+    samples[0] = ("/pose", POSE, messages.pose(POSE, START, poses[0]), START)  # only a few are set
+    some = load_recording(write_bag(tmp_path / "some", "a.mcap", samples))
+    np.testing.assert_allclose(some.times, 1e-9 * np.arange(12))
 
 
 def test_a_topic_in_two_frames_is_refused(tmp_path: Path, poses: np.ndarray) -> None:

@@ -245,6 +245,17 @@ def test_touches_in_millimetres_are_noticed(
     assert "14 of 14 poses used" in capsys.readouterr().out
 
 
+def test_touches_with_w_first_are_noticed(tmp_path: Path, rng: np.random.Generator) -> None:
+    for count in (10, 11, 25):
+        poses = touches(rng, count)
+        turns = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
+        for order, said in (([3, 0, 1, 2], True), ([0, 1, 2, 3], False)):
+            rows = np.column_stack([np.arange(count), poses[:, :3, 3], turns[:, order]])
+            np.savetxt(tmp_path / "touches.txt", rows)
+            notes = rf.load_recording(tmp_path / "touches.txt").notes
+            assert any("--quaternion wxyz" in note for note in notes) is said
+
+
 def test_the_command_says_that_a_continuous_motion_is_no_touches(
     tmp_path: Path, capsys: Captured, rng: np.random.Generator
 ) -> None:
@@ -254,11 +265,11 @@ def test_the_command_says_that_a_continuous_motion_is_no_touches(
     poses[:, :3, :3], poses[:, :3, 3] = turns.as_matrix(), -turns.apply(TIP)
     file = file_of(tmp_path / "swing.csv", poses)
     assert program.main(["calibrate", str(file)]) == 0
-    assert "intervals below are too small; compare them with reframe-jax identify --assume ball." in (
-        capsys.readouterr().err
-    )
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "consecutive poses are close together" in line
+    assert line.endswith("or compare them with reframe-jax identify --assume ball.")
     assert program.main(["calibrate", str(file_of(tmp_path / "touches.csv", touches(rng, 25)))]) == 0
-    assert "continuous" not in capsys.readouterr().err
+    assert "close together" not in capsys.readouterr().err
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="needs the reported files, in ../shared/data/cases")

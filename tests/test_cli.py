@@ -454,7 +454,11 @@ def test_the_catalogue_is_listed(capsys: Captured) -> None:
         (["identify", "a.csv", "--scales", "0"], "expected auto, .*, not '0'"),
         (["identify", "a.csv", "--scales", "1,2.5"], "expected auto, .*, not '1,2.5'"),
         (["identify", "a.csv", "--assume", "wheel"], "No constraint 'wheel'. There are: .*hinge"),
-        (["identify", "a.csv", "--clean"], "unrecognized arguments: --clean"),
+        (
+            ["identify", "a.csv", "--clean"],
+            "identify: error: unrecognized arguments: --clean; see .* identify",
+        ),
+        (["constraints", "all"], "constraints: error: unrecognized arguments: all; see .* constraints"),
         (["identify", "a.csv", "--stride", "2"], "--stride needs --window"),
         (["identify", "a.csv", "--window", "4"], "--window must be at least 5"),
         (["identify", "a.csv", "--window", "9", "--stride", "0"], "--stride must be at least 1"),
@@ -522,6 +526,7 @@ def test_help_shows_examples(capsys: Captured) -> None:
     assert caught.value.code == 0
     out = capsys.readouterr().out
     assert "reframe-jax identify door.csv --plot door.png" in out
+    assert "reframe-jax calibrate" not in out
     assert "delete the folder reframe_jax" in " ".join(out.split())
 
 

@@ -27,10 +27,10 @@ def file_of(path: Path, poses: np.ndarray) -> Path:
     return path
 
 
-@pytest.mark.parametrize("count", [14, 25, 100, 3000])
+@pytest.mark.parametrize("count", [8, 14, 25, 100, 3000])
 def test_touches_have_no_order(rng: np.random.Generator, count: int) -> None:
     noticed = [is_unordered(touches(rng, count)) for _ in range(30)]
-    assert np.mean(noticed) > 0.9
+    assert np.mean(noticed) > 0.8
 
 
 @pytest.mark.parametrize("label", ["A", "B", "D", "K"])

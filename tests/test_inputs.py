@@ -48,6 +48,19 @@ def same(found, expected):
         np.testing.assert_array_equal(np.asarray(x), np.asarray(y))
 
 
+def test_constant_poses_in_a_traced_function(poses):
+    def height(x):
+        found = identify(poses)
+        return x + found.linear.position[2], found.linear.norm
+
+    found = identify(poses)
+    moved, norm = jax.jit(height)(1.0)
+    np.testing.assert_allclose(moved, 1 + found.linear.position[2], rtol=1e-6)
+    np.testing.assert_array_equal(norm, found.linear.norm)
+    together = jax.jit(lambda: identify(poses[None]).linear.norm)()
+    np.testing.assert_allclose(together, found.linear.norm[None], rtol=1e-6)
+
+
 def test_arrays_of_the_other_byte_order_are_read_as_the_numbers_they_hold(poses):
     times = DT * np.arange(K + 1)
     expected = identify(poses, times=times)

@@ -24,7 +24,7 @@ def test_units(tmp_path: Path, table: np.ndarray, unit: str, scale: float) -> No
     check(path, table, unit=unit)
     check(path, table)
     other = "cm" if unit == "mm" else "mm"
-    with pytest.raises(RecordingError, match=r"its header states another unit; leave out unit \(--unit\)"):
+    with pytest.raises(RecordingError, match=rf"states another unit than {other}; leave out unit \(--unit\)"):
         load_recording(path, unit=other)  # type: ignore[arg-type]
 
 

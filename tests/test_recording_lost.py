@@ -95,6 +95,24 @@ def test_frozen_poses_are_left_out(rng: np.random.Generator, length: int, start:
     assert set(found.reasons[start : start + length]) == {"end" if start + length == COUNT else "frozen"}
 
 
+@pytest.mark.parametrize("length", [4, 10, 40])
+@pytest.mark.parametrize("fill", [*FILLS, "missing"])
+def test_poses_that_freeze_before_others_are_missing(
+    rng: np.random.Generator, length: int, fill: str
+) -> None:
+    """As of a headset that repeats the last pose for a while, and then writes another number, or none."""
+    rows, stop = hinge(rng), 100 + length
+    rows[100:stop, 1:] = rows[99, 1:]
+    if fill == "missing":
+        rows[stop : stop + 50, 1] = np.nan
+    else:
+        FILLS[fill](rows, np.arange(stop, stop + 50))
+    found = find_lost_poses(poses_of(rows), rows[:, 0])
+    np.testing.assert_array_equal(np.flatnonzero(found.mask), np.arange(100, stop + 50))
+    assert set(found.reasons[100:stop]) == {"frozen"}
+    assert set(found.reasons[stop : stop + 50]) == {fill}
+
+
 def test_long_recordings_of_held_samples_take_no_longer_than_others(rng: np.random.Generator) -> None:
     rows = hinge(rng, count=200_000)
     rows[:, 1:] = np.repeat(rows[::2, 1:], 2, axis=0)
@@ -192,6 +210,10 @@ def test_recordings_of_too_few_poses_are_refused(tmp_path: Path, rng: np.random.
 
 def test_jumps_that_stay_are_noted(tmp_path: Path, rng: np.random.Generator) -> None:
     rows = hinge(rng)
+    flipped = rows.copy()
+    flipped[100:103, 4:] = flipped[100:103, 4:][:, [3, 2, 1, 0]] * [1, 1, -1, -1]  # by half a turn
+    (note,) = load_recording(write(tmp_path / "a.csv", HEADER, flipped)).notes
+    assert note.startswith("the pose jumps 180 deg at line 102 and back at line 105; ")
     rows[100:103, 1:4] += [0.9, 0, 0]
     (note,) = load_recording(write(tmp_path / "a.csv", HEADER, rows)).notes
     assert note.startswith("the pose jumps 0.91 m at line 102 and back at line 105; ")

@@ -144,6 +144,8 @@ def test_files_that_are_refused(tmp_path: Path, name: str, text: str, problem: s
 
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"a\.dat: cannot be read: No such file"):
+        load_recording(tmp_path / "a.dat")
     with pytest.raises(RecordingError, match=r"a\.csv: cannot be read: No such file"):
         load_recording(tmp_path / "a.csv")
     (tmp_path / "folder.csv").mkdir()

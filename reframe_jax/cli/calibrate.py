@@ -25,8 +25,8 @@ A file contains at least four poses of the tool, one per row, in any order; time
 are not needed. Outliers are listed and left out.
 """
 _CONTINUOUS = (
-    "the poses are a continuous motion, in which consecutive errors are correlated: the intervals below are "
-    "too small; compare them with reframe-jax identify --assume"
+    "consecutive poses are close together, so that their errors are correlated and the intervals below are "
+    "too small: use one pose for each touch, or compare them with reframe-jax identify --assume"
 )
 
 

@@ -26,6 +26,10 @@ examples:
   reframe-jax identify door.csv --plot door.png
   reframe-jax identify *.csv --window 50 --stride 10 --json answers.json
   reframe-jax calibrate touches.csv
+  reframe-jax calibrate turns.csv --spin
+  reframe-jax topics walk.mcap
+  reframe-jax segment kitchen.csv --plot kitchen.png
+  reframe-jax view door.csv --html door.html
   reframe-jax identify walk.mcap --from map --to tool
   reframe-jax identify door.csv --urdf door.urdf --parent frame --child door
 """
@@ -50,11 +54,14 @@ def add_command(
     commands: Any, name: str, run: Any, text: str, *, compiles: bool = True
 ) -> argparse.ArgumentParser:
     """Add a command with a function of the parsed options; commands that compile have ``--no-cache``."""
+    examples = [line for line in EXAMPLES.splitlines() if f"reframe-jax {name} " in line]
     command: argparse.ArgumentParser = commands.add_parser(
         name,
         description=text,
         help=COMMANDS[name],
-        epilog=EXAMPLES,
+        epilog="\n".join(["example:" if len(examples) == 1 else "examples:", *examples])
+        if examples
+        else None,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     if compiles:

@@ -3,7 +3,7 @@
 import argparse
 from typing import Any
 
-from reframe_jax.cli.commands import COMMANDS
+from reframe_jax.cli.commands import add_command
 from reframe_jax.cli.printing import print_result
 from reframe_jax.constraints.catalogue import CONSTRAINTS, OTHER_CONSTRAINTS
 
@@ -12,7 +12,7 @@ __all__ = ["add_constraints"]
 
 def add_constraints(commands: Any) -> None:
     """Add this command to the command line."""
-    commands.add_parser("constraints", help=COMMANDS["constraints"]).set_defaults(run=_constraints)
+    add_command(commands, "constraints", _constraints, "List the named constraints.", compiles=False)
 
 
 def _constraints(options: argparse.Namespace) -> int:

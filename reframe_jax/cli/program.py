@@ -28,7 +28,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             ``--help`` and ``--version``.
     """
     argv = sys.argv[1:] if argv is None else argv
-    options = _parser(argv).parse_args(argv)
+    options, rest = _parser(argv).parse_known_args(argv)
+    if rest:
+        options.usage_error(f"unrecognized arguments: {' '.join(rest)}")
     try:
         code: int = options.run(options)
     except KeyboardInterrupt:

@@ -98,29 +98,31 @@ def identify(
             times are unusable; in a batch, such a window gets a ``status`` instead.
     """
     array = take_poses(poses)
-    single_window = array.ndim == 3 and not traced((poses, times, dt, thresholds, bounds, key))
+    inside_a_trace = traced((poses, times, dt, thresholds, bounds, key))
+    single_window = array.ndim == 3 and not inside_a_trace
     unordered = single_window and is_unordered(np.asarray(array, dtype=float))
     usual = check_exponent(norm) == 0 and solver is None and discretization == "chord"
     if unordered and usual and isinstance(scales, str) and scales == "auto":
         scales = "mean"
-    found = identify_unchecked(
-        array,
-        times=times,
-        dt=dt,
-        scales=scales,
-        assume=assume,
-        norm=norm,
-        discretization=discretization,
-        thresholds=thresholds,
-        bounds=bounds,
-        solver=solver,
-        key=key,
-    )
-    if not single_window:
-        return found
-    _warn_of_lost_rows(np.asarray(array, dtype=float), times)
-    if unordered:
-        found = replace(found, warning_codes=found.warning_codes | int(Caution.UNORDERED))
+    # poses that are constants of a traced function are identified while it is traced
+    with contextlib.nullcontext() if inside_a_trace else jax.ensure_compile_time_eval():
+        found = identify_unchecked(
+            array,
+            times=times,
+            dt=dt,
+            scales=scales,
+            assume=assume,
+            norm=norm,
+            discretization=discretization,
+            thresholds=thresholds,
+            bounds=bounds,
+            solver=solver,
+            key=key,
+        )
+        if unordered:
+            found = replace(found, warning_codes=found.warning_codes | int(Caution.UNORDERED))
+    if single_window:
+        _warn_of_lost_rows(np.asarray(array, dtype=float), times)
     return found
 
 

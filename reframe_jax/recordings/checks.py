@@ -99,7 +99,9 @@ def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> np.ndar
         rows.notes.append(f"positions span {span:.3g} m; {advice}.")
     elif rows.metres is None and (away := float(np.linalg.norm(middle))) > _DISTANT:
         rows.notes.append(f"positions span {span:.2g} m, {away:.3g} m from the origin; {advice}.")
-    elif change > _HAND and count >= _MANY and span > 1 and is_path(positions):
+    elif (
+        change > (_HAND if span < _ROOM else _VEHICLE) and count >= _MANY and span > 1 and is_path(positions)
+    ):
         rows.notes.append(f"{too_fast} that of a hand; {advice}.")
     unit = UNITS[wanted.unit or "m"]
     if unit < 1 and rows.metres is None and span < _SMALL * unit and count >= _MANY:

@@ -6,14 +6,15 @@ from decimal import Decimal
 import numpy as np
 
 from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import Rows, is_path
-from reframe_jax.recordings.selection import TIME_UNITS, Selection, flag
+from reframe_jax.recordings.rows import EPOCH, Rows, is_path
+from reframe_jax.recordings.selection import TIME_UNITS, Selection, unit_of
 
 __all__ = ["drop_equal_times", "make_times", "sort_times"]
 
 _SLOW, _SLOWEST = 0.9, 1e3  # s between samples: noted for a path; refused
 _USUAL = 0.02  # s between samples of a usual recording
 _SINCE_1970 = 3e8, 5e9  # s, clock times of recordings
+_DISTANT = 10.0  # distance of the times from 0 over their span, above which a time of 0 was never set
 _COARSE = 0.5  # fraction of rows with the time of another row, above which the times are rounded
 _BODIES, _OFTEN = 5.0, 0.2  # distance of poses at equal times in steps, and fraction of rows: several bodies
 _RESTART = 3.0  # length of the path sorted by time over its length in the file: several recordings
@@ -33,9 +34,8 @@ def make_times(rows: Rows, dt: float | None, wanted: Selection) -> None:
         touches = " Separate touches of a point need no times: use reframe-jax calibrate."
         hint = "" if is_path(rows.positions) else touches
         raise RecordingError(f"{rows.path}: has no times; {rows.no_times}.{hint}")
-    if rows.seconds is not None and wanted.time_unit is not None:
-        raise RecordingError(f"{rows.path}: states the unit of its times; leave out {flag('time_unit')}.")
-    factor = rows.seconds or TIME_UNITS[wanted.time_unit or "s"]
+    _drop_unset(rows)
+    factor = unit_of(rows.path, wanted, "time_unit", rows.seconds)
     rows.times = rows.times * factor
     if rows.origin is not None:
         if factor != 1:
@@ -43,6 +43,19 @@ def make_times(rows: Rows, dt: float | None, wanted: Selection) -> None:
         rows.notes.append(f"times count from the first sample, at {rows.origin} s.")
     if rows.seconds is None and wanted.time_unit is None:
         _check_seconds(rows, rows.times)
+
+
+def _drop_unset(rows: Rows) -> None:
+    """Leave out rows whose time is 0, if all other times are distant from 0: nobody set the clock there."""
+    times, origin = np.asarray(rows.times), float(rows.origin or 0)
+    zero = times == -origin
+    others = times[np.isfinite(times) & ~zero]
+    nearest = np.abs(others + origin).min(initial=np.inf)
+    if not zero.any() or not len(others) or nearest < max(EPOCH, _DISTANT * np.ptp(others)):
+        return
+    rows.keep(~zero, "their time is 0, so the clock was not set", "missing")
+    if rows.origin is None:
+        rows.times, rows.origin = times[~zero] - others[0], repr(float(others[0]))
 
 
 def _check_seconds(rows: Rows, times: np.ndarray) -> None:
@@ -120,8 +133,11 @@ def drop_equal_times(rows: Rows) -> None:
     first = np.maximum.accumulate(np.where(again, 0, np.arange(len(again))))
     same = again & (rows.values == rows.values[first]).all(axis=1)
     other = again & ~same
-    if other.any() and not rows.times.any() and rows.origin is None:
-        raise RecordingError(f"{rows.path}: all times are 0 (never set); give the sample time, dt (--dt).")
+    if other.any() and not np.ptp(rows.times):
+        stamp = rows.origin or f"{rows.times[0]:g}"
+        raise RecordingError(
+            f"{rows.path}: all times are {stamp} (never set); give the sample time, dt (--dt)."
+        )
     if other.sum() > _COARSE * len(again):
         raise RecordingError(
             f"{rows.path}: its {len(again)} rows have only {int(np.sum(~again))} different times; the times "

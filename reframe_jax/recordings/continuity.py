@@ -9,7 +9,7 @@ import numpy as np
 
 __all__ = ["is_unordered"]
 
-_FEWEST = 10  # poses; fewer can look unordered by chance
+_FEWEST = 5  # poses; fewer look unordered by chance
 _CLOSER = 0.75  # fraction of steps below the median distance: about 1 in a motion, 1/2 without order
 _STEP = 0.5  # median step over the median distance: 1 without order
 _SQUARES = 0.6  # mean square of the steps over the mean square of the distances: 1 without order

@@ -12,7 +12,7 @@ import numpy as np
 
 from reframe_jax.geometry.numpy_rotations import euler_matrices, rotation_matrices, rotation_vectors
 from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.selection import ANGLE_UNITS, Selection, flag
+from reframe_jax.recordings.selection import Selection, unit_of
 
 __all__ = ["angle_matrices", "fits_better", "keeps_a_point_better", "reorder", "sample_rows"]
 
@@ -39,11 +39,9 @@ def angle_matrices(
         stated: unit in rad, if the file states it.
 
     Raises:
-        RecordingError: if the file and the options both state the unit, or if neither does and angles exceed
-            a full turn in radians.
+        RecordingError: if the file and the options state different units, or if neither states one and
+            angles exceed a full turn in radians.
     """
-    if stated is not None and wanted.angle_unit is not None:
-        raise RecordingError(f"{path}: states the unit of its angles; leave out {flag('angle_unit')}.")
     vector = wanted.angles == "vector"
     if stated is None and wanted.angle_unit is None:
         sizes = np.linalg.norm(angles, axis=1) if vector else np.abs(angles)
@@ -54,7 +52,7 @@ def angle_matrices(
                 f"{path}: its {what} up to {largest:.4g}, more than the 6.28 rad of a turn; if they are in "
                 "degrees, give angle_unit='deg' (--angle-unit deg), else angle_unit='rad' (--angle-unit rad)."
             )
-    radians = angles * (stated or ANGLE_UNITS[wanted.angle_unit or "rad"])
+    radians = angles * unit_of(path, wanted, "angle_unit", stated)
     return rotation_matrices(radians) if vector else euler_matrices(str(wanted.angles), radians)
 
 
@@ -94,7 +92,7 @@ def keeps_a_point_better(positions: np.ndarray, own: np.ndarray, other: np.ndarr
     """Return whether the body turns about a fixed point with other rotations, but not with its own.
 
     Unlike :func:`fits_better`, which has the same arguments, this function compares rotations with different
-    angles.
+    angles, and needs no path.
     """
     if len(positions) < _FEWEST_TOUCHES or not np.ptp(positions, axis=0).any():
         return False

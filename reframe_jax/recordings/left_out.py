@@ -78,8 +78,10 @@ def _distance(before: np.ndarray, after: np.ndarray) -> str:
     moved = float(np.linalg.norm(after[:3, 3] - before[:3, 3]))
     turned = float(np.linalg.norm(rotation_vectors(after[:3, :3] @ before[:3, :3].T)))
     if moved < _TURN * _SIZE * turned or moved == 0:
-        return f"{np.degrees(turned):.2g} deg"
-    return f"{float(f'{moved:.2g}'):g} m" if moved >= 0.1 else f"{1e3 * moved:.2g} mm"
+        size, unit = float(np.degrees(turned)), "deg"
+    else:
+        size, unit = (moved, "m") if moved >= 0.1 else (1e3 * moved, "mm")
+    return f"{float(f'{size:.2g}'):g} {unit}"
 
 
 def note_jumps(rows: Rows, poses: np.ndarray) -> None:

@@ -24,6 +24,7 @@ _LONG = 6  # repeats in a long frozen run
 _FROZEN = 4.0  # usual steps that a body makes during a long frozen run
 _APART = 0.25  # distance of the origin from all positions over their spread, for poses that are no path
 _OTHERS = 3  # other rows needed to know the path
+_GAP = 1.5  # usual time steps between two rows, above which rows are missing
 _FEW = 2000  # most positions for which all distances are computed
 _REPEATS, _NOISY = 3, 0.002  # repeats, and noise over a step, of a frozen end
 _HELD = 3  # other runs of at least half the length, which show that samples are written too often
@@ -111,6 +112,7 @@ class _Path:
 
     numbers: np.ndarray
     steps: np.ndarray  # (N-1,) per median time step, if the step took longer
+    gaps: np.ndarray  # (N-1,) bool: rows are missing between the two
     value: np.ndarray  # (N,) int, equal for equal rows
     zero: np.ndarray  # (N,) bool: the numbers are those of the origin
 
@@ -128,7 +130,8 @@ class _Path:
         steps = np.sqrt(squares)
         steps[steps < _SAME] = 0
         value = np.unique(keys, return_inverse=True)[1].ravel()
-        return _Path(numbers, steps / np.maximum(spans / usual, 1), value, zero)
+        late = spans / usual
+        return _Path(numbers, steps / np.maximum(late, 1), late > _GAP, value, zero)
 
     @property
     def runs(self) -> np.ndarray:
@@ -247,11 +250,14 @@ def _frozen(paths: tuple[_Path, _Path]) -> np.ndarray:
         late = late[_goes_on(path.steps[moving], repeats, late)]
         runs = np.column_stack([moving[late] - repeats[late], moving[late]]) + 1
         kinds[_rows_of(runs, count)] = "frozen"
-        start = moving[-1] + 1
-        last = count - start
-        held = np.sum(2 * (repeats[repeats > 0] + 1) >= last) >= _HELD
-        if last > _REPEATS and not held and _stops_dead(path, start):
-            kinds[start + 1 :] = "end"
+        # a run before missing rows, or before the end, has no step after it that shows a motion
+        starts, stops = np.append(0, moving + 1), np.append(moving + 1, count)
+        lengths, last = stops - starts, np.append(path.gaps[moving], True)
+        ranked = np.sort(lengths[lengths > 1])
+        held = len(ranked) - np.searchsorted(ranked, lengths / 2) > _HELD
+        for run in np.flatnonzero(last & (lengths > _REPEATS) & ~held):
+            if _stops_dead(path, starts[run]):
+                kinds[starts[run] + 1 : stops[run]] = "end" if stops[run] == count else "frozen"
     return kinds
 
 

@@ -7,14 +7,15 @@ from pathlib import Path
 import numpy as np
 
 from reframe_jax.recordings.readers.reader import Entry
+from reframe_jax.recordings.readers.units import LENGTH_WORDS
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rigid_body import fit_rigid_body
-from reframe_jax.recordings.rows import listed, shown
-from reframe_jax.recordings.selection import flag
+from reframe_jax.recordings.rows import Rows, listed, shown
+from reframe_jax.recordings.selection import Selection, flag, unit_of
 
-__all__ = ["UNSEEN", "choose_markers", "fit_markers", "group_markers", "marker_entries"]
+__all__ = ["group_markers", "marker_entries", "set_marker_poses", "unit_of_markers"]
 
-UNSEEN = "fewer than three markers of the body are seen, or all of them are on a line"
+_UNSEEN = "fewer than three markers of the body are seen, or all of them are on a line"
 _LOOSE = 5e-3  # m RMS, above which markers are probably not on one body
 _MOST = 60  # markers in a message
 
@@ -28,17 +29,8 @@ def group_markers(labels: Iterable[str]) -> dict[str, list[str]]:
     return {prefix: labels for prefix, labels in found.items() if prefix and len(labels) > 2}
 
 
-def choose_markers(path: Path, body: str | None, labels: list[str]) -> list[str]:
-    """Return the markers of the body that the user named, or of the only body.
-
-    Args:
-        path: the file.
-        body: a prefix, or labels with commas between them.
-        labels: labels of all markers.
-
-    Raises:
-        RecordingError: if the body is unknown, or if there are several bodies and none was named.
-    """
+def _choose_markers(path: Path, body: str | None, labels: list[str]) -> list[str]:
+    """Return the markers of the body that the user named, or of the only body."""
     groups = group_markers(labels)
     if body is not None and "," in body:
         return [label.strip() for label in body.split(",")]
@@ -66,21 +58,34 @@ def marker_entries(labels: list[str], detail: str) -> list[Entry]:
     return found
 
 
-def fit_markers(
-    path: Path, points: np.ndarray, known: list[str], labels: list[str], metres: float
-) -> tuple[np.ndarray, list[str]]:
-    """Fit a body to some markers: poses (N, 4, 4) in the unit of the points, and a note about the fit.
-
-    Args:
-        path: the file.
-        points: (N, M, 3), NaN where a marker is not seen.
-        known: labels of all markers.
-        labels: labels of the markers of the body.
-        metres: unit of the points in m.
+def unit_of_markers(path: Path, stated: str, wanted: Selection) -> float:
+    """Return the unit in m that a file states in words, or the one that the user gave.
 
     Raises:
-        RecordingError: if a marker is not in the file, or if no rigid body fits.
+        RecordingError: if they differ, or if neither is known.
     """
+    known = LENGTH_WORDS.get(stated.lower())
+    if known is None and wanted.unit is None:
+        found = f"states an unknown unit, {shown(stated, 20)!r}" if stated else "does not state its unit"
+        raise RecordingError(f"{path}: {found}; give {flag('unit')}.")
+    return unit_of(path, wanted, "unit", known)
+
+
+def set_marker_poses(rows: Rows, points: np.ndarray, known: list[str], wanted: Selection, unit: str) -> None:
+    """Set the values of rows to the poses of a body that is fitted to its markers, with a note about the fit.
+
+    Args:
+        rows: the rows.
+        points: (N, M, 3), NaN where a marker is not seen.
+        known: labels of all markers.
+        wanted: the options, with the body and the unit.
+        unit: unit of the points in words.
+
+    Raises:
+        RecordingError: if the body or the unit is unknown, or if no rigid body fits.
+    """
+    path, metres = rows.path, unit_of_markers(rows.path, unit, wanted)
+    labels = _choose_markers(path, wanted.body, known)
     if missing := [label for label in labels if label not in known]:
         raise RecordingError(f"{path}: has no marker {listed(missing)}; markers: {listed(known, _MOST)}.")
     if len(set(labels)) < 3:
@@ -100,4 +105,5 @@ def fit_markers(
         raise RecordingError(f"{path}: no pose of the markers is finite; expected positions in metres or mm.")
     rms, worst = np.sqrt(np.mean(fitted**2)), fitted.max()
     note = f"{len(labels)} markers are {1e3 * rms:.2g} mm RMS from a rigid body, {1e3 * worst:.2g} mm at most"
-    return poses, [note + ("; check that all are on the same body." if rms > _LOOSE else ".")]
+    rows.notes.append(note + ("; check that all are on the same body." if rms > _LOOSE else "."))
+    rows.values, rows.metres, rows.missing = poses.reshape(-1, 16), metres, _UNSEEN

@@ -21,7 +21,8 @@ from reframe_jax.recordings.checks import (
     note_repeats,
 )
 from reframe_jax.recordings.clock import drop_equal_times, make_times, sort_times
-from reframe_jax.recordings.conventions import fits_better, reorder, sample_rows
+from reframe_jax.recordings.continuity import is_unordered
+from reframe_jax.recordings.conventions import fits_better, keeps_a_point_better, reorder, sample_rows
 from reframe_jax.recordings.left_out import leave_out_lost, note_jumps
 from reframe_jax.recordings.readers import choose_reader
 from reframe_jax.recordings.readers.reader import Entry, Reader
@@ -29,7 +30,6 @@ from reframe_jax.recordings.recording import Recording, RecordingError
 from reframe_jax.recordings.relative import relative_poses
 from reframe_jax.recordings.rows import Rows
 from reframe_jax.recordings.selection import (
-    UNITS,
     Angles,
     AngleUnit,
     Quaternion,
@@ -37,6 +37,7 @@ from reframe_jax.recordings.selection import (
     TimeUnit,
     Unit,
     flag,
+    unit_of,
 )
 
 __all__ = ["TIMES_IGNORED", "list_contents", "load_recording"]
@@ -161,12 +162,12 @@ def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Re
         drop_equal_times(rows)
         _check_count(rows)
         poses = make_poses(rows)
-        poses[:, :3, 3] *= UNITS[wanted.unit or "m"] if rows.metres is None else rows.metres
+        poses[:, :3, 3] *= unit_of(path, wanted, "unit", rows.metres)
         poses = leave_out_lost(rows, poses)
         poses = check_positions(rows, poses, wanted)
         _check_count(rows)
         check_turns(rows, poses, wanted)
-        _check_order(rows, reader)
+        _check_order(rows, poses, reader)
         note_jumps(rows, poses)
         note_repeats(rows, poses)
     if ignored:
@@ -179,10 +180,8 @@ def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Re
 
 def _check_count(rows: Rows) -> None:
     if len(rows.values) < MIN_POSES:
-        left = "; ".join(rows.notes[-3:])
-        raise RecordingError(
-            f"{rows.path}: has {len(rows.values)} usable poses; expected {MIN_POSES} or more. {left}".rstrip()
-        )
+        problem = f"has {len(rows.values)} usable poses; expected {MIN_POSES} or more."
+        raise RecordingError(f"{rows.path}: " + " ".join([problem, *rows.notes[-3:]]))
 
 
 def _apply_order(rows: Rows, wanted: Selection) -> None:
@@ -196,7 +195,7 @@ def _apply_order(rows: Rows, wanted: Selection) -> None:
     rows.order = wanted.quaternion
 
 
-def _check_order(rows: Rows, reader: Reader) -> None:
+def _check_order(rows: Rows, poses: np.ndarray, reader: Reader) -> None:
     """Note that the motion is constrained only with the other order of quaternions."""
     if rows.values.shape[1] != 7 or "quaternion" not in reader.options:
         return
@@ -205,7 +204,8 @@ def _check_order(rows: Rows, reader: Reader) -> None:
     numbers = rows.values[some, 3:]
     numbers = numbers / np.linalg.norm(numbers, axis=1, keepdims=True)
     own, alternative = map(quaternions_to_matrices, (numbers, reorder(numbers, rows.order, other)))
-    if fits_better(rows.values[some, :3], own, alternative):
+    judges = [fits_better, *([keeps_a_point_better] if is_unordered(poses) else [])]
+    if any(judge(rows.values[some, :3], own, alternative) for judge in judges):
         rows.notes.append(
             f"the quaternions are read in the order {rows.order}, but the motion is constrained only in the "
             f"order {other}: check the order in the file; if it is {other}, give quaternion={other!r} "

@@ -2,13 +2,14 @@
 
 import math
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Literal, get_args
 
 from reframe_jax.recordings.recording import RecordingError
 
 __all__ = [
     *("ANGLES", "ANGLE_UNITS", "QUATERNIONS", "TIME_UNITS", "UNITS"),
-    *("AngleUnit", "Angles", "Quaternion", "Selection", "TimeUnit", "Unit", "flag"),
+    *("AngleUnit", "Angles", "Quaternion", "Selection", "TimeUnit", "Unit", "flag", "unit_of"),
 ]
 
 Unit = Literal["m", "cm", "mm"]
@@ -63,6 +64,22 @@ class Selection:
     def given(self) -> dict[str, object]:
         """The options that are given, by name."""
         return {name: value for name, value in asdict(self).items() if value is not None}
+
+
+def unit_of(path: Path, wanted: Selection, option: str, stated: float | None = None) -> float:
+    """Return a unit in m, s or rad: the one that the file states, or the one that the user gave.
+
+    Raises:
+        RecordingError: if they differ.
+    """
+    units = {"unit": UNITS, "time_unit": TIME_UNITS, "angle_unit": ANGLE_UNITS}[option]
+    name = getattr(wanted, option)
+    given = next(iter(units.values())) if name is None else units[name]
+    if stated is None:
+        return given
+    if name is not None and given != stated:
+        raise RecordingError(f"{path}: states another unit than {name}; leave out {flag(option)}.")
+    return stated
 
 
 def flag(name: str) -> str:

@@ -4,6 +4,7 @@ To add a format, copy ``trajectory.py`` and add its :class:`Reader` to ``READERS
 suffix of a file that recognises its first bytes reads the file. Readers import optional libraries on use.
 """
 
+import stat
 from pathlib import Path
 
 from reframe_jax.recordings.readers.arrays import ARRAYS
@@ -51,7 +52,7 @@ def choose_reader(path: Path, wanted: Selection) -> Reader:
             an option.
         OSError: from the file.
     """
-    folder = path.is_dir()
+    folder = stat.S_ISDIR(path.stat().st_mode)
     suffix = _FOLDER if folder else path.suffix.lower()
     if suffix in _REMEDIES:
         raise RecordingError(f"{path}: {suffix} files are not read; {_REMEDIES[suffix]}.")

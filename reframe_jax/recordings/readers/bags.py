@@ -61,12 +61,12 @@ class _Samples:
         stamps = np.asarray(self.stamps)
         values = np.asarray(self.values).reshape(-1, 7)
         rows = Rows(path, "message", np.arange(len(stamps)), values, None, seconds=1.0)
-        never_set = not stamps.any() or (len(stamps) > 1 and not np.ptp(stamps))
-        if never_set and not static:
-            rows.notes.append(
-                f"the messages have no stamps, or {'all the same' if stamps.any() else '0'}: the times are "
-                "those at which they were recorded."
+        zero = 2 * np.count_nonzero(stamps) <= len(stamps)
+        if not static and (zero or (len(stamps) > 1 and not np.ptp(stamps))):
+            why = (
+                "most messages have no stamp, or the stamp 0" if zero else "all messages have the same stamp"
             )
+            rows.notes.append(f"{why}: the times are those at which the messages were recorded.")
             stamps = np.asarray(self.logged)
         if stamps.any():
             rows.times = stamps

@@ -8,6 +8,7 @@ import os
 import struct
 import subprocess
 import sys
+from dataclasses import replace
 from math import prod
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,17 +16,16 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from reframe_jax.recordings.markers import (
-    UNSEEN,
-    choose_markers,
-    fit_markers,
     group_markers,
     marker_entries,
+    set_marker_poses,
+    unit_of_markers,
 )
 from reframe_jax.recordings.readers.collecting import drop_zeros
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name, import_extra
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, check_size, shown
-from reframe_jax.recordings.selection import UNITS, Selection, flag
+from reframe_jax.recordings.selection import Selection
 
 __all__ = ["C3D", "read_c3d"]
 
@@ -39,32 +39,21 @@ def read_c3d(path: Path, wanted: Selection) -> Rows:
     """Read a rotation, or fit a rigid body to markers."""
     file = _open(path)
     markers, rotations, unit = file["markers"].tolist(), file["rotations"].tolist(), str(file["unit"])
-    if unit and wanted.unit:
-        raise RecordingError(f"{path}: states its unit, {shown(unit, 20)}; leave out {flag('unit')}.")
-    stated = unit.lower() or wanted.unit
-    if stated is None:
-        raise RecordingError(f"{path}: does not state POINT:UNITS; give {flag('unit')}.")
-    if stated not in UNITS:
-        raise RecordingError(
-            f"{path}: expected POINT:UNITS of {', '.join(UNITS)}, found {shown(unit, 20)!r}."
-        )
-    metres, name = UNITS[stated], wanted.body
+    name = wanted.body
     bodies = list(dict.fromkeys([*rotations, *group_markers(markers)]))
     if bodies and "," not in (name or ""):
         name = choose_name(path, "body", name, bodies, "bodies")
-    notes: list[str] = []
-    if name in rotations:
-        poses, rate = file["poses"][:, rotations.index(name)], file["rates"][1]
+    turned = name in rotations
+    rate = float(file["rates"][int(turned)])
+    content = file["poses"][:, rotations.index(name)] if turned else file["points"]
+    check_size(path, len(content))
+    times = np.arange(len(content)) / rate if 0 < rate < np.inf else None
+    rows = Rows(path, "frame", np.arange(len(content)), content.reshape(len(content), -1), times)
+    if turned:
+        rows.metres = unit_of_markers(path, unit, wanted)
     else:
-        chosen = choose_markers(path, name, markers)
-        (poses, notes), rate = fit_markers(path, file["points"], markers, chosen, metres), file["rates"][0]
-    check_size(path, len(poses))
-    times = np.arange(len(poses)) / rate if 0 < rate < np.inf else None
-    values = poses.reshape(-1, 16)
-    rows = Rows(path, "frame", np.arange(len(poses)), values, times, notes=notes, metres=metres)
-    if name not in rotations:
-        rows.missing = UNSEEN
-    drop_zeros(rows, values[:, :12])
+        set_marker_poses(rows, content, markers, replace(wanted, body=name), unit)
+    drop_zeros(rows, rows.values[:, :12])
     return rows
 
 

@@ -17,7 +17,10 @@ from reframe_jax.recordings.rows import EPOCH, Rows, check_size, shown
 
 __all__ = ["assume_millimetres", "collect", "collect_plain", "drop_zeros", "matrix_rows"]
 
-_MISSING = re.compile(r"|null|none|na|n/a|--?|missing|lost|#.*|[-+]?(1\.#.*|nan\(.*\))", re.IGNORECASE)
+_MISSING = re.compile(
+    r"|null|none|na|n/a|-+|\?+|\*+|missing|lost|invalid|occluded|no data|#.*|[-+]?(1\.#.*|nan\(.*\))",
+    re.IGNORECASE,
+)
 _CLOCK = re.compile(r"(\d+):([0-5]\d):([0-5]\d(?:\.\d+)?)")  # hours, minutes, seconds
 # enough digits for nanoseconds since 1970; cells that are no numbers become NaN, without exceptions
 _EXACT = decimal.Context(prec=50, traps=[])
@@ -113,7 +116,7 @@ def _number(path: Path, number: int, cell: str) -> float:
     try:
         return float("nan" if _MISSING.fullmatch(cell) else cell)
     except ValueError:
-        date = re.search(r"\d[:/.]\d+[:/.]\d", cell)
+        date = re.search(r"\d[-:/.]\d+[-:/.]\d", cell)
         hint = "; write times in seconds, or as 2024-05-01 10:00:00.250" if date else ""
         raise _error(path, number, f"expected numbers: found '{shown(cell, 40)}'{hint}.") from None
 

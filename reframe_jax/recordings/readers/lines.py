@@ -19,7 +19,7 @@ __all__ = [
 _LONGEST = 2**16  # characters of a line, and bytes that show the encoding
 _SEPARATOR = "sep="  # start of the first line in some files of spreadsheets
 _CONTROLS = bytes(range(9)) + b"\x0e\x0f\x7f"  # not in texts
-_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(e[-+]?\d+)?", re.IGNORECASE)
+_DECIMAL_COMMA = re.compile(r"[-+]?(\d+|\d*,\d+)(e[-+]?\d+)?", re.IGNORECASE)
 
 
 def read_lines(path: Path, blanks: str | None = None) -> Iterator[tuple[int, str]]:
@@ -109,7 +109,10 @@ def trim(cells: list[str], width: int = 0) -> list[str]:
 def find_delimiter(line: str) -> str | None:
     """Return the character between the cells of a header or of a row of numbers; None for blanks."""
     marks = re.sub(r"([;,|])\s+", r"\1", line)  # a tab after a comma is a blank
-    return next((mark for mark in "\t;,|" if mark in marks), None)
+    found = next((mark for mark in "\t;,|" if mark in marks), None)
+    words = line.split() if found == "," else []
+    # numbers with decimal commas between blanks
+    return None if len(words) > 2 and all(map(_DECIMAL_COMMA.fullmatch, words)) else found
 
 
 def first_numbers(head: bytes) -> tuple[int, list[str]]:

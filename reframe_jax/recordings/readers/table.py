@@ -22,7 +22,7 @@ from reframe_jax.recordings.readers.units import (
 )
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import HEADER, Rows, listed, shown
-from reframe_jax.recordings.selection import UNITS, Selection, flag
+from reframe_jax.recordings.selection import Selection, flag
 
 __all__ = ["TABLE", "read_table"]
 
@@ -33,6 +33,7 @@ _TIMES = (
     r"(elapsed|ros)_time",
     r"t|times?|time_?stamps?|stamp|sec|secs|seconds|zeit|temps?|tiempo|tempo",
 )
+_DATE = r"date|date_?time"  # the day alone, if there is another time
 _CLOCK = r"(.*_)?(stamp|timespec)_s(ecs?)?|secs?", r"(.*_)?(stamp|timespec)_n(ano)?s(ecs?)?|n(ano)?secs?"
 _POSITIONS = r"{axis}", r"(p_?|p_.+_|(.*_)?(pos(ition)?|loc(ation)?|translation)_){axis}"
 _QUATERNIONS = r"q_?{axis}", r"(q_.+_|(.*_)?(quat(ernion)?|orientation|rot(ation)?)_(q_?)?){axis}"
@@ -144,12 +145,11 @@ def read_table(path: Path, wanted: Selection) -> Rows:
         rows.count_frames()
     elif isinstance(time, int):
         rows.seconds = header.unit([time], TIME_WORDS)
-        echoed = any(name.startswith("field_") for name in header.names)  # rostopic echo -p, in ns
-        if rows.seconds is None and echoed and abs(float(rows.origin or 0)) > _SINCE_1970:
+        # rostopic echo -p and EuRoC, in ns
+        known = any(name.startswith(("field_", "p_rs_r_")) for name in header.names)
+        if rows.seconds is None and known and abs(float(rows.origin or 0)) > _SINCE_1970:
             rows.seconds = 1e-9
     rows.metres = header.unit(position, LENGTH_WORDS)
-    if rows.metres not in (None, UNITS.get(wanted.unit or "", rows.metres)):
-        raise RecordingError(f"{rows.path}: its header states another unit; leave out {flag('unit')}.")
     if not named and len(orientation) == 4 and orientation[3] == min(orientation):
         rows.order = "wxyz"
     stated = header.unit(orientation, ANGLE_WORDS) if len(orientation) == 3 else None
@@ -210,6 +210,8 @@ def _titles(line: str, delimiter: str | None) -> list[str]:
 def _find_time(header: _Header, first: list[str]) -> int | None:
     """Return the column of the time; ``first`` is the first row."""
     times = [i for i in map(header.find, _TIMES) if i is not None]
+    if not times:
+        return header.find(_DATE)
     filled = [i for i in times if i < len(first) and first[i].strip("0.")]
     return next(iter(filled or times[-1:]), None)  # stamps of 0 were never set
 

@@ -11,14 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from reframe_jax.recordings.markers import UNSEEN, choose_markers, fit_markers, marker_entries
+from reframe_jax.recordings.markers import marker_entries, set_marker_poses
 from reframe_jax.recordings.readers.collecting import collect
 from reframe_jax.recordings.readers.lines import find_delimiter, is_number, read_lines, split
 from reframe_jax.recordings.readers.reader import Entry, Reader
-from reframe_jax.recordings.readers.units import LENGTH_WORDS
 from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import Rows, shown
-from reframe_jax.recordings.selection import UNITS, Selection, flag
+from reframe_jax.recordings.rows import Rows
+from reframe_jax.recordings.selection import Selection
 
 __all__ = ["TRC", "read_trc"]
 
@@ -26,18 +25,12 @@ __all__ = ["TRC", "read_trc"]
 def read_trc(path: Path, wanted: Selection) -> Rows:
     """Fit a rigid body to markers."""
     labels, unit, lines = _read_header(path)
-    stated = LENGTH_WORDS.get(unit.lower())
-    if stated is None and wanted.unit is None:
-        raise RecordingError(f"{path}: states an unknown unit {shown(unit, 20)!r}; give {flag('unit')}.")
-    metres = stated or UNITS[str(wanted.unit)]
     width = 2 + 3 * len(labels)
     numbers = (row for row in lines if is_number(row[1][0]))  # without the row X1, Y1, Z1
     rows = collect(path, numbers, width, range(2, width), 1, short=True)
     points = rows.values.reshape(len(rows.values), -1, 3)
     points[(points == 0).all(axis=2)] = np.nan
-    poses, notes = fit_markers(path, points, labels, choose_markers(path, wanted.body, labels), metres)
-    rows.values, rows.metres, rows.missing = poses.reshape(-1, 16), metres, UNSEEN
-    rows.notes += notes
+    set_marker_poses(rows, points, labels, wanted, unit)
     return rows
 
 
