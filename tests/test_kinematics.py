@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from reframe_jax.constraints.types import AngularType, LinearType
 from reframe_jax.geometry import transforms
-from reframe_jax.motion import kinematics, magnus
+from reframe_jax.motion import kinematics, paths
 from reframe_jax.motion.kinematics import (
     angular_velocities,
     body_twists,
@@ -317,13 +317,13 @@ class TestDiscretization:
         """Exact for polynomials of one degree less than there are nodes."""
         dt = irregular(rng, 2, steps)
         middle = np.cumsum(dt, axis=-1) - dt / 2
-        count = min(steps, magnus._STENCIL)
+        count = min(steps, paths._STENCIL)
         shape = rng.normal(size=count)
         values, expected = np.polyval(shape, middle), np.polyval(np.polyder(shape), middle)
-        nodes, weights = magnus._stencil(jnp.asarray(dt))
-        assert weights.shape == (2, steps, count)
-        found = magnus._derivative(nodes, jnp.moveaxis(weights, 0, -1), jnp.asarray(values.T)[None])[0]
-        np.testing.assert_allclose(found, expected.T, atol=2e-10)
+        weights = paths._derivative_weights(jnp.asarray(dt), None)
+        assert weights.shape == (2 * count - 1, steps, 2)
+        found = paths._derivative(weights, jnp.broadcast_to(jnp.asarray(values.T), (2, 3, 2, steps, 2)))
+        np.testing.assert_allclose(found, np.broadcast_to(expected.T, found.shape), atol=2e-10)
 
 
 class TestSlidingWindows:

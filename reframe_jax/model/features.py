@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.geometry.small import times
-from reframe_jax.model.paths import twist_paths
+from reframe_jax.motion.paths import twist_paths
 
 __all__ = ["COUNT", "Features", "pose_features"]
 

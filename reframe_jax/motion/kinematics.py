@@ -18,9 +18,8 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.geometry import rotations
-from reframe_jax.geometry.small import components_first, components_last, cross, times
-from reframe_jax.motion.magnus import without_brackets
+from reframe_jax.geometry.small import components_first, components_last, times
+from reframe_jax.motion.paths import mean_twists, step_twists
 
 __all__ = [
     "Discretization",
@@ -49,29 +48,6 @@ def split_poses(poses: jax.Array) -> tuple[jax.Array, jax.Array]:
     return top[:, :3], top[:, 3]
 
 
-def _rotation_vectors(rotation: jax.Array) -> jax.Array:
-    """Convert rotations (3, 3, ...) to rotation vectors (3, ...), rad."""
-    return jnp.stack(rotations.log_by_component(rotation))
-
-
-def _body_twists(rotation: jax.Array, position: jax.Array, step: jax.Array) -> jax.Array:
-    """Return body twists (6, K, ...) for steps of durations (K, ...) s."""
-    back = jnp.swapaxes(rotation[:, :, :-1], 0, 1)
-    turn, shift = times(back, rotation[:, :, 1:]), times(back, jnp.diff(position, axis=1))
-    # the twist whose exponential is the step: J_l(w)^-1 maps the shift to the linear part
-    w = _rotation_vectors(turn)
-    across = cross(w, shift)
-    factor = rotations.cotangent_factor(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
-    return jnp.concatenate([w, shift - across / 2 + factor[None] * cross(w, across)]) / step[None]
-
-
-def _spatial_twists(rotation: jax.Array, position: jax.Array, body: jax.Array) -> jax.Array:
-    """Express body twists (6, K, ...) in {g}."""
-    rotation, position = rotation[:, :, :-1], position[:, :-1]
-    w = times(rotation, body[:3])
-    return jnp.concatenate([w, times(rotation, body[3:]) + cross(position, w)])
-
-
 def body_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
     """Compute the constant body twist that moves each pose to the next: ``log(T(k)^-1 T(k+1)) / dt``.
 
@@ -85,7 +61,7 @@ def body_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
         (..., K, 6) twists (w, v): the angular velocity, rad/s, and the velocity of the origin of {b}, m/s,
         both in the axes of {b}.
     """
-    return components_last(_mean_twists(*split_poses(poses), _step_times(dt, poses))[0], 1)
+    return components_last(_step_twists(poses, dt)[0], 1)
 
 
 def spatial_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
@@ -99,13 +75,29 @@ def spatial_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
         (..., K, 6) twists (w, v): the angular velocity, rad/s, and the velocity of the point of the body that
         is at the origin of {g}, m/s, both in the axes of {g}.
     """
-    return components_last(_mean_twists(*split_poses(poses), _step_times(dt, poses))[1], 1)
+    return components_last(_step_twists(poses, dt)[1], 1)
 
 
-def _mean_twists(rotation: jax.Array, position: jax.Array, steps: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return body and spatial twists, (6, K, ...), for steps of durations (..., K) s."""
-    body = _body_twists(rotation, position, components_first(steps, 0))
-    return body, _spatial_twists(rotation, position, body)
+def _step_twists(poses: jax.Array, dt: jax.Array | float) -> tuple[jax.Array, jax.Array]:
+    """Return body and spatial twists of the steps, (6, K, ...)."""
+    rotation, position = split_poses(poses)
+    step = components_first(_step_times(dt, poses), 0)
+    twists = step_twists(_one_axis(rotation, 3), _one_axis(position, 2))
+    return _by_windows(twists, rotation.shape[3:], 1 / step)
+
+
+def _one_axis(array: jax.Array, components: int) -> jax.Array:
+    """Join the axes of the windows, those after ``components``, to one."""
+    return array.reshape(*array.shape[:components], -1)
+
+
+def _by_windows(
+    twists: jax.Array, windows: tuple[int, ...], factor: jax.Array | float
+) -> tuple[jax.Array, jax.Array]:
+    """Split (2, 3, 2, K, N) into body and spatial twists (6, K, ...), times a factor (K, ...)."""
+    body, spatial = jnp.moveaxis(twists, 2, 0)
+    shape = (6, twists.shape[3], *windows)
+    return body.reshape(shape) * factor, spatial.reshape(shape) * factor
 
 
 def velocity_components(
@@ -127,9 +119,14 @@ def velocity_components(
     rotation, position = split_poses(poses)
     steps = _step_times(dt, poses)
     step = components_first(steps, 0)[None, None]
-    body, spatial = _mean_twists(rotation, position, steps)
     if discretization == "chord":
-        body, spatial = without_brackets(body, spatial, steps)
+        flat = steps.reshape(-1, steps.shape[-1])
+        if len(flat) > 1:
+            flat = jnp.broadcast_to(steps, (*poses.shape[:-3], steps.shape[-1])).reshape(-1, steps.shape[-1])
+        twists = mean_twists(_one_axis(rotation, 3), _one_axis(position, 2), flat)
+        body, spatial = _by_windows(twists, rotation.shape[3:], 1.0)
+    else:
+        body, spatial = _step_twists(poses, dt)
     bb, gg = (_twist_map(twist) for twist in (body, spatial))
     if discretization == "left":
         gb, bg = times(rotation[:, :, :-1], bb), times(jnp.swapaxes(rotation, 0, 1)[:, :, :-1], gg)

@@ -13,26 +13,18 @@ import numpy as np
 
 from reframe_jax.geometry.small import cross, materialize, times, total
 
-__all__ = ["turns_of", "twist_paths"]
+__all__ = ["mean_twists", "step_twists", "twist_paths"]
 
 Array = jax.Array
 _STENCIL = 7  # samples in the derivative of the twist
 _EVEN = 5  # longest over shortest step, above which derivatives across them amplify noise
 
 
-def turns_of(rotation: Array) -> Array:
-    """Axis times sine of the angle of every step, (3, K, N), from rotations (3, 3, K+1, N)."""
-    turn = _relative(rotation)
-    return jnp.stack([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
-
-
-def _relative(rotation: Array) -> Array:
-    """R_k' R_k+1, (3, 3, K, N)."""
-    return times(jnp.swapaxes(rotation, 0, 1)[:, :, :-1], rotation[:, :, 1:])
-
-
 def _logarithm(turn: Array) -> tuple[Array, Array]:
-    """Rotation vectors w (3, ...) of rotations (3, 3, ...) below a half turn, and f of :func:`_steps`."""
+    """Rotation vectors w (3, ...) of rotations (3, 3, ...) below a half turn, and their cotangent factor.
+
+    The factor is (1 - (x / 2) cot(x / 2)) / x^2 of the angle x.
+    """
     tiny = jnp.finfo(turn.dtype).eps ** 2
     vee = jnp.stack([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
     half_cosine = jnp.sqrt(jnp.maximum(1 + turn[0, 0] + turn[1, 1] + turn[2, 2], tiny)) / 2
@@ -50,16 +42,48 @@ def _logarithm(turn: Array) -> tuple[Array, Array]:
     return w, jnp.where(small, series, closed)
 
 
-def _steps(rotation: Array, position: Array) -> tuple[Array, Array]:
-    """Logarithms of the steps as twists: rotations and translations, (3, 2, K, N) each, in {b} and {g}."""
-    w, factor = _logarithm(_relative(rotation))
-    shift = times(jnp.swapaxes(rotation, 0, 1)[:, :, :-1], position[:, 1:] - position[:, :-1])
+def step_twists(rotation: Array, position: Array) -> Array:
+    """Logarithms of the steps between poses: twists times the sample time.
+
+    Args:
+        rotation: (3, 3, K+1, N).
+        position: (3, K+1, N) m.
+
+    Returns:
+        (2, 3, 2, K, N): rotations (rad) and translations (m), in {b} and in {g}.
+    """
+    back = jnp.swapaxes(rotation, 0, 1)[:, :, :-1]
+    w, factor = _logarithm(times(back, rotation[:, :, 1:]))
+    shift = times(back, position[:, 1:] - position[:, :-1])
     across = cross(w, shift)
     v = shift - across / 2 + factor * cross(w, across)
     here = rotation[:, :, :-1]
     turned = times(here, w)
     moved = times(here, v) + cross(position[:, :-1], turned)
-    return jnp.stack([w, turned], axis=1), jnp.stack([v, moved], axis=1)
+    return jnp.stack([jnp.stack([w, turned], axis=1), jnp.stack([v, moved], axis=1)])
+
+
+def mean_twists(rotation: Array, position: Array, steps: Array, count: Array | None = None) -> Array:
+    """Mean twist over every step, without the brackets of the Magnus expansion.
+
+    Brackets mix components: with them, constrained axes have an error that more data does not reduce (0.1
+    degrees and 0.3 mm for fast motion at a sample time of 0.1 s). They stay in windows with very different
+    steps, for example across a gap in the recording, where derivatives would amplify the noise.
+
+    Args:
+        rotation: (3, 3, K+1, N).
+        position: (3, K+1, N) m.
+        steps: (1, K) or (N, K) s, sample times.
+        count: (N,) number of poses, 8 or more, if the rest is padding, else None.
+
+    Returns:
+        (2, 3, 2, K, N): angular (rad/s) and linear (m/s) velocities, in {b} and in {g}.
+    """
+    h = steps.T
+    twist = step_twists(rotation, position) / h
+    weights = _derivative_weights(steps, None if count is None else count - 1)
+    even = jnp.max(steps, axis=1) <= _EVEN * jnp.min(steps, axis=1)
+    return twist - jnp.where(even, _brackets(twist, weights, h), 0)
 
 
 def twist_paths(rotation: Array, position: Array, steps: Array, count: Array | None) -> tuple[Array, Array]:
@@ -74,12 +98,7 @@ def twist_paths(rotation: Array, position: Array, steps: Array, count: Array | N
     Returns:
         Rotations (3, 2, P, N) rad and translations (3, 2, P, N) m, in {b} and {g}.
     """
-    turns, shifts = _steps(rotation, position)
-    h = steps.T
-    twist = jnp.stack([turns, shifts]) / h  # (2, 3, 2, K, N)
-    weights = _derivative_weights(steps, None if count is None else count - 1)
-    even = jnp.max(steps, axis=1) <= _EVEN * jnp.min(steps, axis=1)
-    twist = (twist - jnp.where(even, _brackets(twist, weights, h), 0)) * h
+    twist = mean_twists(rotation, position, steps, count) * steps.T
     path = jnp.pad(_running_sum(twist), ((0, 0), (0, 0), (0, 0), (1, 0), (0, 0)))
     return path[0], path[1]
 
