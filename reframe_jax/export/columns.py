@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from reframe_jax.export.common import TYPES, Window, axes_of
+from reframe_jax.export.common import TYPES, Window
+from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
 
@@ -125,7 +126,7 @@ def _frame_columns(group: str, frame: Any, failed: np.ndarray) -> Columns:
     """Columns of the angular or linear frame: type, ties, axes, degrees of freedom, velocities, origin."""
     kinds: Any = TYPES[group]
     codes = [int(code) for code in frame.type_code]
-    axes = np.asarray(axes_of(frame.rotvec), float)
+    axes = np.asarray(rotation_exp(frame.rotvec), float)
     columns = {
         "type": _texts(["" if bad else str(kinds(code)) for bad, code in zip(failed, codes, strict=True)]),
         "tied": _texts([" ".join(str(kind) for kind in kinds if row[kind]) for row in frame.tied]),

@@ -4,11 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import jax
 import numpy as np
 
 from reframe_jax.constraints.types import AngularType, LinearType
-from reframe_jax.geometry import rotations
 from reframe_jax.identification.results import Identification
 from reframe_jax.recordings.recording import LeftOut, Recording
 
@@ -33,9 +31,6 @@ class Window:
 def split_windows(host: Identification) -> list[Identification]:
     """Split a batch into its windows; an identification of one window gives a list of one."""
     return [host[index] for index in np.ndindex(np.shape(host.status_code))]
-
-
-axes_of = jax.jit(rotations.rotation_exp)  # one compilation instead of one for each of forty operations
 
 
 def directions(projector: np.ndarray) -> list[np.ndarray]:

@@ -10,7 +10,6 @@ from reframe_jax.constraints.types import BODY_NAMES, LinearType
 from reframe_jax.export.common import (
     TYPES,
     Window,
-    axes_of,
     directions,
     outlier_samples,
     split_windows,
@@ -18,6 +17,7 @@ from reframe_jax.export.common import (
     two_digits,
     unused_rows,
 )
+from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
 from reframe_jax.recordings.recording import Recording
@@ -94,7 +94,7 @@ def _frame_block(group: str, frame: Any) -> list[str]:
         lines = [f"Linear frame {kind}: {where} fixed in the {origin_in}{ties}"]
     else:
         lines = [f"Angular frame {kind}: axes fixed in the {BODY_NAMES[kind]}{ties}"]
-    for i, axis in enumerate(np.asarray(axes_of(frame.rotvec)).T):
+    for i, axis in enumerate(np.asarray(rotation_exp(frame.rotvec)).T):
         freedom = "free" if frame.dof[i] else "constrained"
         likely = frame.free_probability[i] if frame.dof[i] else 1 - frame.free_probability[i]
         if likely < _CLEAR:

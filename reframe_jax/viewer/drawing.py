@@ -11,8 +11,6 @@ from reframe_jax.viewer.tracks import FrameTrack, WindowTrack
 if TYPE_CHECKING:
     import viser
 
-__all__ = ["LEGEND", "Drawing", "scene_box"]
-
 _DASHES = 7  # dashes per constrained axis
 _MAX_POINTS = 2000  # most points of a path
 _DEVIATIONS = 2.0  # standard deviations of the ellipsoid

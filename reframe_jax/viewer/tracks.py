@@ -7,14 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.constraints.located import frame_arrays, locate_on_host
+from reframe_jax.constraints.located import locate_on_host
 from reframe_jax.constraints.types import AngularType, LinearType
 from reframe_jax.export.table import to_table
 from reframe_jax.identification.results import Identification
 from reframe_jax.identification.velocities import frame_velocities
 from reframe_jax.motion.kinematics import Discretization
-
-__all__ = ["FrameTrack", "WindowTrack", "track_window"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,9 +110,7 @@ def track_window(
 def _track_frame(
     found: Identification, poses: np.ndarray, spread: np.ndarray | None, velocities: np.ndarray
 ) -> FrameTrack:
-    with jax.enable_x64(True):
-        frame = frame_arrays(found.constraint_frame)
-    located = locate_on_host(frame, poses)
+    located = locate_on_host(found.constraint_frame, poses)
     on_body = LinearType(int(found.linear.type_code)).position_body == AngularType.B
     return FrameTrack(
         origins=poses[:, :3, 3] + located.lever,
