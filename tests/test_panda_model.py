@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-import time
 
 import jax
 import jax.numpy as jnp
@@ -151,30 +150,3 @@ def test_solve_positive(rng: np.random.Generator) -> None:
 def test_library_does_not_import_mujoco() -> None:
     code = "import sys, reframe_jax; raise SystemExit('mujoco' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(jax.__version_info__ >= (0, 11), reason="its XLA does not repeat the chain (1.3 times)")
-def test_the_fence_is_still_needed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Drop ``fence_levels`` with the support of jax 0.10; without the private scan, results are the same."""
-
-    def run() -> tuple[jax.Array, float]:
-        def advance(state: tuple, _: None) -> tuple:
-            q, v = state
-            motion = panda.arm_motion(q, v)
-            v = v - 0.01 * dynamics.solve_positive(motion.mass, (motion.bias + v)[:, None])[:, 0]
-            return (q + 0.01 * v, v), motion.position
-
-        q = jnp.asarray(panda.PANDA.home)
-        roll = jax.jit(lambda q: jax.lax.scan(advance, (q, 0.1 * q), None, length=3)[1]).lower(q)
-        compiled = roll.compile(compiler_options={"xla_cpu_use_fusion_emitters": True})
-        compiled(q).block_until_ready()
-        start = time.perf_counter()
-        path = compiled(q).block_until_ready()
-        return path, time.perf_counter() - start
-
-    path, fenced = run()
-    monkeypatch.setattr(dynamics, "mjx_scan", None)
-    unfenced_path, unfenced = run()
-    np.testing.assert_allclose(unfenced_path, path, atol=1e-12)
-    assert unfenced > 3 * fenced, f"{unfenced:.4f} s without the fence, {fenced:.4f} s with it"

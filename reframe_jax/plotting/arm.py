@@ -96,8 +96,7 @@ def _finish(axes: "Axes") -> None:
 
 def _joint_points(joints: np.ndarray, arm: Arm) -> np.ndarray:
     """Base, origins of the links, and TCP, (9, 3) m, for joint positions (7,)."""
-    origins, _, tip = link_poses(jnp.asarray(joints), arm)
-    return np.concatenate([np.zeros((1, 3)), origins, tip[None]])
+    return np.concatenate([np.zeros((1, 3)), link_poses(jnp.asarray(joints), arm)[1]])
 
 
 def _draw_scene(axes: "Axes3D", made: Demonstration, arm: Arm) -> None:

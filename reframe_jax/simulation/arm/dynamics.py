@@ -1,32 +1,19 @@
-"""The arm's equations of motion, from the smooth dynamics of MJX.
+"""The arm's equations of motion, by the method of Newton and Euler, in the axes of the base.
 
-MJX computes the kinematics, the mass matrix, and the Coriolis and centrifugal torques, as in a step of
-:func:`mujoco.mjx.step` before its solver. This package adds the forces of constraints, hands and controllers,
-and solves the constraint of a demonstration exactly (see ``rollout``). Gravity and the gravity compensation
-of the robot cancel, so neither is computed.
+Gravity and the gravity compensation of the robot cancel, so neither is computed. Small matrices are
+multiplied elementwise, because a library call per matrix of a batch costs more than the product.
 """
 
-import contextlib
-import io
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-with contextlib.redirect_stdout(io.StringIO()):  # MJX prints the names of missing optional packages
-    from mujoco import mjx
-
-    try:
-        from mujoco.mjx._src import scan as mjx_scan  # private, see fence_levels
-    except ImportError:
-        mjx_scan = None
-
 from reframe_jax.constraints.located import multiply
-from reframe_jax.simulation.arm.model import PANDA, Arm
+from reframe_jax.geometry.numpy_rotations import quaternions_to_matrices
+from reframe_jax.simulation.arm.model import PANDA, Arm, link_poses
 
 
 @jax.tree_util.register_dataclass
@@ -59,52 +46,17 @@ class Motion:
         return multiply(self.jacobian, self.velocity)
 
 
-@contextlib.contextmanager
-def fence_levels() -> Iterator[None]:
-    """Prevent XLA from recomputing the kinematic chain at every link while ``mjx.kinematics`` is traced.
-
-    On the CPU, XLA's fusion emitters (jax 0.7 to 0.10) inline each level of MJX's scan over the tree into the
-    next level: a step of 64 arms takes 1.4 s instead of 0.6 ms (google-deepmind/mujoco#2957). A barrier
-    around the value that each link passes to the next prevents the inlining, and costs nothing on other
-    devices. MJX has no public hook for it, and a barrier around the public function does not help. An MJX
-    without this private scan runs unfenced: the results are the same.
-    """
-    body_tree = getattr(mjx_scan, "body_tree", None)
-    if body_tree is None:
-        yield
-        return
-
-    def with_barriers(model: Any, function: Any, *args: Any, **options: Any) -> Any:
-        def run_barred(carry: Any, *rest: Any) -> Any:
-            return function(carry if carry is None else jax.lax.optimization_barrier(carry), *rest)
-
-        return body_tree(model, run_barred, *args, **options)
-
-    mjx_scan.body_tree = with_barriers
-    try:
-        yield
-    finally:
-        mjx_scan.body_tree = body_tree
-
-
 @cache
-def _mjx_parts(arm: Arm) -> tuple[Any, Any, int]:
-    """MJX model and data in double precision, as NumPy arrays for any trace, and the index of the TCP."""
+def _inertias(arm: Arm) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Masses (8,), kg, centres of mass (8, 3), m, and inertias (8, 3, 3), kg m^2, of the links and the hand.
+
+    The centres, and the inertias about them, are in the frames of :func:`link_poses`.
+    """
     model = arm.model
-    with jax.ensure_compile_time_eval(), jax.enable_x64(True), _allow_mixing():
-        parts = mjx.put_model(model, impl="jax"), mjx.make_data(model, impl="jax")
-        return *jax.tree.map(np.asarray, parts), model.site("tcp").id
-
-
-@contextlib.contextmanager
-def _allow_mixing() -> Iterator[None]:
-    """Let MJX mix dtypes and ranks, with precise matrix products, whatever the user's settings."""
-    with (
-        jax.numpy_dtype_promotion("standard"),
-        jax.numpy_rank_promotion("allow"),
-        jax.default_matmul_precision("highest"),
-    ):
-        yield
+    axes = quaternions_to_matrices(np.roll(model.body_iquat[1:], -1, axis=1))
+    centres = model.body_ipos[1:].copy()
+    centres[-1] -= model.site("tcp").pos
+    return model.body_mass[1:], centres, axes * model.body_inertia[1:, None] @ axes.swapaxes(1, 2)
 
 
 def arm_motion(joints: jax.Array, velocity: jax.Array, arm: Arm = PANDA) -> Motion:
@@ -116,31 +68,60 @@ def arm_motion(joints: jax.Array, velocity: jax.Array, arm: Arm = PANDA) -> Moti
         arm: the robot.
     """
     dtype = joints.dtype
-
-    def cast(leaf: Any) -> jax.Array:
-        return jnp.asarray(leaf, dtype=dtype if np.issubdtype(leaf.dtype, np.floating) else None)
-
-    *parts, tcp = _mjx_parts(arm)
-    model, data = jax.tree.map(cast, parts)
-    data = data.replace(qpos=joints, qvel=velocity)
-    with _allow_mixing():
-        with fence_levels():
-            data = mjx.kinematics(model, data)
-        for stage in (mjx.com_pos, mjx.crb, mjx.com_vel, mjx.rne):
-            data = stage(model, data)
-        mass = mjx.full_m(model, data)
-        linear = jnp.cross(data.xaxis, data.site_xpos[tcp] - data.xanchor)
-    motion = Motion(
+    masses, centres, inertias = (jnp.asarray(part, dtype=dtype) for part in _inertias(arm))
+    rotations, origins = link_poses(joints, arm)
+    levers = origins + jnp.sum(rotations * centres[:, None], axis=-1)
+    inertias = jnp.sum(rotations[..., None] * inertias[:, None], axis=2)
+    inertias = jnp.sum(inertias[:, :, None] * rotations[:, None], axis=-1)
+    # masses, first moments and inertias about the origin of the base
+    firsts = masses[:, None] * levers
+    square = jnp.sum(firsts * levers, axis=-1)[:, None, None] * jnp.eye(3, dtype=dtype)[None]
+    bodies = masses[:, None], firsts, inertias + square - firsts[:, :, None] * levers[:, None]
+    # twists (7, 6) of the joints at unit velocity: rad/s, and m/s of the point at the origin of the base
+    axes = rotations[:7, :, 2]
+    screws = _pair(axes, jnp.cross(origins[:7], axes))
+    upper = jnp.triu(jnp.sum(screws[:, None] * _momenta(jax.tree.map(_after, bodies), screws)[None], axis=-1))
+    # twists (8, 6) of the links, and their rates of change at constant joint velocities
+    twists = _before(screws * velocity[:, None])
+    (turning, moving), (spins, pushes) = jnp.split(twists, 2, 1), jnp.split(_momenta(bodies, twists), 2, 1)
+    angular, linear = jnp.split(screws * velocity[:, None], 2, axis=1)
+    w, v = turning[:7], moving[:7]
+    rates = _before(_pair(jnp.cross(w, angular), jnp.cross(w, linear) + jnp.cross(v, angular)))
+    forces = _momenta(bodies, rates)
+    forces = forces + _pair(jnp.cross(turning, spins) + jnp.cross(moving, pushes), jnp.cross(turning, pushes))
+    return Motion(
         joints=joints,
         velocity=velocity,
-        rotation=data.site_xmat[tcp],
-        position=data.site_xpos[tcp],
-        jacobian=jnp.concatenate([data.xaxis.T, linear.T]),
-        mass=mass,
-        bias=data.qfrc_bias,
+        rotation=rotations[7],
+        position=origins[7],
+        jacobian=_pair(axes, jnp.cross(axes, origins[7] - origins[:7])).T,
+        mass=upper + jnp.triu(upper, 1).T + jnp.diag(jnp.asarray(arm.model.dof_armature, dtype=dtype)),
+        bias=jnp.sum(screws * _after(forces), axis=-1),
     )
-    # constants inside MJX have the default precision, not the precision of the input
-    return jax.tree.map(lambda leaf: leaf.astype(dtype), motion)
+
+
+def _pair(angular: jax.Array, linear: jax.Array) -> jax.Array:
+    return jnp.concatenate([angular, linear], axis=1)
+
+
+def _after(parts: jax.Array) -> jax.Array:
+    """Sums over the links (8, ...) that each joint moves, (7, ...)."""
+    return jnp.cumsum(parts[::-1], axis=0)[:0:-1]
+
+
+def _before(parts: jax.Array) -> jax.Array:
+    """Sums over the joints (7, 6) that move each link, (8, 6)."""
+    total = jnp.cumsum(parts, axis=0)
+    return jnp.concatenate([total, total[6:]])
+
+
+def _momenta(bodies: tuple[jax.Array, jax.Array, jax.Array], twists: jax.Array) -> jax.Array:
+    """Angular and linear momenta (n, 6) about the origin of the base, from twists (n, 6).
+
+    The bodies are masses (n, 1), first moments (n, 3) and inertias (n, 3, 3) about the same point.
+    """
+    (mass, first, inertia), (w, v) = bodies, jnp.split(twists, 2, axis=1)
+    return _pair(jnp.sum(inertia * w[:, None], axis=-1) + jnp.cross(first, v), mass * v + jnp.cross(w, first))
 
 
 def solve_positive(matrix: jax.Array, right: jax.Array) -> jax.Array:

@@ -10,7 +10,7 @@ fingertips, z out of the hand. Metres, kilograms, radians.
 """
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import jax
 import jax.numpy as jnp
@@ -42,10 +42,12 @@ class Arm:
     home: tuple[float, ...] = (0.0, -0.55, 0.0, -2.15, 0.0, 1.6, 0.785)
     speed: tuple[float, ...] = (2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61)
 
-    @property
+    @cached_property
     def model(self) -> mujoco.MjModel:
         """The compiled model, without gravity; do not change it."""
-        return _compile_model(self)
+        model = mujoco.MjModel.from_xml_string(self.xml)
+        model.opt.gravity[:] = 0
+        return model
 
     @property
     def limits(self) -> np.ndarray:
@@ -60,13 +62,6 @@ class Arm:
     def start(self, joints: ArrayLike | None, dtype: DTypeLike) -> jax.Array:
         """Convert joint positions (..., 7), rad, to an array; None gives the home configuration."""
         return jnp.asarray(self.home if joints is None else joints, dtype=dtype)
-
-
-@cache
-def _compile_model(arm: Arm) -> mujoco.MjModel:
-    model = mujoco.MjModel.from_xml_string(arm.xml)
-    model.opt.gravity[:] = 0
-    return model
 
 
 # rows: origin of a link in the previous one, quaternion (w, x, y, z), ends and radius of the drawn capsule
@@ -181,25 +176,27 @@ def _link_transforms(arm: Arm) -> tuple[np.ndarray, np.ndarray]:
     return rotations, positions
 
 
-def link_poses(joints: jax.Array, arm: Arm) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Origins (..., 7, 3), m, of the links, and rotation and position of {b} in {g} (forward_kinematics)."""
+def link_poses(joints: jax.Array, arm: Arm) -> tuple[jax.Array, jax.Array]:
+    """Rotations (..., 8, 3, 3) and origins (..., 8, 3), m, of the links and of {b}, the last, in {g}."""
     fixed, offset = (jnp.asarray(part, dtype=joints.dtype) for part in _link_transforms(arm))
     batch = joints.shape[:-1]
     fixed, offset = (jnp.broadcast_to(part, (*batch, *part.shape)) for part in (fixed, offset))
     rotation, position = fixed[..., 0, :, :], offset[..., 0, :]
-    origins = []
+    rotations, origins = [], []
     for i in range(7):
         # a rotation about z combines the first two columns
         c, s = jnp.cos(joints[..., i, None]), jnp.sin(joints[..., i, None])
         x, y, z = rotation[..., :, 0], rotation[..., :, 1], rotation[..., :, 2]
         rotation = jnp.stack([c * x + s * y, c * y - s * x, z], axis=-1)
+        rotations.append(rotation)
         origins.append(position)
         # elementwise, because a library call per matrix of a batch costs more than the product
         position = position + jnp.sum(rotation * offset[..., i + 1, None, :], axis=-1)
         rotation = jnp.sum(rotation[..., :, :, None] * fixed[..., i + 1, None, :, :], axis=-2)
-    return jnp.stack(origins, axis=-2), rotation, position
+    return jnp.stack([*rotations, rotation], axis=-3), jnp.stack([*origins, position], axis=-2)
 
 
 def forward_kinematics(joints: jax.Array, arm: Arm = PANDA) -> tuple[jax.Array, jax.Array]:
     """Rotation (..., 3, 3) and position (..., 3), m, of {b} in {g}, for joint positions (..., 7), rad."""
-    return link_poses(joints, arm)[1:]
+    rotations, origins = link_poses(joints, arm)
+    return rotations[..., 7, :, :], origins[..., 7, :]
