@@ -102,7 +102,7 @@ def test_uncertainty_is_fixed_where_the_origin_is() -> None:
     assert track.frame is not None
     assert track.frame.spread is not None
     np.testing.assert_allclose(track.frame.spread @ track.frame.spread, covariance, atol=1e-12)
-    np.testing.assert_array_equal(track.frame.spread_axes, poses[:, :3, :3])
+    np.testing.assert_array_equal(track.frame.in_body, found.linear.position)
 
 
 def test_residuals_are_the_velocities_of_constrained_axes(tracks: list[WindowTrack]) -> None:

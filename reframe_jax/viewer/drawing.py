@@ -181,7 +181,7 @@ class Drawing:
         origin = frame.origins[sample]
         _move(self._moving["linear"], origin, frame.linear_axes[sample])
         _move(self._moving["angular"], origin, frame.angular_axes[sample])
-        _move(self._moving["spread"], origin, frame.spread_axes[sample])
+        _move(self._moving["spread"], origin, np.eye(3) if frame.in_body is None else pose[:3, :3])
 
 
 def _round_down(length: float) -> float:
