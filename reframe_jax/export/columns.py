@@ -17,6 +17,7 @@ from reframe_jax.export.common import TYPES, Window
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
+from reframe_jax.storage.codecs import PARQUET
 
 if TYPE_CHECKING:
     import pandas
@@ -103,12 +104,8 @@ def write_csv(path: Path, tables: Sequence[Columns]) -> None:
 
 def write_parquet(path: Path, tables: Sequence[Columns]) -> None:
     """Append tables with the same columns and write them as one Parquet file."""
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError as error:
-        raise ImportError("Parquet needs pyarrow: pip install 'reframe-jax[parquet]'") from error
-    pyarrow.parquet.write_table(pyarrow.concat_tables([pyarrow.table(table) for table in tables]), path)
+    arrow = PARQUET.library()
+    arrow.parquet.write_table(arrow.concat_tables([arrow.table(table) for table in tables]), path)
 
 
 def _spans(windows: Sequence[Window] | None, number: int) -> Columns:

@@ -17,7 +17,7 @@ from reframe_jax.constraints.located import frame_arrays, move_frame, place_fram
 from reframe_jax.geometry import rotations
 from reframe_jax.simulation.arm.guide import EXCITATIONS
 from reframe_jax.simulation.arm.guided import demonstration_keys, impact_velocity, record, run_guided
-from reframe_jax.simulation.arm.imperfections import Imperfections, check_numbers, compliance_of
+from reframe_jax.simulation.arm.imperfections import Imperfections, check_imperfections, compliance_of
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
 from reframe_jax.simulation.arm.rollout import Steps, rollout_status
 from reframe_jax.simulation.sequences import each_duration
@@ -248,7 +248,7 @@ def demonstrate_sequence(
         raise ValueError(f"first must be at least 0, not {first}.")
     if np.shape(spread) != (2,):
         raise ValueError(f"spread must be two numbers, rad and m, not {spread!r}.")
-    check_numbers(imperfections, Imperfections)
+    check_imperfections(imperfections)
     if start is not None and np.shape(start) not in ((7,), (batch, 7)):
         raise ValueError(f"start must have shape (7,) or ({batch}, 7), not {np.shape(start)}.")
     counts = [sampling(duration, dt).samples for duration in each]

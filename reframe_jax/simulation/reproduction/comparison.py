@@ -20,7 +20,7 @@ from reframe_jax.identification.results import Identification
 from reframe_jax.simulation import metrics
 from reframe_jax.simulation.arm.collection import draw_usable
 from reframe_jax.simulation.arm.demonstration import SPREAD, Demonstration, demonstrate
-from reframe_jax.simulation.arm.imperfections import REALISTIC, Imperfections, check_numbers
+from reframe_jax.simulation.arm.imperfections import REALISTIC, Imperfections, check_imperfections
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
 from reframe_jax.simulation.reproduction.controllers import Controller, constant_wrench
 from reframe_jax.simulation.reproduction.trials import ROOMY, Trials, control_frames, reproduce
@@ -99,7 +99,7 @@ def compare(
     """
     if trials < 1:
         raise ValueError(f"trials must be at least 1, not {trials}.")
-    check_numbers(imperfections, Imperfections)
+    check_imperfections(imperfections)
     demonstrate_key, error_key = jax.random.split(key)
     run = partial(
         reproduce,
