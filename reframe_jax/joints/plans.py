@@ -66,7 +66,6 @@ class Plan:
 
     Attributes:
         type: type of the joint.
-        is_chain: False if every pose can be reached, or if two hinges do not fit the rotations.
         turns_first: whether the rotating parts precede the slides in the chain.
         axis: (3,) in the ground, direction of the hinge, or of the first of two hinges; None for a ball.
         second: (3,) in the child, direction of the second hinge.
@@ -76,7 +75,6 @@ class Plan:
     """
 
     type: JointType
-    is_chain: bool = True
     turns_first: bool = False
     axis: np.ndarray | None = None
     second: np.ndarray | None = None
@@ -107,7 +105,7 @@ def relate_axes(geometry: Geometry) -> AxisRelation | None:
 
 
 def joint_plans(geometry: Geometry) -> list[Plan]:
-    """Chains to fit to the poses; the chain with the best fit becomes the joint."""
+    """Chains to fit to the poses; the best fit becomes the joint. Empty if every pose can be reached."""
     turns, slides = len(geometry.turning), len(geometry.sliding)
     # slides come after the rotations if their axes are fixed in {b} and the origin is fixed in {g}
     last = slides in (1, 2) and geometry.frame.linear_type == LinearType.BG
@@ -118,10 +116,8 @@ def joint_plans(geometry: Geometry) -> list[Plan]:
         return _hinge_plans(geometry, last)
     if geometry.universal is not None:
         return [Plan("universal", axis=geometry.universal[0], second=geometry.universal[1])]
-    if slides == 3 and turns == 3:
-        return [Plan("floating", is_chain=False)]
-    if only_velocities(geometry):  # combinations of the free motions reach every pose
-        return [Plan("general", is_chain=False)]
+    if (slides == 3 and turns == 3) or only_velocities(geometry):
+        return []  # combinations of the free motions reach every pose
     if turns == 3:
         return [Plan("general" if slides else "spherical", turns_first=last)]
     normal = geometry.in_ground(np.cross(*geometry.turning), geometry.angular_on_body)
