@@ -11,7 +11,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 import reframe_jax as rf
 from reframe_jax import plotting
 from reframe_jax.constraints.catalogue import OTHER_CONSTRAINTS
-from reframe_jax.constraints.located import frame_arrays, locate_on_host
+from reframe_jax.constraints.located import locate_on_host
 from reframe_jax.geometry import rotations
 from reframe_jax.joints.chain import JointPart, chain_poses
 from reframe_jax.plotting.style import BODY, FREE, TURNING, axis_colours, new_figure
@@ -107,7 +107,7 @@ def _draw_constraint(axes: Any, label: str) -> None:
     poses, truth = np.asarray(made.exact_poses, float), made.truth
     if label == "universal":
         poses = _universal_poses(np.asarray(made.times))
-    there = locate_on_host(frame_arrays(truth), poses)
+    there = locate_on_host(truth, poses)
     origins = poses[:, :3, 3] + there.lever
     points = np.concatenate([poses[:, :3, 3], origins])
     low, high = points.min(axis=0), points.max(axis=0)

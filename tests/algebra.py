@@ -1,6 +1,8 @@
-"""4x4 matrices of twists in NumPy, to compare the library with."""
+"""4x4 matrices of twists in NumPy, to compare the library with, and components of symmetric matrices."""
 
 import numpy as np
+
+from reframe_jax.geometry.symmetric import INDEX_PAIRS
 
 
 def hat(w):
@@ -16,3 +18,8 @@ def bracket(twist):
 def unbracket(matrix):
     """The twist of [V]."""
     return np.array([matrix[2, 1], matrix[0, 2], matrix[1, 0], *matrix[:3, 3]])
+
+
+def from_matrix(matrix):
+    """Components of symmetric matrices (..., 3, 3), as the library stores them."""
+    return tuple(matrix[..., i, j] for i, j in INDEX_PAIRS)

@@ -84,7 +84,7 @@ def test_a_frame_is_where_it_was_placed_or_moved_to(label: str, rng: np.random.G
 
 def test_drawings_are_precise_far_away(rng: np.random.Generator) -> None:
     """A million metres from the origin, where JAX is set to single precision."""
-    frame = frame_arrays(frame_of("K", rng))
+    frame = frame_of("K", rng)
     poses = np.tile(np.asarray(POSE), (3, 1, 1))
     poses[:, 0, 3] += 1e6
     expected = np.asarray(ROTATION @ frame.position)

@@ -6,12 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from algebra import from_matrix
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from reframe_jax.geometry.rotations import rotation_exp
-from reframe_jax.geometry.symmetric import from_matrix, to_matrix
+from reframe_jax.geometry.symmetric import to_matrix
 from reframe_jax.objectives.moments import velocity_moments
 from reframe_jax.objectives.norms import check_exponent, log_power_mean
 from reframe_jax.objectives.velocity import FrameObjective, PositionObjective

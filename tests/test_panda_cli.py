@@ -40,12 +40,11 @@ def test_demonstrations_in_a_folder(
     first = (folder / "part-00000000.npz").stat().st_mtime_ns
     assert program.main([*command, "--count", "10"]) == 0
     assert (folder / "part-00000000.npz").stat().st_mtime_ns == first
-    made = panda.load_demonstrations(folder)
-    assert f"{folder}: {len(made.poses)} demonstrations of 5 s" in capsys.readouterr().out
-    assert len(made.poses) >= 10
     parts = list(panda.stored_demonstrations(folder))
+    number = sum(len(part.poses) for part in parts)
+    assert f"{folder}: {number} demonstrations of 5 s" in capsys.readouterr().out
+    assert number >= 10
     assert len(parts) == 2
-    np.testing.assert_array_equal(np.concatenate([part.poses for part in parts]), made.poses)
     assert program.main([*command, "--count", "10", "--seed", "1"]) == 1
     assert "other options" in capsys.readouterr().err
 

@@ -1,5 +1,6 @@
 """The arm's motion under a constraint: against C MuJoCo, wrenches, energy, steps and derivatives."""
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -14,6 +15,7 @@ from benchmarks.mechanism import mechanism_joints, mechanism_model, weld
 from reframe_jax.constraints.located import frame_arrays, ground_twist, locate, slip, twist_map
 from reframe_jax.geometry import transforms
 from reframe_jax.simulation import arm as panda
+from reframe_jax.simulation.arm import demonstration, guide
 from reframe_jax.simulation.arm.guide import find_excitation, guide_drive
 from reframe_jax.simulation.arm.guided import demonstration_keys
 from reframe_jax.simulation.arm.rollout import Steps, hold, integrate
@@ -55,7 +57,7 @@ def test_frames_move_as_their_type_says(rng: np.random.Generator) -> None:
     assert seen == {"GB", "BG", "GG", "BB"}
 
 
-def test_hand_pulls_beside_the_place_and_shakes() -> None:
+def test_hand_pulls_beside_the_place_and_shakes(monkeypatch: pytest.MonkeyPatch) -> None:
     """A tool at rest where it should be feels a constant pull aside, and a tremor, of the sizes given."""
     frame = frame_arrays(panda.frame_on_arm("B"))
     rotation, position = panda.forward_kinematics(jnp.asarray(panda.PANDA.home))
@@ -63,16 +65,19 @@ def test_hand_pulls_beside_the_place_and_shakes() -> None:
     pose = transforms.make_pose(rotation, position)
     times = jnp.arange(1.0, 21.0, 0.1)
 
-    def wrenches(guide: panda.Guide) -> np.ndarray:
+    def wrenches() -> np.ndarray:
         def felt(key: jax.Array) -> jax.Array:
-            drive = guide_drive(guide, key, frame, lambda t: (0 * t * jnp.ones(3),) * 2, 0.01)
+            drive = guide_drive(key, frame, lambda t: (0 * t * jnp.ones(3),) * 2, 0.01)
             return jax.vmap(lambda t: drive(pose, t, still, None)[1])(times)
 
         return np.asarray(jax.jit(jax.vmap(felt))(jax.random.split(KEY, 400)))
 
-    shaken = wrenches(panda.Guide(misalignment=0.0, angular_misalignment=0.0))
+    with monkeypatch.context() as patch:
+        patch.setattr(guide, "_MISALIGNMENT", (0.0, 0.0))
+        shaken = wrenches()
     np.testing.assert_allclose(shaken.std(axis=(0, 1)), [0.4] * 3 + [1.5] * 3, rtol=0.05)
-    pulled = wrenches(panda.Guide(tremor=0.0, angular_tremor=0.0))
+    monkeypatch.setattr(guide, "_TREMOR", (0.0, 0.0))
+    pulled = wrenches()
     assert np.abs(np.ptp(pulled, axis=1)).max() < 1e-9
     np.testing.assert_allclose(pulled[:, 0].std(axis=0), [20 * 0.02] * 3 + [400 * 0.003] * 3, rtol=0.15)
 
@@ -135,16 +140,16 @@ def test_wrench_returns_and_energy_is_kept() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("label", list("ABCDIJKL"))
-def test_mechanism_and_exact_form_agree(label: str) -> None:
+def test_mechanism_and_exact_form_agree(label: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same hand guides the arm in C MuJoCo, where the tool is welded to joints."""
     step, count = 0.0025, 800
-    exact = panda.demonstrate(label, KEY, step=step, spread=panda.SPREAD, duration=step * count)
+    monkeypatch.setattr(demonstration, "_LONGEST", step)
+    exact = panda.demonstrate(label, KEY, spread=panda.SPREAD, duration=step * count)
     truth = jax.tree.map(lambda leaf: leaf[0], exact.truth)
     frame, home = frame_arrays(truth), jnp.asarray(panda.PANDA.home)
     _, hand_key, excitation_key, _ = demonstration_keys(KEY, jnp.zeros(1, jnp.uint32))[0]
-    guide = panda.Guide()
     excitation = find_excitation("exciting", excitation_key, frame.free)
-    drive = guide_drive(guide, hand_key, frame, excitation, step)
+    drive = guide_drive(hand_key, frame, excitation, step)
 
     @jax.jit
     def advance(pose: jax.Array, t: float, joints: jax.Array, velocity: jax.Array) -> Any:
@@ -165,14 +170,14 @@ def test_mechanism_and_exact_form_agree(label: str) -> None:
 
 
 @pytest.mark.slow
-def test_batch_size_and_step_do_not_matter() -> None:
+def test_batch_size_and_step_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
     many = panda.demonstrate("K", KEY, batch=5, duration=2.0)
     one = panda.demonstrate("K", KEY, batch=1, first=4, duration=2.0)
     np.testing.assert_allclose(one.poses[0], many.poses[4], atol=1e-9)
-    positions = [
-        panda.demonstrate("K", KEY, batch=5, duration=2.0, step=step).exact_poses[..., :3, 3]
-        for step in (0.01, 0.005, 0.0025)
-    ]
+    positions = []
+    for step in (0.01, 0.005, 0.0025):
+        monkeypatch.setattr(demonstration, "_LONGEST", step)
+        positions.append(panda.demonstrate("K", KEY, batch=5, duration=2.0).exact_poses[..., :3, 3])
     coarse, fine = (np.abs(a - b).max() for a, b in pairwise(positions))
     assert coarse < 1.5e-3
     assert fine < 0.7 * coarse
@@ -191,26 +196,16 @@ def test_single_precision() -> None:
 
 @pytest.mark.slow
 def test_gradient_is_the_finite_difference() -> None:
-    """Reverse mode, of a geometry and of the guide's stiffness."""
+    """Reverse mode, of a geometry."""
     frame = panda.frame_on_arm("K")
 
     @jax.jit
-    def height(offset: jax.Array, stiffness: jax.Array) -> jax.Array:
-        from dataclasses import replace
-
-        made = panda.demonstrate(
-            replace(frame, position=frame.position + offset),
-            KEY,
-            duration=0.5,
-            guide=panda.Guide(stiffness=stiffness),
-        )
+    def height(offset: jax.Array) -> jax.Array:
+        made = panda.demonstrate(replace(frame, position=frame.position + offset), KEY, duration=0.5)
         return jnp.sum(made.exact_poses[0, -1, :3, 3])
 
-    point = jnp.zeros(3), jnp.asarray(400.0)
-    slope = jax.grad(height, argnums=(0, 1))(*point)
+    slope = jax.grad(height)(jnp.zeros(3))
     for axis in range(3):
         h = 1e-5 * jnp.eye(3)[axis]
-        difference = (height(h, point[1]) - height(-h, point[1])) / 2e-5
-        np.testing.assert_allclose(slope[0][axis], difference, rtol=1e-3, atol=1e-7)
-    difference = (height(point[0], point[1] + 0.1) - height(point[0], point[1] - 0.1)) / 0.2
-    np.testing.assert_allclose(slope[1], difference, rtol=1e-3, atol=1e-9)
+        difference = (height(h) - height(-h)) / 2e-5
+        np.testing.assert_allclose(slope[axis], difference, rtol=1e-3, atol=1e-7)

@@ -103,8 +103,7 @@ def test_segment_finds_the_stages(made: panda.SequenceDemonstration) -> None:
 
 
 def test_the_hand_pauses_at_changes() -> None:
-    steady = panda.Guide(tremor=0.0, angular_tremor=0.0)
-    options = {"batch": BATCH, "spread": panda.SPREAD, "guide": steady}
+    options = {"batch": BATCH, "spread": panda.SPREAD}
     paused = jax.device_get(panda.demonstrate_sequence(["unconstrained", "A"], KEY, **options))
     poses = paused.exact_poses[usable(paused)]
     speed = np.linalg.norm(np.diff(poses[..., :3, 3], axis=1), axis=-1)

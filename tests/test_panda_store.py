@@ -1,6 +1,7 @@
 """Demonstrations on disk: they go on where they stopped, and only there."""
 
 import shutil
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,13 @@ def pushed(size: float) -> Any:
     return push
 
 
+def load(folder: Path) -> panda.Demonstration:
+    """All demonstrations of a folder as one batch."""
+    parts = list(panda.stored_demonstrations(folder))
+    made: panda.Demonstration = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+    return replace(made, times=parts[0].times)
+
+
 def test_stored_demonstrations_go_on_where_they_stopped(tmp_path: Path) -> None:
     options = {"chunk": BATCH, "spread": panda.SPREAD}
     folder = panda.store_demonstrations("K", KEY, 4, tmp_path / "demos", **options)
@@ -34,7 +42,7 @@ def test_stored_demonstrations_go_on_where_they_stopped(tmp_path: Path) -> None:
     written = first.stat().st_mtime_ns
     panda.store_demonstrations("K", KEY, 12, folder, **options)
     assert first.stat().st_mtime_ns == written
-    made = panda.load_demonstrations(folder)[:12]
+    made = load(folder)[:12]
     drawn = list(panda.demonstrations("K", KEY, 12, **options))
     np.testing.assert_array_equal(made.poses, np.concatenate([part.poses for part in drawn]))
     assert made.truth.linear_type == rf.LinearType.GB
@@ -46,7 +54,7 @@ def test_stored_demonstrations_go_on_where_they_stopped(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="other options"):
         panda.store_demonstrations("I", KEY, 12, folder, **options)
     with pytest.raises(ValueError, match="no demonstrations"):
-        panda.load_demonstrations(tmp_path)
+        load(tmp_path)
 
 
 def test_what_a_folder_depends_on() -> None:
@@ -54,13 +62,13 @@ def test_what_a_folder_depends_on() -> None:
     start = np.zeros((500, 7))
     moved = start.copy()
     moved[250, 3] = 1e-3
-    guides = panda.Guide(stiffness=jnp.asarray(300.0)), panda.Guide(stiffness=300.0), panda.Guide()
+    noises = jnp.asarray(0.5), 0.5, 0.0
     records = [
         collection._describe_run("K", KEY, 64, True, options)
         for options in (
             *({"excitation": pushed(0.1)} for _ in range(2)),
             *({"start": values} for values in (start, start.copy(), moved)),
-            *({"guide": guide} for guide in guides),
+            *({"imperfections": panda.Imperfections(encoder_noise=noise)} for noise in noises),
         )
     ]
     same = [a == b for a, b in pairwise(records)]
@@ -83,7 +91,7 @@ def test_folders_of_something_else(tmp_path: Path) -> None:
     part.write_bytes(part.read_bytes()[:1000])
     for use in (
         lambda: panda.store_demonstrations("K", KEY, 4, folder, **options),
-        lambda: panda.load_demonstrations(folder),
+        lambda: load(folder),
     ):
         with pytest.raises(ValueError, match="is damaged"):
             use()
@@ -94,7 +102,7 @@ def test_folders_of_something_else(tmp_path: Path) -> None:
     shutil.copy(part, folder / "part-00000001.npz")
     for use in (
         lambda: panda.store_demonstrations("K", KEY, 99, folder, **options),
-        lambda: panda.load_demonstrations(folder),
+        lambda: load(folder),
     ):
         with pytest.raises(ValueError, match=r"part-00000001\.npz is a copy of part-00000000"):
             use()
@@ -102,4 +110,4 @@ def test_folders_of_something_else(tmp_path: Path) -> None:
     panda.store_demonstrations("K", KEY, 12, folder, **options)
     part.unlink()
     with pytest.raises(ValueError, match=r"incomplete: parts \[0\] are missing"):
-        panda.load_demonstrations(folder)
+        load(folder)

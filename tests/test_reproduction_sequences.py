@@ -30,8 +30,6 @@ def test_each_stage_begins_where_the_last_one_ended(played: reproduction.Sequenc
     assert np.linalg.norm(second.poses[-1, :3, 3] - second.poses[0, :3, 3]) > 0.09
     assert played.hand_overs.shape == (1,)
     assert 0 <= played.hand_overs[0] <= float(second.peak_force)
-    assert len(played.times) == len(played.poses) == len(first.times) + len(second.times) - 1
-    assert np.all(np.diff(played.times) > 0)
 
 
 def test_a_segmentation_is_played_in_its_own_frames(played: reproduction.SequenceTrial) -> None:
@@ -43,7 +41,7 @@ def test_a_segmentation_is_played_in_its_own_frames(played: reproduction.Sequenc
     found = Segmentation(tuple(parts), (), 0.05 * np.arange(start), 1.0)
     again = reproduction.reproduce_sequence([frame("A"), frame("B")], found)
     assert again.completed
-    np.testing.assert_allclose(again.poses[-1], played.poses[-1], atol=0.01)
+    np.testing.assert_allclose(again.stages[-1].poses[-1], played.stages[-1].poses[-1], atol=0.01)
 
 
 def test_a_stage_that_does_not_arrive_ends_the_task() -> None:

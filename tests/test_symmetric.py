@@ -5,13 +5,13 @@ import jax.numpy as jnp
 import mpmath as mp
 import numpy as np
 import pytest
+from algebra import from_matrix
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from reframe_jax.geometry.symmetric import (
     INDEX_PAIRS,
     eigh,
-    from_matrix,
     pivots,
     quadratic_form,
     solve,

@@ -18,8 +18,8 @@ import pytest
 from browsers import headless_browser, near, picture, wait_for
 
 import reframe_jax as rf
+from reframe_jax import plotting
 from reframe_jax.cli import program
-from reframe_jax.plotting.scene import frames_in_ground
 from reframe_jax.plotting.style import BODY, CONSTRAINED, OUTLIERS, TURNING
 from reframe_jax.recordings.writing import save_recording
 from reframe_jax.simulation import synthetic
@@ -75,12 +75,17 @@ def test_tracks_are_where_the_pictures_are(label: str) -> None:
     poses, times, found = record(label)
     track = track_window(poses, times, found)
     assert track.frame is not None
-    origins, axes, turning = frames_in_ground(poses, found, np.arange(POSES))
-    np.testing.assert_allclose(track.frame.origins, origins, atol=1e-12)
-    np.testing.assert_allclose(track.frame.linear_axes, axes, atol=1e-12)
-    free = track.frame.angular_free
-    if free.sum() < 3:
-        np.testing.assert_allclose(track.frame.angular_axes.swapaxes(1, 2)[:, free], turning, atol=1e-12)
+    figure = plotting.plot_identification(poses, found, times=times)
+    dots = [line for line in figure.axes[0].lines if line.get_marker() == "o"]
+    last = np.ravel(dots[-1].get_data_3d())
+    middle_of_one = len(dots) == 1
+    counted = np.flatnonzero(found.counted)
+    shown = counted[len(counted) // 2] if middle_of_one else counted[-1]
+    np.testing.assert_allclose(track.frame.origins[shown], last, atol=1e-12)
+    for group, kind in (("linear", found.linear.frame_type), ("angular", found.angular.frame_type)):
+        axes = np.asarray(getattr(found, group).axes)
+        expected = poses[:, :3, :3] @ axes if kind.name[0] == "B" else np.tile(axes, (POSES, 1, 1))
+        np.testing.assert_allclose(getattr(track.frame, f"{group}_axes"), expected, atol=1e-12)
     if track.frame.in_body is not None:
         tip = poses[:, :3, :3] @ track.frame.in_body + poses[:, :3, 3]
         np.testing.assert_allclose(track.frame.origins, tip, atol=1e-12)
@@ -97,7 +102,7 @@ def test_uncertainty_is_fixed_where_the_origin_is() -> None:
     assert track.frame is not None
     assert track.frame.spread is not None
     np.testing.assert_allclose(track.frame.spread @ track.frame.spread, covariance, atol=1e-12)
-    np.testing.assert_array_equal(track.frame.spread_axes, poses[:, :3, :3])
+    np.testing.assert_array_equal(track.frame.in_body, found.linear.position)
 
 
 def test_residuals_are_the_velocities_of_constrained_axes(tracks: list[WindowTrack]) -> None:

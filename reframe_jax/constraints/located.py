@@ -7,7 +7,6 @@ A(T) V = 0 on the twist V at the pose T (the paper's Eq. 3), with one row of A f
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -146,20 +145,15 @@ def locate(frame: Frame, rotation: jax.Array, position: jax.Array) -> Located:
 _locate_all = jax.jit(jax.vmap(locate, in_axes=(None, 0, 0)))
 
 
-def locate_on_host(frame: Frame, poses: np.ndarray) -> Located:
+def locate_on_host(frame: ConstraintFrame, poses: np.ndarray) -> Located:
     """Locate a single frame at every pose (K, 4, 4), m, in float64 independent of the settings of JAX.
 
     Each array of the located frame is a NumPy array with a leading axis of length K.
     """
-
-    def widen(leaf: Any) -> np.ndarray:
-        leaf = np.asarray(leaf)
-        return leaf if leaf.dtype == bool else leaf.astype(float)
-
     poses = np.asarray(poses, dtype=float)
     with jax.enable_x64(True):
-        there = _locate_all(jax.tree.map(widen, frame), poses[:, :3, :3], poses[:, :3, 3])
-        return jax.device_get(there)
+        arrays = frame_arrays(jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), dtype=float), frame))
+        return jax.device_get(_locate_all(arrays, poses[:, :3, :3], poses[:, :3, 3]))
 
 
 def twist_map(located: Located) -> jax.Array:

@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from reframe_jax.calibration.tool import Calibration
+from reframe_jax.export.common import format_vector
 from reframe_jax.recordings.recording import Recording
 from reframe_jax.recordings.rows import name_rows
 
@@ -53,24 +54,25 @@ def calibration_to_table(found: Calibration, recording: Recording) -> str:
         lines.append(f"Outlying, and left out: {name_rows(row_word, out)} {verb} not fit the other rows.")
     lines.append("")
     if found.axis is not None and found.ground_axis is not None and found.axis_interval is not None:
-        lines.append(
-            f"Axis      {_vector(found.axis, 5)} in the body, ± {np.degrees(found.axis_interval):.2g} deg"
-        )
-        lines.append(f"          {_vector(found.ground_axis, 5)} in the ground")
+        error = np.degrees(found.axis_interval)
+        lines.append(f"Axis      {format_vector(found.axis, 5)} in the body, ± {error:.2g} deg")
+        lines.append(f"          {format_vector(found.ground_axis, 5)} in the ground")
     name = "Tip  " if found.axis is None else "Place"
     for title, where, place, interval in (
         (name, "body", found.tip, found.tip_interval),
         ("Point", "ground", found.point, found.point_interval),
     ):
         widths = ", ".join(f"{1e3 * width:.2g}" for width in interval)
-        lines.append(f"{title}     {_vector(place, 5)} m in the {where}, ± ({widths}) mm")
+        lines.append(f"{title}     {format_vector(place, 5)} m in the {where}, ± ({widths}) mm")
     if found.axis is not None:
         lines.append("          Any point on this axis is equally valid.")
     lines.append(f"Residual  {1e3 * found.rms:.2g} mm RMS")
     if found.axis is None:
         sentence = f"{np.degrees(found.turned):.2g} deg RMS in the direction of the least tilt"
         if found.turned < _WEAK:
-            sentence += f". Tilt farther: the tip is uncertain along {_vector(found.weakest, 3)} in the body"
+            sentence += (
+                f". Tilt farther: the tip is uncertain along {format_vector(found.weakest, 3)} in the body"
+            )
         lines.append(f"Tilt      {sentence}")
     else:
         lines.append(f"Turn      {np.degrees(found.turned):.2g} deg RMS about the axis")
@@ -93,10 +95,6 @@ def _residuals(found: Calibration, numbers: np.ndarray, word: str) -> list[str]:
         mark = "" if found.used[row] else "  left out"
         lines.append(f"  {word} {numbers[row]:<6} {1e3 * found.residuals[row]:8.2f} mm{angle}{mark}")
     return lines
-
-
-def _vector(vector: np.ndarray, digits: int) -> str:
-    return "(" + ", ".join(f"{x:.{digits}f}" for x in np.round(vector, digits) + 0.0) + ")"
 
 
 def calibration_to_record(found: Calibration, recording: Recording) -> dict[str, Any]:

@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from reframe_jax.export.common import TYPES, Window, axes_of
+from reframe_jax.export.common import TYPES, Window
+from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
+from reframe_jax.storage.codecs import PARQUET
 
 if TYPE_CHECKING:
     import pandas
@@ -102,12 +104,8 @@ def write_csv(path: Path, tables: Sequence[Columns]) -> None:
 
 def write_parquet(path: Path, tables: Sequence[Columns]) -> None:
     """Append tables with the same columns and write them as one Parquet file."""
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError as error:
-        raise ImportError("Parquet needs pyarrow: pip install 'reframe-jax[parquet]'") from error
-    pyarrow.parquet.write_table(pyarrow.concat_tables([pyarrow.table(table) for table in tables]), path)
+    arrow = PARQUET.library()
+    arrow.parquet.write_table(arrow.concat_tables([arrow.table(table) for table in tables]), path)
 
 
 def _spans(windows: Sequence[Window] | None, number: int) -> Columns:
@@ -125,7 +123,7 @@ def _frame_columns(group: str, frame: Any, failed: np.ndarray) -> Columns:
     """Columns of the angular or linear frame: type, ties, axes, degrees of freedom, velocities, origin."""
     kinds: Any = TYPES[group]
     codes = [int(code) for code in frame.type_code]
-    axes = np.asarray(axes_of(frame.rotvec), float)
+    axes = np.asarray(rotation_exp(frame.rotvec), float)
     columns = {
         "type": _texts(["" if bad else str(kinds(code)) for bad, code in zip(failed, codes, strict=True)]),
         "tied": _texts([" ".join(str(kind) for kind in kinds if row[kind]) for row in frame.tied]),

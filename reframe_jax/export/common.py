@@ -4,11 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import jax
 import numpy as np
 
 from reframe_jax.constraints.types import AngularType, LinearType
-from reframe_jax.geometry import rotations
 from reframe_jax.identification.results import Identification
 from reframe_jax.recordings.recording import LeftOut, Recording
 
@@ -35,14 +33,17 @@ def split_windows(host: Identification) -> list[Identification]:
     return [host[index] for index in np.ndindex(np.shape(host.status_code))]
 
 
-axes_of = jax.jit(rotations.rotation_exp)  # one compilation instead of one for each of forty operations
-
-
 def directions(projector: np.ndarray) -> list[np.ndarray]:
     """Unit vectors that span the range of a projector, with the largest component positive."""
     values, vectors = np.linalg.eigh(projector)
     spanning = [vector for value, vector in zip(values, vectors.T, strict=True) if value > 0.5]
     return [vector * np.sign(vector[np.argmax(np.abs(vector))]) for vector in spanning]
+
+
+def format_vector(vector: Any, digits: int, width: int = 0) -> str:
+    """Format a vector with a number of decimals, and a least width of each number."""
+    # adding zero after rounding removes the sign of a negative zero
+    return "(" + ", ".join(f"{np.round(x, digits) + 0.0:{width}.{digits}f}" for x in vector) + ")"
 
 
 def two_digits(value: float) -> str:

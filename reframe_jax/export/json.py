@@ -65,13 +65,13 @@ import numpy as np
 from reframe_jax.export.common import (
     TYPES,
     Window,
-    axes_of,
     directions,
     outlier_samples,
     split_windows,
     tied_names,
     unused_rows,
 )
+from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification.naming import constraint_of, name_of
 from reframe_jax.identification.results import Identification
 from reframe_jax.model.table import ENTRIES
@@ -195,7 +195,7 @@ def _frame_record(frame: Any, kind: int | None = None) -> dict[str, Any]:
     frame = frame if kind is None else jax.tree.map(lambda leaf: leaf[kind], frame)
     numbers = {
         "rotvec": frame.rotvec,
-        "axes": np.asarray(axes_of(frame.rotvec)).T,
+        "axes": np.asarray(rotation_exp(frame.rotvec)).T,
         "dof": frame.dof,
         "rms": frame.rms,
         "norm": frame.norm,

@@ -10,14 +10,15 @@ from reframe_jax.constraints.types import BODY_NAMES, LinearType
 from reframe_jax.export.common import (
     TYPES,
     Window,
-    axes_of,
     directions,
+    format_vector,
     outlier_samples,
     split_windows,
     tied_names,
     two_digits,
     unused_rows,
 )
+from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
 from reframe_jax.recordings.recording import Recording
@@ -62,7 +63,7 @@ def to_table(
         lead = f"{2e3 * np.pi * abs(host.pitch):.4g} mm per turn, {hand}-handed"
         blocks += [f"Pitch   {host.pitch:.4g} m/rad: {lead}", ""]
     if np.all(np.isfinite(host.universal_axes)):
-        ground, body = (_vector(axis, 3) for axis in host.universal_axes)
+        ground, body = (format_vector(axis, 3) for axis in host.universal_axes)
         blocks += [f"Turns   about {ground} in the ground and {body} in the body", ""]
     return "\n".join([*blocks, *_norms_block(host), _noise_line(host, window)])
 
@@ -79,11 +80,6 @@ def rows_to_table(recording: Recording, found: Identification) -> str:
     return "\n".join(lines)
 
 
-def _vector(vector: Any, digits: int, width: int = 0) -> str:
-    # adding zero after rounding removes the sign of a negative zero
-    return "(" + ", ".join(f"{np.round(x, digits) + 0.0:{width}.{digits}f}" for x in vector) + ")"
-
-
 def _frame_block(group: str, frame: Any) -> list[str]:
     kind = TYPES[group](int(frame.type_code))
     others = [name for name in tied_names(group, frame) if name != str(kind)]
@@ -94,16 +90,16 @@ def _frame_block(group: str, frame: Any) -> list[str]:
         lines = [f"Linear frame {kind}: {where} fixed in the {origin_in}{ties}"]
     else:
         lines = [f"Angular frame {kind}: axes fixed in the {BODY_NAMES[kind]}{ties}"]
-    for i, axis in enumerate(np.asarray(axes_of(frame.rotvec)).T):
+    for i, axis in enumerate(np.asarray(rotation_exp(frame.rotvec)).T):
         freedom = "free" if frame.dof[i] else "constrained"
         likely = frame.free_probability[i] if frame.dof[i] else 1 - frame.free_probability[i]
         if likely < _CLEAR:
             freedom += f" ({_probability(likely)})"
         size = f"RMS {_size(frame.amplitude[i], group)}"
         speed = f"{_speed(frame.rms[i]):>8} {_UNITS[group]:5}"
-        lines.append(f"  axis {i + 1}  {_vector(axis, 3, 6)}  {speed}  {freedom}, {size}")
+        lines.append(f"  axis {i + 1}  {format_vector(axis, 3, 6)}  {speed}  {freedom}, {size}")
     if isinstance(kind, LinearType):
-        lines.append(f"  origin  {_vector(frame.position, 4)} m in the {origin_in}")
+        lines.append(f"  origin  {format_vector(frame.position, 4)} m in the {origin_in}")
         lines += _choice_of_position(directions(frame.free_position))
     turns = [i for i in range(3) if frame.free_rotation[i]]
     if len(turns) == 3:
@@ -152,7 +148,7 @@ def _choice_of_position(directions: list[np.ndarray]) -> list[str]:
         return []
     if len(directions) == 3:
         return ["          any position is valid; the one closest to the motion is given"]
-    along = " and ".join(_vector(direction, 3) for direction in directions)
+    along = " and ".join(format_vector(direction, 3) for direction in directions)
     return [f"          not determined along {along}"]
 
 
@@ -213,5 +209,5 @@ def _batch_row(index: int, found: Identification) -> list[str]:
         frame = getattr(found, group)
         kind = str(types(int(frame.type_code)))
         kinds.append("~".join([kind, *(name for name in tied_names(group, frame) if name != kind)]))
-    origin = _vector(found.linear.position, 3, 6)
+    origin = format_vector(found.linear.position, 3, 6)
     return [str(index), found.name, _probability(found.probability), *kinds, origin, status.name]

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.catalogue import describe, lookup
 from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.located import fixed_on_body, frame_arrays, locate_on_host
+from reframe_jax.constraints.located import fixed_on_body, locate_on_host
 from reframe_jax.constraints.types import AxisRelation, distinct_axis, relation_of_cosine
 from reframe_jax.geometry.numpy_rotations import matrices_to_quaternions
 from reframe_jax.identification.results import Identification
@@ -138,7 +138,7 @@ def to_task_frame(
     both = np.array([stiff, soft], float)
     if both.shape != (2, 2) or not ((both >= 0) & np.isfinite(both)).all():
         raise ValueError(f"Expected two stiffnesses that are 0 or more, not {stiff} and {soft}.")
-    located = locate_on_host(frame_arrays(frame), there[None])
+    located = locate_on_host(frame, there[None])
     angular, linear = (np.asarray(axes[0]) for axes in (located.angular_axes, located.linear_axes))
     axes, turns, turned = _common_axes(frame, angular, linear)
     placed = np.eye(4)

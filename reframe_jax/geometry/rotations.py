@@ -10,6 +10,7 @@ Conventions: rotation vectors are axis times angle, in radians; quaternions are 
 """
 
 from collections.abc import Sequence
+from functools import partial
 from math import factorial
 
 import jax
@@ -101,6 +102,7 @@ def vee(matrix: jax.Array) -> jax.Array:
     return jnp.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1)
 
 
+@partial(jax.jit, inline=True)  # one program instead of forty operations
 def rotation_exp(rotvec: jax.Array) -> jax.Array:
     """Convert rotation vectors (..., 3), rad, to rotation matrices (..., 3, 3): the exponential of SO(3)."""
     squared, small, angle = _angle(rotvec)

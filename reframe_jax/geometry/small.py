@@ -11,23 +11,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-__all__ = [
-    "components_first",
-    "components_last",
-    "cross",
-    "diagonalize",
-    "inverse_and_determinant",
-    "invert_symmetric",
-    "largest",
-    "materialize",
-    "normalize",
-    "rotate",
-    "sandwich",
-    "solve_positive",
-    "times",
-    "total",
-]
-
 Array = jax.Array
 T = TypeVar("T")
 _NO_MOMENT = -1.2345678e33  # a number that no array of moments contains

@@ -18,12 +18,6 @@ PACKED = ((0, 1, 2), (1, 3, 4), (2, 4, 5))
 _JACOBI_SWEEPS = 5  # quadratic convergence: in the worst case, 4 sweeps reach float64 rounding
 
 
-def from_matrix(matrix: jax.Array) -> Symmetric:
-    """Return the six components (...): xx, xy, xz, yy, yz, zz, of symmetric matrices (..., 3, 3)."""
-    xx, xy, xz, yy, yz, zz = (matrix[..., i, j] for i, j in INDEX_PAIRS)
-    return xx, xy, xz, yy, yz, zz
-
-
 def to_matrix(s: Symmetric) -> jax.Array:
     """Build symmetric matrices (..., 3, 3) from six arrays (...): xx, xy, xz, yy, yz, zz."""
     rows = [jnp.stack([s[PACKED[i][j]] for j in range(3)], axis=-1) for i in range(3)]

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from reframe_jax.geometry import rotations
 from reframe_jax.geometry.products import apply
 
-__all__ = ["make_pose", "pose_exp", "pose_left_jacobian_inverse", "pose_log"]
+__all__ = ["make_pose", "pose_exp", "pose_left_jacobian_inverse"]
 
 
 def make_pose(rotation: jax.Array, position: jax.Array) -> jax.Array:
@@ -28,12 +28,6 @@ def pose_exp(twist: jax.Array) -> jax.Array:
     """Return the poses (..., 4, 4) after 1 s of constant twists (..., 6): the exponential of SE(3)."""
     w, v = twist[..., :3], twist[..., 3:]
     return make_pose(rotations.rotation_exp(w), apply(rotations.left_jacobian(w), v))
-
-
-def pose_log(pose: jax.Array) -> jax.Array:
-    """Invert :func:`pose_exp`: vectors (..., 6), rad and m, of poses (..., 4, 4); the logarithm of SE(3)."""
-    w = rotations.rotation_log(pose[..., :3, :3])
-    return jnp.concatenate([w, apply(rotations.left_jacobian_inverse(w), pose[..., :3, 3])], axis=-1)
 
 
 def pose_left_jacobian_inverse(twist: jax.Array) -> jax.Array:

@@ -6,6 +6,7 @@ T(q) = M_1(q_1) M_2(q_2) ... T_home, a product of exponentials.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import permutations
 from typing import Literal
 
 import numpy as np
@@ -19,6 +20,7 @@ _CONVERGED = 1e-9  # rad or m, step size below which the iteration stops
 _DAMPING = 1e-12  # added to the diagonal of the normal equations, which are singular at gimbal lock
 _CHUNK = 16384  # poses per chunk; limits the memory
 _SMALL = 1e-6  # rad or m, step of the finite differences
+_LOCKED = np.radians(80.0)  # largest angle of the second of three hinges; at 90 degrees two axes coincide
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,3 +167,33 @@ def _residuals(
     model = chain_poses(parts, home, coordinates)
     turn = poses[:, :3, :3].swapaxes(-1, -2) @ model[:, :3, :3]
     return np.concatenate([length / 2 * skew_vectors(turn), model[:, :3, 3] - poses[:, :3, 3]], axis=-1)
+
+
+def ball_hinges(point: np.ndarray, vectors: np.ndarray) -> tuple[JointPart, ...]:
+    """Return three hinges that reproduce the rotation vectors (K, 3), rad, of a ball joint.
+
+    The axes are perpendicular where all angles are zero. They are the principal axes of the recorded rotation
+    vectors, in the order that keeps the second hinge farthest from gimbal lock. If the second hinge comes
+    near gimbal lock, there are none.
+    """
+    turns = rotation_matrices(vectors)
+    main = np.linalg.eigh(vectors.T @ vectors)[1].T
+    bases = [main[list(order)] for order in permutations(range(3))]
+    for basis in bases:
+        basis[2] = np.cross(basis[0], basis[1])
+    # angle of the second hinge: the third axis leaves the plane normal to the first by this angle
+    leaning = [np.abs(turns @ basis[2] @ basis[0]).max() for basis in bases]
+    best = int(np.argmin(leaning))
+    if leaning[best] > np.sin(_LOCKED):
+        return ()
+    basis = bases[best]
+    turned = basis @ turns @ basis.T
+    angles = (
+        np.arctan2(-turned[:, 1, 2], turned[:, 2, 2]),
+        np.arcsin(np.clip(turned[:, 0, 2], -1, 1)),
+        np.arctan2(-turned[:, 0, 1], turned[:, 0, 0]),
+    )
+    return tuple(
+        JointPart("hinge", axis, point, float(seen.min()), float(seen.max()))
+        for axis, seen in zip(basis, map(np.unwrap, angles), strict=True)
+    )

@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.catalogue import describe, lookup
 from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.joints.cardan import ball_hinges
-from reframe_jax.joints.chain import JointPart, chain_coordinates, chain_poses
+from reframe_jax.joints.chain import JointPart, ball_hinges, chain_coordinates, chain_poses
 from reframe_jax.joints.joint import Joint, JointType
 from reframe_jax.joints.plans import Geometry, Plan, frame_geometry, joint_plans, only_velocities, relate_axes
 
@@ -88,14 +87,12 @@ def fit_joint(
             )
     names = {"name": _name(geometry), "parent": parent, "child": child, "length": length}
     joints = [_fit(geometry, plan, names) for plan in joint_plans(geometry)]
-    return min(joints, key=lambda joint: joint.position_error)
+    return min(joints, key=lambda joint: joint.position_error, default=_without_chain(geometry, names))
 
 
 def _fit(geometry: Geometry, plan: Plan, names: dict[str, Any]) -> Joint:
     """Fit the chain of a plan; ``names`` are the fields of the joint that the fit does not change."""
     poses, home, length = geometry.poses, geometry.poses[0], names["length"]
-    if not plan.is_chain:
-        return _without_chain(geometry, plan.type, names)
     some = poses[:: max(1, len(poses) // _AVERAGED)]
     for _ in range(_ROUNDS):
         parts = _parts(geometry, plan, home)
@@ -106,7 +103,7 @@ def _fit(geometry: Geometry, plan: Plan, names: dict[str, Any]) -> Joint:
     model = chain_poses(parts, home, coordinates)
     rotation_error = _rms(_angles(model[:, :3, :3], poses[:, :3, :3]))
     if plan.second is not None and rotation_error > _UNIVERSAL:
-        return _without_chain(geometry, "general", names)
+        return _without_chain(geometry, names)
     parts = _with_ranges(parts, coordinates)
     turning = [part for part in parts if part.kind != "slide"]
     full_turn = plan.type == "revolute" and parts[0].high - parts[0].low >= 2 * np.pi
@@ -125,13 +122,15 @@ def _fit(geometry: Geometry, plan: Plan, names: dict[str, Any]) -> Joint:
     )
 
 
-def _without_chain(geometry: Geometry, kind: JointType, names: dict[str, Any]) -> Joint:
+def _without_chain(geometry: Geometry, names: dict[str, Any]) -> Joint:
     """A joint without coordinates: the child is free, or no chain reproduces the constraint."""
     why = (
         "No chain of hinges, slides and balls makes this constraint: like a wheel, it restricts velocities "
         "only, and every pose can be reached. Simulate the contact."
     )
-    if kind == "floating":
+    kind: JointType = "general"
+    if len(geometry.turning) == len(geometry.sliding) == 3:
+        kind = "floating"
         why = "There is no constraint: the pose is free."
     elif len(geometry.turning) == 2 and not only_velocities(geometry):
         why = (

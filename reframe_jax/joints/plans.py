@@ -9,7 +9,8 @@ from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import fixed_on_body
 from reframe_jax.constraints.types import AxisRelation, LinearType, distinct_axis, relation_of_cosine
 from reframe_jax.joints.joint import JointType
-from reframe_jax.joints.universal import universal_axes
+
+_STARTS, _STEPS = 8, 40  # of the search for the axes of a universal joint
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,6 @@ class Plan:
 
     Attributes:
         type: type of the joint.
-        is_chain: False if every pose can be reached, or if two hinges do not fit the rotations.
         turns_first: whether the rotating parts precede the slides in the chain.
         axis: (3,) in the ground, direction of the hinge, or of the first of two hinges; None for a ball.
         second: (3,) in the child, direction of the second hinge.
@@ -75,7 +75,6 @@ class Plan:
     """
 
     type: JointType
-    is_chain: bool = True
     turns_first: bool = False
     axis: np.ndarray | None = None
     second: np.ndarray | None = None
@@ -106,7 +105,7 @@ def relate_axes(geometry: Geometry) -> AxisRelation | None:
 
 
 def joint_plans(geometry: Geometry) -> list[Plan]:
-    """Chains to fit to the poses; the chain with the best fit becomes the joint."""
+    """Chains to fit to the poses; the best fit becomes the joint. Empty if every pose can be reached."""
     turns, slides = len(geometry.turning), len(geometry.sliding)
     # slides come after the rotations if their axes are fixed in {b} and the origin is fixed in {g}
     last = slides in (1, 2) and geometry.frame.linear_type == LinearType.BG
@@ -117,10 +116,8 @@ def joint_plans(geometry: Geometry) -> list[Plan]:
         return _hinge_plans(geometry, last)
     if geometry.universal is not None:
         return [Plan("universal", axis=geometry.universal[0], second=geometry.universal[1])]
-    if slides == 3 and turns == 3:
-        return [Plan("floating", is_chain=False)]
-    if only_velocities(geometry):  # combinations of the free motions reach every pose
-        return [Plan("general", is_chain=False)]
+    if (slides == 3 and turns == 3) or only_velocities(geometry):
+        return []  # combinations of the free motions reach every pose
     if turns == 3:
         return [Plan("general" if slides else "spherical", turns_first=last)]
     normal = geometry.in_ground(np.cross(*geometry.turning), geometry.angular_on_body)
@@ -155,3 +152,31 @@ def only_velocities(geometry: Geometry) -> bool:
     """
     some = len(geometry.sliding) in (1, 2)
     return some and geometry.frame.linear_type in (LinearType.BB, LinearType.GG)
+
+
+def universal_axes(rotations: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pair of axes (3,), one in each body, whose mutual angle varies least over the motion.
+
+    A constraint frame has its constrained rotation axis fixed in one body. In a universal joint, the
+    direction of the constrained rotation is perpendicular to both joint axes and fixed in neither body. This
+    function therefore estimates the joint axes: for an axis a of the ground and an axis b of the body, a^T
+    R(k) b is constant over the rotations (K, 3, 3). ``normal`` (3,) is the direction of the constrained
+    rotation in the ground at the mean pose.
+    """
+    moved = rotations - rotations.mean(axis=0)
+    across = np.linalg.svd(normal[None])[2][1:]
+    best = np.inf, np.zeros(3), np.zeros(3)
+    for angle in np.arange(_STARTS) * np.pi / _STARTS:
+        first = np.cos(angle) * across[0] + np.sin(angle) * across[1]
+        for _ in range(_STEPS):
+            _, second = _least_projection_axis(np.einsum("i,kij->kj", first, moved))
+            change, first = _least_projection_axis(moved @ second)
+        if change < best[0]:
+            best = change, first, second
+    return best[1], best[2]
+
+
+def _least_projection_axis(rows: np.ndarray) -> tuple[float, np.ndarray]:
+    """The unit vector (3,) on which rows (K, 3) have the smallest projections, and their sum of squares."""
+    values, vectors = np.linalg.eigh(rows.T @ rows)
+    return float(values[0]), vectors[:, 0]

@@ -1,4 +1,4 @@
-"""Pictures of identifications, segmentations and error bars.
+"""Pictures of identifications and segmentations.
 
 Needs Matplotlib: ``pip install "reframe-jax[plot]"``. Every function returns a new figure that is not
 registered with ``pyplot``: display the figure in a notebook, or call ``figure.savefig(...)``.
@@ -6,10 +6,8 @@ registered with ``pyplot``: display the figure in a notebook, or call ``figure.s
 
 from reframe_jax.plotting.identification import plot_identification
 from reframe_jax.plotting.segmentation import plot_segmentation
-from reframe_jax.plotting.uncertainty import plot_uncertainty
 
 __all__ = [
     "plot_identification",
     "plot_segmentation",
-    "plot_uncertainty",
 ]

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.constraints.located import frame_arrays, locate_on_host
-from reframe_jax.plotting.scene import draw_frame, draw_legend, segment, set_limits
+from reframe_jax.constraints.located import locate_on_host
+from reframe_jax.plotting.scene import draw_frame, draw_legend, segment, set_limits, turning_axes
 from reframe_jax.plotting.style import BODY, CONSTRAINED, FONT, FREE, new_figure
 from reframe_jax.simulation.arm.demonstration import Demonstration
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, link_poses
@@ -103,10 +103,9 @@ def _joint_points(joints: np.ndarray, arm: Arm) -> np.ndarray:
 def _draw_scene(axes: "Axes3D", made: Demonstration, arm: Arm) -> None:
     truth, shown = made.truth, [0, len(made.times) // 2, len(made.times) - 1]
     path = np.asarray(made.exact_poses)[:, :3, 3]
-    frame = frame_arrays(jax.tree.map(jnp.asarray, truth))
-    located = locate_on_host(frame, np.asarray(made.exact_poses)[shown])
+    located = locate_on_host(truth, np.asarray(made.exact_poses)[shown])
     triads, rotation_axes = np.asarray(located.linear_axes), np.asarray(located.angular_axes)
-    turns = np.array(truth.angular_dof, bool) & (sum(truth.angular_dof) < 3)
+    turns = turning_axes(truth.angular_dof)
     extent = [path, path[shown] + located.lever]
     for row, (index, alpha) in enumerate(zip(shown, (0.25, 0.5, 1.0), strict=True)):
         points, origin = _joint_points(np.asarray(made.joint_positions[index]), arm), extent[1][row]

@@ -11,14 +11,12 @@ from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.results import AngularFrame, Identification, LinearFrame
 from reframe_jax.identification.velocities import frame_velocities
 from reframe_jax.motion.kinematics import Discretization
-from reframe_jax.plotting.scene import check_window, draw_space
+from reframe_jax.plotting.scene import draw_space
 from reframe_jax.plotting.style import FONT, LEGEND_ABOVE, NOT_READ, OUTLIERS, axis_colours, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-__all__ = ["plot_identification"]
 
 
 def plot_identification(
@@ -58,7 +56,11 @@ def plot_identification(
     """
     figure = new_figure(10, 7.2)
     figure.set_layout_engine("none")
-    host = check_window(found)
+    if np.shape(found.status_code):
+        raise ValueError("A batch has several frames: index one window first, found[i].")
+    if found.status.failed:
+        raise ValueError(f"There is nothing to draw: {found.status.message}")
+    host = jax.device_get(found)
     poses, times = np.asarray(poses), np.asarray(times)
     steps = jnp.asarray(np.diff(times))
     velocities = frame_velocities(jnp.asarray(poses), steps, found, discretization)

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["plot_segmentation", "segment_velocities"]
-
 _AT_REST = "#DDDDDD"
 _STEPS = 8  # velocities are differences over the motion time divided by this number
 

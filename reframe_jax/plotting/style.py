@@ -5,20 +5,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = [
-    "BODY",
-    "CONSTRAINED",
-    "FONT",
-    "FREE",
-    "LEGEND_ABOVE",
-    "LINES",
-    "NOT_READ",
-    "OUTLIERS",
-    "TURNING",
-    "axis_colours",
-    "new_figure",
-]
-
 # colours of Okabe & Ito, safe for colour-blind readers; the first axis of each group is darkest
 FREE = ("#0072B2", "#56B4E9", "#00415F")
 CONSTRAINED = ("#D55E00", "#E69F00", "#7F3800")

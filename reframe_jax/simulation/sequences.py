@@ -11,11 +11,12 @@ from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import place_frame
 from reframe_jax.geometry import rotations
 from reframe_jax.simulation.motions import PoseErrors, disturb
-from reframe_jax.simulation.synthetic import Excitation, simulate
+from reframe_jax.simulation.synthetic import simulate
 
 __all__ = ["SequenceSimulation", "each_duration", "simulate_sequence"]
 
 _REACH = 0.3  # m, half the width of the cube about the body in which origins of frames are drawn
+_EASE = 0.25  # s, duration of the start and of the end of each motion
 _NO_ERRORS = PoseErrors()
 
 
@@ -46,8 +47,6 @@ def simulate_sequence(
     *,
     durations: float | Sequence[float] = 5.0,
     dt: float = 0.01,
-    excitation: str | Excitation = "exciting",
-    ease: float = 0.25,
     errors: PoseErrors = _NO_ERRORS,
 ) -> SequenceSimulation:
     """Simulate a body that moves under several consecutive constraints.
@@ -61,8 +60,6 @@ def simulate_sequence(
         key: JAX random key of the geometry, the motions and the errors.
         durations: s, one duration for all constraints, or one per constraint.
         dt: sample time, s.
-        excitation: as in :func:`reframe_jax.simulation.synthetic.simulate`.
-        ease: s, duration of the start and of the end of each motion; 0 gives sudden changes of velocity.
         errors: errors of the tracker; none by default.
 
     Raises:
@@ -76,9 +73,7 @@ def simulate_sequence(
     for constraint, duration, own_key in zip(constraints, each, keys, strict=True):
         place_key, motion_key = jax.random.split(own_key)
         frame = _place(constraint, place_key, pose) if isinstance(constraint, str) else constraint
-        moved = simulate(
-            frame, motion_key, duration=duration, dt=dt, excitation=excitation, ease=ease, start=pose
-        ).exact_poses
+        moved = simulate(frame, motion_key, duration=duration, dt=dt, ease=_EASE, start=pose).exact_poses
         pose = moved[-1]
         pieces.append(moved[1:])
         truths.append(frame)

@@ -11,8 +11,6 @@ from reframe_jax.viewer.tracks import FrameTrack, WindowTrack
 if TYPE_CHECKING:
     import viser
 
-__all__ = ["LEGEND", "Drawing", "scene_box"]
-
 _DASHES = 7  # dashes per constrained axis
 _MAX_POINTS = 2000  # most points of a path
 _DEVIATIONS = 2.0  # standard deviations of the ellipsoid
@@ -183,7 +181,7 @@ class Drawing:
         origin = frame.origins[sample]
         _move(self._moving["linear"], origin, frame.linear_axes[sample])
         _move(self._moving["angular"], origin, frame.angular_axes[sample])
-        _move(self._moving["spread"], origin, frame.spread_axes[sample])
+        _move(self._moving["spread"], origin, np.eye(3) if frame.in_body is None else pose[:3, :3])
 
 
 def _round_down(length: float) -> float:

@@ -16,8 +16,6 @@ from reframe_jax.viewer.tracks import WindowTrack
 if TYPE_CHECKING:
     import viser
 
-__all__ = ["Page", "close_server", "legend_html", "open_server", "serve_page", "velocity_series"]
-
 _HOST = "127.0.0.1"
 _TICK = 0.05  # s between two poses during playback
 _VIEW = np.array([0.6, -0.88, 0.52])  # position of the camera relative to the centre, in scene sizes

@@ -7,14 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.constraints.located import frame_arrays, locate_on_host
+from reframe_jax.constraints.located import locate_on_host
 from reframe_jax.constraints.types import AngularType, LinearType
 from reframe_jax.export.table import to_table
 from reframe_jax.identification.results import Identification
 from reframe_jax.identification.velocities import frame_velocities
-from reframe_jax.motion.kinematics import Discretization
-
-__all__ = ["FrameTrack", "WindowTrack", "track_window"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +27,6 @@ class FrameTrack:
         angular_free: (3,) bool, whether each angular axis is free.
         spread: (3, 3) m, square root of the covariance of the origin, in the body that the origin is fixed
             in; None if unknown.
-        spread_axes: (K+1, 3, 3), columns are the axes of this body.
         velocities: (K, 6) rad/s along the angular axes, then m/s along the linear axes; NaN where undefined.
     """
 
@@ -41,7 +37,6 @@ class FrameTrack:
     linear_free: np.ndarray
     angular_free: np.ndarray
     spread: np.ndarray | None
-    spread_axes: np.ndarray
     velocities: np.ndarray
 
 
@@ -73,7 +68,6 @@ def track_window(
     times: ArrayLike,
     found: Identification,
     *,
-    discretization: Discretization = "chord",
     covariance: ArrayLike | None = None,
 ) -> WindowTrack:
     """Compute the data of the page for a window.
@@ -82,7 +76,6 @@ def track_window(
         poses: (K+1, 4, 4), m.
         times: (K+1,) s.
         found: identification of these poses.
-        discretization: the discretization of the identification.
         covariance: (3, 3) m^2, covariance of the linear frame's origin, in the body that the origin is fixed
             in. It is drawn as an ellipsoid; by default, no ellipsoid is drawn.
 
@@ -102,7 +95,7 @@ def track_window(
     counted = np.asarray(host.counted, bool)
     if host.status.failed:
         return WindowTrack(host.name, host.name, instants, places, counted, None, instants[:0])
-    along = frame_velocities(jnp.asarray(places), jnp.asarray(np.diff(instants)), found, discretization)
+    along = frame_velocities(jnp.asarray(places), jnp.asarray(np.diff(instants)), found)
     velocities = np.concatenate(jax.device_get(along), axis=-1)
     middle = (instants[1:] + instants[:-1]) / 2
     frame = _track_frame(host, places, spread, velocities)
@@ -112,9 +105,7 @@ def track_window(
 def _track_frame(
     found: Identification, poses: np.ndarray, spread: np.ndarray | None, velocities: np.ndarray
 ) -> FrameTrack:
-    with jax.enable_x64(True):
-        frame = frame_arrays(found.constraint_frame)
-    located = locate_on_host(frame, poses)
+    located = locate_on_host(found.constraint_frame, poses)
     on_body = LinearType(int(found.linear.type_code)).position_body == AngularType.B
     return FrameTrack(
         origins=poses[:, :3, 3] + located.lever,
@@ -124,7 +115,6 @@ def _track_frame(
         linear_free=np.asarray(found.linear.dof, bool),
         angular_free=np.asarray(found.angular.dof, bool),
         spread=spread,
-        spread_axes=poses[:, :3, :3] if on_body else np.tile(np.eye(3), (len(poses), 1, 1)),
         velocities=velocities,
     )
 

@@ -20,17 +20,22 @@ except (ImportError, AttributeError, RuntimeError, OSError) as error:
 
 from reframe_jax.simulation.arm.collection import (
     demonstrations,
-    load_demonstrations,
     store_demonstrations,
     stored_demonstrations,
 )
-from reframe_jax.simulation.arm.demonstration import SPREAD, Demonstration, demonstrate, frame_on_arm
+from reframe_jax.simulation.arm.demonstration import (
+    SPREAD,
+    Demonstration,
+    SequenceDemonstration,
+    demonstrate,
+    demonstrate_sequence,
+    frame_on_arm,
+)
 from reframe_jax.simulation.arm.dynamics import Motion, arm_motion
-from reframe_jax.simulation.arm.guide import EXCITATIONS, Guide
+from reframe_jax.simulation.arm.guide import EXCITATIONS
 from reframe_jax.simulation.arm.imperfections import ENCODER_GRADE, MATCHED, REALISTIC, Imperfections
 from reframe_jax.simulation.arm.model import FR3, PANDA, ROBOTS, Arm, forward_kinematics
 from reframe_jax.simulation.arm.rollout import RolloutStatus
-from reframe_jax.simulation.arm.sequences import SequenceDemonstration, demonstrate_sequence
 
 __all__ = [
     "ENCODER_GRADE",
@@ -43,7 +48,6 @@ __all__ = [
     "SPREAD",
     "Arm",
     "Demonstration",
-    "Guide",
     "Imperfections",
     "Motion",
     "RolloutStatus",
@@ -54,7 +58,6 @@ __all__ = [
     "demonstrations",
     "forward_kinematics",
     "frame_on_arm",
-    "load_demonstrations",
     "store_demonstrations",
     "stored_demonstrations",
 ]

@@ -1,7 +1,6 @@
 """Collect any number of feasible demonstrations, in memory or on disk; an interrupted run can resume."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar, Unpack
 
@@ -119,8 +118,8 @@ def store_demonstrations(
 
     Repeat the call with the same or a larger ``count`` to add missing demonstrations. The chunk size limits
     the memory: each part has the usable demonstrations of one chunk. Read them with
-    :func:`load_demonstrations`, or part by part with :func:`stored_demonstrations`. Arguments as for
-    :func:`reframe_jax.simulation.arm.demonstrations`; ``progress=True`` shows a bar on standard error.
+    :func:`stored_demonstrations`. Arguments as for :func:`reframe_jax.simulation.arm.demonstrations`;
+    ``progress=True`` shows a bar on standard error.
 
     Raises:
         ValueError: if the folder contains other data, demonstrations with other options, or a damaged part;
@@ -172,13 +171,6 @@ def _from_arrays(part: dict[str, Any]) -> Demonstration:
     truth |= {name: kind[str(truth[name])] for name, kind in _TYPES.items()}
     truth |= {name: tuple(truth[name].tolist()) for name in ("angular_dof", "linear_dof")}
     return Demonstration(truth=ConstraintFrame(**truth), **part)
-
-
-def load_demonstrations(folder: str | Path) -> Demonstration:
-    """Load all demonstrations of a folder, which may exceed ``count``, as one batch of arrays."""
-    parts = list(stored_demonstrations(folder))
-    made: Demonstration = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
-    return replace(made, times=parts[0].times)
 
 
 def _describe_run(

@@ -1,7 +1,9 @@
-"""Simulate batches of demonstrations: a hand guides the arm under a constraint."""
+"""Simulate batches of demonstrations: a hand guides the arm under one or several constraints."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, TypedDict
 
 import jax
@@ -13,18 +15,20 @@ from reframe_jax.compilation import index_leaves
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import frame_arrays, move_frame, place_frame
 from reframe_jax.geometry import rotations
-from reframe_jax.simulation.arm.guide import EXCITATIONS, Guide
-from reframe_jax.simulation.arm.guided import Plan, demonstration_keys, record, run_guided
-from reframe_jax.simulation.arm.imperfections import Imperfections, check_numbers, compliance_of
+from reframe_jax.simulation.arm.guide import EXCITATIONS
+from reframe_jax.simulation.arm.guided import demonstration_keys, impact_velocity, record, run_guided
+from reframe_jax.simulation.arm.imperfections import Imperfections, check_imperfections, compliance_of
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
-from reframe_jax.simulation.arm.rollout import RolloutStatus, Steps, Track, rollout_status
+from reframe_jax.simulation.arm.rollout import Steps, rollout_status
+from reframe_jax.simulation.sequences import each_duration
 from reframe_jax.simulation.synthetic import Excitation
 
 SPREAD = (0.4, 0.02)
 """rad and m, standard deviations per component of a random geometry."""
 
 _ORIGIN = (0.05, 0.02, -0.12)  # m, from the TCP to the origin of a named constraint, in the axes of the base
-_LONGEST = 0.01  # s, longest step at which the simulation keeps the constraint
+_LONGEST = 0.01  # s, longest step at which the simulation keeps the constraint; its error is a few um
+_SETTLE = 0.4  # s, time that the tool needs to come to rest after the hand
 
 
 class DemonstrateOptions(TypedDict, total=False):
@@ -32,10 +36,8 @@ class DemonstrateOptions(TypedDict, total=False):
 
     duration: float
     dt: float
-    step: float | None
     excitation: str | Excitation
     spread: tuple[float, float]
-    guide: Guide
     imperfections: Imperfections
     arm: str | Arm
     start: ArrayLike | None
@@ -57,8 +59,7 @@ class Demonstration:
             forces along the linear axes at the frame's origin; zero along free axes.
         slip: (N, K+1, 6) rad and m, displacement along the axes of the frame, the integral of the velocity.
             Along constrained axes, the slip is the violation of the constraint; see ``violation``.
-        limit_margin: (N,) rad, smallest distance of a joint from the end of its range.
-        status_code: (N,) int, code of ``status``.
+        status_code: (N,) int, a :class:`RolloutStatus`.
     """
 
     times: jax.Array
@@ -69,7 +70,6 @@ class Demonstration:
     truth: ConstraintFrame
     reaction: jax.Array
     slip: jax.Array
-    limit_margin: jax.Array
     status_code: jax.Array
 
     def __getitem__(self, index: int | slice | np.ndarray | jax.Array) -> "Demonstration":
@@ -85,12 +85,48 @@ class Demonstration:
         held = jnp.where(jnp.broadcast_to(free, held.shape), 0, held)
         return jnp.stack([jnp.max(held[..., :3], axis=-1), jnp.max(held[..., 3:], axis=-1)], axis=-1)
 
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class SequenceDemonstration:
+    """A batch of demonstrations of a task with several constraints; slice it like an array.
+
+    Attributes:
+        times: (K+1,) s, times of the whole task.
+        poses: (N, K+1, 4, 4) m, recorded poses of {b} in {g}, with the errors of the robot.
+        exact_poses: (N, K+1, 4, 4) m, the true poses.
+        joint_positions: (N, K+1, 7) rad.
+        stages: one demonstration per constraint. The first pose of a stage equals the last pose of the
+            previous stage. The ``times`` of each stage start at 0.
+    """
+
+    times: jax.Array
+    poses: jax.Array
+    exact_poses: jax.Array
+    joint_positions: jax.Array
+    stages: tuple[Demonstration, ...]
+
+    def __getitem__(self, index: int | slice | np.ndarray | jax.Array) -> "SequenceDemonstration":
+        """Select demonstrations; a single index removes the batch axis."""
+        stages = tuple(stage[index] for stage in self.stages)
+        arrays = self.poses[index], self.exact_poses[index], self.joint_positions[index]
+        return SequenceDemonstration(self.times, *arrays, stages)
+
     @property
-    def status(self) -> Any:
-        """:class:`RolloutStatus` of a single demonstration; integer codes of a batch."""
-        if np.ndim(self.status_code) or isinstance(self.status_code, jax.core.Tracer):
-            return self.status_code
-        return RolloutStatus(int(self.status_code))
+    def boundaries(self) -> tuple[int, ...]:
+        """Index of the first pose of each stage after the first; this pose obeys both constraints."""
+        ends = np.cumsum([len(stage.times) - 1 for stage in self.stages])
+        return tuple(int(end) for end in ends[:-1])
+
+    @property
+    def truths(self) -> tuple[ConstraintFrame, ...]:
+        """The true constraint of each stage."""
+        return tuple(stage.truth for stage in self.stages)
+
+    @property
+    def status_code(self) -> jax.Array:
+        """(N,) int, the worst :class:`RolloutStatus` of all stages."""
+        return jnp.max(jnp.stack([stage.status_code for stage in self.stages]), axis=0)
 
 
 def frame_on_arm(
@@ -130,10 +166,8 @@ def demonstrate(
     first: int = 0,
     duration: float = 5.0,
     dt: float = 0.05,
-    step: float | None = None,
     excitation: str | Excitation = "exciting",
     spread: tuple[float, float] = (0.0, 0.0),
-    guide: Guide = Guide(),  # noqa: B008
     imperfections: Imperfections = Imperfections(),  # noqa: B008
     arm: str | Arm = PANDA,
     start: ArrayLike | None = None,
@@ -141,8 +175,8 @@ def demonstrate(
     """Simulate a hand that guides the arm under a constraint.
 
     The function works under ``jit`` (with static shapes and names). It also works under ``grad`` with respect
-    to the geometry of the constraint and the guide. One compiled program serves all constraints. For a given
-    key, demonstration i is the same in every batch, up to rounding errors.
+    to the geometry of the constraint. One compiled program serves all constraints. For a given key,
+    demonstration i is the same in every batch, up to rounding errors.
 
     Args:
         constraint: label or name of one of the twelve constraints of the paper, placed by
@@ -152,14 +186,11 @@ def demonstrate(
         batch: number N of demonstrations.
         first: number of the first demonstration, to continue an earlier batch.
         duration: s.
-        dt: s, time between recorded samples.
-        step: s, time step of the simulation, which must divide ``dt``. The default is the longest step up to
-            0.01 s; the error of a rigid constraint is then a few um.
+        dt: s, time between recorded samples. The steps of the simulation divide it, and are at most 0.01 s.
         excitation: motion along the free axes: ``"exciting"``, ``"brisk"``, ``"paper"``, or a function of
             time that returns angular and linear velocities (3,), in rad/s and m/s.
         spread: rad and m, standard deviations of a random rotation and shift of the geometry of each
             demonstration, for example :data:`SPREAD`.
-        guide: stiffness, misalignment and tremor of the hand.
         imperfections: errors of the robot and its sensors.
         arm: ``"panda"``, ``"fr3"``, or an arm.
         start: (7,) or (N, 7) rad, initial joint positions, at rest; the arm's home by default.
@@ -171,58 +202,44 @@ def demonstrate(
         KeyError: for an unknown constraint.
         ValueError: for an unknown name, or unusable numbers or shapes.
     """
+    options: dict[str, Any] = {"batch": batch, "first": first, "dt": dt, "excitation": excitation}
+    options |= {"spread": spread, "imperfections": imperfections, "arm": arm, "start": start}
+    return demonstrate_sequence([constraint], key, durations=duration, pause=False, **options).stages[0]
+
+
+def demonstrate_sequence(
+    constraints: Sequence[str | ConstraintFrame],
+    key: jax.Array,
+    *,
+    durations: float | Sequence[float] = 5.0,
+    pause: bool = True,
+    batch: int = 1,
+    first: int = 0,
+    dt: float = 0.05,
+    excitation: str | Excitation = "exciting",
+    spread: tuple[float, float] = (0.0, 0.0),
+    imperfections: Imperfections = Imperfections(),  # noqa: B008
+    arm: str | Arm = PANDA,
+    start: ArrayLike | None = None,
+) -> SequenceDemonstration:
+    """Simulate a hand that guides the arm under several constraints, one after the other.
+
+    Constraints are labels or names of the catalogue, placed near the TCP as in :func:`frame_on_arm`, with
+    "unconstrained" for an approach or a release; or frames, which are used without change. Each constraint
+    becomes active at the last pose of the previous stage. Velocities along its constrained axes then stop, as
+    in an impact with a surface. With ``pause``, the hand comes to rest before each change, and at the end.
+
+    All stages use the program of :func:`demonstrate`, with the number of samples of the longest stage. Its
+    options apply to every stage, with another grip and other phases. ``durations`` (s) is one number, or one
+    per stage.
+
+    Raises:
+        KeyError: for an unknown constraint.
+        ValueError: for an unknown name, unusable numbers or shapes, no constraints, or a wrong number of
+            durations.
+    """
     arm = find_arm(arm)
-    check_demonstration(batch, first, excitation, spread, guide, imperfections, start)
-    steps = sampling(duration, dt, step)
-    frame = frame_on_arm(constraint, arm, start=start)
-    joints = jnp.broadcast_to(arm.start(start, frame.position.dtype), (batch, 7))
-    numbers = jnp.asarray(first + np.arange(batch), dtype=jnp.uint32)
-    frame = scatter(frame, key, numbers, joints, spread, arm)
-    endless, at_rest = jnp.asarray(jnp.inf, dtype=joints.dtype), jnp.zeros_like(joints)
-    options = guide, imperfections
-    plan = Plan(steps, excitation, arm)
-    track = run_guided(frame_arrays(frame), key, numbers, joints, at_rest, endless, *options, plan=plan)
-    poses, exact = record(track.joints, key, numbers, imperfections, arm=arm)
-    times = dt * jnp.arange(steps.samples + 1, dtype=joints.dtype)
-    return assemble(track, frame, times, poses, exact, imperfections, arm)
-
-
-def assemble(
-    track: Track,
-    truth: ConstraintFrame,
-    times: jax.Array,
-    poses: jax.Array,
-    exact: jax.Array,
-    imperfections: Imperfections,
-    arm: Arm,
-) -> Demonstration:
-    """Assemble a batch of demonstrations, and compute their status."""
-    compliance = compliance_of(imperfections, track.joints.dtype)
-    margin, status = rollout_status(track, frame_arrays(truth).free, compliance, arm)
-    return Demonstration(
-        times=times,
-        poses=poses,
-        exact_poses=exact,
-        joint_positions=track.joints,
-        joint_velocities=track.velocity,
-        truth=truth,
-        reaction=track.force,
-        slip=track.slip,
-        limit_margin=margin,
-        status_code=status,
-    )
-
-
-def check_demonstration(
-    batch: int,
-    first: int,
-    excitation: str | Excitation,
-    spread: tuple[float, float],
-    guide: Guide,
-    imperfections: Imperfections,
-    start: ArrayLike | None,
-) -> None:
-    """Raise a ValueError for options that no demonstration can have."""
+    each = each_duration(constraints, durations)
     if not callable(excitation) and excitation not in EXCITATIONS:
         raise ValueError(f"No excitation {excitation!r}. There are: {', '.join(EXCITATIONS)}.")
     if batch < 1:
@@ -231,23 +248,52 @@ def check_demonstration(
         raise ValueError(f"first must be at least 0, not {first}.")
     if np.shape(spread) != (2,):
         raise ValueError(f"spread must be two numbers, rad and m, not {spread!r}.")
-    check_numbers(guide, Guide)
-    check_numbers(imperfections, Imperfections)
+    check_imperfections(imperfections)
     if start is not None and np.shape(start) not in ((7,), (batch, 7)):
         raise ValueError(f"start must have shape (7,) or ({batch}, 7), not {np.shape(start)}.")
+    counts = [sampling(duration, dt).samples for duration in each]
+    options: Any = {"steps": sampling(max(each), dt), "excitation": excitation, "arm": arm}
+    numbers = jnp.asarray(first + np.arange(batch), dtype=jnp.uint32)
+    dtype = constraints[0].position.dtype if isinstance(constraints[0], ConstraintFrame) else float
+    joints = jnp.broadcast_to(arm.start(start, dtype), (batch, 7))
+    velocity, stages = jnp.zeros_like(joints), []
+    for stage, (constraint, count) in enumerate(zip(constraints, counts, strict=True)):
+        own = jax.random.fold_in(key, stage) if stage else key
+        truth = scatter(frame_on_arm(constraint, arm, start=joints), own, numbers, joints, spread, arm)
+        frame = frame_arrays(truth)
+        velocity = impact_velocity(frame, joints, velocity, arm=arm) if stage else velocity
+        end = jnp.asarray(count * dt - _SETTLE if pause else jnp.inf, dtype=dtype)
+        track = run_guided(frame, own, numbers, joints, velocity, end, imperfections, **options)
+        track = jax.tree.map(lambda leaf, stop=count + 1: leaf[:, :stop], track)
+        joints, velocity = track.joints[:, -1], track.velocity[:, -1]
+        stages.append((track, truth))
+    # the common pose of two stages appears once
+    path = jnp.concatenate([track.joints[:, i > 0 :] for i, (track, _) in enumerate(stages)], axis=1)
+    poses, exact = record(path, key, numbers, imperfections, arm=arm)
+    times, compliance = dt * jnp.arange(path.shape[1], dtype=dtype), compliance_of(imperfections, dtype)
+    done = []
+    for (track, truth), (a, b) in zip(stages, pairwise(np.cumsum([0, *counts]).tolist()), strict=True):
+        done.append(
+            Demonstration(
+                times=times[: b - a + 1],
+                poses=poses[:, a : b + 1],
+                exact_poses=exact[:, a : b + 1],
+                joint_positions=track.joints,
+                joint_velocities=track.velocity,
+                truth=truth,
+                reaction=track.force,
+                slip=track.slip,
+                status_code=rollout_status(track, frame_arrays(truth).free, compliance, arm),
+            )
+        )
+    return SequenceDemonstration(times, poses, exact, path, tuple(done))
 
 
-def sampling(duration: float, dt: float, step: float | None) -> Steps:
-    """Divide a duration into samples and steps (s); the default step is the longest that divides ``dt``."""
+def sampling(duration: float, dt: float) -> Steps:
+    """Divide a duration into samples, and the sample time ``dt`` into the longest possible steps, s."""
     if not (0 < dt <= duration < math.inf):
         raise ValueError(f"Expected 0 < dt <= duration; found a dt of {dt:g} s in {duration:g} s.")
-    if step is None:
-        step = dt / math.ceil(dt / _LONGEST - 1e-6)
-    if not (0 < step <= dt):
-        raise ValueError(f"Expected 0 < step <= dt; found a step of {step:g} s and a dt of {dt:g} s.")
-    substeps = round(dt / step)
-    if abs(substeps * step - dt) > 1e-6 * dt:
-        raise ValueError(f"The step of {step:g} s must divide the sample time of {dt:g} s.")
+    substeps = math.ceil(dt / _LONGEST - 1e-6)
     return Steps(round(duration / dt), substeps, dt / substeps)
 
 

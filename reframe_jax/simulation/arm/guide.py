@@ -6,7 +6,6 @@ on the time step of its simulation.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -18,7 +17,6 @@ from reframe_jax.geometry import rotations, transforms
 from reframe_jax.geometry.products import apply, matmul
 from reframe_jax.simulation import synthetic
 from reframe_jax.simulation.arm.dynamics import Motion
-from reframe_jax.simulation.arm.imperfections import as_numbers
 from reframe_jax.simulation.synthetic import Excitation
 
 _RATES = ((1.4, 4.4), (2.4, 5.4), (3.4, 6.4))  # rad/s, by axis; 5 s distinguish these rates
@@ -29,34 +27,14 @@ _ONE_TURN = ((1.4, 4.4), (0.48, 0.48))  # rad/s, rates and amplitudes for a sing
 _BRISK_TURN = ((1.6, 2.5), (0.9, 0.4))
 _DRAWS, _EVEN_OVER = 4, 5.0  # number of phase draws, and the time (s) over which the most even draw is chosen
 _EASE = 0.6  # s, duration of the start of a motion
+_STIFFNESS = (20.0, 400.0)  # N m/rad and N/m, of the spring between hand and tool
+_DAMPING = (2.0, 40.0)  # N m s/rad and N s/m
+_MISALIGNMENT = (
+    0.02,
+    0.003,
+)  # rad and m, standard deviation per component of the error of the grip, constant
+_TREMOR = (0.4, 1.5)  # N m and N, RMS of each component of the shaking moment and force
 _TREMOR_RATES = (7.0, 17.0, 31.0, 47.0)  # rad/s, rates of corrections and of shaking of the hand
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Guide:
-    """Parameters of the hand that holds the tool: numbers, or arrays for differentiation.
-
-    Attributes:
-        stiffness: N/m, stiffness of the spring between hand and tool.
-        angular_stiffness: N m/rad, angular stiffness of this spring.
-        damping: N s/m.
-        angular_damping: N m s/rad.
-        misalignment: m, standard deviation per component of the position error of the grip, which is constant
-            in a demonstration.
-        angular_misalignment: rad, standard deviation per component of the orientation error of the grip.
-        tremor: N, RMS of each component of the shaking force.
-        angular_tremor: N m, RMS of each component of the shaking moment.
-    """
-
-    stiffness: float | jax.Array = 400.0
-    angular_stiffness: float | jax.Array = 20.0
-    damping: float | jax.Array = 40.0
-    angular_damping: float | jax.Array = 2.0
-    misalignment: float | jax.Array = 0.003
-    angular_misalignment: float | jax.Array = 0.02
-    tremor: float | jax.Array = 1.5
-    angular_tremor: float | jax.Array = 0.4
 
 
 def _ease(t: jax.Array) -> jax.Array:
@@ -158,17 +136,18 @@ def stop_at(end: jax.Array, excitation: Excitation) -> Excitation:
 
 
 def guide_drive(
-    guide: Guide, key: jax.Array, frame: Frame, excitation: Excitation, step: float
+    key: jax.Array, frame: Frame, excitation: Excitation, step: float
 ) -> Callable[[jax.Array, jax.Array, Motion, Any], tuple[jax.Array, jax.Array]]:
     """The drive of a demonstration by a random hand; its state is the target pose (4, 4) of the tool."""
     dtype = frame.position.dtype
-    guide = as_numbers(guide, dtype)
+    stiffness, damping, offset, size = (
+        jnp.repeat(jnp.asarray(pair, dtype=dtype), 3)
+        for pair in (_STIFFNESS, _DAMPING, _MISALIGNMENT, _TREMOR)
+    )
     offset_key, phase_key = jax.random.split(key)
-    offset = jnp.stack([guide.angular_misalignment] * 3 + [guide.misalignment] * 3)
     aside = transforms.pose_exp(offset * jax.random.normal(offset_key, (6,), dtype))
     rates = jnp.asarray(_TREMOR_RATES, dtype=dtype)
     phases = jax.random.uniform(phase_key, (6, len(_TREMOR_RATES)), dtype, maxval=2 * jnp.pi)
-    size = jnp.stack([guide.angular_tremor] * 3 + [guide.tremor] * 3)
     size = size * (2 / len(_TREMOR_RATES)) ** 0.5  # scale the sum of sines to the given RMS
 
     def drive(pose: jax.Array, t: jax.Array, motion: Motion, located: Any) -> tuple[jax.Array, jax.Array]:
@@ -177,11 +156,9 @@ def guide_drive(
         twist = ground_twist(locate(frame, rotation, position), wanted)
         goal = matmul(pose, aside)
         apart = matmul(goal[:3, :3], motion.rotation.T)
-        lag = twist - motion.twist
-        moment = guide.angular_stiffness * rotations.vee(apart) + guide.angular_damping * lag[:3]
-        force = guide.stiffness * (goal[:3, 3] - motion.position) + guide.damping * lag[3:]
+        gap = jnp.concatenate([rotations.vee(apart), goal[:3, 3] - motion.position])
         tremor = size * jnp.sum(jnp.sin((rates * t)[None] + phases), axis=-1)
-        wrench = jnp.concatenate([moment, force]) + _ease(t) * tremor
+        wrench = stiffness * gap + damping * (twist - motion.twist) + _ease(t) * tremor
         # in body axes, because the exponential map takes a body twist
         turned = jnp.concatenate([apply(rotation.T, twist[:3]), apply(rotation.T, twist[3:])])
         moved = matmul(pose, transforms.pose_exp(step * turned))

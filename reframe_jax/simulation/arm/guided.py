@@ -1,6 +1,5 @@
 """The compiled programs of a demonstration: a hand guides the arm, and the robot records its poses."""
 
-from dataclasses import dataclass
 from functools import partial
 
 import jax
@@ -9,20 +8,11 @@ import jax.numpy as jnp
 from reframe_jax.constraints.located import Frame, locate, multiply, twist_map
 from reframe_jax.geometry import transforms
 from reframe_jax.simulation.arm.dynamics import arm_motion, solve_positive
-from reframe_jax.simulation.arm.guide import Guide, find_excitation, guide_drive, stop_at
+from reframe_jax.simulation.arm.guide import find_excitation, guide_drive, stop_at
 from reframe_jax.simulation.arm.imperfections import Imperfections, compliance_of, measure
 from reframe_jax.simulation.arm.model import Arm, forward_kinematics
 from reframe_jax.simulation.arm.rollout import AxisLaw, Steps, Track, hold, integrate
 from reframe_jax.simulation.synthetic import Excitation
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Static options of one compiled program."""
-
-    steps: Steps
-    excitation: str | Excitation
-    arm: Arm
 
 
 def demonstration_keys(key: jax.Array, numbers: jax.Array) -> jax.Array:
@@ -30,7 +20,7 @@ def demonstration_keys(key: jax.Array, numbers: jax.Array) -> jax.Array:
     return jax.vmap(lambda number: jax.random.split(jax.random.fold_in(key, number), 4))(numbers)
 
 
-@partial(jax.jit, static_argnames="plan")
+@partial(jax.jit, static_argnames=("steps", "excitation", "arm"))
 def run_guided(
     frame: Frame,
     key: jax.Array,
@@ -38,27 +28,28 @@ def run_guided(
     joints: jax.Array,
     velocity: jax.Array,
     end: jax.Array,
-    guide: Guide,
     imperfections: Imperfections,
     *,
-    plan: Plan,
+    steps: Steps,
+    excitation: str | Excitation,
+    arm: Arm,
 ) -> Track:
     """Simulate N demonstrations with given numbers (N,), with one program for every constraint.
 
     They start at joint positions and velocities (N, 7), rad and rad/s, which obey the constraints. At the
     time ``end`` (s), the hand has come to rest; an infinite time means that the hand keeps moving.
     """
-    step, compliance = plan.steps.length, compliance_of(imperfections, joints.dtype)
+    step, compliance = steps.length, compliance_of(imperfections, joints.dtype)
 
     def simulate_one(frame: Frame, keys: jax.Array, start: jax.Array, velocity: jax.Array) -> Track:
-        excitation = stop_at(end, find_excitation(plan.excitation, keys[1], frame.free))
-        drive = guide_drive(guide, keys[0], frame, excitation, step)
-        pose = transforms.make_pose(*forward_kinematics(start, plan.arm))
+        velocities = stop_at(end, find_excitation(excitation, keys[1], frame.free))
+        drive = guide_drive(keys[0], frame, velocities, step)
+        pose = transforms.make_pose(*forward_kinematics(start, arm))
 
         def law(slipped: jax.Array) -> AxisLaw:
             return hold(frame.free, slipped, step, compliance)
 
-        return integrate(plan.arm, frame, start, drive, pose, law, plan.steps, velocity=velocity)
+        return integrate(arm, frame, start, drive, pose, law, steps, velocity=velocity)
 
     return jax.vmap(simulate_one)(frame, demonstration_keys(key, numbers)[:, 1:3], joints, velocity)
 

@@ -17,19 +17,6 @@ def as_numbers(tree: Any, dtype: Any) -> Any:
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=dtype), tree)
 
 
-def check_numbers(given: Any, kind: type) -> None:
-    """Check that an argument is a dataclass of non-negative numbers; traced values are not checked.
-
-    Raises:
-        ValueError: for another type, or for a negative number or NaN, with the name of the field.
-    """
-    if not isinstance(given, kind):
-        raise ValueError(f"Expected {kind.__name__}(...), not {given!r}.")
-    for name, value in vars(given).items():
-        if not traced(value) and not np.all(np.asarray(value) >= 0):
-            raise ValueError(f"{name} of {kind.__name__} must not be negative or nan; found {value}.")
-
-
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Imperfections:
@@ -65,6 +52,15 @@ MATCHED = Imperfections(encoder_noise=1e-5, encoder_step=1.2e-5, compliance=1e-4
 The values apply to motions as fast as in the paper (``excitation="brisk"``): 1-6 mm/s, and 20-60 mrad/s on
 the Panda or up to 75 mrad/s on the FR3.
 """
+
+
+def check_imperfections(given: Any) -> None:
+    """Raise a ValueError for another type, or a negative number or NaN; traced values are not checked."""
+    if not isinstance(given, Imperfections):
+        raise ValueError(f"Expected Imperfections(...), not {given!r}.")
+    for name, value in vars(given).items():
+        if not traced(value) and not np.all(np.asarray(value) >= 0):
+            raise ValueError(f"{name} of Imperfections must not be negative or nan; found {value}.")
 
 
 def compliance_of(imperfections: Imperfections, dtype: Any) -> jax.Array:

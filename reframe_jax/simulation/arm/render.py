@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.located import frame_arrays, locate_on_host
+from reframe_jax.constraints.located import locate_on_host
 from reframe_jax.geometry.transforms import make_pose
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
 
@@ -70,8 +70,7 @@ def film_frames(
     camera.lookat[:], camera.distance, camera.azimuth, camera.elevation = (0.25, 0, 0.36), 1.35, 135, -18
     rotations, positions = forward_kinematics(jnp.asarray(joints), arm)
     path = np.asarray(positions)
-    frame = None if truth is None else frame_arrays(jax.tree.map(jnp.asarray, truth))
-    located = None if frame is None else locate_on_host(frame, np.asarray(make_pose(rotations, positions)))
+    located = None if truth is None else locate_on_host(truth, np.asarray(make_pose(rotations, positions)))
     renderer = _renderer(model, size)
     pictures = []
     try:

@@ -171,27 +171,25 @@ _MESSAGES = {
 
 
 @partial(jax.jit, static_argnames="arm")
-def rollout_status(
-    track: Track, free: jax.Array, compliance: jax.Array, arm: Arm
-) -> tuple[jax.Array, jax.Array]:
-    """Compute the smallest margins to a joint limit (N,), rad, and the status (N,) of N rollouts.
+def rollout_status(track: Track, free: jax.Array, compliance: jax.Array, arm: Arm) -> jax.Array:
+    """Compute the :class:`RolloutStatus` (N,) of N rollouts.
 
     ``free`` (6,) or (N, 6) is 1 for free axes, ``compliance`` (6,), rad/(N m) and m/N, is 0 for rigid axes.
     """
     dtype = track.joints.dtype
     lower, upper = jnp.asarray(arm.limits, dtype=dtype)[:, None, None]
-    margin = jnp.min(jnp.minimum(track.joints - lower, upper - track.joints), axis=(1, 2))
+    outside = jnp.any((track.joints < lower) | (track.joints > upper), axis=(1, 2))
     fast = jnp.any(jnp.abs(track.velocity) > jnp.asarray(arm.speed, dtype=dtype)[None, None], axis=(1, 2))
     held = jnp.max(jnp.abs(track.slip), axis=1) * (1 - free)
     bound = jnp.asarray([_SLIPPED[0]] * 3 + [_SLIPPED[1]] * 3, dtype=dtype)
     slipped = jnp.any(held > jnp.where(compliance > 0, jnp.inf, bound)[None], axis=1)
     finite = jnp.all(jnp.isfinite(track.joints), axis=(1, 2))
-    status = jnp.full(margin.shape, RolloutStatus.OK, dtype=jnp.int32)
+    status = jnp.full(outside.shape, RolloutStatus.OK, dtype=jnp.int32)
     for wrong, code in (
         (fast, RolloutStatus.SPEED_LIMIT),
-        (margin < 0, RolloutStatus.JOINT_LIMIT),
+        (outside, RolloutStatus.JOINT_LIMIT),
         (slipped, RolloutStatus.SLIPPED),
         (~finite, RolloutStatus.DIVERGED),
     ):
         status = jnp.where(wrong, jnp.int32(code), status)
-    return margin, status
+    return status

@@ -19,8 +19,14 @@ from reframe_jax.simulation.reproduction.controllers import (
     constant_wrench,
     hybrid,
 )
-from reframe_jax.simulation.reproduction.sequences import SequenceTrial, reproduce_sequence
-from reframe_jax.simulation.reproduction.trials import ROOMY, Task, Trials, control_frames, reproduce
+from reframe_jax.simulation.reproduction.trials import (
+    ROOMY,
+    SequenceTrial,
+    Trials,
+    control_frames,
+    reproduce,
+    reproduce_sequence,
+)
 
 __all__ = [
     "LITERATURE_ERRORS",
@@ -28,7 +34,6 @@ __all__ = [
     "Comparison",
     "Controller",
     "SequenceTrial",
-    "Task",
     "Trials",
     "axis_impedance",
     "compare",

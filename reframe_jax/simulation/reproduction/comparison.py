@@ -20,10 +20,10 @@ from reframe_jax.identification.results import Identification
 from reframe_jax.simulation import metrics
 from reframe_jax.simulation.arm.collection import draw_usable
 from reframe_jax.simulation.arm.demonstration import SPREAD, Demonstration, demonstrate
-from reframe_jax.simulation.arm.imperfections import REALISTIC, Imperfections, check_numbers
+from reframe_jax.simulation.arm.imperfections import REALISTIC, Imperfections, check_imperfections
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
 from reframe_jax.simulation.reproduction.controllers import Controller, constant_wrench
-from reframe_jax.simulation.reproduction.trials import ROOMY, Task, Trials, control_frames, reproduce
+from reframe_jax.simulation.reproduction.trials import ROOMY, Trials, control_frames, reproduce
 from reframe_jax.simulation.synthetic import Excitation
 
 LITERATURE_ERRORS = ((0.5, 5.0), (1.0, 7.5))
@@ -75,20 +75,20 @@ def compare(
     trials: int = 30,
     *,
     controller: Controller = constant_wrench(),  # noqa: B008
-    task: Task = Task(),  # noqa: B008
     imperfections: Imperfections = REALISTIC,
     excitation: str | Excitation = "exciting",
     spread: tuple[float, float] = SPREAD,
     arm: str | Arm = PANDA,
+    start: tuple[float, ...] = ROOMY,
     progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
     """Demonstrate, identify, and reproduce a task in three kinds of frames.
 
     Each of the ``trials`` has a random geometry. Options are those of
     :func:`reframe_jax.simulation.arm.demonstrate` and :func:`reproduce`; the reproductions have the
-    compliance of the demonstrations, and both start at the start of the task. ``progress`` receives the
-    number of prepared trials and ``trials``. The comparison leaves out, and counts, geometries for which the
-    arm reaches a limit, or for which the end-stop is out of reach even with the true frame.
+    compliance of the demonstrations, and both start at the joint positions ``start`` (7,), rad. ``progress``
+    receives the number of prepared trials and ``trials``. The comparison leaves out, and counts, geometries
+    for which the arm reaches a limit, or for which the end-stop is out of reach even with the true frame.
 
     A constraint may not determine the origin of its frame. The comparison then moves the identified origin to
     the true origin, where the forces act. If all rotations are free, moments act along the true axes. Other
@@ -99,13 +99,13 @@ def compare(
     """
     if trials < 1:
         raise ValueError(f"trials must be at least 1, not {trials}.")
-    check_numbers(imperfections, Imperfections)
+    check_imperfections(imperfections)
     demonstrate_key, error_key = jax.random.split(key)
     run = partial(
         reproduce,
         controller=controller,
-        task=task,
         arm=arm,
+        start=start,
         compliance=(float(imperfections.angular_compliance), float(imperfections.compliance)),
     )
     chunk = min(trials, 64)
@@ -120,7 +120,7 @@ def compare(
             excitation=excitation,
             spread=spread,
             arm=arm,
-            start=task.start,
+            start=start,
         )
         made, exact = jax.device_get((made, run(made.truth, made.truth)))
         return (made, exact), np.maximum(made.status_code, exact.status_code)
@@ -141,8 +141,8 @@ def compare(
         demonstrations=made,
         found=found,
         exact=exact,
-        literature=run(made.truth, erroneous_frames(made.truth, error_key, arm=arm, start=task.start)),
-        identified=run(made.truth, matched_choices(found, made.truth, arm=arm, start=task.start)),
+        literature=run(made.truth, erroneous_frames(made.truth, error_key, arm=arm, start=start)),
+        identified=run(made.truth, matched_choices(found, made.truth, arm=arm, start=start)),
         redrawn=jnp.asarray(drawn - trials),
         errors=jnp.stack(
             [jnp.degrees(errors.angular), jnp.degrees(errors.linear), 1e3 * errors.position], axis=-1

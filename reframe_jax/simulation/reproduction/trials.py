@@ -1,5 +1,6 @@
-"""Reproduce tasks from end-stop to end-stop."""
+"""Reproduce tasks from end-stop to end-stop: one constraint, or consecutive stages with several."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -7,6 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from reframe_jax.compilation import index_leaves
 from reframe_jax.constraints.frame import ConstraintFrame
@@ -14,18 +16,12 @@ from reframe_jax.constraints.located import Frame, assemble_frame, frame_arrays,
 from reframe_jax.geometry import transforms
 from reframe_jax.geometry.products import apply
 from reframe_jax.identification.results import Identification
+from reframe_jax.segmentation.results import Segmentation
 from reframe_jax.simulation.arm.demonstration import sampling
 from reframe_jax.simulation.arm.dynamics import arm_motion
 from reframe_jax.simulation.arm.imperfections import as_numbers
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
-from reframe_jax.simulation.arm.rollout import (
-    AxisLaw,
-    RolloutStatus,
-    Steps,
-    hold,
-    integrate,
-    rollout_status,
-)
+from reframe_jax.simulation.arm.rollout import AxisLaw, RolloutStatus, hold, integrate, rollout_status
 from reframe_jax.simulation.reproduction.controllers import (
     Controller,
     by_axis,
@@ -36,33 +32,13 @@ from reframe_jax.simulation.reproduction.controllers import (
 ROOMY = (0.0, -0.7, 0.0, -2.35, 0.0, 1.65, 0.785)
 """rad, initial joint positions of tasks: closer to the base than home, so that no task stretches the arm."""
 
-
+_TRAVEL = (0.4, 0.1)  # rad and m, distance between the end-stops
+_FRICTION = (5.0, 40.0)  # N m s/rad and N s/m, friction of the mechanism along its free axes
+_STOP_COMPLIANCE = (5e-3, 5e-4)  # rad/(N m) and m/N, compliance of the second end-stop, a damped spring
+_DURATION, _DT = 5.0, 0.05  # s, duration of a trial, and time between samples
 _ARRIVED = 2e-3  # rad or m, largest distance from the end-stop of an axis that has arrived
 _SINGULAR = 0.01  # smallest singular value of the Jacobian, in rad and m, below which the arm is singular
 _REBOUND = 1e-4  # rad or m, distance behind the start at which the first end-stop acts
-
-
-@dataclass(frozen=True)
-class Task:
-    """A task: move every free axis from its first end-stop to its second end-stop.
-
-    Attributes:
-        start: (7,) rad, joint positions of the arm at the first end-stops.
-        travel: rad and m, distance between the end-stops.
-        friction: N m s/rad and N s/m, friction of the mechanism along its free axes.
-        stop_compliance: rad/(N m) and m/N, compliance of the second end-stop, a damped spring.
-        duration: s.
-        dt: s, time between samples.
-        step: s, time step of the simulation.
-    """
-
-    start: tuple[float, ...] = ROOMY
-    travel: tuple[float, float] = (0.4, 0.1)
-    friction: tuple[float, float] = (5.0, 40.0)
-    stop_compliance: tuple[float, float] = (5e-3, 5e-4)
-    duration: float = 5.0
-    dt: float = 0.05
-    step: float = 0.01
 
 
 @jax.tree_util.register_dataclass
@@ -101,6 +77,22 @@ class Trials:
         return Trials(self.times, **index_leaves(parts, index))
 
 
+@dataclass(frozen=True)
+class SequenceTrial:
+    """A reproduced task with several constraints.
+
+    Attributes:
+        stages: the trial of each stage, without batch axis, up to the first stage that did not reach its
+            end-stop.
+        completed: whether all stages reached their end-stops.
+        hand_overs: (S-1,) N, largest reaction force in the first tenth of each stage after the first.
+    """
+
+    stages: tuple[Trials, ...]
+    completed: bool
+    hand_overs: np.ndarray
+
+
 def control_frames(found: Identification | ConstraintFrame | Frame) -> Frame:
     """Return control frames with the batch axes of ``found``; types may vary in a batch of results."""
     if isinstance(found, Frame):
@@ -123,8 +115,8 @@ def reproduce(
     frames: Identification | ConstraintFrame | Frame,
     *,
     controller: Controller = constant_wrench(),  # noqa: B008
-    task: Task = Task(),
     arm: str | Arm = PANDA,
+    start: ArrayLike = ROOMY,
     compliance: tuple[float, float] = (0.0, 0.0),
 ) -> Trials:
     """Move the arm from end-stop to end-stop with a controller in given frames, with gravity compensation.
@@ -132,14 +124,15 @@ def reproduce(
     The torques are tau = J^T W. The wrench W contains the controller's moments and forces along the axes of
     the control frame, with forces at its origin. The type of the control frame determines its motion with the
     robot. The goal is a direction in the ground at the start, the sum of the true free axes; the control
-    frame determines the free part of this direction and its later motion.
+    frame determines the free part of this direction and its later motion. The end-stops are 0.4 rad and 0.1 m
+    apart; a trial takes 5 s.
 
     Args:
         truth: the true constraint, with geometry (N, 3).
         frames: N control frames.
         controller: the controller, which computes the wrenches.
-        task: the end-stops and the duration.
         arm: the robot.
+        start: (7,) rad, joint positions of the arm at the first end-stops.
         compliance: rad/(N m) and m/N, compliance of the tool and its mount.
 
     Raises:
@@ -152,37 +145,30 @@ def reproduce(
             f"Expected one control frame per constraint, with geometry (N, 3); found "
             f"{control.position.shape} and {truth.position.shape}."
         )
-    steps = sampling(task.duration, task.dt, task.step)
     dtype = truth.position.dtype
-    pairs = as_numbers((task.travel, task.friction, task.stop_compliance, compliance), dtype)
     return _reproduce(
         frame_arrays(truth),
         jax.tree.map(lambda leaf: leaf.astype(dtype) if leaf.dtype != bool else leaf, control),
         as_numbers(controller, dtype),
-        *(by_axis(pair) for pair in pairs),
-        arm.start(task.start, dtype),
-        steps=steps,
-        dt=task.dt,
+        by_axis(as_numbers(compliance, dtype)),
+        arm.start(start, dtype),
         arm=arm,
     )
 
 
-@partial(jax.jit, static_argnames=("steps", "dt", "arm"))
+@partial(jax.jit, static_argnames="arm")
 def _reproduce(
     truth: Frame,
     control: Frame,
     controller: Controller,
-    travel: jax.Array,
-    friction: jax.Array,
-    stop_compliance: jax.Array,
     compliance: jax.Array,
     start: jax.Array,
     *,
-    steps: Steps,
-    dt: float,
     arm: Arm,
 ) -> Trials:
-    dtype, step = travel.dtype, steps.length
+    dtype, steps = start.dtype, sampling(_DURATION, _DT)
+    step, pairs = steps.length, as_numbers((_TRAVEL, _FRICTION, _STOP_COMPLIANCE), dtype)
+    travel, friction, stop_compliance = map(by_axis, pairs)
     pose = forward_kinematics(start, arm)
 
     def trial(truth: Frame, control: Frame) -> Any:
@@ -213,10 +199,10 @@ def _reproduce(
     free = truth.free[:, None]
     reaction = track.force * (1 - free)
     arrived = jnp.all((track.slip > (travel - _ARRIVED)[None, None]) | (free == 0), axis=-1)
-    times = dt * jnp.arange(steps.samples + 1, dtype=dtype)
+    times = _DT * jnp.arange(steps.samples + 1, dtype=dtype)
     completed = jnp.any(arrived, axis=-1)
     first = times[jnp.argmax(arrived, axis=-1)]
-    _, status = rollout_status(track, truth.free, compliance, arm)
+    status = rollout_status(track, truth.free, compliance, arm)
     stuck = ~completed & (jax.vmap(partial(_least_gain, arm=arm))(track.joints[:, -1]) < _SINGULAR)
     return Trials(
         times=times,
@@ -236,3 +222,51 @@ def _least_gain(joints: jax.Array, arm: Arm) -> jax.Array:
     """Smallest singular value of the Jacobian from joint velocities to the twist of {b}."""
     jacobian = arm_motion(joints, jnp.zeros_like(joints), arm).jacobian
     return jnp.linalg.svd(jacobian, compute_uv=False)[-1]
+
+
+def reproduce_sequence(
+    truths: Sequence[ConstraintFrame],
+    frames: Segmentation | Sequence[Identification | ConstraintFrame],
+    *,
+    arm: str | Arm = PANDA,
+) -> SequenceTrial:
+    """Reproduce a task with several constraints; each stage starts at the end of the previous stage.
+
+    A stage moves from end-stop to end-stop, see :func:`reproduce`. Each stage starts at rest: the next true
+    constraint, with geometry (3,), becomes active at the current pose of the tool, and the control frame is
+    located at this pose. A stage that does not reach its end-stop ends the task. ``frames`` is a
+    segmentation, whose moving segments are the stages, or one identification or constraint frame per stage,
+    with geometry (3,). ``arm`` is the robot.
+
+    Raises:
+        ValueError: for an unknown robot, no stages, different numbers of stages, or a segment without
+            identification.
+    """
+    control = _identified(frames) if isinstance(frames, Segmentation) else list(frames)
+    if not truths or len(truths) != len(control):
+        raise ValueError(
+            f"reproduce_sequence needs a frame for each constraint; got {len(truths)} constraints and "
+            f"{len(control)} frames."
+        )
+    stages: list[Trials] = []
+    for truth, frame in zip(truths, control, strict=True):
+        start = stages[-1].joint_positions[-1] if stages else ROOMY
+        pair = jax.tree.map(lambda leaf: leaf[None], (truth, frame))
+        one = reproduce(*pair, arm=arm, start=start)
+        stages.append(one[0])
+        if not bool(stages[-1].completed):
+            break
+    forces = [np.linalg.norm(np.asarray(s.reaction)[:, 3:], axis=1) for s in stages[1:]]
+    return SequenceTrial(
+        stages=tuple(stages),
+        completed=len(stages) == len(truths) and bool(stages[-1].completed),
+        hand_overs=np.array([f[: max(1, len(f) // 10)].max() for f in forces]),
+    )
+
+
+def _identified(found: Segmentation) -> list[Identification]:
+    """Identifications of the moving segments."""
+    each = [segment.identification for segment in found.moving]
+    if any(one is None for one in each):
+        raise ValueError("A segment is too short to identify, so it has no control frame.")
+    return [one for one in each if one is not None]
