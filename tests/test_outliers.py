@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import reframe_jax as rf
+from benchmarks import faults
 from reframe_jax.motion.kinematics import split_poses
 from reframe_jax.motion.outliers import repair_poses
 from reframe_jax.simulation import synthetic
@@ -110,3 +111,14 @@ def test_what_is_left_out_is_filled_in(poses):
     rotation = Rotation.from_rotvec(Rotation.from_matrix(step[:3, :3]).as_rotvec() / 3)
     np.testing.assert_allclose(filled[0, 20, :3, :3], poses[19, :3, :3] @ rotation.as_matrix(), atol=1e-3)
     np.testing.assert_allclose(filled[0, 20, :3, 3], (2 * poses[19] + poses[22])[:3, 3] / 3, atol=1e-12)
+
+
+def test_a_jump_in_one_window_changes_no_other():
+    """In the second window, the search would find a pose that the fast test before it does not announce."""
+    windows = faults.sound_windows(1024)[563:565]
+    times, count = np.tile(faults.DT * np.arange(21.0), (2, 1)), np.full(2, 21)
+    _, alone = repair(windows[1:], times[1:], count[1:])
+    windows[0, 8, :3, 3] += 0.5
+    _, together = repair(windows, times, count)
+    assert not together[0, 8]
+    np.testing.assert_array_equal(together[1], alone[0])

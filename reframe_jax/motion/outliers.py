@@ -61,10 +61,12 @@ def repair_poses(
         counted, _, passes = carry
         filled = _interpolate(measured, times, counted)
         found = lax.map(lambda stride: _find(filled, times, own, count, unit, stride), strides)
-        found = counted & ~jnp.any(found, axis=0)
+        # a window without a jump is not searched, whatever the other windows of the batch contain
+        found = counted & ~(jnp.any(found, axis=0) & jumps)
         return found, jnp.any(found != counted), passes + 1
 
-    start = own, _any_jumps(measured, own), jnp.int32(0)
+    jumps = _has_jumps(measured, own)
+    start = own, jnp.any(jumps), jnp.int32(0)
     counted, _, _ = lax.while_loop(lambda c: c[1] & (c[2] < _PASSES), search, start)
     fraction = jnp.sum(own & ~counted, axis=0, dtype=position.dtype) / count.astype(position.dtype)
     counted = jnp.where(fraction <= _MOST, counted, own)
@@ -80,12 +82,12 @@ def repair_poses(
     return *fixed, counted
 
 
-def _any_jumps(x: Array, own: Array) -> Array:
-    """Whether any fourth difference of poses x (9, P, N) is large, (): a fast test before the search."""
+def _has_jumps(x: Array, own: Array) -> Array:
+    """Whether a fourth difference of poses x (9, P, N) is large, (N,): a fast test before the search."""
     whole = jnp.broadcast_to((own[:-4] & own[4:])[:, None], (x.shape[1] - 4, 2, own.shape[1]))
     size = jnp.swapaxes(_lengths(jnp.diff(x, n=4, axis=1)[None])[:, 0], 0, 1)
     rounding = 64 * jnp.finfo(x.dtype).eps * (1 + jnp.max(jnp.abs(x), axis=(0, 1)))
-    return jnp.any(whole & (size > _JUMP * masked_median(size, whole) + rounding))
+    return jnp.any(whole & (size > _JUMP * masked_median(size, whole) + rounding), axis=(0, 1))
 
 
 def _find(x: Array, times: Array, own: Array, count: Array, unit: Array, stride: Array) -> Array:
