@@ -18,7 +18,7 @@ import reframe_jax as rf
 from benchmarks.common import new_parser
 from benchmarks.golden import fit_axis
 
-__all__ = ["DOORS", "DOOR_DATA", "check_door", "in_region"]
+__all__ = ["DOORS", "DOOR_DATA", "EVERY", "check_door", "check_rate", "in_region"]
 
 DOOR_DATA = Path(__file__).parents[2] / "shared" / "data"
 DOORS = tuple(f"kitchen_door_{number}" for number in (389, 391, 403, 405, 411, 412))
@@ -32,7 +32,7 @@ def in_region(error: np.ndarray, covariance: np.ndarray) -> bool:
     return bool(np.sum((error @ axes)[known] ** 2 / values[known]) < chi2.ppf(0.95, known.sum()))
 
 
-_EVERY = 2, 4, 10  # of the poses of the hinge, recorded at 20 Hz
+EVERY = 2, 4, 10  # of the poses of the hinge, recorded at 20 Hz
 
 
 class _Estimate:
@@ -124,7 +124,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     new_parser("uncertainty_doors", __doc__).parse_args(argv)
     jax.config.update("jax_enable_x64", True)
     rows = {name: check_door(name) for name in (*DOORS, *_MEASURED)}
-    slower = {f"hinge, 1 of {every} poses": check_rate(every) for every in _EVERY}
+    slower = {f"hinge, 1 of {every} poses": check_rate(every) for every in EVERY}
     for name, row in (rows | slower).items():
         print(f"{name}: {'; '.join(f'{key} {value:.2f}' for key, value in row.items())}")
     for key in next(iter(rows.values())):
