@@ -9,7 +9,15 @@ from contacts import DT, POSES, Contact, simulate_contact
 from scipy.spatial.transform import Rotation
 
 import reframe_jax as rf
-from benchmarks.uncertainty_doors import DOOR_DATA, DOORS, EVERY, check_door, check_rate, in_region
+from benchmarks.uncertainty_doors import (
+    DOOR_DATA,
+    DOORS,
+    EVERY,
+    check_door,
+    check_parts,
+    check_rate,
+    in_region,
+)
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.uncertainty.spread import widen
 
@@ -269,3 +277,7 @@ def test_error_bars_hold_a_measured_axis():
     for row in (check_door("hinge"), *(check_rate(every) for every in EVERY)):
         assert row["axis holds"]
         assert row["line holds"]
+    parts = check_parts("hinge")
+    assert parts["axes of parts apart, deg"] > 0.5
+    assert parts["line interval as wide"]
+    assert parts["axis interval as wide"]
