@@ -101,14 +101,14 @@ def _errors_of_whole(whole: _Estimate, axis: np.ndarray, point: np.ndarray) -> d
 def check_parts(name: str) -> dict[str, float]:
     """Largest differences between halves and between thirds, and whether intervals are as wide."""
     recording = rf.load_recording(DOOR_DATA / f"{name}.csv")
-    whole, number = _Estimate(recording, slice(None)), len(recording.times)
+    whole, poses, times = _Estimate(recording, slice(None)), recording.poses, np.asarray(recording.times)
     free, kind = np.asarray(whole.found.linear.free_position), int(whole.found.linear.type_code)
     lines, axes = [], []
     for count in (2, 3):
         found = []
         for i in range(count):
-            rows = slice(number * i // count, number * (i + 1) // count)
-            part = rf.identify(recording.poses[rows], times=recording.times[rows], assume="hinge").candidates
+            rows = slice(len(times) * i // count, len(times) * (i + 1) // count)
+            part = rf.identify(poses[rows], times=times[rows], assume="hinge").candidates
             axis = np.asarray(rotation_exp(part.angular.rotvec[int(whole.found.angular.type_code)]))[:, 2]
             found.append((np.asarray(part.linear.position[kind]), axis))
         for (one, one_axis), (other, other_axis) in combinations(found, 2):
