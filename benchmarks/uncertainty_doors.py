@@ -110,7 +110,7 @@ def check_parts(name: str) -> dict[str, float]:
             rows = slice(len(times) * i // count, len(times) * (i + 1) // count)
             part = rf.identify(poses[rows], times=times[rows], assume="hinge").candidates
             axis = np.asarray(rotation_exp(part.angular.rotvec[int(whole.found.angular.type_code)]))[:, 2]
-            found.append((np.asarray(part.linear.position[kind]), axis))
+            found.append((np.asarray(part.linear.position)[kind], axis))
         for (one, one_axis), (other, other_axis) in combinations(found, 2):
             lines.append(1e3 * float(np.linalg.norm(one - other - free @ (one - other))))
             axes.append(float(np.degrees(np.linalg.norm(np.cross(one_axis, other_axis)))))
