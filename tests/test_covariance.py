@@ -125,7 +125,7 @@ def test_intervals_are_as_wide_as_parts_differ(rng: np.random.Generator, assume:
     def estimate(first: int, end: int) -> tuple[np.ndarray, np.ndarray]:
         found = rf.identify(poses[first:end], dt=DT, assume=assume).candidates
         axis = np.asarray(rotation_exp(found.angular.rotvec[int(whole.angular.type_code)]))[:, 2]
-        at = np.asarray(found.linear.position[kind])
+        at = np.asarray(found.linear.position)[kind]
         return axis * np.sign(axis @ np.asarray(whole.angular.axes)[:, 2]), at - free @ at
 
     def largest(spans: list[tuple[int, int]]) -> np.ndarray:
