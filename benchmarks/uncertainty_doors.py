@@ -4,21 +4,26 @@ A camera recorded the doors. The positions of a door are on a circle within mill
 circle is the truth. Each half of a recording gives an estimate and a 95 % region. The table has the errors of
 the whole recording, the half-widths of its intervals in the worst direction, the distances between the
 estimates of both halves, and the fractions of regions that contain the truth and the estimate of the other
-half. The last rows have every second, fourth and tenth pose of the hinge, that is, lower sampling rates.
+half. The table also has the largest differences between halves and between thirds, and whether the intervals
+of the whole recording are at least as wide; the parts have the types of the whole recording. The last rows
+have every second, fourth and tenth pose of the hinge, that is, lower sampling rates.
 """
 
 from collections.abc import Sequence
+from itertools import combinations
 from pathlib import Path
 
 import jax
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
 import reframe_jax as rf
 from benchmarks.common import new_parser
 from benchmarks.golden import fit_axis
+from reframe_jax.geometry.rotations import rotation_exp
 
-__all__ = ["DOORS", "DOOR_DATA", "check_door", "in_region"]
+__all__ = ["DOORS", "DOOR_DATA", "EVERY", "check_door", "check_parts", "check_rate", "in_region"]
 
 DOOR_DATA = Path(__file__).parents[2] / "shared" / "data"
 DOORS = tuple(f"kitchen_door_{number}" for number in (389, 391, 403, 405, 411, 412))
@@ -32,7 +37,12 @@ def in_region(error: np.ndarray, covariance: np.ndarray) -> bool:
     return bool(np.sum((error @ axes)[known] ** 2 / values[known]) < chi2.ppf(0.95, known.sum()))
 
 
-_EVERY = 2, 4, 10  # of the poses of the hinge, recorded at 20 Hz
+def _half_width(covariance: ArrayLike) -> float:
+    """Half-width of the 95 % interval of a covariance (3, 3) in the worst direction."""
+    return 1.96 * float(np.sqrt(np.linalg.eigvalsh(np.asarray(covariance))[-1]))
+
+
+EVERY = 2, 4, 10  # of the poses of the hinge, recorded at 20 Hz
 
 
 class _Estimate:
@@ -80,11 +90,35 @@ def _errors_of_whole(whole: _Estimate, axis: np.ndarray, point: np.ndarray) -> d
     )
     return {
         "line, mm": 1e3 * float(np.linalg.norm(line)),
-        "line within, mm": 1.96e3 * float(np.sqrt(np.linalg.eigvalsh(of_line)[-1])),
+        "line within, mm": 1e3 * _half_width(of_line),
         "line holds": in_region(line, of_line),
         "axis, deg": float(np.degrees(np.linalg.norm(turn))),
-        "axis within, deg": 1.96 * float(np.degrees(np.sqrt(np.linalg.eigvalsh(of_axis)[-1]))),
+        "axis within, deg": float(np.degrees(_half_width(of_axis))),
         "axis holds": in_region(turn, of_axis),
+    }
+
+
+def check_parts(name: str) -> dict[str, float]:
+    """Largest differences between halves and between thirds, and whether intervals are as wide."""
+    recording = rf.load_recording(DOOR_DATA / f"{name}.csv")
+    whole, poses, times = _Estimate(recording, slice(None)), recording.poses, np.asarray(recording.times)
+    free, kind = np.asarray(whole.found.linear.free_position), int(whole.found.linear.type_code)
+    lines, axes = [], []
+    for count in (2, 3):
+        found = []
+        for i in range(count):
+            rows = slice(len(times) * i // count, len(times) * (i + 1) // count)
+            part = rf.identify(poses[rows], times=times[rows], assume="hinge").candidates
+            axis = np.asarray(rotation_exp(part.angular.rotvec[int(whole.found.angular.type_code)]))[:, 2]
+            found.append((np.asarray(part.linear.position)[kind], axis))
+        for (one, one_axis), (other, other_axis) in combinations(found, 2):
+            lines.append(1e3 * float(np.linalg.norm(one - other - free @ (one - other))))
+            axes.append(float(np.degrees(np.linalg.norm(np.cross(one_axis, other_axis)))))
+    return {
+        "lines of parts apart, mm": max(lines),
+        "line interval as wide": max(lines) <= 1e3 * _half_width(whole.covariance.position),
+        "axes of parts apart, deg": max(axes),
+        "axis interval as wide": max(axes) <= np.degrees(_half_width(whole.covariance.angular_axes)),
     }
 
 
@@ -123,12 +157,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Command line of the benchmark."""
     new_parser("uncertainty_doors", __doc__).parse_args(argv)
     jax.config.update("jax_enable_x64", True)
-    rows = {name: check_door(name) for name in (*DOORS, *_MEASURED)}
-    slower = {f"hinge, 1 of {every} poses": check_rate(every) for every in _EVERY}
+    rows = {name: check_door(name) | check_parts(name) for name in (*DOORS, *_MEASURED)}
+    slower = {f"hinge, 1 of {every} poses": check_rate(every) for every in EVERY}
     for name, row in (rows | slower).items():
         print(f"{name}: {'; '.join(f'{key} {value:.2f}' for key, value in row.items())}")
     for key in next(iter(rows.values())):
-        if "hold" in key:
+        if "hold" in key or "as wide" in key:
             print(f"{key}: {np.mean([rows[name][key] for name in DOORS]):.0%} of the doors")
     return 0
 

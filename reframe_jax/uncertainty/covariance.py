@@ -14,18 +14,19 @@ from reframe_jax.geometry import rotations
 from reframe_jax.identification.options import Scales
 from reframe_jax.identification.results import Identification, Index
 from reframe_jax.uncertainty.refit import BLOCKS, HALVES, THIRDS, Estimate, Refit, refit_windows
-from reframe_jax.uncertainty.spread import distances, slow_error, spread_of_fit, student_variance
+from reframe_jax.uncertainty.spread import spread_of_fit, student_variance, widen
 from reframe_jax.uncertainty.windows import over_windows
 
 __all__ = ["Covariance", "Errors", "Method", "covariance", "move"]
 
 Errors = Literal["measured", "white"]
-"""Whether disagreement between parts of the recording inflates a covariance, or errors count as white."""
+"""Whether disagreement between parts of the recording widens a covariance, or errors count as white."""
 
 Method = Literal["derivative", "bootstrap"]
 """Covariance from the curvature of the fit, or from fits that leave out a part of the recording."""
 
 _FEWEST = 8  # fewest poses of a part
+_SET = np.repeat(range(3), (1, len(HALVES), len(THIRDS)))  # of each pair: redundant axes, halves, thirds
 _LARGE_TURN = 0.2  # rad, largest standard deviation of a first-order covariance
 _LARGE_SHIFT = (
     0.25  # largest standard deviation of the origin, as a fraction of the half width of the search box
@@ -47,8 +48,8 @@ class Covariance:
     Attributes:
         matrix: (..., 9, 9) covariance of the nine components. NaN if the window failed.
         inflation: (..., 3) factor on the standard deviations of the angular axes, the linear axes and the
-            origin, because of slow errors such as tracker drift. The factor is 1 if parts of the recording
-            agree within white errors. All three values are equal to the largest one.
+            origin, because of slow errors such as tracker drift: the ratio of the RMS over all directions.
+            The factor is 1 if parts of the recording agree within white errors.
         first_order: (...) bool, whether a first-order covariance is valid: standard deviations of the axes
             below 0.2 rad, and of the origin below a quarter of the half width of the box. If False, errors
             may be larger.
@@ -131,12 +132,12 @@ def covariance(
 
     The function fits the identified constraint again, with a likelihood in which every constrained
     coordinate has a separate variance at every time scale. The curvature of the likelihood gives the
-    covariance; the number of independent values gives the width of Student's distribution. Trackers also
-    have slow errors (drift), which the likelihood does not contain. By default, the function therefore
-    also fits halves and thirds of the recording, and inflates the covariance by their disagreement, most
-    along the difference of the halves. It also compares redundant estimates: the axis from positions with
-    the axis from rotations. The covariance assumes that the identified types and degrees of freedom are
-    correct.
+    covariance; the number of independent values gives the width of Student's distribution. Trackers and
+    bodies that flex also have slow errors, which the likelihood does not contain. By default, the function
+    therefore also fits halves and thirds of the recording, and compares redundant estimates: the axis from
+    positions with the axis from rotations. If their differences exceed chance, the half-widths of 95 %
+    intervals are at least as large as these differences. The covariance assumes that the identified types
+    and degrees of freedom are correct.
 
     Args:
         found: the identification of these poses by :func:`reframe_jax.identify`, with the default norm and
@@ -145,7 +146,7 @@ def covariance(
         times: (K+1,) or (..., K+1) s, the same as for the identification.
         dt: s, the same as for the identification.
         scales: the same as for the identification.
-        errors: ``"measured"`` inflates the covariance by the disagreement of parts; ``"white"`` does not.
+        errors: ``"measured"`` widens the covariance by the disagreement of parts; ``"white"`` does not.
         method: ``"derivative"`` uses the curvature of the likelihood. ``"bootstrap"`` works without a
             likelihood: it fits the constraint six times, each time without one of six blocks of the recording
             (the grouped jackknife).
@@ -177,7 +178,6 @@ def _window_covariances(
 ) -> Covariance:
     refit, window = refit_windows(poses, steps, count, found, scales, parts)
     matrix, inflation = jax.vmap(_COMBINE[parts])(refit)
-    inflation = jnp.repeat(inflation[:, None], 3, axis=1)
     angles = jnp.sqrt(jnp.diagonal(matrix, axis1=1, axis2=2))
     small = jnp.max(angles[:, :6], axis=1) < _LARGE_TURN
     near = jnp.max(angles[:, 6:], axis=1) < _LARGE_SHIFT * window.box
@@ -188,44 +188,36 @@ def _window_covariances(
 
 def _white_covariance(refit: Refit) -> tuple[jax.Array, jax.Array]:
     """Covariance of one window, for white errors."""
-    matrix, _ = _spreads(refit)
-    return matrix[0], jnp.ones((), matrix.dtype)
+    matrix, _, _ = _spreads(refit)
+    return matrix[0], jnp.ones(3, matrix.dtype)
 
 
-def _spreads(refit: Refit) -> tuple[jax.Array, jax.Array]:
+def _spreads(refit: Refit) -> tuple[jax.Array, jax.Array, jax.Array]:
     of_parts = jax.vmap(spread_of_fit, in_axes=(0, 0, 0, None, None))
     return of_parts(refit.parameters, refit.data, refit.slopes, refit.entry, refit.prior)
 
 
-def _inflated_covariance(refit: Refit) -> tuple[jax.Array, jax.Array]:
-    """Covariance of one window, inflated by the disagreement of halves and thirds and of redundant axes."""
-    matrix, tilts = _spreads(refit)
-    tilt = refit.parameters.tilt[0]
-    disagreement = jnp.where(refit.entry.tied, tilt @ jnp.linalg.solve(tilts[0], tilt) / 2, 0)
-    for pairs in (HALVES, THIRDS):
-        i, j = np.array(pairs).T
-        apart = jax.vmap(distances)(refit.numbers[i] - refit.numbers[j], matrix[i] + matrix[j])
-        disagreement = jnp.maximum(
-            disagreement, jnp.where(_long_enough(refit, pairs), jnp.max(jnp.mean(apart, axis=0)), 0)
-        )
-    inflation = jnp.sqrt(jnp.maximum(1, disagreement))
-    inflated = matrix[0] * jnp.square(inflation)
-    # the mean of two halves is half their difference away from each of them
-    first, second = HALVES[0]
-    apart = slow_error(refit.numbers[first] - refit.numbers[second], 4 * inflated) / 2
-    return inflated + jnp.where(_long_enough(refit, HALVES), jnp.outer(apart, apart), 0), inflation
-
-
-def _long_enough(refit: Refit, pairs: tuple[tuple[int, int], ...]) -> jax.Array:
-    """Whether all parts in the pairs have enough poses to be compared, ()."""
-    return jnp.all(refit.poses[np.array(pairs).ravel()] >= _FEWEST)
+def _widened_covariance(refit: Refit) -> tuple[jax.Array, jax.Array]:
+    """Covariance of one window, widened by the differences of redundant axes, halves and thirds."""
+    matrix, *redundant = _spreads(refit)
+    i, j = np.concatenate([HALVES, THIRDS]).T
+    parts = refit.numbers[i] - refit.numbers[j], matrix[i] + matrix[j]
+    long = [jnp.all(refit.poses[np.ravel(pairs)] >= _FEWEST) for pairs in (HALVES, THIRDS)]
+    used = jnp.stack([jnp.asarray(True), *long])[_SET]
+    apart, chance = (
+        jnp.where(used.reshape(-1, *[1] * (one.ndim - 1)), jnp.concatenate([one[:1], many]), 0)
+        for one, many in zip(redundant, parts, strict=True)
+    )
+    widened = widen(matrix[0], apart, chance, _SET)
+    sizes = [jnp.diagonal(of).reshape(3, 3).sum(axis=1) for of in (widened, matrix[0])]
+    return widened, jnp.where(sizes[1] > 0, jnp.sqrt(sizes[0] / sizes[1]), 1)
 
 
 def _jackknife_covariance(refit: Refit) -> tuple[jax.Array, jax.Array]:
     """Covariance of one window, by the jackknife."""
     rest = refit.numbers[1:] - jnp.mean(refit.numbers[1:], axis=0)
     matrix = rest.T @ rest * (BLOCKS - 1) / BLOCKS
-    return matrix * student_variance(jnp.asarray(BLOCKS - 1.0)), jnp.ones((), matrix.dtype)
+    return matrix * student_variance(jnp.asarray(BLOCKS - 1.0)), jnp.ones(3, matrix.dtype)
 
 
-_COMBINE = {"whole": _white_covariance, "spans": _inflated_covariance, "blocks": _jackknife_covariance}
+_COMBINE = {"whole": _white_covariance, "spans": _widened_covariance, "blocks": _jackknife_covariance}

@@ -151,7 +151,7 @@ def _shrink(refit: Refit, products: jax.Array, details: jax.Array) -> tuple[jax.
     details = jnp.where(data.details > 0, details, 0)
     motion = Data(products, details, data.mean_rotation, data.box)
     now, more = (
-        jnp.sum(information(parameters, precision, of, refit.entry), axis=(0, 1)) for of in (data, motion)
+        jnp.sum(information(parameters, precision, of, refit.entry)[0], axis=(0, 1)) for of in (data, motion)
     )
     spreads = [slopes @ posterior(total, refit.prior) @ slopes.T for total in (now, now + more)]
     return spreads[0], spreads[1]

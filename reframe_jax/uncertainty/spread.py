@@ -1,19 +1,31 @@
-"""Covariance of a fit from its likelihood, and normalized distances between two fits."""
+"""Covariance of a fit from its likelihood, widened by differences between estimates."""
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from reframe_jax.calibration.robust import NORMAL_FACTOR, student_factor
 from reframe_jax.model.fit import Data, Parameters, coordinates, held_covariance, move
 from reframe_jax.model.table import Table
 
-__all__ = ["distances", "information", "posterior", "row_precision", "spread_of_fit", "student_variance"]
+__all__ = [
+    "information",
+    "posterior",
+    "row_precision",
+    "spread_of_fit",
+    "student_variance",
+    "widen",
+]
 
 Array = jax.Array
 
 _GROUPS = slice(0, 3), slice(3, 6), slice(6, 9)  # angular axes, linear axes, origin
 _FEWEST = 2.0  # fewest degrees of freedom of Student's distribution
 _KNOWN = 1e-9  # fraction of the largest variance below which a variance counts as zero
+_CHANCE, _SIGNIFICANT = (
+    2.0,
+    3.0,
+)  # mean squared distances (1 by chance) up to which none, and from which all counts
 
 
 def row_precision(parameters: Parameters, data: Data, entry: Table) -> Array:
@@ -28,23 +40,27 @@ def row_precision(parameters: Parameters, data: Data, entry: Table) -> Array:
     return jnp.where(entry.held[:, None] & entry.held[None], whole, 0)
 
 
-def information(parameters: Parameters, precision: Array, motion: Data, entry: Table) -> Array:
-    """Fisher information (S, 2, 9, 9) of the parameters by scale, from rotations and from translations.
+def information(parameters: Parameters, precision: Array, motion: Data, entry: Table) -> tuple[Array, Array]:
+    """Fisher information and gradient of the negative log-likelihood, from rotations and from translations.
 
     Args:
         parameters: parameters of the constraint.
         precision: (S, 2, 6, 6) inverse covariances of :func:`row_precision`.
         motion: statistics of the motion.
         entry: row of the table of constraints.
+
+    Returns:
+        The information (S, 2, 9, 9) about the parameters and the gradient (S, 2, 9), by scale.
     """
 
     def weights_after(step: Array) -> Array:
         return coordinates(move(parameters, step, motion.box), motion.mean_rotation, entry)
 
-    slopes = jax.jacfwd(weights_after)(jnp.zeros(9, precision.dtype))
+    zero = jnp.zeros(9, precision.dtype)
+    slopes = jnp.concatenate([jax.jacfwd(weights_after)(zero), weights_after(zero)[:, :, None]], axis=2)
     through = jnp.einsum("ifp,sfg,jgq->sipjq", slopes, motion.products, slopes)
-    found = jnp.einsum("sipjq,stij->stpq", through, precision)
-    return found * motion.details[:, None, None, None]
+    found = jnp.einsum("sipjq,stij->stpq", through, precision) * motion.details[:, None, None, None]
+    return found[..., :9, :9], found[..., :9, 9]
 
 
 def posterior(total: Array, prior: Array) -> Array:
@@ -61,12 +77,15 @@ def student_variance(freedom: Array) -> Array:
 
 def spread_of_fit(
     parameters: Parameters, data: Data, slopes: Array, entry: Table, prior: Array
-) -> tuple[Array, Array]:
-    """Covariance of the nine components, (9, 9), and of the tilt, (2, 2).
+) -> tuple[Array, Array, Array]:
+    """Covariance of the nine components, and the difference between two estimates of the axes.
 
     The variances of constrained coordinates are estimates from the independent values of each scale. The
     degrees of freedom follow from Welch and Satterthwaite; each scale has a weight proportional to its
     information.
+
+    If the constraint has one axis through both bodies, the tilt is the difference between its estimates.
+    Otherwise one estimate is from rotations, and the other from translations, each after one scoring step.
 
     Args:
         parameters: fitted parameters.
@@ -74,10 +93,17 @@ def spread_of_fit(
         slopes: (9, 9) derivative of the components with respect to a step of the parameters.
         entry: row of the table of constraints.
         prior: (9,) prior standard deviations of the parameters.
+
+    Returns:
+        The covariance (9, 9), the difference (9,) of the components, and the covariance (9, 9) of the
+        difference for white errors.
     """
-    each = information(parameters, row_precision(parameters, data, entry), data, entry)
-    covariance = posterior(jnp.sum(each, axis=(0, 1)), prior)
-    influence = covariance @ slopes.T
+    each, gradient = information(parameters, row_precision(parameters, data, entry), data, entry)
+    by_kind = jnp.sum(each, axis=0)
+    total, rotations, translations = jax.vmap(posterior, in_axes=(0, None))(
+        jnp.concatenate([jnp.sum(by_kind, axis=0)[None], by_kind]), prior
+    )
+    influence = total @ slopes.T
     part = (
         jnp.einsum("pn,stpq,qn->nst", influence, each, influence).reshape(3, 3, *each.shape[:2]).sum(axis=1)
     )
@@ -86,37 +112,61 @@ def spread_of_fit(
     number = 1 / (jnp.sum(jnp.square(part) / jnp.maximum(data.details, 0.5)[:, None], axis=(1, 2)) + 1e-6)
     freedom = jnp.maximum(number - 1, _FEWEST)
     factor = jnp.repeat(jnp.sqrt(student_variance(freedom) * jnp.maximum(number / freedom, 1)), 3)
-    return slopes @ influence * factor[:, None] * factor[None], covariance[6:8, 6:8]
+    score = jnp.sum(gradient, axis=0)
+    step = jnp.where(
+        entry.tied,
+        jnp.zeros_like(prior).at[:2].set(parameters.tilt),
+        translations @ score[1] - rotations @ score[0],
+    )
+    tilt = jnp.zeros_like(total).at[:2, :2].set(total[6:8, 6:8])
+    chance = jnp.where(entry.tied, tilt, rotations + translations)
+    covariance = slopes @ influence * factor[:, None] * factor[None]
+    return covariance, slopes @ step, slopes @ chance @ slopes.T
 
 
-def distances(apart: Array, covariance: Array) -> Array:
-    """Squared Mahalanobis distances (3,) per dimension, of components (9,) with covariance (9, 9).
+def widen(covariance: Array, apart: Array, chance: Array, sets: np.ndarray) -> Array:
+    """Covariance (9, 9) with 95 % intervals at least as wide as the differences of P pairs of estimates.
 
-    Their mean is 1 for normal errors; a group without dimensions has the value 1.
+    The covariance is multiplied by the mean squared distance of the parts, if it exceeds 1. If a difference
+    in a group still exceeds its interval, the same variance is added in all directions of the group, because
+    a slow error can have any direction. Differences count only beyond chance, by the mean squared distance
+    of their set.
+
+    Args:
+        covariance: (9, 9) covariance of the components, for white errors.
+        apart: (P, 9) differences of the components.
+        chance: (P, 9, 9) covariances of the differences, for white errors.
+        sets: (P,) int, 0 for redundant axes; other numbers for pairs of equally long parts.
     """
-    found = []
-    for rows in _GROUPS:
-        square, number, _ = _distance(apart[rows], covariance[rows, rows])
-        found.append(jnp.where(number > 0, square / jnp.maximum(number, 1), 1))
-    return jnp.stack(found)
+    square, number, apart = jax.vmap(_distances)(apart, chance)
+    same = sets[:, None] == sets
+    mean = same / np.sum(same, axis=1, keepdims=True) @ (square / jnp.maximum(number, 1))
+    covariance = covariance * jnp.maximum(1, jnp.max(mean[sets > 0]))
+    length = jnp.sum(jnp.square(apart), axis=2)
+    groups = _blocks(covariance)
+    along = jnp.einsum("pgi,gij,pgj->pg", apart, groups, apart)
+    along = along / jnp.maximum(length, jnp.finfo(length.dtype).tiny)
+    counted = jnp.clip((mean - _CHANCE) / (_SIGNIFICANT - _CHANCE), 0, 1)
+    lacking = jnp.max(jnp.maximum(0, counted * length / NORMAL_FACTOR**2 - along), axis=0)
+    _, axes, known = _principal(groups)
+    added = jnp.einsum("g,gij,gj,gkj->gik", lacking, axes, known, axes)
+    return covariance + jax.scipy.linalg.block_diag(*added)
 
 
-def slow_error(apart: Array, covariance: Array) -> Array:
-    """Part (9,) of the difference (9,) of two estimates that their covariance (9, 9) does not explain.
-
-    Squared Mahalanobis distances up to 2 d in the d dimensions of a group count as explained.
-    """
-    found = []
-    for rows in _GROUPS:
-        square, number, known = _distance(apart[rows], covariance[rows, rows])
-        beyond = jnp.maximum(0, 1 - 2 * number / jnp.maximum(square, jnp.finfo(square.dtype).tiny))
-        found.append(jnp.sqrt(beyond) * known)
-    return jnp.concatenate(found)
+def _blocks(covariance: Array) -> Array:
+    """Covariances (3, 3, 3) of the three groups of components."""
+    return jnp.stack([covariance[rows, rows] for rows in _GROUPS])
 
 
-def _distance(apart: Array, covariance: Array) -> tuple[Array, Array, Array]:
-    """Squared Mahalanobis distance, number of dimensions with a variance, and components in these."""
-    values, axes = jnp.linalg.eigh(covariance)
-    known = values > _KNOWN * values[-1]
-    along = jnp.where(known, axes.T @ apart, 0)
-    return jnp.sum(jnp.square(along) / jnp.where(known, values, 1)), jnp.sum(known), axes @ along
+def _principal(groups: Array) -> tuple[Array, Array, Array]:
+    """Variances (3, 3) and principal axes (3, 3, 3) of the groups, and whether a variance exceeds zero."""
+    values, axes = jnp.linalg.eigh(groups)
+    return values, axes, values > _KNOWN * values[:, -1:]
+
+
+def _distances(apart: Array, covariance: Array) -> tuple[Array, Array, Array]:
+    """Squared Mahalanobis distance, count of dimensions with a variance, and components there, by group."""
+    values, axes, known = _principal(_blocks(covariance))
+    along = jnp.where(known, jnp.einsum("gij,gi->gj", axes, apart.reshape(3, 3)), 0)
+    square = jnp.sum(jnp.square(along) / jnp.where(known, values, 1), axis=1)
+    return square, jnp.sum(known, axis=1), jnp.einsum("gij,gj->gi", axes, along)
