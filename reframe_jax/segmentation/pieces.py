@@ -39,6 +39,7 @@ def find_pieces(cells: Cells, reach: float) -> list[Piece]:
     """Find the most probable sequence of models.
 
     The models are fitted to windows of many lengths, then to the pieces of the best sequence.
+    A model may not explain a piece in which no fit to this piece alone pays its price.
     """
     number = cells.linear.shape[1]
     first = fit_models(cells, _windows(number), reach)
