@@ -12,8 +12,9 @@ from reframe_jax.geometry.numpy_rotations import rotation_matrices
 from reframe_jax.segmentation.bank import Bank
 from reframe_jax.segmentation.borders import place_border
 from reframe_jax.segmentation.cells import Cells, make_cells
-from reframe_jax.segmentation.chance import with_chance
+from reframe_jax.segmentation.chance import find_stops, with_chance
 from reframe_jax.segmentation.pieces import Piece, find_pieces, join_pieces
+from reframe_jax.segmentation.rows import fit_spans
 from reframe_jax.segmentation.sequence import Coverage, columns_of, likeliest
 from reframe_jax.simulation.motions import PoseErrors, disturb
 from reframe_jax.simulation.sequences import simulate_sequence
@@ -135,12 +136,48 @@ def test_noise_of_single_poses_moves_no_border() -> None:
 def test_rows_are_still_by_chance_in_short_spans_only(label: str) -> None:
     """The reference motion holds nothing, even if all of the recording is under one constraint."""
     cells, _ = pieces_of(sequence((label,), "encoder", 3))
-    short, medium, long = cells.references(np.array([[0, 4], [0, 16], [0, 64]]))
+    sums = cells.references(np.array([[0, 4], [0, 16], [0, 64]]))
+    short, medium, long = np.exp(sums[:, 1:, 0] / np.arange(1, 4))  # mean amplitudes of 1, 2 and 3 rows
     assert np.all(short < medium)
     assert np.all(medium <= long)
     assert short[0] < short[1] < short[2]  # one row of five parameters follows four cells
     assert short[0] < 2 * cells.floor[0]
     assert long[2] > 20 * short[0]
+
+
+def test_stops_are_found_between_movements_but_not_in_smooth_motion() -> None:
+    ends = np.array([6.5, 12.5, 18.5])
+    part = np.clip((np.arange(26)[:, None] - ends + 5) / 5, 0, 1)  # of movements that take five cells
+    speed = np.diff(np.sum(part**3 * (10 - 15 * part + 6 * part**2), axis=1))
+    assert np.allclose(find_stops(speed)[:2], [7, 13], atol=0.5)
+    assert len(find_stops(1 + 0.3 * np.sin(np.arange(60)))) == 0
+
+
+def test_movements_with_stops_hold_rows_by_chance_for_longer() -> None:
+    """Between two stops all coordinates follow one function of time; two rows fit two movements."""
+    rng = np.random.default_rng(8)
+    made = move_through(["free"], np.array([20.0]), ENCODER, rng, rate=50, motion="jerks", apart=(0.6, 1.2))
+    position = made.poses[:, :3, 3] - made.poses[:, :3, 3].mean(axis=0)
+    cells = with_chance(make_cells(made.poses[:, :3, :3], position, 0.02), 1.0)
+    number, length = cells.linear.shape[1], round(2 / cells.duration)
+    spans = np.stack([np.arange(number - length), np.arange(length, number)], axis=1)
+    logs = np.log(fit_spans(cells, spans, 1.0).size[:, 1, :, :2]).sum(axis=-1).min(axis=1)
+    assert np.median(logs) > np.median(cells.references(spans)[:, 2, 0]) - 1.0
+
+
+@pytest.mark.parametrize("label", ["contour", "ball"])
+def test_short_constraints_of_splines_are_found(label: str) -> None:
+    """Motion with one independent value in 1.3 s, and seven seconds of each constraint."""
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        made = move_through([label, "free"], np.full(2, 7.0), ENCODER, rng, 50, "splines", (0.7, 1.8))
+        assert [piece.held for piece in pieces_of(made)[1]] == [HELD[label], (0, 0)]
+
+
+def test_no_piece_lives_on_the_evidence_of_a_longer_span() -> None:
+    for seed in range(3):
+        _, pieces = pieces_of(sequence(("plane", "lock", "free"), "encoder", seed))
+        assert [piece.held for piece in pieces] == [HELD["plane"], HELD["lock"], HELD["free"]]
 
 
 def test_a_slow_motion_counts_as_a_shorter_one() -> None:
@@ -161,7 +198,7 @@ def test_a_slow_motion_counts_as_a_shorter_one() -> None:
 def test_the_sequence_is_the_likeliest_of_all(seed: int) -> None:
     rng = np.random.default_rng(seed)
     models, cells = 4, 6
-    gain, price = rng.normal(0, 3, (models, cells)), rng.uniform(0, 4, models)
+    gain, price = rng.normal(0, 3, (models, cells)), float(rng.uniform(0, 4))
     # two models that do not overlap share a column
     first = rng.integers(0, 4, models)
     last = first + rng.integers(0, 3, models)
@@ -177,7 +214,7 @@ def test_the_sequence_is_the_likeliest_of_all(seed: int) -> None:
             return -np.inf
         earned = sum(gain[m, k] for k, m in enumerate(sequence) if m >= 0)
         entered = [m for k, m in enumerate(sequence) if m >= 0 and (k == 0 or sequence[k - 1] != m)]
-        return float(earned - sum(price[m] for m in entered))
+        return float(earned - price * len(entered))
 
     every = np.stack(np.meshgrid(*[np.arange(-1, models)] * cells), axis=-1).reshape(-1, cells)
     assert value == pytest.approx(max(total(each) for each in every))
@@ -187,7 +224,7 @@ def test_the_sequence_is_the_likeliest_of_all(seed: int) -> None:
 def test_models_of_a_bank_can_be_taken_and_joined() -> None:
     bank = Bank(*(np.arange(4.0),) * len(Bank._fields))
     joined = bank.take([2]).join(bank.take([0, 1]))
-    assert joined.price.tolist() == [2, 0, 1]
+    assert joined.score.tolist() == [2, 0, 1]
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ __all__ = ["Bank", "choose_models", "fit_models", "gains", "misfit"]
 
 _KEPT = 4  # models of a span
 _BATCH = 2000  # spans
-_ANGULAR_PARAMETERS = np.array([0, 2, 2, 0])  # directions of 0 to 3 held rotations
+_ANGULAR_PARAMETERS = np.array([0, 2, 2, 0])  # directions of 0 to 3 held rotations, which cost evidence
 
 
 class Bank(NamedTuple):
@@ -31,10 +31,9 @@ class Bank(NamedTuple):
             translation or rotation; unused rows are 0.
         middle: (H, 6) m and rad, mean values of the held coordinates, translations first.
         size: (H, 6) m and rad, RMS deviations from ``middle``; infinite for unused rows.
-        price: (H,) log evidence that is subtracted for each segment that uses the model.
-        score: (H,) log evidence for the model in its own span, minus the price.
-        reference: (H,) m, amplitude of a free translation, with which held translations are compared.
-        motion: (H,) m, largest motion of the span; rotations are converted to m by the lever.
+        score: (H,) log evidence for the model in its own span, minus the price of a segment.
+        reference: (H,) sum of the logarithms of the amplitudes of the coordinates if they are free.
+        motion: (H,) m, largest motion of the span.
     """
 
     span: np.ndarray
@@ -44,14 +43,13 @@ class Bank(NamedTuple):
     turns: np.ndarray
     middle: np.ndarray
     size: np.ndarray
-    price: np.ndarray
     score: np.ndarray
     reference: np.ndarray
     motion: np.ndarray
 
     def take(self, index: np.ndarray | list[int]) -> "Bank":
         """Select models by index."""
-        return Bank(*(leaf[index] for leaf in self))
+        return Bank(*(leaf[np.asarray(index, int)] for leaf in self))
 
     def join(self, *others: "Bank") -> "Bank":
         """Append other banks."""
@@ -89,13 +87,8 @@ def fit_models(cells: Cells, spans: np.ndarray, reach: float) -> Bank:
 def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
     """Choose the best models, at most four, of each span.
 
-    The evidence for a model must exceed its price. A model with slightly less evidence is also kept, because
-    a longer span may supply the rest; the deficit must be less than the price of a segment.
-
-    Args:
-        cells: cells of the recording.
-        spans: (P, 2) first cell, and the cell after the last, of each span.
-        fits: rows with the least motion, fitted to these spans.
+    A model needs evidence above the price of a segment; a model that lacks less than this price is also kept,
+    because a longer span may supply the missing evidence.
     """
     count = (spans[:, 1] - spans[:, 0]) * cells.weight
     own = fits.motion[:, None] / C.gap
@@ -105,19 +98,20 @@ def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
     )
     references = cells.references(spans)
     # once one row is held, further rows are by chance as small as a single row
-    further = np.minimum(most, np.maximum(3 * cells.floor[0], C.reference * references[:, :1]))
+    further = np.minimum(most, np.maximum(3 * cells.floor[0], C.reference * np.exp(references[:, 1, :1])))
     limits = np.stack([most, further, further], axis=1)
-    linear, linear_type = _log_ratios(fits.size, references[:, :, None, None], limits)
+    linear, linear_type = _log_sizes(fits.size, limits)
     every = np.where(np.arange(3) < np.arange(1, 4)[:, None, None], fits.turn[:, None], np.inf)
-    angular, angular_type = _log_ratios(every, cells.reference[1], most_turn[:, None])
-    both = linear[:, :, None] + angular[:, None]
+    angular, angular_type = _log_sizes(every, most_turn[:, None])
+    both = np.maximum(references - (linear[:, :, None] + angular[:, None]), 0)
+    both = np.where(np.isfinite(linear[:, :, None] + angular[:, None]), both, -np.inf)
     # stillness: no coordinate moves, for a longer time than at a turning point
     both[:, 3, 3] = np.where(count >= C.still_time, 0, -np.inf)
     for size, reference, bound in zip((fits.size, every), cells.reference, cells.bound(C.still), strict=True):
-        both[:, 3, 3] += _log_ratios(size, reference, bound)[0][:, 3]
-    each = np.where(np.isfinite(angular), angular, 0) / np.maximum(np.arange(4), 1)
-    price = np.repeat(C.price + (_ANGULAR_PARAMETERS * each)[:, None], 4, axis=1)
-    score = count[:, None, None] * both - price
+        both[:, 3, 3] += 3 * np.log(reference) - _log_sizes(size, bound)[0][:, 3]
+    turned = np.where(np.isfinite(angular), np.maximum(references[:, 0] - angular, 0), 0)
+    each = turned / np.maximum(np.arange(4), 1)
+    score = count[:, None, None] * both - C.price - (_ANGULAR_PARAMETERS * each)[:, None]
     score[:, 0, 0] = -np.inf
     score = score.reshape(-1, 16)
     order = np.argsort(-score, axis=1)[:, :_KEPT]
@@ -138,31 +132,27 @@ def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
         turns=turns,
         middle=np.concatenate([shift, turn], axis=1),
         size=np.concatenate([rms, rms_turn], axis=1),
-        price=price.reshape(-1, 16)[span, chosen],
         score=score[span, chosen],
-        reference=np.where(chosen == 15, cells.reference[0], references[span, number]),
+        reference=np.where(chosen == 15, 3 * np.log(cells.reference).sum(), references[span, *held.T]),
         motion=fits.motion[span],
     )
 
 
-def _log_ratios(
-    size: np.ndarray, reference: float | np.ndarray, most: float | np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Sum log(reference / size) over 0 to 3 held coordinates, (P, 4), for the best type, and find this type.
+def _log_sizes(size: np.ndarray, most: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sum log(size) over 0 to 3 held coordinates, (P, 4), for the best type, and find this type.
 
     Args:
         size: (P, 3, T, 3) RMS of 1, 2 and 3 held coordinates in T types; infinite for unused coordinates.
-        reference: amplitude of a free coordinate.
         most: largest RMS of a held coordinate; (P, 3, 1) if the bound depends on the number of coordinates.
     """
     counted = np.isfinite(size)
     held = np.all((size < np.asarray(most)[..., None]) | ~counted, axis=-1)
-    value = np.sum(np.where(counted, np.log(np.maximum(reference / size, 1)), 0), axis=-1)
-    value = np.where(held, value, -np.inf)
-    best = value.argmax(axis=-1)
-    value = value.max(axis=-1)
+    value = np.where(held, np.sum(np.log(np.where(counted, size, 1)), axis=-1), np.inf)
+    best = value.argmin(axis=-1)
     none = np.zeros((len(size), 1))
-    return np.concatenate([none, value], axis=1), np.concatenate([none.astype(int), best], axis=1)
+    return np.concatenate([none, value.min(axis=-1)], axis=1), np.concatenate(
+        [none.astype(int), best], axis=1
+    )
 
 
 def _held_rows(
@@ -177,18 +167,17 @@ def _held_rows(
     return weights, np.einsum("hrf,hf->hr", weights, mean), np.where(used, rms, np.inf)
 
 
-def gains(bank: Bank, values: np.ndarray, turn: float, widen: float = 1.0) -> np.ndarray:
-    """Return the log evidence (H, N) that the coordinates of H models are held, and not free, in N cells.
+def gains(bank: Bank, values: np.ndarray, widen: float = 1.0) -> np.ndarray:
+    """Log evidence (H, N) that coordinates with values (H, N, 6) are held and not free.
 
     Args:
         bank: the models.
-        values: (H, N, 6) m and rad, coordinates of the models in the cells.
-        turn: amplitude of a free rotation, rad.
-        widen: factor on the RMS deviations of the models.
+        values: (H, N, 6) m and rad, coordinates of the models.
+        widen: factor on the sizes of the models.
     """
-    free = np.stack([bank.reference, np.full_like(bank.reference, turn)], axis=1).repeat(3, axis=1)
-    ratio = np.log(np.maximum(free / (widen * bank.size), 1))
-    return np.sum(ratio, axis=1)[:, None] - misfit(bank, values, widen)
+    used = np.isfinite(bank.size)
+    sizes = np.sum(np.log(np.where(used, widen * bank.size, 1)), axis=1)
+    return np.maximum(bank.reference - sizes, 0)[:, None] - misfit(bank, values, widen)
 
 
 def misfit(bank: Bank, values: np.ndarray, widen: float = 1.0) -> np.ndarray:

@@ -33,11 +33,12 @@ class Cells:
         samples: number of poses per cell.
         duration: duration of a cell, s.
         motion_time: time in which the motion gives one independent value, s.
-        motion: (2,) m and rad, amplitudes of the translations and of the rotations of the recording.
-        floor: (2,) m and rad, size of the noise and of usual slow errors; smaller residuals count as zero.
-        chance: (L,) logarithms of span lengths in cells, and (L, 3) logarithms of the RMS in m of 1, 2 and 3
-            rows that were fitted to a motion without constraints; None before :func:`with_chance`.
-        progress: (N + 1,) path length before each cell, as a number of cells with the usual speed; None
+        motion: (2,) m and rad, amplitudes of a translation and of a rotation.
+        floor: (2,) m and rad, residuals below this size count as zero.
+        chance: (L,) logarithms of span lengths in cells, and (L, 4, 4) sums of the logarithms of the sizes in
+            m and rad of 0 to 3 translations and 0 to 3 rotations, fitted to motion without any held
+            coordinate; None before :func:`with_chance`.
+        progress: (N + 1,) number of cells of usual motion that equals the motion before each cell; None
             before :func:`with_chance`.
     """
 
@@ -52,21 +53,14 @@ class Cells:
     progress: np.ndarray | None = None
 
     def references(self, spans: np.ndarray) -> np.ndarray:
-        """Return the amplitude in m of free translations in each span, with which held ones are compared.
-
-        In a short span, some coordinate of a free motion is small by chance; the amplitude is then lower.
-
-        Args:
-            spans: (P, 2) first cell, and the cell after the last, of each span.
-
-        Returns:
-            (P, 3) m, for 1, 2 and 3 fitted rows.
-        """
+        """Sums (P, 4, 4) of log amplitudes of 0 to 3 free translations and rotations in spans (P, 2)."""
+        a, b = np.log(self.reference)
+        most = np.arange(4)[:, None] * a + np.arange(4) * b
         if self.chance is None or self.progress is None:
-            return np.full((len(spans), 3), self.reference[0])
-        lengths = np.maximum(self.progress[spans[:, 1]] - self.progress[spans[:, 0]], 1)
-        logs = [np.interp(np.log(lengths), self.chance[0], size) for size in self.chance[1].T]
-        return np.minimum(np.exp(logs).T, self.reference[0])
+            return np.broadcast_to(most, (len(spans), 4, 4))
+        lengths = np.log(np.maximum(self.progress[spans[:, 1]] - self.progress[spans[:, 0]], 1))
+        logs = [np.interp(lengths, self.chance[0], sums) for sums in self.chance[1].reshape(-1, 16).T]
+        return np.minimum(np.stack(logs, axis=1).reshape(-1, 4, 4), most)
 
     @property
     def weight(self) -> float:

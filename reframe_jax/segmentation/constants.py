@@ -24,7 +24,9 @@ class SegmentConstants(NamedTuple):
         gap: smallest ratio of the largest motion of a span to a coordinate held in this span.
         reference: amplitude of a free coordinate with little motion, as a fraction of the motion of the
             recording.
-        chance: quantile of the sizes of rows by chance, below which a row has evidence.
+        chance: quantile of the sizes of rows by chance, below which rows have evidence.
+        stop: largest speed at a stop, as a fraction of the largest speeds before and after.
+        stretch: largest ratio of the durations of two movements between stops that replace each other.
         usual: quantile of the path lengths in windows of the recording, below which a motion is slow.
         price: log evidence that a segment costs, because the best of many spans and models is chosen. A
             model that lacks at most this evidence is kept, because the segment may be longer.
@@ -47,8 +49,10 @@ class SegmentConstants(NamedTuple):
     gap: float = 4.0
     reference: float = 1 / 2
     chance: float = 0.2
+    stop: float = 0.4
+    stretch: float = 2.5
     usual: float = 0.4
-    price: float = 12.0
+    price: float = 9.0
     border: float = 1.0
     tail: float = 4.0
     widen: float = 1.5

@@ -14,7 +14,7 @@ from reframe_jax.segmentation.sequence import cover, likeliest
 __all__ = ["Piece", "find_pieces", "join_pieces", "stays_held"]
 
 _SHORTEST, _LONGEST = 8, 512  # cells in a window
-_ROUNDS = 4
+_PRICES = 0.4, 1, 1, 1, 1, 1  # of a segment, in each round: a low price first, to refit more candidates
 
 
 class Piece(NamedTuple):
@@ -41,35 +41,70 @@ class Piece(NamedTuple):
 def find_pieces(cells: Cells, reach: float) -> list[Piece]:
     """Divide a recording into the most probable sequence of models.
 
-    The models are first fitted to windows of many lengths, then to the pieces of the best sequence, until the
-    evidence stops increasing.
-
-    Args:
-        cells: cells of the recording, with ``chance`` and ``progress``.
-        reach: half the width of the cube in which origins are searched, m.
+    The models are fitted to windows of many lengths, then to the pieces of the best sequence.
+    A model may not explain a piece in which no fit to this piece alone pays its price.
     """
     number = cells.linear.shape[1]
     first = fit_models(cells, _windows(number), reach)
-    if not len(first.price):
+    if not len(first.score):
         return [Piece(0, number, None)]
     known = cover(cells, first, C.widen)
     bank, coverage, evidence = first, known, 0.0
+    tried, done = first.take([]), set[tuple[int, int]]()
     pieces = [Piece(0, number, None)]
-    for _ in range(_ROUNDS):
-        path, now = likeliest(coverage, bank.price)
-        if now <= evidence + 0.1:
-            break
-        evidence = now
+    for part in _PRICES:
+        path, now = likeliest(coverage, part * C.price)
         edges = [0, *(np.flatnonzero(np.diff(path)) + 1).tolist(), number]
+        spans = _neighbours(edges)
+        new = np.array(sorted(spans - done)).reshape(-1, 2)
+        if len(new):
+            tried = tried.join(fit_models(cells, new, reach))
+            done |= spans
+        again = tried.take([k for k, span in enumerate(tried.span.tolist()) if tuple(span) in spans])
         pieces = [Piece(a, b, bank.take([path[a]]) if path[a] >= 0 else None) for a, b in pairwise(edges)]
-        again = fit_models(cells, _neighbours(edges), reach)
+        if part == 1:
+            paid = _paid(pieces, again)
+            if all(paid) and now <= evidence + 0.1:
+                break
+            evidence = now if all(paid) else -np.inf
+            for k, piece in enumerate(pieces):
+                if not paid[k]:
+                    model = path[piece.start]
+                    if model < len(first.score):
+                        known.gain[piece.start : piece.stop, known.column[model]] = -np.inf
+                    pieces[k] = piece._replace(model=None)
         kept = [piece.model for piece in pieces if piece.model is not None]
         fresh = again.join(*kept)
-        if not len(fresh.price):
+        if not len(fresh.score):
             break
         bank = first.join(fresh)
         coverage = known.join(cover(cells, fresh))
-    return pieces
+    return _join_free(pieces)
+
+
+def _join_free(pieces: list[Piece]) -> list[Piece]:
+    """Join consecutive pieces of free motion."""
+    joined = pieces[:1]
+    for piece in pieces[1:]:
+        if piece.model is None and joined[-1].model is None:
+            joined[-1] = joined[-1]._replace(stop=piece.stop)
+        else:
+            joined.append(piece)
+    return joined
+
+
+def _paid(pieces: list[Piece], again: Bank) -> list[bool]:
+    """Whether each piece has a model with enough evidence in this piece alone.
+
+    A model of a longer span has too much evidence in a short piece, in which free motion also moves little.
+    """
+    best: dict[tuple[int, ...], float] = {}
+    for span, score in zip(again.span.tolist(), again.score.tolist(), strict=True):
+        best[tuple(span)] = max(best.get(tuple(span), -np.inf), score)
+    return [
+        piece.model is None or piece.still or best.get((piece.start, piece.stop), -np.inf) >= 0
+        for piece in pieces
+    ]
 
 
 def _windows(number: int) -> np.ndarray:
@@ -82,14 +117,14 @@ def _windows(number: int) -> np.ndarray:
     return np.concatenate(spans)
 
 
-def _neighbours(edges: list[int]) -> np.ndarray:
+def _neighbours(edges: list[int]) -> set[tuple[int, int]]:
     """Spans of pieces, of pieces without their ends, and of two and three consecutive pieces."""
     spans = set()
     for count in (1, 2, 3):
         for a, b in zip(edges, edges[count:], strict=False):
             spans.add((a, b))
             spans |= {(a + cut, b - cut) for cut in (1, 2) if count == 1}
-    return np.array(sorted(span for span in spans if span[1] - span[0] >= 3))
+    return {span for span in spans if span[1] - span[0] >= 3}
 
 
 def stays_held(models: list[Bank], cells: Cells, union: Fits) -> bool:
@@ -149,6 +184,7 @@ def _join_one(
         if own.model is None:
             if time < C.still_time:
                 trials.append((min(i, *beside), max(i, *beside), [one.model]))
+            trials.append((min(i, j), max(i, j), [one.model]))
         else:
             if own.still and one.still:
                 longer = max(own, one, key=lambda piece: piece.stop - piece.start)
@@ -168,7 +204,8 @@ def _join_one(
             new = tried[key]
             if new is not None:
                 return [*pieces[:first], new, *pieces[last + 1 :]]
-    if own.still and time < C.still_time and beside:
+    # free motion shorter than one independent value is no segment
+    if beside and (time < C.still_time if own.still else own.model is None and time < 1):
         return _divide_between_neighbours(pieces, i)
     return None
 

@@ -15,7 +15,6 @@ __all__ = ["Fits", "fit_spans"]
 _BATCH = 400  # spans per batch: their moments fit the cache of a processor
 _STEPS = 3, 3, 4  # steps of the fits of 3, 2 and 1 held translations; each fit starts at the previous one
 _HAT = np.cross(np.eye(3)[:, None], np.eye(3))  # (_HAT @ v)[:, c] = e_c x v
-_LENGTH = 1.6  # factor on steps: the curvature of the bound is up to twice the curvature of the logarithm
 
 
 class Fits(NamedTuple):
@@ -189,7 +188,7 @@ def _descend(
     square = _squares(covariance, axes)
     value = np.log(square[:held]).sum(axis=0)
     for _ in range(steps):
-        step = _LENGTH * _levenberg(form, half, covariance, axes, square, held, damping)
+        step = _levenberg(form, half, covariance, axes, square, held, damping)
         there = np.clip(x - step[3:], middle - reach, middle + reach)
         turn = -0.5 * step[:3, None]
         turn /= np.maximum(np.linalg.norm(turn, axis=0) / 0.25, 1)

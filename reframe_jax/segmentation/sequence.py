@@ -56,7 +56,7 @@ def cover(cells: Cells, bank: Bank, widen: float = 1.0) -> Coverage:
         for part in np.array_split(own, -(-len(own) * extent // _BATCH)):
             at, some = low[part, None] + np.arange(extent), bank.take(part)
             values = some.coordinates(cells.linear, cells.angular, at)
-            gain[at, column[part, None]] = cells.weight * gains(some, values, cells.reference[1], widen)
+            gain[at, column[part, None]] = cells.weight * gains(some, values, widen)
     return Coverage(gain, column, low)
 
 
@@ -82,12 +82,12 @@ def columns_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     return column
 
 
-def likeliest(coverage: Coverage, price: np.ndarray) -> tuple[np.ndarray, float]:
-    """Find the sequence of models with the largest total log evidence. Free motion has the evidence 0.
+def likeliest(coverage: Coverage, price: float) -> tuple[np.ndarray, float]:
+    """Find the sequence of models with the largest log evidence; free motion has the evidence 0.
 
     Args:
         coverage: coverage of all models.
-        price: (H,) log evidence that is subtracted for each segment that uses the model.
+        price: log evidence that each use of a model costs.
 
     Returns:
         (N,) index of the model of each cell, -1 for free motion; and the total log evidence.
@@ -96,14 +96,13 @@ def likeliest(coverage: Coverage, price: np.ndarray) -> tuple[np.ndarray, float]
     number, width = gain.shape
     order = np.lexsort((column, first))
     begins = np.searchsorted(first[order], np.arange(number + 1))
-    value, cost = np.full(width, -np.inf), np.zeros(width)
+    value = np.full(width, -np.inf)
     best, best_column = 0.0, np.full(number, FREE)
     stayed = np.empty((number, width), bool)
     for k in range(number):
         if begins[k] < begins[k + 1]:
-            new = order[begins[k] : begins[k + 1]]
-            value[column[new]], cost[column[new]] = -np.inf, price[new]
-        enter = best - cost
+            value[column[order[begins[k] : begins[k + 1]]]] = -np.inf
+        enter = best - price
         np.greater_equal(value, enter, out=stayed[k])
         np.maximum(value, enter, out=value)
         value += gain[k]
