@@ -215,7 +215,7 @@ def _where(finding: Finding, spread: Spread | None) -> str:
     body = BODY_NAMES[finding.linear_type.position_body]
     size = "" if spread is None else _within(1e3 * _largest(spread.position), "mm")
     line = f"{what} {_vector(finding.position, 4)} m in the {body}{size}."
-    if spread is not None and float(np.max(np.asarray(spread.inflation))) > _SLOW:
+    if spread is not None and float(np.asarray(spread.inflation)[..., 2]) > _SLOW:
         line += " This error comes mainly from slow errors, such as tracker drift."
     return f"{line} {others}".rstrip()
 
