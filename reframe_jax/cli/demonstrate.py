@@ -36,7 +36,7 @@ identify (demos-000.csv and so on).
 
 
 def add_demonstrate(commands: Any) -> None:
-    """Add this command to the command line."""
+    """Add the command ``demonstrate`` to the parser."""
     command = add_command(commands, "demonstrate", _demonstrate, _DEMONSTRATE)
     add_common(command)
     add = command.add_argument

@@ -28,7 +28,7 @@ _TABLES = {"csv": write_csv, "parquet": write_parquet}
 
 
 def add_exports(command: argparse.ArgumentParser) -> None:
-    """Add the options to a command."""
+    """Add the options that write robot descriptions, task frames and tables to a command."""
     add = command.add_argument_group(
         "files for other programs",
         "With several recordings, each joint or task frame is written to OUT-NAME.",

@@ -1,4 +1,4 @@
-"""JSON documents and pictures, and the loop over recordings of a command."""
+"""Write the JSON documents and pictures of a command."""
 
 import argparse
 from collections.abc import Callable

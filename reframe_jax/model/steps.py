@@ -3,8 +3,8 @@
 The unknowns of a problem are a frame V in its main body (see :class:`.EntryMoments`), an origin x, the tilt t
 between the axis in {b} and in {g}, and a pitch h. Three blocks of coordinates can be held: rotations about
 columns of V, translations of the origin along columns of V, and the position of the body along the tilted
-axis, less h times the rotation about the axis. The objective is sum_s n_s log det of the held covariances; see
-:mod:`.fit`.
+axis, less h times the rotation about the axis. The objective is sum_s n_s log det of the held covariances;
+see :mod:`.fit`.
 """
 
 from functools import partial

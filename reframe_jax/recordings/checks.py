@@ -1,4 +1,4 @@
-"""Conversion of rows to poses: repairs, rows that are left out, and errors."""
+"""Check the rows of a file and convert them to poses; wrong rows are repaired, left out or refused."""
 
 from dataclasses import replace
 
@@ -65,7 +65,7 @@ def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> np.ndar
         Poses (N, 4, 4) of the remaining rows.
 
     Raises:
-        RecordingError: if no body moves like this.
+        RecordingError: if the positions are too far apart for a body in the unit of the file.
     """
     kept = _near(rows, poses[:, :3, 3])
     rows.keep(

@@ -1,9 +1,9 @@
 """Meaning of the numbers of an orientation: the order of a quaternion and the unit of angles.
 
-Quaternions in the wrong order are inverse rotations between two constant rotations. The motion is as smooth
-as before and turns by the same angles, but the rotations do not fit the positions: a constrained body moves
-with few independent velocities, and with more of them if its orientations are wrong. This difference shows
-the order, and distinguishes degrees from radians. A free motion does not show the order.
+A quaternion that is read in the wrong order is the inverse rotation, between two constant rotations. The
+motion remains smooth and turns by the same angles, but the rotations do not fit the positions: a constrained
+body has few independent velocities, and wrong orientations add more. The number of independent velocities
+therefore shows the order, and distinguishes degrees from radians; for a free motion, it does not.
 """
 
 from pathlib import Path
@@ -69,15 +69,15 @@ def sample_rows(count: int) -> np.ndarray:
 
 
 def fits_better(positions: np.ndarray, own: np.ndarray, other: np.ndarray) -> bool:
-    """Return whether the motion is constrained with other orientations, but not with its own.
+    """Return whether the motion is constrained with the other orientations, but not with its own.
 
     Short free motions have few independent velocities by chance. Therefore the constrained directions of each
     half of the motion must also be constrained in the other half.
 
     Args:
-        positions: (N, 3).
-        own: (N, 3, 3) rotations.
-        other: (N, 3, 3) rotations of the same numbers in another order.
+        positions: (N, 3), in any unit.
+        own: (N, 3, 3) rotations as they were read.
+        other: (N, 3, 3) rotations from the same numbers, read in another order.
     """
     places = positions - positions.mean(axis=0)
     spread = np.sqrt(np.mean(np.sum(places**2, axis=1)))

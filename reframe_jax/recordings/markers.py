@@ -79,7 +79,7 @@ def set_marker_poses(rows: Rows, points: np.ndarray, known: list[str], wanted: S
         points: (N, M, 3), NaN where a marker is not seen.
         known: labels of all markers.
         wanted: the options, with the body and the unit.
-        unit: unit of the points in words.
+        unit: unit of the points in words, as in the file. The note gives the distances in mm.
 
     Raises:
         RecordingError: if the body or the unit is unknown, or if no rigid body fits.

@@ -1,4 +1,4 @@
-"""Poses of a rigid body from the positions of its markers."""
+"""Compute the poses of a rigid body from the positions of its markers."""
 
 import numpy as np
 

@@ -66,7 +66,7 @@ class Rows:
         return self.values[:, :3] if self.values.shape[1] == 7 else self.values[:, [3, 7, 11]]
 
     def error(self, row: int, problem: str) -> RecordingError:
-        """Make an error about a row."""
+        """Make an error that names the file and a row (an index of ``where``)."""
         return RecordingError(f"{self.path}: {self.word} {self.where[row]}: {problem}")
 
     def keep(self, mask: np.ndarray, why: str, reason: str, note: str | None = None) -> None:

@@ -145,7 +145,7 @@ def simulate(
     else:
         frame = constraint
     if isinstance(excitation, str) and excitation not in EXCITATIONS:
-        raise ValueError(f"No excitation {excitation!r}. There are: {', '.join(EXCITATIONS)}.")
+        raise ValueError(f"Unknown excitation {excitation!r}; choose from {', '.join(EXCITATIONS)}.")
     first = jnp.eye(4, dtype=frame.position.dtype) if start is None else start
     phase_key, noise_key = jax.random.split(key)
     arrays, steps = frame_arrays(frame), round(duration / dt)

@@ -32,7 +32,7 @@ LEGEND = (
 
 
 def scene_box(windows: list[WindowTrack]) -> tuple[np.ndarray, float]:
-    """Centre (3,) and size, m, of the whole scene."""
+    """Return the centre (3,) and the size of the scene of all windows, m, in the ground."""
     points = [window.poses[window.counted, :3, 3] for window in windows]
     points += [window.frame.origins[window.counted] for window in windows if window.frame is not None]
     together = np.concatenate(points)

@@ -241,7 +241,7 @@ def demonstrate_sequence(
     arm = find_arm(arm)
     each = each_duration(constraints, durations)
     if not callable(excitation) and excitation not in EXCITATIONS:
-        raise ValueError(f"No excitation {excitation!r}. There are: {', '.join(EXCITATIONS)}.")
+        raise ValueError(f"Unknown excitation {excitation!r}; choose from {', '.join(EXCITATIONS)}.")
     if batch < 1:
         raise ValueError(f"batch must be at least 1, not {batch}.")
     if first < 0:

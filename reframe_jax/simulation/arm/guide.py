@@ -138,7 +138,10 @@ def stop_at(end: jax.Array, excitation: Excitation) -> Excitation:
 def guide_drive(
     key: jax.Array, frame: Frame, excitation: Excitation, step: float
 ) -> Callable[[jax.Array, jax.Array, Motion, Any], tuple[jax.Array, jax.Array]]:
-    """The drive of a demonstration by a random hand; its state is the target pose (4, 4) of the tool."""
+    """Return the ``Drive`` of a hand with a random misalignment and tremor, for steps of ``step`` s.
+
+    The state of the drive is the target pose (4, 4), m, of the tool, without the misalignment.
+    """
     dtype = frame.position.dtype
     stiffness, damping, offset, size = (
         jnp.repeat(jnp.asarray(pair, dtype=dtype), 3)
