@@ -62,7 +62,7 @@ class Calibration:
 
     @property
     def outliers(self) -> np.ndarray:
-        """(M,) int, rows that were left out, from 0."""
+        """(M,) int, indices from 0 of the rows that were left out."""
         return np.flatnonzero(~self.used)
 
     @property

@@ -36,7 +36,7 @@ def add_common(command: argparse.ArgumentParser) -> None:
 
 
 def prepare(options: argparse.Namespace) -> dict[str, Any]:
-    """Configure JAX, and return the common options as arguments of a simulation."""
+    """Configure JAX, and return the options of :func:`add_common` as arguments of a simulation."""
     configure_jax(options.cache)
     from reframe_jax.simulation import arm
 

@@ -80,7 +80,7 @@ def _demonstrate(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> None:
-    """Report outputs that cannot be written, before the simulation starts."""
+    """Exit with a usage error if an output cannot be written, before the simulation starts."""
     for name, suffixes in _ENDINGS.items():
         path = getattr(options, name)
         if path is None:

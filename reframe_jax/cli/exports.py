@@ -44,7 +44,7 @@ def add_exports(command: argparse.ArgumentParser) -> None:
 
 
 def check_exports(options: argparse.Namespace) -> None:
-    """Report outputs that cannot be written, before the computation starts."""
+    """Exit with a usage error if an output cannot be written, before the computation starts."""
     of_joints = [*_ROBOTS, "task_frame"]
     for name in (*of_joints, *_TABLES):
         out: Path | None = getattr(options, name)

@@ -102,7 +102,7 @@ def add_windows(command: argparse.ArgumentParser) -> None:
 
 
 def check_windows(options: argparse.Namespace) -> None:
-    """Report options that cannot be combined, and set the default stride."""
+    """Exit with a usage error for options that cannot be combined, and set the default stride."""
     if options.window is None:
         if options.stride is not None:
             options.usage_error("--stride needs --window.")

@@ -84,7 +84,7 @@ def roll_pitch_yaw(rotation: np.ndarray) -> np.ndarray:
 def element(
     parent: ElementTree.Element, tag: str, text: str | None = None, **attributes: str
 ) -> ElementTree.Element:
-    """Append an XML element to its parent."""
+    """Append an XML element with a text and attributes to its parent, and return the element."""
     made = ElementTree.SubElement(parent, tag, attributes)
     made.text = text
     return made

@@ -43,7 +43,7 @@ class Geometry:
     universal: np.ndarray | None = None
 
     def in_ground(self, direction: np.ndarray, on_body: bool) -> np.ndarray:
-        """Express a direction (3,) in {g}, as the mean over all poses if it is fixed in {b}."""
+        """Express a unit vector (3,) in {g}: the mean over all poses if it is fixed in {b} (``on_body``)."""
         if not on_body:
             return direction
         mean: np.ndarray = np.mean(self.poses[:, :3, :3] @ direction, axis=0)

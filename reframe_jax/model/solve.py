@@ -190,7 +190,7 @@ def _compare_entries(
     codes = jnp.asarray(np.resize(np.arange(number, dtype=np.int32), (blocks, size)))
 
     def screen(r: Array, _: _Evaluated) -> tuple[Array, Forms, Unknowns, Unknowns]:
-        """The next block of entries, at their starting parameters."""
+        """Return the next block of entries, at their starting parameters."""
         block = codes[r]
         paths = jnp.asarray(TABLE.path)[block]
         start = jax.tree.map(lambda leaf: jnp.take(leaf, block, axis=-2), problem.starts)
@@ -198,7 +198,7 @@ def _compare_entries(
         return jnp.broadcast_to(block[:, None], (size, details.shape[1])), forms, start, start
 
     def fit(_: Array, rounds: _Evaluated) -> tuple[Array, Forms, Unknowns, Unknowns]:
-        """The most probable entries, fitted; then fitted with a free tilt."""
+        """Fit the most probable entries, then fit them again with a free tilt."""
         screened: _Evaluated = jax.tree.map(lambda leaf: _flat(leaf[:blocks])[..., :number, :], rounds)
         rank = jnp.where(allowed, log_probability(screened), -jnp.inf)
         best = jax.lax.top_k(rank.T, size)[1].T

@@ -60,7 +60,7 @@ ROWS = np.stack([_weights(kind) for kind in KINDS])
 
 
 class Block(NamedTuple):
-    """Coordinates of one kind, held or free together."""
+    """Coordinates of one kind (of ``KINDS``) along columns of the frame, which are all held or all free."""
 
     kind: str
     columns: tuple[int, ...]
@@ -68,12 +68,12 @@ class Block(NamedTuple):
 
 
 def held(kind: str, *columns: int) -> Block:
-    """Coordinates that do not change."""
+    """Return a block of held coordinates, which do not change during the motion."""
     return Block(kind, columns, True)
 
 
 def free(kind: str, *columns: int) -> Block:
-    """Coordinates in which the body moves."""
+    """Return a block of free coordinates, in which the body moves."""
     return Block(kind, columns, False)
 
 
@@ -112,7 +112,7 @@ class Entry:
 
     @property
     def dof(self) -> tuple[int, int]:
-        """Number of free rotations, and of free translations."""
+        """Numbers of free rotations and of free translations."""
         free_ones = [not b.held for b in self.blocks for _ in b.columns]
         return sum(free_ones[:3]), sum(free_ones[3:])
 
@@ -122,7 +122,7 @@ def _turn(kind: LinearType) -> str:
 
 
 def turning(kind: LinearType) -> Block:
-    """All rotations, free."""
+    """Return a block of three free rotations, in the body that the first letter of the type names."""
     return free(_turn(kind), 0, 1, 2)
 
 

@@ -46,6 +46,6 @@ def new_figure(width: float, height: float) -> "Figure":
 
 
 def axis_colours(dof: Any) -> list[str]:
-    """Return the colour of each axis of a frame: blue for free axes, orange for constrained axes."""
+    """Return the colours of three axes from ``dof`` (3,): blues for 1 (free), oranges for 0 (constrained)."""
     families = {0: iter(CONSTRAINED), 1: iter(FREE)}
     return [next(families[int(free)]) for free in dof]

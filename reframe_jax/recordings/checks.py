@@ -44,7 +44,7 @@ def drop_unfinished(rows: Rows) -> None:
 
 
 def note_repeats(rows: Rows, poses: np.ndarray) -> None:
-    """Note frequent poses (N, 4, 4) that equal the previous pose."""
+    """Add a note to ``rows`` if many poses (N, 4, 4) equal the previous pose."""
     stale = int(np.sum((poses[1:] == poses[:-1]).all(axis=(1, 2))))
     if stale > _STALE * len(poses):
         rows.notes.append(
@@ -132,7 +132,12 @@ def _acceleration(positions: np.ndarray, times: np.ndarray) -> float:
 
 
 def check_turns(rows: Rows, poses: np.ndarray, wanted: Selection) -> None:
-    """Refuse or note angles in degrees that were read in radians.
+    """Refuse angles that were read in radians but are in degrees, or add a note to ``rows`` if in doubt.
+
+    Args:
+    rows: the rows, with times and angles.
+    poses: (N, 4, 4), m, made from these angles.
+    wanted: the options, with the unit of the angles.
 
     Raises:
         RecordingError: if half of the steps are faster than 30 rad/s.

@@ -65,7 +65,7 @@ class LostPoses:
 
     @property
     def runs(self) -> tuple[LostRun, ...]:
-        """Runs of rows of the same kind."""
+        """Runs of consecutive rows with the same reason."""
         kinds = self.reasons
         edges = [0, *(np.flatnonzero(kinds[1:] != kinds[:-1]) + 1).tolist(), len(kinds)]
         return tuple(

@@ -49,7 +49,7 @@ def _choose_markers(path: Path, body: str | None, labels: list[str]) -> list[str
 
 
 def marker_entries(labels: list[str], detail: str) -> list[Entry]:
-    """Make entries from the bodies of markers, and from the remaining markers."""
+    """List the bodies of markers, and the remaining markers with ``detail``, for :func:`list_contents`."""
     groups = group_markers(labels)
     found = [Entry("body", name, f"{len(each)} markers: {', '.join(each)}") for name, each in groups.items()]
     grouped = {label for each in groups.values() for label in each}

@@ -62,7 +62,7 @@ class Rows:
 
     @property
     def positions(self) -> np.ndarray:
-        """(N, 3), in the unit of the file."""
+        """(N, 3) positions of {b} in {g}, in the unit of the file."""
         return self.values[:, :3] if self.values.shape[1] == 7 else self.values[:, [3, 7, 11]]
 
     def error(self, row: int, problem: str) -> RecordingError:

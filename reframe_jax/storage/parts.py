@@ -29,7 +29,7 @@ Record = dict[str, Any]
 def write_part(
     file: Path, codec: Codec, arrays: Mapping[str, Any], options: Record, *, source: str = ""
 ) -> None:
-    """Write a part atomically; the part records its name, its options, and the checksum of its input."""
+    """Write named arrays as a part, with its name, its options, and the checksum ``source`` of its input."""
     values = {name: np.asarray(array) for name, array in arrays.items()}
     header: Record = {"name": file.stem, "source": source, "options": options}
     header["checksum"] = _checksum(values, header)

@@ -56,7 +56,7 @@ class Drawing:
         self._window: WindowTrack | None = None
 
     def draw(self, window: WindowTrack) -> None:
-        """Replace the scene by another window, at its first pose."""
+        """Draw another window at its first pose, in place of the present one."""
         for node in reversed(self._nodes):  # the children of a node come after the node
             node.remove()
         self._nodes, self._moving, self._window = [], {}, window

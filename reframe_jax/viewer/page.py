@@ -101,7 +101,7 @@ class Page:
         return f"http://{_HOST}:{self._server.get_port()}"
 
     def run(self) -> None:
-        """Play while the checkbox is set; this method does not return."""
+        """Move through the poses while the checkbox "play" is set; this method does not return."""
         while True:
             time.sleep(_TICK)
             if self._playing.value:

@@ -33,7 +33,7 @@ class _Array(NamedTuple):
 
 
 def read_arrays(path: Path, wanted: Selection) -> Rows:
-    """Read ``poses``, or ``positions`` and ``quaternions``, ``times`` and ``wrenches``."""
+    """Read arrays ``poses``, or ``positions`` and ``quaternions``, and ``times`` and ``wrenches``."""
     with path.open("rb") as file, translate_errors(path, _PLAIN):
         if file.read(2) != b"PK":
             return _rows(

@@ -49,7 +49,7 @@ class _Tool:
 
 
 def read_ndi(path: Path, wanted: Selection) -> Rows:
-    """Read a tool."""
+    """Read the poses of a tool; see :class:`Reader`."""
     names, tools, lines = _read_header(path)
     name = choose_name(path, "body", wanted.body, [*tools], "tools")
     tool = tools[name]

@@ -119,7 +119,7 @@ class _Header:
 
 
 def read_table(path: Path, wanted: Selection) -> Rows:
-    """Read a table whose header is the last line before the numbers, or the last comment before them."""
+    """Read a table whose header is the last line before the numbers; see :class:`Reader`."""
     titles, lines = _read_header(path)
     header = _Header.of(path, titles, wanted.body)
     number, first = next(lines, (0, []))

@@ -290,7 +290,11 @@ def demonstrate_sequence(
 
 
 def sampling(duration: float, dt: float) -> Steps:
-    """Divide a duration into samples, and the sample time ``dt`` into the longest possible steps, s."""
+    """Divide a duration, s, into samples, and the sample time ``dt``, s, into steps of at most 0.01 s.
+
+    Raises:
+    ValueError: unless 0 < dt <= duration.
+    """
     if not (0 < dt <= duration < math.inf):
         raise ValueError(f"Expected 0 < dt <= duration; found a dt of {dt:g} s in {duration:g} s.")
     substeps = math.ceil(dt / _LONGEST - 1e-6)

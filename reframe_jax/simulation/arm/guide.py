@@ -125,7 +125,7 @@ def find_excitation(excitation: str | Excitation, key: jax.Array, free: jax.Arra
 
 
 def stop_at(end: jax.Array, excitation: Excitation) -> Excitation:
-    """Slow an excitation down so that it rests from a time (s) on; unchanged for an infinite time."""
+    """Return an excitation that slows down and rests from the time ``end``, s; infinity changes nothing."""
 
     def velocity(t: jax.Array) -> tuple[jax.Array, jax.Array]:
         angular, linear = excitation(t)

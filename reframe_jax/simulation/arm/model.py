@@ -44,7 +44,7 @@ class Arm:
 
     @cached_property
     def model(self) -> mujoco.MjModel:
-        """The compiled model, without gravity; do not change it."""
+        """The MuJoCo model that ``xml`` describes, without gravity; it is shared, so do not change it."""
         model = mujoco.MjModel.from_xml_string(self.xml)
         model.opt.gravity[:] = 0
         return model
