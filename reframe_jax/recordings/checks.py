@@ -135,9 +135,9 @@ def check_turns(rows: Rows, poses: np.ndarray, wanted: Selection) -> None:
     """Refuse angles that were read in radians but are in degrees, or add a note to ``rows`` if in doubt.
 
     Args:
-    rows: the rows, with times and angles.
-    poses: (N, 4, 4), m, made from these angles.
-    wanted: the options, with the unit of the angles.
+        rows: the rows, with times and angles.
+        poses: (N, 4, 4), m, made from these angles.
+        wanted: the options, with the unit of the angles.
 
     Raises:
         RecordingError: if half of the steps are faster than 30 rad/s.

@@ -293,7 +293,7 @@ def sampling(duration: float, dt: float) -> Steps:
     """Divide a duration, s, into samples, and the sample time ``dt``, s, into steps of at most 0.01 s.
 
     Raises:
-    ValueError: unless 0 < dt <= duration.
+        ValueError: unless 0 < dt <= duration.
     """
     if not (0 < dt <= duration < math.inf):
         raise ValueError(f"Expected 0 < dt <= duration; found a dt of {dt:g} s in {duration:g} s.")
