@@ -109,7 +109,7 @@ def _majority(design: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def _outliers(design: np.ndarray, fit: Fit) -> np.ndarray:
-    """Mask (N,) of touches that are more distant from the fit to the others than its scatter explains.
+    """Mask (N,) of touches whose distance from the fit to the other touches exceeds its scatter.
 
     The test is an F test; a used touch is compared with the fit without this touch.
     """

@@ -20,7 +20,7 @@ from reframe_jax.recordings.writing import save_recording
 
 __all__ = ["add_demonstrate"]
 
-_LONGEST = 100_000  # most samples in a demonstration
+_LONGEST = 100_000  # largest number of samples in a demonstration
 _CHUNK = 64  # demonstrations simulated in one call, and stored in one part of a folder
 _ENDINGS = {"out": ("", ".npz", ".csv"), "plot": (".png", ".pdf", ".svg"), "render": (".gif", ".mp4")}
 

@@ -10,7 +10,7 @@ from reframe_jax.constraints.located import fixed_on_body
 from reframe_jax.constraints.types import AxisRelation, LinearType, distinct_axis, relation_of_cosine
 from reframe_jax.joints.joint import JointType
 
-_STARTS, _STEPS = 8, 40  # of the search for the axes of a universal joint
+_STARTS, _STEPS = 8, 40  # starts, and steps from each start, of the search for universal axes
 
 
 @dataclass(frozen=True)

@@ -112,7 +112,7 @@ def amplitude_nodes(log_square: Array, log_noise: Array, variance: Array) -> Nod
     misfit = jnp.square(ratio - jnp.logaddexp(place, 0.0)) / variance
     ends = np.ones(_NODES)
     ends[[0, -1]] = 0.5
-    width = (high - low) / (2 * (_NODES - 1))  # of log a
+    width = (high - low) / (2 * (_NODES - 1))  # node distance in log a
     weights = jnp.exp(-0.5 * (misfit - penalty)) * width * jnp.asarray(ends, ratio.dtype).reshape(steps.shape)
     return Nodes(
         jnp.exp(place + log_noise),

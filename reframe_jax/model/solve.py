@@ -153,8 +153,8 @@ class _Comparison(NamedTuple):
     """Data of the comparison of entries.
 
     Attributes:
-        moments: of every path; its forms are those about the origins of the search.
-        forms: see ``moments``.
+        moments: moments of every kind of translation.
+        forms: the same moments about the origins of the search.
         starts: unknowns of every entry, with axes (E, N) last.
         details: (S, N) independent details of every scale.
         tilt_scale: (N,) rad.

@@ -13,7 +13,7 @@ from reframe_jax.recordings.selection import UNITS, Selection
 
 __all__ = ["MIN_POSES", "check_positions", "check_turns", "drop_unfinished", "make_poses", "note_repeats"]
 
-MIN_POSES = 4  # of a tool whose tip is calibrated; a motion needs 5
+MIN_POSES = 4  # smallest number of poses for a calibration; a motion needs 5
 _DISTANT = 20.0  # m from the median position: beyond the reach of a hand or an arm
 _DISTANT_FRACTION = 0.05  # largest fraction of rows that are left out as distant
 _APART = 3.0  # factor between the distance of distant rows and of all others

@@ -17,14 +17,14 @@ from reframe_jax.recordings.selection import Selection, unit_of
 __all__ = ["angle_matrices", "fits_better", "keeps_a_point_better", "reorder", "sample_rows"]
 
 _FULL_TURN = 2 * np.pi * 1.001
-_ROWS = 400  # most rows that are compared
+_ROWS = 400  # largest number of rows that are compared
 _TURN = 0.1  # rad between the two poses of a velocity: above the noise
 _FEWEST = 12  # rows for a comparison of velocities
 _FEWEST_TOUCHES = 8  # rows for a comparison of fixed points, which has six unknowns
 _FLOOR = 1e-4  # mean square velocity that counts as zero, as a fraction of the total
 _LITTLE = 0.05  # fraction of the mean square of positions that may remain for a fixed point
 _CLEAR = 2.2  # difference of the summed logarithms of mean squares of the whole motion
-_REPEATED = 4.0  # the same difference, with directions from one half and mean squares from the other half
+_REPEATED = 4.0  # as _CLEAR, with directions from one half and mean squares from the other half
 
 
 def angle_matrices(

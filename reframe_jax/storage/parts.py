@@ -20,7 +20,7 @@ from reframe_jax.storage.files import check_place, remove_leftovers, write_whole
 from reframe_jax.storage.records import checksum
 
 _FORMAT = 5
-_LISTED, _LONGEST = 8, 40  # most option names in a message, and longest name
+_LISTED, _LONGEST = 8, 40  # largest number of option names in a message, and length of a name
 _PART = re.compile(r"part-(\d{8,})")
 
 Record = dict[str, Any]

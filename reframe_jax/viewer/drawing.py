@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import viser
 
 _DASHES = 7  # dashes per constrained axis
-_MAX_POINTS = 2000  # most points of a path
+_MAX_POINTS = 2000  # largest number of points of a path
 _DEVIATIONS = 2.0  # standard deviations of the ellipsoid
 _VISIBLE = 0.03  # an ellipsoid is enlarged if its longest half-axis is below this fraction of the scene size
 _MIN_HALF_AXIS = 0.002  # half-axis along directions without variance, as a fraction of the scene size

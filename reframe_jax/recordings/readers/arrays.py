@@ -44,7 +44,7 @@ def read_arrays(path: Path, wanted: Selection) -> Rows:
             arrays = {}
             for name in _NAMES:
                 if info := members.get(name):
-                    # other methods can expand a few bytes to any size at once
+                    # other compression methods can expand a few bytes to any size in one step
                     if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                         raise ValueError(f"{name} is compressed by another method")
                     arrays[name] = _check_array(name, partial(archive.open, info), info.file_size)

@@ -2,7 +2,7 @@
 
 The library rosbags reads one message at a time, and only the numbers are kept. The standard definitions of
 message types decode messages, even if the bag contains none. Times are the stamps of the headers; if messages
-have no stamps, or nobody set them, times are those of the recording.
+have no stamps, or stamps that were not set, times are those at which messages were recorded.
 """
 
 import importlib

@@ -42,7 +42,7 @@ _Lines = Iterator[tuple[int, list[str]]]
 class _Tool:
     """Columns of a tool."""
 
-    first: int  # of seven
+    first: int  # first of the seven columns of the pose
     state: int | None
     frame: int | None
     row: int | None = None  # column of the name, if every tool has separate rows

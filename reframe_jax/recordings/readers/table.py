@@ -27,7 +27,7 @@ from reframe_jax.recordings.selection import Selection, flag
 __all__ = ["TABLE", "read_table"]
 
 _COMMENT = "#%"
-_PREAMBLE = 1000  # most lines before the numbers
+_PREAMBLE = 1000  # largest number of lines before the numbers
 _TIMES = (
     r"(.*_)?header_stamp",  # rostopic echo -p: the stamp of the message, not the time of its arrival
     r"(elapsed|ros)_time",

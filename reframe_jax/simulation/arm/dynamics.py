@@ -98,7 +98,7 @@ def _mjx_parts(arm: Arm) -> tuple[Any, Any, int]:
 
 @contextlib.contextmanager
 def _allow_mixing() -> Iterator[None]:
-    """Let MJX mix dtypes and ranks, with precise matrix products, whatever the user's settings."""
+    """Let MJX mix dtypes and ranks, with precise matrix products, independent of the user's settings."""
     with (
         jax.numpy_dtype_promotion("standard"),
         jax.numpy_rank_promotion("allow"),
