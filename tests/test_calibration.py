@@ -267,7 +267,7 @@ def test_the_command_says_that_a_continuous_motion_is_no_touches(
     assert program.main(["calibrate", str(file)]) == 0
     (line,) = capsys.readouterr().err.splitlines()
     assert "consecutive poses are close together" in line
-    assert line.endswith("or compare them with reframe-jax identify --assume ball.")
+    assert line.endswith("or compare the result with reframe-jax identify --assume ball.")
     assert program.main(["calibrate", str(file_of(tmp_path / "touches.csv", touches(rng, 25)))]) == 0
     assert "close together" not in capsys.readouterr().err
 

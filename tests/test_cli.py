@@ -453,7 +453,10 @@ def test_the_catalogue_is_listed(capsys: Captured) -> None:
         (["identify", "a.csv", "--scales", "long"], "expected auto, .* such as 1 or 4,8,16, not 'long'"),
         (["identify", "a.csv", "--scales", "0"], "expected auto, .*, not '0'"),
         (["identify", "a.csv", "--scales", "1,2.5"], "expected auto, .*, not '1,2.5'"),
-        (["identify", "a.csv", "--assume", "wheel"], "No constraint 'wheel'. There are: .*hinge"),
+        (
+            ["identify", "a.csv", "--assume", "wheel"],
+            "No constraint 'wheel'; choose from A, .*hinge.*reframe-jax constraints",
+        ),
         (
             ["identify", "a.csv", "--clean"],
             "identify: error: unrecognized arguments: --clean; see .* identify",

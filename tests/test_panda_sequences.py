@@ -119,7 +119,7 @@ def test_the_hand_pauses_at_changes() -> None:
         ({"durations": [1.0]}, "3 constraints and 1 durations"),
         ({"batch": 0}, "batch must be at least 1"),
         ({"start": np.zeros(6)}, "start must have shape"),
-        ({"excitation": "wild"}, "No excitation 'wild'"),
+        ({"excitation": "wild"}, "Unknown excitation 'wild'"),
     ],
 )
 def test_wrong_options_are_refused(options: dict[str, object], message: str) -> None:

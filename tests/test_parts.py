@@ -196,7 +196,7 @@ def test_refused_options_leave_no_trace(identify_many: Any, tmp_path: Path) -> N
         with pytest.raises((ValueError, KeyError)):
             identify_many(out, **wrong)
         assert not out.exists(), wrong
-    with pytest.raises(TypeError, match=r"identify has no option bound\. There are: scales, assume, norm, "):
+    with pytest.raises(TypeError, match=r"identify has no option bound; choose from scales, assume, norm, "):
         identify_many(out, bound=1.0)
     assert not out.exists()
     assert len(rf.load_results(identify_many(out)).status_code) == 24

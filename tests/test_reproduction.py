@@ -174,5 +174,5 @@ def test_bad_input() -> None:
         reproduction.compare("A", KEY, imperfections="realistic")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="one control frame per constraint"):
         reproduction.reproduce(truth, jax.tree.map(lambda leaf: leaf[:2], truth))
-    with pytest.raises(ValueError, match="There are: panda, fr3"):
+    with pytest.raises(ValueError, match="choose from panda, fr3"):
         reproduction.reproduce(truth, truth, arm="kuka")

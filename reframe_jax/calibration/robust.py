@@ -1,8 +1,8 @@
 """Linear least squares of touches with outliers, with NumPy only.
 
-Each touch gives a few equations. First, many fits to three touches give the fit that describes the best half
-of the touches (least median of squares). From this half, a touch is left out if it is more distant from the
-fit to the others than their scatter explains.
+Each touch gives a few equations. First, many fits to three touches select the half of the touches that one
+fit describes best (least median of squares). Starting from this half, each touch is compared with the fit to
+the other touches, and left out if its residual is larger than their scatter explains.
 """
 
 from dataclasses import dataclass
@@ -34,9 +34,9 @@ class Fit:
         solution: (m,) unknowns.
         covariance: (m, m) covariance of the unknowns.
         residuals: (N, k) residuals of all touches, with outliers.
-        used: (N,) bool, touches that are no outliers.
-        scatter: standard deviation of an equation.
-        freedom: count of equations of the used touches beyond the unknowns.
+        used: (N,) bool, False for outliers.
+        scatter: standard deviation of a residual, in the unit of ``target``.
+        freedom: degrees of freedom: equations of the used touches, minus the unknowns.
     """
 
     solution: np.ndarray
@@ -48,13 +48,13 @@ class Fit:
 
 
 def fit_touches(design: np.ndarray, target: np.ndarray) -> Fit:
-    """Fit ``design @ unknowns = target`` to the touches that are no outliers.
+    """Fit ``design @ unknowns = target`` to all touches except outliers.
 
     The order of the touches has an effect only if there are more than 600 ways to choose three touches.
 
     Args:
-        design: (N, k, m), of full rank.
-        target: (N, k).
+        design: (N, k, m) coefficients of k equations per touch, of full rank.
+        target: (N, k) right sides of these equations.
     """
     count = len(design)
     fit = _fit(design, target, _majority(design, target) if count >= _FEWEST else np.ones(count, bool))
@@ -67,7 +67,7 @@ def fit_touches(design: np.ndarray, target: np.ndarray) -> Fit:
 
 
 def student_factor(freedom: Any) -> Any:
-    """Half width of the 95 % interval of Student's distribution (Cornish and Fisher), elementwise."""
+    """Half width of the 95 % interval of Student's distribution, from its degrees of freedom, elementwise."""
     z = NORMAL_FACTOR
     wider = (z**3 + z) / 4 / freedom + (5 * z**5 + 16 * z**3 + 3 * z) / 96 / freedom**2
     return z + wider + (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384 / freedom**3
@@ -109,7 +109,7 @@ def _majority(design: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def _outliers(design: np.ndarray, fit: Fit) -> np.ndarray:
-    """Mask (N,) of touches that are more distant from the fit to the others than its scatter explains.
+    """Mask (N,) of touches whose distance from the fit to the other touches exceeds its scatter.
 
     The test is an F test; a used touch is compared with the fit without this touch.
     """

@@ -35,12 +35,12 @@ class Calibration:
         covariance: (6, 6) m^2 of ``tip`` and ``point``; with ``spin``, across the axis.
         residuals: (N,) m, distance of every touch from the point, with outliers; with ``spin``, across the
             axis.
-        used: (N,) bool, rows that are no outliers.
+        used: (N,) bool, False for outliers.
         turned: rad RMS, rotation of the direction in the body that turned least; with ``spin``, of the
             directions across the axis.
         weakest: (3,) unit vector in {b}, the direction that turned least, along which the tip is least
             certain.
-        freedom: count of residuals beyond the unknowns, for Student's distribution.
+        freedom: degrees of freedom of the residuals, for Student's distribution.
         axis: (3,) unit vector in {b}, axis of a spin, with a positive largest component; None for a pivot.
         ground_axis: (3,) unit vector in {g}, the same axis.
         axis_covariance: (3, 3) rad^2 of ``axis``, or None.
@@ -62,7 +62,7 @@ class Calibration:
 
     @property
     def outliers(self) -> np.ndarray:
-        """(M,) int, rows that were left out, from 0."""
+        """(M,) int, indices from 0 of the rows that were left out."""
         return np.flatnonzero(~self.used)
 
     @property

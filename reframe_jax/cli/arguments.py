@@ -1,4 +1,4 @@
-"""Types of command-line arguments, with errors of one line."""
+"""Types of command-line arguments: functions that convert text, or raise an ArgumentTypeError."""
 
 import argparse
 from collections.abc import Callable
@@ -18,7 +18,7 @@ _LARGEST = 1e6  # m or s: larger than any motion, with a finite square
 
 
 def _argument(read: Callable[[str], T]) -> Callable[[str], T]:
-    """Report the message of a ValueError or KeyError to the user."""
+    """Convert a ValueError or KeyError to an ArgumentTypeError, whose message the user sees."""
 
     @wraps(read)
     def checked(text: str) -> T:
@@ -39,12 +39,12 @@ def _number(text: str, kind: str = "number", convert: Callable[[str], Any] = flo
 
 @_argument
 def whole(text: str) -> int:
-    """A whole number."""
+    """Convert text to a whole number."""
     return int(_number(text, "whole number", int))
 
 
 def _between(low: float, high: float, kind: str = "positive number") -> Callable[[str], float]:
-    """A number from a range in which all results are finite."""
+    """Return a function that converts text to a number from ``low`` to ``high``."""
 
     @_argument
     def read(text: str) -> float:
@@ -64,7 +64,7 @@ metres = _between(1e-6, _LARGEST)
 
 @_argument
 def count(text: str) -> int:
-    """A positive whole number."""
+    """Convert text to a positive whole number."""
     if not text.isdecimal() or int(text) < 1:
         raise ValueError(f"expected a positive whole number, not {text}")
     return int(text)
@@ -72,7 +72,7 @@ def count(text: str) -> int:
 
 @_argument
 def _seed(text: str) -> int:
-    """A seed that JAX accepts."""
+    """Convert text to a seed that JAX accepts."""
     value = int(_number(text, "whole number", int))
     if not 0 <= value < 2**63:
         raise ValueError(f"expected a whole number from 0 to 2^63 - 1, not {text}")
@@ -81,13 +81,13 @@ def _seed(text: str) -> int:
 
 @_argument
 def exponent(text: str) -> float:
-    """The exponent of the power mean over the three axes of a frame."""
+    """Convert text to the exponent of the power mean over the three axes of a frame."""
     return check_exponent(_number(text))
 
 
 @_argument
 def scales(text: str) -> str | tuple[int, ...]:
-    """The time scales: "auto", "mean", or counts of samples such as "1" or "1,2,4"."""
+    """Convert text to time scales: "auto", "mean", or counts of samples such as "1" or "1,2,4"."""
     if text in ("auto", "mean"):
         return text
     try:
@@ -99,7 +99,7 @@ def scales(text: str) -> str | tuple[int, ...]:
 
 @_argument
 def assumed(text: str) -> str:
-    """The name of a constraint that ``--assume`` accepts."""
+    """Return the name of a constraint unchanged if ``--assume`` accepts it."""
     from reframe_jax.identification.naming import codes_of
 
     codes_of(text)
@@ -108,7 +108,7 @@ def assumed(text: str) -> str:
 
 @_argument
 def _label(text: str) -> str:
-    """The letter of one of the twelve constraints of the paper, given by letter or name."""
+    """Convert a letter or name to the letter of one of the twelve constraints of the paper."""
     entry = constraint(text)
     if entry.label not in CONSTRAINTS:
         raise ValueError(f"expected a constraint from A to L, not {text!r}")

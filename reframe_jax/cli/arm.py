@@ -1,4 +1,4 @@
-"""Options of the commands that simulate the arm. A command imports MuJoCo when it runs."""
+"""Options that ``demonstrate`` and ``reproduce`` have in common. MuJoCo is imported when a command runs."""
 
 import argparse
 from typing import Any
@@ -13,7 +13,7 @@ _IMPERFECTIONS = {"none": None, "encoder": "ENCODER_GRADE", "realistic": "REALIS
 
 
 def add_common(command: argparse.ArgumentParser) -> None:
-    """Add the common options."""
+    """Add the options that ``demonstrate`` and ``reproduce`` have in common to a command."""
     add = command.add_argument
     arguments.add_constraint(command)
     add("--robot", choices=["panda", "fr3"], default="panda", help="robot arm; the paper uses fr3 (panda)")
@@ -36,7 +36,7 @@ def add_common(command: argparse.ArgumentParser) -> None:
 
 
 def prepare(options: argparse.Namespace) -> dict[str, Any]:
-    """Configure JAX, and return the common options as arguments of a simulation."""
+    """Configure JAX, and return the options of :func:`add_common` as arguments of a simulation."""
     configure_jax(options.cache)
     from reframe_jax.simulation import arm
 

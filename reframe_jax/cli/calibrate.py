@@ -26,12 +26,12 @@ are not needed. Outliers are listed and left out.
 """
 _CONTINUOUS = (
     "consecutive poses are close together, so that their errors are correlated and the intervals below are "
-    "too small: use one pose for each touch, or compare them with reframe-jax identify --assume"
+    "too small: use one pose for each touch, or compare the result with reframe-jax identify --assume"
 )
 
 
 def add_calibrate(commands: Any) -> None:
-    """Add this command to the command line."""
+    """Add the command ``calibrate`` to the parser."""
     command = add_command(commands, "calibrate", _calibrate, _CALIBRATE, compiles=False)
     command.add_argument("files", nargs="+", type=Path, metavar="FILE", help="recordings")
     command.add_argument("--spin", action="store_true", help="find the axis about which a tool was turned")

@@ -1,4 +1,4 @@
-"""Code for all commands, independent of JAX."""
+"""Names, examples and parser of all commands; this module does not import JAX."""
 
 import argparse
 import sys
@@ -43,7 +43,7 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: error: {message.rstrip('.')}; see {self.prog} --help\n")
 
     def _print_message(self, message: str, file: Any = None) -> None:
-        """Report an error if the help or the version cannot be written; argparse ignores it."""
+        """Report an error if the help or the version cannot be written; argparse ignores this error."""
         if file is sys.stdout:
             print_result(message, end="")
         else:
@@ -53,7 +53,15 @@ class Parser(argparse.ArgumentParser):
 def add_command(
     commands: Any, name: str, run: Any, text: str, *, compiles: bool = True
 ) -> argparse.ArgumentParser:
-    """Add a command with a function of the parsed options; commands that compile have ``--no-cache``."""
+    """Add a command to the parser, and return the parser of this command.
+
+    Args:
+        commands: result of ``add_subparsers``.
+        name: name of the command.
+        run: function of the parsed options that runs the command and returns the exit code.
+        text: description for ``--help``.
+        compiles: whether the command compiles programs; it then has the option ``--no-cache``.
+    """
     examples = [line for line in EXAMPLES.splitlines() if f"reframe-jax {name} " in line]
     command: argparse.ArgumentParser = commands.add_parser(
         name,

@@ -19,7 +19,7 @@ For zsh:   reframe-jax completion zsh > a file _reframe-jax in a folder of $fpat
 
 
 def add_completion(commands: Any) -> None:
-    """Add this command to the command line."""
+    """Add the command ``completion`` to the parser."""
     command = add_command(commands, "completion", _completion, _COMPLETION, compiles=False)
     command.add_argument("shell", choices=["bash", "zsh", "tcsh"], help="shell to complete in")
 

@@ -11,7 +11,7 @@ __all__ = ["add_constraints"]
 
 
 def add_constraints(commands: Any) -> None:
-    """Add this command to the command line."""
+    """Add the command ``constraints`` to the parser."""
     add_command(commands, "constraints", _constraints, "List the named constraints.", compiles=False)
 
 

@@ -20,7 +20,7 @@ from reframe_jax.recordings.writing import save_recording
 
 __all__ = ["add_demonstrate"]
 
-_LONGEST = 100_000  # most samples in a demonstration
+_LONGEST = 100_000  # largest number of samples in a demonstration
 _CHUNK = 64  # demonstrations simulated in one call, and stored in one part of a folder
 _ENDINGS = {"out": ("", ".npz", ".csv"), "plot": (".png", ".pdf", ".svg"), "render": (".gif", ".mp4")}
 
@@ -36,7 +36,7 @@ identify (demos-000.csv and so on).
 
 
 def add_demonstrate(commands: Any) -> None:
-    """Add this command to the command line."""
+    """Add the command ``demonstrate`` to the parser."""
     command = add_command(commands, "demonstrate", _demonstrate, _DEMONSTRATE)
     add_common(command)
     add = command.add_argument
@@ -80,7 +80,7 @@ def _demonstrate(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> None:
-    """Report outputs that cannot be written, before the simulation starts."""
+    """Exit with a usage error if an output cannot be written, before the simulation starts."""
     for name, suffixes in _ENDINGS.items():
         path = getattr(options, name)
         if path is None:

@@ -28,7 +28,7 @@ _TABLES = {"csv": write_csv, "parquet": write_parquet}
 
 
 def add_exports(command: argparse.ArgumentParser) -> None:
-    """Add the options to a command."""
+    """Add the options that write robot descriptions, task frames and tables to a command."""
     add = command.add_argument_group(
         "files for other programs",
         "With several recordings, each joint or task frame is written to OUT-NAME.",
@@ -44,7 +44,7 @@ def add_exports(command: argparse.ArgumentParser) -> None:
 
 
 def check_exports(options: argparse.Namespace) -> None:
-    """Report outputs that cannot be written, before the computation starts."""
+    """Exit with a usage error if an output cannot be written, before the computation starts."""
     of_joints = [*_ROBOTS, "task_frame"]
     for name in (*of_joints, *_TABLES):
         out: Path | None = getattr(options, name)

@@ -48,7 +48,7 @@ probability that it is free, or constrained, in parentheses.
 
 
 def add_identify(commands: Any) -> None:
-    """Add this command to the command line."""
+    """Add the command ``identify`` to the parser."""
     command = add_command(commands, "identify", _identify, _IDENTIFY)
     defaults = Thresholds()
     add = command.add_argument
@@ -77,9 +77,9 @@ def add_identify(commands: Any) -> None:
         type=arguments.positive,
         metavar="W",
         help="rad/s RMS; decide by thresholds instead of probabilities: a rotation above this threshold is "
-        f"free. Without --linear-threshold, the paper's value holds there ({defaults.angular:g})",
+        f"free. If only --linear-threshold is given, this threshold is the paper's ({defaults.angular:g})",
     )
-    linear = f"m/s RMS; the same threshold for translations ({defaults.linear:g})"
+    linear = f"m/s RMS; as --angular-threshold, for translations ({defaults.linear:g})"
     add("--linear-threshold", type=arguments.positive, metavar="V", help=linear)
     bounds = (
         "half the width of the cube in which origins are searched, m (the larger of 2 and twice the extent "
@@ -102,7 +102,7 @@ def add_windows(command: argparse.ArgumentParser) -> None:
 
 
 def check_windows(options: argparse.Namespace) -> None:
-    """Report options that cannot be combined, and set the default stride."""
+    """Exit with a usage error for options that cannot be combined, and set the default stride."""
     if options.window is None:
         if options.stride is not None:
             options.usage_error("--stride needs --window.")

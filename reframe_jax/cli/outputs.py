@@ -1,4 +1,4 @@
-"""JSON documents and pictures, and the loop over recordings of a command."""
+"""Write the JSON documents and pictures of a command."""
 
 import argparse
 from collections.abc import Callable
@@ -22,7 +22,7 @@ def add_outputs(command: argparse.ArgumentParser, *, plot: bool = True) -> None:
 
 
 def check_outputs(options: argparse.Namespace) -> None:
-    """Report outputs that cannot be written or drawn, before the computation starts."""
+    """Exit with a usage error if an output cannot be written or drawn, before the computation starts."""
     if options.json not in (None, "-"):
         check_file("--json", Path(options.json), options)
     out: Path | None = options.plot
@@ -36,7 +36,7 @@ def check_outputs(options: argparse.Namespace) -> None:
 
 
 def check_file(option: str, out: Path, options: argparse.Namespace) -> None:
-    """Report a path at which no file can be created."""
+    """Exit with a usage error if ``option`` names a path ``out`` at which no file can be created."""
     if out.is_dir():
         options.usage_error(f"{option} must name a file; {out} is a directory.")
     if not out.parent.is_dir():

@@ -41,7 +41,7 @@ def reading_options(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def expand(patterns: list[Path]) -> list[Path]:
-    """Return the sorted files that match patterns; a pattern that matches nothing, or is a file, is kept."""
+    """Return the sorted files that match patterns; a file, or a pattern without matches, is kept."""
     found: list[Path] = []
     for pattern in patterns:
         magic = glob.has_magic(str(pattern)) and not pattern.exists()

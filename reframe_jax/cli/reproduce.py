@@ -24,7 +24,7 @@ prior knowledge, and the identified frame.
 
 
 def add_reproduce(commands: Any) -> None:
-    """Add this command to the command line."""
+    """Add the command ``reproduce`` to the parser."""
     command = add_command(commands, "reproduce", _reproduce, _REPRODUCE)
     add_common(command)
     trials = "number of demonstrations and reproductions (30)"

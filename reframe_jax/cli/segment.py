@@ -30,7 +30,7 @@ identify can be read.
 
 
 def add_segment(commands: Any) -> None:
-    """Add this command to the command line."""
+    """Add the command ``segment`` to the parser."""
     command = add_command(commands, "segment", _segment, _SEGMENT)
     add = command.add_argument
     add("files", nargs="+", type=Path, metavar="FILE", help="recordings")

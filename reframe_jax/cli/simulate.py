@@ -25,7 +25,7 @@ _CHOICES = {
 
 
 def add_simulate(commands: Any) -> None:
-    """Add this command to the command line."""
+    """Add the command ``simulate`` to the parser."""
     command = add_command(commands, "simulate", _simulate, "Simulate a constrained motion.")
     add = command.add_argument
     arguments.add_constraint(command)

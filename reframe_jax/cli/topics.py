@@ -21,7 +21,7 @@ selects the entry.
 
 
 def add_topics(commands: Any) -> None:
-    """Add this command to the command line."""
+    """Add the command ``topics`` to the parser."""
     command = add_command(commands, "topics", _topics, _TOPICS, compiles=False)
     command.add_argument("files", nargs="+", type=Path, metavar="FILE", help="recordings")
 

@@ -34,7 +34,7 @@ Python.
 
 
 def add_view(commands: Any) -> None:
-    """Add this command to the command line."""
+    """Add the command ``view`` to the parser."""
     command = add_command(commands, "view", _view, _VIEW)
     add = command.add_argument
     add("file", type=Path, metavar="FILE", help="recording, in a format that identify reads")

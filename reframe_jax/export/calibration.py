@@ -38,7 +38,7 @@ _FIELDS = (
     *("tip", "tip_interval", "point", "point_interval", "axis", "ground_axis", "axis_interval"),
     *("rms", "turned", "weakest", "residuals", "axis_residuals"),
 )
-_LISTED = 40  # most residuals in a table; beyond this number, only the largest are listed
+_LISTED = 40  # largest number of residuals in a table; of more, only the largest are listed
 _WEAK = 0.09  # rad RMS, 5 degrees: below this tilt, the table recommends to tilt more
 
 

@@ -93,7 +93,7 @@ def to_columns(
 
 
 def write_csv(path: Path, tables: Sequence[Columns]) -> None:
-    """Append tables with the same columns and write them as CSV; numbers keep full precision."""
+    """Write tables with the same columns as one CSV file; numbers keep full precision."""
     with path.open("w", newline="", encoding="utf-8", errors="backslashreplace") as file:
         writer = csv.writer(file)
         for index, columns in enumerate(tables):
@@ -103,7 +103,7 @@ def write_csv(path: Path, tables: Sequence[Columns]) -> None:
 
 
 def write_parquet(path: Path, tables: Sequence[Columns]) -> None:
-    """Append tables with the same columns and write them as one Parquet file."""
+    """Write tables with the same columns as one Parquet file; an ImportError is raised without pyarrow."""
     arrow = PARQUET.library()
     arrow.parquet.write_table(arrow.concat_tables([arrow.table(table) for table in tables]), path)
 

@@ -29,12 +29,12 @@ class Window:
 
 
 def split_windows(host: Identification) -> list[Identification]:
-    """Split a batch into its windows; an identification of one window gives a list of one."""
+    """Split a batch, whose arrays are NumPy arrays, into its windows; one window gives a list of one."""
     return [host[index] for index in np.ndindex(np.shape(host.status_code))]
 
 
 def directions(projector: np.ndarray) -> list[np.ndarray]:
-    """Unit vectors that span the range of a projector, with the largest component positive."""
+    """Return unit vectors (3,) that span the range of a projector (3, 3), largest component positive."""
     values, vectors = np.linalg.eigh(projector)
     spanning = [vector for value, vector in zip(values, vectors.T, strict=True) if value > 0.5]
     return [vector * np.sign(vector[np.argmax(np.abs(vector))]) for vector in spanning]
@@ -52,17 +52,17 @@ def two_digits(value: float) -> str:
 
 
 def tied_names(group: str, frame: Any) -> list[str]:
-    """Names of the frame types that fit equally well, including the reported type."""
+    """Return the names of the frame types that fit equally well, including the reported type."""
     return [str(kind) for kind in TYPES[group] if frame.tied[kind]]
 
 
 def outlier_samples(found: Identification, window: Window | None) -> list[int]:
-    """Outliers of a window, as samples of the recording, or of the window if its start is unknown."""
+    """Return the outliers of a window, as samples of the recording, or of the window without ``window``."""
     start = 0 if window is None else window.start
     return [start + int(index) for index in np.flatnonzero(~np.asarray(found.counted))]
 
 
 def unused_rows(recording: Recording, found: Sequence[Identification]) -> tuple[LeftOut, ...]:
-    """Rows that were left out when the file was read, and the outliers if one window covers the recording."""
+    """Return the rows that reading left out, and the outliers if one window covers the recording."""
     whole = len(found) == 1 and np.shape(found[0].counted) == recording.times.shape
     return recording.unused(found[0].counted) if whole else recording.left_out

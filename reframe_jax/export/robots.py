@@ -14,7 +14,7 @@ RADIUS = 0.1  # m, radius of the sphere that gives the placeholder inertia
 
 
 def check_writable(joint: Joint, language: str, mass: float = 1.0) -> None:
-    """Raise a ValueError for a contact or a free body, which no joint expresses, or a wrong mass, kg."""
+    """Raise a ValueError for a joint that ``language`` cannot express, or a mass, kg, that is not > 0."""
     if not 0 < mass < np.inf:
         raise ValueError(f"Expected a positive mass in kg, not {mass}.")
     if joint.type == "floating":
@@ -24,7 +24,7 @@ def check_writable(joint: Joint, language: str, mass: float = 1.0) -> None:
 
 
 def is_endless(part: JointPart) -> bool:
-    """Whether a hinge made a full turn in the recording and so has no limits; a screw always has limits."""
+    """Return whether a hinge has no limits, because it made a full turn; a screw always has limits."""
     return part.kind == "hinge" and not part.pitch and part.high - part.low >= 2 * np.pi
 
 
@@ -45,7 +45,7 @@ def sphere_inertia(mass: float) -> dict[str, str]:
 
 
 def remarks(joint: Joint) -> list[str]:
-    """Sentences for the head of a file: the constraint, the fit error, and the arbitrary choices."""
+    """Return sentences for the head of a file: the constraint, the fit error, and the arbitrary choices."""
     lines = [
         f"{joint.name}, identified by reframe_jax from recorded poses of {joint.child} in {joint.parent}."
     ]
@@ -72,7 +72,7 @@ def quaternion_wxyz(rotation: np.ndarray) -> np.ndarray:
 
 
 def roll_pitch_yaw(rotation: np.ndarray) -> np.ndarray:
-    """Angles (3,), rad, about the fixed axes x, y, z in this order; yaw is 0 at a pitch of 90 degrees."""
+    """Return angles (3,), rad, about the fixed axes x, y, z in this order; yaw is 0 at a pitch of 90 deg."""
     cosine = np.hypot(rotation[0, 0], rotation[1, 0])
     pitch = np.arctan2(-rotation[2, 0], cosine)
     if cosine < 1e-9:
@@ -84,14 +84,14 @@ def roll_pitch_yaw(rotation: np.ndarray) -> np.ndarray:
 def element(
     parent: ElementTree.Element, tag: str, text: str | None = None, **attributes: str
 ) -> ElementTree.Element:
-    """Append an XML element to its parent."""
+    """Append an XML element with a text and attributes to its parent, and return the element."""
     made = ElementTree.SubElement(parent, tag, attributes)
     made.text = text
     return made
 
 
 def to_text(root: ElementTree.Element, joint: Joint) -> str:
-    """An indented XML document with the remarks as a comment at its head."""
+    """Return an indented XML document with the remarks as a comment at its head."""
     lines = "\n".join(f"  {line}" for line in remarks(joint)).replace("--", "- -")
     root.insert(0, ElementTree.Comment(f"\n{lines}\n  "))
     ElementTree.indent(root)

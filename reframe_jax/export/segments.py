@@ -13,7 +13,7 @@
               "start", "stop": first sample, and the sample after the last one, "start_time", "stop_time": s,
               of the first and the last sample, "label": number of the constraint, equal in all segments with
               it; -1 where the body is still, "name": of the constraint, or "Still", "identification": as a
-              window of "reframe-jax/identification/2", or null
+              window of "reframe-jax/identification/3", or null
             }
           ],
           "boundaries": [

@@ -26,7 +26,7 @@ from reframe_jax.recordings.rows import name_rows
 
 _UNITS = {"angular": "rad/s", "linear": "m/s"}
 _CLEAR = 0.99  # probabilities above this value are not printed
-_LISTED = 6  # most outliers listed in a line
+_LISTED = 6  # largest number of outliers listed in a line
 
 
 def to_table(

@@ -1,4 +1,4 @@
-"""A joint as URDF."""
+"""Write a joint as URDF."""
 
 from xml.etree import ElementTree
 

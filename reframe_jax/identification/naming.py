@@ -66,7 +66,7 @@ def codes_of(name: str) -> tuple[int, ...]:
         name: a name, a label of the catalogue, or a common word such as "hinge", in upper or lower case.
 
     Raises:
-        ValueError: for an unknown name; the message lists all names.
+        ValueError: for an unknown name; the message lists the labels and the common words.
     """
     wanted = _COMMON.get(name.casefold(), name).casefold()
     codes = tuple(
@@ -76,10 +76,10 @@ def codes_of(name: str) -> tuple[int, ...]:
     )
     if codes:
         return codes
-    known = ", ".join(
-        f"{ENTRIES[int(np.argmax(code == NAME_OF_ENTRY))].label} ({each})" for code, each in enumerate(NAMES)
+    words = ", ".join([*_CATALOGUE, *_COMMON])
+    raise ValueError(
+        f"No constraint {name!r}; choose from {words}, or a name that reframe-jax constraints lists."
     )
-    raise ValueError(f"No constraint {name!r}. There are: {known}; common words: {', '.join(_COMMON)}.")
 
 
 _COMMON = {

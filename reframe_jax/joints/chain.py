@@ -54,7 +54,7 @@ class JointPart:
 
 
 def chain_poses(parts: Sequence[JointPart], home: np.ndarray, coordinates: np.ndarray) -> np.ndarray:
-    """Compute poses (..., 4, 4) of the child in the parent from coordinates (..., n)."""
+    """Compute poses (..., 4, 4), m, of the child in the parent from coordinates (..., n), rad and m."""
     pose = np.broadcast_to(np.eye(4), (*coordinates.shape[:-1], 4, 4))
     first = 0
     for part in parts:
@@ -81,7 +81,7 @@ def _part_displacement(part: JointPart, coordinates: np.ndarray) -> np.ndarray:
 def chain_coordinates(
     parts: Sequence[JointPart], home: np.ndarray, poses: np.ndarray, length: float
 ) -> np.ndarray:
-    """Compute the coordinates (K, n) at which a chain is nearest to poses, with unwrapped hinge angles.
+    """Compute the coordinates (K, n) at which a chain is nearest to poses (K, 4, 4), with unwrapped angles.
 
     The chain has at most one ball. A position error of ``length`` has the weight of an orientation error of
     1 rad.
@@ -174,7 +174,7 @@ def ball_hinges(point: np.ndarray, vectors: np.ndarray) -> tuple[JointPart, ...]
 
     The axes are perpendicular where all angles are zero. They are the principal axes of the recorded rotation
     vectors, in the order that keeps the second hinge farthest from gimbal lock. If the second hinge comes
-    near gimbal lock, there are none.
+    near gimbal lock, the result is empty.
     """
     turns = rotation_matrices(vectors)
     main = np.linalg.eigh(vectors.T @ vectors)[1].T

@@ -10,7 +10,7 @@ from reframe_jax.constraints.located import fixed_on_body
 from reframe_jax.constraints.types import AxisRelation, LinearType, distinct_axis, relation_of_cosine
 from reframe_jax.joints.joint import JointType
 
-_STARTS, _STEPS = 8, 40  # of the search for the axes of a universal joint
+_STARTS, _STEPS = 8, 40  # starts, and steps from each start, of the search for universal axes
 
 
 @dataclass(frozen=True)
@@ -43,20 +43,20 @@ class Geometry:
     universal: np.ndarray | None = None
 
     def in_ground(self, direction: np.ndarray, on_body: bool) -> np.ndarray:
-        """Express a direction in the ground, as the mean over all poses if it is fixed in {b}."""
+        """Express a unit vector (3,) in {g}: the mean over all poses if it is fixed in {b} (``on_body``)."""
         if not on_body:
             return direction
         mean: np.ndarray = np.mean(self.poses[:, :3, :3] @ direction, axis=0)
         return mean / np.linalg.norm(mean)
 
     def centre(self) -> np.ndarray:
-        """The origin of the linear frame in the ground, m: the mean over all poses if it is fixed in {b}."""
+        """Return the origin (3,), m, of the linear frame in {g}: the mean over all poses if fixed in {b}."""
         if not self.point_on_body:
             return self.position
         return np.mean(self.poses[:, :3, :3] @ self.position + self.poses[:, :3, 3], axis=0)
 
     def slides(self, home: np.ndarray) -> np.ndarray:
-        """The free axes of translation (n, 3) in the ground, with the child at its home pose."""
+        """Return the free translation axes (n, 3) in {g} while the pose of {b} in {g} is ``home`` (4, 4)."""
         return self.sliding @ home[:3, :3].T if self.linear_on_body else self.sliding
 
 
@@ -85,7 +85,7 @@ class Plan:
 def frame_geometry(
     frame: ConstraintFrame, poses: np.ndarray, pitch: float | None = None, universal: np.ndarray | None = None
 ) -> Geometry:
-    """Make the :class:`Geometry` of a single frame and poses (K+1, 4, 4)."""
+    """Make the :class:`Geometry` of a single frame and poses (K+1, 4, 4), m."""
     angular, linear = np.asarray(frame.angular_axes, float).T, np.asarray(frame.linear_axes, float).T
     turning, sliding = angular[np.asarray(frame.angular_dof) == 1], linear[np.asarray(frame.linear_dof) == 1]
     place = distinct_axis(frame.linear_dof)
@@ -95,7 +95,7 @@ def frame_geometry(
 
 
 def relate_axes(geometry: Geometry) -> AxisRelation | None:
-    """Relation of the distinct axes of the two frames; None if either frame has no distinct axis."""
+    """Return the relation of the distinct axes of both frames; None if a frame has no distinct axis."""
     turns = len(geometry.turning)
     if turns not in (1, 2) or geometry.distinct is None:
         return None
@@ -105,7 +105,7 @@ def relate_axes(geometry: Geometry) -> AxisRelation | None:
 
 
 def joint_plans(geometry: Geometry) -> list[Plan]:
-    """Chains to fit to the poses; the best fit becomes the joint. Empty if every pose can be reached."""
+    """Return the chains to fit to the poses; the best fit becomes the joint. Empty if no chain fits."""
     turns, slides = len(geometry.turning), len(geometry.sliding)
     # slides come after the rotations if their axes are fixed in {b} and the origin is fixed in {g}
     last = slides in (1, 2) and geometry.frame.linear_type == LinearType.BG
@@ -145,7 +145,7 @@ def _hinge_plans(geometry: Geometry, last: bool) -> list[Plan]:
 
 
 def only_velocities(geometry: Geometry) -> bool:
-    """Whether the constraint restricts velocities, as a wheel does, and reaches poses beyond its free axes.
+    """Return whether the constraint, like a wheel, restricts velocities only.
 
     In BB and GG, the axes and the origin are fixed in the same body, so the free translations turn with the
     body. Alternating rotations and translations then reach poses that neither reaches by itself.

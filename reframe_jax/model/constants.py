@@ -15,19 +15,23 @@ class Evidence(NamedTuple):
     """Constants of :mod:`.evidence`.
 
     Attributes:
-        error_position, error_rotation: m and rad, usual slow errors of a tracker or a robot, and
-            error_of_noise: their usual share of the white noise, added in squares.
-        error_spread: of the logarithm of slow errors: a factor 5, the one that matters most.
-        tilt_above: power of the variance ratio by which tilts above the size of errors are improbable.
-        turn, turn_spread: rad, usual free rotation, and the spread of its logarithm.
-        lever, lever_spread: m/rad, usual free translation over free rotation, and its spread.
-        free_above: steepness of the density of free amplitudes above the size of the motion.
-        scale_error: share of a rotation that a tracker may be wrong by, in scale.
-        amplitude_variance: of a log mean square beyond its sampling error.
-        worth: independent values of a motion that a likelihood of held coordinates counts at most.
-        per_parameter: log evidence that a parameter costs.
-        screw_worth: independent values that the agreement of slide and turn counts at most.
-        pitch_range: log of the range of pitches: three decades, two signs.
+        error_position, error_rotation: m and rad, median slow errors of a tracker or a robot without noise.
+        error_of_noise: slow error per unit of white noise; its square is added to that of the median.
+        error_spread: standard deviation of the log of slow errors (a factor 5); results depend most on it.
+        tilt_above: exponent n of the density (e^2 / (e^2 + tilt^2))^n of a tilt, with e the slow rotation
+            errors.
+        turn, turn_spread: median free rotation, rad, and the standard deviation of its log.
+        lever, lever_spread: median ratio of free translation to free rotation, m/rad, and the standard
+            deviation of its log.
+        free_above: slope by which the log density of free amplitudes falls above the size of the motion.
+        scale_error: largest scale error of a tracker, as a fraction of the translation that the largest free
+            rotation causes.
+        amplitude_variance: variance of the log of a mean square, in addition to its sampling variance.
+        worth: largest number of independent values in the comparison of held covariances between entries.
+        per_parameter: cost of a parameter, in log evidence.
+        screw_worth: largest number of independent values in the comparison of the translation of a screw
+            with its rotation.
+        pitch_range: length of the range of log pitches: three decades for each sign.
     """
 
     error_position: float = 2e-4
@@ -52,7 +56,8 @@ class Scales(NamedTuple):
     """Constants of the choice of scales.
 
     Attributes:
-        above_noise: noises that block differences of position and rotation exceed at the smallest scale.
+        above_noise: ratio of block differences to their noise above which a scale is used, for position and
+            rotation.
     """
 
     above_noise: float = 6.0

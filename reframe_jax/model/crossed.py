@@ -1,9 +1,9 @@
 """Find the two axes of a universal joint: one in each body, at a constant right angle.
 
-The angle of an axis a of the ground and an axis b of the body is held: a'R b is a coordinate of variance
-c_s(a, b), bilinear in the moments of R. The fit minimises sum_s n_s log c_s by steps of Gauss and Newton,
-damped as by Levenberg and Marquardt. The mean angle is kept near a right angle: axes at any other angle may
-fit a short motion by chance, and axes along each other fit every motion.
+The angle between an axis a of the ground and an axis b of the body is constant: a'R b is a held coordinate
+with variance c_s(a, b), bilinear in the moments of R. Levenberg-Marquardt steps minimise sum_s n_s log c_s. A
+penalty keeps the mean angle near a right angle: axes at any other angle may fit a short motion by chance, and
+parallel axes fit every motion.
 """
 
 from typing import NamedTuple
@@ -17,31 +17,31 @@ from reframe_jax.geometry.small import largest, normalize, solve_positive, times
 __all__ = ["crossed_axes"]
 
 Array = jax.Array
-_APART = 3.0  # weight of the squared cosine of the mean angle, in independent details
+_APART = 3.0  # penalty on the squared cosine of the mean angle, per independent detail
 
 
 def crossed_axes(
     forms: Array, details: Array, mean: Array, ground: Array, body: Array, steps: int
 ) -> tuple[Array, Array, Array]:
-    """Fit the axes by a number of steps.
+    """Fit the two axes of a universal joint.
 
     Args:
         forms: (3, 3, 3, 3, S, ...) moments of R, entry by entry.
-        details: (S, ...).
+        details: (S, ...) number of independent details of each scale.
         mean: (3, 3, ...) mean rotation.
         ground: (3, ...) axis a to start from.
         body: (3, ...) axis b to start from.
         steps: number of steps.
 
     Returns:
-        a (3, ...), b (3, ...), and the objective.
+        The unit vectors a (3, ...) and b (3, ...), and the objective (...).
     """
     small = jnp.finfo(ground.dtype).tiny ** 0.5
     keep = _APART * total(details, 0)
     unit = jnp.asarray(np.eye(4), ground.dtype).reshape(4, 4, *[1] * (ground.ndim - 1))
 
     def expand(a: Array, b: Array) -> _Local:
-        """The objective about two axes."""
+        """Expand the objective to second order about two axes."""
         across = total(forms * b[:, None, None, None], 1)  # (i, k, l)
         half = total(forms * a[:, None, None, None, None], 0)  # (j, k, l)
         of_ground, of_body = total(across * b[:, None], 2), total(half * a[:, None, None], 1)
@@ -99,7 +99,7 @@ class _Local(NamedTuple):
 
 
 def _across(axis: Array) -> Array:
-    """Two directions (3, 2, ...) across unit vectors (3, ...), continuous but at z = 0 (Duff et al. 2017)."""
+    """Two directions (3, 2, ...) normal to unit vectors (3, ...), continuous except at z = 0 (Duff 2017)."""
     x, y, z = axis
     sign = jnp.where(z < 0, -1.0, 1.0).astype(axis.dtype)
     p = -1 / (sign + z)

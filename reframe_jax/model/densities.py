@@ -1,9 +1,10 @@
-"""Densities of log amplitudes about a size, and their overlap with the likelihood of a measured amplitude.
+"""Densities of log amplitudes, and their integrals with the likelihood of a measured amplitude.
 
-A density is e^(B u) / (1 + e^(2 u))^((B + G) / 2) of u = log a - log size: slopes B below the size and -G
-above. The likelihood of a is Gaussian in the logarithm of a^2 + noise^2. Where a is far below the noise, the
-likelihood is constant, and so is the density's integral but for a factor that is known at both ends; above,
-the trapezoidal rule takes a few nodes.
+With u = log(a / size), the density of an amplitude a is proportional to
+e^(B u) / (1 + e^(2 u))^((B + G) / 2). Its log has the slope B below the size and -G above.
+The likelihood of a is Gaussian in log(a^2 + noise^2). For a far below the noise, the likelihood is constant,
+and the integral of the density is interpolated between its two limits. Above, the trapezoidal rule computes
+the integral with a few nodes.
 """
 
 from math import gamma, log, pi
@@ -19,9 +20,9 @@ from reframe_jax.model.constants import EVIDENCE as C
 __all__ = ["Nodes", "amplitude_nodes", "free_evidence", "held_likelihood"]
 
 Array = jax.Array
-_NODES = 4  # of the likelihood of an amplitude: a Gaussian's integral to 3 %
-_WIDTH = 3.5  # standard deviations of log a^2 to either side
-_FLAT = 0.05  # a^2 over noise^2 below which the likelihood does not change
+_NODES = 4  # nodes of a likelihood; they integrate a Gaussian to within 3 %
+_WIDTH = 3.5  # standard deviations of log a^2 on each side of the measured value
+_FLAT = 0.05  # a^2 / noise^2 below which the likelihood counts as constant
 _HELD_TOTAL = 5 * pi / 32  # integral of the density with slopes 1 and -7
 
 
@@ -30,7 +31,7 @@ class Nodes(NamedTuple):
 
     Attributes:
         squares: (_NODES, 6, ...) a^2 of the nodes, ascending.
-        weights: (_NODES, 6, ...) of the nodes.
+        weights: (_NODES, 6, ...) likelihood times the weight of the trapezoidal rule.
         below: (6, ...) likelihood of amplitudes below the first node.
         top: (6, ...) logarithm of a common factor of all weights.
     """
@@ -46,7 +47,7 @@ class Nodes(NamedTuple):
 
 
 def held_likelihood(nodes: Nodes, sizes: Array) -> Array:
-    """Likelihood, divided by exp(top), of k held coordinates for a grid g of squared error sizes.
+    """Compute the likelihood, divided by exp(top), of k held coordinates for a grid g of squared error sizes.
 
     The sizes and the result have the shape (k, g, ...). The grid may have several axes.
     """
@@ -61,12 +62,12 @@ def held_likelihood(nodes: Nodes, sizes: Array) -> Array:
 
 
 def free_evidence(nodes: Nodes, sizes: Array, slope: Array) -> Array:
-    """Log evidence (k, g, ...) of k coordinates that are free, for squared sizes (k or 1, g, ...).
+    """Compute the log evidence (k, g, ...) of k free coordinates, for a grid g of squared sizes.
 
     Args:
-        nodes: of the coordinates.
-        sizes: m^2 or rad^2.
-        slope: (...) B, below the size.
+        nodes: nodes of the k coordinates.
+        sizes: (k or 1, g, ...) m^2 or rad^2.
+        slope: (...) slope B of the log density below the size.
     """
     squares, weights, below, top = _spread(nodes, sizes.ndim)
     over = squares / (sizes + squares)
@@ -80,7 +81,7 @@ def free_evidence(nodes: Nodes, sizes: Array, slope: Array) -> Array:
 
 
 def _spread(nodes: Nodes, axes: int) -> Nodes:
-    """With axes of size 1 for the grid, behind the coordinates."""
+    """Insert axes of size 1 for the grid after the axis of the coordinates."""
     extra = tuple(range(1, 1 + axes - nodes.top.ndim))
     one = tuple(axis + 1 for axis in extra)
     return Nodes(
@@ -92,12 +93,12 @@ def _spread(nodes: Nodes, axes: int) -> Nodes:
 
 
 def amplitude_nodes(log_square: Array, log_noise: Array, variance: Array) -> Nodes:
-    """Nodes of the likelihoods of amplitudes, in single precision.
+    """Compute the nodes of the likelihoods of amplitudes, in single precision.
 
     Args:
-        log_square: (6, ...) log of the measured mean square.
-        log_noise: (6, ...) log of the part of it that is noise.
-        variance: (6, ...) of ``log_square``.
+        log_square: (6, ...) log of the measured mean square, m^2 or rad^2.
+        log_noise: (6, ...) log of the part of the mean square that is noise.
+        variance: (6, ...) variance of ``log_square``.
     """
     log_square, log_noise, variance = (x.astype(jnp.float32) for x in (log_square, log_noise, variance))
     ratio, deviation = log_square - log_noise, jnp.sqrt(variance)
@@ -111,7 +112,7 @@ def amplitude_nodes(log_square: Array, log_noise: Array, variance: Array) -> Nod
     misfit = jnp.square(ratio - jnp.logaddexp(place, 0.0)) / variance
     ends = np.ones(_NODES)
     ends[[0, -1]] = 0.5
-    width = (high - low) / (2 * (_NODES - 1))  # of log a
+    width = (high - low) / (2 * (_NODES - 1))  # node distance in log a
     weights = jnp.exp(-0.5 * (misfit - penalty)) * width * jnp.asarray(ends, ratio.dtype).reshape(steps.shape)
     return Nodes(
         jnp.exp(place + log_noise),

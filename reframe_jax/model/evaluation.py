@@ -29,11 +29,11 @@ class WindowStatistics(NamedTuple):
     """Statistics of N windows that the evaluation of entries needs.
 
     Attributes:
-        spectra: (S, 1, N) of the scales.
+        spectra: statistics (S, 1, N) of the scales.
         mean: (3, 3, N) mean rotation.
-        noise: (2, 1, N) m and rad, white noise with which slow errors grow.
-        rotations: (3, 3, M, N) of M poses of the window.
-        levers: (3, 3, 5, N) m^2, squared sensitivity of the translation of every path to a rotation.
+        noise: (2, 1, N) m and rad, white noise, which raises the prior of slow errors.
+        rotations: (3, 3, M, N) rotations of M poses of the window.
+        levers: (3, 3, 5, N) m^2, squared sensitivity to a rotation of every translation in ``PATHS``.
         universal: moments of the coordinates of a universal joint.
     """
 
@@ -75,12 +75,12 @@ def window_statistics(
     """Collect the statistics of N windows.
 
     Args:
-        features: of the windows.
-        moments: of all scales.
-        used: with details only at the scales that are used.
-        products: (27, 27, S, N) of ``used``.
-        noise: (N, 2) m and rad.
-        origins: (3, 4, N) m, of every linear type.
+        features: features of the windows.
+        moments: moments of all scales.
+        used: the same moments, with 0 details at unused scales.
+        products: (27, 27, S, N) products of ``used``.
+        noise: (N, 2) m and rad, white noise of a pose.
+        origins: (3, 4, N) m, origin of every linear type.
         universal_axes: axes a and b of the universal joint, (3, N) each.
     """
     details, all_details, white = used.details.T, moments.details.T, used.white.T
@@ -99,17 +99,17 @@ def window_statistics(
 def evaluate_entries(
     forms: Forms, at: Unknowns, entries: Table, windows: WindowStatistics
 ) -> tuple[Amplitudes, Array]:
-    """Amplitudes and log evidence of entries, with the axes (entries, N) last.
+    """Compute the amplitudes and the log evidence (entries, N) of entries.
 
     Args:
-        forms: moments of the coordinates about the origins.
-        at: frames, origins, tilts and pitches.
+        forms: moments about the origins, with the axes (entries, N) last.
+        at: frames, origins, tilts and pitches of the entries.
         entries: rows of the table.
         windows: statistics of the windows.
     """
     turns, shifts, mixed = coordinates_at(forms, at, entries.apart)
     universal, crossed = windows.universal, entries.crossed
-    # ---- the rotations of a universal joint are others
+    # ---- a universal joint has its own rotation coordinates
     turns = jnp.where(crossed, universal.form[:, :, :, None], turns)
     of_path = jnp.where(
         entries.path == PATHS.index("GB"),
@@ -165,7 +165,7 @@ def _universal_moments(a: Array, b: Array, products: Array, features: Features) 
 
 
 def _squared_levers(features: Features, rotations: Array, origins: Array) -> Array:
-    """Squared sensitivity of the translation of every path to a rotation, (3, 3, 5, N) m^2."""
+    """Squared sensitivity to a rotation of every translation in ``PATHS``, (3, 3, 5, N) m^2."""
     sensitive = jnp.moveaxis(features.to_rotation[:, :, z.IN_BODY], 0, -1)
     inside = jnp.stack([sensitive[:, 2, 1], sensitive[:, 0, 2], sensitive[:, 1, 0]])  # R'p, (3, M, N)
     position = times(rotations, inside)

@@ -1,18 +1,19 @@
 """The evidence for an entry of the table: how probable the measured amplitudes of its coordinates are.
 
-The amplitude a of a coordinate is its RMS over the recording, summed over all used scales. It is known up to
-its sampling error and its white noise. The density of log a depends on whether the coordinate is held:
+The amplitude a of a coordinate is its RMS over the recording, summed over all used scales. It is measured
+with a sampling error and white noise. The log density of log a depends on whether the coordinate is held:
 
 - *held*: slope 1 below and -7 above the size e of slow errors of the tracker, the robot or the contact,
-  where e^2 = n_p e_t^2 + n_r e_r^2: a translation of e_t and a rotation of e_r that reaches the coordinate
-  through its lever;
+  where e^2 = n_p e_t^2 + n_r e_r^2: a translation error e_t, and a rotation error e_r that reaches the
+  coordinate through its lever;
 - *free*: slope B below and -3 above the size m of the motion, one m for rotations and one for translations.
 
-The four sizes are the same for all coordinates of a recording, and are integrated out on grids. The
-densities are smooth functions of the logarithm, for which the trapezoidal rule is exact with coarse steps.
-Two terms are added. The first compares the size of the held coordinates with those of other entries: a
-likelihood that counts only the few independent values of a motion. The second is a cost of one unit of log
-evidence per parameter.
+The four sizes are the same for all coordinates of a recording, and are integrated out on grids. The densities
+are smooth functions of the logarithm, so the trapezoidal rule is accurate with coarse steps.
+
+Two terms are added. The first is a likelihood that compares the covariances of the held coordinates between
+entries; it counts few independent values, because the samples of a motion are correlated. The second costs
+one unit of log evidence per parameter.
 """
 
 from math import log
@@ -40,13 +41,13 @@ Array = jax.Array
 _TINY = 1e-18  # m^2 and rad^2, added to every variance
 
 # ---- grids of the logarithms of sizes
-_ERRORS = 1.4 * np.arange(-2, 6)  # about the middle of the prior of slow errors
-_TURNS = 0.5 * np.arange(-2, 3)  # about the usual rotation
-_SHIFTS = 1.0 * np.arange(-3, 4)  # about the usual translation
+_ERRORS = 1.4 * np.arange(-2, 6)  # log of slow errors over their median
+_TURNS = 0.5 * np.arange(-2, 3)  # log of free rotations over their median
+_SHIFTS = 1.0 * np.arange(-3, 4)  # log of free translations over their median
 
 
 def _motions() -> np.ndarray:
-    """Prior of the sizes of free rotations and translations, (turns, shifts)."""
+    """Prior probability of the sizes of free rotations and translations, (turns, shifts)."""
     turns = np.exp(-0.5 * (_TURNS / C.turn_spread) ** 2)
     shifts = np.exp(-0.5 * ((_SHIFTS[None] - _TURNS[:, None]) / C.lever_spread) ** 2)
     return (turns / turns.sum())[:, None] * shifts / shifts.sum(axis=1, keepdims=True)
@@ -59,11 +60,11 @@ class Spectra(NamedTuple):
     """Statistics of the scales of a window.
 
     Attributes:
-        details: (S,) independent details, 0 at scales that are not used.
-        all_details: (S,) independent details of all scales.
-        scale_weight: (S,) weight of a scale in the variance of the path; 0 at scales that are not used.
-        white: (S,) variance at a scale of white noise of unit variance.
-        noise: (2,) m and rad, white noise of a pose.
+        details: (S,) number of independent details, 0 at unused scales.
+        all_details: (S,) number of independent details, also at unused scales.
+        scale_weight: (S,) weight of a scale in the variance of a coordinate; 0 at unused scales.
+        white: (S,) variance of a detail for white noise of variance 1.
+        noise: (2,) m and rad, standard deviation of the white noise of a pose.
     """
 
     details: Array
@@ -79,7 +80,7 @@ class Amplitudes(NamedTuple):
     Attributes:
         square: (6,) mean square over the recording, m^2 or rad^2.
         noise: (6,) part of ``square`` that is white noise.
-        variance: (6,) of the logarithm of ``square``.
+        variance: (6,) variance of the logarithm of ``square``.
         independent: (6,) number of independent values.
         lever: (6,) squared sensitivity to a rotation, m^2 or 1.
         size: () sum over coordinates and scales of n log variance, of all coordinates.
@@ -99,9 +100,9 @@ class Coordinates(NamedTuple):
     """Moments of the six coordinates of an entry, components first and problems last.
 
     Attributes:
-        turns, shifts: (3, 3, S, ...) of the rotations, and of the translations.
-        mixed: (3, 3, S, ...) of rotations with translations.
-        levers: (2, 3, 3, ...) of the sensitivities to a rotation, of both.
+        turns, shifts: (3, 3, S, ...) moments of the rotations, and of the translations.
+        mixed: (3, 3, S, ...) moments of rotations with translations.
+        levers: (2, 3, 3, ...) moments of the sensitivities of rotations and translations to a rotation.
         gain: (6, ...) squared sensitivity to a position.
         consistency: (...) mean log |det| of the derivative of the coordinates with respect to the pose.
     """
@@ -121,12 +122,12 @@ def _diagonal(outer: Array, form: Array) -> Array:
 
 
 def amplitudes_of(coordinates: Coordinates, entry: Table, spectra: Spectra) -> Amplitudes:
-    """Amplitudes of the coordinates of entries, components first and problems last.
+    """Compute the amplitudes of the coordinates of entries, components first and problems last.
 
     Args:
         coordinates: moments of the coordinates.
         entry: rows of the table, (6, ...) and (6, 6, ...).
-        spectra: with the scales first.
+        spectra: statistics of the scales, with the scales first.
     """
     scale_weight, dtype = spectra.scale_weight, coordinates.turns.dtype
     together = entry.together
@@ -137,7 +138,7 @@ def amplitudes_of(coordinates: Coordinates, entry: Table, spectra: Spectra) -> A
     turns, shifts = jnp.moveaxis(materialize(_diagonal(axes, both)), 2, 0)
     lever = jnp.moveaxis(_diagonal(axes, jnp.moveaxis(coordinates.levers, 0, 2)[:, :, None])[:, 0], 1, 0)
     axes, lever = jnp.moveaxis(axes, 2, 0), lever.reshape(6, *lever.shape[2:])
-    # error of scale of a tracker: held translations may be proportional to the largest free rotation
+    # scale error of a tracker: held translations may be proportional to the largest free rotation
     squares = jnp.where(entry.held[:3], -1.0, total(turns * scale_weight, 1))
     widest = largest(squares)
     second = (squares[1] == widest) & (squares[0] < widest)
@@ -170,15 +171,15 @@ def amplitudes_of(coordinates: Coordinates, entry: Table, spectra: Spectra) -> A
 
 
 def log_evidence(amplitudes: Amplitudes, tilt: Array, entry: Table, noise: Array) -> Array:
-    """Log evidence of the held and free coordinates, with the sizes of errors and motions integrated out.
+    """Compute the log evidence (...) of the coordinates, with the sizes of errors and motions integrated out.
 
     Components come first, problems last.
 
     Args:
-        amplitudes: of the coordinates.
-        tilt: (...) rad, of the axis between the bodies; 0 for entries without one.
+        amplitudes: amplitudes of the coordinates.
+        tilt: (...) rad, angle between the axis in {b} and in {g}; 0 for entries without a common axis.
         entry: rows of the table.
-        noise: (2, ...) m and rad, white noise, with which errors grow.
+        noise: (2, ...) m and rad, white noise, which raises the prior of slow errors.
     """
     nodes = materialize(
         amplitude_nodes(jnp.log(amplitudes.square), jnp.log(amplitudes.noise), amplitudes.variance)
@@ -208,7 +209,7 @@ def _errors(nodes: Nodes, lever: Array, tilt: Array, held: Array, noise: Array) 
     sizes = e_t[None, :, None] + (e_r * lever[3:])[:, None]
     shifts = jnp.where(held[3:, None, None], held_likelihood(nodes.rows(slice(3, 6)), sizes), 1)
     value = materialize(turns * shifts[0] * shifts[1] * shifts[2]).reshape(-1, *tilt.shape)
-    # a sum over many rows is fast as a product
+    # a matrix product is the fastest sum over many rows
     weights = jnp.asarray(np.repeat(prior, len(prior)), jnp.float32)
     whole = jnp.tensordot(weights, value, 1, precision="highest")
     return jnp.log(whole + jnp.finfo(jnp.float32).tiny) + total(jnp.where(held, nodes.top, 0), 0)
@@ -232,14 +233,14 @@ def _moves(nodes: Nodes, amplitudes: Amplitudes, held: Array) -> Array:
 
 
 def compare(evidence: Array, amplitudes: Amplitudes, pitch: Array, table: Table, details: Array) -> Array:
-    """Log probability of entries, (E, ...): components first, then entries, then problems.
+    """Compute the log probability (E, ...) of entries. Arrays have components, entries, then problems.
 
     Args:
-        evidence: (E, ...) of :func:`log_evidence`.
-        amplitudes: of the entries.
+        evidence: (E, ...) result of :func:`log_evidence`.
+        amplitudes: amplitudes of the entries.
         pitch: (E, ...) m/rad.
         table: the entries.
-        details: (S, ...) independent details.
+        details: (S, ...) number of independent details of each scale.
     """
     first = jnp.arange(len(evidence)).reshape(-1, *[1] * (evidence.ndim - 1))
     best = first == jnp.argmax(evidence, axis=0)
@@ -262,7 +263,7 @@ def compare(evidence: Array, amplitudes: Amplitudes, pitch: Array, table: Table,
 
 
 def _screw(amplitudes: Amplitudes, pitch: Array, worth: Array) -> Array:
-    """Gain of a screw joint because turn and slide agree, less the cost of its range of pitches, (E, ...)."""
+    """Log evidence (E, ...) of a screw: agreement of translation and rotation, less the cost of a pitch."""
     turn, row = amplitudes.square[2], amplitudes.square[5]
     travel = jnp.square(pitch) * turn
     values = jnp.maximum(jnp.minimum(amplitudes.independent[2], C.screw_worth) - 1 - worth, 0)

@@ -1,11 +1,11 @@
-"""Features of a pose: every condition of a constraint on a motion is linear in them.
+"""Features of a pose; every condition that a constraint imposes is linear in these features.
 
 A coordinate of a constraint is w'z with constant weights w and 27 features z of a pose:
 
     p | R (row by row) | R'p | integral of w_b | integral of v_b | integral of w_g | integral of v_g
 
 with (w_b, v_b) the body twist and (w_g, v_g) the spatial twist. The tip x of a tool along the normal n of a
-plane, for instance, is n'(p + R x). So the second moments of z are all that any constraint needs.
+plane, for instance, is n'(p + R x). Every constraint therefore needs only the second moments of z.
 """
 
 from typing import NamedTuple
@@ -30,9 +30,9 @@ class Features(NamedTuple):
     """Features of N windows.
 
     Attributes:
-        values: (N, P, 27) of every pose; positions are relative to their mean.
-        to_position: (N, M, 27, 3) derivative with respect to the position, at M poses of the window.
-        to_rotation: (N, M, 27, 3) the same for a small rotation in {b}, per rad.
+        values: (N, P, 27) features of every pose; positions are relative to their mean.
+        to_position: (N, M, 27, 3) derivatives by the position, at M poses of the window.
+        to_rotation: (N, M, 27, 3) derivatives by a small rotation in {b}, rad, at the same poses.
         mean_rotation: (N, 3, 3) the rotation nearest to the mean of all R.
     """
 
@@ -45,14 +45,14 @@ class Features(NamedTuple):
 def pose_features(
     rotation: jax.Array, position: jax.Array, steps: jax.Array, counted: jax.Array, count: jax.Array | None
 ) -> Features:
-    """Features of the poses of N windows.
+    """Compute the features of the poses of N windows.
 
     Args:
-        rotation: (3, 3, P, N).
-        position: (3, P, N) m, about their mean.
-        steps: (1, K) or (N, K) s.
+        rotation: (3, 3, P, N) of {b} in {g}.
+        position: (3, P, N) m in {g}, relative to the mean.
+        steps: (1, K) or (N, K) s, time steps.
         counted: (P, N) bool, poses that count.
-        count: (N,) number of poses if the rest is padding, else None.
+        count: (N,) number of poses before the padding; None without padding.
     """
     turns, shifts = twist_paths(rotation, position, steps, count)
     inside = times(jnp.swapaxes(rotation, 0, 1), position)
@@ -69,10 +69,10 @@ def pose_features(
 
 
 def nearest_rotation(matrix: jax.Array) -> jax.Array:
-    """The rotation nearest to matrices (..., 3, 3), by Newton's iteration for the polar factor.
+    """Return the rotation nearest to matrices (..., 3, 3), by Newton's iteration for the polar factor.
 
-    Where the mean of rotations is nearly singular, any rotation is as near: the iteration is damped, and its
-    result made orthogonal by Gram and Schmidt.
+    The nearest rotation of a nearly singular matrix is not unique. The iteration is therefore damped, and
+    Gram-Schmidt makes its result orthogonal.
     """
     tiny = 1e-9 * jnp.eye(3, dtype=matrix.dtype)
 
@@ -98,7 +98,7 @@ def _hat(vector: jax.Array) -> jax.Array:
 def _sensitivity(values: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Derivatives of features (..., 27) with respect to the pose, (..., 27, 3) each.
 
-    Of a twist that is summed up, the sum at a pose moves with the pose.
+    The integral of a twist up to a pose is differentiated by this pose only.
     """
     p, q = values[..., POSITION], values[..., IN_BODY]
     rotation = values[..., ROTATION].reshape(*values.shape[:-1], 3, 3)

@@ -1,10 +1,10 @@
 """Fit an entry of the table: its frame, origin, tilt and pitch.
 
-Held blocks of coordinates are normal with a covariance that is not known, one at each scale. The fit
+Held blocks of coordinates are normally distributed, with an unknown covariance at each scale. The fit
 minimises sum_s n_s log det (W G_s W') over the held blocks, with W(parameters) the weights of the coordinates
-and G_s the moments of the features. An axis that goes through both bodies is the same in both up to a tilt;
-tilt and held rotations have one size. The steps are those of Levenberg and Marquardt for the tangent of the
-logarithm, a sum of squares.
+and G_s the moments of the features. The directions of an axis that is fixed in both bodies may differ by a
+small tilt, whose size is that of the held rotations. The fit takes Levenberg-Marquardt steps on the tangent
+of the logarithm, which is a sum of squares.
 """
 
 from typing import NamedTuple
@@ -39,7 +39,7 @@ __all__ = [
     "solve_determined",
 ]
 
-STEPS, LAST_STEPS = 5, 3  # of Levenberg and Marquardt; the last ones leave the tilt free
+STEPS, LAST_STEPS = 5, 3  # Levenberg-Marquardt steps with the cost of the tilt, then without it
 _PARAMETERS = 9
 
 Array = jax.Array
@@ -51,7 +51,7 @@ class Parameters(NamedTuple):
     Attributes:
         axes: (3, 3) the frame in the body; its columns are the directions of the table.
         origin: (3,) m, in the body of the linear type's second letter.
-        tilt: (2,) rad, of the axis in the ground against the mean rotation of the axis in the body.
+        tilt: (2,) rad, rotation from the axis in {b}, at the mean orientation, to the axis in {g}.
         pitch: () m/rad.
     """
 
@@ -78,13 +78,13 @@ class Data(NamedTuple):
 
 
 def ground_axes(parameters: Parameters, mean_rotation: Array) -> Array:
-    """The frame in the ground, (3, 3)."""
+    """Return the axes of the frame in the ground, at the mean orientation: columns of (3, 3)."""
     tilt = jnp.concatenate([parameters.tilt, jnp.zeros_like(parameters.tilt[:1])])
     return mean_rotation @ parameters.axes @ rotation_exp(tilt)
 
 
 def coordinates(parameters: Parameters, mean_rotation: Array, entry: Table) -> Array:
-    """Weights of the six coordinates, (6, 27)."""
+    """Return the weights (6, 27) of the features in the six coordinates of an entry."""
     in_body, in_ground = parameters.axes.T, ground_axes(parameters, mean_rotation).T
     directions = jnp.where(entry.ground[:, None], in_ground[entry.column], in_body[entry.column])
     between = (entry.kind == KINDS.index("angle between"))[:, None]
@@ -97,7 +97,7 @@ def coordinates(parameters: Parameters, mean_rotation: Array, entry: Table) -> A
 
 
 def move(parameters: Parameters, step: Array, box: Array) -> Parameters:
-    """Parameters after a step (9,): rotation of the frame, origin, tilt, pitch."""
+    """Add a step (9,) to the parameters: frame (3 rad), origin (3 m), tilt (2 rad), pitch (m/rad)."""
     return Parameters(
         parameters.axes @ rotation_exp(step[:3]),
         jnp.clip(parameters.origin + step[3:6], -box, box),
@@ -107,9 +107,10 @@ def move(parameters: Parameters, step: Array, box: Array) -> Parameters:
 
 
 def held_covariance(weights: Array, products: Array, entry: Table) -> Array:
-    """Covariance of held coordinates at every scale, rotations and translations apart, (S, 2, 3, 3).
+    """Return the covariance of held coordinates at every scale: (S, 2, 3, 3), rotations then translations.
 
-    Different blocks are independent; the place of a free coordinate holds 1.
+    Covariances between coordinates of different blocks are set to 0. A free coordinate has 1 on the diagonal,
+    so the determinant ignores it.
     """
     covariance = jnp.einsum("if,sfg,jg->sij", weights, products, weights)
     both = entry.together & entry.held[:, None] & entry.held[None, :]
@@ -130,7 +131,7 @@ def _cofactors(s: Array) -> tuple[Array, Array]:
 
 
 def _log_determinants(covariance: Array) -> Array:
-    """(S,) of both triples together."""
+    """Log determinants (S,) of the covariances (S, 2, 3, 3) of rotations and translations, added up."""
     _, det = _cofactors(covariance)
     return jnp.sum(jnp.log(jnp.maximum(det, jnp.finfo(det.dtype).tiny)), axis=-1)
 
@@ -140,7 +141,7 @@ def _tilt_cost(tilt: Array, data: Data, scale: Array, tie: Array) -> Array:
 
 
 def objective(parameters: Parameters, data: Data, entry: Table, scale: Array, tie: Array) -> Array:
-    """Objective of the fit; see the module."""
+    """Compute the objective of the fit (see the module), with the cost of the tilt."""
     weights = coordinates(parameters, data.mean_rotation, entry)
     covariance = held_covariance(weights, data.products, entry)
     value = jnp.sum(data.details * _log_determinants(covariance))
@@ -150,18 +151,18 @@ def objective(parameters: Parameters, data: Data, entry: Table, scale: Array, ti
 def fit_entry(
     start: Parameters, data: Data, entry: Table, scale: Array, tie: Array, steps: int = 2 * STEPS
 ) -> tuple[Parameters, Array]:
-    """Fit an entry to a window, from a start.
+    """Fit the parameters of an entry to a window, from starting parameters.
 
     Args:
-        start: of the parameters.
-        data: of the window.
+        start: starting parameters.
+        data: data of the window.
         entry: one row of the table.
         scale: () rad, size of the tilt.
         tie: () bool, whether the tilt has a cost; otherwise it is free.
         steps: number of Levenberg-Marquardt steps.
 
     Returns:
-        The parameters and the objective there.
+        The fitted parameters, and the objective at these parameters.
     """
     body = in_body(entry)
     moments = entry_moments(jnp.moveaxis(data.products, 0, -1), data.mean_rotation).pick(entry.path[None])
@@ -187,16 +188,17 @@ def fit_entry(
 
 @jax.custom_jvp
 def settle(parameters: Parameters, data: Data, entry: Table, scale: Array, tie: Array) -> Parameters:
-    """Fitted parameters as differentiable functions of the moments, by the implicit function theorem.
+    """Return fitted parameters unchanged, with their derivatives with respect to the moments.
 
-    Where the gradient g(y, data) of the objective vanishes, dy = -H^-1 (dg / d data) d data. Parameters that
-    the held coordinates leave open contribute nothing.
+    The derivatives follow from the implicit function theorem: the gradient g(y, data) of the objective is 0
+    at the fit, so dy = -H^-1 (dg / d data) d data. Parameters that the held coordinates do not determine have
+    the derivative 0.
     """
     return parameters
 
 
 def curvature(parameters: Parameters, data: Data, entry: Table, scale: Array, tie: Array) -> Array:
-    """Exact Hessian of the objective in the step of :func:`move`, (9, 9)."""
+    """Compute the exact Hessian (9, 9) of the objective with respect to the step of :func:`move`."""
 
     def value(step: Array) -> Array:
         return objective(move(parameters, step, data.box), data, entry, scale, tie)
@@ -205,7 +207,7 @@ def curvature(parameters: Parameters, data: Data, entry: Table, scale: Array, ti
 
 
 def solve_determined(hessian: Array, vector: Array, flat: float = 1e-9) -> Array:
-    """Solution of H y = v in the directions in which H is not flat, for v (9,) or (9, m)."""
+    """Solve H y = v (9,) or (9, m), where eigenvalues of H below ``flat`` times the largest give 0."""
     size = jnp.diagonal(hessian)
     unit = jnp.sqrt(jnp.where(size > 1e-10 * jnp.max(size), size, jnp.max(size) + jnp.finfo(size.dtype).tiny))
     values, axes = jnp.linalg.eigh(hessian / unit[:, None] / unit[None])

@@ -13,10 +13,10 @@ import jax.numpy as jnp
 
 __all__ = ["Moments", "scale_moments"]
 
-_PART = 4  # of a window that two blocks, or the block of the smooth part, take at most
-_FEWEST = 4  # details of a scale
-_ROUNDINGS = 16  # of the mean square of a feature, that are added to its variance
-_LEAST = 1e-20  # m^2 or rad^2, the same of features that never change
+_PART = 4  # two neighbouring blocks, or a block of the smooth part, take 1 / _PART of a window at most
+_FEWEST = 4  # smallest number of details of a scale
+_ROUNDINGS = 16  # rounding errors of the mean square of a feature that are added to its moment
+_LEAST = 1e-20  # m^2 or rad^2, smallest addition, for features that never change
 
 
 class Moments(NamedTuple):
@@ -34,13 +34,13 @@ class Moments(NamedTuple):
 
     @property
     def scale_weight(self) -> jax.Array:
-        """(..., S) weight of a scale in the variance of the path: details have it four times, per octave."""
+        """(..., S) weight of a scale in the variance: 1/4 for details, which count an octave four times."""
         last = jnp.arange(self.width.shape[-1]) == self.width.shape[-1] - 1
         return jnp.where(last, 1.0, 0.25).astype(self.products.dtype) * (self.details > 0)
 
     @property
     def white(self) -> jax.Array:
-        """(..., S) variance at a scale of white noise of unit variance."""
+        """(..., S) mean square of details, and of the smooth part, for white noise of variance 1."""
         last = jnp.arange(self.width.shape[-1]) == self.width.shape[-1] - 1
         return jnp.where(last, 1.0, 2.0) / self.width
 
@@ -48,21 +48,21 @@ class Moments(NamedTuple):
 def scale_moments(
     values: jax.Array, counted: jax.Array, count: jax.Array | None, about_mean: bool = False
 ) -> Moments:
-    """Second moments of features.
+    """Compute the second moments of features at every scale.
 
     Args:
-        values: (N, P, F).
+        values: (N, P, F) features.
         counted: (N, P) bool, poses that count; a block counts if half of its poses do.
-        count: (N,) number of poses if the rest is padding, else None.
-        about_mean: whether the smooth part holds all displacements about the mean, and no details are used;
-            the order of the poses then plays no part.
+        count: (N,) number of poses before the padding; None without padding.
+        about_mean: whether to use no details, and displacements from the mean as the smooth part; the order
+            of the poses then has no effect.
     """
     poses, dtype = values.shape[1], values.dtype
     number = jnp.full(len(values), poses, jnp.int32) if count is None else count
     weight = counted.astype(dtype)
     mean = jnp.sum(values * weight[..., None], axis=1) / jnp.maximum(jnp.sum(weight, axis=1), 1)[:, None]
     total = (values - mean[:, None]) * weight[..., None]
-    # motion without noise leaves a singular matrix: rounding is the least that every feature has
+    # without noise, the moments are singular: every feature has at least the variance of rounding
     spread = jnp.sum(jnp.square(total), axis=1) / jnp.maximum(jnp.sum(weight, axis=1), 1)[:, None]
     floor = _ROUNDINGS * float(jnp.finfo(dtype).eps) * jax.lax.stop_gradient(spread) + _LEAST
     floor = floor[:, None] * jnp.eye(values.shape[2], dtype=dtype)
@@ -81,7 +81,7 @@ def scale_moments(
     smooth_width = jnp.ones(len(values), dtype)
     h = 1
     while h == 1 or _PART * h <= poses:
-        # a block is as good as empty unless half of its poses count
+        # a block counts only if at least half of its poses count
         inside = jnp.arange(weight.shape[1]) + h <= number[:, None]  # no block reaches into padding
         full = (weight >= max(1, h / 2)) & inside
         block = total / jnp.maximum(weight, 1)[..., None]
@@ -113,6 +113,6 @@ def scale_moments(
 
 
 def _mean_products(detail: jax.Array, found: jax.Array) -> jax.Array:
-    """Mean of z z' over details (N, D, F) of which so many are not zero, (N, F, F)."""
+    """Mean (N, F, F) of z z' over details (N, D, F), of which ``found`` (N,) are not zero."""
     products = jnp.einsum("ndf,ndg->nfg", detail, detail, precision="highest")
     return products / jnp.maximum(found, 1)[:, None, None]

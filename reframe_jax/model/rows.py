@@ -43,12 +43,12 @@ _IN_BODY = np.array([path[0] == "B" for path in PATHS])
 
 
 class Forms(NamedTuple):
-    """Moments of the vectors whose coordinates are held or free, in the axes of the main body.
+    """Moments at an origin of the vectors whose coordinates are held or free, in the axes of the main body.
 
     Attributes:
-        path: (3, 3, S, ...) of the path of the origin.
-        rows: (6, 6, S, ...) of the position of the body, and of the rotation.
-        mixed: (3, 6, S, ...) of the path with the six components of ``rows``.
+        path: (3, 3, S, ...) moments of the path of the origin.
+        rows: (6, 6, S, ...) moments of the position of the body, and of the rotation.
+        mixed: (3, 6, S, ...) moments of the path with the six components of ``rows``.
     """
 
     path: Array
@@ -57,12 +57,14 @@ class Forms(NamedTuple):
 
 
 class EntryMoments(NamedTuple):
-    """Moments that entries need, in axes of the main body; a translation is a direction times (1, origin).
+    """Moments that entries need; a translation is a direction times (1, origin).
+
+    The main body of an entry is {b} if its translations are along axes of {b}, otherwise {g}.
 
     Attributes:
-        paths: (3, 4, 3, 4, S, ...) of the translation.
-        rows: (6, 6, S, ...) of the position of the body, and of the rotation.
-        mixed: (3, 4, 6, S, ...) of the translation with the six components of ``rows``.
+        paths: (3, 4, 3, 4, S, ...) moments of the translation, m^2, in axes of the main body.
+        rows: (6, 6, S, ...) moments of the position of the body, and of the rotation.
+        mixed: (3, 4, 6, S, ...) moments of the translation with the six components of ``rows``.
     """
 
     paths: Array
@@ -79,7 +81,7 @@ class EntryMoments(NamedTuple):
         return EntryMoments(*(of(leaf) for leaf in self))
 
     def at(self, origin: Array) -> Forms:
-        """Shift the moments to origins (3, ...)."""
+        """Return the moments at origins (3, ...), m."""
         _, path = path_of(self.paths, origin)
         x = origin[:, None, None]
         return Forms(path, self.rows, self.mixed[:, 0] + total(self.mixed[:, 1:] * x, 1))
@@ -89,7 +91,7 @@ def entry_moments(products: Array, mean: Array) -> EntryMoments:
     """Select the moments of every kind of translation, (..., S, 5, ...), from the moments of all features.
 
     Args:
-        products: (27, 27, S, ...).
+        products: (27, 27, S, ...) moments of the features.
         mean: (3, 3, ...) mean rotation.
     """
     lanes = products.ndim - 3
@@ -97,7 +99,7 @@ def entry_moments(products: Array, mean: Array) -> EntryMoments:
     picked = jnp.moveaxis(products.reshape(-1, *products.shape[2:])[_PLACES] * signs, 1, 2)
     rest = picked.shape[1:]
     paths, rows, mixed = picked[:144], picked[144:180], picked[180:]
-    # the position in axes of the main body, where that is the moving one
+    # express the position in axes of the main body; it is measured in the ground
     unit = jnp.eye(3, dtype=mean.dtype).reshape(3, 3, *[1] * (lanes + 1))
     turned = jnp.where(_IN_BODY.reshape(-1, *[1] * lanes), mean[:, :, None], unit)
     zero = jnp.zeros_like(turned)
@@ -110,14 +112,14 @@ def entry_moments(products: Array, mean: Array) -> EntryMoments:
 
 
 def in_body(entry: Table) -> Array:
-    """Whether the translations of an entry are along axes of the body."""
+    """Return whether the translations of entries are along axes of {b}, (...) bool."""
     return jnp.asarray(_IN_BODY)[entry.path]
 
 
 def problem_of(
     moments: EntryMoments, details: Array, entry: Table, scale: Array, box: Array, tie: Array
 ) -> Problem:
-    """Set up the fit of entries; components of all arguments come first."""
+    """Set up the fit of entries; the arguments are as in :class:`Problem`, with components first."""
     held = entry.held
     row = entry.apart & held[5]
     return Problem(
@@ -137,11 +139,11 @@ def problem_of(
 
 
 def coordinates_at(forms: Forms, at: Unknowns, apart: Array) -> tuple[Array, Array, Array]:
-    """Moments (3, 3, S, ...) of the rotations of entries, of the translations, and of both together.
+    """Return the moments (3, 3, S, ...) of rotations, of translations, and of rotations with translations.
 
     Args:
-        forms: about the origins.
-        at: frame, origin, tilt and pitch.
+        forms: moments at the origins.
+        at: frame, origin, tilt and pitch of the entries.
         apart: (...) bool, as in the table.
     """
     frame = at.frame
@@ -156,12 +158,12 @@ def coordinates_at(forms: Forms, at: Unknowns, apart: Array) -> tuple[Array, Arr
 
 
 def rotation_forms(products: Array) -> Array:
-    """Moments (3, 3, 3, 3, ...) of the entries of R, of moments (27, 27, ...)."""
+    """Select the moments (3, 3, 3, 3, ...) of the elements of R from moments (27, 27, ...)."""
     return products[z.ROTATION, z.ROTATION].reshape(3, 3, 3, 3, *products.shape[2:])
 
 
 def crossed_frame(ground: Array, body: Array, mean: Array) -> tuple[Array, Array]:
-    """Axes (3, 3, ...) and tilt (2, ...) of a universal joint with the axes a and b, (3, ...)."""
+    """Return the frame (3, 3, ...) and tilt (2, ...) of a joint with axes (3, ...): a in {g}, b in {b}."""
     axis = times(jnp.swapaxes(mean, 0, 1), ground)
     third = normalize(axis - body * total(body * axis, 0))
     axes = jnp.stack([body, cross(third, body), third], axis=1)

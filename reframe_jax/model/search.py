@@ -3,12 +3,12 @@
 The norm of the paper is the geometric mean of the RMS velocities along three axes; its logarithm is that of
 det Sigma. Over scales it is F(x) = sum_s n_s log det Sigma_s(x), with n_s independent details: the Gaussian
 likelihood of displacements whose variances are all unknown. Sigma_s(x) is a quadratic polynomial in the
-origin x, 6 x 10 coefficients.
+origin x, with 6 x 10 coefficients.
 
-Two kinds of steps lead to the minimum. The logarithm is concave, so that the tangent of log det lies above
-it: a *tangent step* to the minimum of that quadratic never goes up. *Newton steps* with the exact Hessian,
-whose negative curvatures change sign, finish: valleys of F are narrow, curved and often concave along their
-bottom, where the tangent is up to a thousand times too steep.
+The search takes two kinds of steps. The logarithm is concave, so the tangent of log det is an upper bound: a
+*tangent step*, to the minimum of this quadratic, never increases F. *Newton steps* then converge. They use
+the absolute curvatures of the exact Hessian, because valleys of F are narrow, curved, and often concave along
+their bottom, where the tangent is up to a thousand times too steep.
 
 Arrays have components first, then scales, types, starts and windows: every operation is elementwise over the
 last three.
@@ -40,18 +40,18 @@ _PLACE = np.array(PACKED, np.int32)
 _FORM = np.array([[MONOMIALS.index((min(a, b), max(a, b))) for b in range(4)] for a in range(4)], np.int32)
 
 _TANGENT_STEPS, _NEWTON_STEPS = 8, 14
-_RELAX = 1.6  # of tangent steps, over-relaxed: takes about half as many
-_DAMPING, _LEAST_DAMPING = 0.03, 1e-6  # of Newton's steps: first and least part of the tangent's curvature
+_RELAX = 1.6  # factor on tangent steps; over-relaxation halves their number
+_DAMPING, _LEAST_DAMPING = 0.03, 1e-6  # of Newton steps: first and least, as a fraction of the tangent
 _TRIALS = (0.04, 0.2, 1.0, 5.0)  # factors of the last damping that every step tries
 _FIXED_STARTS = np.array([[0, 0.2, -0.5], [0, -0.2, -0.4], [0, 0.1, 0.5]])
-"""(3, starts) m."""
-_RIDGE = 1e-9  # of the trace, in the regression on rotation features
+"""(3, starts) m, origins from which every search starts."""
+_RIDGE = 1e-9  # fraction of the trace that regularizes the regression on rotation features
 
 Array = jax.Array
 
 
 def polynomials(products: Array, rows: np.ndarray) -> Array:
-    """Coefficients of Sigma_s(x) of every type, (6, 10, S, T, 1, N).
+    """Compute the coefficients (6, 10, S, T, 1, N) of Sigma_s(x) for every linear type.
 
     Args:
         products: (F, F, S, N) moments of the features.
@@ -73,11 +73,11 @@ def polynomials(products: Array, rows: np.ndarray) -> Array:
 
 
 def unexplained_covariance(moments: Array, rows: np.ndarray) -> Array:
-    """Covariance (3, 3, T, 1, N) m^2 of the part of the path that no origin explains: a lower bound.
+    """Compute a lower bound (3, 3, T, 1, N), m^2, of the covariance of the path over all origins.
 
-    The path of an origin is affine in it with the rotation features as coefficients. The residuals of a
-    linear regression of the rest on these features are smaller than those of any origin, and small exactly
-    along held axes. Their inverse weighs the coordinates for a first origin.
+    The path is affine in the origin, with rotation features as coefficients. A linear regression of the
+    constant part on these features leaves smaller residuals than any origin, and they are small along held
+    axes only. The inverse of this covariance weights the coordinates in the search for a first origin.
 
     Args:
         moments: (F, F, N) moments of the features over all scales.
@@ -109,13 +109,13 @@ def lowest_origins(
     """Find the lowest F of every type, and its origin.
 
     Args:
-        coefficients: (6, 10, S, T, 1, N).
+        coefficients: (6, 10, S, T, 1, N), see :func:`polynomials`.
         details: (S, N) independent details of each scale.
         box: (N,) m, half the width of the cube that is searched.
         unexplained: (3, 3, T, 1, N) m^2, see :func:`unexplained_covariance`.
 
     Returns:
-        (3, T, N) m and (T, N).
+        The origins (3, T, N), m, and F (T, N) at these origins.
     """
     counts = details[:, None, None]
     x = _starts(coefficients, counts, unexplained)
@@ -130,7 +130,7 @@ def lowest_origins(
 
 
 def norm_at(coefficients: Array, details: Array, origins: Array) -> Array:
-    """F of every type at its origin, (T, N), for origins (3, T, N) m."""
+    """Compute F (T, N) of every type at its origin, for origins (3, T, N), m."""
     return _norm(coefficients, details[:, None, None], origins[:, :, None])[:, 0]
 
 
@@ -157,11 +157,11 @@ def _starts(coefficients: Array, counts: Array, unexplained: Array) -> Array:
 
 
 _HALVES = np.where(np.eye(4, dtype=bool), 1.0, 0.5)[:, :, None, None, None]
-"""Of a monomial's coefficient, in the symmetric form."""
+"""Factors that turn the coefficients of monomials into a symmetric matrix."""
 
 
 def _monomials(x: Array) -> Array:
-    """(10, ...) of origins (3, ...)."""
+    """Monomials (10, ...) of origins (3, ...)."""
     z = jnp.concatenate([jnp.ones_like(x[:1]), x])
     return z[_FIRST] * z[_SECOND]
 
@@ -182,7 +182,7 @@ def _tangent(coefficients: Array, counts: Array, inverse: Array) -> Array:
     """sum_s n_s tr(Sigma_s^-1 Sigma_s(y)): the matrix of a quadratic form in (1, y), (4, 4, T, K, N)."""
     twice = jnp.asarray([1.0 if i == j else 2.0 for i, j in INDEX_PAIRS], counts.dtype)
     weights = materialize(inverse * (twice.reshape(6, *[1] * counts.ndim) * counts))
-    # component by component, so that what is read stays in the cache
+    # one component after the other, so that the data stay in the cache
     q = total(materialize(total(coefficients * weights[:, None], 0)), 1)
     return materialize(q[_FORM] * jnp.asarray(_HALVES, q.dtype))
 
@@ -202,12 +202,12 @@ def _tangent_step(coefficients: Array, counts: Array, box: Array, x: Array) -> A
     inverse, _ = invert_symmetric(_sigma(coefficients, _monomials(x)))
     form = _tangent(coefficients, counts, inverse)
     step = _solve(_lift(form[1:, 1:]), form[1:, 0] + times(form[1:, 1:], x))
-    # where nothing moves, no origin is better than another
+    # without motion, every origin is equally good
     return materialize(jnp.clip(x - _RELAX * jnp.where(jnp.isfinite(step), step, 0), -box, box))
 
 
 def _expand(coefficients: Array, counts: Array, x: Array) -> tuple[Array, Array, Array, Array]:
-    """F about origins (3, ...): value, slope (3, ...), Hessians (3, 3, ...) of the tangent and exact."""
+    """F about origins (3, ...): value, slope (3, ...), Hessian (3, 3, ...) of the tangent, exact Hessian."""
     inverse, det = invert_symmetric(_sigma(coefficients, _monomials(x)))
     form = _tangent(coefficients, counts, inverse)
     change = total(coefficients[:, :, None] * _slopes(x)[None, :, :, None], 1)  # (6, 3, S, ...)
@@ -225,8 +225,8 @@ def _newton_step(
 ) -> tuple[Array, Array]:
     """Newton's step along the principal axes of the exact Hessian, with its curvatures made positive.
 
-    A curvature is at least the damping times that of the tangent, which is an upper bound. Of steps with
-    several dampings, the one to the lowest F is taken.
+    A curvature is at least the damping times the curvature of the tangent, which is an upper bound. The step
+    tries several dampings, and takes the one with the lowest F.
     """
     x, damping = at  # (3, T, 1, N), (T, 1, N)
     value, slope, tangent, exact = _expand(coefficients, counts, x)

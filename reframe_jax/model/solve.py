@@ -37,9 +37,9 @@ class Solved(NamedTuple):
     """Result of the model for N windows.
 
     Attributes:
-        log_probability: (N, E) of every entry; of entries that were not fitted, at their starting parameters.
-        parameters: of the C fitted entries, with axes (N, C) in front; their tilt is free.
-        origins: (N, 4, 3) m, of the lowest norm of every linear type.
+        log_probability: (N, E) of every entry; entries that were not fitted have their starting parameters.
+        parameters: of the C fitted entries, with axes (N, C) in front; fitted without the cost of the tilt.
+        origins: (N, 4, 3) m, origin with the lowest norm for every linear type.
         norm: (N, 4) F at these origins.
         linear_axes: (N, 4, 3, 3) common axes of every linear type, by ascending amplitude.
         angular_axes: (N, 2, 3, 3) common axes of the rotation in ground and body, by ascending amplitude.
@@ -62,13 +62,13 @@ class Solved(NamedTuple):
 
 
 def choose_scales(moments: Moments, noise: Array, scales: tuple[int, ...] | None) -> Moments:
-    """Leave out the details of scales that are not used.
+    """Set the details of unused scales to 0.
 
     Args:
-        moments: of N windows, of all scales.
-        noise: (N, 2) m and rad, of every component.
-        scales: in samples; None for the smooth part and all at which the motion stands out of the noise, none
-            for the smooth part alone.
+        moments: moments of N windows at all scales.
+        noise: (N, 2) m and rad, white noise of every component of a pose.
+        scales: block widths in samples, without the smooth part. None or () for the smooth part and every
+            scale at which the motion exceeds the noise.
     """
     last = moments.details.shape[1] - 1
     index = jnp.arange(last + 1)
@@ -80,7 +80,7 @@ def choose_scales(moments: Moments, noise: Array, scales: tuple[int, ...] | None
         size = jnp.trace(moments.products[:, :, rows, rows], axis1=2, axis2=3)
         level = 3 * jnp.square(SCALES.above_noise * noise[:, group, None]) * moments.white
         above = (size > level) & (moments.details > 0)
-        # a group that never stands out of the noise does not count
+        # a group (position or rotation) that never exceeds the noise selects no scale
         first = jnp.where(jnp.any(above, axis=1), jnp.argmax(above, axis=1), 0)
         keep = keep & (index >= first[:, None])
     # the last details and the smooth part always count
@@ -102,15 +102,15 @@ def solve_windows(
     """Search, fit and compare entries of the table.
 
     Args:
-        features: of N windows.
-        moments: of all scales.
-        used: the same, with details only at the scales that are used.
-        noise: (N, 2) m and rad.
+        features: features of N windows.
+        moments: moments of all scales.
+        used: the same moments, with 0 details at unused scales.
+        noise: (N, 2) m and rad, white noise of every component of a pose.
         box: (N,) m, half the width of the cube in which origins lie.
-        origins: (N, 4, 3) m, of every linear type, from another search; None to search over scales.
+        origins: (N, 4, 3) m, origin of every linear type from another search; None to search here.
         assume: codes of the entries that are fitted; None for the most probable ones.
-        compare_entries: whether entries are compared; otherwise only the starting parameters and the optima
-            of the frame types are found.
+        compare_entries: whether to compare entries; otherwise only the starting parameters and the origins of
+            the linear types are computed.
     """
     products = jnp.moveaxis(used.products, (0, 1), (3, 2))
     coefficients = polynomials(products, ROWS[_LINEAR])
@@ -153,8 +153,8 @@ class _Comparison(NamedTuple):
     """Data of the comparison of entries.
 
     Attributes:
-        moments: of every path; its forms are those about the origins of the search.
-        forms: see ``moments``.
+        moments: moments of every kind of translation.
+        forms: the same moments about the origins of the search.
         starts: unknowns of every entry, with axes (E, N) last.
         details: (S, N) independent details of every scale.
         tilt_scale: (N,) rad.
@@ -190,7 +190,7 @@ def _compare_entries(
     codes = jnp.asarray(np.resize(np.arange(number, dtype=np.int32), (blocks, size)))
 
     def screen(r: Array, _: _Evaluated) -> tuple[Array, Forms, Unknowns, Unknowns]:
-        """The next block of entries, at their starting parameters."""
+        """Return the next block of entries, at their starting parameters."""
         block = codes[r]
         paths = jnp.asarray(TABLE.path)[block]
         start = jax.tree.map(lambda leaf: jnp.take(leaf, block, axis=-2), problem.starts)
@@ -198,7 +198,7 @@ def _compare_entries(
         return jnp.broadcast_to(block[:, None], (size, details.shape[1])), forms, start, start
 
     def fit(_: Array, rounds: _Evaluated) -> tuple[Array, Forms, Unknowns, Unknowns]:
-        """The most probable entries, fitted; then fitted with a free tilt."""
+        """Fit the most probable entries, then fit them again with a free tilt."""
         screened: _Evaluated = jax.tree.map(lambda leaf: _flat(leaf[:blocks])[..., :number, :], rounds)
         rank = jnp.where(allowed, log_probability(screened), -jnp.inf)
         best = jax.lax.top_k(rank.T, size)[1].T
@@ -271,7 +271,7 @@ def _parameters(at: Unknowns, entries: Table, windows: WindowStatistics) -> Para
 
 
 def _tilt_scale(axes: Axes, whole: Array) -> Array:
-    """Size of the tilt in the fit: amplitude of the rotations across the axis of the largest, (N,) rad."""
+    """Size (N,), rad, of the tilt in the fit: RMS rotation across the axis of the largest rotation."""
     across = sandwich(axes.angular[:, :, 1], whole[z.TURN_BODY, z.TURN_BODY][:, :, None])[:2, :2, 0]
     trace = across[0, 0] + across[1, 1]
     det = across[0, 0] * across[1, 1] - across[0, 1] * across[1, 0]

@@ -21,17 +21,17 @@ __all__ = ["Axes", "common_frames", "entry_starts", "smallest_eigenvalue", "univ
 
 Array = jax.Array
 _STARTS = ("turn", "cross", "normal", "along", "path", "lift")
-_CROSS_STEPS = 12  # of the search for the axes of a universal joint
-_ALONG = 0.6  # sine of an angle, below which two axes are nearly along each other
+_CROSS_STEPS = 12  # steps of the search for the axes of a universal joint
+_ALONG = 0.6  # sine of the angle below which two axes count as nearly parallel
 
 
 class Axes(NamedTuple):
-    """Common axes over all scales, as columns: ascending by amplitude, and right-handed.
+    """Axes that decorrelate the motion at all scales: right-handed columns, in ascending order of amplitude.
 
     Attributes:
-        linear: (3, 3, 4, N) of the path of the lowest origin of every linear type.
-        angular: (3, 3, 2, N) of the rotation in the ground and in the body.
-        path: (3, 3, N) of the position.
+        linear: (3, 3, 4, N) axes of the path of the origin with the lowest norm, for every linear type.
+        angular: (3, 3, 2, N) axes of the rotation in the ground and in the body.
+        path: (3, 3, N) axes of the position.
     """
 
     linear: Array
@@ -40,7 +40,7 @@ class Axes(NamedTuple):
 
 
 def _sorted(axes: Array, size: Array) -> Array:
-    """Columns (3, 3, ...) by size (3, ...), ascending and right-handed."""
+    """Sort columns (3, 3, ...) by ascending size (3, ...), and make them right-handed."""
     columns, sizes = [axes[:, k] for k in range(3)], [size[k] for k in range(3)]
     for i, j in ((0, 1), (1, 2), (0, 1)):
         swap = sizes[i] > sizes[j]
@@ -61,7 +61,7 @@ def smallest_eigenvalue(forms: Array) -> Array:
     """Smallest eigenvalues (...) of symmetric forms (3, 3, ...), by the cosine formula of the cubic."""
     middle = (forms[0, 0] + forms[1, 1] + forms[2, 2]) / 3
     away = forms - middle * jnp.eye(3, dtype=middle.dtype).reshape(3, 3, *[1] * middle.ndim)
-    # divided before they are squared, so that small numbers do not vanish
+    # divide before squaring, so that small numbers do not underflow
     largest_one = jnp.max(jnp.abs(away), axis=(0, 1)) + jnp.finfo(forms.dtype).tiny
     unit = away / largest_one
     size = jnp.sqrt(total(total(unit * unit, 0), 0) / 6) + jnp.finfo(forms.dtype).eps
@@ -76,10 +76,10 @@ def common_frames(paths: Array, turns: Array, position: Array, details: Array, s
 
     Args:
         paths: (3, 3, S, 4, N) moments of the path of every linear type.
-        turns: (3, 3, S, 2, N) of the rotation in the ground and in the body.
-        position: (3, 3, S, N) of the position.
+        turns: (3, 3, S, 2, N) moments of the rotation in the ground and in the body.
+        position: (3, 3, S, N) moments of the position.
         details: (S, N) independent details of every scale.
-        scale_weight: (S, N) of a scale in the variance of the path.
+        scale_weight: (S, N) weight of every scale in the variance of the path.
     """
     whole = total(position * scale_weight, 2)
     single = jnp.zeros_like(position).at[:, :, 0].set(whole)
@@ -98,8 +98,8 @@ def universal_axes(axes: Axes, products: Array, details: Array, mean: Array) -> 
 
     Args:
         axes: common axes.
-        products: (27, 27, S, N).
-        details: (S, N).
+        products: (27, 27, S, N) moments of the features.
+        details: (S, N) independent details of every scale.
         mean: (3, 3, N) mean rotation.
     """
     forms = rotation_forms(products)[:, :, :, :, :, None]
@@ -114,13 +114,13 @@ def universal_axes(axes: Axes, products: Array, details: Array, mean: Array) -> 
 def entry_starts(
     origins: Array, axes: Axes, universal: tuple[Array, Array], moments: Array, mean: Array
 ) -> Unknowns:
-    """Starting unknowns of every entry, in the axes of its main body, with (E, N) last.
+    """Choose the starting unknowns of every entry, in the axes of its main body, with (E, N) last.
 
     Args:
-        origins: (3, 4, N) m, of the lowest norm of every linear type.
+        origins: (3, 4, N) m, origin with the lowest norm for every linear type.
         axes: common axes.
         universal: axes a of the ground and b of the body, (3, N).
-        moments: (27, 27, N) over all scales.
+        moments: (27, 27, N) moments of the features over all scales.
         mean: (3, 3, N) mean rotation.
     """
     kinds = np.array([entry.kind for entry in ENTRIES], np.int32)

@@ -1,9 +1,10 @@
 """Steps of the fit for many problems at once. Arrays have components first and problems last.
 
-The unknowns of a problem are a frame V in its main body, an origin x, the tilt t of the axis between the
-bodies and a pitch h. Three blocks of coordinates can be held: rotations along columns of V, translations of
-the origin along columns of V, and the position of the body along the tilted axis, less h times the rotation
-about the axis. The objective is sum_s n_s log det of the held covariances; see :mod:`.fit`.
+The unknowns of a problem are a frame V in its main body (see :class:`.EntryMoments`), an origin x, the tilt t
+between the axis in {b} and in {g}, and a pitch h. Three blocks of coordinates can be held: rotations about
+columns of V, translations of the origin along columns of V, and the position of the body along the tilted
+axis, less h times the rotation about the axis. The objective is sum_s n_s log det of the held covariances;
+see :mod:`.fit`.
 """
 
 from functools import partial
@@ -27,18 +28,18 @@ from reframe_jax.geometry.small import (
 __all__ = ["Problem", "Unknowns", "axis_row", "descend", "path_of", "row_size", "tilted_axis"]
 
 Array = jax.Array
-_DAMPING = 1e-3  # first, of the diagonal
-_LONGEST = 0.5  # rad or m, of one step
+_DAMPING = 1e-3  # first damping, as a fraction of the diagonal
+_LONGEST = 0.5  # rad or m, largest component of a step
 
 _LEVI_CIVITA = np.array(
     [[[(i - j) * (j - k) * (k - i) / 2 for k in range(3)] for j in range(3)] for i in range(3)]
 )
 _BEND = np.einsum("mkj,nli->mnklji", _LEVI_CIVITA, _LEVI_CIVITA).reshape(9, 81)
-"""Second derivative of a form of directions with respect to their rotation: of O_kl C_ji."""
+"""Second derivative of O_kl C_ji, a form of directions, with respect to their rotation."""
 
 
 class Unknowns(NamedTuple):
-    """Unknowns: ``frame`` (3, 3, ...), ``origin`` (3, ...) m, ``tilt`` (2, ...), ``pitch`` (...) m/rad."""
+    """Arrays ``frame`` (3, 3, ...), ``origin`` (3, ...) m, ``tilt`` (2, ...) rad, ``pitch`` (...), m/rad."""
 
     frame: Array
     origin: Array
@@ -53,10 +54,10 @@ class Problem(NamedTuple):
         turns: (3, 3, S, ...) moments of the rotation.
         paths: (3, 4, 3, 4, S, ...) moments of the translation: direction times (1, origin), twice.
         rows: (6, 6, S, ...) moments of the position of the body, and of the rotation.
-        held_turns, held_paths: (3, ...) bool, by columns.
+        held_turns, held_paths: (3, ...) bool, whether each rotation and translation is held.
         held_row: (...) bool, whether the position along the axis is held.
-        pitch, tilted, tie: (...) bool, whether there is a pitch or a tilt, and whether the tilt costs.
-        details: (S, ...) n_s.
+        pitch, tilted, tie: (...) bool, whether there is a pitch or a tilt, and whether a tilt has a cost.
+        details: (S, ...) number n_s of independent details.
         scale: (...) rad, size of the tilt.
         box: (...) m, half the width of the cube of origins.
     """
@@ -76,7 +77,7 @@ class Problem(NamedTuple):
 
 
 def tilted_axis(tilt: Array) -> Array:
-    """Axis (3, ...) of exp(t_0, t_1, 0)."""
+    """Return the third axis (3, ...) of the rotation by the rotation vector (t_0, t_1, 0), rad."""
     angle = jnp.sqrt(total(tilt * tilt, 0) + jnp.finfo(tilt.dtype).tiny)
     sine = jnp.sin(angle) / angle
     return jnp.stack([sine * tilt[1], -sine * tilt[0], jnp.cos(angle)])
@@ -86,7 +87,7 @@ def _held(form: Array, held: Array, details: Array) -> tuple[Array, Array]:
     """Compute n_s C_s^-1 of held columns (3, 3, S, B, ...), zero elsewhere, and the sum of n_s log det C_s.
 
     Args:
-        form: (3, 3, S, B, ...) of B blocks.
+        form: (3, 3, S, B, ...) covariances C_s of B blocks.
         held: (3, B, ...) bool.
         details: (S, ...).
     """
@@ -100,19 +101,19 @@ def _held(form: Array, held: Array, details: Array) -> tuple[Array, Array]:
 
 
 def axis_row(at: Unknowns) -> Array:
-    """Weights (6, ...) of the position along the axis, less the pitch times the rotation about the axis."""
+    """Weights (6, ...) of the position along the axis, less pitch times the rotation about the axis."""
     return jnp.concatenate([times(at.frame, tilted_axis(at.tilt)), -at.pitch * at.frame[:, 2]])
 
 
 def row_size(rows: Array, row: Array) -> tuple[Array, Array]:
-    """Moments (6, 6, S, ...) times a row (6, ...), and its variance (S, ...)."""
+    """Return moments (6, 6, S, ...) times a row (6, ...), and the variance (S, ...) of this row."""
     moved = total(rows * row[None, :, None], 1)
     moved = materialize(moved)
     return moved, total(moved * row[:, None], 0)
 
 
 def path_of(paths: Array, origin: Array) -> tuple[Array, Array]:
-    """Moments of unit origins with an origin's path (3, 4, 3, S, ...), and of the path (3, 3, S, ...)."""
+    """Moments (3, 4, 3, S, ...) of (1, origin) with the path, and (3, 3, S, ...) of the path."""
     x = origin[:, None]
     half = paths[:, :, :, 0] + total(paths[:, :, :, 1:] * x, 3)
     half = materialize(half)
@@ -218,7 +219,7 @@ def descend(
     """Take Levenberg-Marquardt steps, first with the cost of the tilt, then without it.
 
     Returns:
-        The unknowns after ``steps``; those after ``free_steps`` more; and the objective there.
+        The unknowns after ``steps``, the unknowns after ``free_steps`` more, and the last objective.
     """
     dtype, lanes = start.frame.dtype, start.pitch.shape
     small = jnp.finfo(dtype).tiny ** 0.5

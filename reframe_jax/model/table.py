@@ -1,10 +1,10 @@
 """The table of constraints: every constraint is six coordinates of the motion, each held or free.
 
 To add a constraint, add an entry. A coordinate is a direction times a feature vector that is measured in one
-body (see :data:`KINDS`). Directions are columns of one frame: 0 and 1 lie across its axis, 2 is the axis. The
-frame has a copy in each body; an entry that uses both has one axis through both bodies, up to a tilt that is
-held like its rotations. Coordinates that are written together, as in ``held("BG", 0, 1)``, are a block: which
-directions within it are meant does not matter. Rotations come first, then translations, each in the order of
+body (see :data:`KINDS`). Directions are columns of one frame: 0 and 1 are normal to its axis, 2 is the axis.
+The frame has a copy in each body. An entry that uses both copies has an axis that is fixed in both bodies, up
+to a small tilt. Coordinates that are written together, as in ``held("BG", 0, 1)``, are a block; a rotation of
+the directions within a block changes nothing. Rotations come first, then translations, each in the order of
 their columns.
 """
 
@@ -60,7 +60,7 @@ ROWS = np.stack([_weights(kind) for kind in KINDS])
 
 
 class Block(NamedTuple):
-    """Coordinates of one kind, held or free together."""
+    """Coordinates of one kind (of ``KINDS``) along columns of the frame, which are all held or all free."""
 
     kind: str
     columns: tuple[int, ...]
@@ -68,12 +68,12 @@ class Block(NamedTuple):
 
 
 def held(kind: str, *columns: int) -> Block:
-    """Coordinates that do not change."""
+    """Return a block of held coordinates, which do not change during the motion."""
     return Block(kind, columns, True)
 
 
 def free(kind: str, *columns: int) -> Block:
-    """Coordinates in which the body moves."""
+    """Return a block of free coordinates, in which the body moves."""
     return Block(kind, columns, False)
 
 
@@ -82,16 +82,15 @@ class Entry:
     """A constraint, in one of its representations.
 
     Attributes:
-        label: of the catalogue (:mod:`reframe_jax.constraints.catalogue`), or a description.
-        kind: linear type whose frame is reported.
+        label: label in the catalogue (:mod:`reframe_jax.constraints.catalogue`), or a description.
+        kind: linear type of the reported frame.
         blocks: six coordinates: three of rotation, then three of translation.
-        start: where the axis of the frame starts: "turn", at the axis of the largest rotation; "normal" and
-            "along", at the directions in which the origin moves least and most; "lift" and "path", at those
-            in which the position of the body moves least and most; "cross", at a pair of axes of a universal
-            joint.
-        any_origin: columns along which the origin can move without a change.
+        start: starting axis of the frame: "turn", the axis of the largest rotation; "normal" and "along", the
+            directions in which the origin moves least and most; "lift" and "path", the directions in which
+            the position of the body moves least and most; "cross", a pair of axes of a universal joint.
+        any_origin: columns along which every origin is equally valid.
         pitch: whether the last coordinate is coupled with the rotation about the axis.
-        tied: whether the frame has one axis through both bodies.
+        tied: whether the axis of the frame is fixed in both bodies.
         parameters: number of parameters that the held coordinates determine.
     """
 
@@ -105,7 +104,7 @@ class Entry:
 
     @property
     def tied(self) -> bool:
-        """Whether coordinates are directed in both bodies, along the one axis of both."""
+        """Whether the axis of the frame is fixed in both bodies."""
         if self.start == "cross":
             return False
         spread = [b for b in self.blocks if len(b.columns) < 3]
@@ -113,7 +112,7 @@ class Entry:
 
     @property
     def dof(self) -> tuple[int, int]:
-        """Number of free rotations, and of free translations."""
+        """Numbers of free rotations and of free translations."""
         free_ones = [not b.held for b in self.blocks for _ in b.columns]
         return sum(free_ones[:3]), sum(free_ones[3:])
 
@@ -123,7 +122,7 @@ def _turn(kind: LinearType) -> str:
 
 
 def turning(kind: LinearType) -> Block:
-    """All rotations, free."""
+    """Return a block of three free rotations, in the body that the first letter of the type names."""
     return free(_turn(kind), 0, 1, 2)
 
 
@@ -198,10 +197,10 @@ class Table(NamedTuple):
         together: (E, 6, 6) bool, coordinates of one block.
         pitch, tied, crossed: (E,) bool.
         parameters: (E,).
-        variants: (E,) entries with the same label family, this one included.
-        path: (E,) int, kind of the translations along columns 0 and 1, among :data:`PATHS`; the rotations
-            are those in the body that the kind's first letter names, in the ground for the position.
-        apart: (E,) bool, whether the translation along column 2 is that of the position, of another kind.
+        variants: (E,) number of entries with the same blocks in any linear type, which share a prior.
+        path: (E,) int, index in :data:`PATHS` of the translations along columns 0 and 1. Rotations are
+            expressed in the body that its first letter names, and in the ground for "position".
+        apart: (E,) bool, whether the translation along column 2 is the position, another kind than ``path``.
     """
 
     kind: Any
@@ -225,7 +224,7 @@ def _table(entries: tuple[Entry, ...]) -> Table:
         if len(row) != 6 or columns[3:] != [0, 1, 2] or (e.start != "cross" and columns[:3] != [0, 1, 2]):
             raise ValueError("Every constraint needs three rotations and three translations, by columns.")
     block = np.array([[number for _, _, number in row] for row in rows])
-    # what the blocks look like, whatever the type: variants of one family share its prior
+    # the blocks without the linear type: the entries of a family share its prior
     families = [
         (e.start, e.pitch, tuple((b.kind.startswith("turn"), b.columns, b.held) for b in e.blocks))
         for e in entries
@@ -251,7 +250,7 @@ _COLUMNS = np.concatenate([leaf.reshape(len(ENTRIES), -1) for leaf in TABLE], ax
 
 
 def entries_at(codes: jax.Array) -> Table:
-    """Rows of the table, with the axes of ``codes`` last."""
+    """Return the rows of the table with given codes; the axes of ``codes`` come last."""
     columns = jnp.asarray(_COLUMNS)[:, codes]
     parts = jax.lax.split(columns, [leaf[0].size for leaf in TABLE])
     return Table(

@@ -59,7 +59,7 @@ def draw_space(axes: "Axes3D", poses: np.ndarray, found: Identification) -> None
 
 
 def turning_axes(dof: Any) -> np.ndarray:
-    """Which angular axes are drawn, (3,) bool: the free ones, unless all three are free."""
+    """Return which angular axes to draw, (3,) bool: the free axes, unless all three are free."""
     return np.asarray(dof, dtype=bool) & (np.sum(dof) < 3)
 
 
@@ -81,7 +81,16 @@ def set_limits(axes: "Axes3D", points: np.ndarray) -> None:
 def draw_frame(
     axes: "Axes3D", origin: np.ndarray, triad: np.ndarray, turning: np.ndarray, dof: Any, alpha: float
 ) -> None:
-    """Draw the linear frame at one pose, and the free axes of rotation through its origin."""
+    """Draw the linear frame at one pose, and the free axes of rotation through its origin.
+
+    Args:
+        axes: the picture.
+        origin: (3,) m, in the ground.
+        triad: (3, 3) m, linear axes as columns, with the length at which they are drawn.
+        turning: (n, 3) m, free axes of rotation as rows, with the length at which they are drawn.
+        dof: (3,) 1 for free linear axes.
+        alpha: opacity; the axes are numbered if it is 1.
+    """
     axes.plot(*origin[:, None], "o", color="black", markersize=3, alpha=alpha)
     for axis in turning:
         segment(axes, origin - 1.5 * axis, origin + 1.5 * axis, color=TURNING, linestyle="-.", alpha=alpha)

@@ -37,7 +37,7 @@ LEGEND_ABOVE: dict[str, Any] = {
 
 
 def new_figure(width: float, height: float) -> "Figure":
-    """Create a figure that is not registered with ``pyplot``; sizes in inches, at 150 dots per inch."""
+    """Create a figure of a size in inches, without ``pyplot``; an ImportError names the extra to install."""
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
@@ -46,6 +46,6 @@ def new_figure(width: float, height: float) -> "Figure":
 
 
 def axis_colours(dof: Any) -> list[str]:
-    """Colour of each axis of a frame; free and constrained axes have separate colour families."""
+    """Return the colours of three axes from ``dof`` (3,): blues for 1 (free), oranges for 0 (constrained)."""
     families = {0: iter(CONSTRAINED), 1: iter(FREE)}
     return [next(families[int(free)]) for free in dof]

@@ -1,4 +1,4 @@
-"""Conversion of rows to poses: repairs, rows that are left out, and errors."""
+"""Check the rows of a file and convert them to poses; wrong rows are repaired, left out or refused."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from reframe_jax.recordings.selection import UNITS, Selection
 
 __all__ = ["MIN_POSES", "check_positions", "check_turns", "drop_unfinished", "make_poses", "note_repeats"]
 
-MIN_POSES = 4  # of a tool whose tip is calibrated; a motion needs 5
+MIN_POSES = 4  # smallest number of poses for a calibration; a motion needs 5
 _DISTANT = 20.0  # m from the median position: beyond the reach of a hand or an arm
 _DISTANT_FRACTION = 0.05  # largest fraction of rows that are left out as distant
 _APART = 3.0  # factor between the distance of distant rows and of all others
@@ -44,7 +44,7 @@ def drop_unfinished(rows: Rows) -> None:
 
 
 def note_repeats(rows: Rows, poses: np.ndarray) -> None:
-    """Note frequent poses (N, 4, 4) that equal the previous pose."""
+    """Add a note to ``rows`` if many poses (N, 4, 4) equal the previous pose."""
     stale = int(np.sum((poses[1:] == poses[:-1]).all(axis=(1, 2))))
     if stale > _STALE * len(poses):
         rows.notes.append(
@@ -65,7 +65,7 @@ def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> np.ndar
         Poses (N, 4, 4) of the remaining rows.
 
     Raises:
-        RecordingError: if no body moves like this.
+        RecordingError: if the positions are too far apart for a body in the unit of the file.
     """
     kept = _near(rows, poses[:, :3, 3])
     rows.keep(
@@ -132,7 +132,12 @@ def _acceleration(positions: np.ndarray, times: np.ndarray) -> float:
 
 
 def check_turns(rows: Rows, poses: np.ndarray, wanted: Selection) -> None:
-    """Refuse or note angles in degrees that were read in radians.
+    """Refuse angles that were read in radians but are in degrees, or add a note to ``rows`` if in doubt.
+
+    Args:
+        rows: the rows, with times and angles.
+        poses: (N, 4, 4), m, made from these angles.
+        wanted: the options, with the unit of the angles.
 
     Raises:
         RecordingError: if half of the steps are faster than 30 rad/s.

@@ -1,4 +1,4 @@
-"""Times of the rows of a file: unit, order, and stamps that occur twice."""
+"""Times of the rows of a file: their unit, their order, and repeated times."""
 
 import math
 from decimal import Decimal
@@ -21,7 +21,7 @@ _RESTART = 3.0  # length of the path sorted by time over its length in the file:
 
 
 def make_times(rows: Rows, dt: float | None, wanted: Selection) -> None:
-    """Set the times of the rows in s: those of the file, or multiples of the sample time.
+    """Set the times of the rows, s: the times of the file, or multiples of the sample time ``dt``, s.
 
     Raises:
         RecordingError: if the file has no times and there is no sample time, or if the unit is wrong.
@@ -46,7 +46,7 @@ def make_times(rows: Rows, dt: float | None, wanted: Selection) -> None:
 
 
 def _drop_unset(rows: Rows) -> None:
-    """Leave out rows whose time is 0, if all other times are distant from 0: nobody set the clock there."""
+    """Leave out rows whose time is 0 if all other times are distant from 0: their clock was not set."""
     times, origin = np.asarray(rows.times), float(rows.origin or 0)
     zero = times == -origin
     others = times[np.isfinite(times) & ~zero]
@@ -59,7 +59,7 @@ def _drop_unset(rows: Rows) -> None:
 
 
 def _check_seconds(rows: Rows, times: np.ndarray) -> None:
-    """Refuse or note times that are hardly in seconds."""
+    """Refuse or note times that are probably not in seconds."""
     steps = np.diff(times[np.isfinite(times)])
     step = float(np.median(np.abs(steps))) if len(steps) else 0.0
     low, high = _SINCE_1970

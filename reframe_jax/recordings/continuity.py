@@ -1,6 +1,6 @@
-"""Continuity of poses: in a motion, neighbours are closer than poses at random.
+"""Continuity of poses: in a motion, consecutive poses are closer than random pairs of poses.
 
-Consecutive separate touches, and rows in a random order, are as distant as any two poses. The measures are
+Consecutive touches of a point, and rows in a random order, are as distant as random pairs. The measures are
 von Neumann's ratio of mean square differences, and ratios of medians, in which outliers and long rests have
 little effect. NumPy only.
 """
@@ -15,11 +15,11 @@ _STEP = 0.5  # median step over the median distance: 1 without order
 _SQUARES = 0.6  # mean square of the steps over the mean square of the distances: 1 without order
 _MOVED = 0.02, 0.1  # m and rad, median distances above the noise of a body at rest
 _FARTHEST = 1e9  # m; poses beyond are ignored
-_PAIRS = 2000  # most distances
+_PAIRS = 2000  # largest number of distances
 
 
 def is_unordered(poses: np.ndarray) -> bool:
-    """Return whether neighbours are as distant as any two poses, in position and in orientation.
+    """Return whether consecutive poses are as distant as random pairs, in position and in orientation.
 
     Args:
         poses: (K+1, 4, 4), m; poses that are not finite, or more than 1e9 m away, are ignored.

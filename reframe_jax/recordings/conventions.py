@@ -1,9 +1,9 @@
 """Meaning of the numbers of an orientation: the order of a quaternion and the unit of angles.
 
-Quaternions in the wrong order are inverse rotations between two constant rotations. The motion is as smooth
-as before and turns by the same angles, but the rotations do not fit the positions: a constrained body moves
-with few independent velocities, and with more of them if its orientations are wrong. This difference shows
-the order, and distinguishes degrees from radians. A free motion does not show the order.
+A quaternion that is read in the wrong order is the inverse rotation, between two constant rotations. The
+motion remains smooth and turns by the same angles, but the rotations do not fit the positions: a constrained
+body has few independent velocities, and wrong orientations add more. The number of independent velocities
+therefore shows the order, and distinguishes degrees from radians; for a free motion, it does not.
 """
 
 from pathlib import Path
@@ -17,14 +17,14 @@ from reframe_jax.recordings.selection import Selection, unit_of
 __all__ = ["angle_matrices", "fits_better", "keeps_a_point_better", "reorder", "sample_rows"]
 
 _FULL_TURN = 2 * np.pi * 1.001
-_ROWS = 400  # most rows that are compared
+_ROWS = 400  # largest number of rows that are compared
 _TURN = 0.1  # rad between the two poses of a velocity: above the noise
 _FEWEST = 12  # rows for a comparison of velocities
 _FEWEST_TOUCHES = 8  # rows for a comparison of fixed points, which has six unknowns
 _FLOOR = 1e-4  # mean square velocity that counts as zero, as a fraction of the total
 _LITTLE = 0.05  # fraction of the mean square of positions that may remain for a fixed point
 _CLEAR = 2.2  # difference of the summed logarithms of mean squares of the whole motion
-_REPEATED = 4.0  # the same difference, with directions from one half and mean squares from the other half
+_REPEATED = 4.0  # as _CLEAR, with directions from one half and mean squares from the other half
 
 
 def angle_matrices(
@@ -69,15 +69,15 @@ def sample_rows(count: int) -> np.ndarray:
 
 
 def fits_better(positions: np.ndarray, own: np.ndarray, other: np.ndarray) -> bool:
-    """Return whether the motion is constrained with other orientations, but not with its own.
+    """Return whether the motion is constrained with the other orientations, but not with its own.
 
     Short free motions have few independent velocities by chance. Therefore the constrained directions of each
     half of the motion must also be constrained in the other half.
 
     Args:
-        positions: (N, 3).
-        own: (N, 3, 3) rotations.
-        other: (N, 3, 3) rotations of the same numbers in another order.
+        positions: (N, 3), in any unit.
+        own: (N, 3, 3) rotations as they were read.
+        other: (N, 3, 3) rotations from the same numbers, read in another order.
     """
     places = positions - positions.mean(axis=0)
     spread = np.sqrt(np.mean(np.sum(places**2, axis=1)))

@@ -85,7 +85,7 @@ def _distance(before: np.ndarray, after: np.ndarray) -> str:
 
 
 def note_jumps(rows: Rows, poses: np.ndarray) -> None:
-    """Note steps that are much longer than all others: undetected lost tracking, or a marker that slipped."""
+    """Add a note to ``rows`` if a few steps of poses (N, 4, 4), m, are much longer than all others."""
     if rows.times is None or len(poses) < 20:
         return
     spans = np.diff(rows.times)

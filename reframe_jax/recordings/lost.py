@@ -1,7 +1,7 @@
-"""Rows of a recording that are no poses, because tracking was lost.
+"""Find the rows of a recording that are not poses, because tracking was lost.
 
-Systems that lose a body write a number nevertheless: the origin, the identity, another constant, or the last
-pose again and again. Measured poses have noise and do not repeat exactly, and a body at rest stays on its
+Systems that lose a body still write a pose: the origin, the identity, another constant, or the last pose
+again and again. Measured poses have noise and do not repeat exactly, and a body at rest stays on its
 path. Therefore, exact repeats are lost poses if they are distant from the path before and after them, in
 units of the steps of the path. Repeats that continue the path are a body at rest, and are kept. NumPy only.
 """
@@ -17,22 +17,22 @@ __all__ = ["LostPoses", "LostRun", "find_lost_poses"]
 _SAME = 1e-9  # m, or difference of elements of rotation matrices, within which numbers are equal
 _LEAST = 1e-3  # m or rad, shortest step that counts, because quantized numbers repeat too
 _JUMP_STEPS = 5.0  # length of a jump in usual steps of the path
-_ORIGIN_JUMP_STEPS = 3.0  # the same for exact zeros, which no tracker measures
+_ORIGIN_JUMP_STEPS = 3.0  # as _JUMP_STEPS, for exact zeros, which no tracker measures
 _NEAR = 20  # steps in the neighbourhood of a run
 _AHEAD = 4  # steps before and after a frozen run
 _LONG = 6  # repeats in a long frozen run
 _FROZEN = 4.0  # usual steps that a body makes during a long frozen run
-_APART = 0.25  # distance of the origin from all positions over their spread, for poses that are no path
+_APART = 0.25  # distance of the origin from all positions over their spread, for separate touches
 _OTHERS = 3  # other rows needed to know the path
-_GAP = 1.5  # usual time steps between two rows, above which rows are missing
-_FEW = 2000  # most positions for which all distances are computed
+_GAP = 1.5  # time between two rows, in usual time steps, above which rows are missing
+_FEW = 2000  # largest number of positions for which all distances are computed
 _REPEATS, _NOISY = 3, 0.002  # repeats, and noise over a step, of a frozen end
 _HELD = 3  # other runs of at least half the length, which show that samples are written too often
 _PAST = 200  # rows from which noise and speed are estimated
 
 
 class LostRun(NamedTuple):
-    """Consecutive rows that are no poses.
+    """Consecutive rows that are not poses.
 
     Attributes:
         start: first row.
@@ -49,7 +49,7 @@ class LostRun(NamedTuple):
 
 @dataclass(frozen=True)
 class LostPoses:
-    """Rows of (K, 4, 4) that are no poses.
+    """Rows of an array of poses (K, 4, 4) that are not measured poses.
 
     Attributes:
         reasons: (K,) str, the kind of :class:`LostRun` of every row; empty for poses.
@@ -59,13 +59,13 @@ class LostPoses:
 
     @property
     def mask(self) -> np.ndarray:
-        """(K,) bool, whether a row is no pose."""
+        """(K,) bool, True for rows that are not poses."""
         found: np.ndarray = self.reasons != ""
         return found
 
     @property
     def runs(self) -> tuple[LostRun, ...]:
-        """Runs of rows of the same kind."""
+        """Runs of consecutive rows with the same reason."""
         kinds = self.reasons
         edges = [0, *(np.flatnonzero(kinds[1:] != kinds[:-1]) + 1).tolist(), len(kinds)]
         return tuple(
@@ -76,14 +76,14 @@ class LostPoses:
 
 
 def find_lost_poses(poses: np.ndarray, times: np.ndarray | None = None) -> LostPoses:
-    """Find the rows that are no poses.
+    """Find the rows that are not poses.
 
     Args:
         poses: (K, 4, 4), m.
         times: (K,) s, increasing; by default, rows are evenly spaced.
 
     Returns:
-        The rows, with the reasons.
+        The reason for every row; empty for poses.
     """
     poses = np.asarray(poses, float)
     clock = np.arange(len(poses), dtype=float) if times is None else np.asarray(times, float)

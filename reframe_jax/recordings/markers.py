@@ -49,7 +49,7 @@ def _choose_markers(path: Path, body: str | None, labels: list[str]) -> list[str
 
 
 def marker_entries(labels: list[str], detail: str) -> list[Entry]:
-    """Make entries from the bodies of markers, and from the remaining markers."""
+    """List the bodies of markers, and the remaining markers with ``detail``, for :func:`list_contents`."""
     groups = group_markers(labels)
     found = [Entry("body", name, f"{len(each)} markers: {', '.join(each)}") for name, each in groups.items()]
     grouped = {label for each in groups.values() for label in each}
@@ -79,7 +79,7 @@ def set_marker_poses(rows: Rows, points: np.ndarray, known: list[str], wanted: S
         points: (N, M, 3), NaN where a marker is not seen.
         known: labels of all markers.
         wanted: the options, with the body and the unit.
-        unit: unit of the points in words.
+        unit: unit of the points in words, as in the file. The note gives the distances in mm.
 
     Raises:
         RecordingError: if the body or the unit is unknown, or if no rigid body fits.

@@ -1,4 +1,4 @@
-"""Reading of recordings, with NumPy only.
+"""Read recordings from files, with NumPy only.
 
 ``Recording.notes`` lists rows that were left out, repairs and doubts. Every other problem raises a
 :class:`RecordingError` with the place, the expected content and the remedy.

@@ -101,7 +101,7 @@ def _between(first: np.ndarray, second: np.ndarray, fraction: np.ndarray) -> np.
 
 
 def invert_poses(poses: np.ndarray) -> np.ndarray:
-    """Invert poses (N, 4, 4)."""
+    """Return the inverses (N, 4, 4) of poses (N, 4, 4)."""
     found = np.zeros_like(poses)
     found[:, :3, :3] = poses[:, :3, :3].swapaxes(1, 2)
     found[:, :3, 3] = -np.einsum("nij,nj->ni", found[:, :3, :3], poses[:, :3, 3])

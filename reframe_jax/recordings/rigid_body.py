@@ -1,10 +1,10 @@
-"""Poses of a rigid body from the positions of its markers."""
+"""Compute the poses of a rigid body from the positions of its markers."""
 
 import numpy as np
 
 __all__ = ["fit_rigid_body"]
 
-_REFERENCE = 1000  # most frames in the mean shape of the body
+_REFERENCE = 1000  # largest number of frames in the mean shape of the body
 _PASSES = 3
 _THIN = 0.05  # second extent of the markers over the first, below which they are nearly on a line
 

@@ -62,11 +62,11 @@ class Rows:
 
     @property
     def positions(self) -> np.ndarray:
-        """(N, 3), in the unit of the file."""
+        """(N, 3) positions of {b} in {g}, in the unit of the file."""
         return self.values[:, :3] if self.values.shape[1] == 7 else self.values[:, [3, 7, 11]]
 
     def error(self, row: int, problem: str) -> RecordingError:
-        """Make an error about a row."""
+        """Make an error that names the file and a row (an index of ``where``)."""
         return RecordingError(f"{self.path}: {self.word} {self.where[row]}: {problem}")
 
     def keep(self, mask: np.ndarray, why: str, reason: str, note: str | None = None) -> None:

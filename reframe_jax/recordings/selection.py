@@ -62,7 +62,7 @@ class Selection:
 
     @property
     def given(self) -> dict[str, object]:
-        """The options that are given, by name."""
+        """Names and values of the options that are not None."""
         return {name: value for name, value in asdict(self).items() if value is not None}
 
 

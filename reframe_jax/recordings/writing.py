@@ -1,4 +1,4 @@
-"""Writing of recordings."""
+"""Write recordings to files."""
 
 import csv
 from pathlib import Path

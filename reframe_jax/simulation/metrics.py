@@ -56,8 +56,8 @@ def geometry_errors(
     Args:
         found: identifications of any batch shape.
         truth: the true constraint, with geometry that broadcasts against ``found``.
-        start: (..., 4, 4), the first pose. It is needed if the axes of body and ground differ at the start,
-            to express the axes of a GB or BG frame in the body of its position.
+        start: (..., 4, 4) first true pose of {b} in {g}, m. It is needed if {b} and {g} are not aligned at
+            the start, because the axes and the position of GB and BG are in different bodies.
     """
     angular = found.candidates.angular.rotvec[..., int(truth.angular_type), :]
     linear = found.candidates.linear.rotvec[..., int(truth.linear_type), :]
@@ -92,7 +92,7 @@ def _sorted_axes(of: Constraint | ConstraintFrame) -> list[int]:
 
 
 def types_correct(found: Identification, truth: ConstraintFrame, *, ties: bool = False) -> jax.Array:
-    """Whether the identified types express the true constraint, (...) bool.
+    """Return whether the identified types express the true constraint, (...) bool.
 
     Both angular types express every constraint, except constraints with two free rotations. All linear types
     express the constraints for which the catalogue names no type.
@@ -114,6 +114,6 @@ def types_correct(found: Identification, truth: ConstraintFrame, *, ties: bool =
 
 
 def dof_correct(found: Identification, truth: ConstraintFrame) -> jax.Array:
-    """Whether both frames have the correct number of degrees of freedom, (...) bool."""
+    """Return whether both frames have the correct number of degrees of freedom, (...) bool."""
     angular = jnp.sum(found.angular.dof, axis=-1) == sum(truth.angular_dof)
     return angular & (jnp.sum(found.linear.dof, axis=-1) == sum(truth.linear_dof))

@@ -64,7 +64,7 @@ class Simulation:
 
 
 def paper_excitation(key: jax.Array, duration: float | jax.Array | None = None) -> Excitation:
-    """The velocities of the paper's section 5.1; ignores the key and the duration."""
+    """Return the velocities of the paper's section 5.1; the key and the duration have no effect."""
     del key, duration
 
     def velocity(t: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -77,7 +77,10 @@ def paper_excitation(key: jax.Array, duration: float | jax.Array | None = None) 
 
 
 def exciting(key: jax.Array, duration: float | jax.Array | None = None) -> Excitation:
-    """Three incommensurate sines along every axis, with random phases: 0.7 rad/s and 0.18 m/s RMS."""
+    """Return velocities of three incommensurate sines along every axis, 0.7 rad/s and 0.18 m/s RMS.
+
+    The key draws the phases of the sines; the duration has no effect.
+    """
     del duration
     phases = jax.random.uniform(key, (2, 3, 3), maxval=2 * jnp.pi, dtype=float)
 
@@ -145,7 +148,7 @@ def simulate(
     else:
         frame = constraint
     if isinstance(excitation, str) and excitation not in EXCITATIONS:
-        raise ValueError(f"No excitation {excitation!r}. There are: {', '.join(EXCITATIONS)}.")
+        raise ValueError(f"Unknown excitation {excitation!r}; choose from {', '.join(EXCITATIONS)}.")
     first = jnp.eye(4, dtype=frame.position.dtype) if start is None else start
     phase_key, noise_key = jax.random.split(key)
     arrays, steps = frame_arrays(frame), round(duration / dt)

@@ -14,7 +14,7 @@ _ABANDONED = 3600.0  # s, age of an abandoned file; larger than the clock differ
 
 
 def write_whole(file: Path, write: Callable[[Path], Any]) -> None:
-    """Write a temporary file and rename it, so that readers see the old file or the complete new file."""
+    """Call ``write`` with a temporary path, then rename it, so that readers never see an incomplete file."""
     # several machines with a common disk may have equal process numbers
     temporary = file.with_name(f".{file.name}.{secrets.token_hex(8)}")
     try:

@@ -20,7 +20,7 @@ from reframe_jax.storage.files import check_place, remove_leftovers, write_whole
 from reframe_jax.storage.records import checksum
 
 _FORMAT = 5
-_LISTED, _LONGEST = 8, 40  # most option names in a message, and longest name
+_LISTED, _LONGEST = 8, 40  # largest number of option names in a message, and length of a name
 _PART = re.compile(r"part-(\d{8,})")
 
 Record = dict[str, Any]
@@ -29,7 +29,7 @@ Record = dict[str, Any]
 def write_part(
     file: Path, codec: Codec, arrays: Mapping[str, Any], options: Record, *, source: str = ""
 ) -> None:
-    """Write a part atomically; the part records its name, its options, and the checksum of its input."""
+    """Write named arrays as a part, with its name, its options, and the checksum ``source`` of its input."""
     values = {name: np.asarray(array) for name, array in arrays.items()}
     header: Record = {"name": file.stem, "source": source, "options": options}
     header["checksum"] = _checksum(values, header)

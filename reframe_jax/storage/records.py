@@ -32,7 +32,7 @@ def describe_options(
     unknown = sorted(given.keys() - defaults.keys())
     if unknown:
         raise TypeError(
-            f"{function.__name__} has no option {', '.join(unknown)}. There are: {', '.join(defaults)}."
+            f"{function.__name__} has no option {', '.join(unknown)}; choose from {', '.join(defaults)}."
         )
     return {name: describe(given.get(name, default)) for name, default in defaults.items()}
 

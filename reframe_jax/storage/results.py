@@ -27,7 +27,7 @@ from reframe_jax.storage.records import checksum, describe_options
 
 _KIND = "results of identify_many"
 _UNIT = "windows"
-_LISTED = 8  # most missing parts in a message
+_LISTED = 8  # largest number of missing parts in a message
 
 
 def identify_many(

@@ -8,7 +8,7 @@ import numpy as np
 from reframe_jax.viewer.page import close_server, legend_html, open_server, velocity_series
 from reframe_jax.viewer.tracks import WindowTrack
 
-_FRAMES = 400  # most poses in a file
+_FRAMES = 400  # largest number of poses in a file
 _WIDTH, _HEIGHT, _MARGIN = 340, 130, 54  # px, size of a plot; the margin fits the label -1.2e-05
 _STYLE = """<style>
 #reframe-panel {

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import viser
 
 _DASHES = 7  # dashes per constrained axis
-_MAX_POINTS = 2000  # most points of a path
+_MAX_POINTS = 2000  # largest number of points of a path
 _DEVIATIONS = 2.0  # standard deviations of the ellipsoid
 _VISIBLE = 0.03  # an ellipsoid is enlarged if its longest half-axis is below this fraction of the scene size
 _MIN_HALF_AXIS = 0.002  # half-axis along directions without variance, as a fraction of the scene size
@@ -32,7 +32,7 @@ LEGEND = (
 
 
 def scene_box(windows: list[WindowTrack]) -> tuple[np.ndarray, float]:
-    """Centre (3,) and size, m, of the whole scene."""
+    """Return the centre (3,) and the size of the scene of all windows, m, in the ground."""
     points = [window.poses[window.counted, :3, 3] for window in windows]
     points += [window.frame.origins[window.counted] for window in windows if window.frame is not None]
     together = np.concatenate(points)
@@ -56,7 +56,7 @@ class Drawing:
         self._window: WindowTrack | None = None
 
     def draw(self, window: WindowTrack) -> None:
-        """Replace the scene by another window, at its first pose."""
+        """Draw another window at its first pose, in place of the present one."""
         for node in reversed(self._nodes):  # the children of a node come after the node
             node.remove()
         self._nodes, self._moving, self._window = [], {}, window

@@ -31,7 +31,7 @@ _SCENE_STYLE = """<style>
 
 
 def open_server(windows: list[WindowTrack], port: int) -> tuple["viser.ViserServer", Drawing]:
-    """Start a server on this machine only, with the camera at the scene."""
+    """Start a server on this machine only, with the camera at the scene; errors as in :func:`serve_page`."""
     try:
         import viser
     except ImportError as error:
@@ -101,7 +101,7 @@ class Page:
         return f"http://{_HOST}:{self._server.get_port()}"
 
     def run(self) -> None:
-        """Play while the checkbox is set; this method does not return."""
+        """Move through the poses while the checkbox "play" is set; this method does not return."""
         while True:
             time.sleep(_TICK)
             if self._playing.value:
@@ -161,7 +161,7 @@ class Page:
 
 
 def velocity_series(window: WindowTrack) -> list[tuple[str, list[tuple[str, str, np.ndarray]]]]:
-    """Plots of a window: a title, and a label, colour and values (K,) for every axis.
+    """Return the plots of a window: a title, and a label, colour and values (K,) for every axis.
 
     The first plot shows the residuals: the velocities along the constrained axes, which are zero for an ideal
     constraint. The next plots show all axes. The titles contain the units.

@@ -33,7 +33,7 @@ class _Array(NamedTuple):
 
 
 def read_arrays(path: Path, wanted: Selection) -> Rows:
-    """Read ``poses``, or ``positions`` and ``quaternions``, ``times`` and ``wrenches``."""
+    """Read arrays ``poses``, or ``positions`` and ``quaternions``, and ``times`` and ``wrenches``."""
     with path.open("rb") as file, translate_errors(path, _PLAIN):
         if file.read(2) != b"PK":
             return _rows(
@@ -44,7 +44,7 @@ def read_arrays(path: Path, wanted: Selection) -> Rows:
             arrays = {}
             for name in _NAMES:
                 if info := members.get(name):
-                    # other methods can expand a few bytes to any size at once
+                    # other compression methods can expand a few bytes to any size in one step
                     if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                         raise ValueError(f"{name} is compressed by another method")
                     arrays[name] = _check_array(name, partial(archive.open, info), info.file_size)

@@ -2,7 +2,7 @@
 
 The library rosbags reads one message at a time, and only the numbers are kept. The standard definitions of
 message types decode messages, even if the bag contains none. Times are the stamps of the headers; if messages
-have no stamps, or nobody set them, times are those of the recording.
+have no stamps, or stamps that were not set, times are those at which messages were recorded.
 """
 
 import importlib
@@ -57,7 +57,7 @@ class _Samples:
         self.values.extend((place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w))
 
     def rows(self, path: Path, static: bool = False) -> Rows:
-        """Make rows with the times of their stamps, or of their recording if nobody set the stamps."""
+        """Make rows, with the stamps as times, or the times of recording if no stamps were set."""
         stamps = np.asarray(self.stamps)
         values = np.asarray(self.values).reshape(-1, 7)
         rows = Rows(path, "message", np.arange(len(stamps)), values, None, seconds=1.0)
@@ -140,7 +140,7 @@ def _open(path: Path) -> Iterator[_Bag]:
 
 
 def read_bag(path: Path, wanted: Selection) -> Rows:
-    """Read a topic, or the motion of one tf frame in another."""
+    """Read the poses of a topic, or of one tf frame in another; see :class:`Reader`."""
     frames = wanted.from_frame, wanted.to_frame
     with _open(path) as bag:
         if wanted.topic is None and frames != (None, None):

@@ -36,7 +36,7 @@ _PATIENCE, _SLOWEST = 30.0, 1e6  # s, and bytes per second, after which reading 
 
 
 def read_c3d(path: Path, wanted: Selection) -> Rows:
-    """Read a rotation, or fit a rigid body to markers."""
+    """Read the poses of a body from its rotations in the file, or from its markers; see :class:`Reader`."""
     file = _open(path)
     markers, rotations, unit = file["markers"].tolist(), file["rotations"].tolist(), str(file["unit"])
     name = wanted.body

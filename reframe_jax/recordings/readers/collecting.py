@@ -1,4 +1,4 @@
-"""Numbers of the cells of a text, in compact arrays: a row takes 72 bytes."""
+"""Collect the numbers of a text file in compact arrays; a row takes 72 bytes."""
 
 import datetime
 import decimal
@@ -24,7 +24,7 @@ _MISSING = re.compile(
 _CLOCK = re.compile(r"(\d+):([0-5]\d):([0-5]\d(?:\.\d+)?)")  # hours, minutes, seconds
 # enough digits for nanoseconds since 1970; cells that are no numbers become NaN, without exceptions
 _EXACT = decimal.Context(prec=50, traps=[])
-_NEAREST = 3.0  # mm from a tracker, within which no body is measured; m beyond which few are
+_NEAREST = 3.0  # no body is measured within 3 mm of a tracker, and few beyond 3 m
 
 
 def collect(
@@ -146,12 +146,12 @@ def _exactly(cell: str) -> decimal.Decimal:
 
 
 def drop_zeros(rows: Rows, values: np.ndarray) -> None:
-    """Leave out the rows in which all values (N, M) are 0, which mean that the body was not seen."""
+    """Leave out the rows in which all values (N, M) are 0, which mark a body that was not seen."""
     rows.keep(~(values == 0).all(axis=1), "all numbers are 0, as the body was not seen", "untracked")
 
 
 def assume_millimetres(rows: Rows, writer: str) -> None:
-    """Set the unit of positions that a program usually writes in mm: m for small positions, with a note."""
+    """Set the unit to mm, which ``writer`` usually writes, or to m for small positions, with a note."""
     distance = np.linalg.norm(rows.positions, axis=1)
     distance = distance[np.isfinite(distance)]
     near = len(distance) > 0 and bool(np.median(distance) < _NEAREST)
@@ -165,5 +165,5 @@ def assume_millimetres(rows: Rows, writer: str) -> None:
 
 
 def matrix_rows(matrices: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Join matrices (N, 3, 3) and positions (N, 3) to the values (N, 12) of :class:`Rows`."""
+    """Join R (N, 3, 3) and p (N, 3) to the values (N, 12) of :class:`Rows`: [R p], row by row."""
     return np.concatenate([matrices, positions[..., None]], axis=-1).reshape(-1, 12)

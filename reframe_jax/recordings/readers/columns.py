@@ -104,7 +104,7 @@ def set_poses(
 
 
 def column_entries(columns: Sequence[tuple[str, int, str]]) -> list[Entry]:
-    """Make entries from names, widths and details of columns."""
+    """List columns, given by name, width and detail, for :func:`list_contents`."""
     found = [
         Entry("orientation" if width in (4, 9) else "position", name, detail)
         for name, width, detail in columns[:_MOST]

@@ -18,7 +18,7 @@ __all__ = ["ECHO", "read_echo"]
 
 
 def read_echo(path: Path, wanted: Selection) -> Rows:
-    """Read rows of ``sec,nanosec,frame_id,x,y,z,qx,qy,qz,qw``, perhaps with a child frame before ``x``."""
+    """Read rows of ``sec,nanosec,frame_id,x,y,z,qx,qy,qz,qw``, with an optional child frame before ``x``."""
     lines = read_cells(path, ",")
     number, cells = next(lines, (0, [""]))
     start = _first_number(cells)

@@ -18,7 +18,7 @@ _NO_TIMES = "times in HDF5 files are not read: give the sample time, dt (--dt)"
 
 
 def read_hdf5(path: Path, wanted: Selection) -> Rows:
-    """Read positions and orientations, without times."""
+    """Read poses from the named data sets, without times; see :class:`Reader`."""
     library = import_extra(path, "h5py", "hdf5")
     with translate_errors(path, _WHOLE), library.File(path, "r") as file:
         sets = _sets(library, file)

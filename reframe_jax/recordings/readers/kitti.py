@@ -18,7 +18,7 @@ _NO_TIMES = "KITTI trajectories contain none: give the sample time, dt (--dt), 0
 
 
 def read_kitti(path: Path, wanted: Selection) -> Rows:
-    """Read lines of 12 or 16 numbers, perhaps with a frame number or a time first."""
+    """Read lines of 12 or 16 numbers, with an optional frame number or time first; see :class:`Reader`."""
     rows = collect_plain(path, _STARTS)
     rows.no_times = _NO_TIMES
     if rows.times is not None and (rows.times % 1 == 0).all() and rows.origin is None:

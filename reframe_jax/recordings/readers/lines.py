@@ -1,4 +1,4 @@
-"""Lines of texts and their cells, for all readers of texts.
+"""Divide text files into lines and cells, for all readers of text.
 
 Texts are UTF-8, or in the encodings of spreadsheets: UTF-16 and Windows-1252. Only one line is in memory.
 """

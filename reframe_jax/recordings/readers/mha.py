@@ -27,7 +27,7 @@ _WIDTH = 16  # numbers of a transform
 
 
 def read_mha(path: Path, wanted: Selection) -> Rows:
-    """Read a transform, such as ProbeToTracker: the pose of the probe in the tracker."""
+    """Read the poses of a transform such as ProbeToTracker, the probe in the tracker; see :class:`Reader`."""
     numbers: dict[str, dict[int, list[str]]] = {}
     lost: dict[str, set[int]] = {}
     stamps: dict[int, str] = {}

@@ -31,7 +31,7 @@ _MOST_HEADINGS = 12  # rows between the first line and the row of axes
 
 
 def read_motive(path: Path, wanted: Selection) -> Rows:
-    """Read a rigid body or a bone."""
+    """Read the poses of a rigid body or a bone; see :class:`Reader`."""
     lines = read_cells(path)
     # names of takes may contain commas, so that every cell may be a name
     about = dict(pairwise(next(lines)[1]))

@@ -42,14 +42,14 @@ _Lines = Iterator[tuple[int, list[str]]]
 class _Tool:
     """Columns of a tool."""
 
-    first: int  # of seven
+    first: int  # first of the seven columns of the pose
     state: int | None
     frame: int | None
     row: int | None = None  # column of the name, if every tool has separate rows
 
 
 def read_ndi(path: Path, wanted: Selection) -> Rows:
-    """Read a tool."""
+    """Read the poses of a tool; see :class:`Reader`."""
     names, tools, lines = _read_header(path)
     name = choose_name(path, "body", wanted.body, [*tools], "tools")
     tool = tools[name]

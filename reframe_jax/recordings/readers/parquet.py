@@ -20,7 +20,7 @@ _BATCH = 2**14  # rows
 
 
 def read_parquet(path: Path, wanted: Selection) -> Rows:
-    """Read positions and orientations, and times from the column ``timestamp``, in s."""
+    """Read poses from the named columns, and times from ``timestamp``, s; see :class:`Reader`."""
     library = import_extra(path, "pyarrow.parquet", "parquet")
     with translate_errors(path, _WHOLE), library.ParquetFile(path) as file:
         names = file.schema_arrow.names

@@ -42,7 +42,7 @@ class _Header:
 
 
 def read_qualisys(path: Path, wanted: Selection) -> Rows:
-    """Read a rigid body."""
+    """Read the poses of a rigid body; see :class:`Reader`."""
     header, lines = _read_header(path)
     first = header.start[choose_name(path, "body", wanted.body, [*header.start], "rigid bodies")]
     rows = collect(path, lines, header.width, range(first, first + header.size), header.time)

@@ -54,8 +54,16 @@ class Reader:
 def import_extra(path: Path, module: str, extra: str) -> ModuleType:
     """Import an optional library.
 
+    Args:
+        path: the file that needs the library, for the message.
+        module: the module to import, such as ``pyarrow.parquet``.
+        extra: the extra of this package that installs the library, for the message.
+
+    Returns:
+        The imported module.
+
     Raises:
-        RecordingError: if the library is not installed; the message names the extra.
+        RecordingError: if the library is not installed.
     """
     try:
         return importlib.import_module(module)
@@ -91,7 +99,7 @@ def translate_errors(path: Path, expected: str) -> Iterator[None]:
 
 
 def choose_name(path: Path, option: str, wanted: str | None, names: Sequence[str], what: str) -> str:
-    """Return the name that the user gave, or the only name.
+    """Return the name that the user gave, or the only name in the file.
 
     Args:
         path: the file.

@@ -27,7 +27,7 @@ from reframe_jax.recordings.selection import Selection, flag
 __all__ = ["TABLE", "read_table"]
 
 _COMMENT = "#%"
-_PREAMBLE = 1000  # most lines before the numbers
+_PREAMBLE = 1000  # largest number of lines before the numbers
 _TIMES = (
     r"(.*_)?header_stamp",  # rostopic echo -p: the stamp of the message, not the time of its arrival
     r"(elapsed|ros)_time",
@@ -119,7 +119,7 @@ class _Header:
 
 
 def read_table(path: Path, wanted: Selection) -> Rows:
-    """Read a table whose header is the last line before the numbers, or the last comment before them."""
+    """Read a table whose header is the last line before the numbers; see :class:`Reader`."""
     titles, lines = _read_header(path)
     header = _Header.of(path, titles, wanted.body)
     number, first = next(lines, (0, []))

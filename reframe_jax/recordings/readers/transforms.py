@@ -130,7 +130,7 @@ def _clean(path: Path, edge: Edge, rows: Rows) -> None:
 
 
 def describe_frames(edges: Sequence[Edge]) -> list[Entry]:
-    """Make entries from frames."""
+    """List the frames of a tree, for :func:`list_contents`."""
     children = {edge.child for edge in edges}
     roots = dict.fromkeys(edge.parent for edge in edges if edge.parent not in children)
     found = [Entry("from_frame", root, "tf frame without a parent") for root in roots]

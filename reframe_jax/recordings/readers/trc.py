@@ -23,7 +23,7 @@ __all__ = ["TRC", "read_trc"]
 
 
 def read_trc(path: Path, wanted: Selection) -> Rows:
-    """Fit a rigid body to markers."""
+    """Read the markers of a rigid body, and compute its poses; see :class:`Reader`."""
     labels, unit, lines = _read_header(path)
     width = 2 + 3 * len(labels)
     numbers = (row for row in lines if is_number(row[1][0]))  # without the row X1, Y1, Z1

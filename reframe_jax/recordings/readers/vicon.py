@@ -42,7 +42,7 @@ class _Body:
 
 
 def read_vicon(path: Path, wanted: Selection) -> Rows:
-    """Read an object or a segment."""
+    """Read the poses of an object or a segment; see :class:`Reader`."""
     rate, width, bodies, lines = _read_header(path)
     body = bodies[choose_name(path, "body", wanted.body, [*bodies], "objects and segments")]
     if len(body.rotation) == 3 and wanted.angles is None:

@@ -241,7 +241,7 @@ def demonstrate_sequence(
     arm = find_arm(arm)
     each = each_duration(constraints, durations)
     if not callable(excitation) and excitation not in EXCITATIONS:
-        raise ValueError(f"No excitation {excitation!r}. There are: {', '.join(EXCITATIONS)}.")
+        raise ValueError(f"Unknown excitation {excitation!r}; choose from {', '.join(EXCITATIONS)}.")
     if batch < 1:
         raise ValueError(f"batch must be at least 1, not {batch}.")
     if first < 0:
@@ -290,7 +290,11 @@ def demonstrate_sequence(
 
 
 def sampling(duration: float, dt: float) -> Steps:
-    """Divide a duration into samples, and the sample time ``dt`` into the longest possible steps, s."""
+    """Divide a duration, s, into samples, and the sample time ``dt``, s, into steps of at most 0.01 s.
+
+    Raises:
+        ValueError: unless 0 < dt <= duration.
+    """
     if not (0 < dt <= duration < math.inf):
         raise ValueError(f"Expected 0 < dt <= duration; found a dt of {dt:g} s in {duration:g} s.")
     substeps = math.ceil(dt / _LONGEST - 1e-6)

@@ -98,7 +98,7 @@ def _mjx_parts(arm: Arm) -> tuple[Any, Any, int]:
 
 @contextlib.contextmanager
 def _allow_mixing() -> Iterator[None]:
-    """Let MJX mix dtypes and ranks, with precise matrix products, whatever the user's settings."""
+    """Let MJX mix dtypes and ranks, with precise matrix products, independent of the user's settings."""
     with (
         jax.numpy_dtype_promotion("standard"),
         jax.numpy_rank_promotion("allow"),
@@ -108,7 +108,7 @@ def _allow_mixing() -> Iterator[None]:
 
 
 def arm_motion(joints: jax.Array, velocity: jax.Array, arm: Arm = PANDA) -> Motion:
-    """Kinematics and dynamics of the arm.
+    """Compute the kinematics and the dynamics of the arm in one state.
 
     Args:
         joints: (7,) rad.
@@ -144,7 +144,7 @@ def arm_motion(joints: jax.Array, velocity: jax.Array, arm: Arm = PANDA) -> Moti
 
 
 def solve_positive(matrix: jax.Array, right: jax.Array) -> jax.Array:
-    """Solve A X = B, (n, m), for a symmetric positive definite A (n, n), by Gauss and Jordan.
+    """Solve A X = B, (n, m), for a symmetric positive definite A (n, n), by Gauss-Jordan elimination.
 
     For a batch of small matrices, library calls cost more than the arithmetic; these elementwise operations
     are vectorized over the batch.

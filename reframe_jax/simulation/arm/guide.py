@@ -125,7 +125,7 @@ def find_excitation(excitation: str | Excitation, key: jax.Array, free: jax.Arra
 
 
 def stop_at(end: jax.Array, excitation: Excitation) -> Excitation:
-    """Slow an excitation down so that it rests from a time (s) on; unchanged for an infinite time."""
+    """Return an excitation that slows down and rests from the time ``end``, s; infinity changes nothing."""
 
     def velocity(t: jax.Array) -> tuple[jax.Array, jax.Array]:
         angular, linear = excitation(t)
@@ -138,7 +138,10 @@ def stop_at(end: jax.Array, excitation: Excitation) -> Excitation:
 def guide_drive(
     key: jax.Array, frame: Frame, excitation: Excitation, step: float
 ) -> Callable[[jax.Array, jax.Array, Motion, Any], tuple[jax.Array, jax.Array]]:
-    """The drive of a demonstration by a random hand; its state is the target pose (4, 4) of the tool."""
+    """Return the ``Drive`` of a hand with a random misalignment and tremor, for steps of ``step`` s.
+
+    The state of the drive is the target pose (4, 4), m, of the tool, without the misalignment.
+    """
     dtype = frame.position.dtype
     stiffness, damping, offset, size = (
         jnp.repeat(jnp.asarray(pair, dtype=dtype), 3)

@@ -58,7 +58,7 @@ def run_guided(
 def record(
     joints: jax.Array, key: jax.Array, numbers: jax.Array, imperfections: Imperfections, *, arm: Arm
 ) -> tuple[jax.Array, jax.Array]:
-    """Recorded and true poses (N, K+1, 4, 4), m, of numbered demonstrations (N, K+1, 7), rad."""
+    """Compute recorded and true poses (N, K+1, 4, 4), m, from joint positions (N, K+1, 7), rad."""
     keys = demonstration_keys(key, numbers)[:, 3]
     poses = jax.vmap(lambda q, key: measure(q, imperfections, key, arm))(joints, keys)
     return poses, transforms.make_pose(*forward_kinematics(joints, arm))
@@ -66,7 +66,7 @@ def record(
 
 @partial(jax.jit, static_argnames="arm")
 def impact_velocity(frame: Frame, joints: jax.Array, velocity: jax.Array, *, arm: Arm) -> jax.Array:
-    """Joint velocities (N, 7), rad/s, after constraints become active: an impact without rebound."""
+    """Compute joint velocities (N, 7), rad/s, after constraints become active: an impact without rebound."""
 
     def one(frame: Frame, joints: jax.Array, velocity: jax.Array) -> jax.Array:
         motion = arm_motion(joints, velocity, arm)

@@ -55,7 +55,7 @@ the Panda or up to 75 mrad/s on the FR3.
 
 
 def check_imperfections(given: Any) -> None:
-    """Raise a ValueError for another type, or a negative number or NaN; traced values are not checked."""
+    """Raise a ValueError unless ``given`` is an :class:`Imperfections` with numbers >= 0 or traced values."""
     if not isinstance(given, Imperfections):
         raise ValueError(f"Expected Imperfections(...), not {given!r}.")
     for name, value in vars(given).items():
@@ -64,7 +64,7 @@ def check_imperfections(given: Any) -> None:
 
 
 def compliance_of(imperfections: Imperfections, dtype: Any) -> jax.Array:
-    """Compliance (6,) rad/(N m) and m/N along the axes of a constraint."""
+    """Return the compliance (6,), rad/(N m) and m/N, along the angular and linear axes of a constraint."""
     given = as_numbers(imperfections, dtype)
     return jnp.stack([given.angular_compliance] * 3 + [given.compliance] * 3)
 

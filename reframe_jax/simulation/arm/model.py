@@ -44,7 +44,7 @@ class Arm:
 
     @cached_property
     def model(self) -> mujoco.MjModel:
-        """The compiled model, without gravity; do not change it."""
+        """The MuJoCo model that ``xml`` describes, without gravity; it is shared, so do not change it."""
         model = mujoco.MjModel.from_xml_string(self.xml)
         model.opt.gravity[:] = 0
         return model
@@ -159,11 +159,11 @@ ROBOTS: dict[str, Arm] = {arm.name: arm for arm in (PANDA, FR3)}
 
 
 def find_arm(arm: str | Arm) -> Arm:
-    """Return the arm with a given name; return an :class:`Arm` unchanged."""
+    """Return the arm with a given name, or an :class:`Arm` unchanged; raise a ValueError for other names."""
     if isinstance(arm, Arm):
         return arm
     if arm not in ROBOTS:
-        raise ValueError(f"No robot {arm!r}. There are: {', '.join(ROBOTS)}.")
+        raise ValueError(f"Unknown robot {arm!r}; choose from {', '.join(ROBOTS)}.")
     return ROBOTS[arm]
 
 
@@ -177,7 +177,7 @@ def _link_transforms(arm: Arm) -> tuple[np.ndarray, np.ndarray]:
 
 
 def link_poses(joints: jax.Array, arm: Arm) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Origins (..., 7, 3), m, of the links, and rotation and position of {b} in {g} (forward_kinematics)."""
+    """Compute the origins (..., 7, 3), m, of the links, and the result of :func:`forward_kinematics`."""
     fixed, offset = (jnp.asarray(part, dtype=joints.dtype) for part in _link_transforms(arm))
     batch = joints.shape[:-1]
     fixed, offset = (jnp.broadcast_to(part, (*batch, *part.shape)) for part in (fixed, offset))
@@ -196,5 +196,5 @@ def link_poses(joints: jax.Array, arm: Arm) -> tuple[jax.Array, jax.Array, jax.A
 
 
 def forward_kinematics(joints: jax.Array, arm: Arm = PANDA) -> tuple[jax.Array, jax.Array]:
-    """Rotation (..., 3, 3) and position (..., 3), m, of {b} in {g}, for joint positions (..., 7), rad."""
+    """Compute rotation (..., 3, 3) and position (..., 3), m, of {b} in {g} from joints (..., 7), rad."""
     return link_poses(joints, arm)[1:]

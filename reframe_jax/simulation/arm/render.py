@@ -139,7 +139,7 @@ def _renderer(model: mujoco.MjModel, size: tuple[int, int]) -> Any:
 
 
 _NO_OPENGL = (
-    "Films need OpenGL without a screen: install EGL or OSMesa and set MUJOCO_GL to egl or osmesa ({})."
+    "OpenGL cannot render without a screen ({}): install EGL or OSMesa, and set MUJOCO_GL to egl or osmesa."
 )
 
 

@@ -142,7 +142,7 @@ def integrate(
 
 
 class RolloutStatus(IntEnum):
-    """Outcome of a rollout."""
+    """Whether the real robot could execute a rollout, and otherwise why not; larger codes are worse."""
 
     OK = 0
     SPEED_LIMIT = 1

@@ -56,7 +56,7 @@ class Comparison:
     redrawn: jax.Array
 
     def excess(self, name: str) -> tuple[jax.Array, jax.Array]:
-        """Peak reaction moments (N m) and forces (N), minus the peaks in the exact frame, (N,) each."""
+        """Peak moments (N,), N m, and forces (N,), N, of a row, minus the peaks of the exact frames."""
         trials = self.rows[name]
         return (
             trials.peak_moment - self.exact.peak_moment,

@@ -77,7 +77,10 @@ def by_axis(pair: tuple[jax.Array, jax.Array]) -> jax.Array:
 def control_drive(
     controller: Controller, frame: Frame, goal: jax.Array
 ) -> Callable[[Any, jax.Array, Motion, Located], tuple[Any, jax.Array]]:
-    """The drive of a controller; its state is the pose of the control frame and the travel of its axes."""
+    """Return the ``Drive`` of a controller, which moves along the free axes in the direction ``goal`` (6,).
+
+    The state of the drive is the located control frame, and the travel (6,) of its axes in rad and m.
+    """
     wanted = {name: by_axis(pair) for name, pair in vars(controller).items()}
 
     def drive(
