@@ -117,8 +117,8 @@ def test_a_jump_in_one_window_changes_no_other():
     """In the second window, the search would find a pose that the fast test before it does not announce."""
     windows = faults.sound_windows(1024)[563:565]
     times, count = np.tile(faults.DT * np.arange(21.0), (2, 1)), np.full(2, 21)
-    _, alone = repair(windows[1:], times[1:], count[1:])
+    _, single = repair(windows[1:], times[1:], count[1:])
     windows[0, 8, :3, 3] += 0.5
     _, together = repair(windows, times, count)
     assert not together[0, 8]
-    np.testing.assert_array_equal(together[1], alone[0])
+    np.testing.assert_array_equal(together[1], single[0])

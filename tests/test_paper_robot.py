@@ -65,7 +65,7 @@ def test_table_in_words() -> None:
     assert "| A | **90.0 ± 0.0** (108.2 ± 7.9) | 95.0 ± 0.0 (illegible) | 20.0 ± 0.0 (20.5 ± 10.8) |" in text
     assert "| *900.0 ± 0.0* (863.7 ± 46.7) | 0.50 ± 0.00 (0.19 ± 0.02) |" in text
     assert "| C | **90.0 ± 0.0** | 95.0 ± 0.0 |" in text
-    assert "| degrees of freedom right, % | 75 | 100 |" in text
+    assert "| right degrees of freedom, % | 75 | 100 |" in text
 
 
 def test_table_4_in_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -101,7 +101,7 @@ def test_excess_is_that_of_the_same_trial(tmp_path: Path, monkeypatch: pytest.Mo
     assert section.metrics["figure5_realistic_B_excess_force"] == 0
     assert "| B | literature |  | 100 % | 4.00 ± 1.12 | +0.50 ± 0.00 |" in section.text
     assert "0.10, 0.20, –" in section.text
-    assert "drawn again, out of the arm's reach: B: 3." in section.text
+    assert "Geometries that the arm could not reach, and that were replaced: B: 3." in section.text
     assert (tmp_path / "figure5-realistic.png").stat().st_size > 10_000
 
 

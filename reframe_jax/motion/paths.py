@@ -168,9 +168,7 @@ def _derivative_weights(steps: Array, count: Array | None) -> Array:
         (first + nth[:, None, None]).reshape(-1, windows),
         axis=0,
     ).reshape(nodes, number, windows)
-    ends = jnp.tensordot(
-        jnp.asarray(np.tril(np.ones((nodes, nodes))) - np.eye(nodes) / 2, steps.dtype), spans, 1
-    )
+    ends = jnp.cumsum(spans, axis=0) - spans / 2
     # Lagrange's polynomial of node i has the derivative (c_h / c_i) / (t_h - t_i) at node h, c_i being
     # the product of t_i - t_j over the other nodes j; those of all nodes add up to zero
     gaps = ends[:, None] - ends[None]
