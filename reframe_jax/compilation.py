@@ -10,7 +10,16 @@ import numpy as np
 
 from reframe_jax.program_cache import can_keep, load_or_export
 
-__all__ = ["COMPILER_OPTIONS", "Program", "in_float64", "index_leaves", "jit_pair", "join_parts", "traced"]
+__all__ = [
+    "COMPILER_OPTIONS",
+    "Program",
+    "in_float64",
+    "index_leaves",
+    "inside_trace",
+    "jit_pair",
+    "join_parts",
+    "traced",
+]
 
 _T = TypeVar("_T")
 
@@ -69,6 +78,14 @@ def in_float64() -> bool:
 def traced(tree: Any) -> bool:
     """Return whether any array of a pytree is a tracer: the caller is under ``jit``, ``vmap`` or ``grad``."""
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
+
+
+def inside_trace(tree: Any) -> bool:
+    """Return whether results computed from a pytree are tracers.
+
+    Constants in a function that is traced are no tracers, but what is computed from them is one.
+    """
+    return traced((tree, jnp.zeros(())))
 
 
 def index_leaves(tree: _T, index: Any) -> _T:

@@ -13,7 +13,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import COMPILER_OPTIONS, in_float64, index_leaves, jit_pair, traced
+from reframe_jax.compilation import COMPILER_OPTIONS, in_float64, index_leaves, inside_trace, jit_pair
 from reframe_jax.identification.cautions import Caution
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.inputs import run_in_pieces, take_poses, take_steps
@@ -98,29 +98,27 @@ def identify(
             times are unusable; in a batch, such a window gets a ``status`` instead.
     """
     array = take_poses(poses)
-    inside_a_trace = traced((poses, times, dt, thresholds, bounds, key))
+    inside_a_trace = inside_trace((poses, times, dt, thresholds, bounds, key))
     single_window = array.ndim == 3 and not inside_a_trace
     unordered = single_window and is_unordered(np.asarray(array, dtype=float))
     usual = check_exponent(norm) == 0 and solver is None and discretization == "chord"
     if unordered and usual and isinstance(scales, str) and scales == "auto":
         scales = "mean"
-    # poses that are constants of a traced function are identified while it is traced
-    with contextlib.nullcontext() if inside_a_trace else jax.ensure_compile_time_eval():
-        found = identify_unchecked(
-            array,
-            times=times,
-            dt=dt,
-            scales=scales,
-            assume=assume,
-            norm=norm,
-            discretization=discretization,
-            thresholds=thresholds,
-            bounds=bounds,
-            solver=solver,
-            key=key,
-        )
-        if unordered:
-            found = replace(found, warning_codes=found.warning_codes | int(Caution.UNORDERED))
+    found = identify_unchecked(
+        array,
+        times=times,
+        dt=dt,
+        scales=scales,
+        assume=assume,
+        norm=norm,
+        discretization=discretization,
+        thresholds=thresholds,
+        bounds=bounds,
+        solver=solver,
+        key=key,
+    )
+    if unordered:
+        found = replace(found, warning_codes=found.warning_codes | int(Caution.UNORDERED))
     if single_window:
         _warn_of_lost_rows(np.asarray(array, dtype=float), times)
     return found
@@ -142,10 +140,10 @@ def identify_unchecked(
 ) -> Identification:
     """Identify as :func:`identify` does, without the checks for poses without order and for lost tracking."""
     exponent = check_exponent(norm)
-    inside_a_trace = traced((poses, times, dt, thresholds, bounds, key))
+    inside_a_trace = inside_trace((poses, times, dt, thresholds, bounds, key))
     array = take_poses(poses)
     check_options(thresholds, solver, discretization, key)
-    wide = not isinstance(array, jax.Array) and array.dtype == np.float64
+    wide = not inside_a_trace and not isinstance(array, jax.Array) and array.dtype == np.float64
     with jax.enable_x64(True) if wide else contextlib.nullcontext():
         steps = take_steps(array, times, dt)
         samples = take_scales(scales, array.shape[-3])

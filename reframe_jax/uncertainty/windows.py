@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import in_float64, index_leaves, jit_pair, traced
+from reframe_jax.compilation import in_float64, index_leaves, inside_trace, jit_pair, traced
 from reframe_jax.identification.cautions import Caution
 from reframe_jax.identification.inputs import run_in_pieces, take_poses, take_steps
 from reframe_jax.identification.options import Scales, take_scales
@@ -64,7 +64,7 @@ def over_windows(
     with jax.enable_x64(True) if wide else contextlib.nullcontext():
         steps = take_steps(array, times, dt).astype(array.dtype)
         estimate = estimate_of(found, array.dtype)
-        program = _program_in_trace if traced((array, steps, estimate)) else _program
+        program = _program_in_trace if inside_trace((array, steps, estimate)) else _program
         run = partial(program, function=function, scales=take_scales(scales, array.shape[-3]), **static)
         batch = array.shape[:-3]
         if not batch:
@@ -92,7 +92,7 @@ _program, _program_in_trace = jit_pair(_run, ("function", "scales", "parts"))
 
 
 def _in_pieces(run: Callable[..., Any], pad: bool, poses: Any, steps: Any, found: Estimate) -> Any:
-    if traced((poses, steps, found)):
+    if inside_trace((poses, steps, found)):
         return run(poses, steps, None, found)
     return run_in_pieces(run, poses, steps, found, _CHUNK.get(jax.default_backend(), 256), pad)
 
