@@ -90,3 +90,13 @@ def test_every_process_builds_the_same_program() -> None:
         done = subprocess.run(run, env=environment, check=True, capture_output=True, text=True)
         hashes.add(done.stdout.strip())
     assert len(hashes) == 1
+
+
+def test_the_first_call_compiles_few_programs(caplog: pytest.LogCaptureFixture) -> None:
+    """Operations on constants are part of the program, and not programs of their own."""
+    poses = np.tile(np.eye(4), (6, 1, 1))
+    poses[:, 0, 3] = np.arange(6) ** 2
+    with jax.log_compiles():
+        rf.identify(poses, dt=0.1)
+    compiled = [record for record in caplog.records if "Finished XLA compilation" in record.getMessage()]
+    assert len(compiled) <= 10
