@@ -662,7 +662,7 @@ def test_small_angles_in_degrees_turn_too_fast(tmp_path: Path, rng: np.random.Ge
     assert any("if they are in degrees, give angle_unit='deg'" in note for note in notes)
     rows[:, 0] /= 10
     lerobot(tmp_path / "a.parquet", rows, angles)
-    with pytest.raises(RecordingError, match=r"faster than any hand; .*\(--angle-unit deg\)"):
+    with pytest.raises(RecordingError, match=r"faster than hands and robots turn; .*\(--angle-unit deg\)"):
         load_recording(tmp_path / "a.parquet", **options)
 
 

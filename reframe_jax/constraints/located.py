@@ -179,7 +179,11 @@ def ground_twist(located: Located, velocities: jax.Array) -> jax.Array:
 
 
 def body_twist(frame: Frame, rotation: jax.Array, position: jax.Array, velocities: jax.Array) -> jax.Array:
-    """Return the twist (6,) of {b} in its own axes; see :func:`locate` and :func:`ground_twist`."""
+    """Return the body twist (w, v), (6,) rad/s and m/s, for velocities (6,) along the axes of a frame.
+
+    The velocities are those along the angular axes, then along the linear axes. ``rotation`` (3, 3) and
+    ``position`` (3,), m, are the pose of {b} in {g}; see :func:`locate` and :func:`ground_twist`.
+    """
     w, v = jnp.split(ground_twist(locate(frame, rotation, position), velocities), 2)
     return jnp.concatenate([multiply(rotation.T, w), multiply(rotation.T, v)])
 

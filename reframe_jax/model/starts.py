@@ -72,14 +72,18 @@ def smallest_eigenvalue(forms: Array) -> Array:
 
 
 def common_frames(paths: Array, turns: Array, position: Array, details: Array, scale_weight: Array) -> Axes:
-    """Compute the common axes of every window.
+    """Compute, for every window, the axes that the covariances of all scales have in common.
 
     Args:
-        paths: (3, 3, S, 4, N) moments of the path of every linear type.
-        turns: (3, 3, S, 2, N) moments of the rotation in the ground and in the body.
-        position: (3, 3, S, N) moments of the position.
-        details: (S, N) independent details of every scale.
-        scale_weight: (S, N) weight of every scale in the variance of the path.
+        paths: (3, 3, S, 4, N) covariances, at S scales of N windows, of the displacement of the origin with
+            the lowest norm, for each of the four linear types.
+        turns: (3, 3, S, 2, N) covariances of the rotation, in the axes of the ground and of the body.
+        position: (3, 3, S, N) covariances of the position of {b}.
+        details: (S, N) number of independent details of every scale.
+        scale_weight: (S, N) weight of every scale in the variance over the recording.
+
+    Returns:
+        The axes as columns, in ascending order of the amplitude.
     """
     whole = total(position * scale_weight, 2)
     single = jnp.zeros_like(position).at[:, :, 0].set(whole)

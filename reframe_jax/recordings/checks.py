@@ -150,7 +150,9 @@ def check_turns(rows: Rows, poses: np.ndarray, wanted: Selection) -> None:
     advice = "if they are in degrees, give angle_unit='deg' (--angle-unit deg)"
     otherwise = "else angle_unit='rad' (--angle-unit rad)"
     if rate > _FASTEST:
-        raise RecordingError(f"{rows.path}: {sentence}, faster than any hand; {advice}, {otherwise}.")
+        raise RecordingError(
+            f"{rows.path}: {sentence}, faster than hands and robots turn; {advice}, {otherwise}."
+        )
     some = sample_rows(len(poses))
     degrees = angle_matrices(rows.path, rows.angles[some], replace(wanted, angle_unit="deg"))
     if rate > _FAST:

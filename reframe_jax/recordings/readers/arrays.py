@@ -64,7 +64,9 @@ def _check_array(name: str, open: Callable[[], IO[bytes]], size: int) -> _Array:
         raise ValueError(f"{name} contains objects")
     claimed, held = math.prod(shape) * dtype.itemsize, size - head.tell()
     if min(shape, default=0) < 0 or claimed > held:
-        raise ValueError(f"{name} has the shape {shape} and should take {claimed} bytes, but has {held}")
+        raise ValueError(
+            f"{name} has the shape {shape} and should take {claimed} bytes, but has {held} bytes."
+        )
 
     def numbers() -> np.ndarray:
         with open() as stream:

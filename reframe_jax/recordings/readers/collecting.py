@@ -43,15 +43,16 @@ def collect(
 
     Args:
         path: the file.
-        lines: numbers and cells of the lines; empty cells beyond the width are ignored.
+        lines: line number and cells of every line; empty cells beyond the width are ignored.
         width: count of cells in a row.
         columns: indices of the columns, in the order of the result.
-        time: index of the time, or indices of seconds and nanoseconds.
-        wrench: indices of a wrench.
-        short: whether rows may be shorter, with missing numbers at the end.
+        time: index of the column of times, or of the columns of seconds and of nanoseconds.
+        wrench: indices of the columns of a measured wrench, which is kept apart from the poses.
+        short: whether rows may have fewer cells than ``width``; the missing ones are empty.
 
     Raises:
-        RecordingError: if a cell is absent or not a number, or if there are too many rows.
+        RecordingError: if a row has another number of cells, if a cell is not a number, or if there are more
+            rows than a recording may have (:func:`check_size`).
     """
     where, values, times, every = array("q"), array("d"), array("d"), [*columns, *wrench]
     origin: decimal.Decimal | None = None

@@ -61,10 +61,10 @@ class _Header:
         return _Header(path, titles, [*names], [*units], None if body is None else split_unit(body)[0])
 
     def find(self, pattern: str) -> int | None:
-        """Return the column of a name, or None.
+        """Return the index of the column whose name matches a regular expression, or None.
 
         Raises:
-            RecordingError: if there are several.
+            RecordingError: if several columns match.
         """
         found = _matches(pattern, self.names)
         if self.body is not None and len(found) > 1:

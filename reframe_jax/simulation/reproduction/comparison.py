@@ -65,7 +65,7 @@ class Comparison:
 
     @property
     def rows(self) -> dict[str, Trials]:
-        """The three kinds of trials by name."""
+        """Trials by the geometry that the robot uses: exact, from the literature, or identified."""
         return {"exact": self.exact, "literature": self.literature, "identified": self.identified}
 
 

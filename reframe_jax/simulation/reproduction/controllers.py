@@ -49,7 +49,13 @@ def constant_wrench(moment: float = 3.5, force: float = 7.0) -> Controller:
 
 
 def hybrid(speed: Pair = (0.3, 0.08)) -> Controller:
-    """Hybrid control: given velocities (rad/s, m/s) along free axes, zero force along constrained axes."""
+    """Return a hybrid controller.
+
+    It commands a velocity along free axes, and zero force and torque along constrained axes.
+
+    Args:
+        speed: rad/s along free rotations and m/s along free translations.
+    """
     return Controller(speed=speed, damping=(5.0, 120.0))
 
 

@@ -94,7 +94,10 @@ class SequenceTrial:
 
 
 def control_frames(found: Identification | ConstraintFrame | Frame) -> Frame:
-    """Return control frames with the batch axes of ``found``; types may vary in a batch of results."""
+    """Return the frames in whose axes a controller commands velocities and forces.
+
+    They have the leading dimensions of ``found``; in a batch of identifications, each has its own types.
+    """
     if isinstance(found, Frame):
         return found
     if isinstance(found, ConstraintFrame):
