@@ -91,6 +91,8 @@ def draw_frame(
         dof: (3,) 1 for free linear axes.
         alpha: opacity; the axes are numbered if it is 1.
     """
+    from matplotlib.patheffects import withStroke
+
     axes.plot(*origin[:, None], "o", color="black", markersize=3, alpha=alpha)
     for axis in turning:
         segment(axes, origin - 1.5 * axis, origin + 1.5 * axis, color=TURNING, linestyle="-.", alpha=alpha)
@@ -100,9 +102,8 @@ def draw_frame(
         else:
             segment(axes, origin, origin + axis, linestyle="--", color=colour, linewidth=2.4, alpha=alpha)
         if alpha == 1:
-            axes.text(
-                *(origin + 1.15 * axis), str(i + 1), color=colour, ha="center", va="center", fontsize=12
-            )
+            number = axes.text(*(origin + 1.2 * axis), str(i + 1), ha="center", va="center", fontsize=13)
+            number.set_path_effects([withStroke(linewidth=3, foreground="white")])
 
 
 def draw_legend(axes: "Axes3D", kind: LinearType, dof: Any, turns: bool) -> None:
