@@ -20,7 +20,7 @@ _NEGATIVE = JointSearch(BasinHopping(FrameSteps(10), restarts=16, hops=3, polish
 
 
 def default_solver(norm: float = 0.0) -> BasinHopping | JointSearch:
-    """Return the solver that ``identify`` uses for a norm with ``scales=1``.
+    """Return the solver that ``identify`` uses for velocities between consecutive poses (``scales=1``).
 
     Args:
         norm: exponent of the power mean over the axes, in [-inf, 2].

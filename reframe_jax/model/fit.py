@@ -84,7 +84,13 @@ def ground_axes(parameters: Parameters, mean_rotation: Array) -> Array:
 
 
 def coordinates(parameters: Parameters, mean_rotation: Array, entry: Table) -> Array:
-    """Return the weights (6, 27) of the features in the six coordinates of an entry."""
+    """Return the matrix (6, 27) whose rows, times the 27 features of a pose, give an entry's six coordinates.
+
+    Args:
+        parameters: axes, origin, tilt and pitch of the constraint.
+        mean_rotation: (3, 3) mean rotation of the body, which takes the axes in the body to the ground.
+        entry: row of the table of constraints.
+    """
     in_body, in_ground = parameters.axes.T, ground_axes(parameters, mean_rotation).T
     directions = jnp.where(entry.ground[:, None], in_ground[entry.column], in_body[entry.column])
     between = (entry.kind == KINDS.index("angle between"))[:, None]

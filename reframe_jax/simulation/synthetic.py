@@ -64,7 +64,11 @@ class Simulation:
 
 
 def paper_excitation(key: jax.Array, duration: float | jax.Array | None = None) -> Excitation:
-    """Return the velocities of the paper's section 5.1; the key and the duration have no effect."""
+    """Return the velocities of Overbeek et al. 2025, section 5.1; the key and the duration have no effect.
+
+    Returns:
+        A function from a time in s to the angular (3,) rad/s and linear (3,) m/s velocities along the axes.
+    """
     del key, duration
 
     def velocity(t: jax.Array) -> tuple[jax.Array, jax.Array]:
