@@ -27,6 +27,7 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+	$(BIN)/python -m pytest --quiet -n 0 tests/test_names.py
 
 benchmark: $(STAMP)
 	$(BIN)/python -m benchmarks.identification --quick --gate
