@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.program_cache import can_keep, load_or_export
+from reframe_jax.program_cache import can_keep, load_or_export, platform_of
 
 __all__ = [
     "COMPILER_OPTIONS",
@@ -48,7 +48,8 @@ class Program:
         if not can_keep(static):
             return self.jitted(*arguments, **static)
         leaves, tree = jax.tree.flatten(arguments)
-        key = tree, tuple((leaf.shape, leaf.dtype) for leaf in leaves), tuple(sorted(static.items()))
+        shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
+        key = tree, shapes, platform_of(leaves), tuple(sorted(static.items()))
         if key not in self._kept:
             call, result = load_or_export(self.function, arguments, static)
             self._kept[key] = jax.jit(call, compiler_options=COMPILER_OPTIONS), jax.tree.structure(result)

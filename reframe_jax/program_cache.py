@@ -20,7 +20,7 @@ from typing import Any
 
 import jax
 
-__all__ = ["cache_programs", "can_keep", "load_or_export"]
+__all__ = ["cache_programs", "can_keep", "load_or_export", "platform_of"]
 
 _UNREADABLE = r"Error reading persistent compilation cache entry for '([^']+)'"
 _folder: Path | None = None
@@ -92,8 +92,8 @@ def load_or_export(
         A function of the leaves of ``arguments``, and the tree of its result with integers as leaves.
     """
     leaves, tree = jax.tree.flatten(arguments)
-    platform = _platform(leaves)
-    shapes = [(leaf.shape, str(leaf.dtype), getattr(leaf, "weak_type", False)) for leaf in leaves]
+    platform = platform_of(leaves)
+    shapes = [(leaf.shape, str(leaf.dtype)) for leaf in leaves]
     what = (
         _version(),
         platform,
@@ -121,8 +121,8 @@ def load_or_export(
     return jax.export.deserialize(bytearray(kept[0])).call, kept[1]
 
 
-def _platform(leaves: list[Any]) -> str:
-    """Platform on which JAX computes with arrays: theirs, or the default one."""
+def platform_of(leaves: list[Any]) -> str:
+    """Return the platform on which JAX computes with arrays: that of the arrays, or the default one."""
     devices = {d.platform for leaf in leaves if isinstance(leaf, jax.Array) for d in leaf.devices()}
     platform = devices.pop() if len(devices) == 1 else jax.default_backend()
     return "cuda" if platform == "gpu" else platform

@@ -9,7 +9,6 @@ import subprocess
 import sys
 import typing
 from collections.abc import Callable
-from functools import cached_property
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -156,7 +155,6 @@ def public_callables() -> dict[str, Callable[..., Any]]:
                 for method in vars(thing):
                     member = inspect.unwrap(getattr(thing, method))
                     shown = method in ("__init__", "__call__", "__getitem__") or method[0] != "_"
-                    shown = shown and not isinstance(member, cached_property)
                     if shown and inspect.isroutine(member) and member.__module__ != "typing":
                         found[f"{public}.{method}"] = member
             elif inspect.isroutine(inspect.unwrap(thing)):

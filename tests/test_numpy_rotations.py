@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from reframe_jax.geometry.numpy_rotations import (
     euler_matrices,
     matrices_to_quaternions,
+    nearest_rotations,
     quaternions_to_matrices,
     rotation_matrices,
     rotation_vectors,
@@ -53,3 +54,12 @@ def test_turns_about_three_axes(order: str, rng: np.random.Generator) -> None:
     for name in (order, order.upper()):  # SciPy has the same convention: capitals for the moving axes
         expected = Rotation.from_euler(name, angles).as_matrix()
         np.testing.assert_allclose(euler_matrices(name, angles), expected, atol=1e-14)
+
+
+def test_the_nearest_rotations_leave_rotations_and_undo_reflections_and_scales():
+    rng = np.random.default_rng(0)
+    turns = Rotation.random(20, rng).as_matrix()
+    stretch = rng.uniform(0.5, 2, (20, 3, 1)) * np.eye(3)
+    np.testing.assert_allclose(nearest_rotations(turns @ stretch), turns, atol=1e-12)
+    found = nearest_rotations(turns * [1, 1, -0.1])
+    np.testing.assert_allclose(found, turns, atol=1e-12)

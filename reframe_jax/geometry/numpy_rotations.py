@@ -35,6 +35,14 @@ def matrices_to_quaternions(matrices: np.ndarray) -> np.ndarray:
     return np.where(found[..., 3:] < 0, -found, found)
 
 
+def nearest_rotations(matrices: np.ndarray) -> np.ndarray:
+    """Return the rotations (..., 3, 3) nearest to matrices (..., 3, 3), by singular values."""
+    left, _, right = np.linalg.svd(matrices)
+    left[..., -1] *= np.linalg.det(left @ right)[..., None]  # no reflections
+    turned: np.ndarray = left @ right
+    return turned
+
+
 def rotation_vectors(matrices: np.ndarray) -> np.ndarray:
     """Convert rotation matrices (..., 3, 3), including half turns, to rotation vectors (..., 3), rad."""
     quaternions = matrices_to_quaternions(matrices)

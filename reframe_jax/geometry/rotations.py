@@ -9,7 +9,6 @@ derivative is finite.
 Conventions: rotation vectors are axis times angle, in radians; quaternions are (x, y, z, w).
 """
 
-from collections.abc import Sequence
 from functools import partial
 from math import factorial
 
@@ -17,20 +16,15 @@ import jax
 import jax.numpy as jnp
 
 __all__ = [
-    "cotangent_factor",
     "hat",
     "left_jacobian",
     "left_jacobian_inverse",
-    "log_by_component",
     "quaternion_to_rotation",
     "rotation_exp",
     "rotation_log",
     "rotation_to_quaternion",
     "vee",
 ]
-
-Entries = Sequence[Sequence[jax.Array]] | jax.Array  # entries of a matrix, by row and column
-Vector = tuple[jax.Array, jax.Array, jax.Array]
 
 _TERMS = 10  # terms of each series below one radian; the first omitted term is < 1e-17
 _SINC = tuple((-1) ** order / factorial(2 * order + 1) for order in range(_TERMS))
@@ -118,13 +112,7 @@ def rotation_log(rotation: jax.Array) -> jax.Array:
     The length of a vector is at most pi. A half turn has two vectors, with opposite signs; the function
     returns one of them, with finite derivatives.
     """
-    vector = log_by_component([[rotation[..., i, j] for j in range(3)] for i in range(3)])
-    return jnp.stack(vector, axis=-1)
-
-
-def log_by_component(entries: Entries) -> Vector:
-    """:func:`rotation_log` of rotations given as nine arrays of one shape, which is faster on a CPU."""
-    x, y, z, w = _quaternion(entries)
+    x, y, z, w = _quaternion(rotation)
     squared = x * x + y * y + z * z
     small = squared < 1e-2
     length = jnp.sqrt(jnp.where(small, 1.0, squared))
@@ -132,7 +120,7 @@ def log_by_component(entries: Entries) -> Vector:
     # angle / sin(angle / 2) = 2 atan2(|vector|, w) / |vector|
     series = 2 / w_small * _series(squared / w_small**2, _ARCTANGENT)
     factor = jnp.where(small, series, 2 * jnp.arctan2(length, w) / length)
-    return factor * x, factor * y, factor * z
+    return factor[..., None] * jnp.stack([x, y, z], axis=-1)
 
 
 def left_jacobian(rotvec: jax.Array) -> jax.Array:
@@ -150,11 +138,11 @@ def left_jacobian(rotvec: jax.Array) -> jax.Array:
 def left_jacobian_inverse(rotvec: jax.Array) -> jax.Array:
     """Invert :func:`left_jacobian`: matrices (..., 3, 3) at rotation vectors (..., 3) below 2 pi rad."""
     w = hat(rotvec)
-    cotangent = cotangent_factor(_squared_length(rotvec))
+    cotangent = _cotangent_factor(_squared_length(rotvec))
     return _identity_like(w) - w / 2 + _matrix(cotangent) * _hat_squared(rotvec)
 
 
-def cotangent_factor(squared: jax.Array) -> jax.Array:
+def _cotangent_factor(squared: jax.Array) -> jax.Array:
     """Return c = (1 - (x / 2) cot(x / 2)) / x^2 for squared angles x^2, rad^2.
 
     This is the coefficient in the inverse left Jacobian of a rotation vector w: 1 - [w]x / 2 + c [w]x [w]x.
@@ -182,10 +170,11 @@ def rotation_to_quaternion(rotation: jax.Array) -> jax.Array:
     The matrix ``4 q q^T`` is linear in the rotation matrix. The function normalizes its row with the largest
     diagonal entry, which is at least 1 (Shepperd's method), so it never divides by a small number.
     """
-    return jnp.stack(_quaternion([[rotation[..., i, j] for j in range(3)] for i in range(3)]), axis=-1)
+    return jnp.stack(_quaternion(rotation), axis=-1)
 
 
-def _quaternion(r: Entries) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+def _quaternion(rotation: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    r = [[rotation[..., i, j] for j in range(3)] for i in range(3)]
     diagonal = (
         1 + r[0][0] - r[1][1] - r[2][2],
         1 - r[0][0] + r[1][1] - r[2][2],

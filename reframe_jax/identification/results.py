@@ -51,9 +51,6 @@ _LEVERS = 0.03, 3.0  # m, limits of the lever: the ratio of the position noise t
 _USUAL_LEVER = 0.3  # m, lever if the noise is unknown
 
 
-_axes = jax.jit(rotations.rotation_exp)
-
-
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Identification:
@@ -244,8 +241,8 @@ class Identification:
             linear_type=kind,
             angular_dof=host.angular.dof,
             linear_dof=linear.dof,
-            angular_axes=np.asarray(_axes(host.angular.rotvec)),
-            linear_axes=np.asarray(_axes(linear.rotvec)),
+            angular_axes=np.asarray(rotations.rotation_exp(host.angular.rotvec)),
+            linear_axes=np.asarray(rotations.rotation_exp(linear.rotvec)),
             angular_amplitude=host.angular.amplitude,
             linear_amplitude=linear.amplitude,
             position=linear.position,

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.catalogue import describe, lookup
 from reframe_jax.constraints.frame import ConstraintFrame
+from reframe_jax.geometry.numpy_rotations import nearest_rotations
 from reframe_jax.joints.chain import JointPart, ball_hinges, chain_coordinates, chain_poses
 from reframe_jax.joints.joint import Joint, JointType
 from reframe_jax.joints.plans import Geometry, Plan, frame_geometry, joint_plans, only_velocities, relate_axes
@@ -257,9 +258,7 @@ def _name(geometry: Geometry) -> str:
 def _mean_pose(poses: np.ndarray) -> np.ndarray:
     """Mean of poses: the mean position, and the rotation nearest to the mean rotation matrix."""
     mean = poses.mean(axis=0)
-    left, _, right = np.linalg.svd(mean[:3, :3])
-    left[:, 2] *= np.linalg.det(left @ right)
-    mean[:3, :3] = left @ right
+    mean[:3, :3] = nearest_rotations(mean[:3, :3])
     return mean
 
 

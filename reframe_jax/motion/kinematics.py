@@ -61,7 +61,7 @@ def body_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
         (..., K, 6) twists (w, v): the angular velocity, rad/s, and the velocity of the origin of {b}, m/s,
         both in the axes of {b}.
     """
-    return components_last(_step_twists(poses, dt)[0], 1)
+    return components_last(_twists(*split_poses(poses), _step_times(dt, poses), brackets=True)[0], 1)
 
 
 def spatial_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
@@ -75,29 +75,24 @@ def spatial_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
         (..., K, 6) twists (w, v): the angular velocity, rad/s, and the velocity of the point of the body that
         is at the origin of {g}, m/s, both in the axes of {g}.
     """
-    return components_last(_step_twists(poses, dt)[1], 1)
+    return components_last(_twists(*split_poses(poses), _step_times(dt, poses), brackets=True)[1], 1)
 
 
-def _step_twists(poses: jax.Array, dt: jax.Array | float) -> tuple[jax.Array, jax.Array]:
-    """Return body and spatial twists of the steps, (6, K, ...)."""
-    rotation, position = split_poses(poses)
-    step = components_first(_step_times(dt, poses), 0)
-    twists = step_twists(_one_axis(rotation, 3), _one_axis(position, 2))
-    return _by_windows(twists, rotation.shape[3:], 1 / step)
-
-
-def _one_axis(array: jax.Array, components: int) -> jax.Array:
-    """Join the axes of the windows, those after ``components``, to one."""
-    return array.reshape(*array.shape[:components], -1)
-
-
-def _by_windows(
-    twists: jax.Array, windows: tuple[int, ...], factor: jax.Array | float
+def _twists(
+    rotation: jax.Array, position: jax.Array, steps: jax.Array, brackets: bool
 ) -> tuple[jax.Array, jax.Array]:
-    """Split (2, 3, 2, K, N) into body and spatial twists (6, K, ...), times a factor (K, ...)."""
-    body, spatial = jnp.moveaxis(twists, 2, 0)
-    shape = (6, twists.shape[3], *windows)
-    return body.reshape(shape) * factor, spatial.reshape(shape) * factor
+    """Return body and spatial twists (6, K, ...), with the brackets of the Magnus expansion or without.
+
+    The durations of the steps are (..., K) s.
+    """
+    windows, number = rotation.shape[3:], steps.shape[-1]
+    if any(size > 1 for size in steps.shape[:-1]):
+        steps = jnp.broadcast_to(steps, (*windows, number))
+    steps = steps.reshape(-1, number)
+    flat = rotation.reshape(3, 3, number + 1, -1), position.reshape(3, number + 1, -1)
+    twists = step_twists(*flat) / steps.T if brackets else mean_twists(*flat, steps)
+    body, spatial = jnp.moveaxis(twists, 2, 0).reshape(2, 6, number, *windows)
+    return body, spatial
 
 
 def velocity_components(
@@ -119,14 +114,7 @@ def velocity_components(
     rotation, position = split_poses(poses)
     steps = _step_times(dt, poses)
     step = components_first(steps, 0)[None, None]
-    if discretization == "chord":
-        flat = steps.reshape(-1, steps.shape[-1])
-        if len(flat) > 1:
-            flat = jnp.broadcast_to(steps, (*poses.shape[:-3], steps.shape[-1])).reshape(-1, steps.shape[-1])
-        twists = mean_twists(_one_axis(rotation, 3), _one_axis(position, 2), flat)
-        body, spatial = _by_windows(twists, rotation.shape[3:], 1.0)
-    else:
-        body, spatial = _step_twists(poses, dt)
+    body, spatial = _twists(rotation, position, steps, brackets=discretization == "left")
     bb, gg = (_twist_map(twist) for twist in (body, spatial))
     if discretization == "left":
         gb, bg = times(rotation[:, :, :-1], bb), times(jnp.swapaxes(rotation, 0, 1)[:, :, :-1], gg)

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from reframe_jax.geometry.numpy_rotations import nearest_rotations
+
 __all__ = ["fit_rigid_body"]
 
 _REFERENCE = 1000  # largest number of frames in the mean shape of the body
@@ -54,9 +56,7 @@ def fit_rigid_body(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _align(points: np.ndarray, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rotations (N, 3, 3) and positions (N, 3) that align a shape (M, 3) with points (N, M, 3)."""
     centres, centre = points.mean(axis=1), shape.mean(axis=0)
-    left, _, right = np.linalg.svd(np.einsum("nki,kj->nij", points - centres[:, None], shape - centre))
-    left[..., -1] *= np.linalg.det(left @ right)[:, None]  # no reflections
-    turned = left @ right
+    turned = nearest_rotations(np.einsum("nki,kj->nij", points - centres[:, None], shape - centre))
     return turned, centres - np.einsum("nij,j->ni", turned, centre)
 
 

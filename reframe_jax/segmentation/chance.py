@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 
+from reframe_jax.geometry.numpy_rotations import nearest_rotations
 from reframe_jax.segmentation.cells import Cells, path_features
 from reframe_jax.segmentation.constants import SEGMENTS as C
 from reframe_jax.segmentation.rows import fit_spans
@@ -75,9 +76,8 @@ def _mix(
         moved += place[:, :3] @ turn / np.sqrt(3)
         turned += (place[:, :3] @ turn + place[:, 3:] @ turn.T) / np.sqrt(3)
     rotation = cells.linear[1].reshape(-1, 3, 4)[:, :, 1:]
-    u, _, v = np.linalg.svd(_interpolate(rotation, _elsewhere(stops, start, length, number // 2, number)))
-    u[:, :, 2] *= np.linalg.det(u @ v)[:, None]
-    linear, _ = path_features(u @ v, moved)
+    mixed = _interpolate(rotation, _elsewhere(stops, start, length, number // 2, number))
+    linear, _ = path_features(nearest_rotations(mixed), moved)
     return linear, np.stack([turned * cells.motion[1] / cells.motion[0]] * 2)
 
 
