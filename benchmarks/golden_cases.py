@@ -11,7 +11,8 @@ origin lies within 0.3 m of the body's origin along each axis. Sums of sines dri
 White noise has a standard deviation of sigma in m for positions and sigma / 0.3 m in rad for orientations.
 Slow errors are sums of three sines of 0.1 to 1.2 Hz in random directions, half of their variance in the axes
 of the ground and half in the axes of the body; their size is the rms of each component, and encoder noise of
-1 um and 3 urad comes on top.
+1 um and 3 urad comes on top. Repeatable errors depend on the pose only, like those of an arm whose links are
+not as long as its model says: random quadratic functions of the displacement, with the same sizes.
 """
 
 import zlib
@@ -148,6 +149,12 @@ def soft_specs() -> Iterator[Spec]:
         yield Spec("soft", label, "measured", 20, ENCODER[0], slow, turn, seed)
 
 
+def repeatable_specs() -> Iterator[Spec]:
+    for seed, (slow, turn), label in product((20, 21), SLOW, CONSTRAINTS):
+        if label != "fixed":  # errors that depend on the pose need motion
+            yield Spec("repeatable", label, "measured", 20, ENCODER[0], slow, turn, seed)
+
+
 def nothing_specs() -> Iterator[Spec]:
     for seed, motion, rate, sigma in product((10, 11), ("exciting", "measured"), (10, 100), SIGMAS):
         yield Spec("nothing", "unconstrained", motion, rate, sigma, seed=seed)
@@ -162,7 +169,13 @@ def paper_specs() -> Iterator[Spec]:
         yield Spec("paper", label, "measured", 20, ENCODER[0], slow, turn, seed)
 
 
-PLANS = {"white": white_specs, "soft": soft_specs, "nothing": nothing_specs, "paper": paper_specs}
+PLANS = {
+    "white": white_specs,
+    "soft": soft_specs,
+    "repeatable": repeatable_specs,
+    "nothing": nothing_specs,
+    "paper": paper_specs,
+}
 
 # ---------- simulation: the frame moves along its free axes, in closed form but for two integrals
 _STEP, _NODES, _CHUNK = 0.005, 1001, 256  # time step, s; integration nodes; recordings per chunk
@@ -291,7 +304,10 @@ def _disturb(spec: Spec, rotation: np.ndarray, position: np.ndarray, rng: np.ran
     times = np.arange(len(position)) / spec.rate
     white = rng.normal(size=(2, len(times), 3)) * spec.white
     white[1] *= ENCODER[1] / ENCODER[0] if spec.slow else 1 / LEVER
-    slow = np.array([_slow_error(times, rng) for _ in range(4)]) / np.sqrt(2)
+    if spec.group == "repeatable":
+        slow = np.array([_repeatable_error(rotation, position, rng) for _ in range(4)]) / np.sqrt(2)
+    else:
+        slow = np.array([_slow_error(times, rng) for _ in range(4)]) / np.sqrt(2)
     shift = spec.slow * (slow[0] + np.einsum("kij,kj->ki", rotation, slow[1]))
     before, after = (Rotation.from_rotvec(spec.slow_turn * slow[i]) for i in (2, 3))
     turned = before.as_matrix() @ rotation @ (after * Rotation.from_rotvec(white[1])).as_matrix()
@@ -304,6 +320,17 @@ def _slow_error(times: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     rate, phase = 2 * np.pi * rng.uniform(0.1, 1.2, 3), rng.uniform(0, 2 * np.pi, 3)
     error = np.sin(times[:, None] * rate + phase) @ direction
+    return np.asarray(error / np.sqrt(np.mean(error**2)))
+
+
+def _repeatable_error(rotation: np.ndarray, position: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Quadratic function (K, 3) of the displacement from the mean pose, with an RMS of 1 per component."""
+    turned = Rotation.from_matrix(rotation)
+    moved = np.hstack([position - position.mean(axis=0), LEVER * (turned * turned.mean().inv()).as_rotvec()])
+    unit = moved / np.sqrt(np.mean(np.sum(moved**2, axis=1)))
+    first, second = np.triu_indices(6)
+    error = np.hstack([unit, unit[:, first] * unit[:, second]]) @ rng.normal(size=(27, 3))
+    error -= error.mean(axis=0)
     return np.asarray(error / np.sqrt(np.mean(error**2)))
 
 

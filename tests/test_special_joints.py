@@ -1,4 +1,4 @@
-"""Screws, universal joints and far origins: names, pitches, axes and places, from one batch of windows."""
+"""Screws, universal joints, far origins and repeatable errors: names and geometry, from one batch."""
 
 import json
 
@@ -14,7 +14,7 @@ from reframe_jax.identification.cautions import Caution
 POSES, DT, NOISE = 51, 0.1, 1e-4
 TIMES = DT * np.arange(POSES)
 PITCHES = (0.02, -0.02, 0.1, 0.005, -0.1, 0.05, 0.16, -0.01)
-SCREWS, UNIVERSAL, DISTANT = slice(0, 8), slice(8, 16), slice(16, 24)
+SCREWS, UNIVERSAL, DISTANT, REPEATABLE = slice(0, 8), slice(8, 16), slice(16, 24), slice(24, 36)
 DISTANCE = 4.0  # m, of the far origins from the body
 
 
@@ -62,13 +62,28 @@ def on_distant_plane(rng):
     return with_noise(rng, rotation, plane - rotation.apply(tip)), tip
 
 
+def on_inaccurate_hinge(rng):
+    """Poses on a hinge, with errors of 0.5 mm and 2.5 mrad that depend on the angle only."""
+    axis, start = Rotation.random(random_state=rng).apply([0, 0, 1]), rng.uniform(-0.3, 0.3, 3)
+    angle = signal(rng, 0.5)
+    shift, turned = np.einsum(
+        "fk,afi->aki", [angle, angle**2 - np.mean(angle**2)], rng.normal(size=(2, 2, 3))
+    )
+    turn = Rotation.from_rotvec(angle[:, None] * axis)
+    poses = np.tile(np.eye(4), (POSES, 1, 1))
+    poses[:, :3, :3] = (Rotation.from_rotvec(2.5e-3 * turned / np.std(turned)) * turn).as_matrix()
+    poses[:, :3, 3] = turn.apply(start) + 5e-4 * shift / np.std(shift) + 1e-6 * rng.normal(size=(POSES, 3))
+    return poses, axis
+
+
 @pytest.fixture(scope="module")
 def made():
-    """Poses (24, 51, 4, 4): eight screws, eight universal joints, eight points far away; and their truth."""
+    """Poses (36, 51, 4, 4) of screws, universal joints, far points and inaccurate hinges; their truth."""
     rng = np.random.default_rng(4)
     each = [on_screw(rng, pitch) for pitch in PITCHES]
     each += [on_universal(rng) for _ in range(8)]
     each += [on_distant_plane(rng) for _ in range(8)]
+    each += [on_inaccurate_hinge(rng) for _ in range(12)]
     return np.stack([poses for poses, _ in each]), [truth for _, truth in each]
 
 
@@ -82,7 +97,7 @@ def test_a_nut_on_a_screw_is_named_with_its_pitch_and_axis(made, found):
     assert set(screws.name) == {"Screw joint"}
     assert np.all(screws.probability > 0.5)
     np.testing.assert_allclose(screws.pitch, PITCHES, atol=5e-4)
-    assert np.all(np.isnan(np.delete(found.pitch, np.r_[SCREWS])))
+    assert np.all(np.isnan(np.delete(found.pitch, np.r_[SCREWS, REPEATABLE])))
     for one, poses, axis in zip((screws[i] for i in range(8)), made[0][SCREWS], axes, strict=True):
         along = Rotation.from_rotvec(np.array(one.linear.rotvec)).as_matrix()[:, 2]
         if one.linear.frame_type.orientation_body == rf.AngularType.B:
@@ -133,3 +148,8 @@ def test_an_assumed_joint_is_reported_and_bounds_that_exclude_its_origin_are_not
     assert np.all(found.warning_codes & Caution.IMPROBABLE_ASSUMED)
     assert not np.any(found.warning_codes & Caution.IMPROBABLE)  # it asks for another recording
     assert np.all(found.status_code[DISTANT] == rf.Status.ON_BOUNDS)
+
+
+def test_most_hinges_are_named_right_if_their_errors_depend_on_the_angle_only(found):
+    names = found.name[REPEATABLE]
+    assert np.sum(names == "Revolute joint") >= 6, names  # 9 of 12; without a limit of the variances 2

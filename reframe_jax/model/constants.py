@@ -18,6 +18,7 @@ class Evidence(NamedTuple):
         error_position, error_rotation: m and rad, median slow errors of a tracker or a robot without noise.
         error_of_noise: slow error per unit of white noise; its square is added to that of the median.
         error_spread: standard deviation of the log of slow errors (a factor 5); results depend most on it.
+        error_correlation: correlation of the logs of slow errors of positions and of rotations.
         tilt_above: exponent n of the density (e^2 / (e^2 + tilt^2))^n of a tilt, with e the slow rotation
             errors.
         turn, turn_spread: median free rotation, rad, and the standard deviation of its log.
@@ -28,16 +29,20 @@ class Evidence(NamedTuple):
             rotation causes.
         amplitude_variance: variance of the log of a mean square, in addition to its sampling variance.
         worth: largest number of independent values in the comparison of held covariances between entries.
+        repeatable_part: amplitude, as a fraction of the slow errors, that is added to every coordinate in
+            this comparison.
         per_parameter: cost of a parameter, in log evidence.
         screw_worth: largest number of independent values in the comparison of the translation of a screw
             with its rotation.
-        pitch_range: length of the range of log pitches: three decades for each sign.
+        pitch_cost: cost of a pitch: its log is uniform over three decades for each sign, and a screw is less
+            common than a hinge by a factor 7.
     """
 
     error_position: float = 2e-4
     error_rotation: float = 1e-4
     error_of_noise: float = 0.3
     error_spread: float = log(5.0)
+    error_correlation: float = 0.8
     tilt_above: int = 3
     turn: float = 1.5
     turn_spread: float = 0.25
@@ -47,9 +52,10 @@ class Evidence(NamedTuple):
     scale_error: float = 0.12
     amplitude_variance: float = 0.03
     worth: float = 2.5
+    repeatable_part: float = 0.1
     per_parameter: float = 1.0
     screw_worth: float = 6.0
-    pitch_range: float = log(13.8)
+    pitch_cost: float = log(13.8 * 7)
 
 
 class Scales(NamedTuple):

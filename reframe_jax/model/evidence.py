@@ -8,12 +8,14 @@ with a sampling error and white noise. The log density of log a depends on wheth
   coordinate through its lever;
 - *free*: slope B below and -3 above the size m of the motion, one m for rotations and one for translations.
 
-The four sizes are the same for all coordinates of a recording, and are integrated out on grids. The densities
+The four sizes are the same for all coordinates of a recording, and are integrated out on grids. Sizes of slow
+errors are correlated: errors of rotation cause errors of position. The densities
 are smooth functions of the logarithm, so the trapezoidal rule is accurate with coarse steps.
 
 Two terms are added. The first is a likelihood that compares the covariances of the held coordinates between
-entries; it counts few independent values, because the samples of a motion are correlated. The second costs
-one unit of log evidence per parameter.
+entries; it counts few independent values, because the samples of a motion are correlated. Variances much
+smaller than the slow errors have no effect: errors that repeat with the motion, such as those of an arm with
+wrong link lengths, can agree with an entry exactly. The second costs one unit of log evidence per parameter.
 """
 
 from math import log
@@ -53,7 +55,16 @@ def _motions() -> np.ndarray:
     return (turns / turns.sum())[:, None] * shifts / shifts.sum(axis=1, keepdims=True)
 
 
-_MOTIONS = _motions()
+def _slow_errors() -> np.ndarray:
+    """Prior probability of the sizes of slow errors of positions and of rotations, (G, G)."""
+    unit, ends = _ERRORS / C.error_spread, np.ones(len(_ERRORS))
+    ends[[0, -1]] = 0.5  # trapezoidal rule
+    square = np.square(unit[:, None]) + np.square(unit) - 2 * C.error_correlation * unit[:, None] * unit
+    prior = np.exp(-0.5 * square / (1 - C.error_correlation**2)) * ends[:, None] * ends
+    return prior / prior.sum()
+
+
+_MOTIONS, _SLOW_ERRORS = _motions(), _slow_errors()
 
 
 class Spectra(NamedTuple):
@@ -83,7 +94,7 @@ class Amplitudes(NamedTuple):
         variance: (6,) variance of the logarithm of ``square``.
         independent: (6,) number of independent values.
         lever: (6,) squared sensitivity to a rotation, m^2 or 1.
-        size: () sum over coordinates and scales of n log variance, of all coordinates.
+        log_variance: (6,) mean over the scales of the logarithm of the variance.
         consistency: () mean log |det| of the derivative of the coordinates with respect to the pose.
     """
 
@@ -92,7 +103,7 @@ class Amplitudes(NamedTuple):
     variance: Array
     independent: Array
     lever: Array
-    size: Array
+    log_variance: Array
     consistency: Array
 
 
@@ -165,7 +176,7 @@ def amplitudes_of(coordinates: Coordinates, entry: Table, spectra: Spectra) -> A
         variance=jnp.minimum(variance, 1) + C.amplitude_variance,
         independent=2 / jnp.maximum(variance, 0.01),
         lever=lever,
-        size=total(jnp.log(each) * spectra.details, 0, 1).astype(dtype),
+        log_variance=(total(jnp.log(each) * spectra.details, 1) / total(spectra.details, 0)).astype(dtype),
         consistency=coordinates.consistency,
     )
 
@@ -197,21 +208,17 @@ def _errors(nodes: Nodes, lever: Array, tilt: Array, held: Array, noise: Array) 
     lanes = held.ndim - 1
     least = jnp.asarray([C.error_position, C.error_rotation], noise.dtype).reshape(2, *[1] * (noise.ndim - 1))
     middle = (least**2 + jnp.square(C.error_of_noise * noise)).astype(jnp.float32)
-    prior = np.exp(-0.5 * np.square(_ERRORS / C.error_spread))
-    prior[[0, -1]] /= 2  # ends of the trapezoidal rule
-    prior = prior / prior.sum()
     steps = _grid(np.exp(2 * _ERRORS), lanes)
     e_t, e_r = middle[0] * steps, middle[1] * steps  # squares, (G, ...)
     lever = lever.astype(jnp.float32)[:, None]
     turns = jnp.where(held[:3, None], held_likelihood(nodes.rows(slice(0, 3)), e_r * lever[:3]), 1)
     ratio = e_r / (e_r + jnp.square(tilt).astype(jnp.float32))
-    turns = materialize(turns[0] * turns[1] * turns[2] * ratio**C.tilt_above * _grid(prior, lanes))
+    turns = materialize(turns[0] * turns[1] * turns[2] * ratio**C.tilt_above)
     sizes = e_t[None, :, None] + (e_r * lever[3:])[:, None]
     shifts = jnp.where(held[3:, None, None], held_likelihood(nodes.rows(slice(3, 6)), sizes), 1)
     value = materialize(turns * shifts[0] * shifts[1] * shifts[2]).reshape(-1, *tilt.shape)
     # a matrix product is the fastest sum over many rows
-    weights = jnp.asarray(np.repeat(prior, len(prior)), jnp.float32)
-    whole = jnp.tensordot(weights, value, 1, precision="highest")
+    whole = jnp.tensordot(jnp.asarray(_SLOW_ERRORS.ravel(), jnp.float32), value, 1, precision="highest")
     return jnp.log(whole + jnp.finfo(jnp.float32).tiny) + total(jnp.where(held, nodes.top, 0), 0)
 
 
@@ -232,7 +239,7 @@ def _moves(nodes: Nodes, amplitudes: Amplitudes, held: Array) -> Array:
     return jnp.log(total(a * shared, 0) + jnp.finfo(jnp.float32).tiny) + tops[0] + tops[1]
 
 
-def compare(evidence: Array, amplitudes: Amplitudes, pitch: Array, table: Table, details: Array) -> Array:
+def compare(evidence: Array, amplitudes: Amplitudes, pitch: Array, table: Table) -> Array:
     """Compute the log probability (E, ...) of entries. Arrays have components, entries, then problems.
 
     Args:
@@ -240,19 +247,15 @@ def compare(evidence: Array, amplitudes: Amplitudes, pitch: Array, table: Table,
         amplitudes: amplitudes of the entries.
         pitch: (E, ...) m/rad.
         table: the entries.
-        details: (S, ...) number of independent details of each scale.
     """
     first = jnp.arange(len(evidence)).reshape(-1, *[1] * (evidence.ndim - 1))
     best = first == jnp.argmax(evidence, axis=0)
-    count = total(details, 0)
     independent = -largest(jnp.where(table.held, -jnp.inf, -amplitudes.independent))
     independent = largest(jnp.where(best, independent, 0))
     worth = jnp.minimum(jnp.where(jnp.isfinite(independent), independent, 1.0), C.worth)
-    value = (
-        evidence
-        - 0.5 * worth / count * (amplitudes.size + largest(-amplitudes.size))
-        + worth * amplitudes.consistency
-    )
+    size = total(_raised(amplitudes.log_variance, table.held & best[None]), 0)
+    size = jnp.where(jnp.isfinite(evidence), size, jnp.inf)
+    value = evidence - worth * (0.5 * (size + largest(-size)) - amplitudes.consistency)
     value = value - jnp.log(table.variants) - C.per_parameter * table.parameters
     value = value + jnp.where(table.pitch, _screw(amplitudes, pitch, worth), 0)
     # entries without held coordinates describe the same motion in the coordinates of different types: all of
@@ -262,10 +265,20 @@ def compare(evidence: Array, amplitudes: Amplitudes, pitch: Array, table: Table,
     return value - jax.nn.logsumexp(value, axis=0)
 
 
+def _raised(log_variance: Array, errors: Array) -> Array:
+    """Log variances (6, E, ...), raised by a part of the slow errors in the coordinates ``errors``."""
+    shown = jnp.where(errors, log_variance, -jnp.inf)
+    turns, shifts = (largest(largest(shown[rows])) for rows in (slice(0, 3), slice(3, 6)))
+    least = jnp.stack([turns] * 3 + [shifts] * 3) + 2 * log(C.repeatable_part)
+    return jnp.logaddexp(log_variance, least[:, None])
+
+
 def _screw(amplitudes: Amplitudes, pitch: Array, worth: Array) -> Array:
     """Log evidence (E, ...) of a screw: agreement of translation and rotation, less the cost of a pitch."""
     turn, row = amplitudes.square[2], amplitudes.square[5]
     travel = jnp.square(pitch) * turn
     values = jnp.maximum(jnp.minimum(amplitudes.independent[2], C.screw_worth) - 1 - worth, 0)
-    gain = values * jnp.maximum(0, 0.5 * jnp.log((row + travel) / row))
-    return gain + jnp.minimum(0, 0.5 * jnp.log(row / (travel + 1e-24))) - C.pitch_range
+    # slow errors, which the other held translations show, may be proportional to the rotation
+    errors = jnp.maximum(row, 0.5 * (amplitudes.square[3] + amplitudes.square[4]))
+    gain = values * 0.5 * jnp.log((errors + travel) / errors)
+    return gain + jnp.minimum(0, 0.5 * jnp.log(row / (travel + 1e-24))) - C.pitch_cost

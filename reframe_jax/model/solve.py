@@ -212,15 +212,13 @@ def _compare_entries(
         return best, moments.at(tied.origin), tied, free_tilt
 
     def log_probability(entries: _Evaluated) -> Array:
-        table = entries_at(entries.codes)
-        return compare(entries.evidence, entries.amplitudes, entries.at.pitch, table, details)
+        return compare(entries.evidence, entries.amplitudes, entries.at.pitch, entries_at(entries.codes))
 
     def evaluate(codes: Array, forms: Forms, at: Unknowns, free_tilt: Unknowns) -> _Evaluated:
         amplitudes, evidence = evaluate_entries(forms, at, entries_at(codes), windows)
         # entries whose evidence is not a number, for example where nothing moves, are improbable
-        unknown = jnp.isnan(evidence) | jnp.isnan(amplitudes.size)
+        unknown = jnp.isnan(evidence) | jnp.any(jnp.isnan(amplitudes.log_variance), axis=0)
         amplitudes = jax.tree.map(lambda leaf: jnp.where(jnp.isnan(leaf), 1, leaf), amplitudes)
-        amplitudes = amplitudes._replace(size=jnp.where(unknown, 1e30, amplitudes.size))
         return _Evaluated(codes, at, free_tilt, amplitudes, jnp.where(unknown, -jnp.inf, evidence))
 
     def next_round(r: Array, rounds: _Evaluated) -> _Evaluated:
