@@ -13,9 +13,10 @@ errors are correlated: errors of rotation cause errors of position. The densitie
 are smooth functions of the logarithm, so the trapezoidal rule is accurate with coarse steps.
 
 Two terms are added. The first is a likelihood that compares the covariances of the held coordinates between
-entries; it counts few independent values, because the samples of a motion are correlated. Variances much
-smaller than the slow errors have no effect: errors that repeat with the motion, such as those of an arm with
-wrong link lengths, can agree with an entry exactly. The second costs one unit of log evidence per parameter.
+entries; it counts few independent values, because the samples of a motion are correlated. In entries with more
+free axes than that with the most probable amplitudes, variances far below the slow errors do not count: errors
+that repeat with the motion, such as those of an arm with wrong link lengths, can agree with more freedom
+exactly. The second term costs one unit of log evidence per parameter.
 """
 
 from math import log
@@ -253,7 +254,7 @@ def compare(evidence: Array, amplitudes: Amplitudes, pitch: Array, table: Table)
     independent = -largest(jnp.where(table.held, -jnp.inf, -amplitudes.independent))
     independent = largest(jnp.where(best, independent, 0))
     worth = jnp.minimum(jnp.where(jnp.isfinite(independent), independent, 1.0), C.worth)
-    size = total(_raised(amplitudes.log_variance, table.held & best[None]), 0)
+    size = total(_raised(amplitudes.log_variance, table, best), 0)
     size = jnp.where(jnp.isfinite(evidence), size, jnp.inf)
     value = evidence - worth * (0.5 * (size + largest(-size)) - amplitudes.consistency)
     value = value - jnp.log(table.variants) - C.per_parameter * table.parameters
@@ -265,12 +266,17 @@ def compare(evidence: Array, amplitudes: Amplitudes, pitch: Array, table: Table)
     return value - jax.nn.logsumexp(value, axis=0)
 
 
-def _raised(log_variance: Array, errors: Array) -> Array:
-    """Log variances (6, E, ...), raised by a part of the slow errors in the coordinates ``errors``."""
-    shown = jnp.where(errors, log_variance, -jnp.inf)
+def _raised(log_variance: Array, table: Table, best: Array) -> Array:
+    """Log variances (6, E, ...), raised by a part of the slow errors in entries with a pitch or more freedom.
+
+    The held coordinates of the entry ``best`` (E, ...) bool show how large the slow errors are.
+    """
+    shown = jnp.where(table.held & best, log_variance, -jnp.inf)
     turns, shifts = (largest(largest(shown[rows])) for rows in (slice(0, 3), slice(3, 6)))
     least = jnp.stack([turns] * 3 + [shifts] * 3) + 2 * log(C.repeatable_part)
-    return jnp.logaddexp(log_variance, least[:, None])
+    number = total(table.held.astype(log_variance.dtype), 0)
+    freer = table.pitch | (number < largest(jnp.where(best, number, 0)))
+    return jnp.where(freer, jnp.logaddexp(log_variance, least[:, None]), log_variance)
 
 
 def _screw(amplitudes: Amplitudes, pitch: Array, worth: Array) -> Array:
