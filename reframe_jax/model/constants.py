@@ -29,8 +29,8 @@ class Evidence(NamedTuple):
             rotation causes.
         amplitude_variance: variance of the log of a mean square, in addition to its sampling variance.
         worth: largest number of independent values in the comparison of held covariances between entries.
-        repeatable_part: amplitude, as a fraction of the slow errors, that is added in this comparison to every
-            coordinate of entries with more freedom.
+        repeatable_part: amplitude, as a fraction of the slow errors, that is added in this comparison to
+            every coordinate of entries with more freedom.
         per_parameter: cost of a parameter, in log evidence.
         screw_worth: largest number of independent values in the comparison of the translation of a screw
             with its rotation.

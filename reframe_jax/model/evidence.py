@@ -13,10 +13,10 @@ errors are correlated: errors of rotation cause errors of position. The densitie
 are smooth functions of the logarithm, so the trapezoidal rule is accurate with coarse steps.
 
 Two terms are added. The first is a likelihood that compares the covariances of the held coordinates between
-entries; it counts few independent values, because the samples of a motion are correlated. In entries with more
-free axes than that with the most probable amplitudes, variances far below the slow errors do not count: errors
-that repeat with the motion, such as those of an arm with wrong link lengths, can agree with more freedom
-exactly. The second term costs one unit of log evidence per parameter.
+entries; it counts few independent values, because the samples of a motion are correlated. Errors that repeat
+with the motion, such as those of an arm with wrong link lengths, can agree exactly with more freedom.
+Therefore, in entries with more free axes than that with the most probable amplitudes, variances far below the
+slow errors do not count. The second term costs one unit of log evidence per parameter.
 """
 
 from math import log
