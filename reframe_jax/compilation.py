@@ -10,17 +10,6 @@ import numpy as np
 
 from reframe_jax.program_cache import can_keep, load_or_export, platform_of
 
-__all__ = [
-    "COMPILER_OPTIONS",
-    "Program",
-    "in_float64",
-    "index_leaves",
-    "inside_trace",
-    "jit_pair",
-    "join_parts",
-    "traced",
-]
-
 _T = TypeVar("_T")
 
 COMPILER_OPTIONS = {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else None

@@ -20,8 +20,6 @@ from typing import Any
 
 import jax
 
-__all__ = ["cache_programs", "can_keep", "load_or_export", "platform_of"]
-
 _UNREADABLE = r"Error reading persistent compilation cache entry for '([^']+)'"
 _folder: Path | None = None
 

@@ -13,8 +13,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["NORMAL_FACTOR", "Fit", "fit_touches", "student_factor"]
-
 NORMAL_FACTOR = 1.96
 """Half width of the 95 % interval of a normal distribution, in standard deviations."""
 

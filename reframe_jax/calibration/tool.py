@@ -17,8 +17,6 @@ from reframe_jax.calibration.robust import fit_touches, student_factor
 from reframe_jax.recordings.checks import MIN_POSES, make_poses
 from reframe_jax.recordings.rows import Rows
 
-__all__ = ["Calibration", "calibrate"]
-
 _TILTED = 0.02  # rad RMS, least rotation of a direction; tracker errors can reach it
 _TURNED = 0.1  # rad RMS, least rotation about an axis
 _WOBBLE = 0.2  # largest tilt of an axis, as a fraction of the rotation about it

@@ -8,11 +8,6 @@ from typing import Any, TypeVar
 from reframe_jax.constraints.catalogue import CONSTRAINTS, constraint
 from reframe_jax.objectives.norms import check_exponent
 
-__all__ = [
-    *("add_constraint", "add_seed", "assumed", "count", "exponent", "metres", "not_negative", "positive"),
-    *("scales", "seconds", "whole"),
-]
-
 T = TypeVar("T")
 _LARGEST = 1e6  # m or s: larger than any motion, with a finite square
 

@@ -7,8 +7,6 @@ from reframe_jax.cli import arguments
 from reframe_jax.cli.configuring import configure_jax
 from reframe_jax.storage.progress import make_meter
 
-__all__ = ["add_common", "prepare"]
-
 _IMPERFECTIONS = {"none": None, "encoder": "ENCODER_GRADE", "realistic": "REALISTIC", "matched": "MATCHED"}
 
 

@@ -14,8 +14,6 @@ from reframe_jax.export.calibration import SCHEMA, calibration_to_record, calibr
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import is_path
 
-__all__ = ["add_calibrate"]
-
 _CALIBRATE = """\
 Calibrate a tool: find its tip from poses in which the tip rests on one point
 (pivot calibration), or its axis from rotations of the tool about this axis

@@ -6,8 +6,6 @@ from typing import Any, NoReturn
 
 from reframe_jax.cli.printing import print_result
 
-__all__ = ["COMMANDS", "EXAMPLES", "Parser", "add_command"]
-
 COMMANDS = {
     "identify": "identify the constraint in recordings",
     "calibrate": "find the tip or the axis of a tool from separate poses",

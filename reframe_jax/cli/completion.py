@@ -8,8 +8,6 @@ from typing import Any
 from reframe_jax.cli.commands import add_command
 from reframe_jax.cli.printing import fail, print_result
 
-__all__ = ["add_completion"]
-
 _COMPLETION = """\
 Print a script that completes the command line in a shell.
 

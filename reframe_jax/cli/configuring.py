@@ -7,8 +7,6 @@ import jax
 from reframe_jax.compilation import COMPILER_OPTIONS
 from reframe_jax.program_cache import cache_programs
 
-__all__ = ["configure_jax"]
-
 _FAST_COMPILATION = "--xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters"
 
 

@@ -7,8 +7,6 @@ from reframe_jax.cli.commands import add_command
 from reframe_jax.cli.printing import print_result
 from reframe_jax.constraints.catalogue import CONSTRAINTS, OTHER_CONSTRAINTS
 
-__all__ = ["add_constraints"]
-
 
 def add_constraints(commands: Any) -> None:
     """Add the command ``constraints`` to the parser."""

@@ -18,8 +18,6 @@ from reframe_jax.cli.printing import fail, print_result
 from reframe_jax.constraints.catalogue import CONSTRAINTS
 from reframe_jax.recordings.writing import save_recording
 
-__all__ = ["add_demonstrate"]
-
 _LONGEST = 100_000  # largest number of samples in a demonstration
 _CHUNK = 64  # demonstrations simulated in one call, and stored in one part of a folder
 _ENDINGS = {"out": ("", ".npz", ".csv"), "plot": (".png", ".pdf", ".svg"), "render": (".gif", ".mp4")}

@@ -19,8 +19,6 @@ from reframe_jax.identification.results import Identification
 from reframe_jax.joints.joint import Joint
 from reframe_jax.recordings.recording import Recording
 
-__all__ = ["add_exports", "check_exports", "write_joint_files", "write_tables"]
-
 _ROBOTS: dict[str, Callable[[Joint], str]] = {"urdf": to_urdf, "mjcf": to_mjcf, "sdf": to_sdf}
 _YAML, _JSON = TaskFrame.to_yaml, TaskFrame.to_json
 _DOCUMENTS: dict[str, Callable[[TaskFrame], str]] = {".yaml": _YAML, ".yml": _YAML, ".json": _JSON}

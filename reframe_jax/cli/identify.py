@@ -29,8 +29,6 @@ from reframe_jax.motion.windows import sliding_windows
 from reframe_jax.recordings.recording import Recording, RecordingError
 from reframe_jax.storage.progress import make_meter
 
-__all__ = ["add_identify", "add_windows", "check_windows", "identify_recording"]
-
 _CHUNK = 2048  # windows per progress report
 
 _IDENTIFY = """\

@@ -7,8 +7,6 @@ from typing import Any
 
 from reframe_jax.cli.printing import fail, print_result
 
-__all__ = ["add_outputs", "check_file", "check_outputs", "draw", "path_of", "write_document"]
-
 _PICTURES = (".png", ".pdf", ".svg", ".jpg", ".webp")
 
 

@@ -9,8 +9,6 @@ import sys
 
 from reframe_jax.cli.printing import fail
 
-__all__ = ["main"]
-
 
 def main() -> int:
     """Run the command line with the arguments of the process, and return the exit code."""

@@ -12,8 +12,6 @@ from collections.abc import Sequence, Set
 import reframe_jax
 from reframe_jax.cli.commands import COMMANDS, EXAMPLES, Parser
 
-__all__ = ["full_parser", "main"]
-
 _DESCRIPTION = """\
 Identify the constraint of a measured motion: the body in which the constraint
 frame is fixed, the location of the frame, and its free and constrained axes.

@@ -12,8 +12,6 @@ from reframe_jax.recordings.reading import TIMES_IGNORED, load_recording
 from reframe_jax.recordings.recording import Recording
 from reframe_jax.recordings.selection import ANGLE_UNITS, ANGLES, QUATERNIONS, TIME_UNITS, UNITS, Selection
 
-__all__ = ["add_reading", "expand", "read_recording", "reading_options"]
-
 
 def add_reading(command: argparse.ArgumentParser) -> None:
     """Add the options of :func:`reframe_jax.load_recording` to a command."""

@@ -12,8 +12,6 @@ from reframe_jax.cli.commands import add_command
 from reframe_jax.cli.printing import fail, print_error, print_result
 from reframe_jax.constraints.catalogue import CONSTRAINTS
 
-__all__ = ["add_reproduce"]
-
 _REPRODUCE = """\
 Demonstrate, identify, and reproduce a task from end-stop to end-stop.
 

@@ -16,8 +16,6 @@ from reframe_jax.recordings.recording import Recording, RecordingError
 from reframe_jax.segmentation.entry import segment
 from reframe_jax.segmentation.results import Segmentation
 
-__all__ = ["add_segment"]
-
 _SEGMENT = """\
 Find the times at which the constraint of a recording changes, and identify each
 segment.

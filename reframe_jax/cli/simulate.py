@@ -16,8 +16,6 @@ from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import MOST_ROWS
 from reframe_jax.recordings.writing import save_recording
 
-__all__ = ["add_simulate"]
-
 _CHOICES = {
     "excitation": (["exciting", "paper"], "velocities along the free axes: many frequencies, or the paper's"),
     "generator": (["exact", "paper"], "integration between samples: exact, or one step as in the paper"),

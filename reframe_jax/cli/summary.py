@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["summary_table"]
-
 _COLUMNS = ("recording", "windows", "name", "prob.", "angular", "linear", "origin [m]", "noise", "status")
 
 

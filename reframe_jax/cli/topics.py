@@ -11,8 +11,6 @@ from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import shown
 from reframe_jax.recordings.selection import flag
 
-__all__ = ["add_topics"]
-
 _TOPICS = """\
 List the data in files: topics and tf frames of bags, rigid bodies and markers
 of motion capture, columns of data sets. Each line starts with the option that

@@ -20,8 +20,6 @@ from reframe_jax.viewer.document import write_page
 from reframe_jax.viewer.page import serve_page
 from reframe_jax.viewer.tracks import WindowTrack, track_window
 
-__all__ = ["add_view"]
-
 _VIEW = """\
 Show a recording and its constraint in the browser.
 

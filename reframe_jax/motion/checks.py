@@ -5,8 +5,6 @@ from enum import IntEnum
 import jax
 import jax.numpy as jnp
 
-__all__ = ["MIN_VELOCITIES", "ROTATION_TOLERANCE", "Status", "check_step", "window_status"]
-
 MIN_VELOCITIES = 4
 """Fewest velocities in a window: for three velocities, some origin does not move along some axis."""
 

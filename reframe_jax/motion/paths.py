@@ -13,8 +13,6 @@ import numpy as np
 
 from reframe_jax.geometry.small import cross, materialize, times, total
 
-__all__ = ["mean_twists", "step_twists", "twist_paths"]
-
 Array = jax.Array
 _STENCIL = 7  # samples in the derivative of the twist
 _EVEN = 5  # longest over shortest step, above which derivatives across them amplify noise

@@ -5,8 +5,6 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import jax
 import numpy as np
 
-__all__ = ["MomentsObjective", "Objective", "check_objective", "require_moments"]
-
 
 @runtime_checkable
 class Objective(Protocol):

@@ -11,8 +11,6 @@ from reframe_jax.geometry import rotations, symmetric
 from reframe_jax.objectives.moments import covariance_at
 from reframe_jax.objectives.norms import log_power_mean
 
-__all__ = ["FrameObjective", "PositionObjective", "log_norm"]
-
 
 def log_norm(covariance: symmetric.Symmetric, exponent: float) -> jax.Array:
     """Return the lowest log J (...) of all axes, for given velocity covariances.

@@ -27,8 +27,6 @@ from reframe_jax.solvers.box import Box
 from reframe_jax.solvers.newton_steps import derivatives, steps_in_box, take_best_steps
 from reframe_jax.solvers.problems import minimise_each
 
-__all__ = ["FrameSteps"]
-
 _Frame = tuple[jax.Array, jax.Array]  # axes (3, 3), columns of E, and origin (3,)
 
 

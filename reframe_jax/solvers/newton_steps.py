@@ -11,8 +11,6 @@ from reframe_jax.objectives.protocol import Objective
 from reframe_jax.solvers.box import Box
 from reframe_jax.solvers.problems import minimise_each
 
-__all__ = ["NewtonSteps", "derivatives", "newton_steps", "steps_in_box", "take_best_steps"]
-
 _POWERS = (0.0, 1.0, 2.0, 3.0, 6.0)  # exponents s of the Newton steps on J^s
 _PARTS = (1.0, 0.25, 0.05)  # fractions of the descent step for an indefinite Hessian
 _RIDGE = 1e-11  # added to the diagonal, as a fraction of the row sum, for directions without curvature

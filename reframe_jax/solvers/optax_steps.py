@@ -11,8 +11,6 @@ from reframe_jax.objectives.protocol import Objective
 from reframe_jax.solvers.box import Box
 from reframe_jax.solvers.problems import minimise_each
 
-__all__ = ["OptaxSteps"]
-
 
 @dataclass(frozen=True)
 class OptaxSteps:

@@ -9,8 +9,6 @@ import jax.numpy as jnp
 from reframe_jax.objectives.protocol import Objective
 from reframe_jax.solvers.box import Box
 
-__all__ = ["minimise_each", "repeat_problems"]
-
 _T = TypeVar("_T")
 
 

@@ -9,8 +9,6 @@ import jax
 from reframe_jax.objectives.protocol import Objective
 from reframe_jax.solvers.box import Box
 
-__all__ = ["LocalMinimiser", "Solution", "Solver"]
-
 LocalMinimiser = Callable[[Objective, Box, jax.Array], tuple[jax.Array, jax.Array]]
 """A local minimizer: a function from an objective, a box and starts (dim, ...) to unknowns and their values.
 

@@ -13,8 +13,6 @@ from reframe_jax.objectives.protocol import MomentsObjective, Objective
 from reframe_jax.solvers.box import Box
 from reframe_jax.solvers.problems import repeat_problems
 
-__all__ = ["even_starts", "quasi_random", "suggested_starts"]
-
 _RIDGE = (
     1e-9  # added curvature, relative to its trace: chooses the origin nearest to zero along free directions
 )
