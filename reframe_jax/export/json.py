@@ -39,9 +39,9 @@ def to_json(
     return to_document([to_record(found, label=label, windows=windows)])
 
 
-def to_document(records: Sequence[dict[str, Any]]) -> str:
-    """Write a JSON document of several recordings from their :func:`to_record` entries."""
-    return json.dumps({"schema": SCHEMA, "recordings": list(records)}, indent=2, allow_nan=False)
+def to_document(records: Sequence[dict[str, Any]], schema: str = SCHEMA) -> str:
+    """Write a JSON document of several recordings from their entries, such as those of :func:`to_record`."""
+    return json.dumps({"schema": schema, "recordings": list(records)}, indent=2, allow_nan=False)
 
 
 def to_record(

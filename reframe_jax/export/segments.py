@@ -3,7 +3,6 @@
 ``docs/exports.md`` describes the JSON document.
 """
 
-import json
 from dataclasses import asdict
 from typing import Any
 
@@ -62,8 +61,3 @@ def _segment_record(segment: Segment, found: Segmentation) -> dict[str, Any]:
         "name": segment.name,
         "identification": inner,
     }
-
-
-def segments_to_json(records: list[dict[str, Any]]) -> str:
-    """Write the JSON document from entries of :func:`segments_to_record`."""
-    return json.dumps({"schema": SCHEMA, "recordings": records}, indent=2, allow_nan=False)

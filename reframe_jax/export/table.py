@@ -10,6 +10,7 @@ from reframe_jax.constraints.types import BODY_NAMES, LinearType
 from reframe_jax.export.common import (
     TYPES,
     Window,
+    align_columns,
     directions,
     format_vector,
     outlier_samples,
@@ -179,11 +180,6 @@ def _batch_table(
         columns.insert(1, "time [s]")
         for row, window in zip(rows, windows, strict=True):
             row.insert(1, f"{window.start_time:.2f} - {window.stop_time:.2f}")
-    widths = [max(map(len, cells)) for cells in zip(columns, *rows, strict=True)]
-    lines = [
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in [columns, *rows]
-    ]
     count = f"{len(each)} window{'' if len(each) == 1 else 's'}"
     statuses = sorted({Status(int(found.status_code)) for found in each} - {Status.OK})
     legend = [f"{status.name}: {status.message}" for status in statuses]
@@ -193,7 +189,7 @@ def _batch_table(
     }
     return [
         f"{label}: {count}" if label else count,
-        *lines,
+        *align_columns([columns, *rows]),
         *(["~ tied: fits equally well"] if ties else []),
         *legend,
         *notes,
