@@ -14,7 +14,6 @@ from reframe_jax.geometry.symmetric import (
     eigh,
     pivots,
     quadratic_form,
-    solve,
     to_matrix,
 )
 
@@ -164,17 +163,6 @@ def test_products(rng):
     s = from_matrix(jnp.asarray(m))
     found = quadratic_form(tuple(jnp.asarray(a.T)), s, tuple(jnp.asarray(b.T)))
     np.testing.assert_allclose(found, np.einsum("ni,nij,nj->n", a, m, b), atol=1e-13)
-
-
-def test_solve(rng):
-    """Of indefinite matrices too, with zeros on the diagonal."""
-    m = symmetric(rng, 50)
-    m[:10, 0, 0] = 0
-    v = rng.normal(size=(50, 3))
-    s = from_matrix(jnp.asarray(m))
-    solution = np.stack(solve(s, tuple(jnp.asarray(v.T))), axis=-1)
-    back = (m @ solution[..., None])[..., 0]
-    np.testing.assert_allclose(back, v, atol=1e-11)
 
 
 def determinant(s):
