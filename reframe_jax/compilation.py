@@ -47,15 +47,10 @@ class Program:
 
 
 def jit_pair(function: Callable[..., Any], static: tuple[str, ...]) -> tuple[Program, Any]:
-    """Compile a large function in two variants.
+    """Compile a large function with named static arguments in two variants.
 
-    Args:
-        function: the function.
-        static: names of its static arguments.
-
-    Returns:
-        The program for calls outside of a trace, and the function for calls inside of a trace, where JAX does
-        not allow :data:`COMPILER_OPTIONS`.
+    They are the program for calls outside of a trace, and the function for calls inside of a trace, where JAX
+    does not allow :data:`COMPILER_OPTIONS`.
     """
     return Program(function, static), jax.jit(function, static_argnames=static)
 

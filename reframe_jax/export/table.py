@@ -26,6 +26,7 @@ from reframe_jax.recordings.recording import Recording
 from reframe_jax.recordings.rows import name_rows
 
 _UNITS = {"angular": "rad/s", "linear": "m/s"}
+_SIZES = {"angular": "mrad", "linear": "mm"}
 _CLEAR = 0.99  # probabilities above this value are not printed
 _LISTED = 6  # largest number of outliers listed in a line
 
@@ -96,7 +97,7 @@ def _frame_block(group: str, frame: Any) -> list[str]:
         likely = frame.free_probability[i] if frame.dof[i] else 1 - frame.free_probability[i]
         if likely < _CLEAR:
             freedom += f" ({_probability(likely)})"
-        size = f"RMS {_size(frame.amplitude[i], group)}"
+        size = f"RMS {two_digits(1e3 * frame.amplitude[i])} {_SIZES[group]}"
         speed = f"{_speed(frame.rms[i]):>8} {_UNITS[group]:5}"
         lines.append(f"  axis {i + 1}  {format_vector(axis, 3, 6)}  {speed}  {freedom}, {size}")
     if isinstance(kind, LinearType):
@@ -109,11 +110,6 @@ def _frame_block(group: str, frame: Any) -> list[str]:
         first, second = (i + 1 for i in range(3) if i not in turns)
         lines.append(f"          axes {first} and {second} are arbitrary within their plane")
     return [*lines, ""]
-
-
-def _size(amplitude: float, group: str) -> str:
-    """An RMS displacement in mm or mrad."""
-    return f"{two_digits(1e3 * amplitude)} {'mrad' if group == 'angular' else 'mm'}"
 
 
 def _probability(value: float) -> str:
