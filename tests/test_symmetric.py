@@ -9,6 +9,7 @@ from algebra import from_matrix
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from reframe_jax.geometry.small import solve_positive
 from reframe_jax.geometry.symmetric import (
     INDEX_PAIRS,
     eigh,
@@ -163,6 +164,14 @@ def test_products(rng):
     s = from_matrix(jnp.asarray(m))
     found = quadratic_form(tuple(jnp.asarray(a.T)), s, tuple(jnp.asarray(b.T)))
     np.testing.assert_allclose(found, np.einsum("ni,nij,nj->n", a, m, b), atol=1e-13)
+
+
+def test_solve_positive(rng):
+    """Of one matrix with several right-hand sides."""
+    root = rng.normal(size=(7, 7))
+    matrix, right = root @ root.T + np.eye(7), rng.normal(size=(7, 3))
+    found = jax.jit(solve_positive)(jnp.asarray(matrix)[..., None], jnp.asarray(right))
+    np.testing.assert_allclose(found, np.linalg.solve(matrix, right), rtol=1e-10)
 
 
 def determinant(s):

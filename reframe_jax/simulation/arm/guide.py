@@ -15,8 +15,9 @@ import jax.numpy as jnp
 from reframe_jax.constraints.located import Frame, ground_twist, locate, multiply, twist_map
 from reframe_jax.geometry import rotations, transforms
 from reframe_jax.geometry.products import apply, matmul
+from reframe_jax.geometry.small import solve_positive
 from reframe_jax.simulation import synthetic
-from reframe_jax.simulation.arm.dynamics import Motion, arm_motion, solve_positive
+from reframe_jax.simulation.arm.dynamics import Motion, arm_motion
 from reframe_jax.simulation.arm.imperfections import Imperfections, compliance_of, measure
 from reframe_jax.simulation.arm.model import Arm, forward_kinematics
 from reframe_jax.simulation.arm.rollout import AxisLaw, Steps, Track, hold, integrate
@@ -223,10 +224,10 @@ def impact_velocity(frame: Frame, joints: jax.Array, velocity: jax.Array, *, arm
         motion = arm_motion(joints, velocity, arm)
         located = locate(frame, motion.rotation, motion.position)
         rows = (1 - frame.free)[:, None] * multiply(twist_map(located), motion.jacobian)
-        response = solve_positive(motion.mass, rows.T)
+        response = solve_positive(motion.mass[..., None], rows.T)
         # free axes have zero rows; a one on their diagonal gives a zero impulse
         stopping = multiply(rows, response) + jnp.diag(frame.free)
-        impulse = solve_positive(stopping, multiply(rows, velocity)[:, None])
-        return velocity - multiply(response, impulse)[:, 0]
+        impulse = solve_positive(stopping, multiply(rows, velocity))
+        return velocity - multiply(response, impulse)
 
     return jax.vmap(one)(frame, joints, velocity)
