@@ -23,8 +23,9 @@ else:
     def __getattr__(name: str) -> Any:
         """Import all public names on first use, so that the command line starts without JAX."""
         if not (name.startswith("__") and name != "__all__"):
-            public = importlib.import_module("reframe_jax._public")
-            globals().update({each: getattr(public, each) for each in public.__all__}, __all__=public.__all__)
+            names = vars(importlib.import_module("reframe_jax._public"))
+            public = {each: value for each, value in names.items() if not each.startswith("_")}
+            globals().update(public, __all__=sorted(public))
             if name in globals():
                 return globals()[name]
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

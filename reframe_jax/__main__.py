@@ -1,5 +1,5 @@
 """``python -m reframe_jax``: the command line."""
 
-from reframe_jax.cli.process import main
+from reframe_jax.cli import main
 
 raise SystemExit(main())

@@ -1,93 +1,58 @@
 """The public names, which :mod:`reframe_jax` imports on first use."""
 
-from reframe_jax.calibration.tool import Calibration, calibrate
-from reframe_jax.constraints.catalogue import CONSTRAINTS, Constraint, constraint, describe, lookup
-from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.types import AngularType, AxisRelation, LinearType
-from reframe_jax.export.columns import to_frame
-from reframe_jax.export.json import to_json
-from reframe_jax.export.mjcf import to_mjcf, to_mjspec
-from reframe_jax.export.sdf import to_sdf
-from reframe_jax.export.table import to_table
-from reframe_jax.export.task_frame import TaskFrame, to_task_frame
-from reframe_jax.export.urdf import to_urdf
-from reframe_jax.identification.classify import Thresholds
-from reframe_jax.identification.entry import default_solver, identify
-from reframe_jax.identification.online import OnlineIdentifier
-from reframe_jax.identification.results import AngularFrame, Candidates, Identification, LinearFrame
-from reframe_jax.identification.velocities import frame_velocities
-from reframe_jax.joints.joint import Joint
-from reframe_jax.motion.checks import Status
-from reframe_jax.motion.windows import sliding_windows
-from reframe_jax.program_cache import cache_programs
-from reframe_jax.recordings.reading import load_recording
-from reframe_jax.recordings.recording import Recording, RecordingError
-from reframe_jax.recordings.relative import relative_poses
-from reframe_jax.recordings.writing import save_recording
-from reframe_jax.segmentation.entry import segment
-from reframe_jax.segmentation.many import segment_many
-from reframe_jax.segmentation.results import Boundary, Segment, Segmentation
-from reframe_jax.solvers import BasinHopping, FrameSteps, NewtonSteps, OptaxSteps, ValleySteps
-from reframe_jax.storage.results import identify_many, load_results
-from reframe_jax.uncertainty.covariance import Covariance, covariance
-from reframe_jax.uncertainty.design import MotionAdvice, next_motion
-from reframe_jax.uncertainty.excitation import Excitation, excitation
-
-__all__ = [
-    "CONSTRAINTS",
-    "AngularFrame",
-    "AngularType",
-    "AxisRelation",
-    "BasinHopping",
-    "Boundary",
-    "Calibration",
-    "Candidates",
-    "Constraint",
-    "ConstraintFrame",
-    "Covariance",
-    "Excitation",
-    "FrameSteps",
-    "Identification",
-    "Joint",
-    "LinearFrame",
-    "LinearType",
-    "MotionAdvice",
-    "NewtonSteps",
-    "OnlineIdentifier",
-    "OptaxSteps",
-    "Recording",
-    "RecordingError",
-    "Segment",
-    "Segmentation",
-    "Status",
-    "TaskFrame",
-    "Thresholds",
-    "ValleySteps",
-    "cache_programs",
-    "calibrate",
-    "constraint",
-    "covariance",
-    "default_solver",
-    "describe",
-    "excitation",
-    "frame_velocities",
-    "identify",
-    "identify_many",
-    "load_recording",
-    "load_results",
-    "lookup",
-    "next_motion",
-    "relative_poses",
-    "save_recording",
-    "segment",
-    "segment_many",
-    "sliding_windows",
-    "to_frame",
-    "to_json",
-    "to_mjcf",
-    "to_mjspec",
-    "to_sdf",
-    "to_table",
-    "to_task_frame",
-    "to_urdf",
-]
+from reframe_jax.calibration.tool import Calibration as Calibration
+from reframe_jax.calibration.tool import calibrate as calibrate
+from reframe_jax.constraints.catalogue import CONSTRAINTS as CONSTRAINTS
+from reframe_jax.constraints.catalogue import Constraint as Constraint
+from reframe_jax.constraints.catalogue import constraint as constraint
+from reframe_jax.constraints.catalogue import describe as describe
+from reframe_jax.constraints.catalogue import lookup as lookup
+from reframe_jax.constraints.frame import ConstraintFrame as ConstraintFrame
+from reframe_jax.constraints.types import AngularType as AngularType
+from reframe_jax.constraints.types import AxisRelation as AxisRelation
+from reframe_jax.constraints.types import LinearType as LinearType
+from reframe_jax.export.columns import to_frame as to_frame
+from reframe_jax.export.json import to_json as to_json
+from reframe_jax.export.mjcf import to_mjcf as to_mjcf
+from reframe_jax.export.mjcf import to_mjspec as to_mjspec
+from reframe_jax.export.sdf import to_sdf as to_sdf
+from reframe_jax.export.table import to_table as to_table
+from reframe_jax.export.task_frame import TaskFrame as TaskFrame
+from reframe_jax.export.task_frame import to_task_frame as to_task_frame
+from reframe_jax.export.urdf import to_urdf as to_urdf
+from reframe_jax.identification.classify import Thresholds as Thresholds
+from reframe_jax.identification.entry import default_solver as default_solver
+from reframe_jax.identification.entry import identify as identify
+from reframe_jax.identification.online import OnlineIdentifier as OnlineIdentifier
+from reframe_jax.identification.results import AngularFrame as AngularFrame
+from reframe_jax.identification.results import Candidates as Candidates
+from reframe_jax.identification.results import Identification as Identification
+from reframe_jax.identification.results import LinearFrame as LinearFrame
+from reframe_jax.identification.velocities import frame_velocities as frame_velocities
+from reframe_jax.joints.joint import Joint as Joint
+from reframe_jax.motion.checks import Status as Status
+from reframe_jax.motion.windows import sliding_windows as sliding_windows
+from reframe_jax.program_cache import cache_programs as cache_programs
+from reframe_jax.recordings.reading import load_recording as load_recording
+from reframe_jax.recordings.recording import Recording as Recording
+from reframe_jax.recordings.recording import RecordingError as RecordingError
+from reframe_jax.recordings.relative import relative_poses as relative_poses
+from reframe_jax.recordings.writing import save_recording as save_recording
+from reframe_jax.segmentation.entry import segment as segment
+from reframe_jax.segmentation.many import segment_many as segment_many
+from reframe_jax.segmentation.results import Boundary as Boundary
+from reframe_jax.segmentation.results import Segment as Segment
+from reframe_jax.segmentation.results import Segmentation as Segmentation
+from reframe_jax.solvers import BasinHopping as BasinHopping
+from reframe_jax.solvers import FrameSteps as FrameSteps
+from reframe_jax.solvers import NewtonSteps as NewtonSteps
+from reframe_jax.solvers import OptaxSteps as OptaxSteps
+from reframe_jax.solvers import ValleySteps as ValleySteps
+from reframe_jax.storage.results import identify_many as identify_many
+from reframe_jax.storage.results import load_results as load_results
+from reframe_jax.uncertainty.covariance import Covariance as Covariance
+from reframe_jax.uncertainty.covariance import covariance as covariance
+from reframe_jax.uncertainty.design import MotionAdvice as MotionAdvice
+from reframe_jax.uncertainty.design import next_motion as next_motion
+from reframe_jax.uncertainty.excitation import Excitation as Excitation
+from reframe_jax.uncertainty.excitation import excitation as excitation

@@ -10,17 +10,6 @@ import numpy as np
 
 from reframe_jax.program_cache import can_keep, load_or_export, platform_of
 
-__all__ = [
-    "COMPILER_OPTIONS",
-    "Program",
-    "in_float64",
-    "index_leaves",
-    "inside_trace",
-    "jit_pair",
-    "join_parts",
-    "traced",
-]
-
 _T = TypeVar("_T")
 
 COMPILER_OPTIONS = {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else None
@@ -58,15 +47,10 @@ class Program:
 
 
 def jit_pair(function: Callable[..., Any], static: tuple[str, ...]) -> tuple[Program, Any]:
-    """Compile a large function in two variants.
+    """Compile a large function with named static arguments in two variants.
 
-    Args:
-        function: the function.
-        static: names of its static arguments.
-
-    Returns:
-        The program for calls outside of a trace, and the function for calls inside of a trace, where JAX does
-        not allow :data:`COMPILER_OPTIONS`.
+    They are the program for calls outside of a trace, and the function for calls inside of a trace, where JAX
+    does not allow :data:`COMPILER_OPTIONS`.
     """
     return Program(function, static), jax.jit(function, static_argnames=static)
 

@@ -20,8 +20,6 @@ from typing import Any
 
 import jax
 
-__all__ = ["cache_programs", "can_keep", "load_or_export", "platform_of"]
-
 _UNREADABLE = r"Error reading persistent compilation cache entry for '([^']+)'"
 _folder: Path | None = None
 
@@ -81,15 +79,10 @@ def _is_plain(value: Any) -> bool:
 def load_or_export(
     function: Callable[..., Any], arguments: tuple[Any, ...], static: dict[str, Any]
 ) -> tuple[Callable[..., Any], Any]:
-    """A program of a function of arrays: from the folder, or traced and written there.
+    """A program of a function of pytrees of arrays: from the folder, or traced and written there.
 
-    Args:
-        function: of ``arguments`` and ``static``.
-        arguments: pytrees of arrays.
-        static: other arguments, for which :func:`can_keep` holds.
-
-    Returns:
-        A function of the leaves of ``arguments``, and the tree of its result with integers as leaves.
+    The static arguments must be such that :func:`can_keep` holds. The results are a function of the leaves of
+    ``arguments``, and the tree of its result with integers as leaves.
     """
     leaves, tree = jax.tree.flatten(arguments)
     platform = platform_of(leaves)

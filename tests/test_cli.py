@@ -438,7 +438,7 @@ def test_the_catalogue_is_listed(capsys: Captured) -> None:
         (["identify", "a.csv", "--norm", "x"], "expected a number, not 'x'"),
         (["identify", "a.csv", "--window", "long"], "expected a whole number, not 'long'"),
         (["identify", "a.csv", "--dt", "0"], "expected a positive number"),
-        (["identify", "a.csv", "--dt", "fast"], "expected a number, not 'fast'"),
+        (["identify", "a.csv", "--dt", "fast"], "expected a positive number, not 'fast'"),
         (["identify", "a.csv", "--dt", "1e-200"], "from 1e-09 to 1e\\+06, not 1e-200"),
         (["identify", "a.csv", "--bounds", "1e200"], "from 1e-06 to 1e\\+06, not 1e200"),
         (["identify", "a.csv", "--bounds", "nan"], "from 1e-06 to 1e\\+06, not nan"),

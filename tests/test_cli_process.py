@@ -14,7 +14,7 @@ LONG = 120  # s, after which a process hangs
 
 STUCK = """
 import ctypes
-from reframe_jax.cli import process, program
+from reframe_jax.cli import program
 
 def compile():
     libc, mutex = ctypes.CDLL(None), ctypes.create_string_buffer(128)
@@ -23,12 +23,12 @@ def compile():
     libc.pthread_mutex_lock(mutex)  # never returns, whatever signals come
 
 program.main = compile
-process.main()
+program.run_process()
 """
 
 EARLY = """
 import sys
-from reframe_jax.cli import process, program
+from reframe_jax.cli import program
 
 for arguments in (["--version"], ["--help"]):
     try:

@@ -13,7 +13,7 @@ import pytest
 
 import reframe_jax as rf
 from reframe_jax.simulation import synthetic
-from reframe_jax.storage.files import remove_leftovers
+from reframe_jax.storage.parts import remove_leftovers
 
 pytest.importorskip("pyarrow")
 

@@ -95,8 +95,8 @@ def test_the_wheel_holds_the_package_and_nothing_else(built: Path) -> None:
     tops = {name.split("/")[0] for name in names}
     assert tops == {"reframe_jax", f"reframe_jax-{reframe_jax.__version__}.dist-info"}
     assert "reframe_jax/py.typed" in names
-    modules = {str(path.relative_to(ROOT)) for path in (ROOT / "reframe_jax").rglob("*.py")}
-    assert modules <= set(names)
+    files = [path for path in (ROOT / "reframe_jax").rglob("*.*") if path.suffix in (".py", ".xml", ".css")]
+    assert {str(path.relative_to(ROOT)) for path in files} <= set(names)
     extras = set(re.findall(r"^Provides-Extra: (\S+)$", text, re.MULTILINE))
     assert {
         "plot",

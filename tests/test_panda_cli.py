@@ -79,13 +79,13 @@ def test_reproduction(capsys: pytest.CaptureFixture[str]) -> None:
     ("arguments", "message"),
     [
         (["--constraint", "Z", "--out", "x.npz"], "No constraint 'Z'"),
-        (["--constraint", "A", "--out", "x.gif"], "or end in .npz or .csv"),
-        (["--constraint", "A", "--out", "x.npz", "--count", "0"], "positive whole number, not 0"),
-        (["--constraint", "A", "--out", "x.npz", "--count", "2.5"], "positive whole number, not 2.5"),
-        (["--constraint", "A", "--out", "x.npz", "--seed", "9" * 20], "whole number from 0 to 2^63 - 1"),
+        (["--constraint", "A", "--out", "x.gif"], "--out must end in .npz, .csv, not"),
+        (["--constraint", "A", "--out", "x.npz", "--count", "0"], "whole number from 1 to inf, not 0"),
+        (["--constraint", "A", "--out", "x.npz", "--count", "2.5"], "positive whole number, not '2.5'"),
+        (["--constraint", "A", "--out", "x.npz", "--seed", "9" * 20], "whole number from 0 to 9.22337e+18"),
         (["--constraint", "A", "--out", "nowhere/x.npz"], "there is no directory nowhere"),
         (["--constraint", "A", "--out", "x.npz", "--plot", "nowhere/x.png"], "there is no directory nowhere"),
-        (["--constraint", "A", "--out", "x.npz", "--plot", "x.txt"], "--plot must end in .png or"),
+        (["--constraint", "A", "--out", "x.npz", "--plot", "x.txt"], "--plot must end in .png, .pdf"),
         (["--constraint", "A", "--out", "x.npz", "--duration", "0.01"], "--dt must not be longer"),
     ],
 )

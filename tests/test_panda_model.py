@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from reframe_jax.geometry.small import solve_positive
 from reframe_jax.simulation import arm as panda
 from reframe_jax.simulation.arm import dynamics
 
@@ -141,13 +142,6 @@ def test_jacobian_is_the_derivative_of_forward_kinematics(motions: tuple) -> Non
     np.testing.assert_allclose(motion.jacobian[:, 3:], slopes, atol=1e-12)
 
 
-def test_solve_positive(rng: np.random.Generator) -> None:
-    root = rng.normal(size=(7, 7))
-    matrix, right = root @ root.T + np.eye(7), rng.normal(size=(7, 3))
-    found = jax.jit(dynamics.solve_positive)(jnp.asarray(matrix), jnp.asarray(right))
-    np.testing.assert_allclose(found, np.linalg.solve(matrix, right), rtol=1e-10)
-
-
 def test_library_does_not_import_mujoco() -> None:
     code = "import sys, reframe_jax; raise SystemExit('mujoco' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
@@ -162,7 +156,7 @@ def test_the_fence_is_still_needed(monkeypatch: pytest.MonkeyPatch) -> None:
         def advance(state: tuple, _: None) -> tuple:
             q, v = state
             motion = panda.arm_motion(q, v)
-            v = v - 0.01 * dynamics.solve_positive(motion.mass, (motion.bias + v)[:, None])[:, 0]
+            v = v - 0.01 * solve_positive(motion.mass, motion.bias + v)
             return (q + 0.01 * v, v), motion.position
 
         q = jnp.asarray(panda.PANDA.home)

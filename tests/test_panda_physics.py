@@ -16,8 +16,7 @@ from reframe_jax.constraints.located import frame_arrays, ground_twist, locate, 
 from reframe_jax.geometry import transforms
 from reframe_jax.simulation import arm as panda
 from reframe_jax.simulation.arm import demonstration, guide
-from reframe_jax.simulation.arm.guide import find_excitation, guide_drive
-from reframe_jax.simulation.arm.guided import demonstration_keys
+from reframe_jax.simulation.arm.guide import demonstration_keys, find_excitation, guide_drive
 from reframe_jax.simulation.arm.rollout import Steps, hold, integrate
 
 KEY = jax.random.key(11)

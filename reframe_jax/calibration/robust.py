@@ -13,8 +13,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["NORMAL_FACTOR", "Fit", "fit_touches", "student_factor"]
-
 NORMAL_FACTOR = 1.96
 """Half width of the 95 % interval of a normal distribution, in standard deviations."""
 
@@ -109,10 +107,7 @@ def _majority(design: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def _outliers(design: np.ndarray, fit: Fit) -> np.ndarray:
-    """Mask (N,) of touches whose distance from the fit to the other touches exceeds its scatter.
-
-    The test is an F test; a used touch is compared with the fit without this touch.
-    """
+    """Mask (N,) of touches whose distance from the fit to the others exceeds its scatter: an F test."""
     count, rows = fit.residuals.shape
     shape = design @ (fit.covariance / fit.scatter**2) @ design.swapaxes(1, 2)
     sign = np.where(fit.used, -1.0, 1.0)[:, None, None]

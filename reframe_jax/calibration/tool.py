@@ -17,8 +17,6 @@ from reframe_jax.calibration.robust import fit_touches, student_factor
 from reframe_jax.recordings.checks import MIN_POSES, make_poses
 from reframe_jax.recordings.rows import Rows
 
-__all__ = ["Calibration", "calibrate"]
-
 _TILTED = 0.02  # rad RMS, least rotation of a direction; tracker errors can reach it
 _TURNED = 0.1  # rad RMS, least rotation about an axis
 _WOBBLE = 0.2  # largest tilt of an axis, as a fraction of the rotation about it
@@ -176,10 +174,7 @@ def _spin(poses: np.ndarray) -> Calibration:
 
 
 def _principal(turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Principal mean squares (3,), rad^2, of the motion of directions by rotations (N, 3, 3), least first.
-
-    The second result has the directions in the body as columns. Sines replace angles.
-    """
+    """Mean squares (3,), rad^2, of the motion of the principal directions, and these, least first."""
     apart = turns - turns.mean(axis=0)
     values, vectors = np.linalg.eigh(np.einsum("nki,nkj->ij", apart, apart) / len(turns))
     return np.maximum(values, 0), vectors
@@ -222,13 +217,7 @@ def _check_rotation(turns: np.ndarray, *, wobble: bool) -> None:
 
 
 def _design(turns: np.ndarray, across: np.ndarray, beside: np.ndarray) -> np.ndarray:
-    """Design (N, k, 2k) of R x - y, for coordinates of x and y along some directions.
-
-    Args:
-        turns: (N, 3, 3).
-        across: (3, k) directions in the body.
-        beside: (3, k) directions in the ground.
-    """
+    """Design (N, k, 2k) of R x - y, for coordinates along directions (3, k) in the body and in the ground."""
     inside = beside.T @ turns @ across
     return np.concatenate([inside, np.broadcast_to(-np.eye(inside.shape[1]), inside.shape)], axis=2)
 

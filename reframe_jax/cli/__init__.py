@@ -1,5 +1,5 @@
 """The command line ``reframe-jax``."""
 
-from reframe_jax.cli.process import main
+from reframe_jax.cli.program import run_process as main
 
 __all__ = ["main"]

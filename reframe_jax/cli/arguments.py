@@ -1,17 +1,13 @@
 """Types of command-line arguments: functions that convert text, or raise an ArgumentTypeError."""
 
 import argparse
+import math
 from collections.abc import Callable
 from functools import wraps
 from typing import Any, TypeVar
 
 from reframe_jax.constraints.catalogue import CONSTRAINTS, constraint
 from reframe_jax.objectives.norms import check_exponent
-
-__all__ = [
-    *("add_constraint", "add_seed", "assumed", "count", "exponent", "metres", "not_negative", "positive"),
-    *("scales", "seconds", "whole"),
-]
 
 T = TypeVar("T")
 _LARGEST = 1e6  # m or s: larger than any motion, with a finite square
@@ -30,25 +26,15 @@ def _argument(read: Callable[[str], T]) -> Callable[[str], T]:
     return checked
 
 
-def _number(text: str, kind: str = "number", convert: Callable[[str], Any] = float) -> Any:
-    try:
-        return convert(text)
-    except ValueError as error:
-        raise ValueError(f"expected a {kind}, not {text!r}") from error
-
-
-@_argument
-def whole(text: str) -> int:
-    """Convert text to a whole number."""
-    return int(_number(text, "whole number", int))
-
-
-def _between(low: float, high: float, kind: str = "positive number") -> Callable[[str], float]:
+def _number(kind: str, low: float = -math.inf, high: float = math.inf, convert: Any = float) -> Any:
     """Return a function that converts text to a number from ``low`` to ``high``."""
 
     @_argument
-    def read(text: str) -> float:
-        value = float(_number(text))
+    def read(text: str) -> Any:
+        try:
+            value = convert(text)
+        except ValueError as error:
+            raise ValueError(f"expected a {kind}, not {text!r}") from error
         if not low <= value <= high:
             raise ValueError(f"expected a {kind} from {low:g} to {high:g}, not {text}")
         return value
@@ -56,33 +42,20 @@ def _between(low: float, high: float, kind: str = "positive number") -> Callable
     return read
 
 
-positive = _between(1e-300, 1e300)
-not_negative = _between(0.0, _LARGEST, "number")
-seconds = _between(1e-9, _LARGEST)
-metres = _between(1e-6, _LARGEST)
-
-
-@_argument
-def count(text: str) -> int:
-    """Convert text to a positive whole number."""
-    if not text.isdecimal() or int(text) < 1:
-        raise ValueError(f"expected a positive whole number, not {text}")
-    return int(text)
-
-
-@_argument
-def _seed(text: str) -> int:
-    """Convert text to a seed that JAX accepts."""
-    value = int(_number(text, "whole number", int))
-    if not 0 <= value < 2**63:
-        raise ValueError(f"expected a whole number from 0 to 2^63 - 1, not {text}")
-    return value
+positive = _number("positive number", 1e-300, 1e300)
+not_negative = _number("number", 0, _LARGEST)
+seconds = _number("positive number", 1e-9, _LARGEST)
+metres = _number("positive number", 1e-6, _LARGEST)
+whole = _number("whole number", convert=int)
+count = _number("positive whole number", 1, convert=int)
+_seed = _number("whole number", 0, 2**63 - 1, int)
+_any_number = _number("number")
 
 
 @_argument
 def exponent(text: str) -> float:
     """Convert text to the exponent of the power mean over the three axes of a frame."""
-    return check_exponent(_number(text))
+    return check_exponent(_any_number(text))
 
 
 @_argument

@@ -4,10 +4,8 @@ import argparse
 from typing import Any
 
 from reframe_jax.cli import arguments
-from reframe_jax.cli.configuring import configure_jax
+from reframe_jax.cli.configuring import add_cache, configure_jax
 from reframe_jax.storage.progress import make_meter
-
-__all__ = ["add_common", "prepare"]
 
 _IMPERFECTIONS = {"none": None, "encoder": "ENCODER_GRADE", "realistic": "REALISTIC", "matched": "MATCHED"}
 
@@ -33,6 +31,7 @@ def add_common(command: argparse.ArgumentParser) -> None:
     )
     add("--fixed", action="store_true", help="use one geometry for all demonstrations instead of random ones")
     arguments.add_seed(command)
+    add_cache(command)
 
 
 def prepare(options: argparse.Namespace) -> dict[str, Any]:

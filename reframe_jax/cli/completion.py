@@ -1,30 +1,23 @@
-"""``reframe-jax completion``: completion of the command line in a shell."""
-
-import argparse
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
-
-from reframe_jax.cli.commands import add_command
-from reframe_jax.cli.printing import fail, print_result
-
-__all__ = ["add_completion"]
-
-_COMPLETION = """\
-Print a script that completes the command line in a shell.
+"""Print a script that completes the command line in a shell.
 
 For bash:  reframe-jax completion bash > ~/.local/share/bash-completion/completions/reframe-jax
 For zsh:   reframe-jax completion zsh > a file _reframe-jax in a folder of $fpath
 """
 
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
 
-def add_completion(commands: Any) -> None:
-    """Add the command ``completion`` to the parser."""
-    command = add_command(commands, "completion", _completion, _COMPLETION, compiles=False)
+from reframe_jax.cli.printing import fail, print_result
+
+
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Add the name of the shell."""
     command.add_argument("shell", choices=["bash", "zsh", "tcsh"], help="shell to complete in")
 
 
-def _completion(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Print the script."""
     try:
         import shtab
     except ImportError:

@@ -1,5 +1,6 @@
 """JAX settings of the command line."""
 
+import argparse
 import os
 
 import jax
@@ -7,9 +8,18 @@ import jax
 from reframe_jax.compilation import COMPILER_OPTIONS
 from reframe_jax.program_cache import cache_programs
 
-__all__ = ["configure_jax"]
-
 _FAST_COMPILATION = "--xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters"
+
+
+def add_cache(command: argparse.ArgumentParser) -> None:
+    """Add the option ``--no-cache`` to a command that compiles programs."""
+    command.add_argument(
+        "--no-cache",
+        dest="cache",
+        action="store_false",
+        help="do not store compiled programs for later runs (REFRAME_JAX_CACHE=0 has the same effect); "
+        "to delete stored programs, delete the folder reframe_jax in XDG_CACHE_HOME or ~/.cache",
+    )
 
 
 def configure_jax(cache: bool) -> None:

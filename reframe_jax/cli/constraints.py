@@ -1,21 +1,16 @@
-"""``reframe-jax constraints``: list the catalogue of constraints."""
+"""List the named constraints."""
 
 import argparse
-from typing import Any
 
-from reframe_jax.cli.commands import add_command
 from reframe_jax.cli.printing import print_result
 from reframe_jax.constraints.catalogue import CONSTRAINTS, OTHER_CONSTRAINTS
 
-__all__ = ["add_constraints"]
+
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Add no options."""
 
 
-def add_constraints(commands: Any) -> None:
-    """Add the command ``constraints`` to the parser."""
-    add_command(commands, "constraints", _constraints, "List the named constraints.", compiles=False)
-
-
-def _constraints(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
     """Print the catalogue: degrees of freedom along x, y, z, and the determined axes and components."""
     layout = "{:13} {:26} {:9} {:12} {:6} {}"
     print_result(layout.format("", "name", "rotation", "translation", "frame", "position"))

@@ -1,4 +1,11 @@
-"""``reframe-jax demonstrate``: simulate demonstrations on a robot arm."""
+"""Simulate demonstrations: a hand guides a Franka arm under a constraint.
+
+A folder stores any number of demonstrations, in parts of limited size; repeat
+the command, or increase --count, to resume. An .npz stores all demonstrations
+in one file (times, poses, exact_poses, joint_positions, ..., and the true
+frames). With .csv, each demonstration becomes a recording for reframe-jax
+identify (demos-000.csv and so on).
+"""
 
 import argparse
 from collections import Counter
@@ -12,32 +19,18 @@ import numpy as np
 
 from reframe_jax.cli import arguments
 from reframe_jax.cli.arm import add_common, prepare
-from reframe_jax.cli.commands import add_command
 from reframe_jax.cli.outputs import check_file
 from reframe_jax.cli.printing import fail, print_result
 from reframe_jax.constraints.catalogue import CONSTRAINTS
 from reframe_jax.recordings.writing import save_recording
 
-__all__ = ["add_demonstrate"]
-
 _LONGEST = 100_000  # largest number of samples in a demonstration
 _CHUNK = 64  # demonstrations simulated in one call, and stored in one part of a folder
-_ENDINGS = {"out": ("", ".npz", ".csv"), "plot": (".png", ".pdf", ".svg"), "render": (".gif", ".mp4")}
-
-_DEMONSTRATE = """\
-Simulate demonstrations: a hand guides a Franka arm under a constraint.
-
-A folder stores any number of demonstrations, in parts of limited size; repeat
-the command, or increase --count, to resume. An .npz stores all demonstrations
-in one file (times, poses, exact_poses, joint_positions, ..., and the true
-frames). With .csv, each demonstration becomes a recording for reframe-jax
-identify (demos-000.csv and so on).
-"""
+_ENDINGS = {"out": (".npz", ".csv"), "plot": (".png", ".pdf", ".svg"), "render": (".gif", ".mp4")}
 
 
-def add_demonstrate(commands: Any) -> None:
-    """Add the command ``demonstrate`` to the parser."""
-    command = add_command(commands, "demonstrate", _demonstrate, _DEMONSTRATE)
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Add the options of the demonstrations and of the files."""
     add_common(command)
     add = command.add_argument
     add("--count", type=arguments.count, default=1, metavar="N", help="number of demonstrations (1)")
@@ -49,7 +42,8 @@ def add_demonstrate(commands: Any) -> None:
     add("--keep", action="store_true", help="keep demonstrations that reach a joint limit")
 
 
-def _demonstrate(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Simulate and store the demonstrations."""
     _check(options)
     common = prepare(options)
     from reframe_jax.simulation import arm
@@ -81,16 +75,10 @@ def _demonstrate(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace) -> None:
     """Exit with a usage error if an output cannot be written, before the simulation starts."""
-    for name, suffixes in _ENDINGS.items():
+    for name, endings in _ENDINGS.items():
         path = getattr(options, name)
-        if path is None:
-            continue
-        if path.suffix not in suffixes:
-            folder = "be a folder, or " if "" in suffixes else ""
-            ends = " or ".join(filter(None, suffixes))
-            options.usage_error(f"--{name} must {folder}end in {ends}, not {path.name!r}.")
-        if path.suffix:
-            check_file(f"--{name}", path, options)
+        if path is not None and (name != "out" or path.suffix):  # --out without a suffix is a folder
+            check_file(f"--{name}", path, options, endings)
     if options.dt > options.duration:
         options.usage_error("--dt must not be longer than --duration.")
     if options.duration > _LONGEST * options.dt:
@@ -126,7 +114,7 @@ def _write(path: Path, parts: list[Any]) -> str:
     from reframe_jax.simulation.arm.collection import to_arrays
 
     times = parts[0].times
-    if path.suffix == ".csv":
+    if path.suffix.lower() == ".csv":
         poses = np.concatenate([part.poses for part in parts])
         width = max(3, len(str(len(poses) - 1)))
         files = [path.with_stem(f"{path.stem}-{number:0{width}}") for number in range(len(poses))]
@@ -135,5 +123,6 @@ def _write(path: Path, parts: list[Any]) -> str:
             save_recording(file, times, recording)
         return " to ".join(map(str, files[:: max(1, len(files) - 1)]))
     made = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
-    np.savez_compressed(path, **to_arrays(replace(made, times=times)))
+    with path.open("wb") as stream:
+        np.savez_compressed(stream, **to_arrays(replace(made, times=times)))
     return str(path)

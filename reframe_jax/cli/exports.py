@@ -19,8 +19,6 @@ from reframe_jax.identification.results import Identification
 from reframe_jax.joints.joint import Joint
 from reframe_jax.recordings.recording import Recording
 
-__all__ = ["add_exports", "check_exports", "write_joint_files", "write_tables"]
-
 _ROBOTS: dict[str, Callable[[Joint], str]] = {"urdf": to_urdf, "mjcf": to_mjcf, "sdf": to_sdf}
 _YAML, _JSON = TaskFrame.to_yaml, TaskFrame.to_json
 _DOCUMENTS: dict[str, Callable[[TaskFrame], str]] = {".yaml": _YAML, ".yml": _YAML, ".json": _JSON}
@@ -51,14 +49,11 @@ def check_exports(options: argparse.Namespace) -> None:
         option = f"--{name.replace('_', '-')}"
         if out is None:
             continue
-        check_file(option, out, options)
+        check_file(option, out, options, _DOCUMENTS if name == "task_frame" else ())
         if name in of_joints and options.window is not None:
             options.usage_error(f"{option} describes whole recordings: remove --window.")
         if name in of_joints and len({path.stem for path in options.files}) < len(options.files):
             options.usage_error(f"{option} needs recordings with different names.")
-    if options.task_frame is not None and options.task_frame.suffix not in _DOCUMENTS:
-        expected = ", ".join(_DOCUMENTS)
-        options.usage_error(f"--task-frame must end in {expected}, not {options.task_frame.name!r}.")
     if not options.parent or options.parent == options.child:
         options.usage_error("--parent and --child must be two different names.")
 
@@ -79,7 +74,7 @@ def write_joint_files(recording: Recording, found: Identification, options: argp
             problems.append(f"{recording.path}: {error}")
     if options.task_frame is not None:
         last = recording.poses[np.flatnonzero(found.counted)[-1]]
-        texts[options.task_frame] = lambda: _DOCUMENTS[options.task_frame.suffix](
+        texts[options.task_frame] = lambda: _DOCUMENTS[options.task_frame.suffix.lower()](
             to_task_frame(found, last, ground=options.parent, body=options.child)
         )
     for out, make in texts.items():

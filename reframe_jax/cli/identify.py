@@ -1,40 +1,4 @@
-"""``reframe-jax identify``: identify the constraint in recordings."""
-
-import argparse
-import sys
-from functools import partial
-from pathlib import Path
-from typing import Any
-
-import jax
-import numpy as np
-
-from reframe_jax.cli import arguments
-from reframe_jax.cli.commands import add_command
-from reframe_jax.cli.configuring import configure_jax
-from reframe_jax.cli.exports import add_exports, check_exports, write_joint_files, write_tables
-from reframe_jax.cli.outputs import add_outputs, check_outputs, draw, write_document
-from reframe_jax.cli.printing import fail, print_error, print_result
-from reframe_jax.cli.reading import add_reading, expand, read_recording
-from reframe_jax.cli.summary import summary_table
-from reframe_jax.export.columns import Columns, to_columns
-from reframe_jax.export.common import Window
-from reframe_jax.export.json import to_document, to_record
-from reframe_jax.export.table import rows_to_table, to_table
-from reframe_jax.identification.classify import Thresholds
-from reframe_jax.identification.entry import identify
-from reframe_jax.identification.results import Identification
-from reframe_jax.motion.checks import MIN_VELOCITIES, Status
-from reframe_jax.motion.windows import sliding_windows
-from reframe_jax.recordings.recording import Recording, RecordingError
-from reframe_jax.storage.progress import make_meter
-
-__all__ = ["add_identify", "add_windows", "check_windows", "identify_recording"]
-
-_CHUNK = 2048  # windows per progress report
-
-_IDENTIFY = """\
-Identify the constraint in recordings.
+"""Identify the constraint in recordings.
 
 A recording is a .csv or .tsv with a header (t,x,y,z,qx,qy,qz,qw in any order),
 a TUM trajectory (.txt, .tum), an .npy or an .npz, a ROS bag, a C3D, an export
@@ -46,10 +10,40 @@ parentheses after the name is its probability. An uncertain axis has the
 probability that it is free, or constrained, in parentheses.
 """
 
+import argparse
+import sys
+from collections import Counter
+from functools import partial
+from pathlib import Path
+from typing import Any
 
-def add_identify(commands: Any) -> None:
-    """Add the command ``identify`` to the parser."""
-    command = add_command(commands, "identify", _identify, _IDENTIFY)
+import jax
+import numpy as np
+
+from reframe_jax.cli import arguments
+from reframe_jax.cli.configuring import add_cache, configure_jax
+from reframe_jax.cli.exports import add_exports, check_exports, write_joint_files, write_tables
+from reframe_jax.cli.outputs import add_outputs, check_outputs, draw, write_document
+from reframe_jax.cli.printing import fail, print_error, print_result
+from reframe_jax.cli.reading import add_reading, expand, read_recording
+from reframe_jax.export.columns import Columns, to_columns
+from reframe_jax.export.common import Window, align_columns
+from reframe_jax.export.json import SCHEMA, to_record
+from reframe_jax.export.table import rows_to_table, to_table
+from reframe_jax.identification.classify import Thresholds
+from reframe_jax.identification.entry import identify
+from reframe_jax.identification.results import Identification
+from reframe_jax.motion.checks import MIN_VELOCITIES, Status
+from reframe_jax.motion.windows import sliding_windows
+from reframe_jax.recordings.recording import Recording, RecordingError
+from reframe_jax.storage.progress import make_meter
+
+_CHUNK = 2048  # windows per progress report
+_COLUMNS = ("recording", "windows", "name", "prob.", "angular", "linear", "origin [m]", "noise", "status")
+
+
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Add the files and the options of identification."""
     defaults = Thresholds()
     add = command.add_argument
     add("files", nargs="+", type=Path, metavar="FILE", help="recordings")
@@ -92,6 +86,7 @@ def add_identify(commands: Any) -> None:
     add_outputs(command)
     add_reading(command)
     add_exports(command)
+    add_cache(command)
 
 
 def add_windows(command: argparse.ArgumentParser) -> None:
@@ -114,7 +109,8 @@ def check_windows(options: argparse.Namespace) -> None:
         options.usage_error("--stride must be at least 1.")
 
 
-def _identify(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Identify every recording, and write the requested files."""
     options.files = expand(options.files)
     check_exports(options)
     check_windows(options)
@@ -138,15 +134,11 @@ def _identify(options: argparse.Namespace) -> int:
     problems = write_tables(tables, options)
     for problem in problems:
         fail(problem)
-    written = write_document(partial(to_document, records), options)
-    return int(good < len(records) or bool(problems) or not written)
+    return write_document(records, SCHEMA, options) or int(bool(problems))
 
 
 def _identify_file(path: Path, options: argparse.Namespace, tables: list[Columns]) -> dict[str, Any]:
-    """Identify, print, draw and export one recording; return its entry in the JSON document.
-
-    The columns of the recording are appended to ``tables``.
-    """
+    """Identify, print, draw and export one recording, and append its columns; return its JSON entry."""
     recording, found, windows, problem = None, None, None, None
     try:
         recording = read_recording(path, options)
@@ -248,3 +240,30 @@ def _figure(recording: Recording, found: Identification, options: argparse.Names
         title=f"{recording.path.name}: {found.name}",
         left_out=recording.left_out_times,
     )
+
+
+def summary_table(records: list[dict[str, Any]]) -> str:
+    """Format one row per record of :func:`.to_record`; for several windows, with the most frequent name."""
+    return "\n".join(align_columns([list(_COLUMNS), *map(_summary_row, records)]))
+
+
+def _summary_row(record: dict[str, Any]) -> list[str]:
+    every = record["windows"]
+    windows = [window for window in every if window.get("name") is not None]
+    start = [str(record["recording"]), str(len(every))]
+    if not windows:
+        return [*start, *("-",) * 6, "error" if record["error"] else every[0]["status"]]
+    if len(every) > 1:
+        (name, number) = Counter(window["name"] for window in windows).most_common(1)[0]
+        statuses = Counter(window["status"] for window in every).most_common()
+        status_counts = ", ".join(f"{count} {status}" for status, count in statuses)
+        return [*start, f"{name} ({number} of {len(every)})", *("-",) * 5, status_counts]
+    (window,) = windows
+    noise = window["noise"]
+    return [
+        *(*start, window["name"], f"{window['probability']:.2f}"),
+        *(window["angular"]["type"], window["linear"]["type"]),
+        ", ".join(f"{value + 0.0:.3f}" for value in np.round(window["linear"]["position"], 3)),
+        f"{1e3 * noise['position']:.2g} mm, {np.degrees(noise['rotation']):.2g} deg",
+        window["status"],
+    ]

@@ -1,13 +1,12 @@
 """Write the JSON documents and pictures of a command."""
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
 from reframe_jax.cli.printing import fail, print_result
-
-__all__ = ["add_outputs", "check_file", "check_outputs", "draw", "path_of", "write_document"]
+from reframe_jax.export.json import to_document
 
 _PICTURES = (".png", ".pdf", ".svg", ".jpg", ".webp")
 
@@ -28,19 +27,19 @@ def check_outputs(options: argparse.Namespace) -> None:
     out: Path | None = options.plot
     if out is None:
         return
-    check_file("--plot", out, options)
-    if out.suffix.lower() not in _PICTURES:
-        options.usage_error(f"--plot must end in {', '.join(_PICTURES)}, not {out.name!r}.")
+    check_file("--plot", out, options, _PICTURES)
     if len({path.stem for path in options.files}) < len(options.files):
         options.usage_error("--plot needs recordings with different names.")
 
 
-def check_file(option: str, out: Path, options: argparse.Namespace) -> None:
-    """Exit with a usage error if ``option`` names a path ``out`` at which no file can be created."""
+def check_file(option: str, out: Path, options: argparse.Namespace, endings: Collection[str] = ()) -> None:
+    """Exit with a usage error if no file can be created at the path of an option, or for another ending."""
     if out.is_dir():
         options.usage_error(f"{option} must name a file; {out} is a directory.")
     if not out.parent.is_dir():
         options.usage_error(f"{option}: there is no directory {out.parent}.")
+    if endings and out.suffix.lower() not in endings:
+        options.usage_error(f"{option} must end in {', '.join(endings)}, not {out.name!r}.")
 
 
 def path_of(out: Path, recording: Path, options: argparse.Namespace) -> Path:
@@ -48,16 +47,16 @@ def path_of(out: Path, recording: Path, options: argparse.Namespace) -> Path:
     return out.with_stem(f"{out.stem}-{recording.stem}") if len(options.files) > 1 else out
 
 
-def write_document(make: Callable[[], str], options: argparse.Namespace) -> bool:
-    """Write or print the requested JSON document; print an error and return False if that fails."""
+def write_document(records: list[dict[str, Any]], schema: str, options: argparse.Namespace) -> int:
+    """Write or print the requested JSON document of all recordings; return the exit code of the command."""
     if options.json == "-":
-        print_result(make())
+        print_result(to_document(records, schema))
     elif options.json is not None:
         try:
-            Path(options.json).write_text(make() + "\n", encoding="utf-8")
+            Path(options.json).write_text(to_document(records, schema) + "\n", encoding="utf-8")
         except OSError as error:
-            return not fail(f"{options.json}: cannot be written: {error.strerror}.")
-    return True
+            return fail(f"{options.json}: cannot be written: {error.strerror}.")
+    return int(any(record["error"] is not None for record in records))
 
 
 def draw(make: Callable[[], Any], recording: Path, options: argparse.Namespace) -> str | None:

@@ -4,8 +4,6 @@ import contextlib
 import os
 import sys
 
-__all__ = ["fail", "print_error", "print_result"]
-
 
 def print_error(text: str, end: str = "\n") -> None:
     """Print a line to standard error and flush it; ignore a closed standard error."""

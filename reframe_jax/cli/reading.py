@@ -12,8 +12,6 @@ from reframe_jax.recordings.reading import TIMES_IGNORED, load_recording
 from reframe_jax.recordings.recording import Recording
 from reframe_jax.recordings.selection import ANGLE_UNITS, ANGLES, QUATERNIONS, TIME_UNITS, UNITS, Selection
 
-__all__ = ["add_reading", "expand", "read_recording", "reading_options"]
-
 
 def add_reading(command: argparse.ArgumentParser) -> None:
     """Add the options of :func:`reframe_jax.load_recording` to a command."""
@@ -53,13 +51,7 @@ def expand(patterns: list[Path]) -> list[Path]:
 def read_recording(path: Path, options: argparse.Namespace, *, timed: bool = True) -> Recording:
     """Read a recording with the options of :func:`add_reading`, and print its notes.
 
-    Args:
-        path: the file.
-        options: the options.
-        timed: whether times are needed; if not, rows with any times are read.
-
-    Raises:
-        RecordingError: if the recording cannot be read.
+    Unless ``timed``, rows with any times are read. A RecordingError is raised if that is impossible.
     """
     chosen = reading_options(options)
     if timed or chosen["dt"] is not None or chosen["in_body"] is not None:

@@ -1,31 +1,23 @@
-"""``reframe-jax reproduce``: reproduce a task in true, erroneous and identified frames."""
-
-import argparse
-from typing import Any
-
-import jax
-import numpy as np
-
-from reframe_jax.cli import arguments
-from reframe_jax.cli.arm import add_common, prepare
-from reframe_jax.cli.commands import add_command
-from reframe_jax.cli.printing import fail, print_error, print_result
-from reframe_jax.constraints.catalogue import CONSTRAINTS
-
-__all__ = ["add_reproduce"]
-
-_REPRODUCE = """\
-Demonstrate, identify, and reproduce a task from end-stop to end-stop.
+"""Demonstrate, identify, and reproduce a task from end-stop to end-stop.
 
 Wrenches move the robot in three frames, the rows of the paper's Figure 5: the
 true frame of the constraint, a frame with the errors reported for methods with
 prior knowledge, and the identified frame.
 """
 
+import argparse
 
-def add_reproduce(commands: Any) -> None:
-    """Add the command ``reproduce`` to the parser."""
-    command = add_command(commands, "reproduce", _reproduce, _REPRODUCE)
+import jax
+import numpy as np
+
+from reframe_jax.cli import arguments
+from reframe_jax.cli.arm import add_common, prepare
+from reframe_jax.cli.printing import fail, print_error, print_result
+from reframe_jax.constraints.catalogue import CONSTRAINTS
+
+
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Add the options of the demonstrations and of the controller."""
     add_common(command)
     trials = "number of demonstrations and reproductions (30)"
     command.add_argument("--trials", type=arguments.count, default=30, metavar="N", help=trials)
@@ -38,7 +30,8 @@ def add_reproduce(commands: Any) -> None:
     )
 
 
-def _reproduce(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Compare the three frames, and print the errors, forces and completion times."""
     common = prepare(options)
     from reframe_jax.simulation import reproduction
     from reframe_jax.simulation.arm import RolloutStatus

@@ -1,26 +1,4 @@
-"""``reframe-jax segment``: identify a sequence of constraints in recordings."""
-
-import argparse
-from functools import partial
-from pathlib import Path
-from typing import Any
-
-from reframe_jax.cli import arguments
-from reframe_jax.cli.commands import add_command
-from reframe_jax.cli.configuring import configure_jax
-from reframe_jax.cli.outputs import add_outputs, check_outputs, draw, write_document
-from reframe_jax.cli.printing import fail, print_result
-from reframe_jax.cli.reading import add_reading, expand, read_recording
-from reframe_jax.export.segments import segments_to_json, segments_to_record, segments_to_table
-from reframe_jax.recordings.recording import Recording, RecordingError
-from reframe_jax.segmentation.entry import segment
-from reframe_jax.segmentation.results import Segmentation
-
-__all__ = ["add_segment"]
-
-_SEGMENT = """\
-Find the times at which the constraint of a recording changes, and identify each
-segment.
+"""Find the times at which the constraint changes, and identify each segment.
 
 Segments with the same label have the same constraint. After "since", a row
 shows the 95 % interval of the start of the segment, and the probability that
@@ -28,25 +6,40 @@ its constraint differs from the previous one. All formats of reframe-jax
 identify can be read.
 """
 
+import argparse
+from functools import partial
+from pathlib import Path
+from typing import Any
 
-def add_segment(commands: Any) -> None:
-    """Add the command ``segment`` to the parser."""
-    command = add_command(commands, "segment", _segment, _SEGMENT)
+from reframe_jax.cli import arguments
+from reframe_jax.cli.configuring import add_cache, configure_jax
+from reframe_jax.cli.outputs import add_outputs, check_outputs, draw, write_document
+from reframe_jax.cli.printing import fail, print_result
+from reframe_jax.cli.reading import add_reading, expand, read_recording
+from reframe_jax.export.segments import SCHEMA, segments_to_record, segments_to_table
+from reframe_jax.recordings.recording import Recording, RecordingError
+from reframe_jax.segmentation.entry import segment
+from reframe_jax.segmentation.results import Segmentation
+
+
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Add the files and the options of segmentation."""
     add = command.add_argument
     add("files", nargs="+", type=Path, metavar="FILE", help="recordings")
     reach = "half the width of the cube about the body in which origins are searched, m (%(default)s)"
     add("--reach", type=arguments.metres, default=1.0, metavar="M", help=reach)
     add_outputs(command)
     add_reading(command)
+    add_cache(command)
 
 
-def _segment(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Segment every recording."""
     options.files = expand(options.files)
     check_outputs(options)
     configure_jax(options.cache)
     records = [_segment_file(path, options) for path in options.files]
-    written = write_document(partial(segments_to_json, records), options)
-    return int(not written or any(record["error"] is not None for record in records))
+    return write_document(records, SCHEMA, options)
 
 
 def _segment_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:

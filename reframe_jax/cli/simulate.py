@@ -1,14 +1,12 @@
-"""``reframe-jax simulate``: write a recording of a simulated motion."""
+"""Simulate a constrained motion, and write it as a recording."""
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 import jax
 
 from reframe_jax.cli import arguments
-from reframe_jax.cli.commands import add_command
-from reframe_jax.cli.configuring import configure_jax
+from reframe_jax.cli.configuring import add_cache, configure_jax
 from reframe_jax.cli.printing import fail, print_result
 from reframe_jax.constraints.catalogue import CONSTRAINTS
 from reframe_jax.motion.checks import MIN_VELOCITIES
@@ -16,17 +14,14 @@ from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import MOST_ROWS
 from reframe_jax.recordings.writing import save_recording
 
-__all__ = ["add_simulate"]
-
 _CHOICES = {
     "excitation": (["exciting", "paper"], "velocities along the free axes: many frequencies, or the paper's"),
     "generator": (["exact", "paper"], "integration between samples: exact, or one step as in the paper"),
 }
 
 
-def add_simulate(commands: Any) -> None:
-    """Add the command ``simulate`` to the parser."""
-    command = add_command(commands, "simulate", _simulate, "Simulate a constrained motion.")
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Add the options of the motion and of the recording."""
     add = command.add_argument
     arguments.add_constraint(command)
     add("--out", type=Path, required=True, metavar="FILE", help="recording to write, .csv or .npz")
@@ -37,9 +32,11 @@ def add_simulate(commands: Any) -> None:
     add("--dt", type=arguments.seconds, default=0.1, metavar="S", help="sample time, s (0.1)")
     for name, (choices, text) in _CHOICES.items():
         add(f"--{name}", choices=choices, default=choices[0], help=f"{text} (%(default)s)")
+    add_cache(command)
 
 
-def _simulate(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Simulate the motion and write the recording."""
     from reframe_jax.simulation.synthetic import simulate
 
     poses = round(options.duration / options.dt) + 1
@@ -49,9 +46,9 @@ def _simulate(options: argparse.Namespace) -> int:
             f"expected {MIN_VELOCITIES + 1} to {MOST_ROWS}."
         )
     configure_jax(options.cache)
-    run = jax.jit(simulate, static_argnames=("constraint", "duration", "dt", "excitation", "exact"))
+    compiled = jax.jit(simulate, static_argnames=("constraint", "duration", "dt", "excitation", "exact"))
     simulation = jax.device_get(
-        run(
+        compiled(
             constraint=options.constraint,
             key=jax.random.key(options.seed),
             noise=options.noise,

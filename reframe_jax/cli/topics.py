@@ -1,32 +1,27 @@
-"""``reframe-jax topics``: list the data in files."""
+"""List the data in files.
+
+The data are topics and tf frames of bags, rigid bodies and markers of motion
+capture, and columns of data sets. Each line starts with the option that selects
+the entry.
+"""
 
 import argparse
 from pathlib import Path
-from typing import Any
 
-from reframe_jax.cli.commands import add_command
 from reframe_jax.cli.printing import fail, print_result
 from reframe_jax.recordings.reading import list_contents
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import shown
 from reframe_jax.recordings.selection import flag
 
-__all__ = ["add_topics"]
 
-_TOPICS = """\
-List the data in files: topics and tf frames of bags, rigid bodies and markers
-of motion capture, columns of data sets. Each line starts with the option that
-selects the entry.
-"""
-
-
-def add_topics(commands: Any) -> None:
-    """Add the command ``topics`` to the parser."""
-    command = add_command(commands, "topics", _topics, _TOPICS, compiles=False)
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Add the files."""
     command.add_argument("files", nargs="+", type=Path, metavar="FILE", help="recordings")
 
 
-def _topics(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Print the data in every file."""
     failed = 0
     for path in options.files:
         try:

@@ -1,16 +1,21 @@
-"""``reframe-jax view``: show a recording and its constraint in the browser."""
+"""Show a recording and its constraint in the browser.
+
+The page shows the body, its path, the frame with its free and constrained axes,
+and the velocities along these axes; a slider selects the time. The page is
+served on this machine only (127.0.0.1) until Ctrl-C, and needs no network.
+--html writes the page as one file instead, which opens in any browser without
+Python.
+"""
 
 import argparse
 import webbrowser
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
 
 from reframe_jax.cli import arguments
-from reframe_jax.cli.commands import add_command
-from reframe_jax.cli.configuring import configure_jax
+from reframe_jax.cli.configuring import add_cache, configure_jax
 from reframe_jax.cli.identify import add_windows, check_windows, identify_recording
 from reframe_jax.cli.printing import fail, print_result
 from reframe_jax.cli.reading import add_reading, read_recording
@@ -20,22 +25,9 @@ from reframe_jax.viewer.document import write_page
 from reframe_jax.viewer.page import serve_page
 from reframe_jax.viewer.tracks import WindowTrack, track_window
 
-__all__ = ["add_view"]
 
-_VIEW = """\
-Show a recording and its constraint in the browser.
-
-The page shows the body, its path, the frame with its free and constrained axes,
-and the velocities along these axes; a slider selects the time. The page is
-served on this machine only (127.0.0.1) until Ctrl-C, and needs no network.
---html writes the page as one file instead, which opens in any browser without
-Python.
-"""
-
-
-def add_view(commands: Any) -> None:
-    """Add the command ``view`` to the parser."""
-    command = add_command(commands, "view", _view, _VIEW)
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Add the file and the options of the page."""
     add = command.add_argument
     add("file", type=Path, metavar="FILE", help="recording, in a format that identify reads")
     add("--scales", type=arguments.scales, default="auto", metavar="N,N", help="as for identify (auto)")
@@ -46,13 +38,15 @@ def add_view(commands: Any) -> None:
     add("--open", action="store_true", help="open the page in the browser")
     add("--html", type=Path, metavar="OUT", help="write the page to a file instead")
     add_reading(command)
+    add_cache(command)
     # options of identify that this command does not offer
     command.set_defaults(
         norm=0.0, discretization="chord", bounds=None, angular_threshold=None, linear_threshold=None
     )
 
 
-def _view(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Identify the recording, and serve or write the page."""
     check_windows(options)
     if options.port > 65535:
         options.usage_error(f"--port must be at most 65535, not {options.port}.")

@@ -85,16 +85,9 @@ def assemble_frame(
     angular_dof: ArrayLike | tuple[int, ...],
     linear_dof: ArrayLike | tuple[int, ...],
 ) -> Frame:
-    """Build frames whose types and degrees of freedom may vary in a batch.
+    """Build frames from codes (...) of ``AngularType`` and ``LinearType``, which may vary in a batch.
 
-    Args:
-        angular_type: (...) codes of ``AngularType``.
-        linear_type: (...) codes of ``LinearType``.
-        angular_axes: (..., 3, 3), columns are the axes, in the body of the angular type.
-        linear_axes: (..., 3, 3), columns are the axes, in the body of the linear type's first letter.
-        position: (..., 3) m, origin, in the body of the linear type's second letter.
-        angular_dof: (..., 3), 1 for each free rotation axis, 0 for each constrained axis.
-        linear_dof: (..., 3), the same for translations.
+    Axes, position and degrees of freedom are those of a :class:`ConstraintFrame`, with axes (..., 3, 3).
     """
     batch = position.shape[:-1]
     free = jnp.concatenate([jnp.asarray(angular_dof), jnp.asarray(linear_dof)], axis=-1)
@@ -209,13 +202,9 @@ def slip(before: Located, now: Located) -> jax.Array:
 def move_frame(
     frame: ConstraintFrame, turn: jax.Array, shift: jax.Array, rotation: jax.Array
 ) -> ConstraintFrame:
-    """Rotate and shift constraint frames, by a rotation and a shift in {g} at one pose of the body.
+    """Turn the axes of constraint frames, and shift their origins, at one orientation of {b} in {g}.
 
-    Args:
-        frame: the frames.
-        turn: (..., 3, 3) rotation of the angular and the linear axes, in {g}.
-        shift: (..., 3) m, displacement of the origin, in {g}.
-        rotation: (..., 3, 3) orientation of {b} in {g}.
+    The turn (..., 3, 3) and the shift (..., 3), m, are in {g}; ``rotation`` (..., 3, 3) is the orientation.
     """
     angular, linear, point = fixed_on_body(frame)
     inverse = jnp.swapaxes(rotation, -1, -2)
@@ -233,12 +222,8 @@ def place_frame(
 ) -> ConstraintFrame:
     """Replace the axes and the origins of constraint frames, by values in {g} at one pose of the body.
 
-    Args:
-        frame: the frames.
-        axes: (..., 3, 3), columns are the new axes of the angular and the linear frame, in {g}.
-        origin: (..., 3) m, new origin, in {g}.
-        rotation: (..., 3, 3) orientation of {b} in {g}.
-        position: (..., 3) m, origin of {b} in {g}.
+    The columns of ``axes`` (..., 3, 3) become the axes of the angular and the linear frame, and ``origin``
+    (..., 3), m, their origin. ``rotation`` (..., 3, 3) and ``position`` (..., 3), m, are the pose.
     """
     angular, linear, point = fixed_on_body(frame)
     inverse = jnp.swapaxes(rotation, -1, -2)

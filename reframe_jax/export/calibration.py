@@ -1,26 +1,6 @@
 """Write a calibration as a table for people, or as JSON for programs.
 
-``reframe-jax calibrate --json`` writes this document, with the schema named by :data:`SCHEMA`. Numbers are in
-SI units; intervals are half widths of 95 % confidence intervals::
-
-    {
-      "schema": "reframe-jax/calibration/1",
-      "recordings": [
-        {
-          "recording": its name, "error": why the calibration failed, or null, "notes": sentences on the
-          input, "calibration": null, or {
-            "kind": "pivot" or "spin",
-            "tip": [3] m, in the body, "tip_interval": [3] m,
-            "point": [3] m, in the ground, "point_interval": [3] m,
-            "axis": [3] in the body, "ground_axis": [3], "axis_interval": rad; null for a pivot, "rms": m, RMS
-            residual of the poses that were used, "turned": rad, "weakest": [3], as in ``Calibration``,
-            "rows": numbers of the rows in the file, "row_word": the word for a row, such as line or frame,
-            "residuals": [N] m, "axis_residuals": [N] rad or null, "outliers": numbers of the rows that were
-            left out
-          }
-        }
-      ]
-    }
+``docs/exports.md`` describes the JSON document.
 """
 
 from typing import Any

@@ -51,6 +51,14 @@ def two_digits(value: float) -> str:
     return f"{float(f'{value:.2g}'):g}"
 
 
+def align_columns(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Format rows of cells as lines with aligned columns."""
+    widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
+    return [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+    ]
+
+
 def tied_names(group: str, frame: Any) -> list[str]:
     """Return the names of the frame types that fit equally well, including the reported type."""
     return [str(kind) for kind in TYPES[group] if frame.tied[kind]]

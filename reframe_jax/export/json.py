@@ -1,59 +1,4 @@
-"""Write an identification as JSON, for programs.
-
-``to_json`` and ``reframe-jax identify --json`` write this document, with the schema named by :data:`SCHEMA`.
-Numbers are in SI units (m, rad, s, m/s, rad/s); NaN and infinities are written as null::
-
-    {
-      "schema": "reframe-jax/identification/3",
-      "recordings": [{
-        "recording": the label, or null,
-        "error": why the recording could not be used, or null,
-        "notes": sentences on repaired or unusual input,
-        "rows": null, or which rows of the file were used: {
-          "word": the word for a row (line, sample, message, frame), "used": how many,
-          "left_out": lost, repeated and missing rows, and outliers of a single window:
-            [{"reason": as in ``LeftOut``, "why": the reason as a sentence, "rows": numbers of the rows}]
-        },
-        "windows": [{
-          "index": position in the batch, counted through all of its axes,
-          "start", "stop": samples of the recording, from start up to but not including stop, or null,
-          "start_time", "stop_time": s, of the first and the last sample, or null,
-          "status": name of a ``Status``, "message": its sentence,
-          "notes": reasons to doubt the result, ``warnings`` of the window,
-          "name": of the constraint,
-          "label": letter or word of the catalogue, or null for a constraint without a name,
-          "probability": of the name; see ``Identification.probability`` for its conditions,
-          "alternatives": [{"name", "label", "type": of the linear frame, "probability"}], all constraints
-            with a probability above 0.01, including the reported constraint, in order of decreasing
-            probability; [] if the degrees of freedom come from thresholds,
-          "pitch": m/rad of a screw joint, positive for a right-handed thread, else null,
-          "universal_axes": {"ground": [3], "body": [3]; unit vectors} of a universal joint, else null,
-          "noise": {"position": m, "rotation": rad; standard deviations of every component},
-          "scale": number of samples in the blocks of the smallest time scale,
-          "outliers": samples of the recording that were not used, counted from the first pose of the window
-            if "start" is null,
-          "angular": {
-            "type": "G" or "B", "tied": types that fit equally well, including this type,
-            "rotvec": [3], "axes": [3 unit vectors], "dof": [3, 1 is free], "free_probability": [3],
-            "rms": [3], "norm": number, "amplitude": [3], RMS displacement in rad,
-            "free_rotation": [3 booleans, axes about which the frame can be turned]
-          },
-          "linear": {
-            the same keys, with "type" and "tied" of "BB", "GB", "GG", "BG", "amplitude" in m, and
-            "position": [3], "free_position": [unit vectors along which the position is undetermined]
-          },
-          "candidates": {
-            "angular": {type: {"rotvec", "axes", "dof", "rms", "norm"}},
-            "linear": {type: {the same keys, and "position"}}
-          }
-        }]
-      }]
-    }
-
-Windows without a result have null for every key after "message", and no "notes". Orientations are expressed
-in the body that the first letter of the type names (G ground, B body); positions in the body of the last
-letter.
-"""
+"""Write an identification as JSON, for programs; ``docs/exports.md`` describes the document."""
 
 import json
 from collections.abc import Sequence
@@ -90,13 +35,13 @@ SCHEMA = "reframe-jax/identification/3"
 def to_json(
     found: Identification, *, label: str | None = None, windows: Sequence[Window] | None = None
 ) -> str:
-    """Write a JSON document of one recording; arguments as in :func:`to_table`."""
+    """Write a JSON document of one recording, see the page Exports; arguments as in :func:`to_table`."""
     return to_document([to_record(found, label=label, windows=windows)])
 
 
-def to_document(records: Sequence[dict[str, Any]]) -> str:
-    """Write a JSON document of several recordings from their :func:`to_record` entries."""
-    return json.dumps({"schema": SCHEMA, "recordings": list(records)}, indent=2, allow_nan=False)
+def to_document(records: Sequence[dict[str, Any]], schema: str = SCHEMA) -> str:
+    """Write a JSON document of several recordings from their entries, such as those of :func:`to_record`."""
+    return json.dumps({"schema": schema, "recordings": list(records)}, indent=2, allow_nan=False)
 
 
 def to_record(

@@ -1,31 +1,8 @@
 """Write a segmentation as a table for people, or as JSON for programs.
 
-:func:`segments_to_json` and ``reframe-jax segment --json`` write this document, with the schema named by
-:data:`SCHEMA`. Numbers are in SI units::
-
-    {
-      "schema": "reframe-jax/segmentation/2",
-      "recordings": [
-        {
-          "recording": its name, "error": why the recording could not be used, or null, "motion_time": s, time
-          after which values of the motion are decorrelated, "segments": [
-            {
-              "start", "stop": first sample, and the sample after the last one, "start_time", "stop_time": s,
-              of the first and the last sample, "label": number of the constraint, equal in all segments with
-              it; -1 where the body is still, "name": of the constraint, or "Still", "identification": as a
-              window of "reframe-jax/identification/3", or null
-            }
-          ],
-          "boundaries": [
-            {"index": first sample of the next segment, "time": s, "probability",
-             "earliest", "latest": samples of the 95 % interval of the boundary}
-          ]
-        }
-      ]
-    }
+``docs/exports.md`` describes the JSON document.
 """
 
-import json
 from dataclasses import asdict
 from typing import Any
 
@@ -84,8 +61,3 @@ def _segment_record(segment: Segment, found: Segmentation) -> dict[str, Any]:
         "name": segment.name,
         "identification": inner,
     }
-
-
-def segments_to_json(records: list[dict[str, Any]]) -> str:
-    """Write the JSON document from entries of :func:`segments_to_record`."""
-    return json.dumps({"schema": SCHEMA, "recordings": records}, indent=2, allow_nan=False)

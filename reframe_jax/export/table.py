@@ -10,6 +10,7 @@ from reframe_jax.constraints.types import BODY_NAMES, LinearType
 from reframe_jax.export.common import (
     TYPES,
     Window,
+    align_columns,
     directions,
     format_vector,
     outlier_samples,
@@ -25,6 +26,7 @@ from reframe_jax.recordings.recording import Recording
 from reframe_jax.recordings.rows import name_rows
 
 _UNITS = {"angular": "rad/s", "linear": "m/s"}
+_SIZES = {"angular": "mrad", "linear": "mm"}
 _CLEAR = 0.99  # probabilities above this value are not printed
 _LISTED = 6  # largest number of outliers listed in a line
 
@@ -95,7 +97,7 @@ def _frame_block(group: str, frame: Any) -> list[str]:
         likely = frame.free_probability[i] if frame.dof[i] else 1 - frame.free_probability[i]
         if likely < _CLEAR:
             freedom += f" ({_probability(likely)})"
-        size = f"RMS {_size(frame.amplitude[i], group)}"
+        size = f"RMS {two_digits(1e3 * frame.amplitude[i])} {_SIZES[group]}"
         speed = f"{_speed(frame.rms[i]):>8} {_UNITS[group]:5}"
         lines.append(f"  axis {i + 1}  {format_vector(axis, 3, 6)}  {speed}  {freedom}, {size}")
     if isinstance(kind, LinearType):
@@ -108,11 +110,6 @@ def _frame_block(group: str, frame: Any) -> list[str]:
         first, second = (i + 1 for i in range(3) if i not in turns)
         lines.append(f"          axes {first} and {second} are arbitrary within their plane")
     return [*lines, ""]
-
-
-def _size(amplitude: float, group: str) -> str:
-    """An RMS displacement in mm or mrad."""
-    return f"{two_digits(1e3 * amplitude)} {'mrad' if group == 'angular' else 'mm'}"
 
 
 def _probability(value: float) -> str:
@@ -179,11 +176,6 @@ def _batch_table(
         columns.insert(1, "time [s]")
         for row, window in zip(rows, windows, strict=True):
             row.insert(1, f"{window.start_time:.2f} - {window.stop_time:.2f}")
-    widths = [max(map(len, cells)) for cells in zip(columns, *rows, strict=True)]
-    lines = [
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in [columns, *rows]
-    ]
     count = f"{len(each)} window{'' if len(each) == 1 else 's'}"
     statuses = sorted({Status(int(found.status_code)) for found in each} - {Status.OK})
     legend = [f"{status.name}: {status.message}" for status in statuses]
@@ -193,7 +185,7 @@ def _batch_table(
     }
     return [
         f"{label}: {count}" if label else count,
-        *lines,
+        *align_columns([columns, *rows]),
         *(["~ tied: fits equally well"] if ties else []),
         *legend,
         *notes,

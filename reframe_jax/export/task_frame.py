@@ -165,10 +165,7 @@ def to_task_frame(
 def _common_axes(
     frame: ConstraintFrame, angular: np.ndarray, linear: np.ndarray
 ) -> tuple[np.ndarray, tuple[int, ...], float]:
-    """Common axes of both constraints, the free rotations about them, and the correction in degrees.
-
-    The columns of ``angular`` and ``linear`` (3, 3) are the axes of the frame in the ground.
-    """
+    """Common axes of both constraints, the free rotations about them, and the correction in degrees."""
     place, turning = distinct_axis(frame.linear_dof), distinct_axis(frame.angular_dof)
     if place is None or turning is None:
         return angular if place is None else linear, frame.angular_dof, 0.0

@@ -137,20 +137,12 @@ def left_jacobian(rotvec: jax.Array) -> jax.Array:
 
 def left_jacobian_inverse(rotvec: jax.Array) -> jax.Array:
     """Invert :func:`left_jacobian`: matrices (..., 3, 3) at rotation vectors (..., 3) below 2 pi rad."""
-    w = hat(rotvec)
-    cotangent = _cotangent_factor(_squared_length(rotvec))
-    return _identity_like(w) - w / 2 + _matrix(cotangent) * _hat_squared(rotvec)
-
-
-def _cotangent_factor(squared: jax.Array) -> jax.Array:
-    """Return c = (1 - (x / 2) cot(x / 2)) / x^2 for squared angles x^2, rad^2.
-
-    This is the coefficient in the inverse left Jacobian of a rotation vector w: 1 - [w]x / 2 + c [w]x [w]x.
-    """
-    small, angle = squared < 1.0, jnp.sqrt(jnp.where(squared < 1.0, 1.0, squared))
+    squared, small, angle = _angle(rotvec)
     half = angle / 2
     closed = (1 - half * jnp.cos(half) / jnp.sin(half)) / angle**2
-    return jnp.where(small, _series(jnp.where(small, squared, 0.0), _COTANGENT), closed)
+    cotangent = jnp.where(small, _series(squared, _COTANGENT), closed)
+    w = hat(rotvec)
+    return _identity_like(w) - w / 2 + _matrix(cotangent) * _hat_squared(rotvec)
 
 
 def quaternion_to_rotation(quaternion: jax.Array) -> jax.Array:

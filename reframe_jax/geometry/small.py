@@ -32,12 +32,7 @@ def materialize(values: T) -> T:
 
 
 def total(array: Array, *axes: int) -> Array:
-    """Sum over axes with few entries, term by term: XLA's reductions over leading axes are slow on a CPU.
-
-    Args:
-        array: an array of any shape.
-        axes: indices of the axes, non-negative.
-    """
+    """Sum over axes with few entries, term by term: XLA's reductions over leading axes are slow on a CPU."""
     for axis in sorted(axes, reverse=True):
         terms = jax.lax.split(array, (1,) * array.shape[axis], axis)
         summed = terms[0]
@@ -63,26 +58,6 @@ def times(matrix: Array, vector: Array) -> Array:
     return total(matrix * vector[None], 1)
 
 
-def components_first(array: Array, components: int) -> Array:
-    """Move the component axes and the sample axis to the front.
-
-    Args:
-        array: (..., K, c...), where K counts samples, and c are the axes of the components.
-        components: number of component axes: 0 for scalars, 1 for vectors, 2 for matrices.
-
-    Returns:
-        (c..., K, ...).
-    """
-    axes = range(-components, 0)
-    return jnp.moveaxis(array, (*axes, -components - 1), tuple(range(components + 1)))
-
-
-def components_last(array: Array, components: int) -> Array:
-    """Invert :func:`components_first`: (c..., K, ...) becomes (..., K, c...)."""
-    axes = range(-components, 0)
-    return jnp.moveaxis(array, tuple(range(components + 1)), (*axes, -components - 1))
-
-
 def cross(a: Array, b: Array) -> Array:
     """Return the cross products of vectors (3, ...)."""
     (x, y, z), (u, v, w) = jax.lax.split(a, (1, 1, 1)), jax.lax.split(b, (1, 1, 1))
@@ -95,24 +70,15 @@ def normalize(vector: Array) -> Array:
 
 
 def sandwich(outer: Array, form: Array) -> Array:
-    """Express quadratic forms in other axes: U' C U.
-
-    Args:
-        outer: (3, 3, ...) matrices U, whose columns are the axes.
-        form: (3, 3, S, ...) symmetric matrices C.
-    """
+    """Express quadratic forms C (3, 3, S, ...) in other axes, the columns of U (3, 3, ...): U' C U."""
     half = total(outer[:, :, None, None] * form[:, None], 0)
     return total(half[:, :, None] * outer[None, :, :, None], 1)
 
 
 def rotate(vector: Array, matrix: Array) -> Array:
-    """Rotate the columns of a matrix by a small vector.
+    """Rotate the columns of matrices (3, n, ...) by small vectors (3, ...), rad.
 
     Cayley's formula gives the rotation, which equals the exponential of the vector to second order.
-
-    Args:
-        vector: (3, ...) rad.
-        matrix: (3, n, ...).
     """
     half = jnp.broadcast_to(vector[:, None] / 2, matrix.shape)
     turned = cross(half, matrix)
@@ -153,15 +119,7 @@ def inverse_and_determinant(s: Array, positive: bool = True) -> tuple[Array, Arr
 
 
 def solve_positive(matrix: Array, vector: Array) -> Array:
-    """Solve symmetric, positive definite systems by Gauss-Jordan elimination.
-
-    Args:
-        matrix: (n, n, ...).
-        vector: (n, ...) right-hand sides.
-
-    Returns:
-        (n, ...) solutions.
-    """
+    """Solve symmetric, positive definite systems (n, n, ...) x = (n, ...) by Gauss-Jordan elimination."""
     length = len(vector)
     diagonal = jnp.stack([matrix[i, i] for i in range(length)])
     floor = jnp.finfo(matrix.dtype).eps * diagonal + jnp.finfo(matrix.dtype).tiny

@@ -36,12 +36,6 @@ def pivots(s: Symmetric) -> Vector:
     The product of the three numbers is the determinant. This elimination is backward stable. An expansion of
     the determinant by cofactors is not: with one free and two constrained axes, it loses twice as many
     digits, and all digits in float32.
-
-    Args:
-        s: six arrays (...), components of S.
-
-    Returns:
-        Three arrays (...).
     """
     xx, xy, xz, yy, yz, zz = s
     inverse = _reciprocal(xx)
@@ -49,24 +43,6 @@ def pivots(s: Symmetric) -> Vector:
     coupling = yz - xy * xz * inverse
     z = zz - xz * xz * inverse - coupling * coupling * _reciprocal(y)
     return xx, y, z
-
-
-def solve(s: Symmetric, v: Vector) -> Vector:
-    """Solve S x = v by cofactors, for definite or indefinite S.
-
-    Args:
-        s: six arrays (...), components of S.
-        v: three arrays (...), components of v.
-
-    Returns:
-        Three arrays (...); infinite or NaN where S is singular.
-    """
-    xx, xy, xz, yy, yz, zz = s
-    a, b, c = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
-    d, e, f = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
-    scale = 1 / (xx * a + xy * b + xz * c)
-    x, y, z = v
-    return scale * (a * x + b * y + c * z), scale * (b * x + d * y + e * z), scale * (c * x + e * y + f * z)
 
 
 def _rotate(
@@ -97,13 +73,7 @@ def eigh(s: Symmetric) -> tuple[Vector, tuple[Vector, Vector, Vector]]:
 
     Jacobi's method computes small eigenvalues accurately beside large ones, as constrained axes need. The
     function is differentiable; the derivative of eigenvectors with equal eigenvalues is undefined and set to
-    zero.
-
-    Args:
-        s: six arrays (...), components of the matrices.
-
-    Returns:
-        ``(values, vectors)``: three arrays, and three vectors with three arrays each.
+    zero. The results are three arrays, and three vectors with three arrays each.
     """
     zero, one = jnp.zeros_like(s[0]), jnp.ones_like(s[0])
 

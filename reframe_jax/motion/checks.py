@@ -5,8 +5,6 @@ from enum import IntEnum
 import jax
 import jax.numpy as jnp
 
-__all__ = ["MIN_VELOCITIES", "ROTATION_TOLERANCE", "Status", "check_step", "window_status"]
-
 MIN_VELOCITIES = 4
 """Fewest velocities in a window: for three velocities, some origin does not move along some axis."""
 
@@ -66,24 +64,15 @@ _MESSAGES = {
 
 
 def check_step(step: float) -> None:
-    """Check the time between two poses, s.
-
-    Raises:
-        ValueError: for a time below 1e-9 s or above 1e6 s.
-    """
+    """Raise a ValueError for a time between two poses below 1e-9 s or above 1e6 s."""
     if not _SHORTEST * (1 - _SLACK) <= step <= _LONGEST * (1 + _SLACK):
         raise ValueError(Status.OUT_OF_RANGE.message)
 
 
 def window_status(poses: jax.Array, steps: jax.Array) -> jax.Array:
-    """Check every window, and return a status code for each.
+    """Return the code (...) int32 of each window's :class:`Status`: ``OK``, or the first error that applies.
 
-    Args:
-        poses: (..., K+1, 4, 4) m.
-        steps: (K,) or (..., K) times between consecutive poses, s.
-
-    Returns:
-        (...) int32, codes of :class:`Status`: ``OK``, or the first error that applies.
+    The poses are (..., K+1, 4, 4), m; the times between consecutive poses are (K,) or (..., K), s.
     """
     finite = jnp.all(jnp.isfinite(poses), axis=(-3, -2, -1)) & jnp.all(jnp.isfinite(steps), axis=-1)
     # by components, because products of many small matrices are slow

@@ -18,7 +18,7 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.geometry.small import components_first, components_last, times
+from reframe_jax.geometry.small import times
 from reframe_jax.motion.paths import mean_twists, step_twists
 
 __all__ = [
@@ -44,7 +44,7 @@ def _step_times(dt: jax.Array | float, poses: jax.Array) -> jax.Array:
 
 def split_poses(poses: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Split poses (..., K+1, 4, 4) into rotations (3, 3, K+1, ...) and positions (3, K+1, ...)."""
-    top = components_first(poses[..., :3, :], 2)
+    top = jnp.moveaxis(poses[..., :3, :], (-2, -1, -3), (0, 1, 2))
     return top[:, :3], top[:, 3]
 
 
@@ -61,30 +61,27 @@ def body_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
         (..., K, 6) twists (w, v): the angular velocity, rad/s, and the velocity of the origin of {b}, m/s,
         both in the axes of {b}.
     """
-    return components_last(_twists(*split_poses(poses), _step_times(dt, poses), brackets=True)[0], 1)
+    body, _ = _twists(*split_poses(poses), _step_times(dt, poses), brackets=True)
+    return jnp.moveaxis(body, (0, 1), (-1, -2))
 
 
 def spatial_twists(poses: jax.Array, dt: jax.Array | float) -> jax.Array:
     """Compute the constant spatial twist that moves each pose to the next (Eq. 2 of the paper).
 
-    Args:
-        poses: (..., K+1, 4, 4) of {b} in {g}, m.
-        dt: time between two poses, s: a scalar, or (..., K) for irregular sampling.
+    Arguments as in :func:`body_twists`.
 
     Returns:
         (..., K, 6) twists (w, v): the angular velocity, rad/s, and the velocity of the point of the body that
         is at the origin of {g}, m/s, both in the axes of {g}.
     """
-    return components_last(_twists(*split_poses(poses), _step_times(dt, poses), brackets=True)[1], 1)
+    _, spatial = _twists(*split_poses(poses), _step_times(dt, poses), brackets=True)
+    return jnp.moveaxis(spatial, (0, 1), (-1, -2))
 
 
 def _twists(
     rotation: jax.Array, position: jax.Array, steps: jax.Array, brackets: bool
 ) -> tuple[jax.Array, jax.Array]:
-    """Return body and spatial twists (6, K, ...), with the brackets of the Magnus expansion or without.
-
-    The durations of the steps are (..., K) s.
-    """
+    """Return body and spatial twists (6, K, ...), with the brackets of the Magnus expansion or without."""
     windows, number = rotation.shape[3:], steps.shape[-1]
     if any(size > 1 for size in steps.shape[:-1]):
         steps = jnp.broadcast_to(steps, (*windows, number))
@@ -100,20 +97,17 @@ def velocity_components(
 ) -> tuple[jax.Array, jax.Array]:
     """Compute angular velocities and linear velocity maps with components first, as moments need them.
 
-    Arguments as in :func:`linear_velocity_maps`.
+    Arguments and errors as in :func:`linear_velocity_maps`.
 
     Returns:
         Angular velocities (3, 1, K, 2, ...), rad/s, for the types G and B; and maps (3, 4, K, 4, ...), m/s
         and 1/s, for the types BB, GB, GG and BG.
-
-    Raises:
-        ValueError: for an unknown discretization.
     """
     if discretization not in ("chord", "left"):
         raise ValueError(f"discretization must be 'chord' or 'left', not {discretization!r}.")
     rotation, position = split_poses(poses)
     steps = _step_times(dt, poses)
-    step = components_first(steps, 0)[None, None]
+    step = jnp.moveaxis(steps, -1, 0)[None, None]
     body, spatial = _twists(rotation, position, steps, brackets=discretization == "left")
     bb, gg = (_twist_map(twist) for twist in (body, spatial))
     if discretization == "left":
@@ -152,16 +146,10 @@ def angular_velocities(
 ) -> jax.Array:
     """Compute the angular velocity of {b} in the axes of the two angular frame types.
 
-    Args:
-        poses: (..., K+1, 4, 4) of {b} in {g}, m.
-        dt: time between two poses, s: a scalar, or (..., K) for irregular sampling.
-        discretization: see :func:`linear_velocity_maps`.
+    Arguments and errors as in :func:`linear_velocity_maps`.
 
     Returns:
         (..., 2, K, 3) rad/s: in the axes of {g}, then in the axes of {b} (the order of ``AngularType``).
-
-    Raises:
-        ValueError: for an unknown discretization.
     """
     rates, _ = velocity_components(poses, dt, discretization)
     return jnp.moveaxis(rates[:, 0], (2, 1, 0), (-3, -2, -1))

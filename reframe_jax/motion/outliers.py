@@ -91,19 +91,14 @@ def _has_jumps(x: Array, own: Array) -> Array:
 
 
 def _find(x: Array, times: Array, own: Array, count: Array, unit: Array, stride: Array) -> Array:
-    """Return which poses x (9, P, N), position and two columns of the rotation, are outliers, (P, N) bool.
-
-    The path is extended at both ends by reflection in its first and in its last pose.
-    """
+    """Return which poses x (9, P, N), position and two columns of the rotation, are outliers, (P, N) bool."""
+    # the path is extended at both ends by reflection in its first and in its last pose
     number, last = x.shape[1], count - 1
     whole = jnp.concatenate([x, times[None]])
     ends = whole[:, :1], jnp.take_along_axis(whole, last[None, None], axis=1)
 
     def beside(samples: Array) -> Array:
-        """Return the poses and times at 1 to 5 times ``samples`` after every pose, or before it if negative.
-
-        The result is (5, 10, P, N): 9 components and the time.
-        """
+        """Return the poses and times (5, 10, P, N) at 1 to 5 times ``samples`` after every pose."""
         each = jnp.arange(1, _REACH + 1)[:, None, None] * samples + jnp.arange(number)[:, None]
         inside = jnp.abs(jnp.where(each > last, 2 * last - each, each))
         inside = jnp.clip(inside, 0, number - 1).reshape(-1, own.shape[1])

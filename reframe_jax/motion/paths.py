@@ -13,18 +13,13 @@ import numpy as np
 
 from reframe_jax.geometry.small import cross, materialize, times, total
 
-__all__ = ["mean_twists", "step_twists", "twist_paths"]
-
 Array = jax.Array
 _STENCIL = 7  # samples in the derivative of the twist
 _EVEN = 5  # longest over shortest step, above which derivatives across them amplify noise
 
 
 def _logarithm(turn: Array) -> tuple[Array, Array]:
-    """Rotation vectors w (3, ...) of rotations (3, 3, ...) below a half turn, and their cotangent factor.
-
-    The factor is (1 - (x / 2) cot(x / 2)) / x^2 of the angle x.
-    """
+    """Rotation vectors (3, ...) below a half turn, and (1 - (x / 2) cot(x / 2)) / x^2 of their angles x."""
     tiny = jnp.finfo(turn.dtype).eps ** 2
     vee = jnp.stack([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
     half_cosine = jnp.sqrt(jnp.maximum(1 + turn[0, 0] + turn[1, 1] + turn[2, 2], tiny)) / 2
@@ -43,14 +38,9 @@ def _logarithm(turn: Array) -> tuple[Array, Array]:
 
 
 def step_twists(rotation: Array, position: Array) -> Array:
-    """Logarithms of the steps between poses: twists times the sample time.
+    """Logarithms (2, 3, 2, K, N) of the steps between rotations (3, 3, K+1, N) and positions (3, K+1, N), m.
 
-    Args:
-        rotation: (3, 3, K+1, N).
-        position: (3, K+1, N) m.
-
-    Returns:
-        (2, 3, 2, K, N): rotations (rad) and translations (m), in {b} and in {g}.
+    The logarithms are twists times the sample time: rotations (rad) and translations (m), in {b} and in {g}.
     """
     back = jnp.swapaxes(rotation, 0, 1)[:, :, :-1]
     w, factor = _logarithm(times(back, rotation[:, :, 1:]))
@@ -87,16 +77,10 @@ def mean_twists(rotation: Array, position: Array, steps: Array, count: Array | N
 
 
 def twist_paths(rotation: Array, position: Array, steps: Array, count: Array | None) -> tuple[Array, Array]:
-    """Integrate the twist from the first pose to every pose.
-
-    Args:
-        rotation: (3, 3, P, N).
-        position: (3, P, N) m.
-        steps: (1, K) or (N, K) s, sample times.
-        count: (N,) number of poses, 8 or more, if the rest is padding, else None.
+    """Integrate the twist from the first pose to every pose; arguments as in :func:`mean_twists`.
 
     Returns:
-        Rotations (3, 2, P, N) rad and translations (3, 2, P, N) m, in {b} and {g}.
+        Rotations (3, 2, K+1, N) rad and translations (3, 2, K+1, N) m, in {b} and {g}.
     """
     twist = mean_twists(rotation, position, steps, count) * steps.T
     path = jnp.pad(_running_sum(twist), ((0, 0), (0, 0), (0, 0), (1, 0), (0, 0)))
@@ -145,16 +129,10 @@ def _brackets(means: Array, weights: Array, h: Array) -> Array:
 
 
 def _derivative_weights(steps: Array, count: Array | None) -> Array:
-    """Finite-difference weights on irregular nodes: exact for polynomials of degree 6.
+    """Finite-difference weights (2 n - 1, K, N), 1/s, of the nodes from n - 1 before each one to n - 1 after.
 
-    The nodes are the middles of the steps; each derivative uses the seven nearest.
-
-    Args:
-        steps: (1, K) or (N, K) s.
-        count: (N,) how many of the steps count, 7 or more; the others are padding.
-
-    Returns:
-        (2 n - 1, K, N) in 1/s: weights of the nodes from n - 1 before each one to n - 1 after it.
+    The nodes are the middles of the steps, of which ``count`` (N,) are not padding. Each derivative uses the
+    seven nearest, and is exact for polynomials of degree 6.
     """
     number = steps.shape[1]
     nodes = min(_STENCIL, number)

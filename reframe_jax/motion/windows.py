@@ -2,8 +2,6 @@
 
 import numpy as np
 
-__all__ = ["sliding_windows"]
-
 
 def sliding_windows(samples: np.ndarray, length: int, stride: int = 1) -> np.ndarray:
     """Divide a recording into overlapping windows of equal length, as a read-only view without a copy.

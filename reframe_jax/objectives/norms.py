@@ -16,8 +16,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-__all__ = ["check_exponent", "log_power_mean"]
-
 
 def check_exponent(exponent: float) -> float:
     """Check the exponent of a power mean over the axes, and return it as a float.

@@ -5,8 +5,6 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import jax
 import numpy as np
 
-__all__ = ["MomentsObjective", "Objective", "check_objective", "require_moments"]
-
 
 @runtime_checkable
 class Objective(Protocol):
@@ -95,16 +93,7 @@ def check_objective(objective: Any) -> None:
 
 
 def require_moments(objective: Any, unknowns: str, solver: str) -> MomentsObjective:
-    """Return the objective if it is a :class:`MomentsObjective` over the given unknowns.
-
-    Args:
-        objective: the problems.
-        unknowns: "frame" or "position".
-        solver: name of the local minimizer, for the message.
-
-    Raises:
-        ValueError: for another objective.
-    """
+    """Return a :class:`MomentsObjective` over "frame" or "position"; raise a ValueError for others."""
     if isinstance(objective, MomentsObjective) and objective.unknowns == unknowns:
         return objective
     raise ValueError(

@@ -11,18 +11,11 @@ from reframe_jax.geometry import rotations, symmetric
 from reframe_jax.objectives.moments import covariance_at
 from reframe_jax.objectives.norms import log_power_mean
 
-__all__ = ["FrameObjective", "PositionObjective", "log_norm"]
-
 
 def log_norm(covariance: symmetric.Symmetric, exponent: float) -> jax.Array:
-    """Return the lowest log J (...) of all axes, for given velocity covariances.
+    """Return the lowest log J (...) of all axes, for the six components (...) of velocity covariances.
 
-    Args:
-        covariance: six arrays (...), components of the velocity covariance.
-        exponent: exponent of the power mean over the axes.
-
-    Returns:
-        (...) log J; infinite where the covariance is not positive definite.
+    The result is infinite where a covariance is not positive definite.
     """
     # the geometric mean needs only the product of the variances, which equals the product of the pivots
     variances = symmetric.pivots(covariance) if exponent == 0 else symmetric.eigh(covariance)[0]
@@ -35,15 +28,10 @@ def log_norm(covariance: symmetric.Symmetric, exponent: float) -> jax.Array:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class _Moments:
-    """Base class of objectives that depend on moments.
+    """Base class of objectives that depend on moments."""
 
-    Attributes:
-        moments: (6, 10, ...), or (6, 1, ...) for angular velocities; the trailing axes are problems.
-        exponent: exponent of the power mean over the axes.
-    """
-
-    moments: jax.Array
-    exponent: float = field(default=0.0, metadata={"static": True})
+    moments: jax.Array  # (6, 10, ...), or (6, 1, ...) for angular velocities; the trailing axes are problems
+    exponent: float = field(default=0.0, metadata={"static": True})  # of the power mean over the axes
 
     @property
     def batch(self) -> tuple[int, ...]:

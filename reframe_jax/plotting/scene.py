@@ -81,15 +81,10 @@ def set_limits(axes: "Axes3D", points: np.ndarray) -> None:
 def draw_frame(
     axes: "Axes3D", origin: np.ndarray, triad: np.ndarray, turning: np.ndarray, dof: Any, alpha: float
 ) -> None:
-    """Draw the linear frame at one pose, and the free axes of rotation through its origin.
+    """Draw the linear frame at one pose, and the free axes of rotation through its origin (3,), m.
 
-    Args:
-        axes: the picture.
-        origin: (3,) m, in the ground.
-        triad: (3, 3) m, linear axes as columns, with the length at which they are drawn.
-        turning: (n, 3) m, free axes of rotation as rows, with the length at which they are drawn.
-        dof: (3,) 1 for free linear axes.
-        alpha: opacity; the axes are numbered if it is 1.
+    The linear axes are the columns of ``triad`` (3, 3), the free axes of rotation the rows of ``turning``
+    (n, 3), with the lengths at which they are drawn, m. The axes are numbered if the opacity ``alpha`` is 1.
     """
     from matplotlib.patheffects import withStroke
 

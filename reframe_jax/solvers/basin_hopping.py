@@ -8,11 +8,8 @@ from jax import lax, random
 
 from reframe_jax.objectives.protocol import Objective, check_objective
 from reframe_jax.solvers.box import Box
-from reframe_jax.solvers.problems import repeat_problems
-from reframe_jax.solvers.protocol import LocalMinimiser, Solution
+from reframe_jax.solvers.protocol import LocalMinimiser, Solution, repeat_problems
 from reframe_jax.solvers.seeds import even_starts, suggested_starts
-
-__all__ = ["BasinHopping", "SearchState"]
 
 _SUGGESTED = 0.4  # fraction of the chains with a start from the data, if there are rounds
 _CANDIDATES = 4, 64  # candidates per start from the data: in the first round, and in later rounds

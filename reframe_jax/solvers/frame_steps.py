@@ -19,24 +19,16 @@ import jax.numpy as jnp
 
 from reframe_jax.geometry import rotations, symmetric
 from reframe_jax.geometry.products import matmul
+from reframe_jax.geometry.small import rotate
 from reframe_jax.objectives.moments import covariance_at
 from reframe_jax.objectives.norms import log_power_mean
 from reframe_jax.objectives.protocol import MomentsObjective, Objective, require_moments
 from reframe_jax.objectives.velocity import FrameObjective
 from reframe_jax.solvers.box import Box
 from reframe_jax.solvers.newton_steps import derivatives, steps_in_box, take_best_steps
-from reframe_jax.solvers.problems import minimise_each
-
-__all__ = ["FrameSteps"]
+from reframe_jax.solvers.protocol import minimise_each
 
 _Frame = tuple[jax.Array, jax.Array]  # axes (3, 3), columns of E, and origin (3,)
-
-
-def _rotate_axes(axes: jax.Array, turn: jax.Array) -> jax.Array:
-    """E times the rotation of the normalized quaternion (turn / 2, 1), which is exp(turn) to second order."""
-    quaternion = jnp.concatenate([turn / 2, jnp.ones_like(turn[:1])])
-    unit = quaternion / jnp.sqrt(jnp.sum(jnp.square(quaternion)))
-    return matmul(axes, rotations.quaternion_to_rotation(unit))
 
 
 def _aligning_rotation(s: jax.Array) -> jax.Array:
@@ -63,15 +55,9 @@ class FrameSteps:
     steps: int = 10
 
     def __call__(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Minimize every problem locally, from given unknowns.
+        """Minimize every :class:`MomentsObjective` over frames; see :data:`LocalMinimiser`.
 
-        Args:
-            objective: the problems, a :class:`MomentsObjective` over frames.
-            box: bounds of the search.
-            x: (dim, ...) starts: rotation vectors, rad, and, for linear velocities, origins, m.
-
-        Returns:
-            The best unknowns (dim, ...) and their values (...).
+        The starts x are rotation vectors, rad, and, for linear velocities, origins, m: (dim, ...).
 
         Raises:
             ValueError: for another objective.
@@ -93,7 +79,7 @@ class FrameSteps:
             return matmul(axes.T, matmul(sigma, axes))
 
         def moved(frame: _Frame, step: jax.Array) -> _Frame:
-            return _rotate_axes(frame[0], step[:3]), frame[1] + step[3:]
+            return rotate(-step[:3], frame[0].T).T, frame[1] + step[3:]  # E exp(step) to second order
 
         def level(frame: _Frame) -> jax.Array:
             return log_power_mean(jnp.log(jnp.diagonal(along(frame))) / 2, norm.exponent)

@@ -12,8 +12,6 @@ from reframe_jax.solvers.box import Box
 from reframe_jax.solvers.protocol import Solution
 from reframe_jax.solvers.valley_steps import ValleySteps
 
-__all__ = ["JointSearch"]
-
 
 @dataclass(frozen=True)
 class JointSearch:

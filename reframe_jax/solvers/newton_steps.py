@@ -9,9 +9,7 @@ import jax.numpy as jnp
 
 from reframe_jax.objectives.protocol import Objective
 from reframe_jax.solvers.box import Box
-from reframe_jax.solvers.problems import minimise_each
-
-__all__ = ["NewtonSteps", "derivatives", "newton_steps", "steps_in_box", "take_best_steps"]
+from reframe_jax.solvers.protocol import minimise_each
 
 _POWERS = (0.0, 1.0, 2.0, 3.0, 6.0)  # exponents s of the Newton steps on J^s
 _PARTS = (1.0, 0.25, 0.05)  # fractions of the descent step for an indefinite Hessian
@@ -27,10 +25,6 @@ def newton_steps(gradient: jax.Array, hessian: jax.Array) -> jax.Array:
     length depends on s. The steps with s = 6, 3 and 2 are exact if one, two or three axes of the geometric
     mean are constrained; the step with s = 1 is exact if a single axis dominates. Far from the optimum, H = L
     D L^T is indefinite; the last three candidates descend with L |D| L^T instead.
-
-    Args:
-        gradient: (dim,) gradient of f.
-        hessian: (dim, dim) Hessian of f.
     """
     dim = gradient.shape[0]
     ridge = _RIDGE * jnp.sum(jnp.abs(hessian), axis=1)
@@ -62,16 +56,7 @@ def steps_in_box(
     """Return :func:`newton_steps` in which a coordinate on a face of the box does not leave the box.
 
     Such a coordinate is held constant if the gradient points out of the box, or if the Newton step does.
-
-    Args:
-        x: (dim,) unknowns.
-        low: (dim,) lower bounds.
-        high: (dim,) upper bounds.
-        gradient: (dim,) gradient of f = log J.
-        hessian: (dim, dim) Hessian of f.
-
-    Returns:
-        (8, dim) candidate steps.
+    The unknowns x and the bounds are (dim,); the gradient and the Hessian are those of f at x.
     """
     unit = jnp.eye(len(x), dtype=x.dtype)
     out = gradient
@@ -93,15 +78,8 @@ def take_best_steps(
 ) -> tuple[_Point, jax.Array]:
     """Repeat: try candidate steps, and take the step with the lowest value; stay if no step lowers the value.
 
-    Args:
-        start: first point, a pytree.
-        value: value of the first point.
-        steps_at: function from a point to candidate steps (C, dim).
-        move: function from a point and a step (dim,) to the next point and its value.
-        count: number of repetitions.
-
-    Returns:
-        The last point and its value.
+    A point is a pytree. ``steps_at`` maps a point to candidate steps (C, dim); ``move`` maps a point and a
+    step (dim,) to the next point and its value. The result is the last point and its value.
     """
 
     def advance(_: int, carry: tuple[_Point, jax.Array]) -> tuple[_Point, jax.Array]:
@@ -127,16 +105,7 @@ class NewtonSteps:
     steps: int = 30
 
     def __call__(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Minimize every problem locally, from given unknowns.
-
-        Args:
-            objective: the problems.
-            box: bounds of the search.
-            x: (dim, ...) starts.
-
-        Returns:
-            The best unknowns (dim, ...) and their values (...).
-        """
+        """Minimize every problem from starts x, (dim, ...); see :data:`LocalMinimiser`."""
         return minimise_each(self._minimise_one, objective, box, x)
 
     def _minimise_one(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -9,9 +9,7 @@ import optax
 
 from reframe_jax.objectives.protocol import Objective
 from reframe_jax.solvers.box import Box
-from reframe_jax.solvers.problems import minimise_each
-
-__all__ = ["OptaxSteps"]
+from reframe_jax.solvers.protocol import minimise_each
 
 
 @dataclass(frozen=True)
@@ -30,16 +28,7 @@ class OptaxSteps:
     steps: int = 60
 
     def __call__(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Minimize every problem locally, from given unknowns.
-
-        Args:
-            objective: the problems.
-            box: bounds of the search.
-            x: (dim, ...) starts.
-
-        Returns:
-            The best unknowns (dim, ...) of all updates, and their values (...).
-        """
+        """Minimize every problem from starts x, (dim, ...); see :data:`LocalMinimiser`."""
         return minimise_each(self._minimise_one, objective, box, x)
 
     def _minimise_one(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:

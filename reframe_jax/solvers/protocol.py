@@ -1,18 +1,19 @@
-"""What a solver is for ``identify``: its methods, and the result that it returns."""
+"""What a solver is for ``identify``, and helpers of solvers for batches of problems."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol, TypeVar
 
 import jax
+import jax.numpy as jnp
 
 from reframe_jax.objectives.protocol import Objective
 from reframe_jax.solvers.box import Box
 
-__all__ = ["LocalMinimiser", "Solution", "Solver"]
+_T = TypeVar("_T")
 
 LocalMinimiser = Callable[[Objective, Box, jax.Array], tuple[jax.Array, jax.Array]]
-"""A local minimizer: a function from an objective, a box and starts (dim, ...) to unknowns and their values.
+"""A local minimizer of every problem: ``minimise(objective, box, x)`` with starts x, (dim, ...).
 
 It returns the best unknowns (dim, ...) and their values (...), and must treat the problems independently.
 """
@@ -47,3 +48,27 @@ class Solver(Protocol):
             key: JAX random key.
         """
         ...
+
+
+def repeat_problems(tree: _T, axes: int, count: int) -> _T:
+    """Repeat the problems, the last ``axes`` axes of every array, along a new axis before these axes."""
+
+    def repeat(a: jax.Array) -> jax.Array:
+        place = a.ndim - axes
+        shape = (*a.shape[:place], count, *a.shape[place:])
+        return jnp.broadcast_to(jnp.expand_dims(a, place), shape)
+
+    return jax.tree.map(repeat, tree)
+
+
+def minimise_each(
+    minimise_one: Callable[[Any, Box, jax.Array], tuple[jax.Array, jax.Array]],
+    objective: Objective,
+    box: Box,
+    x: jax.Array,
+) -> tuple[jax.Array, jax.Array]:
+    """Apply a minimizer of one problem, from a start (dim,), to every problem, from starts x, (dim, ...)."""
+    batch = x.shape[1:]
+    flat = jax.tree.map(lambda a: a.reshape(*a.shape[: a.ndim - len(batch)], -1), (objective, x))
+    found, values = jax.vmap(minimise_one, in_axes=(-1, None, -1), out_axes=-1)(flat[0], box, flat[1])
+    return found.reshape(x.shape), values.reshape(batch)

@@ -7,13 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import random
 
-from reframe_jax.geometry import symmetric
-from reframe_jax.geometry.symmetric import INDEX_PAIRS
+from reframe_jax.geometry.small import solve_positive
+from reframe_jax.geometry.symmetric import INDEX_PAIRS, PACKED
 from reframe_jax.objectives.protocol import MomentsObjective, Objective
 from reframe_jax.solvers.box import Box
-from reframe_jax.solvers.problems import repeat_problems
-
-__all__ = ["even_starts", "quasi_random", "suggested_starts"]
+from reframe_jax.solvers.protocol import repeat_problems
 
 _RIDGE = (
     1e-9  # added curvature, relative to its trace: chooses the origin nearest to zero along free directions
@@ -25,12 +23,6 @@ def quasi_random(key: jax.Array, count: int, dim: int, dtype: jnp.dtype) -> jax.
 
     Any prefix of the sequence covers the cube evenly, so any ``count`` is suitable. The increments are powers
     of the real root of x^(d+1) = x + 1, the generalized golden ratio.
-
-    Args:
-        key: JAX random key of the shift.
-        count: number of points.
-        dim: number of dimensions.
-        dtype: dtype of the points.
     """
     root = 2.0
     for _ in range(64):
@@ -55,13 +47,6 @@ def suggested_starts(
     For a norm of velocities over origins, a candidate is the origin with the least motion along a random
     direction. The origin of the constraint is such a point for its constrained directions. Each start is the
     best of several candidates. For other objectives, the starts cover the box evenly.
-
-    Args:
-        objective: the problems.
-        box: bounds of the search.
-        key: JAX random key.
-        count: number of starts per problem.
-        candidates: number of candidates per start.
     """
     batch, dtype = objective.batch, objective.dtype
     if not (isinstance(objective, MomentsObjective) and objective.unknowns == "position"):
@@ -73,8 +58,8 @@ def suggested_starts(
     for (a, b), row in zip(INDEX_PAIRS, objective.moments, strict=True):
         q = q + (1 if a == b else 2) * (d[a] * d[b])[None] * row[:, None]
     ridges = _RIDGE * (q[4] + q[7] + q[9])
-    curvature = 2 * (q[4] + ridges), q[5], q[6], 2 * (q[7] + ridges), q[8], 2 * (q[9] + ridges)
-    least = jnp.stack(symmetric.solve(curvature, (-q[1], -q[2], -q[3])))
+    curvature = jnp.stack([2 * (q[4] + ridges), q[5], q[6], 2 * (q[7] + ridges), q[8], 2 * (q[9] + ridges)])
+    least = solve_positive(curvature[np.array(PACKED)], -q[1:4])
     points = box.clip(jnp.where(jnp.isfinite(least), least, 0))
     values = repeat_problems(objective, len(batch), candidates * count).value(points)
     points = points.reshape(3, candidates, count, *batch)

@@ -16,9 +16,7 @@ from reframe_jax.objectives.protocol import MomentsObjective, Objective, require
 from reframe_jax.objectives.velocity import PositionObjective, log_norm
 from reframe_jax.solvers.box import Box
 from reframe_jax.solvers.newton_steps import derivatives, steps_in_box, take_best_steps
-from reframe_jax.solvers.problems import minimise_each
-
-__all__ = ["ValleySteps"]
+from reframe_jax.solvers.protocol import minimise_each
 
 
 @dataclass(frozen=True)
@@ -32,15 +30,9 @@ class ValleySteps:
     steps: int = 12
 
     def __call__(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Minimize every problem locally, from given origins.
+        """Minimize every :class:`MomentsObjective` over origins; see :data:`LocalMinimiser`.
 
-        Args:
-            objective: the problems, a :class:`MomentsObjective` over origins.
-            box: bounds of the search.
-            x: (3, ...) m, starts.
-
-        Returns:
-            The best origins (3, ...), m, and their values (...).
+        The starts x are origins, (3, ...) m.
 
         Raises:
             ValueError: for another objective.

@@ -6,9 +6,13 @@ copied or made with other options. A run writes nothing before the first part is
 therefore leave no files.
 """
 
+import errno
 import json
+import os
 import re
-from collections.abc import Mapping
+import secrets
+import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +20,13 @@ import numpy as np
 
 import reframe_jax
 from reframe_jax.storage.codecs import Codec
-from reframe_jax.storage.files import check_place, remove_leftovers, write_whole
 from reframe_jax.storage.records import checksum
 
 _FORMAT = 5
 _LISTED, _LONGEST = 8, 40  # largest number of option names in a message, and length of a name
 _PART = re.compile(r"part-(\d{8,})")
+_TEMPORARY = re.compile(r"\..+\.[0-9a-f]{16}")
+_ABANDONED = 3600.0  # s, age of an abandoned file; larger than the clock differences between machines
 
 Record = dict[str, Any]
 
@@ -91,17 +96,10 @@ def _difference(one: Record, other: Record) -> str:
 
 
 class Run:
-    """A folder of numbered parts that depend on the same options.
+    """A folder of numbered parts, which depend on the same options, as :func:`.records.describe` writes them.
 
-    Args:
-        folder: path of the folder, which is created with the first part.
-        codec: file format of the parts.
-        kind: description of the contents for messages, such as ``"results of identify_many"``.
-        options: options that all parts depend on, in the format of
-            :func:`reframe_jax.storage.records.describe`.
-
-    Raises:
-        ValueError: if the folder is a file.
+    The folder is created with the first part; a ValueError is raised if it is a file. ``kind`` names the
+    contents in messages, such as ``"results of identify_many"``.
     """
 
     def __init__(self, folder: Path, codec: Codec, kind: str, options: Record) -> None:
@@ -164,3 +162,45 @@ class Run:
 
     def _file(self, number: int) -> Path:
         return self.folder / f"part-{number:08d}{self._codec.suffix}"
+
+
+def write_whole(file: Path, write: Callable[[Path], Any]) -> None:
+    """Call ``write`` with a temporary path, then rename it, so that readers never see an incomplete file."""
+    # several machines with a common disk may have equal process numbers
+    temporary = file.with_name(f".{file.name}.{secrets.token_hex(8)}")
+    try:
+        write(temporary)
+        with temporary.open("rb+") as written:
+            os.fsync(
+                written.fileno()
+            )  # the content must be on the disk before a power failure after the rename
+        os.replace(temporary, file)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def check_place(folder: Path) -> None:
+    """Raise an OSError if a missing folder cannot be created, before a long computation."""
+    if folder.exists():
+        return
+    place = folder.absolute().parent
+    while not place.exists():
+        place = place.parent
+    reason = errno.EACCES if place.is_dir() else errno.ENOTDIR
+    if reason == errno.ENOTDIR or not os.access(place, os.W_OK | os.X_OK):
+        raise OSError(reason, os.strerror(reason), str(folder))
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove temporary files that have not changed for an hour; their writers were killed.
+
+    Another machine may still be writing newer files.
+    """
+    for file in folder.glob(".*"):
+        if not _TEMPORARY.fullmatch(file.name):
+            continue
+        try:
+            if time.time() - file.stat().st_mtime > _ABANDONED:
+                file.unlink()
+        except FileNotFoundError:  # another machine removed the file, or its writer renamed it
+            continue

@@ -205,10 +205,7 @@ def _identify(poses: Any, timing: dict[str, Any], options: Mapping[str, Any]) ->
 
 
 def _parts(windows: Any, size: int, wanted: set[int] | None) -> Iterator[tuple[int, np.ndarray]]:
-    """Yield the number and the windows (size, K+1, 4, 4) of every part; the last part may be smaller.
-
-    For an array, only the requested parts are yielded.
-    """
+    """Yield the number and the windows (size, K+1, 4, 4) of every part; of an array, only requested parts."""
     if hasattr(windows, "shape"):
         for number in range(-(-len(windows) // size)):
             if wanted is None or number in wanted:

@@ -10,21 +10,7 @@ from reframe_jax.viewer.tracks import WindowTrack
 
 _FRAMES = 400  # largest number of poses in a file
 _WIDTH, _HEIGHT, _MARGIN = 340, 130, 54  # px, size of a plot; the margin fits the label -1.2e-05
-_STYLE = """<style>
-#reframe-panel {
-  position: fixed; top: 8px; right: 8px; z-index: 1000; width: 360px; max-height: 88vh; overflow: auto;
-  padding: 6px 10px; background: rgba(255, 255, 255, .92); border-radius: 6px;
-  font: 12px sans-serif; color: #222;
-}
-#reframe-panel pre { font-size: 9px; overflow-x: auto; }
-#reframe-panel span { white-space: nowrap; }
-/* the scene is left of the panel */
-[style*="flex-grow: 1"]:has(> canvas) { position: relative; margin-right: 390px; }
-@media (max-width: 36em) { /* the panel is below the scene, and above the controls of the playback */
-  #reframe-panel { top: auto; bottom: 48px; left: 0; right: 0; width: auto; height: 36vh; }
-  [style*="flex-grow: 1"]:has(> canvas) { margin-right: 0; height: calc(100% - 36vh - 24px) !important; }
-}
-</style>"""
+_STYLE = (Path(__file__).parent / "document.css").read_text(encoding="utf-8")
 
 
 def write_page(path: Path | str, windows: list[WindowTrack], *, title: str = "reframe_jax") -> None:
@@ -78,7 +64,7 @@ def _panel(windows: list[WindowTrack], captions: list[str], title: str) -> str:
         )
     legend = f"<details><summary>legend</summary>{legend_html()}</details>"
     heading = f"<div><b>{html.escape(title)}</b></div>"
-    return f'{_STYLE}<div id="reframe-panel">{heading}{"".join(parts)}{legend}</div>'
+    return f'<style>{_STYLE}</style><div id="reframe-panel">{heading}{"".join(parts)}{legend}</div>'
 
 
 def _plot(name: str, rows: list[tuple[str, str, np.ndarray]], times: np.ndarray) -> str:

@@ -51,90 +51,80 @@ class Drawing:
         self._scene = scene
         self._size = size
         self._axis_length = _round_down(0.3 * size)
-        self._nodes: list[Any] = []
+        self._root: Any = None
         self._moving: dict[str, Any] = {}
         self._window: WindowTrack | None = None
 
     def draw(self, window: WindowTrack) -> None:
         """Draw another window at its first pose, in place of the present one."""
-        for node in reversed(self._nodes):  # the children of a node come after the node
-            node.remove()
-        self._nodes, self._moving, self._window = [], {}, window
+        if self._root is not None:
+            self._root.remove()  # with all its children
         scene, size = self._scene, self._size
-        self._path("/path", window.poses[window.counted, :3, 3], BODY, 0.006)
+        self._root, self._window = scene.add_frame("/motion", show_axes=False), window
+        self._path("path", window.poses[window.counted, :3, 3], BODY, 0.006)
         out = window.poses[~window.counted, :3, 3]
         if len(out):
-            self._nodes.append(
-                scene.add_point_cloud(
-                    "/outliers", out, _rgb(OUTLIERS["color"]), point_size=0.02 * size, precision="float32"
-                )
+            colour = _rgb(OUTLIERS["color"])
+            scene.add_point_cloud(
+                "/motion/outliers", out, colour, point_size=0.02 * size, precision="float32"
             )
-        body = scene.add_frame("/body", axes_length=0.12 * size, axes_radius=0.004 * size)
-        box = scene.add_box(
-            "/body/box", _rgb(BODY), dimensions=np.full(3, 0.06 * size), opacity=0.6, cast_shadow=False
-        )
-        self._nodes += [body, box]
-        self._moving["body"] = body
+        body = scene.add_frame("/motion/body", axes_length=0.12 * size, axes_radius=0.004 * size)
+        self._moving = {"body": body}
+        box = np.full(3, 0.06 * size)
+        scene.add_box("/motion/body/box", _rgb(BODY), dimensions=box, opacity=0.6, cast_shadow=False)
         if window.frame is not None:
             if window.frame.in_body is not None:
-                lever = np.stack([np.zeros(3), window.frame.in_body])[None]
-                colour, thickness = _rgb(BODY), 0.012 * size
-                self._nodes.append(scene.add_line_segments("/body/lever", lever, colour, thickness=thickness))
-            self._path("/origins", window.frame.origins[window.counted], _ORIGIN, 0.003)
+                self._segments("body/lever", [[np.zeros(3), window.frame.in_body]], BODY, 0.012)
+            self._path("origins", window.frame.origins[window.counted], _ORIGIN, 0.003)
             self._draw_frame(window.frame)
         self.move_to(0)
 
     def _draw_frame(self, frame: FrameTrack) -> None:
         scene, size = self._scene, self._size
         for name in ("linear", "angular", "spread"):
-            node = scene.add_frame(f"/{name}", show_axes=False)
-            self._nodes.append(node)
-            self._moving[name] = node
-        self._nodes.append(scene.add_icosphere("/linear/origin", 0.012 * size, _rgb(_ORIGIN)))
+            self._moving[name] = scene.add_frame(f"/motion/{name}", show_axes=False)
+        scene.add_icosphere("/motion/linear/origin", 0.012 * size, _rgb(_ORIGIN))
         for i, colour in enumerate(axis_colours(frame.linear_free)):
-            axis = self._axis_length * np.eye(3)[i]
-            name = f"/linear/axis_{i + 1}"
+            axis, name = self._axis_length * np.eye(3)[i], f"linear/axis_{i + 1}"
             if frame.linear_free[i]:
-                radii: dict[str, Any] = {
-                    "shaft_radius": 0.006 * size,
-                    "head_radius": 0.014 * size,
-                    "head_length": 0.04 * size,
-                }
-                points = np.stack([np.zeros(3), axis])[None]
-                self._nodes.append(scene.add_arrows(name, points, _rgb(colour), **radii))
+                scene.add_arrows(
+                    f"/motion/{name}",
+                    np.stack([np.zeros(3), axis])[None],
+                    _rgb(colour),
+                    shaft_radius=0.006 * size,
+                    head_radius=0.014 * size,
+                    head_length=0.04 * size,
+                )
             else:
                 ends = np.linspace(0, 1, 2 * _DASHES).reshape(_DASHES, 2, 1) * axis
-                self._nodes.append(scene.add_line_segments(name, ends, _rgb(colour), thickness=0.008 * size))
-            self._nodes.append(scene.add_label(f"{name}/label", str(i + 1), position=1.15 * axis))
+                self._segments(name, ends, colour, 0.008)
+            scene.add_label(f"/motion/{name}/label", str(i + 1), position=1.15 * axis)
         if frame.angular_free.sum() < 3:  # a ball turns about every axis
-            for number in np.flatnonzero(frame.angular_free):
-                i = int(number)
-                ends = np.stack([-0.35 * size * np.eye(3)[i], 0.35 * size * np.eye(3)[i]])[None]
-                name = f"/angular/axis_{i + 1}"
-                self._nodes.append(scene.add_line_segments(name, ends, _rgb(TURNING), thickness=0.007 * size))
+            for i in np.flatnonzero(frame.angular_free).tolist():
+                end = 0.35 * size * np.eye(3)[i]
+                self._segments(f"angular/axis_{i + 1}", [[-end, end]], TURNING, 0.007)
         if frame.spread is not None:
             self._draw_spread(frame.spread)
+
+    def _segments(self, name: str, ends: Any, colour: str, width: float) -> None:
+        """Draw straight lines between points (n, 2, 3); the width is a fraction of the scene size."""
+        thickness = width * self._size
+        self._scene.add_line_segments(f"/motion/{name}", np.asarray(ends), _rgb(colour), thickness=thickness)
 
     def caption(self, window: WindowTrack) -> str:
         """Describe the length of the drawn axes, and the uncertainty of the origin if it is known."""
         if window.frame is None:
             return ""
         length = f"axes 1 to 3: {1e3 * self._axis_length:g} mm long"
-        spread = self._describe_spread(window.frame)
-        return f"{spread}; {length}" if spread else length
-
-    def _describe_spread(self, frame: FrameTrack) -> str:
-        """Describe the uncertainty of the origin and the enlargement of its ellipsoid; "" if unknown."""
-        if frame.spread is None:
-            return ""
-        halves = _DEVIATIONS * np.linalg.eigvalsh(frame.spread)[::-1]
+        spread = np.zeros((3, 3)) if window.frame.spread is None else window.frame.spread
+        halves = _DEVIATIONS * np.linalg.eigvalsh(spread)[::-1]
         halves = halves[halves > _NEGLIGIBLE]
         if not len(halves):
-            return ""
+            return length
         numbers = ", ".join(f"{1e3 * half:.2g}" for half in halves)
         larger = self._enlargement(halves[0])
         drawn = f", drawn {larger:,} times larger" if larger > 1 else ""
-        return f"origin ± {numbers} mm (two standard deviations){drawn}"
+        return f"origin ± {numbers} mm (two standard deviations){drawn}; {length}"
 
     def _enlargement(self, longest: float) -> int:
         """Power of ten by which an ellipsoid with a given longest half-axis, m, is enlarged to be visible."""
@@ -148,8 +138,8 @@ class Drawing:
         vectors = vectors * np.array([1, 1, np.sign(np.linalg.det(vectors))])
         halves = _DEVIATIONS * values
         halves = np.maximum(halves * self._enlargement(halves[2]), _MIN_HALF_AXIS * self._size)
-        ellipsoid = self._scene.add_icosphere(
-            "/spread/ellipsoid",
+        self._scene.add_icosphere(
+            "/motion/spread/ellipsoid",
             1.0,
             _rgb(_SPREAD),
             scale=tuple(halves),
@@ -157,16 +147,13 @@ class Drawing:
             opacity=0.35,
             cast_shadow=False,
         )
-        self._nodes.append(ellipsoid)
 
     def _path(self, name: str, points: np.ndarray, colour: str, width: float) -> None:
         """Draw a line through points (n, 3); long paths are subsampled."""
         points = points[np.isfinite(points).all(axis=1)]
         points = points[:: max(1, len(points) // _MAX_POINTS)]
         if len(points) > 1 and np.ptp(points, axis=0).max() > 0:
-            ends = np.stack([points[:-1], points[1:]], axis=1)
-            line = self._scene.add_line_segments(name, ends, _rgb(colour), thickness=width * self._size)
-            self._nodes.append(line)
+            self._segments(name, np.stack([points[:-1], points[1:]], axis=1), colour, width)
 
     def move_to(self, sample: int) -> None:
         """Move the body and the frames to a pose of the window."""

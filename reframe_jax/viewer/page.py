@@ -5,6 +5,7 @@ import html
 import io
 import threading
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,15 +20,7 @@ if TYPE_CHECKING:
 _HOST = "127.0.0.1"
 _TICK = 0.05  # s between two poses during playback
 _VIEW = np.array([0.6, -0.88, 0.52])  # position of the camera relative to the centre, in scene sizes
-_SCENE_STYLE = """<style>
-[style*="inset"]:has(> canvas) { right: 400px !important; } /* left of the panel */
-@media (max-width: 36em) { /* above the panel */
-  [style*="inset"]:has(> canvas) { right: 0 !important; bottom: 42% !important; }
-  [style*="position: fixed"][style*="max-height: 60%"] { max-height: 42% !important; width: 100% !important; }
-  [style*="position: fixed"][style*="max-height: 60%"] [style*="width: 20em"] { width: 100% !important; }
-}
-</style>"""
-"""The panel covers no part of the scene: it is on the right, or at the bottom of a narrow page."""
+_SCENE_STYLE = (Path(__file__).parent / "page.css").read_text(encoding="utf-8")
 
 
 def open_server(windows: list[WindowTrack], port: int) -> tuple["viser.ViserServer", Drawing]:
@@ -92,7 +85,7 @@ class Page:
         self._table = gui.add_folder("result", expand_by_default=False)
         with gui.add_folder("legend", expand_by_default=False):
             gui.add_html(legend_html())
-        gui.add_html(_SCENE_STYLE)
+        gui.add_html(f"<style>{_SCENE_STYLE}</style>")
         self._select(0)
 
     @property

@@ -33,18 +33,10 @@ def draw_usable(
 ) -> Iterator[tuple[Batch, np.ndarray]]:
     """Draw chunks until enough draws are usable; yield every chunk with the indices of its usable draws.
 
-    A chunk may have no usable draws; the last chunk has only as many as are needed.
-
-    Args:
-        draw: function of the number of a chunk that returns the draws and the :class:`RolloutStatus` (n,) of
-            each.
-        count: number of usable draws to collect.
-        chunk: number of draws per chunk.
-        subject: end of the error message "Only 3 of 40 ..." if too few draws are usable.
-        progress: function to call after every chunk, with the number of usable draws and ``count``.
-
-    Raises:
-        ValueError: if more than 9 in 10 draws are unusable and more are still needed.
+    ``draw`` returns the draws of a numbered chunk, and the :class:`RolloutStatus` (n,) of each. A chunk may
+    have no usable draws; the last chunk has only as many as are needed. ``progress`` receives the number of
+    usable draws and ``count``. A ValueError, "Only 3 of 40 ``subject``", is raised if more than 9 in 10 draws
+    are unusable and more are still needed.
     """
     done, drawn = 0, 0
     while done < count:

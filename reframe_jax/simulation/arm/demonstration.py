@@ -15,8 +15,13 @@ from reframe_jax.compilation import index_leaves
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import frame_arrays, move_frame, place_frame
 from reframe_jax.geometry import rotations
-from reframe_jax.simulation.arm.guide import EXCITATIONS
-from reframe_jax.simulation.arm.guided import demonstration_keys, impact_velocity, record, run_guided
+from reframe_jax.simulation.arm.guide import (
+    EXCITATIONS,
+    demonstration_keys,
+    impact_velocity,
+    record,
+    run_guided,
+)
 from reframe_jax.simulation.arm.imperfections import Imperfections, check_imperfections, compliance_of
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
 from reframe_jax.simulation.arm.rollout import Steps, rollout_status

@@ -141,16 +141,3 @@ def arm_motion(joints: jax.Array, velocity: jax.Array, arm: Arm = PANDA) -> Moti
     )
     # constants inside MJX have the default precision, not the precision of the input
     return jax.tree.map(lambda leaf: leaf.astype(dtype), motion)
-
-
-def solve_positive(matrix: jax.Array, right: jax.Array) -> jax.Array:
-    """Solve A X = B, (n, m), for a symmetric positive definite A (n, n), by Gauss-Jordan elimination.
-
-    For a batch of small matrices, library calls cost more than the arithmetic; these elementwise operations
-    are vectorized over the batch.
-    """
-    both = jnp.concatenate([matrix, right], axis=1)
-    for i in range(len(matrix)):
-        row = both[i] / both[i, i]
-        both = (both - both[:, i, None] * row[None]).at[i].set(row)
-    return both[:, len(matrix) :]

@@ -1,4 +1,4 @@
-"""The simulated hand that guides the arm, and its excitations.
+"""The simulated hand that guides the arm, its excitations, and the compiled programs of a demonstration.
 
 The hand pulls the tool towards a moving pose that obeys the constraint, through a spring and a damper, with a
 small misalignment and a tremor. All inputs are smooth functions of time, so a demonstration does not depend
@@ -12,11 +12,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.constraints.located import Frame, ground_twist, locate
+from reframe_jax.constraints.located import Frame, ground_twist, locate, multiply, twist_map
 from reframe_jax.geometry import rotations, transforms
 from reframe_jax.geometry.products import apply, matmul
+from reframe_jax.geometry.small import solve_positive
 from reframe_jax.simulation import synthetic
-from reframe_jax.simulation.arm.dynamics import Motion
+from reframe_jax.simulation.arm.dynamics import Motion, arm_motion
+from reframe_jax.simulation.arm.imperfections import Imperfections, compliance_of, measure
+from reframe_jax.simulation.arm.model import Arm, forward_kinematics
+from reframe_jax.simulation.arm.rollout import AxisLaw, Steps, Track, hold, integrate
 from reframe_jax.simulation.synthetic import Excitation
 
 _RATES = ((1.4, 4.4), (2.4, 5.4), (3.4, 6.4))  # rad/s, by axis; 5 s distinguish these rates
@@ -46,11 +50,7 @@ def _ease(t: jax.Array) -> jax.Array:
 def _sines(
     key: jax.Array, free: jax.Array, one_rates: tuple[float, float], one_turning: tuple[float, float]
 ) -> Excitation:
-    """Two sines along every free axis, with different rates and random phases, within reach of the arm.
-
-    ``one_rates`` and ``one_turning`` are the rates and amplitudes (rad/s) of a single free rotation. The
-    function takes the most even of four draws of the phases.
-    """
+    """Two sines along every free axis; ``one_rates`` and ``one_turning``, rad/s, if one rotation is free."""
     draws = jax.random.uniform(key, (_DRAWS, 2, 3, 2), free.dtype, maxval=2 * jnp.pi)
     free = free.reshape(2, 3)
     # the first free axis, angular or linear, has the lowest rate and the largest displacement
@@ -74,11 +74,8 @@ def _sines(
 
 
 def _most_even_phases(draws: jax.Array, rates: jax.Array, free: jax.Array) -> jax.Array:
-    """Choose the phases, out of draws (n, 2, 3, 2), whose direction of least motion moves most.
-
-    Sines with equal phases along two free axes leave a direction between the axes at rest, and the window
-    would not show that this direction is free. Rotations and translations are chosen separately.
-    """
+    """Choose the phases, out of draws (n, 2, 3, 2), whose direction of least motion moves most."""
+    # with equal phases along two free axes, a direction between them would be at rest and seem constrained
     t = jnp.linspace(0, _EVEN_OVER, 64, dtype=draws.dtype)
     velocity = jnp.sum(
         jnp.cos(rates[None, ..., None] * t[None, None, None, None] + draws[..., None]), axis=-2
@@ -168,3 +165,69 @@ def guide_drive(
         return moved, jnp.sum(motion.jacobian * wrench[:, None], axis=0)
 
     return drive
+
+
+def demonstration_keys(key: jax.Array, numbers: jax.Array) -> jax.Array:
+    """Random keys (N, 4) of numbered demonstrations, for geometry, hand, excitation and sensors."""
+    return jax.vmap(lambda number: jax.random.split(jax.random.fold_in(key, number), 4))(numbers)
+
+
+@partial(jax.jit, static_argnames=("steps", "excitation", "arm"))
+def run_guided(
+    frame: Frame,
+    key: jax.Array,
+    numbers: jax.Array,
+    joints: jax.Array,
+    velocity: jax.Array,
+    end: jax.Array,
+    imperfections: Imperfections,
+    *,
+    steps: Steps,
+    excitation: str | Excitation,
+    arm: Arm,
+) -> Track:
+    """Simulate N demonstrations with given numbers (N,), with one program for every constraint.
+
+    They start at joint positions and velocities (N, 7), rad and rad/s, which obey the constraints. At the
+    time ``end`` (s), the hand has come to rest; an infinite time means that the hand keeps moving.
+    """
+    step, compliance = steps.length, compliance_of(imperfections, joints.dtype)
+
+    def simulate_one(frame: Frame, keys: jax.Array, start: jax.Array, velocity: jax.Array) -> Track:
+        velocities = stop_at(end, find_excitation(excitation, keys[1], frame.free))
+        drive = guide_drive(keys[0], frame, velocities, step)
+        pose = transforms.make_pose(*forward_kinematics(start, arm))
+
+        def law(slipped: jax.Array) -> AxisLaw:
+            return hold(frame.free, slipped, step, compliance)
+
+        return integrate(arm, frame, start, drive, pose, law, steps, velocity=velocity)
+
+    return jax.vmap(simulate_one)(frame, demonstration_keys(key, numbers)[:, 1:3], joints, velocity)
+
+
+@partial(jax.jit, static_argnames="arm")
+def record(
+    joints: jax.Array, key: jax.Array, numbers: jax.Array, imperfections: Imperfections, *, arm: Arm
+) -> tuple[jax.Array, jax.Array]:
+    """Compute recorded and true poses (N, K+1, 4, 4), m, from joint positions (N, K+1, 7), rad."""
+    keys = demonstration_keys(key, numbers)[:, 3]
+    poses = jax.vmap(lambda q, key: measure(q, imperfections, key, arm))(joints, keys)
+    return poses, transforms.make_pose(*forward_kinematics(joints, arm))
+
+
+@partial(jax.jit, static_argnames="arm")
+def impact_velocity(frame: Frame, joints: jax.Array, velocity: jax.Array, *, arm: Arm) -> jax.Array:
+    """Compute joint velocities (N, 7), rad/s, after constraints become active: an impact without rebound."""
+
+    def one(frame: Frame, joints: jax.Array, velocity: jax.Array) -> jax.Array:
+        motion = arm_motion(joints, velocity, arm)
+        located = locate(frame, motion.rotation, motion.position)
+        rows = (1 - frame.free)[:, None] * multiply(twist_map(located), motion.jacobian)
+        response = solve_positive(motion.mass[..., None], rows.T)
+        # free axes have zero rows; a one on their diagonal gives a zero impulse
+        stopping = multiply(rows, response) + jnp.diag(frame.free)
+        impulse = solve_positive(stopping, multiply(rows, velocity))
+        return velocity - multiply(response, impulse)
+
+    return jax.vmap(one)(frame, joints, velocity)

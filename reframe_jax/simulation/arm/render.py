@@ -97,10 +97,11 @@ def save_film(path: str | Path, pictures: np.ndarray, *, rate: float = 20.0) -> 
         RenderError: if the extra ``render`` is not installed.
     """
     path = Path(path)
-    if path.suffix not in (".gif", ".mp4"):
+    suffix = path.suffix.lower()
+    if suffix not in (".gif", ".mp4"):
         raise ValueError(f"A film must end in .gif or .mp4, not {path.name!r}.")
     try:
-        if path.suffix == ".gif":
+        if suffix == ".gif":
             from PIL import Image
 
             # one palette for all pictures and no dithering, so that static parts do not flicker
@@ -115,9 +116,7 @@ def save_film(path: str | Path, pictures: np.ndarray, *, rate: float = 20.0) -> 
 
             imageio.mimwrite(path, list(pictures), fps=rate)
     except ImportError as error:
-        raise RenderError(
-            f"{path.suffix} films need: pip install 'reframe-jax[render]' ({error})."
-        ) from error
+        raise RenderError(f"{suffix} films need: pip install 'reframe-jax[render]' ({error}).") from error
 
 
 def _renderer(model: mujoco.MjModel, size: tuple[int, int]) -> Any:

@@ -25,7 +25,8 @@ import jax
 import jax.numpy as jnp
 
 from reframe_jax.constraints.located import Frame, Located, locate, multiply, slip, twist_map
-from reframe_jax.simulation.arm.dynamics import Motion, arm_motion, solve_positive
+from reframe_jax.geometry.small import solve_positive
+from reframe_jax.simulation.arm.dynamics import Motion, arm_motion
 from reframe_jax.simulation.arm.model import Arm, forward_kinematics
 
 RELAXATION = 0.03
@@ -118,11 +119,11 @@ def integrate(
         rows = rule.acts[:, None] * multiply(twist_map(now), motion.jacobian)
         mass = motion.mass + step * jnp.diag(damping)
         push = torque - motion.bias - damping * velocity
-        solved = solve_positive(mass, jnp.concatenate([rows.T, push[:, None]], axis=1))
+        solved = solve_positive(mass[..., None], jnp.concatenate([rows.T, push[:, None]], axis=1))
         response, unheld = solved[:, :6], velocity + step * solved[:, 6]
         softness = jnp.where(rule.acts > 0, rule.softness, 1)
         wanted = rule.acts * rule.offset + multiply(rows, unheld)
-        force = -solve_positive(step * multiply(rows, response) + jnp.diag(softness), wanted[:, None])[:, 0]
+        force = -solve_positive(step * multiply(rows, response) + jnp.diag(softness), wanted)
         velocity = unheld + step * multiply(response, force)
         return (joints + step * velocity, velocity, slipped, now, state, force), None
 
