@@ -60,7 +60,7 @@ class _Samples:
         """Make rows, with the stamps as times, or the times of recording if no stamps were set."""
         stamps = np.asarray(self.stamps)
         values = np.asarray(self.values).reshape(-1, 7)
-        rows = Rows(path, "message", np.arange(len(stamps)), values, None, seconds=1.0)
+        rows = Rows(path, "message", np.arange(len(stamps)), values, None)
         zero = 2 * np.count_nonzero(stamps) <= len(stamps)
         if not static and (zero or (len(stamps) > 1 and not np.ptp(stamps))):
             why = (

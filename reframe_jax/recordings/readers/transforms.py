@@ -107,7 +107,7 @@ def chain_rows(path: Path, chain: Sequence[tuple[Edge, bool, Rows]]) -> Rows:
         raise RecordingError(f"{path}: the moving frames of the chain have no times in common.")
     values = matrix_rows(poses[:, :3, :3], poses[:, :3, 3])
     notes = [note for _, _, rows in chain for note in rows.notes]
-    joined = Rows(path, own.word, own.where, values, own.times, own.origin, notes, seconds=1.0)
+    joined = Rows(path, own.word, own.where, values, own.times, own.origin, notes)
     joined.left_out = own.left_out
     joined.keep(known, "another frame of the chain has no transform at that time", "relative")
     return joined
