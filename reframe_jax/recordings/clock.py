@@ -7,6 +7,7 @@ import numpy as np
 
 from reframe_jax.geometry.numpy_rotations import rotation_vectors
 from reframe_jax.recordings.continuity import is_unordered
+from reframe_jax.recordings.conventions import sample_rows
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import EPOCH, Rows, is_path
 from reframe_jax.recordings.selection import TIME_UNITS, Selection, unit_of
@@ -110,7 +111,8 @@ def note_unit(rows: Rows, poses: np.ndarray) -> None:
         )
         return
     lag = -(-len(poses) // _LAG)
-    spans, before, after = rows.times[lag:] - rows.times[:-lag], poses[:-lag], poses[lag:]
+    some = sample_rows(len(poses) - lag)
+    spans, before, after = rows.times[some + lag] - rows.times[some], poses[some], poses[some + lag]
     moved = np.median(np.linalg.norm(after[:, :3, 3] - before[:, :3, 3], axis=1) / spans)
     turns = rotation_vectors(after[:, :3, :3] @ before[:, :3, :3].swapaxes(1, 2))
     turned = np.median(np.linalg.norm(turns, axis=1) / spans)

@@ -15,7 +15,7 @@ _SMOOTHER = 0.7  # largest measure of a motion over the mean measure of random o
 _SAME = 1e-6  # relative difference of the measures of an order and of its reverse, by rounding
 _MOVED = 0.02, 0.1  # m and rad, median distances above the noise of a body at rest
 _FARTHEST = 1e9  # m; poses beyond are ignored
-_WINDOWS, _LENGTH = 20, 20  # number and poses of the parts of a long recording that are compared
+_WINDOWS, _LENGTH = 10, 20  # number and poses of the parts of a long recording that are compared
 
 
 def is_unordered(poses: np.ndarray) -> bool:
@@ -36,15 +36,15 @@ def is_unordered(poses: np.ndarray) -> bool:
     triples = np.lib.stride_tricks.sliding_window_view(np.arange(count).reshape(parts.shape), 3, axis=1)
     draw = np.random.default_rng(0)
     orders = np.stack([np.arange(count), *(draw.permutation(count) for _ in range(_ORDERS))])
-    one, other = np.triu_indices(count, 1)
     moved, measures = False, []
     # the distance between two rotation matrices is about sqrt(2) times the angle
     columns = poses[:, :3, 3], poses[:, :3, :3].reshape(count, 9) / np.sqrt(2)
     for numbers, least in zip(columns, _MOVED, strict=True):
-        moved |= bool(np.median(np.linalg.norm(numbers[one] - numbers[other], axis=1)) > least)
         before, here, after = np.moveaxis(numbers[orders][:, triples.reshape(-1, 3)], 2, 0)
-        for change in (here - before, after - 2 * here + before):
-            roots = np.sqrt(np.linalg.norm(change, axis=2)).mean(axis=1)
+        steps = np.linalg.norm(here - before, axis=2)
+        moved |= bool(np.median(steps[1:]) > least)
+        for changes in (steps, np.linalg.norm(after - 2 * here + before, axis=2)):
+            roots = np.sqrt(changes).mean(axis=1)
             usual = roots[1:].mean()
             measures.append(roots / usual if usual > 0 else np.ones(len(roots)))
     own, *others = np.min(measures, axis=0)

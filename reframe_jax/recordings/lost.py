@@ -243,10 +243,11 @@ def _constant(paths: tuple[_Path, _Path]) -> np.ndarray:
 def _noisy(paths: tuple[_Path, _Path]) -> np.ndarray:
     """Kinds (N,) of rows that repeat a number with noise, between a jump from the path and a jump back."""
     kinds = np.full(len(paths[0].zero), "", "U8")
-    turned = np.linalg.norm(paths[1].numbers - paths[1].origin, axis=1)
     for path in paths:
         usual = max(path.usual_step(np.zeros(len(kinds), bool)), _LEAST)
         edges = np.flatnonzero(path.steps > _JUMP_STEPS * usual) + 1
+        if not len(edges):
+            continue
         starts, stops = np.append(0, edges), np.append(edges, len(kinds))
         leaps = np.linalg.norm(path.numbers[edges] - path.numbers[edges - 1], axis=1)
         near = _STILL * np.fmin(np.append(np.nan, leaps), np.append(leaps, np.nan))
@@ -270,6 +271,7 @@ def _noisy(paths: tuple[_Path, _Path]) -> np.ndarray:
         for row, late in ((last, starts - last), (first, first - stops + 1)):
             away = np.linalg.norm(means - path.numbers[row], axis=1)
             inside &= (away > _JUMP_STEPS * usual * late) & (gap < _AWAY * away)
+        turned = np.linalg.norm(paths[1].numbers - paths[1].origin, axis=1)
         identity = np.maximum.reduceat(turned, starts) < _STILL if path is paths[0] else zero
         lost = np.where(zero, np.where(identity, "identity", "origin"), np.where(inside, "constant", ""))
         if not still.all():
