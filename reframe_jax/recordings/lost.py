@@ -93,21 +93,14 @@ def find_lost_poses(poses: np.ndarray, times: np.ndarray | None = None) -> LostP
     poses = np.asarray(poses, float)
     clock = np.arange(len(poses), dtype=float) if times is None else np.asarray(times, float)
     kinds = np.where(np.isfinite(poses).all(axis=(1, 2)), "", "missing").astype("U8")
-    paths = None
     for search in (_at_origin, _constant, _noisy, _frozen):
-        if paths is None:
-            rows = np.flatnonzero(kinds == "")
-            if len(rows) < _OTHERS:
-                break
-            turns = poses[rows, :3, :3].reshape(-1, 9) / np.sqrt(2)
-            identity = np.eye(3).ravel() / np.sqrt(2)
-            paths = (
-                _Path.of(poses[rows, :3, 3], np.zeros(3), clock[rows]),
-                _Path.of(turns, identity, clock[rows]),
-            )
-        kinds[rows] = search(paths)
-        if (kinds[rows] != "").any():
-            paths = None
+        rows = np.flatnonzero(kinds == "")
+        if len(rows) < _OTHERS:
+            break
+        turns = poses[rows, :3, :3].reshape(-1, 9) / np.sqrt(2)
+        identity = np.eye(3).ravel() / np.sqrt(2)
+        positions = _Path.of(poses[rows, :3, 3], np.zeros(3), clock[rows])
+        kinds[rows] = search((positions, _Path.of(turns, identity, clock[rows])))
     return LostPoses(kinds)
 
 
@@ -154,15 +147,10 @@ class _Path:
         return float(np.quantile(steps, 0.9)) if len(steps) else 0.0
 
     def jumps(self, runs: np.ndarray, limit: float, ignored: np.ndarray, usual: float) -> np.ndarray:
-        """Return whether the shorter and the longer step to and from each run are jumps, bool (M, 2).
+        """Return whether the shorter and the longer step to and from runs (M, 2) are jumps, bool (M, 2).
 
-        A run at an end of the path has one step, which counts for both.
-
-        Args:
-            runs: (M, 2) first row, and row after the last row.
-            limit: length of a jump in steps.
-            ignored: (N,) bool, rows whose steps do not count.
-            usual: a step of the path; the upper quartile of the steps nearby counts if it is longer.
+        A run at an end of the path has one step, which counts for both. Lengths are in usual steps, or in the
+        upper quartile of the steps nearby if it is longer. Steps from and to ignored rows (N,) do not count.
         """
         count = -(-len(self.steps) // _NEAR)
         blocks = np.full(count * _NEAR, np.inf)
@@ -314,10 +302,7 @@ def _frozen(paths: tuple[_Path, _Path]) -> np.ndarray:
 def _goes_on(steps: np.ndarray, repeats: np.ndarray, late: np.ndarray) -> np.ndarray:
     """Return whether steps after repeats are as long as the missed steps together, bool (L,).
 
-    Args:
-        steps: (M,) of the path, without zeros.
-        repeats: (M,) int, rows before every step that repeat.
-        late: (L,) int, indices of steps after repeats.
+    The steps (M,) contain no zeros. Before each, ``repeats`` (M,) rows repeat; ``late`` (L,) selects steps.
     """
     unknown = np.full(_AHEAD, np.nan)
     nearby = np.lib.stride_tricks.sliding_window_view(np.concatenate([unknown, steps, unknown]), _AHEAD)
