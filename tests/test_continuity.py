@@ -6,7 +6,8 @@ import jax
 import numpy as np
 import pytest
 from recording_files import HEADER, poses_of, write
-from test_calibration import touches
+from scipy.spatial.transform import Rotation
+from test_calibration import place, touches
 from test_recording_lost import hinge
 
 import benchmarks.motions  # noqa: F401, adds the excitations "sine" and "hand"
@@ -27,10 +28,19 @@ def file_of(path: Path, poses: np.ndarray) -> Path:
     return path
 
 
-@pytest.mark.parametrize("count", [8, 14, 25, 100, 3000])
+@pytest.mark.parametrize("count", [5, 6, 7, 9, 14, 25, 100, 3000])
 def test_touches_have_no_order(rng: np.random.Generator, count: int) -> None:
-    noticed = [is_unordered(touches(rng, count)) for _ in range(30)]
-    assert np.mean(noticed) > 0.8
+    noticed = [is_unordered(touches(rng, count)) for _ in range(60)]
+    assert np.mean(noticed) > 0.9
+
+
+@pytest.mark.parametrize("count", [40, 400])
+def test_touches_that_drift_have_no_order(rng: np.random.Generator, count: int) -> None:
+    """From one side to the other, with more distance between neighbours."""
+    turns = Rotation.from_rotvec(
+        0.4 * rng.normal(size=(count, 3)) + np.linspace(-0.5, 0.5, count)[:, None] * [1, 0.5, 0]
+    )
+    assert is_unordered(place(turns, noise=1e-4 * rng.normal(size=(count, 3))))
 
 
 @pytest.mark.parametrize("label", ["A", "B", "D", "K"])
@@ -62,12 +72,15 @@ def test_rest_noise_and_outliers_are_no_touches(rng: np.random.Generator) -> Non
 def test_no_real_recording_is_without_order() -> None:
     paths = sorted(DATA.glob("*.csv"))
     assert len(paths) > 10
+    missed: dict[int, list[bool]] = {length: [] for length in SHORT}
     for path in paths:
         poses = rf.load_recording(path).poses
         assert not is_unordered(poses), path
         for length in SHORT:
             starts = range(0, len(poses) - length, max(len(poses) // 50, 1))
-            assert not any(is_unordered(poses[k : k + length]) for k in starts), (path, length)
+            missed[length] += [is_unordered(poses[k : k + length]) for k in starts]
+    for length, found in missed.items():  # a few short parts are mainly jumps of the orientation
+        assert np.mean(found) <= (0.02 if length < 10 else 0), length
 
 
 def test_identify_says_that_touches_are_no_motion(

@@ -83,6 +83,58 @@ def test_losses_here_and_there_are_left_out(rng: np.random.Generator) -> None:
     assert set(found.reasons) == {"", "constant"}
 
 
+def add_noise(rng: np.random.Generator, rows: np.ndarray, where: np.ndarray, noise: float) -> None:
+    """To some rows, as of filters and of gyroscopes that go on."""
+    rows[where, 1:4] += noise * rng.normal(size=(len(where), 3))
+    turns = Rotation.from_rotvec(noise * rng.normal(size=(len(where), 3)))
+    rows[where, 4:] = (Rotation.from_quat(rows[where, 4:]) * turns).as_quat()
+
+
+@pytest.mark.parametrize("kind", FILLS)
+@pytest.mark.parametrize("noise", [1e-8, 1e-5, 1e-3])
+@pytest.mark.parametrize("starts", [(70,), (40, 120, 230), (0, 150, COUNT - 25)])
+def test_numbers_of_lost_tracking_with_noise_are_left_out(
+    tmp_path: Path, rng: np.random.Generator, kind: str, noise: float, starts: tuple[int, ...]
+) -> None:
+    if kind == "constant":  # at an end, a body that was moved and rests looks the same
+        starts = tuple(start for start in starts if 0 < start < COUNT - 25)
+    rows = hinge(rng)
+    lost = np.concatenate([np.arange(start, start + 25) for start in starts])
+    FILLS[kind](rows, lost)
+    add_noise(rng, rows, lost, noise)
+    recording = load_recording(write(tmp_path / "a.csv", HEADER, rows))
+    (left_out,) = recording.left_out
+    assert left_out.reason == kind
+    np.testing.assert_array_equal(left_out.rows, lost + 2)
+    (note,) = recording.notes
+    words = {"origin": "position is close to 0, 0, 0", "identity": "pose is close to the identity"}
+    assert words.get(kind, "pose is a constant distant from the others") in note
+
+
+def test_frozen_poses_with_noise_are_left_out(rng: np.random.Generator) -> None:
+    rows = hinge(rng)
+    for start in (100, 200):
+        rows[start : start + 25, 1:] = rows[start - 1, 1:]
+        add_noise(rng, rows, np.arange(start, start + 25), 1e-5)
+    found = find_lost_poses(poses_of(rows), rows[:, 0])
+    np.testing.assert_array_equal(np.flatnonzero(found.mask) % 100, np.tile(np.arange(25), 2))
+    assert set(found.reasons) == {"", "frozen"}
+
+
+@pytest.mark.parametrize("noise", [1e-6, 1e-4, 1e-3])
+def test_bodies_that_rest_with_noise_are_not_lost(rng: np.random.Generator, noise: float) -> None:
+    """On their path, for several times, and between touches that are written for a while."""
+    rows = hinge(rng, 0)
+    rested = np.insert(
+        rows, np.repeat([60, 150, 222], 40), np.repeat(rows[[60, 150, 222]], 40, axis=0), axis=0
+    )
+    touched = np.repeat(rows[::20], 15, axis=0)
+    for motion in (rested, touched):
+        motion[:, 0] = 0.02 * np.arange(len(motion))
+        add_noise(rng, motion, np.arange(len(motion)), noise)
+        assert not find_lost_poses(poses_of(motion), motion[:, 0]).mask.any()
+
+
 @pytest.mark.parametrize("length", [4, 10, 40])
 @pytest.mark.parametrize("start", [20, 100, COUNT])
 def test_frozen_poses_are_left_out(rng: np.random.Generator, length: int, start: int) -> None:

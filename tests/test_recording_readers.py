@@ -127,8 +127,8 @@ def test_arrays(tmp_path: Path, table: np.ndarray) -> None:
         ("a.csv", "when,x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,1\n", "has no times; name their column t, or"),
         (
             "a.csv",
-            "time [h],x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,1\n",
-            "same known unit .such as s, ms, .*: time .h.",
+            "time [d],x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,1\n",
+            "same known unit .such as s, ms, .*: time .d.",
         ),
         ("a.txt", "", "is empty"),
         ("a.txt", "t x y z\n0 0 0 0\n", "no column for qx, qy, qz, qw"),

@@ -576,6 +576,40 @@ def test_a_scalar_called_q0(tmp_path: Path, rows: np.ndarray) -> None:
 # units
 
 
+@pytest.mark.parametrize(("unit", "per"), [("min", 1 / 60), ("h", 1 / 3600)])
+def test_minutes_and_hours(tmp_path: Path, rows: np.ndarray, unit: str, per: float) -> None:
+    cells = rows * [per, *[1] * 7]
+    same(load_recording(write(tmp_path / "a.csv", [f"t [{unit}]", *HEADER[1:]], cells)), rows)
+    path = write(tmp_path / "a.tum", None, cells, " ")
+    (note,) = load_recording(path).notes
+    assert note.endswith("are in minutes or hours, give time_unit='min' or 'h' (--time-unit).")
+    same(load_recording(path, time_unit=unit), rows)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("wrap", "unit"), [(2**32, "us"), (2**32, "ms"), (2**16, "ms"), (86400, "s"), (60, "s")]
+)
+def test_clocks_that_wrap_go_on(tmp_path: Path, rng: np.random.Generator, wrap: int, unit: str) -> None:
+    rows = hinge(rng, count=100)
+    per = {"s": 1, "ms": 1e3, "us": 1e6}[unit]
+    cells = rows.astype(object)
+    cells[:, 0] = [f"{(wrap - 0.6 * per + per * value) % wrap:.3f}" for value in rows[:, 0]]
+    recording = load_recording(text(tmp_path / "a.tum", "", cells, " "), time_unit=unit)  # type: ignore[arg-type]
+    np.testing.assert_allclose(recording.poses, poses_of(rows), atol=1e-9)
+    np.testing.assert_allclose(np.diff(recording.times), 0.02, atol=1e-6)
+    assert any("motion goes on: the clock restarted there" in note for note in recording.notes)
+
+
+def test_clocks_that_restart_within_the_same_times(tmp_path: Path, rng: np.random.Generator) -> None:
+    rows = hinge(rng, count=100)
+    cells = rows.copy()
+    cells[30:, 0] -= cells[30, 0]
+    cells[70:, 0] -= cells[70, 0]
+    recording = load_recording(write(tmp_path / "a.csv", HEADER, cells))
+    same(recording, rows)
+    assert recording.notes[0].startswith("line 32: the time goes back from 0.58 s to 0 s, and the motion ")
+
+
 @pytest.mark.parametrize(("unit", "per"), [("s", 1), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
 def test_times_in_any_unit(tmp_path: Path, rows: np.ndarray, unit: str, per: float) -> None:
     cells = rows.astype(object)
@@ -594,7 +628,9 @@ def test_times_in_any_unit(tmp_path: Path, rows: np.ndarray, unit: str, per: flo
     assert float(recording.origin) == 1.4e9
 
 
-def test_milliseconds_since_the_start_are_noted(tmp_path: Path, rows: np.ndarray) -> None:
+@pytest.mark.parametrize("step", [1, 5])
+def test_milliseconds_since_the_start_are_noted(tmp_path: Path, rows: np.ndarray, step: int) -> None:
+    rows = rows[::step]
     path = write(tmp_path / "a.csv", HEADER, rows * [1000, *[1] * 7])
     assert any("in ms, give time_unit='ms' (--time-unit ms)" in note for note in load_recording(path).notes)
     same(load_recording(path, time_unit="ms"), rows)

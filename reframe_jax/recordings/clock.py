@@ -5,18 +5,26 @@ from decimal import Decimal
 
 import numpy as np
 
+from reframe_jax.geometry.numpy_rotations import rotation_vectors
+from reframe_jax.recordings.continuity import is_unordered
+from reframe_jax.recordings.conventions import sample_rows
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import EPOCH, Rows, is_path
 from reframe_jax.recordings.selection import TIME_UNITS, Selection, unit_of
 
-__all__ = ["drop_equal_times", "make_times", "sort_times"]
+__all__ = ["drop_equal_times", "make_times", "note_unit", "sort_times"]
 
 _SLOW, _SLOWEST = 0.9, 1e3  # s between samples: noted for a path; refused
-_USUAL = 0.02  # s between samples of a usual recording
+_USUAL = 0.02, 1.0  # s between samples of a usual recording, and between separate touches
+_SWIFT, _TURNING = 5.0, 8.0  # m/s and rad/s, above the usual speeds of a hand
+_LAG = 50  # speeds are measured over this fraction of a recording
+_ROOM = 10.0  # m, span of positions of a hand or an arm
 _SINCE_1970 = 3e8, 5e9  # s, clock times of recordings
 _DISTANT = 10.0  # distance of the times from 0 over their span, above which a time of 0 was never set
 _COARSE = 0.5  # fraction of rows with the time of another row, above which the times are rounded
-_BODIES, _OFTEN = 5.0, 0.2  # distance of poses at equal times in steps, and fraction of rows: several bodies
+_STEPS = 5.0  # distance in usual steps between poses of different bodies or recordings
+_OFTEN = 0.2  # fraction of rows with another pose at the same time: several bodies
+_BEHIND = 10  # rows earlier than a previous row, above which the clock restarted and no row came late
 _RESTART = 3.0  # length of the path sorted by time over its length in the file: several recordings
 
 
@@ -28,7 +36,7 @@ def make_times(rows: Rows, dt: float | None, wanted: Selection) -> None:
     """
     if dt is not None:
         count = np.arange(len(rows.values)) if rows.frames is None else rows.frames - rows.frames[:1]
-        rows.times, rows.origin = count * float(dt), None
+        rows.times, rows.origin, rows.seconds = count * float(dt), None, 1.0
         return
     if rows.times is None:
         touches = " Separate touches of a point need no times: use reframe-jax calibrate."
@@ -39,10 +47,12 @@ def make_times(rows: Rows, dt: float | None, wanted: Selection) -> None:
     rows.times = rows.times * factor
     if rows.origin is not None:
         if factor != 1:
-            rows.origin = f"{Decimal(rows.origin) * Decimal(f'{factor:.0e}'):f}"
+            rows.origin = f"{Decimal(rows.origin) * Decimal(str(factor)):f}"
         rows.notes.append(f"times count from the first sample, at {rows.origin} s.")
     if rows.seconds is None and wanted.time_unit is None:
         _check_seconds(rows, rows.times)
+    else:
+        rows.seconds = factor
 
 
 def _drop_unset(rows: Rows) -> None:
@@ -59,35 +69,63 @@ def _drop_unset(rows: Rows) -> None:
 
 
 def _check_seconds(rows: Rows, times: np.ndarray) -> None:
-    """Refuse or note times that are probably not in seconds."""
+    """Refuse times that are certainly not in seconds."""
     steps = np.diff(times[np.isfinite(times)])
     step = float(np.median(np.abs(steps))) if len(steps) else 0.0
     low, high = _SINCE_1970
-    start = abs(float(rows.origin or 0))
+    start, path = abs(float(rows.origin or 0)), is_path(rows.positions)
+    longest = _STEPS if path else _SLOWEST
     since = [
         unit
         for unit, factor in TIME_UNITS.items()
-        if unit != "s" and low < start * factor < high and step * factor < _SLOWEST
+        if factor < 1 and low < start * factor < high and step * factor < longest
     ]
-    if step <= _SLOW and not since:
-        return
-    by_step = min(TIME_UNITS, key=lambda unit: abs(math.log(max(step, 1e-9) * TIME_UNITS[unit] / _USUAL)))
-    unit = since[0] if since else by_step
-    advice = f"give time_unit={unit!r} (--time-unit {unit})"
     if step > _SLOWEST or since:
+        unit = since[0] if since else _likely_unit(step, path)
         raise RecordingError(
-            f"{rows.path}: read in s, the times are {step:.3g} s apart; they look like {unit}: {advice}, or "
-            "the sample time, dt (--dt)."
+            f"{rows.path}: read in s, the times are {step:.3g} s apart; they look like {unit}: "
+            f"{_advise(unit)}, or the sample time, dt (--dt)."
         )
-    if is_path(rows.positions):
+
+
+def _likely_unit(step: float, path: bool) -> str:
+    """Return the unit in which a time step is the most usual one."""
+    usual = _USUAL[0 if path else 1]
+    return min(TIME_UNITS, key=lambda unit: abs(math.log(step * TIME_UNITS[unit] / usual)))
+
+
+def _advise(unit: str) -> str:
+    return f"give time_unit={unit!r} (--time-unit {unit})"
+
+
+def note_unit(rows: Rows, poses: np.ndarray) -> None:
+    """Add a note to ``rows`` if poses (N, 4, 4), m, change so slowly or so fast that the unit is in doubt."""
+    if rows.seconds is not None or rows.times is None or len(poses) < 2 or is_unordered(poses):
+        return
+    step = float(np.median(np.diff(rows.times)))
+    if step > _SLOW:
+        unit = _likely_unit(step, True)
         rows.notes.append(
             f"times are {step:g} s apart, although the body moves little between them; if they are in "
-            f"{unit}, {advice}."
+            f"{unit}, {_advise(unit)}."
+        )
+        return
+    lag = -(-len(poses) // _LAG)
+    some = sample_rows(len(poses) - lag)
+    spans, before, after = rows.times[some + lag] - rows.times[some], poses[some], poses[some + lag]
+    moved = np.median(np.linalg.norm(after[:, :3, 3] - before[:, :3, 3], axis=1) / spans)
+    turns = rotation_vectors(after[:, :3, :3] @ before[:, :3, :3].swapaxes(1, 2))
+    turned = np.median(np.linalg.norm(turns, axis=1) / spans)
+    vehicle = np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0)) > _ROOM
+    if (moved > _SWIFT and not vehicle) or (turned > _TURNING and rows.angles is None):
+        rows.notes.append(
+            f"read in s, the body moves at {moved:.2g} m/s and turns at {turned:.2g} rad/s; if the times are "
+            "in minutes or hours, give time_unit='min' or 'h' (--time-unit)."
         )
 
 
 def sort_times(rows: Rows) -> None:
-    """Sort rows by their times, with a note.
+    """Sort rows by their times, or continue a clock that wraps or restarts during the motion, with a note.
 
     Raises:
         RecordingError: if the file contains several recordings, one after the other.
@@ -99,23 +137,35 @@ def sort_times(rows: Rows) -> None:
     if not len(late):
         return
     order = np.argsort(rows.times, kind="stable")
-    if len(late) < len(steps) / 10 and _length(rows.values[order]) > _RESTART * _length(rows.values):
-        now = int(late[0]) + 1
-        raise rows.error(
-            now,
-            f"the time goes back from {rows.times[now - 1]:g} s to {rows.times[now]:g} s, and the poses "
-            "sorted by time are no path: the file contains several recordings; divide it there, or give dt "
-            "(--dt).",
-        )
-    what = f"{rows.word} {rows.where[late[0] + 1]} is" if len(late) == 1 else f"{len(late)} {rows.word}s are"
+    now = int(late[0]) + 1
+    if len(late) < len(steps) / 10:
+        moved, after = _distances(rows.values), _distances(rows.values[order])
+        behind = np.sum(rows.times < np.maximum.accumulate(rows.times))
+        back = f"the time goes back from {rows.times[now - 1]:g} s to {rows.times[now]:g} s, and the "
+        if behind > _BEHIND * len(late) and (moved[late] < _STEPS * np.quantile(moved, 0.9)).all():
+            onward = np.where(steps < 0, np.median(steps[steps > 0]), steps)
+            rows.times = rows.times[0] + np.append(0, np.cumsum(onward))
+            rows.notes.append(
+                f"{rows.word} {rows.where[now]}: {back}motion goes on: the clock restarted there. The times "
+                "continue with the usual step."
+            )
+            return
+        if np.sum(after) > _RESTART * np.sum(moved):
+            raise rows.error(
+                now,
+                f"{back}poses sorted by time are no path: the file contains several recordings; divide it "
+                "there, or give dt (--dt).",
+            )
+    what = f"{rows.word} {rows.where[now]} is" if len(late) == 1 else f"{len(late)} {rows.word}s are"
     rows.notes.append(f"{what} earlier than the previous {rows.word}; the rows are sorted by time.")
     rows.take(order)
 
 
-def _length(values: np.ndarray) -> float:
-    """Length of a path in all its numbers, in units of their standard deviations."""
+def _distances(values: np.ndarray) -> np.ndarray:
+    """Distances (N-1,) of consecutive rows in all their numbers, in units of their standard deviations."""
     spread = values.std(axis=0)
-    return float(np.sum(np.abs(np.diff(values, axis=0)) / np.where(spread > 0, spread, 1)))
+    found: np.ndarray = np.sum(np.abs(np.diff(values, axis=0)) / np.where(spread > 0, spread, 1), axis=1)
+    return found
 
 
 def drop_equal_times(rows: Rows) -> None:
@@ -147,7 +197,7 @@ def drop_equal_times(rows: Rows) -> None:
     if other.sum() > _OFTEN * len(again):
         apart = np.median(np.linalg.norm((rows.values - rows.values[first])[other], axis=1))
         step = np.median(np.linalg.norm(np.diff(rows.values[~again], axis=0), axis=1))
-        if apart > _BODIES * step:
+        if apart > _STEPS * step:
             raise rows.error(
                 int(np.flatnonzero(other)[0]),
                 f"another pose at the same time, {rows.times[other][0]:g} s, as in {other.sum()} rows, "

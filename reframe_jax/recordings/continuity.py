@@ -1,8 +1,8 @@
-"""Continuity of poses: in a motion, consecutive poses are closer than random pairs of poses.
+"""Continuity of poses: a motion is smooth in its own order, and not in a random order.
 
-Consecutive touches of a point, and rows in a random order, are as distant as random pairs. The measures are
-von Neumann's ratio of mean square differences, and ratios of medians, in which outliers and long rests have
-little effect. NumPy only.
+Consecutive touches of a point, and shuffled rows, have the same distances as poses in a random order. The
+measures are the length and the curvature of the path, of the positions and of the orientations. They are
+means of square roots, in which outliers and long rests have little effect. NumPy only.
 """
 
 import numpy as np
@@ -10,42 +10,42 @@ import numpy as np
 __all__ = ["is_unordered"]
 
 _FEWEST = 5  # poses; fewer look unordered by chance
-_CLOSER = 0.75  # fraction of steps below the median distance: about 1 in a motion, 1/2 without order
-_STEP = 0.5  # median step over the median distance: 1 without order
-_SQUARES = 0.6  # mean square of the steps over the mean square of the distances: 1 without order
+_ORDERS = 39  # random orders; separate touches are smoother than all of them in 1 of 40 cases
+_SMOOTHER = 0.7  # largest measure of a motion over the mean measure of random orders
+_SAME = 1e-6  # relative difference of the measures of an order and of its reverse, by rounding
 _MOVED = 0.02, 0.1  # m and rad, median distances above the noise of a body at rest
 _FARTHEST = 1e9  # m; poses beyond are ignored
-_PAIRS = 2000  # largest number of distances
+_WINDOWS, _LENGTH = 10, 20  # number and poses of the parts of a long recording that are compared
 
 
 def is_unordered(poses: np.ndarray) -> bool:
-    """Return whether consecutive poses are as distant as random pairs, in position and in orientation.
+    """Return whether the order of poses is as good as random, in position and in orientation.
 
     Args:
         poses: (K+1, 4, 4), m; poses that are not finite, or more than 1e9 m away, are ignored.
     """
     poses = poses[np.all(np.abs(poses) < _FARTHEST, axis=(1, 2))]
-    count = len(poses)
-    if count < _FEWEST:
+    if len(poses) < _FEWEST:
         return False
+    parts = np.arange(len(poses))[None]
+    if len(poses) > _WINDOWS * _LENGTH:
+        starts = np.linspace(0, len(poses) - _LENGTH, _WINDOWS).astype(int)
+        parts = starts[:, None] + np.arange(_LENGTH)
+    poses = poses[parts.ravel()]
+    count = len(poses)
+    triples = np.lib.stride_tricks.sliding_window_view(np.arange(count).reshape(parts.shape), 3, axis=1)
     draw = np.random.default_rng(0)
-    if count * (count - 1) // 2 <= _PAIRS:
-        one, other = np.triu_indices(count, 1)
-    else:
-        one = draw.integers(count, size=_PAIRS)
-        other = (one + draw.integers(1, count, size=_PAIRS)) % count
-    before = np.arange(count - 1) if count <= _PAIRS else draw.integers(count - 1, size=_PAIRS)
-    moved = []
+    orders = np.stack([np.arange(count), *(draw.permutation(count) for _ in range(_ORDERS))])
+    moved, measures = False, []
     # the distance between two rotation matrices is about sqrt(2) times the angle
-    for numbers in (poses[:, :3, 3], poses[:, :3, :3].reshape(count, 9) / np.sqrt(2)):
-        steps = np.linalg.norm(numbers[before + 1] - numbers[before], axis=1)
-        distances = np.linalg.norm(numbers[one] - numbers[other], axis=1)
-        usual = float(np.median(distances))
-        moved.append(usual)
-        if usual > 0 and (
-            np.mean(steps < usual) >= _CLOSER
-            or np.median(steps) <= _STEP * usual
-            or np.mean(steps**2) <= _SQUARES * np.mean(distances**2)
-        ):
-            return False
-    return any(size > least for size, least in zip(moved, _MOVED, strict=True))
+    columns = poses[:, :3, 3], poses[:, :3, :3].reshape(count, 9) / np.sqrt(2)
+    for numbers, least in zip(columns, _MOVED, strict=True):
+        before, here, after = np.moveaxis(numbers[orders][:, triples.reshape(-1, 3)], 2, 0)
+        steps = np.linalg.norm(here - before, axis=2)
+        moved |= bool(np.median(steps[1:]) > least)
+        for changes in (steps, np.linalg.norm(after - 2 * here + before, axis=2)):
+            roots = np.sqrt(changes).mean(axis=1)
+            usual = roots[1:].mean()
+            measures.append(roots / usual if usual > 0 else np.ones(len(roots)))
+    own, *others = np.min(measures, axis=0)
+    return moved and bool(own > min(_SMOOTHER, (1 + _SAME) * min(others)))

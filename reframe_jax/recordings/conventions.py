@@ -64,7 +64,7 @@ def reorder(quaternions: np.ndarray, stored: str, meant: str) -> np.ndarray:
 
 
 def sample_rows(count: int) -> np.ndarray:
-    """Select rows (M,) out of ``count``, evenly, for :func:`fits_better`."""
+    """Select 400 rows (M,) or fewer out of ``count``, evenly, for a comparison."""
     return np.linspace(0, count - 1, min(count, _ROWS)).astype(int)
 
 

@@ -10,14 +10,15 @@ from reframe_jax.recordings.rows import Rows, name_rows
 __all__ = ["leave_out_lost", "note_jumps"]
 
 _WHY = {
-    "origin": "the position is 0, 0, 0",
-    "identity": "the pose is the identity",
+    "origin": "0, 0, 0",
+    "identity": "the identity",
     "constant": "the pose is a constant distant from the others",
     "frozen": "the previous pose is repeated while the body moved on",
     "end": "the last pose is repeated exactly while the body was moving",
 }
 _FEW, _MOST = 10, 0.5  # fewest poses, and fewest fraction of poses, of which one must remain
 _JUMP, _JUMPS = 10.0, 8  # length of a jump over the longest of 20 steps, and most jumps in a note
+_CLOSE = 0.02  # m, largest position of lost poses that are close to the identity
 _SIZE = 0.3  # m, of a body; converts an angle to a length
 _TURN = 0.2  # length of a jump over its angle times the size, below which the angle is given
 
@@ -41,8 +42,12 @@ def leave_out_lost(rows: Rows, poses: np.ndarray) -> np.ndarray:
         mine = lost.reasons == kind
         if not mine.any():
             continue
-        if kind == "identity" and (poses[mine, :3, 3] != 0).any():
-            why = "the orientation is the identity"
+        if kind in ("origin", "identity"):
+            positions = np.abs(poses[mine, :3, 3]).max()
+            turns = np.abs(poses[mine, :3, :3] - np.eye(3)).max()
+            part = "position" if kind == "origin" else "pose" if positions < _CLOSE else "orientation"
+            exact = (positions if kind == "origin" else turns) == 0
+            why = f"the {part} is {'' if exact else 'close to '}{why}"
         if kind in ("frozen", "end"):
             why = why.replace("pose", _repeated(poses[mine], poses[np.flatnonzero(mine) - 1]), 1)
         longest = max((run for run in lost.runs if run.kind == kind), key=lambda run: run.stop - run.start)

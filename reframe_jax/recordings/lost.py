@@ -1,9 +1,10 @@
 """Find the rows of a recording that are not poses, because tracking was lost.
 
 Systems that lose a body still write a pose: the origin, the identity, another constant, or the last pose
-again and again. Measured poses have noise and do not repeat exactly, and a body at rest stays on its
-path. Therefore, exact repeats are lost poses if they are distant from the path before and after them, in
-units of the steps of the path. Repeats that continue the path are a body at rest, and are kept. NumPy only.
+again and again, some with a little noise. Measured poses have noise and do not repeat exactly, and a body at
+rest stays on its path. Therefore, repeats are lost poses if they are distant from the path before and after
+them, in units of the steps of the path. Repeats that continue the path are a body at rest, and are kept.
+NumPy only.
 """
 
 from dataclasses import dataclass
@@ -24,6 +25,10 @@ _LONG = 6  # repeats in a long frozen run
 _FROZEN = 4.0  # usual steps that a body makes during a long frozen run
 _APART = 0.25  # distance of the origin from all positions over their spread, for separate touches
 _OTHERS = 3  # other rows needed to know the path
+_QUIET = 0.1  # longest step of a repeat with noise, in usual steps
+_STILL = 0.05  # largest distance of repeats with noise from their mean, or from the origin, over the jump
+_SLOW = 0.15  # the same of a constant, over its number of rows and a usual step; 0.3 in a motion
+_AWAY = 0.5  # distance from the path that goes on, over the jump
 _GAP = 1.5  # time between two rows, in usual time steps, above which rows are missing
 _FEW = 2000  # largest number of positions for which all distances are computed
 _REPEATS, _NOISY = 3, 0.002  # repeats, and noise over a step, of a frozen end
@@ -88,21 +93,14 @@ def find_lost_poses(poses: np.ndarray, times: np.ndarray | None = None) -> LostP
     poses = np.asarray(poses, float)
     clock = np.arange(len(poses), dtype=float) if times is None else np.asarray(times, float)
     kinds = np.where(np.isfinite(poses).all(axis=(1, 2)), "", "missing").astype("U8")
-    paths = None
-    for search in (_at_origin, _constant, _frozen):
-        if paths is None:
-            rows = np.flatnonzero(kinds == "")
-            if len(rows) < _OTHERS:
-                break
-            turns = poses[rows, :3, :3].reshape(-1, 9) / np.sqrt(2)
-            identity = np.eye(3).ravel() / np.sqrt(2)
-            paths = (
-                _Path.of(poses[rows, :3, 3], np.zeros(3), clock[rows]),
-                _Path.of(turns, identity, clock[rows]),
-            )
-        kinds[rows] = search(paths)
-        if (kinds[rows] != "").any():
-            paths = None
+    for search in (_at_origin, _constant, _noisy, _frozen):
+        rows = np.flatnonzero(kinds == "")
+        if len(rows) < _OTHERS:
+            break
+        turns = poses[rows, :3, :3].reshape(-1, 9) / np.sqrt(2)
+        identity = np.eye(3).ravel() / np.sqrt(2)
+        positions = _Path.of(poses[rows, :3, 3], np.zeros(3), clock[rows])
+        kinds[rows] = search((positions, _Path.of(turns, identity, clock[rows])))
     return LostPoses(kinds)
 
 
@@ -111,6 +109,7 @@ class _Path:
     """Positions or rotations (N, k) as a path."""
 
     numbers: np.ndarray
+    origin: np.ndarray
     steps: np.ndarray  # (N-1,) per median time step, if the step took longer
     gaps: np.ndarray  # (N-1,) bool: rows are missing between the two
     value: np.ndarray  # (N,) int, equal for equal rows
@@ -131,7 +130,7 @@ class _Path:
         steps[steps < _SAME] = 0
         value = np.unique(keys, return_inverse=True)[1].ravel()
         late = spans / usual
-        return _Path(numbers, steps / np.maximum(late, 1), late > _GAP, value, zero)
+        return _Path(numbers, origin, steps / np.maximum(late, 1), late > _GAP, value, zero)
 
     @property
     def runs(self) -> np.ndarray:
@@ -148,15 +147,10 @@ class _Path:
         return float(np.quantile(steps, 0.9)) if len(steps) else 0.0
 
     def jumps(self, runs: np.ndarray, limit: float, ignored: np.ndarray, usual: float) -> np.ndarray:
-        """Return whether the shorter and the longer step to and from each run are jumps, bool (M, 2).
+        """Return whether the shorter and the longer step to and from runs (M, 2) are jumps, bool (M, 2).
 
-        A run at an end of the path has one step, which counts for both.
-
-        Args:
-            runs: (M, 2) first row, and row after the last row.
-            limit: length of a jump in steps.
-            ignored: (N,) bool, rows whose steps do not count.
-            usual: a step of the path; the upper quartile of the steps nearby counts if it is longer.
+        A run at an end of the path has one step, which counts for both. Lengths are in usual steps, or in the
+        upper quartile of the steps nearby if it is longer. Steps from and to ignored rows (N,) do not count.
         """
         count = -(-len(self.steps) // _NEAR)
         blocks = np.full(count * _NEAR, np.inf)
@@ -234,22 +228,66 @@ def _constant(paths: tuple[_Path, _Path]) -> np.ndarray:
     return kinds
 
 
+def _noisy(paths: tuple[_Path, _Path]) -> np.ndarray:
+    """Kinds (N,) of rows that repeat a number with noise, between a jump from the path and a jump back."""
+    kinds = np.full(len(paths[0].zero), "", "U8")
+    for path in paths:
+        usual = max(path.usual_step(np.zeros(len(kinds), bool)), _LEAST)
+        edges = np.flatnonzero(path.steps > _JUMP_STEPS * usual) + 1
+        if not len(edges):
+            continue
+        starts, stops = np.append(0, edges), np.append(edges, len(kinds))
+        leaps = np.linalg.norm(path.numbers[edges] - path.numbers[edges - 1], axis=1)
+        near = _STILL * np.fmin(np.append(np.nan, leaps), np.append(leaps, np.nan))
+        lengths = stops - starts
+        means = np.add.reduceat(path.numbers, starts) / lengths[:, None]
+        zero, still = (
+            np.maximum.reduceat(np.linalg.norm(path.numbers - centre, axis=1), starts) < limit
+            for centre, limit in (
+                (path.origin, near),
+                (np.repeat(means, lengths, axis=0), np.minimum(near, _SLOW * usual * lengths)),
+            )
+        )
+        still |= zero
+        # the last row of the path before each piece, and the first row of the path after it
+        pieces = np.arange(len(starts))
+        before = np.maximum.accumulate(np.where(still, -1, pieces))
+        after = np.minimum.accumulate(np.where(still, len(pieces), pieces)[::-1])[::-1]
+        inside = still & (before >= 0) & (after < len(pieces)) & (lengths >= _REPEATS)
+        last, first = stops[before] - 1, starts[after % len(pieces)]
+        gap = np.linalg.norm(path.numbers[first] - path.numbers[last], axis=1)
+        for row, late in ((last, starts - last), (first, first - stops + 1)):
+            away = np.linalg.norm(means - path.numbers[row], axis=1)
+            inside &= (away > _JUMP_STEPS * usual * late) & (gap < _AWAY * away)
+        turned = np.linalg.norm(paths[1].numbers - paths[1].origin, axis=1)
+        identity = np.maximum.reduceat(turned, starts) < _STILL if path is paths[0] else zero
+        lost = np.where(zero, np.where(identity, "identity", "origin"), np.where(inside, "constant", ""))
+        if not still.all():
+            kinds = np.where(kinds == "", np.repeat(lost, lengths), kinds)
+    return kinds
+
+
 def _frozen(paths: tuple[_Path, _Path]) -> np.ndarray:
     """Kinds (N,) of rows that repeat a position or an orientation while the body moved on.
 
-    The first row of every run is a pose.
+    The first row of every run is a pose, unless the step to this row is a jump.
     """
     count = len(paths[0].zero)
     kinds = np.full(count, "", "U8")
-    for path in paths:
-        moving = np.flatnonzero(path.steps)
-        if not len(moving):
+    usuals = [path.usual_step(np.zeros(count, bool)) for path in paths]
+    loud = np.any([path.steps > _QUIET * usual for path, usual in zip(paths, usuals, strict=True)], axis=0)
+    for path, usual in zip(paths, usuals, strict=True):
+        if not path.steps.any():
             continue
-        repeats = np.diff(moving, prepend=-1) - 1  # before every step
-        late = np.flatnonzero(repeats)
-        late = late[_goes_on(path.steps[moving], repeats, late)]
-        runs = np.column_stack([moving[late] - repeats[late], moving[late]]) + 1
-        kinds[_rows_of(runs, count)] = "frozen"
+        for steps, fewest in ((loud, _LONG), (path.steps, 1)):
+            moving = np.flatnonzero(steps)
+            repeats = np.diff(moving, prepend=-1) - 1  # before every step
+            late = np.flatnonzero(repeats >= fewest)
+            late = late[_goes_on(path.steps[moving], repeats, late)]
+            first = moving[late] - repeats[late]
+            arrived = path.steps[first - 1] > _JUMP_STEPS * max(usual, _LEAST)
+            runs = np.column_stack([np.where((first > 0) & arrived, first, first + 1), moving[late] + 1])
+            kinds[_rows_of(runs, count)] = "frozen"
         # a run before missing rows, or before the end, has no step after it that shows a motion
         starts, stops = np.append(0, moving + 1), np.append(moving + 1, count)
         lengths, last = stops - starts, np.append(path.gaps[moving], True)
@@ -264,10 +302,7 @@ def _frozen(paths: tuple[_Path, _Path]) -> np.ndarray:
 def _goes_on(steps: np.ndarray, repeats: np.ndarray, late: np.ndarray) -> np.ndarray:
     """Return whether steps after repeats are as long as the missed steps together, bool (L,).
 
-    Args:
-        steps: (M,) of the path, without zeros.
-        repeats: (M,) int, rows before every step that repeat.
-        late: (L,) int, indices of steps after repeats.
+    The steps (M,) contain no zeros. Before each, ``repeats`` (M,) rows repeat; ``late`` (L,) selects steps.
     """
     unknown = np.full(_AHEAD, np.nan)
     nearby = np.lib.stride_tricks.sliding_window_view(np.concatenate([unknown, steps, unknown]), _AHEAD)

@@ -20,7 +20,7 @@ from reframe_jax.recordings.checks import (
     make_poses,
     note_repeats,
 )
-from reframe_jax.recordings.clock import drop_equal_times, make_times, sort_times
+from reframe_jax.recordings.clock import drop_equal_times, make_times, note_unit, sort_times
 from reframe_jax.recordings.continuity import is_unordered
 from reframe_jax.recordings.conventions import fits_better, keeps_a_point_better, reorder, sample_rows
 from reframe_jax.recordings.left_out import leave_out_lost, note_jumps
@@ -154,6 +154,8 @@ def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Re
     """Read and check one body."""
     with np.errstate(all="ignore"):  # the checks refuse numbers whose squares are infinite
         rows = reader.read(path, wanted)
+        if "time_unit" not in reader.options:
+            rows.seconds = 1.0
         _apply_order(rows, wanted)
         ignored = dt is not None and rows.times is not None
         make_times(rows, dt, wanted)
@@ -167,6 +169,7 @@ def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Re
         poses = check_positions(rows, poses, wanted)
         _check_count(rows)
         check_turns(rows, poses, wanted)
+        note_unit(rows, poses)
         _check_order(rows, poses, reader)
         note_jumps(rows, poses)
         note_repeats(rows, poses)

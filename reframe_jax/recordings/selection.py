@@ -13,12 +13,12 @@ __all__ = [
 ]
 
 Unit = Literal["m", "cm", "mm"]
-TimeUnit = Literal["s", "ms", "us", "ns"]
+TimeUnit = Literal["s", "ms", "us", "ns", "min", "h"]
 AngleUnit = Literal["rad", "deg"]
 Quaternion = Literal["xyzw", "wxyz"]
 Angles = Literal["vector", "XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX", "xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
 UNITS: dict[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-TIME_UNITS: dict[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+TIME_UNITS: dict[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 ANGLE_UNITS: dict[str, float] = {"rad": 1.0, "deg": math.pi / 180}
 QUATERNIONS: tuple[str, ...] = get_args(Quaternion)
 ANGLES: tuple[str, ...] = get_args(Angles)

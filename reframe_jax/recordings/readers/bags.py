@@ -9,18 +9,24 @@ import importlib
 import io
 import os
 from array import array
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from reframe_jax.recordings.checks import drop_unfinished, make_poses
+from reframe_jax.recordings.clock import sort_times
+from reframe_jax.recordings.left_out import leave_out_lost
+from reframe_jax.recordings.readers.collecting import matrix_rows
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name, import_extra, translate_errors
-from reframe_jax.recordings.readers.transforms import Edge, chain_rows, describe_frames
 from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import Rows, check_size, listed
+from reframe_jax.recordings.relative import interpolate_poses, invert_poses, origin_shift
+from reframe_jax.recordings.rows import Rows, check_size, listed, shown
 from reframe_jax.recordings.selection import Selection, flag
 
 __all__ = ["BAG", "read_bag"]
@@ -32,6 +38,16 @@ _TOPICS = (
     *("geometry_msgs/msg/Pose", "geometry_msgs/msg/Transform"),
 )
 _TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+
+
+@dataclass(frozen=True)
+class _Edge:
+    """The pose of a child frame in its parent frame, constant or not, and the count of its transforms."""
+
+    parent: str
+    child: str
+    static: bool
+    count: int
 
 
 class _Samples:
@@ -60,7 +76,7 @@ class _Samples:
         """Make rows, with the stamps as times, or the times of recording if no stamps were set."""
         stamps = np.asarray(self.stamps)
         values = np.asarray(self.values).reshape(-1, 7)
-        rows = Rows(path, "message", np.arange(len(stamps)), values, None, seconds=1.0)
+        rows = Rows(path, "message", np.arange(len(stamps)), values, None)
         zero = 2 * np.count_nonzero(stamps) <= len(stamps)
         if not static and (zero or (len(stamps) > 1 and not np.ptp(stamps))):
             why = (
@@ -202,17 +218,17 @@ def _read_topic(path: Path, bag: _Bag, wanted: Selection) -> Rows:
 
 def _read_chain(path: Path, bag: _Bag, ground: str, body: str) -> Rows:
     """Read the poses of a tf frame in another, in two passes, so that only edges of the chain are kept."""
-    chain = Edge.chain(path, _edges(bag), _plain(ground), _plain(body))
+    chain = _find_chain(path, _edges(bag), _plain(ground), _plain(body))
     samples = {(edge.parent, edge.child): (edge.static, _Samples()) for edge, _ in chain}
     for pair, is_static, logged, each in bag.transforms():
         static, kept = samples.get(pair, (None, None))
         if kept is not None and static == is_static:
             kept.add(path, each.header, logged, each)
     rows = {pair: kept.rows(path, static) for pair, (static, kept) in samples.items()}
-    return chain_rows(path, [(edge, along, rows[edge.parent, edge.child]) for edge, along in chain])
+    return _chain_rows(path, [(edge, along, rows[edge.parent, edge.child]) for edge, along in chain])
 
 
-def _edges(bag: _Bag) -> list[Edge]:
+def _edges(bag: _Bag) -> list[_Edge]:
     """One edge for every parent and child frame that a transform connects, with its number of transforms.
 
     An edge is static only if all its transforms are static; otherwise the static ones do not count.
@@ -220,7 +236,97 @@ def _edges(bag: _Bag) -> list[Edge]:
     counts: dict[tuple[str, str], list[int]] = {}
     for pair, static, _, _ in bag.transforms():
         counts.setdefault(pair, [0, 0])[static] += 1
-    return [Edge(*pair, static=not moving, count=moving or still) for pair, (moving, still) in counts.items()]
+    return [
+        _Edge(*pair, static=not moving, count=moving or still) for pair, (moving, still) in counts.items()
+    ]
+
+
+def _find_chain(path: Path, edges: list[_Edge], ground: str, body: str) -> list[tuple[_Edge, bool]]:
+    """Return the edges from one frame to another, each with whether it leads from parent to child."""
+    near: dict[str, list[tuple[str, _Edge, bool]]] = {}
+    for edge in edges:
+        near.setdefault(edge.parent, []).append((edge.child, edge, True))
+        near.setdefault(edge.child, []).append((edge.parent, edge, False))
+    frames = f"frames: {listed(sorted(near))}"
+    for frame in (ground, body):
+        if frame not in near:
+            raise RecordingError(f"{path}: has no tf frame {shown(frame, 60)!r}; {frames}.")
+    if ground == body:
+        raise RecordingError(f"{path}: expected two frames, found {shown(ground, 60)!r} twice.")
+    waiting: deque[tuple[str, list[tuple[_Edge, bool]]]] = deque([(ground, [])])
+    seen = {ground}
+    while waiting:
+        frame, found = waiting.popleft()
+        if frame == body:
+            return found
+        for other, edge, along in near[frame]:
+            if other not in seen:
+                seen.add(other)
+                waiting.append((other, [*found, (edge, along)]))
+    raise RecordingError(
+        f"{path}: no transforms connect {shown(ground, 60)} with {shown(body, 60)}; {frames}."
+    )
+
+
+def _chain_rows(path: Path, chain: Sequence[tuple[_Edge, bool, Rows]]) -> Rows:
+    """Compute the poses along edges from the ground to the body, given with whether they lead to the child.
+
+    If several edges move, the edge with the fewest stamps gives the times, and the other edges are
+    interpolated, or left out where they are unknown. For a static edge, the last transform counts.
+    """
+    for edge, _, rows in chain:
+        _clean(path, edge, rows)
+    moving = [rows for edge, _, rows in chain if not edge.static]
+    if not moving:
+        raise RecordingError(f"{path}: all transforms between the two frames are static: nothing moves.")
+    own = min(moving, key=lambda rows: len(rows.values))
+    times = np.asarray(own.times)
+    poses, known = np.tile(np.eye(4), (len(times), 1, 1)), np.ones(len(times), bool)
+    for edge, along, rows in chain:
+        here = make_poses(rows)
+        if edge.static:
+            here = here[-1:]
+        elif rows is not own and rows.times is not None:
+            shifted = rows.times + origin_shift(path, rows.origin, own.origin)
+            found, seen = interpolate_poses(shifted, here, times)
+            here = np.tile(np.eye(4), (len(times), 1, 1))
+            here[seen], known = found, known & seen
+        poses = poses @ (here if along else invert_poses(here))
+    if not known.any():
+        raise RecordingError(f"{path}: the moving frames of the chain have no times in common.")
+    values = matrix_rows(poses[:, :3, :3], poses[:, :3, 3])
+    notes = [note for _, _, rows in chain for note in rows.notes]
+    joined = Rows(path, own.word, own.where, values, own.times, own.origin, notes)
+    joined.left_out = own.left_out
+    joined.keep(known, "another frame of the chain has no transform at that time", "relative")
+    return joined
+
+
+def _clean(path: Path, edge: _Edge, rows: Rows) -> None:
+    """Leave out transforms that are incomplete, repeated, or written while tracking was lost."""
+    what = f"transform of {shown(edge.child, 60)} in {shown(edge.parent, 60)}"
+    drop_unfinished(rows)
+    sort_times(rows)
+    if not edge.static and rows.times is None:
+        raise RecordingError(f"{path}: the stamps of every {what} are 0; expected times.")
+    if not edge.static and rows.times is not None and len(rows.times):
+        new = np.append(True, np.diff(rows.times) > 0)
+        rows.keep(new, f"the stamp of a {what} is repeated", "equal_time")
+        leave_out_lost(rows, make_poses(rows))
+    fewest = 1 if edge.static else 2
+    if len(rows.values) < fewest:
+        raise RecordingError(f"{path}: has {len(rows.values)} usable {what}; expected {fewest} or more.")
+
+
+def _describe_frames(edges: list[_Edge]) -> list[Entry]:
+    """List the frames of a tree."""
+    children = {edge.child for edge in edges}
+    roots = dict.fromkeys(edge.parent for edge in edges if edge.parent not in children)
+    found = [Entry("from_frame", root, "tf frame without a parent") for root in roots]
+    for edge in edges:
+        kind = "static" if edge.static else f"{edge.count} transforms"
+        found.append(Entry("to_frame", edge.child, f"tf frame in {edge.parent}, {kind}"))
+    return found
 
 
 def _plain(frame: str) -> str:
@@ -235,7 +341,7 @@ def _contents(path: Path) -> list[Entry]:
             key = each.topic, each.msgtype.replace("/msg/", "/")
             counts[key] = counts.get(key, 0) + each.msgcount
         topics = [Entry("topic", name, f"{kind}, {count} messages") for (name, kind), count in counts.items()]
-        return topics + describe_frames(_edges(bag))
+        return topics + _describe_frames(_edges(bag))
 
 
 def _recognises(path: Path, head: bytes) -> bool:

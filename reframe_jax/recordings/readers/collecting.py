@@ -6,16 +6,15 @@ import math
 import re
 from array import array
 from collections.abc import Iterable, Sequence
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
-from reframe_jax.recordings.readers.lines import find_delimiter, read_lines, split, trim
+from reframe_jax.recordings.readers.lines import trim
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import EPOCH, Rows, check_size, shown
 
-__all__ = ["assume_millimetres", "collect", "collect_plain", "drop_zeros", "matrix_rows"]
+__all__ = ["assume_millimetres", "collect", "drop_zeros", "matrix_rows"]
 
 _MISSING = re.compile(
     r"|null|none|na|n/a|-+|\?+|\*+|missing|lost|invalid|occluded|no data|#.*|[-+]?(1\.#.*|nan\(.*\))",
@@ -88,24 +87,6 @@ def collect(
         wrenches=numbers[:, len(columns) :] if wrench else None,
         seconds=1.0 if isinstance(time, tuple) else None,
     )
-
-
-def collect_plain(path: Path, starts: dict[int, int]) -> Rows:
-    """Collect all numbers of lines without a header; ``#`` and ``%`` start a comment.
-
-    Args:
-        path: the file.
-        starts: column of the first number of a pose, by the count of numbers in the first row; 1 if the time
-            is before the pose.
-    """
-    texts = ((number, re.split("[#%]", line)[0].strip()) for number, line in read_lines(path))
-    rows = ((number, split(text, find_delimiter(text))) for number, text in texts if text)
-    number, cells = next(rows, (0, []))
-    width = len(trim(cells))
-    if width not in starts:
-        raise _error(path, number, f"expected {' or '.join(map(str, starts))} numbers, found {width}.")
-    first = starts[width]
-    return collect(path, chain([(number, cells)], rows), width, range(first, width), 0 if first else None)
 
 
 def _error(path: Path, number: int, problem: str) -> RecordingError:

@@ -52,7 +52,7 @@ def read_mha(path: Path, wanted: Selection) -> Rows:
     missing = [""] * _WIDTH
     cells_of = ((k, [stamps.get(k, ""), *numbers[body].get(k, missing)]) for k in sorted(frames))
     rows = collect(path, cells_of, 1 + _WIDTH, range(1, 1 + _WIDTH), 0 if stamps else None)
-    rows.word, rows.seconds = "frame", 1.0
+    rows.word = "frame"
     good = ~np.isin(rows.where, list(lost.get(body, ())))
     rows.keep(good, f"the file states that {shown(body, 60)} was not tracked", "untracked")
     if wanted.unit is None:

@@ -1,37 +1,78 @@
-"""TUM trajectories: 8 numbers in each line, without a header, separated by blanks, commas or semicolons."""
+"""Trajectories: numbers in each line, without a header, separated by blanks, commas or semicolons.
+
+TUM trajectories have 8 numbers in a line. KITTI trajectories have the 12 numbers of a pose matrix, row by row
+and without times. KITTI-360 writes the frame number first. Other programs write all 16 numbers, or a time
+first.
+"""
 
 import re
+from itertools import chain
 from pathlib import Path
 
-from reframe_jax.recordings.readers.collecting import collect_plain
-from reframe_jax.recordings.readers.lines import first_numbers
+from reframe_jax.recordings.readers.collecting import collect
+from reframe_jax.recordings.readers.lines import find_delimiter, first_numbers, read_lines, split, trim
 from reframe_jax.recordings.readers.reader import Reader
+from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows
 from reframe_jax.recordings.selection import Selection
 
-__all__ = ["TRAJECTORY", "read_trajectory"]
+__all__ = ["KITTI", "TRAJECTORY", "read_kitti", "read_trajectory"]
 
-_STARTS = {8: 1, 7: 0}  # column of x, by the count of numbers in a line
-_NO_TIMES = "a line of 7 numbers contains none: give the sample time, dt (--dt)"
+# column of the first number of a pose, by the count of numbers in a line; 1 if the time is before the pose
+_TUM = {8: 1, 7: 0}
+_KITTI = {12: 0, 13: 1, 16: 0, 17: 1}
 
 
 def read_trajectory(path: Path, wanted: Selection) -> Rows:
-    """Read lines of ``t x y z qx qy qz qw``, or without ``t``; ``#`` starts a comment."""
-    rows = collect_plain(path, _STARTS)
-    rows.no_times = _NO_TIMES
+    """Read lines of ``t x y z qx qy qz qw``, or without ``t``; ``#`` and ``%`` start a comment."""
+    rows = _collect(path, _TUM)
+    rows.no_times = "a line of 7 numbers contains none: give the sample time, dt (--dt)"
     return rows
 
 
-def _recognises(path: Path, head: bytes) -> bool:
+def read_kitti(path: Path, wanted: Selection) -> Rows:
+    """Read lines of 12 or 16 numbers, with an optional frame number or time first; see :class:`Reader`."""
+    rows = _collect(path, _KITTI)
+    rows.no_times = "KITTI trajectories contain none: give the sample time, dt (--dt), 0.1 s for KITTI itself"
+    if rows.times is not None and (rows.times % 1 == 0).all() and rows.origin is None:
+        rows.count_frames()
+    return rows
+
+
+def _collect(path: Path, starts: dict[int, int]) -> Rows:
+    texts = ((number, re.split("[#%]", line)[0].strip()) for number, line in read_lines(path))
+    rows = ((number, split(text, find_delimiter(text))) for number, text in texts if text)
+    number, cells = next(rows, (0, []))
+    width = len(trim(cells))
+    if width not in starts:
+        expected = " or ".join(map(str, starts))
+        raise RecordingError(f"{path}: line {number}: expected {expected} numbers, found {width}.")
+    first = starts[width]
+    return collect(path, chain([(number, cells)], rows), width, range(first, width), 0 if first else None)
+
+
+def _is_tum(path: Path, head: bytes) -> bool:
     width, comment = first_numbers(head)
     named = len(comment) == width and any(re.match(r"(?i)q|.*(quat|orient|rot)", cell) for cell in comment)
-    return width in _STARTS and not named
+    return width in _TUM and not named
+
+
+def _is_kitti(path: Path, head: bytes) -> bool:
+    width, comment = first_numbers(head)
+    return width in _KITTI and not comment[12:]
 
 
 TRAJECTORY = Reader(
     name="a TUM trajectory",
     suffixes=(".txt", ".tum", ".csv", ".tsv"),
-    recognises=_recognises,
+    recognises=_is_tum,
     read=read_trajectory,
     options=frozenset({"unit", "time_unit", "quaternion"}),
+)
+KITTI = Reader(
+    name="a KITTI trajectory",
+    suffixes=(".txt", ".csv", ".tsv", ".tum", ".kitti"),
+    recognises=_is_kitti,
+    read=read_kitti,
+    options=frozenset({"unit", "time_unit"}),
 )

@@ -25,6 +25,8 @@ TIME_WORDS = _spelled(
     ms="msec msecs millisecond milliseconds millis",
     us="usec usecs \u00b5s \u03bcs microsecond microseconds micros",
     ns="nsec nsecs nanosec nanosecs nanosecond nanoseconds nanos",
+    min="mins minute minutes",
+    h="hr hrs hour hours",
 )
 ANGLE_WORDS = _spelled(ANGLE_UNITS, deg="degree degrees \u00b0", rad="radian radians")
 _IN_BRACKETS = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*", re.DOTALL)
