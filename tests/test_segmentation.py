@@ -187,7 +187,6 @@ def test_a_slow_motion_counts_as_a_shorter_one() -> None:
     poses[:, :3, 3] = 0.1 * np.sin(3 * phase)
     poses[:, :3, :3] = rotation_matrices(0.4 * np.cos(3 * phase[:, ::-1]))
     cells = with_chance(make_cells(poses[:, :3, :3], poses[:, :3, 3], 0.02), 1.0)
-    assert cells.progress is not None
     change = 2400 // cells.samples
     per_cell = np.diff(cells.progress)
     assert np.mean(per_cell[: change - 10]) > 0.8

@@ -35,11 +35,10 @@ class Cells:
         motion_time: time in which the motion gives one independent value, s.
         motion: (2,) m and rad, amplitudes of a translation and of a rotation.
         floor: (2,) m and rad, residuals below this size count as zero.
+        progress: (N + 1,) number of cells of usual motion that equals the motion before each cell.
         chance: (L,) logarithms of span lengths in cells, and (L, 4, 4) sums of the logarithms of the sizes in
             m and rad of 0 to 3 translations and 0 to 3 rotations, fitted to motion without any held
-            coordinate; None before :func:`with_chance`.
-        progress: (N + 1,) number of cells of usual motion that equals the motion before each cell; None
-            before :func:`with_chance`.
+            coordinate; empty before :func:`with_chance`.
     """
 
     linear: np.ndarray
@@ -49,18 +48,16 @@ class Cells:
     motion_time: float
     motion: tuple[float, float]
     floor: tuple[float, float]
-    chance: tuple[np.ndarray, np.ndarray] | None = None
-    progress: np.ndarray | None = None
+    progress: np.ndarray
+    chance: tuple[np.ndarray, ...] = ()
 
     def references(self, spans: np.ndarray) -> np.ndarray:
         """Sums (P, 4, 4) of log amplitudes of 0 to 3 free translations and rotations in spans (P, 2)."""
         a, b = np.log(self.reference)
-        most = np.arange(4)[:, None] * a + np.arange(4) * b
-        if self.chance is None or self.progress is None:
-            return np.broadcast_to(most, (len(spans), 4, 4))
-        lengths = np.log(np.maximum(self.progress[spans[:, 1]] - self.progress[spans[:, 0]], 1))
-        logs = [np.interp(lengths, self.chance[0], sums) for sums in self.chance[1].reshape(-1, 16).T]
-        return np.minimum(np.stack(logs, axis=1).reshape(-1, 4, 4), most)
+        at = np.log(np.maximum(self.progress[spans[:, 1]] - self.progress[spans[:, 0]], 1))
+        lengths, sums = self.chance
+        logs = np.stack([np.interp(at, lengths, each) for each in sums.reshape(-1, 16).T], axis=1)
+        return np.minimum(logs.reshape(-1, 4, 4), np.arange(4)[:, None] * a + np.arange(4) * b)
 
     @property
     def weight(self) -> float:
@@ -95,7 +92,8 @@ def make_cells(rotation: np.ndarray, position: np.ndarray, step: float) -> Cells
     linear, angular = _average_features(rotation, position, samples)
     floor = (C.floor_position, C.floor_rotation)
     floors = [float(np.hypot(a, b / np.sqrt(samples))) for a, b in zip(floor, noise, strict=True)]
-    return Cells(linear, angular, samples, samples * step, time, (motion, turn), (floors[0], floors[1]))
+    sizes = (motion, turn), (floors[0], floors[1])
+    return Cells(linear, angular, samples, samples * step, time, *sizes, np.arange(linear.shape[1] + 1.0))
 
 
 def _average_features(

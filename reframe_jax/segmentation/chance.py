@@ -38,9 +38,8 @@ def with_chance(cells: Cells, reach: float) -> Cells:
         turns = np.cumsum(np.log(fits.turn), axis=-1).min(axis=1)
         logs, turns = (np.pad(each, ((0, 0), (1, 0))) for each in (logs, turns))
         chance.append(np.quantile(logs[:, :, None] + turns[:, None], C.chance, axis=0))
-    return dataclasses.replace(
-        cells, chance=(np.log(lengths), np.stack(chance)), progress=_progress(path, speed)
-    )
+    known = np.log(lengths), np.stack(chance)
+    return dataclasses.replace(cells, chance=known, progress=_progress(path, speed))
 
 
 def _path(cells: Cells) -> tuple[np.ndarray, np.ndarray]:
