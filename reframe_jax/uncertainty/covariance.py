@@ -13,8 +13,8 @@ from reframe_jax.compilation import index_leaves
 from reframe_jax.geometry import rotations
 from reframe_jax.identification.options import Scales
 from reframe_jax.identification.results import Identification, Index
-from reframe_jax.uncertainty.refit import BLOCKS, HALVES, THIRDS, Estimate, Refit, refit_windows
-from reframe_jax.uncertainty.spread import spread_of_fit, student_variance, widen
+from reframe_jax.uncertainty.refit import BLOCKS, HALVES, LENGTHS, THIRDS, Estimate, Refit, refit_windows
+from reframe_jax.uncertainty.spread import blocks, parts_with_prior, spread_of_fit, student_variance, widen
 from reframe_jax.uncertainty.windows import over_windows
 
 __all__ = ["Covariance", "Errors", "Method", "covariance", "move"]
@@ -188,28 +188,31 @@ def _window_covariances(
 
 def _white_covariance(refit: Refit) -> tuple[jax.Array, jax.Array]:
     """Covariance of one window, for white errors."""
-    matrix, _, _ = _spreads(refit)
-    return matrix[0], jnp.ones(3, matrix.dtype)
+    matrix, _, _ = _spread_of_whole(refit)
+    return matrix, jnp.ones(3, matrix.dtype)
 
 
-def _spreads(refit: Refit) -> tuple[jax.Array, jax.Array, jax.Array]:
-    of_parts = jax.vmap(spread_of_fit, in_axes=(0, 0, 0, None, None))
-    return of_parts(refit.parameters, refit.data, refit.slopes, refit.entry, refit.prior)
+def _spread_of_whole(refit: Refit) -> tuple[jax.Array, jax.Array, jax.Array]:
+    whole = jax.tree.map(lambda leaf: leaf[0], (refit.parameters, refit.data, refit.slopes))
+    return spread_of_fit(*whole, refit.entry, refit.prior)
 
 
 def _widened_covariance(refit: Refit) -> tuple[jax.Array, jax.Array]:
     """Covariance of one window, widened by the differences of redundant axes, halves and thirds."""
-    matrix, *redundant = _spreads(refit)
+    matrix, *redundant = _spread_of_whole(refit)
+    estimates, covariances = parts_with_prior(refit, LENGTHS)
     i, j = np.concatenate([HALVES, THIRDS]).T
-    parts = refit.numbers[i] - refit.numbers[j], matrix[i] + matrix[j]
     long = [jnp.all(refit.poses[np.ravel(pairs)] >= _FEWEST) for pairs in (HALVES, THIRDS)]
     used = jnp.stack([jnp.asarray(True), *long])[_SET]
-    apart, chance = (
-        jnp.where(used.reshape(-1, *[1] * (one.ndim - 1)), jnp.concatenate([one[:1], many]), 0)
-        for one, many in zip(redundant, parts, strict=True)
+    apart = jnp.concatenate([redundant[0].reshape(1, 3, 3), estimates[i] - estimates[j]])
+    chance = jnp.concatenate([blocks(redundant[1])[None], covariances[i] + covariances[j]])
+    widened = widen(
+        matrix,
+        jnp.where(used[:, None, None], apart, 0),
+        jnp.where(used[:, None, None, None], chance, 0),
+        _SET,
     )
-    widened = widen(matrix[0], apart, chance, _SET)
-    sizes = [jnp.diagonal(of).reshape(3, 3).sum(axis=1) for of in (widened, matrix[0])]
+    sizes = [jnp.diagonal(of).reshape(3, 3).sum(axis=1) for of in (widened, matrix)]
     return widened, jnp.where(sizes[1] > 0, jnp.sqrt(sizes[0] / sizes[1]), 1)
 
 
