@@ -229,8 +229,8 @@ def test_differences_widen_only_beyond_chance(rng: np.random.Generator) -> None:
     chance, apart = roots @ np.swapaxes(roots, 2, 3), rng.normal(size=(5, 3, 3))
     apart = np.einsum("pgij,pgj->pgi", roots, np.sqrt(3) * apart / np.linalg.norm(apart, axis=2)[:, :, None])
     np.testing.assert_allclose(widen(covariance, apart, chance, sets), covariance)
-    np.testing.assert_allclose(widen(covariance, np.sqrt(1.9) * apart, chance, sets), covariance)
-    for factor in (np.sqrt(3.1), 10.0, 1000.0):
+    np.testing.assert_allclose(widen(covariance, np.sqrt(1.9) * apart, chance, sets), 1.9 * covariance)
+    for factor in (np.sqrt(4.1), 10.0, 1000.0):
         widened = np.asarray(widen(covariance, factor * apart, chance, sets))
         assert np.all(np.linalg.eigvalsh(widened - 0.999 * factor**2 * covariance) > 0)
         for group in range(3):

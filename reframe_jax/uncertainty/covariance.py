@@ -188,24 +188,25 @@ def _window_covariances(
 
 def _white_covariance(refit: Refit) -> tuple[jax.Array, jax.Array]:
     """Covariance of one window, for white errors."""
-    matrix, _, _ = _spread_of_whole(refit)
-    return matrix, jnp.ones(3, matrix.dtype)
+    matrix, _, _ = _spreads(refit)
+    return matrix[0], jnp.ones(3, matrix.dtype)
 
 
-def _spread_of_whole(refit: Refit) -> tuple[jax.Array, jax.Array, jax.Array]:
-    whole = jax.tree.map(lambda leaf: leaf[0], (refit.parameters, refit.data, refit.slopes))
-    return spread_of_fit(*whole, refit.entry, refit.prior)
+def _spreads(refit: Refit) -> tuple[jax.Array, jax.Array, jax.Array]:
+    of_parts = jax.vmap(spread_of_fit, in_axes=(0, 0, 0, None, None))
+    return of_parts(refit.parameters, refit.data, refit.slopes, refit.entry, refit.prior)
 
 
 def _widened_covariance(refit: Refit) -> tuple[jax.Array, jax.Array]:
     """Covariance of one window, widened by the differences of redundant axes, halves and thirds."""
-    matrix, *redundant = _spread_of_whole(refit)
-    estimates, covariances = parts_with_prior(refit, LENGTHS)
+    own, redundant, white = _spreads(refit)
+    matrix = own[0]
+    estimates, covariances = parts_with_prior(refit, own, LENGTHS)
     i, j = np.concatenate([HALVES, THIRDS]).T
     long = [jnp.all(refit.poses[np.ravel(pairs)] >= _FEWEST) for pairs in (HALVES, THIRDS)]
     used = jnp.stack([jnp.asarray(True), *long])[_SET]
     apart = jnp.concatenate([redundant[0].reshape(1, 3, 3), estimates[i] - estimates[j]])
-    chance = jnp.concatenate([blocks(redundant[1])[None], covariances[i] + covariances[j]])
+    chance = jnp.concatenate([blocks(white[0])[None], covariances[i] + covariances[j]])
     widened = widen(
         matrix,
         jnp.where(used[:, None, None], apart, 0),

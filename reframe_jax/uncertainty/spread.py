@@ -25,10 +25,8 @@ Array = jax.Array
 _GROUPS = slice(0, 3), slice(3, 6), slice(6, 9)  # angular axes, linear axes, origin
 _FEWEST = 2.0  # fewest degrees of freedom of Student's distribution
 _KNOWN = 1e-9  # fraction of the largest variance below which a variance counts as zero
-_CHANCE, _SIGNIFICANT = (
-    2.0,
-    3.0,
-)  # mean squared distances (1 by chance) up to which none, and from which all counts
+# mean squared distances (1 by chance) up to which no difference is added, and from which all of it is
+_CHANCE, _SIGNIFICANT = 3.0, 4.0
 _PRIOR = 0.03  # information of the prior of a part, as a fraction of what a part of its length has on average
 
 
@@ -128,20 +126,21 @@ def spread_of_fit(
     return covariance, slopes @ step, slopes @ chance @ slopes.T
 
 
-def parts_with_prior(refit: Refit, lengths: np.ndarray) -> tuple[Array, Array]:
+def parts_with_prior(refit: Refit, own: Array, lengths: np.ndarray) -> tuple[Array, Array]:
     """Estimates of parts, with the estimate of the whole window as a weak prior.
 
-    A part that hardly moves may have an arbitrary estimate, whose own curvature is misleading. The
-    information of a part is therefore that of its motion, with the errors of the whole window. A direction
-    that the part does not determine keeps the estimate of the whole window.
+    A part that hardly moves has an arbitrary estimate, and the curvature of its fit is misleading. The weight
+    of the prior follows from the motion of the part, with the errors of the whole window. A direction that
+    the part does not determine keeps the estimate of the whole window.
 
     Args:
         refit: constraints fitted to M parts of one window.
+        own: (M, 9, 9) covariances of the components from the curvature of each fit.
         lengths: (M,) lengths of the parts, as fractions of the window.
 
     Returns:
         The components (M, 3, 3) of the estimates, by group, and their covariances (M, 3, 3, 3) for white
-        errors.
+        errors: the mean of the covariances from the errors of the part and of the whole window.
     """
     parameters, whole, slopes = jax.tree.map(
         lambda leaf: leaf[0], (refit.parameters, refit.data, refit.slopes)
@@ -152,25 +151,22 @@ def parts_with_prior(refit: Refit, lengths: np.ndarray) -> tuple[Array, Array]:
         each, _ = information(parameters, precision, data, refit.entry)
         return blocks(slopes @ posterior(jnp.sum(each, axis=(0, 1)), refit.prior) @ slopes.T)
 
-    covariances = jax.vmap(covariance_of)(refit.data)
-    values, axes, known = jax.vmap(_principal)(
-        covariances[0] + _PRIOR * lengths[:, None, None, None] * covariances
-    )
-    inverse = jnp.einsum(
-        "mgij,mgj,mgkj->mgik", axes, jnp.where(known, 1 / jnp.where(known, values, 1), 0), axes
-    )
-    weight = (1 + _PRIOR) * covariances[0] @ inverse
+    moved = jax.vmap(covariance_of)(refit.data)
+    values, axes, known = jax.vmap(_principal)(moved[0] + _PRIOR * lengths[:, None, None, None] * moved)
+    inverse = jnp.where(known, 1 / jnp.where(known, values, 1), 0)
+    weight = (1 + _PRIOR) * moved[0] @ jnp.einsum("mgij,mgj,mgkj->mgik", axes, inverse, axes)
     estimates = jnp.einsum("mgij,mgj->mgi", weight, refit.numbers.reshape(-1, 3, 3))
-    return estimates, weight @ covariances @ jnp.swapaxes(weight, 2, 3)
+    white = (moved + jax.vmap(blocks)(own)) / 2
+    return estimates, weight @ white @ jnp.swapaxes(weight, 2, 3)
 
 
 def widen(covariance: Array, apart: Array, chance: Array, sets: np.ndarray) -> Array:
     """Covariance (9, 9) with 95 % intervals at least as wide as the differences of P pairs of estimates.
 
-    The covariance is multiplied by the largest mean squared distance of a set. Then, in each group, the
-    largest squared differences of parts and of redundant axes are added in all directions, because a slow
-    error can have any direction. Differences count only beyond chance, by the mean squared distance of
-    their set.
+    The covariance is multiplied by the largest mean squared distance of a set, if it exceeds 1. Then, in each
+    group, the largest squared differences of parts and of redundant axes are added in all directions, because
+    a slow error can have any direction. They are added only beyond chance, by the mean squared distance of
+    their set; so is the multiplication by the distance of redundant axes.
 
     Args:
         covariance: (9, 9) covariance of the components, for white errors.
@@ -182,7 +178,8 @@ def widen(covariance: Array, apart: Array, chance: Array, sets: np.ndarray) -> A
     same = sets[:, None] == sets
     mean = same / np.sum(same, axis=1, keepdims=True) @ (square / jnp.maximum(number, 1))
     counted = jnp.clip((mean - _CHANCE) / (_SIGNIFICANT - _CHANCE), 0, 1)
-    widened = covariance * (1 + jnp.max(counted * (mean - 1)))
+    factor = jnp.where((sets > 0)[:, None], mean, 1 + counted * (mean - 1))
+    widened = covariance * jnp.maximum(1, jnp.max(factor))
     variance = counted * jnp.sum(jnp.square(apart), axis=2) / NORMAL_FACTOR**2
     between = jnp.max(variance[sets > 0], axis=0) + jnp.max(variance[sets == 0], axis=0)
     _, axes, known = _principal(blocks(covariance))
