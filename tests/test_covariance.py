@@ -14,7 +14,6 @@ from benchmarks.uncertainty_doors import (
     DOORS,
     EVERY,
     check_door,
-    check_parts,
     check_rate,
     in_region,
 )
@@ -332,6 +331,8 @@ def test_error_bars_of_doors_hold():
     rows = [check_door(name) for name in DOORS]
     for key in ("line holds", "axis holds", "halves hold each other's line"):
         assert np.mean([row[key] for row in rows]) >= 0.8, key
+    # the last third of door 411 hardly moves
+    assert all(row["line within, mm"] < 60 for row in rows)
 
 
 @needs_recordings
@@ -339,6 +340,3 @@ def test_error_bars_hold_a_measured_axis():
     for row in (check_door("hinge"), *(check_rate(every) for every in EVERY)):
         assert row["axis holds"]
         assert row["line holds"]
-    parts = check_parts("hinge")
-    assert parts["axes of parts apart, deg"] > 0.5
-    assert parts["line interval as wide"]

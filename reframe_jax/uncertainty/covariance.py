@@ -136,7 +136,8 @@ def covariance(
     bodies that flex also have slow errors, which the likelihood does not contain. By default, the function
     therefore also fits halves and thirds of the recording, and compares redundant estimates: the axis from
     positions with the axis from rotations. If their differences exceed chance, the half-widths of 95 %
-    intervals are at least as large as these differences. The covariance assumes that the identified types
+    intervals are at least as large as these differences; a part counts only in directions that its motion
+    determines. The covariance assumes that the identified types
     and degrees of freedom are correct.
 
     Args:
