@@ -157,7 +157,7 @@ def test_intervals_are_as_wide_as_redundant_axes_differ(rng: np.random.Generator
 def knee(seed: int) -> np.ndarray:
     """A sensor on soft tissue: it slips by centimetres and degrees, slowly and with the joint angle."""
     rng = np.random.default_rng(seed)
-    times = DT * np.arange(198)
+    times = 0.05 * np.arange(198)
 
     def wave() -> np.ndarray:
         rates, phases = rng.uniform(0.03, 0.3, (3, 3)), rng.uniform(0, 2 * np.pi, (3, 3))
@@ -166,7 +166,7 @@ def knee(seed: int) -> np.ndarray:
     angle = 0.5 + 0.5 * np.sin(2 * np.pi * 0.3 * times)
     bent = np.stack([np.sin(angle), np.cos(angle)], axis=1)
     bent = bent - bent.mean(axis=0)
-    turn, shift = (0.4 * wave() + 1.7 * bent @ rng.normal(size=(2, 3)) for _ in range(2))
+    turn, shift = (np.sqrt(1 / 6) * wave() + bent / 0.6 @ rng.normal(size=(2, 3)) for _ in range(2))
     turn = 0.03 * turn + 1e-3 * rng.normal(size=turn.shape)
     bend = Rotation.from_rotvec(np.outer(angle, [0, 0, 1]))
     poses = np.tile(np.eye(4), (len(times), 1, 1))
