@@ -5,8 +5,9 @@ circle is the truth. Each half of a recording gives an estimate and a 95 % regio
 the whole recording, the half-widths of its intervals in the worst direction, the distances between the
 estimates of both halves, and the fractions of regions that contain the truth and the estimate of the other
 half. The table also has the largest differences between halves and between thirds, and whether the intervals
-of the whole recording are at least as wide; the parts have the types of the whole recording. The last rows
-have every second, fourth and tenth pose of the hinge, that is, lower sampling rates.
+of the whole recording are at least as wide; the parts have the types of the whole recording. A part that
+hardly moves may differ by more. The last rows have every second, fourth and tenth pose of the hinge, that is,
+lower sampling rates.
 """
 
 from collections.abc import Sequence

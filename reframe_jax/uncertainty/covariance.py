@@ -13,8 +13,8 @@ from reframe_jax.compilation import index_leaves
 from reframe_jax.geometry import rotations
 from reframe_jax.identification.options import Scales
 from reframe_jax.identification.results import Identification, Index
-from reframe_jax.uncertainty.refit import BLOCKS, HALVES, THIRDS, Estimate, Refit, refit_windows
-from reframe_jax.uncertainty.spread import spread_of_fit, student_variance, widen
+from reframe_jax.uncertainty.refit import BLOCKS, HALVES, LENGTHS, THIRDS, Estimate, Refit, refit_windows
+from reframe_jax.uncertainty.spread import blocks, parts_with_prior, spread_of_fit, student_variance, widen
 from reframe_jax.uncertainty.windows import over_windows
 
 __all__ = ["Covariance", "Errors", "Method", "covariance", "move"]
@@ -136,7 +136,8 @@ def covariance(
     bodies that flex also have slow errors, which the likelihood does not contain. By default, the function
     therefore also fits halves and thirds of the recording, and compares redundant estimates: the axis from
     positions with the axis from rotations. If their differences exceed chance, the half-widths of 95 %
-    intervals are at least as large as these differences. The covariance assumes that the identified types
+    intervals are at least as large as these differences; a part counts only in directions that its motion
+    determines. The covariance assumes that the identified types
     and degrees of freedom are correct.
 
     Args:
@@ -199,17 +200,21 @@ def _spreads(refit: Refit) -> tuple[jax.Array, jax.Array, jax.Array]:
 
 def _widened_covariance(refit: Refit) -> tuple[jax.Array, jax.Array]:
     """Covariance of one window, widened by the differences of redundant axes, halves and thirds."""
-    matrix, *redundant = _spreads(refit)
+    own, redundant, white = _spreads(refit)
+    matrix = own[0]
+    estimates, covariances = parts_with_prior(refit, own, LENGTHS)
     i, j = np.concatenate([HALVES, THIRDS]).T
-    parts = refit.numbers[i] - refit.numbers[j], matrix[i] + matrix[j]
     long = [jnp.all(refit.poses[np.ravel(pairs)] >= _FEWEST) for pairs in (HALVES, THIRDS)]
     used = jnp.stack([jnp.asarray(True), *long])[_SET]
-    apart, chance = (
-        jnp.where(used.reshape(-1, *[1] * (one.ndim - 1)), jnp.concatenate([one[:1], many]), 0)
-        for one, many in zip(redundant, parts, strict=True)
+    apart = jnp.concatenate([redundant[0].reshape(1, 3, 3), estimates[i] - estimates[j]])
+    chance = jnp.concatenate([blocks(white[0])[None], covariances[i] + covariances[j]])
+    widened = widen(
+        matrix,
+        jnp.where(used[:, None, None], apart, 0),
+        jnp.where(used[:, None, None, None], chance, 0),
+        _SET,
     )
-    widened = widen(matrix[0], apart, chance, _SET)
-    sizes = [jnp.diagonal(of).reshape(3, 3).sum(axis=1) for of in (widened, matrix[0])]
+    sizes = [jnp.diagonal(of).reshape(3, 3).sum(axis=1) for of in (widened, matrix)]
     return widened, jnp.where(sizes[1] > 0, jnp.sqrt(sizes[0] / sizes[1]), 1)
 
 

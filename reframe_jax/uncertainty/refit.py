@@ -19,13 +19,25 @@ from reframe_jax.model.moments import Moments, scale_moments
 from reframe_jax.model.solve import choose_scales
 from reframe_jax.model.table import Table, entries_at
 
-__all__ = ["BLOCKS", "HALVES", "THIRDS", "Estimate", "Refit", "estimate_of", "prepare", "refit_windows"]
+__all__ = [
+    "BLOCKS",
+    "HALVES",
+    "LENGTHS",
+    "THIRDS",
+    "Estimate",
+    "Refit",
+    "estimate_of",
+    "prepare",
+    "refit_windows",
+]
 
 Array = jax.Array
 
 _SPANS = ((0, 2), (1, 2), (0, 3), (1, 3), (2, 3))  # part i of n equal parts, as (i, n)
 HALVES, THIRDS = ((1, 2),), ((3, 4), (3, 5), (4, 5))
 """Pairs of disjoint spans to compare; span 0 is the whole window."""
+LENGTHS = np.array([1, *(1 / parts for _, parts in _SPANS)])
+"""Lengths of the window and of the spans, as fractions of the window."""
 BLOCKS = 6
 """Number of blocks, of which each fit leaves out one."""
 _PRIOR_ANGLE, _PRIOR_PITCH = 1.0, 1.0  # rad and m/rad, prior standard deviations
@@ -128,11 +140,12 @@ def refit_windows(
         moments, of_parts = moments_of(window, scales == ())
         noise = jnp.repeat(window.noise, of_parts.shape[1], axis=0)
         moments = choose_scales(moments, noise, scales)
-        # scales longer than a part have no independent values
-        fill = details.shape[2] - moments.details.shape[1]
-        more = jnp.concatenate([moments.products, *[moments.products[:, -1:]] * fill], axis=1)
+        # scales longer than a part have no independent values; the smooth part is the last scale
+        index, last = np.arange(details.shape[2]), moments.details.shape[1] - 1
+        place, present = np.minimum(index, last), (index < last) | (index == index[-1])
+        more = moments.products[:, place]
         products = jnp.concatenate([products, more.reshape(len(poses), -1, *more.shape[1:])], axis=1)
-        more = jnp.pad(moments.details, ((0, 0), (0, fill)))
+        more = jnp.where(present, moments.details[:, place], 0)
         details = jnp.concatenate([details, more.reshape(len(poses), -1, more.shape[1])], axis=1)
         number = jnp.concatenate([number, of_parts], axis=1)
     box = window.box

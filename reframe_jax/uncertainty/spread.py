@@ -7,9 +7,12 @@ import numpy as np
 from reframe_jax.calibration.robust import NORMAL_FACTOR, student_factor
 from reframe_jax.model.fit import Data, Parameters, coordinates, held_covariance, move
 from reframe_jax.model.table import Table
+from reframe_jax.uncertainty.refit import Refit
 
 __all__ = [
+    "blocks",
     "information",
+    "parts_with_prior",
     "posterior",
     "row_precision",
     "spread_of_fit",
@@ -22,10 +25,9 @@ Array = jax.Array
 _GROUPS = slice(0, 3), slice(3, 6), slice(6, 9)  # angular axes, linear axes, origin
 _FEWEST = 2.0  # fewest degrees of freedom of Student's distribution
 _KNOWN = 1e-9  # fraction of the largest variance below which a variance counts as zero
-_CHANCE, _SIGNIFICANT = (
-    2.0,
-    3.0,
-)  # mean squared distances (1 by chance) up to which none, and from which all counts
+# mean squared distances (1 by chance) up to which no difference is added, and from which all of it is
+_CHANCE, _SIGNIFICANT = 3.0, 4.0
+_PRIOR = 0.03  # information of the prior of a part, as a fraction of what a part of its length has on average
 
 
 def row_precision(parameters: Parameters, data: Data, entry: Table) -> Array:
@@ -124,36 +126,68 @@ def spread_of_fit(
     return covariance, slopes @ step, slopes @ chance @ slopes.T
 
 
+def parts_with_prior(refit: Refit, own: Array, lengths: np.ndarray) -> tuple[Array, Array]:
+    """Estimates of parts, with the estimate of the whole window as a weak prior.
+
+    A part that hardly moves has an arbitrary estimate, and the curvature of its fit is misleading. The weight
+    of the prior follows from the motion of the part, with the errors of the whole window. A direction that
+    the part does not determine keeps the estimate of the whole window.
+
+    Args:
+        refit: constraints fitted to M parts of one window.
+        own: (M, 9, 9) covariances of the components from the curvature of each fit.
+        lengths: (M,) lengths of the parts, as fractions of the window.
+
+    Returns:
+        The components (M, 3, 3) of the estimates, by group, and their covariances (M, 3, 3, 3) for white
+        errors: the mean of the covariances from the errors of the part and of the whole window.
+    """
+    parameters, whole, slopes = jax.tree.map(
+        lambda leaf: leaf[0], (refit.parameters, refit.data, refit.slopes)
+    )
+    precision = row_precision(parameters, whole, refit.entry)
+
+    def covariance_of(data: Data) -> Array:
+        each, _ = information(parameters, precision, data, refit.entry)
+        return blocks(slopes @ posterior(jnp.sum(each, axis=(0, 1)), refit.prior) @ slopes.T)
+
+    moved = jax.vmap(covariance_of)(refit.data)
+    values, axes, known = jax.vmap(_principal)(moved[0] + _PRIOR * lengths[:, None, None, None] * moved)
+    inverse = jnp.where(known, 1 / jnp.where(known, values, 1), 0)
+    weight = (1 + _PRIOR) * moved[0] @ jnp.einsum("mgij,mgj,mgkj->mgik", axes, inverse, axes)
+    estimates = jnp.einsum("mgij,mgj->mgi", weight, refit.numbers.reshape(-1, 3, 3))
+    white = (moved + jax.vmap(blocks)(own)) / 2
+    return estimates, weight @ white @ jnp.swapaxes(weight, 2, 3)
+
+
 def widen(covariance: Array, apart: Array, chance: Array, sets: np.ndarray) -> Array:
     """Covariance (9, 9) with 95 % intervals at least as wide as the differences of P pairs of estimates.
 
-    The covariance is multiplied by the mean squared distance of the parts, if it exceeds 1. If a difference
-    in a group still exceeds its interval, the same variance is added in all directions of the group, because
-    a slow error can have any direction. Differences count only beyond chance, by the mean squared distance
-    of their set.
+    The covariance is multiplied by the largest mean squared distance of a set, if it exceeds 1. Then, in each
+    group, the largest squared differences of parts and of redundant axes are added in all directions, because
+    a slow error can have any direction. They are added only beyond chance, by the mean squared distance of
+    their set; so is the multiplication by the distance of redundant axes.
 
     Args:
         covariance: (9, 9) covariance of the components, for white errors.
-        apart: (P, 9) differences of the components.
-        chance: (P, 9, 9) covariances of the differences, for white errors.
+        apart: (P, 3, 3) differences of the components, by group.
+        chance: (P, 3, 3, 3) covariances of the differences, for white errors.
         sets: (P,) int, 0 for redundant axes; other numbers for pairs of equally long parts.
     """
     square, number, apart = jax.vmap(_distances)(apart, chance)
     same = sets[:, None] == sets
     mean = same / np.sum(same, axis=1, keepdims=True) @ (square / jnp.maximum(number, 1))
-    covariance = covariance * jnp.maximum(1, jnp.max(mean[sets > 0]))
-    length = jnp.sum(jnp.square(apart), axis=2)
-    groups = _blocks(covariance)
-    along = jnp.einsum("pgi,gij,pgj->pg", apart, groups, apart)
-    along = along / jnp.maximum(length, jnp.finfo(length.dtype).tiny)
     counted = jnp.clip((mean - _CHANCE) / (_SIGNIFICANT - _CHANCE), 0, 1)
-    lacking = jnp.max(jnp.maximum(0, counted * length / NORMAL_FACTOR**2 - along), axis=0)
-    _, axes, known = _principal(groups)
-    added = jnp.einsum("g,gij,gj,gkj->gik", lacking, axes, known, axes)
-    return covariance + jax.scipy.linalg.block_diag(*added)
+    factor = jnp.where((sets > 0)[:, None], mean, 1 + counted * (mean - 1))
+    widened = covariance * jnp.maximum(1, jnp.max(factor))
+    variance = counted * jnp.sum(jnp.square(apart), axis=2) / NORMAL_FACTOR**2
+    between = jnp.max(variance[sets > 0], axis=0) + jnp.max(variance[sets == 0], axis=0)
+    _, axes, known = _principal(blocks(covariance))
+    added = jnp.einsum("g,gij,gj,gkj->gik", between, axes, known, axes)
+    return widened + jax.scipy.linalg.block_diag(*added)
 
 
-def _blocks(covariance: Array) -> Array:
+def blocks(covariance: Array) -> Array:
     """Covariances (3, 3, 3) of the three groups of components."""
     return jnp.stack([covariance[rows, rows] for rows in _GROUPS])
 
@@ -166,7 +200,7 @@ def _principal(groups: Array) -> tuple[Array, Array, Array]:
 
 def _distances(apart: Array, covariance: Array) -> tuple[Array, Array, Array]:
     """Squared Mahalanobis distance, count of dimensions with a variance, and components there, by group."""
-    values, axes, known = _principal(_blocks(covariance))
-    along = jnp.where(known, jnp.einsum("gij,gi->gj", axes, apart.reshape(3, 3)), 0)
+    values, axes, known = _principal(covariance)
+    along = jnp.where(known, jnp.einsum("gij,gi->gj", axes, apart), 0)
     square = jnp.sum(jnp.square(along) / jnp.where(known, values, 1), axis=1)
     return square, jnp.sum(known, axis=1), jnp.einsum("gij,gj->gi", axes, along)
