@@ -286,3 +286,11 @@ def test_jumps_that_stay_are_noted(tmp_path: Path, rng: np.random.Generator) -> 
 def test_the_cases(name: str, lines: tuple[int, int]) -> None:
     (left_out,) = load_recording(DATA / "cases" / f"{name}.csv").left_out
     np.testing.assert_array_equal(left_out.rows, np.arange(lines[0], lines[1] + 1))
+
+
+def test_a_motion_that_starts_at_the_origin_is_not_lost_before_an_outlier():
+    rng = np.random.default_rng(0)
+    poses = np.tile(np.eye(4), (40, 1, 1))
+    poses[:, :3, 3] = np.outer(0.2 * np.sin(np.arange(40) / 8), [1, 0, 0]) + 1e-4 * rng.normal(size=(40, 3))
+    poses[7, :3, 3] += 0.5
+    assert not find_lost_poses(poses).mask.any()

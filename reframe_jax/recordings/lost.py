@@ -248,17 +248,20 @@ def _noisy(paths: tuple[_Path, _Path]) -> np.ndarray:
                 (np.repeat(means, lengths, axis=0), np.minimum(near, _SLOW * usual * lengths)),
             )
         )
-        still |= zero
         # the last row of the path before each piece, and the first row of the path after it
         pieces = np.arange(len(starts))
         before = np.maximum.accumulate(np.where(still, -1, pieces))
         after = np.minimum.accumulate(np.where(still, len(pieces), pieces)[::-1])[::-1]
-        inside = still & (before >= 0) & (after < len(pieces)) & (lengths >= _REPEATS)
         last, first = stops[before] - 1, starts[after % len(pieces)]
+        away = np.stack([np.linalg.norm(means - path.numbers[row], axis=1) for row in (last, first)])
+        distant = away > _JUMP_STEPS * usual * np.stack([starts - last, first - stops + 1])
         gap = np.linalg.norm(path.numbers[first] - path.numbers[last], axis=1)
-        for row, late in ((last, starts - last), (first, first - stops + 1)):
-            away = np.linalg.norm(means - path.numbers[row], axis=1)
-            inside &= (away > _JUMP_STEPS * usual * late) & (gap < _AWAY * away)
+        inside = distant.all(axis=0) & (gap < _AWAY * away.min(axis=0))
+        # at an end of the path, only the origin is known not to be a pose
+        known = np.stack([before >= 0, after < len(pieces)])
+        several = still & (lengths >= _REPEATS)
+        inside &= several & known.all(axis=0)
+        zero &= inside | (several & ~known.all(axis=0) & (distant & known).any(axis=0))
         turned = np.linalg.norm(paths[1].numbers - paths[1].origin, axis=1)
         identity = np.maximum.reduceat(turned, starts) < _STILL if path is paths[0] else zero
         lost = np.where(zero, np.where(identity, "identity", "origin"), np.where(inside, "constant", ""))
