@@ -52,7 +52,7 @@ class Evidence(NamedTuple):
     scale_error: float = 0.12
     amplitude_variance: float = 0.03
     worth: float = 2.5
-    repeatable_part: float = 0.1
+    repeatable_part: float = 0.05
     per_parameter: float = 1.0
     screw_worth: float = 6.0
     pitch_cost: float = log(13.8 * 7)
