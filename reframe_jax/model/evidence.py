@@ -255,8 +255,7 @@ def compare(evidence: Array, amplitudes: Amplitudes, pitch: Array, table: Table)
     independent = largest(jnp.where(best, independent, 0))
     worth = jnp.minimum(jnp.where(jnp.isfinite(independent), independent, 1.0), C.worth)
     size = total(_raised(amplitudes.log_variance, table, best), 0)
-    size = jnp.where(jnp.isfinite(evidence), size, jnp.inf)
-    value = evidence - worth * (0.5 * (size + largest(-size)) - amplitudes.consistency)
+    value = evidence - worth * (0.5 * size - amplitudes.consistency)
     value = value - jnp.log(table.variants) - C.per_parameter * table.parameters
     value = value + jnp.where(table.pitch, _screw(amplitudes, pitch, worth), 0)
     # entries without held coordinates describe the same motion in the coordinates of different types: all of

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from reframe_jax.geometry.numpy_rotations import quaternions_to_matrices, rotation_vectors
+from reframe_jax.geometry.numpy_rotations import nearest_rotations, quaternions_to_matrices, rotation_vectors
 from reframe_jax.recordings.continuity import is_unordered
 from reframe_jax.recordings.conventions import angle_matrices, keeps_a_point_better, sample_rows
 from reframe_jax.recordings.recording import RecordingError
@@ -205,8 +205,7 @@ def make_poses(rows: Rows) -> np.ndarray:
     )
     for block in blocks:
         repaired = np.flatnonzero(error[block] > 1e-12) + block.start  # exact rotations keep every bit
-        left, _, right = np.linalg.svd(poses[repaired, :3, :3])
-        poses[repaired, :3, :3] = left @ right
+        poses[repaired, :3, :3] = nearest_rotations(poses[repaired, :3, :3])
     return poses
 
 

@@ -6,7 +6,6 @@ from decimal import Decimal
 import numpy as np
 
 from reframe_jax.geometry.numpy_rotations import rotation_vectors
-from reframe_jax.recordings.continuity import is_unordered
 from reframe_jax.recordings.conventions import sample_rows
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import EPOCH, Rows, is_path
@@ -98,9 +97,9 @@ def _advise(unit: str) -> str:
     return f"give time_unit={unit!r} (--time-unit {unit})"
 
 
-def note_unit(rows: Rows, poses: np.ndarray) -> None:
+def note_unit(rows: Rows, poses: np.ndarray, unordered: bool) -> None:
     """Add a note to ``rows`` if poses (N, 4, 4), m, change so slowly or so fast that the unit is in doubt."""
-    if rows.seconds is not None or rows.times is None or len(poses) < 2 or is_unordered(poses):
+    if rows.seconds is not None or rows.times is None or len(poses) < 2 or unordered:
         return
     step = float(np.median(np.diff(rows.times)))
     if step > _SLOW:

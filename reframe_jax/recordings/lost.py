@@ -93,14 +93,18 @@ def find_lost_poses(poses: np.ndarray, times: np.ndarray | None = None) -> LostP
     poses = np.asarray(poses, float)
     clock = np.arange(len(poses), dtype=float) if times is None else np.asarray(times, float)
     kinds = np.where(np.isfinite(poses).all(axis=(1, 2)), "", "missing").astype("U8")
+    rows, paths = np.flatnonzero(kinds == ""), None
     for search in (_at_origin, _constant, _noisy, _frozen):
-        rows = np.flatnonzero(kinds == "")
         if len(rows) < _OTHERS:
             break
-        turns = poses[rows, :3, :3].reshape(-1, 9) / np.sqrt(2)
-        identity = np.eye(3).ravel() / np.sqrt(2)
-        positions = _Path.of(poses[rows, :3, 3], np.zeros(3), clock[rows])
-        kinds[rows] = search((positions, _Path.of(turns, identity, clock[rows])))
+        if paths is None:
+            turns = poses[rows, :3, :3].reshape(-1, 9) / np.sqrt(2)
+            identity = np.eye(3).ravel() / np.sqrt(2)
+            positions = _Path.of(poses[rows, :3, 3], np.zeros(3), clock[rows])
+            paths = positions, _Path.of(turns, identity, clock[rows])
+        kinds[rows] = found = search(paths)
+        if (found != "").any():  # the remaining rows have other paths
+            rows, paths = rows[found == ""], None
     return LostPoses(kinds)
 
 
@@ -292,6 +296,7 @@ def _frozen(paths: tuple[_Path, _Path]) -> np.ndarray:
             runs = np.column_stack([np.where((first > 0) & arrived, first, first + 1), moving[late] + 1])
             kinds[_rows_of(runs, count)] = "frozen"
         # a run before missing rows, or before the end, has no step after it that shows a motion
+        moving = np.flatnonzero(path.steps)
         starts, stops = np.append(0, moving + 1), np.append(moving + 1, count)
         lengths, last = stops - starts, np.append(path.gaps[moving], True)
         ranked = np.sort(lengths[lengths > 1])

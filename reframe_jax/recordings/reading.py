@@ -169,8 +169,9 @@ def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Re
         poses = check_positions(rows, poses, wanted)
         _check_count(rows)
         check_turns(rows, poses, wanted)
-        note_unit(rows, poses)
-        _check_order(rows, poses, reader)
+        unordered = is_unordered(poses)
+        note_unit(rows, poses, unordered)
+        _check_order(rows, reader, unordered)
         note_jumps(rows, poses)
         note_repeats(rows, poses)
     if ignored:
@@ -198,7 +199,7 @@ def _apply_order(rows: Rows, wanted: Selection) -> None:
     rows.order = wanted.quaternion
 
 
-def _check_order(rows: Rows, poses: np.ndarray, reader: Reader) -> None:
+def _check_order(rows: Rows, reader: Reader, unordered: bool) -> None:
     """Note that the motion is constrained only with the other order of quaternions."""
     if rows.values.shape[1] != 7 or "quaternion" not in reader.options:
         return
@@ -207,7 +208,7 @@ def _check_order(rows: Rows, poses: np.ndarray, reader: Reader) -> None:
     numbers = rows.values[some, 3:]
     numbers = numbers / np.linalg.norm(numbers, axis=1, keepdims=True)
     own, alternative = map(quaternions_to_matrices, (numbers, reorder(numbers, rows.order, other)))
-    judges = [fits_better, *([keeps_a_point_better] if is_unordered(poses) else [])]
+    judges = [fits_better, *([keeps_a_point_better] if unordered else [])]
     if any(judge(rows.values[some, :3], own, alternative) for judge in judges):
         rows.notes.append(
             f"the quaternions are read in the order {rows.order}, but the motion is constrained only in the "
