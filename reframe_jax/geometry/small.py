@@ -19,12 +19,13 @@ _NO_MOMENT = -1.2345678e33  # a number that no array of moments contains
 def materialize(values: T) -> T:
     """Store arrays in memory at this point of a program. The values do not change.
 
-    Without this function, XLA may compute the arrays again in every operation that reads them. On a GPU, the
-    function is an ``optimization_barrier``. On a CPU, XLA removes this barrier too early, so the function
-    uses a conditional instead, whose predicate is always true but unknown to the compiler.
+    Without this function, XLA may compute the arrays again in every operation that reads them. On a GPU, this
+    costs less than the memory traffic, so the function returns its argument. On a CPU, it is a conditional
+    whose predicate is always true but unknown to the compiler, which removes an ``optimization_barrier`` too
+    early.
     """
     if jax.default_backend() != "cpu":
-        return jax.lax.optimization_barrier(values)
+        return values
     first = next(leaf for leaf in jax.tree.leaves(values) if jnp.issubdtype(leaf.dtype, jnp.floating))
     corner = jax.lax.slice(first, (0,) * first.ndim, (1,) * first.ndim)
     always = jax.lax.reshape(corner, ()) != _NO_MOMENT
@@ -62,6 +63,18 @@ def cross(a: Array, b: Array) -> Array:
     """Return the cross products of vectors (3, ...)."""
     (x, y, z), (u, v, w) = jax.lax.split(a, (1, 1, 1)), jax.lax.split(b, (1, 1, 1))
     return jnp.concatenate([y * w - z * v, z * u - x * w, x * v - y * u])
+
+
+def axial(matrix: Array) -> Array:
+    """Return vectors (3, ...) with the components m_23 - m_32, m_31 - m_13, m_12 - m_21 of (3, 3, ...)."""
+    return jnp.stack([matrix[i, j] - matrix[j, i] for i, j in ((1, 2), (2, 0), (0, 1))])
+
+
+def crosses(vector: Array) -> Array:
+    """Return matrices (3, 3, ...) whose rows are the cross products of the coordinate axes with a vector."""
+    x, y, z = vector
+    zero = jnp.zeros_like(x)
+    return jnp.stack([jnp.stack([zero, -z, y]), jnp.stack([z, zero, -x]), jnp.stack([-y, x, zero])])
 
 
 def normalize(vector: Array) -> Array:
@@ -119,27 +132,31 @@ def inverse_and_determinant(s: Array, positive: bool = True) -> tuple[Array, Arr
 
 
 def solve_positive(matrix: Array, vector: Array) -> Array:
-    """Solve symmetric, positive definite systems (n, n, ...) x = (n, ...) by Gauss-Jordan elimination."""
+    """Solve symmetric, positive definite systems (n, n, ...) x = (n, ...) by Gauss-Jordan elimination.
+
+    Three unknowns are eliminated at a time. Pivots below the rounding error of the diagonal are raised to
+    this error.
+    """
     length = len(vector)
-    diagonal = jnp.stack([matrix[i, i] for i in range(length)])
-    floor = jnp.finfo(matrix.dtype).eps * diagonal + jnp.finfo(matrix.dtype).tiny
+    if fill := -length % 3:  # unknowns that are zero
+        unit = jnp.eye(length + fill, dtype=matrix.dtype)[:, length:]
+        unit = unit.reshape(-1, fill, *[1] * (matrix.ndim - 2))
+        right = jnp.broadcast_to(unit, (length + fill, fill, *matrix.shape[2:]))
+        below = jnp.zeros_like(matrix, shape=(fill, *matrix.shape[1:]))
+        matrix = jnp.concatenate([jnp.concatenate([matrix, below]), right], axis=1)
+        vector = jnp.concatenate([vector, jnp.zeros_like(vector, shape=(fill, *vector.shape[1:]))])
 
-    def eliminate(_: int, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        """Eliminate the first unknown, then put it last."""
-        matrix, vector, floor = carry
-        size = jnp.maximum(matrix[0, 0], floor[0])
-        row, value = matrix[0] / size, vector[0] / size
-        column = matrix[1:, 0]
-        matrix = jnp.concatenate([matrix[1:] - column[:, None] * row[None], row[None]])
-        vector = jnp.concatenate([vector[1:] - column * value[None], value[None]])
-        return _first_last(matrix, 1), vector, _first_last(floor, 0)
+    def eliminate(_: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Eliminate the first three unknowns, then put them last."""
+        matrix, vector = carry
+        inverse = materialize(inverse_and_determinant(matrix[:3, :3])[0])
+        row, value = materialize((times(inverse, matrix[:3]), times(inverse, vector[:3])))
+        column = matrix[3:, :3]
+        matrix = jnp.concatenate([matrix[3:] - times(column, row), row])
+        vector = jnp.concatenate([vector[3:] - times(column, value), value])
+        return jnp.roll(matrix, -3, axis=1), vector
 
-    return jax.lax.fori_loop(0, length, eliminate, (matrix, vector, floor))[1]
-
-
-def _first_last(array: Array, axis: int) -> Array:
-    first, rest = jax.lax.split(array, (1, array.shape[axis] - 1), axis)
-    return jnp.concatenate([rest, first], axis)
+    return jax.lax.fori_loop(0, len(vector) // 3, eliminate, (matrix, vector))[1][:length]
 
 
 def diagonalize(

@@ -31,7 +31,7 @@ from reframe_jax.solvers import Solver
 
 __all__ = ["default_solver", "identify", "identify_unchecked"]
 
-_CHUNK = {"cpu": 64, "gpu": 4096}  # windows per program: their arrays fit the cache, or the memory
+_CHUNK = {"cpu": 32, "gpu": 16384}  # windows per program: their arrays fit the cache, or the memory
 
 
 def identify(

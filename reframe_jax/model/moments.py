@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 __all__ = ["Moments", "scale_moments"]
 
-_PART = 4  # two neighbouring blocks, or a block of the smooth part, take 1 / _PART of a window at most
+_PART = 4  # two neighbouring blocks, or a block of the smooth part, take less than 1 / _PART of a window
 _FEWEST = 4  # smallest number of details of a scale
 _ROUNDINGS = 16  # rounding errors of the mean square of a feature that are added to its moment
 _LEAST = 1e-20  # m^2 or rad^2, smallest addition, for features that never change
@@ -80,23 +80,23 @@ def scale_moments(
     smooth = jnp.zeros((len(values), values.shape[2], values.shape[2]), dtype)
     smooth_width = jnp.ones(len(values), dtype)
     h = 1
-    while h == 1 or _PART * h <= poses:
+    while h == 1 or _PART * h < poses:
         # a block counts only if at least half of its poses count
         inside = jnp.arange(weight.shape[1]) + h <= number[:, None]  # no block reaches into padding
         full = (weight >= max(1, h / 2)) & inside
         block = total / jnp.maximum(weight, 1)[..., None]
-        if 2 * h * _PART <= poses or h == 1:
+        if 2 * h * _PART < poses or h == 1:
             both = full[:, h:] & full[:, :-h]
             detail = jnp.where(both[..., None], block[:, h:] - block[:, :-h], 0)
             found = jnp.sum(both, axis=1).astype(dtype)
-            fits = (2 * h * _PART <= number) & (found >= _FEWEST)
+            fits = (2 * h * _PART < number) & (found >= _FEWEST)
             products.append(_mean_products(detail, found))
             details.append(jnp.where(fits, found / (2 * h), 0))
             widths.append(jnp.full(len(values), h, dtype))
         # the largest block that fits, which is among the last three where there is padding
-        possible = 2 * h * _PART > poses if count is None else 16 * h * _PART > poses
+        possible = 2 * h * _PART >= poses if count is None else 16 * h * _PART >= poses
         if possible:
-            own = (h * _PART <= number) & (2 * h * _PART > number) if h > 1 else number < 2 * _PART
+            own = (h * _PART < number) & (2 * h * _PART >= number) if h > 1 else number <= 2 * _PART
             found = jnp.sum(full, axis=1).astype(dtype)
             middle = jnp.sum(jnp.where(full[..., None], block, 0), axis=1) / jnp.maximum(found, 1)[:, None]
             rest = jnp.where(full[..., None], block - middle[:, None], 0)

@@ -25,20 +25,24 @@ __all__ = [
 Array = jax.Array
 
 
-def _picks() -> tuple[np.ndarray, np.ndarray]:
-    """Places in (27, 27) and signs, (252, paths), of the moments of :class:`EntryMoments`."""
+def _picks() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places and signs of moments in (27, 27): of translations (12, 18, paths), and of the six components.
+
+    A translation has 12 components. Its moments are those with themselves and with the six components
+    of ``EntryMoments.rows``, whose features (2, 6) are given for main bodies {g} and {b}.
+    """
+    sixes = np.stack([np.r_[z.POSITION, turn] for turn in (z.TURN_GROUND, z.TURN_BODY)])
     places, signs = [], []
     for path in PATHS:
         rows = ROWS[KINDS.index(path)].reshape(12, z.COUNT)
         feature, sign = np.abs(rows).argmax(-1), rows.sum(-1)
-        six = np.r_[z.POSITION, z.TURN_BODY if path[0] == "B" else z.TURN_GROUND]
-        pairs = (feature, feature), (six, six), (feature, six)
-        places.append(np.concatenate([(one[:, None] * z.COUNT + other).ravel() for one, other in pairs]))
-        signs.append(np.concatenate([np.outer(sign, sign).ravel(), np.ones(36), np.repeat(sign, 6)]))
-    return np.stack(places, 1).astype(np.int32), np.stack(signs, 1)
+        others = np.concatenate([feature, sixes[int(path[0] == "B")]])
+        places.append(feature[:, None] * z.COUNT + others)
+        signs.append(np.outer(sign, np.concatenate([sign, np.ones(6)])))
+    return np.stack(places, 2).astype(np.int32), np.stack(signs, 2), sixes
 
 
-_PLACES, _SIGNS = _picks()
+_PLACES, _SIGNS, _SIXES = _picks()
 _IN_BODY = np.array([path[0] == "B" for path in PATHS])
 
 
@@ -96,19 +100,21 @@ def entry_moments(products: Array, mean: Array) -> EntryMoments:
     """
     lanes = products.ndim - 3
     signs = jnp.asarray(_SIGNS, products.dtype).reshape(*_SIGNS.shape, *[1] * (lanes + 1))
-    picked = jnp.moveaxis(products.reshape(-1, *products.shape[2:])[_PLACES] * signs, 1, 2)
-    rest = picked.shape[1:]
-    paths, rows, mixed = picked[:144], picked[144:180], picked[180:]
+    picked = products.reshape(-1, *products.shape[2:])[_PLACES] * signs
+    picked = jnp.moveaxis(picked, 2, 3)  # (12, 18, S, 5, ...)
+    rest = picked.shape[2:]
+    paths, mixed = picked[:, :12].reshape(3, 4, 3, 4, *rest), picked[:, 12:]
+    rows = jnp.stack([products[six[:, None], six] for six in _SIXES], axis=3)  # (6, 6, S, 2, ...)
     # express the position in axes of the main body; it is measured in the ground
-    unit = jnp.eye(3, dtype=mean.dtype).reshape(3, 3, *[1] * (lanes + 1))
-    turned = jnp.where(_IN_BODY.reshape(-1, *[1] * lanes), mean[:, :, None], unit)
-    zero = jnp.zeros_like(turned)
-    halves = [jnp.concatenate([turned, zero], axis=1), jnp.concatenate([zero, zero + unit], axis=1)]
-    outer = jnp.concatenate(halves)
-    mixed = mixed.reshape(3, 4, 6, *rest)
-    mixed = total(mixed[:, :, :, None] * outer[None, None, :, :, None], 2)
-    rows = sandwich(outer, rows.reshape(6, 6, *rest))
-    return EntryMoments(paths.reshape(3, 4, 3, 4, *rest), rows, mixed)
+    unit = jnp.eye(3, dtype=mean.dtype).reshape(3, 3, *[1] * lanes) + jnp.zeros_like(mean)
+    turned = jnp.stack([unit, mean], axis=2)[:, :, None]  # (3, 3, 1, 2, ...)
+    for _ in range(2):
+        top = total(turned[:, :, None] * rows[:3, None], 0)
+        rows = jnp.swapaxes(jnp.concatenate([top, rows[3:]]), 0, 1)
+    both = _IN_BODY.astype(np.int32)
+    position = total(turned[:, :, :, both] * mixed[:, :3, None], 1)
+    mixed = jnp.concatenate([position, mixed[:, 3:]], axis=1)
+    return EntryMoments(paths, rows[:, :, :, both], mixed.reshape(3, 4, 6, *rest))
 
 
 def in_body(entry: Table) -> Array:

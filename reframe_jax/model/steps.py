@@ -7,7 +7,6 @@ axis, less h times the rotation about the axis. The objective is sum_s n_s log d
 see :mod:`.fit`.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -15,6 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.geometry.small import (
+    axial,
+    crosses,
     inverse_and_determinant,
     largest,
     materialize,
@@ -30,12 +31,6 @@ __all__ = ["Problem", "Unknowns", "axis_row", "descend", "path_of", "row_size", 
 Array = jax.Array
 _DAMPING = 1e-3  # first damping, as a fraction of the diagonal
 _LONGEST = 0.5  # rad or m, largest component of a step
-
-_LEVI_CIVITA = np.array(
-    [[[(i - j) * (j - k) * (k - i) / 2 for k in range(3)] for j in range(3)] for i in range(3)]
-)
-_BEND = np.einsum("mkj,nli->mnklji", _LEVI_CIVITA, _LEVI_CIVITA).reshape(9, 81)
-"""Second derivative of O_kl C_ji, a form of directions, with respect to their rotation."""
 
 
 class Unknowns(NamedTuple):
@@ -137,17 +132,18 @@ def _blocks(problem: Problem, frame: Array, origin: Array) -> tuple[Array, Array
     inverse, value = _held(materialize(sandwich(lanes, forms)), held, problem.details)
     weight = materialize(sandwich(jnp.swapaxes(lanes, 0, 1), inverse))
     # directions turn, the origin moves
-    levi = partial(jnp.tensordot, jnp.asarray(_LEVI_CIVITA, frame.dtype), precision="highest")
     pulled = materialize(total(forms[:, :, None] * weight[None], 1, 3, 4))
-    bent = materialize(total(weight[:, :, None, None] * forms[None, None], 4, 5))
-    bend = jnp.asarray(_BEND, frame.dtype)
-    turns = jnp.tensordot(bend, bent.reshape(81, *bent.shape[4:]), 1, precision="highest")
+    sizes, weights = (m[0, 0] + m[1, 1] + m[2, 2] for m in (forms, weight))
+    bent = materialize(total(forms * weights + weight * sizes, 2, 3))
+    unit = jnp.eye(3, dtype=frame.dtype).reshape(3, 3, *[1] * value.ndim)
+    apart = total(weights * sizes, 0, 1) - (pulled[0, 0] + pulled[1, 1] + pulled[2, 2])
+    turns = apart * unit + pulled + jnp.swapaxes(pulled, 0, 1) - bent
     on_path = weight[:, :, :, 1]
     ahead = materialize(total(on_path[:, :, None, None] * half[None, :, 1:], 1, 4))  # (k, a, j)
-    both = levi(jnp.swapaxes(ahead, 1, 2), axes=((1, 2), (0, 1)))
+    both = axial(jnp.swapaxes(ahead, 1, 2))
     moves = materialize(total(problem.paths[:, 1:, :, 1:] * on_path[:, None, :, None], 4))
-    gradient = [-levi(pulled, axes=((1, 2), (0, 1))), ahead[0, :, 0] + ahead[1, :, 1] + ahead[2, :, 2]]
-    turns, both, moves = materialize((turns.reshape(3, 3, *bent.shape[4:]), both, total(moves, 0, 2)))
+    gradient = [-axial(pulled), ahead[0, :, 0] + ahead[1, :, 1] + ahead[2, :, 2]]
+    turns, both, moves = materialize((turns, both, total(moves, 0, 2)))
     top = jnp.concatenate([turns, both], axis=1)
     bottom = jnp.concatenate([jnp.swapaxes(both, 0, 1), moves], axis=1)
     return value, jnp.concatenate(gradient), top, bottom
@@ -167,9 +163,7 @@ def _row(problem: Problem, at: Unknowns) -> tuple[Array, Array, Array]:
     moved, size = row_size(problem.rows, row)
     size = jnp.where(problem.held_row, size + jnp.finfo(size.dtype).tiny ** 0.5, 1)
     each = materialize(jnp.where(problem.held_row, problem.details / size, 0))
-    levi = jnp.asarray(_LEVI_CIVITA, frame.dtype)
-    spun = jnp.tensordot(levi, parts, ((1,), (1,)), precision="highest")  # (3, 3, 2, ...), e_m x v
-    spun = jnp.swapaxes(spun, 1, 2).reshape(3, 6, *inverse.shape)
+    spun = jnp.concatenate([crosses(along), crosses(parts[1])], axis=1)  # (3, 6, ...), e_m x v
     tilted = jnp.swapaxes(frame[:, :2] - along[:, None] * axis[None, :2], 0, 1) * inverse
     tilted = jnp.where(problem.tilted, tilted, 0)
     zero = jnp.zeros_like(third)

@@ -13,7 +13,6 @@ Arrays have components first, then samples, and windows last.
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 
 from reframe_jax.geometry.small import cross, normalize, total
@@ -85,7 +84,7 @@ def repair_poses(
 def _has_jumps(x: Array, own: Array) -> Array:
     """Whether a fourth difference of poses x (9, P, N) is large, (N,): a fast test before the search."""
     whole = jnp.broadcast_to((own[:-4] & own[4:])[:, None], (x.shape[1] - 4, 2, own.shape[1]))
-    size = jnp.swapaxes(_lengths(jnp.diff(x, n=4, axis=1)[None])[:, 0], 0, 1)
+    size = jnp.swapaxes(_lengths(jnp.diff(x, n=4, axis=1)), 0, 1)
     rounding = 64 * jnp.finfo(x.dtype).eps * (1 + jnp.max(jnp.abs(x), axis=(0, 1)))
     return jnp.any(whole & (size > _JUMP * masked_median(size, whole) + rounding), axis=(0, 1))
 
@@ -98,27 +97,26 @@ def _find(x: Array, times: Array, own: Array, count: Array, unit: Array, stride:
     ends = whole[:, :1], jnp.take_along_axis(whole, last[None, None], axis=1)
 
     def beside(samples: Array) -> Array:
-        """Return the poses and times (5, 10, P, N) at 1 to 5 times ``samples`` after every pose."""
+        """Return the poses and times (10, 5, P, N) at 1 to 5 times ``samples`` after every pose."""
         each = jnp.arange(1, _REACH + 1)[:, None, None] * samples + jnp.arange(number)[:, None]
         inside = jnp.abs(jnp.where(each > last, 2 * last - each, each))
         inside = jnp.clip(inside, 0, number - 1).reshape(-1, own.shape[1])
         path = jnp.take_along_axis(whole, inside[None], axis=1).reshape(10, _REACH, number, -1)
         path = jnp.where(each < 0, 2 * ends[0][:, None] - path, path)
-        return jnp.swapaxes(jnp.where(each > last, 2 * ends[1][:, None] - path, path), 0, 1)
+        return jnp.where(each > last, 2 * ends[1][:, None] - path, path)
 
     before, after = beside(-stride), beside(stride)
-    part = (times - before[:, 9]) / (after[:, 9] - before[:, 9])
-    before, after = before[:, :9], after[:, :9]
-    guesses = before + part[:, None] * (after - before)
+    part = (times - before[9]) / (after[9] - before[9])
+    before, after = before[:9], after[:9]
+    guesses = before + part * (after - before)
     middle = _median_of_five(guesses)
     # after a jump to another place, the path continues from the poses on one side
     behind, ahead = (
-        _median_of_five(2 * near - beside(2 * side * stride)[:, :9])
-        for side, near in ((-1, before), (1, after))
+        _median_of_five(2 * near - beside(2 * side * stride)[:9]) for side, near in ((-1, before), (1, after))
     )
-    lengths = _lengths(jnp.concatenate([jnp.stack([x - middle, behind - x, ahead - x]), guesses - middle]))
-    distance, spread = lengths[:, 0], _median_of_five(jnp.moveaxis(lengths[:, 3:], 1, 0))  # (2, P, N)
-    apart = jnp.minimum(lengths[:, 1], lengths[:, 2]) > _APART * distance
+    distance, spread = _lengths(x - middle), _median_of_five(_lengths(guesses - middle[:, None]))  # (2, P, N)
+    apart = jnp.minimum(_lengths(behind - x), _lengths(ahead - x)) > _APART * distance
+    distance, spread, apart = lax.optimization_barrier((distance, spread, apart))  # computed once on a GPU
     mask = jnp.broadcast_to(own[:, None], (number, 2, own.shape[1]))
     typical = masked_median(jnp.swapaxes(distance, 0, 1), mask)[:, None]
     typical = jnp.maximum(typical, jnp.stack([unit / 2, jnp.zeros_like(unit)])[:, None])
@@ -128,14 +126,14 @@ def _find(x: Array, times: Array, own: Array, count: Array, unit: Array, stride:
 
 
 def _lengths(x: Array) -> Array:
-    """Return the lengths (2, M, ...) of the position part and the rotation part of components (M, 9, ...)."""
-    groups = np.repeat(np.eye(2), (3, 6), axis=1)
-    # a sum over a leading axis is fast as a product
-    return jnp.sqrt(jnp.tensordot(jnp.asarray(groups, x.dtype), x * x, ((1,), (1,)), precision="highest"))
+    """Return the lengths (2, ...) of the position part and the rotation part of components (9, ...)."""
+    square = x * x
+    return jnp.sqrt(jnp.stack([total(square[:3], 0), total(square[3:], 0)]))
 
 
 def _median_of_five(values: Array) -> Array:
-    a, b, c, d, e = values
+    """Median (C, ...) over the second axis of values (C, 5, ...)."""
+    a, b, c, d, e = (values[:, k] for k in range(5))
     low = jnp.maximum(jnp.minimum(a, b), jnp.minimum(c, d))
     high = jnp.minimum(jnp.maximum(a, b), jnp.maximum(c, d))
     return jnp.maximum(jnp.minimum(e, jnp.maximum(low, high)), jnp.minimum(low, high))
