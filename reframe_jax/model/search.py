@@ -136,7 +136,7 @@ def norm_at(coefficients: Array, details: Array, origins: Array) -> Array:
 
 def _norm(coefficients: Array, counts: Array, x: Array) -> Array:
     """F at origins (3, T, K, N), (T, K, N)."""
-    _, det = invert_symmetric(_sigma(coefficients, _monomials(x)))
+    _, det = invert_symmetric(_sigma(coefficients, x))
     return total(counts * jnp.log(det), 0)
 
 
@@ -145,37 +145,38 @@ def _starts(coefficients: Array, counts: Array, unexplained: Array) -> Array:
     traces = coefficients[0] + coefficients[3] + coefficients[5]
     inverse, _ = invert_symmetric([unexplained[i, j] for i, j in INDEX_PAIRS])
     halves = jnp.asarray(_HALVES, traces.dtype)
-    forms = (
-        _tangent(coefficients, counts, jnp.broadcast_to(inverse[:, None], (6, *traces.shape[1:]))),
-        total(traces * (counts > 0), 1)[_FORM] * halves,
-        traces[:, -1][_FORM] * halves,
-    )
-    found = [-_solve(_lift(form[1:, 1:]), form[1:, 0]) for form in forms]
+    inverse = jnp.broadcast_to(inverse[:, None], (6, *traces.shape[1:]))
+    squares = [square[_FORM] * halves for square in (total(traces * (counts > 0), 1), traces[:, -1])]
+    forms = jnp.concatenate([_tangent(coefficients, counts, inverse), *squares], axis=3)
+    found = -_solve(_lift(forms[1:, 1:]), forms[1:, 0])
     fixed = jnp.asarray(_FIXED_STARTS, coefficients.dtype)[:, None, :, None]
-    fixed = jnp.broadcast_to(fixed, (3, found[0].shape[1], fixed.shape[2], found[0].shape[3]))
-    return jnp.concatenate([*found, fixed], axis=2)
+    fixed = jnp.broadcast_to(fixed, (3, found.shape[1], fixed.shape[2], found.shape[3]))
+    return jnp.concatenate([found, fixed], axis=2)
 
 
 _HALVES = np.where(np.eye(4, dtype=bool), 1.0, 0.5)[:, :, None, None, None]
 """Factors that turn the coefficients of monomials into a symmetric matrix."""
 
 
-def _monomials(x: Array) -> Array:
-    """Monomials (10, ...) of origins (3, ...)."""
-    z = jnp.concatenate([jnp.ones_like(x[:1]), x])
-    return z[_FIRST] * z[_SECOND]
+def _sigma(coefficients: Array, x: Array) -> Array:
+    """Components of Sigma at origins (3, T, K, N), (6, S, T, K, N)."""
+    z = jnp.ones_like(x[0]), *x
+    terms = [coefficients[:, k] * (z[b] if a == 0 else z[a] * z[b]) for k, (a, b) in enumerate(MONOMIALS)]
+    return materialize(sum(terms[1:], terms[0]))
 
 
-def _slopes(x: Array) -> Array:
-    """Derivatives of the monomials, (10, 3, ...)."""
-    z = jnp.concatenate([jnp.ones_like(x[:1]), x])[:, None]
-    unit = jnp.eye(4, dtype=x.dtype)[:, 1:].reshape(4, 3, *[1] * (x.ndim - 1))
-    return z[_FIRST] * unit[_SECOND] + z[_SECOND] * unit[_FIRST]
-
-
-def _sigma(coefficients: Array, monomials: Array) -> Array:
-    """Components of Sigma at points, (6, S, T, K, N)."""
-    return materialize(total(coefficients * monomials[None, :, None], 1))
+def _slope(coefficients: Array, x: Array) -> Array:
+    """Derivatives of Sigma with respect to the origins, (6, 3, S, T, K, N)."""
+    z = jnp.ones_like(x[0]), *x
+    slopes = []
+    for axis in (1, 2, 3):
+        terms = [
+            coefficients[:, k] * (z[b] if a == axis else z[a]) * (2 if a == b else 1)
+            for k, (a, b) in enumerate(MONOMIALS)
+            if axis in (a, b)
+        ]
+        slopes.append(sum(terms[1:], terms[0]))
+    return materialize(jnp.stack(slopes, axis=1))
 
 
 def _tangent(coefficients: Array, counts: Array, inverse: Array) -> Array:
@@ -199,7 +200,7 @@ def _lift(matrix: Array) -> Array:
 
 
 def _tangent_step(coefficients: Array, counts: Array, box: Array, x: Array) -> Array:
-    inverse, _ = invert_symmetric(_sigma(coefficients, _monomials(x)))
+    inverse, _ = invert_symmetric(_sigma(coefficients, x))
     form = _tangent(coefficients, counts, inverse)
     step = _solve(_lift(form[1:, 1:]), form[1:, 0] + times(form[1:, 1:], x))
     # without motion, every origin is equally good
@@ -208,10 +209,9 @@ def _tangent_step(coefficients: Array, counts: Array, box: Array, x: Array) -> A
 
 def _expand(coefficients: Array, counts: Array, x: Array) -> tuple[Array, Array, Array, Array]:
     """F about origins (3, ...): value, slope (3, ...), Hessian (3, 3, ...) of the tangent, exact Hessian."""
-    inverse, det = invert_symmetric(_sigma(coefficients, _monomials(x)))
+    inverse, det = invert_symmetric(_sigma(coefficients, x))
     form = _tangent(coefficients, counts, inverse)
-    change = total(coefficients[:, :, None] * _slopes(x)[None, :, :, None], 1)  # (6, 3, S, ...)
-    change = materialize(change)[_PLACE]
+    change = _slope(coefficients, x)[_PLACE]
     product = materialize(total(inverse[_PLACE][:, :, None, None] * change[None], 1))  # (i, j, a, S, ...)
     trace = total(product[:, :, :, None] * jnp.swapaxes(product, 0, 1)[:, :, None], 0, 1)
     exact = 2 * form[1:, 1:] - total(trace * counts, 2)
