@@ -34,17 +34,18 @@ def is_unordered(poses: np.ndarray) -> bool:
     poses = poses[parts.ravel()]
     count = len(poses)
     triples = np.lib.stride_tricks.sliding_window_view(np.arange(count).reshape(parts.shape), 3, axis=1)
-    draw = np.random.default_rng(0)
-    orders = np.stack([np.arange(count), *(draw.permutation(count) for _ in range(_ORDERS))])
+    orders = np.tile(np.arange(count), (1 + _ORDERS, 1))
+    orders[1:] = np.random.default_rng(0).permuted(orders[1:], axis=1)
+    before, here, after = np.moveaxis(orders[:, triples.reshape(-1, 3)], 2, 0)
     moved, measures = False, []
     # the distance between two rotation matrices is about sqrt(2) times the angle
     columns = poses[:, :3, 3], poses[:, :3, :3].reshape(count, 9) / np.sqrt(2)
     for numbers, least in zip(columns, _MOVED, strict=True):
-        before, here, after = np.moveaxis(numbers[orders][:, triples.reshape(-1, 3)], 2, 0)
-        steps = np.linalg.norm(here - before, axis=2)
-        moved |= bool(np.median(steps[1:]) > least)
-        for changes in (steps, np.linalg.norm(after - 2 * here + before, axis=2)):
-            roots = np.sqrt(changes).mean(axis=1)
+        squares = sum(np.square(column[:, None] - column) for column in numbers.T)
+        steps, bends = squares[before, here], 2 * squares[here, after] - squares[before, after]
+        moved |= bool(np.median(steps[1:]) > least**2)
+        for changes in (steps, np.maximum(2 * steps + bends, 0)):  # of the step, and of its change
+            roots = np.sqrt(np.sqrt(changes)).mean(axis=1)
             usual = roots[1:].mean()
             measures.append(roots / usual if usual > 0 else np.ones(len(roots)))
     own, *others = np.min(measures, axis=0)
