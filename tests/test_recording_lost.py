@@ -309,3 +309,11 @@ def test_a_motion_that_starts_at_the_origin_is_not_lost_before_an_outlier():
     poses[:, :3, 3] = np.outer(0.2 * np.sin(np.arange(40) / 8), [1, 0, 0]) + 1e-4 * rng.normal(size=(40, 3))
     poses[7, :3, 3] += 0.5
     assert not find_lost_poses(poses).mask.any()
+
+
+@pytest.mark.parametrize("distance", [1e3, 1e30])
+def test_a_distant_outlier_does_not_make_other_rows_lost(rng: np.random.Generator, distance: float) -> None:
+    rows = hinge(rng)
+    rows[100, 1] = distance
+    with np.errstate(over="ignore"):
+        assert not np.delete(find_lost_poses(poses_of(rows), rows[:, 0]).mask, 100).any()

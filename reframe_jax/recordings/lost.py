@@ -243,6 +243,8 @@ def _noisy(paths: tuple[_Path, _Path]) -> np.ndarray:
             continue
         starts, stops = np.append(0, edges), np.append(edges, len(kinds))
         leaps = np.linalg.norm(path.numbers[edges] - path.numbers[edges - 1], axis=1)
+        spread = np.quantile(np.linalg.norm(path.numbers - np.median(path.numbers, axis=0), axis=1), 0.9)
+        leaps = np.where(spread > 0, np.minimum(leaps, spread), leaps)  # an outlier may be at any distance
         near = _STILL * np.fmin(np.append(np.nan, leaps), np.append(leaps, np.nan))
         lengths = stops - starts
         means = np.add.reduceat(path.numbers, starts) / lengths[:, None]
@@ -354,7 +356,7 @@ def _rests_before_jumps(path: _Path) -> np.ndarray:
         elif first - _AHEAD >= start and stop - first >= _LONG:
             before = steps[first - _AHEAD : first].max()
             moved = np.linalg.norm(numbers[first] - numbers[first - _AHEAD]) > reach
-            if moved and _SUDDEN * before < jump < 2 * (stop - first) * max(before, after):
+            if moved and _SUDDEN * before < jump < (stop - first) * (before + after):
                 kinds[first + 1 : stop] = "frozen"
     return kinds
 
