@@ -145,10 +145,7 @@ class _Path:
 
     def usual_step(self, ignored: np.ndarray) -> float:
         """Ninth decile of the steps, without steps from and to ignored rows (N,)."""
-        steps = self.steps[~(ignored[1:] | ignored[:-1])]
-        if not (steps > 0).any():  # no two consecutive rows remain
-            steps = np.linalg.norm(np.diff(self.numbers[~ignored], axis=0), axis=1)
-        steps = steps[steps > 0]
+        steps = self.steps[~(ignored[1:] | ignored[:-1]) & (self.steps > 0)]
         return float(np.quantile(steps, 0.9)) if len(steps) else 0.0
 
     def jumps(self, runs: np.ndarray, limit: float, ignored: np.ndarray, usual: float) -> np.ndarray:
@@ -221,15 +218,12 @@ def _constant(paths: tuple[_Path, _Path]) -> np.ndarray:
         if not repeated.any():
             continue
         usual = path.usual_step(repeated) or path.usual_step(np.zeros(len(kinds), bool))
-        runs, mine = path.runs[repeated[path.runs[:, 0]]], repeated
-        for _ in range(2):  # the second time, steps from and to repeated poses count too
-            away = path.jumps(runs, _JUMP_STEPS, mine, usual)[:, 0]
-            values = path.value[runs[:, 0]]
-            stays = len(kinds) - counts < _OTHERS
-            stays[values[~away]] = True  # a number that continues the path anywhere is a pose
-            runs = runs[~stays[values]]
-            mine = _rows_of(runs, len(kinds))
-        kinds[mine] = "constant"
+        runs = path.runs[repeated[path.runs[:, 0]]]
+        away = path.jumps(runs, _JUMP_STEPS, repeated, usual)[:, 0]
+        values = path.value[runs[:, 0]]
+        stays = len(kinds) - counts < _OTHERS
+        stays[values[~away]] = True  # a number that continues the path anywhere is a pose
+        kinds[_rows_of(runs[~stays[values]], len(kinds))] = "constant"
     return kinds
 
 
@@ -280,21 +274,18 @@ def _noisy(paths: tuple[_Path, _Path]) -> np.ndarray:
 def _frozen(paths: tuple[_Path, _Path]) -> np.ndarray:
     """Kinds (N,) of rows that repeat a position or an orientation while the body moved on.
 
-    The first row of every run is a pose, unless the step to this row is a jump.
+    The first row of every run is a pose.
     """
     count = len(paths[0].zero)
     kinds = np.full(count, "", "U8")
     for path in paths:
         if not path.steps.any():
             continue
-        usual = path.usual_step(np.zeros(count, bool))
         moving = np.flatnonzero(path.steps)
         repeats = np.diff(moving, prepend=-1) - 1  # before every step
         late = np.flatnonzero(repeats > 0)
         late = late[_goes_on(path.steps[moving], repeats, late)]
-        first = moving[late] - repeats[late]
-        arrived = path.steps[first - 1] > _JUMP_STEPS * max(usual, _LEAST)
-        runs = np.column_stack([np.where((first > 0) & arrived, first, first + 1), moving[late] + 1])
+        runs = np.column_stack([moving[late] - repeats[late] + 1, moving[late] + 1])
         kinds[_rows_of(runs, count)] = "frozen"
         backward = replace(path, numbers=path.numbers[::-1], steps=path.steps[::-1], gaps=path.gaps[::-1])
         ends, found = _rests_before_jumps(backward)[::-1], _rests_before_jumps(path)
