@@ -32,7 +32,7 @@ from benchmarks.common import machine, new_parser, write_record
 from benchmarks.golden import fit_axis
 from reframe_jax.export.common import two_digits
 
-__all__ = ["Setting", "centre_errors", "main", "make", "sara", "score"]
+__all__ = ["Setting", "axis_errors", "axis_of", "centre_errors", "main", "make", "sara", "score"]
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 POSES, DT = 250, 0.04  # poses per recording; sample time, s
@@ -133,7 +133,8 @@ def _solve(poses: np.ndarray) -> tuple[np.ndarray, Any, np.ndarray]:
 
 
 # ---------- ours
-def _line(found: rf.Identification, poses: np.ndarray) -> Line:
+def axis_of(found: rf.Identification, poses: np.ndarray) -> Line:
+    """Return the identified axis in the ground, at the mean pose; for a ball, only the point is valid."""
     u, _, v = np.linalg.svd(poses[:, :3, :3].mean(axis=0))
     axis, point = np.asarray(found.angular.axes)[:, 2], np.asarray(found.linear.position)
     if found.angular.frame_type == rf.AngularType.B:
@@ -200,14 +201,14 @@ def run(settings: Sequence[Setting], count: int, real: bool) -> list[dict[str, A
         poses, lines = make(setting, count, seed)
         soft = ", soft" if setting.soft else ""
         name = f"{setting.joint}, {setting.reach}, {1e3 * setting.noise:g} mm{soft}"
-        ours = [_line(rf.identify(each, assume=setting.joint, dt=DT), each) for each in poses]
+        ours = [axis_of(rf.identify(each, assume=setting.joint, dt=DT), each) for each in poses]
         rows += _rows(name, setting.joint, list(poses), lines, ours)
     for name in (*DOORS, "hinge") if real else ():
         recording = rf.load_recording(DATA / f"{name}.csv")
         truth = MEASURED if name == "hinge" else circle(recording.poses)
         found = rf.identify(recording.poses, times=recording.times, assume="hinge")
         poses = recording.poses[np.asarray(found.counted)]
-        mine = _rows(name, "hinge", [poses], [truth], [_line(found, recording.poses)])
+        mine = _rows(name, "hinge", [poses], [truth], [axis_of(found, recording.poses)])
         rows += [row for row in mine if name == "hinge" or row["contestant"] != "circle"]
     if real:
         touches = rf.load_recording(DATA / "cases" / "tcp_touches_14.csv").poses

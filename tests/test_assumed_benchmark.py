@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import reframe_jax as rf
 from benchmarks import assumed
 
 
@@ -47,3 +48,13 @@ def test_a_run_in_miniature(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert len(hard) == 2
     assert all(row["distance_largest_mm"] < 5 for row in hard)
     assert "hinge, large, 1 mm, soft" in capsys.readouterr().out
+
+
+def test_an_assumed_hinge_is_at_least_as_accurate_as_least_squares() -> None:
+    poses, lines = assumed.make(assumed.Setting("hinge", 1e-3, "small", False), 16)
+    found = [rf.identify(each, assume="hinge", dt=assumed.DT) for each in poses]
+    lists = [assumed.axis_of(*each) for each in zip(found, poses, strict=True)], map(assumed.sara, poses)
+    errors = [[assumed.axis_errors(*each) for each in zip(ours, lines, poses, strict=True)] for ours in lists]
+    (angle, distance), (sara_angle, sara_distance) = np.sqrt(np.mean(np.square(errors), axis=1))
+    assert angle < sara_angle
+    assert distance < sara_distance

@@ -668,6 +668,61 @@ def test_a_large_motion_in_another_unit_is_not_cut(tmp_path: Path, rng: np.rando
     assert not load_recording(write(tmp_path / "a.csv", HEADER, rows)).left_out
 
 
+@pytest.mark.parametrize(
+    ("header", "step", "sentence"),
+    [
+        (
+            "t,x [mm],y [mm],z [mm],qx,qy,qz,qw",
+            0.02,
+            "mm; if they are in m, correct the unit in the file.",
+        ),
+        (
+            "t,x,y,z,qx,qy,qz,qw",
+            1.0,
+            "if they are frame numbers, give the sample time, dt (--dt); ",
+        ),
+    ],
+)
+def test_units_that_do_not_fit_are_noted(
+    tmp_path: Path, rows: np.ndarray, header: str, step: float, sentence: str
+) -> None:
+    rows[:, 0] = step * np.arange(len(rows))
+    (note,) = load_recording(text(tmp_path / "a.csv", header, rows)).notes
+    assert sentence in note
+
+
+def test_positions_in_a_map_are_not_in_mm(tmp_path: Path, rows: np.ndarray) -> None:
+    rows[:, 1:4] += [5e5, 4e6, 100]
+    assert not load_recording(text(tmp_path / "a.csv", ",".join(HEADER), rows)).notes
+
+
+def test_matrices_that_are_stored_by_column_are_noted(tmp_path: Path, rng: np.random.Generator) -> None:
+    rows = hinge(rng)
+    for order, expected in ((1, 0), (-1, 1)):
+        matrices = poses_of(rows)[:, :3]
+        if order < 0:
+            matrices[:, :, :3] = matrices[:, :, :3].swapaxes(1, 2).copy()
+        notes = load_recording(text(tmp_path / "a.txt", "", matrices.reshape(-1, 12), " "), dt=0.02).notes
+        assert len(notes) == expected
+        assert all("constrained only if they are read column by column: check" in note for note in notes)
+
+
+def test_a_body_that_no_column_names_is_refused(tmp_path: Path, rows: np.ndarray) -> None:
+    path = text(tmp_path / "a.csv", ",".join(HEADER), rows)
+    with pytest.raises(
+        RecordingError, match=r"no column has 'rod' in its name, body \(--body\); columns: t, x"
+    ):
+        load_recording(path, body="rod")
+
+
+def test_decimal_commas_between_commas_are_refused(tmp_path: Path, rows: np.ndarray) -> None:
+    cells = [[str(cell).replace(".", ",") for cell in row] for row in rows]
+    with pytest.raises(
+        RecordingError, match=r"found 1[56]; if numbers have decimal commas, separate .* semicolons"
+    ):
+        load_recording(text(tmp_path / "a.csv", ",".join(HEADER), cells))
+
+
 def lerobot(path: Path, rows: np.ndarray, angles: np.ndarray) -> dict[str, Any]:
     state = pa.array(np.column_stack([rows[:, 1:4], angles]).tolist())
     pq.write_table(pa.table({"observation.state": state, "timestamp": pa.array(rows[:, 0])}), path)
@@ -721,6 +776,10 @@ def test_small_angles_in_degrees_are_noticed_by_the_positions(
         assert not load_recording(tmp_path / "a.parquet", **options, angle_unit=unit).notes
     lerobot(tmp_path / "a.parquet", rows, turned.as_euler("xyz"))
     assert not load_recording(tmp_path / "a.parquet", **options).notes
+    if size < 0.02:
+        return  # as good with a longer lever
+    (note,) = load_recording(tmp_path / "a.parquet", **options, angle_unit="deg").notes
+    assert note.endswith("if they are in rad, give angle_unit='rad' (--angle-unit rad).")
 
 
 @pytest.mark.parametrize("unit", ["deg", "rad"])

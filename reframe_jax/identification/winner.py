@@ -38,12 +38,13 @@ class Winner(NamedTuple):
     probability: Array
 
 
-def winner_of_window(solved: Solved, live: Data) -> Winner:
+def winner_of_window(solved: Solved, live: Data, assumed: bool) -> Winner:
     """Find the most probable name, its most probable entry, and the fit of this entry.
 
     Args:
         solved: result of the model for one window.
         live: moments of the window, with respect to which the result is differentiable.
+        assumed: whether the caller assumes a constraint, so that the tilt has a cost in the fit.
     """
     probability = jnp.exp(solved.log_probability)
     names = jax.ops.segment_sum(probability, jnp.asarray(NAME_OF_ENTRY), int(NAME_OF_ENTRY.max()) + 1)
@@ -57,7 +58,8 @@ def winner_of_window(solved: Solved, live: Data) -> Winner:
     code = jnp.argmax(jnp.where(mine, rank, -jnp.inf)).astype(jnp.int32)
     slot = jnp.argmax(solved.chosen == code).astype(jnp.int32)
     fitted = jax.tree.map(lambda leaf: leaf[slot], solved.parameters)
-    parameters = settle(fitted, live, entries_at(code), solved.tilt_scale, jnp.asarray(False))
+    entry = entries_at(code)
+    parameters = settle(fitted, live, entry, solved.tilt_scale, entry.tied & assumed)
     return Winner(code, jnp.max(of_name), parameters, probability)
 
 

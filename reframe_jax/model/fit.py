@@ -26,6 +26,7 @@ from reframe_jax.model.steps import Unknowns, descend
 from reframe_jax.model.table import KINDS, ROWS, Table
 
 __all__ = [
+    "ASSUMED_STEPS",
     "Data",
     "Parameters",
     "coordinates",
@@ -40,6 +41,10 @@ __all__ = [
 ]
 
 STEPS, LAST_STEPS = 5, 3  # Levenberg-Marquardt steps with the cost of the tilt, then without it
+ASSUMED_STEPS = (
+    40,
+    0,
+)  # the same for assumed constraints: few entries, and the cost reduces errors of the axis
 _PARAMETERS = 9
 
 Array = jax.Array

@@ -18,7 +18,7 @@ from reframe_jax.model.constants import SCALES
 from reframe_jax.model.evaluation import WindowStatistics, evaluate_entries, window_statistics
 from reframe_jax.model.evidence import Amplitudes, compare
 from reframe_jax.model.features import Features
-from reframe_jax.model.fit import LAST_STEPS, STEPS, Parameters
+from reframe_jax.model.fit import ASSUMED_STEPS, LAST_STEPS, STEPS, Parameters
 from reframe_jax.model.moments import Moments
 from reframe_jax.model.rows import EntryMoments, Forms, crossed_frame, entry_moments, in_body, problem_of
 from reframe_jax.model.search import lowest_origins, norm_at, polynomials, unexplained_covariance
@@ -38,7 +38,8 @@ class Solved(NamedTuple):
 
     Attributes:
         log_probability: (N, E) of every entry; entries that were not fitted have their starting parameters.
-        parameters: of the C fitted entries, with axes (N, C) in front; fitted without the cost of the tilt.
+        parameters: of the C fitted entries, with axes (N, C) in front; the tilt has a cost only in assumed
+            entries.
         origins: (N, 4, 3) m, origin with the lowest norm for every linear type.
         norm: (N, 4) F at these origins.
         linear_axes: (N, 4, 3, 3) common axes of every linear type, by ascending amplitude.
@@ -198,7 +199,7 @@ def _compare_entries(
         return jnp.broadcast_to(block[:, None], (size, details.shape[1])), forms, start, start
 
     def fit(_: Array, rounds: _Evaluated) -> tuple[Array, Forms, Unknowns, Unknowns]:
-        """Fit the most probable entries, then fit them again with a free tilt."""
+        """Fit the most probable entries; if none is assumed, fit them again with a free tilt."""
         screened: _Evaluated = jax.tree.map(lambda leaf: _flat(leaf[:blocks])[..., :number, :], rounds)
         rank = jnp.where(allowed, log_probability(screened), -jnp.inf)
         best = jax.lax.top_k(rank.T, size)[1].T
@@ -208,7 +209,8 @@ def _compare_entries(
         )
         moments = problem.moments.pick(entries.path)
         fitted = problem_of(moments, details[:, None], entries, problem.tilt_scale, problem.box, entries.tied)
-        tied, free_tilt, _ = descend(fitted, start, STEPS, LAST_STEPS)
+        steps = (STEPS, LAST_STEPS) if assume is None else ASSUMED_STEPS
+        tied, free_tilt, _ = descend(fitted, start, *steps)
         return best, moments.at(tied.origin), tied, free_tilt
 
     def log_probability(entries: _Evaluated) -> Array:

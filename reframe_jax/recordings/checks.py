@@ -8,8 +8,8 @@ from reframe_jax.geometry.numpy_rotations import nearest_rotations, quaternions_
 from reframe_jax.recordings.continuity import is_unordered
 from reframe_jax.recordings.conventions import angle_matrices, keeps_a_point_better, sample_rows
 from reframe_jax.recordings.recording import RecordingError
-from reframe_jax.recordings.rows import Rows, is_path
-from reframe_jax.recordings.selection import UNITS, Selection
+from reframe_jax.recordings.rows import Rows
+from reframe_jax.recordings.selection import UNITS, AngleUnit, Selection
 
 __all__ = ["MIN_POSES", "check_positions", "check_turns", "drop_unfinished", "make_poses", "note_repeats"]
 
@@ -21,6 +21,7 @@ _VEHICLE, _HAND = 20.0, 50.0  # m/s^2, largest acceleration of a vehicle, and us
 _OVER = 0.5  # s, interval of accelerations, so that noise has no effect
 _FEWEST = 10  # rows; fewer count as separate touches
 _ROOM = 10.0  # m, largest usual span of separate touches
+_MAP = 2e4  # m from the origin, above which positions are those of a map, and not in mm
 _MANY = 30  # rows needed to judge accelerations
 _SMALL = 3.0  # span of positions in the unit of the file, below which they are probably in m
 _FASTEST, _FAST = 30.0, 8.0  # rad/s, of angles in rad: refused, and noted
@@ -97,15 +98,14 @@ def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> np.ndar
         rows.notes.append(f"positions span {span:.3g} m, like those of a vehicle; {advice}.")
     elif touches and span > _ROOM:
         rows.notes.append(f"positions span {span:.3g} m; {advice}.")
-    elif rows.metres is None and (away := float(np.linalg.norm(middle))) > _DISTANT:
+    elif rows.metres is None and _DISTANT < (away := float(np.linalg.norm(middle))) < _MAP:
         rows.notes.append(f"positions span {span:.2g} m, {away:.3g} m from the origin; {advice}.")
-    elif (
-        change > (_HAND if span < _ROOM else _VEHICLE) and count >= _MANY and span > 1 and is_path(positions)
-    ):
+    elif change > (_HAND if span < _ROOM else _VEHICLE) and count >= _MANY and span > 1 and not touches:
         rows.notes.append(f"{too_fast} that of a hand; {advice}.")
-    unit = UNITS[wanted.unit or "m"]
-    if unit < 1 and rows.metres is None and span < _SMALL * unit and count >= _MANY:
-        rows.notes.append(f"positions span {1e3 * span:.2g} mm; if they are in m, leave out unit (--unit).")
+    unit = rows.metres or UNITS[wanted.unit or "m"]
+    if unit < 1 and 0 < span < _SMALL * unit and count >= _MANY:
+        remedy = "correct the unit in the file" if rows.metres else "leave out unit (--unit)"
+        rows.notes.append(f"positions span {1e3 * span:.2g} mm; if they are in m, {remedy}.")
     return poses
 
 
@@ -132,7 +132,7 @@ def _acceleration(positions: np.ndarray, times: np.ndarray) -> float:
 
 
 def check_turns(rows: Rows, poses: np.ndarray, wanted: Selection) -> None:
-    """Refuse angles that were read in radians but are in degrees, or add a note to ``rows`` if in doubt.
+    """Refuse angles that were read in the wrong unit, or add a note to ``rows`` if in doubt.
 
     Args:
         rows: the rows, with times and angles.
@@ -142,25 +142,28 @@ def check_turns(rows: Rows, poses: np.ndarray, wanted: Selection) -> None:
     Raises:
         RecordingError: if half of the steps are faster than 30 rad/s.
     """
-    if rows.angles is None or wanted.angle_unit is not None or len(poses) < 3 or rows.times is None:
+    if rows.angles is None or wanted.angle_unit == "rad" or len(poses) < 3 or rows.times is None:
         return
+    own: AngleUnit = wanted.angle_unit or "rad"
+    other: AngleUnit = "deg" if own == "rad" else "rad"
     steps = poses[1:, :3, :3] @ poses[:-1, :3, :3].swapaxes(1, 2)
     rate = float(np.median(np.linalg.norm(rotation_vectors(steps), axis=1) / np.diff(rows.times)))
-    sentence = f"read in rad, the angles turn the body at {rate:.2g} rad/s"
-    advice = "if they are in degrees, give angle_unit='deg' (--angle-unit deg)"
-    otherwise = "else angle_unit='rad' (--angle-unit rad)"
+    read, meant = ("rad", "degrees") if own == "rad" else ("degrees", "rad")
+    sentence = f"read in {read}, the angles turn the body at {rate:.2g} rad/s"
+    advice = f"if they are in {meant}, give angle_unit={other!r} (--angle-unit {other})"
+    otherwise = f", else angle_unit={own!r} (--angle-unit {own})" if wanted.angle_unit is None else ""
     if rate > _FASTEST:
         raise RecordingError(
-            f"{rows.path}: {sentence}, faster than hands and robots turn; {advice}, {otherwise}."
+            f"{rows.path}: {sentence}, faster than hands and robots turn; {advice}{otherwise}."
         )
     some = sample_rows(len(poses))
-    degrees = angle_matrices(rows.path, rows.angles[some], replace(wanted, angle_unit="deg"))
+    others = angle_matrices(rows.path, rows.angles[some], replace(wanted, angle_unit=other))
     if rate > _FAST:
         rows.notes.append(f"{sentence}; {advice}.")
-    elif keeps_a_point_better(poses[some, :3, 3], poses[some, :3, :3], degrees):
+    elif keeps_a_point_better(poses[some, :3, 3], poses[some, :3, :3], others):
         rows.notes.append(
-            "read in degrees, the angles turn the body about a fixed point, but not if read in rad; "
-            f"{advice}, {otherwise}."
+            f"read in {meant}, the angles turn the body about a fixed point, but not if read in {read}; "
+            f"{advice}{otherwise}."
         )
 
 

@@ -104,9 +104,11 @@ def note_unit(rows: Rows, poses: np.ndarray, unordered: bool) -> None:
     step = float(np.median(np.diff(rows.times)))
     if step > _SLOW:
         unit = _likely_unit(step, True)
+        frames = (np.diff(rows.times) == 1).all()
         rows.notes.append(
-            f"times are {step:g} s apart, although the body moves little between them; if they are in "
-            f"{unit}, {_advise(unit)}."
+            f"times are {step:g} s apart, although the body moves little between them; if they are "
+            + ("frame numbers, give the sample time, dt (--dt); if they are " if frames else "")
+            + f"in {unit}, {_advise(unit)}."
         )
         return
     lag = -(-len(poses) // _LAG)

@@ -7,7 +7,7 @@ them, in units of the steps of the path. Repeats that continue the path are a bo
 NumPy only.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -22,10 +22,11 @@ _ORIGIN_JUMP_STEPS = 3.0  # as _JUMP_STEPS, for exact zeros, which no tracker me
 _NEAR = 20  # steps in the neighbourhood of a run
 _AHEAD = 4  # steps before and after a frozen run
 _LONG = 6  # repeats in a long frozen run
+_SUDDEN = 3.0  # length of a jump after repeats with noise, over that of all steps nearby
 _FROZEN = 4.0  # usual steps that a body makes during a long frozen run
 _APART = 0.25  # distance of the origin from all positions over their spread, for separate touches
 _OTHERS = 3  # other rows needed to know the path
-_QUIET = 0.1  # longest step of a repeat with noise, in usual steps
+_SPREAD = 2.0  # largest distance from the mean of repeats with noise, over that of the last six
 _STILL = 0.05  # largest distance of repeats with noise from their mean, or from the origin, over the jump
 _SLOW = 0.15  # the same of a constant, over its number of rows and a usual step; 0.3 in a motion
 _AWAY = 0.5  # distance from the path that goes on, over the jump
@@ -144,10 +145,7 @@ class _Path:
 
     def usual_step(self, ignored: np.ndarray) -> float:
         """Ninth decile of the steps, without steps from and to ignored rows (N,)."""
-        steps = self.steps[~(ignored[1:] | ignored[:-1])]
-        if not (steps > 0).any():  # no two consecutive rows remain
-            steps = np.linalg.norm(np.diff(self.numbers[~ignored], axis=0), axis=1)
-        steps = steps[steps > 0]
+        steps = self.steps[~(ignored[1:] | ignored[:-1]) & (self.steps > 0)]
         return float(np.quantile(steps, 0.9)) if len(steps) else 0.0
 
     def jumps(self, runs: np.ndarray, limit: float, ignored: np.ndarray, usual: float) -> np.ndarray:
@@ -220,15 +218,12 @@ def _constant(paths: tuple[_Path, _Path]) -> np.ndarray:
         if not repeated.any():
             continue
         usual = path.usual_step(repeated) or path.usual_step(np.zeros(len(kinds), bool))
-        runs, mine = path.runs[repeated[path.runs[:, 0]]], repeated
-        for _ in range(2):  # the second time, steps from and to repeated poses count too
-            away = path.jumps(runs, _JUMP_STEPS, mine, usual)[:, 0]
-            values = path.value[runs[:, 0]]
-            stays = len(kinds) - counts < _OTHERS
-            stays[values[~away]] = True  # a number that continues the path anywhere is a pose
-            runs = runs[~stays[values]]
-            mine = _rows_of(runs, len(kinds))
-        kinds[mine] = "constant"
+        runs = path.runs[repeated[path.runs[:, 0]]]
+        away = path.jumps(runs, _JUMP_STEPS, repeated, usual)[:, 0]
+        values = path.value[runs[:, 0]]
+        stays = len(kinds) - counts < _OTHERS
+        stays[values[~away]] = True  # a number that continues the path anywhere is a pose
+        kinds[_rows_of(runs[~stays[values]], len(kinds))] = "constant"
     return kinds
 
 
@@ -242,6 +237,8 @@ def _noisy(paths: tuple[_Path, _Path]) -> np.ndarray:
             continue
         starts, stops = np.append(0, edges), np.append(edges, len(kinds))
         leaps = np.linalg.norm(path.numbers[edges] - path.numbers[edges - 1], axis=1)
+        spread = np.quantile(np.linalg.norm(path.numbers - np.median(path.numbers, axis=0), axis=1), 0.9)
+        leaps = np.where(spread > 0, np.minimum(leaps, spread), leaps)  # an outlier may be at any distance
         near = _STILL * np.fmin(np.append(np.nan, leaps), np.append(leaps, np.nan))
         lengths = stops - starts
         means = np.add.reduceat(path.numbers, starts) / lengths[:, None]
@@ -277,26 +274,24 @@ def _noisy(paths: tuple[_Path, _Path]) -> np.ndarray:
 def _frozen(paths: tuple[_Path, _Path]) -> np.ndarray:
     """Kinds (N,) of rows that repeat a position or an orientation while the body moved on.
 
-    The first row of every run is a pose, unless the step to this row is a jump.
+    The first row of every run is a pose.
     """
     count = len(paths[0].zero)
     kinds = np.full(count, "", "U8")
-    usuals = [path.usual_step(np.zeros(count, bool)) for path in paths]
-    loud = np.any([path.steps > _QUIET * usual for path, usual in zip(paths, usuals, strict=True)], axis=0)
-    for path, usual in zip(paths, usuals, strict=True):
+    for path in paths:
         if not path.steps.any():
             continue
-        for steps, fewest in ((loud, _LONG), (path.steps, 1)):
-            moving = np.flatnonzero(steps)
-            repeats = np.diff(moving, prepend=-1) - 1  # before every step
-            late = np.flatnonzero(repeats >= fewest)
-            late = late[_goes_on(path.steps[moving], repeats, late)]
-            first = moving[late] - repeats[late]
-            arrived = path.steps[first - 1] > _JUMP_STEPS * max(usual, _LEAST)
-            runs = np.column_stack([np.where((first > 0) & arrived, first, first + 1), moving[late] + 1])
-            kinds[_rows_of(runs, count)] = "frozen"
-        # a run before missing rows, or before the end, has no step after it that shows a motion
         moving = np.flatnonzero(path.steps)
+        repeats = np.diff(moving, prepend=-1) - 1  # before every step
+        late = np.flatnonzero(repeats > 0)
+        late = late[_goes_on(path.steps[moving], repeats, late)]
+        runs = np.column_stack([moving[late] - repeats[late] + 1, moving[late] + 1])
+        kinds[_rows_of(runs, count)] = "frozen"
+        backward = replace(path, numbers=path.numbers[::-1], steps=path.steps[::-1], gaps=path.gaps[::-1])
+        ends, found = _rests_before_jumps(backward)[::-1], _rests_before_jumps(path)
+        found[ends == "constant"] = "constant"
+        kinds = np.where(found == "", kinds, found)
+        # a run before missing rows, or before the end, has no step after it that shows a motion
         starts, stops = np.append(0, moving + 1), np.append(moving + 1, count)
         lengths, last = stops - starts, np.append(path.gaps[moving], True)
         ranked = np.sort(lengths[lengths > 1])
@@ -324,6 +319,37 @@ def _goes_on(steps: np.ndarray, repeats: np.ndarray, late: np.ndarray) -> np.nda
     usual = np.fmax(np.fmax(*usual), np.median(steps))
     found: np.ndarray = steps[late] > np.minimum(1 + 0.5 * repeats[late], _FROZEN) * usual + _LEAST
     return found
+
+
+def _rests_before_jumps(path: _Path) -> np.ndarray:
+    """Kinds (N,) of rows that repeat a number with noise up to a jump: "frozen", or "constant" from row 0 on.
+
+    A body at rest starts slowly: its first step is no jump. A frozen body moves before the repeats and after
+    the jump, and the jump is no longer than the missed path.
+    """
+    numbers, steps, count = path.numbers, path.steps, len(path.numbers)
+    kinds = np.full(count, "", "U8")
+    jumps = (steps > max(_FROZEN * np.median(steps[steps > 0]), _LEAST)) & ~path.gaps
+    edges = [0, *(np.flatnonzero(jumps) + 1).tolist()]
+    for start, stop in pairwise(edges):
+        if stop - start < _LONG or stop + _AHEAD >= count or steps[stop - 2] == 0:
+            continue
+        centre = numbers[stop - _LONG : stop].mean(axis=0)
+        away = np.linalg.norm(numbers[start:stop] - centre, axis=1)
+        reach = _SPREAD * away[-_LONG:].max()
+        first = start + int(np.max(np.flatnonzero(away > reach), initial=-1)) + 1
+        jump, after = np.linalg.norm(numbers[stop] - centre), steps[stop : stop + _AHEAD].max()
+        if jump < _SUDDEN * after or np.linalg.norm(numbers[stop + _AHEAD] - numbers[stop]) < reach:
+            continue
+        if first == 0 and 2 * stop < count:
+            near = np.quantile(np.linalg.norm(numbers[stop:] - centre, axis=1), 0.25)
+            kinds[:stop] = "constant" if near > _SPREAD * np.linalg.norm(numbers[stop:].std(axis=0)) else ""
+        elif first - _AHEAD >= start and stop - first >= _LONG:
+            before = steps[first - _AHEAD : first].max()
+            moved = np.linalg.norm(numbers[first] - numbers[first - _AHEAD]) > reach
+            if moved and _SUDDEN * before < jump < (stop - first) * (before + after):
+                kinds[first + 1 : stop] = "frozen"
+    return kinds
 
 
 def _stops_dead(path: _Path, start: int) -> bool:

@@ -171,7 +171,7 @@ def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Re
         check_turns(rows, poses, wanted)
         unordered = is_unordered(poses)
         note_unit(rows, poses, unordered)
-        _check_order(rows, reader, unordered)
+        _check_order(rows, reader, poses, unordered)
         note_jumps(rows, poses)
         note_repeats(rows, poses)
     if ignored:
@@ -199,19 +199,24 @@ def _apply_order(rows: Rows, wanted: Selection) -> None:
     rows.order = wanted.quaternion
 
 
-def _check_order(rows: Rows, reader: Reader, unordered: bool) -> None:
-    """Note that the motion is constrained only with the other order of quaternions."""
-    if rows.values.shape[1] != 7 or "quaternion" not in reader.options:
+def _check_order(rows: Rows, reader: Reader, poses: np.ndarray, unordered: bool) -> None:
+    """Note that the motion is constrained only with another order of the numbers of the orientations."""
+    some = sample_rows(len(poses))
+    positions, own = poses[some, :3, 3], poses[some, :3, :3]
+    if rows.values.shape[1] == 7 and "quaternion" in reader.options:
+        order, other = ("xyzw", "wxyz") if rows.order == "xyzw" else ("wxyz", "xyzw")
+        numbers = reorder(rows.values[some, 3:], order, other)
+        alternative = quaternions_to_matrices(numbers / np.linalg.norm(numbers, axis=1, keepdims=True))
+        read = f"the quaternions are read in the order {order}"
+        meant = f"in the order {other}"
+        remedy = f"; if it is {other}, give quaternion={other!r} (--quaternion {other})"
+    elif rows.values.shape[1] > 7 and rows.angles is None and "body" not in reader.options:
+        alternative = own.swapaxes(1, 2)
+        read, meant, remedy = "the matrices are read row by row", "if they are read column by column", ""
+    else:
         return
-    other: Quaternion = "wxyz" if rows.order == "xyzw" else "xyzw"
-    some = sample_rows(len(rows.values))
-    numbers = rows.values[some, 3:]
-    numbers = numbers / np.linalg.norm(numbers, axis=1, keepdims=True)
-    own, alternative = map(quaternions_to_matrices, (numbers, reorder(numbers, rows.order, other)))
     judges = [fits_better, *([keeps_a_point_better] if unordered else [])]
-    if any(judge(rows.values[some, :3], own, alternative) for judge in judges):
+    if any(judge(positions, own, alternative) for judge in judges):
         rows.notes.append(
-            f"the quaternions are read in the order {rows.order}, but the motion is constrained only in the "
-            f"order {other}: check the order in the file; if it is {other}, give quaternion={other!r} "
-            f"(--quaternion {other})."
+            f"{read}, but the motion is constrained only {meant}: check the order in the file{remedy}."
         )

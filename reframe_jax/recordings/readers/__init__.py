@@ -72,4 +72,5 @@ def choose_reader(path: Path, wanted: Selection) -> Reader:
                 )
             return reader
     names = " or ".join(reader.name for reader in candidates)
-    raise RecordingError(f"{path}: expected {names}; the content has another format.")
+    remedy = "" if b"\0" in head else "; if it is a table of numbers, give it the suffix .csv"
+    raise RecordingError(f"{path}: expected {names}; the content has another format{remedy}.")

@@ -60,8 +60,10 @@ def collect(
             cells = cells + [""] * (width - len(cells))
         cells = trim(cells, width)
         if len(cells) != width:
-            found = f"expected {width} columns, found {len(cells)}"
-            raise _error(path, number, f"{found}; delete the line if the recording ended there.")
+            remedy = "delete the line if the recording ended there"
+            if len(cells) > width:
+                remedy = "if numbers have decimal commas, separate the columns by semicolons"
+            raise _error(path, number, f"expected {width} columns, found {len(cells)}; {remedy}.")
         where.append(number)
         check_size(path, len(where))
         try:

@@ -58,7 +58,13 @@ class _Header:
     @staticmethod
     def of(path: Path, titles: list[str], body: str | None) -> "_Header":
         names, units = zip(*(split_unit(title) for title in titles), strict=True)
-        return _Header(path, titles, [*names], [*units], None if body is None else split_unit(body)[0])
+        plain = None if body is None else split_unit(body)[0]
+        if plain is not None and not any(plain in name for name in names):
+            raise RecordingError(
+                f"{path}: no column has {shown(str(body), 60)!r} in its name, {flag('body')}; columns: "
+                f"{listed(titles, 30)}."
+            )
+        return _Header(path, titles, [*names], [*units], plain)
 
     def find(self, pattern: str) -> int | None:
         """Return the index of the column whose name matches a regular expression, or None.
