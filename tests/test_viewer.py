@@ -23,7 +23,7 @@ from reframe_jax.cli import program
 from reframe_jax.plotting.style import BODY, CONSTRAINED, OUTLIERS, TURNING
 from reframe_jax.recordings.writing import save_recording
 from reframe_jax.simulation import synthetic
-from reframe_jax.viewer import Page, WindowTrack, serve_page, track_window, write_page
+from reframe_jax.viewer import Page, WindowTrack, track_window, write_page
 from reframe_jax.viewer.drawing import Drawing, scene_box
 from reframe_jax.viewer.page import velocity_series
 
@@ -168,7 +168,7 @@ def test_what_cannot_be_drawn_is_refused(hinge: tuple[np.ndarray, np.ndarray, rf
     with pytest.raises(ValueError, match="index one window first"):
         track_window(poses, times, batch)
     with pytest.raises(ValueError, match="at least one window"):
-        serve_page([])
+        Page([])
 
 
 def test_the_viewer_names_what_is_missing(
@@ -211,7 +211,7 @@ def shows_the_ellipsoid(page: Any) -> bool:
 
 
 def test_the_page_shows_the_window_and_needs_no_network(browser: Any, tracks: list[WindowTrack]) -> None:
-    page = serve_page(tracks, title="door.csv", port=8190)
+    page = Page(tracks, title="door.csv", port=8190)
     try:
         view = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
         asked: list[str] = []
@@ -278,7 +278,7 @@ def check_layout(view: Any, width: int, height: int, heading: Any) -> None:
 def test_the_panel_does_not_cover_the_scene(
     browser: Any, tracks: list[WindowTrack], width: int, height: int
 ) -> None:
-    page = serve_page(tracks, title="door.csv", port=8190)
+    page = Page(tracks, title="door.csv", port=8190)
     try:
         view = browser.new_page(viewport={"width": width, "height": height})
         view.goto(page.url)
@@ -304,7 +304,7 @@ def test_the_panel_of_a_file_does_not_cover_the_scene(
 def test_the_page_is_for_this_machine_only(tracks: list[WindowTrack]) -> None:
     """A server on all addresses would answer at 127.0.0.2 too."""
     pytest.importorskip("viser", reason="needs viser")
-    page = serve_page(tracks, port=8190)
+    page = Page(tracks, port=8190)
     try:
         port = int(page.url.rsplit(":", 1)[1])
         assert page.url.startswith("http://127.0.0.1:")
@@ -317,7 +317,7 @@ def test_the_page_is_for_this_machine_only(tracks: list[WindowTrack]) -> None:
 
 def test_playing_moves_the_body_and_starts_again(tracks: list[WindowTrack]) -> None:
     pytest.importorskip("viser", reason="needs viser")
-    page = serve_page(tracks[:1], port=8190)
+    page = Page(tracks[:1], port=8190)
     try:
         body = page._drawing._moving["body"]
         np.testing.assert_allclose(body.position, tracks[0].poses[0, :3, 3])
