@@ -26,8 +26,8 @@ def add_common(command: argparse.ArgumentParser) -> None:
         "--excitation",
         choices=["exciting", "brisk"],
         default="exciting",
-        help="motion along the free axes: many frequencies; brisk turns hinges as fast as in the paper's Table "
-        "4 (exciting)",
+        help="motion along the free axes: many frequencies; brisk turns hinges as fast as in the paper's "
+        "Table 4 (exciting)",
     )
     add("--fixed", action="store_true", help="use one geometry for all demonstrations instead of random ones")
     arguments.add_seed(command)
