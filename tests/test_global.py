@@ -77,7 +77,7 @@ def test_slow_motion_is_mostly_explained_as_well_as_by_the_truth():
 
 # the stillest axis alone (-inf) has many minima of nearly the same depth: which of them a search ends in
 # depends on rounding
-@pytest.mark.parametrize(("exponent", "missed"), [(-np.inf, 0.06), (-1.0, 1e-3), (1.0, 1e-3)])
+@pytest.mark.parametrize(("exponent", "missed"), [(-np.inf, 0.06), (-1.0, 0.02), (1.0, 1e-3)])
 def test_other_norms_reach_the_best_of_longer_searches(problems, exponent, missed):
     some = PositionObjective(problems[:, :, ::12], exponent)
     long = rf.BasinHopping(rf.ValleySteps(20), restarts=48, hops=2)
