@@ -1,17 +1,21 @@
 """Figure 5 of the paper on a simulated Panda: tasks reproduced in exact, inexact and identified frames."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 import reframe_jax as rf
 from benchmarks.charts import plot_bars
 from benchmarks.paper_common import Section, Store, plain, spread, table
 from benchmarks.paper_table4 import SETUPS, Setup
-from reframe_jax.constraints.located import frame_arrays
+from reframe_jax.constraints.located import frame_arrays, move_frame
+from reframe_jax.geometry import rotations
 from reframe_jax.simulation import arm as panda
 from reframe_jax.simulation import reproduction
 
@@ -19,6 +23,7 @@ __all__ = ["ROWS", "TASKS", "Size", "reproduce_all", "section"]
 
 TASKS = ("A", "B", "I", "I, position only")
 ROWS = ("exact", "literature", "identified")
+_ERRORS = (0.5, 5.0), (1.0, 7.5)  # degrees and mm, reported for methods with prior knowledge (section 7.2)
 
 _INTRODUCTION = """\
 ## Figure 5: reproduction
@@ -74,7 +79,9 @@ def reproduce_all(size: Size, setup: Setup) -> dict[str, np.ndarray]:
     for label in ("A", "B", "I"):
         key = jax.random.fold_in(jax.random.key(size.seed + 1), ord(label))
         outcome = reproduction.compare(label, key, size.trials, **setup._asdict())
-        _add(results, outcome.rows, np.asarray(outcome.errors), int(outcome.redrawn))
+        wrong = erroneous_frames(outcome.demonstrations.truth, jax.random.split(key)[1])
+        rows = outcome.rows | {"literature": _run(outcome, setup.imperfections)(wrong)}
+        _add(results, rows, np.asarray(outcome.errors), int(outcome.redrawn))
     errors = np.asarray(outcome.errors) * [0, 0, 1]
     _add(results, _position_only(outcome, key, setup.imperfections), errors, int(outcome.redrawn))
     return {name: np.asarray(values) for name, values in results.items()}
@@ -101,20 +108,53 @@ def _add(
         results.setdefault(name, []).append(values)
 
 
+def _run(
+    outcome: reproduction.Comparison, imperfections: panda.Imperfections
+) -> Callable[[Any], reproduction.Trials]:
+    """Return a function from control frames to their trials, under the true constraints of a comparison."""
+    give = float(imperfections.angular_compliance), float(imperfections.compliance)
+    return partial(reproduction.reproduce, outcome.demonstrations.truth, compliance=give)
+
+
 def _position_only(
     outcome: reproduction.Comparison, key: jax.Array, imperfections: panda.Imperfections
 ) -> dict[str, reproduction.Trials]:
     """Reproduce task I in frames with true axes and errors of the position only."""
-    truth = outcome.demonstrations.truth
-    give = float(imperfections.angular_compliance), float(imperfections.compliance)
-    run = partial(reproduction.reproduce, truth, compliance=give)
+    truth, run = outcome.demonstrations.truth, _run(outcome, imperfections)
     found = reproduction.matched_choices(outcome.found, truth)
-    wrong = reproduction.erroneous_frames(truth, jax.random.fold_in(key, 0), angles=(0.0, 0.0))
+    wrong = erroneous_frames(truth, jax.random.fold_in(key, 0), angles=(0.0, 0.0))
     return {
         "exact": outcome.exact,
         "literature": run(wrong),
         "identified": run(replace(frame_arrays(truth), position=found.position)),
     }
+
+
+def erroneous_frames(
+    truth: rf.ConstraintFrame,
+    key: jax.Array,
+    *,
+    angles: tuple[float, float] = _ERRORS[0],
+    distances: tuple[float, float] = _ERRORS[1],
+) -> rf.ConstraintFrame:
+    """Rotate and shift frames (N) by errors with random directions and uniformly distributed sizes.
+
+    The ranges of ``angles`` are in degrees, of ``distances`` in mm. The errors apply at the start of the
+    reproductions.
+    """
+    dtype, count = truth.position.dtype, truth.position.shape[0]
+    rotation = panda.forward_kinematics(jnp.asarray(reproduction.ROOMY, dtype=dtype))[0]
+
+    def draw(key: jax.Array, low: float, high: float) -> jax.Array:
+        way, size = jax.random.split(key)
+        direction = jax.random.normal(way, (count, 3), dtype)
+        length = jax.random.uniform(size, (count, 1), dtype, low, high)
+        return length * direction / jnp.linalg.norm(direction, axis=-1, keepdims=True)
+
+    turn_key, shift_key = jax.random.split(key)
+    turns = rotations.rotation_exp(draw(turn_key, *(math.radians(angle) for angle in angles)))
+    shifts = draw(shift_key, *(distance / 1e3 for distance in distances))
+    return move_frame(truth, turns, shifts, jnp.broadcast_to(rotation, turns.shape))
 
 
 def section(store: Store, size: Size) -> Section:

@@ -309,12 +309,12 @@ def test_demonstrations_that_cannot_be_made() -> None:
     ("options", "message"),
     [
         ({"arm": "kuka"}, "choose from panda, fr3"),
-        ({"excitation": "wild"}, "choose from exciting, brisk, paper"),
+        ({"excitation": "wild"}, "choose from exciting, brisk"),
         ({"batch": 0}, "batch must be at least 1"),
         ({"start": np.zeros(6)}, r"start must have shape \(7,\)"),
         ({"first": -1}, "first must be at least 0"),
         ({"duration": 0.01}, "Expected 0 < dt <= duration"),
-        ({"excitation": None}, "choose from exciting, brisk, paper"),
+        ({"excitation": None}, "choose from exciting, brisk"),
         ({"spread": 0.1}, "spread must be two numbers"),
         ({"imperfections": "realistic"}, r"Expected Imperfections\(...\), not 'realistic'"),
         (

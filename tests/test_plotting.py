@@ -177,7 +177,7 @@ def test_bars_are_amplitudes_with_the_probability_of_a_free_axis(poses: np.ndarr
     for axes, frame, unit in zip(bars, (found.linear, found.angular), ("mm", "mrad"), strict=True):
         ends = [bar.get_x() + bar.get_width() for bar in axes.patches]
         np.testing.assert_allclose(ends, 1e3 * frame.amplitude)
-        assert [text.get_text() for text in axes.texts] == [f" 1000 {unit}, P(free) < 0.01"] * 3
+        assert [text.get_text() for text in axes.texts] == [f" 1000 {unit}, P(free) <0.01"] * 3
         assert f"[{unit}]" in axes.get_xlabel()
 
 

@@ -24,10 +24,10 @@ def add_common(command: argparse.ArgumentParser) -> None:
     )
     add(
         "--excitation",
-        choices=["exciting", "brisk", "paper"],
+        choices=["exciting", "brisk"],
         default="exciting",
-        help="motion along the free axes: many frequencies; many frequencies with hinges as fast as in the "
-        "paper's Table 4; or the motion of the paper's simulations (exciting)",
+        help="motion along the free axes: many frequencies; brisk turns hinges as fast as in the paper's "
+        "Table 4 (exciting)",
     )
     add("--fixed", action="store_true", help="use one geometry for all demonstrations instead of random ones")
     arguments.add_seed(command)

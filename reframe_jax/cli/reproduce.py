@@ -1,8 +1,7 @@
 """Demonstrate, identify, and reproduce a task from end-stop to end-stop.
 
-Wrenches move the robot in three frames, the rows of the paper's Figure 5: the
-true frame of the constraint, a frame with the errors reported for methods with
-prior knowledge, and the identified frame.
+Wrenches move the robot in two frames: the true frame of the constraint and the
+identified frame.
 """
 
 import argparse
@@ -31,7 +30,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Compare the three frames, and print the errors, forces and completion times."""
+    """Compare the two frames, and print the errors, forces and completion times."""
     common = prepare(options)
     from reframe_jax.simulation import reproduction
     from reframe_jax.simulation.arm import RolloutStatus
@@ -66,9 +65,8 @@ def run(options: argparse.Namespace) -> int:
         print_result(
             f"{name:12}{100 * np.mean(trials.completed):>8.0f} %{time:>9.2f}{cells[0]:>22}{cells[1]:>20}"
         )
-    for name in ("literature", "identified"):
-        excess = [f"{np.mean(e):+.2f} ± {np.std(e):.2f}" for e in comparison.excess(name)]
-        print_result(f"{name + ' over exact':31}{excess[0]:>22}{excess[1]:>20}")
+    excess = [f"{np.mean(e):+.2f} ± {np.std(e):.2f}" for e in comparison.excess()]
+    print_result(f"{'identified over exact':31}{excess[0]:>22}{excess[1]:>20}")
     if not np.all(comparison.identified.completed):
         codes = np.unique(comparison.identified.status_code[~comparison.identified.completed])
         why = " ".join(RolloutStatus(code).message for code in codes if code)

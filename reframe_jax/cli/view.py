@@ -22,7 +22,7 @@ from reframe_jax.cli.reading import add_reading, read_recording
 from reframe_jax.motion.windows import sliding_windows
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.viewer.document import write_page
-from reframe_jax.viewer.page import serve_page
+from reframe_jax.viewer.page import Page
 from reframe_jax.viewer.tracks import WindowTrack, track_window
 
 
@@ -88,7 +88,7 @@ def _tracks(options: argparse.Namespace) -> list[WindowTrack]:
 
 
 def _serve(tracks: list[WindowTrack], options: argparse.Namespace) -> None:
-    page = serve_page(tracks, title=options.file.name, port=options.port)
+    page = Page(tracks, title=options.file.name, port=options.port)
     print_result(f"{options.file}: {page.url} (Ctrl-C ends it)")
     if options.open:
         webbrowser.open(page.url)

@@ -51,6 +51,11 @@ def two_digits(value: float) -> str:
     return f"{float(f'{value:.2g}'):g}"
 
 
+def format_probability(value: float) -> str:
+    """Format a probability with two digits, never as 0 or 1."""
+    return "<0.01" if value < 0.01 else ">0.99" if value > 0.99 else f"{value:.2f}"
+
+
 def align_columns(rows: Sequence[Sequence[str]]) -> list[str]:
     """Format rows of cells as lines with aligned columns."""
     widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]

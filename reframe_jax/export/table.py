@@ -12,6 +12,7 @@ from reframe_jax.export.common import (
     Window,
     align_columns,
     directions,
+    format_probability,
     format_vector,
     outlier_samples,
     split_windows,
@@ -57,7 +58,7 @@ def to_table(
         return heading
     spans: Sequence[Window | None] = windows or [None]
     (window,) = spans
-    blocks = [f"{heading} ({_probability(host.probability)})", status.message, *host.warnings, ""]
+    blocks = [f"{heading} ({format_probability(host.probability)})", status.message, *host.warnings, ""]
     for group in TYPES:
         blocks += _frame_block(group, getattr(host, group))
     if np.isfinite(host.pitch):
@@ -96,7 +97,7 @@ def _frame_block(group: str, frame: Any) -> list[str]:
         freedom = "free" if frame.dof[i] else "constrained"
         likely = frame.free_probability[i] if frame.dof[i] else 1 - frame.free_probability[i]
         if likely < _CLEAR:
-            freedom += f" ({_probability(likely)})"
+            freedom += f" ({format_probability(likely)})"
         size = f"RMS {two_digits(1e3 * frame.amplitude[i])} {_SIZES[group]}"
         speed = f"{_speed(frame.rms[i]):>8} {_UNITS[group]:5}"
         lines.append(f"  axis {i + 1}  {format_vector(axis, 3, 6)}  {speed}  {freedom}, {size}")
@@ -110,11 +111,6 @@ def _frame_block(group: str, frame: Any) -> list[str]:
         first, second = (i + 1 for i in range(3) if i not in turns)
         lines.append(f"          axes {first} and {second} are arbitrary within their plane")
     return [*lines, ""]
-
-
-def _probability(value: float) -> str:
-    """Format a probability with two digits, never as 0 or 1."""
-    return "<0.01" if value < 0.01 else ">0.99" if value > 0.99 else f"{value:.2f}"
 
 
 def _noise_line(found: Identification, window: Window | None) -> str:
@@ -202,4 +198,4 @@ def _batch_row(index: int, found: Identification) -> list[str]:
         kind = str(types(int(frame.type_code)))
         kinds.append("~".join([kind, *(name for name in tied_names(group, frame) if name != kind)]))
     origin = format_vector(found.linear.position, 3, 6)
-    return [str(index), found.name, _probability(found.probability), *kinds, origin, status.name]
+    return [str(index), found.name, format_probability(found.probability), *kinds, origin, status.name]

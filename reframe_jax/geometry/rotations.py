@@ -18,7 +18,6 @@ import jax.numpy as jnp
 __all__ = [
     "hat",
     "left_jacobian",
-    "left_jacobian_inverse",
     "quaternion_to_rotation",
     "rotation_exp",
     "rotation_log",
@@ -30,19 +29,6 @@ _TERMS = 10  # terms of each series below one radian; the first omitted term is 
 _SINC = tuple((-1) ** order / factorial(2 * order + 1) for order in range(_TERMS))
 _VERSINE = tuple((-1) ** order / factorial(2 * order + 2) for order in range(_TERMS))
 _SLACK = tuple((-1) ** order / factorial(2 * order + 3) for order in range(_TERMS))
-# |B_2n| / (2n)!: (1 - (x/2) cot(x/2)) / x^2, whose radius of convergence is 2 pi
-_COTANGENT = (
-    1 / 12,
-    1 / 720,
-    1 / 30240,
-    1 / 1209600,
-    1 / 47900160,
-    691 / 1307674368000,
-    1 / 74724249600,
-    3617 / 10670622842880000,
-    43867 / 5109094217170944000,
-    174611 / 802857662698291200000,
-)
 _ARCTANGENT = tuple((-1) ** order / (2 * order + 1) for order in range(_TERMS))
 
 
@@ -133,16 +119,6 @@ def left_jacobian(rotvec: jax.Array) -> jax.Array:
     slack = jnp.where(small, _series(squared, _SLACK), (angle - jnp.sin(angle)) / angle**3)
     w = hat(rotvec)
     return _identity_like(w) + _matrix(versine) * w + _matrix(slack) * _hat_squared(rotvec)
-
-
-def left_jacobian_inverse(rotvec: jax.Array) -> jax.Array:
-    """Invert :func:`left_jacobian`: matrices (..., 3, 3) at rotation vectors (..., 3) below 2 pi rad."""
-    squared, small, angle = _angle(rotvec)
-    half = angle / 2
-    closed = (1 - half * jnp.cos(half) / jnp.sin(half)) / angle**2
-    cotangent = jnp.where(small, _series(squared, _COTANGENT), closed)
-    w = hat(rotvec)
-    return _identity_like(w) - w / 2 + _matrix(cotangent) * _hat_squared(rotvec)
 
 
 def quaternion_to_rotation(quaternion: jax.Array) -> jax.Array:

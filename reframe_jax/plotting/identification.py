@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from reframe_jax.export.common import format_probability, two_digits
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.results import AngularFrame, Identification, LinearFrame
 from reframe_jax.identification.velocities import frame_velocities
@@ -101,8 +102,8 @@ def _draw_amplitudes(axes: "Axes", frame: AngularFrame | LinearFrame, motion: st
     axes.set_xticks(decades, [f"{decade:g}" for decade in decades], minor=False)
     axes.minorticks_off()
     for place, size, probability in zip(places, amplitude, np.asarray(frame.free_probability), strict=True):
-        chance = "" if np.isnan(probability) else f", P(free) {_format_probability(float(probability))}"
-        text = f" {float(f'{size:.2g}'):g} {unit}{chance}"
+        chance = "" if np.isnan(probability) else f", P(free) {format_probability(probability)}"
+        text = f" {two_digits(size)} {unit}{chance}"
         axes.text(float(size), float(place), text, va="center", fontsize=FONT)
     freedom = ("constrained", "free")
     axes.set_yticks(
@@ -113,10 +114,6 @@ def _draw_amplitudes(axes: "Axes", frame: AngularFrame | LinearFrame, motion: st
     axes.xaxis.label.set_fontsize(FONT)
     axes.tick_params(labelsize=FONT)
     axes.spines[["top", "right"]].set_visible(False)
-
-
-def _format_probability(value: float) -> str:
-    return "< 0.01" if value < 0.01 else "> 0.99" if value > 0.99 else f"{value:.2f}"
 
 
 def _draw_velocities(

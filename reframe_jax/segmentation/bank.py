@@ -16,7 +16,7 @@ from reframe_jax.segmentation.rows import Fits, fit_spans
 __all__ = ["Bank", "choose_models", "fit_models", "gains", "misfit"]
 
 _KEPT = 4  # models of a span
-_BATCH = 2000  # spans
+_BATCH = 400  # spans per batch: their moments fit the cache of a processor
 _ANGULAR_PARAMETERS = np.array([0, 2, 2, 0])  # directions of 0 to 3 held rotations, which cost evidence
 
 

@@ -12,7 +12,6 @@ from reframe_jax.segmentation.constants import SEGMENTS as C
 
 __all__ = ["Fits", "fit_spans"]
 
-_BATCH = 400  # spans per batch: their moments fit the cache of a processor
 _STEPS = 3, 3, 4  # steps of the fits of 3, 2 and 1 held translations; each fit starts at the previous one
 _HAT = np.cross(np.eye(3)[:, None], np.eye(3))  # (_HAT @ v)[:, c] = e_c x v
 
@@ -46,11 +45,6 @@ def fit_spans(cells: Cells, spans: np.ndarray, reach: float) -> Fits:
         spans: (P, 2) first cell, and the cell after the last, of each span.
         reach: half the width of the cube in which origins are searched, m.
     """
-    parts = [_fit_batch(cells, spans[i : i + _BATCH], reach) for i in range(0, len(spans), _BATCH)]
-    return Fits(*(np.concatenate(each) for each in zip(*parts, strict=True)))
-
-
-def _fit_batch(cells: Cells, spans: np.ndarray, reach: float) -> Fits:
     number = len(spans)
     linear_mean, linear = _moments(cells.linear, spans)
     angular_mean, angular = _moments(cells.angular, spans)
@@ -142,22 +136,9 @@ def _squares(covariance: np.ndarray, axes: np.ndarray) -> np.ndarray:
     return np.maximum(np.einsum("ikp,ikp->kp", along, axes), 1e-30)
 
 
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross products of vectors (3, ..., P)."""
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
 def _solve(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Solve positive definite systems (n, n, P) for vectors (n, P) by elimination."""
-    a = np.concatenate([matrix, vector[:, None]], axis=1)
-    number = len(a)
-    for k in range(number):
-        a[k, k + 1 :] /= a[k, k]
-        a[k + 1 :, k + 1 :] -= a[k + 1 :, k, None] * a[k, k + 1 :]
-    solution = a[:, number]
-    for k in range(number - 1, 0, -1):
-        solution[:k] -= a[:k, k] * solution[k]
-    return solution
+    """Solve systems (n, n, P) for vectors (n, P)."""
+    return np.asarray(np.linalg.solve(np.moveaxis(matrix, -1, 0), vector.T[..., None])[..., 0].T)
 
 
 def _descend(
@@ -192,8 +173,8 @@ def _descend(
         there = np.clip(x - step[3:], middle - reach, middle + reach)
         turn = -0.5 * step[:3, None]
         turn /= np.maximum(np.linalg.norm(turn, axis=0) / 0.25, 1)
-        materialized = _cross(turn, axes)
-        turned = axes + 2 * (materialized + _cross(turn, materialized)) / (1 + np.sum(turn**2, axis=0))
+        across = np.cross(turn, axes, axis=0)
+        turned = axes + 2 * (across + np.cross(turn, across, axis=0)) / (1 + np.sum(turn**2, axis=0))
         new_half, new_covariance = _covariance(form, there)
         new_square = _squares(new_covariance, turned)
         lower = np.log(new_square[:held]).sum(axis=0)
@@ -232,7 +213,7 @@ def _levenberg(
         block[:3, 3:] = np.swapaxes(block[3:, :3], 0, 1)
         block[3:, 3:] = np.einsum("ajbp,jp->abp", inner, v)
         hessian += block / square[i]
-        slope[:3] += _cross(v, along) / square[i]
+        slope[:3] += np.cross(v, along, axis=0) / square[i]
         slope[3:] += np.einsum("ajp,jp->ap", part, v) / square[i]
     diagonal = np.einsum("iip->ip", hessian)  # a view
     diagonal += damping * diagonal + 1e-10 * diagonal.max(axis=0) + 1e-30

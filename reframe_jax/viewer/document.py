@@ -1,15 +1,18 @@
 """Write the page as one static file, which opens without Python and without a network."""
 
+import base64
 import html
+import io
 from pathlib import Path
 
 import numpy as np
 
+from reframe_jax.plotting.style import new_figure
 from reframe_jax.viewer.page import close_server, legend_html, open_server, velocity_series
 from reframe_jax.viewer.tracks import WindowTrack
 
 _FRAMES = 400  # largest number of poses in a file
-_WIDTH, _HEIGHT, _MARGIN = 340, 130, 54  # px, size of a plot; the margin fits the label -1.2e-05
+_SIZE, _FONT = (3.5, 1.5), 7  # inches and points, of a plot
 _STYLE = (Path(__file__).parent / "document.css").read_text(encoding="utf-8")
 
 
@@ -24,7 +27,7 @@ def write_page(path: Path | str, windows: list[WindowTrack], *, title: str = "re
         title: heading of the page.
 
     Raises:
-        ImportError: if viser is not installed.
+        ImportError: if viser or Matplotlib is not installed.
         ValueError: without windows.
         OSError: if the file cannot be written.
     """
@@ -68,40 +71,19 @@ def _panel(windows: list[WindowTrack], captions: list[str], title: str) -> str:
 
 
 def _plot(name: str, rows: list[tuple[str, str, np.ndarray]], times: np.ndarray) -> str:
-    """Draw velocities over time as an SVG."""
-    values = np.concatenate([row for _, _, row in rows])
-    finite = values[np.isfinite(values)]
-    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
-    if high <= low:
-        high = low + 1
-    across = _MARGIN + (times - times[0]) / max(times[-1] - times[0], 1e-12) * (_WIDTH - _MARGIN - 4)
-    lines = []
-    for label, colour, row in rows:
-        up = _HEIGHT - 14 - (row - low) / (high - low) * (_HEIGHT - 20)
-        drawn = " ".join(
-            f"{'M' if start else 'L'}{x:.1f},{y:.1f}"
-            for x, y, start in zip(across, up, _starts(row), strict=True)
-            if np.isfinite(y)
-        )
-        shape = f'<path d="{drawn}" fill="none" stroke="{colour}" stroke-width="1.3">'
-        lines.append(f"{shape}<title>{html.escape(label)}</title></path>")
+    """Draw velocities over time as an image."""
+    figure = new_figure(*_SIZE)
+    axes = figure.add_subplot()
+    for _, colour, row in rows:
+        (line,) = axes.plot(times, row, color=colour, linewidth=1)
+        line.set_gid("velocity")
+    axes.set_xlabel("time [s]", fontsize=_FONT)
+    axes.tick_params(labelsize=_FONT)
+    axes.margins(x=0)
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format="svg", transparent=True)
     labels = " ".join(
         f'<span style="color:{colour}">&#9632; {html.escape(label)}</span>' for label, colour, _ in rows
     )
-    ticks = "".join(
-        f'<text x="{x}" y="{y}" font-size="11" text-anchor="{anchor}">{text}</text>'
-        for x, y, anchor, text in (
-            (_MARGIN - 3, 10, "end", f"{high:.2g}"),
-            (_MARGIN - 3, _HEIGHT - 12, "end", f"{low:.2g}"),
-            (_MARGIN, _HEIGHT - 2, "start", f"{times[0]:.2f} s"),
-            (_WIDTH - 4, _HEIGHT - 2, "end", f"{times[-1]:.2f} s"),
-        )
-    )
-    size = f'width="{_WIDTH}" height="{_HEIGHT}"'
-    return f"<div>{html.escape(name)} {labels}</div><svg {size}>{''.join(lines)}{ticks}</svg>"
-
-
-def _starts(row: np.ndarray) -> np.ndarray:
-    """Indices at which a line starts: the first value, and the first value after every gap."""
-    finite = np.isfinite(row)
-    return finite & ~np.concatenate([[False], finite[:-1]])
+    image = base64.b64encode(drawn.getvalue()).decode()
+    return f'<div>{html.escape(name)} {labels}</div><img src="data:image/svg+xml;base64,{image}">'

@@ -24,7 +24,7 @@ _SCENE_STYLE = (Path(__file__).parent / "page.css").read_text(encoding="utf-8")
 
 
 def open_server(windows: list[WindowTrack], port: int) -> tuple["viser.ViserServer", Drawing]:
-    """Start a server on this machine only, with the camera at the scene; errors as in :func:`serve_page`."""
+    """Start a server on this machine only, with the camera at the scene; errors as in :class:`Page`."""
     try:
         import viser
     except ImportError as error:
@@ -48,24 +48,20 @@ def close_server(server: "viser.ViserServer") -> None:
         server.stop()
 
 
-def serve_page(windows: list[WindowTrack], *, title: str = "reframe_jax", port: int = 8080) -> "Page":
-    """Serve a page with a window of a recording, a time slider, and the velocities along the axes.
+class Page:
+    """A served page with a window of a recording, a time slider, and the velocities along the axes.
 
     The server listens on 127.0.0.1 only, in a separate thread; the page needs no network. With several
-    windows, a second slider selects one. A port that is in use is replaced by the next free port.
+    windows, a second slider selects one. A port that is in use is replaced by the next free port. Keep a
+    reference to this object, and close the page at the end.
 
     Raises:
         ImportError: if viser is not installed.
         ValueError: without windows.
     """
-    return Page(windows, title, port)
 
-
-class Page:
-    """A served page. Keep a reference to this object, and close the page at the end."""
-
-    def __init__(self, windows: list[WindowTrack], title: str, port: int) -> None:
-        """Start the server; arguments as in :func:`serve_page`."""
+    def __init__(self, windows: list[WindowTrack], *, title: str = "reframe_jax", port: int = 8080) -> None:
+        """Start the server."""
         self._windows = windows
         self._lock = threading.RLock()
         self._server, self._drawing = open_server(windows, port)

@@ -192,8 +192,8 @@ def demonstrate(
         first: number of the first demonstration, to continue an earlier batch.
         duration: s.
         dt: s, time between recorded samples. The steps of the simulation divide it, and are at most 0.01 s.
-        excitation: motion along the free axes: ``"exciting"``, ``"brisk"``, ``"paper"``, or a function of
-            time that returns angular and linear velocities (3,), in rad/s and m/s.
+        excitation: motion along the free axes: ``"exciting"``, ``"brisk"``, or a function of time
+            that returns angular and linear velocities (3,), in rad/s and m/s.
         spread: rad and m, standard deviations of a random rotation and shift of the geometry of each
             demonstration, for example :data:`SPREAD`.
         imperfections: errors of the robot and its sensors.

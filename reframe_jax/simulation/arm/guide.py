@@ -16,7 +16,6 @@ from reframe_jax.constraints.located import Frame, ground_twist, locate, multipl
 from reframe_jax.geometry import rotations, transforms
 from reframe_jax.geometry.products import apply, matmul
 from reframe_jax.geometry.small import solve_positive
-from reframe_jax.simulation import synthetic
 from reframe_jax.simulation.arm.dynamics import Motion, arm_motion
 from reframe_jax.simulation.arm.imperfections import Imperfections, compliance_of, measure
 from reframe_jax.simulation.arm.model import Arm, forward_kinematics
@@ -88,21 +87,9 @@ def _most_even_phases(draws: jax.Array, rates: jax.Array, free: jax.Array) -> ja
     return jnp.take_along_axis(draws, best[None, :, None, None], axis=0)[0]
 
 
-def _paper(key: jax.Array, free: jax.Array) -> Excitation:
-    del free
-    velocity = synthetic.paper_excitation(key)
-
-    def ease_in(t: jax.Array) -> tuple[jax.Array, jax.Array]:
-        angular, linear = velocity(t)
-        return _ease(t) * angular, _ease(t) * linear
-
-    return ease_in
-
-
 EXCITATIONS: dict[str, Callable[[jax.Array, jax.Array], Excitation]] = {
     "exciting": partial(_sines, one_rates=_ONE_TURN[0], one_turning=_ONE_TURN[1]),
     "brisk": partial(_sines, one_rates=_BRISK_TURN[0], one_turning=_BRISK_TURN[1]),
-    "paper": _paper,
 }
 """Excitations by name: functions of a key and the free axes (6,), which are 1 for free axes.
 
@@ -110,9 +97,7 @@ EXCITATIONS: dict[str, Callable[[jax.Array, jax.Array], Excitation]] = {
 one, up to 0.1 m and 0.45 rad from the start. A single free rotation turns further, because only the curvature
 of its path reveals the position of a pin. ``"brisk"`` turns a single free rotation as fast as in the paper's
 Table 4: 0.75 to 0.9 rad/s RMS, up to 0.7 rad, with rates up to the 2 and 3 rad/s of the paper's experimenter.
-A hinge then often takes the arm to its limits, which the status reports. ``"paper"`` has the velocities of
-the paper's section 5.1, with a smooth start: it turns by 2.5 rad about y and shifts by 0.5 m along x in 5 s,
-which exceeds the reach of the arm under most constraints.
+A hinge then often takes the arm to its limits, which the status reports.
 """
 
 

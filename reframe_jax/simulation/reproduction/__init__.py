@@ -7,10 +7,8 @@ the baseline: its reaction forces come from the inertia and friction of the arm 
 """
 
 from reframe_jax.simulation.reproduction.comparison import (
-    LITERATURE_ERRORS,
     Comparison,
     compare,
-    erroneous_frames,
     matched_choices,
 )
 from reframe_jax.simulation.reproduction.controllers import (
@@ -29,7 +27,6 @@ from reframe_jax.simulation.reproduction.trials import (
 )
 
 __all__ = [
-    "LITERATURE_ERRORS",
     "ROOMY",
     "Comparison",
     "Controller",
@@ -39,7 +36,6 @@ __all__ = [
     "compare",
     "constant_wrench",
     "control_frames",
-    "erroneous_frames",
     "hybrid",
     "matched_choices",
     "reproduce",

@@ -1,6 +1,5 @@
-"""Compare reproductions in true, erroneous and identified frames: the paper's Figure 5."""
+"""Compare reproductions in true and identified frames."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -11,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.frame import ConstraintFrame
-from reframe_jax.constraints.located import Frame, frame_arrays, locate, move_frame
-from reframe_jax.geometry import rotations
+from reframe_jax.constraints.located import Frame, frame_arrays, locate
 from reframe_jax.geometry.products import apply
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.entry import identify
@@ -26,20 +24,16 @@ from reframe_jax.simulation.reproduction.controllers import Controller, constant
 from reframe_jax.simulation.reproduction.trials import ROOMY, Trials, control_frames, reproduce
 from reframe_jax.simulation.synthetic import Excitation
 
-LITERATURE_ERRORS = ((0.5, 5.0), (1.0, 7.5))
-"""Ranges of the errors reported for methods with prior knowledge, degrees and mm (paper, section 7.2)."""
-
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Comparison:
-    """A task reproduced in three kinds of frames: the rows of the paper's Figure 5.
+    """A task reproduced in two kinds of frames.
 
     Attributes:
         demonstrations: the demonstrations from which the frames were identified.
         found: the identifications.
         exact: trials in the true frames, the baseline.
-        literature: trials in frames with the errors that are reported for methods with prior knowledge.
         identified: trials in the identified frames.
         redrawn: number of geometries that were left out, because the demonstration was infeasible or the
             end-stop was out of reach even in the true frame (see ``RolloutStatus``).
@@ -50,23 +44,21 @@ class Comparison:
     demonstrations: Demonstration
     found: Identification
     exact: Trials
-    literature: Trials
     identified: Trials
     errors: jax.Array
     redrawn: jax.Array
 
-    def excess(self, name: str) -> tuple[jax.Array, jax.Array]:
-        """Peak moments (N,), N m, and forces (N,), N, of a row, minus the peaks of the exact frames."""
-        trials = self.rows[name]
+    def excess(self) -> tuple[jax.Array, jax.Array]:
+        """Peak moments (N,), N m, and forces (N,), N, of identified frames, minus those of exact frames."""
         return (
-            trials.peak_moment - self.exact.peak_moment,
-            trials.peak_force - self.exact.peak_force,
+            self.identified.peak_moment - self.exact.peak_moment,
+            self.identified.peak_force - self.exact.peak_force,
         )
 
     @property
     def rows(self) -> dict[str, Trials]:
-        """Trials by the geometry that the robot uses: exact, from the literature, or identified."""
-        return {"exact": self.exact, "literature": self.literature, "identified": self.identified}
+        """Trials by the geometry that the robot uses: exact or identified."""
+        return {"exact": self.exact, "identified": self.identified}
 
 
 def compare(
@@ -82,7 +74,7 @@ def compare(
     start: tuple[float, ...] = ROOMY,
     progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
-    """Demonstrate, identify, and reproduce a task in three kinds of frames.
+    """Demonstrate, identify, and reproduce a task in the true and in the identified frames.
 
     Each of the ``trials`` has a random geometry. Options are those of
     :func:`reframe_jax.simulation.arm.demonstrate` and :func:`reproduce`; the reproductions have the
@@ -100,7 +92,7 @@ def compare(
     if trials < 1:
         raise ValueError(f"trials must be at least 1, not {trials}.")
     check_imperfections(imperfections)
-    demonstrate_key, error_key = jax.random.split(key)
+    demonstrate_key, _ = jax.random.split(key)
     run = partial(
         reproduce,
         controller=controller,
@@ -141,42 +133,12 @@ def compare(
         demonstrations=made,
         found=found,
         exact=exact,
-        literature=run(made.truth, erroneous_frames(made.truth, error_key, arm=arm, start=start)),
         identified=run(made.truth, matched_choices(found, made.truth, arm=arm, start=start)),
         redrawn=jnp.asarray(drawn - trials),
         errors=jnp.stack(
             [jnp.degrees(errors.angular), jnp.degrees(errors.linear), 1e3 * errors.position], axis=-1
         ),
     )
-
-
-def erroneous_frames(
-    truth: ConstraintFrame,
-    key: jax.Array,
-    *,
-    angles: tuple[float, float] = LITERATURE_ERRORS[0],
-    distances: tuple[float, float] = LITERATURE_ERRORS[1],
-    arm: str | Arm = PANDA,
-    start: ArrayLike = ROOMY,
-) -> ConstraintFrame:
-    """Rotate and shift frames (N) by errors with random directions and uniformly distributed sizes.
-
-    The ranges of ``angles`` are in degrees, of ``distances`` in mm. The errors apply at the joint positions
-    ``start`` (7,), rad.
-    """
-    dtype, count, arm = truth.position.dtype, truth.position.shape[0], find_arm(arm)
-    rotation = forward_kinematics(arm.start(start, dtype), arm)[0]
-
-    def draw(key: jax.Array, low: float, high: float) -> jax.Array:
-        way, size = jax.random.split(key)
-        direction = jax.random.normal(way, (count, 3), dtype)
-        length = jax.random.uniform(size, (count, 1), dtype, low, high)
-        return length * direction / jnp.linalg.norm(direction, axis=-1, keepdims=True)
-
-    turn_key, shift_key = jax.random.split(key)
-    turns = rotations.rotation_exp(draw(turn_key, *(math.radians(angle) for angle in angles)))
-    shifts = draw(shift_key, *(distance / 1e3 for distance in distances))
-    return move_frame(truth, turns, shifts, jnp.broadcast_to(rotation, turns.shape))
 
 
 def matched_choices(
