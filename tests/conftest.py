@@ -48,8 +48,8 @@ import reframe_jax as rf
 jax.config.update("jax_enable_x64", True)
 rf.cache_programs(os.environ["JAX_COMPILATION_CACHE_DIR"])
 
-# begun first, so that no worker waits for them at the end
-_LONGEST = ("test_viewer.py", "test_devices.py", "test_documentation.py", "test_notebooks.py")
+# in this order, first of all: no worker waits for them at the end, and few programs are compiled by both
+_LONGEST = ("test_devices.py", "test_documentation.py", "test_viewer.py", "test_notebooks.py")
 _MOST_MEMORY = 1.8e9  # bytes that a process may hold after a module; a module adds up to a gigabyte
 
 hypothesis.settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
@@ -65,7 +65,8 @@ gc.set_threshold(100_000, 50, 1000)
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with the longest files: a worker gets a whole file at a time."""
-    items.sort(key=lambda item: item.path.name not in _LONGEST)
+    rank = {name: number for number, name in enumerate(_LONGEST)}
+    items.sort(key=lambda item: rank.get(item.path.name, len(rank)))
 
 
 @pytest.fixture(scope="module", autouse=True)
