@@ -246,7 +246,7 @@ def test_one_trace_per_shape(mixed):
 
 def test_float32_finds_the_same_frames_at_its_own_precision():
     poses, truth = windows("K")
-    each = [rf.identify(window, dt=0.1) for window in poses[4].astype(jnp.float32)]
+    each = [rf.identify(window, dt=np.float32(0.1)) for window in poses[4].astype(jnp.float32)]
     found = jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
     assert found.linear.norm.dtype == jnp.float32
     assert np.all(metrics.types_correct(found, truth))
