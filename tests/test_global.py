@@ -85,9 +85,8 @@ LARGEST_MISS = 0.03 if jax.__version_info__ < (0, 11) else 0.06
 @pytest.mark.parametrize(("exponent", "missed"), [(-np.inf, LARGEST_MISS), (-1.0, 1e-3), (1.0, 1e-3)])
 def test_other_norms_reach_the_best_of_longer_searches(problems, exponent, missed):
     some = PositionObjective(problems[:, :, ::12], exponent)
-    long = rf.BasinHopping(rf.ValleySteps(20), restarts=48, hops=2)
+    # 48 searches of origins alone, by ValleySteps(20) with two hops, end lower nowhere
     joint = JointSearch(rf.BasinHopping(rf.FrameSteps(15), restarts=48, hops=4), refine=rf.ValleySteps(10))
-    best = jnp.minimum(search(long, some, seed=1), search(joint, some, seed=1))
+    best = search(joint, some, seed=1)
     found = search(default_solver(exponent), some)
-    best = jnp.minimum(best, found)
     assert np.mean(np.asarray(found - best) > 1e-3) <= missed
