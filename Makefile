@@ -1,5 +1,6 @@
 # make demo: set up and identify the recording in examples/. make test: set up and run the tests.
-# make decisions: names once more, with other machine instructions, which round differently.
+# make decisions: names once more, optimized as users have them, with other machine instructions, which round
+# differently.
 # make lint, make docs, make benchmark. make paper: the paper's experiments, to out/paper; make paper-quick: a
 # small part of them, in a minute or two.
 PYTHON ?= python3
@@ -20,7 +21,7 @@ test: $(STAMP)
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 decisions: $(STAMP)
-	XLA_FLAGS="--xla_backend_optimization_level=0 --xla_cpu_max_isa=SSE4_2" OPENBLAS_CORETYPE=Nehalem \
+	XLA_FLAGS=--xla_cpu_max_isa=SSE4_2 OPENBLAS_CORETYPE=Nehalem \
 	  $(BIN)/python -m pytest -n 2 --dist loadfile $(DECISIONS)
 
 lint: $(STAMP)

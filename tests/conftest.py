@@ -32,6 +32,7 @@ for _name, _value in {
     "JAX_COMPILATION_CACHE_DIR": str(Path(__file__).parent.parent / ".jax_cache"),
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+    "REFRAME_JAX_CACHE": "0",  # or else later tests keep their programs in the user's cache
     "XLA_FLAGS": _FLAGS,
 }.items():
     os.environ.setdefault(_name, _value)
@@ -47,6 +48,8 @@ import reframe_jax as rf
 jax.config.update("jax_enable_x64", True)
 rf.cache_programs(os.environ["JAX_COMPILATION_CACHE_DIR"])
 
+# in this order, first of all: no worker waits for them at the end, and few programs are compiled by both
+_LONGEST = ("test_devices.py", "test_documentation.py", "test_viewer.py", "test_notebooks.py")
 _MOST_MEMORY = 1.8e9  # bytes that a process may hold after a module; a module adds up to a gigabyte
 
 hypothesis.settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
@@ -58,6 +61,12 @@ hypothesis.settings.load_profile("repeatable")
 gc.collect()
 gc.freeze()
 gc.set_threshold(100_000, 50, 1000)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the longest files: a worker gets a whole file at a time."""
+    rank = {name: number for number, name in enumerate(_LONGEST)}
+    items.sort(key=lambda item: rank.get(item.path.name, len(rank)))
 
 
 @pytest.fixture(scope="module", autouse=True)

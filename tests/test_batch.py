@@ -170,7 +170,8 @@ def test_bad_input_is_refused_in_words(windows, tmp_path):
 
 def test_float64_is_kept_where_jax_is_set_to_float32(windows, expected, tmp_path):
     script = """
-        import sys, numpy as np, reframe_jax as rf
+        import os, sys, numpy as np, reframe_jax as rf
+        rf.cache_programs(os.environ["JAX_COMPILATION_CACHE_DIR"])
         rf.identify_many(np.load(sys.argv[1]), sys.argv[2], dt=0.1, part_size=16)
     """
     np.save(tmp_path / "windows.npy", windows[:16])

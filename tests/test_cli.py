@@ -173,9 +173,6 @@ def test_outliers_are_left_out_and_told(door: Path, tmp_path: Path, capsys: Capt
     (recording,) = read_json((tmp_path / "out.json").read_text())
     (window,) = recording["windows"]
     assert (window["label"], window["outliers"]) == ("A", [15])
-    assert run(bad, "--scales", "1", "--json", "-") == 0
-    (window,) = read_json(capsys.readouterr().out)[0]["windows"]
-    assert (window["scale"], window["outliers"]) == (1, [])
 
 
 def test_unit_and_sample_time(clip: Path, tmp_path: Path, capsys: Captured) -> None:

@@ -17,12 +17,10 @@ from reframe_jax.storage.parts import remove_leftovers
 
 pytest.importorskip("pyarrow")
 
-SOLVER = rf.BasinHopping(rf.ValleySteps(2), restarts=1, hops=0, polish=0)
-
 
 @pytest.fixture(scope="module")
 def windows():
-    """(24, 21, 4, 4): enough for three parts of eight, with the programs of test_parts.py."""
+    """(24, 21, 4, 4): enough for three parts of eight, which are computed one by one."""
     keys = jax.random.split(jax.random.key(0), 24)
     simulate = jax.vmap(lambda key: synthetic.simulate("K", key, noise=1e-4, duration=2.0).poses)
     return np.asarray(jax.jit(simulate)(keys))
@@ -57,8 +55,8 @@ CHILD = """
         )
     elif moment == "renaming":
         os.replace = lambda old, new: (die if second(new) else rename)(old, new)
-    rf.identify_many(np.load(sys.argv[1], mmap_mode="r"), sys.argv[2], dt=0.1, part_size=8,
-        solver=rf.BasinHopping(rf.ValleySteps(2), restarts=1, hops=0, polish=0))
+    rf.cache_programs(os.environ["JAX_COMPILATION_CACHE_DIR"])
+    rf.identify_many(np.load(sys.argv[1], mmap_mode="r"), sys.argv[2], dt=0.1, part_size=8)
 """
 
 
@@ -69,9 +67,9 @@ def run_killed(stored, out, moment):
 
 
 def run_whole(stored, out):
-    """The same run, to its end and with JAX's own settings, in this process: it is traced once."""
+    """The same run, to its end and with JAX's own settings, in this process."""
     with jax.enable_x64(False), jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-        rf.identify_many(np.load(stored, mmap_mode="r"), out, dt=0.1, part_size=8, solver=SOLVER)
+        rf.identify_many(np.load(stored, mmap_mode="r"), out, dt=0.1, part_size=8)
 
 
 @pytest.fixture(scope="module")

@@ -20,15 +20,15 @@ EXAMPLE = Path(__file__).parent.parent / "examples" / "many_machines.py"
 def test_a_cluster_finds_what_one_process_finds(tmp_path):
     recording = np.asarray(synthetic.simulate("K", jax.random.key(0), noise=1e-4, duration=6.0).poses)
     np.save(tmp_path / "recording.npy", recording)
-    arguments = ["recording.npy", "cluster", "--window", "21", "--part-size", "16", "--workers", "2"]
+    arguments = ["recording.npy", "cluster", "--window", "21", "--part-size", "8", "--workers", "2"]
     done = subprocess.run(
         [sys.executable, EXAMPLE, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
     assert "41 windows" in done.stdout
-    assert sorted(line for line in done.stdout.splitlines() if "of 3" in line)[0].startswith("part 0 is done")
+    assert sorted(line for line in done.stdout.splitlines() if "of 6" in line)[0].startswith("part 0 is done")
     single = rf.identify_many(
-        rf.sliding_windows(recording, 21), tmp_path / "alone", dt=0.1, part_size=16, progress=False
+        rf.sliding_windows(recording, 21), tmp_path / "alone", dt=0.1, part_size=8, progress=False
     )
     ours, theirs = rf.load_results(single), rf.load_results(tmp_path / "cluster")
     assert len(theirs.status_code) == 41

@@ -70,7 +70,8 @@ def test_jumps_are_found_by_sample_and_left_out(poses, samples, spoil):
 
 def test_nothing_is_left_out_of_consecutive_poses(poses):
     """scales=1 is the paper's: every pose counts."""
-    assert np.all(rf.identify(shift(poses, [30], 0.05), dt=DT, scales=1).counted)
+    batch = np.tile(shift(poses, [30], 0.05), (9, 1, 1, 1))  # a batch has the program of test_global.py
+    assert np.all(rf.identify(batch, dt=DT, scales=1, bounds=1.0).counted)
 
 
 def test_fast_motion_is_no_outlier():

@@ -23,7 +23,6 @@ from reframe_jax.storage.records import describe, describe_options
 
 pytest.importorskip("pyarrow")
 
-SOLVER = rf.BasinHopping(rf.ValleySteps(2), restarts=1, hops=0, polish=0)
 CODECS = pytest.mark.parametrize("codec", [NPZ, PARQUET], ids=["npz", "parquet"])
 OPTIONS = {"kind": "numbers", "bounds": [1.0, 2.0]}
 
@@ -144,8 +143,8 @@ def windows() -> np.ndarray:
 
 @pytest.fixture
 def identify_many(windows: np.ndarray) -> Any:
-    """The windows identified in parts of eight by a search that compiles soon."""
-    return partial(rf.identify_many, windows, dt=0.1, part_size=8, solver=SOLVER)
+    """The windows identified in parts of eight."""
+    return partial(rf.identify_many, windows, dt=0.1, part_size=8)
 
 
 def test_results_that_were_tampered_with(identify_many: Any, tmp_path: Path) -> None:
@@ -158,7 +157,8 @@ def test_results_that_were_tampered_with(identify_many: Any, tmp_path: Path) -> 
         with pytest.raises(ValueError, match=r"part-00000002\.parquet is a copy of part-00000001"):
             use()
     flipped = bytearray(sound[2])
-    flipped[len(flipped) // 3] ^= 4
+    for place in range(len(flipped) // 3, len(flipped) // 3 + 64):  # a single byte may mean nothing
+        flipped[place] ^= 4
     parts[2].write_bytes(flipped)
     for use in uses:
         with pytest.raises(ValueError, match=r"part-00000002\.parquet is damaged"):
@@ -180,7 +180,7 @@ def test_results_are_not_relabelled(identify_many: Any, tmp_path: Path) -> None:
         ):
             identify_many(out, **changed)
     with pytest.raises(ValueError, match=r"other options \(windows\)"):
-        rf.identify_many(identify_many.args[0][:16], out, dt=0.1, part_size=8, solver=SOLVER)
+        rf.identify_many(identify_many.args[0][:16], out, dt=0.1, part_size=8)
     assert len(rf.load_results(out).status_code) == 24
 
 
@@ -225,7 +225,7 @@ def test_parts_that_there_are_not(identify_many: Any, windows: np.ndarray, tmp_p
             identify_many(tmp_path / "out", parts=wrong)
     assert not (tmp_path / "out").exists()
     with pytest.raises(ValueError, match=r"no parts \[7\]: 24 windows"):
-        rf.identify_many(iter(windows), tmp_path / "all", dt=0.1, part_size=8, solver=SOLVER, parts=[0, 7])
+        rf.identify_many(iter(windows), tmp_path / "all", dt=0.1, part_size=8, parts=[0, 7])
 
 
 def test_new_options_of_identify_are_recorded(

@@ -96,5 +96,5 @@ def test_of_the_robot():
         return panda.demonstrate("A", key, duration=0.2, dt=0.1, imperfections=panda.REALISTIC).poses
 
     assert check(demonstrate, jax.random.key(0)) > 0
-    truth = panda.demonstrate("A", jax.random.key(0), duration=0.2, dt=0.1).truth
+    truth = jax.tree.map(lambda leaf: leaf[None], panda.frame_on_arm("A"))
     assert check(lambda p: reproduction.reproduce(truth, truth).poses, truth.position) > 0

@@ -8,7 +8,7 @@ import socket
 import time
 import warnings
 import webbrowser
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -247,7 +247,7 @@ def test_the_page_shows_the_window_and_needs_no_network(browser: Any, tracks: li
         page.close()
 
 
-SIZES = [(WIDTH, HEIGHT), (390, 844)]  # a desktop and a telephone
+SIZES = [(390, 844), (WIDTH, HEIGHT)]  # a telephone and a desktop
 _PLACES = """() => {
   const scene = [...document.querySelectorAll("canvas")].map(e => e.getBoundingClientRect())
     .sort((a, b) => b.width * b.height - a.width * a.height)[0];
@@ -276,31 +276,31 @@ def check_layout(view: Any, width: int, height: int, heading: Any) -> None:
     assert view.evaluate("document.documentElement.scrollWidth") <= width
 
 
-@pytest.mark.parametrize(("width", "height"), SIZES)
-def test_the_panel_does_not_cover_the_scene(
-    browser: Any, tracks: list[WindowTrack], width: int, height: int
-) -> None:
+def check_layouts(browser: Any, url: str, heading: Callable[[Any], Any]) -> None:
+    """Load a page with the size of a telephone, check its layout, and check the layout of a desktop too."""
+    view = browser.new_page(viewport=dict(zip(("width", "height"), SIZES[0], strict=True)))
+    view.goto(url)
+    for width, height in SIZES:
+        view.set_viewport_size({"width": width, "height": height})
+        wait_for(lambda: view.get_by_text("residuals").first.is_visible())
+        check_layout(view, width, height, heading(view))
+    view.close()
+
+
+def test_the_panel_does_not_cover_the_scene(browser: Any, tracks: list[WindowTrack]) -> None:
     page = Page(tracks, title="door.csv", port=8190)
     try:
-        view = browser.new_page(viewport={"width": width, "height": height})
-        view.goto(page.url)
-        wait_for(lambda: view.get_by_text("residuals").first.is_visible())
-        check_layout(view, width, height, view.get_by_text("door.csv").first)
+        check_layouts(browser, page.url, lambda view: view.get_by_text("door.csv").first)
     finally:
         page.close()
 
 
-@pytest.mark.parametrize(("width", "height"), SIZES)
 def test_the_panel_of_a_file_does_not_cover_the_scene(
-    browser: Any, tracks: list[WindowTrack], tmp_path: Path, width: int, height: int
+    browser: Any, tracks: list[WindowTrack], tmp_path: Path
 ) -> None:
     write_page(tmp_path / "page.html", tracks[:1], title="door.csv")
-    view = browser.new_page(viewport={"width": width, "height": height})
-    view.goto((tmp_path / "page.html").as_uri())
-    panel = view.locator("#reframe-panel")
-    wait_for(lambda: panel.get_by_text("residuals").first.is_visible())
-    check_layout(view, width, height, panel)
-    view.close()
+    page = (tmp_path / "page.html").as_uri()
+    check_layouts(browser, page, lambda view: view.locator("#reframe-panel"))
 
 
 def test_the_page_is_for_this_machine_only(tracks: list[WindowTrack]) -> None:

@@ -1,5 +1,6 @@
 """A tool that wipes a plane, seen by trackers whose errors depend on where it is and how it is turned."""
 
+import jax
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -38,6 +39,11 @@ def wiping(seed, tracker, spin):
     return poses, normal
 
 
+def identify(windows):
+    """One by one: most tests of single windows share their program."""
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *(rf.identify(poses, dt=DT) for poses in windows))
+
+
 @pytest.mark.parametrize("tracker", TRACKERS)
 @pytest.mark.parametrize(
     ("spin", "name"), [(0.4, "Plane-plane contact"), (0.0, "Unnamed: 0 rotations, 2 translations")]
@@ -45,7 +51,7 @@ def wiping(seed, tracker, spin):
 def test_it_stays_in_the_plane(tracker, spin, name):
     """No origin is far enough away to make it a hinge, or to hide in noise how far it went."""
     made = [wiping(seed, tracker, spin) for seed in range(12)]
-    found = rf.identify(np.stack([poses for poses, _ in made]), dt=DT)
+    found = identify([poses for poses, _ in made])
     right = found.name == name
     assert np.sum(right) >= 11
     assert np.all(found.probability[~right] < 0.7)
@@ -65,7 +71,7 @@ def test_errors_of_orientation_that_follow_the_path_are_no_pivot_far_away(tilt):
         lean = Rotation.from_rotvec(tilt * np.cross(normal, path))
         made[:, :3, :3] = lean.as_matrix() @ made[:, :3, :3]
         poses.append(made)
-    found = rf.identify(np.stack(poses), dt=DT)
+    found = identify(poses)
     names = list(found.name)
     assert names.count("Plane-plane contact") >= 11, names
     assert set(found.status_code.tolist()) == {rf.Status.OK}
