@@ -41,10 +41,7 @@ __all__ = [
 ]
 
 STEPS, LAST_STEPS = 5, 3  # Levenberg-Marquardt steps with the cost of the tilt, then without it
-ASSUMED_STEPS = (
-    40,
-    0,
-)  # the same for assumed constraints: few entries, and the cost reduces errors of the axis
+ASSUMED_STEPS = 40, 0  # the same for assumed constraints, where the cost reduces errors of the axis
 _PARAMETERS = 9
 
 Array = jax.Array
