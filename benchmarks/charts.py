@@ -228,13 +228,18 @@ def plot_comparison(comparisons: Mapping[str, Comparison], *, title: str | None 
     bars = {
         panel: {
             name: [np.asarray(getattr(task.rows[row], part)) for task in comparisons.values()]
-            for row, name in _ROWS.items()
+            for row, name in _rows_of(*comparisons.values()).items()
         }
         for panel, (part, _) in peaks.items()
     }
     return plot_bars(
         list(comparisons), bars, ylabels={panel: unit for panel, (_, unit) in peaks.items()}, title=title
     )
+
+
+def _rows_of(*comparisons: Comparison) -> dict[str, str]:
+    """Return the names of the rows of ``_ROWS`` that all comparisons have."""
+    return {row: name for row, name in _ROWS.items() if all(row in c.rows for c in comparisons)}
 
 
 def plot_reactions(comparison: Comparison, index: int = 0, *, title: str | None = None) -> Figure:
@@ -251,7 +256,9 @@ def plot_reactions(comparison: Comparison, index: int = 0, *, title: str | None 
         (panels[0], slice(0, 3), "reaction moment [N m]"),
         (panels[1], slice(3, 6), "reaction force [N]"),
     ):
-        for (row, name_of_row), colour, style in zip(_ROWS.items(), LINES, ("-", "--", ":"), strict=False):
+        for (row, name_of_row), colour, style in zip(
+            _rows_of(comparison).items(), LINES, ("-", "--", ":"), strict=False
+        ):
             trials = comparison.rows[row]
             size = np.linalg.norm(np.asarray(trials.reaction)[index, 1:, part], axis=-1)
             axes.plot(

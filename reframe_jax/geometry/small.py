@@ -132,31 +132,27 @@ def inverse_and_determinant(s: Array, positive: bool = True) -> tuple[Array, Arr
 
 
 def solve_positive(matrix: Array, vector: Array) -> Array:
-    """Solve symmetric, positive definite systems (n, n, ...) x = (n, ...) by Gauss-Jordan elimination.
-
-    Three unknowns are eliminated at a time. Pivots below the rounding error of the diagonal are raised to
-    this error.
-    """
+    """Solve symmetric, positive definite systems (n, n, ...) x = (n, ...) by Gauss-Jordan elimination."""
     length = len(vector)
-    if fill := -length % 3:  # unknowns that are zero
-        unit = jnp.eye(length + fill, dtype=matrix.dtype)[:, length:]
-        unit = unit.reshape(-1, fill, *[1] * (matrix.ndim - 2))
-        right = jnp.broadcast_to(unit, (length + fill, fill, *matrix.shape[2:]))
-        below = jnp.zeros_like(matrix, shape=(fill, *matrix.shape[1:]))
-        matrix = jnp.concatenate([jnp.concatenate([matrix, below]), right], axis=1)
-        vector = jnp.concatenate([vector, jnp.zeros_like(vector, shape=(fill, *vector.shape[1:]))])
+    diagonal = jnp.stack([matrix[i, i] for i in range(length)])
+    floor = jnp.finfo(matrix.dtype).eps * diagonal + jnp.finfo(matrix.dtype).tiny
 
-    def eliminate(_: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Eliminate the first three unknowns, then put them last."""
-        matrix, vector = carry
-        inverse = materialize(inverse_and_determinant(matrix[:3, :3])[0])
-        row, value = materialize((times(inverse, matrix[:3]), times(inverse, vector[:3])))
-        column = matrix[3:, :3]
-        matrix = jnp.concatenate([matrix[3:] - times(column, row), row])
-        vector = jnp.concatenate([vector[3:] - times(column, value), value])
-        return jnp.roll(matrix, -3, axis=1), vector
+    def eliminate(_: int, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        """Eliminate the first unknown, then put it last."""
+        matrix, vector, floor = carry
+        size = jnp.maximum(matrix[0, 0], floor[0])
+        row, value = matrix[0] / size, vector[0] / size
+        column = matrix[1:, 0]
+        matrix = jnp.concatenate([matrix[1:] - column[:, None] * row[None], row[None]])
+        vector = jnp.concatenate([vector[1:] - column * value[None], value[None]])
+        return _first_last(matrix, 1), vector, _first_last(floor, 0)
 
-    return jax.lax.fori_loop(0, len(vector) // 3, eliminate, (matrix, vector))[1][:length]
+    return jax.lax.fori_loop(0, length, eliminate, (matrix, vector, floor))[1]
+
+
+def _first_last(array: Array, axis: int) -> Array:
+    first, rest = jax.lax.split(array, (1, array.shape[axis] - 1), axis)
+    return jnp.concatenate([rest, first], axis)
 
 
 def diagonalize(

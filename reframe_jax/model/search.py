@@ -124,9 +124,9 @@ def lowest_origins(
     best = jnp.argmin(_norm(coefficients, counts, x), axis=1)
     x = jnp.take_along_axis(x, best[None, :, None], axis=2)
     step = partial(_newton_step, coefficients, counts, box)
-    start = x, jnp.full(x.shape[1:], _DAMPING, x.dtype)
-    x, _ = jax.lax.fori_loop(0, _NEWTON_STEPS, lambda _, at: step(at), start)
-    return x[:, :, 0], norm_at(coefficients, details, x[:, :, 0])
+    start = x, jnp.full(x.shape[1:], _DAMPING, x.dtype), jnp.zeros_like(x[0])
+    x, _, norm = jax.lax.fori_loop(0, _NEWTON_STEPS, lambda _, at: step(at), start)
+    return x[:, :, 0], norm[:, 0]
 
 
 def norm_at(coefficients: Array, details: Array, origins: Array) -> Array:
@@ -221,14 +221,14 @@ def _expand(coefficients: Array, counts: Array, x: Array) -> tuple[Array, Array,
 
 
 def _newton_step(
-    coefficients: Array, counts: Array, box: Array, at: tuple[Array, Array]
-) -> tuple[Array, Array]:
+    coefficients: Array, counts: Array, box: Array, at: tuple[Array, Array, Array]
+) -> tuple[Array, Array, Array]:
     """Newton's step along the principal axes of the exact Hessian, with its curvatures made positive.
 
     A curvature is at least the damping times the curvature of the tangent, which is an upper bound. The step
-    tries several dampings, and takes the one with the lowest F.
+    tries several dampings, and takes the one with the lowest F. Returns the origin, its damping and its F.
     """
-    x, damping = at  # (3, T, 1, N), (T, 1, N)
+    x, damping, _ = at  # (3, T, 1, N), (T, 1, N)
     value, slope, tangent, exact = _expand(coefficients, counts, x)
     size = jnp.sqrt(total(total(exact * exact, 0), 0)) + jnp.finfo(x.dtype).tiny
     unit = jnp.eye(3, dtype=size.dtype).reshape(3, 3, *[1] * size.ndim)
@@ -242,7 +242,8 @@ def _newton_step(
     tried = materialize(jnp.clip(x - steps, -box, box))
     values = _norm(coefficients, counts, tried)
     best = jnp.argmin(values, axis=1)[:, None]
-    lower = jnp.take_along_axis(values, best, axis=1) <= value
+    found = jnp.take_along_axis(values, best, axis=1)
+    lower = found <= value
     x = jnp.where(lower, jnp.take_along_axis(tried, best[None], axis=2), x)
     taken = jnp.where(lower, jnp.take_along_axis(dampings, best, axis=1), _TRIALS[-1] * dampings[:, -1:])
-    return materialize((x, jnp.maximum(taken, _LEAST_DAMPING)))
+    return materialize((x, jnp.maximum(taken, _LEAST_DAMPING), jnp.where(lower, found, value)))
