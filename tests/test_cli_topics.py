@@ -55,7 +55,8 @@ def test_files_that_cannot_be_listed(tmp_path: Path, capsys: Captured) -> None:
     assert out == f"{tmp_path / 'a.txt'}: a TUM trajectory: a single recording\n"
     first, second = err.splitlines()
     assert first == (
-        f"reframe-jax: error: {tmp_path / 'a.bag'}: expected a ROS bag; the content has another format."
+        f"reframe-jax: error: {tmp_path / 'a.bag'}: expected a ROS bag; the content has another format; "
+        "if it is a table of numbers, give it the suffix .csv."
     )
     assert second == f"reframe-jax: error: {missing}: cannot be read: No such file or directory."
 
