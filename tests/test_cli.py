@@ -186,7 +186,7 @@ def test_unit_and_sample_time(clip: Path, tmp_path: Path, capsys: Captured) -> N
     (expected,) = read_json(capsys.readouterr().out)
     for name in ("position", "rms", "norm"):
         np.testing.assert_allclose(
-            scaled["windows"][0]["linear"][name], expected["windows"][0]["linear"][name], rtol=1e-6
+            scaled["windows"][0]["linear"][name], expected["windows"][0]["linear"][name], rtol=1e-5
         )
     assert run(tmp_path / "a.npy", "--unit", "mm") == 1
     assert "the sample time, dt (--dt)" in capsys.readouterr().err
