@@ -10,13 +10,13 @@ from scipy.optimize import minimize
 
 import reframe_jax as rf
 from benchmarks.dual_annealing import DT, anneal, six_moments
-from benchmarks.frames import FrameObjective
 from benchmarks.timing import in_chunks, timed, timed_call
 from reframe_jax.constraints.types import POSITION_BODIES, AngularType
+from reframe_jax.objectives.velocity import FrameObjective
 from reframe_jax.solvers import Box
 
 TURN = np.pi
-GENERAL = rf.BasinHopping(rf.NewtonSteps(10), restarts=8, hops=3, polish=2)
+GENERAL = rf.BasinHopping(rf.FrameSteps(10), restarts=8, hops=3, polish=2)
 
 Solved = tuple[np.ndarray, np.ndarray, float, float]
 """Norms (N, 6), linear positions (N, 4, 3) in m, run time in s, and compile time in s."""

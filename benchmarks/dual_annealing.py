@@ -24,11 +24,10 @@ from scipy.optimize import dual_annealing
 
 import reframe_jax as rf
 from benchmarks.common import write_metrics
-from benchmarks.frames import FrameObjective
 from benchmarks.timing import in_chunks, timed
 from reframe_jax.identification.paper import step_moments
 from reframe_jax.motion import kinematics
-from reframe_jax.objectives.velocity import PositionObjective
+from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
 from reframe_jax.simulation import metrics, synthetic
 from reframe_jax.solvers import Box
 
@@ -128,7 +127,7 @@ def anneal(poses: np.ndarray, seed: int, *, gradient: bool) -> tuple[np.ndarray,
     return np.array([r.fun for r in results]), np.array([r.x[3:] for r in results[2:]]), seconds
 
 
-_LONG = rf.BasinHopping(rf.ValleySteps(40), restarts=64, hops=0)
+_LONG = rf.BasinHopping(rf.ValleySteps(40), restarts=64, hops=0, refine=rf.ValleySteps(40))
 _HALF = 1.5  # m, half width: dual annealing has bounds about the ground's origin, identify about the motion
 
 

@@ -44,6 +44,7 @@ from reframe_jax.segmentation.results import Boundary as Boundary
 from reframe_jax.segmentation.results import Segment as Segment
 from reframe_jax.segmentation.results import Segmentation as Segmentation
 from reframe_jax.solvers import BasinHopping as BasinHopping
+from reframe_jax.solvers import FrameSteps as FrameSteps
 from reframe_jax.solvers import NewtonSteps as NewtonSteps
 from reframe_jax.solvers import OptaxSteps as OptaxSteps
 from reframe_jax.solvers import ValleySteps as ValleySteps

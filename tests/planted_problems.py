@@ -8,10 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.frames import FrameObjective
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.objectives.moments import velocity_moments
-from reframe_jax.objectives.velocity import PositionObjective
+from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
 from reframe_jax.solvers import BasinHopping, Box, ValleySteps
 
 
@@ -41,15 +40,10 @@ RNG = np.random.default_rng(11)
 WINDOWS, ORIGINS = zip(*(planted(RNG, free) for free in FREE), strict=True)
 
 
-def moments_of(maps):
-    """Moments (6, 10, ...) of velocity maps (..., K, 3, 4)."""
-    return velocity_moments(jnp.moveaxis(jnp.asarray(maps), (-2, -1, -3), (0, 1, 2)))
-
-
 @functools.cache
 def four_moments():
     """Of the four problems, (6, 10, 4)."""
-    return moments_of(np.stack(WINDOWS))
+    return velocity_moments(jnp.asarray(np.stack(WINDOWS)))
 
 
 VALLEY = BasinHopping(ValleySteps(10), restarts=4, hops=1)

@@ -8,11 +8,10 @@ import pytest
 import benchmarks.motions  # noqa: F401, adds the excitation "slow"
 import reframe_jax as rf
 from benchmarks.dual_annealing import six_moments
-from benchmarks.frames import FrameObjective
 from reframe_jax.identification.entry import default_solver
-from reframe_jax.objectives.velocity import PositionObjective
+from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
 from reframe_jax.simulation import synthetic
-from reframe_jax.solvers import Box
+from reframe_jax.solvers import Box, JointSearch
 
 SEEDS = 6
 NOISES = np.logspace(-6, -3, 4)
@@ -50,7 +49,7 @@ def search(solver, objective, box=CUBE, seed=0):
 
 def test_the_searches_reach_the_best_of_64_long_searches(windows, problems):
     """That of ``identify`` and, of the paper's discretization, that of ``default_solver``."""
-    long = rf.BasinHopping(rf.ValleySteps(40), restarts=64, hops=0)
+    long = rf.BasinHopping(rf.ValleySteps(40), restarts=64, hops=0, refine=rf.ValleySteps(40))
     best = search(long, PositionObjective(problems), seed=1)
     found = np.log(np.asarray(rf.identify(windows, dt=0.1, scales=1, bounds=1.0).linear.norms))
     hopping = np.asarray(search(default_solver(), PositionObjective(problems)))
@@ -59,44 +58,44 @@ def test_the_searches_reach_the_best_of_64_long_searches(windows, problems):
     assert np.mean(hopping - best > 1e-3) <= 1e-3
 
 
-def slow_motions(label):
-    """Of slow motions: linear moments (6, 10, 144, 4), linear type, and log J of the true origins (144,)."""
+def above_truth(label):
+    """How far the search of slow motions ends above log J of the true origin, (96,)."""
     frame = rf.ConstraintFrame.named(label)
-    poses, centre = simulated(label, np.logspace(-6, -5, 4), 36, "slow")
+    poses, centre = simulated(label, np.logspace(-6, -5, 4), 24, "slow")
     linear = six_moments(poses, 0.1)[1]
     kind = frame.linear_type
     origin = frame.position[None] - (centre if kind.position_body == rf.AngularType.G else 0 * centre)
-    return linear, int(kind), PositionObjective(linear[..., int(kind)]).value(origin.T)
+    at_truth = PositionObjective(linear[..., int(kind)]).value(origin.T)
+    return np.asarray(search(default_solver(), PositionObjective(linear))[:, int(kind)] - at_truth)
 
 
 def test_slow_motion_is_mostly_explained_as_well_as_by_the_truth():
     """Its valleys are many and narrow: without rounds 21 % of these searches end above the truth, not 4 %."""
-    linear, kinds, at_truth = zip(*map(slow_motions, "KL"), strict=True)
-    # as many problems as above, so that the program is the same
-    found = search(default_solver(), PositionObjective(jnp.concatenate(linear, axis=2)))
-    ends = found[np.arange(288), np.repeat(kinds, 144)]
-    assert np.mean(ends - jnp.concatenate(at_truth) > 1e-3) < 0.07
+    assert np.mean(np.concatenate([above_truth(label) for label in "KL"]) > 1e-3) < 0.07
 
 
 # the stillest axis alone (-inf) has many minima of nearly the same depth: which of them a search ends in
-# depends on rounding
-@pytest.mark.parametrize(("exponent", "missed"), [(-np.inf, 0.06), (-1.0, 0.02), (1.0, 1e-3)])
+# depends on rounding, and so do the misses: 1 or 2 of the 96 problems here with jax 0.10, 4 with 0.11
+LARGEST_MISS = 0.03 if jax.__version_info__ < (0, 11) else 0.06
+
+
+@pytest.mark.parametrize(("exponent", "missed"), [(-np.inf, LARGEST_MISS), (-1.0, 1e-3), (1.0, 1e-3)])
 def test_other_norms_reach_the_best_of_longer_searches(problems, exponent, missed):
-    some = PositionObjective(problems[:, :, ::24], exponent)
-    long = rf.BasinHopping(rf.ValleySteps(12), restarts=24, hops=2)
+    some = PositionObjective(problems[:, :, ::12], exponent)
+    long = rf.BasinHopping(rf.ValleySteps(20), restarts=48, hops=2)
+    joint = JointSearch(rf.BasinHopping(rf.FrameSteps(15), restarts=48, hops=4), refine=rf.ValleySteps(10))
+    best = jnp.minimum(search(long, some, seed=1), search(joint, some, seed=1))
     found = search(default_solver(exponent), some)
-    best = jnp.minimum(search(long, some, seed=1), found)
+    best = jnp.minimum(best, found)
     assert np.mean(np.asarray(found - best) > 1e-3) <= missed
 
 
-@pytest.mark.parametrize("exponent", [0.0, -1.0])
-def test_searching_rotation_and_position_finds_the_optimum_of_the_closed_form(problems, exponent):
-    """Frames are found with the same norm in some problems, and with a lower norm in none."""
+def test_searching_rotation_and_position_finds_the_optimum_of_the_closed_form(problems):
+    """The two routes agree to 1e-6 relative, problem by problem."""
     some = problems[:, :, 4::24]
-    eliminated = search(default_solver(exponent), PositionObjective(some, exponent))
+    eliminated = search(default_solver(), PositionObjective(some))
     turn = jnp.full(3, jnp.pi)
     box = Box(jnp.concatenate([-turn, CUBE.low]), jnp.concatenate([turn, CUBE.high]))
-    solver = rf.BasinHopping(rf.NewtonSteps(12), restarts=16, hops=1, polish=3)
-    above = np.asarray(eliminated - search(solver, FrameObjective(some, exponent), box))
-    assert np.mean(np.abs(above) < 1e-5) > 0.2
-    assert np.max(above) < (1e-6 if exponent == 0 else 0.01)
+    solver = rf.BasinHopping(rf.FrameSteps(15), restarts=16, hops=2, refine=rf.FrameSteps(60))
+    full = search(solver, FrameObjective(some), box)
+    np.testing.assert_allclose(np.exp(np.asarray(full - eliminated)), 1, atol=1e-6)

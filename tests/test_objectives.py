@@ -9,20 +9,19 @@ import pytest
 from algebra import from_matrix
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planted_problems import moments_of
 from scipy.spatial.transform import Rotation
 
-from benchmarks.frames import FrameObjective
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.geometry.symmetric import to_matrix
+from reframe_jax.objectives.moments import velocity_moments
 from reframe_jax.objectives.norms import check_exponent, log_power_mean
-from reframe_jax.objectives.velocity import PositionObjective
+from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
 
 EXPONENTS = (-math.inf, -3.0, -1.0, -1e-6, 0.0, 1e-6, 0.5, 1.0, 2.0)
 SOME_EXPONENTS = (-math.inf, -3.0, 0.0, 1e-6, 2.0)  # where each takes long to compile
 
 # one program each, instead of one for every operation
-turned = jax.jit(rotation_exp)
+moments_of, turned = jax.jit(velocity_moments), jax.jit(rotation_exp)
 value_of = jax.jit(lambda objective, x: objective.value(x))
 covariance_of = jax.jit(lambda objective, x: to_matrix(objective.covariance(x)))
 
@@ -125,15 +124,16 @@ class TestPowerMean:
 
 
 class TestObjectives:
-    def test_value_is_the_logarithm_of_the_norm(self, rng):
+    @pytest.mark.parametrize("exponent", SOME_EXPONENTS)
+    def test_value_is_the_logarithm_of_the_norm(self, exponent, rng):
         maps = rng.normal(size=(4, 20, 3, 4))
         x = rng.normal(size=(6, 4))
-        objective = FrameObjective(moments_of(maps))
-        norm = norm_at(x[:3].T, x[3:].T, maps, 0.0)
+        objective = FrameObjective(moments_of(maps), exponent)
+        norm = norm_at(x[:3].T, x[3:].T, maps, exponent)
         assert objective.dim == 6
         np.testing.assert_allclose(value_of(objective, x), np.log(norm), atol=1e-12)
-        rates = FrameObjective(moments_of(maps[..., :1]))
-        norm = norm_at(x[:3].T, None, maps[..., 0], 0.0)
+        rates = FrameObjective(moments_of(maps[..., :1]), exponent)
+        norm = norm_at(x[:3].T, None, maps[..., 0], exponent)
         assert rates.dim == 3
         np.testing.assert_allclose(value_of(rates, x[:3]), np.log(norm), atol=1e-12)
 
@@ -152,10 +152,12 @@ class TestObjectives:
             assert expected == pytest.approx(np.log(np.linalg.det(covariance)) / 6, abs=1e-12)
         assert value_of(PositionObjective(moments_of(maps[..., :1]), exponent), position) < np.inf
 
-    @pytest.mark.parametrize("exponent", [-1.0, 0.0])
-    def test_derivatives(self, exponent, rng):
+    @pytest.mark.parametrize(
+        ("kind", "exponent"), [(FrameObjective, -1.0), (PositionObjective, -1.0), (PositionObjective, 0.0)]
+    )
+    def test_derivatives(self, kind, exponent, rng):
         """Gradient and Hessian, which the local minimisers step on."""
-        objective = PositionObjective(moments_of(rng.normal(size=(20, 3, 4))), exponent)
+        objective = kind(moments_of(rng.normal(size=(20, 3, 4))), exponent)
         x = rng.normal(size=objective.dim)
         step = 1e-5
         around = x + step * np.concatenate([np.eye(x.size), -np.eye(x.size), np.zeros((1, x.size))])
@@ -184,9 +186,11 @@ class TestObjectives:
 
     def test_objectives_are_pytrees(self, rng):
         moments = moments_of(rng.normal(size=(3, 20, 3, 4)))
-        for objective in (FrameObjective(moments), PositionObjective(moments, 1.0)):
+        for kind in (FrameObjective, PositionObjective):
+            objective = kind(moments, 1.0)
             assert [leaf.shape for leaf in jax.tree.leaves(objective)] == [(6, 10, 3)]
             one = jax.tree.map(lambda leaf: leaf[..., 1], objective)
+            assert one.exponent == 1.0
             x = rng.normal(size=(objective.dim, 3))
             np.testing.assert_allclose(value_of(one, x[:, 1]), value_of(objective, x)[1], rtol=1e-12)
 

@@ -271,7 +271,7 @@ def test_descriptions_differ_where_values_do() -> None:
         (jax.random.key(3), jax.random.key(4), jax.random.key(3, impl="rbg")),
         (np.zeros(65), np.zeros(66), np.eye(65)[0], np.zeros(64)),
         (rf.LinearType.GB, rf.LinearType.BG, rf.AngularType.B, 1),
-        (rf.ValleySteps(2), rf.ValleySteps(3), rf.NewtonSteps(2)),
+        (rf.ValleySteps(2), rf.ValleySteps(3), rf.FrameSteps(2)),
     )
     for values in equal:
         records = [json.loads(json.dumps(describe(value), allow_nan=False)) for value in values]

@@ -8,9 +8,8 @@ import pytest
 from planted_problems import FRAMES, POSITIONS, VALLEY, compiled, four_moments, frame_value, search_positions
 from scipy.spatial.transform import Rotation
 
-from benchmarks.frames import FrameObjective
 from reframe_jax.geometry.symmetric import to_matrix
-from reframe_jax.objectives.velocity import PositionObjective
+from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
 from reframe_jax.solvers import BasinHopping, NewtonSteps, OptaxSteps
 from reframe_jax.solvers.newton_steps import newton_steps
 

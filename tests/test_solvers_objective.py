@@ -7,13 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
-from planted_problems import KEY, POSITIONS, compiled, four_moments
+from planted_problems import FRAMES, KEY, POSITIONS, compiled, four_moments
 
 from reframe_jax import objectives, solvers
-from reframe_jax.objectives import MomentsObjective, Objective, PositionObjective
+from reframe_jax.objectives import FrameObjective, MomentsObjective, Objective, PositionObjective
 from reframe_jax.solvers import (
     BasinHopping,
     Box,
+    FrameSteps,
+    JointSearch,
     NewtonSteps,
     OptaxSteps,
     ValleySteps,
@@ -77,13 +79,14 @@ def test_any_shape_of_problems():
 
 
 def test_a_norm_of_ones_own_gets_the_steps_of_moments():
-    """Not the class decides but the moments and the exponent."""
+    """Not the class decides but the moments, the exponent and the unknowns."""
 
     @jax.tree_util.register_dataclass
     @dataclass(frozen=True)
     class Norm:
         moments: jax.Array
         exponent = 0.0
+        unknowns = "position"
         dim = 3
         batch = property(lambda self: self.moments.shape[2:])
         dtype = property(lambda self: self.moments.dtype)
@@ -99,8 +102,15 @@ def test_a_norm_of_ones_own_gets_the_steps_of_moments():
 
 
 def test_steps_that_want_moments():
-    with pytest.raises(ValueError, match=r"PositionObjective.*not a Bowls"):
-        ValleySteps(1)(BOWLS, POSITIONS, jnp.zeros((3, 4)))
+    frames = FrameObjective(four_moments())
+    for objective in (frames, FrameObjective(four_moments()[:, :1]), BOWLS):
+        with pytest.raises(ValueError, match=f"PositionObjective.*not a {type(objective).__name__}"):
+            ValleySteps(1)(objective, POSITIONS, jnp.zeros((3, 4)))
+        with pytest.raises(ValueError, match=f"not a {type(objective).__name__}"):
+            JointSearch(BasinHopping(FrameSteps(1)), ValleySteps(1)).minimise(objective, POSITIONS, KEY)
+    for objective in (PositionObjective(four_moments()), BOWLS):
+        with pytest.raises(ValueError, match=f"FrameObjective.*not a {type(objective).__name__}"):
+            FrameSteps(1)(objective, FRAMES, jnp.zeros((6, 4)))
     with pytest.raises(ValueError, match="not a Bowls"):
         BasinHopping(ValleySteps(1)).minimise(BOWLS, SQUARE, KEY)
 
@@ -132,8 +142,8 @@ def test_what_is_no_objective_is_named():
 
 def test_the_protocol_is_public():
     assert solvers.Objective is objectives.Objective is Objective
-    objective = PositionObjective(four_moments())
-    assert isinstance(objective, Objective)
-    assert isinstance(objective, MomentsObjective)
+    for objective in (FrameObjective(four_moments()), PositionObjective(four_moments())):
+        assert isinstance(objective, Objective)
+        assert isinstance(objective, MomentsObjective)
     assert isinstance(BOWLS, Objective)
     assert not isinstance(BOWLS, MomentsObjective)

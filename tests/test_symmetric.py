@@ -9,9 +9,14 @@ from algebra import from_matrix
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from reframe_jax.geometry.rotations import rotation_exp
-from reframe_jax.geometry.small import rotate, solve_positive
-from reframe_jax.geometry.symmetric import INDEX_PAIRS, pivots, to_matrix
+from reframe_jax.geometry.small import solve_positive
+from reframe_jax.geometry.symmetric import (
+    INDEX_PAIRS,
+    eigh,
+    pivots,
+    quadratic_form,
+    to_matrix,
+)
 
 
 def orthogonal(rng, *shape):
@@ -29,6 +34,122 @@ def with_spectrum(rng, values, count=40):
     return (m + np.swapaxes(m, -1, -2)) / 2
 
 
+@jax.jit
+def decompose(matrix):
+    values, vectors = eigh(from_matrix(matrix))
+    columns = [jnp.stack(vector, axis=-1) for vector in vectors]
+    return jnp.stack(values, axis=-1), jnp.stack(columns, axis=-1)
+
+
+def check(matrices, dtype=np.float64, tolerance=8):
+    """Eigenvalues against NumPy, and orthonormal vectors that diagonalise; errors over the norm."""
+    matrices = matrices.astype(dtype)
+    values, vectors = (np.asarray(x, dtype=np.float64) for x in decompose(jnp.asarray(matrices)))
+    exact = matrices.astype(np.float64)
+    scale = np.max(np.abs(exact), axis=(-2, -1), initial=1e-300)[..., None]
+    if jax.default_backend() != "cpu" and dtype == np.float32:
+        tolerance *= 3  # square roots of GPUs are not rounded correctly
+    error = tolerance * np.finfo(dtype).eps
+    np.testing.assert_allclose(np.sort(values) / scale, np.linalg.eigvalsh(exact) / scale, atol=error)
+    transposed = np.swapaxes(vectors, -1, -2)
+    np.testing.assert_allclose(transposed @ vectors, np.broadcast_to(np.eye(3), vectors.shape), atol=error)
+    residual = (exact @ vectors - vectors * values[..., None, :]) / scale[..., None]
+    np.testing.assert_allclose(residual, 0, atol=error)
+
+
+class TestEigh:
+    @pytest.mark.parametrize("dtype", [np.float64, np.float32])
+    def test_random(self, dtype, rng):
+        check(symmetric(rng, 500), dtype)
+
+    @pytest.mark.parametrize("dtype", [np.float64, np.float32])
+    @pytest.mark.parametrize(
+        "values", [(1e-10, 1e-10, 1), (1e-10, 1e-5, 1), (1e-5, 1, 1), (1, 1, 1), (-1, 0, 1), (0, 0, 1)]
+    )
+    def test_graded_and_degenerate(self, values, dtype, rng):
+        check(with_spectrum(rng, values), dtype)
+
+    @pytest.mark.parametrize("dtype", [np.float64, np.float32])
+    def test_special(self, dtype):
+        """Zero, diagonal in any order, one plane only, all ones, and far from 1 in size."""
+        special = np.array(
+            [
+                np.zeros((3, 3)),
+                np.eye(3),
+                np.diag([3.0, 1.0, 2.0]),
+                np.diag([2.0, 2.0, -1.0]),
+                [[1, 1, 0], [1, 1, 0], [0, 0, 1]],
+                [[0, 0, 1], [0, 0, 0], [1, 0, 0]],
+                np.ones((3, 3)),
+                np.ones((3, 3)) + np.eye(3),
+            ]
+        )
+        for size in (1, 1e-25, 1e25):
+            check(size * special, dtype)
+
+    @pytest.mark.parametrize("dtype", [np.float64, np.float32])
+    def test_tiny_coupling(self, dtype):
+        """Off-diagonal entries whose squares vanish, beside equal diagonal ones."""
+        tiny = np.sqrt(np.finfo(dtype).tiny) / 16
+        matrix = np.array([[1, tiny, 0], [tiny, 1, tiny], [0, tiny, 2]], dtype=dtype)
+        for m in (matrix, matrix * dtype(tiny)):
+            check(m[None], dtype)
+
+    def test_small_eigenvalues_keep_their_digits(self, rng):
+        """Of a scaled well-conditioned matrix each is accurate relative to itself, not to the largest."""
+        mp.mp.dps = 50
+        for _ in range(10):
+            d = 10.0 ** np.array([0, -4, -8])[rng.permutation(3)]
+            m = d[:, None] * (np.eye(3) + 0.3 * np.clip(symmetric(rng), -1, 1)) * d
+            m = (m + m.T) / 2
+            exact = np.sort([float(x) for x in mp.eigsy(mp.matrix(m.tolist()), eigvals_only=True)])
+            values, _ = decompose(jnp.asarray(m))
+            np.testing.assert_allclose(np.sort(values), exact, rtol=1e-14)
+
+    def test_derivative(self, rng):
+        """Of values and vectors, against central differences."""
+        for values in ((1.0, 2.0, 4.0), (1e-3, 0.1, 1.0)):
+            m, dm = with_spectrum(rng, values, 1)[0], symmetric(rng)
+            h = 1e-5 * values[0]
+            _, rates = jax.jvp(decompose, (jnp.asarray(m),), (jnp.asarray(dm),))
+            up, down = decompose(m + h * dm), decompose(m - h * dm)
+            for rate, plus, minus in zip(rates, up, down, strict=True):
+                difference = (np.asarray(plus) - np.asarray(minus)) / (2 * h)
+                np.testing.assert_allclose(rate, difference, rtol=1e-5, atol=1e-6)
+
+    def test_reverse_and_second_derivatives(self, rng):
+        """log det through the eigenvalues: gradient the inverse, Hessian what calculus says."""
+        m, a, b = with_spectrum(rng, (0.1, 0.5, 2.0), 1)[0], symmetric(rng), symmetric(rng)
+
+        def log_det(m):
+            return jnp.sum(jnp.log(decompose(m)[0]))
+
+        inverse = np.linalg.inv(m)
+        _, rate = jax.jit(lambda m: jax.jvp(log_det, (m,), (jnp.asarray(a),)))(m)
+        assert rate == pytest.approx(np.trace(inverse @ a), rel=1e-12)
+        along = jax.jit(lambda t: log_det(m + t[0] * a + t[1] * b))
+        second = jax.jit(jax.hessian(along))(jnp.zeros(2))
+        assert second[0, 1] == pytest.approx(-np.trace(inverse @ a @ inverse @ b), rel=1e-11)
+        slope = jax.jit(jax.grad(along))(jnp.zeros(2))
+        np.testing.assert_allclose(slope, [np.trace(inverse @ a), np.trace(inverse @ b)], rtol=1e-12)
+
+    def test_derivative_at_equal_eigenvalues_is_finite(self, rng):
+        dm = symmetric(rng, 3)
+        m = np.array([np.zeros((3, 3)), np.eye(3), np.diag([1.0, 1.0, 2.0])])
+        _, (values, vectors) = jax.jvp(decompose, (jnp.asarray(m),), (jnp.asarray(dm),))
+        assert np.all(np.isfinite(values))
+        assert np.all(np.isfinite(vectors))
+        np.testing.assert_allclose(np.sum(values, axis=-1), np.trace(dm, axis1=1, axis2=2), atol=1e-14)
+
+    def test_a_bad_matrix_spoils_no_other(self, rng):
+        m = symmetric(rng, 5)
+        spoilt = m.copy()
+        spoilt[2, 0, 1] = spoilt[2, 1, 0] = np.nan
+        for good, bad in zip(decompose(m), decompose(spoilt), strict=True):
+            np.testing.assert_array_equal(np.delete(good, 2, axis=0), np.delete(bad, 2, axis=0))
+            assert np.any(np.isnan(bad[2]))
+
+
 def test_components(rng):
     m = symmetric(rng, 4, 2)
     s = from_matrix(jnp.asarray(m))
@@ -38,14 +159,11 @@ def test_components(rng):
     np.testing.assert_array_equal(to_matrix(s), m)
 
 
-def test_turning_is_the_exponential_to_second_order(rng):
-    axes = rotation_exp(jnp.asarray(rng.normal(size=3)))
-    for size in (1e-3, 2.0):
-        d = size * rng.normal(size=3)
-        turned = np.asarray(rotate(jnp.asarray(d), axes))
-        np.testing.assert_allclose(turned.T @ turned, np.eye(3), atol=1e-14)
-        exact = np.asarray(rotation_exp(jnp.asarray(d)) @ axes)
-        assert np.max(np.abs(turned - exact)) < np.linalg.norm(d) ** 3
+def test_products(rng):
+    m, (a, b) = symmetric(rng, 20), rng.normal(size=(2, 20, 3))
+    s = from_matrix(jnp.asarray(m))
+    found = quadratic_form(tuple(jnp.asarray(a.T)), s, tuple(jnp.asarray(b.T)))
+    np.testing.assert_allclose(found, np.einsum("ni,nij,nj->n", a, m, b), atol=1e-13)
 
 
 def test_solve_positive(rng):

@@ -6,25 +6,26 @@ import jax.numpy as jnp
 from reframe_jax.identification.preparation import Prepared
 from reframe_jax.motion import kinematics
 from reframe_jax.motion.kinematics import Discretization
-from reframe_jax.objectives.moments import add_variance, velocity_moments
+from reframe_jax.objectives.moments import add_variance, component_moments
 from reframe_jax.objectives.velocity import PositionObjective
-from reframe_jax.solvers import BasinHopping, Box, Solver, ValleySteps
+from reframe_jax.solvers import BasinHopping, Box, FrameSteps, JointSearch, Solver, ValleySteps
 
 __all__ = ["default_solver", "paper_origins", "step_moments"]
 
 _FLOOR = 16  # rounding errors added to a covariance, so that it is positive definite without noise
 
 _VALLEY = BasinHopping(ValleySteps(6), restarts=7, hops=2, polish=1, rounds=8)
-_OTHER = BasinHopping(ValleySteps(8), restarts=8, hops=4, polish=2)
+_POSITIVE = BasinHopping(ValleySteps(8), restarts=8, hops=4, polish=2)
+_NEGATIVE = JointSearch(BasinHopping(FrameSteps(10), restarts=16, hops=3, polish=2), refine=ValleySteps(4))
 
 
-def default_solver(norm: float = 0.0) -> BasinHopping:
+def default_solver(norm: float = 0.0) -> BasinHopping | JointSearch:
     """Return the solver that ``identify`` uses for velocities between consecutive poses (``scales=1``).
 
     Args:
         norm: exponent of the power mean over the axes, in [-inf, 2].
     """
-    return _VALLEY if norm == 0 else _OTHER
+    return _VALLEY if norm == 0 else _POSITIVE if norm > 0 else _NEGATIVE
 
 
 def step_moments(poses: jax.Array, steps: jax.Array, discretization: Discretization) -> tuple[jax.Array, ...]:
@@ -41,7 +42,7 @@ def step_moments(poses: jax.Array, steps: jax.Array, discretization: Discretizat
     """
     found = []
     for maps in kinematics.velocity_components(poses, steps, discretization):
-        moments = jnp.moveaxis(velocity_moments(maps), 2, -1)
+        moments = jnp.moveaxis(component_moments(maps), 2, -1)
         squares = [
             moments[i, j] for i in (0, 3, 5) for j in ((0,) if moments.shape[1] == 1 else (0, 4, 7, 9))
         ]

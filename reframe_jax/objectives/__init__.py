@@ -6,9 +6,10 @@ A user may minimize any function that has the members of ``Objective``.
 
 from reframe_jax.objectives.norms import check_exponent, log_power_mean
 from reframe_jax.objectives.protocol import MomentsObjective, Objective
-from reframe_jax.objectives.velocity import PositionObjective
+from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
 
 __all__ = [
+    "FrameObjective",
     "MomentsObjective",
     "Objective",
     "PositionObjective",

@@ -1,6 +1,6 @@
 """What an objective is: the members that solvers use, and checks of these members."""
 
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import jax
 import numpy as np
@@ -43,10 +43,10 @@ class Objective(Protocol):
 
 @runtime_checkable
 class MomentsObjective(Objective, Protocol):
-    """A norm of velocities over the origins of frames, computed from second moments.
+    """A norm of velocities that is computed from their second moments.
 
-    ``ValleySteps`` minimize such a norm. They compute their steps from the moments and the exponent, and call
-    ``value`` for the result only.
+    ``ValleySteps`` and ``FrameSteps`` minimize such a norm. They compute their steps from the moments and the
+    exponent, and call ``value`` for the result only.
     """
 
     @property
@@ -57,6 +57,11 @@ class MomentsObjective(Objective, Protocol):
     @property
     def exponent(self) -> float:
         """Exponent of the power mean over the axes."""
+        ...
+
+    @property
+    def unknowns(self) -> Literal["frame", "position"]:
+        """What the solver varies: "frame" (orientation and origin) or "position" (origin, best axes)."""
         ...
 
 
@@ -85,3 +90,13 @@ def check_objective(objective: Any) -> None:
                 f"{name}{jax.tree_util.keystr(path)} has the shape {shape}. Use a static field for data that "
                 "is common to all problems."
             )
+
+
+def require_moments(objective: Any, unknowns: str, solver: str) -> MomentsObjective:
+    """Return a :class:`MomentsObjective` over "frame" or "position"; raise a ValueError for others."""
+    if isinstance(objective, MomentsObjective) and objective.unknowns == unknowns:
+        return objective
+    raise ValueError(
+        f"{solver} minimize norms given by moments (a {unknowns.capitalize()}Objective), not a "
+        f"{type(objective).__name__}; NewtonSteps and OptaxSteps minimize any objective."
+    )

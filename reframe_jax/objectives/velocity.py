@@ -1,12 +1,13 @@
-"""The paper's norms as objectives: the value is log J, over origins."""
+"""The paper's norms as objectives: the value is log J, over frames or over origins."""
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.geometry import symmetric
+from reframe_jax.geometry import rotations, symmetric
 from reframe_jax.objectives.moments import covariance_at
 from reframe_jax.objectives.norms import log_power_mean
 
@@ -16,10 +17,9 @@ def log_norm(covariance: symmetric.Symmetric, exponent: float) -> jax.Array:
 
     The result is infinite where a covariance is not positive definite.
     """
-    if exponent == 0:  # only the product of the variances counts, which equals the product of the pivots
-        squares = jnp.stack(symmetric.pivots(covariance))
-    else:
-        squares = jnp.moveaxis(jnp.linalg.eigvalsh(symmetric.to_matrix(covariance)), -1, 0)
+    # the geometric mean needs only the product of the variances, which equals the product of the pivots
+    variances = symmetric.pivots(covariance) if exponent == 0 else symmetric.eigh(covariance)[0]
+    squares = jnp.stack(variances)
     positive = jnp.all(squares > 0, axis=0)
     log_rms = jnp.log(jnp.where(positive[None], squares, 1)) / 2
     return jnp.where(positive, log_power_mean(log_rms, exponent), jnp.inf)
@@ -27,27 +27,11 @@ def log_norm(covariance: symmetric.Symmetric, exponent: float) -> jax.Array:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class PositionObjective:
-    """log J as a function of the origin of a frame, with the best axes at each origin.
+class _Moments:
+    """Base class of objectives that depend on moments."""
 
-    The best axes are the eigenvectors of the velocity covariance Sigma. Proof: the variances along orthogonal
-    axes E are the diagonal of E^T Sigma E, which the eigenvalues of Sigma majorize (Schur-Horn). A power mean
-    of the RMS values with exponent p <= 2 is a symmetric concave function of the variances, so its minimum is
-    at the eigenvalues. For the geometric mean, J is det(Sigma)^(1/6).
-
-    Attributes:
-        moments: (6, 10, ...) coefficients of Sigma, or (6, 1, ...) for angular velocities; the trailing axes
-            are problems.
-        exponent: exponent of the power mean over the axes.
-    """
-
-    moments: jax.Array
-    exponent: float = field(default=0.0, metadata={"static": True})
-
-    @property
-    def dim(self) -> int:
-        """Number of unknowns."""
-        return 3
+    moments: jax.Array  # (6, 10, ...), or (6, 1, ...) for angular velocities; the trailing axes are problems
+    exponent: float = field(default=0.0, metadata={"static": True})  # of the power mean over the axes
 
     @property
     def batch(self) -> tuple[int, ...]:
@@ -58,6 +42,54 @@ class PositionObjective:
     def dtype(self) -> np.dtype:
         """Dtype of the unknowns and the values."""
         return self.moments.dtype
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class FrameObjective(_Moments):
+    """log J as a function of the orientation and the origin of a frame.
+
+    The unknowns are a rotation vector (3 numbers, rad) and, for linear velocities, an origin (3 numbers, m).
+    """
+
+    @property
+    def dim(self) -> int:
+        """Number of unknowns: 6 for linear velocities, 3 for angular velocities."""
+        return 6 if self.moments.shape[1] > 1 else 3
+
+    @property
+    def unknowns(self) -> Literal["frame"]:
+        """What the solver varies: the orientation and the origin of a frame."""
+        return "frame"
+
+    def value(self, x: jax.Array) -> jax.Array:
+        """Return log J (...) of the frames with unknowns x, (dim, ...)."""
+        axes = jnp.moveaxis(rotations.rotation_exp(jnp.moveaxis(x[:3], 0, -1)), (-2, -1), (0, 1))
+        sigma = covariance_at(self.moments, (x[-3], x[-2], x[-1]))
+        squares = [symmetric.quadratic_form(axis, sigma, axis) for axis in axes.swapaxes(0, 1)]
+        return log_power_mean(jnp.log(jnp.stack(squares)) / 2, self.exponent)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class PositionObjective(_Moments):
+    """log J as a function of the origin of a frame, with the best axes at each origin.
+
+    The best axes are the eigenvectors of the velocity covariance Sigma. Proof: the variances along orthogonal
+    axes E are the diagonal of E^T Sigma E, which the eigenvalues of Sigma majorize (Schur-Horn). A power mean
+    of the RMS values with exponent p <= 2 is a symmetric concave function of the variances, so its minimum is
+    at the eigenvalues. For the geometric mean, J is det(Sigma)^(1/6).
+    """
+
+    @property
+    def dim(self) -> int:
+        """Number of unknowns."""
+        return 3
+
+    @property
+    def unknowns(self) -> Literal["position"]:
+        """What the solver varies: the origin of a frame, (3, ...) m."""
+        return "position"
 
     def covariance(self, x: jax.Array) -> symmetric.Symmetric:
         """Return the velocity covariance at origins x, (3, ...) m, as six arrays (...)."""

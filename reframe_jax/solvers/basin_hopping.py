@@ -56,10 +56,11 @@ class BasinHopping:
     arrays and can be compiled. They have no rounds, and converged problems take all steps too.
 
     Attributes:
-        inner: local minimizer: :class:`ValleySteps`, or any :data:`LocalMinimiser`.
+        inner: local minimizer: :class:`ValleySteps`, :class:`FrameSteps`, or any :data:`LocalMinimiser`.
         restarts: number of chains per problem.
         hops: number of jumps per chain.
         polish: number of final minimizations per chain, without a jump.
+        refine: another local minimizer, for the best point of all chains; None for no refinement.
         hop_size: standard deviation of a jump, as a fraction of the width of the box.
         temperature: temperature of Metropolis' rule, in units of the value. For a norm J, the value is log J:
             a temperature of 0.1 accepts a norm that is 10 % larger with probability 1/e.
@@ -73,33 +74,37 @@ class BasinHopping:
     restarts: int = 8
     hops: int = 2
     polish: int = 1
+    refine: LocalMinimiser | None = None
     hop_size: float = 0.1
     temperature: float = 0.1
     tolerance: float = 1e-4
     rounds: int = 0
 
-    def init(self, objective: Objective, box: Box, key: jax.Array) -> SearchState:
+    def init(
+        self, objective: Objective, box: Box, key: jax.Array, starts: jax.Array | None = None
+    ) -> SearchState:
         """Return the initial state, with the starts of all chains and infinite values.
-
-        The starts are quasi-random points, equal for all problems; with ``rounds``, some are derived from the
-        data.
 
         Args:
             objective: the problems.
             box: bounds of the search.
             key: JAX random key.
+            starts: (dim, restarts, ...) starts of the chains. By default, quasi-random points, equal for all
+                problems; with ``rounds``, also points derived from the data.
 
         Raises:
             ValueError: if the objective is not an :class:`Objective`.
         """
         check_objective(objective)
         seed_key, key = random.split(key)
-        suggested = round(_SUGGESTED * self.restarts) if self.rounds else 0
-        x = even_starts(objective, box, seed_key, self.restarts - suggested)
-        if suggested:
-            next_key = random.fold_in(seed_key, 1)
-            more = suggested_starts(objective, box, next_key, suggested, _CANDIDATES[0])
-            x = jnp.concatenate([x, more], axis=1)
+        if starts is None:
+            suggested = round(_SUGGESTED * self.restarts) if self.rounds else 0
+            starts = even_starts(objective, box, seed_key, self.restarts - suggested)
+            if suggested:
+                next_key = random.fold_in(seed_key, 1)
+                more = suggested_starts(objective, box, next_key, suggested, _CANDIDATES[0])
+                starts = jnp.concatenate([starts, more], axis=1)
+        x = jnp.broadcast_to(starts, (objective.dim, self.restarts, *objective.batch))
         value = jnp.full(x.shape[1:], jnp.inf, dtype=objective.dtype)
         return SearchState(jnp.zeros((), jnp.int32), key, x, value, x, value)
 
@@ -134,19 +139,26 @@ class BasinHopping:
             jnp.where(better, value, state.best_value),
         )
 
-    def finish(self, state: SearchState) -> Solution:
-        """Return the best point of the chains of every problem."""
-        x, value = _lowest(state)
-        close = state.best_value < value + 1e-3
-        return Solution(x[:, 0], value[0], jnp.mean(close.astype(value.dtype), axis=0))
+    def finish(self, objective: Objective, box: Box, state: SearchState) -> Solution:
+        """Refine the best point of the chains of every problem, and return the solution."""
+        lowest, lowest_value = _lowest(state)
+        x, value = lowest[:, 0], lowest_value[0]
+        if self.refine is not None:
+            refined, refined_value = self.refine(objective, box, x)
+            better = refined_value < value
+            x, value = jnp.where(better[None], refined, x), jnp.where(better, refined_value, value)
+        close = state.best_value < value[None] + 1e-3
+        return Solution(x, value, jnp.mean(close.astype(value.dtype), axis=0))
 
-    def minimise(self, objective: Objective, box: Box, key: jax.Array) -> Solution:
+    def minimise(
+        self, objective: Objective, box: Box, key: jax.Array, starts: jax.Array | None = None
+    ) -> Solution:
         """Run the whole search: :meth:`init`, :meth:`step` until every problem is done, and :meth:`finish`.
 
         Arguments and errors as in :meth:`init`. A converged problem is done after one step; the others after
         1 + ``hops`` + ``polish`` steps, in each of their rounds.
         """
-        state = self.init(objective, box, key)
+        state = self.init(objective, box, key, starts)
         last = 1 + self.hops + self.polish
 
         def continues(carry: tuple[SearchState, jax.Array, jax.Array]) -> jax.Array:
@@ -173,7 +185,7 @@ class BasinHopping:
 
         every = jnp.ones(state.value.shape[1:], bool)
         state, _, _ = lax.while_loop(continues, advance, (state, jnp.zeros((), jnp.int32), every))
-        return self.finish(state)
+        return self.finish(objective, box, state)
 
     def _start_round(self, objective: Objective, box: Box, state: SearchState) -> SearchState:
         """Start a round: one chain at the best point, the other chains at points derived from the data."""

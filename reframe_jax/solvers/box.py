@@ -12,7 +12,8 @@ class Box:
     """Lower and upper bounds of the unknowns of a search.
 
     Attributes:
-        low, high: (dim,), in the units of the unknowns, such as m for positions; equal for all problems.
+        low, high: (dim,) for equal bounds of all problems, or (dim, ...) with one box per problem. The units
+            are those of the unknowns: rad for rotation vectors, m for positions.
     """
 
     low: jax.Array
@@ -20,6 +21,8 @@ class Box:
 
     def bounds(self, x: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return the lower and the upper bounds, reshaped for operations with unknowns x, (dim, ...)."""
+        if self.low.ndim > 1:
+            return self.low.reshape(x.shape), self.high.reshape(x.shape)
         shape = (-1, *([1] * (x.ndim - 1)))
         return self.low.reshape(shape), self.high.reshape(shape)
 

@@ -49,7 +49,7 @@ def suggested_starts(
     best of several candidates. For other objectives, the starts cover the box evenly.
     """
     batch, dtype = objective.batch, objective.dtype
-    if not isinstance(objective, MomentsObjective):
+    if not (isinstance(objective, MomentsObjective) and objective.unknowns == "position"):
         return even_starts(objective, box, key, count)
     d = partial(random.normal, shape=(3, candidates * count), dtype=dtype)(key)
     d = d.reshape(3, candidates * count, *([1] * len(batch)))

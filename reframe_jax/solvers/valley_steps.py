@@ -5,9 +5,6 @@ mean, f = log det Sigma(p) / 6. Each iteration tries Newton steps on powers of J
 Because f is concave in Sigma, its tangent tr(W(p0) Sigma(p)) with W = df/dSigma bounds f from above. The
 bound is quadratic in p, so a 3x3 system gives its minimum. The majorizing step is the best step at points
 distant from the optimum, and if all three axes are constrained.
-
-With a negative exponent, the stillest axis dominates the norm, and the norm has many narrow minima. The steps
-then start at the nearest minimum of the geometric mean, to which all axes contribute.
 """
 
 from dataclasses import dataclass
@@ -15,7 +12,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from reframe_jax.objectives.protocol import MomentsObjective, Objective
+from reframe_jax.objectives.protocol import MomentsObjective, Objective, require_moments
 from reframe_jax.objectives.velocity import PositionObjective, log_norm
 from reframe_jax.solvers.box import Box
 from reframe_jax.solvers.newton_steps import derivatives, steps_in_box, take_best_steps
@@ -27,7 +24,7 @@ class ValleySteps:
     """Local minimizer of a :class:`PositionObjective`: the origin of a frame.
 
     Attributes:
-        steps: number of steps, equal for all problems of a batch; with a negative exponent, for each mean.
+        steps: number of steps, equal for all problems of a batch.
     """
 
     steps: int = 12
@@ -41,13 +38,9 @@ class ValleySteps:
             ValueError: for another objective.
         """
         known = self.check(objective)
-        found = x
-        for exponent in (0.0, known.exponent) if known.exponent < 0 else (known.exponent,):
-            norm = PositionObjective(known.moments, exponent)
-            found, _ = minimise_each(self._minimise_one, norm, box, found)
-        value, before = objective.value(found), objective.value(x)
-        lower = ~(value >= before)
-        return jnp.where(lower[None], found, x), jnp.where(lower, value, before)
+        norm = PositionObjective(known.moments, known.exponent)
+        found, _ = minimise_each(self._minimise_one, norm, box, x)
+        return found, objective.value(found)
 
     def _minimise_one(self, norm: PositionObjective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
         def steps_at(x: jax.Array) -> jax.Array:
@@ -78,9 +71,4 @@ class ValleySteps:
         Raises:
             ValueError: for another objective; the message names a minimizer that works.
         """
-        if isinstance(objective, MomentsObjective):
-            return objective
-        raise ValueError(
-            "ValleySteps minimize norms given by moments (a PositionObjective), not a "
-            f"{type(objective).__name__}; NewtonSteps and OptaxSteps minimize any objective."
-        )
+        return require_moments(objective, "position", "ValleySteps")

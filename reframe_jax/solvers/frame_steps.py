@@ -1,0 +1,126 @@
+"""A local minimizer over the orientation and the origin of a frame together.
+
+A step rotates the frame about its axes and shifts its origin, so rotation vectors cause no singularities.
+Each iteration tries Newton steps on powers of the norm J, and two steps that also work at points distant from
+the optimum. With the axes E, the velocity covariance Sigma at the origin and S = E^T Sigma E, these are:
+
+- *aligning*: rotate by Jacobi's angles, each of which makes one off-diagonal entry of S zero;
+- *majorizing*: move the origin to the minimum of sum_n q_n v_n(p) / v_n, where v_n is the variance along axis
+  n and q_n its weight in the power mean. This sum bounds log J from above, because J is concave in the
+  variances.
+
+Each iteration tries the two steps together and separately, and takes the step with the lowest value.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from reframe_jax.geometry import rotations, symmetric
+from reframe_jax.geometry.products import matmul
+from reframe_jax.geometry.small import rotate
+from reframe_jax.objectives.moments import covariance_at
+from reframe_jax.objectives.norms import log_power_mean
+from reframe_jax.objectives.protocol import MomentsObjective, Objective, require_moments
+from reframe_jax.objectives.velocity import FrameObjective
+from reframe_jax.solvers.box import Box
+from reframe_jax.solvers.newton_steps import derivatives, steps_in_box, take_best_steps
+from reframe_jax.solvers.protocol import minimise_each
+
+_Frame = tuple[jax.Array, jax.Array]  # axes (3, 3), columns of E, and origin (3,)
+
+
+def _aligning_rotation(s: jax.Array) -> jax.Array:
+    """Rotation angles about the axes, (3,), each of which makes one off-diagonal entry of S (3, 3) zero."""
+
+    def angle(i: int, j: int) -> jax.Array:
+        half, off = (s[j, j] - s[i, i]) / 2, s[i, j]
+        tangent = off / (jnp.abs(half) + jnp.hypot(half, off))
+        return jnp.arctan(jnp.where(off == 0, 0, jnp.where(half < 0, -tangent, tangent)))
+
+    return jnp.stack([angle(1, 2), -angle(0, 2), angle(0, 1)])
+
+
+@dataclass(frozen=True)
+class FrameSteps:
+    """Local minimizer of a :class:`FrameObjective`: orientation and origin together, any power mean.
+
+    The origin stays in the box. The orientation is unbounded; the box bounds only its start.
+
+    Attributes:
+        steps: number of steps, equal for all problems of a batch.
+    """
+
+    steps: int = 10
+
+    def __call__(self, objective: Objective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Minimize every :class:`MomentsObjective` over frames; see :data:`LocalMinimiser`.
+
+        The starts x are rotation vectors, rad, and, for linear velocities, origins, m: (dim, ...).
+
+        Raises:
+            ValueError: for another objective.
+        """
+        known = self.check(objective)
+        norm = FrameObjective(known.moments, known.exponent)
+        found, _ = minimise_each(self._minimise_one, norm, box, x)
+        return found, objective.value(found)
+
+    def _minimise_one(self, norm: FrameObjective, box: Box, x: jax.Array) -> tuple[jax.Array, jax.Array]:
+        free = jnp.full(3, jnp.inf, x.dtype)
+        low, high = jnp.concatenate([-free, box.low[3:]]), jnp.concatenate([free, box.high[3:]])
+
+        def along(frame: _Frame) -> jax.Array:
+            """S = E^T Sigma E, (3, 3)."""
+            axes, origin = frame
+            at = tuple(origin) if len(origin) else (0.0, 0.0, 0.0)
+            sigma = symmetric.to_matrix(covariance_at(norm.moments, at))
+            return matmul(axes.T, matmul(sigma, axes))
+
+        def moved(frame: _Frame, step: jax.Array) -> _Frame:
+            return rotate(-step[:3], frame[0].T).T, frame[1] + step[3:]  # E exp(step) to second order
+
+        def level(frame: _Frame) -> jax.Array:
+            return log_power_mean(jnp.log(jnp.diagonal(along(frame))) / 2, norm.exponent)
+
+        def steps_at(frame: _Frame) -> jax.Array:
+            here = jnp.concatenate([jnp.zeros_like(free), frame[1]])
+
+            def value(there: jax.Array) -> jax.Array:
+                return level(moved(frame, there - here))
+
+            gradient, hessian = derivatives(value, here)
+            s = along(frame)
+            parts = jax.grad(lambda v: log_power_mean(jnp.log(v) / 2, norm.exponent))(jnp.diagonal(s))
+
+            def bound(origin: jax.Array) -> jax.Array:
+                return jnp.sum(parts * jnp.diagonal(along((frame[0], origin))))
+
+            curvature = jax.hessian(bound)(frame[1])
+            shift = steps_in_box(frame[1], low[3:], high[3:], gradient[3:], curvature)[0]
+            turn, still = _aligning_rotation(s), jnp.zeros_like(here)
+            extra = [
+                still.at[:3].set(turn).at[3:].set(shift),
+                still.at[:3].set(turn),
+                still.at[3:].set(shift),
+            ]
+            return jnp.concatenate([steps_in_box(here, low, high, gradient, hessian), jnp.stack(extra)])
+
+        def move(frame: _Frame, step: jax.Array) -> tuple[_Frame, jax.Array]:
+            axes, origin = moved(frame, -step)
+            there = axes, jnp.clip(origin, low[3:], high[3:])
+            return there, level(there)
+
+        start = rotations.rotation_exp(x[:3]), x[3:]
+        (axes, origin), value = take_best_steps(start, level(start), steps_at, move, self.steps)
+        return jnp.concatenate([rotations.rotation_log(axes), origin]), value
+
+    @staticmethod
+    def check(objective: Objective) -> MomentsObjective:
+        """Return the objective if these steps can minimize it.
+
+        Raises:
+            ValueError: for another objective; the message names a minimizer that works.
+        """
+        return require_moments(objective, "frame", "FrameSteps")
