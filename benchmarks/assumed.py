@@ -31,6 +31,7 @@ import reframe_jax as rf
 from benchmarks.common import machine, new_parser, write_record
 from benchmarks.golden import fit_axis
 from reframe_jax.export.common import two_digits
+from reframe_jax.geometry.numpy_rotations import nearest_rotations
 
 __all__ = ["Setting", "axis_errors", "axis_of", "centre_errors", "main", "make", "sara", "score"]
 
@@ -135,10 +136,9 @@ def _solve(poses: np.ndarray) -> tuple[np.ndarray, Any, np.ndarray]:
 # ---------- ours
 def axis_of(found: rf.Identification, poses: np.ndarray) -> Line:
     """Return the identified axis in the ground, at the mean pose; for a ball, only the point is valid."""
-    u, _, v = np.linalg.svd(poses[:, :3, :3].mean(axis=0))
     axis, point = np.asarray(found.angular.axes)[:, 2], np.asarray(found.linear.position)
     if found.angular.frame_type == rf.AngularType.B:
-        axis = u @ v @ axis
+        axis = nearest_rotations(poses[:, :3, :3].mean(axis=0)) @ axis
     if found.linear.frame_type.position_body == rf.AngularType.B:
         point = (poses[:, :3, :3] @ point + poses[:, :3, 3]).mean(axis=0)
     return axis, point

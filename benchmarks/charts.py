@@ -14,7 +14,7 @@ from reframe_jax.simulation.reproduction import Comparison
 
 __all__ = ["Curve", "plot_bars", "plot_comparison", "plot_curves", "plot_maps", "plot_reactions"]
 
-_ROWS = {"exact": "exact frame", "literature": "literature's errors", "identified": "identified"}
+_ROWS = {"exact": "exact frame", "identified": "identified"}
 
 
 @dataclass(frozen=True)
@@ -228,7 +228,7 @@ def plot_comparison(comparisons: Mapping[str, Comparison], *, title: str | None 
     bars = {
         panel: {
             name: [np.asarray(getattr(task.rows[row], part)) for task in comparisons.values()]
-            for row, name in _rows_of(*comparisons.values()).items()
+            for row, name in _ROWS.items()
         }
         for panel, (part, _) in peaks.items()
     }
@@ -237,13 +237,8 @@ def plot_comparison(comparisons: Mapping[str, Comparison], *, title: str | None 
     )
 
 
-def _rows_of(*comparisons: Comparison) -> dict[str, str]:
-    """Return the names of the rows of ``_ROWS`` that all comparisons have."""
-    return {row: name for row, name in _ROWS.items() if all(row in c.rows for c in comparisons)}
-
-
 def plot_reactions(comparison: Comparison, index: int = 0, *, title: str | None = None) -> Figure:
-    """Draw the reactions of one task over time, in exact, inexact and identified frames.
+    """Draw the reactions of one task over time, in exact and identified frames.
 
     Args:
         comparison: comparison of frames with any number of trials.
@@ -256,9 +251,7 @@ def plot_reactions(comparison: Comparison, index: int = 0, *, title: str | None 
         (panels[0], slice(0, 3), "reaction moment [N m]"),
         (panels[1], slice(3, 6), "reaction force [N]"),
     ):
-        for (row, name_of_row), colour, style in zip(
-            _rows_of(comparison).items(), LINES, ("-", "--", ":"), strict=False
-        ):
+        for (row, name_of_row), colour, style in zip(_ROWS.items(), LINES, ("-", "--"), strict=False):
             trials = comparison.rows[row]
             size = np.linalg.norm(np.asarray(trials.reaction)[index, 1:, part], axis=-1)
             axes.plot(

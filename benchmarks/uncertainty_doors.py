@@ -22,6 +22,7 @@ from scipy.stats import chi2
 import reframe_jax as rf
 from benchmarks.common import new_parser
 from benchmarks.golden import fit_axis
+from reframe_jax.geometry.numpy_rotations import nearest_rotations
 from reframe_jax.geometry.rotations import rotation_exp
 
 __all__ = ["DOORS", "DOOR_DATA", "EVERY", "check_door", "check_parts", "check_rate", "in_region"]
@@ -54,8 +55,7 @@ class _Estimate:
         self.found = rf.identify(poses, times=times, assume="hinge")
         self.covariance = rf.covariance(self.found, poses, times=times)
         rotations = poses[:, :3, :3]
-        u, _, v = np.linalg.svd(rotations.mean(axis=0))
-        self.rotation = u @ v
+        self.rotation = nearest_rotations(rotations.mean(axis=0))
         self.body = self.found.angular.frame_type == rf.AngularType.B
         self.axis = np.asarray(self.found.angular.axes)[:, 2]
         self.in_ground = self.rotation @ self.axis if self.body else self.axis

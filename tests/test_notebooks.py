@@ -39,17 +39,10 @@ del gc, os, jax, reframe_jax
 """
 
 
-# smaller runs: the batch of the tests of the arm, and fewer steps of another optimizer
-SMALLER = {"BATCH = 32": "BATCH = 8", "maxiter=100": "maxiter=10"}
-
-
 @pytest.fixture(scope="module")
 def executed() -> dict[Path, list[nbformat.NotebookNode]]:
     """Cells of every notebook with their outputs. One kernel runs them all, and traces identify once."""
     cells = {path: nbformat.read(path, as_version=4).cells for path in NOTEBOOKS}
-    for usual, smaller in SMALLER.items():
-        (cell,) = (cell for each in cells.values() for cell in each if usual in cell.source)
-        cell.source = cell.source.replace(usual, smaller)
     chain = nbformat.v4.new_notebook()
     for each in cells.values():
         chain.cells += [nbformat.v4.new_code_cell(CLEAN), *each]

@@ -65,6 +65,11 @@ def cross(a: Array, b: Array) -> Array:
     return jnp.concatenate([y * w - z * v, z * u - x * w, x * v - y * u])
 
 
+def trace(matrix: Array) -> Array:
+    """Return the traces (...) of matrices (3, 3, ...)."""
+    return matrix[0, 0] + matrix[1, 1] + matrix[2, 2]
+
+
 def axial(matrix: Array) -> Array:
     """Return vectors (3, ...) with the components m_23 - m_32, m_31 - m_13, m_12 - m_21 of (3, 3, ...)."""
     return jnp.stack([matrix[i, j] - matrix[j, i] for i, j in ((1, 2), (2, 0), (0, 1))])

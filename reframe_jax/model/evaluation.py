@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.types import LinearType
-from reframe_jax.geometry.small import largest, sandwich, times, total
+from reframe_jax.geometry.small import largest, sandwich, times, total, trace
 from reframe_jax.model import features as z
 from reframe_jax.model.evidence import Amplitudes, Coordinates, Spectra, amplitudes_of, log_evidence
 from reframe_jax.model.features import Features
@@ -180,7 +180,7 @@ def _squared_levers(features: Features, rotations: Array, origins: Array) -> Arr
     arms = jnp.stack(moved, axis=2)  # (3, M, 5, N)
     squares = total(arms[:, None] * arms[None], 2) / arms.shape[1]
     unit = jnp.eye(3, dtype=arms.dtype)[:, :, None, None]
-    return unit * (squares[0, 0] + squares[1, 1] + squares[2, 2]) - squares
+    return unit * trace(squares) - squares
 
 
 def _limited_noise(products: Array, all_details: Array, white: Array, noise: Array) -> Array:

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from reframe_jax.geometry.rotations import hat
 from reframe_jax.geometry.small import times
 from reframe_jax.motion.paths import twist_paths
 
@@ -90,11 +91,6 @@ def nearest_rotation(matrix: jax.Array) -> jax.Array:
     return jnp.stack([u, v, jnp.cross(u, v)], axis=-1)
 
 
-def _hat(vector: jax.Array) -> jax.Array:
-    """Matrices (..., 3, 3) of the cross product with vectors (..., 3)."""
-    return jnp.cross(vector[..., None, :], jnp.eye(3, dtype=vector.dtype)).swapaxes(-1, -2)
-
-
 def _sensitivity(values: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Derivatives of features (..., 27) with respect to the pose, (..., 27, 3) each.
 
@@ -106,10 +102,10 @@ def _sensitivity(values: jax.Array) -> tuple[jax.Array, jax.Array]:
     zero = jnp.zeros_like(unit)
     inverse = jnp.swapaxes(rotation, -1, -2)
     # R exp(d): every row r of R changes by r x d ... in components, R_il [e_c]_lj
-    cross = _hat(jnp.eye(3, dtype=values.dtype))
+    cross = hat(jnp.eye(3, dtype=values.dtype))
     turned = jnp.einsum("...il,clj->...ijc", rotation, cross).reshape(*values.shape[:-1], 9, 3)
     nine = jnp.zeros_like(turned)
     to_position = jnp.concatenate([unit, nine, inverse, zero, inverse, zero, unit], axis=-2)
-    lever = jnp.einsum("...ij,...jk->...ik", _hat(p), rotation)
-    to_rotation = jnp.concatenate([zero, turned, _hat(q), unit, zero, rotation, lever], axis=-2)
+    lever = jnp.einsum("...ij,...jk->...ik", hat(p), rotation)
+    to_rotation = jnp.concatenate([zero, turned, hat(q), unit, zero, rotation, lever], axis=-2)
     return to_position, to_rotation

@@ -108,13 +108,13 @@ def entry_moments(products: Array, mean: Array) -> EntryMoments:
     # express the position in axes of the main body; it is measured in the ground
     unit = jnp.eye(3, dtype=mean.dtype).reshape(3, 3, *[1] * lanes) + jnp.zeros_like(mean)
     turned = jnp.stack([unit, mean], axis=2)[:, :, None]  # (3, 3, 1, 2, ...)
-    for _ in range(2):
+    for _ in range(2):  # the rows of the symmetric moments, then their columns
         top = total(turned[:, :, None] * rows[:3, None], 0)
         rows = jnp.swapaxes(jnp.concatenate([top, rows[3:]]), 0, 1)
-    both = _IN_BODY.astype(np.int32)
-    position = total(turned[:, :, :, both] * mixed[:, :3, None], 1)
+    body = _IN_BODY.astype(np.int32)
+    position = total(turned[:, :, :, body] * mixed[:, :3, None], 1)
     mixed = jnp.concatenate([position, mixed[:, 3:]], axis=1)
-    return EntryMoments(paths, rows[:, :, :, both], mixed.reshape(3, 4, 6, *rest))
+    return EntryMoments(paths, rows[:, :, :, body], mixed.reshape(3, 4, 6, *rest))
 
 
 def in_body(entry: Table) -> Array:

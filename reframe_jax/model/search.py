@@ -29,6 +29,7 @@ from reframe_jax.geometry.small import (
     solve_positive,
     times,
     total,
+    trace,
 )
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, PACKED
 from reframe_jax.objectives.moments import MONOMIALS
@@ -194,9 +195,9 @@ def _solve(matrix: Array, vector: Array) -> Array:
 
 
 def _lift(matrix: Array) -> Array:
-    trace = matrix[0, 0] + matrix[1, 1] + matrix[2, 2]
-    unit = jnp.eye(3, dtype=trace.dtype).reshape(3, 3, *[1] * trace.ndim)
-    return matrix + (1e-9 * trace + jnp.finfo(matrix.dtype).tiny) * unit
+    size = trace(matrix)
+    unit = jnp.eye(3, dtype=size.dtype).reshape(3, 3, *[1] * size.ndim)
+    return matrix + (1e-9 * size + jnp.finfo(matrix.dtype).tiny) * unit
 
 
 def _tangent_step(coefficients: Array, counts: Array, box: Array, x: Array) -> Array:
@@ -213,8 +214,8 @@ def _expand(coefficients: Array, counts: Array, x: Array) -> tuple[Array, Array,
     form = _tangent(coefficients, counts, inverse)
     change = _slope(coefficients, x)[_PLACE]
     product = materialize(total(inverse[_PLACE][:, :, None, None] * change[None], 1))  # (i, j, a, S, ...)
-    trace = total(product[:, :, :, None] * jnp.swapaxes(product, 0, 1)[:, :, None], 0, 1)
-    exact = 2 * form[1:, 1:] - total(trace * counts, 2)
+    squared = total(product[:, :, :, None] * jnp.swapaxes(product, 0, 1)[:, :, None], 0, 1)
+    exact = 2 * form[1:, 1:] - total(squared * counts, 2)
     value = total(counts * jnp.log(det), 0)
     slope = 2 * (form[1:, 0] + times(form[1:, 1:], x))
     return materialize((value, slope, 2 * form[1:, 1:], exact))

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.types import AngularType
-from reframe_jax.geometry.small import cross, diagonalize, normalize, times, total
+from reframe_jax.geometry.small import cross, diagonalize, normalize, times, total, trace
 from reframe_jax.model import features as z
 from reframe_jax.model.crossed import crossed_axes
 from reframe_jax.model.rows import rotation_forms
@@ -59,7 +59,7 @@ def _sizes(axes: Array, form: Array) -> Array:
 
 def smallest_eigenvalue(forms: Array) -> Array:
     """Smallest eigenvalues (...) of symmetric forms (3, 3, ...), by the cosine formula of the cubic."""
-    middle = (forms[0, 0] + forms[1, 1] + forms[2, 2]) / 3
+    middle = trace(forms) / 3
     away = forms - middle * jnp.eye(3, dtype=middle.dtype).reshape(3, 3, *[1] * middle.ndim)
     # divide before squaring, so that small numbers do not underflow
     largest_one = jnp.max(jnp.abs(away), axis=(0, 1)) + jnp.finfo(forms.dtype).tiny

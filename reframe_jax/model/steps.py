@@ -24,6 +24,7 @@ from reframe_jax.geometry.small import (
     solve_positive,
     times,
     total,
+    trace,
 )
 
 __all__ = ["Problem", "Unknowns", "axis_row", "descend", "path_of", "row_size", "tilted_axis"]
@@ -133,10 +134,10 @@ def _blocks(problem: Problem, frame: Array, origin: Array) -> tuple[Array, Array
     weight = materialize(sandwich(jnp.swapaxes(lanes, 0, 1), inverse))
     # directions turn, the origin moves
     pulled = materialize(total(forms[:, :, None] * weight[None], 1, 3, 4))
-    sizes, weights = (m[0, 0] + m[1, 1] + m[2, 2] for m in (forms, weight))
+    sizes, weights = map(trace, (forms, weight))
     bent = materialize(total(forms * weights + weight * sizes, 2, 3))
     unit = jnp.eye(3, dtype=frame.dtype).reshape(3, 3, *[1] * value.ndim)
-    apart = total(weights * sizes, 0, 1) - (pulled[0, 0] + pulled[1, 1] + pulled[2, 2])
+    apart = total(weights * sizes, 0, 1) - trace(pulled)
     turns = apart * unit + pulled + jnp.swapaxes(pulled, 0, 1) - bent
     on_path = weight[:, :, :, 1]
     ahead = materialize(total(on_path[:, :, None, None] * half[None, :, 1:], 1, 4))  # (k, a, j)
