@@ -165,7 +165,7 @@ def _report_window(
     fixed = jax.vmap(_fix_signs)(jnp.concatenate([types.angular_axes, types.linear_axes]))
     types = types._replace(angular_axes=fixed[:2], linear_axes=fixed[2:])
     if thresholds is None:
-        winner = winner_of_window(solved, data, assumed)
+        winner = winner_of_window(solved, data)
     else:
         winner = winner_by_thresholds(types, solved, thresholds)
     code, parameters = winner.code, winner.parameters

@@ -38,13 +38,12 @@ class Winner(NamedTuple):
     probability: Array
 
 
-def winner_of_window(solved: Solved, live: Data, assumed: bool) -> Winner:
+def winner_of_window(solved: Solved, live: Data) -> Winner:
     """Find the most probable name, its most probable entry, and the fit of this entry.
 
     Args:
         solved: result of the model for one window.
         live: moments of the window, with respect to which the result is differentiable.
-        assumed: whether the caller assumes a constraint, so that the tilt has a cost in the fit.
     """
     probability = jnp.exp(solved.log_probability)
     names = jax.ops.segment_sum(probability, jnp.asarray(NAME_OF_ENTRY), int(NAME_OF_ENTRY.max()) + 1)
@@ -59,7 +58,7 @@ def winner_of_window(solved: Solved, live: Data, assumed: bool) -> Winner:
     slot = jnp.argmax(solved.chosen == code).astype(jnp.int32)
     fitted = jax.tree.map(lambda leaf: leaf[slot], solved.parameters)
     entry = entries_at(code)
-    parameters = settle(fitted, live, entry, solved.tilt_scale, entry.tied & assumed)
+    parameters = settle(fitted, live, entry, solved.tilt_scale, entry.tied)
     return Winner(code, jnp.max(of_name), parameters, probability)
 
 

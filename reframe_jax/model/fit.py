@@ -40,8 +40,7 @@ __all__ = [
     "solve_determined",
 ]
 
-STEPS, LAST_STEPS = 5, 3  # Levenberg-Marquardt steps with the cost of the tilt, then without it
-ASSUMED_STEPS = 40, 0  # the same for assumed constraints, where the cost reduces errors of the axis
+STEPS, ASSUMED_STEPS = 6, 40  # Levenberg-Marquardt steps, and those for an assumed constraint
 _PARAMETERS = 9
 
 Array = jax.Array
@@ -179,7 +178,7 @@ def fit_entry(
     inside = jnp.where(body, start.axes, ground_axes(start, data.mean_rotation))
     tilt = jnp.where(body, start.tilt, 0)
     pitch = jnp.where(entry.pitch, start.pitch, 0)
-    found, _, _ = descend(problem, Unknowns(inside, start.origin, tilt, pitch), steps)
+    found = descend(problem, Unknowns(inside, start.origin, tilt, pitch), steps)
     axes = jnp.where(body, found.frame, data.mean_rotation.T @ found.frame)
     forms = rotation_forms(jnp.moveaxis(data.products, 0, -1))
     a, b = ground_axes(start, data.mean_rotation)[:, 2], start.axes[:, 0]

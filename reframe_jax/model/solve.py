@@ -18,7 +18,7 @@ from reframe_jax.model.constants import SCALES
 from reframe_jax.model.evaluation import WindowStatistics, evaluate_entries, window_statistics
 from reframe_jax.model.evidence import Amplitudes, compare
 from reframe_jax.model.features import Features
-from reframe_jax.model.fit import ASSUMED_STEPS, LAST_STEPS, STEPS, Parameters
+from reframe_jax.model.fit import ASSUMED_STEPS, STEPS, Parameters
 from reframe_jax.model.moments import Moments
 from reframe_jax.model.rows import EntryMoments, Forms, crossed_frame, entry_moments, in_body, problem_of
 from reframe_jax.model.search import lowest_origins, norm_at, polynomials, unexplained_covariance
@@ -38,8 +38,7 @@ class Solved(NamedTuple):
 
     Attributes:
         log_probability: (N, E) of every entry; entries that were not fitted have their starting parameters.
-        parameters: of the C fitted entries, with axes (N, C) in front; the tilt has a cost only in assumed
-            entries.
+        parameters: of the C fitted entries, with axes (N, C) in front.
         origins: (N, 4, 3) m, origin with the lowest norm for every linear type.
         norm: (N, 4) F at these origins.
         linear_axes: (N, 4, 3, 3) common axes of every linear type, by ascending amplitude.
@@ -171,11 +170,10 @@ class _Comparison(NamedTuple):
 
 
 class _Evaluated(NamedTuple):
-    """C entries of every window: codes (C, N), unknowns, unknowns with a free tilt, amplitudes, evidence."""
+    """C entries of every window: codes (C, N), unknowns, amplitudes, evidence."""
 
     codes: Array
     at: Unknowns
-    free_tilt: Unknowns
     amplitudes: Amplitudes
     evidence: Array
 
@@ -190,16 +188,16 @@ def _compare_entries(
     blocks = -(-number // size)
     codes = jnp.asarray(np.resize(np.arange(number, dtype=np.int32), (blocks, size)))
 
-    def screen(r: Array, _: _Evaluated) -> tuple[Array, Forms, Unknowns, Unknowns]:
+    def screen(r: Array, _: _Evaluated) -> tuple[Array, Forms, Unknowns]:
         """Return the next block of entries, at their starting parameters."""
         block = codes[r]
         paths = jnp.asarray(TABLE.path)[block]
         start = jax.tree.map(lambda leaf: jnp.take(leaf, block, axis=-2), problem.starts)
         forms = jax.tree.map(lambda leaf: jnp.take(leaf, paths, axis=-2), problem.forms)
-        return jnp.broadcast_to(block[:, None], (size, details.shape[1])), forms, start, start
+        return jnp.broadcast_to(block[:, None], (size, details.shape[1])), forms, start
 
-    def fit(_: Array, rounds: _Evaluated) -> tuple[Array, Forms, Unknowns, Unknowns]:
-        """Fit the most probable entries; if none is assumed, fit them again with a free tilt."""
+    def fit(_: Array, rounds: _Evaluated) -> tuple[Array, Forms, Unknowns]:
+        """Fit the most probable entries."""
         screened: _Evaluated = jax.tree.map(lambda leaf: _flat(leaf[:blocks])[..., :number, :], rounds)
         rank = jnp.where(allowed, log_probability(screened), -jnp.inf)
         best = jax.lax.top_k(rank.T, size)[1].T
@@ -209,19 +207,18 @@ def _compare_entries(
         )
         moments = problem.moments.pick(entries.path)
         fitted = problem_of(moments, details[:, None], entries, problem.tilt_scale, problem.box, entries.tied)
-        steps = (STEPS, LAST_STEPS) if assume is None else ASSUMED_STEPS
-        tied, free_tilt, _ = descend(fitted, start, *steps)
-        return best, moments.at(tied.origin), tied, free_tilt
+        at = descend(fitted, start, STEPS if assume is None else ASSUMED_STEPS)
+        return best, moments.at(at.origin), at
 
     def log_probability(entries: _Evaluated) -> Array:
         return compare(entries.evidence, entries.amplitudes, entries.at.pitch, entries_at(entries.codes))
 
-    def evaluate(codes: Array, forms: Forms, at: Unknowns, free_tilt: Unknowns) -> _Evaluated:
+    def evaluate(codes: Array, forms: Forms, at: Unknowns) -> _Evaluated:
         amplitudes, evidence = evaluate_entries(forms, at, entries_at(codes), windows)
         # entries whose evidence is not a number, for example where nothing moves, are improbable
         unknown = jnp.isnan(evidence) | jnp.any(jnp.isnan(amplitudes.log_variance), axis=0)
         amplitudes = jax.tree.map(lambda leaf: jnp.where(jnp.isnan(leaf), 1, leaf), amplitudes)
-        return _Evaluated(codes, at, free_tilt, amplitudes, jnp.where(unknown, -jnp.inf, evidence))
+        return _Evaluated(codes, at, amplitudes, jnp.where(unknown, -jnp.inf, evidence))
 
     def next_round(r: Array, rounds: _Evaluated) -> _Evaluated:
         """Screen a block of entries in every round but the last, which fits the most probable entries."""
@@ -239,7 +236,7 @@ def _compare_entries(
     both = jax.tree.map(lambda one, other: jnp.concatenate([one, other], axis=-2), screened, fitted)
     values = log_probability(both)
     everywhere = jnp.max(jnp.where(same, values[None, number:], values[:number, None]), axis=1)
-    return everywhere, fitted.codes, _parameters(fitted.free_tilt, entries_at(fitted.codes), windows)
+    return everywhere, fitted.codes, _parameters(fitted.at, entries_at(fitted.codes), windows)
 
 
 def _flat(leaf: Array) -> Array:

@@ -208,47 +208,34 @@ def _move(at: Unknowns, step: Array, box: Array) -> Unknowns:
     )
 
 
-def descend(
-    problem: Problem, start: Unknowns, steps: int, free_steps: int = 0
-) -> tuple[Unknowns, Unknowns, Array]:
-    """Take Levenberg-Marquardt steps, first with the cost of the tilt, then without it.
-
-    Returns:
-        The unknowns after ``steps``, the unknowns after ``free_steps`` more, and the last objective.
-    """
+def descend(problem: Problem, start: Unknowns, steps: int) -> Unknowns:
+    """Take Levenberg-Marquardt steps."""
     dtype, lanes = start.frame.dtype, start.pitch.shape
     small = jnp.finfo(dtype).tiny ** 0.5
     unit = jnp.eye(9, dtype=dtype).reshape(9, 9, *[1] * len(lanes))
 
-    def step(
-        k: Array, carry: tuple[Unknowns, Unknowns, _Local, Array]
-    ) -> tuple[Unknowns, Unknowns, _Local, Array]:
-        tied, at, here, damping = carry
-        # the first step of each part does not move: it only expands the objective
-        stays = (k == 0) | (k == steps + 1)
-        tied = jax.tree.map(lambda a, b: jnp.where(k <= steps, b, a), tied, at)
+    def step(k: Array, carry: tuple[Unknowns, _Local, Array]) -> tuple[Unknowns, _Local, Array]:
+        at, here, damping = carry
+        stays = k == 0  # the first step does not move: it only expands the objective
         size = total(here.hessian * unit, 1)
         lift = damping * size + 1e-9 * largest(size) + small
         change = -solve_positive(here.hessian + unit * lift[:, None], here.gradient)
         change = change * jnp.minimum(1, _LONGEST / jnp.maximum(largest(jnp.abs(change)), small))
         there = materialize(_move(at, materialize(jnp.where(stays, 0, change)), problem.box))
-        new = _expand(problem._replace(tie=problem.tie & (k <= steps)), there)
+        new = _expand(problem, there)
         lower = stays | (new.value < here.value)
         at, here = jax.tree.map(lambda a, b: jnp.where(lower, a, b), (there, new), (at, here))
         damping = jnp.clip(jnp.where(lower, damping * 0.1, damping * 10), 1e-7, 1e4)
-        return tied, at, here, jnp.where(stays, _DAMPING, damping)
+        return at, here, jnp.where(stays, _DAMPING, damping)
 
     nowhere = _Local(
         jnp.full(lanes, jnp.inf, dtype),
         jnp.zeros((9, *lanes), dtype),
         jnp.zeros((9, 9, *lanes), dtype) + unit,
     )
-    at = start._replace(tilt=_tangents(start.tilt))
-    carry = at, at, nowhere, jnp.full(lanes, _DAMPING, dtype)
-    count = steps + 1 + (free_steps + 1 if free_steps else 0)
-    tied, at, here, _ = jax.lax.fori_loop(0, count, step, carry)
-    tied = at if not free_steps else tied
-    return tied._replace(tilt=_angles(tied.tilt)), at._replace(tilt=_angles(at.tilt)), here.value
+    carry = start._replace(tilt=_tangents(start.tilt)), nowhere, jnp.full(lanes, _DAMPING, dtype)
+    at, _, _ = jax.lax.fori_loop(0, steps + 1, step, carry)
+    return at._replace(tilt=_angles(at.tilt))
 
 
 def _tangents(tilt: Array) -> Array:
