@@ -292,9 +292,8 @@ def _turns_less_in_ground(axes: Array, weights: Array, total: Array) -> Array:
     rotations, this is the constrained rotation over the free rotation. For positions, it is the displacement
     along the axis over the smaller amplitude in the plane.
     """
-    held_turns, turn, along = (
-        jnp.einsum("if,fg,ig->", w, total, w) for w in (weights[:2], weights[2:3], weights[5:])
-    )
+    square = jnp.einsum("if,fg,ig->i", weights, total, weights)
+    held_turns, turn, along = square[0] + square[1], square[2], square[5]
     plane = axes[:, :2].T @ total[z.POSITION, z.POSITION] @ axes[:, :2]
     half = jnp.trace(plane) / 2
     det = plane[0, 0] * plane[1, 1] - plane[0, 1] * plane[1, 0]
