@@ -55,7 +55,7 @@ def largest(array: Array, axis: int = 0) -> Array:
 def times(matrix: Array, vector: Array) -> Array:
     """Multiply matrices (m, n, ...) by vectors (n, ...) or by matrices (n, k, ...)."""
     if matrix.ndim == vector.ndim:
-        return total(matrix[:, :, None] * vector[None], 1)
+        return sum(matrix[:, j, None] * vector[None, j] for j in range(len(vector)))
     return total(matrix * vector[None], 1)
 
 
@@ -142,22 +142,21 @@ def solve_positive(matrix: Array, vector: Array) -> Array:
     diagonal = jnp.stack([matrix[i, i] for i in range(length)])
     floor = jnp.finfo(matrix.dtype).eps * diagonal + jnp.finfo(matrix.dtype).tiny
 
-    def eliminate(_: int, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        """Eliminate the first unknown, then put it last."""
-        matrix, vector, floor = carry
-        size = jnp.maximum(matrix[0, 0], floor[0])
-        row, value = matrix[0] / size, vector[0] / size
-        column = matrix[1:, 0]
-        matrix = jnp.concatenate([matrix[1:] - column[:, None] * row[None], row[None]])
-        vector = jnp.concatenate([vector[1:] - column * value[None], value[None]])
-        return _first_last(matrix, 1), vector, _first_last(floor, 0)
+    index = jnp.arange(length, dtype=jnp.int32).reshape(-1, *[1] * (vector.ndim - 1))
 
-    return jax.lax.fori_loop(0, length, eliminate, (matrix, vector, floor))[1]
+    def at(k: Array, array: Array, axis: int = 0) -> Array:
+        return jax.lax.dynamic_index_in_dim(array, k, axis, keepdims=False)
 
+    def eliminate(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        matrix, vector = carry
+        row, value, column = at(k, matrix), at(k, vector), at(k, matrix, 1)
+        size = jnp.maximum(at(k, row), at(k, floor))
+        row, value, column = jax.lax.optimization_barrier((row / size, value / size, column))
+        own = index == k
+        vector = jnp.where(own, value, vector - column * value)
+        return jnp.where(own[:, None], row, matrix - column[:, None] * row), vector
 
-def _first_last(array: Array, axis: int) -> Array:
-    first, rest = jax.lax.split(array, (1, array.shape[axis] - 1), axis)
-    return jnp.concatenate([rest, first], axis)
+    return jax.lax.fori_loop(0, length, eliminate, (matrix, vector))[1]
 
 
 def diagonalize(

@@ -133,7 +133,7 @@ def _blocks(problem: Problem, frame: Array, origin: Array) -> tuple[Array, Array
     inverse, value = _held(materialize(sandwich(lanes, forms)), held, problem.details)
     weight = materialize(sandwich(jnp.swapaxes(lanes, 0, 1), inverse))
     # directions turn, the origin moves
-    pulled = materialize(total(forms[:, :, None] * weight[None], 1, 3, 4))
+    pulled = materialize(total(times(forms, weight), 2, 3))
     sizes, weights = map(trace, (forms, weight))
     bent = materialize(total(forms * weights + weight * sizes, 2, 3))
     unit = jnp.eye(3, dtype=frame.dtype).reshape(3, 3, *[1] * value.ndim)

@@ -91,19 +91,21 @@ def _has_jumps(x: Array, own: Array) -> Array:
 
 def _find(x: Array, times: Array, own: Array, count: Array, unit: Array, stride: Array) -> Array:
     """Return which poses x (9, P, N), position and two columns of the rotation, are outliers, (P, N) bool."""
-    # the path is extended at both ends by reflection in its first and in its last pose
     number, last = x.shape[1], count - 1
     whole = jnp.concatenate([x, times[None]])
-    ends = whole[:, :1], jnp.take_along_axis(whole, last[None, None], axis=1)
+    # the path is extended at both ends by reflection in its first and in its last pose
+    reach = 2 * _REACH * max(_STRIDES)
+    each = jnp.arange(-reach, number + reach, dtype=jnp.int32)[:, None]
+    inside = jnp.clip(jnp.abs(jnp.where(each > last, 2 * last - each, each)), 0, number - 1)
+    path = jnp.take_along_axis(whole, inside[None], axis=1)
+    end = jnp.take_along_axis(whole, last[None, None], axis=1)
+    path = jnp.where(each < 0, 2 * whole[:, :1] - path, path)
+    path = lax.optimization_barrier(jnp.where(each > last, 2 * end - path, path))
 
     def beside(samples: Array) -> Array:
         """Return the poses and times (10, 5, P, N) at 1 to 5 times ``samples`` after every pose."""
-        each = jnp.arange(1, _REACH + 1)[:, None, None] * samples + jnp.arange(number)[:, None]
-        inside = jnp.abs(jnp.where(each > last, 2 * last - each, each))
-        inside = jnp.clip(inside, 0, number - 1).reshape(-1, own.shape[1])
-        path = jnp.take_along_axis(whole, inside[None], axis=1).reshape(10, _REACH, number, -1)
-        path = jnp.where(each < 0, 2 * ends[0][:, None] - path, path)
-        return jnp.where(each > last, 2 * ends[1][:, None] - path, path)
+        starts = [reach + k * samples for k in range(1, _REACH + 1)]
+        return jnp.stack([lax.dynamic_slice_in_dim(path, start, number, 1) for start in starts], axis=1)
 
     before, after = beside(-stride), beside(stride)
     part = (times - before[9]) / (after[9] - before[9])
