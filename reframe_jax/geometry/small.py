@@ -55,7 +55,8 @@ def largest(array: Array, axis: int = 0) -> Array:
 def times(matrix: Array, vector: Array) -> Array:
     """Multiply matrices (m, n, ...) by vectors (n, ...) or by matrices (n, k, ...)."""
     if matrix.ndim == vector.ndim:
-        return sum(matrix[:, j, None] * vector[None, j] for j in range(len(vector)))
+        first, *others = (matrix[:, j, None] * vector[None, j] for j in range(len(vector)))
+        return sum(others, first)
     return total(matrix * vector[None], 1)
 
 
@@ -99,7 +100,7 @@ def rotate(vector: Array, matrix: Array) -> Array:
     Cayley's formula gives the rotation, which equals the exponential of the vector to second order.
     """
     half = jnp.broadcast_to(vector[:, None] / 2, matrix.shape)
-    turned = cross(half, matrix)
+    turned = materialize(cross(half, matrix))
     return matrix + 2 * (turned + cross(half, turned)) / (1 + total(half * half, 0))
 
 

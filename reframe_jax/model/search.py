@@ -15,6 +15,7 @@ last three.
 """
 
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +27,7 @@ from reframe_jax.geometry.small import (
     invert_symmetric,
     largest,
     materialize,
+    sandwich,
     solve_positive,
     times,
     total,
@@ -125,9 +127,12 @@ def lowest_origins(
     best = jnp.argmin(_norm(coefficients, counts, x), axis=1)
     x = jnp.take_along_axis(x, best[None, :, None], axis=2)
     step = partial(_newton_step, coefficients, counts, box)
-    start = x, jnp.full(x.shape[1:], _DAMPING, x.dtype), jnp.zeros_like(x[0])
-    x, _, norm = jax.lax.fori_loop(0, _NEWTON_STEPS, lambda _, at: step(at), start)
-    return x[:, :, 0], norm[:, 0]
+    axes = jnp.eye(3, dtype=x.dtype).reshape(3, 3, *[1] * (x.ndim - 1))
+    start = _Point(
+        x, jnp.broadcast_to(axes, (3, *x.shape)), jnp.full_like(x[0], _DAMPING), jnp.zeros_like(x[0])
+    )
+    end = jax.lax.fori_loop(0, _NEWTON_STEPS, lambda _, at: step(at), start)
+    return end.origin[:, :, 0], end.norm[:, 0]
 
 
 def norm_at(coefficients: Array, details: Array, origins: Array) -> Array:
@@ -221,22 +226,38 @@ def _expand(coefficients: Array, counts: Array, x: Array) -> tuple[Array, Array,
     return materialize((value, slope, 2 * form[1:, 1:], exact))
 
 
-def _newton_step(
-    coefficients: Array, counts: Array, box: Array, at: tuple[Array, Array, Array]
-) -> tuple[Array, Array, Array]:
+class _Point(NamedTuple):
+    """State of Newton's steps.
+
+    Attributes:
+        origin: (3, T, 1, N) m.
+        axes: (3, 3, T, 1, N) principal axes of the Hessian at the last origin, as columns.
+        damping: (T, 1, N), a fraction of the tangent.
+        norm: (T, 1, N) F at the origin.
+    """
+
+    origin: Array
+    axes: Array
+    damping: Array
+    norm: Array
+
+
+def _newton_step(coefficients: Array, counts: Array, box: Array, at: _Point) -> _Point:
     """Newton's step along the principal axes of the exact Hessian, with its curvatures made positive.
 
-    A curvature is at least the damping times the curvature of the tangent, which is an upper bound. The step
-    tries several dampings, and takes the one with the lowest F. Returns the origin, its damping and its F.
+    One Jacobi sweep a step improves the axes of the step before. A curvature is at least the damping times
+    the curvature of the tangent, which is an upper bound. The step tries several dampings, and takes the one
+    with the lowest F.
     """
-    x, damping, _ = at  # (3, T, 1, N), (T, 1, N)
+    x = at.origin
     value, slope, tangent, exact = _expand(coefficients, counts, x)
     size = jnp.sqrt(total(total(exact * exact, 0), 0)) + jnp.finfo(x.dtype).tiny
     unit = jnp.eye(3, dtype=size.dtype).reshape(3, 3, *[1] * size.ndim)
-    axes = diagonalize((exact / size + 2 * unit)[:, :, None], sweeps=3)
+    seen = materialize(sandwich(at.axes, (exact / size + 2 * unit)[:, :, None]))
+    axes = materialize(times(at.axes, diagonalize(seen, sweeps=1)))
     most = total(axes * times(tangent, axes), 0)
     least = jnp.finfo(most.dtype).eps * largest(most) + jnp.finfo(most.dtype).tiny
-    dampings = damping * jnp.asarray(_TRIALS, x.dtype)[:, None]
+    dampings = at.damping * jnp.asarray(_TRIALS, x.dtype)[:, None]
     curvature = jnp.abs(total(axes * times(exact, axes), 0))
     curvature = jnp.maximum(curvature, dampings * most) + least
     steps = times(axes, total(axes * slope[:, None], 0) / curvature)
@@ -247,4 +268,5 @@ def _newton_step(
     lower = found <= value
     x = jnp.where(lower, jnp.take_along_axis(tried, best[None], axis=2), x)
     taken = jnp.where(lower, jnp.take_along_axis(dampings, best, axis=1), _TRIALS[-1] * dampings[:, -1:])
-    return materialize((x, jnp.maximum(taken, _LEAST_DAMPING), jnp.where(lower, found, value)))
+    norm = jnp.where(lower, found, value)
+    return materialize(_Point(x, axes, jnp.maximum(taken, _LEAST_DAMPING), norm))
