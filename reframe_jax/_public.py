@@ -39,7 +39,7 @@ from reframe_jax.recordings.recording import RecordingError as RecordingError
 from reframe_jax.recordings.relative import relative_poses as relative_poses
 from reframe_jax.recordings.writing import save_recording as save_recording
 from reframe_jax.segmentation.entry import segment as segment
-from reframe_jax.segmentation.many import segment_many as segment_many
+from reframe_jax.segmentation.entry import segment_many as segment_many
 from reframe_jax.segmentation.results import Boundary as Boundary
 from reframe_jax.segmentation.results import Segment as Segment
 from reframe_jax.segmentation.results import Segmentation as Segmentation

@@ -36,8 +36,8 @@ def sequence(labels: tuple[str, ...], errors: str, seed: int = 0) -> Sequence:
 
 def pieces_of(made: Sequence) -> tuple[Cells, list[Piece]]:
     position = made.poses[:, :3, 3] - made.poses[:, :3, 3].mean(axis=0)
-    cells = with_chance(make_cells(made.poses[:, :3, :3], position, float(made.times[1])), 1.0)
-    return cells, join_pieces(cells, find_pieces(cells, 1.0), 1.0)
+    cells = with_chance(make_cells(made.poses[:, :3, :3], position, float(made.times[1]), 1.0))
+    return cells, join_pieces(cells, find_pieces(cells))
 
 
 @pytest.mark.parametrize("errors", ["encoder", "markers", "soft"])
@@ -127,8 +127,7 @@ def test_noise_of_single_poses_moves_no_border() -> None:
     made = simulate_sequences(BALL + 1, 5, motion="splines")[BALL]
     assert made.labels[:2] == ("ball", "free")
     cells, pieces = pieces_of(made)
-    position = made.poses[:, :3, 3] - made.poses[:, :3, 3].mean(axis=0)
-    index, _, _ = place_border(cells, made.poses[:, :3, :3], position, *pieces[:2])
+    index, _, _ = place_border(cells, *pieces[:2])
     assert abs(made.times[index] - made.changes[0]) < 0.3
 
 
@@ -158,10 +157,10 @@ def test_movements_with_stops_hold_rows_by_chance_for_longer() -> None:
     rng = np.random.default_rng(8)
     made = move_through(["free"], np.array([20.0]), ENCODER, rng, rate=50, motion="jerks", apart=(0.6, 1.2))
     position = made.poses[:, :3, 3] - made.poses[:, :3, 3].mean(axis=0)
-    cells = with_chance(make_cells(made.poses[:, :3, :3], position, 0.02), 1.0)
+    cells = with_chance(make_cells(made.poses[:, :3, :3], position, 0.02, 1.0))
     number, length = cells.linear.shape[1], round(2 / cells.duration)
     spans = np.stack([np.arange(number - length), np.arange(length, number)], axis=1)
-    logs = np.log(fit_spans(cells, spans, 1.0).size[:, 1, :, :2]).sum(axis=-1).min(axis=1)
+    logs = np.log(fit_spans(cells, spans).size[:, 1, :, :2]).sum(axis=-1).min(axis=1)
     assert np.median(logs) > np.median(cells.references(spans)[:, 2, 0]) - 1.0
 
 
@@ -186,7 +185,7 @@ def test_a_slow_motion_counts_as_a_shorter_one() -> None:
     poses = np.tile(np.eye(4), (len(phase), 1, 1))
     poses[:, :3, 3] = 0.1 * np.sin(3 * phase)
     poses[:, :3, :3] = rotation_matrices(0.4 * np.cos(3 * phase[:, ::-1]))
-    cells = with_chance(make_cells(poses[:, :3, :3], poses[:, :3, 3], 0.02), 1.0)
+    cells = with_chance(make_cells(poses[:, :3, :3], poses[:, :3, 3], 0.02, 1.0))
     change = 2400 // cells.samples
     per_cell = np.diff(cells.progress)
     assert np.mean(per_cell[: change - 10]) > 0.8

@@ -13,8 +13,6 @@ from reframe_jax.segmentation.cells import Cells
 from reframe_jax.segmentation.constants import SEGMENTS as C
 from reframe_jax.segmentation.rows import Fits, fit_spans
 
-__all__ = ["Bank", "choose_models", "fit_models", "gains", "misfit"]
-
 _KEPT = 4  # models of a span
 _BATCH = 400  # spans per batch: their moments fit the cache of a processor
 _ANGULAR_PARAMETERS = np.array([0, 2, 2, 0])  # directions of 0 to 3 held rotations, which cost evidence
@@ -56,32 +54,26 @@ class Bank(NamedTuple):
         return Bank(*(np.concatenate(leaves) for leaves in zip(self, *others, strict=True)))
 
     def coordinates(self, linear: np.ndarray, angular: np.ndarray, at: np.ndarray) -> np.ndarray:
-        """Evaluate the coordinates of the models in chosen cells.
+        """Evaluate the coordinates (H, E, 6), in m and rad, of the models in chosen cells.
 
-        Args:
-            linear: (4, N, 12) features of all cells, for the linear types.
-            angular: (2, N, 3) rad, features of all cells, for the angular types.
-            at: (H, E) indices of cells, for each model.
-
-        Returns:
-            (H, E, 6) translations in m, then rotations in rad; 0 for unused rows.
+        The features are those of all cells; ``at`` (H, E) are indices of cells. Unused rows give 0.
         """
         shifts = linear[self.kind[:, :1], at] @ np.swapaxes(self.shifts, 1, 2)
         turns = angular[self.kind[:, 1:], at] @ np.swapaxes(self.turns, 1, 2)
         return np.concatenate([shifts, turns], axis=2)
 
 
-def fit_models(cells: Cells, spans: np.ndarray, reach: float) -> Bank:
-    """Fit models to spans, in parts of bounded memory, and keep the best models of each span.
-
-    Args:
-        cells: cells of the recording.
-        spans: (P, 2) first cell, and the cell after the last, of each span.
-        reach: half the width of the cube in which origins are searched, m.
-    """
+def fit_models(cells: Cells, spans: np.ndarray) -> Bank:
+    """Fit models to spans (P, 2), in parts of bounded memory, and keep the best models of each span."""
     parts = np.array_split(spans, -(-len(spans) // _BATCH))
-    first, *others = (choose_models(cells, part, fit_spans(cells, part, reach)) for part in parts)
+    first, *others = (choose_models(cells, part, fit_spans(cells, part)) for part in parts)
     return first.join(*others)
+
+
+def best_scores(bank: Bank) -> dict[tuple[int, ...], float]:
+    """Largest score of a model of each span that has a model."""
+    order = np.argsort(bank.score, kind="stable")
+    return dict(zip(map(tuple, bank.span[order].tolist()), bank.score[order].tolist(), strict=True))
 
 
 def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
@@ -139,56 +131,38 @@ def choose_models(cells: Cells, spans: np.ndarray, fits: Fits) -> Bank:
 
 
 def _log_sizes(size: np.ndarray, most: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sum log(size) over 0 to 3 held coordinates, (P, 4), for the best type, and find this type.
+    """Sum log(size) over 0 to 3 held coordinates, (P, 4), for the best type, and find this type, (P, 4).
 
-    Args:
-        size: (P, 3, T, 3) RMS of 1, 2 and 3 held coordinates in T types; infinite for unused coordinates.
-        most: largest RMS of a held coordinate; (P, 3, 1) if the bound depends on the number of coordinates.
+    ``size`` (P, 3, T, 3) is the RMS of 1, 2 and 3 held coordinates in T types, infinite for unused ones;
+    ``most`` the largest RMS of a held coordinate, (P, 3, 1) if it depends on the number of coordinates.
     """
     counted = np.isfinite(size)
     held = np.all((size < np.asarray(most)[..., None]) | ~counted, axis=-1)
     value = np.where(held, np.sum(np.log(np.where(counted, size, 1)), axis=-1), np.inf)
-    best = value.argmin(axis=-1)
-    none = np.zeros((len(size), 1))
-    return np.concatenate([none, value.min(axis=-1)], axis=1), np.concatenate(
-        [none.astype(int), best], axis=1
-    )
+    total, kind = (np.pad(each, ((0, 0), (1, 0))) for each in (value.min(axis=-1), value.argmin(axis=-1)))
+    return total, kind
 
 
 def _held_rows(
     weights: np.ndarray, rms: np.ndarray, mean: np.ndarray, count: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Keep the first ``count`` (H,) of rows (H, 3, F); return the rows, their mean values, and their RMS.
-
-    ``mean`` (H, F) contains the mean features.
-    """
+    """Keep ``count`` (H,) rows (H, 3, F); return them with their values at mean features (H, F), and RMS."""
     used = np.arange(3) < count[:, None]
     weights = np.where(used[:, :, None], weights, 0)
     return weights, np.einsum("hrf,hf->hr", weights, mean), np.where(used, rms, np.inf)
 
 
 def gains(bank: Bank, values: np.ndarray, widen: float = 1.0) -> np.ndarray:
-    """Log evidence (H, N) that coordinates with values (H, N, 6) are held and not free.
-
-    Args:
-        bank: the models.
-        values: (H, N, 6) m and rad, coordinates of the models.
-        widen: factor on the sizes of the models.
-    """
+    """Log evidence (H, N) that coordinates (H, N, 6) are held by models of ``widen`` times their size."""
     used = np.isfinite(bank.size)
     sizes = np.sum(np.log(np.where(used, widen * bank.size, 1)), axis=1)
     return np.maximum(bank.reference - sizes, 0)[:, None] - misfit(bank, values, widen)
 
 
 def misfit(bank: Bank, values: np.ndarray, widen: float = 1.0) -> np.ndarray:
-    """Return the negative log likelihood (H, N) of coordinates under each model.
+    """Negative log likelihood (H, N) of coordinates (H, N, 6) under models of ``widen`` times their size.
 
     The value is about 0 in a cell where the model holds, and grows with the residuals.
-
-    Args:
-        bank: the models.
-        values: (H, N, 6) m and rad, coordinates of the models in the cells.
-        widen: factor on the RMS deviations of the models.
     """
     residual = (values - bank.middle[:, None]) / (widen * bank.size[:, None])
     each = np.prod(1 + residual**2 / C.tail, axis=-1)  # 1 for a coordinate that is not held

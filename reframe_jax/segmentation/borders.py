@@ -7,45 +7,27 @@ from reframe_jax.segmentation.cells import Cells, path_features
 from reframe_jax.segmentation.constants import SEGMENTS as C
 from reframe_jax.segmentation.pieces import Piece
 
-__all__ = ["place_border"]
-
 _INTERVAL = 0.025, 0.975
 
 
-def place_border(
-    cells: Cells, rotation: np.ndarray, position: np.ndarray, before: Piece, after: Piece
-) -> tuple[int, int, int]:
-    """Find the pose at which the second piece begins.
-
-    Args:
-        cells: cells of the recording.
-        rotation: (P, 3, 3) rotations of all poses.
-        position: (P, 3) m, positions of all poses.
-        before: piece that ends at the border.
-        after: piece that begins at the border.
-
-    Returns:
-        The most probable index, and the first and the last index of the 95 % interval.
-    """
+def place_border(cells: Cells, before: Piece, after: Piece) -> tuple[int, int, int]:
+    """Find the pose at which the second piece begins: its index, and the ends of its 95 % interval."""
     samples = cells.samples
     near = round(C.cells) + 1
-    first, last = (
-        max(before.start, before.stop - 4 * near) * samples,
-        min(after.stop, after.start + 4 * near) * samples,
-    )
+    first = max(before.start, before.stop - 4 * near) * samples
+    last = min(after.stop, after.start + 4 * near) * samples
     # a border moves by at most half of each piece, so that borders keep their order
     low = max((before.start + before.stop) * samples // 2, (before.stop - near) * samples) - first
     high = min((after.start + after.stop) * samples // 2, (after.start + near) * samples) - first
     border = before.stop * samples - first
-    linear, angular = path_features(rotation[first:last], position[first:last])
+    linear, angular = path_features(cells.rotation[first:last], cells.position[first:last])
     gain = [np.zeros(last - first), np.zeros(last - first)]
     for side, (piece, own) in enumerate(((before, slice(0, border)), (after, slice(border, None)))):
         if piece.model is not None:
             values = piece.model.coordinates(linear, angular, np.arange(last - first)[None])[0]
             # integrated paths have another start here, so the mean is computed again, away from the border
             inner = values[own]
-            cut = len(inner) // 4
-            inner = inner[: len(inner) - cut] if side == 0 else inner[cut:]
+            inner = inner[: -(len(inner) // 4) or None] if side == 0 else inner[len(inner) // 4 :]
             middle = np.median(inner, axis=0)[None]
             # a single pose has more noise than the mean pose of a cell
             spread = np.sqrt(np.mean((inner - middle) ** 2, axis=0))[None]

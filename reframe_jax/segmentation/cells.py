@@ -12,8 +12,6 @@ import numpy as np
 from reframe_jax.geometry.numpy_rotations import rotation_vectors
 from reframe_jax.segmentation.constants import SEGMENTS as C
 
-__all__ = ["GROUND_TYPES", "Cells", "make_cells", "path_features"]
-
 GROUND_TYPES = [2, 3]  # GG and BG: origins in the ground
 
 _CHUNK = 20_000  # poses per chunk, which bounds the memory
@@ -27,6 +25,8 @@ class Cells:
     """Cells of a recording, and the sizes of its motion and noise.
 
     Attributes:
+        rotation, position: (P, 3, 3) rotations of the body, and (P, 3) m, its positions, at all poses.
+        reach: half the width of the cube in which origins are searched, m.
         linear: (4, N, 12) features of the linear types BB, GB, GG, BG. The coordinate of an origin x along
             a direction n is the scalar product of a feature with the matrix n (1, x), row by row.
         angular: (2, N, 3) rad, integral of the angular velocity in the ground and in the body.
@@ -41,13 +41,16 @@ class Cells:
             coordinate; empty before :func:`with_chance`.
     """
 
+    rotation: np.ndarray
+    position: np.ndarray
+    reach: float
     linear: np.ndarray
     angular: np.ndarray
     samples: int
     duration: float
     motion_time: float
-    motion: tuple[float, float]
-    floor: tuple[float, float]
+    motion: np.ndarray
+    floor: np.ndarray
     progress: np.ndarray
     chance: tuple[np.ndarray, ...] = ()
 
@@ -65,35 +68,24 @@ class Cells:
         return self.duration / self.motion_time
 
     @property
-    def reference(self) -> tuple[float, float]:
-        """Amplitude of a free coordinate in a long span, m and rad: a fraction of the motion."""
-        return self.motion[0] * C.reference, self.motion[1] * C.reference
+    def reference(self) -> np.ndarray:
+        """(2,) m and rad, amplitudes of a free coordinate in a long span: a fraction of the motion."""
+        return self.motion * C.reference
 
-    def bound(self, part: float) -> tuple[float, float]:
-        """Return the largest RMS of a held coordinate, m and rad.
-
-        The bound is the given part of the motion of the recording, or three times the floor if that is more.
-        """
-        a, b = (max(part * motion, 3 * floor) for motion, floor in zip(self.motion, self.floor, strict=True))
-        return a, b
+    def bound(self, part: float) -> np.ndarray:
+        """Largest RMS (2,) of a held coordinate, m and rad: a part of the motion, or three floors if more."""
+        return np.maximum(part * self.motion, 3 * self.floor)
 
 
-def make_cells(rotation: np.ndarray, position: np.ndarray, step: float) -> Cells:
-    """Divide a recording into cells, and measure its motion and its noise.
-
-    Args:
-        rotation: (P, 3, 3) rotations of the body.
-        position: (P, 3) m, positions of the body.
-        step: time between two poses, s.
-    """
-    noise = _white_noise(position), _white_noise(np.cumsum(_turns(rotation), axis=0))
-    time, motion, turn = _motion_scale(rotation, position, noise, step)
+def make_cells(rotation: np.ndarray, position: np.ndarray, step: float, reach: float) -> Cells:
+    """Divide a recording, with a time between two poses in s, into :class:`Cells`, still without chance."""
+    noise = np.array([_white_noise(position), _white_noise(np.cumsum(_turns(rotation), axis=0))])
+    time, motion = _motion_scale(rotation, position, noise, step)
     samples = max(1, min(round(time / C.cells / step), len(position) // 8))
     linear, angular = _average_features(rotation, position, samples)
-    floor = (C.floor_position, C.floor_rotation)
-    floors = [float(np.hypot(a, b / np.sqrt(samples))) for a, b in zip(floor, noise, strict=True)]
-    sizes = (motion, turn), (floors[0], floors[1])
-    return Cells(linear, angular, samples, samples * step, time, *sizes, np.arange(linear.shape[1] + 1.0))
+    floor = np.hypot((C.floor_position, C.floor_rotation), noise / np.sqrt(samples))
+    sizes = samples, samples * step, time, motion, floor
+    return Cells(rotation, position, reach, linear, angular, *sizes, np.arange(linear.shape[1] + 1.0))
 
 
 def _average_features(
@@ -119,15 +111,7 @@ def _average_features(
 
 
 def path_features(rotation: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the features of poses, as in :class:`Cells`, before they are averaged.
-
-    Args:
-        rotation: (P, 3, 3) rotations of the body.
-        position: (P, 3) m, positions of the body.
-
-    Returns:
-        (4, P, 12) features of the linear types, and (2, P, 3) rad, features of the angular types.
-    """
+    """Compute the features (4, P, 12) and (2, P, 3) of poses, as in :class:`Cells`, before the mean."""
     back = np.swapaxes(rotation, 1, 2)
     turn = _turns(rotation)
     hat = -np.cross(turn[:, None], np.eye(3))
@@ -174,12 +158,9 @@ def _white_noise(path: np.ndarray) -> float:
 
 
 def _motion_scale(
-    rotation: np.ndarray, position: np.ndarray, noise: tuple[float, float], step: float
-) -> tuple[float, float, float]:
-    """Correlation time, s; size of the motion, m; size of the rotation, rad.
-
-    The size of the motion is that of translation and lever times rotation together.
-    """
+    rotation: np.ndarray, position: np.ndarray, noise: np.ndarray, step: float
+) -> tuple[float, np.ndarray]:
+    """Correlation time, s; sizes (2,) of the motion (translation and lever times rotation) and rotation."""
     number = len(position)
     lags = np.unique(np.round(2 ** np.arange(0, np.log2(max(2, number / 3)), 0.5)).astype(int))
     scale = np.array([1, C.lever])
@@ -209,4 +190,4 @@ def _motion_scale(
     square = displacements(max(1, min(round(2 * time / step), number - 2)))
     motion = max(float(np.sqrt(np.quantile(square.sum(axis=1), 0.8) / 6)), 1e-6)
     turn = float(np.sqrt(np.quantile(square[:, 1], 0.8) / 6))
-    return time, motion, max(turn, motion / _LEAST_TURN) / C.lever
+    return time, np.array([motion, max(turn, motion / _LEAST_TURN) / C.lever])

@@ -9,14 +9,12 @@ from reframe_jax.segmentation.cells import Cells, path_features
 from reframe_jax.segmentation.constants import SEGMENTS as C
 from reframe_jax.segmentation.rows import fit_spans
 
-__all__ = ["find_stops", "with_chance"]
-
 _SPANS = 100  # spans per length
 _WINDOWS = 2, 4, 8, 16  # cells, lengths of the windows in which motions are compared
 _TURNED = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3, 3)))[0]
 
 
-def with_chance(cells: Cells, reach: float) -> Cells:
+def with_chance(cells: Cells) -> Cells:
     """Return cells with the fields ``chance`` and ``progress``.
 
     The rows are fitted to a surrogate motion with the times, speeds and stops of the recording, in which no
@@ -33,7 +31,7 @@ def with_chance(cells: Cells, reach: float) -> Cells:
         linear, angular = _mix(cells, path, stops, start, int(length))
         first = np.arange(len(start)) * length
         mixed = dataclasses.replace(cells, linear=linear, angular=angular)
-        fits = fit_spans(mixed, np.stack([first, first + length], axis=1), reach)
+        fits = fit_spans(mixed, np.stack([first, first + length], axis=1))
         logs = np.sum(np.log(np.where(np.isfinite(fits.size), fits.size, 1)), axis=-1).min(axis=-1)
         turns = np.cumsum(np.log(fits.turn), axis=-1).min(axis=1)
         logs, turns = (np.pad(each, ((0, 0), (1, 0))) for each in (logs, turns))
@@ -45,16 +43,12 @@ def with_chance(cells: Cells, reach: float) -> Cells:
 def _path(cells: Cells) -> tuple[np.ndarray, np.ndarray]:
     """Positions and lever times rotations (N, 6) m, and the distance between cells, (N - 1,)."""
     path = np.concatenate([cells.linear[1, :, ::4], C.lever * cells.angular[1]], axis=1)
-    noise = 6 * float(np.sum(np.square([cells.floor[0], C.lever * cells.floor[1]])))
+    noise = 6 * float(np.sum(np.square(cells.floor * (1, C.lever))))
     return path, np.sqrt(np.maximum(np.sum(np.diff(path, axis=0) ** 2, axis=1) - noise, 0))
 
 
 def find_stops(speed: np.ndarray) -> np.ndarray:
-    """Times in cells at which the body almost stops.
-
-    Args:
-        speed: (N - 1,) distances between consecutive cells.
-    """
+    """Times in cells at which the body almost stops, from distances (N - 1,) between consecutive cells."""
     near = round(C.cells)
     around = np.lib.stride_tricks.sliding_window_view(np.pad(speed, near, mode="edge"), near + 1)
     fast = np.minimum(around[: len(speed)].max(axis=1), around[near:].max(axis=1))

@@ -6,8 +6,6 @@ with seeds that the benchmark does not use, and on the recordings of ``../shared
 
 from typing import NamedTuple
 
-__all__ = ["SEGMENTS", "SegmentConstants"]
-
 
 class SegmentConstants(NamedTuple):
     """Constants of segmentation.

@@ -1,8 +1,12 @@
 """Entry to segmentation: from a recording to the sequence of its constraints."""
 
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from typing import Any
 
+import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -11,15 +15,12 @@ from reframe_jax.identification.entry import identify_unchecked
 from reframe_jax.identification.inputs import take_steps
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
-from reframe_jax.segmentation.bank import fit_models
+from reframe_jax.segmentation.bank import best_scores, fit_models
 from reframe_jax.segmentation.borders import place_border
 from reframe_jax.segmentation.cells import Cells, make_cells
 from reframe_jax.segmentation.chance import with_chance
-from reframe_jax.segmentation.labels import label_pieces
-from reframe_jax.segmentation.pieces import Piece, find_pieces, join_pieces
+from reframe_jax.segmentation.pieces import Piece, find_pieces, join_pieces, label_pieces
 from reframe_jax.segmentation.results import Boundary, Segment, Segmentation
-
-__all__ = ["find_segments", "segment"]
 
 _FEWEST = 8  # fewest poses of a segment that can be identified
 
@@ -66,34 +67,65 @@ def segment(
     return Segmentation(segments, boundaries, times, motion_time)
 
 
+def segment_many(
+    recordings: Sequence[ArrayLike] | jax.Array,
+    *,
+    times: Sequence[ArrayLike] | jax.Array | None = None,
+    dt: float | Sequence[ArrayLike] | jax.Array | None = None,
+    reach: float = 1.0,
+) -> list[Segmentation]:
+    """Segment several recordings with :func:`segment`, on all processor cores.
+
+    Args:
+        recordings: poses of {b} in {g}, m: an array (R, N, 4, 4), or R arrays (N, 4, 4) of any lengths.
+        times: R arrays (N,) of sample times, s. Give either ``times`` or ``dt``.
+        dt: time between two poses, s: one number for all recordings, or R values.
+        reach: as in :func:`segment`.
+
+    Returns:
+        The segmentations, in the same order.
+
+    Raises:
+        ValueError: if the number of ``times`` or ``dt`` differs from the number of recordings, or for the
+            first recording that :func:`segment` refuses; the message names the recording.
+    """
+    number = len(recordings)
+    each_dt = [dt] * number if dt is None or isinstance(dt, int | float) else list(dt)
+    each_times = [None] * number if times is None else list(times)
+    for name, values in (("times", each_times), ("dt", each_dt)):
+        if len(values) != number:
+            raise ValueError(f"There must be as many {name} as recordings, {number}, not {len(values)}.")
+
+    def segment_one(index: int) -> Segmentation:
+        try:
+            return segment(recordings[index], times=each_times[index], dt=each_dt[index], reach=reach)
+        except ValueError as error:
+            raise ValueError(f"Recording {index}: {error}") from error
+
+    first = [segment_one(index) for index in range(min(number, 1))]  # compile before the threads start
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return first + list(pool.map(segment_one, range(1, number)))
+
+
 def find_segments(
     poses: np.ndarray, times: np.ndarray, reach: float
 ) -> tuple[list[tuple[int, int, int]], tuple[Boundary, ...], float]:
-    """Divide a recording, without identification of the segments.
+    """Divide a recording of checked poses, without identification of the segments.
 
-    Args:
-        poses: (N, 4, 4) checked poses, m.
-        times: (N,) sample times, s.
-        reach: half the width of the cube in which origins are searched, m.
-
-    Returns:
-        The segments as (first pose, pose after the last, label), the boundaries, and the motion time, s.
+    The result is the segments as (first pose, pose after the last, label), the boundaries, and the motion
+    time, s.
     """
     rotation, position = poses[:, :3, :3], poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0)
-    cells = make_cells(rotation, position, float(np.median(np.diff(times))))
-    cells = with_chance(cells, reach)
-    pieces = join_pieces(cells, find_pieces(cells, reach), reach)
-    places = [place_border(cells, rotation, position, *pair) for pair in pairwise(pieces)]
-    edges = [0, *(place[0] for place in places), len(poses)]
-    probabilities = _probabilities(cells, pieces, reach)
+    cells = with_chance(make_cells(rotation, position, float(np.median(np.diff(times))), reach))
+    pieces = join_pieces(cells, find_pieces(cells))
+    places = [place_border(cells, *pair) for pair in pairwise(pieces)]
     boundaries = tuple(
         Boundary(index, float(times[index]), probability, earliest, latest)
-        for (index, earliest, latest), probability in zip(places, probabilities, strict=True)
+        for (index, earliest, latest), probability in zip(places, _probabilities(cells, pieces), strict=True)
     )
-    spans = list(pairwise(edges))
+    spans = list(pairwise([0, *(place[0] for place in places), len(poses)]))
     inner = [_inner(piece, *span, cells.samples) for piece, span in zip(pieces, spans, strict=True)]
-    labels = label_pieces(cells, inner, reach)
-    parts = [(*span, label) for span, label in zip(spans, labels, strict=True)]
+    parts = [(*span, label) for span, label in zip(spans, label_pieces(cells, inner), strict=True)]
     return parts, boundaries, cells.motion_time
 
 
@@ -103,19 +135,14 @@ def _inner(piece: Piece, start: int, stop: int, samples: int) -> Piece:
     return piece._replace(start=first, stop=max(min(stop // samples, piece.stop), first + 1))
 
 
-def _probabilities(cells: Cells, pieces: list[Piece], reach: float) -> list[float]:
+def _probabilities(cells: Cells, pieces: list[Piece]) -> list[float]:
     """Probability that a piece and the next piece have different constraints, for each boundary."""
     spans = [(piece.start, piece.stop) for piece in pieces]
-    pairs = [(a, d) for (a, _), (_, d) in pairwise(spans)]
-    every = np.array(spans + pairs)
-    bank = fit_models(cells, every, reach)
-    evidence = {tuple(span): 0.0 for span in every.tolist()}
-    for span, score in zip(bank.span.tolist(), bank.score, strict=True):
-        evidence[tuple(span)] = max(evidence[tuple(span)], float(score))
-    gains = [
-        evidence[a] + evidence[b] - evidence[c] for a, b, c in zip(spans[:-1], spans[1:], pairs, strict=True)
-    ]
-    return [float(1 / (1 + np.exp(-np.clip(gain, -50, 50)))) for gain in gains]
+    both = [(a, d) for (a, _), (_, d) in pairwise(spans)]
+    evidence = best_scores(fit_models(cells, np.array(spans + both)))
+    one, joint = ([max(evidence.get(span, 0.0), 0.0) for span in part] for part in (spans, both))
+    gains = np.clip(np.add(one[:-1], one[1:]) - joint, -50, 50)
+    return list((1 / (1 + np.exp(-gains))).tolist())
 
 
 def _identify(poses: np.ndarray, times: np.ndarray, reach: float) -> Identification | None:

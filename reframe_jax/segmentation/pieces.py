@@ -5,13 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from reframe_jax.segmentation.bank import Bank, choose_models, fit_models
+from reframe_jax.segmentation.bank import Bank, best_scores, choose_models, fit_models
 from reframe_jax.segmentation.cells import Cells
 from reframe_jax.segmentation.constants import SEGMENTS as C
 from reframe_jax.segmentation.rows import Fits, fit_spans
 from reframe_jax.segmentation.sequence import cover, likeliest
-
-__all__ = ["Piece", "find_pieces", "join_pieces", "stays_held"]
 
 _SHORTEST, _LONGEST = 8, 512  # cells in a window
 _PRICES = 0.4, 1, 1, 1, 1, 1  # of a segment, in each round: a low price first, to refit more candidates
@@ -38,14 +36,14 @@ class Piece(NamedTuple):
         return self.held == (3, 3)
 
 
-def find_pieces(cells: Cells, reach: float) -> list[Piece]:
+def find_pieces(cells: Cells) -> list[Piece]:
     """Divide a recording into the most probable sequence of models.
 
     The models are fitted to windows of many lengths, then to the pieces of the best sequence.
     A model may not explain a piece in which no fit to this piece alone pays its price.
     """
     number = cells.linear.shape[1]
-    first = fit_models(cells, _windows(number), reach)
+    first = fit_models(cells, _windows(number))
     if not len(first.score):
         return [Piece(0, number, None)]
     known = cover(cells, first, C.widen)
@@ -58,7 +56,7 @@ def find_pieces(cells: Cells, reach: float) -> list[Piece]:
         spans = _neighbours(edges)
         new = np.array(sorted(spans - done)).reshape(-1, 2)
         if len(new):
-            tried = tried.join(fit_models(cells, new, reach))
+            tried = tried.join(fit_models(cells, new))
             done |= spans
         again = tried.take([k for k, span in enumerate(tried.span.tolist()) if tuple(span) in spans])
         pieces = [Piece(a, b, bank.take([path[a]]) if path[a] >= 0 else None) for a, b in pairwise(edges)]
@@ -98,9 +96,7 @@ def _paid(pieces: list[Piece], again: Bank) -> list[bool]:
 
     A model of a longer span has too much evidence in a short piece, in which free motion also moves little.
     """
-    best: dict[tuple[int, ...], float] = {}
-    for span, score in zip(again.span.tolist(), again.score.tolist(), strict=True):
-        best[tuple(span)] = max(best.get(tuple(span), -np.inf), score)
+    best = best_scores(again)
     return [
         piece.model is None or piece.still or best.get((piece.start, piece.stop), -np.inf) >= 0
         for piece in pieces
@@ -128,13 +124,7 @@ def _neighbours(edges: list[int]) -> set[tuple[int, int]]:
 
 
 def stays_held(models: list[Bank], cells: Cells, union: Fits) -> bool:
-    """Whether the coordinates that are held in several pieces can also be held in their union.
-
-    Args:
-        models: the models of the pieces, with equal numbers of held translations and of held rotations.
-        cells: cells of the recording.
-        union: rows with the least motion in the union of the pieces.
-    """
+    """Whether coordinates that models of equal ``held`` hold can also be held in the union of their spans."""
     translations, rotations = models[0].held[0]
     size = np.stack([model.size[0] for model in models])
     for count, own, fitted, floor in (
@@ -147,30 +137,22 @@ def stays_held(models: list[Bank], cells: Cells, union: Fits) -> bool:
     return True
 
 
-def join_pieces(cells: Cells, pieces: list[Piece], reach: float) -> list[Piece]:
+def join_pieces(cells: Cells, pieces: list[Piece]) -> list[Piece]:
     """Join consecutive pieces of one constraint, also across a pause.
 
     A long pause between different constraints, or at an end of the recording, remains a piece.
-
-    Args:
-        cells: cells of the recording, with ``chance`` and ``progress``.
-        pieces: pieces in order of time.
-        reach: half the width of the cube in which origins are searched, m.
     """
-    pieces = list(pieces)
     tried: dict[tuple[float, ...], Piece | None] = {}
     while True:
         order = sorted(range(len(pieces)), key=lambda i: pieces[i].stop - pieces[i].start)
-        joined = next(
-            (new for i in order if (new := _join_one(cells, pieces, i, reach, tried)) is not None), None
-        )
+        joined = next((new for i in order if (new := _join_one(cells, pieces, i, tried)) is not None), None)
         if joined is None:
             return pieces
         pieces = joined
 
 
 def _join_one(
-    cells: Cells, pieces: list[Piece], i: int, reach: float, tried: dict[tuple[float, ...], Piece | None]
+    cells: Cells, pieces: list[Piece], i: int, tried: dict[tuple[float, ...], Piece | None]
 ) -> list[Piece] | None:
     """Join piece i with its neighbours; None if the piece stays separate."""
     own = pieces[i]
@@ -200,7 +182,7 @@ def _join_one(
             span = pieces[first].start, pieces[last].stop
             key = (*span, *(float(value) for model in models for value in (*model.held[0], model.score[0])))
             if key not in tried:
-                tried[key] = _together(cells, *span, models, reach)
+                tried[key] = _together(cells, *span, models)
             new = tried[key]
             if new is not None:
                 return [*pieces[:first], new, *pieces[last + 1 :]]
@@ -210,10 +192,10 @@ def _join_one(
     return None
 
 
-def _together(cells: Cells, start: int, stop: int, models: list[Bank], reach: float) -> Piece | None:
+def _together(cells: Cells, start: int, stop: int, models: list[Bank]) -> Piece | None:
     """Make one piece of a span if the rows of the models stay held in the whole span."""
     span = np.array([[start, stop]])
-    fits = fit_spans(cells, span, reach)
+    fits = fit_spans(cells, span)
     found = choose_models(cells, span, fits)
     if not stays_held(models, cells, fits):
         return None
@@ -233,3 +215,46 @@ def _divide_between_neighbours(pieces: list[Piece], i: int) -> list[Piece]:
         return [*before[:-1], before[-1]._replace(stop=after[0].stop), *after[1:]]
     middle = (own.start + own.stop) // 2
     return [*before[:-1], before[-1]._replace(stop=middle), after[0]._replace(start=middle), *after[1:]]
+
+
+def label_pieces(cells: Cells, pieces: list[Piece]) -> list[int]:
+    """Number the constraints of pieces in order of appearance; a still body has the label -1.
+
+    Two pieces have the same constraint if they hold equal numbers of translations and rotations, and if the
+    held coordinates of one piece hardly move in the other piece. The mean values of these coordinates may
+    differ, because the frame may be fixed in the body. All free motion has one label. Neighbours have
+    different labels.
+    """
+    fits = fit_spans(cells, np.array([(piece.start, piece.stop) for piece in pieces]))
+    labels: list[int] = []
+    for i, piece in enumerate(pieces):
+        other = (j for j in range(i) if labels[j] not in (-1, labels[-1]))
+        alike = {labels[j] for j in other if not piece.still and _same(cells, pieces, fits, i, j)}
+        labels.append(-1 if piece.still else min(alike, default=max(labels, default=-1) + 1))
+    return labels
+
+
+def _same(cells: Cells, pieces: list[Piece], fits: Fits, i: int, j: int) -> bool:
+    """Whether two pieces have the same constraint."""
+    if pieces[i].held != pieces[j].held:
+        return False
+    translations, rotations = pieces[i].held
+    for a, b in ((i, j), (j, i)):
+        spans = [slice(pieces[k].start, pieces[k].stop) for k in (a, b)]
+        weights = fits.weights[a, max(translations - 1, 0)]
+        if _holds(cells.linear, weights, translations, cells.floor[0], spans) and _holds(
+            cells.angular, fits.axes[a], rotations, cells.floor[1], spans
+        ):
+            return True
+    return False
+
+
+def _holds(features: np.ndarray, rows: np.ndarray, count: int, floor: float, spans: list[slice]) -> bool:
+    """Whether ``count`` rows (T, 3, F) of any type are held in the first span and in the second span."""
+    if count == 0:
+        return True
+    own, other = (
+        np.stack([np.std(z[span] @ w[:count].T, axis=0).max() for z, w in zip(features, rows, strict=True)])
+        for span in spans
+    )
+    return bool(np.any(np.maximum(own, other) <= max(C.same * own.min(), 2 * floor)))

@@ -7,8 +7,6 @@ import numpy as np
 
 from reframe_jax.identification.results import Identification
 
-__all__ = ["Boundary", "Segment", "Segmentation"]
-
 
 @dataclass(frozen=True)
 class Boundary:

@@ -10,8 +10,6 @@ import numpy as np
 from reframe_jax.segmentation.cells import GROUND_TYPES, Cells
 from reframe_jax.segmentation.constants import SEGMENTS as C
 
-__all__ = ["Fits", "fit_spans"]
-
 _STEPS = 3, 3, 4  # steps of the fits of 3, 2 and 1 held translations; each fit starts at the previous one
 _HAT = np.cross(np.eye(3)[:, None], np.eye(3))  # (_HAT @ v)[:, c] = e_c x v
 
@@ -37,14 +35,8 @@ class Fits(NamedTuple):
     motion: np.ndarray
 
 
-def fit_spans(cells: Cells, spans: np.ndarray, reach: float) -> Fits:
-    """Fit rows to spans.
-
-    Args:
-        cells: cells of the recording.
-        spans: (P, 2) first cell, and the cell after the last, of each span.
-        reach: half the width of the cube in which origins are searched, m.
-    """
+def fit_spans(cells: Cells, spans: np.ndarray) -> Fits:
+    """Fit rows to spans (P, 2): the first cell, and the cell after the last, of each."""
     number = len(spans)
     linear_mean, linear = _moments(cells.linear, spans)
     angular_mean, angular = _moments(cells.angular, spans)
@@ -56,7 +48,7 @@ def fit_spans(cells: Cells, spans: np.ndarray, reach: float) -> Fits:
     middle = np.zeros((number, 4, 3))
     middle[:, GROUND_TYPES] = linear_mean[:, 1, None, ::4]
     form = np.ascontiguousarray(linear.reshape(-1, 144).T).reshape(3, 4, 3, 4, -1)
-    weights, size = _least_motion_rows(form, middle.reshape(-1, 3).T, reach)
+    weights, size = _least_motion_rows(form, middle.reshape(-1, 3).T, cells.reach)
     largest = np.sqrt(np.maximum(turn[:, :, 2] ** 2 - floor_turn**2, 0)).min(axis=1)
     return Fits(
         weights=weights.reshape(3, 3, 12, number, 4).transpose(3, 0, 4, 1, 2),
@@ -89,21 +81,20 @@ def _moments(features: np.ndarray, spans: np.ndarray) -> tuple[np.ndarray, np.nd
 def _least_motion_rows(form: np.ndarray, middle: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
     """Fit rows (3, 3, 12, P) for 1, 2 and 3 held translations, with RMS (3, 3, P).
 
-    Args:
-        form: (3, 4, 3, 4, P) moments; the problems come last, so that every operation runs along them.
-        middle: (3, P) m, centre of the cube of origins.
-        reach: half the width of the cube, m.
+    The moments ``form`` are (3, 4, 3, 4, P): the problems come last, so that every operation runs along them.
+    Origins are at most ``reach``, m, from ``middle`` (3, P) along each axis.
     """
     total = np.einsum("iaibp->abp", form)
     ridge = 1e-9 + 1e-4 * np.einsum("aap->p", total[1:, 1:]) / 3
     away = total[1:, 0] + np.einsum("abp,bp->ap", total[1:, 1:], middle)
     least = middle - _solve(total[1:, 1:] + ridge * np.eye(3)[:, :, None], away)
-    least = np.clip(least, middle - reach, middle + reach)
-
-    x, axes = least, _axes(_covariance(form, least)[1])
+    low, high = middle - reach, middle + reach
+    x = np.clip(least, low, high)
+    covariance = np.moveaxis(_covariance(form, x)[1], -1, 0)
+    axes = np.moveaxis(np.linalg.eigh(covariance)[1], 0, -1)  # columns, in ascending order of variance
     found = []
     for held, steps in zip((3, 2, 1), _STEPS, strict=True):
-        x, axes, squares = _descend(form, x, axes, held, steps, middle, reach)
+        x, axes, squares = _descend(form, x, axes, held, steps, low, high)
         found.append((x, axes, squares))
     weights, size = [], []
     for held, (x, axes, squares) in enumerate(reversed(found), 1):
@@ -125,17 +116,6 @@ def _covariance(form: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return half, np.einsum("iajp,ap->ijp", half, z)
 
 
-def _axes(covariance: np.ndarray) -> np.ndarray:
-    """Eigenvectors (3, 3, P) of covariances as columns, in ascending order of variance."""
-    return np.moveaxis(np.linalg.eigh(np.moveaxis(covariance, -1, 0))[1], 0, -1)
-
-
-def _squares(covariance: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    """Mean squares (3, P) of the path along axes."""
-    along = np.einsum("ijp,jkp->ikp", covariance, axes)
-    return np.maximum(np.einsum("ikp,ikp->kp", along, axes), 1e-30)
-
-
 def _solve(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """Solve systems (n, n, P) for vectors (n, P)."""
     return np.asarray(np.linalg.solve(np.moveaxis(matrix, -1, 0), vector.T[..., None])[..., 0].T)
@@ -147,45 +127,35 @@ def _descend(
     axes: np.ndarray,
     held: int,
     steps: int,
-    middle: np.ndarray,
-    reach: float,
+    low: np.ndarray,
+    high: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Minimize sum_{i < held} log w_i' G w_i with w_i = v_i (1, x), by Levenberg's steps.
 
-    Args:
-        form: (3, 4, 3, 4, P) moments G.
-        x: (3, P) m, initial origins.
-        axes: (3, 3, P), initial directions v as columns.
-        held: number of rows.
-        steps: number of steps.
-        middle: (3, P) m, centre of the cube of origins.
-        reach: half the width of the cube, m.
-
-    Returns:
-        Origins, axes, and w' G w of all rows, (3, P).
+    G is the form. The steps start at origins x (3, P), m, and at directions v, the columns of axes (3, 3, P).
+    They keep the origins between ``low`` and ``high`` (3, P). The result is the origins, the axes, and w' G w
+    of all rows, (3, P).
     """
-    damping = np.full(x.shape[1], 1e-3)
-    half, covariance = _covariance(form, x)
-    square = _squares(covariance, axes)
-    value = np.log(square[:held]).sum(axis=0)
+
+    def evaluate(x: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, ...]:
+        half, covariance = _covariance(form, x)
+        along = np.einsum("ijp,jkp->ikp", covariance, axes)
+        square = np.maximum(np.einsum("ikp,ikp->kp", along, axes), 1e-30)
+        return x, axes, half, covariance, square, np.log(square[:held]).sum(axis=0)
+
+    here, damping = evaluate(x, axes), np.full(x.shape[1], 1e-3)
     for _ in range(steps):
+        x, axes, half, covariance, square, value = here
         step = _levenberg(form, half, covariance, axes, square, held, damping)
-        there = np.clip(x - step[3:], middle - reach, middle + reach)
         turn = -0.5 * step[:3, None]
         turn /= np.maximum(np.linalg.norm(turn, axis=0) / 0.25, 1)
         across = np.cross(turn, axes, axis=0)
         turned = axes + 2 * (across + np.cross(turn, across, axis=0)) / (1 + np.sum(turn**2, axis=0))
-        new_half, new_covariance = _covariance(form, there)
-        new_square = _squares(new_covariance, turned)
-        lower = np.log(new_square[:held]).sum(axis=0)
-        good = lower < value
-        old = x, axes, half, covariance, square, value
-        new = there, turned, new_half, new_covariance, new_square, lower
-        x, axes, half, covariance, square, value = (
-            np.where(good, b, a) for a, b in zip(old, new, strict=True)
-        )
-        damping = np.clip(np.where(good, damping / 10, damping * 30), 1e-8, 1e3)
-    return x, axes, square
+        there = evaluate(np.clip(x - step[3:], low, high), turned)
+        lower = there[-1] < value
+        here = tuple(np.where(lower, b, a) for a, b in zip(here, there, strict=True))
+        damping = np.clip(np.where(lower, damping / 10, damping * 30), 1e-8, 1e3)
+    return here[0], here[1], here[4]
 
 
 def _levenberg(

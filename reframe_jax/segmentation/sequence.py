@@ -12,8 +12,6 @@ import numpy as np
 from reframe_jax.segmentation.bank import Bank, gains
 from reframe_jax.segmentation.cells import Cells
 
-__all__ = ["Coverage", "columns_of", "cover", "likeliest"]
-
 FREE = -1
 _BATCH = 50_000  # values per batch
 
@@ -39,13 +37,7 @@ class Coverage(NamedTuple):
 
 
 def cover(cells: Cells, bank: Bank, widen: float = 1.0) -> Coverage:
-    """Evaluate each model in its span, and in one length of the span on either side.
-
-    Args:
-        cells: cells of the recording.
-        bank: the models.
-        widen: factor on the sizes of the models.
-    """
+    """Evaluate models, ``widen`` times their size, in their spans, and one span length on either side."""
     number = cells.linear.shape[1]
     start, stop = bank.span.T
     low, high = np.maximum(2 * start - stop, 0), np.minimum(2 * stop - start, number)
@@ -61,15 +53,7 @@ def cover(cells: Cells, bank: Bank, widen: float = 1.0) -> Coverage:
 
 
 def columns_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Assign intervals to the fewest columns, so that no two intervals of a column overlap.
-
-    Args:
-        low: (H,) first cell of each interval.
-        high: (H,) cell after the last of each interval.
-
-    Returns:
-        (H,) column of each interval.
-    """
+    """Assign intervals [low, high) of cells, (H,), to the fewest columns (H,), without overlaps in any."""
     column = np.zeros(len(low), int)
     ends: list[tuple[int, int]] = []
     for k in np.argsort(low, kind="stable"):
@@ -83,14 +67,10 @@ def columns_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 
 def likeliest(coverage: Coverage, price: float) -> tuple[np.ndarray, float]:
-    """Find the sequence of models with the largest log evidence; free motion has the evidence 0.
+    """Find the sequence of models with the largest log evidence, of which each use of a model costs a price.
 
-    Args:
-        coverage: coverage of all models.
-        price: log evidence that each use of a model costs.
-
-    Returns:
-        (N,) index of the model of each cell, -1 for free motion; and the total log evidence.
+    The result is the index of the model of each cell, (N,), -1 for free motion, which has the evidence 0; and
+    the total log evidence.
     """
     gain, column, first = coverage
     number, width = gain.shape
