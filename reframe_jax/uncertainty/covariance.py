@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal, get_args
 
 import jax
@@ -16,8 +17,6 @@ from reframe_jax.identification.results import Identification, Index
 from reframe_jax.uncertainty.refit import BLOCKS, HALVES, LENGTHS, THIRDS, Estimate, Refit, refit_windows
 from reframe_jax.uncertainty.spread import blocks, parts_with_prior, spread_of_fit, student_variance, widen
 from reframe_jax.uncertainty.windows import over_windows
-
-__all__ = ["Covariance", "Errors", "Method", "covariance", "move"]
 
 Errors = Literal["measured", "white"]
 """Whether disagreement between parts of the recording widens a covariance, or errors count as white."""
@@ -177,8 +176,8 @@ def _window_covariances(
     scales: tuple[int, ...] | None,
     parts: str,
 ) -> Covariance:
-    refit, window = refit_windows(poses, steps, count, found, scales, parts)
-    matrix, inflation = jax.vmap(_COMBINE[parts])(refit)
+    window, refit = refit_windows(poses, steps, count, found, scales, parts)
+    matrix, inflation = jax.vmap(partial(_combine_parts, parts=parts))(refit)
     angles = jnp.sqrt(jnp.diagonal(matrix, axis1=1, axis2=2))
     small = jnp.max(angles[:, :6], axis=1) < _LARGE_TURN
     near = jnp.max(angles[:, 6:], axis=1) < _LARGE_SHIFT * window.box
@@ -187,42 +186,23 @@ def _window_covariances(
     return Covariance(matrix, jnp.where(failed[:, None], jnp.nan, inflation), small & near & ~failed)
 
 
-def _white_covariance(refit: Refit) -> tuple[jax.Array, jax.Array]:
-    """Covariance of one window, for white errors."""
-    matrix, _, _ = _spreads(refit)
-    return matrix[0], jnp.ones(3, matrix.dtype)
-
-
-def _spreads(refit: Refit) -> tuple[jax.Array, jax.Array, jax.Array]:
-    of_parts = jax.vmap(spread_of_fit, in_axes=(0, 0, 0, None, None))
-    return of_parts(refit.parameters, refit.data, refit.slopes, refit.entry, refit.prior)
-
-
-def _widened_covariance(refit: Refit) -> tuple[jax.Array, jax.Array]:
-    """Covariance of one window, widened by the differences of redundant axes, halves and thirds."""
-    own, redundant, white = _spreads(refit)
+def _combine_parts(refit: Refit, *, parts: str) -> tuple[jax.Array, jax.Array]:
+    """Covariance of one window and its inflation, from the fits of its parts."""
+    if parts == "blocks":  # the jackknife
+        rest = refit.numbers[1:] - jnp.mean(refit.numbers[1:], axis=0)
+        matrix = rest.T @ rest * (BLOCKS - 1) / BLOCKS * student_variance(jnp.asarray(BLOCKS - 1.0))
+        return matrix, jnp.ones(3, matrix.dtype)
+    own, redundant, white = refit.each_part(spread_of_fit)
     matrix = own[0]
+    if parts == "whole":
+        return matrix, jnp.ones(3, matrix.dtype)
+    # widen by the differences of redundant axes, halves and thirds
     estimates, covariances = parts_with_prior(refit, own, LENGTHS)
     i, j = np.concatenate([HALVES, THIRDS]).T
     long = [jnp.all(refit.poses[np.ravel(pairs)] >= _FEWEST) for pairs in (HALVES, THIRDS)]
-    used = jnp.stack([jnp.asarray(True), *long])[_SET]
+    used = jnp.stack([jnp.asarray(True), *long])[_SET][:, None, None]
     apart = jnp.concatenate([redundant[0].reshape(1, 3, 3), estimates[i] - estimates[j]])
     chance = jnp.concatenate([blocks(white[0])[None], covariances[i] + covariances[j]])
-    widened = widen(
-        matrix,
-        jnp.where(used[:, None, None], apart, 0),
-        jnp.where(used[:, None, None, None], chance, 0),
-        _SET,
-    )
+    widened = widen(matrix, jnp.where(used, apart, 0), jnp.where(used[..., None], chance, 0), _SET)
     sizes = [jnp.diagonal(of).reshape(3, 3).sum(axis=1) for of in (widened, matrix)]
     return widened, jnp.where(sizes[1] > 0, jnp.sqrt(sizes[0] / sizes[1]), 1)
-
-
-def _jackknife_covariance(refit: Refit) -> tuple[jax.Array, jax.Array]:
-    """Covariance of one window, by the jackknife."""
-    rest = refit.numbers[1:] - jnp.mean(refit.numbers[1:], axis=0)
-    matrix = rest.T @ rest * (BLOCKS - 1) / BLOCKS
-    return matrix * student_variance(jnp.asarray(BLOCKS - 1.0)), jnp.ones(3, matrix.dtype)
-
-
-_COMBINE = {"whole": _white_covariance, "spans": _widened_covariance, "blocks": _jackknife_covariance}

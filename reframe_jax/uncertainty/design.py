@@ -1,6 +1,6 @@
 """Choose the next motion: the motion that would reduce the covariance most."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
 
@@ -13,14 +13,11 @@ from reframe_jax.constraints.located import Frame, body_twist, frame_arrays
 from reframe_jax.geometry.transforms import pose_exp
 from reframe_jax.identification.results import Identification
 from reframe_jax.model.features import pose_features
-from reframe_jax.model.fit import Data
 from reframe_jax.model.moments import scale_moments
 from reframe_jax.motion import kinematics
 from reframe_jax.uncertainty.refit import Estimate, Refit, refit_windows
-from reframe_jax.uncertainty.spread import information, posterior, row_precision
+from reframe_jax.uncertainty.spread import covariances_of_motions, information, row_precision
 from reframe_jax.uncertainty.windows import over_windows
-
-__all__ = ["MotionAdvice", "next_motion"]
 
 _SPEED = np.repeat([0.5, 0.1], 3)  # rad/s and m/s, amplitude of a candidate motion along an axis
 _RATE = 2 * np.pi  # rad/s, one period per second
@@ -95,66 +92,62 @@ def next_motion(
     for row, picked in zip(axes, chosen, strict=True):
         row[list(picked)] = True
     with jax.enable_x64(True):
-        frame = jax.tree.map(lambda leaf: jnp.asarray(leaf), frame_arrays(found.constraint_frame))
+        frame = jax.tree.map(jnp.asarray, frame_arrays(found.constraint_frame))
         frame = jax.tree.map(lambda leaf: leaf if leaf.dtype == bool else leaf.astype(float), frame)
-        made = _move(frame, jnp.asarray(recorded[-1]), jnp.asarray(axes * _SPEED), step, number=number)
-    longer = np.concatenate([np.broadcast_to(recorded, (len(axes), *recorded.shape)), made], axis=1)
-    late = clock[-1] + step * np.arange(1, number + 1)
-    many = jax.tree.map(
-        lambda leaf: np.broadcast_to(leaf, (len(axes), *np.shape(leaf))), jax.device_get(found)
-    )
-    many = replace(many, counted=np.ones(longer.shape[:2], bool))
-    clock = np.concatenate([clock, late])
-    now, then = over_windows(_with_motion, many, longer, clock, None, "auto", pad=False, parts=str(number))
-    shrinks = _shrinks(np.asarray(now)[0], np.asarray(then))
+        centre, refit = over_windows(_fit_whole, found, recorded, clock, None, "auto")
+        now, then = _spreads(frame, recorded[-1], axes * _SPEED, step, centre, refit, number=number)
+    shrinks = _shrinks(np.asarray(now), np.asarray(then))
     order = np.argsort(shrinks, kind="stable")
     return MotionAdvice(axes[order], shrinks[order])
 
 
-def _with_motion(
+def _fit_whole(
     poses: jax.Array,
     steps: jax.Array,
     count: jax.Array | None,
     found: Estimate,
     *,
     scales: tuple[int, ...] | None,
-    parts: str,
+) -> tuple[jax.Array, Refit]:
+    """Centres (N, 3), m, and fits of whole windows."""
+    window, refit = refit_windows(poses, steps, count, found, scales, "whole")
+    return window.centre, refit
+
+
+@partial(jax.jit, static_argnames="number")
+def _spreads(
+    frame: Frame,
+    last: jax.Array,
+    speeds: jax.Array,
+    step: float,
+    centre: jax.Array,
+    refit: Refit,
+    *,
+    number: int,
 ) -> tuple[jax.Array, jax.Array]:
-    """Covariances (N, 9, 9) of the recording, and of the recording followed by each candidate motion."""
-    recorded = poses.shape[1] - int(parts)
-    refit, window = refit_windows(
-        poses[:, :recorded], steps[:, : recorded - 1], count, found, scales, "whole"
-    )
-    made = poses[:, recorded:].at[:, :, :3, 3].add(-window.centre[:, None])
+    """Covariances of a recording (9, 9), and of the recording followed by each of M motions, (M, 9, 9)."""
+    made = _move(frame, last, speeds, step, number)
+    made = made.at[..., :3, 3].add(-centre)
     rotation, position = kinematics.split_poses(made)
     counted = jnp.ones(made.shape[:2], bool)
-    features = pose_features(rotation, position, steps[:, recorded:], counted.T, None)
+    features = pose_features(rotation, position, jnp.full((1, number - 1), step), counted.T, None)
     moments = scale_moments(features.values, counted, None)
     # errors at each time scale as large as in the recording; the smooth part is the last scale
-    size = refit.data.details.shape[2] - moments.details.shape[1]
+    fit = refit.of_whole()
+    size = fit.data.details.shape[0] - moments.details.shape[1]
     products, details = moments.products, moments.details
     if size > 0:
-        empty = jnp.zeros((len(poses), size, *products.shape[2:]), products.dtype)
+        empty = jnp.zeros((len(made), size, *products.shape[2:]), products.dtype)
         products = jnp.concatenate([products[:, :-1], empty, products[:, -1:]], axis=1)
         details = jnp.concatenate([details[:, :-1], empty[:, :, 0, 0], details[:, -1:]], axis=1)
     else:
-        taken = np.r_[: refit.data.details.shape[2] - 1, products.shape[1] - 1]
+        taken = np.r_[: fit.data.details.shape[0] - 1, products.shape[1] - 1]
         products, details = products[:, taken], details[:, taken]
-    return jax.vmap(_shrink)(refit, products, details)
-
-
-def _shrink(refit: Refit, products: jax.Array, details: jax.Array) -> tuple[jax.Array, jax.Array]:
-    parameters, data, slopes = jax.tree.map(
-        lambda leaf: leaf[0], (refit.parameters, refit.data, refit.slopes)
+    details = jnp.where(fit.data.details > 0, details, 0)
+    known = jnp.sum(information(fit, row_precision(fit), fit.data)[0], axis=(0, 1))
+    return covariances_of_motions(fit, jnp.zeros_like(products[:1]), details[:1], known)[0], (
+        covariances_of_motions(fit, products, details, known)
     )
-    precision = row_precision(parameters, data, refit.entry)
-    details = jnp.where(data.details > 0, details, 0)
-    motion = Data(products, details, data.mean_rotation, data.box)
-    now, more = (
-        jnp.sum(information(parameters, precision, of, refit.entry)[0], axis=(0, 1)) for of in (data, motion)
-    )
-    spreads = [slopes @ posterior(total, refit.prior) @ slopes.T for total in (now, now + more)]
-    return spreads[0], spreads[1]
 
 
 def _shrinks(now: np.ndarray, then: np.ndarray) -> np.ndarray:
@@ -169,8 +162,7 @@ def _shrinks(now: np.ndarray, then: np.ndarray) -> np.ndarray:
     return np.asarray(np.exp(np.linalg.slogdet(ratio)[1] / (2 * known.sum())))
 
 
-@partial(jax.jit, static_argnames="number")
-def _move(frame: Frame, start: jax.Array, speeds: jax.Array, step: float, *, number: int) -> jax.Array:
+def _move(frame: Frame, start: jax.Array, speeds: jax.Array, step: float, number: int) -> jax.Array:
     """Poses (M, number, 4, 4) from a start pose, along frame axes with velocity amplitudes (M, 6)."""
 
     def one(speed: jax.Array) -> jax.Array:

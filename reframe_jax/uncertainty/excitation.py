@@ -26,8 +26,6 @@ from reframe_jax.model.table import ENTRIES
 from reframe_jax.uncertainty.refit import Estimate, prepare
 from reframe_jax.uncertainty.windows import over_windows
 
-__all__ = ["Excitation", "excitation"]
-
 _STEADY = (
     0.03  # residual fraction of a constant, fitted by the velocities, below which a velocity is constant
 )
@@ -95,7 +93,7 @@ def excitation(
     Raises:
         ValueError: if the poses differ from the poses of ``found``.
     """
-    return over_windows(_window_excitations, found, poses, times, dt, scales, parts="whole")
+    return over_windows(_window_excitations, found, poses, times, dt, scales)
 
 
 def _window_excitations(
@@ -105,10 +103,9 @@ def _window_excitations(
     found: Estimate,
     *,
     scales: tuple[int, ...] | None,
-    parts: str,
 ) -> Excitation:
-    window, used, mean_rotation, entry, parameters = prepare(poses, steps, count, found, scales)
-    straight = parameters._replace(pitch=jnp.zeros_like(parameters.pitch))
+    window, (_, used, mean_rotation, entry, start, _) = prepare(poses, steps, count, found, scales)
+    straight = start._replace(pitch=jnp.zeros_like(start.pitch))
     weights = jax.vmap(coordinates)(straight, mean_rotation, entry)
     # differences of block means, divided by the block length, are velocities in m or rad per sample
     first = jnp.argmax(used.details > 0, axis=1)
@@ -118,11 +115,11 @@ def _window_excitations(
     index, end = jnp.arange(poses.shape[1])[None], window.count[:, None]
     size = jnp.maximum(end // _ENDS, 1)
     ends = [(window.counted & of).astype(poses.dtype) for of in (index >= end - size, index < size)]
-    last, start = (
+    late, early = (
         jnp.einsum("np,npf->nf", of, window.features.values) / jnp.maximum(jnp.sum(of, axis=1), 1)[:, None]
         for of in ends
     )
-    mean = jnp.einsum("nif,nf->ni", weights, last - start) / (end - size)
+    mean = jnp.einsum("nif,nf->ni", weights, late - early) / (end - size)
     reach = [jnp.einsum("nif,nmfc->nmic", weights, of) for of in window.features[1:3]]
     gain = [jnp.mean(jnp.sum(jnp.square(of), axis=-1), axis=1) for of in reach]
     noise = gain[0] * window.noise[:, :1] ** 2 + gain[1] * window.noise[:, 1:] ** 2
@@ -145,11 +142,8 @@ def _independent_motions(
 ) -> tuple[jax.Array, jax.Array]:
     """Number of independent motions of one window, and whether a sum of free velocities is constant.
 
-    Args:
-        gram: (6, 6) mean squares and products of velocities.
-        mean: (6,) mean velocities.
-        noise: (6,) contribution of the noise to the diagonal of ``gram``.
-        free: (6,) bool, whether each axis is free.
+    ``gram`` (6, 6) are mean products of velocities, of which the noise adds ``noise`` (6,) to the diagonal;
+    ``mean`` (6,) are mean velocities, ``free`` (6,) whether each axis is free.
     """
     tiny = jnp.finfo(gram.dtype).tiny ** 0.5
     unit = jnp.where(free, 1 / jnp.sqrt(jnp.maximum(jnp.diagonal(gram), tiny)), 0)
@@ -160,9 +154,7 @@ def _independent_motions(
     constant = (mean * unit) @ jnp.linalg.solve(lifted, mean * unit)
     least = jnp.maximum(_NOISES**2 * level, _PROPORTIONAL)
     number = jnp.zeros((), jnp.int32)
-    for _ in range(
-        6
-    ):  # pivoted elimination: each step subtracts the projection on one motion from the others
+    for _ in range(6):  # pivoted elimination: subtract the projection on one motion from the others
         left = jnp.diagonal(rest)
         margin = jnp.where(free, left - least, -1)
         best = jnp.argmax(margin)

@@ -4,7 +4,8 @@ A covariance has nine components: a rotation of the angular axes and of the line
 in the bodies of their types (rad), and a shift of the origin (m).
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,18 +19,6 @@ from reframe_jax.model.fit import Data, Parameters, fit_entry, ground_axes, move
 from reframe_jax.model.moments import Moments, scale_moments
 from reframe_jax.model.solve import choose_scales
 from reframe_jax.model.table import Table, entries_at
-
-__all__ = [
-    "BLOCKS",
-    "HALVES",
-    "LENGTHS",
-    "THIRDS",
-    "Estimate",
-    "Refit",
-    "estimate_of",
-    "prepare",
-    "refit_windows",
-]
 
 Array = jax.Array
 
@@ -70,38 +59,66 @@ def estimate_of(found: Identification, dtype: np.dtype) -> Estimate:
     return jax.tree.map(lambda x: x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x, values)
 
 
+class Windows(NamedTuple):
+    """What the fit of N windows needs.
+
+    Attributes:
+        box: (N,) m, half the width of the cube of origins.
+        moments: moments of the used scales.
+        mean_rotation: (N, 3, 3) mean rotations.
+        entry: (N,) rows of the table of constraints.
+        start: initial parameters.
+        found: the identified frames.
+    """
+
+    box: Array
+    moments: Moments
+    mean_rotation: Array
+    entry: Table
+    start: Parameters
+    found: Estimate
+
+
 class Refit(NamedTuple):
     """Constraints fitted to M parts of each of N windows; the first part is the whole window.
 
     Attributes:
         parameters, data: fitted parameters, and the statistics of the parts, with leading axes (N, M).
-        poses: (N, M) number of poses in each part.
-        entry: (N,) rows of the table of constraints.
         numbers: (N, M, 9) components of each fit, relative to the fit of the whole window.
         slopes: (N, M, 9, 9) derivative of the components with respect to a step of the parameters.
+        poses: (N, M) number of poses in each part.
+        entry: (N,) rows of the table of constraints.
         prior: (N, 9) prior standard deviations of the parameters.
     """
 
     parameters: Parameters
     data: Data
-    poses: Array
-    entry: Table
     numbers: Array
     slopes: Array
+    poses: Array
+    entry: Table
     prior: Array
+
+    def of_whole(self) -> "Refit":
+        """Return the fit of one whole window, without the axis of parts."""
+        return self.with_parts(jax.tree.map(lambda leaf: leaf[0], self[:5]))
+
+    def with_parts(self, leaves: tuple[Any, ...]) -> "Refit":
+        """Replace the fields that have an axis of parts."""
+        return self._replace(**dict(zip(self._fields, leaves, strict=False)))
+
+    def each_part(self, function: Callable[["Refit"], Any]) -> Any:
+        """Apply a function of the fit of one part to the M parts of one window."""
+        return jax.vmap(lambda *leaves: function(self.with_parts(leaves)))(*self[:5])
 
 
 def prepare(
     poses: Array, steps: Array, count: Array | None, found: Estimate, scales: tuple[int, ...] | None
-) -> tuple[Prepared, Moments, Array, Table, Parameters]:
-    """Prepare windows for the fit: moments of the used scales, mean rotations, entries and initial frames.
+) -> tuple[Prepared, Windows]:
+    """Prepare poses (N, P, 4, 4), m, and steps (K,) or (N, K), s, for the fit of the identified frames.
 
-    Args:
-        poses: (N, P, 4, 4) m.
-        steps: (K,) or (N, K) s.
-        count: (N,) number of poses before the padding; None without padding.
-        found: identified frames of the windows.
-        scales: time scales in samples; None for all scales at which the motion exceeds the noise.
+    The numbers of poses before the padding are ``count`` (N,), or None without padding. Time scales are in
+    samples; None chooses all scales at which the motion exceeds the noise.
     """
     window = jax.lax.stop_gradient(prepare_windows(poses, steps, count, None, scales))
     used = choose_scales(window.moments, window.noise, scales)
@@ -110,7 +127,8 @@ def prepare(
     u, _, v = jnp.linalg.svd(jnp.sum(weight * window.poses[:, :, :3, :3], axis=1))
     mean = (u * jnp.where(jnp.arange(3) == 2, jnp.linalg.det(u @ v)[:, None], 1)[:, None]) @ v
     entry = jax.vmap(entries_at)(jnp.maximum(found.code, 0))
-    return window, used, mean, entry, jax.vmap(_start)(found, window.centre, mean, entry)
+    start = jax.vmap(_start)(found, window.centre, mean, entry)
+    return window, Windows(window.box, used, mean, entry, start, found)
 
 
 def refit_windows(
@@ -120,20 +138,14 @@ def refit_windows(
     found: Estimate,
     scales: tuple[int, ...] | None,
     parts: str,
-) -> tuple[Refit, Prepared]:
-    """Fit the identified constraints to N windows and to parts of the windows.
+) -> tuple[Prepared, Refit]:
+    """Fit the identified constraints to windows and to parts of them; arguments as of :func:`prepare`.
 
-    Args:
-        poses: (N, P, 4, 4) m.
-        steps: (K,) or (N, K) s.
-        count: (N,) number of poses before the padding; None without padding.
-        found: identified frames of the windows.
-        scales: time scales in samples; None for all scales at which the motion exceeds the noise.
-        parts: "whole"; "spans" adds halves and thirds; "blocks" adds six parts, each without one of six
-            blocks.
+    The parts are "whole"; "spans", with halves and thirds; or "blocks", with six parts that each lack one of
+    six blocks.
     """
-    window, used, mean, entry, start = prepare(poses, steps, count, found, scales)
-    products, details = used.products[:, None], used.details[:, None]
+    window, windows = prepare(poses, steps, count, found, scales)
+    products, details = windows.moments.products[:, None], windows.moments.details[:, None]
     number = jnp.sum(window.counted, axis=1)[:, None]
     if parts != "whole":
         moments_of = _moments_of_spans if parts == "spans" else _moments_of_blocks
@@ -143,13 +155,13 @@ def refit_windows(
         # scales longer than a part have no independent values; the smooth part is the last scale
         index, last = np.arange(details.shape[2]), moments.details.shape[1] - 1
         place, present = np.minimum(index, last), (index < last) | (index == index[-1])
-        more = moments.products[:, place]
-        products = jnp.concatenate([products, more.reshape(len(poses), -1, *more.shape[1:])], axis=1)
-        more = jnp.where(present, moments.details[:, place], 0)
-        details = jnp.concatenate([details, more.reshape(len(poses), -1, more.shape[1])], axis=1)
+        more = moments.products[:, place], jnp.where(present, moments.details[:, place], 0)
+        products, details = (
+            jnp.concatenate([whole, part.reshape(len(whole), -1, *part.shape[1:])], axis=1)
+            for whole, part in zip((products, details), more, strict=True)
+        )
         number = jnp.concatenate([number, of_parts], axis=1)
-    box = window.box
-    return jax.vmap(_fit_window)(mean, box, products, details, number, entry, start, found), window
+    return window, jax.vmap(_fit_window)(windows, products, details, number)
 
 
 def _moments_of_blocks(window: Prepared, about_mean: bool) -> tuple[Moments, Array]:
@@ -175,17 +187,9 @@ def _moments_of_spans(window: Prepared, about_mean: bool) -> tuple[Moments, Arra
     return moments, jnp.sum(kept, axis=2)
 
 
-def _fit_window(
-    mean: Array,
-    box: Array,
-    products: Array,
-    details: Array,
-    poses: Array,
-    entry: Table,
-    start: Parameters,
-    found: Estimate,
-) -> Refit:
+def _fit_window(window: Windows, products: Array, details: Array, poses: Array) -> Refit:
     """Fit the parts (M, ...) of one window."""
+    box, _, mean, entry, start, found = window
     data = jax.vmap(lambda p, d: Data(p, d, mean, box))(products, details)
     one = jnp.ones((), products.dtype)
 
@@ -196,12 +200,8 @@ def _fit_window(
     whole = _frames(jax.tree.map(lambda leaf: leaf[0], parameters), mean, found, entry)
 
     def numbers(parameters: Parameters) -> Array:
-        (axes, origin), (axes_of_whole, origin_of_whole) = (
-            _frames(parameters, mean, found, entry),
-            whole,
-        )
-        turns = _small_turns(axes @ jnp.swapaxes(axes_of_whole, 1, 2))
-        shift = origin - origin_of_whole
+        axes, origin = _frames(parameters, mean, found, entry)
+        turns, shift = _small_turns(axes @ jnp.swapaxes(whole[0], 1, 2)), origin - whole[1]
         angular = _distinct(found.angular_axes, found.angular_dof) @ turns[0]
         linear = _distinct(found.linear_axes, found.linear_dof) @ turns[1]
         return jnp.concatenate([angular, linear, shift - found.free_position @ shift])
@@ -211,7 +211,7 @@ def _fit_window(
 
     prior = jnp.stack([_PRIOR_ANGLE * one] * 3 + [box] * 3 + [_PRIOR_ANGLE * one] * 2 + [_PRIOR_PITCH * one])
     of_parts = jax.vmap(numbers)(parameters), jax.vmap(slopes)(parameters)
-    return Refit(parameters, data, poses, entry, *of_parts, prior)
+    return Refit(parameters, data, *of_parts, poses, entry, prior)
 
 
 def _start(found: Estimate, centre: Array, mean: Array, entry: Table) -> Parameters:

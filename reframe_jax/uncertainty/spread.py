@@ -5,20 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.calibration.robust import NORMAL_FACTOR, student_factor
-from reframe_jax.model.fit import Data, Parameters, coordinates, held_covariance, move
-from reframe_jax.model.table import Table
+from reframe_jax.model.fit import Data, coordinates, held_covariance, move
 from reframe_jax.uncertainty.refit import Refit
-
-__all__ = [
-    "blocks",
-    "information",
-    "parts_with_prior",
-    "posterior",
-    "row_precision",
-    "spread_of_fit",
-    "student_variance",
-    "widen",
-]
 
 Array = jax.Array
 
@@ -30,10 +18,10 @@ _CHANCE, _SIGNIFICANT = 3.0, 4.0
 _PRIOR = 0.03  # information of the prior of a part, as a fraction of what a part of its length has on average
 
 
-def row_precision(parameters: Parameters, data: Data, entry: Table) -> Array:
+def row_precision(fit: Refit) -> Array:
     """Inverse covariance (S, 2, 6, 6) of constrained coordinates by scale, for rotations and translations."""
-    weights = coordinates(parameters, data.mean_rotation, entry)
-    covariance = held_covariance(weights, data.products, entry)
+    data, entry = fit.data, fit.entry
+    covariance = held_covariance(coordinates(fit.parameters, data.mean_rotation, entry), data.products, entry)
     unit = jnp.sqrt(jnp.diagonal(covariance, axis1=2, axis2=3))
     inverse = jnp.linalg.inv(covariance / unit[..., :, None] / unit[..., None, :])
     inverse = inverse / unit[..., :, None] / unit[..., None, :]
@@ -42,21 +30,15 @@ def row_precision(parameters: Parameters, data: Data, entry: Table) -> Array:
     return jnp.where(entry.held[:, None] & entry.held[None], whole, 0)
 
 
-def information(parameters: Parameters, precision: Array, motion: Data, entry: Table) -> tuple[Array, Array]:
+def information(fit: Refit, precision: Array, motion: Data) -> tuple[Array, Array]:
     """Fisher information and gradient of the negative log-likelihood, from rotations and from translations.
 
-    Args:
-        parameters: parameters of the constraint.
-        precision: (S, 2, 6, 6) inverse covariances of :func:`row_precision`.
-        motion: statistics of the motion.
-        entry: row of the table of constraints.
-
-    Returns:
-        The information (S, 2, 9, 9) about the parameters and the gradient (S, 2, 9), by scale.
+    The result is the information (S, 2, 9, 9) that a motion gives about the parameters, and the gradient
+    (S, 2, 9), by scale, with the inverse covariances of :func:`row_precision`.
     """
 
     def weights_after(step: Array) -> Array:
-        return coordinates(move(parameters, step, motion.box), motion.mean_rotation, entry)
+        return coordinates(move(fit.parameters, step, motion.box), motion.mean_rotation, fit.entry)
 
     zero = jnp.zeros(9, precision.dtype)
     slopes = jnp.concatenate([jax.jacfwd(weights_after)(zero), weights_after(zero)[:, :, None]], axis=2)
@@ -72,15 +54,28 @@ def posterior(total: Array, prior: Array) -> Array:
     return unit[:, None] * unit[None] * jnp.linalg.inv(precision * unit[:, None] * unit[None])
 
 
+def covariances_of_motions(fit: Refit, products: Array, details: Array, known: Array | float = 0.0) -> Array:
+    """Covariances (M, 9, 9) of the components from the moments of M motions, with the errors of one fit.
+
+    The information ``known`` (9, 9) about the parameters is added to that of each motion.
+    """
+    precision = row_precision(fit)
+
+    def of_one(products: Array, details: Array) -> Array:
+        motion = fit.data._replace(products=products, details=details)
+        total = known + jnp.sum(information(fit, precision, motion)[0], axis=(0, 1))
+        return fit.slopes @ posterior(total, fit.prior) @ fit.slopes.T
+
+    return jax.vmap(of_one)(products, details)
+
+
 def student_variance(freedom: Array) -> Array:
     """Variance of the normal distribution with the same 95 % interval as Student's distribution."""
     return jnp.square(student_factor(freedom) / NORMAL_FACTOR)
 
 
-def spread_of_fit(
-    parameters: Parameters, data: Data, slopes: Array, entry: Table, prior: Array
-) -> tuple[Array, Array, Array]:
-    """Covariance of the nine components, and the difference between two estimates of the axes.
+def spread_of_fit(fit: Refit) -> tuple[Array, Array, Array]:
+    """Covariance of the nine components of one part, and the difference between two estimates of the axes.
 
     The variances of constrained coordinates are estimates from the independent values of each scale. The
     degrees of freedom follow from Welch and Satterthwaite; each scale has a weight proportional to its
@@ -89,18 +84,11 @@ def spread_of_fit(
     If the constraint has one axis through both bodies, the tilt is the difference between its estimates.
     Otherwise one estimate is from rotations, and the other from translations, each after one scoring step.
 
-    Args:
-        parameters: fitted parameters.
-        data: statistics to which the parameters were fitted.
-        slopes: (9, 9) derivative of the components with respect to a step of the parameters.
-        entry: row of the table of constraints.
-        prior: (9,) prior standard deviations of the parameters.
-
-    Returns:
-        The covariance (9, 9), the difference (9,) of the components, and the covariance (9, 9) of the
-        difference for white errors.
+    The result is the covariance (9, 9), the difference (9,) of the components, and the covariance (9, 9) of
+    the difference for white errors.
     """
-    each, gradient = information(parameters, row_precision(parameters, data, entry), data, entry)
+    parameters, data, _, slopes, _, entry, prior = fit
+    each, gradient = information(fit, row_precision(fit), data)
     by_kind = jnp.sum(each, axis=0)
     total, rotations, translations = jax.vmap(posterior, in_axes=(0, None))(
         jnp.concatenate([jnp.sum(by_kind, axis=0)[None], by_kind]), prior
@@ -133,25 +121,14 @@ def parts_with_prior(refit: Refit, own: Array, lengths: np.ndarray) -> tuple[Arr
     of the prior follows from the motion of the part, with the errors of the whole window. A direction that
     the part does not determine keeps the estimate of the whole window.
 
-    Args:
-        refit: constraints fitted to M parts of one window.
-        own: (M, 9, 9) covariances of the components from the curvature of each fit.
-        lengths: (M,) lengths of the parts, as fractions of the window.
-
-    Returns:
-        The components (M, 3, 3) of the estimates, by group, and their covariances (M, 3, 3, 3) for white
-        errors: the mean of the covariances from the errors of the part and of the whole window.
+    ``own`` (M, 9, 9) are the covariances of the components from the curvature of each fit, ``lengths`` (M,)
+    the lengths of the parts, as fractions of the window. The result is the components (M, 3, 3) of the
+    estimates, by group, and their covariances (M, 3, 3, 3) for white errors: the mean of the covariances from
+    the errors of the part and of the whole window.
     """
-    parameters, whole, slopes = jax.tree.map(
-        lambda leaf: leaf[0], (refit.parameters, refit.data, refit.slopes)
-    )
-    precision = row_precision(parameters, whole, refit.entry)
-
-    def covariance_of(data: Data) -> Array:
-        each, _ = information(parameters, precision, data, refit.entry)
-        return blocks(slopes @ posterior(jnp.sum(each, axis=(0, 1)), refit.prior) @ slopes.T)
-
-    moved = jax.vmap(covariance_of)(refit.data)
+    data = refit.data
+    moved = covariances_of_motions(refit.of_whole(), data.products, data.details)
+    moved = jax.vmap(blocks)(moved)
     values, axes, known = jax.vmap(_principal)(moved[0] + _PRIOR * lengths[:, None, None, None] * moved)
     inverse = jnp.where(known, 1 / jnp.where(known, values, 1), 0)
     weight = (1 + _PRIOR) * moved[0] @ jnp.einsum("mgij,mgj,mgkj->mgik", axes, inverse, axes)

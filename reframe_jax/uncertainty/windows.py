@@ -17,8 +17,6 @@ from reframe_jax.identification.options import Scales, take_scales
 from reframe_jax.identification.results import Identification
 from reframe_jax.uncertainty.refit import Estimate, estimate_of
 
-__all__ = ["over_windows"]
-
 _CHUNK = {"cpu": 8, "gpu": 1024}  # windows per chunk, so that the moments of all parts fit into memory
 
 
@@ -29,26 +27,13 @@ def over_windows(
     times: ArrayLike | None,
     dt: ArrayLike | None,
     scales: Scales,
-    *,
-    pad: bool = True,
     **static: Any,
 ) -> Any:
     """Call a function of N windows for the windows of an identification, single, many or traced.
 
-    Args:
-        function: function of poses (N, K+1, 4, 4), steps (N, K), lengths (N,) or None, an :class:`Estimate`,
-            and the keywords ``scales`` and ``static``. It must be defined at module level, so that it
-            compiles only once.
-        found: identification of one window or a batch.
-        poses: poses of these windows, as given by the user.
-        times: s, or None, as given by the user.
-        dt: s, or None, as given by the user.
-        scales: time scales in samples, as given by the user.
-        pad: whether to pad windows to one of few lengths; False for a function that uses the last poses.
-        static: other options of the function.
-
-    Returns:
-        The result of the function, with the leading axes of ``found`` in place of the axis of windows.
+    The function has the arguments of :func:`.refit.prepare`, and the keywords ``static``; it must be defined
+    at module level, so that it compiles only once. Poses, times, dt and scales are those of the user. The
+    result is that of the function, with the leading axes of ``found`` in place of the axis of windows.
 
     Raises:
         ValueError: if the poses or times do not match ``found``.
@@ -70,13 +55,13 @@ def over_windows(
         if not batch:
             steps = np.asarray(steps) if wide else steps
             one = jax.tree.map(lambda leaf: leaf[None], (array, steps, estimate))
-            result = index_leaves(_in_pieces(run, pad, *one), 0)
+            result = index_leaves(_in_pieces(run, *one), 0)
         else:
             steps = jnp.broadcast_to(steps, (*batch, array.shape[-3] - 1))
             flat = jax.tree.map(
                 lambda leaf: leaf.reshape(-1, *leaf.shape[len(batch) :]), (array, steps, estimate)
             )
-            result = _in_pieces(run, pad, *flat)
+            result = _in_pieces(run, *flat)
             result = jax.tree.map(lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), result)
     if wide and not in_float64():
         return jax.device_put(jax.tree.map(_narrow, jax.device_get(result)))
@@ -91,10 +76,10 @@ def _run(poses: Any, steps: Any, count: Any, found: Estimate, *, function: Any, 
 _program, _program_in_trace = jit_pair(_run, ("function", "scales", "parts"))
 
 
-def _in_pieces(run: Callable[..., Any], pad: bool, poses: Any, steps: Any, found: Estimate) -> Any:
+def _in_pieces(run: Callable[..., Any], poses: Any, steps: Any, found: Estimate) -> Any:
     if inside_trace((poses, steps, found)):
         return run(poses, steps, None, found)
-    return run_in_pieces(run, poses, steps, found, _CHUNK.get(jax.default_backend(), 256), pad)
+    return run_in_pieces(run, poses, steps, found, _CHUNK.get(jax.default_backend(), 256), True)
 
 
 def _narrow(leaf: Any) -> Any:
