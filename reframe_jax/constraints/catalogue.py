@@ -108,12 +108,6 @@ def _relation(angular: Dof, linear: Dof) -> AxisRelation | None:
     return AxisRelation.PARALLEL if a == b else AxisRelation.PERPENDICULAR
 
 
-def _is_cylindrical(entry: Constraint) -> bool:
-    """Whether a constraint leaves free one rotation and the translation along the same axis."""
-    related = _relation(entry.angular_dof, entry.linear_dof) == AxisRelation.PARALLEL
-    return related and (sum(entry.angular_dof), sum(entry.linear_dof)) == (1, 1)
-
-
 def lookup(
     linear_type: LinearType,
     angular_dof: Dof,
@@ -146,16 +140,15 @@ def lookup(
     """
     if relation == "aligned":
         relation = _relation(angular_dof, linear_dof)
-    if universal and (sum(angular_dof), sum(linear_dof)) == (3, 0):
+    number = sum(angular_dof), sum(linear_dof)
+    if universal and number == (3, 0):
         return OTHER_CONSTRAINTS["universal"]
+    if screw and number == (1, 1) and relation == AxisRelation.PARALLEL:
+        return OTHER_CONSTRAINTS["screw"]
     for entry in _ALL.values():
-        if (
-            sum(entry.angular_dof) == sum(angular_dof)
-            and sum(entry.linear_dof) == sum(linear_dof)
-            and entry.linear_type in (None, linear_type)
-            and _relation(entry.angular_dof, entry.linear_dof) == relation
-            and (entry.label == "screw") == (screw and _is_cylindrical(entry))
-        ):
+        same = number == (sum(entry.angular_dof), sum(entry.linear_dof))
+        related = _relation(entry.angular_dof, entry.linear_dof) == relation
+        if same and related and entry.linear_type in (None, linear_type):
             return entry
     return None
 

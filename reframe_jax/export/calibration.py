@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from reframe_jax.calibration.tool import Calibration
-from reframe_jax.export.common import format_vector
+from reframe_jax.export.common import format_vector, plain
 from reframe_jax.recordings.recording import Recording
 from reframe_jax.recordings.rows import name_rows
 
@@ -81,7 +81,6 @@ def calibration_to_record(found: Calibration, recording: Recording) -> dict[str,
     """Convert a calibration to "calibration" in the JSON document, in plain Python types."""
     arrays = {name: getattr(found, name) for name in _FIELDS}
     rows = _row_numbers(found, recording)
-    arrays |= {"rows": rows, "outliers": rows[~found.used]}
-    plain = {name: None if value is None else np.asarray(value).tolist() for name, value in arrays.items()}
     kind = "pivot" if found.axis is None else "spin"
-    return {"kind": kind, "row_word": recording.row_word, **plain}
+    named = {"kind": kind, "row_word": recording.row_word}
+    return plain(named | arrays | {"rows": rows, "outliers": rows[~found.used]})

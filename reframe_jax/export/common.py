@@ -40,6 +40,17 @@ def directions(projector: np.ndarray) -> list[np.ndarray]:
     return [vector * np.sign(vector[np.argmax(np.abs(vector))]) for vector in spanning]
 
 
+def plain(value: Any) -> Any:
+    """Convert arrays, also in nested dicts and lists, to JSON types, and NaN and infinities to None."""
+    if isinstance(value, dict):
+        return {name: plain(item) for name, item in value.items()}
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
 def format_vector(vector: Any, digits: int, width: int = 0) -> str:
     """Format a vector with a number of decimals, and a least width of each number."""
     # adding zero after rounding removes the sign of a negative zero

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from operator import itemgetter
 from typing import Any
 
 import jax
@@ -12,6 +13,7 @@ from reframe_jax.export.common import (
     Window,
     directions,
     outlier_samples,
+    plain,
     split_windows,
     tied_names,
     unused_rows,
@@ -65,15 +67,13 @@ def to_record(
     """
     each = [] if found is None else split_windows(jax.device_get(found))
     spans: Sequence[Window | None] = windows or [None] * len(each)
+    records = (_window_record(*pair) for pair in zip(each, spans, strict=True))
     return {
         "recording": label,
         "error": error,
         "notes": list(notes),
         "rows": None if recording is None else _rows_record(recording, each),
-        "windows": [
-            _window_record(index, window, span)
-            for index, (window, span) in enumerate(zip(each, spans, strict=True))
-        ],
+        "windows": [{"index": index, **plain(record)} for index, record in enumerate(records)],
     }
 
 
@@ -85,39 +85,36 @@ def _rows_record(recording: Recording, found: Sequence[Identification]) -> dict[
     return {"word": recording.row_word, "used": len(recording.times) - outliers, "left_out": left_out}
 
 
-def _window_record(index: int, found: Identification, span: Window | None) -> dict[str, Any]:
+def _window_record(found: Identification, span: Window | None) -> dict[str, Any]:
     status = Status(int(found.status_code))
-    record: dict[str, Any] = {"index": index}
-    record |= {name: getattr(span, name, None) for name in Window.__dataclass_fields__}
+    record: dict[str, Any] = {name: getattr(span, name, None) for name in Window.__dataclass_fields__}
     record |= {"status": status.name, "message": status.message}
     if status.failed:
         return record | {"notes": []} | dict.fromkeys(_RESULT)
-    entry, axes = found.entry, np.asarray(found.universal_axes).tolist()
+    entry, (ground, body) = found.entry, found.universal_axes
     record |= {
         "notes": found.warnings,
         "name": found.name,
         "label": entry.label if entry else None,
-        "probability": _plain(found.probability),
+        "probability": found.probability,
         "alternatives": _alternatives(found),
-        "pitch": _plain(float(found.pitch)),
-        "universal_axes": {"ground": axes[0], "body": axes[1]} if np.isfinite(axes).all() else None,
-        "noise": {"position": float(found.noise.position), "rotation": float(found.noise.rotation)},
-        "scale": int(found.scale),
+        "pitch": found.pitch,
+        "universal_axes": {"ground": ground, "body": body} if np.isfinite([ground, body]).all() else None,
+        "noise": {"position": found.noise.position, "rotation": found.noise.rotation},
+        "scale": found.scale,
         "outliers": outlier_samples(found, span),
     }
+    candidates: dict[str, Any] = {}
     for group, types in TYPES.items():
-        frame = getattr(found, group)
+        frame, others = getattr(found, group), getattr(found.candidates, group)
         named = {"type": str(types(int(frame.type_code))), "tied": tied_names(group, frame)}
-        record[group] = named | _frame_record(frame)
-        for name in ("free_probability", "amplitude", "free_rotation"):
-            record[group][name] = _plain(np.asarray(getattr(frame, name)).tolist())
-    free = directions(np.asarray(found.linear.free_position))
-    record["linear"]["free_position"] = np.reshape(free, (-1, 3)).tolist()
-    record["candidates"] = {
-        group: {str(kind): _frame_record(getattr(found.candidates, group), kind) for kind in types}
-        for group, types in TYPES.items()
-    }
-    return record
+        more = {name: getattr(frame, name) for name in ("free_probability", "amplitude", "free_rotation")}
+        record[group] = named | _frame_record(frame) | more
+        candidates[group] = {
+            str(kind): _frame_record(jax.tree.map(itemgetter(kind), others)) for kind in types
+        }
+    record["linear"]["free_position"] = directions(np.asarray(found.linear.free_position))
+    return record | {"candidates": candidates}
 
 
 def _alternatives(found: Identification) -> list[dict[str, Any]]:
@@ -129,28 +126,14 @@ def _alternatives(found: Identification) -> list[dict[str, Any]]:
             "name": name_of(code),
             "label": entry.label if (entry := constraint_of(code)) else None,
             "type": str(ENTRIES[code].kind),
-            "probability": float(probability[code]),
+            "probability": probability[code],
         }
         for code in likely
     ]
 
 
-def _frame_record(frame: Any, kind: int | None = None) -> dict[str, Any]:
-    """Geometry of an angular or linear frame, or of the candidate of a type."""
-    frame = frame if kind is None else jax.tree.map(lambda leaf: leaf[kind], frame)
-    numbers = {
-        "rotvec": frame.rotvec,
-        "axes": np.asarray(rotation_exp(frame.rotvec)).T,
-        "dof": frame.dof,
-        "rms": frame.rms,
-        "norm": frame.norm,
-        "position": getattr(frame, "position", None),
-    }
-    return {name: _plain(np.asarray(value).tolist()) for name, value in numbers.items() if value is not None}
-
-
-def _plain(value: Any) -> Any:
-    """Replace NaN and infinities by None, which JSON writes as null."""
-    if isinstance(value, list):
-        return [_plain(item) for item in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+def _frame_record(frame: Any) -> dict[str, Any]:
+    """Geometry of an angular or linear frame, or of a candidate."""
+    numbers = {"rotvec": frame.rotvec, "axes": np.asarray(rotation_exp(frame.rotvec)).T}
+    numbers |= {name: getattr(frame, name, None) for name in ("dof", "rms", "norm", "position")}
+    return {name: value for name, value in numbers.items() if value is not None}

@@ -16,7 +16,15 @@ from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.geometry.numpy_rotations import nearest_rotations
 from reframe_jax.joints.chain import JointPart, ball_hinges, chain_coordinates, chain_poses
 from reframe_jax.joints.joint import Joint, JointType
-from reframe_jax.joints.plans import Geometry, Plan, frame_geometry, joint_plans, only_velocities, relate_axes
+from reframe_jax.joints.plans import (
+    Geometry,
+    Plan,
+    frame_geometry,
+    joint_plans,
+    only_velocities,
+    positive,
+    relate_axes,
+)
 
 _ROUNDS = 3  # rounds of averaging, until the home pose converges
 _AVERAGED = 2000  # largest number of poses in the average; longer recordings are subsampled
@@ -98,11 +106,13 @@ def _fit(geometry: Geometry, plan: Plan, names: dict[str, Any]) -> Joint:
     for _ in range(_ROUNDS):
         parts = _parts(geometry, plan, home)
         coordinates = chain_coordinates(parts, home, some, length)
-        home = _mean_pose(np.linalg.inv(chain_poses(parts, np.eye(4), coordinates)) @ some)
+        home = np.mean(np.linalg.inv(chain_poses(parts, np.eye(4), coordinates)) @ some, axis=0)
+        home[:3, :3] = nearest_rotations(home[:3, :3])
     parts = _parts(geometry, plan, home)
     coordinates = chain_coordinates(parts, home, poses, length)
     model = chain_poses(parts, home, coordinates)
-    rotation_error = _rms(_angles(model[:, :3, :3], poses[:, :3, :3]))
+    chord = np.linalg.norm(model[:, :3, :3] - poses[:, :3, :3], axis=(-2, -1)) / np.sqrt(8)
+    rotation_error = _rms(2 * np.arcsin(np.minimum(chord, 1)))
     if plan.second is not None and rotation_error > _UNIVERSAL:
         return _without_chain(geometry, names)
     parts = _with_ranges(parts, coordinates)
@@ -144,52 +154,36 @@ def _without_chain(geometry: Geometry, names: dict[str, Any]) -> Joint:
 
 def _parts(geometry: Geometry, plan: Plan, home: np.ndarray) -> tuple[JointPart, ...]:
     """Parts of the chain at zero coordinates, with the child at its home pose."""
-    # a screw is a hinge with a pitch
-    directions = [] if plan.type == "screw" else _slide_directions(geometry, plan, home)
-    slides = [JointPart("slide", direction, home[:3, 3]) for direction in directions]
-    turns = _rotating_parts(geometry, plan, home)
-    return (*turns, *slides) if plan.turns_first else (*slides, *turns)
-
-
-def _slide_directions(geometry: Geometry, plan: Plan, home: np.ndarray) -> list[np.ndarray]:
-    """Unit vectors (3,) of the slides in the ground, with the child at its home pose."""
-    if plan.slides == "along" and plan.axis is not None:
-        return [_positive(plan.axis)]
-    if plan.slides == "plane" and plan.axis is not None:
-        normal = _positive(plan.axis)
-        along = geometry.slides(home)[-1]
-        along = _positive(_unit(along - normal * (along @ normal)))
-        return [along, np.cross(normal, along)]
-    if plan.slides == "space":
-        return list(np.eye(3))
-    if len(geometry.turning):
-        return [_positive(direction) for direction in geometry.slides(home)]
-    return [_positive(geometry.in_ground(axis, geometry.linear_on_body)) for axis in geometry.sliding]
-
-
-def _rotating_parts(geometry: Geometry, plan: Plan, home: np.ndarray) -> list[JointPart]:
-    """The rotating parts of a chain: none, one hinge, two hinges, or a ball."""
-    if len(geometry.turning) == 0:
-        return []
-    point, origin = _anchor(geometry, plan, home), home[:3, 3]
-    if plan.axis is None:
-        return [JointPart("ball", np.zeros(3), point)]
-    axes = [plan.axis] if plan.second is None else [plan.axis, home[:3, :3] @ plan.second]
-    axes = [_positive(axis) for axis in axes]
-    if plan.second is None:  # the point on the axis nearest to the origin of the child
-        point = point + axes[0] * (axes[0] @ (origin - point))
-    pitch = geometry.pitch if plan.type == "screw" else None
-    return [JointPart("hinge", axis, point, pitch=pitch or 0.0) for axis in axes]
-
-
-def _anchor(geometry: Geometry, plan: Plan, home: np.ndarray) -> np.ndarray:
-    """A point on the axis, or the centre, in the ground with the child at its home pose."""
+    rotation, origin, axis, free = home[:3, :3], home[:3, 3], plan.axis, geometry.slides(home)
+    if plan.type == "screw":  # a hinge with a pitch
+        directions = []
+    elif plan.slides == "along" and axis is not None:
+        directions = [axis]
+    elif plan.slides == "plane" and axis is not None:
+        along = free[-1] - axis * (free[-1] @ axis)
+        along = positive(along / np.linalg.norm(along))
+        directions = [along, np.cross(axis, along)]
+    elif plan.slides == "space":
+        directions = list(np.eye(3))
+    else:
+        fixed = [geometry.in_ground(each, geometry.linear_on_body) for each in geometry.sliding]
+        directions = [positive(each) for each in (free if len(geometry.turning) else fixed)]
     if plan.slides in ("plane", "space") or len(geometry.sliding) == 3:
-        return home[:3, 3]
-    moved = len(geometry.sliding) and plan.slides == "free" and not plan.turns_first
-    if moved:  # the point is fixed in the child, and the slides move it
-        return home[:3, :3] @ geometry.position + home[:3, 3]
-    return geometry.centre()
+        point = origin
+    elif len(geometry.sliding) and plan.slides == "free" and not plan.turns_first:
+        point = rotation @ geometry.position + origin  # fixed in the child, and the slides move it
+    else:
+        point = geometry.centre()
+    slides = [JointPart("slide", direction, origin) for direction in directions]
+    turns = []
+    if axis is not None and plan.second is not None:
+        turns = [JointPart("hinge", each, point) for each in (axis, positive(rotation @ plan.second))]
+    elif axis is not None:  # at the point on the axis nearest to the origin of the child
+        pitch = geometry.pitch if plan.type == "screw" else None
+        turns = [JointPart("hinge", axis, point + axis * (axis @ (origin - point)), pitch=pitch or 0.0)]
+    elif len(geometry.turning):
+        turns = [JointPart("ball", np.zeros(3), point)]
+    return (*turns, *slides) if plan.turns_first else (*slides, *turns)
 
 
 def _gauge(geometry: Geometry, plan: Plan, parts: Sequence[JointPart], child: str) -> tuple[str, ...]:
@@ -255,29 +249,5 @@ def _name(geometry: Geometry) -> str:
     return describe(*key, relation) if entry is None else entry.name
 
 
-def _mean_pose(poses: np.ndarray) -> np.ndarray:
-    """Mean of poses: the mean position, and the rotation nearest to the mean rotation matrix."""
-    mean = poses.mean(axis=0)
-    mean[:3, :3] = nearest_rotations(mean[:3, :3])
-    return mean
-
-
-def _angles(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Angles (K,) between rotations (K, 3, 3), rad; accurate for small angles."""
-    chord = np.linalg.norm(first - second, axis=(-2, -1)) / np.sqrt(8)
-    return 2 * np.arcsin(np.minimum(chord, 1))
-
-
 def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
-
-
-def _unit(vector: np.ndarray) -> np.ndarray:
-    unit: np.ndarray = vector / np.linalg.norm(vector)
-    return unit
-
-
-def _positive(axis: np.ndarray) -> np.ndarray:
-    """The axis with the sign that makes its largest component positive."""
-    signed: np.ndarray = axis * np.sign(axis[np.argmax(np.abs(axis))])
-    return signed

@@ -67,7 +67,7 @@ class Plan:
     Attributes:
         type: type of the joint.
         turns_first: whether the rotating parts precede the slides in the chain.
-        axis: (3,) in the ground, direction of the hinge, or of the first of two hinges; None for a ball.
+        axis: (3,) in the ground, positive direction of the hinge, or of the first of two; None for a ball.
         second: (3,) in the child, direction of the second hinge.
         slides: directions of the slides: the free axes of the frame, along the hinge, in the plane normal to
             the hinge, or all of space.
@@ -80,6 +80,12 @@ class Plan:
     second: np.ndarray | None = None
     slides: Literal["free", "along", "plane", "space"] = "free"
     is_envelope: bool = False
+
+
+def positive(axis: np.ndarray) -> np.ndarray:
+    """Return an axis (3,) with the sign that makes its largest component positive."""
+    signed: np.ndarray = axis * np.sign(axis[np.argmax(np.abs(axis))])
+    return signed
 
 
 def frame_geometry(
@@ -115,25 +121,25 @@ def joint_plans(geometry: Geometry) -> list[Plan]:
     if turns == 1:
         return _hinge_plans(geometry, last)
     if geometry.universal is not None:
-        return [Plan("universal", axis=geometry.universal[0], second=geometry.universal[1])]
+        return [Plan("universal", axis=positive(geometry.universal[0]), second=geometry.universal[1])]
     if (slides == 3 and turns == 3) or only_velocities(geometry):
         return []  # combinations of the free motions reach every pose
     if turns == 3:
         return [Plan("general" if slides else "spherical", turns_first=last)]
     normal = geometry.in_ground(np.cross(*geometry.turning), geometry.angular_on_body)
     first, second = universal_axes(geometry.poses[:, :3, :3], normal)
-    return [Plan("general" if slides else "universal", turns_first=last, axis=first, second=second)]
+    return [Plan("general" if slides else "universal", turns_first=last, axis=positive(first), second=second)]
 
 
 def _hinge_plans(geometry: Geometry, last: bool) -> list[Plan]:
     """The chains of a constraint with one free rotation, whose axis is fixed in both bodies."""
-    axis, slides = geometry.in_ground(geometry.turning[0], geometry.angular_on_body), len(geometry.sliding)
-    relation = relate_axes(geometry)
+    axis = positive(geometry.in_ground(geometry.turning[0], geometry.angular_on_body))
+    relation, slides = relate_axes(geometry), len(geometry.sliding)
     if relation == AxisRelation.PARALLEL and geometry.distinct is not None:
         if slides == 1 and geometry.pitch is not None:
             return [Plan("screw", axis=axis, slides="along")]
         # the identification has two estimates of the axis: from the rotations and from the translations
-        both = axis, geometry.in_ground(geometry.distinct, geometry.linear_on_body)
+        both = axis, positive(geometry.in_ground(geometry.distinct, geometry.linear_on_body))
         if slides == 1:
             return [Plan("cylindrical", axis=each, slides="along") for each in both]
         return [Plan("planar", axis=each, slides="plane") for each in both]

@@ -1,7 +1,7 @@
 """The paper's norms as objectives: the value is log J, over frames or over origins."""
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
@@ -52,15 +52,12 @@ class FrameObjective(_Moments):
     The unknowns are a rotation vector (3 numbers, rad) and, for linear velocities, an origin (3 numbers, m).
     """
 
+    unknowns: ClassVar[Literal["frame"]] = "frame"
+
     @property
     def dim(self) -> int:
         """Number of unknowns: 6 for linear velocities, 3 for angular velocities."""
         return 6 if self.moments.shape[1] > 1 else 3
-
-    @property
-    def unknowns(self) -> Literal["frame"]:
-        """What the solver varies: the orientation and the origin of a frame."""
-        return "frame"
 
     def value(self, x: jax.Array) -> jax.Array:
         """Return log J (...) of the frames with unknowns x, (dim, ...)."""
@@ -81,15 +78,8 @@ class PositionObjective(_Moments):
     at the eigenvalues. For the geometric mean, J is det(Sigma)^(1/6).
     """
 
-    @property
-    def dim(self) -> int:
-        """Number of unknowns."""
-        return 3
-
-    @property
-    def unknowns(self) -> Literal["position"]:
-        """What the solver varies: the origin of a frame, (3, ...) m."""
-        return "position"
+    unknowns: ClassVar[Literal["position"]] = "position"
+    dim: ClassVar[int] = 3
 
     def covariance(self, x: jax.Array) -> symmetric.Symmetric:
         """Return the velocity covariance at origins x, (3, ...) m, as six arrays (...)."""

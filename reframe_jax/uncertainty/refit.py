@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, AngularType
+from reframe_jax.geometry.rotations import vee
 from reframe_jax.identification.classify import free_rotations
 from reframe_jax.identification.pipeline import Prepared, prepare_windows
 from reframe_jax.identification.results import Identification
@@ -201,7 +202,7 @@ def _fit_window(window: Windows, products: Array, details: Array, poses: Array) 
 
     def numbers(parameters: Parameters) -> Array:
         axes, origin = _frames(parameters, mean, found, entry)
-        turns, shift = _small_turns(axes @ jnp.swapaxes(whole[0], 1, 2)), origin - whole[1]
+        turns, shift = vee(axes @ jnp.swapaxes(whole[0], 1, 2)), origin - whole[1]
         angular = _distinct(found.angular_axes, found.angular_dof) @ turns[0]
         linear = _distinct(found.linear_axes, found.linear_dof) @ turns[1]
         return jnp.concatenate([angular, linear, shift - found.free_position @ shift])
@@ -251,12 +252,6 @@ def _frames(parameters: Parameters, mean: Array, found: Estimate, entry: Table) 
     angular = jnp.where(entry.crossed, universal, bodies[found.angular_type])
     linear = bodies[jnp.asarray(ORIENTATION_BODIES)[found.linear_type]]
     return jnp.stack([angular, linear]), parameters.origin
-
-
-def _small_turns(rotations: Array) -> Array:
-    """Rotation vectors (2, 3) of small rotations: axis times sine of the angle."""
-    twice = rotations - jnp.swapaxes(rotations, 1, 2)
-    return jnp.stack([twice[:, 2, 1], twice[:, 0, 2], twice[:, 1, 0]], axis=1) / 2
 
 
 def _distinct(axes: Array, dof: Array) -> Array:
