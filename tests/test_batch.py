@@ -90,11 +90,11 @@ def test_the_next_part_is_read_while_one_is_computed(windows, tmp_path, monkeypa
     from reframe_jax.storage import results as batch
 
     read = threading.Event()
-    identify = batch._identify
+    do_part = batch._do_part
 
-    def patient(poses, timing, options):
+    def patient(*arguments):
         assert read.wait(60), "the second part was not read before the first was done"
-        return identify(poses, timing, options)
+        return do_part(*arguments)
 
     def source():
         for i, window in enumerate(windows[:30]):
@@ -102,7 +102,7 @@ def test_the_next_part_is_read_while_one_is_computed(windows, tmp_path, monkeypa
                 read.set()
             yield window
 
-    monkeypatch.setattr(batch, "_identify", patient)
+    monkeypatch.setattr(batch, "_do_part", patient)
     rf.identify_many(source(), tmp_path / "out", dt=0.1, part_size=15)
 
 

@@ -13,7 +13,7 @@ import pytest
 
 import reframe_jax as rf
 from reframe_jax.simulation import arm as panda
-from reframe_jax.simulation.arm import collection
+from reframe_jax.storage.records import describe_options
 
 BATCH = 8  # the shape that other tests compile
 KEY = jax.random.key(11)
@@ -64,7 +64,7 @@ def test_what_a_folder_depends_on() -> None:
     moved[250, 3] = 1e-3
     noises = jnp.asarray(0.5), 0.5, 0.0
     records = [
-        collection._describe_run("K", KEY, 64, True, options)
+        describe_options(panda.demonstrate, options)
         for options in (
             *({"excitation": pushed(0.1)} for _ in range(2)),
             *({"start": values} for values in (start, start.copy(), moved)),

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from reframe_jax.calibration.tool import Calibration
-from reframe_jax.export.common import format_vector, plain
+from reframe_jax.export.common import plain
+from reframe_jax.joints.joint import format_vector
 from reframe_jax.recordings.recording import Recording
 from reframe_jax.recordings.rows import name_rows
 

@@ -70,7 +70,10 @@ def to_columns(
     failed = np.array([Status(int(code)).failed for code in host.status_code], bool)
     entries = [None if bad else one.entry for bad, one in zip(failed, each, strict=True)]
     columns: Columns = {"recording": _texts([label or ""] * number), "window": np.arange(number)}
-    columns |= _spans(windows, number)
+    spans = [Window(-1, -1, np.nan, np.nan)] * number if windows is None else windows
+    for name, kind in (("start", np.int64), ("stop", np.int64), ("start_time", float), ("stop_time", float)):
+        unit = "_s" if kind is float else ""
+        columns[name + unit] = np.array([getattr(span, name) for span in spans], kind)
     columns |= {
         "status": _texts([Status(int(code)).name for code in host.status_code]),
         "name": _texts(["" if bad else one.name for bad, one in zip(failed, each, strict=True)]),
@@ -106,17 +109,6 @@ def write_parquet(path: Path, tables: Sequence[Columns]) -> None:
     """Write tables with the same columns as one Parquet file; an ImportError is raised without pyarrow."""
     arrow = PARQUET.library()
     arrow.parquet.write_table(arrow.concat_tables([arrow.table(table) for table in tables]), path)
-
-
-def _spans(windows: Sequence[Window] | None, number: int) -> Columns:
-    unknown = Window(-1, -1, np.nan, np.nan)
-    spans = [unknown] * number if windows is None else list(windows)
-    return {
-        "start": np.array([span.start for span in spans], np.int64),
-        "stop": np.array([span.stop for span in spans], np.int64),
-        "start_time_s": np.array([span.start_time for span in spans], float),
-        "stop_time_s": np.array([span.stop_time for span in spans], float),
-    }
 
 
 def _frame_columns(group: str, frame: Any, failed: np.ndarray) -> Columns:

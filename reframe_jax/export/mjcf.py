@@ -1,6 +1,6 @@
 """Write a joint as MJCF with MuJoCo's model editor."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from reframe_jax.export.robots import (
     quaternion_wxyz,
     remarks,
 )
+from reframe_jax.joints.chain import PartKind
 from reframe_jax.joints.joint import Joint
 
 if TYPE_CHECKING:
@@ -49,11 +50,7 @@ def to_mjspec(joint: Joint, *, mass: float = 1.0) -> "mujoco.MjSpec":
     import mujoco  # the import takes a third of a second
 
     check_writable(joint, "MJCF", mass)
-    kinds = {
-        "hinge": mujoco.mjtJoint.mjJNT_HINGE,
-        "slide": mujoco.mjtJoint.mjJNT_SLIDE,
-        "ball": mujoco.mjtJoint.mjJNT_BALL,
-    }
+    kinds = {kind: getattr(mujoco.mjtJoint, f"mjJNT_{kind.upper()}") for kind in get_args(PartKind)}
     spec = mujoco.MjSpec()
     spec.modelname = f"{joint.parent}_{joint.child}"
     spec.compiler.degree = False
@@ -78,13 +75,6 @@ def to_mjspec(joint: Joint, *, mass: float = 1.0) -> "mujoco.MjSpec":
             child.add_joint(name=slide, type=kinds["slide"], axis=axis)
             thread = np.zeros(mujoco.mjNEQDATA)
             thread[1] = part.pitch  # coefficient of the polynomial that gives the slide from the hinge angle
-            joints = mujoco.mjtObj.mjOBJ_JOINT
-            spec.add_equality(
-                name=f"{joint.child}_thread",
-                type=mujoco.mjtEq.mjEQ_JOINT,
-                objtype=joints,
-                name1=slide,
-                name2=name,
-                data=thread,
-            )
+            coupled = spec.add_equality(name=f"{joint.child}_thread", name1=slide, name2=name, data=thread)
+            coupled.type, coupled.objtype = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtObj.mjOBJ_JOINT
     return spec

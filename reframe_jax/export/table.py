@@ -13,7 +13,6 @@ from reframe_jax.export.common import (
     align_columns,
     directions,
     format_probability,
-    format_vector,
     outlier_samples,
     split_windows,
     tied_names,
@@ -22,6 +21,7 @@ from reframe_jax.export.common import (
 )
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification.results import Identification
+from reframe_jax.joints.joint import format_vector
 from reframe_jax.motion.checks import Status
 from reframe_jax.recordings.recording import Recording
 from reframe_jax.recordings.rows import name_rows

@@ -1,7 +1,7 @@
 """A joint between two bodies, in the form of a robot description."""
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -133,8 +133,8 @@ class Joint:
         """Summary of the joint in a few lines."""
         lines = [f"{self.name}: {self.type} joint from {self.parent} to {self.child}"]
         if self.axis is not None:
-            lines.append(f"  axis   {_vector(self.axis, 4)}")
-        lines.append(f"  point  {_vector(self.point, 4)} m")
+            lines.append(f"  axis   {format_vector(self.axis, 4)}")
+        lines.append(f"  point  {format_vector(self.point, 4)} m")
         for part in self.parts:
             scale, unit = (1e3, "mm") if part.kind == "slide" else (np.degrees(1.0), "deg")
             low, high = np.round([scale * part.low, scale * part.high], 1) + 0.0  # no negative zeros
@@ -147,5 +147,7 @@ class Joint:
         return "\n".join([*lines, *(f"  {sentence}" for sentence in self.gauge)])
 
 
-def _vector(vector: np.ndarray, digits: int) -> str:
-    return "(" + ", ".join(f"{np.round(x, digits) + 0.0:.{digits}f}" for x in vector) + ")"
+def format_vector(vector: Any, digits: int, width: int = 0) -> str:
+    """Format a vector with a number of decimals, and a least width of each number."""
+    # adding zero after rounding removes the sign of a negative zero
+    return "(" + ", ".join(f"{np.round(x, digits) + 0.0:{width}.{digits}f}" for x in vector) + ")"

@@ -49,13 +49,9 @@ def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: st
     for i in np.flatnonzero(free):
         # a common scale for rotations and translations: 1 rad moves a point at 0.1 m by 0.1 m
         factor, kind, unit, style = (1, "turn", "rad", "-") if i < 3 else (10, "shift", "0.1 m", "--")
+        label = f"{kind} {'xyz'[i % 3]} [{unit}]"
         motion.plot(
-            made.times,
-            factor * made.slip[:, i],
-            style,
-            color=FREE[i % 3],
-            linewidth=1.2,
-            label=f"{kind} {'xyz'[i % 3]} [{unit}]",
+            made.times, factor * made.slip[:, i], style, color=FREE[i % 3], linewidth=1.2, label=label
         )
     motion.set_ylabel("free motion\n[rad, 0.1 m]", fontsize=FONT)
     for axes, part, unit, name in (
@@ -63,14 +59,8 @@ def plot_demonstration(made: Demonstration, *, arm: str | Arm = PANDA, title: st
         (forces, slice(3, 6), "N", "force"),
     ):
         for i in np.flatnonzero(~free[part]):
-            series = made.reaction[1:, part][:, i]
-            axes.plot(
-                made.times[1:],
-                series,
-                color=CONSTRAINED[i],
-                linewidth=1.0,
-                label=f"{name} {'xyz'[i]} [{unit}]",
-            )
+            label, series = f"{name} {'xyz'[i]} [{unit}]", made.reaction[1:, part][:, i]
+            axes.plot(made.times[1:], series, color=CONSTRAINED[i], linewidth=1.0, label=label)
         axes.set_ylabel(f"reaction\n{name} [{unit}]", fontsize=FONT)
         if free[part].all():
             axes.set_axis_off()

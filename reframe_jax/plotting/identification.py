@@ -80,7 +80,7 @@ def plot_identification(
     for when, style in ((times[~np.asarray(host.counted)], OUTLIERS), (np.asarray(left_out), NOT_READ)):
         for graph in (top, bottom) if len(when) else ():
             along = graph.get_xaxis_transform()
-            graph.plot(when, np.full(len(when), 0.03), transform=along, **style)
+            graph.plot(when, np.full(len(when), 0.03), transform=along, linestyle="none", **style)
     if np.size(left_out):
         named = [line for line in top.lines if not str(line.get_label()).startswith("_")]
         top.legend(handles=named, **LEGEND_ABOVE)

@@ -53,7 +53,7 @@ def draw_space(axes: "Axes3D", poses: np.ndarray, found: Identification) -> None
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
     near = out[(np.abs(out - centre) < _size(points) / 2).all(axis=1)]
     if len(out):
-        axes.plot(*near.T, **OUTLIERS)
+        axes.plot(*near.T, linestyle="none", **OUTLIERS)
     draw_legend(axes, kind, found.linear.dof, bool(turns.any()))
     set_limits(axes, points)
 

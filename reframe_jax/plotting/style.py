@@ -12,20 +12,8 @@ TURNING = "#009E73"
 BODY = "#999999"
 FONT = 10  # points; at half the size of a picture, the text is still legible
 LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-OUTLIERS: dict[str, Any] = {
-    "linestyle": "none",
-    "marker": "x",
-    "color": "#CC79A7",
-    "markersize": 5,
-    "label": "outliers",
-}
-NOT_READ: dict[str, Any] = {
-    "linestyle": "none",
-    "marker": "|",
-    "color": "black",
-    "markersize": 7,
-    "label": "rows not read",
-}
+OUTLIERS: dict[str, Any] = {"marker": "x", "color": "#CC79A7", "markersize": 5, "label": "outliers"}
+NOT_READ: dict[str, Any] = {"marker": "|", "color": "black", "markersize": 7, "label": "rows not read"}
 LEGEND_ABOVE: dict[str, Any] = {
     "loc": "lower center",
     "bbox_to_anchor": (0.46, 1),

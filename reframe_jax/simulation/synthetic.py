@@ -63,13 +63,12 @@ class Simulation:
     truth: ConstraintFrame
 
 
-def paper_excitation(key: jax.Array, duration: float | jax.Array | None = None) -> Excitation:
-    """Return the velocities of Overbeek et al. 2025, section 5.1; the key and the duration have no effect.
+def paper_excitation(key: jax.Array) -> Excitation:
+    """Return the velocities of Overbeek et al. 2025, section 5.1; the key has no effect.
 
     Returns:
         A function from a time in s to the angular (3,) rad/s and linear (3,) m/s velocities along the axes.
     """
-    del key, duration
 
     def velocity(t: jax.Array) -> tuple[jax.Array, jax.Array]:
         one = jnp.ones_like(t)
@@ -80,12 +79,11 @@ def paper_excitation(key: jax.Array, duration: float | jax.Array | None = None) 
     return velocity
 
 
-def exciting(key: jax.Array, duration: float | jax.Array | None = None) -> Excitation:
+def exciting(key: jax.Array) -> Excitation:
     """Return velocities of three incommensurate sines along every axis, 0.7 rad/s and 0.18 m/s RMS.
 
-    The key draws the phases of the sines; the duration has no effect.
+    The key draws the phases of the sines.
     """
-    del duration
     phases = jax.random.uniform(key, (2, 3, 3), maxval=2 * jnp.pi, dtype=float)
 
     def velocity(t: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -97,11 +95,8 @@ def exciting(key: jax.Array, duration: float | jax.Array | None = None) -> Excit
     return velocity
 
 
-EXCITATIONS: dict[str, Callable[[jax.Array, float | jax.Array], Excitation]] = {
-    "exciting": exciting,
-    "paper": paper_excitation,
-}
-"""Excitations by name: functions of a key and the duration (s) that return the velocities."""
+EXCITATIONS = {"exciting": exciting, "paper": paper_excitation}
+"""Excitations by name: functions of a key that return the velocities."""
 
 
 def simulate(
@@ -182,7 +177,7 @@ def _integrate(
     steps: int,
 ) -> jax.Array:
     """Integrate poses (steps + 1, 4, 4) from the first pose."""
-    velocity = EXCITATIONS[excitation](key, steps * dt) if isinstance(excitation, str) else excitation
+    velocity = EXCITATIONS[excitation](key) if isinstance(excitation, str) else excitation
 
     def twist(t: jax.Array, pose: jax.Array) -> jax.Array:
         angular, linear = velocity(t)

@@ -35,6 +35,10 @@ class SearchState:
     best_value: jax.Array
 
 
+_CHAINS = ("x", "value", "best_x", "best_value")
+_Carry = tuple[SearchState, jax.Array, jax.Array]  # state, number of complete rounds, problems to continue
+
+
 @dataclass(frozen=True)
 class BasinHopping:
     """Basin hopping (Wales & Doye 1997) from quasi-random starts.
@@ -161,23 +165,16 @@ class BasinHopping:
         state = self.init(objective, box, key, starts)
         last = 1 + self.hops + self.polish
 
-        def continues(carry: tuple[SearchState, jax.Array, jax.Array]) -> jax.Array:
+        def continues(carry: _Carry) -> jax.Array:
             _, number, is_open = carry
             return (number < max(1, self.rounds)) & jnp.any(is_open)
 
-        def advance(
-            carry: tuple[SearchState, jax.Array, jax.Array],
-        ) -> tuple[SearchState, jax.Array, jax.Array]:
+        def advance(carry: _Carry) -> _Carry:
             before, number, is_open = carry
             after = self.step(objective, box, before)
             first, over = (number == 0) & (after.hop == 1), after.hop == last
-            after = replace(
-                after,
-                x=jnp.where(is_open, after.x, before.x),
-                value=jnp.where(is_open, after.value, before.value),
-                best_x=jnp.where(is_open, after.best_x, before.best_x),
-                best_value=jnp.where(is_open, after.best_value, before.best_value),
-            )
+            pairs = {name: (getattr(after, name), getattr(before, name)) for name in _CHAINS}
+            after = replace(after, **{name: jnp.where(is_open, *pair) for name, pair in pairs.items()})
             agree = self._agree(jnp.where(first, after.value, after.best_value))
             if self.rounds > 1:
                 after = lax.cond(over, lambda s: self._start_round(objective, box, s), lambda s: s, after)

@@ -99,13 +99,9 @@ class FrameSteps:
 
             curvature = jax.hessian(bound)(frame[1])
             shift = steps_in_box(frame[1], low[3:], high[3:], gradient[3:], curvature)[0]
-            turn, still = _aligning_rotation(s), jnp.zeros_like(here)
-            extra = [
-                still.at[:3].set(turn).at[3:].set(shift),
-                still.at[:3].set(turn),
-                still.at[3:].set(shift),
-            ]
-            return jnp.concatenate([steps_in_box(here, low, high, gradient, hessian), jnp.stack(extra)])
+            turn, still = jnp.zeros_like(here).at[:3].set(_aligning_rotation(s)), jnp.zeros_like(here)
+            extra = jnp.stack([turn.at[3:].set(shift), turn, still.at[3:].set(shift)])
+            return jnp.concatenate([steps_in_box(here, low, high, gradient, hessian), extra])
 
         def move(frame: _Frame, step: jax.Array) -> tuple[_Frame, jax.Array]:
             axes, origin = moved(frame, -step)

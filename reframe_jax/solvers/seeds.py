@@ -13,9 +13,7 @@ from reframe_jax.objectives.protocol import MomentsObjective, Objective
 from reframe_jax.solvers.box import Box
 from reframe_jax.solvers.protocol import repeat_problems
 
-_RIDGE = (
-    1e-9  # added curvature, relative to its trace: chooses the origin nearest to zero along free directions
-)
+_RIDGE = 1e-9  # added curvature, relative to its trace: selects the origin nearest to zero among equal ones
 
 
 def quasi_random(key: jax.Array, count: int, dim: int, dtype: jnp.dtype) -> jax.Array:

@@ -170,10 +170,9 @@ def write_whole(file: Path, write: Callable[[Path], Any]) -> None:
     temporary = file.with_name(f".{file.name}.{secrets.token_hex(8)}")
     try:
         write(temporary)
+        # the content must be on the disk before a power failure after the rename
         with temporary.open("rb+") as written:
-            os.fsync(
-                written.fileno()
-            )  # the content must be on the disk before a power failure after the rename
+            os.fsync(written.fileno())
         os.replace(temporary, file)
     finally:
         temporary.unlink(missing_ok=True)

@@ -85,7 +85,9 @@ def identify_many(
     depends_on = describe_options(identify, options, without=("times", "dt"))
     run = Run(Path(out), PARQUET, _KIND, {_UNIT: total, "part_size": part_size, **depends_on})
     run.resume()
-    report, rows, done, seen = make_meter(progress, _UNIT), _row_count(total, part_size, wanted), 0, 0
+    report, rows, done, seen = make_meter(progress, _UNIT), total, 0, 0
+    if total is not None and wanted is not None:
+        rows = sum(min(part_size, total - number * part_size) for number in wanted)
     # one thread computes and writes a part while this thread reads the next, so a kill loses one part at most
     with ThreadPoolExecutor(1) as worker:
         pending: Future[int] | None = None
@@ -176,13 +178,6 @@ def _check_numbers(wanted: set[int] | None, total: int | None, size: int) -> Non
         raise ValueError(f"There are no parts {wrong[:8]}{there}; numbers start at 0.")
 
 
-def _row_count(total: int | None, size: int, wanted: set[int] | None) -> int | None:
-    """Number of windows in the requested parts; None if unknown."""
-    if total is None or wanted is None:
-        return total
-    return sum(min(size, total - number * size) for number in wanted)
-
-
 def _do_part(
     run: Run, number: int, poses: np.ndarray, timing: dict[str, Any], options: Mapping[str, Any], source: str
 ) -> int:
@@ -190,18 +185,12 @@ def _do_part(
     if run.has(number):
         run.read(number, source=source)
     else:
-        found = _identify(poses, timing, options)
+        with jax.enable_x64(np.asarray(poses[:0]).dtype != np.float32):  # in the precision of the poses
+            found = jax.device_get(identify(poses, **timing, **options))
         leaves = jax.tree_util.tree_leaves_with_path(found)
         columns = {".".join(entry.name for entry in path): np.asarray(leaf) for path, leaf in leaves}
         run.write(number, columns, source=source)
     return len(poses)
-
-
-def _identify(poses: Any, timing: dict[str, Any], options: Mapping[str, Any]) -> Identification:
-    """Identify windows and return the results on the host, in the precision of the poses."""
-    precise = np.asarray(poses[:0]).dtype != np.float32
-    with jax.enable_x64(precise):
-        return jax.device_get(identify(poses, **timing, **options))
 
 
 def _parts(windows: Any, size: int, wanted: set[int] | None) -> Iterator[tuple[int, np.ndarray]]:

@@ -27,9 +27,7 @@ Method = Literal["derivative", "bootstrap"]
 _FEWEST = 8  # fewest poses of a part
 _SET = np.repeat(range(3), (1, len(HALVES), len(THIRDS)))  # of each pair: redundant axes, halves, thirds
 _LARGE_TURN = 0.2  # rad, largest standard deviation of a first-order covariance
-_LARGE_SHIFT = (
-    0.25  # largest standard deviation of the origin, as a fraction of the half width of the search box
-)
+_LARGE_SHIFT = 0.25  # largest standard deviation of the origin, as a fraction of half the search box
 
 
 @jax.tree_util.register_dataclass

@@ -15,7 +15,7 @@ from reframe_jax.identification.results import Identification
 from reframe_jax.model.features import pose_features
 from reframe_jax.model.moments import scale_moments
 from reframe_jax.motion import kinematics
-from reframe_jax.uncertainty.refit import Estimate, Refit, refit_windows
+from reframe_jax.uncertainty.refit import Estimate, Refit, align_scales, refit_windows
 from reframe_jax.uncertainty.spread import covariances_of_motions, information, row_precision
 from reframe_jax.uncertainty.windows import over_windows
 
@@ -131,18 +131,9 @@ def _spreads(
     rotation, position = kinematics.split_poses(made)
     counted = jnp.ones(made.shape[:2], bool)
     features = pose_features(rotation, position, jnp.full((1, number - 1), step), counted.T, None)
-    moments = scale_moments(features.values, counted, None)
-    # errors at each time scale as large as in the recording; the smooth part is the last scale
-    fit = refit.of_whole()
-    size = fit.data.details.shape[0] - moments.details.shape[1]
-    products, details = moments.products, moments.details
-    if size > 0:
-        empty = jnp.zeros((len(made), size, *products.shape[2:]), products.dtype)
-        products = jnp.concatenate([products[:, :-1], empty, products[:, -1:]], axis=1)
-        details = jnp.concatenate([details[:, :-1], empty[:, :, 0, 0], details[:, -1:]], axis=1)
-    else:
-        taken = np.r_[: fit.data.details.shape[0] - 1, products.shape[1] - 1]
-        products, details = products[:, taken], details[:, taken]
+    moments, fit = scale_moments(features.values, counted, None), refit.of_whole()
+    # errors at each time scale as large as in the recording
+    products, details = align_scales(moments, len(fit.data.details))
     details = jnp.where(fit.data.details > 0, details, 0)
     known = jnp.sum(information(fit, row_precision(fit), fit.data)[0], axis=(0, 1))
     return covariances_of_motions(fit, jnp.zeros_like(products[:1]), details[:1], known)[0], (

@@ -26,9 +26,7 @@ from reframe_jax.model.table import ENTRIES
 from reframe_jax.uncertainty.refit import Estimate, prepare
 from reframe_jax.uncertainty.windows import over_windows
 
-_STEADY = (
-    0.03  # residual fraction of a constant, fitted by the velocities, below which a velocity is constant
-)
+_STEADY = 0.03  # residual fraction of a constant, fitted by velocities, below which a velocity is constant
 _PROPORTIONAL = 1e-3  # residual fraction of a velocity, fitted by the others, below which it is dependent
 _NOISES = 3.0  # smallest ratio of a motion to its noise
 _ENDS = 8  # the mean velocity compares the mean poses of the first and the last eighth of a window

@@ -152,17 +152,24 @@ def refit_windows(
         moments_of = _moments_of_spans if parts == "spans" else _moments_of_blocks
         moments, of_parts = moments_of(window, scales == ())
         noise = jnp.repeat(window.noise, of_parts.shape[1], axis=0)
-        moments = choose_scales(moments, noise, scales)
-        # scales longer than a part have no independent values; the smooth part is the last scale
-        index, last = np.arange(details.shape[2]), moments.details.shape[1] - 1
-        place, present = np.minimum(index, last), (index < last) | (index == index[-1])
-        more = moments.products[:, place], jnp.where(present, moments.details[:, place], 0)
+        more = align_scales(choose_scales(moments, noise, scales), details.shape[2])
         products, details = (
             jnp.concatenate([whole, part.reshape(len(whole), -1, *part.shape[1:])], axis=1)
             for whole, part in zip((products, details), more, strict=True)
         )
         number = jnp.concatenate([number, of_parts], axis=1)
     return window, jax.vmap(_fit_window)(windows, products, details, number)
+
+
+def align_scales(moments: Moments, count: int) -> tuple[Array, Array]:
+    """Products and details at the scales of a recording with ``count`` scales; the smooth part is the last.
+
+    Scales that are longer than the motion have no independent values.
+    """
+    index, last = np.arange(count), moments.details.shape[1] - 1
+    place = np.where(index == count - 1, last, np.minimum(index, last))
+    present = (index < last) | (index == count - 1)
+    return moments.products[:, place], jnp.where(present, moments.details[:, place], 0)
 
 
 def _moments_of_blocks(window: Prepared, about_mean: bool) -> tuple[Moments, Array]:

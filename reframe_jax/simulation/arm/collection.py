@@ -1,6 +1,6 @@
 """Collect any number of feasible demonstrations, in memory or on disk; an interrupted run can resume."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar, Unpack
 
@@ -118,7 +118,9 @@ def store_demonstrations(
             or if more than 9 in 10 demonstrations are unusable.
         TypeError: for an option that :func:`reframe_jax.simulation.arm.demonstrate` does not have.
     """
-    run = Run(Path(folder), NPZ, _KIND, _describe_run(constraint, key, chunk, redraw, options))
+    given = {"constraint": describe(constraint), "key": describe(key), "chunk": chunk, "redraw": redraw}
+    given |= describe_options(demonstrate, options, without=("batch", "first"))
+    run = Run(Path(folder), NPZ, _KIND, given)
     run.resume()
 
     def draw(number: int) -> tuple[int, np.ndarray]:
@@ -163,16 +165,3 @@ def _from_arrays(part: dict[str, Any]) -> Demonstration:
     truth |= {name: kind[str(truth[name])] for name, kind in _TYPES.items()}
     truth |= {name: tuple(truth[name].tolist()) for name in ("angular_dof", "linear_dof")}
     return Demonstration(truth=ConstraintFrame(**truth), **part)
-
-
-def _describe_run(
-    constraint: str | ConstraintFrame, key: jax.Array, chunk: int, redraw: bool, options: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Options that the demonstrations depend on."""
-    return {
-        "constraint": describe(constraint),
-        "key": describe(key),
-        "chunk": chunk,
-        "redraw": redraw,
-        **describe_options(demonstrate, options, without=("batch", "first")),
-    }

@@ -17,9 +17,9 @@ from reframe_jax.geometry import rotations, transforms
 from reframe_jax.geometry.products import apply, matmul
 from reframe_jax.geometry.small import solve_positive
 from reframe_jax.simulation.arm.dynamics import Motion, arm_motion
-from reframe_jax.simulation.arm.imperfections import Imperfections, compliance_of, measure
+from reframe_jax.simulation.arm.imperfections import Imperfections, by_axis, compliance_of, measure
 from reframe_jax.simulation.arm.model import Arm, forward_kinematics
-from reframe_jax.simulation.arm.rollout import AxisLaw, Steps, Track, hold, integrate
+from reframe_jax.simulation.arm.rollout import Steps, Track, hold, integrate
 from reframe_jax.simulation.synthetic import Excitation
 
 _RATES = ((1.4, 4.4), (2.4, 5.4), (3.4, 6.4))  # rad/s, by axis; 5 s distinguish these rates
@@ -32,10 +32,7 @@ _DRAWS, _EVEN_OVER = 4, 5.0  # number of phase draws, and the time (s) over whic
 _EASE = 0.6  # s, duration of the start of a motion
 _STIFFNESS = (20.0, 400.0)  # N m/rad and N/m, of the spring between hand and tool
 _DAMPING = (2.0, 40.0)  # N m s/rad and N s/m
-_MISALIGNMENT = (
-    0.02,
-    0.003,
-)  # rad and m, standard deviation per component of the error of the grip, constant
+_MISALIGNMENT = (0.02, 0.003)  # rad and m, standard deviation per component of the constant error of the grip
 _TREMOR = (0.4, 1.5)  # N m and N, RMS of each component of the shaking moment and force
 _TREMOR_RATES = (7.0, 17.0, 31.0, 47.0)  # rad/s, rates of corrections and of shaking of the hand
 
@@ -125,10 +122,8 @@ def guide_drive(
     The state of the drive is the target pose (4, 4), m, of the tool, without the misalignment.
     """
     dtype = frame.position.dtype
-    stiffness, damping, offset, size = (
-        jnp.repeat(jnp.asarray(pair, dtype=dtype), 3)
-        for pair in (_STIFFNESS, _DAMPING, _MISALIGNMENT, _TREMOR)
-    )
+    pairs = (_STIFFNESS, _DAMPING, _MISALIGNMENT, _TREMOR)
+    stiffness, damping, offset, size = (by_axis(pair, dtype) for pair in pairs)
     offset_key, phase_key = jax.random.split(key)
     aside = transforms.pose_exp(offset * jax.random.normal(offset_key, (6,), dtype))
     rates = jnp.asarray(_TREMOR_RATES, dtype=dtype)
@@ -182,10 +177,7 @@ def run_guided(
         velocities = stop_at(end, find_excitation(excitation, keys[1], frame.free))
         drive = guide_drive(keys[0], frame, velocities, step)
         pose = transforms.make_pose(*forward_kinematics(start, arm))
-
-        def law(slipped: jax.Array) -> AxisLaw:
-            return hold(frame.free, slipped, step, compliance)
-
+        law = partial(hold, frame.free, step=step, compliance=compliance)
         return integrate(arm, frame, start, drive, pose, law, steps, velocity=velocity)
 
     return jax.vmap(simulate_one)(frame, demonstration_keys(key, numbers)[:, 1:3], joints, velocity)

@@ -63,10 +63,14 @@ def check_imperfections(given: Any) -> None:
             raise ValueError(f"{name} of Imperfections must not be negative or nan; found {value}.")
 
 
+def by_axis(pair: Any, dtype: Any) -> jax.Array:
+    """Expand numbers for (rotations, translations) to six axes, (6,)."""
+    return jnp.repeat(jnp.stack(as_numbers(pair, dtype)), 3)
+
+
 def compliance_of(imperfections: Imperfections, dtype: Any) -> jax.Array:
     """Return the compliance (6,), rad/(N m) and m/N, along the angular and linear axes of a constraint."""
-    given = as_numbers(imperfections, dtype)
-    return jnp.stack([given.angular_compliance] * 3 + [given.compliance] * 3)
+    return by_axis((imperfections.angular_compliance, imperfections.compliance), dtype)
 
 
 def measure(joints: jax.Array, what: Imperfections, key: jax.Array, arm: Arm) -> jax.Array:

@@ -35,9 +35,7 @@ RELAXATION = 0.03
 _SLIPPED = (5e-4, 5e-5)  # rad and m, largest slip of a rigid axis; valid rollouts reach half of it
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class AxisLaw:
+class AxisLaw(NamedTuple):
     """The law along each of the six axes: u = -(offset + softness f) where ``acts`` is 1, f = 0 elsewhere.
 
     All arrays are (6,): ``offset`` in rad/s or m/s, ``softness`` in rad/s per N m or m/s per N.

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from reframe_jax.constraints.located import Frame, Located, locate, slip, twist_map
 from reframe_jax.geometry.products import apply
 from reframe_jax.simulation.arm.dynamics import Motion
+from reframe_jax.simulation.arm.imperfections import by_axis
 
 Pair = tuple[float | jax.Array, float | jax.Array]
 
@@ -75,11 +76,6 @@ def axis_impedance(speed: Pair = (0.3, 0.08), reach: Pair = (0.5, 0.15)) -> Cont
     )
 
 
-def by_axis(pair: tuple[jax.Array, jax.Array]) -> jax.Array:
-    """Expand (rotations, translations) to six axes, (6,)."""
-    return jnp.stack([pair[0]] * 3 + [pair[1]] * 3)
-
-
 def control_drive(
     controller: Controller, frame: Frame, goal: jax.Array
 ) -> Callable[[Any, jax.Array, Motion, Located], tuple[Any, jax.Array]]:
@@ -87,7 +83,7 @@ def control_drive(
 
     The state of the drive is the located control frame, and the travel (6,) of its axes in rad and m.
     """
-    wanted = {name: by_axis(pair) for name, pair in vars(controller).items()}
+    wanted = {name: by_axis(pair, goal.dtype) for name, pair in vars(controller).items()}
 
     def drive(
         state: tuple[Located, jax.Array], t: jax.Array, motion: Motion, _: Located

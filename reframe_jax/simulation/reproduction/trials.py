@@ -19,15 +19,10 @@ from reframe_jax.identification.results import Identification
 from reframe_jax.segmentation.results import Segmentation
 from reframe_jax.simulation.arm.demonstration import sampling
 from reframe_jax.simulation.arm.dynamics import arm_motion
-from reframe_jax.simulation.arm.imperfections import as_numbers
+from reframe_jax.simulation.arm.imperfections import as_numbers, by_axis
 from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, forward_kinematics
 from reframe_jax.simulation.arm.rollout import AxisLaw, RolloutStatus, hold, integrate, rollout_status
-from reframe_jax.simulation.reproduction.controllers import (
-    Controller,
-    by_axis,
-    constant_wrench,
-    control_drive,
-)
+from reframe_jax.simulation.reproduction.controllers import Controller, constant_wrench, control_drive
 
 ROOMY = (0.0, -0.7, 0.0, -2.35, 0.0, 1.65, 0.785)
 """rad, initial joint positions of tasks: closer to the base than home, so that no task stretches the arm."""
@@ -153,7 +148,7 @@ def reproduce(
         frame_arrays(truth),
         jax.tree.map(lambda leaf: leaf.astype(dtype) if leaf.dtype != bool else leaf, control),
         as_numbers(controller, dtype),
-        by_axis(as_numbers(compliance, dtype)),
+        by_axis(compliance, dtype),
         arm.start(start, dtype),
         arm=arm,
     )
@@ -170,9 +165,8 @@ def _reproduce(
     arm: Arm,
 ) -> Trials:
     dtype, steps = start.dtype, sampling(_DURATION, _DT)
-    step, pairs = steps.length, as_numbers((_TRAVEL, _FRICTION, _STOP_COMPLIANCE), dtype)
-    travel, friction, stop_compliance = map(by_axis, pairs)
-    pose = forward_kinematics(start, arm)
+    pairs, step, pose = (_TRAVEL, _FRICTION, _STOP_COMPLIANCE), steps.length, forward_kinematics(start, arm)
+    travel, friction, stop_compliance = (by_axis(pair, dtype) for pair in pairs)
 
     def trial(truth: Frame, control: Frame) -> Any:
         here, there = locate(truth, *pose), locate(control, *pose)
