@@ -103,7 +103,11 @@ def _frame_block(group: str, frame: Any) -> list[str]:
         lines.append(f"  axis {i + 1}  {format_vector(axis, 3, 6)}  {speed}  {freedom}, {size}")
     if isinstance(kind, LinearType):
         lines.append(f"  origin  {format_vector(frame.position, 4)} m in the {origin_in}")
-        lines += _choice_of_position(directions(frame.free_position))
+        along = [format_vector(direction, 3) for direction in directions(frame.free_position)]
+        if len(along) == 3:
+            lines.append("          any position is valid; the one closest to the motion is given")
+        elif along:
+            lines.append(f"          not determined along {' and '.join(along)}")
     turns = [i for i in range(3) if frame.free_rotation[i]]
     if len(turns) == 3:
         lines.append("          all directions are equal, so these axes are arbitrary")
@@ -133,16 +137,6 @@ def _noise_line(found: Identification, window: Window | None) -> str:
 def _speed(value: float) -> str:
     """Format a velocity; values below rounding errors are printed as zero."""
     return f"{value if value > 1e-18 else 0:.3g}"
-
-
-def _choice_of_position(directions: list[np.ndarray]) -> list[str]:
-    """Name the directions along which the motion does not determine the position."""
-    if not directions:
-        return []
-    if len(directions) == 3:
-        return ["          any position is valid; the one closest to the motion is given"]
-    along = " and ".join(format_vector(direction, 3) for direction in directions)
-    return [f"          not determined along {along}"]
 
 
 def _norms_block(found: Identification) -> list[str]:

@@ -132,18 +132,12 @@ def _first_guess(parts: Sequence[JointPart], home: np.ndarray, poses: np.ndarray
             later = hinges[hinges.index(part) + 1 :]
             angle = _angle_about(part.axis, turned, later[-1].axis if later else None)
             turned = rotation_matrices(-angle[:, None] * part.axis) @ turned
-            if part.pitch:
-                angle = _with_full_turns(part, angle, poses[:, :3, 3] - home[:3, 3])
+            if part.pitch:  # add the full turns with which a screw agrees with the positions
+                angle = np.unwrap(angle)
+                missing = np.median((poses[:, :3, 3] - home[:3, 3]) @ part.axis / part.pitch - angle)
+                angle += 2 * np.pi * np.round(missing / (2 * np.pi))
             found.append(angle[:, None])
     return np.concatenate(found, axis=-1) if found else np.zeros((len(poses), 0))
-
-
-def _with_full_turns(part: JointPart, angle: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """Add full turns to the unwrapped angles (K,) of a screw, so that they agree with shifts (K, 3), m."""
-    angle = np.unwrap(angle)
-    missing = np.median(shift @ part.axis / part.pitch - angle)
-    full: np.ndarray = angle + 2 * np.pi * np.round(missing / (2 * np.pi))
-    return full
 
 
 def _angle_about(axis: np.ndarray, turned: np.ndarray, later: np.ndarray | None) -> np.ndarray:

@@ -3,14 +3,14 @@
 from typing import TYPE_CHECKING
 
 import jax
-import jax.numpy as jnp
+import mujoco
 import numpy as np
 
 from reframe_jax.constraints.located import locate_on_host
 from reframe_jax.plotting.scene import draw_frame, draw_legend, segment, set_limits, turning_axes
 from reframe_jax.plotting.style import BODY, CONSTRAINED, FONT, FREE, new_figure
 from reframe_jax.simulation.arm.demonstration import Demonstration
-from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm, link_poses
+from reframe_jax.simulation.arm.model import PANDA, Arm, find_arm
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -86,8 +86,10 @@ def _finish(axes: "Axes") -> None:
 
 def _joint_points(joints: np.ndarray, arm: Arm) -> np.ndarray:
     """Base, origins of the links, and TCP, (9, 3) m, for joint positions (7,)."""
-    origins, _, tip = link_poses(jnp.asarray(joints), arm)
-    return np.concatenate([np.zeros((1, 3)), origins, tip[None]])
+    data = mujoco.MjData(arm.model)
+    data.qpos[:7] = joints
+    mujoco.mj_kinematics(arm.model, data)
+    return np.concatenate([data.xpos[:8], data.site("tcp").xpos[None]])
 
 
 def _draw_scene(axes: "Axes3D", made: Demonstration, arm: Arm) -> None:

@@ -2,11 +2,10 @@
 
 from typing import TYPE_CHECKING
 
+import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.constraints.types import AngularType
-from reframe_jax.identification.results import Identification
 from reframe_jax.plotting.style import CONSTRAINED, FONT, FREE, LEGEND_ABOVE, LINES, new_figure
 from reframe_jax.segmentation.cells import GROUND_TYPES, path_features
 from reframe_jax.segmentation.results import Segmentation
@@ -95,23 +94,14 @@ def segment_velocities(poses: np.ndarray, found: Segmentation) -> tuple[np.ndarr
         start, stop = segment.start + half, segment.stop - half
         if segment.identification is None or stop <= start:
             continue
-        own = poses[segment.start : segment.stop]
-        features = path_features(own[:, :3, :3], own[:, :3, 3] - centre)
-        turned, moved = _along_axes(*features, segment.identification, centre)
-        duration = (found.times[start + half : segment.stop] - found.times[segment.start : stop - half])[
-            :, None
-        ]
-        angular[start:stop] = (turned[2 * half :] - turned[: -2 * half]) / duration
-        linear[start:stop] = (moved[2 * half :] - moved[: -2 * half]) / duration
+        own, times = poses[segment.start : segment.stop], found.times[segment.start : segment.stop]
+        shifts, turns = path_features(own[:, :3, :3], own[:, :3, 3] - centre)
+        frames = jax.device_get((segment.identification.linear, segment.identification.angular))
+        kind = int(frames[0].type_code)
+        origin = np.append(1.0, frames[0].position - centre * (kind in GROUND_TYPES))
+        paths = shifts[kind].reshape(-1, 3, 4) @ origin, turns[int(frames[1].type_code)]
+        duration = (times[2 * half :] - times[: -2 * half])[:, None]
+        for velocities, path, frame in zip((linear, angular), paths, frames, strict=True):
+            along = path @ np.asarray(frame.axes)
+            velocities[start:stop] = (along[2 * half :] - along[: -2 * half]) / duration
     return angular, linear
-
-
-def _along_axes(
-    linear: np.ndarray, angular: np.ndarray, found: Identification, centre: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Paths (P, 3) along the axes of the frames of one identification."""
-    kind, position = int(found.linear.type_code), np.asarray(found.linear.position)
-    origin = np.append(1.0, position - centre * (kind in GROUND_TYPES))
-    ground = int(found.angular.type_code) == AngularType.G
-    moved = linear[kind].reshape(-1, 3, 4) @ origin
-    return angular[0 if ground else 1] @ np.asarray(found.angular.axes), moved @ np.asarray(found.linear.axes)

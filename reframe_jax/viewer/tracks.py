@@ -98,25 +98,19 @@ def track_window(
     along = frame_velocities(jnp.asarray(places), jnp.asarray(np.diff(instants)), found)
     velocities = np.concatenate(jax.device_get(along), axis=-1)
     middle = (instants[1:] + instants[:-1]) / 2
-    frame = _track_frame(host, places, spread, velocities)
-    return WindowTrack(host.name, to_table(found), instants, places, counted, frame, middle)
-
-
-def _track_frame(
-    found: Identification, poses: np.ndarray, spread: np.ndarray | None, velocities: np.ndarray
-) -> FrameTrack:
-    located = locate_on_host(found.constraint_frame, poses)
-    on_body = LinearType(int(found.linear.type_code)).position_body == AngularType.B
-    return FrameTrack(
-        origins=poses[:, :3, 3] + located.lever,
-        in_body=np.asarray(found.linear.position, float) if on_body else None,
+    located = locate_on_host(host.constraint_frame, places)
+    on_body = LinearType(int(host.linear.type_code)).position_body == AngularType.B
+    frame = FrameTrack(
+        origins=places[:, :3, 3] + located.lever,
+        in_body=np.asarray(host.linear.position, float) if on_body else None,
         linear_axes=np.asarray(located.linear_axes),
         angular_axes=np.asarray(located.angular_axes),
-        linear_free=np.asarray(found.linear.dof, bool),
-        angular_free=np.asarray(found.angular.dof, bool),
+        linear_free=np.asarray(host.linear.dof, bool),
+        angular_free=np.asarray(host.angular.dof, bool),
         spread=spread,
         velocities=velocities,
     )
+    return WindowTrack(host.name, to_table(found), instants, places, counted, frame, middle)
 
 
 def _square_root(covariance: np.ndarray) -> np.ndarray:

@@ -96,25 +96,18 @@ def _link_transforms(arm: Arm) -> tuple[np.ndarray, np.ndarray]:
     return rotations, positions
 
 
-def link_poses(joints: jax.Array, arm: Arm) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Compute the origins (..., 7, 3), m, of the links, and the result of :func:`forward_kinematics`."""
+def forward_kinematics(joints: jax.Array, arm: Arm = PANDA) -> tuple[jax.Array, jax.Array]:
+    """Compute rotation (..., 3, 3) and position (..., 3), m, of {b} in {g} from joints (..., 7), rad."""
     fixed, offset = (jnp.asarray(part, dtype=joints.dtype) for part in _link_transforms(arm))
     batch = joints.shape[:-1]
     fixed, offset = (jnp.broadcast_to(part, (*batch, *part.shape)) for part in (fixed, offset))
     rotation, position = fixed[..., 0, :, :], offset[..., 0, :]
-    origins = []
     for i in range(7):
         # a rotation about z combines the first two columns
         c, s = jnp.cos(joints[..., i, None]), jnp.sin(joints[..., i, None])
         x, y, z = rotation[..., :, 0], rotation[..., :, 1], rotation[..., :, 2]
         rotation = jnp.stack([c * x + s * y, c * y - s * x, z], axis=-1)
-        origins.append(position)
         # elementwise, because a library call per matrix of a batch costs more than the product
         position = position + jnp.sum(rotation * offset[..., i + 1, None, :], axis=-1)
         rotation = jnp.sum(rotation[..., :, :, None] * fixed[..., i + 1, None, :, :], axis=-2)
-    return jnp.stack(origins, axis=-2), rotation, position
-
-
-def forward_kinematics(joints: jax.Array, arm: Arm = PANDA) -> tuple[jax.Array, jax.Array]:
-    """Compute rotation (..., 3, 3) and position (..., 3), m, of {b} in {g} from joints (..., 7), rad."""
-    return link_poses(joints, arm)[1:]
+    return rotation, position

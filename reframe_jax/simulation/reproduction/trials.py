@@ -239,7 +239,10 @@ def reproduce_sequence(
         ValueError: for an unknown robot, no stages, different numbers of stages, or a segment without
             identification.
     """
-    control = _identified(frames) if isinstance(frames, Segmentation) else list(frames)
+    every = [each.identification for each in frames.moving] if isinstance(frames, Segmentation) else frames
+    control = [frame for frame in every if frame is not None]
+    if len(control) < len(every):
+        raise ValueError("A segment is too short to identify, so it has no control frame.")
     if not truths or len(truths) != len(control):
         raise ValueError(
             f"reproduce_sequence needs a frame for each constraint; got {len(truths)} constraints and "
@@ -259,11 +262,3 @@ def reproduce_sequence(
         completed=len(stages) == len(truths) and bool(stages[-1].completed),
         hand_overs=np.array([f[: max(1, len(f) // 10)].max() for f in forces]),
     )
-
-
-def _identified(found: Segmentation) -> list[Identification]:
-    """Identifications of the moving segments."""
-    each = [segment.identification for segment in found.moving]
-    if any(one is None for one in each):
-        raise ValueError("A segment is too short to identify, so it has no control frame.")
-    return [one for one in each if one is not None]
