@@ -205,16 +205,11 @@ def _together(cells: Cells, start: int, stop: int, models: list[Bank]) -> Piece 
 
 def _divide_between_neighbours(pieces: list[Piece], i: int) -> list[Piece]:
     """Divide a piece between its neighbours; join the neighbours if both are free motion."""
-    own = pieces[i]
-    before, after = pieces[:i], pieces[i + 1 :]
-    if not before:
-        return [after[0]._replace(start=own.start), *after[1:]]
-    if not after:
-        return [*before[:-1], before[-1]._replace(stop=own.stop)]
-    if before[-1].model is None and after[0].model is None:
-        return [*before[:-1], before[-1]._replace(stop=after[0].stop), *after[1:]]
-    middle = (own.start + own.stop) // 2
-    return [*before[:-1], before[-1]._replace(stop=middle), after[0]._replace(start=middle), *after[1:]]
+    before, own, after = pieces[:i], pieces[i], pieces[i + 1 :]
+    middle = own.start if not before else own.stop if not after else (own.start + own.stop) // 2
+    before[-1:] = [piece._replace(stop=middle) for piece in before[-1:]]
+    after[:1] = [piece._replace(start=middle) for piece in after[:1]]
+    return _join_free(before + after)
 
 
 def label_pieces(cells: Cells, pieces: list[Piece]) -> list[int]:

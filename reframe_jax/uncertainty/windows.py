@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from reframe_jax.compilation import in_float64, index_leaves, inside_trace, jit_pair, traced
+from reframe_jax.compilation import in_float64, inside_trace, jit_pair, traced
 from reframe_jax.identification.cautions import Caution
 from reframe_jax.identification.inputs import run_in_pieces, take_poses, take_steps
 from reframe_jax.identification.options import Scales, take_scales
@@ -52,17 +52,12 @@ def over_windows(
         program = _program_in_trace if inside_trace((array, steps, estimate)) else _program
         run = partial(program, function=function, scales=take_scales(scales, array.shape[-3]), **static)
         batch = array.shape[:-3]
-        if not batch:
-            steps = np.asarray(steps) if wide else steps
-            one = jax.tree.map(lambda leaf: leaf[None], (array, steps, estimate))
-            result = index_leaves(_in_pieces(run, *one), 0)
-        else:
-            steps = jnp.broadcast_to(steps, (*batch, array.shape[-3] - 1))
-            flat = jax.tree.map(
-                lambda leaf: leaf.reshape(-1, *leaf.shape[len(batch) :]), (array, steps, estimate)
-            )
-            result = _in_pieces(run, *flat)
-            result = jax.tree.map(lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), result)
+        steps = (np if wide else jnp).broadcast_to(steps, (*batch, array.shape[-3] - 1))
+        flat = jax.tree.map(
+            lambda leaf: leaf.reshape((-1, *leaf.shape[len(batch) :])), (array, steps, estimate)
+        )
+        result = _in_pieces(run, *flat)
+        result = jax.tree.map(lambda leaf: leaf.reshape((*batch, *leaf.shape[1:])), result)
     if wide and not in_float64():
         return jax.device_put(jax.tree.map(_narrow, jax.device_get(result)))
     return result

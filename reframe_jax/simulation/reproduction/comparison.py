@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -93,27 +94,14 @@ def compare(
         raise ValueError(f"trials must be at least 1, not {trials}.")
     check_imperfections(imperfections)
     demonstrate_key, _ = jax.random.split(key)
-    run = partial(
-        reproduce,
-        controller=controller,
-        arm=arm,
-        start=start,
-        compliance=(float(imperfections.angular_compliance), float(imperfections.compliance)),
-    )
+    robot: Any = {"arm": arm, "start": start}
+    compliance = float(imperfections.angular_compliance), float(imperfections.compliance)
+    run: Callable[..., Trials] = partial(reproduce, controller=controller, compliance=compliance, **robot)
     chunk = min(trials, 64)
+    options: Any = {"imperfections": imperfections, "excitation": excitation, "spread": spread, **robot}
 
     def draw(number: int) -> tuple[tuple[Demonstration, Trials], np.ndarray]:
-        made = demonstrate(
-            constraint,
-            demonstrate_key,
-            batch=chunk,
-            first=number * chunk,
-            imperfections=imperfections,
-            excitation=excitation,
-            spread=spread,
-            arm=arm,
-            start=start,
-        )
+        made = demonstrate(constraint, demonstrate_key, batch=chunk, first=number * chunk, **options)
         made, exact = jax.device_get((made, run(made.truth, made.truth)))
         return (made, exact), np.maximum(made.status_code, exact.status_code)
 
@@ -133,7 +121,7 @@ def compare(
         demonstrations=made,
         found=found,
         exact=exact,
-        identified=run(made.truth, matched_choices(found, made.truth, arm=arm, start=start)),
+        identified=run(made.truth, matched_choices(found, made.truth, **robot)),
         redrawn=jnp.asarray(drawn - trials),
         errors=jnp.stack(
             [jnp.degrees(errors.angular), jnp.degrees(errors.linear), 1e3 * errors.position], axis=-1
