@@ -44,11 +44,11 @@ CHILD = """
     def second(file):
         return "00000001" in str(file)
 
-    identify, write_whole, rename = results._identify, parts.write_whole, os.replace
+    do_part, write_whole, rename = results._do_part, parts.write_whole, os.replace
     moment = sys.argv[3]
     if moment == "computing":
         calls = []
-        results._identify = lambda *a: (calls.append(a), die if len(calls) == 2 else identify)[1](*a)
+        results._do_part = lambda *a: (calls.append(a), die if len(calls) == 2 else do_part)[1](*a)
     elif moment == "writing":
         parts.write_whole = lambda file, write: write_whole(
             file, (lambda half: half_a_file(half, write)) if second(file) else write

@@ -1,7 +1,7 @@
 """The catalogue of named constraints: twelve from the paper's Table 2, and five other common joints."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, cast
 
 from reframe_jax.constraints.types import AxisRelation, Dof, LinearType, distinct_axis
 
@@ -44,13 +44,10 @@ def _row(
     axes: tuple[int | None, int | None],
     unique: str,
 ) -> Constraint:
-    def dof(text: str) -> Dof:
-        x, y, z = (int(d) for d in text)
-        return x, y, z
-
-    linear_type = LinearType[kind] if kind else None
+    angular_dof, linear_dof = (cast(Dof, tuple(map(int, text))) for text in (angular, linear))
     position = ("x" in unique, "y" in unique, "z" in unique)
-    return Constraint(label, name, dof(angular), dof(linear), linear_type, *axes, position)
+    kinds = LinearType[kind] if kind else None
+    return Constraint(label, name, angular_dof, linear_dof, kinds, *axes, position)
 
 
 CONSTRAINTS: dict[str, Constraint] = {

@@ -23,7 +23,6 @@ from reframe_jax.storage.codecs import Codec
 from reframe_jax.storage.records import checksum
 
 _FORMAT = 5
-_LISTED, _LONGEST = 8, 40  # largest number of option names in a message, and length of a name
 _PART = re.compile(r"part-(\d{8,})")
 _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{16}")
 _ABANDONED = 3600.0  # s, age of an abandoned file; larger than the clock differences between machines
@@ -68,9 +67,10 @@ def read_part(
     if name != file.stem:
         raise ValueError(f"{file} is a copy of {name}: delete the copy, and run again to compute this part.")
     if options is not None and made_with != options:
+        differ = [name for name in {**made_with, **options} if made_with.get(name) != options.get(name)]
         raise ValueError(
-            f"{file} was made with other options ({_difference(made_with, options)}). "
-            "Use the options of the file, or another folder."
+            f"{file} was made with other options ({', '.join(differ)}). Use the options of the file, or "
+            "another folder."
         )
     if source is not None and made_from != source:
         raise ValueError(
@@ -86,13 +86,6 @@ def _checksum(arrays: Mapping[str, Any], header: Record) -> str:
 
 def _damaged(file: Path, why: str) -> ValueError:
     return ValueError(f"{file} is damaged: delete the file, and run again to compute this part. ({why})")
-
-
-def _difference(one: Record, other: Record) -> str:
-    """Names of the options that differ, shortened, because a damaged record may have long names."""
-    differ = [name for name in {**one, **other} if one.get(name) != other.get(name)]
-    more = [f"and {len(differ) - _LISTED} more"] if len(differ) > _LISTED else []
-    return ", ".join([name[:_LONGEST] for name in differ[:_LISTED]] + more)
 
 
 class Run:

@@ -123,23 +123,19 @@ def _renderer(model: mujoco.MjModel, size: tuple[int, int]) -> Any:
     """Create an offscreen renderer, with EGL if there is no display and no other backend is set."""
     from mujoco.rendering.classic import gl_context
 
-    if sys.platform == "linux" and not {"MUJOCO_GL", "DISPLAY"} & os.environ.keys():
-        os.environ["MUJOCO_GL"] = "egl"
-        try:
-            importlib.reload(gl_context)  # the module chooses its backend at the first import
-        except (ImportError, AttributeError, RuntimeError, OSError) as error:
-            raise RenderError(_NO_OPENGL.format(error)) from error
-        finally:
-            del os.environ["MUJOCO_GL"]
     try:
+        if sys.platform == "linux" and not {"MUJOCO_GL", "DISPLAY"} & os.environ.keys():
+            os.environ["MUJOCO_GL"] = "egl"
+            try:
+                importlib.reload(gl_context)  # the module chooses its backend at the first import
+            finally:
+                del os.environ["MUJOCO_GL"]
         return mujoco.Renderer(model, size[1], size[0])
     except (mujoco.FatalError, ImportError, AttributeError, RuntimeError, OSError) as error:
-        raise RenderError(_NO_OPENGL.format(error)) from error
-
-
-_NO_OPENGL = (
-    "OpenGL cannot render without a screen ({}): install EGL or OSMesa, and set MUJOCO_GL to egl or osmesa."
-)
+        raise RenderError(
+            f"OpenGL cannot render without a screen ({error}): install EGL or OSMesa, and set MUJOCO_GL to "
+            "egl or osmesa."
+        ) from error
 
 
 def _draw_frame(scene: Any, truth: ConstraintFrame, located: Any, place: np.ndarray) -> None:

@@ -143,30 +143,24 @@ def integrate(
 class RolloutStatus(IntEnum):
     """Whether the real robot could execute a rollout, and otherwise why not; larger codes are worse."""
 
-    OK = 0
-    SPEED_LIMIT = 1
-    JOINT_LIMIT = 2
-    SLIPPED = 3
-    SINGULAR = 4
-    DIVERGED = 10
+    message: str
 
-    @property
-    def message(self) -> str:
-        """Explanation of the outcome."""
-        return _MESSAGES[self]
+    def __new__(cls, code: int, message: str = "") -> "RolloutStatus":
+        """Make a code with a message, which explains the outcome."""
+        made = int.__new__(cls, code)
+        made._value_, made.message = code, message
+        return made
 
-
-_MESSAGES = {
-    RolloutStatus.OK: "The robot can execute the motion.",
-    RolloutStatus.SPEED_LIMIT: "A joint exceeded its speed limit.",
-    RolloutStatus.JOINT_LIMIT: "A joint left its range: move the constraint, or reduce the motion.",
-    RolloutStatus.SLIPPED: (
+    OK = 0, "The robot can execute the motion."
+    SPEED_LIMIT = 1, "A joint exceeded its speed limit."
+    JOINT_LIMIT = 2, "A joint left its range: move the constraint, or reduce the motion."
+    SLIPPED = (
+        3,
         "The rigid constraint was violated: the arm came near a singular configuration, or moved too fast "
-        "for the time step."
-    ),
-    RolloutStatus.SINGULAR: "The arm stopped in a singular configuration: the goal is out of reach.",
-    RolloutStatus.DIVERGED: "The simulation diverged: use a shorter time step, or a softer hand.",
-}
+        "for the time step.",
+    )
+    SINGULAR = 4, "The arm stopped in a singular configuration: the goal is out of reach."
+    DIVERGED = 10, "The simulation diverged: use a shorter time step, or a softer hand."
 
 
 @partial(jax.jit, static_argnames="arm")

@@ -200,7 +200,8 @@ def _reproduce(
     completed = jnp.any(arrived, axis=-1)
     first = times[jnp.argmax(arrived, axis=-1)]
     status = rollout_status(track, truth.free, compliance, arm)
-    stuck = ~completed & (jax.vmap(partial(_least_gain, arm=arm))(track.joints[:, -1]) < _SINGULAR)
+    ends = jax.vmap(partial(arm_motion, arm=arm))(track.joints[:, -1], jnp.zeros_like(track.joints[:, -1]))
+    stuck = ~completed & (jnp.linalg.svd(ends.jacobian, compute_uv=False)[:, -1] < _SINGULAR)
     return Trials(
         times=times,
         poses=transforms.make_pose(*forward_kinematics(track.joints, arm)),
@@ -213,12 +214,6 @@ def _reproduce(
         peak_force=jnp.max(jnp.linalg.norm(reaction[..., 3:], axis=-1), axis=-1),
         status_code=jnp.where(stuck, jnp.maximum(status, jnp.int32(RolloutStatus.SINGULAR)), status),
     )
-
-
-def _least_gain(joints: jax.Array, arm: Arm) -> jax.Array:
-    """Smallest singular value of the Jacobian from joint velocities to the twist of {b}."""
-    jacobian = arm_motion(joints, jnp.zeros_like(joints), arm).jacobian
-    return jnp.linalg.svd(jacobian, compute_uv=False)[-1]
 
 
 def reproduce_sequence(
