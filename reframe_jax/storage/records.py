@@ -37,22 +37,17 @@ def describe_options(
     return {name: describe(given.get(name, default)) for name, default in defaults.items()}
 
 
-def describe(value: Any) -> Any:
-    """Convert a value to JSON types.
+def describe(value: Any, within: tuple[int, ...] = ()) -> Any:
+    """Convert a value, which the objects with the identities ``within`` contain, to JSON types.
 
     The description of numbers and arrays is their value, of dataclasses their fields, and of functions their
     name, bound arguments and closure. Long arrays are described by a checksum.
     """
-    return _describe(value, ())
-
-
-def _describe(value: Any, within: tuple[int, ...]) -> Any:
-    """Convert a value to JSON types; ``within`` lists the objects that contain the value."""
     if value is None or isinstance(value, (bool, str)):
         return value
     if id(value) in within:
         return "itself"
-    inner = partial(_describe, within=(*within, id(value)))
+    inner = partial(describe, within=(*within, id(value)))
     if isinstance(value, Enum):
         return f"{type(value).__name__}.{value.name}"
     if isinstance(value, (int, float, np.generic, np.ndarray, jax.Array)):

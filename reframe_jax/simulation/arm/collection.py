@@ -28,20 +28,21 @@ def draw_usable(
     count: int,
     chunk: int,
     *,
+    redraw: bool = True,
     subject: str = "demonstrations are usable",
     progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[tuple[Batch, np.ndarray]]:
     """Draw chunks until enough draws are usable; yield every chunk with the indices of its usable draws.
 
     ``draw`` returns the draws of a numbered chunk, and the :class:`RolloutStatus` (n,) of each. A chunk may
-    have no usable draws; the last chunk has only as many as are needed. ``progress`` receives the number of
-    usable draws and ``count``. A ValueError, "Only 3 of 40 ``subject``", is raised if more than 9 in 10 draws
-    are unusable and more are still needed.
+    have no usable draws; the last chunk has only as many as are needed. Without ``redraw``, all draws count
+    as usable. ``progress`` receives the number of usable draws and ``count``. A ValueError, "Only 3 of 40
+    ``subject``", is raised if more than 9 in 10 draws are unusable and more are still needed.
     """
     done, drawn = 0, 0
     while done < count:
         batch, status = draw(drawn // chunk)
-        good = np.flatnonzero(status == RolloutStatus.OK)[: count - done]
+        good = np.flatnonzero((status == RolloutStatus.OK) | (not redraw))[: count - done]
         drawn, done = drawn + chunk, done + len(good)
         if done < count and drawn >= _PATIENCE * chunk and done < drawn / 10:
             worst = f" {RolloutStatus(int(np.median(status))).message}" if np.any(status) else ""
@@ -80,9 +81,9 @@ def demonstrations(
 
     def draw(number: int) -> tuple[Demonstration, np.ndarray]:
         made = jax.device_get(demonstrate(constraint, key, batch=chunk, first=number * chunk, **options))
-        return made, made.status_code if redraw else np.zeros_like(made.status_code)
+        return made, made.status_code
 
-    for made, good in draw_usable(draw, count, chunk, progress=progress):
+    for made, good in draw_usable(draw, count, chunk, redraw=redraw, progress=progress):
         if len(good):
             yield made[good]
 
@@ -125,14 +126,13 @@ def store_demonstrations(
 
     def draw(number: int) -> tuple[int, np.ndarray]:
         if run.has(number):
-            stored = run.read(number)["status_code"]
-            return number, stored if redraw else np.zeros_like(stored)
+            return number, run.read(number)["status_code"]
         made = jax.device_get(demonstrate(constraint, key, batch=chunk, first=number * chunk, **options))
         kept = made[np.flatnonzero(made.status_code == RolloutStatus.OK)] if redraw else made
         run.write(number, to_arrays(kept))
-        return number, made.status_code if redraw else np.zeros_like(made.status_code)
+        return number, made.status_code
 
-    for _ in draw_usable(draw, count, chunk, progress=make_meter(progress, _KIND)):
+    for _ in draw_usable(draw, count, chunk, redraw=redraw, progress=make_meter(progress, _KIND)):
         pass
     return run.folder
 
