@@ -65,7 +65,8 @@ def check_imperfections(given: Any) -> None:
 
 def by_axis(pair: Any, dtype: Any) -> jax.Array:
     """Expand numbers for (rotations, translations) to six axes, (6,)."""
-    return jnp.repeat(jnp.stack(as_numbers(pair, dtype)), 3)
+    rotations, translations = as_numbers(pair, dtype)
+    return jnp.stack([rotations] * 3 + [translations] * 3)
 
 
 def compliance_of(imperfections: Imperfections, dtype: Any) -> jax.Array:
