@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike
 from reframe_jax.compilation import index_leaves
 from reframe_jax.geometry import rotations
 from reframe_jax.identification.options import Scales
+from reframe_jax.identification.preparation import Prepared
 from reframe_jax.identification.results import Identification, Index
-from reframe_jax.uncertainty.refit import BLOCKS, HALVES, LENGTHS, THIRDS, Estimate, Refit, refit_windows
+from reframe_jax.uncertainty.refit import BLOCKS, HALVES, LENGTHS, THIRDS, Refit, Windows, refit_windows
 from reframe_jax.uncertainty.spread import blocks, parts_with_prior, spread_of_fit, student_variance, widen
 from reframe_jax.uncertainty.windows import over_windows
 
@@ -166,20 +167,14 @@ def covariance(
 
 
 def _window_covariances(
-    poses: jax.Array,
-    steps: jax.Array,
-    count: jax.Array | None,
-    found: Estimate,
-    *,
-    scales: tuple[int, ...] | None,
-    parts: str,
+    window: Prepared, windows: Windows, *, scales: tuple[int, ...] | None, parts: str
 ) -> Covariance:
-    window, refit = refit_windows(poses, steps, count, found, scales, parts)
+    refit = refit_windows(window, windows, scales, parts)
     matrix, inflation = jax.vmap(partial(_combine_parts, parts=parts))(refit)
     angles = jnp.sqrt(jnp.diagonal(matrix, axis1=1, axis2=2))
     small = jnp.max(angles[:, :6], axis=1) < _LARGE_TURN
     near = jnp.max(angles[:, 6:], axis=1) < _LARGE_SHIFT * window.box
-    failed = (window.status >= 10) | ~jnp.isfinite(found.position[:, 0])
+    failed = (window.status >= 10) | ~jnp.isfinite(windows.found.position[:, 0])
     matrix = jnp.where(failed[:, None, None], jnp.nan, matrix)
     return Covariance(matrix, jnp.where(failed[:, None], jnp.nan, inflation), small & near & ~failed)
 

@@ -11,11 +11,12 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.located import Frame, body_twist, frame_arrays
 from reframe_jax.geometry.transforms import pose_exp
+from reframe_jax.identification.preparation import Prepared
 from reframe_jax.identification.results import Identification
 from reframe_jax.model.features import pose_features
 from reframe_jax.model.moments import scale_moments
 from reframe_jax.motion import kinematics
-from reframe_jax.uncertainty.refit import Estimate, Refit, align_scales, refit_windows
+from reframe_jax.uncertainty.refit import Refit, Windows, align_scales, refit_windows
 from reframe_jax.uncertainty.spread import covariances_of_motions, information, row_precision
 from reframe_jax.uncertainty.windows import over_windows
 
@@ -102,16 +103,10 @@ def next_motion(
 
 
 def _fit_whole(
-    poses: jax.Array,
-    steps: jax.Array,
-    count: jax.Array | None,
-    found: Estimate,
-    *,
-    scales: tuple[int, ...] | None,
+    window: Prepared, windows: Windows, *, scales: tuple[int, ...] | None
 ) -> tuple[jax.Array, Refit]:
     """Centres (N, 3), m, and fits of whole windows."""
-    window, refit = refit_windows(poses, steps, count, found, scales, "whole")
-    return window.centre, refit
+    return window.centre, refit_windows(window, windows, scales, "whole")
 
 
 @partial(jax.jit, static_argnames="number")

@@ -20,10 +20,11 @@ from numpy.typing import ArrayLike
 from reframe_jax.compilation import index_leaves
 from reframe_jax.identification.naming import constraint_of
 from reframe_jax.identification.options import Scales
+from reframe_jax.identification.preparation import Prepared
 from reframe_jax.identification.results import Identification, Index
 from reframe_jax.model.fit import coordinates
 from reframe_jax.model.table import ENTRIES
-from reframe_jax.uncertainty.refit import Estimate, prepare
+from reframe_jax.uncertainty.refit import Windows
 from reframe_jax.uncertainty.windows import over_windows
 
 _STEADY = 0.03  # residual fraction of a constant, fitted by velocities, below which a velocity is constant
@@ -94,15 +95,8 @@ def excitation(
     return over_windows(_window_excitations, found, poses, times, dt, scales)
 
 
-def _window_excitations(
-    poses: jax.Array,
-    steps: jax.Array,
-    count: jax.Array | None,
-    found: Estimate,
-    *,
-    scales: tuple[int, ...] | None,
-) -> Excitation:
-    window, (_, used, mean_rotation, entry, start, _) = prepare(poses, steps, count, found, scales)
+def _window_excitations(window: Prepared, windows: Windows, *, scales: tuple[int, ...] | None) -> Excitation:
+    _, used, mean_rotation, entry, start, found = windows
     straight = start._replace(pitch=jnp.zeros_like(start.pitch))
     weights = jax.vmap(coordinates)(straight, mean_rotation, entry)
     # differences of block means, divided by the block length, are velocities in m or rad per sample
@@ -110,9 +104,9 @@ def _window_excitations(
     width = jnp.take_along_axis(window.moments.width, first[:, None], axis=1)
     products = jnp.take_along_axis(used.products, first[:, None, None, None], axis=1)[:, 0]
     gram = jnp.einsum("nif,nfg,njg->nij", weights, products, weights) / jnp.square(width)[..., None]
-    index, end = jnp.arange(poses.shape[1])[None], window.count[:, None]
+    index, end = jnp.arange(window.poses.shape[1])[None], window.count[:, None]
     size = jnp.maximum(end // _ENDS, 1)
-    ends = [(window.counted & of).astype(poses.dtype) for of in (index >= end - size, index < size)]
+    ends = [(window.counted & of).astype(window.poses.dtype) for of in (index >= end - size, index < size)]
     late, early = (
         jnp.einsum("np,npf->nf", of, window.features.values) / jnp.maximum(jnp.sum(of, axis=1), 1)[:, None]
         for of in ends

@@ -132,20 +132,12 @@ def prepare(
     return window, Windows(window.box, used, mean, entry, start, found)
 
 
-def refit_windows(
-    poses: Array,
-    steps: Array,
-    count: Array | None,
-    found: Estimate,
-    scales: tuple[int, ...] | None,
-    parts: str,
-) -> tuple[Prepared, Refit]:
-    """Fit the identified constraints to windows and to parts of them; arguments as of :func:`prepare`.
+def refit_windows(window: Prepared, windows: Windows, scales: tuple[int, ...] | None, parts: str) -> Refit:
+    """Fit the identified constraints to prepared windows and to parts of them, with the same time scales.
 
     The parts are "whole"; "spans", with halves and thirds; or "blocks", with six parts that each lack one of
     six blocks.
     """
-    window, windows = prepare(poses, steps, count, found, scales)
     products, details = windows.moments.products[:, None], windows.moments.details[:, None]
     number = jnp.sum(window.counted, axis=1)[:, None]
     if parts != "whole":
@@ -158,7 +150,7 @@ def refit_windows(
             for whole, part in zip((products, details), more, strict=True)
         )
         number = jnp.concatenate([number, of_parts], axis=1)
-    return window, jax.vmap(_fit_window)(windows, products, details, number)
+    return jax.vmap(_fit_window)(windows, products, details, number)
 
 
 def align_scales(moments: Moments, count: int) -> tuple[Array, Array]:

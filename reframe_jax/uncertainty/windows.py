@@ -15,7 +15,7 @@ from reframe_jax.identification.cautions import Caution
 from reframe_jax.identification.inputs import run_in_pieces, take_poses, take_steps
 from reframe_jax.identification.options import Scales, take_scales
 from reframe_jax.identification.results import Identification
-from reframe_jax.uncertainty.refit import Estimate, estimate_of
+from reframe_jax.uncertainty.refit import Estimate, estimate_of, prepare
 
 _CHUNK = {"cpu": 8, "gpu": 1024}  # windows per chunk, so that the moments of all parts fit into memory
 
@@ -31,9 +31,10 @@ def over_windows(
 ) -> Any:
     """Call a function of N windows for the windows of an identification, single, many or traced.
 
-    The function has the arguments of :func:`.refit.prepare`, and the keywords ``static``; it must be defined
-    at module level, so that it compiles only once. Poses, times, dt and scales are those of the user. The
-    result is that of the function, with the leading axes of ``found`` in place of the axis of windows.
+    The arguments of the function are the results of :func:`.refit.prepare`, and the keywords ``scales`` and
+    ``static``; it must be defined at module level, so that it compiles only once. Poses, times, dt and scales
+    are those of the user. The result is that of the function, with the leading axes of ``found`` in place of
+    the axis of windows.
 
     Raises:
         ValueError: if the poses or times do not match ``found``.
@@ -63,9 +64,11 @@ def over_windows(
     return result
 
 
-def _run(poses: Any, steps: Any, count: Any, found: Estimate, *, function: Any, **static: Any) -> Any:
+def _run(
+    poses: Any, steps: Any, count: Any, found: Estimate, *, function: Any, scales: Any, **static: Any
+) -> Any:
     with jax.default_matmul_precision("highest"):
-        return function(poses, steps, count, found, **static)
+        return function(*prepare(poses, steps, count, found, scales), scales=scales, **static)
 
 
 _program, _program_in_trace = jit_pair(_run, ("function", "scales", "parts"))
