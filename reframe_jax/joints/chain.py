@@ -98,16 +98,19 @@ def chain_coordinates(
 
 def _nearest(parts: Sequence[JointPart], home: np.ndarray, poses: np.ndarray, length: float) -> np.ndarray:
     """Compute the coordinates of a chunk of poses with the Gauss-Newton method."""
+
+    def residuals(coordinates: np.ndarray) -> np.ndarray:
+        """Residuals (K, 6), m: three orientation errors times ``length``, three position errors."""
+        model = chain_poses(parts, home, coordinates)
+        turn = poses[:, :3, :3].swapaxes(-1, -2) @ model[:, :3, :3]
+        return np.concatenate([length / 2 * skew_vectors(turn), model[:, :3, 3] - poses[:, :3, 3]], axis=-1)
+
     found = _first_guess(parts, home, poses)
     number = found.shape[-1]
     for _ in range(_STEPS if number else 0):
-        now = _residuals(parts, home, poses, found, length)
-        columns = []
-        for step in _SMALL * np.eye(number):
-            there = _residuals(parts, home, poses, found + step, length)
-            back = _residuals(parts, home, poses, found - step, length)
-            columns.append((there - back) / (2 * _SMALL))
-        jacobian = np.stack(columns, axis=-1)
+        now = residuals(found)
+        columns = [residuals(found + step) - residuals(found - step) for step in _SMALL * np.eye(number)]
+        jacobian = np.stack(columns, axis=-1) / (2 * _SMALL)
         transposed = jacobian.swapaxes(-1, -2)
         square = transposed @ jacobian
         square += _DAMPING * np.trace(square, axis1=1, axis2=2)[:, None, None] * np.eye(number)
@@ -152,15 +155,6 @@ def _angle_about(axis: np.ndarray, turned: np.ndarray, later: np.ndarray | None)
     along = np.einsum("i,kij,j->k", axis, turned, axis)
     angles: np.ndarray = np.arctan2(skew_vectors(turned) @ axis, np.trace(turned, axis1=1, axis2=2) - along)
     return angles
-
-
-def _residuals(
-    parts: Sequence[JointPart], home: np.ndarray, poses: np.ndarray, coordinates: np.ndarray, length: float
-) -> np.ndarray:
-    """Residuals (K, 6) of the chain, m: three orientation errors times ``length``, three position errors."""
-    model = chain_poses(parts, home, coordinates)
-    turn = poses[:, :3, :3].swapaxes(-1, -2) @ model[:, :3, :3]
-    return np.concatenate([length / 2 * skew_vectors(turn), model[:, :3, 3] - poses[:, :3, 3]], axis=-1)
 
 
 def ball_hinges(point: np.ndarray, vectors: np.ndarray) -> tuple[JointPart, ...]:

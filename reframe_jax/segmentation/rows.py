@@ -88,13 +88,13 @@ def _least_motion_rows(form: np.ndarray, middle: np.ndarray, reach: float) -> tu
     ridge = 1e-9 + 1e-4 * np.einsum("aap->p", total[1:, 1:]) / 3
     away = total[1:, 0] + np.einsum("abp,bp->ap", total[1:, 1:], middle)
     least = middle - _solve(total[1:, 1:] + ridge * np.eye(3)[:, :, None], away)
-    low, high = middle - reach, middle + reach
-    x = np.clip(least, low, high)
+    box = middle - reach, middle + reach
+    x = np.clip(least, *box)
     covariance = np.moveaxis(_covariance(form, x)[1], -1, 0)
     axes = np.moveaxis(np.linalg.eigh(covariance)[1], 0, -1)  # columns, in ascending order of variance
     found = []
     for held, steps in zip((3, 2, 1), _STEPS, strict=True):
-        x, axes, squares = _descend(form, x, axes, held, steps, low, high)
+        x, axes, squares = _descend(form, x, axes, held, steps, box)
         found.append((x, axes, squares))
     weights, size = [], []
     for held, (x, axes, squares) in enumerate(reversed(found), 1):
@@ -122,19 +122,13 @@ def _solve(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
 
 
 def _descend(
-    form: np.ndarray,
-    x: np.ndarray,
-    axes: np.ndarray,
-    held: int,
-    steps: int,
-    low: np.ndarray,
-    high: np.ndarray,
+    form: np.ndarray, x: np.ndarray, axes: np.ndarray, held: int, steps: int, box: tuple[np.ndarray, ...]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Minimize sum_{i < held} log w_i' G w_i with w_i = v_i (1, x), by Levenberg's steps.
 
     G is the form. The steps start at origins x (3, P), m, and at directions v, the columns of axes (3, 3, P).
-    They keep the origins between ``low`` and ``high`` (3, P). The result is the origins, the axes, and w' G w
-    of all rows, (3, P).
+    They keep the origins in the box, two corners (3, P). The result is the origins, the axes, and w' G w of
+    all rows, (3, P).
     """
 
     def evaluate(x: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -145,29 +139,22 @@ def _descend(
 
     here, damping = evaluate(x, axes), np.full(x.shape[1], 1e-3)
     for _ in range(steps):
-        x, axes, half, covariance, square, value = here
-        step = _levenberg(form, half, covariance, axes, square, held, damping)
+        x, axes, *_, value = here
+        step = _levenberg(form, here, held, damping)
         turn = -0.5 * step[:3, None]
         turn /= np.maximum(np.linalg.norm(turn, axis=0) / 0.25, 1)
         across = np.cross(turn, axes, axis=0)
         turned = axes + 2 * (across + np.cross(turn, across, axis=0)) / (1 + np.sum(turn**2, axis=0))
-        there = evaluate(np.clip(x - step[3:], low, high), turned)
+        there = evaluate(np.clip(x - step[3:], *box), turned)
         lower = there[-1] < value
         here = tuple(np.where(lower, b, a) for a, b in zip(here, there, strict=True))
         damping = np.clip(np.where(lower, damping / 10, damping * 30), 1e-8, 1e3)
     return here[0], here[1], here[4]
 
 
-def _levenberg(
-    form: np.ndarray,
-    half: np.ndarray,
-    covariance: np.ndarray,
-    axes: np.ndarray,
-    square: np.ndarray,
-    held: int,
-    damping: np.ndarray,
-) -> np.ndarray:
+def _levenberg(form: np.ndarray, here: tuple[np.ndarray, ...], held: int, damping: np.ndarray) -> np.ndarray:
     """Levenberg's step (6, P) of the rotation of the axes and of x, for the tangent of the logarithms."""
+    _, axes, half, covariance, square, _ = here
     number = axes.shape[-1]
     hessian, slope = np.zeros((6, 6, number)), np.zeros((6, number))
     for i in range(held):
