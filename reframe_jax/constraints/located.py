@@ -7,6 +7,7 @@ A(T) V = 0 on the twist V at the pose T (the paper's Eq. 3), with one row of A f
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -42,9 +43,7 @@ class Frame:
     on_body: jax.Array
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Located:
+class Located(NamedTuple):
     """A constraint frame at an instant, in the axes of {g}.
 
     Attributes:
@@ -69,10 +68,8 @@ class Located:
 
 def fixed_on_body(frame: ConstraintFrame) -> tuple[bool, bool, bool]:
     """Return whether the angular axes, the linear axes and the origin are fixed in {b}, not in {g}."""
-    kind = frame.linear_type
-    bodies = frame.angular_type, kind.orientation_body, kind.position_body
-    angular, linear, origin = (body == AngularType.B for body in bodies)
-    return angular, linear, origin
+    axes, origin = _LINEAR_ON_BODY[frame.linear_type].tolist()
+    return frame.angular_type == AngularType.B, axes, origin
 
 
 def assemble_frame(

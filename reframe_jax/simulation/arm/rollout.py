@@ -16,7 +16,6 @@ accurate to second order in h. The friction of the joints is implicit.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import IntEnum
 from functools import partial
 from typing import Any, NamedTuple
@@ -56,9 +55,7 @@ def hold(free: jax.Array, slipped: jax.Array, step: float, compliance: jax.Array
     return AxisLaw(acts=1 - free, offset=rate * slipped, softness=rate * compliance)
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Track:
+class Track(NamedTuple):
     """Motion and forces at the samples of a rollout.
 
     Attributes:
