@@ -118,3 +118,15 @@ def test_lost_tracking_in_arrays_is_named_by_row(tmp_path: Path, rng: np.random.
     rows[20:28, 1:] = [0, 0, 0, 0, 0, 0, 1]
     recording = rf.load_recording(write(tmp_path / "lost.csv", HEADER, rows))
     rf.identify(recording.poses, times=recording.times)  # without a warning
+
+
+@pytest.mark.parametrize("distance", [1.0, 1e3, 1e6])
+def test_a_distant_outlier_does_not_hide_the_order(distance: float) -> None:
+    angles = np.sin(0.1 * np.arange(51))
+    poses = np.tile(np.eye(4), (51, 1, 1))
+    poses[:, :3, :3] = Rotation.from_rotvec(np.outer(angles, [0.1, 0.3, 0.95])).as_matrix()
+    poses[:, :3, 3] = poses[:, :3, :3] @ [0.4, 0.1, 0.2]
+    for row in range(51):
+        here = poses.copy()
+        here[row, :3, 3] += distance
+        assert not is_unordered(here)

@@ -54,7 +54,7 @@ def note_repeats(rows: Rows, poses: np.ndarray) -> None:
         )
 
 
-def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> np.ndarray:
+def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> tuple[np.ndarray, bool]:
     """Leave out distant rows, and check the unit of the positions.
 
     Args:
@@ -63,7 +63,7 @@ def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> np.ndar
         wanted: the options, with the unit.
 
     Returns:
-        Poses (N, 4, 4) of the remaining rows.
+        Poses (N, 4, 4) of the remaining rows, and whether they are separate touches in any order.
 
     Raises:
         RecordingError: if the positions are too far apart for a body in the unit of the file.
@@ -80,7 +80,8 @@ def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> np.ndar
     middle = np.median(positions, axis=0)
     span = float(np.linalg.norm(np.ptp(positions, axis=0)))
     distance = np.linalg.norm(positions - middle, axis=1)
-    touches = count < _FEWEST or is_unordered(poses)
+    unordered = is_unordered(poses)
+    touches = count < _FEWEST or unordered
     change = _acceleration(positions, rows.times) if rows.times is not None else 0.0
     too_fast = f"the velocity changes by {change:.2g} m/s^2, more than"
     advice = "if the positions are in mm, " + (
@@ -106,7 +107,7 @@ def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> np.ndar
     if unit < 1 and 0 < span < _SMALL * unit and count >= _MANY:
         remedy = "correct the unit in the file" if rows.metres else "leave out unit (--unit)"
         rows.notes.append(f"positions span {1e3 * span:.2g} mm; if they are in m, {remedy}.")
-    return poses
+    return poses, unordered
 
 
 def _near(rows: Rows, positions: np.ndarray) -> np.ndarray:

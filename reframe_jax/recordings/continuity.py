@@ -5,12 +5,15 @@ measures are the length and the curvature of the path, of the positions and of t
 means of square roots, in which outliers and long rests have little effect. NumPy only.
 """
 
+from functools import lru_cache
+
 import numpy as np
 
 __all__ = ["is_unordered"]
 
 _FEWEST = 5  # poses; fewer look unordered by chance
 _ORDERS = 39  # random orders; separate touches are smoother than all of them in 1 of 40 cases
+_SMOOTH = 0.35  # measure of an order that needs no comparison
 _SMOOTHER = 0.7  # largest measure of a motion over the mean measure of random orders
 _SAME = 1e-6  # relative difference of the measures of an order and of its reverse, by rounding
 _MOVED = 0.02, 0.1  # m and rad, median distances above the noise of a body at rest
@@ -27,26 +30,39 @@ def is_unordered(poses: np.ndarray) -> bool:
     poses = poses[np.all(np.abs(poses) < _FARTHEST, axis=(1, 2))]
     if len(poses) < _FEWEST:
         return False
-    parts = np.arange(len(poses))[None]
-    if len(poses) > _WINDOWS * _LENGTH:
+    whole = len(poses) <= _WINDOWS * _LENGTH
+    if not whole:
         starts = np.linspace(0, len(poses) - _LENGTH, _WINDOWS).astype(int)
-        parts = starts[:, None] + np.arange(_LENGTH)
-    poses = poses[parts.ravel()]
+        poses = poses[(starts[:, None] + np.arange(_LENGTH)).ravel()]
     count = len(poses)
-    triples = np.lib.stride_tricks.sliding_window_view(np.arange(count).reshape(parts.shape), 3, axis=1)
+    before, here, after = _orders(count, count if whole else _LENGTH)
+    own = before[0] * count + here[0]
+    found = []
+    # the distance between two rotation matrices is about sqrt(2) times the angle
+    for numbers in (poses[:, :3, 3], poses[:, :3, :3].reshape(count, 9) / np.sqrt(2)):
+        columns = np.ascontiguousarray(numbers.T)
+        apart = columns[:, :, None] - columns[:, None]
+        squares = np.square(apart, out=apart).sum(axis=0).ravel()
+        roots = np.sqrt(np.sqrt(squares))
+        if roots[own].mean() < _SMOOTH * roots.mean():  # the mean of all orders is almost that of all pairs
+            return False
+        found.append(squares)
+    pairs = before * count + here, here * count + after, before * count + after
+    steps, onward, across = (np.stack(found).take(each, axis=1) for each in pairs)
+    bends = np.maximum(2 * (steps + onward) - across, 0)
+    roots = np.concatenate([np.sqrt(np.sqrt(changes)).mean(axis=2) for changes in (steps, bends)])
+    usual = roots[:, 1:].mean(axis=1, keepdims=True)
+    measures = np.divide(roots, usual, out=np.ones_like(roots), where=usual > 0).min(axis=0)
+    if measures[0] <= min(_SMOOTHER, (1 + _SAME) * measures[1:].min()):
+        return False
+    return bool((np.median(steps[:, 1:], axis=(1, 2)) > np.square(_MOVED)).any())
+
+
+@lru_cache(4)
+def _orders(count: int, part: int) -> np.ndarray:
+    """Three consecutive rows of every part, (3, 40, M), in their own order and in 39 random orders."""
     orders = np.tile(np.arange(count), (1 + _ORDERS, 1))
     orders[1:] = np.random.default_rng(0).permuted(orders[1:], axis=1)
-    before, here, after = np.moveaxis(orders[:, triples.reshape(-1, 3)], 2, 0)
-    moved, measures = False, []
-    # the distance between two rotation matrices is about sqrt(2) times the angle
-    columns = poses[:, :3, 3], poses[:, :3, :3].reshape(count, 9) / np.sqrt(2)
-    for numbers, least in zip(columns, _MOVED, strict=True):
-        squares = sum(np.square(column[:, None] - column) for column in numbers.T)
-        steps, bends = squares[before, here], 2 * squares[here, after] - squares[before, after]
-        moved |= bool(np.median(steps[1:]) > least**2)
-        for changes in (steps, np.maximum(2 * steps + bends, 0)):  # of the step, and of its change
-            roots = np.sqrt(np.sqrt(changes)).mean(axis=1)
-            usual = roots[1:].mean()
-            measures.append(roots / usual if usual > 0 else np.ones(len(roots)))
-    own, *others = np.min(measures, axis=0)
-    return moved and bool(own > min(_SMOOTHER, (1 + _SAME) * min(others)))
+    parts = np.arange(count).reshape(-1, part)
+    triples = np.lib.stride_tricks.sliding_window_view(parts, 3, axis=1).reshape(-1, 3)
+    return np.moveaxis(orders[:, triples], 2, 0)

@@ -7,7 +7,8 @@ them, in units of the steps of the path. Repeats that continue the path are a bo
 NumPy only.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -31,6 +32,7 @@ _STILL = 0.05  # largest distance of repeats with noise from their mean, or from
 _SLOW = 0.15  # the same of a constant, over its number of rows and a usual step; 0.3 in a motion
 _AWAY = 0.5  # distance from the path that goes on, over the jump
 _GAP = 1.5  # time between two rows, in usual time steps, above which rows are missing
+_BLOCK = 2**14  # rows per block, so that intermediate arrays stay small
 _FEW = 2000  # largest number of positions for which all distances are computed
 _REPEATS, _NOISY = 3, 0.002  # repeats, and noise over a step, of a frozen end
 _HELD = 3  # other runs of at least half the length, which show that samples are written too often
@@ -99,14 +101,24 @@ def find_lost_poses(poses: np.ndarray, times: np.ndarray | None = None) -> LostP
         if len(rows) < _OTHERS:
             break
         if paths is None:
+            spans = np.diff(clock[rows])
+            late = spans / (_quantile(spans[spans > 0], 0.5) or 1.0)
             turns = poses[rows, :3, :3].reshape(-1, 9) / np.sqrt(2)
             identity = np.eye(3).ravel() / np.sqrt(2)
-            positions = _Path.of(poses[rows, :3, 3], np.zeros(3), clock[rows])
-            paths = positions, _Path.of(turns, identity, clock[rows])
+            paths = _Path.of(poses[rows, :3, 3], np.zeros(3), late), _Path.of(turns, identity, late)
         kinds[rows] = found = search(paths)
         if (found != "").any():  # the remaining rows have other paths
             rows, paths = rows[found == ""], None
     return LostPoses(kinds)
+
+
+def _quantile(numbers: np.ndarray, fraction: float) -> float:
+    """Quantile of numbers (N,), 0 if there are none; for few numbers much faster than NumPy's."""
+    if not len(numbers):
+        return 0.0
+    ranked, place = np.sort(numbers), fraction * (len(numbers) - 1)
+    low, high = ranked[int(place)], ranked[min(int(place) + 1, len(numbers) - 1)]
+    return float(low + (place - int(place)) * (high - low))
 
 
 @dataclass(frozen=True)
@@ -117,36 +129,39 @@ class _Path:
     origin: np.ndarray
     steps: np.ndarray  # (N-1,) per median time step, if the step took longer
     gaps: np.ndarray  # (N-1,) bool: rows are missing between the two
-    value: np.ndarray  # (N,) int, equal for equal rows
+    keys: np.ndarray  # (N,), equal for equal rows
     zero: np.ndarray  # (N,) bool: the numbers are those of the origin
+    lengths: np.ndarray  # (M,) steps that are not 0
 
     @staticmethod
-    def of(numbers: np.ndarray, origin: np.ndarray, times: np.ndarray) -> "_Path":
-        spans = np.diff(times)
-        usual = float(np.median(spans[spans > 0])) if (spans > 0).any() else 1.0
-        # a weighted sum represents a row; computed by column, equal rows have equal sums, with little memory
-        squares, keys = np.zeros(len(numbers) - 1), np.zeros(len(numbers))
-        zero = np.ones(len(numbers), bool)
-        for k, column in enumerate(numbers.T):
-            squares += np.diff(column) ** 2
-            keys += np.round(column / _SAME) * (np.pi * np.sqrt(k + 2))
-            zero &= np.abs(column - origin[k]) < _SAME
+    def of(numbers: np.ndarray, origin: np.ndarray, late: np.ndarray) -> "_Path":
+        count, weights = len(numbers), np.pi * np.sqrt(2 + np.arange(len(origin)))
+        squares, keys, zero = np.empty(count - 1), np.empty(count), np.empty(count, bool)
+        for start in range(0, count, _BLOCK):
+            part, here = slice(start, start + _BLOCK), numbers[start : start + _BLOCK + 1]
+            squares[part] = np.square(np.diff(here, axis=0)).sum(axis=1)
+            here = here[:_BLOCK]
+            keys[part] = (np.round(here / _SAME) * weights).sum(axis=1)
+            zero[part] = (np.abs(here - origin) < _SAME).all(axis=1)
         steps = np.sqrt(squares)
         steps[steps < _SAME] = 0
-        value = np.unique(keys, return_inverse=True)[1].ravel()
-        late = spans / usual
-        return _Path(numbers, origin, steps / np.maximum(late, 1), late > _GAP, value, zero)
+        steps /= np.maximum(late, 1)
+        return _Path(numbers, origin, steps, late > _GAP, keys, zero, steps[steps > 0])
+
+    @cached_property
+    def value(self) -> np.ndarray:
+        """(N,) int, equal for equal rows."""
+        return np.unique(self.keys, return_inverse=True)[1].ravel()
 
     @property
     def runs(self) -> np.ndarray:
         """(M, 2) first row, and row after the last row, of runs of equal rows."""
-        edges = np.flatnonzero(np.diff(self.value)) + 1
+        edges = np.flatnonzero(np.diff(self.keys)) + 1
         return np.column_stack([np.append(0, edges), np.append(edges, len(self.value))])
 
     def usual_step(self, ignored: np.ndarray) -> float:
         """Ninth decile of the steps, without steps from and to ignored rows (N,)."""
-        steps = self.steps[~(ignored[1:] | ignored[:-1]) & (self.steps > 0)]
-        return float(np.quantile(steps, 0.9)) if len(steps) else 0.0
+        return _quantile(self.steps[~(ignored[1:] | ignored[:-1]) & (self.steps > 0)], 0.9)
 
     def jumps(self, runs: np.ndarray, limit: float, ignored: np.ndarray, usual: float) -> np.ndarray:
         """Return whether the shorter and the longer step to and from runs (M, 2) are jumps, bool (M, 2).
@@ -213,10 +228,10 @@ def _constant(paths: tuple[_Path, _Path]) -> np.ndarray:
     """Kinds (N,) of rows with another number that occurs repeatedly, and always distant from the path."""
     kinds = np.full(len(paths[0].zero), "", "U8")
     for path in paths:
+        if np.diff(np.sort(path.keys)).all():
+            continue
         counts = np.bincount(path.value)
         repeated = (counts > 1)[path.value]
-        if not repeated.any():
-            continue
         usual = path.usual_step(repeated) or path.usual_step(np.zeros(len(kinds), bool))
         runs = path.runs[repeated[path.runs[:, 0]]]
         away = path.jumps(runs, _JUMP_STEPS, repeated, usual)[:, 0]
@@ -231,7 +246,7 @@ def _noisy(paths: tuple[_Path, _Path]) -> np.ndarray:
     """Kinds (N,) of rows that repeat a number with noise, between a jump from the path and a jump back."""
     kinds = np.full(len(paths[0].zero), "", "U8")
     for path in paths:
-        usual = max(path.usual_step(np.zeros(len(kinds), bool)), _LEAST)
+        usual = max(_quantile(path.lengths, 0.9), _LEAST)
         edges = np.flatnonzero(path.steps > _JUMP_STEPS * usual) + 1
         if not len(edges):
             continue
@@ -241,6 +256,8 @@ def _noisy(paths: tuple[_Path, _Path]) -> np.ndarray:
         leaps = np.where(spread > 0, np.minimum(leaps, spread), leaps)  # an outlier may be at any distance
         near = _STILL * np.fmin(np.append(np.nan, leaps), np.append(leaps, np.nan))
         lengths = stops - starts
+        if lengths.max() < _REPEATS:
+            continue
         means = np.add.reduceat(path.numbers, starts) / lengths[:, None]
         zero, still = (
             np.maximum.reduceat(np.linalg.norm(path.numbers - centre, axis=1), starts) < limit
@@ -249,6 +266,9 @@ def _noisy(paths: tuple[_Path, _Path]) -> np.ndarray:
                 (np.repeat(means, lengths, axis=0), np.minimum(near, _SLOW * usual * lengths)),
             )
         )
+        several = still & (lengths >= _REPEATS)
+        if not several.any() or still.all():
+            continue
         # the last row of the path before each piece, and the first row of the path after it
         pieces = np.arange(len(starts))
         before = np.maximum.accumulate(np.where(still, -1, pieces))
@@ -260,14 +280,12 @@ def _noisy(paths: tuple[_Path, _Path]) -> np.ndarray:
         inside = distant.all(axis=0) & (gap < _AWAY * away.min(axis=0))
         # at an end of the path, only the origin is known not to be a pose
         known = np.stack([before >= 0, after < len(pieces)])
-        several = still & (lengths >= _REPEATS)
         inside &= several & known.all(axis=0)
         zero &= inside | (several & ~known.all(axis=0) & (distant & known).any(axis=0))
         turned = np.linalg.norm(paths[1].numbers - paths[1].origin, axis=1)
         identity = np.maximum.reduceat(turned, starts) < _STILL if path is paths[0] else zero
         lost = np.where(zero, np.where(identity, "identity", "origin"), np.where(inside, "constant", ""))
-        if not still.all():
-            kinds = np.where(kinds == "", np.repeat(lost, lengths), kinds)
+        kinds = np.where(kinds == "", np.repeat(lost, lengths), kinds)
     return kinds
 
 
@@ -276,30 +294,33 @@ def _frozen(paths: tuple[_Path, _Path]) -> np.ndarray:
 
     The first row of every run is a pose.
     """
-    count = len(paths[0].zero)
-    kinds = np.full(count, "", "U8")
+    kinds = np.full(len(paths[0].zero), "", "U8")
     for path in paths:
-        if not path.steps.any():
-            continue
-        moving = np.flatnonzero(path.steps)
-        repeats = np.diff(moving, prepend=-1) - 1  # before every step
-        late = np.flatnonzero(repeats > 0)
-        late = late[_goes_on(path.steps[moving], repeats, late)]
-        runs = np.column_stack([moving[late] - repeats[late] + 1, moving[late] + 1])
-        kinds[_rows_of(runs, count)] = "frozen"
-        backward = replace(path, numbers=path.numbers[::-1], steps=path.steps[::-1], gaps=path.gaps[::-1])
-        ends, found = _rests_before_jumps(backward)[::-1], _rests_before_jumps(path)
-        found[ends == "constant"] = "constant"
-        kinds = np.where(found == "", kinds, found)
-        # a run before missing rows, or before the end, has no step after it that shows a motion
-        starts, stops = np.append(0, moving + 1), np.append(moving + 1, count)
-        lengths, last = stops - starts, np.append(path.gaps[moving], True)
-        ranked = np.sort(lengths[lengths > 1])
-        held = len(ranked) - np.searchsorted(ranked, lengths / 2) > _HELD
-        for run in np.flatnonzero(last & (lengths > _REPEATS) & ~held):
-            if _stops_dead(path, starts[run]):
-                kinds[starts[run] + 1 : stops[run]] = "end" if stops[run] == count else "frozen"
+        if 0 < len(path.lengths) < len(path.steps):
+            _mark_repeats(path, kinds)
+        jumps = (path.steps > max(_FROZEN * _quantile(path.lengths, 0.5), _LEAST)) & ~path.gaps
+        if jumps.any():
+            _mark_rests(path.numbers[::-1], path.steps[::-1], jumps[::-1], kinds[::-1], at_end=True)
+            _mark_rests(path.numbers, path.steps, jumps, kinds)
     return kinds
+
+
+def _mark_repeats(path: _Path, kinds: np.ndarray) -> None:
+    """Mark rows in ``kinds`` (N,) that repeat exactly, while the body moved on or at the end of its path."""
+    moving, count = np.flatnonzero(path.steps), len(kinds)
+    repeats = np.diff(moving, prepend=-1) - 1  # before every step
+    late = np.flatnonzero(repeats > 0)
+    late = late[_goes_on(path.steps[moving], repeats, late)]
+    runs = np.column_stack([moving[late] - repeats[late] + 1, moving[late] + 1])
+    kinds[_rows_of(runs, count)] = "frozen"
+    # a run before missing rows, or before the end, has no step after it that shows a motion
+    starts, stops = np.append(0, moving + 1), np.append(moving + 1, count)
+    lengths, last = stops - starts, np.append(path.gaps[moving], True)
+    ranked = np.sort(lengths[lengths > 1])
+    held = len(ranked) - np.searchsorted(ranked, lengths / 2) > _HELD
+    for run in np.flatnonzero(last & (lengths > _REPEATS) & ~held):
+        if _stops_dead(path, starts[run]):
+            kinds[starts[run] + 1 : stops[run]] = "end" if stops[run] == count else "frozen"
 
 
 def _goes_on(steps: np.ndarray, repeats: np.ndarray, late: np.ndarray) -> np.ndarray:
@@ -321,35 +342,47 @@ def _goes_on(steps: np.ndarray, repeats: np.ndarray, late: np.ndarray) -> np.nda
     return found
 
 
-def _rests_before_jumps(path: _Path) -> np.ndarray:
-    """Kinds (N,) of rows that repeat a number with noise up to a jump: "frozen", or "constant" from row 0 on.
+def _mark_rests(
+    numbers: np.ndarray, steps: np.ndarray, jumps: np.ndarray, kinds: np.ndarray, at_end: bool = False
+) -> None:
+    """Mark rows in ``kinds`` (N,) that repeat a number with noise up to a jump.
 
     A body at rest starts slowly: its first step is no jump. A frozen body moves before the repeats and after
-    the jump, and the jump is no longer than the missed path.
+    the jump, and the jump is no longer than the missed path. Repeats from row 0 on are a constant.
+
+    Args:
+        numbers: (N, k) positions or rotations.
+        steps: (N-1,) their steps.
+        jumps: (N-1,) bool, long steps.
+        kinds: (N,), changed in place.
+        at_end: whether to search only for a constant from row 0 on.
     """
-    numbers, steps, count = path.numbers, path.steps, len(path.numbers)
-    kinds = np.full(count, "", "U8")
-    jumps = (steps > max(_FROZEN * np.median(steps[steps > 0]), _LEAST)) & ~path.gaps
-    edges = [0, *(np.flatnonzero(jumps) + 1).tolist()]
-    for start, stop in pairwise(edges):
-        if stop - start < _LONG or stop + _AHEAD >= count or steps[stop - 2] == 0:
-            continue
-        centre = numbers[stop - _LONG : stop].mean(axis=0)
-        away = np.linalg.norm(numbers[start:stop] - centre, axis=1)
-        reach = _SPREAD * away[-_LONG:].max()
+    count, stops = len(numbers), np.flatnonzero(jumps) + 1
+    starts = np.append(0, stops[:-1])
+    known = (stops - starts >= _LONG) & (stops + _AHEAD < count)
+    if not known.any():
+        return
+    starts, stops = starts[known], stops[known]
+    held = numbers[stops[:, None] + np.arange(-_LONG, 0)]
+    centres = held.mean(axis=1)
+    reaches = _SPREAD * np.linalg.norm(held - centres[:, None], axis=2).max(axis=1)
+    lengths = np.linalg.norm(numbers[stops] - centres, axis=1)
+    afters = steps[stops[:, None] + np.arange(_AHEAD)].max(axis=1)
+    known = (steps[stops - 2] != 0) & (lengths >= _SUDDEN * afters)
+    known &= np.linalg.norm(numbers[stops + _AHEAD] - numbers[stops], axis=1) >= reaches
+    for i in np.flatnonzero(known):
+        start, stop, reach = starts[i], stops[i], reaches[i]
+        away = np.linalg.norm(numbers[start:stop] - centres[i], axis=1)
         first = start + int(np.max(np.flatnonzero(away > reach), initial=-1)) + 1
-        jump, after = np.linalg.norm(numbers[stop] - centre), steps[stop : stop + _AHEAD].max()
-        if jump < _SUDDEN * after or np.linalg.norm(numbers[stop + _AHEAD] - numbers[stop]) < reach:
-            continue
         if first == 0 and 2 * stop < count:
-            near = np.quantile(np.linalg.norm(numbers[stop:] - centre, axis=1), 0.25)
-            kinds[:stop] = "constant" if near > _SPREAD * np.linalg.norm(numbers[stop:].std(axis=0)) else ""
-        elif first - _AHEAD >= start and stop - first >= _LONG:
+            near = np.quantile(np.linalg.norm(numbers[stop:] - centres[i], axis=1), 0.25)
+            if near > _SPREAD * np.linalg.norm(numbers[stop:].std(axis=0)):
+                kinds[:stop] = "constant"
+        elif not at_end and first - _AHEAD >= start and stop - first >= _LONG:
             before = steps[first - _AHEAD : first].max()
             moved = np.linalg.norm(numbers[first] - numbers[first - _AHEAD]) > reach
-            if moved and _SUDDEN * before < jump < (stop - first) * (before + after):
+            if moved and _SUDDEN * before < lengths[i] < (stop - first) * (before + afters[i]):
                 kinds[first + 1 : stop] = "frozen"
-    return kinds
 
 
 def _stops_dead(path: _Path, start: int) -> bool:

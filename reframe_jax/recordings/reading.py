@@ -21,7 +21,6 @@ from reframe_jax.recordings.checks import (
     note_repeats,
 )
 from reframe_jax.recordings.clock import drop_equal_times, make_times, note_unit, sort_times
-from reframe_jax.recordings.continuity import is_unordered
 from reframe_jax.recordings.conventions import fits_better, keeps_a_point_better, reorder, sample_rows
 from reframe_jax.recordings.left_out import leave_out_lost, note_jumps
 from reframe_jax.recordings.readers import choose_reader
@@ -166,10 +165,9 @@ def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Re
         poses = make_poses(rows)
         poses[:, :3, 3] *= unit_of(path, wanted, "unit", rows.metres)
         poses = leave_out_lost(rows, poses)
-        poses = check_positions(rows, poses, wanted)
+        poses, unordered = check_positions(rows, poses, wanted)
         _check_count(rows)
         check_turns(rows, poses, wanted)
-        unordered = is_unordered(poses)
         note_unit(rows, poses, unordered)
         _check_order(rows, reader, poses, unordered)
         note_jumps(rows, poses)
