@@ -120,6 +120,35 @@ def test_frozen_poses_with_noise_are_left_out(rng: np.random.Generator, noise: f
     assert set(found.reasons) == {"", "frozen"}
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-5, 1e-4, 5e-4])
+def test_frozen_poses_are_left_out_if_the_body_turned_back_meanwhile(
+    rng: np.random.Generator, noise: float
+) -> None:
+    """The jump is less than three steps long, but no body starts with such a step."""
+    rows, lost = hinge(rng, noise=1e-5), np.arange(46, 73)
+    rows[lost, 1:] = rows[45, 1:]
+    add_noise(rng, rows, lost, noise)
+    found = find_lost_poses(poses_of(rows), rows[:, 0])
+    np.testing.assert_array_equal(np.flatnonzero(found.mask), lost)
+    assert set(found.reasons[lost]) == {"frozen"}
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-5, 1e-3])
+@pytest.mark.parametrize("step", [0.1, 0.2])
+def test_a_fast_move_between_two_rests_is_not_lost(
+    rng: np.random.Generator, noise: float, step: float
+) -> None:
+    """Of a robot that takes two to five samples from each place to the next."""
+    times = step * np.arange(200)
+    phase = np.clip((times % 2.0) / 0.45, 0, 1)
+    moved = 10 * phase**3 - 15 * phase**4 + 6 * phase**5
+    angle = times // 2.0 + moved
+    turned = Rotation.from_rotvec(np.outer(0.7 * np.sin(2.2 * angle), [0, 0, 1.0]))
+    rows = np.column_stack([times, turned.apply([0.4, 0.05, 0.1]), turned.as_quat()])
+    add_noise(rng, rows, np.arange(len(rows)), noise)
+    assert not find_lost_poses(poses_of(rows), times).mask.any()
+
+
 @pytest.mark.parametrize("noise", [1e-6, 1e-4, 1e-3])
 def test_bodies_that_rest_with_noise_are_not_lost(rng: np.random.Generator, noise: float) -> None:
     """On their path, for several times, and between touches that are written for a while."""
@@ -292,6 +321,21 @@ def test_jumps_that_stay_are_noted(tmp_path: Path, rng: np.random.Generator) -> 
     assert note.endswith(
         "at line 102; if tracking was lost there, or a marker slipped, cut the recording there."
     )
+
+
+def test_jumps_of_a_few_steps_are_noted_and_fast_moves_are_not(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    rows = hinge(rng)
+    assert not load_recording(write(tmp_path / "a.csv", HEADER, rows)).notes
+    rows[100:, 1:4] += [0.06, 0, 0]  # five steps of the path
+    (note,) = load_recording(write(tmp_path / "a.csv", HEADER, rows)).notes
+    assert note.startswith("the pose jumps ")
+    assert " mm at line 102; " in note
+    rested = np.concatenate([np.repeat(rows[:1], 250, axis=0), rows[:50]])
+    rested[:, 0] = rows[:, 0]
+    add_noise(rng, rested, np.arange(COUNT), 1e-5)
+    assert not load_recording(write(tmp_path / "a.csv", HEADER, rested)).notes
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="needs the small inputs in ../shared/data/cases")

@@ -17,7 +17,7 @@ _WHY = {
     "end": "the last pose is repeated exactly while the body was moving",
 }
 _FEW, _MOST = 10, 0.5  # fewest poses, and fewest fraction of poses, of which one must remain
-_JUMP, _JUMPS = 10.0, 8  # length of a jump over the longest of 20 steps, and most jumps in a note
+_JUMP, _JUMPS = 2.5, 8  # length of jumps over the longest other step, and most jumps in a note
 _CLOSE = 0.02  # m, largest position of lost poses that are close to the identity
 _SIZE = 0.3  # m, of a body; converts an angle to a length
 _TURN = 0.2  # length of a jump over its angle times the size, below which the angle is given
@@ -99,7 +99,9 @@ def note_jumps(rows: Rows, poses: np.ndarray) -> None:
     turned = np.linalg.norm(np.diff(poses[:, :3, :3], axis=0), axis=(1, 2))
     jumps = np.zeros(len(late), bool)
     for steps in (moved / late, turned / late):
-        jumps |= steps > _JUMP * np.quantile(steps, 0.95) + 1e-9
+        ranked = np.sort(steps)[-_JUMPS - 1 :]
+        apart = np.flatnonzero(ranked[1:] > _JUMP * ranked[:-1] + 1e-9)
+        jumps |= steps > ranked[apart[0] if len(apart) else -1]
     waiting = (np.flatnonzero(jumps) + 1).tolist()
     if not 0 < len(waiting) <= _JUMPS:
         return

@@ -22,9 +22,10 @@ _JUMP_STEPS = 5.0  # length of a jump in usual steps of the path
 _ORIGIN_JUMP_STEPS = 3.0  # as _JUMP_STEPS, for exact zeros, which no tracker measures
 _NEAR = 20  # steps in the neighbourhood of a run
 _AHEAD = 4  # steps before and after a frozen run
-_LONG = 6  # repeats in a long frozen run
-_SUDDEN = 3.0  # length of a jump after repeats with noise, over that of all steps nearby
-_FROZEN = 4.0  # usual steps that a body makes during a long frozen run
+_LONG = 6  # repeats with noise in a frozen run
+_SUDDEN = 3.0  # length of a jump, over that of all steps nearby
+_NOISE = 2.0  # length of a jump after repeats with noise, over that of the steps between them
+_BENDS = 3.0  # length of a jump beyond the steps nearby, over the largest usual change of the steps
 _APART = 0.25  # distance of the origin from all positions over their spread, for separate touches
 _OTHERS = 3  # other rows needed to know the path
 _SPREAD = 2.0  # largest distance from the mean of repeats with noise, over that of the last six
@@ -298,10 +299,8 @@ def _frozen(paths: tuple[_Path, _Path]) -> np.ndarray:
     for path in paths:
         if 0 < len(path.lengths) < len(path.steps):
             _mark_repeats(path, kinds)
-        jumps = (path.steps > max(_FROZEN * _quantile(path.lengths, 0.5), _LEAST)) & ~path.gaps
-        if jumps.any():
-            _mark_rests(path.numbers[::-1], path.steps[::-1], jumps[::-1], kinds[::-1], at_end=True)
-            _mark_rests(path.numbers, path.steps, jumps, kinds)
+        _mark_rests(path.numbers[::-1], path.steps[::-1], path.gaps[::-1], kinds[::-1], at_end=True)
+        _mark_rests(path.numbers, path.steps, path.gaps, kinds)
     return kinds
 
 
@@ -310,7 +309,8 @@ def _mark_repeats(path: _Path, kinds: np.ndarray) -> None:
     moving, count = np.flatnonzero(path.steps), len(kinds)
     repeats = np.diff(moving, prepend=-1) - 1  # before every step
     late = np.flatnonzero(repeats > 0)
-    late = late[_goes_on(path.steps[moving], repeats, late)]
+    numbers = path.numbers[np.append(0, moving + 1)]
+    late = late[_goes_on(numbers, path.steps[moving], repeats, late)]
     runs = np.column_stack([moving[late] - repeats[late] + 1, moving[late] + 1])
     kinds[_rows_of(runs, count)] = "frozen"
     # a run before missing rows, or before the end, has no step after it that shows a motion
@@ -323,66 +323,104 @@ def _mark_repeats(path: _Path, kinds: np.ndarray) -> None:
             kinds[starts[run] + 1 : stops[run]] = "end" if stops[run] == count else "frozen"
 
 
-def _goes_on(steps: np.ndarray, repeats: np.ndarray, late: np.ndarray) -> np.ndarray:
+def _goes_on(numbers: np.ndarray, steps: np.ndarray, repeats: np.ndarray, late: np.ndarray) -> np.ndarray:
     """Return whether steps after repeats are as long as the missed steps together, bool (L,).
 
-    The steps (M,) contain no zeros. Before each, ``repeats`` (M,) rows repeat; ``late`` (L,) selects steps.
+    The numbers (M+1, k) and steps (M,) contain no repeats. Before each step, ``repeats`` (M,) rows repeat;
+    ``late`` (L,) selects steps. After few repeats, the step must be half a step longer per repeat.
     """
-    unknown = np.full(_AHEAD, np.nan)
-    nearby = np.lib.stride_tricks.sliding_window_view(np.concatenate([unknown, steps, unknown]), _AHEAD)
-    near = np.sort(np.stack([nearby[late], nearby[late + _AHEAD + 1]]), axis=2)  # NaN last
-    known = np.isfinite(near).sum(axis=2, keepdims=True)
-    longest, low, high = (
-        np.take_along_axis(near, each, axis=2)[..., 0] for each in (known - 1, (known - 1) // 2, known // 2)
-    )
-    # after few repeats, the step must be longer than all steps nearby
-    usual = np.where(repeats[late] < _LONG, longest, (low + high) / 2)
-    usual = np.fmax(np.fmax(*usual), np.median(steps))
-    found: np.ndarray = steps[late] > np.minimum(1 + 0.5 * repeats[late], _FROZEN) * usual + _LEAST
+    bends = _bends(numbers)
+    usual = np.fmax(_largest_near(steps, late, _AHEAD), _quantile(steps, 0.5))
+    bend = np.fmax(_largest_near(bends, late, _AHEAD - 1), _usual_bend(steps, bends))
+    bend[repeats[late] < _REPEATS] = np.inf
+    missed = np.minimum(0.5 * repeats[late], _SUDDEN) * usual
+    found: np.ndarray = steps[late] > usual + np.minimum(missed, _BENDS * bend) + _LEAST
     return found
 
 
+def _largest_near(numbers: np.ndarray, rows: np.ndarray, size: int) -> np.ndarray:
+    """Largest of ``size`` numbers from four before each row on, and of as many from one after the row on."""
+    unknown = np.full(_AHEAD + 1, np.nan)
+    padded = np.concatenate([unknown, numbers, unknown])
+    largest = np.fmax.reduce(np.lib.stride_tricks.sliding_window_view(padded, size), axis=1)
+    found: np.ndarray = np.fmax(largest[rows + 1], largest[rows + _AHEAD + 2])
+    return found
+
+
+def _bends(numbers: np.ndarray) -> np.ndarray:
+    """Changes (N-2,) of the steps of a path (N, k); by column, with little memory."""
+    found: np.ndarray = np.sqrt(sum(np.diff(column, 2) ** 2 for column in numbers.T))
+    return found
+
+
+def _usual_bend(steps: np.ndarray, bends: np.ndarray) -> float:
+    """Ninth decile of the changes (N-2,) of the steps (N-1,), where the body moves."""
+    return _quantile(bends[np.minimum(steps[1:], steps[:-1]) >= _quantile(steps, 0.5)], 0.9)
+
+
 def _mark_rests(
-    numbers: np.ndarray, steps: np.ndarray, jumps: np.ndarray, kinds: np.ndarray, at_end: bool = False
+    numbers: np.ndarray, steps: np.ndarray, gaps: np.ndarray, kinds: np.ndarray, at_end: bool = False
 ) -> None:
     """Mark rows in ``kinds`` (N,) that repeat a number with noise up to a jump.
 
-    A body at rest starts slowly: its first step is no jump. A frozen body moves before the repeats and after
-    the jump, and the jump is no longer than the missed path. Repeats from row 0 on are a constant.
+    A body at rest starts slowly, or with a step of the path: its first step is no jump. A frozen body moves
+    before the repeats and after the jump, and the jump is no longer than the missed path. Repeats from row 0
+    on are a constant.
 
     Args:
         numbers: (N, k) positions or rotations.
         steps: (N-1,) their steps.
-        jumps: (N-1,) bool, long steps.
+        gaps: (N-1,) bool, steps in which rows are missing.
         kinds: (N,), changed in place.
         at_end: whether to search only for a constant from row 0 on.
     """
-    count, stops = len(numbers), np.flatnonzero(jumps) + 1
-    starts = np.append(0, stops[:-1])
-    known = (stops - starts >= _LONG) & (stops + _AHEAD < count)
-    if not known.any():
+    count = len(numbers)
+    if count <= _LONG + _AHEAD:
         return
-    starts, stops = starts[known], stops[known]
+    jumping = (steps[_LONG - 1 : -_AHEAD] > _LEAST) & ~gaps[_LONG - 1 : -_AHEAD]
+    for lag in range(1, _LONG):
+        jumping &= steps[_LONG - 1 : -_AHEAD] > _NOISE * steps[_LONG - 1 - lag : -_AHEAD - lag]
+    stops = np.flatnonzero(jumping & (steps[_LONG - 2 : -_AHEAD - 1] != 0)) + _LONG
+    if not len(stops):
+        return
     held = numbers[stops[:, None] + np.arange(-_LONG, 0)]
     centres = held.mean(axis=1)
     reaches = _SPREAD * np.linalg.norm(held - centres[:, None], axis=2).max(axis=1)
-    lengths = np.linalg.norm(numbers[stops] - centres, axis=1)
-    afters = steps[stops[:, None] + np.arange(_AHEAD)].max(axis=1)
-    known = (steps[stops - 2] != 0) & (lengths >= _SUDDEN * afters)
+    jumps = np.linalg.norm(numbers[stops] - centres, axis=1)
+    afters = np.sort(steps[stops[:, None] + np.arange(_AHEAD)], axis=1)
+    between = np.sort(steps[stops[:, None] + np.arange(-_LONG, -1)], axis=1)
+    known = jumps > np.maximum(afters[:, -1], reaches) + _LEAST
     known &= np.linalg.norm(numbers[stops + _AHEAD] - numbers[stops], axis=1) >= reaches
+    known &= between[:, -1] <= _SUDDEN * between[:, -2]  # noise, and no other jump
+    bends: np.ndarray | None = None
     for i in np.flatnonzero(known):
-        start, stop, reach = starts[i], stops[i], reaches[i]
-        away = np.linalg.norm(numbers[start:stop] - centres[i], axis=1)
-        first = start + int(np.max(np.flatnonzero(away > reach), initial=-1)) + 1
-        if first == 0 and 2 * stop < count:
-            near = np.quantile(np.linalg.norm(numbers[stop:] - centres[i], axis=1), 0.25)
+        stop, jump, after = stops[i], jumps[i], afters[i]
+        first = _first_near(numbers[:stop], centres[i], reaches[i])
+        if first == 0 and 2 * stop < count and jump > _SUDDEN * after[-1]:
+            near = _quantile(np.linalg.norm(numbers[stop:] - centres[i], axis=1), 0.25)
             if near > _SPREAD * np.linalg.norm(numbers[stop:].std(axis=0)):
                 kinds[:stop] = "constant"
-        elif not at_end and first - _AHEAD >= start and stop - first >= _LONG:
-            before = steps[first - _AHEAD : first].max()
-            moved = np.linalg.norm(numbers[first] - numbers[first - _AHEAD]) > reach
-            if moved and _SUDDEN * before < lengths[i] < (stop - first) * (before + afters[i]):
+        if at_end or first < _AHEAD or np.linalg.norm(numbers[first] - numbers[first - _AHEAD]) < reaches[i]:
+            continue
+        # in several steps before the repeats and after the jump, without another jump
+        ahead = np.sort(steps[first - _AHEAD : first])
+        moves = all(near[-1] <= _SUDDEN * near[-2] for near in (ahead, after))
+        usual = max(ahead[-1], after[-1])
+        if moves and usual < jump < (stop - first) * (ahead[-1] + after[-1]):
+            bends = _bends(numbers) if bends is None else bends
+            local = max(bends[first - _AHEAD : first - 1].max(), bends[stop : stop + _AHEAD - 1].max())
+            if jump > usual + min(2 * usual, _BENDS * max(local, _usual_bend(steps, bends))):
                 kinds[first + 1 : stop] = "frozen"
+
+
+def _first_near(numbers: np.ndarray, centre: np.ndarray, reach: float) -> int:
+    """First of the rows at the end of numbers (N, k) that are all within ``reach`` of ``centre``."""
+    size = 2 * _LONG
+    while True:
+        size, start = 2 * size, max(len(numbers) - size, 0)
+        away = np.flatnonzero(np.linalg.norm(numbers[start:] - centre, axis=1) > reach)
+        if len(away) or not start:
+            return start + int(away[-1]) + 1 if len(away) else 0
 
 
 def _stops_dead(path: _Path, start: int) -> bool:
