@@ -262,8 +262,8 @@ def test_the_order_of_quaternions_is_rarely_doubted_in_free_motions(kind: str) -
         own = turned.as_quat()
         for stored, meant in (("xyzw", "wxyz"), ("wxyz", "xyzw")):
             other = Rotation.from_quat(reorder(own, stored, meant))
-            wrong.append(fits_better(places, turned.as_matrix(), other.as_matrix()))
-            noticed.append(fits_better(places, other.as_matrix(), turned.as_matrix()))
+            wrong.append(fits_better(places, turned.as_matrix(), other.as_matrix()) > 0)
+            noticed.append(fits_better(places, other.as_matrix(), turned.as_matrix()) > 0)
     assert np.mean(wrong) <= 0.01
     if constrained:
         assert np.mean(noticed) > 0.45

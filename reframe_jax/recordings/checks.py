@@ -1,15 +1,13 @@
 """Check the rows of a file and convert them to poses; wrong rows are repaired, left out or refused."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from reframe_jax.geometry.numpy_rotations import nearest_rotations, quaternions_to_matrices, rotation_vectors
 from reframe_jax.recordings.continuity import is_unordered
-from reframe_jax.recordings.conventions import angle_matrices, keeps_a_point_better, sample_rows
+from reframe_jax.recordings.conventions import keeps_a_point_better, sample_rows
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows
-from reframe_jax.recordings.selection import UNITS, AngleUnit, Selection
+from reframe_jax.recordings.selection import ANGLE_UNITS, UNITS, Selection
 
 __all__ = ["MIN_POSES", "check_positions", "check_turns", "drop_unfinished", "make_poses", "note_repeats"]
 
@@ -132,39 +130,43 @@ def _acceleration(positions: np.ndarray, times: np.ndarray) -> float:
     return float(np.quantile(changes / ((times[2 * lag :] - times[: -2 * lag]) / 2), 0.75))
 
 
-def check_turns(rows: Rows, poses: np.ndarray, wanted: Selection) -> None:
+def check_turns(rows: Rows, poses: np.ndarray, wanted: Selection, unordered: bool) -> None:
     """Refuse angles that were read in the wrong unit, or add a note to ``rows`` if in doubt.
 
     Args:
         rows: the rows, with times and angles.
         poses: (N, 4, 4), m, made from these angles.
         wanted: the options, with the unit of the angles.
+        unordered: whether the poses are separate touches, which have no velocities.
 
     Raises:
-        RecordingError: if half of the steps are faster than 30 rad/s.
+        RecordingError: if half of the steps are faster than 30 rad/s, in a unit that the file does not state.
     """
-    if rows.angles is None or wanted.angle_unit == "rad" or len(poses) < 3 or rows.times is None:
+    angles = rows.angles
+    if angles is None or wanted.angle_unit == "rad" or len(poses) < 3 or rows.times is None:
         return
-    own: AngleUnit = wanted.angle_unit or "rad"
-    other: AngleUnit = "deg" if own == "rad" else "rad"
+    own, other, read, meant = "rad", "deg", "rad", "degrees"
+    if angles.unit != 1:
+        own, other, read, meant = other, own, meant, read
     steps = poses[1:, :3, :3] @ poses[:-1, :3, :3].swapaxes(1, 2)
     rate = float(np.median(np.linalg.norm(rotation_vectors(steps), axis=1) / np.diff(rows.times)))
-    read, meant = ("rad", "degrees") if own == "rad" else ("degrees", "rad")
     sentence = f"read in {read}, the angles turn the body at {rate:.2g} rad/s"
     advice = f"if they are in {meant}, give angle_unit={other!r} (--angle-unit {other})"
-    otherwise = f", else angle_unit={own!r} (--angle-unit {own})" if wanted.angle_unit is None else ""
-    if rate > _FASTEST:
-        raise RecordingError(
-            f"{rows.path}: {sentence}, faster than hands and robots turn; {advice}{otherwise}."
-        )
+    if angles.stated:
+        advice = f"if they are in {meant}, correct the unit in the file"
+    elif wanted.angle_unit is None:
+        advice += f", else angle_unit={own!r} (--angle-unit {own})"
+    swift = rate > _FAST and own == "rad" and not unordered
+    if swift and rate > _FASTEST and not angles.stated:
+        raise RecordingError(f"{rows.path}: {sentence}, faster than hands and robots turn; {advice}.")
     some = sample_rows(len(poses))
-    others = angle_matrices(rows.path, rows.angles[some], replace(wanted, angle_unit=other))
-    if rate > _FAST:
+    others = angles[some].matrices(unit=ANGLE_UNITS[other])
+    if swift:
         rows.notes.append(f"{sentence}; {advice}.")
     elif keeps_a_point_better(poses[some, :3, 3], poses[some, :3, :3], others):
         rows.notes.append(
             f"read in {meant}, the angles turn the body about a fixed point, but not if read in {read}; "
-            f"{advice}{otherwise}."
+            f"{advice}."
         )
 
 

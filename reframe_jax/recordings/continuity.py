@@ -40,9 +40,10 @@ def is_unordered(poses: np.ndarray) -> bool:
     found = []
     # the distance between two rotation matrices is about sqrt(2) times the angle
     for numbers in (poses[:, :3, 3], poses[:, :3, :3].reshape(count, 9) / np.sqrt(2)):
-        columns = np.ascontiguousarray(numbers.T)
-        apart = columns[:, :, None] - columns[:, None]
-        squares = np.square(apart, out=apart).sum(axis=0).ravel()
+        squares = np.zeros(count**2)
+        for columns in np.ascontiguousarray(numbers.T).reshape(-1, 3, count):
+            apart = columns[:, :, None] - columns[:, None]
+            squares += np.square(apart, out=apart).sum(axis=0).ravel()
         roots = np.sqrt(np.sqrt(squares))
         if roots[own].mean() < _SMOOTH * roots.mean():  # the mean of all orders is almost that of all pairs
             return False

@@ -6,6 +6,7 @@ body has few independent velocities, and wrong orientations add more. The number
 therefore shows the order, and distinguishes degrees from radians; for a free motion, it does not.
 """
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,46 +15,84 @@ from reframe_jax.geometry.numpy_rotations import euler_matrices, rotation_matric
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.selection import Selection, unit_of
 
-__all__ = ["angle_matrices", "fits_better", "keeps_a_point_better", "reorder", "sample_rows"]
+__all__ = [
+    *("CLEAR_CONVENTION", "AngleTriples", "fits_better", "is_smoother", "keeps_a_point_better"),
+    *("read_angles", "reorder", "sample_rows"),
+]
 
 _FULL_TURN = 2 * np.pi * 1.001
 _ROWS = 400  # largest number of rows that are compared
 _TURN = 0.1  # rad between the two poses of a velocity: above the noise
+_LEAP, _LEAPS = 0.5, 4.0  # rad, length of a jump, and over the longest step without jumps
 _FEWEST = 12  # rows for a comparison of velocities
 _FEWEST_TOUCHES = 8  # rows for a comparison of fixed points, which has six unknowns
 _FLOOR = 1e-4  # mean square velocity that counts as zero, as a fraction of the total
 _LITTLE = 0.05  # fraction of the mean square of positions that may remain for a fixed point
 _CLEAR = 2.2  # difference of the summed logarithms of mean squares of the whole motion
+CLEAR_CONVENTION = 4.0  # as _CLEAR, for readings of angles, which turn the body by different angles
 _REPEATED = 4.0  # as _CLEAR, with directions from one half and mean squares from the other half
 
 
-def angle_matrices(
-    path: Path, angles: np.ndarray, wanted: Selection, stated: float | None = None
-) -> np.ndarray:
-    """Convert rotation vectors or Euler angles (N, 3) to rotation matrices (N, 3, 3).
+@dataclass(frozen=True)
+class AngleTriples:
+    """Orientations as three numbers.
+
+    Attributes:
+        numbers: (N, 3), in the unit of the file.
+        unit: this unit in rad, as it was read.
+        convention: "vector", or the order of the axes, as the option ``angles``.
+        by_axis: whether the numbers are those of x, y, z; otherwise they have the order of the convention.
+        stated: whether the file states the unit.
+    """
+
+    numbers: np.ndarray
+    unit: float
+    convention: str
+    by_axis: bool
+    stated: bool
+
+    def __getitem__(self, rows: np.ndarray) -> "AngleTriples":
+        return replace(self, numbers=self.numbers[rows])
+
+    def matrices(self, convention: str | None = None, unit: float | None = None) -> np.ndarray:
+        """Convert to rotation matrices (N, 3, 3), perhaps by another convention or with another unit."""
+        convention, numbers = convention or self.convention, (unit or self.unit) * self.numbers
+        if convention == "vector":
+            return rotation_matrices(numbers)
+        if self.by_axis:
+            numbers = numbers[:, ["xyz".index(axis) for axis in convention.lower()]]
+        return euler_matrices(convention, numbers)
+
+
+def read_angles(
+    path: Path, numbers: np.ndarray, wanted: Selection, stated: float | None, by_axis: bool
+) -> AngleTriples:
+    """Take rotation vectors or Euler angles, and check their unit.
 
     Args:
         path: the file.
-        angles: rotation vectors, or angles in the order of the letters of the option ``angles``.
+        numbers: (N, 3), as in :class:`AngleTriples`.
         wanted: the options, with the convention and the unit.
         stated: unit in rad, if the file states it.
+        by_axis: as in :class:`AngleTriples`.
 
     Raises:
-        RecordingError: if the file and the options state different units, or if neither states one and
-            angles exceed a full turn in radians.
+        RecordingError: if the file and the options state different units, or if angles exceed a full turn in
+            radians; angles in a unit that is stated or given may exceed it.
     """
     vector = wanted.angles == "vector"
-    if stated is None and wanted.angle_unit is None:
-        sizes = np.linalg.norm(angles, axis=1) if vector else np.abs(angles)
+    unit = unit_of(path, wanted, "angle_unit", stated)
+    if wanted.angle_unit is None and (stated is None or vector):
+        sizes = unit * (np.linalg.norm(numbers, axis=1) if vector else np.abs(numbers))
         largest = np.max(sizes[np.isfinite(sizes)], initial=0.0)
         if largest > _FULL_TURN:
             what = "rotation vectors have a length of" if vector else "angles are"
+            advice = "give angle_unit='deg' (--angle-unit deg), else angle_unit='rad' (--angle-unit rad)"
             raise RecordingError(
                 f"{path}: its {what} up to {largest:.4g}, more than the 6.28 rad of a turn; if they are in "
-                "degrees, give angle_unit='deg' (--angle-unit deg), else angle_unit='rad' (--angle-unit rad)."
+                f"degrees, {advice if stated is None else 'correct the unit in the file'}."
             )
-    radians = angles * unit_of(path, wanted, "angle_unit", stated)
-    return rotation_matrices(radians) if vector else euler_matrices(str(wanted.angles), radians)
+    return AngleTriples(numbers, unit, str(wanted.angles), by_axis, stated is not None)
 
 
 def reorder(quaternions: np.ndarray, stored: str, meant: str) -> np.ndarray:
@@ -68,8 +107,10 @@ def sample_rows(count: int) -> np.ndarray:
     return np.linspace(0, count - 1, min(count, _ROWS)).astype(int)
 
 
-def fits_better(positions: np.ndarray, own: np.ndarray, other: np.ndarray) -> bool:
-    """Return whether the motion is constrained with the other orientations, but not with its own.
+def fits_better(positions: np.ndarray, own: np.ndarray, other: np.ndarray) -> float:
+    """Return how much more the motion is constrained with the other orientations than with its own.
+
+    The result is 0 if the difference may be chance, and a difference of summed logarithms otherwise.
 
     Short free motions have few independent velocities by chance. Therefore the constrained directions of each
     half of the motion must also be constrained in the other half.
@@ -83,9 +124,10 @@ def fits_better(positions: np.ndarray, own: np.ndarray, other: np.ndarray) -> bo
     spread = np.sqrt(np.mean(np.sum(places**2, axis=1)))
     lag = _lag(own)
     if len(places) < _FEWEST or not spread > 0 or lag is None:
-        return False
+        return 0.0
     whole, halves = _freedom(places / spread, own, lag) - _freedom(places / spread, other, lag)
-    return bool(whole > _CLEAR * (1 + _FEWEST / (len(places) - lag)) and halves > _REPEATED)
+    whole /= 1 + _FEWEST / (len(places) - lag)
+    return float(whole) if whole > _CLEAR and halves > _REPEATED else 0.0
 
 
 def keeps_a_point_better(positions: np.ndarray, own: np.ndarray, other: np.ndarray) -> bool:
@@ -103,6 +145,18 @@ def keeps_a_point_better(positions: np.ndarray, own: np.ndarray, other: np.ndarr
         fitted = design @ np.linalg.lstsq(design, places.ravel(), rcond=None)[0]
         missed.append(np.sum((places.ravel() - fitted) ** 2) / np.sum(places**2))
     return bool(missed[1] < _LITTLE and missed[1] < np.exp(-_CLEAR) * missed[0])
+
+
+def is_smoother(positions: np.ndarray, own: np.ndarray, other: np.ndarray) -> bool:
+    """Return whether the body jumps with its own rotations, but not with the other ones.
+
+    The arguments are those of :func:`fits_better`; the positions have no effect.
+    """
+    longest = [
+        np.linalg.norm(rotation_vectors(turned[1:] @ turned[:-1].swapaxes(1, 2)), axis=1).max()
+        for turned in (own, other)
+    ]
+    return bool(longest[0] > max(_LEAP, _LEAPS * longest[1]))
 
 
 def _lag(turned: np.ndarray) -> int | None:

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from reframe_jax.recordings.conventions import AngleTriples
 from reframe_jax.recordings.recording import LeftOut, RecordingError
 
 __all__ = ["EPOCH", "HEADER", "MOST_ROWS", "Rows", "check_size", "is_path", "listed", "name_rows", "shown"]
@@ -36,7 +37,7 @@ class Rows:
         metres: unit of the positions in m if the file states it, else None.
         seconds: unit of the times in s if the file states it, else None.
         order: order of the quaternions in the file.
-        angles: (N, 3) angles of the orientations if the file does not state their unit, else None.
+        angles: the orientations as angles, if the file contains angles.
         no_times: remedy if the file has no times, for a message.
         missing: reason why numbers of a row are missing, for a note.
         frames: (N,) int, frame numbers, which count sample times; None if every row is a frame.
@@ -54,7 +55,7 @@ class Rows:
     metres: float | None = None
     seconds: float | None = None
     order: Literal["xyzw", "wxyz"] = "xyzw"
-    angles: np.ndarray | None = None
+    angles: AngleTriples | None = None
     no_times: str = "give the sample time, dt (--dt)"
     missing: str = "a number is missing or not finite"
     frames: np.ndarray | None = None

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from reframe_jax.recordings.conventions import angle_matrices
+from reframe_jax.recordings.conventions import read_angles
 from reframe_jax.recordings.readers.collecting import matrix_rows
 from reframe_jax.recordings.readers.reader import Entry
 from reframe_jax.recordings.recording import RecordingError
@@ -93,10 +93,8 @@ def set_poses(
                 f"{rows.path}: has {width} numbers of an orientation; leave out {flag(option)}."
             )
     if width == 3:
-        if not named and wanted.angles != "vector":
-            orientations = orientations[:, ["xyz".index(axis) for axis in str(wanted.angles).lower()]]
-        rows.angles = orientations if stated is None else None
-        orientations = angle_matrices(rows.path, orientations, wanted, stated)
+        rows.angles = read_angles(rows.path, orientations, wanted, stated, by_axis=not named)
+        orientations = rows.angles.matrices()
     if width in (3, 9):
         rows.values = matrix_rows(orientations.reshape(-1, 3, 3), positions)
     else:
