@@ -109,6 +109,33 @@ def test_numbers_of_lost_tracking_with_noise_are_left_out(
     assert words.get(kind, "pose is a constant distant from the others") in note
 
 
+@pytest.mark.parametrize("kind", FILLS)
+@pytest.mark.parametrize("noise", [1e-5, 1e-3])
+def test_a_number_with_noise_is_lost_everywhere_also_beside_a_rest(
+    rng: np.random.Generator, kind: str, noise: float
+) -> None:
+    rows = hinge(rng)
+    rows[110:, 1:], rows[40:110, 1:] = rows[40:-70, 1:].copy(), rows[40, 1:].copy()  # a rest
+    add_noise(rng, rows, np.arange(40, 110), 1e-4)
+    lost = np.concatenate([np.arange(start, start + 20) for start in (30, 70, 150, 240)])
+    FILLS[kind](rows, lost)
+    add_noise(rng, rows, lost, noise)
+    found = find_lost_poses(poses_of(rows), rows[:, 0])
+    np.testing.assert_array_equal(np.flatnonzero(found.mask), lost)
+    assert set(found.reasons[lost]) == {kind}
+
+
+def test_numbers_far_away_do_not_make_the_path_lost(rng: np.random.Generator) -> None:
+    """One coordinate is 999 while the others go on, in more than a tenth of the rows."""
+    times = 0.02 * np.arange(COUNT)
+    turned = Rotation.from_rotvec(np.outer(0.3 * np.sin(8 * times), [0, 0, 1]))
+    rows = np.column_stack([times, turned.apply([0.4, 0.05, 0.1]), turned.as_quat()])
+    add_noise(rng, rows, np.arange(COUNT), 1e-4)
+    rows[100:140, 1] = 999
+    found = find_lost_poses(poses_of(rows), times).mask
+    assert not np.delete(found, np.arange(100, 140)).any()
+
+
 @pytest.mark.parametrize("noise", [1e-5, 1e-4, 1e-3])
 def test_frozen_poses_with_noise_are_left_out(rng: np.random.Generator, noise: float) -> None:
     rows = hinge(rng)

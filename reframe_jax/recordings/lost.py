@@ -253,7 +253,7 @@ def _noisy(paths: tuple[_Path, _Path]) -> np.ndarray:
             continue
         starts, stops = np.append(0, edges), np.append(edges, len(kinds))
         leaps = np.linalg.norm(path.numbers[edges] - path.numbers[edges - 1], axis=1)
-        spread = np.quantile(np.linalg.norm(path.numbers - np.median(path.numbers, axis=0), axis=1), 0.9)
+        spread = 2 * np.median(np.linalg.norm(path.numbers - np.median(path.numbers, axis=0), axis=1))
         leaps = np.where(spread > 0, np.minimum(leaps, spread), leaps)  # an outlier may be at any distance
         near = _STILL * np.fmin(np.append(np.nan, leaps), np.append(leaps, np.nan))
         lengths = stops - starts
@@ -286,6 +286,9 @@ def _noisy(paths: tuple[_Path, _Path]) -> np.ndarray:
         turned = np.linalg.norm(paths[1].numbers - paths[1].origin, axis=1)
         identity = np.maximum.reduceat(turned, starts) < _STILL if path is paths[0] else zero
         lost = np.where(zero, np.where(identity, "identity", "origin"), np.where(inside, "constant", ""))
+        for kind in {*lost} - {""}:  # the same number elsewhere is lost too
+            longest = np.argmax(np.where(lost == kind, lengths, 0))
+            lost[several & (np.linalg.norm(means - means[longest], axis=1) < near)] = kind
         kinds = np.where(kinds == "", np.repeat(lost, lengths), kinds)
     return kinds
 
