@@ -66,6 +66,7 @@ def test_lines_between_the_header_and_the_numbers(tmp_path: Path, rows: np.ndarr
         "Time,PosX,PosY,PosZ,QuatX,QuatY,QuatZ,QuatW",
         "timeStamp,positionX,positionY,positionZ,rotationX,rotationY,rotationZ,rotationW",
         "TIME,X,Y,Z,QX,QY,QZ,QW",
+        "Timestamp,HMDPositionX,HMDPositionY,HMDPositionZ,HMDRotX,HMDRotY,HMDRotZ,HMDRotW",
         "Zeit [s],x,y,z,qx,qy,qz,qw",
         "temps,x,y,z,qx,qy,qz,qw",
     ],

@@ -472,6 +472,10 @@ def test_trc(tmp_path: Path, rows: np.ndarray, unit: str, scale: float) -> None:
         load_recording(path, body="rod", unit="cm")
     path.write_text(trc(points[:, 4:], labels[4:], unit).replace("\t", "  "))  # between blanks
     assert load_recording(path, body="LASI,RASI,SACR").poses.shape == (60, 4, 4)
+    path.write_text(trc(points[:, 4:], labels[4:], unit=""))
+    with pytest.raises(RecordingError, match=r"does not state its unit; give unit \(--unit\)"):
+        load_recording(path)
+    assert load_recording(path, unit="m").poses.shape == (60, 4, 4)
     path.write_text(trc(points[:, 4:], labels[4:], unit).replace("Units", "Unit"))
     with pytest.raises(RecordingError, match="expected the header of a TRC file"):
         load_recording(path)

@@ -50,7 +50,8 @@ def _read_header(path: Path) -> tuple[list[str], str, Iterator[tuple[int, list[s
         labels = [label[:-2] for label in labels[::3]]  # some programs name every column
     if len(set(labels)) != len(labels):
         raise RecordingError(f"{path}: line {number}: two markers have the same name; rename one.")
-    return labels, about["Units"], lines
+    unit = about["Units"]
+    return labels, "" if is_number(unit) else unit, lines  # of an empty cell, the next cell is found
 
 
 def _contents(path: Path) -> list[Entry]:

@@ -40,8 +40,8 @@ def units_of_row(cells: list[str]) -> list[str] | None:
 
 
 def plain_name(title: str) -> str:
-    """Convert a title to lower case, with single underscores between words: ``PosX`` to ``pos_x``."""
-    words = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", title)
+    """Convert a title to lower case, with underscores between words: ``HMDPosX`` to ``hmd_pos_x``."""
+    words = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", title)
     return re.sub(r"[^a-z0-9]+", "_", words.lower()).strip("_")
 
 
