@@ -604,6 +604,15 @@ def test_clocks_that_wrap_go_on(tmp_path: Path, rng: np.random.Generator, wrap: 
     assert any("motion goes on: the clock restarted there" in note for note in recording.notes)
 
 
+def test_parts_of_a_periodic_motion_in_another_order_are_sorted(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    rows = hinge(rng, count=242)  # one period: the last pose is close to the first one
+    recording = load_recording(write(tmp_path / "a.csv", HEADER, np.roll(rows, 100, axis=0)))
+    same(recording, rows)
+    assert recording.notes == ("line 102 is earlier than the previous line; the rows are sorted by time.",)
+
+
 def test_clocks_that_restart_within_the_same_times(tmp_path: Path, rng: np.random.Generator) -> None:
     rows = hinge(rng, count=100)
     cells = rows.copy()

@@ -142,9 +142,15 @@ def sort_times(rows: Rows) -> None:
     if len(late) < len(steps) / 10:
         moved, after = _distances(rows.values), _distances(rows.values[order])
         behind = np.sum(rows.times < np.maximum.accumulate(rows.times))
+        step = np.median(steps[steps > 0])
+        # parts in another order, whose times have no gaps and do not overlap
+        swapped = (
+            np.sum(np.diff(order) != 1) <= len(late) and np.diff(rows.times[order]).max() < _STEPS * step
+        )
         back = f"the time goes back from {rows.times[now - 1]:g} s to {rows.times[now]:g} s, and the "
-        if behind > _BEHIND * len(late) and (moved[late] < _STEPS * np.quantile(moved, 0.9)).all():
-            onward = np.where(steps < 0, np.median(steps[steps > 0]), steps)
+        goes_on = (moved[late] < _STEPS * np.quantile(moved, 0.9)).all() and not swapped
+        if behind > _BEHIND * len(late) and goes_on:
+            onward = np.where(steps < 0, step, steps)
             rows.times = rows.times[0] + np.append(0, np.cumsum(onward))
             rows.notes.append(
                 f"{rows.word} {rows.where[now]}: {back}motion goes on: the clock restarted there. The times "
