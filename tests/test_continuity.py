@@ -130,3 +130,10 @@ def test_a_distant_outlier_does_not_hide_the_order(distance: float) -> None:
         here = poses.copy()
         here[row, :3, 3] += distance
         assert not is_unordered(here)
+
+
+def test_outlying_touches_are_no_jumps_of_a_path(tmp_path: Path, rng: np.random.Generator) -> None:
+    poses = touches(rng, 25)
+    poses[7, :3, 3] += 3
+    notes = rf.load_recording(file_of(tmp_path / "a.csv", poses)).notes
+    assert not any("jumps" in note for note in notes)

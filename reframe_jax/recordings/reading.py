@@ -177,7 +177,8 @@ def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Re
         check_turns(rows, poses, wanted, unordered)
         note_unit(rows, poses, unordered)
         _check_order(rows, reader, poses, unordered, wanted)
-        note_jumps(rows, poses)
+        if not unordered:
+            note_jumps(rows, poses)
         note_repeats(rows, poses)
     if ignored:
         rows.notes.append(f"{TIMES_IGNORED}; the sample time is {dt:g} s.")
