@@ -206,6 +206,24 @@ def test_bodies_that_start_fast_after_a_rest_are_not_lost(
     assert not find_lost_poses(poses_of(rows), times).mask.any()
 
 
+@pytest.mark.parametrize("rounding", [1e-4, 1e-3])
+@pytest.mark.parametrize("step", [0.02, 0.05, 0.1])
+def test_a_robot_that_comes_to_rest_for_good_is_not_lost(
+    rng: np.random.Generator, rounding: float, step: float
+) -> None:
+    """From 0.5 m/s within 0.25 s, with rounded numbers, which then repeat."""
+    times = step * np.arange(int(12 / step))
+    rest = np.clip(times - 6, 0, 0.25)
+    moved = np.minimum(times, 6) * 0.5 + 0.5 * rest - rest**2
+    turned = Rotation.from_rotvec(np.outer(np.round(0.9 * moved, 4), [0, 0.6, 0.8]))
+    places = np.round(
+        [0.5, 0, 0.3] + 0.6 * np.cos(np.outer(moved, [1.0, 0.7, 0.4])), -int(np.log10(rounding))
+    )
+    rows = np.column_stack([times, places, turned.as_quat()])
+    assert (rows[-5:, 1:] == rows[-1, 1:]).all()
+    assert not find_lost_poses(poses_of(rows), times).mask.any()
+
+
 @pytest.mark.parametrize("length", [4, 10, 40])
 @pytest.mark.parametrize("start", [20, 100, COUNT])
 def test_frozen_poses_are_left_out(rng: np.random.Generator, length: int, start: int) -> None:

@@ -23,8 +23,7 @@ _ORIGIN_JUMP_STEPS = 3.0  # as _JUMP_STEPS, for exact zeros, which no tracker me
 _NEAR = 20  # steps in the neighbourhood of a run
 _AHEAD = 4  # steps before and after a frozen run
 _LONG = 6  # repeats with noise in a frozen run
-_SUDDEN = 3.0  # length of a jump, over that of all steps nearby
-_NOISE = 2.0  # length of a jump after repeats with noise, over that of the steps between them
+_SUDDEN = 3.0  # length of a jump over that of all steps nearby, and of steps between repeats with noise
 _BENDS = 3.0  # length of a jump beyond the steps nearby, over the largest usual change of the steps
 _APART = 0.25  # distance of the origin from all positions over their spread, for separate touches
 _OTHERS = 3  # other rows needed to know the path
@@ -382,8 +381,8 @@ def _mark_rests(
         return
     jumping = (steps[_LONG - 1 : -_AHEAD] > _LEAST) & ~gaps[_LONG - 1 : -_AHEAD]
     for lag in range(1, _LONG):
-        jumping &= steps[_LONG - 1 : -_AHEAD] > _NOISE * steps[_LONG - 1 - lag : -_AHEAD - lag]
-    stops = np.flatnonzero(jumping & (steps[_LONG - 2 : -_AHEAD - 1] != 0)) + _LONG
+        jumping &= steps[_LONG - 1 : -_AHEAD] > _SUDDEN * steps[_LONG - 1 - lag : -_AHEAD - lag]
+    stops = np.flatnonzero(jumping) + _LONG
     if not len(stops):
         return
     held = numbers[stops[:, None] + np.arange(-_LONG, 0)]
@@ -394,7 +393,8 @@ def _mark_rests(
     between = np.sort(steps[stops[:, None] + np.arange(-_LONG, -1)], axis=1)
     known = jumps > np.maximum(afters[:, -1], reaches) + _LEAST
     known &= np.linalg.norm(numbers[stops + _AHEAD] - numbers[stops], axis=1) >= reaches
-    known &= between[:, -1] <= _SUDDEN * between[:, -2]  # noise, and no other jump
+    # noise, and no exact repeats or another jump
+    known &= (between[:, 0] > 0) & (between[:, -1] <= _SUDDEN * between[:, -2])
     bends: np.ndarray | None = None
     for i in np.flatnonzero(known):
         stop, jump, after = stops[i], jumps[i], afters[i]
@@ -436,4 +436,6 @@ def _stops_dead(path: _Path, start: int) -> bool:
     noise = np.median(fifth) / np.sqrt(252)
     speeds = np.linalg.norm(rows[_AHEAD:] - rows[:-_AHEAD], axis=1) / _AHEAD
     usual = float(np.median(speeds[-_NEAR // 2 :]))
-    return bool(speeds[-1] > max(0.5 * usual, 5 * np.sqrt(2) / _AHEAD * noise) and noise > _NOISY * usual)
+    fast = speeds[-1] > max(0.5 * usual, 5 * np.sqrt(2) / _AHEAD * noise)
+    slower = np.linalg.norm(rows[-1] - rows[-2]) < 0.5 * usual - 3 * noise  # as of a body that comes to rest
+    return bool(fast and not slower and noise > _NOISY * usual)
