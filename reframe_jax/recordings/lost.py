@@ -159,15 +159,12 @@ class _Path:
         edges = np.flatnonzero(np.diff(self.keys)) + 1
         return np.column_stack([np.append(0, edges), np.append(edges, len(self.value))])
 
-    def usual_step(self, ignored: np.ndarray) -> float:
-        """Ninth decile of the steps, without steps from and to ignored rows (N,)."""
-        return _quantile(self.steps[~(ignored[1:] | ignored[:-1]) & (self.steps > 0)], 0.9)
-
-    def jumps(self, runs: np.ndarray, limit: float, ignored: np.ndarray, usual: float) -> np.ndarray:
+    def jumps(self, runs: np.ndarray, limit: float, ignored: np.ndarray) -> np.ndarray:
         """Return whether the shorter and the longer step to and from runs (M, 2) are jumps, bool (M, 2).
 
         A run at an end of the path has one step, which counts for both. Lengths are in usual steps, or in the
-        upper quartile of the steps nearby if it is longer. Steps from and to ignored rows (N,) do not count.
+        upper quartile of the steps nearby if it is longer. Steps from and to ignored rows (N,) do not count,
+        unless there are no others.
         """
         count = -(-len(self.steps) // _NEAR)
         blocks = np.full(count * _NEAR, np.inf)
@@ -177,6 +174,7 @@ class _Path:
         known = np.isfinite(blocks).sum(axis=1)
         long = np.where(known > 0, blocks[np.arange(count), 3 * np.maximum(known - 1, 0) // 4], 0.0)
         near = long[np.clip(np.column_stack([runs[:, 0] - 1, runs[:, 1]]) // _NEAR, 0, count - 1)]
+        usual = _quantile(self.steps[~unknown], 0.9) or _quantile(self.lengths, 0.9)
         step = np.maximum(near.max(axis=1), max(usual, _LEAST))
         ends = np.concatenate([[np.nan], self.steps, [np.nan]])[runs]
         both = np.column_stack([np.fmin(*ends.T), np.fmax(*ends.T)])
@@ -191,25 +189,17 @@ def _at_origin(paths: tuple[_Path, _Path]) -> np.ndarray:
     for path in paths:
         if np.sum(~path.zero) < _OTHERS or not path.zero.any():
             continue
-        runs = path.runs[path.zero[path.runs[:, 0]]]
+        runs = path.runs
+        lengths = np.diff(runs, axis=1)[:, 0]
+        away = path.zero[runs[:, 0]]
         if path is not position or not _is_apart(path):
             # at one end of a run, the path may be close to the origin by chance
-            jumps = path.jumps(runs, _ORIGIN_JUMP_STEPS, path.zero, path.usual_step(path.zero))
-            several = np.diff(runs, axis=1)[:, 0] > 1
-            runs = runs[np.where(several, jumps[:, 1], jumps[:, 0])]
-        lost = _rows_of(runs, len(kinds))
+            jumps = path.jumps(runs, _ORIGIN_JUMP_STEPS, path.zero)
+            away &= np.where(lengths > 1, jumps[:, 1], jumps[:, 0])
+        lost = np.repeat(away, lengths)
         kinds[lost] = "origin" if path is position else "identity"
         kinds[lost & position.zero & turn.zero] = "identity"
     return kinds
-
-
-def _rows_of(runs: np.ndarray, count: int) -> np.ndarray:
-    """Mask (N,) of the rows in runs (M, 2)."""
-    ends = np.zeros(count + 1, int)
-    np.add.at(ends, runs[:, 0], 1)
-    np.add.at(ends, runs[:, 1], -1)
-    found: np.ndarray = np.cumsum(ends[:-1]) > 0
-    return found
 
 
 def _is_apart(path: _Path) -> bool:
@@ -232,13 +222,11 @@ def _constant(paths: tuple[_Path, _Path]) -> np.ndarray:
             continue
         counts = np.bincount(path.value)
         repeated = (counts > 1)[path.value]
-        usual = path.usual_step(repeated) or path.usual_step(np.zeros(len(kinds), bool))
-        runs = path.runs[repeated[path.runs[:, 0]]]
-        away = path.jumps(runs, _JUMP_STEPS, repeated, usual)[:, 0]
-        values = path.value[runs[:, 0]]
-        stays = len(kinds) - counts < _OTHERS
-        stays[values[~away]] = True  # a number that continues the path anywhere is a pose
-        kinds[_rows_of(runs[~stays[values]], len(kinds))] = "constant"
+        runs = path.runs
+        stays = (counts == 1) | (len(kinds) - counts < _OTHERS)
+        # a number that continues the path anywhere is a pose
+        stays[path.value[runs[~path.jumps(runs, _JUMP_STEPS, repeated)[:, 0], 0]]] = True
+        kinds[~stays[path.value]] = "constant"
     return kinds
 
 
@@ -309,15 +297,14 @@ def _frozen(paths: tuple[_Path, _Path]) -> np.ndarray:
 def _mark_repeats(path: _Path, kinds: np.ndarray) -> None:
     """Mark rows in ``kinds`` (N,) that repeat exactly, while the body moved on or at the end of its path."""
     moving, count = np.flatnonzero(path.steps), len(kinds)
-    repeats = np.diff(moving, prepend=-1) - 1  # before every step
-    late = np.flatnonzero(repeats > 0)
-    numbers = path.numbers[np.append(0, moving + 1)]
-    late = late[_goes_on(numbers, path.steps[moving], repeats, late)]
-    runs = np.column_stack([moving[late] - repeats[late] + 1, moving[late] + 1])
-    kinds[_rows_of(runs, count)] = "frozen"
-    # a run before missing rows, or before the end, has no step after it that shows a motion
     starts, stops = np.append(0, moving + 1), np.append(moving + 1, count)
-    lengths, last = stops - starts, np.append(path.gaps[moving], True)
+    lengths = stops - starts
+    late = np.flatnonzero(lengths[:-1] > 1)
+    frozen = np.zeros(len(lengths), bool)
+    frozen[late] = _goes_on(path.numbers[starts], path.steps[moving], lengths[:-1] - 1, late)
+    kinds[1:][np.repeat(frozen, lengths)[1:] & (path.steps == 0)] = "frozen"
+    # a run before missing rows, or before the end, has no step after it that shows a motion
+    last = np.append(path.gaps[moving], True)
     ranked = np.sort(lengths[lengths > 1])
     held = len(ranked) - np.searchsorted(ranked, lengths / 2) > _HELD
     for run in np.flatnonzero(last & (lengths > _REPEATS) & ~held):
