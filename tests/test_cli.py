@@ -167,7 +167,8 @@ def test_outliers_are_left_out_and_told(door: Path, tmp_path: Path, capsys: Capt
     save_recording(bad, recording.times[:-1], recording.poses[:-1])
     assert run(bad, "--json", tmp_path / "out.json") == 0
     out, err = capsys.readouterr()
-    assert err == ""
+    jump = "the pose jumps 180 deg at line 17 and back at line 18"
+    assert err == f"reframe-jax: {bad}: {jump}; if tracking was lost there, remove these rows.\n"
     assert "; 1 pose left out: sample 15\n" in out
     assert out.rstrip().endswith("line 17: the pose jumps away from its neighbours and back")
     (recording,) = read_json((tmp_path / "out.json").read_text())
