@@ -102,8 +102,9 @@ def test_arrays(tmp_path: Path, table: np.ndarray) -> None:
     np.savez(tmp_path / "b.npz", positions=table[:, 1:4], quaternions=table[:, 4:], times=times)
     check(tmp_path / "b.npz", table)
     table[:, 0] = 0.5 * np.arange(9)
-    np.save(tmp_path / "b.npy", poses)
-    check(tmp_path / "b.npy", table, dt=0.5)
+    for whole in (poses, poses[:, :3], poses[:, :3].reshape(9, 12), poses.reshape(9, 16)):
+        np.save(tmp_path / "b.npy", whole)
+        check(tmp_path / "b.npy", table, dt=0.5)
     np.save(tmp_path / "c.npy", table[:, 1:])
     check(tmp_path / "c.npy", table, dt=0.5)
 

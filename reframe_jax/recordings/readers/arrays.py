@@ -36,7 +36,8 @@ def _rows(path: Path, arrays: dict[str, np.ndarray], others: list[str]) -> Rows:
     count = (shapes.get("poses") or shapes.get("positions") or (0,))[0]
     pair = (shapes.get("positions"), shapes.get("quaternions")) == ((count, 3), (count, 4))
     timed = shapes.get("poses") == (count, 8) and "times" not in shapes
-    fits = pair or timed or shapes.get("poses") in ((count, 7), (count, 4, 4))
+    whole = (count, 4, 4), (count, 3, 4), (count, 12), (count, 16), (count, 7)
+    fits = pair or timed or shapes.get("poses") in whole
     fits &= shapes.get("times", (count,)) == (count,) and shapes.get("wrenches", (count, 6)) == (count, 6)
     if not (fits and count) or any(array.dtype.kind not in "fiu" for array in arrays.values()):
         found = [f"{name} {array.shape} of {array.dtype}" for name, array in arrays.items()] + others
