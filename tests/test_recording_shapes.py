@@ -613,6 +613,12 @@ def test_parts_of_a_periodic_motion_in_another_order_are_sorted(
     assert recording.notes == ("line 102 is earlier than the previous line; the rows are sorted by time.",)
 
 
+def test_times_that_never_increase_are_refused(tmp_path: Path, rows: np.ndarray) -> None:
+    rows[:, 0], rows[-1, 0] = 0, -1
+    with pytest.raises(RecordingError, match=r"its 60 rows have only 2 different times"):
+        load_recording(write(tmp_path / "a.csv", HEADER, rows))
+
+
 def test_clocks_that_restart_within_the_same_times(tmp_path: Path, rng: np.random.Generator) -> None:
     rows = hinge(rng, count=100)
     cells = rows.copy()

@@ -142,7 +142,7 @@ def sort_times(rows: Rows) -> None:
     if len(late) < len(steps) / 10:
         moved, after = _distances(rows.values), _distances(rows.values[order])
         behind = np.sum(rows.times < np.maximum.accumulate(rows.times))
-        step = np.median(steps[steps > 0])
+        step = np.median(steps[steps > 0]) if (steps > 0).any() else 0.0
         # parts in another order, whose times have no gaps and do not overlap
         swapped = (
             np.sum(np.diff(order) != 1) <= len(late) and np.diff(rows.times[order]).max() < _STEPS * step
