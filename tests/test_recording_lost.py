@@ -324,6 +324,22 @@ def test_motions_that_keep_a_number_are_poses(rng: np.random.Generator) -> None:
         assert not find_lost_poses(poses_of(motion), motion[:, 0]).mask.any()
 
 
+@pytest.mark.parametrize("every", [3, 4, 5])
+def test_rows_that_are_written_twice_in_a_fast_part_are_no_constants(
+    rng: np.random.Generator, every: int
+) -> None:
+    pace = np.full(COUNT, 0.01)
+    pace[150:180] = 0.2
+    angles = 0.5 * np.sin(np.cumsum(pace))
+    turned = Rotation.from_rotvec(np.outer(angles, [0.1, 0.3, 0.95]))
+    rows = np.column_stack([0.02 * np.arange(COUNT), turned.apply([0.4, 0.1, 0.2]), turned.as_quat()])
+    add_noise(rng, rows, np.arange(COUNT), 1e-4)
+    twice = np.arange(151, 180, every)
+    rows[twice, 1:] = rows[twice - 1, 1:]
+    found = find_lost_poses(poses_of(rows), rows[:, 0])
+    assert not (found.reasons == "constant").any()
+
+
 def test_touches_are_poses_and_zeros_between_them_are_not(rng: np.random.Generator) -> None:
     turned = Rotation.from_rotvec(rng.uniform(-0.5, 0.5, (14, 3))) * Rotation.from_rotvec([np.pi, 0, 0])
     places = [0.25, -0.88, 0.04] - turned.apply([0.005, 0.095, 0.308])

@@ -30,6 +30,7 @@ _OTHERS = 3  # other rows needed to know the path
 _SPREAD = 2.0  # largest distance from the mean of repeats with noise, over that of the last six
 _STILL = 0.05  # largest distance of repeats with noise from their mean, or from the origin, over the jump
 _SLOW = 0.15  # the same of a constant, over its number of rows and a usual step; 0.3 in a motion
+_BETWEEN = 0.8  # distance of the poses before and after repeats over their distances from the repeats
 _AWAY = 0.5  # distance from the path that goes on, over the jump
 _GAP = 1.5  # time between two rows, in usual time steps, above which rows are missing
 _BLOCK = 2**14  # rows per block, so that intermediate arrays stay small
@@ -222,10 +223,16 @@ def _constant(paths: tuple[_Path, _Path]) -> np.ndarray:
             continue
         counts = np.bincount(path.value)
         repeated = (counts > 1)[path.value]
-        runs = path.runs
+        runs, last = path.runs, len(kinds) - 1
+        # repeats between the pose before and the pose after them are on the path
+        before, here, after = (path.numbers[np.clip(rows, 0, last)] for rows in (runs[:, 0] - 1, *runs.T))
+        around = np.linalg.norm(here - before, axis=1) + np.linalg.norm(after - here, axis=1)
+        between = np.linalg.norm(after - before, axis=1) > _BETWEEN * around
+        between &= (runs[:, 0] > 0) & (runs[:, 1] <= last)
         stays = (counts == 1) | (len(kinds) - counts < _OTHERS)
         # a number that continues the path anywhere is a pose
-        stays[path.value[runs[~path.jumps(runs, _JUMP_STEPS, repeated)[:, 0], 0]]] = True
+        away = path.jumps(runs, _JUMP_STEPS, repeated)[:, 0] & ~between
+        stays[path.value[runs[~away, 0]]] = True
         kinds[~stays[path.value]] = "constant"
     return kinds
 
