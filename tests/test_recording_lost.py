@@ -422,3 +422,14 @@ def test_a_distant_outlier_does_not_make_other_rows_lost(rng: np.random.Generato
     rows[100, 1] = distance
     with np.errstate(over="ignore"):
         assert not np.delete(find_lost_poses(poses_of(rows), rows[:, 0]).mask, 100).any()
+
+
+def test_rows_at_a_great_distance_are_left_out_in_a_sixth_of_a_recording(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    rows = hinge(rng)
+    rows[100:150, 1] = 999  # one coordinate is lost
+    recording = load_recording(write(tmp_path / "a.csv", HEADER, rows))
+    (left_out,) = recording.left_out
+    assert left_out.reason == "far"
+    np.testing.assert_array_equal(left_out.rows, np.arange(100, 150) + 2)

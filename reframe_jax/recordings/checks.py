@@ -13,7 +13,7 @@ __all__ = ["MIN_POSES", "check_positions", "check_turns", "drop_unfinished", "ma
 
 MIN_POSES = 4  # smallest number of poses for a calibration; a motion needs 5
 _DISTANT = 20.0  # m from the median position: beyond the reach of a hand or an arm
-_DISTANT_FRACTION = 0.05  # largest fraction of rows that are left out as distant
+_DISTANT_FRACTION = 0.2  # largest fraction of rows that are left out as distant
 _APART = 3.0  # factor between the distance of distant rows and of all others
 _VEHICLE, _HAND = 20.0, 50.0  # m/s^2, largest acceleration of a vehicle, and usual largest of a hand
 _OVER = 0.5  # s, interval of accelerations, so that noise has no effect
