@@ -200,7 +200,7 @@ def _on_host(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Iden
         _chunk(),
         pad,
     )
-    return replace(found, counted=found.counted[:, : poses.shape[1]])
+    return replace(found, counted=jax.lax.slice_in_dim(found.counted, 0, poses.shape[1], axis=1))
 
 
 def _batch(run: Any, poses: Any, steps: Any, options: tuple[Any, ...]) -> Identification:
