@@ -21,13 +21,13 @@ from reframe_jax.export.task_frame import TaskFrame as TaskFrame
 from reframe_jax.export.task_frame import to_task_frame as to_task_frame
 from reframe_jax.export.urdf import to_urdf as to_urdf
 from reframe_jax.identification.classify import Thresholds as Thresholds
-from reframe_jax.identification.entry import default_solver as default_solver
 from reframe_jax.identification.entry import identify as identify
+from reframe_jax.identification.frames import AngularFrame as AngularFrame
+from reframe_jax.identification.frames import Candidates as Candidates
+from reframe_jax.identification.frames import LinearFrame as LinearFrame
 from reframe_jax.identification.online import OnlineIdentifier as OnlineIdentifier
-from reframe_jax.identification.results import AngularFrame as AngularFrame
-from reframe_jax.identification.results import Candidates as Candidates
+from reframe_jax.identification.paper import default_solver as default_solver
 from reframe_jax.identification.results import Identification as Identification
-from reframe_jax.identification.results import LinearFrame as LinearFrame
 from reframe_jax.identification.velocities import frame_velocities as frame_velocities
 from reframe_jax.joints.joint import Joint as Joint
 from reframe_jax.motion.checks import Status as Status

@@ -7,8 +7,6 @@ import jax.numpy as jnp
 
 from reframe_jax.identification.classify import Thresholds
 
-__all__ = ["Caution", "caution_codes", "caution_sentences"]
-
 _FEW = 12  # largest number of velocities at which many windows are identified wrongly
 _CLOSE = 1.5  # largest ratio of a velocity to a threshold, or its inverse, at which they count as close
 

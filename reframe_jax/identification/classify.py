@@ -5,8 +5,6 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-__all__ = ["Thresholds", "degrees_of_freedom", "free_rotations"]
-
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)

@@ -18,7 +18,6 @@ from reframe_jax.identification.cautions import Caution
 from reframe_jax.identification.classify import Thresholds
 from reframe_jax.identification.inputs import run_in_pieces, take_poses, take_steps
 from reframe_jax.identification.options import Scales, check_bounds, check_options, take_assumed, take_scales
-from reframe_jax.identification.paper import default_solver
 from reframe_jax.identification.pipeline import identify_windows
 from reframe_jax.identification.results import Identification
 from reframe_jax.motion.checks import Status
@@ -28,8 +27,6 @@ from reframe_jax.recordings.continuity import is_unordered
 from reframe_jax.recordings.lost import find_lost_poses
 from reframe_jax.recordings.rows import name_rows
 from reframe_jax.solvers import Solver
-
-__all__ = ["default_solver", "identify", "identify_unchecked"]
 
 _CHUNK = {"cpu": 32, "gpu": 16384}  # windows per program: their arrays fit the cache, or the memory
 

@@ -7,8 +7,6 @@ import numpy as np
 
 from reframe_jax.constraints.types import BODY_NAMES, AngularType, LinearType
 
-__all__ = ["Finding", "Spread", "Tested", "explain_finding"]
-
 _INTERVAL = 1.96  # half-width of a 95 % interval, in standard deviations
 _SLOW = 2.0  # inflation of error bars above which the text mentions slow errors
 

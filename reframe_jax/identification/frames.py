@@ -10,8 +10,6 @@ import numpy as np
 from reframe_jax.constraints.types import AngularType, LinearType
 from reframe_jax.geometry import rotations
 
-__all__ = ["AllCandidates", "AngularFrame", "Candidates", "LinearFrame", "PoseNoise", "member"]
-
 
 def member(kind: type[IntEnum], code: jax.Array) -> Any:
     """Return the enum member of a single code; return tracers and arrays of codes unchanged."""

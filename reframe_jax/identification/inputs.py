@@ -12,8 +12,6 @@ import numpy as np
 from reframe_jax.compilation import in_float64, join_parts
 from reframe_jax.motion.checks import MIN_VELOCITIES
 
-__all__ = ["padded_size", "read_number", "read_numbers", "run_in_pieces", "take_poses", "take_steps"]
-
 _SINGLE = 8  # largest number of windows that are computed one by one, without a program for a batch
 _FEWEST, _SHORT, _LONG = 8, 64, 4096  # fewest poses that are padded, and padded lengths; see padded_size
 _TOO_COARSE = ("float16", "bfloat16")

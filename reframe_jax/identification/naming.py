@@ -6,17 +6,6 @@ from reframe_jax.constraints.catalogue import CONSTRAINTS, OTHER_CONSTRAINTS, Co
 from reframe_jax.constraints.types import LinearType
 from reframe_jax.model.table import ENTRIES, Entry
 
-__all__ = [
-    "CLASS_CODES",
-    "NAMES",
-    "NAME_OF_ENTRY",
-    "NO_ENTRY",
-    "SAME_IN_ALL_TYPES",
-    "codes_of",
-    "constraint_of",
-    "name_of",
-]
-
 NO_ENTRY = -1
 """Code for degrees of freedom without an entry in the table."""
 

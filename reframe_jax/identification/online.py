@@ -17,8 +17,6 @@ from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.objectives.norms import check_exponent
 from reframe_jax.solvers import Solver
 
-__all__ = ["OnlineIdentifier"]
-
 _PATIENCE = 3  # number of consecutive times before the last accepted time, after which a new window begins
 
 

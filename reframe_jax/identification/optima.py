@@ -17,8 +17,6 @@ from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.objectives.moments import covariance_at
 from reframe_jax.objectives.norms import log_power_mean
 
-__all__ = ["TURN_KINDS", "Types", "rms_velocities", "smallest_scale", "types_of_steps", "types_over_scales"]
-
 Array = jax.Array
 _LINEAR = np.array([KINDS.index(t.name) for t in LinearType])
 TURN_KINDS = np.array([KINDS.index("turn in ground"), KINDS.index("turn in body")])

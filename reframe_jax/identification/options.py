@@ -15,8 +15,6 @@ from reframe_jax.identification.naming import codes_of
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.solvers import Solver
 
-__all__ = ["IdentifyOptions", "Scales", "check_bounds", "check_options", "take_assumed", "take_scales"]
-
 _FARTHEST = 1e6  # m, largest bounds: larger than any mechanism, and its powers are finite in float32
 
 Scales = Literal["auto", "mean"] | int | Sequence[int]

@@ -10,8 +10,6 @@ from reframe_jax.objectives.moments import add_variance, component_moments
 from reframe_jax.objectives.velocity import PositionObjective
 from reframe_jax.solvers import BasinHopping, Box, FrameSteps, JointSearch, Solver, ValleySteps
 
-__all__ = ["default_solver", "paper_origins", "step_moments"]
-
 _FLOOR = 16  # rounding errors added to a covariance, so that it is positive definite without noise
 
 _VALLEY = BasinHopping(ValleySteps(6), restarts=7, hops=2, polish=1, rounds=8)

@@ -14,8 +14,6 @@ from reframe_jax.model.solve import choose_scales, solve_windows
 from reframe_jax.motion.kinematics import Discretization
 from reframe_jax.solvers import Solver
 
-__all__ = ["Prepared", "identify_windows", "prepare_windows"]
-
 Array = jax.Array
 
 

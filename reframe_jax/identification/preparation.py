@@ -13,8 +13,6 @@ from reframe_jax.motion.checks import window_status
 from reframe_jax.motion.noise import estimate_noise, unit_of_rounding
 from reframe_jax.motion.outliers import repair_poses
 
-__all__ = ["Prepared", "prepare_windows"]
-
 _REACH = 2.0  # half the width of the cube of origins: 2 m, or twice the extent of the motion if that is more
 
 Array = jax.Array

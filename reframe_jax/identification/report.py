@@ -44,8 +44,6 @@ from reframe_jax.model.table import ENTRIES, ROWS, TABLE, entries_at
 from reframe_jax.motion.checks import Status
 from reframe_jax.motion.kinematics import Discretization
 
-__all__ = ["report_windows"]
-
 Array = jax.Array
 
 _RIVAL = 0.05  # smallest ratio of the probability of a tied type to that of the reported type

@@ -23,7 +23,6 @@ from reframe_jax.identification.explanation import Finding, Spread, Tested, expl
 from reframe_jax.identification.frames import (
     AllCandidates,
     AngularFrame,
-    Candidates,
     LinearFrame,
     PoseNoise,
     member,
@@ -32,16 +31,6 @@ from reframe_jax.identification.naming import NAME_OF_ENTRY, constraint_of, name
 from reframe_jax.joints.fitting import fit_joint
 from reframe_jax.joints.joint import Joint
 from reframe_jax.motion.checks import Status
-
-__all__ = [
-    "AllCandidates",
-    "AngularFrame",
-    "Candidates",
-    "Identification",
-    "Index",
-    "LinearFrame",
-    "PoseNoise",
-]
 
 _Item = int | slice | EllipsisType | None | np.ndarray | jax.Array
 Index = _Item | tuple[_Item, ...] | list[int]

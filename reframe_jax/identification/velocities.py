@@ -10,8 +10,6 @@ from reframe_jax.identification.results import Identification
 from reframe_jax.motion import kinematics
 from reframe_jax.motion.kinematics import Discretization
 
-__all__ = ["frame_velocities"]
-
 
 @partial(jax.jit, static_argnames="discretization")
 def frame_velocities(

@@ -14,8 +14,6 @@ from reframe_jax.model.fit import Data, Parameters, settle
 from reframe_jax.model.solve import Solved
 from reframe_jax.model.table import ENTRIES, entries_at
 
-__all__ = ["KIND_OF_ENTRY", "Winner", "dof_by_thresholds", "winner_by_thresholds", "winner_of_window"]
-
 Array = jax.Array
 _VARIANT = 1e-3  # smallest probability of a reported entry, as a fraction of the probability of its name
 _BEHIND = 1e9  # log probability that is subtracted from entries below this limit, which rank last

@@ -8,8 +8,6 @@ in tests.
 from math import log
 from typing import NamedTuple
 
-__all__ = ["EVIDENCE", "SCALES", "Evidence", "Scales"]
-
 
 class Evidence(NamedTuple):
     """Constants of :mod:`.evidence`.

@@ -14,8 +14,6 @@ import numpy as np
 
 from reframe_jax.geometry.small import largest, normalize, solve_positive, times, total
 
-__all__ = ["crossed_axes"]
-
 Array = jax.Array
 _APART = 3.0  # penalty on the squared cosine of the mean angle, per independent detail
 

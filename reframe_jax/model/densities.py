@@ -17,8 +17,6 @@ import numpy as np
 from reframe_jax.geometry.small import total as add
 from reframe_jax.model.constants import EVIDENCE as C
 
-__all__ = ["Nodes", "amplitude_nodes", "free_evidence", "held_likelihood"]
-
 Array = jax.Array
 _NODES = 4  # nodes of a likelihood; they integrate a Gaussian to within 3 %
 _WIDTH = 3.5  # standard deviations of log a^2 on each side of the measured value

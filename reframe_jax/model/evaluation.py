@@ -20,8 +20,6 @@ from reframe_jax.model.starts import smallest_eigenvalue
 from reframe_jax.model.steps import Unknowns, tilted_axis
 from reframe_jax.model.table import KINDS, PATHS, ROWS, Table
 
-__all__ = ["UniversalMoments", "WindowStatistics", "evaluate_entries", "window_statistics"]
-
 Array = jax.Array
 
 

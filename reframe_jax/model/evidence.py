@@ -31,15 +31,6 @@ from reframe_jax.model.constants import EVIDENCE as C
 from reframe_jax.model.densities import Nodes, amplitude_nodes, free_evidence, held_likelihood
 from reframe_jax.model.table import Table
 
-__all__ = [
-    "Amplitudes",
-    "Coordinates",
-    "Spectra",
-    "amplitudes_of",
-    "compare",
-    "log_evidence",
-]
-
 Array = jax.Array
 _TINY = 1e-18  # m^2 and rad^2, added to every variance
 

@@ -18,8 +18,6 @@ from reframe_jax.geometry.rotations import hat
 from reframe_jax.geometry.small import times
 from reframe_jax.motion.paths import twist_paths
 
-__all__ = ["COUNT", "Features", "pose_features"]
-
 COUNT = 27
 POSITION, ROTATION, IN_BODY = slice(0, 3), slice(3, 12), slice(12, 15)
 TURN_BODY, SHIFT_BODY, TURN_GROUND, SHIFT_GROUND = slice(15, 18), slice(18, 21), slice(21, 24), slice(24, 27)

@@ -25,21 +25,6 @@ from reframe_jax.model.rows import (
 from reframe_jax.model.steps import Unknowns, descend
 from reframe_jax.model.table import KINDS, ROWS, Table
 
-__all__ = [
-    "ASSUMED_STEPS",
-    "Data",
-    "Parameters",
-    "coordinates",
-    "curvature",
-    "fit_entry",
-    "ground_axes",
-    "held_covariance",
-    "move",
-    "objective",
-    "settle",
-    "solve_determined",
-]
-
 STEPS, ASSUMED_STEPS = 6, 40  # Levenberg-Marquardt steps, and those for an assumed constraint
 _PARAMETERS = 9
 

@@ -11,8 +11,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-__all__ = ["Moments", "scale_moments"]
-
 _PART = 4  # two neighbouring blocks, or a block of the smooth part, take less than 1 / _PART of a window
 _FEWEST = 4  # smallest number of details of a scale
 _ROUNDINGS = 16  # rounding errors of the mean square of a feature that are added to its moment

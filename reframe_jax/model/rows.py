@@ -11,17 +11,6 @@ from reframe_jax.model import features as z
 from reframe_jax.model.steps import Problem, Unknowns, axis_row, path_of, row_size
 from reframe_jax.model.table import KINDS, PATHS, ROWS, Table
 
-__all__ = [
-    "EntryMoments",
-    "Forms",
-    "coordinates_at",
-    "crossed_frame",
-    "entry_moments",
-    "in_body",
-    "problem_of",
-    "rotation_forms",
-]
-
 Array = jax.Array
 
 

@@ -36,8 +36,6 @@ from reframe_jax.geometry.small import (
 from reframe_jax.geometry.symmetric import INDEX_PAIRS, PACKED
 from reframe_jax.objectives.moments import MONOMIALS
 
-__all__ = ["lowest_origins", "norm_at", "polynomials", "unexplained_covariance"]
-
 _FIRST, _SECOND = (np.array(ends, np.int32) for ends in zip(*MONOMIALS, strict=True))
 _PLACE = np.array(PACKED, np.int32)
 _FORM = np.array([[MONOMIALS.index((min(a, b), max(a, b))) for b in range(4)] for a in range(4)], np.int32)

@@ -26,8 +26,6 @@ from reframe_jax.model.starts import Axes, common_frames, entry_starts, universa
 from reframe_jax.model.steps import Unknowns, descend
 from reframe_jax.model.table import ENTRIES, KINDS, ROWS, TABLE, Table, entries_at
 
-__all__ = ["Solved", "choose_scales", "solve_windows"]
-
 Array = jax.Array
 CANDIDATES = 8  # entries that are fitted: with poor starting parameters, the right one may rank only seventh
 _LINEAR = np.array([KINDS.index(t.name) for t in LinearType])

@@ -17,8 +17,6 @@ from reframe_jax.model.rows import rotation_forms
 from reframe_jax.model.steps import Unknowns
 from reframe_jax.model.table import ENTRIES, TABLE
 
-__all__ = ["Axes", "common_frames", "entry_starts", "smallest_eigenvalue", "universal_axes"]
-
 Array = jax.Array
 _STARTS = ("turn", "cross", "normal", "along", "path", "lift")
 _CROSS_STEPS = 12  # steps of the search for the axes of a universal joint

@@ -27,8 +27,6 @@ from reframe_jax.geometry.small import (
     trace,
 )
 
-__all__ = ["Problem", "Unknowns", "axis_row", "descend", "path_of", "row_size", "tilted_axis"]
-
 Array = jax.Array
 _DAMPING = 1e-3  # first damping, as a fraction of the diagonal
 _LONGEST = 0.5  # rad or m, largest component of a step

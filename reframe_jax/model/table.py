@@ -18,8 +18,6 @@ import numpy as np
 from reframe_jax.constraints.types import LinearType
 from reframe_jax.model import features as z
 
-__all__ = ["ENTRIES", "KINDS", "PATHS", "ROWS", "TABLE", "Entry", "entries_at"]
-
 KINDS = ("BB", "GB", "GG", "BG", "turn in body", "turn in ground", "position", "angle between")
 """Vectors whose coordinates are held or free: the path of an origin in the four linear types, the
 summed rotation in either body, the position of the body in the ground, and the direction of an axis of the

@@ -9,8 +9,6 @@ from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows
 from reframe_jax.recordings.selection import ANGLE_UNITS, UNITS, Selection
 
-__all__ = ["MIN_POSES", "check_positions", "check_turns", "drop_unfinished", "make_poses", "note_repeats"]
-
 MIN_POSES = 4  # smallest number of poses for a calibration; a motion needs 5
 _DISTANT = 20.0  # m from the median position: beyond the reach of a hand or an arm
 _DISTANT_FRACTION = 0.2  # largest fraction of rows that are left out as distant

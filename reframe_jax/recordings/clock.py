@@ -11,8 +11,6 @@ from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import EPOCH, Rows, is_path
 from reframe_jax.recordings.selection import TIME_UNITS, Selection, unit_of
 
-__all__ = ["drop_equal_times", "make_times", "note_unit", "sort_times"]
-
 _SLOW, _SLOWEST = 0.9, 1e3  # s between samples: noted for a path; refused
 _USUAL = 0.02, 1.0  # s between samples of a usual recording, and between separate touches
 _SWIFT, _TURNING = 5.0, 8.0  # m/s and rad/s, above the usual speeds of a hand

@@ -9,8 +9,6 @@ from functools import lru_cache
 
 import numpy as np
 
-__all__ = ["is_unordered"]
-
 _FEWEST = 5  # poses; fewer look unordered by chance
 _ORDERS = 39  # random orders; separate touches are smoother than all of them in 1 of 40 cases
 _SMOOTH = 0.35  # measure of an order that needs no comparison

@@ -15,11 +15,6 @@ from reframe_jax.geometry.numpy_rotations import euler_matrices, rotation_matric
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.selection import Selection, unit_of
 
-__all__ = [
-    *("CLEAR_CONVENTION", "AngleTriples", "fits_better", "is_smoother", "keeps_a_point_better"),
-    *("read_angles", "reorder", "sample_rows"),
-]
-
 _FULL_TURN = 2 * np.pi * 1.001
 _ROWS = 400  # largest number of rows that are compared
 _TURN = 0.1  # rad between the two poses of a velocity: above the noise

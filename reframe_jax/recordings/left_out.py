@@ -7,8 +7,6 @@ from reframe_jax.recordings.lost import find_lost_poses
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, name_rows
 
-__all__ = ["leave_out_lost", "note_jumps"]
-
 _WHY = {
     "origin": "0, 0, 0",
     "identity": "the identity",

@@ -14,8 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["LostPoses", "LostRun", "find_lost_poses"]
-
 _SAME = 1e-9  # m, or difference of elements of rotation matrices, within which numbers are equal
 _LEAST = 1e-3  # m or rad, shortest step that counts, because quantized numbers repeat too
 _JUMP_STEPS = 5.0  # length of a jump in usual steps of the path

@@ -13,8 +13,6 @@ from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, listed, shown
 from reframe_jax.recordings.selection import Selection, flag, unit_of
 
-__all__ = ["fit_rigid_body", "group_markers", "marker_entries", "set_marker_poses", "unit_of_markers"]
-
 _UNSEEN = "fewer than three markers of the body are seen, or all of them are on a line"
 _LOOSE = 5e-3  # m RMS, above which markers are probably not on one body
 _MOST = 60  # markers in a message

@@ -46,8 +46,6 @@ from reframe_jax.recordings.selection import (
     unit_of,
 )
 
-__all__ = ["TIMES_IGNORED", "list_contents", "load_recording"]
-
 TIMES_IGNORED = "the times in the file are ignored"
 
 

@@ -6,8 +6,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-__all__ = ["LeftOut", "Recording", "RecordingError"]
-
 _OUTLIER = "the pose jumps away from its neighbours and back"
 
 

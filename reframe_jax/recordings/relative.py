@@ -10,8 +10,6 @@ from reframe_jax.geometry.numpy_rotations import rotation_matrices, rotation_vec
 from reframe_jax.recordings.checks import MIN_POSES
 from reframe_jax.recordings.recording import LeftOut, Recording, RecordingError
 
-__all__ = ["interpolate_poses", "invert_poses", "origin_shift", "relative_poses"]
-
 _GAP = 5.0  # median steps; in a longer gap, the body counts as lost
 _BLOCK = 2**14  # poses per block, so that intermediate arrays stay small
 

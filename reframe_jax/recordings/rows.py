@@ -11,8 +11,6 @@ import numpy as np
 from reframe_jax.recordings.conventions import AngleTriples
 from reframe_jax.recordings.recording import LeftOut, RecordingError
 
-__all__ = ["EPOCH", "HEADER", "MOST_ROWS", "Rows", "check_size", "is_path", "listed", "name_rows", "shown"]
-
 HEADER = "t,x,y,z,qx,qy,qz,qw"
 MOST_ROWS = 2**23  # 8,388,608: the poses take 1 GiB
 EPOCH = 1e6  # s: times that start later count from the first sample

@@ -7,11 +7,6 @@ from typing import Literal, get_args
 
 from reframe_jax.recordings.recording import RecordingError
 
-__all__ = [
-    *("ANGLES", "ANGLE_UNITS", "QUATERNIONS", "TIME_UNITS", "UNITS"),
-    *("AngleUnit", "Angles", "Quaternion", "Selection", "TimeUnit", "Unit", "flag", "unit_of"),
-]
-
 Unit = Literal["m", "cm", "mm"]
 TimeUnit = Literal["s", "ms", "us", "ns", "min", "h"]
 AngleUnit = Literal["rad", "deg"]

@@ -11,8 +11,6 @@ from reframe_jax.recordings.checks import make_poses
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import HEADER, Rows
 
-__all__ = ["save_recording"]
-
 _WRENCH_HEADER = "fx,fy,fz,tx,ty,tz"
 
 

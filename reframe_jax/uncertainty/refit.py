@@ -14,7 +14,7 @@ import numpy as np
 from reframe_jax.constraints.types import ORIENTATION_BODIES, POSITION_BODIES, AngularType
 from reframe_jax.geometry.rotations import vee
 from reframe_jax.identification.classify import free_rotations
-from reframe_jax.identification.pipeline import Prepared, prepare_windows
+from reframe_jax.identification.preparation import Prepared, prepare_windows
 from reframe_jax.identification.results import Identification
 from reframe_jax.model.fit import Data, Parameters, fit_entry, ground_axes, move
 from reframe_jax.model.moments import Moments, scale_moments

@@ -10,8 +10,6 @@ from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import EPOCH, Rows, check_size, listed
 from reframe_jax.recordings.selection import Selection
 
-__all__ = ["ARRAYS", "read_arrays"]
-
 _NAMES = ("poses", "positions", "quaternions", "times", "wrenches")
 _NO_TIMES = "add an array times (N,) to an .npz, or give the sample time, dt (--dt)"
 _PLAIN = "plain arrays of numbers, as np.save or np.savez writes them"

@@ -29,8 +29,6 @@ from reframe_jax.recordings.relative import interpolate_poses, invert_poses, ori
 from reframe_jax.recordings.rows import Rows, check_size, listed, shown
 from reframe_jax.recordings.selection import Selection, flag
 
-__all__ = ["BAG", "read_bag"]
-
 _TRANSFORM, _ARRAY = "geometry_msgs/msg/TransformStamped", "geometry_msgs/msg/PoseArray"
 _TOPICS = (
     *(_TRANSFORM, _ARRAY, "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"),

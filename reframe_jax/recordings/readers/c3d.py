@@ -27,8 +27,6 @@ from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, check_size, shown
 from reframe_jax.recordings.selection import Selection
 
-__all__ = ["C3D", "read_c3d"]
-
 _BLOCK = 512  # bytes
 _MOST_PARAMETERS = 2 * 255 * _BLOCK  # bytes: start and length are one byte each
 _BIG_ENDIAN = 86  # processor type that wrote the file

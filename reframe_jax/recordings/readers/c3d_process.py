@@ -8,8 +8,6 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["extract"]
-
 
 def extract(path: str, out: str) -> None:
     """Write the arrays that :mod:`reframe_jax.recordings.readers.c3d` needs.

@@ -14,8 +14,6 @@ from reframe_jax.recordings.readers.lines import trim
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import EPOCH, Rows, check_size, shown
 
-__all__ = ["assume_millimetres", "collect", "drop_zeros", "matrix_rows"]
-
 _MISSING = re.compile(
     r"|null|none|na|n/a|-+|\?+|\*+|missing|lost|invalid|occluded|no data|#.*|[-+]?(1\.#.*|nan\(.*\))",
     re.IGNORECASE,

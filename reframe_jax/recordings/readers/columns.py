@@ -14,8 +14,6 @@ from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, listed, shown
 from reframe_jax.recordings.selection import Selection, flag
 
-__all__ = ["OPTIONS", "Column", "column_entries", "find_columns", "set_poses"]
-
 OPTIONS = frozenset({"position", "orientation", "quaternion", "angles", "angle_unit", "unit"})
 _WIDTHS = (3, 3), (3, 4), (3, 9), (0, 12), (0, 16)  # numbers of a position and of an orientation
 _MOST = 200  # columns in a list of contents

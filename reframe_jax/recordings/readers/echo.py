@@ -14,8 +14,6 @@ from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows
 from reframe_jax.recordings.selection import Selection
 
-__all__ = ["ECHO", "read_echo"]
-
 
 def read_echo(path: Path, wanted: Selection) -> Rows:
     """Read rows of ``sec,nanosec,frame_id,x,y,z,qx,qy,qz,qw``, with an optional child frame before ``x``."""

@@ -11,8 +11,6 @@ from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, check_size
 from reframe_jax.recordings.selection import Selection
 
-__all__ = ["HDF5", "read_hdf5"]
-
 _WHOLE = "a whole HDF5 file"
 _NO_TIMES = "times in HDF5 files are not read: give the sample time, dt (--dt)"
 

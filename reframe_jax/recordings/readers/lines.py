@@ -11,11 +11,6 @@ from pathlib import Path
 
 from reframe_jax.recordings.recording import RecordingError
 
-__all__ = [
-    *("find_delimiter", "first_numbers", "head_in_utf8", "is_number", "read_cells", "read_lines"),
-    *("split", "trim"),
-]
-
 _LONGEST = 2**16  # characters of a line, and bytes that show the encoding
 _SEPARATOR = "sep="  # start of the first line in some files of spreadsheets
 _CONTROLS = bytes(range(9)) + b"\x0e\x0f\x7f"  # not in texts

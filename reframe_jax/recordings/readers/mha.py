@@ -18,8 +18,6 @@ from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, shown
 from reframe_jax.recordings.selection import Selection
 
-__all__ = ["MHA", "read_mha"]
-
 _LONGEST = 2**16  # bytes of a line
 _FIELD = re.compile(r"Seq_Frame(\d{1,18})_(\w+)\s*:?=\s*(.*)")
 _TRANSFORM = re.compile(r"(\w+?)Transform(Status)?")

@@ -22,8 +22,6 @@ from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, shown
 from reframe_jax.recordings.selection import ANGLE_UNITS, ANGLES, Angles, Selection
 
-__all__ = ["MOTIVE", "read_motive"]
-
 _ORDERS = [order for order in ANGLES if order.isupper()]
 _BODIES = ("Rigid Body", "Bone")
 _TIME = 1  # column

@@ -22,8 +22,6 @@ from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows
 from reframe_jax.recordings.selection import Selection
 
-__all__ = ["NDI", "read_ndi"]
-
 _NUMBERS = ["q0", "qx", "qy", "qz", "tx", "ty", "tz"]
 _STATES = ("state", "status", "transform_status", "tool_status")
 _NAMES = ("port_handle", "tool_handle", "tool_id", "tool", "handle", "porthandle", "toolhandle", "toolid")

@@ -11,8 +11,6 @@ from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, check_size, listed, shown
 from reframe_jax.recordings.selection import Selection, flag
 
-__all__ = ["PARQUET", "read_parquet"]
-
 _WHOLE = "a whole Parquet file"
 _TIME, _EPISODE = Column("timestamp"), Column("episode_index")  # names in LeRobot
 _NO_TIMES = "name the column of times timestamp, or give the sample time, dt (--dt)"

@@ -22,8 +22,6 @@ from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, shown
 from reframe_jax.recordings.selection import Selection
 
-__all__ = ["QUALISYS", "read_qualisys"]
-
 _FULL, _ANGLES_ONLY = 16, 7  # columns of a body, with and without the matrix
 _STANDARD, _ORDER = "qualisys standard", "XYZ"  # roll, pitch, yaw about the moving axes
 _AGREES = 2e-2  # difference of matrices that agree; numbers have three digits or more

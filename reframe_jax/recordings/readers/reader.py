@@ -11,8 +11,6 @@ from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, listed, shown
 from reframe_jax.recordings.selection import Selection, flag
 
-__all__ = ["Entry", "Reader", "choose_name", "import_extra", "translate_errors"]
-
 
 @dataclass(frozen=True)
 class Entry:

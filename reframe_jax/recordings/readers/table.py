@@ -24,8 +24,6 @@ from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import HEADER, Rows, listed, shown
 from reframe_jax.recordings.selection import Selection, flag
 
-__all__ = ["TABLE", "read_table"]
-
 _COMMENT = "#%"
 _PREAMBLE = 1000  # largest number of lines before the numbers
 _TIMES = (

@@ -16,8 +16,6 @@ from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows
 from reframe_jax.recordings.selection import Selection
 
-__all__ = ["KITTI", "TRAJECTORY", "read_kitti", "read_trajectory"]
-
 # column of the first number of a pose, by the count of numbers in a line; 1 if the time is before the pose
 _TUM = {8: 1, 7: 0}
 _KITTI = {12: 0, 13: 1, 16: 0, 17: 1}

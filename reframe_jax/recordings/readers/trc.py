@@ -19,8 +19,6 @@ from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows
 from reframe_jax.recordings.selection import Selection
 
-__all__ = ["TRC", "read_trc"]
-
 
 def read_trc(path: Path, wanted: Selection) -> Rows:
     """Read the markers of a rigid body, and compute its poses; see :class:`Reader`."""

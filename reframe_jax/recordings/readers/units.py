@@ -4,8 +4,6 @@ import re
 
 from reframe_jax.recordings.selection import ANGLE_UNITS, TIME_UNITS, UNITS
 
-__all__ = ["ANGLE_WORDS", "LENGTH_WORDS", "TIME_WORDS", "plain_name", "split_unit", "units_of_row"]
-
 
 def _spelled(units: dict[str, float], **words: str) -> dict[str, float]:
     """Units, and other words for them."""

@@ -22,8 +22,6 @@ from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, listed, shown
 from reframe_jax.recordings.selection import ANGLE_UNITS, UNITS, Selection, flag
 
-__all__ = ["VICON", "read_vicon"]
-
 _WITH_POSES = ("objects", "segments")
 _TITLES = (*_WITH_POSES, "trajectories", "devices", "joints", "model outputs", "events")
 _HEADING = re.compile(r"^Global Angle (\([A-Za-z ]+\) )?")  # before names: Global Angle (Quaternion) Rod:Rod
