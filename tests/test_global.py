@@ -8,7 +8,7 @@ import pytest
 import benchmarks.motions  # noqa: F401, adds the excitation "slow"
 import reframe_jax as rf
 from benchmarks.dual_annealing import six_moments
-from reframe_jax.identification.entry import default_solver
+from reframe_jax.identification.paper import default_solver
 from reframe_jax.objectives.velocity import FrameObjective, PositionObjective
 from reframe_jax.simulation import synthetic
 from reframe_jax.solvers import Box, JointSearch

@@ -15,15 +15,9 @@ from scipy.spatial.transform import Rotation
 from reframe_jax import plotting
 from reframe_jax.constraints.types import LinearType
 from reframe_jax.identification.classify import Thresholds
+from reframe_jax.identification.frames import AllCandidates, AngularFrame, Candidates, LinearFrame, PoseNoise
 from reframe_jax.identification.naming import CLASS_CODES
-from reframe_jax.identification.results import (
-    AllCandidates,
-    AngularFrame,
-    Candidates,
-    Identification,
-    LinearFrame,
-    PoseNoise,
-)
+from reframe_jax.identification.results import Identification
 from reframe_jax.model.table import ENTRIES
 from reframe_jax.motion.checks import Status
 from reframe_jax.plotting.style import FREE

@@ -16,15 +16,9 @@ from reframe_jax.export.common import Window
 from reframe_jax.export.json import to_document, to_json, to_record
 from reframe_jax.export.table import to_table
 from reframe_jax.identification.cautions import Caution, caution_codes, caution_sentences
+from reframe_jax.identification.frames import AllCandidates, AngularFrame, Candidates, LinearFrame, PoseNoise
 from reframe_jax.identification.naming import CLASS_CODES, codes_of, name_of
-from reframe_jax.identification.results import (
-    AllCandidates,
-    AngularFrame,
-    Candidates,
-    Identification,
-    LinearFrame,
-    PoseNoise,
-)
+from reframe_jax.identification.results import Identification
 from reframe_jax.identification.velocities import frame_velocities
 from reframe_jax.model.table import ENTRIES
 from reframe_jax.motion.checks import Status
