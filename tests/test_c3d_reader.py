@@ -9,8 +9,8 @@ from c3d_files import SHAPE, body, markers, write_c3d
 from export_files import motion
 from scipy.spatial.transform import Rotation
 
-from reframe_jax.recordings.markers import fit_rigid_body
 from reframe_jax.recordings.readers import c3d
+from reframe_jax.recordings.readers.markers import fit_rigid_body
 from reframe_jax.recordings.reading import list_contents, load_recording
 from reframe_jax.recordings.recording import RecordingError
 

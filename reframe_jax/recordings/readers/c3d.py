@@ -15,13 +15,13 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from reframe_jax.recordings.markers import (
+from reframe_jax.recordings.readers.collecting import drop_zeros
+from reframe_jax.recordings.readers.markers import (
     group_markers,
     marker_entries,
     set_marker_poses,
     unit_of_markers,
 )
-from reframe_jax.recordings.readers.collecting import drop_zeros
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name, import_extra
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, check_size, shown

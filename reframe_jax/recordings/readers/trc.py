@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from reframe_jax.recordings.markers import marker_entries, set_marker_poses
 from reframe_jax.recordings.readers.collecting import collect
 from reframe_jax.recordings.readers.lines import find_delimiter, is_number, read_lines, split
+from reframe_jax.recordings.readers.markers import marker_entries, set_marker_poses
 from reframe_jax.recordings.readers.reader import Entry, Reader
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows
