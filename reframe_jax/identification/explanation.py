@@ -6,6 +6,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from reframe_jax.constraints.types import BODY_NAMES, AngularType, LinearType
+from reframe_jax.joints.joint import format_vector
 
 _INTERVAL = 1.96  # half-width of a 95 % interval, in standard deviations
 _SLOW = 2.0  # inflation of error bars above which the text mentions slow errors
@@ -182,10 +183,6 @@ def _held(finding: Finding) -> list[str]:
     ]
 
 
-def _vector(vector: np.ndarray, digits: int) -> str:
-    return "(" + ", ".join(f"{np.round(x, digits) + 0.0:.{digits}f}" for x in vector) + ")"
-
-
 def _largest(covariance: Any) -> float:
     """Return half the width of the 95 % interval along the direction with the largest variance."""
     return _INTERVAL * float(np.sqrt(max(np.linalg.eigvalsh(np.asarray(covariance, float))[-1], 0)))
@@ -212,7 +209,7 @@ def _where(finding: Finding, spread: Spread | None) -> str:
         what, others = "A point of the contact is", _equal_points(finding.free_position, free)
     body = BODY_NAMES[finding.linear_type.position_body]
     size = "" if spread is None else _within(1e3 * _largest(spread.position), "mm")
-    line = f"{what} {_vector(finding.position, 4)} m in the {body}{size}."
+    line = f"{what} {format_vector(finding.position, 4)} m in the {body}{size}."
     if spread is not None and float(np.asarray(spread.inflation)[..., 2]) > _SLOW:
         line += " This error comes mainly from slow errors, such as tracker drift."
     return f"{line} {others}".rstrip()
@@ -221,7 +218,7 @@ def _where(finding: Finding, spread: Spread | None) -> str:
 def _equal_points(projector: np.ndarray, free: int) -> str:
     """State on which line (1 free direction) or plane (2 free directions) all points are equally valid."""
     axis = np.linalg.eigh(projector)[1][:, 2 if free == 1 else 0]
-    direction = _vector(axis * np.sign(axis[np.argmax(np.abs(axis))]), 2)
+    direction = format_vector(axis * np.sign(axis[np.argmax(np.abs(axis))]), 2)
     if free == 1:
         return f"Any point on the line through it along {direction} is equally valid."
     return f"Any point of the plane through it perpendicular to {direction} is equally valid."
@@ -231,7 +228,7 @@ def _direction(finding: Finding, spread: Spread | None) -> str:
     """State the direction of the single free or single constrained axis: of rotation, else of translation."""
     turns, slides = int(finding.angular_dof.sum()), int(finding.linear_dof.sum())
     if finding.universal is not None:
-        first, second = (_vector(axis, 3) for axis in finding.universal)
+        first, second = (format_vector(axis, 3) for axis in finding.universal)
         return f"It turns about the directions {first} in the ground and {second} in the body."
     if turns in (1, 2):
         axes, index = finding.angular_axes, 2 if turns == 1 else 0
@@ -245,7 +242,7 @@ def _direction(finding: Finding, spread: Spread | None) -> str:
     else:
         return ""
     size = "" if covariance is None else _within(np.degrees(_largest(covariance)), "degrees")
-    line = f"{what} the direction {_vector(axes[:, index], 3)} in the {BODY_NAMES[body]}{size}."
+    line = f"{what} the direction {format_vector(axes[:, index], 3)} in the {BODY_NAMES[body]}{size}."
     if np.isfinite(finding.pitch):
         lead, hand = 2e3 * np.pi * abs(finding.pitch), "right" if finding.pitch > 0 else "left"
         line += f" One turn moves the body {lead:.3g} mm along the axis; the thread is {hand}-handed."
@@ -272,12 +269,12 @@ def _still_open(finding: Finding, spread: Spread | None, tested: Tested | None) 
         doubts.append(f"only {number} of {int(tested.free)} free axes moved independently")
         advice.append("move along one axis after the other")
     if not finding.named and 0 < turns < 3:
-        axis = _vector(finding.angular_axes[:, 0], 2)
+        axis = format_vector(finding.angular_axes[:, 0], 2)
         body = BODY_NAMES[finding.angular_type]
         doubts.append(f"the body did not turn about the direction {axis} in the {body}")
         advice.append("try to turn the body about this direction")
     elif not finding.named and 0 < slides < 3:
-        axis = _vector(finding.linear_axes[:, 0], 2)
+        axis = format_vector(finding.linear_axes[:, 0], 2)
         body = BODY_NAMES[finding.linear_type.orientation_body]
         doubts.append(f"the body did not slide along the direction {axis} in the {body}")
         advice.append("try to push the body along this direction")
