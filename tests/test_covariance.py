@@ -3,6 +3,7 @@
 from dataclasses import replace
 from itertools import combinations
 
+import jax
 import numpy as np
 import pytest
 from contacts import DT, POSES, Contact, simulate_contact
@@ -18,6 +19,7 @@ from benchmarks.uncertainty_doors import (
     in_region,
 )
 from reframe_jax.geometry.rotations import rotation_exp
+from reframe_jax.simulation import synthetic
 from reframe_jax.uncertainty.spread import widen
 
 EACH = 16
@@ -340,3 +342,20 @@ def test_error_bars_hold_a_measured_axis():
     for row in (check_door("hinge"), *(check_rate(every) for every in EVERY)):
         assert row["axis holds"]
         assert row["line holds"]
+
+
+def test_frames_by_thresholds_have_error_bars_if_the_table_has_their_free_axes():
+    """Types of a hinge are tied, so its origin is in either body; two rotations and a slide have no entry."""
+    hinge = synthetic.simulate("A", jax.random.key(0), duration=5.0, dt=0.1, excitation="exciting")
+    curve = synthetic.simulate("H", jax.random.key(0), duration=5.0, dt=0.02, excitation="exciting")
+    poses = np.stack([hinge.exact_poses, curve.exact_poses[:51]])
+    poses[..., :3, 3] += np.random.default_rng(0).normal(0, 1e-4, (2, 51, 3))
+    steps = np.stack([np.full(50, 0.1), np.full(50, 0.02)])
+    found = rf.identify(poses, dt=steps, scales=1, thresholds=rf.Thresholds(angular=0.3))
+    spread = rf.covariance(found, poses, dt=steps, scales=1)
+    assert found.name.tolist() == ["Revolute joint", "Unnamed: 2 rotations, 1 translation in GG"]
+    deviation = 1e3 * np.sqrt(np.trace(np.asarray(spread.position), axis1=-2, axis2=-1))
+    assert 0.05 < deviation[0] < 5
+    assert spread.first_order.tolist() == [True, False]
+    assert np.isnan(np.asarray(spread.matrix[1])).all()
+    assert not rf.excitation(found, poses, dt=steps, scales=1).named[1]

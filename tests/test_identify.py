@@ -65,9 +65,12 @@ def test_the_twelve_constraints_are_identified_with_errors_proportional_to_noise
     assert np.all(tied == (4 if entry.linear_type is None else 1))
 
 
-@pytest.mark.parametrize("label", "ABCDHKL")
-def test_the_papers_generator_in_the_left_discretization_has_no_plateau(label):
-    poses, truth = windows(label, exact=False, excitation="paper")
+@pytest.mark.parametrize(
+    ("label", "excitation"),
+    [*((label, "paper") for label in "ABCDHKL"), *((label, "exciting") for label in "ABCDEFGHIJKL")],
+)
+def test_the_papers_generator_in_the_left_discretization_has_no_plateau(label, excitation):
+    poses, truth = windows(label, exact=False, excitation=excitation)
     found = rf.identify(poses, dt=0.1, **PAPER)
     errors = metrics.geometry_errors(found, truth)
     assert np.all(metrics.types_correct(found, truth))
@@ -79,6 +82,30 @@ def test_the_papers_generator_in_the_left_discretization_has_no_plateau(label):
             assert abs(slope(np.asarray(error)) - 1) <= 0.1
         else:
             assert np.all(np.isnan(error))
+
+
+@pytest.mark.parametrize("label", "BHKL")
+def test_thresholds_keep_the_best_type_and_describe_the_free_axes(label):
+    """In the first second, some free axes stay below a threshold of 0.3 rad/s."""
+    short = synthetic.simulate(label, jax.random.key(0), duration=5.0, dt=0.02, excitation="exciting")
+    poses = np.stack([short.exact_poses[k : k + 51] for k in range(0, 200, 10)])
+    options = PAPER | {"thresholds": rf.Thresholds(angular=0.3)}
+    found = jax.device_get(rf.identify(poses, dt=0.02, **options))
+    assert np.array_equal(found.linear.type_code, np.argmin(found.linear.norms, axis=-1))
+    assert np.array_equal(found.angular.type_code, np.argmin(found.angular.norms, axis=-1))
+    turns, shifts = found.angular.dof.sum(axis=-1), found.linear.dof.sum(axis=-1)
+    for k, name in enumerate(found.name):
+        assert (name == "Unconstrained") == (turns[k] == shifts[k] == 3)
+        if name.startswith("Unnamed"):
+            assert name.endswith(str(found[k].linear.frame_type))
+            assert f"{turns[k]} rotation" in name
+            assert f"{shifts[k]} translation" in name
+    # amplitudes are those of the whole recording, in metres: a slide of 0.15 m/s at 1 rad/s
+    if label == "B":
+        assert np.all(found.linear.amplitude[:, 2] > 0.01)
+    if label in "HKL":
+        assert any(turns == 2)
+        assert all(name.startswith("Unnamed") for name in found.name[turns == 2])
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])

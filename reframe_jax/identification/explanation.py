@@ -103,7 +103,7 @@ class Finding:
 
     Attributes:
         name: name of the constraint.
-        probability: probability of the name.
+        probability: probability of the name; NaN with thresholds.
         named: whether the catalogue contains the name.
         angular_type, linear_type: types of the frames.
         angular_dof, linear_dof: (3,) 1 for free axes, 0 for constrained axes.
@@ -148,7 +148,8 @@ def explain_finding(finding: Finding, spread: Spread | None, tested: Tested | No
     """
     freedom = finding.name.removeprefix("Unnamed: ")
     like = _LIKE.get(finding.name, f"This combination of free axes has no common name: {freedom}")
-    lines = [f"{like} (probability {_probability(finding.probability)})."]
+    known = "" if np.isnan(finding.probability) else f" (probability {_probability(finding.probability)})"
+    lines = [f"{like}{known}."]
     where = [line for line in (_where(finding, spread), _direction(finding, spread)) if line]
     if spread is not None and where and not bool(spread.first_order):
         where[-1] += " The noise is high; the true error may exceed this interval."

@@ -18,7 +18,8 @@ from reframe_jax.objectives.moments import covariance_at
 from reframe_jax.objectives.norms import log_power_mean
 
 Array = jax.Array
-_LINEAR = np.array([KINDS.index(t.name) for t in LinearType])
+LINEAR_KINDS = np.array([KINDS.index(t.name) for t in LinearType])
+"""(4,) codes in ``KINDS`` of the path of an origin, by ``LinearType``."""
 TURN_KINDS = np.array([KINDS.index("turn in ground"), KINDS.index("turn in body")])
 """(2,) codes in ``KINDS`` of rotations about axes fixed in the ground and in the body, by ``AngularType``."""
 
@@ -70,7 +71,7 @@ def types_over_scales(solved: Solved, live: Moments, step: Array) -> Types:
     angular, linear = solved.angular_axes, solved.linear_axes
     dtype = live.products.dtype
     points = jnp.concatenate([jnp.ones((4, 1), dtype), solved.origins], axis=1)
-    rows = jnp.einsum("tiaf,ta->tif", jnp.asarray(ROWS[_LINEAR], dtype), points)
+    rows = jnp.einsum("tiaf,ta->tif", jnp.asarray(ROWS[LINEAR_KINDS], dtype), points)
     of_linear = jnp.einsum("tai,taf->tif", linear, rows)
     of_angular = jnp.einsum("tai,taf->tif", angular, jnp.asarray(ROWS[TURN_KINDS][:, :, 0], dtype))
     speeds = jax.vmap(partial(rms_velocities, live=live, step=step))

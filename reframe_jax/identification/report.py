@@ -20,6 +20,7 @@ from reframe_jax.identification.classify import Thresholds, free_rotations
 from reframe_jax.identification.frames import AllCandidates, AngularFrame, Candidates, LinearFrame, PoseNoise
 from reframe_jax.identification.naming import SAME_IN_ALL_TYPES
 from reframe_jax.identification.optima import (
+    LINEAR_KINDS,
     TURN_KINDS,
     Types,
     rms_velocities,
@@ -52,6 +53,7 @@ _AT_BOUND = 0.999  # smallest coordinate of an origin on the boundary, as a frac
 
 _FREE = np.array([entry.dof for entry in ENTRIES], np.int32)
 _ANY_ORIGIN = np.array([[c in entry.any_origin for c in range(3)] for entry in ENTRIES])
+_NORMAL = np.array([entry.start == "normal" for entry in ENTRIES])
 _CROSSED = TABLE.crossed
 _IN_GROUND = TABLE.ground[:, 0] & ~_CROSSED & (_FREE[:, 0] % 3 > 0)  # all or no rotations: in either body
 
@@ -82,6 +84,25 @@ def _block_rows(axes: Array, weights: Array, together: Array, free: Array, total
     return _Rows(
         axes.at[:, 1].set(jnp.cross(axes[:, 2], axes[:, 0])), weights, square, free.astype(jnp.int32)
     )
+
+
+def _rows_along(axes: Array, rows: Array, dof: Array, total: Array) -> _Rows:
+    """Coordinates along given axes; ``rows`` (3, 27) are the weights along the axes of the body."""
+    weights = axes.T @ rows
+    return _Rows(axes, weights, jnp.einsum("if,fg,ig->i", weights, total, weights), dof)
+
+
+def _directions_of_types(types: Types, kind: Array, normal: Array) -> Array:
+    """Columns (3, 3) of an entry's frame, in the body of the origin, from the best frames of the types.
+
+    The frame needs to be right only in the columns along which every origin of the type ``kind`` is valid.
+    The axis is the normal of a surface if ``normal``, otherwise the axis of the largest rotation.
+    """
+    own = types.linear_axes[kind]
+    axis = jnp.where(normal, own[:, 0], types.angular_axes[jnp.asarray(POSITION_BODIES)[kind], :, 2])
+    first = own[:, 0] - axis * (axis @ own[:, 0])
+    first = first / (jnp.linalg.norm(first) + jnp.finfo(first.dtype).tiny)
+    return jax.lax.stop_gradient(jnp.stack([first, jnp.cross(axis, first), axis], axis=1))
 
 
 def _eigenvectors(covariance: Array, together: Array) -> Array:
@@ -167,8 +188,7 @@ def _report_window(
     else:
         winner = winner_by_thresholds(types, solved, thresholds)
     code, parameters = winner.code, winner.parameters
-    known = jnp.maximum(code, 0)
-    kind = jnp.asarray(KIND_OF_ENTRY)[known]
+    known, kind = jnp.maximum(code, 0), winner.kind
     bodies = jnp.stack([ground_axes(parameters, mean), parameters.axes])  # by AngularType
     entry = entries_at(known)
     weights = coordinates(parameters._replace(pitch=jnp.zeros_like(parameters.pitch)), mean, entry)
@@ -195,6 +215,9 @@ def _report_window(
     angular_rms, linear_rms = jax.vmap(speeds)(angular_all.weights), speeds(linear.weights)
     any_origin = jnp.asarray(_ANY_ORIGIN)[known]
     directions = bodies[jnp.asarray(POSITION_BODIES)[kind]]
+    if thresholds is not None:
+        any_origin = any_origin & (code >= 0)
+        directions = _directions_of_types(types, kind, jnp.asarray(_NORMAL)[known])
     free_position = (directions * any_origin) @ directions.T
     at_bound = jnp.any(jnp.abs(parameters.origin) > _AT_BOUND * window.box) & ~jnp.all(any_origin)
     position = parameters.origin - free_position @ parameters.origin
@@ -203,18 +226,20 @@ def _report_window(
     tied = _tied_types(winner, kind, thresholds, types, velocities)
     if thresholds is not None or single_steps:
         # as in the paper, the reported frame is the best frame of its type
-        angular_all = angular_all._replace(axes=types.angular_axes)
-        angular_rms = types.angular_rms
-        linear = linear._replace(axes=types.linear_axes[kind])
-        linear_rms = types.linear_rms[kind]
         if thresholds is None:
             angular_dof_all = _last_free(jnp.sum(angular_all.dof[0]), 2)
             linear_dof_all = _last_free(jnp.sum(linear.dof), 4)
         else:
             angular_dof_all, linear_dof_all = dof_by_thresholds(types, thresholds)
             angular_type = jnp.argmin(types.angular_norm).astype(jnp.int32)
-        angular_all = angular_all._replace(dof=angular_dof_all)
-        linear = linear._replace(dof=linear_dof_all[kind])
+        every_scale = jnp.einsum("s,sfg->fg", window.moments.scale_weight, window.moments.products)
+        rows_along = partial(_rows_along, total=every_scale)
+        rows = jnp.asarray(ROWS, total.dtype)
+        angular_all = jax.vmap(rows_along)(types.angular_axes, rows[TURN_KINDS, :, 0], angular_dof_all)
+        point = jnp.concatenate([jnp.ones_like(position[:1]), parameters.origin])
+        of_point = jnp.einsum("iaf,a->if", rows[LINEAR_KINDS][kind], point)
+        linear = rows_along(types.linear_axes[kind], of_point, linear_dof_all[kind])
+        angular_rms, linear_rms = types.angular_rms, types.linear_rms[kind]
     else:
         linear_dof_all = _last_free(jnp.sum(linear.dof), 4)
     a = angular_type
@@ -227,7 +252,7 @@ def _report_window(
     rotvecs = jax.vmap(_rotvec)(jnp.concatenate([angular_all.axes, linear_axes_all]), every_dof)
     angular_rotvecs, linear_rotvecs = rotvecs[:2], rotvecs[2:]
     r = jnp.sum(angular_all.dof[a])
-    crossed = entry.crossed & (code >= 0)
+    crossed = entry.crossed & (thresholds is None)
     found = Identification(
         angular=AngularFrame(
             type_code=a,

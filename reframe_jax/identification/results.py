@@ -54,7 +54,7 @@ class Identification:
         pitch: (...) m/rad, translation of a screw joint along its axis per radian of rotation, positive for a
             right-handed thread. Multiply by 2 pi for the lead in m per turn. NaN for other constraints.
         universal_axes: (..., 2, 3) unit vectors of a universal joint: its axis in {g} and its axis in {b}.
-            NaN for other constraints.
+            NaN for other constraints, and with thresholds.
         noise: estimated white noise of the poses.
         scale: (...) int, smallest time scale that is used, in samples; 1 for single steps.
         counted: (..., K+1) bool, poses that were used; False for outliers.

@@ -25,12 +25,14 @@ class Winner(NamedTuple):
 
     Attributes:
         code: () code of the entry, or ``NO_ENTRY``.
+        kind: () ``LinearType`` of the frame.
         name_probability: () probability of its name; NaN with thresholds.
         parameters: fitted parameters of the entry, differentiable with respect to the moments.
         probability: (E,) probability of every entry.
     """
 
     code: Array
+    kind: Array
     name_probability: Array
     parameters: Parameters
     probability: Array
@@ -57,7 +59,7 @@ def winner_of_window(solved: Solved, live: Data) -> Winner:
     fitted = jax.tree.map(lambda leaf: leaf[slot], solved.parameters)
     entry = entries_at(code)
     parameters = settle(fitted, live, entry, solved.tilt_scale, entry.tied)
-    return Winner(code, jnp.max(of_name), parameters, probability)
+    return Winner(code, jnp.asarray(KIND_OF_ENTRY)[code], jnp.max(of_name), parameters, probability)
 
 
 def dof_by_thresholds(types: Types, thresholds: Thresholds) -> tuple[Array, Array]:
@@ -80,9 +82,7 @@ def winner_by_thresholds(types: Types, solved: Solved, thresholds: Thresholds) -
     cosine = jnp.abs(first @ second)
     relation = jnp.where(cosine > PARALLEL_COSINE, 0, jnp.where(cosine < SQUARE_COSINE, 1, 2))
     code = jnp.asarray(CLASS_CODES)[linear_type, r, t, relation]
-    # without an entry, the frame is that of an unconstrained body of the type
-    place = jnp.where(code >= 0, code, jnp.asarray(CLASS_CODES)[linear_type, 3, 3, 0])
-    parameters = jax.tree.map(lambda leaf: leaf[place], solved.starts)
+    parameters = jax.tree.map(lambda leaf: leaf[jnp.maximum(code, 0)], solved.starts)
     parameters = parameters._replace(origin=solved.origins[linear_type])
-    probability = jnp.full(len(ENTRIES), jnp.nan, types.linear_norm.dtype)
-    return Winner(place, jnp.asarray(jnp.nan, probability.dtype), parameters, probability)
+    unknown = jnp.full(len(ENTRIES), jnp.nan, types.linear_norm.dtype)
+    return Winner(code, linear_type, unknown[0], parameters, unknown)

@@ -151,7 +151,8 @@ def covariance(
             (the grouped jackknife).
 
     Returns:
-        The covariance, with the leading axes of ``found``.
+        The covariance, with the leading axes of ``found``. It is NaN for failed windows, and for free axes
+        that no entry of the table has, which only thresholds report.
 
     Raises:
         ValueError: if the poses differ from the poses of ``found``, or if options cannot be combined.

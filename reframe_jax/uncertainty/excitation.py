@@ -119,7 +119,7 @@ def _window_excitations(window: Prepared, windows: Windows, *, scales: tuple[int
     coupled = entry.pitch[:, None] & (jnp.arange(6) == 5)
     free = ~jnp.asarray(entry.held) | coupled
     motions, steady = jax.vmap(_independent_motions)(gram, mean, noise, free)
-    failed = window.status >= 10
+    failed = (window.status >= 10) | (found.code < 0)
     number = jnp.sum(found.angular_dof, axis=1) + jnp.sum(found.linear_dof, axis=1)
     return Excitation(
         free=jnp.where(failed, 0, number),

@@ -19,7 +19,7 @@ from reframe_jax.identification.results import Identification
 from reframe_jax.model.fit import Data, Parameters, fit_entry, ground_axes, move
 from reframe_jax.model.moments import Moments, scale_moments
 from reframe_jax.model.solve import choose_scales
-from reframe_jax.model.table import Table, entries_at
+from reframe_jax.model.table import PATHS, Table, entries_at
 
 Array = jax.Array
 
@@ -31,6 +31,7 @@ LENGTHS = np.array([1, *(1 / parts for _, parts in _SPANS)])
 BLOCKS = 6
 """Number of blocks, of which each fit leaves out one."""
 _PRIOR_ANGLE, _PRIOR_PITCH = 1.0, 1.0  # rad and m/rad, prior standard deviations
+_IN_GROUND = np.array([path in ("GG", "BG") for path in PATHS])  # origins of entries, by ``Table.path``
 
 
 class Estimate(NamedTuple):
@@ -127,6 +128,9 @@ def prepare(
     weight = window.counted.astype(window.poses.dtype)[:, :, None, None]
     u, _, v = jnp.linalg.svd(jnp.sum(weight * window.poses[:, :, :3, :3], axis=1))
     mean = (u * jnp.where(jnp.arange(3) == 2, jnp.linalg.det(u @ v)[:, None], 1)[:, None]) @ v
+    # with thresholds, free axes may have no entry in the table
+    known = found.code[:, None] >= 0
+    found = found._replace(position=jnp.where(known, found.position, jnp.nan))
     entry = jax.vmap(entries_at)(jnp.maximum(found.code, 0))
     start = jax.vmap(_start)(found, window.centre, mean, entry)
     return window, Windows(window.box, used, mean, entry, start, found)
@@ -236,6 +240,7 @@ def _start(found: Estimate, centre: Array, mean: Array, entry: Table) -> Paramet
     lean = jnp.where(entry.crossed, jnp.arctan2(first @ ground, axes[:, 2] @ ground), 0)
     in_ground = jnp.asarray(POSITION_BODIES)[found.linear_type] == int(AngularType.G)
     origin = found.position - jnp.where(in_ground, centre, 0)
+    origin = _in_other_body(origin, mean, in_ground, jnp.asarray(_IN_GROUND)[entry.path])
     return Parameters(axes, origin, jnp.stack([0 * lean, lean]), jnp.where(entry.pitch, found.pitch, 0))
 
 
@@ -250,7 +255,15 @@ def _frames(parameters: Parameters, mean: Array, found: Estimate, entry: Table) 
     universal = jnp.stack([odd, second, jnp.cross(odd, second)], axis=1)
     angular = jnp.where(entry.crossed, universal, bodies[found.angular_type])
     linear = bodies[jnp.asarray(ORIENTATION_BODIES)[found.linear_type]]
-    return jnp.stack([angular, linear]), parameters.origin
+    in_ground = jnp.asarray(POSITION_BODIES)[found.linear_type] == int(AngularType.G)
+    origin = _in_other_body(parameters.origin, mean, jnp.asarray(_IN_GROUND)[entry.path], in_ground)
+    return jnp.stack([angular, linear]), origin
+
+
+def _in_other_body(origin: Array, mean: Array, in_ground: Array, to_ground: Array) -> Array:
+    """Express an origin (3,) in the ground or the body, at the mean pose; only joints have it in both."""
+    moved = jnp.where(to_ground, mean @ origin, mean.T @ origin)
+    return jnp.where(in_ground == to_ground, origin, moved)
 
 
 def _distinct(axes: Array, dof: Array) -> Array:
