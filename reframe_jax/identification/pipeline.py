@@ -47,7 +47,8 @@ def identify_windows(
         assume: codes of the entries to fit; None for the most probable entries.
     """
     window = prepare_windows(poses, steps, count, bounds, scales)
-    fixed: Prepared = jax.lax.stop_gradient(window)
+    moments = window.moments.at_scales(scales) if scales else window.moments
+    fixed: Prepared = jax.lax.stop_gradient(window._replace(moments=moments))
     used = choose_scales(fixed.moments, fixed.noise, scales)
     paper = None
     if exponent != 0 or solver is not None or discretization != "chord":
@@ -55,7 +56,7 @@ def identify_windows(
     solved = solve_windows(
         fixed.features, fixed.moments, used, fixed.noise, fixed.box, paper, assume, thresholds is None
     )
-    live = window.moments._replace(details=used.details)
+    live = moments._replace(details=used.details)
     steps_only = scales == (1,)
     assumed = assume is not None
     return report_windows(window, live, solved, thresholds, exponent, discretization, steps_only, assumed)

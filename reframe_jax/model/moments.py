@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 _PART = 4  # two neighbouring blocks, or a block of the smooth part, take less than 1 / _PART of a window
 _FEWEST = 4  # smallest number of details of a scale
@@ -29,6 +30,12 @@ class Moments(NamedTuple):
     products: jax.Array
     details: jax.Array
     width: jax.Array
+
+    def at_scales(self, scales: tuple[int, ...]) -> "Moments":
+        """Select block widths in samples, and the smooth part, which stays the last."""
+        last = self.width.shape[-1] - 1
+        index = [i for i in range(last) if 2**i in scales]
+        return Moments(*(leaf[:, np.array([*index, last])] for leaf in self))
 
     @property
     def scale_weight(self) -> jax.Array:
