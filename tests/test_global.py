@@ -48,7 +48,7 @@ def search(solver, objective, box=CUBE, seed=0):
 
 
 def test_the_searches_reach_the_best_of_64_long_searches(windows, problems):
-    """That of ``identify`` and, of the paper's discretization, that of ``default_solver``."""
+    """That of ``identify`` and that of ``default_solver``."""
     long = rf.BasinHopping(rf.ValleySteps(40), restarts=64, hops=0, refine=rf.ValleySteps(40))
     best = search(long, PositionObjective(problems), seed=1)
     found = np.log(np.asarray(rf.identify(windows, dt=0.1, scales=1, bounds=1.0).linear.norms))

@@ -7,19 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reframe_jax.constraints.types import LinearType
-from reframe_jax.identification.paper import step_moments
-from reframe_jax.identification.preparation import Prepared
 from reframe_jax.model.moments import Moments
 from reframe_jax.model.solve import Solved
-from reframe_jax.model.table import KINDS, ROWS
-from reframe_jax.motion.kinematics import Discretization
+from reframe_jax.model.table import KINDS, LINEAR_KINDS, ROWS
 from reframe_jax.objectives.moments import covariance_at
 from reframe_jax.objectives.norms import log_power_mean
 
 Array = jax.Array
-LINEAR_KINDS = np.array([KINDS.index(t.name) for t in LinearType])
-"""(4,) codes in ``KINDS`` of the path of an origin, by ``LinearType``."""
 TURN_KINDS = np.array([KINDS.index("turn in ground"), KINDS.index("turn in body")])
 """(2,) codes in ``KINDS`` of rotations about axes fixed in the ground and in the body, by ``AngularType``."""
 
@@ -81,21 +75,18 @@ def types_over_scales(solved: Solved, live: Moments, step: Array) -> Types:
     return Types(angular, linear, speeds(of_angular), speeds(of_linear), norm(value), norm(solved.norm))
 
 
-def types_of_steps(
-    window: Prepared, solved: Solved, exponent: float, discretization: Discretization
-) -> Types:
+def types_of_steps(moments: tuple[Array, Array], solved: Solved, exponent: float) -> Types:
     """Compute the best frames of N windows by the paper's norm of the velocities of single steps.
 
     Args:
-        window: N prepared windows.
+        moments: moments of angular and of linear velocities, see :func:`.step_moments`.
         solved: result of the model; only its origins are used.
         exponent: exponent of the power mean over the axes.
-        discretization: method to compute a velocity from two poses.
 
     Returns:
         The frames, with a leading axis (N,).
     """
-    angular, linear = step_moments(window.poses, window.steps, discretization)
+    angular, linear = moments
     zero = jnp.zeros_like(angular[0, 0])
     x = jnp.moveaxis(solved.origins, -1, 0)
 

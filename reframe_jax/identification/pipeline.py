@@ -6,7 +6,7 @@ poses -> features, moments (:mod:`reframe_jax.model`) -> the most probable entry
 import jax
 
 from reframe_jax.identification.classify import Thresholds
-from reframe_jax.identification.paper import paper_origins
+from reframe_jax.identification.paper import paper_origins, step_moments
 from reframe_jax.identification.preparation import Prepared, prepare_windows
 from reframe_jax.identification.report import report_windows
 from reframe_jax.identification.results import Identification
@@ -50,13 +50,16 @@ def identify_windows(
     moments = window.moments.at_scales(scales) if scales else window.moments
     fixed: Prepared = jax.lax.stop_gradient(window._replace(moments=moments))
     used = choose_scales(fixed.moments, fixed.noise, scales)
-    paper = None
-    if exponent != 0 or solver is not None or discretization != "chord":
-        paper = paper_origins(fixed, exponent, discretization, solver, key)
+    steps_only = scales == (1,)
+    of_steps = origins = None
+    if steps_only or exponent != 0 or solver is not None or discretization != "chord":
+        of_steps = step_moments(window.poses, window.steps, discretization)
+        origins = paper_origins(fixed, jax.lax.stop_gradient(of_steps[1]), exponent, solver, key)
     solved = solve_windows(
-        fixed.features, fixed.moments, used, fixed.noise, fixed.box, paper, assume, thresholds is None
+        fixed.features, fixed.moments, used, fixed.noise, fixed.box, origins, assume, thresholds is None
     )
     live = moments._replace(details=used.details)
-    steps_only = scales == (1,)
     assumed = assume is not None
-    return report_windows(window, live, solved, thresholds, exponent, discretization, steps_only, assumed)
+    return report_windows(
+        window, live, solved, thresholds, exponent, of_steps if steps_only else None, assumed
+    )

@@ -20,7 +20,6 @@ from reframe_jax.identification.classify import Thresholds, free_rotations
 from reframe_jax.identification.frames import AllCandidates, AngularFrame, Candidates, LinearFrame, PoseNoise
 from reframe_jax.identification.naming import SAME_IN_ALL_TYPES
 from reframe_jax.identification.optima import (
-    LINEAR_KINDS,
     TURN_KINDS,
     Types,
     rms_velocities,
@@ -41,9 +40,8 @@ from reframe_jax.model import features as z
 from reframe_jax.model.fit import Data, coordinates, ground_axes
 from reframe_jax.model.moments import Moments
 from reframe_jax.model.solve import Solved
-from reframe_jax.model.table import ENTRIES, ROWS, TABLE, entries_at
+from reframe_jax.model.table import ENTRIES, LINEAR_KINDS, ROWS, TABLE, entries_at
 from reframe_jax.motion.checks import Status
-from reframe_jax.motion.kinematics import Discretization
 
 Array = jax.Array
 
@@ -100,9 +98,9 @@ def _directions_of_types(types: Types, kind: Array, normal: Array) -> Array:
     """
     own = types.linear_axes[kind]
     axis = jnp.where(normal, own[:, 0], types.angular_axes[jnp.asarray(POSITION_BODIES)[kind], :, 2])
-    first = own[:, 0] - axis * (axis @ own[:, 0])
-    first = first / (jnp.linalg.norm(first) + jnp.finfo(first.dtype).tiny)
-    return jax.lax.stop_gradient(jnp.stack([first, jnp.cross(axis, first), axis], axis=1))
+    second = own[:, 2] - axis * (axis @ own[:, 2])  # of slots, the free direction
+    second = second / (jnp.linalg.norm(second) + jnp.finfo(second.dtype).tiny)
+    return jax.lax.stop_gradient(jnp.stack([jnp.cross(second, axis), second, axis], axis=1))
 
 
 def _eigenvectors(covariance: Array, together: Array) -> Array:
@@ -139,8 +137,7 @@ def report_windows(
     solved: Solved,
     thresholds: Thresholds | None,
     exponent: float,
-    discretization: Discretization,
-    single_steps: bool,
+    of_steps: tuple[Array, Array] | None,
     assumed: bool,
 ) -> Identification:
     """Build the identification of N windows.
@@ -151,14 +148,14 @@ def report_windows(
         solved: result of the model, without derivatives.
         thresholds: RMS velocities above which an axis is free; None if probabilities decide.
         exponent: exponent of the power mean over the axes, for the norms.
-        discretization: method to compute a velocity from two poses.
-        single_steps: whether RMS velocities are those of single steps.
+        of_steps: moments of the velocities of single steps, if RMS velocities are those of single steps.
         assumed: whether the caller assumes a constraint.
     """
     window = window._replace(steps=jnp.broadcast_to(window.steps, (len(window.poses), window.steps.shape[1])))
     step = jnp.mean(window.steps, axis=1)
-    if single_steps:
-        types = types_of_steps(window, solved, exponent, discretization)
+    single_steps = of_steps is not None
+    if of_steps is not None:
+        types = types_of_steps(of_steps, solved, exponent)
     else:
         types = jax.vmap(types_over_scales)(solved, live, step)
     of_window = partial(_report_window, thresholds=thresholds, single_steps=single_steps, assumed=assumed)

@@ -24,11 +24,10 @@ from reframe_jax.model.rows import EntryMoments, Forms, crossed_frame, entry_mom
 from reframe_jax.model.search import lowest_origins, norm_at, polynomials, unexplained_covariance
 from reframe_jax.model.starts import Axes, common_frames, entry_starts, universal_axes
 from reframe_jax.model.steps import Unknowns, descend
-from reframe_jax.model.table import ENTRIES, KINDS, ROWS, TABLE, Table, entries_at
+from reframe_jax.model.table import ENTRIES, LINEAR_KINDS, ROWS, TABLE, Table, entries_at
 
 Array = jax.Array
 CANDIDATES = 8  # entries that are fitted: with poor starting parameters, the right one may rank only seventh
-_LINEAR = np.array([KINDS.index(t.name) for t in LinearType])
 
 
 class Solved(NamedTuple):
@@ -111,9 +110,9 @@ def solve_windows(
             the linear types are computed.
     """
     products = jnp.moveaxis(used.products, (0, 1), (3, 2))
-    coefficients = polynomials(products, ROWS[_LINEAR])
+    coefficients = polynomials(products, ROWS[LINEAR_KINDS])
     if origins is None:
-        unexplained = unexplained_covariance(total(products * used.scale_weight.T, 2), ROWS[_LINEAR])
+        unexplained = unexplained_covariance(total(products * used.scale_weight.T, 2), ROWS[LINEAR_KINDS])
         place, norm = lowest_origins(coefficients, used.details.T, box, unexplained)
     else:
         place = jnp.moveaxis(origins, (0, 1), (2, 1))

@@ -26,6 +26,9 @@ body."""
 PATHS = ("BB", "GB", "GG", "BG", "position")
 """Kinds of translations."""
 
+LINEAR_KINDS = np.array([KINDS.index(t.name) for t in LinearType])
+"""(4,) codes in ``KINDS`` of the path of an origin, by ``LinearType``."""
+
 _GROUND = {"GB", "GG", "turn in ground", "position", "angle between"}  # directions are fixed in the ground
 
 
