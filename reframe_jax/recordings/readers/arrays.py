@@ -61,17 +61,15 @@ def _rows(path: Path, arrays: dict[str, np.ndarray], others: list[str]) -> Rows:
 def _since_first(times: np.ndarray) -> tuple[np.ndarray, str | None]:
     """Convert times (N,) to floats; late times count from the first one, which is the second result.
 
-    The subtraction is before the rounding; integers do not overflow.
+    The subtraction is before the rounding, of Python's integers, which do not overflow.
     """
     seconds = times.astype(float)
     finite = np.flatnonzero(np.isfinite(seconds))
     if not len(finite) or abs(seconds[finite[0]]) < EPOCH:
         return seconds, None
     first = times[finite[0]]
-    if times.dtype.kind == "f":
-        return (times - first).astype(float), str(first)
-    whole, zero = times.astype(np.uint64), first.astype(np.uint64)  # the difference is exact modulo 2^64
-    return np.where(times < first, -(zero - whole).astype(float), (whole - zero).astype(float)), str(first)
+    exact = times.astype(object) - int(first) if times.dtype.kind in "iu" else times - first
+    return exact.astype(float), str(first)
 
 
 ARRAYS = Reader(

@@ -9,8 +9,7 @@ import importlib
 import io
 import os
 from array import array
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -92,11 +91,12 @@ class _Samples:
         return rows
 
 
+@dataclass(frozen=True)
 class _Bag:
     """An open bag: its connections with known types, and their decoded messages."""
 
-    def __init__(self, reader: Any, decode: Callable[[bytes, str], Any]) -> None:
-        self._reader, self._decode = reader, decode
+    _reader: Any
+    _decode: Callable[[bytes, str], Any]
 
     def connections(self, types: tuple[str, ...]) -> list[Any]:
         """Return the connections with these types that contain messages."""
@@ -215,63 +215,18 @@ def _read_topic(path: Path, bag: _Bag, wanted: Selection) -> Rows:
 
 
 def _read_chain(path: Path, bag: _Bag, ground: str, body: str) -> Rows:
-    """Read the poses of a tf frame in another, in two passes, so that only edges of the chain are kept."""
-    chain = _find_chain(path, _edges(bag), _plain(ground), _plain(body))
-    samples = {(edge.parent, edge.child): (edge.static, _Samples()) for edge, _ in chain}
-    for pair, is_static, logged, each in bag.transforms():
-        static, kept = samples.get(pair, (None, None))
-        if kept is not None and static == is_static:
-            kept.add(path, each.header, logged, each)
-    rows = {pair: kept.rows(path, static) for pair, (static, kept) in samples.items()}
-    return _chain_rows(path, [(edge, along, rows[edge.parent, edge.child]) for edge, along in chain])
-
-
-def _edges(bag: _Bag) -> list[_Edge]:
-    """One edge for every parent and child frame that a transform connects, with its number of transforms.
-
-    An edge is static only if all its transforms are static; otherwise the static ones do not count.
-    """
-    counts: dict[tuple[str, str], list[int]] = {}
-    for pair, static, _, _ in bag.transforms():
-        counts.setdefault(pair, [0, 0])[static] += 1
-    return [
-        _Edge(*pair, static=not moving, count=moving or still) for pair, (moving, still) in counts.items()
-    ]
-
-
-def _find_chain(path: Path, edges: list[_Edge], ground: str, body: str) -> list[tuple[_Edge, bool]]:
-    """Return the edges from one frame to another, each with whether it leads from parent to child."""
-    near: dict[str, list[tuple[str, _Edge, bool]]] = {}
-    for edge in edges:
-        near.setdefault(edge.parent, []).append((edge.child, edge, True))
-        near.setdefault(edge.child, []).append((edge.parent, edge, False))
-    frames = f"frames: {listed(sorted(near))}"
-    for frame in (ground, body):
-        if frame not in near:
-            raise RecordingError(f"{path}: has no tf frame {shown(frame, 60)!r}; {frames}.")
-    if ground == body:
-        raise RecordingError(f"{path}: expected two frames, found {shown(ground, 60)!r} twice.")
-    waiting: deque[tuple[str, list[tuple[_Edge, bool]]]] = deque([(ground, [])])
-    seen = {ground}
-    while waiting:
-        frame, found = waiting.popleft()
-        if frame == body:
-            return found
-        for other, edge, along in near[frame]:
-            if other not in seen:
-                seen.add(other)
-                waiting.append((other, [*found, (edge, along)]))
-    raise RecordingError(
-        f"{path}: no transforms connect {shown(ground, 60)} with {shown(body, 60)}; {frames}."
-    )
-
-
-def _chain_rows(path: Path, chain: Sequence[tuple[_Edge, bool, Rows]]) -> Rows:
-    """Compute the poses along edges from the ground to the body, given with whether they lead to the child.
+    """Read the poses of a tf frame in another, in two passes, so that only edges of the chain are kept.
 
     If several edges move, the edge with the fewest stamps gives the times, and the other edges are
     interpolated, or left out where they are unknown. For a static edge, the last transform counts.
     """
+    edges = _find_chain(path, _edges(bag), _plain(ground), _plain(body))
+    samples = {(edge.parent, edge.child, edge.static): _Samples() for edge, _ in edges}
+    for pair, static, logged, each in bag.transforms():
+        if (*pair, static) in samples:
+            samples[*pair, static].add(path, each.header, logged, each)
+    every = [kept.rows(path, static) for (*_, static), kept in samples.items()]
+    chain = [(*edge, rows) for edge, rows in zip(edges, every, strict=True)]
     for edge, _, rows in chain:
         _clean(path, edge, rows)
     moving = [rows for edge, _, rows in chain if not edge.static]
@@ -300,6 +255,45 @@ def _chain_rows(path: Path, chain: Sequence[tuple[_Edge, bool, Rows]]) -> Rows:
     return joined
 
 
+def _edges(bag: _Bag) -> list[_Edge]:
+    """One edge for every parent and child frame that a transform connects, with its number of transforms.
+
+    An edge is static only if all its transforms are static; otherwise the static ones do not count.
+    """
+    counts: dict[tuple[str, str], list[int]] = {}
+    for pair, static, _, _ in bag.transforms():
+        counts.setdefault(pair, [0, 0])[static] += 1
+    return [
+        _Edge(*pair, static=not moving, count=moving or still) for pair, (moving, still) in counts.items()
+    ]
+
+
+def _find_chain(path: Path, edges: list[_Edge], ground: str, body: str) -> list[tuple[_Edge, bool]]:
+    """Return the edges from one frame to another, each with whether it leads from parent to child."""
+    near: dict[str, list[tuple[str, _Edge, bool]]] = {}
+    for edge in edges:
+        near.setdefault(edge.parent, []).append((edge.child, edge, True))
+        near.setdefault(edge.child, []).append((edge.parent, edge, False))
+    frames = f"frames: {listed(sorted(near))}"
+    for frame in (ground, body):
+        if frame not in near:
+            raise RecordingError(f"{path}: has no tf frame {shown(frame, 60)!r}; {frames}.")
+    if ground == body:
+        raise RecordingError(f"{path}: expected two frames, found {shown(ground, 60)!r} twice.")
+    found: dict[str, list[tuple[_Edge, bool]]] = {ground: []}
+    waiting = [ground]
+    for frame in waiting:  # near frames first
+        for other, edge, along in near[frame]:
+            if other not in found:
+                found[other] = [*found[frame], (edge, along)]
+                waiting.append(other)
+    if body not in found:
+        raise RecordingError(
+            f"{path}: no transforms connect {shown(ground, 60)} with {shown(body, 60)}; {frames}."
+        )
+    return found[body]
+
+
 def _clean(path: Path, edge: _Edge, rows: Rows) -> None:
     """Leave out transforms that are incomplete, repeated, or written while tracking was lost."""
     what = f"transform of {shown(edge.child, 60)} in {shown(edge.parent, 60)}"
@@ -316,17 +310,6 @@ def _clean(path: Path, edge: _Edge, rows: Rows) -> None:
         raise RecordingError(f"{path}: has {len(rows.values)} usable {what}; expected {fewest} or more.")
 
 
-def _describe_frames(edges: list[_Edge]) -> list[Entry]:
-    """List the frames of a tree."""
-    children = {edge.child for edge in edges}
-    roots = dict.fromkeys(edge.parent for edge in edges if edge.parent not in children)
-    found = [Entry("from_frame", root, "tf frame without a parent") for root in roots]
-    for edge in edges:
-        kind = "static" if edge.static else f"{edge.count} transforms"
-        found.append(Entry("to_frame", edge.child, f"tf frame in {edge.parent}, {kind}"))
-    return found
-
-
 def _plain(frame: str) -> str:
     """Return the name of a frame, without the slash that tf once wrote before it."""
     return frame.removeprefix("/")
@@ -338,8 +321,15 @@ def _contents(path: Path) -> list[Entry]:
         for each in bag.connections(_TOPICS):
             key = each.topic, each.msgtype.replace("/msg/", "/")
             counts[key] = counts.get(key, 0) + each.msgcount
-        topics = [Entry("topic", name, f"{kind}, {count} messages") for (name, kind), count in counts.items()]
-        return topics + _describe_frames(_edges(bag))
+        found = [Entry("topic", name, f"{kind}, {count} messages") for (name, kind), count in counts.items()]
+        edges = _edges(bag)
+    children = {edge.child for edge in edges}
+    roots = dict.fromkeys(edge.parent for edge in edges if edge.parent not in children)
+    found += [Entry("from_frame", root, "tf frame without a parent") for root in roots]
+    for edge in edges:
+        kind = "static" if edge.static else f"{edge.count} transforms"
+        found.append(Entry("to_frame", edge.child, f"tf frame in {edge.parent}, {kind}"))
+    return found
 
 
 def _recognises(path: Path, head: bytes) -> bool:

@@ -5,13 +5,16 @@ any memory; the structure of a file is checked before. Lengths are in the unit o
 """
 
 import os
+import re
 import struct
 import subprocess
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
 from math import prod
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +30,7 @@ from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows, check_size, shown
 from reframe_jax.recordings.selection import Selection
 
+_PROCESS = "import sys; from reframe_jax.recordings.readers.c3d import extract; extract(*sys.argv[1:])"
 _BLOCK = 512  # bytes
 _MOST_PARAMETERS = 2 * 255 * _BLOCK  # bytes: start and length are one byte each
 _BIG_ENDIAN = 86  # processor type that wrote the file
@@ -56,16 +60,15 @@ def read_c3d(path: Path, wanted: Selection) -> Rows:
 
 
 def _open(path: Path) -> dict[str, np.ndarray]:
-    """Read the arrays that :func:`.c3d_process.extract` writes, with errors as :class:`RecordingError`."""
+    """Read the arrays that :func:`extract` writes, with errors as :class:`RecordingError`."""
     import_extra(path, "ezc3d", "c3d")
     _check_structure(path)
-    script = Path(__file__).with_name("c3d_process.py")
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     with TemporaryDirectory() as folder:
         out = Path(folder, "out.npz")
         try:
             done = subprocess.run(
-                [sys.executable, "-P", script, path.resolve(), out],
+                [sys.executable, "-P", "-c", _PROCESS, path.resolve(), out],
                 env=environment,
                 capture_output=True,
                 text=True,
@@ -76,13 +79,53 @@ def _open(path: Path) -> dict[str, np.ndarray]:
         except subprocess.TimeoutExpired as error:
             raise _damaged(path, "ezc3d does not finish reading it") from error
         if done.returncode:
-            lines = done.stderr.strip().splitlines()
-            reason = shown(lines[-1].strip()).rstrip(".") if lines else f"ezc3d ended with {done.returncode}"
-            raise _damaged(path, f"it cannot be read: {reason}")
+            lines = done.stderr.strip().splitlines() or [f"ezc3d ended with {done.returncode}"]
+            raise _damaged(path, f"it cannot be read: {shown(lines[-1].strip()).rstrip('.')}")
         with np.load(out) as arrays:
             found = dict(arrays)
     found["rotations"] = found["rotations"][: found["poses"].shape[1]]
     return found
+
+
+def extract(path: str, out: str) -> None:
+    """Read a C3D file with ezc3d, and write its arrays to an .npz; an error ends the process in one line.
+
+    The arrays are ``markers`` (M,) labels, ``points`` (N, M, 3), NaN where a marker is missing, ``rotations``
+    (R,) labels, ``poses`` (N', R, 4, 4), ``rates`` (2,) of both in Hz, and ``unit``.
+    """
+    import ezc3d
+
+    try:
+        content = ezc3d.c3d(path)
+        groups, data = content["parameters"], content["data"]
+        points = np.asarray(data["points"], float)[:3].transpose(2, 1, 0)
+        lost = (points == 0).all(axis=2) | (data["meta_points"]["residuals"][0].T < 0)
+        rotation = groups.get("ROTATION", {})
+        rate = _number(groups["POINT"], "RATE")
+        np.savez(
+            out,
+            markers=np.asarray(_labels(groups["POINT"])[: points.shape[1]], str),
+            points=np.where(lost[..., None], np.nan, points),
+            rotations=np.asarray(_labels(rotation), str),
+            poses=np.asarray(data["rotations"], float).transpose(3, 2, 0, 1),
+            rates=[rate, _number(rotation, "RATE") or rate * (_number(rotation, "RATIO") or 1)],
+            unit="".join(groups["POINT"]["UNITS"]["value"][:1]).strip(),
+        )
+    except Exception as error:
+        sys.exit(" ".join(str(error).split()) or type(error).__name__)
+
+
+def _labels(group: Mapping[str, Any]) -> list[str]:
+    """Return the labels of a group; each parameter LABELS, LABELS2, ... contains up to 255."""
+    names = sorted(
+        (name for name in group if re.fullmatch(r"LABELS\d*", name)), key=lambda name: name[6:].zfill(9)
+    )
+    return [label.strip() for name in names for label in group[name]["value"]]
+
+
+def _number(group: Mapping[str, Any], name: str) -> float:
+    values = group[name]["value"] if name in group else []
+    return float(values[0]) if len(values) else 0.0
 
 
 def _check_structure(path: Path) -> None:

@@ -75,12 +75,7 @@ def unit_of_markers(path: Path, stated: str, wanted: Selection) -> float:
 def set_marker_poses(rows: Rows, points: np.ndarray, known: list[str], wanted: Selection, unit: str) -> None:
     """Set the values of rows to the poses of a body that is fitted to its markers, with a note about the fit.
 
-    Args:
-        rows: the rows.
-        points: (N, M, 3), NaN where a marker is not seen.
-        known: labels of all markers.
-        wanted: the options, with the body and the unit.
-        unit: unit of the points in words, as in the file. The note gives the distances in mm.
+    The points (N, M, 3), NaN where a marker is not seen, have the labels ``known`` and a unit in words.
 
     Raises:
         RecordingError: if the body or the unit is unknown, or if no rigid body fits.
@@ -111,13 +106,10 @@ def set_marker_poses(rows: Rows, points: np.ndarray, known: list[str], wanted: S
 
 
 def fit_rigid_body(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Fit a rigid body to its markers in each sample (Kabsch).
+    """Fit a rigid body to its markers (N, M, 3) in each sample (Kabsch); NaN where a marker is not seen.
 
     The shape of the body is the mean over samples with all markers. The origin of the body is the centroid of
     the markers, and its axes are parallel to the ground in the first sample with all markers.
-
-    Args:
-        points: (N, M, 3), NaN where a marker is not seen.
 
     Returns:
         Poses (N, 4, 4) in the unit of the points, and RMS distances (N,) of the seen markers from the body.

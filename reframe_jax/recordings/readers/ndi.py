@@ -130,10 +130,6 @@ def _starts(names: list[str]) -> list[int]:
     return [i for i in range(len(plain)) if plain[i : i + 7] == _NUMBERS]
 
 
-def _contents(path: Path) -> list[Entry]:
-    return [Entry("body", name, "tool") for name in _read_header(path)[1]]
-
-
 def _recognises(path: Path, head: bytes) -> bool:
     known = {*_STATES, *_NAMES, *_FRAMES, "tools", "tool_count", "toolcount", "error", "markers"}
     headers = [_names(line) for line in head.decode(errors="replace").splitlines()[:20]]
@@ -146,5 +142,5 @@ NDI = Reader(
     recognises=_recognises,
     read=read_ndi,
     options=frozenset({"body", "in_body", "unit", "time_unit", "quaternion"}),
-    contents=_contents,
+    contents=lambda path: [Entry("body", name, "tool") for name in _read_header(path)[1]],
 )

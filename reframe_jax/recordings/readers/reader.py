@@ -50,18 +50,10 @@ class Reader:
 
 
 def import_extra(path: Path, module: str, extra: str) -> ModuleType:
-    """Import an optional library.
-
-    Args:
-        path: the file that needs the library, for the message.
-        module: the module to import, such as ``pyarrow.parquet``.
-        extra: the extra of this package that installs the library, for the message.
-
-    Returns:
-        The imported module.
+    """Import a module, such as ``pyarrow.parquet``, that an extra of this package installs.
 
     Raises:
-        RecordingError: if the library is not installed.
+        RecordingError: if the library is not installed; the message names the extra.
     """
     try:
         return importlib.import_module(module)
@@ -76,12 +68,7 @@ def import_extra(path: Path, module: str, extra: str) -> ModuleType:
 def translate_errors(path: Path, expected: str) -> Iterator[None]:
     """Replace exceptions of a library about the contents of a file by a RecordingError of one line.
 
-    Args:
-        path: the file.
-        expected: the expected contents, such as "a whole C3D file".
-
-    Raises:
-        RecordingError: for every exception, except errors of the disk.
+    Errors of the disk remain. ``expected`` names the contents, such as "a whole C3D file".
     """
     try:
         yield
@@ -97,14 +84,9 @@ def translate_errors(path: Path, expected: str) -> Iterator[None]:
 
 
 def choose_name(path: Path, option: str, wanted: str | None, names: Sequence[str], what: str) -> str:
-    """Return the name that the user gave, or the only name in the file.
+    """Return the name that the user gave by an option, or the only one of the names in the file.
 
-    Args:
-        path: the file.
-        option: name of the option.
-        wanted: its value.
-        names: the names in the file.
-        what: the kind of the names in the plural, such as "rigid bodies".
+    ``what`` is the kind of the names in the plural, such as "rigid bodies".
 
     Raises:
         RecordingError: if the name is unknown, or if there are several names and none was given.

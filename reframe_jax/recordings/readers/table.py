@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import chain, zip_longest
 from pathlib import Path
 
@@ -43,26 +42,18 @@ _FRAMES = r"frame(_?(number|num|no|nr|index|idx))?"
 _SINCE_1970 = 1e16  # ns; later times are stamps
 
 
-@dataclass(frozen=True)
 class _Header:
     """Names and units of the columns of a table."""
 
-    path: Path
-    titles: list[str]
-    names: list[str]
-    units: list[str]
-    body: str | None
-
-    @staticmethod
-    def of(path: Path, titles: list[str], body: str | None) -> "_Header":
-        names, units = zip(*(split_unit(title) for title in titles), strict=True)
-        plain = None if body is None else split_unit(body)[0]
-        if plain is not None and not any(plain in name for name in names):
+    def __init__(self, path: Path, titles: list[str], body: str | None) -> None:
+        self.path, self.titles = path, titles
+        self.names, self.units = ([*each] for each in zip(*map(split_unit, titles), strict=True))
+        self.body = None if body is None else split_unit(body)[0]
+        if self.body is not None and not any(self.body in name for name in self.names):
             raise RecordingError(
                 f"{path}: no column has {shown(str(body), 60)!r} in its name, {flag('body')}; columns: "
                 f"{listed(titles, 30)}."
             )
-        return _Header(path, titles, [*names], [*units], plain)
 
     def find(self, pattern: str) -> int | None:
         """Return the index of the column whose name matches a regular expression, or None.
@@ -125,10 +116,14 @@ class _Header:
 def read_table(path: Path, wanted: Selection) -> Rows:
     """Read a table whose header is the last line before the numbers; see :class:`Reader`."""
     titles, lines = _read_header(path)
-    header = _Header.of(path, titles, wanted.body)
+    header = _Header(path, titles, wanted.body)
     number, first = next(lines, (0, []))
     named = wanted.position is not None or wanted.orientation is not None
-    position, orientation = (_named_columns if named else _find_columns)(header, wanted)
+    if named:
+        chosen = find_columns(path, wanted, titles)
+        position, orientation = ([titles.index(each.name) for each in columns] for columns in chosen)
+    else:
+        position, orientation = _find_columns(header, wanted)
     time = header.clock or _find_time(header, first)
     frame = header.find(_FRAMES) if time is None else None
     if frame is not None and not "".join(first[frame : frame + 1]).isdecimal():
@@ -262,15 +257,6 @@ def _find_columns(header: _Header, wanted: Selection) -> tuple[list[int], list[i
         f"{header.path}: no column for {', '.join(missing)}; expected a header such as {HEADER}, or names of "
         f"columns, {flag('position')} and {flag('orientation')}; found {shown(','.join(header.titles))}."
     )
-
-
-def _named_columns(header: _Header, wanted: Selection) -> tuple[list[int], list[int]]:
-    """Return the columns that the user named."""
-    position, orientation = (
-        [header.titles.index(column.name) for column in columns]
-        for columns in find_columns(header.path, wanted, header.titles)
-    )
-    return position, orientation
 
 
 def _with_prefix(header: _Header) -> tuple[list[int], list[int]] | None:

@@ -55,11 +55,6 @@ def _is_tum(path: Path, head: bytes) -> bool:
     return width in _TUM and not named
 
 
-def _is_kitti(path: Path, head: bytes) -> bool:
-    width, comment = first_numbers(head)
-    return width in _KITTI and not comment[12:]
-
-
 TRAJECTORY = Reader(
     name="a TUM trajectory",
     suffixes=(".txt", ".tum", ".csv", ".tsv"),
@@ -70,7 +65,7 @@ TRAJECTORY = Reader(
 KITTI = Reader(
     name="a KITTI trajectory",
     suffixes=(".txt", ".csv", ".tsv", ".tum", ".kitti"),
-    recognises=_is_kitti,
+    recognises=lambda path, head: (start := first_numbers(head))[0] in _KITTI and not start[1][12:],
     read=read_kitti,
     options=frozenset({"unit", "time_unit"}),
 )

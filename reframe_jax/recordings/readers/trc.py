@@ -14,7 +14,7 @@ import numpy as np
 from reframe_jax.recordings.readers.collecting import collect
 from reframe_jax.recordings.readers.lines import find_delimiter, is_number, read_lines, split
 from reframe_jax.recordings.readers.markers import marker_entries, set_marker_poses
-from reframe_jax.recordings.readers.reader import Entry, Reader
+from reframe_jax.recordings.readers.reader import Reader
 from reframe_jax.recordings.recording import RecordingError
 from reframe_jax.recordings.rows import Rows
 from reframe_jax.recordings.selection import Selection
@@ -52,15 +52,11 @@ def _read_header(path: Path) -> tuple[list[str], str, Iterator[tuple[int, list[s
     return labels, "" if is_number(unit) else unit, lines  # of an empty cell, the next cell is found
 
 
-def _contents(path: Path) -> list[Entry]:
-    return marker_entries(_read_header(path)[0], "other markers")
-
-
 TRC = Reader(
     name="a TRC file of markers",
     suffixes=(".trc",),
     recognises=lambda path, head: head.startswith(b"PathFileType"),
     read=read_trc,
     options=frozenset({"body", "in_body", "unit"}),
-    contents=_contents,
+    contents=lambda path: marker_entries(_read_header(path)[0], "other markers"),
 )

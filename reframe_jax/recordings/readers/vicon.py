@@ -24,6 +24,7 @@ from reframe_jax.recordings.selection import ANGLE_UNITS, UNITS, Selection, flag
 
 _WITH_POSES = ("objects", "segments")
 _TITLES = (*_WITH_POSES, "trajectories", "devices", "joints", "model outputs", "events")
+_START = re.compile(rf"\s*({'|'.join(_TITLES)})[,;\t ]*([\r\n]|$)", re.IGNORECASE)
 _HEADING = re.compile(r"^Global Angle (\([A-Za-z ]+\) )?")  # before names: Global Angle (Quaternion) Rod:Rod
 
 _Lines = Iterator[tuple[int, list[str]]]
@@ -88,7 +89,10 @@ def _read_header(path: Path) -> tuple[float, int, dict[str, _Body], _Lines]:
             raise RecordingError(f"{path}: expected different names of all bodies, found {shown(name)!r}.")
         columns = [*range(first, first + width)]
         given = [units[i].lower() if i < len(units) else "" for i in columns]
-        radians, metres = _factor(given[:-3], ANGLE_UNITS), _factor(given[-3:], UNITS)
+        radians, metres = (
+            known.get(stated[0]) if len(set(stated)) == 1 else None
+            for stated, known in ((given[:-3], ANGLE_UNITS), (given[-3:], UNITS))
+        )
         if metres is None or (radians is None and width == 6):
             raise RecordingError(
                 f"{path}: expected the units rad or deg, and mm, cm or m, of {shown(name, 40)}; found "
@@ -99,25 +103,15 @@ def _read_header(path: Path) -> tuple[float, int, dict[str, _Body], _Lines]:
     return float(rate[0]), len(axes), bodies, rows
 
 
-def _factor(units: list[str], known: dict[str, float]) -> float | None:
-    """Return the factor of a unit, if the unit is known and equal in all columns."""
-    return known.get(units[0]) if len(set(units)) == 1 else None
-
-
 def _contents(path: Path) -> list[Entry]:
     rate, _, bodies, _ = _read_header(path)
     return [Entry("body", name, f"object or segment, {rate:g} Hz") for name in bodies]
 
 
-def _recognises(path: Path, head: bytes) -> bool:
-    first = re.split(rb"[\r\n]", head.lstrip())[0]
-    return first.rstrip(b",;\t ").decode("latin-1").lower() in _TITLES
-
-
 VICON = Reader(
     name="an export of Vicon Tracker or Nexus",
     suffixes=(".csv",),
-    recognises=_recognises,
+    recognises=lambda path, head: _START.match(head.decode("latin-1")) is not None,
     read=read_vicon,
     options=frozenset({"body", "in_body", "angles", "quaternion"}),
     contents=_contents,
