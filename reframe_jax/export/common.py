@@ -80,7 +80,11 @@ def outlier_samples(found: Identification, window: Window | None) -> list[int]:
     return [start + int(index) for index in np.flatnonzero(~np.asarray(found.counted))]
 
 
-def unused_rows(recording: Recording, found: Sequence[Identification]) -> tuple[LeftOut, ...]:
-    """Return the rows that reading left out, and the outliers if one window covers the recording."""
-    whole = len(found) == 1 and np.shape(found[0].counted) == recording.times.shape
-    return recording.unused(found[0].counted) if whole else recording.left_out
+def count_rows(recording: Recording, found: Sequence[Identification]) -> tuple[int, tuple[LeftOut, ...]]:
+    """Return the number of used rows, and the rows that were left out.
+
+    These are the rows that reading left out, and the outliers if one window covers the recording.
+    """
+    if len(found) != 1 or np.shape(found[0].counted) != recording.times.shape:
+        return len(recording.times), recording.left_out
+    return int(np.sum(found[0].counted)), recording.unused(found[0].counted)

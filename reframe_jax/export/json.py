@@ -11,12 +11,12 @@ import numpy as np
 from reframe_jax.export.common import (
     TYPES,
     Window,
+    count_rows,
     directions,
     outlier_samples,
     plain,
     split_windows,
     tied_names,
-    unused_rows,
 )
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification.naming import constraint_of, name_of
@@ -68,21 +68,18 @@ def to_record(
     each = [] if found is None else split_windows(jax.device_get(found))
     spans: Sequence[Window | None] = windows or [None] * len(each)
     records = (_window_record(*pair) for pair in zip(each, spans, strict=True))
+    rows = None
+    if recording is not None:
+        used, unused = count_rows(recording, each)
+        left_out = [{"reason": some.reason, "why": some.why, "rows": some.rows.tolist()} for some in unused]
+        rows = {"word": recording.row_word, "used": used, "left_out": left_out}
     return {
         "recording": label,
         "error": error,
         "notes": list(notes),
-        "rows": None if recording is None else _rows_record(recording, each),
+        "rows": rows,
         "windows": [{"index": index, **plain(record)} for index, record in enumerate(records)],
     }
-
-
-def _rows_record(recording: Recording, found: Sequence[Identification]) -> dict[str, Any]:
-    """The number of rows that were used, and the rows that were left out with the reasons."""
-    unused = unused_rows(recording, found)
-    outliers = sum(len(each.rows) for each in unused if each.reason == "outlier")
-    left_out = [{"reason": each.reason, "why": each.why, "rows": each.rows.tolist()} for each in unused]
-    return {"word": recording.row_word, "used": len(recording.times) - outliers, "left_out": left_out}
 
 
 def _window_record(found: Identification, span: Window | None) -> dict[str, Any]:
@@ -120,7 +117,6 @@ def _window_record(found: Identification, span: Window | None) -> dict[str, Any]
 def _alternatives(found: Identification) -> list[dict[str, Any]]:
     """The probable constraints, in order of decreasing probability."""
     probability = np.nan_to_num(np.asarray(found.entry_probability, float))
-    likely = [code for code in np.argsort(-probability).tolist() if probability[code] > _LEAST]
     return [
         {
             "name": name_of(code),
@@ -128,7 +124,8 @@ def _alternatives(found: Identification) -> list[dict[str, Any]]:
             "type": str(ENTRIES[code].kind),
             "probability": probability[code],
         }
-        for code in likely
+        for code in np.argsort(-probability).tolist()
+        if probability[code] > _LEAST
     ]
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from reframe_jax.export.common import Window
 from reframe_jax.export.json import to_record
-from reframe_jax.segmentation.results import Segment, Segmentation
+from reframe_jax.segmentation.results import Segmentation
 
 SCHEMA = "reframe-jax/segmentation/2"
 
@@ -39,25 +39,16 @@ def segments_to_record(
     record: dict[str, Any] = {"recording": label, "error": error}
     if found is None:
         return record
+    segments = []
+    for segment in found.segments:
+        start, stop = (float(found.times[i]) for i in (segment.start, segment.stop - 1))
+        window = Window(segment.start, segment.stop, start, stop)
+        named: dict[str, Any] = {"label": segment.label, "name": segment.name, "identification": None}
+        if segment.identification is not None:
+            (named["identification"],) = to_record(segment.identification, windows=[window])["windows"]
+        segments.append(asdict(window) | named)
     return record | {
         "motion_time": found.motion_time,
-        "segments": [_segment_record(segment, found) for segment in found.segments],
+        "segments": segments,
         "boundaries": [asdict(boundary) for boundary in found.boundaries],
-    }
-
-
-def _segment_record(segment: Segment, found: Segmentation) -> dict[str, Any]:
-    start, stop = (float(found.times[i]) for i in (segment.start, segment.stop - 1))
-    window = Window(segment.start, segment.stop, start, stop)
-    inner = None
-    if segment.identification is not None:
-        (inner,) = to_record(segment.identification, windows=[window])["windows"]
-    return {
-        "start": segment.start,
-        "stop": segment.stop,
-        "start_time": start,
-        "stop_time": stop,
-        "label": segment.label,
-        "name": segment.name,
-        "identification": inner,
     }

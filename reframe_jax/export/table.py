@@ -11,13 +11,13 @@ from reframe_jax.export.common import (
     TYPES,
     Window,
     align_columns,
+    count_rows,
     directions,
     format_probability,
     outlier_samples,
     split_windows,
     tied_names,
     two_digits,
-    unused_rows,
 )
 from reframe_jax.geometry.rotations import rotation_exp
 from reframe_jax.identification.results import Identification
@@ -73,12 +73,11 @@ def to_table(
 
 def rows_to_table(recording: Recording, found: Identification) -> str:
     """List the rows of a file that were left out, one line per reason; empty if all rows were used."""
-    unused = unused_rows(recording, split_windows(jax.device_get(found)))
+    used, unused = count_rows(recording, split_windows(jax.device_get(found)))
     if not unused:
         return ""
-    outliers = sum(len(each.rows) for each in unused if each.reason == "outlier")
-    every = len(recording.times) + sum(len(each.rows) for each in recording.left_out)
-    lines = [f"Rows    {len(recording.times) - outliers} of {every} used; left out:"]
+    every = used + sum(len(each.rows) for each in unused)
+    lines = [f"Rows    {used} of {every} used; left out:"]
     lines += [f"  {name_rows(recording.row_word, each.rows)}: {each.why}" for each in unused]
     return "\n".join(lines)
 
@@ -86,7 +85,8 @@ def rows_to_table(recording: Recording, found: Identification) -> str:
 def _frame_block(group: str, frame: Any) -> list[str]:
     kind = TYPES[group](int(frame.type_code))
     others = [name for name in tied_names(group, frame) if name != str(kind)]
-    ties = f"; tied with {_enumeration(others)}" if others else ""
+    ties = f"; tied with {', '.join(others)}" if others else ""
+    ties = " and ".join(ties.rsplit(", ", 1))
     if isinstance(kind, LinearType):
         axes_in, origin_in = BODY_NAMES[kind.orientation_body], BODY_NAMES[kind.position_body]
         where = "axes and origin" if axes_in == origin_in else f"axes in the {axes_in}, origin"
@@ -151,10 +151,6 @@ def _norms_block(found: Identification) -> list[str]:
         lines.append(f"Norms   {group:7}  {'  '.join(entries).rstrip()}  {_UNITS[group]}")
     lines.append("        * reported" + (", ~ tied: fits equally well" if tied else ""))
     return lines
-
-
-def _enumeration(words: list[str]) -> str:
-    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else words[0]
 
 
 def _batch_table(

@@ -51,15 +51,10 @@ def note_repeats(rows: Rows, poses: np.ndarray) -> None:
 
 
 def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> tuple[np.ndarray, bool]:
-    """Leave out distant rows, and check the unit of the positions.
-
-    Args:
-        rows: the rows, with times.
-        poses: (N, 4, 4), m.
-        wanted: the options, with the unit.
+    """Leave out distant rows of poses (N, 4, 4), m, and check the unit of the positions.
 
     Returns:
-        Poses (N, 4, 4) of the remaining rows, and whether they are separate touches in any order.
+        Poses (M, 4, 4) of the remaining rows, and whether they are separate touches in any order.
 
     Raises:
         RecordingError: if the positions are too far apart for a body in the unit of the file.
@@ -131,11 +126,7 @@ def _acceleration(positions: np.ndarray, times: np.ndarray) -> float:
 def check_turns(rows: Rows, poses: np.ndarray, wanted: Selection, unordered: bool) -> None:
     """Refuse angles that were read in the wrong unit, or add a note to ``rows`` if in doubt.
 
-    Args:
-        rows: the rows, with times and angles.
-        poses: (N, 4, 4), m, made from these angles.
-        wanted: the options, with the unit of the angles.
-        unordered: whether the poses are separate touches, which have no velocities.
+    The poses (N, 4, 4), m, are made from these angles. Unordered poses, separate touches, have no velocities.
 
     Raises:
         RecordingError: if half of the steps are faster than 30 rad/s, in a unit that the file does not state.

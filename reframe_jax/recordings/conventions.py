@@ -62,14 +62,7 @@ class AngleTriples:
 def read_angles(
     path: Path, numbers: np.ndarray, wanted: Selection, stated: float | None, by_axis: bool
 ) -> AngleTriples:
-    """Take rotation vectors or Euler angles, and check their unit.
-
-    Args:
-        path: the file.
-        numbers: (N, 3), as in :class:`AngleTriples`.
-        wanted: the options, with the convention and the unit.
-        stated: unit in rad, if the file states it.
-        by_axis: as in :class:`AngleTriples`.
+    """Take rotation vectors or Euler angles (N, 3), and check their unit; ``stated`` is in rad, if any.
 
     Raises:
         RecordingError: if the file and the options state different units, or if angles exceed a full turn in
@@ -108,12 +101,8 @@ def fits_better(positions: np.ndarray, own: np.ndarray, other: np.ndarray) -> fl
     The result is 0 if the difference may be chance, and a difference of summed logarithms otherwise.
 
     Short free motions have few independent velocities by chance. Therefore the constrained directions of each
-    half of the motion must also be constrained in the other half.
-
-    Args:
-        positions: (N, 3), in any unit.
-        own: (N, 3, 3) rotations as they were read.
-        other: (N, 3, 3) rotations from the same numbers, read in another order.
+    half of the motion must also be constrained in the other half. The positions (N, 3) are in any unit; the
+    other rotations (N, 3, 3) are the same numbers in another order.
     """
     places = positions - positions.mean(axis=0)
     spread = np.sqrt(np.mean(np.sum(places**2, axis=1)))
@@ -179,13 +168,12 @@ def _freedom(places: np.ndarray, turned: np.ndarray, lag: int) -> np.ndarray:
         np.hstack([spatial, moved + np.cross(middle, spatial)]),
         np.hstack([body, np.einsum("nji,nj->ni", (before + after) / 2, moved)]),
     )
-    sums = [(_log_squares(each, each), _across_halves(each)) for each in velocities]
+    sums = []
+    for each in velocities:
+        one, other = np.array_split(each, 2)
+        across = (_log_squares(one, other) + _log_squares(other, one)) / 2
+        sums.append((_log_squares(each, each), across))
     return np.min(sums, axis=0)
-
-
-def _across_halves(velocities: np.ndarray) -> float:
-    one, other = np.array_split(velocities, 2)
-    return (_log_squares(one, other) + _log_squares(other, one)) / 2
 
 
 def _log_squares(velocities: np.ndarray, others: np.ndarray) -> float:

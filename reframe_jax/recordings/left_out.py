@@ -22,14 +22,7 @@ _TURN = 0.2  # length of a jump over its angle times the size, below which the a
 
 
 def leave_out_lost(rows: Rows, poses: np.ndarray) -> np.ndarray:
-    """Leave out the rows in which tracking was lost, with notes.
-
-    Args:
-        rows: the rows, with times.
-        poses: (N, 4, 4), m.
-
-    Returns:
-        The remaining poses.
+    """Leave out the rows of poses (N, 4, 4), m, in which tracking was lost, with notes; return the others.
 
     Raises:
         RecordingError: if too few poses remain.

@@ -105,7 +105,9 @@ def find_lost_poses(poses: np.ndarray, times: np.ndarray | None = None) -> LostP
             turns = poses[rows, :3, :3].reshape(-1, 9) / np.sqrt(2)
             identity = np.eye(3).ravel() / np.sqrt(2)
             paths = _Path.of(poses[rows, :3, 3], np.zeros(3), late), _Path.of(turns, identity, late)
-        kinds[rows] = found = search(paths)
+        found = np.full(len(rows), "", kinds.dtype)
+        search(paths, found)
+        kinds[rows] = found
         if (found != "").any():  # the remaining rows have other paths
             rows, paths = rows[found == ""], None
     return LostPoses(kinds)
@@ -181,10 +183,9 @@ class _Path:
         return found
 
 
-def _at_origin(paths: tuple[_Path, _Path]) -> np.ndarray:
-    """Kinds (N,) of rows with position 0, 0, 0, or with orientation identity, distant from the path."""
+def _at_origin(paths: tuple[_Path, _Path], kinds: np.ndarray) -> None:
+    """Mark the rows (N,) with position 0, 0, 0 or with orientation identity that are distant from the path."""
     position, turn = paths
-    kinds = np.full(len(position.zero), "", "U8")
     for path in paths:
         if np.sum(~path.zero) < _OTHERS or not path.zero.any():
             continue
@@ -198,7 +199,6 @@ def _at_origin(paths: tuple[_Path, _Path]) -> np.ndarray:
         lost = np.repeat(away, lengths)
         kinds[lost] = "origin" if path is position else "identity"
         kinds[lost & position.zero & turn.zero] = "identity"
-    return kinds
 
 
 def _is_apart(path: _Path) -> bool:
@@ -213,9 +213,8 @@ def _is_apart(path: _Path) -> bool:
     return bool(nearest > max(_APART * spread, _ORIGIN_JUMP_STEPS * usual, _SAME))
 
 
-def _constant(paths: tuple[_Path, _Path]) -> np.ndarray:
-    """Kinds (N,) of rows with another number that occurs repeatedly, and always distant from the path."""
-    kinds = np.full(len(paths[0].zero), "", "U8")
+def _constant(paths: tuple[_Path, _Path], kinds: np.ndarray) -> None:
+    """Mark the rows (N,) with another number that occurs repeatedly, and always distant from the path."""
     for path in paths:
         if np.diff(np.sort(path.keys)).all():
             continue
@@ -232,12 +231,10 @@ def _constant(paths: tuple[_Path, _Path]) -> np.ndarray:
         away = path.jumps(runs, _JUMP_STEPS, repeated)[:, 0] & ~between
         stays[path.value[runs[~away, 0]]] = True
         kinds[~stays[path.value]] = "constant"
-    return kinds
 
 
-def _noisy(paths: tuple[_Path, _Path]) -> np.ndarray:
-    """Kinds (N,) of rows that repeat a number with noise, between a jump from the path and a jump back."""
-    kinds = np.full(len(paths[0].zero), "", "U8")
+def _noisy(paths: tuple[_Path, _Path], kinds: np.ndarray) -> None:
+    """Mark the rows (N,) that repeat a number with noise, between a jump from the path and a jump back."""
     for path in paths:
         usual = max(_quantile(path.lengths, 0.9), _LEAST)
         edges = np.flatnonzero(path.steps > _JUMP_STEPS * usual) + 1
@@ -281,22 +278,19 @@ def _noisy(paths: tuple[_Path, _Path]) -> np.ndarray:
         for kind in {*lost} - {""}:  # the same number elsewhere is lost too
             longest = np.argmax(np.where(lost == kind, lengths, 0))
             lost[several & (np.linalg.norm(means - means[longest], axis=1) < near)] = kind
-        kinds = np.where(kinds == "", np.repeat(lost, lengths), kinds)
-    return kinds
+        kinds[:] = np.where(kinds == "", np.repeat(lost, lengths), kinds)
 
 
-def _frozen(paths: tuple[_Path, _Path]) -> np.ndarray:
-    """Kinds (N,) of rows that repeat a position or an orientation while the body moved on.
+def _frozen(paths: tuple[_Path, _Path], kinds: np.ndarray) -> None:
+    """Mark the rows (N,) that repeat a position or an orientation while the body moved on.
 
     The first row of every run is a pose.
     """
-    kinds = np.full(len(paths[0].zero), "", "U8")
     for path in paths:
         if 0 < len(path.lengths) < len(path.steps):
             _mark_repeats(path, kinds)
         _mark_rests(path.numbers[::-1], path.steps[::-1], path.gaps[::-1], kinds[::-1], at_end=True)
         _mark_rests(path.numbers, path.steps, path.gaps, kinds)
-    return kinds
 
 
 def _mark_repeats(path: _Path, kinds: np.ndarray) -> None:
@@ -359,14 +353,7 @@ def _mark_rests(
 
     A body at rest starts slowly, or with a step of the path: its first step is no jump. A frozen body moves
     before the repeats and after the jump, and the jump is no longer than the missed path. Repeats from row 0
-    on are a constant.
-
-    Args:
-        numbers: (N, k) positions or rotations.
-        steps: (N-1,) their steps.
-        gaps: (N-1,) bool, steps in which rows are missing.
-        kinds: (N,), changed in place.
-        at_end: whether to search only for a constant from row 0 on.
+    on are a constant; ``at_end`` searches for nothing else. The arguments are those of :class:`_Path`.
     """
     count = len(numbers)
     if count <= _LONG + _AHEAD:

@@ -64,7 +64,7 @@ def set_poses(
         positions: (N, 3), or (N, 0) for whole matrices.
         orientations: (N, 4) quaternions as x y z w, (N, 3) angles, or (N, 9) matrices, row by row; (N, 12)
             or (N, 16) whole matrices.
-        wanted: the options, with the convention and the unit of angles.
+        wanted: the options.
         stated: unit of angles in rad, if the file states it.
         named: whether the user named the columns. Otherwise their names gave the order of quaternions, and
             three angles are in the order x, y, z.
