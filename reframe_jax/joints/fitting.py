@@ -13,18 +13,11 @@ from numpy.typing import ArrayLike
 
 from reframe_jax.constraints.catalogue import describe, lookup
 from reframe_jax.constraints.frame import ConstraintFrame
+from reframe_jax.constraints.located import fixed_on_body
 from reframe_jax.geometry.numpy_rotations import nearest_rotations
 from reframe_jax.joints.chain import JointPart, ball_hinges, chain_coordinates, chain_poses
 from reframe_jax.joints.joint import Joint, JointType
-from reframe_jax.joints.plans import (
-    Geometry,
-    Plan,
-    frame_geometry,
-    joint_plans,
-    only_velocities,
-    positive,
-    relate_axes,
-)
+from reframe_jax.joints.plans import Geometry, Plan, joint_plans, positive
 
 _ROUNDS = 3  # rounds of averaging, until the home pose converges
 _AVERAGED = 2000  # largest number of poses in the average; longer recordings are subsampled
@@ -78,11 +71,12 @@ def fit_joint(
     if not 0 < length < np.inf:
         raise ValueError(f"Expected a positive length in m, not {length}.")
     axes = None if universal is None else np.asarray(universal, float)
-    geometry = frame_geometry(frame, values, pitch, axes)
+    geometry = Geometry(frame, values, pitch, axes)
+    name = _name(geometry)
     if axes is not None:
         if axes.shape != (2, 3) or not np.allclose(np.linalg.norm(axes, axis=1), 1, atol=1e-3):
             raise ValueError("Expected two unit vectors as the axes of a universal joint.")
-        if len(geometry.turning) < 2 or len(geometry.sliding):
+        if geometry.turns < 2 or geometry.slides:
             raise ValueError(
                 "Universal axes need a constraint without free translation: the body turns about a fixed "
                 "point."
@@ -90,11 +84,11 @@ def fit_joint(
     if pitch is not None:
         if not (np.isfinite(pitch) and pitch != 0):
             raise ValueError(f"Expected a pitch in m/rad other than 0, not {pitch}.")
-        if (len(geometry.turning), len(geometry.sliding)) != (1, 1) or _name(geometry) != "Screw joint":
+        if name != "Screw joint":
             raise ValueError(
                 "Only a body with one free rotation and a translation along its axis has a pitch."
             )
-    names = {"name": _name(geometry), "parent": parent, "child": child, "length": length}
+    names = {"name": name, "parent": parent, "child": child, "length": length}
     joints = [_fit(geometry, plan, names) for plan in joint_plans(geometry)]
     return min(joints, key=lambda joint: joint.position_error, default=_without_chain(geometry, names))
 
@@ -115,13 +109,22 @@ def _fit(geometry: Geometry, plan: Plan, names: dict[str, Any]) -> Joint:
     rotation_error = _rms(2 * np.arcsin(np.minimum(chord, 1)))
     if plan.second is not None and rotation_error > _UNIVERSAL:
         return _without_chain(geometry, names)
-    parts = _with_ranges(parts, coordinates)
+    first, ranged = 0, []
+    for part in parts:
+        values = coordinates[:, first : first + part.width]
+        first += part.width
+        if part.kind == "ball":
+            high = float(np.linalg.norm(values, axis=-1).max())
+            ranged.append(replace(part, high=high, hinges=ball_hinges(part.point, values)))
+        else:
+            ranged.append(replace(part, low=float(values.min()), high=float(values.max())))
+    parts = tuple(ranged)
     turning = [part for part in parts if part.kind != "slide"]
     full_turn = plan.type == "revolute" and parts[0].high - parts[0].low >= 2 * np.pi
-    first = next((part for part in (*turning, *parts) if part.kind != "ball"), None)
+    axis = next((part.axis for part in (*turning, *parts) if part.kind != "ball"), None)
     return Joint(
         type="continuous" if full_turn else plan.type,
-        axis=None if first is None or plan.type == "general" else first.axis,
+        axis=None if plan.type == "general" else axis,
         point=turning[0].point if turning else home[:3, 3],
         home=home,
         parts=parts,
@@ -140,10 +143,10 @@ def _without_chain(geometry: Geometry, names: dict[str, Any]) -> Joint:
         "only, and every pose can be reached. Simulate the contact."
     )
     kind: JointType = "general"
-    if len(geometry.turning) == len(geometry.sliding) == 3:
+    if geometry.turns == geometry.slides == 3:
         kind = "floating"
         why = "There is no constraint: the pose is free."
-    elif len(geometry.turning) == 2 and not only_velocities(geometry):
+    elif geometry.turns == 2 and not geometry.only_velocities:
         why = (
             "No chain of hinges, slides and balls makes this constraint: two hinges do not fit its rotations."
         )
@@ -154,7 +157,10 @@ def _without_chain(geometry: Geometry, names: dict[str, Any]) -> Joint:
 
 def _parts(geometry: Geometry, plan: Plan, home: np.ndarray) -> tuple[JointPart, ...]:
     """Parts of the chain at zero coordinates, with the child at its home pose."""
-    rotation, origin, axis, free = home[:3, :3], home[:3, 3], plan.axis, geometry.slides(home)
+    rotation, origin, axis, frame = home[:3, :3], home[:3, 3], plan.axis, geometry.frame
+    _, linear_on_body, point_on_body = fixed_on_body(frame)
+    free = np.asarray(frame.linear_axes, float).T[np.asarray(frame.linear_dof) == 1]
+    free, point = free @ rotation.T if linear_on_body else free, np.asarray(frame.position, float)
     if plan.type == "screw":  # a hinge with a pitch
         directions = []
     elif plan.slides == "along" and axis is not None:
@@ -166,14 +172,13 @@ def _parts(geometry: Geometry, plan: Plan, home: np.ndarray) -> tuple[JointPart,
     elif plan.slides == "space":
         directions = list(np.eye(3))
     else:
-        fixed = [geometry.in_ground(each, geometry.linear_on_body) for each in geometry.sliding]
-        directions = [positive(each) for each in (free if len(geometry.turning) else fixed)]
-    if plan.slides in ("plane", "space") or len(geometry.sliding) == 3:
+        directions = [positive(each) for each in free]
+    if plan.slides in ("plane", "space") or geometry.slides == 3:
         point = origin
-    elif len(geometry.sliding) and plan.slides == "free" and not plan.turns_first:
-        point = rotation @ geometry.position + origin  # fixed in the child, and the slides move it
-    else:
-        point = geometry.centre()
+    elif geometry.slides and plan.slides == "free" and not plan.turns_first:
+        point = rotation @ point + origin  # fixed in the child, and the slides move it
+    elif point_on_body:
+        point = np.mean(geometry.poses[:, :3, :3] @ point + geometry.poses[:, :3, 3], axis=0)
     slides = [JointPart("slide", direction, origin) for direction in directions]
     turns = []
     if axis is not None and plan.second is not None:
@@ -181,7 +186,7 @@ def _parts(geometry: Geometry, plan: Plan, home: np.ndarray) -> tuple[JointPart,
     elif axis is not None:  # at the point on the axis nearest to the origin of the child
         pitch = geometry.pitch if plan.type == "screw" else None
         turns = [JointPart("hinge", axis, point + axis * (axis @ (origin - point)), pitch=pitch or 0.0)]
-    elif len(geometry.turning):
+    elif geometry.turns:
         turns = [JointPart("ball", np.zeros(3), point)]
     return (*turns, *slides) if plan.turns_first else (*slides, *turns)
 
@@ -192,7 +197,7 @@ def _gauge(geometry: Geometry, plan: Plan, parts: Sequence[JointPart], child: st
     sentences = []
     if plan.is_envelope:
         held = "the plane of the motion" if plan.slides == "plane" else "the axis of rotation"
-        lost = "one more velocity" if len(parts) - len(geometry.sliding) == 2 else "two more velocities"
+        lost = "one more velocity" if len(parts) - geometry.slides == 2 else "two more velocities"
         sentences.append(
             f"The chain constrains {held} only. Like a wheel, the constraint also blocks {lost} of the "
             f"{child} at zero, which no chain of joints expresses."
@@ -229,21 +234,8 @@ def _gauge(geometry: Geometry, plan: Plan, parts: Sequence[JointPart], child: st
     return tuple(sentences)
 
 
-def _with_ranges(parts: Sequence[JointPart], coordinates: np.ndarray) -> tuple[JointPart, ...]:
-    first, ranged = 0, []
-    for part in parts:
-        values = coordinates[:, first : first + part.width]
-        first += part.width
-        if part.kind == "ball":
-            high = float(np.linalg.norm(values, axis=-1).max())
-            ranged.append(replace(part, high=high, hinges=ball_hinges(part.point, values)))
-        else:
-            ranged.append(replace(part, low=float(values.min()), high=float(values.max())))
-    return tuple(ranged)
-
-
 def _name(geometry: Geometry) -> str:
-    frame, relation = geometry.frame, relate_axes(geometry)
+    frame, relation = geometry.frame, geometry.relation
     key = frame.linear_type, frame.angular_dof, frame.linear_dof
     entry = lookup(*key, relation, geometry.pitch is not None, geometry.universal is not None)
     return describe(*key, relation) if entry is None else entry.name

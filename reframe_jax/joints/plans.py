@@ -1,6 +1,7 @@
 """Choose the chains of hinges, slides and balls that may reproduce a constraint, before fitting to poses."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -15,49 +16,64 @@ _STARTS, _STEPS = 8, 40  # starts, and steps from each start, of the search for 
 
 @dataclass(frozen=True)
 class Geometry:
-    """A constraint frame as NumPy arrays, with the recorded poses.
+    """A constraint frame with the recorded poses.
 
     Attributes:
         frame: the constraint frame.
         poses: (K+1, 4, 4) of {b} in {g}, m.
-        turning: (n, 3), free rotation axes as rows, in the body that they are fixed in.
-        sliding: (n, 3), free translation axes as rows, in the body that they are fixed in.
-        distinct: (3,), the single free or single constrained axis of the linear frame; None if all are alike.
-        position: (3,) m, origin of the linear frame, in the body that it is fixed in.
-        angular_on_body, linear_on_body, point_on_body: whether the angular axes, the linear axes and the
-            origin are fixed in {b}; otherwise they are fixed in {g}.
         pitch: m/rad of a screw joint, else None.
         universal: (2, 3), axes of a universal joint, the first in {g} and the second in {b}; else None.
     """
 
     frame: ConstraintFrame
     poses: np.ndarray
-    turning: np.ndarray
-    sliding: np.ndarray
-    distinct: np.ndarray | None
-    position: np.ndarray
-    angular_on_body: bool
-    linear_on_body: bool
-    point_on_body: bool
     pitch: float | None = None
     universal: np.ndarray | None = None
 
-    def in_ground(self, direction: np.ndarray, on_body: bool) -> np.ndarray:
-        """Express a unit vector (3,) in {g}: the mean over all poses if it is fixed in {b} (``on_body``)."""
-        if not on_body:
-            return direction
-        mean: np.ndarray = np.mean(self.poses[:, :3, :3] @ direction, axis=0)
-        return mean / np.linalg.norm(mean)
+    @property
+    def turns(self) -> int:
+        """Number of free rotation axes."""
+        return sum(self.frame.angular_dof)
 
-    def centre(self) -> np.ndarray:
-        """Return the origin (3,), m, of the linear frame in {g}: the mean over all poses if fixed in {b}."""
-        if not self.point_on_body:
-            return self.position
-        return np.mean(self.poses[:, :3, :3] @ self.position + self.poses[:, :3, 3], axis=0)
+    @property
+    def slides(self) -> int:
+        """Number of free translation axes."""
+        return sum(self.frame.linear_dof)
 
-    def slides(self, home: np.ndarray) -> np.ndarray:
-        """Return the free translation axes (n, 3) in {g} while the pose of {b} in {g} is ``home`` (4, 4)."""
-        return self.sliding @ home[:3, :3].T if self.linear_on_body else self.sliding
+    @property
+    def only_velocities(self) -> bool:
+        """Whether the constraint, like a wheel, restricts velocities only.
+
+        In BB and GG, the axes and the origin are fixed in the same body, so the free translations turn with
+        the body. Alternating rotations and translations then reach poses that neither reaches by itself.
+        """
+        return self.slides in (1, 2) and self.frame.linear_type in (LinearType.BB, LinearType.GG)
+
+    @cached_property
+    def distinct(self) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """Single free or single constrained axis (3,) of the angular and of the linear frame, in {g}.
+
+        An axis that is fixed in {b} is the mean over all poses; None if all axes of a frame are alike.
+        """
+        frame, found = self.frame, []
+        angular_on_body, linear_on_body, _ = fixed_on_body(frame)
+        for axes, dof, on_body in (
+            (frame.angular_axes, frame.angular_dof, angular_on_body),
+            (frame.linear_axes, frame.linear_dof, linear_on_body),
+        ):
+            place = distinct_axis(dof)
+            axis = None if place is None else np.asarray(axes, float)[:, place]
+            if axis is not None and on_body:
+                axis = np.mean(self.poses[:, :3, :3] @ axis, axis=0)
+                axis /= np.linalg.norm(axis)
+            found.append(axis)
+        return found[0], found[1]
+
+    @property
+    def relation(self) -> AxisRelation | None:
+        """Relation of the distinct axes of both frames; None if a frame has no distinct axis."""
+        angular, linear = self.distinct
+        return None if angular is None or linear is None else relation_of_cosine(float(angular @ linear))
 
 
 @dataclass(frozen=True)
@@ -88,76 +104,42 @@ def positive(axis: np.ndarray) -> np.ndarray:
     return signed
 
 
-def frame_geometry(
-    frame: ConstraintFrame, poses: np.ndarray, pitch: float | None = None, universal: np.ndarray | None = None
-) -> Geometry:
-    """Make the :class:`Geometry` of a single frame and poses (K+1, 4, 4), m."""
-    angular, linear = np.asarray(frame.angular_axes, float).T, np.asarray(frame.linear_axes, float).T
-    turning, sliding = angular[np.asarray(frame.angular_dof) == 1], linear[np.asarray(frame.linear_dof) == 1]
-    place = distinct_axis(frame.linear_dof)
-    distinct, position = None if place is None else linear[place], np.asarray(frame.position, float)
-    moving = turning, sliding, distinct, position
-    return Geometry(frame, poses, *moving, *fixed_on_body(frame), pitch, universal)
-
-
-def relate_axes(geometry: Geometry) -> AxisRelation | None:
-    """Return the relation of the distinct axes of both frames; None if a frame has no distinct axis."""
-    turns = len(geometry.turning)
-    if turns not in (1, 2) or geometry.distinct is None:
-        return None
-    angular = geometry.turning[0] if turns == 1 else np.cross(*geometry.turning)
-    turned = geometry.in_ground(angular, geometry.angular_on_body)
-    return relation_of_cosine(float(turned @ geometry.in_ground(geometry.distinct, geometry.linear_on_body)))
-
-
 def joint_plans(geometry: Geometry) -> list[Plan]:
     """Return the chains to fit to the poses; the best fit becomes the joint. Empty if no chain fits."""
-    turns, slides = len(geometry.turning), len(geometry.sliding)
+    turns, slides = geometry.turns, geometry.slides
     # slides come after the rotations if their axes are fixed in {b} and the origin is fixed in {g}
     last = slides in (1, 2) and geometry.frame.linear_type == LinearType.BG
     if turns == 0:
         kinds: tuple[JointType, ...] = ("fixed", "prismatic", "general", "general")
         return [Plan(kinds[slides])]
-    if turns == 1:
-        return _hinge_plans(geometry, last)
+    distinct, other = geometry.distinct
+    if turns == 1 and distinct is not None:
+        return _hinge_plans(geometry, positive(distinct), other, last)
     if geometry.universal is not None:
         return [Plan("universal", axis=positive(geometry.universal[0]), second=geometry.universal[1])]
-    if (slides == 3 and turns == 3) or only_velocities(geometry):
+    if (slides == 3 and turns == 3) or geometry.only_velocities:
         return []  # combinations of the free motions reach every pose
-    if turns == 3:
+    if distinct is None:
         return [Plan("general" if slides else "spherical", turns_first=last)]
-    normal = geometry.in_ground(np.cross(*geometry.turning), geometry.angular_on_body)
-    first, second = universal_axes(geometry.poses[:, :3, :3], normal)
+    first, second = universal_axes(geometry.poses[:, :3, :3], distinct)
     return [Plan("general" if slides else "universal", turns_first=last, axis=positive(first), second=second)]
 
 
-def _hinge_plans(geometry: Geometry, last: bool) -> list[Plan]:
-    """The chains of a constraint with one free rotation, whose axis is fixed in both bodies."""
-    axis = positive(geometry.in_ground(geometry.turning[0], geometry.angular_on_body))
-    relation, slides = relate_axes(geometry), len(geometry.sliding)
-    if relation == AxisRelation.PARALLEL and geometry.distinct is not None:
+def _hinge_plans(geometry: Geometry, axis: np.ndarray, other: np.ndarray | None, last: bool) -> list[Plan]:
+    """The chains of a constraint with one free rotation, whose axis (3,) is fixed in both bodies."""
+    relation, slides = geometry.relation, geometry.slides
+    if relation == AxisRelation.PARALLEL and other is not None:
         if slides == 1 and geometry.pitch is not None:
             return [Plan("screw", axis=axis, slides="along")]
         # the identification has two estimates of the axis: from the rotations and from the translations
-        both = axis, positive(geometry.in_ground(geometry.distinct, geometry.linear_on_body))
-        if slides == 1:
-            return [Plan("cylindrical", axis=each, slides="along") for each in both]
-        return [Plan("planar", axis=each, slides="plane") for each in both]
-    if only_velocities(geometry):
+        kind: JointType = "cylindrical" if slides == 1 else "planar"
+        where: Literal["along", "plane"] = "along" if slides == 1 else "plane"
+        return [Plan(kind, axis=each, slides=where) for each in (axis, positive(other))]
+    if geometry.only_velocities:
         # a free translation that turns with the hinge covers a plane if it is normal to it, else all of space
         plane = slides == 1 and relation == AxisRelation.PERPENDICULAR
         return [Plan("general", axis=axis, slides="plane" if plane else "space", is_envelope=True)]
     return [Plan("general" if slides else "revolute", turns_first=last, axis=axis)]
-
-
-def only_velocities(geometry: Geometry) -> bool:
-    """Return whether the constraint, like a wheel, restricts velocities only.
-
-    In BB and GG, the axes and the origin are fixed in the same body, so the free translations turn with the
-    body. Alternating rotations and translations then reach poses that neither reaches by itself.
-    """
-    some = len(geometry.sliding) in (1, 2)
-    return some and geometry.frame.linear_type in (LinearType.BB, LinearType.GG)
 
 
 def universal_axes(rotations: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

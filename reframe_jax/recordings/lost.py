@@ -184,7 +184,7 @@ class _Path:
 
 
 def _at_origin(paths: tuple[_Path, _Path], kinds: np.ndarray) -> None:
-    """Mark the rows (N,) with position 0, 0, 0 or with orientation identity that are distant from the path."""
+    """Mark the rows (N,) with position 0, 0, 0 or orientation identity that are distant from the path."""
     position, turn = paths
     for path in paths:
         if np.sum(~path.zero) < _OTHERS or not path.zero.any():
