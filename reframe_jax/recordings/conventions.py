@@ -6,13 +6,14 @@ body has few independent velocities, and wrong orientations add more. The number
 therefore shows the order, and distinguishes degrees from radians; for a free motion, it does not.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Set
 from pathlib import Path
 
 import numpy as np
 
-from reframe_jax.geometry.numpy_rotations import euler_matrices, rotation_matrices, rotation_vectors
+from reframe_jax.geometry.numpy_rotations import quaternions_to_matrices, rotation_vectors
 from reframe_jax.recordings.recording import RecordingError
+from reframe_jax.recordings.rows import AngleTriples, Rows
 from reframe_jax.recordings.selection import Selection, unit_of
 
 _FULL_TURN = 2 * np.pi * 1.001
@@ -24,39 +25,8 @@ _FEWEST_TOUCHES = 8  # rows for a comparison of fixed points, which has six unkn
 _FLOOR = 1e-4  # mean square velocity that counts as zero, as a fraction of the total
 _LITTLE = 0.05  # fraction of the mean square of positions that may remain for a fixed point
 _CLEAR = 2.2  # difference of the summed logarithms of mean squares of the whole motion
-CLEAR_CONVENTION = 4.0  # as _CLEAR, for readings of angles, which turn the body by different angles
+_CLEAR_CONVENTION = 4.0  # as _CLEAR, for readings of angles, which turn the body by different angles
 _REPEATED = 4.0  # as _CLEAR, with directions from one half and mean squares from the other half
-
-
-@dataclass(frozen=True)
-class AngleTriples:
-    """Orientations as three numbers.
-
-    Attributes:
-        numbers: (N, 3), in the unit of the file.
-        unit: this unit in rad, as it was read.
-        convention: "vector", or the order of the axes, as the option ``angles``.
-        by_axis: whether the numbers are those of x, y, z; otherwise they have the order of the convention.
-        stated: whether the file states the unit.
-    """
-
-    numbers: np.ndarray
-    unit: float
-    convention: str
-    by_axis: bool
-    stated: bool
-
-    def __getitem__(self, rows: np.ndarray) -> "AngleTriples":
-        return replace(self, numbers=self.numbers[rows])
-
-    def matrices(self, convention: str | None = None, unit: float | None = None) -> np.ndarray:
-        """Convert to rotation matrices (N, 3, 3), perhaps by another convention or with another unit."""
-        convention, numbers = convention or self.convention, (unit or self.unit) * self.numbers
-        if convention == "vector":
-            return rotation_matrices(numbers)
-        if self.by_axis:
-            numbers = numbers[:, ["xyz".index(axis) for axis in convention.lower()]]
-        return euler_matrices(convention, numbers)
 
 
 def read_angles(
@@ -88,6 +58,52 @@ def reorder(quaternions: np.ndarray, stored: str, meant: str) -> np.ndarray:
     if stored == meant:
         return quaternions
     return quaternions[:, [1, 2, 3, 0]] if meant == "wxyz" else quaternions[:, [3, 0, 1, 2]]
+
+
+def check_order(rows: Rows, options: Set[str], poses: np.ndarray, unordered: bool, wanted: Selection) -> None:
+    """Note that the motion is constrained or smooth only if the orientations are read in another way."""
+    some = sample_rows(len(poses))
+    positions, own = poses[some, :3, 3], poses[some, :3, :3]
+    read, others = _other_readings(rows, options, own, some, wanted)
+    clear = _CLEAR_CONVENTION if rows.angles is not None else 0.0
+    for word, judge, least in (
+        ("constrained", fits_better, clear),
+        ("constrained", keeps_a_point_better, 0.0) if unordered else ("smooth", _is_smoother, 0.0),
+    ):
+        found = [float(judge(positions, own, turned)) for _, _, turned in others]
+        if max(found, default=0.0) > least:
+            meant, remedy, _ = others[int(np.argmax(found))]
+            rows.notes.append(f"{read}, but the motion is {word} only {meant}: check the {remedy}.")
+            return
+
+
+def _other_readings(
+    rows: Rows, options: Set[str], own: np.ndarray, some: np.ndarray, wanted: Selection
+) -> tuple[str, list[tuple[str, str, np.ndarray]]]:
+    """Say how orientations are read, and list other readings: in words, remedy and matrices (M, 3, 3)."""
+    if rows.angles is not None and wanted.angles is not None:
+        angles, convention = rows.angles[some], wanted.angles
+        others = ("xyz", "XYZ") if convention == "vector" else ("vector", convention.swapcase())
+        return f"the angles are read in the convention {convention}", [
+            (
+                f"in the convention {other}",
+                f"meaning of the angles; if so, give angles={other!r} (--angles {other})",
+                angles.matrices(other),
+            )
+            for other in others
+        ]
+    if rows.values.shape[1] == 7 and "quaternion" in options:
+        other = "wxyz" if rows.order == "xyzw" else "xyzw"
+        numbers = reorder(rows.values[some, 3:], rows.order, other)
+        turned = quaternions_to_matrices(numbers / np.linalg.norm(numbers, axis=1, keepdims=True))
+        remedy = f"order in the file; if it is {other}, give quaternion={other!r} (--quaternion {other})"
+        return f"the quaternions are read in the order {rows.order}", [
+            (f"in the order {other}", remedy, turned)
+        ]
+    if rows.values.shape[1] > 7 and rows.angles is None and "body" not in options:
+        meant = "if they are read column by column"
+        return "the matrices are read row by row", [(meant, "order in the file", own.swapaxes(1, 2))]
+    return "", []
 
 
 def sample_rows(count: int) -> np.ndarray:
@@ -131,7 +147,7 @@ def keeps_a_point_better(positions: np.ndarray, own: np.ndarray, other: np.ndarr
     return bool(missed[1] < _LITTLE and missed[1] < np.exp(-_CLEAR) * missed[0])
 
 
-def is_smoother(positions: np.ndarray, own: np.ndarray, other: np.ndarray) -> bool:
+def _is_smoother(positions: np.ndarray, own: np.ndarray, other: np.ndarray) -> bool:
     """Return whether the body jumps with its own rotations, but not with the other ones.
 
     The arguments are those of :func:`fits_better`; the positions have no effect.

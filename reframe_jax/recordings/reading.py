@@ -11,25 +11,18 @@ from pathlib import Path
 
 import numpy as np
 
-from reframe_jax.geometry.numpy_rotations import quaternions_to_matrices
 from reframe_jax.recordings.checks import (
     MIN_POSES,
     check_positions,
     check_turns,
     drop_unfinished,
+    leave_out_lost,
     make_poses,
+    note_jumps,
     note_repeats,
 )
 from reframe_jax.recordings.clock import drop_equal_times, make_times, note_unit, sort_times
-from reframe_jax.recordings.conventions import (
-    CLEAR_CONVENTION,
-    fits_better,
-    is_smoother,
-    keeps_a_point_better,
-    reorder,
-    sample_rows,
-)
-from reframe_jax.recordings.left_out import leave_out_lost, note_jumps
+from reframe_jax.recordings.conventions import check_order, reorder
 from reframe_jax.recordings.readers import choose_reader
 from reframe_jax.recordings.readers.reader import Entry, Reader
 from reframe_jax.recordings.recording import Recording, RecordingError
@@ -174,7 +167,7 @@ def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Re
         _check_count(rows)
         check_turns(rows, poses, wanted, unordered)
         note_unit(rows, poses, unordered)
-        _check_order(rows, reader, poses, unordered, wanted)
+        check_order(rows, reader.options, poses, unordered, wanted)
         if not unordered:
             note_jumps(rows, poses)
         note_repeats(rows, poses)
@@ -201,49 +194,3 @@ def _apply_order(rows: Rows, wanted: Selection) -> None:
     rows.values = rows.values.copy()
     rows.values[:, 3:] = reorder(rows.values[:, 3:], rows.order, wanted.quaternion)
     rows.order = wanted.quaternion
-
-
-def _check_order(rows: Rows, reader: Reader, poses: np.ndarray, unordered: bool, wanted: Selection) -> None:
-    """Note that the motion is constrained or smooth only if the orientations are read in another way."""
-    some = sample_rows(len(poses))
-    positions, own = poses[some, :3, 3], poses[some, :3, :3]
-    read, others = _other_readings(rows, reader, own, some, wanted)
-    clear = CLEAR_CONVENTION if rows.angles is not None else 0.0
-    for word, judge, least in (
-        ("constrained", fits_better, clear),
-        ("constrained", keeps_a_point_better, 0.0) if unordered else ("smooth", is_smoother, 0.0),
-    ):
-        found = [float(judge(positions, own, turned)) for _, _, turned in others]
-        if max(found, default=0.0) > least:
-            meant, remedy, _ = others[int(np.argmax(found))]
-            rows.notes.append(f"{read}, but the motion is {word} only {meant}: check the {remedy}.")
-            return
-
-
-def _other_readings(
-    rows: Rows, reader: Reader, own: np.ndarray, some: np.ndarray, wanted: Selection
-) -> tuple[str, list[tuple[str, str, np.ndarray]]]:
-    """Say how orientations are read, and list other readings: in words, remedy and matrices (M, 3, 3)."""
-    if rows.angles is not None and wanted.angles is not None:
-        angles, convention = rows.angles[some], wanted.angles
-        others = ("xyz", "XYZ") if convention == "vector" else ("vector", convention.swapcase())
-        return f"the angles are read in the convention {convention}", [
-            (
-                f"in the convention {other}",
-                f"meaning of the angles; if so, give angles={other!r} (--angles {other})",
-                angles.matrices(other),
-            )
-            for other in others
-        ]
-    if rows.values.shape[1] == 7 and "quaternion" in reader.options:
-        other = "wxyz" if rows.order == "xyzw" else "xyzw"
-        numbers = reorder(rows.values[some, 3:], rows.order, other)
-        turned = quaternions_to_matrices(numbers / np.linalg.norm(numbers, axis=1, keepdims=True))
-        remedy = f"order in the file; if it is {other}, give quaternion={other!r} (--quaternion {other})"
-        return f"the quaternions are read in the order {rows.order}", [
-            (f"in the order {other}", remedy, turned)
-        ]
-    if rows.values.shape[1] > 7 and rows.angles is None and "body" not in reader.options:
-        meant = "if they are read column by column"
-        return "the matrices are read row by row", [(meant, "order in the file", own.swapaxes(1, 2))]
-    return "", []

@@ -1,14 +1,14 @@
 """Rows of numbers from a file: the result of every reader."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from reframe_jax.recordings.conventions import AngleTriples
+from reframe_jax.geometry.numpy_rotations import euler_matrices, rotation_matrices
 from reframe_jax.recordings.recording import LeftOut, RecordingError
 
 HEADER = "t,x,y,z,qx,qy,qz,qw"
@@ -16,6 +16,37 @@ MOST_ROWS = 2**23  # 8,388,608: the poses take 1 GiB
 EPOCH = 1e6  # s: times that start later count from the first sample
 _PATH = 0.1  # median step of a path, as a fraction of the spread of its positions
 _RANGES = 4  # ranges of rows in a sentence
+
+
+@dataclass(frozen=True)
+class AngleTriples:
+    """Orientations as three numbers.
+
+    Attributes:
+        numbers: (N, 3), in the unit of the file.
+        unit: this unit in rad, as it was read.
+        convention: "vector", or the order of the axes, as the option ``angles``.
+        by_axis: whether the numbers are those of x, y, z; otherwise they have the order of the convention.
+        stated: whether the file states the unit.
+    """
+
+    numbers: np.ndarray
+    unit: float
+    convention: str
+    by_axis: bool
+    stated: bool
+
+    def __getitem__(self, rows: np.ndarray) -> "AngleTriples":
+        return replace(self, numbers=self.numbers[rows])
+
+    def matrices(self, convention: str | None = None, unit: float | None = None) -> np.ndarray:
+        """Convert to rotation matrices (N, 3, 3), perhaps by another convention or with another unit."""
+        convention, numbers = convention or self.convention, (unit or self.unit) * self.numbers
+        if convention == "vector":
+            return rotation_matrices(numbers)
+        if self.by_axis:
+            numbers = numbers[:, ["xyz".index(axis) for axis in convention.lower()]]
+        return euler_matrices(convention, numbers)
 
 
 @dataclass

@@ -18,9 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from reframe_jax.recordings.checks import drop_unfinished, make_poses
+from reframe_jax.recordings.checks import drop_unfinished, leave_out_lost, make_poses
 from reframe_jax.recordings.clock import sort_times
-from reframe_jax.recordings.left_out import leave_out_lost
 from reframe_jax.recordings.readers.collecting import matrix_rows
 from reframe_jax.recordings.readers.reader import Entry, Reader, choose_name, import_extra, translate_errors
 from reframe_jax.recordings.recording import RecordingError
