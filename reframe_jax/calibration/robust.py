@@ -26,33 +26,21 @@ _ROUNDING = 1e-12  # least scatter, as a fraction of the largest number
 
 @dataclass(frozen=True)
 class Fit:
-    """A linear fit to touches.
+    """A linear fit to touches."""
 
-    Attributes:
-        solution: (m,) unknowns.
-        covariance: (m, m) covariance of the unknowns.
-        residuals: (N, k) residuals of all touches, with outliers.
-        used: (N,) bool, False for outliers.
-        scatter: standard deviation of a residual, in the unit of ``target``.
-        freedom: degrees of freedom: equations of the used touches, minus the unknowns.
-    """
-
-    solution: np.ndarray
-    covariance: np.ndarray
-    residuals: np.ndarray
-    used: np.ndarray
-    scatter: float
-    freedom: int
+    solution: np.ndarray  # (m,) unknowns
+    covariance: np.ndarray  # (m, m) of the unknowns
+    residuals: np.ndarray  # (N, k) of all touches, with outliers
+    used: np.ndarray  # (N,) bool, False for outliers
+    scatter: float  # standard deviation of a residual, in the unit of the target
+    freedom: int  # degrees of freedom: equations of the used touches, minus the unknowns
 
 
 def fit_touches(design: np.ndarray, target: np.ndarray) -> Fit:
     """Fit ``design @ unknowns = target`` to all touches except outliers.
 
-    The order of the touches has an effect only if there are more than 600 ways to choose three touches.
-
-    Args:
-        design: (N, k, m) coefficients of k equations per touch, of full rank.
-        target: (N, k) right sides of these equations.
+    The design (N, k, m) has full rank, with k equations per touch; the target is (N, k). The order of the
+    touches has an effect only if there are more than 600 ways to choose three touches.
     """
     count = len(design)
     fit = _fit(design, target, _majority(design, target) if count >= _FEWEST else np.ones(count, bool))
@@ -116,14 +104,8 @@ def _outliers(design: np.ndarray, fit: Fit) -> np.ndarray:
     total = fit.freedom * fit.scatter**2
     freedom = np.where(fit.used, fit.freedom - rows, fit.freedom)
     rest = np.where(fit.used, np.maximum(total - square, 1e-9 * total), total) / np.maximum(freedom, 1)
-    score = _normal_score(square / rows / rest, rows, freedom)
+    # a normal score with the probability of this ratio of variances (Paulson)
+    root, a, b = np.cbrt(square / rows / rest), 2 / (9 * rows), 2 / (9 * np.maximum(freedom, 1))
+    score = ((1 - b) * root - (1 - a)) / np.sqrt(b * root**2 + a)
     found: np.ndarray = (score > -NormalDist().inv_cdf(_CHANCE / count)) & (freedom > 0)
     return found
-
-
-def _normal_score(ratio: np.ndarray, rows: int, freedom: np.ndarray) -> np.ndarray:
-    """Convert a ratio of variances to a normal score with the same probability (Paulson)."""
-    a, b = 2 / (9 * rows), 2 / (9 * np.maximum(freedom, 1))
-    root = np.cbrt(ratio)
-    score: np.ndarray = ((1 - b) * root - (1 - a)) / np.sqrt(b * root**2 + a)
-    return score

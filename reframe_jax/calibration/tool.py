@@ -108,9 +108,8 @@ def calibrate(poses: ArrayLike, *, spin: bool = False) -> Calibration:
     Raises:
         ValueError: if the poses are too few, not rigid, or do not determine the tip or the axis.
     """
-    checked = _check(poses)
     # sorted, so that the order of the rows has no effect
-    numbers, rows = np.unique(checked.reshape(-1, 16), axis=0, return_inverse=True)
+    numbers, rows = np.unique(_check(poses).reshape(-1, 16), axis=0, return_inverse=True)
     if len(numbers) < MIN_POSES:
         raise ValueError(
             f"A calibration needs {MIN_POSES} different poses or more; there are {len(numbers)}."

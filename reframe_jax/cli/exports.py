@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from reframe_jax.cli.outputs import check_file, path_of
-from reframe_jax.cli.printing import print_error
+from reframe_jax.cli.printing import fail, print_error
 from reframe_jax.export.columns import Columns, write_csv, write_parquet
 from reframe_jax.export.mjcf import to_mjcf
 from reframe_jax.export.robots import check_writable
@@ -17,7 +17,7 @@ from reframe_jax.export.task_frame import TaskFrame, to_task_frame
 from reframe_jax.export.urdf import to_urdf
 from reframe_jax.identification.results import Identification
 from reframe_jax.joints.joint import Joint
-from reframe_jax.recordings.recording import Recording
+from reframe_jax.recordings.recording import Recording, RecordingError
 
 _ROBOTS: dict[str, Callable[[Joint], str]] = {"urdf": to_urdf, "mjcf": to_mjcf, "sdf": to_sdf}
 _YAML, _JSON = TaskFrame.to_yaml, TaskFrame.to_json
@@ -58,8 +58,8 @@ def check_exports(options: argparse.Namespace) -> None:
         options.usage_error("--parent and --child must be two different names.")
 
 
-def write_joint_files(recording: Recording, found: Identification, options: argparse.Namespace) -> list[str]:
-    """Write the requested joint and task frame files of a recording; return the errors."""
+def write_joint_files(recording: Recording, found: Identification, options: argparse.Namespace) -> None:
+    """Write the requested joint and task frame files; raise one RecordingError for all errors."""
     texts: dict[Path, Callable[[], str]] = {}
     problems = []
     robots = [name for name in _ROBOTS if getattr(options, name) is not None]
@@ -85,23 +85,22 @@ def write_joint_files(recording: Recording, found: Identification, options: argp
             problems.append(f"{recording.path}: {error}")
         except OSError as error:
             problems.append(f"{out}: cannot be written: {error.strerror}.")
-    return problems
+    if problems:
+        raise RecordingError("; ".join(problems))
 
 
-def write_tables(tables: list[Columns], options: argparse.Namespace) -> list[str]:
-    """Write the requested tables of all recordings; return the errors."""
-    problems = []
+def write_tables(tables: list[Columns], options: argparse.Namespace) -> int:
+    """Write the requested tables of all recordings, and print the errors; return the exit code."""
+    failed = 0
     for name, write in _TABLES.items():
         out = getattr(options, name)
-        if out is None:
-            continue
-        if not tables:
-            problems.append(f"{out}: not written: no recording has a result.")
-            continue
         try:
-            write(out, tables)
+            if out is not None and tables:
+                write(out, tables)
+            elif out is not None:
+                failed = fail(f"{out}: not written: no recording has a result.")
         except ImportError as error:
-            problems.append(str(error))
+            failed = fail(error)
         except OSError as error:
-            problems.append(f"{out}: cannot be written: {error.strerror}.")
-    return problems
+            failed = fail(f"{out}: cannot be written: {error.strerror}.")
+    return failed

@@ -131,10 +131,8 @@ def run(options: argparse.Namespace) -> int:
     good = sum(record["error"] is None for record in records)
     if options.json != "-" and (good > 1 or options.summary):
         print_result(summary_table(records))
-    problems = write_tables(tables, options)
-    for problem in problems:
-        fail(problem)
-    return write_document(records, SCHEMA, options) or int(bool(problems))
+    failed = write_tables(tables, options)
+    return write_document(records, SCHEMA, options) or failed
 
 
 def _identify_file(path: Path, options: argparse.Namespace, tables: list[Columns]) -> dict[str, Any]:
@@ -143,21 +141,15 @@ def _identify_file(path: Path, options: argparse.Namespace, tables: list[Columns
     try:
         recording = read_recording(path, options)
         found, windows = identify_recording(recording, options)
-        for warning in found.warnings if options.window is None else []:
-            print_error(f"reframe-jax: {path}: {warning}")
-        problem = _print_result(recording, found, windows, options)
         tables.append(to_columns(found, label=str(path), windows=windows))
-        if options.explain and options.json != "-" and problem is None:
-            print_result(_explanation(recording, found, options), end="\n\n")
-        if options.plot is not None and problem is None:
-            problem = draw(partial(_figure, recording, found, options), recording.path, options)
-        if options.window is None and problem is None:
-            problem = "; ".join(write_joint_files(recording, found, options)) or None
-    except RecordingError as error:
-        problem = str(error)
+        _print_result(recording, found, windows, options)
+        if options.plot is not None:
+            draw(partial(_figure, recording, found, options), recording.path, options)
+        if options.window is None:
+            write_joint_files(recording, found, options)
     except Exception as error:  # an error in one file must not stop the other files
-        problem = f"{path}: {type(error).__name__}: {error}"
-    if problem is not None:
+        known = isinstance(error, RecordingError)
+        problem = str(error) if known else f"{path}: {type(error).__name__}: {error}"
         fail(problem)
     notes = recording.notes if recording else ()
     return to_record(found, label=str(path), windows=windows, notes=notes, recording=recording, error=problem)
@@ -172,25 +164,29 @@ def _thresholds(options: argparse.Namespace) -> Thresholds | None:
 
 def _print_result(
     recording: Recording, found: Identification, windows: list[Window], options: argparse.Namespace
-) -> str | None:
-    """Print the table and the rows that were left out; return an error if no window has a result."""
+) -> None:
+    """Print the table, the rows that were left out, and the explanation.
+
+    The explanation has error bars if the options allow a covariance. If no window has a result, a
+    RecordingError is raised.
+    """
     path, statuses = recording.path, [Status(int(code)) for code in np.ravel(found.status_code)]
+    for warning in found.warnings if options.window is None else []:
+        print_error(f"reframe-jax: {path}: {warning}")
     if options.json != "-" and not options.summary:
         print_result(to_table(found, label=str(path), windows=windows), end="\n\n")
         if rows := rows_to_table(recording, found):
             print_result(rows, end="\n\n")
-    return f"{path}: {statuses[0].message}" if all(status.failed for status in statuses) else None
+    if all(status.failed for status in statuses):
+        raise RecordingError(f"{path}: {statuses[0].message}")
+    if options.explain and options.json != "-":
+        from reframe_jax.uncertainty.covariance import covariance
+        from reframe_jax.uncertainty.excitation import excitation
 
-
-def _explanation(recording: Recording, found: Identification, options: argparse.Namespace) -> str:
-    """Explain the result in plain English, with error bars if the options allow a covariance."""
-    from reframe_jax.uncertainty.covariance import covariance
-    from reframe_jax.uncertainty.excitation import excitation
-
-    given = {"times": recording.times, "scales": options.scales}
-    usual = options.norm == 0 and options.discretization == "chord"
-    spread = covariance(found, recording.poses, **given) if usual else None
-    return found.explain(spread, excitation(found, recording.poses, **given))
+        given = {"times": recording.times, "scales": options.scales}
+        usual = options.norm == 0 and options.discretization == "chord"
+        spread = covariance(found, recording.poses, **given) if usual else None
+        print_result(found.explain(spread, excitation(found, recording.poses, **given)), end="\n\n")
 
 
 def identify_recording(

@@ -7,6 +7,7 @@ from typing import Any
 
 from reframe_jax.cli.printing import fail, print_result
 from reframe_jax.export.json import to_document
+from reframe_jax.recordings.recording import RecordingError
 
 _PICTURES = (".png", ".pdf", ".svg", ".jpg", ".webp")
 
@@ -59,15 +60,15 @@ def write_document(records: list[dict[str, Any]], schema: str, options: argparse
     return int(any(record["error"] is not None for record in records))
 
 
-def draw(make: Callable[[], Any], recording: Path, options: argparse.Namespace) -> str | None:
-    """Save the figure that a function draws; return an error if it cannot be drawn or written."""
+def draw(make: Callable[[], Any], recording: Path, options: argparse.Namespace) -> None:
+    """Save the figure that a function draws; raise a RecordingError if it cannot be drawn or written."""
     out = path_of(options.plot, recording, options)
     try:
         figure = make()
     except ImportError as error:
-        return str(error)
+        raise RecordingError(str(error)) from error
     try:
         figure.savefig(out)
     except (OSError, ValueError) as error:
-        return f"{out}: cannot be written: {getattr(error, 'strerror', None) or error}."
-    return None
+        reason = getattr(error, "strerror", None) or error
+        raise RecordingError(f"{out}: cannot be written: {reason}.") from error

@@ -51,10 +51,9 @@ def _segment_file(path: Path, options: argparse.Namespace) -> dict[str, Any]:
         if options.json != "-":
             print_result(segments_to_table(found, label=str(path)), end="\n\n")
         if options.plot is not None:
-            problem = draw(partial(_figure, recording, found), path, options)
+            draw(partial(_figure, recording, found), path, options)
     except ValueError as error:
         problem = str(error) if isinstance(error, RecordingError) else f"{path}: {error}"
-    if problem is not None:
         fail(problem)
     return segments_to_record(found, label=str(path), error=problem)
 

@@ -54,7 +54,14 @@ def run(options: argparse.Namespace) -> int:
     try:
         tracks = _tracks(options)
         if options.html is None:
-            _serve(tracks, options)
+            page = Page(tracks, title=options.file.name, port=options.port)
+            print_result(f"{options.file}: {page.url} (Ctrl-C ends it)")
+            if options.open:
+                webbrowser.open(page.url)
+            try:
+                page.run()
+            finally:
+                page.close()
         else:
             write_page(options.html, tracks, title=options.file.name)
             more = ", and more windows" if len(tracks) > 1 else ""
@@ -85,14 +92,3 @@ def _tracks(options: argparse.Namespace) -> list[WindowTrack]:
         known = spread[index] if np.isfinite(spread[index]).all() else None
         tracks.append(track_window(poses[rows], times[rows], one, covariance=known))
     return tracks
-
-
-def _serve(tracks: list[WindowTrack], options: argparse.Namespace) -> None:
-    page = Page(tracks, title=options.file.name, port=options.port)
-    print_result(f"{options.file}: {page.url} (Ctrl-C ends it)")
-    if options.open:
-        webbrowser.open(page.url)
-    try:
-        page.run()
-    finally:
-        page.close()

@@ -57,25 +57,18 @@ def calibration_to_table(found: Calibration, recording: Recording) -> str:
         lines.append(f"Tilt      {sentence}")
     else:
         lines.append(f"Turn      {np.degrees(found.turned):.2g} deg RMS about the axis")
-    return "\n".join([*lines, "", *_residuals(found, numbers, row_word)])
+    many = len(numbers) > _LISTED
+    lines += ["", f"Residuals, the {_LISTED} largest" if many else "Residuals"]
+    for row in np.argsort(-found.residuals, kind="stable")[:_LISTED] if many else range(len(numbers)):
+        angles = found.axis_residuals
+        angle = "" if angles is None else f"  {np.degrees(angles[row]):8.2f} deg"
+        mark = "" if found.used[row] else "  left out"
+        lines.append(f"  {row_word} {numbers[row]:<6} {1e3 * found.residuals[row]:8.2f} mm{angle}{mark}")
+    return "\n".join(lines)
 
 
 def _row_numbers(found: Calibration, recording: Recording) -> np.ndarray:
     return np.arange(len(found.used)) if recording.rows is None else recording.rows
-
-
-def _residuals(found: Calibration, numbers: np.ndarray, word: str) -> list[str]:
-    many = len(numbers) > _LISTED
-    shown = np.argsort(-found.residuals, kind="stable")[:_LISTED] if many else np.arange(len(numbers))
-    largest = f", the {_LISTED} largest" if many else ""
-    lines = [f"Residuals{largest}"]
-    for row in shown:
-        angle = ""
-        if found.axis_residuals is not None:
-            angle = f"  {np.degrees(found.axis_residuals[row]):8.2f} deg"
-        mark = "" if found.used[row] else "  left out"
-        lines.append(f"  {word} {numbers[row]:<6} {1e3 * found.residuals[row]:8.2f} mm{angle}{mark}")
-    return lines
 
 
 def calibration_to_record(found: Calibration, recording: Recording) -> dict[str, Any]:

@@ -26,8 +26,7 @@ def to_mjcf(joint: Joint, *, mass: float = 1.0) -> str:
     spec = to_mjspec(joint, mass=mass)
     spec.compile()
     text: str = spec.to_xml()
-    head = "\n".join(f"  {line}" for line in remarks(joint)).replace("--", "- -")
-    return f"<!--\n{head}\n-->\n{text}"
+    return f"<!--\n{remarks(joint)}\n-->\n{text}"
 
 
 def to_mjspec(joint: Joint, *, mass: float = 1.0) -> "mujoco.MjSpec":

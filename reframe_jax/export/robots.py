@@ -1,6 +1,5 @@
 """Helpers of the robot description writers: names, numbers, placeholder masses, and checks."""
 
-from collections.abc import Iterable
 from xml.etree import ElementTree
 
 import numpy as np
@@ -38,14 +37,14 @@ def part_names(joint: Joint) -> list[str]:
     return names
 
 
-def sphere_inertia(mass: float) -> dict[str, str]:
+def sphere_inertia(mass: float) -> dict[str, float]:
     """Moments and products of inertia in kg m^2 of a solid sphere of 0.1 m radius, by name."""
-    moment = format_numbers([0.4 * mass * RADIUS**2])
-    return {"ixx": moment, "iyy": moment, "izz": moment, "ixy": "0", "ixz": "0", "iyz": "0"}
+    moment = 0.4 * mass * RADIUS**2
+    return {"ixx": moment, "iyy": moment, "izz": moment, "ixy": 0.0, "ixz": 0.0, "iyz": 0.0}
 
 
-def remarks(joint: Joint) -> list[str]:
-    """Return sentences for the head of a file: the constraint, the fit error, and the arbitrary choices."""
+def remarks(joint: Joint) -> str:
+    """Return lines for the comment at the head: the constraint, the fit error, and the arbitrary choices."""
     lines = [
         f"{joint.name}, identified by reframe_jax from recorded poses of {joint.child} in {joint.parent}."
     ]
@@ -54,16 +53,15 @@ def remarks(joint: Joint) -> list[str]:
         lines.append(f"RMS distance from the recording: {position:.2g} mm, {rotation:.2g} deg.")
     if joint.parts:
         lines.append("The limits are the recorded range.")
-    return [
-        *lines,
-        *joint.gauge,
-        "Poses do not determine the mass and the inertia: a solid sphere serves as a placeholder.",
-    ]
+    placeholder = "Poses do not determine the mass and the inertia: a solid sphere serves as a placeholder."
+    return "\n".join(f"  {line}" for line in (*lines, *joint.gauge, placeholder)).replace("--", "- -")
 
 
-def format_numbers(values: Iterable[float]) -> str:
+def _format(value: str | float | np.ndarray) -> str:
     """Format numbers with ten digits, separated by spaces, without negative zeros."""
-    return " ".join(f"{value + 0.0:.10g}" for value in np.round(np.asarray(list(values), float), 12))
+    if isinstance(value, str):
+        return value
+    return " ".join(f"{number + 0.0:.10g}" for number in np.atleast_1d(np.round(value, 12)))
 
 
 def quaternion_wxyz(rotation: np.ndarray) -> np.ndarray:
@@ -82,17 +80,19 @@ def roll_pitch_yaw(rotation: np.ndarray) -> np.ndarray:
 
 
 def element(
-    parent: ElementTree.Element, tag: str, text: str | None = None, **attributes: str
+    parent: ElementTree.Element,
+    tag: str,
+    text: str | float | np.ndarray = "",
+    **attributes: str | float | np.ndarray,
 ) -> ElementTree.Element:
-    """Append an XML element with a text and attributes to its parent, and return the element."""
-    made = ElementTree.SubElement(parent, tag, attributes)
-    made.text = text
+    """Append an XML element with a text or numbers, and attributes, to its parent; return the element."""
+    made = ElementTree.SubElement(parent, tag, {name: _format(value) for name, value in attributes.items()})
+    made.text = _format(text)
     return made
 
 
 def to_text(root: ElementTree.Element, joint: Joint) -> str:
     """Return an indented XML document with the remarks as a comment at its head."""
-    lines = "\n".join(f"  {line}" for line in remarks(joint)).replace("--", "- -")
-    root.insert(0, ElementTree.Comment(f"\n{lines}\n  "))
+    root.insert(0, ElementTree.Comment(f"\n{remarks(joint)}\n  "))
     ElementTree.indent(root)
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"

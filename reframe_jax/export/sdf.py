@@ -8,7 +8,6 @@ from reframe_jax.export.robots import (
     LINK_MASS_FRACTION,
     check_writable,
     element,
-    format_numbers,
     is_endless,
     part_names,
     roll_pitch_yaw,
@@ -45,16 +44,16 @@ def to_sdf(joint: Joint, *, mass: float = 1.0) -> str:
             _add_link(model, link, at_point, LINK_MASS_FRACTION * mass)
         kind = "continuous" if is_endless(part) else "screw" if part.pitch else _KINDS[part.kind]
         made = _add_joint(model, name, kind, last, link)
-        element(made, "pose", format_numbers(at_point), relative_to=_MODEL)
+        element(made, "pose", at_point, relative_to=_MODEL)
         if part.kind != "ball":
             axis = element(made, "axis")
-            element(axis, "xyz", format_numbers(part.axis), expressed_in=_MODEL)
+            element(axis, "xyz", part.axis, expressed_in=_MODEL)
             if not is_endless(part):
                 limit = element(axis, "limit")
-                element(limit, "lower", format_numbers([part.low]))
-                element(limit, "upper", format_numbers([part.high]))
+                element(limit, "lower", part.low)
+                element(limit, "upper", part.high)
         if part.pitch:  # m per revolution, positive if right-handed
-            element(made, "screw_thread_pitch", format_numbers([2 * np.pi * part.pitch]))
+            element(made, "screw_thread_pitch", 2 * np.pi * part.pitch)
         last = link
     if not names:
         _add_link(model, joint.child, place, mass)
@@ -74,9 +73,9 @@ def _add_joint(
 def _add_link(model: ElementTree.Element, name: str, place: np.ndarray, mass: float) -> None:
     """Add a link at a pose (x, y, z, roll, pitch, yaw) in the model, with the inertia of a sphere."""
     link = element(model, "link", name=name)
-    element(link, "pose", format_numbers(place))
+    element(link, "pose", place)
     inertial = element(link, "inertial")
-    element(inertial, "mass", format_numbers([mass]))
+    element(inertial, "mass", mass)
     inertia = element(inertial, "inertia")
     for entry, value in sphere_inertia(mass).items():
         element(inertia, entry, value)

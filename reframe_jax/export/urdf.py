@@ -8,7 +8,6 @@ from reframe_jax.export.robots import (
     LINK_MASS_FRACTION,
     check_writable,
     element,
-    format_numbers,
     is_endless,
     part_names,
     roll_pitch_yaw,
@@ -60,7 +59,7 @@ def to_urdf(joint: Joint, *, mass: float = 1.0) -> str:
             slide = JointPart("slide", part.axis, part.point, low, high)
             thread = f"{joint.child}_slide"
             made = _add_part(robot, thread, slide, last, place)
-            element(made, "mimic", joint=name, multiplier=format_numbers([part.pitch]), offset="0")
+            element(made, "mimic", joint=name, multiplier=part.pitch, offset="0")
             _add_link(robot, f"{thread}_link", LINK_MASS_FRACTION * mass)
             last = f"{thread}_link"
     mount = element(robot, "joint", name=f"{joint.child}_fixed", type="fixed")
@@ -80,19 +79,19 @@ def _add_part(
     _add_origin(made, part.point - place, np.zeros(3))
     element(made, "parent", link=last)
     element(made, "child", link=f"{name}_link")
-    element(made, "axis", xyz=format_numbers(part.axis))
-    limits = {"lower": format_numbers([part.low]), "upper": format_numbers([part.high])}
-    element(made, "limit", effort=_EFFORT, velocity=_VELOCITY, **({} if is_endless(part) else limits))
+    element(made, "axis", xyz=part.axis)
+    limits = {} if is_endless(part) else {"lower": part.low, "upper": part.high}
+    element(made, "limit", effort=_EFFORT, velocity=_VELOCITY, **limits)
     return made
 
 
 def _add_link(robot: ElementTree.Element, name: str, mass: float) -> None:
     """Add a link with the inertia of a sphere at its origin."""
     inertial = element(element(robot, "link", name=name), "inertial")
-    element(inertial, "mass", value=format_numbers([mass]))
+    element(inertial, "mass", value=mass)
     element(inertial, "inertia", **sphere_inertia(mass))
 
 
 def _add_origin(joint: ElementTree.Element, place: np.ndarray, angles: np.ndarray) -> None:
     if np.abs([*place, *angles]).max() > _NO_LENGTH:
-        element(joint, "origin", xyz=format_numbers(place), rpy=format_numbers(angles))
+        element(joint, "origin", xyz=place, rpy=angles)

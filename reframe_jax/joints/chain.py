@@ -58,24 +58,18 @@ def chain_poses(parts: Sequence[JointPart], home: np.ndarray, coordinates: np.nd
     pose = np.broadcast_to(np.eye(4), (*coordinates.shape[:-1], 4, 4))
     first = 0
     for part in parts:
-        pose = pose @ _part_displacement(part, coordinates[..., first : first + part.width])
+        values = coordinates[..., first : first + part.width]
         first += part.width
-    moved: np.ndarray = pose @ home
-    return moved
-
-
-def _part_displacement(part: JointPart, coordinates: np.ndarray) -> np.ndarray:
-    """Compute the displacements (..., 4, 4) of one part from its coordinates (..., width)."""
-    moved = np.tile(np.eye(4), (*coordinates.shape[:-1], 1, 1))
-    if part.kind == "slide":
-        moved[..., :3, 3] = coordinates * part.axis
-        return moved
-    turn = rotation_matrices(coordinates if part.kind == "ball" else coordinates * part.axis)
-    moved[..., :3, :3] = turn
-    moved[..., :3, 3] = part.point - turn @ part.point
-    if part.pitch:
-        moved[..., :3, 3] += part.pitch * coordinates * part.axis
-    return moved
+        moved = np.tile(np.eye(4), (*values.shape[:-1], 1, 1))
+        if part.kind == "slide":
+            moved[..., :3, 3] = values * part.axis
+        else:
+            turn = rotation_matrices(values if part.kind == "ball" else values * part.axis)
+            moved[..., :3, :3] = turn
+            moved[..., :3, 3] = part.point - turn @ part.point + part.pitch * values * part.axis
+        pose = pose @ moved
+    found: np.ndarray = pose @ home
+    return found
 
 
 def chain_coordinates(

@@ -16,19 +16,12 @@ _STARTS, _STEPS = 8, 40  # starts, and steps from each start, of the search for 
 
 @dataclass(frozen=True)
 class Geometry:
-    """A constraint frame with the recorded poses.
-
-    Attributes:
-        frame: the constraint frame.
-        poses: (K+1, 4, 4) of {b} in {g}, m.
-        pitch: m/rad of a screw joint, else None.
-        universal: (2, 3), axes of a universal joint, the first in {g} and the second in {b}; else None.
-    """
+    """A constraint frame with the recorded poses."""
 
     frame: ConstraintFrame
-    poses: np.ndarray
-    pitch: float | None = None
-    universal: np.ndarray | None = None
+    poses: np.ndarray  # (K+1, 4, 4) of {b} in {g}, m
+    pitch: float | None  # m/rad of a screw joint
+    universal: np.ndarray | None  # (2, 3), axes of a universal joint, the first in {g}, the second in {b}
 
     @property
     def turns(self) -> int:
@@ -80,22 +73,16 @@ class Geometry:
 class Plan:
     """A chain that may reproduce a constraint.
 
-    Attributes:
-        type: type of the joint.
-        turns_first: whether the rotating parts precede the slides in the chain.
-        axis: (3,) in the ground, positive direction of the hinge, or of the first of two; None for a ball.
-        second: (3,) in the child, direction of the second hinge.
-        slides: directions of the slides: the free axes of the frame, along the hinge, in the plane normal to
-            the hinge, or all of space.
-        is_envelope: as in :class:`Joint`.
+    The slides move along the free axes of the frame, along the hinge, in the plane normal to the hinge, or in
+    all of space.
     """
 
     type: JointType
-    turns_first: bool = False
-    axis: np.ndarray | None = None
-    second: np.ndarray | None = None
+    turns_first: bool = False  # whether the rotating parts precede the slides in the chain
+    axis: np.ndarray | None = None  # (3,) in the ground, positive, of the first hinge; None for a ball
+    second: np.ndarray | None = None  # (3,) in the child, direction of the second hinge
     slides: Literal["free", "along", "plane", "space"] = "free"
-    is_envelope: bool = False
+    is_envelope: bool = False  # as in :class:`Joint`
 
 
 def positive(axis: np.ndarray) -> np.ndarray:
@@ -145,11 +132,9 @@ def _hinge_plans(geometry: Geometry, axis: np.ndarray, other: np.ndarray | None,
 def universal_axes(rotations: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the pair of axes (3,), one in each body, whose mutual angle varies least over the motion.
 
-    A constraint frame has its constrained rotation axis fixed in one body. In a universal joint, the
-    direction of the constrained rotation is perpendicular to both joint axes and fixed in neither body. This
-    function therefore estimates the joint axes: for an axis a of the ground and an axis b of the body, a^T
-    R(k) b is constant over the rotations (K, 3, 3). ``normal`` (3,) is the direction of the constrained
-    rotation in the ground at the mean pose.
+    In a universal joint, the direction of the constrained rotation is perpendicular to both joint axes and
+    fixed in neither body. For an axis a of the ground and an axis b of the body, a^T R(k) b is constant over
+    the rotations (K, 3, 3). ``normal`` (3,) is the constrained direction in the ground at the mean pose.
     """
     moved = rotations - rotations.mean(axis=0)
     across = np.linalg.svd(normal[None])[2][1:]

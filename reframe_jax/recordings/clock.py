@@ -81,7 +81,7 @@ def _check_seconds(rows: Rows, times: np.ndarray) -> None:
         unit = since[0] if since else _likely_unit(step, path)
         raise RecordingError(
             f"{rows.path}: read in s, the times are {step:.3g} s apart; they look like {unit}: "
-            f"{_advise(unit)}, or the sample time, dt (--dt)."
+            f"give time_unit={unit!r} (--time-unit {unit}), or the sample time, dt (--dt)."
         )
 
 
@@ -89,10 +89,6 @@ def _likely_unit(step: float, path: bool) -> str:
     """Return the unit in which a time step is the most usual one."""
     usual = _USUAL[0 if path else 1]
     return min(TIME_UNITS, key=lambda unit: abs(math.log(step * TIME_UNITS[unit] / usual)))
-
-
-def _advise(unit: str) -> str:
-    return f"give time_unit={unit!r} (--time-unit {unit})"
 
 
 def note_unit(rows: Rows, poses: np.ndarray, unordered: bool) -> None:
@@ -106,7 +102,7 @@ def note_unit(rows: Rows, poses: np.ndarray, unordered: bool) -> None:
         rows.notes.append(
             f"times are {step:g} s apart, although the body moves little between them; if they are "
             + ("frame numbers, give the sample time, dt (--dt); if they are " if frames else "")
-            + f"in {unit}, {_advise(unit)}."
+            + f"in {unit}, give time_unit={unit!r} (--time-unit {unit})."
         )
         return
     lag = -(-len(poses) // _LAG)

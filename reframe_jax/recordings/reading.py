@@ -11,17 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from reframe_jax.recordings.checks import (
-    MIN_POSES,
-    check_positions,
-    check_turns,
-    drop_unfinished,
-    leave_out_lost,
-    make_poses,
-    note_jumps,
-    note_repeats,
-)
-from reframe_jax.recordings.clock import drop_equal_times, make_times, note_unit, sort_times
+from reframe_jax.recordings import checks, clock
 from reframe_jax.recordings.conventions import check_order, reorder
 from reframe_jax.recordings.readers import choose_reader
 from reframe_jax.recordings.readers.reader import Entry, Reader
@@ -155,22 +145,22 @@ def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Re
             rows.seconds = 1.0
         _apply_order(rows, wanted)
         ignored = dt is not None and rows.times is not None
-        make_times(rows, dt, wanted)
-        drop_unfinished(rows)
-        sort_times(rows)
-        drop_equal_times(rows)
+        clock.make_times(rows, dt, wanted)
+        checks.drop_unfinished(rows)
+        clock.sort_times(rows)
+        clock.drop_equal_times(rows)
         _check_count(rows)
-        poses = make_poses(rows)
+        poses = checks.make_poses(rows)
         poses[:, :3, 3] *= unit_of(path, wanted, "unit", rows.metres)
-        poses = leave_out_lost(rows, poses)
-        poses, unordered = check_positions(rows, poses, wanted)
+        poses = checks.leave_out_lost(rows, poses)
+        poses, unordered = checks.check_positions(rows, poses, wanted)
         _check_count(rows)
-        check_turns(rows, poses, wanted, unordered)
-        note_unit(rows, poses, unordered)
+        checks.check_turns(rows, poses, wanted, unordered)
+        clock.note_unit(rows, poses, unordered)
         check_order(rows, reader.options, poses, unordered, wanted)
         if not unordered:
-            note_jumps(rows, poses)
-        note_repeats(rows, poses)
+            checks.note_jumps(rows, poses)
+        checks.note_repeats(rows, poses)
     if ignored:
         rows.notes.append(f"{TIMES_IGNORED}; the sample time is {dt:g} s.")
     return Recording(
@@ -180,8 +170,8 @@ def _load(path: Path, reader: Reader, wanted: Selection, dt: float | None) -> Re
 
 
 def _check_count(rows: Rows) -> None:
-    if len(rows.values) < MIN_POSES:
-        problem = f"has {len(rows.values)} usable poses; expected {MIN_POSES} or more."
+    if len(rows.values) < checks.MIN_POSES:
+        problem = f"has {len(rows.values)} usable poses; expected {checks.MIN_POSES} or more."
         raise RecordingError(f"{rows.path}: " + " ".join([problem, *rows.notes[-3:]]))
 
 

@@ -65,14 +65,9 @@ def interpolate_poses(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Interpolate poses: positions linearly, orientations along the shortest rotation at a constant rate.
 
-    Args:
-        times: (N,) s, increasing.
-        poses: (N, 4, 4).
-        wanted: (M,) s.
-
-    Returns:
-        Poses (L, 4, 4) at the wanted times that are known, and ``known`` (M,) bool: whether a time is between
-        the first and the last one, and in no gap longer than five median steps.
+    The poses (N, 4, 4) have increasing times (N,) s. The result is poses (L, 4, 4) at the wanted times that
+    are known, and ``known`` (M,) bool: whether a time is between the first and the last one, and in no gap
+    longer than five median steps.
     """
     after = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
     steps = np.diff(times)

@@ -20,21 +20,13 @@ _RANGES = 4  # ranges of rows in a sentence
 
 @dataclass(frozen=True)
 class AngleTriples:
-    """Orientations as three numbers.
+    """Orientations as three numbers."""
 
-    Attributes:
-        numbers: (N, 3), in the unit of the file.
-        unit: this unit in rad, as it was read.
-        convention: "vector", or the order of the axes, as the option ``angles``.
-        by_axis: whether the numbers are those of x, y, z; otherwise they have the order of the convention.
-        stated: whether the file states the unit.
-    """
-
-    numbers: np.ndarray
-    unit: float
-    convention: str
-    by_axis: bool
-    stated: bool
+    numbers: np.ndarray  # (N, 3), in the unit of the file
+    unit: float  # this unit in rad, as it was read
+    convention: str  # "vector", or the order of the axes, as the option ``angles``
+    by_axis: bool  # whether the numbers are those of x, y, z, and not in the order of the convention
+    stated: bool  # whether the file states the unit
 
     def __getitem__(self, rows: np.ndarray) -> "AngleTriples":
         return replace(self, numbers=self.numbers[rows])
@@ -53,41 +45,27 @@ class AngleTriples:
 class Rows:
     """Rows of a file before the checks.
 
-    Attributes:
-        path: the file.
-        word: name of a row: line, sample, message or frame.
-        where: (N,) int, numbers of the rows.
-        values: (N, 7) positions and quaternions x y z w, or (N, 12) or (N, 16) matrices, row by row; lengths
-            in the unit of the file. NaN where a number is missing.
-        times: (N,), NaN where a time is missing. None if the file has no times.
-        origin: time at which ``times`` are 0, as written in the file; None if it is 0.
-        notes: sentences about rows that were left out, repairs and doubts.
-        wrenches: (N, 6) as in :class:`Recording`, or None.
-        metres: unit of the positions in m if the file states it, else None.
-        seconds: unit of the times in s if the file states it, else None.
-        order: order of the quaternions in the file.
-        angles: the orientations as angles, if the file contains angles.
-        no_times: remedy if the file has no times, for a message.
-        missing: reason why numbers of a row are missing, for a note.
-        frames: (N,) int, frame numbers, which count sample times; None if every row is a frame.
-        left_out: rows that were left out.
+    The values are (N, 7) positions and quaternions x y z w, or (N, 12) or (N, 16) matrices, row by row, with
+    lengths in the unit of the file; NaN where a number or a time is missing.
     """
 
     path: Path
-    word: str
-    where: np.ndarray
+    word: str  # name of a row: line, sample, message or frame
+    where: np.ndarray  # (N,) int, numbers of the rows
     values: np.ndarray
-    times: np.ndarray | None
-    origin: str | None = None
-    notes: list[str] = field(default_factory=list)
-    wrenches: np.ndarray | None = None
-    metres: float | None = None
-    seconds: float | None = None
-    order: Literal["xyzw", "wxyz"] = "xyzw"
-    angles: AngleTriples | None = None
-    no_times: str = "give the sample time, dt (--dt)"
-    missing: str = "a number is missing or not finite"
-    frames: np.ndarray | None = None
+    times: np.ndarray | None  # (N,); None if the file has no times
+    origin: str | None = None  # time at which ``times`` are 0, as written in the file; None if it is 0
+    notes: list[str] = field(default_factory=list)  # sentences about rows left out, repairs and doubts
+    wrenches: np.ndarray | None = None  # (N, 6) as in :class:`Recording`
+    metres: float | None = None  # unit of the positions in m if the file states it
+    seconds: float | None = None  # unit of the times in s if the file states it
+    order: Literal["xyzw", "wxyz"] = "xyzw"  # of the quaternions in the file
+    angles: AngleTriples | None = None  # the orientations, if the file contains angles
+    no_times: str = "give the sample time, dt (--dt)"  # remedy if the file has no times, for a message
+    missing: str = "a number is missing or not finite"  # reason why numbers are missing, for a note
+    frames: np.ndarray | None = (
+        None  # (N,) int, numbers that count sample times; None if every row is a frame
+    )
     left_out: list[LeftOut] = field(default_factory=list)
 
     @property

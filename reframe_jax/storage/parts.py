@@ -13,6 +13,7 @@ import re
 import secrets
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -119,10 +120,8 @@ class Run:
     @property
     def parts(self) -> dict[int, Path]:
         """Files of the existing parts by number, in order."""
-        found = {}
-        for file in self.folder.glob(f"part-*{self._codec.suffix}"):
-            if match := _PART.fullmatch(file.stem):
-                found[int(match[1])] = file
+        files = self.folder.glob(f"part-*{self._codec.suffix}")
+        found = {int(match[1]): file for file in files if (match := _PART.fullmatch(file.stem))}
         return dict(sorted(found.items()))
 
     def resume(self) -> None:
@@ -175,9 +174,7 @@ def check_place(folder: Path) -> None:
     """Raise an OSError if a missing folder cannot be created, before a long computation."""
     if folder.exists():
         return
-    place = folder.absolute().parent
-    while not place.exists():
-        place = place.parent
+    place = next(parent for parent in folder.absolute().parents if parent.exists())
     reason = errno.EACCES if place.is_dir() else errno.ENOTDIR
     if reason == errno.ENOTDIR or not os.access(place, os.W_OK | os.X_OK):
         raise OSError(reason, os.strerror(reason), str(folder))
@@ -188,11 +185,7 @@ def remove_leftovers(folder: Path) -> None:
 
     Another machine may still be writing newer files.
     """
-    for file in folder.glob(".*"):
-        if not _TEMPORARY.fullmatch(file.name):
-            continue
-        try:
+    for file in filter(lambda file: _TEMPORARY.fullmatch(file.name), folder.glob(".*")):
+        with suppress(FileNotFoundError):  # another machine removed the file, or its writer renamed it
             if time.time() - file.stat().st_mtime > _ABANDONED:
                 file.unlink()
-        except FileNotFoundError:  # another machine removed the file, or its writer renamed it
-            continue

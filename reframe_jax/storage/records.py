@@ -50,8 +50,15 @@ def describe(value: Any, within: tuple[int, ...] = ()) -> Any:
     inner = partial(describe, within=(*within, id(value)))
     if isinstance(value, Enum):
         return f"{type(value).__name__}.{value.name}"
-    if isinstance(value, (int, float, np.generic, np.ndarray, jax.Array)):
-        return _describe_numbers(value)
+    if isinstance(value, (int, float)):
+        return value if math.isfinite(value) else str(value)
+    if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
+        return {"key": str(jax.random.key_impl(value)), "data": inner(jax.random.key_data(value))}
+    if isinstance(value, (np.generic, np.ndarray, jax.Array)):
+        array = np.asarray(value)
+        if array.size > _LISTED:
+            return {"shape": list(array.shape), "checksum": checksum({"": array})}
+        return inner(array.tolist())
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = {field.name: inner(getattr(value, field.name)) for field in dataclasses.fields(value)}
         return {"type": type(value).__name__, **fields}
@@ -71,23 +78,6 @@ def describe(value: Any, within: tuple[int, ...] = ()) -> Any:
     if not re.search(r"\bat 0x[0-9a-f]+", text):
         return text
     return {"type": type(value).__qualname__, **inner(getattr(value, "__dict__", {}))}
-
-
-def _describe_numbers(value: Any) -> Any:
-    if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
-        data = np.asarray(jax.random.key_data(value)).tolist()
-        return {"key": str(jax.random.key_impl(value)), "data": data}
-    array = np.asarray(value)
-    if array.size > _LISTED:
-        return {"shape": list(array.shape), "checksum": checksum({"": array})}
-    return _write_out(array.tolist())
-
-
-def _write_out(value: Any) -> Any:
-    """Convert numbers, or nested lists of numbers, to JSON; NaN and infinities become strings."""
-    if isinstance(value, list):
-        return [_write_out(item) for item in value]
-    return value if isinstance(value, (int, float)) and math.isfinite(value) else str(value)
 
 
 def _describe_function(function: FunctionType, inner: Callable[[Any], Any]) -> dict[str, Any]:

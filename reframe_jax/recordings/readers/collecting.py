@@ -42,7 +42,7 @@ def collect(
         path: the file.
         lines: line number and cells of every line; empty cells beyond the width are ignored.
         width: count of cells in a row.
-        columns: indices of the columns, in the order of the result.
+        columns: indices of the columns.
         time: index of the column of times, or of the columns of seconds and of nanoseconds.
         wrench: indices of the columns of a measured wrench, which is kept apart from the poses.
         short: whether rows may have fewer cells than ``width``; the missing ones are empty.
@@ -61,7 +61,9 @@ def collect(
             remedy = "delete the line if the recording ended there"
             if len(cells) > width:
                 remedy = "if numbers have decimal commas, separate the columns by semicolons"
-            raise _error(path, number, f"expected {width} columns, found {len(cells)}; {remedy}.")
+            raise RecordingError(
+                f"{path}: line {number}: expected {width} columns, found {len(cells)}; {remedy}."
+            )
         where.append(number)
         check_size(path, len(where))
         try:
@@ -89,10 +91,6 @@ def collect(
     )
 
 
-def _error(path: Path, number: int, problem: str) -> RecordingError:
-    return RecordingError(f"{path}: line {number}: {problem}")
-
-
 def _number(path: Path, number: int, cell: str) -> float:
     """Convert a cell to a number; NaN if the number is missing."""
     try:
@@ -100,7 +98,8 @@ def _number(path: Path, number: int, cell: str) -> float:
     except ValueError:
         date = re.search(r"\d[-:/.]\d+[-:/.]\d", cell)
         hint = "; write times in seconds, or as 2024-05-01 10:00:00.250" if date else ""
-        raise _error(path, number, f"expected numbers: found '{shown(cell, 40)}'{hint}.") from None
+        problem = f"expected numbers: found '{shown(cell, 40)}'{hint}."
+        raise RecordingError(f"{path}: line {number}: {problem}") from None
 
 
 def _stamp(cells: list[str], time: int | tuple[int, int]) -> str:

@@ -20,9 +20,7 @@ _DECIMAL_COMMA = re.compile(r"[-+]?(\d+|\d*,\d+)(e[-+]?\d+)?", re.IGNORECASE)
 def read_lines(path: Path, blanks: str | None = None) -> Iterator[tuple[int, str]]:
     """Yield the numbers and the stripped text of all lines that are not blank, without ``sep=;``.
 
-    Args:
-        path: the file.
-        blanks: characters to strip at both ends; all white space by default.
+    ``blanks`` are the characters to strip at both ends, by default all white space.
 
     Raises:
         RecordingError: if a line is longer than 65,536 characters.
@@ -77,11 +75,9 @@ def _find_encoding(head: bytes) -> str:
 
 
 def split(line: str, delimiter: str | None) -> list[str]:
-    """Divide a line into stripped cells, and convert decimal commas to points.
+    """Divide a line into stripped cells, and convert decimal commas to points; None divides at blanks.
 
-    Args:
-        line: the line. If commas separate the cells, numbers with decimal commas are in quotes.
-        delimiter: character between the cells; None for blanks.
+    If commas separate the cells, numbers with decimal commas are in quotes.
     """
     if delimiter is None:
         cells = re.sub(r"\s+(?=[\[(])", "", line).split()  # a unit belongs to the name before it

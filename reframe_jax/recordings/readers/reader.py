@@ -31,22 +31,16 @@ class Entry:
 class Reader:
     """A reader of one format.
 
-    Attributes:
-        name: name of the format in messages, with an article: "a ROS bag".
-        suffixes: suffixes of files, in lower case with the dot; "/" for folders.
-        recognises: returns whether a path and its first bytes (none for a folder) belong to the format.
-        read: reads the rows. It raises :class:`RecordingError` for unreadable contents, and may raise OSError
-            and UnicodeDecodeError.
-        options: names of the options in :class:`Selection` that the reader uses.
-        contents: lists the data in a file, for formats with several data in a file.
+    ``read`` raises :class:`RecordingError` for unreadable contents, and may raise OSError and
+    UnicodeDecodeError.
     """
 
-    name: str
-    suffixes: tuple[str, ...]
-    recognises: Callable[[Path, bytes], bool]
+    name: str  # of the format in messages, with an article: "a ROS bag"
+    suffixes: tuple[str, ...]  # of files, in lower case with the dot; "/" for folders
+    recognises: Callable[[Path, bytes], bool]  # a path and its first bytes (none for a folder)
     read: Callable[[Path, Selection], Rows]
-    options: frozenset[str]
-    contents: Callable[[Path], list[Entry]] | None = None
+    options: frozenset[str]  # names of the options in :class:`Selection` that the reader uses
+    contents: Callable[[Path], list[Entry]] | None = None  # lists the data of formats with several in a file
 
 
 def import_extra(path: Path, module: str, extra: str) -> ModuleType:
