@@ -1,12 +1,14 @@
 """Fit a joint to a constraint frame and the poses from which it was identified.
 
-The frame determines the axes and the point of the joint. The poses determine the home pose (an average over
-all poses), the range of each coordinate, and the fit error.
+The frame determines the chains of hinges, slides and balls that may reproduce the constraint, their axes and
+their points. The poses determine the home pose (an average over all poses), the range of each coordinate, the
+fit error, and the chain with the smallest error.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,14 +16,92 @@ from numpy.typing import ArrayLike
 from reframe_jax.constraints.catalogue import describe, lookup
 from reframe_jax.constraints.frame import ConstraintFrame
 from reframe_jax.constraints.located import fixed_on_body
+from reframe_jax.constraints.types import AxisRelation, LinearType, distinct_axis, relation_of_cosine
 from reframe_jax.geometry.numpy_rotations import nearest_rotations
 from reframe_jax.joints.chain import JointPart, ball_hinges, chain_coordinates, chain_poses
 from reframe_jax.joints.joint import Joint, JointType
-from reframe_jax.joints.plans import Geometry, Plan, joint_plans, positive
 
 _ROUNDS = 3  # rounds of averaging, until the home pose converges
 _AVERAGED = 2000  # largest number of poses in the average; longer recordings are subsampled
 _UNIVERSAL = np.radians(5.0)  # orientation error above which no universal joint fits
+_STARTS, _STEPS = 8, 40  # starts, and steps from each start, of the search for universal axes
+
+
+@dataclass(frozen=True)
+class _Geometry:
+    """A constraint frame with the recorded poses."""
+
+    frame: ConstraintFrame
+    poses: np.ndarray  # (K+1, 4, 4) of {b} in {g}, m
+    pitch: float | None  # m/rad of a screw joint
+    universal: np.ndarray | None  # (2, 3), axes of a universal joint, the first in {g}, the second in {b}
+
+    @property
+    def turns(self) -> int:
+        """Number of free rotation axes."""
+        return sum(self.frame.angular_dof)
+
+    @property
+    def slides(self) -> int:
+        """Number of free translation axes."""
+        return sum(self.frame.linear_dof)
+
+    @property
+    def only_velocities(self) -> bool:
+        """Whether the constraint, like a wheel, restricts velocities only.
+
+        In BB and GG, the axes and the origin are fixed in the same body, so the free translations turn with
+        the body. Alternating rotations and translations then reach poses that neither reaches by itself.
+        """
+        return self.slides in (1, 2) and self.frame.linear_type in (LinearType.BB, LinearType.GG)
+
+    @cached_property
+    def distinct(self) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """Single free or single constrained axis (3,) of the angular and of the linear frame, in {g}.
+
+        An axis that is fixed in {b} is the mean over all poses; None if all axes of a frame are alike.
+        """
+        frame, found = self.frame, []
+        angular_on_body, linear_on_body, _ = fixed_on_body(frame)
+        for axes, dof, on_body in (
+            (frame.angular_axes, frame.angular_dof, angular_on_body),
+            (frame.linear_axes, frame.linear_dof, linear_on_body),
+        ):
+            place = distinct_axis(dof)
+            axis = None if place is None else np.asarray(axes, float)[:, place]
+            if axis is not None and on_body:
+                axis = np.mean(self.poses[:, :3, :3] @ axis, axis=0)
+                axis /= np.linalg.norm(axis)
+            found.append(axis)
+        return found[0], found[1]
+
+    @property
+    def relation(self) -> AxisRelation | None:
+        """Relation of the distinct axes of both frames; None if a frame has no distinct axis."""
+        angular, linear = self.distinct
+        return None if angular is None or linear is None else relation_of_cosine(float(angular @ linear))
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """A chain that may reproduce a constraint.
+
+    The slides move along the free axes of the frame, along the hinge, in the plane normal to the hinge, or in
+    all of space.
+    """
+
+    type: JointType
+    turns_first: bool = False  # whether the rotating parts precede the slides in the chain
+    axis: np.ndarray | None = None  # (3,) in the ground, positive, of the first hinge; None for a ball
+    second: np.ndarray | None = None  # (3,) in the child, direction of the second hinge
+    slides: Literal["free", "along", "plane", "space"] = "free"
+    is_envelope: bool = False  # as in :class:`Joint`
+
+
+def _positive(axis: np.ndarray) -> np.ndarray:
+    """Return an axis (3,) with the sign that makes its largest component positive."""
+    signed: np.ndarray = axis * np.sign(axis[np.argmax(np.abs(axis))])
+    return signed
 
 
 def fit_joint(
@@ -71,7 +151,7 @@ def fit_joint(
     if not 0 < length < np.inf:
         raise ValueError(f"Expected a positive length in m, not {length}.")
     axes = None if universal is None else np.asarray(universal, float)
-    geometry = Geometry(frame, values, pitch, axes)
+    geometry = _Geometry(frame, values, pitch, axes)
     name = _name(geometry)
     if axes is not None:
         if axes.shape != (2, 3) or not np.allclose(np.linalg.norm(axes, axis=1), 1, atol=1e-3):
@@ -89,11 +169,11 @@ def fit_joint(
                 "Only a body with one free rotation and a translation along its axis has a pitch."
             )
     names = {"name": name, "parent": parent, "child": child, "length": length}
-    joints = [_fit(geometry, plan, names) for plan in joint_plans(geometry)]
+    joints = [_fit(geometry, plan, names) for plan in _joint_plans(geometry)]
     return min(joints, key=lambda joint: joint.position_error, default=_without_chain(geometry, names))
 
 
-def _fit(geometry: Geometry, plan: Plan, names: dict[str, Any]) -> Joint:
+def _fit(geometry: _Geometry, plan: _Plan, names: dict[str, Any]) -> Joint:
     """Fit the chain of a plan; ``names`` are the fields of the joint that the fit does not change."""
     poses, home, length = geometry.poses, geometry.poses[0], names["length"]
     some = poses[:: max(1, len(poses) // _AVERAGED)]
@@ -136,7 +216,7 @@ def _fit(geometry: Geometry, plan: Plan, names: dict[str, Any]) -> Joint:
     )
 
 
-def _without_chain(geometry: Geometry, names: dict[str, Any]) -> Joint:
+def _without_chain(geometry: _Geometry, names: dict[str, Any]) -> Joint:
     """A joint without coordinates: the child is free, or no chain reproduces the constraint."""
     why = (
         "No chain of hinges, slides and balls makes this constraint: like a wheel, it restricts velocities "
@@ -155,7 +235,7 @@ def _without_chain(geometry: Geometry, names: dict[str, Any]) -> Joint:
     return Joint(kind, axis=None, point=home[:3, 3], home=home, parts=(), gauge=(why,), **names)
 
 
-def _parts(geometry: Geometry, plan: Plan, home: np.ndarray) -> tuple[JointPart, ...]:
+def _parts(geometry: _Geometry, plan: _Plan, home: np.ndarray) -> tuple[JointPart, ...]:
     """Parts of the chain at zero coordinates, with the child at its home pose."""
     rotation, origin, axis, frame = home[:3, :3], home[:3, 3], plan.axis, geometry.frame
     _, linear_on_body, point_on_body = fixed_on_body(frame)
@@ -167,12 +247,12 @@ def _parts(geometry: Geometry, plan: Plan, home: np.ndarray) -> tuple[JointPart,
         directions = [axis]
     elif plan.slides == "plane" and axis is not None:
         along = free[-1] - axis * (free[-1] @ axis)
-        along = positive(along / np.linalg.norm(along))
+        along = _positive(along / np.linalg.norm(along))
         directions = [along, np.cross(axis, along)]
     elif plan.slides == "space":
         directions = list(np.eye(3))
     else:
-        directions = [positive(each) for each in free]
+        directions = [_positive(each) for each in free]
     if plan.slides in ("plane", "space") or geometry.slides == 3:
         point = origin
     elif geometry.slides and plan.slides == "free" and not plan.turns_first:
@@ -182,7 +262,7 @@ def _parts(geometry: Geometry, plan: Plan, home: np.ndarray) -> tuple[JointPart,
     slides = [JointPart("slide", direction, origin) for direction in directions]
     turns = []
     if axis is not None and plan.second is not None:
-        turns = [JointPart("hinge", each, point) for each in (axis, positive(rotation @ plan.second))]
+        turns = [JointPart("hinge", each, point) for each in (axis, _positive(rotation @ plan.second))]
     elif axis is not None:  # at the point on the axis nearest to the origin of the child
         pitch = geometry.pitch if plan.type == "screw" else None
         turns = [JointPart("hinge", axis, point + axis * (axis @ (origin - point)), pitch=pitch or 0.0)]
@@ -191,7 +271,7 @@ def _parts(geometry: Geometry, plan: Plan, home: np.ndarray) -> tuple[JointPart,
     return (*turns, *slides) if plan.turns_first else (*slides, *turns)
 
 
-def _gauge(geometry: Geometry, plan: Plan, parts: Sequence[JointPart], child: str) -> tuple[str, ...]:
+def _gauge(geometry: _Geometry, plan: _Plan, parts: Sequence[JointPart], child: str) -> tuple[str, ...]:
     """Sentences on free choices, the values chosen, and velocities that the chain does not constrain."""
     kinds = [part.kind for part in parts]
     sentences = []
@@ -234,7 +314,7 @@ def _gauge(geometry: Geometry, plan: Plan, parts: Sequence[JointPart], child: st
     return tuple(sentences)
 
 
-def _name(geometry: Geometry) -> str:
+def _name(geometry: _Geometry) -> str:
     frame, relation = geometry.frame, geometry.relation
     key = frame.linear_type, frame.angular_dof, frame.linear_dof
     entry = lookup(*key, relation, geometry.pitch is not None, geometry.universal is not None)
@@ -243,3 +323,69 @@ def _name(geometry: Geometry) -> str:
 
 def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _joint_plans(geometry: _Geometry) -> list[_Plan]:
+    """Return the chains to fit to the poses; the best fit becomes the joint. Empty if no chain fits."""
+    turns, slides = geometry.turns, geometry.slides
+    # slides come after the rotations if their axes are fixed in {b} and the origin is fixed in {g}
+    last = slides in (1, 2) and geometry.frame.linear_type == LinearType.BG
+    if turns == 0:
+        kinds: tuple[JointType, ...] = ("fixed", "prismatic", "general", "general")
+        return [_Plan(kinds[slides])]
+    distinct, other = geometry.distinct
+    if turns == 1 and distinct is not None:
+        return _hinge_plans(geometry, _positive(distinct), other, last)
+    if geometry.universal is not None:
+        return [_Plan("universal", axis=_positive(geometry.universal[0]), second=geometry.universal[1])]
+    if (slides == 3 and turns == 3) or geometry.only_velocities:
+        return []  # combinations of the free motions reach every pose
+    if distinct is None:
+        return [_Plan("general" if slides else "spherical", turns_first=last)]
+    first, second = _universal_axes(geometry.poses[:, :3, :3], distinct)
+    return [
+        _Plan("general" if slides else "universal", turns_first=last, axis=_positive(first), second=second)
+    ]
+
+
+def _hinge_plans(geometry: _Geometry, axis: np.ndarray, other: np.ndarray | None, last: bool) -> list[_Plan]:
+    """The chains of a constraint with one free rotation, whose axis (3,) is fixed in both bodies."""
+    relation, slides = geometry.relation, geometry.slides
+    if relation == AxisRelation.PARALLEL and other is not None:
+        if slides == 1 and geometry.pitch is not None:
+            return [_Plan("screw", axis=axis, slides="along")]
+        # the identification has two estimates of the axis: from the rotations and from the translations
+        kind: JointType = "cylindrical" if slides == 1 else "planar"
+        where: Literal["along", "plane"] = "along" if slides == 1 else "plane"
+        return [_Plan(kind, axis=each, slides=where) for each in (axis, _positive(other))]
+    if geometry.only_velocities:
+        # a free translation that turns with the hinge covers a plane if it is normal to it, else all of space
+        plane = slides == 1 and relation == AxisRelation.PERPENDICULAR
+        return [_Plan("general", axis=axis, slides="plane" if plane else "space", is_envelope=True)]
+    return [_Plan("general" if slides else "revolute", turns_first=last, axis=axis)]
+
+
+def _universal_axes(rotations: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pair of axes (3,), one in each body, whose mutual angle varies least over the motion.
+
+    In a universal joint, the direction of the constrained rotation is perpendicular to both joint axes and
+    fixed in neither body. For an axis a of the ground and an axis b of the body, a^T R(k) b is constant over
+    the rotations (K, 3, 3). ``normal`` (3,) is the constrained direction in the ground at the mean pose.
+    """
+    moved = rotations - rotations.mean(axis=0)
+    across = np.linalg.svd(normal[None])[2][1:]
+    best = np.inf, np.zeros(3), np.zeros(3)
+    for angle in np.arange(_STARTS) * np.pi / _STARTS:
+        first = np.cos(angle) * across[0] + np.sin(angle) * across[1]
+        for _ in range(_STEPS):
+            _, second = _least_projection_axis(np.einsum("i,kij->kj", first, moved))
+            change, first = _least_projection_axis(moved @ second)
+        if change < best[0]:
+            best = change, first, second
+    return best[1], best[2]
+
+
+def _least_projection_axis(rows: np.ndarray) -> tuple[float, np.ndarray]:
+    """The unit vector (3,) on which rows (K, 3) have the smallest projections, and their sum of squares."""
+    values, vectors = np.linalg.eigh(rows.T @ rows)
+    return float(values[0]), vectors[:, 0]
