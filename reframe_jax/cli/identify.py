@@ -151,8 +151,7 @@ def _identify_file(path: Path, options: argparse.Namespace, tables: list[Columns
         known = isinstance(error, RecordingError)
         problem = str(error) if known else f"{path}: {type(error).__name__}: {error}"
         fail(problem)
-    notes = recording.notes if recording else ()
-    return to_record(found, label=str(path), windows=windows, notes=notes, recording=recording, error=problem)
+    return to_record(found, label=str(path), windows=windows, recording=recording, error=problem)
 
 
 def _thresholds(options: argparse.Namespace) -> Thresholds | None:

@@ -51,7 +51,6 @@ def to_record(
     *,
     label: str | None = None,
     windows: Sequence[Window] | None = None,
-    notes: Sequence[str] = (),
     recording: Recording | None = None,
     error: str | None = None,
 ) -> dict[str, Any]:
@@ -61,8 +60,7 @@ def to_record(
         found: the identification of one window or a batch; None for a recording that could not be used.
         label: name of the recording.
         windows: the part of the recording that each window of the batch covers.
-        notes: sentences on the input.
-        recording: the recording, which lists the rows that were left out.
+        recording: the recording, with its notes and the rows that were left out.
         error: why the recording could not be used.
     """
     each = [] if found is None else split_windows(jax.device_get(found))
@@ -76,7 +74,7 @@ def to_record(
     return {
         "recording": label,
         "error": error,
-        "notes": list(notes),
+        "notes": [] if recording is None else list(recording.notes),
         "rows": rows,
         "windows": [{"index": index, **plain(record)} for index, record in enumerate(records)],
     }

@@ -98,12 +98,6 @@ class _Plan:
     is_envelope: bool = False  # as in :class:`Joint`
 
 
-def _positive(axis: np.ndarray) -> np.ndarray:
-    """Return an axis (3,) with the sign that makes its largest component positive."""
-    signed: np.ndarray = axis * np.sign(axis[np.argmax(np.abs(axis))])
-    return signed
-
-
 def fit_joint(
     frame: ConstraintFrame,
     poses: ArrayLike,
@@ -152,7 +146,9 @@ def fit_joint(
         raise ValueError(f"Expected a positive length in m, not {length}.")
     axes = None if universal is None else np.asarray(universal, float)
     geometry = _Geometry(frame, values, pitch, axes)
-    name = _name(geometry)
+    key = frame.linear_type, frame.angular_dof, frame.linear_dof
+    entry = lookup(*key, geometry.relation, pitch is not None, universal is not None)
+    name = describe(*key, geometry.relation) if entry is None else entry.name
     if axes is not None:
         if axes.shape != (2, 3) or not np.allclose(np.linalg.norm(axes, axis=1), 1, atol=1e-3):
             raise ValueError("Expected two unit vectors as the axes of a universal joint.")
@@ -314,11 +310,10 @@ def _gauge(geometry: _Geometry, plan: _Plan, parts: Sequence[JointPart], child: 
     return tuple(sentences)
 
 
-def _name(geometry: _Geometry) -> str:
-    frame, relation = geometry.frame, geometry.relation
-    key = frame.linear_type, frame.angular_dof, frame.linear_dof
-    entry = lookup(*key, relation, geometry.pitch is not None, geometry.universal is not None)
-    return describe(*key, relation) if entry is None else entry.name
+def _positive(axis: np.ndarray) -> np.ndarray:
+    """Return an axis (3,) with the sign that makes its largest component positive."""
+    signed: np.ndarray = axis * np.sign(axis[np.argmax(np.abs(axis))])
+    return signed
 
 
 def _rms(values: np.ndarray) -> float:
@@ -343,9 +338,8 @@ def _joint_plans(geometry: _Geometry) -> list[_Plan]:
     if distinct is None:
         return [_Plan("general" if slides else "spherical", turns_first=last)]
     first, second = _universal_axes(geometry.poses[:, :3, :3], distinct)
-    return [
-        _Plan("general" if slides else "universal", turns_first=last, axis=_positive(first), second=second)
-    ]
+    kind: JointType = "general" if slides else "universal"
+    return [_Plan(kind, turns_first=last, axis=_positive(first), second=second)]
 
 
 def _hinge_plans(geometry: _Geometry, axis: np.ndarray, other: np.ndarray | None, last: bool) -> list[_Plan]:

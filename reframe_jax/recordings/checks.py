@@ -66,11 +66,8 @@ def note_repeats(rows: Rows, poses: np.ndarray) -> None:
 def check_positions(rows: Rows, poses: np.ndarray, wanted: Selection) -> tuple[np.ndarray, bool]:
     """Leave out distant rows of poses (N, 4, 4), m, and check the unit of the positions.
 
-    Returns:
-        Poses (M, 4, 4) of the remaining rows, and whether they are separate touches in any order.
-
-    Raises:
-        RecordingError: if the positions are too far apart for a body in the unit of the file.
+    The result is the poses (M, 4, 4) of the remaining rows, and whether they are separate touches in any
+    order. Positions that are too far apart for a body in the unit of the file are refused.
     """
     kept = _near(rows, poses[:, :3, 3])
     rows.keep(
@@ -140,9 +137,6 @@ def check_turns(rows: Rows, poses: np.ndarray, wanted: Selection, unordered: boo
     """Refuse angles that were read in the wrong unit, or add a note to ``rows`` if in doubt.
 
     The poses (N, 4, 4), m, are made from these angles. Unordered poses, separate touches, have no velocities.
-
-    Raises:
-        RecordingError: if half of the steps are faster than 30 rad/s, in a unit that the file does not state.
     """
     angles = rows.angles
     if angles is None or wanted.angle_unit == "rad" or len(poses) < 3 or rows.times is None:
@@ -173,11 +167,7 @@ def check_turns(rows: Rows, poses: np.ndarray, wanted: Selection, unordered: boo
 
 
 def make_poses(rows: Rows) -> np.ndarray:
-    """Convert rows to poses (N, 4, 4) with proper rotations; positions keep the unit of the file.
-
-    Raises:
-        RecordingError: if a rotation is invalid.
-    """
+    """Convert rows to poses (N, 4, 4), in the unit of the file; rotations that are not proper are refused."""
     values = rows.values
     blocks = [slice(start, start + _BLOCK) for start in range(0, len(values), _BLOCK)]
     poses = np.zeros((len(values), 4, 4))
@@ -235,8 +225,7 @@ def _judge(rows: Rows, error: np.ndarray, expected: str, cause: str) -> None:
 def leave_out_lost(rows: Rows, poses: np.ndarray) -> np.ndarray:
     """Leave out the rows of poses (N, 4, 4), m, in which tracking was lost, with notes; return the others.
 
-    Raises:
-        RecordingError: if too few poses remain.
+    Too few remaining poses are refused.
     """
     lost = find_lost_poses(poses, rows.times)
     where, kept = rows.where, ~lost.mask

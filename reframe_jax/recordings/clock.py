@@ -26,10 +26,9 @@ _RESTART = 3.0  # length of the path sorted by time over its length in the file:
 
 
 def make_times(rows: Rows, dt: float | None, wanted: Selection) -> None:
-    """Set the times of the rows, s: the times of the file, or multiples of the sample time ``dt``, s.
+    """Set the times of the rows, s, to multiples of the sample time ``dt``, s, or to the times of the file.
 
-    Raises:
-        RecordingError: if the file has no times and there is no sample time, or if the unit is wrong.
+    Missing times, and times in another unit than the given one, are refused.
     """
     if dt is not None:
         count = np.arange(len(rows.values)) if rows.frames is None else rows.frames - rows.frames[:1]
@@ -122,8 +121,7 @@ def note_unit(rows: Rows, poses: np.ndarray, unordered: bool) -> None:
 def sort_times(rows: Rows) -> None:
     """Sort rows by their times, or continue a clock that wraps or restarts during the motion, with a note.
 
-    Raises:
-        RecordingError: if the file contains several recordings, one after the other.
+    Several recordings in one file, one after the other, are refused.
     """
     if rows.times is None:
         return
@@ -172,9 +170,7 @@ def _distances(values: np.ndarray) -> np.ndarray:
 def drop_equal_times(rows: Rows) -> None:
     """Keep the first row of every time, with a note.
 
-    Raises:
-        RecordingError: if most rows share their time with another row, or if rows with equal times belong to
-            different bodies.
+    Files are refused in which most rows share their time with another row, or rows belong to several bodies.
     """
     if rows.times is None or len(rows.times) < 2:
         return

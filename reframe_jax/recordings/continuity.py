@@ -20,10 +20,9 @@ _WINDOWS, _LENGTH = 10, 20  # number and poses of the parts of a long recording 
 
 
 def is_unordered(poses: np.ndarray) -> bool:
-    """Return whether the order of poses is as good as random, in position and in orientation.
+    """Return whether the order of poses (K+1, 4, 4), m, is as good as random, in position and in orientation.
 
-    Args:
-        poses: (K+1, 4, 4), m; poses that are not finite, or more than 1e9 m away, are ignored.
+    Poses that are not finite, or more than 1e9 m away, are ignored.
     """
     poses = poses[np.all(np.abs(poses) < _FARTHEST, axis=(1, 2))]
     if len(poses) < _FEWEST:

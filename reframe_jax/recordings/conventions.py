@@ -34,9 +34,7 @@ def read_angles(
 ) -> AngleTriples:
     """Take rotation vectors or Euler angles (N, 3), and check their unit; ``stated`` is in rad, if any.
 
-    Raises:
-        RecordingError: if the file and the options state different units, or if angles exceed a full turn in
-            radians; angles in a unit that is stated or given may exceed it.
+    Angles in radians that exceed a full turn are refused, unless this unit is stated or given.
     """
     vector = wanted.angles == "vector"
     unit = unit_of(path, wanted, "angle_unit", stated)

@@ -103,11 +103,7 @@ def invert_poses(poses: np.ndarray) -> np.ndarray:
 
 
 def origin_shift(path: Path, origin: str | None, other: str | None) -> float:
-    """Return the difference of two origins in s, which converts times from the first to the second.
-
-    Raises:
-        RecordingError: if an origin is not a number.
-    """
+    """Return the difference of two origins in s, which converts times from the first to the second."""
     try:
         return float(Decimal(origin or 0) - Decimal(other or 0))
     except InvalidOperation as error:

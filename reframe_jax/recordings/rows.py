@@ -78,13 +78,9 @@ class Rows:
         return RecordingError(f"{self.path}: {self.word} {self.where[row]}: {problem}")
 
     def keep(self, mask: np.ndarray, why: str, reason: str, note: str | None = None) -> None:
-        """Leave out the rows outside the mask (N,), with a note.
+        """Leave out the rows outside the mask (N,), for a reason in words and in one word (:class:`LeftOut`).
 
-        Args:
-            mask: rows to keep.
-            why: the reason in words.
-            reason: the reason in one word, see :class:`LeftOut`.
-            note: the note; by default the numbers of the rows and the reason.
+        By default, the note gives the numbers of the rows and the reason.
         """
         dropped = self.where[~mask]
         if len(dropped):
@@ -117,11 +113,7 @@ def is_path(positions: np.ndarray) -> bool:
 
 
 def check_size(path: Path, count: int) -> None:
-    """Refuse more rows than a recording may have.
-
-    Raises:
-        RecordingError: if there are more than 8,388,608 rows.
-    """
+    """Refuse more rows than a recording may have, 8,388,608."""
     if count > MOST_ROWS:
         raise RecordingError(f"{path}: has more than {MOST_ROWS} rows; divide the recording into files.")
 

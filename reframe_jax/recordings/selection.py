@@ -62,11 +62,7 @@ class Selection:
 
 
 def unit_of(path: Path, wanted: Selection, option: str, stated: float | None = None) -> float:
-    """Return a unit in m, s or rad: the one that the file states, or the one that the user gave.
-
-    Raises:
-        RecordingError: if they differ.
-    """
+    """Return the unit in m, s or rad that the file states, or else the user; refuse different units."""
     units = {"unit": UNITS, "time_unit": TIME_UNITS, "angle_unit": ANGLE_UNITS}[option]
     name = getattr(wanted, option)
     given = next(iter(units.values())) if name is None else units[name]

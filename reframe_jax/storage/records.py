@@ -24,8 +24,7 @@ def describe_options(
 ) -> dict[str, Any]:
     """Return every keyword-only option of a function, with the given or the default value.
 
-    Raises:
-        TypeError: for an option that the function does not have; the message lists its options.
+    A TypeError for an option that the function does not have lists its options.
     """
     parameters = inspect.signature(function).parameters.values()
     defaults = {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY and p.name not in without}

@@ -44,13 +44,7 @@ _REMEDIES = {
 
 
 def choose_reader(path: Path, wanted: Selection) -> Reader:
-    """Return the reader of a file or folder that uses the given options.
-
-    Raises:
-        RecordingError: if no reader has the suffix or recognises the content, or if the reader does not use
-            an option.
-        OSError: from the file.
-    """
+    """Return the reader that recognises a file or folder, and uses all given options; refuse other files."""
     folder = stat.S_ISDIR(path.stat().st_mode)
     suffix = _FOLDER if folder else path.suffix.lower()
     if suffix in _REMEDIES:

@@ -27,11 +27,7 @@ class Column(NamedTuple):
 
 
 def find_columns(path: Path, wanted: Selection, names: Sequence[str]) -> tuple[list[Column], list[Column]]:
-    """Find the columns of positions and of orientations: ``NAME``, ``NAME[0:3]``, or several with commas.
-
-    Raises:
-        RecordingError: if a name is not given, or not in the file.
-    """
+    """Find the columns of positions and of orientations: ``NAME``, ``NAME[0:3]``, or several with commas."""
     if wanted.position is None or wanted.orientation is None:
         raise RecordingError(
             f"{path}: name its columns, {flag('position')} and {flag('orientation')}: {listed(names, 30)}."
@@ -57,7 +53,7 @@ def set_poses(
     stated: float | None = None,
     named: bool = True,
 ) -> None:
-    """Set the values of rows to poses from columns.
+    """Set the values of rows to poses from columns, whose widths and options are checked.
 
     Args:
         rows: the rows.
@@ -68,9 +64,6 @@ def set_poses(
         stated: unit of angles in rad, if the file states it.
         named: whether the user named the columns. Otherwise their names gave the order of quaternions, and
             three angles are in the order x, y, z.
-
-    Raises:
-        RecordingError: if the widths are wrong, or if a needed option is missing.
     """
     width = orientations.shape[1]
     if (positions.shape[1], width) not in _WIDTHS:

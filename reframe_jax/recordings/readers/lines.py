@@ -20,11 +20,8 @@ _DECIMAL_COMMA = re.compile(r"[-+]?(\d+|\d*,\d+)(e[-+]?\d+)?", re.IGNORECASE)
 def read_lines(path: Path, blanks: str | None = None) -> Iterator[tuple[int, str]]:
     """Yield the numbers and the stripped text of all lines that are not blank, without ``sep=;``.
 
-    ``blanks`` are the characters to strip at both ends, by default all white space.
-
-    Raises:
-        RecordingError: if a line is longer than 65,536 characters.
-        OSError, UnicodeDecodeError: from the file.
+    ``blanks`` are the characters to strip at both ends, by default all white space. Lines of more than
+    65,536 characters are refused.
     """
     with path.open("rb") as start:
         encoding = _find_encoding(start.read(_LONGEST))

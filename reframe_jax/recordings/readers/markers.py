@@ -60,11 +60,7 @@ def marker_entries(labels: list[str], detail: str) -> list[Entry]:
 
 
 def unit_of_markers(path: Path, stated: str, wanted: Selection) -> float:
-    """Return the unit in m that a file states in words, or the one that the user gave.
-
-    Raises:
-        RecordingError: if they differ, or if neither is known.
-    """
+    """Return the unit in m that a file states in words, or the one that the user gave; refuse other units."""
     known = LENGTH_WORDS.get(stated.lower())
     if known is None and wanted.unit is None:
         found = f"states an unknown unit, {shown(stated, 20)!r}" if stated else "does not state its unit"
@@ -76,9 +72,6 @@ def set_marker_poses(rows: Rows, points: np.ndarray, known: list[str], wanted: S
     """Set the values of rows to the poses of a body that is fitted to its markers, with a note about the fit.
 
     The points (N, M, 3), NaN where a marker is not seen, have the labels ``known`` and a unit in words.
-
-    Raises:
-        RecordingError: if the body or the unit is unknown, or if no rigid body fits.
     """
     path, metres = rows.path, unit_of_markers(rows.path, unit, wanted)
     labels = _choose_markers(path, wanted.body, known)

@@ -44,11 +44,7 @@ class Reader:
 
 
 def import_extra(path: Path, module: str, extra: str) -> ModuleType:
-    """Import a module, such as ``pyarrow.parquet``, that an extra of this package installs.
-
-    Raises:
-        RecordingError: if the library is not installed; the message names the extra.
-    """
+    """Import a module, such as ``pyarrow.parquet``, or name the extra of this package that installs it."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
@@ -80,10 +76,8 @@ def translate_errors(path: Path, expected: str) -> Iterator[None]:
 def choose_name(path: Path, option: str, wanted: str | None, names: Sequence[str], what: str) -> str:
     """Return the name that the user gave by an option, or the only one of the names in the file.
 
-    ``what`` is the kind of the names in the plural, such as "rigid bodies".
-
-    Raises:
-        RecordingError: if the name is unknown, or if there are several names and none was given.
+    ``what`` is the kind of the names in the plural, such as "rigid bodies". An unknown name, and several
+    names of which none was given, are refused.
     """
     if wanted in names:
         return str(wanted)

@@ -56,11 +56,7 @@ class _Header:
             )
 
     def find(self, pattern: str) -> int | None:
-        """Return the index of the column whose name matches a regular expression, or None.
-
-        Raises:
-            RecordingError: if several columns match.
-        """
+        """Return the index of the only column whose name matches a regular expression, or None."""
         found = _matches(pattern, self.names)
         if self.body is not None and len(found) > 1:
             # in arrays of poses, the number is sufficient: 0 for field.poses0
@@ -97,11 +93,7 @@ class _Header:
         return None
 
     def unit(self, columns: Sequence[int], words: dict[str, float]) -> float | None:
-        """Return the unit of some columns in m, s or rad; None if they state none.
-
-        Raises:
-            RecordingError: if the unit is unknown, or not equal in all columns.
-        """
+        """Return the unit of some columns in m, s or rad, which must be the same; None if they state none."""
         stated = {self.units[i] for i in columns}
         if not stated - {""}:
             return None
